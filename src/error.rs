@@ -1,0 +1,116 @@
+//! The one error of the crate.
+//!
+//! A message says what was wrong, where, and what to do about it. A panic is a bug of ours.
+
+use std::path::{Path, PathBuf};
+
+/// What every fallible function of the crate returns.
+pub type Result<T> = std::result::Result<T, Error>;
+
+/// Everything that can go wrong.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A Vulkan call failed.
+    #[error("{call} failed: {meaning} ({code})")]
+    Vulkan {
+        /// The name of the call.
+        call: &'static str,
+        /// The `VkResult`, as a number.
+        code: i32,
+        /// The `VkResult`, in words.
+        meaning: String,
+    },
+    /// The Vulkan loader or a driver is missing, or no device fits the request.
+    #[error("{0}")]
+    NoDevice(String),
+    /// The device was lost under way.
+    #[error("the device was lost; the last kernel begun was {last_kernel}")]
+    DeviceLost {
+        /// The kernel that the device had begun when it was lost.
+        last_kernel: String,
+    },
+    /// Device memory ran out.
+    #[error(
+        "out of device memory: {label} wants {bytes} bytes; use fewer Gaussians or smaller images"
+    )]
+    OutOfMemory {
+        /// What the memory was for.
+        label: String,
+        /// How much was asked for.
+        bytes: u64,
+    },
+    /// A buffer is larger than one binding of this device may be.
+    #[error(
+        "{label} needs {bytes} bytes in one binding, the device allows {limit}; use fewer Gaussians"
+    )]
+    RangeLimit {
+        /// The buffer.
+        label: String,
+        /// Its size.
+        bytes: u64,
+        /// The device's `maxStorageBufferRange`.
+        limit: u64,
+    },
+    /// The device lacks something that a kernel needs.
+    #[error("{kernel} cannot run on this device: {missing}")]
+    Unsupported {
+        /// The kernel, or `the engine`.
+        kernel: String,
+        /// What is missing.
+        missing: String,
+    },
+    /// An argument has the wrong shape.
+    #[error("{op}: {arg} has {actual} elements, expected {expected}")]
+    Shape {
+        /// The kernel or op.
+        op: &'static str,
+        /// The argument.
+        arg: &'static str,
+        /// What was wanted.
+        expected: String,
+        /// What was given.
+        actual: usize,
+    },
+    /// A file or folder could not be read or written.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// A file holds something else than its format says.
+    #[error("{}: {what}", path.display())]
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong, with the offset or the field.
+        what: String,
+    },
+    /// The input cannot be worked with, and what to do instead.
+    #[error("{0}")]
+    Input(String),
+    /// The method could not reach a result on this input.
+    #[error("{0}")]
+    Failed(String),
+    /// The user asked to stop; the last checkpoint stays usable.
+    #[error("interrupted{}", .checkpoint.as_ref().map(|p| format!("; resume with --resume, the checkpoint is {}", p.display())).unwrap_or_default())]
+    Interrupted {
+        /// The checkpoint to resume from, where one was written.
+        checkpoint: Option<PathBuf>,
+    },
+}
+
+impl Error {
+    /// A closure for `map_err` that names the path at which the system failed.
+    pub fn io(path: impl AsRef<Path>) -> impl FnOnce(std::io::Error) -> Error {
+        let path = path.as_ref().to_path_buf();
+        move |source| Error::Io { path, source }
+    }
+
+    /// A file holds something else than its format says.
+    pub fn format(path: impl AsRef<Path>, what: impl Into<String>) -> Error {
+        Error::Format { path: path.as_ref().to_path_buf(), what: what.into() }
+    }
+}

@@ -1,0 +1,1 @@
+//! SE(3), Sim(3), PnP, RANSAC, two-view geometry and bundle adjustment, in f64.

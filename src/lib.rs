@@ -1,0 +1,10 @@
+//! splat4d: a Vulkan compute engine that turns one ordinary video of a moving scene, camera poses
+//! unknown, into a 4D Gaussian-splat scene that renders in real time.
+#![deny(unsafe_code)]
+
+pub mod error;
+pub mod geometry;
+pub mod oracle;
+pub mod types;
+
+pub use error::{Error, Result};

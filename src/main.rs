@@ -1,0 +1,2 @@
+//! The `splat4d` command line.
+fn main() {}

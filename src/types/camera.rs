@@ -1,0 +1,125 @@
+//! Pinhole cameras and rigid transforms.
+
+use glam::{DMat3, DMat4, DQuat, DVec2, DVec3};
+
+/// A pinhole camera's inner geometry, in pixels of an image of `width` × `height`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Intrinsics {
+    /// Focal length along x, pixels.
+    pub fx: f64,
+    /// Focal length along y, pixels.
+    pub fy: f64,
+    /// Principal point, x, measured from the image's left edge (the first pixel's centre is 0.5).
+    pub cx: f64,
+    /// Principal point, y, measured from the image's upper edge.
+    pub cy: f64,
+    /// Width of the image, pixels.
+    pub width: u32,
+    /// Height of the image, pixels.
+    pub height: u32,
+}
+
+impl Intrinsics {
+    /// Square pixels and a principal point in the middle.
+    pub fn centred(focal: f64, width: u32, height: u32) -> Intrinsics {
+        Intrinsics {
+            fx: focal,
+            fy: focal,
+            cx: width as f64 / 2.0,
+            cy: height as f64 / 2.0,
+            width,
+            height,
+        }
+    }
+
+    /// The same camera at another image size.
+    pub fn resized(&self, width: u32, height: u32) -> Intrinsics {
+        let (sx, sy) = (width as f64 / self.width as f64, height as f64 / self.height as f64);
+        Intrinsics {
+            fx: self.fx * sx,
+            fy: self.fy * sy,
+            cx: self.cx * sx,
+            cy: self.cy * sy,
+            width,
+            height,
+        }
+    }
+
+    /// The pixel of a point in the camera's frame; meaningless for z ≤ 0.
+    pub fn project(&self, point: DVec3) -> DVec2 {
+        DVec2::new(self.fx * point.x / point.z + self.cx, self.fy * point.y / point.z + self.cy)
+    }
+
+    /// The point in the camera's frame at unit depth that lies behind a pixel.
+    pub fn ray(&self, pixel: DVec2) -> DVec3 {
+        DVec3::new((pixel.x - self.cx) / self.fx, (pixel.y - self.cy) / self.fy, 1.0)
+    }
+}
+
+/// A rigid transform, named `a_from_b`: `x_a = rotation · x_b + translation`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// Unit quaternion.
+    pub rotation: DQuat,
+    /// In units of a.
+    pub translation: DVec3,
+}
+
+impl Pose {
+    /// Maps every point to itself.
+    pub const IDENTITY: Pose = Pose { rotation: DQuat::IDENTITY, translation: DVec3::ZERO };
+
+    /// A pose from its parts; the quaternion is normalised.
+    pub fn new(rotation: DQuat, translation: DVec3) -> Pose {
+        Pose { rotation: rotation.normalize(), translation }
+    }
+
+    /// A pose from the upper 3×4 part of a matrix whose left 3×3 block is a rotation.
+    pub fn from_matrix(matrix: DMat4) -> Pose {
+        let rotation = DMat3::from_mat4(matrix);
+        Pose::new(DQuat::from_mat3(&rotation), matrix.w_axis.truncate())
+    }
+
+    /// `b_from_a` of an `a_from_b`.
+    pub fn inverse(&self) -> Pose {
+        let rotation = self.rotation.conjugate();
+        Pose { rotation, translation: -(rotation * self.translation) }
+    }
+
+    /// Where a point of b lies in a.
+    pub fn apply(&self, point: DVec3) -> DVec3 {
+        self.rotation * point + self.translation
+    }
+
+    /// The rotation as a matrix.
+    pub fn rotation_matrix(&self) -> DMat3 {
+        DMat3::from_quat(self.rotation)
+    }
+}
+
+/// `a_from_c = a_from_b * b_from_c`.
+impl std::ops::Mul for Pose {
+    type Output = Pose;
+    fn mul(self, other: Pose) -> Pose {
+        Pose {
+            rotation: (self.rotation * other.rotation).normalize(),
+            translation: self.rotation * other.translation + self.translation,
+        }
+    }
+}
+
+/// A camera in the world.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Camera {
+    /// Inner geometry.
+    pub intrinsics: Intrinsics,
+    /// World to camera.
+    pub view_from_world: Pose,
+}
+
+impl Camera {
+    /// The camera's centre in the world.
+    pub fn centre(&self) -> DVec3 {
+        self.view_from_world.inverse().translation
+    }
+}

@@ -1,0 +1,91 @@
+//! Control points and the deformation network: what moves the dynamic Gaussians.
+
+/// Sparse control points in the canonical frame; the network gives each of them a rigid motion at
+/// every time, and Gaussians follow the nearest ones (linear blend skinning).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ControlPoints {
+    /// Canonical positions.
+    pub positions: Vec<[f32; 3]>,
+    /// Natural logarithms of the radius ρ of the Gaussian kernel `exp(−d²/2ρ²)`.
+    pub log_radii: Vec<f32>,
+}
+
+impl ControlPoints {
+    /// Number of control points.
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+}
+
+/// The shape of the deformation network.
+///
+/// Input: positional encodings of the canonical position (`3 + 6·position_frequencies` values) and
+/// of the time (`1 + 2·time_frequencies`), frequencies 2⁰, 2¹, … without a factor π, each as
+/// `[x, sin(2⁰x), cos(2⁰x), sin(2¹x), …]`. Then `depth` ReLU layers of `width`; the encodings are
+/// concatenated again *after* the activations of layer `skip` (counted from 0), so that layer
+/// `skip + 1` sees `[encoding, activations]`. One linear head of 7: translation (3) and the
+/// rotation's offset δ (4), rotation = normalise([1, 0, 0, 0] + δ).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NetShape {
+    /// Number of hidden layers.
+    pub depth: u32,
+    /// Width of a hidden layer; a multiple of 16.
+    pub width: u32,
+    /// The layer after which the encodings enter again; `depth` or more for never.
+    pub skip: u32,
+    /// Frequencies of the position's encoding.
+    pub position_frequencies: u32,
+    /// Frequencies of the time's encoding.
+    pub time_frequencies: u32,
+}
+
+impl NetShape {
+    /// Values a control point's head gives: translation (3), rotation offset (4).
+    pub const OUTPUTS: usize = 7;
+
+    /// The paper's network.
+    pub const PAPER: NetShape =
+        NetShape { depth: 8, width: 256, skip: 4, position_frequencies: 10, time_frequencies: 10 };
+
+    /// Number of values that enter the network.
+    pub fn inputs(&self) -> usize {
+        (3 + 6 * self.position_frequencies + 1 + 2 * self.time_frequencies) as usize
+    }
+
+    /// `(inputs, outputs)` of every layer, hidden ones first, the head last.
+    pub fn layers(&self) -> Vec<(usize, usize)> {
+        let (width, inputs) = (self.width as usize, self.inputs());
+        let mut layers: Vec<_> = (0..self.depth)
+            .map(|layer| match layer {
+                0 => (inputs, width),
+                l if l == self.skip + 1 => (inputs + width, width),
+                _ => (width, width),
+            })
+            .collect();
+        layers.push((
+            if self.skip + 1 == self.depth { inputs + width } else { width },
+            Self::OUTPUTS,
+        ));
+        layers
+    }
+
+    /// Number of parameters: per layer the weights `[outputs][inputs]`, then the biases.
+    pub fn parameters(&self) -> usize {
+        self.layers().iter().map(|(inputs, outputs)| (inputs + 1) * outputs).sum()
+    }
+}
+
+/// The deformation network: `(canonical position, time) → (translation, rotation)`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DeformNet {
+    /// Its shape.
+    pub shape: NetShape,
+    /// All parameters, layer after layer in the order of [`NetShape::layers`]: weights as
+    /// `[outputs][inputs]`, row-major, then biases.
+    pub parameters: Vec<f32>,
+}

@@ -1,0 +1,46 @@
+//! The Gaussians of a scene on the host.
+
+/// The constant spherical harmonic.
+pub const SH_C0: f32 = 0.282_094_8;
+
+/// How many spherical-harmonic coefficients a colour channel has at `degree`.
+pub const fn sh_coefficients(degree: u32) -> usize {
+    ((degree + 1) * (degree + 1)) as usize
+}
+
+/// 3D Gaussians, one row of every array per Gaussian.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Gaussians {
+    /// Centres in the world (canonical) frame.
+    pub positions: Vec<[f32; 3]>,
+    /// Natural logarithms of the standard deviations along the Gaussian's own axes.
+    pub log_scales: Vec<[f32; 3]>,
+    /// `world_from_gaussian` quaternions (w, x, y, z); need not be normalised.
+    pub rotations: Vec<[f32; 4]>,
+    /// Logits of the opacity.
+    pub opacity_logits: Vec<f32>,
+    /// Degree of the spherical harmonics, 0 to 3.
+    pub sh_degree: u32,
+    /// Coefficients, `sh_coefficients(sh_degree)` RGB rows per Gaussian, lowest band first.
+    pub sh: Vec<[f32; 3]>,
+    /// Logits of being dynamic: above 0 a Gaussian follows the control points. Empty in a static
+    /// scene.
+    pub motion_logits: Vec<f32>,
+}
+
+impl Gaussians {
+    /// Number of Gaussians.
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+
+    /// Whether any Gaussian follows the control points.
+    pub fn is_dynamic(&self) -> bool {
+        self.motion_logits.iter().any(|&m| m > 0.0)
+    }
+}

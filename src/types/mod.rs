@@ -1,0 +1,18 @@
+//! Plain data shared by kernels and oracle. Nothing here knows Vulkan.
+//!
+//! Conventions of the whole crate: camera axes are OpenCV's (x right, y down, z forward);
+//! transforms are named `a_from_b` and map a point of b to a; pixel centres lie at +0.5; depth is
+//! the z coordinate in the camera; quaternions are (w, x, y, z) in storage; scales are stored as
+//! logarithms, opacity and motion as logits; colours are the image's own encoded values in [0, 1].
+
+mod camera;
+mod control;
+mod gaussians;
+mod image;
+mod settings;
+
+pub use camera::{Camera, Intrinsics, Pose};
+pub use control::{ControlPoints, DeformNet, NetShape};
+pub use gaussians::{Gaussians, SH_C0, sh_coefficients};
+pub use image::Image;
+pub use settings::RenderSettings;
