@@ -51,7 +51,7 @@ pub fn finite<R: Real, const N: usize>(a: [R; N]) -> bool {
 /// vector of zeros.
 pub fn normalise<R: Real, const N: usize>(a: [R; N]) -> Option<(R, [R; N])> {
     let m = max_abs(a);
-    if !(m > R::zero()) {
+    if m == R::zero() {
         return None;
     }
     let b = a.map(|x| x / m);

@@ -114,7 +114,7 @@ fn sign<R: Real>(x: R) -> R {
 fn shares<R: Real>(weights: Option<&[R]>, count: usize) -> Vec<R> {
     let weights = weights.map_or_else(|| vec![R::one(); count], <[R]>::to_vec);
     let total: R = weights.iter().copied().sum();
-    if !(total > R::zero()) {
+    if total <= R::zero() {
         return vec![R::zero(); count];
     }
     weights.into_iter().map(|w| w / total).collect()
@@ -170,7 +170,7 @@ fn depth<R: Real>(rendered: &Pixels<R>, term: &DepthTerm<'_, R>, out: &mut Loss<
     for (i, share) in shares.into_iter().enumerate() {
         let (a, d) = (rendered.alpha[i], rendered.depth[i]);
         // d is Σ weight · z with every z beyond the near plane, hence above 0 where alpha is.
-        if share == R::zero() || a < term.min_alpha || !(d > R::zero()) {
+        if share == R::zero() || a < term.min_alpha || d <= R::zero() {
             continue;
         }
         let (value, by_alpha, by_depth) = match term.kind {

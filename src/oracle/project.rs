@@ -186,8 +186,7 @@ fn splat<R: Real>(
     settings: &RenderSettings,
 ) -> Option<Splat<R>> {
     let opacity = sigmoid(cloud.opacity_logits[index]);
-    // Written so that NaN is culled too.
-    if !(opacity >= R::of(f64::from(settings.alpha_cut))) {
+    if opacity.is_nan() || opacity < R::of(f64::from(settings.alpha_cut)) {
         return None;
     }
     let g = geometry(cloud, index, view, settings)?;

@@ -68,8 +68,8 @@ fn blend<R: Real>(
         let splat = splats[index as usize].as_ref().expect("bins list only drawn splats");
         let offset = [pixel[0] - splat.mean[0], pixel[1] - splat.mean[1]];
         let power = power(splat.conic, offset[0], offset[1]);
-        // A power below 0 is a conic that rounding has made indefinite; NaN fails too.
-        if !(power >= R::zero()) {
+        // A power below 0 is a conic that rounding has made indefinite.
+        if power.is_nan() || power < R::zero() {
             continue;
         }
         let falloff = (-power).exp();

@@ -101,7 +101,8 @@ fn scales_from_tiny_to_huge() {
     // the length's fourth power is below the least f32.
     assert_eq!(run::<f64>(&mixed, &camera).1, 1);
     run::<f32>(&mixed, &camera);
-    assert_eq!(both(&one([0.0, 0.0, 2.0], [89.0; 3], UPRIGHT, 2.0), &camera, 1.0).1, 0);
+    // exp(89) is no f32.
+    assert_eq!(run::<f32>(&one([0.0, 0.0, 2.0], [89.0; 3], UPRIGHT, 2.0), &camera).1, 0);
 }
 
 #[test]

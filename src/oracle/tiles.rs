@@ -32,7 +32,7 @@ impl TileRect {
             // extent of 1e23 pixels fits no integer.
             let from = (mean[axis] - extent[axis] - half).ceil().max(R::zero());
             let to = (mean[axis] + extent[axis] - half).floor().min(last);
-            if !(from <= to) {
+            if from.is_nan() || to.is_nan() || from > to {
                 return TileRect::default();
             }
             rect.min[axis] = from.f64() as u32 / TILE;
