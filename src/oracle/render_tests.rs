@@ -238,6 +238,49 @@ fn f32_gradient_agrees_with_f64() {
     }
 }
 
+/// Without tiles: every pixel blends every splat by (depth, index). Tiles may only leave out what
+/// contributes nothing.
+#[test]
+fn tiles_change_nothing() {
+    let settings = RenderSettings::default();
+    let (mut cloud, view) = (cloud(60, 0, 41), View::new(&camera()));
+    cloud.log_scales.iter_mut().flatten().for_each(|s| *s -= 1.5);
+    let rendered = render::forward(&cloud, &view, &settings);
+    let drawn = rendered.bins.order.len();
+    let pairs = rendered.bins.tiles.len();
+    assert!(drawn > 20 && pairs < drawn * 3, "{drawn} splats, {pairs} pairs of 6 tiles each");
+    let mut order: Vec<_> = rendered.splats.iter().flatten().collect();
+    order.sort_by(|a, b| a.depth.total_cmp(&b.depth));
+    for y in 0..view.height {
+        for x in 0..view.width {
+            let (mut left, mut rgb, mut depth) = (1.0_f64, [0.0; 3], 0.0);
+            for s in &order {
+                let (dx, dy) = (f64::from(x) + 0.5 - s.mean[0], f64::from(y) + 0.5 - s.mean[1]);
+                let power =
+                    0.5 * (s.conic[0] * dx * dx + s.conic[2] * dy * dy) + s.conic[1] * dx * dy;
+                let alpha = (s.opacity * (-power).exp()).min(f64::from(settings.alpha_cap));
+                if alpha < f64::from(settings.alpha_cut) {
+                    continue;
+                }
+                if left * (1.0 - alpha) <= f64::from(settings.transmittance_stop) {
+                    break;
+                }
+                for c in 0..3 {
+                    rgb[c] += left * alpha * s.colour[c];
+                }
+                depth += left * alpha * s.depth;
+                left *= 1.0 - alpha;
+            }
+            let at = (y * view.width + x) as usize;
+            assert!((rendered.pixels.alpha[at] - (1.0 - left)).abs() < 1e-12, "{x} {y}");
+            assert!((rendered.pixels.depth[at] - depth).abs() < 1e-12);
+            for c in 0..3 {
+                assert!((rendered.pixels.rgb[at][c] - rgb[c]).abs() < 1e-12);
+            }
+        }
+    }
+}
+
 /// gsplat's own image of four splats; the data's README says with which camera and constants.
 #[test]
 fn agrees_with_gsplat() {
