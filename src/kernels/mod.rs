@@ -4,8 +4,18 @@
 //! [`sort::Upsweep`], `oracle::sort`, `check::sort`, `tests/sort.rs`.
 
 pub mod indirect;
+pub mod scan;
+pub mod sort;
 
 use crate::gpu::{Kernel, KernelInfo};
 
 /// Every kernel of the crate, family by family.
-pub const ALL: &[KernelInfo] = &[indirect::Arguments::INFO];
+pub const ALL: &[KernelInfo] = &[
+    indirect::Arguments::INFO,
+    scan::Reduce::INFO,
+    scan::Spine::INFO,
+    scan::Downsweep::INFO,
+    sort::Plan::INFO,
+    sort::Count::INFO,
+    sort::Scatter::INFO,
+];
