@@ -8,6 +8,8 @@
 //! and let `tests/FAMILY.rs` call `common::run("FAMILY")`.
 
 mod harness;
+pub mod scan;
+pub mod sort;
 
 pub use harness::{Bound, Finding, Guarded, Harness};
 
@@ -24,7 +26,7 @@ pub struct Case {
 }
 
 /// Every family's cases.
-pub const ALL: &[&[Case]] = &[];
+pub const ALL: &[&[Case]] = &[scan::CASES, sort::CASES];
 
 /// What became of a case.
 #[derive(Debug)]

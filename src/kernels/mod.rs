@@ -8,6 +8,8 @@ pub mod indirect;
 pub mod loss;
 pub mod project;
 pub mod raster;
+pub mod scan;
+pub mod sort;
 
 use crate::gpu::{Kernel, KernelInfo};
 
@@ -30,4 +32,10 @@ pub const ALL: &[KernelInfo] = &[
     loss::Gradient::INFO,
     loss::Depth::INFO,
     loss::Total::INFO,
+    scan::Reduce::INFO,
+    scan::Spine::INFO,
+    scan::Downsweep::INFO,
+    sort::Plan::INFO,
+    sort::Count::INFO,
+    sort::Scatter::INFO,
 ];
