@@ -2,9 +2,13 @@
 //! unknown, into a 4D Gaussian-splat scene that renders in real time.
 #![deny(unsafe_code)]
 
+pub mod data;
 pub mod error;
+pub mod eval;
 pub mod geometry;
+pub mod io;
 pub mod oracle;
+pub mod scene;
 pub mod types;
 
 pub use error::{Error, Result};
