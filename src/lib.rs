@@ -3,6 +3,7 @@
 #![deny(unsafe_code)]
 
 pub mod error;
+pub mod eval;
 pub mod geometry;
 pub mod oracle;
 pub mod types;

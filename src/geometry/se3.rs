@@ -98,10 +98,6 @@ pub(crate) fn matrix3(m: &DMat3) -> Matrix3<f64> {
     Matrix3::from_column_slice(&m.to_cols_array())
 }
 
-/// nalgebra's 3×3 as glam's.
-pub(crate) fn dmat3(m: &Matrix3<f64>) -> DMat3 {
-    DMat3::from_cols_slice(m.as_slice())
-}
 
 fn parts(twist: &Twist) -> (DVec3, DVec3) {
     (DVec3::new(twist[0], twist[1], twist[2]), DVec3::new(twist[3], twist[4], twist[5]))
