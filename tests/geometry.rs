@@ -7,6 +7,7 @@ use splat4d::eval::{Align, compare_trajectories, match_by_time};
 use splat4d::geometry::bundle::{
     self, DepthPrior, FocalMode, Kernel, Observation, Options, Point, Problem, adjust,
 };
+use splat4d::geometry::pnp::{PnpOptions, pnp_ransac};
 use splat4d::geometry::se3::{Twist, angle_between, exp_so3, retract};
 use splat4d::types::{Intrinsics, Pose};
 use std::path::PathBuf;
@@ -198,7 +199,8 @@ fn bundle_recovers_exact_poses_and_depths_without_noise() {
     assert!(report.final_squared < 1e-9 * report.initial_squared, "{report:?}");
     assert!(relative_ate(&problem, &truth) < 1e-6);
     for (found, exact) in problem.points.iter().zip(&truth.points) {
-        let ratio = found.inverse_depth / exact.inverse_depth
+        let ratio = found.inverse_depth
+            / exact.inverse_depth
             / (problem.points[0].inverse_depth / truth.points[0].inverse_depth);
         assert!((ratio - 1.0).abs() < 1e-4, "one scale for all depths: {ratio}");
     }
@@ -283,11 +285,8 @@ fn focal_length_is_found_where_it_can_be_and_kept_where_not() {
     // A prior makes up for what the data do not say.
     let mut problem = wall.clone();
     problem.intrinsics = Intrinsics::centred(480.0, 480, 270);
-    let prior = Options {
-        focal: FocalMode::Free,
-        focal_prior: Some((420.0, 0.01)),
-        ..Default::default()
-    };
+    let prior =
+        Options { focal: FocalMode::Free, focal_prior: Some((420.0, 0.01)), ..Default::default() };
     adjust(&mut problem, &prior).unwrap();
     assert!((problem.intrinsics.fx / 420.0 - 1.0).abs() < 0.05, "{}", problem.intrinsics.fx);
 }
@@ -389,8 +388,7 @@ fn scale_is_kept_unless_something_anchors_it() {
     let mut scaled = truth.clone();
     bundle::rescale(&mut scaled, 3.7);
     let held = Options { rounds: 1, steps: 0, ..Default::default() };
-    let (a, b) =
-        (adjust(&mut truth.clone(), &held).unwrap(), adjust(&mut scaled, &held).unwrap());
+    let (a, b) = (adjust(&mut truth.clone(), &held).unwrap(), adjust(&mut scaled, &held).unwrap());
     assert!((a.final_squared / b.final_squared - 1.0).abs() < 1e-9);
 }
 
@@ -438,4 +436,144 @@ fn a_long_clip_is_adjusted() {
     );
     assert!(report.final_cost < 0.5 * report.initial_cost);
     assert!(relative_ate(&problem, &truth) < 0.01);
+}
+
+/// Makes an anchored problem out of classical bundle data: each point is anchored at its first
+/// observation, its inverse depth read off the given position.
+fn anchored(
+    intrinsics: Intrinsics,
+    poses: Vec<Pose>,
+    points: &[DVec3],
+    seen: &[(usize, usize, DVec2)],
+) -> Problem {
+    let mut index = vec![None; points.len()];
+    let (mut anchors, mut observations) = (Vec::new(), Vec::new());
+    for &(frame, point, pixel) in seen {
+        match index[point] {
+            None => {
+                let depth = poses[frame].apply(points[point]).z;
+                index[point] = Some(anchors.len());
+                anchors.push(Point { frame, pixel, inverse_depth: 1.0 / depth, prior: None });
+            }
+            Some(point) => observations.push(Observation { point, frame, pixel, weight: 1.0 }),
+        }
+    }
+    let fixed = (0..poses.len()).map(|i| i == 0).collect();
+    Problem { intrinsics, poses, fixed, points: anchors, observations }
+}
+
+/// A file of the Bundle Adjustment in the Large collection: 3 cameras, 7 points, 19 observations.
+#[test]
+fn bal_dubrovnik_reprojects_by_its_own_model_and_is_improved() {
+    let Some(path) = data("ba/gtsam/dubrovnik-3-7-pre.txt") else { return };
+    let v = numbers(&std::fs::read_to_string(path).unwrap());
+    let (cameras, points, count) = (v[0] as usize, v[1] as usize, v[2] as usize);
+    assert_eq!((cameras, points, count), (3, 7, 19));
+    let (observed, rest) = v[3..].split_at(4 * count);
+    let (camera_values, point_values) = rest.split_at(9 * cameras);
+    let points: Vec<DVec3> = point_values.chunks(3).map(DVec3::from_slice).collect();
+    // BAL looks down −z with y up; two flips make it OpenCV's.
+    let flip = DQuat::from_xyzw(1.0, 0.0, 0.0, 0.0);
+    let (mut poses, mut lens) = (Vec::new(), Vec::new());
+    for c in camera_values.chunks(9) {
+        let bal = Pose::new(exp_so3(DVec3::from_slice(c)), DVec3::from_slice(&c[3..]));
+        poses.push(Pose::new(flip, DVec3::ZERO) * bal);
+        lens.push((c[6], c[7], c[8]));
+    }
+    let common = Intrinsics::centred(1500.0, 2000, 2000);
+    let (mut seen, mut bal_squared) = (Vec::new(), 0.0);
+    for o in observed.chunks(4) {
+        let (camera, point) = (o[0] as usize, o[1] as usize);
+        let (f, k1, k2) = lens[camera];
+        let pixel = DVec2::new(o[2], -o[3]);
+        let p = poses[camera].apply(points[point]);
+        assert!(p.z > 0.0, "in front of the camera");
+        let n = p.truncate() / p.z;
+        let r2 = n.length_squared();
+        bal_squared += (f * (1.0 + k1 * r2 + k2 * r2 * r2) * n - pixel).length_squared();
+        // To one pinhole for all: distortion of 1e-7 is below every digit of interest.
+        let centre = DVec2::new(common.cx, common.cy);
+        seen.push((camera, point, pixel / f * common.fx + centre));
+    }
+    // GTSAM prints this initial error, half the sum of squares, for the same file.
+    assert!((0.5 * bal_squared - 2764.22).abs() < 0.005, "{}", 0.5 * bal_squared);
+    let mut problem = anchored(common, poses, &points, &seen);
+    let options = Options { kernel: Kernel::None, steps: 60, ..Default::default() };
+    let report = adjust(&mut problem, &options).unwrap();
+    eprintln!("anchored: {:.4} -> {:.6} px²", report.initial_squared, report.final_squared);
+    assert!(report.final_squared < 0.02 * report.initial_squared);
+    assert!(report.inlier_rmse < 1.5 && all_finite(&problem));
+}
+
+/// Real tracks and cameras from Blender's motion tracker (Tears of Steel).
+fn libmv() -> Option<(Intrinsics, Vec<Pose>, Vec<DVec3>, Vec<(usize, usize, DVec2)>)> {
+    let bytes = std::fs::read(data("ba/libmv_ceres/problem_01.bin")?).unwrap();
+    assert_eq!(&bytes[..2], b"vP", "little endian, pixels");
+    let words: Vec<[u8; 4]> = bytes[2..].chunks(4).map(|c| c.try_into().unwrap()).collect();
+    let at = std::cell::Cell::new(0);
+    let word = || words[at.replace(at.get() + 1)];
+    let int = || i32::from_le_bytes(word());
+    let float = || f64::from(f32::from_le_bytes(word()));
+    let k: Vec<f64> = (0..8).map(|_| float()).collect();
+    assert!(k[3..].iter().all(|d| *d == 0.0), "no distortion");
+    let intrinsics =
+        Intrinsics { fx: k[0], fy: k[0], cx: k[1], cy: k[2], width: 2048, height: 1080 };
+    let mut images = std::collections::BTreeMap::new();
+    for _ in 0..int() {
+        let image = int();
+        let r: Vec<f64> = (0..9).map(|_| float()).collect();
+        let t = DVec3::from_array(std::array::from_fn(|_| float()));
+        images.insert(image, Pose::new(DQuat::from_mat3(&DMat3::from_cols_slice(&r)), t));
+    }
+    let mut tracks = std::collections::BTreeMap::new();
+    for _ in 0..int() {
+        let track = int();
+        tracks.insert(track, DVec3::from_array(std::array::from_fn(|_| float())));
+    }
+    // Image and track numbers may have gaps; places among the sorted ones do not.
+    let place = |keys: &[i32], key: i32| keys.binary_search(&key).unwrap();
+    let (image_keys, track_keys): (Vec<i32>, Vec<i32>) =
+        (images.keys().copied().collect(), tracks.keys().copied().collect());
+    let seen = (0..int())
+        .map(|_| {
+            let (image, track) = (int(), int());
+            let pixel = DVec2::new(float(), float());
+            (place(&image_keys, image), place(&track_keys, track), pixel)
+        })
+        .collect();
+    Some((intrinsics, images.into_values().collect(), tracks.into_values().collect(), seen))
+}
+
+#[test]
+fn libmv_cameras_are_found_again_by_pnp_and_bundle_adjustment() {
+    let Some((intrinsics, poses, points, seen)) = libmv() else { return };
+    // Every eighth frame: consecutive ones hardly differ.
+    let poses: Vec<Pose> = poses.into_iter().step_by(8).collect();
+    let seen: Vec<_> =
+        seen.into_iter().filter(|s| s.0 % 8 == 0).map(|s| (s.0 / 8, s.1, s.2)).collect();
+    let mut worst = 0.0f64;
+    for (frame, pose) in poses.iter().enumerate() {
+        let here: Vec<_> = seen.iter().filter(|s| s.0 == frame).collect();
+        let world: Vec<DVec3> = here.iter().map(|s| points[s.1]).collect();
+        let pixels: Vec<DVec2> = here.iter().map(|s| s.2).collect();
+        let options = PnpOptions::for_width(intrinsics.width);
+        let found = pnp_ransac(&world, &pixels, None, &intrinsics, None, &options).unwrap();
+        // Pixels of an image 2,048 wide; the tracker's own solution leaves 0.6 to 1.8.
+        assert!(found.rmse < 2.5 && found.inlier_ratio > 0.8, "{frame}: {}", found.rmse);
+        worst = worst.max(angle_between(found.view_from_world.rotation, pose.rotation));
+    }
+    eprintln!("libmv: PnP differs from the tracker by at most {:.4} degrees", worst.to_degrees());
+    assert!(worst.to_degrees() < 0.1);
+    let exact = anchored(intrinsics, poses, &points, &seen);
+    let mut problem = disturbed(&exact, 0.01, 0.1, 12);
+    let options = Options { steps: 40, ..Default::default() };
+    let report = adjust(&mut problem, &options).unwrap();
+    let before = relative_ate(&disturbed(&exact, 0.01, 0.1, 12), &exact);
+    let after = relative_ate(&problem, &exact);
+    eprintln!(
+        "libmv: rmse {:.3} px over {:.3}, relative ATE {before:.4} -> {after:.4}",
+        report.inlier_rmse, report.inlier_ratio
+    );
+    assert!(report.inlier_rmse < 1.0 && report.inlier_ratio > 0.7);
+    assert!(after < 0.005 && after < 0.5 * before);
 }

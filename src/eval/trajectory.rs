@@ -131,7 +131,8 @@ pub fn match_by_time(
     reference: &[f64],
     max_difference: f64,
 ) -> Vec<(usize, usize)> {
-    let mut order: Vec<usize> = (0..reference.len()).filter(|&j| reference[j].is_finite()).collect();
+    let mut order: Vec<usize> =
+        (0..reference.len()).filter(|&j| reference[j].is_finite()).collect();
     order.sort_by(|&a, &b| reference[a].total_cmp(&reference[b]));
     let mut candidates: Vec<(f64, usize, usize)> = Vec::new();
     for (i, &t) in estimate.iter().enumerate().filter(|(_, t)| t.is_finite()) {

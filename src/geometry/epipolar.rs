@@ -69,7 +69,15 @@ pub fn eight_point(pairs: &[(DVec2, DVec2)], weights: Option<&[f64]>) -> Option<
     for i in 0..pairs.len() {
         let (p, q) = (a[i], b[i]);
         let row = SMatrix::<f64, 9, 1>::from([
-            q.x * p.x, q.x * p.y, q.x, q.y * p.x, q.y * p.y, q.y, p.x, p.y, 1.0,
+            q.x * p.x,
+            q.x * p.y,
+            q.x,
+            q.y * p.x,
+            q.y * p.y,
+            q.y,
+            p.x,
+            p.y,
+            1.0,
         ]);
         normal += row * row.transpose() * weights.map_or(1.0, |w| w[i]);
     }
@@ -187,10 +195,7 @@ mod tests {
     }
 
     fn truth() -> Pose {
-        Pose::new(
-            exp_so3(DVec3::new(0.05, -0.1, 0.2)),
-            DVec3::new(0.6, 0.1, -0.3).normalize(),
-        )
+        Pose::new(exp_so3(DVec3::new(0.05, -0.1, 0.2)), DVec3::new(0.6, 0.1, -0.3).normalize())
     }
 
     #[test]

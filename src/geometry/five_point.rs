@@ -7,9 +7,26 @@ use nalgebra::{DMatrix, SMatrix};
 /// Exponents of x, y, z in the order that elimination wants: the first ten monomials are solved
 /// for, the last ten hold x, y and 1 times powers of z.
 const MONOMIALS: [[u8; 3]; 20] = [
-    [3, 0, 0], [0, 3, 0], [2, 1, 0], [1, 2, 0], [2, 0, 1], [2, 0, 0], [0, 2, 1], [0, 2, 0],
-    [1, 1, 1], [1, 1, 0], [1, 0, 2], [1, 0, 1], [1, 0, 0], [0, 1, 2], [0, 1, 1], [0, 1, 0],
-    [0, 0, 3], [0, 0, 2], [0, 0, 1], [0, 0, 0],
+    [3, 0, 0],
+    [0, 3, 0],
+    [2, 1, 0],
+    [1, 2, 0],
+    [2, 0, 1],
+    [2, 0, 0],
+    [0, 2, 1],
+    [0, 2, 0],
+    [1, 1, 1],
+    [1, 1, 0],
+    [1, 0, 2],
+    [1, 0, 1],
+    [1, 0, 0],
+    [0, 1, 2],
+    [0, 1, 1],
+    [0, 1, 0],
+    [0, 0, 3],
+    [0, 0, 2],
+    [0, 0, 1],
+    [0, 0, 0],
 ];
 
 /// A polynomial in x, y, z of degree at most 3.
@@ -84,9 +101,14 @@ pub fn five_point(rays: &[(DVec3, DVec3)]) -> Vec<DMat3> {
     let rows: [[Vec<f64>; 3]; 3] =
         std::array::from_fn(|k| difference(&m[4 + 2 * k], &m[5 + 2 * k]));
     let mut determinant = vec![0.0; 11];
-    for (a, b, c, sign) in
-        [(0, 1, 2, 1.0), (1, 2, 0, 1.0), (2, 0, 1, 1.0), (0, 2, 1, -1.0), (1, 0, 2, -1.0), (2, 1, 0, -1.0)]
-    {
+    for (a, b, c, sign) in [
+        (0, 1, 2, 1.0),
+        (1, 2, 0, 1.0),
+        (2, 0, 1, 1.0),
+        (0, 2, 1, -1.0),
+        (1, 0, 2, -1.0),
+        (2, 1, 0, -1.0),
+    ] {
         let p = convolve(&convolve(&rows[0][a], &rows[1][b]), &rows[2][c]);
         p.iter().enumerate().for_each(|(k, v)| determinant[k] += sign * v);
     }
@@ -173,16 +195,16 @@ fn eliminated(rows: &[Cubic; 10]) -> Option<[Cubic; 10]> {
         return None;
     }
     Some(std::array::from_fn(|r| {
-        std::array::from_fn(|c| if c < 10 { f64::from(u8::from(c == r)) } else { solved[(r, c - 10)] })
+        std::array::from_fn(
+            |c| if c < 10 { f64::from(u8::from(c == r)) } else { solved[(r, c - 10)] },
+        )
     }))
 }
 
 /// `e − z f`, where the leading monomials of the two rows differ by the factor z: polynomials in z
 /// before x, y and 1.
 fn difference(e: &Cubic, f: &Cubic) -> [Vec<f64>; 3] {
-    let linear = |at: usize| {
-        vec![e[at + 2], e[at + 1] - f[at + 2], e[at] - f[at + 1], -f[at]]
-    };
+    let linear = |at: usize| vec![e[at + 2], e[at + 1] - f[at + 2], e[at] - f[at + 1], -f[at]];
     let constant = vec![e[19], e[18] - f[19], e[17] - f[18], e[16] - f[17], -f[16]];
     [linear(10), linear(13), constant]
 }

@@ -100,8 +100,7 @@ pub fn estimate_focal(
     let side = f64::from(width.max(height));
     let count = options.candidates.max(5);
     let ratio = (high / low).ln() / (count - 1) as f64;
-    let candidates: Vec<f64> =
-        (0..count).map(|i| side * low * (ratio * i as f64).exp()).collect();
+    let candidates: Vec<f64> = (0..count).map(|i| side * low * (ratio * i as f64).exp()).collect();
     let costs: Vec<Vec<f64>> =
         usable.par_iter().map(|pair| curve_of(pair, &candidates, width, height)).collect();
     let curve: Vec<(f64, f64)> = candidates
@@ -152,9 +151,7 @@ fn valley(
     freedom: f64,
     options: &FocalOptions,
 ) -> FocalEstimate {
-    let lowest = (0..curve.len())
-        .min_by(|&a, &b| curve[a].1.total_cmp(&curve[b].1))
-        .unwrap_or(0);
+    let lowest = (0..curve.len()).min_by(|&a, &b| curve[a].1.total_cmp(&curve[b].1)).unwrap_or(0);
     let last = curve.len() - 1;
     let variance = (curve[lowest].1 / freedom).max(options.noise_floor.powi(2));
     let mut focal = curve[lowest].0;
@@ -236,8 +233,12 @@ mod tests {
             let found = estimate_focal(&walk(focal, 0.3), 640, 360, &Default::default()).unwrap();
             let error = (found.focal / focal).ln().abs();
             assert!(found.observable, "{focal}: {} ± {}", found.focal, found.relative_std);
-            assert!(error < 0.05 && error < 5.0 * found.relative_std.max(0.01),
-                "{focal}: {} ± {}", found.focal, found.relative_std);
+            assert!(
+                error < 0.05 && error < 5.0 * found.relative_std.max(0.01),
+                "{focal}: {} ± {}",
+                found.focal,
+                found.relative_std
+            );
         }
     }
 
@@ -245,7 +246,8 @@ mod tests {
     fn a_sideways_slide_does_not_and_says_so() {
         let pairs: Vec<_> = (0..4)
             .map(|i| {
-                let pose = Pose::new(glam::DQuat::IDENTITY, DVec3::new(-0.2 * (i + 1) as f64, 0.0, 0.0));
+                let pose =
+                    Pose::new(glam::DQuat::IDENTITY, DVec3::new(-0.2 * (i + 1) as f64, 0.0, 0.0));
                 image_pair(pose, 600.0, 0.3, 50 + i)
             })
             .collect();
@@ -257,8 +259,10 @@ mod tests {
     #[test]
     fn bad_input_is_refused_in_words() {
         assert!(estimate_focal(&[], 640, 360, &Default::default()).is_err());
-        let nothing = FocalPair { fundamental: DMat3::ZERO, pixels: vec![(DVec2::ONE, DVec2::ONE); 9] };
-        let found = estimate_focal(&[nothing.clone()], 640, 360, &Default::default()).unwrap();
+        let nothing =
+            FocalPair { fundamental: DMat3::ZERO, pixels: vec![(DVec2::ONE, DVec2::ONE); 9] };
+        let found =
+            estimate_focal(std::slice::from_ref(&nothing), 640, 360, &Default::default()).unwrap();
         assert!(!found.observable && found.focal.is_finite());
         assert!(estimate_focal(&[nothing], 0, 0, &Default::default()).is_err());
     }

@@ -66,7 +66,10 @@ mod tests {
         let h = truth();
         let pairs: Vec<_> = (0..20)
             .map(|i| {
-                let a = DVec2::new(((i * i * 97 + 13) % 640) as f64, ((i * 151 + i * i * 71) % 480) as f64);
+                let a = DVec2::new(
+                    ((i * i * 97 + 13) % 640) as f64,
+                    ((i * 151 + i * i * 71) % 480) as f64,
+                );
                 let p = h * a.extend(1.0);
                 (a, p.truncate() / p.z)
             })

@@ -53,8 +53,7 @@ fn distance(
             (axis.cross(y), back(b.cross(axis)))
         };
         let dn = b.dot(d_line_b);
-        let d_squared = 2.0
-            * (gb.dot(in_pixels(d_line_b, kb)) + ga.dot(in_pixels(d_line_a, ka)));
+        let d_squared = 2.0 * (gb.dot(in_pixels(d_line_b, kb)) + ga.dot(in_pixels(d_line_a, ka)));
         jacobian[c] = inverse * (dn - 0.5 * n * d_squared * inverse * inverse);
     }
     Some((n * inverse, jacobian))
@@ -150,10 +149,7 @@ mod tests {
     }
 
     fn truth() -> Pose {
-        Pose::new(
-            exp_so3(DVec3::new(0.05, -0.1, 0.2)),
-            DVec3::new(0.6, 0.1, -0.3).normalize(),
-        )
+        Pose::new(exp_so3(DVec3::new(0.05, -0.1, 0.2)), DVec3::new(0.6, 0.1, -0.3).normalize())
     }
 
     #[test]

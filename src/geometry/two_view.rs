@@ -126,9 +126,8 @@ pub fn two_view(
             options.ransac.threshold
         ))
     };
-    let enough = |n: usize| {
-        n >= FEWEST && n as f64 >= options.ransac.min_inlier_ratio * usable as f64
-    };
+    let enough =
+        |n: usize| n >= FEWEST && n as f64 >= options.ransac.min_inlier_ratio * usable as f64;
     let displacement_px = median(pairs.pixels.iter().map(|(a, b)| (*b - *a).length()).collect());
     let all: Vec<usize> = (0..usable).collect();
     if displacement_px < options.static_px {
@@ -138,11 +137,16 @@ pub fn two_view(
             .filter(|&i| pairs.turned(DQuat::IDENTITY, i) < options.ransac.threshold)
             .collect();
         return Ok(pairs.without_translation(
-            DQuat::IDENTITY, Motion::Static, still, displacement_px, pixels_a.len(),
+            DQuat::IDENTITY,
+            Motion::Static,
+            still,
+            displacement_px,
+            pixels_a.len(),
         ));
     }
     let turn = ransac(&Turn(&pairs), &options.ransac, &[]);
-    let epipolar = ransac(&Epipolar(&pairs), &options.ransac, &[]).map(|c| settle(&pairs, c, options));
+    let epipolar =
+        ransac(&Epipolar(&pairs), &options.ransac, &[]).map(|c| settle(&pairs, c, options));
     // The turn is judged on what the pose explains, so that a mover does not make parallax.
     let explained = match &epipolar {
         Some(e) if enough(e.1.len()) => &e.1,
@@ -181,10 +185,8 @@ pub fn two_view(
     let homography_ratio = on_plane as f64 / inliers.len() as f64;
     let planar = homography_ratio >= options.planar_ratio;
     let f = fundamental_from_essential(&essential_from_pose(&pose), ka, kb);
-    let squared: f64 = inliers
-        .iter()
-        .map(|&i| sampson_squared(&f, pairs.pixels[i].0, pairs.pixels[i].1))
-        .sum();
+    let squared: f64 =
+        inliers.iter().map(|&i| sampson_squared(&f, pairs.pixels[i].0, pairs.pixels[i].1)).sum();
     let angles = inliers
         .iter()
         .filter_map(|&i| triangulate(&[(Pose::IDENTITY, pairs.rays[i].0), (pose, pairs.rays[i].1)]))
@@ -227,7 +229,8 @@ fn settle(
         let subset: Vec<_> = inliers.iter().map(|&i| pairs.pixels[i]).collect();
         let weights: Vec<f64> = inliers.iter().map(|&i| pairs.weights[i]).collect();
         let width = options.ransac.threshold;
-        (pose, _) = refine_relative(&pose, &pairs.ka, &pairs.kb, &subset, Some(&weights), width, 20);
+        (pose, _) =
+            refine_relative(&pose, &pairs.ka, &pairs.kb, &subset, Some(&weights), width, 20);
         let rays: Vec<_> = inliers.iter().map(|&i| pairs.rays[i]).collect();
         if let Some((best, _)) = cheiral_pose(&essential_from_pose(&pose), &rays) {
             pose = best;
@@ -396,10 +399,13 @@ impl Turn<'_> {
     fn fit(&self, sample: &[usize]) -> Option<DQuat> {
         let unit = |pick: fn(&(DVec3, DVec3)) -> DVec3| -> Vec<DVec3> {
             // With the origin as one more point of great weight, Umeyama's rotation is Kabsch's.
-            sample.iter().flat_map(|&i| {
-                let d = pick(&self.0.rays[i]).normalize_or_zero();
-                [d, -d]
-            }).collect()
+            sample
+                .iter()
+                .flat_map(|&i| {
+                    let d = pick(&self.0.rays[i]).normalize_or_zero();
+                    [d, -d]
+                })
+                .collect()
         };
         let found = align_points(&unit(|r| r.0), &unit(|r| r.1), None, false).ok()?;
         Some(found.reference_from_estimate.rotation)
