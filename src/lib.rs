@@ -2,6 +2,7 @@
 //! unknown, into a 4D Gaussian-splat scene that renders in real time.
 #![deny(unsafe_code)]
 
+pub mod data;
 pub mod error;
 pub mod geometry;
 pub mod oracle;
