@@ -4,8 +4,11 @@
 
 pub mod data;
 pub mod error;
+pub mod eval;
 pub mod geometry;
+pub mod io;
 pub mod oracle;
+pub mod scene;
 pub mod types;
 
 pub use error::{Error, Result};
