@@ -4,6 +4,12 @@
 //! like that". Nothing here knows Vulkan, buffers or workgroups: it is the mathematics, written
 //! independently of the shaders' loops.
 
+pub mod adam;
+pub mod arap;
+pub mod deform;
+pub mod density;
+pub mod mlp;
 mod real;
+pub mod rotation;
 
 pub use real::Real;
