@@ -2,9 +2,13 @@
 //! unknown, into a 4D Gaussian-splat scene that renders in real time.
 #![deny(unsafe_code)]
 
+pub mod check;
 pub mod error;
 pub mod geometry;
+pub mod gpu;
+pub mod kernels;
 pub mod oracle;
 pub mod types;
+pub mod vk;
 
 pub use error::{Error, Result};

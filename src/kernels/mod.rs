@@ -1,0 +1,11 @@
+//! The kernels' declarations, one file per family, and the list of all of them.
+//!
+//! One stem names a kernel everywhere: `glsl/sort/upsweep.comp`, `spirv/sort/upsweep.spv`,
+//! [`sort::Upsweep`], `oracle::sort`, `check::sort`, `tests/sort.rs`.
+
+pub mod indirect;
+
+use crate::gpu::{Kernel, KernelInfo};
+
+/// Every kernel of the crate, family by family.
+pub const ALL: &[KernelInfo] = &[indirect::Arguments::INFO];
