@@ -7,6 +7,7 @@ pub mod error;
 pub mod geometry;
 pub mod gpu;
 pub mod kernels;
+pub mod ops;
 pub mod oracle;
 pub mod types;
 pub mod vk;

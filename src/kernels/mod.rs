@@ -4,8 +4,18 @@
 //! [`sort::Upsweep`], `oracle::sort`, `check::sort`, `tests/sort.rs`.
 
 pub mod indirect;
+pub mod mlp;
 
 use crate::gpu::{Kernel, KernelInfo};
 
 /// Every kernel of the crate, family by family.
-pub const ALL: &[KernelInfo] = &[indirect::Arguments::INFO];
+pub const ALL: &[KernelInfo] = &[
+    indirect::Arguments::INFO,
+    mlp::Encode::INFO,
+    mlp::Forward::INFO,
+    mlp::Transforms::INFO,
+    mlp::Seed::INFO,
+    mlp::Backward::INFO,
+    mlp::Weights::INFO,
+    mlp::Reduce::INFO,
+];

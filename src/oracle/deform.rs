@@ -141,9 +141,10 @@ pub struct SkinGradients<R> {
     pub rotations: Vec<[R; 4]>,
     /// By the motion logits; zero unless `soft`.
     pub motion_logits: Vec<R>,
-    /// By the control points' motions, laid out as these; the padding holds the gradient by the
-    /// control point's log-radius.
+    /// By the control points' motions, laid out as these; zero in the padding.
     pub transforms: Vec<[R; 8]>,
+    /// By the control points' log-radii.
+    pub log_radii: Vec<R>,
 }
 
 /// One Gaussian's blend of its neighbours' motions.
@@ -259,6 +260,7 @@ pub fn backward<R: Real>(
         rotations: rotation_gradients.to_vec(),
         motion_logits: vec![zero; skin.positions.len()],
         transforms: vec![[zero; 8]; skin.nodes.len()],
+        log_radii: vec![zero; skin.nodes.len()],
     };
     // By the *unit* rotations; brought to the stored ones once, at the end.
     let mut unit_gradients = vec![[zero; 4]; skin.nodes.len()];
@@ -338,7 +340,7 @@ pub fn backward<R: Real>(
             if log_radius.abs() <= R::of(LARGEST_LOG_RADIUS) && w > zero {
                 let exponent_slope = dot(offset, offset) * inverse_square(log_radius);
                 if exponent_slope.is_finite() {
-                    out.transforms[node][3] += w * (by_weight[slot] - mean) * exponent_slope;
+                    out.log_radii[node] += w * (by_weight[slot] - mean) * exponent_slope;
                 }
             }
         }
@@ -459,7 +461,7 @@ mod tests {
                     close(numeric, gradients.transforms[node][c]);
                 }
                 let numeric = slope(&mut s, &gp, &gq, |s| &mut s.log_radii[node]);
-                close(numeric, gradients.transforms[node][3]);
+                close(numeric, gradients.log_radii[node]);
             }
             for j in 0..s.positions.len() {
                 for c in 0..4 {
@@ -563,7 +565,14 @@ mod tests {
             assert!(out.positions[j].iter().chain(&out.rotations[j]).all(|v| v.is_finite()));
             assert!(gradients.positions[j].iter().all(|v| v.is_finite()));
         }
-        assert!(gradients.transforms.iter().flatten().all(|v| v.is_finite()));
+        assert!(
+            gradients
+                .transforms
+                .iter()
+                .flatten()
+                .chain(&gradients.log_radii)
+                .all(|v| v.is_finite())
+        );
         assert_eq!(gradients.rotations[0], [0.0; 4]);
     }
 

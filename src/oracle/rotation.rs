@@ -3,9 +3,9 @@
 
 use super::Real;
 
-/// Quaternions whose largest component is below this act as "no rotation": f32 hardware may flush
-/// what is smaller on the way to the norm.
-pub const SMALLEST_QUATERNION: f64 = 1e-30;
+/// Quaternions whose largest component does not lie within 1e-18 and 1e18 act as "no rotation", as
+/// everywhere on the device: f32 hardware may flush or overflow what lies outside.
+const QUATERNION_RANGE: [f64; 2] = [1e-18, 1e18];
 
 pub(crate) fn sub<R: Real>(a: [R; 3], b: [R; 3]) -> [R; 3] {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
@@ -28,11 +28,12 @@ pub fn identity<R: Real>() -> [R; 4] {
     [R::one(), R::zero(), R::zero(), R::zero()]
 }
 
-/// The unit quaternion along `q` and the norm of `q`; nothing where `q` is zero, nearly so
-/// ([`SMALLEST_QUATERNION`]), infinite or not a number.
+/// The unit quaternion along `q` and the norm of `q`; nothing where a component of `q` is not a
+/// number or the largest does not lie within 1e-18 and 1e18.
 pub fn unit<R: Real>(q: [R; 4]) -> Option<([R; 4], R)> {
-    let largest = q.iter().fold(R::zero(), |m, c| if c.is_nan() { *c } else { m.max(c.abs()) });
-    if q.iter().any(|c| !c.is_finite()) || largest < R::of(SMALLEST_QUATERNION) {
+    let largest = q.iter().fold(R::zero(), |m, c| m.max(c.abs()));
+    let [low, high] = QUATERNION_RANGE.map(R::of);
+    if q.iter().any(|c| c.is_nan()) || largest <= low || largest > high {
         return None;
     }
     // Squares of the raw components could under- or overflow.
@@ -136,11 +137,17 @@ mod tests {
 
     #[test]
     fn quaternions_without_a_direction_have_no_unit() {
-        for q in [[0.0; 4], [f32::NAN, 1.0, 0.0, 0.0], [f32::INFINITY, 0.0, 0.0, 0.0], [1e-31; 4]] {
+        for q in [
+            [0.0; 4],
+            [f32::NAN, 1.0, 0.0, 0.0],
+            [f32::INFINITY, 0.0, 0.0, 0.0],
+            [1e-19; 4],
+            [1e19; 4],
+        ] {
             assert!(unit(q).is_none(), "{q:?}");
             assert_eq!(unit_backward(q, [1.0; 4]), [0.0; 4]);
         }
-        for q in [[1e-25f32, 0.0, 0.0, 0.0], [1e30, -1e30, 1e30, 1e30]] {
+        for q in [[1e-17f32, 0.0, 0.0, 0.0], [1e17, -1e17, 1e17, 1e17]] {
             let (u, _) = unit(q).unwrap();
             assert!((dot(u, u) - 1.0).abs() < 1e-6);
         }

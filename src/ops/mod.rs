@@ -1,0 +1,3 @@
+//! Algorithms of several dispatches: plan, scratch, record.
+
+pub mod mlp;
