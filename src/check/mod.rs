@@ -8,7 +8,9 @@
 //! and let `tests/FAMILY.rs` call `common::run("FAMILY")`.
 
 mod harness;
-mod mlp;
+pub mod mlp;
+pub mod scan;
+pub mod sort;
 
 pub use harness::{Bound, Finding, Guarded, Harness};
 
@@ -25,7 +27,7 @@ pub struct Case {
 }
 
 /// Every family's cases.
-pub const ALL: &[&[Case]] = &[mlp::CASES];
+pub const ALL: &[&[Case]] = &[mlp::CASES, scan::CASES, sort::CASES];
 
 /// What became of a case.
 #[derive(Debug)]

@@ -5,6 +5,8 @@
 
 pub mod indirect;
 pub mod mlp;
+pub mod scan;
+pub mod sort;
 
 use crate::gpu::{Kernel, KernelInfo};
 
@@ -18,4 +20,10 @@ pub const ALL: &[KernelInfo] = &[
     mlp::Backward::INFO,
     mlp::Weights::INFO,
     mlp::Reduce::INFO,
+    scan::Reduce::INFO,
+    scan::Spine::INFO,
+    scan::Downsweep::INFO,
+    sort::Plan::INFO,
+    sort::Count::INFO,
+    sort::Scatter::INFO,
 ];
