@@ -8,6 +8,7 @@
 //! and let `tests/FAMILY.rs` call `common::run("FAMILY")`.
 
 mod harness;
+pub mod mlp;
 pub mod scan;
 pub mod sort;
 
@@ -26,7 +27,7 @@ pub struct Case {
 }
 
 /// Every family's cases.
-pub const ALL: &[&[Case]] = &[scan::CASES, sort::CASES];
+pub const ALL: &[&[Case]] = &[mlp::CASES, scan::CASES, sort::CASES];
 
 /// What became of a case.
 #[derive(Debug)]
