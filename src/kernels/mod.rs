@@ -24,6 +24,7 @@ pub const ALL: &[KernelInfo] = &[
     bin::Counts::INFO,
     bin::Emit::INFO,
     bin::Ranges::INFO,
+    bin::Fits::INFO,
     raster::Forward::INFO,
     raster::Backward::INFO,
     raster::Gather::INFO,
