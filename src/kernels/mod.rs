@@ -3,6 +3,8 @@
 //! One stem names a kernel everywhere: `glsl/sort/upsweep.comp`, `spirv/sort/upsweep.spv`,
 //! [`sort::Upsweep`], `oracle::sort`, `check::sort`, `tests/sort.rs`.
 
+pub mod adam;
+pub mod deform;
 pub mod indirect;
 pub mod mlp;
 pub mod scan;
@@ -12,6 +14,13 @@ use crate::gpu::{Kernel, KernelInfo};
 
 /// Every kernel of the crate, family by family.
 pub const ALL: &[KernelInfo] = &[
+    adam::Step::INFO,
+    deform::Nearest::INFO,
+    deform::Keys::INFO,
+    deform::Starts::INFO,
+    deform::Skin::INFO,
+    deform::SkinBackward::INFO,
+    deform::Gather::INFO,
     indirect::Arguments::INFO,
     mlp::Encode::INFO,
     mlp::Forward::INFO,

@@ -3,7 +3,10 @@
 //! Each op has three steps: `plan` fixes the sizes, `scratch` allocates what lies between the
 //! dispatches, `record` records them. No op allocates, submits or waits in `record`.
 
+pub mod adam;
+pub mod deform;
 pub mod mlp;
+pub mod neighbours;
 pub mod scan;
 pub mod sort;
 

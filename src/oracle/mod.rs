@@ -16,7 +16,6 @@ pub mod project;
 pub mod project_backward;
 pub mod raster;
 mod real;
-mod real;
 pub mod render;
 #[cfg(test)]
 mod render_hard_cases;
