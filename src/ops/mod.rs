@@ -6,7 +6,10 @@
 pub mod gaussians;
 pub mod loss;
 pub mod render;
+pub mod adam;
+pub mod deform;
 pub mod mlp;
+pub mod neighbours;
 pub mod scan;
 pub mod sort;
 
