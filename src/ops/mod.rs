@@ -8,6 +8,7 @@ pub mod deform;
 pub mod gaussians;
 pub mod loss;
 pub mod mlp;
+pub mod motion;
 pub mod neighbours;
 pub mod render;
 pub mod scan;
