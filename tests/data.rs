@@ -641,6 +641,19 @@ fn clip_of_a_video() {
     let broken = folder.path().join("broken.mp4");
     fs::write(&broken, b"no video").unwrap();
     says(&message(Clip::open(&broken, &options)), &["broken.mp4", "ffmpeg cannot read"]);
+    // A version from before 5.1, which does not know -fps_mode.
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        let old = folder.path().join("ffmpeg");
+        let script = "#!/bin/sh\ncase \"$*\" in *fps_mode*) \
+            echo \"Unrecognized option 'fps_mode'.\" >&2; echo 'Option not found' >&2; exit 1;; esac\n\
+            exec ffmpeg \"$@\"\n";
+        fs::write(&old, script).unwrap();
+        fs::set_permissions(&old, fs::Permissions::from_mode(0o755)).unwrap();
+        let decoded = video::decode_with(old.as_os_str(), none, &path, &three).unwrap();
+        assert_eq!((decoded.frames.len(), decoded.rate), (3, None));
+    }
 }
 
 #[test]
