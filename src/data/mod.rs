@@ -14,6 +14,7 @@ pub mod flo;
 pub mod images;
 pub mod intrinsics;
 pub mod points;
+pub mod synth;
 pub mod trajectory;
 pub mod transforms;
 pub mod video;
