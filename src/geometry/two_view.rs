@@ -22,7 +22,8 @@ pub enum Motion {
     Static,
     /// A turn explains the pixels: depth cannot be seen, the translation is reported as zero.
     PureRotation,
-    /// One plane explains the pixels; the pose stands, the fundamental matrix would not.
+    /// One plane explains the pixels at this baseline; the pose stands, a fundamental matrix would
+    /// not.
     Planar,
     /// A scene with depth, seen from two places.
     General,
