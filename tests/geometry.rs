@@ -440,12 +440,7 @@ fn a_long_clip_is_adjusted() {
 
 /// Makes an anchored problem out of classical bundle data: each point is anchored at its first
 /// observation, its inverse depth read off the given position.
-fn anchored(
-    intrinsics: Intrinsics,
-    poses: Vec<Pose>,
-    points: &[DVec3],
-    seen: &[(usize, usize, DVec2)],
-) -> Problem {
+fn anchored(intrinsics: Intrinsics, poses: Vec<Pose>, points: &[DVec3], seen: &[Seen]) -> Problem {
     let mut index = vec![None; points.len()];
     let (mut anchors, mut observations) = (Vec::new(), Vec::new());
     for &(frame, point, pixel) in seen {
@@ -505,8 +500,14 @@ fn bal_dubrovnik_reprojects_by_its_own_model_and_is_improved() {
     assert!(report.inlier_rmse < 1.5 && all_finite(&problem));
 }
 
+/// Frame, point and pixel.
+type Seen = (usize, usize, DVec2);
+
+/// Camera, `view_from_world`, points, and what was seen.
+type Classical = (Intrinsics, Vec<Pose>, Vec<DVec3>, Vec<Seen>);
+
 /// Real tracks and cameras from Blender's motion tracker (Tears of Steel).
-fn libmv() -> Option<(Intrinsics, Vec<Pose>, Vec<DVec3>, Vec<(usize, usize, DVec2)>)> {
+fn libmv() -> Option<Classical> {
     let bytes = std::fs::read(data("ba/libmv_ceres/problem_01.bin")?).unwrap();
     assert_eq!(&bytes[..2], b"vP", "little endian, pixels");
     let words: Vec<[u8; 4]> = bytes[2..].chunks(4).map(|c| c.try_into().unwrap()).collect();
