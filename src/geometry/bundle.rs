@@ -401,9 +401,9 @@ fn check(problem: &Problem, options: &Options) -> Result<()> {
             return bad(format!("point {i} refers to frame {} of {frames}", p.frame));
         }
         let fine = p.pixel.is_finite() && p.inverse_depth.is_finite() && p.inverse_depth >= 0.0;
-        let prior = p.prior.is_none_or(|q| {
-            q.inverse_depth.is_finite() && q.weight.is_finite() && q.weight >= 0.0
-        });
+        let prior = p
+            .prior
+            .is_none_or(|q| q.inverse_depth.is_finite() && q.weight.is_finite() && q.weight >= 0.0);
         if !fine || !prior {
             return bad(format!(
                 "point {i} needs a finite pixel, an inverse depth ≥ 0 and a prior weight ≥ 0: {p:?}"
@@ -429,9 +429,11 @@ fn check(problem: &Problem, options: &Options) -> Result<()> {
         return bad(format!("the focal prior {focal} ± {std} must be positive"));
     }
     if !problem.observations.iter().any(|o| counts(problem, o)) {
-        return bad("no observation counts: all weights are 0 or all points are seen in their own \
+        return bad(
+            "no observation counts: all weights are 0 or all points are seen in their own \
                     frame only; track points over more frames"
-            .into());
+                .into(),
+        );
     }
     Ok(())
 }

@@ -86,9 +86,10 @@ impl Quadrics {
         // det(d1 + γ d2) by its values: exact for a cubic.
         let roots = real_roots(&cubic_of_pencil(&d1, &d2));
         // Any real root gives all solutions; the one whose member splits most clearly is taken.
-        let split = roots.iter().filter_map(|&g| Planes::of(&(d1 + d2 * g))).max_by(|a, b| {
-            a.clarity.total_cmp(&b.clarity)
-        });
+        let split = roots
+            .iter()
+            .filter_map(|&g| Planes::of(&(d1 + d2 * g)))
+            .max_by(|a, b| a.clarity.total_cmp(&b.clarity));
         let Some(planes) = split else { return out };
         for normal in planes.normals {
             let (u, v) = normal.any_orthonormal_pair();
@@ -224,8 +225,7 @@ fn absolute(world: &[DVec3; 3], view: &[DVec3; 3]) -> Option<Pose> {
     // From the centroid, so that no one point's error weighs more.
     let mean = |p: &[DVec3; 3]| (p[0] + p[1] + p[2]) / 3.0;
     let translation = mean(view) - rotation * mean(world);
-    (rotation.is_finite() && translation.is_finite())
-        .then_some(Pose { rotation, translation })
+    (rotation.is_finite() && translation.is_finite()).then_some(Pose { rotation, translation })
 }
 
 #[cfg(test)]
@@ -271,11 +271,8 @@ mod tests {
     fn scale_of_the_world_does_not_matter() {
         let pose = Pose::new(exp_so3(DVec3::new(0.1, 0.2, 0.3)), DVec3::new(0.2, 0.1, -0.3));
         for scale in [1e-9, 1.0, 1e9] {
-            let view = [
-                DVec3::new(-0.5, 0.1, 2.0),
-                DVec3::new(0.4, 0.5, 3.0),
-                DVec3::new(0.2, -0.6, 2.5),
-            ];
+            let view =
+                [DVec3::new(-0.5, 0.1, 2.0), DVec3::new(0.4, 0.5, 3.0), DVec3::new(0.2, -0.6, 2.5)];
             let world = view.map(|p| pose.inverse().apply(p) * scale);
             let found = p3p(&view, &world);
             assert!(

@@ -91,12 +91,7 @@ pub fn pnp_ransac(
     let op = "PnP";
     let expected = || format!("{}, one for each point", points.len());
     if pixels.len() != points.len() {
-        return Err(Error::Shape {
-            op,
-            arg: "pixels",
-            expected: expected(),
-            actual: pixels.len(),
-        });
+        return Err(Error::Shape { op, arg: "pixels", expected: expected(), actual: pixels.len() });
     }
     if let Some(w) = weights
         && w.len() != points.len()
@@ -237,9 +232,8 @@ pub fn project_with_jacobian(k: &Intrinsics, p: DVec3) -> Option<(DVec2, Matrix2
 fn bounded_inverse(hessian: &Matrix6<f64>) -> Matrix6<f64> {
     let eigen = hessian.symmetric_eigen();
     let largest = eigen.eigenvalues.max();
-    let inverse = eigen.eigenvalues.map(|v| {
-        if v > 1e-13 * largest { (1.0 / v).min(1e12) } else { 1e12 }
-    });
+    let inverse =
+        eigen.eigenvalues.map(|v| if v > 1e-13 * largest { (1.0 / v).min(1e12) } else { 1e12 });
     eigen.eigenvectors * Matrix6::from_diagonal(&inverse) * eigen.eigenvectors.transpose()
 }
 
@@ -263,8 +257,7 @@ impl Correspondences {
             .map(|&i| {
                 let e2 = self.squared_error(pose, i);
                 let e = e2.sqrt();
-                let rho =
-                    if e <= self.huber { e2 } else { self.huber * (2.0 * e - self.huber) };
+                let rho = if e <= self.huber { e2 } else { self.huber * (2.0 * e - self.huber) };
                 self.items[i].2 * rho
             })
             .sum()
@@ -397,8 +390,7 @@ mod tests {
         let k = camera();
         let (mut points, mut pixels) = (Vec::new(), Vec::new());
         for i in 0..n {
-            let pixel =
-                DVec2::new(rng.random_range(0.0..512.0), rng.random_range(0.0..384.0));
+            let pixel = DVec2::new(rng.random_range(0.0..512.0), rng.random_range(0.0..384.0));
             let ray = k.ray(pixel);
             // A slanted plane: depth 4 / (1 + 0.4 x − 0.3 y).
             let depth = if flat {
@@ -468,8 +460,7 @@ mod tests {
         for flat in [false, true] {
             let (points, pixels) = scene(1500, 0.95, 0.5, flat, 7);
             let options = PnpOptions { min_inlier_ratio: 0.04, ..Default::default() };
-            let result =
-                pnp_ransac(&points, &pixels, None, &camera(), None, &options).unwrap();
+            let result = pnp_ransac(&points, &pixels, None, &camera(), None, &options).unwrap();
             let (rotation, translation) = errors(&result);
             assert!(rotation < 0.5 && translation < 0.05, "{flat} {rotation} {translation}");
             // At the default share, that is a failure said in words.
@@ -513,9 +504,7 @@ mod tests {
         }
         let broken = Intrinsics { fx: 0.0, ..camera() };
         let (points, pixels) = scene(50, 0.0, 0.0, false, 5);
-        assert!(
-            pnp_ransac(&points, &pixels, None, &broken, None, &Default::default()).is_err()
-        );
+        assert!(pnp_ransac(&points, &pixels, None, &broken, None, &Default::default()).is_err());
         assert!(
             pnp_ransac(&points, &pixels[1..], None, &camera(), None, &Default::default()).is_err()
         );
@@ -533,8 +522,7 @@ mod tests {
             pixels.push(pixel + noise(&mut rng, 0.3));
         }
         let fit = |points: &[DVec3]| {
-            let result =
-                pnp_ransac(points, &pixels, None, &k, None, &Default::default()).unwrap();
+            let result = pnp_ransac(points, &pixels, None, &k, None, &Default::default()).unwrap();
             result.covariance.fixed_view::<3, 3>(0, 0).trace().sqrt()
         };
         assert!(fit(&near) < 0.05);
@@ -580,8 +568,7 @@ mod tests {
             ..Default::default()
         };
         let near = retract(&truth(), &Twist::new(0.005, 0.0, 0.0, 0.0, 0.002, 0.0));
-        let found =
-            pnp_ransac(&points, &pixels, None, &camera(), Some(&near), &options).unwrap();
+        let found = pnp_ransac(&points, &pixels, None, &camera(), Some(&near), &options).unwrap();
         assert!(errors(&found).1 < 0.02);
         assert!(pnp_ransac(&points, &pixels, None, &camera(), None, &options).is_err());
     }

@@ -246,7 +246,8 @@ mod tests {
         }
         fn refine(&self, _: &(f64, f64), s: &[usize]) -> Option<(f64, f64)> {
             let n = s.len() as f64;
-            let (mx, my) = s.iter().fold((0.0, 0.0), |m, &i| (m.0 + self.0[i].0, m.1 + self.0[i].1));
+            let (mx, my) =
+                s.iter().fold((0.0, 0.0), |m, &i| (m.0 + self.0[i].0, m.1 + self.0[i].1));
             let (mx, my) = (mx / n, my / n);
             let (sxy, sxx) = s.iter().fold((0.0, 0.0), |m, &i| {
                 let dx = self.0[i].0 - mx;
@@ -263,7 +264,8 @@ mod tests {
                 .map(|i| {
                     let x = rng.random_range(-10.0..10.0);
                     let noise = rng.random_range(-0.05..0.05);
-                    let y = if i < outliers { rng.random_range(-30.0..30.0) } else { 2.0 * x + 1.0 };
+                    let y =
+                        if i < outliers { rng.random_range(-30.0..30.0) } else { 2.0 * x + 1.0 };
                     (x, y + noise)
                 })
                 .collect(),

@@ -139,8 +139,7 @@ fn best_turn(axis: DVec3, rotation: DQuat, target: DMat3) -> DQuat {
     let m = target * DMat3::from_quat(rotation.conjugate());
     // tr(Rot(θ)ᵀ M) = const + cos θ (tr M − aᵀMa) + sin θ · a·vee(M − Mᵀ).
     let cosine = m.x_axis.x + m.y_axis.y + m.z_axis.z - axis.dot(m * axis);
-    let vee =
-        DVec3::new(m.y_axis.z - m.z_axis.y, m.z_axis.x - m.x_axis.z, m.x_axis.y - m.y_axis.x);
+    let vee = DVec3::new(m.y_axis.z - m.z_axis.y, m.z_axis.x - m.x_axis.z, m.x_axis.y - m.y_axis.x);
     let sine = axis.dot(vee);
     if cosine == 0.0 && sine == 0.0 {
         return DQuat::IDENTITY;

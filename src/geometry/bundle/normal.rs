@@ -121,7 +121,13 @@ impl NormalEquations {
                 let mut sum = NormalEquations::empty(layout.size);
                 for (k, members) in members.iter().enumerate() {
                     let row = sum.add_point(
-                        problem, options, layout, width, p * part + k, members, typical,
+                        problem,
+                        options,
+                        layout,
+                        width,
+                        p * part + k,
+                        members,
+                        typical,
                     );
                     sum.rows.push(row);
                 }
@@ -227,11 +233,8 @@ impl NormalEquations {
             reduced[(k, k)] += damping * self.camera[(k, k)] + 1e-12 * largest;
         }
         right.neg_mut();
-        let camera = if layout.size == 0 {
-            DVector::zeros(0)
-        } else {
-            reduced.cholesky()?.solve(&right)
-        };
+        let camera =
+            if layout.size == 0 { DVector::zeros(0) } else { reduced.cholesky()?.solve(&right) };
         if camera.iter().any(|v| !v.is_finite()) {
             return None;
         }

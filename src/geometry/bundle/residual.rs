@@ -34,7 +34,8 @@ pub fn project(
     inverse_depth: f64,
 ) -> Option<(DVec2, Jacobian)> {
     let rotation = target_from_reference.rotation_matrix();
-    let (u, x, ray) = forward(k, &rotation, target_from_reference.translation, pixel, inverse_depth)?;
+    let (u, x, ray) =
+        forward(k, &rotation, target_from_reference.translation, pixel, inverse_depth)?;
     let (iz, d) = (1.0 / x.z, inverse_depth);
     // Rows of the derivative of the pixel by the homogeneous point x = R ray + d t.
     let row_x = DVec3::new(k.fx * iz, 0.0, -k.fx * x.x * iz * iz);
@@ -55,8 +56,8 @@ pub fn project(
     });
     let inverse_depth = by(target_from_reference.translation);
     // f scales the pixel about the principal point, and shrinks the ray's x and y.
-    let log_focal = DVec2::new(u.x - k.cx, u.y - k.cy)
-        - by(rotation.col(0) * ray.x + rotation.col(1) * ray.y);
+    let log_focal =
+        DVec2::new(u.x - k.cx, u.y - k.cy) - by(rotation.col(0) * ray.x + rotation.col(1) * ray.y);
     Some((u, Jacobian { target, reference, inverse_depth, log_focal }))
 }
 
@@ -207,8 +208,7 @@ mod tests {
 
     /// Pixel for poses, inverse depth and focal factor.
     fn seen(k: &Intrinsics, t: &Pose, r: &Pose, pixel: DVec2, d: f64, log_focal: f64) -> DVec2 {
-        let k =
-            Intrinsics { fx: k.fx * log_focal.exp(), fy: k.fy * log_focal.exp(), ..*k };
+        let k = Intrinsics { fx: k.fx * log_focal.exp(), fy: k.fy * log_focal.exp(), ..*k };
         project(&k, &(*t * r.inverse()), pixel, d).unwrap().0
     }
 
@@ -225,7 +225,10 @@ mod tests {
             let compare = |name: &str, analytic: DVec2, at: &dyn Fn(f64) -> DVec2| {
                 let numeric = (at(h) - at(-h)) / (2.0 * h);
                 let scale = 1.0 + analytic.length();
-                assert!((numeric - analytic).length() < 1e-6 * scale, "{name} {numeric} {analytic}");
+                assert!(
+                    (numeric - analytic).length() < 1e-6 * scale,
+                    "{name} {numeric} {analytic}"
+                );
             };
             for c in 0..6 {
                 let twist = |s: f64| {
