@@ -8,7 +8,7 @@
 //! and let `tests/FAMILY.rs` call `common::run("FAMILY")`.
 
 mod harness;
-mod indirect;
+pub mod indirect;
 pub mod scan;
 pub mod sort;
 
@@ -27,8 +27,7 @@ pub struct Case {
 }
 
 /// Every family's cases.
-pub const ALL: &[&[Case]] = &[indirect::CASES];
-pub const ALL: &[&[Case]] = &[scan::CASES, sort::CASES];
+pub const ALL: &[&[Case]] = &[indirect::CASES, scan::CASES, sort::CASES];
 
 /// What became of a case.
 #[derive(Debug)]
