@@ -9,6 +9,7 @@
 
 mod harness;
 pub mod indirect;
+pub mod mlp;
 pub mod scan;
 pub mod sort;
 
@@ -28,6 +29,7 @@ pub struct Case {
 
 /// Every family's cases.
 pub const ALL: &[&[Case]] = &[indirect::CASES, scan::CASES, sort::CASES];
+pub const ALL: &[&[Case]] = &[mlp::CASES, scan::CASES, sort::CASES];
 
 /// What became of a case.
 #[derive(Debug)]

@@ -1,12 +1,10 @@
-//! How good a result is: image metrics and their kin.
+//! How good a result is: images and masks against a reference, camera trajectories against a
+//! reference.
 
-pub mod image;
+mod image;
+mod trajectory;
 
 pub use image::{
     depth_relative_median, mask_iou, masked_psnr, ms_ssim, psnr, ssim, ssim_map, ssim_valid,
 };
-//! How good a result is: camera trajectories against a reference.
-
-mod trajectory;
-
 pub use trajectory::{Align, Statistics, TrajectoryErrors, compare_trajectories, match_by_time};

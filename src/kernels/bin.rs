@@ -97,3 +97,22 @@ kernel! {
         ranges: ReadWrite<[u32; 2]>,
     }
 }
+
+kernel! {
+    /// What a frame held, and whether it fitted.
+    pub struct Fits("bin/fits"), workgroup: [1, 1, 1],
+    params: FitsParams {
+        /// Intersections that the buffers hold.
+        capacity: u32,
+    },
+    args: FitsArgs {
+        /// How many splats are visible.
+        visible_count: Read<u32>,
+        /// Number of intersections.
+        total: Read<u32>,
+        /// Both.
+        counts: Write<u32>,
+        /// 1 where all intersections fitted, else 0.
+        fits: Write<u32>,
+    }
+}

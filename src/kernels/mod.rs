@@ -8,6 +8,7 @@ pub mod indirect;
 pub mod loss;
 pub mod project;
 pub mod raster;
+pub mod mlp;
 pub mod scan;
 pub mod sort;
 
@@ -23,6 +24,7 @@ pub const ALL: &[KernelInfo] = &[
     bin::Counts::INFO,
     bin::Emit::INFO,
     bin::Ranges::INFO,
+    bin::Fits::INFO,
     raster::Forward::INFO,
     raster::Backward::INFO,
     raster::Gather::INFO,
@@ -32,6 +34,13 @@ pub const ALL: &[KernelInfo] = &[
     loss::Gradient::INFO,
     loss::Depth::INFO,
     loss::Total::INFO,
+    mlp::Encode::INFO,
+    mlp::Forward::INFO,
+    mlp::Transforms::INFO,
+    mlp::Seed::INFO,
+    mlp::Backward::INFO,
+    mlp::Weights::INFO,
+    mlp::Reduce::INFO,
     scan::Reduce::INFO,
     scan::Spine::INFO,
     scan::Downsweep::INFO,

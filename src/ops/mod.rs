@@ -6,6 +6,7 @@
 pub mod gaussians;
 pub mod loss;
 pub mod render;
+pub mod mlp;
 pub mod scan;
 pub mod sort;
 

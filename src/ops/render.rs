@@ -55,6 +55,7 @@ pub struct RenderScratch {
     intersection_count: Buffer<u32>,
     /// Both of these, side by side, for the host.
     counts: Buffer<u32>,
+    fits: Buffer<u32>,
     grid: Buffer<u32>,
     means: Buffer<[f32; 4]>,
     conics: Buffer<[f32; 4]>,
@@ -122,6 +123,13 @@ pub struct FrameCounts {
     pub intersections: usize,
 }
 
+impl FrameCounts {
+    /// From the two words that the device wrote.
+    pub fn from_device(words: [u32; 2]) -> FrameCounts {
+        FrameCounts { visible: words[0] as usize, intersections: words[1] as usize }
+    }
+}
+
 impl Render {
     /// A renderer for at most `gaussians` Gaussians and `intersections` (splat, tile) pairs.
     ///
@@ -180,6 +188,7 @@ impl Render {
             visible_count: device.buffer("visible count", 1)?,
             intersection_count: device.buffer("intersection count", 1)?,
             counts: device.buffer("frame counts", 2)?,
+            fits: device.buffer("frame fits", 1)?,
             grid: device.buffer("ranges grid", 3)?,
             means: device.buffer("means", n)?,
             conics: device.buffer("conics", n)?,
@@ -413,8 +422,16 @@ impl Render {
             },
             &mut s.scan,
         )?;
-        recorder.copy(s.visible_count.view(), s.counts.range_mut(0..1));
-        recorder.copy(s.intersection_count.view(), s.counts.range_mut(1..2));
+        recorder.dispatch::<bin::Fits>(
+            Groups([1, 1, 1]),
+            bin::FitsParams { capacity },
+            bin::FitsArgs {
+                visible_count: s.visible_count.view(),
+                total: s.intersection_count.view(),
+                counts: s.counts.view_mut(),
+                fits: s.fits.view_mut(),
+            },
+        )?;
         recorder.dispatch::<bin::Emit>(
             groups,
             bin::EmitParams { count, capacity, width: self.width, height: self.height },
@@ -596,12 +613,17 @@ impl RenderScratch {
     /// A failed submission.
     pub fn counts(&self, stream: &mut Stream) -> Result<FrameCounts> {
         let counts = stream.download(&self.counts)?;
-        Ok(FrameCounts { visible: counts[0] as usize, intersections: counts[1] as usize })
+        Ok(FrameCounts::from_device([counts[0], counts[1]]))
     }
 
-    /// The counts on the device: visible Gaussians, intersections.
+    /// The counts on the device; [`FrameCounts::from_device`] reads them.
     pub fn device_counts(&self) -> View<'_, u32> {
         self.counts.view()
+    }
+
+    /// On the device: 1 where the last frame's intersections all fitted, else 0.
+    pub fn fits(&self) -> View<'_, u32> {
+        self.fits.view()
     }
 
     /// Which Gaussians the last frame showed: 1 for visible.

@@ -4,9 +4,14 @@
 //! like that". Nothing here knows Vulkan, buffers or workgroups: it is the mathematics, written
 //! independently of the shaders' loops.
 
+pub mod adam;
+pub mod arap;
 pub mod bin;
+pub mod deform;
+pub mod density;
 pub mod linear;
 pub mod loss;
+pub mod mlp;
 pub mod project;
 pub mod project_backward;
 pub mod raster;
@@ -16,6 +21,7 @@ pub mod render;
 mod render_hard_cases;
 #[cfg(test)]
 mod render_tests;
+pub mod rotation;
 pub mod scan;
 pub mod sh;
 pub mod sort;
