@@ -28,8 +28,13 @@ pub struct Case {
 }
 
 /// Every family's cases.
-pub const ALL: &[&[Case]] = &[indirect::CASES, scan::CASES, sort::CASES];
-pub const ALL: &[&[Case]] = &[mlp::CASES, scan::CASES, sort::CASES];
+pub const ALL: &[&[Case]] = &[
+    // One line each, so that branches merge.
+    indirect::CASES,
+    mlp::CASES,
+    scan::CASES,
+    sort::CASES,
+];
 
 /// What became of a case.
 #[derive(Debug)]
