@@ -227,8 +227,9 @@ fn the_table_has_no_circle() {
 #[test]
 fn breaches_are_noticed_in_every_spelling() {
     let reexports = BTreeMap::from([("Error".to_owned(), "error".to_owned())]);
-    let breaches =
-        |path: &str, source: &str| layering::breaches_of(Path::new(path), source, &reexports);
+    let breaches = |path: &str, source: &str| {
+        layering::breaches_of(Path::new(path), source, &reexports, false)
+    };
     for (path, source) in [
         ("oracle/sort.rs", "use crate::gpu::Buffer;"),
         ("oracle/sort.rs", "use crate::{types::Pose, vk::{Limits, Timeline}};"),
@@ -265,6 +266,12 @@ fn breaches_are_noticed_in_every_spelling() {
     ] {
         assert_eq!(breaches(path, source), Vec::<String>::new(), "{path}: {source}");
     }
+    let in_test_file = |path: &str, source: &str| {
+        layering::breaches_of(Path::new(path), source, &reexports, true).len()
+    };
+    assert_eq!(in_test_file("geometry/cases.rs", "use crate::oracle::sort;"), 0);
+    assert_eq!(in_test_file("geometry/cases.rs", "use crate::gpu::Device;"), 1);
+    assert_eq!(in_test_file("gpu/cases.rs", "use crate::oracle::sort;"), 1);
 }
 
 fn root() -> PathBuf {

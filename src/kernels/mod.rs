@@ -6,9 +6,9 @@
 pub mod bin;
 pub mod indirect;
 pub mod loss;
+pub mod mlp;
 pub mod project;
 pub mod raster;
-pub mod mlp;
 pub mod scan;
 pub mod sort;
 

@@ -5,8 +5,8 @@
 
 pub mod gaussians;
 pub mod loss;
-pub mod render;
 pub mod mlp;
+pub mod render;
 pub mod scan;
 pub mod sort;
 

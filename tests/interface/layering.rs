@@ -1,9 +1,9 @@
 //! Which part of the crate may see which, read from the paths in its source.
 
 use proc_macro2::{Delimiter, TokenStream, TokenTree};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Everything that a part may name, besides itself. Design: a part sees what is listed before it.
 pub const MAY_SEE: &[(&str, &[&str])] = &[
@@ -46,19 +46,29 @@ pub fn breaches(src: &Path) -> Vec<String> {
     let mut found = Vec::new();
     let lib = fs::read_to_string(src.join("lib.rs")).expect("src/lib.rs");
     let reexports = reexports(&lib);
-    for path in super::files(src, "rs") {
-        let inner = path.strip_prefix(src).expect("below src").to_owned();
-        let source = fs::read_to_string(&path).expect("a readable source file");
-        found.extend(breaches_of(&inner, &source, &reexports));
+    let sources: Vec<(PathBuf, String)> = super::files(src, "rs")
+        .into_iter()
+        .map(|path| {
+            let source = fs::read_to_string(&path).expect("a readable source file");
+            (path.strip_prefix(src).expect("below src").to_owned(), source)
+        })
+        .collect();
+    let tests: BTreeSet<Vec<String>> =
+        sources.iter().flat_map(|(inner, source)| test_modules(inner, source)).collect();
+    for (inner, source) in &sources {
+        let is_test = tests.iter().any(|test| module_of(inner).starts_with(test));
+        found.extend(breaches_of(inner, source, &reexports, is_test));
     }
     found
 }
 
-/// The breaches of one file; `inner` is its path below `src/`.
+/// The breaches of one file; `inner` is its path below `src/`, and a test file is one that another
+/// declares under `cfg(test)`.
 pub fn breaches_of(
     inner: &Path,
     source: &str,
     reexports: &BTreeMap<String, String>,
+    is_test: bool,
 ) -> Vec<String> {
     let tokens: TokenStream = match source.parse() {
         Ok(tokens) => tokens,
@@ -70,7 +80,7 @@ pub fn breaches_of(
         None => "lib".to_owned(),
         Some(room) => room.to_owned(),
     };
-    let mut scan = Scan { room, module, reexports, test: is_test_file(inner), found: Vec::new() };
+    let mut scan = Scan { room, module, reexports, test: is_test, found: Vec::new() };
     if scan.room != "lib" && !MAY_SEE.iter().any(|(name, _)| *name == scan.room) {
         scan.found.push((1, format!("{} has no place in the layering table", scan.room)));
     }
@@ -90,10 +100,23 @@ fn module_of(inner: &Path) -> Vec<String> {
     module
 }
 
-/// Whole files of unit tests, by name: `tests.rs`, `…_tests.rs`, `…_hard_cases.rs`.
-fn is_test_file(inner: &Path) -> bool {
-    let stem = inner.file_stem().unwrap_or_default().to_string_lossy();
-    stem == "tests" || stem.ends_with("_tests") || stem.ends_with("_hard_cases")
+/// The modules in files of their own that a file declares under `cfg(test)`.
+fn test_modules(inner: &Path, source: &str) -> Vec<Vec<String>> {
+    let tokens: Vec<TokenTree> =
+        source.parse::<TokenStream>().unwrap_or_default().into_iter().collect();
+    let mut found = Vec::new();
+    for (at, token) in tokens.iter().enumerate() {
+        if let (true, [_, TokenTree::Ident(name), end, ..]) =
+            (is_ident(token, "mod"), &tokens[at..])
+            && is_punct(end, ';')
+            && follows_cfg_test(&tokens[..at])
+        {
+            let mut module = module_of(inner);
+            module.push(name.to_string());
+            found.push(module);
+        }
+    }
+    found
 }
 
 /// Which part each name at the crate's root comes from: `pub use error::{Error, Result};`.
