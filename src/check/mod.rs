@@ -7,6 +7,8 @@
 //! To add one: write `src/check/FAMILY.rs` with a `pub const CASES: &[Case]`, list it in [`ALL`],
 //! and let `tests/FAMILY.rs` call `common::run("FAMILY")`.
 
+pub mod adam;
+pub mod deform;
 mod harness;
 pub mod indirect;
 pub mod mlp;
@@ -35,6 +37,7 @@ pub const ALL: &[&[Case]] = &[
     scan::CASES,
     sort::CASES,
 ];
+pub const ALL: &[&[Case]] = &[adam::CASES, deform::CASES, mlp::CASES, scan::CASES, sort::CASES];
 
 /// What became of a case.
 #[derive(Debug)]

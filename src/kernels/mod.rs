@@ -4,6 +4,8 @@
 //! [`sort::Upsweep`], `oracle::sort`, `check::sort`, `tests/sort.rs`.
 
 pub mod bin;
+pub mod adam;
+pub mod deform;
 pub mod indirect;
 pub mod loss;
 pub mod mlp;
@@ -16,6 +18,13 @@ use crate::gpu::{Kernel, KernelInfo};
 
 /// Every kernel of the crate, family by family.
 pub const ALL: &[KernelInfo] = &[
+    adam::Step::INFO,
+    deform::Nearest::INFO,
+    deform::Keys::INFO,
+    deform::Starts::INFO,
+    deform::Skin::INFO,
+    deform::SkinBackward::INFO,
+    deform::Gather::INFO,
     indirect::Arguments::INFO,
     project::Forward::INFO,
     project::Backward::INFO,

@@ -7,6 +7,11 @@ pub mod gaussians;
 pub mod loss;
 pub mod mlp;
 pub mod render;
+pub mod render;
+pub mod adam;
+pub mod deform;
+pub mod mlp;
+pub mod neighbours;
 pub mod scan;
 pub mod sort;
 

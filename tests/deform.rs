@@ -1,0 +1,8 @@
+//! The deform family against its oracle.
+
+mod common;
+
+#[test]
+fn cases() {
+    common::run("deform");
+}
