@@ -16,6 +16,8 @@ rm -rf "$logs"
 mkdir -p "$logs"
 
 # The device is chosen here, by the driver that the loader may see.
+# Logs are read by grep.
+export CARGO_TERM_COLOR=never
 unset SPLAT4D_DEVICE VK_ICD_FILENAMES VK_ADD_DRIVER_FILES
 lavapipe=$(compgen -G '/usr/share/vulkan/icd.d/lvp_icd*.json' | head -n1)
 readonly lavapipe
@@ -85,7 +87,7 @@ validate_modules() {
 test=(cargo test "${release[@]}" --no-fail-fast)
 show=(-- --show-output)
 
-step "format" cargo fmt --all --check
+step "format" cargo fmt --all --check -- --color never
 step "build" cargo build "${release[@]}" --all-targets || {
     echo "tests FAILED: it does not build"
     exit 1

@@ -32,12 +32,13 @@ pub struct Case {
 /// Every family's cases.
 pub const ALL: &[&[Case]] = &[
     // One line each, so that branches merge.
+    adam::CASES,
+    deform::CASES,
     indirect::CASES,
     mlp::CASES,
     scan::CASES,
     sort::CASES,
 ];
-pub const ALL: &[&[Case]] = &[adam::CASES, deform::CASES, mlp::CASES, scan::CASES, sort::CASES];
 
 /// What became of a case.
 #[derive(Debug)]

@@ -3,8 +3,8 @@
 //! One stem names a kernel everywhere: `glsl/sort/upsweep.comp`, `spirv/sort/upsweep.spv`,
 //! [`sort::Upsweep`], `oracle::sort`, `check::sort`, `tests/sort.rs`.
 
-pub mod bin;
 pub mod adam;
+pub mod bin;
 pub mod deform;
 pub mod indirect;
 pub mod loss;
