@@ -13,6 +13,7 @@ pub mod kernels;
 pub mod ops;
 pub mod oracle;
 pub mod scene;
+pub mod train;
 pub mod types;
 pub mod vk;
 

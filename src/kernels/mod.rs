@@ -19,6 +19,7 @@ use crate::gpu::{Kernel, KernelInfo};
 /// Every kernel of the crate, family by family.
 pub const ALL: &[KernelInfo] = &[
     adam::Step::INFO,
+    adam::Gate::INFO,
     deform::Nearest::INFO,
     deform::Keys::INFO,
     deform::Starts::INFO,
