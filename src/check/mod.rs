@@ -10,6 +10,7 @@
 pub mod adam;
 pub mod deform;
 mod harness;
+pub mod indirect;
 pub mod mlp;
 pub mod scan;
 pub mod sort;
@@ -29,7 +30,15 @@ pub struct Case {
 }
 
 /// Every family's cases.
-pub const ALL: &[&[Case]] = &[adam::CASES, deform::CASES, mlp::CASES, scan::CASES, sort::CASES];
+pub const ALL: &[&[Case]] = &[
+    // One line each, so that branches merge.
+    adam::CASES,
+    deform::CASES,
+    indirect::CASES,
+    mlp::CASES,
+    scan::CASES,
+    sort::CASES,
+];
 
 /// What became of a case.
 #[derive(Debug)]
