@@ -84,12 +84,16 @@ impl Clip {
 }
 
 fn one_frame(path: &Path) -> Error {
-    Error::format(path, "has one frame only; a reconstruction needs a moving camera's video, two frames at least")
+    Error::format(
+        path,
+        "has one frame only; a reconstruction needs a moving camera's video, two frames at least",
+    )
 }
 
 fn assemble(path: &Path, frames: Vec<(String, Image)>, options: &ClipOptions) -> Result<Clip> {
     if frames.len() < 2 {
-        let what = if options.every > 1 { " (of those taken; take more with a smaller step)" } else { "" };
+        let what =
+            if options.every > 1 { " (of those taken; take more with a smaller step)" } else { "" };
         return Err(match frames.len() {
             0 => Error::format(path, format!("has no frames{what}")),
             _ if options.every > 1 => Error::format(path, format!("has one frame only{what}")),

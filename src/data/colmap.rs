@@ -64,7 +64,8 @@ pub fn read(root: &Path, model: &Path) -> Result<Dataset> {
     let (listed, mut missing) = (images.len(), Vec::new());
     for image in images {
         let lens = lenses.get(&image.camera).ok_or_else(|| {
-            let what = format!("image {} names camera {}, which is absent", image.name, image.camera);
+            let what =
+                format!("image {} names camera {}, which is absent", image.name, image.camera);
             Error::format(model, what)
         })?;
         let found = folders.iter().map(|f| f.join(&image.name)).find(|path| path.is_file());
@@ -146,9 +147,7 @@ fn lens(path: &Path, id: u32, model: &str, size: (u64, u64), p: &[f64]) -> Resul
         ("PINHOLE", &[fx, fy, cx, cy]) => (at(fx, fy, cx, cy), Distortion::default()),
         ("SIMPLE_RADIAL", &[f, cx, cy, k]) => (at(f, f, cx, cy), bent(k, 0.0, 0.0, 0.0)),
         ("RADIAL", &[f, cx, cy, k1, k2]) => (at(f, f, cx, cy), bent(k1, k2, 0.0, 0.0)),
-        ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => {
-            (at(fx, fy, cx, cy), bent(k1, k2, p1, p2))
-        }
+        ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => (at(fx, fy, cx, cy), bent(k1, k2, p1, p2)),
         _ => {
             return Err(bad(format!(
                 "model {model} with {} parameters is not supported (SIMPLE_PINHOLE, PINHOLE, \
@@ -168,7 +167,10 @@ fn pose(path: &Path, name: &str, q: [f64; 4], t: [f64; 3]) -> Result<Pose> {
     let rotation = DQuat::from_xyzw(q[1], q[2], q[3], q[0]);
     let length = rotation.length();
     if !(length > 1e-6 && length.is_finite() && t.iter().all(|v| v.is_finite())) {
-        return Err(Error::format(path, format!("image {name}: its pose {q:?} {t:?} makes no sense")));
+        return Err(Error::format(
+            path,
+            format!("image {name}: its pose {q:?} {t:?} makes no sense"),
+        ));
     }
     Ok(Pose::new(rotation, DVec3::from_array(t)))
 }

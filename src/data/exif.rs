@@ -20,7 +20,8 @@ fn from_exif(exif: &Exif, width: f64, height: f64) -> Option<f64> {
     let plausible = |focal: f64| {
         // A field of view between 170° and 1°: beyond, the entry is a default or a mistake.
         let half_side = width.max(height) / 2.0;
-        (focal.is_finite() && (half_side / 12.0..half_side * 115.0).contains(&focal)).then_some(focal)
+        (focal.is_finite() && (half_side / 12.0..half_side * 115.0).contains(&focal))
+            .then_some(focal)
     };
     if let Some(mm) = number(exif, Tag::FocalLengthIn35mmFilm).filter(|&mm| mm > 0.0) {
         let diagonal = width.hypot(height);

@@ -71,7 +71,8 @@ struct Planes {
 
 fn read_planes(path: &Path) -> Result<Planes> {
     let bytes = io::read(path)?;
-    let bad = |e: &dyn std::fmt::Display| Error::format(path, format!("is not a readable EXR: {e}"));
+    let bad =
+        |e: &dyn std::fmt::Display| Error::format(path, format!("is not a readable EXR: {e}"));
     let image = exr::prelude::read()
         .no_deep_data()
         .largest_resolution_level()

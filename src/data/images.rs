@@ -76,10 +76,7 @@ pub fn dimensions(path: &Path, orientation: Orientation) -> Result<(u32, u32)> {
 /// Whether the EXIF orientation swaps width and height.
 fn turns(decoder: &mut impl ImageDecoder) -> bool {
     use image::metadata::Orientation::*;
-    matches!(
-        decoder.orientation(),
-        Ok(Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH)
-    )
+    matches!(decoder.orientation(), Ok(Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH))
 }
 
 /// Decodes an image file to RGB in [0, 1], the file's encoded values untouched (no gamma). Where
@@ -95,10 +92,8 @@ pub fn decode_rgb(path: &Path, background: [f32; 3], orientation: Orientation) -
 fn decode(path: &Path, orientation: Orientation) -> Result<DynamicImage> {
     let bytes = read(path)?;
     let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format();
-    let mut decoder = reader
-        .map_err(Error::io(path))?
-        .into_decoder()
-        .map_err(|e| undecodable(path, &e))?;
+    let mut decoder =
+        reader.map_err(Error::io(path))?.into_decoder().map_err(|e| undecodable(path, &e))?;
     let turn = decoder.orientation();
     let mut image = DynamicImage::from_decoder(decoder).map_err(|e| undecodable(path, &e))?;
     if let (Orientation::Upright, Ok(turn)) = (orientation, turn) {

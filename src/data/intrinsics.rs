@@ -22,7 +22,9 @@ pub fn read(path: impl AsRef<Path>) -> Result<Intrinsics> {
     };
     let positive = |keys: &[&str]| match number(keys)? {
         Some(number) if number > 0.0 => Ok(number),
-        Some(number) => Err(Error::format(path, format!("`{}` = {number} makes no sense", keys[0]))),
+        Some(number) => {
+            Err(Error::format(path, format!("`{}` = {number} makes no sense", keys[0])))
+        }
         None => Err(Error::format(path, format!("`{}` is missing", keys[0]))),
     };
     let side = |keys: &[&str]| match positive(keys)? {

@@ -198,5 +198,8 @@ fn fit_to_image(camera: &mut Camera, path: &Path) -> Result<()> {
 /// The one line about pictures that a set lists and does not have.
 fn missing_note(missing: &[String], listed: usize) -> Option<String> {
     let first = missing.first()?;
-    Some(format!("skipped {} of {listed} listed images that do not exist ({first} …)", missing.len()))
+    Some(format!(
+        "skipped {} of {listed} listed images that do not exist ({first} …)",
+        missing.len()
+    ))
 }

@@ -33,7 +33,8 @@ pub fn read_text(path: &Path) -> Result<String> {
 /// Reads a JSON file; the error names the file, the line and the column.
 pub fn read_json(path: &Path) -> Result<serde_json::Value> {
     let text = read(path)?;
-    serde_json::from_slice(&text).map_err(|e| Error::format(path, format!("is not valid JSON: {e}")))
+    serde_json::from_slice(&text)
+        .map_err(|e| Error::format(path, format!("is not valid JSON: {e}")))
 }
 
 /// Writes a file so that a reader sees the old content or the whole new one, never a part: `write`

@@ -101,14 +101,8 @@ pub fn write(path: &Path, scene: &Scene) -> Result<()> {
 }
 
 fn metadata(scene: &Scene) -> Value {
-    let RenderSettings {
-        near,
-        dilation,
-        alpha_cut,
-        alpha_cap,
-        transmittance_stop,
-        tangent_clamp,
-    } = scene.settings;
+    let RenderSettings { near, dilation, alpha_cut, alpha_cap, transmittance_stop, tangent_clamp } =
+        scene.settings;
     let settings = json!({
         "near": near,
         "dilation": dilation,
@@ -159,9 +153,7 @@ pub(super) fn check_lengths(g: &Gaussians) -> Result<()> {
 fn check_length(arg: &'static str, actual: usize, expected: usize) -> Result<()> {
     match actual == expected {
         true => Ok(()),
-        false => {
-            Err(Error::Shape { op: "scene", arg, expected: expected.to_string(), actual })
-        }
+        false => Err(Error::Shape { op: "scene", arg, expected: expected.to_string(), actual }),
     }
 }
 
@@ -235,9 +227,9 @@ pub fn parse(path: &Path, bytes: &[u8], drop_bad: bool) -> Result<Opened> {
     let n = position.rows(3)?;
     let sh = file.f32("gaussians.sh")?;
     let k = sh.shape.get(1).copied().unwrap_or(0);
-    let sh_degree = (0..=3)
-        .find(|&d| sh_coefficients(d) == k)
-        .ok_or_else(|| bad(format!("gaussians.sh has {k} coefficients; 1, 4, 9 or 16 are valid")))?;
+    let sh_degree = (0..=3).find(|&d| sh_coefficients(d) == k).ok_or_else(|| {
+        bad(format!("gaussians.sh has {k} coefficients; 1, 4, 9 or 16 are valid"))
+    })?;
     let motion_logits = match file.has("gaussians.motion_logit") {
         true => file.f32("gaussians.motion_logit")?.exactly(&[n])?,
         false => Vec::new(),

@@ -34,7 +34,9 @@ pub(super) fn parse(path: &Path, bytes: &[u8], drop_bad: bool) -> Result<(Gaussi
     }
     let has = |name: &str| vertex.column(name).is_some();
     if !has("f_dc_0") && has("red") {
-        return Err(bad("is a point cloud, not 3D Gaussians (it has `red` but no `f_dc_0`)".into()));
+        return Err(
+            bad("is a point cloud, not 3D Gaussians (it has `red` but no `f_dc_0`)".into()),
+        );
     }
     let column = |name: String| {
         let index = vertex
@@ -93,7 +95,8 @@ pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians) -> Result<()> {
             writeln!(sink, "property float {name}")?;
         }
         writeln!(sink, "end_header")?;
-        let mut put = |values: &[f32]| values.iter().try_for_each(|v| sink.write_all(&v.to_le_bytes()));
+        let mut put =
+            |values: &[f32]| values.iter().try_for_each(|v| sink.write_all(&v.to_le_bytes()));
         for i in 0..gaussians.len() {
             let sh = &gaussians.sh[i * bands..(i + 1) * bands];
             put(&gaussians.positions[i])?;
