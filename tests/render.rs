@@ -8,19 +8,6 @@ use splat4d::gpu::{Device, Stream};
 use splat4d::ops::gaussians::GaussianBuffers;
 use splat4d::ops::render::Render;
 use splat4d::types::{Camera, Gaussians, Intrinsics, Pose, RenderSettings};
-use std::path::PathBuf;
-
-fn shared(path: &str) -> Option<PathBuf> {
-    let base = std::env::var_os("SPLAT4D_DATA")
-        .map(PathBuf::from)
-        .unwrap_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data"));
-    let path = base.join(path);
-    if !path.exists() {
-        println!("SKIPPED (no ../shared/data): {}", path.display());
-        return None;
-    }
-    Some(path)
-}
 
 fn render(device: &Device, gaussians: &Gaussians, camera: &Camera) -> (Vec<[f32; 4]>, Vec<f32>) {
     let mut stream: Stream = device.stream().unwrap();
@@ -47,7 +34,7 @@ fn render(device: &Device, gaussians: &Gaussians, camera: &Camera) -> (Vec<[f32;
 
 #[test]
 fn tiny_case_matches_gsplat() {
-    let Some(path) = shared("brush_ref/tiny_case.safetensors") else { return };
+    let Some(path) = common::shared_data("brush_ref/tiny_case.safetensors") else { return };
     let bytes = std::fs::read(path).unwrap();
     let tensors = SafeTensors::deserialize(&bytes).unwrap();
     let floats = |name: &str| -> Vec<f32> {

@@ -60,3 +60,17 @@ pub fn run(family: &str) {
     assert_valid(&device);
     assert!(failures.is_empty(), "{}: \n{failures}", device.info().name);
 }
+
+/// A path in the real data, which lies beside the project; `None`, loudly, where it is absent.
+pub fn shared_data(path: &str) -> Option<std::path::PathBuf> {
+    let base = match std::env::var_os("SPLAT4D_DATA") {
+        Some(base) => base.into(),
+        None => std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
+    };
+    let path = base.join(path);
+    if !path.exists() {
+        println!("SKIPPED (no ../shared/data): {}", path.display());
+        return None;
+    }
+    Some(path)
+}
