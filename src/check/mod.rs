@@ -8,6 +8,7 @@
 //! and let `tests/FAMILY.rs` call `common::run("FAMILY")`.
 
 pub mod adam;
+pub mod arap;
 pub mod deform;
 mod harness;
 pub mod mlp;
@@ -29,7 +30,8 @@ pub struct Case {
 }
 
 /// Every family's cases.
-pub const ALL: &[&[Case]] = &[adam::CASES, deform::CASES, mlp::CASES, scan::CASES, sort::CASES];
+pub const ALL: &[&[Case]] =
+    &[adam::CASES, arap::CASES, deform::CASES, mlp::CASES, scan::CASES, sort::CASES];
 
 /// What became of a case.
 #[derive(Debug)]

@@ -4,6 +4,7 @@
 //! [`sort::Upsweep`], `oracle::sort`, `check::sort`, `tests/sort.rs`.
 
 pub mod adam;
+pub mod arap;
 pub mod deform;
 pub mod indirect;
 pub mod mlp;
@@ -15,6 +16,8 @@ use crate::gpu::{Kernel, KernelInfo};
 /// Every kernel of the crate, family by family.
 pub const ALL: &[KernelInfo] = &[
     adam::Step::INFO,
+    arap::Fit::INFO,
+    arap::Gather::INFO,
     deform::Nearest::INFO,
     deform::Keys::INFO,
     deform::Starts::INFO,

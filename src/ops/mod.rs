@@ -4,6 +4,7 @@
 //! dispatches, `record` records them. No op allocates, submits or waits in `record`.
 
 pub mod adam;
+pub mod arap;
 pub mod deform;
 pub mod mlp;
 pub mod neighbours;
