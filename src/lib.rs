@@ -3,12 +3,16 @@
 #![deny(unsafe_code)]
 
 pub mod check;
+pub mod data;
 pub mod error;
+pub mod eval;
 pub mod geometry;
 pub mod gpu;
 pub mod kernels;
 pub mod ops;
+pub mod io;
 pub mod oracle;
+pub mod scene;
 pub mod types;
 pub mod vk;
 

@@ -26,7 +26,7 @@ fn folded_grids() {
 #[test]
 fn bits_past_the_key_are_refused() {
     let device = common::device();
-    for bits in [0..33, 5..4] {
+    for bits in [0..33, std::ops::Range { start: 5, end: 4 }] {
         let error = RadixSort::plan(&device, 10, bits).unwrap_err();
         assert!(error.to_string().contains("bits within 0..32"), "{error}");
     }

@@ -53,7 +53,7 @@ struct Shape {
 bool shape_of(Camera c, vec2 size, float near, float tangent_clamp, float dilation, vec3 position,
               vec3 log_scale, vec4 unit_rotation, out Shape s) {
     s.view = c.rotation * position + c.translation;
-    if (!finite(s.view) || s.view.z < near) {
+    if (!finite(s.view) || s.view.z <= near) {
         return false;
     }
     vec2 lowest, highest;
@@ -75,7 +75,7 @@ bool shape_of(Camera c, vec2 size, float near, float tangent_clamp, float dilati
     s.row_x = along_x * s.scales;
     s.row_y = along_y * s.scales;
     vec3 largest = max(abs(s.row_x), abs(s.row_y));
-    s.unit = max(max(largest.x, largest.y), max(largest.z, 1.0));
+    s.unit = max(max(largest.x, largest.y), max(largest.z, sqrt(dilation)));
     if (!finite(s.unit)) {
         return false;
     }

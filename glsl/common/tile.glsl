@@ -21,21 +21,27 @@ float least_power(vec2 mean, vec3 conic, vec2 lowest, vec2 highest) {
     return best;
 }
 
-// The power at which alpha falls to the cut, widened by what rounding may lose.
+// The power at which alpha falls to the cut.
 float power_limit(float opacity, float alpha_cut) {
-    return log(opacity / alpha_cut) * 1.0001 + 1e-4;
+    return log(opacity / alpha_cut);
 }
 
-// The rectangle of tiles [first, last) around the ellipse's bounding box.
-void tile_rectangle(vec2 mean, vec2 extent, uvec2 tiles, out uvec2 first, out uvec2 last) {
-    // A pixel's centre lies at +0.5, so the box reaches pixel p when p + 0.5 lies within.
-    vec2 low = floor((mean - extent - 0.5) / float(TILE));
-    vec2 high = floor((mean + extent - 0.5) / float(TILE)) + 1.0;
-    first = uvec2(clamp(low, vec2(0.0), vec2(tiles)));
-    last = uvec2(clamp(high, vec2(0.0), vec2(tiles)));
+uvec2 tile_grid(uvec2 size) {
+    return (size + TILE - 1u) / TILE;
 }
 
-bool reaches_tile(vec2 mean, vec3 conic, float limit, uvec2 tile) {
+// The rectangle of tiles [first, last) around the pixels whose centres lie in the ellipse's
+// bounding box; empty where the box holds no pixel of the image.
+void tile_rectangle(vec2 mean, vec2 extent, uvec2 size, out uvec2 first, out uvec2 last) {
+    vec2 low = clamp(ceil(mean - extent - 0.5), vec2(0.0), vec2(size));
+    vec2 high = clamp(floor(mean + extent - 0.5) + 1.0, vec2(0.0), vec2(size));
+    bool empty = any(greaterThanEqual(low, high));
+    first = uvec2(low) / TILE;
+    last = empty ? first : (uvec2(high) + TILE - 1u) / TILE;
+}
+
+bool reaches_tile(vec2 mean, vec3 conic, float limit, uvec2 tile, uvec2 size) {
     vec2 lowest = vec2(tile * TILE) + 0.5;
-    return least_power(mean, conic, lowest, lowest + float(TILE - 1u)) <= limit;
+    vec2 highest = vec2(min((tile + 1u) * TILE, size)) - 0.5;
+    return least_power(mean, conic, lowest, highest) <= limit;
 }

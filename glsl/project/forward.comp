@@ -19,8 +19,10 @@ layout(std430, binding = 9) writeonly buffer Means { vec4 means[]; };
 // Conic A, B, C and the power at which alpha falls to the cut.
 layout(std430, binding = 10) writeonly buffer Conics { vec4 conics[]; };
 layout(std430, binding = 11) writeonly buffer Colours { vec4 colours[]; };
-layout(std430, binding = 12) writeonly buffer TileCounts { uint tile_counts[]; };
-layout(std430, binding = 13) writeonly buffer Visible { uint visible[]; };
+// First and last + 1 tile along x (low half) and y (high half).
+layout(std430, binding = 12) writeonly buffer Rectangles { uvec2 rectangles[]; };
+layout(std430, binding = 13) writeonly buffer TileCounts { uint tile_counts[]; };
+layout(std430, binding = 14) writeonly buffer Visible { uint visible[]; };
 
 layout(push_constant) uniform Params {
     uint count;
@@ -77,7 +79,7 @@ uint project(uint i) {
     float logit = opacity_logits[i];
     vec4 unit;
     float ignored;
-    if (!finite(position) || !finite(logit) || isnan(log_scale.x + log_scale.y + log_scale.z)
+    if (!finite(position) || !finite(logit) || !finite(log_scale)
         || !normalised(rotations[i], unit, ignored)) {
         return 0u;
     }
@@ -95,13 +97,13 @@ uint project(uint i) {
     }
     float limit = power_limit(opacity, alpha_cut);
     vec2 extent = s.unit * sqrt(2.0 * limit * s.covariance.xz);
-    uvec2 tiles = (uvec2(width, height) + TILE - 1u) / TILE;
+    uvec2 image = uvec2(width, height);
     uvec2 first, last;
-    tile_rectangle(mean, extent, tiles, first, last);
+    tile_rectangle(mean, extent, image, first, last);
     uint reached = 0u;
     for (uint y = first.y; y < last.y; y++) {
         for (uint x = first.x; x < last.x; x++) {
-            reached += reaches_tile(mean, s.conic, limit, uvec2(x, y)) ? 1u : 0u;
+            reached += reaches_tile(mean, s.conic, limit, uvec2(x, y), image) ? 1u : 0u;
         }
     }
     if (reached == 0u) {
@@ -116,6 +118,7 @@ uint project(uint i) {
     means[i] = vec4(mean, s.view.z, opacity);
     conics[i] = vec4(s.conic, limit);
     colours[i] = vec4(colour, 0.0);
+    rectangles[i] = uvec2(first.x | (first.y << 16), last.x | (last.y << 16));
     return reached;
 }
 

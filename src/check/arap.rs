@@ -110,7 +110,7 @@ fn cloud(h: &mut Harness, count: usize, size: f32) -> Points {
 }
 
 // Energies and gradients are means over the control points: a few thousandths.
-const BOUND: Bound = Bound { absolute: 1e-8, relative: 3e-6 };
+const BOUND: Bound = Bound { absolute: 3e-8, relative: 3e-6 };
 
 fn random(h: &mut Harness) -> Result<()> {
     for (count, k) in [(100, 10), (65, 4), (5, 10), (300, 15), (2, 3), (1, 3), (0, 3)] {

@@ -84,6 +84,48 @@ impl<T: Pod> Buffer<T> {
     }
 }
 
+/// Memory that the device copies into and the host reads, for results that are fetched without
+/// stopping the stream: [`Recorder::read_back`](super::Recorder::read_back) into it, wait for the
+/// ticket, then [`read`](Self::read).
+pub struct Readback<T> {
+    raw: Arc<RawBuffer>,
+    len: usize,
+    element: PhantomData<T>,
+}
+
+impl<T: Pod> Readback<T> {
+    pub(super) fn new(device: &Device, len: usize) -> Result<Readback<T>> {
+        let bytes = (len * size_of::<T>()) as u64;
+        let raw = RawBuffer::new(&device.inner.context, bytes, Residence::Readback, "readback")?;
+        Ok(Readback { raw: Arc::new(raw), len, element: PhantomData })
+    }
+
+    /// What the device has copied; before the submission is done, anything.
+    pub fn read(&self) -> Vec<T> {
+        let mut data = vec![T::zeroed(); self.len];
+        self.raw.read(bytemuck::cast_slice_mut(&mut data));
+        data
+    }
+
+    pub(super) fn bound(&self) -> BoundRange {
+        bound::<T>(&self.raw, 0, self.len)
+    }
+}
+
+impl<'a, const N: usize> View<'a, [f32; N]> {
+    /// The same memory as plain floats.
+    pub fn floats(self) -> View<'a, f32> {
+        View { raw: self.raw, start: self.start * N, len: self.len * N, element: PhantomData }
+    }
+}
+
+impl<'a, const N: usize> ViewMut<'a, [f32; N]> {
+    /// The same memory as plain floats.
+    pub fn floats(self) -> ViewMut<'a, f32> {
+        ViewMut { raw: self.raw, start: self.start * N, len: self.len * N, element: PhantomData }
+    }
+}
+
 fn bound<T>(raw: &Arc<RawBuffer>, start: usize, len: usize) -> BoundRange {
     let element = size_of::<T>() as u64;
     // A binding of zero bytes is illegal; every buffer has a few spare ones.

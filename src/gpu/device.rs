@@ -1,6 +1,6 @@
 //! Opening a device and making things from it.
 
-use super::buffer::Buffer;
+use super::buffer::{Buffer, Readback};
 use super::kernel::Kernel;
 use super::stream::Stream;
 use crate::error::{Error, Result};
@@ -126,6 +126,14 @@ impl Device {
         let mut buffer = Buffer::new(self, label, data.len())?;
         self.stream()?.upload(&mut buffer, data)?;
         Ok(buffer)
+    }
+
+    /// Host memory for `len` elements that the device copies into.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`].
+    pub fn readback<T: Pod>(&self, len: usize) -> Result<Readback<T>> {
+        Readback::new(self, len)
     }
 
     /// A stream of submissions on the device's queue.

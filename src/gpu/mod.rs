@@ -21,7 +21,7 @@ mod kernel;
 mod recorder;
 mod stream;
 
-pub use buffer::{Buffer, View, ViewMut};
+pub use buffer::{Buffer, Readback, View, ViewMut};
 pub use device::{Device, Request, Selector};
 pub use kernel::{
     Access, Argument, Binding, Groups, Kernel, KernelInfo, ParamInfo, Read, ReadWrite, Write,

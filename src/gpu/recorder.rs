@@ -1,6 +1,6 @@
 //! Recording work, with barriers where they are needed.
 
-use super::buffer::{Buffer, View, ViewMut};
+use super::buffer::{Buffer, Readback, View, ViewMut};
 use super::device::Device;
 use super::kernel::{Access, Groups, Kernel};
 use crate::error::{Error, Result};
@@ -136,6 +136,13 @@ impl Recorder {
         }
         let (from, to) = (from.bound(), to.bound());
         self.copy_ranges(&from, &to);
+    }
+
+    /// Copies to host memory; the shorter of the two decides how much.
+    pub fn read_back<T: Pod>(&mut self, from: View<'_, T>, to: &Readback<T>) {
+        if !from.is_empty() {
+            self.copy_ranges(&from.bound(), &to.bound());
+        }
     }
 
     pub(super) fn copy_ranges(&mut self, from: &BoundRange, to: &BoundRange) {

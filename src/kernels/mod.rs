@@ -3,10 +3,14 @@
 //! One stem names a kernel everywhere: `glsl/sort/upsweep.comp`, `spirv/sort/upsweep.spv`,
 //! [`sort::Upsweep`], `oracle::sort`, `check::sort`, `tests/sort.rs`.
 
+pub mod bin;
 pub mod adam;
 pub mod arap;
 pub mod deform;
 pub mod indirect;
+pub mod loss;
+pub mod project;
+pub mod raster;
 pub mod mlp;
 pub mod scan;
 pub mod sort;
@@ -25,6 +29,23 @@ pub const ALL: &[KernelInfo] = &[
     deform::SkinBackward::INFO,
     deform::Gather::INFO,
     indirect::Arguments::INFO,
+    project::Forward::INFO,
+    project::Backward::INFO,
+    project::Pose::INFO,
+    bin::Compact::INFO,
+    bin::Counts::INFO,
+    bin::Emit::INFO,
+    bin::Ranges::INFO,
+    bin::Fits::INFO,
+    raster::Forward::INFO,
+    raster::Backward::INFO,
+    raster::Gather::INFO,
+    loss::Rows::INFO,
+    loss::Ssim::INFO,
+    loss::Adjoint::INFO,
+    loss::Gradient::INFO,
+    loss::Depth::INFO,
+    loss::Total::INFO,
     mlp::Encode::INFO,
     mlp::Forward::INFO,
     mlp::Transforms::INFO,

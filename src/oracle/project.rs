@@ -186,7 +186,7 @@ fn splat<R: Real>(
     settings: &RenderSettings,
 ) -> Option<Splat<R>> {
     let opacity = sigmoid(cloud.opacity_logits[index]);
-    if opacity.is_nan() || opacity < R::of(f64::from(settings.alpha_cut)) {
+    if !cloud.opacity_logits[index].is_finite() || opacity < R::of(f64::from(settings.alpha_cut)) {
         return None;
     }
     let g = geometry(cloud, index, view, settings)?;
