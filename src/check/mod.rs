@@ -10,6 +10,7 @@
 pub mod adam;
 pub mod arap;
 pub mod deform;
+pub mod density;
 mod harness;
 pub mod mlp;
 pub mod scan;
@@ -30,8 +31,15 @@ pub struct Case {
 }
 
 /// Every family's cases.
-pub const ALL: &[&[Case]] =
-    &[adam::CASES, arap::CASES, deform::CASES, mlp::CASES, scan::CASES, sort::CASES];
+pub const ALL: &[&[Case]] = &[
+    adam::CASES,
+    arap::CASES,
+    deform::CASES,
+    density::CASES,
+    mlp::CASES,
+    scan::CASES,
+    sort::CASES,
+];
 
 /// What became of a case.
 #[derive(Debug)]

@@ -3,15 +3,16 @@
 //! One stem names a kernel everywhere: `glsl/sort/upsweep.comp`, `spirv/sort/upsweep.spv`,
 //! [`sort::Upsweep`], `oracle::sort`, `check::sort`, `tests/sort.rs`.
 
-pub mod bin;
 pub mod adam;
 pub mod arap;
+pub mod bin;
 pub mod deform;
+pub mod density;
 pub mod indirect;
 pub mod loss;
+pub mod mlp;
 pub mod project;
 pub mod raster;
-pub mod mlp;
 pub mod scan;
 pub mod sort;
 
@@ -28,6 +29,19 @@ pub const ALL: &[KernelInfo] = &[
     deform::Skin::INFO,
     deform::SkinBackward::INFO,
     deform::Gather::INFO,
+    density::Weigh::INFO,
+    density::Slots::INFO,
+    density::Draw::INFO,
+    density::Shrink::INFO,
+    density::Copy::INFO,
+    density::Zero::INFO,
+    density::Jitter::INFO,
+    density::Decide::INFO,
+    density::Layout::INFO,
+    density::Gather::INFO,
+    density::Parts::INFO,
+    density::Accumulate::INFO,
+    density::Reset::INFO,
     indirect::Arguments::INFO,
     project::Forward::INFO,
     project::Backward::INFO,
