@@ -12,7 +12,9 @@ pub mod io;
 pub mod kernels;
 pub mod ops;
 pub mod oracle;
+pub mod renderer;
 pub mod scene;
+pub mod train;
 pub mod types;
 pub mod vk;
 

@@ -12,6 +12,7 @@ pub mod arap;
 pub mod deform;
 pub mod density;
 mod harness;
+pub mod indirect;
 pub mod mlp;
 pub mod scan;
 pub mod sort;
@@ -36,6 +37,10 @@ pub const ALL: &[&[Case]] = &[
     arap::CASES,
     deform::CASES,
     density::CASES,
+    // One line each, so that branches merge.
+    adam::CASES,
+    deform::CASES,
+    indirect::CASES,
     mlp::CASES,
     scan::CASES,
     sort::CASES,

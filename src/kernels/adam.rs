@@ -42,3 +42,20 @@ kernel! {
         second: ReadWrite<f32>,
     }
 }
+
+kernel! {
+    /// Which Gaussians a step may change.
+    pub struct Gate("adam/gate"), workgroup: [64, 1, 1],
+    params: GateParams {
+        /// Number of Gaussians.
+        count: u32,
+    },
+    args: GateArgs {
+        /// 1 where the frame fitted, else 0.
+        fits: Read<u32>,
+        /// 1 for each Gaussian that trains.
+        trainable: Read<u32>,
+        /// 1 for each Gaussian that the step may change.
+        gate: Write<u32>,
+    }
+}

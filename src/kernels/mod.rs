@@ -23,6 +23,7 @@ pub const ALL: &[KernelInfo] = &[
     adam::Step::INFO,
     arap::Fit::INFO,
     arap::Gather::INFO,
+    adam::Gate::INFO,
     deform::Nearest::INFO,
     deform::Keys::INFO,
     deform::Starts::INFO,
