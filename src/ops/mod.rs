@@ -7,7 +7,6 @@ pub mod adam;
 pub mod arap;
 pub mod deform;
 pub mod density;
-pub mod deform;
 pub mod gaussians;
 pub mod loss;
 pub mod mlp;
