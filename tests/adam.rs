@@ -1,4 +1,4 @@
-//! The adam family against its oracle.
+//! The optimiser against its oracle.
 
 mod common;
 

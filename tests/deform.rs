@@ -1,4 +1,4 @@
-//! The deform family against its oracle.
+//! Skinning and nearest control points against their oracle.
 
 mod common;
 

@@ -8,7 +8,9 @@
 //! and let `tests/FAMILY.rs` call `common::run("FAMILY")`.
 
 pub mod adam;
+pub mod arap;
 pub mod deform;
+pub mod density;
 mod harness;
 pub mod indirect;
 pub mod mlp;
@@ -31,6 +33,10 @@ pub struct Case {
 
 /// Every family's cases.
 pub const ALL: &[&[Case]] = &[
+    adam::CASES,
+    arap::CASES,
+    deform::CASES,
+    density::CASES,
     // One line each, so that branches merge.
     adam::CASES,
     deform::CASES,

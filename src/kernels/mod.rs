@@ -4,8 +4,10 @@
 //! [`sort::Upsweep`], `oracle::sort`, `check::sort`, `tests/sort.rs`.
 
 pub mod adam;
+pub mod arap;
 pub mod bin;
 pub mod deform;
+pub mod density;
 pub mod indirect;
 pub mod loss;
 pub mod mlp;
@@ -19,6 +21,8 @@ use crate::gpu::{Kernel, KernelInfo};
 /// Every kernel of the crate, family by family.
 pub const ALL: &[KernelInfo] = &[
     adam::Step::INFO,
+    arap::Fit::INFO,
+    arap::Gather::INFO,
     adam::Gate::INFO,
     deform::Nearest::INFO,
     deform::Keys::INFO,
@@ -26,6 +30,19 @@ pub const ALL: &[KernelInfo] = &[
     deform::Skin::INFO,
     deform::SkinBackward::INFO,
     deform::Gather::INFO,
+    density::Weigh::INFO,
+    density::Slots::INFO,
+    density::Draw::INFO,
+    density::Shrink::INFO,
+    density::Copy::INFO,
+    density::Zero::INFO,
+    density::Jitter::INFO,
+    density::Decide::INFO,
+    density::Layout::INFO,
+    density::Gather::INFO,
+    density::Parts::INFO,
+    density::Accumulate::INFO,
+    density::Reset::INFO,
     indirect::Arguments::INFO,
     project::Forward::INFO,
     project::Backward::INFO,

@@ -8,6 +8,7 @@
 mod adam;
 mod camera;
 mod control;
+mod density;
 mod gaussians;
 mod image;
 mod settings;
@@ -15,6 +16,7 @@ mod settings;
 pub use adam::AdamSettings;
 pub use camera::{Camera, Intrinsics, Pose};
 pub use control::{ControlPoints, DeformNet, NetShape};
+pub use density::{AdaptSettings, MotionClass};
 pub use gaussians::{Gaussians, SH_C0, sh_coefficients};
 pub use image::Image;
 pub use settings::RenderSettings;
