@@ -4,6 +4,7 @@
 //! like that". Nothing here knows Vulkan, buffers or workgroups: it is the mathematics, written
 //! independently of the shaders' loops.
 
+pub mod flow;
 mod real;
 
 pub use real::Real;

@@ -7,12 +7,14 @@
 
 mod camera;
 mod control;
+mod flow;
 mod gaussians;
 mod image;
 mod settings;
 
 pub use camera::{Camera, Intrinsics, Pose};
 pub use control::{ControlPoints, DeformNet, NetShape};
+pub use flow::FlowSettings;
 pub use gaussians::{Gaussians, SH_C0, sh_coefficients};
 pub use image::Image;
 pub use settings::RenderSettings;

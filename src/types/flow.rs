@@ -1,0 +1,54 @@
+//! The constants of dense optical flow.
+
+/// How dense optical flow is searched and refined; `Default` is tuned for quality on video.
+///
+/// Luminance is in [0, 1], distances are pixels of the pyramid level in work.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FlowSettings {
+    /// The pyramid halves until the next level's shorter side would be less than this.
+    pub coarsest_side: u32,
+    /// At the coarsest level every whole-pixel displacement up to this far is tried.
+    pub coarse_radius: u32,
+    /// Gauss–Newton steps of each patch after its best candidate is chosen.
+    pub search_steps: u32,
+    /// How many times patches then offer their displacement to their neighbours.
+    pub propagations: u32,
+    /// How many times a level is linearised about its flow and solved.
+    pub warps: u32,
+    /// Red–black relaxation sweeps per linearisation.
+    pub sweeps: u32,
+    /// Over-relaxation, in (0, 2).
+    pub relaxation: f32,
+    /// Weight of brightness constancy.
+    pub brightness: f32,
+    /// Weight of gradient constancy.
+    pub gradient: f32,
+    /// Weight of smoothness.
+    pub smoothness: f32,
+    /// Luminance gradient per pixel at which smoothness has fallen to 1/e.
+    pub edge: f32,
+    /// Gradients below this count as noise when the data terms are normalised.
+    pub noise: f32,
+    /// Displacements, in pixels, below which the penalties turn from absolute to quadratic.
+    pub kink: f32,
+}
+
+impl Default for FlowSettings {
+    fn default() -> Self {
+        FlowSettings {
+            coarsest_side: 12,
+            coarse_radius: 3,
+            search_steps: 8,
+            propagations: 2,
+            warps: 3,
+            sweeps: 10,
+            relaxation: 1.8,
+            brightness: 0.2,
+            gradient: 1.0,
+            smoothness: 0.6,
+            edge: 0.08,
+            noise: 0.012,
+            kink: 0.05,
+        }
+    }
+}
