@@ -10,6 +10,7 @@
 //! A displacement (u, v) at pixel (x, y) says that the point seen there is at (x + u, y + v) in the
 //! other image, in pixels, x right and y down. Arrays are row-major.
 
+mod coarse;
 mod consistency;
 mod patches;
 mod pyramid;
@@ -60,10 +61,16 @@ pub fn flow<T: Real>(
             let (a, b) = if d == 0 { (a, b) } else { (b, a) };
             let start = match coarse {
                 Some(c) => upsample(&flows[d], c.width, c.height, a.width, a.height),
+                None if settings.coarse_radius > 0 => {
+                    let (p1, p2) = (pyramid::tun::<f64>("P1", 3.0), pyramid::tun::<f64>("P2", 20.0));
+                    let f = coarse::coarse(&a.luma, &b.luma, a.width, a.height, settings.coarse_radius as usize, [p1 as u32, p2 as u32]);
+                    if let Ok(mut probe) = PROBE.lock() && let Some(g) = probe.as_mut() && d == 0 { g(l, 9, a.width, &to32(&f)); }
+                    f
+                }
                 None => vec![[T::zero(); 2]; a.width * a.height],
             };
             let guess = guess.map(|g| (g[d], first.levels[0].width, first.levels[0].height, l));
-            let radius = if coarse.is_none() { settings.coarse_radius } else { 0 };
+            let radius = 0;
             let mut patches = search(a, b, &start, guess, radius, settings);
             for pass in 0..settings.propagations {
                 patches = propagate(a, b, &patches, pass, settings);

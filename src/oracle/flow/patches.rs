@@ -12,8 +12,10 @@ pub const STRIDE: usize = 4;
 /// What a patch has found.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Patch<T> {
-    /// Its displacement.
+    /// The displacement of its centre.
     pub flow: [T; 2],
+    /// How the displacement changes over it: ∂u/∂x, ∂u/∂y, ∂v/∂x, ∂v/∂y.
+    pub slope: [T; 4],
     /// Mean of the second image minus the first over the patch: the change of brightness.
     pub shift: T,
     /// Mean squared residual once `shift` is taken off.
@@ -31,6 +33,19 @@ fn span(i: usize, n: usize) -> std::ops::Range<usize> {
     let start = (i * STRIDE) as isize - ((PATCH - STRIDE) / 2) as isize;
     let end = start + PATCH as isize;
     start.max(0) as usize..(end as usize).min(n)
+}
+
+impl<T: Real> Patch<T> {
+    /// The displacement that the patch gives a point (dx, dy) from its centre.
+    fn at(&self, dx: T, dy: T) -> [T; 2] {
+        let [ux, uy, vx, vy] = self.slope;
+        [self.flow[0] + ux * dx + uy * dy, self.flow[1] + vx * dx + vy * dy]
+    }
+}
+
+/// The centre of patch i along its axis.
+fn centre<T: Real>(i: usize) -> T {
+    T::of((i * STRIDE) as f64 + (STRIDE as f64 - 1.0) / 2.0)
 }
 
 /// The patches' sums at one displacement: the system of a Gauss–Newton step with the mean
@@ -72,7 +87,7 @@ fn evaluate<T: Real>(
     b: &Level<T>,
     i: usize,
     j: usize,
-    flow: [T; 2],
+    patch: &Patch<T>,
     mean: [T; 2],
 ) -> Sums<T> {
     let (mut sum, mut square, mut n) = (T::zero(), T::zero(), T::zero());
@@ -80,7 +95,9 @@ fn evaluate<T: Real>(
     for y in span(j, a.height) {
         for x in span(i, a.width) {
             let p = y * a.width + x;
-            let (tx, ty) = (T::of(x as f64) + flow[0], T::of(y as f64) + flow[1]);
+            let (px, py) = (T::of(x as f64), T::of(y as f64));
+            let [u, v] = patch.at(px - centre(i), py - centre(j));
+            let (tx, ty) = (px + u, py + v);
             let [v] = super::sample(|i, j| [b.luma[j * b.width + i]], b.width, b.height, tx, ty);
             let d = v - a.luma[p];
             let [gx, gy, ..] = a.derivatives[p];
@@ -103,7 +120,7 @@ fn descend<T: Real>(
     b: &Level<T>,
     i: usize,
     j: usize,
-    from: [T; 2],
+    from: Patch<T>,
     settings: &FlowSettings,
 ) -> Patch<T> {
     let t = template(a, i, j);
@@ -112,21 +129,22 @@ fn descend<T: Real>(
     let damping = t.count * noise * noise * super::pyramid::tun::<T>("DAMP", DAMPING);
     let (hxx, hxy, hyy) = (t.scatter[0] + damping, t.scatter[1], t.scatter[2] + damping);
     let inverse = (hxx * hyy - hxy * hxy).recip();
-    let start = evaluate(a, b, i, j, from, t.mean);
-    let mut best = Patch { flow: from, shift: start.shift, cost: start.cost };
-    let (mut flow, mut sums) = (from, start);
+    let mut sums = evaluate(a, b, i, j, &from, t.mean);
+    let mut now = Patch { shift: sums.shift, cost: sums.cost, ..from };
+    let mut best = now;
     for _ in 0..settings.search_steps {
         let [gx, gy] = sums.gradient;
         let step = [(hyy * gx - hxy * gy) * inverse, (hxx * gy - hxy * gx) * inverse];
-        flow = [flow[0] - step[0], flow[1] - step[1]];
-        let away = (flow[0] - from[0]).abs().max((flow[1] - from[1]).abs());
+        now.flow = [now.flow[0] - step[0], now.flow[1] - step[1]];
+        let away = (now.flow[0] - from.flow[0]).abs().max((now.flow[1] - from.flow[1]).abs());
         // A patch that has left its own neighbourhood has lost its hold.
         if away > T::of(PATCH as f64) {
             break;
         }
-        sums = evaluate(a, b, i, j, flow, t.mean);
-        if sums.cost < best.cost {
-            best = Patch { flow, shift: sums.shift, cost: sums.cost };
+        sums = evaluate(a, b, i, j, &now, t.mean);
+        (now.shift, now.cost) = (sums.shift, sums.cost);
+        if now.cost < best.cost {
+            best = now;
         }
         if step[0].abs().max(step[1].abs()) < T::of(0.01) {
             break;
@@ -153,27 +171,45 @@ pub fn search<T: Real>(
     let mut out = Vec::with_capacity(nx * ny);
     for j in 0..ny {
         for i in 0..nx {
-            let x = (i * STRIDE + STRIDE / 2).min(a.width - 1);
-            let y = (j * STRIDE + STRIDE / 2).min(a.height - 1);
-            let mut best = start[y * a.width + x];
-            let cost = |f: [T; 2]| evaluate(a, b, i, j, f, [T::zero(); 2]).cost;
-            let mut best_cost = cost(best);
-            let mut consider = |f: [T; 2]| {
-                let c = cost(f);
+            let value = |dx: i64, dy: i64| {
+                let (x, y) = (centre::<T>(i) + T::of(dx as f64), centre::<T>(j) + T::of(dy as f64));
+                super::sample(|i, j| start[j * a.width + i], a.width, a.height, x, y)
+            };
+            let r = (PATCH / 2) as i64;
+            let (e, w, s, n) = (value(r, 0), value(-r, 0), value(0, r), value(0, -r));
+            let limit = super::pyramid::tun::<T>("SLOPE", 0.5);
+            let slope = [e[0] - w[0], s[0] - n[0], e[1] - w[1], s[1] - n[1]]
+                .map(|d| (d / T::of(PATCH as f64)).max(-limit).min(limit));
+            let mut best = Patch { flow: value(0, 0), slope, ..Patch::default() };
+            let cost = |p: &Patch<T>| evaluate(a, b, i, j, p, [T::zero(); 2]).cost;
+            let mut best_cost = cost(&best);
+            let mut consider = |p: Patch<T>| {
+                let c = cost(&p);
                 if c < best_cost * super::pyramid::tun::<T>("HYST", HYSTERESIS) {
-                    (best, best_cost) = (f, c);
+                    (best, best_cost) = (p, c);
                 }
             };
+            let flat = Patch { flow: value(0, 0), ..Patch::default() };
+            consider(flat);
+            consider(Patch::default());
             if let Some((guess, width, height, level)) = guess {
-                let scale = (1usize << level) as f64;
-                let gx = (((x as f64 + 0.5) * scale) as usize).min(width - 1);
-                let gy = (((y as f64 + 0.5) * scale) as usize).min(height - 1);
-                consider(guess[gy * width + gx].map(|c| c / T::of(scale)));
+                let scale = T::of((1usize << level) as f64);
+                let half = T::of(0.5);
+                let (x, y) = (centre::<T>(i) + half, centre::<T>(j) + half);
+                let f = super::sample(
+                    |i, j| guess[j * width + i],
+                    width,
+                    height,
+                    x * scale - half,
+                    y * scale - half,
+                );
+                consider(Patch { flow: f.map(|c| c / scale), ..Patch::default() });
             }
-            let r = radius as i64;
+            let r = i64::from(radius);
             for dv in -r..=r {
                 for du in -r..=r {
-                    consider([T::of(du as f64), T::of(dv as f64)]);
+                    let flow = [T::of(du as f64), T::of(dv as f64)];
+                    consider(Patch { flow, ..Patch::default() });
                 }
             }
             out.push(descend(a, b, i, j, best, settings));
@@ -199,7 +235,7 @@ pub fn propagate<T: Real>(
     for j in 0..ny as isize {
         for i in 0..nx as isize {
             let own = patches[j as usize * nx + i as usize];
-            let (mut best, mut best_cost) = (own.flow, own.cost * super::pyramid::tun::<T>("HYST", HYSTERESIS));
+            let (mut best, mut best_cost) = (own, own.cost * super::pyramid::tun::<T>("HYST", HYSTERESIS));
             for (di, dj) in
                 [(-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 1)]
             {
@@ -207,13 +243,15 @@ pub fn propagate<T: Real>(
                 if qi < 0 || qj < 0 || qi >= nx as isize || qj >= ny as isize {
                     continue;
                 }
-                let f = patches[qj as usize * nx + qi as usize].flow;
-                let c = evaluate(a, b, i as usize, j as usize, f, [T::zero(); 2]).cost;
+                let q = patches[qj as usize * nx + qi as usize];
+                let away = |d: isize| T::of((-d * reach * STRIDE as isize) as f64);
+                let offered = Patch { flow: q.at(away(di), away(dj)), ..q };
+                let c = evaluate(a, b, i as usize, j as usize, &offered, [T::zero(); 2]).cost;
                 if c < best_cost {
-                    (best, best_cost) = (f, c);
+                    (best, best_cost) = (offered, c);
                 }
             }
-            let better = best != own.flow;
+            let better = best != own;
             out.push(if better {
                 descend(a, b, i as usize, j as usize, best, settings)
             } else {
@@ -236,7 +274,7 @@ pub fn densify<T: Real>(a: &Level<T>, b: &Level<T>, patches: &[Patch<T>]) -> Vec
             for j in covering(y, ny) {
                 for i in covering(x, nx) {
                     let patch = patches[j * nx + i];
-                    let [u, v] = patch.flow;
+                    let [u, v] = patch.at(T::of(x as f64) - centre(i), T::of(y as f64) - centre(j));
                     let (tx, ty) = (T::of(x as f64) + u, T::of(y as f64) + v);
                     let [value] = super::sample(
                         |i, j| [b.luma[j * b.width + i]],

@@ -107,6 +107,10 @@ fn tune() {
         "EPE all {:.3} ({:.2}%)  inside {:.3} ({:.2}%)  sure {:.3} ({:.2}%) of {:.1}%  {:?} {:?}",
         all.0, all.1, noc.0, noc.1, sure.0, sure.1, sure.2 as f32 / all.2 as f32 * 100.0, t0, t1
     );
+    let car = |i: usize| (170..390).contains(&(i % w)) && (172..310).contains(&(i / w));
+    let bg = endpoint(&pair.forward, &truth, |i| !car(i));
+    let fg = endpoint(&pair.forward, &truth, car);
+    println!("EPE bg {:.3} ({:.2}%) {}  car {:.3} ({:.2}%) {}", bg.0, bg.1, bg.2, fg.0, fg.1, fg.2);
     if let Ok(path) = std::env::var("DUMP") {
         let colour = |f: &[f32; 2]| {
             let m = (f[0].hypot(f[1]) / 100.0).sqrt().min(1.0);
