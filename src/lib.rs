@@ -2,9 +2,18 @@
 //! unknown, into a 4D Gaussian-splat scene that renders in real time.
 #![deny(unsafe_code)]
 
+pub mod check;
+pub mod data;
 pub mod error;
+pub mod eval;
 pub mod geometry;
+pub mod gpu;
+pub mod kernels;
+pub mod ops;
+pub mod io;
 pub mod oracle;
+pub mod scene;
 pub mod types;
+pub mod vk;
 
 pub use error::{Error, Result};

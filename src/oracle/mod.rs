@@ -5,6 +5,29 @@
 //! independently of the shaders' loops.
 
 pub mod flow;
+pub mod adam;
+pub mod arap;
+pub mod bin;
+pub mod deform;
+pub mod density;
+pub mod linear;
+pub mod loss;
+pub mod mlp;
+pub mod project;
+pub mod project_backward;
+pub mod raster;
 mod real;
+pub mod render;
+#[cfg(test)]
+mod render_hard_cases;
+#[cfg(test)]
+mod render_tests;
+pub mod rotation;
+pub mod scan;
+pub mod sh;
+pub mod sort;
+pub mod ssim;
+pub mod tiles;
+pub mod view;
 
 pub use real::Real;

@@ -63,12 +63,12 @@ impl NetShape {
         let mut layers: Vec<_> = (0..self.depth)
             .map(|layer| match layer {
                 0 => (inputs, width),
-                l if l == self.skip + 1 => (inputs + width, width),
+                l if l == self.skip.saturating_add(1) => (inputs + width, width),
                 _ => (width, width),
             })
             .collect();
         layers.push((
-            if self.skip + 1 == self.depth { inputs + width } else { width },
+            if self.skip.saturating_add(1) == self.depth { inputs + width } else { width },
             Self::OUTPUTS,
         ));
         layers

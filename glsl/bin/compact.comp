@@ -1,0 +1,23 @@
+#version 460
+// Lists the visible splats with their depth as a sortable key; positive floats sort as their bits.
+#extension GL_GOOGLE_include_directive : require
+
+layout(local_size_x = 64) in;
+
+layout(std430, binding = 0) readonly buffer Visible { uint visible[]; };
+layout(std430, binding = 1) readonly buffer Offsets { uint offsets[]; };
+layout(std430, binding = 2) readonly buffer Means { vec4 means[]; };
+layout(std430, binding = 3) writeonly buffer Keys { uint keys[]; };
+layout(std430, binding = 4) writeonly buffer Splats { uint splats[]; };
+
+layout(push_constant) uniform Params { uint count; };
+
+#include "common/grid.glsl"
+
+void main() {
+    uint i = group_index() * 64u + gl_LocalInvocationIndex;
+    if (i < count && visible[i] != 0u) {
+        keys[offsets[i]] = floatBitsToUint(means[i].z);
+        splats[offsets[i]] = i;
+    }
+}

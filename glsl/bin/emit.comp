@@ -1,0 +1,61 @@
+#version 460
+// Emits a (tile, intersection) pair for every tile that a splat reaches, nearest splat first.
+// Intersections are numbered in this order: those of one splat lie side by side, which is where the
+// backward pass leaves its partial sums.
+#extension GL_GOOGLE_include_directive : require
+
+layout(local_size_x = 64) in;
+
+layout(std430, binding = 0) readonly buffer VisibleCount { uint visible_count[]; };
+layout(std430, binding = 1) readonly buffer Order { uint order[]; };
+layout(std430, binding = 2) readonly buffer Counts { uint counts[]; };
+layout(std430, binding = 3) readonly buffer Offsets { uint offsets[]; };
+layout(std430, binding = 4) readonly buffer Rectangles { uvec2 rectangles[]; };
+layout(std430, binding = 5) readonly buffer Means { vec4 means[]; };
+layout(std430, binding = 6) readonly buffer Conics { vec4 conics[]; };
+layout(std430, binding = 7) writeonly buffer Tiles { uint tiles[]; };
+layout(std430, binding = 8) writeonly buffer Intersections { uint intersections[]; };
+layout(std430, binding = 9) writeonly buffer Splats { uint splats[]; };
+
+layout(push_constant) uniform Params {
+    uint count;
+    uint capacity;
+    uint width;
+    uint height;
+};
+
+#include "common/grid.glsl"
+#include "common/tile.glsl"
+
+void main() {
+    uint rank = group_index() * 64u + gl_LocalInvocationIndex;
+    if (rank >= min(count, visible_count[0])) {
+        return;
+    }
+    uvec2 image = uvec2(width, height);
+    uvec2 grid = tile_grid(image);
+    uint splat = order[rank];
+    uint at = min(offsets[rank], capacity);
+    // Emission never leaves the counted budget, whatever rounding does to the tests.
+    uint end = min(at + counts[rank], capacity);
+    vec2 mean = means[splat].xy;
+    vec4 conic = conics[splat];
+    uvec2 packed_first = uvec2(rectangles[splat].x & 0xffffu, rectangles[splat].x >> 16);
+    uvec2 packed_last = uvec2(rectangles[splat].y & 0xffffu, rectangles[splat].y >> 16);
+    for (uint y = packed_first.y; y < packed_last.y; y++) {
+        for (uint x = packed_first.x; x < packed_last.x && at < end; x++) {
+            if (reaches_tile(mean, conic.xyz, conic.w, uvec2(x, y), image)) {
+                tiles[at] = y * grid.x + x;
+                intersections[at] = at;
+                splats[at] = splat;
+                at++;
+            }
+        }
+    }
+    // A tile that does not exist takes what was counted and not emitted.
+    for (; at < end; at++) {
+        tiles[at] = grid.x * grid.y;
+        intersections[at] = at;
+        splats[at] = splat;
+    }
+}

@@ -1,0 +1,48 @@
+// How a workgroup of 64 covers a tile of 16×16 pixels: each invocation has a quad of 2×2, and the
+// quads lie in Morton order, so that a subgroup of any size covers a compact block. A splat that
+// misses the block is skipped by the whole subgroup. Needs common/tile.glsl.
+
+uint lane_index() {
+    return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID;
+}
+
+// The tile's first pixel.
+uvec2 tile_origin(uint tile, uvec2 grid) {
+    return uvec2(tile % grid.x, tile / grid.x) * TILE;
+}
+
+// The quad's first pixel within the tile.
+uvec2 quad_origin(uint lane) {
+    uint x = (lane & 1u) | ((lane >> 1) & 2u) | ((lane >> 2) & 4u);
+    uint y = ((lane >> 1) & 1u) | ((lane >> 2) & 2u) | ((lane >> 3) & 4u);
+    return 2u * uvec2(x, y);
+}
+
+// Pixels of a quad: (0,0) (1,0) (0,1) (1,1).
+const vec4 QUAD_X = vec4(0.0, 1.0, 0.0, 1.0);
+const vec4 QUAD_Y = vec4(0.0, 0.0, 1.0, 1.0);
+
+// Which pixels of the quad lie in the image.
+bvec4 quad_inside(uvec2 origin, uvec2 size) {
+    bvec2 x = lessThan(uvec2(origin.x, origin.x + 1u), size.xx);
+    bvec2 y = lessThan(uvec2(origin.y, origin.y + 1u), size.yy);
+    return bvec4(x.x && y.x, x.y && y.x, x.x && y.y, x.y && y.y);
+}
+
+uint quad_pixel(uvec2 origin, uint k, uint width) {
+    return (origin.y + (k >> 1)) * width + origin.x + (k & 1u);
+}
+
+// The rectangle of pixel centres that the subgroup's quads cover.
+void subgroup_block(uvec2 origin, out vec2 lowest, out vec2 highest) {
+    vec2 corner = vec2(origin) + 0.5;
+    lowest = subgroupMin(corner);
+    highest = subgroupMax(corner) + 1.0;
+}
+
+// The splat's power at the quad's pixels.
+vec4 quad_power(vec2 mean, vec3 conic, vec2 corner, out vec4 dx, out vec4 dy) {
+    dx = corner.x - mean.x + QUAD_X;
+    dy = corner.y - mean.y + QUAD_Y;
+    return 0.5 * (conic.x * dx * dx + conic.z * dy * dy) + conic.y * dx * dy;
+}

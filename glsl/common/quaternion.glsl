@@ -1,0 +1,59 @@
+// Quaternions (w, x, y, z) as vec4(w, x, y, z).
+
+bool finite(float x) {
+    return abs(x) <= 3.0e38;
+}
+bool finite(vec3 v) {
+    return finite(v.x) && finite(v.y) && finite(v.z);
+}
+
+float sigmoid(float x) {
+    // Both branches keep the exponential at most 1.
+    float e = exp(-abs(x));
+    return x >= 0.0 ? 1.0 / (1.0 + e) : e / (1.0 + e);
+}
+
+const vec4 NO_ROTATION = vec4(1.0, 0.0, 0.0, 0.0);
+
+// False, and no rotation, where q has no usable direction. Scaled twice, so that the squares
+// neither overflow nor vanish. Comparisons are false for NaN, whichever component holds it.
+bool unit_quaternion(vec4 q, out vec4 unit, out float norm) {
+    vec4 a = abs(q);
+    float largest = max(max(a.x, a.y), max(a.z, a.w));
+    bool usable = all(lessThanEqual(a, vec4(1e18))) && largest > 1e-18;
+    vec4 scaled = q / largest;
+    float l = length(scaled);
+    unit = usable ? scaled / l : NO_ROTATION;
+    norm = l * largest;
+    return usable;
+}
+
+// The gradient at q, given that at its unit quaternion.
+vec4 unit_quaternion_backward(vec4 q, vec4 gradient) {
+    vec4 u;
+    float norm;
+    return unit_quaternion(q, u, norm) ? (gradient - u * dot(u, gradient)) / norm : vec4(0.0);
+}
+
+vec4 multiply(vec4 a, vec4 b) {
+    vec3 v = a.x * b.yzw + b.x * a.yzw + cross(a.yzw, b.yzw);
+    return vec4(a.x * b.x - dot(a.yzw, b.yzw), v);
+}
+
+vec4 conjugate(vec4 q) {
+    return vec4(q.x, -q.yzw);
+}
+
+// R v - v for a unit quaternion: exact zero for no rotation, no cancellation for a small one.
+vec3 turn_offset(vec4 q, vec3 v) {
+    vec3 t = 2.0 * cross(q.yzw, v);
+    return q.x * t + cross(q.yzw, t);
+}
+
+// The gradient at the components of q of R(q) v, a polynomial in q.
+vec4 turn_backward(vec4 q, vec3 v, vec3 gradient) {
+    vec3 a = cross(q.yzw, v);
+    float by_w = 2.0 * dot(gradient, a);
+    vec3 by_v = 2.0 * (q.x * cross(v, gradient) + cross(a, gradient) + cross(v, cross(gradient, q.yzw)));
+    return vec4(by_w, by_v);
+}

@@ -1,0 +1,96 @@
+// The geometry of one projected Gaussian, shared by the forward and the backward pass.
+
+mat3 rotation_matrix(vec4 q) {
+    float w = q.x, x = q.y, y = q.z, z = q.w;
+    return mat3(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y),
+                2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x),
+                2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y));
+}
+
+// Scaled twice, so that neither huge nor tiny quaternions overflow or vanish in the square.
+bool normalised(vec4 q, out vec4 unit, out float length_q) {
+    float largest = max(max(abs(q.x), abs(q.y)), max(abs(q.z), abs(q.w)));
+    if (!(largest > 1e-18) || largest > 1e18) {
+        return false;
+    }
+    vec4 scaled = q / largest;
+    float l = length(scaled);
+    unit = scaled / l;
+    length_q = l * largest;
+    return true;
+}
+
+bool finite(float x) {
+    return abs(x) <= 3.0e38;
+}
+bool finite(vec3 v) {
+    return finite(v.x) && finite(v.y) && finite(v.z);
+}
+
+float sigmoid(float x) {
+    // Both branches keep the exponential at most 1.
+    float e = exp(-abs(x));
+    return x >= 0.0 ? 1.0 / (1.0 + e) : e / (1.0 + e);
+}
+
+// What the shape of a Gaussian on the image is made of. With J the projection's Jacobian at the
+// (clamped) centre, N = view_from_world rotation times the Gaussian's own rotation and S the
+// scales: half_covariance = J N S, so that the 2D covariance is its product with its transpose plus
+// the dilation.
+struct Shape {
+    vec3 view;          // the centre in the camera's frame
+    vec2 tangent;       // x/z and y/z, clamped
+    bvec2 clamped;
+    mat3 axes;          // N
+    vec3 scales;
+    vec3 row_x, row_y;  // of half_covariance, divided by `unit`
+    float unit;         // the largest entry of half_covariance: squares stay within f32
+    vec3 covariance;    // xx, xy, yy, divided by unit²
+    vec3 conic;         // the inverse: A, B, C
+};
+
+// False where there is no usable shape.
+bool shape_of(Camera c, vec2 size, float near, float tangent_clamp, float dilation, vec3 position,
+              vec3 log_scale, vec4 unit_rotation, out Shape s) {
+    s.view = c.rotation * position + c.translation;
+    if (!finite(s.view) || s.view.z <= near) {
+        return false;
+    }
+    vec2 lowest, highest;
+    tangent_limits(c, size, tangent_clamp, lowest, highest);
+    vec2 tangent = s.view.xy / s.view.z;
+    s.tangent = clamp(tangent, lowest, highest);
+    s.clamped = bvec2(tangent.x < lowest.x || tangent.x > highest.x,
+                      tangent.y < lowest.y || tangent.y > highest.y);
+    s.scales = exp(log_scale);
+    if (!finite(s.scales)) {
+        return false;
+    }
+    s.axes = c.rotation * rotation_matrix(unit_rotation);
+    vec2 f = c.focal / s.view.z;
+    vec3 along_x = f.x * (vec3(s.axes[0].x, s.axes[1].x, s.axes[2].x)
+                          - s.tangent.x * vec3(s.axes[0].z, s.axes[1].z, s.axes[2].z));
+    vec3 along_y = f.y * (vec3(s.axes[0].y, s.axes[1].y, s.axes[2].y)
+                          - s.tangent.y * vec3(s.axes[0].z, s.axes[1].z, s.axes[2].z));
+    s.row_x = along_x * s.scales;
+    s.row_y = along_y * s.scales;
+    vec3 largest = max(abs(s.row_x), abs(s.row_y));
+    s.unit = max(max(largest.x, largest.y), max(largest.z, sqrt(dilation)));
+    if (!finite(s.unit)) {
+        return false;
+    }
+    s.row_x /= s.unit;
+    s.row_y /= s.unit;
+    float d = dilation / s.unit / s.unit;
+    float xx = dot(s.row_x, s.row_x), xy = dot(s.row_x, s.row_y), yy = dot(s.row_y, s.row_y);
+    s.covariance = vec3(xx + d, xy, yy + d);
+    // Cauchy-Binet: the determinant of a product with its transpose is a sum of squares, so a
+    // needle's does not cancel away as xx*yy - xy*xy does.
+    vec3 normal = cross(s.row_x, s.row_y);
+    float determinant = dot(normal, normal) + d * (xx + yy) + d * d;
+    if (!(determinant > 0.0)) {
+        return false;
+    }
+    s.conic = vec3(s.covariance.z, -xy, s.covariance.x) / determinant / s.unit / s.unit;
+    return true;
+}

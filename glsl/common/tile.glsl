@@ -1,0 +1,47 @@
+// Which pixels a splat reaches. Counting, emission and the raster's culling share this file, so
+// that they agree.
+const uint TILE = 16u;
+
+// The least power, and with it the largest alpha, that the splat has within a rectangle of pixel
+// centres: 0 where its mean lies inside, else on one of the edges that face the mean.
+float least_power(vec2 mean, vec3 conic, vec2 lowest, vec2 highest) {
+    vec2 low = lowest - mean, high = highest - mean;
+    vec2 near = clamp(vec2(0.0), low, high);
+    float best = 0.0;
+    bool outside_x = near.x != 0.0, outside_y = near.y != 0.0;
+    if (outside_x) {
+        float y = conic.z > 0.0 ? clamp(-conic.y * near.x / conic.z, low.y, high.y) : near.y;
+        best = 0.5 * (conic.x * near.x * near.x + conic.z * y * y) + conic.y * near.x * y;
+    }
+    if (outside_y) {
+        float x = conic.x > 0.0 ? clamp(-conic.y * near.y / conic.x, low.x, high.x) : near.x;
+        float other = 0.5 * (conic.x * x * x + conic.z * near.y * near.y) + conic.y * x * near.y;
+        best = outside_x ? min(best, other) : other;
+    }
+    return best;
+}
+
+// The power at which alpha falls to the cut.
+float power_limit(float opacity, float alpha_cut) {
+    return log(opacity / alpha_cut);
+}
+
+uvec2 tile_grid(uvec2 size) {
+    return (size + TILE - 1u) / TILE;
+}
+
+// The rectangle of tiles [first, last) around the pixels whose centres lie in the ellipse's
+// bounding box; empty where the box holds no pixel of the image.
+void tile_rectangle(vec2 mean, vec2 extent, uvec2 size, out uvec2 first, out uvec2 last) {
+    vec2 low = clamp(ceil(mean - extent - 0.5), vec2(0.0), vec2(size));
+    vec2 high = clamp(floor(mean + extent - 0.5) + 1.0, vec2(0.0), vec2(size));
+    bool empty = any(greaterThanEqual(low, high));
+    first = uvec2(low) / TILE;
+    last = empty ? first : (uvec2(high) + TILE - 1u) / TILE;
+}
+
+bool reaches_tile(vec2 mean, vec3 conic, float limit, uvec2 tile, uvec2 size) {
+    vec2 lowest = vec2(tile * TILE) + 0.5;
+    vec2 highest = vec2(min((tile + 1u) * TILE, size)) - 0.5;
+    return least_power(mean, conic, lowest, highest) <= limit;
+}

@@ -1,0 +1,64 @@
+#version 460
+// Adds up what every control point gets from its Gaussians: one workgroup a control point, always
+// in the same order.
+#extension GL_GOOGLE_include_directive : require
+
+layout(local_size_x = 64) in;
+
+// The places (row, neighbour) that name node n are places[starts[n] .. starts[n + 1]].
+layout(std430, binding = 0) readonly buffer Starts { uint starts[]; };
+layout(std430, binding = 1) readonly buffer Places { uint places[]; };
+layout(std430, binding = 2) readonly buffer Contributions { vec4 contributions[]; };
+layout(std430, binding = 3) readonly buffer Transforms { vec4 transforms[]; };
+layout(std430, binding = 4) buffer TransformGradients { vec4 transform_gradients[]; };
+layout(std430, binding = 5) buffer RadiusGradients { float radius_gradients[]; };
+
+layout(push_constant) uniform Params {
+    uint node_count;
+    uint transforms_at;
+    uint accumulate;
+};
+
+#include "common/grid.glsl"
+#include "common/quaternion.glsl"
+
+shared vec4 first_half[64];
+shared vec4 second_half[64];
+
+void main() {
+    uint node = group_index();
+    uint lane = gl_LocalInvocationIndex;
+    bool real = node < node_count;
+    vec4 a = vec4(0.0);
+    vec4 b = vec4(0.0);
+    uint end = real ? starts[node + 1u] : 0u;
+    for (uint i = (real ? starts[node] : 0u) + lane; i < end; i += 64u) {
+        uint place = places[i];
+        a += contributions[2u * place];
+        b += contributions[2u * place + 1u];
+    }
+    first_half[lane] = a;
+    second_half[lane] = b;
+    for (uint width = 32u; width > 0u; width >>= 1u) {
+        barrier();
+        if (lane < width) {
+            first_half[lane] += first_half[lane + width];
+            second_half[lane] += second_half[lane + width];
+        }
+    }
+    if (lane == 0u && real) {
+        a = first_half[0];
+        // From the unit rotations to the stored ones.
+        uint at = 2u * (transforms_at + node);
+        b = unit_quaternion_backward(transforms[at + 1u], second_half[0]);
+        vec4 t = vec4(a.xyz, 0.0);
+        if (accumulate != 0u) {
+            t += transform_gradients[at];
+            b += transform_gradients[at + 1u];
+            a.w += radius_gradients[node];
+        }
+        transform_gradients[at] = t;
+        transform_gradients[at + 1u] = b;
+        radius_gradients[node] = a.w;
+    }
+}

@@ -1,0 +1,63 @@
+#version 460
+// The k nearest nodes of every listed point, nearest first, equal distances by index. A node whose
+// squared distance is not finite is no neighbour.
+#extension GL_GOOGLE_include_directive : require
+
+layout(local_size_x = 64) in;
+
+layout(std430, binding = 0) readonly buffer Ids { uint ids[]; };
+layout(std430, binding = 1) readonly buffer Positions { float positions[]; };
+layout(std430, binding = 2) readonly buffer Nodes { float nodes[]; };
+layout(std430, binding = 3) writeonly buffer Neighbours { uint neighbours[]; };
+
+layout(push_constant) uniform Params {
+    uint rows;
+    uint node_count;
+    uint listed;    // whether ids name the points; else row r is point r
+};
+
+// Neighbours per point, 1 to 16.
+layout(constant_id = 0) const uint K = 4u;
+
+#include "common/grid.glsl"
+
+void main() {
+    uint row = group_index() * 64u + gl_LocalInvocationIndex;
+    if (row >= rows) {
+        return;
+    }
+    uint id = listed != 0u ? ids[row] : row;
+    vec3 point = vec3(positions[3u * id], positions[3u * id + 1u], positions[3u * id + 2u]);
+    const float FAR = uintBitsToFloat(0x7f800000u);
+    float distances[16];
+    uint found[16];
+    for (uint s = 0u; s < K; s++) {
+        distances[s] = FAR;
+        found[s] = 0xffffffffu;
+    }
+    for (uint node = 0u; node < node_count; node++) {
+        vec3 d = point - vec3(nodes[3u * node], nodes[3u * node + 1u], nodes[3u * node + 2u]);
+        // Unfused, so that ties fall as they do in the oracle.
+        precise float distance_here = d.x * d.x;
+        distance_here = distance_here + d.y * d.y;
+        distance_here = distance_here + d.z * d.z;
+        if (distance_here < distances[K - 1u]) {
+            // What is nearer or equal stays in front.
+            float carried = distance_here;
+            uint carried_node = node;
+            for (uint s = 0u; s < K; s++) {
+                if (carried < distances[s]) {
+                    float d_old = distances[s];
+                    uint n_old = found[s];
+                    distances[s] = carried;
+                    found[s] = carried_node;
+                    carried = d_old;
+                    carried_node = n_old;
+                }
+            }
+        }
+    }
+    for (uint s = 0u; s < K; s++) {
+        neighbours[row * K + s] = found[s];
+    }
+}

@@ -1,0 +1,64 @@
+#version 460
+// Moves every dynamic Gaussian with its nearest control points (linear blend skinning). All others
+// are left as they are.
+#extension GL_GOOGLE_include_directive : require
+
+layout(local_size_x = 64) in;
+
+layout(std430, binding = 0) readonly buffer DynamicIds { uint dynamic_ids[]; };
+layout(std430, binding = 1) readonly buffer Neighbours { uint neighbours[]; };
+layout(std430, binding = 2) readonly buffer Positions { float positions[]; };
+layout(std430, binding = 3) readonly buffer Rotations { vec4 rotations[]; };
+layout(std430, binding = 4) readonly buffer MotionLogits { float motion_logits[]; };
+layout(std430, binding = 5) readonly buffer Evidence { float evidence[]; };
+layout(std430, binding = 6) readonly buffer Nodes { float nodes[]; };
+layout(std430, binding = 7) readonly buffer LogRadii { float log_radii[]; };
+layout(std430, binding = 8) readonly buffer Transforms { vec4 transforms[]; };
+layout(std430, binding = 9) writeonly buffer MovedPositions { float moved_positions[]; };
+layout(std430, binding = 10) writeonly buffer MovedRotations { vec4 moved_rotations[]; };
+layout(std430, binding = 11) writeonly buffer Rigidity { float rigidity[]; };
+
+layout(push_constant) uniform Params {
+    uint rows;
+    uint transforms_at;
+    uint soft;
+};
+
+#include "common/grid.glsl"
+#include "common/quaternion.glsl"
+#include "deform/skin.glsl"
+
+void main() {
+    uint row = group_index() * 64u + gl_LocalInvocationIndex;
+    if (row >= rows) {
+        return;
+    }
+    uint j = dynamic_ids[row];
+    vec3 point = vec3(positions[3u * j], positions[3u * j + 1u], positions[3u * j + 2u]);
+    vec4 q = rotations[j];
+    float rigid = 0.0;
+    Neighbour near[8];
+    uint heaviest;
+    if (load_neighbours(row, point, near, heaviest)) {
+        vec3 delta;
+        vec4 sum, r;
+        float norm;
+        blend(near, heaviest, delta, sum);
+        unit_quaternion(sum, r, norm);
+        float m = 1.0;
+        if (soft != 0u) {
+            m = sigmoid(motion_logits[j]);
+            float side;
+            unit_quaternion(soften(r, m, side), r, norm);
+            rigid = (1.0 - evidence[j]) * dot(delta, delta);
+        }
+        point += m * delta;
+        vec4 u;
+        q = unit_quaternion(q, u, norm) ? multiply(r, q) : r;
+    }
+    moved_positions[3u * j] = point.x;
+    moved_positions[3u * j + 1u] = point.y;
+    moved_positions[3u * j + 2u] = point.z;
+    moved_rotations[j] = q;
+    rigidity[row] = rigid;
+}

@@ -1,0 +1,98 @@
+// One Gaussian's neighbours and the blend of their motions, shared by skinning and its backward
+// pass. Needs Positions, Neighbours, Nodes, LogRadii, Transforms, `transforms_at`.
+
+// Neighbours per Gaussian, 1 to 8.
+layout(constant_id = 0) const uint K = 4u;
+
+const uint NONE = 0xffffffffu;
+const float LARGEST_LOG_RADIUS = 40.0;
+// Stands for an exponent of minus infinity.
+const float NEVER = -3.4e38;
+
+struct Neighbour {
+    uint node;
+    float weight;
+    float slope;        // d exponent / d ln radius, zero where it carries no gradient
+    vec3 offset;        // the Gaussian's centre from the node
+    vec3 moved;         // how far this node alone would move the centre
+    vec4 rotation;      // unit, in the hemisphere of the heaviest
+};
+
+float inverse_square(float log_radius) {
+    return exp(-2.0 * clamp(log_radius, -LARGEST_LOG_RADIUS, LARGEST_LOG_RADIUS));
+}
+
+// False where there is no neighbour at all. Rotations still carry their own signs.
+bool load_neighbours(uint row, vec3 point, out Neighbour near[8], out uint heaviest) {
+    float exponents[8];
+    float largest = NEVER;
+    heaviest = 0u;
+    for (uint s = 0u; s < K; s++) {
+        uint node = neighbours[row * K + s];
+        near[s].node = node;
+        near[s].weight = 0.0;
+        near[s].slope = 0.0;
+        near[s].offset = vec3(0.0);
+        near[s].moved = vec3(0.0);
+        near[s].rotation = NO_ROTATION;
+        exponents[s] = NEVER;
+        if (node != NONE) {
+            vec3 offset =
+                point - vec3(nodes[3u * node], nodes[3u * node + 1u], nodes[3u * node + 2u]);
+            float log_radius = log_radii[node];
+            float ratio = dot(offset, offset) * inverse_square(log_radius);
+            // A radius that is not a number gives no weight; nor does an infinite ratio.
+            if (!isnan(log_radius) && ratio <= 3.0e38) {
+                exponents[s] = -0.5 * ratio;
+                near[s].slope = abs(log_radius) <= LARGEST_LOG_RADIUS ? ratio : 0.0;
+            }
+            float norm;
+            unit_quaternion(transforms[2u * (transforms_at + node) + 1u], near[s].rotation, norm);
+            near[s].offset = offset;
+            near[s].moved = turn_offset(near[s].rotation, offset)
+                + transforms[2u * (transforms_at + node)].xyz;
+        }
+        if (exponents[s] > largest) {
+            largest = exponents[s];
+            heaviest = s;
+        }
+    }
+    if (near[0].node == NONE) {
+        return false;
+    }
+    if (largest == NEVER) {
+        // Every weight underflows: the nearest takes all.
+        near[0].weight = 1.0;
+        return true;
+    }
+    float sum = 0.0;
+    for (uint s = 0u; s < K; s++) {
+        near[s].weight = exponents[s] > NEVER ? exp(exponents[s] - largest) : 0.0;
+        sum += near[s].weight;
+    }
+    for (uint s = 0u; s < K; s++) {
+        near[s].weight /= sum;
+    }
+    return true;
+}
+
+// The centre's displacement and the sum of rotations, brought into the heaviest one's hemisphere.
+void blend(inout Neighbour near[8], uint heaviest, out vec3 delta, out vec4 sum) {
+    vec4 pole = NO_ROTATION;
+    for (uint s = 0u; s < K; s++) {
+        pole = s == heaviest ? near[s].rotation : pole;
+    }
+    delta = vec3(0.0);
+    sum = vec4(0.0);
+    for (uint s = 0u; s < K; s++) {
+        near[s].rotation = dot(near[s].rotation, pole) < 0.0 ? -near[s].rotation : near[s].rotation;
+        delta += near[s].weight * near[s].moved;
+        sum += near[s].weight * near[s].rotation;
+    }
+}
+
+// The blended rotation when motion counts only by m, before normalisation: next to the identity.
+vec4 soften(vec4 blended, float m, out float side) {
+    side = blended.x < 0.0 ? -1.0 : 1.0;
+    return (1.0 - m) * NO_ROTATION + m * side * blended;
+}

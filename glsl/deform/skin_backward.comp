@@ -1,0 +1,105 @@
+#version 460
+// Skinning's derivative for every dynamic Gaussian: turns its gradients into those of the canonical
+// ones in place, and writes what each of its control points gets, to be added up per control point.
+// Weights carry gradient to the radii only.
+#extension GL_GOOGLE_include_directive : require
+
+layout(local_size_x = 64) in;
+
+layout(std430, binding = 0) readonly buffer DynamicIds { uint dynamic_ids[]; };
+layout(std430, binding = 1) readonly buffer Neighbours { uint neighbours[]; };
+layout(std430, binding = 2) readonly buffer Positions { float positions[]; };
+layout(std430, binding = 3) readonly buffer Rotations { vec4 rotations[]; };
+layout(std430, binding = 4) readonly buffer MotionLogits { float motion_logits[]; };
+layout(std430, binding = 5) readonly buffer Evidence { float evidence[]; };
+layout(std430, binding = 6) readonly buffer Nodes { float nodes[]; };
+layout(std430, binding = 7) readonly buffer LogRadii { float log_radii[]; };
+layout(std430, binding = 8) readonly buffer Transforms { vec4 transforms[]; };
+layout(std430, binding = 9) buffer PositionGradients { float position_gradients[]; };
+layout(std430, binding = 10) buffer RotationGradients { vec4 rotation_gradients[]; };
+layout(std430, binding = 11) buffer MotionGradients { float motion_gradients[]; };
+// Per (row, neighbour): translation and log-radius; unit rotation.
+layout(std430, binding = 12) writeonly buffer Contributions { vec4 contributions[]; };
+
+layout(push_constant) uniform Params {
+    uint rows;
+    uint transforms_at;
+    uint soft;
+    float rigid_scale;
+};
+
+#include "common/grid.glsl"
+#include "common/quaternion.glsl"
+#include "deform/skin.glsl"
+
+void main() {
+    uint row = group_index() * 64u + gl_LocalInvocationIndex;
+    if (row >= rows) {
+        return;
+    }
+    uint j = dynamic_ids[row];
+    vec3 point = vec3(positions[3u * j], positions[3u * j + 1u], positions[3u * j + 2u]);
+    Neighbour near[8];
+    uint heaviest;
+    if (!load_neighbours(row, point, near, heaviest)) {
+        for (uint s = 0u; s < K; s++) {
+            contributions[2u * (row * K + s)] = vec4(0.0);
+            contributions[2u * (row * K + s) + 1u] = vec4(0.0);
+        }
+        return;
+    }
+    vec3 by_position = vec3(position_gradients[3u * j], position_gradients[3u * j + 1u],
+                            position_gradients[3u * j + 2u]);
+    vec4 by_rotation = rotation_gradients[j];
+    vec3 delta;
+    vec4 sum, blended;
+    float norm;
+    blend(near, heaviest, delta, sum);
+    unit_quaternion(sum, blended, norm);
+
+    float m = 1.0;
+    float side = 1.0;
+    vec4 r = blended;
+    vec4 mixture = blended;
+    if (soft != 0u) {
+        m = sigmoid(motion_logits[j]);
+        mixture = soften(blended, m, side);
+        unit_quaternion(mixture, r, norm);
+    }
+    vec4 q = rotations[j];
+    vec4 ignored;
+    bool real = unit_quaternion(q, ignored, norm);
+    q = real ? q : NO_ROTATION;
+    rotation_gradients[j] = real ? multiply(conjugate(r), by_rotation) : vec4(0.0);
+    vec4 by_blended = multiply(by_rotation, conjugate(q));
+    vec3 by_delta = m * by_position;
+    if (soft != 0u) {
+        vec4 by_mixture = unit_quaternion_backward(mixture, by_blended);
+        float by_m = dot(by_position, delta) + dot(by_mixture, side * blended - NO_ROTATION);
+        motion_gradients[j] += by_m * m * (1.0 - m);
+        by_blended = m * side * by_mixture;
+        by_delta += 2.0 * rigid_scale * (1.0 - evidence[j]) * delta;
+    }
+    vec4 by_sum = unit_quaternion_backward(sum, by_blended);
+
+    float mean = 0.0;
+    for (uint s = 0u; s < K; s++) {
+        mean += near[s].weight * (dot(by_delta, near[s].moved) + dot(by_sum, near[s].rotation));
+    }
+    for (uint s = 0u; s < K; s++) {
+        Neighbour n = near[s];
+        // Turning back by -rotation is turning back by rotation: the sign does not show here.
+        by_position += n.weight * turn_offset(conjugate(n.rotation), by_delta);
+        float by_weight = dot(by_delta, n.moved) + dot(by_sum, n.rotation);
+        float by_log_radius = n.weight > 0.0 ? n.weight * (by_weight - mean) * n.slope : 0.0;
+        // The aligned rotation's gradient, brought back to the node's own sign.
+        vec4 own = transforms[2u * (transforms_at + (n.node != NONE ? n.node : 0u)) + 1u];
+        vec4 by_own = turn_backward(n.rotation, n.offset, by_delta) + by_sum;
+        by_own = dot(own, n.rotation) < 0.0 ? -by_own : by_own;
+        contributions[2u * (row * K + s)] = vec4(n.weight * by_delta, by_log_radius);
+        contributions[2u * (row * K + s) + 1u] = n.weight * by_own;
+    }
+    position_gradients[3u * j] = by_position.x;
+    position_gradients[3u * j + 1u] = by_position.y;
+    position_gradients[3u * j + 2u] = by_position.z;
+}

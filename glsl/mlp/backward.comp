@@ -1,0 +1,61 @@
+#version 460
+// One layer back: the gradients before the ReLU of the layer below, 8 features of 8 rows an
+// invocation.
+#extension GL_GOOGLE_include_directive : require
+
+layout(local_size_x = 64) in;
+
+layout(std430, binding = 0) readonly buffer Parameters { float parameters[]; };
+layout(std430, binding = 1) readonly buffer Activations { vec4 activations[]; };
+layout(std430, binding = 2) buffer Deltas { vec4 deltas[]; };
+
+layout(push_constant) uniform Params {
+    uint stride4;     // rows / 4, even
+    uint inputs;
+    uint outputs;
+    uint encoded;     // leading inputs that no gradient reaches
+    uint activated;   // first plane of the layer below
+    uint source;      // first plane of this layer's gradient
+    uint target;      // first plane of the layer below's
+    uint weights_at;
+};
+
+#include "common/grid.glsl"
+
+void store(mat4 low, mat4 high, uint row4, uint k) {
+    for (uint j = 0u; j < 4u; j++) {
+        uint from = (activated + k + j) * stride4 + row4;
+        uint to = (target + k + j) * stride4 + row4;
+        deltas[to] = mix(vec4(0.0), low[j], greaterThan(activations[from], vec4(0.0)));
+        deltas[to + 1u] = mix(vec4(0.0), high[j], greaterThan(activations[from + 1u], vec4(0.0)));
+    }
+}
+
+void main() {
+    // The width of the layer below is a multiple of 16.
+    uint width = inputs - encoded;
+    uint tiles = stride4 / 2u;
+    uint i = group_index() * 64u + gl_LocalInvocationIndex;
+    uint row4 = i % tiles * 2u;
+    uint k = i / tiles * 8u;
+    if (k >= width) {
+        return;
+    }
+    mat4 c00 = mat4(0.0), c10 = mat4(0.0), c01 = mat4(0.0), c11 = mat4(0.0);
+    uint from = source * stride4 + row4;
+    uint w = weights_at + encoded + k;
+    for (uint o = 0u; o < outputs; o++) {
+        vec4 d0 = deltas[from];
+        vec4 d1 = deltas[from + 1u];
+        vec4 w0 = vec4(parameters[w], parameters[w + 1u], parameters[w + 2u], parameters[w + 3u]);
+        vec4 w1 = vec4(parameters[w + 4u], parameters[w + 5u], parameters[w + 6u], parameters[w + 7u]);
+        c00 += outerProduct(d0, w0);
+        c10 += outerProduct(d1, w0);
+        c01 += outerProduct(d0, w1);
+        c11 += outerProduct(d1, w1);
+        from += stride4;
+        w += inputs;
+    }
+    store(c00, c10, row4, k);
+    store(c01, c11, row4, k + 4u);
+}

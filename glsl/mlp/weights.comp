@@ -1,0 +1,81 @@
+#version 460
+// Gradients of one layer's weights and biases over one segment of the rows: 8 outputs and 8 inputs
+// an invocation. The bias is the weight of one more input, a constant 1.
+#extension GL_GOOGLE_include_directive : require
+
+layout(local_size_x = 64) in;
+
+layout(std430, binding = 0) readonly buffer Activations { vec4 activations[]; };
+layout(std430, binding = 1) readonly buffer Deltas { vec4 deltas[]; };
+layout(std430, binding = 2) writeonly buffer Partials { float partials[]; };
+
+layout(push_constant) uniform Params {
+    uint stride4;
+    uint inputs;
+    uint outputs;
+    uint encoded;
+    uint source;      // first plane of the inputs that are not encoded
+    uint delta;       // first plane of the layer's gradient
+    uint segment4;    // vectors of rows in a segment
+};
+
+#include "common/grid.glsl"
+
+uint plane_of(uint k) {
+    uint input_at = min(k, inputs - 1u);
+    return (input_at < encoded ? input_at : source + input_at - encoded) * stride4;
+}
+
+void store(mat4 c, uint segment, uint o, uint k) {
+    for (uint j = 0u; j < 4u; j++) {
+        for (uint i = 0u; i < 4u; i++) {
+            if (o + i < outputs && k + j <= inputs) {
+                partials[(segment * outputs + o + i) * (inputs + 1u) + k + j] = c[j][i];
+            }
+        }
+    }
+}
+
+void main() {
+    uint columns = (inputs + 8u) / 8u;
+    uint rows = (outputs + 7u) / 8u;
+    uint i = group_index() * 64u + gl_LocalInvocationIndex;
+    uint k = i % columns * 8u;
+    uint o = i / columns % rows * 8u;
+    uint segment = i / (columns * rows);
+    uint first = segment * segment4;
+    if (first >= stride4) {
+        return;
+    }
+    uint last = min(first + segment4, stride4);
+    uvec4 d_low = (delta + min(uvec4(o, o + 1u, o + 2u, o + 3u), uvec4(outputs - 1u))) * stride4;
+    uvec4 d_high = (delta + min(uvec4(o + 4u, o + 5u, o + 6u, o + 7u), uvec4(outputs - 1u))) * stride4;
+    uvec4 x_low = uvec4(plane_of(k), plane_of(k + 1u), plane_of(k + 2u), plane_of(k + 3u));
+    uvec4 x_high = uvec4(plane_of(k + 4u), plane_of(k + 5u), plane_of(k + 6u), plane_of(k + 7u));
+    // Where a column of inputs is the bias's.
+    vec4 one_low = vec4(equal(uvec4(k, k + 1u, k + 2u, k + 3u), uvec4(inputs)));
+    vec4 one_high = vec4(equal(uvec4(k + 4u, k + 5u, k + 6u, k + 7u), uvec4(inputs)));
+    mat4 c00 = mat4(0.0), c10 = mat4(0.0), c01 = mat4(0.0), c11 = mat4(0.0);
+    for (uint r = first; r < last; r++) {
+        mat4 d0 = transpose(mat4(deltas[d_low.x + r], deltas[d_low.y + r], deltas[d_low.z + r],
+                                 deltas[d_low.w + r]));
+        mat4 d1 = transpose(mat4(deltas[d_high.x + r], deltas[d_high.y + r], deltas[d_high.z + r],
+                                 deltas[d_high.w + r]));
+        mat4 x0 = mat4(mix(activations[x_low.x + r], vec4(1.0), one_low.x),
+                       mix(activations[x_low.y + r], vec4(1.0), one_low.y),
+                       mix(activations[x_low.z + r], vec4(1.0), one_low.z),
+                       mix(activations[x_low.w + r], vec4(1.0), one_low.w));
+        mat4 x1 = mat4(mix(activations[x_high.x + r], vec4(1.0), one_high.x),
+                       mix(activations[x_high.y + r], vec4(1.0), one_high.y),
+                       mix(activations[x_high.z + r], vec4(1.0), one_high.z),
+                       mix(activations[x_high.w + r], vec4(1.0), one_high.w));
+        c00 += d0 * x0;
+        c10 += d1 * x0;
+        c01 += d0 * x1;
+        c11 += d1 * x1;
+    }
+    store(c00, segment, o, k);
+    store(c10, segment, o + 4u, k);
+    store(c01, segment, o, k + 4u);
+    store(c11, segment, o + 4u, k + 4u);
+}

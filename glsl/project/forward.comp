@@ -1,0 +1,133 @@
+#version 460
+// Projects every Gaussian: culls, or writes mean, depth, opacity, conic, colour and the number of
+// tiles it reaches.
+#extension GL_GOOGLE_include_directive : require
+
+layout(local_size_x = 64) in;
+
+layout(std430, binding = 0) readonly buffer CameraBuffer { float camera[]; };
+layout(std430, binding = 1) readonly buffer Positions { float positions[]; };
+layout(std430, binding = 2) readonly buffer LogScales { float log_scales[]; };
+layout(std430, binding = 3) readonly buffer Rotations { vec4 rotations[]; };
+layout(std430, binding = 4) readonly buffer OpacityLogits { float opacity_logits[]; };
+layout(std430, binding = 5) readonly buffer Sh0Buffer { float sh0[]; };
+layout(std430, binding = 6) readonly buffer Sh1Buffer { float sh1[]; };
+layout(std430, binding = 7) readonly buffer Sh2Buffer { float sh2[]; };
+layout(std430, binding = 8) readonly buffer Sh3Buffer { float sh3[]; };
+// Mean x, mean y, depth, opacity.
+layout(std430, binding = 9) writeonly buffer Means { vec4 means[]; };
+// Conic A, B, C and the power at which alpha falls to the cut.
+layout(std430, binding = 10) writeonly buffer Conics { vec4 conics[]; };
+layout(std430, binding = 11) writeonly buffer Colours { vec4 colours[]; };
+// First and last + 1 tile along x (low half) and y (high half).
+layout(std430, binding = 12) writeonly buffer Rectangles { uvec2 rectangles[]; };
+layout(std430, binding = 13) writeonly buffer TileCounts { uint tile_counts[]; };
+layout(std430, binding = 14) writeonly buffer Visible { uint visible[]; };
+
+layout(push_constant) uniform Params {
+    uint count;
+    uint width;
+    uint height;
+    uint sh_degree;
+    float near;
+    float dilation;
+    float alpha_cut;
+    float tangent_clamp;
+};
+
+#include "common/grid.glsl"
+#include "common/camera.glsl"
+#include "common/splat.glsl"
+#include "common/tile.glsl"
+#include "common/sh.glsl"
+
+vec3 colour_of(uint i, vec3 d) {
+    vec3 colour = vec3(0.5) + SH0 * vec3(sh0[3u * i], sh0[3u * i + 1u], sh0[3u * i + 2u]);
+    if (sh_degree >= 1u) {
+        float b[3];
+        sh_band1(d, b);
+        for (uint k = 0u; k < 3u; k++) {
+            uint at = 9u * i + 3u * k;
+            colour += b[k] * vec3(sh1[at], sh1[at + 1u], sh1[at + 2u]);
+        }
+    }
+    if (sh_degree >= 2u) {
+        float b[5];
+        sh_band2(d, b);
+        for (uint k = 0u; k < 5u; k++) {
+            uint at = 15u * i + 3u * k;
+            colour += b[k] * vec3(sh2[at], sh2[at + 1u], sh2[at + 2u]);
+        }
+    }
+    if (sh_degree >= 3u) {
+        float b[7];
+        sh_band3(d, b);
+        for (uint k = 0u; k < 7u; k++) {
+            uint at = 21u * i + 3u * k;
+            colour += b[k] * vec3(sh3[at], sh3[at + 1u], sh3[at + 2u]);
+        }
+    }
+    return max(colour, vec3(0.0));
+}
+
+// Number of tiles that the splat reaches; 0 means culled.
+uint project(uint i) {
+    Camera c = load_camera();
+    vec2 size = vec2(width, height);
+    vec3 position = vec3(positions[3u * i], positions[3u * i + 1u], positions[3u * i + 2u]);
+    vec3 log_scale = vec3(log_scales[3u * i], log_scales[3u * i + 1u], log_scales[3u * i + 2u]);
+    float logit = opacity_logits[i];
+    vec4 unit;
+    float ignored;
+    if (!finite(position) || !finite(logit) || !finite(log_scale)
+        || !normalised(rotations[i], unit, ignored)) {
+        return 0u;
+    }
+    float opacity = sigmoid(logit);
+    if (opacity < alpha_cut) {
+        return 0u;
+    }
+    Shape s;
+    if (!shape_of(c, size, near, tangent_clamp, dilation, position, log_scale, unit, s)) {
+        return 0u;
+    }
+    vec2 mean = c.focal * s.view.xy / s.view.z + c.principal;
+    if (!finite(mean.x) || !finite(mean.y)) {
+        return 0u;
+    }
+    float limit = power_limit(opacity, alpha_cut);
+    vec2 extent = s.unit * sqrt(2.0 * limit * s.covariance.xz);
+    uvec2 image = uvec2(width, height);
+    uvec2 first, last;
+    tile_rectangle(mean, extent, image, first, last);
+    uint reached = 0u;
+    for (uint y = first.y; y < last.y; y++) {
+        for (uint x = first.x; x < last.x; x++) {
+            reached += reaches_tile(mean, s.conic, limit, uvec2(x, y), image) ? 1u : 0u;
+        }
+    }
+    if (reached == 0u) {
+        return 0u;
+    }
+    vec3 offset = position - c.centre;
+    float range = length(offset);
+    vec3 colour = colour_of(i, range > 0.0 ? offset / range : vec3(0.0, 0.0, 1.0));
+    if (!finite(colour)) {
+        return 0u;
+    }
+    means[i] = vec4(mean, s.view.z, opacity);
+    conics[i] = vec4(s.conic, limit);
+    colours[i] = vec4(colour, 0.0);
+    rectangles[i] = uvec2(first.x | (first.y << 16), last.x | (last.y << 16));
+    return reached;
+}
+
+void main() {
+    uint i = group_index() * 64u + gl_LocalInvocationIndex;
+    if (i >= count) {
+        return;
+    }
+    uint reached = project(i);
+    tile_counts[i] = reached;
+    visible[i] = min(reached, 1u);
+}

@@ -1,0 +1,197 @@
+#version 460
+// Gradients of the blended image to every splat, one slot of partial sums per (splat, tile).
+//
+// The pixels replay their splats front to back from full transmittance; what still lies behind is
+// the known total less what went before, so the transmittance is never divided out. With
+// v = alpha · dL/dalpha, a slot holds the moments of v over the tile (v, v·dx, v·dy, v·dx², v·dx·dy,
+// v·dy²), from which raster/gather makes the gradients of opacity, mean and conic, then the
+// gradients of colour and depth.
+//
+// Subgroups share the splats of a batch: each sums over its own block, and the sums meet in shared
+// memory in a fixed order. There are no atomics on floats, so reruns give the same bits.
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_ballot : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+
+layout(local_size_x = 64) in;
+
+layout(std430, binding = 0) readonly buffer Ranges { uvec2 ranges[]; };
+layout(std430, binding = 1) readonly buffer Intersections { uint intersections[]; };
+layout(std430, binding = 2) readonly buffer Splats { uint splats[]; };
+layout(std430, binding = 3) readonly buffer Means { vec4 means[]; };
+layout(std430, binding = 4) readonly buffer Conics { vec4 conics[]; };
+layout(std430, binding = 5) readonly buffer Colours { vec4 colours[]; };
+layout(std430, binding = 6) readonly buffer Rgba { vec4 rgba[]; };
+layout(std430, binding = 7) readonly buffer Depth { float depth[]; };
+layout(std430, binding = 8) readonly buffer Last { uint last[]; };
+layout(std430, binding = 9) readonly buffer RgbaGradient { vec4 rgba_gradient[]; };
+layout(std430, binding = 10) readonly buffer DepthGradient { float depth_gradient[]; };
+// v, v·dx, v·dy, v·dx²
+layout(std430, binding = 11) writeonly buffer SlotsA { vec4 slots_a[]; };
+// v·dx·dy, v·dy², red, green
+layout(std430, binding = 12) writeonly buffer SlotsB { vec4 slots_b[]; };
+// blue, depth
+layout(std430, binding = 13) writeonly buffer SlotsC { vec2 slots_c[]; };
+
+layout(push_constant) uniform Params {
+    uint width;
+    uint height;
+    float alpha_cut;
+    float alpha_cap;
+};
+
+#include "common/grid.glsl"
+#include "common/tile.glsl"
+#include "common/quads.glsl"
+
+const uint BATCH = 32u;
+const uint SUMS = 10u;
+// Sums of one batch: [subgroup][sum][splat], for subgroups of 4 or more.
+shared float partial[16u * SUMS * BATCH];
+shared uint furthest;
+
+void main() {
+    uvec2 size = uvec2(width, height);
+    uvec2 grid = tile_grid(size);
+    uint tile = group_index();
+    if (tile >= grid.x * grid.y) {
+        return;
+    }
+    uint id = lane_index();
+    uvec2 origin = tile_origin(tile, grid) + quad_origin(id);
+    vec2 corner = vec2(origin) + 0.5;
+    bvec4 inside = quad_inside(origin, size);
+    vec2 lowest, highest;
+    subgroup_block(origin, lowest, highest);
+
+    vec4 transmittance = vec4(1.0);
+    // Of the loss: by colour, by alpha and by depth at the quad's pixels.
+    vec4 red = vec4(0.0), green = vec4(0.0), blue = vec4(0.0), opaque = vec4(0.0), z = vec4(0.0);
+    // What lies behind the splats replayed so far, weighted with those gradients.
+    vec4 behind = vec4(0.0);
+    uvec4 end = uvec4(0u);
+    for (uint k = 0u; k < 4u; k++) {
+        if (inside[k]) {
+            uint pixel = quad_pixel(origin, k, width);
+            vec4 gradient = rgba_gradient[pixel];
+            red[k] = gradient.r;
+            green[k] = gradient.g;
+            blue[k] = gradient.b;
+            opaque[k] = gradient.a;
+            z[k] = depth_gradient[pixel];
+            behind[k] = dot(gradient, rgba[pixel]) + z[k] * depth[pixel];
+            end[k] = last[pixel];
+        }
+    }
+    uvec2 range = ranges[tile];
+    uint own_end = subgroupMax(max(max(end.x, end.y), max(end.z, end.w)));
+    if (id == 0u) {
+        furthest = 0u;
+    }
+    barrier();
+    if (gl_SubgroupInvocationID == 0u) {
+        atomicMax(furthest, own_end);
+    }
+    barrier();
+    uint stop = range.x + furthest;
+    uint words = (gl_SubgroupSize + 31u) / 32u;
+    uint chunk = min(gl_SubgroupSize, BATCH);
+
+    for (uint batch = range.x; batch < stop; batch += BATCH) {
+        for (uint base = 0u; base < BATCH; base += chunk) {
+            uint offset = base + gl_SubgroupInvocationID;
+            uint at = batch + offset;
+            vec4 mean = vec4(0.0), conic = vec4(0.0), colour = vec4(0.0);
+            bool reaches = false;
+            if (gl_SubgroupInvocationID < chunk && at < range.x + own_end) {
+                uint splat = splats[intersections[at]];
+                mean = means[splat];
+                conic = conics[splat];
+                reaches = least_power(mean.xy, conic.xyz, lowest, highest) <= conic.w;
+                if (reaches) {
+                    colour = colours[splat];
+                }
+            }
+            vec4 sums_a = vec4(0.0), sums_b = vec4(0.0);
+            vec2 sums_c = vec2(0.0);
+            uvec4 ballot = subgroupBallot(reaches);
+            for (uint word = 0u; word < words; word++) {
+                uint bits = ballot[word];
+                while (bits != 0u) {
+                    uint lane = uint(findLSB(bits));
+                    bits &= bits - 1u;
+                    lane += 32u * word;
+                    vec4 m = subgroupBroadcast(mean, lane);
+                    vec3 c = subgroupBroadcast(conic.xyz, lane);
+                    vec3 rgb = subgroupBroadcast(colour.xyz, lane);
+                    uvec4 index = uvec4(batch - range.x + base + lane);
+                    vec4 dx, dy;
+                    vec4 power = quad_power(m.xy, c, corner, dx, dy);
+                    vec4 raw = m.w * exp(-power);
+                    vec4 alpha = min(raw, vec4(alpha_cap));
+                    bvec4 counts, below_cap;
+                    for (int k = 0; k < 4; k++) {
+                        counts[k] = index[k] < end[k] && power[k] >= 0.0 && alpha[k] >= alpha_cut;
+                        below_cap[k] = counts[k] && raw[k] <= alpha_cap;
+                    }
+                    vec4 weight = mix(vec4(0.0), alpha * transmittance, counts);
+                    vec4 value = red * rgb.r + green * rgb.g + blue * rgb.b + opaque + z * m.z;
+                    behind -= weight * value;
+                    vec4 through = 1.0 - alpha;
+                    vec4 v = alpha * (transmittance * value - behind / through);
+                    v = mix(vec4(0.0), v, below_cap);
+                    transmittance = mix(transmittance, transmittance * through, counts);
+                    vec4 vx = v * dx, vy = v * dy;
+                    const vec4 one = vec4(1.0);
+                    vec4 a = vec4(dot(v, one), dot(vx, one), dot(vy, one), dot(vx, dx));
+                    vec4 b = vec4(dot(vx, dy), dot(vy, dy), dot(weight, red), dot(weight, green));
+                    vec2 d = vec2(dot(weight, blue), dot(weight, z));
+                    a = subgroupAdd(a);
+                    b = subgroupAdd(b);
+                    d = subgroupAdd(d);
+                    if (gl_SubgroupInvocationID == lane) {
+                        sums_a = a;
+                        sums_b = b;
+                        sums_c = d;
+                    }
+                }
+            }
+            if (gl_SubgroupInvocationID < chunk) {
+                uint to = gl_SubgroupID * SUMS * BATCH + offset;
+                for (uint k = 0u; k < 4u; k++) {
+                    partial[to + k * BATCH] = sums_a[k];
+                    partial[to + (4u + k) * BATCH] = sums_b[k];
+                }
+                partial[to + 8u * BATCH] = sums_c.x;
+                partial[to + 9u * BATCH] = sums_c.y;
+            }
+        }
+        barrier();
+        if (id < BATCH && batch + id < range.y) {
+            vec4 a = vec4(0.0), b = vec4(0.0);
+            vec2 c = vec2(0.0);
+            for (uint group = 0u; group < gl_NumSubgroups; group++) {
+                uint from = group * SUMS * BATCH + id;
+                for (uint k = 0u; k < 4u; k++) {
+                    a[k] += partial[from + k * BATCH];
+                    b[k] += partial[from + (4u + k) * BATCH];
+                }
+                c += vec2(partial[from + 8u * BATCH], partial[from + 9u * BATCH]);
+            }
+            uint slot = intersections[batch + id];
+            slots_a[slot] = a;
+            slots_b[slot] = b;
+            slots_c[slot] = c;
+        }
+        barrier();
+    }
+    // Splats behind the last one blended get nothing, but their slots are read.
+    uint done = range.x + (stop - range.x + BATCH - 1u) / BATCH * BATCH;
+    for (uint at = done + id; at < range.y; at += 64u) {
+        uint slot = intersections[at];
+        slots_a[slot] = vec4(0.0);
+        slots_b[slot] = vec4(0.0);
+        slots_c[slot] = vec2(0.0);
+    }
+}

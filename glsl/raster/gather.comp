@@ -1,0 +1,50 @@
+#version 460
+// Sums a visible splat's slots, in their order, and turns the moments into gradients.
+#extension GL_GOOGLE_include_directive : require
+
+layout(local_size_x = 64) in;
+
+layout(std430, binding = 0) readonly buffer VisibleCount { uint visible_count[]; };
+layout(std430, binding = 1) readonly buffer Order { uint order[]; };
+layout(std430, binding = 2) readonly buffer Counts { uint counts[]; };
+layout(std430, binding = 3) readonly buffer Offsets { uint offsets[]; };
+layout(std430, binding = 4) readonly buffer SlotsA { vec4 slots_a[]; };
+layout(std430, binding = 5) readonly buffer SlotsB { vec4 slots_b[]; };
+layout(std430, binding = 6) readonly buffer SlotsC { vec2 slots_c[]; };
+layout(std430, binding = 7) readonly buffer Means { vec4 means[]; };
+layout(std430, binding = 8) readonly buffer Conics { vec4 conics[]; };
+// By mean x, mean y, depth, opacity.
+layout(std430, binding = 9) writeonly buffer MeanGradients { vec4 mean_gradients[]; };
+// By conic A, B, C.
+layout(std430, binding = 10) writeonly buffer ConicGradients { vec4 conic_gradients[]; };
+layout(std430, binding = 11) writeonly buffer ColourGradients { vec4 colour_gradients[]; };
+
+layout(push_constant) uniform Params {
+    uint count;
+    uint capacity;
+};
+
+#include "common/grid.glsl"
+
+void main() {
+    uint rank = group_index() * 64u + gl_LocalInvocationIndex;
+    if (rank >= min(count, visible_count[0])) {
+        return;
+    }
+    uint splat = order[rank];
+    uint first = min(offsets[rank], capacity);
+    uint last = min(first + counts[rank], capacity);
+    vec4 a = vec4(0.0), b = vec4(0.0);
+    vec2 c = vec2(0.0);
+    for (uint slot = first; slot < last; slot++) {
+        a += slots_a[slot];
+        b += slots_b[slot];
+        c += slots_c[slot];
+    }
+    vec4 conic = conics[splat];
+    float opacity = means[splat].w;
+    vec2 mean = vec2(conic.x * a.y + conic.y * a.z, conic.y * a.y + conic.z * a.z);
+    mean_gradients[splat] = vec4(mean, c.y, a.x / opacity);
+    conic_gradients[splat] = vec4(-0.5 * a.w, -b.x, -0.5 * b.y, 0.0);
+    colour_gradients[splat] = vec4(b.z, b.w, c.x, 0.0);
+}

@@ -1,0 +1,202 @@
+//! Cases of the deformation network.
+
+use super::{Bound, Case, Harness};
+use crate::error::Result;
+use crate::ops::mlp::Network;
+use crate::oracle::mlp;
+use crate::types::NetShape;
+use rand::RngExt;
+
+/// The family's cases.
+pub const CASES: &[Case] = &[
+    Case { id: "mlp/narrow", kernels: KERNELS, run: narrow },
+    Case { id: "mlp/paper", kernels: KERNELS, run: paper },
+    Case { id: "mlp/shapes", kernels: KERNELS, run: shapes },
+    Case { id: "mlp/accumulate", kernels: &["mlp/reduce"], run: accumulate },
+    Case { id: "mlp/encoding", kernels: &["mlp/encode"], run: encoding },
+];
+
+const KERNELS: &[&str] = &[
+    "mlp/encode",
+    "mlp/forward",
+    "mlp/transforms",
+    "mlp/seed",
+    "mlp/backward",
+    "mlp/weights",
+    "mlp/reduce",
+];
+
+const NARROW: NetShape =
+    NetShape { depth: 6, width: 64, skip: 3, position_frequencies: 10, time_frequencies: 6 };
+
+/// One network with its inputs and what the oracle makes of it.
+struct Problem {
+    shape: NetShape,
+    parameters: Vec<f32>,
+    nodes: Vec<f32>,
+    times: Vec<f32>,
+    gradients: Vec<[f32; 8]>,
+}
+
+impl Problem {
+    fn new(h: &mut Harness, shape: NetShape, nodes: usize, times: usize) -> Problem {
+        // An ordinary head and biases: with the first ones the outputs hardly show.
+        let parameters =
+            mlp::init(&shape, 3).iter().map(|p| p + h.rng.random_range(-0.05f32..0.05)).collect();
+        Problem {
+            shape,
+            parameters,
+            nodes: (0..3 * nodes).map(|_| h.rng.random_range(-1.5f32..1.5)).collect(),
+            times: (0..times).map(|_| h.rng.random_range(0.0f32..1.0)).collect(),
+            gradients: (0..nodes * times)
+                .map(|_| std::array::from_fn(|_| h.rng.random_range(-1.0f32..1.0)))
+                .collect(),
+        }
+    }
+
+    fn oracle<R: crate::oracle::Real>(&self) -> (Vec<R>, Vec<R>) {
+        let real = |v: f32| R::of(f64::from(v));
+        let parameters: Vec<R> = self.parameters.iter().copied().map(real).collect();
+        let queries: Vec<[R; 4]> = self
+            .times
+            .iter()
+            .flat_map(|&t| self.nodes.chunks(3).map(move |p| [p[0], p[1], p[2], t].map(real)))
+            .collect();
+        let pass = mlp::forward(&self.shape, &parameters, &queries);
+        let transforms = pass.outputs.iter().flat_map(|&o| mlp::transform(o)).collect();
+        let by_output: Vec<[R; 7]> = self
+            .gradients
+            .iter()
+            .map(|&[x, y, z, _, w, i, j, k]| [x, y, z, w, i, j, k].map(real))
+            .collect();
+        (transforms, mlp::backward(&self.shape, &parameters, &pass, &by_output))
+    }
+
+    fn device(&self, h: &mut Harness, repeats: usize) -> Result<(Vec<f32>, Vec<f32>)> {
+        let network = Network::new(&self.shape)?;
+        let rows = self.gradients.len();
+        let mut scratch = network.scratch(&h.device, rows)?;
+        let parameters = h.device.upload("parameters", &self.parameters)?;
+        let nodes = h.device.upload("nodes", &self.nodes)?;
+        let times = h.device.upload("times", &self.times)?;
+        let halves: Vec<[f32; 4]> = self
+            .gradients
+            .iter()
+            .flat_map(|&[a, b, c, d, e, f, g, i]| [[a, b, c, d], [e, f, g, i]])
+            .collect();
+        let by_transform = h.device.upload("transform gradients", &halves)?;
+        let mut transforms = h.output::<[f32; 4]>("transforms", 2 * rows)?;
+        let mut gradients = h.output::<f32>("parameter gradients", self.parameters.len())?;
+        let mut recorder = h.stream.record()?;
+        network.forward(
+            &mut recorder,
+            parameters.view(),
+            nodes.view(),
+            times.view(),
+            transforms.view_mut(),
+            &mut scratch,
+        )?;
+        for repeat in 0..repeats {
+            network.backward(
+                &mut recorder,
+                parameters.view(),
+                by_transform.view(),
+                gradients.view_mut(),
+                repeat > 0,
+                &mut scratch,
+            )?;
+        }
+        h.stream.submit(recorder)?;
+        Ok((h.read(&transforms)?.concat(), h.read(&gradients)?))
+    }
+
+    /// Compares. Bounds are what lavapipe showed, times about five, since drivers may add in
+    /// another order or fuse products; the oracle in f32 errs as much.
+    fn run(&self, h: &mut Harness, outputs: Bound, gradients: Bound) -> Result<()> {
+        let (transforms, by_parameter) = self.device(h, 1)?;
+        let (truth, by_truth) = self.oracle::<f64>();
+        let (twin, by_twin) = self.oracle::<f32>();
+        h.close("transforms", &transforms, &truth, Some(&twin), outputs);
+        h.close("parameter gradients", &by_parameter, &by_truth, Some(&by_twin), gradients);
+        Ok(())
+    }
+}
+
+fn narrow(h: &mut Harness) -> Result<()> {
+    let problem = Problem::new(h, NARROW, 100, 2);
+    // Measured 2.2e-7 and 6.5e-6.
+    problem.run(
+        h,
+        Bound { absolute: 1e-6, relative: 1e-6 },
+        Bound { absolute: 3e-5, relative: 1e-6 },
+    )
+}
+
+fn paper(h: &mut Harness) -> Result<()> {
+    let problem = Problem::new(h, NetShape::PAPER, 67, 1);
+    // Measured 1.4e-6 and 1.3e-5.
+    problem.run(
+        h,
+        Bound { absolute: 6e-6, relative: 1e-6 },
+        Bound { absolute: 6e-5, relative: 1e-6 },
+    )
+}
+
+/// One row, one layer, no octaves, a skip into the head and none: what odd counts would break.
+fn shapes(h: &mut Harness) -> Result<()> {
+    let base =
+        NetShape { depth: 3, width: 16, skip: 0, position_frequencies: 3, time_frequencies: 1 };
+    for (shape, nodes, times) in [
+        (base, 1, 1),
+        (NetShape { depth: 1, skip: 9, ..base }, 9, 1),
+        (NetShape { skip: 2, position_frequencies: 0, time_frequencies: 4, ..base }, 5, 3),
+        (NetShape { width: 48, skip: u32::MAX, ..base }, 64, 1),
+        (base, 0, 1),
+    ] {
+        let problem = Problem::new(h, shape, nodes, times);
+        // Measured 1.1e-7 and 2.8e-6.
+        problem.run(
+            h,
+            Bound { absolute: 1e-6, relative: 1e-6 },
+            Bound { absolute: 2e-5, relative: 1e-6 },
+        )?;
+    }
+    Ok(())
+}
+
+/// Adding a gradient to itself doubles it, bit for bit.
+fn accumulate(h: &mut Harness) -> Result<()> {
+    let problem = Problem::new(h, NARROW, 20, 1);
+    let (_, once) = problem.device(h, 1)?;
+    let (_, twice) = problem.device(h, 2)?;
+    let doubled: Vec<f32> = once.iter().map(|g| 2.0 * g).collect();
+    h.exact("parameter gradients", &twice, &doubled);
+    Ok(())
+}
+
+/// A network that hands its encodings through shows them one by one, at large arguments too.
+fn encoding(h: &mut Harness) -> Result<()> {
+    let shape =
+        NetShape { depth: 1, width: 96, skip: 9, position_frequencies: 10, time_frequencies: 10 };
+    let inputs = shape.inputs();
+    for (first, sign) in [0, 7, 14, 21, 28, 35, 42, 49, 56, 63, 70, 77]
+        .into_iter()
+        .flat_map(|first| [(first, 1.0), (first, -1.0)])
+    {
+        // Unit o passes input o (or its negative, which the ReLU would cut), the head seven of them.
+        let mut problem = Problem::new(h, shape, 50, 1);
+        problem.parameters.fill(0.0);
+        for o in 0..inputs {
+            problem.parameters[o * inputs + o] = sign;
+        }
+        let head = (inputs + 1) * 96;
+        for o in 0..7 {
+            problem.parameters[head + o * 96 + first + o] = 1.0;
+        }
+        let (transforms, _) = problem.device(h, 1)?;
+        let (truth, _) = problem.oracle::<f64>();
+        // Measured 1.2e-7: f32's rounding around 1, twice where the rotation's 1 is added.
+        h.close("encodings", &transforms, &truth, None, Bound { absolute: 4e-7, relative: 0.0 });
+    }
+    Ok(())
+}

@@ -1,0 +1,326 @@
+//! COLMAP models, binary and text.
+//!
+//! Format: COLMAP's documentation, "Output Format". Poses are `view_from_world` with OpenCV axes and
+//! quaternions (w, x, y, z); pixel centres lie at +0.5. Both are the crate's own conventions.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use glam::{DQuat, DVec3};
+
+use super::{Dataset, Distortion, Frame, Point, fit_to_image, images, missing_note};
+use crate::io::{self, Bytes};
+use crate::types::{Camera, Intrinsics, Pose};
+use crate::{Error, Result};
+
+/// A camera model with its lens.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lens {
+    /// Focal lengths, principal point, size.
+    pub intrinsics: Intrinsics,
+    /// What the lens bends.
+    pub distortion: Distortion,
+}
+
+/// A registered image.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Registered {
+    /// Its path below the image folder.
+    pub name: String,
+    /// The key into [`Model::lenses`].
+    pub camera: u32,
+    /// World to camera.
+    pub view_from_world: Pose,
+}
+
+/// A COLMAP model.
+#[derive(Clone, Debug, Default)]
+pub struct Model {
+    /// Cameras by their id.
+    pub lenses: HashMap<u32, Lens>,
+    /// Images in file order.
+    pub images: Vec<Registered>,
+    /// Triangulated points; those not finite are left out.
+    pub points: Vec<Point>,
+}
+
+/// The folder below `root` that holds a model, if there is one.
+pub fn find(root: &Path) -> Option<PathBuf> {
+    ["sparse/0", "sparse", "colmap/sparse/0", "."]
+        .iter()
+        .map(|folder| root.join(folder))
+        .find(|folder| folder.join("cameras.bin").is_file() || folder.join("cameras.txt").is_file())
+}
+
+/// Reads a dataset: the model in `model`, the pictures in `root/images`, `root/input` or `root`.
+/// Frames come in the natural order of their names; pictures that do not exist are skipped and
+/// counted in a note.
+pub fn read(root: &Path, model: &Path) -> Result<Dataset> {
+    let Model { lenses, mut images, points } = read_model(model)?;
+    images.sort_by(|a, b| images::natural(&a.name, &b.name));
+    let folders: Vec<PathBuf> = ["images", "input", ""].iter().map(|f| root.join(f)).collect();
+    let mut set = Dataset { points, ..Dataset::default() };
+    let (listed, mut missing) = (images.len(), Vec::new());
+    for image in images {
+        let lens = lenses.get(&image.camera).ok_or_else(|| {
+            let what =
+                format!("image {} names camera {}, which is absent", image.name, image.camera);
+            Error::format(model, what)
+        })?;
+        let found = folders.iter().map(|f| f.join(&image.name)).find(|path| path.is_file());
+        let Some(path) = found else {
+            missing.push(image.name);
+            continue;
+        };
+        let mut camera =
+            Camera { intrinsics: lens.intrinsics, view_from_world: image.view_from_world };
+        fit_to_image(&mut camera, &path)?;
+        let (name, distortion) = (image.name, lens.distortion);
+        set.frames.push(Frame { name, path, time: 0.0, camera, distortion });
+    }
+    if set.frames.is_empty() {
+        return Err(Error::format(
+            root,
+            format!("none of the {listed} images that the COLMAP model lists exists in images/"),
+        ));
+    }
+    set.notes.extend(missing_note(&missing, listed));
+    Ok(set)
+}
+
+/// Reads the three files of a model; binary is preferred where both kinds are there. `points3D` may
+/// be absent.
+pub fn read_model(folder: &Path) -> Result<Model> {
+    let binary = folder.join("cameras.bin").is_file();
+    let file = |stem: &str| folder.join(format!("{stem}.{}", if binary { "bin" } else { "txt" }));
+    let (cameras, images, points) = (file("cameras"), file("images"), file("points3D"));
+    let has_points = points.is_file();
+    Ok(if binary {
+        Model {
+            lenses: binary_cameras(&cameras, &io::read(&cameras)?)?,
+            images: binary_images(&images, &io::read(&images)?)?,
+            points: match has_points {
+                true => binary_points(&points, &io::read(&points)?)?,
+                false => Vec::new(),
+            },
+        }
+    } else {
+        Model {
+            lenses: text_cameras(&cameras, &io::read_text(&cameras)?)?,
+            images: text_images(&images, &io::read_text(&images)?)?,
+            points: match has_points {
+                true => text_points(&points, &io::read_text(&points)?)?,
+                false => Vec::new(),
+            },
+        }
+    })
+}
+
+/// COLMAP's camera models in the order of their ids, with their numbers of parameters.
+const MODELS: [(&str, usize); 11] = [
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12),
+    ("FOV", 5),
+    ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5),
+    ("THIN_PRISM_FISHEYE", 12),
+];
+
+/// The lens of a model's parameters.
+fn lens(path: &Path, id: u32, model: &str, size: (u64, u64), p: &[f64]) -> Result<Lens> {
+    let bad = |what: String| Error::format(path, format!("camera {id}: {what}"));
+    let side = |side: u64| match u32::try_from(side) {
+        Ok(side) if side > 0 => Ok(side),
+        _ => Err(bad(format!("a size of {}×{} makes no sense", size.0, size.1))),
+    };
+    let (width, height) = (side(size.0)?, side(size.1)?);
+    let at = |fx, fy, cx, cy| Intrinsics { fx, fy, cx, cy, width, height };
+    let bent = |k1, k2, p1, p2| Distortion { radial: [k1, k2, 0.0, 0.0], tangential: [p1, p2] };
+    let (intrinsics, distortion) = match (model, p) {
+        ("SIMPLE_PINHOLE", &[f, cx, cy]) => (at(f, f, cx, cy), Distortion::default()),
+        ("PINHOLE", &[fx, fy, cx, cy]) => (at(fx, fy, cx, cy), Distortion::default()),
+        ("SIMPLE_RADIAL", &[f, cx, cy, k]) => (at(f, f, cx, cy), bent(k, 0.0, 0.0, 0.0)),
+        ("RADIAL", &[f, cx, cy, k1, k2]) => (at(f, f, cx, cy), bent(k1, k2, 0.0, 0.0)),
+        ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => (at(fx, fy, cx, cy), bent(k1, k2, p1, p2)),
+        _ => {
+            return Err(bad(format!(
+                "model {model} with {} parameters is not supported (SIMPLE_PINHOLE, PINHOLE, \
+                 SIMPLE_RADIAL, RADIAL and OPENCV are); run `colmap image_undistorter` first",
+                p.len()
+            )));
+        }
+    };
+    if !p.iter().all(|v| v.is_finite()) || intrinsics.fx <= 0.0 || intrinsics.fy <= 0.0 {
+        return Err(bad(format!("parameters {p:?} make no sense")));
+    }
+    Ok(Lens { intrinsics, distortion })
+}
+
+/// The pose of a quaternion (w, x, y, z) and a translation.
+fn pose(path: &Path, name: &str, q: [f64; 4], t: [f64; 3]) -> Result<Pose> {
+    let rotation = DQuat::from_xyzw(q[1], q[2], q[3], q[0]);
+    let length = rotation.length();
+    if !(length > 1e-6 && length.is_finite() && t.iter().all(|v| v.is_finite())) {
+        return Err(Error::format(
+            path,
+            format!("image {name}: its pose {q:?} {t:?} makes no sense"),
+        ));
+    }
+    Ok(Pose::new(rotation, DVec3::from_array(t)))
+}
+
+fn point(position: [f64; 3], colour: [u8; 3]) -> Option<Point> {
+    let position = position.map(|v| v as f32);
+    let finite = position.iter().all(|v| v.is_finite());
+    finite.then(|| Point { position, colour: colour.map(|v| f32::from(v) / 255.0) })
+}
+
+fn binary_cameras(path: &Path, bytes: &[u8]) -> Result<HashMap<u32, Lens>> {
+    let mut from = Bytes::new(path, bytes);
+    let count = from.count(24, "cameras")?;
+    let mut lenses = HashMap::with_capacity(count);
+    for _ in 0..count {
+        let id = from.u32("a camera's id")?;
+        let model = from.i32("a camera's model")?;
+        let size = (from.u64("a camera's width")?, from.u64("a camera's height")?);
+        let known = usize::try_from(model).ok().and_then(|m| MODELS.get(m));
+        let &(model, parameters) = known.ok_or_else(|| {
+            Error::format(path, format!("camera {id}: there is no camera model {model}"))
+        })?;
+        let parameters = (0..parameters)
+            .map(|_| from.f64("a camera's parameters"))
+            .collect::<Result<Vec<f64>>>()?;
+        lenses.insert(id, lens(path, id, model, size, &parameters)?);
+    }
+    Ok(lenses)
+}
+
+fn binary_images(path: &Path, bytes: &[u8]) -> Result<Vec<Registered>> {
+    let mut from = Bytes::new(path, bytes);
+    let count = from.count(73, "images")?;
+    let mut images = Vec::with_capacity(count);
+    for _ in 0..count {
+        from.u32("an image's id")?;
+        let (mut q, mut t) = ([0.0; 4], [0.0; 3]);
+        for value in q.iter_mut().chain(&mut t) {
+            *value = from.f64("an image's pose")?;
+        }
+        let camera = from.u32("an image's camera")?;
+        let name = from.text("an image's name")?;
+        let observations = from.count(24, "observations")?;
+        from.take(24 * observations, "an image's observations")?;
+        let view_from_world = pose(path, &name, q, t)?;
+        images.push(Registered { name, camera, view_from_world });
+    }
+    Ok(images)
+}
+
+fn binary_points(path: &Path, bytes: &[u8]) -> Result<Vec<Point>> {
+    let mut from = Bytes::new(path, bytes);
+    let count = from.count(51, "points")?;
+    let mut points = Vec::with_capacity(count);
+    for _ in 0..count {
+        from.u64("a point's id")?;
+        let mut position = [0.0; 3];
+        for value in &mut position {
+            *value = from.f64("a point's position")?;
+        }
+        let colour = from.array("a point's colour")?;
+        from.f64("a point's error")?;
+        let track = from.count(8, "track elements")?;
+        from.take(8 * track, "a point's track")?;
+        points.extend(point(position, colour));
+    }
+    Ok(points)
+}
+
+/// The words of one line of a text file, read one after another.
+struct Line<'a> {
+    path: &'a Path,
+    number: usize,
+    words: std::str::SplitAsciiWhitespace<'a>,
+}
+
+impl<'a> Line<'a> {
+    fn next<T: FromStr>(&mut self, what: &str) -> Result<T> {
+        self.words.next().and_then(|word| word.parse().ok()).ok_or_else(|| {
+            Error::format(self.path, format!("line {}: {what} expected", self.number))
+        })
+    }
+}
+
+/// The lines that hold data, without comments; the caller decides what an empty one means.
+fn lines<'a>(path: &'a Path, text: &'a str) -> impl Iterator<Item = (&'a str, Line<'a>)> {
+    text.lines().enumerate().filter(|(_, line)| !line.trim_start().starts_with('#')).map(
+        move |(i, line)| (line, Line { path, number: i + 1, words: line.split_ascii_whitespace() }),
+    )
+}
+
+fn text_cameras(path: &Path, text: &str) -> Result<HashMap<u32, Lens>> {
+    let mut lenses = HashMap::new();
+    for (line, mut words) in lines(path, text) {
+        if line.trim().is_empty() {
+            continue;
+        }
+        let id = words.next("a camera's id")?;
+        let model: String = words.next("a camera's model")?;
+        let size = (words.next("a width")?, words.next("a height")?);
+        let mut parameters = Vec::new();
+        while words.words.clone().next().is_some() {
+            parameters.push(words.next("a camera's parameter")?);
+        }
+        lenses.insert(id, lens(path, id, &model, size, &parameters)?);
+    }
+    Ok(lenses)
+}
+
+fn text_images(path: &Path, text: &str) -> Result<Vec<Registered>> {
+    let mut images = Vec::new();
+    let mut lines = lines(path, text);
+    while let Some((line, mut words)) = lines.next() {
+        if line.trim().is_empty() {
+            continue;
+        }
+        words.next::<u32>("an image's id")?;
+        let (mut q, mut t) = ([0.0; 4], [0.0; 3]);
+        for value in q.iter_mut().chain(&mut t) {
+            *value = words.next("a number of the pose")?;
+        }
+        let camera = words.next("a camera's id")?;
+        // The name is the rest of the line: it may hold spaces.
+        let name = words.words.by_ref().collect::<Vec<_>>().join(" ");
+        if name.is_empty() {
+            return Err(Error::format(path, format!("line {}: a name expected", words.number)));
+        }
+        let view_from_world = pose(path, &name, q, t)?;
+        images.push(Registered { name, camera, view_from_world });
+        // The image's observations follow on a line of their own, which may be empty.
+        lines.next();
+    }
+    Ok(images)
+}
+
+fn text_points(path: &Path, text: &str) -> Result<Vec<Point>> {
+    let mut points = Vec::new();
+    for (line, mut words) in lines(path, text) {
+        if line.trim().is_empty() {
+            continue;
+        }
+        words.next::<u64>("a point's id")?;
+        let (mut position, mut colour) = ([0.0; 3], [0; 3]);
+        for value in &mut position {
+            *value = words.next("a coordinate")?;
+        }
+        for value in &mut colour {
+            *value = words.next("a colour from 0 to 255")?;
+        }
+        points.extend(point(position, colour));
+    }
+    Ok(points)
+}

@@ -1,0 +1,229 @@
+//! Image files: decoding, resizing, PNG, masks.
+
+use std::io::Cursor;
+use std::path::Path;
+
+use image::{DynamicImage, ImageDecoder, ImageReader};
+
+use crate::io::{read, write_atomically};
+use crate::types::Image;
+use crate::{Error, Result};
+
+/// Extensions of the image files that are read, in the order in which a missing extension is
+/// guessed.
+pub const EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "webp", "bmp", "tif", "tiff"];
+
+/// Whether the name's ending is one of [`EXTENSIONS`], in any case.
+pub fn has_image_extension(path: &Path) -> bool {
+    path.extension()
+        .and_then(|e| e.to_str())
+        .is_some_and(|e| EXTENSIONS.contains(&e.to_ascii_lowercase().as_str()))
+}
+
+/// Whether to turn an image as its EXIF orientation says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Orientation {
+    /// Upright, as a viewer shows it: for pictures whose cameras are not known yet.
+    Upright,
+    /// As stored: COLMAP's and nerfstudio's cameras are of the pixels as they lie in the file.
+    Stored,
+}
+
+/// The size an image is brought to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Resize {
+    /// As it is.
+    #[default]
+    Keep,
+    /// Exactly this width and height.
+    To(u32, u32),
+    /// This width; the height keeps the proportions.
+    Width(u32),
+    /// The longer side has at most so many pixels; a smaller image is left alone.
+    Longest(u32),
+}
+
+impl Resize {
+    /// The size that an image of `width` × `height` is brought to, at least 1×1.
+    pub fn target(self, width: u32, height: u32) -> (u32, u32) {
+        let scaled = |side: u32, to: u32, from: u32| {
+            ((f64::from(side) * f64::from(to) / f64::from(from.max(1))).round() as u32).max(1)
+        };
+        match self {
+            Resize::Keep => (width, height),
+            Resize::To(w, h) => (w.max(1), h.max(1)),
+            Resize::Width(w) => (w.max(1), scaled(height, w.max(1), width)),
+            Resize::Longest(most) if width.max(height) <= most => (width, height),
+            Resize::Longest(most) => {
+                let longest = width.max(height);
+                (scaled(width, most, longest), scaled(height, most, longest))
+            }
+        }
+    }
+}
+
+/// Width and height of an image file, from its header.
+pub fn dimensions(path: &Path, orientation: Orientation) -> Result<(u32, u32)> {
+    let file = std::fs::File::open(path).map_err(Error::io(path))?;
+    let reader = ImageReader::new(std::io::BufReader::new(file));
+    let reader = reader.with_guessed_format().map_err(Error::io(path))?;
+    let mut decoder = reader.into_decoder().map_err(|e| undecodable(path, &e))?;
+    let (width, height) = decoder.dimensions();
+    let turned = orientation == Orientation::Upright && turns(&mut decoder);
+    Ok(if turned { (height, width) } else { (width, height) })
+}
+
+/// Whether the EXIF orientation swaps width and height.
+fn turns(decoder: &mut impl ImageDecoder) -> bool {
+    use image::metadata::Orientation::*;
+    matches!(decoder.orientation(), Ok(Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH))
+}
+
+/// Decodes an image file to RGB in [0, 1], the file's encoded values untouched (no gamma). Where
+/// there is an alpha channel, the colour is laid over `background`. Grey becomes RGB.
+///
+/// # Errors
+/// [`Error::Io`] where the file cannot be read, [`Error::Format`] where it is no image.
+pub fn decode_rgb(path: &Path, background: [f32; 3], orientation: Orientation) -> Result<Image> {
+    rgb_over(decode(path, orientation)?, background)
+}
+
+/// Decodes bytes as [`decode_rgb`] does; `path` is for the messages.
+fn decode(path: &Path, orientation: Orientation) -> Result<DynamicImage> {
+    let bytes = read(path)?;
+    let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format();
+    let mut decoder =
+        reader.map_err(Error::io(path))?.into_decoder().map_err(|e| undecodable(path, &e))?;
+    let turn = decoder.orientation();
+    let mut image = DynamicImage::from_decoder(decoder).map_err(|e| undecodable(path, &e))?;
+    if let (Orientation::Upright, Ok(turn)) = (orientation, turn) {
+        image.apply_orientation(turn);
+    }
+    Ok(image)
+}
+
+fn undecodable(path: &Path, error: &image::ImageError) -> Error {
+    Error::format(path, format!("cannot be read as an image: {error}"))
+}
+
+fn rgb_over(image: DynamicImage, background: [f32; 3]) -> Result<Image> {
+    let (width, height) = (image.width(), image.height());
+    let pixels = if image.color().has_alpha() {
+        let over = |rgba: &[f32]| {
+            let alpha = rgba[3];
+            std::array::from_fn::<f32, 3, _>(|c| rgba[c] * alpha + background[c] * (1.0 - alpha))
+        };
+        image.into_rgba32f().as_raw().chunks_exact(4).flat_map(over).collect()
+    } else {
+        image.into_rgb32f().into_raw()
+    };
+    Ok(Image { width, height, channels: 3, pixels })
+}
+
+/// Brings an image of 1 or 3 channels to a size: an antialiased cubic filter (Catmull-Rom, its
+/// support widened when shrinking), result clamped to [0, 1].
+pub fn resize(image: &Image, width: u32, height: u32) -> Image {
+    use image::{ImageBuffer, Luma, Rgb, imageops};
+    if (image.width, image.height) == (width, height) {
+        return image.clone();
+    }
+    let filter = imageops::FilterType::CatmullRom;
+    let mut pixels = match image.channels {
+        3 => {
+            let buffer: ImageBuffer<Rgb<f32>, &[f32]> =
+                ImageBuffer::from_raw(image.width, image.height, &image.pixels[..])
+                    .expect("an Image holds width × height × channels values");
+            imageops::resize(&buffer, width, height, filter).into_raw()
+        }
+        1 => {
+            let buffer: ImageBuffer<Luma<f32>, &[f32]> =
+                ImageBuffer::from_raw(image.width, image.height, &image.pixels[..])
+                    .expect("an Image holds width × height × channels values");
+            imageops::resize(&buffer, width, height, filter).into_raw()
+        }
+        channels => panic!("resize takes 1 or 3 channels, not {channels}"),
+    };
+    pixels.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
+    Image { width, height, channels: image.channels, pixels }
+}
+
+/// Writes an 8-bit PNG of 1 (grey), 3 (RGB) or 4 (RGBA, not premultiplied) channels by rename.
+/// Values are clamped to [0, 1] and rounded, without any gamma; NaN becomes 0.
+pub fn write_png(path: impl AsRef<Path>, image: &Image) -> Result<()> {
+    let path = path.as_ref();
+    let colour = match image.channels {
+        1 => image::ColorType::L8,
+        3 => image::ColorType::Rgb8,
+        4 => image::ColorType::Rgba8,
+        n => {
+            return Err(Error::Shape {
+                op: "write_png",
+                arg: "channels",
+                expected: "1, 3 or 4".into(),
+                actual: n as usize,
+            });
+        }
+    };
+    let bytes: Vec<u8> = image.pixels.iter().map(|&v| (v * 255.0).round() as u8).collect();
+    write_atomically(path, |sink| {
+        use image::ImageEncoder;
+        image::codecs::png::PngEncoder::new(sink)
+            .write_image(&bytes, image.width, image.height, colour.into())
+            .map_err(std::io::Error::other)
+    })
+}
+
+/// Reads a mask: one channel, 1 where the file's luminance is half or more, else 0.
+pub fn read_mask(path: impl AsRef<Path>) -> Result<Image> {
+    let grey = decode(path.as_ref(), Orientation::Stored)?.into_luma8();
+    let (width, height) = grey.dimensions();
+    let pixels = grey.as_raw().iter().map(|&v| if v >= 128 { 1.0 } else { 0.0 }).collect();
+    Ok(Image { width, height, channels: 1, pixels })
+}
+
+/// Writes a mask of one channel as a PNG of 0 and 255.
+pub fn write_mask(path: impl AsRef<Path>, mask: &Image) -> Result<()> {
+    let pixels = mask.pixels.iter().map(|&v| if v >= 0.5 { 1.0 } else { 0.0 }).collect();
+    write_png(path, &Image { pixels, ..*mask })
+}
+
+/// Image files directly in a folder, in natural order (2 before 10); hidden ones are left out.
+pub fn list(folder: &Path) -> Result<Vec<std::path::PathBuf>> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(Error::io(folder))? {
+        let path = entry.map_err(Error::io(folder))?.path();
+        let hidden = path.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.'));
+        if !hidden && has_image_extension(&path) && path.is_file() {
+            found.push(path);
+        }
+    }
+    found.sort_by(|a, b| natural(&a.to_string_lossy(), &b.to_string_lossy()));
+    Ok(found)
+}
+
+/// Natural order: runs of digits compare as numbers.
+pub fn natural(a: &str, b: &str) -> std::cmp::Ordering {
+    let (mut x, mut y) = (a.as_bytes(), b.as_bytes());
+    while let (Some(&p), Some(&q)) = (x.first(), y.first()) {
+        let order = if p.is_ascii_digit() && q.is_ascii_digit() {
+            let (m, n) = (number(&mut x), number(&mut y));
+            m.len().cmp(&n.len()).then_with(|| m.cmp(n))
+        } else {
+            (x, y) = (&x[1..], &y[1..]);
+            p.cmp(&q)
+        };
+        if order.is_ne() {
+            return order;
+        }
+    }
+    // Names equal but for leading zeros still need one order.
+    x.len().cmp(&y.len()).then_with(|| a.cmp(b))
+}
+
+/// Cuts the run of digits off the front and gives it without leading zeros.
+fn number<'a>(text: &mut &'a [u8]) -> &'a [u8] {
+    let length = text.iter().position(|b| !b.is_ascii_digit()).unwrap_or(text.len());
+    let (digits, rest) = text.split_at(length);
+    *text = rest;
+    &digits[digits.iter().position(|&d| d != b'0').unwrap_or(length)..]
+}

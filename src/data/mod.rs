@@ -1,0 +1,205 @@
+//! Readers and writers of what comes from outside: datasets with known cameras
+//! ([`Dataset`]: COLMAP, nerfstudio / instant-ngp `transforms.json`, D-NeRF), clips without
+//! ([`Clip`]: a video or a folder of images), and the small files that go with them.
+//!
+//! Cameras are the crate's own everywhere (OpenCV axes, `view_from_world`, pinhole); each reader
+//! converts on its way in.
+
+pub mod clip;
+pub mod colmap;
+pub mod distortion;
+pub mod exif;
+pub mod exr;
+pub mod flo;
+pub mod images;
+pub mod intrinsics;
+pub mod points;
+pub mod synth;
+pub mod trajectory;
+pub mod transforms;
+pub mod video;
+
+pub use clip::{Clip, ClipFrame, ClipOptions};
+pub use distortion::Distortion;
+pub use images::{Resize, read_mask, write_mask, write_png};
+pub use points::Point;
+
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+
+use crate::types::{Camera, Image};
+use crate::{Error, Result};
+
+/// One picture of a dataset, not decoded yet.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// Its name in the dataset: unique, and what messages call it.
+    pub name: String,
+    /// Where the picture lies.
+    pub path: PathBuf,
+    /// In [0, 1].
+    pub time: f64,
+    /// The camera at the picture's own size; a pinhole once the distortion is removed.
+    pub camera: Camera,
+    /// What [`Frame::load`] removes.
+    pub distortion: Distortion,
+}
+
+/// A picture with its camera, ready to train on.
+#[derive(Clone, Debug)]
+pub struct View {
+    /// As [`Frame::name`].
+    pub name: String,
+    /// In [0, 1].
+    pub time: f64,
+    /// A pinhole; its size is the picture's.
+    pub camera: Camera,
+    /// RGB in [0, 1].
+    pub image: Image,
+    /// One channel, 1 where the picture is real and 0 where undistortion had nothing to put; `None`
+    /// where all of it is real.
+    pub valid: Option<Image>,
+}
+
+impl Frame {
+    /// Decodes the picture, lays it over the background where it has an alpha channel, removes the
+    /// distortion, then resizes; the camera follows.
+    pub fn load(&self, background: [f32; 3], size: Resize) -> Result<View> {
+        let mut image = images::decode_rgb(&self.path, background, images::Orientation::Stored)?;
+        let mut camera = self.camera;
+        let k = &camera.intrinsics;
+        if (image.width, image.height) != (k.width, k.height) {
+            let what = format!(
+                "is {}×{}, and was {}×{} when the dataset was opened",
+                image.width, image.height, k.width, k.height
+            );
+            return Err(Error::format(&self.path, what));
+        }
+        let mut valid = None;
+        if !self.distortion.is_none() {
+            (image, valid) = self.distortion.undistort(&image, &camera.intrinsics);
+        }
+        let (width, height) = size.target(image.width, image.height);
+        if (width, height) != (image.width, image.height) {
+            image = images::resize(&image, width, height);
+            // A shrunken pixel is real only where all that it averages is.
+            valid = valid.map(|v| {
+                let mut v = images::resize(&v, width, height);
+                v.pixels.iter_mut().for_each(|p| *p = if *p > 0.999 { 1.0 } else { 0.0 });
+                v
+            });
+            camera.intrinsics = camera.intrinsics.resized(width, height);
+        }
+        Ok(View { name: self.name.clone(), time: self.time, camera, image, valid })
+    }
+}
+
+/// Pictures with known cameras.
+#[derive(Clone, Debug, Default)]
+pub struct Dataset {
+    /// All frames, training and test: of a split set the training frames first, each part in the
+    /// order of its file or of its names.
+    pub frames: Vec<Frame>,
+    /// The coloured points that came along; empty where there are none.
+    pub points: Vec<Point>,
+    /// What the set's own split holds out, as indices into `frames`; `None` where it has no split.
+    pub test: Option<Vec<usize>>,
+    /// Whether the set gave times; if not, they run from 0 to 1 in the order of the frames.
+    pub timed: bool,
+    /// What lies behind pictures with an alpha channel: white, as D-NeRF and NeRF-synthetic do.
+    pub background: [f32; 3],
+    /// Lines to show: what was skipped or assumed.
+    pub notes: Vec<String>,
+}
+
+impl Dataset {
+    /// Opens a dataset: a folder, or a `transforms*.json` itself. Which kind it is shows in the files:
+    /// `transforms.json`, or `transforms_train.json` (D-NeRF and its kin), or a COLMAP model
+    /// (`cameras.bin` or `.txt`) in `sparse/0`, `sparse`, `colmap/sparse/0` or the folder itself.
+    /// Only the pictures' headers are read here.
+    ///
+    /// # Errors
+    /// The folder is missing or of no known kind, a file is damaged, or no picture exists.
+    pub fn open(path: impl AsRef<Path>) -> Result<Dataset> {
+        let path = path.as_ref();
+        let found = std::fs::metadata(path).map_err(Error::io(path))?;
+        let mut set = if found.is_file() {
+            if path.extension().is_none_or(|e| e != "json") {
+                return Err(Error::format(
+                    path,
+                    "is not a dataset; give its folder or its transforms.json. \
+                     A video whose poses are unknown goes to `splat4d reconstruct`",
+                ));
+            }
+            transforms::read(path)?
+        } else if path.join("transforms.json").is_file() {
+            transforms::read(&path.join("transforms.json"))?
+        } else if path.join("transforms_train.json").is_file() {
+            transforms::read_split(path)?
+        } else if let Some(model) = colmap::find(path) {
+            colmap::read(path, &model)?
+        } else {
+            return Err(Error::format(
+                path,
+                "holds no transforms.json, transforms_train.json or COLMAP model \
+                 (sparse/0/cameras.bin). Images or a video whose poses are unknown go to \
+                 `splat4d reconstruct`",
+            ));
+        };
+        set.background = [1.0; 3];
+        if !set.timed {
+            let last = set.frames.len().saturating_sub(1).max(1) as f64;
+            for (i, frame) in set.frames.iter_mut().enumerate() {
+                frame.time = i as f64 / last;
+            }
+        }
+        Ok(set)
+    }
+
+    /// Which frames to train on and which to hold out, in that order: the set's own split where it
+    /// has one, else every `every`-th frame is held out, beginning with the first; 0 holds out none.
+    pub fn split(&self, every: usize) -> (Vec<usize>, Vec<usize>) {
+        let held = |i: &usize| match &self.test {
+            Some(test) => test.contains(i),
+            None => every > 0 && i.is_multiple_of(every),
+        };
+        let (test, train) = (0..self.frames.len()).partition(held);
+        (train, test)
+    }
+
+    /// Loads frames, decoding on all cores; the order is that of `indices`.
+    pub fn load(&self, indices: &[usize], size: Resize) -> Result<Vec<View>> {
+        indices.par_iter().map(|&i| self.frames[i].load(self.background, size)).collect()
+    }
+}
+
+/// Brings a camera to the size that its picture has: sets are often kept at a fraction of the size
+/// they were calibrated at.
+fn fit_to_image(camera: &mut Camera, path: &Path) -> Result<()> {
+    let (width, height) = images::dimensions(path, images::Orientation::Stored)?;
+    let k = camera.intrinsics;
+    let (sx, sy) = (f64::from(width) / f64::from(k.width), f64::from(height) / f64::from(k.height));
+    // Halving an odd side rounds: one pixel is allowed beyond equal proportions.
+    let off = (sx / sy - 1.0).abs() - 1.0 / f64::from(width.min(height));
+    if off > 0.01 {
+        return Err(Error::format(
+            path,
+            format!(
+                "is {width}×{height}, but its camera is of {}×{}: other proportions",
+                k.width, k.height
+            ),
+        ));
+    }
+    camera.intrinsics = k.resized(width, height);
+    Ok(())
+}
+
+/// The one line about pictures that a set lists and does not have.
+fn missing_note(missing: &[String], listed: usize) -> Option<String> {
+    let first = missing.first()?;
+    Some(format!(
+        "skipped {} of {listed} listed images that do not exist ({first} …)",
+        missing.len()
+    ))
+}

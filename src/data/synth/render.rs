@@ -1,0 +1,287 @@
+//! Pixels and truth of one moment: colour, depth, flow, masks, visibility.
+
+use std::f64::consts::TAU;
+
+use glam::{DVec2, DVec3, Vec3};
+use rayon::prelude::*;
+
+use super::scene::{Part, Scene};
+use super::trace::{Bvh, Hit};
+use crate::types::{Camera, Image};
+
+/// Rays of a pixel, along each axis. Fine detail is a few pixels wide at the nominal size.
+const SAMPLES: usize = 4;
+/// Rays that measure how open the surroundings of a vertex are.
+const OPENNESS_RAYS: usize = 48;
+/// Surroundings farther than this do not darken a vertex.
+const OPENNESS_REACH: f64 = 0.9;
+
+/// What does not change over a clip: the triangles of all parts together, and the light on them.
+pub(super) struct Geometry {
+    parts: Vec<Part>,
+    triangles: Vec<[u32; 3]>,
+    /// The part of each triangle.
+    part_of: Vec<u32>,
+    texture: Vec<Vec3>,
+    /// Light baked at rest: a surface keeps its brightness however it moves and from wherever it
+    /// is seen, which is what makes the flow's truth exact in the pixels as well.
+    light: Vec<f32>,
+}
+
+/// The geometry at one time.
+pub(super) struct Moment {
+    positions: Vec<DVec3>,
+    bvh: Bvh,
+}
+
+/// What a camera sees at the pixels' centres, and where that goes.
+pub(super) struct Truth {
+    /// One channel: z in the camera.
+    pub depth: Image,
+    /// One channel: 1 where something that moves is seen.
+    pub mask: Image,
+    /// To each of the other moments asked for.
+    pub flows: Vec<Flow>,
+}
+
+/// Where the surface points of one frame's pixel centres are in another frame.
+pub(super) struct Flow {
+    /// Two channels: displacement in pixels; NaN for a point behind the other camera.
+    pub flow: Image,
+    /// One channel: 1 where the point is seen in the other frame.
+    pub visible: Image,
+}
+
+impl Geometry {
+    pub fn new(scene: Scene) -> Geometry {
+        let mut geometry = Geometry {
+            triangles: Vec::new(),
+            part_of: Vec::new(),
+            texture: Vec::new(),
+            light: Vec::new(),
+            parts: scene.parts,
+        };
+        let mut still = Vec::new();
+        for (index, part) in (0u32..).zip(&geometry.parts) {
+            let offset = geometry.texture.len() as u32;
+            let triangles = part.mesh.triangles.iter().map(|t| t.map(|v| v + offset));
+            if part.motion.is_none() {
+                still.extend(triangles.clone());
+            }
+            geometry.triangles.extend(triangles);
+            geometry.part_of.resize(geometry.triangles.len(), index);
+            geometry.texture.extend(part.mesh.vertices.iter().map(|v| v.texture));
+        }
+        let vertices = || geometry.parts.iter().flat_map(|part| &part.mesh.vertices);
+        let rest: Vec<DVec3> = vertices().map(|v| v.position).collect();
+        let surroundings = Bvh::build(&rest, &still);
+        geometry.light = geometry
+            .parts
+            .par_iter()
+            .flat_map(|part| {
+                // What moves casts no shadow and takes none: it would slide over the surface.
+                let open = part.motion.is_none().then_some(&surroundings);
+                part.mesh.vertices.par_iter().map(move |v| light(v.position, v.normal, open))
+            })
+            .collect();
+        geometry
+    }
+
+    /// The geometry at a time in [0, 1].
+    pub fn at(&self, time: f64) -> Moment {
+        let place = |part: &Part, rest| part.motion.as_ref().map_or(rest, |m| m(rest, time));
+        let positions: Vec<DVec3> = self
+            .parts
+            .iter()
+            .flat_map(|part| part.mesh.vertices.iter().map(move |v| place(part, v.position)))
+            .collect();
+        let bvh = Bvh::build(&positions, &self.triangles);
+        Moment { positions, bvh }
+    }
+
+    fn colour(&self, hit: &Hit) -> Vec3 {
+        let corners = self.triangles[hit.triangle as usize].map(|v| v as usize);
+        let [b, c] = hit.weights.map(|w| w as f32);
+        let weights = [1.0 - b - c, b, c];
+        let mut point = Vec3::ZERO;
+        let mut light = 0.0;
+        for (corner, weight) in corners.into_iter().zip(weights) {
+            point += self.texture[corner] * weight;
+            light += self.light[corner] * weight;
+        }
+        let material = &self.parts[self.part_of[hit.triangle as usize] as usize].material;
+        (material.colour(point) * light).clamp(Vec3::ZERO, Vec3::ONE)
+    }
+
+    /// The picture that a camera takes: three channels, each pixel the mean over its area.
+    pub fn picture(&self, moment: &Moment, camera: &Camera) -> Image {
+        let view = View::new(camera);
+        let Image { width, height, .. } = Image::new(view.width, view.height, 0);
+        let rows: Vec<Vec<f32>> = (0..height)
+            .into_par_iter()
+            .map(|y| {
+                let mut guess = None;
+                let pixel = |x| self.pixel(moment, &view, x, y, &mut guess).to_array();
+                (0..width).flat_map(pixel).collect()
+            })
+            .collect();
+        Image { width, height, channels: 3, pixels: rows.concat() }
+    }
+
+    /// The mean colour of a pixel. Where the four outermost rays meet one triangle, so do those
+    /// between them (but for something thinner than a pixel), and need no search.
+    fn pixel(&self, moment: &Moment, view: &View, x: u32, y: u32, guess: &mut Option<u32>) -> Vec3 {
+        let place = |i: usize| (i as f64 + 0.5) / SAMPLES as f64;
+        let ray = |i, j| view.ray(DVec2::new(x as f64 + place(i), y as f64 + place(j)));
+        let last = SAMPLES - 1;
+        let corners = [(0, 0), (last, 0), (0, last), (last, last)].map(|(i, j)| {
+            let hit = moment.bvh.nearest(view.centre, ray(i, j), *guess);
+            *guess = hit.map(|h| h.triangle);
+            *guess
+        });
+        let whole = corners[0].filter(|_| corners.iter().all(|c| *c == corners[0]));
+        let mut sum = Vec3::ZERO;
+        for j in 0..SAMPLES {
+            for i in 0..SAMPLES {
+                let hit = match whole {
+                    Some(triangle) => moment.bvh.on_plane(triangle, view.centre, ray(i, j)),
+                    None => moment.bvh.nearest(view.centre, ray(i, j), *guess),
+                };
+                sum += hit.map_or(Vec3::ZERO, |h| self.colour(&h));
+            }
+        }
+        sum / (SAMPLES * SAMPLES) as f32
+    }
+
+    /// Depth and mask of a frame, and the flow from it to others.
+    pub fn truth(&self, here: (&Moment, &Camera), others: &[(&Moment, &Camera)]) -> Truth {
+        let (moment, camera) = here;
+        let view = View::new(camera);
+        let (width, height) = (view.width, view.height);
+        let image = |channels| Image::new(width, height, channels);
+        let mut truth = Truth {
+            depth: image(1),
+            mask: image(1),
+            flows: others.iter().map(|_| Flow { flow: image(2), visible: image(1) }).collect(),
+        };
+        let hits: Vec<Option<Hit>> = (0..height)
+            .into_par_iter()
+            .flat_map_iter(|y| {
+                let mut guess = None;
+                (0..width)
+                    .map(move |x| (x, y))
+                    .map(|(x, y)| {
+                        let ray = view.ray(DVec2::new(x as f64 + 0.5, y as f64 + 0.5));
+                        let hit = moment.bvh.nearest(view.centre, ray, guess);
+                        guess = hit.map(|h| h.triangle);
+                        hit
+                    })
+                    .collect::<Vec<_>>()
+            })
+            .collect();
+        for (pixel, hit) in hits.iter().enumerate() {
+            if let Some(hit) = hit {
+                let part = self.part_of[hit.triangle as usize] as usize;
+                truth.depth.pixels[pixel] = hit.t as f32;
+                truth.mask.pixels[pixel] = f32::from(self.parts[part].motion.is_some());
+            }
+        }
+        for ((moment, camera), flow) in others.iter().zip(&mut truth.flows) {
+            let there = View::new(camera);
+            flow.flow
+                .pixels
+                .par_chunks_exact_mut(2)
+                .zip(&mut flow.visible.pixels)
+                .zip(&hits)
+                .enumerate()
+                .for_each(|(pixel, ((flow, visible), hit))| {
+                    let (x, y) = (pixel % width as usize, pixel / width as usize);
+                    let from = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+                    let to = hit.and_then(|hit| self.seen_in(&hit, moment, camera, &there));
+                    let (to, seen) = to.unwrap_or((DVec2::NAN, false));
+                    flow.copy_from_slice(&(to - from).as_vec2().to_array());
+                    *visible = f32::from(seen);
+                });
+        }
+        truth
+    }
+
+    /// Where in another camera a surface point is, and whether it is seen there.
+    fn seen_in(
+        &self,
+        hit: &Hit,
+        moment: &Moment,
+        camera: &Camera,
+        view: &View,
+    ) -> Option<(DVec2, bool)> {
+        let [a, b, c] = self.triangles[hit.triangle as usize].map(|v| moment.positions[v as usize]);
+        let [weight_b, weight_c] = hit.weights;
+        let point = a + (b - a) * weight_b + (c - a) * weight_c;
+        let local = camera.view_from_world.apply(point);
+        if local.z <= 0.0 {
+            return None;
+        }
+        let to = camera.intrinsics.project(local);
+        let inside = to.x >= 0.0
+            && to.y >= 0.0
+            && to.x < f64::from(view.width)
+            && to.y < f64::from(view.height);
+        let seen = inside
+            && moment
+                .bvh
+                .nearest(view.centre, view.ray(to), Some(hit.triangle))
+                .is_some_and(|first| first.t > local.z * (1.0 - 1e-4));
+        Some((to, seen))
+    }
+}
+
+/// A camera, as rays want it.
+struct View {
+    camera: Camera,
+    world_from_view: glam::DMat3,
+    centre: DVec3,
+    width: u32,
+    height: u32,
+}
+
+impl View {
+    fn new(camera: &Camera) -> View {
+        View {
+            camera: *camera,
+            world_from_view: camera.view_from_world.rotation_matrix().transpose(),
+            centre: camera.centre(),
+            width: camera.intrinsics.width,
+            height: camera.intrinsics.height,
+        }
+    }
+
+    /// A direction whose z in the camera is 1, so that lengths along it are depths.
+    fn ray(&self, pixel: DVec2) -> DVec3 {
+        self.world_from_view * self.camera.intrinsics.ray(pixel)
+    }
+}
+
+/// Diffuse light at a vertex: a lamp, the sky of the ceiling, and what the surroundings leave open.
+fn light(position: DVec3, normal: DVec3, surroundings: Option<&Bvh>) -> f32 {
+    let lamp = DVec3::new(-0.45, -0.75, -0.55).normalize();
+    let direct = normal.dot(lamp).max(0.0);
+    let ambient = 0.5 - 0.5 * normal.y;
+    let open = surroundings.map_or(1.0, |bvh| openness(position, normal, bvh));
+    ((0.42 + 0.38 * direct + 0.3 * ambient) * (0.4 + 0.6 * open)) as f32
+}
+
+/// The share of the hemisphere, weighted by the cosine, that is clear within reach.
+fn openness(position: DVec3, normal: DVec3, bvh: &Bvh) -> f64 {
+    let (a, b) = normal.any_orthonormal_pair();
+    let origin = position + normal * 1e-3;
+    let clear = (0..OPENNESS_RAYS).filter(|&i| {
+        // A golden-angle spiral over the disc, lifted to the hemisphere.
+        let radius = ((i as f64 + 0.5) / OPENNESS_RAYS as f64).sqrt();
+        let angle = i as f64 * TAU * 0.618_033_988_749_895;
+        let (sin, cos) = angle.sin_cos();
+        let up = normal * (1.0 - radius * radius).sqrt();
+        let direction = (a * cos + b * sin) * radius + up;
+        bvh.nearest(origin, direction, None).is_none_or(|hit| hit.t > OPENNESS_REACH)
+    });
+    clear.count() as f64 / OPENNESS_RAYS as f64
+}

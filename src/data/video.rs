@@ -1,0 +1,144 @@
+//! Video files, through the `ffmpeg` program.
+//!
+//! ffmpeg writes the frames as PPM pictures into a pipe: each carries its own size, so that rotated
+//! phone videos need no case of their own, and nothing touches the disk.
+
+use std::ffi::{OsStr, OsString};
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use super::ClipOptions;
+use super::images::resize;
+use crate::types::Image;
+use crate::{Error, Result};
+
+/// The frames of a video.
+pub struct Decoded {
+    /// Number in the video and picture.
+    pub frames: Vec<(String, Image)>,
+    /// Frames a second of the file, where `ffprobe` tells.
+    pub rate: Option<f64>,
+}
+
+/// Decodes a video with the `ffmpeg` that the system finds.
+pub fn decode(path: &Path, options: &ClipOptions) -> Result<Decoded> {
+    decode_with(OsStr::new("ffmpeg"), OsStr::new("ffprobe"), path, options)
+}
+
+/// Decodes a video with the given programs.
+///
+/// # Errors
+/// The program is missing (the message says how to install it or do without), or it cannot read the
+/// file (the message is its own).
+pub fn decode_with(
+    ffmpeg: &OsStr,
+    ffprobe: &OsStr,
+    path: &Path,
+    options: &ClipOptions,
+) -> Result<Decoded> {
+    // `file:` keeps a name such as `-x.mp4` or `concat:a` from being read as something else.
+    let mut input = OsString::from("file:");
+    input.push(path);
+    let mut command = Command::new(ffmpeg);
+    command.args(["-nostdin", "-v", "error", "-i"]).arg(&input);
+    command.args(["-map", "0:v:0", "-vf"]);
+    command.arg(format!("select=not(mod(n\\,{}))", options.every));
+    // The older spelling of -fps_mode passthrough, which every ffmpeg in use still takes.
+    command.args(["-vsync", "0"]);
+    if let Some(most) = options.max_frames {
+        command.args(["-frames:v", &most.to_string()]);
+    }
+    command.args(["-f", "image2pipe", "-c:v", "ppm", "-pix_fmt", "rgb24", "-"]);
+    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = command.spawn().map_err(|e| match e.kind() {
+        std::io::ErrorKind::NotFound => Error::Input(format!(
+            "{}: reading a video needs the program ffmpeg, which was not found. Install it \
+             (Debian, Ubuntu: apt-get install ffmpeg), or extract the frames elsewhere and give \
+             the folder of images",
+            path.display()
+        )),
+        _ => Error::Failed(format!("{} could not be started: {e}", ffmpeg.display())),
+    })?;
+    let mut errors = child.stderr.take().expect("stderr is piped");
+    // Read beside the frames: a full pipe of messages would stop ffmpeg.
+    let errors = std::thread::spawn(move || {
+        let mut text = Vec::new();
+        // What cannot be read here only shortens a message.
+        let _ = errors.read_to_end(&mut text);
+        String::from_utf8_lossy(&text).into_owned()
+    });
+    let stdout = child.stdout.take().expect("stdout is piped");
+    let frames = read_frames(path, &mut BufReader::with_capacity(1 << 20, stdout), options);
+    if frames.is_err() {
+        // Nobody reads on, so that it would wait forever; it may also be gone already.
+        let _ = child.kill();
+    }
+    let status = child.wait().map_err(Error::io(path))?;
+    let errors = errors.join().unwrap_or_default();
+    let frames = frames?;
+    if !status.success() {
+        let message = errors.trim().lines().last().unwrap_or("no message").to_string();
+        return Err(Error::format(path, format!("ffmpeg cannot read it as a video: {message}")));
+    }
+    Ok(Decoded { frames, rate: rate(ffprobe, &input) })
+}
+
+fn read_frames(
+    path: &Path,
+    from: &mut impl BufRead,
+    options: &ClipOptions,
+) -> Result<Vec<(String, Image)>> {
+    let mut frames = Vec::new();
+    while !from.fill_buf().map_err(Error::io(path))?.is_empty() {
+        let image = read_ppm(from).map_err(Error::io(path))?;
+        let (width, height) = options.size.target(image.width, image.height);
+        let name = format!("{:05}", frames.len() * options.every);
+        frames.push((name, resize(&image, width, height)));
+        let (first, last) = (&frames[0].1, &frames[frames.len() - 1].1);
+        if (first.width, first.height) != (last.width, last.height) {
+            let what = format!("frame {} has another size than the first", frames.len() - 1);
+            return Err(Error::format(path, what));
+        }
+    }
+    Ok(frames)
+}
+
+/// Reads a binary PPM of 8 bits as ffmpeg writes it.
+fn read_ppm(from: &mut impl BufRead) -> std::io::Result<Image> {
+    let odd = || std::io::Error::other("ffmpeg gave something else than a PPM picture");
+    let mut words = Vec::new();
+    while words.len() < 4 {
+        let mut line = Vec::new();
+        if from.by_ref().take(64).read_until(b'\n', &mut line)? == 0 {
+            return Err(odd());
+        }
+        let line = String::from_utf8(line).map_err(|_| odd())?;
+        words.extend(line.split_ascii_whitespace().map(str::to_string));
+    }
+    let number = |word: &str| word.parse::<u32>().ok().filter(|&n| n > 0 && n < 1 << 16);
+    match (words[0].as_str(), number(&words[1]), number(&words[2]), words[3].as_str()) {
+        ("P6", Some(width), Some(height), "255") => {
+            let mut bytes = vec![0; width as usize * height as usize * 3];
+            from.read_exact(&mut bytes)?;
+            let pixels = bytes.iter().map(|&b| f32::from(b) / 255.0).collect();
+            Ok(Image { width, height, channels: 3, pixels })
+        }
+        _ => Err(odd()),
+    }
+}
+
+/// Frames a second; `None` where `ffprobe` is missing or does not know.
+fn rate(ffprobe: &OsStr, input: &OsStr) -> Option<f64> {
+    let output = Command::new(ffprobe)
+        .args(["-v", "error", "-select_streams", "v:0", "-show_entries"])
+        .args(["stream=avg_frame_rate", "-of", "default=nw=1:nk=1"])
+        .arg(input)
+        .stdin(Stdio::null())
+        .output()
+        .ok()?;
+    let text = String::from_utf8(output.stdout).ok()?;
+    let (over, under) = text.trim().split_once('/')?;
+    let rate = over.parse::<f64>().ok()? / under.parse::<f64>().ok()?;
+    (rate.is_finite() && rate > 0.0).then_some(rate)
+}

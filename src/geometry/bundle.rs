@@ -1,0 +1,439 @@
+//! Bundle adjustment: camera poses, one shared focal length, and an inverse depth per point.
+//!
+//! A point is a pixel of its reference frame r and an inverse depth d along that pixel's ray. With
+//! `G = view_from_world` and `t_from_r = G_t G_r⁻¹`, it is seen in frame t at
+//! `Π(R ray + d t)`, which stays defined at d = 0, a point at infinity. This is the parametrisation
+//! of dense bundle adjustment (DROID-SLAM, Teed and Deng 2021), here over sparse observations with
+//! a robust kernel, since flow brings no learned weights.
+//!
+//! The normal equations are reduced to the cameras by the Schur complement over the inverse depths
+//! (one scalar a point), and solved densely by Cholesky inside Levenberg–Marquardt. The focal
+//! length is one more camera column, as log f; it is released only when the data determine it
+//! ([`FocalMode::Gated`], MegaSaM's Hessian gate put as a standard deviation).
+//!
+//! Gauge: the first frame is held when none is marked fixed; the overall scale, where nothing
+//! anchors it, is held by keeping the median inverse depth what it was on entry.
+
+mod normal;
+mod residual;
+
+use crate::error::{Error, Result};
+use crate::types::{Intrinsics, Pose};
+use glam::DVec2;
+use normal::{Layout, NormalEquations};
+pub use residual::{Jacobian, project};
+
+/// A point: a pixel of a frame, and how far along its ray the point lies.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Point {
+    /// Index of the frame that the pixel belongs to.
+    pub frame: usize,
+    /// Pixel in that frame; taken as exact.
+    pub pixel: DVec2,
+    /// 1 / depth (z) in that frame, in 1 / world units; 0 for a point at infinity.
+    pub inverse_depth: f64,
+    /// What is known about it beforehand.
+    pub prior: Option<DepthPrior>,
+}
+
+/// Prior knowledge of a point's inverse depth: adds `weight · (d − inverse_depth)²` to the cost.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DepthPrior {
+    /// The expected inverse depth.
+    pub inverse_depth: f64,
+    /// Pixels² per (inverse depth)², not negative.
+    pub weight: f64,
+}
+
+/// A point seen in another frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Observation {
+    /// Index of the point.
+    pub point: usize,
+    /// Index of the frame that saw it; observations in the point's own frame are ignored.
+    pub frame: usize,
+    /// Pixel in that frame.
+    pub pixel: DVec2,
+    /// How much it counts: confidence · (1 − P(dynamic)) and the like; 0 is ignored.
+    pub weight: f64,
+}
+
+/// What is adjusted, in place.
+#[derive(Clone, Debug)]
+pub struct Problem {
+    /// Shared by all frames; only its focal length is ever changed, fx and fy by one factor.
+    pub intrinsics: Intrinsics,
+    /// `view_from_world` per frame.
+    pub poses: Vec<Pose>,
+    /// Per frame: held as it is. When none is, the first frame is held.
+    pub fixed: Vec<bool>,
+    /// The points.
+    pub points: Vec<Point>,
+    /// Their observations, in any order.
+    pub observations: Vec<Observation>,
+}
+
+/// The robust kernel; its width is [`Options::kernel_width`] times the residuals' scale.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kernel {
+    /// ρ = r². No protection.
+    None,
+    /// ρ = c² ln(1 + r²/c²). Outliers keep a small pull.
+    Cauchy,
+    /// ρ = r² c² / (c² + r²). Outliers lose their pull.
+    GemanMcClure,
+}
+
+/// What happens to the focal length.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum FocalMode {
+    /// Kept.
+    Fixed,
+    /// Adjusted if its relative standard deviation would be at most this; else kept.
+    Gated(f64),
+    /// Adjusted in any case.
+    Free,
+}
+
+/// How to adjust.
+#[derive(Clone, Copy, Debug)]
+pub struct Options {
+    /// The focal length's part.
+    pub focal: FocalMode,
+    /// Prior focal length (pixels, fx) and its relative standard deviation.
+    pub focal_prior: Option<(f64, f64)>,
+    /// Are inverse depths adjusted?
+    pub depths: bool,
+    /// Robust kernel.
+    pub kernel: Kernel,
+    /// Kernel width in units of the scale (1.4826 · median absolute residual coordinate).
+    pub kernel_width: f64,
+    /// The scale is not taken below this, pixels.
+    pub scale_floor: f64,
+    /// The scale is estimated anew this many times.
+    pub rounds: usize,
+    /// Steps of Levenberg–Marquardt in each round.
+    pub steps: usize,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Options {
+            focal: FocalMode::Fixed,
+            focal_prior: None,
+            depths: true,
+            kernel: Kernel::GemanMcClure,
+            kernel_width: 3.0,
+            scale_floor: 0.5,
+            rounds: 4,
+            steps: 15,
+        }
+    }
+}
+
+/// What an adjustment did.
+#[derive(Clone, Debug)]
+pub struct Report {
+    /// Σ w r² before, without kernel, over the observations in front of their cameras; pixels².
+    pub initial_squared: f64,
+    /// The same afterwards.
+    pub final_squared: f64,
+    /// Robust cost at the first round's scale, before.
+    pub initial_cost: f64,
+    /// Robust cost at the first round's scale, afterwards.
+    pub final_cost: f64,
+    /// Weighted root mean square residual of the inliers (within the kernel's width), pixels.
+    pub inlier_rmse: f64,
+    /// Inliers among the observations used.
+    pub inlier_ratio: f64,
+    /// Robust scale of a residual's coordinate at the end, pixels, floored.
+    pub scale: f64,
+    /// Steps tried.
+    pub steps: usize,
+    /// Did the last round end by convergence rather than by its limit of steps?
+    pub converged: bool,
+    /// Was the focal length adjusted?
+    pub focal_released: bool,
+    /// Relative standard deviation of the focal length, all else free; infinite if unobservable.
+    pub focal_std: f64,
+    /// Median over the points of the relative standard deviation of the inverse depth, σ_d / d with
+    /// poses held. Well-posed clips lie below 0.1; above 0.3 there is no parallax to speak of.
+    pub depth_std: f64,
+    /// More unknowns than residuals: the answer is one of many.
+    pub underdetermined: bool,
+    /// Per observation given: the residual at the end, pixels; infinite behind the camera.
+    pub residuals: Vec<f64>,
+}
+
+/// A focal length may leave its start by this factor, not more: beyond it runs off, not converges.
+const FOCAL_RANGE: f64 = 8.0;
+
+/// Adjusts poses, inverse depths and, as asked, the focal length of a problem in place.
+///
+/// Pure rotation, no parallax and points at infinity leave directions free that damping then
+/// holds: the result is finite and the report says how little was known (`depth_std`,
+/// `focal_std`, `underdetermined`). On an error the problem is untouched.
+///
+/// # Errors
+/// Lengths or indices that do not fit, anything not finite, a negative weight or inverse depth, no
+/// frames, no observation that counts.
+pub fn adjust(problem: &mut Problem, options: &Options) -> Result<Report> {
+    check(problem, options)?;
+    let original = problem.clone();
+    let anchored = scale_is_anchored(problem);
+    let median = median_inverse_depth(problem);
+    let first_scale = residual::robust_scale(problem, options);
+    let initial_squared = residual::squared_sum(problem);
+    let initial_cost = residual::cost(problem, options, first_scale);
+
+    let released = match options.focal {
+        FocalMode::Fixed => false,
+        FocalMode::Free => true,
+        FocalMode::Gated(_) => false,
+    };
+    let mut work = solve(problem, options, released);
+    let mut focal_released = released;
+    let mut focal_std = focal_deviation(problem, options);
+    if let FocalMode::Gated(limit) = options.focal
+        && focal_std <= limit
+    {
+        let held = problem.clone();
+        let second = solve(problem, options, true);
+        let std = focal_deviation(problem, options);
+        let ratio = problem.intrinsics.fx / held.intrinsics.fx;
+        // Released on the promise of its information; taken back if that did not hold.
+        if std <= limit && (1.0 / FOCAL_RANGE..FOCAL_RANGE).contains(&ratio) {
+            work = Work { steps: work.steps + second.steps, ..second };
+            (focal_released, focal_std) = (true, std);
+        } else {
+            *problem = held;
+        }
+    }
+    if !anchored && let (Some(before), Some(now)) = (median, median_inverse_depth(problem)) {
+        rescale(problem, now / before);
+    }
+    if !is_finite(problem) {
+        *problem = original;
+        return Err(Error::Failed(
+            "bundle adjustment: the solution left the range of numbers; the observations \
+             contradict each other too much, lower the weights of doubtful ones"
+                .into(),
+        ));
+    }
+    let scale = residual::robust_scale(problem, options);
+    let (inlier_rmse, inlier_ratio) = residual::inliers(problem, options, scale);
+    let layout = Layout::new(problem, options, focal_released);
+    let residuals_used = 2 * problem.observations.iter().filter(|o| counts(problem, o)).count();
+    let depths = if options.depths { problem.points.len() } else { 0 };
+    let priors = problem.points.iter().filter(|p| p.prior.is_some()).count();
+    Ok(Report {
+        initial_squared,
+        final_squared: residual::squared_sum(problem),
+        initial_cost,
+        final_cost: residual::cost(problem, options, first_scale),
+        inlier_rmse,
+        inlier_ratio,
+        scale,
+        steps: work.steps,
+        converged: work.converged,
+        focal_released,
+        focal_std,
+        depth_std: normal::median_depth_deviation(problem, options, scale),
+        underdetermined: residuals_used + priors < layout.size + depths,
+        residuals: residual::lengths(problem),
+    })
+}
+
+/// Scales the world about the first held camera's centre so that inverse depths are multiplied by
+/// `1 / factor`: depths and baselines grow by `factor`, no residual changes.
+pub fn rescale(problem: &mut Problem, factor: f64) {
+    if !(factor.is_finite() && factor > 0.0) || factor == 1.0 || problem.poses.is_empty() {
+        return;
+    }
+    let anchor = problem.fixed.iter().position(|f| *f).unwrap_or(0);
+    let centre = problem.poses[anchor].inverse().translation;
+    for (i, pose) in problem.poses.iter_mut().enumerate() {
+        if i != anchor {
+            let moved = centre + factor * (pose.inverse().translation - centre);
+            pose.translation = -(pose.rotation * moved);
+        }
+    }
+    for point in &mut problem.points {
+        point.inverse_depth /= factor;
+        if let Some(prior) = &mut point.prior {
+            prior.inverse_depth /= factor;
+            prior.weight *= factor * factor;
+        }
+    }
+}
+
+/// The median inverse depth of the points that are not at infinity; none without such points.
+pub fn median_inverse_depth(problem: &Problem) -> Option<f64> {
+    let mut d: Vec<f64> =
+        problem.points.iter().map(|p| p.inverse_depth).filter(|d| *d > 0.0).collect();
+    let middle = d.len() / 2;
+    (!d.is_empty()).then(|| *d.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+/// How one run of the rounds went.
+struct Work {
+    steps: usize,
+    converged: bool,
+}
+
+/// All rounds of IRLS: a scale, then Levenberg–Marquardt on the cost that it defines.
+fn solve(problem: &mut Problem, options: &Options, focal: bool) -> Work {
+    let layout = Layout::new(problem, options, focal);
+    let mut work = Work { steps: 0, converged: true };
+    for _ in 0..options.rounds.max(1) {
+        let scale = residual::robust_scale(problem, options);
+        let (steps, converged) = levenberg_marquardt(problem, options, &layout, scale);
+        work.steps += steps;
+        work.converged = converged;
+        // Without a kernel the cost does not depend on the scale: one round says it all.
+        if options.kernel == Kernel::None && converged {
+            break;
+        }
+    }
+    work
+}
+
+fn levenberg_marquardt(
+    problem: &mut Problem,
+    options: &Options,
+    layout: &Layout,
+    scale: f64,
+) -> (usize, bool) {
+    let mut cost = residual::cost(problem, options, scale);
+    let mut damping = 1e-4;
+    let mut growth = 2.0;
+    let mut equations = NormalEquations::build(problem, options, layout, scale);
+    for step in 0..options.steps {
+        let Some(delta) = equations.solve(layout, damping) else {
+            damping *= growth;
+            growth *= 2.0;
+            if damping > 1e12 {
+                return (step, false);
+            }
+            continue;
+        };
+        let mut next = problem.clone();
+        layout.apply(&mut next, &delta);
+        let next_cost = residual::cost(&next, options, scale);
+        let predicted = equations.predicted_decrease(&delta, damping);
+        if next_cost.is_finite() && next_cost < cost {
+            let decrease = cost - next_cost;
+            *problem = next;
+            let converged = decrease <= 1e-9 * cost;
+            cost = next_cost;
+            // Nielsen's rule: trust grows with how well the quadratic model foretold the decrease.
+            let gain = if predicted > 0.0 { decrease / predicted } else { 1.0 };
+            damping *= (1.0 - (2.0 * gain - 1.0).powi(3)).clamp(1.0 / 3.0, 2.0);
+            damping = damping.max(1e-10);
+            growth = 2.0;
+            if converged {
+                return (step + 1, true);
+            }
+            equations = NormalEquations::build(problem, options, layout, scale);
+        } else {
+            if predicted <= 1e-12 * cost {
+                return (step + 1, true);
+            }
+            damping *= growth;
+            growth *= 2.0;
+            if damping > 1e12 {
+                return (step + 1, true);
+            }
+        }
+    }
+    (options.steps, false)
+}
+
+/// The relative standard deviation of the focal length with everything else free.
+fn focal_deviation(problem: &Problem, options: &Options) -> f64 {
+    let scale = residual::robust_scale(problem, options);
+    let layout = Layout::new(problem, options, true);
+    let equations = NormalEquations::build(problem, options, &layout, scale);
+    equations.focal_information(&layout).map_or(f64::INFINITY, |i| scale / i.sqrt())
+}
+
+/// Is the scale of the world held by fixed cameras apart from each other, or by depth priors?
+fn scale_is_anchored(problem: &Problem) -> bool {
+    let mut centres = problem
+        .poses
+        .iter()
+        .zip(&problem.fixed)
+        .filter(|(_, fixed)| **fixed)
+        .map(|(pose, _)| pose.inverse().translation);
+    let apart = centres.next().is_some_and(|first| {
+        centres.any(|c| (c - first).length() > 1e-12 * (1.0 + first.length()))
+    });
+    apart || problem.points.iter().any(|p| p.prior.is_some_and(|prior| prior.weight > 0.0))
+}
+
+/// Does an observation take part?
+fn counts(problem: &Problem, o: &Observation) -> bool {
+    o.weight > 0.0 && problem.points[o.point].frame != o.frame
+}
+
+fn is_finite(problem: &Problem) -> bool {
+    problem.intrinsics.fx.is_finite()
+        && problem.poses.iter().all(|p| p.rotation.is_finite() && p.translation.is_finite())
+        && problem.points.iter().all(|p| p.inverse_depth.is_finite())
+}
+
+fn check(problem: &Problem, options: &Options) -> Result<()> {
+    let op = "bundle adjustment";
+    super::pnp::check_intrinsics(&problem.intrinsics)?;
+    let frames = problem.poses.len();
+    if problem.fixed.len() != frames {
+        let expected = format!("{frames}, one for each pose");
+        return Err(Error::Shape { op, arg: "fixed", expected, actual: problem.fixed.len() });
+    }
+    let bad = |what: String| Err(Error::Input(format!("{op}: {what}")));
+    for (i, p) in problem.poses.iter().enumerate() {
+        if !p.translation.is_finite() || !p.rotation.is_normalized() {
+            return bad(format!("the pose of frame {i} is not a rigid transform: {p:?}"));
+        }
+    }
+    for (i, p) in problem.points.iter().enumerate() {
+        if p.frame >= frames {
+            return bad(format!("point {i} refers to frame {} of {frames}", p.frame));
+        }
+        let fine = p.pixel.is_finite() && p.inverse_depth.is_finite() && p.inverse_depth >= 0.0;
+        let prior = p
+            .prior
+            .is_none_or(|q| q.inverse_depth.is_finite() && q.weight.is_finite() && q.weight >= 0.0);
+        if !fine || !prior {
+            return bad(format!(
+                "point {i} needs a finite pixel, an inverse depth ≥ 0 and a prior weight ≥ 0: {p:?}"
+            ));
+        }
+    }
+    for (i, o) in problem.observations.iter().enumerate() {
+        if o.point >= problem.points.len() || o.frame >= frames {
+            return bad(format!(
+                "observation {i} refers to point {} of {} in frame {} of {frames}",
+                o.point,
+                problem.points.len(),
+                o.frame
+            ));
+        }
+        if !o.pixel.is_finite() || !o.weight.is_finite() || o.weight < 0.0 {
+            return bad(format!("observation {i} needs a finite pixel and a weight ≥ 0: {o:?}"));
+        }
+    }
+    if let Some((focal, std)) = options.focal_prior
+        && !(focal.is_finite() && focal > 0.0 && std.is_finite() && std > 0.0)
+    {
+        return bad(format!("the focal prior {focal} ± {std} must be positive"));
+    }
+    if !problem.observations.iter().any(|o| counts(problem, o)) {
+        return bad(
+            "no observation counts: all weights are 0 or all points are seen in their own \
+                    frame only; track points over more frames"
+                .into(),
+        );
+    }
+    Ok(())
+}

@@ -1,0 +1,272 @@
+//! The residual of one observation, its derivatives, and sums over all of them.
+
+use super::{Kernel, Observation, Options, Problem, counts};
+use crate::geometry::se3::skew;
+use crate::types::{Intrinsics, Pose};
+use glam::{DMat3, DVec2, DVec3};
+use rayon::prelude::*;
+
+/// Sums are taken over blocks of this many items and then in order, so that they do not depend on
+/// the number of threads.
+const BLOCK: usize = 4096;
+
+/// Derivatives of a projected pixel. Twists are (translation, rotation), left-multiplied.
+#[derive(Clone, Copy, Debug)]
+pub struct Jacobian {
+    /// By the twist of the observing frame's pose.
+    pub target: [DVec2; 6],
+    /// By the twist of the reference frame's pose.
+    pub reference: [DVec2; 6],
+    /// By the inverse depth.
+    pub inverse_depth: DVec2,
+    /// By the logarithm of the focal length.
+    pub log_focal: DVec2,
+}
+
+/// Where a pixel of the reference frame with an inverse depth is seen by the target frame, and the
+/// derivatives; none when it lies behind the target or beside it.
+///
+/// `target_from_reference = G_t G_r⁻¹`.
+pub fn project(
+    k: &Intrinsics,
+    target_from_reference: &Pose,
+    pixel: DVec2,
+    inverse_depth: f64,
+) -> Option<(DVec2, Jacobian)> {
+    let rotation = target_from_reference.rotation_matrix();
+    let (u, x, ray) =
+        forward(k, &rotation, target_from_reference.translation, pixel, inverse_depth)?;
+    let (iz, d) = (1.0 / x.z, inverse_depth);
+    // Rows of the derivative of the pixel by the homogeneous point x = R ray + d t.
+    let row_x = DVec3::new(k.fx * iz, 0.0, -k.fx * x.x * iz * iz);
+    let row_y = DVec3::new(0.0, k.fy * iz, -k.fy * x.y * iz * iz);
+    let by = |v: DVec3| DVec2::new(row_x.dot(v), row_y.dot(v));
+    let axes = [DVec3::X, DVec3::Y, DVec3::Z];
+    // Left twist of G_t: x ← x + d ρ + ω × x.
+    let target: [DVec2; 6] = std::array::from_fn(|c| match c {
+        0..3 => by(axes[c] * d),
+        _ => by(axes[c - 3].cross(x)),
+    });
+    // Left twist of G_r: G_t G_r⁻¹ exp(−ξ), so x ← x − R (d ρ + ω × ray), as x depends on the
+    // reference frame's point (ray, d).
+    let turned = rotation * skew(ray);
+    let reference: [DVec2; 6] = std::array::from_fn(|c| match c {
+        0..3 => by(rotation.col(c) * -d),
+        _ => by(turned.col(c - 3)),
+    });
+    let inverse_depth = by(target_from_reference.translation);
+    // f scales the pixel about the principal point, and shrinks the ray's x and y.
+    let log_focal =
+        DVec2::new(u.x - k.cx, u.y - k.cy) - by(rotation.col(0) * ray.x + rotation.col(1) * ray.y);
+    Some((u, Jacobian { target, reference, inverse_depth, log_focal }))
+}
+
+/// Pixel, homogeneous point and ray; none unless the point is clearly in front of the target.
+fn forward(
+    k: &Intrinsics,
+    rotation: &DMat3,
+    translation: DVec3,
+    pixel: DVec2,
+    inverse_depth: f64,
+) -> Option<(DVec2, DVec3, DVec3)> {
+    let ray = k.ray(pixel);
+    let x = *rotation * ray + inverse_depth * translation;
+    // A ray within a tenth of a degree of the image plane has no pixel worth comparing.
+    let in_front = x.z > 2e-3 * x.abs().max_element();
+    in_front.then(|| (k.project(x), x, ray))
+}
+
+/// `target_from_reference` for an observation.
+pub(super) fn relative(problem: &Problem, o: &Observation) -> Pose {
+    problem.poses[o.frame] * problem.poses[problem.points[o.point].frame].inverse()
+}
+
+/// The residual (projection − observation); none behind the camera.
+fn residual(problem: &Problem, o: &Observation) -> Option<DVec2> {
+    let point = &problem.points[o.point];
+    let relative = relative(problem, o);
+    let rotation = relative.rotation_matrix();
+    let (u, _, _) = forward(
+        &problem.intrinsics,
+        &rotation,
+        relative.translation,
+        point.pixel,
+        point.inverse_depth,
+    )?;
+    Some(u - o.pixel)
+}
+
+/// ρ(r²) and ρ'(r²), the IRLS weight, of a kernel of width c.
+pub(super) fn kernel(kind: Kernel, squared: f64, c: f64) -> (f64, f64) {
+    let c2 = c * c;
+    match kind {
+        Kernel::None => (squared, 1.0),
+        Kernel::Cauchy => (c2 * (squared / c2).ln_1p(), c2 / (c2 + squared)),
+        Kernel::GemanMcClure => {
+            let share = c2 / (c2 + squared);
+            (squared * share, share * share)
+        }
+    }
+}
+
+/// The whole robust cost at a scale, priors included.
+///
+/// An observation behind its camera costs as much as one that misses by the image's diagonal, so
+/// that no step gains by pushing points behind a camera.
+pub(super) fn cost(problem: &Problem, options: &Options, scale: f64) -> f64 {
+    let c = options.kernel_width * scale;
+    let k = &problem.intrinsics;
+    let diagonal2 = f64::from(k.width).powi(2) + f64::from(k.height).powi(2);
+    let behind = kernel(options.kernel, diagonal2.max(1.0), c).0;
+    let observed = ordered_sum(&problem.observations, |o| {
+        if !counts(problem, o) {
+            return 0.0;
+        }
+        let rho = residual(problem, o)
+            .map_or(behind, |r| kernel(options.kernel, r.length_squared(), c).0);
+        o.weight * rho
+    });
+    let priors: f64 = problem
+        .points
+        .iter()
+        .filter_map(|p| p.prior.map(|q| q.weight * (p.inverse_depth - q.inverse_depth).powi(2)))
+        .sum();
+    observed + priors + focal_prior(problem, options, scale).map_or(0.0, |(w, e)| w * e * e)
+}
+
+/// Weight and error (log of ratio) of the focal length's prior. Pixel residuals weigh 1 at a
+/// standard deviation of `scale`; so does the prior at its own.
+pub(super) fn focal_prior(problem: &Problem, options: &Options, scale: f64) -> Option<(f64, f64)> {
+    let (focal, std) = options.focal_prior?;
+    Some(((scale / std).powi(2), (problem.intrinsics.fx / focal).ln()))
+}
+
+/// Σ w r² over the observations in front of their cameras.
+pub(super) fn squared_sum(problem: &Problem) -> f64 {
+    ordered_sum(&problem.observations, |o| {
+        if !counts(problem, o) {
+            return 0.0;
+        }
+        residual(problem, o).map_or(0.0, |r| o.weight * r.length_squared())
+    })
+}
+
+/// Length of every residual; infinite behind the camera.
+pub(super) fn lengths(problem: &Problem) -> Vec<f64> {
+    problem
+        .observations
+        .par_iter()
+        .map(|o| residual(problem, o).map_or(f64::INFINITY, |r| r.length()))
+        .collect()
+}
+
+/// 1.4826 · median |residual coordinate| over the observations that count, floored.
+pub(super) fn robust_scale(problem: &Problem, options: &Options) -> f64 {
+    let mut sizes: Vec<f64> = problem
+        .observations
+        .par_iter()
+        .filter(|o| counts(problem, o))
+        .filter_map(|o| residual(problem, o))
+        .flat_map_iter(|r| [r.x.abs(), r.y.abs()])
+        .collect();
+    let floor = options.scale_floor.max(1e-6);
+    if sizes.is_empty() {
+        return floor;
+    }
+    let middle = sizes.len() / 2;
+    (1.4826 * *sizes.select_nth_unstable_by(middle, f64::total_cmp).1).max(floor)
+}
+
+/// Weighted RMS of the residuals within the kernel's width, and their share.
+pub(super) fn inliers(problem: &Problem, options: &Options, scale: f64) -> (f64, f64) {
+    let limit = options.kernel_width * scale;
+    let (mut sum, mut weight, mut count, mut all) = (0.0, 0.0, 0usize, 0usize);
+    for (o, length) in problem.observations.iter().zip(lengths(problem)) {
+        if counts(problem, o) {
+            all += 1;
+            if length <= limit {
+                count += 1;
+                sum += o.weight * length * length;
+                weight += o.weight;
+            }
+        }
+    }
+    let rmse = if weight > 0.0 { (sum / weight).sqrt() } else { 0.0 };
+    (rmse, count as f64 / all.max(1) as f64)
+}
+
+fn ordered_sum<T: Sync>(items: &[T], term: impl Fn(&T) -> f64 + Sync) -> f64 {
+    let blocks: Vec<f64> =
+        items.par_chunks(BLOCK).map(|block| block.iter().map(&term).sum()).collect();
+    blocks.iter().sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::se3::{Twist, exp_so3, retract};
+
+    /// Pixel for poses, inverse depth and focal factor.
+    fn seen(k: &Intrinsics, t: &Pose, r: &Pose, pixel: DVec2, d: f64, log_focal: f64) -> DVec2 {
+        let k = Intrinsics { fx: k.fx * log_focal.exp(), fy: k.fy * log_focal.exp(), ..*k };
+        project(&k, &(*t * r.inverse()), pixel, d).unwrap().0
+    }
+
+    #[test]
+    fn jacobians_match_central_differences() {
+        let k = Intrinsics { fx: 400.0, fy: 420.0, cx: 150.0, cy: 110.0, width: 320, height: 240 };
+        let r = Pose::new(exp_so3(DVec3::new(0.2, -0.1, 0.3)), DVec3::new(0.3, 0.5, -0.2));
+        let t = Pose::new(exp_so3(DVec3::new(0.1, 0.2, 0.1)), DVec3::new(-0.4, 0.1, 0.6));
+        for (pixel, d) in
+            [(DVec2::new(40.0, 200.0), 0.4), (DVec2::new(300.0, 20.0), 1.7), (DVec2::ONE, 0.0)]
+        {
+            let (_, j) = project(&k, &(t * r.inverse()), pixel, d).unwrap();
+            let h = 1e-6;
+            let compare = |name: &str, analytic: DVec2, at: &dyn Fn(f64) -> DVec2| {
+                let numeric = (at(h) - at(-h)) / (2.0 * h);
+                let scale = 1.0 + analytic.length();
+                assert!(
+                    (numeric - analytic).length() < 1e-6 * scale,
+                    "{name} {numeric} {analytic}"
+                );
+            };
+            for c in 0..6 {
+                let twist = |s: f64| {
+                    let mut xi = Twist::zeros();
+                    xi[c] = s;
+                    xi
+                };
+                compare("target", j.target[c], &|s| {
+                    seen(&k, &retract(&t, &twist(s)), &r, pixel, d, 0.0)
+                });
+                compare("reference", j.reference[c], &|s| {
+                    seen(&k, &t, &retract(&r, &twist(s)), pixel, d, 0.0)
+                });
+            }
+            compare("depth", j.inverse_depth, &|s| seen(&k, &t, &r, pixel, d + s, 0.0));
+            compare("focal", j.log_focal, &|s| seen(&k, &t, &r, pixel, d, s));
+        }
+    }
+
+    #[test]
+    fn a_point_behind_the_target_is_not_projected() {
+        let k = Intrinsics::centred(300.0, 320, 240);
+        let behind = Pose::new(exp_so3(DVec3::new(0.0, 3.1, 0.0)), DVec3::ZERO);
+        assert!(project(&k, &behind, DVec2::new(100.0, 100.0), 0.5).is_none());
+        let forward = Pose::new(glam::DQuat::IDENTITY, DVec3::new(0.0, 0.0, -3.0));
+        assert!(project(&k, &forward, DVec2::new(100.0, 100.0), 0.5).is_none());
+        assert!(project(&k, &forward, DVec2::new(100.0, 100.0), 0.2).is_some());
+    }
+
+    #[test]
+    fn kernel_weights_are_the_derivatives_of_the_kernels() {
+        for kind in [Kernel::None, Kernel::Cauchy, Kernel::GemanMcClure] {
+            for squared in [0.0, 0.3, 4.0, 900.0] {
+                let h = 1e-5 * (1.0 + squared);
+                let at = |s: f64| kernel(kind, s, 1.5).0;
+                let numeric = (at(squared + h) - at(squared - h)) / (2.0 * h);
+                assert!((numeric - kernel(kind, squared, 1.5).1).abs() < 1e-8, "{kind:?}");
+            }
+        }
+    }
+}

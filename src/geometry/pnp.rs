@@ -1,0 +1,575 @@
+//! The pose of a camera from points of the world and their pixels, under outliers.
+
+use super::p3p::p3p;
+use super::ransac::{Estimator, RansacOptions, ransac};
+use super::se3::retract;
+use crate::error::{Error, Result};
+use crate::types::{Intrinsics, Pose};
+use glam::{DVec2, DVec3};
+use nalgebra::{Matrix2x6, Matrix6, Vector6};
+
+/// How a pose is searched for and refined.
+#[derive(Clone, Copy, Debug)]
+pub struct PnpOptions {
+    /// Largest reprojection error of an inlier, pixels.
+    pub threshold: f64,
+    /// Huber's kernel turns linear here, pixels.
+    pub huber: f64,
+    /// Wanted probability that one sample was free of outliers.
+    pub confidence: f64,
+    /// At least so many samples.
+    pub min_iterations: usize,
+    /// At most so many samples.
+    pub max_iterations: usize,
+    /// A consensus of a smaller share is no result. It also bounds the search: 0.15 asks for some
+    /// 2,700 samples at the most, 0.05 for 74,000.
+    pub min_inlier_ratio: f64,
+    /// A consensus of fewer points is no result; never less than 4.
+    pub min_inliers: usize,
+    /// The same seed gives the same result, bit for bit.
+    pub seed: u64,
+}
+
+impl PnpOptions {
+    /// Defaults for an image of this width: 3 px at 512.
+    pub fn for_width(width: u32) -> PnpOptions {
+        PnpOptions { threshold: 3.0 * f64::from(width.max(1)) / 512.0, ..Default::default() }
+    }
+}
+
+impl Default for PnpOptions {
+    fn default() -> Self {
+        PnpOptions {
+            threshold: 3.0,
+            huber: 1.0,
+            confidence: 0.9999,
+            min_iterations: 100,
+            max_iterations: 100_000,
+            min_inlier_ratio: 0.15,
+            min_inliers: 6,
+            seed: 0,
+        }
+    }
+}
+
+/// A pose, and how well it is known.
+#[derive(Clone, Debug)]
+pub struct PnpResult {
+    /// World to camera.
+    pub view_from_world: Pose,
+    /// Per correspondence given: within the threshold and in front of the camera.
+    pub inliers: Vec<bool>,
+    /// Inliers among the correspondences that could be used.
+    pub inlier_ratio: f64,
+    /// Root mean square reprojection error of the inliers, pixels.
+    pub rmse: f64,
+    /// Covariance of the left twist (translation, rotation) of the pose, from the inliers' spread
+    /// (floored at 0.1 px). A direction that the points do not constrain has a variance of 1e12.
+    pub covariance: Matrix6<f64>,
+    /// Samples drawn.
+    pub iterations: usize,
+}
+
+/// Finds a camera's pose from points of the world and the pixels they were seen at.
+///
+/// P3P inside RANSAC (MSAC, local optimisation by Gauss–Newton on 14 points), then
+/// Levenberg–Marquardt with Huber's kernel on the inliers. `weights` (1 each without) scale each
+/// point's cost; points with a weight of 0, or with anything not finite, are left out. `prediction`
+/// (a constant-velocity guess, say) competes with the samples.
+///
+/// # Errors
+/// Differing lengths; fewer usable points than `min_inliers`; no pose that enough points agree
+/// with. The caller then keeps its prediction and marks the frame.
+pub fn pnp_ransac(
+    points: &[DVec3],
+    pixels: &[DVec2],
+    weights: Option<&[f64]>,
+    intrinsics: &Intrinsics,
+    prediction: Option<&Pose>,
+    options: &PnpOptions,
+) -> Result<PnpResult> {
+    let op = "PnP";
+    let expected = || format!("{}, one for each point", points.len());
+    if pixels.len() != points.len() {
+        return Err(Error::Shape { op, arg: "pixels", expected: expected(), actual: pixels.len() });
+    }
+    if let Some(w) = weights
+        && w.len() != points.len()
+    {
+        return Err(Error::Shape { op, arg: "weights", expected: expected(), actual: w.len() });
+    }
+    check_intrinsics(intrinsics)?;
+    let mut data = Correspondences { intrinsics: *intrinsics, huber: options.huber, items: vec![] };
+    let mut origin = Vec::new();
+    for i in 0..points.len() {
+        let weight = weights.map_or(1.0, |w| w[i]);
+        if points[i].is_finite() && pixels[i].is_finite() && weight.is_finite() && weight > 0.0 {
+            data.items.push((points[i], pixels[i], weight));
+            origin.push(i);
+        }
+    }
+    let usable = data.items.len();
+    let fewest = options.min_inliers.max(4);
+    if usable < fewest {
+        return Err(Error::Failed(format!(
+            "PnP: {usable} usable points of {}, needs {fewest}; track more points or widen the mask",
+            points.len()
+        )));
+    }
+    let search = RansacOptions {
+        threshold: options.threshold,
+        confidence: options.confidence,
+        min_iterations: options.min_iterations,
+        max_iterations: options.max_iterations,
+        min_inlier_ratio: options.min_inlier_ratio,
+        seed: options.seed,
+    };
+    let guesses: Vec<Pose> = prediction.iter().map(|p| **p).collect();
+    let failed = |found: usize| {
+        Error::Failed(format!(
+            "PnP: the best pose agrees with {found} of {usable} points within {:.2} px, needs {} \
+             ({:.0} %); keep the predicted pose for this frame",
+            options.threshold,
+            fewest.max((options.min_inlier_ratio * usable as f64).ceil() as usize),
+            100.0 * options.min_inlier_ratio
+        ))
+    };
+    let consensus = ransac(&data, &search, &guesses).ok_or_else(|| failed(0))?;
+    let mut pose = consensus.model;
+    let mut inliers = consensus.inliers;
+    // The refined pose may gain or lose inliers; a few rounds settle it.
+    for _ in 0..4 {
+        if inliers.len() < fewest {
+            break;
+        }
+        pose = data.minimise(&pose, &inliers, 20).0;
+        let next = data.within(&pose, options.threshold);
+        if next == inliers {
+            break;
+        }
+        inliers = next;
+    }
+    let ratio = inliers.len() as f64 / usable as f64;
+    if inliers.len() < fewest || ratio < options.min_inlier_ratio {
+        return Err(failed(inliers.len()));
+    }
+    let squared: f64 = inliers.iter().map(|&i| data.squared_error(&pose, i)).sum();
+    let rmse = (squared / inliers.len() as f64).sqrt();
+    // Two residuals a point, six of them spent on the pose.
+    let freedom = (2 * inliers.len()).saturating_sub(6).max(1) as f64;
+    let variance = (squared / freedom).max(0.01);
+    let (hessian, _, _) = data.normal_equations(&pose, &inliers);
+    let mut mask = vec![false; points.len()];
+    inliers.iter().for_each(|&i| mask[origin[i]] = true);
+    Ok(PnpResult {
+        view_from_world: pose,
+        inliers: mask,
+        inlier_ratio: ratio,
+        rmse,
+        covariance: bounded_inverse(&hessian) * variance,
+        iterations: consensus.iterations,
+    })
+}
+
+/// A pose improved on given correspondences (all of them, Huber's kernel, at most 20 steps of
+/// Levenberg–Marquardt), with the cost before and after: Σ w ρ(|r|), pixels².
+///
+/// # Errors
+/// Differing lengths, an unusable focal length.
+pub fn refine_pose(
+    points: &[DVec3],
+    pixels: &[DVec2],
+    intrinsics: &Intrinsics,
+    view_from_world: &Pose,
+    huber: f64,
+) -> Result<(Pose, f64, f64)> {
+    if pixels.len() != points.len() {
+        return Err(Error::Shape {
+            op: "pose refinement",
+            arg: "pixels",
+            expected: format!("{}, one for each point", points.len()),
+            actual: pixels.len(),
+        });
+    }
+    check_intrinsics(intrinsics)?;
+    let items = points.iter().zip(pixels).map(|(&x, &u)| (x, u, 1.0)).collect();
+    let data = Correspondences { intrinsics: *intrinsics, huber, items };
+    let all: Vec<usize> = (0..points.len()).collect();
+    let before = data.cost(view_from_world, &all);
+    let (pose, after) = data.minimise(view_from_world, &all, 20);
+    Ok((pose, before, after))
+}
+
+/// Rejects intrinsics that no ray can be formed with.
+pub(crate) fn check_intrinsics(k: &Intrinsics) -> Result<()> {
+    let finite = [k.fx, k.fy, k.cx, k.cy].iter().all(|v| v.is_finite());
+    if !finite || k.fx <= 0.0 || k.fy <= 0.0 {
+        return Err(Error::Input(format!(
+            "the intrinsics fx {} fy {} cx {} cy {} are not those of a camera; give a positive \
+             focal length in pixels",
+            k.fx, k.fy, k.cx, k.cy
+        )));
+    }
+    Ok(())
+}
+
+/// The pixel of a point in the camera's frame and its derivative by the left twist (translation,
+/// rotation) of the pose that put it there; none for a point that is not in front.
+pub fn project_with_jacobian(k: &Intrinsics, p: DVec3) -> Option<(DVec2, Matrix2x6<f64>)> {
+    if p.z.is_nan() || p.z <= 1e-9 * p.abs().max_element() {
+        return None;
+    }
+    let (x, y, iz) = (p.x / p.z, p.y / p.z, 1.0 / p.z);
+    #[rustfmt::skip]
+    let jacobian = Matrix2x6::new(
+        k.fx * iz, 0.0, -k.fx * x * iz, -k.fx * x * y, k.fx * (1.0 + x * x), -k.fx * y,
+        0.0, k.fy * iz, -k.fy * y * iz, -k.fy * (1.0 + y * y), k.fy * x * y, k.fy * x,
+    );
+    Some((DVec2::new(k.fx * x + k.cx, k.fy * y + k.cy), jacobian))
+}
+
+/// The inverse of a positive semidefinite matrix; directions without information get 1e12.
+fn bounded_inverse(hessian: &Matrix6<f64>) -> Matrix6<f64> {
+    let eigen = hessian.symmetric_eigen();
+    let largest = eigen.eigenvalues.max();
+    let inverse =
+        eigen.eigenvalues.map(|v| if v > 1e-13 * largest { (1.0 / v).min(1e12) } else { 1e12 });
+    eigen.eigenvectors * Matrix6::from_diagonal(&inverse) * eigen.eigenvectors.transpose()
+}
+
+struct Correspondences {
+    intrinsics: Intrinsics,
+    huber: f64,
+    /// Point, pixel, weight.
+    items: Vec<(DVec3, DVec2, f64)>,
+}
+
+impl Correspondences {
+    fn within(&self, pose: &Pose, threshold: f64) -> Vec<usize> {
+        let t2 = threshold * threshold;
+        (0..self.items.len()).filter(|&i| self.squared_error(pose, i) < t2).collect()
+    }
+
+    /// Σ w ρ(|r|), infinite where a point falls behind the camera.
+    fn cost(&self, pose: &Pose, subset: &[usize]) -> f64 {
+        subset
+            .iter()
+            .map(|&i| {
+                let e2 = self.squared_error(pose, i);
+                let e = e2.sqrt();
+                let rho = if e <= self.huber { e2 } else { self.huber * (2.0 * e - self.huber) };
+                self.items[i].2 * rho
+            })
+            .sum()
+    }
+
+    /// Hessian, gradient (of half the squared cost) and the count of points in front.
+    fn normal_equations(
+        &self,
+        pose: &Pose,
+        subset: &[usize],
+    ) -> (Matrix6<f64>, Vector6<f64>, usize) {
+        let (mut h, mut g, mut count) = (Matrix6::zeros(), Vector6::zeros(), 0);
+        for &i in subset {
+            let (point, pixel, weight) = self.items[i];
+            let Some((u, j)) = project_with_jacobian(&self.intrinsics, pose.apply(point)) else {
+                continue;
+            };
+            let r = u - pixel;
+            let e = r.length();
+            let w = weight * if e <= self.huber { 1.0 } else { self.huber / e };
+            h += j.transpose() * j * w;
+            g += j.transpose() * nalgebra::Vector2::new(r.x, r.y) * w;
+            count += 1;
+        }
+        (h, g, count)
+    }
+
+    fn minimise(&self, start: &Pose, subset: &[usize], steps: usize) -> (Pose, f64) {
+        let mut pose = *start;
+        let mut cost = self.cost(&pose, subset);
+        let mut damping = 1e-4;
+        for _ in 0..steps {
+            let (h, g, count) = self.normal_equations(&pose, subset);
+            if count < 3 {
+                break;
+            }
+            let mut damped = h;
+            let floor = 1e-12 * h.diagonal().max();
+            for k in 0..6 {
+                damped[(k, k)] += damping * h[(k, k)] + floor;
+            }
+            let Some(factor) = damped.cholesky() else { break };
+            let step = -factor.solve(&g);
+            let next = retract(&pose, &step);
+            let next_cost = self.cost(&next, subset);
+            if next_cost.is_finite() && next_cost < cost {
+                let small = cost - next_cost <= 1e-12 * cost;
+                (pose, cost) = (next, next_cost);
+                damping = (damping * 0.1).max(1e-12);
+                if small {
+                    break;
+                }
+            } else {
+                damping *= 10.0;
+                if damping > 1e8 {
+                    break;
+                }
+            }
+        }
+        (pose, cost)
+    }
+}
+
+impl Estimator for Correspondences {
+    type Model = Pose;
+    const SAMPLE: usize = 3;
+    const LOCAL_SAMPLE: usize = 14;
+
+    fn len(&self) -> usize {
+        self.items.len()
+    }
+
+    fn minimal(&self, sample: &[usize], out: &mut Vec<Pose>) {
+        let points = [0, 1, 2].map(|k| self.items[sample[k]].0);
+        let rays = [0, 1, 2].map(|k| self.intrinsics.ray(self.items[sample[k]].1));
+        out.extend(p3p(&rays, &points));
+    }
+
+    fn squared_error(&self, pose: &Pose, index: usize) -> f64 {
+        let (point, pixel, _) = self.items[index];
+        let p = pose.apply(point);
+        if p.z > 1e-9 * p.abs().max_element() {
+            (self.intrinsics.project(p) - pixel).length_squared()
+        } else {
+            f64::INFINITY
+        }
+    }
+
+    fn refine(&self, pose: &Pose, sample: &[usize]) -> Option<Pose> {
+        Some(self.minimise(pose, sample, 4).0)
+    }
+
+    fn weight(&self, index: usize) -> f64 {
+        self.items[index].2
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::se3::{Twist, angle_between, exp_so3};
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    fn camera() -> Intrinsics {
+        Intrinsics { fx: 520.0, fy: 515.0, cx: 250.0, cy: 190.0, width: 512, height: 384 }
+    }
+
+    fn truth() -> Pose {
+        Pose::new(exp_so3(DVec3::new(0.3, -0.4, 0.2)), DVec3::new(0.5, -0.2, 1.0))
+    }
+
+    fn noise(rng: &mut ChaCha8Rng, sigma: f64) -> DVec2 {
+        let normal = |rng: &mut ChaCha8Rng| {
+            let (u, v): (f64, f64) = (rng.random_range(1e-12..1.0), rng.random());
+            (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+        };
+        DVec2::new(normal(rng), normal(rng)) * sigma
+    }
+
+    /// Points inside the view, `flat` of them on one plane of the world.
+    fn scene(
+        n: usize,
+        outliers: f64,
+        sigma: f64,
+        flat: bool,
+        seed: u64,
+    ) -> (Vec<DVec3>, Vec<DVec2>) {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let k = camera();
+        let (mut points, mut pixels) = (Vec::new(), Vec::new());
+        for i in 0..n {
+            let pixel = DVec2::new(rng.random_range(0.0..512.0), rng.random_range(0.0..384.0));
+            let ray = k.ray(pixel);
+            // A slanted plane: depth 4 / (1 + 0.4 x − 0.3 y).
+            let depth = if flat {
+                4.0 / (1.0 + 0.4 * ray.x - 0.3 * ray.y)
+            } else {
+                rng.random_range(1.5..8.0)
+            };
+            points.push(truth().inverse().apply(ray * depth));
+            let wrong = (i as f64) < outliers * n as f64;
+            pixels.push(if wrong {
+                DVec2::new(rng.random_range(0.0..512.0), rng.random_range(0.0..384.0))
+            } else {
+                pixel + noise(&mut rng, sigma)
+            });
+        }
+        (points, pixels)
+    }
+
+    fn errors(result: &PnpResult) -> (f64, f64) {
+        let t = truth();
+        (
+            angle_between(result.view_from_world.rotation, t.rotation).to_degrees(),
+            (result.view_from_world.translation - t.translation).length(),
+        )
+    }
+
+    #[test]
+    fn jacobian_matches_central_differences() {
+        let k = camera();
+        for p in [DVec3::new(0.3, -0.7, 2.0), DVec3::new(-3.0, 1.0, 1.5)] {
+            let pose = Pose::new(exp_so3(DVec3::new(0.1, 0.2, 0.3)), DVec3::new(0.3, 0.1, 0.2));
+            let world = pose.inverse().apply(p);
+            let (_, j) = project_with_jacobian(&k, p).unwrap();
+            for c in 0..6 {
+                let h = 1e-6;
+                let at = |s: f64| {
+                    let mut xi = Twist::zeros();
+                    xi[c] = s;
+                    k.project(retract(&pose, &xi).apply(world))
+                };
+                let numeric = (at(h) - at(-h)) / (2.0 * h);
+                let analytic = DVec2::new(j[(0, c)], j[(1, c)]);
+                assert!((numeric - analytic).length() < 1e-5, "{c}: {numeric} {analytic}");
+            }
+        }
+        assert!(project_with_jacobian(&k, DVec3::new(1.0, 1.0, -1.0)).is_none());
+        assert!(project_with_jacobian(&k, DVec3::NAN).is_none());
+    }
+
+    #[test]
+    fn half_outliers_and_pixel_noise() {
+        let (points, pixels) = scene(600, 0.5, 0.5, false, 1);
+        let result =
+            pnp_ransac(&points, &pixels, None, &camera(), None, &Default::default()).unwrap();
+        let (rotation, translation) = errors(&result);
+        assert!(rotation < 0.1 && translation < 0.01, "{rotation} {translation}");
+        assert!(result.inliers.iter().skip(300).filter(|x| **x).count() > 290);
+        // The covariance speaks the truth within a factor: error² / variance stays small.
+        let twist = crate::geometry::se3::log(&(truth() * result.view_from_world.inverse()));
+        let mahalanobis = (result.covariance.try_inverse().unwrap() * twist).dot(&twist);
+        assert!(mahalanobis < 30.0, "{mahalanobis}");
+        assert!(result.covariance.diagonal().iter().all(|v| *v < 1e-4));
+    }
+
+    #[test]
+    fn ninety_five_percent_outliers() {
+        for flat in [false, true] {
+            let (points, pixels) = scene(1500, 0.95, 0.5, flat, 7);
+            let options = PnpOptions { min_inlier_ratio: 0.04, ..Default::default() };
+            let result = pnp_ransac(&points, &pixels, None, &camera(), None, &options).unwrap();
+            let (rotation, translation) = errors(&result);
+            assert!(rotation < 0.5 && translation < 0.05, "{flat} {rotation} {translation}");
+            // At the default share, that is a failure said in words.
+            let message = pnp_ransac(&points, &pixels, None, &camera(), None, &Default::default())
+                .unwrap_err()
+                .to_string();
+            assert!(message.contains("keep the predicted pose"), "{message}");
+        }
+    }
+
+    #[test]
+    fn coplanar_points_and_few_points() {
+        for n in [6, 8, 200] {
+            let (points, pixels) = scene(n, 0.0, 0.1, true, 11);
+            let result =
+                pnp_ransac(&points, &pixels, None, &camera(), None, &Default::default()).unwrap();
+            let (rotation, translation) = errors(&result);
+            assert!(rotation < 0.5 && translation < 0.05, "{n}: {rotation} {translation}");
+        }
+        let (points, pixels) = scene(4, 0.0, 0.0, false, 3);
+        let exact = PnpOptions { min_inliers: 4, ..Default::default() };
+        let result = pnp_ransac(&points, &pixels, None, &camera(), None, &exact).unwrap();
+        assert!(errors(&result).0 < 1e-6);
+        for n in 0..6 {
+            let (points, pixels) = scene(n, 0.0, 0.0, false, 3);
+            let found = pnp_ransac(&points, &pixels, None, &camera(), None, &Default::default());
+            assert!(found.unwrap_err().to_string().contains("usable points"));
+        }
+    }
+
+    #[test]
+    fn degenerate_points_end_finite_or_in_words() {
+        let (_, pixels) = scene(50, 0.0, 0.0, false, 5);
+        let line: Vec<DVec3> = (0..50).map(|i| DVec3::new(i as f64 * 0.1, 0.0, 3.0)).collect();
+        let place = vec![DVec3::new(0.0, 0.0, 3.0); 50];
+        for points in [line, place, vec![DVec3::NAN; 50], vec![DVec3::splat(1e300); 50]] {
+            match pnp_ransac(&points, &pixels, None, &camera(), None, &Default::default()) {
+                Ok(r) => assert!(r.view_from_world.translation.is_finite()),
+                Err(e) => assert!(e.to_string().starts_with("PnP"), "{e}"),
+            }
+        }
+        let broken = Intrinsics { fx: 0.0, ..camera() };
+        let (points, pixels) = scene(50, 0.0, 0.0, false, 5);
+        assert!(pnp_ransac(&points, &pixels, None, &broken, None, &Default::default()).is_err());
+        assert!(
+            pnp_ransac(&points, &pixels[1..], None, &camera(), None, &Default::default()).is_err()
+        );
+    }
+
+    #[test]
+    fn points_at_one_far_depth_have_a_translation_that_is_said_to_be_unknown() {
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        let k = camera();
+        let (mut near, mut far, mut pixels) = (Vec::new(), Vec::new(), Vec::new());
+        for _ in 0..100 {
+            let pixel = DVec2::new(rng.random_range(0.0..512.0), rng.random_range(0.0..384.0));
+            near.push(k.ray(pixel) * rng.random_range(2.0..6.0));
+            far.push(k.ray(pixel) * 1e5);
+            pixels.push(pixel + noise(&mut rng, 0.3));
+        }
+        let fit = |points: &[DVec3]| {
+            let result = pnp_ransac(points, &pixels, None, &k, None, &Default::default()).unwrap();
+            result.covariance.fixed_view::<3, 3>(0, 0).trace().sqrt()
+        };
+        assert!(fit(&near) < 0.05);
+        assert!(fit(&far) > 10.0, "a metre at 100 km cannot be seen");
+    }
+
+    #[test]
+    fn masks_as_weights_overrule_a_dominant_mover() {
+        // 60 % of the points moved together: the mover wins unless weights say otherwise.
+        let (mut points, pixels) = scene(500, 0.0, 0.3, false, 9);
+        let moved = 300;
+        let motion = Pose::new(exp_so3(DVec3::new(0.0, 0.2, 0.0)), DVec3::new(0.5, 0.1, 0.2));
+        points[..moved].iter_mut().for_each(|p| *p = motion.apply(*p));
+        let blind =
+            pnp_ransac(&points, &pixels, None, &camera(), None, &Default::default()).unwrap();
+        assert!(errors(&blind).1 > 0.2, "the mover is the consensus");
+        let weights: Vec<f64> = (0..500).map(|i| if i < moved { 0.0 } else { 1.0 }).collect();
+        let seeing =
+            pnp_ransac(&points, &pixels, Some(&weights), &camera(), None, &Default::default())
+                .unwrap();
+        assert!(errors(&seeing).1 < 0.02);
+        // A soft mask suffices too, as weights enter the score.
+        let soft: Vec<f64> = (0..500).map(|i| if i < moved { 0.2 } else { 1.0 }).collect();
+        let seeing =
+            pnp_ransac(&points, &pixels, Some(&soft), &camera(), None, &Default::default())
+                .unwrap();
+        assert!(errors(&seeing).1 < 0.02);
+    }
+
+    #[test]
+    fn the_same_seed_gives_the_same_bits_and_a_prediction_helps() {
+        let (points, pixels) = scene(400, 0.6, 0.5, false, 13);
+        let run = |seed| {
+            let options = PnpOptions { seed, ..Default::default() };
+            pnp_ransac(&points, &pixels, None, &camera(), None, &options).unwrap()
+        };
+        assert_eq!(run(5).view_from_world, run(5).view_from_world);
+        let (points, pixels) = scene(400, 0.9, 0.5, false, 13);
+        let options = PnpOptions {
+            max_iterations: 0,
+            min_iterations: 0,
+            min_inlier_ratio: 0.05,
+            ..Default::default()
+        };
+        let near = retract(&truth(), &Twist::new(0.005, 0.0, 0.0, 0.0, 0.002, 0.0));
+        let found = pnp_ransac(&points, &pixels, None, &camera(), Some(&near), &options).unwrap();
+        assert!(errors(&found).1 < 0.02);
+        assert!(pnp_ransac(&points, &pixels, None, &camera(), None, &options).is_err());
+    }
+}

@@ -1,0 +1,426 @@
+//! Similarity transforms, and the alignment of point sets and trajectories.
+
+use super::se3::{angle_between, matrix3};
+use crate::error::{Error, Result};
+use crate::types::Pose;
+use glam::{DMat3, DQuat, DVec3};
+use nalgebra::Matrix3;
+
+/// A similarity, named `a_from_b`: `x_a = scale · rotation · x_b + translation`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sim3 {
+    /// Units of a per unit of b, positive.
+    pub scale: f64,
+    /// Unit quaternion.
+    pub rotation: DQuat,
+    /// In units of a.
+    pub translation: DVec3,
+}
+
+impl Sim3 {
+    /// Maps every point to itself.
+    pub const IDENTITY: Sim3 =
+        Sim3 { scale: 1.0, rotation: DQuat::IDENTITY, translation: DVec3::ZERO };
+
+    /// Where a point of b lies in a.
+    pub fn apply(&self, point: DVec3) -> DVec3 {
+        self.scale * (self.rotation * point) + self.translation
+    }
+
+    /// `a_from_view` of a `b_from_view`: the camera's centre is mapped, its axes turned.
+    pub fn apply_pose(&self, b_from_view: &Pose) -> Pose {
+        Pose::new(self.rotation * b_from_view.rotation, self.apply(b_from_view.translation))
+    }
+
+    /// `b_from_a` of an `a_from_b`.
+    pub fn inverse(&self) -> Sim3 {
+        let rotation = self.rotation.conjugate();
+        let scale = 1.0 / self.scale;
+        Sim3 { scale, rotation, translation: -scale * (rotation * self.translation) }
+    }
+}
+
+/// `a_from_c = a_from_b * b_from_c`.
+impl std::ops::Mul for Sim3 {
+    type Output = Sim3;
+    fn mul(self, other: Sim3) -> Sim3 {
+        Sim3 {
+            scale: self.scale * other.scale,
+            rotation: (self.rotation * other.rotation).normalize(),
+            translation: self.apply(other.translation),
+        }
+    }
+}
+
+/// How much of the rotation the points themselves determine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shape {
+    /// Planar or spatial: the rotation is unique.
+    General,
+    /// On one line: the rotation about it is free. The smallest one is taken, or the one that the
+    /// cameras' axes ask for where poses are aligned.
+    Line,
+    /// All at one place: rotation and scale are free. Identity and 1 are taken, or what the
+    /// cameras' axes ask for where poses are aligned.
+    Point,
+}
+
+/// What an alignment found.
+#[derive(Clone, Copy, Debug)]
+pub struct Alignment {
+    /// Maps the estimate to the reference.
+    pub reference_from_estimate: Sim3,
+    /// How much of it was determined by the points.
+    pub shape: Shape,
+    /// Weighted root mean square distance after aligning, in the reference's units.
+    pub rmse: f64,
+}
+
+/// Ratio of singular values below which a direction counts as absent: what f64 rounding leaves of
+/// coordinates that lie a thousand extents from the origin.
+const RANK_TOLERANCE: f64 = 1e-9;
+
+/// Least-squares similarity (or rigid transform, without `with_scale`) between paired points.
+///
+/// Umeyama, PAMI 1991: rotation from the SVD of the covariance with reflections excluded. `weights`
+/// are per pair and not negative; none means 1 each. Points on one line or at one place get the
+/// documented answer of [`Shape`].
+///
+/// # Errors
+/// Differing lengths, no pairs, a non-finite coordinate, no positive weight.
+pub fn align_points(
+    estimate: &[DVec3],
+    reference: &[DVec3],
+    weights: Option<&[f64]>,
+    with_scale: bool,
+) -> Result<Alignment> {
+    let moments = Moments::gather(estimate, reference, weights)?;
+    let (rotation, shape) = moments.rotation();
+    Ok(moments.finish(rotation, shape, with_scale, estimate, reference, weights))
+}
+
+/// Least-squares alignment of two trajectories (`world_from_view` each, paired by index) by their
+/// camera centres, as [`align_points`] does.
+///
+/// Where the centres lie on one line (or at one place), what they leave open of the rotation is
+/// taken from the cameras' axes (chordal mean), so that novel views can be mapped too; the fit of
+/// the centres is not touched by it.
+///
+/// # Errors
+/// As [`align_points`].
+pub fn align_poses(estimate: &[Pose], reference: &[Pose], with_scale: bool) -> Result<Alignment> {
+    let a: Vec<DVec3> = estimate.iter().map(|p| p.translation).collect();
+    let b: Vec<DVec3> = reference.iter().map(|p| p.translation).collect();
+    let moments = Moments::gather(&a, &b, None)?;
+    let (mut rotation, shape) = moments.rotation();
+    // Σ R_ref R_estᵀ: the trace of (candidate)ᵀ times it is what the axes ask to be largest.
+    let mut axes = DMat3::ZERO;
+    for (e, r) in estimate.iter().zip(reference) {
+        axes += DMat3::from_quat(r.rotation * e.rotation.conjugate());
+    }
+    match shape {
+        Shape::General => {}
+        Shape::Line => {
+            let about = rotation * moments.direction();
+            rotation = best_turn(about, rotation, axes) * rotation;
+        }
+        Shape::Point => {
+            let (fitted, unique) = nearest_rotation(&matrix3(&axes));
+            if unique == Shape::General {
+                rotation = fitted;
+            }
+        }
+    }
+    Ok(moments.finish(rotation, shape, with_scale, &a, &b, None))
+}
+
+/// The turn about `axis` that brings `rotation` closest to the summed rotations `target`.
+fn best_turn(axis: DVec3, rotation: DQuat, target: DMat3) -> DQuat {
+    let m = target * DMat3::from_quat(rotation.conjugate());
+    // tr(Rot(θ)ᵀ M) = const + cos θ (tr M − aᵀMa) + sin θ · a·vee(M − Mᵀ).
+    let cosine = m.x_axis.x + m.y_axis.y + m.z_axis.z - axis.dot(m * axis);
+    let vee = DVec3::new(m.y_axis.z - m.z_axis.y, m.z_axis.x - m.x_axis.z, m.x_axis.y - m.y_axis.x);
+    let sine = axis.dot(vee);
+    if cosine == 0.0 && sine == 0.0 {
+        return DQuat::IDENTITY;
+    }
+    DQuat::from_axis_angle(axis, sine.atan2(cosine))
+}
+
+/// The rotation R that maximises tr(RᵀM), reflections excluded, and how far M determines it.
+fn nearest_rotation(m: &Matrix3<f64>) -> (DQuat, Shape) {
+    let svd = m.svd(true, true);
+    let (Some(u), Some(vt)) = (svd.u, svd.v_t) else { return (DQuat::IDENTITY, Shape::Point) };
+    let s = svd.singular_values;
+    let largest = s[0];
+    if largest.is_nan() || largest <= f64::MIN_POSITIVE {
+        return (DQuat::IDENTITY, Shape::Point);
+    }
+    let (from, to) = (vt.row(0).transpose(), u.column(0));
+    if s[1] <= RANK_TOLERANCE * largest {
+        let from = DVec3::new(from[0], from[1], from[2]).normalize();
+        let to = DVec3::new(to[0], to[1], to[2]).normalize();
+        return (DQuat::from_rotation_arc(from, to).normalize(), Shape::Line);
+    }
+    // The third column is completed to a right-handed basis on both sides, which is the
+    // reflection-free optimum and does not depend on the null space's arbitrary signs.
+    let (v0, v1) = (vec3(&vt.row(0).transpose()), vec3(&vt.row(1).transpose()));
+    let (u0, u1) = (vec3(&u.column(0).into()), vec3(&u.column(1).into()));
+    let left = DMat3::from_cols(u0, u1, u0.cross(u1));
+    let right = DMat3::from_cols(v0, v1, v0.cross(v1));
+    (DQuat::from_mat3(&(left * right.transpose())).normalize(), Shape::General)
+}
+
+fn vec3(v: &nalgebra::Vector3<f64>) -> DVec3 {
+    DVec3::new(v[0], v[1], v[2])
+}
+
+/// Weighted means, covariance and spread of paired points.
+struct Moments {
+    mean_estimate: DVec3,
+    mean_reference: DVec3,
+    /// Σ w (reference − mean)(estimate − mean)ᵀ / Σ w.
+    covariance: DMat3,
+    /// Σ w |estimate − mean|² / Σ w.
+    spread: f64,
+    /// Σ w |reference − mean|² / Σ w.
+    spread_reference: f64,
+}
+
+impl Moments {
+    fn gather(a: &[DVec3], b: &[DVec3], weights: Option<&[f64]>) -> Result<Moments> {
+        let op = "alignment";
+        if a.len() != b.len() {
+            let expected = format!("{}, one for each estimate", a.len());
+            return Err(Error::Shape { op, arg: "reference", expected, actual: b.len() });
+        }
+        if let Some(w) = weights
+            && w.len() != a.len()
+        {
+            let expected = format!("{}, one for each pair", a.len());
+            return Err(Error::Shape { op, arg: "weights", expected, actual: w.len() });
+        }
+        if a.is_empty() {
+            return Err(Error::Input(
+                "alignment: no pairs of positions; do the two trajectories share time stamps?"
+                    .into(),
+            ));
+        }
+        let weight = |i: usize| weights.map_or(1.0, |w| w[i]);
+        let (mut total, mut ma, mut mb) = (0.0, DVec3::ZERO, DVec3::ZERO);
+        for i in 0..a.len() {
+            let w = weight(i);
+            if !(a[i].is_finite() && b[i].is_finite() && w.is_finite() && w >= 0.0) {
+                return Err(Error::Input(format!(
+                    "alignment: pair {i} has a position that is not finite or a negative weight \
+                     ({}, {}, weight {w}); leave it out",
+                    a[i], b[i]
+                )));
+            }
+            total += w;
+            ma += w * a[i];
+            mb += w * b[i];
+        }
+        if total <= 0.0 {
+            return Err(Error::Input("alignment: every pair has weight 0".into()));
+        }
+        let (ma, mb) = (ma / total, mb / total);
+        let (mut covariance, mut spread, mut spread_reference) = (DMat3::ZERO, 0.0, 0.0);
+        for i in 0..a.len() {
+            let w = weight(i) / total;
+            let (da, db) = (a[i] - ma, b[i] - mb);
+            covariance += DMat3::from_cols(db * da.x, db * da.y, db * da.z) * w;
+            spread += w * da.length_squared();
+            spread_reference += w * db.length_squared();
+        }
+        let far = ma.length_squared();
+        // Positions that differ by rounding alone are one place.
+        if spread <= (far + spread) * 1e-28 {
+            spread = 0.0;
+            covariance = DMat3::ZERO;
+        }
+        Ok(Moments { mean_estimate: ma, mean_reference: mb, covariance, spread, spread_reference })
+    }
+
+    fn rotation(&self) -> (DQuat, Shape) {
+        let size = (self.spread * self.spread_reference).sqrt();
+        // Covariance is normalised so that tiny and huge scenes meet the same thresholds.
+        if size.is_nan() || size <= 0.0 {
+            return (DQuat::IDENTITY, Shape::Point);
+        }
+        nearest_rotation(&matrix3(&(self.covariance * (1.0 / size))))
+    }
+
+    /// The estimate's main direction: the right singular vector of the covariance.
+    fn direction(&self) -> DVec3 {
+        let size = (self.spread * self.spread_reference).sqrt();
+        let svd = matrix3(&(self.covariance * (1.0 / size))).svd(false, true);
+        svd.v_t.map_or(DVec3::X, |v| vec3(&v.row(0).transpose()).normalize())
+    }
+
+    fn finish(
+        &self,
+        rotation: DQuat,
+        shape: Shape,
+        with_scale: bool,
+        a: &[DVec3],
+        b: &[DVec3],
+        weights: Option<&[f64]>,
+    ) -> Alignment {
+        let turned = DMat3::from_quat(rotation);
+        // tr(Rᵀ C) / spread is Umeyama's tr(DS)/σ² for any R, so it also fits a partly free one.
+        let trace = (0..3).map(|k| turned.col(k).dot(self.covariance.col(k))).sum::<f64>();
+        let scale = if with_scale && self.spread > 0.0 { trace / self.spread } else { 1.0 };
+        // A reference that stands still while the estimate moves would ask for scale 0.
+        let scale = if scale.is_finite() && scale > 0.0 { scale } else { 1.0 };
+        let translation = self.mean_reference - scale * (rotation * self.mean_estimate);
+        let transform = Sim3 { scale, rotation, translation };
+        let (mut sum, mut total) = (0.0, 0.0);
+        for i in 0..a.len() {
+            let w = weights.map_or(1.0, |w| w[i]);
+            sum += w * (transform.apply(a[i]) - b[i]).length_squared();
+            total += w;
+        }
+        Alignment { reference_from_estimate: transform, shape, rmse: (sum / total).sqrt() }
+    }
+}
+
+/// The rotation between two similarities, radians; for tests and reports.
+pub fn rotation_error(a: &Sim3, b: &Sim3) -> f64 {
+    angle_between(a.rotation, b.rotation)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::se3::exp_so3;
+
+    fn truth() -> Sim3 {
+        Sim3 {
+            scale: 2.5,
+            rotation: exp_so3(DVec3::new(0.7, -1.1, 0.4)),
+            translation: DVec3::new(3.0, -4.0, 5.0),
+        }
+    }
+
+    fn cloud() -> Vec<DVec3> {
+        (0..20)
+            .map(|i| {
+                let t = i as f64;
+                DVec3::new((1.3 * t).sin(), (0.7 * t).cos() * 2.0, (0.9 * t + 1.0).sin())
+            })
+            .collect()
+    }
+
+    #[test]
+    fn group_laws() {
+        let s = truth();
+        let p = DVec3::new(0.1, 0.2, 0.3);
+        assert!((s.inverse().apply(s.apply(p)) - p).length() < 1e-14);
+        assert!(((s * s).apply(p) - s.apply(s.apply(p))).length() < 1e-13);
+    }
+
+    #[test]
+    fn recovers_a_similarity_also_from_a_plane_and_far_from_the_origin() {
+        for (flat, offset) in [(1.0, 0.0), (0.0, 0.0), (1.0, 1e6)] {
+            let a: Vec<DVec3> =
+                cloud().iter().map(|p| DVec3::new(p.x, p.y, p.z * flat) + offset).collect();
+            let b: Vec<DVec3> = a.iter().map(|&p| truth().apply(p)).collect();
+            let found = align_points(&a, &b, None, true).unwrap();
+            let s = found.reference_from_estimate;
+            assert_eq!(found.shape, Shape::General);
+            assert!((s.scale - 2.5).abs() < 1e-8, "{s:?}");
+            assert!(rotation_error(&s, &truth()) < 1e-8);
+            assert!(found.rmse < 1e-7);
+        }
+    }
+
+    #[test]
+    fn mirrored_points_get_a_rotation_not_a_reflection() {
+        let a = cloud();
+        let b: Vec<DVec3> = a.iter().map(|p| DVec3::new(-p.x, p.y, p.z)).collect();
+        let found = align_points(&a, &b, None, true).unwrap();
+        let r = DMat3::from_quat(found.reference_from_estimate.rotation);
+        assert!((r.determinant() - 1.0).abs() < 1e-12);
+        assert!(found.rmse > 0.1, "a reflection cannot be fitted");
+        // No small turn or change of scale does better: it is a minimum, not just a rotation.
+        let cost = |s: &Sim3| -> f64 {
+            a.iter().zip(&b).map(|(&p, &q)| (s.apply(p) - q).length_squared()).sum()
+        };
+        let best = cost(&found.reference_from_estimate);
+        for axis in [DVec3::X, DVec3::Y, DVec3::Z] {
+            for turn in [-0.02, 0.02] {
+                let mut s = found.reference_from_estimate;
+                let mean = a.iter().sum::<DVec3>() / a.len() as f64;
+                let fixed = s.apply(mean);
+                s.rotation = exp_so3(axis * turn) * s.rotation;
+                s.translation = fixed - s.scale * (s.rotation * mean);
+                assert!(cost(&s) > best);
+            }
+        }
+    }
+
+    #[test]
+    fn weights_silence_a_bad_pair() {
+        let a = cloud();
+        let mut b: Vec<DVec3> = a.iter().map(|&p| truth().apply(p)).collect();
+        b[3] += DVec3::splat(100.0);
+        let mut w = vec![1.0; a.len()];
+        w[3] = 0.0;
+        let found = align_points(&a, &b, Some(&w), true).unwrap();
+        assert!(found.rmse < 1e-12 && (found.reference_from_estimate.scale - 2.5).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_line_of_centres_takes_the_free_turn_from_the_axes() {
+        let estimate: Vec<Pose> = (0..8)
+            .map(|i| {
+                let axes = exp_so3(DVec3::new(0.1 * i as f64, 0.3, -0.2));
+                Pose::new(axes, DVec3::new(1.0, 2.0, -0.5) * i as f64)
+            })
+            .collect();
+        let reference: Vec<Pose> = estimate.iter().map(|p| truth().apply_pose(p)).collect();
+        let found = align_poses(&estimate, &reference, true).unwrap();
+        assert_eq!(found.shape, Shape::Line);
+        assert!(rotation_error(&found.reference_from_estimate, &truth()) < 1e-9);
+        assert!(found.rmse < 1e-9);
+        let a: Vec<DVec3> = estimate.iter().map(|p| p.translation).collect();
+        let b: Vec<DVec3> = reference.iter().map(|p| p.translation).collect();
+        let points = align_points(&a, &b, None, true).unwrap();
+        assert!(points.shape == Shape::Line && points.rmse < 1e-9);
+        assert!((points.reference_from_estimate.scale - 2.5).abs() < 1e-9);
+    }
+
+    #[test]
+    fn one_place_takes_the_rotation_from_the_axes_and_scale_one() {
+        let turn = exp_so3(DVec3::new(0.2, 0.5, -0.9));
+        let estimate: Vec<Pose> =
+            (0..4).map(|i| Pose::new(exp_so3(DVec3::X * i as f64 * 0.2), DVec3::ONE)).collect();
+        let reference: Vec<Pose> =
+            estimate.iter().map(|p| Pose::new(turn * p.rotation, DVec3::ZERO)).collect();
+        let found = align_poses(&estimate, &reference, true).unwrap();
+        assert_eq!(found.shape, Shape::Point);
+        assert_eq!(found.reference_from_estimate.scale, 1.0);
+        assert!(angle_between(found.reference_from_estimate.rotation, turn) < 1e-9);
+        assert!(found.rmse < 1e-12);
+    }
+
+    #[test]
+    fn an_estimate_that_stands_still_gives_a_finite_answer() {
+        let a = vec![DVec3::new(0.1, 0.2, 0.3); 5];
+        let found = align_points(&a, &cloud()[..5], None, true).unwrap();
+        assert!(found.rmse.is_finite() && found.reference_from_estimate.scale == 1.0);
+        let found = align_points(&cloud()[..5], &a, None, true).unwrap();
+        assert!(found.rmse.is_finite() && found.reference_from_estimate.scale > 0.0);
+    }
+
+    #[test]
+    fn bad_input_is_named() {
+        assert!(align_points(&[], &[], None, true).is_err());
+        assert!(align_points(&[DVec3::ONE], &[], None, true).is_err());
+        let nan = [DVec3::new(f64::NAN, 0.0, 0.0)];
+        let message = align_points(&nan, &[DVec3::ONE], None, true).unwrap_err().to_string();
+        assert!(message.contains("pair 0"), "{message}");
+        assert!(align_points(&[DVec3::ONE], &[DVec3::ONE], Some(&[0.0]), true).is_err());
+    }
+}

@@ -1,0 +1,645 @@
+//! How two images lie to each other: the start of a reconstruction, and the choice of keyframes.
+
+use super::epipolar::{
+    cheiral_pose, eight_point, essential_from_pose, fundamental_from_essential, in_front,
+    sampson_squared,
+};
+use super::five_point::five_point;
+use super::homography::{homography, transfer_squared};
+use super::pnp::check_intrinsics;
+use super::ransac::{Consensus, Estimator, RansacOptions, ransac};
+use super::relative::refine_relative;
+use super::sim3::align_points;
+use super::triangulate::triangulate;
+use crate::error::{Error, Result};
+use crate::types::{Intrinsics, Pose};
+use glam::{DMat3, DQuat, DVec2, DVec3};
+
+/// What kind of motion two images show.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Motion {
+    /// The pixels stand still: the camera did.
+    Static,
+    /// A turn explains the pixels: depth cannot be seen, the translation is reported as zero.
+    PureRotation,
+    /// One plane explains the pixels; the pose stands, the fundamental matrix would not.
+    Planar,
+    /// A scene with depth, seen from two places.
+    General,
+}
+
+/// How two images are compared.
+#[derive(Clone, Copy, Debug)]
+pub struct TwoViewOptions {
+    /// The robust search; its threshold is in pixels of Sampson or transfer distance.
+    pub ransac: RansacOptions,
+    /// Below this median displacement (pixels) the camera stood still.
+    pub static_px: f64,
+    /// Below this median residual (pixels) after the best turn, it only turned.
+    pub parallax_px: f64,
+    /// A homography that holds for this share of the epipolar inliers makes a plane.
+    pub planar_ratio: f64,
+}
+
+impl Default for TwoViewOptions {
+    fn default() -> Self {
+        TwoViewOptions {
+            ransac: RansacOptions::default(),
+            static_px: 0.5,
+            parallax_px: 1.0,
+            planar_ratio: 0.9,
+        }
+    }
+}
+
+/// How image b lies to image a.
+#[derive(Clone, Debug)]
+pub struct TwoView {
+    /// Frame a to frame b; the translation has length 1, or 0 for [`Motion::Static`] and
+    /// [`Motion::PureRotation`].
+    pub b_from_a: Pose,
+    /// What the pixels show.
+    pub motion: Motion,
+    /// Per pair given: agrees with the pose (and meets in front of both cameras, where there is a
+    /// translation).
+    pub inliers: Vec<bool>,
+    /// Inliers among the pairs that could be used.
+    pub inlier_ratio: f64,
+    /// Root mean square Sampson distance of the inliers (transfer distance where there is no
+    /// translation), pixels.
+    pub rmse: f64,
+    /// Median displacement of the pixels.
+    pub displacement_px: f64,
+    /// Median residual of the inliers after the best turn, pixels: what depth is read from.
+    pub parallax_px: f64,
+    /// Median angle between the inliers' rays, degrees; 0 where there is no translation.
+    pub parallax_deg: f64,
+    /// Share of the epipolar inliers that one homography explains.
+    pub homography_ratio: f64,
+}
+
+/// Fewest pairs that the relative pose is asked from: five make it, three more vouch for it.
+const FEWEST: usize = 8;
+
+/// Finds how image b lies to image a from pixel pairs, under outliers.
+///
+/// Five-point algorithm inside RANSAC (MSAC, locally optimised on Sampson distances), compared
+/// with a pure rotation and with a homography. `weights` (1 each without) scale each pair's cost;
+/// pairs with a weight of 0, or with anything not finite, are left out.
+///
+/// # Errors
+/// Differing lengths, unusable intrinsics, fewer than 8 usable pairs, no consensus of at least 8
+/// pairs and of `ransac.min_inlier_ratio`.
+pub fn two_view(
+    pixels_a: &[DVec2],
+    pixels_b: &[DVec2],
+    weights: Option<&[f64]>,
+    ka: &Intrinsics,
+    kb: &Intrinsics,
+    options: &TwoViewOptions,
+) -> Result<TwoView> {
+    let op = "two-view geometry";
+    let expected = || format!("{}, one for each pixel of the first image", pixels_a.len());
+    if pixels_b.len() != pixels_a.len() {
+        let actual = pixels_b.len();
+        return Err(Error::Shape { op, arg: "pixels of b", expected: expected(), actual });
+    }
+    if let Some(w) = weights
+        && w.len() != pixels_a.len()
+    {
+        return Err(Error::Shape { op, arg: "weights", expected: expected(), actual: w.len() });
+    }
+    check_intrinsics(ka)?;
+    check_intrinsics(kb)?;
+    let pairs = Pairs::gather(pixels_a, pixels_b, weights, ka, kb);
+    let usable = pairs.pixels.len();
+    if usable < FEWEST {
+        return Err(Error::Failed(format!(
+            "{op}: {usable} usable pixel pairs of {}, needs {FEWEST}",
+            pixels_a.len()
+        )));
+    }
+    let failed = |found: usize| {
+        Error::Failed(format!(
+            "{op}: the best relative pose agrees with {found} of {usable} pixel pairs within \
+             {:.2} px; the images may not overlap, or most of them moves",
+            options.ransac.threshold
+        ))
+    };
+    let enough =
+        |n: usize| n >= FEWEST && n as f64 >= options.ransac.min_inlier_ratio * usable as f64;
+    let displacement_px = median(pairs.pixels.iter().map(|(a, b)| (*b - *a).length()).collect());
+    let all: Vec<usize> = (0..usable).collect();
+    if displacement_px < options.static_px {
+        let still: Vec<usize> = all
+            .iter()
+            .copied()
+            .filter(|&i| pairs.turned(DQuat::IDENTITY, i) < options.ransac.threshold)
+            .collect();
+        return Ok(pairs.without_translation(
+            DQuat::IDENTITY,
+            Motion::Static,
+            still,
+            displacement_px,
+            pixels_a.len(),
+        ));
+    }
+    let turn = ransac(&Turn(&pairs), &options.ransac, &[]);
+    let epipolar =
+        ransac(&Epipolar(&pairs), &options.ransac, &[]).map(|c| settle(&pairs, c, options));
+    // The turn is judged on what the pose explains, so that a mover does not make parallax.
+    let explained = match &epipolar {
+        Some(e) if enough(e.1.len()) => &e.1,
+        _ => &all,
+    };
+    let parallax_px = turn.as_ref().map_or(f64::INFINITY, |t| {
+        median(explained.iter().map(|&i| pairs.turned(t.model, i)).collect())
+    });
+    if let Some(turn) = &turn
+        && parallax_px < options.parallax_px
+        && enough(turn.inliers.len())
+    {
+        return Ok(pairs.without_translation(
+            turn.model,
+            Motion::PureRotation,
+            turn.inliers.clone(),
+            displacement_px,
+            pixels_a.len(),
+        ));
+    }
+    let (pose, inliers) = epipolar.ok_or_else(|| failed(0))?;
+    if !enough(inliers.len()) {
+        return Err(failed(inliers.len()));
+    }
+    let on_plane = ransac(&Plane(&pairs), &options.ransac, &[]).map_or(0, |h| {
+        let inverse = h.model.inverse();
+        let limit = options.ransac.threshold.powi(2);
+        inliers
+            .iter()
+            .filter(|&&i| {
+                let (a, b) = pairs.pixels[i];
+                transfer_squared(&h.model, &inverse, a, b) < limit
+            })
+            .count()
+    });
+    let homography_ratio = on_plane as f64 / inliers.len() as f64;
+    let planar = homography_ratio >= options.planar_ratio;
+    let f = fundamental_from_essential(&essential_from_pose(&pose), ka, kb);
+    let squared: f64 =
+        inliers.iter().map(|&i| sampson_squared(&f, pairs.pixels[i].0, pairs.pixels[i].1)).sum();
+    let angles = inliers
+        .iter()
+        .filter_map(|&i| triangulate(&[(Pose::IDENTITY, pairs.rays[i].0), (pose, pairs.rays[i].1)]))
+        .map(|t| t.parallax.to_degrees())
+        .collect();
+    Ok(TwoView {
+        b_from_a: pose,
+        motion: if planar { Motion::Planar } else { Motion::General },
+        inlier_ratio: inliers.len() as f64 / usable as f64,
+        rmse: (squared / inliers.len() as f64).sqrt(),
+        displacement_px,
+        parallax_px,
+        parallax_deg: median(angles),
+        homography_ratio,
+        inliers: pairs.mask(&inliers, pixels_a.len()),
+    })
+}
+
+/// The fundamental matrix of pixel pairs under outliers: eight points inside RANSAC, Sampson
+/// distance in pixels. Inliers are indices into `pairs`. None for fewer than eight pairs or where
+/// no sample gave a matrix.
+pub fn fundamental_ransac(
+    pairs: &[(DVec2, DVec2)],
+    options: &RansacOptions,
+) -> Option<Consensus<DMat3>> {
+    ransac(&Fundamental(pairs), options, &[])
+}
+
+/// The last refinement: the pose on all its inliers until they settle, with the one of its four
+/// interpretations that most of them are in front of.
+fn settle(
+    pairs: &Pairs,
+    consensus: Consensus<Relative>,
+    options: &TwoViewOptions,
+) -> (Pose, Vec<usize>) {
+    let mut pose = consensus.model.pose;
+    let mut inliers = consensus.inliers;
+    let limit = options.ransac.threshold.powi(2);
+    for _ in 0..3 {
+        let subset: Vec<_> = inliers.iter().map(|&i| pairs.pixels[i]).collect();
+        let weights: Vec<f64> = inliers.iter().map(|&i| pairs.weights[i]).collect();
+        let width = options.ransac.threshold;
+        (pose, _) =
+            refine_relative(&pose, &pairs.ka, &pairs.kb, &subset, Some(&weights), width, 20);
+        let rays: Vec<_> = inliers.iter().map(|&i| pairs.rays[i]).collect();
+        if let Some((best, _)) = cheiral_pose(&essential_from_pose(&pose), &rays) {
+            pose = best;
+        }
+        let f = fundamental_from_essential(&essential_from_pose(&pose), &pairs.ka, &pairs.kb);
+        let next: Vec<usize> = (0..pairs.pixels.len())
+            .filter(|&i| sampson_squared(&f, pairs.pixels[i].0, pairs.pixels[i].1) < limit)
+            .collect();
+        let settled = next == inliers;
+        inliers = next;
+        if settled {
+            break;
+        }
+    }
+    inliers.retain(|&i| pairs.meets(&pose, i));
+    (pose, inliers)
+}
+
+/// The pairs that can be used.
+struct Pairs {
+    pixels: Vec<(DVec2, DVec2)>,
+    rays: Vec<(DVec3, DVec3)>,
+    weights: Vec<f64>,
+    origin: Vec<usize>,
+    ka: Intrinsics,
+    kb: Intrinsics,
+}
+
+impl Pairs {
+    fn gather(
+        a: &[DVec2],
+        b: &[DVec2],
+        weights: Option<&[f64]>,
+        ka: &Intrinsics,
+        kb: &Intrinsics,
+    ) -> Pairs {
+        let mut pairs = Pairs {
+            pixels: vec![],
+            rays: vec![],
+            weights: vec![],
+            origin: vec![],
+            ka: *ka,
+            kb: *kb,
+        };
+        for i in 0..a.len() {
+            let w = weights.map_or(1.0, |w| w[i]);
+            if a[i].is_finite() && b[i].is_finite() && w.is_finite() && w > 0.0 {
+                pairs.pixels.push((a[i], b[i]));
+                pairs.rays.push((ka.ray(a[i]), kb.ray(b[i])));
+                pairs.weights.push(w);
+                pairs.origin.push(i);
+            }
+        }
+        pairs
+    }
+
+    fn mask(&self, inliers: &[usize], total: usize) -> Vec<bool> {
+        let mut mask = vec![false; total];
+        inliers.iter().for_each(|&i| mask[self.origin[i]] = true);
+        mask
+    }
+
+    /// Distance in image b between a pixel and where a turn takes its partner, pixels.
+    fn turned(&self, b_from_a: DQuat, i: usize) -> f64 {
+        let p = b_from_a * self.rays[i].0;
+        if p.z > 1e-9 { (self.kb.project(p) - self.pixels[i].1).length() } else { f64::INFINITY }
+    }
+
+    /// Do a pair's rays meet in front of both cameras? Rays that noise alone may have made diverge
+    /// are taken to meet at infinity.
+    fn meets(&self, pose: &Pose, i: usize) -> bool {
+        let (a, b) = self.rays[i];
+        in_front(pose, a, b) || self.turned(pose.rotation, i) < 1.0
+    }
+
+    fn without_translation(
+        &self,
+        rotation: DQuat,
+        motion: Motion,
+        inliers: Vec<usize>,
+        displacement_px: f64,
+        total: usize,
+    ) -> TwoView {
+        let residuals: Vec<f64> = inliers.iter().map(|&i| self.turned(rotation, i)).collect();
+        let squared: f64 = residuals.iter().map(|r| r * r).sum();
+        TwoView {
+            b_from_a: Pose { rotation, translation: DVec3::ZERO },
+            motion,
+            inlier_ratio: inliers.len() as f64 / self.pixels.len() as f64,
+            rmse: (squared / inliers.len().max(1) as f64).sqrt(),
+            displacement_px,
+            parallax_px: median(residuals),
+            parallax_deg: 0.0,
+            homography_ratio: 1.0,
+            inliers: self.mask(&inliers, total),
+        }
+    }
+}
+
+/// The middle value; 0 of none.
+fn median(mut values: Vec<f64>) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// A relative pose with the matrix that its distances are taken from.
+#[derive(Clone)]
+struct Relative {
+    pose: Pose,
+    fundamental: DMat3,
+}
+
+struct Epipolar<'a>(&'a Pairs);
+
+impl Epipolar<'_> {
+    fn model(&self, pose: Pose) -> Relative {
+        let e = essential_from_pose(&pose);
+        Relative { pose, fundamental: fundamental_from_essential(&e, &self.0.ka, &self.0.kb) }
+    }
+}
+
+impl Estimator for Epipolar<'_> {
+    type Model = Relative;
+    const SAMPLE: usize = 5;
+    const LOCAL_SAMPLE: usize = 14;
+
+    fn len(&self) -> usize {
+        self.0.pixels.len()
+    }
+
+    fn minimal(&self, sample: &[usize], out: &mut Vec<Relative>) {
+        let rays: Vec<_> = sample.iter().map(|&i| self.0.rays[i]).collect();
+        for e in five_point(&rays) {
+            // A sample free of outliers lies in front of both cameras; one point may be far away.
+            if let Some((pose, count)) = cheiral_pose(&e, &rays)
+                && count + 1 >= sample.len()
+            {
+                out.push(self.model(pose));
+            }
+        }
+    }
+
+    fn squared_error(&self, model: &Relative, i: usize) -> f64 {
+        sampson_squared(&model.fundamental, self.0.pixels[i].0, self.0.pixels[i].1)
+    }
+
+    fn refine(&self, model: &Relative, sample: &[usize]) -> Option<Relative> {
+        let pairs: Vec<_> = sample.iter().map(|&i| self.0.pixels[i]).collect();
+        let weights: Vec<_> = sample.iter().map(|&i| self.0.weights[i]).collect();
+        let refined =
+            refine_relative(&model.pose, &self.0.ka, &self.0.kb, &pairs, Some(&weights), 1.0, 5);
+        Some(self.model(refined.0))
+    }
+
+    fn weight(&self, i: usize) -> f64 {
+        self.0.weights[i]
+    }
+}
+
+struct Turn<'a>(&'a Pairs);
+
+impl Turn<'_> {
+    fn fit(&self, sample: &[usize]) -> Option<DQuat> {
+        let unit = |pick: fn(&(DVec3, DVec3)) -> DVec3| -> Vec<DVec3> {
+            // With the origin as one more point of great weight, Umeyama's rotation is Kabsch's.
+            sample
+                .iter()
+                .flat_map(|&i| {
+                    let d = pick(&self.0.rays[i]).normalize_or_zero();
+                    [d, -d]
+                })
+                .collect()
+        };
+        let found = align_points(&unit(|r| r.0), &unit(|r| r.1), None, false).ok()?;
+        Some(found.reference_from_estimate.rotation)
+    }
+}
+
+impl Estimator for Turn<'_> {
+    type Model = DQuat;
+    const SAMPLE: usize = 2;
+    const LOCAL_SAMPLE: usize = 14;
+
+    fn len(&self) -> usize {
+        self.0.pixels.len()
+    }
+
+    fn minimal(&self, sample: &[usize], out: &mut Vec<DQuat>) {
+        out.extend(self.fit(sample));
+    }
+
+    fn squared_error(&self, model: &DQuat, i: usize) -> f64 {
+        self.0.turned(*model, i).powi(2)
+    }
+
+    fn refine(&self, _: &DQuat, sample: &[usize]) -> Option<DQuat> {
+        self.fit(sample)
+    }
+
+    fn weight(&self, i: usize) -> f64 {
+        self.0.weights[i]
+    }
+}
+
+struct Plane<'a>(&'a Pairs);
+
+impl Plane<'_> {
+    fn fit(&self, sample: &[usize]) -> Option<DMat3> {
+        let pairs: Vec<_> = sample.iter().map(|&i| self.0.pixels[i]).collect();
+        homography(&pairs, None)
+    }
+}
+
+impl Estimator for Plane<'_> {
+    type Model = DMat3;
+    const SAMPLE: usize = 4;
+    const LOCAL_SAMPLE: usize = 14;
+
+    fn len(&self) -> usize {
+        self.0.pixels.len()
+    }
+
+    fn minimal(&self, sample: &[usize], out: &mut Vec<DMat3>) {
+        out.extend(self.fit(sample));
+    }
+
+    fn squared_error(&self, h: &DMat3, i: usize) -> f64 {
+        let (a, b) = self.0.pixels[i];
+        transfer_squared(h, &h.inverse(), a, b)
+    }
+
+    fn refine(&self, _: &DMat3, sample: &[usize]) -> Option<DMat3> {
+        self.fit(sample)
+    }
+
+    fn weight(&self, i: usize) -> f64 {
+        self.0.weights[i]
+    }
+}
+
+struct Fundamental<'a>(&'a [(DVec2, DVec2)]);
+
+impl Estimator for Fundamental<'_> {
+    type Model = DMat3;
+    const SAMPLE: usize = 8;
+    const LOCAL_SAMPLE: usize = 24;
+
+    fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    fn minimal(&self, sample: &[usize], out: &mut Vec<DMat3>) {
+        let pairs: Vec<_> = sample.iter().map(|&i| self.0[i]).collect();
+        out.extend(eight_point(&pairs, None));
+    }
+
+    fn squared_error(&self, f: &DMat3, i: usize) -> f64 {
+        sampson_squared(f, self.0[i].0, self.0[i].1)
+    }
+
+    fn refine(&self, _: &DMat3, sample: &[usize]) -> Option<DMat3> {
+        let pairs: Vec<_> = sample.iter().map(|&i| self.0[i]).collect();
+        eight_point(&pairs, None)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::se3::{angle_between, exp_so3};
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    #[derive(Clone, Copy)]
+    struct Make {
+        n: usize,
+        outliers: f64,
+        sigma: f64,
+        plane: bool,
+        pose: Pose,
+    }
+
+    fn camera() -> Intrinsics {
+        Intrinsics::centred(450.0, 640, 360)
+    }
+
+    fn truth() -> Pose {
+        Pose::new(exp_so3(DVec3::new(0.03, -0.08, 0.05)), DVec3::new(0.5, 0.1, -0.2))
+    }
+
+    fn general() -> Make {
+        Make { n: 400, outliers: 0.0, sigma: 0.3, plane: false, pose: truth() }
+    }
+
+    fn pairs(make: Make) -> (Vec<DVec2>, Vec<DVec2>) {
+        let mut rng = ChaCha8Rng::seed_from_u64(21);
+        let k = camera();
+        let normal = |rng: &mut ChaCha8Rng| {
+            let (u, v): (f64, f64) = (rng.random_range(1e-12..1.0), rng.random());
+            (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+        };
+        (0..make.n)
+            .map(|i| {
+                let a = DVec2::new(rng.random_range(0.0..640.0), rng.random_range(0.0..360.0));
+                let ray = k.ray(a);
+                let depth = if make.plane {
+                    5.0 / (1.0 + 0.5 * ray.x - 0.3 * ray.y)
+                } else {
+                    rng.random_range(2.0..10.0)
+                };
+                let mut b = k.project(make.pose.apply(ray * depth));
+                if (i as f64) < make.outliers * make.n as f64 {
+                    b = DVec2::new(rng.random_range(0.0..640.0), rng.random_range(0.0..360.0));
+                }
+                (a, b + DVec2::new(normal(&mut rng), normal(&mut rng)) * make.sigma)
+            })
+            .unzip()
+    }
+
+    fn run(make: Make) -> Result<TwoView> {
+        let (a, b) = pairs(make);
+        two_view(&a, &b, None, &camera(), &camera(), &TwoViewOptions::default())
+    }
+
+    fn errors(found: &TwoView, truth: &Pose) -> (f64, f64) {
+        (
+            angle_between(found.b_from_a.rotation, truth.rotation).to_degrees(),
+            found.b_from_a.translation.angle_between(truth.translation).to_degrees(),
+        )
+    }
+
+    #[test]
+    fn a_scene_with_depth_under_outliers() {
+        for outliers in [0.0, 0.3, 0.6] {
+            let found = run(Make { outliers, ..general() }).unwrap();
+            assert_eq!(found.motion, Motion::General);
+            let (rotation, translation) = errors(&found, &truth());
+            assert!(rotation < 0.2 && translation < 1.5, "{outliers}: {rotation} {translation}");
+            assert!((found.b_from_a.translation.length() - 1.0).abs() < 1e-12);
+            assert!(found.parallax_px > 5.0 && found.parallax_deg > 1.0 && found.rmse < 0.5);
+            let right = found.inliers[240..].iter().filter(|x| **x).count();
+            assert!(right > 145, "{right} of 160");
+        }
+    }
+
+    #[test]
+    fn a_plane_is_told_and_its_pose_found() {
+        let found = run(Make { plane: true, outliers: 0.2, ..general() }).unwrap();
+        assert_eq!(found.motion, Motion::Planar);
+        let (rotation, translation) = errors(&found, &truth());
+        assert!(rotation < 1.0 && translation < 6.0, "{rotation} {translation}");
+    }
+
+    #[test]
+    fn a_turn_and_a_tripod_are_told() {
+        let turn = Pose::new(truth().rotation, DVec3::ZERO);
+        let found = run(Make { pose: turn, outliers: 0.3, ..general() }).unwrap();
+        assert_eq!(found.motion, Motion::PureRotation);
+        assert!(errors(&found, &turn).0 < 0.05);
+        assert_eq!(found.b_from_a.translation, DVec3::ZERO);
+        assert!(found.parallax_px < 1.0);
+        // Movers on less than half of the pixels do not make the tripod move.
+        let found =
+            run(Make { pose: Pose::IDENTITY, outliers: 0.4, sigma: 0.1, ..general() }).unwrap();
+        assert_eq!(found.motion, Motion::Static);
+        assert_eq!(found.b_from_a, Pose::IDENTITY);
+        assert!(found.inliers[160..].iter().all(|x| *x));
+    }
+
+    #[test]
+    fn forward_motion_works_too() {
+        let pose = Pose::new(exp_so3(DVec3::new(0.0, 0.01, 0.0)), DVec3::new(0.0, 0.02, -0.6));
+        let found = run(Make { pose, outliers: 0.3, ..general() }).unwrap();
+        let (rotation, translation) = errors(&found, &pose);
+        assert!(rotation < 0.2 && translation < 2.0, "{rotation} {translation}");
+    }
+
+    #[test]
+    fn noise_alone_and_too_few_pairs_fail_in_words() {
+        let message = run(Make { outliers: 1.0, ..general() }).unwrap_err().to_string();
+        assert!(message.contains("may not overlap"), "{message}");
+        for n in [0, 3, 7] {
+            let message = run(Make { n, ..general() }).unwrap_err().to_string();
+            assert!(message.contains("usable pixel pairs"), "{message}");
+        }
+        let k = camera();
+        let nan = vec![DVec2::NAN; 20];
+        assert!(two_view(&nan, &nan, None, &k, &k, &Default::default()).is_err());
+        assert!(two_view(&nan, &nan[1..], None, &k, &k, &Default::default()).is_err());
+        let line: Vec<_> = (0..20).map(|i| DVec2::splat(i as f64 * 9.0)).collect();
+        let moved: Vec<_> = line.iter().map(|p| *p * 1.1).collect();
+        if let Ok(found) = two_view(&line, &moved, None, &k, &k, &Default::default()) {
+            assert!(found.b_from_a.rotation.is_finite() && found.b_from_a.translation.is_finite());
+        }
+    }
+
+    #[test]
+    fn the_fundamental_matrix_is_found_under_outliers() {
+        let (a, b) = pairs(Make { outliers: 0.3, ..general() });
+        let pairs: Vec<_> = a.into_iter().zip(b).collect();
+        let found = fundamental_ransac(&pairs, &RansacOptions::default()).unwrap();
+        let e = essential_from_pose(&truth());
+        let f = fundamental_from_essential(&e, &camera(), &camera());
+        let good: Vec<f64> =
+            found.inliers.iter().map(|&i| sampson_squared(&f, pairs[i].0, pairs[i].1)).collect();
+        assert!(found.inliers.len() > 250);
+        assert!(median(good) < 0.25, "inliers obey the true matrix");
+    }
+}

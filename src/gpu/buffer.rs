@@ -1,0 +1,176 @@
+//! Typed buffers on the device, and views of them.
+
+use super::device::Device;
+use crate::error::Result;
+use crate::vk::{BoundRange, RawBuffer, Residence};
+use bytemuck::Pod;
+use std::marker::PhantomData;
+use std::ops::Range;
+use std::sync::Arc;
+
+/// Elements of `T` in device memory; lengths and offsets count elements.
+pub struct Buffer<T> {
+    raw: Arc<RawBuffer>,
+    len: usize,
+    element: PhantomData<T>,
+}
+
+/// A part of a buffer for kernels to read.
+#[derive(Clone, Copy)]
+pub struct View<'a, T> {
+    raw: &'a Arc<RawBuffer>,
+    start: usize,
+    len: usize,
+    element: PhantomData<T>,
+}
+
+/// A part of a buffer for kernels to write. It borrows the buffer exclusively, so that one dispatch
+/// cannot bind the same memory twice where one of them writes.
+pub struct ViewMut<'a, T> {
+    raw: &'a Arc<RawBuffer>,
+    start: usize,
+    len: usize,
+    element: PhantomData<&'a mut T>,
+}
+
+impl<T: Pod> Buffer<T> {
+    pub(super) fn new(device: &Device, label: &str, len: usize) -> Result<Buffer<T>> {
+        let bytes = (len * size_of::<T>()) as u64;
+        let raw = RawBuffer::new(&device.inner.context, bytes, Residence::Device, label)?;
+        Ok(Buffer { raw: Arc::new(raw), len, element: PhantomData })
+    }
+
+    /// Number of elements.
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// The name it was made with.
+    pub fn label(&self) -> &str {
+        &self.raw.label
+    }
+
+    /// All of it, to read.
+    pub fn view(&self) -> View<'_, T> {
+        View { raw: &self.raw, start: 0, len: self.len, element: PhantomData }
+    }
+
+    /// All of it, to write.
+    pub fn view_mut(&mut self) -> ViewMut<'_, T> {
+        ViewMut { raw: &self.raw, start: 0, len: self.len, element: PhantomData }
+    }
+
+    /// A part of it, to read.
+    ///
+    /// # Panics
+    /// When the range reaches past the end.
+    pub fn range(&self, range: Range<usize>) -> View<'_, T> {
+        assert!(range.start <= range.end && range.end <= self.len, "{}: {range:?}", self.label());
+        View { raw: &self.raw, start: range.start, len: range.len(), element: PhantomData }
+    }
+
+    /// A part of it, to write.
+    ///
+    /// # Panics
+    /// When the range reaches past the end.
+    pub fn range_mut(&mut self, range: Range<usize>) -> ViewMut<'_, T> {
+        assert!(range.start <= range.end && range.end <= self.len, "{}: {range:?}", self.label());
+        ViewMut { raw: &self.raw, start: range.start, len: range.len(), element: PhantomData }
+    }
+}
+
+/// Memory that the device copies into and the host reads, for results that are fetched without
+/// stopping the stream: [`Recorder::read_back`](super::Recorder::read_back) into it, wait for the
+/// ticket, then [`read`](Self::read).
+pub struct Readback<T> {
+    raw: Arc<RawBuffer>,
+    len: usize,
+    element: PhantomData<T>,
+}
+
+impl<T: Pod> Readback<T> {
+    pub(super) fn new(device: &Device, len: usize) -> Result<Readback<T>> {
+        let bytes = (len * size_of::<T>()) as u64;
+        let raw = RawBuffer::new(&device.inner.context, bytes, Residence::Readback, "readback")?;
+        Ok(Readback { raw: Arc::new(raw), len, element: PhantomData })
+    }
+
+    /// What the device has copied; before the submission is done, anything.
+    pub fn read(&self) -> Vec<T> {
+        let mut data = vec![T::zeroed(); self.len];
+        self.raw.read(bytemuck::cast_slice_mut(&mut data));
+        data
+    }
+
+    pub(super) fn bound(&self) -> BoundRange {
+        bound::<T>(&self.raw, 0, self.len)
+    }
+}
+
+impl<'a, const N: usize> View<'a, [f32; N]> {
+    /// The same memory as plain floats.
+    pub fn floats(self) -> View<'a, f32> {
+        View { raw: self.raw, start: self.start * N, len: self.len * N, element: PhantomData }
+    }
+}
+
+impl<'a, const N: usize> ViewMut<'a, [f32; N]> {
+    /// The same memory as plain floats.
+    pub fn floats(self) -> ViewMut<'a, f32> {
+        ViewMut { raw: self.raw, start: self.start * N, len: self.len * N, element: PhantomData }
+    }
+}
+
+fn bound<T>(raw: &Arc<RawBuffer>, start: usize, len: usize) -> BoundRange {
+    let element = size_of::<T>() as u64;
+    // A binding of zero bytes is illegal; every buffer has a few spare ones.
+    let bytes = (len as u64 * element).max(4);
+    BoundRange { buffer: raw.clone(), offset: start as u64 * element, bytes }
+}
+
+impl<'a, T> View<'a, T> {
+    /// Number of elements.
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    pub(crate) fn bound(&self) -> BoundRange {
+        bound::<T>(self.raw, self.start, self.len)
+    }
+}
+
+impl<'a, T> ViewMut<'a, T> {
+    /// Number of elements.
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// The same part again, for a shorter time.
+    pub fn reborrow(&mut self) -> ViewMut<'_, T> {
+        ViewMut { raw: self.raw, start: self.start, len: self.len, element: PhantomData }
+    }
+
+    /// The same part, to read.
+    pub fn as_view(&self) -> View<'_, T> {
+        View { raw: self.raw, start: self.start, len: self.len, element: PhantomData }
+    }
+
+    pub(crate) fn bound(&self) -> BoundRange {
+        bound::<T>(self.raw, self.start, self.len)
+    }
+}

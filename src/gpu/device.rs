@@ -1,0 +1,192 @@
+//! Opening a device and making things from it.
+
+use super::buffer::{Buffer, Readback};
+use super::kernel::Kernel;
+use super::stream::Stream;
+use crate::error::{Error, Result};
+use crate::vk::{self, Context, DeviceInfo, DeviceKind, Limits, Pipeline, PipelineShape};
+use bytemuck::Pod;
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex};
+
+/// Which device to open.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum Selector {
+    /// The best real GPU, else a software driver.
+    #[default]
+    Best,
+    /// By its place in [`vk::enumerate`](crate::vk::enumerate)'s list.
+    Index(usize),
+    /// The first whose name holds this, whatever the case.
+    Name(String),
+    /// The first of a kind.
+    Kind(DeviceKind),
+}
+
+/// A number is an index, `gpu`, `software` and `best` are kinds, anything else is part of a name.
+impl From<&str> for Selector {
+    fn from(text: &str) -> Selector {
+        match text {
+            "best" => Selector::Best,
+            "gpu" | "discrete" => Selector::Kind(DeviceKind::Discrete),
+            "integrated" => Selector::Kind(DeviceKind::Integrated),
+            "software" | "cpu" => Selector::Kind(DeviceKind::Software),
+            _ => match text.parse() {
+                Ok(index) => Selector::Index(index),
+                Err(_) => Selector::Name(text.to_owned()),
+            },
+        }
+    }
+}
+
+/// What to open a device with.
+#[derive(Clone, Debug, Default)]
+pub struct Request {
+    /// Which device.
+    pub selector: Selector,
+    /// Turn the Khronos validation layer on, with synchronization validation.
+    pub validation: bool,
+    /// Stay below these limits instead of the device's own; for tests of boundaries.
+    pub limits: Option<Limits>,
+}
+
+impl Request {
+    /// The first software driver.
+    pub fn software() -> Request {
+        Request { selector: Selector::Kind(DeviceKind::Software), ..Request::default() }
+    }
+}
+
+/// An open Vulkan device. Clones share it.
+#[derive(Clone)]
+pub struct Device {
+    pub(crate) inner: Arc<DeviceInner>,
+}
+
+pub(crate) struct DeviceInner {
+    pub(crate) context: Arc<Context>,
+    pub(crate) limits: Limits,
+    pipelines: Mutex<HashMap<PipelineKey, Arc<Pipeline>>>,
+}
+
+type PipelineKey = (&'static str, Vec<u32>);
+
+impl Device {
+    /// Opens a device.
+    ///
+    /// # Errors
+    /// [`Error::NoDevice`] when there is no loader or driver, or none fits the request;
+    /// [`Error::Unsupported`] when the device lacks what the engine needs.
+    pub fn open(request: &Request) -> Result<Device> {
+        let instance = Arc::new(vk::Instance::new(request.validation)?);
+        let devices = instance.devices()?;
+        let infos: Vec<_> = devices.iter().map(|(_, info)| info.clone()).collect();
+        let chosen = choose(&infos, &request.selector)?;
+        let (physical, info) = devices[chosen].clone();
+        let context = Arc::new(Context::open(instance, physical, info)?);
+        let limits = request.limits.unwrap_or(context.limits);
+        let pipelines = Mutex::default();
+        Ok(Device { inner: Arc::new(DeviceInner { context, limits, pipelines }) })
+    }
+
+    /// What the device is.
+    pub fn info(&self) -> &DeviceInfo {
+        &self.inner.context.info
+    }
+
+    /// What kernels have to stay within.
+    pub fn limits(&self) -> &Limits {
+        &self.inner.limits
+    }
+
+    /// Bytes of buffers alive now, and the most there ever were.
+    pub fn memory(&self) -> (u64, u64) {
+        self.inner.context.memory()
+    }
+
+    /// What the validation layer has said since the last call; always empty without it.
+    pub fn take_validation_messages(&self) -> Vec<String> {
+        self.inner.context.take_messages()
+    }
+
+    /// A buffer of `len` elements with undefined content. A length of zero is legal.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`].
+    pub fn buffer<T: Pod>(&self, label: &str, len: usize) -> Result<Buffer<T>> {
+        Buffer::new(self, label, len)
+    }
+
+    /// A buffer with the given content. Waits until it is there; steady-state work writes into
+    /// existing buffers with [`Recorder::update`](super::Recorder::update) instead.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`], or a failed submission.
+    pub fn upload<T: Pod>(&self, label: &str, data: &[T]) -> Result<Buffer<T>> {
+        let mut buffer = Buffer::new(self, label, data.len())?;
+        self.stream()?.upload(&mut buffer, data)?;
+        Ok(buffer)
+    }
+
+    /// Host memory for `len` elements that the device copies into.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`].
+    pub fn readback<T: Pod>(&self, len: usize) -> Result<Readback<T>> {
+        Readback::new(self, len)
+    }
+
+    /// A stream of submissions on the device's queue.
+    ///
+    /// # Errors
+    /// A failed Vulkan call.
+    pub fn stream(&self) -> Result<Stream> {
+        Stream::new(self)
+    }
+
+    /// The pipeline of a kernel, compiled at its first use.
+    pub(crate) fn pipeline<K: Kernel>(&self, specialisation: &[u32]) -> Result<Arc<Pipeline>> {
+        let key = (K::NAME, specialisation.to_vec());
+        let mut pipelines = self.inner.pipelines.lock().expect("no holder panics");
+        if let Some(pipeline) = pipelines.get(&key) {
+            return Ok(pipeline.clone());
+        }
+        let pipeline = Arc::new(Pipeline::new(
+            &self.inner.context,
+            &PipelineShape {
+                name: K::NAME,
+                spirv: K::SPIRV,
+                bindings: K::BINDINGS.len() as u32,
+                push_bytes: size_of::<K::Params>() as u32,
+                workgroup: K::WORKGROUP,
+                specialisation,
+            },
+        )?);
+        pipelines.insert(key, pipeline.clone());
+        Ok(pipeline)
+    }
+}
+
+fn choose(infos: &[DeviceInfo], selector: &Selector) -> Result<usize> {
+    let rank = |info: &DeviceInfo| match info.kind {
+        DeviceKind::Discrete => 0,
+        DeviceKind::Integrated => 1,
+        DeviceKind::Virtual => 2,
+        DeviceKind::Other => 3,
+        DeviceKind::Software => 4,
+    };
+    let found = match selector {
+        Selector::Best => (0..infos.len()).min_by_key(|&i| rank(&infos[i])),
+        Selector::Index(index) => (*index < infos.len()).then_some(*index),
+        Selector::Name(part) => {
+            let part = part.to_lowercase();
+            infos.iter().position(|info| info.name.to_lowercase().contains(&part))
+        }
+        Selector::Kind(kind) => infos.iter().position(|info| info.kind == *kind),
+    };
+    found.ok_or_else(|| {
+        let names: Vec<_> =
+            infos.iter().map(|info| format!("{} {}", info.index, info.name)).collect();
+        Error::NoDevice(format!("no device fits {selector:?}; there are: {}", names.join(", ")))
+    })
+}

@@ -1,0 +1,214 @@
+//! How a kernel is declared: one `kernel!` per shader.
+
+use super::buffer::{View, ViewMut};
+use crate::error::{Error, Result};
+use crate::vk::{BoundRange, Limits};
+use bytemuck::Pod;
+
+/// What a kernel does with a binding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Access {
+    /// Reads only (`readonly` in the shader).
+    Read,
+    /// Writes only (`writeonly` in the shader).
+    Write,
+    /// Reads and writes.
+    ReadWrite,
+}
+
+/// One storage buffer of a kernel's interface.
+#[derive(Clone, Copy, Debug)]
+pub struct Binding {
+    /// The field's name in the Rust declaration.
+    pub name: &'static str,
+    /// What the kernel does with it.
+    pub access: Access,
+    /// Size of one element in bytes.
+    pub stride: usize,
+}
+
+/// One member of a kernel's push constants.
+#[derive(Clone, Copy, Debug)]
+pub struct ParamInfo {
+    /// The field's name.
+    pub name: &'static str,
+    /// Offset in bytes.
+    pub offset: usize,
+    /// Size in bytes.
+    pub size: usize,
+}
+
+/// A kernel as plain data, for lists and checks.
+#[derive(Clone, Copy, Debug)]
+pub struct KernelInfo {
+    /// `family/stem`, the path of the shader below `glsl/` and `spirv/`.
+    pub name: &'static str,
+    /// The compiled module.
+    pub spirv: &'static [u8],
+    /// Invocations of a workgroup.
+    pub workgroup: [u32; 3],
+    /// Storage buffers, in the order of their binding numbers.
+    pub bindings: &'static [Binding],
+    /// Members of the push constants.
+    pub params: &'static [ParamInfo],
+}
+
+/// A compute kernel; [`kernel!`] implements it.
+pub trait Kernel {
+    /// `family/stem`.
+    const NAME: &'static str;
+    /// The compiled module.
+    const SPIRV: &'static [u8];
+    /// Invocations of a workgroup.
+    const WORKGROUP: [u32; 3];
+    /// Storage buffers, in the order of their binding numbers.
+    const BINDINGS: &'static [Binding];
+    /// Everything above as data.
+    const INFO: KernelInfo;
+    /// Push constants.
+    type Params: Pod;
+    /// The buffers of one dispatch, by name.
+    type Args<'a>;
+    /// The buffers in the order of their binding numbers.
+    fn bound(args: &Self::Args<'_>) -> Vec<BoundRange>;
+}
+
+/// Marks a binding that the kernel reads.
+pub struct Read;
+/// Marks a binding that the kernel writes without reading.
+pub struct Write;
+/// Marks a binding that the kernel reads and writes.
+pub struct ReadWrite;
+
+/// What the access markers mean for the Rust side of a binding.
+pub trait Argument {
+    /// The view that a dispatch takes.
+    type Handle<'a, T: 'a>;
+    /// The access as data.
+    const ACCESS: Access;
+    /// The bound memory.
+    fn bound<T>(handle: &Self::Handle<'_, T>) -> BoundRange;
+}
+
+impl Argument for Read {
+    type Handle<'a, T: 'a> = View<'a, T>;
+    const ACCESS: Access = Access::Read;
+    fn bound<T>(handle: &View<'_, T>) -> BoundRange {
+        handle.bound()
+    }
+}
+
+impl Argument for Write {
+    type Handle<'a, T: 'a> = ViewMut<'a, T>;
+    const ACCESS: Access = Access::Write;
+    fn bound<T>(handle: &ViewMut<'_, T>) -> BoundRange {
+        handle.bound()
+    }
+}
+
+impl Argument for ReadWrite {
+    type Handle<'a, T: 'a> = ViewMut<'a, T>;
+    const ACCESS: Access = Access::ReadWrite;
+    fn bound<T>(handle: &ViewMut<'_, T>) -> BoundRange {
+        handle.bound()
+    }
+}
+
+/// The grid of a dispatch, in workgroups.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Groups(pub [u32; 3]);
+
+impl Groups {
+    /// Enough workgroups for `items` at `per_group` each, folded into a second axis past the
+    /// device's limit. The shader computes its group as
+    /// `gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x` and returns where it has no work,
+    /// since the last row may be padded.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when even the folded grid is too small.
+    pub fn linear(items: usize, per_group: u32, limits: &Limits) -> Result<Groups> {
+        let groups = (items as u64).div_ceil(u64::from(per_group));
+        let limit = u64::from(limits.groups);
+        if groups <= limit {
+            return Ok(Groups([groups as u32, 1, 1]));
+        }
+        let rows = groups.div_ceil(limit);
+        if rows > limit {
+            return Err(Error::Input(format!(
+                "{items} items are more than one dispatch can cover"
+            )));
+        }
+        Ok(Groups([limit as u32, rows as u32, 1]))
+    }
+
+    /// Enough workgroups of `tile` for an image of `width` × `height`.
+    pub fn grid(width: u32, height: u32, tile: [u32; 2]) -> Groups {
+        Groups([width.div_ceil(tile[0]), height.div_ceil(tile[1]), 1])
+    }
+
+    /// Whether there is nothing to do.
+    pub fn is_empty(&self) -> bool {
+        self.0.contains(&0)
+    }
+}
+
+/// Names, offsets and sizes of a `repr(C)` struct's fields.
+macro_rules! field_infos {
+    ($type:ident { $($field:ident : $field_type:ty),* }) => {
+        &[$($crate::gpu::ParamInfo {
+            name: stringify!($field),
+            offset: std::mem::offset_of!($type, $field),
+            size: size_of::<$field_type>(),
+        }),*]
+    };
+}
+pub(crate) use field_infos;
+
+/// Declares a kernel: its place, workgroup, push constants and bindings. The binding number is the
+/// field's place. `tests/interface.rs` holds the declaration against the compiled module.
+macro_rules! kernel {
+    (
+        $(#[$doc:meta])*
+        pub struct $name:ident($path:literal), workgroup: $workgroup:expr,
+        params: $params:ident { $( $(#[$param_doc:meta])* $param:ident : $param_type:ty ),* $(,)? },
+        args: $args:ident { $( $(#[$arg_doc:meta])* $arg:ident : $access:ident<$element:ty> ),* $(,)? }
+    ) => {
+        $(#[$doc])*
+        pub struct $name;
+
+        #[doc = concat!("Push constants of [`", stringify!($name), "`].")]
+        #[repr(C)]
+        #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
+        pub struct $params { $( $(#[$param_doc])* pub $param: $param_type, )* }
+
+        #[doc = concat!("Buffers of [`", stringify!($name), "`].")]
+        pub struct $args<'a> {
+            $( $(#[$arg_doc])* pub $arg: <$crate::gpu::$access as $crate::gpu::Argument>::Handle<'a, $element>, )*
+        }
+
+        impl $crate::gpu::Kernel for $name {
+            const NAME: &'static str = $path;
+            const SPIRV: &'static [u8] =
+                include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/spirv/", $path, ".spv"));
+            const WORKGROUP: [u32; 3] = $workgroup;
+            const BINDINGS: &'static [$crate::gpu::Binding] = &[$($crate::gpu::Binding {
+                name: stringify!($arg),
+                access: <$crate::gpu::$access as $crate::gpu::Argument>::ACCESS,
+                stride: size_of::<$element>(),
+            }),*];
+            const INFO: $crate::gpu::KernelInfo = $crate::gpu::KernelInfo {
+                name: Self::NAME,
+                spirv: Self::SPIRV,
+                workgroup: Self::WORKGROUP,
+                bindings: Self::BINDINGS,
+                params: $crate::gpu::field_infos!($params { $($param: $param_type),* }),
+            };
+            type Params = $params;
+            type Args<'a> = $args<'a>;
+            fn bound(args: &$args<'_>) -> Vec<$crate::vk::BoundRange> {
+                vec![$( <$crate::gpu::$access as $crate::gpu::Argument>::bound(&args.$arg) ),*]
+            }
+        }
+    };
+}
+pub(crate) use kernel;

@@ -1,0 +1,31 @@
+//! The safe layer over Vulkan: devices, typed buffers, kernels, recorder, stream.
+//!
+//! A [`Device`] makes [`Buffer`]s and a [`Stream`]. Work is recorded with a [`Recorder`], which
+//! inserts barriers where one dispatch touches what another has written, and submitted on the
+//! stream, whose timeline tells when it is done. What a submission uses is kept alive until then.
+//!
+//! ```no_run
+//! use splat4d::gpu::{Device, Request};
+//! # fn main() -> splat4d::Result<()> {
+//! let device = Device::open(&Request::default())?;
+//! let mut stream = device.stream()?;
+//! let numbers = device.upload("numbers", &[1u32, 2, 3])?;
+//! assert_eq!(stream.download(&numbers)?, [1, 2, 3]);
+//! # Ok(())
+//! # }
+//! ```
+
+mod buffer;
+mod device;
+mod kernel;
+mod recorder;
+mod stream;
+
+pub use buffer::{Buffer, Readback, View, ViewMut};
+pub use device::{Device, Request, Selector};
+pub use kernel::{
+    Access, Argument, Binding, Groups, Kernel, KernelInfo, ParamInfo, Read, ReadWrite, Write,
+};
+pub(crate) use kernel::{field_infos, kernel};
+pub use recorder::Recorder;
+pub use stream::{KernelTime, Stream, Ticket};

@@ -1,0 +1,175 @@
+//! The photometric loss and its gradient to the rendered image.
+
+use crate::gpu::kernel;
+
+kernel! {
+    /// SSIM's window along rows.
+    pub struct Rows("loss/rows"), workgroup: [64, 1, 1],
+    params: RowsParams {
+        /// Image width, pixels.
+        width: i32,
+        /// Image height, pixels.
+        height: i32,
+        /// Background.
+        background_red: f32,
+        /// Background.
+        background_green: f32,
+        /// Background.
+        background_blue: f32,
+    },
+    args: RowsArgs {
+        /// The rendered image.
+        rgba: Read<[f32; 4]>,
+        /// Packed 8-bit red, green, blue, weight.
+        photograph: Read<u32>,
+        /// 3 planes.
+        mean_x: Write<f32>,
+        /// 3 planes.
+        mean_y: Write<f32>,
+        /// 3 planes.
+        square_x: Write<f32>,
+        /// 3 planes.
+        square_y: Write<f32>,
+        /// 3 planes.
+        product: Write<f32>,
+    }
+}
+
+kernel! {
+    /// SSIM's window along columns, the map's sum and derivatives.
+    pub struct Ssim("loss/ssim"), workgroup: [64, 1, 1],
+    params: SsimParams {
+        /// Image width, pixels.
+        width: i32,
+        /// Image height, pixels.
+        height: i32,
+    },
+    args: SsimArgs {
+        /// 3 planes.
+        mean_x: Read<f32>,
+        /// 3 planes.
+        mean_y: Read<f32>,
+        /// 3 planes.
+        square_x: Read<f32>,
+        /// 3 planes.
+        square_y: Read<f32>,
+        /// 3 planes.
+        product: Read<f32>,
+        /// Packed 8-bit red, green, blue, weight.
+        photograph: Read<u32>,
+        /// 3 planes.
+        by_mean: Write<f32>,
+        /// 3 planes.
+        by_square: Write<f32>,
+        /// 3 planes.
+        by_product: Write<f32>,
+        /// Weighted sum of the map per workgroup.
+        partials: Write<f32>,
+    }
+}
+
+kernel! {
+    /// The window along rows over the derivatives.
+    pub struct Adjoint("loss/adjoint"), workgroup: [64, 1, 1],
+    params: AdjointParams {
+        /// Image width, pixels.
+        width: i32,
+        /// Image height, pixels.
+        height: i32,
+    },
+    args: AdjointArgs {
+        /// 3 planes.
+        by_mean: Read<f32>,
+        /// 3 planes.
+        by_square: Read<f32>,
+        /// 3 planes.
+        by_product: Read<f32>,
+        /// 3 planes.
+        rows_mean: Write<f32>,
+        /// 3 planes.
+        rows_square: Write<f32>,
+        /// 3 planes.
+        rows_product: Write<f32>,
+    }
+}
+
+kernel! {
+    /// The window along columns, and the gradient of L1 + D-SSIM.
+    pub struct Gradient("loss/gradient"), workgroup: [64, 1, 1],
+    params: GradientParams {
+        /// Image width, pixels.
+        width: i32,
+        /// Image height, pixels.
+        height: i32,
+        /// Background.
+        background_red: f32,
+        /// Background.
+        background_green: f32,
+        /// Background.
+        background_blue: f32,
+        /// Share of L1 over 3 · sum of weights.
+        l1_factor: f32,
+        /// Share of D-SSIM over 3 · sum of weights.
+        ssim_factor: f32,
+    },
+    args: GradientArgs {
+        /// The rendered image.
+        rgba: Read<[f32; 4]>,
+        /// Packed 8-bit red, green, blue, weight.
+        photograph: Read<u32>,
+        /// 3 planes.
+        rows_mean: Read<f32>,
+        /// 3 planes.
+        rows_square: Read<f32>,
+        /// 3 planes.
+        rows_product: Read<f32>,
+        /// By colour and alpha.
+        rgba_gradient: Write<[f32; 4]>,
+        /// Weighted sum of the absolute differences per workgroup.
+        partials: Write<f32>,
+    }
+}
+
+kernel! {
+    /// The depth term.
+    pub struct Depth("loss/depth"), workgroup: [64, 1, 1],
+    params: DepthParams {
+        /// Number of pixels.
+        pixels: u32,
+        /// The term's factor over the sum of weights.
+        factor: f32,
+        /// Pixels less opaque than this are left out.
+        least_alpha: f32,
+    },
+    args: DepthArgs {
+        /// The rendered image.
+        rgba: Read<[f32; 4]>,
+        /// The rendered depth.
+        depth: Read<f32>,
+        /// Known disparity and weight.
+        known: Read<[f32; 2]>,
+        /// Alpha's is added to.
+        rgba_gradient: ReadWrite<[f32; 4]>,
+        /// By depth.
+        depth_gradient: Write<f32>,
+        /// Weighted sum per workgroup.
+        partials: Write<f32>,
+    }
+}
+
+kernel! {
+    /// Adds up the workgroups' sums of one term.
+    pub struct Total("loss/total"), workgroup: [64, 1, 1],
+    params: TotalParams {
+        /// Number of partial sums.
+        count: u32,
+        /// Where the total goes.
+        slot: u32,
+    },
+    args: TotalArgs {
+        /// One per workgroup.
+        partials: Read<f32>,
+        /// One per term.
+        totals: ReadWrite<f32>,
+    }
+}

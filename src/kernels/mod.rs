@@ -1,0 +1,50 @@
+//! The kernels' declarations, one file per family, and the list of all of them.
+//!
+//! One stem names a kernel everywhere: `glsl/sort/upsweep.comp`, `spirv/sort/upsweep.spv`,
+//! [`sort::Upsweep`], `oracle::sort`, `check::sort`, `tests/sort.rs`.
+
+pub mod bin;
+pub mod indirect;
+pub mod loss;
+pub mod project;
+pub mod raster;
+pub mod mlp;
+pub mod scan;
+pub mod sort;
+
+use crate::gpu::{Kernel, KernelInfo};
+
+/// Every kernel of the crate, family by family.
+pub const ALL: &[KernelInfo] = &[
+    indirect::Arguments::INFO,
+    project::Forward::INFO,
+    project::Backward::INFO,
+    project::Pose::INFO,
+    bin::Compact::INFO,
+    bin::Counts::INFO,
+    bin::Emit::INFO,
+    bin::Ranges::INFO,
+    bin::Fits::INFO,
+    raster::Forward::INFO,
+    raster::Backward::INFO,
+    raster::Gather::INFO,
+    loss::Rows::INFO,
+    loss::Ssim::INFO,
+    loss::Adjoint::INFO,
+    loss::Gradient::INFO,
+    loss::Depth::INFO,
+    loss::Total::INFO,
+    mlp::Encode::INFO,
+    mlp::Forward::INFO,
+    mlp::Transforms::INFO,
+    mlp::Seed::INFO,
+    mlp::Backward::INFO,
+    mlp::Weights::INFO,
+    mlp::Reduce::INFO,
+    scan::Reduce::INFO,
+    scan::Spine::INFO,
+    scan::Downsweep::INFO,
+    sort::Plan::INFO,
+    sort::Count::INFO,
+    sort::Scatter::INFO,
+];

@@ -1,0 +1,219 @@
+//! Gaussians on the device.
+
+use crate::gpu::{Buffer, Device, Stream, View};
+use crate::types::{Gaussians, sh_coefficients};
+use crate::{Error, Result};
+
+/// Floats per Gaussian in each band of the spherical harmonics.
+pub const SH_BAND: [usize; 4] = [3, 9, 15, 21];
+
+/// The parameters of Gaussians on the device, one buffer per parameter and band; also the container
+/// of their gradients.
+///
+/// Buffers have room for `capacity` Gaussians; the first `len` are there.
+pub struct GaussianBuffers {
+    /// Number of Gaussians.
+    pub len: usize,
+    /// Degree of the spherical harmonics that the buffers hold.
+    pub sh_degree: u32,
+    /// 3 per Gaussian.
+    pub positions: Buffer<f32>,
+    /// 3 per Gaussian.
+    pub log_scales: Buffer<f32>,
+    /// w, x, y, z; need not be normalised.
+    pub rotations: Buffer<[f32; 4]>,
+    /// 1 per Gaussian.
+    pub opacity_logits: Buffer<f32>,
+    /// By band; bands above the degree are empty.
+    pub sh: [Buffer<f32>; 4],
+    capacity: usize,
+}
+
+/// Gaussians as a dispatch reads them; deformed positions and rotations may stand in for a scene's
+/// own.
+#[derive(Clone, Copy)]
+pub struct GaussianViews<'a> {
+    /// Number of Gaussians.
+    pub len: usize,
+    /// Degree of the spherical harmonics to evaluate.
+    pub sh_degree: u32,
+    /// 3 per Gaussian.
+    pub positions: View<'a, f32>,
+    /// 3 per Gaussian.
+    pub log_scales: View<'a, f32>,
+    /// w, x, y, z.
+    pub rotations: View<'a, [f32; 4]>,
+    /// 1 per Gaussian.
+    pub opacity_logits: View<'a, f32>,
+    /// By band.
+    pub sh: [View<'a, f32>; 4],
+}
+
+impl GaussianBuffers {
+    /// Room for `capacity` Gaussians, none there yet.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`].
+    pub fn new(device: &Device, capacity: usize, sh_degree: u32) -> Result<GaussianBuffers> {
+        let band = |k: usize| {
+            let floats = if k as u32 <= sh_degree { SH_BAND[k] } else { 0 };
+            device.buffer(["sh0", "sh1", "sh2", "sh3"][k], capacity * floats)
+        };
+        Ok(GaussianBuffers {
+            len: 0,
+            sh_degree,
+            positions: device.buffer("positions", 3 * capacity)?,
+            log_scales: device.buffer("log scales", 3 * capacity)?,
+            rotations: device.buffer("rotations", capacity)?,
+            opacity_logits: device.buffer("opacity logits", capacity)?,
+            sh: [band(0)?, band(1)?, band(2)?, band(3)?],
+            capacity,
+        })
+    }
+
+    /// Room for a scene, filled with it.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`], or a failed submission.
+    pub fn from_host(stream: &mut Stream, gaussians: &Gaussians) -> Result<GaussianBuffers> {
+        let device = stream.device().clone();
+        let mut buffers = GaussianBuffers::new(&device, gaussians.len(), gaussians.sh_degree)?;
+        buffers.upload(stream, gaussians)?;
+        Ok(buffers)
+    }
+
+    /// Number of Gaussians that there is room for.
+    pub fn capacity(&self) -> usize {
+        self.capacity
+    }
+
+    /// Replaces the Gaussians. A lower degree than the buffers' is filled with zeros.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] when there are more than there is room for or the arrays' lengths differ.
+    pub fn upload(&mut self, stream: &mut Stream, gaussians: &Gaussians) -> Result<()> {
+        let (len, coefficients) = (gaussians.len(), sh_coefficients(gaussians.sh_degree));
+        let shapes = [
+            ("log_scales", gaussians.log_scales.len(), len),
+            ("rotations", gaussians.rotations.len(), len),
+            ("opacity_logits", gaussians.opacity_logits.len(), len),
+            ("sh", gaussians.sh.len(), len * coefficients),
+        ];
+        for (arg, actual, expected) in shapes {
+            if actual != expected {
+                let expected = expected.to_string();
+                return Err(Error::Shape { op: "upload", arg, expected, actual });
+            }
+        }
+        if gaussians.sh_degree > self.sh_degree {
+            let expected = format!("degree {} at most", self.sh_degree);
+            let actual = gaussians.sh_degree as usize;
+            return Err(Error::Shape { op: "upload", arg: "sh_degree", expected, actual });
+        }
+        stream.upload(&mut self.positions, gaussians.positions.as_flattened())?;
+        stream.upload(&mut self.log_scales, gaussians.log_scales.as_flattened())?;
+        stream.upload(&mut self.rotations, &gaussians.rotations)?;
+        stream.upload(&mut self.opacity_logits, &gaussians.opacity_logits)?;
+        let mut first = 0;
+        for band in 0..=self.sh_degree as usize {
+            let rows = SH_BAND[band] / 3;
+            let mut values = vec![0.0f32; len * SH_BAND[band]];
+            if band as u32 <= gaussians.sh_degree {
+                for (i, row) in values.chunks_exact_mut(SH_BAND[band]).enumerate() {
+                    let from = i * coefficients + first;
+                    row.copy_from_slice(gaussians.sh[from..from + rows].as_flattened());
+                }
+            }
+            stream.upload(&mut self.sh[band], &values)?;
+            first += rows;
+        }
+        self.len = len;
+        Ok(())
+    }
+
+    /// Reads the Gaussians back; motion is not theirs to know.
+    ///
+    /// # Errors
+    /// A failed submission.
+    pub fn download(&self, stream: &mut Stream) -> Result<Gaussians> {
+        let len = self.len;
+        let rows3 = |mut flat: Vec<f32>| -> Vec<[f32; 3]> {
+            flat.truncate(3 * len);
+            bytemuck::cast_slice(&flat).to_vec()
+        };
+        let mut rotations = stream.download(&self.rotations)?;
+        rotations.truncate(len);
+        let mut opacity_logits = stream.download(&self.opacity_logits)?;
+        opacity_logits.truncate(len);
+        let coefficients = sh_coefficients(self.sh_degree);
+        let mut sh = vec![[0.0f32; 3]; len * coefficients];
+        let mut first = 0;
+        for band in 0..=self.sh_degree as usize {
+            let rows = SH_BAND[band] / 3;
+            let values = stream.download(&self.sh[band])?;
+            for (i, row) in values.chunks_exact(SH_BAND[band]).take(len).enumerate() {
+                let to = i * coefficients + first;
+                sh[to..to + rows].copy_from_slice(bytemuck::cast_slice(row));
+            }
+            first += rows;
+        }
+        Ok(Gaussians {
+            positions: rows3(stream.download(&self.positions)?),
+            log_scales: rows3(stream.download(&self.log_scales)?),
+            rotations,
+            opacity_logits,
+            sh_degree: self.sh_degree,
+            sh,
+            motion_logits: Vec::new(),
+        })
+    }
+
+    /// For a dispatch to read.
+    pub fn views(&self) -> GaussianViews<'_> {
+        GaussianViews {
+            len: self.len,
+            sh_degree: self.sh_degree,
+            positions: self.positions.view(),
+            log_scales: self.log_scales.view(),
+            rotations: self.rotations.view(),
+            opacity_logits: self.opacity_logits.view(),
+            sh: self.sh.each_ref().map(Buffer::view),
+        }
+    }
+}
+
+impl<'a> GaussianViews<'a> {
+    /// The same Gaussians elsewhere: deformed positions and rotations.
+    pub fn moved(self, positions: View<'a, f32>, rotations: View<'a, [f32; 4]>) -> Self {
+        GaussianViews { positions, rotations, ..self }
+    }
+
+    /// Evaluated at a lower degree.
+    pub fn at_degree(self, sh_degree: u32) -> Self {
+        GaussianViews { sh_degree: sh_degree.min(self.sh_degree), ..self }
+    }
+
+    pub(super) fn check(&self, op: &'static str) -> Result<()> {
+        let n = self.len;
+        let band = |k: usize| if k as u32 <= self.sh_degree { n * SH_BAND[k] } else { 0 };
+        super::at_least(
+            op,
+            &[
+                ("positions", 3 * n, self.positions.len()),
+                ("log_scales", 3 * n, self.log_scales.len()),
+                ("rotations", n, self.rotations.len()),
+                ("opacity_logits", n, self.opacity_logits.len()),
+                ("sh0", band(0), self.sh[0].len()),
+                ("sh1", band(1), self.sh[1].len()),
+                ("sh2", band(2), self.sh[2].len()),
+                ("sh3", band(3), self.sh[3].len()),
+            ],
+        )?;
+        match self.sh_degree {
+            0..=3 => Ok(()),
+            degree => {
+                Err(Error::Input(format!("spherical harmonics of degree {degree}: 3 at most")))
+            }
+        }
+    }
+}

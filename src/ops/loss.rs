@@ -1,0 +1,333 @@
+//! The photometric loss of a rendered image and its gradient.
+//!
+//! `(1 − λ) · mean |x − y| + λ · mean (1 − SSIM(x, y))`, x the rendered image over its background
+//! and y the photograph, every mean weighted by the photograph's fourth byte; and, where a disparity
+//! is known, `scale · mean |alpha / depth − disparity|`. Photographs stay on the device as packed
+//! bytes.
+
+use super::render::{PixelBuffers, PixelGradients};
+use crate::gpu::{Buffer, Device, Groups, Recorder, Stream};
+use crate::kernels::loss::{
+    Adjoint, AdjointArgs, AdjointParams, Depth, DepthArgs, DepthParams, Gradient, GradientArgs,
+    GradientParams, Rows, RowsArgs, RowsParams, Ssim, SsimArgs, SsimParams, Total, TotalArgs,
+    TotalParams,
+};
+use crate::types::Image;
+use crate::{Error, Result};
+
+/// Outputs that one invocation makes along an axis; as in the shaders.
+const RUN: usize = 8;
+/// Pixels less opaque than this have no depth worth comparing.
+const LEAST_ALPHA: f32 = 0.5;
+
+/// A photograph on the device: packed red, green, blue and weight.
+pub struct Photograph {
+    pixels: Buffer<u32>,
+    width: u32,
+    height: u32,
+    weight: f64,
+}
+
+/// A known disparity (inverse depth) per pixel, with a weight.
+pub struct KnownDisparity {
+    values: Buffer<[f32; 2]>,
+    weight: f64,
+}
+
+impl Photograph {
+    /// Uploads an RGB image with values in [0, 1], and a weight per pixel in [0, 1] (1 everywhere
+    /// without one). Both are rounded to 8 bits.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] when the sizes differ, or a failed upload.
+    pub fn new(device: &Device, image: &Image, weights: Option<&Image>) -> Result<Photograph> {
+        let count = image.width as usize * image.height as usize;
+        let shape = |arg, expected: usize, actual| Error::Shape {
+            op: "photograph",
+            arg,
+            expected: expected.to_string(),
+            actual,
+        };
+        if image.channels != 3 || image.pixels.len() != 3 * count {
+            return Err(shape("image", 3 * count, image.pixels.len()));
+        }
+        if let Some(weights) = weights
+            && weights.pixels.len() != count
+        {
+            return Err(shape("weights", count, weights.pixels.len()));
+        }
+        let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round() as u32;
+        let mut weight = 0.0;
+        let packed: Vec<u32> = image
+            .pixels
+            .chunks_exact(3)
+            .enumerate()
+            .map(|(i, rgb)| {
+                let w = weights.map_or(255, |weights| byte(weights.pixels[i]));
+                weight += f64::from(w) / 255.0;
+                byte(rgb[0]) | byte(rgb[1]) << 8 | byte(rgb[2]) << 16 | w << 24
+            })
+            .collect();
+        let pixels = device.upload("photograph", &packed)?;
+        Ok(Photograph { pixels, width: image.width, height: image.height, weight })
+    }
+}
+
+impl KnownDisparity {
+    /// Uploads `[disparity, weight]` per pixel; weight 0 where nothing is known.
+    ///
+    /// # Errors
+    /// A failed upload.
+    pub fn new(device: &Device, values: &[[f32; 2]]) -> Result<KnownDisparity> {
+        let weight = values.iter().map(|v| f64::from(v[1])).sum();
+        Ok(KnownDisparity { values: device.upload("known disparity", values)?, weight })
+    }
+}
+
+/// What a loss is made of.
+#[derive(Clone, Copy, Debug)]
+pub struct LossSettings {
+    /// λ, the share of D-SSIM.
+    pub ssim_share: f32,
+    /// What shines through the rendered image.
+    pub background: [f32; 3],
+    /// Factor of the depth term.
+    pub depth_scale: f32,
+}
+
+impl Default for LossSettings {
+    fn default() -> Self {
+        LossSettings { ssim_share: 0.2, background: [0.0; 3], depth_scale: 0.0 }
+    }
+}
+
+/// The photometric loss for images of one size.
+#[derive(Clone, Copy, Debug)]
+pub struct Loss {
+    width: u32,
+    height: u32,
+}
+
+/// What a loss works in between its dispatches.
+pub struct LossScratch {
+    windowed: [Buffer<f32>; 5],
+    derivatives: [Buffer<f32>; 3],
+    partials: Buffer<f32>,
+    totals: Buffer<f32>,
+}
+
+/// A loss, term by term, and what it was weighted with.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LossValue {
+    /// Weighted mean of the absolute differences.
+    pub l1: f64,
+    /// Weighted mean of SSIM.
+    pub ssim: f64,
+    /// Weighted mean of the disparities' absolute differences; 0 without a depth term.
+    pub disparity: f64,
+}
+
+impl Loss {
+    /// A loss for images of this size.
+    pub fn plan(width: u32, height: u32) -> Loss {
+        Loss { width, height }
+    }
+
+    fn pixels(&self) -> usize {
+        self.width as usize * self.height as usize
+    }
+
+    /// What [`record`](Self::record) works in.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`].
+    pub fn scratch(&self, device: &Device) -> Result<LossScratch> {
+        let planes = 3 * self.pixels();
+        let partials = self.column_items(3).max(self.pixels()).div_ceil(64);
+        let plane = |label| device.buffer::<f32>(label, planes);
+        Ok(LossScratch {
+            windowed: [
+                plane("windowed x")?,
+                plane("windowed y")?,
+                plane("windowed x²")?,
+                plane("windowed y²")?,
+                plane("windowed xy")?,
+            ],
+            derivatives: [plane("by mean")?, plane("by square")?, plane("by product")?],
+            partials: device.buffer("loss partials", partials)?,
+            totals: device.buffer("loss totals", 3)?,
+        })
+    }
+
+    fn row_items(&self) -> usize {
+        3 * self.height as usize * (self.width as usize).div_ceil(RUN)
+    }
+
+    fn column_items(&self, channels: usize) -> usize {
+        channels * self.width as usize * (self.height as usize).div_ceil(RUN)
+    }
+
+    /// Records the loss of `rendered` against `photograph`, and its gradient by the image. Without
+    /// `disparity` the gradient by depth is zero.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] when the images' sizes differ; else as for [`Recorder::dispatch`].
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        settings: &LossSettings,
+        rendered: &PixelBuffers,
+        photograph: &Photograph,
+        disparity: Option<&KnownDisparity>,
+        gradients: &mut PixelGradients,
+        scratch: &mut LossScratch,
+    ) -> Result<()> {
+        for (arg, size) in [
+            ("rendered", (rendered.width, rendered.height)),
+            ("photograph", (photograph.width, photograph.height)),
+        ] {
+            if size != (self.width, self.height) {
+                return Err(Error::Shape {
+                    op: "loss",
+                    arg,
+                    expected: format!("{}×{} pixels", self.width, self.height),
+                    actual: (size.0 * size.1) as usize,
+                });
+            }
+        }
+        let limits = *recorder.device().limits();
+        let (width, height) = (self.width as i32, self.height as i32);
+        let [background_red, background_green, background_blue] = settings.background;
+        let by_rows = Groups::linear(self.row_items(), 64, &limits)?;
+        let LossScratch { windowed, derivatives, partials, totals } = scratch;
+        let [mean_x, mean_y, square_x, square_y, product] = windowed;
+        recorder.dispatch::<Rows>(
+            by_rows,
+            RowsParams { width, height, background_red, background_green, background_blue },
+            RowsArgs {
+                rgba: rendered.rgba.view(),
+                photograph: photograph.pixels.view(),
+                mean_x: mean_x.view_mut(),
+                mean_y: mean_y.view_mut(),
+                square_x: square_x.view_mut(),
+                square_y: square_y.view_mut(),
+                product: product.view_mut(),
+            },
+        )?;
+        let items = self.column_items(3);
+        let [by_mean, by_square, by_product] = derivatives;
+        recorder.dispatch::<Ssim>(
+            Groups::linear(items, 64, &limits)?,
+            SsimParams { width, height },
+            SsimArgs {
+                mean_x: mean_x.view(),
+                mean_y: mean_y.view(),
+                square_x: square_x.view(),
+                square_y: square_y.view(),
+                product: product.view(),
+                photograph: photograph.pixels.view(),
+                by_mean: by_mean.view_mut(),
+                by_square: by_square.view_mut(),
+                by_product: by_product.view_mut(),
+                partials: partials.view_mut(),
+            },
+        )?;
+        total(recorder, partials, items, totals, 1)?;
+        // The windowed planes are free again.
+        recorder.dispatch::<Adjoint>(
+            by_rows,
+            AdjointParams { width, height },
+            AdjointArgs {
+                by_mean: by_mean.view(),
+                by_square: by_square.view(),
+                by_product: by_product.view(),
+                rows_mean: mean_x.view_mut(),
+                rows_square: mean_y.view_mut(),
+                rows_product: square_x.view_mut(),
+            },
+        )?;
+        let items = self.column_items(1);
+        let per_weight = 1.0 / (3.0 * photograph.weight).max(f64::MIN_POSITIVE);
+        let share = f64::from(settings.ssim_share);
+        recorder.dispatch::<Gradient>(
+            Groups::linear(items, 64, &limits)?,
+            GradientParams {
+                width,
+                height,
+                background_red,
+                background_green,
+                background_blue,
+                l1_factor: ((1.0 - share) * per_weight) as f32,
+                ssim_factor: (share * per_weight) as f32,
+            },
+            GradientArgs {
+                rgba: rendered.rgba.view(),
+                photograph: photograph.pixels.view(),
+                rows_mean: mean_x.view(),
+                rows_square: mean_y.view(),
+                rows_product: square_x.view(),
+                rgba_gradient: gradients.rgba.view_mut(),
+                partials: partials.view_mut(),
+            },
+        )?;
+        total(recorder, partials, items, totals, 0)?;
+        let Some(disparity) = disparity else {
+            recorder.fill(gradients.depth_mut(), 0);
+            return Ok(());
+        };
+        let pixels = self.pixels();
+        let per_weight = 1.0 / disparity.weight.max(f64::MIN_POSITIVE);
+        recorder.dispatch::<Depth>(
+            Groups::linear(pixels, 64, &limits)?,
+            DepthParams {
+                pixels: pixels as u32,
+                factor: (f64::from(settings.depth_scale) * per_weight) as f32,
+                least_alpha: LEAST_ALPHA,
+            },
+            DepthArgs {
+                rgba: rendered.rgba.view(),
+                depth: rendered.depth.view(),
+                known: disparity.values.view(),
+                rgba_gradient: gradients.rgba.view_mut(),
+                depth_gradient: gradients.depth.view_mut(),
+                partials: partials.view_mut(),
+            },
+        )?;
+        total(recorder, partials, pixels, totals, 2)
+    }
+
+    /// Waits for what was submitted and gives the last loss recorded with this scratch.
+    ///
+    /// # Errors
+    /// A failed submission.
+    pub fn value(
+        &self,
+        stream: &mut Stream,
+        photograph: &Photograph,
+        disparity: Option<&KnownDisparity>,
+        scratch: &LossScratch,
+    ) -> Result<LossValue> {
+        let totals = stream.download(&scratch.totals)?;
+        let mean = |total: f32, weight: f64| f64::from(total) / weight.max(f64::MIN_POSITIVE);
+        Ok(LossValue {
+            l1: mean(totals[0], 3.0 * photograph.weight),
+            ssim: mean(totals[1], 3.0 * photograph.weight),
+            disparity: disparity.map_or(0.0, |known| mean(totals[2], known.weight)),
+        })
+    }
+}
+
+/// Adds up the partial sums that a dispatch over `items` in workgroups of 64 left.
+fn total(
+    recorder: &mut Recorder,
+    partials: &Buffer<f32>,
+    items: usize,
+    totals: &mut Buffer<f32>,
+    slot: u32,
+) -> Result<()> {
+    recorder.dispatch::<Total>(
+        Groups([1, 1, 1]),
+        TotalParams { count: items.div_ceil(64) as u32, slot },
+        TotalArgs { partials: partials.view(), totals: totals.view_mut() },
+    )
+}

@@ -1,0 +1,260 @@
+//! The deformation network on the device: motions of control points, and the gradient of its
+//! parameters.
+
+use crate::error::{Error, Result};
+use crate::gpu::{Buffer, Device, Groups, Recorder, View, ViewMut};
+use crate::kernels::mlp::{
+    Backward, BackwardArgs, BackwardParams, Encode, EncodeArgs, EncodeParams, Forward, ForwardArgs,
+    ForwardParams, Reduce, ReduceArgs, ReduceParams, Seed, SeedArgs, SeedParams, Transforms,
+    TransformsArgs, TransformsParams, Weights, WeightsArgs, WeightsParams,
+};
+use crate::types::NetShape;
+
+/// Rows in one segment of the parameters' gradients; the segments are added in order.
+const SEGMENT: usize = 64;
+/// Features and rows that one invocation computes.
+const TILE: usize = 8;
+const WORKGROUP: u32 = 64;
+
+/// Where a layer reads and writes.
+#[derive(Clone, Copy, Debug)]
+struct Layer {
+    inputs: usize,
+    outputs: usize,
+    encoded: usize,
+    source: usize,
+    target: usize,
+    weights_at: usize,
+}
+
+/// A network's plan. Records only: it never allocates, submits or waits.
+#[derive(Clone, Debug)]
+pub struct Network {
+    shape: NetShape,
+    layers: Vec<Layer>,
+    planes: usize,
+}
+
+/// What a [`Network`] works in; keeps the activations between forward and backward.
+pub struct NetworkScratch {
+    rows: usize,
+    activations: Buffer<[f32; 4]>,
+    deltas: Buffer<[f32; 4]>,
+    partials: Buffer<f32>,
+}
+
+impl Network {
+    /// The plan for a shape.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for a width that is no multiple of 16, no layers, or more than 24 octaves.
+    pub fn new(shape: &NetShape) -> Result<Network> {
+        let wrong = |what: &str| Err(Error::Input(format!("deformation network: {what}")));
+        if shape.width == 0 || !shape.width.is_multiple_of(16) {
+            return wrong(&format!("the width is {}, it must be a multiple of 16", shape.width));
+        }
+        if shape.depth == 0 {
+            return wrong("it needs at least one hidden layer");
+        }
+        if shape.position_frequencies.max(shape.time_frequencies) > 24 {
+            return wrong("more than 24 octaves mean nothing in f32");
+        }
+        let encoding = shape.inputs();
+        let (mut target, mut weights_at) = (encoding, 0);
+        let mut layers: Vec<Layer> = Vec::new();
+        for (inputs, outputs) in shape.layers() {
+            let below = layers.last().map_or(0, |layer| layer.outputs);
+            let source = layers.last().map_or(0, |layer| layer.target);
+            let encoded = inputs - below;
+            layers.push(Layer { inputs, outputs, encoded, source, target, weights_at });
+            target += outputs;
+            weights_at += (inputs + 1) * outputs;
+        }
+        Ok(Network { shape: *shape, layers, planes: target })
+    }
+
+    /// The network's shape.
+    pub fn shape(&self) -> &NetShape {
+        &self.shape
+    }
+
+    /// What `rows` (control points times times) need to work in.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`].
+    pub fn scratch(&self, device: &Device, rows: usize) -> Result<NetworkScratch> {
+        let stride4 = stride(rows) / 4;
+        let widest = (self.shape.width as usize).max(NetShape::OUTPUTS);
+        let largest = self.layers.iter().map(|l| l.outputs * (l.inputs + 1)).max().unwrap_or(0);
+        Ok(NetworkScratch {
+            rows,
+            activations: device.buffer("network activations", self.planes * stride4)?,
+            deltas: device.buffer("network gradients", 2 * widest * stride4)?,
+            partials: device.buffer("network partials", rows.div_ceil(SEGMENT) * largest)?,
+        })
+    }
+
+    /// Records the motions of every control point at every time. Row `time · nodes + node` of
+    /// `transforms` (two vectors) gets translation and padding, then the rotation
+    /// `[1, 0, 0, 0] + δ`, not normalised.
+    ///
+    /// `nodes` holds three values for each control point.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] where the lengths disagree with each other or with the scratch.
+    pub fn forward(
+        &self,
+        recorder: &mut Recorder,
+        parameters: View<'_, f32>,
+        nodes: View<'_, f32>,
+        times: View<'_, f32>,
+        transforms: ViewMut<'_, [f32; 4]>,
+        scratch: &mut NetworkScratch,
+    ) -> Result<()> {
+        let node_count = nodes.len() / 3;
+        let rows = node_count * times.len();
+        check("nodes", nodes.len(), 3 * node_count)?;
+        check("parameters", parameters.len(), self.shape.parameters())?;
+        check("transforms", transforms.len(), 2 * rows)?;
+        check("scratch rows", scratch.rows, rows)?;
+        let limits = *recorder.device().limits();
+        let stride = stride(rows);
+        let octaves = self.shape.position_frequencies.max(self.shape.time_frequencies) as usize;
+        recorder.dispatch::<Encode>(
+            Groups::linear(stride * (octaves + 1), WORKGROUP, &limits)?,
+            EncodeParams {
+                node_count: node_count as u32,
+                rows: rows as u32,
+                stride: stride as u32,
+                position_frequencies: self.shape.position_frequencies,
+                time_frequencies: self.shape.time_frequencies,
+            },
+            EncodeArgs { nodes, times, activations: scratch.activations.view_mut() },
+        )?;
+        for (index, layer) in self.layers.iter().enumerate() {
+            let tiles = stride / TILE * layer.outputs.div_ceil(TILE);
+            recorder.dispatch::<Forward>(
+                Groups::linear(tiles, WORKGROUP, &limits)?,
+                ForwardParams {
+                    stride4: (stride / 4) as u32,
+                    inputs: layer.inputs as u32,
+                    outputs: layer.outputs as u32,
+                    encoded: layer.encoded as u32,
+                    source: layer.source as u32,
+                    target: layer.target as u32,
+                    weights_at: layer.weights_at as u32,
+                    relu: u32::from(index + 1 < self.layers.len()),
+                },
+                ForwardArgs { parameters, activations: scratch.activations.view_mut() },
+            )?;
+        }
+        recorder.dispatch::<Transforms>(
+            Groups::linear(rows, WORKGROUP, &limits)?,
+            TransformsParams {
+                rows: rows as u32,
+                stride: stride as u32,
+                head: (self.planes - NetShape::OUTPUTS) as u32,
+            },
+            TransformsArgs { activations: scratch.activations.view(), transforms },
+        )
+    }
+
+    /// Records the gradient by the parameters, after [`forward`](Self::forward) with the same
+    /// scratch. `gradients` is laid out as the parameters; with `accumulate` it is added to, else
+    /// written.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] where the lengths disagree with each other or with the scratch.
+    pub fn backward(
+        &self,
+        recorder: &mut Recorder,
+        parameters: View<'_, f32>,
+        transform_gradients: View<'_, [f32; 4]>,
+        mut gradients: ViewMut<'_, f32>,
+        accumulate: bool,
+        scratch: &mut NetworkScratch,
+    ) -> Result<()> {
+        let rows = scratch.rows;
+        check("parameters", parameters.len(), self.shape.parameters())?;
+        check("gradients", gradients.len(), self.shape.parameters())?;
+        check("transform gradients", transform_gradients.len(), 2 * rows)?;
+        let limits = *recorder.device().limits();
+        let stride = stride(rows);
+        let widest = (self.shape.width as usize).max(NetShape::OUTPUTS);
+        // Two layers' gradients live at a time; the deltas alternate between two places.
+        let (mut here, mut below) = (0, widest);
+        recorder.dispatch::<Seed>(
+            Groups::linear(stride, WORKGROUP, &limits)?,
+            SeedParams { rows: rows as u32, stride: stride as u32, target: here as u32 },
+            SeedArgs { transform_gradients, deltas: scratch.deltas.view_mut() },
+        )?;
+        let segments = stride.div_ceil(SEGMENT);
+        for (index, layer) in self.layers.iter().enumerate().rev() {
+            let tiles = (layer.inputs + 1).div_ceil(TILE) * layer.outputs.div_ceil(TILE);
+            recorder.dispatch::<Weights>(
+                Groups::linear(tiles * segments, WORKGROUP, &limits)?,
+                WeightsParams {
+                    stride4: (stride / 4) as u32,
+                    inputs: layer.inputs as u32,
+                    outputs: layer.outputs as u32,
+                    encoded: layer.encoded as u32,
+                    source: layer.source as u32,
+                    delta: here as u32,
+                    segment4: (SEGMENT / 4) as u32,
+                },
+                WeightsArgs {
+                    activations: scratch.activations.view(),
+                    deltas: scratch.deltas.view(),
+                    partials: scratch.partials.view_mut(),
+                },
+            )?;
+            recorder.dispatch::<Reduce>(
+                Groups::linear(layer.outputs * (layer.inputs + 1), WORKGROUP, &limits)?,
+                ReduceParams {
+                    inputs: layer.inputs as u32,
+                    outputs: layer.outputs as u32,
+                    segments: segments as u32,
+                    weights_at: layer.weights_at as u32,
+                    accumulate: u32::from(accumulate),
+                },
+                ReduceArgs { partials: scratch.partials.view(), gradients: gradients.reborrow() },
+            )?;
+            if index == 0 {
+                break;
+            }
+            let tiles = stride / TILE * (layer.inputs - layer.encoded).div_ceil(TILE);
+            recorder.dispatch::<Backward>(
+                Groups::linear(tiles, WORKGROUP, &limits)?,
+                BackwardParams {
+                    stride4: (stride / 4) as u32,
+                    inputs: layer.inputs as u32,
+                    outputs: layer.outputs as u32,
+                    encoded: layer.encoded as u32,
+                    activated: layer.source as u32,
+                    source: here as u32,
+                    target: below as u32,
+                    weights_at: layer.weights_at as u32,
+                },
+                BackwardArgs {
+                    parameters,
+                    activations: scratch.activations.view(),
+                    deltas: scratch.deltas.view_mut(),
+                },
+            )?;
+            std::mem::swap(&mut here, &mut below);
+        }
+        Ok(())
+    }
+}
+
+/// Rows with padding.
+fn stride(rows: usize) -> usize {
+    rows.next_multiple_of(TILE)
+}
+
+fn check(arg: &'static str, actual: usize, expected: usize) -> Result<()> {
+    if actual == expected {
+        return Ok(());
+    }
+    Err(Error::Shape { op: "deformation network", arg, expected: expected.to_string(), actual })
+}

@@ -1,0 +1,23 @@
+//! Algorithms of several dispatches.
+//!
+//! Each op has three steps: `plan` fixes the sizes, `scratch` allocates what lies between the
+//! dispatches, `record` records them. No op allocates, submits or waits in `record`.
+
+pub mod gaussians;
+pub mod loss;
+pub mod render;
+pub mod mlp;
+pub mod scan;
+pub mod sort;
+
+use crate::{Error, Result};
+
+/// Checks that every argument, given as name, elements needed and elements there, is long enough.
+fn at_least(op: &'static str, shapes: &[(&'static str, usize, usize)]) -> Result<()> {
+    match shapes.iter().find(|(_, needed, actual)| actual < needed) {
+        None => Ok(()),
+        Some(&(arg, needed, actual)) => {
+            Err(Error::Shape { op, arg, expected: format!("at least {needed}"), actual })
+        }
+    }
+}

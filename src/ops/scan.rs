@@ -1,0 +1,113 @@
+//! Exclusive prefix sums of a number of values that the device knows.
+
+use crate::gpu::{Buffer, Device, Groups, Recorder, View, ViewMut};
+use crate::kernels::indirect;
+use crate::kernels::scan::{
+    BLOCK, Downsweep, DownsweepArgs, DownsweepParams, Reduce, ReduceArgs, ReduceParams, Spine,
+    SpineArgs, SpineParams,
+};
+use crate::{Error, Result};
+
+/// Exclusive prefix sums (modulo 2³²) of at most `capacity` values.
+#[derive(Clone, Copy, Debug)]
+pub struct Scan {
+    capacity: usize,
+}
+
+/// What a scan works in between its dispatches.
+pub struct ScanScratch {
+    sums: Buffer<u32>,
+    grid: Buffer<u32>,
+}
+
+/// The buffers of one scan.
+pub struct ScanArgs<'a> {
+    /// Holds the number of values; what exceeds the capacity is left out.
+    pub count: View<'a, u32>,
+    /// Where it lies.
+    pub count_at: usize,
+    /// The values; as long as the capacity.
+    pub values: View<'a, u32>,
+    /// Gets `prefix[i] = values[0] + … + values[i − 1]`; untouched from the number of values on.
+    pub prefix: ViewMut<'a, u32>,
+    /// Gets the sum of all values.
+    pub total: ViewMut<'a, u32>,
+    /// Where it goes.
+    pub total_at: usize,
+}
+
+impl Scan {
+    /// A scan of at most `capacity` values.
+    ///
+    /// # Errors
+    /// [`Error::Input`] beyond 2³² − 1 values.
+    pub fn plan(capacity: usize) -> Result<Scan> {
+        if u32::try_from(capacity).is_err() {
+            return Err(Error::Input(format!("a scan of {capacity} values: at most 2³² − 1")));
+        }
+        Ok(Scan { capacity })
+    }
+
+    /// What [`record`](Self::record) works in.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`].
+    pub fn scratch(&self, device: &Device) -> Result<ScanScratch> {
+        let blocks = self.capacity.div_ceil(BLOCK as usize);
+        Ok(ScanScratch {
+            sums: device.buffer("scan sums", blocks)?,
+            grid: device.buffer("scan grid", 3)?,
+        })
+    }
+
+    /// Records the scan.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for a buffer that is too short; else as for [`Recorder::dispatch`].
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        mut args: ScanArgs<'_>,
+        scratch: &mut ScanScratch,
+    ) -> Result<()> {
+        let shapes = [
+            ("count", args.count_at + 1, args.count.len()),
+            ("values", self.capacity, args.values.len()),
+            ("prefix", self.capacity, args.prefix.len()),
+            ("total", args.total_at + 1, args.total.len()),
+        ];
+        super::at_least("scan", &shapes)?;
+        let (count, count_at, capacity) = (args.count, args.count_at as u32, self.capacity as u32);
+        indirect::record_arguments(
+            recorder,
+            count,
+            args.count_at,
+            self.capacity,
+            BLOCK,
+            scratch.grid.view_mut(),
+            0,
+        )?;
+        recorder.dispatch_indirect::<Reduce>(
+            &scratch.grid,
+            0,
+            ReduceParams { count_at, capacity },
+            ReduceArgs { count, values: args.values, sums: scratch.sums.view_mut() },
+        )?;
+        recorder.dispatch::<Spine>(
+            Groups([1, 1, 1]),
+            SpineParams { count_at, capacity, total_at: args.total_at as u32 },
+            SpineArgs { count, sums: scratch.sums.view_mut(), total: args.total.reborrow() },
+        )?;
+        recorder.dispatch_indirect::<Downsweep>(
+            &scratch.grid,
+            0,
+            DownsweepParams { count_at, capacity },
+            DownsweepArgs {
+                count,
+                values: args.values,
+                sums: scratch.sums.view(),
+                prefix: args.prefix.reborrow(),
+            },
+        )
+    }
+}

@@ -1,0 +1,219 @@
+//! Stable radix sort of key–payload pairs whose number the device knows.
+
+use crate::gpu::{Buffer, Device, Groups, Recorder, View, ViewMut};
+use crate::kernels::sort::{
+    Count, CountArgs, CountParams, MAX_DIGIT_BITS, PLAN_GRID_AT, PLAN_TABLE_AT, PLAN_WORDS, Plan,
+    PlanArgs, PlanParams, Scatter, ScatterArgs, ScatterParams,
+};
+use crate::ops::scan::{Scan, ScanArgs, ScanScratch};
+use crate::vk::DeviceKind;
+use crate::{Error, Result};
+use std::ops::Range;
+
+/// Shorter runs would spend more on counters than on keys.
+const MIN_RUN: usize = 256;
+/// Enough runs for the cores of a software driver, and few enough that the table of counters stays
+/// in the cache.
+const MAX_RUNS_SOFTWARE: usize = 512;
+/// Enough runs to fill a large GPU.
+const MAX_RUNS_GPU: usize = 16_384;
+
+/// A stable sort by some bits of the keys, ascending.
+#[derive(Clone, Debug)]
+pub struct RadixSort {
+    capacity: usize,
+    bits: Range<u32>,
+    passes: u32,
+    digit_bits: u32,
+    max_runs: usize,
+}
+
+/// What a sort works in between its dispatches.
+pub struct SortScratch {
+    plan: Buffer<u32>,
+    table: Buffer<u32>,
+    offsets: Buffer<u32>,
+    total: Buffer<u32>,
+    scan: ScanScratch,
+    /// Where pairs wait between passes; empty where one pass is enough.
+    keys: Buffer<u32>,
+    payload: Buffer<u32>,
+}
+
+/// The buffers of one sort. The input is left as it is.
+pub struct SortArgs<'a> {
+    /// Holds the number of pairs; what exceeds the capacity is left out.
+    pub count: View<'a, u32>,
+    /// Where it lies.
+    pub count_at: usize,
+    /// The keys; as long as the capacity.
+    pub keys: View<'a, u32>,
+    /// What goes with them; likewise.
+    pub payload: View<'a, u32>,
+    /// Gets the sorted keys; untouched from the number of pairs on.
+    pub sorted_keys: ViewMut<'a, u32>,
+    /// Gets what goes with them.
+    pub sorted_payload: ViewMut<'a, u32>,
+}
+
+impl RadixSort {
+    /// A sort of at most `capacity` pairs by the bits `bits` of their keys, counted from the lowest.
+    /// Bits outside do not count; pairs whose bits are equal keep their order.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for bits beyond 32 or more than 2³² − 1 pairs.
+    pub fn plan(device: &Device, capacity: usize, bits: Range<u32>) -> Result<RadixSort> {
+        if bits.start > bits.end || bits.end > 32 || u32::try_from(capacity).is_err() {
+            return Err(Error::Input(format!(
+                "a sort of {capacity} pairs by the bits {bits:?}: at most 2³² − 1 pairs, bits \
+                 within 0..32"
+            )));
+        }
+        let width = bits.end - bits.start;
+        let passes = width.div_ceil(MAX_DIGIT_BITS);
+        Ok(RadixSort {
+            capacity,
+            passes,
+            // Evenly, since a pass over narrower digits costs less: 12 bits are 6 + 6, not 8 + 4.
+            digit_bits: width.div_ceil(passes.max(1)),
+            bits,
+            max_runs: match device.info().kind {
+                DeviceKind::Software => MAX_RUNS_SOFTWARE,
+                _ => MAX_RUNS_GPU,
+            },
+        })
+    }
+
+    fn bins(&self) -> usize {
+        1 << self.digit_bits
+    }
+
+    fn table_len(&self) -> usize {
+        self.bins() * self.capacity.div_ceil(MIN_RUN).min(self.max_runs)
+    }
+
+    /// What [`record`](Self::record) works in.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`].
+    pub fn scratch(&self, device: &Device) -> Result<SortScratch> {
+        let between = if self.passes > 1 { self.capacity } else { 0 };
+        let table = self.table_len();
+        Ok(SortScratch {
+            plan: device.buffer("sort plan", PLAN_WORDS)?,
+            table: device.buffer("sort table", table)?,
+            offsets: device.buffer("sort offsets", table)?,
+            total: device.buffer("sort total", 1)?,
+            scan: Scan::plan(table)?.scratch(device)?,
+            keys: device.buffer("sort keys", between)?,
+            payload: device.buffer("sort payload", between)?,
+        })
+    }
+
+    /// Records the sort.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for a buffer that is too short; else as for [`Recorder::dispatch`].
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        mut args: SortArgs<'_>,
+        scratch: &mut SortScratch,
+    ) -> Result<()> {
+        let shapes = [
+            ("count", args.count_at + 1, args.count.len()),
+            ("keys", self.capacity, args.keys.len()),
+            ("payload", self.capacity, args.payload.len()),
+            ("sorted_keys", self.capacity, args.sorted_keys.len()),
+            ("sorted_payload", self.capacity, args.sorted_payload.len()),
+        ];
+        super::at_least("sort", &shapes)?;
+        if self.passes == 0 {
+            recorder.copy(args.keys, args.sorted_keys);
+            recorder.copy(args.payload, args.sorted_payload);
+            return Ok(());
+        }
+        let params = PlanParams {
+            count_at: args.count_at as u32,
+            capacity: self.capacity as u32,
+            bins: self.bins() as u32,
+            min_run: MIN_RUN as u32,
+            max_runs: self.max_runs as u32,
+            group_limit: recorder.device().limits().groups,
+        };
+        recorder.dispatch::<Plan>(
+            Groups([1, 1, 1]),
+            params,
+            PlanArgs { count: args.count, plan: scratch.plan.view_mut() },
+        )?;
+        for pass in 0..self.passes {
+            let shift = self.bits.start + pass * self.digit_bits;
+            let width = self.digit_bits.min(self.bits.end - shift);
+            let digit = (shift, (1u32 << width) - 1);
+            // The last pass must end in the output: its neighbours alternate from there.
+            let to_output = (self.passes - 1 - pass).is_multiple_of(2);
+            let (between, out) = (
+                (scratch.keys.view_mut(), scratch.payload.view_mut()),
+                (args.sorted_keys.reborrow(), args.sorted_payload.reborrow()),
+            );
+            let (from, to) = if to_output { (between, out) } else { (out, between) };
+            let source = match pass {
+                0 => (args.keys, args.payload),
+                _ => (from.0.as_view(), from.1.as_view()),
+            };
+            let tables =
+                (&scratch.plan, &mut scratch.table, &mut scratch.offsets, &mut scratch.total);
+            self.record_pass(recorder, digit, source, to, tables, &mut scratch.scan)?;
+        }
+        Ok(())
+    }
+
+    /// One pass over the digit `(key >> shift) & mask`.
+    fn record_pass(
+        &self,
+        recorder: &mut Recorder,
+        (shift, mask): (u32, u32),
+        (keys, payload): (View<'_, u32>, View<'_, u32>),
+        (sorted_keys, sorted_payload): (ViewMut<'_, u32>, ViewMut<'_, u32>),
+        (plan, table, offsets, total): (
+            &Buffer<u32>,
+            &mut Buffer<u32>,
+            &mut Buffer<u32>,
+            &mut Buffer<u32>,
+        ),
+        scan: &mut ScanScratch,
+    ) -> Result<()> {
+        let bins = self.bins() as u32;
+        recorder.dispatch_indirect::<Count>(
+            plan,
+            PLAN_GRID_AT,
+            CountParams { shift, mask, bins },
+            CountArgs { plan: plan.view(), keys, table: table.view_mut() },
+        )?;
+        Scan::plan(self.table_len())?.record(
+            recorder,
+            ScanArgs {
+                count: plan.view(),
+                count_at: PLAN_TABLE_AT,
+                values: table.view(),
+                prefix: offsets.view_mut(),
+                total: total.view_mut(),
+                total_at: 0,
+            },
+            scan,
+        )?;
+        recorder.dispatch_indirect::<Scatter>(
+            plan,
+            PLAN_GRID_AT,
+            ScatterParams { shift, mask, bins },
+            ScatterArgs {
+                plan: plan.view(),
+                offsets: offsets.view(),
+                keys,
+                payload,
+                sorted_keys,
+                sorted_payload,
+            },
+        )
+    }
+}

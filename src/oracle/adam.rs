@@ -1,0 +1,110 @@
+//! Adam (Kingma and Ba 2015) with bias correction.
+
+use super::Real;
+
+/// Gradients are clamped to ± this: its square, summed, is still a finite f32, so one huge gradient
+/// cannot freeze a parameter for ever through an infinite second moment.
+pub const LARGEST_GRADIENT: f64 = 1e18;
+
+/// The settings of one step of one group of parameters.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AdamSettings {
+    /// Learning rate of the group.
+    pub rate: f64,
+    /// Decay of the first moment.
+    pub beta1: f64,
+    /// Decay of the second moment.
+    pub beta2: f64,
+    /// Added to the root of the second moment.
+    pub epsilon: f64,
+    /// Number of this step, from 1.
+    pub step: u32,
+}
+
+impl Default for AdamSettings {
+    /// The field's usual ones for Gaussians.
+    fn default() -> Self {
+        AdamSettings { rate: 1e-3, beta1: 0.9, beta2: 0.999, epsilon: 1e-15, step: 1 }
+    }
+}
+
+/// One step, in place. `row` values belong to each row; with `visible`, rows whose entry is 0 keep
+/// parameters and moments. A gradient that is not a number or infinite leaves its parameter and
+/// moments as they are.
+pub fn step<R: Real>(
+    settings: &AdamSettings,
+    row: usize,
+    visible: Option<&[u32]>,
+    gradients: &[R],
+    parameters: &mut [R],
+    first: &mut [R],
+    second: &mut [R],
+) {
+    let (beta1, beta2) = (R::of(settings.beta1), R::of(settings.beta2));
+    let unbias1 = R::of(1.0 / (1.0 - settings.beta1.powf(f64::from(settings.step))));
+    let unbias2 = R::of(1.0 / (1.0 - settings.beta2.powf(f64::from(settings.step))));
+    let limit = R::of(LARGEST_GRADIENT);
+    for i in 0..parameters.len() {
+        if visible.is_some_and(|visible| visible[i / row] == 0) || !gradients[i].is_finite() {
+            continue;
+        }
+        let g = gradients[i].min(limit).max(-limit);
+        first[i] = beta1 * first[i] + (R::one() - beta1) * g;
+        second[i] = beta2 * second[i] + (R::one() - beta2) * g * g;
+        let root = (second[i] * unbias2).sqrt();
+        parameters[i] -=
+            R::of(settings.rate) * (first[i] * unbias1) / (root + R::of(settings.epsilon));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The first step is the rate, whatever the gradient's size: bias correction at work.
+    #[test]
+    fn the_first_step_is_the_rate() {
+        for g in [1e-6, 1.0, 1e6, -1e12] {
+            let (mut p, mut m, mut v) = ([5.0f64], [0.0], [0.0]);
+            step(&AdamSettings::default(), 1, None, &[g], &mut p, &mut m, &mut v);
+            assert!((p[0] - (5.0 - 1e-3 * g.signum())).abs() < 1e-9, "{g} {}", p[0]);
+        }
+    }
+
+    #[test]
+    fn zero_gradients_move_nothing() {
+        let (mut p, mut m, mut v) = ([5.0f32], [0.0], [0.0]);
+        step(&AdamSettings::default(), 1, None, &[0.0], &mut p, &mut m, &mut v);
+        assert_eq!((p, m, v), ([5.0], [0.0], [0.0]));
+    }
+
+    #[test]
+    fn huge_and_broken_gradients_do_not_freeze_a_parameter() {
+        let (mut p, mut m, mut v) = ([0.0f32; 3], [0.0; 3], [0.0; 3]);
+        let settings = AdamSettings::default();
+        step(&settings, 1, None, &[3e38, f32::NAN, f32::INFINITY], &mut p, &mut m, &mut v);
+        assert!(p[0] < 0.0 && v[0].is_finite());
+        assert_eq!((p[1], m[1], v[1], p[2]), (0.0, 0.0, 0.0, 0.0));
+    }
+
+    #[test]
+    fn hidden_rows_keep_everything() {
+        let (mut p, mut m, mut v) = ([1.0f32; 4], [0.5; 4], [0.5; 4]);
+        step(&AdamSettings::default(), 2, Some(&[0, 1]), &[1.0; 4], &mut p, &mut m, &mut v);
+        assert_eq!((p[0], m[1], v[0]), (1.0, 0.5, 0.5));
+        assert!(p[2] < 1.0 && p[3] < 1.0);
+    }
+
+    /// The minimum of (x − 3)² is found.
+    #[test]
+    fn a_parabola_is_descended() {
+        let (mut p, mut m, mut v) = ([0.0f64], [0.0], [0.0]);
+        for step_number in 1..=4000 {
+            let settings =
+                AdamSettings { rate: 1e-2, step: step_number, ..AdamSettings::default() };
+            let g = 2.0 * (p[0] - 3.0);
+            step(&settings, 1, None, &[g], &mut p, &mut m, &mut v);
+        }
+        assert!((p[0] - 3.0).abs() < 1e-3, "{}", p[0]);
+    }
+}

@@ -1,0 +1,209 @@
+//! Gradients of [`project`](super::project::project) to every parameter of the Gaussians and to the
+//! camera.
+
+use super::Real;
+use super::linear::{
+    Mat3, Vec3, add, cross, dot, mul_vec, normalise_backward, rotation_backward, scale, tmul_vec,
+};
+use super::project::{Geometry, Splat, geometry, sight, sigmoid};
+use super::sh;
+use super::view::{Cloud, View};
+use crate::types::{RenderSettings, sh_coefficients};
+
+/// Gradient of the loss to what a splat shows.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SplatGradient<R> {
+    /// To the centre, per pixel.
+    pub mean: [R; 2],
+    /// To the conic's A, B, C, each an independent number.
+    pub conic: [R; 3],
+    /// To the opacity.
+    pub opacity: R,
+    /// To the depth.
+    pub depth: R,
+    /// To the colour.
+    pub colour: Vec3<R>,
+}
+
+/// Gradient of the loss to the camera.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ViewGradient<R> {
+    /// To the twist ξ = (ρ, φ), translation first, of `view_from_world ← exp(ξ) · view_from_world`
+    /// at ξ = 0.
+    pub twist: [R; 6],
+    /// To the focal lengths along x and y.
+    pub focal: [R; 2],
+    /// To the principal point.
+    pub centre: [R; 2],
+}
+
+/// What the two paths, through the centre and through the covariance, leave behind.
+struct PointGradient<R> {
+    point: Vec3<R>,
+    /// To `W R S`, the scaled axes in the camera's frame.
+    scaled_axes: Mat3<R>,
+    log_scales: Vec3<R>,
+    focal: [R; 2],
+    centre: [R; 2],
+}
+
+/// Gradients to the Gaussians and to the camera, given those to the splats (`gradients[i]` is read
+/// only where `splats[i]` was drawn).
+pub fn project_backward<R: Real>(
+    cloud: &Cloud<R>,
+    view: &View<R>,
+    settings: &RenderSettings,
+    splats: &[Option<Splat<R>>],
+    gradients: &[SplatGradient<R>],
+) -> (Cloud<R>, ViewGradient<R>) {
+    let mut out = cloud.zeros_like();
+    let mut camera = ViewGradient::default();
+    for index in 0..cloud.len() {
+        if splats[index].is_some() {
+            one(cloud, index, view, settings, &gradients[index], &mut out, &mut camera);
+        }
+    }
+    (out, camera)
+}
+
+fn one<R: Real>(
+    cloud: &Cloud<R>,
+    index: usize,
+    view: &View<R>,
+    settings: &RenderSettings,
+    gradient: &SplatGradient<R>,
+    out: &mut Cloud<R>,
+    camera: &mut ViewGradient<R>,
+) {
+    let Some(g) = geometry(cloud, index, view, settings) else { return };
+    let Some((distance, direction)) = sight(cloud.positions[index], view) else { return };
+
+    let through = point_and_shape(&g, view, gradient);
+    let (sh, sight) = colour(cloud, index, distance, direction, gradient.colour);
+
+    out.positions[index] = add(tmul_vec(&view.rotation, through.point), sight);
+    out.log_scales[index] = through.log_scales;
+    // W R S = (W R) S, and R's own gradient is Wᵀ · (to W R).
+    let mut to_rotation = [[R::zero(); 3]; 3];
+    for axis in 0..3 {
+        let column = std::array::from_fn(|row| through.scaled_axes[row][axis] * g.scales[axis]);
+        let turned = tmul_vec(&view.rotation, column);
+        for row in 0..3 {
+            to_rotation[row][axis] = turned[row];
+        }
+    }
+    let (length, unit) = g.quaternion;
+    out.rotations[index] = normalise_backward(length, unit, rotation_backward(unit, &to_rotation));
+    let logit = cloud.opacity_logits[index];
+    out.opacity_logits[index] = gradient.opacity * sigmoid(logit) * sigmoid(-logit);
+    let count = sh_coefficients(cloud.sh_degree);
+    out.sh[index * count..(index + 1) * count].copy_from_slice(&sh[..count]);
+
+    // A twist moves the point by ρ + φ × point, turns the axes by φ, and moves the camera's centre
+    // by −Wᵀ ρ, which lengthens the line of sight by Wᵀ ρ.
+    let rho = add(through.point, mul_vec(&view.rotation, sight));
+    let mut phi = cross(g.point, through.point);
+    for axis in 0..3 {
+        let arm: Vec3<R> = std::array::from_fn(|row| g.axes[row][axis] * g.scales[axis]);
+        let force = std::array::from_fn(|row| through.scaled_axes[row][axis]);
+        phi = add(phi, cross(arm, force));
+    }
+    for k in 0..3 {
+        camera.twist[k] += rho[k];
+        camera.twist[3 + k] += phi[k];
+    }
+    camera.focal = add(camera.focal, through.focal);
+    camera.centre = add(camera.centre, through.centre);
+}
+
+/// Through the centre, the depth and the covariance.
+fn point_and_shape<R: Real>(
+    g: &Geometry<R>,
+    view: &View<R>,
+    gradient: &SplatGradient<R>,
+) -> PointGradient<R> {
+    let [x, y, z] = g.point;
+    let (half, two) = (R::of(0.5), R::of(2.0));
+
+    // Centre: focal · x/z + centre.
+    let mut point = [
+        gradient.mean[0] * view.focal[0] / z,
+        gradient.mean[1] * view.focal[1] / z,
+        gradient.depth,
+    ];
+    point[2] -= (point[0] * x + point[1] * y) / z;
+    let mut focal = [gradient.mean[0] * x / z, gradient.mean[1] * y / z];
+    let mut centre = gradient.mean;
+
+    // Covariance Σ = M Mᵀ + d I, conic Q = Σ⁻¹: dL/dΣ = −Q G Q with G the symmetric gradient to Q,
+    // so dL/dM = −2 Q G (Q M). Q M is taken from the adjugate, where the parts that cancel in a
+    // needle drop out exactly: adj(Σ) mᵢ = Σⱼ perp(mⱼ) (mⱼ × mᵢ) + d mᵢ.
+    let symmetric = [gradient.conic[0], gradient.conic[1] * half, gradient.conic[2]];
+    let times = |s: [R; 3], v: [R; 2]| [s[0] * v[0] + s[1] * v[1], s[1] * v[0] + s[2] * v[1]];
+    let column = |i: usize| [g.m[0][i], g.m[1][i]];
+    let mut to_m = [[R::zero(); 3]; 2];
+    for i in 0..3 {
+        let mi = column(i);
+        let mut adjugate = mi.map(|v| v * g.dilation);
+        for j in 0..3 {
+            let mj = column(j);
+            let minor = mj[0] * mi[1] - mj[1] * mi[0];
+            adjugate = [adjugate[0] - mj[1] * minor, adjugate[1] + mj[0] * minor];
+        }
+        let qm = adjugate.map(|v| v / g.determinant / g.unit);
+        let back = times(g.conic, times(symmetric, qm)).map(|v| -two * v / g.unit / g.unit);
+        to_m[0][i] = back[0];
+        to_m[1][i] = back[1];
+    }
+
+    // M = J N with N = W R S; column i of M is proportional to exp(log scale i).
+    let log_scales =
+        std::array::from_fn(|i| (to_m[0][i] * g.m[0][i] + to_m[1][i] * g.m[1][i]) * g.unit);
+    let scaled_axes: Mat3<R> = std::array::from_fn(|row| {
+        std::array::from_fn(|axis| {
+            g.jacobian[0][row] * to_m[0][axis] + g.jacobian[1][row] * to_m[1][axis]
+        })
+    });
+    let to_j: [Vec3<R>; 2] = std::array::from_fn(|row| {
+        std::array::from_fn(|k| (0..3).map(|i| to_m[row][i] * g.axes[k][i] * g.scales[i]).sum())
+    });
+
+    // Row k of J is (f/z) (e_k − u e_z), u the tangent, held where it is clamped.
+    for k in 0..2 {
+        let (f, u) = (view.focal[k], g.tangent[k]);
+        let (diagonal, slant) = (to_j[k][k], to_j[k][2]);
+        point[2] -= diagonal * f / (z * z);
+        focal[k] += diagonal / z;
+        if g.clamped[k] {
+            // f · u is then a distance from the principal point to the margin's end: free of f.
+            point[2] += slant * f * u / (z * z);
+            centre[k] += slant / z;
+        } else {
+            point[k] -= slant * f / (z * z);
+            point[2] += two * slant * f * u / (z * z);
+            focal[k] -= slant * u / z;
+        }
+    }
+    PointGradient { point, scaled_axes, log_scales, focal, centre }
+}
+
+/// Through the colour: to the SH coefficients, and to the unnormalised line of sight.
+fn colour<R: Real>(
+    cloud: &Cloud<R>,
+    index: usize,
+    distance: R,
+    direction: Vec3<R>,
+    gradient: Vec3<R>,
+) -> ([Vec3<R>; 16], Vec3<R>) {
+    let coefficients = cloud.sh_of(index);
+    let seen = sh::colour(coefficients, direction);
+    let gated: Vec3<R> =
+        std::array::from_fn(|c| if seen[c] > R::zero() { gradient[c] } else { R::zero() });
+    let basis = sh::basis(direction);
+    let slopes = sh::basis_gradient(direction);
+    let mut to_direction = [R::zero(); 3];
+    for (coefficient, slope) in coefficients.iter().zip(slopes) {
+        to_direction = add(to_direction, scale(slope, dot(gated, *coefficient)));
+    }
+    (basis.map(|b| scale(gated, b)), normalise_backward(distance, direction, to_direction))
+}

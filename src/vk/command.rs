@@ -1,0 +1,297 @@
+//! Command buffers with the descriptor pools and timestamp queries that they use.
+
+use super::buffer::RawBuffer;
+use super::device::Context;
+use super::pipeline::Pipeline;
+use super::vk_error;
+use crate::error::Result;
+use ash::vk;
+use std::sync::Arc;
+
+const SETS_PER_POOL: u32 = 256;
+const DESCRIPTORS_PER_SET: u32 = 16;
+const TIMESTAMPS: u32 = 2048;
+
+/// A part of a buffer bound to a kernel; opaque outside the crate.
+#[derive(Clone)]
+pub struct BoundRange {
+    pub(crate) buffer: Arc<RawBuffer>,
+    pub(crate) offset: u64,
+    pub(crate) bytes: u64,
+}
+
+/// A command buffer and what its recording consumes; a stream recycles it once the device is done.
+pub(crate) struct CommandSlot {
+    pub(super) buffer: vk::CommandBuffer,
+    pool: vk::CommandPool,
+    descriptor_pools: Vec<vk::DescriptorPool>,
+    current_pool: usize,
+    queries: vk::QueryPool,
+    timestamps: u32,
+    context: Arc<Context>,
+}
+
+impl CommandSlot {
+    pub(crate) fn new(context: &Arc<Context>) -> Result<CommandSlot> {
+        let device = &context.raw;
+        let mut slot = CommandSlot {
+            buffer: vk::CommandBuffer::null(),
+            pool: vk::CommandPool::null(),
+            descriptor_pools: Vec::new(),
+            current_pool: 0,
+            queries: vk::QueryPool::null(),
+            timestamps: 0,
+            context: context.clone(),
+        };
+        let info = vk::CommandPoolCreateInfo::default().queue_family_index(context.family);
+        // SAFETY: here and below the device is alive and the infos point at locals.
+        slot.pool = unsafe { device.create_command_pool(&info, None) }
+            .map_err(vk_error("vkCreateCommandPool"))?;
+        let info = vk::CommandBufferAllocateInfo::default()
+            .command_pool(slot.pool)
+            .level(vk::CommandBufferLevel::PRIMARY)
+            .command_buffer_count(1);
+        // SAFETY: as above.
+        slot.buffer = unsafe { device.allocate_command_buffers(&info) }
+            .map_err(vk_error("vkAllocateCommandBuffers"))?[0];
+        Ok(slot)
+    }
+
+    /// Starts a recording; what an earlier one consumed is free again.
+    pub(crate) fn begin(&mut self) -> Result<()> {
+        let device = &self.context.raw;
+        let info = vk::CommandBufferBeginInfo::default()
+            .flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
+        // SAFETY: the device is done with the slot's last submission, and `&mut` excludes others.
+        unsafe {
+            device
+                .reset_command_pool(self.pool, vk::CommandPoolResetFlags::empty())
+                .map_err(vk_error("vkResetCommandPool"))?;
+            for &pool in &self.descriptor_pools {
+                device
+                    .reset_descriptor_pool(pool, vk::DescriptorPoolResetFlags::empty())
+                    .map_err(vk_error("vkResetDescriptorPool"))?;
+            }
+            device
+                .begin_command_buffer(self.buffer, &info)
+                .map_err(vk_error("vkBeginCommandBuffer"))?;
+        }
+        self.current_pool = 0;
+        self.timestamps = 0;
+        Ok(())
+    }
+
+    pub(crate) fn end(&mut self) -> Result<()> {
+        // SAFETY: `begin` was called; `&mut` excludes others.
+        unsafe { self.context.raw.end_command_buffer(self.buffer) }
+            .map_err(vk_error("vkEndCommandBuffer"))
+    }
+
+    /// Binds pipeline, buffers and parameters of the next dispatch.
+    pub(crate) fn bind(
+        &mut self,
+        pipeline: &Pipeline,
+        ranges: &[BoundRange],
+        params: &[u8],
+    ) -> Result<()> {
+        let device = self.context.raw.clone();
+        if !ranges.is_empty() {
+            let set = self.descriptor_set(pipeline.set_layout)?;
+            let infos: Vec<_> = ranges
+                .iter()
+                .map(|range| vk::DescriptorBufferInfo {
+                    buffer: range.buffer.raw,
+                    offset: range.offset,
+                    range: range.bytes,
+                })
+                .collect();
+            // SAFETY: the template reads as many infos as the kernel has bindings, which is
+            // `ranges.len()`; the set is fresh.
+            unsafe {
+                device.update_descriptor_set_with_template(
+                    set,
+                    pipeline.template,
+                    infos.as_ptr().cast(),
+                );
+                device.cmd_bind_descriptor_sets(
+                    self.buffer,
+                    vk::PipelineBindPoint::COMPUTE,
+                    pipeline.layout,
+                    0,
+                    &[set],
+                    &[],
+                );
+            }
+        }
+        // SAFETY: recording; the recorder keeps the pipeline alive until the submission retires.
+        unsafe {
+            device.cmd_bind_pipeline(self.buffer, vk::PipelineBindPoint::COMPUTE, pipeline.raw);
+            if !params.is_empty() {
+                device.cmd_push_constants(
+                    self.buffer,
+                    pipeline.layout,
+                    vk::ShaderStageFlags::COMPUTE,
+                    0,
+                    params,
+                );
+            }
+        }
+        Ok(())
+    }
+
+    pub(crate) fn dispatch(&mut self, groups: [u32; 3]) {
+        // SAFETY: recording, after `bind`.
+        unsafe { self.context.raw.cmd_dispatch(self.buffer, groups[0], groups[1], groups[2]) };
+    }
+
+    pub(crate) fn dispatch_indirect(&mut self, arguments: &RawBuffer, offset: u64) {
+        // SAFETY: recording, after `bind`; the recorder checked that three words lie at `offset`.
+        unsafe { self.context.raw.cmd_dispatch_indirect(self.buffer, arguments.raw, offset) };
+    }
+
+    /// Everything before is finished and visible to everything after.
+    pub(crate) fn barrier(&mut self) {
+        let stages = vk::PipelineStageFlags2::COMPUTE_SHADER
+            | vk::PipelineStageFlags2::ALL_TRANSFER
+            | vk::PipelineStageFlags2::DRAW_INDIRECT;
+        let barriers = [vk::MemoryBarrier2::default()
+            .src_stage_mask(stages)
+            .src_access_mask(vk::AccessFlags2::SHADER_WRITE | vk::AccessFlags2::TRANSFER_WRITE)
+            .dst_stage_mask(stages | vk::PipelineStageFlags2::HOST)
+            .dst_access_mask(
+                vk::AccessFlags2::SHADER_READ
+                    | vk::AccessFlags2::SHADER_WRITE
+                    | vk::AccessFlags2::TRANSFER_READ
+                    | vk::AccessFlags2::TRANSFER_WRITE
+                    | vk::AccessFlags2::INDIRECT_COMMAND_READ
+                    | vk::AccessFlags2::HOST_READ,
+            )];
+        let info = vk::DependencyInfo::default().memory_barriers(&barriers);
+        // SAFETY: recording.
+        unsafe { self.context.raw.cmd_pipeline_barrier2(self.buffer, &info) };
+    }
+
+    pub(crate) fn fill(&mut self, range: &BoundRange, word: u32) {
+        // SAFETY: recording; ranges lie within their buffers and are multiples of four bytes.
+        unsafe {
+            self.context.raw.cmd_fill_buffer(
+                self.buffer,
+                range.buffer.raw,
+                range.offset,
+                range.bytes,
+                word,
+            )
+        };
+    }
+
+    pub(crate) fn copy(&mut self, from: &BoundRange, to: &BoundRange) {
+        let region = [vk::BufferCopy {
+            src_offset: from.offset,
+            dst_offset: to.offset,
+            size: from.bytes.min(to.bytes),
+        }];
+        // SAFETY: recording; ranges lie within their buffers, and the recorder excludes overlap.
+        unsafe {
+            self.context.raw.cmd_copy_buffer(self.buffer, from.buffer.raw, to.buffer.raw, &region)
+        };
+    }
+
+    /// Writes a few bytes that travel inside the command buffer (64 KiB at most).
+    pub(crate) fn update(&mut self, to: &BoundRange, bytes: &[u8]) {
+        // SAFETY: recording; the recorder checked size and alignment.
+        unsafe { self.context.raw.cmd_update_buffer(self.buffer, to.buffer.raw, to.offset, bytes) };
+    }
+
+    /// Writes a timestamp after everything before; false when the slot has none left.
+    pub(crate) fn timestamp(&mut self) -> Result<bool> {
+        let device = &self.context.raw;
+        if self.queries == vk::QueryPool::null() {
+            let info = vk::QueryPoolCreateInfo::default()
+                .query_type(vk::QueryType::TIMESTAMP)
+                .query_count(TIMESTAMPS);
+            // SAFETY: the device is alive.
+            self.queries = unsafe { device.create_query_pool(&info, None) }
+                .map_err(vk_error("vkCreateQueryPool"))?;
+        }
+        if self.timestamps == TIMESTAMPS {
+            return Ok(false);
+        }
+        // SAFETY: recording, outside of any render pass; the query was not written yet.
+        unsafe {
+            if self.timestamps == 0 {
+                device.cmd_reset_query_pool(self.buffer, self.queries, 0, TIMESTAMPS);
+            }
+            device.cmd_write_timestamp2(
+                self.buffer,
+                vk::PipelineStageFlags2::ALL_COMMANDS,
+                self.queries,
+                self.timestamps,
+            );
+        }
+        self.timestamps += 1;
+        Ok(true)
+    }
+
+    /// The timestamps written, in ticks; only after the submission is done.
+    pub(crate) fn read_timestamps(&self) -> Result<Vec<u64>> {
+        let mut ticks = vec![0u64; self.timestamps as usize];
+        if !ticks.is_empty() {
+            // SAFETY: the pool is alive and the queries were written.
+            unsafe {
+                self.context.raw.get_query_pool_results(
+                    self.queries,
+                    0,
+                    &mut ticks,
+                    vk::QueryResultFlags::TYPE_64 | vk::QueryResultFlags::WAIT,
+                )
+            }
+            .map_err(vk_error("vkGetQueryPoolResults"))?;
+        }
+        Ok(ticks)
+    }
+
+    fn descriptor_set(&mut self, layout: vk::DescriptorSetLayout) -> Result<vk::DescriptorSet> {
+        let device = &self.context.raw;
+        let layouts = [layout];
+        loop {
+            if let Some(&pool) = self.descriptor_pools.get(self.current_pool) {
+                let info = vk::DescriptorSetAllocateInfo::default()
+                    .descriptor_pool(pool)
+                    .set_layouts(&layouts);
+                // SAFETY: `&mut` gives exclusive use of the pool.
+                match unsafe { device.allocate_descriptor_sets(&info) } {
+                    Ok(sets) => return Ok(sets[0]),
+                    Err(
+                        vk::Result::ERROR_OUT_OF_POOL_MEMORY | vk::Result::ERROR_FRAGMENTED_POOL,
+                    ) => self.current_pool += 1,
+                    Err(result) => return Err(vk_error("vkAllocateDescriptorSets")(result)),
+                }
+            } else {
+                let sizes = [vk::DescriptorPoolSize::default()
+                    .ty(vk::DescriptorType::STORAGE_BUFFER)
+                    .descriptor_count(SETS_PER_POOL * DESCRIPTORS_PER_SET)];
+                let info = vk::DescriptorPoolCreateInfo::default()
+                    .max_sets(SETS_PER_POOL)
+                    .pool_sizes(&sizes);
+                // SAFETY: the device is alive.
+                let pool = unsafe { device.create_descriptor_pool(&info, None) }
+                    .map_err(vk_error("vkCreateDescriptorPool"))?;
+                self.descriptor_pools.push(pool);
+            }
+        }
+    }
+}
+
+impl Drop for CommandSlot {
+    fn drop(&mut self) {
+        let device = &self.context.raw;
+        // SAFETY: the stream drops a slot only after the device is done with it.
+        unsafe {
+            for &pool in &self.descriptor_pools {
+                device.destroy_descriptor_pool(pool, None);
+            }
+            device.destroy_query_pool(self.queries, None);
+            device.destroy_command_pool(self.pool, None);
+        }
+    }
+}

@@ -1,0 +1,241 @@
+//! Loader, instance, validation layer, and the list of devices.
+
+use super::vk_error;
+use crate::error::{Error, Result};
+use ash::{ext, vk};
+use std::ffi::{CStr, c_void};
+use std::sync::{Arc, Mutex};
+
+const NO_LOADER: &str = "no Vulkan loader found; install libvulkan1 and a driver \
+     (Debian: apt-get install libvulkan1 mesa-vulkan-drivers, which brings a software driver too)";
+const NO_DRIVER: &str = "the Vulkan loader found no driver; install one (Debian: apt-get install \
+     mesa-vulkan-drivers, which brings a software driver too) or point VK_DRIVER_FILES at one";
+
+const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
+
+/// What the validation layer has said.
+pub(crate) type Messages = Mutex<Vec<String>>;
+
+/// The loader and an instance, destroyed together after every device.
+pub(crate) struct Instance {
+    // Declared first: the instance's functions lie in the library that `entry` keeps loaded.
+    pub(super) raw: ash::Instance,
+    messenger: Option<(ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
+    pub(super) messages: Arc<Messages>,
+    _entry: ash::Entry,
+}
+
+impl Instance {
+    pub(crate) fn new(validation: bool) -> Result<Instance> {
+        // SAFETY: loading the system's Vulkan loader runs its initialisers, which is what every
+        // Vulkan program does.
+        let entry = unsafe { ash::Entry::load() }.map_err(|_| Error::NoDevice(NO_LOADER.into()))?;
+        let application = vk::ApplicationInfo::default()
+            .application_name(c"splat4d")
+            .engine_name(c"splat4d")
+            .api_version(vk::API_VERSION_1_3);
+        let messages = Arc::new(Messages::default());
+        let mut info = vk::InstanceCreateInfo::default().application_info(&application);
+        let layers = [VALIDATION_LAYER.as_ptr()];
+        let extensions = [ext::debug_utils::NAME.as_ptr(), ext::validation_features::NAME.as_ptr()];
+        let enabled = [vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION];
+        let mut features =
+            vk::ValidationFeaturesEXT::default().enabled_validation_features(&enabled);
+        let mut early = messenger_info(&messages);
+        if validation {
+            require_layer(&entry)?;
+            info = info
+                .enabled_layer_names(&layers)
+                .enabled_extension_names(&extensions)
+                .push_next(&mut features)
+                .push_next(&mut early);
+        }
+        // SAFETY: everything `info` points at outlives the call.
+        let raw = unsafe { entry.create_instance(&info, None) }.map_err(|result| match result {
+            vk::Result::ERROR_INCOMPATIBLE_DRIVER => Error::NoDevice(NO_DRIVER.into()),
+            other => vk_error("vkCreateInstance")(other),
+        })?;
+        let messenger = if validation {
+            let functions = ext::debug_utils::Instance::new(&entry, &raw);
+            let info = messenger_info(&messages);
+            // SAFETY: the callback's user data is the `Arc`'s content, which `Instance` keeps alive
+            // until after the messenger is destroyed.
+            let handle = unsafe { functions.create_debug_utils_messenger(&info, None) }
+                .map_err(vk_error("vkCreateDebugUtilsMessengerEXT"))?;
+            Some((functions, handle))
+        } else {
+            None
+        };
+        Ok(Instance { raw, messenger, messages, _entry: entry })
+    }
+
+    /// Every physical device of Vulkan 1.3 or newer, in the loader's order.
+    pub(crate) fn devices(&self) -> Result<Vec<(vk::PhysicalDevice, DeviceInfo)>> {
+        // SAFETY: the instance is alive.
+        let devices = unsafe { self.raw.enumerate_physical_devices() }
+            .map_err(vk_error("vkEnumeratePhysicalDevices"))?;
+        let described = devices.into_iter().map(|d| (d, self.describe(d)));
+        let usable: Vec<_> = described
+            .filter(|(_, info)| info.api_version >= vk::API_VERSION_1_3)
+            .enumerate()
+            .map(|(index, (device, mut info))| {
+                info.index = index;
+                (device, info)
+            })
+            .collect();
+        if usable.is_empty() {
+            return Err(Error::NoDevice(NO_DRIVER.into()));
+        }
+        Ok(usable)
+    }
+
+    fn describe(&self, device: vk::PhysicalDevice) -> DeviceInfo {
+        let mut vulkan11 = vk::PhysicalDeviceVulkan11Properties::default();
+        let mut vulkan12 = vk::PhysicalDeviceVulkan12Properties::default();
+        let mut properties = vk::PhysicalDeviceProperties2::default()
+            .push_next(&mut vulkan11)
+            .push_next(&mut vulkan12);
+        // SAFETY: the chain's structures live until the end of the function.
+        unsafe { self.raw.get_physical_device_properties2(device, &mut properties) };
+        let core = properties.properties;
+        // SAFETY: a plain query of a device of this instance.
+        let memory = unsafe { self.raw.get_physical_device_memory_properties(device) };
+        let memory_bytes = memory.memory_heaps[..memory.memory_heap_count as usize]
+            .iter()
+            .filter(|heap| heap.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL))
+            .map(|heap| heap.size)
+            .max()
+            .unwrap_or(0);
+        let string = |chars: &[std::ffi::c_char]| {
+            let bytes: Vec<u8> = chars.iter().map(|&c| c as u8).take_while(|&c| c != 0).collect();
+            String::from_utf8_lossy(&bytes).into_owned()
+        };
+        DeviceInfo {
+            index: 0,
+            name: string(&core.device_name),
+            kind: match core.device_type {
+                vk::PhysicalDeviceType::DISCRETE_GPU => DeviceKind::Discrete,
+                vk::PhysicalDeviceType::INTEGRATED_GPU => DeviceKind::Integrated,
+                vk::PhysicalDeviceType::VIRTUAL_GPU => DeviceKind::Virtual,
+                vk::PhysicalDeviceType::CPU => DeviceKind::Software,
+                _ => DeviceKind::Other,
+            },
+            driver: format!("{} {}", string(&vulkan12.driver_name), string(&vulkan12.driver_info))
+                .trim()
+                .to_owned(),
+            api_version: core.api_version,
+            subgroup_size: vulkan11.subgroup_size,
+            memory_bytes,
+        }
+    }
+}
+
+impl Drop for Instance {
+    fn drop(&mut self) {
+        if let Some((functions, handle)) = self.messenger.take() {
+            // SAFETY: created from this instance, destroyed once, before it.
+            unsafe { functions.destroy_debug_utils_messenger(handle, None) };
+        }
+        // SAFETY: devices hold an `Arc<Instance>`, so none is left.
+        unsafe { self.raw.destroy_instance(None) };
+    }
+}
+
+fn require_layer(entry: &ash::Entry) -> Result<()> {
+    // SAFETY: a plain query of the loader.
+    let layers = unsafe { entry.enumerate_instance_layer_properties() }
+        .map_err(vk_error("vkEnumerateInstanceLayerProperties"))?;
+    let present =
+        layers.iter().any(|l| l.layer_name_as_c_str().is_ok_and(|name| name == VALIDATION_LAYER));
+    match present {
+        true => Ok(()),
+        false => Err(Error::NoDevice(
+            "the Khronos validation layer is not installed (Debian: apt-get install \
+             vulkan-validationlayers)"
+                .into(),
+        )),
+    }
+}
+
+fn messenger_info(messages: &Arc<Messages>) -> vk::DebugUtilsMessengerCreateInfoEXT<'static> {
+    vk::DebugUtilsMessengerCreateInfoEXT::default()
+        .message_severity(
+            vk::DebugUtilsMessageSeverityFlagsEXT::WARNING
+                | vk::DebugUtilsMessageSeverityFlagsEXT::ERROR,
+        )
+        .message_type(
+            vk::DebugUtilsMessageTypeFlagsEXT::GENERAL
+                | vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION
+                | vk::DebugUtilsMessageTypeFlagsEXT::PERFORMANCE,
+        )
+        .pfn_user_callback(Some(on_message))
+        .user_data(Arc::as_ptr(messages) as *mut c_void)
+}
+
+/// Collects what the layer says.
+///
+/// # Safety
+/// Called by the layer with the user data given to the messenger: a live `Messages`.
+unsafe extern "system" fn on_message(
+    _severity: vk::DebugUtilsMessageSeverityFlagsEXT,
+    kind: vk::DebugUtilsMessageTypeFlagsEXT,
+    data: *const vk::DebugUtilsMessengerCallbackDataEXT<'_>,
+    messages: *mut c_void,
+) -> vk::Bool32 {
+    // SAFETY: the layer passes valid callback data, and the messages outlive the messenger.
+    let (message, messages) = unsafe {
+        let text = (*data).p_message;
+        let text = if text.is_null() { c"" } else { CStr::from_ptr(text) };
+        (text.to_string_lossy().into_owned(), &*(messages as *const Messages))
+    };
+    // General messages are the loader's own chatter about other drivers and layers.
+    if kind != vk::DebugUtilsMessageTypeFlagsEXT::GENERAL
+        && let Ok(mut list) = messages.lock()
+    {
+        list.push(message);
+    }
+    vk::FALSE
+}
+
+/// What a device is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DeviceKind {
+    /// A GPU with its own memory.
+    Discrete,
+    /// A GPU that shares the processor's memory.
+    Integrated,
+    /// A GPU behind a virtual machine.
+    Virtual,
+    /// A driver that runs on the processor.
+    Software,
+    /// None of these.
+    Other,
+}
+
+/// A Vulkan device as its driver describes it.
+#[derive(Clone, Debug)]
+pub struct DeviceInfo {
+    /// Its place in [`enumerate`]'s list.
+    pub index: usize,
+    /// The driver's name for it.
+    pub name: String,
+    /// What it is.
+    pub kind: DeviceKind,
+    /// The driver and its version.
+    pub driver: String,
+    /// The newest Vulkan version, packed as Vulkan packs it.
+    pub api_version: u32,
+    /// Invocations in a subgroup.
+    pub subgroup_size: u32,
+    /// The largest device-local heap.
+    pub memory_bytes: u64,
+}
+
+/// Every usable device, in the order that `Selector::Index` counts.
+///
+/// # Errors
+/// [`Error::NoDevice`] without a loader or driver, naming the package to install.
+pub fn enumerate() -> Result<Vec<DeviceInfo>> {
+    let instance = Instance::new(false)?;
+    Ok(instance.devices()?.into_iter().map(|(_, info)| info).collect())
+}

@@ -1,0 +1,143 @@
+//! Compute pipelines: module, layouts, descriptor update template.
+
+use super::device::Context;
+use super::vk_error;
+use crate::error::{Error, Result};
+use ash::vk;
+use std::sync::Arc;
+
+/// What a pipeline is made from.
+pub(crate) struct PipelineShape<'a> {
+    pub(crate) name: &'static str,
+    pub(crate) spirv: &'a [u8],
+    pub(crate) bindings: u32,
+    pub(crate) push_bytes: u32,
+    pub(crate) workgroup: [u32; 3],
+    /// Values of the specialisation constants 0, 1, …
+    pub(crate) specialisation: &'a [u32],
+}
+
+/// A compute pipeline with one descriptor set of storage buffers.
+pub(crate) struct Pipeline {
+    pub(super) raw: vk::Pipeline,
+    pub(super) layout: vk::PipelineLayout,
+    pub(super) set_layout: vk::DescriptorSetLayout,
+    pub(super) template: vk::DescriptorUpdateTemplate,
+    pub(crate) name: &'static str,
+    context: Arc<Context>,
+}
+
+impl Pipeline {
+    pub(crate) fn new(context: &Arc<Context>, shape: &PipelineShape<'_>) -> Result<Pipeline> {
+        let device = &context.raw;
+        // Filled step by step, so that `drop` cleans up whatever an early return leaves.
+        let mut pipeline = Pipeline {
+            raw: vk::Pipeline::null(),
+            layout: vk::PipelineLayout::null(),
+            set_layout: vk::DescriptorSetLayout::null(),
+            template: vk::DescriptorUpdateTemplate::null(),
+            name: shape.name,
+            context: context.clone(),
+        };
+        let bindings: Vec<_> = (0..shape.bindings)
+            .map(|binding| {
+                vk::DescriptorSetLayoutBinding::default()
+                    .binding(binding)
+                    .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
+                    .descriptor_count(1)
+                    .stage_flags(vk::ShaderStageFlags::COMPUTE)
+            })
+            .collect();
+        let info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&bindings);
+        // SAFETY: here and below the device is alive and the infos point at locals.
+        pipeline.set_layout = unsafe { device.create_descriptor_set_layout(&info, None) }
+            .map_err(vk_error("vkCreateDescriptorSetLayout"))?;
+
+        let set_layouts = [pipeline.set_layout];
+        let push = [vk::PushConstantRange::default()
+            .stage_flags(vk::ShaderStageFlags::COMPUTE)
+            .size(shape.push_bytes)];
+        let info = vk::PipelineLayoutCreateInfo::default()
+            .set_layouts(&set_layouts)
+            .push_constant_ranges(if shape.push_bytes > 0 { &push } else { &[] });
+        // SAFETY: as above.
+        pipeline.layout = unsafe { device.create_pipeline_layout(&info, None) }
+            .map_err(vk_error("vkCreatePipelineLayout"))?;
+
+        if shape.bindings > 0 {
+            let entries = [vk::DescriptorUpdateTemplateEntry::default()
+                .dst_binding(0)
+                .descriptor_count(1)
+                .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)];
+            let stride = size_of::<vk::DescriptorBufferInfo>();
+            let entries: Vec<_> = (0..shape.bindings)
+                .map(|binding| {
+                    entries[0].dst_binding(binding).offset(binding as usize * stride).stride(stride)
+                })
+                .collect();
+            let info = vk::DescriptorUpdateTemplateCreateInfo::default()
+                .descriptor_update_entries(&entries)
+                .template_type(vk::DescriptorUpdateTemplateType::DESCRIPTOR_SET)
+                .descriptor_set_layout(pipeline.set_layout);
+            // SAFETY: as above.
+            pipeline.template = unsafe { device.create_descriptor_update_template(&info, None) }
+                .map_err(vk_error("vkCreateDescriptorUpdateTemplate"))?;
+        }
+
+        let code = ash::util::read_spv(&mut std::io::Cursor::new(shape.spirv)).map_err(|e| {
+            Error::Unsupported { kernel: shape.name.into(), missing: format!("valid SPIR-V: {e}") }
+        })?;
+        let info = vk::ShaderModuleCreateInfo::default().code(&code);
+        // SAFETY: the module was compiled by `tools`, and its interface is checked against the
+        // kernel's declaration by `tests/interface.rs`.
+        let module = unsafe { device.create_shader_module(&info, None) }
+            .map_err(vk_error("vkCreateShaderModule"))?;
+        let entries: Vec<_> = (0..shape.specialisation.len() as u32)
+            .map(|id| vk::SpecializationMapEntry { constant_id: id, offset: id * 4, size: 4 })
+            .collect();
+        let specialisation = vk::SpecializationInfo::default()
+            .map_entries(&entries)
+            .data(bytemuck::cast_slice(shape.specialisation));
+        // Vulkan allows the promise of full subgroups only where the width divides evenly.
+        let full = match shape.workgroup[0] % context.max_subgroup {
+            0 => vk::PipelineShaderStageCreateFlags::REQUIRE_FULL_SUBGROUPS,
+            _ => vk::PipelineShaderStageCreateFlags::empty(),
+        };
+        let stage = vk::PipelineShaderStageCreateInfo::default()
+            .flags(full)
+            .stage(vk::ShaderStageFlags::COMPUTE)
+            .module(module)
+            .name(c"main")
+            .specialization_info(&specialisation);
+        let info = [vk::ComputePipelineCreateInfo::default().stage(stage).layout(pipeline.layout)];
+        // SAFETY: as above.
+        let created = unsafe { device.create_compute_pipelines(context.cache.raw, &info, None) };
+        // SAFETY: the pipeline has its own copy.
+        unsafe { device.destroy_shader_module(module, None) };
+        let created =
+            created.map_err(|(_, result)| vk_error("vkCreateComputePipelines")(result))?;
+        pipeline.raw = created[0];
+        if pipeline.raw == vk::Pipeline::null() {
+            // Some drivers report success with no pipeline for SPIR-V that they cannot take.
+            return Err(Error::Unsupported {
+                kernel: shape.name.into(),
+                missing: "the driver did not compile the kernel".into(),
+            });
+        }
+        Ok(pipeline)
+    }
+}
+
+impl Drop for Pipeline {
+    fn drop(&mut self) {
+        let device = &self.context.raw;
+        // SAFETY: submissions in flight hold an `Arc` of every pipeline they use; null handles are
+        // legal to destroy.
+        unsafe {
+            device.destroy_pipeline(self.raw, None);
+            device.destroy_descriptor_update_template(self.template, None);
+            device.destroy_pipeline_layout(self.layout, None);
+            device.destroy_descriptor_set_layout(self.set_layout, None);
+        }
+    }
+}

@@ -1,0 +1,62 @@
+//! The device that the tests run on, and how a family's cases run.
+//!
+//! `SPLAT4D_DEVICE` chooses the device (an index, a kind or part of a name; default: a software
+//! driver, so that the suite means the same everywhere); `SPLAT4D_VALIDATION=1` turns the
+//! validation layer on, and then any message fails. A missing driver fails.
+#![allow(dead_code, reason = "each test binary uses its own part")]
+
+use splat4d::check;
+use splat4d::gpu::{Device, Request, Selector};
+use splat4d::vk::DeviceKind;
+
+/// Opens the device under test.
+pub fn device() -> Device {
+    let selector = match std::env::var("SPLAT4D_DEVICE") {
+        Ok(text) => Selector::from(text.as_str()),
+        Err(_) => Selector::Kind(DeviceKind::Software),
+    };
+    let validation = std::env::var("SPLAT4D_VALIDATION").is_ok_and(|value| value == "1");
+    Device::open(&Request { selector, validation, limits: None })
+        .expect("the tests need a Vulkan driver (Debian: mesa-vulkan-drivers)")
+}
+
+/// Fails when the validation layer has said anything.
+pub fn assert_valid(device: &Device) {
+    let messages = device.take_validation_messages();
+    assert!(messages.is_empty(), "the validation layer complains:\n{}", messages.join("\n"));
+}
+
+/// Runs every case of a family and fails with a table of what missed its bound.
+pub fn run(family: &str) {
+    let device = device();
+    let cases: Vec<_> = check::ALL
+        .iter()
+        .flat_map(|cases| cases.iter())
+        .filter(|case| case.id.split('/').next() == Some(family))
+        .collect();
+    assert!(!cases.is_empty(), "no case in {family}");
+    let mut failures = String::new();
+    for case in cases {
+        let outcome = check::run(case, &device, 1);
+        for f in &outcome.findings {
+            println!(
+                "{} {}: {} values, worst {:.3e} absolute, {:.3e} relative, {:.3} of the bound at \
+                 {} (f32 oracle {:?})",
+                case.id,
+                f.output,
+                f.count,
+                f.worst_absolute,
+                f.worst_relative,
+                f.worst_of_bound,
+                f.worst_at,
+                f.oracle_f32_of_bound
+            );
+        }
+        if !outcome.passed() {
+            let findings: Vec<_> = outcome.findings.iter().filter(|f| !f.passed).collect();
+            failures += &format!("{}: {:?} {findings:#?}\n", case.id, outcome.error);
+        }
+    }
+    assert_valid(&device);
+    assert!(failures.is_empty(), "{}: \n{failures}", device.info().name);
+}

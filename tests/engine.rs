@@ -1,0 +1,152 @@
+//! Devices, buffers, recorder, stream.
+
+mod common;
+
+use splat4d::Error;
+use splat4d::gpu::{Device, Groups, Request, Selector};
+use splat4d::kernels::indirect;
+
+#[test]
+fn buffers_of_every_length_come_back() {
+    let device = common::device();
+    let mut stream = device.stream().unwrap();
+    for len in [0usize, 1, 3, 255, 256, 257, 100_000] {
+        let data: Vec<u32> = (0..len as u32).map(|i| i.wrapping_mul(2_654_435_761)).collect();
+        let buffer = device.upload("data", &data).unwrap();
+        assert_eq!(stream.download(&buffer).unwrap(), data, "length {len}");
+    }
+    common::assert_valid(&device);
+}
+
+#[test]
+fn work_that_conflicts_runs_in_order() {
+    let device = common::device();
+    let mut stream = device.stream().unwrap();
+    let mut a = device.buffer::<u32>("a", 1000).unwrap();
+    let mut b = device.buffer::<u32>("b", 1000).unwrap();
+    let mut recorder = stream.record().unwrap();
+    for word in 0..50 {
+        recorder.fill(a.view_mut(), word);
+        recorder.copy(a.view(), b.view_mut());
+        recorder.update(a.range_mut(0..2), &[word + 100, word + 200]).unwrap();
+        recorder.copy(a.range(0..2), b.range_mut(8..10));
+    }
+    stream.submit(recorder).unwrap();
+    let got = stream.download(&b).unwrap();
+    assert_eq!(&got[..11], [49, 49, 49, 49, 49, 49, 49, 49, 149, 249, 49]);
+    common::assert_valid(&device);
+}
+
+#[test]
+fn a_buffer_outlives_its_owner_while_in_flight() {
+    let device = common::device();
+    let mut stream = device.stream().unwrap();
+    let mut target = device.buffer::<u32>("target", 1 << 16).unwrap();
+    let source = device.upload("source", &vec![7u32; 1 << 16]).unwrap();
+    let mut recorder = stream.record().unwrap();
+    recorder.copy(source.view(), target.view_mut());
+    drop(source);
+    stream.submit(recorder).unwrap();
+    assert_eq!(stream.download(&target).unwrap(), vec![7u32; 1 << 16]);
+    drop(stream);
+    let (now, peak) = device.memory();
+    assert_eq!(now, 4 << 16, "only the target is left");
+    assert!(peak > now);
+    common::assert_valid(&device);
+}
+
+#[test]
+fn grids_come_from_counts_on_the_device() {
+    let device = common::device();
+    let mut stream = device.stream().unwrap();
+    for (count, expected) in [
+        (0u32, [0, 1, 1]),
+        (1, [1, 1, 1]),
+        (256, [1, 1, 1]),
+        (257, [2, 1, 1]),
+        (256 * 65_535, [65_535, 1, 1]),
+        (256 * 65_535 + 1, [65_535, 2, 1]),
+        (u32::MAX, [65_535, 123, 1]),
+    ] {
+        let counts = device.upload("count", &[9, count]).unwrap();
+        let mut grid = device.buffer::<u32>("grid", 4).unwrap();
+        let mut recorder = stream.record().unwrap();
+        let capacity = 2_000_000_000;
+        indirect::record_arguments(
+            &mut recorder,
+            counts.view(),
+            1,
+            capacity,
+            256,
+            grid.view_mut(),
+            1,
+        )
+        .unwrap();
+        stream.submit(recorder).unwrap();
+        let grid = &stream.download(&grid).unwrap()[1..];
+        let capped = (count as usize).min(capacity);
+        let expected = if count == u32::MAX {
+            Groups::linear(capped, 256, device.limits()).unwrap().0
+        } else {
+            expected
+        };
+        assert_eq!(grid, expected, "count {count}");
+    }
+    common::assert_valid(&device);
+}
+
+#[test]
+fn a_grid_past_the_limit_folds() {
+    let mut limits = *common::device().limits();
+    limits.groups = 4;
+    assert_eq!(Groups::linear(0, 64, &limits).unwrap().0, [0, 1, 1]);
+    assert_eq!(Groups::linear(256, 64, &limits).unwrap().0, [4, 1, 1]);
+    assert_eq!(Groups::linear(257, 64, &limits).unwrap().0, [4, 2, 1]);
+    assert!(Groups::linear(64 * 16 + 1, 64, &limits).is_err());
+}
+
+#[test]
+fn a_binding_beyond_the_limit_is_named() {
+    let mut limits = *common::device().limits();
+    limits.storage_range = 1024;
+    let device = Device::open(&Request { limits: Some(limits), ..Request::software() }).unwrap();
+    let mut stream = device.stream().unwrap();
+    let counts = device.buffer::<u32>("too many counts", 1000).unwrap();
+    let mut grid = device.buffer::<u32>("grid", 3).unwrap();
+    let mut recorder = stream.record().unwrap();
+    let error =
+        indirect::record_arguments(&mut recorder, counts.view(), 0, 1, 1, grid.view_mut(), 0)
+            .unwrap_err();
+    assert!(matches!(error, Error::RangeLimit { bytes: 4000, limit: 1024, .. }));
+    assert!(error.to_string().contains("too many counts"), "{error}");
+}
+
+#[test]
+fn times_come_per_dispatch() {
+    let device = common::device();
+    if device.limits().timestamp_period == 0.0 {
+        println!("SKIPPED (no timestamps): {}", device.info().name);
+        return;
+    }
+    let mut stream = device.stream().unwrap();
+    let counts = device.upload("count", &[5u32]).unwrap();
+    let mut grid = device.buffer::<u32>("grid", 3).unwrap();
+    let mut recorder = stream.record().unwrap();
+    recorder.profile().unwrap();
+    for _ in 0..3 {
+        indirect::record_arguments(&mut recorder, counts.view(), 0, 9, 1, grid.view_mut(), 0)
+            .unwrap();
+    }
+    let ticket = stream.submit(recorder).unwrap();
+    let times = stream.times(ticket).unwrap();
+    assert_eq!(times.len(), 3);
+    assert!(times.iter().all(|t| t.kernel == "indirect/arguments" && t.nanoseconds >= 0.0));
+    assert!(stream.times(ticket).is_err(), "a retired submission has no times");
+}
+
+#[test]
+fn a_device_that_does_not_exist_lists_those_that_do() {
+    let request = Request { selector: Selector::Name("no such card".into()), ..Request::default() };
+    let error = Device::open(&request).err().expect("no such card exists").to_string();
+    assert!(error.contains("there are: 0 "), "{error}");
+}

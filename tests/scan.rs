@@ -1,0 +1,51 @@
+//! Prefix sums on the device.
+
+mod common;
+
+use splat4d::check;
+use splat4d::gpu::{Device, Request};
+use splat4d::ops::scan::{Scan, ScanArgs};
+
+#[test]
+fn cases() {
+    common::run("scan");
+}
+
+/// Grids of 80 blocks at a limit of 9 workgroups along an axis.
+#[test]
+fn folded_grids() {
+    let mut limits = *common::device().limits();
+    limits.groups = 9;
+    let device = Device::open(&Request { limits: Some(limits), ..Request::software() }).unwrap();
+    for case in check::scan::CASES {
+        let outcome = check::run(case, &device, 2);
+        assert!(outcome.passed(), "{outcome:#?}");
+    }
+}
+
+#[test]
+fn buffers_that_are_too_short_are_named() {
+    let device = common::device();
+    let mut stream = device.stream().unwrap();
+    let op = Scan::plan(100).unwrap();
+    let mut scratch = op.scratch(&device).unwrap();
+    let count = device.upload("count", &[100u32]).unwrap();
+    let values = device.buffer::<u32>("values", 100).unwrap();
+    let mut prefix = device.buffer::<u32>("prefix", 99).unwrap();
+    let mut total = device.buffer::<u32>("total", 1).unwrap();
+    let error = op
+        .record(
+            &mut stream.record().unwrap(),
+            ScanArgs {
+                count: count.view(),
+                count_at: 0,
+                values: values.view(),
+                prefix: prefix.view_mut(),
+                total: total.view_mut(),
+                total_at: 0,
+            },
+            &mut scratch,
+        )
+        .unwrap_err();
+    assert_eq!(error.to_string(), "scan: prefix has 99 elements, expected at least 100");
+}
