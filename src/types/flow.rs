@@ -7,8 +7,14 @@
 pub struct FlowSettings {
     /// The pyramid halves until the next level's shorter side would be less than this.
     pub coarsest_side: u32,
-    /// At the coarsest level every whole-pixel displacement up to this far is tried.
-    pub coarse_radius: u32,
+    /// At the coarsest level every whole-pixel displacement up to this far along each axis is
+    /// matched; at most [`MAX_START_RADIUS`](Self::MAX_START_RADIUS).
+    pub start_radius: u32,
+    /// What a step of one between the displacements of neighbouring pixels costs there, in bits of
+    /// the census transform.
+    pub start_small_step: u32,
+    /// What any greater step costs there.
+    pub start_large_step: u32,
     /// Gauss–Newton steps of each patch after its best candidate is chosen.
     pub search_steps: u32,
     /// How many times patches then offer their displacement to their neighbours.
@@ -37,18 +43,25 @@ impl Default for FlowSettings {
     fn default() -> Self {
         FlowSettings {
             coarsest_side: 12,
-            coarse_radius: 3,
+            start_radius: 4,
+            start_small_step: 3,
+            start_large_step: 20,
             search_steps: 8,
-            propagations: 2,
+            propagations: 4,
             warps: 3,
             sweeps: 10,
             relaxation: 1.8,
             brightness: 0.2,
             gradient: 1.0,
-            smoothness: 0.6,
+            smoothness: 0.3,
             edge: 0.08,
             noise: 0.012,
             kink: 0.05,
         }
     }
+}
+
+impl FlowSettings {
+    /// The largest window of the start: its costs must fit a workgroup's shared memory.
+    pub const MAX_START_RADIUS: u32 = 16;
 }

@@ -3,6 +3,7 @@
 
 use super::pyramid::clamp;
 use crate::oracle::Real;
+use crate::types::FlowSettings;
 
 /// The signs of the 24 neighbours in a 5×5 window against its centre: bit set where the neighbour
 /// is brighter. Immune to any change of lighting that keeps the order of values.
@@ -116,15 +117,16 @@ pub fn cheapest<T: Real>(volume: &[u32], radius: usize) -> Vec<[T; 2]> {
         .collect()
 }
 
-/// The whole stage.
+/// The whole stage: from the luminance of both images at the coarsest level to a flow.
 pub fn coarse<T: Real>(
     a: &[T],
     b: &[T],
     width: usize,
     height: usize,
-    radius: usize,
-    penalties: [u32; 2],
+    settings: &FlowSettings,
 ) -> Vec<[T; 2]> {
+    let radius = settings.start_radius as usize;
+    let penalties = [settings.start_small_step, settings.start_large_step];
     let (a, b) = (census(a, width, height), census(b, width, height));
     let mut volume = vec![0; width * height * (2 * radius + 1).pow(2)];
     for path in 0..PATHS.len() {

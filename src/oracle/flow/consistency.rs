@@ -36,19 +36,19 @@ pub fn trust<T: Real>(
     width: usize,
     height: usize,
 ) -> Vec<T> {
-    let least = super::pyramid::tun("LEAST", LEAST_TRUST);
     let mut out = Vec::with_capacity(forward.len());
     for y in 0..height {
         for x in 0..width {
             let miss = miss(forward[y * width + x], backward, width, height, x, y);
             let t = miss.map_or(T::zero(), |m| (T::one() + m * m).recip());
-            out.push(t.max(least));
+            out.push(t.max(T::of(LEAST_TRUST)));
         }
     }
     out
 }
 
-const LEAST_TRUST: f64 = 0.05;
+/// What is left where the directions disagree, so that a pixel without neighbours still moves.
+const LEAST_TRUST: f64 = 0.001;
 
 /// Confidence of each pixel of `forward`, in [0, 1]: agreement of the two directions times
 /// agreement of the images over a 5×5 window with its mean taken off.

@@ -1,8 +1,9 @@
 //! Dense optical flow: the CPU twin of the `flow` kernels.
 //!
-//! The method is coarse to fine. At each level of an image pyramid, overlapping patches look for
+//! The method is coarse to fine. The coarsest level of an image pyramid starts from semi-global
+//! matching (Hirschmüller 2008) over a window of displacements. At each level, overlapping patches look for
 //! their displacement (dense inverse search, Kroeger et al. 2016, with zero-mean residuals and with
-//! candidates passed between neighbours as in PatchMatch, Barnes et al. 2009); their displacements
+//! slanted candidates passed between neighbours as in PatchMatch stereo, Bleyer et al. 2011); their displacements
 //! are blended into a dense flow; a variational refinement (Brox et al. 2004, with the normalised
 //! data terms of Zimmer et al. 2011) then smooths it along image edges. Both directions of a pair
 //! are found together: where they disagree the data terms are mistrusted and smoothness fills in.
@@ -19,6 +20,7 @@ mod refine;
 #[cfg(test)]
 mod tests;
 
+pub use coarse::{OUTSIDE, PATHS, accumulate, census, cheapest, coarse};
 pub use consistency::{confidence, trust};
 pub use patches::{PATCH, STRIDE, Patch, densify, patch_grid, propagate, search};
 pub use pyramid::{Level, Pyramid, derivatives, halve, luminance, upsample};
@@ -56,28 +58,20 @@ pub fn flow<T: Real>(
     let mut flows: [Flow<T>; 2] = [Vec::new(), Vec::new()];
     for l in (0..levels).rev() {
         let (a, b) = (&first.levels[l], &second.levels[l]);
-        let coarse = first.levels.get(l + 1);
+        let coarser = first.levels.get(l + 1);
         let dense = both(|d| {
             let (a, b) = if d == 0 { (a, b) } else { (b, a) };
-            let start = match coarse {
+            let start = match coarser {
                 Some(c) => upsample(&flows[d], c.width, c.height, a.width, a.height),
-                None if settings.coarse_radius > 0 => {
-                    let (p1, p2) = (pyramid::tun::<f64>("P1", 3.0), pyramid::tun::<f64>("P2", 20.0));
-                    let f = coarse::coarse(&a.luma, &b.luma, a.width, a.height, settings.coarse_radius as usize, [p1 as u32, p2 as u32]);
-                    if let Ok(mut probe) = PROBE.lock() && let Some(g) = probe.as_mut() && d == 0 { g(l, 9, a.width, &to32(&f)); }
-                    f
-                }
-                None => vec![[T::zero(); 2]; a.width * a.height],
+                None => coarse(&a.luma, &b.luma, a.width, a.height, settings),
             };
             let guess = guess.map(|g| (g[d], first.levels[0].width, first.levels[0].height, l));
-            let radius = 0;
-            let mut patches = search(a, b, &start, guess, radius, settings);
+            let mut patches = search(a, b, &start, guess, settings);
             for pass in 0..settings.propagations {
                 patches = propagate(a, b, &patches, pass, settings);
             }
             densify(a, b, &patches)
         });
-        if let Ok(mut probe) = PROBE.lock() && let Some(f) = probe.as_mut() { f(l, 0, a.width, &to32(&dense[0])); }
         let trusts = both(|d| trust(&dense[d], &dense[1 - d], a.width, a.height));
         flows = both(|d| {
             let (a, b) = if d == 0 { (a, b) } else { (b, a) };
@@ -92,7 +86,6 @@ pub fn flow<T: Real>(
             }
             flow
         });
-        if let Ok(mut probe) = PROBE.lock() && let Some(f) = probe.as_mut() { f(l, 1, a.width, &to32(&flows[0])); }
     }
     let (a, b) = (&first.levels[0], &second.levels[0]);
     let [forward_confidence, backward_confidence] = both(|d| {
@@ -130,10 +123,4 @@ pub(crate) fn sample<T: Real, const N: usize>(
         let bottom = c[i] + (d[i] - c[i]) * fx;
         top + (bottom - top) * fy
     })
-}
-
-pub(crate) type Probe = Box<dyn FnMut(usize, usize, usize, &[[f32; 2]]) + Send>;
-pub(crate) static PROBE: std::sync::Mutex<Option<Probe>> = std::sync::Mutex::new(None);
-fn to32<T: Real>(f: &[[T; 2]]) -> Vec<[f32; 2]> {
-    f.iter().map(|v| v.map(|c| c.f64() as f32)).collect()
 }

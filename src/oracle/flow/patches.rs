@@ -126,7 +126,7 @@ fn descend<T: Real>(
     let t = template(a, i, j);
     let noise = T::of(f64::from(settings.noise));
     // A gradient that noise alone would give damps the step where nothing holds the patch.
-    let damping = t.count * noise * noise * super::pyramid::tun::<T>("DAMP", DAMPING);
+    let damping = t.count * noise * noise * T::of(DAMPING);
     let (hxx, hxy, hyy) = (t.scatter[0] + damping, t.scatter[1], t.scatter[2] + damping);
     let inverse = (hxx * hyy - hxy * hxy).recip();
     let mut sums = evaluate(a, b, i, j, &from, t.mean);
@@ -153,10 +153,12 @@ fn descend<T: Real>(
     best
 }
 
+/// Share of the noise's power that damps a step.
 const DAMPING: f64 = 0.1;
 
-/// Every patch takes the best of its candidates (the start flow at its centre, no motion, the
-/// guess, and on request all whole-pixel displacements within `radius`) and descends from there.
+/// Every patch takes the best of its candidates (the start flow with its slant, without it, no
+/// motion, the guess) and descends from there. The slant lets a patch follow a surface that
+/// recedes, such as the ground, where a patch moved as a whole fits only along one line.
 ///
 /// `guess`: a flow over the full image, its width and height, and this level's number.
 pub fn search<T: Real>(
@@ -164,7 +166,6 @@ pub fn search<T: Real>(
     b: &Level<T>,
     start: &[[T; 2]],
     guess: Option<(&[[T; 2]], usize, usize, usize)>,
-    radius: u32,
     settings: &FlowSettings,
 ) -> Vec<Patch<T>> {
     let (nx, ny) = (patch_grid(a.width), patch_grid(a.height));
@@ -177,7 +178,7 @@ pub fn search<T: Real>(
             };
             let r = (PATCH / 2) as i64;
             let (e, w, s, n) = (value(r, 0), value(-r, 0), value(0, r), value(0, -r));
-            let limit = super::pyramid::tun::<T>("SLOPE", 0.5);
+            let limit = T::of(STEEPEST);
             let slope = [e[0] - w[0], s[0] - n[0], e[1] - w[1], s[1] - n[1]]
                 .map(|d| (d / T::of(PATCH as f64)).max(-limit).min(limit));
             let mut best = Patch { flow: value(0, 0), slope, ..Patch::default() };
@@ -185,7 +186,7 @@ pub fn search<T: Real>(
             let mut best_cost = cost(&best);
             let mut consider = |p: Patch<T>| {
                 let c = cost(&p);
-                if c < best_cost * super::pyramid::tun::<T>("HYST", HYSTERESIS) {
+                if c < best_cost * T::of(HYSTERESIS) {
                     (best, best_cost) = (p, c);
                 }
             };
@@ -203,13 +204,10 @@ pub fn search<T: Real>(
                     x * scale - half,
                     y * scale - half,
                 );
-                consider(Patch { flow: f.map(|c| c / scale), ..Patch::default() });
-            }
-            let r = i64::from(radius);
-            for dv in -r..=r {
-                for du in -r..=r {
-                    let flow = [T::of(du as f64), T::of(dv as f64)];
-                    consider(Patch { flow, ..Patch::default() });
+                // False for NaN and for what cannot be a displacement here.
+                let usable = f.iter().all(|c| c.abs() <= T::of(FARTHEST));
+                if usable {
+                    consider(Patch { flow: f.map(|c| c / scale), ..Patch::default() });
                 }
             }
             out.push(descend(a, b, i, j, best, settings));
@@ -218,7 +216,14 @@ pub fn search<T: Real>(
     out
 }
 
+/// A candidate must cost less than this share of the best before it.
 const HYSTERESIS: f64 = 0.9;
+
+/// A guess beyond this is none, pixels of the full image.
+const FARTHEST: f64 = 16384.0;
+
+/// A slope is at most this: beyond, the start flow has an edge, not a slant.
+const STEEPEST: f64 = 0.5;
 
 /// Every patch tries the displacements of its neighbours and descends from the best, if that is
 /// better than its own.
@@ -235,7 +240,7 @@ pub fn propagate<T: Real>(
     for j in 0..ny as isize {
         for i in 0..nx as isize {
             let own = patches[j as usize * nx + i as usize];
-            let (mut best, mut best_cost) = (own, own.cost * super::pyramid::tun::<T>("HYST", HYSTERESIS));
+            let (mut best, mut best_cost) = (own, own.cost * T::of(HYSTERESIS));
             for (di, dj) in
                 [(-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 1)]
             {
@@ -265,7 +270,6 @@ pub fn propagate<T: Real>(
 /// The flow of every pixel: the mean of the patches over it, weighted by how well each explains
 /// this pixel and how well it explains itself.
 pub fn densify<T: Real>(a: &Level<T>, b: &Level<T>, patches: &[Patch<T>]) -> Vec<[T; 2]> {
-    let floor = super::pyramid::tun::<T>("FLOOR", FLOOR);
     let (nx, ny) = (patch_grid(a.width), patch_grid(a.height));
     let mut out = Vec::with_capacity(a.width * a.height);
     for y in 0..a.height {
@@ -284,7 +288,7 @@ pub fn densify<T: Real>(a: &Level<T>, b: &Level<T>, patches: &[Patch<T>]) -> Vec
                         ty,
                     );
                     let d = value - a.luma[y * a.width + x] - patch.shift;
-                    let weight = (d * d + patch.cost + floor).recip();
+                    let weight = (d * d + patch.cost + T::of(FLOOR)).recip();
                     sum = [sum[0] + weight * u, sum[1] + weight * v];
                     total += weight;
                 }

@@ -34,11 +34,10 @@ impl<T: Real> Pyramid<T> {
         let (mut w, mut h) = (width, height);
         let mut levels = Vec::new();
         loop {
-            let feature = normalise(&luma, w, h);
-            let derivatives = derivatives(&feature, w, h);
+            let derivatives = derivatives(&luma, w, h);
             let next = (w.div_ceil(2), h.div_ceil(2));
             let smaller = halve(&luma, w, h);
-            levels.push(Level { width: w, height: h, luma: feature, derivatives });
+            levels.push(Level { width: w, height: h, luma, derivatives });
             if next.0.min(next.1) < coarsest_side.max(1) as usize || next == (w, h) {
                 return Pyramid { levels };
             }
@@ -123,50 +122,4 @@ pub fn upsample<T: Real>(
 /// `i` moved into [0, n).
 pub(super) fn clamp(i: isize, n: usize) -> usize {
     i.clamp(0, n as isize - 1) as usize
-}
-
-pub fn tun<T: Real>(name: &str, default: f64) -> T {
-    T::of(std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(default))
-}
-
-/// Local contrast normalisation: `(L − mean) / (deviation + floor)` over a binomial window.
-pub fn normalise<T: Real>(luma: &[T], width: usize, height: usize) -> Vec<T> {
-    let r: usize = tun::<f64>("NR", 4.0) as usize;
-    let floor: T = tun("NF", 0.02);
-    let gain: T = tun("NG", 0.2);
-    let sigma = r as f64 / 2.0;
-    let mut k: Vec<T> = (0..=2 * r)
-        .map(|i| T::of((-((i as f64 - r as f64) / sigma).powi(2) / 2.0).exp()))
-        .collect();
-    let total: T = k.iter().copied().sum();
-    k.iter_mut().for_each(|v| *v /= total);
-    let blur = |f: &dyn Fn(usize) -> T| -> Vec<T> {
-        let mut rows = vec![T::zero(); luma.len()];
-        for y in 0..height {
-            for x in 0..width {
-                rows[y * width + x] = (0..=2 * r)
-                    .map(|i| k[i] * f(y * width + clamp(x as isize + i as isize - r as isize, width)))
-                    .sum();
-            }
-        }
-        (0..luma.len())
-            .map(|p| {
-                let (x, y) = (p % width, p / width);
-                (0..=2 * r)
-                    .map(|i| k[i] * rows[clamp(y as isize + i as isize - r as isize, height) * width + x])
-                    .sum()
-            })
-            .collect()
-    };
-    if r == 0 {
-        return luma.to_vec();
-    }
-    let mean = blur(&|p| luma[p]);
-    let square = blur(&|p| luma[p] * luma[p]);
-    (0..luma.len())
-        .map(|p| {
-            let variance = (square[p] - mean[p] * mean[p]).max(T::zero());
-            gain * (luma[p] - mean[p]) / (variance.sqrt() + floor)
-        })
-        .collect()
 }

@@ -57,7 +57,7 @@ fn tune() {
     let Some((a, b, truth)) = kitti() else { panic!() };
     let mut s = FlowSettings::default();
     envu("COARSEST", &mut s.coarsest_side);
-    envu("RADIUS", &mut s.coarse_radius);
+    envu("RADIUS", &mut s.start_radius);
     envu("STEPS", &mut s.search_steps);
     envu("PROP", &mut s.propagations);
     envu("WARPS", &mut s.warps);
@@ -70,25 +70,6 @@ fn tune() {
     env("NOISE", &mut s.noise);
     env("KINK", &mut s.kink);
     let (w, h) = (a.width() as usize, a.height() as usize);
-    if std::env::var("PROBE").is_ok() {
-        let truth = truth.clone();
-        *PROBE.lock().unwrap() = Some(Box::new(move |l, stage, lw, f| {
-            let mut e: Vec<f32> = Vec::new();
-            for (i, t) in truth.iter().enumerate() {
-                let (x, y) = (i % w, i / w);
-                if let Some(t) = t && (x + y * w) % 3 == 0 {
-                    let k = (1 << l) as f32;
-                    let v = f[(y >> l) * lw + (x >> l)];
-                    e.push((v[0] * k - t[0]).hypot(v[1] * k - t[1]));
-                }
-            }
-            e.sort_by(f32::total_cmp);
-            let n = e.len();
-            let bad = |k: f32| e.iter().filter(|v| **v > k).count() as f32 / n as f32 * 100.0;
-            println!("  level {l} stage {stage} mean {:.2} median {:.2} q75 {:.2} q90 {:.2}  >3 {:.1}% >8 {:.1}% >20 {:.1}%",
-                e.iter().sum::<f32>() / n as f32, e[n / 2], e[n * 3 / 4], e[n * 9 / 10], bad(3.0), bad(8.0), bad(20.0));
-        }));
-    }
     let start = std::time::Instant::now();
     let pa = Pyramid::new(&pixels(&a), w, h, 3, s.coarsest_side);
     let pb = Pyramid::new(&pixels(&b), w, h, 3, s.coarsest_side);
