@@ -7,6 +7,7 @@
 //! To add one: write `src/check/FAMILY.rs` with a `pub const CASES: &[Case]`, list it in [`ALL`],
 //! and let `tests/FAMILY.rs` call `common::run("FAMILY")`.
 
+pub mod flow;
 mod harness;
 pub mod mlp;
 pub mod scan;
@@ -27,7 +28,7 @@ pub struct Case {
 }
 
 /// Every family's cases.
-pub const ALL: &[&[Case]] = &[mlp::CASES, scan::CASES, sort::CASES];
+pub const ALL: &[&[Case]] = &[flow::CASES, mlp::CASES, scan::CASES, sort::CASES];
 
 /// What became of a case.
 #[derive(Debug)]

@@ -4,11 +4,12 @@
 //! [`sort::Upsweep`], `oracle::sort`, `check::sort`, `tests/sort.rs`.
 
 pub mod bin;
+pub mod flow;
 pub mod indirect;
 pub mod loss;
+pub mod mlp;
 pub mod project;
 pub mod raster;
-pub mod mlp;
 pub mod scan;
 pub mod sort;
 
@@ -16,6 +17,21 @@ use crate::gpu::{Kernel, KernelInfo};
 
 /// Every kernel of the crate, family by family.
 pub const ALL: &[KernelInfo] = &[
+    flow::Luma::INFO,
+    flow::Halve::INFO,
+    flow::Derivatives::INFO,
+    flow::Census::INFO,
+    flow::Path::INFO,
+    flow::Cheapest::INFO,
+    flow::Upsample::INFO,
+    flow::Search::INFO,
+    flow::Propagate::INFO,
+    flow::Densify::INFO,
+    flow::Trust::INFO,
+    flow::Linearise::INFO,
+    flow::Relax::INFO,
+    flow::Median::INFO,
+    flow::Confidence::INFO,
     indirect::Arguments::INFO,
     project::Forward::INFO,
     project::Backward::INFO,

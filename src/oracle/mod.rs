@@ -4,12 +4,12 @@
 //! like that". Nothing here knows Vulkan, buffers or workgroups: it is the mathematics, written
 //! independently of the shaders' loops.
 
-pub mod flow;
 pub mod adam;
 pub mod arap;
 pub mod bin;
 pub mod deform;
 pub mod density;
+pub mod flow;
 pub mod linear;
 pub mod loss;
 pub mod mlp;

@@ -1,5 +1,7 @@
 //! The constants of dense optical flow.
 
+use crate::{Error, Result};
+
 /// How dense optical flow is searched and refined; `Default` is tuned for quality on video.
 ///
 /// Luminance is in [0, 1], distances are pixels of the pyramid level in work.
@@ -64,4 +66,37 @@ impl Default for FlowSettings {
 impl FlowSettings {
     /// The largest window of the start: its costs must fit a workgroup's shared memory.
     pub const MAX_START_RADIUS: u32 = 16;
+
+    /// Whether the values can be worked with.
+    ///
+    /// # Errors
+    /// [`Error::Input`] names the first that cannot.
+    pub fn check(&self) -> Result<()> {
+        let positive = [
+            ("edge", self.edge),
+            ("noise", self.noise),
+            ("kink", self.kink),
+            ("smoothness", self.smoothness),
+        ];
+        let weights = [("brightness", self.brightness), ("gradient", self.gradient)];
+        let wrong = positive
+            .into_iter()
+            .find(|(_, value)| !(value.is_finite() && *value > 0.0))
+            .or_else(|| weights.into_iter().find(|(_, v)| !(v.is_finite() && *v >= 0.0)));
+        if let Some((name, value)) = wrong {
+            return Err(Error::Input(format!("flow setting {name} = {value}: too small or NaN")));
+        }
+        if !(self.relaxation > 0.0 && self.relaxation < 2.0) {
+            let value = self.relaxation;
+            return Err(Error::Input(format!("flow setting relaxation = {value}: not in (0, 2)")));
+        }
+        if self.start_radius > Self::MAX_START_RADIUS {
+            let (value, most) = (self.start_radius, Self::MAX_START_RADIUS);
+            return Err(Error::Input(format!(
+                "flow setting start_radius = {value}: at most {most}; lower coarsest_side instead \
+                 for larger displacements"
+            )));
+        }
+        Ok(())
+    }
 }

@@ -64,8 +64,7 @@ pub fn accumulate(
                 let (i, j) = (l % side, l / side);
                 let (tx, ty) = ((x + i) as isize, (y + j) as isize);
                 let (tx, ty) = (tx - radius as isize, ty - radius as isize);
-                let inside =
-                    tx >= 0 && ty >= 0 && tx < width as isize && ty < height as isize;
+                let inside = tx >= 0 && ty >= 0 && tx < width as isize && ty < height as isize;
                 let cost = if inside {
                     (a[p] ^ b[ty as usize * width + tx as usize]).count_ones()
                 } else {

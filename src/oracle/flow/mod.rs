@@ -22,7 +22,7 @@ mod tests;
 
 pub use coarse::{OUTSIDE, PATHS, accumulate, census, cheapest, coarse};
 pub use consistency::{confidence, trust};
-pub use patches::{PATCH, STRIDE, Patch, densify, patch_grid, propagate, search};
+pub use patches::{PATCH, Patch, STRIDE, densify, patch_grid, propagate, search};
 pub use pyramid::{Level, Pyramid, derivatives, halve, luminance, upsample};
 pub use refine::{Equation, linearise, median, relax};
 

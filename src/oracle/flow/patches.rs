@@ -241,9 +241,7 @@ pub fn propagate<T: Real>(
         for i in 0..nx as isize {
             let own = patches[j as usize * nx + i as usize];
             let (mut best, mut best_cost) = (own, own.cost * T::of(HYSTERESIS));
-            for (di, dj) in
-                [(-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 1)]
-            {
+            for (di, dj) in [(-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 1)] {
                 let (qi, qj) = (i + di * reach, j + dj * reach);
                 if qi < 0 || qj < 0 || qi >= nx as isize || qj >= ny as isize {
                     continue;
@@ -280,13 +278,8 @@ pub fn densify<T: Real>(a: &Level<T>, b: &Level<T>, patches: &[Patch<T>]) -> Vec
                     let patch = patches[j * nx + i];
                     let [u, v] = patch.at(T::of(x as f64) - centre(i), T::of(y as f64) - centre(j));
                     let (tx, ty) = (T::of(x as f64) + u, T::of(y as f64) + v);
-                    let [value] = super::sample(
-                        |i, j| [b.luma[j * b.width + i]],
-                        b.width,
-                        b.height,
-                        tx,
-                        ty,
-                    );
+                    let [value] =
+                        super::sample(|i, j| [b.luma[j * b.width + i]], b.width, b.height, tx, ty);
                     let d = value - a.luma[y * a.width + x] - patch.shift;
                     let weight = (d * d + patch.cost + T::of(FLOOR)).recip();
                     sum = [sum[0] + weight * u, sum[1] + weight * v];

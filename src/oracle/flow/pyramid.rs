@@ -111,8 +111,7 @@ pub fn upsample<T: Real>(
     let mut out = Vec::with_capacity(fine_width * fine_height);
     for y in 0..fine_height {
         for x in 0..fine_width {
-            let f =
-                super::sample(|i, j| flow[j * width + i], width, height, half(x), half(y));
+            let f = super::sample(|i, j| flow[j * width + i], width, height, half(x), half(y));
             out.push(f.map(|c| c * T::of(2.0)));
         }
     }

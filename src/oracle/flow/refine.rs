@@ -86,9 +86,8 @@ pub fn linearise<T: Real>(
                 }
                 (e.r, e.s) = (e.r + e.a * u + e.b * v, e.s + e.b * u + e.c * v);
             }
-            let at = |i: isize, j: isize| {
-                flow[clamp(y as isize + j, h) * w + clamp(x as isize + i, w)]
-            };
+            let at =
+                |i: isize, j: isize| flow[clamp(y as isize + j, h) * w + clamp(x as isize + i, w)];
             let mut variation = T::zero();
             for (q, r) in [(at(1, 0), at(-1, 0)), (at(0, 1), at(0, -1))] {
                 for k in 0..2 {

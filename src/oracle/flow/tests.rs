@@ -14,9 +14,7 @@ fn kitti() -> Option<(image::RgbImage, image::RgbImage, Vec<Option<[f32; 2]>>)> 
     let b = image::open(dir.join("frame2.png")).ok()?.to_rgb8();
     let gt = gt
         .pixels()
-        .map(|p| {
-            (p.0[2] > 0).then(|| [p.0[0], p.0[1]].map(|c| (f32::from(c) - 32768.0) / 64.0))
-        })
+        .map(|p| (p.0[2] > 0).then(|| [p.0[0], p.0[1]].map(|c| (f32::from(c) - 32768.0) / 64.0)))
         .collect();
     Some((a, b, gt))
 }
@@ -25,7 +23,11 @@ fn pixels(image: &image::RgbImage) -> Vec<f32> {
     image.as_raw().iter().map(|v| f32::from(*v) / 255.0).collect()
 }
 
-fn endpoint(flow: &[[f32; 2]], truth: &[Option<[f32; 2]>], keep: impl Fn(usize) -> bool) -> (f32, f32, usize) {
+fn endpoint(
+    flow: &[[f32; 2]],
+    truth: &[Option<[f32; 2]>],
+    keep: impl Fn(usize) -> bool,
+) -> (f32, f32, usize) {
     let (mut sum, mut bad, mut n) = (0.0f64, 0, 0);
     for (i, (f, t)) in flow.iter().zip(truth).enumerate() {
         if let Some(t) = t
@@ -86,7 +88,15 @@ fn tune() {
     let sure = endpoint(&pair.forward, &truth, |i| pair.forward_confidence[i] > 0.5);
     println!(
         "EPE all {:.3} ({:.2}%)  inside {:.3} ({:.2}%)  sure {:.3} ({:.2}%) of {:.1}%  {:?} {:?}",
-        all.0, all.1, noc.0, noc.1, sure.0, sure.1, sure.2 as f32 / all.2 as f32 * 100.0, t0, t1
+        all.0,
+        all.1,
+        noc.0,
+        noc.1,
+        sure.0,
+        sure.1,
+        sure.2 as f32 / all.2 as f32 * 100.0,
+        t0,
+        t1
     );
     let car = |i: usize| (170..390).contains(&(i % w)) && (172..310).contains(&(i / w));
     let bg = endpoint(&pair.forward, &truth, |i| !car(i));
