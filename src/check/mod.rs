@@ -11,6 +11,7 @@ pub mod adam;
 pub mod arap;
 pub mod deform;
 pub mod density;
+pub mod flow;
 mod harness;
 pub mod indirect;
 pub mod mlp;
@@ -45,6 +46,7 @@ pub const ALL: &[&[Case]] = &[
     scan::CASES,
     sort::CASES,
 ];
+pub const ALL: &[&[Case]] = &[flow::CASES, mlp::CASES, scan::CASES, sort::CASES];
 
 /// What became of a case.
 #[derive(Debug)]

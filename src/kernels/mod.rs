@@ -8,6 +8,7 @@ pub mod arap;
 pub mod bin;
 pub mod deform;
 pub mod density;
+pub mod flow;
 pub mod indirect;
 pub mod loss;
 pub mod mlp;
@@ -43,6 +44,21 @@ pub const ALL: &[KernelInfo] = &[
     density::Parts::INFO,
     density::Accumulate::INFO,
     density::Reset::INFO,
+    flow::Luma::INFO,
+    flow::Halve::INFO,
+    flow::Derivatives::INFO,
+    flow::Census::INFO,
+    flow::Path::INFO,
+    flow::Cheapest::INFO,
+    flow::Upsample::INFO,
+    flow::Search::INFO,
+    flow::Propagate::INFO,
+    flow::Densify::INFO,
+    flow::Trust::INFO,
+    flow::Linearise::INFO,
+    flow::Relax::INFO,
+    flow::Median::INFO,
+    flow::Confidence::INFO,
     indirect::Arguments::INFO,
     project::Forward::INFO,
     project::Backward::INFO,
