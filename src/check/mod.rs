@@ -7,8 +7,12 @@
 //! To add one: write `src/check/FAMILY.rs` with a `pub const CASES: &[Case]`, list it in [`ALL`],
 //! and let `tests/FAMILY.rs` call `common::run("FAMILY")`.
 
+pub mod bin;
 mod harness;
+pub mod project;
+pub mod raster;
 pub mod scan;
+mod scene;
 pub mod sort;
 
 pub use harness::{Bound, Finding, Guarded, Harness};
@@ -26,7 +30,7 @@ pub struct Case {
 }
 
 /// Every family's cases.
-pub const ALL: &[&[Case]] = &[scan::CASES, sort::CASES];
+pub const ALL: &[&[Case]] = &[scan::CASES, sort::CASES, project::CASES, bin::CASES, raster::CASES];
 
 /// What became of a case.
 #[derive(Debug)]

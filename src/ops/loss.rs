@@ -110,10 +110,10 @@ pub struct Loss {
 
 /// What a loss works in between its dispatches.
 pub struct LossScratch {
-    windowed: [Buffer<f32>; 5],
-    derivatives: [Buffer<f32>; 3],
-    partials: Buffer<f32>,
-    totals: Buffer<f32>,
+    pub(crate) windowed: [Buffer<f32>; 5],
+    pub(crate) derivatives: [Buffer<f32>; 3],
+    pub(crate) partials: Buffer<f32>,
+    pub(crate) totals: Buffer<f32>,
 }
 
 /// A loss, term by term, and what it was weighted with.
@@ -195,6 +195,16 @@ impl Loss {
                 });
             }
         }
+        let known = disparity.map_or(self.pixels(), |known| known.values.len());
+        super::at_least(
+            "loss",
+            &[
+                ("rgba gradients", self.pixels(), gradients.rgba.len()),
+                ("depth gradients", self.pixels(), gradients.depth.len()),
+                ("known disparities", self.pixels(), known),
+                ("scratch's pixels", 3 * self.pixels(), scratch.windowed[0].len()),
+            ],
+        )?;
         let limits = *recorder.device().limits();
         let (width, height) = (self.width as i32, self.height as i32);
         let [background_red, background_green, background_blue] = settings.background;

@@ -1,0 +1,8 @@
+//! Binning on the device.
+
+mod common;
+
+#[test]
+fn cases() {
+    common::run("bin");
+}

@@ -1,0 +1,8 @@
+//! The loss on the device.
+
+mod common;
+
+#[test]
+fn cases() {
+    common::run("loss");
+}

@@ -1,0 +1,8 @@
+//! Projection on the device.
+
+mod common;
+
+#[test]
+fn cases() {
+    common::run("project");
+}

@@ -1,0 +1,8 @@
+//! Blending on the device.
+
+mod common;
+
+#[test]
+fn cases() {
+    common::run("raster");
+}
