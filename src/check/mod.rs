@@ -9,6 +9,7 @@
 
 pub mod bin;
 mod harness;
+pub mod loss;
 pub mod project;
 pub mod raster;
 pub mod scan;
@@ -30,7 +31,7 @@ pub struct Case {
 }
 
 /// Every family's cases.
-pub const ALL: &[&[Case]] = &[scan::CASES, sort::CASES, project::CASES, bin::CASES, raster::CASES];
+pub const ALL: &[&[Case]] = &[scan::CASES, sort::CASES, project::CASES, bin::CASES, raster::CASES, loss::CASES];
 
 /// What became of a case.
 #[derive(Debug)]

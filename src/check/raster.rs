@@ -59,13 +59,14 @@ fn compare(
         .flat_map(|&i| flat(single.rgb[i].map(f64::from), f64::from(single.alpha[i])))
         .map(|v| v as f32)
         .collect();
-    // The exponential's error times the power's, summed over what a pixel blends.
-    let bound = Bound { absolute: 1e-5, relative: 1e-5 };
+    // The power's rounding (4e-7 at a power of 5.5) and the exponential's, averaged over what a pixel
+    // blends; measured 8e-7 at most, the oracle in f32 the same.
+    let bound = Bound { absolute: 2e-6, relative: 2e-6 };
     harness.close(&format!("{what}: rgba"), &rgba, &exact_rgba, Some(&single_rgba), bound);
     let depth: Vec<f32> = clear.iter().map(|&i| out.depth[i]).collect();
     let exact_depth: Vec<f64> = clear.iter().map(|&i| exact.depth[i]).collect();
     let single_depth: Vec<f32> = clear.iter().map(|&i| single.depth[i]).collect();
-    let bound = Bound { absolute: 1e-5 * depths, relative: 1e-5 };
+    let bound = Bound { absolute: 2e-6 * depths, relative: 2e-6 };
     harness.close(&format!("{what}: depth"), &depth, &exact_depth, Some(&single_depth), bound);
 
     let gradient = random_gradient(&mut harness.rng, &contested);
@@ -87,20 +88,23 @@ fn compare_gradients(
     exact: &[SplatGradient<f64>],
     single: &[SplatGradient<f32>],
 ) {
-    let parts: [(&str, Rows<f32>, Rows<f64>); 5] = [
-        ("mean", |g| g.mean.into(), |g| g.mean.into()),
-        ("conic", |g| g.conic.into(), |g| g.conic.into()),
-        ("opacity", |g| vec![g.opacity], |g| vec![g.opacity]),
-        ("depth", |g| vec![g.depth], |g| vec![g.depth]),
-        ("colour", |g| g.colour.into(), |g| g.colour.into()),
+    // Signed shares of many pixels cancel, so the largest gradient sets the scale. What lies behind a
+    // splat is a difference, with the rounding of the whole (1e-7), and is divided by 1 - alpha,
+    // which goes down to 1e-3: opacity, mean and conic carry up to 1e-4. Measured 3e-5; the oracle in
+    // f32 the same.
+    let parts: [(&str, f64, Rows<f32>, Rows<f64>); 5] = [
+        ("mean", 1e-4, |g| g.mean.into(), |g| g.mean.into()),
+        ("conic", 1e-4, |g| g.conic.into(), |g| g.conic.into()),
+        ("opacity", 1e-4, |g| vec![g.opacity], |g| vec![g.opacity]),
+        ("depth", 2e-6, |g| vec![g.depth], |g| vec![g.depth]),
+        ("colour", 2e-6, |g| g.colour.into(), |g| g.colour.into()),
     ];
-    for (name, narrow, wide) in parts {
+    for (name, share, narrow, wide) in parts {
         let device: Vec<f32> = device.iter().flat_map(narrow).collect();
         let exact: Vec<f64> = exact.iter().flat_map(wide).collect();
         let single: Vec<f32> = single.iter().flat_map(narrow).collect();
-        // Signed shares of many pixels cancel: the largest sets the scale.
         let largest = exact.iter().fold(0.0f64, |m, v| m.max(v.abs()));
-        let bound = Bound { absolute: 1e-5 * largest + 1e-30, relative: 1e-4 };
+        let bound = Bound { absolute: share * largest + 1e-30, relative: share };
         let output = format!("{what}: by {name}");
         harness.close(&output, &device, &exact, Some(&single), bound);
     }
