@@ -82,3 +82,8 @@ fn tiny_case_matches_gsplat() {
     println!("largest difference {worst:e}");
     common::assert_valid(&device);
 }
+
+#[test]
+fn cases() {
+    common::run("render");
+}

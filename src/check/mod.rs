@@ -12,6 +12,7 @@ mod harness;
 pub mod loss;
 pub mod project;
 pub mod raster;
+pub mod render;
 pub mod scan;
 mod scene;
 pub mod sort;
@@ -31,7 +32,7 @@ pub struct Case {
 }
 
 /// Every family's cases.
-pub const ALL: &[&[Case]] = &[scan::CASES, sort::CASES, project::CASES, bin::CASES, raster::CASES, loss::CASES];
+pub const ALL: &[&[Case]] = &[scan::CASES, sort::CASES, project::CASES, bin::CASES, raster::CASES, loss::CASES, render::CASES];
 
 /// What became of a case.
 #[derive(Debug)]
