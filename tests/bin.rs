@@ -6,3 +6,9 @@ mod common;
 fn cases() {
     common::run("bin");
 }
+
+/// 88 tiles and 63 blocks of Gaussians at a limit of 40.
+#[test]
+fn folded_grids() {
+    common::run_folded("bin", 40);
+}

@@ -6,3 +6,9 @@ mod common;
 fn cases() {
     common::run("project");
 }
+
+/// 47 blocks of Gaussians at a limit of 40.
+#[test]
+fn folded_grids() {
+    common::run_folded("project", 40);
+}

@@ -139,9 +139,11 @@ fn image_sizes(harness: &mut Harness) -> Result<()> {
         let what = format!("{width}×{height}");
         let out = run(harness, &what, &join(&[wide, small]), &camera, 1024)?;
         let tiles = grid(width, height).iter().product::<u32>();
-        harness.exact(&format!("{what}: the wide one reaches every tile"), &[out.tile_counts[0]], &[
-            tiles,
-        ]);
+        harness.exact(
+            &format!("{what}: the wide one reaches every tile"),
+            &[out.tile_counts[0]],
+            &[tiles],
+        );
     }
     Ok(())
 }

@@ -64,8 +64,7 @@ fn input(harness: &mut Harness, width: u32, height: u32) -> Input {
         alpha: (0..count).map(|_| random(0.0, 1.0)).collect(),
         depth: (0..count).map(|_| random(0.1, 4.0)).collect(),
     };
-    let settings =
-        LossSettings { ssim_share: 0.2, background: [0.1, 0.5, 0.9], depth_scale: 0.0 };
+    let settings = LossSettings { ssim_share: 0.2, background: [0.1, 0.5, 0.9], depth_scale: 0.0 };
     Input { width, height, rendered, photo, weights: None, known: None, settings }
 }
 
@@ -89,9 +88,8 @@ fn truth<R: Real>(input: &Input) -> loss::Loss<R> {
         input.photo.pixels.chunks_exact(3).map(|p| [0, 1, 2].map(|c| of(byte(p[c])))).collect();
     let weights: Option<Vec<R>> =
         input.weights.as_ref().map(|w| w.pixels.iter().map(|&v| of(byte(v))).collect());
-    let column = |k: usize| -> Vec<R> {
-        input.known.iter().flatten().map(|v| wide(v[k])).collect()
-    };
+    let column =
+        |k: usize| -> Vec<R> { input.known.iter().flatten().map(|v| wide(v[k])).collect() };
     let (target, target_weights) = (column(0), column(1));
     let rendered = Pixels {
         rgb: input.rendered.rgb.iter().map(|v| v.map(wide)).collect(),
@@ -198,12 +196,7 @@ fn compare(harness: &mut Harness, what: &str, input: &Input) -> Result<Answer> {
     compare_within(harness, what, input, TEXTURED)
 }
 
-fn compare_within(
-    harness: &mut Harness,
-    what: &str,
-    input: &Input,
-    share: f64,
-) -> Result<Answer> {
+fn compare_within(harness: &mut Harness, what: &str, input: &Input, share: f64) -> Result<Answer> {
     let answer = run(harness, input)?;
     let (exact, single) = (truth::<f64>(input), truth::<f32>(input));
     let value = |l: f64, s: f64, d: f64| vec![l, s, d];
@@ -217,8 +210,7 @@ fn compare_within(
     let bound = Bound { absolute: share, relative: 0.0 };
     harness.close(&format!("{what}: value"), &device, &truth, Some(&twin), bound);
 
-    let largest =
-        exact.gradient.rgb.as_flattened().iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    let largest = exact.gradient.rgb.as_flattened().iter().fold(0.0f64, |m, v| m.max(v.abs()));
     let bound = Bound { absolute: share * largest + 1e-30, relative: share };
     let device: Vec<f32> = answer.rgba.iter().flat_map(|p| [p[0], p[1], p[2]]).collect();
     harness.close(

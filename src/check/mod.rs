@@ -32,7 +32,15 @@ pub struct Case {
 }
 
 /// Every family's cases.
-pub const ALL: &[&[Case]] = &[scan::CASES, sort::CASES, project::CASES, bin::CASES, raster::CASES, loss::CASES, render::CASES];
+pub const ALL: &[&[Case]] = &[
+    scan::CASES,
+    sort::CASES,
+    project::CASES,
+    bin::CASES,
+    raster::CASES,
+    loss::CASES,
+    render::CASES,
+];
 
 /// What became of a case.
 #[derive(Debug)]

@@ -131,8 +131,7 @@ fn backward(harness: &mut Harness) -> Result<()> {
         let mut frame =
             Frame::new(&device, &mut harness.stream, &scene, &camera, 1 << 15, settings)?;
         let splats = frame.forward(&mut harness.stream)?.splats();
-        let gradient =
-            random_gradient(&mut harness.rng, &vec![false; (WIDTH * HEIGHT) as usize]);
+        let gradient = random_gradient(&mut harness.rng, &vec![false; (WIDTH * HEIGHT) as usize]);
         let out = frame.backward(&mut harness.stream, &gradient)?;
         let wide: Vec<_> = out.splats.iter().map(widen).collect();
         let (exact, exact_view) =

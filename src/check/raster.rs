@@ -146,7 +146,8 @@ fn layers(harness: &mut Harness) -> Result<()> {
                 part
             })
             .collect();
-        let out = compare(harness, what, &join(&parts), &camera, 1 << 15, RenderSettings::default())?;
+        let out =
+            compare(harness, what, &join(&parts), &camera, 1 << 15, RenderSettings::default())?;
         let stop = RenderSettings::default().transmittance_stop;
         let opaque = out.rgba.iter().all(|p| 1.0 - p[3] > stop && 1.0 - p[3] < 2.5 * stop);
         harness.holds(&format!("{what}: stops in front of the stop"), opaque);
@@ -178,8 +179,7 @@ fn overflow(harness: &mut Harness) -> Result<()> {
     let scene = random(&mut harness.rng, 1500, 0, &camera);
     for capacity in [0, 1, 500] {
         let what = format!("room for {capacity}");
-        let out =
-            compare(harness, &what, &scene, &camera, capacity, RenderSettings::default())?;
+        let out = compare(harness, &what, &scene, &camera, capacity, RenderSettings::default())?;
         harness.holds(&format!("{what}: overflows"), out.counts[1] as usize > capacity);
     }
     Ok(())

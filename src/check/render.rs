@@ -299,13 +299,8 @@ fn opacities(harness: &mut Harness) -> Result<()> {
 fn quaternions(harness: &mut Harness) -> Result<()> {
     let scales = [-1.0, -2.0, -3.0];
     let unit = [0.6, 0.0, 0.0, 0.8];
-    let reference = agree(
-        harness,
-        "length 1",
-        &one([0.0, 0.0, 2.0], scales, unit, 1.0),
-        &small(),
-        2e-6,
-    )?;
+    let reference =
+        agree(harness, "length 1", &one([0.0, 0.0, 2.0], scales, unit, 1.0), &small(), 2e-6)?;
     let reference: Vec<f64> =
         reference.forward.rgba.as_flattened().iter().map(|&v| f64::from(v)).collect();
     for length in [1e-6_f32, 1e-3, 7.0, 1e20, 1e30] {

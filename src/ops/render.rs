@@ -6,8 +6,8 @@
 //! exceeds what the buffers hold, the farthest are left out, and [`RenderScratch::counts`] tells, so
 //! that the caller grows the buffers and repeats the frame.
 
-use super::gaussians::{GaussianBuffers, GaussianViews};
 use super::at_least;
+use super::gaussians::{GaussianBuffers, GaussianViews};
 use super::scan::{Scan, ScanArgs, ScanScratch};
 use super::sort::{RadixSort, SortArgs, SortScratch};
 use crate::gpu::{Buffer, Device, Groups, Recorder, Stream, View, ViewMut};
