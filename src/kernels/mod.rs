@@ -1,7 +1,7 @@
 //! The kernels' declarations, one file per family, and the list of all of them.
 //!
 //! One stem names a kernel everywhere: `glsl/sort/upsweep.comp`, `spirv/sort/upsweep.spv`,
-//! [`sort::Upsweep`], `oracle::sort`, `check::sort`, `tests/sort.rs`.
+//! `kernels::sort::Upsweep`, `oracle::sort`, `check::sort`, `tests/sort.rs`.
 
 pub mod adam;
 pub mod arap;
