@@ -9,13 +9,21 @@ use splat4d::data::{Dataset, exr, flo, intrinsics, read_mask, trajectory, transf
 use splat4d::types::Image;
 
 /// Small, with steps between frames several times the usual.
-const SMALL: SynthOptions = SynthOptions { frames: 5, width: 112, height: 63, seed: 3 };
+const SMALL: SynthOptions = SynthOptions { frames: 5, width: 96, height: 54, seed: 3 };
+
+/// With steps between frames as in a clip of the usual length and size.
+const SMOOTH: SynthOptions = SynthOptions { frames: 12, width: 144, height: 81, seed: 1 };
 
 /// Each clip is rendered once for all tests.
-fn small(name: &str) -> Arc<Clip> {
+fn rendered(name: &str, options: SynthOptions) -> Arc<Clip> {
     static CLIPS: LazyLock<Mutex<HashMap<String, Arc<Clip>>>> = LazyLock::new(Default::default);
     let mut clips = CLIPS.lock().unwrap();
-    clips.entry(name.into()).or_insert_with(|| Arc::new(synth::clip(name, &SMALL).unwrap())).clone()
+    let render = || Arc::new(synth::clip(name, &options).unwrap());
+    clips.entry(format!("{name} {options:?}")).or_insert_with(render).clone()
+}
+
+fn small(name: &str) -> Arc<Clip> {
+    rendered(name, SMALL)
 }
 
 fn mean(image: &Image) -> f64 {
@@ -72,9 +80,7 @@ fn warp_error(from: &Image, to: &Image, flow: &Image, visible: &Image) -> (f64, 
 #[test]
 fn flow_brings_the_next_frame_back() {
     for name in ["rigid", "bend", "crowd", "still"] {
-        // Steps between frames as in a clip of the usual length.
-        let options = SynthOptions { frames: 12, width: 160, height: 90, seed: 1 };
-        let clip = synth::clip(name, &options).unwrap();
+        let clip = rendered(name, SMOOTH);
         for (i, j, flow, visible) in [
             (5, 6, &clip.flow_forward[5], &clip.visible_forward[5]),
             (6, 5, &clip.flow_backward[5], &clip.visible_backward[5]),
@@ -114,8 +120,7 @@ fn static_flow_is_what_depth_and_poses_say() {
 #[test]
 fn flow_there_and_back_closes() {
     for name in ["bend", "crowd"] {
-        let options = SynthOptions { frames: 12, width: 160, height: 90, seed: 1 };
-        let clip = synth::clip(name, &options).unwrap();
+        let clip = rendered(name, SMOOTH);
         let (forward, backward) = (&clip.flow_forward[5], &clip.flow_backward[5]);
         let mut gaps = Vec::new();
         for (x, y, centre) in centres(forward) {
