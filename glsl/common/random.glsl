@@ -1,4 +1,4 @@
-// Random numbers from counters: the same on every device.
+// Random numbers from counters: the same on every device. Needs common/sine.glsl.
 
 // Four words for a counter (Jarzynski and Olano 2020, pcg4d).
 uvec4 random_words(uvec4 counter) {
@@ -23,7 +23,10 @@ vec3 random_normals(uvec4 counter) {
     // A radius from (0, 1]: its logarithm is finite.
     vec2 radii = sqrt(-2.0 * log(vec2(words.xz + 1u) * STEP));
     vec2 angles = TAU * vec2(words.yw) * STEP;
-    return vec3(radii.x * cos(angles.x), radii.x * sin(angles.x), radii.y * cos(angles.y));
+    float sine, cosine, other_sine, other_cosine;
+    sine_cosine(angles.x, sine, cosine);
+    sine_cosine(angles.y, other_sine, other_cosine);
+    return vec3(radii.x * cosine, radii.x * sine, radii.y * other_cosine);
 }
 
 // The upper word of a product.

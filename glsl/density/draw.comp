@@ -21,6 +21,7 @@ layout(push_constant) uniform Params {
 };
 
 #include "common/grid.glsl"
+#include "common/sine.glsl"
 #include "common/random.glsl"
 
 void main() {
