@@ -43,6 +43,7 @@ pub const ALL: &[KernelInfo] = &[
     density::Gather::INFO,
     density::Parts::INFO,
     density::Accumulate::INFO,
+    density::Regularise::INFO,
     density::Reset::INFO,
     flow::Luma::INFO,
     flow::Halve::INFO,
