@@ -8,11 +8,13 @@ pub mod error;
 pub mod eval;
 pub mod geometry;
 pub mod gpu;
+pub mod io;
 pub mod kernels;
 pub mod ops;
-pub mod io;
 pub mod oracle;
+pub mod renderer;
 pub mod scene;
+pub mod train;
 pub mod types;
 pub mod vk;
 

@@ -1,0 +1,8 @@
+//! Density control against its oracle.
+
+mod common;
+
+#[test]
+fn cases() {
+    common::run("density");
+}
