@@ -326,6 +326,6 @@ fn kitti() {
         mean(1),
         share(1)
     );
-    // Measured 11 to 12 px; without slanted patches 22.
+    // Measured 11.3 px (5.4 px where confident); without slanted patches 22.
     assert!(mean(0) < 15.0 && mean(1) < 0.6 * mean(0));
 }

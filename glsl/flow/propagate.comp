@@ -34,6 +34,13 @@ Patch load(ivec2 id, ivec2 grid) {
     return Patch(head.xy, patches[at + 1], head.z, head.w);
 }
 
+// Whether two displacements are so near that descending from either ends in the same place.
+bool alike(Patch a, Patch b) {
+    const float ALIKE = 0.25; // pixels
+    return all(lessThan(abs(a.flow - b.flow), vec2(ALIKE)))
+           && all(lessThan(abs(a.slope - b.slope), vec4(ALIKE / float(PATCH))));
+}
+
 void main() {
     ivec2 id = ivec2(gl_GlobalInvocationID.xy);
     ivec2 grid = patch_grid();
@@ -51,6 +58,9 @@ void main() {
         }
         Patch offered = load(other, grid);
         offered.flow = patch_flow(offered, vec2((id - other) * STRIDE));
+        if (alike(offered, own)) {
+            continue;
+        }
         float cost = patch_cost(id, offered);
         if (cost < least) {
             least = cost;

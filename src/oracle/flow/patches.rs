@@ -225,6 +225,16 @@ const FARTHEST: f64 = 16384.0;
 /// A slope is at most this: beyond, the start flow has an edge, not a slant.
 const STEEPEST: f64 = 0.5;
 
+/// Whether two displacements are so near that descending from either ends in the same place.
+fn alike<T: Real>(a: &Patch<T>, b: &Patch<T>) -> bool {
+    let near = |a: T, b: T, limit: f64| (a - b).abs() < T::of(limit);
+    (0..2).all(|k| near(a.flow[k], b.flow[k], ALIKE))
+        && (0..4).all(|k| near(a.slope[k], b.slope[k], ALIKE / PATCH as f64))
+}
+
+/// In pixels.
+const ALIKE: f64 = 0.25;
+
 /// Every patch tries the displacements of its neighbours and descends from the best, if that is
 /// better than its own.
 pub fn propagate<T: Real>(
@@ -249,6 +259,9 @@ pub fn propagate<T: Real>(
                 let q = patches[qj as usize * nx + qi as usize];
                 let away = |d: isize| T::of((-d * reach * STRIDE as isize) as f64);
                 let offered = Patch { flow: q.at(away(di), away(dj)), ..q };
+                if alike(&offered, &own) {
+                    continue;
+                }
                 let c = evaluate(a, b, i as usize, j as usize, &offered, [T::zero(); 2]).cost;
                 if c < best_cost {
                     (best, best_cost) = (offered, c);

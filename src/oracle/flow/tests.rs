@@ -1,129 +1,104 @@
-//! Tests of the whole oracle on flows that are known.
+//! The oracle on flows that are known.
 
 use super::*;
-use std::path::PathBuf;
 
-fn kitti() -> Option<(image::RgbImage, image::RgbImage, Vec<Option<[f32; 2]>>)> {
-    let root = std::env::var_os("SPLAT4D_DATA").map_or_else(
-        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
-        PathBuf::from,
-    );
-    let dir = root.join("flow_gt/KITTI");
-    let gt = image::open(dir.join("flow_gt.png")).ok()?.to_rgb16();
-    let a = image::open(dir.join("frame1.png")).ok()?.to_rgb8();
-    let b = image::open(dir.join("frame2.png")).ok()?.to_rgb8();
-    let gt = gt
-        .pixels()
-        .map(|p| (p.0[2] > 0).then(|| [p.0[0], p.0[1]].map(|c| (f32::from(c) - 32768.0) / 64.0)))
-        .collect();
-    Some((a, b, gt))
+const WIDTH: usize = 64;
+const HEIGHT: usize = 48;
+
+fn texture(x: f64, y: f64) -> f64 {
+    0.5 + 0.17 * (0.61 * x + 0.23 * y).sin()
+        + 0.14 * (0.53 * y - 0.31 * x).sin()
+        + 0.12 * (0.19 * x + 0.11 * y).sin()
+        + 0.07 * (1.3 * x).sin() * (1.1 * y).cos()
 }
 
-fn pixels(image: &image::RgbImage) -> Vec<f32> {
-    image.as_raw().iter().map(|v| f32::from(*v) / 255.0).collect()
+fn pyramid(from: impl Fn(f64, f64) -> f64) -> Pyramid<f64> {
+    let pixels: Vec<f64> =
+        (0..WIDTH * HEIGHT).map(|p| from((p % WIDTH) as f64, (p / WIDTH) as f64)).collect();
+    Pyramid::new(&pixels, WIDTH, HEIGHT, 1, FlowSettings::default().coarsest_side)
 }
 
-fn endpoint(
-    flow: &[[f32; 2]],
-    truth: &[Option<[f32; 2]>],
-    keep: impl Fn(usize) -> bool,
-) -> (f32, f32, usize) {
-    let (mut sum, mut bad, mut n) = (0.0f64, 0, 0);
-    for (i, (f, t)) in flow.iter().zip(truth).enumerate() {
-        if let Some(t) = t
-            && keep(i)
-        {
-            let e = (f[0] - t[0]).hypot(f[1] - t[1]);
-            sum += f64::from(e);
-            bad += usize::from(e > 3.0 && e > 0.05 * t[0].hypot(t[1]));
-            n += 1;
+#[test]
+fn a_shift_is_found_in_both_directions() {
+    let (first, second) = (pyramid(texture), pyramid(|x, y| texture(x - 3.4, y + 1.2)));
+    let pair = flow(&first, &second, None, &FlowSettings::default());
+    let error = |flow: &[[f64; 2]], u: f64, v: f64| {
+        let inner = (0..flow.len()).filter(|p| {
+            (8..WIDTH - 8).contains(&(p % WIDTH)) && (8..HEIGHT - 8).contains(&(p / WIDTH))
+        });
+        inner.map(|p| (flow[p][0] - u).hypot(flow[p][1] - v)).fold(0.0, f64::max)
+    };
+    let errors = (error(&pair.forward, 3.4, -1.2), error(&pair.backward, -3.4, 1.2));
+    assert!(errors.0 < 0.1 && errors.1 < 0.1, "{errors:?}");
+    // What leaves the image on the right cannot be believed.
+    assert_eq!(pair.forward_confidence[10 * WIDTH + WIDTH - 1], 0.0);
+    assert!(pair.forward_confidence[20 * WIDTH + 30] > 0.9);
+}
+
+#[test]
+fn relaxation_solves_the_equations() {
+    let (first, second) = (pyramid(texture), pyramid(|x, y| texture(x - 0.7, y + 0.4)));
+    let (a, b) = (&first.levels[0], &second.levels[0]);
+    let settings = FlowSettings::default();
+    let mut flow = vec![[0.0; 2]; WIDTH * HEIGHT];
+    let equations = linearise(a, b, &flow, &vec![1.0; WIDTH * HEIGHT], &settings);
+    for half_sweep in 0..600 {
+        relax(&mut flow, &equations, WIDTH, HEIGHT, half_sweep % 2, &settings);
+    }
+    // The residual of each pixel's own equation and its neighbours' pull.
+    for y in 1..HEIGHT - 1 {
+        for x in 1..WIDTH - 1 {
+            let p = y * WIDTH + x;
+            let e = equations[p];
+            let [u, v] = flow[p];
+            let mut residual = [e.a * u + e.b * v - e.r, e.b * u + e.c * v - e.s];
+            for q in [p - 1, p + 1, p - WIDTH, p + WIDTH] {
+                let pull = 0.5 * (e.pull + equations[q].pull);
+                residual[0] += pull * (u - flow[q][0]);
+                residual[1] += pull * (v - flow[q][1]);
+            }
+            assert!(residual[0].hypot(residual[1]) < 1e-6, "{x}, {y}: {residual:?}");
         }
-    }
-    ((sum / n as f64) as f32, bad as f32 / n as f32 * 100.0, n)
-}
-
-fn env(name: &str, value: &mut f32) {
-    if let Ok(v) = std::env::var(name) {
-        *value = v.parse().unwrap();
-    }
-}
-fn envu(name: &str, value: &mut u32) {
-    if let Ok(v) = std::env::var(name) {
-        *value = v.parse().unwrap();
     }
 }
 
 #[test]
-#[ignore]
-fn tune() {
-    let Some((a, b, truth)) = kitti() else { panic!() };
-    let mut s = FlowSettings::default();
-    envu("COARSEST", &mut s.coarsest_side);
-    envu("RADIUS", &mut s.start_radius);
-    envu("STEPS", &mut s.search_steps);
-    envu("PROP", &mut s.propagations);
-    envu("WARPS", &mut s.warps);
-    envu("SWEEPS", &mut s.sweeps);
-    env("OMEGA", &mut s.relaxation);
-    env("BRIGHT", &mut s.brightness);
-    env("GRAD", &mut s.gradient);
-    env("SMOOTH", &mut s.smoothness);
-    env("EDGE", &mut s.edge);
-    env("NOISE", &mut s.noise);
-    env("KINK", &mut s.kink);
-    let (w, h) = (a.width() as usize, a.height() as usize);
-    let start = std::time::Instant::now();
-    let pa = Pyramid::new(&pixels(&a), w, h, 3, s.coarsest_side);
-    let pb = Pyramid::new(&pixels(&b), w, h, 3, s.coarsest_side);
-    let t0 = start.elapsed();
-    let pair = flow(&pa, &pb, None, &s);
-    let t1 = start.elapsed();
-    let all = endpoint(&pair.forward, &truth, |_| true);
-    let inside = |i: usize| {
-        let t = truth[i].unwrap();
-        let (x, y) = ((i % w) as f32 + t[0], (i / w) as f32 + t[1]);
-        x >= 0.0 && y >= 0.0 && x <= (w - 1) as f32 && y <= (h - 1) as f32
-    };
-    let noc = endpoint(&pair.forward, &truth, inside);
-    let sure = endpoint(&pair.forward, &truth, |i| pair.forward_confidence[i] > 0.5);
-    println!(
-        "EPE all {:.3} ({:.2}%)  inside {:.3} ({:.2}%)  sure {:.3} ({:.2}%) of {:.1}%  {:?} {:?}",
-        all.0,
-        all.1,
-        noc.0,
-        noc.1,
-        sure.0,
-        sure.1,
-        sure.2 as f32 / all.2 as f32 * 100.0,
-        t0,
-        t1
-    );
-    let car = |i: usize| (170..390).contains(&(i % w)) && (172..310).contains(&(i / w));
-    let bg = endpoint(&pair.forward, &truth, |i| !car(i));
-    let fg = endpoint(&pair.forward, &truth, car);
-    println!("EPE bg {:.3} ({:.2}%) {}  car {:.3} ({:.2}%) {}", bg.0, bg.1, bg.2, fg.0, fg.1, fg.2);
-    if let Ok(path) = std::env::var("DUMP") {
-        let colour = |f: &[f32; 2]| {
-            let m = (f[0].hypot(f[1]) / 100.0).sqrt().min(1.0);
-            let t = f[1].atan2(f[0]);
-            let c = |o: f32| ((0.5 + 0.5 * (t + o).cos()) * m * 255.0) as u8;
-            image::Rgb([c(0.0), c(2.094), c(4.189)])
-        };
-        let img = image::RgbImage::from_fn(w as u32, h as u32 * 4, |x, y| {
-            let i = (y as usize % h) * w + x as usize;
-            match y as usize / h {
-                0 => colour(&pair.forward[i]),
-                1 => truth[i].as_ref().map_or(image::Rgb([0; 3]), colour),
-                2 => {
-                    let c = (pair.forward_confidence[i] * 255.0) as u8;
-                    image::Rgb([c; 3])
-                }
-                _ => truth[i].map_or(image::Rgb([0; 3]), |t| {
-                    let e = (pair.forward[i][0] - t[0]).hypot(pair.forward[i][1] - t[1]);
-                    image::Rgb([(e * 25.0).min(255.0) as u8, 40, 255 - (e * 25.0).min(255.0) as u8])
-                }),
-            }
-        });
-        img.save(path).unwrap();
+fn derivatives_are_those_of_a_parabola() {
+    let luma: Vec<f64> = (0..81)
+        .map(|p| {
+            let (x, y) = (f64::from(p % 9), f64::from(p / 9));
+            0.1 + 0.02 * x - 0.03 * y + 0.004 * x * x + 0.002 * x * y - 0.001 * y * y
+        })
+        .collect();
+    let truth = [0.02 + 0.032 + 0.008, -0.03 + 0.008 - 0.008, 0.008, 0.002, -0.002];
+    let d = derivatives(&luma, 9, 9)[4 * 9 + 4];
+    assert!((0..5).all(|k| (d[k] - truth[k]).abs() < 1e-12), "{d:?}");
+}
+
+#[test]
+fn halving_and_upsampling_keep_places() {
+    // A ramp stays a ramp of the same slope per unit of the full image.
+    let ramp: Vec<f64> = (0..16 * 12).map(|p| 0.01 * (f64::from(p % 16) + 0.5)).collect();
+    let half = halve(&ramp, 16, 12);
+    for x in 1..7 {
+        assert!((half[3 * 8 + x] - 0.02 * (x as f64 + 0.5)).abs() < 1e-12);
     }
+    let flow: Vec<[f64; 2]> = half.iter().map(|v| [*v, 0.0]).collect();
+    let fine = upsample(&flow, 8, 6, 16, 12);
+    for x in 3..13 {
+        assert!((fine[5 * 16 + x][0] - 2.0 * ramp[5 * 16 + x]).abs() < 1e-12);
+    }
+}
+
+#[test]
+fn a_median_drops_an_outlier() {
+    let mut flow = vec![[1.0, 2.0]; 25];
+    flow[12] = [90.0, -90.0];
+    assert_eq!(median(&flow, 5, 5), vec![[1.0, 2.0]; 25]);
+}
+
+#[test]
+fn matching_prefers_no_motion_among_equals() {
+    let grey = vec![0.5f64; 30];
+    assert_eq!(coarse(&grey, &grey, 6, 5, &FlowSettings::default()), vec![[0.0; 2]; 30]);
 }
