@@ -3,7 +3,8 @@
 use super::{Bound, Case, Harness};
 use crate::error::Result;
 use crate::ops::density::{
-    Adaptation, AdaptationArgs, Relocation, RelocationArgs, accumulate, jitter, reset_opacity,
+    Adaptation, AdaptationArgs, Relocation, RelocationArgs, accumulate, jitter, regularise,
+    reset_opacity,
 };
 use crate::oracle::{Real, density};
 use crate::types::{AdaptSettings, MotionClass};
@@ -16,6 +17,7 @@ pub const CASES: &[Case] = &[
     Case { id: "density/shrink", kernels: &["density/shrink"], run: shrink },
     Case { id: "density/jitter", kernels: &["density/jitter"], run: noise },
     Case { id: "density/adapt", kernels: ADAPT, run: adapt },
+    Case { id: "density/regularise", kernels: &["density/regularise"], run: regularisers },
     Case { id: "density/statistics", kernels: STATISTICS, run: statistics },
 ];
 
@@ -430,5 +432,47 @@ fn statistics(h: &mut Harness) -> Result<()> {
     density::reset_opacity(&mut logits, -4.5);
     let device = h.read(&reset)?;
     h.exact("opacity logits", &device, &logits);
+    Ok(())
+}
+
+fn regularisers(h: &mut Harness) -> Result<()> {
+    let n = 1000;
+    let mut logits = random(h, n, -8.0, 8.0);
+    logits[..4].copy_from_slice(&[40.0, -40.0, 0.0, -0.0]);
+    let scales = random(h, 3 * n, -12.0, 3.0);
+    let (by_logit, by_scale) = (random(h, n, -1e-5, 1e-5), random(h, 3 * n, -1e-5, 1e-5));
+    let logit_buffer = h.device.upload("opacity logits", &logits)?;
+    let scale_buffer = h.device.upload("log scales", &scales)?;
+    let sources =
+        [h.device.upload("by logit", &by_logit)?, h.device.upload("by log scale", &by_scale)?];
+    let mut opacity_gradients = h.output::<f32>("opacity gradients", n)?;
+    let mut scale_gradients = h.output::<f32>("log scale gradients", 3 * n)?;
+    let mut recorder = h.stream.record()?;
+    recorder.copy(sources[0].view(), opacity_gradients.view_mut());
+    recorder.copy(sources[1].view(), scale_gradients.view_mut());
+    regularise(
+        &mut recorder,
+        logit_buffer.view(),
+        scale_buffer.view(),
+        opacity_gradients.view_mut(),
+        scale_gradients.view_mut(),
+        0.01,
+        0.02,
+    )?;
+    h.stream.submit(recorder)?;
+    fn oracle<R: Real>(values: [&[f32]; 4]) -> [Vec<R>; 2] {
+        let [logits, scales, by_logit, by_scale] = values.map(reals::<R>);
+        let (mut a, mut b) = (by_logit, by_scale);
+        density::regularise(&logits, &scales, R::of(0.01), R::of(0.02), &mut a, &mut b);
+        [a, b]
+    }
+    let inputs = [&logits[..], &scales, &by_logit, &by_scale];
+    let (truth, twin) = (oracle::<f64>(inputs), oracle::<f32>(inputs));
+    let device = [h.read(&opacity_gradients)?, h.read(&scale_gradients)?];
+    for (i, name) in ["opacity gradients", "log scale gradients"].iter().enumerate() {
+        // Sums of two terms of 1e-5, and an exponential that drivers give to about 1e-6.
+        let bound = Bound { absolute: 1e-11, relative: 3e-6 };
+        h.close(name, &device[i], &truth[i], Some(&twin[i]), bound);
+    }
     Ok(())
 }
