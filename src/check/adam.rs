@@ -2,7 +2,7 @@
 
 use super::{Bound, Case, Harness};
 use crate::error::Result;
-use crate::ops::adam::{Adam, AdamArgs};
+use crate::ops::adam::{Adam, AdamArgs, gate};
 use crate::oracle::{Real, adam};
 use crate::types::AdamSettings;
 use rand::RngExt;
@@ -12,6 +12,7 @@ pub const CASES: &[Case] = &[
     Case { id: "adam/steps", kernels: &["adam/step"], run: steps },
     Case { id: "adam/visible", kernels: &["adam/step"], run: visible },
     Case { id: "adam/hard", kernels: &["adam/step"], run: hard },
+    Case { id: "adam/gate", kernels: &["adam/gate"], run: gates },
 ];
 
 /// Steps on the same values on the device and in the oracle, and compares after the last one.
@@ -133,4 +134,21 @@ fn hard(h: &mut Harness) -> Result<()> {
     let gradients = vec![values.clone(), vec![0.5; values.len()]];
     let bound = Bound { absolute: 1e-6, relative: 1e-6 };
     compare(h, &vec![1.0; values.len()], &gradients, None, 1e-2, bound)
+}
+
+/// Trainable rows of a frame that fitted, none of one that did not.
+fn gates(h: &mut Harness) -> Result<()> {
+    for (fitted, count) in [(1u32, 200), (0, 200), (1, 0), (1, 64)] {
+        let trainable: Vec<u32> = (0..count).map(|i| u32::from(i % 3 != 1)).collect();
+        let fits = h.device.upload("fits", &[fitted])?;
+        let source = h.device.upload("trainable", &trainable)?;
+        let mut result = h.output::<u32>("gate", trainable.len())?;
+        let mut recorder = h.stream.record()?;
+        gate(&mut recorder, fits.view(), source.view(), result.view_mut())?;
+        h.stream.submit(recorder)?;
+        let expected: Vec<u32> = trainable.iter().map(|t| t & fitted).collect();
+        let device = h.read(&result)?;
+        h.exact("gate", &device, &expected);
+    }
+    Ok(())
 }

@@ -33,13 +33,11 @@ pub struct Case {
 
 /// Every family's cases.
 pub const ALL: &[&[Case]] = &[
+    // One line each, so that branches merge.
     adam::CASES,
     arap::CASES,
     deform::CASES,
     density::CASES,
-    // One line each, so that branches merge.
-    adam::CASES,
-    deform::CASES,
     indirect::CASES,
     mlp::CASES,
     scan::CASES,

@@ -2,7 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Device, Groups, Recorder, View, ViewMut};
-use crate::kernels::adam::{Step, StepArgs, StepParams};
+use crate::kernels::adam::{Gate, GateArgs, GateParams, Step, StepArgs, StepParams};
 use crate::types::AdamSettings;
 
 /// One group of parameters with its moments, all of one length.
@@ -88,4 +88,27 @@ impl Adam {
             },
         )
     }
+}
+
+/// Records which rows a step may change: where `fits` holds 1, those whose entry in `trainable` is
+/// 1; else none.
+///
+/// # Errors
+/// [`Error::Shape`] where the lengths disagree.
+pub fn gate(
+    recorder: &mut Recorder,
+    fits: View<'_, u32>,
+    trainable: View<'_, u32>,
+    gate: ViewMut<'_, u32>,
+) -> Result<()> {
+    let count = gate.len();
+    if trainable.len() != count {
+        let (arg, actual) = ("trainable", trainable.len());
+        return Err(Error::Shape { op: "adam", arg, expected: count.to_string(), actual });
+    }
+    recorder.dispatch::<Gate>(
+        Groups::linear(count, 64, recorder.device().limits())?,
+        GateParams { count: count as u32 },
+        GateArgs { fits, trainable, gate },
+    )
 }
