@@ -90,8 +90,7 @@ impl Adam {
     }
 }
 
-/// Records which rows a step may change: where `fits` holds 1, those whose entry in `trainable` is
-/// 1; else none.
+/// Records which rows a step may change: those that train, and none where `fits` holds 0.
 ///
 /// # Errors
 /// [`Error::Shape`] where the lengths disagree.
@@ -101,10 +100,10 @@ pub fn gate(
     trainable: View<'_, u32>,
     gate: ViewMut<'_, u32>,
 ) -> Result<()> {
-    let count = gate.len();
-    if trainable.len() != count {
-        let (arg, actual) = ("trainable", trainable.len());
-        return Err(Error::Shape { op: "adam", arg, expected: count.to_string(), actual });
+    let count = trainable.len();
+    if gate.len() != count {
+        let (expected, actual) = (count.to_string(), gate.len());
+        return Err(Error::Shape { op: "adam", arg: "gate", expected, actual });
     }
     recorder.dispatch::<Gate>(
         Groups::linear(count, 64, recorder.device().limits())?,
