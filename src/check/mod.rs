@@ -9,12 +9,19 @@
 
 pub mod adam;
 pub mod arap;
+pub mod bin;
 pub mod deform;
 pub mod density;
+pub mod flow;
 mod harness;
 pub mod indirect;
+pub mod loss;
 pub mod mlp;
+pub mod project;
+pub mod raster;
+pub mod render;
 pub mod scan;
+mod scene;
 pub mod sort;
 
 pub use harness::{Bound, Finding, Guarded, Harness};
@@ -36,10 +43,16 @@ pub const ALL: &[&[Case]] = &[
     // One line each, so that branches merge.
     adam::CASES,
     arap::CASES,
+    bin::CASES,
     deform::CASES,
     density::CASES,
+    flow::CASES,
     indirect::CASES,
+    loss::CASES,
     mlp::CASES,
+    project::CASES,
+    raster::CASES,
+    render::CASES,
     scan::CASES,
     sort::CASES,
 ];

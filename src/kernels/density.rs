@@ -292,3 +292,26 @@ kernel! {
         opacity_logits: ReadWrite<f32>,
     }
 }
+
+kernel! {
+    /// Adds the regularisers' gradients.
+    pub struct Regularise("density/regularise"), workgroup: [64, 1, 1],
+    params: RegulariseParams {
+        /// Number of Gaussians.
+        count: u32,
+        /// Weight of the mean opacity over the number of Gaussians.
+        opacity_factor: f32,
+        /// Weight of the mean scale over the number of scales.
+        scale_factor: f32,
+    },
+    args: RegulariseArgs {
+        /// 1 per Gaussian.
+        opacity_logits: Read<f32>,
+        /// 3 per Gaussian.
+        log_scales: Read<f32>,
+        /// Added to.
+        opacity_gradients: ReadWrite<f32>,
+        /// Added to.
+        log_scale_gradients: ReadWrite<f32>,
+    }
+}

@@ -7,6 +7,7 @@ pub mod adam;
 pub mod arap;
 pub mod deform;
 pub mod density;
+pub mod flow;
 pub mod gaussians;
 pub mod loss;
 pub mod mlp;

@@ -339,6 +339,26 @@ pub fn reset_opacity<R: Real>(opacity_logits: &mut [R], limit: R) {
     }
 }
 
+/// Adds the gradients of `opacity_weight · mean opacity + scale_weight · mean scale` (3dgs-mcmc's
+/// regularisers) to those of the opacity logits and of the log-scales.
+pub fn regularise<R: Real>(
+    opacity_logits: &[R],
+    log_scales: &[R],
+    opacity_weight: R,
+    scale_weight: R,
+    opacity_gradients: &mut [R],
+    log_scale_gradients: &mut [R],
+) {
+    let count = R::of(opacity_logits.len().max(1) as f64);
+    for (gradient, &logit) in opacity_gradients.iter_mut().zip(opacity_logits) {
+        let e = (-logit.abs()).exp();
+        *gradient += opacity_weight / count * e / ((R::one() + e) * (R::one() + e));
+    }
+    for (gradient, &log_scale) in log_scale_gradients.iter_mut().zip(log_scales) {
+        *gradient += scale_weight / (R::of(3.0) * count) * log_scale.exp();
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -96,3 +96,37 @@ fn equal(arg: &'static str, expected: usize, actual: usize) -> Result<()> {
     }
     Err(Error::Shape { op: "density control", arg, expected: expected.to_string(), actual })
 }
+
+/// Records the addition of MCMC's regularisers to the gradients: `opacity_weight` times the mean
+/// opacity and `scale_weight` times the mean scale.
+///
+/// # Errors
+/// [`Error::Shape`] where the lengths disagree.
+pub fn regularise(
+    recorder: &mut Recorder,
+    opacity_logits: View<'_, f32>,
+    log_scales: View<'_, f32>,
+    opacity_gradients: ViewMut<'_, f32>,
+    log_scale_gradients: ViewMut<'_, f32>,
+    opacity_weight: f64,
+    scale_weight: f64,
+) -> Result<()> {
+    let count = opacity_logits.len();
+    equal("log_scales", 3 * count, log_scales.len())?;
+    equal("opacity_gradients", count, opacity_gradients.len())?;
+    equal("log_scale_gradients", 3 * count, log_scale_gradients.len())?;
+    recorder.dispatch::<kernels::Regularise>(
+        Groups::linear(count, WORKGROUP, recorder.device().limits())?,
+        kernels::RegulariseParams {
+            count: count as u32,
+            opacity_factor: (opacity_weight / count.max(1) as f64) as f32,
+            scale_factor: (scale_weight / (3 * count).max(1) as f64) as f32,
+        },
+        kernels::RegulariseArgs {
+            opacity_logits,
+            log_scales,
+            opacity_gradients,
+            log_scale_gradients,
+        },
+    )
+}
