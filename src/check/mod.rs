@@ -40,7 +40,6 @@ pub struct Case {
 
 /// Every family's cases.
 pub const ALL: &[&[Case]] = &[
-    // One line each, so that branches merge.
     adam::CASES,
     arap::CASES,
     bin::CASES,
