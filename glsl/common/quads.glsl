@@ -18,6 +18,14 @@ uvec2 quad_origin(uint lane) {
     return 2u * uvec2(x, y);
 }
 
+// The same for a workgroup of 32, where each invocation has two quads side by side and a subgroup of 8
+// covers 8×8 pixels.
+uvec2 quad_pair_origin(uint lane) {
+    uint x = (lane & 1u) | ((lane >> 2) & 2u);
+    uint y = ((lane >> 1) & 3u) | ((lane >> 2) & 4u);
+    return uvec2(4u * x, 2u * y);
+}
+
 // Pixels of a quad: (0,0) (1,0) (0,1) (1,1).
 const vec4 QUAD_X = vec4(0.0, 1.0, 0.0, 1.0);
 const vec4 QUAD_Y = vec4(0.0, 0.0, 1.0, 1.0);

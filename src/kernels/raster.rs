@@ -41,7 +41,7 @@ kernel! {
 
 kernel! {
     /// Partial sums of gradients per (splat, tile).
-    pub struct Backward("raster/backward"), workgroup: [64, 1, 1],
+    pub struct Backward("raster/backward"), workgroup: [32, 1, 1],
     params: BackwardParams {
         /// Image width, pixels.
         width: u32,
