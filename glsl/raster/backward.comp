@@ -7,8 +7,7 @@
 // v·dy²), from which raster/gather makes the gradients of opacity, mean and conic, then the
 // gradients of colour and depth.
 //
-// Each invocation has two quads of 2×2 pixels: the sums over the subgroup are most of the work, and
-// that halves their number. Subgroups share the splats of a batch: each sums over its own block, and the sums meet in shared
+// Subgroups share the splats of a batch: each sums over its own block, and the sums meet in shared
 // memory in a fixed order. There are no atomics on floats, so reruns give the same bits.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
@@ -47,7 +46,6 @@ layout(push_constant) uniform Params {
 #include "common/tile.glsl"
 #include "common/quads.glsl"
 
-const uint QUADS = 2u;
 const uint BATCH = 32u;
 const uint SUMS = 10u;
 // Sums of one batch: [subgroup][sum][splat], for subgroups of 4 or more.
@@ -62,10 +60,10 @@ void main() {
         return;
     }
     uint id = lane_index();
-    uvec2 origin = tile_origin(tile, grid) + quad_pair_origin(id);
+    uvec2 origin = tile_origin(tile, grid) + quads_origin(id);
     vec2 corner = vec2(origin) + 0.5;
-    // The rectangle of pixel centres that the subgroup covers.
-    vec2 lowest = subgroupMin(corner), highest = subgroupMax(corner) + vec2(3.0, 1.0);
+    vec2 lowest, highest;
+    subgroup_block(corner, lowest, highest);
 
     vec4 transmittance[QUADS];
     // Of the loss: by colour, by alpha and by depth at the quad's pixels.
