@@ -67,15 +67,13 @@ impl Renderer {
         let gaussians = GaussianBuffers::from_host(&mut stream, &scene.gaussians)?;
         let motion = match &scene.network {
             Some(network) if scene.gaussians.is_dynamic() => {
-                let logits = &scene.gaussians.motion_logits;
-                let dynamic: Vec<u32> =
-                    (0..logits.len() as u32).filter(|&i| logits[i as usize] > 0.0).collect();
                 let points = &scene.control_points;
                 let k = (scene.neighbours as usize).min(points.len());
-                let mut motion =
-                    Motion::new(&mut stream, points, network, k, scene.gaussians.len(), &dynamic)?;
+                let count = scene.gaussians.len();
+                let mut motion = Motion::new(&mut stream, points, network, k, count, 1)?;
+                motion.set_dynamic(&mut stream, &scene.gaussians.motion_logits)?;
                 let mut recorder = stream.record()?;
-                motion.refresh(&mut recorder, gaussians.positions.view())?;
+                motion.refresh(&mut recorder, gaussians.views().positions)?;
                 stream.submit(recorder)?;
                 Some(motion)
             }
@@ -106,7 +104,7 @@ impl Renderer {
             let mut recorder = self.stream.record()?;
             let mut views = self.gaussians.views();
             if let Some(motion) = &mut self.motion {
-                motion.forward(&mut recorder, &views, time)?;
+                motion.forward(&mut recorder, &views, &[time as f32])?;
                 views = motion.moved(views);
             }
             let Studio { render, scratch, pixels } = studio;

@@ -2,7 +2,7 @@
 
 use super::{Bound, Case, Harness};
 use crate::error::Result;
-use crate::ops::adam::{Adam, AdamArgs};
+use crate::ops::adam::{Adam, AdamArgs, gate};
 use crate::oracle::{Real, adam};
 use crate::types::AdamSettings;
 use rand::RngExt;
@@ -11,6 +11,7 @@ use rand::RngExt;
 pub const CASES: &[Case] = &[
     Case { id: "adam/steps", kernels: &["adam/step"], run: steps },
     Case { id: "adam/visible", kernels: &["adam/step"], run: visible },
+    Case { id: "adam/gate", kernels: &["adam/gate"], run: gated },
     Case { id: "adam/hard", kernels: &["adam/step"], run: hard },
 ];
 
@@ -133,4 +134,22 @@ fn hard(h: &mut Harness) -> Result<()> {
     let gradients = vec![values.clone(), vec![0.5; values.len()]];
     let bound = Bound { absolute: 1e-6, relative: 1e-6 };
     compare(h, &vec![1.0; values.len()], &gradients, None, 1e-2, bound)
+}
+
+fn gated(h: &mut Harness) -> Result<()> {
+    for n in [1usize, 63, 64, 65, 1000] {
+        let trainable: Vec<u32> = (0..n).map(|_| h.rng.random_range(0..2)).collect();
+        let trainable_buffer = h.device.upload("trainable", &trainable)?;
+        for fits in [0u32, 1] {
+            let fits_buffer = h.device.upload("fits", &[fits])?;
+            let mut out = h.output::<u32>("gate", n)?;
+            let mut recorder = h.stream.record()?;
+            gate(&mut recorder, fits_buffer.view(), trainable_buffer.view(), out.view_mut())?;
+            h.stream.submit(recorder)?;
+            let truth: Vec<u32> = trainable.iter().map(|t| t & fits).collect();
+            let device = h.read(&out)?;
+            h.exact(&format!("{n} rows, fits {fits}"), &device, &truth);
+        }
+    }
+    Ok(())
 }

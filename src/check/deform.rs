@@ -16,6 +16,7 @@ pub const CASES: &[Case] = &[
     Case { id: "deform/degenerate", kernels: SKIN, run: degenerate },
     Case { id: "deform/far", kernels: SKIN, run: far },
     Case { id: "deform/still", kernels: SKIN, run: still },
+    Case { id: "deform/repeat", kernels: SKIN, run: repeat },
 ];
 
 const LISTS: &[&str] = &["deform/nearest", "deform/keys", "deform/starts"];
@@ -151,7 +152,8 @@ impl Scene {
         (deform::forward(&skin), gradients)
     }
 
-    fn run(&self, h: &mut Harness, values: Bound, slopes: Bound) -> Result<()> {
+    /// What the device makes of it, in the order of [`run`](Self::run)'s comparisons.
+    fn device(&self, h: &mut Harness) -> Result<[Vec<f32>; 8]> {
         let (count, nodes) = (self.positions.len(), self.nodes.len());
         let device = h.device.clone();
         let positions = device.upload("positions", self.positions.as_flattened())?;
@@ -223,39 +225,47 @@ impl Scene {
             },
         )?;
         h.stream.submit(recorder)?;
+        Ok([
+            h.read(&moved)?,
+            h.read(&turned)?.concat(),
+            h.read(&rigidity)?,
+            h.read(&gradients)?,
+            h.read(&rotation_gradients)?.concat(),
+            h.read(&motion_gradients)?,
+            h.read(&transform_gradients)?.concat(),
+            h.read(&radius_gradients)?,
+        ])
+    }
 
+    fn run(&self, h: &mut Harness, values: Bound, slopes: Bound) -> Result<()> {
+        let nodes = self.nodes.len();
+        let [moved, turned, rigidity, by_position, by_rotation, by_logit, by_transform, by_radius] =
+            self.device(h)?;
         let (truth, by_truth) = self.oracle::<f64>();
         let (twin, by_twin) = self.oracle::<f32>();
-        let device = h.read(&moved)?;
         let (t, w) = (truth.positions.as_flattened(), twin.positions.as_flattened());
-        h.close("moved positions", &device, t, Some(w), values);
-        h.holds("static centres stay", self.statics_are(&device, &self.positions));
-        let device = h.read(&turned)?.concat();
-        h.holds("static rotations stay", self.statics_are(&device, &self.rotations));
+        h.close("moved positions", &moved, t, Some(w), values);
+        h.holds("static centres stay", self.statics_are(&moved, &self.positions));
         let (t, w) = (truth.rotations.as_flattened(), twin.rotations.as_flattened());
-        h.close("moved rotations", &device, t, Some(w), values);
-        let device = h.read(&rigidity)?;
-        h.close("rigidity", &device, &truth.rigidity, Some(&twin.rigidity), values);
-        h.holds("hard motion is not rigid", self.soft || device.iter().all(|&r| r == 0.0));
+        h.close("moved rotations", &turned, t, Some(w), values);
+        h.holds("static rotations stay", self.statics_are(&turned, &self.rotations));
+        h.close("rigidity", &rigidity, &truth.rigidity, Some(&twin.rigidity), values);
+        h.holds("hard motion is not rigid", self.soft || rigidity.iter().all(|&r| r == 0.0));
 
-        let device = h.read(&gradients)?;
         let (t, w) = (by_truth.positions.as_flattened(), by_twin.positions.as_flattened());
-        h.close("gradient by position", &device, t, Some(w), slopes);
-        h.holds("static gradients pass", self.statics_are(&device, &self.by_position));
-        let device = h.read(&rotation_gradients)?.concat();
+        h.close("gradient by position", &by_position, t, Some(w), slopes);
+        h.holds("static gradients pass", self.statics_are(&by_position, &self.by_position));
         let (t, w) = (by_truth.rotations.as_flattened(), by_twin.rotations.as_flattened());
-        h.close("gradient by rotation", &device, t, Some(w), slopes);
-        let device = h.read(&motion_gradients)?;
+        h.close("gradient by rotation", &by_rotation, t, Some(w), slopes);
         let (t, w) = (&by_truth.motion_logits, &by_twin.motion_logits);
-        h.close("gradient by motion logit", &device, t, Some(w), slopes);
-        let device = h.read(&transform_gradients)?.concat();
-        let untouched = device[..8 * nodes].iter().all(|v| v.to_bits() == u32::MAX);
+        h.close("gradient by motion logit", &by_logit, t, Some(w), slopes);
+        let (other, own) = by_transform.split_at(8 * nodes);
+        let untouched = other.iter().all(|v| v.to_bits() == u32::MAX);
         h.holds("the other time's gradient is untouched", untouched);
         let (t, w) = (by_truth.transforms.as_flattened(), by_twin.transforms.as_flattened());
-        h.close("gradient by transform", &device[8 * nodes..], t, Some(w), slopes);
-        let device = h.read(&radius_gradients)?;
+        h.close("gradient by transform", own, t, Some(w), slopes);
         let (t, w) = (&by_truth.log_radii, &by_twin.log_radii);
-        h.close("gradient by log-radius", &device, t, Some(w), slopes);
+        h.close("gradient by log-radius", &by_radius, t, Some(w), slopes);
         Ok(())
     }
 
@@ -331,4 +341,16 @@ fn still(h: &mut Harness) -> Result<()> {
     let mut scene = Scene::new(h, 100, 20, 4, false);
     scene.transforms.fill([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]);
     scene.run(h, Bound { absolute: 0.0, relative: 0.0 }, SLOPES)
+}
+
+/// The same input twice gives the same bits, sums over thousands of Gaussians included.
+fn repeat(h: &mut Harness) -> Result<()> {
+    let scene = Scene::new(h, 20_000, 7, 4, true);
+    let bits = |outputs: [Vec<f32>; 8]| outputs.map(|o| o.into_iter().map(f32::to_bits).collect());
+    let first: [Vec<u32>; 8] = bits(scene.device(h)?);
+    let second = bits(scene.device(h)?);
+    for (first, second) in first.iter().zip(&second) {
+        h.exact("bits of two runs", first, second);
+    }
+    Ok(())
 }

@@ -8,11 +8,20 @@
 //! and let `tests/FAMILY.rs` call `common::run("FAMILY")`.
 
 pub mod adam;
+pub mod arap;
+pub mod bin;
 pub mod deform;
+pub mod density;
+pub mod flow;
 mod harness;
 pub mod indirect;
+pub mod loss;
 pub mod mlp;
+pub mod project;
+pub mod raster;
+pub mod render;
 pub mod scan;
+mod scene;
 pub mod sort;
 
 pub use harness::{Bound, Finding, Guarded, Harness};
@@ -31,11 +40,18 @@ pub struct Case {
 
 /// Every family's cases.
 pub const ALL: &[&[Case]] = &[
-    // One line each, so that branches merge.
     adam::CASES,
+    arap::CASES,
+    bin::CASES,
     deform::CASES,
+    density::CASES,
+    flow::CASES,
     indirect::CASES,
+    loss::CASES,
     mlp::CASES,
+    project::CASES,
+    raster::CASES,
+    render::CASES,
     scan::CASES,
     sort::CASES,
 ];

@@ -2,7 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Device, Groups, Recorder, View, ViewMut};
-use crate::kernels::adam::{Step, StepArgs, StepParams};
+use crate::kernels::adam::{Gate, GateArgs, GateParams, Step, StepArgs, StepParams};
 use crate::types::AdamSettings;
 
 /// One group of parameters with its moments, all of one length.
@@ -88,4 +88,26 @@ impl Adam {
             },
         )
     }
+}
+
+/// Records which rows a step may change: those that train, and none where `fits` holds 0.
+///
+/// # Errors
+/// [`Error::Shape`] where the lengths disagree.
+pub fn gate(
+    recorder: &mut Recorder,
+    fits: View<'_, u32>,
+    trainable: View<'_, u32>,
+    gate: ViewMut<'_, u32>,
+) -> Result<()> {
+    let count = trainable.len();
+    if gate.len() != count {
+        let (expected, actual) = (count.to_string(), gate.len());
+        return Err(Error::Shape { op: "adam", arg: "gate", expected, actual });
+    }
+    recorder.dispatch::<Gate>(
+        Groups::linear(count, 64, recorder.device().limits())?,
+        GateParams { count: count as u32 },
+        GateArgs { fits, trainable, gate },
+    )
 }

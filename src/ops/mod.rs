@@ -4,7 +4,10 @@
 //! dispatches, `record` records them. No op allocates, submits or waits in `record`.
 
 pub mod adam;
+pub mod arap;
 pub mod deform;
+pub mod density;
+pub mod flow;
 pub mod gaussians;
 pub mod loss;
 pub mod mlp;

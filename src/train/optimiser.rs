@@ -1,9 +1,8 @@
 //! Adam over the Gaussians' parameter groups.
 
 use super::settings::TrainSettings;
-use crate::gpu::{Buffer, Device, Groups, Recorder, Stream, View, ViewMut};
-use crate::kernels::adam::{Gate, GateArgs, GateParams};
-use crate::ops::adam::{Adam, AdamArgs};
+use crate::gpu::{Buffer, Device, Recorder, Stream, View, ViewMut};
+use crate::ops::adam::{Adam, AdamArgs, gate};
 use crate::ops::gaussians::{GaussianBuffers, SH_BAND};
 use crate::types::AdamSettings;
 use crate::{Error, Result};
@@ -73,11 +72,7 @@ impl GaussianOptimiser {
             let expected = format!("at most {}", self.gate.len());
             return Err(Error::Shape { op: "optimiser", arg: "gaussians", expected, actual: n });
         }
-        recorder.dispatch::<Gate>(
-            Groups::linear(n, 64, recorder.device().limits())?,
-            GateParams { count: n as u32 },
-            GateArgs { fits, trainable: self.trainable.view(), gate: self.gate.view_mut() },
-        )?;
+        gate(recorder, fits, self.trainable.range(0..n), self.gate.range_mut(0..n))?;
         let rates = settings.rates;
         let GaussianOptimiser { adam, first, second, gate, .. } = self;
         let mut group = |row: usize,

@@ -19,6 +19,8 @@ pub const MAY_SEE: &[(&str, &[&str])] = &[
     ("scene", &["error", "types", "io"]),
     ("data", &["error", "types", "io"]),
     ("eval", &["error", "types", "io", "geometry"]),
+    // A scene's frames by the ops, for training and for users.
+    ("renderer", &["error", "types", "gpu", "ops", "scene"]),
     ("report", &["error", "types", "io"]),
     ("check", &["error", "types", "gpu", "kernels", "oracle", "ops", "report"]),
     ("observe", &["error", "types", "io", "gpu", "ops", "geometry", "data"]),
@@ -27,7 +29,7 @@ pub const MAY_SEE: &[(&str, &[&str])] = &[
         "train",
         &[
             "error", "types", "io", "gpu", "ops", "geometry", "data", "observe", "track", "scene",
-            "eval",
+            "eval", "renderer",
         ],
     ),
     // The command line names the crate as any other user does.

@@ -12,7 +12,7 @@ use crate::types::{Camera, Image};
 /// Rays of a pixel, along each axis. Fine detail is a few pixels wide at the nominal size.
 const SAMPLES: usize = 3;
 /// Rays that measure how open the surroundings of a vertex are.
-const OPENNESS_RAYS: usize = 48;
+const OPENNESS_RAYS: usize = 32;
 /// Surroundings farther than this do not darken a vertex.
 const OPENNESS_REACH: f64 = 0.9;
 
@@ -281,7 +281,7 @@ fn openness(position: DVec3, normal: DVec3, bvh: &Bvh) -> f64 {
         let (sin, cos) = angle.sin_cos();
         let up = normal * (1.0 - radius * radius).sqrt();
         let direction = (a * cos + b * sin) * radius + up;
-        bvh.nearest(origin, direction, None).is_none_or(|hit| hit.t > OPENNESS_REACH)
+        !bvh.blocked(origin, direction, OPENNESS_REACH)
     });
     clear.count() as f64 / OPENNESS_RAYS as f64
 }
