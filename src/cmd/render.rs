@@ -190,3 +190,30 @@ fn at_times(cameras: &[TimedCamera], times: &[f64]) -> Vec<TimedCamera> {
     }
     times.iter().flat_map(|time| cameras.iter().map(|shot| at(shot, *time))).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use splat4d::types::{Intrinsics, Pose};
+
+    #[test]
+    fn times_replace_those_of_the_path() {
+        let camera = |i: u32| TimedCamera {
+            time: 0.9,
+            camera: splat4d::types::Camera {
+                intrinsics: Intrinsics::centred(10.0 + f64::from(i), 8, 8),
+                view_from_world: Pose::IDENTITY,
+            },
+        };
+        let path = [camera(0), camera(1)];
+        let found = |times: &[f64], path: &[TimedCamera]| -> Vec<(u32, f64)> {
+            let shots = at_times(path, times);
+            shots.iter().map(|s| (s.camera.intrinsics.fx as u32 - 10, s.time)).collect()
+        };
+        assert_eq!(found(&[0.0, 1.0], &path), [(0, 0.0), (1, 1.0)]);
+        assert_eq!(found(&[0.5], &path), [(0, 0.5), (1, 0.5)]);
+        assert_eq!(found(&[0.0, 0.5, 1.0], &path[1..]), [(1, 0.0), (1, 0.5), (1, 1.0)]);
+        let each = [(0, 0.0), (1, 0.0), (0, 0.5), (1, 0.5), (0, 1.0), (1, 1.0)];
+        assert_eq!(found(&[0.0, 0.5, 1.0], &path), each);
+    }
+}

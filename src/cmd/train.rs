@@ -86,6 +86,10 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     let mut set = Dataset::open(&args.dataset)?;
     notes(&set.notes);
     set.background = args.background.unwrap_or(set.background);
+    if set.frames.len() < 2 {
+        let what = "holds one picture only; a scene needs two at least, from different places";
+        return Err(Error::format(&args.dataset, what));
+    }
     let (train, test) = set.split(args.eval_every);
     if train.is_empty() {
         let what = "every picture is held out; train on some with a larger --eval-every";
@@ -176,16 +180,7 @@ fn optimise(
     seeded: &Gaussians,
     settings: TrainSettings,
 ) -> Result<Gaussians> {
-    let views: Vec<TrainingView> = views
-        .iter()
-        .map(|view| TrainingView {
-            camera: view.camera,
-            time: view.time,
-            image: view.image.clone(),
-            weights: view.valid.clone(),
-            disparity: None,
-        })
-        .collect();
+    let views: Vec<TrainingView> = views.iter().cloned().map(Into::into).collect();
     let mut trainer = Trainer::new(device, &views, seeded, settings)?;
     let mut meter = Meter::new("training", "steps", trainer.progress().steps.into(), 0);
     loop {

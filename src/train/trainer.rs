@@ -3,6 +3,7 @@
 use super::optimiser::GaussianOptimiser;
 use super::photographs::{DeviceView, Studios};
 use super::settings::TrainSettings;
+use crate::data::View;
 use crate::gpu::{Device, Readback, Stream, Ticket};
 use crate::ops::gaussians::GaussianBuffers;
 use crate::ops::loss::{KnownDisparity, LossSettings, LossValue, Photograph};
@@ -27,6 +28,14 @@ pub struct TrainingView {
     pub weights: Option<Image>,
     /// Disparity (inverse depth) and its weight per pixel, two channels; `None` where unknown.
     pub disparity: Option<Image>,
+}
+
+/// A dataset's picture as training wants it; what undistortion left empty has no weight.
+impl From<View> for TrainingView {
+    fn from(view: View) -> TrainingView {
+        let View { camera, time, image, valid, .. } = view;
+        TrainingView { camera, time, image, weights: valid, disparity: None }
+    }
 }
 
 /// How far training is.
