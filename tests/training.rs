@@ -7,7 +7,7 @@ use splat4d::eval;
 use splat4d::gpu::Device;
 use splat4d::renderer::Renderer;
 use splat4d::scene::Scene;
-use splat4d::train::{TrainSettings, Trainer, TrainingView, seed_from_points};
+use splat4d::train::{GrowthSettings, TrainSettings, Trainer, TrainingView, seed_from_points};
 use splat4d::types::Gaussians;
 use std::time::Instant;
 
@@ -49,9 +49,15 @@ fn a_hundred_steps_twice_give_the_same_bits_and_a_better_image() {
     let views = views(&dataset, &[1, 9, 17], Resize::Longest(120));
     let before = mean_psnr(&device, seeds.clone(), &views);
     let run = || {
-        let settings =
-            TrainSettings { steps: 100, sh_interval: 50, sh_degree: 1, ..Default::default() };
-        let mut trainer = Trainer::new(&device, &views, &seeds, settings).unwrap();
+        let settings = TrainSettings {
+            steps: 100,
+            sh_interval: 50,
+            sh_degree: 1,
+            max_gaussians: 2500,
+            growth: Some(GrowthSettings { from: 20, every: 20, ..Default::default() }),
+            ..Default::default()
+        };
+        let mut trainer = Trainer::new(&device, &views, &seeds, None, settings).unwrap();
         for _ in 0..100 {
             trainer.step().unwrap();
         }
@@ -76,8 +82,13 @@ fn fox270_reaches_its_figure() {
     let training = views(&dataset, &train, Resize::Keep);
     let held_out = views(&dataset, &test, Resize::Keep);
     let seeds = seed_from_points(&dataset.points, 3);
-    let settings = TrainSettings { steps: 1000, max_gaussians: seeds.len(), ..Default::default() };
-    let mut trainer = Trainer::new(&device, &training, &seeds, settings).unwrap();
+    let settings = TrainSettings {
+        steps: 1000,
+        max_gaussians: seeds.len(),
+        growth: None,
+        ..Default::default()
+    };
+    let mut trainer = Trainer::new(&device, &training, &seeds, None, settings).unwrap();
     let started = Instant::now();
     for step in 0..1000 {
         trainer.step().unwrap();

@@ -12,7 +12,9 @@ use splat4d::data::{Dataset, Point, Resize, View};
 use splat4d::gpu::Device;
 use splat4d::renderer::Renderer;
 use splat4d::scene::{Scene, SceneCamera};
-use splat4d::train::{TrainSettings, Trainer, TrainingView, random_points, seed_from_points};
+use splat4d::train::{
+    GrowthSettings, TrainSettings, Trainer, TrainingView, random_points, seed_from_points,
+};
 use splat4d::types::{Camera, Gaussians};
 use splat4d::{Error, Result};
 
@@ -113,6 +115,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         max_gaussians: if args.max_gaussians == 0 { seeded.len() } else { args.max_gaussians },
         sh_degree: args.sh_degree,
         background: set.background,
+        growth: (args.max_gaussians > 0).then(GrowthSettings::default),
         seed: common.seed,
         ..TrainSettings::default()
     };
@@ -181,7 +184,7 @@ fn optimise(
     settings: TrainSettings,
 ) -> Result<Gaussians> {
     let views: Vec<TrainingView> = views.iter().cloned().map(Into::into).collect();
-    let mut trainer = Trainer::new(device, &views, seeded, settings)?;
+    let mut trainer = Trainer::new(device, &views, seeded, None, settings)?;
     let mut meter = Meter::new("training", "steps", trainer.progress().steps.into(), 0);
     loop {
         let now = trainer.progress();

@@ -37,6 +37,68 @@ impl Default for Rates {
     }
 }
 
+/// MCMC density control (3DGS-MCMC): a share of new Gaussians every so often, the dead move to the
+/// living, noise moves the faint ones, and two regularisers keep opacity and scale small.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GrowthSettings {
+    /// First step with a round.
+    pub from: u32,
+    /// Share of the steps after which rounds end.
+    pub until: f64,
+    /// Steps between rounds.
+    pub every: u32,
+    /// Number of Gaussians after a round over that before.
+    pub factor: f64,
+    /// Weight of the mean opacity in the loss.
+    pub opacity_weight: f64,
+    /// Weight of the mean scale in the loss.
+    pub scale_weight: f64,
+    /// Size of the noise, in units of the positions' learning rate.
+    pub noise: f64,
+}
+
+impl Default for GrowthSettings {
+    fn default() -> Self {
+        GrowthSettings {
+            from: 500,
+            until: 0.85,
+            every: 100,
+            factor: 1.05,
+            opacity_weight: 0.01,
+            scale_weight: 0.01,
+            noise: 5e5,
+        }
+    }
+}
+
+/// How motion is trained.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MotionSettings {
+    /// Learning rate of network and radii at the first step.
+    pub rate: f64,
+    /// At the last step.
+    pub rate_last: f64,
+    /// Weight of the as-rigid-as-possible energy.
+    pub arap_weight: f64,
+    /// Edges of a control point in that energy.
+    pub arap_edges: usize,
+    /// Steps between searches for the control points that Gaussians follow.
+    pub refresh: u32,
+}
+
+impl Default for MotionSettings {
+    /// SC-GS's learning rates.
+    fn default() -> Self {
+        MotionSettings {
+            rate: 8e-4,
+            rate_last: 1.6e-6,
+            arap_weight: 1e-2,
+            arap_edges: 10,
+            refresh: 100,
+        }
+    }
+}
+
 /// How a scene is trained.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrainSettings {
@@ -58,6 +120,10 @@ pub struct TrainSettings {
     pub background: [f32; 3],
     /// Constants of blending.
     pub render: RenderSettings,
+    /// Density control; `None` keeps the Gaussians that there are.
+    pub growth: Option<GrowthSettings>,
+    /// How motion is trained, where there is any.
+    pub motion: MotionSettings,
     /// Decides the order of the pictures and everything random.
     pub seed: u64,
 }
@@ -74,6 +140,8 @@ impl Default for TrainSettings {
             depth_scale: 0.0,
             background: [0.0; 3],
             render: RenderSettings::default(),
+            growth: Some(GrowthSettings::default()),
+            motion: MotionSettings::default(),
             seed: 0,
         }
     }

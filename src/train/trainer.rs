@@ -1,14 +1,17 @@
 //! The training step: deform, render, compare, differentiate, update.
 
+use super::growth::Growth;
+use super::motion::{MotionStart, MotionTrainer};
 use super::optimiser::GaussianOptimiser;
 use super::photographs::{DeviceView, Studios};
 use super::settings::TrainSettings;
 use crate::data::View;
-use crate::gpu::{Device, Readback, Stream, Ticket};
+use crate::gpu::{Buffer, Device, Readback, Stream, Ticket};
+use crate::ops::density;
 use crate::ops::gaussians::GaussianBuffers;
 use crate::ops::loss::{KnownDisparity, LossSettings, LossValue, Photograph};
 use crate::ops::render::FrameCounts;
-use crate::types::{Camera, Gaussians, Image};
+use crate::types::{Camera, ControlPoints, DeformNet, Gaussians, Image};
 use crate::{Error, Result};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
@@ -69,6 +72,10 @@ pub struct Trainer {
     gaussians: GaussianBuffers,
     gradients: GaussianBuffers,
     optimiser: GaussianOptimiser,
+    growth: Option<Growth>,
+    motion: Option<MotionTrainer>,
+    /// Of the Gaussians, where there is motion.
+    motion_logits: Option<Buffer<f32>>,
     extent: f64,
     step: u32,
     rng: ChaCha8Rng,
@@ -79,7 +86,9 @@ pub struct Trainer {
 }
 
 impl Trainer {
-    /// Puts pictures and Gaussians on the device.
+    /// Puts pictures and Gaussians on the device. With `motion`, Gaussians whose motion logit is
+    /// above 0 follow the control points, and these are trained along; without, everything is
+    /// static.
     ///
     /// # Errors
     /// [`Error::Input`] without views or Gaussians; [`Error::OutOfMemory`]; [`Error::Shape`] when a
@@ -88,6 +97,7 @@ impl Trainer {
         device: &Device,
         views: &[TrainingView],
         gaussians: &Gaussians,
+        motion: Option<&MotionStart>,
         settings: TrainSettings,
     ) -> Result<Trainer> {
         if views.is_empty() || gaussians.is_empty() {
@@ -100,6 +110,20 @@ impl Trainer {
         let degree = settings.sh_degree;
         let mut buffers = GaussianBuffers::new(device, capacity, degree)?;
         buffers.upload(&mut stream, gaussians)?;
+        let (mut motion_trainer, mut motion_logits) = (None, None);
+        if let Some(start) = motion {
+            let mut trainer = MotionTrainer::new(&mut stream, start, settings.motion, capacity)?;
+            let mut logits = gaussians.motion_logits.clone();
+            logits.resize(gaussians.len(), -1.0);
+            trainer.set_dynamic(&mut stream, &logits, &buffers)?;
+            let mut buffer = device.buffer("motion logits", capacity)?;
+            stream.upload(&mut buffer, &logits)?;
+            (motion_trainer, motion_logits) = (Some(trainer), Some(buffer));
+        }
+        let growth = match settings.growth {
+            Some(growth) => Some(Growth::new(device, growth, capacity, settings.seed)?),
+            None => None,
+        };
         let device_views =
             views.iter().map(|view| upload(device, view)).collect::<Result<Vec<_>>>()?;
         Ok(Trainer {
@@ -109,6 +133,9 @@ impl Trainer {
             gaussians: buffers,
             gradients: GaussianBuffers::new(device, capacity, degree)?,
             optimiser: GaussianOptimiser::new(&mut stream, capacity, degree)?,
+            growth,
+            motion: motion_trainer,
+            motion_logits,
             extent: extent(views.iter().map(|view| &view.camera)),
             step: 0,
             rng: ChaCha8Rng::seed_from_u64(settings.seed),
@@ -137,6 +164,51 @@ impl Trainer {
         let view = self.next_view();
         self.submit(view)?;
         self.step += 1;
+        let due = self.growth.as_ref().is_some_and(|g| g.due(self.step, self.settings.steps));
+        if due {
+            self.grow()?;
+        } else if self.step.is_multiple_of(self.settings.motion.refresh.max(1))
+            && let Some(motion) = &mut self.motion
+        {
+            let mut recorder = self.stream.record()?;
+            motion.motion.refresh(&mut recorder, self.gaussians.views().positions)?;
+            self.stream.submit(recorder)?;
+        }
+        Ok(())
+    }
+
+    /// Lets only some Gaussians train; the others stay bit for bit as they are. Growth must be off.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for another number of flags than Gaussians, or a failed upload.
+    pub fn set_trainable(&mut self, trainable: &[bool]) -> Result<()> {
+        if trainable.len() != self.gaussians.len || self.growth.is_some() {
+            return Err(Error::Shape {
+                op: "training",
+                arg: "trainable",
+                expected: format!("{}, and no growth", self.gaussians.len),
+                actual: trainable.len(),
+            });
+        }
+        let words: Vec<u32> = trainable.iter().map(|&flag| u32::from(flag)).collect();
+        self.stream.upload(&mut self.optimiser.trainable, &words)
+    }
+
+    /// A round of density control.
+    fn grow(&mut self) -> Result<()> {
+        let Some(growth) = &mut self.growth else { return Ok(()) };
+        growth.round(
+            &mut self.stream,
+            self.step,
+            &mut self.gaussians,
+            self.motion_logits.as_mut(),
+            &mut self.optimiser,
+        )?;
+        if let (Some(motion), Some(logits)) = (&mut self.motion, &self.motion_logits) {
+            let mut logits = self.stream.download(logits)?;
+            logits.truncate(self.gaussians.len);
+            motion.set_dynamic(&mut self.stream, &logits, &self.gaussians)?;
+        }
         Ok(())
     }
 
@@ -176,7 +248,21 @@ impl Trainer {
     /// As for [`step`](Self::step).
     pub fn gaussians(&mut self) -> Result<Gaussians> {
         self.finish()?;
-        self.gaussians.download(&mut self.stream)
+        let mut gaussians = self.gaussians.download(&mut self.stream)?;
+        if let Some(logits) = &self.motion_logits {
+            gaussians.motion_logits = self.stream.download(logits)?;
+            gaussians.motion_logits.truncate(gaussians.len());
+        }
+        Ok(gaussians)
+    }
+
+    /// Waits and reads control points and network, where there is motion.
+    ///
+    /// # Errors
+    /// As for [`step`](Self::step).
+    pub fn motion(&mut self) -> Result<Option<(ControlPoints, DeformNet)>> {
+        self.finish()?;
+        self.motion.as_ref().map(|motion| motion.download(&mut self.stream)).transpose()
     }
 
     fn next_view(&mut self) -> usize {
@@ -202,7 +288,14 @@ impl Trainer {
             None => self.device.readback(2)?,
         };
         let mut recorder = self.stream.record()?;
-        let scene = self.gaussians.views().at_degree(degree);
+        let canonical = self.gaussians.views().at_degree(degree);
+        let scene = match &mut self.motion {
+            Some(motion) => {
+                motion.forward(&mut recorder, &canonical, view.time, &mut self.rng)?;
+                motion.motion.moved(canonical)
+            }
+            None => canonical,
+        };
         studio.render.forward(
             &mut recorder,
             &view.camera,
@@ -229,6 +322,28 @@ impl Trainer {
             &mut self.gradients,
             false,
         )?;
+        if let Some(motion) = &mut self.motion {
+            motion.backward(
+                &mut recorder,
+                &canonical,
+                &mut self.gradients,
+                self.step,
+                self.settings.steps,
+                studio.scratch.fits(),
+            )?;
+        }
+        if let Some(growth) = &self.growth {
+            let n = canonical.len;
+            density::regularise(
+                &mut recorder,
+                canonical.opacity_logits,
+                canonical.log_scales,
+                self.gradients.opacity_logits.range_mut(0..n),
+                self.gradients.log_scales.range_mut(0..3 * n),
+                growth.settings().opacity_weight,
+                growth.settings().scale_weight,
+            )?;
+        }
         self.optimiser.record(
             &mut recorder,
             &self.settings,
@@ -239,6 +354,20 @@ impl Trainer {
             &mut self.gaussians,
             &self.gradients,
         )?;
+        if let Some(growth) = &self.growth {
+            let n = self.gaussians.len;
+            let size = self.settings.position_rate_at(self.step) * self.extent;
+            density::jitter(
+                &mut recorder,
+                self.gaussians.positions.range_mut(0..3 * n),
+                self.gaussians.log_scales.range(0..3 * n),
+                self.gaussians.rotations.range(0..n),
+                self.gaussians.opacity_logits.range(0..n),
+                (size * growth.settings().noise) as f32,
+                self.settings.seed as u32,
+                self.step,
+            )?;
+        }
         recorder.read_back(studio.scratch.device_counts(), &counts);
         let ticket = self.stream.submit(recorder)?;
         self.pending.push_back(Pending { ticket, view: index, counts });
