@@ -1,5 +1,64 @@
 //! splat4d: a Vulkan compute engine that turns one ordinary video of a moving scene, camera poses
 //! unknown, into a 4D Gaussian-splat scene that renders in real time.
+//!
+//! # The way of the data
+//!
+//! ```text
+//! video ─> observe ─> track ─> seed ─> train ─> scene ─> render · evaluate
+//!          │          │        │       └ stage 1: control points; stage 2: Gaussians
+//!          │          │        └ static and dynamic Gaussians, control points
+//!          │          └ motion-aware bundle adjustment: intrinsics, poses, depth, motion masks
+//!          └ per frame: optical flow, depth, motion
+//! ```
+//!
+//! A dataset whose cameras are known ([`data::Dataset`]) enters at *seed*.
+//!
+//! # The parts
+//!
+//! A part may name what is listed with it under *sees*, and nothing else; `tests/interface.rs` reads
+//! the source and fails on a breach.
+//!
+//! | part | what it is | sees |
+//! |---|---|---|
+//! | [`error`] | the one error: what was wrong, where, what to do | |
+//! | [`types`] | plain data: cameras, Gaussians, control points, images | |
+//! | [`io`] | whole-file reads, writes by rename, the PLY container | |
+//! | [`vk`] | the only place with `unsafe`, and the only one that names `ash` | |
+//! | [`gpu`] | the safe layer: devices, typed buffers, the recorder, the stream | vk |
+//! | [`kernels`] | the declaration of every shader | types, gpu |
+//! | [`oracle`] | the CPU twin of every kernel, generic over f32 and f64; no Vulkan | types |
+//! | [`ops`] | algorithms of many dispatches: scan, sort, render, loss, deformation, Adam | types, gpu, kernels |
+//! | [`geometry`] | SE(3), Sim(3), two-view geometry, PnP, bundle adjustment, in f64 | types |
+//! | [`scene`] | the 4D scene and its files | types, io |
+//! | [`data`] | readers of videos and datasets; synthetic clips with exact truth | types, io |
+//! | [`eval`] | PSNR, SSIM, MS-SSIM, ATE, RPE | types, io, geometry |
+//! | [`train`] | seeding, the training step, schedules | all of the above but vk, kernels, oracle |
+//! | [`renderer`] | a scene on a device, rendered from any camera at any time | gpu, ops, scene |
+//! | [`check`] | cases: every kernel against its oracle | gpu, kernels, oracle, ops |
+//!
+//! The command line (`src/main.rs`, `src/cmd/`) uses the crate as any other user does.
+//!
+//! # Conventions
+//!
+//! Those of [`types`]. The working precision of the device is f32; the oracle in f64 is the truth.
+//! Nothing adds floats atomically, so that the same input, device and driver give the same bits.
+//!
+//! # Example
+//!
+//! Rendering a scene from its first camera:
+//!
+//! ```no_run
+//! use splat4d::{data::write_png, gpu::Device, renderer::Renderer, scene::Scene};
+//!
+//! fn main() -> splat4d::Result<()> {
+//!     let scene = Scene::open("scene.safetensors", false)?.scene;
+//!     let device = Device::open(&Default::default())?;
+//!     let mut renderer = Renderer::new(&device, &scene)?;
+//!     let first = &scene.cameras[0];
+//!     let rendered = renderer.render(&first.camera, first.time)?;
+//!     write_png("first.png", &rendered.over(scene.background))
+//! }
+//! ```
 #![deny(unsafe_code)]
 
 pub mod check;
@@ -19,3 +78,8 @@ pub mod types;
 pub mod vk;
 
 pub use error::{Error, Result};
+
+/// The README's example compiles.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -1,2 +1,7 @@
 //! The `splat4d` command line.
-fn main() {}
+
+mod cmd;
+
+fn main() -> std::process::ExitCode {
+    cmd::main()
+}

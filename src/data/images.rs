@@ -73,6 +73,15 @@ pub fn dimensions(path: &Path, orientation: Orientation) -> Result<(u32, u32)> {
     Ok(if turned { (height, width) } else { (width, height) })
 }
 
+/// Whether an image file has an alpha channel, from its header.
+pub fn has_alpha(path: &Path) -> Result<bool> {
+    let file = std::fs::File::open(path).map_err(Error::io(path))?;
+    let reader = ImageReader::new(std::io::BufReader::new(file));
+    let reader = reader.with_guessed_format().map_err(Error::io(path))?;
+    let decoder = reader.into_decoder().map_err(|e| undecodable(path, &e))?;
+    Ok(decoder.color_type().has_alpha())
+}
+
 /// Whether the EXIF orientation swaps width and height.
 fn turns(decoder: &mut impl ImageDecoder) -> bool {
     use image::metadata::Orientation::*;

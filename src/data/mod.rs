@@ -107,7 +107,8 @@ pub struct Dataset {
     pub test: Option<Vec<usize>>,
     /// Whether the set gave times; if not, they run from 0 to 1 in the order of the frames.
     pub timed: bool,
-    /// What lies behind pictures with an alpha channel: white, as D-NeRF and NeRF-synthetic do.
+    /// What lies behind everything: white where the pictures have an alpha channel, as D-NeRF and
+    /// NeRF-synthetic have it, else black.
     pub background: [f32; 3],
     /// Lines to show: what was skipped or assumed.
     pub notes: Vec<String>,
@@ -147,7 +148,11 @@ impl Dataset {
                  `splat4d reconstruct`",
             ));
         };
-        set.background = [1.0; 3];
+        if let Some(first) = set.frames.first()
+            && images::has_alpha(&first.path)?
+        {
+            set.background = [1.0; 3];
+        }
         if !set.timed {
             let last = set.frames.len().saturating_sub(1).max(1) as f64;
             for (i, frame) in set.frames.iter_mut().enumerate() {

@@ -7,6 +7,7 @@
 //! | [`focal`] | which focal length a set of fundamental matrices speaks for, and how loudly |
 //! | [`triangulate`] | where a point lies that known cameras saw |
 //! | [`p3p`], [`pnp`], [`sampling`] | where a camera lies that saw known points |
+//! | [`mod@look_at`] | where cameras look, and cameras that look somewhere |
 //! | [`bundle`] | all poses, one focal length and all inverse depths at once |
 //!
 //! Perturbations are left-multiplied, `exp(ξ) · pose`, with ξ = (translation, rotation). Everything
@@ -17,6 +18,7 @@ pub mod epipolar;
 pub mod five_point;
 pub mod focal;
 pub mod homography;
+pub mod look_at;
 pub mod p3p;
 pub mod pnp;
 pub mod polynomial;
@@ -29,6 +31,7 @@ pub mod triangulate;
 pub mod two_view;
 
 pub use bundle::{DepthPrior, FocalMode, Kernel, Observation, Point};
+pub use look_at::{look_at, look_at_point};
 pub use pnp::{PnpOptions, PnpResult, pnp_ransac};
 pub use sim3::Sim3;
 pub use two_view::{Motion, TwoView, TwoViewOptions};

@@ -3,6 +3,7 @@
 //! | module | what it does |
 //! |---|---|
 //! | [`seed`] | the first Gaussians, from points |
+//! | [`region`] | points where there are none |
 //! | [`sampling`] | farthest-point sampling, for control points |
 //! | [`settings`] | every number that training depends on |
 //! | [`photographs`] | the pictures on the device, and the renderer for each of their sizes |
@@ -15,12 +16,14 @@ pub mod growth;
 pub mod motion;
 pub mod optimiser;
 pub mod photographs;
+pub mod region;
 pub mod sampling;
 pub mod seed;
 pub mod settings;
 pub mod trainer;
 
 pub use motion::MotionStart;
+pub use region::random_points;
 pub use seed::seed_from_points;
 pub use settings::{GrowthSettings, MotionSettings, Rates, TrainSettings};
 pub use trainer::{Progress, Trainer, TrainingView};

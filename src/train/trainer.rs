@@ -5,6 +5,7 @@ use super::motion::{MotionStart, MotionTrainer};
 use super::optimiser::GaussianOptimiser;
 use super::photographs::{DeviceView, Studios};
 use super::settings::TrainSettings;
+use crate::data::View;
 use crate::gpu::{Buffer, Device, Readback, Stream, Ticket};
 use crate::ops::density;
 use crate::ops::gaussians::GaussianBuffers;
@@ -30,6 +31,14 @@ pub struct TrainingView {
     pub weights: Option<Image>,
     /// Disparity (inverse depth) and its weight per pixel, two channels; `None` where unknown.
     pub disparity: Option<Image>,
+}
+
+/// A dataset's picture as training wants it; what undistortion left empty has no weight.
+impl From<View> for TrainingView {
+    fn from(view: View) -> TrainingView {
+        let View { camera, time, image, valid, .. } = view;
+        TrainingView { camera, time, image, weights: valid, disparity: None }
+    }
 }
 
 /// How far training is.

@@ -1,0 +1,235 @@
+//! `splat4d eval`: a scene against pictures, a scene against a synthetic clip's truth, a trajectory
+//! against another.
+
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use serde_json::{Map, Value, json};
+use splat4d::data::trajectory::{self, TimedPose};
+use splat4d::data::{Dataset, Resize};
+use splat4d::eval::{Align, TrajectoryErrors, compare_trajectories, match_by_time};
+use splat4d::renderer::Renderer;
+use splat4d::scene::{Opened, Scene};
+use splat4d::types::Pose;
+use splat4d::{Error, Result};
+
+use super::common::{Answer, Common, notes, say, thousands};
+use super::eval_truth;
+use super::interrupt;
+use super::meter::Meter;
+use super::quality::{self, Quality};
+
+const AFTER_HELP: &str = "\
+REFERENCE decides what is measured:
+  a dataset (as for `train`)     the scene, rendered from the dataset's cameras, against its
+                                 pictures: those of its test split, or of --eval-every, or all
+  the truth folder of a clip     (from `synth`) the scene's cameras against the true ones, its depth
+                                 and motion masks, and pictures of two held-out cameras, after
+                                 aligning by a similarity (rotation, translation, scale)
+  a TUM trajectory               a trajectory against it, after --align; poses pair by timestamp
+
+Examples:
+  splat4d eval fox.safetensors captures/fox --eval-every 8
+  splat4d eval scene.safetensors clip/truth --json
+  splat4d eval estimate.txt groundtruth.txt
+
+JSON: psnr, ssim, ms_ssim, lpips (always null: no network weights come along), per_frame [{name,
+psnr, ssim, ms_ssim}], ate_rmse, ate_relative (to the length of the camera's path),
+rpe_trans_rmse, rpe_rot_deg_rmse, scale, poses, focal_error (relative), depth_rel_median, mask_iou.
+What does not apply is null; so is an infinite PSNR.";
+
+/// Every key of the JSON, so that each is always there.
+const KEYS: [&str; 14] = [
+    "psnr",
+    "ssim",
+    "ms_ssim",
+    "lpips",
+    "per_frame",
+    "ate_rmse",
+    "ate_relative",
+    "rpe_trans_rmse",
+    "rpe_rot_deg_rmse",
+    "scale",
+    "poses",
+    "focal_error",
+    "depth_rel_median",
+    "mask_iou",
+];
+
+/// Measure a scene against pictures or truth, or a trajectory against another
+#[derive(Args)]
+#[command(after_help = AFTER_HELP)]
+pub struct EvalArgs {
+    /// A scene's file, a 3DGS PLY, or a trajectory (TUM)
+    #[arg(value_name = "SCENE|TRAJECTORY")]
+    estimate: PathBuf,
+    /// A dataset, a clip's truth folder, or a trajectory (TUM)
+    reference: PathBuf,
+    /// Shrink the dataset's pictures so that their longer side has at most so many pixels
+    #[arg(long, value_name = "LONGEST", value_parser = clap::value_parser!(u32).range(1..))]
+    size: Option<u32>,
+    /// Measure every so-manieth picture of the dataset, as `train` holds them out; 0: all, or those
+    /// of its own test split
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    eval_every: usize,
+    /// What aligning a trajectory may change
+    #[arg(long, value_enum, default_value = "sim3")]
+    align: AlignBy,
+    /// Poses pair when their timestamps differ by at most so many seconds
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.02)]
+    max_difference: f64,
+    /// Leave out Gaussians that hold NaN or infinite values
+    #[arg(long)]
+    drop_bad: bool,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum AlignBy {
+    /// Nothing
+    None,
+    /// Rotation and translation
+    Se3,
+    /// Rotation, translation and scale
+    Sim3,
+}
+
+/// Runs the command.
+pub fn run(args: &EvalArgs, common: &Common) -> Result<Answer> {
+    let found = match truth_folder(&args.reference)? {
+        Some(truth) => {
+            let scene = open(args)?;
+            let device = common.open_device()?;
+            eval_truth::measure(&device, &scene, &truth)?
+        }
+        None if is_text(&args.reference)? => trajectories(args)?,
+        None => pictures(args, common)?,
+    };
+    let mut whole: Map<String, Value> = KEYS.iter().map(|k| (k.to_string(), Value::Null)).collect();
+    whole.extend(found);
+    let json = Value::Object(whole);
+    Ok(Answer { text: text(&json), json })
+}
+
+/// The folder that holds `poses.txt` and `held_out`: the reference itself, or the `truth` in it.
+fn truth_folder(reference: &Path) -> Result<Option<PathBuf>> {
+    std::fs::metadata(reference).map_err(Error::io(reference))?;
+    let candidates = [reference.to_path_buf(), reference.join("truth")];
+    let is_truth = |folder: &PathBuf| {
+        folder.join("poses.txt").is_file() && folder.join("held_out/transforms.json").is_file()
+    };
+    Ok(candidates.into_iter().find(is_truth))
+}
+
+/// Whether the reference is a file other than a `transforms.json`: a trajectory, then.
+fn is_text(reference: &Path) -> Result<bool> {
+    let found = std::fs::metadata(reference).map_err(Error::io(reference))?;
+    Ok(found.is_file() && reference.extension().is_none_or(|e| e != "json"))
+}
+
+fn open(args: &EvalArgs) -> Result<Scene> {
+    let Opened { scene, dropped } = Scene::open(&args.estimate, args.drop_bad)?;
+    if dropped > 0 {
+        say(&format!("note: left out {} Gaussians that are not finite", thousands(dropped)));
+    }
+    Ok(scene)
+}
+
+fn pictures(args: &EvalArgs, common: &Common) -> Result<Map<String, Value>> {
+    let scene = open(args)?;
+    let set = Dataset::open(&args.reference)?;
+    notes(&set.notes);
+    let (others, held) = set.split(args.eval_every);
+    let chosen = if held.is_empty() { others } else { held };
+    let size = args.size.map_or(Resize::Keep, Resize::Longest);
+    let device = common.open_device()?;
+    let mut renderer = Renderer::new(&device, &scene)?;
+    let mut meter = Meter::new("measuring", "pictures", chosen.len() as u64, 0);
+    let mut per_frame = Vec::with_capacity(chosen.len());
+    for index in chosen {
+        interrupt::check()?;
+        let view = set.frames[index].load(set.background, size)?;
+        let picture = renderer.render(&view.camera, view.time)?.over(set.background);
+        per_frame.push(Quality::of(&view.name, &picture, &view.image, view.valid.as_ref())?);
+        meter.advance();
+    }
+    Ok(picture_keys(&per_frame))
+}
+
+/// The keys that speak of pictures.
+pub fn picture_keys(per_frame: &[Quality]) -> Map<String, Value> {
+    let rows: Vec<Value> = per_frame.iter().map(Quality::json).collect();
+    Map::from_iter([
+        ("psnr".into(), json!(quality::mean(per_frame, |q| Some(q.psnr)))),
+        ("ssim".into(), json!(quality::mean(per_frame, |q| Some(q.ssim)))),
+        ("ms_ssim".into(), json!(quality::mean(per_frame, |q| q.ms_ssim))),
+        ("per_frame".into(), json!(rows)),
+    ])
+}
+
+fn trajectories(args: &EvalArgs) -> Result<Map<String, Value>> {
+    let estimate = trajectory::read(&args.estimate, None)?;
+    let reference = trajectory::read(&args.reference, None)?;
+    let times = |poses: &[TimedPose]| poses.iter().map(|p| p.time).collect::<Vec<f64>>();
+    let pairs = match_by_time(&times(&estimate), &times(&reference), args.max_difference);
+    if pairs.is_empty() {
+        return Err(Error::Input(format!(
+            "no timestamp of {} lies within {} s of one of {}; --max-difference widens that",
+            args.estimate.display(),
+            args.max_difference,
+            args.reference.display()
+        )));
+    }
+    let unpaired = estimate.len() - pairs.len();
+    if unpaired > 0 {
+        say(&format!("note: {unpaired} of {} poses have no counterpart", estimate.len()));
+    }
+    let poses = |of: &[TimedPose], which: fn(&(usize, usize)) -> usize| -> Vec<Pose> {
+        pairs.iter().map(|pair| of[which(pair)].world_from_view).collect()
+    };
+    let align = match args.align {
+        AlignBy::None => Align::None,
+        AlignBy::Se3 => Align::Se3,
+        AlignBy::Sim3 => Align::Sim3,
+    };
+    let errors =
+        compare_trajectories(&poses(&estimate, |p| p.0), &poses(&reference, |p| p.1), align)?;
+    Ok(trajectory_keys(&errors))
+}
+
+/// The keys that speak of trajectories. A camera that stands still has no path to relate errors to,
+/// and no motion to err in.
+pub fn trajectory_keys(errors: &TrajectoryErrors) -> Map<String, Value> {
+    let moving = |value: f64| (errors.path_length > 0.0).then_some(value);
+    Map::from_iter([
+        ("ate_rmse".into(), json!(errors.ate.rmse)),
+        ("ate_relative".into(), json!(moving(errors.ate_relative))),
+        ("rpe_trans_rmse".into(), json!(moving(errors.rpe_trans.rmse))),
+        ("rpe_rot_deg_rmse".into(), json!(moving(errors.rpe_rot_deg.rmse))),
+        ("scale".into(), json!(errors.reference_from_estimate.scale)),
+        ("poses".into(), json!(errors.poses)),
+    ])
+}
+
+fn text(found: &Value) -> String {
+    let mut text = String::new();
+    for key in KEYS {
+        match &found[key] {
+            Value::Number(whole) if whole.is_u64() => {
+                let _ = writeln!(text, "{key:18} {whole}");
+            }
+            Value::Number(value) => {
+                let _ = writeln!(text, "{key:18} {:.6}", value.as_f64().unwrap_or(f64::NAN));
+            }
+            _ => {}
+        }
+    }
+    for row in found["per_frame"].as_array().into_iter().flatten() {
+        let name = row["name"].as_str().unwrap_or_default();
+        // JSON has no infinity: equal pictures.
+        let psnr = row["psnr"].as_f64().unwrap_or(f64::INFINITY);
+        let ssim = row["ssim"].as_f64().unwrap_or(f64::NAN);
+        let _ = writeln!(text, "  {name:24} {psnr:7.3} dB  SSIM {ssim:.4}");
+    }
+    text
+}

@@ -1,0 +1,212 @@
+//! A scene against the truth of a synthetic clip.
+//!
+//! The scene's own cameras are aligned to the true ones by a similarity; through it the held-out
+//! cameras are carried into the scene's frame and rendered there, and the scene's depth becomes
+//! metres.
+
+use std::path::Path;
+
+use glam::DVec3;
+use serde_json::{Map, Value, json};
+use splat4d::data::transforms::{self, TimedCamera};
+use splat4d::data::{Dataset, Resize, exr, read_mask};
+use splat4d::eval::{Align, compare_trajectories, depth_relative_median, mask_iou, match_by_time};
+use splat4d::geometry::sim3::{Shape, Sim3, align_cameras};
+use splat4d::gpu::Device;
+use splat4d::renderer::Renderer;
+use splat4d::scene::{Scene, SceneCamera};
+use splat4d::types::{Camera, Image, Pose};
+use splat4d::{Error, Result};
+
+use super::eval::{picture_keys, trajectory_keys};
+use super::interrupt;
+use super::meter::Meter;
+use super::path;
+use super::quality::{Quality, motion_only};
+
+/// A camera of the scene and the true one of the same frame.
+struct Pair<'a> {
+    ours: &'a SceneCamera,
+    truth: TimedCamera,
+    /// The frame's number in the clip.
+    frame: usize,
+}
+
+/// Measures everything that the truth allows.
+pub fn measure(device: &Device, scene: &Scene, truth: &Path) -> Result<Map<String, Value>> {
+    let cameras = transforms::read_cameras(&truth.join("transforms.json"))?;
+    let pairs = pair(scene, &cameras)?;
+    let poses = |of: &dyn Fn(&Pair) -> Camera| -> Vec<Pose> {
+        pairs.iter().map(|pair| of(pair).view_from_world.inverse()).collect()
+    };
+    let (ours, theirs) = (poses(&|p| p.ours.camera), poses(&|p| p.truth.camera));
+    let mut found = trajectory_keys(&compare_trajectories(&ours, &theirs, Align::Sim3)?);
+
+    let looks = look(device, scene, &pairs, truth)?;
+    let alignment = align_cameras(&ours, &theirs, true)?;
+    let mut truth_from_scene = alignment.reference_from_estimate;
+    if alignment.shape == Shape::Point {
+        // A camera that stood still says nothing about the scale; what it saw does.
+        truth_from_scene = scaled_by_depth(truth_from_scene, &looks, &ours, &theirs);
+    }
+    let focal = |c: &Camera| c.intrinsics.fx / f64::from(c.intrinsics.width);
+    let relative = pairs.iter().map(|p| focal(&p.ours.camera) / focal(&p.truth.camera));
+    let focal_ratio = relative.sum::<f64>() / pairs.len() as f64;
+    let depth = depth_relative_median(&looks.depth, &looks.true_depth, truth_from_scene.scale)?;
+    found.extend([
+        ("focal_error".to_string(), json!((focal_ratio - 1.0).abs())),
+        ("depth_rel_median".to_string(), json!(depth)),
+        ("mask_iou".to_string(), json!(mask_iou(&looks.mask, &looks.true_mask)?)),
+        ("scale".to_string(), json!(truth_from_scene.scale)),
+    ]);
+
+    let held_out = truth.join("held_out/transforms.json");
+    let per_frame = novel_views(device, scene, &pairs, &held_out, &truth_from_scene.inverse())?;
+    found.extend(picture_keys(&per_frame));
+    Ok(found)
+}
+
+/// Pairs the scene's cameras with the clip's frames: by the numbers of the frames where the scene's
+/// report lists them, else one by one where there are as many, else by time.
+fn pair<'a>(scene: &'a Scene, truth: &[TimedCamera]) -> Result<Vec<Pair<'a>>> {
+    let ours = &scene.cameras;
+    let listed: Option<Vec<usize>> = scene.report["frames"].as_array().and_then(|names| {
+        names.iter().map(|name| name.as_str()?.parse().ok().filter(|i| *i < truth.len())).collect()
+    });
+    let indices: Vec<(usize, usize)> = match listed {
+        Some(frames) if frames.len() == ours.len() => frames.into_iter().enumerate().collect(),
+        _ if ours.len() == truth.len() => (0..ours.len()).map(|i| (i, i)).collect(),
+        _ => {
+            let half_a_frame = 0.5 / truth.len().saturating_sub(1).max(1) as f64;
+            let scene_times: Vec<f64> = ours.iter().map(|c| c.time).collect();
+            let true_times: Vec<f64> = truth.iter().map(|c| c.time).collect();
+            match_by_time(&scene_times, &true_times, half_a_frame)
+        }
+    };
+    if indices.is_empty() {
+        return Err(Error::Input(
+            "the scene knows no input cameras that could be held against the truth's poses".into(),
+        ));
+    }
+    Ok(indices
+        .into_iter()
+        .map(|(i, frame)| Pair { ours: &ours[i], truth: truth[frame], frame })
+        .collect())
+}
+
+/// What the scene shows from its own cameras and what is true there, all frames one below the other.
+struct Looks {
+    depth: Image,
+    true_depth: Image,
+    mask: Image,
+    true_mask: Image,
+}
+
+fn look(device: &Device, scene: &Scene, pairs: &[Pair], truth: &Path) -> Result<Looks> {
+    let mut renderer = Renderer::new(device, scene)?;
+    let moving = if scene.gaussians.is_dynamic() { Some(motion_only(scene)) } else { None };
+    let mut motion = moving.as_ref().map(|moving| Renderer::new(device, moving)).transpose()?;
+    let mut meter = Meter::new("depth and masks", "frames", pairs.len() as u64, 0);
+    let (mut depth, mut true_depth) = (Vec::new(), Vec::new());
+    let (mut mask, mut true_mask) = (Vec::new(), Vec::new());
+    for Pair { ours, truth: camera, frame } in pairs {
+        interrupt::check()?;
+        let k = &camera.camera.intrinsics;
+        let intrinsics = path::resized(&ours.camera.intrinsics, k.width, k.height);
+        let seen_by = Camera { intrinsics, ..ours.camera };
+        depth.push(renderer.render(&seen_by, ours.time)?.mean_depth());
+        true_depth.push(exr::read_depth(truth.join(format!("depth/{frame:04}.exr")))?);
+        mask.push(match &mut motion {
+            Some(motion) => first_channel(&motion.render(&seen_by, ours.time)?.rgba),
+            None => Image::new(k.width, k.height, 1),
+        });
+        true_mask.push(read_mask(truth.join(format!("masks/{frame:04}.png")))?);
+        meter.advance();
+    }
+    Ok(Looks {
+        depth: stack(&depth)?,
+        true_depth: stack(&true_depth)?,
+        mask: stack(&mask)?,
+        true_mask: stack(&true_mask)?,
+    })
+}
+
+fn first_channel(image: &Image) -> Image {
+    let pixels = image.pixels.iter().step_by(image.channels as usize).copied().collect();
+    Image { pixels, channels: 1, ..*image }
+}
+
+/// Images of one channel and one width, one below the other.
+fn stack(images: &[Image]) -> Result<Image> {
+    let width = images[0].width;
+    if let Some(odd) = images.iter().find(|i| (i.width, i.channels) != (width, 1)) {
+        return Err(Error::Input(format!(
+            "the truth's images differ in size: one is {} wide, another {width}",
+            odd.width
+        )));
+    }
+    let height = images.iter().map(|image| image.height).sum();
+    let pixels = images.iter().flat_map(|image| image.pixels.iter().copied()).collect();
+    Ok(Image { width, height, channels: 1, pixels })
+}
+
+/// The alignment with the scale that brings the scene's depths to the true ones, the median over all
+/// pixels; the middles of both camera paths stay on each other.
+fn scaled_by_depth(sim: Sim3, looks: &Looks, ours: &[Pose], theirs: &[Pose]) -> Sim3 {
+    let good = |d: f32| d.is_finite() && d > 0.0;
+    let pixels = looks.depth.pixels.iter().zip(&looks.true_depth.pixels);
+    let mut ratios: Vec<f64> = pixels
+        .filter(|(ours, truth)| good(**ours) && good(**truth))
+        .map(|(ours, truth)| f64::from(*truth) / f64::from(*ours))
+        .collect();
+    if ratios.is_empty() {
+        return sim;
+    }
+    let middle = ratios.len() / 2;
+    let scale = *ratios.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let mean =
+        |poses: &[Pose]| poses.iter().map(|p| p.translation).sum::<DVec3>() / poses.len() as f64;
+    let translation = mean(theirs) - scale * (sim.rotation * mean(ours));
+    Sim3 { scale, translation, ..sim }
+}
+
+fn novel_views(
+    device: &Device,
+    scene: &Scene,
+    pairs: &[Pair],
+    held_out: &Path,
+    scene_from_truth: &Sim3,
+) -> Result<Vec<Quality>> {
+    let set = Dataset::open(held_out)?;
+    let mut renderer = Renderer::new(device, scene)?;
+    let mut meter = Meter::new("novel views", "pictures", set.frames.len() as u64, 0);
+    let mut per_frame = Vec::with_capacity(set.frames.len());
+    for frame in &set.frames {
+        interrupt::check()?;
+        meter.advance();
+        // The scene may have been made of a part of the clip; it is not asked beyond that.
+        let Some(time) = scene_time(pairs, frame.time) else { continue };
+        let view = frame.load(set.background, Resize::Keep)?;
+        let world_from_view = scene_from_truth.apply_pose(&view.camera.view_from_world.inverse());
+        let camera = Camera { view_from_world: world_from_view.inverse(), ..view.camera };
+        let picture = renderer.render(&camera, time)?.over(scene.background);
+        per_frame.push(Quality::of(&view.name, &picture, &view.image, None)?);
+    }
+    Ok(per_frame)
+}
+
+/// The scene's time at a time of the clip, interpolated between the paired frames; `None` outside.
+fn scene_time(pairs: &[Pair], time: f64) -> Option<f64> {
+    const SLACK: f64 = 1e-6;
+    let mut known: Vec<(f64, f64)> = pairs.iter().map(|p| (p.truth.time, p.ours.time)).collect();
+    known.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (first, last) = (known.first()?, known.last()?);
+    if time < first.0 - SLACK || time > last.0 + SLACK {
+        return None;
+    }
+    let after = known.partition_point(|k| k.0 < time).clamp(1, known.len().max(2) - 1);
+    let a = known[after - 1];
+    let b = known.get(after).copied().unwrap_or(a);
+    let share = if b.0 > a.0 { ((time - a.0) / (b.0 - a.0)).clamp(0.0, 1.0) } else { 0.0 };
+    Some(a.1 + share * (b.1 - a.1))
+}

@@ -1,0 +1,115 @@
+//! The commands, one file each. They see the crate as any other user does.
+//!
+//! A command returns an [`Answer`]; [`main`] prints it, as text or as JSON, and turns errors into
+//! exit codes: 0 done, 1 the job failed, 2 wrong usage, 130 stopped by Ctrl-C.
+
+mod common;
+mod devices;
+mod eval;
+mod eval_truth;
+mod info;
+mod interrupt;
+mod meter;
+mod path;
+mod quality;
+mod render;
+mod sheet;
+mod synth;
+mod train;
+mod values;
+
+use std::io::Write;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use common::{Answer, Common};
+use serde_json::json;
+use splat4d::{Error, Result};
+
+const AFTER_HELP: &str = "\
+Examples:
+  splat4d synth rigid -o clip
+  splat4d train captures/fox -o fox.safetensors
+  splat4d render fox.safetensors -o views --path orbit
+
+`splat4d COMMAND --help` shows each command's options, an example and the keys of its JSON.
+Exit codes: 0 done, 1 the job failed, 2 wrong usage, 130 stopped by Ctrl-C.";
+
+/// A Vulkan compute engine that turns one video of a moving scene into a 4D Gaussian-splat scene.
+#[derive(Parser)]
+#[command(name = "splat4d", version, after_help = AFTER_HELP, arg_required_else_help = true)]
+struct Cli {
+    #[command(flatten)]
+    common: Common,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Train(train::TrainArgs),
+    Render(render::RenderArgs),
+    Eval(eval::EvalArgs),
+    Info(info::InfoArgs),
+    Devices(devices::DevicesArgs),
+    Synth(synth::SynthArgs),
+}
+
+/// Runs the command that the process was given.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let json = cli.common.json;
+    match run(&cli).and_then(|answer| print(&answer, json)) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            common::say(&format!("error: {error}"));
+            if json {
+                // A machine that reads stdout gets its one object here too; where even that cannot
+                // be written, stderr and the exit code have said it.
+                let _ = writeln!(std::io::stdout(), "{}", json!({ "error": error.to_string() }));
+            }
+            ExitCode::from(match error {
+                Error::Interrupted { .. } => interrupt::EXIT_CODE,
+                _ => 1,
+            })
+        }
+    }
+}
+
+fn run(cli: &Cli) -> Result<Answer> {
+    interrupt::watch();
+    match &cli.command {
+        Command::Train(args) => train::run(args, &cli.common),
+        Command::Render(args) => render::run(args, &cli.common),
+        Command::Eval(args) => eval::run(args, &cli.common),
+        Command::Info(args) => info::run(args),
+        Command::Devices(args) => devices::run(args),
+        Command::Synth(args) => synth::run(args, &cli.common),
+    }
+}
+
+/// Prints an answer on stdout. A reader that has seen enough and closed the pipe is no error.
+fn print(answer: &Answer, json: bool) -> Result<()> {
+    let mut stdout = std::io::stdout().lock();
+    let printed = match json {
+        true => writeln!(stdout, "{}", answer.json),
+        false => write!(stdout, "{}", answer.text),
+    };
+    match printed.and_then(|()| stdout.flush()) {
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
+            Err(Error::io("stdout")(error))
+        }
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_declarations_hold_together() {
+        Cli::command().debug_assert();
+    }
+}

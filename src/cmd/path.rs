@@ -1,0 +1,270 @@
+//! Paths to render along.
+
+use glam::{DVec3, Vec3};
+use splat4d::data::transforms::TimedCamera;
+use splat4d::geometry::look_at;
+use splat4d::scene::Scene;
+use splat4d::types::{Camera, Intrinsics};
+use splat4d::{Error, Result};
+
+/// Size of pictures of a scene without cameras.
+const DEFAULT_SIZE: (u32, u32) = (960, 540);
+/// Amplitudes of the orbit around an input camera, in units of the distance to what it looks at:
+/// sideways and upward. Wider, and the camera sees what the input never showed.
+const SWAY: [f64; 2] = [0.1, 0.05];
+/// An input trajectory is followed where its median step stays below this share of the distance to
+/// what it looks at; else the cameras are photographs from all around, and one of them is taken.
+const FOLLOWED_STEP: f64 = 0.15;
+/// Elevation of the orbit around a scene without cameras, radians.
+const ELEVATION: f64 = 0.25;
+
+/// The input's cameras at their times.
+pub fn input(scene: &Scene) -> Result<Vec<TimedCamera>> {
+    if scene.cameras.is_empty() {
+        return Err(Error::Input(
+            "the scene knows no input cameras; render it with --path orbit, or along a \
+             transforms.json"
+                .into(),
+        ));
+    }
+    Ok(scene.cameras.iter().map(|c| TimedCamera { time: c.time, camera: c.camera }).collect())
+}
+
+/// A gentle path through views that the input did not have, `frames` long, its times from 0 to 1.
+///
+/// Where the input is a continuous shot, the camera follows it and sways around it on an ellipse,
+/// always looking at what the input looks at; where it is photographs from all around, it sways
+/// around the one nearest to their middle. A scene without cameras is circled once.
+pub fn orbit(scene: &Scene, frames: usize) -> Vec<TimedCamera> {
+    let at = |i: usize| i as f64 / frames.max(2).saturating_sub(1) as f64;
+    if scene.cameras.is_empty() {
+        // A full circle ends one step before its beginning.
+        return (0..frames)
+            .map(|i| TimedCamera {
+                time: at(i),
+                camera: around(scene, i as f64 / frames as f64 * std::f64::consts::TAU),
+            })
+            .collect();
+    }
+    let middle = middle_camera(scene);
+    let distance = typical_depth(scene, &middle);
+    let follows = is_shot(scene, distance);
+    (0..frames)
+        .map(|i| {
+            let time = at(i);
+            let base = if follows { between(scene, time) } else { middle };
+            let (sin, cos) = (time * std::f64::consts::TAU).sin_cos();
+            let sway = DVec3::new(SWAY[0] * cos, SWAY[1] * sin, 0.0) * distance;
+            let world_from_view = base.view_from_world.inverse();
+            let target = world_from_view.apply(DVec3::Z * distance);
+            let up = world_from_view.rotation * DVec3::NEG_Y;
+            let view_from_world = look_at(world_from_view.apply(sway), target, up);
+            TimedCamera { time, camera: Camera { view_from_world, ..base } }
+        })
+        .collect()
+}
+
+/// The input camera nearest to the mean of their centres.
+fn middle_camera(scene: &Scene) -> Camera {
+    let centres = scene.cameras.iter().map(|c| c.camera.centre());
+    let mean = centres.sum::<DVec3>() / scene.cameras.len() as f64;
+    let distance = |camera: &Camera| camera.centre().distance_squared(mean);
+    let cameras = scene.cameras.iter().map(|c| c.camera);
+    let nearest = cameras.min_by(|a, b| distance(a).total_cmp(&distance(b)));
+    nearest.expect("the scene has cameras")
+}
+
+/// Median depth of the opaque Gaussians that a camera sees; 1 where it sees none.
+fn typical_depth(scene: &Scene, camera: &Camera) -> f64 {
+    let k = &camera.intrinsics;
+    let g = &scene.gaussians;
+    let near = f64::from(scene.settings.near);
+    let mut depths: Vec<f64> = (0..g.len())
+        .filter(|&i| g.opacity_logits[i] > 0.0)
+        .map(|i| camera.view_from_world.apply(Vec3::from_array(g.positions[i]).as_dvec3()))
+        .filter(|p| {
+            let pixel = k.project(*p);
+            let inside = |v: f64, side: u32| (0.0..f64::from(side)).contains(&v);
+            p.z > near && inside(pixel.x, k.width) && inside(pixel.y, k.height)
+        })
+        .map(|p| p.z)
+        .collect();
+    median(&mut depths).unwrap_or(1.0)
+}
+
+fn median(values: &mut [f64]) -> Option<f64> {
+    let middle = values.len() / 2;
+    if values.is_empty() {
+        return None;
+    }
+    Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+/// Whether the cameras, in the order of their times, are steps of one motion.
+fn is_shot(scene: &Scene, distance: f64) -> bool {
+    let centres = scene.cameras.iter().map(|c| c.camera.centre()).collect::<Vec<_>>();
+    let mut steps: Vec<f64> = centres.windows(2).map(|c| c[0].distance(c[1])).collect();
+    median(&mut steps).is_none_or(|step| step < FOLLOWED_STEP * distance)
+}
+
+/// The input's camera at a time, between its frames.
+fn between(scene: &Scene, time: f64) -> Camera {
+    let cameras = &scene.cameras;
+    let after = cameras.partition_point(|c| c.time < time).clamp(1, cameras.len().max(2) - 1);
+    let first = &cameras[after - 1];
+    let second = cameras.get(after).unwrap_or(first);
+    let span = second.time - first.time;
+    let share = if span > 0.0 { ((time - first.time) / span).clamp(0.0, 1.0) } else { 0.0 };
+    let [a, b] = [first, second].map(|c| c.camera.view_from_world.inverse());
+    let world_from_view = splat4d::types::Pose::new(
+        a.rotation.slerp(b.rotation, share),
+        a.translation.lerp(b.translation, share),
+    );
+    Camera { view_from_world: world_from_view.inverse(), ..first.camera }
+}
+
+/// A camera at an angle of the circle around a scene without cameras.
+fn around(scene: &Scene, angle: f64) -> Camera {
+    let g = &scene.gaussians;
+    let solid = |i: &usize| g.opacity_logits[*i] > 0.0;
+    let mut chosen: Vec<usize> = (0..g.len()).filter(solid).collect();
+    if chosen.is_empty() {
+        chosen = (0..g.len()).collect();
+    }
+    // Without the outermost twentieth on every side: floaters would push the camera away.
+    let (mut low, mut high) = (DVec3::ZERO, DVec3::ZERO);
+    for axis in 0..3 {
+        let mut values: Vec<f64> =
+            chosen.iter().map(|&i| f64::from(g.positions[i][axis])).collect();
+        values.sort_by(f64::total_cmp);
+        if let Some(last) = values.len().checked_sub(1) {
+            (low[axis], high[axis]) = (values[last / 20], values[last - last / 20]);
+        }
+    }
+    let target = 0.5 * (low + high);
+    let radius = (0.5 * (high - low).length()).max(1e-3);
+    let (width, height) = DEFAULT_SIZE;
+    let focal = f64::from(width) * 0.8;
+    let half_view = (f64::from(height) / 2.0 / focal).atan();
+    let up = Vec3::from_array(scene.up).as_dvec3().try_normalize().unwrap_or(DVec3::NEG_Y);
+    let side = up.any_orthonormal_vector();
+    let (sin, cos) = angle.sin_cos();
+    let outward = (side * cos + up.cross(side) * sin) * ELEVATION.cos() + up * ELEVATION.sin();
+    let centre = target + outward * (radius / half_view.sin());
+    Camera {
+        intrinsics: Intrinsics::centred(focal, width, height),
+        view_from_world: look_at(centre, target, up),
+    }
+}
+
+/// The camera's picture at another size: all that it showed stays in the picture, pixels stay
+/// square where they were.
+pub fn resized(k: &Intrinsics, width: u32, height: u32) -> Intrinsics {
+    let scale =
+        (f64::from(width) / f64::from(k.width)).min(f64::from(height) / f64::from(k.height));
+    let centre =
+        |c: f64, old: u32, new: u32| f64::from(new) / 2.0 + (c - f64::from(old) / 2.0) * scale;
+    Intrinsics {
+        fx: k.fx * scale,
+        fy: k.fy * scale,
+        cx: centre(k.cx, k.width, width),
+        cy: centre(k.cy, k.height, height),
+        width,
+        height,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use splat4d::scene::SceneCamera;
+    use splat4d::types::{Gaussians, Pose};
+
+    fn wall(depth: f32) -> Scene {
+        let positions: Vec<[f32; 3]> = (0..121)
+            .map(|i| [(i % 11) as f32 * 0.2 - 1.0, (i / 11) as f32 * 0.2 - 1.0, depth])
+            .collect();
+        let n = positions.len();
+        Scene::of(Gaussians {
+            positions,
+            log_scales: vec![[-3.0; 3]; n],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]; n],
+            opacity_logits: vec![2.0; n],
+            sh_degree: 0,
+            sh: vec![[0.0; 3]; n],
+            motion_logits: Vec::new(),
+        })
+    }
+
+    fn with_cameras(mut scene: Scene, centres: &[DVec3]) -> Scene {
+        let last = (centres.len() - 1).max(1) as f64;
+        scene.cameras = centres
+            .iter()
+            .enumerate()
+            .map(|(i, centre)| SceneCamera {
+                time: i as f64 / last,
+                camera: Camera {
+                    intrinsics: Intrinsics::centred(80.0, 100, 60),
+                    view_from_world: Pose::new(glam::DQuat::IDENTITY, -*centre),
+                },
+            })
+            .collect();
+        scene
+    }
+
+    #[test]
+    fn an_orbit_follows_a_shot_and_looks_at_the_wall() {
+        let centres: Vec<DVec3> = (0..9).map(|i| DVec3::X * (0.1 * f64::from(i) - 0.4)).collect();
+        let path = orbit(&with_cameras(wall(4.0), &centres), 17);
+        assert_eq!(path.len(), 17);
+        assert_eq!((path[0].time, path[16].time), (0.0, 1.0));
+        for (i, shot) in path.iter().enumerate() {
+            let base = DVec3::X * (0.05 * i as f64 - 0.4);
+            let away = shot.camera.centre().distance(base);
+            assert!((0.19..0.41).contains(&away), "{i}: {away}");
+            let target = shot.camera.view_from_world.apply(base + DVec3::Z * 4.0);
+            assert!(target.truncate().length() < 1e-9, "{i}: {target}");
+        }
+    }
+
+    #[test]
+    fn photographs_from_all_around_are_not_followed() {
+        let centres = [4.0, -4.0, 0.1, 5.0, -5.0].map(|x| DVec3::X * x);
+        let path = orbit(&with_cameras(wall(4.0), &centres), 8);
+        assert!(path.iter().all(|shot| shot.camera.centre().distance(centres[2]) < 0.5));
+    }
+
+    #[test]
+    fn a_scene_without_cameras_is_circled_and_seen_whole() {
+        for scene in [wall(4.0), wall(-3.0)] {
+            for shot in orbit(&scene, 12) {
+                let k = shot.camera.intrinsics;
+                for p in &scene.gaussians.positions {
+                    let seen = shot.camera.view_from_world.apply(Vec3::from_array(*p).as_dvec3());
+                    let pixel = k.project(seen);
+                    assert!(seen.z > 0.0 && pixel.x > 0.0 && pixel.x < f64::from(k.width));
+                    assert!(pixel.y > 0.0 && pixel.y < f64::from(k.height));
+                }
+            }
+        }
+        let empty = orbit(&Scene::of(Gaussians::default()), 3);
+        assert!(empty.iter().all(|shot| shot.camera.centre().is_finite()));
+    }
+
+    #[test]
+    fn one_camera_is_enough_and_the_input_needs_one() {
+        let path = orbit(&with_cameras(wall(2.0), &[DVec3::ZERO]), 5);
+        assert!(path.iter().all(|shot| shot.camera.centre().length() < 0.3));
+        assert_eq!(orbit(&wall(2.0), 1).len(), 1);
+        assert!(input(&wall(2.0)).is_err());
+    }
+
+    #[test]
+    fn another_size_keeps_the_whole_picture() {
+        let k = Intrinsics { fx: 80.0, fy: 82.0, cx: 48.0, cy: 31.0, width: 100, height: 60 };
+        let twice = resized(&k, 200, 120);
+        assert_eq!((twice.fx, twice.cx, twice.cy), (160.0, 96.0, 62.0));
+        let wide = resized(&k, 300, 60);
+        assert_eq!((wide.fx, wide.fy, wide.cx, wide.cy), (80.0, 82.0, 148.0, 31.0));
+    }
+}

@@ -1,0 +1,219 @@
+//! `splat4d render`.
+
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use clap::Args;
+use serde_json::json;
+use splat4d::Result;
+use splat4d::data::transforms::{self, TimedCamera};
+use splat4d::data::{exr, write_png};
+use splat4d::renderer::{Rendered, Renderer};
+use splat4d::scene::{Opened, Scene};
+
+use super::common::{Answer, Common, check_output_folder, say, thousands};
+use super::meter::Meter;
+use super::values::{self, Times};
+use super::{interrupt, path};
+
+/// Length of an orbit.
+const ORBIT_FRAMES: usize = 60;
+
+const AFTER_HELP: &str = "\
+Paths:
+  input            the cameras of the input, at their times (the default where there are any)
+  orbit            views that the input did not have: a gentle ellipse around the input's camera,
+                   or once around a scene without cameras; time runs from 0 to 1
+  transforms.json  any nerfstudio file with camera sizes (w, h); its `time` per frame is honoured
+
+--times replaces the path's times: as many as the path has cameras go to one camera each; a path
+of one camera stands still while time runs; else the whole path is rendered at each time in turn.
+
+DIR/0000.png … hold 8-bit RGB over the background. --exr adds 0000.exr …: RGBA, 32-bit float,
+linear as blended, colour premultiplied, no background. --depth adds 0000_depth.exr …: the mean
+depth along z as channel Z, 0 where nothing is.
+
+Examples:
+  splat4d render scene.safetensors -o views --path orbit
+  splat4d render scene.safetensors -o views --path cameras.json --times 0.5 --exr
+
+JSON: frames, width, height (of the first frame), gaussians, dropped, device,
+milliseconds_per_frame, output";
+
+/// Render a scene's file or a 3DGS PLY to pictures
+#[derive(Args)]
+#[command(after_help = AFTER_HELP)]
+pub struct RenderArgs {
+    /// A scene's file or a 3DGS PLY
+    #[arg(value_name = "SCENE|PLY")]
+    scene: PathBuf,
+    /// The folder for the pictures
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    /// The cameras
+    #[arg(long, value_name = "input|orbit|FILE", value_parser = ViewPath::from_str)]
+    path: Option<ViewPath>,
+    /// Times in [0, 1], as 0,0.5,1; or a whole number above 1 for so many, spread evenly
+    #[arg(long, value_name = "TIMES", value_parser = values::times)]
+    times: Option<Times>,
+    /// Length of an orbit [default: 60, or the number of times]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    frames: Option<u32>,
+    /// Size of the pictures; all that the camera shows stays in them
+    #[arg(long, value_name = "WxH", value_parser = values::size)]
+    size: Option<(u32, u32)>,
+    /// Focal length in pixels of the rendered size, instead of the camera's
+    #[arg(long, value_name = "PIXELS", value_parser = values::positive)]
+    focal: Option<f64>,
+    /// What lies behind everything, instead of the scene's own: R,G,B in [0, 1], black or white
+    #[arg(long, value_name = "R,G,B", value_parser = values::colour)]
+    background: Option<[f32; 3]>,
+    /// Write float images too
+    #[arg(long)]
+    exr: bool,
+    /// Write depth maps too
+    #[arg(long)]
+    depth: bool,
+    /// Leave out Gaussians that hold NaN or infinite values
+    #[arg(long)]
+    drop_bad: bool,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+enum ViewPath {
+    Input,
+    Orbit,
+    File(PathBuf),
+}
+
+impl FromStr for ViewPath {
+    type Err = std::convert::Infallible;
+
+    fn from_str(text: &str) -> std::result::Result<ViewPath, Self::Err> {
+        Ok(match text {
+            "input" => ViewPath::Input,
+            "orbit" => ViewPath::Orbit,
+            file => ViewPath::File(file.into()),
+        })
+    }
+}
+
+/// Runs the command.
+pub fn run(args: &RenderArgs, common: &Common) -> Result<Answer> {
+    check_output_folder(&args.output)?;
+    let Opened { scene, dropped } = Scene::open(&args.scene, args.drop_bad)?;
+    if dropped > 0 {
+        say(&format!("note: left out {} Gaussians that are not finite", thousands(dropped)));
+    }
+    let shots = shots(args, &scene)?;
+    let device = common.open_device()?;
+    let mut renderer = Renderer::new(&device, &scene)?;
+    let background = args.background.unwrap_or(scene.background);
+    let mut meter = Meter::new("rendering", "pictures", shots.len() as u64, 0);
+    let mut seconds = 0.0;
+    for (i, shot) in shots.iter().enumerate() {
+        interrupt::check()?;
+        let begun = std::time::Instant::now();
+        let rendered = renderer.render(&shot.camera, shot.time)?;
+        seconds += begun.elapsed().as_secs_f64();
+        write(args, &args.output, i, &rendered, background)?;
+        meter.advance();
+    }
+    drop(meter);
+    let size = shots.first().map(|shot| shot.camera.intrinsics);
+    let json = json!({
+        "frames": shots.len(),
+        "width": size.map(|k| k.width),
+        "height": size.map(|k| k.height),
+        "gaussians": scene.gaussians.len(),
+        "dropped": dropped,
+        "device": device.info().name,
+        "milliseconds_per_frame": 1e3 * seconds / shots.len().max(1) as f64,
+        "output": args.output,
+    });
+    let text = format!("{} pictures in {}\n", shots.len(), args.output.display());
+    Ok(Answer { json, text })
+}
+
+fn write(
+    args: &RenderArgs,
+    folder: &Path,
+    index: usize,
+    rendered: &Rendered,
+    background: [f32; 3],
+) -> Result<()> {
+    let file = |ending: &str| folder.join(format!("{index:04}{ending}"));
+    write_png(file(".png"), &rendered.over(background))?;
+    if args.exr {
+        exr::write_rgba(file(".exr"), &rendered.rgba)?;
+    }
+    if args.depth {
+        exr::write_depth(file("_depth.exr"), &rendered.mean_depth())?;
+    }
+    Ok(())
+}
+
+/// What to render, in order.
+fn shots(args: &RenderArgs, scene: &Scene) -> Result<Vec<TimedCamera>> {
+    let times = args.times.as_ref().map(Times::values);
+    let orbit_frames = match (args.frames, &times) {
+        (Some(frames), _) => frames as usize,
+        (None, Some(times)) if times.len() > 1 => times.len(),
+        _ => ORBIT_FRAMES,
+    };
+    let default = if scene.cameras.is_empty() { ViewPath::Orbit } else { ViewPath::Input };
+    let mut cameras = match args.path.as_ref().unwrap_or(&default) {
+        ViewPath::Input => path::input(scene)?,
+        ViewPath::Orbit => path::orbit(scene, orbit_frames),
+        ViewPath::File(file) => transforms::read_cameras(file)?,
+    };
+    for shot in &mut cameras {
+        let k = &mut shot.camera.intrinsics;
+        if let Some((width, height)) = args.size {
+            *k = path::resized(k, width, height);
+        }
+        if let Some(focal) = args.focal {
+            (k.fx, k.fy) = (focal, focal);
+        }
+    }
+    Ok(match times {
+        None => cameras,
+        Some(times) => at_times(&cameras, &times),
+    })
+}
+
+/// Cameras at given times; see the command's help.
+fn at_times(cameras: &[TimedCamera], times: &[f64]) -> Vec<TimedCamera> {
+    let at = |shot: &TimedCamera, time: f64| TimedCamera { time, ..*shot };
+    if cameras.len() == times.len() {
+        return cameras.iter().zip(times).map(|(shot, time)| at(shot, *time)).collect();
+    }
+    times.iter().flat_map(|time| cameras.iter().map(|shot| at(shot, *time))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use splat4d::types::{Intrinsics, Pose};
+
+    #[test]
+    fn times_replace_those_of_the_path() {
+        let camera = |i: u32| TimedCamera {
+            time: 0.9,
+            camera: splat4d::types::Camera {
+                intrinsics: Intrinsics::centred(10.0 + f64::from(i), 8, 8),
+                view_from_world: Pose::IDENTITY,
+            },
+        };
+        let path = [camera(0), camera(1)];
+        let found = |times: &[f64], path: &[TimedCamera]| -> Vec<(u32, f64)> {
+            let shots = at_times(path, times);
+            shots.iter().map(|s| (s.camera.intrinsics.fx as u32 - 10, s.time)).collect()
+        };
+        assert_eq!(found(&[0.0, 1.0], &path), [(0, 0.0), (1, 1.0)]);
+        assert_eq!(found(&[0.5], &path), [(0, 0.5), (1, 0.5)]);
+        assert_eq!(found(&[0.0, 0.5, 1.0], &path[1..]), [(1, 0.0), (1, 0.5), (1, 1.0)]);
+        let each = [(0, 0.0), (1, 0.0), (0, 0.5), (1, 0.5), (0, 1.0), (1, 1.0)];
+        assert_eq!(found(&[0.0, 0.5, 1.0], &path), each);
+    }
+}

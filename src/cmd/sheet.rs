@@ -1,0 +1,115 @@
+//! The report's folder: `report.json`, and a sheet that shows input, render, motion mask and depth
+//! side by side.
+
+use std::path::Path;
+
+use splat4d::data::{View, images, write_png};
+use splat4d::gpu::Device;
+use splat4d::renderer::Renderer;
+use splat4d::scene::Scene;
+use splat4d::types::Image;
+use splat4d::{Result, io};
+
+use super::quality::motion_only;
+
+/// Rows of the sheet.
+const ROWS: usize = 5;
+/// A picture on the sheet is at most so wide.
+const WIDEST: u32 = 320;
+/// Pixels between pictures.
+const GAP: u32 = 4;
+
+/// Some of the views, evenly spread.
+pub fn spread(views: &[View]) -> Vec<&View> {
+    let count = views.len().min(ROWS);
+    (0..count).map(|i| &views[i * (views.len() - 1) / (count - 1).max(1)]).collect()
+}
+
+/// Renders the views and writes both files.
+pub fn write(folder: &Path, device: &Device, scene: &Scene, views: &[&View]) -> Result<()> {
+    let mut colours = Renderer::new(device, scene)?;
+    let mut motion = Renderer::new(device, &motion_only(scene))?;
+    let mut rows = Vec::new();
+    for view in views {
+        let rendered = colours.render(&view.camera, view.time)?;
+        let moving = motion.render(&view.camera, view.time)?.over([0.0; 3]);
+        let row = [
+            view.image.clone(),
+            rendered.over(scene.background),
+            moving,
+            shade_depth(&rendered.mean_depth()),
+        ];
+        rows.push(row.map(|image| {
+            let width = image.width.min(WIDEST);
+            let height = (image.height * width / image.width.max(1)).max(1);
+            images::resize(&image, width, height)
+        }));
+    }
+    write_png(folder.join("sheet.png"), &tile(&rows))?;
+    io::write_json(folder.join("report.json"), &scene.report)
+}
+
+/// Near is bright, far is dark, nothing is black: inverse depth, stretched between its 2nd and 98th
+/// hundredth.
+fn shade_depth(depth: &Image) -> Image {
+    let mut inverse: Vec<f32> =
+        depth.pixels.iter().filter(|d| **d > 0.0).map(|d| 1.0 / d).collect();
+    inverse.sort_by(f32::total_cmp);
+    let at = |hundredth: usize| inverse.get(inverse.len() * hundredth / 100).copied();
+    let (low, high) = (at(2).unwrap_or(0.0), at(98).unwrap_or(1.0));
+    let mut image = Image::new(depth.width, depth.height, 3);
+    for (out, depth) in image.pixels.chunks_exact_mut(3).zip(&depth.pixels) {
+        if *depth > 0.0 {
+            let share = (1.0 / depth - low) / (high - low).max(f32::MIN_POSITIVE);
+            out.fill(0.1 + 0.9 * share.clamp(0.0, 1.0));
+        }
+    }
+    image
+}
+
+/// Rows of RGB pictures on white, one below the other.
+fn tile(rows: &[[Image; 4]]) -> Image {
+    let row_width = |row: &[Image; 4]| row.iter().map(|i| i.width + GAP).sum::<u32>() - GAP;
+    let width = rows.iter().map(row_width).max().unwrap_or(1);
+    let height = rows.iter().map(|row| row[0].height + GAP).sum::<u32>().max(GAP + 1) - GAP;
+    let mut sheet = Image::new(width, height, 3);
+    sheet.pixels.fill(1.0);
+    let mut top = 0;
+    for row in rows {
+        let mut left = 0;
+        for image in row {
+            for y in 0..image.height {
+                for x in 0..image.width {
+                    sheet.at_mut(left + x, top + y).copy_from_slice(image.at(x, y));
+                }
+            }
+            left += image.width + GAP;
+        }
+        top += row[0].height + GAP;
+    }
+    sheet
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_stand_side_by_side() {
+        let grey = |v: f32| Image { width: 3, height: 2, channels: 3, pixels: vec![v; 18] };
+        let row = [grey(0.1), grey(0.2), grey(0.3), grey(0.4)];
+        let sheet = tile(&[row.clone(), row]);
+        assert_eq!((sheet.width, sheet.height), (4 * 3 + 3 * GAP, 2 * 2 + GAP));
+        assert_eq!(sheet.at(3 + GAP, 2 + GAP), [0.2; 3]);
+        assert_eq!(sheet.at(3, 0), [1.0; 3], "between pictures it is white");
+    }
+
+    #[test]
+    fn nearer_is_brighter() {
+        let depth = Image { width: 4, height: 1, channels: 1, pixels: vec![0.0, 1.0, 2.0, 4.0] };
+        let shaded = shade_depth(&depth);
+        let values: Vec<f32> = shaded.pixels.iter().step_by(3).copied().collect();
+        assert!(values[0] == 0.0 && values[1] > values[2] && values[2] > values[3]);
+        assert!(values[3] > 0.0);
+    }
+}

@@ -1,0 +1,63 @@
+//! `splat4d synth`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use clap::builder::PossibleValuesParser;
+use serde_json::json;
+use splat4d::Result;
+use splat4d::data::synth::{self, SynthOptions};
+
+use super::common::{Answer, Common, check_output_folder, say};
+use super::{interrupt, values};
+
+const AFTER_HELP: &str = "\
+rigid   a cart is driven through a room, the camera moves
+bend    a cloth ripples and a column bends, the camera moves
+crowd   walkers cover more than half of the picture, the camera moves
+still   nothing moves but the camera
+tripod  the cart again, the camera fixed
+
+DIR/frames holds the pictures; DIR/truth intrinsics, poses (TUM), depth (EXR), flow (.flo), masks
+and two held-out cameras.
+
+Example:
+  splat4d synth rigid -o clip --frames 24 --size 320x180
+
+JSON: name, frames, width, height, seed, output";
+
+/// Make a synthetic clip with exact poses, depth, flow and masks
+#[derive(Args)]
+#[command(after_help = AFTER_HELP)]
+pub struct SynthArgs {
+    /// Which clip
+    #[arg(value_parser = PossibleValuesParser::new(synth::NAMES))]
+    name: String,
+    /// The folder to make; it must not hold anything yet
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    /// Number of frames
+    #[arg(long, value_name = "N", default_value_t = SynthOptions::default().frames)]
+    frames: usize,
+    /// Size of the pictures
+    #[arg(long, value_name = "WxH", default_value = "320x180", value_parser = values::size)]
+    size: (u32, u32),
+}
+
+/// Runs the command.
+pub fn run(args: &SynthArgs, common: &Common) -> Result<Answer> {
+    check_output_folder(&args.output)?;
+    let SynthArgs { name, output, frames, size: (width, height) } = args;
+    let options =
+        SynthOptions { frames: *frames, width: *width, height: *height, seed: common.seed };
+    say(&format!("rendering {frames} frames of {name}, {width}×{height}"));
+    let clip = synth::clip(name, &options)?;
+    interrupt::check()?;
+    synth::write(&clip, output)?;
+    let json = json!({
+        "name": name, "frames": frames, "width": width, "height": height, "seed": common.seed,
+        "output": output,
+    });
+    let text = format!("{0}/frames, {0}/truth\n", output.display());
+    Ok(Answer { json, text })
+}

@@ -1,0 +1,276 @@
+//! `splat4d train`.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use clap::Args;
+use rand::SeedableRng;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+use serde_json::{Map, Value, json};
+use splat4d::data::{Dataset, Point, Resize, View};
+use splat4d::gpu::Device;
+use splat4d::renderer::Renderer;
+use splat4d::scene::{Scene, SceneCamera};
+use splat4d::train::{
+    GrowthSettings, TrainSettings, Trainer, TrainingView, random_points, seed_from_points,
+};
+use splat4d::types::{Camera, Gaussians};
+use splat4d::{Error, Result};
+
+use super::common::{
+    Answer, Common, bytes, check_output_file, check_output_folder, notes, say, thousands,
+};
+use super::info::dynamic_share;
+use super::meter::Meter;
+use super::quality::{self, Quality};
+use super::sheet;
+use super::{interrupt, values};
+
+/// Steps between two looks at the loss; each waits for the device.
+const LOSS_INTERVAL: u32 = 100;
+
+const AFTER_HELP: &str = "\
+DATASET is a folder with a COLMAP model (sparse/0, binary or text), a nerfstudio or instant-ngp
+transforms.json, or D-NeRF's transforms_train.json; or a transforms.json itself.
+
+Example:
+  splat4d train captures/fox -o fox.safetensors --steps 2000 --size 480
+
+JSON (also kept in the scene): psnr_input, psnr_test (null where nothing is held out), ssim_test,
+gaussians, control_points, dynamic_share, steps, images, held_out, device, peak_bytes,
+milliseconds_per_step, seconds {load, train, evaluate}, output";
+
+/// Train a scene on pictures whose cameras are known
+#[derive(Args)]
+#[command(after_help = AFTER_HELP)]
+pub struct TrainArgs {
+    /// The dataset
+    dataset: PathBuf,
+    /// The scene's file to write
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Number of steps, one picture each
+    #[arg(long, value_name = "N", default_value_t = 7000,
+          value_parser = clap::value_parser!(u32).range(1..))]
+    steps: u32,
+    /// Most Gaussians; 0 keeps the number that the points give
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    max_gaussians: usize,
+    /// Shrink pictures so that their longer side has at most so many pixels
+    #[arg(long, value_name = "LONGEST", value_parser = clap::value_parser!(u32).range(1..))]
+    size: Option<u32>,
+    /// Hold out every so-manieth picture for the test, unless the dataset has its own split; 0: none
+    #[arg(long, value_name = "N", default_value_t = 8)]
+    eval_every: usize,
+    /// Highest degree of the spherical harmonics
+    #[arg(long, value_name = "0..3", default_value_t = 3,
+          value_parser = clap::value_parser!(u32).range(0..=3))]
+    sh_degree: u32,
+    /// Points to begin with where the dataset has none, spread over what the cameras look at
+    #[arg(long, value_name = "N", default_value_t = 20_000,
+          value_parser = clap::value_parser!(u32).range(1..))]
+    random_points: u32,
+    /// What lies behind everything; default: white for pictures with an alpha channel, else black
+    #[arg(long, value_name = "R,G,B", value_parser = values::colour)]
+    background: Option<[f32; 3]>,
+    /// Write report.json and sheet.png (input, render, motion mask, depth) into this folder
+    #[arg(long, value_name = "DIR")]
+    report: Option<PathBuf>,
+}
+
+/// Runs the command.
+pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
+    check_output_file(&args.output)?;
+    args.report.as_deref().map_or(Ok(()), check_output_folder)?;
+    let mut clock = Clock::start();
+
+    let mut set = Dataset::open(&args.dataset)?;
+    notes(&set.notes);
+    set.background = args.background.unwrap_or(set.background);
+    if set.frames.len() < 2 {
+        let what = "holds one picture only; a scene needs two at least, from different places";
+        return Err(Error::format(&args.dataset, what));
+    }
+    let (train, test) = set.split(args.eval_every);
+    if train.is_empty() {
+        let what = "every picture is held out; train on some with a larger --eval-every";
+        return Err(Error::Input(what.into()));
+    }
+    let device = common.open_device()?;
+    let size = args.size.map_or(Resize::Keep, Resize::Longest);
+    let (train, test) = (set.load(&train, size)?, set.load(&test, size)?);
+    let cameras: Vec<Camera> = train.iter().map(|view| view.camera).collect();
+    let seeded = seed_from_points(&points(args, common, &set, &cameras), args.sh_degree);
+    say(&format!(
+        "{} pictures to train on, {} held out, {} Gaussians to begin with",
+        train.len(),
+        test.len(),
+        thousands(seeded.len())
+    ));
+    clock.lap("load");
+
+    let settings = TrainSettings {
+        steps: args.steps,
+        max_gaussians: if args.max_gaussians == 0 { seeded.len() } else { args.max_gaussians },
+        sh_degree: args.sh_degree,
+        background: set.background,
+        growth: (args.max_gaussians > 0).then(GrowthSettings::default),
+        seed: common.seed,
+        ..TrainSettings::default()
+    };
+    let gaussians = optimise(&device, &train, &seeded, settings.clone())?;
+    clock.lap("train");
+
+    let mut scene = Scene {
+        gaussians,
+        settings: settings.render,
+        cameras: trajectory(train.iter().chain(&test)),
+        background: set.background,
+        ..Scene::default()
+    };
+    scene.set_up_from_cameras();
+    let mut renderer = Renderer::new(&device, &scene)?;
+    let on_input = measure(&mut renderer, &train, set.background, "input")?;
+    let on_test = measure(&mut renderer, &test, set.background, "test")?;
+    clock.lap("evaluate");
+
+    let psnr = |of: &[Quality]| quality::mean(of, |q| Some(q.psnr));
+    scene.report = json!({
+        "psnr_input": psnr(&on_input),
+        "psnr_test": psnr(&on_test),
+        "ssim_test": quality::mean(&on_test, |q| Some(q.ssim)),
+        "gaussians": scene.gaussians.len(),
+        "control_points": scene.control_points.len(),
+        "dynamic_share": dynamic_share(&scene),
+        "steps": args.steps,
+        "images": train.len(),
+        "held_out": test.len(),
+        "device": device.info().name,
+        "peak_bytes": device.memory().1,
+        "milliseconds_per_step": 1e3 * clock.seconds("train") / f64::from(args.steps),
+        "seconds": clock.json(),
+    });
+    scene.save(&args.output)?;
+    if let Some(folder) = &args.report {
+        let shown = sheet::spread(if test.is_empty() { &train } else { &test });
+        sheet::write(folder, &device, &scene, &shown)?;
+    }
+    let mut json = scene.report.clone();
+    json["output"] = json!(args.output);
+    Ok(Answer { text: text(&json), json })
+}
+
+/// The dataset's points, at most as many as there may be Gaussians; random ones where it has none.
+fn points(args: &TrainArgs, common: &Common, set: &Dataset, cameras: &[Camera]) -> Vec<Point> {
+    let most = if args.max_gaussians == 0 { usize::MAX } else { args.max_gaussians };
+    if set.points.is_empty() {
+        let count = most.min(args.random_points as usize);
+        say(&format!("note: the dataset has no points; beginning with {count} random ones"));
+        return random_points(cameras, count, common.seed);
+    }
+    let mut points = set.points.clone();
+    if points.len() > most {
+        points.shuffle(&mut ChaCha8Rng::seed_from_u64(common.seed));
+        points.truncate(most);
+    }
+    points
+}
+
+fn optimise(
+    device: &Device,
+    views: &[View],
+    seeded: &Gaussians,
+    settings: TrainSettings,
+) -> Result<Gaussians> {
+    let views: Vec<TrainingView> = views.iter().cloned().map(Into::into).collect();
+    let mut trainer = Trainer::new(device, &views, seeded, None, settings)?;
+    let mut meter = Meter::new("training", "steps", trainer.progress().steps.into(), 0);
+    loop {
+        let now = trainer.progress();
+        if now.step >= now.steps {
+            return trainer.gaussians();
+        }
+        interrupt::check()?;
+        trainer.step()?;
+        if now.step.is_multiple_of(LOSS_INTERVAL) {
+            let loss = trainer.loss()?;
+            meter.message(format!("(L1 {:.4}, SSIM {:.3})", loss.l1, loss.ssim));
+        }
+        meter.set(u64::from(now.step) + 1);
+    }
+}
+
+/// Cameras in the order of their times.
+fn trajectory<'a>(views: impl Iterator<Item = &'a View>) -> Vec<SceneCamera> {
+    let mut cameras: Vec<SceneCamera> =
+        views.map(|view| SceneCamera { time: view.time, camera: view.camera }).collect();
+    cameras.sort_by(|a, b| a.time.total_cmp(&b.time));
+    cameras
+}
+
+fn measure(
+    renderer: &mut Renderer,
+    views: &[View],
+    background: [f32; 3],
+    what: &'static str,
+) -> Result<Vec<Quality>> {
+    let mut meter = Meter::new(what, "pictures", views.len() as u64, 0);
+    let mut found = Vec::with_capacity(views.len());
+    for view in views {
+        interrupt::check()?;
+        let picture = renderer.render(&view.camera, view.time)?.over(background);
+        found.push(Quality::of(&view.name, &picture, &view.image, view.valid.as_ref())?);
+        meter.advance();
+    }
+    Ok(found)
+}
+
+/// Seconds by stage.
+struct Clock {
+    begun: Instant,
+    laps: Map<String, Value>,
+}
+
+impl Clock {
+    fn start() -> Clock {
+        Clock { begun: Instant::now(), laps: Map::new() }
+    }
+
+    /// The stage that ends here.
+    fn lap(&mut self, stage: &str) {
+        self.laps.insert(stage.into(), json!(self.begun.elapsed().as_secs_f64()));
+        self.begun = Instant::now();
+    }
+
+    fn seconds(&self, stage: &str) -> f64 {
+        self.laps.get(stage).and_then(Value::as_f64).unwrap_or(0.0)
+    }
+
+    fn json(&self) -> Value {
+        Value::Object(self.laps.clone())
+    }
+}
+
+fn text(report: &Value) -> String {
+    let number = |key: &str| report[key].as_f64();
+    let decibels = |key| number(key).map_or("none".into(), |v| format!("{v:.2} dB"));
+    let seconds: Vec<String> = report["seconds"]
+        .as_object()
+        .into_iter()
+        .flatten()
+        .map(|(stage, s)| format!("{stage} {:.1} s", s.as_f64().unwrap_or(0.0)))
+        .collect();
+    format!(
+        "scene        {}\nPSNR, input  {}\nPSNR, test   {} ({} pictures)\nGaussians    {}\n\
+         step         {:.1} ms\ntime         {}\nmemory       {} at most on the device\n",
+        report["output"].as_str().unwrap_or_default(),
+        decibels("psnr_input"),
+        decibels("psnr_test"),
+        report["held_out"],
+        thousands(report["gaussians"].as_u64().unwrap_or(0) as usize),
+        number("milliseconds_per_step").unwrap_or(0.0),
+        seconds.join(", "),
+        bytes(report["peak_bytes"].as_u64().unwrap_or(0)),
+    )
+}

@@ -1,0 +1,582 @@
+//! The command line as its users meet it: what commands print and write, and how they fail.
+
+#![cfg(feature = "cli")]
+
+mod common;
+mod support;
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::sync::LazyLock;
+
+use glam::DVec3;
+use serde_json::Value;
+use splat4d::data::transforms::{self, TimedCamera};
+use splat4d::data::{exr, images, write_png};
+use splat4d::geometry::look_at;
+use splat4d::renderer::Renderer;
+use splat4d::scene::{Scene, SceneCamera, ply};
+use splat4d::types::{Camera, Gaussians, Intrinsics};
+use support::{picture, says};
+use tempfile::TempDir;
+
+const COMMANDS: [&str; 6] = ["train", "render", "eval", "info", "devices", "synth"];
+
+/// The program, on the device under test.
+fn program() -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_splat4d"));
+    command.stdin(Stdio::null());
+    command
+}
+
+/// Runs with arguments separated by spaces, in a folder.
+fn run(folder: &Path, arguments: &str) -> Output {
+    program().current_dir(folder).args(arguments.split_whitespace()).output().unwrap()
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+/// Runs with `--json` and returns the one object on stdout.
+#[track_caller]
+fn json(folder: &Path, arguments: &str) -> Value {
+    let device = std::env::var("SPLAT4D_DEVICE").unwrap_or("software".into());
+    let output = run(folder, &format!("{arguments} --json --device {device}"));
+    assert!(output.status.success(), "{arguments}: {}", stderr(&output));
+    let value: Value = serde_json::from_slice(&output.stdout).expect("one JSON value on stdout");
+    assert!(value.is_object());
+    value
+}
+
+/// Runs what must fail with an exit code, and gives what it says. The folder holds afterwards what it
+/// held before.
+#[track_caller]
+fn fails(folder: &Path, code: i32, arguments: &str) -> String {
+    let before = content(folder);
+    let output = run(folder, arguments);
+    let said = stderr(&output);
+    assert_eq!(output.status.code(), Some(code), "{arguments}: {said}");
+    assert!(output.stdout.is_empty(), "{arguments}: nothing on stdout");
+    assert!(said.contains("error: "), "{arguments}: {said}");
+    assert_eq!(content(folder), before, "{arguments} leaves nothing behind");
+    said
+}
+
+/// Every file below a folder.
+fn content(folder: &Path) -> BTreeSet<PathBuf> {
+    let mut found = BTreeSet::new();
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            found.extend(content(&path));
+        }
+        found.insert(path);
+    }
+    found
+}
+
+/// A folder with a synthetic clip `clip` and a scene `scene.safetensors` trained on it for some steps.
+static TRAINED: LazyLock<(TempDir, Value)> = LazyLock::new(|| {
+    let folder = tempfile::tempdir().unwrap();
+    json(folder.path(), "synth rigid -o clip --frames 4 --size 48x27 --seed 5");
+    let train = "train clip/truth -o scene.safetensors --steps 20 --random-points 400 \
+                 --sh-degree 1 --eval-every 3 --report report";
+    let report = json(folder.path(), train);
+    (folder, report)
+});
+
+fn trained() -> &'static Path {
+    TRAINED.0.path()
+}
+
+/// A few Gaussians before a camera at the origin that looks along z.
+fn blobs() -> Gaussians {
+    let positions: Vec<[f32; 3]> =
+        (0..9).map(|i| [(i % 3) as f32 - 1.0, (i / 3) as f32 - 1.0, 4.0]).collect();
+    let n = positions.len();
+    Gaussians {
+        log_scales: vec![[-1.5, -1.2, -1.0]; n],
+        rotations: vec![[0.9, 0.1, 0.3, -0.2]; n],
+        opacity_logits: vec![1.0; n],
+        sh_degree: 0,
+        sh: (0..n).map(|i| [i as f32 * 0.2 - 1.0, 0.7, 1.0 - i as f32 * 0.3]).collect(),
+        motion_logits: Vec::new(),
+        positions,
+    }
+}
+
+fn cameras(count: usize) -> Vec<TimedCamera> {
+    (0..count)
+        .map(|i| TimedCamera {
+            time: i as f64 / (count - 1).max(1) as f64,
+            camera: Camera {
+                intrinsics: Intrinsics::centred(40.0, 48, 32),
+                view_from_world: look_at(
+                    DVec3::new(0.4 * i as f64 - 0.5, 0.2, 0.0),
+                    DVec3::new(0.0, 0.0, 4.0),
+                    DVec3::NEG_Y,
+                ),
+            },
+        })
+        .collect()
+}
+
+#[test]
+fn help_has_an_example_of_every_command() {
+    let folder = tempfile::tempdir().unwrap();
+    let whole = run(folder.path(), "--help");
+    assert!(whole.status.success());
+    let whole = String::from_utf8(whole.stdout).unwrap();
+    for command in COMMANDS {
+        says(&whole, &[command]);
+        let help = run(folder.path(), &format!("{command} --help"));
+        assert!(help.status.success());
+        let help = String::from_utf8(help.stdout).unwrap();
+        says(&help, &["Example", &format!("  splat4d {command}"), "JSON: "]);
+        says(&help, &["--json", "--device", "--seed"]);
+    }
+}
+
+/// That a command's help names every key that it gave.
+#[track_caller]
+fn documented(command: &str, given: &Value) {
+    let help = run(Path::new("."), &format!("{command} --help"));
+    let help = String::from_utf8(help.stdout).unwrap();
+    for key in given.as_object().unwrap().keys() {
+        assert!(help.contains(key.as_str()), "{command} --help does not name `{key}`");
+    }
+}
+
+#[test]
+fn devices_are_listed() {
+    let found = json(Path::new("."), "devices");
+    let first = &found["devices"][0];
+    assert!(first["name"].is_string() && first["subgroup_size"].as_u64() >= Some(4), "{found}");
+    documented("devices", &found);
+    documented("devices", first);
+}
+
+#[test]
+fn training_reports_and_leaves_a_scene() {
+    let report = &TRAINED.1;
+    documented("train", report);
+    assert_eq!(report["gaussians"], 400);
+    assert_eq!((&report["images"], &report["held_out"]), (&2.into(), &2.into()));
+    assert_eq!(report["control_points"], 0);
+    assert_eq!(report["dynamic_share"], 0.0);
+    for key in ["psnr_input", "psnr_test", "peak_bytes", "milliseconds_per_step"] {
+        assert!(report[key].as_f64() > Some(1.0), "{key}: {report}");
+    }
+    assert!(report["seconds"]["train"].as_f64() > Some(0.0));
+
+    let scene = Scene::open(trained().join("scene.safetensors"), false).unwrap().scene;
+    assert_eq!(scene.gaussians.len(), 400);
+    assert_eq!(scene.cameras.len(), 4);
+    assert_eq!(scene.report["psnr_test"], report["psnr_test"]);
+    let sheet = trained().join("report/sheet.png");
+    let (width, height) = images::dimensions(&sheet, images::Orientation::Stored).unwrap();
+    assert!(width >= 4 * 48 && height >= 2 * 27, "{width}×{height}");
+    let written: Value =
+        serde_json::from_slice(&fs::read(trained().join("report/report.json")).unwrap()).unwrap();
+    assert_eq!(written["gaussians"], 400);
+}
+
+#[test]
+fn training_repeats_itself_and_more_of_it_is_better() {
+    let folder = tempfile::tempdir().unwrap();
+    let clip = trained().join("clip/truth");
+    let train = |steps: usize, file: &str| {
+        json(
+            folder.path(),
+            &format!(
+                "train {} -o {file} --steps {steps} --random-points 400 --sh-degree 1 \
+                 --eval-every 3",
+                clip.display()
+            ),
+        )
+    };
+    let first = train(20, "a.safetensors");
+    assert_eq!(first["psnr_test"], TRAINED.1["psnr_test"], "the same run gives the same bits");
+    let longer = train(120, "b.safetensors");
+    let input = |report: &Value| report["psnr_input"].as_f64().unwrap();
+    assert!(input(&longer) > input(&first) + 0.5, "{longer} after {first}");
+}
+
+#[test]
+fn info_counts() {
+    let found = json(trained(), "info scene.safetensors");
+    documented("info", &found);
+    assert_eq!(found["gaussians"], 400);
+    assert_eq!(found["cameras"], 4);
+    assert_eq!(found["sh_degree"], 1);
+    assert_eq!((&found["width"], &found["height"]), (&48.into(), &27.into()));
+    assert_eq!(found["network"], Value::Null);
+    assert!(found["report"]["seconds"].is_object());
+    let [low, high] = [0, 1].map(|i| found["bounding_box"][i][0].as_f64().unwrap());
+    assert!(low < high);
+    let text = run(trained(), "info scene.safetensors");
+    says(&String::from_utf8(text.stdout).unwrap(), &["400", "48×27"]);
+}
+
+#[test]
+fn a_scene_is_measured_against_the_truth() {
+    let found = json(trained(), "eval scene.safetensors clip/truth");
+    documented("eval", &found);
+    // It was trained with the true cameras.
+    for key in ["ate_rmse", "ate_relative", "rpe_trans_rmse", "rpe_rot_deg_rmse", "focal_error"] {
+        assert!(found[key].as_f64().unwrap() < 1e-5, "{key}: {found}");
+    }
+    assert!((found["scale"].as_f64().unwrap() - 1.0).abs() < 1e-5);
+    assert_eq!(found["poses"], 4);
+    assert_eq!(found["mask_iou"], 0.0, "a static scene covers none of the mover");
+    assert!(found["depth_rel_median"].as_f64().unwrap() > 0.0);
+    assert_eq!(found["per_frame"].as_array().unwrap().len(), 8, "two cameras at four times");
+    assert!(found["psnr"].as_f64().unwrap() > 8.0);
+    assert_eq!(found["lpips"], Value::Null);
+}
+
+/// A scene in a frame of its own, turned, moved and scaled, measures as the same scene does at home.
+#[test]
+fn the_truth_is_carried_into_the_scenes_frame() {
+    use splat4d::geometry::sim3::Sim3;
+    let home = Scene::open(trained().join("scene.safetensors"), false).unwrap().scene;
+    let moved_from_home = Sim3 {
+        scale: 2.5,
+        rotation: glam::DQuat::from_euler(glam::EulerRot::XYZ, 0.4, -0.9, 0.2),
+        translation: DVec3::new(3.0, -2.0, 7.0),
+    };
+    let mut moved = home.clone();
+    let g = &mut moved.gaussians;
+    // Without bands above the constant, colours do not turn.
+    let coefficients = g.sh.len() / g.len();
+    g.sh = g.sh.iter().copied().step_by(coefficients).collect();
+    g.sh_degree = 0;
+    let mut flat = home.clone();
+    (flat.gaussians.sh, flat.gaussians.sh_degree) = (g.sh.clone(), 0);
+    for i in 0..g.len() {
+        let position = glam::Vec3::from_array(g.positions[i]).as_dvec3();
+        g.positions[i] = moved_from_home.apply(position).as_vec3().to_array();
+        g.log_scales[i] = g.log_scales[i].map(|s| s + 2.5f32.ln());
+        let [w, x, y, z] = g.rotations[i].map(f64::from);
+        let q = moved_from_home.rotation * glam::DQuat::from_xyzw(x, y, z, w);
+        g.rotations[i] = [q.w, q.x, q.y, q.z].map(|v| v as f32);
+    }
+    for SceneCamera { camera, .. } in &mut moved.cameras {
+        let world_from_view = moved_from_home.apply_pose(&camera.view_from_world.inverse());
+        camera.view_from_world = world_from_view.inverse();
+    }
+    let folder = tempfile::tempdir().unwrap();
+    flat.save(folder.path().join("home")).unwrap();
+    moved.save(folder.path().join("moved")).unwrap();
+    let truth = trained().join("clip");
+    let eval = |name: &str| json(folder.path(), &format!("eval {name} {}", truth.display()));
+    let (at_home, away) = (eval("home"), eval("moved"));
+    assert!((away["scale"].as_f64().unwrap() * 2.5 - 1.0).abs() < 1e-5, "{away}");
+    let close = |key: &str, by: f64| {
+        let [a, b] = [&at_home, &away].map(|found| found[key].as_f64().unwrap());
+        assert!((a - b).abs() < by, "{key}: {a} at home, {b} away");
+    };
+    close("psnr", 0.02);
+    close("ssim", 0.002);
+    close("depth_rel_median", 0.002);
+    assert!(away["ate_rmse"].as_f64().unwrap() < 1e-5);
+}
+
+#[test]
+fn a_scene_is_measured_against_pictures() {
+    let found = json(trained(), "eval scene.safetensors clip/truth/transforms.json --eval-every 3");
+    let (here, there) = (found["psnr"].as_f64().unwrap(), TRAINED.1["psnr_test"].as_f64().unwrap());
+    assert!((here - there).abs() < 1e-6, "as training measured: {here} and {there}");
+    assert_eq!(found["per_frame"].as_array().unwrap().len(), 2);
+    assert_eq!(found["ate_rmse"], Value::Null);
+}
+
+#[test]
+fn trajectories_are_measured() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut lines = ["# estimate\n".to_owned(), String::new()];
+    for i in 0..20 {
+        let t = f64::from(i) * 0.1;
+        let (x, y, z) = (t, (2.0 * t).sin(), t * t);
+        lines[0] += &format!("{t} {} {} {} 0 0 0 1\n", 3.0 * x + 1.0, 3.0 * y, 3.0 * z - 5.0);
+        lines[1] += &format!("{} {x} {y} {z} 0 0 0 1\n", t + 0.001);
+    }
+    fs::write(folder.path().join("a.txt"), &lines[0]).unwrap();
+    fs::write(folder.path().join("b.txt"), &lines[1]).unwrap();
+    let found = json(folder.path(), "eval a.txt b.txt");
+    assert!(found["ate_rmse"].as_f64().unwrap() < 1e-9, "{found}");
+    assert!((found["scale"].as_f64().unwrap() - 1.0 / 3.0).abs() < 1e-9);
+    assert_eq!(found["poses"], 20);
+    let rigid = json(folder.path(), "eval a.txt b.txt --align se3");
+    assert!(rigid["ate_rmse"].as_f64().unwrap() > 0.5);
+    let said = fails(folder.path(), 1, "eval a.txt b.txt --max-difference 0.0001");
+    says(&said, &["--max-difference"]);
+}
+
+#[test]
+fn rendering_writes_what_the_renderer_gives() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = cameras(3);
+    let names: Vec<String> = (0..3).map(|i| format!("{i}.png")).collect();
+    transforms::write(folder.path().join("path.json"), &path, &names).unwrap();
+    ply::write(folder.path().join("blobs.ply"), &blobs()).unwrap();
+    let found = json(
+        folder.path(),
+        "render blobs.ply -o out/views --path path.json --exr --depth --background 0.2,0.4,0.6",
+    );
+    documented("render", &found);
+    assert_eq!((&found["frames"], &found["gaussians"]), (&3.into(), &9.into()));
+    let device = common::device();
+    let mut renderer = Renderer::new(&device, &Scene::of(blobs())).unwrap();
+    for (i, shot) in path.iter().enumerate() {
+        let expected = renderer.render(&shot.camera, shot.time).unwrap();
+        let file = |ending: &str| folder.path().join(format!("out/views/{i:04}{ending}"));
+        let float = exr::read_rgba(file(".exr")).unwrap();
+        let apart =
+            |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        // The path went through a file of decimal numbers and axes turned twice.
+        assert!(apart(&float.pixels, &expected.rgba.pixels) < 1e-4);
+        let depth = exr::read_depth(file("_depth.exr")).unwrap();
+        assert!(apart(&depth.pixels, &expected.mean_depth().pixels) < 1e-3);
+        let png = images::decode_rgb(&file(".png"), [0.0; 3], images::Orientation::Stored).unwrap();
+        let over = expected.over([0.2, 0.4, 0.6]);
+        let clamped: Vec<f32> = over.pixels.iter().map(|v| v.clamp(0.0, 1.0)).collect();
+        assert!(apart(&png.pixels, &clamped) < 0.6 / 255.0 + 1e-4);
+    }
+    assert_eq!(content(&folder.path().join("out/views")).len(), 9);
+}
+
+#[test]
+fn sizes_focal_lengths_and_orbits() {
+    let folder = tempfile::tempdir().unwrap();
+    ply::write(folder.path().join("blobs.ply"), &blobs()).unwrap();
+    let found = json(folder.path(), "render blobs.ply -o a --frames 3 --size 40x24 --times 0.5");
+    assert_eq!(
+        (&found["frames"], &found["width"], &found["height"]),
+        (&3.into(), &40.into(), &24.into())
+    );
+    let bright = |name: &str| {
+        let path = folder.path().join(name);
+        let image = images::decode_rgb(&path, [0.0; 3], images::Orientation::Stored).unwrap();
+        image.pixels.iter().filter(|v| **v > 0.05).count()
+    };
+    assert!(bright("a/0000.png") > 100, "the orbit shows the Gaussians");
+    json(folder.path(), "render blobs.ply -o b --frames 1 --size 40x24 --focal 4");
+    assert!(bright("b/0000.png") * 4 < bright("a/0000.png"), "a short lens shows them small");
+    let views = json(trained(), "render scene.safetensors -o views --times 2");
+    assert_eq!(views["frames"], 8, "four cameras at two times each");
+}
+
+#[test]
+fn wrong_usage_is_two() {
+    let folder = tempfile::tempdir().unwrap();
+    for arguments in [
+        "frobnicate",
+        "train",
+        "train data",
+        "train data -o x --steps many",
+        "train data -o x --steps 0",
+        "train data -o x --sh-degree 4",
+        "render x -o y --size 10",
+        "render x -o y --times 3,4",
+        "render x -o y --background red",
+        "render x -o y --focal -3",
+        "synth nothing -o x",
+        "synth rigid",
+        "info",
+        "eval x",
+        "devices --no-such-flag",
+    ] {
+        fails(folder.path(), 2, arguments);
+    }
+}
+
+#[test]
+fn bad_input_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    fs::create_dir(at("empty")).unwrap();
+    fs::write(at("noise"), "this is no scene").unwrap();
+    fs::write(at("noise.ply"), "ply\nformat nonsense 1.0\nend_header\n").unwrap();
+    let missing = ["missing"];
+    for (arguments, parts) in [
+        ("train missing -o x", &missing[..]),
+        ("render missing -o x", &missing),
+        ("info missing", &missing),
+        ("eval missing empty", &["empty"]),
+        ("eval noise missing", &missing),
+        ("train empty -o x", &["empty", "transforms.json"]),
+        ("train noise -o x", &["noise", "not a dataset"]),
+        ("info noise", &["noise"]),
+        ("info noise.ply", &["noise.ply"]),
+        ("render noise -o x", &["noise"]),
+        ("render noise.ply -o x", &["noise.ply"]),
+        ("info empty", &["empty", "folder"]),
+    ] {
+        says(&fails(folder.path(), 1, arguments), parts);
+    }
+}
+
+/// A dataset in a folder: some pictures and their cameras.
+fn dataset(folder: &Path, pictures: usize) {
+    let names: Vec<String> = (0..pictures).map(|i| format!("{i}.png")).collect();
+    for (i, name) in names.iter().enumerate() {
+        write_png(folder.join(name), &picture(48, 32, i as u32)).unwrap();
+    }
+    transforms::write(folder.join("transforms.json"), &cameras(pictures), &names).unwrap();
+}
+
+#[test]
+fn bad_datasets_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    dataset(&at("one"), 1);
+    says(&fails(folder.path(), 1, "train one -o x"), &["one picture"]);
+    dataset(&at("broken"), 4);
+    let whole = fs::read(at("broken/2.png")).unwrap();
+    fs::write(at("broken/2.png"), &whole[..whole.len() / 2]).unwrap();
+    says(&fails(folder.path(), 1, "train broken -o x"), &["2.png"]);
+    dataset(&at("held"), 3);
+    says(&fails(folder.path(), 1, "train held -o x --eval-every 1"), &["--eval-every"]);
+    fs::write(at("held/transforms.json"), "{\"frames\": [").unwrap();
+    says(&fails(folder.path(), 1, "train held -o x"), &["transforms.json", "line 1"]);
+    // A PLY has no cameras to render from, and says what to do.
+    ply::write(at("blobs.ply"), &blobs()).unwrap();
+    says(&fails(folder.path(), 1, "render blobs.ply -o x --path input"), &["--path orbit"]);
+    says(&fails(folder.path(), 1, "render blobs.ply -o x --path none.json"), &["none.json"]);
+    says(&fails(folder.path(), 1, "eval blobs.ply one/transforms.json --device none"), &["none"]);
+}
+
+#[test]
+fn damaged_scenes_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let truncate = |from: &str, to: &str| {
+        let bytes = fs::read(at(from)).unwrap();
+        fs::write(at(to), &bytes[..bytes.len() - 10]).unwrap();
+    };
+    ply::write(at("good.ply"), &blobs()).unwrap();
+    truncate("good.ply", "short.ply");
+    Scene::of(blobs()).save(at("good.safetensors")).unwrap();
+    truncate("good.safetensors", "short.safetensors");
+    let mut bytes = fs::read(at("good.safetensors")).unwrap();
+    let version = b"\"version\":\"1\"";
+    let place = bytes.windows(version.len()).position(|w| w == version).unwrap();
+    bytes[place + version.len() - 2] = b'7';
+    fs::write(at("newer.safetensors"), &bytes).unwrap();
+    for command in ["info FILE", "render FILE -o x", "eval FILE good.ply"] {
+        let with = |file: &str| command.replace("FILE", file);
+        if !command.starts_with("eval") {
+            says(&fails(folder.path(), 1, &with("short.ply")), &["short.ply", "cut off"]);
+        }
+        fails(folder.path(), 1, &with("short.safetensors"));
+        fails(folder.path(), 1, &with("newer.safetensors"));
+    }
+    says(&fails(folder.path(), 1, "info short.safetensors"), &["short.safetensors"]);
+    says(&fails(folder.path(), 1, "info newer.safetensors"), &["newer.safetensors", "version 7"]);
+}
+
+#[test]
+fn gaussians_that_are_not_finite_are_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut bad = blobs();
+    bad.positions[3][1] = f32::NAN;
+    bad.opacity_logits[5] = f32::INFINITY;
+    ply::write(folder.path().join("bad.ply"), &bad).unwrap();
+    for command in ["info bad.ply", "render bad.ply -o x"] {
+        says(&fails(folder.path(), 1, command), &["2 of 9", "--drop-bad"]);
+    }
+    let found = json(folder.path(), "info bad.ply --drop-bad");
+    assert_eq!((&found["gaussians"], &found["dropped"]), (&7.into(), &2.into()));
+    let found = json(folder.path(), "render bad.ply -o x --drop-bad --frames 1 --size 32x20");
+    assert_eq!(found["dropped"], 2);
+}
+
+#[test]
+fn devices_that_are_not_there() {
+    let folder = tempfile::tempdir().unwrap();
+    ply::write(folder.path().join("blobs.ply"), &blobs()).unwrap();
+    let said = fails(folder.path(), 1, "render blobs.ply -o x --device no-such-card");
+    says(&said, &["no-such-card", "there are"]);
+    for command in ["devices", "render blobs.ply -o x"] {
+        let none = folder.path().join("none.json");
+        let output = program()
+            .current_dir(folder.path())
+            .args(command.split_whitespace())
+            .env("VK_DRIVER_FILES", &none)
+            .env("VK_ICD_FILENAMES", &none)
+            .env_remove("VK_ADD_DRIVER_FILES")
+            .output()
+            .unwrap();
+        assert_eq!(output.status.code(), Some(1));
+        says(&stderr(&output), &["mesa-vulkan-drivers"]);
+    }
+}
+
+#[test]
+fn outputs_that_cannot_be_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    dataset(&at("data"), 3);
+    fs::create_dir(at("dir")).unwrap();
+    ply::write(at("file.ply"), &blobs()).unwrap();
+    says(&fails(folder.path(), 1, "train data -o dir"), &["dir", "is a folder"]);
+    says(&fails(folder.path(), 1, "train data -o file.ply/x"), &["file.ply"]);
+    says(&fails(folder.path(), 1, "render file.ply -o file.ply"), &["file.ply", "folder"]);
+    says(&fails(folder.path(), 1, "synth rigid -o data --frames 2 --size 16x16"), &["not empty"]);
+    if cfg!(target_os = "linux") {
+        // Before the work, where a folder does not take files at all.
+        let said = fails(folder.path(), 1, "train data -o /proc/scene.safetensors");
+        says(&said, &["/proc"]);
+        // After it, where the disk is full.
+        let train = "train data -o /dev/full --steps 1 --random-points 50";
+        says(&fails(folder.path(), 1, train), &["/dev/full", "space"]);
+    }
+}
+
+/// With `--json`, an error is the one object on stdout.
+#[test]
+fn errors_for_machines() {
+    let output = run(Path::new("."), "info missing --json");
+    assert_eq!(output.status.code(), Some(1));
+    let value: Value = serde_json::from_slice(&output.stdout).unwrap();
+    says(value["error"].as_str().unwrap(), &["missing"]);
+}
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_leaves_nothing_half_written() {
+    use std::io::{BufRead, BufReader};
+    let folder = tempfile::tempdir().unwrap();
+    dataset(&folder.path().join("data"), 3);
+    let before = content(folder.path());
+    let mut child = program()
+        .current_dir(folder.path())
+        .args("train data -o x --steps 1000000 --random-points 50 --device software".split(' '))
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+    lines.find(|line| line.as_ref().unwrap().contains("to begin with")).unwrap().unwrap();
+    let pid = child.id().to_string();
+    assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+    let said: Vec<String> = lines.map(Result::unwrap).collect();
+    assert_eq!(child.wait().unwrap().code(), Some(130), "{said:?}");
+    assert!(said.iter().any(|line| line.contains("interrupted")), "{said:?}");
+    assert_eq!(content(folder.path()), before);
+}
+
+#[test]
+fn a_real_dataset_goes_through() {
+    let Some(fox) = support::shared("fox270") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let train = "-o fox.safetensors --steps 3 --size 60 --max-gaussians 500 --eval-every 20";
+    let report = json(folder.path(), &format!("train {} {train}", fox.display()));
+    assert_eq!(report["gaussians"], 500, "its points, thinned");
+    assert!(report["held_out"].as_u64() >= Some(2));
+    let found = json(folder.path(), "render fox.safetensors -o views --path orbit --frames 2");
+    assert_eq!(found["frames"], 2);
+}
