@@ -193,7 +193,6 @@ fn require_features(
     // SAFETY: as above.
     unsafe { instance.raw.get_physical_device_properties2(physical, &mut properties) };
     let subgroup = vk::SubgroupFeatureFlags::BASIC
-        | vk::SubgroupFeatureFlags::VOTE
         | vk::SubgroupFeatureFlags::BALLOT
         | vk::SubgroupFeatureFlags::ARITHMETIC
         | vk::SubgroupFeatureFlags::SHUFFLE;
@@ -206,7 +205,7 @@ fn require_features(
         (
             vulkan11.subgroup_supported_operations.contains(subgroup)
                 && vulkan11.subgroup_supported_stages.contains(vk::ShaderStageFlags::COMPUTE),
-            "subgroup vote, ballot, arithmetic and shuffle in compute shaders",
+            "subgroup ballot, arithmetic and shuffle in compute shaders",
         ),
     ];
     let missing: Vec<_> = needs.iter().filter(|(has, _)| !has).map(|(_, what)| *what).collect();
