@@ -9,10 +9,12 @@ pub mod eval;
 pub mod geometry;
 pub mod gpu;
 pub mod kernels;
+pub mod observe;
 pub mod ops;
 pub mod io;
 pub mod oracle;
 pub mod scene;
+pub mod track;
 pub mod types;
 pub mod vk;
 
