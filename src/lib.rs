@@ -8,13 +8,15 @@ pub mod error;
 pub mod eval;
 pub mod geometry;
 pub mod gpu;
+pub mod io;
 pub mod kernels;
 pub mod observe;
 pub mod ops;
-pub mod io;
 pub mod oracle;
+pub mod renderer;
 pub mod scene;
 pub mod track;
+pub mod train;
 pub mod types;
 pub mod vk;
 

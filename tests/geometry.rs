@@ -9,6 +9,7 @@ use splat4d::geometry::bundle::{
 };
 use splat4d::geometry::pnp::{PnpOptions, pnp_ransac};
 use splat4d::geometry::se3::{Twist, angle_between, exp_so3, retract};
+use splat4d::geometry::two_view::{TwoViewOptions, two_view};
 use splat4d::types::{Intrinsics, Pose};
 use std::path::PathBuf;
 
@@ -440,12 +441,7 @@ fn a_long_clip_is_adjusted() {
 
 /// Makes an anchored problem out of classical bundle data: each point is anchored at its first
 /// observation, its inverse depth read off the given position.
-fn anchored(
-    intrinsics: Intrinsics,
-    poses: Vec<Pose>,
-    points: &[DVec3],
-    seen: &[(usize, usize, DVec2)],
-) -> Problem {
+fn anchored(intrinsics: Intrinsics, poses: Vec<Pose>, points: &[DVec3], seen: &[Seen]) -> Problem {
     let mut index = vec![None; points.len()];
     let (mut anchors, mut observations) = (Vec::new(), Vec::new());
     for &(frame, point, pixel) in seen {
@@ -505,8 +501,14 @@ fn bal_dubrovnik_reprojects_by_its_own_model_and_is_improved() {
     assert!(report.inlier_rmse < 1.5 && all_finite(&problem));
 }
 
+/// Frame, point and pixel.
+type Seen = (usize, usize, DVec2);
+
+/// Camera, `view_from_world`, points, and what was seen.
+type Classical = (Intrinsics, Vec<Pose>, Vec<DVec3>, Vec<Seen>);
+
 /// Real tracks and cameras from Blender's motion tracker (Tears of Steel).
-fn libmv() -> Option<(Intrinsics, Vec<Pose>, Vec<DVec3>, Vec<(usize, usize, DVec2)>)> {
+fn libmv() -> Option<Classical> {
     let bytes = std::fs::read(data("ba/libmv_ceres/problem_01.bin")?).unwrap();
     assert_eq!(&bytes[..2], b"vP", "little endian, pixels");
     let words: Vec<[u8; 4]> = bytes[2..].chunks(4).map(|c| c.try_into().unwrap()).collect();
@@ -576,4 +578,78 @@ fn libmv_cameras_are_found_again_by_pnp_and_bundle_adjustment() {
     );
     assert!(report.inlier_rmse < 1.0 && report.inlier_ratio > 0.7);
     assert!(after < 0.005 && after < 0.5 * before);
+}
+
+/// Nothing wild makes it panic or leave a number that is not one.
+#[test]
+fn wild_problems_end_finite_or_in_words() {
+    let mut rng = ChaCha8Rng::seed_from_u64(99);
+    let mut wild = |limit: f64| {
+        let size = 10f64.powf(rng.random_range(-limit..limit));
+        if rng.random::<bool>() { size } else { -size }
+    };
+    let (mut solved, trials) = (0, 300);
+    for trial in 0..trials {
+        let limit = [1.0, 3.0, 12.0][trial % 3];
+        let frames = 1 + trial % 5;
+        let poses = (0..frames)
+            .map(|_| {
+                let turn = DVec3::new(wild(1.0), wild(1.0), wild(1.0));
+                Pose::new(exp_so3(turn), DVec3::new(wild(limit), wild(limit), wild(limit)))
+            })
+            .collect();
+        let points: Vec<Point> = (0..1 + trial % 7)
+            .map(|i| Point {
+                frame: i % frames,
+                pixel: DVec2::new(wild(limit), wild(limit)),
+                inverse_depth: wild(limit).max(0.0),
+                prior: (i % 3 == 0)
+                    .then(|| DepthPrior { inverse_depth: wild(limit), weight: wild(limit).abs() }),
+            })
+            .collect();
+        let observations = (0..20)
+            .map(|i| Observation {
+                point: i % points.len(),
+                frame: (i * 7 / 3) % frames,
+                pixel: DVec2::new(wild(limit), wild(limit)),
+                weight: wild(limit).max(0.0),
+            })
+            .collect();
+        let mut problem = Problem {
+            intrinsics: Intrinsics::centred(wild(2.0).abs() * 10.0, 64, 48),
+            poses,
+            fixed: (0..frames).map(|i| i % 4 == 1).collect(),
+            points,
+            observations,
+        };
+        let options = Options {
+            focal: [FocalMode::Fixed, FocalMode::Free, FocalMode::Gated(0.1)][trial % 3],
+            kernel: [Kernel::None, Kernel::Cauchy, Kernel::GemanMcClure][trial / 3 % 3],
+            ..Default::default()
+        };
+        if let Ok(report) = adjust(&mut problem, &options) {
+            solved += 1;
+            assert!(report.final_cost.is_finite() && report.scale.is_finite(), "{report:?}");
+            assert!(!report.focal_std.is_nan() && !report.depth_std.is_nan());
+        }
+        assert!(all_finite(&problem), "trial {trial}: {problem:?}");
+    }
+    assert!(solved > trials / 2, "{solved} of {trials} reached a result");
+
+    // The robust searches on pure noise of any size.
+    for trial in 0..60 {
+        let limit = [1.0, 3.0, 100.0][trial % 3];
+        let k = Intrinsics::centred(50.0, 64, 48);
+        let a: Vec<DVec2> = (0..trial).map(|_| DVec2::new(wild(limit), wild(limit))).collect();
+        let b: Vec<DVec2> = (0..trial).map(|_| DVec2::new(wild(limit), wild(limit))).collect();
+        let world: Vec<DVec3> =
+            (0..trial).map(|_| DVec3::new(wild(limit), wild(limit), wild(limit))).collect();
+        if let Ok(found) = two_view(&a, &b, None, &k, &k, &TwoViewOptions::default()) {
+            assert!(found.b_from_a.rotation.is_finite() && found.b_from_a.translation.is_finite());
+        }
+        if let Ok(found) = pnp_ransac(&world, &b, None, &k, None, &PnpOptions::default()) {
+            assert!(found.view_from_world.translation.is_finite());
+            assert!(found.covariance.iter().all(|v| v.is_finite()));
+        }
+    }
 }

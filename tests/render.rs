@@ -8,19 +8,6 @@ use splat4d::gpu::{Device, Stream};
 use splat4d::ops::gaussians::GaussianBuffers;
 use splat4d::ops::render::Render;
 use splat4d::types::{Camera, Gaussians, Intrinsics, Pose, RenderSettings};
-use std::path::PathBuf;
-
-fn shared(path: &str) -> Option<PathBuf> {
-    let base = std::env::var_os("SPLAT4D_DATA")
-        .map(PathBuf::from)
-        .unwrap_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data"));
-    let path = base.join(path);
-    if !path.exists() {
-        println!("SKIPPED (no ../shared/data): {}", path.display());
-        return None;
-    }
-    Some(path)
-}
 
 fn render(device: &Device, gaussians: &Gaussians, camera: &Camera) -> (Vec<[f32; 4]>, Vec<f32>) {
     let mut stream: Stream = device.stream().unwrap();
@@ -47,7 +34,7 @@ fn render(device: &Device, gaussians: &Gaussians, camera: &Camera) -> (Vec<[f32;
 
 #[test]
 fn tiny_case_matches_gsplat() {
-    let Some(path) = shared("brush_ref/tiny_case.safetensors") else { return };
+    let Some(path) = common::shared_data("brush_ref/tiny_case.safetensors") else { return };
     let bytes = std::fs::read(path).unwrap();
     let tensors = SafeTensors::deserialize(&bytes).unwrap();
     let floats = |name: &str| -> Vec<f32> {
@@ -81,4 +68,67 @@ fn tiny_case_matches_gsplat() {
     }
     println!("largest difference {worst:e}");
     common::assert_valid(&device);
+}
+
+#[test]
+fn images_that_cannot_be_are_refused() {
+    let device = common::device();
+    let settings = RenderSettings::default();
+    for (width, height) in [(0, 10), (10, 0), (16 * 0xffff + 1, 1), (1, u32::MAX)] {
+        let error = Render::plan(&device, 1, 1, width, height, settings).err().unwrap();
+        assert_eq!(error.to_string(), format!("cannot render an image of {width}×{height} pixels"));
+    }
+}
+
+#[test]
+fn what_does_not_fit_is_named() {
+    let device = common::device();
+    let mut stream = device.stream().unwrap();
+    let settings = RenderSettings::default();
+    let plan = |n, m, width| Render::plan(&device, n, m, width, 20, settings).unwrap();
+    let one = Gaussians {
+        positions: vec![[0.0, 0.0, 2.0]],
+        log_scales: vec![[-1.0; 3]],
+        rotations: vec![[1.0, 0.0, 0.0, 0.0]],
+        opacity_logits: vec![1.0],
+        sh_degree: 0,
+        sh: vec![[0.0; 3]],
+        motion_logits: Vec::new(),
+    };
+    let gaussians = GaussianBuffers::from_host(&mut stream, &one).unwrap();
+    let mut error = |render: &Render, scratch: &Render, pixels: &Render, width| {
+        let camera = Camera {
+            intrinsics: Intrinsics::centred(20.0, width, 20),
+            view_from_world: Pose::IDENTITY,
+        };
+        let mut scratch = scratch.scratch(&device).unwrap();
+        let mut pixels = pixels.pixels(&device).unwrap();
+        let recorder = &mut stream.record().unwrap();
+        render
+            .forward(recorder, &camera, gaussians.views(), &mut scratch, &mut pixels)
+            .map_err(|error| error.to_string())
+    };
+    let good = plan(1, 64, 30);
+    assert_eq!(error(&good, &good, &good, 30), Ok(()));
+    assert_eq!(
+        error(&good, &good, &good, 31).unwrap_err(),
+        "the renderer was planned for 30×20 pixels, the camera has 31×20"
+    );
+    assert_eq!(
+        error(&plan(0, 64, 30), &good, &good, 30).unwrap_err(),
+        "render: gaussians has 1 elements, expected at most 0"
+    );
+    assert_eq!(
+        error(&good, &plan(1, 63, 30), &good, 30).unwrap_err(),
+        "render: scratch's intersections has 63 elements, expected at least 64"
+    );
+    assert_eq!(
+        error(&good, &good, &plan(1, 64, 29), 30).unwrap_err(),
+        "render: pixels has 580 elements, expected an image of 30×20"
+    );
+}
+
+#[test]
+fn cases() {
+    common::run("render");
 }

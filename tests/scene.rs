@@ -1,30 +1,18 @@
 //! The scene's file and 3DGS PLY: round trips, other programs' spellings, and damage.
 
+mod support;
+
 use std::fs;
 use std::path::Path;
 
 use glam::{DQuat, DVec3};
 use serde_json::{Value, json};
-use splat4d::Result;
 use splat4d::scene::{Scene, SceneCamera, ply};
 use splat4d::types::{
     Camera, ControlPoints, DeformNet, Gaussians, Intrinsics, NetShape, Pose, RenderSettings,
     sh_coefficients,
 };
-
-fn message<T>(result: Result<T>) -> String {
-    match result {
-        Ok(_) => panic!("an error was expected"),
-        Err(error) => error.to_string(),
-    }
-}
-
-#[track_caller]
-fn says(message: &str, parts: &[&str]) {
-    for part in parts {
-        assert!(message.contains(part), "`{part}` is not in: {message}");
-    }
-}
+use support::{Dice, message, says};
 
 /// A different value at each call.
 struct Numbers(f32);
@@ -246,28 +234,23 @@ fn not_a_number_in_a_scene() {
     says(&message(Scene::open(&path, true)), &["network.0.weight", "1 NaN"]);
 }
 
-/// A small generator for mutations.
-struct Dice(u64);
-
-impl Dice {
-    fn roll(&mut self, n: usize) -> usize {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963);
-        (self.0 >> 33) as usize % n
-    }
-}
-
 /// Every strict prefix fails; files with some bytes changed do not panic.
 fn damage(path: &Path, rounds: usize) {
     let original = fs::read(path).unwrap();
     for length in (0..original.len()).step_by((original.len() / 300).max(1)) {
         fs::write(path, &original[..length]).unwrap();
+        // ASCII ends in white space that nobody misses.
+        if original[length..].trim_ascii().is_empty() {
+            continue;
+        }
         assert!(Scene::open(path, true).is_err(), "{length} of {} bytes", original.len());
     }
     let mut dice = Dice(11);
     for _ in 0..rounds {
         let mut bytes = original.clone();
         for _ in 0..1 + dice.roll(3) {
-            let at = dice.roll(if dice.roll(3) > 0 { bytes.len().min(2048) } else { bytes.len() });
+            let within = if dice.roll(3) > 0 { bytes.len().min(2048) } else { bytes.len() };
+            let at = dice.roll(within);
             bytes[at] = match dice.roll(3) {
                 0 => b'0' + dice.roll(10) as u8,
                 1 => [0, 0xff, b'"', b'}', b' ', b'-'][dice.roll(6)],

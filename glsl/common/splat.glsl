@@ -7,24 +7,31 @@ mat3 rotation_matrix(vec4 q) {
                 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y));
 }
 
+// By the bits of the exponent: a driver that assumes that there are no NaNs may drop a comparison.
+bool finite(float x) {
+    return (floatBitsToUint(x) & 0x7f800000u) != 0x7f800000u;
+}
+bool finite(vec3 v) {
+    return finite(v.x) && finite(v.y) && finite(v.z);
+}
+
+// Shorter quaternions count as zero.
+const float LEAST_QUATERNION = 1e-10;
+
 // Scaled twice, so that neither huge nor tiny quaternions overflow or vanish in the square.
 bool normalised(vec4 q, out vec4 unit, out float length_q) {
+    if (!finite(q.xyz) || !finite(q.w)) {
+        return false;
+    }
     float largest = max(max(abs(q.x), abs(q.y)), max(abs(q.z), abs(q.w)));
-    if (!(largest > 1e-18) || largest > 1e18) {
+    if (largest == 0.0) {
         return false;
     }
     vec4 scaled = q / largest;
     float l = length(scaled);
     unit = scaled / l;
     length_q = l * largest;
-    return true;
-}
-
-bool finite(float x) {
-    return abs(x) <= 3.0e38;
-}
-bool finite(vec3 v) {
-    return finite(v.x) && finite(v.y) && finite(v.z);
+    return length_q >= LEAST_QUATERNION && finite(length_q);
 }
 
 float sigmoid(float x) {
@@ -88,9 +95,9 @@ bool shape_of(Camera c, vec2 size, float near, float tangent_clamp, float dilati
     // needle's does not cancel away as xx*yy - xy*xy does.
     vec3 normal = cross(s.row_x, s.row_y);
     float determinant = dot(normal, normal) + d * (xx + yy) + d * d;
-    if (!(determinant > 0.0)) {
+    if (!(determinant > 0.0) || !finite(determinant)) {
         return false;
     }
     s.conic = vec3(s.covariance.z, -xy, s.covariance.x) / determinant / s.unit / s.unit;
-    return true;
+    return finite(s.conic);
 }

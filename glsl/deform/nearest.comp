@@ -42,11 +42,13 @@ void main() {
         distance_here = distance_here + d.y * d.y;
         distance_here = distance_here + d.z * d.z;
         if (distance_here < distances[K - 1u]) {
-            // What is nearer or equal stays in front.
+            // What is nearer or equal stays in front; all behind moves up, equals too.
+            bool placed = false;
             float carried = distance_here;
             uint carried_node = node;
             for (uint s = 0u; s < K; s++) {
-                if (carried < distances[s]) {
+                placed = placed || carried < distances[s];
+                if (placed) {
                     float d_old = distances[s];
                     uint n_old = found[s];
                     distances[s] = carried;

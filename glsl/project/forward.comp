@@ -41,6 +41,7 @@ layout(push_constant) uniform Params {
 #include "common/tile.glsl"
 #include "common/sh.glsl"
 
+// Not clamped yet: a maximum may hide a NaN.
 vec3 colour_of(uint i, vec3 d) {
     vec3 colour = vec3(0.5) + SH0 * vec3(sh0[3u * i], sh0[3u * i + 1u], sh0[3u * i + 2u]);
     if (sh_degree >= 1u) {
@@ -67,7 +68,7 @@ vec3 colour_of(uint i, vec3 d) {
             colour += b[k] * vec3(sh3[at], sh3[at + 1u], sh3[at + 2u]);
         }
     }
-    return max(colour, vec3(0.0));
+    return colour;
 }
 
 // Number of tiles that the splat reaches; 0 means culled.
@@ -79,12 +80,12 @@ uint project(uint i) {
     float logit = opacity_logits[i];
     vec4 unit;
     float ignored;
-    if (!finite(position) || !finite(logit) || !finite(log_scale)
-        || !normalised(rotations[i], unit, ignored)) {
+    if (!finite(position) || !finite(log_scale) || !normalised(rotations[i], unit, ignored)) {
         return 0u;
     }
+    // An infinite logit is an opacity of exactly 0 or 1.
     float opacity = sigmoid(logit);
-    if (opacity < alpha_cut) {
+    if (!finite(opacity) || opacity < alpha_cut) {
         return 0u;
     }
     Shape s;
@@ -117,7 +118,7 @@ uint project(uint i) {
     }
     means[i] = vec4(mean, s.view.z, opacity);
     conics[i] = vec4(s.conic, limit);
-    colours[i] = vec4(colour, 0.0);
+    colours[i] = vec4(max(colour, vec3(0.0)), 0.0);
     rectangles[i] = uvec2(first.x | (first.y << 16), last.x | (last.y << 16));
     return reached;
 }

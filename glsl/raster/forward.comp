@@ -7,7 +7,6 @@
 // opaque.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
-#extension GL_KHR_shader_subgroup_vote : require
 #extension GL_KHR_shader_subgroup_ballot : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 
@@ -58,7 +57,7 @@ void main() {
     uvec2 range = ranges[tile];
     uint words = (gl_SubgroupSize + 31u) / 32u;
     for (uint base = range.x; base < range.y; base += gl_SubgroupSize) {
-        if (!subgroupAny(any(open))) {
+        if (subgroupBallot(any(open)) == uvec4(0u)) {
             break;
         }
         uint at = base + gl_SubgroupInvocationID;

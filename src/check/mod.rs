@@ -7,9 +7,21 @@
 //! To add one: write `src/check/FAMILY.rs` with a `pub const CASES: &[Case]`, list it in [`ALL`],
 //! and let `tests/FAMILY.rs` call `common::run("FAMILY")`.
 
+pub mod adam;
+pub mod arap;
+pub mod bin;
+pub mod deform;
+pub mod density;
+pub mod flow;
 mod harness;
+pub mod indirect;
+pub mod loss;
 pub mod mlp;
+pub mod project;
+pub mod raster;
+pub mod render;
 pub mod scan;
+mod scene;
 pub mod sort;
 
 pub use harness::{Bound, Finding, Guarded, Harness};
@@ -27,7 +39,22 @@ pub struct Case {
 }
 
 /// Every family's cases.
-pub const ALL: &[&[Case]] = &[mlp::CASES, scan::CASES, sort::CASES];
+pub const ALL: &[&[Case]] = &[
+    adam::CASES,
+    arap::CASES,
+    bin::CASES,
+    deform::CASES,
+    density::CASES,
+    flow::CASES,
+    indirect::CASES,
+    loss::CASES,
+    mlp::CASES,
+    project::CASES,
+    raster::CASES,
+    render::CASES,
+    scan::CASES,
+    sort::CASES,
+];
 
 /// What became of a case.
 #[derive(Debug)]

@@ -47,7 +47,7 @@ pub fn write(path: impl AsRef<Path>, intrinsics: &Intrinsics) -> Result<()> {
     io::write_json(path, &to_json(intrinsics))
 }
 
-/// The JSON object that [`write`] writes.
+/// The JSON object that [`write()`] writes.
 pub fn to_json(k: &Intrinsics) -> Value {
     json!({
         "fx": k.fx, "fy": k.fy, "cx": k.cx, "cy": k.cy, "width": k.width, "height": k.height,

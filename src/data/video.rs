@@ -40,12 +40,30 @@ pub fn decode_with(
     // `file:` keeps a name such as `-x.mp4` or `concat:a` from being read as something else.
     let mut input = OsString::from("file:");
     input.push(path);
+    // Frames are to come out as they went in. The option for that changed its name with ffmpeg 5.1,
+    // and each name is unknown to some version in use.
+    let frames = match run(ffmpeg, &input, path, options, ["-fps_mode", "passthrough"]) {
+        Err(Error::Format { what, .. }) if what.contains("'fps_mode'") => {
+            run(ffmpeg, &input, path, options, ["-vsync", "0"])
+        }
+        other => other,
+    }?;
+    Ok(Decoded { frames, rate: rate(ffprobe, &input) })
+}
+
+/// Runs ffmpeg once and takes the frames that it writes.
+fn run(
+    ffmpeg: &OsStr,
+    input: &OsStr,
+    path: &Path,
+    options: &ClipOptions,
+    timing: [&str; 2],
+) -> Result<Vec<(String, Image)>> {
     let mut command = Command::new(ffmpeg);
-    command.args(["-nostdin", "-v", "error", "-i"]).arg(&input);
+    command.args(["-nostdin", "-v", "error", "-i"]).arg(input);
     command.args(["-map", "0:v:0", "-vf"]);
     command.arg(format!("select=not(mod(n\\,{}))", options.every));
-    // The older spelling of -fps_mode passthrough, which every ffmpeg in use still takes.
-    command.args(["-vsync", "0"]);
+    command.args(timing);
     if let Some(most) = options.max_frames {
         command.args(["-frames:v", &most.to_string()]);
     }
@@ -78,10 +96,15 @@ pub fn decode_with(
     let errors = errors.join().unwrap_or_default();
     let frames = frames?;
     if !status.success() {
-        let message = errors.trim().lines().last().unwrap_or("no message").to_string();
+        let lines: Vec<&str> = errors.lines().map(str::trim).filter(|l| !l.is_empty()).collect();
+        let message = match lines[..] {
+            [] => "it gives no reason".to_string(),
+            [.., before, last] => format!("{before}; {last}"),
+            [only] => only.to_string(),
+        };
         return Err(Error::format(path, format!("ffmpeg cannot read it as a video: {message}")));
     }
-    Ok(Decoded { frames, rate: rate(ffprobe, &input) })
+    Ok(frames)
 }
 
 fn read_frames(

@@ -28,7 +28,8 @@ pub use residual::{Jacobian, project};
 pub struct Point {
     /// Index of the frame that the pixel belongs to.
     pub frame: usize,
-    /// Pixel in that frame; taken as exact.
+    /// Pixel in that frame; taken as exact (a grid pixel of dense flow is; a noisy detection biases
+    /// its whole track).
     pub pixel: DVec2,
     /// 1 / depth (z) in that frame, in 1 / world units; 0 for a point at infinity.
     pub inverse_depth: f64,
@@ -423,8 +424,16 @@ fn check(problem: &Problem, options: &Options) -> Result<()> {
             return bad(format!("observation {i} needs a finite pixel and a weight ≥ 0: {o:?}"));
         }
     }
+    let positive = |v: f64| v.is_finite() && v > 0.0;
+    if !positive(options.kernel_width) || options.scale_floor.is_nan() || options.scale_floor < 0.0
+    {
+        return bad(format!(
+            "the kernel width {} must be positive and the scale floor {} not negative",
+            options.kernel_width, options.scale_floor
+        ));
+    }
     if let Some((focal, std)) = options.focal_prior
-        && !(focal.is_finite() && focal > 0.0 && std.is_finite() && std > 0.0)
+        && !(positive(focal) && positive(std))
     {
         return bad(format!("the focal prior {focal} ± {std} must be positive"));
     }

@@ -1,7 +1,7 @@
 //! Fundamental and essential matrices.
 //!
 //! Both relate pixel pairs by x_bᵀ F x_a = 0; the essential matrix does so for rays of calibrated
-//! cameras, and E = [t]× R with `b_from_a = (R, t)`.
+//! cameras, and `E = [t]× R` with `b_from_a = (R, t)`.
 
 use super::se3::matrix3;
 use crate::types::{Intrinsics, Pose};
@@ -97,7 +97,7 @@ pub fn sampson_squared(f: &DMat3, a: DVec2, b: DVec2) -> f64 {
     if gradient > 0.0 { value * value / gradient } else { f64::INFINITY }
 }
 
-/// E = [t]× R.
+/// `E = [t]× R`.
 pub fn essential_from_pose(b_from_a: &Pose) -> DMat3 {
     super::se3::skew(b_from_a.translation) * b_from_a.rotation_matrix()
 }

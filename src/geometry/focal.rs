@@ -48,8 +48,9 @@ impl Default for FocalOptions {
 pub struct FocalEstimate {
     /// Best focal length, pixels.
     pub focal: f64,
-    /// Relative standard deviation from the width of the cost's valley; infinite where the valley
-    /// is open on a side of the range.
+    /// Relative standard deviation: the width of the cost's valley and, by the jackknife, how much
+    /// the image pairs disagree. Infinite where the valley is open on a side of the range. What all
+    /// pairs have in common, lens distortion above all, does not show in it.
     pub relative_std: f64,
     /// Is the deviation small enough to rely on it? If not, use a prior.
     pub observable: bool,
@@ -110,7 +111,25 @@ pub fn estimate_focal(
         .collect();
     let pixels: usize = usable.iter().map(|p| p.pixels.len()).sum();
     let freedom = pixels.saturating_sub(5 * usable.len() + 1).max(1) as f64;
-    Ok(valley(curve, ratio, freedom, options))
+    let lowest: Vec<f64> = (0..usable.len())
+        .map(|left_out| {
+            let without: Vec<f64> =
+                curve.iter().zip(&costs[left_out]).map(|(c, own)| c.1 - own).collect();
+            minimum(&without)
+        })
+        .collect();
+    let relative_std = valley(&curve, freedom, options).hypot(jackknife(&lowest) * ratio);
+    let total: Vec<f64> = curve.iter().map(|c| c.1).collect();
+    let focal = candidates[0] * (minimum(&total) * ratio).exp();
+    let observable = relative_std <= options.observable;
+    Ok(FocalEstimate { focal, relative_std, observable, curve })
+}
+
+/// Standard deviation of an estimate from the estimates that each leave one of the data out.
+fn jackknife(estimates: &[f64]) -> f64 {
+    let n = estimates.len() as f64;
+    let mean = estimates.iter().sum::<f64>() / n;
+    ((n - 1.0) / n * estimates.iter().map(|e| (e - mean).powi(2)).sum::<f64>()).sqrt()
 }
 
 /// Cost of every candidate on one image pair.
@@ -144,26 +163,29 @@ fn curve_of(pair: &FocalPair, candidates: &[f64], width: u32, height: u32) -> Ve
     best.iter().map(|b| b.map_or(0.0, |b| b.1)).collect()
 }
 
-/// The lowest point of a curve and the width of its valley.
-fn valley(
-    curve: Vec<(f64, f64)>,
-    ratio: f64,
-    freedom: f64,
-    options: &FocalOptions,
-) -> FocalEstimate {
-    let lowest = (0..curve.len()).min_by(|&a, &b| curve[a].1.total_cmp(&curve[b].1)).unwrap_or(0);
-    let last = curve.len() - 1;
-    let variance = (curve[lowest].1 / freedom).max(options.noise_floor.powi(2));
-    let mut focal = curve[lowest].0;
-    if lowest > 0 && lowest < last {
-        let (a, b, c) = (curve[lowest - 1].1, curve[lowest].1, curve[lowest + 1].1);
-        let bend = a - 2.0 * b + c;
-        if bend > 0.0 {
-            focal *= (ratio * (0.5 * (a - c) / bend).clamp(-0.5, 0.5)).exp();
-        }
+/// Where a curve of evenly spaced costs is lowest, in steps, by a parabola through three of them.
+fn minimum(costs: &[f64]) -> f64 {
+    let lowest = index_of_lowest(costs);
+    if lowest == 0 || lowest + 1 == costs.len() {
+        return lowest as f64;
     }
+    let (a, b, c) = (costs[lowest - 1], costs[lowest], costs[lowest + 1]);
+    let bend = a - 2.0 * b + c;
+    let offset = if bend > 0.0 { (0.5 * (a - c) / bend).clamp(-0.5, 0.5) } else { 0.0 };
+    lowest as f64 + offset
+}
+
+fn index_of_lowest(costs: &[f64]) -> usize {
+    (0..costs.len()).min_by(|&a, &b| costs[a].total_cmp(&costs[b])).unwrap_or(0)
+}
+
+/// Relative standard deviation from the width of the curve's valley.
+fn valley(curve: &[(f64, f64)], freedom: f64, options: &FocalOptions) -> f64 {
+    let costs: Vec<f64> = curve.iter().map(|c| c.1).collect();
+    let (lowest, last) = (index_of_lowest(&costs), curve.len() - 1);
+    let variance = (costs[lowest] / freedom).max(options.noise_floor.powi(2));
     // Where the cost has risen by nine variances, three standard deviations away.
-    let limit = curve[lowest].1 + 9.0 * variance;
+    let limit = costs[lowest] + 9.0 * variance;
     let crossing = |indices: &mut dyn Iterator<Item = usize>| -> Option<f64> {
         let mut before = lowest;
         for i in indices {
@@ -178,11 +200,10 @@ fn valley(
     };
     let below = crossing(&mut (0..lowest).rev());
     let above = crossing(&mut (lowest + 1..=last));
-    let relative_std = match (below, above) {
+    match (below, above) {
         (Some(below), Some(above)) => (above - below) / 6.0,
         _ => f64::INFINITY,
-    };
-    FocalEstimate { focal, relative_std, observable: relative_std <= options.observable, curve }
+    }
 }
 
 #[cfg(test)]

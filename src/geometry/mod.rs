@@ -6,7 +6,7 @@
 //! | [`epipolar`], [`five_point`], [`relative`], [`homography`], [`two_view`] | how two images lie to each other, from pixel pairs alone |
 //! | [`focal`] | which focal length a set of fundamental matrices speaks for, and how loudly |
 //! | [`triangulate`] | where a point lies that known cameras saw |
-//! | [`p3p`], [`pnp`] | where a camera lies that saw known points |
+//! | [`p3p`], [`pnp`], [`sampling`] | where a camera lies that saw known points |
 //! | [`bundle`] | all poses, one focal length and all inverse depths at once |
 //!
 //! Perturbations are left-multiplied, `exp(ξ) · pose`, with ξ = (translation, rotation). Everything
@@ -22,6 +22,7 @@ pub mod pnp;
 pub mod polynomial;
 pub mod ransac;
 pub mod relative;
+pub mod sampling;
 pub mod se3;
 pub mod sim3;
 pub mod triangulate;

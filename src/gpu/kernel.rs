@@ -53,7 +53,7 @@ pub struct KernelInfo {
     pub params: &'static [ParamInfo],
 }
 
-/// A compute kernel; [`kernel!`] implements it.
+/// A compute kernel; `kernel!` implements it.
 pub trait Kernel {
     /// `family/stem`.
     const NAME: &'static str;

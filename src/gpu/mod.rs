@@ -29,3 +29,5 @@ pub use kernel::{
 pub(crate) use kernel::{field_infos, kernel};
 pub use recorder::Recorder;
 pub use stream::{KernelTime, Stream, Ticket};
+
+pub use crate::vk::{DeviceInfo, DeviceKind, Limits};

@@ -1,14 +1,19 @@
 //! The kernels' declarations, one file per family, and the list of all of them.
 //!
 //! One stem names a kernel everywhere: `glsl/sort/upsweep.comp`, `spirv/sort/upsweep.spv`,
-//! [`sort::Upsweep`], `oracle::sort`, `check::sort`, `tests/sort.rs`.
+//! `kernels::sort::Upsweep`, `oracle::sort`, `check::sort`, `tests/sort.rs`.
 
+pub mod adam;
+pub mod arap;
 pub mod bin;
+pub mod deform;
+pub mod density;
+pub mod flow;
 pub mod indirect;
 pub mod loss;
+pub mod mlp;
 pub mod project;
 pub mod raster;
-pub mod mlp;
 pub mod scan;
 pub mod sort;
 
@@ -16,6 +21,45 @@ use crate::gpu::{Kernel, KernelInfo};
 
 /// Every kernel of the crate, family by family.
 pub const ALL: &[KernelInfo] = &[
+    adam::Step::INFO,
+    arap::Fit::INFO,
+    arap::Gather::INFO,
+    adam::Gate::INFO,
+    deform::Nearest::INFO,
+    deform::Keys::INFO,
+    deform::Starts::INFO,
+    deform::Skin::INFO,
+    deform::SkinBackward::INFO,
+    deform::Gather::INFO,
+    density::Weigh::INFO,
+    density::Slots::INFO,
+    density::Draw::INFO,
+    density::Shrink::INFO,
+    density::Copy::INFO,
+    density::Zero::INFO,
+    density::Jitter::INFO,
+    density::Decide::INFO,
+    density::Layout::INFO,
+    density::Gather::INFO,
+    density::Parts::INFO,
+    density::Accumulate::INFO,
+    density::Regularise::INFO,
+    density::Reset::INFO,
+    flow::Luma::INFO,
+    flow::Halve::INFO,
+    flow::Derivatives::INFO,
+    flow::Census::INFO,
+    flow::Path::INFO,
+    flow::Cheapest::INFO,
+    flow::Upsample::INFO,
+    flow::Search::INFO,
+    flow::Propagate::INFO,
+    flow::Densify::INFO,
+    flow::Trust::INFO,
+    flow::Linearise::INFO,
+    flow::Relax::INFO,
+    flow::Median::INFO,
+    flow::Confidence::INFO,
     indirect::Arguments::INFO,
     project::Forward::INFO,
     project::Backward::INFO,

@@ -168,16 +168,21 @@ impl GaussianBuffers {
         })
     }
 
-    /// For a dispatch to read.
+    /// The Gaussians that are there, for a dispatch to read.
     pub fn views(&self) -> GaussianViews<'_> {
+        let n = self.len;
+        let band = |k: usize| {
+            let floats = if k as u32 <= self.sh_degree { SH_BAND[k] } else { 0 };
+            self.sh[k].range(0..n * floats)
+        };
         GaussianViews {
-            len: self.len,
+            len: n,
             sh_degree: self.sh_degree,
-            positions: self.positions.view(),
-            log_scales: self.log_scales.view(),
-            rotations: self.rotations.view(),
-            opacity_logits: self.opacity_logits.view(),
-            sh: self.sh.each_ref().map(Buffer::view),
+            positions: self.positions.range(0..3 * n),
+            log_scales: self.log_scales.range(0..3 * n),
+            rotations: self.rotations.range(0..n),
+            opacity_logits: self.opacity_logits.range(0..n),
+            sh: [band(0), band(1), band(2), band(3)],
         }
     }
 }

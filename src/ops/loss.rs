@@ -110,10 +110,10 @@ pub struct Loss {
 
 /// What a loss works in between its dispatches.
 pub struct LossScratch {
-    windowed: [Buffer<f32>; 5],
-    derivatives: [Buffer<f32>; 3],
-    partials: Buffer<f32>,
-    totals: Buffer<f32>,
+    pub(crate) windowed: [Buffer<f32>; 5],
+    pub(crate) derivatives: [Buffer<f32>; 3],
+    pub(crate) partials: Buffer<f32>,
+    pub(crate) totals: Buffer<f32>,
 }
 
 /// A loss, term by term, and what it was weighted with.
@@ -195,6 +195,16 @@ impl Loss {
                 });
             }
         }
+        let known = disparity.map_or(self.pixels(), |known| known.values.len());
+        super::at_least(
+            "loss",
+            &[
+                ("rgba gradients", self.pixels(), gradients.rgba.len()),
+                ("depth gradients", self.pixels(), gradients.depth.len()),
+                ("known disparities", self.pixels(), known),
+                ("scratch's pixels", 3 * self.pixels(), scratch.windowed[0].len()),
+            ],
+        )?;
         let limits = *recorder.device().limits();
         let (width, height) = (self.width as i32, self.height as i32);
         let [background_red, background_green, background_blue] = settings.background;
@@ -247,7 +257,7 @@ impl Loss {
             },
         )?;
         let items = self.column_items(1);
-        let per_weight = 1.0 / (3.0 * photograph.weight).max(f64::MIN_POSITIVE);
+        let per_weight = share_of(3.0 * photograph.weight);
         let share = f64::from(settings.ssim_share);
         recorder.dispatch::<Gradient>(
             Groups::linear(items, 64, &limits)?,
@@ -276,7 +286,7 @@ impl Loss {
             return Ok(());
         };
         let pixels = self.pixels();
-        let per_weight = 1.0 / disparity.weight.max(f64::MIN_POSITIVE);
+        let per_weight = share_of(disparity.weight);
         recorder.dispatch::<Depth>(
             Groups::linear(pixels, 64, &limits)?,
             DepthParams {
@@ -308,13 +318,18 @@ impl Loss {
         scratch: &LossScratch,
     ) -> Result<LossValue> {
         let totals = stream.download(&scratch.totals)?;
-        let mean = |total: f32, weight: f64| f64::from(total) / weight.max(f64::MIN_POSITIVE);
+        let mean = |total: f32, weight: f64| f64::from(total) * share_of(weight);
         Ok(LossValue {
             l1: mean(totals[0], 3.0 * photograph.weight),
             ssim: mean(totals[1], 3.0 * photograph.weight),
             disparity: disparity.map_or(0.0, |known| mean(totals[2], known.weight)),
         })
     }
+}
+
+/// What a weight of 1 counts for in a mean; nothing where all weights are 0.
+fn share_of(weight: f64) -> f64 {
+    if weight > 0.0 { 1.0 / weight } else { 0.0 }
 }
 
 /// Adds up the partial sums that a dispatch over `items` in workgroups of 64 left.

@@ -3,10 +3,17 @@
 //! Each op has three steps: `plan` fixes the sizes, `scratch` allocates what lies between the
 //! dispatches, `record` records them. No op allocates, submits or waits in `record`.
 
+pub mod adam;
+pub mod arap;
+pub mod deform;
+pub mod density;
+pub mod flow;
 pub mod gaussians;
 pub mod loss;
-pub mod render;
 pub mod mlp;
+pub mod motion;
+pub mod neighbours;
+pub mod render;
 pub mod scan;
 pub mod sort;
 

@@ -6,6 +6,7 @@
 //! exceeds what the buffers hold, the farthest are left out, and [`RenderScratch::counts`] tells, so
 //! that the caller grows the buffers and repeats the frame.
 
+use super::at_least;
 use super::gaussians::{GaussianBuffers, GaussianViews};
 use super::scan::{Scan, ScanArgs, ScanScratch};
 use super::sort::{RadixSort, SortArgs, SortScratch};
@@ -49,48 +50,48 @@ pub struct Render {
 
 /// What a renderer works in between its dispatches, and what its backward pass needs again.
 pub struct RenderScratch {
-    camera: Buffer<f32>,
-    count: Buffer<u32>,
-    visible_count: Buffer<u32>,
-    intersection_count: Buffer<u32>,
+    pub(crate) camera: Buffer<f32>,
+    pub(crate) count: Buffer<u32>,
+    pub(crate) visible_count: Buffer<u32>,
+    pub(crate) intersection_count: Buffer<u32>,
     /// Both of these, side by side, for the host.
-    counts: Buffer<u32>,
-    fits: Buffer<u32>,
-    grid: Buffer<u32>,
-    means: Buffer<[f32; 4]>,
-    conics: Buffer<[f32; 4]>,
-    colours: Buffer<[f32; 4]>,
-    rectangles: Buffer<[u32; 2]>,
-    tile_counts: Buffer<u32>,
-    visible: Buffer<u32>,
-    compact_offsets: Buffer<u32>,
-    keys: Buffer<u32>,
-    splat_ids: Buffer<u32>,
-    sorted_keys: Buffer<u32>,
-    order: Buffer<u32>,
-    rank_counts: Buffer<u32>,
-    rank_offsets: Buffer<u32>,
-    tiles: Buffer<u32>,
-    emitted: Buffer<u32>,
-    splats: Buffer<u32>,
-    sorted_tiles: Buffer<u32>,
-    intersections: Buffer<u32>,
-    ranges: Buffer<[u32; 2]>,
-    scan: ScanScratch,
-    depth_sort: SortScratch,
-    tile_sort: SortScratch,
+    pub(crate) counts: Buffer<u32>,
+    pub(crate) fits: Buffer<u32>,
+    pub(crate) grid: Buffer<u32>,
+    pub(crate) means: Buffer<[f32; 4]>,
+    pub(crate) conics: Buffer<[f32; 4]>,
+    pub(crate) colours: Buffer<[f32; 4]>,
+    pub(crate) rectangles: Buffer<[u32; 2]>,
+    pub(crate) tile_counts: Buffer<u32>,
+    pub(crate) visible: Buffer<u32>,
+    pub(crate) compact_offsets: Buffer<u32>,
+    pub(crate) keys: Buffer<u32>,
+    pub(crate) splat_ids: Buffer<u32>,
+    pub(crate) sorted_keys: Buffer<u32>,
+    pub(crate) order: Buffer<u32>,
+    pub(crate) rank_counts: Buffer<u32>,
+    pub(crate) rank_offsets: Buffer<u32>,
+    pub(crate) tiles: Buffer<u32>,
+    pub(crate) emitted: Buffer<u32>,
+    pub(crate) splats: Buffer<u32>,
+    pub(crate) sorted_tiles: Buffer<u32>,
+    pub(crate) intersections: Buffer<u32>,
+    pub(crate) ranges: Buffer<[u32; 2]>,
+    pub(crate) scan: ScanScratch,
+    pub(crate) depth_sort: SortScratch,
+    pub(crate) tile_sort: SortScratch,
 }
 
 /// What only the backward pass works in.
 pub struct BackwardScratch {
-    slots_a: Buffer<[f32; 4]>,
-    slots_b: Buffer<[f32; 4]>,
-    slots_c: Buffer<[f32; 2]>,
-    means: Buffer<[f32; 4]>,
-    conics: Buffer<[f32; 4]>,
-    colours: Buffer<[f32; 4]>,
-    pose_partials: Buffer<f32>,
-    pose: Buffer<f32>,
+    pub(crate) slots_a: Buffer<[f32; 4]>,
+    pub(crate) slots_b: Buffer<[f32; 4]>,
+    pub(crate) slots_c: Buffer<[f32; 2]>,
+    pub(crate) means: Buffer<[f32; 4]>,
+    pub(crate) conics: Buffer<[f32; 4]>,
+    pub(crate) colours: Buffer<[f32; 4]>,
+    pub(crate) pose_partials: Buffer<f32>,
+    pub(crate) pose: Buffer<f32>,
 }
 
 /// A rendered image on the device.
@@ -103,7 +104,7 @@ pub struct PixelBuffers {
     pub rgba: Buffer<[f32; 4]>,
     /// Sum of α · T · z over the splats of a pixel.
     pub depth: Buffer<f32>,
-    last: Buffer<u32>,
+    pub(crate) last: Buffer<u32>,
 }
 
 /// The gradient of a loss by a rendered image.
@@ -274,6 +275,8 @@ impl Render {
         pixels: &mut PixelBuffers,
     ) -> Result<()> {
         self.check(camera, &gaussians)?;
+        self.check_scratch(scratch)?;
+        self.check_pixels("render", pixels)?;
         recorder.update(scratch.camera.view_mut(), &device_camera(camera))?;
         recorder.update(scratch.count.view_mut(), &[gaussians.len as u32])?;
         self.project(recorder, gaussians, scratch)?;
@@ -320,6 +323,30 @@ impl Render {
             )));
         }
         Ok(())
+    }
+
+    /// A scratch of another plan may be too small for this one.
+    fn check_scratch(&self, scratch: &RenderScratch) -> Result<()> {
+        at_least(
+            "render",
+            &[
+                ("scratch's Gaussians", self.gaussians, scratch.means.len()),
+                ("scratch's intersections", self.intersections, scratch.tiles.len()),
+                ("scratch's tiles", self.tiles(), scratch.ranges.len()),
+            ],
+        )
+    }
+
+    fn check_pixels(&self, op: &'static str, pixels: &PixelBuffers) -> Result<()> {
+        if (pixels.width, pixels.height) == (self.width, self.height) {
+            return Ok(());
+        }
+        Err(Error::Shape {
+            op,
+            arg: "pixels",
+            expected: format!("an image of {}×{}", self.width, self.height),
+            actual: pixels.width as usize * pixels.height as usize,
+        })
     }
 
     fn project(
@@ -507,6 +534,18 @@ impl Render {
         gaussians.check("render backward")?;
         gradients.len = gaussians.len;
         gradients.views().at_degree(gaussians.sh_degree).check("render backward gradients")?;
+        self.check_scratch(scratch)?;
+        self.check_pixels("render backward", pixels)?;
+        let area = self.width as usize * self.height as usize;
+        at_least(
+            "render backward",
+            &[
+                ("Gaussians of the scratch", gaussians.len, backward.means.len()),
+                ("intersections of the scratch", self.intersections, backward.slots_a.len()),
+                ("rgba gradients", area, pixel_gradients.rgba.len()),
+                ("depth gradients", area, pixel_gradients.depth.len()),
+            ],
+        )?;
         let limits = *recorder.device().limits();
         let groups = Groups::linear(gaussians.len, 64, &limits)?;
         let (s, b) = (scratch, backward);

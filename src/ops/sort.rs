@@ -1,12 +1,11 @@
 //! Stable radix sort of key–payload pairs whose number the device knows.
 
-use crate::gpu::{Buffer, Device, Groups, Recorder, View, ViewMut};
+use crate::gpu::{Buffer, Device, DeviceKind, Groups, Recorder, View, ViewMut};
 use crate::kernels::sort::{
     Count, CountArgs, CountParams, MAX_DIGIT_BITS, PLAN_GRID_AT, PLAN_TABLE_AT, PLAN_WORDS, Plan,
     PlanArgs, PlanParams, Scatter, ScatterArgs, ScatterParams,
 };
 use crate::ops::scan::{Scan, ScanArgs, ScanScratch};
-use crate::vk::DeviceKind;
 use crate::{Error, Result};
 use std::ops::Range;
 

@@ -1,32 +1,11 @@
 //! Adam (Kingma and Ba 2015) with bias correction.
 
 use super::Real;
+use crate::types::AdamSettings;
 
 /// Gradients are clamped to ± this: its square, summed, is still a finite f32, so one huge gradient
 /// cannot freeze a parameter for ever through an infinite second moment.
 pub const LARGEST_GRADIENT: f64 = 1e18;
-
-/// The settings of one step of one group of parameters.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AdamSettings {
-    /// Learning rate of the group.
-    pub rate: f64,
-    /// Decay of the first moment.
-    pub beta1: f64,
-    /// Decay of the second moment.
-    pub beta2: f64,
-    /// Added to the root of the second moment.
-    pub epsilon: f64,
-    /// Number of this step, from 1.
-    pub step: u32,
-}
-
-impl Default for AdamSettings {
-    /// The field's usual ones for Gaussians.
-    fn default() -> Self {
-        AdamSettings { rate: 1e-3, beta1: 0.9, beta2: 0.999, epsilon: 1e-15, step: 1 }
-    }
-}
 
 /// One step, in place. `row` values belong to each row; with `visible`, rows whose entry is 0 keep
 /// parameters and moments. A gradient that is not a number or infinite leaves its parameter and

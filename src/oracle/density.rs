@@ -11,15 +11,13 @@
 use super::Real;
 use super::deform::NONE;
 use super::rotation::{add, apply, dot, identity, matrix, scale, transpose, unit};
+use crate::types::{AdaptSettings, MotionClass};
 
 /// A Gaussian of this opacity or less is dead.
 pub const DEAD_OPACITY: f64 = 0.005;
 
 /// At most this many Gaussians share one place after a round of relocation.
 pub const LARGEST_SHARE: u32 = 51;
-
-/// A split Gaussian's parts are smaller by this factor.
-pub const SPLIT_SHRINK: f64 = 1.6;
 
 /// Four random words for a counter (Jarzynski and Olano 2020, pcg4d).
 pub fn random(counter: [u32; 4]) -> [u32; 4] {
@@ -63,45 +61,27 @@ pub fn is_dead<R: Real>(logit: R) -> bool {
     logit.is_nan() || logit <= limit
 }
 
-/// Which Gaussians take part in a round of relocation, so that dead dynamic ones land on dynamic
-/// ones and static on static.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum MotionClass {
-    /// All.
-    Any,
-    /// Those whose motion logit is 0 or less; all in a scene without motion logits.
-    Static,
-    /// Those whose motion logit is above 0.
-    Dynamic,
-}
-
-impl MotionClass {
-    fn holds<R: Real>(self, motion_logits: &[R], j: usize) -> bool {
-        let moves = motion_logits.get(j).is_some_and(|&m| m > R::zero());
-        match self {
-            MotionClass::Any => true,
-            MotionClass::Static => !moves,
-            MotionClass::Dynamic => moves,
-        }
+/// Whether a Gaussian belongs to a class.
+fn holds<R: Real>(class: MotionClass, motion_logits: &[R], j: usize) -> bool {
+    let moves = motion_logits.get(j).is_some_and(|&m| m > R::zero());
+    match class {
+        MotionClass::Any => true,
+        MotionClass::Static => !moves,
+        MotionClass::Dynamic => moves,
     }
 }
 
-/// The largest integer weight of a draw over `count` Gaussians: their sum stays below 2³².
-pub fn largest_weight(count: usize) -> u32 {
-    (u32::MAX as usize / count.max(1)).clamp(1, 65_535) as u32
-}
-
 /// Integer weights of the draw by opacity: zero for the dead and for the other class, else the
-/// opacity times [`largest_weight`], rounded down, at least 1.
+/// opacity times [`MotionClass::largest_weight`], rounded down, at least 1.
 pub fn draw_weights<R: Real>(
     opacity_logits: &[R],
     motion_logits: &[R],
     class: MotionClass,
 ) -> Vec<u32> {
-    let largest = largest_weight(opacity_logits.len());
+    let largest = MotionClass::largest_weight(opacity_logits.len());
     (0..opacity_logits.len())
         .map(|j| {
-            if is_dead(opacity_logits[j]) || !class.holds(motion_logits, j) {
+            if is_dead(opacity_logits[j]) || !holds(class, motion_logits, j) {
                 return 0;
             }
             let scaled = sigmoid(opacity_logits[j]) * R::of(f64::from(largest));
@@ -113,7 +93,7 @@ pub fn draw_weights<R: Real>(
 /// The dead of a class, by index.
 pub fn dead<R: Real>(opacity_logits: &[R], motion_logits: &[R], class: MotionClass) -> Vec<u32> {
     (0..opacity_logits.len())
-        .filter(|&j| is_dead(opacity_logits[j]) && class.holds(motion_logits, j))
+        .filter(|&j| is_dead(opacity_logits[j]) && holds(class, motion_logits, j))
         .map(|j| j as u32)
         .collect()
 }
@@ -234,19 +214,6 @@ pub enum Action {
     Split = 3,
 }
 
-/// Thresholds of adaptive control.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AdaptSettings {
-    /// Mean screen-space gradient norm above which a Gaussian is cloned or split.
-    pub gradient: f64,
-    /// Largest scale up to which it is cloned rather than split.
-    pub small: f64,
-    /// Opacity below which it is pruned.
-    pub opacity: f64,
-    /// Largest scale beyond which it is pruned; infinite for never.
-    pub large: f64,
-}
-
 /// The actions of adaptive control. `statistics` holds per Gaussian the sum of screen-space gradient
 /// norms and the number of views summed. A Gaussian with a parameter that is not finite is pruned.
 pub fn decide<R: Real>(
@@ -326,7 +293,7 @@ pub fn gather<R: Real>(
 }
 
 /// Draws the parts of split Gaussians, after [`gather`]: each is displaced by a sample of its source
-/// and shrinks by [`SPLIT_SHRINK`].
+/// and shrinks by [`AdaptSettings::SPLIT_SHRINK`].
 pub fn draw_parts<R: Real>(
     rows: &[(u32, Origin)],
     positions: &mut [[R; 3]],
@@ -343,7 +310,7 @@ pub fn draw_parts<R: Real>(
         let turn = matrix(unit(rotations[j]).map_or_else(identity, |(u, _)| u));
         let stretched = std::array::from_fn(|c| noise[c] * log_scales[j][c].exp());
         positions[j] = add(positions[j], apply(turn, stretched));
-        log_scales[j] = log_scales[j].map(|s| s - R::of(SPLIT_SHRINK.ln()));
+        log_scales[j] = log_scales[j].map(|s| s - R::of(AdaptSettings::SPLIT_SHRINK.ln()));
     }
 }
 
@@ -369,6 +336,26 @@ pub fn accumulate<R: Real>(
 pub fn reset_opacity<R: Real>(opacity_logits: &mut [R], limit: R) {
     for logit in opacity_logits {
         *logit = logit.min(limit);
+    }
+}
+
+/// Adds the gradients of `opacity_weight · mean opacity + scale_weight · mean scale` (3dgs-mcmc's
+/// regularisers) to those of the opacity logits and of the log-scales.
+pub fn regularise<R: Real>(
+    opacity_logits: &[R],
+    log_scales: &[R],
+    opacity_weight: R,
+    scale_weight: R,
+    opacity_gradients: &mut [R],
+    log_scale_gradients: &mut [R],
+) {
+    let count = R::of(opacity_logits.len().max(1) as f64);
+    for (gradient, &logit) in opacity_gradients.iter_mut().zip(opacity_logits) {
+        let e = (-logit.abs()).exp();
+        *gradient += opacity_weight / count * e / ((R::one() + e) * (R::one() + e));
+    }
+    for (gradient, &log_scale) in log_scale_gradients.iter_mut().zip(log_scales) {
+        *gradient += scale_weight / (R::of(3.0) * count) * log_scale.exp();
     }
 }
 
@@ -410,7 +397,9 @@ mod tests {
     #[test]
     fn weights_fit_in_32_bits_and_respect_life_and_class() {
         for count in [1, 2, 65_536, 65_538, 1 << 20, 10_000_000] {
-            assert!(u64::from(largest_weight(count)) * count as u64 <= u64::from(u32::MAX));
+            assert!(
+                u64::from(MotionClass::largest_weight(count)) * count as u64 <= u64::from(u32::MAX)
+            );
         }
         let logits = [40.0f32, -40.0, 0.0, f32::NAN, -5.0];
         let motion = [1.0, 1.0, -1.0, -1.0, 0.0];
@@ -516,7 +505,7 @@ mod tests {
         draw_parts(&rows, &mut positions, &mut log_scales, &[[1.0, 0.0, 0.0, 0.0]; 5], 1, 1);
         assert_eq!(positions[0], [0.0; 3]);
         assert_ne!(positions[2], positions[4]);
-        assert!((log_scales[4][0] + 2.0 + SPLIT_SHRINK.ln()).abs() < 1e-12);
+        assert!((log_scales[4][0] + 2.0 + AdaptSettings::SPLIT_SHRINK.ln()).abs() < 1e-12);
     }
 
     #[test]

@@ -9,6 +9,7 @@ pub mod arap;
 pub mod bin;
 pub mod deform;
 pub mod density;
+pub mod flow;
 pub mod linear;
 pub mod loss;
 pub mod mlp;

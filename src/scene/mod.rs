@@ -1,6 +1,6 @@
 //! The 4D scene and its files.
 //!
-//! The scene's own file is safetensors ([`file`]); static scenes exchange as 3DGS PLY ([`ply`]).
+//! The scene's own file is safetensors ([`mod@file`]); static scenes exchange as 3DGS PLY ([`ply`]).
 
 pub mod file;
 pub mod ply;
@@ -102,7 +102,7 @@ impl Scene {
         Ok(Opened { scene: Scene::of(gaussians), dropped })
     }
 
-    /// Writes the scene's file by rename; see [`file`].
+    /// Writes the scene's file by rename; see [`mod@file`].
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         file::write(path.as_ref(), self)
     }

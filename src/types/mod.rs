@@ -5,14 +5,20 @@
 //! the z coordinate in the camera; quaternions are (w, x, y, z) in storage; scales are stored as
 //! logarithms, opacity and motion as logits; colours are the image's own encoded values in [0, 1].
 
+mod adam;
 mod camera;
 mod control;
+mod density;
+mod flow;
 mod gaussians;
 mod image;
 mod settings;
 
+pub use adam::AdamSettings;
 pub use camera::{Camera, Intrinsics, Pose};
 pub use control::{ControlPoints, DeformNet, NetShape};
+pub use density::{AdaptSettings, MotionClass};
+pub use flow::FlowSettings;
 pub use gaussians::{Gaussians, SH_C0, sh_coefficients};
 pub use image::Image;
 pub use settings::RenderSettings;

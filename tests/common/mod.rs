@@ -7,16 +7,20 @@
 
 use splat4d::check;
 use splat4d::gpu::{Device, Request, Selector};
-use splat4d::vk::DeviceKind;
+use splat4d::vk::{DeviceKind, Limits};
 
 /// Opens the device under test.
 pub fn device() -> Device {
+    open(None)
+}
+
+fn open(limits: Option<Limits>) -> Device {
     let selector = match std::env::var("SPLAT4D_DEVICE") {
         Ok(text) => Selector::from(text.as_str()),
         Err(_) => Selector::Kind(DeviceKind::Software),
     };
     let validation = std::env::var("SPLAT4D_VALIDATION").is_ok_and(|value| value == "1");
-    Device::open(&Request { selector, validation, limits: None })
+    Device::open(&Request { selector, validation, limits })
         .expect("the tests need a Vulkan driver (Debian: mesa-vulkan-drivers)")
 }
 
@@ -28,7 +32,16 @@ pub fn assert_valid(device: &Device) {
 
 /// Runs every case of a family and fails with a table of what missed its bound.
 pub fn run(family: &str) {
-    let device = device();
+    run_on(&device(), family);
+}
+
+/// The same with grids of at most this many workgroups along an axis, so that they fold.
+pub fn run_folded(family: &str, groups: u32) {
+    let limits = Limits { groups, ..*device().limits() };
+    run_on(&open(Some(limits)), family);
+}
+
+fn run_on(device: &Device, family: &str) {
     let cases: Vec<_> = check::ALL
         .iter()
         .flat_map(|cases| cases.iter())
@@ -37,7 +50,7 @@ pub fn run(family: &str) {
     assert!(!cases.is_empty(), "no case in {family}");
     let mut failures = String::new();
     for case in cases {
-        let outcome = check::run(case, &device, 1);
+        let outcome = check::run(case, device, 1);
         for f in &outcome.findings {
             println!(
                 "{} {}: {} values, worst {:.3e} absolute, {:.3e} relative, {:.3} of the bound at \
@@ -57,6 +70,20 @@ pub fn run(family: &str) {
             failures += &format!("{}: {:?} {findings:#?}\n", case.id, outcome.error);
         }
     }
-    assert_valid(&device);
+    assert_valid(device);
     assert!(failures.is_empty(), "{}: \n{failures}", device.info().name);
+}
+
+/// A path in the real data, which lies beside the project; `None`, loudly, where it is absent.
+pub fn shared_data(path: &str) -> Option<std::path::PathBuf> {
+    let base = match std::env::var_os("SPLAT4D_DATA") {
+        Some(base) => base.into(),
+        None => std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
+    };
+    let path = base.join(path);
+    if !path.exists() {
+        println!("SKIPPED (no ../shared/data): {}", path.display());
+        return None;
+    }
+    Some(path)
 }

@@ -16,6 +16,7 @@ mod render;
 mod scene;
 mod texture;
 mod trace;
+mod write;
 
 use glam::DVec3;
 
@@ -23,6 +24,8 @@ use crate::error::{Error, Result};
 use crate::types::{Camera, Image, Intrinsics, Pose};
 use render::{Geometry, Moment};
 use scene::Scene;
+
+pub use write::write;
 
 /// The clips, by name:
 /// - `rigid`: a cart is driven through the room, the camera moves;

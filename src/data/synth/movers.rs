@@ -133,7 +133,7 @@ fn column(a: &mut Assembly) {
 /// A crowd in two rows that covers more than half of the picture; each walks its own way.
 pub(super) fn crowd(rng: &mut ChaCha8Rng) -> Vec<Part> {
     let mut a = Assembly::new(rng);
-    for (row, count, spread, depth) in [(0, 4, 2.05, 2.15), (1, 5, 3.4, 3.3)] {
+    for (row, count, spread, depth) in [(0, 4, 2.1, 2.05), (1, 6, 3.6, 3.2)] {
         for place in 0..count {
             let across = spread * ((place as f64 + 0.5) / count as f64 - 0.5);
             let x = across + a.rng.random_range(-0.05..0.05);
@@ -148,7 +148,7 @@ pub(super) fn crowd(rng: &mut ChaCha8Rng) -> Vec<Part> {
 }
 
 fn walker(a: &mut Assembly, x: f64, z: f64, way: f64) {
-    let walk = way * a.rng.random_range(0.2..0.34);
+    let walk = way * a.rng.random_range(0.15..0.25);
     let (steps, phase) = (a.rng.random_range(1.0..1.6), a.rng.random_range(0.0..TAU));
     let (turn, size) = (a.rng.random_range(-0.5..0.5), a.rng.random_range(0.94..1.06));
     let stray = a.rng.random_range(-0.12..0.12);

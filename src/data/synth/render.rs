@@ -10,9 +10,9 @@ use super::trace::{Bvh, Hit};
 use crate::types::{Camera, Image};
 
 /// Rays of a pixel, along each axis. Fine detail is a few pixels wide at the nominal size.
-const SAMPLES: usize = 4;
+const SAMPLES: usize = 3;
 /// Rays that measure how open the surroundings of a vertex are.
-const OPENNESS_RAYS: usize = 48;
+const OPENNESS_RAYS: usize = 32;
 /// Surroundings farther than this do not darken a vertex.
 const OPENNESS_REACH: f64 = 0.9;
 
@@ -116,7 +116,7 @@ impl Geometry {
     /// The picture that a camera takes: three channels, each pixel the mean over its area.
     pub fn picture(&self, moment: &Moment, camera: &Camera) -> Image {
         let view = View::new(camera);
-        let Image { width, height, .. } = Image::new(view.width, view.height, 0);
+        let (width, height) = (view.width, view.height);
         let rows: Vec<Vec<f32>> = (0..height)
             .into_par_iter()
             .map(|y| {
@@ -267,7 +267,7 @@ fn light(position: DVec3, normal: DVec3, surroundings: Option<&Bvh>) -> f32 {
     let direct = normal.dot(lamp).max(0.0);
     let ambient = 0.5 - 0.5 * normal.y;
     let open = surroundings.map_or(1.0, |bvh| openness(position, normal, bvh));
-    ((0.42 + 0.38 * direct + 0.3 * ambient) * (0.4 + 0.6 * open)) as f32
+    ((0.5 + 0.42 * direct + 0.3 * ambient) * (0.4 + 0.6 * open)) as f32
 }
 
 /// The share of the hemisphere, weighted by the cosine, that is clear within reach.
@@ -281,7 +281,7 @@ fn openness(position: DVec3, normal: DVec3, bvh: &Bvh) -> f64 {
         let (sin, cos) = angle.sin_cos();
         let up = normal * (1.0 - radius * radius).sqrt();
         let direction = (a * cos + b * sin) * radius + up;
-        bvh.nearest(origin, direction, None).is_none_or(|hit| hit.t > OPENNESS_REACH)
+        !bvh.blocked(origin, direction, OPENNESS_REACH)
     });
     clear.count() as f64 / OPENNESS_RAYS as f64
 }

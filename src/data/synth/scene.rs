@@ -23,7 +23,7 @@ const FRONT: f64 = -1.6;
 /// Half the room's width.
 const SIDE: f64 = 2.9;
 /// Walls and furniture are cut this fine, for the light is baked at their vertices.
-const CELL: f64 = 0.22;
+const CELL: f64 = 0.28;
 
 /// Where a rest position is at a time in [0, 1].
 pub(super) type Motion = Arc<dyn Fn(DVec3, f64) -> DVec3 + Send + Sync>;

@@ -1,0 +1,53 @@
+#version 460
+// Draws a target for every slot in proportion to the weights: a random number below their sum,
+// looked up in their prefix sums. Counting with integers gives the same counts in any order.
+#extension GL_GOOGLE_include_directive : require
+
+layout(local_size_x = 64) in;
+
+layout(std430, binding = 0) readonly buffer WeightPrefix { uint weight_prefix[]; };
+// The sum of the weights; the number of slots.
+layout(std430, binding = 1) readonly buffer Totals { uint totals[]; };
+layout(std430, binding = 2) readonly buffer Slots { uint slots[]; };
+layout(std430, binding = 3) writeonly buffer Targets { uint targets[]; };
+layout(std430, binding = 4) buffer Drawn { uint drawn[]; };
+layout(std430, binding = 5) writeonly buffer Touched { uint touched[]; };
+
+layout(push_constant) uniform Params {
+    uint count;
+    uint grown;
+    uint seed;
+    uint step_number;
+};
+
+#include "common/grid.glsl"
+#include "common/sine.glsl"
+#include "common/random.glsl"
+
+void main() {
+    uint i = group_index() * 64u + gl_LocalInvocationIndex;
+    if (i >= totals[1]) {
+        return;
+    }
+    uint total = totals[0];
+    if (total == 0u) {
+        // None to draw. A new row must hold something, a dead one may stay.
+        targets[i] = grown != 0u ? 0u : 0xffffffffu;
+        touched[slots[i]] = grown;
+        return;
+    }
+    uint rest = multiply_high(random_words(uvec4(i, step_number, seed, 0u)).x, total);
+    // The last one whose prefix does not exceed it: those of weight 0 share their successor's.
+    uint low = 0u;
+    uint high = count;
+    while (high - low > 1u) {
+        uint middle = (low + high) / 2u;
+        bool within = weight_prefix[middle] <= rest;
+        low = within ? middle : low;
+        high = within ? high : middle;
+    }
+    targets[i] = low;
+    atomicAdd(drawn[low], 1u);
+    touched[low] = 1u;
+    touched[slots[i]] = 1u;
+}

@@ -1,0 +1,38 @@
+#version 460
+// The rows of the new arrays: survivors in order, then what is added, as far as there is room. A row
+// is its source and, in the two upper bits, its origin: 0 kept, 1 copied, 2 drawn from a split one.
+#extension GL_GOOGLE_include_directive : require
+
+layout(local_size_x = 64) in;
+
+layout(std430, binding = 0) readonly buffer Actions { uint actions[]; };
+layout(std430, binding = 1) readonly buffer KeptPrefix { uint kept_prefix[]; };
+layout(std430, binding = 2) readonly buffer AddedPrefix { uint added_prefix[]; };
+// Survivors; candidates to add; rows in the end.
+layout(std430, binding = 3) buffer Totals { uint totals[]; };
+layout(std430, binding = 4) writeonly buffer Rows { uint rows[]; };
+
+layout(push_constant) uniform Params {
+    uint count;
+    uint capacity;
+};
+
+#include "common/grid.glsl"
+
+void main() {
+    uint j = group_index() * 64u + gl_LocalInvocationIndex;
+    uint survivors = totals[0];
+    uint room = capacity - min(capacity, survivors);
+    if (j == 0u) {
+        totals[2] = survivors + min(room, totals[1]);
+    }
+    if (j >= count || actions[j] == 0u) {
+        return;
+    }
+    bool grows = actions[j] >= 2u && added_prefix[j] < room;
+    uint origin = actions[j] == 3u ? 2u : 1u;
+    if (grows) {
+        rows[survivors + added_prefix[j]] = j | origin << 30u;
+    }
+    rows[kept_prefix[j]] = j | (grows && origin == 2u ? 2u << 30u : 0u);
+}

@@ -1,0 +1,71 @@
+#version 460
+// Opacity and scale of every Gaussian that was drawn, so that it and its copies together look like
+// the one before (3DGS-MCMC, equation 9).
+#extension GL_GOOGLE_include_directive : require
+
+layout(local_size_x = 64) in;
+
+layout(std430, binding = 0) readonly buffer Drawn { uint drawn[]; };
+layout(std430, binding = 1) buffer OpacityLogits { float opacity_logits[]; };
+layout(std430, binding = 2) buffer LogScales { float log_scales[]; };
+
+layout(push_constant) uniform Params {
+    uint count;
+    float dead_logit;
+};
+
+#include "common/grid.glsl"
+
+const uint LARGEST_SHARE = 51u;
+
+// ln(1 + x) for 0 <= x <= 1, where forming 1 + x would lose a small x.
+float log_one_plus(float x) {
+    return x < 1e-2 ? x * (1.0 - x * (0.5 - x * (0.33333334 - 0.25 * x))) : log(1.0 + x);
+}
+
+// ln(1 + e^x)
+float softplus(float x) {
+    return max(x, 0.0) + log_one_plus(exp(-abs(x)));
+}
+
+// 1 - e^-x for x >= 0, likewise.
+float one_minus_exp(float x) {
+    return x < 0.1 ? x * (1.0 - x * (0.5 - x * (0.16666667 - x * (4.1666668e-2 - 8.333334e-3 * x))))
+                   : 1.0 - exp(-x);
+}
+
+// The integral of what N blended Gaussians of this opacity cover along a line, over sqrt(pi): the
+// source's double sum with alternating signs, which cancels badly, equals
+//   2 / sqrt(pi) * integral over s >= 0 of 1 - (1 - o e^(-s^2))^N.
+// The trapezoid rule converges exponentially for such functions.
+float coverage(float opacity, uint share) {
+    const float STEP = 0.25;
+    float sum = 0.0;
+    for (uint i = 0u; i < 25u; i++) {
+        float s = STEP * float(i);
+        float x = opacity * exp(-s * s);
+        float covered = 0.0;
+        for (uint n = 0u; n < share; n++) {
+            covered += x * (1.0 - covered);
+        }
+        sum += i == 0u ? 0.5 * covered : covered;
+    }
+    return 1.1283791670955126 * STEP * sum;
+}
+
+void main() {
+    uint j = group_index() * 64u + gl_LocalInvocationIndex;
+    if (j >= count || drawn[j] == 0u) {
+        return;
+    }
+    uint share = min(drawn[j], LARGEST_SHARE - 1u) + 1u;
+    float logit = opacity_logits[j];
+    float thickness = softplus(logit) / float(share);
+    float part = one_minus_exp(thickness);
+    float change = -softplus(-logit) - log(coverage(part, share));
+    // ln(e^x - 1)
+    opacity_logits[j] = max(thickness + log(part), dead_logit);
+    for (uint c = 0u; c < 3u; c++) {
+        log_scales[3u * j + c] += change;
+    }
+}

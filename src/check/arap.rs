@@ -1,0 +1,200 @@
+//! Cases of the as-rigid-as-possible energy.
+
+use super::{Bound, Case, Harness};
+use crate::error::Result;
+use crate::ops::arap::{Arap, ArapArgs, ArapSettings};
+use crate::oracle::rotation::{apply, matrix, unit};
+use crate::oracle::{Real, arap, deform};
+use rand::RngExt;
+
+/// The family's cases.
+pub const CASES: &[Case] = &[
+    Case { id: "arap/random", kernels: KERNELS, run: random },
+    Case { id: "arap/rigid", kernels: KERNELS, run: rigid },
+    Case { id: "arap/degenerate", kernels: KERNELS, run: degenerate },
+    Case { id: "arap/scales", kernels: KERNELS, run: scales },
+];
+
+const KERNELS: &[&str] = &["arap/fit", "arap/gather"];
+const SETTINGS: ArapSettings = ArapSettings { always: 3, reach: 0.8, weight: 0.5 };
+
+type Points = Vec<[f32; 3]>;
+
+/// Control points with their translations at both times.
+struct Scene {
+    nodes: Points,
+    log_radii: Vec<f32>,
+    first: Points,
+    second: Points,
+    k: usize,
+    /// What the gradients are added to.
+    base: f32,
+}
+
+impl Scene {
+    fn oracle<R: Real>(&self) -> (Vec<R>, Vec<[R; 8]>) {
+        let at = |translations: Option<&Points>| -> Vec<[R; 3]> {
+            let zero = vec![[0.0; 3]; self.nodes.len()];
+            let moved = self.nodes.iter().zip(translations.unwrap_or(&zero));
+            moved
+                .map(|(p, t)| {
+                    std::array::from_fn(|c| R::of(f64::from(p[c])) + R::of(f64::from(t[c])))
+                })
+                .collect()
+        };
+        let places = self.k + 1;
+        let nearest = deform::nearest(&self.nodes, &self.nodes, places);
+        let log_radii: Vec<R> = self.log_radii.iter().map(|&r| R::of(f64::from(r))).collect();
+        let reach = R::of(f64::from(SETTINGS.reach));
+        let always = SETTINGS.always as usize;
+        let edges = arap::edges(&at(None), &log_radii, &nearest, places, always, reach);
+        let result = arap::energy(&edges, &at(Some(&self.first)), &at(Some(&self.second)));
+        let weight = R::of(f64::from(SETTINGS.weight));
+        let energies = result.energies.iter().map(|&e| e * weight).collect();
+        let rows = result.by_a.iter().chain(&result.by_b);
+        let gradients = rows.map(|g| {
+            let mut row = [R::of(f64::from(self.base)); 8];
+            for c in 0..3 {
+                row[c] += g[c] * weight;
+            }
+            row
+        });
+        (energies, gradients.collect())
+    }
+
+    fn run(&self, h: &mut Harness, bound: Bound) -> Result<()> {
+        let count = self.nodes.len();
+        let device = h.device.clone();
+        let nodes = device.upload("nodes", self.nodes.as_flattened())?;
+        let log_radii = device.upload("log radii", &self.log_radii)?;
+        let halves: Vec<[f32; 4]> = self
+            .first
+            .iter()
+            .chain(&self.second)
+            .flat_map(|t| [[t[0], t[1], t[2], 0.0], [1.0, 0.0, 0.0, 0.0]])
+            .collect();
+        let transforms = device.upload("transforms", &halves)?;
+        let base = device.upload("base", &vec![[self.base; 4]; 4 * count])?;
+        let mut energies = h.output::<f32>("energies", count)?;
+        let mut gradients = h.output::<[f32; 4]>("transform gradients", 4 * count)?;
+        let mut op = Arap::new(&device, self.k, count)?;
+        let mut recorder = h.stream.record()?;
+        recorder.copy(base.view(), gradients.view_mut());
+        op.refresh(&mut recorder, nodes.view())?;
+        op.record(
+            &mut recorder,
+            &SETTINGS,
+            ArapArgs {
+                nodes: nodes.view(),
+                log_radii: log_radii.view(),
+                transforms: transforms.view(),
+                times: [0, 1],
+                energies: energies.view_mut(),
+                transform_gradients: gradients.view_mut(),
+            },
+        )?;
+        h.stream.submit(recorder)?;
+        let (truth, by_truth) = self.oracle::<f64>();
+        let (twin, by_twin) = self.oracle::<f32>();
+        let device = h.read(&energies)?;
+        h.close("energies", &device, &truth, Some(&twin), bound);
+        let device = h.read(&gradients)?.concat();
+        let (t, w) = (by_truth.as_flattened(), by_twin.as_flattened());
+        h.close("gradients", &device, t, Some(w), bound);
+        Ok(())
+    }
+}
+
+fn cloud(h: &mut Harness, count: usize, size: f32) -> Points {
+    (0..count).map(|_| std::array::from_fn(|_| h.rng.random_range(-size..size))).collect()
+}
+
+// Energies and gradients are means over the control points: a few thousandths.
+const BOUND: Bound = Bound { absolute: 3e-8, relative: 3e-6 };
+
+fn random(h: &mut Harness) -> Result<()> {
+    for (count, k) in [(100, 10), (65, 4), (5, 10), (300, 15), (2, 3), (1, 3), (0, 3)] {
+        let scene = Scene {
+            nodes: cloud(h, count, 1.0),
+            log_radii: (0..count).map(|_| h.rng.random_range(-1.0f32..0.0)).collect(),
+            first: cloud(h, count, 0.2),
+            second: cloud(h, count, 0.2),
+            k,
+            base: 0.0,
+        };
+        scene.run(h, BOUND)?;
+    }
+    Ok(())
+}
+
+/// Half a turn and a shift cost nothing; so does no motion.
+fn rigid(h: &mut Harness) -> Result<()> {
+    let nodes = cloud(h, 80, 1.0);
+    for q in [[0.0f64, 0.6, 0.8, 0.0], [0.3, -0.5, 0.2, 0.9], [1.0, 0.0, 0.0, 0.0]] {
+        let turn = matrix(unit(q).map_or([1.0, 0.0, 0.0, 0.0], |(u, _)| u));
+        let second = nodes.iter().map(|p| {
+            let moved = apply(turn, p.map(f64::from));
+            std::array::from_fn(|c| (moved[c] - f64::from(p[c]) + 0.25) as f32)
+        });
+        let scene = Scene {
+            second: second.collect(),
+            first: vec![[0.0; 3]; 80],
+            log_radii: vec![-0.5; 80],
+            nodes: nodes.clone(),
+            k: 10,
+            base: 1.0,
+        };
+        // Around 1 f32's grain is 1.2e-7.
+        scene.run(h, Bound { absolute: 3e-7, relative: 0.0 })?;
+    }
+    Ok(())
+}
+
+/// Lines, planes, one point, a collapse, a mirror image, and radii that leave no weight.
+fn degenerate(h: &mut Harness) -> Result<()> {
+    let line: Points = (0..20).map(|i| [i as f32 * 0.125, 0.0, 0.0]).collect();
+    let plane: Points =
+        (0..25).map(|i| [(i % 5) as f32 * 0.2, (i / 5) as f32 * 0.25, 0.0]).collect();
+    let same: Points = vec![[0.5; 3]; 12];
+    for nodes in [line, plane, same] {
+        let count = nodes.len();
+        let back: Points = nodes.iter().map(|p| p.map(|c| -c)).collect();
+        let zero: Points = vec![[0.0; 3]; count];
+        for (first, second) in [(&zero, &zero), (&zero, &back), (&back, &zero)] {
+            for log_radius in [-0.5, -60.0, f32::NAN] {
+                let scene = Scene {
+                    nodes: nodes.clone(),
+                    log_radii: vec![log_radius; count],
+                    first: first.clone(),
+                    second: second.clone(),
+                    k: 6,
+                    base: 0.0,
+                };
+                scene.run(h, BOUND)?;
+            }
+        }
+    }
+    // A mirror image of a full neighbourhood is no rotation; it has one best fit.
+    let nodes = cloud(h, 60, 1.0);
+    let second: Points = nodes.iter().map(|p| [-2.0 * p[0], 0.0, 0.0]).collect();
+    let first = vec![[0.0; 3]; 60];
+    let scene = Scene { nodes, log_radii: vec![0.0; 60], first, second, k: 12, base: 0.0 };
+    scene.run(h, Bound { absolute: 1e-7, relative: 1e-5 })
+}
+
+/// Very small and very large scenes: the fit must not depend on the unit.
+fn scales(h: &mut Harness) -> Result<()> {
+    for size in [1e-12f32, 1e-4, 1e4] {
+        let scene = Scene {
+            nodes: cloud(h, 60, size),
+            log_radii: vec![size.ln(); 60],
+            first: cloud(h, 60, 0.2 * size),
+            second: cloud(h, 60, 0.2 * size),
+            k: 8,
+            base: 0.0,
+        };
+        let absolute = f64::from(size) * 1e-8;
+        scene.run(h, Bound { absolute, relative: 1e-5 })?;
+    }
+    Ok(())
+}

@@ -1,0 +1,166 @@
+//! Binning, judged by the projected splats that the device itself has binned.
+
+use super::scene::{Forward, Frame, UPRIGHT, join, one, plain_camera, random, skew_camera};
+use super::{Case, Harness};
+use crate::error::Result;
+use crate::oracle::tiles::{TileRect, grid, hit};
+use crate::oracle::{scan, sort};
+use crate::types::{Camera, Gaussians, RenderSettings};
+use rand::RngExt;
+
+const KERNELS: &[&str] = &["bin/compact", "bin/counts", "bin/emit", "bin/ranges"];
+
+/// The family's cases.
+pub const CASES: &[Case] = &[
+    Case { id: "bin/lists", kernels: KERNELS, run: lists },
+    Case { id: "bin/equal_depths", kernels: KERNELS, run: equal_depths },
+    Case { id: "bin/image_sizes", kernels: KERNELS, run: image_sizes },
+    Case { id: "bin/overflow", kernels: KERNELS, run: overflow },
+];
+
+/// How much the power at the cut may be off, from rounding in the conic and the power: below this
+/// either answer to "does it reach the tile" is right.
+const BAND: f64 = 1e-4;
+
+/// The tiles that the splat certainly reaches, and those that it may reach.
+fn tiles(out: &Forward, splat: usize, width: u32, height: u32) -> [Vec<u32>; 2] {
+    let [x, y, ..] = out.means[splat].map(f64::from);
+    let [a, b, c, limit] = out.conics[splat].map(f64::from);
+    let determinant = a * c - b * b;
+    [limit - BAND, limit + BAND].map(|reach| {
+        let extent = [c, a].map(|k| (2.0 * reach.max(0.0) * k / determinant).sqrt());
+        TileRect::around([x, y], extent, width, height)
+            .tiles()
+            .filter(|&tile| hit([x, y], [a, b, c], reach, tile, width, height))
+            .map(|[column, row]| row * grid(width, height)[0] + column)
+            .collect()
+    })
+}
+
+/// Everything that binning makes, for a frame whose intersections number `capacity` at most.
+fn compare(
+    harness: &mut Harness,
+    what: &str,
+    out: &Forward,
+    width: u32,
+    height: u32,
+    capacity: usize,
+) {
+    // Order: by depth, ties by index.
+    let drawn: Vec<u32> =
+        (0..out.visible.len() as u32).filter(|&i| out.visible[i as usize] != 0).collect();
+    let keys: Vec<u32> = drawn.iter().map(|&i| out.means[i as usize][2].to_bits()).collect();
+    let order = sort::by_bits(&keys, &drawn, 0..32).1;
+    harness.exact(&format!("{what}: order"), &out.order, &order);
+
+    // Offsets, with nothing past the last.
+    let mut counts: Vec<u32> = order.iter().map(|&i| out.tile_counts[i as usize]).collect();
+    counts.resize(out.visible.len(), 0);
+    harness.exact(&format!("{what}: offsets"), &out.rank_offsets, &scan::exclusive(&counts));
+    let total = scan::sum(&counts);
+    harness.exact(&format!("{what}: counts"), &out.counts, &[drawn.len() as u32, total]);
+
+    // Emission: every splat the tiles that it reaches, row by row, in its own stretch.
+    let m = (total as usize).min(capacity);
+    let tile_count = grid(width, height).iter().product::<u32>();
+    let (mut right, mut phantoms) = (out.tiles.len() == m, 0);
+    for (rank, &splat) in order.iter().enumerate() {
+        let begin = (out.rank_offsets[rank] as usize).min(m);
+        let end = (begin + counts[rank] as usize).min(m);
+        right &= out.splats[begin..end].iter().all(|&s| s == splat);
+        let emitted = &out.tiles[begin..end];
+        phantoms += emitted.iter().filter(|&&t| t >= tile_count).count();
+        let [surely, maybe] = tiles(out, splat as usize, width, height);
+        right &= emitted.windows(2).all(|w| w[0] < w[1]);
+        right &= emitted.iter().all(|tile| maybe.contains(tile));
+        if end - begin == counts[rank] as usize {
+            right &= surely.iter().all(|tile| emitted.contains(tile));
+        }
+    }
+    harness.holds(&format!("{what}: emitted tiles"), right);
+    harness.exact(&format!("{what}: counted and not emitted"), &[phantoms], &[0]);
+
+    // Sorted by tile, stably; the ranges follow.
+    let numbers: Vec<u32> = (0..m as u32).collect();
+    let (tiles, intersections) = sort::by_bits(&out.tiles, &numbers, 0..32);
+    harness.exact(&format!("{what}: sorted tiles"), &out.sorted_tiles, &tiles);
+    harness.exact(&format!("{what}: intersections"), &out.intersections, &intersections);
+    let ranges: Vec<[u32; 2]> = (0..tile_count)
+        .map(|tile| {
+            let begin = tiles.partition_point(|&t| t < tile) as u32;
+            let end = tiles.partition_point(|&t| t <= tile) as u32;
+            if begin == end { [0, 0] } else { [begin, end] }
+        })
+        .collect();
+    harness.exact(&format!("{what}: ranges"), &out.ranges[..ranges.len()], &ranges);
+}
+
+fn run(
+    harness: &mut Harness,
+    what: &str,
+    scene: &Gaussians,
+    camera: &Camera,
+    capacity: usize,
+) -> Result<Forward> {
+    let (device, settings) = (harness.device.clone(), RenderSettings::default());
+    let stream = &mut harness.stream;
+    let out = Frame::new(&device, stream, scene, camera, capacity, settings)?.forward(stream)?;
+    let k = camera.intrinsics;
+    compare(harness, what, &out, k.width, k.height, capacity);
+    Ok(out)
+}
+
+fn lists(harness: &mut Harness) -> Result<()> {
+    let camera = skew_camera(171, 115);
+    for count in [0, 1, 2, 64, 257, 4000] {
+        let scene = random(&mut harness.rng, count, 0, &camera);
+        run(harness, &format!("{count} Gaussians"), &scene, &camera, 1 << 15)?;
+    }
+    Ok(())
+}
+
+/// Ties break by index, however many there are.
+fn equal_depths(harness: &mut Harness) -> Result<()> {
+    let camera = plain_camera(40.0, 50, 40);
+    let parts: Vec<_> = (0..700)
+        .map(|i| {
+            let at = [harness.rng.random_range(-0.5..0.5), 0.1, [2.0, 3.0][i % 7 / 5]];
+            one(at, [-3.0; 3], UPRIGHT, 1.0)
+        })
+        .collect();
+    run(harness, "two depths", &join(&parts), &camera, 1 << 13).map(drop)
+}
+
+fn image_sizes(harness: &mut Harness) -> Result<()> {
+    for (width, height) in [(1, 1), (17, 3), (16, 16), (3, 33), (4097, 2)] {
+        let camera = plain_camera(30.0, width, height);
+        let wide = one([0.0, 0.0, 2.0], [5.0; 3], UPRIGHT, 1.0);
+        let small = one([0.01, 0.01, 3.0], [-4.0; 3], UPRIGHT, 2.0);
+        let what = format!("{width}×{height}");
+        let out = run(harness, &what, &join(&[wide, small]), &camera, 1024)?;
+        let tiles = grid(width, height).iter().product::<u32>();
+        harness.exact(
+            &format!("{what}: the wide one reaches every tile"),
+            &[out.tile_counts[0]],
+            &[tiles],
+        );
+    }
+    Ok(())
+}
+
+/// Too little room: the count tells, what fits is the nearest, and nothing lands elsewhere.
+fn overflow(harness: &mut Harness) -> Result<()> {
+    let camera = skew_camera(171, 115);
+    let scene = random(&mut harness.rng, 2000, 0, &camera);
+    let whole = run(harness, "room for all", &scene, &camera, 1 << 14)?;
+    let total = whole.counts[1] as usize;
+    harness.holds("the whole scene fits", total < 1 << 14);
+    for capacity in [0, 1, 255, 1000, total - 1, total] {
+        let what = format!("room for {capacity}");
+        let out = run(harness, &what, &scene, &camera, capacity)?;
+        harness.exact(&format!("{what}: counts"), &out.counts, &whole.counts);
+        harness.exact(&format!("{what}: nearest"), &out.tiles, &whole.tiles[..capacity]);
+        harness.exact(&format!("{what}: whose"), &out.splats, &whole.splats[..capacity]);
+    }
+    Ok(())
+}

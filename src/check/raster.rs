@@ -1,0 +1,221 @@
+//! Blending and its gradients, judged by the splats and lists that the device itself has made.
+
+use super::scene::{
+    Forward, Frame, UPRIGHT, contested, join, narrow, one, plain_camera, random, random_gradient,
+    skew_camera, widen,
+};
+use super::{Bound, Case, Harness};
+use crate::error::Result;
+use crate::oracle::project_backward::SplatGradient;
+use crate::oracle::raster;
+use crate::types::{Camera, Gaussians, RenderSettings};
+use rand::RngExt;
+
+const ALL: &[&str] = &["raster/forward", "raster/backward", "raster/gather"];
+
+/// The family's cases.
+pub const CASES: &[Case] = &[
+    Case { id: "raster/scenes", kernels: ALL, run: scenes },
+    Case { id: "raster/image_sizes", kernels: ALL, run: image_sizes },
+    Case { id: "raster/layers", kernels: ALL, run: layers },
+    Case { id: "raster/blending_constants", kernels: ALL, run: blending_constants },
+    Case { id: "raster/overflow", kernels: ALL, run: overflow },
+    Case { id: "raster/determinism", kernels: ALL, run: determinism },
+];
+
+/// Rounding in a power of up to 6 and in a product of hundreds of transmittances.
+const BAND: f64 = 2e-5;
+
+/// Renders, differentiates a random linear function of the image, and compares both.
+fn compare(
+    harness: &mut Harness,
+    what: &str,
+    scene: &Gaussians,
+    camera: &Camera,
+    capacity: usize,
+    settings: RenderSettings,
+) -> Result<Forward> {
+    let device = harness.device.clone();
+    let stream = &mut harness.stream;
+    let mut frame = Frame::new(&device, stream, scene, camera, capacity, settings)?;
+    let out = frame.forward(stream)?;
+    let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+    let (splats, bins) = (out.splats(), out.bins(width, height));
+    let single_splats = narrow(&splats);
+    let contested = contested(&splats, &bins, &settings, width, height, BAND);
+    let left_out = contested.iter().filter(|&&c| c).count();
+    harness.holds(&format!("{what}: few pixels hang"), left_out * 20 <= contested.len().max(20));
+    let exact = raster::forward(&splats, &bins, &settings, width, height);
+    let single = raster::forward(&single_splats, &bins, &settings, width, height);
+
+    let clear: Vec<usize> = (0..contested.len()).filter(|&i| !contested[i]).collect();
+    let depths = splats.iter().flatten().map(|s| s.depth).fold(1.0, f64::max);
+    let rgba: Vec<f32> = clear.iter().flat_map(|&i| out.rgba[i]).collect();
+    let flat = |rgb: [f64; 3], alpha: f64| [rgb[0], rgb[1], rgb[2], alpha];
+    let exact_rgba: Vec<f64> =
+        clear.iter().flat_map(|&i| flat(exact.rgb[i], exact.alpha[i])).collect();
+    let single_rgba: Vec<f32> = clear
+        .iter()
+        .flat_map(|&i| flat(single.rgb[i].map(f64::from), f64::from(single.alpha[i])))
+        .map(|v| v as f32)
+        .collect();
+    // The power's rounding (4e-7 at a power of 5.5) and the exponential's, averaged over what a pixel
+    // blends; measured 8e-7 at most, the oracle in f32 the same.
+    let bound = Bound { absolute: 2e-6, relative: 2e-6 };
+    harness.close(&format!("{what}: rgba"), &rgba, &exact_rgba, Some(&single_rgba), bound);
+    let depth: Vec<f32> = clear.iter().map(|&i| out.depth[i]).collect();
+    let exact_depth: Vec<f64> = clear.iter().map(|&i| exact.depth[i]).collect();
+    let single_depth: Vec<f32> = clear.iter().map(|&i| single.depth[i]).collect();
+    let bound = Bound { absolute: 2e-6 * depths, relative: 2e-6 };
+    harness.close(&format!("{what}: depth"), &depth, &exact_depth, Some(&single_depth), bound);
+
+    let gradient = random_gradient(&mut harness.rng, &contested);
+    let device = frame.backward(&mut harness.stream, &gradient)?.splats;
+    let wide = widen(&gradient);
+    let exact = raster::backward(&splats, &bins, &settings, width, height, &exact, &wide);
+    let single =
+        raster::backward(&single_splats, &bins, &settings, width, height, &single, &gradient);
+    compare_gradients(harness, what, &device, &exact, &single);
+    Ok(out)
+}
+
+type Rows<R> = fn(&SplatGradient<R>) -> Vec<R>;
+
+fn compare_gradients(
+    harness: &mut Harness,
+    what: &str,
+    device: &[SplatGradient<f32>],
+    exact: &[SplatGradient<f64>],
+    single: &[SplatGradient<f32>],
+) {
+    // Signed shares of many pixels cancel, so the largest gradient sets the scale. What lies behind a
+    // splat is a difference, with the rounding of the whole (1e-7), and is divided by 1 - alpha,
+    // which goes down to 1e-3: opacity, mean and conic carry up to 1e-4. Measured 3e-5; the oracle in
+    // f32 the same.
+    let parts: [(&str, f64, Rows<f32>, Rows<f64>); 5] = [
+        ("mean", 1e-4, |g| g.mean.into(), |g| g.mean.into()),
+        ("conic", 1e-4, |g| g.conic.into(), |g| g.conic.into()),
+        ("opacity", 1e-4, |g| vec![g.opacity], |g| vec![g.opacity]),
+        ("depth", 2e-6, |g| vec![g.depth], |g| vec![g.depth]),
+        ("colour", 2e-6, |g| g.colour.into(), |g| g.colour.into()),
+    ];
+    for (name, share, narrow, wide) in parts {
+        let device: Vec<f32> = device.iter().flat_map(narrow).collect();
+        let exact: Vec<f64> = exact.iter().flat_map(wide).collect();
+        let single: Vec<f32> = single.iter().flat_map(narrow).collect();
+        let largest = exact.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+        let bound = Bound { absolute: share * largest + 1e-30, relative: share };
+        let output = format!("{what}: by {name}");
+        harness.close(&output, &device, &exact, Some(&single), bound);
+    }
+}
+
+fn scenes(harness: &mut Harness) -> Result<()> {
+    let camera = skew_camera(83, 59);
+    for count in [0, 1, 31, 300, 2500] {
+        let scene = random(&mut harness.rng, count, 0, &camera);
+        let what = format!("{count} Gaussians");
+        compare(harness, &what, &scene, &camera, 1 << 14, RenderSettings::default())?;
+    }
+    Ok(())
+}
+
+fn image_sizes(harness: &mut Harness) -> Result<()> {
+    for (width, height) in [(1, 1), (17, 3), (16, 16), (3, 33), (4097, 2)] {
+        let camera = plain_camera(20.0, width, height);
+        let parts: Vec<_> = (0..40)
+            .map(|_| {
+                let mut random = |r: f32| harness.rng.random_range(-r..r);
+                one([random(2.0), random(0.3), 3.0 + random(1.0)], [-1.0; 3], UPRIGHT, random(3.0))
+            })
+            .collect();
+        let what = format!("{width}×{height}");
+        compare(harness, &what, &join(&parts), &camera, 1 << 14, RenderSettings::default())?;
+    }
+    Ok(())
+}
+
+/// Thousands of splats on every pixel: batches, early exit, and slots that nobody blends.
+fn layers(harness: &mut Harness) -> Result<()> {
+    let camera = plain_camera(40.0, 37, 21);
+    for (what, logit) in [("opaque", 0.0), ("faint", -4.0)] {
+        let parts: Vec<_> = (0..3000)
+            .map(|i| {
+                let mut part = one([0.0, 0.0, 2.0 + 1e-3 * i as f32], [0.0; 3], UPRIGHT, logit);
+                part.sh[0] = std::array::from_fn(|_| harness.rng.random_range(-1.0..1.0));
+                part
+            })
+            .collect();
+        let out =
+            compare(harness, what, &join(&parts), &camera, 1 << 15, RenderSettings::default())?;
+        let stop = RenderSettings::default().transmittance_stop;
+        let opaque = out.rgba.iter().all(|p| 1.0 - p[3] > stop && 1.0 - p[3] < 2.5 * stop);
+        harness.holds(&format!("{what}: stops in front of the stop"), opaque);
+    }
+    Ok(())
+}
+
+/// Other cuts, caps and stops than the default's.
+fn blending_constants(harness: &mut Harness) -> Result<()> {
+    let camera = skew_camera(61, 47);
+    let scene = random(&mut harness.rng, 400, 0, &camera);
+    let defaults = RenderSettings::default();
+    for (what, settings) in [
+        ("cut 1e-6", RenderSettings { alpha_cut: 1e-6, ..defaults }),
+        ("cut 0.2", RenderSettings { alpha_cut: 0.2, ..defaults }),
+        ("cap 0.6", RenderSettings { alpha_cap: 0.6, ..defaults }),
+        ("no stop", RenderSettings { transmittance_stop: 0.0, ..defaults }),
+        ("stop 0.3", RenderSettings { transmittance_stop: 0.3, ..defaults }),
+        ("no dilation", RenderSettings { dilation: 0.0, ..defaults }),
+    ] {
+        compare(harness, what, &scene, &camera, 1 << 14, settings)?;
+    }
+    Ok(())
+}
+
+/// The image and the gradients of what fits, when not all does.
+fn overflow(harness: &mut Harness) -> Result<()> {
+    let camera = skew_camera(83, 59);
+    let scene = random(&mut harness.rng, 1500, 0, &camera);
+    for capacity in [0, 1, 500] {
+        let what = format!("room for {capacity}");
+        let out = compare(harness, &what, &scene, &camera, capacity, RenderSettings::default())?;
+        harness.holds(&format!("{what}: overflows"), out.counts[1] as usize > capacity);
+    }
+    Ok(())
+}
+
+/// The same bits every time.
+fn determinism(harness: &mut Harness) -> Result<()> {
+    let camera = skew_camera(97, 71);
+    let scene = random(&mut harness.rng, 3000, 1, &camera);
+    let device = harness.device.clone();
+    let stream = &mut harness.stream;
+    let gradient = random_gradient(&mut harness.rng, &vec![false; 97 * 71]);
+    let mut runs = Vec::new();
+    for _ in 0..3 {
+        let settings = RenderSettings::default();
+        let mut frame = Frame::new(&device, stream, &scene, &camera, 1 << 15, settings)?;
+        let forward = frame.forward(stream)?;
+        let backward = frame.backward(stream, &gradient)?;
+        let bits = |v: &[f32]| v.iter().map(|x| x.to_bits()).collect::<Vec<u32>>();
+        let g = &backward.gaussians;
+        runs.push([
+            bits(forward.rgba.as_flattened()),
+            bits(&forward.depth),
+            bits(g.positions.as_flattened()),
+            bits(g.log_scales.as_flattened()),
+            bits(g.rotations.as_flattened()),
+            bits(&g.opacity_logits),
+            bits(g.sh.as_flattened()),
+            bits(&backward.pose),
+        ]);
+    }
+    harness.holds("something was rendered", runs[0][0].iter().any(|&word| word != 0));
+    for run in &runs[1..] {
+        for (again, first) in run.iter().zip(&runs[0]) {
+            harness.exact("again", again, first);
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,512 @@
+//! Scenes that the renderer's cases share, and a frame of one on the device, read back whole.
+
+use super::Harness;
+use crate::error::{Error, Result};
+use crate::gpu::{Buffer, Device, Recorder, Stream};
+use crate::ops::gaussians::GaussianBuffers;
+use crate::ops::render::{BackwardScratch, PixelBuffers, PixelGradients, Render, RenderScratch};
+use crate::oracle::bin::Bins;
+use crate::oracle::project::Splat;
+use crate::oracle::project_backward::SplatGradient;
+use crate::oracle::raster::Pixels;
+use crate::oracle::tiles::TileRect;
+use crate::oracle::tiles::{grid, power};
+use crate::oracle::view::Cloud;
+use crate::types::{Camera, Gaussians, Intrinsics, Pose, RenderSettings, sh_coefficients};
+use bytemuck::Pod;
+use glam::{DQuat, DVec3};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+
+/// The rotation that turns nothing.
+pub const UPRIGHT: [f32; 4] = [1.0, 0.0, 0.0, 0.0];
+/// Elements that every buffer has beyond what the op may touch.
+const SLACK: usize = 64;
+const POISON: u32 = 0xffff_ffff;
+
+/// A camera at the origin that looks along z.
+pub fn plain_camera(focal: f64, width: u32, height: u32) -> Camera {
+    Camera {
+        intrinsics: Intrinsics::centred(focal, width, height),
+        view_from_world: Pose::IDENTITY,
+    }
+}
+
+/// A camera with everything off its default: turned, shifted, off-centre, two focal lengths.
+pub fn skew_camera(width: u32, height: u32) -> Camera {
+    let (w, h) = (f64::from(width), f64::from(height));
+    Camera {
+        intrinsics: Intrinsics {
+            fx: 0.9 * w,
+            fy: 0.97 * w,
+            cx: 0.46 * w,
+            cy: 0.53 * h,
+            width,
+            height,
+        },
+        view_from_world: Pose::new(
+            DQuat::from_euler(glam::EulerRot::XYZ, 0.3, -0.4, 0.2),
+            DVec3::new(0.2, -0.3, 0.5),
+        ),
+    }
+}
+
+/// Gaussians in and around the camera's field of view; some nearer than the near plane, behind the
+/// camera, beside the image, or too transparent to draw.
+pub fn random(rng: &mut ChaCha8Rng, count: usize, degree: u32, camera: &Camera) -> Gaussians {
+    let world_from_view = camera.view_from_world.inverse();
+    let mut out = Gaussians { sh_degree: degree, ..Gaussians::default() };
+    for index in 0..count {
+        let spread = if index % 5 == 0 { 1.5 } else { 0.6 };
+        let z = if index % 17 == 0 {
+            rng.random_range(-1.0..0.5)
+        } else {
+            rng.random_range(1.5f64..6.0)
+        };
+        let at = DVec3::new(
+            z * rng.random_range(-spread..spread),
+            z * rng.random_range(-spread..spread) * 0.7,
+            z,
+        );
+        out.positions.push(world_from_view.apply(at).as_vec3().to_array());
+        let size = if index % 11 == 0 { -0.5 } else { -2.6 };
+        out.log_scales.push(std::array::from_fn(|_| size + rng.random_range(-1.2f32..0.6)));
+        out.rotations.push(std::array::from_fn(|_| rng.random_range(-1.5f32..1.5)));
+        out.opacity_logits.push(rng.random_range(-6.5f32..5.0));
+        for _ in 0..sh_coefficients(degree) {
+            out.sh.push(std::array::from_fn(|_| rng.random_range(-0.6f32..0.6)));
+        }
+    }
+    out
+}
+
+/// One Gaussian of degree 0.
+pub fn one(position: [f32; 3], log_scale: [f32; 3], rotation: [f32; 4], logit: f32) -> Gaussians {
+    Gaussians {
+        positions: vec![position],
+        log_scales: vec![log_scale],
+        rotations: vec![rotation],
+        opacity_logits: vec![logit],
+        sh_degree: 0,
+        sh: vec![[0.4, 0.1, -0.2]],
+        motion_logits: Vec::new(),
+    }
+}
+
+/// Several scenes of degree 0 as one.
+pub fn join(parts: &[Gaussians]) -> Gaussians {
+    let mut all = Gaussians::default();
+    for part in parts {
+        all.positions.extend(&part.positions);
+        all.log_scales.extend(&part.log_scales);
+        all.rotations.extend(&part.rotations);
+        all.opacity_logits.extend(&part.opacity_logits);
+        all.sh.extend(&part.sh);
+    }
+    all
+}
+
+/// A scene on the device with everything that rendering it needs. All that a pass writes is poisoned
+/// before it, and must still be poison beyond the op's own sizes after it.
+pub struct Frame {
+    /// The op.
+    pub render: Render,
+    /// The camera.
+    pub camera: Camera,
+    /// The scene.
+    pub gaussians: GaussianBuffers,
+    /// Between the dispatches.
+    pub scratch: RenderScratch,
+    /// The image.
+    pub pixels: PixelBuffers,
+    /// The loss's gradient by the image.
+    pub pixel_gradients: PixelGradients,
+    /// Between the dispatches of the backward pass.
+    pub backward: BackwardScratch,
+    /// Gradients by the parameters.
+    pub gradients: GaussianBuffers,
+    capacity: usize,
+}
+
+/// What the forward pass left on the device.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Forward {
+    /// Mean x, mean y, depth, opacity.
+    pub means: Vec<[f32; 4]>,
+    /// Conic A, B, C, the power at the cut.
+    pub conics: Vec<[f32; 4]>,
+    /// Colours.
+    pub colours: Vec<[f32; 4]>,
+    /// Packed first and last + 1 tiles.
+    pub rectangles: Vec<[u32; 2]>,
+    /// Tiles reached by Gaussian.
+    pub tile_counts: Vec<u32>,
+    /// 1 for visible.
+    pub visible: Vec<u32>,
+    /// Visible Gaussians and intersections, counted in full.
+    pub counts: [u32; 2],
+    /// Gaussians by depth.
+    pub order: Vec<u32>,
+    /// First intersection by rank.
+    pub rank_offsets: Vec<u32>,
+    /// Tile by intersection, as emitted.
+    pub tiles: Vec<u32>,
+    /// Gaussian by intersection, as emitted.
+    pub splats: Vec<u32>,
+    /// Tiles, sorted.
+    pub sorted_tiles: Vec<u32>,
+    /// Intersections, sorted.
+    pub intersections: Vec<u32>,
+    /// Begin and end by tile.
+    pub ranges: Vec<[u32; 2]>,
+    /// Premultiplied colour and alpha.
+    pub rgba: Vec<[f32; 4]>,
+    /// Depth.
+    pub depth: Vec<f32>,
+}
+
+/// What the backward pass left on the device.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Backward {
+    /// By the parameters.
+    pub gaussians: Gaussians,
+    /// By the pose: translation, rotation.
+    pub pose: Vec<f32>,
+    /// By the splats; those of culled Gaussians are zero.
+    pub splats: Vec<SplatGradient<f32>>,
+}
+
+fn poison<T: Pod>(recorder: &mut Recorder, buffers: &mut [&mut Buffer<T>]) {
+    for buffer in buffers {
+        recorder.fill(buffer.view_mut(), POISON);
+    }
+}
+
+/// The first `len` elements; an error when one behind them is no longer poison.
+fn read<T: Pod>(stream: &mut Stream, buffer: &Buffer<T>, len: usize) -> Result<Vec<T>> {
+    let mut all = stream.download(buffer)?;
+    let tail = bytemuck::cast_slice::<T, u8>(&all[len.min(all.len())..]);
+    if tail.iter().any(|&byte| byte != 0xff) {
+        return Err(Error::Failed(format!(
+            "{}: a kernel wrote behind its {len} elements",
+            buffer.label()
+        )));
+    }
+    all.truncate(len);
+    Ok(all)
+}
+
+impl Frame {
+    /// A scene with room for `capacity` intersections.
+    pub fn new(
+        device: &Device,
+        stream: &mut Stream,
+        scene: &Gaussians,
+        camera: &Camera,
+        capacity: usize,
+        settings: RenderSettings,
+    ) -> Result<Frame> {
+        let (n, k) = (scene.len(), camera.intrinsics);
+        let render = Render::plan(device, n, capacity, k.width, k.height, settings)?;
+        let larger =
+            Render::plan(device, n + SLACK, capacity + SLACK, k.width, k.height, settings)?;
+        let area = k.width as usize * k.height as usize + SLACK;
+        Ok(Frame {
+            gaussians: GaussianBuffers::from_host(stream, scene)?,
+            scratch: larger.scratch(device)?,
+            pixels: PixelBuffers {
+                width: k.width,
+                height: k.height,
+                rgba: device.buffer("rendered rgba", area)?,
+                depth: device.buffer("rendered depth", area)?,
+                last: device.buffer("last intersections", area)?,
+            },
+            pixel_gradients: PixelGradients {
+                rgba: device.buffer("rgba gradient", area)?,
+                depth: device.buffer("depth gradient", area)?,
+            },
+            backward: larger.backward_scratch(device)?,
+            gradients: GaussianBuffers::new(device, n + SLACK, scene.sh_degree)?,
+            camera: *camera,
+            render,
+            capacity,
+        })
+    }
+
+    fn area(&self) -> usize {
+        self.pixels.width as usize * self.pixels.height as usize
+    }
+
+    /// Renders and reads everything back.
+    pub fn forward(&mut self, stream: &mut Stream) -> Result<Forward> {
+        let mut recorder = stream.record()?;
+        let (s, p) = (&mut self.scratch, &mut self.pixels);
+        let r = &mut recorder;
+        poison(r, &mut [&mut s.means, &mut s.conics, &mut s.colours, &mut p.rgba]);
+        poison(r, &mut [&mut s.rectangles, &mut s.ranges]);
+        poison(r, &mut [&mut p.depth]);
+        poison(r, &mut [&mut s.tile_counts, &mut s.visible, &mut s.compact_offsets, &mut s.keys]);
+        poison(r, &mut [&mut s.splat_ids, &mut s.sorted_keys, &mut s.order, &mut s.rank_counts]);
+        poison(r, &mut [&mut s.rank_offsets, &mut s.tiles, &mut s.emitted, &mut s.splats]);
+        poison(r, &mut [&mut s.sorted_tiles, &mut s.intersections, &mut s.counts, &mut p.last]);
+        self.render.forward(r, &self.camera, self.gaussians.views(), s, p)?;
+        stream.submit(recorder)?;
+        let counts = s.counts(stream)?;
+        let (n, area) = (self.gaussians.len, self.area());
+        let m = counts.intersections.min(self.capacity);
+        let (s, p) = (&self.scratch, &self.pixels);
+        for buffer in [&s.compact_offsets, &s.rank_counts] {
+            read(stream, buffer, n)?;
+        }
+        for buffer in [&s.keys, &s.splat_ids, &s.sorted_keys] {
+            read(stream, buffer, counts.visible)?;
+        }
+        read(stream, &s.emitted, m)?;
+        read(stream, &p.last, area)?;
+        Ok(Forward {
+            means: read(stream, &s.means, n)?,
+            conics: read(stream, &s.conics, n)?,
+            colours: read(stream, &s.colours, n)?,
+            rectangles: read(stream, &s.rectangles, n)?,
+            tile_counts: read(stream, &s.tile_counts, n)?,
+            visible: read(stream, &s.visible, n)?,
+            counts: [counts.visible as u32, counts.intersections as u32],
+            order: read(stream, &s.order, counts.visible)?,
+            rank_offsets: read(stream, &s.rank_offsets, n)?,
+            tiles: read(stream, &s.tiles, m)?,
+            splats: read(stream, &s.splats, m)?,
+            sorted_tiles: read(stream, &s.sorted_tiles, m)?,
+            intersections: read(stream, &s.intersections, m)?,
+            ranges: stream.download(&s.ranges)?,
+            rgba: read(stream, &p.rgba, area)?,
+            depth: read(stream, &p.depth, area)?,
+        })
+    }
+
+    /// Differentiates the frame just rendered and reads everything back.
+    pub fn backward(&mut self, stream: &mut Stream, gradient: &Pixels<f32>) -> Result<Backward> {
+        let rgba: Vec<[f32; 4]> = gradient
+            .rgb
+            .iter()
+            .zip(&gradient.alpha)
+            .map(|(rgb, &alpha)| [rgb[0], rgb[1], rgb[2], alpha])
+            .collect();
+        stream.upload(&mut self.pixel_gradients.rgba, &rgba)?;
+        stream.upload(&mut self.pixel_gradients.depth, &gradient.depth)?;
+        let mut recorder = stream.record()?;
+        let (b, g, r) = (&mut self.backward, &mut self.gradients, &mut recorder);
+        poison(r, &mut [&mut b.slots_a, &mut b.slots_b, &mut b.means, &mut b.conics]);
+        poison(r, &mut [&mut b.colours, &mut g.rotations]);
+        poison(r, &mut [&mut b.slots_c]);
+        poison(r, &mut [&mut b.pose_partials, &mut b.pose]);
+        poison(r, &mut [&mut g.positions, &mut g.log_scales, &mut g.opacity_logits]);
+        for band in &mut g.sh {
+            poison(r, &mut [band]);
+        }
+        self.render.backward(
+            r,
+            self.gaussians.views(),
+            &self.scratch,
+            &self.pixels,
+            &self.pixel_gradients,
+            b,
+            g,
+            true,
+        )?;
+        stream.submit(recorder)?;
+        let n = self.gaussians.len;
+        let m = (self.scratch.counts(stream)?.intersections).min(self.capacity);
+        let (b, g) = (&self.backward, &self.gradients);
+        read(stream, &b.slots_a, m)?;
+        read(stream, &b.slots_b, m)?;
+        read(stream, &b.slots_c, m)?;
+        read(stream, &b.pose_partials, 8 * n.div_ceil(64))?;
+        read(stream, &g.positions, 3 * n)?;
+        read(stream, &g.log_scales, 3 * n)?;
+        read(stream, &g.rotations, n)?;
+        read(stream, &g.opacity_logits, n)?;
+        for (band, floats) in g.sh.iter().zip(crate::ops::gaussians::SH_BAND) {
+            read(stream, band, (floats * n).min(band.len()))?;
+        }
+        let visible = read(stream, &self.scratch.visible, n)?;
+        let means = read(stream, &b.means, n)?;
+        let conics = read(stream, &b.conics, n)?;
+        let colours = read(stream, &b.colours, n)?;
+        let splats = (0..n).filter(|&i| visible[i] != 0).map(|i| {
+            let ([x, y, depth, opacity], [a, b, c, _], [red, green, blue, _]) =
+                (means[i], conics[i], colours[i]);
+            let (mean, conic) = ([x, y], [a, b, c]);
+            (i, SplatGradient { mean, conic, opacity, depth, colour: [red, green, blue] })
+        });
+        let mut by_index = vec![SplatGradient::default(); n];
+        splats.for_each(|(i, splat)| by_index[i] = splat);
+        Ok(Backward {
+            gaussians: g.download(stream)?,
+            pose: stream.download(&b.pose)?,
+            splats: by_index,
+        })
+    }
+}
+
+impl Forward {
+    /// The device's own splats as the oracle's, so that later kernels are judged by what they were
+    /// given.
+    pub fn splats(&self) -> Vec<Option<Splat<f64>>> {
+        let wide = f64::from;
+        (0..self.visible.len())
+            .map(|i| {
+                (self.visible[i] != 0).then(|| {
+                    let ([x, y, depth, opacity], [a, b, c, _]) = (self.means[i], self.conics[i]);
+                    let [first, last] = self.rectangles[i];
+                    Splat {
+                        mean: [wide(x), wide(y)],
+                        conic: [wide(a), wide(b), wide(c)],
+                        opacity: wide(opacity),
+                        depth: wide(depth),
+                        colour: std::array::from_fn(|k| wide(self.colours[i][k])),
+                        rect: TileRect {
+                            min: [first & 0xffff, first >> 16],
+                            max: [last & 0xffff, last >> 16],
+                        },
+                        tile_count: self.tile_counts[i],
+                    }
+                })
+            })
+            .collect()
+    }
+
+    /// The device's own lists as the oracle's.
+    pub fn bins(&self, width: u32, height: u32) -> Bins {
+        Bins {
+            grid: grid(width, height),
+            order: self.order.clone(),
+            offsets: self.rank_offsets[..self.order.len()].to_vec(),
+            tiles: self.sorted_tiles.clone(),
+            splats: self.intersections.iter().map(|&at| self.splats[at as usize]).collect(),
+            ranges: self.ranges.clone(),
+        }
+    }
+}
+
+/// Splats in f32.
+pub fn narrow(splats: &[Option<Splat<f64>>]) -> Vec<Option<Splat<f32>>> {
+    let of = |x: f64| x as f32;
+    let one = |s: &Splat<f64>| Splat {
+        mean: s.mean.map(of),
+        conic: s.conic.map(of),
+        opacity: of(s.opacity),
+        depth: of(s.depth),
+        colour: s.colour.map(of),
+        rect: s.rect,
+        tile_count: s.tile_count,
+    };
+    splats.iter().map(|s| s.as_ref().map(one)).collect()
+}
+
+/// Which pixels hang on a decision (cut, cap, stop) closer than `band`, as a share of the threshold:
+/// there rounding may decide either way, and an image jumps.
+pub fn contested(
+    splats: &[Option<Splat<f64>>],
+    bins: &Bins,
+    settings: &RenderSettings,
+    width: u32,
+    height: u32,
+    band: f64,
+) -> Vec<bool> {
+    let near = |value: f64, threshold: f32| {
+        (value / f64::from(threshold) - 1.0).abs() < band || value.is_nan()
+    };
+    let mut out = Vec::new();
+    for y in 0..height {
+        for x in 0..width {
+            let [begin, end] = bins.ranges[(y / 16 * bins.grid[0] + x / 16) as usize];
+            let (mut transmittance, mut hangs) = (1.0, false);
+            for &index in &bins.splats[begin as usize..end as usize] {
+                let Some(splat) = &splats[index as usize] else { continue };
+                let (dx, dy) =
+                    (f64::from(x) + 0.5 - splat.mean[0], f64::from(y) + 0.5 - splat.mean[1]);
+                let full = splat.opacity * (-power(splat.conic, dx, dy)).exp();
+                hangs |= near(full, settings.alpha_cut) || near(full, settings.alpha_cap);
+                if full < f64::from(settings.alpha_cut) {
+                    continue;
+                }
+                let behind = transmittance * (1.0 - full.min(f64::from(settings.alpha_cap)));
+                hangs |= near(behind, settings.transmittance_stop);
+                if behind <= f64::from(settings.transmittance_stop) {
+                    break;
+                }
+                transmittance = behind;
+            }
+            out.push(hangs);
+        }
+    }
+    out
+}
+
+/// A random gradient by the pixels, zero where `zero` says so.
+pub fn random_gradient(rng: &mut ChaCha8Rng, zero: &[bool]) -> Pixels<f32> {
+    let mut out = Pixels::zeros(zero.len());
+    for (i, &zero) in zero.iter().enumerate() {
+        if !zero {
+            out.rgb[i] = std::array::from_fn(|_| rng.random_range(-1.0f32..1.0));
+            out.alpha[i] = rng.random_range(-1.0f32..1.0);
+            out.depth[i] = rng.random_range(-0.2f32..0.2);
+        }
+    }
+    out
+}
+
+/// Pixels in f64.
+pub fn widen(pixels: &Pixels<f32>) -> Pixels<f64> {
+    Pixels {
+        rgb: pixels.rgb.iter().map(|v| v.map(f64::from)).collect(),
+        alpha: pixels.alpha.iter().map(|&v| f64::from(v)).collect(),
+        depth: pixels.depth.iter().map(|&v| f64::from(v)).collect(),
+    }
+}
+
+/// Whether every number of the device's answer is finite (culled splats aside).
+pub fn all_finite(forward: &Forward, backward: Option<&Backward>) -> bool {
+    let image = forward.rgba.as_flattened().iter().chain(&forward.depth);
+    let forward_finite = image.copied().all(f32::is_finite);
+    forward_finite
+        && backward.is_none_or(|b| {
+            let g = &b.gaussians;
+            let rows = g.positions.as_flattened().iter().chain(g.log_scales.as_flattened());
+            let rows = rows.chain(g.rotations.as_flattened()).chain(&g.opacity_logits);
+            rows.chain(g.sh.as_flattened()).chain(&b.pose).all(|v| v.is_finite())
+        })
+}
+
+/// Holds the gradients by the parameters and the pose against the oracle's. `absolute` is a share of
+/// each parameter's largest gradient: sums over pixels cancel, so a share of the value alone is no
+/// measure.
+pub fn compare_gradients(
+    harness: &mut Harness,
+    what: &str,
+    device: &Backward,
+    truth: (&Cloud<f64>, &[f64; 6]),
+    single: (&Cloud<f32>, &[f32; 6]),
+    absolute: f64,
+    relative: f64,
+) {
+    let (g, (cloud, twist), (cloud_32, twist_32)) = (&device.gaussians, truth, single);
+    let mut hold = |name: &str, device: &[f32], truth: &[f64], single: &[f32]| {
+        let largest = truth.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+        let bound = super::Bound { absolute: absolute * largest + 1e-30, relative };
+        harness.close(&format!("{what}: {name}"), device, truth, Some(single), bound);
+    };
+    let flat = |v: &[[f32; 3]]| v.as_flattened().to_vec();
+    let wide = |v: &[[f64; 3]]| v.as_flattened().to_vec();
+    hold("positions", &flat(&g.positions), &wide(&cloud.positions), &flat(&cloud_32.positions));
+    hold("log scales", &flat(&g.log_scales), &wide(&cloud.log_scales), &flat(&cloud_32.log_scales));
+    hold(
+        "rotations",
+        g.rotations.as_flattened(),
+        cloud.rotations.as_flattened(),
+        cloud_32.rotations.as_flattened(),
+    );
+    hold("opacity", &g.opacity_logits, &cloud.opacity_logits, &cloud_32.opacity_logits);
+    hold("sh", &flat(&g.sh), &wide(&cloud.sh), &flat(&cloud_32.sh));
+    hold("pose", &device.pose, twist, twist_32);
+}

@@ -1,0 +1,121 @@
+//! A clip as a folder, in the field's formats.
+
+use std::fs;
+use std::path::Path;
+
+use rayon::prelude::*;
+
+use super::Clip;
+use crate::data::trajectory::{self, TimedPose};
+use crate::data::transforms::{self, TimedCamera};
+use crate::data::{exr, flo, intrinsics, write_mask, write_png};
+use crate::error::{Error, Result};
+use crate::types::Image;
+
+/// What readers of `.flo` take for "unknown": beyond 1e9.
+const UNKNOWN_FLOW: f32 = 1e10;
+
+/// Writes a clip as a new folder. It appears by rename, whole or not at all:
+///
+/// ```text
+/// frames/0000.png …               8-bit RGB
+/// truth/intrinsics.json           pixels
+/// truth/poses.txt                 TUM, camera to world, metres; the time is the frame's index
+/// truth/transforms.json           nerfstudio: the frames with their cameras and times in [0, 1]
+/// truth/depth/0000.exr …          z, metres
+/// truth/flow_forward/0000.flo …   from frame i to i + 1, pixels; none for the last frame
+/// truth/flow_backward/0001.flo …  from frame i to i − 1, pixels; none for the first frame
+/// truth/visible_forward/0000.png, truth/visible_backward/0001.png …
+///                                 white where the flow ends on a point that is seen there
+/// truth/masks/0000.png …          white where something moves
+/// truth/held_out/0/0000.png …, truth/held_out/1/0000.png …
+/// truth/held_out/transforms.json  both cameras at every time
+/// ```
+///
+/// # Errors
+/// [`Error::Input`] when `folder` exists and is not an empty folder; [`Error::Io`] when the disk
+/// refuses.
+pub fn write(clip: &Clip, folder: impl AsRef<Path>) -> Result<()> {
+    let folder = folder.as_ref();
+    if folder.exists() {
+        let mut entries = fs::read_dir(folder).map_err(Error::io(folder))?;
+        if entries.next().is_some() {
+            return Err(Error::Input(format!(
+                "{} is not empty; name a new folder, or remove it first",
+                folder.display()
+            )));
+        }
+    }
+    let parent = match folder.parent() {
+        Some(parent) if parent != Path::new("") => parent,
+        _ => Path::new("."),
+    };
+    fs::create_dir_all(parent).map_err(Error::io(parent))?;
+    let partial =
+        tempfile::Builder::new().prefix(".synth-").tempdir_in(parent).map_err(Error::io(parent))?;
+    // Nested, since a temporary folder is its owner's alone and its mode would come along.
+    let whole = partial.path().join("clip");
+    contents(clip, &whole)?;
+    fs::rename(&whole, folder).map_err(Error::io(folder))
+}
+
+fn contents(clip: &Clip, folder: &Path) -> Result<()> {
+    let truth = folder.join("truth");
+    series(&folder.join("frames"), "png", 0, &clip.frames, |path, i| write_png(path, i))?;
+    series(&truth.join("depth"), "exr", 0, &clip.depth, |path, i| exr::write_depth(path, i))?;
+    series(&truth.join("masks"), "png", 0, &clip.masks, |path, i| write_mask(path, i))?;
+    for (name, first, flows, visible) in [
+        ("forward", 0, &clip.flow_forward, &clip.visible_forward),
+        ("backward", 1, &clip.flow_backward, &clip.visible_backward),
+    ] {
+        let to = truth.join(format!("flow_{name}"));
+        series(&to, "flo", first, flows, |path, flow| {
+            let known = |v: &f32| if v.is_nan() { UNKNOWN_FLOW } else { *v };
+            let pixels = flow.pixels.iter().map(known).collect();
+            flo::write(path, &Image { pixels, ..*flow })
+        })?;
+        let to = truth.join(format!("visible_{name}"));
+        series(&to, "png", first, visible, |path, i| write_mask(path, i))?;
+    }
+    intrinsics::write(truth.join("intrinsics.json"), &clip.intrinsics)?;
+    let poses: Vec<TimedPose> = clip
+        .view_from_world
+        .iter()
+        .enumerate()
+        .map(|(i, pose)| TimedPose { time: i as f64, world_from_view: pose.inverse() })
+        .collect();
+    trajectory::write(truth.join("poses.txt"), &poses)?;
+    let number = |i: usize| format!("{i:04}.png");
+    let cameras: Vec<TimedCamera> = (0..clip.frames.len())
+        .map(|i| TimedCamera { time: clip.times[i], camera: clip.camera(i) })
+        .collect();
+    let files: Vec<String> =
+        (0..cameras.len()).map(|i| format!("../frames/{}", number(i))).collect();
+    transforms::write(truth.join("transforms.json"), &cameras, &files)?;
+
+    let held_out = truth.join("held_out");
+    let (mut cameras, mut files) = (Vec::new(), Vec::new());
+    for (name, view) in clip.held_out.iter().enumerate() {
+        let to = held_out.join(name.to_string());
+        series(&to, "png", 0, &view.frames, |path, i| write_png(path, i))?;
+        for (i, camera) in view.cameras.iter().enumerate() {
+            cameras.push(TimedCamera { time: clip.times[i], camera: *camera });
+            files.push(format!("{name}/{}", number(i)));
+        }
+    }
+    transforms::write(held_out.join("transforms.json"), &cameras, &files)
+}
+
+/// Writes images into a new folder, numbered from `first`.
+fn series(
+    folder: &Path,
+    extension: &str,
+    first: usize,
+    images: &[Image],
+    write: impl Fn(&Path, &Image) -> Result<()> + Sync,
+) -> Result<()> {
+    fs::create_dir_all(folder).map_err(Error::io(folder))?;
+    images.par_iter().enumerate().try_for_each(|(i, image)| {
+        write(&folder.join(format!("{:04}.{extension}", i + first)), image)
+    })
+}

@@ -1,0 +1,61 @@
+//! The optimiser.
+
+use crate::gpu::kernel;
+
+kernel! {
+    /// One step of Adam over a flat array.
+    pub struct Step("adam/step"), workgroup: [64, 1, 1],
+    params: StepParams {
+        /// Values.
+        count: u32,
+        /// Values of a row.
+        row: u32,
+        /// Whether rows whose entry in `visible` is 0 stay as they are.
+        masked: u32,
+        /// Learning rate.
+        rate: f32,
+        /// Decay of the first moment.
+        beta1: f32,
+        /// Decay of the second moment.
+        beta2: f32,
+        /// 1 − β₁.
+        rest1: f32,
+        /// 1 − β₂.
+        rest2: f32,
+        /// 1 / (1 − β₁ᵗ).
+        unbias1: f32,
+        /// 1 / (1 − β₂ᵗ).
+        unbias2: f32,
+        /// Added to the root of the second moment.
+        epsilon: f32,
+    },
+    args: StepArgs {
+        /// One word a row.
+        visible: Read<u32>,
+        /// Gradients.
+        gradients: Read<f32>,
+        /// Parameters.
+        parameters: ReadWrite<f32>,
+        /// First moments.
+        first: ReadWrite<f32>,
+        /// Second moments.
+        second: ReadWrite<f32>,
+    }
+}
+
+kernel! {
+    /// Which Gaussians a step may change.
+    pub struct Gate("adam/gate"), workgroup: [64, 1, 1],
+    params: GateParams {
+        /// Number of Gaussians.
+        count: u32,
+    },
+    args: GateArgs {
+        /// 1 where the frame fitted, else 0.
+        fits: Read<u32>,
+        /// 1 for each Gaussian that trains.
+        trainable: Read<u32>,
+        /// 1 for each Gaussian that the step may change.
+        gate: Write<u32>,
+    }
+}

@@ -1,0 +1,113 @@
+//! Adam on the device.
+
+use crate::error::{Error, Result};
+use crate::gpu::{Buffer, Device, Groups, Recorder, View, ViewMut};
+use crate::kernels::adam::{Gate, GateArgs, GateParams, Step, StepArgs, StepParams};
+use crate::types::AdamSettings;
+
+/// One group of parameters with its moments, all of one length.
+pub struct AdamArgs<'a> {
+    /// Gradients. What is not a number or infinite leaves its parameter and moments as they are;
+    /// magnitudes count as 1e18 at most.
+    pub gradients: View<'a, f32>,
+    /// Changed in place.
+    pub parameters: ViewMut<'a, f32>,
+    /// First moments; zero before the first step.
+    pub first: ViewMut<'a, f32>,
+    /// Second moments; zero before the first step.
+    pub second: ViewMut<'a, f32>,
+    /// Values of a row, and one word for each row: where it is 0 the row stays as it is.
+    pub visible: Option<(usize, View<'a, u32>)>,
+}
+
+/// The optimiser (Kingma and Ba 2015, with bias correction).
+pub struct Adam {
+    /// Bound where there is no visibility.
+    nothing: Buffer<u32>,
+}
+
+impl Adam {
+    /// The optimiser on a device.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`].
+    pub fn new(device: &Device) -> Result<Adam> {
+        Ok(Adam { nothing: device.buffer("no visibility", 1)? })
+    }
+
+    /// Records one step.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] where the lengths disagree; [`Error::Input`] for step 0.
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        settings: &AdamSettings,
+        args: AdamArgs<'_>,
+    ) -> Result<()> {
+        let count = args.gradients.len();
+        let shape = |arg, expected: usize, actual: usize| match expected == actual {
+            true => Ok(()),
+            false => Err(Error::Shape { op: "adam", arg, expected: expected.to_string(), actual }),
+        };
+        shape("parameters", count, args.parameters.len())?;
+        shape("first", count, args.first.len())?;
+        shape("second", count, args.second.len())?;
+        if settings.step == 0 {
+            return Err(Error::Input("adam: steps count from 1".into()));
+        }
+        let (row, visible) = match args.visible {
+            Some((row, visible)) => {
+                shape("visible", count, row * visible.len())?;
+                (row.max(1), visible)
+            }
+            None => (1, self.nothing.view()),
+        };
+        let unbias = |beta: f64| (1.0 / (1.0 - beta.powf(f64::from(settings.step)))) as f32;
+        recorder.dispatch::<Step>(
+            Groups::linear(count, 64, recorder.device().limits())?,
+            StepParams {
+                count: count as u32,
+                row: row as u32,
+                masked: u32::from(args.visible.is_some()),
+                rate: settings.rate as f32,
+                beta1: settings.beta1 as f32,
+                beta2: settings.beta2 as f32,
+                rest1: (1.0 - settings.beta1) as f32,
+                rest2: (1.0 - settings.beta2) as f32,
+                unbias1: unbias(settings.beta1),
+                unbias2: unbias(settings.beta2),
+                epsilon: settings.epsilon as f32,
+            },
+            StepArgs {
+                visible,
+                gradients: args.gradients,
+                parameters: args.parameters,
+                first: args.first,
+                second: args.second,
+            },
+        )
+    }
+}
+
+/// Records which rows a step may change: those that train, and none where `fits` holds 0.
+///
+/// # Errors
+/// [`Error::Shape`] where the lengths disagree.
+pub fn gate(
+    recorder: &mut Recorder,
+    fits: View<'_, u32>,
+    trainable: View<'_, u32>,
+    gate: ViewMut<'_, u32>,
+) -> Result<()> {
+    let count = trainable.len();
+    if gate.len() != count {
+        let (expected, actual) = (count.to_string(), gate.len());
+        return Err(Error::Shape { op: "adam", arg: "gate", expected, actual });
+    }
+    recorder.dispatch::<Gate>(
+        Groups::linear(count, 64, recorder.device().limits())?,
+        GateParams { count: count as u32 },
+        GateArgs { fits, trainable, gate },
+    )
+}

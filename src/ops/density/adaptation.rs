@@ -1,0 +1,213 @@
+//! Adaptive control: clone, split, prune, compact.
+
+use super::{WORKGROUP, equal, logit};
+use crate::error::{Error, Result};
+use crate::gpu::{Buffer, Device, Groups, Recorder, View, ViewMut};
+use crate::kernels::density as kernels;
+use crate::ops::scan::{Scan, ScanArgs, ScanScratch};
+use crate::types::AdaptSettings;
+
+/// Adaptive control of up to a number of Gaussians.
+///
+/// [`plan`](Self::plan) decides what happens to each and lays out the new rows; then
+/// [`gather`](Self::gather) brings every array into the new order (into another array), and
+/// [`draw_parts`](Self::draw_parts) makes the parts of split ones. The number of rows in the end is
+/// the third word of [`totals`](Self::totals).
+pub struct Adaptation {
+    capacity: usize,
+    /// Rows that the last plan may have at most.
+    most_rows: usize,
+    scan: Scan,
+    scratch: ScanScratch,
+    count: Buffer<u32>,
+    actions: Buffer<u32>,
+    kept: Buffer<u32>,
+    added: Buffer<u32>,
+    kept_prefix: Buffer<u32>,
+    added_prefix: Buffer<u32>,
+    totals: Buffer<u32>,
+    rows: Buffer<u32>,
+}
+
+/// What the decision reads.
+pub struct AdaptationArgs<'a> {
+    /// Sum of screen-space gradient norms and number of views, of each Gaussian.
+    pub statistics: View<'a, f32>,
+    /// Opacity logits.
+    pub opacity_logits: View<'a, f32>,
+    /// Log-scales, three values each.
+    pub log_scales: View<'a, f32>,
+}
+
+impl Adaptation {
+    /// For up to `capacity` Gaussians, before and after.
+    ///
+    /// # Errors
+    /// [`Error::Input`] beyond 2³⁰ − 1; [`Error::OutOfMemory`].
+    pub fn new(device: &Device, capacity: usize) -> Result<Adaptation> {
+        if capacity >= 1 << 30 {
+            return Err(Error::Input(format!("adaptive control of {capacity}: at most 2³⁰ − 1")));
+        }
+        let scan = Scan::plan(capacity)?;
+        let words = |label: &str| device.buffer::<u32>(label, capacity);
+        Ok(Adaptation {
+            capacity,
+            most_rows: 0,
+            scratch: scan.scratch(device)?,
+            scan,
+            count: device.buffer("adaptation count", 1)?,
+            actions: words("adaptation actions")?,
+            kept: words("adaptation survivors")?,
+            added: words("adaptation added")?,
+            kept_prefix: words("adaptation survivor sums")?,
+            added_prefix: words("adaptation added sums")?,
+            totals: device.buffer("adaptation totals", 3)?,
+            rows: words("adaptation rows")?,
+        })
+    }
+
+    /// Records the decision and the layout of the new rows: survivors in order, then what is added,
+    /// as far as there is room; a Gaussian whose second part does not fit is not split.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] where the lengths disagree or there are more than planned.
+    pub fn plan(
+        &mut self,
+        recorder: &mut Recorder,
+        settings: &AdaptSettings,
+        args: AdaptationArgs<'_>,
+    ) -> Result<()> {
+        let count = args.opacity_logits.len();
+        equal("statistics", 2 * count, args.statistics.len())?;
+        equal("log_scales", 3 * count, args.log_scales.len())?;
+        if count > self.capacity {
+            let expected = format!("at most {}", self.capacity);
+            let (arg, actual) = ("Gaussians", count);
+            return Err(Error::Shape { op: "density control", arg, expected, actual });
+        }
+        self.most_rows = (2 * count).min(self.capacity);
+        let limits = *recorder.device().limits();
+        recorder.update(self.count.view_mut(), &[count as u32])?;
+        recorder.dispatch::<kernels::Decide>(
+            Groups::linear(count, WORKGROUP, &limits)?,
+            kernels::DecideParams {
+                count: count as u32,
+                gradient: settings.gradient as f32,
+                log_small: settings.small.ln() as f32,
+                log_large: settings.large.ln() as f32,
+                prune_logit: logit(settings.opacity),
+            },
+            kernels::DecideArgs {
+                statistics: args.statistics,
+                opacity_logits: args.opacity_logits,
+                log_scales: args.log_scales,
+                actions: self.actions.view_mut(),
+                kept: self.kept.view_mut(),
+                added: self.added.view_mut(),
+            },
+        )?;
+        recorder.fill(self.totals.view_mut(), 0);
+        for (values, prefix, total_at) in
+            [(&self.kept, &mut self.kept_prefix, 0), (&self.added, &mut self.added_prefix, 1)]
+        {
+            let args = ScanArgs {
+                count: self.count.view(),
+                count_at: 0,
+                values: values.view(),
+                prefix: prefix.view_mut(),
+                total: self.totals.view_mut(),
+                total_at,
+            };
+            self.scan.record(recorder, args, &mut self.scratch)?;
+        }
+        recorder.dispatch::<kernels::Layout>(
+            Groups::linear(count, WORKGROUP, &limits)?,
+            kernels::LayoutParams { count: count as u32, capacity: self.capacity as u32 },
+            kernels::LayoutArgs {
+                actions: self.actions.view(),
+                kept_prefix: self.kept_prefix.view(),
+                added_prefix: self.added_prefix.view(),
+                totals: self.totals.view_mut(),
+                rows: self.rows.view_mut(),
+            },
+        )
+    }
+
+    /// Records the copy of one array of rows of `width` values into the new order. With `moments`,
+    /// rows that are not a survivor's own become zero.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] when `gathered` cannot hold what the plan may leave.
+    pub fn gather(
+        &self,
+        recorder: &mut Recorder,
+        values: View<'_, f32>,
+        gathered: ViewMut<'_, f32>,
+        width: usize,
+        moments: bool,
+    ) -> Result<()> {
+        if width == 0 {
+            return Ok(());
+        }
+        let needed = self.most_rows * width;
+        super::super::at_least("density control", &[("gathered", needed, gathered.len())])?;
+        recorder.dispatch::<kernels::Gather>(
+            Groups::linear(needed, WORKGROUP, recorder.device().limits())?,
+            kernels::GatherParams { width: width as u32, fresh_zero: u32::from(moments) },
+            kernels::GatherArgs {
+                totals: self.totals.view(),
+                rows: self.rows.view(),
+                values,
+                gathered,
+            },
+        )
+    }
+
+    /// Records the making of the parts of split Gaussians, in the gathered arrays.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] when an array cannot hold what the plan may leave.
+    pub fn draw_parts(
+        &self,
+        recorder: &mut Recorder,
+        positions: ViewMut<'_, f32>,
+        log_scales: ViewMut<'_, f32>,
+        rotations: View<'_, [f32; 4]>,
+        seed: u32,
+        step: u32,
+    ) -> Result<()> {
+        let rows = self.most_rows;
+        let shapes = [
+            ("positions", 3 * rows, positions.len()),
+            ("log_scales", 3 * rows, log_scales.len()),
+            ("rotations", rows, rotations.len()),
+        ];
+        super::super::at_least("density control", &shapes)?;
+        recorder.dispatch::<kernels::Parts>(
+            Groups::linear(rows, WORKGROUP, recorder.device().limits())?,
+            kernels::PartsParams {
+                seed,
+                step_number: step,
+                log_shrink: AdaptSettings::SPLIT_SHRINK.ln() as f32,
+            },
+            kernels::PartsArgs {
+                totals: self.totals.view(),
+                rows: self.rows.view(),
+                rotations,
+                positions,
+                log_scales,
+            },
+        )
+    }
+
+    /// Survivors, candidates to add, and rows in the end.
+    pub fn totals(&self) -> View<'_, u32> {
+        self.totals.view()
+    }
+
+    /// The new rows: the source, and in the two upper bits 0 for a survivor, 1 for a copy, 2 for a
+    /// part of a split one.
+    pub fn rows(&self) -> View<'_, u32> {
+        self.rows.view()
+    }
+}

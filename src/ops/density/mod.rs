@@ -1,0 +1,132 @@
+//! Density control on the device; `oracle::density` has the formulae.
+//!
+//! Two strategies: [`Relocation`] with [`jitter`] (MCMC: a fixed number of Gaussians, the dead move
+//! to the live), and [`Adaptation`] with [`accumulate`] and [`reset_opacity`] (clone, split, prune).
+
+mod adaptation;
+mod relocation;
+
+pub use adaptation::{Adaptation, AdaptationArgs};
+pub use relocation::{Relocation, RelocationArgs};
+
+use crate::error::{Error, Result};
+use crate::gpu::{Groups, Recorder, View, ViewMut};
+use crate::kernels::density as kernels;
+
+/// A Gaussian of this opacity or less is dead.
+pub const DEAD_OPACITY: f64 = 0.005;
+
+/// Workgroup of all kernels of the family.
+const WORKGROUP: u32 = 64;
+
+/// Records MCMC's exploration: every centre moves by noise of its Gaussian's covariance, times
+/// `size`, the more the fainter it is. A step that is not finite is not taken.
+///
+/// # Errors
+/// [`Error::Shape`] where the lengths disagree.
+pub fn jitter(
+    recorder: &mut Recorder,
+    positions: ViewMut<'_, f32>,
+    log_scales: View<'_, f32>,
+    rotations: View<'_, [f32; 4]>,
+    opacity_logits: View<'_, f32>,
+    size: f32,
+    seed: u32,
+    step: u32,
+) -> Result<()> {
+    let count = opacity_logits.len();
+    equal("positions", 3 * count, positions.len())?;
+    equal("log_scales", 3 * count, log_scales.len())?;
+    equal("rotations", count, rotations.len())?;
+    recorder.dispatch::<kernels::Jitter>(
+        Groups::linear(count, WORKGROUP, recorder.device().limits())?,
+        kernels::JitterParams { count: count as u32, seed, step_number: step, size },
+        kernels::JitterArgs { log_scales, rotations, opacity_logits, positions },
+    )
+}
+
+/// Records the addition of one view's screen-space gradients (two values a Gaussian, by pixels) to
+/// the statistics of [`Adaptation`] (sum of norms in units of half the image; number of views), for
+/// Gaussians whose entry in `visible` is not 0.
+///
+/// # Errors
+/// [`Error::Shape`] where the lengths disagree.
+pub fn accumulate(
+    recorder: &mut Recorder,
+    statistics: ViewMut<'_, f32>,
+    screen_gradients: View<'_, f32>,
+    visible: View<'_, u32>,
+    image: [u32; 2],
+) -> Result<()> {
+    let count = visible.len();
+    equal("statistics", 2 * count, statistics.len())?;
+    equal("screen_gradients", 2 * count, screen_gradients.len())?;
+    let [half_width, half_height] = image.map(|side| side as f32 / 2.0);
+    recorder.dispatch::<kernels::Accumulate>(
+        Groups::linear(count, WORKGROUP, recorder.device().limits())?,
+        kernels::AccumulateParams { count: count as u32, half_width, half_height },
+        kernels::AccumulateArgs { screen_gradients, visible, statistics },
+    )
+}
+
+/// Records the opacity reset: no logit stays above `limit`. Moments are the caller's to zero.
+///
+/// # Errors
+/// As for [`Recorder::dispatch`].
+pub fn reset_opacity(
+    recorder: &mut Recorder,
+    opacity_logits: ViewMut<'_, f32>,
+    limit: f32,
+) -> Result<()> {
+    let count = opacity_logits.len();
+    recorder.dispatch::<kernels::Reset>(
+        Groups::linear(count, WORKGROUP, recorder.device().limits())?,
+        kernels::ResetParams { count: count as u32, limit },
+        kernels::ResetArgs { opacity_logits },
+    )
+}
+
+fn logit(probability: f64) -> f32 {
+    (probability / (1.0 - probability)).ln() as f32
+}
+
+fn equal(arg: &'static str, expected: usize, actual: usize) -> Result<()> {
+    if actual == expected {
+        return Ok(());
+    }
+    Err(Error::Shape { op: "density control", arg, expected: expected.to_string(), actual })
+}
+
+/// Records the addition of MCMC's regularisers to the gradients: `opacity_weight` times the mean
+/// opacity and `scale_weight` times the mean scale.
+///
+/// # Errors
+/// [`Error::Shape`] where the lengths disagree.
+pub fn regularise(
+    recorder: &mut Recorder,
+    opacity_logits: View<'_, f32>,
+    log_scales: View<'_, f32>,
+    opacity_gradients: ViewMut<'_, f32>,
+    log_scale_gradients: ViewMut<'_, f32>,
+    opacity_weight: f64,
+    scale_weight: f64,
+) -> Result<()> {
+    let count = opacity_logits.len();
+    equal("log_scales", 3 * count, log_scales.len())?;
+    equal("opacity_gradients", count, opacity_gradients.len())?;
+    equal("log_scale_gradients", 3 * count, log_scale_gradients.len())?;
+    recorder.dispatch::<kernels::Regularise>(
+        Groups::linear(count, WORKGROUP, recorder.device().limits())?,
+        kernels::RegulariseParams {
+            count: count as u32,
+            opacity_factor: (opacity_weight / count.max(1) as f64) as f32,
+            scale_factor: (scale_weight / (3 * count).max(1) as f64) as f32,
+        },
+        kernels::RegulariseArgs {
+            opacity_logits,
+            log_scales,
+            opacity_gradients,
+            log_scale_gradients,
+        },
+    )
+}

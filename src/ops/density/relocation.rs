@@ -1,0 +1,275 @@
+//! MCMC: dead Gaussians move onto live ones, and new ones are added beside live ones.
+
+use super::{DEAD_OPACITY, WORKGROUP, equal, logit};
+use crate::error::{Error, Result};
+use crate::gpu::{Buffer, Device, Groups, Recorder, View, ViewMut};
+use crate::kernels::density as kernels;
+use crate::ops::scan::{Scan, ScanArgs, ScanScratch};
+use crate::types::MotionClass;
+
+/// Relocation and growth of up to a number of Gaussians.
+///
+/// [`relocate`](Self::relocate) or [`grow`](Self::grow) draws targets and changes their opacity and
+/// scale; then [`copy`](Self::copy) every parameter array, and [`zero`](Self::zero) every array of
+/// optimiser moments.
+pub struct Relocation {
+    capacity: usize,
+    /// Rows after the last round.
+    rows: usize,
+    /// Slots that the last round may have at most.
+    most_slots: usize,
+    scan: Scan,
+    scratch: ScanScratch,
+    count: Buffer<u32>,
+    weights: Buffer<u32>,
+    dead: Buffer<u32>,
+    weight_prefix: Buffer<u32>,
+    dead_prefix: Buffer<u32>,
+    totals: Buffer<u32>,
+    slots: Buffer<u32>,
+    targets: Buffer<u32>,
+    drawn: Buffer<u32>,
+    touched: Buffer<u32>,
+}
+
+/// One round.
+pub struct RelocationArgs<'a> {
+    /// Opacity logits of the Gaussians that there are.
+    pub opacity_logits: ViewMut<'a, f32>,
+    /// Log-scales, three values each.
+    pub log_scales: ViewMut<'a, f32>,
+    /// Motion logits, where the scene has any.
+    pub motion_logits: Option<View<'a, f32>>,
+    /// Who takes part: run it for static and for dynamic ones, and the dead stay in their class.
+    pub class: MotionClass,
+    /// Seed of the draw.
+    pub seed: u32,
+    /// Number of the round or step; another number draws others.
+    pub step: u32,
+}
+
+impl Relocation {
+    /// For up to `capacity` Gaussians.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`].
+    pub fn new(device: &Device, capacity: usize) -> Result<Relocation> {
+        let scan = Scan::plan(capacity)?;
+        let words = |label: &str| device.buffer::<u32>(label, capacity);
+        Ok(Relocation {
+            capacity,
+            rows: 0,
+            most_slots: 0,
+            scratch: scan.scratch(device)?,
+            scan,
+            count: device.buffer("relocation count", 1)?,
+            weights: words("relocation weights")?,
+            dead: words("relocation dead")?,
+            weight_prefix: words("relocation weight sums")?,
+            dead_prefix: words("relocation dead sums")?,
+            totals: device.buffer("relocation totals", 2)?,
+            slots: words("relocation slots")?,
+            targets: words("relocation targets")?,
+            drawn: words("relocation draws")?,
+            touched: words("relocation touched")?,
+        })
+    }
+
+    /// Records a round in which every dead Gaussian of the class becomes a copy of a live one, drawn
+    /// by opacity. Where none lives, the dead stay.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] where the lengths disagree or there are more than planned.
+    pub fn relocate(&mut self, recorder: &mut Recorder, args: RelocationArgs<'_>) -> Result<()> {
+        self.round(recorder, args, 0)
+    }
+
+    /// Records a round that adds `added` Gaussians behind those that there are, each a copy of a
+    /// live one drawn by opacity (of the first one where none lives). Every parameter array must
+    /// have room for them.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] where the lengths disagree or there would be more than planned;
+    /// [`Error::Input`] when there is none to copy.
+    pub fn grow(
+        &mut self,
+        recorder: &mut Recorder,
+        args: RelocationArgs<'_>,
+        added: usize,
+    ) -> Result<()> {
+        if added == 0 {
+            (self.rows, self.most_slots) = (args.opacity_logits.len(), 0);
+            return Ok(());
+        }
+        if args.opacity_logits.is_empty() {
+            return Err(Error::Input("density control: no Gaussian to grow from".into()));
+        }
+        self.round(recorder, args, added)
+    }
+
+    fn round(
+        &mut self,
+        recorder: &mut Recorder,
+        mut args: RelocationArgs<'_>,
+        grown: usize,
+    ) -> Result<()> {
+        let count = args.opacity_logits.len();
+        equal("log_scales", 3 * count, args.log_scales.len())?;
+        if let Some(motion) = args.motion_logits {
+            equal("motion_logits", count, motion.len())?;
+        }
+        if count + grown > self.capacity {
+            let expected = format!("at most {}", self.capacity);
+            let (arg, actual) = ("Gaussians", count + grown);
+            return Err(Error::Shape { op: "density control", arg, expected, actual });
+        }
+        self.rows = count + grown;
+        self.most_slots = if grown > 0 { grown } else { count };
+        let limits = *recorder.device().limits();
+        let over = |items: usize| Groups::linear(items, WORKGROUP, &limits);
+        recorder.update(self.count.view_mut(), &[count as u32])?;
+        recorder.fill(self.drawn.view_mut(), 0);
+        recorder.fill(self.touched.view_mut(), 0);
+        let logits = args.opacity_logits.as_view();
+        recorder.dispatch::<kernels::Weigh>(
+            over(count)?,
+            kernels::WeighParams {
+                count: count as u32,
+                motion_class: args.class as u32,
+                has_motion: u32::from(args.motion_logits.is_some()),
+                largest: MotionClass::largest_weight(count),
+                dead_logit: logit(DEAD_OPACITY),
+            },
+            kernels::WeighArgs {
+                opacity_logits: logits,
+                // Bound, not read, in a scene without motion.
+                motion_logits: args.motion_logits.unwrap_or(logits),
+                weights: self.weights.view_mut(),
+                dead: self.dead.view_mut(),
+            },
+        )?;
+        for (values, prefix, total_at) in
+            [(&self.weights, &mut self.weight_prefix, 0), (&self.dead, &mut self.dead_prefix, 1)]
+        {
+            let args = ScanArgs {
+                count: self.count.view(),
+                count_at: 0,
+                values: values.view(),
+                prefix: prefix.view_mut(),
+                total: self.totals.view_mut(),
+                total_at,
+            };
+            self.scan.record(recorder, args, &mut self.scratch)?;
+        }
+        if grown > 0 {
+            recorder.update(self.totals.range_mut(1..2), &[grown as u32])?;
+        }
+        recorder.dispatch::<kernels::Slots>(
+            over(count.max(grown))?,
+            kernels::SlotsParams { count: count as u32, grown: grown as u32 },
+            kernels::SlotsArgs {
+                dead: self.dead.view(),
+                dead_prefix: self.dead_prefix.view(),
+                slots: self.slots.view_mut(),
+            },
+        )?;
+        recorder.dispatch::<kernels::Draw>(
+            over(self.most_slots)?,
+            kernels::DrawParams {
+                count: count as u32,
+                grown: grown as u32,
+                seed: args.seed,
+                step_number: args.step,
+            },
+            kernels::DrawArgs {
+                weight_prefix: self.weight_prefix.view(),
+                totals: self.totals.view(),
+                slots: self.slots.view(),
+                targets: self.targets.view_mut(),
+                drawn: self.drawn.view_mut(),
+                touched: self.touched.view_mut(),
+            },
+        )?;
+        recorder.dispatch::<kernels::Shrink>(
+            over(count)?,
+            kernels::ShrinkParams { count: count as u32, dead_logit: logit(DEAD_OPACITY) },
+            kernels::ShrinkArgs {
+                drawn: self.drawn.view(),
+                opacity_logits: args.opacity_logits.reborrow(),
+                log_scales: args.log_scales.reborrow(),
+            },
+        )
+    }
+
+    /// Records the copies of one parameter array of rows of `width` values: slots become their
+    /// targets. After growth the array holds the new rows too.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] when the array has fewer rows than the round leaves.
+    pub fn copy(
+        &self,
+        recorder: &mut Recorder,
+        values: ViewMut<'_, f32>,
+        width: usize,
+    ) -> Result<()> {
+        self.enough_rows("parameters", values.len(), width)?;
+        if width == 0 {
+            return Ok(());
+        }
+        recorder.dispatch::<kernels::Copy>(
+            Groups::linear(self.most_slots * width, WORKGROUP, recorder.device().limits())?,
+            kernels::CopyParams { width: width as u32 },
+            kernels::CopyArgs {
+                totals: self.totals.view(),
+                slots: self.slots.view(),
+                targets: self.targets.view(),
+                values,
+            },
+        )
+    }
+
+    /// Records the zeroing of one array of optimiser moments, for what was drawn or replaced.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] when the array has fewer rows than the round leaves.
+    pub fn zero(
+        &self,
+        recorder: &mut Recorder,
+        values: ViewMut<'_, f32>,
+        width: usize,
+    ) -> Result<()> {
+        self.enough_rows("moments", values.len(), width)?;
+        if width == 0 || self.most_slots == 0 {
+            return Ok(());
+        }
+        recorder.dispatch::<kernels::Zero>(
+            Groups::linear(self.rows * width, WORKGROUP, recorder.device().limits())?,
+            kernels::ZeroParams { count: self.rows as u32, width: width as u32 },
+            kernels::ZeroArgs { touched: self.touched.view(), values },
+        )
+    }
+
+    fn enough_rows(&self, arg: &'static str, actual: usize, width: usize) -> Result<()> {
+        super::super::at_least("density control", &[(arg, self.rows * width, actual)])
+    }
+
+    /// The weights of the last draw.
+    pub fn weights(&self) -> View<'_, u32> {
+        self.weights.view()
+    }
+
+    /// The sum of the last draw's weights, and the number of its slots.
+    pub fn totals(&self) -> View<'_, u32> {
+        self.totals.view()
+    }
+
+    /// The rows that the last round filled, as many as [`totals`](Self::totals) says.
+    pub fn slots(&self) -> View<'_, u32> {
+        self.slots.view()
+    }
+
+    /// What each slot copies; `u32::MAX` where it stays.
+    pub fn targets(&self) -> View<'_, u32> {
+        self.targets.view()
+    }
+}

@@ -1,0 +1,205 @@
+//! Control points, the deformation network and skinning together: where a scene's Gaussians are at
+//! a time.
+
+use super::deform::{Skin, SkinArgs, SkinGradients, Skinned};
+use super::gaussians::{GaussianBuffers, GaussianViews};
+use super::mlp::{Network, NetworkScratch};
+use crate::gpu::{Buffer, Device, Recorder, Stream, View, ViewMut};
+use crate::types::{ControlPoints, DeformNet};
+use crate::{Error, Result};
+
+/// What moves a scene's dynamic Gaussians, on the device.
+pub struct Motion {
+    /// The network's plan.
+    pub network: Network,
+    /// Its parameters, laid out as [`DeformNet::parameters`].
+    pub parameters: Buffer<f32>,
+    /// Canonical positions of the control points, three values each.
+    pub nodes: Buffer<f32>,
+    /// Logarithms of their radii.
+    pub log_radii: Buffer<f32>,
+    /// Motions at the times of the last forward pass, two vectors per control point and time.
+    pub transforms: Buffer<[f32; 4]>,
+    /// Skinning.
+    pub skin: Skin,
+    /// The Gaussians that move.
+    pub dynamic_ids: Buffer<u32>,
+    /// The network's activations at those times.
+    pub network_scratch: NetworkScratch,
+    /// How many of `dynamic_ids` there are.
+    pub dynamic: usize,
+    times: Buffer<f32>,
+    positions: Buffer<f32>,
+    rotations: Buffer<[f32; 4]>,
+    rigidity: Buffer<f32>,
+}
+
+impl Motion {
+    /// Control points and network on the device, with room for `gaussians` Gaussians, each dynamic
+    /// one following `neighbours` control points, evaluated at `times` times at once.
+    /// [`set_dynamic`](Self::set_dynamic) says which ones move.
+    ///
+    /// # Errors
+    /// [`Error::Input`] without control points or for a network that does not fit its shape;
+    /// [`Error::OutOfMemory`]; or a failed upload.
+    pub fn new(
+        stream: &mut Stream,
+        points: &ControlPoints,
+        network: &DeformNet,
+        neighbours: usize,
+        gaussians: usize,
+        times: usize,
+    ) -> Result<Motion> {
+        if points.is_empty() {
+            return Err(Error::Input("motion needs at least one control point".into()));
+        }
+        if network.parameters.len() != network.shape.parameters() {
+            return Err(Error::Input(format!(
+                "the deformation network has {} parameters, its shape asks for {}",
+                network.parameters.len(),
+                network.shape.parameters()
+            )));
+        }
+        let device: Device = stream.device().clone();
+        let plan = Network::new(&network.shape)?;
+        Ok(Motion {
+            parameters: device.upload("network parameters", &network.parameters)?,
+            nodes: device.upload("control points", points.positions.as_flattened())?,
+            log_radii: device.upload("control radii", &points.log_radii)?,
+            transforms: device.buffer("control transforms", 2 * points.len() * times)?,
+            skin: Skin::new(&device, neighbours, gaussians, points.len())?,
+            dynamic_ids: device.buffer("dynamic Gaussians", gaussians)?,
+            network_scratch: plan.scratch(&device, points.len() * times)?,
+            dynamic: 0,
+            times: device.buffer("times", times)?,
+            positions: device.buffer("moved positions", 3 * gaussians)?,
+            rotations: device.buffer("moved rotations", gaussians)?,
+            rigidity: device.buffer("rigidity", gaussians)?,
+            network: plan,
+        })
+    }
+
+    /// Sets which Gaussians move: those whose motion logit is above 0.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for more Gaussians than there is room for, or a failed upload.
+    pub fn set_dynamic(&mut self, stream: &mut Stream, motion_logits: &[f32]) -> Result<()> {
+        let ids: Vec<u32> =
+            (0..motion_logits.len() as u32).filter(|&i| motion_logits[i as usize] > 0.0).collect();
+        stream.upload(&mut self.dynamic_ids, &ids)?;
+        self.dynamic = ids.len();
+        Ok(())
+    }
+
+    /// Records the search for the control points that each dynamic Gaussian follows; needed once,
+    /// and again when Gaussians or control points have moved in the canonical frame.
+    ///
+    /// # Errors
+    /// As for [`Recorder::dispatch`].
+    pub fn refresh(&mut self, recorder: &mut Recorder, positions: View<'_, f32>) -> Result<()> {
+        let ids = self.dynamic_ids.range(0..self.dynamic);
+        self.skin.refresh(recorder, ids, positions, self.nodes.view())
+    }
+
+    /// Records where the Gaussians are at the first of some times in [0, 1]
+    /// ([`moved`](Self::moved) gives them), and the control points' motions at all of them.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for another number of times than planned; else as for
+    /// [`Recorder::dispatch`].
+    pub fn forward(
+        &mut self,
+        recorder: &mut Recorder,
+        gaussians: &GaussianViews<'_>,
+        times: &[f32],
+    ) -> Result<()> {
+        recorder.update(self.times.view_mut(), times)?;
+        self.network.forward(
+            recorder,
+            self.parameters.view(),
+            self.nodes.view(),
+            self.times.view(),
+            self.transforms.view_mut(),
+            &mut self.network_scratch,
+        )?;
+        let n = gaussians.len;
+        self.skin.forward(
+            recorder,
+            skin_args(
+                &self.dynamic_ids,
+                self.dynamic,
+                &self.nodes,
+                &self.log_radii,
+                &self.transforms,
+                gaussians,
+            ),
+            Skinned {
+                positions: self.positions.range_mut(0..3 * n),
+                rotations: self.rotations.range_mut(0..n),
+                rigidity: self.rigidity.range_mut(0..self.dynamic),
+            },
+        )
+    }
+
+    /// Records the derivative of the last [`forward`](Self::forward)'s skinning: `gradients`, by the
+    /// moved Gaussians, become those by the canonical ones, and those by the motions at the first
+    /// time and by the radii are written.
+    ///
+    /// # Errors
+    /// As for [`Skin::backward`].
+    pub fn skin_backward(
+        &mut self,
+        recorder: &mut Recorder,
+        gaussians: &GaussianViews<'_>,
+        gradients: &mut GaussianBuffers,
+        transform_gradients: ViewMut<'_, [f32; 4]>,
+        radius_gradients: ViewMut<'_, f32>,
+    ) -> Result<()> {
+        let n = gaussians.len;
+        let args = skin_args(
+            &self.dynamic_ids,
+            self.dynamic,
+            &self.nodes,
+            &self.log_radii,
+            &self.transforms,
+            gaussians,
+        );
+        let gradients = SkinGradients {
+            positions: gradients.positions.range_mut(0..3 * n),
+            rotations: gradients.rotations.range_mut(0..n),
+            // Not touched where motion is not soft.
+            motion_logits: self.rigidity.view_mut(),
+            transforms: transform_gradients,
+            log_radii: radius_gradients,
+            accumulate: false,
+            rigid_scale: 0.0,
+        };
+        self.skin.backward(recorder, args, gradients)
+    }
+
+    /// The Gaussians where the last [`forward`](Self::forward) put them.
+    pub fn moved<'a>(&'a self, gaussians: GaussianViews<'a>) -> GaussianViews<'a> {
+        let n = gaussians.len;
+        gaussians.moved(self.positions.range(0..3 * n), self.rotations.range(0..n))
+    }
+}
+
+fn skin_args<'a>(
+    dynamic_ids: &'a Buffer<u32>,
+    dynamic: usize,
+    nodes: &'a Buffer<f32>,
+    log_radii: &'a Buffer<f32>,
+    transforms: &'a Buffer<[f32; 4]>,
+    gaussians: &GaussianViews<'a>,
+) -> SkinArgs<'a> {
+    SkinArgs {
+        dynamic_ids: dynamic_ids.range(0..dynamic),
+        positions: gaussians.positions,
+        rotations: gaussians.rotations,
+        nodes: nodes.view(),
+        log_radii: log_radii.view(),
+        transforms: transforms.view(),
+        time: 0,
+        soft: None,
+    }
+}

@@ -1,0 +1,172 @@
+//! Lists of nearest control points, and the same lists by control point.
+
+use crate::error::{Error, Result};
+use crate::gpu::{Buffer, Device, Groups, Recorder, View};
+use crate::kernels::deform::{
+    Keys, KeysArgs, KeysParams, Nearest, NearestArgs, NearestParams, Starts, StartsArgs,
+    StartsParams,
+};
+use crate::ops::sort::{RadixSort, SortArgs, SortScratch};
+
+/// The largest number of neighbours.
+pub const MOST_NEIGHBOURS: usize = 16;
+
+/// The `k` nearest control points of a set of points, refreshed rarely and read at every step.
+///
+/// Row `r`, place `s` is `neighbours[r·k + s]`, nearest first, `u32::MAX` where there is no further
+/// control point. The places that name control point `n` are `places[starts[n]..starts[n+1]]`, in
+/// ascending order, so that sums over them have one order.
+pub struct Neighbours {
+    k: usize,
+    capacity: usize,
+    node_capacity: usize,
+    rows: usize,
+    node_count: usize,
+    neighbours: Buffer<u32>,
+    starts: Buffer<u32>,
+    places: Buffer<u32>,
+    sort: RadixSort,
+    scratch: SortScratch,
+    count: Buffer<u32>,
+    keys: Buffer<u32>,
+    unsorted: Buffer<u32>,
+    sorted_keys: Buffer<u32>,
+}
+
+impl Neighbours {
+    /// Room for `capacity` points and `node_capacity` control points, `k` for each point.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for `k` of 0 or beyond [`MOST_NEIGHBOURS`]; [`Error::OutOfMemory`].
+    pub fn new(
+        device: &Device,
+        k: usize,
+        capacity: usize,
+        node_capacity: usize,
+    ) -> Result<Neighbours> {
+        if k == 0 || k > MOST_NEIGHBOURS {
+            return Err(Error::Input(format!(
+                "{k} control points for each point: it must be 1 to {MOST_NEIGHBOURS}"
+            )));
+        }
+        let places = capacity * k;
+        let bits = usize::BITS - node_capacity.leading_zeros();
+        let sort = RadixSort::plan(device, places, 0..bits)?;
+        Ok(Neighbours {
+            k,
+            capacity,
+            node_capacity,
+            rows: 0,
+            node_count: 0,
+            neighbours: device.buffer("neighbours", places)?,
+            starts: device.buffer("neighbour starts", node_capacity + 1)?,
+            places: device.buffer("neighbour places", places)?,
+            scratch: sort.scratch(device)?,
+            sort,
+            count: device.buffer("neighbour count", 1)?,
+            keys: device.buffer("neighbour keys", places)?,
+            unsorted: device.buffer("neighbour places, unsorted", places)?,
+            sorted_keys: device.buffer("neighbour keys, sorted", places)?,
+        })
+    }
+
+    /// Records the search: for the points that `ids` names (else for all of `positions`), among
+    /// `nodes`; both hold three values a point.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for more points or control points than there is room for.
+    pub fn refresh(
+        &mut self,
+        recorder: &mut Recorder,
+        ids: Option<View<'_, u32>>,
+        positions: View<'_, f32>,
+        nodes: View<'_, f32>,
+    ) -> Result<()> {
+        let rows = ids.map_or(positions.len() / 3, |ids| ids.len());
+        let node_count = nodes.len() / 3;
+        let room = |arg, actual: usize, most: usize| match actual <= most {
+            true => Ok(()),
+            false => {
+                let expected = format!("at most {most}");
+                Err(Error::Shape { op: "neighbours", arg, expected, actual })
+            }
+        };
+        room("points", rows, self.capacity)?;
+        room("nodes", node_count, self.node_capacity)?;
+        (self.rows, self.node_count) = (rows, node_count);
+        let limits = *recorder.device().limits();
+        let places = rows * self.k;
+        recorder.dispatch_specialised::<Nearest>(
+            &[self.k as u32],
+            Groups::linear(rows, 64, &limits)?,
+            NearestParams {
+                rows: rows as u32,
+                node_count: node_count as u32,
+                listed: u32::from(ids.is_some()),
+            },
+            NearestArgs {
+                ids: ids.unwrap_or(self.count.view()),
+                positions,
+                nodes,
+                neighbours: self.neighbours.view_mut(),
+            },
+        )?;
+        recorder.dispatch::<Keys>(
+            Groups::linear(places, 64, &limits)?,
+            KeysParams { count: places as u32, node_count: node_count as u32 },
+            KeysArgs {
+                neighbours: self.neighbours.view(),
+                keys: self.keys.view_mut(),
+                places: self.unsorted.view_mut(),
+            },
+        )?;
+        recorder.update(self.count.view_mut(), &[places as u32])?;
+        self.sort.record(
+            recorder,
+            SortArgs {
+                count: self.count.view(),
+                count_at: 0,
+                keys: self.keys.view(),
+                payload: self.unsorted.view(),
+                sorted_keys: self.sorted_keys.view_mut(),
+                sorted_payload: self.places.view_mut(),
+            },
+            &mut self.scratch,
+        )?;
+        recorder.dispatch::<Starts>(
+            Groups::linear(node_count + 1, 64, &limits)?,
+            StartsParams { count: places as u32, node_count: node_count as u32 },
+            StartsArgs { keys: self.sorted_keys.view(), starts: self.starts.view_mut() },
+        )
+    }
+
+    /// Neighbours of each point.
+    pub fn k(&self) -> usize {
+        self.k
+    }
+
+    /// Points of the last refresh.
+    pub fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// Control points of the last refresh.
+    pub fn node_count(&self) -> usize {
+        self.node_count
+    }
+
+    /// Neighbours of each point, nearest first.
+    pub fn neighbours(&self) -> View<'_, u32> {
+        self.neighbours.range(0..self.rows * self.k)
+    }
+
+    /// Where each control point's places begin.
+    pub fn starts(&self) -> View<'_, u32> {
+        self.starts.range(0..self.node_count + 1)
+    }
+
+    /// Places in the order of their control points; those without one come last.
+    pub fn places(&self) -> View<'_, u32> {
+        self.places.range(0..self.rows * self.k)
+    }
+}

@@ -1,0 +1,200 @@
+//! Training what moves: the deformation network and the control points' radii.
+
+use super::settings::{MotionSettings, exponential};
+use crate::Result;
+use crate::gpu::{Buffer, Recorder, Stream, View};
+use crate::ops::adam::{Adam, AdamArgs};
+use crate::ops::arap::{Arap, ArapArgs, ArapSettings};
+use crate::ops::gaussians::{GaussianBuffers, GaussianViews};
+use crate::ops::motion::Motion;
+use crate::types::{AdamSettings, ControlPoints, DeformNet};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+
+/// What moves the dynamic Gaussians, to train from.
+#[derive(Clone, Debug)]
+pub struct MotionStart {
+    /// Control points in the canonical frame.
+    pub points: ControlPoints,
+    /// The network.
+    pub network: DeformNet,
+    /// How many control points a dynamic Gaussian follows.
+    pub neighbours: usize,
+}
+
+/// The picture's own time, and two times between which motion should be as rigid as possible.
+const TIMES: usize = 3;
+/// Half the width of the window from which the two times come.
+const ARAP_WINDOW: f64 = 0.05;
+
+/// Motion with gradients and optimiser state.
+pub(super) struct MotionTrainer {
+    pub(super) motion: Motion,
+    settings: MotionSettings,
+    shape: crate::types::NetShape,
+    adam: Adam,
+    parameters: State,
+    radii: State,
+    transform_gradients: Buffer<[f32; 4]>,
+    arap: Arap,
+    energies: Buffer<f32>,
+}
+
+/// Gradient and moments of one array.
+struct State {
+    gradients: Buffer<f32>,
+    first: Buffer<f32>,
+    second: Buffer<f32>,
+}
+
+impl State {
+    fn new(stream: &Stream, label: &str, len: usize) -> Result<State> {
+        let device = stream.device();
+        let zeros = vec![0.0f32; len];
+        Ok(State {
+            gradients: device.buffer(&format!("{label} gradients"), len)?,
+            first: device.upload(&format!("{label} first moments"), &zeros)?,
+            second: device.upload(&format!("{label} second moments"), &zeros)?,
+        })
+    }
+
+    fn step(
+        &mut self,
+        recorder: &mut Recorder,
+        adam: &Adam,
+        rate: f64,
+        step: u32,
+        parameters: &mut Buffer<f32>,
+        fits: View<'_, u32>,
+    ) -> Result<()> {
+        // One row holds everything: a frame that did not fit changes nothing.
+        let visible = Some((parameters.len(), fits));
+        adam.record(
+            recorder,
+            &AdamSettings { rate, step: step + 1, ..AdamSettings::default() },
+            AdamArgs {
+                gradients: self.gradients.view(),
+                parameters: parameters.view_mut(),
+                first: self.first.view_mut(),
+                second: self.second.view_mut(),
+                visible,
+            },
+        )
+    }
+}
+
+impl MotionTrainer {
+    /// With room for `capacity` Gaussians.
+    pub(super) fn new(
+        stream: &mut Stream,
+        start: &MotionStart,
+        settings: MotionSettings,
+        capacity: usize,
+    ) -> Result<MotionTrainer> {
+        let nodes = start.points.len();
+        let k = start.neighbours.min(nodes);
+        let motion = Motion::new(stream, &start.points, &start.network, k, capacity, TIMES)?;
+        let device = stream.device().clone();
+        let mut arap =
+            Arap::new(&device, settings.arap_edges.min(nodes.saturating_sub(1)).max(1), nodes)?;
+        let mut recorder = stream.record()?;
+        arap.refresh(&mut recorder, motion.nodes.view())?;
+        stream.submit(recorder)?;
+        Ok(MotionTrainer {
+            parameters: State::new(stream, "network", motion.parameters.len())?,
+            radii: State::new(stream, "radius", nodes)?,
+            transform_gradients: device.buffer("transform gradients", 2 * nodes * TIMES)?,
+            energies: device.buffer("rigidity energies", nodes)?,
+            adam: Adam::new(&device)?,
+            shape: start.network.shape,
+            arap,
+            motion,
+            settings,
+        })
+    }
+
+    /// Takes over which Gaussians move, and finds what they follow.
+    pub(super) fn set_dynamic(
+        &mut self,
+        stream: &mut Stream,
+        motion_logits: &[f32],
+        gaussians: &GaussianBuffers,
+    ) -> Result<()> {
+        self.motion.set_dynamic(stream, motion_logits)?;
+        let mut recorder = stream.record()?;
+        self.motion.refresh(&mut recorder, gaussians.views().positions)?;
+        stream.submit(recorder)?;
+        Ok(())
+    }
+
+    /// Records where the Gaussians are at `time`.
+    pub(super) fn forward(
+        &mut self,
+        recorder: &mut Recorder,
+        gaussians: &GaussianViews<'_>,
+        time: f64,
+        rng: &mut ChaCha8Rng,
+    ) -> Result<()> {
+        let mut near = || (time + ARAP_WINDOW * rng.random_range(-1.0..1.0)).clamp(0.0, 1.0) as f32;
+        let times = [time as f32, near(), near()];
+        self.motion.forward(recorder, gaussians, &times)
+    }
+
+    /// Records the gradients of everything that moves, and its step; `gradients`, by the moved
+    /// Gaussians, become those by the canonical ones.
+    pub(super) fn backward(
+        &mut self,
+        recorder: &mut Recorder,
+        gaussians: &GaussianViews<'_>,
+        gradients: &mut GaussianBuffers,
+        step: u32,
+        steps: u32,
+        fits: View<'_, u32>,
+    ) -> Result<()> {
+        let settings = self.settings;
+        recorder.fill(self.transform_gradients.view_mut(), 0);
+        self.motion.skin_backward(
+            recorder,
+            gaussians,
+            gradients,
+            self.transform_gradients.view_mut(),
+            self.radii.gradients.view_mut(),
+        )?;
+        if settings.arap_weight > 0.0 && self.energies.len() > 1 {
+            self.arap.record(
+                recorder,
+                &ArapSettings { weight: settings.arap_weight as f32, ..ArapSettings::default() },
+                ArapArgs {
+                    nodes: self.motion.nodes.view(),
+                    log_radii: self.motion.log_radii.view(),
+                    transforms: self.motion.transforms.view(),
+                    times: [1, 2],
+                    energies: self.energies.view_mut(),
+                    transform_gradients: self.transform_gradients.view_mut(),
+                },
+            )?;
+        }
+        self.motion.network.backward(
+            recorder,
+            self.motion.parameters.view(),
+            self.transform_gradients.view(),
+            self.parameters.gradients.view_mut(),
+            false,
+            &mut self.motion.network_scratch,
+        )?;
+        let rate = exponential(settings.rate, settings.rate_last, step, steps);
+        let adam = &self.adam;
+        self.parameters.step(recorder, adam, rate, step, &mut self.motion.parameters, fits)?;
+        self.radii.step(recorder, adam, rate, step, &mut self.motion.log_radii, fits)
+    }
+
+    /// Waits and reads control points and network.
+    pub(super) fn download(&self, stream: &mut Stream) -> Result<(ControlPoints, DeformNet)> {
+        let points = ControlPoints {
+            positions: bytemuck::cast_slice(&stream.download(&self.motion.nodes)?).to_vec(),
+            log_radii: stream.download(&self.motion.log_radii)?,
+        };
+        let parameters = stream.download(&self.motion.parameters)?;
+        Ok((points, DeformNet { shape: self.shape, parameters }))
+    }
+}

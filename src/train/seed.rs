@@ -1,0 +1,71 @@
+//! The first Gaussians, from points.
+
+use crate::data::Point;
+use crate::types::{Gaussians, SH_C0, sh_coefficients};
+use rayon::prelude::*;
+use rstar::RTree;
+use rstar::primitives::GeomWithData;
+
+/// Opacity of a Gaussian that has just been seeded.
+pub const FIRST_OPACITY: f32 = 0.1;
+
+/// One Gaussian per point, as 3D Gaussian Splatting starts: isotropic, its scale the root mean
+/// square of the distances to the three nearest other points, opacity 0.1, the point's colour.
+pub fn seed_from_points(points: &[Point], sh_degree: u32) -> Gaussians {
+    let count = points.len();
+    let coefficients = sh_coefficients(sh_degree);
+    let positions: Vec<[f32; 3]> = points.iter().map(|p| p.position).collect();
+    let mut sh = vec![[0.0; 3]; count * coefficients];
+    for (row, point) in sh.chunks_exact_mut(coefficients).zip(points) {
+        row[0] = point.colour.map(|c| (c - 0.5) / SH_C0);
+    }
+    Gaussians {
+        log_scales: nearest_distances(&positions).into_iter().map(|d| [d.ln(); 3]).collect(),
+        rotations: vec![[1.0, 0.0, 0.0, 0.0]; count],
+        opacity_logits: vec![(FIRST_OPACITY / (1.0 - FIRST_OPACITY)).ln(); count],
+        positions,
+        sh_degree,
+        sh,
+        motion_logits: Vec::new(),
+    }
+}
+
+/// Root mean square distance of every point to its three nearest others; at least √1e-7.
+fn nearest_distances(points: &[[f32; 3]]) -> Vec<f32> {
+    let entries = points.iter().enumerate().map(|(i, p)| GeomWithData::new(*p, i)).collect();
+    let tree: RTree<GeomWithData<[f32; 3], usize>> = RTree::bulk_load(entries);
+    let squared = |a: [f32; 3], b: [f32; 3]| (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f32>();
+    points
+        .par_iter()
+        .enumerate()
+        .map(|(i, &point)| {
+            let others = tree.nearest_neighbor_iter(point).filter(|other| other.data != i).take(3);
+            let (mut sum, mut count) = (0.0, 0);
+            for other in others {
+                sum += squared(point, *other.geom());
+                count += 1;
+            }
+            (sum / count.max(1) as f32).max(1e-7).sqrt()
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scales_come_from_the_nearest_points() {
+        let at = |x: f32| Point { position: [x, 0.0, 0.0], colour: [0.5, 1.0, 0.0] };
+        let seeded = seed_from_points(&[at(0.0), at(1.0), at(3.0), at(103.0)], 1);
+        let expected = ((1.0f32 + 9.0 + 103.0 * 103.0) / 3.0).sqrt().ln();
+        assert!((seeded.log_scales[0][2] - expected).abs() < 1e-5);
+        assert_eq!(seeded.sh.len(), 4 * 4);
+        assert!((0.5 + SH_C0 * seeded.sh[4][1] - 1.0).abs() < 1e-6);
+        // Points that coincide, and one alone, still get a finite scale.
+        for points in [vec![at(1.0); 5], vec![at(1.0)]] {
+            let seeded = seed_from_points(&points, 0);
+            assert!(seeded.log_scales.iter().flatten().all(|s| s.is_finite()));
+        }
+    }
+}

@@ -1,0 +1,40 @@
+//! Settings of density control.
+
+/// Which Gaussians take part in a round of relocation, so that dead dynamic ones land on dynamic
+/// ones and static on static.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum MotionClass {
+    /// All.
+    Any = 0,
+    /// Those whose motion logit is 0 or less; all in a scene without motion logits.
+    Static = 1,
+    /// Those whose motion logit is above 0.
+    Dynamic = 2,
+}
+
+impl MotionClass {
+    /// The largest integer weight of a draw over `count` Gaussians: the sum of all weights stays
+    /// below 2³².
+    pub fn largest_weight(count: usize) -> u32 {
+        (u32::MAX as usize / count.max(1)).clamp(1, 65_535) as u32
+    }
+}
+
+/// Thresholds of adaptive control.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AdaptSettings {
+    /// Mean screen-space gradient norm above which a Gaussian is cloned or split.
+    pub gradient: f64,
+    /// Largest scale up to which it is cloned rather than split.
+    pub small: f64,
+    /// Opacity below which it is pruned.
+    pub opacity: f64,
+    /// Largest scale beyond which it is pruned; infinite for never.
+    pub large: f64,
+}
+
+impl AdaptSettings {
+    /// A split Gaussian's parts are smaller by this factor.
+    pub const SPLIT_SHRINK: f64 = 1.6;
+}

@@ -1,0 +1,402 @@
+//! Clips (videos, folders of images) and the small files that go with them, whole and damaged.
+
+mod support;
+
+use std::fs;
+use std::io::Write;
+use std::path::Path;
+
+use glam::{DQuat, DVec2, DVec3};
+use splat4d::data::{
+    Clip, ClipOptions, Distortion, Resize, exif, exr, flo, images, intrinsics, read_mask,
+    trajectory, video, write_mask, write_png,
+};
+use splat4d::eval::psnr;
+use splat4d::io::write_atomically;
+use splat4d::types::{Image, Intrinsics};
+use splat4d::{Error, Result};
+use support::{damage, message, picture, says, shared, some_camera};
+
+#[test]
+fn undistortion_undoes_the_lens() {
+    // A picture that is a smooth function of the direction, as a bent lens sees it.
+    let k = Intrinsics { fx: 90.0, fy: 95.0, cx: 62.0, cy: 45.0, width: 120, height: 90 };
+    let lens = Distortion { radial: [0.08, -0.03, 0.01, 0.0], tangential: [0.004, -0.003] };
+    let colour = |d: DVec2| (0.5 + 0.4 * (6.0 * d.x).sin() * (5.0 * d.y).cos()) as f32;
+    let mut bent = Image::new(120, 90, 1);
+    let mut straight = bent.clone();
+    for y in 0..90 {
+        for x in 0..120 {
+            let d = k.ray(DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5)).truncate();
+            straight.at_mut(x, y)[0] = colour(d);
+            // The direction that the lens brings to this pixel, by fixed-point iteration.
+            let mut u = d;
+            for _ in 0..60 {
+                u += d - lens.distort(u);
+            }
+            assert!((lens.distort(u) - d).length() < 1e-10);
+            bent.at_mut(x, y)[0] = colour(u);
+        }
+    }
+    let (found, valid) = lens.undistort(&bent, &k);
+    let valid = valid.expect("k1 > 0 pushes corners out of the picture");
+    assert_eq!(valid.at(60, 45), [1.0]);
+    assert_eq!(valid.at(0, 0), [0.0]);
+    let mut worst = 0.0f32;
+    for (i, _) in valid.pixels.iter().enumerate().filter(|(_, v)| **v == 1.0) {
+        let (x, y) = (i as u32 % 120, i as u32 / 120);
+        let d = k.ray(DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5)).truncate();
+        let source = k.project(lens.distort(d).extend(1.0));
+        // The outermost half pixel of the source repeats its edge.
+        let inner = |v: f64, side: f64| v > 0.5 && v < side - 0.5;
+        if inner(source.x, 120.0) && inner(source.y, 90.0) {
+            worst = worst.max((found.pixels[i] - straight.pixels[i]).abs());
+        }
+    }
+    // Bilinear sampling errs by h²/8 · |f''|, here (1/90)²/8 · 0.4 · (6² + 5²) ≈ 3.8e-4.
+    assert!(worst < 5e-4, "{worst}");
+    // Beyond the fold of a strong negative polynomial nothing is real.
+    let fold = Distortion { radial: [-1.5, 0.0, 0.0, 0.0], tangential: [0.0; 2] };
+    let (_, valid) = fold.undistort(&bent, &k);
+    assert_eq!(valid.unwrap().at(119, 89), [0.0]);
+}
+
+// ---------------------------------------------------------------------------------------------
+// Clips
+// ---------------------------------------------------------------------------------------------
+
+#[test]
+fn clip_of_a_folder() {
+    let root = tempfile::tempdir().unwrap();
+    let options = ClipOptions::default();
+    assert!(matches!(Clip::open(root.path().join("no"), &options), Err(Error::Io { .. })));
+    says(&message(Clip::open(root.path(), &options)), &["holds no images"]);
+    let frames = root.path().join("frames");
+    write_png(frames.join("f10.png"), &picture(40, 30, 10)).unwrap();
+    fs::write(frames.join("readme.txt"), "no picture").unwrap();
+    says(&message(Clip::open(root.path(), &options)), &["one frame only"]);
+    says(&message(Clip::open(frames.join("f10.png"), &options)), &["one frame only"]);
+    for i in [2, 9, 11] {
+        write_png(frames.join(format!("f{i}.png")), &picture(40, 30, i)).unwrap();
+    }
+    let names = |clip: &Clip| clip.frames.iter().map(|f| f.name.clone()).collect::<Vec<_>>();
+    let clip = Clip::open(root.path(), &options).unwrap();
+    assert_eq!(names(&clip), ["f2", "f9", "f10", "f11"]);
+    assert_eq!((clip.width, clip.height, clip.focal), (40, 30, None));
+    assert_eq!(clip.frames[3].time, 1.0);
+    let exact = psnr(&clip.frames[0].image, &picture(40, 30, 2)).unwrap();
+    assert!(exact > 50.0, "{exact}");
+    let some = ClipOptions { every: 2, size: Resize::Width(20), ..options };
+    let clip = Clip::open(&frames, &some).unwrap();
+    assert_eq!((names(&clip).join(" "), clip.height), ("f2 f10".into(), 15));
+    let two = ClipOptions { max_frames: Some(2), ..options };
+    assert_eq!(names(&Clip::open(&frames, &two).unwrap()), ["f2", "f9"]);
+    says(&message(Clip::open(&frames, &ClipOptions { every: 9, ..options })), &["one frame only"]);
+    assert!(Clip::open(&frames, &ClipOptions { every: 0, ..options }).is_err());
+
+    fs::write(frames.join("f3.png"), b"\x89PNG\r\n\x1a\nbroken").unwrap();
+    says(&message(Clip::open(&frames, &options)), &["f3.png", "--skip-bad"]);
+    let clip = Clip::open(&frames, &ClipOptions { skip_bad: true, ..options }).unwrap();
+    assert_eq!(clip.frames.len(), 4);
+    says(&clip.notes[0], &["skipped 1 of 5", "f3.png"]);
+
+    write_png(frames.join("f3.png"), &picture(40, 31, 3)).unwrap();
+    says(&message(Clip::open(&frames, &options)), &["f3.png", "40×31", "f2.png", "40×30"]);
+}
+
+#[test]
+fn clip_of_a_video() {
+    let Some(path) = shared("cotracker_videos/apple.mp4") else { return };
+    let options = ClipOptions { every: 10, size: Resize::Width(324), ..ClipOptions::default() };
+    let none = std::ffi::OsStr::new("no-such-program");
+    let text = message(video::decode_with(none, none, &path, &options));
+    says(&text, &["apple.mp4", "ffmpeg", "apt-get install ffmpeg", "extract the frames"]);
+    if std::process::Command::new("ffmpeg").arg("-version").output().is_err() {
+        eprintln!("SKIPPED (no ffmpeg): decoding a video");
+        return;
+    }
+    let clip = Clip::open(&path, &options).unwrap();
+    assert_eq!((clip.frames.len(), clip.width, clip.height), (5, 324, 180));
+    assert_eq!(clip.frames[1].name, "00010");
+    assert!(clip.rate.is_some_and(|rate| rate > 0.5 && rate < 10.0), "{:?}", clip.rate);
+    assert!(clip.frames.iter().all(|f| f.image.pixels.iter().any(|&v| v > 0.3)));
+    let three = ClipOptions { max_frames: Some(3), ..options };
+    assert_eq!(Clip::open(&path, &three).unwrap().frames.len(), 3);
+    let folder = tempfile::tempdir().unwrap();
+    let broken = folder.path().join("broken.mp4");
+    fs::write(&broken, b"no video").unwrap();
+    says(&message(Clip::open(&broken, &options)), &["broken.mp4", "ffmpeg cannot read"]);
+    // A version from before 5.1, which does not know -fps_mode.
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        let old = folder.path().join("ffmpeg");
+        let script = "#!/bin/sh\ncase \"$*\" in *fps_mode*) \
+            echo \"Unrecognized option 'fps_mode'.\" >&2; echo 'Option not found' >&2; exit 1;; esac\n\
+            exec ffmpeg \"$@\"\n";
+        fs::write(&old, script).unwrap();
+        fs::set_permissions(&old, fs::Permissions::from_mode(0o755)).unwrap();
+        let decoded = video::decode_with(old.as_os_str(), none, &path, &three).unwrap();
+        assert_eq!((decoded.frames.len(), decoded.rate), (3, None));
+    }
+}
+
+#[test]
+fn exif_focal_length() {
+    use ::exif::experimental::Writer;
+    use ::exif::{Field, In, Rational, Tag, Value};
+    let folder = tempfile::tempdir().unwrap();
+    let with = |name: &str, fields: &[Field]| {
+        let mut jpeg = std::io::Cursor::new(Vec::new());
+        let grey = ::image::RgbImage::new(400, 300);
+        grey.write_to(&mut jpeg, ::image::ImageFormat::Jpeg).unwrap();
+        let mut tiff = std::io::Cursor::new(Vec::new());
+        let mut writer = Writer::new();
+        fields.iter().for_each(|f| writer.push_field(f));
+        writer.write(&mut tiff, false).unwrap();
+        let (jpeg, tiff) = (jpeg.into_inner(), tiff.into_inner());
+        let mut file = jpeg[..2].to_vec();
+        file.extend([0xff, 0xe1]);
+        file.extend((tiff.len() as u16 + 8).to_be_bytes());
+        file.extend(b"Exif\0\0");
+        file.extend(tiff);
+        file.extend(&jpeg[2..]);
+        let path = folder.path().join(name);
+        fs::write(&path, file).unwrap();
+        path
+    };
+    let field = |tag, value| Field { tag, ifd_num: In::PRIMARY, value };
+    let ratio = |num, denom| Value::Rational(vec![Rational { num, denom }]);
+    let film = with("film.jpg", &[field(Tag::FocalLengthIn35mmFilm, Value::Short(vec![26]))]);
+    // The diagonal is 500 pixels here and 43.27 mm there.
+    let focal = exif::focal(&film, 400, 300).unwrap();
+    assert!((focal - 26.0 / 43.2666 * 500.0).abs() < 0.01, "{focal}");
+    let sensor = with(
+        "sensor.jpg",
+        &[
+            field(Tag::FocalLength, ratio(50, 10)),
+            field(Tag::FocalPlaneXResolution, ratio(5080, 1)),
+            field(Tag::FocalPlaneResolutionUnit, Value::Short(vec![2])),
+            field(Tag::PixelXDimension, Value::Long(vec![800])),
+        ],
+    );
+    // 5 mm at 200 pixels a millimetre, of a picture twice as wide.
+    assert_eq!(exif::focal(&sensor, 400, 300), Some(500.0));
+    let zero = with("zero.jpg", &[field(Tag::FocalLength, ratio(1, 0))]);
+    assert_eq!(exif::focal(&zero, 400, 300), None);
+    assert_eq!(exif::focal(&folder.path().join("absent.jpg"), 400, 300), None);
+
+    fs::remove_file(sensor).unwrap();
+    fs::remove_file(&zero).unwrap();
+    fs::copy(&film, folder.path().join("second.jpg")).unwrap();
+    let half = ClipOptions { size: Resize::Width(200), ..ClipOptions::default() };
+    let clip = Clip::open(folder.path(), &half).unwrap();
+    assert!((clip.focal.unwrap() - focal / 2.0).abs() < 1e-9);
+
+    // A picture held upright: EXIF turns it, and the clip shows it so.
+    let turned = tempfile::tempdir().unwrap();
+    for name in ["1.jpg", "2.jpg"] {
+        let path = with(name, &[field(Tag::Orientation, Value::Short(vec![6]))]);
+        fs::rename(&path, turned.path().join(name)).unwrap();
+    }
+    let clip = Clip::open(turned.path(), &ClipOptions::default()).unwrap();
+    assert_eq!((clip.width, clip.height), (300, 400));
+}
+
+// ---------------------------------------------------------------------------------------------
+// Small files
+// ---------------------------------------------------------------------------------------------
+
+#[test]
+fn natural_order() {
+    let mut names = ["b1", "a10", "a2", "a02", "a", "a2b", "a1x2"];
+    names.sort_by(|a, b| images::natural(a, b));
+    assert_eq!(names, ["a", "a1x2", "a02", "a2", "a2b", "a10", "b1"]);
+}
+
+#[test]
+fn sizes() {
+    assert_eq!(Resize::Longest(100).target(400, 300), (100, 75));
+    assert_eq!(Resize::Longest(500).target(400, 300), (400, 300));
+    assert_eq!(Resize::Width(200).target(400, 301), (200, 151));
+    assert_eq!(Resize::Width(1).target(4000, 3), (1, 1));
+    assert_eq!(Resize::To(0, 7).target(4, 3), (1, 7));
+    // Halving keeps means: each result is an average, so a flat image stays flat.
+    let mut flat = Image::new(64, 48, 3);
+    flat.pixels.fill(0.37);
+    let half = images::resize(&flat, 32, 24);
+    assert!(half.pixels.iter().all(|v| (v - 0.37).abs() < 1e-5));
+}
+
+#[test]
+fn alpha_lies_over_the_background() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.png");
+    let pixels = vec![1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.2];
+    write_png(&path, &Image { width: 3, height: 1, channels: 4, pixels }).unwrap();
+    let image = images::decode_rgb(&path, [0.0, 0.5, 1.0], images::Orientation::Stored).unwrap();
+    assert_eq!(image.at(0, 0), [1.0, 0.0, 0.0]);
+    assert_eq!(image.at(1, 0), [0.0, 0.5, 1.0]);
+    let third = image.at(2, 0);
+    assert!(third.iter().zip([0.0, 0.6, 0.8]).all(|(a, b)| (a - b).abs() < 1e-6), "{third:?}");
+}
+
+#[test]
+fn png_and_masks() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.png");
+    let values = [0.0, 1.0, 0.5, -3.0, 7.0, f32::NAN];
+    let image = Image { width: 2, height: 1, channels: 3, pixels: values.to_vec() };
+    write_png(&path, &image).unwrap();
+    let back = images::decode_rgb(&path, [0.0; 3], images::Orientation::Stored).unwrap();
+    assert_eq!(back.pixels, [0.0, 1.0, 128.0 / 255.0, 0.0, 1.0, 0.0]);
+    let mask = Image { width: 3, height: 1, channels: 1, pixels: vec![1.0, 0.0, 0.7] };
+    write_mask(&path, &mask).unwrap();
+    assert_eq!(read_mask(&path).unwrap().pixels, [1.0, 0.0, 1.0]);
+    assert!(write_png(&path, &Image::new(2, 2, 2)).is_err());
+    let Some(path) = shared("davis16_camel/Annotations/480p/camel/00000.png") else { return };
+    let mask = read_mask(path).unwrap();
+    let share = mask.pixels.iter().sum::<f32>() / mask.pixels.len() as f32;
+    assert!((mask.width, mask.height) == (854, 480) && (0.05..0.5).contains(&share), "{share}");
+}
+
+#[test]
+fn trajectories() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("poses.txt");
+    let poses: Vec<_> = (0..4)
+        .map(|i| trajectory::TimedPose {
+            time: 1.0 / 3.0 + f64::from(i),
+            world_from_view: some_camera(i).view_from_world,
+        })
+        .collect();
+    trajectory::write(&path, &poses).unwrap();
+    for (a, b) in trajectory::read(&path, None).unwrap().iter().zip(&poses) {
+        assert_eq!(
+            (a.time, a.world_from_view.translation),
+            (b.time, b.world_from_view.translation)
+        );
+        assert!(a.world_from_view.rotation.dot(b.world_from_view.rotation) > 1.0 - 1e-14);
+    }
+    let read = |text: &str, order| {
+        fs::write(&path, text).unwrap();
+        trajectory::read(&path, order)
+    };
+    let half = std::f64::consts::FRAC_1_SQRT_2;
+    let turn_z = DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2);
+    let second = |r: Result<Vec<trajectory::TimedPose>>| r.unwrap()[1].world_from_view.rotation;
+    // (w, x, y, z), told by the identity at the start, by a comment, by the caller.
+    let text = format!("0 0 0 0 1 0 0 0\n1 0 0 0 {half} 0 0 {half}\n");
+    assert!(second(read(&text, None)).dot(turn_z) > 1.0 - 1e-12);
+    let text = format!("# t x y z qw qx qy qz\n0 0 0 0 0 1 0 0\n1,0,0,0,{half},0,0,{half}\n");
+    assert!(second(read(&text, None)).dot(turn_z) > 1.0 - 1e-12);
+    let text = format!("0 0 0 0 0 0 0 1\n1 0 0 0 0 0 {half} {half}\n");
+    assert!(second(read(&text, None)).dot(turn_z) > 1.0 - 1e-12);
+    let order = Some(trajectory::QuaternionOrder::Wxyz);
+    assert!(second(read(&text, order)).dot(turn_z) < 0.9);
+    // Seven columns, and KITTI's twelve.
+    let seven = read("1 2 3 0 0 0 1\n4 5 6 0 0 0 1\n", None).unwrap();
+    assert_eq!((seven[1].time, seven[1].world_from_view.translation.y), (1.0, 5.0));
+    let kitti = read("0 -1 0 7 1 0 0 8 0 0 1 9\n", None).unwrap();
+    assert!(kitti[0].world_from_view.rotation.dot(turn_z) > 1.0 - 1e-12);
+    assert_eq!(kitti[0].world_from_view.translation, DVec3::new(7.0, 8.0, 9.0));
+    for bad in [
+        "",
+        "# only words\n",
+        "1 2 3\n",
+        "0 0 0 0 0 0 0 x\n",
+        "0 0 0 0 0 0 0 0\n",
+        "0 0 0 nan 0 0 0 1\n",
+        "0 0 0 0 0 0 0 1\n1 2\n",
+    ] {
+        says(&message(read(bad, None)), &["poses.txt"]);
+    }
+    let Some(real) = shared("evo_traj/freiburg1_xyz-groundtruth.txt") else { return };
+    let real = trajectory::read(real, None).unwrap();
+    assert!(real.len() > 1000 && real.windows(2).all(|w| w[0].time < w[1].time));
+}
+
+#[test]
+fn flow_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.flo");
+    let mut flow = Image::new(5, 3, 2);
+    flow.pixels.iter_mut().enumerate().for_each(|(i, v)| *v = i as f32 * 0.7 - 3.0);
+    flo::write(&path, &flow).unwrap();
+    assert_eq!(flo::read(&path).unwrap(), flow);
+    assert!(flo::write(&path, &Image::new(5, 3, 3)).is_err());
+    let original = fs::read(&path).unwrap();
+    assert_eq!(&original[..4], b"PIEH");
+    damage(&original, &path, true, |path| flo::read(path).is_ok());
+}
+
+#[test]
+fn exr_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.exr");
+    let mut depth = Image::new(7, 5, 1);
+    depth.pixels.iter_mut().enumerate().for_each(|(i, v)| *v = 0.1 + i as f32 * 1e3);
+    depth.pixels[3] = f32::INFINITY;
+    exr::write_depth(&path, &depth).unwrap();
+    assert_eq!(exr::read_depth(&path).unwrap(), depth);
+    says(&message(exr::read_rgba(&path)), &["no channels R, G, B", "Z"]);
+    let mut colour = Image::new(6, 4, 4);
+    colour.pixels.iter_mut().enumerate().for_each(|(i, v)| *v = i as f32 * 0.01 - 0.2);
+    exr::write_rgba(&path, &colour).unwrap();
+    assert_eq!(exr::read_rgba(&path).unwrap(), colour);
+    assert!(exr::write_depth(&path, &colour).is_err());
+    fs::write(&path, b"no exr").unwrap();
+    says(&message(exr::read_depth(&path)), &["a.exr", "not a readable EXR"]);
+    exr::write_depth(&path, &depth).unwrap();
+    let original = fs::read(&path).unwrap();
+    damage(&original, &path, true, |path| exr::read_depth(path).is_ok());
+}
+
+#[test]
+fn intrinsics_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("k.json");
+    let k = some_camera(0).intrinsics;
+    intrinsics::write(&path, &k).unwrap();
+    assert_eq!(intrinsics::read(&path).unwrap(), k);
+    fs::write(&path, r#"{"focal": 50, "w": 40, "h": 30}"#).unwrap();
+    assert_eq!(intrinsics::read(&path).unwrap(), Intrinsics::centred(50.0, 40, 30));
+    for (text, part) in [
+        (r#"{"w": 40, "h": 30}"#, "`fx` is missing"),
+        (r#"{"fx": 0, "w": 40, "h": 30}"#, "`fx` = 0"),
+        (r#"{"fx": "x", "w": 40, "h": 30}"#, "`fx` is not a number"),
+        (r#"{"fx": 5, "w": 40}"#, "`height` is missing"),
+        ("[1]", "`fx` is missing"),
+    ] {
+        fs::write(&path, text).unwrap();
+        says(&message(intrinsics::read(&path)), &["k.json", part]);
+    }
+}
+
+#[test]
+fn writing_leaves_nothing_half_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("new/folder/a.txt");
+    write_atomically(&path, |sink| sink.write_all(b"old")).unwrap();
+    let failed = write_atomically(&path, |sink| {
+        sink.write_all(&[b'x'; 1 << 20])?;
+        Err(std::io::Error::from(std::io::ErrorKind::StorageFull))
+    });
+    says(&message(failed), &["a.txt"]);
+    assert_eq!(fs::read(&path).unwrap(), b"old");
+    assert_eq!(fs::read_dir(path.parent().unwrap()).unwrap().count(), 1);
+    says(&message(write_atomically(folder.path(), |_| Ok(()))), &["is a folder"]);
+    #[cfg(target_os = "linux")]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        let usual = folder.path().join("usual");
+        fs::write(&usual, "").unwrap();
+        let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode();
+        assert_eq!(mode(&path), mode(&usual));
+        // A full disk, and that a device is not replaced by a file.
+        use std::os::unix::fs::FileTypeExt;
+        let full = write_atomically("/dev/full", |sink| sink.write_all(b"x"));
+        says(&message(full), &["/dev/full", "No space left"]);
+        assert!(fs::metadata("/dev/full").unwrap().file_type().is_char_device());
+    }
+}

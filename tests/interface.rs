@@ -1,0 +1,309 @@
+//! What the shaders and the Rust declarations promise each other, and how the crate's parts may
+//! see one another. Needs no device.
+
+#[path = "interface/layering.rs"]
+mod layering;
+#[path = "interface/reflect.rs"]
+mod reflect;
+
+use reflect::{Demands, Interface};
+use rspirv::spirv::Capability;
+use splat4d::gpu::KernelInfo;
+use splat4d::{check, kernels};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+/// Kernels that naga's front end rejects, with the reason: what its message must contain. One that
+/// naga has learnt to read must leave this list.
+const NAGA_REJECTS: &[(&str, &str)] = &[
+    // A constant that is computed from a specialisation constant (gfx-rs/wgpu issue 4324).
+    ("deform/nearest", "SpecConstantOp"),
+];
+
+/// The smallest limits that kernels are made for: SwiftShader's and Vulkan's own.
+const MAX_BINDINGS: usize = 30;
+const MAX_PARAMS: usize = 128;
+const MAX_INVOCATIONS: u32 = 256;
+const MAX_SHARED: u32 = 32 * 1024;
+
+/// What every device that the engine opens offers; anything else would lock some of them out.
+const CAPABILITIES: &[Capability] = &[
+    Capability::Shader,
+    Capability::GroupNonUniform,
+    Capability::GroupNonUniformArithmetic,
+    Capability::GroupNonUniformBallot,
+    Capability::GroupNonUniformShuffle,
+];
+
+#[test]
+fn shaders_offer_what_rust_declares() {
+    let mut wrong = Vec::new();
+    for kernel in kernels::ALL {
+        match reflect::by_rspirv(kernel.spirv) {
+            Ok((interface, demands)) => {
+                wrong.extend(differences(kernel, &interface, "rspirv"));
+                wrong.extend(excesses(kernel, &demands));
+            }
+            Err(error) => wrong.push(format!("{}: {error}", kernel.name)),
+        }
+        let excused = NAGA_REJECTS.iter().find(|(name, _)| *name == kernel.name);
+        match (reflect::by_naga(kernel.spirv), excused) {
+            (Ok(interface), None) => wrong.extend(differences(kernel, &interface, "naga")),
+            (Ok(_), Some(_)) => {
+                wrong.push(format!("{}: naga reads it; drop its exception", kernel.name));
+            }
+            (Err(error), Some((_, reason))) if error.contains(reason) => {}
+            (Err(error), _) => wrong.push(format!("{}: naga: {error}", kernel.name)),
+        }
+    }
+    for (name, _) in NAGA_REJECTS {
+        if !kernels::ALL.iter().any(|kernel| kernel.name == *name) {
+            wrong.push(format!("{name}: an exception for a kernel that does not exist"));
+        }
+    }
+    assert!(wrong.is_empty(), "\n{}", wrong.join("\n"));
+}
+
+/// Where a module and its declaration part.
+fn differences(kernel: &KernelInfo, shader: &Interface, reader: &str) -> Vec<String> {
+    let mut wrong = Vec::new();
+    if shader.workgroup != kernel.workgroup {
+        wrong.push(format!(
+            "the workgroup is {:?} in GLSL, {:?} in Rust",
+            shader.workgroup, kernel.workgroup
+        ));
+    }
+    for (at, binding) in kernel.bindings.iter().enumerate() {
+        let Some(storage) = shader.bindings.get(&(at as u32)) else {
+            wrong.push(format!("binding {at} ({}): the shader does not use it", binding.name));
+            continue;
+        };
+        if storage.stride as usize != binding.stride {
+            wrong.push(format!(
+                "binding {at} ({}): an element has {} bytes in GLSL, {} in Rust",
+                binding.name, storage.stride, binding.stride
+            ));
+        }
+        if storage.access.is_some_and(|access| access != binding.access) {
+            wrong.push(format!(
+                "binding {at} ({}): {:?} in GLSL, {:?} in Rust",
+                binding.name,
+                storage.access.expect("just seen"),
+                binding.access
+            ));
+        }
+    }
+    for at in shader.bindings.keys().filter(|&&at| at as usize >= kernel.bindings.len()) {
+        wrong.push(format!("binding {at}: Rust does not declare it"));
+    }
+    let declared: Vec<(u32, u32)> =
+        kernel.params.iter().map(|p| (p.offset as u32, p.size as u32)).collect();
+    if shader.params != declared {
+        let names: Vec<_> = kernel.params.iter().map(|p| p.name).collect();
+        wrong.push(format!(
+            "push constants {names:?} as (offset, size): {:?} in GLSL, {declared:?} in Rust",
+            shader.params
+        ));
+    }
+    wrong.iter().map(|what| format!("{} ({reader}): {what}", kernel.name)).collect()
+}
+
+/// What a kernel asks beyond the smallest device.
+fn excesses(kernel: &KernelInfo, demands: &Demands) -> Vec<String> {
+    let mut wrong = Vec::new();
+    let mut limit = |what: &str, is: usize, most: usize| {
+        if is > most {
+            wrong.push(format!("{}: {is} {what}, at most {most}", kernel.name));
+        }
+    };
+    limit("bindings", kernel.bindings.len(), MAX_BINDINGS);
+    limit("bytes of push constants", kernel.params.iter().map(|p| p.size).sum(), MAX_PARAMS);
+    limit(
+        "invocations",
+        kernel.workgroup.iter().product::<u32>() as usize,
+        MAX_INVOCATIONS as usize,
+    );
+    limit("bytes of shared memory", demands.shared as usize, MAX_SHARED as usize);
+    for capability in demands.capabilities.iter().filter(|c| !CAPABILITIES.contains(c)) {
+        wrong.push(format!("{}: needs {capability:?}", kernel.name));
+    }
+    wrong
+}
+
+#[test]
+fn a_drifted_declaration_is_noticed() {
+    let truth = kernels::ALL
+        .iter()
+        .find(|kernel| kernel.name == "indirect/arguments")
+        .expect("the kernel that this test bends");
+    let (shader, _) = reflect::by_rspirv(truth.spirv).unwrap();
+    let naga = reflect::by_naga(truth.spirv).unwrap();
+    let complaints = |bent: KernelInfo| {
+        (differences(&bent, &shader, "rspirv").len(), differences(&bent, &naga, "naga").len())
+    };
+    assert_eq!(complaints(*truth), (0, 0));
+    assert_eq!(complaints(KernelInfo { workgroup: [2, 1, 1], ..*truth }), (1, 1));
+    assert_eq!(complaints(KernelInfo { bindings: &truth.bindings[..1], ..*truth }), (1, 1));
+    assert_eq!(complaints(KernelInfo { params: &truth.params[..4], ..*truth }), (1, 1));
+    // Only the instructions tell what is read and what is written.
+    let swapped = [truth.bindings[1], truth.bindings[0]];
+    assert_eq!(complaints(KernelInfo { bindings: swapped.to_vec().leak(), ..*truth }), (2, 0));
+    let mut wider = truth.bindings.to_vec();
+    wider[1].stride = 16;
+    assert_eq!(complaints(KernelInfo { bindings: wider.leak(), ..*truth }), (1, 1));
+    let mut more = truth.bindings.to_vec();
+    more.push(truth.bindings[0]);
+    assert_eq!(complaints(KernelInfo { bindings: more.leak(), ..*truth }), (1, 1));
+    let mut moved = truth.params.to_vec();
+    moved[4].offset += 4;
+    assert_eq!(complaints(KernelInfo { params: moved.leak(), ..*truth }), (1, 1));
+}
+
+#[test]
+fn one_stem_names_a_kernel_everywhere() {
+    let listed: Vec<String> = kernels::ALL.iter().map(|k| k.name.to_owned()).collect();
+    let all: BTreeSet<String> = listed.iter().cloned().collect();
+    assert_eq!(all.len(), listed.len(), "a kernel is listed twice in kernels::ALL");
+
+    let manifest = std::fs::read_to_string(root().join("spirv/manifest.toml")).unwrap();
+    let manifest: toml::Table = manifest.parse().unwrap();
+    let entries = manifest["kernels"].as_table().unwrap().keys().cloned().collect();
+    let mut wrong = Vec::new();
+    for (place, names) in [
+        ("glsl/*.comp", stems("glsl", "comp")),
+        ("spirv/*.spv", stems("spirv", "spv")),
+        ("spirv/manifest.toml", entries),
+    ] {
+        for name in all.difference(&names) {
+            wrong.push(format!("{name} is in kernels::ALL but not in {place}"));
+        }
+        for name in names.difference(&all) {
+            wrong.push(format!("{name} is in {place} but not in kernels::ALL"));
+        }
+    }
+    assert!(wrong.is_empty(), "\n{}", wrong.join("\n"));
+}
+
+#[test]
+fn every_kernel_has_a_case_and_every_family_a_test() {
+    let mut wrong = Vec::new();
+    let mut ids = BTreeSet::new();
+    let mut covered = BTreeSet::new();
+    for case in check::ALL.iter().flat_map(|cases| cases.iter()) {
+        if !ids.insert(case.id) {
+            wrong.push(format!("two cases are called {}", case.id));
+        }
+        for kernel in case.kernels {
+            if !kernels::ALL.iter().any(|k| k.name == *kernel) {
+                wrong.push(format!("{} covers {kernel}, which does not exist", case.id));
+            }
+            covered.insert(*kernel);
+        }
+        let family = case.id.split('/').next().expect("split gives one part");
+        if !root().join(format!("tests/{family}.rs")).is_file() {
+            wrong.push(format!("no tests/{family}.rs runs {}", case.id));
+        }
+    }
+    for kernel in kernels::ALL.iter().filter(|kernel| !covered.contains(kernel.name)) {
+        wrong.push(format!("no case in check::ALL covers {}", kernel.name));
+    }
+    assert!(wrong.is_empty(), "\n{}", wrong.join("\n"));
+}
+
+#[test]
+fn parts_see_only_what_lies_below() {
+    let breaches = layering::breaches(&root().join("src"));
+    assert!(breaches.is_empty(), "\n{}", breaches.join("\n"));
+}
+
+#[test]
+fn the_table_has_no_circle() {
+    // A part sees only parts listed before it, so no chain can come back.
+    for (at, (room, seen)) in layering::MAY_SEE.iter().enumerate() {
+        for part in *seen {
+            let place = layering::MAY_SEE.iter().position(|(name, _)| name == part);
+            assert!(place.is_some_and(|place| place < at), "{room} sees {part}");
+        }
+    }
+}
+
+#[test]
+fn breaches_are_noticed_in_every_spelling() {
+    let reexports = BTreeMap::from([("Error".to_owned(), "error".to_owned())]);
+    let breaches = |path: &str, source: &str| {
+        layering::breaches_of(Path::new(path), source, &reexports, false)
+    };
+    for (path, source) in [
+        ("oracle/sort.rs", "use crate::gpu::Buffer;"),
+        ("oracle/sort.rs", "use crate::{types::Pose, vk::{Limits, Timeline}};"),
+        ("oracle/sort.rs", "fn f() { g(crate::kernels::ALL) }"),
+        ("oracle/sort.rs", "use super::super::gpu;"),
+        ("oracle/deep/sort.rs", "use super::super::super::gpu;"),
+        ("oracle/sort.rs", "mod inner { use super::super::super::gpu; }"),
+        ("oracle/sort.rs", "#[cfg(test)] mod tests { use crate::gpu::Device; }"),
+        ("oracle/mod.rs", "use super::gpu::Device;"),
+        ("oracle/mod.rs", "use crate::*;"),
+        ("oracle/mod.rs", "use crate as engine;"),
+        ("types/mod.rs", "macro_rules! m { () => { $crate::io::read } }"),
+        ("gpu/mod.rs", "pub use ash::vk;"),
+        ("gpu/mod.rs", "fn f() { let x = unsafe { g() }; }"),
+        ("error.rs", "use crate::types::Pose;"),
+        ("cmd/mod.rs", "use crate::types::Pose;"),
+        ("main.rs", "use crate::gpu::Device;"),
+        ("new/mod.rs", ""),
+    ] {
+        assert_eq!(breaches(path, source).len(), 1, "{path}: {source}");
+    }
+    for (path, source) in [
+        ("oracle/sort.rs", "use crate::{Error, types::Pose}; use super::Real;"),
+        ("oracle/sort.rs", "// crate::gpu\n/// crate::vk\nconst S: &str = \"crate::gpu\";"),
+        ("oracle/sort.rs", "mod tests { use super::super::Real; }"),
+        (
+            "oracle/sort.rs",
+            "pub(crate) fn f() {} pub(super) fn g() {} pub(in crate::oracle) fn h() {}",
+        ),
+        ("geometry/a.rs", "#[cfg(test)]\nmod tests { use crate::oracle::sort; }"),
+        ("vk/device.rs", "use ash::vk; fn f() { unsafe { g() } }"),
+        ("main.rs", "mod cmd; use splat4d::gpu::Device; fn main() { crate::cmd::run() }"),
+        ("lib.rs", "pub use crate::error::Error;"),
+    ] {
+        assert_eq!(breaches(path, source), Vec::<String>::new(), "{path}: {source}");
+    }
+    let in_test_file = |path: &str, source: &str| {
+        layering::breaches_of(Path::new(path), source, &reexports, true).len()
+    };
+    assert_eq!(in_test_file("geometry/cases.rs", "use crate::oracle::sort;"), 0);
+    assert_eq!(in_test_file("geometry/cases.rs", "use crate::gpu::Device;"), 1);
+    assert_eq!(in_test_file("gpu/cases.rs", "use crate::oracle::sort;"), 1);
+}
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// `family/stem` of every file with an extension below a folder.
+fn stems(folder: &str, extension: &str) -> BTreeSet<String> {
+    let folder = root().join(folder);
+    let stem = |path: PathBuf| {
+        let inner = path.strip_prefix(&folder).expect("below the folder").with_extension("");
+        inner.iter().map(|part| part.to_string_lossy()).collect::<Vec<_>>().join("/")
+    };
+    files(&folder, extension).into_iter().map(stem).collect()
+}
+
+/// Every file with an extension below a folder, sorted.
+fn files(folder: &Path, extension: &str) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    let entries = std::fs::read_dir(folder)
+        .unwrap_or_else(|error| panic!("{}: {error}", folder.display()))
+        .map(|entry| entry.expect("a readable entry").path());
+    for path in entries {
+        if path.is_dir() {
+            found.extend(files(&path, extension));
+        } else if path.extension().is_some_and(|e| e == extension) {
+            found.push(path);
+        }
+    }
+    found.sort();
+    found
+}

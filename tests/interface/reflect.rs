@@ -1,0 +1,281 @@
+//! A compiled module's interface, read twice: by naga, and from the instructions themselves, since
+//! naga drops `readonly` and `writeonly`.
+
+use rspirv::dr::{Instruction, Module, Operand};
+use rspirv::spirv::{Capability, Decoration, ExecutionMode, Op, StorageClass, Word};
+use splat4d::gpu::Access;
+use std::collections::{BTreeMap, HashMap};
+
+/// What a module offers to its host.
+#[derive(Debug, Default, PartialEq)]
+pub struct Interface {
+    /// By binding number.
+    pub bindings: BTreeMap<u32, Storage>,
+    /// Offset and size in bytes of each push constant; empty where the module uses none.
+    pub params: Vec<(u32, u32)>,
+    pub workgroup: [u32; 3],
+}
+
+/// One storage buffer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Storage {
+    /// Bytes from one element to the next, or of the whole block where it is no array.
+    pub stride: u32,
+    /// `None` where the reader cannot tell.
+    pub access: Option<Access>,
+}
+
+/// What a module asks of a device beyond its interface.
+#[derive(Debug)]
+pub struct Demands {
+    pub capabilities: Vec<Capability>,
+    /// Bytes of shared memory.
+    pub shared: u32,
+}
+
+/// Reads a module with naga's SPIR-V front end.
+pub fn by_naga(spirv: &[u8]) -> Result<Interface, String> {
+    let options = naga::front::spv::Options::default();
+    let module =
+        naga::front::spv::parse_u8_slice(spirv, &options).map_err(|error| error.to_string())?;
+    let mut interface = Interface::default();
+    let [entry] = module.entry_points.as_slice() else {
+        return Err(format!("{} entry points", module.entry_points.len()));
+    };
+    interface.workgroup = entry.workgroup_size;
+    for (_, variable) in module.global_variables.iter() {
+        let inner = &module.types[variable.ty].inner;
+        match variable.space {
+            naga::AddressSpace::Storage { .. } => {
+                let binding = variable.binding.as_ref().ok_or("a buffer without a binding")?;
+                if binding.group != 0 {
+                    return Err(format!("binding {} is in set {}", binding.binding, binding.group));
+                }
+                let storage = Storage { stride: naga_stride(&module, inner)?, access: None };
+                interface.insert(binding.binding, storage)?;
+            }
+            naga::AddressSpace::Immediate => {
+                let naga::TypeInner::Struct { members, .. } = inner else {
+                    return Err("the push constants are no block".into());
+                };
+                let size = |ty| module.types[ty].inner.size(module.to_ctx());
+                interface.params = members.iter().map(|m| (m.offset, size(m.ty))).collect();
+            }
+            _ => {}
+        }
+    }
+    Ok(interface)
+}
+
+fn naga_stride(module: &naga::Module, inner: &naga::TypeInner) -> Result<u32, String> {
+    let naga::TypeInner::Struct { members, span } = inner else {
+        return Err("a buffer that is no block".into());
+    };
+    let last = members.last().ok_or("an empty block")?;
+    match &module.types[last.ty].inner {
+        naga::TypeInner::Array { stride, size: naga::ArraySize::Dynamic, .. } => {
+            if members.len() == 1 { Ok(*stride) } else { Err(MIXED.into()) }
+        }
+        _ => Ok(*span),
+    }
+}
+
+const MIXED: &str = "a block with members before its array: one buffer holds one kind of element";
+
+impl Interface {
+    fn insert(&mut self, binding: u32, storage: Storage) -> Result<(), String> {
+        match self.bindings.insert(binding, storage) {
+            None => Ok(()),
+            Some(_) => Err(format!("two buffers at binding {binding}")),
+        }
+    }
+}
+
+/// Reads a module instruction by instruction.
+pub fn by_rspirv(spirv: &[u8]) -> Result<(Interface, Demands), String> {
+    let module = rspirv::dr::load_bytes(spirv).map_err(|error| error.to_string())?;
+    let reader = Reader::new(&module);
+    let mut interface = Interface::default();
+    let mut shared = 0;
+    let local_size =
+        module.execution_modes.iter().find_map(|mode| match mode.operands.as_slice() {
+            [_, Operand::ExecutionMode(ExecutionMode::LocalSize), rest @ ..] => Some(rest),
+            _ => None,
+        });
+    let local_size: Vec<u32> =
+        local_size.ok_or("no fixed workgroup size")?.iter().filter_map(literal).collect();
+    interface.workgroup =
+        local_size.try_into().map_err(|_| "a workgroup size that is no triple")?;
+
+    for variable in &module.types_global_values {
+        let (Op::Variable, Some(id)) = (variable.class.opcode, variable.result_id) else {
+            continue;
+        };
+        let Some(Operand::StorageClass(class)) = variable.operands.first() else { continue };
+        let block = reader.pointee(variable)?;
+        match class {
+            StorageClass::StorageBuffer => {
+                let number = |decoration| reader.decoration(id, None, decoration);
+                let binding = number(Decoration::Binding).ok_or("a buffer without a binding")?;
+                if number(Decoration::DescriptorSet) != Some(0) {
+                    return Err(format!("binding {binding} is not in set 0"));
+                }
+                // Optimised modules drop what is unused; one that is kept without a use is as dead.
+                if reader.is_used(id) {
+                    let stride = reader.stride(block)?;
+                    let access = Some(reader.access(id, block)?);
+                    interface.insert(binding, Storage { stride, access })?;
+                }
+            }
+            StorageClass::PushConstant => interface.params = reader.members(block)?,
+            StorageClass::Workgroup => shared += reader.size(block)?,
+            StorageClass::Uniform | StorageClass::UniformConstant => {
+                return Err("a uniform buffer or image: kernels take storage buffers".into());
+            }
+            _ => {}
+        }
+    }
+    let capabilities = module
+        .capabilities
+        .iter()
+        .filter_map(|c| match c.operands.first() {
+            Some(Operand::Capability(capability)) => Some(*capability),
+            _ => None,
+        })
+        .collect();
+    Ok((interface, Demands { capabilities, shared }))
+}
+
+/// Looks things up in a module.
+struct Reader<'a> {
+    module: &'a Module,
+    by_id: HashMap<Word, &'a Instruction>,
+}
+
+impl<'a> Reader<'a> {
+    fn new(module: &'a Module) -> Reader<'a> {
+        let by_id =
+            module.types_global_values.iter().filter_map(|i| Some((i.result_id?, i))).collect();
+        Reader { module, by_id }
+    }
+
+    fn instruction(&self, id: Word) -> Result<&'a Instruction, String> {
+        self.by_id.get(&id).copied().ok_or_else(|| format!("id {id} is not declared"))
+    }
+
+    /// The type behind a variable's pointer type.
+    fn pointee(&self, variable: &Instruction) -> Result<Word, String> {
+        let pointer = self.instruction(variable.result_type.ok_or("a variable without a type")?)?;
+        pointer.operands.get(1).and_then(id_ref).ok_or_else(|| "a pointer to nothing".into())
+    }
+
+    fn is_used(&self, id: Word) -> bool {
+        self.module.all_inst_iter().any(|instruction| {
+            let names_it = instruction.operands.iter().any(|o| id_ref(o) == Some(id));
+            let only_declares = matches!(
+                instruction.class.opcode,
+                Op::EntryPoint | Op::Decorate | Op::Name | Op::MemberDecorate | Op::MemberName
+            );
+            names_it && !only_declares
+        })
+    }
+
+    /// A decoration's literal (0 where it has none) on an id, or on a member of a struct.
+    fn decoration(&self, id: Word, member: Option<u32>, wanted: Decoration) -> Option<u32> {
+        self.module.annotations.iter().find_map(|annotation| {
+            let operands = annotation.operands.as_slice();
+            let rest = match (annotation.class.opcode, member, operands) {
+                (Op::Decorate, None, [Operand::IdRef(target), rest @ ..]) if *target == id => rest,
+                (
+                    Op::MemberDecorate,
+                    Some(member),
+                    [Operand::IdRef(target), Operand::LiteralBit32(at), rest @ ..],
+                ) if *target == id && *at == member => rest,
+                _ => return None,
+            };
+            match rest {
+                [Operand::Decoration(found), rest @ ..] if *found == wanted => {
+                    Some(rest.first().and_then(literal).unwrap_or(0))
+                }
+                _ => None,
+            }
+        })
+    }
+
+    /// Access of a buffer: on the variable, or on every member of its block.
+    fn access(&self, variable: Word, block: Word) -> Result<Access, String> {
+        let members = self.instruction(block)?.operands.len() as u32;
+        let has = |wanted| {
+            self.decoration(variable, None, wanted).is_some()
+                || (0..members).all(|m| self.decoration(block, Some(m), wanted).is_some())
+        };
+        match (has(Decoration::NonWritable), has(Decoration::NonReadable)) {
+            (true, false) => Ok(Access::Read),
+            (false, true) => Ok(Access::Write),
+            (false, false) => Ok(Access::ReadWrite),
+            (true, true) => Err("a buffer that may be neither read nor written".into()),
+        }
+    }
+
+    fn members(&self, block: Word) -> Result<Vec<(u32, u32)>, String> {
+        let mut members = Vec::new();
+        for (at, operand) in self.instruction(block)?.operands.iter().enumerate() {
+            let offset = self
+                .decoration(block, Some(at as u32), Decoration::Offset)
+                .ok_or("a member without an offset")?;
+            members.push((offset, self.size(id_ref(operand).ok_or("a member without a type")?)?));
+        }
+        Ok(members)
+    }
+
+    fn stride(&self, block: Word) -> Result<u32, String> {
+        let members = &self.instruction(block)?.operands;
+        let last = members.last().and_then(id_ref).ok_or("an empty block")?;
+        if self.instruction(last)?.class.opcode != Op::TypeRuntimeArray {
+            return self.size(block);
+        }
+        if members.len() != 1 {
+            return Err(MIXED.into());
+        }
+        self.decoration(last, None, Decoration::ArrayStride).ok_or_else(|| "no stride".into())
+    }
+
+    /// Bytes of a value.
+    fn size(&self, ty: Word) -> Result<u32, String> {
+        let instruction = self.instruction(ty)?;
+        let operands = &instruction.operands;
+        let inner = || self.size(operands.first().and_then(id_ref).ok_or("a type of nothing")?);
+        let number = |at: usize| operands.get(at).and_then(literal).ok_or("a type without a size");
+        match instruction.class.opcode {
+            Op::TypeBool => Ok(4),
+            Op::TypeInt | Op::TypeFloat => Ok(number(0)? / 8),
+            Op::TypeVector | Op::TypeMatrix => Ok(inner()? * number(1)?),
+            Op::TypeArray => {
+                let length = self.instruction(operands.get(1).and_then(id_ref).ok_or("length")?)?;
+                let length = length.operands.first().and_then(literal).ok_or("array length")?;
+                let stride = self.decoration(ty, None, Decoration::ArrayStride);
+                Ok(length * stride.map_or_else(inner, Ok)?)
+            }
+            // Outside of a block (shared memory) members have no offsets.
+            Op::TypeStruct => match self.members(ty) {
+                Ok(members) => Ok(members.last().map_or(0, |(offset, size)| offset + size)),
+                Err(_) => operands.iter().filter_map(id_ref).map(|member| self.size(member)).sum(),
+            },
+            other => Err(format!("no size for {other:?}")),
+        }
+    }
+}
+
+fn id_ref(operand: &Operand) -> Option<Word> {
+    match operand {
+        Operand::IdRef(id) => Some(*id),
+        _ => None,
+    }
+}
+
+fn literal(operand: &Operand) -> Option<u32> {
+    match operand {
+        Operand::LiteralBit32(value) => Some(*value),
+        _ => None,
+    }
+}

@@ -1,0 +1,94 @@
+//! What the tests of readers and files share.
+
+// Each test binary uses its own part.
+#![allow(dead_code)]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use glam::{DQuat, DVec3};
+use splat4d::Result;
+use splat4d::types::{Camera, Image, Intrinsics, Pose};
+
+/// A folder of the shared data; `None`, said loudly, where it is not there.
+pub fn shared(name: &str) -> Option<PathBuf> {
+    let root = match std::env::var_os("SPLAT4D_DATA") {
+        Some(root) => PathBuf::from(root),
+        None => Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
+    };
+    let path = root.join(name);
+    if path.exists() {
+        return Some(path);
+    }
+    eprintln!("SKIPPED (no ../shared/data): {name}");
+    None
+}
+
+pub fn message<T>(result: Result<T>) -> String {
+    match result {
+        Ok(_) => panic!("an error was expected"),
+        Err(error) => error.to_string(),
+    }
+}
+
+#[track_caller]
+pub fn says(message: &str, parts: &[&str]) {
+    for part in parts {
+        assert!(message.contains(part), "`{part}` is not in: {message}");
+    }
+}
+
+pub fn picture(width: u32, height: u32, seed: u32) -> Image {
+    let mut image = Image::new(width, height, 3);
+    for y in 0..height {
+        for x in 0..width {
+            let v = |f: f32| {
+                0.5 + 0.45 * ((x as f32 + seed as f32) * f).sin() * (y as f32 * 0.7 * f).cos()
+            };
+            image.at_mut(x, y).copy_from_slice(&[v(0.11), v(0.17), v(0.23)]);
+        }
+    }
+    image
+}
+
+/// A small generator for mutations.
+pub struct Dice(pub u64);
+
+impl Dice {
+    pub fn roll(&mut self, n: usize) -> usize {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963);
+        (self.0 >> 33) as usize % n
+    }
+}
+
+/// Writes damaged copies of a file over `target` and calls `read` on each: prefixes, which must
+/// fail if `prefixes_fail`, and copies with a few bytes changed, which only must not panic.
+pub fn damage(original: &[u8], target: &Path, prefixes_fail: bool, read: impl Fn(&Path) -> bool) {
+    let mut dice = Dice(7);
+    let step = (original.len() / 97).max(1);
+    for length in (0..original.len()).step_by(step).chain([original.len() - 1]) {
+        fs::write(target, &original[..length]).unwrap();
+        let fine = read(target);
+        assert!(!(fine && prefixes_fail), "{} read at {length} bytes", target.display());
+    }
+    for _ in 0..150 {
+        let mut bytes = original.to_vec();
+        for _ in 0..1 + dice.roll(4) {
+            // Headers are short and matter most.
+            let within = if dice.roll(2) == 0 { bytes.len().min(256) } else { bytes.len() };
+            let at = dice.roll(within);
+            bytes[at] = [0, 1, 0x7f, 0x80, 0xff, dice.roll(256) as u8][dice.roll(6)];
+        }
+        fs::write(target, &bytes).unwrap();
+        read(target);
+    }
+}
+
+/// A camera of 40×30, another one for each number.
+pub fn some_camera(i: u32) -> Camera {
+    let rotation = DQuat::from_euler(glam::EulerRot::YXZ, 0.3 * f64::from(i), -0.2, 0.1);
+    Camera {
+        intrinsics: Intrinsics { fx: 55.0, fy: 54.0, cx: 19.5, cy: 16.0, width: 40, height: 30 },
+        view_from_world: Pose::new(rotation, DVec3::new(1.0, -2.0, 3.0 + f64::from(i))),
+    }
+}

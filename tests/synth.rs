@@ -1,0 +1,298 @@
+//! Synthetic clips: the truth agrees with the pixels, with itself, and with what the names promise.
+
+use std::collections::HashMap;
+use std::sync::{Arc, LazyLock, Mutex};
+
+use glam::DVec2;
+use splat4d::data::synth::{self, Clip, SynthOptions};
+use splat4d::data::{Dataset, exr, flo, intrinsics, read_mask, trajectory, transforms};
+use splat4d::types::Image;
+
+/// Small, with steps between frames several times the usual.
+const SMALL: SynthOptions = SynthOptions { frames: 5, width: 96, height: 54, seed: 3 };
+
+/// With steps between frames as in a clip of the usual length and size.
+const SMOOTH: SynthOptions = SynthOptions { frames: 12, width: 144, height: 81, seed: 1 };
+
+/// Each clip is rendered once for all tests.
+fn rendered(name: &str, options: SynthOptions) -> Arc<Clip> {
+    static CLIPS: LazyLock<Mutex<HashMap<String, Arc<Clip>>>> = LazyLock::new(Default::default);
+    let mut clips = CLIPS.lock().unwrap();
+    let render = || Arc::new(synth::clip(name, &options).unwrap());
+    clips.entry(format!("{name} {options:?}")).or_insert_with(render).clone()
+}
+
+fn small(name: &str) -> Arc<Clip> {
+    rendered(name, SMALL)
+}
+
+fn mean(image: &Image) -> f64 {
+    image.pixels.iter().map(|v| f64::from(*v)).sum::<f64>() / image.pixels.len() as f64
+}
+
+/// Bilinear, with pixel centres at +0.5; None where a neighbour is outside.
+fn sample(image: &Image, at: DVec2, channel: usize) -> Option<f64> {
+    let (x, y) = (at.x - 0.5, at.y - 0.5);
+    let (left, top) = (x.floor(), y.floor());
+    let inside = left >= 0.0
+        && top >= 0.0
+        && left + 1.0 < f64::from(image.width)
+        && top + 1.0 < f64::from(image.height);
+    if !inside {
+        return None;
+    }
+    let value = |dx, dy| f64::from(image.at(left as u32 + dx, top as u32 + dy)[channel]);
+    let (a, b) = (x - left, y - top);
+    let upper = value(0, 0) * (1.0 - a) + value(1, 0) * a;
+    let lower = value(0, 1) * (1.0 - a) + value(1, 1) * a;
+    Some(upper * (1.0 - b) + lower * b)
+}
+
+fn centres(image: &Image) -> impl Iterator<Item = (u32, u32, DVec2)> {
+    let (width, height) = (image.width, image.height);
+    (0..height).flat_map(move |y| {
+        (0..width).map(move |x| (x, y, DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5)))
+    })
+}
+
+fn vector(flow: &Image, x: u32, y: u32) -> DVec2 {
+    let [u, v] = flow.at(x, y) else { panic!("a flow field has two channels") };
+    DVec2::new(f64::from(*u), f64::from(*v))
+}
+
+/// Mean absolute difference in grey between a frame and its neighbour brought back by flow, over
+/// the pixels whose point is seen in both; and the same without flow.
+fn warp_error(from: &Image, to: &Image, flow: &Image, visible: &Image) -> (f64, f64) {
+    let (mut with, mut without, mut count) = (0.0, 0.0, 0.0);
+    for (x, y, centre) in centres(from) {
+        if visible.at(x, y)[0] == 0.0 {
+            continue;
+        }
+        let green = f64::from(from.at(x, y)[1]);
+        let Some(there) = sample(to, centre + vector(flow, x, y), 1) else { continue };
+        with += (there - green).abs();
+        without += (f64::from(to.at(x, y)[1]) - green).abs();
+        count += 1.0;
+    }
+    (with / count, without / count)
+}
+
+#[test]
+fn flow_brings_the_next_frame_back() {
+    for name in ["rigid", "bend", "crowd", "still"] {
+        let clip = rendered(name, SMOOTH);
+        for (i, j, flow, visible) in [
+            (5, 6, &clip.flow_forward[5], &clip.visible_forward[5]),
+            (6, 5, &clip.flow_backward[5], &clip.visible_backward[5]),
+        ] {
+            let (with, without) = warp_error(&clip.frames[i], &clip.frames[j], flow, visible);
+            assert!(with < 0.02, "{name}: frame {j} warped to {i} is off by {with}");
+            assert!(with < 0.5 * without, "{name}: {with} with flow, {without} without");
+        }
+    }
+}
+
+#[test]
+fn static_flow_is_what_depth_and_poses_say() {
+    for name in synth::NAMES {
+        let clip = small(name);
+        let k = clip.intrinsics;
+        for i in 0..clip.flow_forward.len() {
+            for (from, to, flow) in
+                [(i, i + 1, &clip.flow_forward[i]), (i + 1, i, &clip.flow_backward[i])]
+            {
+                let to_from = clip.view_from_world[to] * clip.view_from_world[from].inverse();
+                for (x, y, centre) in centres(flow) {
+                    if clip.masks[from].at(x, y)[0] != 0.0 {
+                        continue;
+                    }
+                    let depth = f64::from(clip.depth[from].at(x, y)[0]);
+                    let there = k.project(to_from.apply(k.ray(centre) * depth));
+                    let off = (there - centre - vector(flow, x, y)).length();
+                    // Depth is stored as f32: 1e-7 of it, times a shift of tens of pixels.
+                    assert!(off < 1e-4, "{name} {from}→{to} ({x}, {y}): {off} pixels apart");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn flow_there_and_back_closes() {
+    for name in ["bend", "crowd"] {
+        let clip = rendered(name, SMOOTH);
+        let (forward, backward) = (&clip.flow_forward[5], &clip.flow_backward[5]);
+        let mut gaps = Vec::new();
+        for (x, y, centre) in centres(forward) {
+            let moving = clip.masks[5].at(x, y)[0] == 1.0;
+            if !moving || clip.visible_forward[5].at(x, y)[0] == 0.0 {
+                continue;
+            }
+            let there = centre + vector(forward, x, y);
+            if let (Some(u), Some(v)) = (sample(backward, there, 0), sample(backward, there, 1)) {
+                gaps.push((there + DVec2::new(u, v) - centre).length());
+            }
+        }
+        gaps.sort_by(f64::total_cmp);
+        // Not the last tenth: there the four neighbours lie on both sides of an outline.
+        let most = gaps[gaps.len() * 9 / 10];
+        assert!(gaps.len() > 500 && most < 0.1, "{name}: {} pixels, {most}", gaps.len());
+    }
+}
+
+#[test]
+fn visibility_tells_hidden_points() {
+    let clip = small("rigid");
+    // Where the cart drives over the background, static points vanish behind it.
+    let hidden = centres(&clip.masks[1])
+        .filter(|&(x, y, centre)| {
+            let flow = &clip.flow_forward[1];
+            let to = centre + vector(flow, x, y);
+            let inside = to.x >= 0.0
+                && to.y >= 0.0
+                && to.x < f64::from(SMALL.width)
+                && to.y < f64::from(SMALL.height);
+            inside && clip.visible_forward[1].at(x, y)[0] == 0.0
+        })
+        .count();
+    let seen = mean(&clip.visible_forward[1]);
+    assert!(hidden > 20, "{hidden} hidden inside the picture");
+    assert!((0.6..0.99).contains(&seen), "{seen} of the picture stays seen");
+}
+
+#[test]
+fn movers_cover_what_the_clip_promises() {
+    for seed in 0..3 {
+        for (name, least, most) in [
+            ("rigid", 0.05, 0.14),
+            ("bend", 0.08, 0.25),
+            ("crowd", 0.5, 0.85),
+            ("still", 0.0, 0.0),
+            ("tripod", 0.05, 0.14),
+        ] {
+            let options = SynthOptions { frames: 3, width: 48, height: 27, seed };
+            let clip = synth::clip(name, &options).unwrap();
+            for (i, mask) in clip.masks.iter().enumerate() {
+                let share = mean(mask);
+                assert!(mask.pixels.iter().all(|v| *v == 0.0 || *v == 1.0));
+                assert!(share >= least && share <= most, "{name}, seed {seed}, {i}: {share}");
+            }
+            // A closed room: every ray meets something, and nothing is in the camera's face.
+            let depths = clip.depth.iter().flat_map(|d| &d.pixels);
+            assert!(depths.clone().all(|d| *d > 1.0 && *d < 9.0), "{name}, seed {seed}");
+        }
+    }
+}
+
+#[test]
+fn the_cart_crosses_a_part_of_the_picture() {
+    for seed in 0..3 {
+        let options = SynthOptions { frames: 2, width: 64, height: 36, seed };
+        let clip = synth::clip("rigid", &options).unwrap();
+        let [first, last] = [0, 1].map(|i: usize| {
+            let mask = &clip.masks[i];
+            let sum: f64 = centres(mask).map(|(x, y, c)| c.x * f64::from(mask.at(x, y)[0])).sum();
+            sum / (mean(mask) * 64.0 * 36.0)
+        });
+        let share = (last - first).abs() / 64.0;
+        assert!((0.2..0.45).contains(&share), "seed {seed}: {share} of the width");
+    }
+}
+
+#[test]
+fn cameras_move_as_the_clip_says() {
+    for seed in 0..3 {
+        let options = SynthOptions { frames: 24, width: 16, height: 16, seed };
+        let still = synth::clip("still", &options).unwrap();
+        let depth = mean(&still.depth[0]);
+        let centres: Vec<_> = (0..24).map(|i| still.camera(i).centre()).collect();
+        let length: f64 = centres.windows(2).map(|c| c[0].distance(c[1])).sum();
+        let share = length / depth;
+        assert!((0.1..0.25).contains(&share), "seed {seed}: path of {share} of the depth");
+        for view in &still.held_out {
+            for (i, camera) in view.cameras.iter().enumerate() {
+                let share = camera.centre().distance(centres[i]) / depth;
+                assert!((0.02..0.07).contains(&share), "held out at {share} of the depth");
+            }
+        }
+    }
+    let tripod = small("tripod");
+    assert!(tripod.view_from_world.iter().all(|pose| *pose == tripod.view_from_world[0]));
+}
+
+#[test]
+fn a_seed_gives_the_same_bits_and_another_gives_others() {
+    let options = SynthOptions { frames: 2, width: 32, height: 18, seed: 7 };
+    for name in synth::NAMES {
+        let first = synth::clip(name, &options).unwrap();
+        assert_eq!(first, synth::clip(name, &options).unwrap(), "{name}");
+        let other = synth::clip(name, &SynthOptions { seed: 8, ..options }).unwrap();
+        assert_ne!(first.frames, other.frames, "{name}");
+        assert_ne!(first.depth, other.depth, "{name}");
+        assert_ne!(first.intrinsics, other.intrinsics, "{name}");
+    }
+}
+
+#[test]
+fn bad_requests_are_refused() {
+    let message = |name: &str, frames, width, height| {
+        let options = SynthOptions { frames, width, height, seed: 0 };
+        synth::clip(name, &options).unwrap_err().to_string()
+    };
+    assert!(message("rigit", 24, 64, 36).contains("rigid"));
+    assert!(message("rigid", 1, 64, 36).contains("2 to"));
+    assert!(message("rigid", 24, 64, 0).contains("16 pixels"));
+    assert!(message("rigid", 24, u32::MAX, u32::MAX).contains("GiB"));
+}
+
+#[test]
+fn a_written_clip_reads_back() {
+    let clip = small("rigid");
+    let parent = tempfile::tempdir().unwrap();
+    let folder = parent.path().join("new").join("clip");
+    synth::write(&clip, &folder).unwrap();
+    let truth = folder.join("truth");
+    let n = clip.frames.len();
+
+    assert_eq!(intrinsics::read(truth.join("intrinsics.json")).unwrap(), clip.intrinsics);
+    let poses = trajectory::read(truth.join("poses.txt"), None).unwrap();
+    assert_eq!(poses.len(), n);
+    for (i, pose) in poses.iter().enumerate() {
+        assert_eq!(pose.time, i as f64);
+        let gap = pose.world_from_view.translation.distance(clip.camera(i).centre());
+        assert!(gap < 1e-6, "pose {i} is {gap} off");
+    }
+    assert_eq!(exr::read_depth(truth.join("depth/0004.exr")).unwrap(), clip.depth[4]);
+    assert_eq!(flo::read(truth.join("flow_forward/0003.flo")).unwrap(), clip.flow_forward[3]);
+    assert_eq!(flo::read(truth.join("flow_backward/0004.flo")).unwrap(), clip.flow_backward[3]);
+    assert!(!truth.join("flow_forward/0004.flo").exists());
+    assert!(!truth.join("flow_backward/0000.flo").exists());
+    assert_eq!(read_mask(truth.join("masks/0002.png")).unwrap(), clip.masks[2]);
+    let visible = read_mask(truth.join("visible_backward/0001.png")).unwrap();
+    assert_eq!(visible, clip.visible_backward[0]);
+
+    // The folder of truth is a dataset with known poses, and so is the held-out one.
+    let data = Dataset::open(&truth).unwrap();
+    assert_eq!(data.frames.len(), n);
+    assert!(data.timed);
+    let view = &data.load(&[n - 1], splat4d::data::Resize::default()).unwrap()[0];
+    assert_eq!(view.time, 1.0);
+    let worst = view
+        .image
+        .pixels
+        .iter()
+        .zip(&clip.frames[n - 1].pixels)
+        .map(|(a, b)| (a - b).abs())
+        .fold(0.0, f32::max);
+    assert!(worst <= 0.5 / 255.0 + 1e-6, "8 bits lose at most half a step, not {worst}");
+    let held_out = transforms::read_cameras(&truth.join("held_out/transforms.json")).unwrap();
+    assert_eq!(held_out.len(), 2 * n);
+    let gap = held_out[n].camera.centre().distance(clip.held_out[1].cameras[0].centre());
+    assert!(gap < 1e-9, "{gap}");
+    assert_eq!(Dataset::open(truth.join("held_out")).unwrap().frames.len(), 2 * n);
+
+    // Nothing else beside it, and nothing is written over.
+    assert_eq!(std::fs::read_dir(folder.parent().unwrap()).unwrap().count(), 1);
+    let refused = synth::write(&clip, &folder).unwrap_err().to_string();
+    assert!(refused.contains("not empty"), "{refused}");
+}

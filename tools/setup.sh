@@ -1,0 +1,101 @@
+#!/usr/bin/env bash
+# Installs what is missing, on Debian 12 or its like; does nothing when all is there.
+#
+#   tools/setup.sh run    what building and running need: linker, Vulkan loader, lavapipe, ffmpeg
+#   tools/setup.sh test   and what the test suite needs: validation layer, SwiftShader, CMake …
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+mode=${1:-run}
+case $mode in
+run | test) ;;
+*)
+    echo "usage: tools/setup.sh [run|test]" >&2
+    exit 2
+    ;;
+esac
+
+fail() {
+    echo "setup: $*" >&2
+    exit 1
+}
+
+# Whether a command, or a file of one of these patterns, is there.
+has_command() { command -v "$1" >/dev/null 2>&1; }
+has_file() { compgen -G "$1" >/dev/null; }
+has_loader() {
+    has_file '/usr/lib/*/libvulkan.so.1' || has_file '/usr/lib*/libvulkan.so.1' ||
+        has_file '/usr/local/lib*/libvulkan.so.1'
+}
+has_lavapipe() { has_file '/usr/share/vulkan/icd.d/lvp_icd*.json'; }
+has_validation() { has_file '/usr/share/vulkan/explicit_layer.d/VkLayer_khronos_validation.json'; }
+has_swiftshader() { has_file '/usr/lib/chromium/vk_swiftshader_icd.json'; }
+
+# One probe and the package that satisfies it.
+needs=(
+    'has_command cc|g++'
+    'has_loader|libvulkan1'
+    'has_lavapipe|mesa-vulkan-drivers'
+    'has_command ffmpeg|ffmpeg'
+)
+if [[ $mode == test ]]; then
+    needs+=(
+        'has_command c++|g++'
+        'has_command cmake|cmake'
+        'has_command ninja|ninja-build'
+        'has_command python3|python3'
+        'has_command git|git'
+        'has_command spirv-val|spirv-tools'
+        'has_validation|vulkan-validationlayers'
+        # Debian ships SwiftShader inside of its browser only.
+        'has_swiftshader|chromium'
+    )
+fi
+
+missing=()
+find_missing() {
+    missing=()
+    local need
+    for need in "${needs[@]}"; do
+        # The probe is a function above and its argument.
+        ${need%%|*} || missing+=("${need##*|}")
+    done
+}
+
+find_missing
+if ((${#missing[@]})); then
+    has_command apt-get ||
+        fail "missing: ${missing[*]} (Debian's names), and there is no apt-get to install them"
+    as_root=()
+    if [[ $(id -u) != 0 ]]; then
+        has_command sudo || fail "run as root: apt-get install ${missing[*]}"
+        as_root=(sudo)
+    fi
+    echo "setup: installing ${missing[*]}"
+    apt=("${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get)
+    "${apt[@]}" update -qq || fail "apt-get update failed; is there a network?"
+    "${apt[@]}" install -y -qq --no-install-recommends "${missing[@]}" ||
+        fail "apt-get could not install ${missing[*]}"
+    find_missing
+    ((${#missing[@]} == 0)) || fail "still missing after the installation: ${missing[*]}"
+fi
+
+# Rust comes from its own installer, which asks before it changes a home: not ours to run.
+if ! has_command cargo && [[ -f ${CARGO_HOME:-$HOME/.cargo}/env ]]; then
+    fail "Rust is installed but not on the path; run: . ${CARGO_HOME:-$HOME/.cargo}/env"
+fi
+wanted=$(sed -n 's/^rust-version = "\(.*\)"/\1/p' Cargo.toml)
+install="curl --proto '=https' --tlsv1.2 -sSf https://sh.rustup.rs | sh   (https://rustup.rs)"
+has_command cargo || fail "Rust $wanted or newer is missing; install it with: $install"
+found=$(rustc --version | cut -d' ' -f2)
+if [[ $(printf '%s\n' "$wanted" "$found" | sort -V | head -n1) != "$wanted" ]]; then
+    fail "Rust $found is too old, $wanted is needed; rustup update, or install it with: $install"
+fi
+if [[ $mode == test ]]; then
+    for component in rustfmt clippy; do
+        has_command "cargo-${component/rustfmt/fmt}" && continue
+        has_command rustup || fail "$component is missing and there is no rustup to add it"
+        rustup component add "$component" || fail "rustup could not add $component"
+    done
+fi
+echo "setup: everything for '$mode' is there (Rust $found)"

@@ -1,0 +1,115 @@
+#!/usr/bin/env bash
+# The whole suite: format, lints, docs, shaders, tests; kernels on lavapipe and on SwiftShader, both
+# under the validation layer. Every step runs, whatever failed before; any failure fails the whole.
+# Full logs lie in out/test/. Needs no GPU; a missing driver fails.
+set -uo pipefail
+cd "$(dirname "$0")/.."
+
+tools/setup.sh test || exit 1
+
+# One profile, one selection of packages and targets, in every step: shaderc and the dependencies
+# are then built once.
+readonly release=(--release --workspace)
+readonly target=${CARGO_TARGET_DIR:-target}
+readonly logs=out/test
+rm -rf "$logs"
+mkdir -p "$logs"
+
+# The device is chosen here, by the driver that the loader may see.
+# Logs are read by grep.
+export CARGO_TERM_COLOR=never
+unset SPLAT4D_DEVICE VK_ICD_FILENAMES VK_ADD_DRIVER_FILES
+lavapipe=$(compgen -G '/usr/share/vulkan/icd.d/lvp_icd*.json' | head -n1)
+readonly lavapipe
+readonly swiftshader=/usr/lib/chromium/vk_swiftshader_icd.json
+
+failed=()
+number=0
+
+# step NAME COMMAND …: runs, logs, times. On the terminal: what cargo and the tests report line by
+# line; after a failure, the end of the log.
+step() {
+    local name=$1 start=$SECONDS status log
+    shift
+    number=$((number + 1))
+    log=$(printf '%s/%02d-%s.log' "$logs" "$number" "${name// /-}")
+    echo "== $name: $*"
+    "$@" 2>&1 | tee "$log" |
+        grep --line-buffered -E '^(test |running |error|warning|thread |SKIPPED|[0-9]+ shaders)|^ +(Running|Doc-tests) '
+    status=${PIPESTATUS[0]}
+    if ((status)); then
+        tail -n 150 "$log"
+        echo "== $name FAILED after $((SECONDS - start)) s (log: $log)"
+        failed+=("$name")
+    else
+        echo "== $name ok, $((SECONDS - start)) s"
+    fi
+    return "$status"
+}
+
+# Whether a test file runs cases of `check`, or tests the engine under them.
+is_kernel_test() {
+    [[ $1 == tests/engine.rs ]] || grep -q 'common::run(' "$1"
+}
+
+kernel_tests=()
+end_to_end=()
+others=()
+for file in tests/*.rs; do
+    name=$(basename "$file" .rs)
+    case $name in
+    end_to_end | cli) end_to_end+=(--test "$name") ;;
+    *) if is_kernel_test "$file"; then kernel_tests+=(--test "$name"); else others+=(--test "$name"); fi ;;
+    esac
+done
+
+on() {
+    local driver=$1
+    shift
+    [[ -f $driver ]] || {
+        echo "error: no driver at $driver"
+        return 1
+    }
+    VK_DRIVER_FILES=$driver SPLAT4D_VALIDATION=1 "$@"
+}
+
+validate_modules() {
+    local module status=0
+    while IFS= read -r module; do
+        spirv-val --target-env vulkan1.3 --scalar-block-layout "$module" || {
+            echo "error: $module is no valid SPIR-V"
+            status=1
+        }
+    done < <(find spirv -name '*.spv' | sort)
+    return $status
+}
+
+test=(cargo test "${release[@]}" --no-fail-fast)
+show=(-- --show-output)
+
+step "format" cargo fmt --all --check -- --color never
+step "build" cargo build "${release[@]}" --all-targets || {
+    echo "tests FAILED: it does not build"
+    exit 1
+}
+step "lints" cargo clippy "${release[@]}" --all-targets -- -D warnings
+RUSTDOCFLAGS="-D warnings" step "docs" cargo doc "${release[@]}" --no-deps
+step "shaders" "$target/release/tools" check
+step "modules" validate_modules
+step "unit tests" on "$lavapipe" "${test[@]}" --lib --bins "${others[@]}" "${show[@]}"
+step "doc tests" on "$lavapipe" "${test[@]}" --doc
+step "kernels on lavapipe" on "$lavapipe" "${test[@]}" "${kernel_tests[@]}" "${show[@]}"
+step "kernels on SwiftShader" on "$swiftshader" "${test[@]}" "${kernel_tests[@]}" "${show[@]}"
+if ((${#end_to_end[@]})); then
+    # Without the layer: it slows long runs down, and each kernel has passed under it above.
+    step "end to end" env VK_DRIVER_FILES="$lavapipe" "${test[@]}" "${end_to_end[@]}" "${show[@]}"
+fi
+
+passed=$(cat "$logs"/*.log | awk '/^test result:/ { sum += $4 } END { print sum + 0 }')
+skipped=$(cat "$logs"/*.log | grep -c '^SKIPPED')
+summary="$passed tests passed, $skipped skipped something, $((SECONDS / 60)) min $((SECONDS % 60)) s"
+if ((${#failed[@]})); then
+    echo "tests FAILED: $(printf '%s; ' "${failed[@]}")$summary"
+    exit 1
+fi
+echo "tests passed: $summary"
