@@ -112,11 +112,8 @@ fn static_layer(
     let w = image.width as usize;
     let n = mask.pixels.len();
     let (mut value, mut weight) = (vec![0.0f32; n], vec![0.0f32; n]);
-    let mut layer = Layer {
-        inverse: vec![1.0; n],
-        confidence: vec![FILLED; n],
-        supplied: vec![false; n],
-    };
+    let mut layer =
+        Layer { inverse: vec![1.0; n], confidence: vec![FILLED; n], supplied: vec![false; n] };
     for i in 0..n {
         if let Some((map, scale)) = known {
             let z = map.pixels[i] * scale;
@@ -275,7 +272,8 @@ fn movers(layer: &Layer, mask: &Image) -> Vec<Option<(f32, f32)>> {
                     .map(|j| f64::from(layer.inverse[j]))
             };
             let (x, y) = (x as isize, y as isize);
-            let edge = |dx: isize, dy: isize| beyond(x + dx, y + dy).and(beyond(x + 3 * dx, y + 3 * dy));
+            let edge =
+                |dx: isize, dy: isize| beyond(x + dx, y + dy).and(beyond(x + 3 * dx, y + 3 * dy));
             if y as usize >= feet {
                 ground.extend(edge(0, 1));
             } else {

@@ -95,6 +95,8 @@ pub struct Track {
     pub depth_confidence: Vec<Image>,
     /// Static points.
     pub points: Vec<StaticPoint>,
+    /// Points followed through the pictures, static and moving ones.
+    pub tracks: Vec<PointTrack>,
     /// How well all this is known.
     pub quality: Quality,
 }
@@ -230,6 +232,7 @@ pub fn track(
         depth,
         depth_confidence,
         points,
+        tracks,
         quality,
     })
 }
@@ -297,9 +300,10 @@ fn check(frames: &[Image], options: &Options) -> Result<()> {
             first.width, first.height
         )));
     }
-    if let Some(i) = frames.iter().position(|f| {
-        (f.width, f.height, f.channels) != (first.width, first.height, 3)
-    }) {
+    if let Some(i) = frames
+        .iter()
+        .position(|f| (f.width, f.height, f.channels) != (first.width, first.height, 3))
+    {
         let f = &frames[i];
         return Err(Error::Input(format!(
             "frame {i} is {}×{} with {} channels, the first frame is {}×{}; all frames must be RGB \
@@ -333,7 +337,8 @@ fn check(frames: &[Image], options: &Options) -> Result<()> {
     if let Some(focal) = options.focal.filter(|f| !(f.is_finite() && *f > 0.0)) {
         return Err(Error::Input(format!("a focal length of {focal} px makes no sense")));
     }
-    if let Some(k) = options.intrinsics.filter(|k| (k.width, k.height) != (first.width, first.height))
+    if let Some(k) =
+        options.intrinsics.filter(|k| (k.width, k.height) != (first.width, first.height))
     {
         return Err(Error::Input(format!(
             "the supplied intrinsics are of {}×{} pixels, the frames are {}×{}; resize them",

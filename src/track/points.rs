@@ -62,7 +62,9 @@ pub(super) fn gather(
                             && covers(cameras, depth, confidence, other, position, measured)
                     });
                     let doubled = !measured
-                        && taken.iter().any(|&o| covers(cameras, depth, confidence, o, position, true));
+                        && taken
+                            .iter()
+                            .any(|&o| covers(cameras, depth, confidence, o, position, true));
                     if covered || doubled || points.len() >= most {
                         continue;
                     }

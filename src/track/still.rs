@@ -38,7 +38,8 @@ pub(super) fn is_fixed(tracks: &[PointTrack], weights: &[f64], flow: &NeighbourF
         let end = start + span;
         let (mut stays, mut all) = (0.0, 0.0);
         let mut cells = [false; 48];
-        let both = tracks.iter().zip(weights).filter_map(|(t, w)| Some((t.at(start)?, t.at(end)?, w)));
+        let both =
+            tracks.iter().zip(weights).filter_map(|(t, w)| Some((t.at(start)?, t.at(end)?, w)));
         let mut count = 0;
         for (a, b, weight) in both {
             all += weight;

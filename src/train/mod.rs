@@ -10,20 +10,27 @@
 //! | [`optimiser`] | Adam over the Gaussians' parameter groups |
 //! | [`growth`] | density control: MCMC relocation and growth |
 //! | [`motion`] | the network and the control points |
+//! | [`trajectories`] | where a mover's points are at every frame |
+//! | [`network`] | the deformation network's start |
+//! | [`sequence`] | from a tracked clip to a scene: the two stages |
 //! | [`trainer`] | the step: deform, render, compare, differentiate, update |
 
 pub mod growth;
 pub mod motion;
+pub mod network;
 pub mod optimiser;
 pub mod photographs;
 pub mod region;
 pub mod sampling;
 pub mod seed;
+pub mod sequence;
 pub mod settings;
 pub mod trainer;
+pub mod trajectories;
 
 pub use motion::MotionStart;
 pub use region::random_points;
 pub use seed::seed_from_points;
+pub use sequence::{Phase, Sequence, SequenceSettings, fit_sequence};
 pub use settings::{GrowthSettings, MotionSettings, Rates, TrainSettings};
 pub use trainer::{Progress, Trainer, TrainingView};

@@ -1,10 +1,10 @@
 //! The deformation network's start: random weights, then fitted to known trajectories.
 
+use crate::Result;
 use crate::gpu::{Device, Stream};
 use crate::ops::adam::{Adam, AdamArgs};
 use crate::ops::mlp::Network;
 use crate::types::{AdamSettings, ControlPoints, DeformNet, NetShape};
-use crate::Result;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

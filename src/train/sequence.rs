@@ -257,13 +257,24 @@ fn control_stage(
     let mut gaussians = still.clone();
     append(&mut gaussians, &nodes);
     // The temporary Gaussians keep place and shape: motion is for the network to learn.
-    let rates = Rates { position: 1e-12, position_last: 1e-12, log_scale: 0.0, rotation: 0.0, ..Rates::default() };
+    let rates = Rates {
+        position: 1e-12,
+        position_last: 1e-12,
+        log_scale: 0.0,
+        rotation: 0.0,
+        ..Rates::default()
+    };
     let train = TrainSettings {
         steps: settings.control_steps,
         growth: None,
         max_gaussians: 0,
         rates,
-        motion: MotionSettings { rate: 4e-4, rate_last: 4e-5, refresh: 0, ..MotionSettings::default() },
+        motion: MotionSettings {
+            rate: 4e-4,
+            rate_last: 4e-5,
+            refresh: 0,
+            ..MotionSettings::default()
+        },
         ..joint_settings(settings)
     };
     let mut trainer = Trainer::new(device, &views, &gaussians, Some(start), train)?;

@@ -134,7 +134,9 @@ fn smoothed(path: &[DVec3], canonical: usize) -> Vec<DVec3> {
     let mean = |frame: usize| {
         let (mut sum, mut weight) = (DVec3::ZERO, 0.0);
         let last = (frame + reach).min(path.len() - 1);
-        for (other, &position) in path.iter().enumerate().take(last + 1).skip(frame.saturating_sub(reach)) {
+        for (other, &position) in
+            path.iter().enumerate().take(last + 1).skip(frame.saturating_sub(reach))
+        {
             let d = frame.abs_diff(other) as f64 / SMOOTHING;
             let w = (-0.5 * d * d).exp();
             sum += w * position;
