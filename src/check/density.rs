@@ -3,7 +3,8 @@
 use super::{Bound, Case, Harness};
 use crate::error::Result;
 use crate::ops::density::{
-    Adaptation, AdaptationArgs, Relocation, RelocationArgs, accumulate, jitter, reset_opacity,
+    Adaptation, AdaptationArgs, Relocation, RelocationArgs, accumulate, jitter, regularise,
+    reset_opacity,
 };
 use crate::oracle::{Real, density};
 use crate::types::{AdaptSettings, MotionClass};
@@ -16,6 +17,7 @@ pub const CASES: &[Case] = &[
     Case { id: "density/shrink", kernels: &["density/shrink"], run: shrink },
     Case { id: "density/jitter", kernels: &["density/jitter"], run: noise },
     Case { id: "density/adapt", kernels: ADAPT, run: adapt },
+    Case { id: "density/regularise", kernels: &["density/regularise"], run: regularisers },
     Case { id: "density/statistics", kernels: STATISTICS, run: statistics },
 ];
 
@@ -430,5 +432,51 @@ fn statistics(h: &mut Harness) -> Result<()> {
     density::reset_opacity(&mut logits, -4.5);
     let device = h.read(&reset)?;
     h.exact("opacity logits", &device, &logits);
+    Ok(())
+}
+
+fn regularisers(h: &mut Harness) -> Result<()> {
+    for count in [0, 1, 64, 65, 1000] {
+        let mut logits = random(h, count, -8.0, 8.0);
+        let mut scales = random(h, 3 * count, -9.0, 1.0);
+        if count > 10 {
+            (logits[3], logits[4], scales[5], scales[6]) = (40.0, -40.0, -46.0, 46.0);
+        }
+        let start = [random(h, count, -1e-3, 1e-3), random(h, 3 * count, -1e-3, 1e-3)];
+        let logit_buffer = h.device.upload("logits", &logits)?;
+        let scale_buffer = h.device.upload("scales", &scales)?;
+        let sources = [h.device.upload("start", &start[0])?, h.device.upload("start", &start[1])?];
+        let mut by_logit = h.output::<f32>("opacity gradients", count)?;
+        let mut by_scale = h.output::<f32>("log-scale gradients", 3 * count)?;
+        let mut recorder = h.stream.record()?;
+        recorder.copy(sources[0].view(), by_logit.view_mut());
+        recorder.copy(sources[1].view(), by_scale.view_mut());
+        let (weight, scale_weight) = (0.01, 0.02);
+        regularise(
+            &mut recorder,
+            logit_buffer.view(),
+            scale_buffer.view(),
+            by_logit.view_mut(),
+            by_scale.view_mut(),
+            weight,
+            scale_weight,
+        )?;
+        h.stream.submit(recorder)?;
+        let mut truth = (reals::<f64>(&start[0]), reals::<f64>(&start[1]));
+        density::regularise(
+            &reals(&logits),
+            &reals(&scales),
+            weight,
+            scale_weight,
+            &mut truth.0,
+            &mut truth.1,
+        );
+        // An exponential's few last places (e^46 among them) on gradients around 1e-3.
+        let bound = Bound { absolute: 1e-9, relative: 2e-5 };
+        let device = h.read(&by_logit)?;
+        h.close("gradient by opacity logit", &device, &truth.0, None, bound);
+        let device = h.read(&by_scale)?;
+        h.close("gradient by log-scale", &device, &truth.1, None, bound);
+    }
     Ok(())
 }
