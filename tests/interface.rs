@@ -15,10 +15,7 @@ use std::path::{Path, PathBuf};
 
 /// Kernels that naga's front end rejects, with the reason: what its message must contain. One that
 /// naga has learnt to read must leave this list.
-const NAGA_REJECTS: &[(&str, &str)] = &[
-    // A constant that is computed from a specialisation constant (gfx-rs/wgpu issue 4324).
-    ("deform/nearest", "SpecConstantOp"),
-];
+const NAGA_REJECTS: &[(&str, &str)] = &[];
 
 /// The smallest limits that kernels are made for: SwiftShader's and Vulkan's own.
 const MAX_BINDINGS: usize = 30;

@@ -509,6 +509,32 @@ mod tests {
     }
 
     #[test]
+    fn regularisers_agree_with_central_differences() {
+        let (logits, scales) = ([0.3f64, -2.0], [-1.0, 0.5, 0.0, -3.0, 1.0, -0.2]);
+        let loss = |logits: &[f64], scales: &[f64]| {
+            0.2 * logits.iter().map(|&l| sigmoid(l)).sum::<f64>() / 2.0
+                + 0.7 * scales.iter().map(|s| s.exp()).sum::<f64>() / 6.0
+        };
+        let (mut by_logit, mut by_scale) = ([0.0; 2], [0.0; 6]);
+        regularise(&logits, &scales, 0.2, 0.7, &mut by_logit, &mut by_scale);
+        let h = 1e-6;
+        for i in 0..2 {
+            let (mut up, mut down) = (logits, logits);
+            up[i] += h;
+            down[i] -= h;
+            let numeric = (loss(&up, &scales) - loss(&down, &scales)) / (2.0 * h);
+            assert!((numeric - by_logit[i]).abs() < 1e-9);
+        }
+        for i in 0..6 {
+            let (mut up, mut down) = (scales, scales);
+            up[i] += h;
+            down[i] -= h;
+            let numeric = (loss(&logits, &up) - loss(&logits, &down)) / (2.0 * h);
+            assert!((numeric - by_scale[i]).abs() < 1e-9);
+        }
+    }
+
+    #[test]
     fn statistics_count_only_what_is_seen() {
         let mut s = [[0.0f64; 2]; 3];
         accumulate(&mut s, &[[3.0, 4.0], [1.0, 1.0], [f64::NAN, 0.0]], &[1, 0, 1], [2.0, 2.0]);
