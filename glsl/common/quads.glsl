@@ -1,6 +1,9 @@
-// How a workgroup of 64 covers a tile of 16×16 pixels: each invocation has a quad of 2×2, and the
-// quads lie in Morton order, so that a subgroup of any size covers a compact block. A splat that
-// misses the block is skipped by the whole subgroup. Needs common/tile.glsl.
+// How a workgroup of 32 covers a tile of 16×16 pixels: each invocation has two quads of 2×2 side by
+// side, and 8 invocations cover 8×8 pixels, so that a subgroup of any size covers a compact block. A
+// splat that misses the block is skipped by the whole subgroup; what a splat costs a subgroup (its
+// broadcast, the sums of its gradients) is shared by eight pixels per invocation. Needs
+// common/tile.glsl.
+const uint QUADS = 2u;
 
 uint lane_index() {
     return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID;
@@ -11,11 +14,11 @@ uvec2 tile_origin(uint tile, uvec2 grid) {
     return uvec2(tile % grid.x, tile / grid.x) * TILE;
 }
 
-// The quad's first pixel within the tile.
-uvec2 quad_origin(uint lane) {
-    uint x = (lane & 1u) | ((lane >> 1) & 2u) | ((lane >> 2) & 4u);
-    uint y = ((lane >> 1) & 1u) | ((lane >> 2) & 2u) | ((lane >> 3) & 4u);
-    return 2u * uvec2(x, y);
+// First pixel, within the tile, of an invocation's quads.
+uvec2 quads_origin(uint lane) {
+    uint x = (lane & 1u) | ((lane >> 2) & 2u);
+    uint y = ((lane >> 1) & 3u) | ((lane >> 2) & 4u);
+    return uvec2(4u * x, 2u * y);
 }
 
 // Pixels of a quad: (0,0) (1,0) (0,1) (1,1).
@@ -34,10 +37,9 @@ uint quad_pixel(uvec2 origin, uint k, uint width) {
 }
 
 // The rectangle of pixel centres that the subgroup's quads cover.
-void subgroup_block(uvec2 origin, out vec2 lowest, out vec2 highest) {
-    vec2 corner = vec2(origin) + 0.5;
+void subgroup_block(vec2 corner, out vec2 lowest, out vec2 highest) {
     lowest = subgroupMin(corner);
-    highest = subgroupMax(corner) + 1.0;
+    highest = subgroupMax(corner) + vec2(3.0, 1.0);
 }
 
 // The splat's power at the quad's pixels.
@@ -45,4 +47,9 @@ vec4 quad_power(vec2 mean, vec3 conic, vec2 corner, out vec4 dx, out vec4 dy) {
     dx = corner.x - mean.x + QUAD_X;
     dy = corner.y - mean.y + QUAD_Y;
     return 0.5 * (conic.x * dx * dx + conic.z * dy * dy) + conic.y * dx * dy;
+}
+
+// By ballot, so that devices need not offer votes.
+bool subgroup_any(bool here) {
+    return subgroupBallot(here) != uvec4(0u);
 }

@@ -31,6 +31,8 @@ void main() {
     const float FAR = uintBitsToFloat(0x7f800000u);
     float distances[16];
     uint found[16];
+    // The last of the K distances.
+    float worst = FAR;
     for (uint s = 0u; s < K; s++) {
         distances[s] = FAR;
         found[s] = 0xffffffffu;
@@ -41,7 +43,7 @@ void main() {
         precise float distance_here = d.x * d.x;
         distance_here = distance_here + d.y * d.y;
         distance_here = distance_here + d.z * d.z;
-        if (distance_here < distances[K - 1u]) {
+        if (distance_here < worst) {
             // What is nearer or equal stays in front; all behind moves up, equals too.
             bool placed = false;
             float carried = distance_here;
@@ -56,6 +58,7 @@ void main() {
                     carried = d_old;
                     carried_node = n_old;
                 }
+                worst = distances[s];
             }
         }
     }

@@ -14,7 +14,7 @@
 #extension GL_KHR_shader_subgroup_ballot : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 
-layout(local_size_x = 64) in;
+layout(local_size_x = 32) in;
 
 layout(std430, binding = 0) readonly buffer Ranges { uvec2 ranges[]; };
 layout(std430, binding = 1) readonly buffer Intersections { uint intersections[]; };
@@ -48,7 +48,7 @@ layout(push_constant) uniform Params {
 const uint BATCH = 32u;
 const uint SUMS = 10u;
 // Sums of one batch: [subgroup][sum][splat], for subgroups of 4 or more.
-shared float partial[16u * SUMS * BATCH];
+shared float partial[8u * SUMS * BATCH];
 shared uint furthest;
 
 void main() {
@@ -59,33 +59,46 @@ void main() {
         return;
     }
     uint id = lane_index();
-    uvec2 origin = tile_origin(tile, grid) + quad_origin(id);
+    uvec2 origin = tile_origin(tile, grid) + quads_origin(id);
     vec2 corner = vec2(origin) + 0.5;
-    bvec4 inside = quad_inside(origin, size);
     vec2 lowest, highest;
-    subgroup_block(origin, lowest, highest);
+    subgroup_block(corner, lowest, highest);
 
-    vec4 transmittance = vec4(1.0);
+    vec4 transmittance[QUADS];
     // Of the loss: by colour, by alpha and by depth at the quad's pixels.
-    vec4 red = vec4(0.0), green = vec4(0.0), blue = vec4(0.0), opaque = vec4(0.0), z = vec4(0.0);
+    vec4 red[QUADS], green[QUADS], blue[QUADS], opaque[QUADS], z[QUADS];
     // What lies behind the splats replayed so far, weighted with those gradients.
-    vec4 behind = vec4(0.0);
-    uvec4 end = uvec4(0u);
-    for (uint k = 0u; k < 4u; k++) {
-        if (inside[k]) {
-            uint pixel = quad_pixel(origin, k, width);
-            vec4 gradient = rgba_gradient[pixel];
-            red[k] = gradient.r;
-            green[k] = gradient.g;
-            blue[k] = gradient.b;
-            opaque[k] = gradient.a;
-            z[k] = depth_gradient[pixel];
-            behind[k] = dot(gradient, rgba[pixel]) + z[k] * depth[pixel];
-            end[k] = last[pixel];
+    vec4 behind[QUADS];
+    uvec4 end[QUADS];
+    uint own_last = 0u;
+    for (uint q = 0u; q < QUADS; q++) {
+        uvec2 quad = origin + uvec2(2u * q, 0u);
+        bvec4 inside = quad_inside(quad, size);
+        transmittance[q] = vec4(1.0);
+        red[q] = vec4(0.0);
+        green[q] = vec4(0.0);
+        blue[q] = vec4(0.0);
+        opaque[q] = vec4(0.0);
+        z[q] = vec4(0.0);
+        behind[q] = vec4(0.0);
+        end[q] = uvec4(0u);
+        for (uint k = 0u; k < 4u; k++) {
+            if (inside[k]) {
+                uint pixel = quad_pixel(quad, k, width);
+                vec4 gradient = rgba_gradient[pixel];
+                red[q][k] = gradient.r;
+                green[q][k] = gradient.g;
+                blue[q][k] = gradient.b;
+                opaque[q][k] = gradient.a;
+                z[q][k] = depth_gradient[pixel];
+                behind[q][k] = dot(gradient, rgba[pixel]) + z[q][k] * depth[pixel];
+                end[q][k] = last[pixel];
+                own_last = max(own_last, end[q][k]);
+            }
         }
     }
     uvec2 range = ranges[tile];
-    uint own_end = subgroupMax(max(max(end.x, end.y), max(end.z, end.w)));
+    uint own_end = subgroupMax(own_last);
     if (id == 0u) {
         furthest = 0u;
     }
@@ -126,27 +139,46 @@ void main() {
                     vec3 c = subgroupBroadcast(conic.xyz, lane);
                     vec3 rgb = subgroupBroadcast(colour.xyz, lane);
                     uvec4 index = uvec4(batch - range.x + base + lane);
-                    vec4 dx, dy;
-                    vec4 power = quad_power(m.xy, c, corner, dx, dy);
-                    vec4 raw = m.w * exp(-power);
-                    vec4 alpha = min(raw, vec4(alpha_cap));
-                    bvec4 counts, below_cap;
-                    for (int k = 0; k < 4; k++) {
-                        counts[k] = index[k] < end[k] && power[k] >= 0.0 && alpha[k] >= alpha_cut;
-                        below_cap[k] = counts[k] && raw[k] <= alpha_cap;
+                    vec4 raw[QUADS], dx[QUADS], dy[QUADS];
+                    bvec4 counts[QUADS];
+                    bool any_counts = false;
+                    for (uint q = 0u; q < QUADS; q++) {
+                        vec2 first = corner + vec2(2.0 * float(q), 0.0);
+                        vec4 power = quad_power(m.xy, c, first, dx[q], dy[q]);
+                        raw[q] = m.w * exp(-power);
+                        for (int k = 0; k < 4; k++) {
+                            counts[q][k] = index[k] < end[q][k] && power[k] >= 0.0
+                                           && min(raw[q][k], alpha_cap) >= alpha_cut;
+                        }
+                        any_counts = any_counts || any(counts[q]);
                     }
-                    vec4 weight = mix(vec4(0.0), alpha * transmittance, counts);
-                    vec4 value = red * rgb.r + green * rgb.g + blue * rgb.b + opaque + z * m.z;
-                    behind -= weight * value;
-                    vec4 through = 1.0 - alpha;
-                    vec4 v = alpha * (transmittance * value - behind / through);
-                    v = mix(vec4(0.0), v, below_cap);
-                    transmittance = mix(transmittance, transmittance * through, counts);
-                    vec4 vx = v * dx, vy = v * dy;
-                    const vec4 one = vec4(1.0);
-                    vec4 a = vec4(dot(v, one), dot(vx, one), dot(vy, one), dot(vx, dx));
-                    vec4 b = vec4(dot(vx, dy), dot(vy, dy), dot(weight, red), dot(weight, green));
-                    vec2 d = vec2(dot(weight, blue), dot(weight, z));
+                    if (!subgroup_any(any_counts)) {
+                        continue;
+                    }
+                    vec4 a = vec4(0.0), b = vec4(0.0);
+                    vec2 d = vec2(0.0);
+                    for (uint q = 0u; q < QUADS; q++) {
+                        vec4 alpha = min(raw[q], vec4(alpha_cap));
+                        bvec4 below_cap;
+                        for (int k = 0; k < 4; k++) {
+                            below_cap[k] = counts[q][k] && raw[q][k] <= alpha_cap;
+                        }
+                        vec4 weight = mix(vec4(0.0), alpha * transmittance[q], counts[q]);
+                        vec4 value = red[q] * rgb.r + green[q] * rgb.g + blue[q] * rgb.b + opaque[q]
+                                     + z[q] * m.z;
+                        behind[q] -= weight * value;
+                        vec4 through = 1.0 - alpha;
+                        vec4 v = alpha * (transmittance[q] * value - behind[q] / through);
+                        v = mix(vec4(0.0), v, below_cap);
+                        transmittance[q] = mix(transmittance[q], transmittance[q] * through,
+                                               counts[q]);
+                        vec4 vx = v * dx[q], vy = v * dy[q];
+                        const vec4 one = vec4(1.0);
+                        a += vec4(dot(v, one), dot(vx, one), dot(vy, one), dot(vx, dx[q]));
+                        b += vec4(dot(vx, dy[q]), dot(vy, dy[q]), dot(weight, red[q]),
+                                  dot(weight, green[q]));
+                        d += vec2(dot(weight, blue[q]), dot(weight, z[q]));
+                    }
                     a = subgroupAdd(a);
                     b = subgroupAdd(b);
                     d = subgroupAdd(d);
@@ -188,7 +220,7 @@ void main() {
     }
     // Splats behind the last one blended get nothing, but their slots are read.
     uint done = range.x + (stop - range.x + BATCH - 1u) / BATCH * BATCH;
-    for (uint at = done + id; at < range.y; at += 64u) {
+    for (uint at = done + id; at < range.y; at += 32u) {
         uint slot = intersections[at];
         slots_a[slot] = vec4(0.0);
         slots_b[slot] = vec4(0.0);

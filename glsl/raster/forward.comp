@@ -10,7 +10,7 @@
 #extension GL_KHR_shader_subgroup_ballot : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 
-layout(local_size_x = 64) in;
+layout(local_size_x = 32) in;
 
 layout(std430, binding = 0) readonly buffer Ranges { uvec2 ranges[]; };
 layout(std430, binding = 1) readonly buffer Intersections { uint intersections[]; };
@@ -43,21 +43,32 @@ void main() {
     if (tile >= grid.x * grid.y) {
         return;
     }
-    uvec2 origin = tile_origin(tile, grid) + quad_origin(lane_index());
+    uvec2 origin = tile_origin(tile, grid) + quads_origin(lane_index());
     vec2 corner = vec2(origin) + 0.5;
-    bvec4 inside = quad_inside(origin, size);
     vec2 lowest, highest;
-    subgroup_block(origin, lowest, highest);
+    subgroup_block(corner, lowest, highest);
 
-    vec4 transmittance = vec4(1.0);
-    bvec4 open = inside;
-    vec4 red = vec4(0.0), green = vec4(0.0), blue = vec4(0.0), z = vec4(0.0);
-    uvec4 end = uvec4(0u);
+    vec4 transmittance[QUADS], red[QUADS], green[QUADS], blue[QUADS], z[QUADS];
+    bvec4 open[QUADS];
+    uvec4 end[QUADS];
+    bool any_open = false;
+    for (uint q = 0u; q < QUADS; q++) {
+        transmittance[q] = vec4(1.0);
+        red[q] = vec4(0.0);
+        green[q] = vec4(0.0);
+        blue[q] = vec4(0.0);
+        z[q] = vec4(0.0);
+        end[q] = uvec4(0u);
+        open[q] = quad_inside(origin + uvec2(2u * q, 0u), size);
+        any_open = any_open || any(open[q]);
+    }
 
     uvec2 range = ranges[tile];
     uint words = (gl_SubgroupSize + 31u) / 32u;
-    for (uint base = range.x; base < range.y; base += gl_SubgroupSize) {
-        if (subgroupBallot(any(open)) == uvec4(0u)) {
+    // A subgroup of 64 is half empty.
+    uint chunk = min(gl_SubgroupSize, gl_WorkGroupSize.x);
+    for (uint base = range.x; base < range.y; base += chunk) {
+        if (!subgroup_any(any_open)) {
             break;
         }
         uint at = base + gl_SubgroupInvocationID;
@@ -82,32 +93,43 @@ void main() {
                 vec4 m = subgroupBroadcast(mean, lane);
                 vec3 c = subgroupBroadcast(conic.xyz, lane);
                 vec3 rgb = subgroupBroadcast(colour.xyz, lane);
-                vec4 dx, dy;
-                vec4 power = quad_power(m.xy, c, corner, dx, dy);
-                vec4 alpha = min(m.w * exp(-power), vec4(alpha_cap));
-                vec4 behind = transmittance * (1.0 - alpha);
-                bvec4 counts;
-                for (int k = 0; k < 4; k++) {
-                    counts[k] = open[k] && power[k] >= 0.0 && alpha[k] >= alpha_cut;
-                    open[k] = open[k] && !(counts[k] && behind[k] <= transmittance_stop);
-                    counts[k] = counts[k] && open[k];
+                any_open = false;
+                for (uint q = 0u; q < QUADS; q++) {
+                    vec4 dx, dy;
+                    vec2 first = corner + vec2(2.0 * float(q), 0.0);
+                    vec4 power = quad_power(m.xy, c, first, dx, dy);
+                    vec4 alpha = min(m.w * exp(-power), vec4(alpha_cap));
+                    vec4 behind = transmittance[q] * (1.0 - alpha);
+                    bvec4 counts;
+                    for (int k = 0; k < 4; k++) {
+                        counts[k] = open[q][k] && power[k] >= 0.0 && alpha[k] >= alpha_cut;
+                        open[q][k] =
+                            open[q][k] && !(counts[k] && behind[k] <= transmittance_stop);
+                        counts[k] = counts[k] && open[q][k];
+                    }
+                    vec4 weight = mix(vec4(0.0), alpha * transmittance[q], counts);
+                    transmittance[q] = mix(transmittance[q], behind, counts);
+                    end[q] = mix(end[q], uvec4(base - range.x + lane + 1u), counts);
+                    red[q] += weight * rgb.r;
+                    green[q] += weight * rgb.g;
+                    blue[q] += weight * rgb.b;
+                    z[q] += weight * m.z;
+                    any_open = any_open || any(open[q]);
                 }
-                vec4 weight = mix(vec4(0.0), alpha * transmittance, counts);
-                transmittance = mix(transmittance, behind, counts);
-                end = mix(end, uvec4(base - range.x + lane + 1u), counts);
-                red += weight * rgb.r;
-                green += weight * rgb.g;
-                blue += weight * rgb.b;
-                z += weight * m.z;
             }
         }
     }
-    for (uint k = 0u; k < 4u; k++) {
-        if (inside[k]) {
-            uint pixel = quad_pixel(origin, k, width);
-            rgba[pixel] = vec4(red[k], green[k], blue[k], 1.0 - transmittance[k]);
-            depth[pixel] = z[k];
-            last[pixel] = end[k];
+    for (uint q = 0u; q < QUADS; q++) {
+        uvec2 quad = origin + uvec2(2u * q, 0u);
+        bvec4 inside = quad_inside(quad, size);
+        for (uint k = 0u; k < 4u; k++) {
+            if (inside[k]) {
+                uint pixel = quad_pixel(quad, k, width);
+                rgba[pixel] =
+                    vec4(red[q][k], green[q][k], blue[q][k], 1.0 - transmittance[q][k]);
+                depth[pixel] = z[q][k];
+                last[pixel] = end[q][k];
+            }
         }
     }
 }

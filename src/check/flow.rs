@@ -275,8 +275,8 @@ fn compare_patches(h: &mut Harness, what: &str, got: &[[f32; 4]], truth: &[Patch
             && near(shift, truth.shift)
             && (0..4).all(|k| near(f64::from(pair[1][k]), truth.slope[k]));
         strays += usize::from(!same);
-        // Negated, so that NaN counts.
-        worse += usize::from(!(cost <= 1.2 * truth.cost + 1e-6));
+        // NaN counts as worse.
+        worse += usize::from(cost.is_nan() || cost > 1.2 * truth.cost + 1e-6);
     }
     let allowed = truth.len().div_ceil(100);
     h.holds(&format!("{what}: {strays} of {} stray", truth.len()), strays <= allowed);

@@ -4,7 +4,7 @@ use crate::gpu::kernel;
 
 kernel! {
     /// Blends front to back.
-    pub struct Forward("raster/forward"), workgroup: [64, 1, 1],
+    pub struct Forward("raster/forward"), workgroup: [32, 1, 1],
     params: ForwardParams {
         /// Image width, pixels.
         width: u32,
@@ -41,7 +41,7 @@ kernel! {
 
 kernel! {
     /// Partial sums of gradients per (splat, tile).
-    pub struct Backward("raster/backward"), workgroup: [64, 1, 1],
+    pub struct Backward("raster/backward"), workgroup: [32, 1, 1],
     params: BackwardParams {
         /// Image width, pixels.
         width: u32,

@@ -245,7 +245,7 @@ pub fn propagate<T: Real>(
     settings: &FlowSettings,
 ) -> Vec<Patch<T>> {
     let (nx, ny) = (patch_grid(a.width), patch_grid(a.height));
-    let reach = if pass % 2 == 0 { 1 } else { 2 };
+    let reach = 1 + (pass % 2) as isize;
     let mut out = Vec::with_capacity(nx * ny);
     for j in 0..ny as isize {
         for i in 0..nx as isize {

@@ -1,0 +1,309 @@
+//! Dense optical flow of a clip, from whatever source, with a confidence per pixel.
+
+use std::path::Path;
+
+use glam::DVec2;
+use rayon::prelude::*;
+
+use crate::data::flo;
+use crate::types::Image;
+use crate::{Error, Result};
+
+/// Flow between two frames in both directions. Vectors are images of two channels (u, v) in pixels:
+/// the point seen at pixel p of the first frame is at p + (u, v) in the second. Confidences are
+/// images of one channel in [0, 1], or absent.
+#[derive(Clone, Debug)]
+pub struct FlowPair {
+    /// From the first frame to the second.
+    pub forward: Image,
+    /// From the second frame to the first.
+    pub backward: Image,
+    /// The source's own belief in `forward`, where it has one.
+    pub forward_confidence: Option<Image>,
+    /// The source's own belief in `backward`, where it has one.
+    pub backward_confidence: Option<Image>,
+}
+
+/// Something that knows the flow between neighbouring frames of a clip.
+pub trait FlowSource {
+    /// The flow between frame `first` and frame `first + 1`.
+    ///
+    /// # Errors
+    /// Whatever keeps the source from answering.
+    fn pair(&mut self, first: usize) -> Result<FlowPair>;
+}
+
+/// Flow that is there already: from files, or exact from a synthetic clip.
+#[derive(Clone, Debug)]
+pub struct SuppliedFlow {
+    forward: Vec<Image>,
+    backward: Vec<Image>,
+}
+
+impl SuppliedFlow {
+    /// From fields in memory: `forward[i]` leads from frame i to i + 1, `backward[i]` from i + 1 to
+    /// i; both hold one field less than there are frames.
+    ///
+    /// # Errors
+    /// Lists of different length, or a field that has not two channels.
+    pub fn new(forward: Vec<Image>, backward: Vec<Image>) -> Result<SuppliedFlow> {
+        if forward.len() != backward.len() {
+            return Err(Error::Shape {
+                op: "supplied flow",
+                arg: "backward",
+                expected: format!("{} fields, one for each forward field", forward.len()),
+                actual: backward.len(),
+            });
+        }
+        if let Some(bad) = forward.iter().chain(&backward).find(|f| f.channels != 2) {
+            return Err(Error::Shape {
+                op: "supplied flow",
+                arg: "channels",
+                expected: "2".into(),
+                actual: bad.channels as usize,
+            });
+        }
+        Ok(SuppliedFlow { forward, backward })
+    }
+
+    /// From a folder of `.flo` files: those whose name begins with `forward` and with `backward`, or
+    /// those in folders `forward` and `backward`, in the natural order of their names.
+    ///
+    /// # Errors
+    /// A folder that cannot be read, no such files, numbers of files that differ, a damaged file.
+    pub fn open(folder: impl AsRef<Path>) -> Result<SuppliedFlow> {
+        let folder = folder.as_ref();
+        let [forward, backward] = ["forward", "backward"].map(|direction| {
+            let inner = folder.join(direction);
+            let (place, prefix) =
+                if inner.is_dir() { (inner.as_path(), "") } else { (folder, direction) };
+            let mut files = Vec::new();
+            for entry in std::fs::read_dir(place).map_err(Error::io(place))? {
+                let path = entry.map_err(Error::io(place))?.path();
+                let name = path.file_name().unwrap_or_default().to_string_lossy();
+                if name.starts_with(prefix) && name.ends_with(".flo") {
+                    files.push(path);
+                }
+            }
+            // By the numbers in the name, then by the name: 10 follows 9.
+            files.sort_by_cached_key(|path| {
+                let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+                let digits: String = name.chars().filter(char::is_ascii_digit).collect();
+                (digits.parse::<u64>().unwrap_or(u64::MAX), name)
+            });
+            files.par_iter().map(flo::read).collect::<Result<Vec<_>>>()
+        });
+        let (forward, backward) = (forward?, backward?);
+        if forward.is_empty() || forward.len() != backward.len() {
+            return Err(Error::format(
+                folder,
+                format!(
+                    "holds {} forward and {} backward .flo fields; a clip of n frames needs n − 1 \
+                     of each, named forward*.flo and backward*.flo",
+                    forward.len(),
+                    backward.len()
+                ),
+            ));
+        }
+        SuppliedFlow::new(forward, backward)
+    }
+}
+
+impl FlowSource for SuppliedFlow {
+    fn pair(&mut self, first: usize) -> Result<FlowPair> {
+        let (Some(forward), Some(backward)) = (self.forward.get(first), self.backward.get(first))
+        else {
+            return Err(Error::Input(format!(
+                "the supplied flow has {} fields each way, frame {first} → {} is not among them; \
+                 supply one field less than there are frames",
+                self.forward.len(),
+                first + 1
+            )));
+        };
+        Ok(FlowPair {
+            forward: forward.clone(),
+            backward: backward.clone(),
+            forward_confidence: None,
+            backward_confidence: None,
+        })
+    }
+}
+
+/// The flow of a whole clip between neighbouring frames, with a confidence per pixel that holds
+/// the forward–backward check.
+#[derive(Clone, Debug)]
+pub struct NeighbourFlow {
+    /// Width of the frames.
+    pub width: usize,
+    /// Height of the frames.
+    pub height: usize,
+    /// Number of frames, n.
+    pub frames: usize,
+    forward: Vec<Field>,
+    backward: Vec<Field>,
+}
+
+/// One direction of one pair: (u, v, confidence) per pixel.
+#[derive(Clone, Debug)]
+struct Field(Vec<[f32; 3]>);
+
+/// A pair of flows may disagree by this many pixels plus a share of their length before half of the
+/// confidence is gone.
+const DISAGREEMENT: (f32, f32) = (0.5, 0.02);
+
+/// Asks a source for the flow of all neighbouring pairs of a clip.
+///
+/// # Errors
+/// Those of the source, of `progress` (called with the share done), or flow of another size than
+/// the frames.
+pub fn observe_flow(
+    frames: &[Image],
+    source: &mut dyn FlowSource,
+    progress: &mut dyn FnMut(f64) -> Result<()>,
+) -> Result<NeighbourFlow> {
+    let Some(first) = frames.first() else {
+        return Err(Error::Input("a clip without frames has no flow".into()));
+    };
+    let (width, height) = (first.width, first.height);
+    let mut out = NeighbourFlow {
+        width: width as usize,
+        height: height as usize,
+        frames: frames.len(),
+        forward: Vec::new(),
+        backward: Vec::new(),
+    };
+    for i in 0..frames.len() - 1 {
+        let pair = source.pair(i)?;
+        for (field, channels) in [(Some(&pair.forward), 2), (Some(&pair.backward), 2)]
+            .into_iter()
+            .chain([(pair.forward_confidence.as_ref(), 1), (pair.backward_confidence.as_ref(), 1)])
+        {
+            let Some(field) = field else { continue };
+            if (field.width, field.height, field.channels) != (width, height, channels) {
+                return Err(Error::Input(format!(
+                    "the flow between frames {i} and {} is {}×{} with {} channels, the frames are \
+                     {width}×{height}; supply flow at the size of the frames",
+                    i + 1,
+                    field.width,
+                    field.height,
+                    field.channels
+                )));
+            }
+        }
+        out.forward.push(checked(&pair.forward, &pair.backward, pair.forward_confidence.as_ref()));
+        out.backward.push(checked(
+            &pair.backward,
+            &pair.forward,
+            pair.backward_confidence.as_ref(),
+        ));
+        progress((i + 1) as f64 / (frames.len() - 1) as f64)?;
+    }
+    Ok(out)
+}
+
+/// A field with its confidence: where it leads back to is where it came from.
+fn checked(there: &Image, back: &Image, own: Option<&Image>) -> Field {
+    let (w, h) = (there.width as usize, there.height as usize);
+    let back: Vec<[f32; 3]> = back.pixels.chunks_exact(2).map(|v| [v[0], v[1], 1.0]).collect();
+    let values = (0..w * h)
+        .into_par_iter()
+        .map(|i| {
+            let (u, v) = (there.pixels[2 * i], there.pixels[2 * i + 1]);
+            let at = DVec2::new((i % w) as f64 + 0.5, (i / w) as f64 + 0.5);
+            if !(u.is_finite() && v.is_finite()) {
+                return [0.0; 3];
+            }
+            let to = at + DVec2::new(f64::from(u), f64::from(v));
+            let Some(b) = sample(&back, w, h, to).filter(|b| b[0].is_finite() && b[1].is_finite())
+            else {
+                return [u, v, 0.0];
+            };
+            let off = (u + b[0]).hypot(v + b[1]);
+            let tolerance = DISAGREEMENT.0 + DISAGREEMENT.1 * u.hypot(v);
+            let agreement = (-std::f32::consts::LN_2 * (off / tolerance).powi(2)).exp();
+            let own = own.map_or(1.0, |c| c.pixels[i].clamp(0.0, 1.0));
+            let confidence = agreement * own;
+            [u, v, if confidence > 0.05 { confidence } else { 0.0 }]
+        })
+        .collect();
+    Field(values)
+}
+
+/// Bilinear; none beyond the centres of the outermost pixels by more than half a pixel.
+fn sample(field: &[[f32; 3]], w: usize, h: usize, at: DVec2) -> Option<[f32; 3]> {
+    if !(at.x >= 0.0 && at.y >= 0.0 && at.x <= w as f64 && at.y <= h as f64) {
+        return None;
+    }
+    let x = (at.x - 0.5).clamp(0.0, (w - 1) as f64);
+    let y = (at.y - 0.5).clamp(0.0, (h - 1) as f64);
+    let (i, j) = (x as usize, y as usize);
+    let (fx, fy) = ((x - i as f64) as f32, (y - j as f64) as f32);
+    let (i1, j1) = ((i + 1).min(w - 1), (j + 1).min(h - 1));
+    let (a, b) = (field[j * w + i], field[j * w + i1]);
+    let (c, d) = (field[j1 * w + i], field[j1 * w + i1]);
+    Some(std::array::from_fn(|k| {
+        let top = a[k] + (b[k] - a[k]) * fx;
+        let bottom = c[k] + (d[k] - c[k]) * fx;
+        top + (bottom - top) * fy
+    }))
+}
+
+/// Where a pixel of a frame is in another, and how sure that is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Chain {
+    /// Pixel in the other frame.
+    pub pixel: DVec2,
+    /// Product of the confidences along the way, in (0, 1].
+    pub confidence: f32,
+}
+
+impl NeighbourFlow {
+    /// Follows a pixel of frame `from` to its neighbour, the next frame or the one before; none
+    /// where it leaves the image or the flow is not to be believed.
+    ///
+    /// # Panics
+    /// When there is no such frame or neighbour.
+    pub fn step(&self, from: usize, forward: bool, pixel: DVec2) -> Option<Chain> {
+        let field = if forward { &self.forward[from] } else { &self.backward[from - 1] };
+        let [u, v, confidence] = sample(&field.0, self.width, self.height, pixel)?;
+        let pixel = pixel + DVec2::new(f64::from(u), f64::from(v));
+        let inside = pixel.x >= 0.0
+            && pixel.y >= 0.0
+            && pixel.x <= self.width as f64
+            && pixel.y <= self.height as f64;
+        (inside && confidence > 0.0).then_some(Chain { pixel, confidence })
+    }
+
+    /// Follows a pixel of frame `from` through up to `reach` frames in each direction and calls
+    /// `seen` with the frame and the place in each.
+    pub fn follow(
+        &self,
+        from: usize,
+        pixel: DVec2,
+        reach: usize,
+        mut seen: impl FnMut(usize, Chain),
+    ) {
+        for forward in [true, false] {
+            let mut here = Chain { pixel, confidence: 1.0 };
+            let mut frame = from;
+            for _ in 0..reach {
+                if frame == if forward { self.frames - 1 } else { 0 } {
+                    break;
+                }
+                let Some(next) = self.step(frame, forward, here.pixel) else { break };
+                frame = if forward { frame + 1 } else { frame - 1 };
+                here =
+                    Chain { pixel: next.pixel, confidence: here.confidence * next.confidence };
+                if here.confidence < 0.05 {
+                    break;
+                }
+                seen(frame, here);
+            }
+        }
+    }
+
+    /// The flow at a pixel's centre: (u, v, confidence), forward from `frame`, or backward.
+    pub fn at(&self, frame: usize, forward: bool, index: usize) -> [f32; 3] {
+        if forward { self.forward[frame].0[index] } else { self.backward[frame - 1].0[index] }
+    }
+}

@@ -1,0 +1,323 @@
+//! Depth of all pixels.
+//!
+//! Static pixels are triangulated; what they leave out is filled in by diffusion of inverse depth
+//! that stops at edges of colour, and noisy measurements are smoothed by the same equation, each
+//! according to its deviation. One camera cannot see how far a mover is. It stands on something:
+//! where the lower end of a mover meets static ground, both have one depth; and it hides what is
+//! behind it, so it is nearer than that. These two give each mover one depth per frame, smoothed
+//! along the flow; training refines it.
+
+use glam::DVec2;
+use rayon::prelude::*;
+
+use super::cameras::Cameras;
+use super::masks::regions;
+use super::quantile;
+use super::residual::Seen;
+use crate::observe::NeighbourFlow;
+use crate::types::Image;
+
+/// Nothing is farther than this, in units of the median depth.
+const FARTHEST: f32 = 40.0;
+/// Nothing is nearer than this.
+const NEAREST: f32 = 0.02;
+/// A triangulated inverse depth with a larger relative deviation, and a larger absolute one (1 over
+/// the unit), is no measurement.
+const DOUBT: (f32, f32) = (0.35, 0.02);
+/// A static pixel that leaves more unexplained than this many deviations is not measured.
+const UNEXPLAINED: f32 = 4.0;
+/// Confidence of depth that was filled in, that has contact with the ground, that has not.
+const FILLED: f32 = 0.3;
+const CONTACT: f32 = 0.4;
+const BOUND: f32 = 0.2;
+
+/// Depth and its confidence per frame, as [`super::Track`] has them. Without parallax (a fixed
+/// camera) and without supplied depth everything lies on a wall at depth 1, movers before it.
+pub(super) fn dense(
+    frames: &[Image],
+    cameras: &Cameras,
+    flow: &NeighbourFlow,
+    masks: &[Image],
+    seen: &[Seen],
+    supplied: Option<&[Image]>,
+) -> (Vec<Image>, Vec<Image>) {
+    let scale = supplied.map(|maps| scale_of(maps, seen, masks));
+    let mut layers: Vec<Layer> = (0..frames.len())
+        .into_par_iter()
+        .map(|f| {
+            let known = supplied.zip(scale).map(|(maps, scale)| (&maps[f], scale));
+            static_layer(&frames[f], &masks[f], &seen[f], cameras.fixed, known)
+        })
+        .collect();
+    let movers: Vec<Vec<Option<(f32, f32)>>> =
+        layers.par_iter().zip(masks).map(|(layer, mask)| movers(layer, mask)).collect();
+    for (f, layer) in layers.iter_mut().enumerate() {
+        let width = flow.width;
+        for i in 0..layer.inverse.len() {
+            let Some((_, confidence)) = movers[f][i] else { continue };
+            if layer.supplied[i] {
+                continue;
+            }
+            layer.inverse[i] = smoothed(flow, &movers, f, i);
+            layer.confidence[i] = confidence;
+        }
+        debug_assert_eq!(layer.inverse.len() % width, 0);
+    }
+    let (width, height) = super::intrinsics_size(flow);
+    let image = |pixels| Image { width, height, channels: 1, pixels };
+    layers
+        .into_iter()
+        .map(|layer| {
+            let depth = layer.inverse.iter().map(|d| d.recip().clamp(NEAREST, FARTHEST)).collect();
+            (image(depth), image(layer.confidence))
+        })
+        .unzip()
+}
+
+/// One factor for all supplied maps: the median ratio to what was triangulated.
+fn scale_of(maps: &[Image], seen: &[Seen], masks: &[Image]) -> f32 {
+    let mut ratios = Vec::new();
+    for ((map, seen), mask) in maps.iter().zip(seen).zip(masks) {
+        for i in (0..map.pixels.len()).step_by(7) {
+            let (z, d) = (map.pixels[i], seen.inverse_depth[i]);
+            let certain = seen.deviation[i] < 0.1 * d && seen.score[i] < UNEXPLAINED;
+            if certain && mask.pixels[i] <= 0.5 && z.is_finite() && z > 0.0 {
+                ratios.push(f64::from(1.0 / (d * z)));
+            }
+        }
+    }
+    if !ratios.is_empty() {
+        return quantile(ratios, 0.5) as f32;
+    }
+    // No parallax to compare with: the unit is the median depth itself.
+    let all = maps.iter().flat_map(|m| &m.pixels).filter(|z| z.is_finite() && **z > 0.0);
+    let median = quantile(all.step_by(7).map(|z| f64::from(*z)).collect(), 0.5);
+    if median > 0.0 { (1.0 / median) as f32 } else { 1.0 }
+}
+
+/// The static world as one frame sees it, behind the movers too.
+struct Layer {
+    inverse: Vec<f32>,
+    confidence: Vec<f32>,
+    supplied: Vec<bool>,
+}
+
+fn static_layer(
+    image: &Image,
+    mask: &Image,
+    seen: &Seen,
+    fixed: bool,
+    known: Option<(&Image, f32)>,
+) -> Layer {
+    let w = image.width as usize;
+    let n = mask.pixels.len();
+    let (mut value, mut weight) = (vec![0.0f32; n], vec![0.0f32; n]);
+    let mut layer = Layer {
+        inverse: vec![1.0; n],
+        confidence: vec![FILLED; n],
+        supplied: vec![false; n],
+    };
+    for i in 0..n {
+        if let Some((map, scale)) = known {
+            let z = map.pixels[i] * scale;
+            if z.is_finite() && z > 0.0 {
+                value[i] = z.recip();
+                weight[i] = 1e4;
+                layer.confidence[i] = 1.0;
+                layer.supplied[i] = true;
+                continue;
+            }
+        }
+        if fixed || mask.pixels[i] > 0.5 || seen.support[i] < 0.5 || seen.score[i] > UNEXPLAINED {
+            continue;
+        }
+        let (d, deviation) = (seen.inverse_depth[i], seen.deviation[i]);
+        let doubt = deviation / (DOUBT.0 * d + DOUBT.1);
+        if doubt < 1.0 {
+            value[i] = d.clamp(FARTHEST.recip(), NEAREST.recip());
+            // Relative to a jump of a tenth of the value between neighbours being usual.
+            weight[i] = (0.1 * (d + 0.1) / deviation).powi(2).min(1e3);
+            layer.confidence[i] = 0.5 + 0.5 * (1.0 - doubt);
+        }
+    }
+    if weight.iter().all(|w| *w == 0.0) {
+        return layer;
+    }
+    layer.inverse = diffuse(image, &value, &weight, w);
+    for i in 0..n {
+        if layer.supplied[i] {
+            layer.inverse[i] = value[i];
+        }
+    }
+    layer
+}
+
+/// Minimises Σ weight (x − value)² + Σ g (x_i − x_j)² with g small across edges of colour:
+/// from coarse to fine, Gauss–Seidel at each level.
+fn diffuse(image: &Image, value: &[f32], weight: &[f32], w: usize) -> Vec<f32> {
+    struct Level {
+        w: usize,
+        h: usize,
+        colour: Vec<[f32; 3]>,
+        value: Vec<f32>,
+        weight: Vec<f32>,
+    }
+    let colour = image.pixels.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect();
+    let mut levels = vec![Level {
+        w,
+        h: value.len() / w,
+        colour,
+        value: value.to_vec(),
+        weight: weight.to_vec(),
+    }];
+    while let Some(fine) = levels.last().filter(|l| l.w.min(l.h) > 2) {
+        let (cw, ch) = (fine.w.div_ceil(2), fine.h.div_ceil(2));
+        let mut coarse = Level {
+            w: cw,
+            h: ch,
+            colour: vec![[0.0; 3]; cw * ch],
+            value: vec![0.0; cw * ch],
+            weight: vec![0.0; cw * ch],
+        };
+        for i in 0..cw * ch {
+            let (mut count, mut sum, mut total) = (0.0, 0.0, 0.0);
+            for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+                let (x, y) = (2 * (i % cw) + dx, 2 * (i / cw) + dy);
+                if x < fine.w && y < fine.h {
+                    let j = y * fine.w + x;
+                    for c in 0..3 {
+                        coarse.colour[i][c] += fine.colour[j][c];
+                    }
+                    count += 1.0;
+                    sum += fine.weight[j] * fine.value[j];
+                    total += fine.weight[j];
+                }
+            }
+            coarse.colour[i] = coarse.colour[i].map(|c| c / count);
+            coarse.value[i] = if total > 0.0 { sum / total } else { 0.0 };
+            coarse.weight[i] = total;
+        }
+        levels.push(coarse);
+    }
+    let mut x: Vec<f32> = Vec::new();
+    for place in (0..levels.len()).rev() {
+        let level = &levels[place];
+        let Level { w, h, .. } = *level;
+        let mut here = if place + 1 == levels.len() {
+            let total: f32 = level.weight.iter().sum();
+            let sum: f32 = level.weight.iter().zip(&level.value).map(|(a, b)| a * b).sum();
+            vec![sum / total.max(1e-12); w * h]
+        } else {
+            let coarse = levels[place + 1].w;
+            (0..w * h).map(|i| x[i / w / 2 * coarse + i % w / 2]).collect()
+        };
+        let link = |i: usize, j: usize| {
+            let (a, b) = (level.colour[i], level.colour[j]);
+            let difference: f32 = a.iter().zip(&b).map(|(p, q)| (p - q).abs()).sum();
+            (-difference / 0.12).exp() + 1e-3
+        };
+        let links: Vec<[f32; 2]> = (0..w * h)
+            .map(|i| {
+                [
+                    if i % w + 1 < w { link(i, i + 1) } else { 0.0 },
+                    if i + w < w * h { link(i, i + w) } else { 0.0 },
+                ]
+            })
+            .collect();
+        for sweep in 0..24 {
+            for step in 0..w * h {
+                let i = if sweep % 2 == 0 { step } else { w * h - 1 - step };
+                let (mut sum, mut total) = (level.weight[i] * level.value[i], level.weight[i]);
+                let mut pull = |g: f32, j: usize| {
+                    sum += g * here[j];
+                    total += g;
+                };
+                if i % w > 0 {
+                    pull(links[i - 1][0], i - 1);
+                }
+                if links[i][0] > 0.0 {
+                    pull(links[i][0], i + 1);
+                }
+                if i >= w {
+                    pull(links[i - w][1], i - w);
+                }
+                if links[i][1] > 0.0 {
+                    pull(links[i][1], i + w);
+                }
+                if total > 0.0 {
+                    here[i] = sum / total;
+                }
+            }
+        }
+        x = here;
+    }
+    x.iter().map(|d| d.clamp(FARTHEST.recip(), NEAREST.recip())).collect()
+}
+
+/// Inverse depth and confidence of the pixels of movers, by region of the mask.
+fn movers(layer: &Layer, mask: &Image) -> Vec<Option<(f32, f32)>> {
+    let (w, h) = (mask.width as usize, mask.height as usize);
+    let u = &mask.pixels;
+    let mut out = vec![None; u.len()];
+    for (region, _) in regions(u, w, true) {
+        let top = region.iter().map(|i| i / w).min().unwrap_or(0);
+        let bottom = region.iter().map(|i| i / w).max().unwrap_or(0);
+        let feet = bottom - (bottom - top) / 4;
+        let (mut ground, mut behind) = (Vec::new(), Vec::new());
+        for &i in &region {
+            let (x, y) = (i % w, i / w);
+            // The mask may overhang by a pixel or two: look beyond.
+            let beyond = |x: isize, y: isize| {
+                let inside = x >= 0 && y >= 0 && (x as usize) < w && (y as usize) < h;
+                inside
+                    .then(|| y as usize * w + x as usize)
+                    .filter(|j| u[*j] <= 0.5)
+                    .map(|j| f64::from(layer.inverse[j]))
+            };
+            let (x, y) = (x as isize, y as isize);
+            let edge = |dx: isize, dy: isize| beyond(x + dx, y + dy).and(beyond(x + 3 * dx, y + 3 * dy));
+            if y as usize >= feet {
+                ground.extend(edge(0, 1));
+            } else {
+                behind.extend([edge(-1, 0), edge(1, 0), edge(0, -1)].into_iter().flatten());
+            }
+        }
+        let cut = bottom + 1 == h;
+        let hidden = quantile(behind.clone(), 0.6);
+        let (inverse, confidence) = if ground.len() >= 3 && !cut {
+            (quantile(ground, 0.6).max(hidden), CONTACT)
+        } else {
+            let near = if ground.is_empty() { 0.0 } else { quantile(ground, 0.8) };
+            let bound = near.max(1.25 * quantile(behind, 0.8));
+            (if bound > 0.0 { bound } else { 1.2 }, BOUND)
+        };
+        for i in region {
+            out[i] = Some((inverse as f32, confidence));
+        }
+    }
+    out
+}
+
+/// A mover's inverse depth, averaged (as a logarithm) along the flow over the frames around.
+fn smoothed(
+    flow: &NeighbourFlow,
+    movers: &[Vec<Option<(f32, f32)>>],
+    frame: usize,
+    i: usize,
+) -> f32 {
+    let pixel = DVec2::new((i % flow.width) as f64 + 0.5, (i / flow.width) as f64 + 0.5);
+    let (mut sum, mut total) = (0.0, 0.0);
+    let mut add = |value: Option<(f32, f32)>, weight: f32| {
+        if let Some((inverse, confidence)) = value {
+            sum += weight * confidence * inverse.ln();
+            total += weight * confidence;
+        }
+    };
+    add(movers[frame][i], 1.0);
+    flow.follow(frame, pixel, 4, |other, chain| {
+        let x = (chain.pixel.x as usize).min(flow.width - 1);
+        let y = (chain.pixel.y as usize).min(flow.height - 1);
+        add(movers[other][y * flow.width + x], chain.confidence);
+    });
+    if total > 0.0 { (sum / total).exp() } else { 1.0 }
+}

@@ -1,0 +1,207 @@
+//! From what a static world leaves unexplained to a dense motion mask.
+//!
+//! Each pixel's score becomes log odds of motion; these are gathered along the flow over time, since
+//! a point of a mover is one in all frames; then a labelling is sought that follows the odds at a
+//! small boundary length, where boundary is cheap along edges of colour and flow. The relaxed
+//! problem (weighted total variation, Nikolova, Esedoglu and Chan 2006) is convex, so its thresholded
+//! solution is the best labelling; it is solved by the primal-dual method of Chambolle and Pock
+//! (2011).
+
+use glam::DVec2;
+use rayon::prelude::*;
+
+use super::residual::Seen;
+use crate::observe::{NeighbourFlow, PointTrack};
+use crate::types::Image;
+
+/// A score at which motion and noise are equally likely, standard deviations.
+const EVEN: f32 = 4.0;
+/// Log odds stay within these: no single pixel is certain.
+const ODDS: (f32, f32) = (-2.0, 4.0);
+/// Evidence is gathered over so many frames each way.
+const MEMORY: usize = 4;
+/// Cost of a pixel of boundary where neither colour nor flow has an edge.
+const BOUNDARY: f32 = 2.5;
+/// Colour difference (sum over channels) at which boundary costs 1/e.
+const COLOUR_EDGE: f32 = 0.18;
+/// Iterations of the primal-dual method.
+const ITERATIONS: usize = 120;
+/// Specks and holes of less than this share of the picture are removed.
+const SPECK: f64 = 0.0015;
+
+/// How much each track counts as static: 1 minus the mask along it, the most moving moment deciding.
+pub(super) fn static_weights(tracks: &[PointTrack], masks: &[Image]) -> Vec<f64> {
+    tracks
+        .par_iter()
+        .map(|track| {
+            let mut moving: Vec<f64> = track
+                .pixels
+                .iter()
+                .enumerate()
+                .map(|(k, pixel)| {
+                    let mask = &masks[track.first + k];
+                    let x = (pixel.x as u32).min(mask.width - 1);
+                    let y = (pixel.y as u32).min(mask.height - 1);
+                    f64::from(mask.at(x, y)[0])
+                })
+                .collect();
+            moving.sort_by(f64::total_cmp);
+            // A mask may slip once; a mover is masked more often.
+            let most = moving[(moving.len() * 9 / 10).min(moving.len() - 1)];
+            (1.0 - most).clamp(0.0, 1.0)
+        })
+        .collect()
+}
+
+/// A motion mask per frame, one channel in [0, 1].
+pub(super) fn segment(frames: &[Image], flow: &NeighbourFlow, seen: &[Seen]) -> Vec<Image> {
+    let odds: Vec<Vec<f32>> = seen.par_iter().map(odds).collect();
+    (0..frames.len())
+        .into_par_iter()
+        .map(|frame| {
+            let gathered = gather(flow, &odds, seen, frame);
+            let mut u = relax(&gathered, &edges(&frames[frame], flow, frame), flow.width);
+            clean(&mut u, flow.width);
+            let (width, height) = super::intrinsics_size(flow);
+            Image { width, height, channels: 1, pixels: u }
+        })
+        .collect()
+}
+
+/// Log odds of motion of each pixel, by itself.
+fn odds(seen: &Seen) -> Vec<f32> {
+    seen.score
+        .iter()
+        .zip(&seen.support)
+        .map(|(score, support)| {
+            let z = (1.0 + score * score) / (1.0 + EVEN * EVEN);
+            let odds = (1.5 * z.ln()).clamp(ODDS.0, ODDS.1);
+            odds * (support / 2.0).min(1.0)
+        })
+        .collect()
+}
+
+/// Log odds with those of the same points in the frames around.
+fn gather(flow: &NeighbourFlow, odds: &[Vec<f32>], seen: &[Seen], frame: usize) -> Vec<f32> {
+    (0..flow.width * flow.height)
+        .map(|i| {
+            let pixel =
+                DVec2::new((i % flow.width) as f64 + 0.5, (i / flow.width) as f64 + 0.5);
+            let own = (seen[frame].support[i] / 2.0).min(1.0);
+            let (mut sum, mut total) = (odds[frame][i], own);
+            flow.follow(frame, pixel, MEMORY, |other, chain| {
+                let x = (chain.pixel.x as usize).min(flow.width - 1);
+                let y = (chain.pixel.y as usize).min(flow.height - 1);
+                let j = y * flow.width + x;
+                let weight = chain.confidence * 0.8f32.powi(other.abs_diff(frame) as i32);
+                // Motion at another time is motion; rest at another time says less.
+                let said = odds[other][j];
+                let weight = if said > 0.0 { weight } else { 0.5 * weight };
+                sum += weight * said;
+                total += weight * (seen[other].support[j] / 2.0).min(1.0);
+            });
+            if total > 0.0 { sum / total.max(0.5) } else { 0.0 }
+        })
+        .collect()
+}
+
+/// The cost of a boundary to the right of, and below, each pixel.
+fn edges(image: &Image, flow: &NeighbourFlow, frame: usize) -> Vec<[f32; 2]> {
+    let (w, h) = (flow.width, flow.height);
+    let forward = frame + 1 < flow.frames;
+    let cost = |i: usize, j: usize| {
+        let (a, b) = (&image.pixels[3 * i..3 * i + 3], &image.pixels[3 * j..3 * j + 3]);
+        let colour: f32 = a.iter().zip(b).map(|(x, y)| (x - y).abs()).sum();
+        let (f, g) = (flow.at(frame, forward, i), flow.at(frame, forward, j));
+        let jump = (f[0] - g[0]).hypot(f[1] - g[1]);
+        BOUNDARY * ((-colour / COLOUR_EDGE).exp() * (-jump).exp()).max(0.05)
+    };
+    (0..w * h)
+        .map(|i| {
+            [
+                if i % w + 1 < w { cost(i, i + 1) } else { 0.0 },
+                if i + w < w * h { cost(i, i + w) } else { 0.0 },
+            ]
+        })
+        .collect()
+}
+
+/// Minimises −Σ odds·u + Σ cost·|∇u| over u in [0, 1].
+fn relax(odds: &[f32], cost: &[[f32; 2]], w: usize) -> Vec<f32> {
+    let n = odds.len();
+    let mut u: Vec<f32> = odds.iter().map(|o| if *o > 0.0 { 1.0 } else { 0.0 }).collect();
+    let mut lead = u.clone();
+    let mut dual = vec![[0.0f32; 2]; n];
+    // Step lengths with σ τ ‖∇‖² ≤ 1, ‖∇‖² ≤ 8.
+    let (sigma, tau) = (0.7, 0.17);
+    for _ in 0..ITERATIONS {
+        for i in 0..n {
+            let right = if cost[i][0] > 0.0 { lead[i + 1] - lead[i] } else { 0.0 };
+            let below = if cost[i][1] > 0.0 { lead[i + w] - lead[i] } else { 0.0 };
+            dual[i][0] = (dual[i][0] + sigma * right).clamp(-cost[i][0], cost[i][0]);
+            dual[i][1] = (dual[i][1] + sigma * below).clamp(-cost[i][1], cost[i][1]);
+        }
+        for i in 0..n {
+            let mut divergence = dual[i][0] + dual[i][1];
+            if i % w > 0 {
+                divergence -= dual[i - 1][0];
+            }
+            if i >= w {
+                divergence -= dual[i - w][1];
+            }
+            let next = (u[i] + tau * (divergence + odds[i])).clamp(0.0, 1.0);
+            lead[i] = 2.0 * next - u[i];
+            u[i] = next;
+        }
+    }
+    u
+}
+
+/// Removes specks, fills holes.
+fn clean(u: &mut [f32], w: usize) {
+    let least = (SPECK * u.len() as f64).max(4.0) as usize;
+    for inside in [true, false] {
+        for (region, border) in regions(u, w, inside) {
+            // A hole at the border of the picture is no hole, but the world beside a mover.
+            if region.len() < least && (inside || !border) {
+                let value = if inside { 0.0 } else { 1.0 };
+                region.into_iter().for_each(|i| u[i] = value);
+            }
+        }
+    }
+}
+
+/// Connected regions (four neighbours) of pixels above one half, or of the others; each with
+/// whether it touches the border of the picture.
+pub(super) fn regions(u: &[f32], w: usize, inside: bool) -> Vec<(Vec<usize>, bool)> {
+    let mut done = vec![false; u.len()];
+    let mut out = Vec::new();
+    for start in 0..u.len() {
+        if done[start] || (u[start] > 0.5) != inside {
+            continue;
+        }
+        let (mut region, mut border) = (vec![start], false);
+        done[start] = true;
+        let mut next = 0;
+        while next < region.len() {
+            let i = region[next];
+            next += 1;
+            let x = i % w;
+            border |= x == 0 || x + 1 == w || i < w || i + w >= u.len();
+            let neighbours = [
+                (x > 0).then(|| i - 1),
+                (x + 1 < w).then_some(i + 1),
+                i.checked_sub(w),
+                (i + w < u.len()).then_some(i + w),
+            ];
+            for j in neighbours.into_iter().flatten() {
+                if !done[j] && (u[j] > 0.5) == inside {
+                    done[j] = true;
+                    region.push(j);
+                }
+            }
+        }
+        out.push((region, border));
+    }
+    out
+}

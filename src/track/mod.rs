@@ -1,0 +1,358 @@
+//! Motion-aware bundle adjustment: from frames and flow to cameras, motion masks and depth.
+//!
+//! | module | what it does |
+//! |---|---|
+//! | [`still`] | is the camera fixed, does it only turn or zoom? |
+//! | [`cameras`] | focal length, two-view start, PnP frame by frame, bundle adjustment |
+//! | [`residual`] | per pixel: the inverse depth that a static world would need, and what it leaves unexplained |
+//! | [`masks`] | from what is unexplained to a dense motion mask that keeps to the picture's edges |
+//! | [`depth`] | depth of all pixels, measured where it can be, inferred and marked so where not |
+//! | [`points`] | static points to seed Gaussians with |
+//!
+//! Cameras and masks need each other: points on movers spoil poses, and what moves can be told only
+//! against known cameras. They are alternated ([`Options::rounds`]): robust estimation starts with
+//! hardly any mask, then each round weighs the tracks by the masks of the one before.
+
+mod cameras;
+mod depth;
+mod masks;
+mod points;
+mod residual;
+mod still;
+
+use glam::DVec3;
+
+use crate::observe::{FlowSource, NeighbourFlow, PointTrack, TrackOptions, follow, observe_flow};
+use crate::types::{Image, Intrinsics, Pose};
+use crate::{Error, Result};
+use cameras::{Cameras, Focal};
+
+/// What is known beforehand, and how hard to try.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The camera's inner geometry, where it is known; wins over `focal`.
+    pub intrinsics: Option<Intrinsics>,
+    /// Focal length in pixels of the frames, where it is known.
+    pub focal: Option<f64>,
+    /// `view_from_world` per frame, where it is known: kept but for one scale.
+    pub poses: Option<Vec<Pose>>,
+    /// Motion masks, one channel, 1 where something moves, where they are known: kept.
+    pub masks: Option<Vec<Image>>,
+    /// Depth (z), one channel, up to one scale for the whole clip, 0 or not finite where unknown,
+    /// where it is known: kept but for that scale.
+    pub depth: Option<Vec<Image>>,
+    /// How many times masks and poses are alternated; at least 1.
+    pub rounds: usize,
+    /// Most static points to return.
+    pub max_points: usize,
+    /// The same seed gives the same result.
+    pub seed: u64,
+}
+
+impl Default for Options {
+    fn default() -> Options {
+        Options {
+            intrinsics: None,
+            focal: None,
+            poses: None,
+            masks: None,
+            depth: None,
+            rounds: 2,
+            max_points: 60_000,
+            seed: 0,
+        }
+    }
+}
+
+/// What is being worked on, for progress.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// Optical flow between neighbouring frames.
+    Flow,
+    /// Focal length, start, poses, bundle adjustment.
+    Cameras,
+    /// Motion masks.
+    Masks,
+    /// Depth and points.
+    Depth,
+}
+
+/// Cameras, motion and depth of a clip. The world's unit is the median depth of the static points
+/// in the cameras that see them; the world's axes are the first camera's.
+#[derive(Clone, Debug)]
+pub struct Track {
+    /// Of all frames.
+    pub intrinsics: Intrinsics,
+    /// World to camera, per frame.
+    pub view_from_world: Vec<Pose>,
+    /// Per frame, one channel: the probability that the pixel shows something that moves.
+    pub masks: Vec<Image>,
+    /// Per frame, one channel: z in the camera, positive everywhere; see `depth_confidence`.
+    pub depth: Vec<Image>,
+    /// Per frame, one channel, in [0, 1]: how far the depth is measured. Above 0.5 it was
+    /// triangulated or supplied, at or below it was filled in from the surroundings or, on movers,
+    /// inferred from where they touch the static world and from what they hide.
+    pub depth_confidence: Vec<Image>,
+    /// Static points.
+    pub points: Vec<StaticPoint>,
+    /// How well all this is known.
+    pub quality: Quality,
+}
+
+/// A point of the static world.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StaticPoint {
+    /// In the world.
+    pub position: DVec3,
+    /// RGB, encoded values in [0, 1].
+    pub colour: [f32; 3],
+    /// The frame it was taken from.
+    pub frame: usize,
+    /// Relative standard deviation of its depth.
+    pub deviation: f32,
+}
+
+/// How the focal length was come by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FocalSource {
+    /// Given.
+    Given,
+    /// Measured in the clip.
+    Measured,
+    /// A common value: the clip does not show it.
+    Assumed,
+}
+
+/// How well a track is known.
+#[derive(Clone, Debug)]
+pub struct Quality {
+    /// The camera was found to be fixed; poses are locked to one.
+    pub tripod: bool,
+    /// Share of the static observations that agree with the cameras.
+    pub inlier_share: f64,
+    /// Root mean square reprojection error of those, pixels.
+    pub reprojection_rms: f64,
+    /// Median over the static points of the widest angle between two of their rays, degrees.
+    pub parallax_deg: f64,
+    /// Where the focal length is from.
+    pub focal_source: FocalSource,
+    /// Relative standard deviation of the focal length; 0 if given, infinite if unobservable.
+    pub focal_std: f64,
+    /// Share of the pixels that move, over all frames.
+    pub dynamic_share: f64,
+    /// Frames whose pose is doubtful: too few static points agreed.
+    pub doubtful_frames: Vec<usize>,
+    /// Number of point tracks followed.
+    pub tracks: usize,
+    /// Lines to show.
+    pub notes: Vec<String>,
+}
+
+/// Finds cameras, motion masks and depth of a clip.
+///
+/// `progress` is told the stage and the share of it that is done; an error from it ends the work.
+///
+/// # Errors
+/// Fewer than two frames, frames or supplied images of differing sizes, supplied lists of the wrong
+/// length, a clip without parallax ([`Error::Input`] says what to do), flow that follows nothing.
+pub fn track(
+    frames: &[Image],
+    options: &Options,
+    source: &mut dyn FlowSource,
+    progress: &mut dyn FnMut(Stage, f64) -> Result<()>,
+) -> Result<Track> {
+    check(frames, options)?;
+    let flow = observe_flow(frames, source, &mut |share| progress(Stage::Flow, share))?;
+    let tracks = follow(&flow, &TrackOptions::for_size(flow.width, flow.height));
+    progress(Stage::Cameras, 0.0)?;
+    let size = (flow.width, flow.height);
+    if tracks.len() < 50 {
+        return Err(Error::Failed(format!(
+            "the flow follows only {} points from frame to frame; the frames may be blank, too \
+             blurred, or not from one shot",
+            tracks.len()
+        )));
+    }
+    let mut notes = Vec::new();
+    let supplied = options.masks.as_ref().map(|m| m.iter().map(binary).collect::<Vec<_>>());
+    let mut weights: Vec<f64> = match &supplied {
+        Some(masks) => masks::static_weights(&tracks, masks),
+        None => tracks.iter().map(|t| still::border_prior(t, size)).collect(),
+    };
+    let tripod = options.poses.is_none() && still::is_fixed(&tracks, &weights, &flow);
+    let focal = Focal::choose(options, &flow, &tracks, &weights);
+    let mut cameras = if tripod {
+        notes.push("the camera is fixed (tripod): poses are locked to one".to_string());
+        Cameras::fixed(&focal, &flow, tracks.len())
+    } else if let Some(poses) = &options.poses {
+        Cameras::supplied(poses, &focal, &tracks, &weights)?
+    } else {
+        still::demand_parallax(&tracks, &weights, &flow)?;
+        cameras::reconstruct(&tracks, &weights, &focal, &flow, options.seed)?
+    };
+    progress(Stage::Cameras, 1.0)?;
+
+    let rounds = if supplied.is_some() && tripod { 1 } else { options.rounds.max(1) };
+    let mut masks = supplied.clone().unwrap_or_default();
+    let mut seen = Vec::new();
+    for round in 0..rounds {
+        seen = residual::triangulate_frames(&cameras, &flow);
+        if supplied.is_none() {
+            masks = masks::segment(frames, &flow, &seen);
+        }
+        progress(Stage::Masks, (round + 1) as f64 / rounds as f64)?;
+        if !tripod {
+            weights = masks::static_weights(&tracks, &masks);
+            cameras.adjust(&tracks, &weights, &focal)?;
+            progress(Stage::Cameras, 1.0)?;
+        }
+    }
+    if !tripod {
+        seen = residual::triangulate_frames(&cameras, &flow);
+        if supplied.is_none() {
+            masks = masks::segment(frames, &flow, &seen);
+        }
+    }
+    if !tripod && options.poses.is_none() {
+        cameras.normalise(&tracks, &weights, &mut seen);
+    }
+    progress(Stage::Depth, 0.0)?;
+    let (depth, depth_confidence) =
+        depth::dense(frames, &cameras, &flow, &masks, &seen, options.depth.as_deref());
+    let points =
+        points::gather(frames, &cameras, &depth, &depth_confidence, &masks, options.max_points);
+    let quality = quality(tripod, &cameras, &tracks, &weights, &masks, notes);
+    progress(Stage::Depth, 1.0)?;
+    Ok(Track {
+        intrinsics: cameras.intrinsics,
+        view_from_world: cameras.poses,
+        masks,
+        depth,
+        depth_confidence,
+        points,
+        quality,
+    })
+}
+
+fn quality(
+    tripod: bool,
+    cameras: &Cameras,
+    tracks: &[PointTrack],
+    weights: &[f64],
+    masks: &[Image],
+    mut notes: Vec<String>,
+) -> Quality {
+    let moving: usize = masks.iter().flat_map(|m| &m.pixels).filter(|p| **p > 0.5).count();
+    let pixels: usize = masks.iter().map(|m| m.pixels.len()).sum();
+    let dynamic_share = moving as f64 / pixels.max(1) as f64;
+    if cameras.focal_source == FocalSource::Assumed {
+        notes.push(format!(
+            "the clip does not show its focal length; {:.0} px is assumed (--focal gives it)",
+            cameras.intrinsics.fx
+        ));
+    }
+    if !cameras.doubtful.is_empty() {
+        notes.push(format!(
+            "{} of {} poses are doubtful: too few static points agree with them",
+            cameras.doubtful.len(),
+            cameras.poses.len()
+        ));
+    }
+    if dynamic_share > 0.7 {
+        notes.push(format!(
+            "{:.0} % of the pixels move; cameras from the little that stands still are less certain",
+            100.0 * dynamic_share
+        ));
+    }
+    Quality {
+        tripod,
+        inlier_share: cameras.inlier_share,
+        reprojection_rms: cameras.rms,
+        parallax_deg: if tripod { 0.0 } else { cameras.parallax(tracks, weights).to_degrees() },
+        focal_source: cameras.focal_source,
+        focal_std: cameras.focal_std,
+        dynamic_share,
+        doubtful_frames: cameras.doubtful.clone(),
+        tracks: tracks.len(),
+        notes,
+    }
+}
+
+fn binary(mask: &Image) -> Image {
+    let pixels = mask.pixels.iter().map(|v| if *v > 0.5 { 1.0 } else { 0.0 }).collect();
+    Image { pixels, ..*mask }
+}
+
+fn check(frames: &[Image], options: &Options) -> Result<()> {
+    let n = frames.len();
+    let Some(first) = frames.first().filter(|_| n >= 2) else {
+        return Err(Error::Input(format!(
+            "{n} frame{} given; cameras are found from a moving camera's video, two frames at least",
+            if n == 1 { "" } else { "s" }
+        )));
+    };
+    if first.width < 16 || first.height < 16 {
+        return Err(Error::Input(format!(
+            "the frames are {}×{}; at least 16 pixels a side are needed",
+            first.width, first.height
+        )));
+    }
+    if let Some(i) = frames.iter().position(|f| {
+        (f.width, f.height, f.channels) != (first.width, first.height, 3)
+    }) {
+        let f = &frames[i];
+        return Err(Error::Input(format!(
+            "frame {i} is {}×{} with {} channels, the first frame is {}×{}; all frames must be RGB \
+             of one size",
+            f.width, f.height, f.channels, first.width, first.height
+        )));
+    }
+    let lists = [
+        ("poses", options.poses.as_ref().map(Vec::len)),
+        ("masks", options.masks.as_ref().map(Vec::len)),
+        ("depth maps", options.depth.as_ref().map(Vec::len)),
+    ];
+    for (what, length) in lists {
+        if let Some(length) = length.filter(|l| *l != n) {
+            return Err(Error::Input(format!(
+                "{length} {what} are supplied for {n} frames; give one for each frame"
+            )));
+        }
+    }
+    for (what, images) in [("mask", &options.masks), ("depth map", &options.depth)] {
+        for (i, image) in images.iter().flatten().enumerate() {
+            if (image.width, image.height, image.channels) != (first.width, first.height, 1) {
+                return Err(Error::Input(format!(
+                    "supplied {what} {i} is {}×{} with {} channels, the frames are {}×{}; give one \
+                     channel at the size of the frames",
+                    image.width, image.height, image.channels, first.width, first.height
+                )));
+            }
+        }
+    }
+    if let Some(focal) = options.focal.filter(|f| !(f.is_finite() && *f > 0.0)) {
+        return Err(Error::Input(format!("a focal length of {focal} px makes no sense")));
+    }
+    if let Some(k) = options.intrinsics.filter(|k| (k.width, k.height) != (first.width, first.height))
+    {
+        return Err(Error::Input(format!(
+            "the supplied intrinsics are of {}×{} pixels, the frames are {}×{}; resize them",
+            k.width, k.height, first.width, first.height
+        )));
+    }
+    Ok(())
+}
+
+/// The value that `share` of the values lie below; 0 of none.
+fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let place = ((values.len() - 1) as f64 * share).round() as usize;
+    *values.select_nth_unstable_by(place, f64::total_cmp).1
+}
+
+/// Pixels and dimensions that a flow speaks of.
+fn intrinsics_size(flow: &NeighbourFlow) -> (u32, u32) {
+    (flow.width as u32, flow.height as u32)
+}

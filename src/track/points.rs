@@ -1,0 +1,110 @@
+//! Static points, spread over all that the cameras saw, once each.
+
+use glam::{DVec2, DVec3};
+
+use super::StaticPoint;
+use super::cameras::Cameras;
+use crate::types::{Image, Pose};
+
+/// A point is not taken again where a frame that was taken from sees it at this relative depth.
+const SAME_DEPTH: f64 = 0.05;
+/// Points are taken from no more than so many frames.
+const FRAMES: usize = 16;
+/// Points keep this distance to the mask, pixels: its edge is never exact.
+const MARGIN: i64 = 2;
+
+/// Takes points from frames all over the clip: what was measured, then, at half the density, what
+/// was filled in where nothing measured covers it.
+pub(super) fn gather(
+    frames: &[Image],
+    cameras: &Cameras,
+    depth: &[Image],
+    confidence: &[Image],
+    masks: &[Image],
+    most: usize,
+) -> Vec<StaticPoint> {
+    let n = frames.len();
+    let (w, h) = (frames[0].width as i64, frames[0].height as i64);
+    let count = FRAMES.min(n);
+    // From the middle outwards by halves, so that early frames cover most and later ones add.
+    let mut order: Vec<usize> = (0..count).map(|i| i * (n - 1) / (count - 1).max(1)).collect();
+    order.dedup();
+    order.sort_by_key(|f| f.trailing_zeros().min(3)); // deterministic; even spread first
+    order.reverse();
+    // Movers aside, neighbouring frames see mostly the same: two pictures' worth of points.
+    let stride = (2.0 * (w * h) as f64 / most.max(1) as f64).sqrt().ceil().max(1.0) as i64;
+    let near_mover = |mask: &Image, x: i64, y: i64| {
+        (-MARGIN..=MARGIN).any(|dy| {
+            (-MARGIN..=MARGIN).any(|dx| {
+                let (x, y) = ((x + dx).clamp(0, w - 1), (y + dy).clamp(0, h - 1));
+                mask.at(x as u32, y as u32)[0] > 0.5
+            })
+        })
+    };
+    let mut points = Vec::new();
+    for measured in [true, false] {
+        let step = if measured { stride } else { 2 * stride };
+        let mut taken: Vec<usize> = Vec::new();
+        for &f in &order {
+            let world_from_view: Pose = cameras.poses[f].inverse();
+            for y in (step / 2..h).step_by(step as usize) {
+                for x in (step / 2..w).step_by(step as usize) {
+                    let sure = confidence[f].at(x as u32, y as u32)[0];
+                    if (sure > 0.5) != measured || near_mover(&masks[f], x, y) {
+                        continue;
+                    }
+                    let z = f64::from(depth[f].at(x as u32, y as u32)[0]);
+                    let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+                    let position = world_from_view.apply(cameras.intrinsics.ray(pixel) * z);
+                    let seen = if measured { &taken[..] } else { &order[..] };
+                    let covered = seen.iter().any(|&other| {
+                        (measured || other != f)
+                            && covers(cameras, depth, confidence, other, position, measured)
+                    });
+                    let doubled = !measured
+                        && taken.iter().any(|&o| covers(cameras, depth, confidence, o, position, true));
+                    if covered || doubled || points.len() >= most {
+                        continue;
+                    }
+                    let c = frames[f].at(x as u32, y as u32);
+                    points.push(StaticPoint {
+                        position,
+                        colour: [c[0], c[1], c[2]],
+                        frame: f,
+                        deviation: if measured { 0.35 * 2.0 * (1.0 - sure) } else { 1.0 },
+                    });
+                }
+            }
+            taken.push(f);
+        }
+    }
+    points
+}
+
+/// Does a frame see a point where that frame's own depth is? For a point that was filled in it is
+/// enough that the frame has measured something along that ray.
+fn covers(
+    cameras: &Cameras,
+    depth: &[Image],
+    confidence: &[Image],
+    frame: usize,
+    position: DVec3,
+    compare: bool,
+) -> bool {
+    let p = cameras.poses[frame].apply(position);
+    if p.z <= 0.0 {
+        return false;
+    }
+    let pixel = cameras.intrinsics.project(p);
+    let k = &cameras.intrinsics;
+    let inside = pixel.x >= 0.0
+        && pixel.y >= 0.0
+        && pixel.x < f64::from(k.width)
+        && pixel.y < f64::from(k.height);
+    if !inside {
+        return false;
+    }
+    let (x, y) = (pixel.x as u32, pixel.y as u32);
+    let z = f64::from(depth[frame].at(x, y)[0]);
+    if compare { (z / p.z).ln().abs() < SAME_DEPTH } else { confidence[frame].at(x, y)[0] > 0.5 }
+}

@@ -1,0 +1,201 @@
+//! Each pixel against a static world: the inverse depth that explains best where the pixel went in
+//! the frames around, and what that leaves unexplained.
+//!
+//! What no depth explains moved. What a depth explains may still have moved, along its epipolar
+//! lines and at a fitting speed; nothing in the geometry of one camera tells.
+
+use glam::DVec2;
+use rayon::prelude::*;
+
+use super::cameras::Cameras;
+use crate::observe::NeighbourFlow;
+use crate::types::Pose;
+
+/// What one frame's pixels say; all lists hold one value per pixel.
+#[derive(Clone, Debug)]
+pub(super) struct Seen {
+    /// 1 / z of the static hypothesis, 0 at infinity.
+    pub inverse_depth: Vec<f32>,
+    /// Its standard deviation, of the clip's own pixel noise; infinite without parallax.
+    pub deviation: Vec<f32>,
+    /// What the hypothesis leaves unexplained, in standard deviations of static pixels.
+    pub score: Vec<f32>,
+    /// How many views this rests on, weighted by their confidence; 0 where nothing was seen.
+    pub support: Vec<f32>,
+}
+
+/// Frames at these distances are looked at, both ways. Near ones see almost everything, far ones
+/// see slow motion and have parallax.
+const OFFSETS: [usize; 5] = [1, 2, 4, 6, 9];
+/// Flow noise accumulates along a chain like this many pixels per step's square root, relative to
+/// one step's.
+fn drift(distance: usize) -> f64 {
+    (distance as f64).sqrt()
+}
+/// Noise of flow is not taken to be less, pixels.
+const NOISE_FLOOR: f64 = 0.08;
+
+/// One view of a pixel: the camera relative to the pixel's own, where it was seen, its weight.
+struct View {
+    place: usize,
+    pixel: DVec2,
+    weight: f64,
+}
+
+/// Triangulates every pixel of every frame.
+pub(super) fn triangulate_frames(cameras: &Cameras, flow: &NeighbourFlow) -> Vec<Seen> {
+    let noise = noise(cameras, flow);
+    (0..flow.frames).map(|frame| triangulate_frame(cameras, flow, frame, noise)).collect()
+}
+
+/// The spread of one step's residuals on what stands still, pixels per coordinate. The lower
+/// quantile is free of movers even where these are the greater part of the picture.
+fn noise(cameras: &Cameras, flow: &NeighbourFlow) -> f64 {
+    let step = ((flow.width * flow.height) as f64 / 800.0).sqrt().max(1.0) as usize;
+    let residuals: Vec<f64> = (0..flow.frames)
+        .into_par_iter()
+        .flat_map_iter(|frame| {
+            let relative = relatives(cameras, frame);
+            let mut out = Vec::new();
+            for y in (step / 2..flow.height).step_by(step) {
+                for x in (step / 2..flow.width).step_by(step) {
+                    let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+                    if let Some(found) = fit(cameras, flow, &relative, frame, pixel, 0.3) {
+                        out.push(found.spread);
+                    }
+                }
+            }
+            out
+        })
+        .collect();
+    // Of a 2-D normal distribution, a third lies within 0.9 standard deviations.
+    (super::quantile(residuals, 0.35) / 0.9).max(NOISE_FLOOR)
+}
+
+fn triangulate_frame(cameras: &Cameras, flow: &NeighbourFlow, frame: usize, noise: f64) -> Seen {
+    let relative = relatives(cameras, frame);
+    let rows: Vec<[f32; 4]> = (0..flow.width * flow.height)
+        .into_par_iter()
+        .map(|i| {
+            let pixel =
+                DVec2::new((i % flow.width) as f64 + 0.5, (i / flow.width) as f64 + 0.5);
+            match fit(cameras, flow, &relative, frame, pixel, noise) {
+                Some(f) => [
+                    f.inverse_depth as f32,
+                    (f.deviation * noise) as f32,
+                    (f.spread / noise) as f32,
+                    f.support as f32,
+                ],
+                None => [0.0, f32::INFINITY, 0.0, 0.0],
+            }
+        })
+        .collect();
+    let column = |k: usize| rows.iter().map(|r| r[k]).collect();
+    Seen {
+        inverse_depth: column(0),
+        deviation: column(1),
+        score: column(2),
+        support: column(3),
+    }
+}
+
+/// `other_from_frame` for all others.
+fn relatives(cameras: &Cameras, frame: usize) -> Vec<Pose> {
+    let inverse = cameras.poses[frame].inverse();
+    cameras.poses.iter().map(|pose| *pose * inverse).collect()
+}
+
+struct Fit {
+    inverse_depth: f64,
+    /// For one pixel of noise at one step.
+    deviation: f64,
+    /// Root mean square of the residuals, each divided by its drift, pixels.
+    spread: f64,
+    support: f64,
+}
+
+fn fit(
+    cameras: &Cameras,
+    flow: &NeighbourFlow,
+    relative: &[Pose],
+    frame: usize,
+    pixel: DVec2,
+    noise: f64,
+) -> Option<Fit> {
+    let mut views: Vec<View> = Vec::with_capacity(2 * OFFSETS.len());
+    flow.follow(frame, pixel, OFFSETS[OFFSETS.len() - 1], |other, chain| {
+        let distance = other.abs_diff(frame);
+        if OFFSETS.contains(&distance) {
+            let weight = f64::from(chain.confidence) / drift(distance).powi(2);
+            views.push(View { place: other, pixel: chain.pixel, weight });
+        }
+    });
+    if views.is_empty() {
+        return None;
+    }
+    let k = &cameras.intrinsics;
+    let ray = k.ray(pixel);
+    // x = A + d B per view, with A the turned ray and B the translation, in pixels' units.
+    let lines: Vec<_> = views
+        .iter()
+        .map(|v| {
+            let pose = &relative[v.place];
+            (pose.rotation * ray, pose.translation)
+        })
+        .collect();
+    let residual = |i: usize, d: f64| {
+        let p = lines[i].0 + lines[i].1 * d;
+        (p.z > 1e-3).then(|| {
+            let at = k.project(p);
+            let slope = DVec2::new(
+                k.fx * (lines[i].1.x - p.x / p.z * lines[i].1.z) / p.z,
+                k.fy * (lines[i].1.y - p.y / p.z * lines[i].1.z) / p.z,
+            );
+            (at - views[i].pixel, slope)
+        })
+    };
+    // Linear start, then Gauss–Newton under a robust kernel: one bad chain must not decide.
+    let (mut upper, mut lower) = (0.0, 0.0);
+    for (view, (turned, shift)) in views.iter().zip(&lines) {
+        let seen = k.ray(view.pixel);
+        let (a, b) = (seen.cross(*turned), seen.cross(*shift));
+        upper -= view.weight * a.dot(b);
+        lower += view.weight * b.length_squared();
+    }
+    let mut d = if lower > 0.0 { (upper / lower).max(0.0) } else { 0.0 };
+    let width = (3.0 * noise).powi(2);
+    let mut information = 0.0;
+    for _ in 0..5 {
+        let (mut h, mut g) = (0.0, 0.0);
+        information = 0.0;
+        for i in 0..views.len() {
+            let Some((r, j)) = residual(i, d) else { continue };
+            let scaled = r.length_squared() / drift(views[i].place.abs_diff(frame)).powi(2);
+            let w = views[i].weight / (1.0 + scaled / width);
+            h += w * j.length_squared();
+            g += w * j.dot(r);
+            information += views[i].weight * j.length_squared();
+        }
+        if h <= 0.0 {
+            break;
+        }
+        d = (d - g / h).max(0.0);
+    }
+    let (mut sum, mut support) = (0.0, 0.0);
+    for i in 0..views.len() {
+        let distance = views[i].place.abs_diff(frame);
+        let confidence = views[i].weight * drift(distance).powi(2);
+        // Behind another camera: no static point is.
+        let squared = residual(i, d).map_or(1e4, |r| r.0.length_squared().min(1e4));
+        sum += confidence * squared / drift(distance).powi(2);
+        support += confidence;
+    }
+    // A depth takes one of the two coordinates of one view away.
+    let free = (2.0 * support - 1.0).max(0.5 * support);
+    Some(Fit {
+        inverse_depth: d,
+        deviation: if information > 0.0 { information.sqrt().recip() } else { f64::INFINITY },
+        spread: (2.0 * sum / free).sqrt(),
+        support,
+    })
+}

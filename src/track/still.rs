@@ -1,0 +1,174 @@
+//! Cameras that do not move, and cameras that move without parallax.
+
+use glam::DVec2;
+
+use super::quantile;
+use crate::geometry::ransac::RansacOptions;
+use crate::geometry::two_view::{Motion, TwoView, TwoViewOptions, two_view};
+use crate::observe::{NeighbourFlow, PointTrack};
+use crate::types::Intrinsics;
+use crate::{Error, Result};
+
+/// Before anything is known of what moves: how much a track counts. Movers are looked at, so they
+/// keep to the middle of the picture, and the static world surrounds them.
+pub(super) fn border_prior(track: &PointTrack, size: (usize, usize)) -> f64 {
+    let (w, h) = (size.0 as f64, size.1 as f64);
+    let middle = track.pixels[track.pixels.len() / 2];
+    let x = (middle.x / w).min(1.0 - middle.x / w);
+    let y = middle.y / h;
+    // The lower border is no border: people and cars are cut off there as often as floors.
+    let inside = x.min(y).clamp(0.0, 0.25) / 0.25;
+    1.0 - 0.5 * inside
+}
+
+/// A track of a fixed camera's static world stays within so many pixels at 320 wide.
+const STAYS: f64 = 0.5;
+/// Share of the tracks (by weight) that stay, at least, if the camera is fixed.
+const STAYING_SHARE: f64 = 0.3;
+/// Share of the cells of an 8×6 grid that hold one that stays, at least.
+const STAYING_CELLS: f64 = 0.3;
+
+/// Is the camera fixed? Then much of the picture, and not in one place only, is where it was after
+/// half of the clip. A moving camera leaves still only what is far away for a short time.
+pub(super) fn is_fixed(tracks: &[PointTrack], weights: &[f64], flow: &NeighbourFlow) -> bool {
+    let limit = STAYS * (flow.width as f64 / 320.0).max(1.0);
+    let span = (flow.frames / 2).max(1);
+    let mut verdicts = Vec::new();
+    for start in [0, (flow.frames - 1 - span) / 2, flow.frames - 1 - span] {
+        let end = start + span;
+        let (mut stays, mut all) = (0.0, 0.0);
+        let mut cells = [false; 48];
+        let both = tracks.iter().zip(weights).filter_map(|(t, w)| Some((t.at(start)?, t.at(end)?, w)));
+        let mut count = 0;
+        for (a, b, weight) in both {
+            all += weight;
+            count += 1;
+            if (b - a).length() < limit {
+                stays += weight;
+                let x = (a.x / flow.width as f64 * 8.0).clamp(0.0, 7.0) as usize;
+                let y = (a.y / flow.height as f64 * 6.0).clamp(0.0, 5.0) as usize;
+                cells[y * 8 + x] = true;
+            }
+        }
+        let spread = cells.iter().filter(|c| **c).count() as f64 / 48.0;
+        verdicts.push(count >= 20 && stays >= STAYING_SHARE * all && spread >= STAYING_CELLS);
+    }
+    verdicts.iter().all(|v| *v)
+}
+
+/// Pixels of the tracks that live in both frames, with their weights and numbers.
+pub(super) struct Shared {
+    pub tracks: Vec<usize>,
+    pub a: Vec<DVec2>,
+    pub b: Vec<DVec2>,
+    pub weights: Vec<f64>,
+}
+
+/// What two frames share; no more than `most` tracks, taken evenly.
+pub(super) fn shared(
+    tracks: &[PointTrack],
+    weights: &[f64],
+    (a, b): (usize, usize),
+    most: usize,
+) -> Shared {
+    let all: Vec<usize> = (0..tracks.len())
+        .filter(|&i| weights[i] > 0.05 && tracks[i].at(a).is_some() && tracks[i].at(b).is_some())
+        .collect();
+    let stride = all.len().div_ceil(most.max(1)).max(1);
+    let picked: Vec<usize> = all.into_iter().step_by(stride).collect();
+    Shared {
+        a: picked.iter().filter_map(|&i| tracks[i].at(a)).collect(),
+        b: picked.iter().filter_map(|&i| tracks[i].at(b)).collect(),
+        weights: picked.iter().map(|&i| weights[i]).collect(),
+        tracks: picked,
+    }
+}
+
+/// How two frames lie to each other under a focal length.
+pub(super) fn relate(shared: &Shared, k: &Intrinsics, seed: u64) -> Result<TwoView> {
+    let threshold = (f64::from(k.width) / 320.0).max(0.7);
+    let options = TwoViewOptions {
+        ransac: RansacOptions { threshold, max_iterations: 1000, seed, ..Default::default() },
+        ..Default::default()
+    };
+    two_view(&shared.a, &shared.b, Some(&shared.weights), k, k, &options)
+}
+
+/// Refuses a clip whose camera only turns (or zooms): depth cannot be seen in it.
+///
+/// Whether a turn explains the pixels depends on the focal length, which is not known yet: it is
+/// tried over the range that cameras have, and one that lets turns explain all pairs is enough.
+pub(super) fn demand_parallax(
+    tracks: &[PointTrack],
+    weights: &[f64],
+    flow: &NeighbourFlow,
+) -> Result<()> {
+    let n = flow.frames;
+    let gap = (n - 1).min((n / 3).max(1));
+    let pairs: Vec<Shared> = [0, (n - 1 - gap) / 2, n - 1 - gap]
+        .iter()
+        .map(|&a| shared(tracks, weights, (a, a + gap), 400))
+        .filter(|s| s.tracks.len() >= 30)
+        .collect();
+    if pairs.is_empty() {
+        return Ok(());
+    }
+    let side = flow.width.max(flow.height) as f64;
+    for ratio in [0.6, 0.85, 1.2, 1.7] {
+        let k = Intrinsics::centred(ratio * side, flow.width as u32, flow.height as u32);
+        let turns = pairs.iter().all(|pair| {
+            relate(pair, &k, 1).is_ok_and(|found| {
+                matches!(found.motion, Motion::PureRotation | Motion::Static)
+                    && found.inlier_ratio > 0.5
+            })
+        });
+        if turns {
+            return Err(no_parallax("the camera only turns"));
+        }
+    }
+    if pairs.iter().all(|pair| zooms(pair, &DVec2::new(side, side))) {
+        return Err(no_parallax("the camera only zooms"));
+    }
+    Ok(())
+}
+
+fn no_parallax(what: &str) -> Error {
+    Error::Input(format!(
+        "no parallax: {what}, so depth and position cannot be told from this video; film while \
+         walking or moving the camera sideways, or take a longer part of the video"
+    ))
+}
+
+/// Does a scaling about one point explain the pixels? Walking straight at a scene with depth does
+/// not look like that.
+fn zooms(pair: &Shared, _side: &DVec2) -> bool {
+    // b = s·a + t, least squares, reweighted once by what it leaves.
+    let mut weights = pair.weights.clone();
+    let (mut scale, mut shift) = (1.0, DVec2::ZERO);
+    let mut residuals = Vec::new();
+    for _ in 0..5 {
+        let total: f64 = weights.iter().sum();
+        let mean = |points: &[DVec2]| {
+            points.iter().zip(&weights).map(|(p, w)| *p * *w).sum::<DVec2>() / total
+        };
+        let (ma, mb) = (mean(&pair.a), mean(&pair.b));
+        let (mut upper, mut lower) = (0.0, 0.0);
+        for i in 0..weights.len() {
+            let (a, b) = (pair.a[i] - ma, pair.b[i] - mb);
+            upper += weights[i] * a.dot(b);
+            lower += weights[i] * a.length_squared();
+        }
+        scale = upper / lower.max(1e-9);
+        shift = mb - ma * scale;
+        residuals =
+            (0..weights.len()).map(|i| (pair.b[i] - pair.a[i] * scale - shift).length()).collect();
+        let typical = quantile(residuals.clone(), 0.5).max(0.1);
+        for i in 0..weights.len() {
+            let z = residuals[i] / (2.0 * typical);
+            weights[i] = pair.weights[i] / (1.0 + z * z).powi(2);
+        }
+    }
+    let moved = (scale - 1.0).abs() * 0.25 * f64::from(pair.a.len().min(1) as u32) > 0.0;
+    let _ = shift;
+    moved && (scale - 1.0).abs() > 0.02 && quantile(residuals, 0.7) < 0.5
+}

@@ -1,0 +1,444 @@
+//! From a tracked clip to a 4D scene: static Gaussians, control points (stage 1), then everything
+//! together (stage 2).
+//!
+//! 1. The static world is trained on what does not move.
+//! 2. Control points are chosen among the movers' points; the network is fitted to their
+//!    trajectories, as far as flow and depth show them.
+//! 3. Stage 1: every control point is drawn as a temporary Gaussian before the frozen static world,
+//!    and the network is trained on the movers' pixels. The temporary Gaussians are thrown away.
+//! 4. Stage 2: Gaussians are seeded on the movers, follow the control points, and all is trained on
+//!    all pixels.
+//!
+//! A clip in which nothing moves gets no control points and no network.
+
+use super::motion::MotionStart;
+use super::network::{fit_translations, random_network};
+use super::sampling::farthest_point_sample;
+use super::seed::seed_from_points;
+use super::settings::{GrowthSettings, MotionSettings, Rates, TrainSettings};
+use super::trainer::{Trainer, TrainingView};
+use super::trajectories::{MOVING, Trajectories, camera, lift, value};
+use crate::data::Point;
+use crate::gpu::Device;
+use crate::scene::{Scene, SceneCamera};
+use crate::track::Track;
+use crate::types::{ControlPoints, DeformNet, Gaussians, Image, NetShape, RenderSettings};
+use crate::{Error, Result};
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+use std::collections::HashSet;
+
+/// How a clip is turned into a scene.
+#[derive(Clone, Debug)]
+pub struct SequenceSettings {
+    /// Steps on the static world alone.
+    pub static_steps: u32,
+    /// Steps of stage 1.
+    pub control_steps: u32,
+    /// Steps of stage 2, or of all training where nothing moves.
+    pub steps: u32,
+    /// Growth ends here.
+    pub max_gaussians: usize,
+    /// Most control points.
+    pub control_points: usize,
+    /// The deformation network.
+    pub network: NetShape,
+    /// Control points that a dynamic Gaussian follows.
+    pub neighbours: usize,
+    /// Highest degree of the spherical harmonics.
+    pub sh_degree: u32,
+    /// Clips whose movers cover less of the pixels than this are static.
+    pub least_dynamic_share: f64,
+    /// Decides everything random.
+    pub seed: u64,
+}
+
+impl Default for SequenceSettings {
+    fn default() -> Self {
+        SequenceSettings {
+            static_steps: 500,
+            control_steps: 300,
+            steps: 2200,
+            max_gaussians: 40_000,
+            control_points: 256,
+            network: NetShape {
+                depth: 6,
+                width: 64,
+                skip: 3,
+                position_frequencies: 6,
+                time_frequencies: 6,
+            },
+            neighbours: 4,
+            sh_degree: 1,
+            least_dynamic_share: 0.002,
+            seed: 0,
+        }
+    }
+}
+
+/// What is being trained.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Phase {
+    /// The static world.
+    Static,
+    /// The network's fit to the trajectories.
+    Trajectories,
+    /// Stage 1.
+    Control,
+    /// Stage 2.
+    Joint,
+}
+
+/// A tracked clip.
+#[derive(Clone, Copy)]
+pub struct Sequence<'a> {
+    /// The frames, RGB.
+    pub frames: &'a [Image],
+    /// Their times in [0, 1].
+    pub times: &'a [f64],
+    /// Cameras, masks and depth.
+    pub track: &'a Track,
+}
+
+/// Told the phase, the steps done and the steps in all; an error ends the work.
+pub type Watch<'a> = dyn FnMut(Phase, u32, u32) -> Result<()> + 'a;
+
+/// Trains a scene on a tracked clip.
+///
+/// # Errors
+/// [`Error::Input`] when the clip has no static point to begin with; out of memory; a failed
+/// submission; whatever `watch` returns.
+pub fn fit_sequence(
+    device: &Device,
+    sequence: Sequence<'_>,
+    settings: &SequenceSettings,
+    watch: &mut Watch<'_>,
+) -> Result<Scene> {
+    let track = sequence.track;
+    let points: Vec<Point> = track
+        .points
+        .iter()
+        .map(|p| Point { position: p.position.as_vec3().to_array(), colour: p.colour })
+        .collect();
+    if points.is_empty() {
+        return Err(Error::Input(
+            "no static point was found to begin with: the clip shows no static surroundings".into(),
+        ));
+    }
+    let points = thinned(points, settings.max_gaussians / 2);
+    let seeds = seed_from_points(&points, settings.sh_degree);
+    let dynamic = track.quality.dynamic_share >= settings.least_dynamic_share;
+    let trajectories = dynamic.then(|| Trajectories::of(track));
+    let mut scene = match trajectories {
+        Some(trajectories) if !trajectories.positions.is_empty() => {
+            fit_moving(device, sequence, &seeds, &trajectories, settings, watch)?
+        }
+        _ => {
+            let views = views(sequence, |_| 1.0);
+            let train = joint_settings(settings);
+            let mut trainer = Trainer::new(device, &views, &seeds, None, train)?;
+            run(&mut trainer, Phase::Static, settings.steps, watch)?;
+            Scene::of(trainer.gaussians()?)
+        }
+    };
+    scene.settings = RenderSettings::default();
+    scene.cameras = sequence
+        .times
+        .iter()
+        .enumerate()
+        .map(|(frame, &time)| SceneCamera { time, camera: camera(track, frame) })
+        .collect();
+    scene.set_up_from_cameras();
+    Ok(scene)
+}
+
+fn fit_moving(
+    device: &Device,
+    sequence: Sequence<'_>,
+    seeds: &Gaussians,
+    trajectories: &Trajectories,
+    settings: &SequenceSettings,
+    watch: &mut Watch<'_>,
+) -> Result<Scene> {
+    let track = sequence.track;
+    // The static world, on what surely does not move.
+    let still_views = views(sequence, |moving| if moving > 0.0 { 0.0 } else { 1.0 });
+    let train = TrainSettings {
+        steps: settings.static_steps,
+        growth: None,
+        max_gaussians: 0,
+        ..joint_settings(settings)
+    };
+    let mut trainer = Trainer::new(device, &still_views, seeds, None, train.clone())?;
+    run(&mut trainer, Phase::Static, settings.static_steps, watch)?;
+    let mut still = trainer.gaussians()?;
+    still.motion_logits = vec![-STRENGTH; still.len()];
+    drop((trainer, still_views));
+
+    // Control points, and a network that follows their trajectories.
+    let (points, chosen) = control_points(trajectories, settings)?;
+    let mut network = random_network(settings.network, settings.seed);
+    let targets: Vec<Vec<[f32; 3]>> = chosen
+        .iter()
+        .map(|&k| {
+            let path = &trajectories.positions[k];
+            let origin = path[trajectories.canonical];
+            path.iter().map(|p| (*p - origin).as_vec3().to_array()).collect()
+        })
+        .collect();
+    fit_translations(
+        device,
+        &mut network,
+        &points,
+        sequence.times,
+        &targets,
+        TRAJECTORY_STEPS,
+        settings.seed,
+        &mut |step| watch(Phase::Trajectories, step, TRAJECTORY_STEPS),
+    )?;
+
+    // Stage 1.
+    let start = MotionStart { points, network, neighbours: 1 };
+    let network = control_stage(device, sequence, &still, &start, trajectories, settings, watch)?;
+
+    // Stage 2.
+    let movers = seed_movers(sequence, trajectories, settings);
+    let mut gaussians = still;
+    append(&mut gaussians, &movers);
+    let start = MotionStart { points: start.points, network, neighbours: settings.neighbours };
+    let all_views = views(sequence, |_| 1.0);
+    let train = joint_settings(settings);
+    let mut trainer = Trainer::new(device, &all_views, &gaussians, Some(&start), train)?;
+    run(&mut trainer, Phase::Joint, settings.steps, watch)?;
+    let mut scene = Scene::of(trainer.gaussians()?);
+    if let Some((points, network)) = trainer.motion()? {
+        scene.control_points = points;
+        scene.network = Some(network);
+    }
+    scene.neighbours = settings.neighbours.min(scene.control_points.len()) as u32;
+    let _ = track;
+    Ok(scene)
+}
+
+/// Motion logits of what is seeded as static or dynamic.
+const STRENGTH: f32 = 4.0;
+/// Steps of the network's fit to the trajectories.
+const TRAJECTORY_STEPS: u32 = 600;
+
+/// Stage 1: the control points as temporary Gaussians before the frozen static world.
+fn control_stage(
+    device: &Device,
+    sequence: Sequence<'_>,
+    still: &Gaussians,
+    start: &MotionStart,
+    trajectories: &Trajectories,
+    settings: &SequenceSettings,
+    watch: &mut Watch<'_>,
+) -> Result<DeformNet> {
+    if settings.control_steps == 0 {
+        return Ok(start.network.clone());
+    }
+    let views = views(sequence, |moving| if moving > 0.0 { 1.0 } else { 0.05 });
+    let frame = trajectories.canonical;
+    let camera = camera(sequence.track, frame);
+    let colours: Vec<Point> = start
+        .points
+        .positions
+        .iter()
+        .map(|&position| {
+            let view = camera.view_from_world.apply(glam::Vec3::from(position).as_dvec3());
+            let pixel = camera.intrinsics.project(view);
+            Point { position, colour: colour(&sequence.frames[frame], pixel) }
+        })
+        .collect();
+    let mut nodes = seed_from_points(&colours, settings.sh_degree);
+    nodes.opacity_logits.fill(1.0);
+    nodes.motion_logits = vec![STRENGTH; nodes.len()];
+    let mut gaussians = still.clone();
+    append(&mut gaussians, &nodes);
+    // The temporary Gaussians keep place and shape: motion is for the network to learn.
+    let rates = Rates { position: 1e-12, position_last: 1e-12, log_scale: 0.0, rotation: 0.0, ..Rates::default() };
+    let train = TrainSettings {
+        steps: settings.control_steps,
+        growth: None,
+        max_gaussians: 0,
+        rates,
+        motion: MotionSettings { rate: 4e-4, rate_last: 4e-5, refresh: 0, ..MotionSettings::default() },
+        ..joint_settings(settings)
+    };
+    let mut trainer = Trainer::new(device, &views, &gaussians, Some(start), train)?;
+    let trainable: Vec<bool> = (0..gaussians.len()).map(|i| i >= still.len()).collect();
+    trainer.set_trainable(&trainable)?;
+    run(&mut trainer, Phase::Control, settings.control_steps, watch)?;
+    Ok(trainer.motion()?.map_or_else(|| start.network.clone(), |(_, network)| network))
+}
+
+fn joint_settings(settings: &SequenceSettings) -> TrainSettings {
+    TrainSettings {
+        steps: settings.steps,
+        max_gaussians: settings.max_gaussians,
+        sh_degree: settings.sh_degree,
+        sh_interval: (settings.steps / 2).clamp(1, 1000),
+        // Few pictures and few steps: positions may move faster than over 30,000 steps.
+        rates: Rates { position: 4e-4, position_last: 1e-5, ..Rates::default() },
+        depth_scale: 0.1,
+        growth: Some(GrowthSettings { from: 200, ..GrowthSettings::default() }),
+        motion: MotionSettings { rate: 4e-4, rate_last: 2e-5, ..MotionSettings::default() },
+        seed: settings.seed,
+        ..TrainSettings::default()
+    }
+}
+
+fn run(trainer: &mut Trainer, phase: Phase, steps: u32, watch: &mut Watch<'_>) -> Result<()> {
+    for step in 0..steps {
+        trainer.step()?;
+        watch(phase, step + 1, steps)?;
+    }
+    trainer.finish()
+}
+
+/// The frames as training views; `weight` turns the movers' nearness (1 on a mover, 0 away from any)
+/// into a pixel's weight. The depth that was measured on static pixels comes along.
+fn views(sequence: Sequence<'_>, weight: impl Fn(f32) -> f32 + Sync) -> Vec<TrainingView> {
+    let track = sequence.track;
+    (0..sequence.frames.len())
+        .into_par_iter()
+        .map(|frame| {
+            let mask = dilated(&track.masks[frame], 2);
+            let mut weights = mask.clone();
+            weights.pixels.iter_mut().for_each(|w| *w = weight(*w));
+            let (depth, confidence) = (&track.depth[frame], &track.depth_confidence[frame]);
+            let mut disparity = Image::new(depth.width, depth.height, 2);
+            for (i, pair) in disparity.pixels.chunks_exact_mut(2).enumerate() {
+                let z = depth.pixels[i];
+                if mask.pixels[i] == 0.0 && z > 0.0 && confidence.pixels[i] > 0.5 {
+                    pair.copy_from_slice(&[1.0 / z, confidence.pixels[i]]);
+                }
+            }
+            TrainingView {
+                camera: camera(track, frame),
+                time: sequence.times[frame],
+                image: sequence.frames[frame].clone(),
+                weights: Some(weights),
+                disparity: Some(disparity),
+            }
+        })
+        .collect()
+}
+
+/// 1 on what moves and within some pixels of it, else 0.
+fn dilated(mask: &Image, radius: i64) -> Image {
+    let mut out = Image::new(mask.width, mask.height, 1);
+    let (width, height) = (i64::from(mask.width), i64::from(mask.height));
+    for y in 0..height {
+        for x in 0..width {
+            let near = (-radius..=radius).any(|dy| {
+                (-radius..=radius).any(|dx| {
+                    let (px, py) = (x + dx, y + dy);
+                    (0..width).contains(&px)
+                        && (0..height).contains(&py)
+                        && mask.pixels[(py * width + px) as usize] > MOVING
+                })
+            });
+            out.pixels[(y * width + x) as usize] = f32::from(u8::from(near));
+        }
+    }
+    out
+}
+
+fn colour(image: &Image, pixel: DVec2) -> [f32; 3] {
+    let x = (pixel.x.max(0.0) as u32).min(image.width - 1);
+    let y = (pixel.y.max(0.0) as u32).min(image.height - 1);
+    let c = image.at(x, y);
+    [c[0], c[1], c[2]]
+}
+
+/// Every so-manieth, so that at most `most` stay.
+fn thinned(points: Vec<Point>, most: usize) -> Vec<Point> {
+    let keep = points.len().div_ceil(most.max(1)).max(1);
+    points.into_iter().step_by(keep).collect()
+}
+
+/// Control points spread over the movers, and the trajectories they stand for.
+fn control_points(
+    trajectories: &Trajectories,
+    settings: &SequenceSettings,
+) -> Result<(ControlPoints, Vec<usize>)> {
+    let canonical: Vec<[f32; 3]> = trajectories
+        .positions
+        .iter()
+        .map(|path| path[trajectories.canonical].as_vec3().to_array())
+        .collect();
+    let count = settings.control_points.min(canonical.len());
+    let chosen = farthest_point_sample(canonical.as_flattened(), 3, count, settings.seed)?;
+    let positions: Vec<[f32; 3]> = chosen.iter().map(|&k| canonical[k]).collect();
+    // The radius is the distance to the nearest others, which seeding knows as a scale.
+    let stand_ins: Vec<Point> =
+        positions.iter().map(|&position| Point { position, colour: [0.5; 3] }).collect();
+    let log_radii = seed_from_points(&stand_ins, 0).log_scales.iter().map(|s| s[0]).collect();
+    Ok((ControlPoints { positions, log_radii }, chosen))
+}
+
+/// Gaussians on the movers, brought back to the canonical frame from several frames, one per cell of
+/// a grid.
+fn seed_movers(
+    sequence: Sequence<'_>,
+    trajectories: &Trajectories,
+    settings: &SequenceSettings,
+) -> Gaussians {
+    let track = sequence.track;
+    let count = sequence.frames.len();
+    let every = count.div_ceil(8).max(1);
+    let canonical = trajectories.canonical;
+    let mut order: Vec<usize> = (0..count).step_by(every).collect();
+    order.insert(0, canonical);
+    // A cell is what two pixels cover at the movers' depth.
+    let spacing = {
+        let mask = &track.masks[canonical];
+        let depths: Vec<f32> = mask
+            .pixels
+            .iter()
+            .zip(&track.depth[canonical].pixels)
+            .filter(|(m, _)| **m > MOVING)
+            .map(|(_, z)| *z)
+            .collect();
+        let mean = depths.iter().sum::<f32>() / depths.len().max(1) as f32;
+        f64::from(mean) / track.intrinsics.fx * 2.0
+    };
+    let mut taken = HashSet::new();
+    let mut points = Vec::new();
+    for frame in order {
+        let mask = &track.masks[frame];
+        for y in 0..mask.height {
+            for x in 0..mask.width {
+                let pixel = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
+                if value(mask, pixel) <= MOVING {
+                    continue;
+                }
+                let here = lift(track, frame, pixel);
+                let Some(path) = trajectories.nearest(frame, here) else { continue };
+                let position: DVec3 = here - path[frame] + path[canonical];
+                let cell = (position / spacing.max(1e-9)).floor().as_i64vec3();
+                if position.is_finite() && taken.insert(cell) {
+                    points.push(Point {
+                        position: position.as_vec3().to_array(),
+                        colour: colour(&sequence.frames[frame], pixel),
+                    });
+                }
+            }
+        }
+    }
+    let points = thinned(points, settings.max_gaussians / 3);
+    let mut gaussians = seed_from_points(&points, settings.sh_degree);
+    gaussians.motion_logits = vec![STRENGTH; gaussians.len()];
+    gaussians
+}
+
+fn append(to: &mut Gaussians, more: &Gaussians) {
+    to.positions.extend_from_slice(&more.positions);
+    to.log_scales.extend_from_slice(&more.log_scales);
+    to.rotations.extend_from_slice(&more.rotations);
+    to.opacity_logits.extend_from_slice(&more.opacity_logits);
+    to.sh.extend_from_slice(&more.sh);
+    to.motion_logits.extend_from_slice(&more.motion_logits);
+}
