@@ -135,8 +135,8 @@ fn help_has_an_example_of_every_command() {
         let help = run(folder.path(), &format!("{command} --help"));
         assert!(help.status.success());
         let help = String::from_utf8(help.stdout).unwrap();
-        says(&help, &["Example", &format!("  splat4d {command}"), "JSON: "]);
-        says(&help, &["--json", "--device", "--seed"]);
+        says(&help, &["Example", &format!("  splat4d {command}"), "JSON"]);
+        says(&help, &["Common options", "--json", "--device", "--seed"]);
     }
 }
 
@@ -406,7 +406,7 @@ fn bad_input_is_named() {
         ("train missing -o x", &missing[..]),
         ("render missing -o x", &missing),
         ("info missing", &missing),
-        ("eval missing empty", &["empty"]),
+        ("eval missing empty", &missing),
         ("eval noise missing", &missing),
         ("train empty -o x", &["empty", "transforms.json"]),
         ("train noise -o x", &["noise", "not a dataset"]),

@@ -12,13 +12,25 @@ use splat4d::{Error, Result};
 #[derive(Args)]
 pub struct Common {
     /// Print exactly one JSON object on stdout, everything else on stderr
-    #[arg(long, global = true)]
+    #[arg(long, global = true, help_heading = "Common options")]
     pub json: bool,
     /// The Vulkan device: its index, a part of its name, or a kind: best, gpu, integrated, software
-    #[arg(long, global = true, value_name = "DEVICE", default_value = "best")]
+    #[arg(
+        long,
+        global = true,
+        help_heading = "Common options",
+        value_name = "DEVICE",
+        default_value = "best"
+    )]
     pub device: String,
     /// Decides everything random; the same seed on the same device gives the same result
-    #[arg(long, global = true, value_name = "NUMBER", default_value_t = 0)]
+    #[arg(
+        long,
+        global = true,
+        help_heading = "Common options",
+        value_name = "NUMBER",
+        default_value_t = 0
+    )]
     pub seed: u64,
 }
 

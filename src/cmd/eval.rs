@@ -69,8 +69,8 @@ pub struct EvalArgs {
     /// Shrink the dataset's pictures so that their longer side has at most so many pixels
     #[arg(long, value_name = "LONGEST", value_parser = clap::value_parser!(u32).range(1..))]
     size: Option<u32>,
-    /// Measure every so-manieth picture of the dataset, as `train` holds them out; 0: all, or those
-    /// of its own test split
+    /// Measure every N-th picture of the dataset, as `train` holds them out; 0: all, or those of its
+    /// own test split
     #[arg(long, value_name = "N", default_value_t = 0)]
     eval_every: usize,
     /// What aligning a trajectory may change

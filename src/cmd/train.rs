@@ -60,7 +60,7 @@ pub struct TrainArgs {
     /// Shrink pictures so that their longer side has at most so many pixels
     #[arg(long, value_name = "LONGEST", value_parser = clap::value_parser!(u32).range(1..))]
     size: Option<u32>,
-    /// Hold out every so-manieth picture for the test, unless the dataset has its own split; 0: none
+    /// Hold out every N-th picture for the test, unless the dataset has its own split; 0: none
     #[arg(long, value_name = "N", default_value_t = 8)]
     eval_every: usize,
     /// Highest degree of the spherical harmonics
