@@ -3,6 +3,7 @@
 //! A command returns an [`Answer`]; [`main`] prints it, as text or as JSON, and turns errors into
 //! exit codes: 0 done, 1 the job failed, 2 wrong usage, 130 stopped by Ctrl-C.
 
+mod clock;
 mod common;
 mod devices;
 mod eval;
@@ -12,8 +13,10 @@ mod interrupt;
 mod meter;
 mod path;
 mod quality;
+mod reconstruct;
 mod render;
 mod sheet;
+mod supplied;
 mod synth;
 mod train;
 mod values;
@@ -28,9 +31,9 @@ use splat4d::{Error, Result};
 
 const AFTER_HELP: &str = "\
 Examples:
-  splat4d synth rigid -o clip
+  splat4d reconstruct video.mp4 -o scene.safetensors
   splat4d train captures/fox -o fox.safetensors
-  splat4d render fox.safetensors -o views --path orbit
+  splat4d render scene.safetensors -o views --path orbit
 
 `splat4d COMMAND --help` shows each command's options, an example and the keys of its JSON.
 Exit codes: 0 done, 1 the job failed, 2 wrong usage, 130 stopped by Ctrl-C.";
@@ -47,6 +50,7 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    Reconstruct(reconstruct::ReconstructArgs),
     Train(train::TrainArgs),
     Render(render::RenderArgs),
     Eval(eval::EvalArgs),
@@ -79,6 +83,7 @@ pub fn main() -> ExitCode {
 fn run(cli: &Cli) -> Result<Answer> {
     interrupt::watch();
     match &cli.command {
+        Command::Reconstruct(args) => reconstruct::run(args, &cli.common),
         Command::Train(args) => train::run(args, &cli.common),
         Command::Render(args) => render::run(args, &cli.common),
         Command::Eval(args) => eval::run(args, &cli.common),

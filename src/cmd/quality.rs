@@ -2,9 +2,14 @@
 
 use serde_json::{Value, json};
 use splat4d::Result;
+use splat4d::data::View;
 use splat4d::eval::{masked_psnr, ms_ssim, psnr, ssim};
+use splat4d::renderer::Renderer;
 use splat4d::scene::Scene;
 use splat4d::types::{Image, SH_C0};
+
+use super::interrupt;
+use super::meter::Meter;
 
 /// The smaller side needs more than this for MS-SSIM's five scales.
 const MS_SSIM_SIDE: u32 = 160;
@@ -46,6 +51,24 @@ impl Quality {
         let Quality { name, psnr, ssim, ms_ssim } = self;
         json!({ "name": name, "psnr": psnr, "ssim": ssim, "ms_ssim": ms_ssim })
     }
+}
+
+/// Renders a scene from the cameras of some pictures and compares.
+pub fn measure(
+    renderer: &mut Renderer,
+    views: &[View],
+    background: [f32; 3],
+    what: &'static str,
+) -> Result<Vec<Quality>> {
+    let mut meter = Meter::new(what, "pictures", views.len() as u64, 0);
+    let mut found = Vec::with_capacity(views.len());
+    for view in views {
+        interrupt::check()?;
+        let picture = renderer.render(&view.camera, view.time)?.over(background);
+        found.push(Quality::of(&view.name, &picture, &view.image, view.valid.as_ref())?);
+        meter.advance();
+    }
+    Ok(found)
 }
 
 /// Mean of a figure over some pictures; `None` without pictures, or where one lacks the figure.

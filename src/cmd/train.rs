@@ -1,13 +1,12 @@
 //! `splat4d train`.
 
 use std::path::PathBuf;
-use std::time::Instant;
 
 use clap::Args;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 use splat4d::data::{Dataset, Point, Resize, View};
 use splat4d::gpu::Device;
 use splat4d::renderer::Renderer;
@@ -18,6 +17,7 @@ use splat4d::train::{
 use splat4d::types::{Camera, Gaussians};
 use splat4d::{Error, Result};
 
+use super::clock::{self, Clock};
 use super::common::{
     Answer, Common, bytes, check_output_file, check_output_folder, notes, say, thousands,
 };
@@ -131,8 +131,8 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     };
     scene.set_up_from_cameras();
     let mut renderer = Renderer::new(&device, &scene)?;
-    let on_input = measure(&mut renderer, &train, set.background, "input")?;
-    let on_test = measure(&mut renderer, &test, set.background, "test")?;
+    let on_input = quality::measure(&mut renderer, &train, set.background, "PSNR, input")?;
+    let on_test = quality::measure(&mut renderer, &test, set.background, "PSNR, test")?;
     clock.lap("evaluate");
 
     let psnr = |of: &[Quality]| quality::mean(of, |q| Some(q.psnr));
@@ -209,58 +209,9 @@ fn trajectory<'a>(views: impl Iterator<Item = &'a View>) -> Vec<SceneCamera> {
     cameras
 }
 
-fn measure(
-    renderer: &mut Renderer,
-    views: &[View],
-    background: [f32; 3],
-    what: &'static str,
-) -> Result<Vec<Quality>> {
-    let mut meter = Meter::new(what, "pictures", views.len() as u64, 0);
-    let mut found = Vec::with_capacity(views.len());
-    for view in views {
-        interrupt::check()?;
-        let picture = renderer.render(&view.camera, view.time)?.over(background);
-        found.push(Quality::of(&view.name, &picture, &view.image, view.valid.as_ref())?);
-        meter.advance();
-    }
-    Ok(found)
-}
-
-/// Seconds by stage.
-struct Clock {
-    begun: Instant,
-    laps: Map<String, Value>,
-}
-
-impl Clock {
-    fn start() -> Clock {
-        Clock { begun: Instant::now(), laps: Map::new() }
-    }
-
-    /// The stage that ends here.
-    fn lap(&mut self, stage: &str) {
-        self.laps.insert(stage.into(), json!(self.begun.elapsed().as_secs_f64()));
-        self.begun = Instant::now();
-    }
-
-    fn seconds(&self, stage: &str) -> f64 {
-        self.laps.get(stage).and_then(Value::as_f64).unwrap_or(0.0)
-    }
-
-    fn json(&self) -> Value {
-        Value::Object(self.laps.clone())
-    }
-}
-
 fn text(report: &Value) -> String {
     let number = |key: &str| report[key].as_f64();
     let decibels = |key| number(key).map_or("none".into(), |v| format!("{v:.2} dB"));
-    let seconds: Vec<String> = report["seconds"]
-        .as_object()
-        .into_iter()
-        .flatten()
-        .map(|(stage, s)| format!("{stage} {:.1} s", s.as_f64().unwrap_or(0.0)))
-        .collect();
     format!(
         "scene        {}\nPSNR, input  {}\nPSNR, test   {} ({} pictures)\nGaussians    {}\n\
          step         {:.1} ms\ntime         {}\nmemory       {} at most on the device\n",
@@ -270,7 +221,7 @@ fn text(report: &Value) -> String {
         report["held_out"],
         thousands(report["gaussians"].as_u64().unwrap_or(0) as usize),
         number("milliseconds_per_step").unwrap_or(0.0),
-        seconds.join(", "),
+        clock::line(&report["seconds"]),
         bytes(report["peak_bytes"].as_u64().unwrap_or(0)),
     )
 }

@@ -48,6 +48,8 @@ pub struct Clip {
     pub width: u32,
     /// Height of every frame.
     pub height: u32,
+    /// Width and height that the frames had before they were brought to this size.
+    pub original: (u32, u32),
     /// Frames a second of what was taken, where the file says.
     pub rate: Option<f64>,
     /// Focal length in pixels of the frames as taken, where EXIF says.
@@ -78,6 +80,7 @@ impl Clip {
         }
         let decoded = video::decode(path, options)?;
         let mut clip = assemble(path, decoded.frames, options)?;
+        clip.original = decoded.original;
         clip.rate = decoded.rate.map(|rate| rate / options.every as f64);
         Ok(clip)
     }
@@ -107,7 +110,8 @@ fn assemble(path: &Path, frames: Vec<(String, Image)>, options: &ClipOptions) ->
         .enumerate()
         .map(|(i, (name, image))| ClipFrame { name, time: i as f64 / last, image })
         .collect();
-    Ok(Clip { frames, width, height, rate: None, focal: None, notes: Vec::new() })
+    let original = (width, height);
+    Ok(Clip { frames, width, height, original, rate: None, focal: None, notes: Vec::new() })
 }
 
 fn open_folder(folder: &Path, options: &ClipOptions) -> Result<Clip> {
@@ -173,6 +177,7 @@ fn open_folder(folder: &Path, options: &ClipOptions) -> Result<Clip> {
         clip.notes.push(format!("skipped {n} of {all} images that cannot be read ({name} …)"));
     }
     if let Some((file, (width, height))) = first {
+        clip.original = (width, height);
         let scale = f64::from(clip.width) / f64::from(width);
         clip.focal = exif::focal(file, width, height).map(|focal| focal * scale);
     }

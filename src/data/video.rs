@@ -17,6 +17,8 @@ use crate::{Error, Result};
 pub struct Decoded {
     /// Number in the video and picture.
     pub frames: Vec<(String, Image)>,
+    /// Width and height of the frames before they were resized.
+    pub original: (u32, u32),
     /// Frames a second of the file, where `ffprobe` tells.
     pub rate: Option<f64>,
 }
@@ -42,14 +44,18 @@ pub fn decode_with(
     input.push(path);
     // Frames are to come out as they went in. The option for that changed its name with ffmpeg 5.1,
     // and each name is unknown to some version in use.
-    let frames = match run(ffmpeg, &input, path, options, ["-fps_mode", "passthrough"]) {
+    let (frames, original) = match run(ffmpeg, &input, path, options, ["-fps_mode", "passthrough"])
+    {
         Err(Error::Format { what, .. }) if what.contains("'fps_mode'") => {
             run(ffmpeg, &input, path, options, ["-vsync", "0"])
         }
         other => other,
     }?;
-    Ok(Decoded { frames, rate: rate(ffprobe, &input) })
+    Ok(Decoded { frames, original, rate: rate(ffprobe, &input) })
 }
+
+/// Names and pictures, and the size that they had.
+type Frames = (Vec<(String, Image)>, (u32, u32));
 
 /// Runs ffmpeg once and takes the frames that it writes.
 fn run(
@@ -58,7 +64,7 @@ fn run(
     path: &Path,
     options: &ClipOptions,
     timing: [&str; 2],
-) -> Result<Vec<(String, Image)>> {
+) -> Result<Frames> {
     let mut command = Command::new(ffmpeg);
     command.args(["-nostdin", "-v", "error", "-i"]).arg(input);
     command.args(["-map", "0:v:0", "-vf"]);
@@ -107,14 +113,12 @@ fn run(
     Ok(frames)
 }
 
-fn read_frames(
-    path: &Path,
-    from: &mut impl BufRead,
-    options: &ClipOptions,
-) -> Result<Vec<(String, Image)>> {
+fn read_frames(path: &Path, from: &mut impl BufRead, options: &ClipOptions) -> Result<Frames> {
     let mut frames = Vec::new();
+    let mut original = (0, 0);
     while !from.fill_buf().map_err(Error::io(path))?.is_empty() {
         let image = read_ppm(from).map_err(Error::io(path))?;
+        original = (image.width, image.height);
         let (width, height) = options.size.target(image.width, image.height);
         let name = format!("{:05}", frames.len() * options.every);
         frames.push((name, resize(&image, width, height)));
@@ -124,7 +128,7 @@ fn read_frames(
             return Err(Error::format(path, what));
         }
     }
-    Ok(frames)
+    Ok((frames, original))
 }
 
 /// Reads a binary PPM of 8 bits as ffmpeg writes it.

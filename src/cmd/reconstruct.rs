@@ -1,0 +1,418 @@
+//! `splat4d reconstruct`: the main job.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use serde_json::{Value, json};
+use splat4d::data::trajectory::{self, TimedPose};
+use splat4d::data::{Clip, ClipOptions, Resize, View, intrinsics};
+use splat4d::gpu::{Device, DeviceKind};
+use splat4d::observe::engine::EngineFlow;
+use splat4d::observe::flow::{FlowSource, SuppliedFlow};
+use splat4d::renderer::Renderer;
+use splat4d::scene::Scene;
+use splat4d::track::{FocalSource, Options, Stage, Track, track};
+use splat4d::train::{Phase, Sequence, SequenceSettings, fit_sequence};
+use splat4d::types::{Camera, FlowSettings, Image};
+use splat4d::{Error, Result};
+
+use super::clock::{self, Clock};
+use super::common::{
+    Answer, Common, bytes, check_output_file, check_output_folder, notes, say, thousands,
+};
+use super::info::dynamic_share;
+use super::meter::Meter;
+use super::quality;
+use super::{interrupt, sheet, supplied, values};
+
+/// Longest side of the frames unless told otherwise: on a GPU, and on a software driver.
+const LONGEST: [u32; 2] = [640, 320];
+
+const AFTER_HELP: &str = "\
+The clip is one shot of a moving camera: a video file (read through ffmpeg) or a folder of frames in
+the order of their names. A camera that stands still is recognised; then its pictures give no depth
+by themselves, and new views stay close to the old ones.
+
+Examples:
+  splat4d reconstruct video.mp4 -o scene.safetensors
+  splat4d reconstruct frames/ -o scene.safetensors --every 2 --size 320 --report report
+
+JSON (also kept in the scene): psnr_input, ssim_input, gaussians, control_points, dynamic_share (of
+the Gaussians), dynamic_pixels (share of the pixels that move), tripod, focal, focal_source (given,
+measured, assumed), focal_std (relative; null where unknown), width, height, frames (names), poses
+{inlier_share, reprojection_rms, parallax_deg, doubtful_frames, tracks}, model (what was modelled
+and why), notes, device, peak_bytes, milliseconds_per_step, seconds {load, flow, cameras, masks,
+depth, static, trajectories, control, joint, evaluate}, output";
+
+/// Turn a video whose camera poses are unknown into a 4D scene
+#[derive(Args)]
+#[command(after_help = AFTER_HELP)]
+pub struct ReconstructArgs {
+    /// A video file, or a folder of its frames
+    #[arg(value_name = "VIDEO|DIR")]
+    clip: PathBuf,
+    /// The scene's file to write
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Take every N-th frame
+    #[arg(long, value_name = "N", default_value_t = 1,
+          value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
+    every: usize,
+    /// Take at most so many frames
+    #[arg(long, value_name = "N",
+          value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(2..))]
+    max_frames: Option<usize>,
+    /// Shrink frames so that their longer side has at most so many pixels [default: 640, on a
+    /// software driver 320; with --flow the flow's size]
+    #[arg(long, value_name = "LONGEST", value_parser = clap::value_parser!(u32).range(16..))]
+    size: Option<u32>,
+    /// Steps of the last and longest stage
+    #[arg(long, value_name = "N", default_value_t = SequenceSettings::default().steps,
+          value_parser = clap::value_parser!(u32).range(1..))]
+    steps: u32,
+    /// Most Gaussians
+    #[arg(long, value_name = "N", default_value_t = SequenceSettings::default().max_gaussians,
+          value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(16..))]
+    max_gaussians: usize,
+    /// Highest degree of the spherical harmonics
+    #[arg(long, value_name = "0..3", default_value_t = SequenceSettings::default().sh_degree,
+          value_parser = clap::value_parser!(u32).range(0..=3))]
+    sh_degree: u32,
+    /// Focal length, in pixels of the clip's own size
+    #[arg(long, value_name = "PIXELS", value_parser = values::positive)]
+    focal: Option<f64>,
+    /// Intrinsics: JSON with fx, fy, cx, cy, width, height
+    #[arg(long, value_name = "FILE")]
+    intrinsics: Option<PathBuf>,
+    /// Camera poses: TUM (camera to world), one per frame, or a transforms.json
+    #[arg(long, value_name = "FILE")]
+    poses: Option<PathBuf>,
+    /// Motion masks: a folder of images, white where something moves
+    #[arg(long, value_name = "DIR")]
+    masks: Option<PathBuf>,
+    /// Depth maps: a folder of EXR files, z up to one scale, 0 where unknown
+    #[arg(long, value_name = "DIR")]
+    depth: Option<PathBuf>,
+    /// Optical flow: a folder with .flo files in `forward` and `backward`
+    #[arg(long, value_name = "DIR")]
+    flow: Option<PathBuf>,
+    /// Leave out images of a folder that cannot be read
+    #[arg(long)]
+    skip_bad: bool,
+    /// Write report.json, sheet.png (input, render, motion mask, depth), poses.txt (TUM) and
+    /// intrinsics.json into this folder
+    #[arg(long, value_name = "DIR")]
+    report: Option<PathBuf>,
+}
+
+/// Runs the command.
+pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
+    check_output_file(&args.output)?;
+    args.report.as_deref().map_or(Ok(()), check_output_folder)?;
+    if args.flow.is_some() && args.every > 1 {
+        let what = "--flow leads from each frame to the next; it does not go with --every";
+        return Err(Error::Input(what.into()));
+    }
+    let mut clock = Clock::start();
+    // A missing file is told before a missing driver.
+    std::fs::metadata(&args.clip).map_err(Error::io(&args.clip))?;
+    let device = common.open_device()?;
+    let clip = open_clip(args, &device)?;
+    let options = options(args, common, &clip)?;
+    let times: Vec<f64> = clip.frames.iter().map(|frame| frame.time).collect();
+    let names: Vec<String> = clip.frames.iter().map(|frame| frame.name.clone()).collect();
+    let (width, height, original) = (clip.width, clip.height, clip.original);
+    let frames: Vec<Image> = clip.frames.into_iter().map(|frame| frame.image).collect();
+    say(&format!(
+        "{} frames of {width}×{height} (from {}×{})",
+        frames.len(),
+        original.0,
+        original.1
+    ));
+    clock.lap("load");
+
+    let track = observe(args, &device, &frames, &options, &mut clock)?;
+    let quality = &track.quality;
+    notes(&quality.notes);
+    say(&format!(
+        "focal length {:.1} px ({}), {:.1} % of the pixels move",
+        track.intrinsics.fx,
+        focal_source(quality.focal_source),
+        100.0 * quality.dynamic_share
+    ));
+
+    let settings = SequenceSettings {
+        steps: args.steps,
+        max_gaussians: args.max_gaussians,
+        sh_degree: args.sh_degree,
+        seed: common.seed,
+        ..SequenceSettings::default()
+    };
+    let sequence = Sequence { frames: &frames, times: &times, track: &track };
+    let mut scene = fit(&device, sequence, &settings, &mut clock)?;
+    let model = model(&scene, &track, &settings);
+    say(&model);
+
+    let views = views(&frames, &names, &scene);
+    let mut renderer = Renderer::new(&device, &scene)?;
+    let measured = quality::measure(&mut renderer, &views, scene.background, "PSNR, input")?;
+    clock.lap("evaluate");
+
+    let last_stage = if clock.seconds("joint") > 0.0 { "joint" } else { "static" };
+    scene.report = json!({
+        "psnr_input": quality::mean(&measured, |q| Some(q.psnr)),
+        "ssim_input": quality::mean(&measured, |q| Some(q.ssim)),
+        "gaussians": scene.gaussians.len(),
+        "control_points": scene.control_points.len(),
+        "dynamic_share": dynamic_share(&scene),
+        "dynamic_pixels": quality.dynamic_share,
+        "tripod": quality.tripod,
+        "focal": track.intrinsics.fx,
+        "focal_source": focal_source(quality.focal_source),
+        "focal_std": quality.focal_std,
+        "width": width,
+        "height": height,
+        "frames": names,
+        "poses": {
+            "inlier_share": quality.inlier_share,
+            "reprojection_rms": quality.reprojection_rms,
+            "parallax_deg": quality.parallax_deg,
+            "doubtful_frames": quality.doubtful_frames,
+            "tracks": quality.tracks,
+        },
+        "model": model,
+        "notes": quality.notes,
+        "device": device.info().name,
+        "peak_bytes": device.memory().1,
+        "milliseconds_per_step": 1e3 * clock.seconds(last_stage) / f64::from(args.steps),
+        "seconds": clock.json(),
+    });
+    scene.save(&args.output)?;
+    if let Some(folder) = &args.report {
+        sheet::write(folder, &device, &scene, &sheet::spread(&views))?;
+        write_cameras(folder, &scene)?;
+    }
+    let mut json = scene.report.clone();
+    json["output"] = json!(args.output);
+    Ok(Answer { text: text(&json), json })
+}
+
+fn open_clip(args: &ReconstructArgs, device: &Device) -> Result<Clip> {
+    let software = device.info().kind == DeviceKind::Software;
+    let size = match args.size {
+        Some(longest) => Resize::Longest(longest),
+        None if args.flow.is_some() => Resize::Keep,
+        None => Resize::Longest(LONGEST[usize::from(software)]),
+    };
+    let options = ClipOptions {
+        every: args.every,
+        max_frames: args.max_frames,
+        size,
+        skip_bad: args.skip_bad,
+    };
+    let clip = Clip::open(&args.clip, &options)?;
+    notes(&clip.notes);
+    Ok(clip)
+}
+
+/// What is known beforehand.
+fn options(args: &ReconstructArgs, common: &Common, clip: &Clip) -> Result<Options> {
+    let (width, height, count) = (clip.width, clip.height, clip.frames.len());
+    fn each<T>(
+        path: &Option<PathBuf>,
+        read: impl FnOnce(&Path) -> Result<Vec<T>>,
+        count: usize,
+        every: usize,
+        what: &str,
+    ) -> Result<Option<Vec<T>>> {
+        let Some(path) = path else { return Ok(None) };
+        supplied::for_frames(read(path)?, count, every, path, what).map(Some)
+    }
+    let scale = f64::from(width) / f64::from(clip.original.0);
+    Ok(Options {
+        intrinsics: match &args.intrinsics {
+            Some(path) => Some(supplied::intrinsics(path, clip)?),
+            None => None,
+        },
+        focal: args.focal.map(|focal| focal * scale).or(clip.focal),
+        poses: each(&args.poses, supplied::poses, count, args.every, "poses")?,
+        masks: each(
+            &args.masks,
+            |path| supplied::masks(path, width, height),
+            count,
+            args.every,
+            "masks",
+        )?,
+        depth: each(
+            &args.depth,
+            |path| supplied::depth(path, width, height),
+            count,
+            args.every,
+            "depth maps",
+        )?,
+        seed: common.seed,
+        ..Options::default()
+    })
+}
+
+/// Flow, cameras, masks, depth.
+fn observe(
+    args: &ReconstructArgs,
+    device: &Device,
+    frames: &[Image],
+    options: &Options,
+    clock: &mut Clock,
+) -> Result<Track> {
+    let mut source: Box<dyn FlowSource + '_> = match &args.flow {
+        Some(folder) => Box::new(SuppliedFlow::open(folder)?),
+        None => Box::new(EngineFlow::new(device, frames, &FlowSettings::default())?),
+    };
+    let name = |stage: Stage| match stage {
+        Stage::Flow => "flow",
+        Stage::Cameras => "cameras",
+        Stage::Masks => "masks",
+        Stage::Depth => "depth",
+    };
+    let mut under_way: Option<(Stage, Meter)> = None;
+    let mut progress = |stage: Stage, share: f64| -> Result<()> {
+        interrupt::check()?;
+        if under_way.as_ref().is_none_or(|(before, _)| *before != stage) {
+            if let Some((before, _)) = under_way.take() {
+                clock.lap(name(before));
+            }
+            under_way = Some((stage, Meter::new(name(stage), "%", 100, 0)));
+        }
+        if let Some((_, meter)) = &mut under_way {
+            meter.set((100.0 * share) as u64);
+        }
+        Ok(())
+    };
+    let found = track(frames, options, source.as_mut(), &mut progress)?;
+    if let Some((last, _)) = under_way.take() {
+        clock.lap(name(last));
+    }
+    Ok(found)
+}
+
+fn fit(
+    device: &Device,
+    sequence: Sequence,
+    settings: &SequenceSettings,
+    clock: &mut Clock,
+) -> Result<Scene> {
+    let name = |phase: Phase| match phase {
+        Phase::Static => "static",
+        Phase::Trajectories => "trajectories",
+        Phase::Control => "control",
+        Phase::Joint => "joint",
+    };
+    let mut under_way: Option<(Phase, Meter)> = None;
+    let mut watch = |phase: Phase, step: u32, steps: u32| -> Result<()> {
+        interrupt::check()?;
+        if under_way.as_ref().is_none_or(|(before, _)| *before != phase) {
+            if let Some((before, _)) = under_way.take() {
+                clock.lap(name(before));
+            }
+            under_way = Some((phase, Meter::new(name(phase), "steps", steps.into(), 0)));
+        }
+        if let Some((_, meter)) = &mut under_way {
+            meter.set(step.into());
+        }
+        Ok(())
+    };
+    let scene = fit_sequence(device, sequence, settings, &mut watch)?;
+    if let Some((last, _)) = under_way.take() {
+        clock.lap(name(last));
+    }
+    Ok(scene)
+}
+
+/// What was modelled, what was left out, and why.
+fn model(scene: &Scene, track: &Track, settings: &SequenceSettings) -> String {
+    let moving = 100.0 * track.quality.dynamic_share;
+    if scene.network.is_some() {
+        let share = 100.0 * dynamic_share(scene);
+        return format!(
+            "{moving:.1} % of the pixels move: {} control points and a network move {share:.1} % of \
+             the Gaussians, all others are static",
+            scene.control_points.len()
+        );
+    }
+    if track.quality.dynamic_share < settings.least_dynamic_share {
+        return format!(
+            "nothing moves but the camera ({moving:.2} % of the pixels): no control points, no \
+             network"
+        );
+    }
+    format!(
+        "{moving:.1} % of the pixels seem to move, but none could be followed: no control points, \
+         no network"
+    )
+}
+
+fn focal_source(source: FocalSource) -> &'static str {
+    match source {
+        FocalSource::Given => "given",
+        FocalSource::Measured => "measured",
+        FocalSource::Assumed => "assumed",
+    }
+}
+
+/// The frames with the scene's cameras.
+fn views(frames: &[Image], names: &[String], scene: &Scene) -> Vec<View> {
+    frames
+        .iter()
+        .zip(names)
+        .zip(&scene.cameras)
+        .map(|((image, name), known)| View {
+            name: name.clone(),
+            time: known.time,
+            camera: known.camera,
+            image: image.clone(),
+            valid: None,
+        })
+        .collect()
+}
+
+fn write_cameras(folder: &Path, scene: &Scene) -> Result<()> {
+    let poses: Vec<TimedPose> = scene
+        .cameras
+        .iter()
+        .enumerate()
+        .map(|(i, known)| TimedPose {
+            time: i as f64,
+            world_from_view: known.camera.view_from_world.inverse(),
+        })
+        .collect();
+    trajectory::write(folder.join("poses.txt"), &poses)?;
+    match scene.cameras.first().map(|known| known.camera) {
+        Some(Camera { intrinsics: k, .. }) => intrinsics::write(folder.join("intrinsics.json"), &k),
+        None => Ok(()),
+    }
+}
+
+fn text(report: &Value) -> String {
+    let number = |key: &str| report[key].as_f64().unwrap_or(f64::NAN);
+    let pose = |key: &str| report["poses"][key].as_f64().unwrap_or(f64::NAN);
+    let whole = |key: &str| report[key].as_u64().unwrap_or(0);
+    format!(
+        "scene           {}\nPSNR, input     {:.2} dB\nfocal length    {:.1} px ({})\n\
+         poses           {:.0} % of {} tracks agree within {:.2} px rms, parallax {:.1}°\n\
+         moving pixels   {:.1} %\nGaussians       {} ({:.1} % dynamic)\ncontrol points  {}\n\
+         time            {}\nmemory          {} at most on the device\n",
+        report["output"].as_str().unwrap_or_default(),
+        number("psnr_input"),
+        number("focal"),
+        report["focal_source"].as_str().unwrap_or_default(),
+        100.0 * pose("inlier_share"),
+        report["poses"]["tracks"],
+        pose("reprojection_rms"),
+        pose("parallax_deg"),
+        100.0 * number("dynamic_pixels"),
+        thousands(whole("gaussians") as usize),
+        100.0 * number("dynamic_share"),
+        whole("control_points"),
+        clock::line(&report["seconds"]),
+        bytes(whole("peak_bytes")),
+    )
+}
