@@ -2,45 +2,44 @@
 
 use std::time::Instant;
 
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
-/// Seconds by stage.
+/// Seconds by stage, in the order in which the stages began.
 pub struct Clock {
     begun: Instant,
-    laps: Map<String, Value>,
+    stages: Vec<(String, f64)>,
 }
 
 impl Clock {
     /// Begins the first stage.
     pub fn start() -> Clock {
-        Clock { begun: Instant::now(), laps: Map::new() }
+        Clock { begun: Instant::now(), stages: Vec::new() }
     }
 
     /// The stage that ends here; of one that comes several times, the sum counts.
     pub fn lap(&mut self, stage: &str) {
-        let before = self.seconds(stage);
-        self.laps.insert(stage.into(), json!(before + self.begun.elapsed().as_secs_f64()));
+        let seconds = self.begun.elapsed().as_secs_f64();
+        match self.stages.iter_mut().find(|(name, _)| name == stage) {
+            Some((_, sum)) => *sum += seconds,
+            None => self.stages.push((stage.to_owned(), seconds)),
+        }
         self.begun = Instant::now();
     }
 
     /// How long a stage took; 0 for one that there was not.
     pub fn seconds(&self, stage: &str) -> f64 {
-        self.laps.get(stage).and_then(Value::as_f64).unwrap_or(0.0)
+        self.stages.iter().find(|(name, _)| name == stage).map_or(0.0, |(_, seconds)| *seconds)
     }
 
     /// `{stage: seconds}`.
     pub fn json(&self) -> Value {
-        Value::Object(self.laps.clone())
+        self.stages.iter().map(|(stage, seconds)| (stage.clone(), json!(seconds))).collect()
     }
-}
 
-/// What [`Clock::json`] gave, as one line.
-pub fn line(seconds: &Value) -> String {
-    let stages: Vec<String> = seconds
-        .as_object()
-        .into_iter()
-        .flatten()
-        .map(|(stage, seconds)| format!("{stage} {:.1} s", seconds.as_f64().unwrap_or(0.0)))
-        .collect();
-    stages.join(", ")
+    /// All stages on one line.
+    pub fn line(&self) -> String {
+        let stages: Vec<String> =
+            self.stages.iter().map(|(stage, seconds)| format!("{stage} {seconds:.1} s")).collect();
+        stages.join(", ")
+    }
 }

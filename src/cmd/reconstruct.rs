@@ -16,7 +16,7 @@ use splat4d::train::{Phase, Sequence, SequenceSettings, fit_sequence};
 use splat4d::types::{Camera, FlowSettings, Image};
 use splat4d::{Error, Result};
 
-use super::clock::{self, Clock};
+use super::clock::Clock;
 use super::common::{
     Answer, Common, bytes, check_output_file, check_output_folder, notes, say, thousands,
 };
@@ -194,7 +194,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     }
     let mut json = scene.report.clone();
     json["output"] = json!(args.output);
-    Ok(Answer { text: text(&json), json })
+    Ok(Answer { text: text(&json, &clock), json })
 }
 
 fn open_clip(args: &ReconstructArgs, device: &Device) -> Result<Clip> {
@@ -391,7 +391,7 @@ fn write_cameras(folder: &Path, scene: &Scene) -> Result<()> {
     }
 }
 
-fn text(report: &Value) -> String {
+fn text(report: &Value, clock: &Clock) -> String {
     let number = |key: &str| report[key].as_f64().unwrap_or(f64::NAN);
     let pose = |key: &str| report["poses"][key].as_f64().unwrap_or(f64::NAN);
     let whole = |key: &str| report[key].as_u64().unwrap_or(0);
@@ -412,7 +412,7 @@ fn text(report: &Value) -> String {
         thousands(whole("gaussians") as usize),
         100.0 * number("dynamic_share"),
         whole("control_points"),
-        clock::line(&report["seconds"]),
+        clock.line(),
         bytes(whole("peak_bytes")),
     )
 }

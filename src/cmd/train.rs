@@ -17,7 +17,7 @@ use splat4d::train::{
 use splat4d::types::{Camera, Gaussians};
 use splat4d::{Error, Result};
 
-use super::clock::{self, Clock};
+use super::clock::Clock;
 use super::common::{
     Answer, Common, bytes, check_output_file, check_output_folder, notes, say, thousands,
 };
@@ -158,7 +158,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     }
     let mut json = scene.report.clone();
     json["output"] = json!(args.output);
-    Ok(Answer { text: text(&json), json })
+    Ok(Answer { text: text(&json, &clock), json })
 }
 
 /// The dataset's points, at most as many as there may be Gaussians; random ones where it has none.
@@ -209,7 +209,7 @@ fn trajectory<'a>(views: impl Iterator<Item = &'a View>) -> Vec<SceneCamera> {
     cameras
 }
 
-fn text(report: &Value) -> String {
+fn text(report: &Value, clock: &Clock) -> String {
     let number = |key: &str| report[key].as_f64();
     let decibels = |key| number(key).map_or("none".into(), |v| format!("{v:.2} dB"));
     format!(
@@ -221,7 +221,7 @@ fn text(report: &Value) -> String {
         report["held_out"],
         thousands(report["gaussians"].as_u64().unwrap_or(0) as usize),
         number("milliseconds_per_step").unwrap_or(0.0),
-        clock::line(&report["seconds"]),
+        clock.line(),
         bytes(report["peak_bytes"].as_u64().unwrap_or(0)),
     )
 }
