@@ -3,14 +3,17 @@
 //!
 //! | module | what it holds |
 //! |---|---|
+//! | [`engine`] | [`EngineFlow`]: flow that the engine computes |
 //! | [`flow`] | [`FlowSource`] and flow that the user supplies; forward–backward confidence; chaining |
 //! | [`tracks`] | points followed over many frames |
 //!
 //! Everything after this stage sees only [`NeighbourFlow`]: where a flow came from (the engine, a
 //! network, a file, a synthetic clip) makes no difference to it.
 
+pub mod engine;
 pub mod flow;
 pub mod tracks;
 
-pub use flow::{Chain, FlowSource, NeighbourFlow, SuppliedFlow, observe_flow};
+pub use engine::EngineFlow;
+pub use flow::{Chain, FlowPair, FlowSource, NeighbourFlow, SuppliedFlow, observe_flow};
 pub use tracks::{PointTrack, TrackOptions, follow};

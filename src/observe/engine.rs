@@ -1,0 +1,58 @@
+//! Flow that the engine computes.
+
+use super::flow::{FlowPair, FlowSource};
+use crate::gpu::Device;
+use crate::ops::flow::{FlowEngine, FlowImages};
+use crate::types::{FlowSettings, Image};
+use crate::{Error, Result};
+
+/// The engine's own flow between the frames of a clip: [`crate::ops::flow`], with the pair before
+/// as a guess, since motion goes on.
+pub struct EngineFlow<'a> {
+    frames: &'a [Image],
+    engine: FlowEngine,
+    /// The pyramid of the frame that the next pair begins with.
+    ahead: Option<(usize, crate::ops::flow::FlowFrame)>,
+    last: Option<(usize, FlowImages)>,
+}
+
+impl<'a> EngineFlow<'a> {
+    /// For frames of one size.
+    ///
+    /// # Errors
+    /// No frames, frames that flow cannot be planned for, a failed allocation.
+    pub fn new(device: &Device, frames: &'a [Image], settings: &FlowSettings) -> Result<Self> {
+        let Some(first) = frames.first() else {
+            return Err(Error::Input("a clip without frames has no flow".into()));
+        };
+        let engine = FlowEngine::new(device, first.width, first.height, settings)?;
+        Ok(EngineFlow { frames, engine, ahead: None, last: None })
+    }
+}
+
+impl FlowSource for EngineFlow<'_> {
+    fn pair(&mut self, first: usize) -> Result<FlowPair> {
+        let (Some(image), Some(next)) = (self.frames.get(first), self.frames.get(first + 1)) else {
+            return Err(Error::Input(format!(
+                "flow from frame {first} to the next: the clip has {} frames",
+                self.frames.len()
+            )));
+        };
+        let here = match self.ahead.take() {
+            Some((frame, pyramid)) if frame == first => pyramid,
+            _ => self.engine.frame(image)?,
+        };
+        let there = self.engine.frame(next)?;
+        let guess = self.last.as_ref().filter(|(pair, _)| pair + 1 == first).map(|(_, f)| f);
+        let found = self.engine.pair(&here, &there, guess)?;
+        self.ahead = Some((first + 1, there));
+        let pair = FlowPair {
+            forward: found.forward.clone(),
+            backward: found.backward.clone(),
+            forward_confidence: Some(found.forward_confidence.clone()),
+            backward_confidence: Some(found.backward_confidence.clone()),
+        };
+        self.last = Some((first, found));
+        Ok(pair)
+    }
+}
