@@ -12,6 +12,7 @@ mod interrupt;
 mod meter;
 mod path;
 mod quality;
+mod reconstruct;
 mod render;
 mod sheet;
 mod synth;
@@ -47,6 +48,7 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    Reconstruct(reconstruct::ReconstructArgs),
     Train(train::TrainArgs),
     Render(render::RenderArgs),
     Eval(eval::EvalArgs),
@@ -79,6 +81,7 @@ pub fn main() -> ExitCode {
 fn run(cli: &Cli) -> Result<Answer> {
     interrupt::watch();
     match &cli.command {
+        Command::Reconstruct(args) => reconstruct::run(args, &cli.common),
         Command::Train(args) => train::run(args, &cli.common),
         Command::Render(args) => render::run(args, &cli.common),
         Command::Eval(args) => eval::run(args, &cli.common),
