@@ -22,7 +22,7 @@ use splat4d::types::{Camera, Gaussians, Intrinsics};
 use support::{picture, says};
 use tempfile::TempDir;
 
-const COMMANDS: [&str; 6] = ["train", "render", "eval", "info", "devices", "synth"];
+const COMMANDS: [&str; 7] = ["reconstruct", "train", "render", "eval", "info", "devices", "synth"];
 
 /// The program, on the device under test.
 fn program() -> Command {
@@ -448,6 +448,96 @@ fn bad_datasets_are_named() {
     says(&fails(folder.path(), 1, "render blobs.ply -o x --path input"), &["--path orbit"]);
     says(&fails(folder.path(), 1, "render blobs.ply -o x --path none.json"), &["none.json"]);
     says(&fails(folder.path(), 1, "eval blobs.ply one/transforms.json --device none"), &["none"]);
+}
+
+#[test]
+fn a_clip_in_which_nothing_moves_becomes_a_static_scene() {
+    let folder = tempfile::tempdir().unwrap();
+    json(folder.path(), "synth still -o clip --frames 6 --size 112x63");
+    let arguments = "reconstruct clip -o scene.safetensors --steps 60 --max-gaussians 3000 \
+                     --report report";
+    let report = json(folder.path(), arguments);
+    documented("reconstruct", &report);
+    documented("reconstruct", &report["poses"]);
+    documented("reconstruct", &report["intrinsics"]);
+    assert_eq!((&report["control_points"], &report["frames"]), (&0.into(), &6.into()));
+    says(report["model"].as_str().unwrap(), &["nothing moves", "no control points"]);
+    assert!(report["psnr_input"].as_f64() > Some(15.0), "{report}");
+    for file in ["sheet.png", "report.json", "poses.txt", "intrinsics.json"] {
+        assert!(folder.path().join("report").join(file).is_file(), "{file}");
+    }
+    let found = json(folder.path(), "eval scene.safetensors clip/truth");
+    assert!(found["ate_relative"].as_f64() < Some(0.1), "{found}");
+    assert!(found["psnr"].as_f64() > Some(12.0), "{found}");
+    let path = json(folder.path(), "eval report/poses.txt clip/truth/poses.txt");
+    assert!(
+        (path["ate_rmse"].as_f64().unwrap() - found["ate_rmse"].as_f64().unwrap()).abs() < 1e-6
+    );
+}
+
+#[test]
+fn bad_clips_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let reconstruct = |what: &str| fails(folder.path(), 1, &format!("reconstruct {what} -o x"));
+    let clip = |name: &str, sizes: &[(u32, u32)]| {
+        fs::create_dir(at(name)).unwrap();
+        for (i, (width, height)) in sizes.iter().enumerate() {
+            let frame = picture(*width, *height, 3 * i as u32);
+            write_png(at(name).join(format!("{i}.png")), &frame).unwrap();
+        }
+    };
+    clip("empty", &[]);
+    clip("one", &[(48, 32)]);
+    clip("odd", &[(48, 32), (48, 32), (50, 32)]);
+    clip("broken", &[(48, 32); 4]);
+    let whole = fs::read(at("broken/2.png")).unwrap();
+    fs::write(at("broken/2.png"), &whole[..whole.len() / 2]).unwrap();
+    fs::write(at("noise.mp4"), "no video").unwrap();
+    says(&reconstruct("missing"), &["missing"]);
+    says(&reconstruct("empty"), &["empty", "no images"]);
+    says(&reconstruct("one"), &["one frame only"]);
+    says(&reconstruct("odd"), &["2.png", "50×32", "one size"]);
+    says(&reconstruct("broken"), &["2.png", "--skip-bad"]);
+    reconstruct("noise.mp4");
+    // What is supplied has to fit.
+    clip("fine", &[(48, 32); 4]);
+    fs::write(at("poses.txt"), "0 0 0 0 0 0 0 1\n1 0 0 1 0 0 0 1\n").unwrap();
+    says(&reconstruct("fine --poses poses.txt"), &["poses.txt", "2 poses", "4 frames"]);
+    says(&reconstruct("fine --masks one"), &["one", "1 masks", "4 frames"]);
+    says(&reconstruct("fine --flow empty --every 2"), &["--flow", "--every"]);
+    fs::write(at("wide.json"), r#"{"focal": 50, "width": 99, "height": 32}"#).unwrap();
+    says(&reconstruct("fine --intrinsics wide.json"), &["wide.json", "99×32"]);
+    fails(folder.path(), 2, "reconstruct fine -o x --focal 50 --intrinsics wide.json");
+    fails(folder.path(), 2, "reconstruct fine -o x --max-frames 1");
+}
+
+/// A picture that slides by looks as from a camera that only turns: no depth is to be had from it.
+#[test]
+fn a_clip_without_parallax_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::create_dir(folder.path().join("clip")).unwrap();
+    let mut dice = support::Dice(5);
+    let wide: Vec<f32> = (0..200 * 72).map(|_| dice.roll(1000) as f32 / 1000.0).collect();
+    let soft = |x: usize, y: usize| {
+        let near = |dx: usize, dy: usize| wide[(y + dy) * 200 + x + dx];
+        (0..3)
+            .flat_map(|dy| (0..3).map(move |dx| (dx, dy)))
+            .map(|(dx, dy)| near(dx, dy))
+            .sum::<f32>()
+            / 9.0
+    };
+    for frame in 0..5 {
+        let mut image = splat4d::types::Image::new(96, 64, 3);
+        for y in 0..64 {
+            for x in 0..96 {
+                image.at_mut(x, y).fill(soft(x as usize + 4 * frame, y as usize));
+            }
+        }
+        write_png(folder.path().join(format!("clip/{frame}.png")), &image).unwrap();
+    }
+    let said = fails(folder.path(), 1, "reconstruct clip -o x");
+    says(&said, &["parallax"]);
 }
 
 #[test]

@@ -70,7 +70,7 @@ pub fn measure(device: &Device, scene: &Scene, truth: &Path) -> Result<Map<Strin
 /// report lists them, else one by one where there are as many, else by time.
 fn pair<'a>(scene: &'a Scene, truth: &[TimedCamera]) -> Result<Vec<Pair<'a>>> {
     let ours = &scene.cameras;
-    let listed: Option<Vec<usize>> = scene.report["frames"].as_array().and_then(|names| {
+    let listed: Option<Vec<usize>> = scene.report["frame_names"].as_array().and_then(|names| {
         names.iter().map(|name| name.as_str()?.parse().ok().filter(|i| *i < truth.len())).collect()
     });
     let indices: Vec<(usize, usize)> = match listed {

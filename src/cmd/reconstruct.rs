@@ -7,8 +7,7 @@ use serde_json::{Value, json};
 use splat4d::data::trajectory::{self, TimedPose};
 use splat4d::data::{Clip, ClipOptions, Resize, View, intrinsics};
 use splat4d::gpu::{Device, DeviceKind};
-use splat4d::observe::engine::EngineFlow;
-use splat4d::observe::flow::{FlowSource, SuppliedFlow};
+use splat4d::observe::{EngineFlow, FlowSource};
 use splat4d::renderer::Renderer;
 use splat4d::scene::Scene;
 use splat4d::track::{FocalSource, Options, Stage, Track, track};
@@ -38,11 +37,11 @@ Examples:
   splat4d reconstruct frames/ -o scene.safetensors --every 2 --size 320 --report report
 
 JSON (also kept in the scene): psnr_input, ssim_input, gaussians, control_points, dynamic_share (of
-the Gaussians), dynamic_pixels (share of the pixels that move), tripod, focal, focal_source (given,
-measured, assumed), focal_std (relative; null where unknown), width, height, frames (names), poses
-{inlier_share, reprojection_rms, parallax_deg, doubtful_frames, tracks}, model (what was modelled
-and why), notes, device, peak_bytes, milliseconds_per_step, seconds {load, flow, cameras, masks,
-depth, static, trajectories, control, joint, evaluate}, output";
+the pixels), dynamic_gaussians (share), intrinsics {fx, fy, cx, cy, width, height, source (given,
+measured, assumed)}, poses {tripod, inlier_share, reprojection_rms, parallax_deg, focal_std,
+doubtful_frames, tracks}, frames, frame_names, model (what was modelled and why), notes, device,
+peak_bytes, milliseconds_per_step, seconds {load, flow, cameras, masks, depth, static,
+trajectories, control, joint, evaluate}, output";
 
 /// Turn a video whose camera poses are unknown into a 4D scene
 #[derive(Args)]
@@ -66,7 +65,11 @@ pub struct ReconstructArgs {
     /// software driver 320; with --flow the flow's size]
     #[arg(long, value_name = "LONGEST", value_parser = clap::value_parser!(u32).range(16..))]
     size: Option<u32>,
-    /// Steps of the last and longest stage
+    /// Shrink frames to this width instead
+    #[arg(long, value_name = "PIXELS", conflicts_with = "size",
+          value_parser = clap::value_parser!(u32).range(16..))]
+    width: Option<u32>,
+    /// Steps of the last and longest stage; the stages before it go in proportion
     #[arg(long, value_name = "N", default_value_t = SequenceSettings::default().steps,
           value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
@@ -74,6 +77,10 @@ pub struct ReconstructArgs {
     #[arg(long, value_name = "N", default_value_t = SequenceSettings::default().max_gaussians,
           value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(16..))]
     max_gaussians: usize,
+    /// Most control points
+    #[arg(long, value_name = "N", default_value_t = SequenceSettings::default().control_points,
+          value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
+    control_points: usize,
     /// Highest degree of the spherical harmonics
     #[arg(long, value_name = "0..3", default_value_t = SequenceSettings::default().sh_degree,
           value_parser = clap::value_parser!(u32).range(0..=3))]
@@ -82,7 +89,7 @@ pub struct ReconstructArgs {
     #[arg(long, value_name = "PIXELS", value_parser = values::positive)]
     focal: Option<f64>,
     /// Intrinsics: JSON with fx, fy, cx, cy, width, height
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", conflicts_with = "focal")]
     intrinsics: Option<PathBuf>,
     /// Camera poses: TUM (camera to world), one per frame, or a transforms.json
     #[arg(long, value_name = "FILE")]
@@ -93,7 +100,8 @@ pub struct ReconstructArgs {
     /// Depth maps: a folder of EXR files, z up to one scale, 0 where unknown
     #[arg(long, value_name = "DIR")]
     depth: Option<PathBuf>,
-    /// Optical flow: a folder with .flo files in `forward` and `backward`
+    /// Optical flow: a folder with .flo files in flow_forward and flow_backward (or forward and
+    /// backward)
     #[arg(long, value_name = "DIR")]
     flow: Option<PathBuf>,
     /// Leave out images of a folder that cannot be read
@@ -141,12 +149,19 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
         100.0 * quality.dynamic_share
     ));
 
+    let usual = SequenceSettings::default();
+    let in_proportion = |steps: u32| {
+        (u64::from(steps) * u64::from(args.steps)).div_ceil(u64::from(usual.steps)) as u32
+    };
     let settings = SequenceSettings {
+        static_steps: in_proportion(usual.static_steps),
+        control_steps: in_proportion(usual.control_steps),
         steps: args.steps,
         max_gaussians: args.max_gaussians,
+        control_points: args.control_points,
         sh_degree: args.sh_degree,
         seed: common.seed,
-        ..SequenceSettings::default()
+        ..usual.clone()
     };
     let sequence = Sequence { frames: &frames, times: &times, track: &track };
     let mut scene = fit(&device, sequence, &settings, &mut clock)?;
@@ -159,27 +174,27 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     clock.lap("evaluate");
 
     let last_stage = if clock.seconds("joint") > 0.0 { "joint" } else { "static" };
+    let mut known_intrinsics = intrinsics::to_json(&track.intrinsics);
+    known_intrinsics["source"] = json!(focal_source(quality.focal_source));
     scene.report = json!({
         "psnr_input": quality::mean(&measured, |q| Some(q.psnr)),
         "ssim_input": quality::mean(&measured, |q| Some(q.ssim)),
         "gaussians": scene.gaussians.len(),
         "control_points": scene.control_points.len(),
-        "dynamic_share": dynamic_share(&scene),
-        "dynamic_pixels": quality.dynamic_share,
-        "tripod": quality.tripod,
-        "focal": track.intrinsics.fx,
-        "focal_source": focal_source(quality.focal_source),
-        "focal_std": quality.focal_std,
-        "width": width,
-        "height": height,
-        "frames": names,
+        "dynamic_share": quality.dynamic_share,
+        "dynamic_gaussians": dynamic_share(&scene),
+        "intrinsics": known_intrinsics,
         "poses": {
+            "tripod": quality.tripod,
             "inlier_share": quality.inlier_share,
             "reprojection_rms": quality.reprojection_rms,
             "parallax_deg": quality.parallax_deg,
+            "focal_std": quality.focal_std,
             "doubtful_frames": quality.doubtful_frames,
             "tracks": quality.tracks,
         },
+        "frames": names.len(),
+        "frame_names": names,
         "model": model,
         "notes": quality.notes,
         "device": device.info().name,
@@ -199,10 +214,11 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
 
 fn open_clip(args: &ReconstructArgs, device: &Device) -> Result<Clip> {
     let software = device.info().kind == DeviceKind::Software;
-    let size = match args.size {
-        Some(longest) => Resize::Longest(longest),
-        None if args.flow.is_some() => Resize::Keep,
-        None => Resize::Longest(LONGEST[usize::from(software)]),
+    let size = match (args.width, args.size) {
+        (Some(width), _) => Resize::Width(width),
+        (None, Some(longest)) => Resize::Longest(longest),
+        _ if args.flow.is_some() => Resize::Keep,
+        _ => Resize::Longest(LONGEST[usize::from(software)]),
     };
     let options = ClipOptions {
         every: args.every,
@@ -264,7 +280,7 @@ fn observe(
     clock: &mut Clock,
 ) -> Result<Track> {
     let mut source: Box<dyn FlowSource + '_> = match &args.flow {
-        Some(folder) => Box::new(SuppliedFlow::open(folder)?),
+        Some(folder) => Box::new(supplied::flow(folder)?),
         None => Box::new(EngineFlow::new(device, frames, &FlowSettings::default())?),
     };
     let name = |stage: Stage| match stage {
@@ -402,15 +418,15 @@ fn text(report: &Value, clock: &Clock) -> String {
          time            {}\nmemory          {} at most on the device\n",
         report["output"].as_str().unwrap_or_default(),
         number("psnr_input"),
-        number("focal"),
-        report["focal_source"].as_str().unwrap_or_default(),
+        report["intrinsics"]["fx"].as_f64().unwrap_or(f64::NAN),
+        report["intrinsics"]["source"].as_str().unwrap_or_default(),
         100.0 * pose("inlier_share"),
         report["poses"]["tracks"],
         pose("reprojection_rms"),
         pose("parallax_deg"),
-        100.0 * number("dynamic_pixels"),
-        thousands(whole("gaussians") as usize),
         100.0 * number("dynamic_share"),
+        thousands(whole("gaussians") as usize),
+        100.0 * number("dynamic_gaussians"),
         whole("control_points"),
         clock.line(),
         bytes(whole("peak_bytes")),

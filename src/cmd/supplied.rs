@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use splat4d::data::{Clip, exr, images, intrinsics, read_mask, trajectory, transforms};
+use splat4d::data::{Clip, exr, flo, images, intrinsics, read_mask, trajectory, transforms};
+use splat4d::observe::SuppliedFlow;
 use splat4d::types::{Image, Intrinsics, Pose};
 use splat4d::{Error, Result};
 
@@ -68,20 +69,33 @@ pub fn masks(folder: &Path, width: u32, height: u32) -> Result<Vec<Image>> {
 
 /// Depth maps of a folder of EXR files.
 pub fn depth(folder: &Path, width: u32, height: u32) -> Result<Vec<Image>> {
-    let mut files: Vec<PathBuf> = Vec::new();
+    let files = files(folder, "exr")?;
+    files.iter().map(|file| Ok(nearest(&exr::read_depth(file)?, width, height))).collect()
+}
+
+/// Optical flow of a folder, as `synth` lays it out or as [`SuppliedFlow::open`] reads it.
+pub fn flow(folder: &Path) -> Result<SuppliedFlow> {
+    let both = ["flow_forward", "flow_backward"].map(|name| folder.join(name));
+    if !both.iter().all(|inner| inner.is_dir()) {
+        return SuppliedFlow::open(folder);
+    }
+    let read = |inner: &Path| -> Result<Vec<Image>> {
+        files(inner, "flo")?.iter().map(flo::read).collect()
+    };
+    SuppliedFlow::new(read(&both[0])?, read(&both[1])?)
+}
+
+/// The files with an extension, in the natural order of their names.
+fn files(folder: &Path, extension: &str) -> Result<Vec<PathBuf>> {
+    let mut files = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(Error::io(folder))? {
         let path = entry.map_err(Error::io(folder))?.path();
-        if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("exr")) {
+        if path.extension().is_some_and(|e| e.eq_ignore_ascii_case(extension)) {
             files.push(path);
         }
     }
-    // By the numbers in the name, then by the name: 10 follows 9.
-    files.sort_by_cached_key(|path| {
-        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let digits: String = name.chars().filter(char::is_ascii_digit).collect();
-        (digits.parse::<u64>().unwrap_or(u64::MAX), name)
-    });
-    files.iter().map(|file| Ok(nearest(&exr::read_depth(file)?, width, height))).collect()
+    files.sort_by(|a, b| images::natural(&a.to_string_lossy(), &b.to_string_lossy()));
+    Ok(files)
 }
 
 /// Another size without mixing values: depths on both sides of an edge have no meaningful mean.

@@ -10,6 +10,8 @@
 use glam::DVec2;
 use rayon::prelude::*;
 
+use super::cameras::Cameras;
+use super::photometric::judge;
 use super::residual::Seen;
 use crate::observe::{NeighbourFlow, PointTrack};
 use crate::types::Image;
@@ -54,8 +56,17 @@ pub(super) fn static_weights(tracks: &[PointTrack], masks: &[Image]) -> Vec<f64>
 }
 
 /// A motion mask per frame, one channel in [0, 1].
-pub(super) fn segment(frames: &[Image], flow: &NeighbourFlow, seen: &[Seen]) -> Vec<Image> {
-    let odds: Vec<Vec<f32>> = seen.par_iter().map(odds).collect();
+pub(super) fn segment(
+    frames: &[Image],
+    cameras: &Cameras,
+    flow: &NeighbourFlow,
+    seen: &[Seen],
+) -> Vec<Image> {
+    let odds: Vec<Vec<f32>> = seen
+        .par_iter()
+        .enumerate()
+        .map(|(f, seen)| judge(frames, cameras, flow, seen, f, &odds(seen)))
+        .collect();
     (0..frames.len())
         .into_par_iter()
         .map(|frame| {

@@ -5,6 +5,7 @@
 //! | [`still`] | is the camera fixed, does it only turn or zoom? |
 //! | [`cameras`] | focal length, two-view start, PnP frame by frame, bundle adjustment |
 //! | [`residual`] | per pixel: the inverse depth that a static world would need, and what it leaves unexplained |
+//! | [`photometric`] | does the picture itself say that a pixel moved? |
 //! | [`masks`] | from what is unexplained to a dense motion mask that keeps to the picture's edges |
 //! | [`depth`] | depth of all pixels, measured where it can be, inferred and marked so where not |
 //! | [`points`] | static points to seed Gaussians with |
@@ -16,6 +17,7 @@
 mod cameras;
 mod depth;
 mod masks;
+mod photometric;
 mod points;
 mod residual;
 mod still;
@@ -200,7 +202,7 @@ pub fn track(
     for round in 0..rounds {
         seen = residual::triangulate_frames(&cameras, &flow);
         if supplied.is_none() {
-            masks = masks::segment(frames, &flow, &seen);
+            masks = masks::segment(frames, &cameras, &flow, &seen);
         }
         progress(Stage::Masks, (round + 1) as f64 / rounds as f64)?;
         if !tripod {
@@ -212,7 +214,7 @@ pub fn track(
     if !tripod {
         seen = residual::triangulate_frames(&cameras, &flow);
         if supplied.is_none() {
-            masks = masks::segment(frames, &flow, &seen);
+            masks = masks::segment(frames, &cameras, &flow, &seen);
         }
     }
     if !tripod && options.poses.is_none() {
