@@ -18,7 +18,7 @@ pub(super) fn border_prior(track: &PointTrack, size: (usize, usize)) -> f64 {
     let y = middle.y / h;
     // The lower border is no border: people and cars are cut off there as often as floors.
     let inside = x.min(y).clamp(0.0, 0.25) / 0.25;
-    1.0 - 0.5 * inside
+    1.0 - 0.85 * inside
 }
 
 /// A track of a fixed camera's static world stays within so many pixels at 320 wide.
