@@ -9,6 +9,9 @@ use splat4d::oracle::flow::{Pyramid, flow};
 use splat4d::types::{FlowSettings, Image};
 use std::path::PathBuf;
 
+/// The flow at a pixel.
+type Truth<'a> = Box<dyn Fn(f64, f64) -> [f64; 2] + 'a>;
+
 #[test]
 fn cases() {
     common::run("flow");
@@ -99,7 +102,7 @@ fn known_flows() {
         let (c, s) = (turn.cos() / scale, -turn.sin() / scale);
         [cx + c * dx - s * dy, cy + s * dx + c * dy]
     };
-    let cases: [(&str, Image, Box<dyn Fn(f64, f64) -> [f64; 2]>, f64); 4] = [
+    let cases: [(&str, Image, Truth<'_>, f64); 4] = [
         (
             "small shift",
             render(w, h, |x, y| [x - 0.6, y + 0.3]),

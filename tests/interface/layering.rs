@@ -170,8 +170,10 @@ impl Scan<'_> {
         while at < tokens.len() {
             let token = &tokens[at];
             match token {
-                TokenTree::Ident(ident) if *ident == "crate" => self.from_root(&tokens, at),
-                TokenTree::Ident(ident) if *ident == "super" => at = self.from_super(&tokens, at),
+                TokenTree::Ident(ident) if *ident == "crate" => self.read_from_root(&tokens, at),
+                TokenTree::Ident(ident) if *ident == "super" => {
+                    at = self.read_from_super(&tokens, at)
+                }
                 TokenTree::Ident(ident) if *ident == "ash" && self.room != "vk" => {
                     self.report(token, "only src/vk names ash".into());
                 }
@@ -201,7 +203,7 @@ impl Scan<'_> {
     }
 
     /// `crate::…` at a place.
-    fn from_root(&mut self, tokens: &[TokenTree], at: usize) {
+    fn read_from_root(&mut self, tokens: &[TokenTree], at: usize) {
         match &tokens[at + 1..] {
             [a, b, target, ..] if is_colons(a, b) => self.target(target),
             // `pub(crate)` and `in crate` name nothing.
@@ -214,7 +216,7 @@ impl Scan<'_> {
     }
 
     /// `super::super::…` at a place; gives where it ends.
-    fn from_super(&mut self, tokens: &[TokenTree], mut at: usize) -> usize {
+    fn read_from_super(&mut self, tokens: &[TokenTree], mut at: usize) -> usize {
         let mut up = 1;
         while let [a, b, next, ..] = &tokens[at + 1..]
             && is_colons(a, b)
