@@ -15,7 +15,11 @@ use std::path::{Path, PathBuf};
 
 /// Kernels that naga's front end rejects, with the reason: what its message must contain. One that
 /// naga has learnt to read must leave this list.
-const NAGA_REJECTS: &[(&str, &str)] = &[];
+const NAGA_REJECTS: &[(&str, &str)] = &[
+    // naga 30 loses an expression of the unrolled loops (an unwrap in proc/emitter.rs); spirv-val and
+    // the drivers accept the module, and rspirv checks it against its declaration all the same.
+    ("raster/backward", "the front end panicked"),
+];
 
 /// The smallest limits that kernels are made for: SwiftShader's and Vulkan's own.
 const MAX_BINDINGS: usize = 30;

@@ -8,7 +8,7 @@ use crate::oracle::{scan, sort};
 use crate::types::{Camera, Gaussians, RenderSettings};
 use rand::RngExt;
 
-const KERNELS: &[&str] = &["bin/compact", "bin/counts", "bin/emit", "bin/ranges"];
+const KERNELS: &[&str] = &["bin/compact", "bin/counts", "bin/emit", "bin/ranges", "bin/fits"];
 
 /// The family's cases.
 pub const CASES: &[Case] = &[
@@ -59,6 +59,7 @@ fn compare(
     harness.exact(&format!("{what}: offsets"), &out.rank_offsets, &scan::exclusive(&counts));
     let total = scan::sum(&counts);
     harness.exact(&format!("{what}: counts"), &out.counts, &[drawn.len() as u32, total]);
+    harness.exact(&format!("{what}: fits"), &[out.fits], &[total as usize <= capacity]);
 
     // Emission: every splat the tiles that it reaches, row by row, in its own stretch.
     let m = (total as usize).min(capacity);

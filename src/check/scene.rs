@@ -145,6 +145,8 @@ pub struct Forward {
     pub visible: Vec<u32>,
     /// Visible Gaussians and intersections, counted in full.
     pub counts: [u32; 2],
+    /// Whether all of these fitted.
+    pub fits: bool,
     /// Gaussians by depth.
     pub order: Vec<u32>,
     /// First intersection by rank.
@@ -249,6 +251,7 @@ impl Frame {
         poison(r, &mut [&mut s.splat_ids, &mut s.sorted_keys, &mut s.order, &mut s.rank_counts]);
         poison(r, &mut [&mut s.rank_offsets, &mut s.tiles, &mut s.emitted, &mut s.splats]);
         poison(r, &mut [&mut s.sorted_tiles, &mut s.intersections, &mut s.counts, &mut p.last]);
+        poison(r, &mut [&mut s.fits]);
         self.render.forward(r, &self.camera, self.gaussians.views(), s, p)?;
         stream.submit(recorder)?;
         let counts = s.counts(stream)?;
@@ -271,6 +274,7 @@ impl Frame {
             tile_counts: read(stream, &s.tile_counts, n)?,
             visible: read(stream, &s.visible, n)?,
             counts: [counts.visible as u32, counts.intersections as u32],
+            fits: stream.download(&s.fits)? == [1],
             order: read(stream, &s.order, counts.visible)?,
             rank_offsets: read(stream, &s.rank_offsets, n)?,
             tiles: read(stream, &s.tiles, m)?,

@@ -36,8 +36,10 @@ pub struct Demands {
 /// Reads a module with naga's SPIR-V front end.
 pub fn by_naga(spirv: &[u8]) -> Result<Interface, String> {
     let options = naga::front::spv::Options::default();
-    let module =
-        naga::front::spv::parse_u8_slice(spirv, &options).map_err(|error| error.to_string())?;
+    // Some modules make the front end panic rather than answer.
+    let module = std::panic::catch_unwind(|| naga::front::spv::parse_u8_slice(spirv, &options))
+        .map_err(|_| "the front end panicked".to_string())?
+        .map_err(|error| error.to_string())?;
     let mut interface = Interface::default();
     let [entry] = module.entry_points.as_slice() else {
         return Err(format!("{} entry points", module.entry_points.len()));
