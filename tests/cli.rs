@@ -371,6 +371,33 @@ fn sizes_focal_lengths_and_orbits() {
 }
 
 #[test]
+fn a_video_where_ffmpeg_is() {
+    let folder = tempfile::tempdir().unwrap();
+    ply::write(folder.path().join("blobs.ply"), &blobs()).unwrap();
+    let render = "render blobs.ply -o new/orbit.mp4 --frames 4 --size 41x25";
+    let there = Command::new("ffmpeg").arg("-version").output().is_ok();
+    if there {
+        json(folder.path(), render);
+        let options = splat4d::data::ClipOptions::default();
+        let clip = splat4d::data::Clip::open(folder.path().join("new/orbit.mp4"), &options);
+        let clip = clip.unwrap();
+        assert_eq!((clip.frames.len(), clip.width, clip.height), (4, 42, 26));
+        assert_eq!(content(&folder.path().join("new")).len(), 1, "the pictures are gone");
+        says(&fails(folder.path(), 1, &format!("{render} --exr")), &["--exr", "folder"]);
+    }
+    let empty = folder.path().join("nothing");
+    let output = program()
+        .current_dir(folder.path())
+        .args(render.replace("new", "other").split_whitespace())
+        .env("PATH", empty)
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    says(&stderr(&output), &["ffmpeg", "Install"]);
+    assert!(!folder.path().join("other").exists());
+}
+
+#[test]
 fn wrong_usage_is_two() {
     let folder = tempfile::tempdir().unwrap();
     for arguments in [
