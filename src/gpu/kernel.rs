@@ -176,12 +176,12 @@ macro_rules! kernel {
         $(#[$doc])*
         pub struct $name;
 
-        #[doc = concat!("Push constants of [`", stringify!($name), "`].")]
+        #[doc = concat!("Push constants of [`", stringify!($name), "`](struct@", stringify!($name), ").")]
         #[repr(C)]
         #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
         pub struct $params { $( $(#[$param_doc])* pub $param: $param_type, )* }
 
-        #[doc = concat!("Buffers of [`", stringify!($name), "`].")]
+        #[doc = concat!("Buffers of [`", stringify!($name), "`](struct@", stringify!($name), ").")]
         pub struct $args<'a> {
             $( $(#[$arg_doc])* pub $arg: <$crate::gpu::$access as $crate::gpu::Argument>::Handle<'a, $element>, )*
         }

@@ -2,13 +2,13 @@
 //!
 //! | module | what it does |
 //! |---|---|
-//! | [`still`] | is the camera fixed, does it only turn or zoom? |
-//! | [`cameras`] | focal length, two-view start, PnP frame by frame, bundle adjustment |
-//! | [`residual`] | per pixel: the inverse depth that a static world would need, and what it leaves unexplained |
-//! | [`photometric`] | does the picture itself say that a pixel moved? |
-//! | [`masks`] | from what is unexplained to a dense motion mask that keeps to the picture's edges |
-//! | [`depth`] | depth of all pixels, measured where it can be, inferred and marked so where not |
-//! | [`points`] | static points to seed Gaussians with |
+//! | `still` | is the camera fixed, does it only turn or zoom? |
+//! | `cameras` | focal length, two-view start, PnP frame by frame, bundle adjustment |
+//! | `residual` | per pixel: the inverse depth that a static world would need, and what it leaves unexplained |
+//! | `photometric` | does the picture itself say that a pixel moved? |
+//! | `masks` | from what is unexplained to a dense motion mask that keeps to the picture's edges |
+//! | `depth` | depth of all pixels, measured where it can be, inferred and marked so where not |
+//! | `points` | static points to seed Gaussians with |
 //!
 //! Cameras and masks need each other: points on movers spoil poses, and what moves can be told only
 //! against known cameras. They are alternated ([`Options::rounds`]): robust estimation starts with
