@@ -83,7 +83,7 @@ static TRAINED: LazyLock<(TempDir, Value)> = LazyLock::new(|| {
     let folder = tempfile::tempdir().unwrap();
     json(folder.path(), "synth rigid -o clip --frames 4 --size 48x27 --seed 5");
     let train = "train clip/truth -o scene.safetensors --steps 20 --random-points 400 \
-                 --sh-degree 1 --eval-every 3 --report report";
+                 --sh-degree 1 --eval-every 3 --report report --static";
     let report = json(folder.path(), train);
     (folder, report)
 });
@@ -193,7 +193,7 @@ fn training_repeats_itself_and_more_of_it_is_better() {
             folder.path(),
             &format!(
                 "train {} -o {file} --steps {steps} --random-points 400 --sh-degree 1 \
-                 --eval-every 3",
+                 --eval-every 3 --static",
                 clip.display()
             ),
         )
@@ -203,6 +203,20 @@ fn training_repeats_itself_and_more_of_it_is_better() {
     let longer = train(120, "b.safetensors");
     let input = |report: &Value| report["psnr_input"].as_f64().unwrap();
     assert!(input(&longer) > input(&first) + 0.5, "{longer} after {first}");
+}
+
+#[test]
+fn pictures_with_times_make_a_scene_that_moves() {
+    let folder = tempfile::tempdir().unwrap();
+    let train = "-o x --steps 30 --random-points 300 --control-points 20 --sh-degree 0";
+    let clip = trained().join("clip/truth");
+    let report = json(folder.path(), &format!("train {} {train}", clip.display()));
+    documented("train", &report);
+    assert_eq!((&report["control_points"], &report["gaussians"]), (&20.into(), &300.into()));
+    assert_eq!(report["dynamic_share"], 1.0);
+    let found = json(folder.path(), "info x");
+    assert_eq!(found["network"]["width"], 64);
+    json(folder.path(), "render x -o views --path input --times 0.5");
 }
 
 #[test]
