@@ -83,7 +83,7 @@ static TRAINED: LazyLock<(TempDir, Value)> = LazyLock::new(|| {
     let folder = tempfile::tempdir().unwrap();
     json(folder.path(), "synth rigid -o clip --frames 4 --size 48x27 --seed 5");
     let train = "train clip/truth -o scene.safetensors --steps 20 --random-points 400 \
-                 --sh-degree 1 --eval-every 3 --report report";
+                 --sh-degree 1 --eval-every 3 --report report --static";
     let report = json(folder.path(), train);
     (folder, report)
 });
@@ -193,7 +193,7 @@ fn training_repeats_itself_and_more_of_it_is_better() {
             folder.path(),
             &format!(
                 "train {} -o {file} --steps {steps} --random-points 400 --sh-degree 1 \
-                 --eval-every 3",
+                 --eval-every 3 --static",
                 clip.display()
             ),
         )
@@ -203,6 +203,20 @@ fn training_repeats_itself_and_more_of_it_is_better() {
     let longer = train(120, "b.safetensors");
     let input = |report: &Value| report["psnr_input"].as_f64().unwrap();
     assert!(input(&longer) > input(&first) + 0.5, "{longer} after {first}");
+}
+
+#[test]
+fn pictures_with_times_make_a_scene_that_moves() {
+    let folder = tempfile::tempdir().unwrap();
+    let train = "-o x --steps 30 --random-points 300 --control-points 20 --sh-degree 0";
+    let clip = trained().join("clip/truth");
+    let report = json(folder.path(), &format!("train {} {train}", clip.display()));
+    documented("train", &report);
+    assert_eq!((&report["control_points"], &report["gaussians"]), (&20.into(), &300.into()));
+    assert_eq!(report["dynamic_share"], 1.0);
+    let found = json(folder.path(), "info x");
+    assert_eq!(found["network"]["width"], 64);
+    json(folder.path(), "render x -o views --path input --times 0.5");
 }
 
 #[test]
@@ -368,6 +382,33 @@ fn sizes_focal_lengths_and_orbits() {
     assert!(bright("b/0000.png") * 4 < bright("a/0000.png"), "a short lens shows them small");
     let views = json(trained(), "render scene.safetensors -o views --times 2");
     assert_eq!(views["frames"], 8, "four cameras at two times each");
+}
+
+#[test]
+fn a_video_where_ffmpeg_is() {
+    let folder = tempfile::tempdir().unwrap();
+    ply::write(folder.path().join("blobs.ply"), &blobs()).unwrap();
+    let render = "render blobs.ply -o new/orbit.mp4 --frames 4 --size 41x25";
+    let there = Command::new("ffmpeg").arg("-version").output().is_ok();
+    if there {
+        json(folder.path(), render);
+        let options = splat4d::data::ClipOptions::default();
+        let clip = splat4d::data::Clip::open(folder.path().join("new/orbit.mp4"), &options);
+        let clip = clip.unwrap();
+        assert_eq!((clip.frames.len(), clip.width, clip.height), (4, 42, 26));
+        assert_eq!(content(&folder.path().join("new")).len(), 1, "the pictures are gone");
+        says(&fails(folder.path(), 1, &format!("{render} --exr")), &["--exr", "folder"]);
+    }
+    let empty = folder.path().join("nothing");
+    let output = program()
+        .current_dir(folder.path())
+        .args(render.replace("new", "other").split_whitespace())
+        .env("PATH", empty)
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    says(&stderr(&output), &["ffmpeg", "Install"]);
+    assert!(!folder.path().join("other").exists());
 }
 
 #[test]

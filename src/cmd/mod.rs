@@ -6,6 +6,7 @@
 mod clock;
 mod common;
 mod devices;
+mod encode;
 mod eval;
 mod eval_truth;
 mod info;

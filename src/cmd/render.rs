@@ -5,13 +5,14 @@ use std::str::FromStr;
 
 use clap::Args;
 use serde_json::json;
-use splat4d::Result;
 use splat4d::data::transforms::{self, TimedCamera};
 use splat4d::data::{exr, write_png};
 use splat4d::renderer::{Rendered, Renderer};
 use splat4d::scene::{Opened, Scene};
+use splat4d::{Error, Result};
 
-use super::common::{Answer, Common, check_output_folder, say, thousands};
+use super::common::{Answer, Common, check_output_file, check_output_folder, say, thousands};
+use super::encode;
 use super::meter::Meter;
 use super::values::{self, Times};
 use super::{interrupt, path};
@@ -35,6 +36,7 @@ depth along z as channel Z, 0 where nothing is.
 
 Examples:
   splat4d render scene.safetensors -o views --path orbit
+  splat4d render scene.safetensors -o orbit.mp4 --path orbit --frames 120
   splat4d render scene.safetensors -o views --path cameras.json --times 0.5 --exr
 
 JSON: frames, width, height (of the first frame), gaussians, dropped, device,
@@ -47,9 +49,12 @@ pub struct RenderArgs {
     /// A scene's file or a 3DGS PLY
     #[arg(value_name = "SCENE|PLY")]
     scene: PathBuf,
-    /// The folder for the pictures
-    #[arg(short, long, value_name = "DIR")]
+    /// The folder for the pictures, or a video to write through ffmpeg
+    #[arg(short, long, value_name = "DIR|FILE.mp4")]
     output: PathBuf,
+    /// Pictures a second of a video
+    #[arg(long, value_name = "RATE", default_value_t = 24.0, value_parser = values::positive)]
+    rate: f64,
     /// The cameras
     #[arg(long, value_name = "input|orbit|FILE", value_parser = ViewPath::from_str)]
     path: Option<ViewPath>,
@@ -100,7 +105,17 @@ impl FromStr for ViewPath {
 
 /// Runs the command.
 pub fn run(args: &RenderArgs, common: &Common) -> Result<Answer> {
-    check_output_folder(&args.output)?;
+    let video = encode::is_video(&args.output);
+    if video {
+        check_output_file(&args.output)?;
+        encode::check(&args.output)?;
+        if args.exr || args.depth {
+            let what = "--exr and --depth need a folder to write into, not a video";
+            return Err(Error::Input(what.into()));
+        }
+    } else {
+        check_output_folder(&args.output)?;
+    }
     let Opened { scene, dropped } = Scene::open(&args.scene, args.drop_bad)?;
     if dropped > 0 {
         say(&format!("note: left out {} Gaussians that are not finite", thousands(dropped)));
@@ -109,6 +124,9 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Answer> {
     let device = common.open_device()?;
     let mut renderer = Renderer::new(&device, &scene)?;
     let background = args.background.unwrap_or(scene.background);
+    // A video's pictures lie beside it until it is whole, so that it can be renamed into place.
+    let pictures = if video { Some(beside(&args.output)?) } else { None };
+    let folder = pictures.as_ref().map_or(args.output.as_path(), |pictures| pictures.path());
     let mut meter = Meter::new("rendering", "pictures", shots.len() as u64, 0);
     let mut seconds = 0.0;
     for (i, shot) in shots.iter().enumerate() {
@@ -116,10 +134,13 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Answer> {
         let begun = std::time::Instant::now();
         let rendered = renderer.render(&shot.camera, shot.time)?;
         seconds += begun.elapsed().as_secs_f64();
-        write(args, &args.output, i, &rendered, background)?;
+        write(args, folder, i, &rendered, background)?;
         meter.advance();
     }
     drop(meter);
+    if video {
+        encode::encode(folder, args.rate, &args.output)?;
+    }
     let size = shots.first().map(|shot| shot.camera.intrinsics);
     let json = json!({
         "frames": shots.len(),
@@ -133,6 +154,16 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Answer> {
     });
     let text = format!("{} pictures in {}\n", shots.len(), args.output.display());
     Ok(Answer { json, text })
+}
+
+/// A temporary folder next to a file; the file's folder is made where it is missing.
+fn beside(output: &Path) -> Result<tempfile::TempDir> {
+    let parent = match output.parent() {
+        Some(parent) if parent != Path::new("") => parent,
+        _ => Path::new("."),
+    };
+    std::fs::create_dir_all(parent).map_err(Error::io(parent))?;
+    tempfile::Builder::new().prefix(".splat4d-").tempdir_in(parent).map_err(Error::io(parent))
 }
 
 fn write(

@@ -12,7 +12,8 @@ use splat4d::gpu::Device;
 use splat4d::renderer::Renderer;
 use splat4d::scene::{Scene, SceneCamera};
 use splat4d::train::{
-    GrowthSettings, TrainSettings, Trainer, TrainingView, random_points, seed_from_points,
+    GrowthSettings, Phase, PosedMotion, TrainSettings, Trainer, TrainingView, fit_posed,
+    random_points, seed_from_points,
 };
 use splat4d::types::{Camera, Gaussians};
 use splat4d::{Error, Result};
@@ -31,6 +32,9 @@ use super::{interrupt, values};
 const LOSS_INTERVAL: u32 = 100;
 
 const AFTER_HELP: &str = "\
+Pictures that have times (`time` in transforms.json, D-NeRF) make a scene that moves; others, and
+with --static all, make a static one.
+
 DATASET is a folder with a COLMAP model (sparse/0, binary or text), a nerfstudio or instant-ngp
 transforms.json, or D-NeRF's transforms_train.json; or a transforms.json itself.
 
@@ -38,7 +42,7 @@ Example:
   splat4d train captures/fox -o fox.safetensors --steps 2000 --size 480
 
 JSON (also kept in the scene): psnr_input, psnr_test (null where nothing is held out), ssim_test,
-gaussians, control_points, dynamic_share, steps, images, held_out, device, peak_bytes,
+gaussians, control_points, dynamic_share, model, steps, images, held_out, device, peak_bytes,
 milliseconds_per_step, seconds {load, train, evaluate}, output";
 
 /// Train a scene on pictures whose cameras are known
@@ -67,6 +71,13 @@ pub struct TrainArgs {
     #[arg(long, value_name = "0..3", default_value_t = 3,
           value_parser = clap::value_parser!(u32).range(0..=3))]
     sh_degree: u32,
+    /// Nothing moves, although the pictures have times
+    #[arg(long = "static")]
+    still: bool,
+    /// Most control points of a scene that moves
+    #[arg(long, value_name = "N", default_value_t = PosedMotion::default().control_points,
+          value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
+    control_points: usize,
     /// Points to begin with where the dataset has none, spread over what the cameras look at
     #[arg(long, value_name = "N", default_value_t = 20_000,
           value_parser = clap::value_parser!(u32).range(1..))]
@@ -119,16 +130,19 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         seed: common.seed,
         ..TrainSettings::default()
     };
-    let gaussians = optimise(&device, &train, &seeded, settings.clone())?;
-    clock.lap("train");
-
-    let mut scene = Scene {
-        gaussians,
-        settings: settings.render,
-        cameras: trajectory(train.iter().chain(&test)),
-        background: set.background,
-        ..Scene::default()
+    let moving = set.timed && !args.still;
+    let model = match moving {
+        true => "the pictures have times: every Gaussian follows control points (--static: none)",
+        false => "no motion: no control points, no network",
     };
+    say(model);
+    let motion =
+        moving.then(|| PosedMotion { control_points: args.control_points, ..Default::default() });
+    let mut scene = optimise(&device, &train, &seeded, motion.as_ref(), &settings)?;
+    clock.lap("train");
+    scene.settings = settings.render;
+    scene.cameras = trajectory(train.iter().chain(&test));
+    scene.background = set.background;
     scene.set_up_from_cameras();
     let mut renderer = Renderer::new(&device, &scene)?;
     let on_input = quality::measure(&mut renderer, &train, set.background, "PSNR, input")?;
@@ -143,6 +157,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         "gaussians": scene.gaussians.len(),
         "control_points": scene.control_points.len(),
         "dynamic_share": dynamic_share(&scene),
+        "model": model,
         "steps": args.steps,
         "images": train.len(),
         "held_out": test.len(),
@@ -181,15 +196,30 @@ fn optimise(
     device: &Device,
     views: &[View],
     seeded: &Gaussians,
-    settings: TrainSettings,
-) -> Result<Gaussians> {
+    motion: Option<&PosedMotion>,
+    settings: &TrainSettings,
+) -> Result<Scene> {
     let views: Vec<TrainingView> = views.iter().cloned().map(Into::into).collect();
-    let mut trainer = Trainer::new(device, &views, seeded, None, settings)?;
+    if let Some(motion) = motion {
+        let mut meter: Option<(Phase, Meter)> = None;
+        return fit_posed(device, &views, seeded, motion, settings, &mut |phase, step, steps| {
+            interrupt::check()?;
+            if meter.as_ref().is_none_or(|(before, _)| *before != phase) {
+                let what = if phase == Phase::Static { "warm-up" } else { "training" };
+                meter = Some((phase, Meter::new(what, "steps", steps.into(), 0)));
+            }
+            if let Some((_, meter)) = &mut meter {
+                meter.set(step.into());
+            }
+            Ok(())
+        });
+    }
+    let mut trainer = Trainer::new(device, &views, seeded, None, settings.clone())?;
     let mut meter = Meter::new("training", "steps", trainer.progress().steps.into(), 0);
     loop {
         let now = trainer.progress();
         if now.step >= now.steps {
-            return trainer.gaussians();
+            return Ok(Scene::of(trainer.gaussians()?));
         }
         interrupt::check()?;
         trainer.step()?;

@@ -12,6 +12,7 @@
 //! | [`motion`] | the network and the control points |
 //! | [`trajectories`] | where a mover's points are at every frame |
 //! | [`network`] | the deformation network's start |
+//! | [`posed`] | from posed pictures of a moving scene to a scene |
 //! | [`sequence`] | from a tracked clip to a scene: the two stages |
 //! | [`trainer`] | the step: deform, render, compare, differentiate, update |
 
@@ -20,6 +21,7 @@ pub mod motion;
 pub mod network;
 pub mod optimiser;
 pub mod photographs;
+pub mod posed;
 pub mod region;
 pub mod sampling;
 pub mod seed;
@@ -29,6 +31,7 @@ pub mod trainer;
 pub mod trajectories;
 
 pub use motion::MotionStart;
+pub use posed::{PosedMotion, fit_posed};
 pub use region::random_points;
 pub use seed::seed_from_points;
 pub use sequence::{Phase, Sequence, SequenceSettings, fit_sequence};

@@ -1,0 +1,130 @@
+//! From posed pictures of a moving scene to a 4D scene, where nothing says what moves: every
+//! Gaussian follows the control points, and what stands still learns to.
+//!
+//! A static warm-up brings the Gaussians to where the subject is on average; control points are then
+//! spread over them by farthest-point sampling, as Sparse-Controlled Gaussian Splatting (Huang et
+//! al., CVPR 2024) begins, and all is trained together.
+
+use super::motion::MotionStart;
+use super::network::random_network;
+use super::sampling::farthest_point_sample;
+use super::seed::seed_from_points;
+use super::sequence::Phase;
+use super::settings::TrainSettings;
+use super::trainer::{Trainer, TrainingView};
+use crate::Result;
+use crate::data::Point;
+use crate::gpu::Device;
+use crate::scene::Scene;
+use crate::types::{ControlPoints, Gaussians, NetShape};
+
+/// What is to move, and how much of the time goes before it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PosedMotion {
+    /// Share of the steps for the static warm-up.
+    pub warm_up: f64,
+    /// Most control points.
+    pub control_points: usize,
+    /// The deformation network.
+    pub network: NetShape,
+    /// Control points that a Gaussian follows.
+    pub neighbours: usize,
+}
+
+impl Default for PosedMotion {
+    fn default() -> Self {
+        PosedMotion {
+            warm_up: 0.1,
+            control_points: 256,
+            network: NetShape {
+                depth: 6,
+                width: 64,
+                skip: 3,
+                position_frequencies: 6,
+                time_frequencies: 6,
+            },
+            neighbours: 4,
+        }
+    }
+}
+
+/// Logit of being dynamic of every Gaussian.
+const STRENGTH: f32 = 4.0;
+
+/// Trains a moving scene on posed pictures. `watch` is told the phase, the steps done and the steps
+/// in all; an error from it ends the work. The scene has no cameras yet.
+///
+/// # Errors
+/// As for [`Trainer::new`] and [`Trainer::step`]; whatever `watch` returns.
+pub fn fit_posed(
+    device: &Device,
+    views: &[TrainingView],
+    seeds: &Gaussians,
+    motion: &PosedMotion,
+    settings: &TrainSettings,
+    watch: &mut dyn FnMut(Phase, u32, u32) -> Result<()>,
+) -> Result<Scene> {
+    let warm_up = ((f64::from(settings.steps) * motion.warm_up) as u32).min(settings.steps - 1);
+    let mut gaussians = seeds.clone();
+    if warm_up > 0 {
+        // Bands would explain by direction what is due to motion.
+        let still = TrainSettings {
+            steps: warm_up,
+            growth: None,
+            max_gaussians: 0,
+            sh_interval: u32::MAX,
+            ..settings.clone()
+        };
+        let mut trainer = Trainer::new(device, views, seeds, None, still)?;
+        run(&mut trainer, Phase::Static, warm_up, watch)?;
+        gaussians = trainer.gaussians()?;
+    }
+    gaussians.motion_logits = vec![STRENGTH; gaussians.len()];
+    let start = MotionStart {
+        points: spread(&gaussians, motion.control_points, settings.seed)?,
+        network: random_network(motion.network, settings.seed),
+        neighbours: motion.neighbours,
+    };
+    let joint = TrainSettings { steps: settings.steps - warm_up, ..settings.clone() };
+    let steps = joint.steps;
+    let mut trainer = Trainer::new(device, views, &gaussians, Some(&start), joint)?;
+    run(&mut trainer, Phase::Joint, steps, watch)?;
+    let mut scene = Scene::of(trainer.gaussians()?);
+    if let Some((points, network)) = trainer.motion()? {
+        scene.control_points = points;
+        scene.network = Some(network);
+    }
+    scene.neighbours = motion.neighbours.min(scene.control_points.len()) as u32;
+    Ok(scene)
+}
+
+fn run(
+    trainer: &mut Trainer,
+    phase: Phase,
+    steps: u32,
+    watch: &mut dyn FnMut(Phase, u32, u32) -> Result<()>,
+) -> Result<()> {
+    for step in 0..steps {
+        trainer.step()?;
+        watch(phase, step + 1, steps)?;
+    }
+    trainer.finish()
+}
+
+/// Control points spread over the Gaussians that the warm-up has made more opaque than they began;
+/// over all of them where there are none.
+fn spread(gaussians: &Gaussians, count: usize, seed: u64) -> Result<ControlPoints> {
+    let seen = |i: &usize| gaussians.opacity_logits[*i] > 0.0;
+    let mut chosen: Vec<usize> = (0..gaussians.len()).filter(seen).collect();
+    if chosen.len() < count.min(gaussians.len()) {
+        chosen = (0..gaussians.len()).collect();
+    }
+    let candidates: Vec<[f32; 3]> = chosen.iter().map(|&i| gaussians.positions[i]).collect();
+    let picked = farthest_point_sample(candidates.as_flattened(), 3, count, seed)?;
+    let positions: Vec<[f32; 3]> = picked.iter().map(|&k| candidates[k]).collect();
+    // The radius is the distance to the nearest others, which seeding knows as a scale.
+    let stand_ins: Vec<Point> =
+        positions.iter().map(|&position| Point { position, colour: [0.5; 3] }).collect();
+    let log_radii = seed_from_points(&stand_ins, 0).log_scales.iter().map(|s| s[0]).collect();
+    Ok(ControlPoints { positions, log_radii })
+}
