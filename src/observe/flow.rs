@@ -292,8 +292,7 @@ impl NeighbourFlow {
                 }
                 let Some(next) = self.step(frame, forward, here.pixel) else { break };
                 frame = if forward { frame + 1 } else { frame - 1 };
-                here =
-                    Chain { pixel: next.pixel, confidence: here.confidence * next.confidence };
+                here = Chain { pixel: next.pixel, confidence: here.confidence * next.confidence };
                 if here.confidence < 0.05 {
                     break;
                 }

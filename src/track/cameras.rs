@@ -195,8 +195,7 @@ impl Cameras {
                 if weights[i] <= 0.05 || (known.is_some() && !afresh) {
                     return known;
                 }
-                let seen: Vec<usize> =
-                    (track.first..track.end()).filter(|&f| posed[f]).collect();
+                let seen: Vec<usize> = (track.first..track.end()).filter(|&f| posed[f]).collect();
                 if seen.len() < 3 {
                     return known;
                 }
@@ -309,16 +308,14 @@ impl Cameras {
         };
         let views = |t: &PointTrack| (t.first..t.end()).filter(|&f| posed[f]).count() - 1;
         let mut order: Vec<(usize, usize)> = (0..tracks.len())
-            .filter(|&i| {
-                weights[i] > 0.05 && self.anchors[i].is_some_and(|a| posed[a.frame])
-            })
+            .filter(|&i| weights[i] > 0.05 && self.anchors[i].is_some_and(|a| posed[a.frame]))
             .map(|i| (views(&tracks[i]), i))
             .filter(|(views, _)| *views >= 2)
             .collect();
         order.sort_by_key(|(views, i)| (std::cmp::Reverse(*views), *i));
         let frames = posed.iter().filter(|p| **p).count();
-        let mean_views = order.iter().map(|o| o.0 + 1).sum::<usize>() as f64
-            / order.len().max(1) as f64;
+        let mean_views =
+            order.iter().map(|o| o.0 + 1).sum::<usize>() as f64 / order.len().max(1) as f64;
         let share = (most as f64 * mean_views / (frames * COLUMNS * ROWS) as f64).ceil().max(2.0);
         let mut counts: HashMap<(usize, usize), usize> = HashMap::new();
         let mut chosen = Vec::new();
@@ -344,8 +341,7 @@ impl Cameras {
 
     /// The point of a track in the world.
     pub fn point(&self, tracks: &[PointTrack], i: usize) -> Option<DVec3> {
-        let Anchor { frame, inverse_depth } =
-            self.anchors[i].filter(|a| a.inverse_depth > 1e-9)?;
+        let Anchor { frame, inverse_depth } = self.anchors[i].filter(|a| a.inverse_depth > 1e-9)?;
         let ray = self.intrinsics.ray(tracks[i].at(frame)?);
         Some(self.poses[frame].inverse().apply(ray / inverse_depth))
     }
@@ -527,11 +523,7 @@ pub(super) fn reconstruct(
 }
 
 /// The frame without pose that sees most of the points known.
-fn next_frame(
-    tracks: &[PointTrack],
-    posed: &[bool],
-    anchors: &[Option<Anchor>],
-) -> Option<usize> {
+fn next_frame(tracks: &[PointTrack], posed: &[bool], anchors: &[Option<Anchor>]) -> Option<usize> {
     let mut counts = vec![0usize; posed.len()];
     for (track, _) in tracks.iter().zip(anchors).filter(|(_, anchor)| anchor.is_some()) {
         for f in track.first..track.end() {

@@ -52,7 +52,6 @@ pub(super) fn dense(
     let movers: Vec<Vec<Option<(f32, f32)>>> =
         layers.par_iter().zip(masks).map(|(layer, mask)| movers(layer, mask)).collect();
     for (f, layer) in layers.iter_mut().enumerate() {
-        let width = flow.width;
         for i in 0..layer.inverse.len() {
             let Some((_, confidence)) = movers[f][i] else { continue };
             if layer.supplied[i] {
@@ -61,7 +60,6 @@ pub(super) fn dense(
             layer.inverse[i] = smoothed(flow, &movers, f, i);
             layer.confidence[i] = confidence;
         }
-        debug_assert_eq!(layer.inverse.len() % width, 0);
     }
     let (width, height) = super::intrinsics_size(flow);
     let image = |pixels| Image { width, height, channels: 1, pixels };
@@ -112,11 +110,8 @@ fn static_layer(
     let w = image.width as usize;
     let n = mask.pixels.len();
     let (mut value, mut weight) = (vec![0.0f32; n], vec![0.0f32; n]);
-    let mut layer = Layer {
-        inverse: vec![1.0; n],
-        confidence: vec![FILLED; n],
-        supplied: vec![false; n],
-    };
+    let mut layer =
+        Layer { inverse: vec![1.0; n], confidence: vec![FILLED; n], supplied: vec![false; n] };
     for i in 0..n {
         if let Some((map, scale)) = known {
             let z = map.pixels[i] * scale;
@@ -275,7 +270,8 @@ fn movers(layer: &Layer, mask: &Image) -> Vec<Option<(f32, f32)>> {
                     .map(|j| f64::from(layer.inverse[j]))
             };
             let (x, y) = (x as isize, y as isize);
-            let edge = |dx: isize, dy: isize| beyond(x + dx, y + dy).and(beyond(x + 3 * dx, y + 3 * dy));
+            let edge =
+                |dx: isize, dy: isize| beyond(x + dx, y + dy).and(beyond(x + 3 * dx, y + 3 * dy));
             if y as usize >= feet {
                 ground.extend(edge(0, 1));
             } else {

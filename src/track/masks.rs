@@ -96,8 +96,7 @@ fn odds(seen: &Seen) -> Vec<f32> {
 fn gather(flow: &NeighbourFlow, odds: &[Vec<f32>], seen: &[Seen], frame: usize) -> Vec<f32> {
     (0..flow.width * flow.height)
         .map(|i| {
-            let pixel =
-                DVec2::new((i % flow.width) as f64 + 0.5, (i / flow.width) as f64 + 0.5);
+            let pixel = DVec2::new((i % flow.width) as f64 + 0.5, (i / flow.width) as f64 + 0.5);
             let own = (seen[frame].support[i] / 2.0).min(1.0);
             let (mut sum, mut total) = (odds[frame][i], own);
             flow.follow(frame, pixel, MEMORY, |other, chain| {

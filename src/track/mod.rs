@@ -182,7 +182,7 @@ pub fn track(
         None => tracks.iter().map(|t| still::border_prior(t, size)).collect(),
     };
     let tripod = options.poses.is_none() && still::is_fixed(&tracks, &weights, &flow);
-    let focal = Focal::choose(options, &flow, &tracks, &weights);
+    let mut focal = Focal::choose(options, &flow, &tracks, &weights);
     let mut cameras = if tripod {
         notes.push("the camera is fixed (tripod): poses are locked to one".to_string());
         Cameras::fixed(&focal, &flow, tracks.len())
@@ -205,6 +205,17 @@ pub fn track(
         progress(Stage::Masks, (round + 1) as f64 / rounds as f64)?;
         if !tripod {
             weights = masks::static_weights(&tracks, &masks);
+            // Where much moves, the first cameras may have settled on a compromise that adjustment
+            // does not leave: they are found anew from what stands still.
+            let crowded = options.poses.is_none() && supplied.is_none() && share(&masks) > CROWDED;
+            if crowded
+                && let Ok(afresh) = {
+                    focal = Focal::choose(options, &flow, &tracks, &weights);
+                    cameras::reconstruct(&tracks, &weights, &focal, &flow, options.seed)
+                }
+            {
+                cameras = afresh;
+            }
             cameras.adjust(&tracks, &weights, &focal)?;
             progress(Stage::Cameras, 1.0)?;
         }
@@ -236,6 +247,9 @@ pub fn track(
     })
 }
 
+/// With more of the pixels moving than this, cameras are found anew once masks are known.
+const CROWDED: f64 = 0.3;
+
 fn quality(
     tripod: bool,
     cameras: &Cameras,
@@ -244,9 +258,7 @@ fn quality(
     masks: &[Image],
     mut notes: Vec<String>,
 ) -> Quality {
-    let moving: usize = masks.iter().flat_map(|m| &m.pixels).filter(|p| **p > 0.5).count();
-    let pixels: usize = masks.iter().map(|m| m.pixels.len()).sum();
-    let dynamic_share = moving as f64 / pixels.max(1) as f64;
+    let dynamic_share = share(masks);
     if cameras.focal_source == FocalSource::Assumed {
         notes.push(format!(
             "the clip does not show its focal length; {:.0} px is assumed (--focal gives it)",
@@ -280,6 +292,13 @@ fn quality(
     }
 }
 
+/// Share of the pixels that move.
+fn share(masks: &[Image]) -> f64 {
+    let moving: usize = masks.iter().flat_map(|m| &m.pixels).filter(|p| **p > 0.5).count();
+    let pixels: usize = masks.iter().map(|m| m.pixels.len()).sum();
+    moving as f64 / pixels.max(1) as f64
+}
+
 fn binary(mask: &Image) -> Image {
     let pixels = mask.pixels.iter().map(|v| if *v > 0.5 { 1.0 } else { 0.0 }).collect();
     Image { pixels, ..*mask }
@@ -299,9 +318,10 @@ fn check(frames: &[Image], options: &Options) -> Result<()> {
             first.width, first.height
         )));
     }
-    if let Some(i) = frames.iter().position(|f| {
-        (f.width, f.height, f.channels) != (first.width, first.height, 3)
-    }) {
+    if let Some(i) = frames
+        .iter()
+        .position(|f| (f.width, f.height, f.channels) != (first.width, first.height, 3))
+    {
         let f = &frames[i];
         return Err(Error::Input(format!(
             "frame {i} is {}×{} with {} channels, the first frame is {}×{}; all frames must be RGB \
@@ -335,7 +355,8 @@ fn check(frames: &[Image], options: &Options) -> Result<()> {
     if let Some(focal) = options.focal.filter(|f| !(f.is_finite() && *f > 0.0)) {
         return Err(Error::Input(format!("a focal length of {focal} px makes no sense")));
     }
-    if let Some(k) = options.intrinsics.filter(|k| (k.width, k.height) != (first.width, first.height))
+    if let Some(k) =
+        options.intrinsics.filter(|k| (k.width, k.height) != (first.width, first.height))
     {
         return Err(Error::Input(format!(
             "the supplied intrinsics are of {}×{} pixels, the frames are {}×{}; resize them",

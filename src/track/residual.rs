@@ -77,8 +77,7 @@ fn triangulate_frame(cameras: &Cameras, flow: &NeighbourFlow, frame: usize, nois
     let rows: Vec<[f32; 4]> = (0..flow.width * flow.height)
         .into_par_iter()
         .map(|i| {
-            let pixel =
-                DVec2::new((i % flow.width) as f64 + 0.5, (i / flow.width) as f64 + 0.5);
+            let pixel = DVec2::new((i % flow.width) as f64 + 0.5, (i / flow.width) as f64 + 0.5);
             match fit(cameras, flow, &relative, frame, pixel, noise) {
                 Some(f) => [
                     f.inverse_depth as f32,
@@ -91,12 +90,7 @@ fn triangulate_frame(cameras: &Cameras, flow: &NeighbourFlow, frame: usize, nois
         })
         .collect();
     let column = |k: usize| rows.iter().map(|r| r[k]).collect();
-    Seen {
-        inverse_depth: column(0),
-        deviation: column(1),
-        score: column(2),
-        support: column(3),
-    }
+    Seen { inverse_depth: column(0), deviation: column(1), score: column(2), support: column(3) }
 }
 
 /// `other_from_frame` for all others.

@@ -38,7 +38,8 @@ pub(super) fn is_fixed(tracks: &[PointTrack], weights: &[f64], flow: &NeighbourF
         let end = start + span;
         let (mut stays, mut all) = (0.0, 0.0);
         let mut cells = [false; 48];
-        let both = tracks.iter().zip(weights).filter_map(|(t, w)| Some((t.at(start)?, t.at(end)?, w)));
+        let both =
+            tracks.iter().zip(weights).filter_map(|(t, w)| Some((t.at(start)?, t.at(end)?, w)));
         let mut count = 0;
         for (a, b, weight) in both {
             all += weight;
@@ -126,7 +127,7 @@ pub(super) fn demand_parallax(
             return Err(no_parallax("the camera only turns"));
         }
     }
-    if pairs.iter().all(|pair| zooms(pair, &DVec2::new(side, side))) {
+    if pairs.iter().all(zooms) {
         return Err(no_parallax("the camera only zooms"));
     }
     Ok(())
@@ -141,10 +142,10 @@ fn no_parallax(what: &str) -> Error {
 
 /// Does a scaling about one point explain the pixels? Walking straight at a scene with depth does
 /// not look like that.
-fn zooms(pair: &Shared, _side: &DVec2) -> bool {
+fn zooms(pair: &Shared) -> bool {
     // b = s·a + t, least squares, reweighted once by what it leaves.
     let mut weights = pair.weights.clone();
-    let (mut scale, mut shift) = (1.0, DVec2::ZERO);
+    let mut scale = 1.0;
     let mut residuals = Vec::new();
     for _ in 0..5 {
         let total: f64 = weights.iter().sum();
@@ -159,7 +160,7 @@ fn zooms(pair: &Shared, _side: &DVec2) -> bool {
             lower += weights[i] * a.length_squared();
         }
         scale = upper / lower.max(1e-9);
-        shift = mb - ma * scale;
+        let shift = mb - ma * scale;
         residuals =
             (0..weights.len()).map(|i| (pair.b[i] - pair.a[i] * scale - shift).length()).collect();
         let typical = quantile(residuals.clone(), 0.5).max(0.1);
@@ -168,7 +169,5 @@ fn zooms(pair: &Shared, _side: &DVec2) -> bool {
             weights[i] = pair.weights[i] / (1.0 + z * z).powi(2);
         }
     }
-    let moved = (scale - 1.0).abs() * 0.25 * f64::from(pair.a.len().min(1) as u32) > 0.0;
-    let _ = shift;
-    moved && (scale - 1.0).abs() > 0.02 && quantile(residuals, 0.7) < 0.5
+    (scale - 1.0).abs() > 0.02 && quantile(residuals, 0.7) < 0.5
 }
