@@ -33,7 +33,8 @@ fn disturbed(clip: &synth::Clip, pixels: f32) -> SuppliedFlow {
             let (x, y) = ((i % flow.width as usize) as f32, (i / flow.width as usize) as f32);
             v[0] += pixels * (0.31 * x + 0.17 * y + phase).sin();
             v[1] += pixels * (0.23 * y - 0.29 * x + 2.0 * phase).cos();
-            if (x as usize / 8 + 3 * (y as usize / 8) + phase as usize) % 41 == 0 {
+            let cell = x as usize / 8 + 3 * (y as usize / 8) + phase as usize;
+            if cell.is_multiple_of(41) {
                 v[0] += 6.0;
             }
         }

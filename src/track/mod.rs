@@ -2,13 +2,13 @@
 //!
 //! | module | what it does |
 //! |---|---|
-//! | [`still`] | is the camera fixed, does it only turn or zoom? |
-//! | [`cameras`] | focal length, two-view start, PnP frame by frame, bundle adjustment |
-//! | [`residual`] | per pixel: the inverse depth that a static world would need, and what it leaves unexplained |
-//! | [`photometric`] | does the picture itself say that a pixel moved? |
-//! | [`masks`] | from what is unexplained to a dense motion mask that keeps to the picture's edges |
-//! | [`depth`] | depth of all pixels, measured where it can be, inferred and marked so where not |
-//! | [`points`] | static points to seed Gaussians with |
+//! | `still` | is the camera fixed, does it only turn or zoom? |
+//! | `cameras` | focal length, two-view start, PnP frame by frame, bundle adjustment |
+//! | `residual` | per pixel: the inverse depth that a static world would need, and what it leaves unexplained |
+//! | `photometric` | does the picture itself say that a pixel moved? |
+//! | `masks` | from what is unexplained to a dense motion mask that keeps to the picture's edges |
+//! | `depth` | depth of all pixels, measured where it can be, inferred and marked so where not |
+//! | `points` | static points to seed Gaussians with |
 //!
 //! Cameras and masks need each other: points on movers spoil poses, and what moves can be told only
 //! against known cameras. They are alternated ([`Options::rounds`]): robust estimation starts with
@@ -249,6 +249,8 @@ pub fn track(
 
 /// With more of the pixels moving than this, cameras are found anew once masks are known.
 const CROWDED: f64 = 0.3;
+/// Below this parallax (degrees) a note warns.
+const LITTLE_PARALLAX: f64 = 0.5;
 
 fn quality(
     tripod: bool,
@@ -278,11 +280,18 @@ fn quality(
             100.0 * dynamic_share
         ));
     }
+    let parallax_deg = if tripod { 0.0 } else { cameras.parallax(tracks, weights).to_degrees() };
+    if !tripod && parallax_deg < LITTLE_PARALLAX {
+        notes.push(format!(
+            "little parallax ({parallax_deg:.2}° at the middle point): the camera hardly leaves its \
+             place, depth and focal length are uncertain; film with more sideways motion"
+        ));
+    }
     Quality {
         tripod,
         inlier_share: cameras.inlier_share,
         reprojection_rms: cameras.rms,
-        parallax_deg: if tripod { 0.0 } else { cameras.parallax(tracks, weights).to_degrees() },
+        parallax_deg,
         focal_source: cameras.focal_source,
         focal_std: cameras.focal_std,
         dynamic_share,
