@@ -52,7 +52,6 @@ pub(super) fn dense(
     let movers: Vec<Vec<Option<(f32, f32)>>> =
         layers.par_iter().zip(masks).map(|(layer, mask)| movers(layer, mask)).collect();
     for (f, layer) in layers.iter_mut().enumerate() {
-        let width = flow.width;
         for i in 0..layer.inverse.len() {
             let Some((_, confidence)) = movers[f][i] else { continue };
             if layer.supplied[i] {
@@ -61,7 +60,6 @@ pub(super) fn dense(
             layer.inverse[i] = smoothed(flow, &movers, f, i);
             layer.confidence[i] = confidence;
         }
-        debug_assert_eq!(layer.inverse.len() % width, 0);
     }
     let (width, height) = super::intrinsics_size(flow);
     let image = |pixels| Image { width, height, channels: 1, pixels };

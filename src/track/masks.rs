@@ -13,6 +13,7 @@ use rayon::prelude::*;
 use super::cameras::Cameras;
 use super::photometric::judge;
 use super::residual::Seen;
+use super::still::{border_prior, trusted};
 use crate::observe::{NeighbourFlow, PointTrack};
 use crate::types::Image;
 
@@ -32,7 +33,9 @@ const ITERATIONS: usize = 120;
 const SPECK: f64 = 0.0015;
 
 /// How much each track counts as static: 1 minus the mask along it, the most moving moment deciding.
+/// A track that no trusted frame sees counts as much as its place in the picture says.
 pub(super) fn static_weights(tracks: &[PointTrack], masks: &[Image]) -> Vec<f64> {
+    let trusted = trusted(masks);
     tracks
         .par_iter()
         .map(|track| {
@@ -40,6 +43,7 @@ pub(super) fn static_weights(tracks: &[PointTrack], masks: &[Image]) -> Vec<f64>
                 .pixels
                 .iter()
                 .enumerate()
+                .filter(|(k, _)| trusted[track.first + k])
                 .map(|(k, pixel)| {
                     let mask = &masks[track.first + k];
                     let x = (pixel.x as u32).min(mask.width - 1);
@@ -47,6 +51,10 @@ pub(super) fn static_weights(tracks: &[PointTrack], masks: &[Image]) -> Vec<f64>
                     f64::from(mask.at(x, y)[0])
                 })
                 .collect();
+            if moving.is_empty() {
+                let size = (masks[0].width as usize, masks[0].height as usize);
+                return border_prior(track, size);
+            }
             moving.sort_by(f64::total_cmp);
             // A mask may slip once; a mover is masked more often.
             let most = moving[(moving.len() * 9 / 10).min(moving.len() - 1)];

@@ -184,7 +184,7 @@ pub fn track(
         None => tracks.iter().map(|t| still::border_prior(t, size)).collect(),
     };
     let tripod = options.poses.is_none() && still::is_fixed(&tracks, &weights, &flow);
-    let focal = Focal::choose(options, &flow, &tracks, &weights);
+    let mut focal = Focal::choose(options, &flow, &tracks, &weights);
     let mut cameras = if tripod {
         notes.push("the camera is fixed (tripod): poses are locked to one".to_string());
         Cameras::fixed(&focal, &flow, tracks.len())
@@ -207,6 +207,17 @@ pub fn track(
         progress(Stage::Masks, (round + 1) as f64 / rounds as f64)?;
         if !tripod {
             weights = masks::static_weights(&tracks, &masks);
+            // Where much moves, the first cameras may have settled on a compromise that adjustment
+            // does not leave: they are found anew from what stands still.
+            let crowded = options.poses.is_none() && supplied.is_none() && share(&masks) > CROWDED;
+            if crowded
+                && let Ok(afresh) = {
+                    focal = Focal::choose(options, &flow, &tracks, &weights);
+                    cameras::reconstruct(&tracks, &weights, &focal, &flow, options.seed)
+                }
+            {
+                cameras = afresh;
+            }
             cameras.adjust(&tracks, &weights, &focal)?;
             progress(Stage::Cameras, 1.0)?;
         }
@@ -239,6 +250,11 @@ pub fn track(
     })
 }
 
+/// With more of the pixels moving than this, cameras are found anew once masks are known.
+const CROWDED: f64 = 0.3;
+/// Below this parallax (degrees) a note warns.
+const LITTLE_PARALLAX: f64 = 0.5;
+
 fn quality(
     tripod: bool,
     cameras: &Cameras,
@@ -247,9 +263,7 @@ fn quality(
     masks: &[Image],
     mut notes: Vec<String>,
 ) -> Quality {
-    let moving: usize = masks.iter().flat_map(|m| &m.pixels).filter(|p| **p > 0.5).count();
-    let pixels: usize = masks.iter().map(|m| m.pixels.len()).sum();
-    let dynamic_share = moving as f64 / pixels.max(1) as f64;
+    let dynamic_share = share(masks);
     if cameras.focal_source == FocalSource::Assumed {
         notes.push(format!(
             "the clip does not show its focal length; {:.0} px is assumed (--focal gives it)",
@@ -269,11 +283,18 @@ fn quality(
             100.0 * dynamic_share
         ));
     }
+    let parallax_deg = if tripod { 0.0 } else { cameras.parallax(tracks, weights).to_degrees() };
+    if !tripod && parallax_deg < LITTLE_PARALLAX {
+        notes.push(format!(
+            "little parallax ({parallax_deg:.2}° at the middle point): the camera hardly leaves its \
+             place, depth and focal length are uncertain; film with more sideways motion"
+        ));
+    }
     Quality {
         tripod,
         inlier_share: cameras.inlier_share,
         reprojection_rms: cameras.rms,
-        parallax_deg: if tripod { 0.0 } else { cameras.parallax(tracks, weights).to_degrees() },
+        parallax_deg,
         focal_source: cameras.focal_source,
         focal_std: cameras.focal_std,
         dynamic_share,
@@ -281,6 +302,13 @@ fn quality(
         tracks: tracks.len(),
         notes,
     }
+}
+
+/// Share of the pixels that move.
+fn share(masks: &[Image]) -> f64 {
+    let moving: usize = masks.iter().flat_map(|m| &m.pixels).filter(|p| **p > 0.5).count();
+    let pixels: usize = masks.iter().map(|m| m.pixels.len()).sum();
+    moving as f64 / pixels.max(1) as f64
 }
 
 fn binary(mask: &Image) -> Image {

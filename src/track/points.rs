@@ -26,11 +26,18 @@ pub(super) fn gather(
     let n = frames.len();
     let (w, h) = (frames[0].width as i64, frames[0].height as i64);
     let count = FRAMES.min(n);
-    // From the middle outwards by halves, so that early frames cover most and later ones add.
-    let mut order: Vec<usize> = (0..count).map(|i| i * (n - 1) / (count - 1).max(1)).collect();
-    order.dedup();
-    order.sort_by_key(|f| f.trailing_zeros().min(3)); // deterministic; even spread first
-    order.reverse();
+    // First, last, middle, then what lies between: early ones cover most, later ones add.
+    let mut order: Vec<usize> = vec![0, n - 1];
+    let mut parts = 2;
+    while order.len() < count && parts <= 2 * n {
+        for k in (1..parts).step_by(2) {
+            let f = k * (n - 1) / parts;
+            if order.len() < count && !order.contains(&f) {
+                order.push(f);
+            }
+        }
+        parts *= 2;
+    }
     // Movers aside, neighbouring frames see mostly the same: two pictures' worth of points.
     let stride = (2.0 * (w * h) as f64 / most.max(1) as f64).sqrt().ceil().max(1.0) as i64;
     let near_mover = |mask: &Image, x: i64, y: i64| {

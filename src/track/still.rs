@@ -6,19 +6,47 @@ use super::quantile;
 use crate::geometry::ransac::RansacOptions;
 use crate::geometry::two_view::{Motion, TwoView, TwoViewOptions, two_view};
 use crate::observe::{NeighbourFlow, PointTrack};
-use crate::types::Intrinsics;
+use crate::types::{Image, Intrinsics};
 use crate::{Error, Result};
 
 /// Before anything is known of what moves: how much a track counts. Movers are looked at, so they
 /// keep to the middle of the picture, and the static world surrounds them.
 pub(super) fn border_prior(track: &PointTrack, size: (usize, usize)) -> f64 {
+    prior_at(track.pixels[track.pixels.len() / 2], size)
+}
+
+fn prior_at(pixel: DVec2, size: (usize, usize)) -> f64 {
     let (w, h) = (size.0 as f64, size.1 as f64);
-    let middle = track.pixels[track.pixels.len() / 2];
-    let x = (middle.x / w).min(1.0 - middle.x / w);
-    let y = middle.y / h;
+    let x = (pixel.x / w).min(1.0 - pixel.x / w);
+    let y = pixel.y / h;
     // The lower border is no border: people and cars are cut off there as often as floors.
     let inside = x.min(y).clamp(0.0, 0.25) / 0.25;
     1.0 - 0.85 * inside
+}
+
+/// A frame whose static pixels hold less than this share of the prior is not to be trusted.
+const TRUSTED: f64 = 0.4;
+
+/// Per frame: is it the surroundings that the masks call static? Where it is the middle instead, the
+/// camera's pose has followed a mover, and masks are the wrong way round. When hardly any frame
+/// passes, the prior is what fails, and all are trusted.
+pub(super) fn trusted(masks: &[Image]) -> Vec<bool> {
+    let verdicts: Vec<bool> = masks
+        .iter()
+        .map(|mask| {
+            let size = (mask.width as usize, mask.height as usize);
+            let (mut rests, mut all) = (0.0, 0.0);
+            for (i, p) in mask.pixels.iter().enumerate().step_by(5) {
+                let pixel = DVec2::new((i % size.0) as f64, (i / size.0) as f64);
+                let prior = prior_at(pixel, size);
+                all += prior;
+                rests += prior * f64::from(1.0 - p);
+            }
+            rests >= TRUSTED * all
+        })
+        .collect();
+    let enough = 4 * verdicts.iter().filter(|v| **v).count() >= verdicts.len();
+    if enough { verdicts } else { vec![true; masks.len()] }
 }
 
 /// A track of a fixed camera's static world stays within so many pixels at 320 wide.
@@ -127,7 +155,7 @@ pub(super) fn demand_parallax(
             return Err(no_parallax("the camera only turns"));
         }
     }
-    if pairs.iter().all(|pair| zooms(pair, &DVec2::new(side, side))) {
+    if pairs.iter().all(zooms) {
         return Err(no_parallax("the camera only zooms"));
     }
     Ok(())
@@ -142,10 +170,10 @@ fn no_parallax(what: &str) -> Error {
 
 /// Does a scaling about one point explain the pixels? Walking straight at a scene with depth does
 /// not look like that.
-fn zooms(pair: &Shared, _side: &DVec2) -> bool {
+fn zooms(pair: &Shared) -> bool {
     // b = s·a + t, least squares, reweighted once by what it leaves.
     let mut weights = pair.weights.clone();
-    let (mut scale, mut shift) = (1.0, DVec2::ZERO);
+    let mut scale = 1.0;
     let mut residuals = Vec::new();
     for _ in 0..5 {
         let total: f64 = weights.iter().sum();
@@ -160,7 +188,7 @@ fn zooms(pair: &Shared, _side: &DVec2) -> bool {
             lower += weights[i] * a.length_squared();
         }
         scale = upper / lower.max(1e-9);
-        shift = mb - ma * scale;
+        let shift = mb - ma * scale;
         residuals =
             (0..weights.len()).map(|i| (pair.b[i] - pair.a[i] * scale - shift).length()).collect();
         let typical = quantile(residuals.clone(), 0.5).max(0.1);
@@ -169,7 +197,5 @@ fn zooms(pair: &Shared, _side: &DVec2) -> bool {
             weights[i] = pair.weights[i] / (1.0 + z * z).powi(2);
         }
     }
-    let moved = (scale - 1.0).abs() * 0.25 * f64::from(pair.a.len().min(1) as u32) > 0.0;
-    let _ = shift;
-    moved && (scale - 1.0).abs() > 0.02 && quantile(residuals, 0.7) < 0.5
+    (scale - 1.0).abs() > 0.02 && quantile(residuals, 0.7) < 0.5
 }

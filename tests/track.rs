@@ -1,0 +1,287 @@
+//! Cameras, masks and depth of clips whose truth is known, and clips that are refused.
+
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+use glam::{DQuat, DVec3};
+use splat4d::data::synth::{self, SynthOptions};
+use splat4d::data::{Clip, ClipOptions, Resize};
+use splat4d::eval::{Align, compare_trajectories, mask_iou};
+use splat4d::observe::{FlowPair, FlowSource, SuppliedFlow};
+use splat4d::track::{FocalSource, Options, Stage, Track, track};
+use splat4d::types::{Image, Intrinsics, Pose};
+use splat4d::{Error, Result};
+
+const SIZE: SynthOptions = SynthOptions { frames: 12, width: 160, height: 90, seed: 3 };
+
+fn clip(name: &'static str) -> synth::Clip {
+    synth::clip(name, &SIZE).unwrap()
+}
+
+fn rigid() -> &'static synth::Clip {
+    static CLIP: OnceLock<synth::Clip> = OnceLock::new();
+    CLIP.get_or_init(|| clip("rigid"))
+}
+
+/// The clip's flow with errors as estimated flow has them: smooth, and gross in some places.
+fn disturbed(clip: &synth::Clip, pixels: f32) -> SuppliedFlow {
+    let mut phase = 0.0f32;
+    let mut bend = |flow: &Image| {
+        phase += 1.7;
+        let mut out = flow.clone();
+        for (i, v) in out.pixels.chunks_exact_mut(2).enumerate() {
+            let (x, y) = ((i % flow.width as usize) as f32, (i / flow.width as usize) as f32);
+            v[0] += pixels * (0.31 * x + 0.17 * y + phase).sin();
+            v[1] += pixels * (0.23 * y - 0.29 * x + 2.0 * phase).cos();
+            let cell = x as usize / 8 + 3 * (y as usize / 8) + phase as usize;
+            if cell.is_multiple_of(41) {
+                v[0] += 6.0;
+            }
+        }
+        out
+    };
+    let forward = clip.flow_forward.iter().map(&mut bend).collect();
+    let backward = clip.flow_backward.iter().map(&mut bend).collect();
+    SuppliedFlow::new(forward, backward).unwrap()
+}
+
+fn run(clip: &synth::Clip, options: &Options, noise: f32) -> Result<Track> {
+    track(&clip.frames, options, &mut disturbed(clip, noise), &mut |_, _| Ok(()))
+}
+
+fn ate(found: &Track, clip: &synth::Clip) -> f64 {
+    let centre = |poses: &[Pose]| poses.iter().map(Pose::inverse).collect::<Vec<_>>();
+    let (a, b) = (centre(&found.view_from_world), centre(&clip.view_from_world));
+    compare_trajectories(&a, &b, Align::Sim3).unwrap().ate_relative
+}
+
+fn iou(found: &Track, clip: &synth::Clip) -> f64 {
+    let pairs = found.masks.iter().zip(&clip.masks);
+    pairs.map(|(a, b)| mask_iou(a, b).unwrap()).sum::<f64>() / clip.masks.len() as f64
+}
+
+#[test]
+fn a_rigid_mover_is_told_from_the_room_and_the_cameras_are_found() {
+    let clip = rigid();
+    let mut stages = Vec::new();
+    let found = track(&clip.frames, &Options::default(), &mut disturbed(clip, 0.1), &mut |s, p| {
+        assert!((0.0..=1.0).contains(&p));
+        stages.push(s);
+        Ok(())
+    })
+    .unwrap();
+    let focal = found.intrinsics.fx / clip.intrinsics.fx - 1.0;
+    eprintln!(
+        "ATE {:.4}, IoU {:.3}, focal {focal:+.3}, {:?}",
+        ate(&found, clip),
+        iou(&found, clip),
+        found.quality
+    );
+    assert!(ate(&found, clip) < 0.02, "{}", ate(&found, clip));
+    assert!(iou(&found, clip) > 0.7, "{}", iou(&found, clip));
+    assert!(focal.abs() < 0.1, "{focal}");
+    assert!(!found.quality.tripod && found.quality.doubtful_frames.is_empty());
+    for stage in [Stage::Flow, Stage::Cameras, Stage::Masks, Stage::Depth] {
+        assert!(stages.contains(&stage), "{stage:?}");
+    }
+    // The unit is the median depth; measured depth has the truth's proportions.
+    let (mut ratios, mut depths) = (Vec::new(), Vec::new());
+    for (f, depth) in found.depth.iter().enumerate() {
+        for i in 0..depth.pixels.len() {
+            assert!(depth.pixels[i] > 0.0 && depth.pixels[i].is_finite());
+            if found.depth_confidence[f].pixels[i] > 0.5 {
+                ratios.push(depth.pixels[i] / clip.depth[f].pixels[i]);
+                depths.push(depth.pixels[i]);
+            }
+        }
+    }
+    ratios.sort_by(f32::total_cmp);
+    depths.sort_by(f32::total_cmp);
+    let scale = ratios[ratios.len() / 2];
+    let off = ratios.iter().filter(|r| (**r / scale - 1.0).abs() > 0.1).count();
+    assert!(off * 5 < ratios.len(), "{off} of {}", ratios.len());
+    assert!((0.6..1.7).contains(&depths[depths.len() / 2]), "{}", depths[depths.len() / 2]);
+    assert!(found.points.len() > 500);
+    assert!(found.points.iter().all(|p| p.position.is_finite()));
+}
+
+#[test]
+fn a_still_scene_has_no_motion() {
+    let clip = clip("still");
+    let found = run(&clip, &Options::default(), 0.1).unwrap();
+    assert!(found.quality.dynamic_share < 0.005, "{}", found.quality.dynamic_share);
+    assert!(ate(&found, &clip) < 0.02, "{}", ate(&found, &clip));
+}
+
+#[test]
+fn a_tripod_is_recognised_and_its_mover_masked() {
+    let clip = clip("tripod");
+    let found = run(&clip, &Options::default(), 0.05).unwrap();
+    assert!(found.quality.tripod);
+    assert!(found.view_from_world.iter().all(|p| *p == Pose::IDENTITY));
+    assert!(found.quality.notes.iter().any(|n| n.contains("tripod")), "{:?}", found.quality.notes);
+    assert!(iou(&found, &clip) > 0.7, "{}", iou(&found, &clip));
+}
+
+#[test]
+fn what_the_user_knows_is_kept() {
+    let clip = rigid();
+    let options = Options {
+        focal: Some(clip.intrinsics.fx),
+        poses: Some(clip.view_from_world.clone()),
+        masks: Some(clip.masks.clone()),
+        depth: Some(clip.depth.clone()),
+        ..Options::default()
+    };
+    let found = run(clip, &options, 0.1).unwrap();
+    assert_eq!(found.view_from_world, clip.view_from_world);
+    assert_eq!(found.masks, clip.masks);
+    assert_eq!(found.quality.focal_source, FocalSource::Given);
+    assert_eq!(found.intrinsics.fx, clip.intrinsics.fx);
+    // Poses are metric, and so is the depth: its factor is 1.
+    for (a, b) in found.depth[4].pixels.iter().zip(&clip.depth[4].pixels) {
+        assert!((a / b - 1.0).abs() < 0.05, "{a} {b}");
+    }
+}
+
+/// Flow of a camera that only turns, exact.
+struct Turning(Vec<DQuat>, Intrinsics);
+
+impl FlowSource for Turning {
+    fn pair(&mut self, first: usize) -> Result<FlowPair> {
+        let k = self.1;
+        let flow = |from: DQuat, to: DQuat| {
+            let mut out = Image::new(k.width, k.height, 2);
+            for y in 0..k.height {
+                for x in 0..k.width {
+                    let pixel = glam::DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
+                    let there = k.project(to * (from.conjugate() * k.ray(pixel)));
+                    let moved = there - pixel;
+                    out.at_mut(x, y).copy_from_slice(&[moved.x as f32, moved.y as f32]);
+                }
+            }
+            out
+        };
+        let (a, b) = (self.0[first], self.0[first + 1]);
+        Ok(FlowPair {
+            forward: flow(a, b),
+            backward: flow(b, a),
+            forward_confidence: None,
+            backward_confidence: None,
+        })
+    }
+}
+
+#[test]
+fn a_camera_that_only_turns_is_refused_in_words() {
+    let k = Intrinsics::centred(150.0, 160, 90);
+    let turns: Vec<_> = (0..8).map(|i| DQuat::from_rotation_y(0.02 * f64::from(i))).collect();
+    let frames = vec![Image::new(160, 90, 3); 8];
+    let error = track(&frames, &Options::default(), &mut Turning(turns, k), &mut |_, _| Ok(()));
+    let Err(Error::Input(what)) = error else { panic!("{error:?}") };
+    assert!(what.contains("no parallax") && what.contains("sideways"), "{what}");
+}
+
+#[test]
+fn bad_input_gets_one_clear_error() {
+    let clip = rigid();
+    let refused = |frames: &[Image], options: Options, says: &str| {
+        let mut source = disturbed(clip, 0.0);
+        match track(frames, &options, &mut source, &mut |_, _| Ok(())) {
+            Err(Error::Input(what)) => assert!(what.contains(says), "{what:?} lacks {says:?}"),
+            other => panic!("{says}: {:?}", other.map(|t| t.quality)),
+        }
+    };
+    let frames = &clip.frames;
+    refused(&frames[..1], Options::default(), "two frames");
+    refused(&[], Options::default(), "two frames");
+    let mut odd = frames.clone();
+    odd[3] = Image::new(80, 90, 3);
+    refused(&odd, Options::default(), "frame 3 is 80×90");
+    let few = vec![Pose::new(DQuat::IDENTITY, DVec3::X); 5];
+    refused(frames, Options { poses: Some(few), ..Options::default() }, "5 poses");
+    let masks = vec![Image::new(10, 10, 1); 12];
+    refused(frames, Options { masks: Some(masks), ..Options::default() }, "mask 0 is 10×10");
+    refused(frames, Options { focal: Some(f64::NAN), ..Options::default() }, "makes no sense");
+    let more: Vec<_> = frames.iter().chain(frames).cloned().collect();
+    refused(&more, Options::default(), "supplied flow has 11");
+    // An error from the listener ends the work.
+    let stop = track(frames, &Options::default(), &mut disturbed(clip, 0.0), &mut |_, _| {
+        Err(Error::Interrupted { checkpoint: None })
+    });
+    assert!(matches!(stop, Err(Error::Interrupted { .. })));
+}
+
+#[test]
+fn a_folder_of_flow_is_read_in_its_order() {
+    let folder = tempfile::tempdir().unwrap();
+    let field = |v: f32| Image { width: 2, height: 1, channels: 2, pixels: vec![v; 4] };
+    for (i, direction) in [(9, "forward"), (10, "forward"), (9, "backward"), (10, "backward")] {
+        let path = folder.path().join(format!("{direction}_{i}.flo"));
+        splat4d::data::flo::write(path, &field(i as f32)).unwrap();
+    }
+    let mut flow = SuppliedFlow::open(folder.path()).unwrap();
+    assert_eq!(flow.pair(0).unwrap().forward.pixels[0], 9.0);
+    assert_eq!(flow.pair(1).unwrap().backward.pixels[0], 10.0);
+    assert!(flow.pair(2).is_err());
+    std::fs::remove_file(folder.path().join("backward_10.flo")).unwrap();
+    let error = SuppliedFlow::open(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("2 forward and 1 backward"), "{error}");
+    assert!(SuppliedFlow::open(folder.path().join("none")).is_err());
+}
+
+fn data(name: &str) -> Option<PathBuf> {
+    let root = std::env::var_os("SPLAT4D_DATA").map_or_else(
+        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
+        PathBuf::from,
+    );
+    let path = root.join(name);
+    if !path.exists() {
+        eprintln!("SKIPPED (no ../shared/data): {name}");
+        return None;
+    }
+    Some(path)
+}
+
+#[test]
+#[ignore = "a minute of flow on the CPU; the end-to-end test covers it on the engine"]
+fn a_handheld_video_of_a_running_person() {
+    let Some(path) = data("monst3r_lady_running/images") else { return };
+    let options =
+        ClipOptions { every: 4, max_frames: Some(16), size: Resize::Longest(240), skip_bad: false };
+    let clip = Clip::open(path, &options).unwrap();
+    let frames: Vec<Image> = clip.frames.into_iter().map(|f| f.image).collect();
+    let found =
+        track(&frames, &Options::default(), &mut Twin(&frames), &mut |_, _| Ok(())).unwrap();
+    eprintln!("focal {:.0} of 240 px, {:?}", found.intrinsics.fx, found.quality);
+    assert!((0.03..0.5).contains(&found.quality.dynamic_share));
+    assert!(found.quality.inlier_share > 0.5 && found.quality.reprojection_rms < 1.0);
+}
+
+/// Flow from the kernels' CPU twin.
+struct Twin<'a>(&'a [Image]);
+
+impl FlowSource for Twin<'_> {
+    fn pair(&mut self, first: usize) -> Result<FlowPair> {
+        use splat4d::oracle::flow::{Pyramid, flow};
+        let settings = splat4d::types::FlowSettings::default();
+        let pyramid = |f: &Image| {
+            let size = (f.width as usize, f.height as usize);
+            Pyramid::new(&f.pixels, size.0, size.1, 3, settings.coarsest_side)
+        };
+        let (a, b) = (&self.0[first], &self.0[first + 1]);
+        let found = flow(&pyramid(a), &pyramid(b), None, &settings);
+        let image = |v: Vec<[f32; 2]>| Image {
+            width: a.width,
+            height: a.height,
+            channels: 2,
+            pixels: v.into_flattened(),
+        };
+        Ok(FlowPair {
+            forward: image(found.forward),
+            backward: image(found.backward),
+            forward_confidence: None,
+            backward_confidence: None,
+        })
+    }
+}
