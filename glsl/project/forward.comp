@@ -80,12 +80,12 @@ uint project(uint i) {
     float logit = opacity_logits[i];
     vec4 unit;
     float ignored;
-    if (!finite(position) || !finite(log_scale) || !normalised(rotations[i], unit, ignored)) {
+    if (!finite(position) || !finite(log_scale) || !finite(logit)
+        || !normalised(rotations[i], unit, ignored)) {
         return 0u;
     }
-    // An infinite logit is an opacity of exactly 0 or 1.
     float opacity = sigmoid(logit);
-    if (!finite(opacity) || opacity < alpha_cut) {
+    if (opacity < alpha_cut) {
         return 0u;
     }
     Shape s;
