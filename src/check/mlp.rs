@@ -4,7 +4,7 @@ use super::{Bound, Case, Harness};
 use crate::error::Result;
 use crate::ops::mlp::Network;
 use crate::oracle::mlp;
-use crate::types::NetShape;
+use crate::types::{DeformNet, NetShape};
 use rand::RngExt;
 
 /// The family's cases.
@@ -41,8 +41,11 @@ struct Problem {
 impl Problem {
     fn new(h: &mut Harness, shape: NetShape, nodes: usize, times: usize) -> Problem {
         // An ordinary head and biases: with the first ones the outputs hardly show.
-        let parameters =
-            mlp::init(&shape, 3).iter().map(|p| p + h.rng.random_range(-0.05f32..0.05)).collect();
+        let parameters = DeformNet::random(shape, 3)
+            .parameters
+            .iter()
+            .map(|p| p + h.rng.random_range(-0.05f32..0.05))
+            .collect();
         Problem {
             shape,
             parameters,

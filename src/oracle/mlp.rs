@@ -5,39 +5,6 @@
 
 use super::Real;
 use crate::types::NetShape;
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-
-/// Standard deviation of the head's first weights: motion starts as good as none.
-pub const HEAD_DEVIATION: f64 = 1e-5;
-
-/// First parameters of a network, laid out as [`crate::types::DeformNet::parameters`]: hidden
-/// weights uniform in ±√(6 / inputs) (Kaiming for ReLU), the head's normal with
-/// [`HEAD_DEVIATION`], biases zero. The same seed gives the same parameters everywhere.
-pub fn init(shape: &NetShape, seed: u64) -> Vec<f32> {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let layers = shape.layers();
-    let mut parameters = Vec::with_capacity(shape.parameters());
-    for (layer, &(inputs, outputs)) in layers.iter().enumerate() {
-        let bound = (6.0 / inputs as f64).sqrt();
-        for _ in 0..inputs * outputs {
-            let value = if layer + 1 < layers.len() {
-                rng.random_range(-bound..bound)
-            } else {
-                HEAD_DEVIATION * normal(&mut rng)
-            };
-            parameters.push(value as f32);
-        }
-        parameters.extend(std::iter::repeat_n(0.0, outputs));
-    }
-    parameters
-}
-
-/// A standard normal number (Box and Muller).
-fn normal(rng: &mut ChaCha8Rng) -> f64 {
-    let (a, b): (f64, f64) = (rng.random(), rng.random());
-    (-2.0 * (1.0 - a).ln()).sqrt() * (std::f64::consts::TAU * b).cos()
-}
 
 /// The network's input for one query `(x, y, z, t)`: position, then for every frequency the sines
 /// and the cosines of its three coordinates; the time likewise.
@@ -141,6 +108,14 @@ pub fn transform<R: Real>(output: [R; NetShape::OUTPUTS]) -> [R; 8] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::types::DeformNet;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    /// Anything but regular.
+    fn normal(rng: &mut ChaCha8Rng) -> f64 {
+        (0..12).map(|_| rng.random_range(-0.5..0.5)).sum()
+    }
 
     fn shapes() -> Vec<NetShape> {
         let base =
@@ -158,8 +133,11 @@ mod tests {
     fn problem(shape: &NetShape) -> (Vec<f64>, Vec<[f64; 4]>, Vec<[f64; 7]>) {
         let mut rng = ChaCha8Rng::seed_from_u64(11);
         // A head of ordinary size and biases that are not zero, so that every path shows.
-        let parameters =
-            init(shape, 1).iter().map(|&p| f64::from(p) + 0.05 * normal(&mut rng)).collect();
+        let parameters = DeformNet::random(*shape, 1)
+            .parameters
+            .iter()
+            .map(|&p| f64::from(p) + 0.05 * normal(&mut rng))
+            .collect();
         let queries = (0..3).map(|_| std::array::from_fn(|_| normal(&mut rng))).collect();
         let gradients = (0..3).map(|_| std::array::from_fn(|_| normal(&mut rng))).collect();
         (parameters, queries, gradients)
@@ -228,12 +206,13 @@ mod tests {
     #[test]
     fn a_new_network_moves_nothing_to_speak_of() {
         let shape = NetShape::PAPER;
-        let parameters: Vec<f64> = init(&shape, 5).iter().map(|&p| f64::from(p)).collect();
+        let parameters: Vec<f64> =
+            DeformNet::random(shape, 5).parameters.iter().map(|&p| f64::from(p)).collect();
         assert_eq!(parameters.len(), shape.parameters());
         let pass = forward(&shape, &parameters, &[[0.3, -0.5, 0.2, 0.4]]);
         let size = pass.outputs[0].iter().fold(0.0f64, |m, v| m.max(v.abs()));
         assert!(size > 0.0 && size < 1e-2, "{size}");
-        assert_eq!(init(&shape, 5), init(&shape, 5));
-        assert_ne!(init(&shape, 5), init(&shape, 6));
+        assert_eq!(DeformNet::random(shape, 5), DeformNet::random(shape, 5));
+        assert_ne!(DeformNet::random(shape, 5), DeformNet::random(shape, 6));
     }
 }

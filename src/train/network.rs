@@ -1,29 +1,15 @@
-//! The deformation network's start: random weights, then fitted to known trajectories.
+//! The deformation network's start: fitted to known trajectories.
 
 use crate::Result;
 use crate::gpu::{Device, Stream};
 use crate::ops::adam::{Adam, AdamArgs};
 use crate::ops::mlp::Network;
-use crate::types::{AdamSettings, ControlPoints, DeformNet, NetShape};
+use crate::types::{AdamSettings, ControlPoints, DeformNet};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 /// Times in one step of the fit.
 const BATCH: usize = 4;
-
-/// Kaiming-uniform weights in the trunk, a head near zero, zero biases: motion starts as none.
-pub fn random_network(shape: NetShape, seed: u64) -> DeformNet {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let layers = shape.layers();
-    let last = layers.len() - 1;
-    let mut parameters = Vec::with_capacity(shape.parameters());
-    for (index, (inputs, outputs)) in layers.into_iter().enumerate() {
-        let bound = if index == last { 1e-5 } else { (6.0 / inputs as f32).sqrt() };
-        parameters.extend((0..inputs * outputs).map(|_| rng.random_range(-bound..bound)));
-        parameters.extend(std::iter::repeat_n(0.0, outputs));
-    }
-    DeformNet { shape, parameters }
-}
 
 /// Fits the network's translations to those of the control points: `targets[point][time]`, from the
 /// canonical position, at `times`. Gives the root mean square error left.

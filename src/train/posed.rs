@@ -6,7 +6,6 @@
 //! al., CVPR 2024) begins, and all is trained together.
 
 use super::motion::MotionStart;
-use super::network::random_network;
 use super::sampling::farthest_point_sample;
 use super::seed::seed_from_points;
 use super::sequence::Phase;
@@ -16,7 +15,7 @@ use crate::Result;
 use crate::data::Point;
 use crate::gpu::Device;
 use crate::scene::Scene;
-use crate::types::{ControlPoints, Gaussians, NetShape};
+use crate::types::{ControlPoints, DeformNet, Gaussians, NetShape};
 
 /// What is to move, and how much of the time goes before it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -82,7 +81,7 @@ pub fn fit_posed(
     gaussians.motion_logits = vec![STRENGTH; gaussians.len()];
     let start = MotionStart {
         points: spread(&gaussians, motion.control_points, settings.seed)?,
-        network: random_network(motion.network, settings.seed),
+        network: DeformNet::random(motion.network, settings.seed),
         neighbours: motion.neighbours,
     };
     let joint = TrainSettings { steps: settings.steps - warm_up, ..settings.clone() };

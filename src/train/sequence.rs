@@ -12,7 +12,7 @@
 //! A clip in which nothing moves gets no control points and no network.
 
 use super::motion::MotionStart;
-use super::network::{fit_translations, random_network};
+use super::network::fit_translations;
 use super::sampling::farthest_point_sample;
 use super::seed::seed_from_points;
 use super::settings::{GrowthSettings, MotionSettings, Rates, TrainSettings};
@@ -177,7 +177,7 @@ fn fit_moving(
 
     // Control points, and a network that follows their trajectories.
     let (points, chosen) = control_points(trajectories, settings)?;
-    let mut network = random_network(settings.network, settings.seed);
+    let mut network = DeformNet::random(settings.network, settings.seed);
     let targets: Vec<Vec<[f32; 3]>> = chosen
         .iter()
         .map(|&k| {

@@ -1,5 +1,8 @@
 //! Control points and the deformation network: what moves the dynamic Gaussians.
 
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
 /// Sparse control points in the canonical frame; the network gives each of them a rigid motion at
 /// every time, and Gaussians follow the nearest ones (linear blend skinning).
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -88,4 +91,37 @@ pub struct DeformNet {
     /// All parameters, layer after layer in the order of [`NetShape::layers`]: weights as
     /// `[outputs][inputs]`, row-major, then biases.
     pub parameters: Vec<f32>,
+}
+
+/// Standard deviation of the head's first weights: motion starts as good as none.
+const HEAD_DEVIATION: f64 = 1e-5;
+
+impl DeformNet {
+    /// A network to train from: hidden weights uniform in ±√(6 / inputs) (Kaiming for ReLU), the
+    /// head's normal with a deviation of 1e-5, biases zero. The same seed gives the same parameters
+    /// everywhere.
+    pub fn random(shape: NetShape, seed: u64) -> DeformNet {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let layers = shape.layers();
+        let mut parameters = Vec::with_capacity(shape.parameters());
+        for (layer, &(inputs, outputs)) in layers.iter().enumerate() {
+            let bound = (6.0 / inputs as f64).sqrt();
+            for _ in 0..inputs * outputs {
+                let value = if layer + 1 < layers.len() {
+                    rng.random_range(-bound..bound)
+                } else {
+                    HEAD_DEVIATION * normal(&mut rng)
+                };
+                parameters.push(value as f32);
+            }
+            parameters.extend(std::iter::repeat_n(0.0, outputs));
+        }
+        DeformNet { shape, parameters }
+    }
+}
+
+/// A standard normal number (Box and Muller).
+fn normal(rng: &mut ChaCha8Rng) -> f64 {
+    let (a, b): (f64, f64) = (rng.random(), rng.random());
+    (-2.0 * (1.0 - a).ln()).sqrt() * (std::f64::consts::TAU * b).cos()
 }
