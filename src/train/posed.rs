@@ -6,13 +6,10 @@
 //! al., CVPR 2024) begins, and all is trained together.
 
 use super::motion::MotionStart;
-use super::sampling::farthest_point_sample;
-use super::seed::seed_from_points;
-use super::sequence::Phase;
+use super::sequence::{self, Phase, run};
 use super::settings::TrainSettings;
 use super::trainer::{Trainer, TrainingView};
 use crate::Result;
-use crate::data::Point;
 use crate::gpu::Device;
 use crate::scene::Scene;
 use crate::types::{ControlPoints, DeformNet, Gaussians, NetShape};
@@ -97,19 +94,6 @@ pub fn fit_posed(
     Ok(scene)
 }
 
-fn run(
-    trainer: &mut Trainer,
-    phase: Phase,
-    steps: u32,
-    watch: &mut dyn FnMut(Phase, u32, u32) -> Result<()>,
-) -> Result<()> {
-    for step in 0..steps {
-        trainer.step()?;
-        watch(phase, step + 1, steps)?;
-    }
-    trainer.finish()
-}
-
 /// Control points spread over the Gaussians that the warm-up has made more opaque than they began;
 /// over all of them where there are none.
 fn spread(gaussians: &Gaussians, count: usize, seed: u64) -> Result<ControlPoints> {
@@ -119,11 +103,5 @@ fn spread(gaussians: &Gaussians, count: usize, seed: u64) -> Result<ControlPoint
         chosen = (0..gaussians.len()).collect();
     }
     let candidates: Vec<[f32; 3]> = chosen.iter().map(|&i| gaussians.positions[i]).collect();
-    let picked = farthest_point_sample(candidates.as_flattened(), 3, count, seed)?;
-    let positions: Vec<[f32; 3]> = picked.iter().map(|&k| candidates[k]).collect();
-    // The radius is the distance to the nearest others, which seeding knows as a scale.
-    let stand_ins: Vec<Point> =
-        positions.iter().map(|&position| Point { position, colour: [0.5; 3] }).collect();
-    let log_radii = seed_from_points(&stand_ins, 0).log_scales.iter().map(|s| s[0]).collect();
-    Ok(ControlPoints { positions, log_radii })
+    Ok(sequence::spread(&candidates, count, seed)?.0)
 }

@@ -300,7 +300,13 @@ fn joint_settings(settings: &SequenceSettings) -> TrainSettings {
     }
 }
 
-fn run(trainer: &mut Trainer, phase: Phase, steps: u32, watch: &mut Watch<'_>) -> Result<()> {
+/// Steps until the phase is over.
+pub(super) fn run(
+    trainer: &mut Trainer,
+    phase: Phase,
+    steps: u32,
+    watch: &mut Watch<'_>,
+) -> Result<()> {
     for step in 0..steps {
         trainer.step()?;
         watch(phase, step + 1, steps)?;
@@ -381,8 +387,17 @@ fn control_points(
         .map(|path| path[trajectories.canonical].as_vec3().to_array())
         .collect();
     let count = settings.control_points.min(canonical.len());
-    let chosen = farthest_point_sample(canonical.as_flattened(), 3, count, settings.seed)?;
-    let positions: Vec<[f32; 3]> = chosen.iter().map(|&k| canonical[k]).collect();
+    spread(&canonical, count, settings.seed)
+}
+
+/// At most `count` control points spread over some positions, and which positions they are.
+pub(super) fn spread(
+    candidates: &[[f32; 3]],
+    count: usize,
+    seed: u64,
+) -> Result<(ControlPoints, Vec<usize>)> {
+    let chosen = farthest_point_sample(candidates.as_flattened(), 3, count, seed)?;
+    let positions: Vec<[f32; 3]> = chosen.iter().map(|&k| candidates[k]).collect();
     // The radius is the distance to the nearest others, which seeding knows as a scale.
     let stand_ins: Vec<Point> =
         positions.iter().map(|&position| Point { position, colour: [0.5; 3] }).collect();
