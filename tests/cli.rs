@@ -166,7 +166,7 @@ fn training_reports_and_leaves_a_scene() {
     assert_eq!(report["gaussians"], 400);
     assert_eq!((&report["images"], &report["held_out"]), (&2.into(), &2.into()));
     assert_eq!(report["control_points"], 0);
-    assert_eq!(report["dynamic_share"], 0.0);
+    assert_eq!((&report["dynamic_share"], &report["density"]), (&0.0.into(), &Value::Null));
     for key in ["psnr_input", "psnr_test", "peak_bytes", "milliseconds_per_step"] {
         assert!(report[key].as_f64() > Some(1.0), "{key}: {report}");
     }
@@ -208,12 +208,13 @@ fn training_repeats_itself_and_more_of_it_is_better() {
 #[test]
 fn pictures_with_times_make_a_scene_that_moves() {
     let folder = tempfile::tempdir().unwrap();
-    let train = "-o x --steps 30 --random-points 300 --control-points 20 --sh-degree 0";
+    let train = "-o x --steps 30 --random-points 300 --control-points 20 --sh-degree 0 \
+                 --max-gaussians 300 --density adaptive";
     let clip = trained().join("clip/truth");
     let report = json(folder.path(), &format!("train {} {train}", clip.display()));
     documented("train", &report);
     assert_eq!((&report["control_points"], &report["gaussians"]), (&20.into(), &300.into()));
-    assert_eq!(report["dynamic_share"], 1.0);
+    assert_eq!((&report["dynamic_share"], &report["density"]), (&1.0.into(), &"adaptive".into()));
     let found = json(folder.path(), "info x");
     assert_eq!(found["network"]["width"], 64);
     json(folder.path(), "render x -o views --path input --times 0.5");
@@ -421,6 +422,8 @@ fn wrong_usage_is_two() {
         "train data -o x --steps many",
         "train data -o x --steps 0",
         "train data -o x --sh-degree 4",
+        "train data -o x --density adaptive",
+        "train data -o x --max-gaussians 9 --density even",
         "render x -o y --size 10",
         "render x -o y --times 3,4",
         "render x -o y --background red",

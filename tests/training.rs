@@ -2,13 +2,17 @@
 
 mod common;
 
-use splat4d::data::{Dataset, Resize};
+use splat4d::data::synth::{self, SynthOptions};
+use splat4d::data::{Dataset, Point, Resize};
 use splat4d::eval;
 use splat4d::gpu::Device;
 use splat4d::renderer::Renderer;
 use splat4d::scene::Scene;
-use splat4d::train::{GrowthSettings, TrainSettings, Trainer, TrainingView, seed_from_points};
-use splat4d::types::Gaussians;
+use splat4d::train::{
+    AdaptiveSettings, GrowthSettings, McmcSettings, MotionStart, TrainSettings, Trainer,
+    TrainingView, seed_from_points,
+};
+use splat4d::types::{ControlPoints, DeformNet, Gaussians, NetShape};
 use std::time::Instant;
 
 fn fox() -> Option<Dataset> {
@@ -54,7 +58,11 @@ fn a_hundred_steps_twice_give_the_same_bits_and_a_better_image() {
             sh_interval: 50,
             sh_degree: 1,
             max_gaussians: 2500,
-            growth: Some(GrowthSettings { from: 20, every: 20, ..Default::default() }),
+            growth: Some(GrowthSettings::Mcmc(McmcSettings {
+                from: 20,
+                every: 20,
+                ..Default::default()
+            })),
             ..Default::default()
         };
         let mut trainer = Trainer::new(&device, &views, &seeds, None, settings).unwrap();
@@ -68,6 +76,120 @@ fn a_hundred_steps_twice_give_the_same_bits_and_a_better_image() {
     let after = mean_psnr(&device, first, &views);
     println!("PSNR {before:.2} dB before, {after:.2} dB after");
     assert!(after > before + 3.0, "{before} dB before, {after} dB after");
+    common::assert_valid(&device);
+}
+
+/// A synthetic room with its true cameras, and points of its surfaces: one for every fourth pixel
+/// along each axis of two pictures, but only every eighth of these where x is below 0.
+fn half_known_room() -> (Vec<TrainingView>, Vec<Point>) {
+    let options = SynthOptions { frames: 8, width: 96, height: 64, seed: 3 };
+    let clip = synth::clip("still", &options).unwrap();
+    let mut points = Vec::new();
+    for frame in [1, 6] {
+        let (camera, image) = (clip.camera(frame), &clip.frames[frame]);
+        for (y, x) in (0..16).flat_map(|y| (0..24).map(move |x| (4 * y + 2, 4 * x + 2))) {
+            let ray = camera.intrinsics.ray(glam::DVec2::new(x.into(), y.into()));
+            let view = ray * f64::from(clip.depth[frame].at(x, y)[0]);
+            let position = camera.view_from_world.inverse().apply(view).as_vec3().to_array();
+            let colour = image.at(x, y).try_into().unwrap();
+            points.push(Point { position, colour });
+        }
+    }
+    let mut left = 0;
+    points.retain(|p| {
+        left += usize::from(p.position[0] < 0.0);
+        p.position[0] >= 0.0 || left % 8 == 0
+    });
+    let views = (0..clip.frames.len()).map(|frame| TrainingView {
+        camera: clip.camera(frame),
+        time: clip.times[frame],
+        image: clip.frames[frame].clone(),
+        weights: None,
+        disparity: None,
+    });
+    (views.collect(), points)
+}
+
+#[test]
+fn adaptive_control_grows_where_it_is_needed_and_matches_mcmc() {
+    let device = common::device();
+    let (views, points) = half_known_room();
+    let seeds = seed_from_points(&points, 1);
+    let run = |growth: GrowthSettings| {
+        let settings = TrainSettings {
+            steps: 500,
+            sh_degree: 1,
+            max_gaussians: 1500,
+            growth: Some(growth),
+            ..Default::default()
+        };
+        let mut trainer = Trainer::new(&device, &views, &seeds, None, settings).unwrap();
+        (0..500).for_each(|_| trainer.step().unwrap());
+        trainer.gaussians().unwrap()
+    };
+    let adaptive = GrowthSettings::Adaptive(AdaptiveSettings {
+        // A reset within the time that rounds have.
+        reset_every: 150,
+        ..AdaptiveSettings::scaled_to(500)
+    });
+    let grown = run(adaptive);
+    assert_eq!(grown, run(adaptive), "the same bits twice");
+    let mcmc = McmcSettings { from: 50, every: 25, factor: 1.12, ..Default::default() };
+    let even = run(GrowthSettings::Mcmc(mcmc));
+    let [before, by_gradient, by_mcmc] =
+        [&seeds, &grown, &even].map(|g| mean_psnr(&device, g.clone(), &views));
+    println!(
+        "{} Gaussians with {before:.2} dB; adaptive {} with {by_gradient:.2} dB, MCMC {} with \
+         {by_mcmc:.2} dB",
+        seeds.len(),
+        grown.len(),
+        even.len()
+    );
+    assert!(grown.len() > seeds.len() && grown.len() <= 1500, "{}", grown.len());
+    assert!(by_gradient > by_mcmc - 1.0, "{by_gradient} dB, with MCMC {by_mcmc} dB");
+    let growth = |left: bool| {
+        let count = |g: &Gaussians| g.positions.iter().filter(|p| (p[0] < 0.0) == left).count();
+        count(&grown) as f64 / count(&seeds) as f64
+    };
+    let (needed, other) = (growth(true), growth(false));
+    println!("where points were missing {needed:.2} times as many, elsewhere {other:.2} times");
+    assert!(needed > 1.5 * other, "{needed} and {other} times as many");
+    common::assert_valid(&device);
+}
+
+#[test]
+fn adaptive_control_takes_motion_along() {
+    let device = common::device();
+    let (views, points) = half_known_room();
+    let mut seeds = seed_from_points(&points, 0);
+    let logit = |p: &[f32; 3]| if p[0] < 0.0 { 3.0 } else { -5.0 };
+    seeds.motion_logits = seeds.positions.iter().map(logit).collect();
+    let shape =
+        NetShape { depth: 2, width: 16, skip: 0, position_frequencies: 2, time_frequencies: 2 };
+    let motion = MotionStart {
+        points: ControlPoints {
+            positions: vec![[-0.8, 0.0, 3.0], [-1.6, 0.3, 3.5], [-0.4, -0.3, 4.0]],
+            log_radii: vec![0.0; 3],
+        },
+        network: DeformNet::random(shape, 5),
+        neighbours: 2,
+    };
+    let settings = TrainSettings {
+        steps: 120,
+        sh_degree: 0,
+        max_gaussians: 1500,
+        growth: Some(GrowthSettings::Adaptive(AdaptiveSettings::scaled_to(120))),
+        ..Default::default()
+    };
+    let mut trainer = Trainer::new(&device, &views, &seeds, Some(&motion), settings).unwrap();
+    (0..120).for_each(|_| trainer.step().unwrap());
+    let grown = trainer.gaussians().unwrap();
+    assert!(grown.len() > seeds.len() + 50, "{} from {}", grown.len(), seeds.len());
+    assert_eq!(grown.motion_logits.len(), grown.len());
+    // Parts of a split one stray by its size.
+    let stays = |(p, &m): (&[f32; 3], &f32)| m == logit(p);
+    let kept = grown.positions.iter().zip(&grown.motion_logits).filter(|&g| stays(g)).count();
+    assert!(kept * 20 > grown.len() * 19, "{kept} of {} have their place's logit", grown.len());
     common::assert_valid(&device);
 }
 

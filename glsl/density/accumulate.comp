@@ -4,9 +4,12 @@
 
 layout(local_size_x = 64) in;
 
-layout(std430, binding = 0) readonly buffer ScreenGradients { float screen_gradients[]; };
+// By mean x, mean y (pixels), depth and opacity.
+layout(std430, binding = 0) readonly buffer MeanGradients { vec4 mean_gradients[]; };
 layout(std430, binding = 1) readonly buffer Visible { uint visible[]; };
-layout(std430, binding = 2) buffer Statistics { float statistics[]; };
+// 0 where the view's intersections did not all fit.
+layout(std430, binding = 2) readonly buffer Fits { uint fits[]; };
+layout(std430, binding = 3) buffer Statistics { float statistics[]; };
 
 layout(push_constant) uniform Params {
     uint count;
@@ -19,11 +22,10 @@ layout(push_constant) uniform Params {
 
 void main() {
     uint j = group_index() * 64u + gl_LocalInvocationIndex;
-    if (j >= count || visible[j] == 0u) {
+    if (j >= count || visible[j] == 0u || fits[0] == 0u) {
         return;
     }
-    float norm = length(vec2(screen_gradients[2u * j] * half_width,
-                             screen_gradients[2u * j + 1u] * half_height));
+    float norm = length(mean_gradients[j].xy * vec2(half_width, half_height));
     if (finite(norm)) {
         statistics[2u * j] += norm;
         statistics[2u * j + 1u] += 1.0;

@@ -403,32 +403,41 @@ fn adapt_once(
 
 fn statistics(h: &mut Harness) -> Result<()> {
     let count = 500;
-    let mut gradients = random(h, 2 * count, -1e-3, 1e-3);
-    gradients[8] = f32::NAN;
-    gradients[11] = f32::INFINITY;
+    let mut gradients: Vec<[f32; 4]> = rows::<f32, 4>(&random(h, 4 * count, -1e-3, 1e-3));
+    gradients[4][0] = f32::NAN;
+    gradients[5][1] = f32::INFINITY;
+    // What belongs to depth and opacity must stay out of it.
+    gradients[6][2] = f32::NAN;
     let visible: Vec<u32> = (0..count as u32).map(|i| i % 3).collect();
     let start: Vec<f32> = random(h, 2 * count, 0.0, 2.0);
     let mut logits = random(h, count, -9.0, 9.0);
     logits[5] = 40.0;
     let gradient_buffer = h.device.upload("gradients", &gradients)?;
     let visible_buffer = h.device.upload("visible", &visible)?;
+    let fits = [h.device.upload("fits", &[1u32])?, h.device.upload("fits", &[0u32])?];
     let start_buffer = h.device.upload("statistics", &start)?;
     let logit_buffer = h.device.upload("logits", &logits)?;
     let mut sums = h.output::<f32>("statistics", 2 * count)?;
+    let mut misfit = h.output::<f32>("statistics of a frame that did not fit", 2 * count)?;
     let mut reset = h.output::<f32>("logits", count)?;
     let mut recorder = h.stream.record()?;
-    recorder.copy(start_buffer.view(), sums.view_mut());
     recorder.copy(logit_buffer.view(), reset.view_mut());
-    let image = [640, 358];
-    let gradients_view = gradient_buffer.view();
-    accumulate(&mut recorder, sums.view_mut(), gradients_view, visible_buffer.view(), image)?;
+    for (fits, to) in fits.iter().zip([&mut sums, &mut misfit]) {
+        recorder.copy(start_buffer.view(), to.view_mut());
+        let (by_mean, shown) = (gradient_buffer.view(), visible_buffer.view());
+        accumulate(&mut recorder, to.view_mut(), by_mean, shown, fits.view(), [640, 358])?;
+    }
     reset_opacity(&mut recorder, reset.view_mut(), -4.5)?;
     h.stream.submit(recorder)?;
     let mut truth = rows::<f64, 2>(&start);
-    density::accumulate(&mut truth, &rows(&gradients), &visible, [320.0, 179.0]);
+    let by_mean: Vec<[f64; 2]> =
+        gradients.iter().map(|g| [f64::from(g[0]), f64::from(g[1])]).collect();
+    density::accumulate(&mut truth, &by_mean, &visible, [320.0, 179.0]);
     let device = h.read(&sums)?;
     let bound = Bound { absolute: 0.0, relative: 1e-6 };
     h.close("statistics", &device, truth.as_flattened(), None, bound);
+    let device = h.read(&misfit)?;
+    h.exact("statistics of a frame that did not fit", &device, &start);
     density::reset_opacity(&mut logits, -4.5);
     let device = h.read(&reset)?;
     h.exact("opacity logits", &device, &logits);

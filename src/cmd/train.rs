@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -12,8 +12,8 @@ use splat4d::gpu::Device;
 use splat4d::renderer::Renderer;
 use splat4d::scene::{Scene, SceneCamera};
 use splat4d::train::{
-    GrowthSettings, Phase, PosedMotion, TrainSettings, Trainer, TrainingView, fit_posed,
-    random_points, seed_from_points,
+    AdaptiveSettings, GrowthSettings, McmcSettings, Phase, PosedMotion, TrainSettings, Trainer,
+    TrainingView, fit_posed, random_points, seed_from_points,
 };
 use splat4d::types::{Camera, Gaussians};
 use splat4d::{Error, Result};
@@ -38,12 +38,23 @@ with --static all, make a static one.
 DATASET is a folder with a COLMAP model (sparse/0, binary or text), a nerfstudio or instant-ngp
 transforms.json, or D-NeRF's transforms_train.json; or a transforms.json itself.
 
-Example:
+Examples:
   splat4d train captures/fox -o fox.safetensors --steps 2000 --size 480
+  splat4d train captures/fox -o fox.safetensors --max-gaussians 50000 --density adaptive
 
 JSON (also kept in the scene): psnr_input, psnr_test (null where nothing is held out), ssim_test,
-gaussians, control_points, dynamic_share, model, steps, images, held_out, device, peak_bytes,
-milliseconds_per_step, seconds {load, train, evaluate}, output";
+gaussians, control_points, dynamic_share, model, density (null where their number is kept), steps,
+images, held_out, device, peak_bytes, milliseconds_per_step, seconds {load, train, evaluate},
+output";
+
+/// How Gaussians are added and removed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Density {
+    /// 3DGS-MCMC: the number grows evenly to the cap, faint ones move to where the opaque ones are
+    Mcmc,
+    /// 3D Gaussian Splatting: clone and split where the pictures ask for more, prune the faint
+    Adaptive,
+}
 
 /// Train a scene on pictures whose cameras are known
 #[derive(Args)]
@@ -61,6 +72,9 @@ pub struct TrainArgs {
     /// Most Gaussians; 0 keeps the number that the points give
     #[arg(long, value_name = "N", default_value_t = 0)]
     max_gaussians: usize,
+    /// How Gaussians are added and removed, where --max-gaussians leaves room
+    #[arg(long, value_enum, default_value_t = Density::Mcmc, requires = "max_gaussians")]
+    density: Density,
     /// Shrink pictures so that their longer side has at most so many pixels
     #[arg(long, value_name = "LONGEST", value_parser = clap::value_parser!(u32).range(1..))]
     size: Option<u32>,
@@ -126,7 +140,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         max_gaussians: if args.max_gaussians == 0 { seeded.len() } else { args.max_gaussians },
         sh_degree: args.sh_degree,
         background: set.background,
-        growth: (args.max_gaussians > 0).then(GrowthSettings::default),
+        growth: (args.max_gaussians > 0).then(|| growth(args)),
         seed: common.seed,
         ..TrainSettings::default()
     };
@@ -158,6 +172,10 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         "control_points": scene.control_points.len(),
         "dynamic_share": dynamic_share(&scene),
         "model": model,
+        "density": match args.max_gaussians {
+            0 => Value::Null,
+            _ => json!(args.density.to_possible_value().map(|v| v.get_name().to_owned())),
+        },
         "steps": args.steps,
         "images": train.len(),
         "held_out": test.len(),
@@ -174,6 +192,13 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     let mut json = scene.report.clone();
     json["output"] = json!(args.output);
     Ok(Answer { text: text(&json, &clock), json })
+}
+
+fn growth(args: &TrainArgs) -> GrowthSettings {
+    match args.density {
+        Density::Mcmc => GrowthSettings::Mcmc(McmcSettings::default()),
+        Density::Adaptive => GrowthSettings::Adaptive(AdaptiveSettings::scaled_to(args.steps)),
+    }
 }
 
 /// The dataset's points, at most as many as there may be Gaussians; random ones where it has none.

@@ -269,10 +269,12 @@ kernel! {
         half_height: f32,
     },
     args: AccumulateArgs {
-        /// Two values each, by pixels.
-        screen_gradients: Read<f32>,
+        /// By mean x, mean y (pixels), depth and opacity.
+        mean_gradients: Read<[f32; 4]>,
         /// Not 0 for what the view shows.
         visible: Read<u32>,
+        /// 0 where the view's intersections did not all fit: nothing is added then.
+        fits: Read<u32>,
         /// Sum of norms; number of views.
         statistics: ReadWrite<f32>,
     }

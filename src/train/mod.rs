@@ -8,7 +8,7 @@
 //! | [`settings`] | every number that training depends on |
 //! | [`photographs`] | the pictures on the device, and the renderer for each of their sizes |
 //! | [`optimiser`] | Adam over the Gaussians' parameter groups |
-//! | [`growth`] | density control: MCMC relocation and growth |
+//! | [`growth`] | density control: MCMC, or clone, split and prune |
 //! | [`motion`] | the network and the control points |
 //! | [`trajectories`] | where a mover's points are at every frame |
 //! | [`network`] | the deformation network's start |
@@ -35,5 +35,7 @@ pub use posed::{PosedMotion, fit_posed};
 pub use region::random_points;
 pub use seed::seed_from_points;
 pub use sequence::{Phase, Sequence, SequenceSettings, fit_sequence};
-pub use settings::{GrowthSettings, MotionSettings, Rates, TrainSettings};
+pub use settings::{
+    AdaptiveSettings, GrowthSettings, McmcSettings, MotionSettings, Rates, TrainSettings,
+};
 pub use trainer::{Progress, Trainer, TrainingView};

@@ -15,7 +15,7 @@ use super::motion::MotionStart;
 use super::network::fit_translations;
 use super::sampling::farthest_point_sample;
 use super::seed::seed_from_points;
-use super::settings::{GrowthSettings, MotionSettings, Rates, TrainSettings};
+use super::settings::{GrowthSettings, McmcSettings, MotionSettings, Rates, TrainSettings};
 use super::trainer::{Trainer, TrainingView};
 use super::trajectories::{MOVING, Trajectories, camera, lift, value};
 use crate::data::Point;
@@ -293,7 +293,7 @@ fn joint_settings(settings: &SequenceSettings) -> TrainSettings {
         // Few pictures and few steps: positions may move faster than over 30,000 steps.
         rates: Rates { position: 4e-4, position_last: 1e-5, ..Rates::default() },
         depth_scale: 0.1,
-        growth: Some(GrowthSettings { from: 200, ..GrowthSettings::default() }),
+        growth: Some(GrowthSettings::Mcmc(McmcSettings { from: 200, ..McmcSettings::default() })),
         motion: MotionSettings { rate: 4e-4, rate_last: 2e-5, ..MotionSettings::default() },
         seed: settings.seed,
         ..TrainSettings::default()

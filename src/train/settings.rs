@@ -37,10 +37,25 @@ impl Default for Rates {
     }
 }
 
+/// How Gaussians are added, moved and removed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum GrowthSettings {
+    /// The dead move to the living.
+    Mcmc(McmcSettings),
+    /// Clone, split, prune.
+    Adaptive(AdaptiveSettings),
+}
+
+impl Default for GrowthSettings {
+    fn default() -> Self {
+        GrowthSettings::Mcmc(McmcSettings::default())
+    }
+}
+
 /// MCMC density control (3DGS-MCMC): a share of new Gaussians every so often, the dead move to the
 /// living, noise moves the faint ones, and two regularisers keep opacity and scale small.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct GrowthSettings {
+pub struct McmcSettings {
     /// First step with a round.
     pub from: u32,
     /// Share of the steps after which rounds end.
@@ -57,9 +72,9 @@ pub struct GrowthSettings {
     pub noise: f64,
 }
 
-impl Default for GrowthSettings {
+impl Default for McmcSettings {
     fn default() -> Self {
-        GrowthSettings {
+        McmcSettings {
             from: 500,
             until: 0.85,
             every: 100,
@@ -67,6 +82,53 @@ impl Default for GrowthSettings {
             opacity_weight: 0.01,
             scale_weight: 0.01,
             noise: 5e5,
+        }
+    }
+}
+
+/// Adaptive density control (3D Gaussian Splatting): a Gaussian whose place in the picture the loss
+/// keeps pulling at is cloned where it is small and split where it is large; faint and huge ones
+/// are pruned; now and then all opacities fall, so that what the pictures do not need stays faint.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AdaptiveSettings {
+    /// First step with a round.
+    pub from: u32,
+    /// Share of the steps after which rounds end.
+    pub until: f64,
+    /// Steps between rounds.
+    pub every: u32,
+    /// Mean gradient by the place in the picture, in units of half the picture, above which a
+    /// Gaussian is cloned or split.
+    pub gradient: f64,
+    /// Largest scale that is cloned rather than split, in units of the scene's extent.
+    pub small: f64,
+    /// Largest scale that is kept, in units of the scene's extent, once opacities have been reset.
+    pub large: f64,
+    /// Opacity below which a Gaussian is pruned.
+    pub opacity: f64,
+    /// Steps between two resets of the opacity; 0 for none.
+    pub reset_every: u32,
+    /// No opacity is above this after a reset.
+    pub reset_opacity: f64,
+}
+
+impl AdaptiveSettings {
+    /// 3D Gaussian Splatting's schedule, made for 30,000 steps, in proportion to `steps`. Two things
+    /// do not shrink with the schedule: a round's statistics need some 25 pictures, and opacities
+    /// need some 500 steps to recover from a reset.
+    pub fn scaled_to(steps: u32) -> AdaptiveSettings {
+        let scaled = |of_30k: f64| (of_30k * f64::from(steps) / 30_000.0).round() as u32;
+        let every = scaled(100.0).clamp(25, 100);
+        AdaptiveSettings {
+            from: scaled(500.0).max(every),
+            until: 0.5,
+            every,
+            gradient: 2e-4,
+            small: 0.01,
+            large: 0.1,
+            opacity: 0.005,
+            reset_every: scaled(3000.0).max(500),
+            reset_opacity: 0.01,
         }
     }
 }

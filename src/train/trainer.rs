@@ -1,13 +1,12 @@
 //! The training step: deform, render, compare, differentiate, update.
 
-use super::growth::Growth;
+use super::growth::{Growth, Population, Statistics};
 use super::motion::{MotionStart, MotionTrainer};
 use super::optimiser::GaussianOptimiser;
 use super::photographs::{DeviceView, Studios};
 use super::settings::TrainSettings;
 use crate::data::View;
 use crate::gpu::{Buffer, Device, Readback, Stream, Ticket};
-use crate::ops::density;
 use crate::ops::gaussians::GaussianBuffers;
 use crate::ops::loss::{KnownDisparity, LossSettings, LossValue, Photograph};
 use crate::ops::render::FrameCounts;
@@ -73,6 +72,8 @@ pub struct Trainer {
     gradients: GaussianBuffers,
     optimiser: GaussianOptimiser,
     growth: Option<Growth>,
+    /// Where something reads them.
+    statistics: Option<Statistics>,
     motion: Option<MotionTrainer>,
     /// Of the Gaussians, where there is motion.
     motion_logits: Option<Buffer<f32>>,
@@ -120,9 +121,11 @@ impl Trainer {
             stream.upload(&mut buffer, &logits)?;
             (motion_trainer, motion_logits) = (Some(trainer), Some(buffer));
         }
-        let growth = match settings.growth {
-            Some(growth) => Some(Growth::new(device, growth, capacity, settings.seed)?),
-            None => None,
+        let extent = extent(views.iter().map(|view| &view.camera));
+        let growth = Growth::new(device, &settings, capacity, extent)?;
+        let statistics = match growth.as_ref().is_some_and(Growth::wants_statistics) {
+            true => Some(Statistics::new(&mut stream, capacity)?),
+            false => None,
         };
         let device_views =
             views.iter().map(|view| upload(device, view)).collect::<Result<Vec<_>>>()?;
@@ -134,9 +137,10 @@ impl Trainer {
             gradients: GaussianBuffers::new(device, capacity, degree)?,
             optimiser: GaussianOptimiser::new(&mut stream, capacity, degree)?,
             growth,
+            statistics,
             motion: motion_trainer,
             motion_logits,
-            extent: extent(views.iter().map(|view| &view.camera)),
+            extent,
             step: 0,
             rng: ChaCha8Rng::seed_from_u64(settings.seed),
             round: Vec::new(),
@@ -164,8 +168,7 @@ impl Trainer {
         let view = self.next_view();
         self.submit(view)?;
         self.step += 1;
-        let due = self.growth.as_ref().is_some_and(|g| g.due(self.step, self.settings.steps));
-        if due {
+        if self.growth.as_ref().is_some_and(|growth| growth.due(self.step)) {
             self.grow()?;
         } else if self.step.is_multiple_of(self.settings.motion.refresh.max(1))
             && let Some(motion) = &mut self.motion
@@ -197,13 +200,15 @@ impl Trainer {
     /// A round of density control.
     fn grow(&mut self) -> Result<()> {
         let Some(growth) = &mut self.growth else { return Ok(()) };
-        growth.round(
-            &mut self.stream,
-            self.step,
-            &mut self.gaussians,
-            self.motion_logits.as_mut(),
-            &mut self.optimiser,
-        )?;
+        let population = Population {
+            gaussians: &mut self.gaussians,
+            motion_logits: self.motion_logits.as_mut(),
+            optimiser: &mut self.optimiser,
+        };
+        growth.round(&mut self.stream, self.step, population, self.statistics.as_ref())?;
+        if let Some(statistics) = &mut self.statistics {
+            statistics.clear(&mut self.stream)?;
+        }
         if let (Some(motion), Some(logits)) = (&mut self.motion, &self.motion_logits) {
             let mut logits = self.stream.download(logits)?;
             logits.truncate(self.gaussians.len);
@@ -322,6 +327,10 @@ impl Trainer {
             &mut self.gradients,
             false,
         )?;
+        if let Some(statistics) = &mut self.statistics {
+            let (scratch, backward) = (&studio.scratch, &studio.backward);
+            statistics.add(&mut recorder, canonical.len, scratch, backward, size)?;
+        }
         if let Some(motion) = &mut self.motion {
             motion.backward(
                 &mut recorder,
@@ -333,16 +342,7 @@ impl Trainer {
             )?;
         }
         if let Some(growth) = &self.growth {
-            let n = canonical.len;
-            density::regularise(
-                &mut recorder,
-                canonical.opacity_logits,
-                canonical.log_scales,
-                self.gradients.opacity_logits.range_mut(0..n),
-                self.gradients.log_scales.range_mut(0..3 * n),
-                growth.settings().opacity_weight,
-                growth.settings().scale_weight,
-            )?;
+            growth.regularise(&mut recorder, &self.gaussians, &mut self.gradients)?;
         }
         self.optimiser.record(
             &mut recorder,
@@ -355,18 +355,8 @@ impl Trainer {
             &self.gradients,
         )?;
         if let Some(growth) = &self.growth {
-            let n = self.gaussians.len;
-            let size = self.settings.position_rate_at(self.step) * self.extent;
-            density::jitter(
-                &mut recorder,
-                self.gaussians.positions.range_mut(0..3 * n),
-                self.gaussians.log_scales.range(0..3 * n),
-                self.gaussians.rotations.range(0..n),
-                self.gaussians.opacity_logits.range(0..n),
-                (size * growth.settings().noise) as f32,
-                self.settings.seed as u32,
-                self.step,
-            )?;
+            let rate = self.settings.position_rate_at(self.step) * self.extent;
+            growth.explore(&mut recorder, &mut self.gaussians, rate, self.step)?;
         }
         recorder.read_back(studio.scratch.device_counts(), &counts);
         let ticket = self.stream.submit(recorder)?;

@@ -45,27 +45,38 @@ pub fn jitter(
     )
 }
 
-/// Records the addition of one view's screen-space gradients (two values a Gaussian, by pixels) to
-/// the statistics of [`Adaptation`] (sum of norms in units of half the image; number of views), for
-/// Gaussians whose entry in `visible` is not 0.
+/// Records the addition of one view's gradients by the splats' centres (mean x, mean y in pixels,
+/// depth, opacity: [`BackwardScratch::mean_gradients`]) to the statistics of [`Adaptation`] (sum of
+/// norms in units of half the image; number of views), for Gaussians whose entry in `visible` is not
+/// 0. Nothing is added where `fits` holds 0.
 ///
 /// # Errors
-/// [`Error::Shape`] where the lengths disagree.
+/// [`Error::Shape`] where the lengths disagree; gradients and visibility may be longer.
+///
+/// [`BackwardScratch::mean_gradients`]: crate::ops::render::BackwardScratch::mean_gradients
 pub fn accumulate(
     recorder: &mut Recorder,
     statistics: ViewMut<'_, f32>,
-    screen_gradients: View<'_, f32>,
+    mean_gradients: View<'_, [f32; 4]>,
     visible: View<'_, u32>,
+    fits: View<'_, u32>,
     image: [u32; 2],
 ) -> Result<()> {
-    let count = visible.len();
+    let count = statistics.len() / 2;
     equal("statistics", 2 * count, statistics.len())?;
-    equal("screen_gradients", 2 * count, screen_gradients.len())?;
+    super::at_least(
+        "density control",
+        &[
+            ("mean_gradients", count, mean_gradients.len()),
+            ("visible", count, visible.len()),
+            ("fits", 1, fits.len()),
+        ],
+    )?;
     let [half_width, half_height] = image.map(|side| side as f32 / 2.0);
     recorder.dispatch::<kernels::Accumulate>(
         Groups::linear(count, WORKGROUP, recorder.device().limits())?,
         kernels::AccumulateParams { count: count as u32, half_width, half_height },
-        kernels::AccumulateArgs { screen_gradients, visible, statistics },
+        kernels::AccumulateArgs { mean_gradients, visible, fits, statistics },
     )
 }
 
