@@ -213,7 +213,7 @@ fn pictures_with_times_make_a_scene_that_moves() {
     let clip = trained().join("clip/truth");
     let report = json(folder.path(), &format!("train {} {train}", clip.display()));
     documented("train", &report);
-    assert_eq!((&report["control_points"], &report["gaussians"]), (&20.into(), &300.into()));
+    assert_eq!((&report["control_points"], &report["gaussians"]), (&15.into(), &300.into()));
     assert_eq!((&report["dynamic_share"], &report["density"]), (&1.0.into(), &"adaptive".into()));
     let found = json(folder.path(), "info x");
     assert_eq!(found["network"]["width"], 64);

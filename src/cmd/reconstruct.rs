@@ -36,8 +36,9 @@ Examples:
   splat4d reconstruct video.mp4 -o scene.safetensors
   splat4d reconstruct frames/ -o scene.safetensors --every 2 --size 320 --report report
 
-JSON (also kept in the scene): psnr_input, ssim_input, gaussians, control_points, dynamic_share (of
-the pixels), dynamic_gaussians (share), intrinsics {fx, fy, cx, cy, width, height, source (given,
+JSON (also kept in the scene): psnr_input, ssim_input, gaussians, control_points,
+control_points_added and control_points_removed (in training), dynamic_share (of the pixels),
+dynamic_gaussians (share), intrinsics {fx, fy, cx, cy, width, height, source (given,
 measured, assumed)}, poses {tripod, inlier_share, reprojection_rms, parallax_deg, focal_std,
 doubtful_frames, tracks}, frames, frame_names, model (what was modelled and why), notes, device,
 peak_bytes, milliseconds_per_step, seconds {load, flow, cameras, masks, depth, static,
@@ -176,11 +177,14 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     let last_stage = if clock.seconds("joint") > 0.0 { "joint" } else { "static" };
     let mut known_intrinsics = intrinsics::to_json(&track.intrinsics);
     known_intrinsics["source"] = json!(focal_source(quality.focal_source));
+    let trained = scene.report.take();
     scene.report = json!({
         "psnr_input": quality::mean(&measured, |q| Some(q.psnr)),
         "ssim_input": quality::mean(&measured, |q| Some(q.ssim)),
         "gaussians": scene.gaussians.len(),
         "control_points": scene.control_points.len(),
+        "control_points_added": trained["control_points_added"],
+        "control_points_removed": trained["control_points_removed"],
         "dynamic_share": quality.dynamic_share,
         "dynamic_gaussians": dynamic_share(&scene),
         "intrinsics": known_intrinsics,
@@ -349,9 +353,11 @@ fn model(scene: &Scene, track: &Track, settings: &SequenceSettings) -> String {
     if scene.network.is_some() {
         let share = 100.0 * dynamic_share(scene);
         return format!(
-            "{moving:.1} % of the pixels move: {} control points and a network move {share:.1} % of \
-             the Gaussians, all others are static",
-            scene.control_points.len()
+            "{moving:.1} % of the pixels move: {} control points ({} added and {} removed in \
+             training) and a network move {share:.1} % of the Gaussians, all others are static",
+            scene.control_points.len(),
+            scene.report["control_points_added"],
+            scene.report["control_points_removed"],
         );
     }
     if track.quality.dynamic_share < settings.least_dynamic_share {

@@ -43,9 +43,9 @@ Examples:
   splat4d train captures/fox -o fox.safetensors --max-gaussians 50000 --density adaptive
 
 JSON (also kept in the scene): psnr_input, psnr_test (null where nothing is held out), ssim_test,
-gaussians, control_points, dynamic_share, model, density (null where their number is kept), steps,
-images, held_out, device, peak_bytes, milliseconds_per_step, seconds {load, train, evaluate},
-output";
+gaussians, control_points, control_points_added, control_points_removed (null where nothing moves),
+dynamic_share, model, density (null where their number is kept), steps, images, held_out, device,
+peak_bytes, milliseconds_per_step, seconds {load, train, evaluate}, output";
 
 /// How Gaussians are added and removed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -164,12 +164,15 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     clock.lap("evaluate");
 
     let psnr = |of: &[Quality]| quality::mean(of, |q| Some(q.psnr));
+    let trained = scene.report.take();
     scene.report = json!({
         "psnr_input": psnr(&on_input),
         "psnr_test": psnr(&on_test),
         "ssim_test": quality::mean(&on_test, |q| Some(q.ssim)),
         "gaussians": scene.gaussians.len(),
         "control_points": scene.control_points.len(),
+        "control_points_added": trained["control_points_added"],
+        "control_points_removed": trained["control_points_removed"],
         "dynamic_share": dynamic_share(&scene),
         "model": model,
         "density": match args.max_gaussians {

@@ -10,12 +10,14 @@
 //! | [`optimiser`] | Adam over the Gaussians' parameter groups |
 //! | [`growth`] | density control: MCMC, or clone, split and prune |
 //! | [`motion`] | the network and the control points |
+//! | [`control`] | control points added and removed |
 //! | [`trajectories`] | where a mover's points are at every frame |
 //! | [`network`] | the deformation network's start |
 //! | [`posed`] | from posed pictures of a moving scene to a scene |
 //! | [`sequence`] | from a tracked clip to a scene: the two stages |
 //! | [`trainer`] | the step: deform, render, compare, differentiate, update |
 
+pub mod control;
 pub mod growth;
 pub mod motion;
 pub mod network;
@@ -36,6 +38,7 @@ pub use region::random_points;
 pub use seed::seed_from_points;
 pub use sequence::{Phase, Sequence, SequenceSettings, fit_sequence};
 pub use settings::{
-    AdaptiveSettings, GrowthSettings, McmcSettings, MotionSettings, Rates, TrainSettings,
+    AdaptiveSettings, ControlSettings, GrowthSettings, McmcSettings, MotionSettings, Rates,
+    TrainSettings,
 };
-pub use trainer::{Progress, Trainer, TrainingView};
+pub use trainer::{ControlChanges, Progress, Trainer, TrainingView};

@@ -1,6 +1,7 @@
 //! Training what moves: the deformation network and the control points' radii.
 
-use super::settings::{MotionSettings, exponential};
+use super::control::{Followers, revise};
+use super::settings::{ControlSettings, MotionSettings, exponential};
 use crate::Result;
 use crate::gpu::{Buffer, Recorder, Stream, View};
 use crate::ops::adam::{Adam, AdamArgs};
@@ -111,6 +112,69 @@ impl MotionTrainer {
             motion,
             settings,
         })
+    }
+
+    /// A round of adding and removing control points, by the followers' statistics (two values for
+    /// each Gaussian); gives how many were added and how many removed. After a round that changed
+    /// something, [`set_dynamic`](Self::set_dynamic) must come.
+    pub(super) fn revise(
+        &mut self,
+        stream: &mut Stream,
+        settings: &ControlSettings,
+        gaussians: &GaussianBuffers,
+        statistics: &[f32],
+    ) -> Result<(usize, usize)> {
+        let dynamic = self.motion.dynamic;
+        if dynamic == 0 {
+            return Ok((0, 0));
+        }
+        let lists = self.motion.skin.neighbours();
+        let (k, found) = (lists.k(), lists.neighbours());
+        let neighbours = stream.device().readback::<u32>(found.len())?;
+        let mut recorder = stream.record()?;
+        recorder.read_back(found, &neighbours);
+        let ticket = stream.submit(recorder)?;
+        stream.wait(ticket)?;
+        let ids = stream.download(&self.motion.dynamic_ids)?;
+        let centres = stream.download(&gaussians.positions)?;
+        let (mut positions, mut pulls) = (Vec::new(), Vec::new());
+        for &id in &ids[..dynamic] {
+            let id = id as usize;
+            positions.push([centres[3 * id], centres[3 * id + 1], centres[3 * id + 2]]);
+            let (sum, views) = (f64::from(statistics[2 * id]), f64::from(statistics[2 * id + 1]));
+            pulls.push(if views > 0.0 { sum / views } else { 0.0 });
+        }
+        let (points, network) = self.download(stream)?;
+        let neighbours = neighbours.read();
+        let followers = Followers { positions: &positions, neighbours: &neighbours, pulls: &pulls };
+        let revision = revise(&points, &followers, settings);
+        let removed = points.len() - revision.kept.len();
+        if revision.added.is_empty() && removed == 0 {
+            return Ok((0, 0));
+        }
+        let mut left = ControlPoints {
+            positions: revision.kept.iter().map(|&n| points.positions[n]).collect(),
+            log_radii: revision.kept.iter().map(|&n| points.log_radii[n]).collect(),
+        };
+        for &(parent, place) in &revision.added {
+            left.positions.push(place.as_vec3().to_array());
+            left.log_radii.push(points.log_radii[parent]);
+        }
+        let moments = [stream.download(&self.radii.first)?, stream.download(&self.radii.second)?];
+        let [first, second] = moments.map(|all| {
+            let mut kept: Vec<f32> = revision.kept.iter().map(|&n| all[n]).collect();
+            kept.resize(left.len(), 0.0);
+            kept
+        });
+        let capacity = self.motion.dynamic_ids.len();
+        let start = MotionStart { points: left, network, neighbours: k };
+        let mut fresh = MotionTrainer::new(stream, &start, self.settings, capacity)?;
+        // The network and its moments stay; what counts control points is new.
+        std::mem::swap(&mut fresh.parameters, &mut self.parameters);
+        stream.upload(&mut fresh.radii.first, &first)?;
+        stream.upload(&mut fresh.radii.second, &second)?;
+        *self = fresh;
+        Ok((revision.added.len(), removed))
     }
 
     /// Takes over which Gaussians move, and finds what they follow.

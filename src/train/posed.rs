@@ -7,7 +7,7 @@
 
 use super::motion::MotionStart;
 use super::sequence::{self, Phase, run};
-use super::settings::TrainSettings;
+use super::settings::{ControlSettings, MotionSettings, TrainSettings};
 use super::trainer::{Trainer, TrainingView};
 use crate::Result;
 use crate::gpu::Device;
@@ -48,7 +48,8 @@ impl Default for PosedMotion {
 const STRENGTH: f32 = 4.0;
 
 /// Trains a moving scene on posed pictures. `watch` is told the phase, the steps done and the steps
-/// in all; an error from it ends the work. The scene has no cameras yet.
+/// in all; an error from it ends the work. The scene has no cameras yet; its report says how many
+/// control points were added and removed: `control_points_added`, `control_points_removed`.
 ///
 /// # Errors
 /// As for [`Trainer::new`] and [`Trainer::step`]; whatever `watch` returns.
@@ -77,12 +78,21 @@ pub fn fit_posed(
     }
     gaussians.motion_logits = vec![STRENGTH; gaussians.len()];
     let start = MotionStart {
-        points: spread(&gaussians, motion.control_points, settings.seed)?,
+        points: spread(
+            &gaussians,
+            sequence::first_control_points(motion.control_points),
+            settings.seed,
+        )?,
         network: DeformNet::random(motion.network, settings.seed),
         neighbours: motion.neighbours,
     };
-    let joint = TrainSettings { steps: settings.steps - warm_up, ..settings.clone() };
-    let steps = joint.steps;
+    let steps = settings.steps - warm_up;
+    let control = Some(ControlSettings::scaled_to(steps, motion.control_points));
+    let joint = TrainSettings {
+        steps,
+        motion: MotionSettings { control, ..settings.motion },
+        ..settings.clone()
+    };
     let mut trainer = Trainer::new(device, views, &gaussians, Some(&start), joint)?;
     run(&mut trainer, Phase::Joint, steps, watch)?;
     let mut scene = Scene::of(trainer.gaussians()?);
@@ -91,6 +101,7 @@ pub fn fit_posed(
         scene.network = Some(network);
     }
     scene.neighbours = motion.neighbours.min(scene.control_points.len()) as u32;
+    scene.report = sequence::report(trainer.control_changes());
     Ok(scene)
 }
 

@@ -15,8 +15,10 @@ use super::motion::MotionStart;
 use super::network::fit_translations;
 use super::sampling::farthest_point_sample;
 use super::seed::seed_from_points;
-use super::settings::{GrowthSettings, McmcSettings, MotionSettings, Rates, TrainSettings};
-use super::trainer::{Trainer, TrainingView};
+use super::settings::{
+    ControlSettings, GrowthSettings, McmcSettings, MotionSettings, Rates, TrainSettings,
+};
+use super::trainer::{ControlChanges, Trainer, TrainingView};
 use super::trajectories::{MOVING, Trajectories, camera, lift, value};
 use crate::data::Point;
 use crate::gpu::Device;
@@ -26,6 +28,7 @@ use crate::types::{ControlPoints, DeformNet, Gaussians, Image, NetShape, RenderS
 use crate::{Error, Result};
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
+use serde_json::{Value, json};
 use std::collections::HashSet;
 
 /// How a clip is turned into a scene.
@@ -103,7 +106,8 @@ pub struct Sequence<'a> {
 /// Told the phase, the steps done and the steps in all; an error ends the work.
 pub type Watch<'a> = dyn FnMut(Phase, u32, u32) -> Result<()> + 'a;
 
-/// Trains a scene on a tracked clip.
+/// Trains a scene on a tracked clip. The scene's report says how many control points were added
+/// and removed on the way: `control_points_added`, `control_points_removed`.
 ///
 /// # Errors
 /// [`Error::Input`] when the clip has no static point to begin with; out of memory; a failed
@@ -138,7 +142,8 @@ pub fn fit_sequence(
             let train = joint_settings(settings);
             let mut trainer = Trainer::new(device, &views, &seeds, None, train)?;
             run(&mut trainer, Phase::Static, settings.steps, watch)?;
-            Scene::of(trainer.gaussians()?)
+            let scene = Scene::of(trainer.gaussians()?);
+            Scene { report: report(ControlChanges::default()), ..scene }
         }
     };
     scene.settings = RenderSettings::default();
@@ -160,7 +165,6 @@ fn fit_moving(
     settings: &SequenceSettings,
     watch: &mut Watch<'_>,
 ) -> Result<Scene> {
-    let track = sequence.track;
     // The static world, on what surely does not move.
     let still_views = views(sequence, |moving| if moving > 0.0 { 0.0 } else { 1.0 });
     let train = TrainSettings {
@@ -216,7 +220,7 @@ fn fit_moving(
         scene.network = Some(network);
     }
     scene.neighbours = settings.neighbours.min(scene.control_points.len()) as u32;
-    let _ = track;
+    scene.report = report(trainer.control_changes());
     Ok(scene)
 }
 
@@ -294,7 +298,12 @@ fn joint_settings(settings: &SequenceSettings) -> TrainSettings {
         rates: Rates { position: 4e-4, position_last: 1e-5, ..Rates::default() },
         depth_scale: 0.1,
         growth: Some(GrowthSettings::Mcmc(McmcSettings { from: 200, ..McmcSettings::default() })),
-        motion: MotionSettings { rate: 4e-4, rate_last: 2e-5, ..MotionSettings::default() },
+        motion: MotionSettings {
+            rate: 4e-4,
+            rate_last: 2e-5,
+            control: Some(ControlSettings::scaled_to(settings.steps, settings.control_points)),
+            ..MotionSettings::default()
+        },
         seed: settings.seed,
         ..TrainSettings::default()
     }
@@ -376,6 +385,23 @@ fn thinned(points: Vec<Point>, most: usize) -> Vec<Point> {
     points.into_iter().step_by(keep).collect()
 }
 
+/// The share of the most control points that there may be with which training begins; the rest are
+/// added where the loss asks.
+const FIRST_SHARE: f64 = 0.75;
+
+/// How many control points to begin with where there may be `most`.
+pub(super) fn first_control_points(most: usize) -> usize {
+    (most as f64 * FIRST_SHARE).ceil() as usize
+}
+
+/// What training tells of itself.
+pub(super) fn report(changes: ControlChanges) -> Value {
+    json!({
+        "control_points_added": changes.added,
+        "control_points_removed": changes.removed,
+    })
+}
+
 /// Control points spread over the movers, and the trajectories they stand for.
 fn control_points(
     trajectories: &Trajectories,
@@ -386,7 +412,7 @@ fn control_points(
         .iter()
         .map(|path| path[trajectories.canonical].as_vec3().to_array())
         .collect();
-    let count = settings.control_points.min(canonical.len());
+    let count = first_control_points(settings.control_points).min(canonical.len());
     spread(&canonical, count, settings.seed)
 }
 

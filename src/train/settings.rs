@@ -133,6 +133,35 @@ impl AdaptiveSettings {
     }
 }
 
+/// How control points are added where the loss pulls, and removed where nothing follows them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ControlSettings {
+    /// Steps between rounds.
+    pub every: u32,
+    /// Share of the steps after which rounds end.
+    pub until: f64,
+    /// Most control points.
+    pub most: usize,
+    /// A control point gets company where its importance is more than so many times the median.
+    pub above: f64,
+    /// Most that are added in a round, as a share of those that there are.
+    pub share: f64,
+}
+
+impl ControlSettings {
+    /// Some eight rounds' time in `steps`, at most 500 steps apart, the last ones left out so that
+    /// everything settles; up to `most` control points.
+    pub fn scaled_to(steps: u32, most: usize) -> ControlSettings {
+        let every = (steps / 8).clamp(100, 500);
+        ControlSettings { every, until: 0.7, most, above: 4.0, share: 0.05 }
+    }
+
+    /// Whether a round is due after `step` of `steps`.
+    pub(super) fn due(&self, step: u32, steps: u32) -> bool {
+        step.is_multiple_of(self.every.max(1)) && f64::from(step) <= f64::from(steps) * self.until
+    }
+}
+
 /// How motion is trained.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionSettings {
@@ -146,6 +175,8 @@ pub struct MotionSettings {
     pub arap_edges: usize,
     /// Steps between searches for the control points that Gaussians follow.
     pub refresh: u32,
+    /// How control points are added and removed; `None` keeps those that there are.
+    pub control: Option<ControlSettings>,
 }
 
 impl Default for MotionSettings {
@@ -157,6 +188,7 @@ impl Default for MotionSettings {
             arap_weight: 1e-2,
             arap_edges: 10,
             refresh: 100,
+            control: None,
         }
     }
 }

@@ -51,6 +51,15 @@ pub struct Progress {
     pub gaussians: usize,
 }
 
+/// Control points that came and went in training.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ControlChanges {
+    /// Added where the loss pulled.
+    pub added: usize,
+    /// Removed where nothing followed.
+    pub removed: usize,
+}
+
 /// Submissions that may be under way before the host waits for the oldest: enough to keep the device
 /// busy while the next one is recorded.
 const IN_FLIGHT: usize = 2;
@@ -74,6 +83,7 @@ pub struct Trainer {
     growth: Option<Growth>,
     /// Where something reads them.
     statistics: Option<Statistics>,
+    control_changes: ControlChanges,
     motion: Option<MotionTrainer>,
     /// Of the Gaussians, where there is motion.
     motion_logits: Option<Buffer<f32>>,
@@ -123,7 +133,8 @@ impl Trainer {
         }
         let extent = extent(views.iter().map(|view| &view.camera));
         let growth = Growth::new(device, &settings, capacity, extent)?;
-        let statistics = match growth.as_ref().is_some_and(Growth::wants_statistics) {
+        let revised = motion.is_some() && settings.motion.control.is_some();
+        let statistics = match revised || growth.as_ref().is_some_and(Growth::wants_statistics) {
             true => Some(Statistics::new(&mut stream, capacity)?),
             false => None,
         };
@@ -138,6 +149,7 @@ impl Trainer {
             optimiser: GaussianOptimiser::new(&mut stream, capacity, degree)?,
             growth,
             statistics,
+            control_changes: ControlChanges::default(),
             motion: motion_trainer,
             motion_logits,
             extent,
@@ -168,8 +180,13 @@ impl Trainer {
         let view = self.next_view();
         self.submit(view)?;
         self.step += 1;
+        let mut changed = self.revise_control_points()?;
         if self.growth.as_ref().is_some_and(|growth| growth.due(self.step)) {
             self.grow()?;
+            changed = true;
+        }
+        if changed {
+            self.follow()?;
         } else if self.step.is_multiple_of(self.settings.motion.refresh.max(1))
             && let Some(motion) = &mut self.motion
         {
@@ -209,6 +226,31 @@ impl Trainer {
         if let Some(statistics) = &mut self.statistics {
             statistics.clear(&mut self.stream)?;
         }
+        Ok(())
+    }
+
+    /// Adds and removes control points where that is due; says whether there were any.
+    fn revise_control_points(&mut self) -> Result<bool> {
+        let (Some(motion), Some(control), Some(statistics)) =
+            (&mut self.motion, &self.settings.motion.control, &mut self.statistics)
+        else {
+            return Ok(false);
+        };
+        if !control.due(self.step, self.settings.steps) {
+            return Ok(false);
+        }
+        let sums = statistics.download(&mut self.stream)?;
+        let (added, removed) = motion.revise(&mut self.stream, control, &self.gaussians, &sums)?;
+        if self.growth.is_none() {
+            statistics.clear(&mut self.stream)?;
+        }
+        self.control_changes.added += added;
+        self.control_changes.removed += removed;
+        Ok(added + removed > 0)
+    }
+
+    /// Takes over which Gaussians move, and what they follow.
+    fn follow(&mut self) -> Result<()> {
         if let (Some(motion), Some(logits)) = (&mut self.motion, &self.motion_logits) {
             let mut logits = self.stream.download(logits)?;
             logits.truncate(self.gaussians.len);
@@ -268,6 +310,11 @@ impl Trainer {
     pub fn motion(&mut self) -> Result<Option<(ControlPoints, DeformNet)>> {
         self.finish()?;
         self.motion.as_ref().map(|motion| motion.download(&mut self.stream)).transpose()
+    }
+
+    /// How many control points have been added and removed so far.
+    pub fn control_changes(&self) -> ControlChanges {
+        self.control_changes
     }
 
     fn next_view(&mut self) -> usize {

@@ -48,6 +48,11 @@ impl Statistics {
         )
     }
 
+    /// Waits and reads them, two values for each Gaussian.
+    pub(in crate::train) fn download(&self, stream: &mut Stream) -> Result<Vec<f32>> {
+        stream.download(&self.sums)
+    }
+
     /// Of the first `count` Gaussians, two values each.
     pub(super) fn of(&self, count: usize) -> View<'_, f32> {
         self.sums.range(0..2 * count)
