@@ -71,7 +71,7 @@ impl Renderer {
                 let k = (scene.neighbours as usize).min(points.len());
                 let count = scene.gaussians.len();
                 let mut motion = Motion::new(&mut stream, points, network, k, count, 1)?;
-                motion.set_dynamic(&mut stream, &scene.gaussians.motion_logits)?;
+                motion.set_dynamic(&mut stream, &scene.gaussians.motion_logits, 0.0)?;
                 let mut recorder = stream.record()?;
                 motion.refresh(&mut recorder, gaussians.views().positions)?;
                 stream.submit(recorder)?;
@@ -104,7 +104,7 @@ impl Renderer {
             let mut recorder = self.stream.record()?;
             let mut views = self.gaussians.views();
             if let Some(motion) = &mut self.motion {
-                motion.forward(&mut recorder, &views, &[time as f32])?;
+                motion.forward(&mut recorder, &views, &[time as f32], None)?;
                 views = motion.moved(views);
             }
             let Studio { render, scratch, pixels } = studio;

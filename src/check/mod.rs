@@ -16,6 +16,7 @@ pub mod flow;
 mod harness;
 pub mod indirect;
 pub mod loss;
+pub mod mask;
 pub mod mlp;
 pub mod project;
 pub mod raster;
@@ -48,6 +49,7 @@ pub const ALL: &[&[Case]] = &[
     flow::CASES,
     indirect::CASES,
     loss::CASES,
+    mask::CASES,
     mlp::CASES,
     project::CASES,
     raster::CASES,

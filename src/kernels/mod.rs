@@ -11,6 +11,7 @@ pub mod density;
 pub mod flow;
 pub mod indirect;
 pub mod loss;
+pub mod mask;
 pub mod mlp;
 pub mod project;
 pub mod raster;
@@ -78,6 +79,9 @@ pub const ALL: &[KernelInfo] = &[
     loss::Gradient::INFO,
     loss::Depth::INFO,
     loss::Total::INFO,
+    mask::Paint::INFO,
+    mask::Compare::INFO,
+    mask::Vote::INFO,
     mlp::Encode::INFO,
     mlp::Forward::INFO,
     mlp::Transforms::INFO,

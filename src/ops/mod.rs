@@ -10,6 +10,7 @@ pub mod density;
 pub mod flow;
 pub mod gaussians;
 pub mod loss;
+pub mod mask;
 pub mod mlp;
 pub mod motion;
 pub mod neighbours;

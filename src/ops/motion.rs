@@ -1,12 +1,22 @@
 //! Control points, the deformation network and skinning together: where a scene's Gaussians are at
 //! a time.
 
-use super::deform::{Skin, SkinArgs, SkinGradients, Skinned};
+use super::deform::{Skin, SkinArgs, SkinGradients, Skinned, SoftMotion};
 use super::gaussians::{GaussianBuffers, GaussianViews};
 use super::mlp::{Network, NetworkScratch};
 use crate::gpu::{Buffer, Device, Recorder, Stream, View, ViewMut};
 use crate::types::{ControlPoints, DeformNet};
 use crate::{Error, Result};
+
+/// What the derivative of soft motion takes and gives.
+pub struct SoftGradients<'a> {
+    /// What the forward pass had.
+    pub soft: SoftMotion<'a>,
+    /// By the motion logits of all Gaussians; added to.
+    pub logits: ViewMut<'a, f32>,
+    /// Weight of the summed rigidity terms in the loss.
+    pub rigid_scale: f32,
+}
 
 /// What moves a scene's dynamic Gaussians, on the device.
 pub struct Motion {
@@ -79,13 +89,19 @@ impl Motion {
         })
     }
 
-    /// Sets which Gaussians move: those whose motion logit is above 0.
+    /// Sets which Gaussians move: those whose motion logit is above `least`, which is 0 unless
+    /// motion is soft.
     ///
     /// # Errors
     /// [`Error::Shape`] for more Gaussians than there is room for, or a failed upload.
-    pub fn set_dynamic(&mut self, stream: &mut Stream, motion_logits: &[f32]) -> Result<()> {
+    pub fn set_dynamic(
+        &mut self,
+        stream: &mut Stream,
+        motion_logits: &[f32],
+        least: f32,
+    ) -> Result<()> {
         let ids: Vec<u32> =
-            (0..motion_logits.len() as u32).filter(|&i| motion_logits[i as usize] > 0.0).collect();
+            (0..).zip(motion_logits).filter(|(_, m)| **m > least).map(|(i, _)| i).collect();
         stream.upload(&mut self.dynamic_ids, &ids)?;
         self.dynamic = ids.len();
         Ok(())
@@ -102,7 +118,8 @@ impl Motion {
     }
 
     /// Records where the Gaussians are at the first of some times in [0, 1]
-    /// ([`moved`](Self::moved) gives them), and the control points' motions at all of them.
+    /// ([`moved`](Self::moved) gives them), and the control points' motions at all of them. Without
+    /// `soft` every listed Gaussian moves fully.
     ///
     /// # Errors
     /// [`Error::Shape`] for another number of times than planned; else as for
@@ -112,6 +129,7 @@ impl Motion {
         recorder: &mut Recorder,
         gaussians: &GaussianViews<'_>,
         times: &[f32],
+        soft: Option<SoftMotion<'_>>,
     ) -> Result<()> {
         recorder.update(self.times.view_mut(), times)?;
         self.network.forward(
@@ -132,6 +150,7 @@ impl Motion {
                 &self.log_radii,
                 &self.transforms,
                 gaussians,
+                soft,
             ),
             Skinned {
                 positions: self.positions.range_mut(0..3 * n),
@@ -143,7 +162,7 @@ impl Motion {
 
     /// Records the derivative of the last [`forward`](Self::forward)'s skinning: `gradients`, by the
     /// moved Gaussians, become those by the canonical ones, and those by the motions at the first
-    /// time and by the radii are written.
+    /// time and by the radii are written. `soft` must agree with the forward pass.
     ///
     /// # Errors
     /// As for [`Skin::backward`].
@@ -154,6 +173,7 @@ impl Motion {
         gradients: &mut GaussianBuffers,
         transform_gradients: ViewMut<'_, [f32; 4]>,
         radius_gradients: ViewMut<'_, f32>,
+        soft: Option<SoftGradients<'_>>,
     ) -> Result<()> {
         let n = gaussians.len;
         let args = skin_args(
@@ -163,16 +183,21 @@ impl Motion {
             &self.log_radii,
             &self.transforms,
             gaussians,
+            soft.as_ref().map(|soft| soft.soft),
         );
+        // Motion gradients are not touched where motion is not soft.
+        let (motion_logits, rigid_scale) = match soft {
+            Some(soft) => (soft.logits, soft.rigid_scale),
+            None => (self.rigidity.view_mut(), 0.0),
+        };
         let gradients = SkinGradients {
             positions: gradients.positions.range_mut(0..3 * n),
             rotations: gradients.rotations.range_mut(0..n),
-            // Not touched where motion is not soft.
-            motion_logits: self.rigidity.view_mut(),
+            motion_logits,
             transforms: transform_gradients,
             log_radii: radius_gradients,
             accumulate: false,
-            rigid_scale: 0.0,
+            rigid_scale,
         };
         self.skin.backward(recorder, args, gradients)
     }
@@ -191,6 +216,7 @@ fn skin_args<'a>(
     log_radii: &'a Buffer<f32>,
     transforms: &'a Buffer<[f32; 4]>,
     gaussians: &GaussianViews<'a>,
+    soft: Option<SoftMotion<'a>>,
 ) -> SkinArgs<'a> {
     SkinArgs {
         dynamic_ids: dynamic_ids.range(0..dynamic),
@@ -200,6 +226,6 @@ fn skin_args<'a>(
         log_radii: log_radii.view(),
         transforms: transforms.view(),
         time: 0,
-        soft: None,
+        soft,
     }
 }

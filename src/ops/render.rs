@@ -281,6 +281,24 @@ impl Render {
         recorder.update(scratch.count.view_mut(), &[gaussians.len as u32])?;
         self.project(recorder, gaussians, scratch)?;
         self.bin(recorder, gaussians.len, scratch)?;
+        self.blend(recorder, scratch.colours.view(), scratch, pixels)
+    }
+
+    /// Records the blending of other colours, one for each Gaussian, over what the last
+    /// [`forward`](Self::forward) with this scratch has projected and sorted. Alpha and depth come
+    /// out the same.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] where sizes differ; else as for [`Recorder::dispatch`].
+    pub fn blend(
+        &self,
+        recorder: &mut Recorder,
+        colours: View<'_, [f32; 4]>,
+        scratch: &RenderScratch,
+        pixels: &mut PixelBuffers,
+    ) -> Result<()> {
+        self.check_scratch(scratch)?;
+        self.check_pixels("blend", pixels)?;
         let s = scratch;
         recorder.dispatch::<raster::Forward>(
             self.tile_groups(recorder.device())?,
@@ -297,7 +315,7 @@ impl Render {
                 splats: s.splats.view(),
                 means: s.means.view(),
                 conics: s.conics.view(),
-                colours: s.colours.view(),
+                colours,
                 rgba: pixels.rgba.view_mut(),
                 depth: pixels.depth.view_mut(),
                 last: pixels.last.view_mut(),
@@ -534,67 +552,11 @@ impl Render {
         gaussians.check("render backward")?;
         gradients.len = gaussians.len;
         gradients.views().at_degree(gaussians.sh_degree).check("render backward gradients")?;
-        self.check_scratch(scratch)?;
-        self.check_pixels("render backward", pixels)?;
-        let area = self.width as usize * self.height as usize;
-        at_least(
-            "render backward",
-            &[
-                ("Gaussians of the scratch", gaussians.len, backward.means.len()),
-                ("intersections of the scratch", self.intersections, backward.slots_a.len()),
-                ("rgba gradients", area, pixel_gradients.rgba.len()),
-                ("depth gradients", area, pixel_gradients.depth.len()),
-            ],
-        )?;
-        let limits = *recorder.device().limits();
-        let groups = Groups::linear(gaussians.len, 64, &limits)?;
+        let colours = scratch.colours.view();
+        let n = gaussians.len;
+        self.blend_backward(recorder, colours, n, scratch, pixels, pixel_gradients, backward)?;
+        let groups = Groups::linear(gaussians.len, 64, recorder.device().limits())?;
         let (s, b) = (scratch, backward);
-        recorder.dispatch::<raster::Backward>(
-            self.tile_groups(recorder.device())?,
-            raster::BackwardParams {
-                width: self.width,
-                height: self.height,
-                alpha_cut: self.settings.alpha_cut,
-                alpha_cap: self.settings.alpha_cap,
-            },
-            raster::BackwardArgs {
-                ranges: s.ranges.view(),
-                intersections: s.intersections.view(),
-                splats: s.splats.view(),
-                means: s.means.view(),
-                conics: s.conics.view(),
-                colours: s.colours.view(),
-                rgba: pixels.rgba.view(),
-                depth: pixels.depth.view(),
-                last: pixels.last.view(),
-                rgba_gradient: pixel_gradients.rgba.view(),
-                depth_gradient: pixel_gradients.depth.view(),
-                slots_a: b.slots_a.view_mut(),
-                slots_b: b.slots_b.view_mut(),
-                slots_c: b.slots_c.view_mut(),
-            },
-        )?;
-        recorder.dispatch::<raster::Gather>(
-            groups,
-            raster::GatherParams {
-                count: gaussians.len as u32,
-                capacity: self.intersections as u32,
-            },
-            raster::GatherArgs {
-                visible_count: s.visible_count.view(),
-                order: s.order.view(),
-                counts: s.rank_counts.view(),
-                offsets: s.rank_offsets.view(),
-                slots_a: b.slots_a.view(),
-                slots_b: b.slots_b.view(),
-                slots_c: b.slots_c.view(),
-                means: s.means.view(),
-                conics: s.conics.view(),
-                mean_gradients: b.means.view_mut(),
-                conic_gradients: b.conics.view_mut(),
-                colour_gradients: b.colours.view_mut(),
-            },
-        )?;
         let [sh0, sh1, sh2, sh3] = gradients.sh.each_mut().map(Buffer::view_mut);
         recorder.dispatch::<project::Backward>(
             groups,
@@ -642,6 +604,83 @@ impl Render {
             project::PoseArgs { pose_partials: b.pose_partials.view(), pose: b.pose.view_mut() },
         )
     }
+
+    /// Records the gradients of a loss by the projected splats, colours among them, of the first
+    /// `count` Gaussians, given those by the picture that [`blend`](Self::blend) (or
+    /// [`forward`](Self::forward)) has made of these colours: what
+    /// [`BackwardScratch::colour_gradients`] and [`BackwardScratch::mean_gradients`] give.
+    ///
+    /// # Errors
+    /// As for [`backward`](Self::backward).
+    pub fn blend_backward(
+        &self,
+        recorder: &mut Recorder,
+        colours: View<'_, [f32; 4]>,
+        count: usize,
+        scratch: &RenderScratch,
+        pixels: &PixelBuffers,
+        pixel_gradients: &PixelGradients,
+        backward: &mut BackwardScratch,
+    ) -> Result<()> {
+        self.check_scratch(scratch)?;
+        self.check_pixels("render backward", pixels)?;
+        let area = self.width as usize * self.height as usize;
+        at_least(
+            "render backward",
+            &[
+                ("Gaussians of the scratch", count, backward.means.len()),
+                ("intersections of the scratch", self.intersections, backward.slots_a.len()),
+                ("rgba gradients", area, pixel_gradients.rgba.len()),
+                ("depth gradients", area, pixel_gradients.depth.len()),
+            ],
+        )?;
+        let limits = *recorder.device().limits();
+        let groups = Groups::linear(count, 64, &limits)?;
+        let (s, b) = (scratch, backward);
+        recorder.dispatch::<raster::Backward>(
+            self.tile_groups(recorder.device())?,
+            raster::BackwardParams {
+                width: self.width,
+                height: self.height,
+                alpha_cut: self.settings.alpha_cut,
+                alpha_cap: self.settings.alpha_cap,
+            },
+            raster::BackwardArgs {
+                ranges: s.ranges.view(),
+                intersections: s.intersections.view(),
+                splats: s.splats.view(),
+                means: s.means.view(),
+                conics: s.conics.view(),
+                colours,
+                rgba: pixels.rgba.view(),
+                depth: pixels.depth.view(),
+                last: pixels.last.view(),
+                rgba_gradient: pixel_gradients.rgba.view(),
+                depth_gradient: pixel_gradients.depth.view(),
+                slots_a: b.slots_a.view_mut(),
+                slots_b: b.slots_b.view_mut(),
+                slots_c: b.slots_c.view_mut(),
+            },
+        )?;
+        recorder.dispatch::<raster::Gather>(
+            groups,
+            raster::GatherParams { count: count as u32, capacity: self.intersections as u32 },
+            raster::GatherArgs {
+                visible_count: s.visible_count.view(),
+                order: s.order.view(),
+                counts: s.rank_counts.view(),
+                offsets: s.rank_offsets.view(),
+                slots_a: b.slots_a.view(),
+                slots_b: b.slots_b.view(),
+                slots_c: b.slots_c.view(),
+                means: s.means.view(),
+                conics: s.conics.view(),
+                mean_gradients: b.means.view_mut(),
+                conic_gradients: b.conics.view_mut(),
+                colour_gradients: b.colours.view_mut(),
+            },
+        )
+    }
 }
 
 impl RenderScratch {
@@ -681,6 +720,12 @@ impl BackwardScratch {
     /// opacity. Those of culled Gaussians are undefined.
     pub fn mean_gradients(&self) -> View<'_, [f32; 4]> {
         self.means.view()
+    }
+
+    /// Gradients of the last frame by the colours of the first `count` Gaussians: red, green, blue
+    /// and nothing. Those of culled Gaussians are undefined.
+    pub fn colour_gradients(&self, count: usize) -> View<'_, [f32; 4]> {
+        self.colours.range(0..count)
     }
 }
 

@@ -12,6 +12,7 @@ pub mod density;
 pub mod flow;
 pub mod linear;
 pub mod loss;
+pub mod mask;
 pub mod mlp;
 pub mod project;
 pub mod project_backward;

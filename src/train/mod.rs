@@ -11,6 +11,7 @@
 //! | [`growth`] | density control: MCMC, or clone, split and prune |
 //! | [`motion`] | the network and the control points |
 //! | [`control`] | control points added and removed |
+//! | [`selection`] | which Gaussians move |
 //! | [`trajectories`] | where a mover's points are at every frame |
 //! | [`network`] | the deformation network's start |
 //! | [`posed`] | from posed pictures of a moving scene to a scene |
@@ -27,6 +28,7 @@ pub mod posed;
 pub mod region;
 pub mod sampling;
 pub mod seed;
+pub mod selection;
 pub mod sequence;
 pub mod settings;
 pub mod trainer;
@@ -39,6 +41,6 @@ pub use seed::seed_from_points;
 pub use sequence::{Phase, Sequence, SequenceSettings, fit_sequence};
 pub use settings::{
     AdaptiveSettings, ControlSettings, GrowthSettings, McmcSettings, MotionSettings, Rates,
-    TrainSettings,
+    SelectionSettings, TrainSettings,
 };
 pub use trainer::{ControlChanges, Progress, Trainer, TrainingView};

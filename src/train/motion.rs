@@ -6,8 +6,9 @@ use crate::Result;
 use crate::gpu::{Buffer, Recorder, Stream, View};
 use crate::ops::adam::{Adam, AdamArgs};
 use crate::ops::arap::{Arap, ArapArgs, ArapSettings};
+use crate::ops::deform::SoftMotion;
 use crate::ops::gaussians::{GaussianBuffers, GaussianViews};
-use crate::ops::motion::Motion;
+use crate::ops::motion::{Motion, SoftGradients};
 use crate::types::{AdamSettings, ControlPoints, DeformNet};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -177,14 +178,16 @@ impl MotionTrainer {
         Ok((revision.added.len(), removed))
     }
 
-    /// Takes over which Gaussians move, and finds what they follow.
+    /// Takes over which Gaussians move, those whose logit is above `least`, and finds what they
+    /// follow.
     pub(super) fn set_dynamic(
         &mut self,
         stream: &mut Stream,
         motion_logits: &[f32],
+        least: f32,
         gaussians: &GaussianBuffers,
     ) -> Result<()> {
-        self.motion.set_dynamic(stream, motion_logits)?;
+        self.motion.set_dynamic(stream, motion_logits, least)?;
         let mut recorder = stream.record()?;
         self.motion.refresh(&mut recorder, gaussians.views().positions)?;
         stream.submit(recorder)?;
@@ -197,11 +200,12 @@ impl MotionTrainer {
         recorder: &mut Recorder,
         gaussians: &GaussianViews<'_>,
         time: f64,
+        soft: Option<SoftMotion<'_>>,
         rng: &mut ChaCha8Rng,
     ) -> Result<()> {
         let mut near = || (time + ARAP_WINDOW * rng.random_range(-1.0..1.0)).clamp(0.0, 1.0) as f32;
         let times = [time as f32, near(), near()];
-        self.motion.forward(recorder, gaussians, &times)
+        self.motion.forward(recorder, gaussians, &times, soft)
     }
 
     /// Records the gradients of everything that moves, and its step; `gradients`, by the moved
@@ -211,6 +215,7 @@ impl MotionTrainer {
         recorder: &mut Recorder,
         gaussians: &GaussianViews<'_>,
         gradients: &mut GaussianBuffers,
+        soft: Option<SoftGradients<'_>>,
         step: u32,
         steps: u32,
         fits: View<'_, u32>,
@@ -223,6 +228,7 @@ impl MotionTrainer {
             gradients,
             self.transform_gradients.view_mut(),
             self.radii.gradients.view_mut(),
+            soft,
         )?;
         if settings.arap_weight > 0.0 && self.energies.len() > 1 {
             self.arap.record(

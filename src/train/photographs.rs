@@ -1,7 +1,7 @@
 //! The pictures on the device, and a renderer for each of their sizes.
 
 use crate::Result;
-use crate::gpu::Device;
+use crate::gpu::{Buffer, Device};
 use crate::ops::loss::{KnownDisparity, Loss, LossScratch, Photograph};
 use crate::ops::render::{BackwardScratch, PixelBuffers, PixelGradients, Render, RenderScratch};
 use crate::types::{Camera, RenderSettings};
@@ -13,6 +13,7 @@ pub(super) struct DeviceView {
     pub(super) time: f64,
     pub(super) photograph: Photograph,
     pub(super) disparity: Option<KnownDisparity>,
+    pub(super) mask: Option<Buffer<f32>>,
 }
 
 /// Everything that rendering and comparing pictures of one size needs.

@@ -16,7 +16,8 @@ use super::network::fit_translations;
 use super::sampling::farthest_point_sample;
 use super::seed::seed_from_points;
 use super::settings::{
-    ControlSettings, GrowthSettings, McmcSettings, MotionSettings, Rates, TrainSettings,
+    ControlSettings, GrowthSettings, McmcSettings, MotionSettings, Rates, SelectionSettings,
+    TrainSettings,
 };
 use super::trainer::{ControlChanges, Trainer, TrainingView};
 use super::trajectories::{MOVING, Trajectories, camera, lift, value};
@@ -50,6 +51,8 @@ pub struct SequenceSettings {
     pub neighbours: usize,
     /// Highest degree of the spherical harmonics.
     pub sh_degree: u32,
+    /// Whether it is trained which Gaussians move; else the masks decide once, before stage 2.
+    pub train_selection: bool,
     /// Clips whose movers cover less of the pixels than this are static.
     pub least_dynamic_share: f64,
     /// Decides everything random.
@@ -73,6 +76,7 @@ impl Default for SequenceSettings {
             },
             neighbours: 4,
             sh_degree: 1,
+            train_selection: true,
             least_dynamic_share: 0.002,
             seed: 0,
         }
@@ -302,6 +306,10 @@ fn joint_settings(settings: &SequenceSettings) -> TrainSettings {
             rate: 4e-4,
             rate_last: 2e-5,
             control: Some(ControlSettings::scaled_to(settings.steps, settings.control_points)),
+            // Few steps: logits may move faster than over tens of thousands.
+            selection: settings
+                .train_selection
+                .then(|| SelectionSettings { rate: 1e-2, ..SelectionSettings::default() }),
             ..MotionSettings::default()
         },
         seed: settings.seed,
@@ -347,6 +355,7 @@ fn views(sequence: Sequence<'_>, weight: impl Fn(f32) -> f32 + Sync) -> Vec<Trai
                 image: sequence.frames[frame].clone(),
                 weights: Some(weights),
                 disparity: Some(disparity),
+                mask: Some(track.masks[frame].clone()),
             }
         })
         .collect()

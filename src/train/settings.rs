@@ -100,9 +100,11 @@ pub struct AdaptiveSettings {
     /// Mean gradient by the place in the picture, in units of half the picture, above which a
     /// Gaussian is cloned or split.
     pub gradient: f64,
-    /// Largest scale that is cloned rather than split, in units of the scene's extent.
+    /// Largest scale that is cloned rather than split, in units of the scene's reach: the cameras'
+    /// extent or the median distance of the first Gaussians from the cameras' middle, whichever is
+    /// more. (The source knows the extent only; a camera that hardly moves has next to none.)
     pub small: f64,
-    /// Largest scale that is kept, in units of the scene's extent, once opacities have been reset.
+    /// Largest scale that is kept, in units of the scene's reach, once opacities have been reset.
     pub large: f64,
     /// Opacity below which a Gaussian is pruned.
     pub opacity: f64,
@@ -162,6 +164,47 @@ impl ControlSettings {
     }
 }
 
+/// How it is trained which Gaussians move. Up to a step motion is soft: a Gaussian moves by its
+/// probability of motion; from there on it moves fully or not at all.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SelectionSettings {
+    /// Learning rate of the motion logits.
+    pub rate: f64,
+    /// Share of the steps in which motion is soft.
+    pub until: f64,
+    /// Logit below which a Gaussian is clearly static: it neither moves nor pays for it.
+    pub least_logit: f32,
+    /// Weight of the mask loss at the first step.
+    pub mask_weight: f64,
+    /// At the last step with soft motion.
+    pub mask_weight_last: f64,
+    /// Steps between pictures with a mask loss.
+    pub mask_every: u32,
+    /// λ_rigid: weight of the mean squared displacement of what the masks show to be still.
+    pub rigid_weight: f64,
+}
+
+impl Default for SelectionSettings {
+    fn default() -> Self {
+        SelectionSettings {
+            rate: 2.5e-3,
+            until: 0.6,
+            least_logit: -2.0,
+            mask_weight: 0.5,
+            mask_weight_last: 1e-2,
+            mask_every: 4,
+            rigid_weight: 1e-2,
+        }
+    }
+}
+
+impl SelectionSettings {
+    /// The steps of `steps` in which motion is soft.
+    pub(super) fn steps_of(&self, steps: u32) -> u32 {
+        (f64::from(steps) * self.until.clamp(0.0, 1.0)) as u32
+    }
+}
+
 /// How motion is trained.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionSettings {
@@ -177,6 +220,8 @@ pub struct MotionSettings {
     pub refresh: u32,
     /// How control points are added and removed; `None` keeps those that there are.
     pub control: Option<ControlSettings>,
+    /// How it is trained which Gaussians move; `None` keeps their motion logits.
+    pub selection: Option<SelectionSettings>,
 }
 
 impl Default for MotionSettings {
@@ -189,6 +234,7 @@ impl Default for MotionSettings {
             arap_edges: 10,
             refresh: 100,
             control: None,
+            selection: None,
         }
     }
 }

@@ -4,9 +4,10 @@ use super::growth::{Growth, Population, Statistics};
 use super::motion::{MotionStart, MotionTrainer};
 use super::optimiser::GaussianOptimiser;
 use super::photographs::{DeviceView, Studios};
+use super::selection::Selection;
 use super::settings::TrainSettings;
 use crate::data::View;
-use crate::gpu::{Buffer, Device, Readback, Stream, Ticket};
+use crate::gpu::{Device, Readback, Stream, Ticket};
 use crate::ops::gaussians::GaussianBuffers;
 use crate::ops::loss::{KnownDisparity, LossSettings, LossValue, Photograph};
 use crate::ops::render::FrameCounts;
@@ -30,13 +31,15 @@ pub struct TrainingView {
     pub weights: Option<Image>,
     /// Disparity (inverse depth) and its weight per pixel, two channels; `None` where unknown.
     pub disparity: Option<Image>,
+    /// Motion mask, one channel: 1 where something moves, else 0; `None` where unknown.
+    pub mask: Option<Image>,
 }
 
 /// A dataset's picture as training wants it; what undistortion left empty has no weight.
 impl From<View> for TrainingView {
     fn from(view: View) -> TrainingView {
         let View { camera, time, image, valid, .. } = view;
-        TrainingView { camera, time, image, weights: valid, disparity: None }
+        TrainingView { camera, time, image, weights: valid, disparity: None, mask: None }
     }
 }
 
@@ -85,8 +88,8 @@ pub struct Trainer {
     statistics: Option<Statistics>,
     control_changes: ControlChanges,
     motion: Option<MotionTrainer>,
-    /// Of the Gaussians, where there is motion.
-    motion_logits: Option<Buffer<f32>>,
+    /// Where there is motion.
+    selection: Option<Selection>,
     extent: f64,
     step: u32,
     rng: ChaCha8Rng,
@@ -121,18 +124,19 @@ impl Trainer {
         let degree = settings.sh_degree;
         let mut buffers = GaussianBuffers::new(device, capacity, degree)?;
         buffers.upload(&mut stream, gaussians)?;
-        let (mut motion_trainer, mut motion_logits) = (None, None);
+        let (mut motion_trainer, mut selection) = (None, None);
         if let Some(start) = motion {
             let mut trainer = MotionTrainer::new(&mut stream, start, settings.motion, capacity)?;
             let mut logits = gaussians.motion_logits.clone();
             logits.resize(gaussians.len(), -1.0);
-            trainer.set_dynamic(&mut stream, &logits, &buffers)?;
-            let mut buffer = device.buffer("motion logits", capacity)?;
-            stream.upload(&mut buffer, &logits)?;
-            (motion_trainer, motion_logits) = (Some(trainer), Some(buffer));
+            let chosen = Selection::new(&mut stream, &logits, capacity, settings.motion.selection)?;
+            let least = chosen.least(0, settings.steps);
+            trainer.set_dynamic(&mut stream, &logits, least, &buffers)?;
+            (motion_trainer, selection) = (Some(trainer), Some(chosen));
         }
         let extent = extent(views.iter().map(|view| &view.camera));
-        let growth = Growth::new(device, &settings, capacity, extent)?;
+        let reach = extent.max(distance(views, gaussians));
+        let growth = Growth::new(device, &settings, capacity, reach)?;
         let revised = motion.is_some() && settings.motion.control.is_some();
         let statistics = match revised || growth.as_ref().is_some_and(Growth::wants_statistics) {
             true => Some(Statistics::new(&mut stream, capacity)?),
@@ -151,7 +155,7 @@ impl Trainer {
             statistics,
             control_changes: ControlChanges::default(),
             motion: motion_trainer,
-            motion_logits,
+            selection,
             extent,
             step: 0,
             rng: ChaCha8Rng::seed_from_u64(settings.seed),
@@ -180,16 +184,15 @@ impl Trainer {
         let view = self.next_view();
         self.submit(view)?;
         self.step += 1;
-        let mut changed = self.revise_control_points()?;
+        let refresh = self.step.is_multiple_of(self.settings.motion.refresh.max(1));
+        let mut changed = self.revise_control_points()? || self.selection_changes(refresh);
         if self.growth.as_ref().is_some_and(|growth| growth.due(self.step)) {
             self.grow()?;
             changed = true;
         }
         if changed {
             self.follow()?;
-        } else if self.step.is_multiple_of(self.settings.motion.refresh.max(1))
-            && let Some(motion) = &mut self.motion
-        {
+        } else if refresh && let Some(motion) = &mut self.motion {
             let mut recorder = self.stream.record()?;
             motion.motion.refresh(&mut recorder, self.gaussians.views().positions)?;
             self.stream.submit(recorder)?;
@@ -219,7 +222,7 @@ impl Trainer {
         let Some(growth) = &mut self.growth else { return Ok(()) };
         let population = Population {
             gaussians: &mut self.gaussians,
-            motion_logits: self.motion_logits.as_mut(),
+            selection: self.selection.as_mut(),
             optimiser: &mut self.optimiser,
         };
         growth.round(&mut self.stream, self.step, population, self.statistics.as_ref())?;
@@ -249,12 +252,20 @@ impl Trainer {
         Ok(added + removed > 0)
     }
 
+    /// Whether other Gaussians may move from now on: while motion is soft at every refresh of what
+    /// they follow, and once more when it ends.
+    fn selection_changes(&self, refresh: bool) -> bool {
+        let soft =
+            |step| self.selection.as_ref().is_some_and(|s| s.is_soft(step, self.settings.steps));
+        soft(self.step - 1) && (refresh || !soft(self.step))
+    }
+
     /// Takes over which Gaussians move, and what they follow.
     fn follow(&mut self) -> Result<()> {
-        if let (Some(motion), Some(logits)) = (&mut self.motion, &self.motion_logits) {
-            let mut logits = self.stream.download(logits)?;
-            logits.truncate(self.gaussians.len);
-            motion.set_dynamic(&mut self.stream, &logits, &self.gaussians)?;
+        if let (Some(motion), Some(selection)) = (&mut self.motion, &self.selection) {
+            let logits = selection.download(&mut self.stream, self.gaussians.len)?;
+            let least = selection.least(self.step, self.settings.steps);
+            motion.set_dynamic(&mut self.stream, &logits, least, &self.gaussians)?;
         }
         Ok(())
     }
@@ -296,9 +307,8 @@ impl Trainer {
     pub fn gaussians(&mut self) -> Result<Gaussians> {
         self.finish()?;
         let mut gaussians = self.gaussians.download(&mut self.stream)?;
-        if let Some(logits) = &self.motion_logits {
-            gaussians.motion_logits = self.stream.download(logits)?;
-            gaussians.motion_logits.truncate(gaussians.len());
+        if let Some(selection) = &self.selection {
+            gaussians.motion_logits = selection.download(&mut self.stream, gaussians.len())?;
         }
         Ok(gaussians)
     }
@@ -329,7 +339,8 @@ impl Trainer {
         let view = &self.views[index];
         let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
         let studio = self.studios.for_size(&self.device, size)?;
-        let degree = self.settings.sh_degree_at(self.step);
+        let (step, steps) = (self.step, self.settings.steps);
+        let degree = self.settings.sh_degree_at(step);
         let loss = LossSettings {
             ssim_share: self.settings.ssim_share,
             background: self.settings.background,
@@ -343,7 +354,8 @@ impl Trainer {
         let canonical = self.gaussians.views().at_degree(degree);
         let scene = match &mut self.motion {
             Some(motion) => {
-                motion.forward(&mut recorder, &canonical, view.time, &mut self.rng)?;
+                let soft = self.selection.as_ref().and_then(|s| s.soft(canonical.len, step, steps));
+                motion.forward(&mut recorder, &canonical, view.time, soft, &mut self.rng)?;
                 motion.motion.moved(canonical)
             }
             None => canonical,
@@ -378,15 +390,13 @@ impl Trainer {
             let (scratch, backward) = (&studio.scratch, &studio.backward);
             statistics.add(&mut recorder, canonical.len, scratch, backward, size)?;
         }
-        if let Some(motion) = &mut self.motion {
-            motion.backward(
-                &mut recorder,
-                &canonical,
-                &mut self.gradients,
-                self.step,
-                self.settings.steps,
-                studio.scratch.fits(),
-            )?;
+        if let (Some(motion), Some(selection)) = (&mut self.motion, &mut self.selection) {
+            let (n, fits) = (canonical.len, studio.scratch.fits());
+            let listed = motion.motion.dynamic;
+            let soft = selection.soft_gradients(&mut recorder, n, listed, step, steps);
+            let gradients = &mut self.gradients;
+            motion.backward(&mut recorder, &canonical, gradients, soft, step, steps, fits)?;
+            selection.train(&mut recorder, studio, view.mask.as_ref(), n, step, steps)?;
         }
         if let Some(growth) = &self.growth {
             growth.regularise(&mut recorder, &self.gaussians, &mut self.gradients)?;
@@ -454,12 +464,37 @@ fn upload(device: &Device, view: &TrainingView) -> Result<DeviceView> {
             Some(KnownDisparity::new(device, bytemuck::cast_slice(&known.pixels))?)
         }
     };
+    let mask = match &view.mask {
+        None => None,
+        Some(mask) if mask.pixels.len() == view.image.pixels.len() / 3 => {
+            Some(device.upload("motion mask", &mask.pixels)?)
+        }
+        Some(mask) => {
+            return Err(Error::Shape {
+                op: "training view",
+                arg: "mask",
+                expected: format!("{}", view.image.pixels.len() / 3),
+                actual: mask.pixels.len(),
+            });
+        }
+    };
     Ok(DeviceView {
         camera: view.camera,
         time: view.time,
         photograph: Photograph::new(device, &view.image, view.weights.as_ref())?,
         disparity,
+        mask,
     })
+}
+
+/// The median distance of the Gaussians from the middle of the cameras.
+fn distance(views: &[TrainingView], gaussians: &Gaussians) -> f64 {
+    let sum: glam::DVec3 = views.iter().map(|view| view.camera.centre()).sum();
+    let middle = sum / views.len() as f64;
+    let from = |p: &[f32; 3]| glam::Vec3::from(*p).as_dvec3().distance(middle);
+    let mut all: Vec<f64> = gaussians.positions.iter().map(from).collect();
+    let at = all.len() / 2;
+    *all.select_nth_unstable_by(at, f64::total_cmp).1
 }
 
 /// 1.1 times the largest distance of a camera from their mean: the unit of the positions' learning

@@ -1,9 +1,10 @@
 //! Clone, split, prune (Kerbl et al. 2023), and the reset of opacities.
 
 use super::{Population, Statistics, rows};
-use crate::gpu::{Buffer, Device, Readback, Recorder, Stream};
+use crate::gpu::{Device, Readback, Recorder, Stream};
 use crate::ops::density::{self, Adaptation, AdaptationArgs};
 use crate::ops::gaussians::GaussianBuffers;
+use crate::train::selection::Selection;
 use crate::train::settings::{AdaptiveSettings, TrainSettings};
 use crate::types::AdaptSettings;
 use crate::{Error, Result};
@@ -11,12 +12,12 @@ use crate::{Error, Result};
 pub(in crate::train) struct Adaptive {
     adaptation: Adaptation,
     settings: AdaptiveSettings,
-    extent: f64,
+    reach: f64,
     last: u32,
     seed: u32,
     /// Arrays are gathered into these, then take their place.
     spare: GaussianBuffers,
-    spare_logits: Buffer<f32>,
+    spare_selection: Option<Selection>,
     totals: Readback<u32>,
 }
 
@@ -25,17 +26,17 @@ impl Adaptive {
         device: &Device,
         settings: AdaptiveSettings,
         capacity: usize,
-        extent: f64,
+        reach: f64,
         train: &TrainSettings,
     ) -> Result<Adaptive> {
         Ok(Adaptive {
             adaptation: Adaptation::new(device, capacity)?,
             settings,
-            extent,
+            reach,
             last: (f64::from(train.steps) * settings.until) as u32,
             seed: train.seed as u32,
             spare: GaussianBuffers::new(device, capacity, train.sh_degree)?,
-            spare_logits: device.buffer("gathered motion logits", capacity)?,
+            spare_selection: None,
             totals: device.readback(3)?,
         })
     }
@@ -93,10 +94,13 @@ impl Adaptive {
         let settled = reset_every > 0 && step > reset_every;
         let settings = AdaptSettings {
             gradient,
-            small: small * self.extent,
+            small: small * self.reach,
             opacity,
-            large: if settled { large * self.extent } else { f64::INFINITY },
+            large: if settled { large * self.reach } else { f64::INFINITY },
         };
+        if let (Some(selection), None) = (&population.selection, &self.spare_selection) {
+            self.spare_selection = Some(selection.spare(stream)?);
+        }
         let mut recorder = stream.record()?;
         let gaussians = &mut *population.gaussians;
         let n = gaussians.len;
@@ -118,10 +122,16 @@ impl Adaptive {
         let optimiser = &mut *population.optimiser;
         self.gather(&mut recorder, &mut optimiser.first, true)?;
         self.gather(&mut recorder, &mut optimiser.second, true)?;
-        if let Some(logits) = &mut population.motion_logits {
-            let to = self.spare_logits.view_mut();
-            self.adaptation.gather(&mut recorder, logits.view(), to, 1, false)?;
-            std::mem::swap(*logits, &mut self.spare_logits);
+        if let (Some(selection), Some(spare)) =
+            (&mut population.selection, &mut self.spare_selection)
+        {
+            for ((row, values), (_, to)) in selection.rows().into_iter().zip(spare.rows()) {
+                self.adaptation.gather(&mut recorder, values.as_view(), to, row, false)?;
+            }
+            for ((row, values), (_, to)) in selection.moments().into_iter().zip(spare.moments()) {
+                self.adaptation.gather(&mut recorder, values.as_view(), to, row, true)?;
+            }
+            std::mem::swap(*selection, spare);
         }
         recorder.read_back(self.adaptation.totals(), &self.totals);
         let ticket = stream.submit(recorder)?;

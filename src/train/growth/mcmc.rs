@@ -79,7 +79,7 @@ impl Mcmc {
         step: u32,
         mut population: Population<'_>,
     ) -> Result<()> {
-        let classes: &[MotionClass] = match population.motion_logits {
+        let classes: &[MotionClass] = match population.selection {
             Some(_) => &[MotionClass::Static, MotionClass::Dynamic],
             None => &[MotionClass::Any],
         };
@@ -111,8 +111,13 @@ impl Mcmc {
         for (row, values) in rows(population.gaussians) {
             r.copy(recorder, values, row)?;
         }
-        if let Some(logits) = &mut population.motion_logits {
-            r.copy(recorder, logits.view_mut(), 1)?;
+        if let Some(selection) = &mut population.selection {
+            for (row, values) in selection.rows() {
+                r.copy(recorder, values, row)?;
+            }
+            for (row, values) in selection.moments() {
+                r.zero(recorder, values, row)?;
+            }
         }
         let optimiser = &mut *population.optimiser;
         for moments in [&mut optimiser.first, &mut optimiser.second] {
@@ -135,7 +140,7 @@ fn arguments<'a>(
     RelocationArgs {
         opacity_logits: gaussians.opacity_logits.range_mut(0..n),
         log_scales: gaussians.log_scales.range_mut(0..3 * n),
-        motion_logits: population.motion_logits.as_deref().map(|logits| logits.range(0..n)),
+        motion_logits: population.selection.as_deref().map(|selection| selection.logits(n)),
         class,
         seed,
         step,

@@ -10,6 +10,7 @@ mod statistics;
 pub(super) use statistics::Statistics;
 
 use super::optimiser::GaussianOptimiser;
+use super::selection::Selection;
 use super::settings::{GrowthSettings, TrainSettings};
 use crate::Result;
 use crate::gpu::{Buffer, Device, Recorder, Stream, ViewMut};
@@ -26,19 +27,19 @@ pub(super) enum Growth {
 /// What a round changes: every array with a row for each Gaussian.
 pub(super) struct Population<'a> {
     pub(super) gaussians: &'a mut GaussianBuffers,
-    /// Room for as many as there may be Gaussians.
-    pub(super) motion_logits: Option<&'a mut Buffer<f32>>,
+    /// Where there is motion.
+    pub(super) selection: Option<&'a mut Selection>,
     pub(super) optimiser: &'a mut GaussianOptimiser,
 }
 
 impl Growth {
-    /// For up to `capacity` Gaussians in a scene of an extent; `None` where the settings ask for no
+    /// For up to `capacity` Gaussians in a scene that reaches so far; `None` where the settings ask for no
     /// density control.
     pub(super) fn new(
         device: &Device,
         settings: &TrainSettings,
         capacity: usize,
-        extent: f64,
+        reach: f64,
     ) -> Result<Option<Growth>> {
         Ok(match settings.growth {
             None => None,
@@ -46,7 +47,7 @@ impl Growth {
                 Some(Growth::Mcmc(Mcmc::new(device, mcmc, capacity, settings)?))
             }
             Some(GrowthSettings::Adaptive(adaptive)) => {
-                let adaptive = Adaptive::new(device, adaptive, capacity, extent, settings)?;
+                let adaptive = Adaptive::new(device, adaptive, capacity, reach, settings)?;
                 Some(Growth::Adaptive(Box::new(adaptive)))
             }
         })

@@ -1,0 +1,43 @@
+#version 460
+// Hands every Gaussian that a picture shows its gradient by the motion logit, and its votes.
+#extension GL_GOOGLE_include_directive : require
+
+layout(local_size_x = 64) in;
+
+// Of what mask/compare has written: the loss's gradient, the mask's share, the share.
+layout(std430, binding = 0) readonly buffer ColourGradients { vec4 colour_gradients[]; };
+layout(std430, binding = 1) readonly buffer Visible { uint visible[]; };
+// 0 where the picture's intersections did not all fit.
+layout(std430, binding = 2) readonly buffer Fits { uint fits[]; };
+layout(std430, binding = 3) readonly buffer MotionLogits { float motion_logits[]; };
+layout(std430, binding = 4) buffer MotionGradients { float motion_gradients[]; };
+// Votes for motion; votes.
+layout(std430, binding = 5) buffer Votes { float votes[]; };
+layout(std430, binding = 6) writeonly buffer Evidence { float evidence[]; };
+
+layout(push_constant) uniform Params {
+    uint count;
+};
+
+#include "common/grid.glsl"
+#include "common/quaternion.glsl"
+
+void main() {
+    uint i = group_index() * 64u + gl_LocalInvocationIndex;
+    if (i >= count || visible[i] == 0u || fits[0] == 0u) {
+        return;
+    }
+    vec3 g = colour_gradients[i].rgb;
+    if (!finite(g)) {
+        return;
+    }
+    float m = sigmoid(motion_logits[i]);
+    motion_gradients[i] += g.r * m * (1.0 - m);
+    float moving = votes[2u * i] + g.g;
+    float all = votes[2u * i + 1u] + g.b;
+    votes[2u * i] = moving;
+    votes[2u * i + 1u] = all;
+    if (all > 0.0) {
+        evidence[i] = clamp(moving / all, 0.0, 1.0);
+    }
+}

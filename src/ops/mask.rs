@@ -1,0 +1,114 @@
+//! Rendered motion against motion masks, on the device.
+//!
+//! `oracle::mask` has the formulae. The Gaussians' probabilities of motion ([`paint`]) are blended
+//! by [`Render::blend`], compared ([`compare`]), and what [`Render::blend_backward`] gathers is handed
+//! out ([`vote`]): one more blending pass forward and one backward, without projection and sorting.
+//!
+//! [`Render::blend`]: super::render::Render::blend
+//! [`Render::blend_backward`]: super::render::Render::blend_backward
+
+use super::at_least;
+use super::render::{PixelBuffers, PixelGradients};
+use crate::Result;
+use crate::gpu::{Groups, Recorder, View, ViewMut};
+use crate::kernels::mask as kernels;
+
+const WORKGROUP: u32 = 64;
+
+/// Records the painting: the probability of motion of each logit as the red of a colour.
+///
+/// # Errors
+/// [`Error::Shape`](crate::Error::Shape) for fewer colours than logits.
+pub fn paint(
+    recorder: &mut Recorder,
+    motion_logits: View<'_, f32>,
+    colours: ViewMut<'_, [f32; 4]>,
+) -> Result<()> {
+    let count = motion_logits.len();
+    at_least("mask", &[("colours", count, colours.len())])?;
+    recorder.dispatch::<kernels::Paint>(
+        Groups::linear(count, WORKGROUP, recorder.device().limits())?,
+        kernels::PaintParams { count: count as u32 },
+        kernels::PaintArgs { motion_logits, colours },
+    )
+}
+
+/// Records the comparison of a rendered picture's red with a mask (1 where something moves), whose
+/// mean absolute difference has a weight in the loss. The gradient by depth is not written: colours
+/// do not depend on it.
+///
+/// # Errors
+/// [`Error::Shape`](crate::Error::Shape) where the sizes differ.
+pub fn compare(
+    recorder: &mut Recorder,
+    rendered: &PixelBuffers,
+    mask: View<'_, f32>,
+    weight: f64,
+    gradients: &mut PixelGradients,
+) -> Result<()> {
+    let pixels = rendered.width as usize * rendered.height as usize;
+    at_least("mask", &[("mask", pixels, mask.len()), ("gradient", pixels, gradients.rgba.len())])?;
+    recorder.dispatch::<kernels::Compare>(
+        Groups::linear(pixels, WORKGROUP, recorder.device().limits())?,
+        kernels::CompareParams {
+            pixels: pixels as u32,
+            factor: (weight / pixels.max(1) as f64) as f32,
+        },
+        kernels::CompareArgs {
+            rgba: rendered.rgba.view(),
+            mask,
+            rgba_gradient: gradients.rgba.view_mut(),
+        },
+    )
+}
+
+/// What a vote reads and writes, for as many Gaussians as there are logits; other arrays may be
+/// longer.
+pub struct VoteArgs<'a> {
+    /// The gradients by the Gaussians' colours.
+    pub colour_gradients: View<'a, [f32; 4]>,
+    /// Not 0 for what the picture shows.
+    pub visible: View<'a, u32>,
+    /// Where 0, nothing changes.
+    pub fits: View<'a, u32>,
+    /// Motion logits.
+    pub motion_logits: View<'a, f32>,
+    /// By these; added to.
+    pub motion_gradients: ViewMut<'a, f32>,
+    /// Two values each, votes for motion and votes; added to.
+    pub votes: ViewMut<'a, f32>,
+    /// Their quotient, in [0, 1]; stays where there is no vote.
+    pub evidence: ViewMut<'a, f32>,
+}
+
+/// Records the handing out.
+///
+/// # Errors
+/// [`Error::Shape`](crate::Error::Shape) where an array is too short.
+pub fn vote(recorder: &mut Recorder, args: VoteArgs<'_>) -> Result<()> {
+    let count = args.motion_logits.len();
+    at_least(
+        "mask",
+        &[
+            ("colour gradients", count, args.colour_gradients.len()),
+            ("visible", count, args.visible.len()),
+            ("fits", 1, args.fits.len()),
+            ("motion gradients", count, args.motion_gradients.len()),
+            ("votes", 2 * count, args.votes.len()),
+            ("evidence", count, args.evidence.len()),
+        ],
+    )?;
+    recorder.dispatch::<kernels::Vote>(
+        Groups::linear(count, WORKGROUP, recorder.device().limits())?,
+        kernels::VoteParams { count: count as u32 },
+        kernels::VoteArgs {
+            colour_gradients: args.colour_gradients,
+            visible: args.visible,
+            fits: args.fits,
+            motion_logits: args.motion_logits,
+            motion_gradients: args.motion_gradients,
+            votes: args.votes,
+            evidence: args.evidence,
+        },
+    )
+}

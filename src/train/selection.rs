@@ -1,0 +1,213 @@
+//! Which Gaussians move: their motion logits, and how these are trained.
+//!
+//! At first motion is soft: every Gaussian whose logit is not clearly that of a static one moves by
+//! its probability of motion, so that the pictures say how much it should; the probabilities,
+//! rendered, are held against the motion masks every few steps; and what the masks show to be still
+//! is kept from moving by L_rigid. Then the choice is made, each moves fully or not at all, as
+//! rendering has it, and the rest of the training is spent on what was chosen.
+
+use super::photographs::Studio;
+use super::settings::{SelectionSettings, exponential};
+use crate::Result;
+use crate::gpu::{Buffer, Recorder, Stream, View, ViewMut};
+use crate::ops::adam::{Adam, AdamArgs};
+use crate::ops::deform::SoftMotion;
+use crate::ops::mask::{self, VoteArgs};
+use crate::ops::motion::SoftGradients;
+use crate::types::AdamSettings;
+
+/// The motion logits of a scene's Gaussians.
+pub(super) struct Selection {
+    logits: Buffer<f32>,
+    training: Option<Training>,
+}
+
+/// What training the logits needs.
+struct Training {
+    settings: SelectionSettings,
+    adam: Adam,
+    gradients: Buffer<f32>,
+    first: Buffer<f32>,
+    second: Buffer<f32>,
+    /// What the masks have said of each Gaussian: votes for motion, and votes.
+    votes: Buffer<f32>,
+    /// Their quotient; 1 before the first vote.
+    evidence: Buffer<f32>,
+    colours: Buffer<[f32; 4]>,
+}
+
+impl Selection {
+    /// For up to `capacity` Gaussians, of which some are there; trained where there are settings.
+    pub(super) fn new(
+        stream: &mut Stream,
+        logits: &[f32],
+        capacity: usize,
+        settings: Option<SelectionSettings>,
+    ) -> Result<Selection> {
+        let device = stream.device().clone();
+        let mut buffer = device.buffer("motion logits", capacity)?;
+        stream.upload(&mut buffer, logits)?;
+        let training = match settings {
+            None => None,
+            Some(settings) => {
+                let zeros = vec![0.0f32; 2 * capacity];
+                let zero = |label: &str| device.upload(label, &zeros[..capacity]);
+                Some(Training {
+                    settings,
+                    adam: Adam::new(&device)?,
+                    gradients: zero("motion logit gradients")?,
+                    first: zero("motion logit first moments")?,
+                    second: zero("motion logit second moments")?,
+                    votes: device.upload("votes for motion", &zeros)?,
+                    evidence: device.upload("evidence of motion", &vec![1.0f32; capacity])?,
+                    colours: device.buffer("painted motion", capacity)?,
+                })
+            }
+        };
+        Ok(Selection { logits: buffer, training })
+    }
+
+    /// Of the first `count` Gaussians.
+    pub(super) fn logits(&self, count: usize) -> View<'_, f32> {
+        self.logits.range(0..count)
+    }
+
+    /// Waits and reads the logits of the first `count` Gaussians.
+    pub(super) fn download(&self, stream: &mut Stream, count: usize) -> Result<Vec<f32>> {
+        let mut logits = stream.download(&self.logits)?;
+        logits.truncate(count);
+        Ok(logits)
+    }
+
+    /// The training, while motion is soft.
+    fn soft_at(&self, step: u32, steps: u32) -> Option<&Training> {
+        self.training.as_ref().filter(|t| step < t.settings.steps_of(steps))
+    }
+
+    /// Whether motion is soft in a step (from 0) of so many.
+    pub(super) fn is_soft(&self, step: u32, steps: u32) -> bool {
+        self.soft_at(step, steps).is_some()
+    }
+
+    /// The logit above which a Gaussian is to be moved.
+    pub(super) fn least(&self, step: u32, steps: u32) -> f32 {
+        self.soft_at(step, steps).map_or(0.0, |t| t.settings.least_logit)
+    }
+
+    /// How the first `count` Gaussians move in a step; `None`: fully, where they are listed.
+    pub(super) fn soft(&self, count: usize, step: u32, steps: u32) -> Option<SoftMotion<'_>> {
+        let training = self.soft_at(step, steps)?;
+        let evidence = training.evidence.range(0..count);
+        Some(SoftMotion { logits: self.logits(count), evidence })
+    }
+
+    /// The gradients that belong to [`soft`](Self::soft), zeroed; `listed` Gaussians move.
+    pub(super) fn soft_gradients(
+        &mut self,
+        recorder: &mut Recorder,
+        count: usize,
+        listed: usize,
+        step: u32,
+        steps: u32,
+    ) -> Option<SoftGradients<'_>> {
+        if !self.is_soft(step, steps) {
+            return None;
+        }
+        let Selection { logits, training } = self;
+        let training = training.as_mut()?;
+        recorder.fill(training.gradients.view_mut(), 0);
+        Some(SoftGradients {
+            soft: SoftMotion {
+                logits: logits.range(0..count),
+                evidence: training.evidence.range(0..count),
+            },
+            logits: training.gradients.range_mut(0..count),
+            rigid_scale: (training.settings.rigid_weight / listed.max(1) as f64) as f32,
+        })
+    }
+
+    /// Records the mask loss of the picture that has just been rendered and differentiated, in the
+    /// steps that have one, and the update of the logits.
+    pub(super) fn train(
+        &mut self,
+        recorder: &mut Recorder,
+        studio: &mut Studio,
+        mask: Option<&Buffer<f32>>,
+        count: usize,
+        step: u32,
+        steps: u32,
+    ) -> Result<()> {
+        if !self.is_soft(step, steps) {
+            return Ok(());
+        }
+        let Selection { logits, training } = self;
+        let Some(training) = training else { return Ok(()) };
+        let settings = training.settings;
+        if let Some(mask) = mask
+            && step.is_multiple_of(settings.mask_every.max(1))
+        {
+            let last = settings.steps_of(steps);
+            let weight = exponential(settings.mask_weight, settings.mask_weight_last, step, last);
+            let Studio { render, scratch, backward, pixels, pixel_gradients, .. } = studio;
+            mask::paint(recorder, logits.range(0..count), training.colours.view_mut())?;
+            let colours = training.colours.view();
+            render.blend(recorder, colours, scratch, pixels)?;
+            mask::compare(recorder, pixels, mask.view(), weight, pixel_gradients)?;
+            render.blend_backward(
+                recorder,
+                colours,
+                count,
+                scratch,
+                pixels,
+                pixel_gradients,
+                backward,
+            )?;
+            mask::vote(
+                recorder,
+                VoteArgs {
+                    colour_gradients: backward.colour_gradients(count),
+                    visible: scratch.visible(),
+                    fits: scratch.fits(),
+                    motion_logits: logits.range(0..count),
+                    motion_gradients: training.gradients.range_mut(0..count),
+                    votes: training.votes.range_mut(0..2 * count),
+                    evidence: training.evidence.range_mut(0..count),
+                },
+            )?;
+        }
+        training.adam.record(
+            recorder,
+            &AdamSettings { rate: settings.rate, step: step + 1, ..AdamSettings::default() },
+            AdamArgs {
+                gradients: training.gradients.range(0..count),
+                parameters: logits.range_mut(0..count),
+                first: training.first.range_mut(0..count),
+                second: training.second.range_mut(0..count),
+                // One row holds everything: a frame that did not fit changes nothing.
+                visible: Some((count, studio.scratch.fits())),
+            },
+        )
+    }
+
+    /// Every array that goes with the Gaussians, with the floats of a row.
+    pub(super) fn rows(&mut self) -> Vec<(usize, ViewMut<'_, f32>)> {
+        let mut all = vec![(1, self.logits.view_mut())];
+        if let Some(training) = &mut self.training {
+            all.push((2, training.votes.view_mut()));
+            all.push((1, training.evidence.view_mut()));
+        }
+        all
+    }
+
+    /// The optimiser's moments, likewise.
+    pub(super) fn moments(&mut self) -> Vec<(usize, ViewMut<'_, f32>)> {
+        let training = self.training.iter_mut();
+        training.flat_map(|t| [(1, t.first.view_mut()), (1, t.second.view_mut())]).collect()
+    }
+
+    /// Another of the same make, for arrays to be gathered into.
+    pub(super) fn spare(&self, stream: &mut Stream) -> Result<Selection> {
+        let settings = self.training.as_ref().map(|t| t.settings);
+        Selection::new(stream, &[], self.logits.len(), settings)
+    }
+}
