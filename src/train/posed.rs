@@ -6,7 +6,8 @@
 //! al., CVPR 2024) begins, and all is trained together.
 
 use super::motion::MotionStart;
-use super::sequence::{self, Phase, run};
+use super::observer::{Checkpoint, Observer, Phase, run};
+use super::sequence;
 use super::settings::{ControlSettings, MotionSettings, TrainSettings};
 use super::trainer::{Trainer, TrainingView};
 use crate::Result;
@@ -47,45 +48,28 @@ impl Default for PosedMotion {
 /// Logit of being dynamic of every Gaussian.
 const STRENGTH: f32 = 4.0;
 
-/// Trains a moving scene on posed pictures. `watch` is told the phase, the steps done and the steps
-/// in all; an error from it ends the work. The scene has no cameras yet; its report says how many
-/// control points were added and removed: `control_points_added`, `control_points_removed`.
+/// Trains a scene on posed pictures, from the beginning or from a checkpoint of the same pictures
+/// and settings: a moving one, or without `motion` a static one. The scene has no cameras yet; the report
+/// of a moving one says how many control points were added and removed: `control_points_added`,
+/// `control_points_removed`.
 ///
 /// # Errors
-/// As for [`Trainer::new`] and [`Trainer::step`]; whatever `watch` returns.
+/// As for [`Trainer::new`] and [`Trainer::step`]; [`Error::Input`](crate::Error::Input) for a
+/// checkpoint of another training; whatever `observer` returns.
 pub fn fit_posed(
     device: &Device,
     views: &[TrainingView],
     seeds: &Gaussians,
-    motion: &PosedMotion,
+    motion: Option<&PosedMotion>,
     settings: &TrainSettings,
-    watch: &mut dyn FnMut(Phase, u32, u32) -> Result<()>,
+    resume: Option<Checkpoint>,
+    observer: &mut dyn Observer,
 ) -> Result<Scene> {
-    let warm_up = ((f64::from(settings.steps) * motion.warm_up) as u32).min(settings.steps - 1);
-    let mut gaussians = seeds.clone();
-    if warm_up > 0 {
-        // Bands would explain by direction what is due to motion.
-        let still = TrainSettings {
-            steps: warm_up,
-            growth: None,
-            max_gaussians: 0,
-            sh_interval: u32::MAX,
-            ..settings.clone()
-        };
-        let mut trainer = Trainer::new(device, views, seeds, None, still)?;
-        run(&mut trainer, Phase::Static, warm_up, watch)?;
-        gaussians = trainer.gaussians()?;
-    }
-    gaussians.motion_logits = vec![STRENGTH; gaussians.len()];
-    let start = MotionStart {
-        points: spread(
-            &gaussians,
-            sequence::first_control_points(motion.control_points),
-            settings.seed,
-        )?,
-        network: DeformNet::random(motion.network, settings.seed),
-        neighbours: motion.neighbours,
+    let Some(motion) = motion else {
+        let gaussians = fit_static(device, views, seeds, settings.clone(), resume, observer)?;
+        return Ok(Scene::of(gaussians));
     };
+    let warm_up = ((f64::from(settings.steps) * motion.warm_up) as u32).min(settings.steps - 1);
     let steps = settings.steps - warm_up;
     let control = Some(ControlSettings::scaled_to(steps, motion.control_points));
     let joint = TrainSettings {
@@ -93,8 +77,35 @@ pub fn fit_posed(
         motion: MotionSettings { control, ..settings.motion },
         ..settings.clone()
     };
-    let mut trainer = Trainer::new(device, views, &gaussians, Some(&start), joint)?;
-    run(&mut trainer, Phase::Joint, steps, watch)?;
+    let mut trainer = match resume {
+        Some(Checkpoint::Joint(state)) => Trainer::resume(device, views, state, joint)?,
+        earlier => {
+            let mut gaussians = seeds.clone();
+            if warm_up > 0 {
+                // Bands would explain by direction what is due to motion.
+                let still = TrainSettings {
+                    steps: warm_up,
+                    growth: None,
+                    max_gaussians: 0,
+                    sh_interval: u32::MAX,
+                    ..settings.clone()
+                };
+                gaussians = fit_static(device, views, seeds, still, earlier, observer)?;
+            }
+            gaussians.motion_logits = vec![STRENGTH; gaussians.len()];
+            let start = MotionStart {
+                points: spread(
+                    &gaussians,
+                    sequence::first_control_points(motion.control_points),
+                    settings.seed,
+                )?,
+                network: DeformNet::random(motion.network, settings.seed),
+                neighbours: motion.neighbours,
+            };
+            Trainer::new(device, views, &gaussians, Some(&start), joint)?
+        }
+    };
+    run(&mut trainer, Phase::Joint, observer, Checkpoint::Joint)?;
     let mut scene = Scene::of(trainer.gaussians()?);
     if let Some((points, network)) = trainer.motion()? {
         scene.control_points = points;
@@ -103,6 +114,23 @@ pub fn fit_posed(
     scene.neighbours = motion.neighbours.min(scene.control_points.len()) as u32;
     scene.report = sequence::report(trainer.control_changes());
     Ok(scene)
+}
+
+fn fit_static(
+    device: &Device,
+    views: &[TrainingView],
+    seeds: &Gaussians,
+    settings: TrainSettings,
+    resume: Option<Checkpoint>,
+    observer: &mut dyn Observer,
+) -> Result<Gaussians> {
+    let mut trainer = match resume {
+        Some(Checkpoint::Static(state)) => Trainer::resume(device, views, state, settings)?,
+        Some(other) => return Err(other.foreign()),
+        None => Trainer::new(device, views, seeds, None, settings)?,
+    };
+    run(&mut trainer, Phase::Static, observer, Checkpoint::Static)?;
+    trainer.gaussians()
 }
 
 /// Control points spread over the Gaussians that the warm-up has made more opaque than they began;

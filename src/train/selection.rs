@@ -15,6 +15,7 @@ use crate::ops::deform::SoftMotion;
 use crate::ops::mask::{self, VoteArgs};
 use crate::ops::motion::SoftGradients;
 use crate::types::AdamSettings;
+use serde::{Deserialize, Serialize};
 
 /// The motion logits of a scene's Gaussians.
 pub(super) struct Selection {
@@ -34,6 +35,14 @@ struct Training {
     /// Their quotient; 1 before the first vote.
     evidence: Buffer<f32>,
     colours: Buffer<[f32; 4]>,
+}
+
+/// What [`Selection::state`] gives and [`Selection::set_state`] takes: moments, votes, evidence.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SelectionState {
+    moments: [Vec<f32>; 2],
+    votes: Vec<f32>,
+    evidence: Vec<f32>,
 }
 
 impl Selection {
@@ -77,6 +86,35 @@ impl Selection {
         let mut logits = stream.download(&self.logits)?;
         logits.truncate(count);
         Ok(logits)
+    }
+
+    /// Waits and reads what the first `count` Gaussians have besides their logits; `None` where these
+    /// are not trained.
+    pub(super) fn state(
+        &self,
+        stream: &mut Stream,
+        count: usize,
+    ) -> Result<Option<SelectionState>> {
+        let Some(training) = &self.training else { return Ok(None) };
+        let mut read = |buffer: &Buffer<f32>, len: usize| -> Result<Vec<f32>> {
+            let mut values = stream.download(buffer)?;
+            values.truncate(len);
+            Ok(values)
+        };
+        Ok(Some(SelectionState {
+            moments: [read(&training.first, count)?, read(&training.second, count)?],
+            votes: read(&training.votes, 2 * count)?,
+            evidence: read(&training.evidence, count)?,
+        }))
+    }
+
+    /// Puts that back.
+    pub(super) fn set_state(&mut self, stream: &mut Stream, state: &SelectionState) -> Result<()> {
+        let Some(training) = &mut self.training else { return Ok(()) };
+        stream.upload(&mut training.first, &state.moments[0])?;
+        stream.upload(&mut training.second, &state.moments[1])?;
+        stream.upload(&mut training.votes, &state.votes)?;
+        stream.upload(&mut training.evidence, &state.evidence)
     }
 
     /// The training, while motion is soft.

@@ -216,8 +216,6 @@ pub struct MotionSettings {
     pub arap_weight: f64,
     /// Edges of a control point in that energy.
     pub arap_edges: usize,
-    /// Steps between searches for the control points that Gaussians follow.
-    pub refresh: u32,
     /// How control points are added and removed; `None` keeps those that there are.
     pub control: Option<ControlSettings>,
     /// How it is trained which Gaussians move; `None` keeps their motion logits.
@@ -232,7 +230,6 @@ impl Default for MotionSettings {
             rate_last: 1.6e-6,
             arap_weight: 1e-2,
             arap_edges: 10,
-            refresh: 100,
             control: None,
             selection: None,
         }

@@ -1,9 +1,10 @@
 //! The training step: deform, render, compare, differentiate, update.
 
-use super::growth::{Growth, Population, Statistics};
+use super::growth::{Growth, Statistics};
 use super::motion::{MotionStart, MotionTrainer};
 use super::optimiser::GaussianOptimiser;
 use super::photographs::{DeviceView, Studios};
+use super::rounds::ControlChanges;
 use super::selection::Selection;
 use super::settings::TrainSettings;
 use crate::data::View;
@@ -16,10 +17,11 @@ use crate::{Error, Result};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
+use serde::Serialize;
 use std::collections::VecDeque;
 
 /// A picture to train on.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct TrainingView {
     /// Its camera, of the picture's size.
     pub camera: Camera,
@@ -54,14 +56,10 @@ pub struct Progress {
     pub gaussians: usize,
 }
 
-/// Control points that came and went in training.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct ControlChanges {
-    /// Added where the loss pulled.
-    pub added: usize,
-    /// Removed where nothing followed.
-    pub removed: usize,
-}
+/// Steps between points at which the device is waited for, which Gaussians move is listed anew, and
+/// these find their control points again. A trainer's state is well defined there: with
+/// [`Trainer::state`] it can be put away, and training goes the same way whether it was or not.
+pub const SYNC_INTERVAL: u32 = 100;
 
 /// Submissions that may be under way before the host waits for the oldest: enough to keep the device
 /// busy while the next one is recorded.
@@ -76,25 +74,28 @@ struct Pending {
 /// Trains Gaussians on pictures.
 pub struct Trainer {
     device: Device,
-    stream: Stream,
-    settings: TrainSettings,
+    pub(super) stream: Stream,
+    pub(super) settings: TrainSettings,
     views: Vec<DeviceView>,
-    studios: Studios,
-    gaussians: GaussianBuffers,
+    pub(super) studios: Studios,
+    pub(super) gaussians: GaussianBuffers,
     gradients: GaussianBuffers,
-    optimiser: GaussianOptimiser,
-    growth: Option<Growth>,
+    pub(super) optimiser: GaussianOptimiser,
+    pub(super) growth: Option<Growth>,
     /// Where something reads them.
-    statistics: Option<Statistics>,
-    control_changes: ControlChanges,
-    motion: Option<MotionTrainer>,
+    pub(super) statistics: Option<Statistics>,
+    pub(super) motion: Option<MotionTrainer>,
     /// Where there is motion.
-    selection: Option<Selection>,
+    pub(super) selection: Option<Selection>,
+    pub(super) control_changes: ControlChanges,
     extent: f64,
-    step: u32,
-    rng: ChaCha8Rng,
+    /// Of the first Gaussians; what density control measures scales by.
+    pub(super) reach: f64,
+    pub(super) step: u32,
+    pub(super) rng: ChaCha8Rng,
     /// Views still to come in this round, last first.
-    round: Vec<usize>,
+    pub(super) round: Vec<usize>,
+    last_view: Option<usize>,
     pending: VecDeque<Pending>,
     idle: Vec<Readback<u32>>,
 }
@@ -106,13 +107,26 @@ impl Trainer {
     ///
     /// # Errors
     /// [`Error::Input`] without views or Gaussians; [`Error::OutOfMemory`]; [`Error::Shape`] when a
-    /// picture and its camera, weights or disparity differ in size.
+    /// picture and its camera, weights, disparity or mask differ in size.
     pub fn new(
         device: &Device,
         views: &[TrainingView],
         gaussians: &Gaussians,
         motion: Option<&MotionStart>,
         settings: TrainSettings,
+    ) -> Result<Trainer> {
+        let reach = reach(views, gaussians);
+        Trainer::with_reach(device, views, gaussians, motion, settings, reach)
+    }
+
+    /// As [`new`](Self::new), in a scene whose reach is known.
+    pub(super) fn with_reach(
+        device: &Device,
+        views: &[TrainingView],
+        gaussians: &Gaussians,
+        motion: Option<&MotionStart>,
+        settings: TrainSettings,
+        reach: f64,
     ) -> Result<Trainer> {
         if views.is_empty() || gaussians.is_empty() {
             return Err(Error::Input(
@@ -134,8 +148,6 @@ impl Trainer {
             trainer.set_dynamic(&mut stream, &logits, least, &buffers)?;
             (motion_trainer, selection) = (Some(trainer), Some(chosen));
         }
-        let extent = extent(views.iter().map(|view| &view.camera));
-        let reach = extent.max(distance(views, gaussians));
         let growth = Growth::new(device, &settings, capacity, reach)?;
         let revised = motion.is_some() && settings.motion.control.is_some();
         let statistics = match revised || growth.as_ref().is_some_and(Growth::wants_statistics) {
@@ -153,13 +165,15 @@ impl Trainer {
             optimiser: GaussianOptimiser::new(&mut stream, capacity, degree)?,
             growth,
             statistics,
-            control_changes: ControlChanges::default(),
             motion: motion_trainer,
             selection,
-            extent,
+            control_changes: ControlChanges::default(),
+            reach,
+            extent: extent(views.iter().map(|view| &view.camera)),
             step: 0,
             rng: ChaCha8Rng::seed_from_u64(settings.seed),
             round: Vec::new(),
+            last_view: None,
             pending: VecDeque::new(),
             idle: Vec::new(),
             stream,
@@ -183,21 +197,9 @@ impl Trainer {
         }
         let view = self.next_view();
         self.submit(view)?;
+        self.last_view = Some(view);
         self.step += 1;
-        let refresh = self.step.is_multiple_of(self.settings.motion.refresh.max(1));
-        let mut changed = self.revise_control_points()? || self.selection_changes(refresh);
-        if self.growth.as_ref().is_some_and(|growth| growth.due(self.step)) {
-            self.grow()?;
-            changed = true;
-        }
-        if changed {
-            self.follow()?;
-        } else if refresh && let Some(motion) = &mut self.motion {
-            let mut recorder = self.stream.record()?;
-            motion.motion.refresh(&mut recorder, self.gaussians.views().positions)?;
-            self.stream.submit(recorder)?;
-        }
-        Ok(())
+        self.rounds()
     }
 
     /// Lets only some Gaussians train; the others stay bit for bit as they are. Growth must be off.
@@ -217,59 +219,6 @@ impl Trainer {
         self.stream.upload(&mut self.optimiser.trainable, &words)
     }
 
-    /// A round of density control.
-    fn grow(&mut self) -> Result<()> {
-        let Some(growth) = &mut self.growth else { return Ok(()) };
-        let population = Population {
-            gaussians: &mut self.gaussians,
-            selection: self.selection.as_mut(),
-            optimiser: &mut self.optimiser,
-        };
-        growth.round(&mut self.stream, self.step, population, self.statistics.as_ref())?;
-        if let Some(statistics) = &mut self.statistics {
-            statistics.clear(&mut self.stream)?;
-        }
-        Ok(())
-    }
-
-    /// Adds and removes control points where that is due; says whether there were any.
-    fn revise_control_points(&mut self) -> Result<bool> {
-        let (Some(motion), Some(control), Some(statistics)) =
-            (&mut self.motion, &self.settings.motion.control, &mut self.statistics)
-        else {
-            return Ok(false);
-        };
-        if !control.due(self.step, self.settings.steps) {
-            return Ok(false);
-        }
-        let sums = statistics.download(&mut self.stream)?;
-        let (added, removed) = motion.revise(&mut self.stream, control, &self.gaussians, &sums)?;
-        if self.growth.is_none() {
-            statistics.clear(&mut self.stream)?;
-        }
-        self.control_changes.added += added;
-        self.control_changes.removed += removed;
-        Ok(added + removed > 0)
-    }
-
-    /// Whether other Gaussians may move from now on: while motion is soft at every refresh of what
-    /// they follow, and once more when it ends.
-    fn selection_changes(&self, refresh: bool) -> bool {
-        let soft =
-            |step| self.selection.as_ref().is_some_and(|s| s.is_soft(step, self.settings.steps));
-        soft(self.step - 1) && (refresh || !soft(self.step))
-    }
-
-    /// Takes over which Gaussians move, and what they follow.
-    fn follow(&mut self) -> Result<()> {
-        if let (Some(motion), Some(selection)) = (&mut self.motion, &self.selection) {
-            let logits = selection.download(&mut self.stream, self.gaussians.len)?;
-            let least = selection.least(self.step, self.settings.steps);
-            motion.set_dynamic(&mut self.stream, &logits, least, &self.gaussians)?;
-        }
-        Ok(())
-    }
-
     /// Waits for the steps under way; a step whose frame did not fit is done again with more room.
     ///
     /// # Errors
@@ -281,23 +230,23 @@ impl Trainer {
         Ok(())
     }
 
-    /// The last step's loss.
+    /// Waits and reads the last step's loss; none before the first step, and where the last one has
+    /// to be done again.
     ///
     /// # Errors
-    /// As for [`step`](Self::step); [`Error::Input`] before the first step.
-    pub fn loss(&mut self) -> Result<LossValue> {
-        let Some(view) = self.pending.back().map(|pending| pending.view) else {
-            return Err(Error::Input("no step is under way to take the loss of".into()));
-        };
+    /// As for [`step`](Self::step).
+    pub fn loss(&mut self) -> Result<Option<LossValue>> {
+        let Some(view) = self.last_view else { return Ok(None) };
         let view = &self.views[view];
         let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
         let studio = self.studios.for_size(&self.device, size)?;
-        studio.loss.value(
+        let value = studio.loss.value(
             &mut self.stream,
             &view.photograph,
             view.disparity.as_ref(),
             &studio.loss_scratch,
-        )
+        );
+        value.map(Some)
     }
 
     /// Waits and reads the Gaussians.
@@ -435,6 +384,7 @@ impl Trainer {
             // The device has left the parameters alone; the picture comes again.
             self.studios.grow(&self.device, size, counts.intersections)?;
             self.round.push(pending.view);
+            self.last_view = None;
         }
         Ok(())
     }
@@ -487,14 +437,16 @@ fn upload(device: &Device, view: &TrainingView) -> Result<DeviceView> {
     })
 }
 
-/// The median distance of the Gaussians from the middle of the cameras.
-fn distance(views: &[TrainingView], gaussians: &Gaussians) -> f64 {
-    let sum: glam::DVec3 = views.iter().map(|view| view.camera.centre()).sum();
-    let middle = sum / views.len() as f64;
+/// The extent of the cameras, or the median distance of the Gaussians from the cameras' middle where
+/// that is more.
+fn reach(views: &[TrainingView], gaussians: &Gaussians) -> f64 {
+    let cameras = views.iter().map(|view| &view.camera);
+    let sum: glam::DVec3 = cameras.clone().map(Camera::centre).sum();
+    let middle = sum / views.len().max(1) as f64;
     let from = |p: &[f32; 3]| glam::Vec3::from(*p).as_dvec3().distance(middle);
     let mut all: Vec<f64> = gaussians.positions.iter().map(from).collect();
-    let at = all.len() / 2;
-    *all.select_nth_unstable_by(at, f64::total_cmp).1
+    all.sort_by(f64::total_cmp);
+    extent(cameras).max(all.get(all.len() / 2).copied().unwrap_or(0.0))
 }
 
 /// 1.1 times the largest distance of a camera from their mean: the unit of the positions' learning

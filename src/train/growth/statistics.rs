@@ -48,9 +48,16 @@ impl Statistics {
         )
     }
 
-    /// Waits and reads them, two values for each Gaussian.
-    pub(in crate::train) fn download(&self, stream: &mut Stream) -> Result<Vec<f32>> {
-        stream.download(&self.sums)
+    /// Waits and reads those of the first `count` Gaussians, two values each.
+    pub(in crate::train) fn download(&self, stream: &mut Stream, count: usize) -> Result<Vec<f32>> {
+        let mut sums = stream.download(&self.sums)?;
+        sums.truncate(2 * count);
+        Ok(sums)
+    }
+
+    /// Puts them back.
+    pub(in crate::train) fn restore(&mut self, stream: &mut Stream, sums: &[f32]) -> Result<()> {
+        stream.upload(&mut self.sums, sums)
     }
 
     /// Of the first `count` Gaussians, two values each.
