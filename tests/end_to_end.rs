@@ -79,6 +79,13 @@ fn rigid_is_reconstructed_from_its_frames_alone() {
     assert!(psnr >= 21.0, "{psnr} dB on the input");
     assert!(outcome.scene.gaussians.is_dynamic() && !outcome.scene.control_points.is_empty());
     assert!(outcome.scene.network.is_some());
+    // Three quarters of the most to begin with; then as the loss asks.
+    let count = |key: &str| outcome.scene.report[key].as_u64().unwrap() as usize;
+    let (added, removed) = (count("control_points_added"), count("control_points_removed"));
+    let points = outcome.scene.control_points.len();
+    println!("{points} control points, {added} added, {removed} removed");
+    assert_eq!(points + removed, 48 + added);
+    assert!(added > 0 && points <= 64, "{points}, {added} added");
     common::assert_valid(&outcome.device);
 }
 

@@ -10,8 +10,9 @@ use splat4d::observe::EngineFlow;
 use splat4d::scene::Scene;
 use splat4d::track::{Options, track};
 use splat4d::train::{
-    Checkpoint, GrowthSettings, Observer, Phase, PosedMotion, Sequence, SequenceSettings,
-    TrainSettings, Trainer, TrainingView, fit_posed, fit_sequence, random_points, seed_from_points,
+    AdaptiveSettings, Checkpoint, GrowthSettings, McmcSettings, Observer, Phase, PosedMotion,
+    Sequence, SequenceSettings, TrainSettings, Trainer, TrainingView, fit_posed, fit_sequence,
+    random_points, seed_from_points,
 };
 use splat4d::types::{Camera, FlowSettings};
 
@@ -69,6 +70,7 @@ fn posed(clip: &synth::Clip) -> Vec<TrainingView> {
             image: image.clone(),
             weights: None,
             disparity: None,
+            mask: None,
         })
         .collect()
 }
@@ -80,7 +82,11 @@ fn growing(steps: u32) -> TrainSettings {
         sh_interval: 150,
         max_gaussians: 1200,
         // Out of step with the checkpoints, so that rounds fall between them.
-        growth: Some(GrowthSettings { from: 40, every: 30, ..GrowthSettings::default() }),
+        growth: Some(GrowthSettings::Mcmc(McmcSettings {
+            from: 40,
+            every: 30,
+            ..McmcSettings::default()
+        })),
         seed: 5,
         ..TrainSettings::default()
     }
@@ -99,6 +105,22 @@ fn posed_pictures_static_and_moving() {
 
     let motion = PosedMotion { warm_up: 0.4, control_points: 20, ..PosedMotion::default() };
     let settings = growing(320);
+    let places = resumes(|resume, observer| {
+        fit_posed(&device, &views, &seeds, Some(&motion), &settings, resume, observer)
+    });
+    assert_eq!(places, [(Phase::Static, 100), (Phase::Joint, 100)]);
+
+    let adaptive = AdaptiveSettings {
+        until: 0.9,
+        every: 30,
+        reset_every: 80,
+        ..AdaptiveSettings::scaled_to(192)
+    };
+    let settings = TrainSettings {
+        growth: Some(GrowthSettings::Adaptive(adaptive)),
+        max_gaussians: 5000,
+        ..settings
+    };
     let places = resumes(|resume, observer| {
         fit_posed(&device, &views, &seeds, Some(&motion), &settings, resume, observer)
     });

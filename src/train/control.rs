@@ -69,14 +69,6 @@ pub(super) fn revise(
         kept.iter().copied().filter(|&n| support[n] > LEAST_SUPPORT && pull[n] > 0.0).collect();
     candidates.sort_by(|&a, &b| importance(b).total_cmp(&importance(a)).then(a.cmp(&b)));
     let median = candidates.get(candidates.len() / 2).map_or(f64::INFINITY, |&n| importance(n));
-    if std::env::var_os("LAB").is_some() {
-        let q: Vec<f64> = candidates.iter().map(|&n| importance(n) / median).collect();
-        eprintln!(
-            "importance {} of {count}: {:.2?}",
-            q.len(),
-            q.iter().step_by((q.len() / 12).max(1)).collect::<Vec<_>>()
-        );
-    }
     let most = ((settings.share * count as f64).ceil() as usize)
         .min(settings.most.saturating_sub(kept.len()));
     let mut added: Vec<(usize, DVec3)> = Vec::new();

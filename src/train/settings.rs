@@ -152,10 +152,11 @@ pub struct ControlSettings {
 
 impl ControlSettings {
     /// Some eight rounds' time in `steps`, at most 500 steps apart, the last ones left out so that
-    /// everything settles; up to `most` control points.
+    /// everything settles; up to `most` control points. Importances are means over many followers
+    /// and differ little: twice the median is rare.
     pub fn scaled_to(steps: u32, most: usize) -> ControlSettings {
         let every = (steps / 8).clamp(100, 500);
-        ControlSettings { every, until: 0.7, most, above: 4.0, share: 0.05 }
+        ControlSettings { every, until: 0.7, most, above: 1.5, share: 0.05 }
     }
 
     /// Whether a round is due after `step` of `steps`.
