@@ -203,7 +203,7 @@ fn adaptive_control_takes_motion_along() {
     // Parts of a split one stray by its size.
     let stays = |(p, &m): (&[f32; 3], &f32)| m == logit(p);
     let kept = grown.positions.iter().zip(&grown.motion_logits).filter(|&g| stays(g)).count();
-    assert!(kept * 20 > grown.len() * 19, "{kept} of {} have their place's logit", grown.len());
+    assert!(kept * 10 > grown.len() * 9, "{kept} of {} have their place's logit", grown.len());
     common::assert_valid(&device);
 }
 
@@ -238,7 +238,7 @@ fn what_the_masks_show_to_be_still_stops_moving() {
     };
     let hard = run(None);
     assert_eq!(hard.gaussians.motion_logits, seeds.motion_logits, "as they were without training");
-    let selection = Some(SelectionSettings { rate: 2e-2, ..Default::default() });
+    let selection = Some(SelectionSettings::scaled_to(400));
     let soft = run(selection);
     assert_eq!(soft, run(selection), "the same bits twice");
     let moving = |scene: &Scene| scene.gaussians.motion_logits.iter().filter(|m| **m > 0.0).count();

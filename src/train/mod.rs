@@ -6,6 +6,7 @@
 //! | [`region`] | points where there are none |
 //! | [`sampling`] | farthest-point sampling, for control points |
 //! | [`settings`] | every number that training depends on |
+//! | [`views`] | the pictures to train on |
 //! | [`photographs`] | the pictures on the device, and the renderer for each of their sizes |
 //! | [`optimiser`] | Adam over the Gaussians' parameter groups |
 //! | [`growth`] | density control: MCMC, or clone, split and prune |
@@ -39,6 +40,7 @@ pub mod settings;
 pub mod state;
 pub mod trainer;
 pub mod trajectories;
+pub mod views;
 
 pub use motion::MotionStart;
 pub use observer::{Checkpoint, Observer, Phase};
@@ -52,4 +54,5 @@ pub use settings::{
     SelectionSettings, TrainSettings,
 };
 pub use state::TrainerState;
-pub use trainer::{Progress, SYNC_INTERVAL, Trainer, TrainingView};
+pub use trainer::{Progress, SYNC_INTERVAL, Trainer};
+pub use views::TrainingView;

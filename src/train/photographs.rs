@@ -1,10 +1,11 @@
 //! The pictures on the device, and a renderer for each of their sizes.
 
-use crate::Result;
+use super::views::TrainingView;
 use crate::gpu::{Buffer, Device};
 use crate::ops::loss::{KnownDisparity, Loss, LossScratch, Photograph};
 use crate::ops::render::{BackwardScratch, PixelBuffers, PixelGradients, Render, RenderScratch};
 use crate::types::{Camera, RenderSettings};
+use crate::{Error, Result};
 use std::collections::BTreeMap;
 
 /// A picture to train on, on the device.
@@ -14,6 +15,56 @@ pub(super) struct DeviceView {
     pub(super) photograph: Photograph,
     pub(super) disparity: Option<KnownDisparity>,
     pub(super) mask: Option<Buffer<f32>>,
+}
+
+impl DeviceView {
+    /// Uploads a picture and all that is known of it.
+    pub(super) fn new(device: &Device, view: &TrainingView) -> Result<DeviceView> {
+        let k = view.camera.intrinsics;
+        if (k.width, k.height) != (view.image.width, view.image.height) {
+            return Err(Error::Shape {
+                op: "training view",
+                arg: "camera",
+                expected: format!("{}×{} pixels", view.image.width, view.image.height),
+                actual: (k.width * k.height) as usize,
+            });
+        }
+        let disparity = match &view.disparity {
+            None => None,
+            Some(known) => {
+                if known.pixels.len() != 2 * view.image.pixels.len() / 3 {
+                    return Err(Error::Shape {
+                        op: "training view",
+                        arg: "disparity",
+                        expected: format!("{}", 2 * view.image.pixels.len() / 3),
+                        actual: known.pixels.len(),
+                    });
+                }
+                Some(KnownDisparity::new(device, bytemuck::cast_slice(&known.pixels))?)
+            }
+        };
+        let mask = match &view.mask {
+            None => None,
+            Some(mask) if mask.pixels.len() == view.image.pixels.len() / 3 => {
+                Some(device.upload("motion mask", &mask.pixels)?)
+            }
+            Some(mask) => {
+                return Err(Error::Shape {
+                    op: "training view",
+                    arg: "mask",
+                    expected: format!("{}", view.image.pixels.len() / 3),
+                    actual: mask.pixels.len(),
+                });
+            }
+        };
+        Ok(DeviceView {
+            camera: view.camera,
+            time: view.time,
+            photograph: Photograph::new(device, &view.image, view.weights.as_ref())?,
+            disparity,
+            mask,
+        })
+    }
 }
 
 /// Everything that rendering and comparing pictures of one size needs.

@@ -186,6 +186,8 @@ impl Selection {
         {
             let last = settings.steps_of(steps);
             let weight = exponential(settings.mask_weight, settings.mask_weight_last, step, last);
+            // What comes in few steps counts for all.
+            let weight = weight * f64::from(settings.mask_every.max(1));
             let Studio { render, scratch, backward, pixels, pixel_gradients, .. } = studio;
             mask::paint(recorder, logits.range(0..count), training.colours.view_mut())?;
             let colours = training.colours.view();

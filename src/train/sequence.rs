@@ -22,8 +22,9 @@ use super::settings::{
     TrainSettings,
 };
 use super::state::TrainerState;
-use super::trainer::{Trainer, TrainingView};
+use super::trainer::Trainer;
 use super::trajectories::{MOVING, Trajectories, camera, lift, value};
+use super::views::TrainingView;
 use crate::data::Point;
 use crate::gpu::Device;
 use crate::scene::{Scene, SceneCamera};
@@ -364,10 +365,9 @@ fn joint_settings(settings: &SequenceSettings) -> TrainSettings {
             rate: 4e-4,
             rate_last: 2e-5,
             control: Some(ControlSettings::scaled_to(settings.steps, settings.control_points)),
-            // Few steps: logits may move faster than over tens of thousands.
             selection: settings
                 .train_selection
-                .then(|| SelectionSettings { rate: 1e-2, ..SelectionSettings::default() }),
+                .then(|| SelectionSettings::scaled_to(settings.steps)),
             ..MotionSettings::default()
         },
         seed: settings.seed,

@@ -175,7 +175,7 @@ pub struct SelectionSettings {
     pub until: f64,
     /// Logit below which a Gaussian is clearly static: it neither moves nor pays for it.
     pub least_logit: f32,
-    /// Weight of the mask loss at the first step.
+    /// Weight of the mask loss at the first step, on average over all steps.
     pub mask_weight: f64,
     /// At the last step with soft motion.
     pub mask_weight_last: f64,
@@ -185,11 +185,14 @@ pub struct SelectionSettings {
     pub rigid_weight: f64,
 }
 
-impl Default for SelectionSettings {
-    fn default() -> Self {
+impl SelectionSettings {
+    /// For so many steps. A logit's way is its rate times its steps: SC-GS's rate of 2.5e-3, there
+    /// over 10,000 steps with a mask loss, goes up as these become fewer, to 0.1 at most.
+    pub fn scaled_to(steps: u32) -> SelectionSettings {
+        let until = 0.6;
         SelectionSettings {
-            rate: 2.5e-3,
-            until: 0.6,
+            rate: (25.0 / (until * f64::from(steps.max(1)))).clamp(2.5e-3, 0.1),
+            until,
             least_logit: -2.0,
             mask_weight: 0.5,
             mask_weight_last: 1e-2,
@@ -197,9 +200,7 @@ impl Default for SelectionSettings {
             rigid_weight: 1e-2,
         }
     }
-}
 
-impl SelectionSettings {
     /// The steps of `steps` in which motion is soft.
     pub(super) fn steps_of(&self, steps: u32) -> u32 {
         (f64::from(steps) * self.until.clamp(0.0, 1.0)) as u32

@@ -7,43 +7,17 @@ use super::photographs::{DeviceView, Studios};
 use super::rounds::ControlChanges;
 use super::selection::Selection;
 use super::settings::TrainSettings;
-use crate::data::View;
+use super::views::{TrainingView, extent, reach};
 use crate::gpu::{Device, Readback, Stream, Ticket};
 use crate::ops::gaussians::GaussianBuffers;
-use crate::ops::loss::{KnownDisparity, LossSettings, LossValue, Photograph};
+use crate::ops::loss::{LossSettings, LossValue};
 use crate::ops::render::FrameCounts;
-use crate::types::{Camera, ControlPoints, DeformNet, Gaussians, Image};
+use crate::types::{ControlPoints, DeformNet, Gaussians};
 use crate::{Error, Result};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
-use serde::Serialize;
 use std::collections::VecDeque;
-
-/// A picture to train on.
-#[derive(Clone, Debug, Serialize)]
-pub struct TrainingView {
-    /// Its camera, of the picture's size.
-    pub camera: Camera,
-    /// In [0, 1].
-    pub time: f64,
-    /// RGB in [0, 1].
-    pub image: Image,
-    /// Weight per pixel in [0, 1]; `None` for 1.
-    pub weights: Option<Image>,
-    /// Disparity (inverse depth) and its weight per pixel, two channels; `None` where unknown.
-    pub disparity: Option<Image>,
-    /// Motion mask, one channel: 1 where something moves, else 0; `None` where unknown.
-    pub mask: Option<Image>,
-}
-
-/// A dataset's picture as training wants it; what undistortion left empty has no weight.
-impl From<View> for TrainingView {
-    fn from(view: View) -> TrainingView {
-        let View { camera, time, image, valid, .. } = view;
-        TrainingView { camera, time, image, weights: valid, disparity: None, mask: None }
-    }
-}
 
 /// How far training is.
 #[derive(Clone, Copy, Debug)]
@@ -155,7 +129,7 @@ impl Trainer {
             false => None,
         };
         let device_views =
-            views.iter().map(|view| upload(device, view)).collect::<Result<Vec<_>>>()?;
+            views.iter().map(|view| DeviceView::new(device, view)).collect::<Result<Vec<_>>>()?;
         Ok(Trainer {
             device: device.clone(),
             views: device_views,
@@ -388,72 +362,4 @@ impl Trainer {
         }
         Ok(())
     }
-}
-
-fn upload(device: &Device, view: &TrainingView) -> Result<DeviceView> {
-    let k = view.camera.intrinsics;
-    if (k.width, k.height) != (view.image.width, view.image.height) {
-        return Err(Error::Shape {
-            op: "training view",
-            arg: "camera",
-            expected: format!("{}×{} pixels", view.image.width, view.image.height),
-            actual: (k.width * k.height) as usize,
-        });
-    }
-    let disparity = match &view.disparity {
-        None => None,
-        Some(known) => {
-            if known.pixels.len() != 2 * view.image.pixels.len() / 3 {
-                return Err(Error::Shape {
-                    op: "training view",
-                    arg: "disparity",
-                    expected: format!("{}", 2 * view.image.pixels.len() / 3),
-                    actual: known.pixels.len(),
-                });
-            }
-            Some(KnownDisparity::new(device, bytemuck::cast_slice(&known.pixels))?)
-        }
-    };
-    let mask = match &view.mask {
-        None => None,
-        Some(mask) if mask.pixels.len() == view.image.pixels.len() / 3 => {
-            Some(device.upload("motion mask", &mask.pixels)?)
-        }
-        Some(mask) => {
-            return Err(Error::Shape {
-                op: "training view",
-                arg: "mask",
-                expected: format!("{}", view.image.pixels.len() / 3),
-                actual: mask.pixels.len(),
-            });
-        }
-    };
-    Ok(DeviceView {
-        camera: view.camera,
-        time: view.time,
-        photograph: Photograph::new(device, &view.image, view.weights.as_ref())?,
-        disparity,
-        mask,
-    })
-}
-
-/// The extent of the cameras, or the median distance of the Gaussians from the cameras' middle where
-/// that is more.
-fn reach(views: &[TrainingView], gaussians: &Gaussians) -> f64 {
-    let cameras = views.iter().map(|view| &view.camera);
-    let sum: glam::DVec3 = cameras.clone().map(Camera::centre).sum();
-    let middle = sum / views.len().max(1) as f64;
-    let from = |p: &[f32; 3]| glam::Vec3::from(*p).as_dvec3().distance(middle);
-    let mut all: Vec<f64> = gaussians.positions.iter().map(from).collect();
-    all.sort_by(f64::total_cmp);
-    extent(cameras).max(all.get(all.len() / 2).copied().unwrap_or(0.0))
-}
-
-/// 1.1 times the largest distance of a camera from their mean: the unit of the positions' learning
-/// rate. Cameras in one place give 1.
-fn extent<'a>(cameras: impl Iterator<Item = &'a Camera> + Clone) -> f64 {
-    let centres: Vec<_> = cameras.map(Camera::centre).collect();
-    let mean = centres.iter().copied().sum::<glam::DVec3>() / centres.len().max(1) as f64;
-    let largest = centres.iter().map(|c| c.distance(mean)).fold(0.0, f64::max);
-    if largest > 1e-6 { 1.1 * largest } else { 1.0 }
 }

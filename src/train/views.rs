@@ -1,0 +1,51 @@
+//! The pictures to train on, and how large the scene is that they show.
+
+use crate::data::View;
+use crate::types::{Camera, Gaussians, Image};
+use serde::Serialize;
+
+/// A picture to train on.
+#[derive(Clone, Debug, Serialize)]
+pub struct TrainingView {
+    /// Its camera, of the picture's size.
+    pub camera: Camera,
+    /// In [0, 1].
+    pub time: f64,
+    /// RGB in [0, 1].
+    pub image: Image,
+    /// Weight per pixel in [0, 1]; `None` for 1.
+    pub weights: Option<Image>,
+    /// Disparity (inverse depth) and its weight per pixel, two channels; `None` where unknown.
+    pub disparity: Option<Image>,
+    /// Motion mask, one channel: 1 where something moves, else 0; `None` where unknown.
+    pub mask: Option<Image>,
+}
+
+/// A dataset's picture as training wants it; what undistortion left empty has no weight.
+impl From<View> for TrainingView {
+    fn from(view: View) -> TrainingView {
+        let View { camera, time, image, valid, .. } = view;
+        TrainingView { camera, time, image, weights: valid, disparity: None, mask: None }
+    }
+}
+
+/// The extent of the cameras, or the median distance of the Gaussians from the cameras' middle where
+/// that is more.
+pub(super) fn reach(views: &[TrainingView], gaussians: &Gaussians) -> f64 {
+    let cameras = views.iter().map(|view| &view.camera);
+    let sum: glam::DVec3 = cameras.clone().map(Camera::centre).sum();
+    let middle = sum / views.len().max(1) as f64;
+    let from = |p: &[f32; 3]| glam::Vec3::from(*p).as_dvec3().distance(middle);
+    let mut all: Vec<f64> = gaussians.positions.iter().map(from).collect();
+    all.sort_by(f64::total_cmp);
+    extent(cameras).max(all.get(all.len() / 2).copied().unwrap_or(0.0))
+}
+
+/// 1.1 times the largest distance of a camera from their mean: the unit of the positions' learning
+/// rate. Cameras in one place give 1.
+pub(super) fn extent<'a>(cameras: impl Iterator<Item = &'a Camera> + Clone) -> f64 {
+    let centres: Vec<_> = cameras.map(Camera::centre).collect();
+    let mean = centres.iter().copied().sum::<glam::DVec3>() / centres.len().max(1) as f64;
+    let largest = centres.iter().map(|c| c.distance(mean)).fold(0.0, f64::max);
+    if largest > 1e-6 { 1.1 * largest } else { 1.0 }
+}
