@@ -4,6 +4,7 @@
 //! exit codes: 0 done, 1 the job failed, 2 wrong usage, 130 stopped by Ctrl-C.
 
 mod bench;
+mod checkpoints;
 mod clock;
 mod common;
 mod devices;
@@ -23,6 +24,7 @@ mod synth;
 mod train;
 mod tuning;
 mod values;
+mod watcher;
 
 use std::io::Write;
 use std::process::ExitCode;

@@ -1,10 +1,12 @@
 //! What every reader and writer of files needs: whole-file reads with the path in the error, writes
-//! by rename, a bounds-checked cursor over bytes, and the PLY container.
+//! by rename, a bounds-checked cursor over bytes, the PLY container, and files of state.
 
 mod bytes;
 pub mod ply;
+mod state;
 
 pub use bytes::Bytes;
+pub use state::{Identity, checksum, read_state, write_state};
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
