@@ -8,7 +8,6 @@ use super::rows::{NARROW, compare_image, thousands};
 use super::scenes::{all_dynamic, camera, cloud, control_points, network, rng};
 use super::truth::cloud_at;
 use super::verify::Check;
-use crate::Result;
 use crate::check::Bound;
 use crate::geometry::bundle::{Observation, Options, Point, Problem, adjust, project};
 use crate::gpu::Device;
@@ -22,6 +21,7 @@ use crate::report::{Place, Work};
 use crate::scene::Scene;
 use crate::train::{MotionStart, TrainSettings, Trainer, TrainingView};
 use crate::types::{FlowSettings, Gaussians, Image, Intrinsics, Pose, RenderSettings};
+use crate::{Error, Result};
 use glam::{DQuat, DVec2, DVec3};
 use rand::RngExt;
 
@@ -136,7 +136,9 @@ fn step(device: &Device, seed: u64, n: usize, moving: bool) -> Result<Job> {
     };
     let mut trainer = Trainer::new(device, &views, &gaussians, start.as_ref(), settings.clone())?;
     trainer.step()?;
-    let value = trainer.loss()?;
+    let value = trainer
+        .loss()?
+        .ok_or_else(|| Error::Failed("a training step went without leaving its loss".into()))?;
     let after = trainer.gaussians()?;
     let mut scene = Scene::of(gaussians.clone());
     if let Some(MotionStart { points, network, neighbours }) = start.clone() {

@@ -6,7 +6,6 @@ mod student;
 pub use choose::{Budget, ErrorMeasure, choose};
 
 use super::job::{Job, Pace};
-use super::rows::NARROW;
 use super::{scenes, truth};
 use crate::gpu::Device;
 use crate::renderer::Renderer;
@@ -234,15 +233,17 @@ pub fn sweep_motion(
     let camera = scenes::camera(240, 136);
     let mut scene = Scene::of(scenes::all_dynamic(scenes::cloud(seed, gaussians, 1, &camera)));
     scene.control_points = scenes::control_points(seed, nodes, &camera);
-    scene.network = Some(scenes::swing(seed));
+    let network = scenes::swing(seed);
+    let shape = network.shape;
+    scene.network = Some(network);
     let shots = views(&camera, &[0.2, 0.7]);
     let name = "moving, synthetic";
     let mut sweep = sweep(device, name, &scene, &shots, pace, each)?;
     let truths: Vec<Vec<f64>> = shots.iter().map(|shot| truth::image(&scene, shot)).collect();
     let widths: &[u32] = if quick { &[16, 32] } else { &[16, 32, 64, 128] };
     for &width in widths {
-        let shape = NetShape { width, ..NARROW };
-        let steps = if quick { 40 } else { 250 };
+        let shape = NetShape { width, ..shape };
+        let steps = if quick { 60 } else { 500 };
         let fitted = student::fit(device, &scene, shape, steps, seed)?;
         let student = Scene { network: Some(fitted), ..scene.clone() };
         let tuning = Tuning::default();
