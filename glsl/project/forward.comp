@@ -24,8 +24,8 @@ layout(std430, binding = 12) writeonly buffer Rectangles { uvec2 rectangles[]; }
 layout(std430, binding = 13) writeonly buffer TileCounts { uint tile_counts[]; };
 layout(std430, binding = 14) writeonly buffer Visible { uint visible[]; };
 
-// 1 where the spherical harmonics are 16-bit floats, two to a word, the first in the low half.
-layout(constant_id = 0) const uint HALF_SH = 0u;
+// Whether the spherical harmonics are 16-bit floats, two to a word, the first in the low half.
+layout(constant_id = 0) const bool HALF_SH = false;
 
 layout(push_constant) uniform Params {
     uint count;
@@ -46,7 +46,7 @@ layout(push_constant) uniform Params {
 
 // Value `at` of a band. A macro, since GLSL passes no buffers.
 #define SH(band, at)                                            \
-    (HALF_SH != 0u ? unpackHalf2x16(band[(at) >> 1])[(at) & 1u] \
+    (HALF_SH ? unpackHalf2x16(band[(at) >> 1])[(at) & 1u] \
                    : uintBitsToFloat(band[at]))
 #define SH_RGB(band, at) vec3(SH(band, at), SH(band, (at) + 1u), SH(band, (at) + 2u))
 

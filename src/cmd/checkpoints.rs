@@ -78,16 +78,22 @@ impl Checkpoints {
         !self.every.is_zero() && self.saved.elapsed() >= self.every
     }
 
-    /// Puts a part of the work away, unless checkpoints are off.
-    pub fn save<T: Serialize>(&mut self, part: &'static str, value: &T) -> Result<()> {
+    /// Puts a part of the work away, unless checkpoints are off. Where that fails (a full disk), the
+    /// work goes on: it is worth more than its checkpoint, and the one before is still there.
+    pub fn save<T: Serialize>(&mut self, part: &'static str, value: &T) {
         debug_assert!(PARTS.contains(&part));
         if self.every.is_zero() {
-            return Ok(());
+            return;
         }
-        write_state(&self.folder.join(part), part, &self.identity, value)?;
+        match write_state(&self.folder.join(part), part, &self.identity, value) {
+            Ok(()) => self.usable = true,
+            Err(error) => {
+                // Unless an earlier checkpoint lies there, the folder is empty.
+                let _ = std::fs::remove_dir(&self.folder);
+                say(&format!("note: no checkpoint could be written: {error}; going on"));
+            }
+        }
         self.saved = Instant::now();
-        self.usable = true;
-        Ok(())
     }
 
     /// Fails once the user has asked to stop, naming what to resume from.

@@ -75,10 +75,10 @@ pub struct ReconstructArgs {
     #[arg(long, value_name = "N", default_value_t = SequenceSettings::default().steps,
           value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
-    /// Most Gaussians
-    #[arg(long, value_name = "N", default_value_t = SequenceSettings::default().max_gaussians,
+    /// Most Gaussians [default: 40,000, or one for every three pixels of a frame]
+    #[arg(long, value_name = "N",
           value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(16..))]
-    max_gaussians: usize,
+    max_gaussians: Option<usize>,
     /// Most control points
     #[arg(long, value_name = "N", default_value_t = SequenceSettings::default().control_points,
           value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
@@ -143,14 +143,14 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     ));
     clock.lap("load");
 
-    let settings = settings(args, common);
+    let settings = settings(args, common, (width, height));
     let identity = identity(args, &frames, &options, &settings);
     let mut checkpoints = Checkpoints::new(&args.output, &args.checkpoints, identity);
     let track = match checkpoints.load("track")? {
         Some(track) => track,
         None => {
             let track = observe(args, &device, &frames, &options, &checkpoints, &mut clock)?;
-            checkpoints.save("track", &track)?;
+            checkpoints.save("track", &track);
             track
         }
     };
@@ -215,8 +215,8 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     Ok(Answer { text: text(&json, &clock), json })
 }
 
-fn settings(args: &ReconstructArgs, common: &Common) -> SequenceSettings {
-    let usual = SequenceSettings::default();
+fn settings(args: &ReconstructArgs, common: &Common, size: (u32, u32)) -> SequenceSettings {
+    let usual = SequenceSettings::for_size(size.0, size.1);
     let in_proportion = |steps: u32| {
         (u64::from(steps) * u64::from(args.steps)).div_ceil(u64::from(usual.steps)) as u32
     };
@@ -224,7 +224,7 @@ fn settings(args: &ReconstructArgs, common: &Common) -> SequenceSettings {
         static_steps: in_proportion(usual.static_steps),
         control_steps: in_proportion(usual.control_steps),
         steps: args.steps,
-        max_gaussians: args.max_gaussians,
+        max_gaussians: args.max_gaussians.unwrap_or(usual.max_gaussians),
         control_points: args.control_points,
         sh_degree: args.sh_degree,
         seed: common.seed,

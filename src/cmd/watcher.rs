@@ -75,6 +75,7 @@ impl Observer for Watcher<'_> {
     }
 
     fn checkpoint(&mut self, checkpoint: &Checkpoint) -> Result<()> {
-        self.checkpoints.save("training", checkpoint)
+        self.checkpoints.save("training", checkpoint);
+        Ok(())
     }
 }

@@ -25,6 +25,23 @@ pub fn read(path: &Path) -> Result<Vec<u8>> {
     std::fs::read(path).map_err(Error::io(path))
 }
 
+/// Bytes that a compressed file may unpack to whatever its own size.
+const UNPACKED: u64 = 64 << 20;
+/// Times its size that a larger one may unpack to: beyond deflate's best, 1032.
+const UNPACKED_SHARE: u64 = 1100;
+
+/// That a file of `packed` bytes may hold what its header announces, before memory is asked for:
+/// damage must not ask for the machine's.
+pub fn check_unpacked(path: &Path, unpacked: u64, packed: usize) -> Result<()> {
+    if unpacked <= UNPACKED.max(UNPACKED_SHARE.saturating_mul(packed as u64)) {
+        return Ok(());
+    }
+    Err(Error::format(
+        path,
+        format!("its header announces {unpacked} bytes, which its {packed} bytes cannot hold"),
+    ))
+}
+
 /// Reads a whole text file; the error names it.
 pub fn read_text(path: &Path) -> Result<String> {
     String::from_utf8(read(path)?).map_err(|e| {

@@ -35,7 +35,7 @@ pub enum Checkpoint {
         /// What the stage began with.
         start: MotionStart,
         /// The temporary Gaussians and the network.
-        trainer: TrainerState,
+        trainer: Box<TrainerState>,
     },
     /// Under way in [`Phase::Joint`].
     Joint(TrainerState),

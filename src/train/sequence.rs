@@ -55,6 +55,15 @@ pub struct SequenceSettings {
     pub seed: u64,
 }
 
+impl SequenceSettings {
+    /// For frames of some size: a Gaussian for every three pixels where the frames are large.
+    pub fn for_size(width: u32, height: u32) -> SequenceSettings {
+        let usual = SequenceSettings::default();
+        let pixels = width as usize * height as usize;
+        SequenceSettings { max_gaussians: usual.max_gaussians.max(pixels / 3), ..usual }
+    }
+}
+
 impl Default for SequenceSettings {
     fn default() -> Self {
         SequenceSettings {
@@ -196,7 +205,7 @@ impl BeforeJoint<'_> {
         observer: &mut dyn Observer,
     ) -> Result<(Gaussians, MotionStart)> {
         let (still, start, state) = match resume {
-            Some(Checkpoint::Control { still, start, trainer }) => (still, start, Some(trainer)),
+            Some(Checkpoint::Control { still, start, trainer }) => (still, start, Some(*trainer)),
             Some(Checkpoint::Static(state)) => {
                 let still = self.static_world(seeds, Some(state), observer)?;
                 (still, self.follow_trajectories(observer)?, None)
@@ -308,7 +317,7 @@ impl BeforeJoint<'_> {
         run(&mut trainer, Phase::Control, observer, |trainer| Checkpoint::Control {
             still: still.clone(),
             start: start.clone(),
-            trainer,
+            trainer: Box::new(trainer),
         })?;
         Ok(trainer.motion()?.map_or_else(|| start.network.clone(), |(_, network)| network))
     }
