@@ -35,6 +35,8 @@
 //! | [`train`] | seeding, the training step, schedules | all of the above but vk, kernels, oracle |
 //! | [`renderer`] | a scene on a device, rendered from any camera at any time | gpu, ops, scene |
 //! | [`check`] | cases: every kernel against its oracle | gpu, kernels, oracle, ops |
+//! | `report` | measurements: JSON, CSV, plots, a page, comparisons (feature `bench`) | io |
+//! | `bench` | every op and pipeline, verified, then timed; speed against error (feature `bench`) | all of the above |
 //!
 //! The command line (`src/main.rs`, `src/cmd/`) uses the crate as any other user does.
 //!
@@ -61,6 +63,8 @@
 //! ```
 #![deny(unsafe_code)]
 
+#[cfg(feature = "bench")]
+pub mod bench;
 pub mod check;
 pub mod data;
 pub mod error;
@@ -73,6 +77,8 @@ pub mod observe;
 pub mod ops;
 pub mod oracle;
 pub mod renderer;
+#[cfg(feature = "bench")]
+pub mod report;
 pub mod scene;
 pub mod track;
 pub mod train;

@@ -2,11 +2,11 @@
 
 use crate::Result;
 use crate::gpu::{Device, Stream};
-use crate::ops::gaussians::GaussianBuffers;
+use crate::ops::gaussians::{GaussianBuffers, HalfHarmonics};
 use crate::ops::motion::Motion;
 use crate::ops::render::{PixelBuffers, Render, RenderScratch};
 use crate::scene::Scene;
-use crate::types::{Camera, Image, RenderSettings};
+use crate::types::{Camera, Image, RenderSettings, Tuning};
 
 /// An image as the device blended it.
 #[derive(Clone, Debug)]
@@ -47,6 +47,8 @@ pub struct Renderer {
     gaussians: GaussianBuffers,
     motion: Option<Motion>,
     settings: RenderSettings,
+    tuning: Tuning,
+    half: Option<HalfHarmonics>,
     studio: Option<Studio>,
 }
 
@@ -63,12 +65,22 @@ impl Renderer {
     /// [`Error::OutOfMemory`](crate::Error::OutOfMemory), or a scene whose arrays do not fit
     /// together.
     pub fn new(device: &Device, scene: &Scene) -> Result<Renderer> {
+        Renderer::tuned(device, scene, &Tuning::default())
+    }
+
+    /// Puts a scene on a device, to be rendered with some accuracy given up for speed.
+    ///
+    /// # Errors
+    /// As for [`new`](Self::new); [`Error::Input`](crate::Error::Input) for settings out of range.
+    pub fn tuned(device: &Device, scene: &Scene, tuning: &Tuning) -> Result<Renderer> {
+        tuning.check()?;
         let mut stream = device.stream()?;
         let gaussians = GaussianBuffers::from_host(&mut stream, &scene.gaussians)?;
         let motion = match &scene.network {
             Some(network) if scene.gaussians.is_dynamic() => {
                 let points = &scene.control_points;
-                let k = (scene.neighbours as usize).min(points.len());
+                let most = tuning.neighbours.unwrap_or(scene.neighbours).min(scene.neighbours);
+                let k = (most as usize).min(points.len());
                 let count = scene.gaussians.len();
                 let mut motion = Motion::new(&mut stream, points, network, k, count, 1)?;
                 motion.set_dynamic(&mut stream, &scene.gaussians.motion_logits, 0.0)?;
@@ -79,8 +91,20 @@ impl Renderer {
             }
             _ => None,
         };
-        let settings = scene.settings;
-        Ok(Renderer { device: device.clone(), stream, gaussians, motion, settings, studio: None })
+        let half = match tuning.half_sh {
+            true => Some(HalfHarmonics::from_host(device, &scene.gaussians)?),
+            false => None,
+        };
+        Ok(Renderer {
+            device: device.clone(),
+            stream,
+            gaussians,
+            motion,
+            settings: tuning.apply(scene.settings),
+            tuning: *tuning,
+            half,
+            studio: None,
+        })
     }
 
     /// Renders the scene as `camera` sees it at `time` in [0, 1], and waits for it.
@@ -103,6 +127,10 @@ impl Renderer {
             let studio = self.studio.as_mut().expect("planned above");
             let mut recorder = self.stream.record()?;
             let mut views = self.gaussians.views();
+            if let Some(half) = &self.half {
+                views = half.replace(views);
+            }
+            views = views.at_degree(self.tuning.sh_degree);
             if let Some(motion) = &mut self.motion {
                 motion.forward(&mut recorder, &views, &[time as f32], None)?;
                 views = motion.moved(views);
@@ -126,7 +154,9 @@ impl Renderer {
 
     fn plan(&self, width: u32, height: u32, room: usize) -> Result<Studio> {
         let gaussians = self.gaussians.len;
-        let render = Render::plan(&self.device, gaussians, room, width, height, self.settings)?;
+        let render = Render::plan(&self.device, gaussians, room, width, height, self.settings)?
+            .with_depth_bits(&self.device, self.tuning.depth_bits)?
+            .with_raster(self.tuning.raster);
         Ok(Studio {
             scratch: render.scratch(&self.device)?,
             pixels: render.pixels(&self.device)?,

@@ -145,6 +145,36 @@ fn times_come_per_dispatch() {
 }
 
 #[test]
+fn the_meter_adds_up_work_and_leaves_transfers_out() {
+    let device = common::device();
+    assert_eq!(device.stop_meter(), None, "it was never started");
+    if !device.start_meter() {
+        println!("SKIPPED (no timestamps): {}", device.info().name);
+        return;
+    }
+    let mut stream = device.stream().unwrap();
+    let counts = device.upload("count", &vec![5u32; 1 << 20]).unwrap();
+    stream.download(&counts).unwrap();
+    assert_eq!(device.stop_meter(), Some(0.0), "transfers do not count");
+    assert!(device.start_meter());
+    let mut grid = device.buffer::<u32>("grid", 3).unwrap();
+    let begun = std::time::Instant::now();
+    for _ in 0..3 {
+        let mut recorder = stream.record().unwrap();
+        // A profile of the same recording takes its own timestamps.
+        recorder.profile().unwrap();
+        indirect::record_arguments(&mut recorder, counts.view(), 0, 9, 1, grid.view_mut(), 0)
+            .unwrap();
+        let ticket = stream.submit(recorder).unwrap();
+        assert_eq!(stream.times(ticket).unwrap().len(), 1);
+    }
+    let wall = begun.elapsed().as_nanos() as f64;
+    let metered = device.stop_meter().unwrap();
+    assert!(metered > 0.0 && metered <= wall, "{metered} of {wall} ns");
+    common::assert_valid(&device);
+}
+
+#[test]
 fn a_device_that_does_not_exist_lists_those_that_do() {
     let request = Request { selector: Selector::Name("no such card".into()), ..Request::default() };
     let error = Device::open(&request).err().expect("no such card exists").to_string();

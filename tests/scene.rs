@@ -1,5 +1,6 @@
 //! The scene's file and 3DGS PLY: round trips, other programs' spellings, and damage.
 
+mod common;
 mod support;
 
 use std::fs;
@@ -473,7 +474,7 @@ fn ply_that_is_something_else_is_told() {
         message(ply::read(&path, false))
     };
     says(&header("x y z red green blue"), &["point cloud"]);
-    says(&header("packed_position"), &["compressed PLY"]);
+    says(&header("packed_position"), &["compressed PLY", "no element `chunk`"]);
     says(&header("x y z"), &["not a 3DGS PLY", "`opacity`"]);
     let all = "x y z opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3 f_dc_0 f_dc_1 f_dc_2";
     says(&header(&format!("{all} f_rest_0")), &["1 f_rest_*"]);
@@ -486,6 +487,95 @@ fn ply_that_is_something_else_is_told() {
     says(&message(ply::read(&path, false)), &["header line 3"]);
     fs::write(&path, "ply\nelement vertex 0\nend_header\n").unwrap();
     says(&message(ply::read(&path, false)), &["no format"]);
+}
+
+/// A compressed PLY of `count` Gaussians, all with the same words, and their harmonics' bytes.
+fn compressed(count: usize, words: [u32; 4], sh: &[u8]) -> Vec<u8> {
+    let bounds = ["x", "y", "z", "scale_x", "scale_y", "scale_z", "r", "g", "b"];
+    let mut head = String::from("ply\nformat binary_little_endian 1.0\n");
+    head += &format!("element chunk {}\n", count.div_ceil(256));
+    for end in ["min", "max"] {
+        for name in bounds {
+            head += &format!("property float {end}_{name}\n");
+        }
+    }
+    head += &format!("element vertex {count}\n");
+    for name in ["position", "rotation", "scale", "color"] {
+        head += &format!("property uint packed_{name}\n");
+    }
+    if !sh.is_empty() {
+        head += &format!("element sh {count}\n");
+        (0..sh.len()).for_each(|i| head += &format!("property uchar f_rest_{i}\n"));
+    }
+    head += "end_header\n";
+    let mut bytes = head.into_bytes();
+    for chunk in 0..count.div_ceil(256) {
+        let low = [-1.0f32, 0.0, chunk as f32, -6.0, -5.0, -4.0, 0.0, 0.0, 0.0];
+        let high = [1.0f32, 2.0, chunk as f32 + 1.0, -2.0, -1.0, 0.0, 1.0, 2.0, 1.0];
+        low.iter().chain(&high).for_each(|v| bytes.extend(v.to_le_bytes()));
+    }
+    (0..count).for_each(|_| words.iter().for_each(|w| bytes.extend(w.to_le_bytes())));
+    (0..count).for_each(|_| bytes.extend(sh));
+    bytes
+}
+
+#[test]
+fn a_compressed_ply_unfolds() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.ply");
+    // Largest, least and, as near as 11 bits come, the middle.
+    let position = 2047 << 21 | 1023;
+    // w is largest; x = 1/√2 · (1023/1023 − 0.5) · 2 = 1/√2, y = z ≈ 0.
+    let rotation = 1023 << 20 | 511 << 10 | 512;
+    let words = [position, rotation, position, 0xff80_00ffu32];
+    fs::write(&path, compressed(300, words, &[0, 255, 128, 0, 0, 0, 255, 255, 255])).unwrap();
+    let g = Scene::open(&path, false).unwrap().scene.gaussians;
+    assert_eq!((g.len(), g.sh_degree), (300, 1));
+    let near = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 2e-3);
+    assert!(near(&g.positions[0], &[1.0, 0.0, 0.5]), "{:?}", g.positions[0]);
+    assert!(near(&g.positions[256], &[1.0, 0.0, 1.5]), "the second chunk's bounds");
+    assert!(near(&g.log_scales[0], &[-2.0, -5.0, -2.0]), "{:?}", g.log_scales[0]);
+    let half = std::f32::consts::FRAC_1_SQRT_2;
+    assert!(near(&g.rotations[0], &[half, half, 0.0, 0.0]), "{:?}", g.rotations[0]);
+    let c0 = splat4d::types::SH_C0;
+    assert!(near(&g.sh[0], &[0.5 / c0, (2.0 * 128.0 / 255.0 - 0.5) / c0, -0.5 / c0]));
+    assert!(near(&g.sh[1], &[-4.0, -4.0, 4.0]), "channel-major: {:?}", g.sh[1]);
+    assert!(near(&g.sh[2], &[4.0, -4.0, 4.0]), "{:?}", g.sh[2]);
+    assert!(g.opacity_logits[0].is_finite() && g.opacity_logits[0] > 5.0);
+}
+
+#[test]
+fn a_broken_compressed_ply_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.ply");
+    let whole = compressed(300, [0; 4], &[]);
+    for end in [whole.len() - 1, whole.len() - 16 * 300 - 1] {
+        fs::write(&path, &whole[..end]).unwrap();
+        says(&message(ply::read(&path, false)), &["truncated"]);
+    }
+    let text = String::from_utf8_lossy(&whole).into_owned();
+    let head = &text[..text.find("end_header").unwrap()];
+    for (from, to, what) in [
+        ("element chunk 2", "element chunk 1", "300 vertices in 1 chunks"),
+        ("float min_scale_y", "float min_scale_w", "no number `min_scale_y`"),
+        ("uint packed_scale", "list uchar uint packed_scale", "no number `packed_scale`"),
+    ] {
+        let mut bytes = head.replace(from, to).into_bytes();
+        bytes.extend(&whole[head.len()..]);
+        fs::write(&path, bytes).unwrap();
+        says(&message(ply::read(&path, false)), &[what]);
+    }
+    fs::write(&path, compressed(3, [0; 4], &[1, 2])).unwrap();
+    says(&message(ply::read(&path, false)), &["2 f_rest_*"]);
+}
+
+/// 152,746 Gaussians, the same model as a file of another format holds.
+#[test]
+fn biker_unfolds() {
+    let Some(path) = common::shared_data("splats_playcanvas/biker.compressed.ply") else { return };
+    let g = Scene::open(&path, false).unwrap().scene.gaussians;
+    assert_eq!((g.len(), g.sh_degree), (152_746, 0));
+    assert!(g.rotations.iter().all(|q| (q.iter().map(|c| c * c).sum::<f32>() - 1.0).abs() < 1e-3));
 }
 
 #[test]

@@ -10,10 +10,10 @@ layout(std430, binding = 1) readonly buffer Positions { float positions[]; };
 layout(std430, binding = 2) readonly buffer LogScales { float log_scales[]; };
 layout(std430, binding = 3) readonly buffer Rotations { vec4 rotations[]; };
 layout(std430, binding = 4) readonly buffer OpacityLogits { float opacity_logits[]; };
-layout(std430, binding = 5) readonly buffer Sh0Buffer { float sh0[]; };
-layout(std430, binding = 6) readonly buffer Sh1Buffer { float sh1[]; };
-layout(std430, binding = 7) readonly buffer Sh2Buffer { float sh2[]; };
-layout(std430, binding = 8) readonly buffer Sh3Buffer { float sh3[]; };
+layout(std430, binding = 5) readonly buffer Sh0Buffer { uint sh0[]; };
+layout(std430, binding = 6) readonly buffer Sh1Buffer { uint sh1[]; };
+layout(std430, binding = 7) readonly buffer Sh2Buffer { uint sh2[]; };
+layout(std430, binding = 8) readonly buffer Sh3Buffer { uint sh3[]; };
 // Mean x, mean y, depth, opacity.
 layout(std430, binding = 9) writeonly buffer Means { vec4 means[]; };
 // Conic A, B, C and the power at which alpha falls to the cut.
@@ -23,6 +23,9 @@ layout(std430, binding = 11) writeonly buffer Colours { vec4 colours[]; };
 layout(std430, binding = 12) writeonly buffer Rectangles { uvec2 rectangles[]; };
 layout(std430, binding = 13) writeonly buffer TileCounts { uint tile_counts[]; };
 layout(std430, binding = 14) writeonly buffer Visible { uint visible[]; };
+
+// Whether the spherical harmonics are 16-bit floats, two to a word, the first in the low half.
+layout(constant_id = 0) const bool HALF_SH = false;
 
 layout(push_constant) uniform Params {
     uint count;
@@ -41,15 +44,21 @@ layout(push_constant) uniform Params {
 #include "common/tile.glsl"
 #include "common/sh.glsl"
 
+// Value `at` of a band. A macro, since GLSL passes no buffers.
+#define SH(band, at)                                            \
+    (HALF_SH ? unpackHalf2x16(band[(at) >> 1])[(at) & 1u] \
+                   : uintBitsToFloat(band[at]))
+#define SH_RGB(band, at) vec3(SH(band, at), SH(band, (at) + 1u), SH(band, (at) + 2u))
+
 // Not clamped yet: a maximum may hide a NaN.
 vec3 colour_of(uint i, vec3 d) {
-    vec3 colour = vec3(0.5) + SH0 * vec3(sh0[3u * i], sh0[3u * i + 1u], sh0[3u * i + 2u]);
+    vec3 colour = vec3(0.5) + SH0 * SH_RGB(sh0, 3u * i);
     if (sh_degree >= 1u) {
         float b[3];
         sh_band1(d, b);
         for (uint k = 0u; k < 3u; k++) {
             uint at = 9u * i + 3u * k;
-            colour += b[k] * vec3(sh1[at], sh1[at + 1u], sh1[at + 2u]);
+            colour += b[k] * SH_RGB(sh1, at);
         }
     }
     if (sh_degree >= 2u) {
@@ -57,7 +66,7 @@ vec3 colour_of(uint i, vec3 d) {
         sh_band2(d, b);
         for (uint k = 0u; k < 5u; k++) {
             uint at = 15u * i + 3u * k;
-            colour += b[k] * vec3(sh2[at], sh2[at + 1u], sh2[at + 2u]);
+            colour += b[k] * SH_RGB(sh2, at);
         }
     }
     if (sh_degree >= 3u) {
@@ -65,7 +74,7 @@ vec3 colour_of(uint i, vec3 d) {
         sh_band3(d, b);
         for (uint k = 0u; k < 7u; k++) {
             uint at = 21u * i + 3u * k;
-            colour += b[k] * vec3(sh3[at], sh3[at + 1u], sh3[at + 2u]);
+            colour += b[k] * SH_RGB(sh3, at);
         }
     }
     return colour;

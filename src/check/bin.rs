@@ -3,6 +3,8 @@
 use super::scene::{Forward, Frame, UPRIGHT, join, one, plain_camera, random, skew_camera};
 use super::{Case, Harness};
 use crate::error::Result;
+use crate::ops::gaussians::GaussianBuffers;
+use crate::ops::render::Render;
 use crate::oracle::tiles::{TileRect, grid, hit};
 use crate::oracle::{scan, sort};
 use crate::types::{Camera, Gaussians, RenderSettings};
@@ -14,6 +16,7 @@ const KERNELS: &[&str] = &["bin/compact", "bin/counts", "bin/emit", "bin/ranges"
 pub const CASES: &[Case] = &[
     Case { id: "bin/lists", kernels: KERNELS, run: lists },
     Case { id: "bin/equal_depths", kernels: KERNELS, run: equal_depths },
+    Case { id: "bin/depth_bits", kernels: KERNELS, run: depth_bits },
     Case { id: "bin/image_sizes", kernels: KERNELS, run: image_sizes },
     Case { id: "bin/overflow", kernels: KERNELS, run: overflow },
 ];
@@ -130,6 +133,36 @@ fn equal_depths(harness: &mut Harness) -> Result<()> {
         })
         .collect();
     run(harness, "two depths", &join(&parts), &camera, 1 << 13).map(drop)
+}
+
+/// Fewer bits of depth: those that are left decide, ties break by index.
+fn depth_bits(harness: &mut Harness) -> Result<()> {
+    let camera = skew_camera(171, 115);
+    let scene = random(&mut harness.rng, 3000, 0, &camera);
+    for bits in [31, 30, 24, 17, 16, 9, 8, 1] {
+        let (device, stream) = (harness.device.clone(), &mut harness.stream);
+        let buffers = GaussianBuffers::from_host(stream, &scene)?;
+        let render = Render::plan(&device, 3000, 1 << 15, 171, 115, RenderSettings::default())?
+            .with_depth_bits(&device, bits)?;
+        let (mut scratch, mut pixels) = (render.scratch(&device)?, render.pixels(&device)?);
+        let mut recorder = stream.record()?;
+        let views = buffers.views();
+        render.forward(&mut recorder, &camera, views, &mut scratch, &mut pixels)?;
+        stream.submit(recorder)?;
+        let visible = stream.download(&scratch.visible)?;
+        let means = stream.download(&scratch.means)?;
+        let drawn: Vec<u32> = (0..3000u32).filter(|&i| visible[i as usize] != 0).collect();
+        let keys: Vec<u32> = drawn.iter().map(|&i| means[i as usize][2].to_bits()).collect();
+        let order = sort::by_bits(&keys, &drawn, 31 - bits..31).1;
+        let got = stream.download(&scratch.order)?;
+        harness.exact(&format!("{bits} bits: order"), &got[..drawn.len()], &order);
+    }
+    let render = Render::plan(&harness.device, 1, 1, 16, 16, RenderSettings::default())?;
+    for bits in [0, 32] {
+        let refused = render.clone().with_depth_bits(&harness.device, bits).is_err();
+        harness.holds(&format!("{bits} bits are refused"), refused);
+    }
+    Ok(())
 }
 
 fn image_sizes(harness: &mut Harness) -> Result<()> {

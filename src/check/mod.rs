@@ -10,6 +10,7 @@
 pub mod adam;
 pub mod arap;
 pub mod bin;
+pub mod ceiling;
 pub mod deform;
 pub mod density;
 pub mod flow;
@@ -44,6 +45,7 @@ pub const ALL: &[&[Case]] = &[
     adam::CASES,
     arap::CASES,
     bin::CASES,
+    ceiling::CASES,
     deform::CASES,
     density::CASES,
     flow::CASES,

@@ -3,8 +3,11 @@
 use super::scene::{Frame, compare_gradients, random, random_gradient, skew_camera};
 use super::{Bound, Case, Harness};
 use crate::error::Result;
+use crate::ops::gaussians::{GaussianBuffers, HalfHarmonics};
+use crate::ops::render::Render;
 use crate::oracle::project::{Splat, project};
 use crate::oracle::project_backward::{SplatGradient, project_backward};
+use crate::oracle::sh;
 use crate::oracle::view::{Cloud, View};
 use crate::types::{Camera, Gaussians, RenderSettings};
 
@@ -12,6 +15,7 @@ use crate::types::{Camera, Gaussians, RenderSettings};
 pub const CASES: &[Case] = &[
     Case { id: "project/forward", kernels: &["project/forward"], run: forward },
     Case { id: "project/degrees", kernels: &["project/forward"], run: degrees },
+    Case { id: "project/half_harmonics", kernels: &["project/forward"], run: half_harmonics },
     Case { id: "project/backward", kernels: &["project/backward", "project/pose"], run: backward },
 ];
 
@@ -117,6 +121,52 @@ fn degrees(harness: &mut Harness) -> Result<()> {
     for degree in 0..3 {
         let scene = random(&mut harness.rng, 500, degree, &camera);
         compare(harness, &format!("degree {degree}"), &scene, &camera)?;
+    }
+    Ok(())
+}
+
+/// Harmonics in 16 bits give the colours of rounded coefficients, and change nothing else. Odd
+/// numbers leave half of the last word empty.
+fn half_harmonics(harness: &mut Harness) -> Result<()> {
+    let camera = skew_camera(WIDTH, HEIGHT);
+    let settings = RenderSettings::default();
+    for (degree, count) in [(0, 5), (1, 65), (2, 64), (3, 501)] {
+        let scene = random(&mut harness.rng, count, degree, &camera);
+        let device = harness.device.clone();
+        let stream = &mut harness.stream;
+        let buffers = GaussianBuffers::from_host(stream, &scene)?;
+        let half = HalfHarmonics::from_host(&device, &scene)?;
+        let render = Render::plan(&device, count, 1 << 15, WIDTH, HEIGHT, settings)?;
+        let mut run = |views| -> Result<_> {
+            let (mut scratch, mut pixels) = (render.scratch(&device)?, render.pixels(&device)?);
+            let mut recorder = stream.record()?;
+            recorder.fill(scratch.means.view_mut(), 0);
+            render.forward(&mut recorder, &camera, views, &mut scratch, &mut pixels)?;
+            stream.submit(recorder)?;
+            let visible = stream.download(&scratch.visible)?;
+            let means = stream.download(&scratch.means)?;
+            Ok((stream.download(&scratch.colours)?, visible, means))
+        };
+        let (_, visible, means) = run(buffers.views())?;
+        let (colours, visible_half, means_half) = run(half.replace(buffers.views()))?;
+        let mut cloud = Cloud::<f64>::new(&scene);
+        cloud.sh = sh::halves(&cloud.sh);
+        let mut narrow = Cloud::<f32>::new(&scene);
+        narrow.sh = sh::halves(&narrow.sh);
+        let truth = project(&cloud, &View::new(&camera), &settings);
+        let single = project(&narrow, &View::new(&camera), &settings);
+        let drawn: Vec<usize> = (0..count)
+            .filter(|&i| visible[i] != 0 && truth[i].is_some() && single[i].is_some())
+            .collect();
+        let what = format!("degree {degree}");
+        harness.exact(&format!("{what}: visible"), &visible_half, &visible);
+        harness.exact(&format!("{what}: means"), &means_half, &means);
+        let device: Vec<f32> = drawn.iter().flat_map(|&i| colours[i][..3].to_vec()).collect();
+        let exact: Vec<f64> = drawn.iter().flat_map(|&i| truth[i].expect("drawn").colour).collect();
+        let twin: Vec<f32> = drawn.iter().flat_map(|&i| single[i].expect("drawn").colour).collect();
+        // As for harmonics in f32.
+        let bound = Bound { absolute: 3e-6, relative: 0.0 };
+        harness.close(&format!("{what}: colour"), &device, &exact, Some(&twin), bound);
     }
     Ok(())
 }

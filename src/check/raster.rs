@@ -8,15 +8,18 @@ use super::{Bound, Case, Harness};
 use crate::error::Result;
 use crate::oracle::project_backward::SplatGradient;
 use crate::oracle::raster;
-use crate::types::{Camera, Gaussians, RenderSettings};
+use crate::types::{Camera, Gaussians, RasterKind, RenderSettings};
 use rand::RngExt;
 
 const ALL: &[&str] = &["raster/forward", "raster/backward", "raster/gather"];
+
+const SHARED: &[&str] = &["raster/forward_shared"];
 
 /// The family's cases.
 pub const CASES: &[Case] = &[
     Case { id: "raster/scenes", kernels: ALL, run: scenes },
     Case { id: "raster/image_sizes", kernels: ALL, run: image_sizes },
+    Case { id: "raster/shared_memory", kernels: SHARED, run: shared_memory },
     Case { id: "raster/layers", kernels: ALL, run: layers },
     Case { id: "raster/blending_constants", kernels: ALL, run: blending_constants },
     Case { id: "raster/overflow", kernels: ALL, run: overflow },
@@ -26,7 +29,6 @@ pub const CASES: &[Case] = &[
 /// Rounding in a power of up to 6 and in a product of hundreds of transmittances.
 const BAND: f64 = 2e-5;
 
-/// Renders, differentiates a random linear function of the image, and compares both.
 fn compare(
     harness: &mut Harness,
     what: &str,
@@ -35,9 +37,23 @@ fn compare(
     capacity: usize,
     settings: RenderSettings,
 ) -> Result<Forward> {
+    let how = (settings, RasterKind::Subgroup);
+    compare_blended(harness, what, scene, camera, capacity, how)
+}
+
+/// Renders, differentiates a random linear function of the image, and compares both.
+fn compare_blended(
+    harness: &mut Harness,
+    what: &str,
+    scene: &Gaussians,
+    camera: &Camera,
+    capacity: usize,
+    (settings, raster_kind): (RenderSettings, RasterKind),
+) -> Result<Forward> {
     let device = harness.device.clone();
     let stream = &mut harness.stream;
     let mut frame = Frame::new(&device, stream, scene, camera, capacity, settings)?;
+    frame.render = frame.render.clone().with_raster(raster_kind);
     let out = frame.forward(stream)?;
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     let (splats, bins) = (out.splats(), out.bins(width, height));
@@ -116,6 +132,34 @@ fn scenes(harness: &mut Harness) -> Result<()> {
         let scene = random(&mut harness.rng, count, 0, &camera);
         let what = format!("{count} Gaussians");
         compare(harness, &what, &scene, &camera, 1 << 14, RenderSettings::default())?;
+    }
+    Ok(())
+}
+
+/// The other division of the work: whole batches, parts of one, none; images with parts of tiles; and
+/// its backward pass, which starts from where each pixel stopped.
+fn shared_memory(harness: &mut Harness) -> Result<()> {
+    let how = (RenderSettings::default(), RasterKind::Shared);
+    let camera = skew_camera(83, 59);
+    for count in [0, 1, 31, 300, 2500] {
+        let scene = random(&mut harness.rng, count, 0, &camera);
+        let what = format!("{count} Gaussians");
+        let out = compare_blended(harness, &what, &scene, &camera, 1 << 14, how)?;
+        let longest = out.ranges.iter().map(|[begin, end]| end - begin).max();
+        if count == 2500 {
+            harness.holds("a tile takes more than a batch", longest > Some(256));
+        }
+    }
+    for (width, height) in [(1, 1), (17, 3), (33, 16)] {
+        let camera = plain_camera(20.0, width, height);
+        let parts: Vec<_> = (0..40)
+            .map(|_| {
+                let mut random = |r: f32| harness.rng.random_range(-r..r);
+                one([random(2.0), random(0.3), 3.0 + random(1.0)], [-1.0; 3], UPRIGHT, random(3.0))
+            })
+            .collect();
+        let what = format!("{width}×{height}");
+        compare_blended(harness, &what, &join(&parts), &camera, 1 << 14, how)?;
     }
     Ok(())
 }

@@ -3,6 +3,7 @@
 //! A command returns an [`Answer`]; [`main`] prints it, as text or as JSON, and turns errors into
 //! exit codes: 0 done, 1 the job failed, 2 wrong usage, 130 stopped by Ctrl-C.
 
+mod bench;
 mod checkpoints;
 mod clock;
 mod common;
@@ -21,6 +22,7 @@ mod sheet;
 mod supplied;
 mod synth;
 mod train;
+mod tuning;
 mod values;
 mod watcher;
 
@@ -59,6 +61,7 @@ enum Command {
     Eval(eval::EvalArgs),
     Info(info::InfoArgs),
     Devices(devices::DevicesArgs),
+    Bench(bench::BenchArgs),
     Synth(synth::SynthArgs),
 }
 
@@ -92,6 +95,7 @@ fn run(cli: &Cli) -> Result<Answer> {
         Command::Eval(args) => eval::run(args, &cli.common),
         Command::Info(args) => info::run(args),
         Command::Devices(args) => devices::run(args),
+        Command::Bench(args) => bench::run(args, &cli.common),
         Command::Synth(args) => synth::run(args, &cli.common),
     }
 }

@@ -15,7 +15,7 @@ use super::common::{Answer, Common, check_output_file, check_output_folder, say,
 use super::encode;
 use super::meter::Meter;
 use super::values::{self, Times};
-use super::{interrupt, path};
+use super::{interrupt, path, tuning};
 
 /// Length of an orbit.
 const ORBIT_FRAMES: usize = 60;
@@ -82,6 +82,9 @@ pub struct RenderArgs {
     /// Leave out Gaussians that hold NaN or infinite values
     #[arg(long)]
     drop_bad: bool,
+    /// Settings that trade accuracy for speed, as `bench --error-budget` writes them
+    #[arg(long, value_name = "FILE")]
+    settings: Option<PathBuf>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -116,13 +119,14 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Answer> {
     } else {
         check_output_folder(&args.output)?;
     }
+    let tuning = tuning::read(args.settings.as_deref())?;
     let Opened { scene, dropped } = Scene::open(&args.scene, args.drop_bad)?;
     if dropped > 0 {
         say(&format!("note: left out {} Gaussians that are not finite", thousands(dropped)));
     }
     let shots = shots(args, &scene)?;
     let device = common.open_device()?;
-    let mut renderer = Renderer::new(&device, &scene)?;
+    let mut renderer = Renderer::tuned(&device, &scene, &tuning)?;
     let background = args.background.unwrap_or(scene.background);
     // A video's pictures lie beside it until it is whole, so that it can be renamed into place.
     let pictures = if video { Some(beside(&args.output)?) } else { None };

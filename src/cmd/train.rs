@@ -15,7 +15,7 @@ use splat4d::train::{
     AdaptiveSettings, Checkpoint, GrowthSettings, McmcSettings, Phase, PosedMotion, TrainSettings,
     TrainingView, fit_posed, random_points, seed_from_points,
 };
-use splat4d::types::{Camera, Gaussians};
+use splat4d::types::{Camera, Gaussians, RenderSettings};
 use splat4d::{Error, Result};
 
 use super::checkpoints::{CheckpointArgs, Checkpoints};
@@ -26,7 +26,7 @@ use super::common::{
 use super::info::dynamic_share;
 use super::quality::{self, Quality};
 use super::watcher::Watcher;
-use super::{sheet, values};
+use super::{sheet, tuning, values};
 
 const AFTER_HELP: &str = "\
 Pictures that have times (`time` in transforms.json, D-NeRF) make a scene that moves; others, and
@@ -96,6 +96,10 @@ pub struct TrainArgs {
     /// What lies behind everything; default: white for pictures with an alpha channel, else black
     #[arg(long, value_name = "R,G,B", value_parser = values::colour)]
     background: Option<[f32; 3]>,
+    /// Settings that trade accuracy for speed, as `bench --error-budget` writes them: α cut and T stop,
+    /// which the scene then keeps, depth bits, highest SH degree, neighbours; SH stay f32
+    #[arg(long, value_name = "FILE")]
+    settings: Option<PathBuf>,
     /// Write report.json and sheet.png (input, render, motion mask, depth) into this folder
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
@@ -107,6 +111,8 @@ pub struct TrainArgs {
 pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     check_output_file(&args.output)?;
     args.report.as_deref().map_or(Ok(()), check_output_folder)?;
+    let tuning = tuning::read(args.settings.as_deref())?;
+    let sh_degree = args.sh_degree.min(tuning.sh_degree);
     let mut clock = Clock::start();
 
     let mut set = Dataset::open(&args.dataset)?;
@@ -125,7 +131,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     let size = args.size.map_or(Resize::Keep, Resize::Longest);
     let (train, test) = (set.load(&train, size)?, set.load(&test, size)?);
     let cameras: Vec<Camera> = train.iter().map(|view| view.camera).collect();
-    let seeded = seed_from_points(&points(args, common, &set, &cameras), args.sh_degree);
+    let seeded = seed_from_points(&points(args, common, &set, &cameras), sh_degree);
     say(&format!(
         "{} pictures to train on, {} held out, {} Gaussians to begin with",
         train.len(),
@@ -137,7 +143,10 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     let settings = TrainSettings {
         steps: args.steps,
         max_gaussians: if args.max_gaussians == 0 { seeded.len() } else { args.max_gaussians },
-        sh_degree: args.sh_degree,
+        sh_degree,
+        render: tuning.apply(RenderSettings::default()),
+        depth_bits: tuning.depth_bits,
+        raster: tuning.raster,
         background: set.background,
         growth: (args.max_gaussians > 0).then(|| growth(args)),
         seed: common.seed,
@@ -149,8 +158,11 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         false => "no motion: no control points, no network",
     };
     say(model);
-    let motion =
-        moving.then(|| PosedMotion { control_points: args.control_points, ..Default::default() });
+    let motion = moving.then(|| {
+        let motion = PosedMotion { control_points: args.control_points, ..Default::default() };
+        let most = tuning.neighbours.map_or(motion.neighbours, |k| k as usize);
+        PosedMotion { neighbours: motion.neighbours.min(most), ..motion }
+    });
     let views: Vec<TrainingView> = train.iter().cloned().map(Into::into).collect();
     let mut identity = identity(&views, &seeded, &settings);
     identity.insert("motion".into(), format!("{motion:?}"));

@@ -67,6 +67,8 @@ pub(crate) struct DeviceInner {
     pub(crate) context: Arc<Context>,
     pub(crate) limits: Limits,
     pipelines: Mutex<HashMap<PipelineKey, Arc<Pipeline>>>,
+    /// Nanoseconds of metered work; `None` while the meter is off.
+    pub(crate) meter: Mutex<Option<f64>>,
 }
 
 type PipelineKey = (&'static str, Vec<u32>);
@@ -85,8 +87,8 @@ impl Device {
         let (physical, info) = devices[chosen].clone();
         let context = Arc::new(Context::open(instance, physical, info)?);
         let limits = request.limits.unwrap_or(context.limits);
-        let pipelines = Mutex::default();
-        Ok(Device { inner: Arc::new(DeviceInner { context, limits, pipelines }) })
+        let (pipelines, meter) = Default::default();
+        Ok(Device { inner: Arc::new(DeviceInner { context, limits, pipelines, meter }) })
     }
 
     /// What the device is.
@@ -102,6 +104,31 @@ impl Device {
     /// Bytes of buffers alive now, and the most there ever were.
     pub fn memory(&self) -> (u64, u64) {
         self.inner.context.memory()
+    }
+
+    /// Starts adding up how long the device works on the submissions of all its streams, by
+    /// timestamps at the begin and the end of each; uploads and downloads do not count. False, and
+    /// nothing is added up, where the device has no timestamps.
+    pub fn start_meter(&self) -> bool {
+        let on = self.limits().timestamp_period > 0.0;
+        *self.inner.meter.lock().expect("no holder panics") = on.then_some(0.0);
+        on
+    }
+
+    /// Stops adding up and gives the nanoseconds; `None` where the meter was not on. Counts what was
+    /// recorded since the start and waited for by now.
+    pub fn stop_meter(&self) -> Option<f64> {
+        self.inner.meter.lock().expect("no holder panics").take()
+    }
+
+    pub(super) fn is_metered(&self) -> bool {
+        self.inner.meter.lock().expect("no holder panics").is_some()
+    }
+
+    pub(super) fn add_to_meter(&self, ticks: u64) {
+        if let Some(sum) = &mut *self.inner.meter.lock().expect("no holder panics") {
+            *sum += ticks as f64 * f64::from(self.limits().timestamp_period);
+        }
     }
 
     /// What the validation layer has said since the last call; always empty without it.

@@ -19,6 +19,8 @@ pub struct Recorder {
     pub(super) pipelines: Vec<Arc<Pipeline>>,
     /// Kernels between the timestamps, when profiling.
     pub(super) profile: Option<Vec<&'static str>>,
+    /// Whether the device's meter counts it.
+    pub(super) metered: bool,
     touched: Vec<Touched>,
 }
 
@@ -33,14 +35,18 @@ struct Touched {
 const UPDATE_BYTES: usize = 65_536;
 
 impl Recorder {
-    pub(super) fn new(device: &Device, mut slot: CommandSlot) -> Result<Recorder> {
+    pub(super) fn new(device: &Device, mut slot: CommandSlot, metered: bool) -> Result<Recorder> {
         slot.begin()?;
+        if metered {
+            slot.span(0)?;
+        }
         Ok(Recorder {
             device: device.clone(),
             slot,
             buffers: Vec::new(),
             pipelines: Vec::new(),
             profile: None,
+            metered,
             touched: Vec::new(),
         })
     }

@@ -26,6 +26,7 @@ struct InFlight {
     value: u64,
     slot: CommandSlot,
     profile: Option<Vec<&'static str>>,
+    metered: bool,
     last_kernel: Option<&'static str>,
     _buffers: Vec<Arc<RawBuffer>>,
     _pipelines: Vec<Arc<Pipeline>>,
@@ -66,12 +67,17 @@ impl Stream {
     /// # Errors
     /// A failed Vulkan call.
     pub fn record(&mut self) -> Result<Recorder> {
+        let metered = self.device.is_metered();
+        self.recorder(metered)
+    }
+
+    fn recorder(&mut self, metered: bool) -> Result<Recorder> {
         self.collect()?;
         let slot = match self.idle.pop() {
             Some(slot) => slot,
             None => CommandSlot::new(&self.device.inner.context)?,
         };
-        Recorder::new(&self.device, slot)
+        Recorder::new(&self.device, slot, metered)
     }
 
     /// Submits a recording; it runs after everything submitted before on this stream.
@@ -81,6 +87,9 @@ impl Stream {
     pub fn submit(&mut self, mut recorder: Recorder) -> Result<Ticket> {
         // Submissions of one queue may overlap: this orders them, and lets the host read.
         recorder.slot.barrier();
+        if recorder.metered {
+            recorder.slot.span(1)?;
+        }
         recorder.slot.end()?;
         let value = self.submitted + 1;
         let last_kernel = recorder.pipelines.last().map(|pipeline| pipeline.name);
@@ -92,6 +101,7 @@ impl Stream {
             value,
             slot: recorder.slot,
             profile: recorder.profile,
+            metered: recorder.metered,
             last_kernel,
             _buffers: recorder.buffers,
             _pipelines: recorder.pipelines,
@@ -155,7 +165,7 @@ impl Stream {
         let staging = RawBuffer::new(context, bytes.len() as u64, Residence::Upload, "staging")?;
         staging.write(bytes);
         let from = BoundRange { buffer: Arc::new(staging), offset: 0, bytes: bytes.len() as u64 };
-        let mut recorder = self.record()?;
+        let mut recorder = self.recorder(false)?;
         recorder.copy_ranges(&from, &buffer.view_mut().bound());
         let ticket = self.submit(recorder)?;
         self.wait(ticket)
@@ -181,7 +191,7 @@ impl Stream {
             )?),
         };
         let to = BoundRange { buffer: readback.clone(), offset: 0, bytes: from.bytes };
-        let mut recorder = self.record()?;
+        let mut recorder = self.recorder(false)?;
         recorder.copy_ranges(&from, &to);
         let ticket = self.submit(recorder)?;
         self.wait(ticket)?;
@@ -195,7 +205,11 @@ impl Stream {
         let kernel = self.in_flight.front().and_then(|work| work.last_kernel);
         let reached = self.timeline.reached().map_err(|error| name_lost(error, kernel))?;
         while self.in_flight.front().is_some_and(|work| work.value <= reached) {
-            self.idle.extend(self.in_flight.pop_front().map(|work| work.slot));
+            let Some(work) = self.in_flight.pop_front() else { break };
+            if work.metered {
+                self.device.add_to_meter(work.slot.read_span()?);
+            }
+            self.idle.push(work.slot);
         }
         Ok(())
     }

@@ -195,6 +195,20 @@ impl<'a> Ply<'a> {
     /// Reads columns of one element: row after row, each with the columns in the order asked for.
     /// Memory stays within a small multiple of the file's size, whatever the header announces.
     pub fn rows(&self, element: &str, columns: &[usize]) -> Result<Vec<f32>> {
+        self.values(element, columns, |value| value as f32)
+    }
+
+    /// The same for whole numbers that need all of 32 bits; what lies outside is cut to the range.
+    pub fn words(&self, element: &str, columns: &[usize]) -> Result<Vec<u32>> {
+        self.values(element, columns, |value| value as u32)
+    }
+
+    fn values<T: Copy + Default>(
+        &self,
+        element: &str,
+        columns: &[usize],
+        convert: fn(f64) -> T,
+    ) -> Result<Vec<T>> {
         let mut rows = Vec::new();
         let mut slots = Vec::new();
         let mut body = Body { ply: self, at: self.body };
@@ -215,7 +229,7 @@ impl<'a> Ply<'a> {
             for row in 0..table.count {
                 let start = rows.len();
                 if wanted {
-                    rows.resize(start + columns.len(), 0.0);
+                    rows.resize(start + columns.len(), T::default());
                 }
                 for (property, slot) in table.properties.iter().zip(&slots) {
                     let short = || body_end(self.path, table, row, self.bytes.len());
@@ -223,7 +237,7 @@ impl<'a> Ply<'a> {
                         Kind::Scalar(kind) => {
                             let value = body.value(kind).map_err(|e| e.unwrap_or_else(short))?;
                             if let Some(slot) = slot {
-                                rows[start + slot] = value as f32;
+                                rows[start + slot] = convert(value);
                             }
                         }
                         Kind::List(count, item) => {

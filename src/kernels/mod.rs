@@ -6,6 +6,7 @@
 pub mod adam;
 pub mod arap;
 pub mod bin;
+pub mod ceiling;
 pub mod deform;
 pub mod density;
 pub mod flow;
@@ -26,6 +27,8 @@ pub const ALL: &[KernelInfo] = &[
     arap::Fit::INFO,
     arap::Gather::INFO,
     adam::Gate::INFO,
+    ceiling::Copy::INFO,
+    ceiling::Fma::INFO,
     deform::Nearest::INFO,
     deform::Keys::INFO,
     deform::Starts::INFO,
@@ -71,6 +74,7 @@ pub const ALL: &[KernelInfo] = &[
     bin::Ranges::INFO,
     bin::Fits::INFO,
     raster::Forward::INFO,
+    raster::ForwardShared::INFO,
     raster::Backward::INFO,
     raster::Gather::INFO,
     loss::Rows::INFO,

@@ -3,7 +3,8 @@
 use crate::gpu::kernel;
 
 kernel! {
-    /// Culls and projects every Gaussian.
+    /// Culls and projects every Gaussian. Specialisation constant 0: 1 where the spherical harmonics
+    /// are 16-bit floats, two to a word.
     pub struct Forward("project/forward"), workgroup: [64, 1, 1],
     params: ForwardParams {
         /// Number of Gaussians.

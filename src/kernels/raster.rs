@@ -40,6 +40,43 @@ kernel! {
 }
 
 kernel! {
+    /// [`Forward`](struct@Forward) with an invocation per pixel and splats staged in shared memory.
+    pub struct ForwardShared("raster/forward_shared"), workgroup: [256, 1, 1],
+    params: ForwardSharedParams {
+        /// Image width, pixels.
+        width: u32,
+        /// Image height, pixels.
+        height: u32,
+        /// Least α that counts.
+        alpha_cut: f32,
+        /// Largest α.
+        alpha_cap: f32,
+        /// Blending stops before the transmittance falls to this.
+        transmittance_stop: f32,
+    },
+    args: ForwardSharedArgs {
+        /// Begin and end of each tile.
+        ranges: Read<[u32; 2]>,
+        /// Intersections by tile.
+        intersections: Read<u32>,
+        /// Gaussian of each intersection.
+        splats: Read<u32>,
+        /// From projection.
+        means: Read<[f32; 4]>,
+        /// From projection.
+        conics: Read<[f32; 4]>,
+        /// From projection.
+        colours: Read<[f32; 4]>,
+        /// Premultiplied colour without background, and alpha.
+        rgba: Write<[f32; 4]>,
+        /// Sum of α · T · z.
+        depth: Write<f32>,
+        /// One past the last intersection blended, from the tile's first.
+        last: Write<u32>,
+    }
+}
+
+kernel! {
     /// Partial sums of gradients per (splat, tile).
     pub struct Backward("raster/backward"), workgroup: [32, 1, 1],
     params: BackwardParams {

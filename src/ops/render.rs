@@ -13,7 +13,7 @@ use super::sort::{RadixSort, SortArgs, SortScratch};
 use crate::gpu::{Buffer, Device, Groups, Recorder, Stream, View, ViewMut};
 use crate::kernels::indirect::record_arguments;
 use crate::kernels::{bin, project, raster};
-use crate::types::{Camera, RenderSettings};
+use crate::types::{Camera, DEPTH_BITS, RasterKind, RenderSettings};
 use crate::{Error, Result};
 
 /// Side of a tile in pixels.
@@ -43,6 +43,7 @@ pub struct Render {
     width: u32,
     height: u32,
     settings: RenderSettings,
+    raster: RasterKind,
     depth_sort: RadixSort,
     tile_sort: RadixSort,
     scan: Scan,
@@ -156,11 +157,31 @@ impl Render {
             width,
             height,
             settings,
+            raster: RasterKind::default(),
             // Depth is positive, so its sign bit is never set.
-            depth_sort: RadixSort::plan(device, gaussians, 0..31)?,
+            depth_sort: RadixSort::plan(device, gaussians, 0..DEPTH_BITS)?,
             tile_sort: RadixSort::plan(device, intersections, 0..tile_bits)?,
             scan: Scan::plan(gaussians)?,
         })
+    }
+
+    /// The same, but only the highest `bits` of a depth's 31 decide the order of splats; those that
+    /// these do not tell apart keep the order of their index. Fewer bits, fewer passes of the sort.
+    /// To be called before [`scratch`](Self::scratch).
+    ///
+    /// # Errors
+    /// [`Error::Input`] for no bits or more than 31.
+    pub fn with_depth_bits(mut self, device: &Device, bits: u32) -> Result<Render> {
+        if !(1..=DEPTH_BITS).contains(&bits) {
+            return Err(Error::Input(format!("a depth of {bits} bits: it must have 1 to 31")));
+        }
+        self.depth_sort = RadixSort::plan(device, self.gaussians, DEPTH_BITS - bits..DEPTH_BITS)?;
+        Ok(self)
+    }
+
+    /// The same, blending in another way.
+    pub fn with_raster(self, raster: RasterKind) -> Render {
+        Render { raster, ..self }
     }
 
     /// Number of (splat, tile) pairs that there is room for.
@@ -300,27 +321,38 @@ impl Render {
         self.check_scratch(scratch)?;
         self.check_pixels("blend", pixels)?;
         let s = scratch;
-        recorder.dispatch::<raster::Forward>(
-            self.tile_groups(recorder.device())?,
-            raster::ForwardParams {
-                width: self.width,
-                height: self.height,
-                alpha_cut: self.settings.alpha_cut,
-                alpha_cap: self.settings.alpha_cap,
-                transmittance_stop: self.settings.transmittance_stop,
-            },
-            raster::ForwardArgs {
-                ranges: s.ranges.view(),
-                intersections: s.intersections.view(),
-                splats: s.splats.view(),
-                means: s.means.view(),
-                conics: s.conics.view(),
-                colours,
-                rgba: pixels.rgba.view_mut(),
-                depth: pixels.depth.view_mut(),
-                last: pixels.last.view_mut(),
-            },
-        )
+        let groups = self.tile_groups(recorder.device())?;
+        let RenderSettings { alpha_cut, alpha_cap, transmittance_stop, .. } = self.settings;
+        // Two kernels of one interface.
+        macro_rules! dispatch {
+            ($kernel:ident, $params:ident, $args:ident) => {
+                recorder.dispatch::<raster::$kernel>(
+                    groups,
+                    raster::$params {
+                        width: self.width,
+                        height: self.height,
+                        alpha_cut,
+                        alpha_cap,
+                        transmittance_stop,
+                    },
+                    raster::$args {
+                        ranges: s.ranges.view(),
+                        intersections: s.intersections.view(),
+                        splats: s.splats.view(),
+                        means: s.means.view(),
+                        conics: s.conics.view(),
+                        colours,
+                        rgba: pixels.rgba.view_mut(),
+                        depth: pixels.depth.view_mut(),
+                        last: pixels.last.view_mut(),
+                    },
+                )
+            };
+        }
+        match self.raster {
+            RasterKind::Subgroup => dispatch!(Forward, ForwardParams, ForwardArgs),
+            RasterKind::Shared => dispatch!(ForwardShared, ForwardSharedParams, ForwardSharedArgs),
+        }
     }
 
     fn check(&self, camera: &Camera, gaussians: &GaussianViews<'_>) -> Result<()> {
@@ -374,7 +406,8 @@ impl Render {
         s: &mut RenderScratch,
     ) -> Result<()> {
         let groups = Groups::linear(gaussians.len, 64, recorder.device().limits())?;
-        recorder.dispatch::<project::Forward>(
+        recorder.dispatch_specialised::<project::Forward>(
+            &[u32::from(gaussians.half_sh)],
             groups,
             project::ForwardParams {
                 count: gaussians.len as u32,
@@ -550,6 +583,10 @@ impl Render {
         with_pose: bool,
     ) -> Result<()> {
         gaussians.check("render backward")?;
+        if gaussians.half_sh {
+            let what = "gradients need the spherical harmonics in f32; 16 bits are for rendering";
+            return Err(Error::Input(what.into()));
+        }
         gradients.len = gaussians.len;
         gradients.views().at_degree(gaussians.sh_degree).check("render backward gradients")?;
         let colours = scratch.colours.view();

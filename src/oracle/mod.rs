@@ -7,6 +7,7 @@
 pub mod adam;
 pub mod arap;
 pub mod bin;
+pub mod ceiling;
 pub mod deform;
 pub mod density;
 pub mod flow;

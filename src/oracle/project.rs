@@ -15,6 +15,7 @@ use super::sh;
 use super::tiles::{self, TileRect};
 use super::view::{Cloud, View};
 use crate::types::RenderSettings;
+use rayon::prelude::*;
 
 /// Shorter quaternions count as zero, and their Gaussian is culled.
 pub const MIN_QUATERNION: f64 = 1e-10;
@@ -222,5 +223,6 @@ pub fn project<R: Real>(
     view: &View<R>,
     settings: &RenderSettings,
 ) -> Vec<Option<Splat<R>>> {
-    (0..cloud.len()).map(|index| splat(cloud, index, view, settings)).collect()
+    let one = |index| splat(cloud, index, view, settings);
+    (0..cloud.len()).into_par_iter().map(one).collect()
 }

@@ -7,6 +7,7 @@ use super::project::Splat;
 use super::project_backward::SplatGradient;
 use super::tiles::{TILE, power};
 use crate::types::RenderSettings;
+use rayon::prelude::*;
 
 /// A rendered image, row-major, or the gradient to one.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -105,23 +106,27 @@ pub fn forward<R: Real>(
     width: u32,
     height: u32,
 ) -> Pixels<R> {
+    let pixel = |x: u32, y: u32| {
+        let (mut rgb, mut depth) = ([R::zero(); 3], R::zero());
+        let left = blend(splats, bins, settings, x, y, |splat, share| {
+            let weight = share.alpha * share.transmittance;
+            for c in 0..3 {
+                rgb[c] += weight * splat.colour[c];
+            }
+            depth += weight * splat.depth;
+        });
+        (rgb, R::one() - left, depth)
+    };
     let mut out = Pixels::zeros(width as usize * height as usize);
-    for y in 0..height {
-        for x in 0..width {
-            let at = y as usize * width as usize + x as usize;
-            let (mut rgb, mut depth) = ([R::zero(); 3], R::zero());
-            let left = blend(splats, bins, settings, x, y, |splat, share| {
-                let weight = share.alpha * share.transmittance;
-                for c in 0..3 {
-                    rgb[c] += weight * splat.colour[c];
-                }
-                depth += weight * splat.depth;
-            });
-            out.rgb[at] = rgb;
-            out.depth[at] = depth;
-            out.alpha[at] = R::one() - left;
-        }
-    }
+    let row = (width as usize).max(1);
+    (out.rgb.par_chunks_mut(row), out.alpha.par_chunks_mut(row), out.depth.par_chunks_mut(row))
+        .into_par_iter()
+        .enumerate()
+        .for_each(|(y, (rgb, alpha, depth))| {
+            for x in 0..rgb.len() {
+                (rgb[x], alpha[x], depth[x]) = pixel(x as u32, y as u32);
+            }
+        });
     out
 }
 

@@ -2,6 +2,7 @@
 //!
 //! The scene's own file is safetensors ([`mod@file`]); static scenes exchange as 3DGS PLY ([`ply`]).
 
+mod compressed_ply;
 pub mod file;
 pub mod ply;
 

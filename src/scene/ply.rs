@@ -2,13 +2,15 @@
 //! `f_dc_0..2`, `f_rest_*` (channel-major: all of red, then green, then blue), `opacity` (logit),
 //! `scale_0..2` (logarithms), `rot_0..3` (w, x, y, z); all of them floats.
 //!
+//! Compressed PLY, which SuperSplat writes, is read too ([`compressed_ply`]).
+//!
 //! Reading takes any order of properties, further properties, ASCII and both byte orders; normals
 //! are not needed. Motion does not fit into this format.
 
 use std::io::Write;
 use std::path::Path;
 
-use super::without_bad;
+use super::{compressed_ply, without_bad};
 use crate::io::{self, ply::Kind, ply::Ply};
 use crate::types::{Gaussians, sh_coefficients};
 use crate::{Error, Result};
@@ -30,7 +32,9 @@ pub(super) fn parse(path: &Path, bytes: &[u8], drop_bad: bool) -> Result<(Gaussi
     let vertex =
         ply.element("vertex").ok_or_else(|| bad("the PLY has no element `vertex`".into()))?;
     if vertex.column("packed_position").is_some() {
-        return Err(bad("is a compressed PLY; convert it to a plain 3DGS PLY first".into()));
+        let mut gaussians = compressed_ply::gaussians(path, &ply)?;
+        let dropped = without_bad(path, &mut gaussians, drop_bad)?;
+        return Ok((gaussians, dropped));
     }
     let has = |name: &str| vertex.column(name).is_some();
     if !has("f_dc_0") && has("red") {

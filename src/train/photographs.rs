@@ -1,10 +1,11 @@
 //! The pictures on the device, and a renderer for each of their sizes.
 
+use super::settings::TrainSettings;
 use super::views::TrainingView;
 use crate::gpu::{Buffer, Device};
 use crate::ops::loss::{KnownDisparity, Loss, LossScratch, Photograph};
 use crate::ops::render::{BackwardScratch, PixelBuffers, PixelGradients, Render, RenderScratch};
-use crate::types::{Camera, RenderSettings};
+use crate::types::{Camera, RasterKind, RenderSettings};
 use crate::{Error, Result};
 use std::collections::BTreeMap;
 
@@ -84,9 +85,11 @@ impl Studio {
         gaussians: usize,
         intersections: usize,
         size: (u32, u32),
-        settings: RenderSettings,
+        (settings, depth_bits, raster): How,
     ) -> Result<Studio> {
-        let render = Render::plan(device, gaussians, intersections, size.0, size.1, settings)?;
+        let render = Render::plan(device, gaussians, intersections, size.0, size.1, settings)?
+            .with_depth_bits(device, depth_bits)?
+            .with_raster(raster);
         let loss = Loss::plan(size.0, size.1);
         Ok(Studio {
             scratch: render.scratch(device)?,
@@ -104,12 +107,16 @@ impl Studio {
 pub(super) struct Studios {
     by_size: BTreeMap<(u32, u32), Studio>,
     gaussians: usize,
-    settings: RenderSettings,
+    how: How,
 }
 
+/// Constants of blending, bits of depth that decide the order, how an image is blended.
+type How = (RenderSettings, u32, RasterKind);
+
 impl Studios {
-    pub(super) fn new(gaussians: usize, settings: RenderSettings) -> Studios {
-        Studios { by_size: BTreeMap::new(), gaussians, settings }
+    pub(super) fn new(gaussians: usize, settings: &TrainSettings) -> Studios {
+        let how = (settings.render, settings.depth_bits, settings.raster);
+        Studios { by_size: BTreeMap::new(), gaussians, how }
     }
 
     /// The studio for a size; made at first use, with room for a few intersections per Gaussian.
@@ -140,7 +147,7 @@ impl Studios {
     }
 
     fn insert(&mut self, device: &Device, size: (u32, u32), room: usize) -> Result<()> {
-        let studio = Studio::new(device, self.gaussians, room, size, self.settings)?;
+        let studio = Studio::new(device, self.gaussians, room, size, self.how)?;
         self.by_size.insert(size, studio);
         Ok(())
     }

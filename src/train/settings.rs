@@ -1,6 +1,6 @@
 //! Every number that training depends on.
 
-use crate::types::RenderSettings;
+use crate::types::{DEPTH_BITS, RasterKind, RenderSettings};
 
 /// Learning rates. Positions decay exponentially from the first to the last value over the steps and
 /// are in units of the scene's extent; the others are constant.
@@ -259,6 +259,11 @@ pub struct TrainSettings {
     pub background: [f32; 3],
     /// Constants of blending.
     pub render: RenderSettings,
+    /// How many of a depth's bits decide the order of splats; see
+    /// [`Tuning::depth_bits`](crate::types::Tuning::depth_bits).
+    pub depth_bits: u32,
+    /// How an image is blended.
+    pub raster: RasterKind,
     /// Density control; `None` keeps the Gaussians that there are.
     pub growth: Option<GrowthSettings>,
     /// How motion is trained, where there is any.
@@ -279,6 +284,8 @@ impl Default for TrainSettings {
             depth_scale: 0.0,
             background: [0.0; 3],
             render: RenderSettings::default(),
+            depth_bits: DEPTH_BITS,
+            raster: RasterKind::default(),
             growth: Some(GrowthSettings::default()),
             motion: MotionSettings::default(),
             seed: 0,

@@ -133,7 +133,7 @@ impl Trainer {
         Ok(Trainer {
             device: device.clone(),
             views: device_views,
-            studios: Studios::new(capacity, settings.render),
+            studios: Studios::new(capacity, &settings),
             gaussians: buffers,
             gradients: GaussianBuffers::new(device, capacity, degree)?,
             optimiser: GaussianOptimiser::new(&mut stream, capacity, degree)?,

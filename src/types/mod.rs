@@ -21,4 +21,4 @@ pub use density::{AdaptSettings, MotionClass};
 pub use flow::FlowSettings;
 pub use gaussians::{Gaussians, SH_C0, sh_coefficients};
 pub use image::Image;
-pub use settings::RenderSettings;
+pub use settings::{DEPTH_BITS, RasterKind, RenderSettings, Tuning};

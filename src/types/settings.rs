@@ -1,4 +1,8 @@
-//! The constants of blending.
+//! The constants of blending, and what trades accuracy for speed.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Error, Result};
 
 /// The constants of projection and blending; a scene's file carries them, so that every renderer
 /// blends as the trainer did. The defaults are gsplat's.
@@ -28,5 +32,115 @@ impl Default for RenderSettings {
             transmittance_stop: 1e-4,
             tangent_clamp: 1.3,
         }
+    }
+}
+
+/// Bits of a depth that decide the order of splats at most: all of an f32 but its sign.
+pub const DEPTH_BITS: u32 = 31;
+
+/// How an image is blended; the images are equal but for rounding.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RasterKind {
+    /// Each subgroup on its own block of a tile, splats passed from lane to lane.
+    #[default]
+    Subgroup,
+    /// A workgroup per tile, splats staged in shared memory.
+    Shared,
+}
+
+/// What trades accuracy for speed. The default gives up nothing; the keys of its JSON are the fields.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Tuning {
+    /// Highest degree of the spherical harmonics that is evaluated.
+    pub sh_degree: u32,
+    /// Keep the spherical harmonics as 16-bit floats; for rendering only.
+    pub half_sh: bool,
+    /// Instead of the scene's own [`RenderSettings::alpha_cut`].
+    pub alpha_cut: Option<f32>,
+    /// Instead of the scene's own [`RenderSettings::transmittance_stop`].
+    pub transmittance_stop: Option<f32>,
+    /// How many of a depth's bits decide the order of splats, from the highest; what these do not
+    /// tell apart is blended in the order of its index. Every 8 bits are a pass of the sort.
+    pub depth_bits: u32,
+    /// Control points that a dynamic Gaussian follows at most.
+    pub neighbours: Option<u32>,
+    /// How an image is blended; which is faster depends on the device.
+    pub raster: RasterKind,
+}
+
+impl Default for Tuning {
+    fn default() -> Self {
+        Tuning {
+            sh_degree: 3,
+            half_sh: false,
+            alpha_cut: None,
+            transmittance_stop: None,
+            depth_bits: DEPTH_BITS,
+            neighbours: None,
+            raster: RasterKind::Subgroup,
+        }
+    }
+}
+
+impl Tuning {
+    /// Whether all values lie in their ranges.
+    ///
+    /// # Errors
+    /// [`Error::Input`] that names the field.
+    pub fn check(&self) -> Result<()> {
+        let share = |value: Option<f32>| value.is_none_or(|v| v > 0.0 && v < 1.0);
+        let wrong = match self {
+            t if t.sh_degree > 3 => "sh_degree must be 0 to 3",
+            t if !share(t.alpha_cut) => "alpha_cut must lie between 0 and 1",
+            t if !share(t.transmittance_stop) => "transmittance_stop must lie between 0 and 1",
+            t if !(1..=DEPTH_BITS).contains(&t.depth_bits) => "depth_bits must be 1 to 31",
+            t if t.neighbours.is_some_and(|k| !(1..=8).contains(&k)) => "neighbours must be 1 to 8",
+            _ => return Ok(()),
+        };
+        Err(Error::Input(format!("settings: {wrong}")))
+    }
+
+    /// The constants of blending with what this replaces.
+    pub fn apply(&self, settings: RenderSettings) -> RenderSettings {
+        RenderSettings {
+            alpha_cut: self.alpha_cut.unwrap_or(settings.alpha_cut),
+            transmittance_stop: self.transmittance_stop.unwrap_or(settings.transmittance_stop),
+            ..settings
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_out_of_range_is_named() {
+        Tuning::default().check().unwrap();
+        let bad = [
+            r#"{"sh_degree": 4}"#,
+            r#"{"alpha_cut": 0}"#,
+            r#"{"transmittance_stop": 1.5}"#,
+            r#"{"depth_bits": 0}"#,
+            r#"{"depth_bits": 32}"#,
+            r#"{"neighbours": 9}"#,
+        ];
+        for text in bad {
+            let message = serde_json::from_str::<Tuning>(text).unwrap().check().unwrap_err();
+            let field = text.split('"').nth(1).unwrap();
+            assert!(message.to_string().contains(field), "{message}");
+        }
+        assert!(serde_json::from_str::<Tuning>(r#"{"alpha": 0.1}"#).is_err(), "a wrong name");
+    }
+
+    #[test]
+    fn only_what_is_given_replaces() {
+        let tuned = Tuning { alpha_cut: Some(0.02), ..Tuning::default() };
+        let own = RenderSettings { transmittance_stop: 0.005, ..RenderSettings::default() };
+        let applied = tuned.apply(own);
+        assert_eq!((applied.alpha_cut, applied.transmittance_stop), (0.02, 0.005));
+        assert_eq!(Tuning::default().apply(own), own);
     }
 }

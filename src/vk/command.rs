@@ -11,6 +11,8 @@ use std::sync::Arc;
 const SETS_PER_POOL: u32 = 256;
 const DESCRIPTORS_PER_SET: u32 = 16;
 const TIMESTAMPS: u32 = 2048;
+/// The queries after those of `timestamp`: begin and end of a metered recording.
+const SPAN: [u32; 2] = [TIMESTAMPS, TIMESTAMPS + 1];
 
 /// A part of a buffer bound to a kernel; opaque outside the crate.
 #[derive(Clone)]
@@ -28,6 +30,8 @@ pub(crate) struct CommandSlot {
     current_pool: usize,
     queries: vk::QueryPool,
     timestamps: u32,
+    /// Whether this recording has reset the queries.
+    queries_reset: bool,
     context: Arc<Context>,
 }
 
@@ -41,6 +45,7 @@ impl CommandSlot {
             current_pool: 0,
             queries: vk::QueryPool::null(),
             timestamps: 0,
+            queries_reset: false,
             context: context.clone(),
         };
         let info = vk::CommandPoolCreateInfo::default().queue_family_index(context.family);
@@ -78,6 +83,7 @@ impl CommandSlot {
         }
         self.current_pool = 0;
         self.timestamps = 0;
+        self.queries_reset = false;
         Ok(())
     }
 
@@ -204,50 +210,68 @@ impl CommandSlot {
 
     /// Writes a timestamp after everything before; false when the slot has none left.
     pub(crate) fn timestamp(&mut self) -> Result<bool> {
+        if self.timestamps == TIMESTAMPS {
+            return Ok(false);
+        }
+        self.stamp(self.timestamps)?;
+        self.timestamps += 1;
+        Ok(true)
+    }
+
+    /// Marks the begin (0) or the end (1) of what [`read_span`](Self::read_span) measures.
+    pub(crate) fn span(&mut self, end: usize) -> Result<()> {
+        self.stamp(SPAN[end])
+    }
+
+    fn stamp(&mut self, query: u32) -> Result<()> {
         let device = &self.context.raw;
         if self.queries == vk::QueryPool::null() {
             let info = vk::QueryPoolCreateInfo::default()
                 .query_type(vk::QueryType::TIMESTAMP)
-                .query_count(TIMESTAMPS);
+                .query_count(TIMESTAMPS + SPAN.len() as u32);
             // SAFETY: the device is alive.
             self.queries = unsafe { device.create_query_pool(&info, None) }
                 .map_err(vk_error("vkCreateQueryPool"))?;
         }
-        if self.timestamps == TIMESTAMPS {
-            return Ok(false);
-        }
         // SAFETY: recording, outside of any render pass; the query was not written yet.
         unsafe {
-            if self.timestamps == 0 {
-                device.cmd_reset_query_pool(self.buffer, self.queries, 0, TIMESTAMPS);
+            if !self.queries_reset {
+                let count = TIMESTAMPS + SPAN.len() as u32;
+                device.cmd_reset_query_pool(self.buffer, self.queries, 0, count);
+                self.queries_reset = true;
             }
             device.cmd_write_timestamp2(
                 self.buffer,
                 vk::PipelineStageFlags2::ALL_COMMANDS,
                 self.queries,
-                self.timestamps,
+                query,
             );
         }
-        self.timestamps += 1;
-        Ok(true)
+        Ok(())
     }
 
     /// The timestamps written, in ticks; only after the submission is done.
     pub(crate) fn read_timestamps(&self) -> Result<Vec<u64>> {
         let mut ticks = vec![0u64; self.timestamps as usize];
-        if !ticks.is_empty() {
-            // SAFETY: the pool is alive and the queries were written.
-            unsafe {
-                self.context.raw.get_query_pool_results(
-                    self.queries,
-                    0,
-                    &mut ticks,
-                    vk::QueryResultFlags::TYPE_64 | vk::QueryResultFlags::WAIT,
-                )
-            }
-            .map_err(vk_error("vkGetQueryPoolResults"))?;
-        }
+        self.read_queries(0, &mut ticks)?;
         Ok(ticks)
+    }
+
+    /// Ticks between the span's two marks; only after the submission is done.
+    pub(crate) fn read_span(&self) -> Result<u64> {
+        let mut ticks = [0u64; 2];
+        self.read_queries(SPAN[0], &mut ticks)?;
+        Ok(ticks[1].wrapping_sub(ticks[0]))
+    }
+
+    fn read_queries(&self, first: u32, ticks: &mut [u64]) -> Result<()> {
+        if ticks.is_empty() {
+            return Ok(());
+        }
+        let flags = vk::QueryResultFlags::TYPE_64 | vk::QueryResultFlags::WAIT;
+        // SAFETY: the pool is alive and the queries were written.
+        unsafe { self.context.raw.get_query_pool_results(self.queries, first, ticks, flags) }
+            .map_err(vk_error("vkGetQueryPoolResults"))
     }
 
     fn descriptor_set(&mut self, layout: vk::DescriptorSetLayout) -> Result<vk::DescriptorSet> {

@@ -32,6 +32,14 @@ pub const MAY_SEE: &[(&str, &[&str])] = &[
             "eval", "renderer",
         ],
     ),
+    // Ops and pipelines against the oracle and against the clock: it sees what it measures.
+    (
+        "bench",
+        &[
+            "error", "types", "gpu", "kernels", "oracle", "ops", "geometry", "scene", "renderer",
+            "report", "check", "train",
+        ],
+    ),
     // The command line names the crate as any other user does.
     ("cmd", &[]),
 ];

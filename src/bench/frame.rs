@@ -1,0 +1,196 @@
+//! A scene rendered forward and backward, with everything that lies between the dispatches.
+
+use crate::Result;
+use crate::gpu::{Device, KernelTime, Recorder, Stream};
+use crate::ops::gaussians::GaussianBuffers;
+use crate::ops::render::{
+    BackwardScratch, FrameCounts, PixelBuffers, PixelGradients, Render, RenderScratch,
+};
+use crate::oracle::bin::Bins;
+use crate::oracle::project::Splat;
+use crate::oracle::tiles::{TileRect, grid};
+use crate::types::{Camera, Gaussians, RenderSettings};
+
+pub(super) struct Frame {
+    pub(super) render: Render,
+    pub(super) camera: Camera,
+    pub(super) gaussians: GaussianBuffers,
+    pub(super) scratch: RenderScratch,
+    pub(super) pixels: PixelBuffers,
+    pub(super) counts: FrameCounts,
+    pub(super) stream: Stream,
+    backward: Option<Backward>,
+}
+
+/// What only the backward pass needs.
+struct Backward {
+    scratch: BackwardScratch,
+    by_pixel: PixelGradients,
+    gradients: GaussianBuffers,
+}
+
+/// What the device projected and listed, as the oracle's own types.
+pub(super) struct Listed {
+    pub(super) splats: Vec<Option<Splat<f64>>>,
+    pub(super) bins: Bins,
+    /// Tile of each intersection as emitted, and its splat.
+    pub(super) emitted: [Vec<u32>; 2],
+    pub(super) tile_counts: Vec<u32>,
+    pub(super) visible: Vec<u32>,
+}
+
+impl Frame {
+    /// Renders once, with room for all intersections.
+    pub(super) fn new(
+        device: &Device,
+        scene: &Gaussians,
+        camera: &Camera,
+        settings: RenderSettings,
+    ) -> Result<Frame> {
+        let mut stream = device.stream()?;
+        let gaussians = GaussianBuffers::from_host(&mut stream, scene)?;
+        let (n, k) = (scene.len(), camera.intrinsics);
+        let mut room = 4 * n + 1024;
+        loop {
+            let render = Render::plan(device, n, room, k.width, k.height, settings)?;
+            let (mut scratch, mut pixels) = (render.scratch(device)?, render.pixels(device)?);
+            let mut recorder = stream.record()?;
+            let views = gaussians.views();
+            render.forward(&mut recorder, camera, views, &mut scratch, &mut pixels)?;
+            stream.submit(recorder)?;
+            let counts = scratch.counts(&mut stream)?;
+            if counts.intersections <= room {
+                let (camera, backward) = (*camera, None);
+                return Ok(Frame {
+                    render,
+                    camera,
+                    gaussians,
+                    scratch,
+                    pixels,
+                    counts,
+                    stream,
+                    backward,
+                });
+            }
+            room = counts.intersections;
+        }
+    }
+
+    /// Renders, and gives the time of each dispatch; none where there are no timestamps.
+    pub(super) fn profile_forward(&mut self) -> Result<Vec<KernelTime>> {
+        let mut recorder = self.stream.record()?;
+        recorder.profile()?;
+        let views = self.gaussians.views();
+        let (scratch, pixels) = (&mut self.scratch, &mut self.pixels);
+        self.render.forward(&mut recorder, &self.camera, views, scratch, pixels)?;
+        self.finish(recorder)
+    }
+
+    fn finish(&mut self, recorder: Recorder) -> Result<Vec<KernelTime>> {
+        let timed = self.stream.device().limits().timestamp_period > 0.0;
+        let ticket = self.stream.submit(recorder)?;
+        match timed {
+            true => self.stream.times(ticket),
+            false => self.stream.wait(ticket).map(|()| Vec::new()),
+        }
+    }
+
+    /// Sets the gradient by the image that [`profile_backward`](Self::profile_backward) starts from.
+    pub(super) fn set_gradient(&mut self, rgba: &[[f32; 4]], depth: &[f32]) -> Result<()> {
+        let device = self.stream.device().clone();
+        let mut by_pixel = self.render.pixel_gradients(&device)?;
+        self.stream.upload(&mut by_pixel.rgba, rgba)?;
+        self.stream.upload(&mut by_pixel.depth, depth)?;
+        let gradients =
+            GaussianBuffers::new(&device, self.gaussians.len, self.gaussians.sh_degree)?;
+        let scratch = self.render.backward_scratch(&device)?;
+        self.backward = Some(Backward { scratch, by_pixel, gradients });
+        Ok(())
+    }
+
+    /// Differentiates the last frame, by the pose too, and gives the time of each dispatch.
+    pub(super) fn profile_backward(&mut self) -> Result<Vec<KernelTime>> {
+        let mut recorder = self.stream.record()?;
+        recorder.profile()?;
+        let b = self.backward.as_mut().expect("a gradient was set");
+        self.render.backward(
+            &mut recorder,
+            self.gaussians.views(),
+            &self.scratch,
+            &self.pixels,
+            &b.by_pixel,
+            &mut b.scratch,
+            &mut b.gradients,
+            true,
+        )?;
+        self.finish(recorder)
+    }
+
+    /// The gradients of the last backward pass.
+    pub(super) fn gradients(&mut self) -> Result<Gaussians> {
+        let b = self.backward.as_ref().expect("a gradient was set");
+        b.gradients.download(&mut self.stream)
+    }
+
+    /// The last frame's image.
+    pub(super) fn image(&mut self) -> Result<Vec<[f32; 4]>> {
+        self.stream.download(&self.pixels.rgba)
+    }
+
+    /// (pixel, splat) pairs that blending looks at, from where each pixel stopped.
+    pub(super) fn blended(&mut self) -> Result<u64> {
+        let last = self.stream.download(&self.pixels.last)?;
+        Ok(last.iter().map(|&l| u64::from(l)).sum())
+    }
+
+    /// What the device has listed in the last frame.
+    pub(super) fn listed(&mut self) -> Result<Listed> {
+        let (s, stream) = (&self.scratch, &mut self.stream);
+        let (n, m) = (self.gaussians.len, self.counts.intersections);
+        let cut = |mut words: Vec<u32>, len: usize| {
+            words.truncate(len);
+            words
+        };
+        let (means, conics) = (stream.download(&s.means)?, stream.download(&s.conics)?);
+        let colours = stream.download(&s.colours)?;
+        let rectangles = stream.download(&s.rectangles)?;
+        let tile_counts = cut(stream.download(&s.tile_counts)?, n);
+        let visible = cut(stream.download(&s.visible)?, n);
+        let tiles = cut(stream.download(&s.tiles)?, m);
+        let owners = cut(stream.download(&s.splats)?, m);
+        let sorted = cut(stream.download(&s.sorted_tiles)?, m);
+        let intersections = cut(stream.download(&s.intersections)?, m);
+        let wide = f64::from;
+        let splats = (0..n)
+            .map(|i| {
+                (visible[i] != 0).then(|| Splat {
+                    mean: [wide(means[i][0]), wide(means[i][1])],
+                    conic: [wide(conics[i][0]), wide(conics[i][1]), wide(conics[i][2])],
+                    opacity: wide(means[i][3]),
+                    depth: wide(means[i][2]),
+                    colour: std::array::from_fn(|c| wide(colours[i][c])),
+                    rect: TileRect {
+                        min: [rectangles[i][0] & 0xffff, rectangles[i][0] >> 16],
+                        max: [rectangles[i][1] & 0xffff, rectangles[i][1] >> 16],
+                    },
+                    tile_count: tile_counts[i],
+                })
+            })
+            .collect();
+        let bins = Bins {
+            grid: grid(self.pixels.width, self.pixels.height),
+            order: cut(stream.download(&s.order)?, self.counts.visible),
+            offsets: cut(stream.download(&s.rank_offsets)?, self.counts.visible),
+            splats: intersections.iter().map(|&at| owners[at as usize]).collect(),
+            tiles: sorted,
+            ranges: stream.download(&s.ranges)?,
+        };
+        Ok(Listed { splats, bins, emitted: [tiles, owners], tile_counts, visible })
+    }
+}
+
+/// Nanoseconds of the dispatches that `which` names; `None` where nothing was timed.
+pub(super) fn sum(times: &[KernelTime], which: impl Fn(&str) -> bool) -> Option<f64> {
+    let chosen = times.iter().filter(|time| which(time.kernel));
+    (!times.is_empty()).then(|| chosen.map(|time| time.nanoseconds).sum())
+}

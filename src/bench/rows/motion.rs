@@ -1,0 +1,418 @@
+//! What moves a scene: nearest control points, skinning, the deformation network, rigidity.
+
+use super::{sizes, thousands};
+use crate::Result;
+use crate::bench::job::{Entry, Job};
+use crate::bench::scenes::{camera, cloud, control_points, network, rng};
+use crate::bench::verify::Check;
+use crate::check::Bound;
+use crate::gpu::{Buffer, Device};
+use crate::ops::arap::{Arap, ArapArgs, ArapSettings};
+use crate::ops::deform::{Skin, SkinArgs, SkinGradients, Skinned};
+use crate::ops::mlp::Network;
+use crate::oracle::{arap, deform, mlp};
+use crate::report::{Place, Work};
+use crate::types::NetShape;
+use rand::RngExt;
+use std::cell::RefCell;
+use std::rc::Rc;
+
+/// Control points that a Gaussian follows.
+const FOLLOWED: usize = 4;
+/// Control points of the skinning rows.
+const NODES: usize = 512;
+/// A network that suits a software driver.
+pub(in crate::bench) const NARROW: NetShape =
+    NetShape { depth: 6, width: 64, skip: 3, position_frequencies: 10, time_frequencies: 6 };
+
+pub(super) fn entries(quick: bool) -> Vec<Entry> {
+    let mut all = Vec::new();
+    for n in sizes(quick, &[10_000usize, 100_000]) {
+        let size = format!("{} Gaussians, {NODES} nodes", thousands(n));
+        all.push(Entry::new("deform/nearest", size.clone(), move |d, s| nearest(d, s, n)));
+        all.push(Entry::new("deform/skin", size.clone(), move |d, s| skin(d, s, n, false)));
+        all.push(Entry::new("deform/skin_backward", size, move |d, s| skin(d, s, n, true)));
+    }
+    for (name, shape, rows) in sizes(
+        quick,
+        &[("64 wide", NARROW, 512), ("64 wide", NARROW, 1536), ("256 wide", NetShape::PAPER, 512)],
+    ) {
+        let size = format!("{name}, {} layers, {rows} rows", shape.depth);
+        all.push(Entry::new("mlp/forward", size.clone(), move |d, s| {
+            net(d, s, shape, rows, false)
+        }));
+        all.push(Entry::new("mlp/backward", size, move |d, s| net(d, s, shape, rows, true)));
+    }
+    for nodes in sizes(quick, &[512usize, 2048]) {
+        let size = format!("{nodes} nodes, 10 edges");
+        all.push(Entry::new("arap/energy", size, move |d, s| rigidity(d, s, nodes)));
+    }
+    all
+}
+
+/// Gaussians that all follow moving control points, on the host and on the device.
+struct Scene {
+    positions: Vec<[f32; 3]>,
+    rotations: Vec<[f32; 4]>,
+    nodes: Vec<[f32; 3]>,
+    log_radii: Vec<f32>,
+    transforms: Vec<[f32; 8]>,
+    ids: Buffer<u32>,
+    position_buffer: Buffer<f32>,
+    rotation_buffer: Buffer<[f32; 4]>,
+    node_buffer: Buffer<f32>,
+    radius_buffer: Buffer<f32>,
+    transform_buffer: Buffer<[f32; 4]>,
+}
+
+impl Scene {
+    fn new(device: &Device, seed: u64, n: usize) -> Result<Scene> {
+        let camera = camera(480, 270);
+        let gaussians = cloud(seed, n, 0, &camera);
+        let points = control_points(seed, NODES, &camera);
+        let mut rng = rng(seed + 3);
+        let transforms: Vec<[f32; 8]> = (0..NODES)
+            .map(|_| {
+                let mut t: [f32; 8] = std::array::from_fn(|_| rng.random_range(-0.3f32..0.3));
+                t[4] += 1.0;
+                t
+            })
+            .collect();
+        let halves: Vec<[f32; 4]> = bytemuck::cast_slice(&transforms).to_vec();
+        Ok(Scene {
+            ids: device.upload("dynamic ids", &(0..n as u32).collect::<Vec<_>>())?,
+            position_buffer: device.upload("positions", gaussians.positions.as_flattened())?,
+            rotation_buffer: device.upload("rotations", &gaussians.rotations)?,
+            node_buffer: device.upload("nodes", points.positions.as_flattened())?,
+            radius_buffer: device.upload("log radii", &points.log_radii)?,
+            transform_buffer: device.upload("transforms", &halves)?,
+            positions: gaussians.positions,
+            rotations: gaussians.rotations,
+            nodes: points.positions,
+            log_radii: points.log_radii,
+            transforms,
+        })
+    }
+
+    fn args(&self) -> SkinArgs<'_> {
+        SkinArgs {
+            dynamic_ids: self.ids.view(),
+            positions: self.position_buffer.view(),
+            rotations: self.rotation_buffer.view(),
+            nodes: self.node_buffer.view(),
+            log_radii: self.radius_buffer.view(),
+            transforms: self.transform_buffer.view(),
+            time: 0,
+            soft: None,
+        }
+    }
+}
+
+fn nearest(device: &Device, seed: u64, n: usize) -> Result<Job> {
+    let scene = Scene::new(device, seed, n)?;
+    let mut skin = Skin::new(device, FOLLOWED, n, NODES)?;
+    let mut stream = device.stream()?;
+    let mut found = device.buffer::<u32>("neighbours", FOLLOWED * n)?;
+    let mut recorder = stream.record()?;
+    let a = scene.args();
+    skin.refresh(&mut recorder, a.dynamic_ids, a.positions, a.nodes)?;
+    recorder.copy(skin.neighbours().neighbours(), found.view_mut());
+    stream.submit(recorder)?;
+    let mut check = Check::new();
+    let truth = deform::nearest(&scene.positions, &scene.nodes, FOLLOWED);
+    check.exact("neighbours", &stream.download(&found)?, &truth);
+    // Every Gaussian against every control point: differences, squares, a comparison.
+    let pairs = (n * NODES) as u64;
+    let work =
+        Work { bytes: (n * 12 + NODES * 12 + 3 * n * FOLLOWED * 8) as u64, operations: 9 * pairs };
+    Job::recorded(device, check.accuracy(), work, move |recorder| {
+        let a = scene.args();
+        skin.refresh(recorder, a.dynamic_ids, a.positions, a.nodes)
+    })
+}
+
+fn skin(device: &Device, seed: u64, n: usize, backward: bool) -> Result<Job> {
+    let scene = Scene::new(device, seed, n)?;
+    let mut rng = rng(seed + 4);
+    let mut random =
+        |len: usize| -> Vec<f32> { (0..len).map(|_| rng.random_range(-1.0f32..1.0)).collect() };
+    let (by_position, by_rotation) = (random(3 * n), random(4 * n));
+    let by_rotation: Vec<[f32; 4]> = bytemuck::cast_slice(&by_rotation).to_vec();
+    let mut op = Skin::new(device, FOLLOWED, n, NODES)?;
+    let mut moved = device.buffer::<f32>("moved positions", 3 * n)?;
+    let mut turned = device.buffer::<[f32; 4]>("moved rotations", n)?;
+    let mut rigidity = device.buffer::<f32>("rigidity", n)?;
+    let mut position_gradients = device.upload("position gradients", &by_position)?;
+    let mut rotation_gradients = device.upload("rotation gradients", &by_rotation)?;
+    let mut motion_gradients = device.upload("motion gradients", &vec![0.0f32; n])?;
+    let mut transform_gradients = device.buffer::<[f32; 4]>("transform gradients", 2 * NODES)?;
+    let mut radius_gradients = device.buffer::<f32>("radius gradients", NODES)?;
+    macro_rules! outputs {
+        () => {
+            Skinned {
+                positions: moved.view_mut(),
+                rotations: turned.view_mut(),
+                rigidity: rigidity.view_mut(),
+            }
+        };
+    }
+    macro_rules! gradients {
+        () => {
+            SkinGradients {
+                positions: position_gradients.view_mut(),
+                rotations: rotation_gradients.view_mut(),
+                motion_logits: motion_gradients.view_mut(),
+                transforms: transform_gradients.view_mut(),
+                log_radii: radius_gradients.view_mut(),
+                accumulate: false,
+                rigid_scale: 0.0,
+            }
+        };
+    }
+    let mut stream = device.stream()?;
+    let mut recorder = stream.record()?;
+    let a = scene.args();
+    op.refresh(&mut recorder, a.dynamic_ids, a.positions, a.nodes)?;
+    op.forward(&mut recorder, a, outputs!())?;
+    op.backward(&mut recorder, a, gradients!())?;
+    stream.submit(recorder)?;
+
+    fn wide<const N: usize>(values: &[[f32; N]]) -> Vec<[f64; N]> {
+        values.iter().map(|v| v.map(f64::from)).collect()
+    }
+    let (positions, rotations) = (wide(&scene.positions), wide(&scene.rotations));
+    let (nodes, transforms) = (wide(&scene.nodes), wide(&scene.transforms));
+    let log_radii: Vec<f64> = scene.log_radii.iter().map(|&r| f64::from(r)).collect();
+    let neighbours = deform::nearest(&scene.positions, &scene.nodes, FOLLOWED);
+    let (zeros, ids) = (vec![0.0f64; n], (0..n as u32).collect::<Vec<_>>());
+    let truth = deform::Skin {
+        positions: &positions,
+        rotations: &rotations,
+        motion_logits: &zeros,
+        evidence: &zeros,
+        dynamic_ids: &ids,
+        neighbours: &neighbours,
+        k: FOLLOWED,
+        nodes: &nodes,
+        log_radii: &log_radii,
+        transforms: &transforms,
+        soft: false,
+    };
+    let mut check = Check::new();
+    if backward {
+        let by: Vec<[f64; 3]> = wide(bytemuck::cast_slice(&by_position));
+        let exact = deform::backward(&truth, &by, &wide(&by_rotation), 0.0);
+        let mut hold = |name: &str, device: &[f32], exact: &[f64]| {
+            let largest = exact.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+            let bound = Bound { absolute: 1e-5 * largest, relative: 1e-4 };
+            check.close(name, device, exact, bound);
+        };
+        let got = stream.download(&position_gradients)?;
+        hold("gradient by position", &got, exact.positions.as_flattened());
+        let got = stream.download(&transform_gradients)?.into_flattened();
+        hold("gradient by transform", &got, exact.transforms.as_flattened());
+        let got = stream.download(&radius_gradients)?;
+        hold("gradient by radius", &got, &exact.log_radii);
+    } else {
+        let exact = deform::forward(&truth);
+        // Coordinates of up to 6.
+        let bound = Bound { absolute: 1e-5, relative: 2e-6 };
+        let got = stream.download(&moved)?;
+        check.close("moved positions", &got, exact.positions.as_flattened(), bound);
+        let got = stream.download(&turned)?.into_flattened();
+        check.close("moved rotations", &got, exact.rotations.as_flattened(), bound);
+    }
+    let n = n as u64;
+    let followed = n * FOLLOWED as u64;
+    // Positions and quaternions in and out, the lists; a turn, a shift and a weight per neighbour.
+    let mut work = Work { bytes: n * (28 + 28 + 28) + followed * 4, operations: followed * 90 };
+    if backward {
+        // Contributions of each neighbour are written and gathered.
+        work = Work { bytes: n * 112 + followed * (4 + 64 + 4), operations: followed * 260 };
+        // The gradients change in place: each execution starts from fresh ones.
+        let (positions, rotations) = (by_position, by_rotation);
+        let (mut upload, mut stream) = (device.stream()?, device.stream()?);
+        let state = Rc::new(RefCell::new((position_gradients, rotation_gradients)));
+        let again = state.clone();
+        return Ok(Job {
+            accuracy: check.accuracy(),
+            work,
+            place: Place::Device,
+            reset: Some(Box::new(move || {
+                let (p, r) = &mut *again.borrow_mut();
+                upload.upload(p, &positions)?;
+                upload.upload(r, &rotations)
+            })),
+            execute: Box::new(move || {
+                let (p, r) = &mut *state.borrow_mut();
+                let mut recorder = stream.record()?;
+                let gradients = SkinGradients {
+                    positions: p.view_mut(),
+                    rotations: r.view_mut(),
+                    motion_logits: motion_gradients.view_mut(),
+                    transforms: transform_gradients.view_mut(),
+                    log_radii: radius_gradients.view_mut(),
+                    accumulate: false,
+                    rigid_scale: 0.0,
+                };
+                op.backward(&mut recorder, scene.args(), gradients)?;
+                let ticket = stream.submit(recorder)?;
+                stream.wait(ticket)?;
+                Ok(None)
+            }),
+        });
+    }
+    Job::recorded(device, check.accuracy(), work, move |recorder| {
+        op.forward(recorder, scene.args(), outputs!())
+    })
+}
+
+fn net(device: &Device, seed: u64, shape: NetShape, rows: usize, backward: bool) -> Result<Job> {
+    let network = network(seed, shape);
+    let mut rng = rng(seed + 5);
+    let nodes: Vec<f32> = (0..3 * rows).map(|_| rng.random_range(-1.5f32..1.5)).collect();
+    let time = 0.37f32;
+    let by_transform: Vec<[f32; 8]> =
+        (0..rows).map(|_| std::array::from_fn(|_| rng.random_range(-1.0f32..1.0))).collect();
+    let op = Network::new(&shape)?;
+    let mut scratch = op.scratch(device, rows)?;
+    let parameters = device.upload("parameters", &network.parameters)?;
+    let node_buffer = device.upload("nodes", &nodes)?;
+    let times = device.upload("times", &[time])?;
+    let halves: Vec<[f32; 4]> = bytemuck::cast_slice(&by_transform).to_vec();
+    let gradient_buffer = device.upload("transform gradients", &halves)?;
+    let mut transforms = device.buffer::<[f32; 4]>("transforms", 2 * rows)?;
+    let mut gradients = device.buffer::<f32>("parameter gradients", network.parameters.len())?;
+    macro_rules! record {
+        ($recorder:expr, forward) => {
+            op.forward(
+                $recorder,
+                parameters.view(),
+                node_buffer.view(),
+                times.view(),
+                transforms.view_mut(),
+                &mut scratch,
+            )
+        };
+        ($recorder:expr, backward) => {
+            op.backward(
+                $recorder,
+                parameters.view(),
+                gradient_buffer.view(),
+                gradients.view_mut(),
+                false,
+                &mut scratch,
+            )
+        };
+    }
+    let mut stream = device.stream()?;
+    let mut recorder = stream.record()?;
+    record!(&mut recorder, forward)?;
+    record!(&mut recorder, backward)?;
+    stream.submit(recorder)?;
+
+    let wide: Vec<f64> = network.parameters.iter().map(|&p| f64::from(p)).collect();
+    let queries: Vec<[f64; 4]> =
+        nodes.chunks_exact(3).map(|p| [p[0], p[1], p[2], time].map(f64::from)).collect();
+    let pass = mlp::forward(&shape, &wide, &queries);
+    let mut check = Check::new();
+    if backward {
+        let by: Vec<[f64; 7]> = by_transform
+            .iter()
+            .map(|&[x, y, z, _, w, i, j, k]| [x, y, z, w, i, j, k].map(f64::from))
+            .collect();
+        let truth = mlp::backward(&shape, &wide, &pass, &by);
+        let largest = truth.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+        let bound = Bound { absolute: 1e-5 * largest, relative: 1e-5 };
+        check.close("parameter gradients", &stream.download(&gradients)?, &truth, bound);
+    } else {
+        let truth: Vec<f64> = pass.outputs.iter().flat_map(|&o| mlp::transform(o)).collect();
+        let got = stream.download(&transforms)?.into_flattened();
+        check.close("transforms", &got, &truth, Bound { absolute: 1e-5, relative: 1e-5 });
+    }
+    let rows = rows as u64;
+    let products: u64 = shape.layers().iter().map(|(i, o)| (i * o) as u64).sum();
+    let activations: u64 = shape.layers().iter().map(|(i, o)| (i + o) as u64).sum();
+    let parameters_count = network.parameters.len() as u64;
+    // Backward: a product for the layer below and one for the weights.
+    let times_over = if backward { 2 } else { 1 };
+    let work = Work {
+        bytes: times_over * 4 * (rows * activations + parameters_count),
+        operations: times_over * 2 * rows * products,
+    };
+    Job::recorded(device, check.accuracy(), work, move |recorder| match backward {
+        false => record!(recorder, forward),
+        true => record!(recorder, backward),
+    })
+}
+
+const EDGES: usize = 10;
+const ARAP: ArapSettings = ArapSettings { always: 3, reach: 2.0, weight: 0.5 };
+
+fn rigidity(device: &Device, seed: u64, nodes: usize) -> Result<Job> {
+    let points = control_points(seed, nodes, &camera(480, 270));
+    let mut rng = rng(seed + 6);
+    let halves: Vec<[f32; 4]> = (0..2 * nodes)
+        .flat_map(|_| {
+            let t: [f32; 3] = std::array::from_fn(|_| rng.random_range(-0.2f32..0.2));
+            [[t[0], t[1], t[2], 0.0], [1.0, 0.0, 0.0, 0.0]]
+        })
+        .collect();
+    let node_buffer = device.upload("nodes", points.positions.as_flattened())?;
+    let log_radii = device.upload("log radii", &points.log_radii)?;
+    let transforms = device.upload("transforms", &halves)?;
+    let mut gradients = device.upload("transform gradients", &vec![[0.0f32; 4]; 4 * nodes])?;
+    let mut energies = device.buffer::<f32>("energies", nodes)?;
+    let mut op = Arap::new(device, EDGES, nodes)?;
+    macro_rules! args {
+        () => {
+            ArapArgs {
+                nodes: node_buffer.view(),
+                log_radii: log_radii.view(),
+                transforms: transforms.view(),
+                times: [0, 1],
+                energies: energies.view_mut(),
+                transform_gradients: gradients.view_mut(),
+            }
+        };
+    }
+    let mut stream = device.stream()?;
+    let mut recorder = stream.record()?;
+    op.refresh(&mut recorder, node_buffer.view())?;
+    op.record(&mut recorder, &ARAP, args!())?;
+    stream.submit(recorder)?;
+
+    let wide = |p: &[f32; 3]| p.map(f64::from);
+    let at = |time: usize| -> Vec<[f64; 3]> {
+        let moved = points.positions.iter().enumerate().map(|(i, p)| {
+            let t = halves[2 * (time * nodes + i)];
+            std::array::from_fn(|c| f64::from(p[c]) + f64::from(t[c]))
+        });
+        moved.collect()
+    };
+    let still: Vec<[f64; 3]> = points.positions.iter().map(wide).collect();
+    let radii: Vec<f64> = points.log_radii.iter().map(|&r| f64::from(r)).collect();
+    let nearest = deform::nearest(&points.positions, &points.positions, EDGES + 1);
+    let reach = f64::from(ARAP.reach);
+    let edges = arap::edges(&still, &radii, &nearest, EDGES + 1, ARAP.always as usize, reach);
+    let truth = arap::energy(&edges, &at(0), &at(1));
+    let weight = f64::from(ARAP.weight);
+    let mut check = Check::new();
+    let exact: Vec<f64> = truth.energies.iter().map(|e| e * weight).collect();
+    let largest = |values: &[f64]| values.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    let bound = Bound { absolute: 1e-5 * largest(&exact), relative: 1e-4 };
+    check.close("energies", &stream.download(&energies)?, &exact, bound);
+    let got = stream.download(&gradients)?;
+    let got: Vec<f32> = got.iter().step_by(2).flat_map(|g| [g[0], g[1], g[2]]).collect();
+    let exact: Vec<f64> =
+        truth.by_a.iter().chain(&truth.by_b).flatten().map(|g| g * weight).collect();
+    let bound = Bound { absolute: 1e-5 * largest(&exact), relative: 1e-4 };
+    check.close("gradients", &got, &exact, bound);
+    let edges = (nodes * EDGES) as u64;
+    // Per control point a 3×3 rotation by Jacobi sweeps; per edge outer products and two gradients.
+    let work =
+        Work { bytes: edges * (4 + 24 + 24 + 24), operations: edges * 60 + nodes as u64 * 800 };
+    Job::recorded(device, check.accuracy(), work, move |recorder| {
+        op.record(recorder, &ARAP, args!())
+    })
+}

@@ -1,0 +1,342 @@
+//! `splat4d bench`.
+
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use clap::{Args, Subcommand, ValueEnum};
+use serde_json::json;
+use splat4d::bench::{self, Budget, ErrorMeasure, Pace, Shot};
+use splat4d::gpu::Device;
+use splat4d::report::{
+    Measurements, Place, Point, Row, Verdict, compare, duration, rate, scientific,
+};
+use splat4d::scene::{Opened, Scene};
+use splat4d::{Error, Result};
+
+use super::common::{Answer, Common, check_output_file, check_output_folder, say, thousands};
+use super::{interrupt, path, tuning, values};
+
+/// Views that a sweep of a scene renders.
+const SWEEP_VIEWS: usize = 2;
+/// Views that a budget is searched on and, one more, tested on.
+const BUDGET_VIEWS: usize = 3;
+
+const AFTER_HELP: &str = "\
+Every row is held against the oracle in f64 before it is timed; one that misses its bound has an
+error and no speed. Times are the device's own timestamps, without uploads and downloads.
+
+Parts, for --filter: scan, sort, project, bin, raster, loss, deform, mlp, arap, adam, density,
+ceiling, render, pipeline, and the sweeps of speed against error: sweep/still, sweep/motion,
+sweep/scene (with --scene).
+
+With --error-budget nothing but the settings is looked for: the fastest ones whose image error stays
+within it on views of the scene; one view is kept out of the search to test them.
+
+The commit in the report is SPLAT4D_COMMIT where it is set, else what git says.
+
+Examples:
+  splat4d bench --report out
+  splat4d bench --filter sort --quick
+  splat4d bench --scene scene.ply --error-budget 0.004 --settings fast.json
+  splat4d render scene.ply -o views --settings fast.json
+  splat4d bench cmp before/bench.json after/bench.json
+
+JSON: format, version, commit, unix_seconds, machine {device, driver, kind, software, subgroup_size,
+threads}, ceilings {bytes, operations} (per second), rows [{id, size, place, clock, accuracy
+{of_bound, error, output}, work {bytes, operations}, time (nanoseconds, or null)}], sweeps [{scene,
+gaussians, size, clock, points [{knob, value, settings, time, error {max, rmse, psnr}}]}], choice
+{scene, budget, measure, settings, time_ratio, error, met, views} or null, missed (rows without
+speed), seconds. Of cmp: rows [{name, ratio, interval, verdict}], faster, slower, noise,
+incomparable";
+
+/// Measure every op and pipeline, and what each speed-up costs in accuracy
+#[derive(Args)]
+#[command(after_help = AFTER_HELP, args_conflicts_with_subcommands = true)]
+pub struct BenchArgs {
+    #[command(subcommand)]
+    command: Option<BenchCommand>,
+    /// Only rows and sweeps whose name holds this
+    #[arg(long, value_name = "TEXT")]
+    filter: Option<String>,
+    /// Small sizes and few samples: a glance, not a measurement
+    #[arg(long)]
+    quick: bool,
+    /// Sweep speed against error on this scene too: a scene's file or a PLY
+    #[arg(long, value_name = "FILE")]
+    scene: Option<PathBuf>,
+    /// Size of the scene's images
+    #[arg(long, value_name = "WxH", value_parser = values::size, default_value = "480x270")]
+    size: (u32, u32),
+    /// Write index.html, bench.json and bench.csv into this folder
+    #[arg(long, value_name = "DIR")]
+    report: Option<PathBuf>,
+    /// Choose the fastest settings whose image error stays within this; colours are in [0, 1]
+    #[arg(long, value_name = "ERROR", value_parser = values::positive, requires = "scene")]
+    error_budget: Option<f64>,
+    /// What of the error is budgeted
+    #[arg(long, value_name = "MEASURE", default_value = "rmse", requires = "error_budget")]
+    error_measure: Measure,
+    /// Write the chosen settings here; `render` and `train` take them with --settings
+    #[arg(long, value_name = "FILE", requires = "error_budget")]
+    settings: Option<PathBuf>,
+}
+
+#[derive(Subcommand)]
+enum BenchCommand {
+    /// Compare two results row by row; says when the noise forbids a verdict
+    Cmp {
+        /// A bench.json
+        a: PathBuf,
+        /// Another one
+        b: PathBuf,
+    },
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Measure {
+    /// Root of the mean square over pixels and channels
+    Rmse,
+    /// Largest difference of a channel
+    Max,
+}
+
+/// Runs the command.
+pub fn run(args: &BenchArgs, common: &Common) -> Result<Answer> {
+    if let Some(BenchCommand::Cmp { a, b }) = &args.command {
+        return cmp(a, b);
+    }
+    args.report.as_deref().map_or(Ok(()), check_output_folder)?;
+    args.settings.as_deref().map_or(Ok(()), check_output_file)?;
+    let begun = std::time::Instant::now();
+    let scene = args.scene.as_deref().map(open_scene).transpose()?;
+    let device = common.open_device()?;
+    let mut measured = Measurements::new(bench::machine(&device), bench::commit());
+    if measured.machine.software {
+        say("note: a software driver: its times say nothing of a GPU");
+    }
+    let pace = if args.quick { Pace::QUICK } else { Pace::FULL };
+    match (args.error_budget, &scene) {
+        (Some(error), Some((name, scene))) => {
+            let measure = match args.error_measure {
+                Measure::Rmse => ErrorMeasure::Rmse,
+                Measure::Max => ErrorMeasure::Max,
+            };
+            let shots = shots(scene, args.size, BUDGET_VIEWS);
+            let budget = Budget { error, measure };
+            let (settings, choice) =
+                bench::choose(&device, name, scene, &shots, budget, pace, &mut |turn| {
+                    interrupt::check()?;
+                    say(&format!("turned {turn}"));
+                    Ok(())
+                })?;
+            if let Some(file) = &args.settings {
+                tuning::write(file, &settings)?;
+            }
+            measured.choice = Some(choice);
+        }
+        _ => measure(args, common, &device, scene.as_ref(), pace, &mut measured)?,
+    }
+    measured.unix_seconds =
+        SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
+    if let Some(folder) = &args.report {
+        measured.write_report(folder)?;
+    }
+    let missed = measured.rows.iter().filter(|row| row.time().is_none()).count();
+    let mut json = serde_json::to_value(&measured)
+        .map_err(|e| Error::Failed(format!("the results cannot be written as JSON: {e}")))?;
+    json["missed"] = json!(missed);
+    json["seconds"] = json!(begun.elapsed().as_secs_f64());
+    Ok(Answer { json, text: text(&measured, missed) })
+}
+
+fn open_scene(path: &Path) -> Result<(String, Scene)> {
+    let Opened { scene, .. } = Scene::open(path, false)?;
+    let name = path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+    Ok((name, scene))
+}
+
+/// Rows first, then sweeps, as far as the filter lets them.
+fn measure(
+    args: &BenchArgs,
+    common: &Common,
+    device: &Device,
+    scene: Option<&(String, Scene)>,
+    pace: Pace,
+    measured: &mut Measurements,
+) -> Result<()> {
+    let filter = args.filter.as_deref();
+    let entries = bench::entries(args.quick);
+    let sweeps = ["sweep/still", "sweep/motion", "sweep/scene"];
+    let wanted = |name: &str| filter.is_none_or(|filter| name.contains(filter));
+    if !entries.iter().any(|entry| entry.matches(filter)) && !sweeps.iter().any(|s| wanted(s)) {
+        let filter = filter.unwrap_or_default();
+        return Err(Error::Input(format!(
+            "no row's name holds `{filter}`; --help lists the parts"
+        )));
+    }
+    let machine = measured.machine.clone();
+    measured.rows = bench::run(device, &entries, filter, pace, common.seed, |row| {
+        interrupt::check()?;
+        say(&row_text(row, machine.software));
+        Ok(())
+    })?;
+    measured.ceilings = bench::ceilings(&measured.rows);
+    let mut each = |point: &Point| {
+        interrupt::check()?;
+        say(&point_text(point));
+        Ok(())
+    };
+    if wanted(sweeps[0]) {
+        let (gaussians, [w, h]) =
+            if args.quick { (5000, [240, 136]) } else { (30_000, [480, 270]) };
+        let (still, shots) = bench::still_scene(common.seed, gaussians, w, h);
+        let name = "still, synthetic";
+        measured.sweeps.push(bench::sweep(device, name, &still, &shots, pace, &mut each)?);
+    }
+    if wanted(sweeps[1]) {
+        let sweep = bench::sweep_motion(device, common.seed, args.quick, pace, &mut each)?;
+        measured.sweeps.push(sweep);
+    }
+    if let Some((name, scene)) = scene
+        && wanted(sweeps[2])
+    {
+        let shots = shots(scene, args.size, SWEEP_VIEWS);
+        measured.sweeps.push(bench::sweep(device, name, scene, &shots, pace, &mut each)?);
+    }
+    Ok(())
+}
+
+/// Views spread over the scene's own cameras, or around it where it has none.
+fn shots(scene: &Scene, (width, height): (u32, u32), count: usize) -> Vec<Shot> {
+    let cameras = match path::input(scene) {
+        Ok(cameras) if cameras.len() >= count => {
+            (0..count).map(|i| cameras[(2 * i + 1) * cameras.len() / (2 * count)]).collect()
+        }
+        _ => path::orbit(scene, count),
+    };
+    cameras
+        .into_iter()
+        .map(|mut shot| {
+            let k = &mut shot.camera.intrinsics;
+            *k = path::resized(k, width, height);
+            Shot { camera: shot.camera, time: shot.time }
+        })
+        .collect()
+}
+
+fn row_text(row: &Row, software: bool) -> String {
+    let tag = match row.place {
+        Place::Processor => " [processor]",
+        Place::Device if software => " [software]",
+        Place::Device => "",
+    };
+    let name = format!("{}{tag}, {}", row.id, row.size);
+    let Some(time) = row.time() else {
+        return format!(
+            "{name:<56} no speed: {} of the bound in {}, error {}",
+            scientific(row.accuracy.of_bound),
+            row.accuracy.output,
+            scientific(row.accuracy.error)
+        );
+    };
+    let [low, high] = time.quartiles();
+    let rates = [(row.bandwidth(), "B"), (row.throughput(), "op")];
+    let rates: Vec<String> =
+        rates.iter().filter_map(|(value, unit)| Some(rate((*value)?, unit))).collect();
+    format!(
+        "{name:<56} {:>9}  ({} to {})  {}",
+        duration(time.median()),
+        duration(low),
+        duration(high),
+        rates.join(", ")
+    )
+}
+
+fn point_text(point: &Point) -> String {
+    let name = format!("{} {}", point.knob, point.value);
+    format!(
+        "{:<24} {:>9} a frame, largest error {}, RMSE {}, PSNR {:.1} dB",
+        name.trim(),
+        duration(point.time.median()),
+        scientific(point.error.max),
+        scientific(point.error.rmse),
+        point.error.psnr
+    )
+}
+
+fn text(measured: &Measurements, missed: usize) -> String {
+    let mut text = String::new();
+    let machine = &measured.machine;
+    let _ = writeln!(text, "{} ({})", machine.device, machine.driver);
+    let ceilings = [
+        ("copies at most", measured.ceilings.bytes.map(|r| rate(r, "B"))),
+        ("calculates at most", measured.ceilings.operations.map(|r| rate(r, "flop"))),
+    ];
+    for (what, value) in ceilings {
+        let _ = value.map(|value| writeln!(text, "{what} {value}"));
+    }
+    for row in &measured.rows {
+        let share = row.share(&measured.ceilings).map(|s| format!(", {:.1} %", 100.0 * s));
+        let line = row_text(row, machine.software);
+        let _ = writeln!(text, "{line}{}", share.unwrap_or_default());
+    }
+    for sweep in &measured.sweeps {
+        let [width, height] = sweep.size;
+        let count = thousands(sweep.gaussians);
+        let _ = writeln!(text, "\n{}: {count} Gaussians, {width}×{height}", sweep.scene);
+        for point in &sweep.points {
+            let _ = writeln!(text, "  {}", point_text(point));
+        }
+    }
+    if let Some(choice) = &measured.choice {
+        let met = if choice.met { "met" } else { "missed" };
+        let _ = writeln!(
+            text,
+            "{}\nOn a view that the search did not use, the budget of {} ({}) is {met}: largest \
+             error {}, RMSE {}, PSNR {:.1} dB, in {:.3} of the time of the best settings.",
+            choice.settings,
+            choice.budget,
+            choice.measure,
+            scientific(choice.error.max),
+            scientific(choice.error.rmse),
+            choice.error.psnr,
+            choice.time_ratio
+        );
+    }
+    if missed > 0 {
+        let _ = writeln!(text, "\n{missed} rows missed their bound and have no speed");
+    }
+    text
+}
+
+fn cmp(a: &Path, b: &Path) -> Result<Answer> {
+    let (first, second) = (Measurements::open(a)?, Measurements::open(b)?);
+    let all = compare(&first, &second);
+    let count = |verdict: Verdict| all.iter().filter(|c| c.verdict == verdict).count();
+    let mut text = String::new();
+    for (name, run) in [("A", &first), ("B", &second)] {
+        let commit = run.commit.as_deref().unwrap_or("commit not known");
+        let _ = writeln!(text, "{name}: {} ({}), {commit}", run.machine.device, run.machine.driver);
+    }
+    for row in &all {
+        let what = match (row.verdict, row.ratio, row.interval) {
+            (Verdict::Faster, Some(r), Some([l, h])) => format!("{r:.3} ({l:.3} to {h:.3}) faster"),
+            (Verdict::Slower, Some(r), Some([l, h])) => format!("{r:.3} ({l:.3} to {h:.3}) slower"),
+            (Verdict::Noise, Some(r), Some([l, h])) => {
+                format!("{r:.3} ({l:.3} to {h:.3}) too noisy for a verdict")
+            }
+            (Verdict::Noise, ..) => "too noisy for a verdict".into(),
+            _ => "on one side only".into(),
+        };
+        let _ = writeln!(text, "{:<64} {what}", row.name);
+    }
+    let json = json!({
+        "rows": all,
+        "faster": count(Verdict::Faster),
+        "slower": count(Verdict::Slower),
+        "noise": count(Verdict::Noise),
+        "incomparable": count(Verdict::Incomparable),
+    });
+    Ok(Answer { json, text })
+}

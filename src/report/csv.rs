@@ -1,0 +1,133 @@
+//! Rows and points as one table of comma-separated values (RFC 4180).
+
+use super::{Clock, Measurements, Place, Spread};
+
+const HEADER: [&str; 20] = [
+    "kind",
+    "id",
+    "size",
+    "place",
+    "clock",
+    "device",
+    "driver",
+    "software",
+    "commit",
+    "median_ns",
+    "quartile_1_ns",
+    "quartile_3_ns",
+    "samples",
+    "bytes",
+    "operations",
+    "share_of_ceiling",
+    "error",
+    "error_of_bound",
+    "rmse",
+    "psnr_db",
+];
+
+/// One line per row and per point of a sweep. A row that missed its bound has no times.
+pub fn csv(measured: &Measurements) -> String {
+    let mut table = String::new();
+    line(&mut table, HEADER.map(str::to_owned));
+    let about = |clock: Clock| {
+        let clock = match clock {
+            Clock::Device => "device",
+            Clock::Host => "host",
+        };
+        [
+            clock.to_owned(),
+            measured.machine.device.clone(),
+            measured.machine.driver.clone(),
+            measured.machine.software.to_string(),
+            measured.commit.clone().unwrap_or_default(),
+        ]
+    };
+    for row in &measured.rows {
+        let place = match row.place {
+            Place::Device => "device",
+            Place::Processor => "processor",
+        };
+        let [clock, device, driver, software, commit] = about(row.clock);
+        let [median, low, high, samples] = times(row.time());
+        let share = row.share(&measured.ceilings).map_or(String::new(), |s| s.to_string());
+        let (work, accuracy) = (row.work, &row.accuracy);
+        line(
+            &mut table,
+            [
+                "row".into(),
+                row.id.clone(),
+                row.size.clone(),
+                place.into(),
+                clock,
+                device,
+                driver,
+                software,
+                commit,
+                median,
+                low,
+                high,
+                samples,
+                work.bytes.to_string(),
+                work.operations.to_string(),
+                share,
+                accuracy.error.to_string(),
+                accuracy.of_bound.to_string(),
+                String::new(),
+                String::new(),
+            ],
+        );
+    }
+    for sweep in &measured.sweeps {
+        for point in &sweep.points {
+            let [clock, device, driver, software, commit] = about(sweep.clock);
+            let [median, low, high, samples] = times(Some(&point.time));
+            let [width, height] = sweep.size;
+            line(
+                &mut table,
+                [
+                    format!("sweep of {}", sweep.scene),
+                    point.knob.clone(),
+                    format!("{}; {width}×{height}", point.value),
+                    "device".into(),
+                    clock,
+                    device,
+                    driver,
+                    software,
+                    commit,
+                    median,
+                    low,
+                    high,
+                    samples,
+                    String::new(),
+                    String::new(),
+                    String::new(),
+                    point.error.max.to_string(),
+                    String::new(),
+                    point.error.rmse.to_string(),
+                    point.error.psnr.to_string(),
+                ],
+            );
+        }
+    }
+    table
+}
+
+fn times(spread: Option<&Spread>) -> [String; 4] {
+    let Some(spread) = spread else { return Default::default() };
+    let [low, high] = spread.quartiles();
+    [
+        spread.median().to_string(),
+        low.to_string(),
+        high.to_string(),
+        spread.samples().len().to_string(),
+    ]
+}
+
+fn line(table: &mut String, fields: [String; HEADER.len()]) {
+    let quoted = fields.map(|field| match field.contains([',', '"', '\n', '\r']) {
+        true => format!("\"{}\"", field.replace('"', "\"\"")),
+        false => field,
+    });
+    table.push_str(&quoted.join(","));
+    table.push_str("\r\n");
+}

@@ -1,0 +1,102 @@
+//! Speed against error, drawn as SVG.
+
+use super::{ImageError, Sweep};
+use crate::{Error, Result};
+use plotters::prelude::*;
+
+const SIZE: (u32, u32) = (820, 460);
+/// Of that, for the names of the knobs.
+const LEGEND: u32 = 150;
+/// Errors below this are drawn here: the axis is logarithmic, and an error may be 0.
+const FLOOR: f64 = 1e-9;
+/// Distinct for most eyes (Okabe and Ito's, and three more), one per knob.
+const COLOURS: [RGBColor; 10] = [
+    RGBColor(0, 0, 0),
+    RGBColor(230, 159, 0),
+    RGBColor(86, 180, 233),
+    RGBColor(0, 158, 115),
+    RGBColor(0, 114, 178),
+    RGBColor(213, 94, 0),
+    RGBColor(204, 121, 167),
+    RGBColor(120, 120, 120),
+    RGBColor(200, 190, 40),
+    RGBColor(140, 20, 40),
+];
+
+/// Time of a frame against `error`, both logarithmic; the line joins the points that no other beats
+/// in both.
+pub(super) fn pareto(
+    sweep: &Sweep,
+    title: &str,
+    error: impl Fn(&ImageError) -> f64,
+) -> Result<String> {
+    let mut svg = String::new();
+    draw(&mut svg, sweep, title, error).map_err(|e| {
+        Error::Failed(format!("the plot of {} could not be drawn: {e}", sweep.scene))
+    })?;
+    Ok(svg)
+}
+
+fn draw(
+    svg: &mut String,
+    sweep: &Sweep,
+    title: &str,
+    error: impl Fn(&ImageError) -> f64,
+) -> std::result::Result<(), Box<dyn std::error::Error>> {
+    let at = |i: usize| {
+        let point = &sweep.points[i];
+        (point.time.median() / 1e6, error(&point.error).max(FLOOR))
+    };
+    let all: Vec<(f64, f64)> = (0..sweep.points.len()).map(at).collect();
+    let (x, y) = (range(all.iter().map(|p| p.0), 1.15), range(all.iter().map(|p| p.1), 2.0));
+    let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
+    root.fill(&WHITE)?;
+    let (left, legend) = root.split_horizontally(SIZE.0 - LEGEND);
+    let mut chart = ChartBuilder::on(&left)
+        .margin(10)
+        .x_label_area_size(42)
+        .y_label_area_size(70)
+        .build_cartesian_2d((x.0..x.1).log_scale(), (y.0..y.1).log_scale())?;
+    chart
+        .configure_mesh()
+        .x_desc("milliseconds a frame")
+        .y_desc(title)
+        .x_labels(5)
+        .x_label_formatter(&|v| {
+            format!("{v:.3}").trim_end_matches('0').trim_end_matches('.').into()
+        })
+        .y_label_formatter(&|v| format!("{v:.0e}"))
+        .light_line_style(WHITE.mix(0.0))
+        .draw()?;
+    let front: Vec<(f64, f64)> = sweep.front(&error).into_iter().map(at).collect();
+    chart.draw_series(LineSeries::new(front, BLACK.mix(0.35).stroke_width(2)))?;
+    let mut knobs: Vec<&str> = Vec::new();
+    for point in &sweep.points {
+        if !knobs.contains(&point.knob.as_str()) {
+            knobs.push(&point.knob);
+        }
+    }
+    for (number, knob) in knobs.iter().enumerate() {
+        let colour = COLOURS[number % COLOURS.len()];
+        let of = (0..sweep.points.len()).filter(|&i| sweep.points[i].knob == *knob);
+        let label = if knob.is_empty() { "all at their best" } else { knob };
+        chart.draw_series(of.map(|i| Circle::new(all[i], 5, colour.filled())))?;
+        let y = 30 + 22 * number as i32;
+        legend.draw(&Circle::new((12, y), 5, colour.filled()))?;
+        legend.draw(&Text::new(label.to_owned(), (24, y - 6), ("sans-serif", 13)))?;
+    }
+    root.present()?;
+    Ok(())
+}
+
+/// The values' range with some room around them, never empty.
+fn range(values: impl Iterator<Item = f64>, room: f64) -> (f64, f64) {
+    let (mut low, mut high) = (f64::INFINITY, 0.0f64);
+    for value in values.filter(|v| v.is_finite() && *v > 0.0) {
+        (low, high) = (low.min(value), high.max(value));
+    }
+    if low > high {
+        return (0.1, 10.0);
+    }
+    (low / room, high * room)
+}
