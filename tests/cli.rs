@@ -22,7 +22,8 @@ use splat4d::types::{Camera, Gaussians, Intrinsics};
 use support::{picture, says};
 use tempfile::TempDir;
 
-const COMMANDS: [&str; 7] = ["reconstruct", "train", "render", "eval", "info", "devices", "synth"];
+const COMMANDS: [&str; 8] =
+    ["reconstruct", "train", "render", "eval", "info", "devices", "synth", "validate"];
 
 /// The program, on the device under test.
 fn program() -> Command {

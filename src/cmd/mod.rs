@@ -16,10 +16,12 @@ mod path;
 mod quality;
 mod reconstruct;
 mod render;
+mod rows;
 mod sheet;
 mod supplied;
 mod synth;
 mod train;
+mod validate;
 mod values;
 
 use std::io::Write;
@@ -58,14 +60,15 @@ enum Command {
     Info(info::InfoArgs),
     Devices(devices::DevicesArgs),
     Synth(synth::SynthArgs),
+    Validate(validate::ValidateArgs),
 }
 
 /// Runs the command that the process was given.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let json = cli.common.json;
-    match run(&cli).and_then(|answer| print(&answer, json)) {
-        Ok(()) => ExitCode::SUCCESS,
+    match run(&cli).and_then(|(answer, code)| print(&answer, json).map(|()| code)) {
+        Ok(code) => code,
         Err(error) => {
             common::say(&format!("error: {error}"));
             if json {
@@ -81,9 +84,9 @@ pub fn main() -> ExitCode {
     }
 }
 
-fn run(cli: &Cli) -> Result<Answer> {
+fn run(cli: &Cli) -> Result<(Answer, ExitCode)> {
     interrupt::watch();
-    match &cli.command {
+    let answer = match &cli.command {
         Command::Reconstruct(args) => reconstruct::run(args, &cli.common),
         Command::Train(args) => train::run(args, &cli.common),
         Command::Render(args) => render::run(args, &cli.common),
@@ -91,7 +94,10 @@ fn run(cli: &Cli) -> Result<Answer> {
         Command::Info(args) => info::run(args),
         Command::Devices(args) => devices::run(args),
         Command::Synth(args) => synth::run(args, &cli.common),
-    }
+        // What it finds out decides the exit code.
+        Command::Validate(args) => return validate::run(args, &cli.common),
+    };
+    Ok((answer?, ExitCode::SUCCESS))
 }
 
 /// Prints an answer on stdout. A reader that has seen enough and closed the pipe is no error.
