@@ -34,7 +34,7 @@
 //! | [`eval`] | PSNR, SSIM, MS-SSIM, ATE, RPE | types, io, geometry |
 //! | [`train`] | seeding, the training step, schedules | all of the above but vk, kernels, oracle |
 //! | [`renderer`] | a scene on a device, rendered from any camera at any time | gpu, ops, scene |
-//! | [`check`] | cases: every kernel against its oracle | gpu, kernels, oracle, ops |
+//! | [`check`] | cases: every kernel against its oracle, pose estimation on its hard cases, training twice | all of the above but vk |
 //!
 //! The command line (`src/main.rs`, `src/cmd/`) uses the crate as any other user does.
 //!

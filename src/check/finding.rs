@@ -9,6 +9,11 @@ pub struct Bound {
     pub relative: f64,
 }
 
+impl Bound {
+    /// Not at all.
+    pub const ZERO: Bound = Bound { absolute: 0.0, relative: 0.0 };
+}
+
 /// One output held against the truth.
 #[derive(Clone, Debug)]
 pub struct Finding {
@@ -58,10 +63,25 @@ pub(super) fn exact<T: PartialEq>(output: &str, device: &[T], truth: &[T]) -> Fi
 
 /// Floats against the oracle in f64. NaN fails, and so does an infinity that the truth is not.
 pub(super) fn close(output: &str, values: &[f32], truth: &[f64], bound: Bound) -> Finding {
+    compare(output, values, truth, |_| bound)
+}
+
+/// The same, each value with a limit of its own: what rounding can do to it. The finding's bound is
+/// the limit of the value nearest to its own.
+pub(super) fn within(output: &str, values: &[f32], truth: &[f64], limits: &[f64]) -> Finding {
+    compare(output, values, truth, |at| Bound { absolute: limits[at], relative: 0.0 })
+}
+
+fn compare(
+    output: &str,
+    values: &[f32],
+    truth: &[f64],
+    bound_at: impl Fn(usize) -> Bound,
+) -> Finding {
     let mut finding = Finding {
         output: output.to_owned(),
         count: truth.len(),
-        bound: Some(bound),
+        bound: Some(if truth.is_empty() { Bound::ZERO } else { bound_at(0) }),
         worst_absolute: 0.0,
         worst_relative: 0.0,
         worst_ulp: None,
@@ -75,6 +95,7 @@ pub(super) fn close(output: &str, values: &[f32], truth: &[f64], bound: Bound) -
         let difference = (f64::from(value) - truth).abs();
         let difference = if f64::from(value) == truth { 0.0 } else { difference };
         let difference = if difference.is_nan() { f64::INFINITY } else { difference };
+        let bound = bound_at(at);
         let share = difference / (bound.absolute + bound.relative * truth.abs());
         let share = if difference == 0.0 { 0.0 } else { share };
         finding.worst_absolute = finding.worst_absolute.max(difference);
@@ -86,6 +107,7 @@ pub(super) fn close(output: &str, values: &[f32], truth: &[f64], bound: Bound) -
         if share > finding.worst_of_bound {
             finding.worst_of_bound = share;
             finding.worst_at = at;
+            finding.bound = Some(bound);
         }
     }
     finding.passed = finding.worst_of_bound <= 1.0;

@@ -84,12 +84,11 @@ impl Harness {
                 output.buffer.label()
             )));
         }
-        self.note(inner);
         Ok(inner.to_vec())
     }
 
     /// Adds the device's answer to what must be the same, bit for bit, when the case runs again.
-    /// What is read or compared through the harness is noted already.
+    /// What is compared through the harness is noted already.
     pub fn note<T: NoUninit>(&mut self, answer: &[T]) {
         self.digest.write_usize(answer.len());
         self.digest.write(bytemuck::cast_slice(answer));
@@ -111,17 +110,35 @@ impl Harness {
         bound: Bound,
     ) {
         self.note(device);
-        let mut finding = finding::close(output, device, truth, bound);
-        if let Some(twin) = oracle_f32 {
-            let twin = finding::close(output, twin, truth, bound);
-            finding.oracle_f32_absolute = Some(twin.worst_absolute);
-            finding.oracle_f32_of_bound = Some(twin.worst_of_bound);
-        }
-        self.findings.push(finding);
+        let finding = finding::close(output, device, truth, bound);
+        let twin = oracle_f32.map(|twin| finding::close(output, twin, truth, bound));
+        self.findings.push(beside(finding, twin));
+    }
+
+    /// [`close`](Self::close) with a limit for each value: what rounding may do to that one.
+    pub fn within(
+        &mut self,
+        output: &str,
+        device: &[f32],
+        truth: &[f64],
+        oracle_f32: Option<&[f32]>,
+        limits: &[f64],
+    ) {
+        self.note(device);
+        let finding = finding::within(output, device, truth, limits);
+        let twin = oracle_f32.map(|twin| finding::within(output, twin, truth, limits));
+        self.findings.push(beside(finding, twin));
     }
 
     /// Notes whether something holds that is no comparison of numbers.
     pub fn holds(&mut self, what: &str, holds: bool) {
         self.exact(what, &[holds], &[true]);
     }
+}
+
+/// The device's finding with the error of the oracle in f32 beside it.
+fn beside(mut device: Finding, twin: Option<Finding>) -> Finding {
+    device.oracle_f32_absolute = twin.as_ref().map(|twin| twin.worst_absolute);
+    device.oracle_f32_of_bound = twin.map(|twin| twin.worst_of_bound);
+    device
 }

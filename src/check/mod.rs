@@ -16,9 +16,12 @@ pub mod bin;
 mod contract;
 pub mod deform;
 pub mod density;
+pub mod determinism;
 mod expect;
 mod finding;
 pub mod flow;
+pub mod fuzz;
+pub mod geometry;
 mod harness;
 pub mod indirect;
 pub mod loss;
@@ -26,6 +29,7 @@ pub mod mlp;
 pub mod project;
 pub mod raster;
 pub mod render;
+mod rounding;
 pub mod scan;
 mod scene;
 pub mod sort;
@@ -57,6 +61,7 @@ pub const ALL: &[&[Case]] = &[
     deform::CASES,
     density::CASES,
     flow::CASES,
+    geometry::CASES,
     indirect::CASES,
     loss::CASES,
     mlp::CASES,
@@ -65,6 +70,8 @@ pub const ALL: &[&[Case]] = &[
     render::CASES,
     scan::CASES,
     sort::CASES,
+    fuzz::CASES,
+    determinism::CASES,
 ];
 
 /// What became of a case.

@@ -9,6 +9,7 @@ mod devices;
 mod encode;
 mod eval;
 mod eval_truth;
+mod fuzz;
 mod info;
 mod interrupt;
 mod meter;

@@ -1,5 +1,6 @@
 //! `splat4d validate`.
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
 
@@ -11,6 +12,7 @@ use splat4d::vk::{self, DeviceInfo};
 use splat4d::{Error, Result};
 
 use super::common::{Answer, Common, say};
+use super::fuzz;
 use super::interrupt;
 use super::meter::Meter;
 use super::rows::{Row, devices_json, table};
@@ -26,13 +28,15 @@ Examples:
   splat4d validate --device all
   splat4d validate --quick --validation
   splat4d validate --filter sort/ --filter render/needles --seed 7
+  splat4d validate --fuzz 10000 --seed 3
 
 JSON: cases, failed, seconds, quick, validation, devices [{index, name, driver}], and rows, one for each
 case and device: {device (index), case, result (passed, failed, known fault, fault gone), reason, seed,
 seconds, comparisons, worst, failures, error, messages}. worst, and each of failures, is {output,
 values, bound {absolute, relative}, absolute, relative, ulp, of_bound, at, oracle_f32_absolute,
 oracle_f32_of_bound}; worst is the output nearest to its bound. bound is null where only equality
-counts; null also stands for what is infinite or does not apply.";
+counts; null also stands for what is infinite or does not apply. With --fuzz and --case: cases (scenes
+judged), failed, seconds, devices, and rows: {device, what, file} and with --fuzz scene, its number.";
 
 /// Check every kernel of a device, or of all devices, against the oracle
 #[derive(Args)]
@@ -47,14 +51,29 @@ pub struct ValidateArgs {
     /// Turn the Khronos validation layer on, with synchronization validation; any message fails
     #[arg(long)]
     validation: bool,
+    /// Judge so many small scenes of ordinary and poisoned values instead; --seed chooses them. One
+    /// that fails is shrunk and written to fuzz-SEED-SCENE.json
+    #[arg(long, value_name = "N", conflicts_with_all = ["quick", "filter"])]
+    fuzz: Option<u64>,
+    /// Judge the scene of such a file again instead
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["quick", "filter", "fuzz"])]
+    case: Option<PathBuf>,
 }
 
 /// Runs the command. The exit code says whether all is well; an error, that it could not be found
 /// out.
 pub fn run(args: &ValidateArgs, common: &Common) -> Result<(Answer, ExitCode)> {
+    let infos = devices(common)?;
+    if args.fuzz.is_some() || args.case.is_some() {
+        let open = |info: &DeviceInfo| Ok((info.clone(), open(info, args.validation)?));
+        let devices = infos.iter().map(open).collect::<Result<Vec<_>>>()?;
+        return match &args.case {
+            Some(path) => fuzz::repeat(&devices, path),
+            None => fuzz::run(&devices, args.fuzz.unwrap_or(0), common.seed),
+        };
+    }
     let started = Instant::now();
     let cases = chosen(args)?;
-    let infos = devices(common)?;
     let mut meter = Meter::new("validate", "cases", (cases.len() * infos.len()) as u64, 0);
     let mut rows = Vec::new();
     for (place, info) in infos.iter().enumerate() {
@@ -119,6 +138,10 @@ fn devices(common: &Common) -> Result<Vec<DeviceInfo>> {
     Ok(vec![info])
 }
 
+fn open(info: &DeviceInfo, validation: bool) -> Result<Device> {
+    Device::open(&Request { selector: Selector::Index(info.index), validation, limits: None })
+}
+
 /// A device under test; opened anew where a case has lost it.
 struct Bench<'a> {
     info: &'a DeviceInfo,
@@ -131,11 +154,7 @@ impl Bench<'_> {
         let started = Instant::now();
         let device = match self.device.take() {
             Some(device) => device,
-            None => Device::open(&Request {
-                selector: Selector::Index(self.info.index),
-                validation: self.validation,
-                limits: None,
-            })?,
+            None => open(self.info, self.validation)?,
         };
         let outcome = check::run(case, &device, seed);
         let messages = device.take_validation_messages();
