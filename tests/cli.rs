@@ -701,6 +701,65 @@ fn ctrl_c_leaves_nothing_half_written() {
     assert_eq!(content(folder.path()), before);
 }
 
+#[cfg(unix)]
+#[test]
+fn what_was_interrupted_is_resumed() {
+    let folder = tempfile::tempdir().unwrap();
+    let train = "train clip/truth --steps 600 --random-points 400 --sh-degree 0 --eval-every 0 \
+                 --control-points 12";
+    let reconstruct = "reconstruct clip --steps 500 --max-gaussians 2000";
+    json(folder.path(), "synth still -o clip --frames 6 --size 112x63");
+    for command in [train, reconstruct] {
+        // Every checkpoint that is possible, and Ctrl-C as soon as one of the training is there.
+        let kept = folder.path().join("part.checkpoint/training");
+        let mut child = program()
+            .current_dir(folder.path())
+            .args(format!("{command} -o part --checkpoint-every 1e-9").split_whitespace())
+            .args(["--device", "software"])
+            .stderr(Stdio::piped())
+            .stdout(Stdio::null())
+            .spawn()
+            .unwrap();
+        while !kept.exists() {
+            assert!(child.try_wait().unwrap().is_none(), "it ended without a checkpoint");
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+        let pid = child.id().to_string();
+        assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+        let output = child.wait_with_output().unwrap();
+        let said = stderr(&output);
+        assert_eq!(output.status.code(), Some(130), "{said}");
+        says(&said, &["interrupted", "--resume", "part.checkpoint"]);
+        assert!(!folder.path().join("part").exists());
+
+        // Another command has no use for it, and damage is found; neither touches it.
+        let other = command.replace("--steps ", "--steps 1");
+        let said = fails(folder.path(), 1, &format!("{other} -o part --resume --device software"));
+        says(&said, &["part.checkpoint", "--steps was", "without --resume"]);
+        let good = fs::read(&kept).unwrap();
+        fs::write(&kept, &good[..good.len() / 2]).unwrap();
+        let said =
+            fails(folder.path(), 1, &format!("{command} -o part --resume --device software"));
+        says(&said, &["part.checkpoint", "damaged or cut off"]);
+        fs::write(&kept, &good).unwrap();
+
+        json(folder.path(), &format!("{command} -o part --resume"));
+        json(folder.path(), &format!("{command} -o whole --checkpoint-every 0"));
+        assert!(!folder.path().join("part.checkpoint").exists());
+        assert!(!folder.path().join("whole.checkpoint").exists());
+        let open = |name| Scene::open(folder.path().join(name), false).unwrap().scene;
+        let (part, whole) = (open("part"), open("whole"));
+        assert!(part.gaussians == whole.gaussians, "{command}");
+        assert_eq!((part.network, part.cameras), (whole.network, whole.cameras));
+        fs::remove_file(folder.path().join("part")).unwrap();
+    }
+    // A loop may always say --resume.
+    let fresh = "train clip/truth -o fresh --steps 3 --random-points 50 --resume --device software";
+    let output = run(folder.path(), fresh);
+    assert!(output.status.success());
+    says(&stderr(&output), &["fresh.checkpoint", "beginning anew"]);
+}
+
 #[test]
 fn a_real_dataset_goes_through() {
     let Some(fox) = support::shared("fox270") else { return };

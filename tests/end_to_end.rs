@@ -9,7 +9,7 @@ use splat4d::observe::EngineFlow;
 use splat4d::renderer::Renderer;
 use splat4d::scene::Scene;
 use splat4d::track::{Options, Track, track};
-use splat4d::train::{Sequence, SequenceSettings, fit_sequence};
+use splat4d::train::{Phase, Sequence, SequenceSettings, fit_sequence};
 use splat4d::types::{FlowSettings, Image};
 
 struct Outcome {
@@ -35,7 +35,8 @@ fn reconstruct(name: &str) -> Outcome {
         ..SequenceSettings::default()
     };
     let sequence = Sequence { frames: &clip.frames, times: &clip.times, track: &found };
-    let scene = fit_sequence(&device, sequence, &settings, &mut |_, _, _| Ok(())).unwrap();
+    let scene =
+        fit_sequence(&device, sequence, &settings, None, &mut |_: Phase, _, _| Ok(())).unwrap();
     Outcome { clip, track: found, scene, device }
 }
 

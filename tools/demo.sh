@@ -33,9 +33,9 @@ if [[ -z $input ]]; then
 fi
 
 echo "== reconstruct $input"
-# Small and short enough for two cores without a GPU; give the command itself more of both.
+# Small and short enough for two cores without a GPU; give the command itself more of all three.
 "$splat4d" reconstruct "$input" -o "$out/scene.safetensors" --report "$out/report" \
-    --size 320 --max-frames 40
+    --size 320 --max-frames 40 --steps 1500 --max-gaussians 20000
 
 echo "== novel views"
 rm -rf "$out/novel" "$out/input"

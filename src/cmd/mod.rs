@@ -3,6 +3,7 @@
 //! A command returns an [`Answer`]; [`main`] prints it, as text or as JSON, and turns errors into
 //! exit codes: 0 done, 1 the job failed, 2 wrong usage, 130 stopped by Ctrl-C.
 
+mod checkpoints;
 mod clock;
 mod common;
 mod devices;
@@ -24,6 +25,7 @@ mod synth;
 mod train;
 mod validate;
 mod values;
+mod watcher;
 
 use std::io::Write;
 use std::process::ExitCode;

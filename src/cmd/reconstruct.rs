@@ -7,22 +7,24 @@ use serde_json::{Value, json};
 use splat4d::data::trajectory::{self, TimedPose};
 use splat4d::data::{Clip, ClipOptions, Resize, View, intrinsics};
 use splat4d::gpu::{Device, DeviceKind};
+use splat4d::io::{Identity, checksum};
 use splat4d::observe::{EngineFlow, FlowSource};
 use splat4d::renderer::Renderer;
 use splat4d::scene::Scene;
 use splat4d::track::{FocalSource, Options, Stage, Track, track};
-use splat4d::train::{Phase, Sequence, SequenceSettings, fit_sequence};
+use splat4d::train::{Checkpoint, Phase, Sequence, SequenceSettings, fit_sequence};
 use splat4d::types::{Camera, FlowSettings, Image};
 use splat4d::{Error, Result};
 
+use super::checkpoints::{CheckpointArgs, Checkpoints};
 use super::clock::Clock;
 use super::common::{
     Answer, Common, bytes, check_output_file, check_output_folder, notes, say, thousands,
 };
 use super::info::dynamic_share;
 use super::meter::Meter;
-use super::quality;
-use super::{interrupt, sheet, supplied, values};
+use super::watcher::Watcher;
+use super::{quality, sheet, supplied, values};
 
 /// Longest side of the frames unless told otherwise: on a GPU, and on a software driver.
 const LONGEST: [u32; 2] = [640, 320];
@@ -73,10 +75,10 @@ pub struct ReconstructArgs {
     #[arg(long, value_name = "N", default_value_t = SequenceSettings::default().steps,
           value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
-    /// Most Gaussians
-    #[arg(long, value_name = "N", default_value_t = SequenceSettings::default().max_gaussians,
+    /// Most Gaussians [default: 40,000, or one for every three pixels of a frame]
+    #[arg(long, value_name = "N",
           value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(16..))]
-    max_gaussians: usize,
+    max_gaussians: Option<usize>,
     /// Most control points
     #[arg(long, value_name = "N", default_value_t = SequenceSettings::default().control_points,
           value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
@@ -111,6 +113,8 @@ pub struct ReconstructArgs {
     /// intrinsics.json into this folder
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
+    #[command(flatten)]
+    checkpoints: CheckpointArgs,
 }
 
 /// Runs the command.
@@ -139,7 +143,17 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     ));
     clock.lap("load");
 
-    let track = observe(args, &device, &frames, &options, &mut clock)?;
+    let settings = settings(args, common, (width, height));
+    let identity = identity(args, &frames, &options, &settings);
+    let mut checkpoints = Checkpoints::new(&args.output, &args.checkpoints, identity);
+    let track = match checkpoints.load("track")? {
+        Some(track) => track,
+        None => {
+            let track = observe(args, &device, &frames, &options, &checkpoints, &mut clock)?;
+            checkpoints.save("track", &track);
+            track
+        }
+    };
     let quality = &track.quality;
     notes(&quality.notes);
     say(&format!(
@@ -149,22 +163,11 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
         100.0 * quality.dynamic_share
     ));
 
-    let usual = SequenceSettings::default();
-    let in_proportion = |steps: u32| {
-        (u64::from(steps) * u64::from(args.steps)).div_ceil(u64::from(usual.steps)) as u32
-    };
-    let settings = SequenceSettings {
-        static_steps: in_proportion(usual.static_steps),
-        control_steps: in_proportion(usual.control_steps),
-        steps: args.steps,
-        max_gaussians: args.max_gaussians,
-        control_points: args.control_points,
-        sh_degree: args.sh_degree,
-        seed: common.seed,
-        ..usual.clone()
-    };
     let sequence = Sequence { frames: &frames, times: &times, track: &track };
-    let mut scene = fit(&device, sequence, &settings, &mut clock)?;
+    let resume: Option<Checkpoint> = checkpoints.load("training")?;
+    let mut watcher = Watcher::new(&mut clock, &mut checkpoints, &phase_names);
+    let mut scene = fit_sequence(&device, sequence, &settings, resume, &mut watcher)?;
+    let milliseconds_per_step = watcher.finish();
     let model = model(&scene, &track, &settings);
     say(&model);
 
@@ -173,7 +176,6 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     let measured = quality::measure(&mut renderer, &views, scene.background, "PSNR, input")?;
     clock.lap("evaluate");
 
-    let last_stage = if clock.seconds("joint") > 0.0 { "joint" } else { "static" };
     let mut known_intrinsics = intrinsics::to_json(&track.intrinsics);
     known_intrinsics["source"] = json!(focal_source(quality.focal_source));
     scene.report = json!({
@@ -199,10 +201,11 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
         "notes": quality.notes,
         "device": device.info().name,
         "peak_bytes": device.memory().1,
-        "milliseconds_per_step": 1e3 * clock.seconds(last_stage) / f64::from(args.steps),
+        "milliseconds_per_step": milliseconds_per_step,
         "seconds": clock.json(),
     });
     scene.save(&args.output)?;
+    checkpoints.remove()?;
     if let Some(folder) = &args.report {
         sheet::write(folder, &device, &scene, &sheet::spread(&views))?;
         write_cameras(folder, &scene)?;
@@ -210,6 +213,23 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     let mut json = scene.report.clone();
     json["output"] = json!(args.output);
     Ok(Answer { text: text(&json, &clock), json })
+}
+
+fn settings(args: &ReconstructArgs, common: &Common, size: (u32, u32)) -> SequenceSettings {
+    let usual = SequenceSettings::for_size(size.0, size.1);
+    let in_proportion = |steps: u32| {
+        (u64::from(steps) * u64::from(args.steps)).div_ceil(u64::from(usual.steps)) as u32
+    };
+    SequenceSettings {
+        static_steps: in_proportion(usual.static_steps),
+        control_steps: in_proportion(usual.control_steps),
+        steps: args.steps,
+        max_gaussians: args.max_gaussians.unwrap_or(usual.max_gaussians),
+        control_points: args.control_points,
+        sh_degree: args.sh_degree,
+        seed: common.seed,
+        ..usual
+    }
 }
 
 fn open_clip(args: &ReconstructArgs, device: &Device) -> Result<Clip> {
@@ -277,6 +297,7 @@ fn observe(
     device: &Device,
     frames: &[Image],
     options: &Options,
+    checkpoints: &Checkpoints,
     clock: &mut Clock,
 ) -> Result<Track> {
     let mut source: Box<dyn FlowSource + '_> = match &args.flow {
@@ -291,7 +312,7 @@ fn observe(
     };
     let mut under_way: Option<(Stage, Meter)> = None;
     let mut progress = |stage: Stage, share: f64| -> Result<()> {
-        interrupt::check()?;
+        checkpoints.interrupt()?;
         if under_way.as_ref().is_none_or(|(before, _)| *before != stage) {
             if let Some((before, _)) = under_way.take() {
                 clock.lap(name(before));
@@ -310,37 +331,33 @@ fn observe(
     Ok(found)
 }
 
-fn fit(
-    device: &Device,
-    sequence: Sequence,
-    settings: &SequenceSettings,
-    clock: &mut Clock,
-) -> Result<Scene> {
-    let name = |phase: Phase| match phase {
+/// What a phase is called, on the bar and in the report.
+fn phase_names(phase: Phase) -> (&'static str, &'static str) {
+    let name = match phase {
         Phase::Static => "static",
         Phase::Trajectories => "trajectories",
         Phase::Control => "control",
         Phase::Joint => "joint",
     };
-    let mut under_way: Option<(Phase, Meter)> = None;
-    let mut watch = |phase: Phase, step: u32, steps: u32| -> Result<()> {
-        interrupt::check()?;
-        if under_way.as_ref().is_none_or(|(before, _)| *before != phase) {
-            if let Some((before, _)) = under_way.take() {
-                clock.lap(name(before));
-            }
-            under_way = Some((phase, Meter::new(name(phase), "steps", steps.into(), 0)));
-        }
-        if let Some((_, meter)) = &mut under_way {
-            meter.set(step.into());
-        }
-        Ok(())
-    };
-    let scene = fit_sequence(device, sequence, settings, &mut watch)?;
-    if let Some((last, _)) = under_way.take() {
-        clock.lap(name(last));
-    }
-    Ok(scene)
+    (name, name)
+}
+
+/// The clip, and all that its reconstruction depends on.
+fn identity(
+    args: &ReconstructArgs,
+    frames: &[Image],
+    options: &Options,
+    settings: &SequenceSettings,
+) -> Identity {
+    let mut identity = Identity::from([
+        ("the frames".into(), format!("{} ({})", frames.len(), checksum(frames))),
+        ("what is known beforehand".into(), checksum(options)),
+        ("--steps".into(), settings.steps.to_string()),
+        ("--max-gaussians".into(), settings.max_gaussians.to_string()),
+    ]);
+    identity.insert("--flow".into(), format!("{:?}", args.flow));
+    identity.insert("the settings".into(), format!("{settings:?}"));
+    identity
 }
 
 /// What was modelled, what was left out, and why.

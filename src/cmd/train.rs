@@ -8,28 +8,25 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use splat4d::data::{Dataset, Point, Resize, View};
-use splat4d::gpu::Device;
+use splat4d::io::{Identity, checksum};
 use splat4d::renderer::Renderer;
-use splat4d::scene::{Scene, SceneCamera};
+use splat4d::scene::SceneCamera;
 use splat4d::train::{
-    GrowthSettings, Phase, PosedMotion, TrainSettings, Trainer, TrainingView, fit_posed,
+    Checkpoint, GrowthSettings, Phase, PosedMotion, TrainSettings, TrainingView, fit_posed,
     random_points, seed_from_points,
 };
 use splat4d::types::{Camera, Gaussians};
 use splat4d::{Error, Result};
 
+use super::checkpoints::{CheckpointArgs, Checkpoints};
 use super::clock::Clock;
 use super::common::{
     Answer, Common, bytes, check_output_file, check_output_folder, notes, say, thousands,
 };
 use super::info::dynamic_share;
-use super::meter::Meter;
 use super::quality::{self, Quality};
-use super::sheet;
-use super::{interrupt, values};
-
-/// Steps between two looks at the loss; each waits for the device.
-const LOSS_INTERVAL: u32 = 100;
+use super::watcher::Watcher;
+use super::{sheet, values};
 
 const AFTER_HELP: &str = "\
 Pictures that have times (`time` in transforms.json, D-NeRF) make a scene that moves; others, and
@@ -88,6 +85,8 @@ pub struct TrainArgs {
     /// Write report.json and sheet.png (input, render, motion mask, depth) into this folder
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
+    #[command(flatten)]
+    checkpoints: CheckpointArgs,
 }
 
 /// Runs the command.
@@ -138,8 +137,20 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     say(model);
     let motion =
         moving.then(|| PosedMotion { control_points: args.control_points, ..Default::default() });
-    let mut scene = optimise(&device, &train, &seeded, motion.as_ref(), &settings)?;
-    clock.lap("train");
+    let views: Vec<TrainingView> = train.iter().cloned().map(Into::into).collect();
+    let mut identity = identity(&views, &seeded, &settings);
+    identity.insert("motion".into(), format!("{motion:?}"));
+    let mut checkpoints = Checkpoints::new(&args.output, &args.checkpoints, identity);
+    let resume: Option<Checkpoint> = checkpoints.load("training")?;
+    let names = |phase: Phase| match (phase, moving) {
+        (Phase::Static, true) => ("warm-up", "train"),
+        _ => ("training", "train"),
+    };
+    let mut watcher = Watcher::new(&mut clock, &mut checkpoints, &names);
+    let mut scene =
+        fit_posed(&device, &views, &seeded, motion.as_ref(), &settings, resume, &mut watcher)?;
+    let milliseconds_per_step = watcher.finish();
+    drop(views);
     scene.settings = settings.render;
     scene.cameras = trajectory(train.iter().chain(&test));
     scene.background = set.background;
@@ -163,10 +174,11 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         "held_out": test.len(),
         "device": device.info().name,
         "peak_bytes": device.memory().1,
-        "milliseconds_per_step": 1e3 * clock.seconds("train") / f64::from(args.steps),
+        "milliseconds_per_step": milliseconds_per_step,
         "seconds": clock.json(),
     });
     scene.save(&args.output)?;
+    checkpoints.remove()?;
     if let Some(folder) = &args.report {
         let shown = sheet::spread(if test.is_empty() { &train } else { &test });
         sheet::write(folder, &device, &scene, &shown)?;
@@ -192,43 +204,16 @@ fn points(args: &TrainArgs, common: &Common, set: &Dataset, cameras: &[Camera]) 
     points
 }
 
-fn optimise(
-    device: &Device,
-    views: &[View],
-    seeded: &Gaussians,
-    motion: Option<&PosedMotion>,
-    settings: &TrainSettings,
-) -> Result<Scene> {
-    let views: Vec<TrainingView> = views.iter().cloned().map(Into::into).collect();
-    if let Some(motion) = motion {
-        let mut meter: Option<(Phase, Meter)> = None;
-        return fit_posed(device, &views, seeded, motion, settings, &mut |phase, step, steps| {
-            interrupt::check()?;
-            if meter.as_ref().is_none_or(|(before, _)| *before != phase) {
-                let what = if phase == Phase::Static { "warm-up" } else { "training" };
-                meter = Some((phase, Meter::new(what, "steps", steps.into(), 0)));
-            }
-            if let Some((_, meter)) = &mut meter {
-                meter.set(step.into());
-            }
-            Ok(())
-        });
-    }
-    let mut trainer = Trainer::new(device, &views, seeded, None, settings.clone())?;
-    let mut meter = Meter::new("training", "steps", trainer.progress().steps.into(), 0);
-    loop {
-        let now = trainer.progress();
-        if now.step >= now.steps {
-            return Ok(Scene::of(trainer.gaussians()?));
-        }
-        interrupt::check()?;
-        trainer.step()?;
-        if now.step.is_multiple_of(LOSS_INTERVAL) {
-            let loss = trainer.loss()?;
-            meter.message(format!("(L1 {:.4}, SSIM {:.3})", loss.l1, loss.ssim));
-        }
-        meter.set(u64::from(now.step) + 1);
-    }
+/// The pictures, and all that the training of them depends on.
+fn identity(views: &[TrainingView], seeded: &Gaussians, settings: &TrainSettings) -> Identity {
+    let mut identity = Identity::from([
+        ("the pictures".into(), format!("{} ({})", views.len(), checksum(views))),
+        ("the first Gaussians".into(), format!("{} ({})", seeded.len(), checksum(seeded))),
+        ("--steps".into(), settings.steps.to_string()),
+        ("--max-gaussians".into(), settings.max_gaussians.to_string()),
+    ]);
+    identity.insert("the settings".into(), format!("{settings:?}"));
+    identity
 }
 
 /// Cameras in the order of their times.

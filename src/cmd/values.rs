@@ -33,6 +33,14 @@ pub fn positive(text: &str) -> Result<f64, String> {
         .ok_or_else(|| "a number above 0 is expected".to_string())
 }
 
+/// A number of 0 or above.
+pub fn not_negative(text: &str) -> Result<f64, String> {
+    let value: Option<f64> = text.parse().ok();
+    value
+        .filter(|v| v.is_finite() && *v >= 0.0)
+        .ok_or_else(|| "a number of 0 or above is expected".to_string())
+}
+
 /// Times to render.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Times {

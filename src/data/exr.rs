@@ -73,6 +73,15 @@ fn read_planes(path: &Path) -> Result<Planes> {
     let bytes = io::read(path)?;
     let bad =
         |e: &dyn std::fmt::Display| Error::format(path, format!("is not a readable EXR: {e}"));
+    let headers = exr::meta::MetaData::read_from_buffered(Cursor::new(&bytes), false)
+        .map_err(|e| bad(&e))?
+        .headers;
+    let announced = |header: &exr::meta::header::Header| {
+        let pixels = (header.layer_size.0 as u64).saturating_mul(header.layer_size.1 as u64);
+        pixels.saturating_mul(header.channels.bytes_per_pixel as u64)
+    };
+    let unpacked = headers.iter().map(announced).fold(0, u64::saturating_add);
+    io::check_unpacked(path, unpacked, bytes.len())?;
     let image = exr::prelude::read()
         .no_deep_data()
         .largest_resolution_level()

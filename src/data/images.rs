@@ -5,7 +5,7 @@ use std::path::Path;
 
 use image::{DynamicImage, ImageDecoder, ImageReader};
 
-use crate::io::{read, write_atomically};
+use crate::io::{check_unpacked, read, write_atomically};
 use crate::types::Image;
 use crate::{Error, Result};
 
@@ -103,6 +103,7 @@ fn decode(path: &Path, orientation: Orientation) -> Result<DynamicImage> {
     let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format();
     let mut decoder =
         reader.map_err(Error::io(path))?.into_decoder().map_err(|e| undecodable(path, &e))?;
+    check_unpacked(path, decoder.total_bytes(), bytes.len())?;
     let turn = decoder.orientation();
     let mut image = DynamicImage::from_decoder(decoder).map_err(|e| undecodable(path, &e))?;
     if let (Orientation::Upright, Ok(turn)) = (orientation, turn) {

@@ -1,10 +1,12 @@
 //! What every reader and writer of files needs: whole-file reads with the path in the error, writes
-//! by rename, a bounds-checked cursor over bytes, and the PLY container.
+//! by rename, a bounds-checked cursor over bytes, the PLY container, and files of state.
 
 mod bytes;
 pub mod ply;
+mod state;
 
 pub use bytes::Bytes;
+pub use state::{Identity, checksum, read_state, write_state};
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -21,6 +23,23 @@ pub fn read(path: &Path) -> Result<Vec<u8>> {
         return Err(Error::format(path, "is a folder, a file was expected"));
     }
     std::fs::read(path).map_err(Error::io(path))
+}
+
+/// Bytes that a compressed file may unpack to whatever its own size.
+const UNPACKED: u64 = 64 << 20;
+/// Times its size that a larger one may unpack to: beyond deflate's best, 1032.
+const UNPACKED_SHARE: u64 = 1100;
+
+/// That a file of `packed` bytes may hold what its header announces, before memory is asked for:
+/// damage must not ask for the machine's.
+pub fn check_unpacked(path: &Path, unpacked: u64, packed: usize) -> Result<()> {
+    if unpacked <= UNPACKED.max(UNPACKED_SHARE.saturating_mul(packed as u64)) {
+        return Ok(());
+    }
+    Err(Error::format(
+        path,
+        format!("its header announces {unpacked} bytes, which its {packed} bytes cannot hold"),
+    ))
 }
 
 /// Reads a whole text file; the error names it.

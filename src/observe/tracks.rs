@@ -1,11 +1,12 @@
 //! Points followed over many frames by chaining the flow of neighbouring ones.
 
 use glam::DVec2;
+use serde::{Deserialize, Serialize};
 
 use super::flow::NeighbourFlow;
 
 /// A point followed from frame to frame without a gap.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PointTrack {
     /// The frame it begins in.
     pub first: usize,

@@ -23,6 +23,7 @@ mod residual;
 mod still;
 
 use glam::DVec3;
+use serde::{Deserialize, Serialize};
 
 use crate::observe::{FlowSource, NeighbourFlow, PointTrack, TrackOptions, follow, observe_flow};
 use crate::types::{Image, Intrinsics, Pose};
@@ -30,7 +31,7 @@ use crate::{Error, Result};
 use cameras::{Cameras, Focal};
 
 /// What is known beforehand, and how hard to try.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct Options {
     /// The camera's inner geometry, where it is known; wins over `focal`.
     pub intrinsics: Option<Intrinsics>,
@@ -81,7 +82,7 @@ pub enum Stage {
 
 /// Cameras, motion and depth of a clip. The world's unit is the median depth of the static points
 /// in the cameras that see them; the world's axes are the first camera's.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Track {
     /// Of all frames.
     pub intrinsics: Intrinsics,
@@ -104,7 +105,7 @@ pub struct Track {
 }
 
 /// A point of the static world.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StaticPoint {
     /// In the world.
     pub position: DVec3,
@@ -117,7 +118,7 @@ pub struct StaticPoint {
 }
 
 /// How the focal length was come by.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum FocalSource {
     /// Given.
     Given,
@@ -128,7 +129,7 @@ pub enum FocalSource {
 }
 
 /// How well a track is known.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Quality {
     /// The camera was found to be fixed; poses are locked to one.
     pub tripod: bool,

@@ -14,11 +14,14 @@
 //! | [`network`] | the deformation network's start |
 //! | [`posed`] | from posed pictures of a moving scene to a scene |
 //! | [`sequence`] | from a tracked clip to a scene: the two stages |
+//! | [`observer`] | who looks on: progress, checkpoints |
+//! | [`state`] | a trainer's state, to put away and resume from |
 //! | [`trainer`] | the step: deform, render, compare, differentiate, update |
 
 pub mod growth;
 pub mod motion;
 pub mod network;
+pub mod observer;
 pub mod optimiser;
 pub mod photographs;
 pub mod posed;
@@ -27,13 +30,16 @@ pub mod sampling;
 pub mod seed;
 pub mod sequence;
 pub mod settings;
+pub mod state;
 pub mod trainer;
 pub mod trajectories;
 
 pub use motion::MotionStart;
+pub use observer::{Checkpoint, Observer, Phase};
 pub use posed::{PosedMotion, fit_posed};
 pub use region::random_points;
 pub use seed::seed_from_points;
-pub use sequence::{Phase, Sequence, SequenceSettings, fit_sequence};
+pub use sequence::{Sequence, SequenceSettings, fit_sequence};
 pub use settings::{GrowthSettings, MotionSettings, Rates, TrainSettings};
-pub use trainer::{Progress, Trainer, TrainingView};
+pub use state::TrainerState;
+pub use trainer::{Progress, SYNC_INTERVAL, Trainer, TrainingView};

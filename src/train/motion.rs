@@ -10,9 +10,10 @@ use crate::ops::motion::Motion;
 use crate::types::{AdamSettings, ControlPoints, DeformNet};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
 
 /// What moves the dynamic Gaussians, to train from.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MotionStart {
     /// Control points in the canonical frame.
     pub points: ControlPoints,
@@ -20,6 +21,13 @@ pub struct MotionStart {
     pub network: DeformNet,
     /// How many control points a dynamic Gaussian follows.
     pub neighbours: usize,
+}
+
+/// The moments of network and radii, each first and second.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MotionMoments {
+    network: [Vec<f32>; 2],
+    radii: [Vec<f32>; 2],
 }
 
 /// The picture's own time, and two times between which motion should be as rigid as possible.
@@ -186,6 +194,29 @@ impl MotionTrainer {
         let adam = &self.adam;
         self.parameters.step(recorder, adam, rate, step, &mut self.motion.parameters, fits)?;
         self.radii.step(recorder, adam, rate, step, &mut self.motion.log_radii, fits)
+    }
+
+    /// Waits and reads the optimiser's state.
+    pub(super) fn moments(&self, stream: &mut Stream) -> Result<MotionMoments> {
+        let mut both = |state: &State| -> Result<[Vec<f32>; 2]> {
+            Ok([stream.download(&state.first)?, stream.download(&state.second)?])
+        };
+        Ok(MotionMoments { network: both(&self.parameters)?, radii: both(&self.radii)? })
+    }
+
+    /// Puts the optimiser's state back.
+    pub(super) fn set_moments(
+        &mut self,
+        stream: &mut Stream,
+        moments: &MotionMoments,
+    ) -> Result<()> {
+        for (state, [first, second]) in
+            [(&mut self.parameters, &moments.network), (&mut self.radii, &moments.radii)]
+        {
+            stream.upload(&mut state.first, first)?;
+            stream.upload(&mut state.second, second)?;
+        }
+        Ok(())
     }
 
     /// Waits and reads control points and network.

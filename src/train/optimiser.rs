@@ -4,7 +4,7 @@ use super::settings::TrainSettings;
 use crate::gpu::{Buffer, Device, Recorder, Stream, View, ViewMut};
 use crate::ops::adam::{Adam, AdamArgs, gate};
 use crate::ops::gaussians::{GaussianBuffers, SH_BAND};
-use crate::types::AdamSettings;
+use crate::types::{AdamSettings, Gaussians};
 use crate::{Error, Result};
 
 /// The optimiser's state for a set of Gaussians.
@@ -48,6 +48,25 @@ impl GaussianOptimiser {
         recorder.fill(optimiser.trainable.view_mut(), 1);
         stream.submit(recorder)?;
         Ok(optimiser)
+    }
+
+    /// Waits and reads first and second moments of the first `count` Gaussians.
+    pub(super) fn moments(&mut self, stream: &mut Stream, count: usize) -> Result<[Gaussians; 2]> {
+        let mut read = |moments: &mut GaussianBuffers| {
+            moments.len = count;
+            moments.download(stream)
+        };
+        Ok([read(&mut self.first)?, read(&mut self.second)?])
+    }
+
+    /// Puts first and second moments back.
+    pub(super) fn set_moments(
+        &mut self,
+        stream: &mut Stream,
+        moments: &[Gaussians; 2],
+    ) -> Result<()> {
+        self.first.upload(stream, &moments[0])?;
+        self.second.upload(stream, &moments[1])
     }
 
     /// Records a step of the Gaussians by their gradients, at step `step` (from 0) of the schedule.

@@ -69,6 +69,17 @@ impl Studios {
         Ok(self.by_size.get_mut(&size).expect("made above"))
     }
 
+    /// Room for intersections by size of picture.
+    pub(super) fn rooms(&self) -> Vec<((u32, u32), usize)> {
+        let room = |studio: &Studio| studio.render.intersection_capacity();
+        self.by_size.iter().map(|(&size, studio)| (size, room(studio))).collect()
+    }
+
+    /// Makes the studio for a size, with this much room for intersections.
+    pub(super) fn reserve(&mut self, device: &Device, size: (u32, u32), room: usize) -> Result<()> {
+        self.insert(device, size, room)
+    }
+
     /// Makes a studio anew with more room for intersections. What the old one holds lives on until
     /// the device is done with it.
     pub(super) fn grow(&mut self, device: &Device, size: (u32, u32), needed: usize) -> Result<()> {

@@ -6,7 +6,8 @@
 //! al., CVPR 2024) begins, and all is trained together.
 
 use super::motion::MotionStart;
-use super::sequence::{self, Phase, run};
+use super::observer::{Checkpoint, Observer, Phase, run};
+use super::sequence;
 use super::settings::TrainSettings;
 use super::trainer::{Trainer, TrainingView};
 use crate::Result;
@@ -47,44 +48,52 @@ impl Default for PosedMotion {
 /// Logit of being dynamic of every Gaussian.
 const STRENGTH: f32 = 4.0;
 
-/// Trains a moving scene on posed pictures. `watch` is told the phase, the steps done and the steps
-/// in all; an error from it ends the work. The scene has no cameras yet.
+/// Trains a scene on posed pictures, from the beginning or from a checkpoint of the same pictures
+/// and settings: a moving one, or without `motion` a static one. The scene has no cameras yet.
 ///
 /// # Errors
-/// As for [`Trainer::new`] and [`Trainer::step`]; whatever `watch` returns.
+/// As for [`Trainer::new`] and [`Trainer::step`]; [`Error::Input`](crate::Error::Input) for a
+/// checkpoint of another training; whatever `observer` returns.
 pub fn fit_posed(
     device: &Device,
     views: &[TrainingView],
     seeds: &Gaussians,
-    motion: &PosedMotion,
+    motion: Option<&PosedMotion>,
     settings: &TrainSettings,
-    watch: &mut dyn FnMut(Phase, u32, u32) -> Result<()>,
+    resume: Option<Checkpoint>,
+    observer: &mut dyn Observer,
 ) -> Result<Scene> {
-    let warm_up = ((f64::from(settings.steps) * motion.warm_up) as u32).min(settings.steps - 1);
-    let mut gaussians = seeds.clone();
-    if warm_up > 0 {
-        // Bands would explain by direction what is due to motion.
-        let still = TrainSettings {
-            steps: warm_up,
-            growth: None,
-            max_gaussians: 0,
-            sh_interval: u32::MAX,
-            ..settings.clone()
-        };
-        let mut trainer = Trainer::new(device, views, seeds, None, still)?;
-        run(&mut trainer, Phase::Static, warm_up, watch)?;
-        gaussians = trainer.gaussians()?;
-    }
-    gaussians.motion_logits = vec![STRENGTH; gaussians.len()];
-    let start = MotionStart {
-        points: spread(&gaussians, motion.control_points, settings.seed)?,
-        network: DeformNet::random(motion.network, settings.seed),
-        neighbours: motion.neighbours,
+    let Some(motion) = motion else {
+        let gaussians = fit_static(device, views, seeds, settings.clone(), resume, observer)?;
+        return Ok(Scene::of(gaussians));
     };
+    let warm_up = ((f64::from(settings.steps) * motion.warm_up) as u32).min(settings.steps - 1);
     let joint = TrainSettings { steps: settings.steps - warm_up, ..settings.clone() };
-    let steps = joint.steps;
-    let mut trainer = Trainer::new(device, views, &gaussians, Some(&start), joint)?;
-    run(&mut trainer, Phase::Joint, steps, watch)?;
+    let mut trainer = match resume {
+        Some(Checkpoint::Joint(state)) => Trainer::resume(device, views, state, joint)?,
+        earlier => {
+            let mut gaussians = seeds.clone();
+            if warm_up > 0 {
+                // Bands would explain by direction what is due to motion.
+                let still = TrainSettings {
+                    steps: warm_up,
+                    growth: None,
+                    max_gaussians: 0,
+                    sh_interval: u32::MAX,
+                    ..settings.clone()
+                };
+                gaussians = fit_static(device, views, seeds, still, earlier, observer)?;
+            }
+            gaussians.motion_logits = vec![STRENGTH; gaussians.len()];
+            let start = MotionStart {
+                points: spread(&gaussians, motion.control_points, settings.seed)?,
+                network: DeformNet::random(motion.network, settings.seed),
+                neighbours: motion.neighbours,
+            };
+            Trainer::new(device, views, &gaussians, Some(&start), joint)?
+        }
+    };
+    run(&mut trainer, Phase::Joint, observer, Checkpoint::Joint)?;
     let mut scene = Scene::of(trainer.gaussians()?);
     if let Some((points, network)) = trainer.motion()? {
         scene.control_points = points;
@@ -92,6 +101,23 @@ pub fn fit_posed(
     }
     scene.neighbours = motion.neighbours.min(scene.control_points.len()) as u32;
     Ok(scene)
+}
+
+fn fit_static(
+    device: &Device,
+    views: &[TrainingView],
+    seeds: &Gaussians,
+    settings: TrainSettings,
+    resume: Option<Checkpoint>,
+    observer: &mut dyn Observer,
+) -> Result<Gaussians> {
+    let mut trainer = match resume {
+        Some(Checkpoint::Static(state)) => Trainer::resume(device, views, state, settings)?,
+        Some(other) => return Err(other.foreign()),
+        None => Trainer::new(device, views, seeds, None, settings)?,
+    };
+    run(&mut trainer, Phase::Static, observer, Checkpoint::Static)?;
+    trainer.gaussians()
 }
 
 /// Control points spread over the Gaussians that the warm-up has made more opaque than they began;

@@ -13,9 +13,11 @@
 
 use super::motion::MotionStart;
 use super::network::fit_translations;
+use super::observer::{Checkpoint, Observer, Phase, run};
 use super::sampling::farthest_point_sample;
 use super::seed::seed_from_points;
 use super::settings::{GrowthSettings, MotionSettings, Rates, TrainSettings};
+use super::state::TrainerState;
 use super::trainer::{Trainer, TrainingView};
 use super::trajectories::{MOVING, Trajectories, camera, lift, value};
 use crate::data::Point;
@@ -53,6 +55,15 @@ pub struct SequenceSettings {
     pub seed: u64,
 }
 
+impl SequenceSettings {
+    /// For frames of some size: a Gaussian for every three pixels where the frames are large.
+    pub fn for_size(width: u32, height: u32) -> SequenceSettings {
+        let usual = SequenceSettings::default();
+        let pixels = width as usize * height as usize;
+        SequenceSettings { max_gaussians: usual.max_gaussians.max(pixels / 3), ..usual }
+    }
+}
+
 impl Default for SequenceSettings {
     fn default() -> Self {
         SequenceSettings {
@@ -76,19 +87,6 @@ impl Default for SequenceSettings {
     }
 }
 
-/// What is being trained.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Phase {
-    /// The static world.
-    Static,
-    /// The network's fit to the trajectories.
-    Trajectories,
-    /// Stage 1.
-    Control,
-    /// Stage 2.
-    Joint,
-}
-
 /// A tracked clip.
 #[derive(Clone, Copy)]
 pub struct Sequence<'a> {
@@ -100,19 +98,18 @@ pub struct Sequence<'a> {
     pub track: &'a Track,
 }
 
-/// Told the phase, the steps done and the steps in all; an error ends the work.
-pub type Watch<'a> = dyn FnMut(Phase, u32, u32) -> Result<()> + 'a;
-
-/// Trains a scene on a tracked clip.
+/// Trains a scene on a tracked clip, from the beginning or from a checkpoint of the same clip and
+/// settings.
 ///
 /// # Errors
-/// [`Error::Input`] when the clip has no static point to begin with; out of memory; a failed
-/// submission; whatever `watch` returns.
+/// [`Error::Input`] when the clip has no static point to begin with, or the checkpoint is of another
+/// training; out of memory; a failed submission; whatever `observer` returns.
 pub fn fit_sequence(
     device: &Device,
     sequence: Sequence<'_>,
     settings: &SequenceSettings,
-    watch: &mut Watch<'_>,
+    resume: Option<Checkpoint>,
+    observer: &mut dyn Observer,
 ) -> Result<Scene> {
     let track = sequence.track;
     let points: Vec<Point> = track
@@ -131,13 +128,17 @@ pub fn fit_sequence(
     let trajectories = dynamic.then(|| Trajectories::of(track));
     let mut scene = match trajectories {
         Some(trajectories) if !trajectories.positions.is_empty() => {
-            fit_moving(device, sequence, &seeds, &trajectories, settings, watch)?
+            fit_moving(device, sequence, &seeds, &trajectories, settings, resume, observer)?
         }
         _ => {
             let views = views(sequence, |_| 1.0);
             let train = joint_settings(settings);
-            let mut trainer = Trainer::new(device, &views, &seeds, None, train)?;
-            run(&mut trainer, Phase::Static, settings.steps, watch)?;
+            let mut trainer = match resume {
+                Some(Checkpoint::Static(state)) => Trainer::resume(device, &views, state, train)?,
+                Some(other) => return Err(other.foreign()),
+                None => Trainer::new(device, &views, &seeds, None, train)?,
+            };
+            run(&mut trainer, Phase::Static, observer, Checkpoint::Static)?;
             Scene::of(trainer.gaussians()?)
         }
     };
@@ -158,65 +159,26 @@ fn fit_moving(
     seeds: &Gaussians,
     trajectories: &Trajectories,
     settings: &SequenceSettings,
-    watch: &mut Watch<'_>,
+    resume: Option<Checkpoint>,
+    observer: &mut dyn Observer,
 ) -> Result<Scene> {
-    let track = sequence.track;
-    // The static world, on what surely does not move.
-    let still_views = views(sequence, |moving| if moving > 0.0 { 0.0 } else { 1.0 });
-    let train = TrainSettings {
-        steps: settings.static_steps,
-        growth: None,
-        max_gaussians: 0,
-        ..joint_settings(settings)
-    };
-    let mut trainer = Trainer::new(device, &still_views, seeds, None, train.clone())?;
-    run(&mut trainer, Phase::Static, settings.static_steps, watch)?;
-    let mut still = trainer.gaussians()?;
-    still.motion_logits = vec![-STRENGTH; still.len()];
-    drop((trainer, still_views));
-
-    // Control points, and a network that follows their trajectories.
-    let (points, chosen) = control_points(trajectories, settings)?;
-    let mut network = DeformNet::random(settings.network, settings.seed);
-    let targets: Vec<Vec<[f32; 3]>> = chosen
-        .iter()
-        .map(|&k| {
-            let path = &trajectories.positions[k];
-            let origin = path[trajectories.canonical];
-            path.iter().map(|p| (*p - origin).as_vec3().to_array()).collect()
-        })
-        .collect();
-    fit_translations(
-        device,
-        &mut network,
-        &points,
-        sequence.times,
-        &targets,
-        TRAJECTORY_STEPS,
-        settings.seed,
-        &mut |step| watch(Phase::Trajectories, step, TRAJECTORY_STEPS),
-    )?;
-
-    // Stage 1.
-    let start = MotionStart { points, network, neighbours: 1 };
-    let network = control_stage(device, sequence, &still, &start, trajectories, settings, watch)?;
-
-    // Stage 2.
-    let movers = seed_movers(sequence, trajectories, settings);
-    let mut gaussians = still;
-    append(&mut gaussians, &movers);
-    let start = MotionStart { points: start.points, network, neighbours: settings.neighbours };
-    let all_views = views(sequence, |_| 1.0);
     let train = joint_settings(settings);
-    let mut trainer = Trainer::new(device, &all_views, &gaussians, Some(&start), train)?;
-    run(&mut trainer, Phase::Joint, settings.steps, watch)?;
+    let all = || views(sequence, |_| 1.0);
+    let mut trainer = match resume {
+        Some(Checkpoint::Joint(state)) => Trainer::resume(device, &all(), state, train)?,
+        earlier => {
+            let before = BeforeJoint { device, sequence, trajectories, settings };
+            let (gaussians, start) = before.run(seeds, earlier, observer)?;
+            Trainer::new(device, &all(), &gaussians, Some(&start), train)?
+        }
+    };
+    run(&mut trainer, Phase::Joint, observer, Checkpoint::Joint)?;
     let mut scene = Scene::of(trainer.gaussians()?);
     if let Some((points, network)) = trainer.motion()? {
         scene.control_points = points;
         scene.network = Some(network);
     }
     scene.neighbours = settings.neighbours.min(scene.control_points.len()) as u32;
-    let _ = track;
     Ok(scene)
 }
 
@@ -225,20 +187,149 @@ const STRENGTH: f32 = 4.0;
 /// Steps of the network's fit to the trajectories.
 const TRAJECTORY_STEPS: u32 = 600;
 
-/// Stage 1: the control points as temporary Gaussians before the frozen static world.
-fn control_stage(
-    device: &Device,
+/// What comes before stage 2.
+#[derive(Clone, Copy)]
+struct BeforeJoint<'a> {
+    device: &'a Device,
+    sequence: Sequence<'a>,
+    trajectories: &'a Trajectories,
+    settings: &'a SequenceSettings,
+}
+
+impl BeforeJoint<'_> {
+    /// The Gaussians and the motion that stage 2 begins with.
+    fn run(
+        self,
+        seeds: &Gaussians,
+        resume: Option<Checkpoint>,
+        observer: &mut dyn Observer,
+    ) -> Result<(Gaussians, MotionStart)> {
+        let (still, start, state) = match resume {
+            Some(Checkpoint::Control { still, start, trainer }) => (still, start, Some(*trainer)),
+            Some(Checkpoint::Static(state)) => {
+                let still = self.static_world(seeds, Some(state), observer)?;
+                (still, self.follow_trajectories(observer)?, None)
+            }
+            Some(other) => return Err(other.foreign()),
+            None => {
+                let still = self.static_world(seeds, None, observer)?;
+                (still, self.follow_trajectories(observer)?, None)
+            }
+        };
+        let network = self.control_stage(&still, &start, state, observer)?;
+        let movers = seed_movers(self.sequence, self.trajectories, self.settings);
+        let mut gaussians = still;
+        append(&mut gaussians, &movers);
+        let neighbours = self.settings.neighbours;
+        Ok((gaussians, MotionStart { points: start.points, network, neighbours }))
+    }
+
+    /// The static world, on what surely does not move.
+    fn static_world(
+        self,
+        seeds: &Gaussians,
+        resume: Option<TrainerState>,
+        observer: &mut dyn Observer,
+    ) -> Result<Gaussians> {
+        let views = views(self.sequence, |moving| if moving > 0.0 { 0.0 } else { 1.0 });
+        let train = TrainSettings {
+            steps: self.settings.static_steps,
+            growth: None,
+            max_gaussians: 0,
+            ..joint_settings(self.settings)
+        };
+        let mut trainer = match resume {
+            Some(state) => Trainer::resume(self.device, &views, state, train)?,
+            None => Trainer::new(self.device, &views, seeds, None, train)?,
+        };
+        run(&mut trainer, Phase::Static, observer, Checkpoint::Static)?;
+        let mut still = trainer.gaussians()?;
+        still.motion_logits = vec![-STRENGTH; still.len()];
+        Ok(still)
+    }
+
+    /// Control points, and a network that follows their trajectories.
+    fn follow_trajectories(self, observer: &mut dyn Observer) -> Result<MotionStart> {
+        let BeforeJoint { sequence, trajectories, settings, .. } = self;
+        let (points, chosen) = control_points(trajectories, settings)?;
+        let mut network = DeformNet::random(settings.network, settings.seed);
+        let targets: Vec<Vec<[f32; 3]>> = chosen
+            .iter()
+            .map(|&k| {
+                let path = &trajectories.positions[k];
+                let origin = path[trajectories.canonical];
+                path.iter().map(|p| (*p - origin).as_vec3().to_array()).collect()
+            })
+            .collect();
+        fit_translations(
+            self.device,
+            &mut network,
+            &points,
+            sequence.times,
+            &targets,
+            TRAJECTORY_STEPS,
+            settings.seed,
+            &mut |step| observer.progress(Phase::Trajectories, step, TRAJECTORY_STEPS),
+        )?;
+        Ok(MotionStart { points, network, neighbours: 1 })
+    }
+
+    /// Stage 1: the control points as temporary Gaussians before the frozen static world.
+    fn control_stage(
+        self,
+        still: &Gaussians,
+        start: &MotionStart,
+        resume: Option<TrainerState>,
+        observer: &mut dyn Observer,
+    ) -> Result<DeformNet> {
+        let BeforeJoint { device, sequence, trajectories, settings } = self;
+        if settings.control_steps == 0 {
+            return Ok(start.network.clone());
+        }
+        let views = views(sequence, |moving| if moving > 0.0 { 1.0 } else { 0.05 });
+        // The temporary Gaussians keep place and shape: motion is for the network to learn.
+        let rates = Rates {
+            position: 1e-12,
+            position_last: 1e-12,
+            log_scale: 0.0,
+            rotation: 0.0,
+            ..Rates::default()
+        };
+        let train = TrainSettings {
+            steps: settings.control_steps,
+            growth: None,
+            max_gaussians: 0,
+            rates,
+            motion: MotionSettings { rate: 4e-4, rate_last: 4e-5, ..MotionSettings::default() },
+            ..joint_settings(settings)
+        };
+        let mut trainer = match resume {
+            Some(state) => Trainer::resume(device, &views, state, train)?,
+            None => {
+                let mut gaussians = still.clone();
+                append(&mut gaussians, &temporary(sequence, start, trajectories, settings));
+                let mut trainer = Trainer::new(device, &views, &gaussians, Some(start), train)?;
+                let trainable: Vec<bool> = (0..gaussians.len()).map(|i| i >= still.len()).collect();
+                trainer.set_trainable(&trainable)?;
+                trainer
+            }
+        };
+        run(&mut trainer, Phase::Control, observer, |trainer| Checkpoint::Control {
+            still: still.clone(),
+            start: start.clone(),
+            trainer: Box::new(trainer),
+        })?;
+        Ok(trainer.motion()?.map_or_else(|| start.network.clone(), |(_, network)| network))
+    }
+}
+
+/// The control points as Gaussians, in the colours of the canonical frame.
+fn temporary(
     sequence: Sequence<'_>,
-    still: &Gaussians,
     start: &MotionStart,
     trajectories: &Trajectories,
     settings: &SequenceSettings,
-    watch: &mut Watch<'_>,
-) -> Result<DeformNet> {
-    if settings.control_steps == 0 {
-        return Ok(start.network.clone());
-    }
-    let views = views(sequence, |moving| if moving > 0.0 { 1.0 } else { 0.05 });
+) -> Gaussians {
     let frame = trajectories.canonical;
     let camera = camera(sequence.track, frame);
     let colours: Vec<Point> = start
@@ -254,34 +345,7 @@ fn control_stage(
     let mut nodes = seed_from_points(&colours, settings.sh_degree);
     nodes.opacity_logits.fill(1.0);
     nodes.motion_logits = vec![STRENGTH; nodes.len()];
-    let mut gaussians = still.clone();
-    append(&mut gaussians, &nodes);
-    // The temporary Gaussians keep place and shape: motion is for the network to learn.
-    let rates = Rates {
-        position: 1e-12,
-        position_last: 1e-12,
-        log_scale: 0.0,
-        rotation: 0.0,
-        ..Rates::default()
-    };
-    let train = TrainSettings {
-        steps: settings.control_steps,
-        growth: None,
-        max_gaussians: 0,
-        rates,
-        motion: MotionSettings {
-            rate: 4e-4,
-            rate_last: 4e-5,
-            refresh: 0,
-            ..MotionSettings::default()
-        },
-        ..joint_settings(settings)
-    };
-    let mut trainer = Trainer::new(device, &views, &gaussians, Some(start), train)?;
-    let trainable: Vec<bool> = (0..gaussians.len()).map(|i| i >= still.len()).collect();
-    trainer.set_trainable(&trainable)?;
-    run(&mut trainer, Phase::Control, settings.control_steps, watch)?;
-    Ok(trainer.motion()?.map_or_else(|| start.network.clone(), |(_, network)| network))
+    nodes
 }
 
 fn joint_settings(settings: &SequenceSettings) -> TrainSettings {
@@ -298,20 +362,6 @@ fn joint_settings(settings: &SequenceSettings) -> TrainSettings {
         seed: settings.seed,
         ..TrainSettings::default()
     }
-}
-
-/// Steps until the phase is over.
-pub(super) fn run(
-    trainer: &mut Trainer,
-    phase: Phase,
-    steps: u32,
-    watch: &mut Watch<'_>,
-) -> Result<()> {
-    for step in 0..steps {
-        trainer.step()?;
-        watch(phase, step + 1, steps)?;
-    }
-    trainer.finish()
 }
 
 /// The frames as training views; `weight` turns the movers' nearness (1 on a mover, 0 away from any)

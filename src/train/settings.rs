@@ -82,20 +82,12 @@ pub struct MotionSettings {
     pub arap_weight: f64,
     /// Edges of a control point in that energy.
     pub arap_edges: usize,
-    /// Steps between searches for the control points that Gaussians follow.
-    pub refresh: u32,
 }
 
 impl Default for MotionSettings {
     /// SC-GS's learning rates.
     fn default() -> Self {
-        MotionSettings {
-            rate: 8e-4,
-            rate_last: 1.6e-6,
-            arap_weight: 1e-2,
-            arap_edges: 10,
-            refresh: 100,
-        }
+        MotionSettings { rate: 8e-4, rate_last: 1.6e-6, arap_weight: 1e-2, arap_edges: 10 }
     }
 }
 

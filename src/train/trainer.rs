@@ -16,10 +16,11 @@ use crate::{Error, Result};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
+use serde::Serialize;
 use std::collections::VecDeque;
 
 /// A picture to train on.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct TrainingView {
     /// Its camera, of the picture's size.
     pub camera: Camera,
@@ -52,6 +53,11 @@ pub struct Progress {
     pub gaussians: usize,
 }
 
+/// Steps between points at which the device is waited for, which Gaussians move is listed anew, and
+/// these find their control points again. A trainer's state is well defined there: with
+/// [`Trainer::state`] it can be put away, and training goes the same way whether it was or not.
+pub const SYNC_INTERVAL: u32 = 100;
+
 /// Submissions that may be under way before the host waits for the oldest: enough to keep the device
 /// busy while the next one is recorded.
 const IN_FLIGHT: usize = 2;
@@ -65,22 +71,23 @@ struct Pending {
 /// Trains Gaussians on pictures.
 pub struct Trainer {
     device: Device,
-    stream: Stream,
+    pub(super) stream: Stream,
     settings: TrainSettings,
     views: Vec<DeviceView>,
-    studios: Studios,
+    pub(super) studios: Studios,
     gaussians: GaussianBuffers,
     gradients: GaussianBuffers,
-    optimiser: GaussianOptimiser,
+    pub(super) optimiser: GaussianOptimiser,
     growth: Option<Growth>,
-    motion: Option<MotionTrainer>,
+    pub(super) motion: Option<MotionTrainer>,
     /// Of the Gaussians, where there is motion.
     motion_logits: Option<Buffer<f32>>,
     extent: f64,
-    step: u32,
-    rng: ChaCha8Rng,
+    pub(super) step: u32,
+    pub(super) rng: ChaCha8Rng,
     /// Views still to come in this round, last first.
-    round: Vec<usize>,
+    pub(super) round: Vec<usize>,
+    last_view: Option<usize>,
     pending: VecDeque<Pending>,
     idle: Vec<Readback<u32>>,
 }
@@ -140,6 +147,7 @@ impl Trainer {
             step: 0,
             rng: ChaCha8Rng::seed_from_u64(settings.seed),
             round: Vec::new(),
+            last_view: None,
             pending: VecDeque::new(),
             idle: Vec::new(),
             stream,
@@ -163,16 +171,18 @@ impl Trainer {
         }
         let view = self.next_view();
         self.submit(view)?;
+        self.last_view = Some(view);
         self.step += 1;
-        let due = self.growth.as_ref().is_some_and(|g| g.due(self.step, self.settings.steps));
-        if due {
+        let grows = self.growth.as_ref().is_some_and(|g| g.due(self.step, self.settings.steps));
+        let syncs = self.step.is_multiple_of(SYNC_INTERVAL);
+        if syncs {
+            self.finish()?;
+        }
+        if grows {
             self.grow()?;
-        } else if self.step.is_multiple_of(self.settings.motion.refresh.max(1))
-            && let Some(motion) = &mut self.motion
-        {
-            let mut recorder = self.stream.record()?;
-            motion.motion.refresh(&mut recorder, self.gaussians.views().positions)?;
-            self.stream.submit(recorder)?;
+        }
+        if grows || syncs {
+            self.list_dynamic()?;
         }
         Ok(())
     }
@@ -203,7 +213,11 @@ impl Trainer {
             &mut self.gaussians,
             self.motion_logits.as_mut(),
             &mut self.optimiser,
-        )?;
+        )
+    }
+
+    /// Lists which Gaussians move, and finds what they follow.
+    fn list_dynamic(&mut self) -> Result<()> {
         if let (Some(motion), Some(logits)) = (&mut self.motion, &self.motion_logits) {
             let mut logits = self.stream.download(logits)?;
             logits.truncate(self.gaussians.len);
@@ -223,23 +237,23 @@ impl Trainer {
         Ok(())
     }
 
-    /// The last step's loss.
+    /// Waits and reads the last step's loss; none before the first step, and where the last one has
+    /// to be done again.
     ///
     /// # Errors
-    /// As for [`step`](Self::step); [`Error::Input`] before the first step.
-    pub fn loss(&mut self) -> Result<LossValue> {
-        let Some(view) = self.pending.back().map(|pending| pending.view) else {
-            return Err(Error::Input("no step is under way to take the loss of".into()));
-        };
+    /// As for [`step`](Self::step).
+    pub fn loss(&mut self) -> Result<Option<LossValue>> {
+        let Some(view) = self.last_view else { return Ok(None) };
         let view = &self.views[view];
         let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
         let studio = self.studios.for_size(&self.device, size)?;
-        studio.loss.value(
+        let value = studio.loss.value(
             &mut self.stream,
             &view.photograph,
             view.disparity.as_ref(),
             &studio.loss_scratch,
-        )
+        );
+        value.map(Some)
     }
 
     /// Waits and reads the Gaussians.
@@ -388,6 +402,7 @@ impl Trainer {
             // The device has left the parameters alone; the picture comes again.
             self.studios.grow(&self.device, size, counts.intersections)?;
             self.round.push(pending.view);
+            self.last_view = None;
         }
         Ok(())
     }

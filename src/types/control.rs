@@ -2,10 +2,11 @@
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
 
 /// Sparse control points in the canonical frame; the network gives each of them a rigid motion at
 /// every time, and Gaussians follow the nearest ones (linear blend skinning).
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ControlPoints {
     /// Canonical positions.
     pub positions: Vec<[f32; 3]>,
@@ -33,7 +34,7 @@ impl ControlPoints {
 /// concatenated again *after* the activations of layer `skip` (counted from 0), so that layer
 /// `skip + 1` sees `[encoding, activations]`. One linear head of 7: translation (3) and the
 /// rotation's offset δ (4), rotation = normalise([1, 0, 0, 0] + δ).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NetShape {
     /// Number of hidden layers.
     pub depth: u32,
@@ -84,7 +85,7 @@ impl NetShape {
 }
 
 /// The deformation network: `(canonical position, time) → (translation, rotation)`.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DeformNet {
     /// Its shape.
     pub shape: NetShape,

@@ -1,5 +1,7 @@
 //! The Gaussians of a scene on the host.
 
+use serde::{Deserialize, Serialize};
+
 /// The constant spherical harmonic.
 pub const SH_C0: f32 = 0.282_094_8;
 
@@ -9,7 +11,7 @@ pub const fn sh_coefficients(degree: u32) -> usize {
 }
 
 /// 3D Gaussians, one row of every array per Gaussian.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Gaussians {
     /// Centres in the world (canonical) frame.
     pub positions: Vec<[f32; 3]>,

@@ -1,7 +1,9 @@
 //! Images on the host.
 
+use serde::{Deserialize, Serialize};
+
 /// A float image, row-major, channels interleaved.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Image {
     /// Width in pixels.
     pub width: u32,

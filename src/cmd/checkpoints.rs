@@ -1,0 +1,118 @@
+//! Checkpoints of long commands: the folder `OUTPUT.checkpoint` beside the output.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use clap::Args;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use splat4d::io::{Identity, read_state, write_state};
+use splat4d::{Error, Result};
+
+use super::common::say;
+use super::{interrupt, values};
+
+/// The flags of commands that can be resumed.
+#[derive(Args)]
+pub struct CheckpointArgs {
+    /// Go on from the last checkpoint of the same command, where there is one
+    #[arg(long)]
+    resume: bool,
+    /// Seconds between checkpoints, which lie in OUTPUT.checkpoint until the work is done; 0: none
+    #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = values::not_negative)]
+    checkpoint_every: f64,
+}
+
+/// What is put away of a command's work, and when.
+pub struct Checkpoints {
+    folder: PathBuf,
+    identity: Identity,
+    resume: bool,
+    every: Duration,
+    saved: Instant,
+    /// Whether something to resume from is there.
+    usable: bool,
+}
+
+/// What may lie in the folder.
+const PARTS: [&str; 2] = ["track", "training"];
+
+impl Checkpoints {
+    /// For the command that writes `output`; only checkpoints of the same identity are of use to it.
+    pub fn new(output: &Path, args: &CheckpointArgs, identity: Identity) -> Checkpoints {
+        let mut folder = output.as_os_str().to_owned();
+        folder.push(".checkpoint");
+        let folder = PathBuf::from(folder);
+        let found = PARTS.iter().any(|part| folder.join(part).exists());
+        let shown = folder.display();
+        match (args.resume, found) {
+            (true, false) => {
+                say(&format!("note: there is no {shown} to resume from; beginning anew"))
+            }
+            (false, true) => say(&format!(
+                "note: {shown} is left of an earlier run and will be replaced; --resume goes on from it"
+            )),
+            _ => {}
+        }
+        Checkpoints {
+            identity,
+            resume: args.resume,
+            every: Duration::from_secs_f64(args.checkpoint_every.min(1e9)),
+            saved: Instant::now(),
+            usable: args.resume && found,
+            folder,
+        }
+    }
+
+    /// What an earlier run has put away, if this one resumes it.
+    pub fn load<T: DeserializeOwned>(&self, part: &'static str) -> Result<Option<T>> {
+        let path = self.folder.join(part);
+        if !self.resume || !path.exists() {
+            return Ok(None);
+        }
+        read_state(&path, part, &self.identity).map(Some)
+    }
+
+    /// Whether it is time for a checkpoint.
+    pub fn due(&self) -> bool {
+        !self.every.is_zero() && self.saved.elapsed() >= self.every
+    }
+
+    /// Puts a part of the work away, unless checkpoints are off. Where that fails (a full disk), the
+    /// work goes on: it is worth more than its checkpoint, and the one before is still there.
+    pub fn save<T: Serialize>(&mut self, part: &'static str, value: &T) {
+        debug_assert!(PARTS.contains(&part));
+        if self.every.is_zero() {
+            return;
+        }
+        match write_state(&self.folder.join(part), part, &self.identity, value) {
+            Ok(()) => self.usable = true,
+            Err(error) => {
+                // Unless an earlier checkpoint lies there, the folder is empty.
+                let _ = std::fs::remove_dir(&self.folder);
+                say(&format!("note: no checkpoint could be written: {error}; going on"));
+            }
+        }
+        self.saved = Instant::now();
+    }
+
+    /// Fails once the user has asked to stop, naming what to resume from.
+    pub fn interrupt(&self) -> Result<()> {
+        interrupt::stopped(self.usable.then(|| self.folder.clone()))
+    }
+
+    /// Takes the checkpoints away: the work is done. A folder that holds anything else stays.
+    pub fn remove(self) -> Result<()> {
+        for part in PARTS {
+            let path = self.folder.join(part);
+            match std::fs::remove_file(&path) {
+                Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                    return Err(Error::io(&path)(error));
+                }
+                _ => {}
+            }
+        }
+        let _ = std::fs::remove_dir(&self.folder);
+        Ok(())
+    }
+}

@@ -1,0 +1,111 @@
+//! Who looks on while a scene is trained: progress, and checkpoints.
+
+use serde::{Deserialize, Serialize};
+
+use super::motion::MotionStart;
+use super::state::TrainerState;
+use super::trainer::{SYNC_INTERVAL, Trainer};
+use crate::ops::loss::LossValue;
+use crate::types::Gaussians;
+use crate::{Error, Result};
+
+/// What is being trained.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Phase {
+    /// The static world.
+    Static,
+    /// The network's fit to the trajectories.
+    Trajectories,
+    /// Stage 1.
+    Control,
+    /// Stage 2.
+    Joint,
+}
+
+/// All that the rest of the training depends on, besides input and settings. A training that
+/// resumes from it ends with the same bits as one that was never interrupted.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Checkpoint {
+    /// Under way in [`Phase::Static`].
+    Static(TrainerState),
+    /// Under way in [`Phase::Control`].
+    Control {
+        /// The static world, trained.
+        still: Gaussians,
+        /// What the stage began with.
+        start: MotionStart,
+        /// The temporary Gaussians and the network.
+        trainer: Box<TrainerState>,
+    },
+    /// Under way in [`Phase::Joint`].
+    Joint(TrainerState),
+}
+
+impl Checkpoint {
+    /// The error for a checkpoint that the training at hand cannot have written.
+    pub(super) fn foreign(&self) -> Error {
+        let (phase, step) = self.place();
+        Error::Input(format!(
+            "the checkpoint (phase {phase:?}, step {step}) is of another training; begin anew"
+        ))
+    }
+
+    /// Where the training was: the phase, and the steps done in it.
+    pub fn place(&self) -> (Phase, u32) {
+        match self {
+            Checkpoint::Static(trainer) => (Phase::Static, trainer.step()),
+            Checkpoint::Control { trainer, .. } => (Phase::Control, trainer.step()),
+            Checkpoint::Joint(trainer) => (Phase::Joint, trainer.step()),
+        }
+    }
+}
+
+/// Looks on while a scene is trained. A closure that takes phase, steps done and steps in all is one
+/// that wants no checkpoints.
+pub trait Observer {
+    /// Told after every step. An error ends the training.
+    fn progress(&mut self, phase: Phase, step: u32, steps: u32) -> Result<()>;
+
+    /// The loss of the last step, every [`SYNC_INTERVAL`] steps.
+    fn loss(&mut self, _loss: LossValue) {}
+
+    /// Whether the state should be put away now; asked every [`SYNC_INTERVAL`] steps.
+    fn wants_checkpoint(&mut self) -> bool {
+        false
+    }
+
+    /// The state to put away, after it was wanted. An error ends the training.
+    fn checkpoint(&mut self, _checkpoint: &Checkpoint) -> Result<()> {
+        Ok(())
+    }
+}
+
+impl<F: FnMut(Phase, u32, u32) -> Result<()>> Observer for F {
+    fn progress(&mut self, phase: Phase, step: u32, steps: u32) -> Result<()> {
+        self(phase, step, steps)
+    }
+}
+
+/// Steps until a trainer is done; `wrap` makes a checkpoint of its state.
+pub(super) fn run(
+    trainer: &mut Trainer,
+    phase: Phase,
+    observer: &mut dyn Observer,
+    wrap: impl Fn(TrainerState) -> Checkpoint,
+) -> Result<()> {
+    let mut now = trainer.progress();
+    while now.step < now.steps {
+        trainer.step()?;
+        now = trainer.progress();
+        observer.progress(phase, now.step, now.steps)?;
+        if now.step.is_multiple_of(SYNC_INTERVAL) && now.step < now.steps {
+            if let Some(loss) = trainer.loss()? {
+                observer.loss(loss);
+            }
+            if observer.wants_checkpoint() {
+                observer.checkpoint(&wrap(trainer.state()?))?;
+            }
+        }
+    }
+    trainer.finish()
+}

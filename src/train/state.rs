@@ -1,0 +1,102 @@
+//! A trainer's state on the host: all that its next step depends on, besides pictures and settings.
+
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+
+use super::motion::{MotionMoments, MotionStart};
+use super::settings::TrainSettings;
+use super::trainer::{SYNC_INTERVAL, Trainer, TrainingView};
+use crate::gpu::Device;
+use crate::types::Gaussians;
+use crate::{Error, Result};
+
+/// What [`Trainer::state`] gives and [`Trainer::resume`] takes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TrainerState {
+    step: u32,
+    gaussians: Gaussians,
+    /// First and second moments, laid out as the Gaussians.
+    moments: [Gaussians; 2],
+    trainable: Vec<bool>,
+    motion: Option<(MotionStart, MotionMoments)>,
+    rng: ChaCha8Rng,
+    round: Vec<usize>,
+    /// Room for intersections by size of picture: how often a step has to be done again depends on it.
+    rooms: Vec<((u32, u32), usize)>,
+}
+
+impl TrainerState {
+    /// Steps done.
+    pub fn step(&self) -> u32 {
+        self.step
+    }
+}
+
+impl Trainer {
+    /// Waits and reads everything that the next step depends on. Only at a multiple of
+    /// [`SYNC_INTERVAL`] steps, where a trainer that goes on and one that resumes do the same.
+    ///
+    /// # Errors
+    /// [`Error::Input`] between such steps; else as for [`step`](Self::step).
+    pub fn state(&mut self) -> Result<TrainerState> {
+        if !self.step.is_multiple_of(SYNC_INTERVAL) {
+            let what = "a trainer's state can be taken every";
+            return Err(Error::Input(format!(
+                "{what} {SYNC_INTERVAL} steps only, not after {}",
+                self.step
+            )));
+        }
+        let gaussians = self.gaussians()?;
+        let n = gaussians.len();
+        let motion = match self.motion()? {
+            None => None,
+            Some((points, network)) => {
+                let trainer = self.motion.as_ref().expect("it gave its parameters");
+                let neighbours = trainer.motion.skin.neighbours().k();
+                let moments = trainer.moments(&mut self.stream)?;
+                Some((MotionStart { points, network, neighbours }, moments))
+            }
+        };
+        let trainable = self.stream.download(&self.optimiser.trainable)?;
+        Ok(TrainerState {
+            step: self.step,
+            moments: self.optimiser.moments(&mut self.stream, n)?,
+            trainable: trainable[..n].iter().map(|&word| word != 0).collect(),
+            gaussians,
+            motion,
+            rng: self.rng.clone(),
+            round: self.round.clone(),
+            rooms: self.studios.rooms(),
+        })
+    }
+
+    /// Goes on from a state: with the same pictures and settings as the trainer that it was taken
+    /// from, every later step gives the same bits.
+    ///
+    /// # Errors
+    /// As for [`Trainer::new`]; [`Error::Input`] for a state of other pictures.
+    pub fn resume(
+        device: &Device,
+        views: &[TrainingView],
+        state: TrainerState,
+        settings: TrainSettings,
+    ) -> Result<Trainer> {
+        let TrainerState { step, gaussians, moments, trainable, motion, rng, round, rooms } = state;
+        if round.iter().any(|&view| view >= views.len()) {
+            return Err(Error::Input("the state to resume from is of other pictures".into()));
+        }
+        let (start, motion_moments) = motion.unzip();
+        let mut trainer = Trainer::new(device, views, &gaussians, start.as_ref(), settings)?;
+        trainer.optimiser.set_moments(&mut trainer.stream, &moments)?;
+        let words: Vec<u32> = trainable.into_iter().map(u32::from).collect();
+        trainer.stream.upload(&mut trainer.optimiser.trainable, &words)?;
+        if let (Some(motion), Some(moments)) = (&mut trainer.motion, motion_moments) {
+            motion.set_moments(&mut trainer.stream, &moments)?;
+        }
+        for (size, room) in rooms {
+            trainer.studios.reserve(device, size, room)?;
+        }
+        (trainer.step, trainer.rng, trainer.round) = (step, rng, round);
+        Ok(trainer)
+    }
+}

@@ -1,0 +1,324 @@
+//! Every reader under attack: real files cut off and changed. None may panic, hang, or ask for more
+//! memory than stated, and what cannot be read is told with the file's name.
+
+mod support;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use glam::{DQuat, DVec3};
+use splat4d::Result;
+use splat4d::data::trajectory::{self, TimedPose};
+use splat4d::data::transforms::{self, TimedCamera};
+use splat4d::data::{colmap, exr, flo, images, intrinsics, write_png};
+use splat4d::io::{Identity, read_state, write_state};
+use splat4d::scene::{Scene, SceneCamera, ply};
+use splat4d::types::{ControlPoints, DeformNet, Gaussians, Image, NetShape, Pose};
+use support::{Dice, picture, some_camera};
+
+/// Counts what is allocated.
+struct Counting;
+
+static NOW: AtomicUsize = AtomicUsize::new(0);
+static PEAK: AtomicUsize = AtomicUsize::new(0);
+
+fn add(bytes: usize) {
+    let now = NOW.fetch_add(bytes, Ordering::Relaxed) + bytes;
+    PEAK.fetch_max(now, Ordering::Relaxed);
+}
+
+// SAFETY: passes everything on to the system's allocator.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        add(layout.size());
+        // SAFETY: the caller keeps `alloc`'s contract, which is the system's.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        NOW.fetch_sub(layout.size(), Ordering::Relaxed);
+        // SAFETY: as above.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Bytes that any read may take: tables of the decoders, threads, messages.
+const FLOOR: usize = 8 << 20;
+/// Times its own size that reading an uncompressed file may take: text as numbers, and copies.
+const PLAIN: usize = 40;
+/// What a compressed picture may take: 64 MiB unpacked, whatever it weighs (`io::check_unpacked`),
+/// as bytes and as floats, and copies.
+const PACKED: usize = 10 * (64 << 20);
+
+struct Reader {
+    name: &'static str,
+    write: fn(&Path),
+    read: fn(&Path) -> Result<()>,
+    /// Most bytes that reading a file of some bytes may take.
+    most: fn(usize) -> usize,
+    /// Whether any strict prefix is an error.
+    prefixes_fail: bool,
+}
+
+fn plain(size: usize) -> usize {
+    FLOOR + PLAIN * size
+}
+
+fn packed(_: usize) -> usize {
+    FLOOR + PACKED
+}
+
+fn gaussians(sh_degree: u32) -> Gaussians {
+    let n = 40;
+    let wave = |i: usize, k: usize| ((i * 7 + k * 3) as f32 * 0.37).sin();
+    Gaussians {
+        positions: (0..n).map(|i| [wave(i, 0), wave(i, 1), wave(i, 2)]).collect(),
+        log_scales: (0..n).map(|i| [wave(i, 3) - 3.0; 3]).collect(),
+        rotations: (0..n).map(|i| [1.0, wave(i, 4), 0.1, 0.2]).collect(),
+        opacity_logits: (0..n).map(|i| wave(i, 5)).collect(),
+        sh_degree,
+        sh: (0..n * ((sh_degree + 1) * (sh_degree + 1)) as usize)
+            .map(|i| [wave(i, 6), wave(i, 7), wave(i, 8)])
+            .collect(),
+        motion_logits: (0..n).map(|i| wave(i, 9)).collect(),
+    }
+}
+
+fn scene() -> Scene {
+    let mut scene = Scene::of(gaussians(2));
+    scene.control_points =
+        ControlPoints { positions: vec![[0.1, 0.2, 0.3]; 5], log_radii: vec![-1.0; 5] };
+    let shape =
+        NetShape { depth: 2, width: 16, skip: 0, position_frequencies: 1, time_frequencies: 1 };
+    scene.network = Some(DeformNet::random(shape, 1));
+    scene.neighbours = 3;
+    scene.cameras =
+        (0..3).map(|i| SceneCamera { time: f64::from(i) / 2.0, camera: some_camera(i) }).collect();
+    scene
+}
+
+fn poses() -> Vec<TimedPose> {
+    (0..20)
+        .map(|i| TimedPose {
+            time: f64::from(i),
+            world_from_view: Pose::new(
+                DQuat::from_rotation_y(0.1 * f64::from(i)),
+                DVec3::new(f64::from(i), 0.5, -1.0),
+            ),
+        })
+        .collect()
+}
+
+fn ramp(width: u32, height: u32, channels: u32) -> Image {
+    let mut image = Image::new(width, height, channels);
+    for (i, value) in image.pixels.iter_mut().enumerate() {
+        *value = 1.0 + (i % 97) as f32 * 0.25;
+    }
+    image
+}
+
+const READERS: &[Reader] = &[
+    Reader {
+        name: "scene.safetensors",
+        write: |path| scene().save(path).unwrap(),
+        read: |path| Scene::open(path, false).map(drop),
+        most: plain,
+        prefixes_fail: true,
+    },
+    Reader {
+        name: "splats.ply",
+        write: |path| ply::write(path, &gaussians(3)).unwrap(),
+        read: |path| ply::read(path, true).map(drop),
+        most: plain,
+        prefixes_fail: true,
+    },
+    Reader {
+        name: "checkpoint",
+        write: |path| write_state(path, "training", &Identity::new(), &gaussians(1)).unwrap(),
+        read: |path| read_state::<Gaussians>(path, "training", &Identity::new()).map(drop),
+        most: plain,
+        prefixes_fail: true,
+    },
+    Reader {
+        name: "transforms.json",
+        write: |path| {
+            let cameras: Vec<TimedCamera> = (0..6)
+                .map(|i| TimedCamera { time: f64::from(i) / 5.0, camera: some_camera(i) })
+                .collect();
+            let files: Vec<String> = (0..6).map(|i| format!("{i}.png")).collect();
+            transforms::write(path, &cameras, &files).unwrap();
+        },
+        read: |path| transforms::read_cameras(path).map(drop),
+        most: plain,
+        prefixes_fail: false,
+    },
+    Reader {
+        name: "intrinsics.json",
+        write: |path| intrinsics::write(path, &some_camera(0).intrinsics).unwrap(),
+        read: |path| intrinsics::read(path).map(drop),
+        most: plain,
+        prefixes_fail: false,
+    },
+    Reader {
+        name: "poses.txt",
+        write: |path| trajectory::write(path, &poses()).unwrap(),
+        read: |path| trajectory::read(path, None).map(drop),
+        most: plain,
+        prefixes_fail: false,
+    },
+    Reader {
+        name: "flow.flo",
+        write: |path| flo::write(path, &ramp(31, 17, 2)).unwrap(),
+        read: |path| flo::read(path).map(drop),
+        most: plain,
+        prefixes_fail: true,
+    },
+    Reader {
+        name: "depth.exr",
+        write: |path| exr::write_depth(path, &ramp(33, 20, 1)).unwrap(),
+        read: |path| exr::read_depth(path).map(drop),
+        most: packed,
+        prefixes_fail: true,
+    },
+    Reader {
+        name: "colour.exr",
+        write: |path| exr::write_rgba(path, &ramp(20, 33, 4)).unwrap(),
+        read: |path| exr::read_rgba(path).map(drop),
+        most: packed,
+        prefixes_fail: true,
+    },
+    Reader {
+        name: "picture.png",
+        write: |path| write_png(path, &picture(24, 18, 1)).unwrap(),
+        read: |path| images::decode_rgb(path, [0.0; 3], images::Orientation::Upright).map(drop),
+        most: packed,
+        prefixes_fail: false,
+    },
+    Reader {
+        name: "mask.png",
+        write: |path| images::write_mask(path, &ramp(16, 16, 1)).unwrap(),
+        read: |path| images::read_mask(path).map(drop),
+        most: packed,
+        prefixes_fail: false,
+    },
+];
+
+/// Reads, and holds what it took against the bound.
+fn attempt(reader: &Reader, path: &Path, size: usize) -> bool {
+    let before = NOW.load(Ordering::Relaxed);
+    PEAK.store(before, Ordering::Relaxed);
+    let result = (reader.read)(path);
+    let took = PEAK.load(Ordering::Relaxed).saturating_sub(before);
+    let most = (reader.most)(size);
+    assert!(took <= most, "{}: {took} bytes for a file of {size}, {most} allowed", reader.name);
+    if let Err(error) = &result {
+        let said = error.to_string();
+        assert!(said.contains(reader.name), "the file is not named: {said}");
+    }
+    result.is_ok()
+}
+
+/// A few bytes changed, numbers made huge, parts doubled, cut out and swapped.
+fn mutated(original: &[u8], dice: &mut Dice) -> Vec<u8> {
+    let mut bytes = original.to_vec();
+    for _ in 0..1 + dice.roll(4) {
+        // Headers are short and matter most.
+        let within = if dice.roll(2) == 0 { bytes.len().min(512) } else { bytes.len() };
+        let at = dice.roll(within.max(1));
+        match dice.roll(8) {
+            0..=3 => bytes[at] = [0, 1, 0x7f, 0x80, 0xff, dice.roll(256) as u8][dice.roll(6)],
+            4 => {
+                let word = [0u32, 1, 0x7fff_ffff, 0xffff_ffff, 0x4000_0000][dice.roll(5)];
+                let end = (at + 4).min(bytes.len());
+                bytes[at..end].copy_from_slice(&word.to_le_bytes()[..end - at]);
+            }
+            5 => {
+                let digits = [&b"9"[..], b"-", b"99999999999999999999", b"1e999", b"NaN", b"\0"];
+                let chosen = digits[dice.roll(digits.len())];
+                bytes.splice(at..at, chosen.iter().copied());
+            }
+            6 => {
+                let end = (at + 1 + dice.roll(64)).min(bytes.len());
+                let part = bytes[at..end].to_vec();
+                bytes.splice(at..at, part);
+            }
+            _ => {
+                let end = (at + 1 + dice.roll(64)).min(bytes.len());
+                bytes.drain(at..end);
+            }
+        }
+        if bytes.is_empty() {
+            bytes.push(0);
+        }
+    }
+    bytes
+}
+
+/// One test, so that nothing else allocates while a read is measured.
+#[test]
+fn damaged_files_are_refused_cheaply() {
+    let folder = tempfile::tempdir().unwrap();
+    for (number, reader) in READERS.iter().enumerate() {
+        let path: PathBuf = folder.path().join(reader.name);
+        (reader.write)(&path);
+        let original = fs::read(&path).unwrap();
+        assert!(attempt(reader, &path, original.len()), "{}: the whole file", reader.name);
+        let step = (original.len() / 200).max(1);
+        for length in (0..original.len()).step_by(step) {
+            fs::write(&path, &original[..length]).unwrap();
+            let fine = attempt(reader, &path, length);
+            assert!(!(fine && reader.prefixes_fail), "{} of {length} bytes", reader.name);
+        }
+        let mut dice = Dice(number as u64 + 1);
+        let mut refused = 0;
+        for _ in 0..1500 {
+            let bytes = mutated(&original, &mut dice);
+            fs::write(&path, &bytes).unwrap();
+            refused += usize::from(!attempt(reader, &path, bytes.len()));
+        }
+        println!("{}: {refused} of 1500 mutations refused", reader.name);
+        assert!(refused > 0, "{}: damage must show somewhere", reader.name);
+    }
+    colmap_models(folder.path());
+}
+
+/// A model is three files; each is damaged in turn.
+fn colmap_models(folder: &Path) {
+    let Some(fox) = support::shared("fox270") else { return };
+    let Some(model) = [fox.join("sparse/0"), fox.join("sparse"), fox.clone()]
+        .into_iter()
+        .find(|folder| folder.join("cameras.bin").exists() || folder.join("cameras.txt").exists())
+    else {
+        panic!("fox270 has a COLMAP model");
+    };
+    let copy = folder.join("model");
+    fs::create_dir(&copy).unwrap();
+    let files: Vec<PathBuf> = fs::read_dir(&model).unwrap().map(|e| e.unwrap().path()).collect();
+    for file in files.iter().filter(|file| file.is_file()) {
+        fs::copy(file, copy.join(file.file_name().unwrap())).unwrap();
+    }
+    let size: u64 = files.iter().filter_map(|f| fs::metadata(f).ok()).map(|m| m.len()).sum();
+    for stem in ["cameras", "images"] {
+        let path = ["bin", "txt"]
+            .map(|extension| copy.join(format!("{stem}.{extension}")))
+            .into_iter()
+            .find(|path| path.exists())
+            .unwrap();
+        let original = fs::read(&path).unwrap();
+        let mut dice = Dice(99);
+        for _ in 0..60 {
+            fs::write(&path, mutated(&original, &mut dice)).unwrap();
+            let before = NOW.load(Ordering::Relaxed);
+            PEAK.store(before, Ordering::Relaxed);
+            let _ = colmap::read_model(&copy);
+            let took = PEAK.load(Ordering::Relaxed).saturating_sub(before);
+            assert!(took <= plain(size as usize), "{stem}: {took} bytes for {size}");
+        }
+        fs::write(&path, &original).unwrap();
+    }
+}
