@@ -34,7 +34,7 @@
 //! | [`eval`] | PSNR, SSIM, MS-SSIM, ATE, RPE | types, io, geometry |
 //! | [`train`] | seeding, the training step, schedules | all of the above but vk, kernels, oracle |
 //! | [`renderer`] | a scene on a device, rendered from any camera at any time | gpu, ops, scene |
-//! | [`check`] | cases: every kernel against its oracle | gpu, kernels, oracle, ops |
+//! | [`check`] | cases: every kernel against its oracle, pose estimation on its hard cases, training twice | all of the above but vk |
 //! | `report` | measurements: JSON, CSV, plots, a page, comparisons (feature `bench`) | io |
 //! | `bench` | every op and pipeline, verified, then timed; speed against error (feature `bench`) | all of the above |
 //!

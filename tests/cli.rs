@@ -22,8 +22,8 @@ use splat4d::types::{Camera, Gaussians, Intrinsics};
 use support::{picture, says};
 use tempfile::TempDir;
 
-const COMMANDS: [&str; 8] =
-    ["reconstruct", "train", "render", "eval", "info", "devices", "bench", "synth"];
+const COMMANDS: [&str; 9] =
+    ["reconstruct", "train", "render", "eval", "info", "devices", "bench", "synth", "validate"];
 
 /// The program, on the device under test.
 fn program() -> Command {

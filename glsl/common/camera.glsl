@@ -1,10 +1,10 @@
 // A camera on the device: 20 floats in the layout of ops::render::DeviceCamera.
 struct Camera {
     mat3 rotation;     // of view_from_world
-    vec3 translation;  // of view_from_world
+    vec3 centre;       // in the world
+    vec3 centre_rest;  // what rounding the centre to floats left
     vec2 focal;
     vec2 principal;
-    vec3 centre;       // in the world
 };
 
 Camera load_camera() {
@@ -12,11 +12,21 @@ Camera load_camera() {
     // Stored row by row; GLSL matrices are built column by column.
     c.rotation = transpose(mat3(camera[0], camera[1], camera[2], camera[3], camera[4], camera[5],
                                 camera[6], camera[7], camera[8]));
-    c.translation = vec3(camera[9], camera[10], camera[11]);
-    c.focal = vec2(camera[12], camera[13]);
-    c.principal = vec2(camera[14], camera[15]);
-    c.centre = vec3(camera[16], camera[17], camera[18]);
+    c.centre = vec3(camera[9], camera[10], camera[11]);
+    c.centre_rest = vec3(camera[12], camera[13], camera[14]);
+    c.focal = vec2(camera[15], camera[16]);
+    c.principal = vec2(camera[17], camera[18]);
     return c;
+}
+
+// From the camera's centre to a point, in the world. A rotation's product less a translation would
+// lose 0.06 units a million units from the origin (case render/far_from_the_origin); so the centre
+// is subtracted first, exactly where the point is near it. In this order, whatever the compiler
+// thinks.
+vec3 sight(Camera c, vec3 position) {
+    precise vec3 near = position - c.centre;
+    precise vec3 offset = near - c.centre_rest;
+    return offset;
 }
 
 // The range of x/z and y/z at which the projection's Jacobian may be evaluated: the image's edges,

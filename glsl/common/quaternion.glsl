@@ -7,12 +7,6 @@ bool finite(vec3 v) {
     return finite(v.x) && finite(v.y) && finite(v.z);
 }
 
-float sigmoid(float x) {
-    // Both branches keep the exponential at most 1.
-    float e = exp(-abs(x));
-    return x >= 0.0 ? 1.0 / (1.0 + e) : e / (1.0 + e);
-}
-
 const vec4 NO_ROTATION = vec4(1.0, 0.0, 0.0, 0.0);
 
 // False, and no rotation, where q has no usable direction. Scaled twice, so that the squares

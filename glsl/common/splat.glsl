@@ -15,6 +15,10 @@ bool finite(vec3 v) {
     return finite(v.x) && finite(v.y) && finite(v.z);
 }
 
+// Positions (in the camera's frame) and colours beyond this count as not finite: the gradients'
+// products of them would not be (case fuzz/regressions).
+const float LARGEST = 1e18;
+
 // Shorter quaternions count as zero.
 const float LEAST_QUATERNION = 1e-10;
 
@@ -32,12 +36,6 @@ bool normalised(vec4 q, out vec4 unit, out float length_q) {
     unit = scaled / l;
     length_q = l * largest;
     return length_q >= LEAST_QUATERNION && finite(length_q);
-}
-
-float sigmoid(float x) {
-    // Both branches keep the exponential at most 1.
-    float e = exp(-abs(x));
-    return x >= 0.0 ? 1.0 / (1.0 + e) : e / (1.0 + e);
 }
 
 // What the shape of a Gaussian on the image is made of. With J the projection's Jacobian at the
@@ -59,8 +57,8 @@ struct Shape {
 // False where there is no usable shape.
 bool shape_of(Camera c, vec2 size, float near, float tangent_clamp, float dilation, vec3 position,
               vec3 log_scale, vec4 unit_rotation, out Shape s) {
-    s.view = c.rotation * position + c.translation;
-    if (!finite(s.view) || s.view.z <= near) {
+    s.view = c.rotation * sight(c, position);
+    if (!finite(s.view) || any(greaterThan(abs(s.view), vec3(LARGEST))) || s.view.z <= near) {
         return false;
     }
     vec2 lowest, highest;

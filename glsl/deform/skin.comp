@@ -25,6 +25,7 @@ layout(push_constant) uniform Params {
 };
 
 #include "common/grid.glsl"
+#include "common/sigmoid.glsl"
 #include "common/quaternion.glsl"
 #include "deform/skin.glsl"
 

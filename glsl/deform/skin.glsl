@@ -23,8 +23,12 @@ float inverse_square(float log_radius) {
 }
 
 // False where there is no neighbour at all. Rotations still carry their own signs.
+//
+// Exponents reach 1e5 where radii are small, and f32 then knows them to 0.01: too little for weights
+// whose slopes are as large (case deform/underflow). So they are taken relative to the largest one,
+// through the difference of the offsets and of the inverse squares, before anything is rounded away.
 bool load_neighbours(uint row, vec3 point, out Neighbour near[8], out uint heaviest) {
-    float exponents[8];
+    float exponents[8], inverse_squares[8];
     float largest = NEVER;
     heaviest = 0u;
     for (uint s = 0u; s < K; s++) {
@@ -36,11 +40,13 @@ bool load_neighbours(uint row, vec3 point, out Neighbour near[8], out uint heavi
         near[s].moved = vec3(0.0);
         near[s].rotation = NO_ROTATION;
         exponents[s] = NEVER;
+        inverse_squares[s] = 0.0;
         if (node != NONE) {
             vec3 offset =
                 point - vec3(nodes[3u * node], nodes[3u * node + 1u], nodes[3u * node + 2u]);
             float log_radius = log_radii[node];
-            float ratio = dot(offset, offset) * inverse_square(log_radius);
+            inverse_squares[s] = inverse_square(log_radius);
+            float ratio = dot(offset, offset) * inverse_squares[s];
             // A radius that is not a number gives no weight; nor does an infinite ratio.
             if (!isnan(log_radius) && ratio <= 3.0e38) {
                 exponents[s] = -0.5 * ratio;
@@ -64,6 +70,25 @@ bool load_neighbours(uint row, vec3 point, out Neighbour near[8], out uint heavi
         // Every weight underflows: the nearest takes all.
         near[0].weight = 1.0;
         return true;
+    }
+    vec3 base = vec3(0.0);
+    float base_inverse = 0.0;
+    for (uint s = 0u; s < K; s++) {
+        base = s == heaviest ? near[s].offset : base;
+        base_inverse = s == heaviest ? inverse_squares[s] : base_inverse;
+    }
+    largest = NEVER;
+    for (uint s = 0u; s < K; s++) {
+        if (exponents[s] > NEVER) {
+            float farther = dot(near[s].offset - base, near[s].offset + base);
+            float narrower = inverse_squares[s] - base_inverse;
+            float relative = -0.5 * (inverse_squares[s] * farther + narrower * dot(base, base));
+            exponents[s] = clamp(relative, 0.5 * NEVER, -0.5 * NEVER);
+            if (exponents[s] > largest) {
+                largest = exponents[s];
+                heaviest = s;
+            }
+        }
     }
     float sum = 0.0;
     for (uint s = 0u; s < K; s++) {

@@ -29,6 +29,7 @@ layout(push_constant) uniform Params {
 };
 
 #include "common/grid.glsl"
+#include "common/sigmoid.glsl"
 #include "common/quaternion.glsl"
 #include "deform/skin.glsl"
 
@@ -76,22 +77,28 @@ void main() {
     if (soft != 0u) {
         vec4 by_mixture = unit_quaternion_backward(mixture, by_blended);
         float by_m = dot(by_position, delta) + dot(by_mixture, side * blended - NO_ROTATION);
-        motion_gradients[j] += by_m * m * (1.0 - m);
+        motion_gradients[j] += by_m * sigmoid_slope(motion_logits[j]);
         by_blended = m * side * by_mixture;
         by_delta += 2.0 * rigid_scale * (1.0 - evidence[j]) * delta;
     }
     vec4 by_sum = unit_quaternion_backward(sum, by_blended);
 
-    float mean = 0.0;
+    float by_weight[8];
     for (uint s = 0u; s < K; s++) {
-        mean += near[s].weight * (dot(by_delta, near[s].moved) + dot(by_sum, near[s].rotation));
+        by_weight[s] = dot(by_delta, near[s].moved) + dot(by_sum, near[s].rotation);
     }
     for (uint s = 0u; s < K; s++) {
         Neighbour n = near[s];
         // Turning back by -rotation is turning back by rotation: the sign does not show here.
         by_position += n.weight * turn_offset(conjugate(n.rotation), by_delta);
-        float by_weight = dot(by_delta, n.moved) + dot(by_sum, n.rotation);
-        float by_log_radius = n.weight > 0.0 ? n.weight * (by_weight - mean) * n.slope : 0.0;
+        // The mean of differences, not the difference to the mean: where this one takes nearly all
+        // the weight, that would leave rounding, times a slope of thousands (case
+        // deform/underflow).
+        float by_exponent = 0.0;
+        for (uint t = 0u; t < K; t++) {
+            by_exponent += near[t].weight * (by_weight[s] - by_weight[t]);
+        }
+        float by_log_radius = n.weight > 0.0 ? n.weight * by_exponent * n.slope : 0.0;
         // The aligned rotation's gradient, brought back to the node's own sign.
         vec4 own = transforms[2u * (transforms_at + (n.node != NONE ? n.node : 0u)) + 1u];
         vec4 by_own = turn_backward(n.rotation, n.offset, by_delta) + by_sum;

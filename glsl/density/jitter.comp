@@ -17,6 +17,7 @@ layout(push_constant) uniform Params {
 };
 
 #include "common/grid.glsl"
+#include "common/sigmoid.glsl"
 #include "common/quaternion.glsl"
 #include "common/sine.glsl"
 #include "common/random.glsl"

@@ -18,7 +18,7 @@ layout(push_constant) uniform Params {
 };
 
 #include "common/grid.glsl"
-#include "common/quaternion.glsl"
+#include "common/sigmoid.glsl"
 
 void main() {
     uint j = group_index() * 64u + gl_LocalInvocationIndex;

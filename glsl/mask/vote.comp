@@ -21,6 +21,7 @@ layout(push_constant) uniform Params {
 
 #include "common/grid.glsl"
 #include "common/quaternion.glsl"
+#include "common/sigmoid.glsl"
 
 void main() {
     uint i = group_index() * 64u + gl_LocalInvocationIndex;

@@ -16,7 +16,7 @@ layout(std430, binding = 4) readonly buffer Sh1Buffer { float sh1[]; };
 layout(std430, binding = 5) readonly buffer Sh2Buffer { float sh2[]; };
 layout(std430, binding = 6) readonly buffer Sh3Buffer { float sh3[]; };
 layout(std430, binding = 7) readonly buffer Visible { uint visible[]; };
-layout(std430, binding = 8) readonly buffer Means { vec4 means[]; };
+layout(std430, binding = 8) readonly buffer OpacityLogits { float opacity_logits[]; };
 layout(std430, binding = 9) readonly buffer Colours { vec4 colours[]; };
 // As raster/gather writes them.
 layout(std430, binding = 10) readonly buffer MeanGradients { vec4 mean_gradients[]; };
@@ -46,6 +46,7 @@ layout(push_constant) uniform Params {
 
 #include "common/grid.glsl"
 #include "common/camera.glsl"
+#include "common/sigmoid.glsl"
 #include "common/splat.glsl"
 #include "common/sh.glsl"
 
@@ -173,8 +174,7 @@ void backward(uint i, out vec3 translation, out vec3 rotation) {
     Shape s;
     shape_of(c, size, near, tangent_clamp, dilation, position, log_scale, unit, s);
     vec4 mean_gradient = mean_gradients[i];
-    float opacity = means[i].w;
-    opacity_gradients[i] = mean_gradient.w * opacity * (1.0 - opacity);
+    opacity_gradients[i] = mean_gradient.w * sigmoid_slope(opacity_logits[i]);
 
     // The mean and the depth.
     vec2 f = c.focal / s.view.z;
@@ -200,7 +200,7 @@ void backward(uint i, out vec3 translation, out vec3 rotation) {
     rotation_gradients[i] = (by_unit - unit * dot(unit, by_unit)) / length_q;
 
     // The colour, where it was not clamped.
-    vec3 offset = position - c.centre;
+    vec3 offset = sight(c, position);
     float range = length(offset);
     vec3 direction = range > 0.0 ? offset / range : vec3(0.0, 0.0, 1.0);
     vec3 by_colour = mix(vec3(0.0), colour_gradients[i].rgb, greaterThan(colours[i].rgb, vec3(0.0)));

@@ -40,6 +40,7 @@ layout(push_constant) uniform Params {
 
 #include "common/grid.glsl"
 #include "common/camera.glsl"
+#include "common/sigmoid.glsl"
 #include "common/splat.glsl"
 #include "common/tile.glsl"
 #include "common/sh.glsl"
@@ -50,15 +51,20 @@ layout(push_constant) uniform Params {
                    : uintBitsToFloat(band[at]))
 #define SH_RGB(band, at) vec3(SH(band, at), SH(band, (at) + 1u), SH(band, (at) + 2u))
 
-// Not clamped yet: a maximum may hide a NaN.
-vec3 colour_of(uint i, vec3 d) {
-    vec3 colour = vec3(0.5) + SH0 * SH_RGB(sh0, 3u * i);
+// Not clamped yet: a maximum may hide a NaN. `largest` becomes the largest coefficient's size.
+vec3 colour_of(uint i, vec3 d, out float largest) {
+    vec3 sizes = vec3(0.0);
+    vec3 coefficient = SH_RGB(sh0, 3u * i);
+    vec3 colour = vec3(0.5) + SH0 * coefficient;
+    sizes = max(sizes, abs(coefficient));
     if (sh_degree >= 1u) {
         float b[3];
         sh_band1(d, b);
         for (uint k = 0u; k < 3u; k++) {
             uint at = 9u * i + 3u * k;
-            colour += b[k] * SH_RGB(sh1, at);
+            coefficient = SH_RGB(sh1, at);
+            colour += b[k] * coefficient;
+            sizes = max(sizes, abs(coefficient));
         }
     }
     if (sh_degree >= 2u) {
@@ -66,7 +72,9 @@ vec3 colour_of(uint i, vec3 d) {
         sh_band2(d, b);
         for (uint k = 0u; k < 5u; k++) {
             uint at = 15u * i + 3u * k;
-            colour += b[k] * SH_RGB(sh2, at);
+            coefficient = SH_RGB(sh2, at);
+            colour += b[k] * coefficient;
+            sizes = max(sizes, abs(coefficient));
         }
     }
     if (sh_degree >= 3u) {
@@ -74,9 +82,12 @@ vec3 colour_of(uint i, vec3 d) {
         sh_band3(d, b);
         for (uint k = 0u; k < 7u; k++) {
             uint at = 21u * i + 3u * k;
-            colour += b[k] * SH_RGB(sh3, at);
+            coefficient = SH_RGB(sh3, at);
+            colour += b[k] * coefficient;
+            sizes = max(sizes, abs(coefficient));
         }
     }
+    largest = max(max(sizes.x, sizes.y), sizes.z);
     return colour;
 }
 
@@ -119,10 +130,11 @@ uint project(uint i) {
     if (reached == 0u) {
         return 0u;
     }
-    vec3 offset = position - c.centre;
+    vec3 offset = sight(c, position);
     float range = length(offset);
-    vec3 colour = colour_of(i, range > 0.0 ? offset / range : vec3(0.0, 0.0, 1.0));
-    if (!finite(colour)) {
+    float largest;
+    vec3 colour = colour_of(i, range > 0.0 ? offset / range : vec3(0.0, 0.0, 1.0), largest);
+    if (!finite(colour) || largest > LARGEST) {
         return 0u;
     }
     means[i] = vec4(mean, s.view.z, opacity);

@@ -122,8 +122,14 @@ fn step(device: &Device, seed: u64, n: usize, moving: bool) -> Result<Job> {
         gaussians = all_dynamic(gaussians);
     }
     let time = 0.25;
-    let views =
-        [TrainingView { camera, time, image: photo.clone(), weights: None, disparity: None }];
+    let views = [TrainingView {
+        camera,
+        time,
+        image: photo.clone(),
+        weights: None,
+        disparity: None,
+        mask: None,
+    }];
     let settings = TrainSettings {
         steps: u32::MAX,
         // The room for intersections follows from this: a frame that did not fit would be repeated,

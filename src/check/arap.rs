@@ -10,6 +10,7 @@ use rand::RngExt;
 /// The family's cases.
 pub const CASES: &[Case] = &[
     Case { id: "arap/random", kernels: KERNELS, run: random },
+    Case { id: "arap/central_differences", kernels: KERNELS, run: central_differences },
     Case { id: "arap/rigid", kernels: KERNELS, run: rigid },
     Case { id: "arap/degenerate", kernels: KERNELS, run: degenerate },
     Case { id: "arap/scales", kernels: KERNELS, run: scales },
@@ -32,7 +33,8 @@ struct Scene {
 }
 
 impl Scene {
-    fn oracle<R: Real>(&self) -> (Vec<R>, Vec<[R; 8]>) {
+    /// The edges, and where the points are at both times.
+    fn numbers<R: Real>(&self) -> (arap::Edges<R>, [Vec<[R; 3]>; 2]) {
         let at = |translations: Option<&Points>| -> Vec<[R; 3]> {
             let zero = vec![[0.0; 3]; self.nodes.len()];
             let moved = self.nodes.iter().zip(translations.unwrap_or(&zero));
@@ -48,7 +50,12 @@ impl Scene {
         let reach = R::of(f64::from(SETTINGS.reach));
         let always = SETTINGS.always as usize;
         let edges = arap::edges(&at(None), &log_radii, &nearest, places, always, reach);
-        let result = arap::energy(&edges, &at(Some(&self.first)), &at(Some(&self.second)));
+        (edges, [at(Some(&self.first)), at(Some(&self.second))])
+    }
+
+    fn oracle<R: Real>(&self) -> (Vec<R>, Vec<[R; 8]>) {
+        let (edges, [first, second]) = self.numbers::<R>();
+        let result = arap::energy(&edges, &first, &second);
         let weight = R::of(f64::from(SETTINGS.weight));
         let energies = result.energies.iter().map(|&e| e * weight).collect();
         let rows = result.by_a.iter().chain(&result.by_b);
@@ -63,6 +70,17 @@ impl Scene {
     }
 
     fn run(&self, h: &mut Harness, bound: Bound) -> Result<()> {
+        let (energies, gradients) = self.device(h)?;
+        let (truth, by_truth) = self.oracle::<f64>();
+        let (twin, by_twin) = self.oracle::<f32>();
+        h.close("energies", &energies, &truth, Some(&twin), bound);
+        let (t, w) = (by_truth.as_flattened(), by_twin.as_flattened());
+        h.close("gradients", &gradients, t, Some(w), bound);
+        Ok(())
+    }
+
+    /// Energies, and gradients: 8 for each point at the first time, then at the second.
+    fn device(&self, h: &mut Harness) -> Result<(Vec<f32>, Vec<f32>)> {
         let count = self.nodes.len();
         let device = h.device.clone();
         let nodes = device.upload("nodes", self.nodes.as_flattened())?;
@@ -94,14 +112,7 @@ impl Scene {
             },
         )?;
         h.stream.submit(recorder)?;
-        let (truth, by_truth) = self.oracle::<f64>();
-        let (twin, by_twin) = self.oracle::<f32>();
-        let device = h.read(&energies)?;
-        h.close("energies", &device, &truth, Some(&twin), bound);
-        let device = h.read(&gradients)?.concat();
-        let (t, w) = (by_truth.as_flattened(), by_twin.as_flattened());
-        h.close("gradients", &device, t, Some(w), bound);
-        Ok(())
+        Ok((h.read(&energies)?, h.read(&gradients)?.concat()))
     }
 }
 
@@ -109,8 +120,11 @@ fn cloud(h: &mut Harness, count: usize, size: f32) -> Points {
     (0..count).map(|_| std::array::from_fn(|_| h.rng.random_range(-size..size))).collect()
 }
 
-// Energies and gradients are means over the control points: a few thousandths.
-const BOUND: Bound = Bound { absolute: 3e-8, relative: 3e-6 };
+/// Energies and gradients are means over the control points: a residual's few roundings of an edge
+/// of length 1 or so, times 2 · weight / count, for each of its edges.
+fn bound(count: usize) -> Bound {
+    Bound { absolute: 3e-6 / count.max(1) as f64, relative: 3e-6 }
+}
 
 fn random(h: &mut Harness) -> Result<()> {
     for (count, k) in [(100, 10), (65, 4), (5, 10), (300, 15), (2, 3), (1, 3), (0, 3)] {
@@ -122,8 +136,39 @@ fn random(h: &mut Harness) -> Result<()> {
             k,
             base: 0.0,
         };
-        scene.run(h, BOUND)?;
+        scene.run(h, bound(count))?;
     }
+    Ok(())
+}
+
+/// The device's gradients against differences of the oracle's energy, whose rotations are fitted anew
+/// at every step.
+fn central_differences(h: &mut Harness) -> Result<()> {
+    const STEP: f64 = 1e-6;
+    let count = 20;
+    let scene = Scene {
+        nodes: cloud(h, count, 1.0),
+        log_radii: (0..count).map(|_| h.rng.random_range(-1.0f32..0.0)).collect(),
+        first: cloud(h, count, 0.2),
+        second: cloud(h, count, 0.2),
+        k: 6,
+        base: 0.0,
+    };
+    let (_, gradients) = scene.device(h)?;
+    let (edges, mut points) = scene.numbers::<f64>();
+    let weight = f64::from(SETTINGS.weight);
+    let (mut device, mut slopes) = (Vec::new(), Vec::new());
+    for (time, i, c) in (0..2 * count * 3).map(|n| (n / 3 / count, n / 3 % count, n % 3)) {
+        let start = points[time][i][c];
+        let mut at = |x: f64| {
+            points[time][i][c] = x;
+            weight * arap::energy(&edges, &points[0], &points[1]).energies.iter().sum::<f64>()
+        };
+        slopes.push((at(start + STEP) - at(start - STEP)) / (2.0 * STEP));
+        points[time][i][c] = start;
+        device.push(gradients[8 * (time * count + i) + c]);
+    }
+    h.close("gradients", &device, &slopes, None, bound(count));
     Ok(())
 }
 
@@ -170,7 +215,7 @@ fn degenerate(h: &mut Harness) -> Result<()> {
                     k: 6,
                     base: 0.0,
                 };
-                scene.run(h, BOUND)?;
+                scene.run(h, bound(count))?;
             }
         }
     }

@@ -12,6 +12,7 @@ pub const CASES: &[Case] = &[
     Case { id: "deform/nearest", kernels: LISTS, run: nearest },
     Case { id: "deform/hard_motion", kernels: SKIN, run: hard_motion },
     Case { id: "deform/soft_motion", kernels: SKIN, run: soft_motion },
+    Case { id: "deform/central_differences", kernels: SKIN, run: central_differences },
     Case { id: "deform/underflow", kernels: SKIN, run: underflow },
     Case { id: "deform/degenerate", kernels: SKIN, run: degenerate },
     Case { id: "deform/far", kernels: SKIN, run: far },
@@ -91,6 +92,49 @@ fn random<const N: usize>(h: &mut Harness) -> [f32; N] {
     std::array::from_fn(|_| h.rng.random_range(-1.0f32..1.0))
 }
 
+/// A scene in the oracle's numbers.
+struct Numbers<R> {
+    neighbours: Vec<u32>,
+    positions: Vec<[R; 3]>,
+    rotations: Vec<[R; 4]>,
+    logits: Vec<R>,
+    evidence: Vec<R>,
+    nodes: Vec<[R; 3]>,
+    log_radii: Vec<R>,
+    transforms: Vec<[R; 8]>,
+    by_position: Vec<[R; 3]>,
+    by_rotation: Vec<[R; 4]>,
+}
+
+impl<R: Real> Numbers<R> {
+    fn skin<'a>(&'a self, scene: &'a Scene) -> deform::Skin<'a, R> {
+        deform::Skin {
+            positions: &self.positions,
+            rotations: &self.rotations,
+            motion_logits: &self.logits,
+            evidence: &self.evidence,
+            dynamic_ids: &scene.ids,
+            neighbours: &self.neighbours,
+            k: scene.k,
+            nodes: &self.nodes,
+            log_radii: &self.log_radii,
+            transforms: &self.transforms,
+            soft: scene.soft,
+        }
+    }
+}
+
+impl Numbers<f64> {
+    /// The number whose gradient the backward pass gives.
+    fn loss(&self, scene: &Scene) -> f64 {
+        let out = deform::forward(&self.skin(scene));
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        dot(out.positions.as_flattened(), self.by_position.as_flattened())
+            + dot(out.rotations.as_flattened(), self.by_rotation.as_flattened())
+            + f64::from(scene.rigid_scale) * out.rigidity.iter().sum::<f64>()
+    }
+}
+
 impl Scene {
     fn new(h: &mut Harness, count: usize, nodes: usize, k: usize, soft: bool) -> Scene {
         Scene {
@@ -117,36 +161,36 @@ impl Scene {
         }
     }
 
-    fn oracle<R: Real>(&self) -> (deform::Skinned<R>, deform::SkinGradients<R>) {
-        fn real<R: Real, const N: usize>(values: &[[f32; N]]) -> Vec<[R; N]> {
+    /// The same in the oracle's numbers.
+    fn real<R: Real>(&self) -> Numbers<R> {
+        fn rows<R: Real, const N: usize>(values: &[[f32; N]]) -> Vec<[R; N]> {
             values.iter().map(|v| v.map(|c| R::of(f64::from(c)))).collect()
         }
         let flat =
             |values: &[f32]| -> Vec<R> { values.iter().map(|&c| R::of(f64::from(c))).collect() };
         // The same neighbours as the device's f32 finds: ties must not decide.
         let listed: Vec<_> = self.ids.iter().map(|&j| self.positions[j as usize]).collect();
-        let neighbours = deform::nearest(&listed, &self.nodes, self.k);
-        let (positions, rotations) = (real(&self.positions), real(&self.rotations));
-        let (logits, evidence) = (flat(&self.logits), flat(&self.evidence));
-        let (nodes, log_radii) = (real(&self.nodes), flat(&self.log_radii));
-        let transforms = real(&self.transforms);
-        let skin = deform::Skin {
-            positions: &positions,
-            rotations: &rotations,
-            motion_logits: &logits,
-            evidence: &evidence,
-            dynamic_ids: &self.ids,
-            neighbours: &neighbours,
-            k: self.k,
-            nodes: &nodes,
-            log_radii: &log_radii,
-            transforms: &transforms,
-            soft: self.soft,
-        };
+        Numbers {
+            neighbours: deform::nearest(&listed, &self.nodes, self.k),
+            positions: rows(&self.positions),
+            rotations: rows(&self.rotations),
+            logits: flat(&self.logits),
+            evidence: flat(&self.evidence),
+            nodes: rows(&self.nodes),
+            log_radii: flat(&self.log_radii),
+            transforms: rows(&self.transforms),
+            by_position: rows(&self.by_position),
+            by_rotation: rows(&self.by_rotation),
+        }
+    }
+
+    fn oracle<R: Real>(&self) -> (deform::Skinned<R>, deform::SkinGradients<R>) {
+        let numbers = self.real::<R>();
+        let skin = numbers.skin(self);
         let gradients = deform::backward(
             &skin,
-            &real(&self.by_position),
-            &real(&self.by_rotation),
+            &numbers.by_position,
+            &numbers.by_rotation,
             R::of(f64::from(self.rigid_scale)),
         );
         (deform::forward(&skin), gradients)
@@ -265,8 +309,34 @@ impl Scene {
         let (t, w) = (by_truth.transforms.as_flattened(), by_twin.transforms.as_flattened());
         h.close("gradient by transform", own, t, Some(w), slopes);
         let (t, w) = (&by_truth.log_radii, &by_twin.log_radii);
-        h.close("gradient by log-radius", &by_radius, t, Some(w), slopes);
+        let limits = self.radius_limits(t, slopes);
+        h.within("gradient by log-radius", &by_radius, t, Some(w), &limits);
         Ok(())
+    }
+
+    /// Exponents of a hundred thousand move by 0.01 with a last place of a position, and the radii's
+    /// gradients with them: each gets, besides its bound, what the truth itself does then.
+    fn radius_limits(&self, truth: &[f64], bound: Bound) -> Vec<f64> {
+        let mut limits: Vec<f64> =
+            truth.iter().map(|t| bound.absolute + bound.relative * t.abs()).collect();
+        for turn in 0..4 {
+            let mut numbers = self.real::<f64>();
+            for (i, v) in numbers.positions.as_flattened_mut().iter_mut().enumerate() {
+                *v *= if (i >> turn) & 1 == 0 { 1.0 + 1.2e-7 } else { 1.0 - 1.2e-7 };
+            }
+            let scale = f64::from(self.rigid_scale);
+            let moved = deform::backward(
+                &numbers.skin(self),
+                &numbers.by_position,
+                &numbers.by_rotation,
+                scale,
+            );
+            for (k, limit) in limits.iter_mut().enumerate() {
+                let difference = (moved.log_radii[k] - truth[k]).abs();
+                *limit += if difference.is_finite() { difference } else { 0.0 };
+            }
+        }
+        limits
     }
 
     /// Whether every static Gaussian's values are the given ones, bit for bit.
@@ -292,6 +362,40 @@ fn hard_motion(h: &mut Harness) -> Result<()> {
 fn soft_motion(h: &mut Harness) -> Result<()> {
     let scene = Scene::new(h, 700, 40, 4, true);
     scene.run(h, VALUES, SLOPES)
+}
+
+/// The device's gradients against differences of the oracle's forward pass. Positions are left out:
+/// their gradient holds the weights still, by definition.
+fn central_differences(h: &mut Harness) -> Result<()> {
+    const STEP: f64 = 1e-6;
+    for soft in [false, true] {
+        let scene = Scene::new(h, 30, 6, 4, soft);
+        let [.., by_rotation, by_logit, by_transform, by_radius] = scene.device(h)?;
+        let mut numbers = scene.real::<f64>();
+        let mut slope = |at: &dyn Fn(&mut Numbers<f64>) -> &mut f64| {
+            let start = *at(&mut numbers);
+            let mut value = |x: f64| {
+                *at(&mut numbers) = x;
+                numbers.loss(&scene)
+            };
+            let difference = value(start + STEP) - value(start - STEP);
+            *at(&mut numbers) = start;
+            difference / (2.0 * STEP)
+        };
+        let (nodes, count) = (scene.nodes.len(), scene.positions.len());
+        let transforms: Vec<f64> =
+            (0..8 * nodes).map(|i| slope(&|n| &mut n.transforms[i / 8][i % 8])).collect();
+        let radii: Vec<f64> = (0..nodes).map(|i| slope(&|n| &mut n.log_radii[i])).collect();
+        let rotations: Vec<f64> =
+            (0..4 * count).map(|i| slope(&|n| &mut n.rotations[i / 4][i % 4])).collect();
+        let logits: Vec<f64> = (0..count).map(|i| slope(&|n| &mut n.logits[i])).collect();
+        let what = |name: &str| format!("soft {soft}: by {name}");
+        h.close(&what("transform"), &by_transform[8 * nodes..], &transforms, None, SLOPES);
+        h.close(&what("log-radius"), &by_radius, &radii, None, SLOPES);
+        h.close(&what("rotation"), &by_rotation, &rotations, None, SLOPES);
+        h.close(&what("motion logit"), &by_logit, &logits, None, SLOPES);
+    }
+    Ok(())
 }
 
 /// Radii so small that all weights vanish in f32, some even as exponents.

@@ -18,6 +18,11 @@ pub const CASES: &[Case] = &[
     Case { id: "density/jitter", kernels: &["density/jitter"], run: noise },
     Case { id: "density/adapt", kernels: ADAPT, run: adapt },
     Case { id: "density/regularise", kernels: &["density/regularise"], run: regularisers },
+    Case {
+        id: "density/central_differences",
+        kernels: &["density/regularise"],
+        run: central_differences,
+    },
     Case { id: "density/statistics", kernels: STATISTICS, run: statistics },
 ];
 
@@ -487,5 +492,46 @@ fn regularisers(h: &mut Harness) -> Result<()> {
         let device = h.read(&by_scale)?;
         h.close("gradient by log-scale", &device, &truth.1, None, bound);
     }
+    Ok(())
+}
+
+/// The regularisers' gradients against differences of what they are gradients of: the weighted means
+/// of opacity and of scale.
+fn central_differences(h: &mut Harness) -> Result<()> {
+    const STEP: f64 = 1e-6;
+    let count = 50;
+    let (logits, scales) = (random(h, count, -8.0, 8.0), random(h, 3 * count, -9.0, 1.0));
+    let (weight, scale_weight) = (0.01, 0.02);
+    let logit_buffer = h.device.upload("logits", &logits)?;
+    let scale_buffer = h.device.upload("scales", &scales)?;
+    let zeros = h.device.upload("zeros", &vec![0.0f32; 3 * count])?;
+    let mut by_logit = h.output::<f32>("opacity gradients", count)?;
+    let mut by_scale = h.output::<f32>("log-scale gradients", 3 * count)?;
+    let mut recorder = h.stream.record()?;
+    recorder.copy(zeros.range(0..count), by_logit.view_mut());
+    recorder.copy(zeros.view(), by_scale.view_mut());
+    regularise(
+        &mut recorder,
+        logit_buffer.view(),
+        scale_buffer.view(),
+        by_logit.view_mut(),
+        by_scale.view_mut(),
+        weight,
+        scale_weight,
+    )?;
+    h.stream.submit(recorder)?;
+    let slope = |value: &dyn Fn(f64) -> f64, at: f32| {
+        let at = f64::from(at);
+        (value(at + STEP) - value(at - STEP)) / (2.0 * STEP)
+    };
+    let opacity = |x: f64| weight / count as f64 / (1.0 + (-x).exp());
+    let scale = |x: f64| scale_weight / (3 * count) as f64 * x.exp();
+    let bound = Bound { absolute: 1e-11, relative: 1e-5 };
+    let truth: Vec<f64> = logits.iter().map(|&x| slope(&opacity, x)).collect();
+    let device = h.read(&by_logit)?;
+    h.close("gradient by opacity logit", &device, &truth, None, bound);
+    let truth: Vec<f64> = scales.iter().map(|&x| slope(&scale, x)).collect();
+    let device = h.read(&by_scale)?;
+    h.close("gradient by log-scale", &device, &truth, None, bound);
     Ok(())
 }

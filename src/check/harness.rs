@@ -1,45 +1,17 @@
 //! What a case works with: inputs by seed, guarded outputs, comparisons.
 
+use super::finding::{self, Bound, Finding};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Device, Stream, ViewMut};
-use bytemuck::Pod;
+use bytemuck::{NoUninit, Pod};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use std::hash::{DefaultHasher, Hasher};
 
 /// Bytes of guard words on each side of an output; every device's alignment divides it.
 const GUARD_BYTES: usize = 256;
 /// Poison and guard: a quiet NaN as a float, and no count or index.
 const POISON: u32 = 0xffff_ffff;
-
-/// How far an output may lie from the truth: `absolute + relative · |truth|`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Bound {
-    /// In the output's unit.
-    pub absolute: f64,
-    /// As a share of the truth.
-    pub relative: f64,
-}
-
-/// One output held against the truth.
-#[derive(Clone, Debug)]
-pub struct Finding {
-    /// What was compared.
-    pub output: String,
-    /// How many values.
-    pub count: usize,
-    /// Largest difference from the oracle in f64.
-    pub worst_absolute: f64,
-    /// Largest difference as a share of the truth.
-    pub worst_relative: f64,
-    /// Largest difference as a share of the bound: above 1 fails.
-    pub worst_of_bound: f64,
-    /// Where the largest share lies.
-    pub worst_at: usize,
-    /// The same share for the oracle in f32, where it was given.
-    pub oracle_f32_of_bound: Option<f64>,
-    /// Whether all values stay within the bound.
-    pub passed: bool,
-}
 
 /// An output buffer between guard words, poisoned.
 pub struct Guarded<T> {
@@ -64,6 +36,7 @@ pub struct Harness {
     /// Random numbers that the seed decides.
     pub rng: ChaCha8Rng,
     findings: Vec<Finding>,
+    digest: DefaultHasher,
 }
 
 impl Harness {
@@ -73,11 +46,13 @@ impl Harness {
             stream: device.stream()?,
             rng: ChaCha8Rng::seed_from_u64(seed),
             findings: Vec::new(),
+            digest: DefaultHasher::new(),
         })
     }
 
-    pub(super) fn into_findings(self) -> Vec<Finding> {
-        self.findings
+    /// What was found, and a digest of every bit that the device answered.
+    pub(super) fn finish(self) -> (Vec<Finding>, u64) {
+        (self.findings, self.digest.finish())
     }
 
     /// A poisoned output of `len` elements between guard words.
@@ -112,20 +87,17 @@ impl Harness {
         Ok(inner.to_vec())
     }
 
+    /// Adds the device's answer to what must be the same, bit for bit, when the case runs again.
+    /// What is compared through the harness is noted already.
+    pub fn note<T: NoUninit>(&mut self, answer: &[T]) {
+        self.digest.write_usize(answer.len());
+        self.digest.write(bytemuck::cast_slice(answer));
+    }
+
     /// Holds integers (or anything with equality) against the truth.
-    pub fn exact<T: PartialEq>(&mut self, output: &str, device: &[T], truth: &[T]) {
-        let wrong = (0..device.len().max(truth.len())).find(|&i| device.get(i) != truth.get(i));
-        let worst = if wrong.is_some() { f64::INFINITY } else { 0.0 };
-        self.findings.push(Finding {
-            output: output.to_owned(),
-            count: truth.len(),
-            worst_absolute: worst,
-            worst_relative: worst,
-            worst_of_bound: worst,
-            worst_at: wrong.unwrap_or(0),
-            oracle_f32_of_bound: None,
-            passed: wrong.is_none(),
-        });
+    pub fn exact<T: PartialEq + NoUninit>(&mut self, output: &str, device: &[T], truth: &[T]) {
+        self.note(device);
+        self.findings.push(finding::exact(output, device, truth));
     }
 
     /// Holds floats against the oracle in f64, with the oracle in f32 beside it where given.
@@ -137,10 +109,25 @@ impl Harness {
         oracle_f32: Option<&[f32]>,
         bound: Bound,
     ) {
-        let mut finding = compare(output, device, truth, bound);
-        finding.oracle_f32_of_bound =
-            oracle_f32.map(|twin| compare(output, twin, truth, bound).worst_of_bound);
-        self.findings.push(finding);
+        self.note(device);
+        let finding = finding::close(output, device, truth, bound);
+        let twin = oracle_f32.map(|twin| finding::close(output, twin, truth, bound));
+        self.findings.push(beside(finding, twin));
+    }
+
+    /// [`close`](Self::close) with a limit for each value: what rounding may do to that one.
+    pub fn within(
+        &mut self,
+        output: &str,
+        device: &[f32],
+        truth: &[f64],
+        oracle_f32: Option<&[f32]>,
+        limits: &[f64],
+    ) {
+        self.note(device);
+        let finding = finding::within(output, device, truth, limits);
+        let twin = oracle_f32.map(|twin| finding::within(output, twin, truth, limits));
+        self.findings.push(beside(finding, twin));
     }
 
     /// Notes whether something holds that is no comparison of numbers.
@@ -149,31 +136,9 @@ impl Harness {
     }
 }
 
-fn compare(output: &str, values: &[f32], truth: &[f64], bound: Bound) -> Finding {
-    let mut finding = Finding {
-        output: output.to_owned(),
-        count: truth.len(),
-        worst_absolute: 0.0,
-        worst_relative: 0.0,
-        worst_of_bound: if values.len() == truth.len() { 0.0 } else { f64::INFINITY },
-        worst_at: 0,
-        oracle_f32_of_bound: None,
-        passed: false,
-    };
-    for (at, (&value, &truth)) in values.iter().zip(truth).enumerate() {
-        let difference = (f64::from(value) - truth).abs();
-        // NaN must fail, and so must one infinity against another number.
-        let difference = if f64::from(value) == truth { 0.0 } else { difference };
-        let difference = if difference.is_nan() { f64::INFINITY } else { difference };
-        let share = difference / (bound.absolute + bound.relative * truth.abs());
-        let share = if difference == 0.0 { 0.0 } else { share };
-        finding.worst_absolute = finding.worst_absolute.max(difference);
-        finding.worst_relative = finding.worst_relative.max(difference / truth.abs().max(1e-300));
-        if share > finding.worst_of_bound {
-            finding.worst_of_bound = share;
-            finding.worst_at = at;
-        }
-    }
-    finding.passed = finding.worst_of_bound <= 1.0;
-    finding
+/// The device's finding with the error of the oracle in f32 beside it.
+fn beside(mut device: Finding, twin: Option<Finding>) -> Finding {
+    device.oracle_f32_absolute = twin.as_ref().map(|twin| twin.worst_absolute);
+    device.oracle_f32_of_bound = twin.map(|twin| twin.worst_of_bound);
+    device
 }

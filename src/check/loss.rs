@@ -22,6 +22,7 @@ pub const CASES: &[Case] = &[
     Case { id: "loss/sizes", kernels: PHOTOMETRIC, run: sizes },
     Case { id: "loss/shares", kernels: PHOTOMETRIC, run: shares },
     Case { id: "loss/weights", kernels: ALL, run: weights },
+    Case { id: "loss/central_differences", kernels: ALL, run: central_differences },
     Case { id: "loss/flat_images", kernels: PHOTOMETRIC, run: flat_images },
     Case { id: "loss/disparity", kernels: ALL, run: disparity },
 ];
@@ -81,7 +82,22 @@ fn byte(value: f32) -> f64 {
     f64::from((value.clamp(0.0, 1.0) * 255.0).round()) / 255.0
 }
 
+/// The rendered pixels in the oracle's numbers.
+fn rendered<R: Real>(input: &Input) -> Pixels<R> {
+    let wide = |x: f32| R::of(f64::from(x));
+    Pixels {
+        rgb: input.rendered.rgb.iter().map(|v| v.map(wide)).collect(),
+        alpha: input.rendered.alpha.iter().map(|&v| wide(v)).collect(),
+        depth: input.rendered.depth.iter().map(|&v| wide(v)).collect(),
+    }
+}
+
 fn truth<R: Real>(input: &Input) -> loss::Loss<R> {
+    truth_of(input, &rendered(input))
+}
+
+/// The loss of pixels that need not be the input's own.
+fn truth_of<R: Real>(input: &Input, rendered: &Pixels<R>) -> loss::Loss<R> {
     let of = |x: f64| R::of(x);
     let wide = |x: f32| R::of(f64::from(x));
     let rgb: Vec<[R; 3]> =
@@ -91,11 +107,6 @@ fn truth<R: Real>(input: &Input) -> loss::Loss<R> {
     let column =
         |k: usize| -> Vec<R> { input.known.iter().flatten().map(|v| wide(v[k])).collect() };
     let (target, target_weights) = (column(0), column(1));
-    let rendered = Pixels {
-        rgb: input.rendered.rgb.iter().map(|v| v.map(wide)).collect(),
-        alpha: input.rendered.alpha.iter().map(|&v| wide(v)).collect(),
-        depth: input.rendered.depth.iter().map(|&v| wide(v)).collect(),
-    };
     let depth = input.known.as_ref().map(|_| DepthTerm {
         kind: DepthKind::Inverse,
         target: &target,
@@ -113,7 +124,7 @@ fn truth<R: Real>(input: &Input) -> loss::Loss<R> {
         depth,
         alpha: None,
     };
-    loss::loss(&rendered, &target)
+    loss::loss(rendered, &target)
 }
 
 fn poison<T: Pod>(recorder: &mut Recorder, buffer: &mut Buffer<T>) {
@@ -270,6 +281,51 @@ fn weights(harness: &mut Harness) -> Result<()> {
     harness.holds("none: no loss", answer.value == nothing);
     let zero = answer.rgba.as_flattened().iter().chain(&answer.depth).all(|&g| g == 0.0);
     harness.holds("none: no gradient", zero);
+    Ok(())
+}
+
+/// The device's gradients against differences of the oracle's value. Colours keep a distance from the
+/// photograph, where the absolute difference has its kink.
+fn central_differences(harness: &mut Harness) -> Result<()> {
+    const STEP: f64 = 1e-6;
+    let mut input = input(harness, 13, 9);
+    input.settings = LossSettings { ssim_share: 0.3, background: [0.0; 3], depth_scale: 0.7 };
+    input.weights = Some(random_weights(harness, 13, 9));
+    for (i, rgb) in input.rendered.rgb.iter_mut().enumerate() {
+        *rgb = std::array::from_fn(|c| {
+            let away = harness.rng.random_range(0.05f32..0.4);
+            input.photo.pixels[3 * i + c] + if (i + c) % 2 == 0 { away } else { -away }
+        });
+    }
+    let known = |_| [harness.rng.random_range(0.05f32..3.0), harness.rng.random_range(0.1..2.0)];
+    input.known = Some((0..13 * 9).map(known).collect());
+    let answer = run(harness, &input)?;
+    let mut pixels = rendered::<f64>(&input);
+    let mut slope = |at: &dyn Fn(&mut Pixels<f64>) -> &mut f64| {
+        let start = *at(&mut pixels);
+        let mut value = |x: f64| {
+            *at(&mut pixels) = x;
+            truth_of(&input, &pixels).value
+        };
+        let difference = value(start + STEP) - value(start - STEP);
+        *at(&mut pixels) = start;
+        difference / (2.0 * STEP)
+    };
+    let (mut device, mut slopes) = (Vec::new(), Vec::new());
+    for i in 0..13 * 9 {
+        for c in 0..3 {
+            device.push(answer.rgba[i][c]);
+            slopes.push(slope(&|p| &mut p.rgb[i][c]));
+        }
+        // Where alpha is about as large as the term's threshold, a step may cross it.
+        if (input.rendered.alpha[i] - 0.5).abs() > 1e-3 {
+            device.push(answer.depth[i]);
+            slopes.push(slope(&|p| &mut p.depth[i]));
+        }
+    }
+    let largest = slopes.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    let bound = Bound { absolute: TEXTURED * largest, relative: 1e-4 };
+    harness.close("every gradient", &device, &slopes, None, bound);
     Ok(())
 }
 

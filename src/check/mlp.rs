@@ -11,6 +11,7 @@ use rand::RngExt;
 pub const CASES: &[Case] = &[
     Case { id: "mlp/narrow", kernels: KERNELS, run: narrow },
     Case { id: "mlp/paper", kernels: KERNELS, run: paper },
+    Case { id: "mlp/central_differences", kernels: KERNELS, run: central_differences },
     Case { id: "mlp/shapes", kernels: KERNELS, run: shapes },
     Case { id: "mlp/accumulate", kernels: &["mlp/reduce"], run: accumulate },
     Case { id: "mlp/encoding", kernels: &["mlp/encode"], run: encoding },
@@ -143,6 +144,43 @@ fn paper(h: &mut Harness) -> Result<()> {
         Bound { absolute: 6e-6, relative: 1e-6 },
         Bound { absolute: 6e-5, relative: 1e-6 },
     )
+}
+
+/// The device's gradients against differences of the oracle's forward pass, for parameters of every
+/// layer.
+fn central_differences(h: &mut Harness) -> Result<()> {
+    const STEP: f64 = 1e-6;
+    let shape =
+        NetShape { depth: 4, width: 16, skip: 1, position_frequencies: 3, time_frequencies: 2 };
+    let problem = Problem::new(h, shape, 7, 2);
+    let (_, by_parameter) = problem.device(h, 1)?;
+    let wide = |values: &[f32]| -> Vec<f64> { values.iter().map(|&v| f64::from(v)).collect() };
+    let queries: Vec<[f64; 4]> = problem
+        .times
+        .iter()
+        .flat_map(|&t| problem.nodes.chunks(3).map(move |p| [p[0], p[1], p[2], t].map(f64::from)))
+        .collect();
+    let mut parameters = wide(&problem.parameters);
+    let value = |parameters: &[f64]| -> f64 {
+        let outputs = mlp::forward(&shape, parameters, &queries).outputs;
+        let moved = outputs.iter().flat_map(|&o| mlp::transform(o));
+        moved.zip(problem.gradients.as_flattened()).map(|(a, &b)| a * f64::from(b)).sum()
+    };
+    let chosen: Vec<usize> = (0..parameters.len()).step_by(7).collect();
+    let mut slopes = Vec::new();
+    for &i in &chosen {
+        let start = parameters[i];
+        let mut at = |x: f64| {
+            parameters[i] = x;
+            value(&parameters)
+        };
+        slopes.push((at(start + STEP) - at(start - STEP)) / (2.0 * STEP));
+        parameters[i] = start;
+    }
+    let device: Vec<f32> = chosen.iter().map(|&i| by_parameter[i]).collect();
+    let bound = Bound { absolute: 2e-5, relative: 2e-6 };
+    h.close("parameter gradients", &device, &slopes, None, bound);
+    Ok(())
 }
 
 /// One row, one layer, no octaves, a skip into the head and none: what odd counts would break.

@@ -1,8 +1,9 @@
 //! Blending and its gradients, judged by the splats and lists that the device itself has made.
 
+use super::rounding::gradient_limits;
 use super::scene::{
     Forward, Frame, UPRIGHT, contested, join, narrow, one, plain_camera, random, random_gradient,
-    skew_camera, widen,
+    skew_camera, stakes, widen,
 };
 use super::{Bound, Case, Harness};
 use crate::error::Result;
@@ -22,6 +23,7 @@ pub const CASES: &[Case] = &[
     Case { id: "raster/shared_memory", kernels: SHARED, run: shared_memory },
     Case { id: "raster/layers", kernels: ALL, run: layers },
     Case { id: "raster/blending_constants", kernels: ALL, run: blending_constants },
+    Case { id: "raster/decisions", kernels: &["raster/forward"], run: decisions },
     Case { id: "raster/overflow", kernels: ALL, run: overflow },
     Case { id: "raster/determinism", kernels: ALL, run: determinism },
 ];
@@ -91,7 +93,8 @@ fn compare_blended(
     let exact = raster::backward(&splats, &bins, &settings, width, height, &exact, &wide);
     let single =
         raster::backward(&single_splats, &bins, &settings, width, height, &single, &gradient);
-    compare_gradients(harness, what, &device, &exact, &single);
+    let limits = gradient_limits(&splats, &bins, &settings, width, height, &wide);
+    compare_gradients(harness, what, &device, &exact, &single, &limits);
     Ok(out)
 }
 
@@ -103,26 +106,23 @@ fn compare_gradients(
     device: &[SplatGradient<f32>],
     exact: &[SplatGradient<f64>],
     single: &[SplatGradient<f32>],
+    limits: &[SplatGradient<f64>],
 ) {
-    // Signed shares of many pixels cancel, so the largest gradient sets the scale. What lies behind a
-    // splat is a difference, with the rounding of the whole (1e-7), and is divided by 1 - alpha,
-    // which goes down to 1e-3: opacity, mean and conic carry up to 1e-4. Measured 3e-5; the oracle in
-    // f32 the same.
-    let parts: [(&str, f64, Rows<f32>, Rows<f64>); 5] = [
-        ("mean", 1e-4, |g| g.mean.into(), |g| g.mean.into()),
-        ("conic", 1e-4, |g| g.conic.into(), |g| g.conic.into()),
-        ("opacity", 1e-4, |g| vec![g.opacity], |g| vec![g.opacity]),
-        ("depth", 2e-6, |g| vec![g.depth], |g| vec![g.depth]),
-        ("colour", 2e-6, |g| g.colour.into(), |g| g.colour.into()),
+    let parts: [(&str, Rows<f32>, Rows<f64>); 5] = [
+        ("mean", |g| g.mean.into(), |g| g.mean.into()),
+        ("conic", |g| g.conic.into(), |g| g.conic.into()),
+        ("opacity", |g| vec![g.opacity], |g| vec![g.opacity]),
+        ("depth", |g| vec![g.depth], |g| vec![g.depth]),
+        ("colour", |g| g.colour.into(), |g| g.colour.into()),
     ];
-    for (name, share, narrow, wide) in parts {
+    for (name, narrow, wide) in parts {
         let device: Vec<f32> = device.iter().flat_map(narrow).collect();
         let exact: Vec<f64> = exact.iter().flat_map(wide).collect();
         let single: Vec<f32> = single.iter().flat_map(narrow).collect();
-        let largest = exact.iter().fold(0.0f64, |m, v| m.max(v.abs()));
-        let bound = Bound { absolute: share * largest + 1e-30, relative: share };
+        // What lies below the least normal f32 may be flushed to zero.
+        let limits: Vec<f64> = limits.iter().flat_map(wide).map(|limit| limit + 1e-30).collect();
         let output = format!("{what}: by {name}");
-        harness.close(&output, &device, &exact, Some(&single), bound);
+        harness.within(&output, &device, &exact, Some(&single), &limits);
     }
 }
 
@@ -213,6 +213,52 @@ fn blending_constants(harness: &mut Harness) -> Result<()> {
         ("no dilation", RenderSettings { dilation: 0.0, ..defaults }),
     ] {
         compare(harness, what, &scene, &camera, 1 << 14, settings)?;
+    }
+    Ok(())
+}
+
+/// Splats so wide that alpha crosses the cut, or the transmittance the stop, almost level: pixels far
+/// from the crossing are as the oracle's, those in the band jump by no more than the decision is
+/// worth, and not all of them flip.
+fn decisions(harness: &mut Harness) -> Result<()> {
+    let camera = plain_camera(40.0, 83, 59);
+    let settings = RenderSettings::default();
+    let logit = |opacity: f64| (opacity / (1.0 - opacity)).ln() as f32;
+    let cut = f64::from(settings.alpha_cut);
+    let mut jitter = |size: f64| 1.0 + harness.rng.random_range(-size..size);
+    let wide =
+        |z: f32, size: f32, opacity: f64| one([0.02, 0.01, z], [size; 3], UPRIGHT, logit(opacity));
+    // Level to 1e-4 over the image; and to 5e-6, since 1 - alpha shows it a hundredfold.
+    let faint: Vec<_> = (0..40)
+        .map(|i| wide(2.0 + 0.01 * i as f32, 4.5, cut * (1.0 + 1e-4 * jitter(1.0))))
+        .collect();
+    let opaque: Vec<_> = (0..2)
+        .map(|i| wide(2.0 + i as f32, 6.5, 0.99 * (1.0 + 2e-6 * jitter(1.0))))
+        .chain([wide(4.0, 4.5, 0.9), wide(5.0, 4.5, 0.9)])
+        .collect();
+    for (what, parts) in [("alpha cut", faint), ("stop", opaque)] {
+        let device = harness.device.clone();
+        let scene = join(&parts);
+        let mut frame =
+            Frame::new(&device, &mut harness.stream, &scene, &camera, 1 << 14, settings)?;
+        let out = frame.forward(&mut harness.stream)?;
+        let (splats, bins) = (out.splats(), out.bins(83, 59));
+        let exact = raster::forward(&splats, &bins, &settings, 83, 59);
+        let stakes = stakes(&splats, &bins, &settings, 83, 59, BAND);
+        let brightest = splats.iter().flatten().flat_map(|s| s.colour).fold(1.0f64, f64::max);
+        let limits: Vec<f64> =
+            stakes.iter().flat_map(|stake| [2e-6 + stake * brightest; 4]).collect();
+        let truth: Vec<f64> = (0..exact.alpha.len())
+            .flat_map(|i| [exact.rgb[i][0], exact.rgb[i][1], exact.rgb[i][2], exact.alpha[i]])
+            .collect();
+        let rgba = out.rgba.as_flattened();
+        harness.within(&format!("{what}: rgba"), rgba, &truth, None, &limits);
+        let hanging = stakes.iter().filter(|&&stake| stake > 0.0).count();
+        harness.holds(&format!("{what}: {hanging} pixels hang"), hanging > 10 && hanging < 4000);
+        let flips = (0..stakes.len())
+            .filter(|&i| (f64::from(out.rgba[i][3]) - exact.alpha[i]).abs() > 2e-6)
+            .count();
+        harness.holds(&format!("{what}: {flips} of {hanging} flip"), 2 * flips <= hanging);
     }
     Ok(())
 }

@@ -407,8 +407,53 @@ pub fn narrow(splats: &[Option<Splat<f64>>]) -> Vec<Option<Splat<f32>>> {
     splats.iter().map(|s| s.as_ref().map(one)).collect()
 }
 
-/// Which pixels hang on a decision (cut, cap, stop) closer than `band`, as a share of the threshold:
-/// there rounding may decide either way, and an image jumps.
+/// How much of each pixel hangs on a decision (cut, cap, stop) closer than `band`, as a share of the
+/// threshold: there rounding may decide either way, and the image jumps by that much of a colour.
+/// Zero for most pixels.
+pub fn stakes(
+    splats: &[Option<Splat<f64>>],
+    bins: &Bins,
+    settings: &RenderSettings,
+    width: u32,
+    height: u32,
+    band: f64,
+) -> Vec<f64> {
+    let near = |value: f64, threshold: f32| {
+        (value / f64::from(threshold) - 1.0).abs() < band || value.is_nan()
+    };
+    let mut out = Vec::new();
+    for y in 0..height {
+        for x in 0..width {
+            let [begin, end] = bins.ranges[(y / 16 * bins.grid[0] + x / 16) as usize];
+            let (mut transmittance, mut stake) = (1.0, 0.0);
+            for &index in &bins.splats[begin as usize..end as usize] {
+                let Some(splat) = &splats[index as usize] else { continue };
+                let (dx, dy) =
+                    (f64::from(x) + 0.5 - splat.mean[0], f64::from(y) + 0.5 - splat.mean[1]);
+                let full = splat.opacity * (-power(splat.conic, dx, dy)).exp();
+                if near(full, settings.alpha_cut) || near(full, settings.alpha_cap) {
+                    // With it or without it: its own colour, and what it takes from those behind.
+                    stake += 2.0 * transmittance * f64::from(settings.alpha_cut);
+                }
+                if full < f64::from(settings.alpha_cut) {
+                    continue;
+                }
+                let behind = transmittance * (1.0 - full.min(f64::from(settings.alpha_cap)));
+                if near(behind, settings.transmittance_stop) {
+                    stake += transmittance;
+                }
+                if behind <= f64::from(settings.transmittance_stop) {
+                    break;
+                }
+                transmittance = behind;
+            }
+            out.push(stake);
+        }
+    }
+    out
+}
+
+/// Which pixels hang on a decision closer than `band`.
 pub fn contested(
     splats: &[Option<Splat<f64>>],
     bins: &Bins,
@@ -417,34 +462,8 @@ pub fn contested(
     height: u32,
     band: f64,
 ) -> Vec<bool> {
-    let near = |value: f64, threshold: f32| {
-        (value / f64::from(threshold) - 1.0).abs() < band || value.is_nan()
-    };
-    let mut out = Vec::new();
-    for y in 0..height {
-        for x in 0..width {
-            let [begin, end] = bins.ranges[(y / 16 * bins.grid[0] + x / 16) as usize];
-            let (mut transmittance, mut hangs) = (1.0, false);
-            for &index in &bins.splats[begin as usize..end as usize] {
-                let Some(splat) = &splats[index as usize] else { continue };
-                let (dx, dy) =
-                    (f64::from(x) + 0.5 - splat.mean[0], f64::from(y) + 0.5 - splat.mean[1]);
-                let full = splat.opacity * (-power(splat.conic, dx, dy)).exp();
-                hangs |= near(full, settings.alpha_cut) || near(full, settings.alpha_cap);
-                if full < f64::from(settings.alpha_cut) {
-                    continue;
-                }
-                let behind = transmittance * (1.0 - full.min(f64::from(settings.alpha_cap)));
-                hangs |= near(behind, settings.transmittance_stop);
-                if behind <= f64::from(settings.transmittance_stop) {
-                    break;
-                }
-                transmittance = behind;
-            }
-            out.push(hangs);
-        }
-    }
-    out
+    let stakes = stakes(splats, bins, settings, width, height, band);
+    stakes.into_iter().map(|stake| stake > 0.0).collect()
 }
 
 /// A random gradient by the pixels, zero where `zero` says so.

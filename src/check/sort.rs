@@ -20,6 +20,7 @@ const KERNELS: &[&str] = &[
 /// The family's cases.
 pub const CASES: &[Case] = &[
     Case { id: "sort/sizes", kernels: KERNELS, run: sizes },
+    Case { id: "sort/powers_of_two", kernels: KERNELS, run: powers_of_two },
     Case { id: "sort/bit_ranges", kernels: KERNELS, run: bit_ranges },
     Case { id: "sort/orders", kernels: KERNELS, run: orders },
     Case { id: "sort/count_below_capacity", kernels: KERNELS, run: count_below_capacity },
@@ -74,6 +75,15 @@ fn random(harness: &mut Harness, n: usize) -> Vec<u32> {
 
 fn sizes(harness: &mut Harness) -> Result<()> {
     for n in [0, 1, 2, 7, 255, 256, 257, 511, 513, 8191, 8192, 8193, 65_535, 65_537, 200_003] {
+        let keys = random(harness, n);
+        compare(harness, &format!("{n} pairs"), &keys, n, 0..32)?;
+    }
+    Ok(())
+}
+
+/// 2^k and one more and less, up to several blocks.
+fn powers_of_two(harness: &mut Harness) -> Result<()> {
+    for n in (0..=17).flat_map(|k| [(1 << k) - 1, 1 << k, (1 << k) + 1]) {
         let keys = random(harness, n);
         compare(harness, &format!("{n} pairs"), &keys, n, 0..32)?;
     }

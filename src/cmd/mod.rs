@@ -11,6 +11,7 @@ mod devices;
 mod encode;
 mod eval;
 mod eval_truth;
+mod fuzz;
 mod info;
 mod interrupt;
 mod meter;
@@ -18,11 +19,13 @@ mod path;
 mod quality;
 mod reconstruct;
 mod render;
+mod rows;
 mod sheet;
 mod supplied;
 mod synth;
 mod train;
 mod tuning;
+mod validate;
 mod values;
 mod watcher;
 
@@ -63,14 +66,15 @@ enum Command {
     Devices(devices::DevicesArgs),
     Bench(bench::BenchArgs),
     Synth(synth::SynthArgs),
+    Validate(validate::ValidateArgs),
 }
 
 /// Runs the command that the process was given.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let json = cli.common.json;
-    match run(&cli).and_then(|answer| print(&answer, json)) {
-        Ok(()) => ExitCode::SUCCESS,
+    match run(&cli).and_then(|(answer, code)| print(&answer, json).map(|()| code)) {
+        Ok(code) => code,
         Err(error) => {
             common::say(&format!("error: {error}"));
             if json {
@@ -86,9 +90,9 @@ pub fn main() -> ExitCode {
     }
 }
 
-fn run(cli: &Cli) -> Result<Answer> {
+fn run(cli: &Cli) -> Result<(Answer, ExitCode)> {
     interrupt::watch();
-    match &cli.command {
+    let answer = match &cli.command {
         Command::Reconstruct(args) => reconstruct::run(args, &cli.common),
         Command::Train(args) => train::run(args, &cli.common),
         Command::Render(args) => render::run(args, &cli.common),
@@ -97,7 +101,10 @@ fn run(cli: &Cli) -> Result<Answer> {
         Command::Devices(args) => devices::run(args),
         Command::Bench(args) => bench::run(args, &cli.common),
         Command::Synth(args) => synth::run(args, &cli.common),
-    }
+        // What it finds out decides the exit code.
+        Command::Validate(args) => return validate::run(args, &cli.common),
+    };
+    Ok((answer?, ExitCode::SUCCESS))
 }
 
 /// Prints an answer on stdout. A reader that has seen enough and closed the pipe is no error.

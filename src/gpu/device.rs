@@ -66,6 +66,8 @@ pub struct Device {
 pub(crate) struct DeviceInner {
     pub(crate) context: Arc<Context>,
     pub(crate) limits: Limits,
+    /// Modules that stand in for the crate's own, by kernel.
+    modules: HashMap<&'static str, Vec<u8>>,
     pipelines: Mutex<HashMap<PipelineKey, Arc<Pipeline>>>,
     /// Nanoseconds of metered work; `None` while the meter is off.
     pub(crate) meter: Mutex<Option<f64>>,
@@ -87,8 +89,31 @@ impl Device {
         let (physical, info) = devices[chosen].clone();
         let context = Arc::new(Context::open(instance, physical, info)?);
         let limits = request.limits.unwrap_or(context.limits);
+        Ok(Device::over(context, limits, HashMap::new()))
+    }
+
+    fn over(
+        context: Arc<Context>,
+        limits: Limits,
+        modules: HashMap<&'static str, Vec<u8>>,
+    ) -> Device {
         let (pipelines, meter) = Default::default();
-        Ok(Device { inner: Arc::new(DeviceInner { context, limits, pipelines, meter }) })
+        Device { inner: Arc::new(DeviceInner { context, limits, modules, pipelines, meter }) }
+    }
+
+    /// The same device, its work kept within other limits than its own; for tests of boundaries.
+    /// Its streams and buffers go with those of the original.
+    pub fn with_limits(&self, limits: Limits) -> Device {
+        Device::over(self.inner.context.clone(), limits, self.inner.modules.clone())
+    }
+
+    /// The same device with another SPIR-V module for one kernel (`family/stem`); for tests that a
+    /// fault in it is noticed. What the module does is the caller's business: it must have the
+    /// kernel's bindings, push constants and workgroup.
+    pub fn with_module(&self, kernel: &'static str, spirv: Vec<u8>) -> Device {
+        let mut modules = self.inner.modules.clone();
+        modules.insert(kernel, spirv);
+        Device::over(self.inner.context.clone(), self.inner.limits, modules)
     }
 
     /// What the device is.
@@ -182,7 +207,7 @@ impl Device {
             &self.inner.context,
             &PipelineShape {
                 name: K::NAME,
-                spirv: K::SPIRV,
+                spirv: self.inner.modules.get(K::NAME).map_or(K::SPIRV, Vec::as_slice),
                 bindings: K::BINDINGS.len() as u32,
                 push_bytes: size_of::<K::Params>() as u32,
                 workgroup: K::WORKGROUP,

@@ -96,8 +96,8 @@ kernel! {
         sh3: Read<f32>,
         /// From the forward pass.
         visible: Read<u32>,
-        /// From the forward pass.
-        means: Read<[f32; 4]>,
+        /// 1 per Gaussian.
+        opacity_logits: Read<f32>,
         /// From the forward pass.
         colours: Read<[f32; 4]>,
         /// By mean x, mean y, depth, opacity.

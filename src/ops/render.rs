@@ -19,16 +19,19 @@ use crate::{Error, Result};
 /// Side of a tile in pixels.
 pub const TILE: u32 = 16;
 
-/// A camera as the kernels read it: rotation row by row (9) and translation (3) of
-/// `view_from_world`, fx, fy, cx, cy, the centre in the world (3), one spare.
+/// A camera as the kernels read it: the rotation of `view_from_world` row by row (9), the centre in
+/// the world (3) and what its rounding left (3), fx, fy, cx, cy, one spare.
 pub fn device_camera(camera: &Camera) -> [f32; 20] {
     let rotation = camera.view_from_world.rotation_matrix();
-    let (t, k, centre) = (camera.view_from_world.translation, camera.intrinsics, camera.centre());
+    let (k, centre) = (camera.intrinsics, camera.centre());
+    let rest = centre - centre.as_vec3().as_dvec3();
     let rows = rotation.transpose().to_cols_array();
     let mut floats = [0.0f32; 20];
     let values = rows
         .into_iter()
-        .chain([t.x, t.y, t.z, k.fx, k.fy, k.cx, k.cy, centre.x, centre.y, centre.z]);
+        .chain(centre.to_array())
+        .chain(rest.to_array())
+        .chain([k.fx, k.fy, k.cx, k.cy]);
     for (slot, value) in floats.iter_mut().zip(values) {
         *slot = value as f32;
     }
@@ -616,7 +619,7 @@ impl Render {
                 sh2: gaussians.sh[2],
                 sh3: gaussians.sh[3],
                 visible: s.visible.view(),
-                means: s.means.view(),
+                opacity_logits: gaussians.opacity_logits,
                 colours: s.colours.view(),
                 mean_gradients: b.means.view(),
                 conic_gradients: b.conics.view(),

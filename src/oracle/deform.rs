@@ -298,7 +298,7 @@ pub fn backward<R: Real>(
 
         let mut by_delta = scale(by_position, m);
         if skin.soft {
-            out.motion_logits[j] = by_m * m * (R::one() - m);
+            out.motion_logits[j] = by_m * m * sigmoid(-skin.motion_logits[j]);
             let stiff = R::of(2.0) * rigid_scale * (R::one() - skin.evidence[j]);
             by_delta = add(by_delta, scale(blend.delta, stiff));
         }
@@ -317,7 +317,11 @@ pub fn backward<R: Real>(
                 dot(by_delta, moved) + blend.signs[slot] * dot(by_sum, r)
             })
             .collect();
-        let mean: R = by_weight.iter().zip(&blend.weights).map(|(&g, &w)| g * w).sum();
+        // Weights sum to 1, so this is by_weight less its mean, without the cancellation.
+        let differences = |slot: usize| -> R {
+            let of = |(&g, &w): (&R, &R)| w * (by_weight[slot] - g);
+            by_weight.iter().zip(&blend.weights).map(of).sum()
+        };
         for (slot, &node) in neighbours.iter().enumerate() {
             if node == NONE {
                 continue;
@@ -340,7 +344,7 @@ pub fn backward<R: Real>(
             if log_radius.abs() <= R::of(LARGEST_LOG_RADIUS) && w > zero {
                 let exponent_slope = dot(offset, offset) * inverse_square(log_radius);
                 if exponent_slope.is_finite() {
-                    out.log_radii[node] += w * (by_weight[slot] - mean) * exponent_slope;
+                    out.log_radii[node] += w * differences(slot) * exponent_slope;
                 }
             }
         }

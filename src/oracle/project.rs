@@ -8,14 +8,16 @@
 //! 1e20 neither overflow nor underflow in f32.
 
 use super::Real;
-use super::linear::{
-    Mat3, Vec3, add, dot, finite, max_abs, mul, mul_vec, normalise, rotation, scale, sub, tmul_vec,
-};
+use super::linear::{Mat3, Vec3, dot, finite, max_abs, mul, mul_vec, normalise, rotation};
 use super::sh;
 use super::tiles::{self, TileRect};
 use super::view::{Cloud, View};
 use crate::types::RenderSettings;
 use rayon::prelude::*;
+
+/// Positions (in the camera's frame) and colours beyond this count as not finite: products of them in
+/// the gradients would overflow f32.
+pub const LARGEST: f64 = 1e18;
 
 /// Shorter quaternions count as zero, and their Gaussian is culled.
 pub const MIN_QUATERNION: f64 = 1e-10;
@@ -95,9 +97,10 @@ pub(super) fn geometry<R: Real>(
     settings: &RenderSettings,
 ) -> Option<Geometry<R>> {
     let setting = |x: f32| R::of(f64::from(x));
-    let point = add(mul_vec(&view.rotation, cloud.positions[index]), view.translation);
+    let point = mul_vec(&view.rotation, view.sight(cloud.positions[index]));
     let scales = cloud.log_scales[index].map(R::exp);
     let usable = finite(point)
+        && max_abs(point) <= R::of(LARGEST)
         && point[2] > setting(settings.near)
         && finite(cloud.log_scales[index])
         && finite(scales)
@@ -176,8 +179,7 @@ pub(super) fn sigmoid<R: Real>(x: R) -> R {
 
 /// The vector from the camera's centre to the Gaussian, world frame: its length and direction.
 pub(super) fn sight<R: Real>(position: Vec3<R>, view: &View<R>) -> Option<(R, Vec3<R>)> {
-    let centre = scale(tmul_vec(&view.rotation, view.translation), -R::one());
-    normalise(sub(position, centre))
+    normalise(view.sight(position))
 }
 
 fn splat<R: Real>(
@@ -203,7 +205,8 @@ fn splat<R: Real>(
 
     let (_, direction) = sight(cloud.positions[index], view)?;
     let colour = sh::colour(cloud.sh_of(index), direction);
-    if !finite(colour) {
+    let small = cloud.sh_of(index).iter().all(|&c| max_abs(c) <= R::of(LARGEST));
+    if !finite(colour) || !small {
         return None;
     }
     let colour = colour.map(|c| c.max(R::zero()));

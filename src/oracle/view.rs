@@ -1,7 +1,7 @@
 //! What the renderer reads of a scene: the Gaussians and the camera, in the oracle's number type.
 
 use super::Real;
-use super::linear::{Mat3, Vec3};
+use super::linear::{Mat3, Vec3, sub};
 use crate::types::{Camera, Gaussians, Pose, sh_coefficients};
 use glam::{DQuat, DVec3};
 
@@ -71,8 +71,11 @@ impl<R: Real> Cloud<R> {
 pub struct View<R> {
     /// Rotation of `view_from_world`.
     pub rotation: Mat3<R>,
-    /// Translation of `view_from_world`.
-    pub translation: Vec3<R>,
+    /// The camera's centre in the world.
+    pub eye: Vec3<R>,
+    /// What rounding the centre to R left: far from the origin the difference to a point nearby
+    /// needs it.
+    pub eye_rest: Vec3<R>,
     /// Focal lengths along x and y, pixels.
     pub focal: [R; 2],
     /// Principal point from the image's upper left corner, pixels.
@@ -88,14 +91,24 @@ impl<R: Real> View<R> {
     pub fn new(camera: &Camera) -> View<R> {
         let matrix = camera.view_from_world.rotation_matrix().transpose();
         let i = camera.intrinsics;
+        let centre = camera.centre().to_array();
+        let eye = centre.map(R::of);
         View {
             rotation: matrix.to_cols_array_2d().map(|row| row.map(R::of)),
-            translation: camera.view_from_world.translation.to_array().map(R::of),
+            eye,
+            eye_rest: std::array::from_fn(|k| R::of(centre[k] - eye[k].f64())),
             focal: [R::of(i.fx), R::of(i.fy)],
             centre: [R::of(i.cx), R::of(i.cy)],
             width: i.width,
             height: i.height,
         }
+    }
+}
+
+impl<R: Real> View<R> {
+    /// From the camera's centre to a point, world frame.
+    pub(super) fn sight(&self, point: Vec3<R>) -> Vec3<R> {
+        sub(sub(point, self.eye), self.eye_rest)
     }
 }
 

@@ -22,7 +22,6 @@ pub const MAY_SEE: &[(&str, &[&str])] = &[
     // A scene's frames by the ops, for training and for users.
     ("renderer", &["error", "types", "gpu", "ops", "scene"]),
     ("report", &["error", "types", "io"]),
-    ("check", &["error", "types", "gpu", "kernels", "oracle", "ops", "report"]),
     ("observe", &["error", "types", "io", "gpu", "ops", "geometry", "data"]),
     ("track", &["error", "types", "io", "gpu", "ops", "geometry", "data", "observe"]),
     (
@@ -30,6 +29,14 @@ pub const MAY_SEE: &[(&str, &[&str])] = &[
         &[
             "error", "types", "io", "gpu", "ops", "geometry", "data", "observe", "track", "scene",
             "eval", "renderer",
+        ],
+    ),
+    // Judges every part, so it sees every part; nothing but the command line sees it.
+    (
+        "check",
+        &[
+            "error", "types", "io", "gpu", "kernels", "oracle", "ops", "geometry", "scene", "data",
+            "report", "train",
         ],
     ),
     // Ops and pipelines against the oracle and against the clock: it sees what it measures.

@@ -1,0 +1,151 @@
+//! One output held against the truth: how far it lies, and whether that is within its bound.
+
+/// How far an output may lie from the truth: `absolute + relative · |truth|`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bound {
+    /// In the output's unit.
+    pub absolute: f64,
+    /// As a share of the truth.
+    pub relative: f64,
+}
+
+impl Bound {
+    /// Not at all.
+    pub const ZERO: Bound = Bound { absolute: 0.0, relative: 0.0 };
+}
+
+/// One output held against the truth.
+#[derive(Clone, Debug)]
+pub struct Finding {
+    /// What was compared.
+    pub output: String,
+    /// How many values.
+    pub count: usize,
+    /// What it was held to; `None` where only equality will do.
+    pub bound: Option<Bound>,
+    /// Largest difference from the oracle in f64.
+    pub worst_absolute: f64,
+    /// Largest difference as a share of the truth.
+    pub worst_relative: f64,
+    /// Largest difference in units of the last place of the truth as f32, among the values whose
+    /// bound is mostly relative: around 0 a unit says nothing. `None` where there is no such value.
+    pub worst_ulp: Option<f64>,
+    /// Largest difference as a share of the bound: above 1 fails.
+    pub worst_of_bound: f64,
+    /// Where the largest share lies.
+    pub worst_at: usize,
+    /// Largest difference of the oracle in f32 from that in f64, where it was given.
+    pub oracle_f32_absolute: Option<f64>,
+    /// The same as a share of the bound: above 1, f32 itself cannot do it.
+    pub oracle_f32_of_bound: Option<f64>,
+    /// Whether all values stay within the bound.
+    pub passed: bool,
+}
+
+/// Equality, element by element.
+pub(super) fn exact<T: PartialEq>(output: &str, device: &[T], truth: &[T]) -> Finding {
+    let wrong = (0..device.len().max(truth.len())).find(|&i| device.get(i) != truth.get(i));
+    let worst = if wrong.is_some() { f64::INFINITY } else { 0.0 };
+    Finding {
+        output: output.to_owned(),
+        count: truth.len(),
+        bound: None,
+        worst_absolute: worst,
+        worst_relative: worst,
+        worst_ulp: None,
+        worst_of_bound: worst,
+        worst_at: wrong.unwrap_or(0),
+        oracle_f32_absolute: None,
+        oracle_f32_of_bound: None,
+        passed: wrong.is_none(),
+    }
+}
+
+/// Floats against the oracle in f64. NaN fails, and so does an infinity that the truth is not.
+pub(super) fn close(output: &str, values: &[f32], truth: &[f64], bound: Bound) -> Finding {
+    compare(output, values, truth, |_| bound)
+}
+
+/// The same, each value with a limit of its own: what rounding can do to it. The finding's bound is
+/// the limit of the value nearest to its own.
+pub(super) fn within(output: &str, values: &[f32], truth: &[f64], limits: &[f64]) -> Finding {
+    compare(output, values, truth, |at| Bound { absolute: limits[at], relative: 0.0 })
+}
+
+fn compare(
+    output: &str,
+    values: &[f32],
+    truth: &[f64],
+    bound_at: impl Fn(usize) -> Bound,
+) -> Finding {
+    let mut finding = Finding {
+        output: output.to_owned(),
+        count: truth.len(),
+        bound: Some(if truth.is_empty() { Bound::ZERO } else { bound_at(0) }),
+        worst_absolute: 0.0,
+        worst_relative: 0.0,
+        worst_ulp: None,
+        worst_of_bound: if values.len() == truth.len() { 0.0 } else { f64::INFINITY },
+        worst_at: 0,
+        oracle_f32_absolute: None,
+        oracle_f32_of_bound: None,
+        passed: false,
+    };
+    for (at, (&value, &truth)) in values.iter().zip(truth).enumerate() {
+        let difference = (f64::from(value) - truth).abs();
+        let difference = if f64::from(value) == truth { 0.0 } else { difference };
+        let difference = if difference.is_nan() { f64::INFINITY } else { difference };
+        let bound = bound_at(at);
+        let share = difference / (bound.absolute + bound.relative * truth.abs());
+        let share = if difference == 0.0 { 0.0 } else { share };
+        finding.worst_absolute = finding.worst_absolute.max(difference);
+        finding.worst_relative = finding.worst_relative.max(difference / truth.abs().max(1e-300));
+        if bound.relative * truth.abs() > bound.absolute {
+            let ulp = difference / last_place(truth);
+            finding.worst_ulp = Some(finding.worst_ulp.map_or(ulp, |worst| worst.max(ulp)));
+        }
+        if share > finding.worst_of_bound {
+            finding.worst_of_bound = share;
+            finding.worst_at = at;
+            finding.bound = Some(bound);
+        }
+    }
+    finding.passed = finding.worst_of_bound <= 1.0;
+    finding
+}
+
+/// The step from a number's f32 to the next larger one.
+fn last_place(truth: f64) -> f64 {
+    let value = (truth.abs() as f32).min(f32::MAX);
+    f64::from(f32::from_bits(value.to_bits() + 1).min(f32::MAX))
+        - f64::from(value.min(f32::MAX.next_down()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const BOUND: Bound = Bound { absolute: 1e-6, relative: 1e-3 };
+
+    #[test]
+    fn only_what_is_near_the_truth_passes() {
+        let passes = |value: f32, truth: f64| close("x", &[value], &[truth], BOUND).passed;
+        assert!(passes(1.0005, 1.0) && !passes(1.002, 1.0));
+        assert!(passes(5e-7, 0.0) && !passes(2e-6, 0.0));
+        assert!(passes(f32::INFINITY, f64::INFINITY));
+        assert!(!passes(f32::NAN, 1.0) && !passes(1.0, f64::NAN) && !passes(f32::NAN, f64::NAN));
+        assert!(!passes(f32::INFINITY, 1.0) && !passes(f32::NEG_INFINITY, f64::INFINITY));
+        assert!(!close("x", &[1.0], &[1.0, 2.0], BOUND).passed, "a length that differs");
+        assert!(!exact("x", &[1u32], &[1, 2]).passed && exact("x", &[1u32], &[1]).passed);
+    }
+
+    #[test]
+    fn units_in_the_last_place() {
+        let ulp = |value: f32, truth: f64| close("x", &[value], &[truth], BOUND).worst_ulp;
+        assert_eq!(ulp(1.0f32.next_up(), 1.0), Some(1.0));
+        assert_eq!(ulp(1e30f32.next_up().next_up(), f64::from(1e30f32)), Some(2.0));
+        assert_eq!(ulp(1e-9, 0.0), None, "around 0 the bound is absolute");
+        assert!(ulp(f32::MAX, f64::from(f32::MAX)).is_some_and(|ulp| ulp == 0.0));
+        assert!(ulp(f32::INFINITY, f64::from(f32::MAX)).is_some_and(f64::is_infinite));
+    }
+}

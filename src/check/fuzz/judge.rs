@@ -1,0 +1,168 @@
+//! Whether the device did to a scene what the oracle does.
+
+use super::FuzzScene;
+use crate::check::scene::{
+    Backward, Forward, Frame, all_finite, contested, random_gradient, widen,
+};
+use crate::error::Result;
+use crate::gpu::{Device, Stream};
+use crate::oracle::Real;
+use crate::oracle::raster::Pixels;
+use crate::oracle::render::{self, Rendered};
+use crate::oracle::view::{Cloud, View};
+use crate::types::RenderSettings;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// A pixel that hangs on a decision as near as this is not compared.
+const BAND: f64 = 1e-3;
+/// Image and gradients, as shares of the largest value: as the cases of the render family hold them.
+const IMAGE: f64 = 1e-5;
+const GRADIENT: f64 = 1e-4;
+/// How much farther than its own sensitivity, or than the oracle in f32, an answer may lie.
+const SLACK: f64 = 32.0;
+/// Beyond this an f32 is close to its end, and products of it are over it.
+const LARGE: f64 = 1e18;
+
+/// A scene's answers, by kind, flat.
+struct Answers<R> {
+    kinds: Vec<(&'static str, Vec<R>)>,
+    drawn: Vec<bool>,
+}
+
+/// What is wrong with the device's answer, in words; none if it is as it should be.
+///
+/// # Errors
+/// A failed Vulkan call.
+pub fn judge(device: &Device, stream: &mut Stream, scene: &FuzzScene) -> Result<Option<String>> {
+    let settings = RenderSettings::default();
+    let (width, height) = (scene.camera.intrinsics.width, scene.camera.intrinsics.height);
+    let cloud = Cloud::<f64>::new(&scene.gaussians);
+    let view = View::<f64>::new(&scene.camera);
+    let rendered = render::forward(&cloud, &view, &settings);
+    let skip = contested(&rendered.splats, &rendered.bins, &settings, width, height, BAND);
+    let mut rng = ChaCha8Rng::seed_from_u64(scene.seed);
+    let gradient = random_gradient(&mut rng, &skip);
+
+    let tiles = (width.div_ceil(16) * height.div_ceil(16)) as usize;
+    let capacity = scene.gaussians.len() * tiles;
+    let mut frame =
+        Frame::new(device, stream, &scene.gaussians, &scene.camera, capacity, settings)?;
+    let forward = frame.forward(stream)?;
+    let backward = frame.backward(stream, &gradient)?;
+    if !all_finite(&forward, Some(&backward)) {
+        return Ok(Some("not finite".to_owned()));
+    }
+
+    let truth = answers(&cloud, &view, &settings, &rendered, &widen(&gradient), &skip);
+    let tame =
+        |answers: &Answers<f64>| answers.kinds.iter().flat_map(|(_, v)| v).all(|v| v.abs() < LARGE);
+    if !tame(&truth) {
+        return Ok(None);
+    }
+    let single_cloud = Cloud::<f32>::new(&scene.gaussians);
+    let single_view = View::<f32>::new(&scene.camera);
+    let single = render::forward(&single_cloud, &single_view, &settings);
+    let single = answers(&single_cloud, &single_view, &settings, &single, &gradient, &skip);
+    let mut others = vec![single.wide()];
+    for _ in 0..3 {
+        let moved = nudged(&cloud, &mut rng);
+        let again = render::forward(&moved, &view, &settings);
+        others.push(answers(&moved, &view, &settings, &again, &widen(&gradient), &skip));
+    }
+    // Where a last place decides what is drawn at all, or f32 has left its range, only finiteness
+    // can be asked for.
+    if others.iter().any(|other| other.drawn != truth.drawn || !tame(other)) {
+        return Ok(None);
+    }
+    let device = device_answers(&forward, &backward, &skip);
+    Ok(worst(&device, &truth, &others))
+}
+
+fn worst(device: &Answers<f64>, truth: &Answers<f64>, others: &[Answers<f64>]) -> Option<String> {
+    if device.drawn != truth.drawn {
+        return Some(format!("draws {:?} for {:?}", device.drawn, truth.drawn));
+    }
+    let farthest =
+        |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0f64, f64::max);
+    for (k, (kind, exact)) in truth.kinds.iter().enumerate() {
+        let largest = exact.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+        let share = if k < 2 { IMAGE * largest.max(1.0) } else { GRADIENT * largest };
+        let moves = others.iter().map(|o| farthest(&o.kinds[k].1, exact)).fold(0.0, f64::max);
+        let limit = share + SLACK * moves + 1e-30;
+        let off = farthest(&device.kinds[k].1, exact);
+        if off > limit {
+            return Some(format!("{kind} is off by {off:.3e}, at most {limit:.3e} is allowed"));
+        }
+    }
+    None
+}
+
+/// Every number moved by about a last place.
+fn nudged(cloud: &Cloud<f64>, rng: &mut ChaCha8Rng) -> Cloud<f64> {
+    let mut out = cloud.clone();
+    let mut nudge = |v: &mut f64| *v *= 1.0 + rng.random_range(-1.2e-7..1.2e-7);
+    out.positions.as_flattened_mut().iter_mut().for_each(&mut nudge);
+    out.log_scales.as_flattened_mut().iter_mut().for_each(&mut nudge);
+    out.rotations.as_flattened_mut().iter_mut().for_each(&mut nudge);
+    out.opacity_logits.iter_mut().for_each(&mut nudge);
+    out.sh.as_flattened_mut().iter_mut().for_each(&mut nudge);
+    out
+}
+
+/// Image (where nothing hangs), depth, and all gradients.
+fn answers<R: Real>(
+    cloud: &Cloud<R>,
+    view: &View<R>,
+    settings: &RenderSettings,
+    rendered: &Rendered<R>,
+    gradient: &Pixels<R>,
+    skip: &[bool],
+) -> Answers<R> {
+    let (by, by_view, _) = render::backward(cloud, view, settings, rendered, gradient);
+    let kept = || (0..skip.len()).filter(|&i| !skip[i]);
+    let p = &rendered.pixels;
+    let rgba = kept().flat_map(|i| [p.rgb[i][0], p.rgb[i][1], p.rgb[i][2], p.alpha[i]]);
+    Answers {
+        kinds: vec![
+            ("image", rgba.collect()),
+            ("depth", kept().map(|i| p.depth[i]).collect()),
+            ("gradient by position", by.positions.concat()),
+            ("gradient by log-scale", by.log_scales.concat()),
+            ("gradient by rotation", by.rotations.concat()),
+            ("gradient by opacity", by.opacity_logits),
+            ("gradient by sh", by.sh.concat()),
+            ("gradient by pose", by_view.twist.to_vec()),
+        ],
+        drawn: rendered.splats.iter().map(Option::is_some).collect(),
+    }
+}
+
+impl Answers<f32> {
+    fn wide(self) -> Answers<f64> {
+        let wide = |v: Vec<f32>| v.into_iter().map(f64::from).collect();
+        Answers {
+            kinds: self.kinds.into_iter().map(|(kind, v)| (kind, wide(v))).collect(),
+            drawn: self.drawn,
+        }
+    }
+}
+
+fn device_answers(forward: &Forward, backward: &Backward, skip: &[bool]) -> Answers<f64> {
+    let kept = || (0..skip.len()).filter(|&i| !skip[i]);
+    let g = &backward.gaussians;
+    Answers {
+        kinds: vec![
+            ("image", kept().flat_map(|i| forward.rgba[i]).collect()),
+            ("depth", kept().map(|i| forward.depth[i]).collect()),
+            ("gradient by position", g.positions.concat()),
+            ("gradient by log-scale", g.log_scales.concat()),
+            ("gradient by rotation", g.rotations.concat()),
+            ("gradient by opacity", g.opacity_logits.clone()),
+            ("gradient by sh", g.sh.concat()),
+            ("gradient by pose", backward.pose.clone()),
+        ],
+        drawn: forward.visible.iter().map(|&v| v != 0).collect(),
+    }
+    .wide()
+}

@@ -1,0 +1,9 @@
+//! Scenes that fuzzing found to fail, as `splat4d validate --fuzz` wrote them; what failed is repaired.
+
+/// Name and content.
+pub const ALL: &[(&str, &str)] = &[
+    ("ordinary", include_str!("cases/ordinary.json")),
+    // Spherical harmonics of 1e38: the colour was finite, its gradient was not.
+    ("huge coefficient", include_str!("cases/huge_coefficient.json")),
+    ("huge coefficient far away", include_str!("cases/huge_coefficient_far_away.json")),
+];

@@ -1,0 +1,150 @@
+//! How far f32 can move the gradients of blending: a running error analysis beside the oracle in f64.
+//!
+//! A bound as a share of the largest gradient is too loose for most splats and too tight for a few:
+//! what lies behind a splat is a difference of sums over the whole pixel, divided by 1 − α, which
+//! goes down to 1e-3. So each splat gets a limit of its own: to first order, worst cases added up.
+
+use crate::oracle::bin::Bins;
+use crate::oracle::project::Splat;
+use crate::oracle::project_backward::SplatGradient;
+use crate::oracle::raster::Pixels;
+use crate::oracle::tiles::power;
+use crate::types::RenderSettings;
+
+/// f32's last place, as a share.
+const EPS: f64 = 1.2e-7;
+
+/// One splat on one pixel, front to back.
+struct Layer {
+    index: usize,
+    offset: [f64; 2],
+    falloff: f64,
+    alpha: f64,
+    capped: bool,
+    transmittance: f64,
+    /// Share by which rounding moves alpha.
+    alpha_error: f64,
+    /// Share by which it moves the transmittance.
+    drift: f64,
+    /// The loss's slope by the splat's weight, and the sum of its parts' magnitudes.
+    value: f64,
+    magnitude: f64,
+}
+
+/// For every splat, how far rounding may move each gradient.
+pub fn gradient_limits(
+    splats: &[Option<Splat<f64>>],
+    bins: &Bins,
+    settings: &RenderSettings,
+    width: u32,
+    height: u32,
+    gradient: &Pixels<f64>,
+) -> Vec<SplatGradient<f64>> {
+    let mut out = vec![SplatGradient::default(); splats.len()];
+    for y in 0..height {
+        for x in 0..width {
+            let at = y as usize * width as usize + x as usize;
+            let g = (gradient.rgb[at], gradient.alpha[at], gradient.depth[at]);
+            if g != ([0.0; 3], 0.0, 0.0) {
+                let [begin, end] = bins.ranges[(y / 16 * bins.grid[0] + x / 16) as usize];
+                let listed = &bins.splats[begin as usize..end as usize];
+                let layers = layers(splats, listed, settings, [x, y], g);
+                add_limits(splats, &layers, g, &mut out);
+            }
+        }
+    }
+    out
+}
+
+fn layers(
+    splats: &[Option<Splat<f64>>],
+    listed: &[u32],
+    settings: &RenderSettings,
+    pixel: [u32; 2],
+    (g_rgb, g_alpha, g_depth): ([f64; 3], f64, f64),
+) -> Vec<Layer> {
+    let (mut transmittance, mut drift) = (1.0, 0.0);
+    let mut layers = Vec::new();
+    for &index in listed {
+        let Some(splat) = &splats[index as usize] else { continue };
+        let offset = [0, 1].map(|k| f64::from(pixel[k]) + 0.5 - splat.mean[k]);
+        let [a, b, c] = splat.conic.map(f64::abs);
+        let [dx, dy] = offset.map(f64::abs);
+        let falloff = (-power(splat.conic, offset[0], offset[1])).exp();
+        let full = splat.opacity * falloff;
+        let alpha = full.min(f64::from(settings.alpha_cap));
+        if alpha.is_nan() || alpha < f64::from(settings.alpha_cut) {
+            continue;
+        }
+        let behind = transmittance * (1.0 - alpha);
+        if behind <= f64::from(settings.transmittance_stop) {
+            break;
+        }
+        // The power's terms before they cancel, the offsets' own rounding (of up to a pixel), and
+        // the exponential, which Vulkan lets err by 3 + 2 |x| places.
+        let terms = 0.5 * (a * dx * dx + c * dy * dy) + b * dx * dy;
+        let slopes = a * dx + b * (dx + dy) + c * dy;
+        let alpha_error = EPS * (6.0 + 6.0 * terms + slopes);
+        let parts = |rgb: [f64; 3], sign: fn(f64) -> f64| {
+            let colour: f64 = (0..3).map(|k| sign(rgb[k] * splat.colour[k])).sum();
+            colour + sign(g_depth * splat.depth) + sign(g_alpha)
+        };
+        layers.push(Layer {
+            index: index as usize,
+            offset,
+            falloff,
+            alpha,
+            capped: full > f64::from(settings.alpha_cap),
+            transmittance,
+            alpha_error,
+            drift,
+            value: parts(g_rgb, |v| v),
+            magnitude: parts(g_rgb, f64::abs),
+        });
+        drift += EPS + alpha_error * alpha / (1.0 - alpha);
+        transmittance = behind;
+    }
+    layers
+}
+
+fn add_limits(
+    splats: &[Option<Splat<f64>>],
+    layers: &[Layer],
+    (g_rgb, _, g_depth): ([f64; 3], f64, f64),
+    out: &mut [SplatGradient<f64>],
+) {
+    let weight = |l: &Layer| l.alpha * l.transmittance;
+    // The pixel's total, and what summing so many terms of moved weights does to it.
+    let summing = EPS * (4.0 + (layers.len() as f64).sqrt());
+    let total_error: f64 =
+        layers.iter().map(|l| weight(l) * l.magnitude * (summing + l.drift + l.alpha_error)).sum();
+    let mut behind: f64 = layers.iter().map(|l| weight(l) * l.value).sum();
+    for layer in layers {
+        let splat = splats[layer.index].as_ref().expect("only drawn splats are listed");
+        let limit = &mut out[layer.index];
+        let moved = weight(layer) * (layer.drift + layer.alpha_error + 4.0 * EPS);
+        for k in 0..3 {
+            limit.colour[k] += moved * g_rgb[k].abs();
+        }
+        limit.depth += moved * g_depth.abs();
+        behind -= weight(layer) * layer.value;
+        if layer.capped {
+            continue;
+        }
+        let clear = 1.0 - layer.alpha;
+        let by_alpha = (layer.transmittance * layer.value - behind / clear).abs();
+        let error = layer.transmittance * layer.magnitude * (layer.drift + 4.0 * EPS)
+            + total_error / clear
+            + behind.abs() / clear * (layer.alpha * layer.alpha_error / clear + 4.0 * EPS)
+            + by_alpha * (layer.alpha_error + 4.0 * EPS);
+        limit.opacity += error * layer.falloff;
+        let [dx, dy] = layer.offset.map(f64::abs);
+        let [a, b, c] = splat.conic.map(f64::abs);
+        let by_power = error * layer.alpha;
+        limit.conic[0] += by_power * 0.5 * dx * dx;
+        limit.conic[1] += by_power * dx * dy;
+        limit.conic[2] += by_power * 0.5 * dy * dy;
+        limit.mean[0] += by_power * (a * dx + b * dy);
+        limit.mean[1] += by_power * (b * dx + c * dy);
+    }
+}

@@ -1,0 +1,106 @@
+//! `splat4d validate --fuzz` and `--case`: scenes at random, and one of them again.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Instant;
+
+use serde_json::json;
+use splat4d::check::fuzz::{self, FuzzScene};
+use splat4d::gpu::Device;
+use splat4d::vk::DeviceInfo;
+use splat4d::{Error, Result};
+
+use super::common::{Answer, say};
+use super::interrupt;
+use super::meter::Meter;
+use super::rows::devices_json;
+
+/// Failures after which a device has shown enough.
+const ENOUGH: usize = 10;
+
+/// Judges `count` scenes on every device; failures are shrunk and written into the working folder.
+pub fn run(devices: &[(DeviceInfo, Device)], count: u64, seed: u64) -> Result<(Answer, ExitCode)> {
+    let started = Instant::now();
+    let mut meter = Meter::new("fuzz", "scenes", count * devices.len() as u64, 0);
+    let (mut failures, mut judged, mut text) = (Vec::new(), 0, String::new());
+    for (info, device) in devices {
+        let (mut next, mut found) = (0, 0);
+        while next < count && found < ENOUGH {
+            let failure = fuzz::run(device, seed, next..count, &mut || {
+                meter.advance();
+                interrupt::check()
+            })?;
+            let messages = device.take_validation_messages();
+            if !messages.is_empty() {
+                return Err(Error::Failed(format!(
+                    "the validation layer complains on {}:\n{}",
+                    info.name,
+                    messages.join("\n")
+                )));
+            }
+            let Some(failure) = failure else {
+                judged += count - next;
+                break;
+            };
+            judged += failure.index + 1 - next;
+            next = failure.index + 1;
+            found += 1;
+            meter.advance();
+            let path = PathBuf::from(format!("fuzz-{seed}-{}.json", failure.index));
+            std::fs::write(&path, fuzz::file::text(&failure.scene)).map_err(Error::io(&path))?;
+            let line = format!(
+                "{}: scene {} of seed {seed}: {}; again: splat4d validate --device {} --case {}",
+                info.name,
+                failure.index,
+                failure.what,
+                info.index,
+                path.display()
+            );
+            say(&line);
+            text += &format!("{line}\n");
+            failures.push(json!({
+                "device": info.index,
+                "scene": failure.index,
+                "what": failure.what,
+                "file": path.to_string_lossy(),
+            }));
+        }
+    }
+    drop(meter);
+    let (failed, seconds) = (failures.len(), started.elapsed().as_secs_f64());
+    text += &format!("{judged} scenes, {failed} failed, {seconds:.1} s\n");
+    let infos: Vec<DeviceInfo> = devices.iter().map(|(info, _)| info.clone()).collect();
+    let json = json!({
+        "cases": judged,
+        "failed": failed,
+        "seconds": seconds,
+        "devices": devices_json(&infos),
+        "rows": failures,
+    });
+    Ok((Answer { json, text }, ExitCode::from(u8::from(failed > 0))))
+}
+
+/// Judges one scene's file on every device.
+pub fn repeat(devices: &[(DeviceInfo, Device)], path: &Path) -> Result<(Answer, ExitCode)> {
+    let started = Instant::now();
+    let scene: FuzzScene = fuzz::file::read(path)?;
+    let (mut rows, mut text, mut failed) = (Vec::new(), String::new(), 0);
+    for (info, device) in devices {
+        let wrong = fuzz::judge(device, &mut device.stream()?, &scene)?;
+        let messages = device.take_validation_messages();
+        let wrong = wrong.or_else(|| messages.into_iter().next());
+        failed += usize::from(wrong.is_some());
+        let what = wrong.as_deref().unwrap_or("as the oracle");
+        text += &format!("{}: {what}\n", info.name);
+        rows.push(json!({ "device": info.index, "what": wrong, "file": path.to_string_lossy() }));
+    }
+    let infos: Vec<DeviceInfo> = devices.iter().map(|(info, _)| info.clone()).collect();
+    let json = json!({
+        "cases": rows.len(),
+        "failed": failed,
+        "seconds": started.elapsed().as_secs_f64(),
+        "devices": devices_json(&infos),
+        "rows": rows,
+    });
+    Ok((Answer { json, text }, ExitCode::from(u8::from(failed > 0))))
+}

@@ -1,0 +1,170 @@
+//! What `validate` found out about a case on a device: for machines, and for people.
+
+use std::fmt::Write;
+
+use serde_json::{Value, json};
+use splat4d::check::{Expect, Finding, Outcome, Verdict, verdict};
+use splat4d::vk::DeviceInfo;
+
+/// One case on one device.
+pub struct Row {
+    device: usize,
+    outcome: Outcome,
+    messages: Vec<String>,
+    verdict: Verdict<'static>,
+    seconds: f64,
+}
+
+/// Failed comparisons that are printed for a case; the JSON has all.
+const SHOWN: usize = 5;
+
+impl Row {
+    /// Judges an outcome.
+    pub fn new(
+        info: &DeviceInfo,
+        outcome: Outcome,
+        messages: Vec<String>,
+        seconds: f64,
+        expected: &'static [Expect],
+    ) -> Row {
+        let verdict = verdict(&outcome, messages.is_empty(), &info.driver, expected);
+        Row { device: info.index, outcome, messages, verdict, seconds }
+    }
+
+    /// Whether validation may go green with it.
+    pub fn is_fine(&self) -> bool {
+        self.verdict.is_fine()
+    }
+
+    fn result(&self) -> (&'static str, Option<&str>) {
+        match &self.verdict {
+            Verdict::Passed => ("passed", None),
+            Verdict::Failed => ("failed", None),
+            Verdict::KnownFault(fault) => ("known fault", Some(fault.reason)),
+            Verdict::FaultGone(fault) => ("fault gone", Some(fault.reason)),
+        }
+    }
+
+    /// The comparison nearest to its bound, or farthest beyond it.
+    fn worst(&self) -> Option<&Finding> {
+        let findings = self.outcome.findings.iter().filter(|f| f.bound.is_some() || !f.passed);
+        findings.max_by(|a, b| a.worst_of_bound.total_cmp(&b.worst_of_bound))
+    }
+
+    fn failures(&self) -> impl Iterator<Item = &Finding> {
+        self.outcome.findings.iter().filter(|finding| !finding.passed)
+    }
+
+    /// For machines.
+    pub fn json(&self) -> Value {
+        let (result, reason) = self.result();
+        json!({
+            "device": self.device,
+            "case": self.outcome.id,
+            "result": result,
+            "reason": reason,
+            "seed": self.outcome.seed,
+            "seconds": self.seconds,
+            "comparisons": self.outcome.findings.len(),
+            "worst": self.worst().map(finding_json),
+            "failures": self.failures().map(finding_json).collect::<Vec<_>>(),
+            "error": self.outcome.error.as_ref().map(ToString::to_string),
+            "messages": self.messages,
+        })
+    }
+
+    /// For people: a line, and what failed below it.
+    fn text(&self) -> String {
+        let (result, reason) = self.result();
+        let mut text = format!("  {:<44} {result:<11} {:>6.1} s", self.outcome.id, self.seconds);
+        match self.worst() {
+            Some(f) => {
+                let ulp = f.worst_ulp.map_or("-".to_owned(), |ulp| format!("{ulp:.1}"));
+                let own =
+                    f.oracle_f32_of_bound.map_or("-".to_owned(), |share| format!("{share:.3}"));
+                let _ = write!(
+                    text,
+                    "  {:>9.2e} {:>9.2e} {ulp:>9} {:>8.3} {own:>10}",
+                    f.worst_absolute, f.worst_relative, f.worst_of_bound
+                );
+            }
+            None => text += &format!("  {:>9}", "exact"),
+        }
+        text += "\n";
+        let mut line = |what: String| text += &format!("      {what}\n");
+        reason.into_iter().for_each(|reason| line(format!("expected: {reason}")));
+        self.outcome.error.iter().for_each(|error| line(format!("error: {error}")));
+        self.messages.iter().for_each(|message| line(format!("validation layer: {message}")));
+        self.failures().take(SHOWN).for_each(|finding| line(blame(finding)));
+        let more = self.failures().count().saturating_sub(SHOWN);
+        if more > 0 {
+            line(format!("and {more} more"));
+        }
+        if !self.is_fine() {
+            let (id, seed) = (self.outcome.id, self.outcome.seed);
+            line(format!("again: splat4d validate --filter {id} --seed {seed}"));
+        }
+        text
+    }
+}
+
+/// What is wrong with an output, and who is to blame.
+fn blame(f: &Finding) -> String {
+    let Some(bound) = f.bound else {
+        return format!("{}: differs at {} of {}", f.output, f.worst_at, f.count);
+    };
+    let own = match f.oracle_f32_of_bound {
+        Some(share) if share <= 1.0 => "; f32 itself stays within it",
+        Some(_) => "; f32 itself misses it too",
+        None => "",
+    };
+    format!(
+        "{}: off by {:.3e} ({:.3e} of the truth), {:.3} times the bound of {:e} + {:e} of the truth, \
+         at {} of {}{own}",
+        f.output,
+        f.worst_absolute,
+        f.worst_relative,
+        f.worst_of_bound,
+        bound.absolute,
+        bound.relative,
+        f.worst_at,
+        f.count
+    )
+}
+
+fn finding_json(f: &Finding) -> Value {
+    let bound = f.bound.map(|b| json!({ "absolute": b.absolute, "relative": b.relative }));
+    json!({
+        "output": f.output,
+        "values": f.count,
+        "bound": bound,
+        "absolute": f.worst_absolute,
+        "relative": f.worst_relative,
+        "ulp": f.worst_ulp,
+        "of_bound": f.worst_of_bound,
+        "at": f.worst_at,
+        "oracle_f32_absolute": f.oracle_f32_absolute,
+        "oracle_f32_of_bound": f.oracle_f32_of_bound,
+    })
+}
+
+/// All rows, device by device.
+pub fn table(devices: &[DeviceInfo], rows: &[Row]) -> String {
+    let mut text = String::new();
+    for info in devices {
+        let _ = writeln!(text, "{}  {} ({})", info.index, info.name, info.driver);
+        let _ = writeln!(
+            text,
+            "  {:<44} {:<11} {:>8}  {:>9} {:>9} {:>9} {:>8} {:>10}",
+            "case", "result", "time", "absolute", "relative", "ulp", "of bound", "f32 itself"
+        );
+        rows.iter().filter(|row| row.device == info.index).for_each(|row| text += &row.text());
+    }
+    text
+}
+
+/// The devices, for machines.
+pub fn devices_json(devices: &[DeviceInfo]) -> Value {
+    let one = |info: &DeviceInfo| json!({ "index": info.index, "name": info.name, "driver": info.driver });
+    devices.iter().map(one).collect()
+}

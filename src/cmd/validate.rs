@@ -1,0 +1,167 @@
+//! `splat4d validate`.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Instant;
+
+use clap::Args;
+use serde_json::json;
+use splat4d::check::{self, Case, EXPECTED};
+use splat4d::gpu::{Device, DeviceKind, Request, Selector};
+use splat4d::vk::{self, DeviceInfo};
+use splat4d::{Error, Result};
+
+use super::common::{Answer, Common, say};
+use super::fuzz;
+use super::interrupt;
+use super::meter::Meter;
+use super::rows::{Row, devices_json, table};
+
+const AFTER_HELP: &str = "\
+Every kernel runs on the device and is held against the CPU's f64 oracle, on ordinary and on hard
+inputs, twice, with poisoned outputs between guard words. A case fails that misses its bound, writes
+outside of its outputs, gives other bits the second time, or makes the validation layer speak.
+\"f32 itself\" is the error of the same oracle in f32: where it misses the bound too, the device is not
+to blame. Exit code 1 on any failure.
+
+Examples:
+  splat4d validate --device all
+  splat4d validate --quick --validation
+  splat4d validate --filter sort/ --filter render/needles --seed 7
+  splat4d validate --fuzz 10000 --seed 3
+
+JSON: cases, failed, seconds, quick, validation, devices [{index, name, driver}], and rows, one for each
+case and device: {device (index), case, result (passed, failed, known fault, fault gone), reason, seed,
+seconds, comparisons, worst, failures, error, messages}. worst, and each of failures, is {output,
+values, bound {absolute, relative}, absolute, relative, ulp, of_bound, at, oracle_f32_absolute,
+oracle_f32_of_bound}; worst is the output nearest to its bound. bound is null where only equality
+counts; null also stands for what is infinite or does not apply. With --fuzz and --case: cases (scenes
+judged), failed, seconds, devices, and rows: {device, what, file} and with --fuzz scene, its number.";
+
+/// Check every kernel of a device, or of all devices, against the oracle
+#[derive(Args)]
+#[command(after_help = AFTER_HELP)]
+pub struct ValidateArgs {
+    /// Only a quick case or two for every kernel: under a minute on a software driver
+    #[arg(long)]
+    quick: bool,
+    /// Only cases whose name holds this; several add up
+    #[arg(long, value_name = "TEXT")]
+    filter: Vec<String>,
+    /// Turn the Khronos validation layer on, with synchronization validation; any message fails
+    #[arg(long)]
+    validation: bool,
+    /// Judge so many small scenes of ordinary and poisoned values instead; --seed chooses them. One
+    /// that fails is shrunk and written to fuzz-SEED-SCENE.json
+    #[arg(long, value_name = "N", conflicts_with_all = ["quick", "filter"])]
+    fuzz: Option<u64>,
+    /// Judge the scene of such a file again instead
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["quick", "filter", "fuzz"])]
+    case: Option<PathBuf>,
+}
+
+/// Runs the command. The exit code says whether all is well; an error, that it could not be found
+/// out.
+pub fn run(args: &ValidateArgs, common: &Common) -> Result<(Answer, ExitCode)> {
+    let infos = devices(common)?;
+    if args.fuzz.is_some() || args.case.is_some() {
+        let open = |info: &DeviceInfo| Ok((info.clone(), open(info, args.validation)?));
+        let devices = infos.iter().map(open).collect::<Result<Vec<_>>>()?;
+        return match &args.case {
+            Some(path) => fuzz::repeat(&devices, path),
+            None => fuzz::run(&devices, args.fuzz.unwrap_or(0), common.seed),
+        };
+    }
+    let started = Instant::now();
+    let cases = chosen(args)?;
+    let mut meter = Meter::new("validate", "cases", (cases.len() * infos.len()) as u64, 0);
+    let mut rows = Vec::new();
+    for (place, info) in infos.iter().enumerate() {
+        let mut bench = Bench { info, validation: args.validation, device: None };
+        for case in cases.iter().filter(|case| place == 0 || !case.kernels.is_empty()) {
+            interrupt::check()?;
+            meter.message(case.id.to_owned());
+            let row = bench.row(case, common.seed)?;
+            if !row.is_fine() {
+                say(&format!("{}: {} failed", info.name, case.id));
+            }
+            rows.push(row);
+            meter.advance();
+        }
+    }
+    drop(meter);
+    let failed = rows.iter().filter(|row| !row.is_fine()).count();
+    let seconds = started.elapsed().as_secs_f64();
+    let mut text = table(&infos, &rows);
+    text += &format!("{} cases, {failed} failed, {seconds:.1} s\n", rows.len());
+    let json = json!({
+        "cases": rows.len(),
+        "failed": failed,
+        "seconds": seconds,
+        "quick": args.quick,
+        "validation": args.validation,
+        "devices": devices_json(&infos),
+        "rows": rows.iter().map(Row::json).collect::<Vec<_>>(),
+    });
+    Ok((Answer { json, text }, ExitCode::from(u8::from(failed > 0))))
+}
+
+fn chosen(args: &ValidateArgs) -> Result<Vec<&'static Case>> {
+    let wanted = |case: &&Case| {
+        (!args.quick || check::QUICK.contains(&case.id))
+            && (args.filter.is_empty() || args.filter.iter().any(|part| case.id.contains(part)))
+    };
+    let cases: Vec<&Case> =
+        check::ALL.iter().flat_map(|cases| cases.iter()).filter(wanted).collect();
+    if cases.is_empty() {
+        let families: Vec<_> =
+            check::ALL.iter().filter_map(|cases| cases[0].id.split('/').next()).collect();
+        return Err(Error::Input(format!(
+            "no case is called so; a name is FAMILY/CASE, the families are {}",
+            families.join(", ")
+        )));
+    }
+    Ok(cases)
+}
+
+/// The devices that `--device` means: `all` is every one that the loader shows.
+fn devices(common: &Common) -> Result<Vec<DeviceInfo>> {
+    if common.device == "all" {
+        return vk::enumerate();
+    }
+    let selector = Selector::from(common.device.as_str());
+    let asked = selector != Selector::Best;
+    let info = Device::open(&Request { selector, ..Request::default() })?.info().clone();
+    if !asked && info.kind == DeviceKind::Software {
+        say(&format!("note: no GPU found, {} is validated", info.name));
+    }
+    Ok(vec![info])
+}
+
+fn open(info: &DeviceInfo, validation: bool) -> Result<Device> {
+    Device::open(&Request { selector: Selector::Index(info.index), validation, limits: None })
+}
+
+/// A device under test; opened anew where a case has lost it.
+struct Bench<'a> {
+    info: &'a DeviceInfo,
+    validation: bool,
+    device: Option<Device>,
+}
+
+impl Bench<'_> {
+    fn row(&mut self, case: &Case, seed: u64) -> Result<Row> {
+        let started = Instant::now();
+        let device = match self.device.take() {
+            Some(device) => device,
+            None => open(self.info, self.validation)?,
+        };
+        let outcome = check::run(case, &device, seed);
+        let messages = device.take_validation_messages();
+        if !matches!(outcome.error, Some(Error::DeviceLost { .. })) {
+            self.device = Some(device);
+        }
+        let seconds = started.elapsed().as_secs_f64();
+        Ok(Row::new(self.info, outcome, messages, seconds, EXPECTED))
+    }
+}

@@ -1,0 +1,8 @@
+//! A little fuzzing, and the scenes that failed once.
+
+mod common;
+
+#[test]
+fn cases() {
+    common::run("fuzz");
+}

@@ -1,0 +1,181 @@
+//! Validation notices what is wrong: for ten kernels, a module with one planted fault makes the cases
+//! of that kernel's family fail; and the lists behind `splat4d validate` are whole.
+
+mod common;
+
+use std::collections::BTreeSet;
+
+use rspirv::binary::Assemble;
+use rspirv::dr::{Module, load_words};
+use rspirv::spirv::Op;
+use splat4d::check::{self, Case};
+use splat4d::gpu::Device;
+use splat4d::kernels;
+
+fn cases() -> impl Iterator<Item = &'static Case> {
+    check::ALL.iter().flat_map(|cases| cases.iter())
+}
+
+/// A fault, planted in every place of its kind that `places` names; all of them where it is empty.
+struct Fault {
+    kernel: &'static str,
+    what: &'static str,
+    from: Op,
+    to: Option<Op>,
+    places: &'static [usize],
+}
+
+const fn fault(
+    kernel: &'static str,
+    what: &'static str,
+    from: Op,
+    to: Option<Op>,
+    places: &'static [usize],
+) -> Fault {
+    Fault { kernel, what, from, to, places }
+}
+
+const FAULTS: &[Fault] = &[
+    fault("scan/downsweep", "a dropped barrier", Op::ControlBarrier, None, &[]),
+    fault("sort/scatter", "a dropped barrier", Op::ControlBarrier, None, &[]),
+    fault("sort/count", "an off-by-one", Op::ULessThan, Some(Op::ULessThanEqual), &[]),
+    fault("project/forward", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
+    fault("project/backward", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
+    fault("bin/emit", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
+    fault("raster/forward", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
+    fault("raster/backward", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
+    fault("loss/gradient", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
+    fault("mlp/weights", "a dropped barrier", Op::ControlBarrier, None, &[]),
+    fault("arap/fit", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
+    fault("adam/step", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
+    fault("deform/skin", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
+    fault("flow/halve", "an off-by-one", Op::IAdd, Some(Op::ISub), &[0]),
+];
+
+/// The module with the fault in it, and how many instructions changed.
+fn planted(spirv: &[u8], fault: &Fault) -> (Vec<u8>, usize) {
+    let words: Vec<u32> = bytemuck::pod_collect_to_vec(spirv);
+    let mut module: Module = load_words(&words).expect("the crate's own module");
+    let (mut seen, mut changed) = (0, 0);
+    for block in module.functions.iter_mut().flat_map(|f| &mut f.blocks) {
+        block.instructions.retain_mut(|instruction| {
+            if instruction.class.opcode != fault.from {
+                return true;
+            }
+            let here = fault.places.is_empty() || fault.places.contains(&seen);
+            seen += 1;
+            if !here {
+                return true;
+            }
+            changed += 1;
+            match fault.to {
+                Some(to) => {
+                    instruction.class = rspirv::grammar::CoreInstructionTable::get(to);
+                    true
+                }
+                None => false,
+            }
+        });
+    }
+    (bytemuck::cast_slice(&module.assemble()).to_vec(), changed)
+}
+
+fn family_fails(device: &Device, kernel: &str) -> bool {
+    let of_family =
+        |case: &&Case| case.kernels.contains(&kernel) && !case.id.starts_with("determinism/");
+    let mut ran = 0;
+    let failed = cases().filter(of_family).any(|case| {
+        ran += 1;
+        !check::run(case, device, 0).passed()
+    });
+    assert!(ran > 0, "no case covers {kernel}");
+    failed
+}
+
+#[test]
+fn a_fault_planted_in_a_kernel_makes_its_cases_fail() {
+    let device = common::device();
+    let mut unnoticed = Vec::new();
+    for fault in FAULTS {
+        let info = kernels::ALL.iter().find(|k| k.name == fault.kernel).expect("a kernel");
+        let (module, changed) = planted(info.spirv, fault);
+        assert!(changed > 0, "{}: nothing to plant {} in", fault.kernel, fault.what);
+        let faulty = device.with_module(fault.kernel, module);
+        match family_fails(&faulty, fault.kernel) {
+            true => println!("{}: {} in {changed} places is noticed", fault.kernel, fault.what),
+            false => unnoticed.push(format!("{}: {}", fault.kernel, fault.what)),
+        }
+    }
+    assert!(unnoticed.is_empty(), "not noticed:\n{}", unnoticed.join("\n"));
+    assert!(FAULTS.iter().map(|f| f.kernel).collect::<BTreeSet<_>>().len() >= 10);
+}
+
+/// The same path with the crate's own module, taken apart and put together again: it is the fault that
+/// is noticed, not the swap.
+#[test]
+fn a_module_without_a_fault_passes() {
+    let device = common::device();
+    for name in ["raster/forward", "sort/scatter"] {
+        let info = kernels::ALL.iter().find(|k| k.name == name).expect("a kernel");
+        let same = fault(name, "nothing", Op::Nop, None, &[]);
+        let (module, changed) = planted(info.spirv, &same);
+        assert_eq!(changed, 0);
+        assert!(!family_fails(&device.with_module(name, module), name), "{name}");
+    }
+}
+
+#[test]
+fn hard_and_quick_lists_name_cases_and_the_quick_set_covers_every_kernel() {
+    let ids: BTreeSet<&str> = cases().map(|case| case.id).collect();
+    let mut wrong = Vec::new();
+    for (input, listed) in check::HARD {
+        if listed.is_empty() {
+            wrong.push(format!("no case shows: {input}"));
+        }
+        for id in listed.iter().filter(|id| !ids.contains(*id)) {
+            wrong.push(format!("{input}: there is no case {id}"));
+        }
+    }
+    for id in check::QUICK.iter().filter(|id| !ids.contains(*id)) {
+        wrong.push(format!("quick: there is no case {id}"));
+    }
+    let covered: BTreeSet<&str> = cases()
+        .filter(|case| check::QUICK.contains(&case.id) && !case.id.starts_with("determinism/"))
+        .flat_map(|case| case.kernels.iter().copied())
+        .collect();
+    for kernel in kernels::ALL.iter().filter(|kernel| !covered.contains(kernel.name)) {
+        wrong.push(format!("quick: no case covers {}", kernel.name));
+    }
+    assert!(wrong.is_empty(), "\n{}", wrong.join("\n"));
+}
+
+/// The families whose ops hand back gradients.
+#[test]
+fn every_differentiable_op_is_held_against_central_differences() {
+    for family in ["arap", "deform", "density", "loss", "mlp", "render"] {
+        let id = format!("{family}/central_differences");
+        assert!(cases().any(|case| case.id == id), "there is no case {id}");
+    }
+}
+
+/// Those that need no device; `validate` runs them once.
+#[test]
+fn cases_of_the_host_pass() {
+    let device = common::device();
+    for case in cases().filter(|case| case.kernels.is_empty()) {
+        let outcome = check::run(case, &device, 0);
+        assert!(outcome.passed(), "{outcome:#?}");
+    }
+}
+
+/// As a driver's fault ends a case, not the run.
+#[test]
+fn a_panic_in_a_case_is_a_failure_with_words() {
+    fn panics(_: &mut check::Harness) -> splat4d::Result<()> {
+        panic!("on purpose")
+    }
+    let case = Case { id: "test/panics", kernels: &[], run: panics };
+    let outcome = check::run(&case, &common::device(), 0);
+    assert!(!outcome.passed());
+    assert_eq!(outcome.error.unwrap().to_string(), "panicked: on purpose");
+}
