@@ -41,9 +41,10 @@ fn row(bencher: Bencher<'_, '_>, name: &String) {
     }
     let job = RefCell::new(job);
     bencher
-        .with_inputs(|| match &mut job.borrow_mut().reset {
-            Some(reset) => reset().expect("an upload"),
-            None => (),
+        .with_inputs(|| {
+            if let Some(reset) = &mut job.borrow_mut().reset {
+                reset().expect("an upload");
+            }
         })
         .bench_local_values(|()| (job.borrow_mut().execute)().expect("a submission"));
 }

@@ -24,7 +24,7 @@ pub(super) fn entries(quick: bool) -> Vec<Entry> {
         all.push(Entry::new("sort/sort_unstable", size, move |_, s| Ok(sorted(s, n, unstable))));
     }
     let scenes: &[(usize, u32, u32)] =
-        if quick { &[(10_000, 480, 270)] } else { &[(10_000, 480, 270), (50_000, 960, 540)] };
+        if quick { &[(4000, 240, 136)] } else { &[(10_000, 480, 270), (50_000, 960, 540)] };
     for &(n, w, h) in scenes {
         let size = format!("{} Gaussians, {w}×{h}", thousands(n));
         let job = move |_: &crate::gpu::Device, seed: u64| Ok(rendered(seed, n, w, h));

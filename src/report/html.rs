@@ -110,7 +110,7 @@ fn speed_against_error(body: &mut String, sweep: &Sweep) -> Result<()> {
     );
     let largest = plot::pareto(sweep, "largest error of a channel", |e| e.max)?;
     let mean = plot::pareto(sweep, "root mean square error", |e| e.rmse)?;
-    let _ = write!(body, "<figure>{largest}</figure><figure>{mean}</figure>\n");
+    let _ = writeln!(body, "<figure>{largest}</figure><figure>{mean}</figure>");
     let (by_max, by_rmse) = (sweep.front(|e| e.max), sweep.front(|e| e.rmse));
     body.push_str(
         "<div class=\"wide\"><table><thead><tr><th>knob</th><th>value</th><th>median</th>\

@@ -27,7 +27,7 @@ fn digits(value: f64) -> String {
 /// An error: 0, or two digits and a power of ten; `∞` where nothing sensible came.
 pub fn scientific(value: f64) -> String {
     match value {
-        v if v == 0.0 => "0".into(),
+        0.0 => "0".into(),
         v if v.is_finite() => format!("{v:.1e}"),
         _ => "∞".into(),
     }

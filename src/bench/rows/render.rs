@@ -1,7 +1,7 @@
 //! The stages of rendering, forward and backward, and the loss. A stage is timed inside of the whole
 //! frame, by the timestamps of its dispatches.
 
-use super::{sizes, thousands};
+use super::thousands;
 use crate::Result;
 use crate::bench::frame::{Frame, sum};
 use crate::bench::job::{Entry, Job};
@@ -33,6 +33,9 @@ enum Stage {
 /// Gaussians, width, height.
 const SCENES: [(usize, u32, u32); 3] = [(10_000, 480, 270), (50_000, 480, 270), (50_000, 960, 540)];
 
+/// For a glance.
+const QUICK: [(usize, u32, u32); 1] = [(4000, 240, 136)];
+
 /// Floats of a Gaussian of degree 3: position, scales, rotation, opacity, harmonics.
 const PARAMETERS: u64 = 3 + 3 + 4 + 1 + (SH_BAND[0] + SH_BAND[1] + SH_BAND[2] + SH_BAND[3]) as u64;
 /// What projection writes of a splat: mean, conic, colour (4 floats each), rectangle, tile count,
@@ -57,12 +60,14 @@ pub(super) fn entries(quick: bool) -> Vec<Entry> {
         ("raster/backward", Stage::RasterBackward),
         ("project/backward", Stage::ProjectBackward),
     ] {
-        for (n, w, h) in sizes(quick, &SCENES) {
+        let scenes: &[_] = if quick { &QUICK } else { &SCENES };
+        for &(n, w, h) in scenes {
             let size = format!("{} Gaussians, {w}×{h}", thousands(n));
             all.push(Entry::new(id, size, move |d, seed| job(d, seed, (n, w, h), stage)));
         }
     }
-    for (w, h) in sizes(quick, &[(480u32, 270u32), (960, 540)]) {
+    let images: &[(u32, u32)] = if quick { &[(240, 136)] } else { &[(480, 270), (960, 540)] };
+    for &(w, h) in images {
         all.push(Entry::new("loss/photometric", format!("{w}×{h}"), move |d, seed| {
             photometric(d, seed, w, h)
         }));

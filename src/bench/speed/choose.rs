@@ -1,6 +1,6 @@
 //! The fastest settings within an error.
 
-use super::{Shot, error, evaluate, knobs, settings, time};
+use super::{Shot, error, knobs, race, settings};
 use crate::bench::job::Pace;
 use crate::bench::truth;
 use crate::gpu::Device;
@@ -11,7 +11,7 @@ use crate::{Error, Result};
 
 /// The search stays below this share of the budget, since another view may err more.
 const MARGIN: f64 = 0.6;
-/// A step must save this share of the time to be taken: less is noise.
+/// A turn must save this share of the time to be taken.
 const LEAST_GAIN: f64 = 0.01;
 
 /// What of an image's error is budgeted.
@@ -55,9 +55,10 @@ pub struct Budget {
 /// The fastest settings whose error stays within the budget, found on all shots but the last, and
 /// what they do on the last, which the search has not seen.
 ///
-/// Starting from the most accurate settings, the knob is turned one position on whose turn saves
-/// most time and keeps the error within a share of the budget; until none does. `say` hears of every
-/// turn.
+/// Each knob alone is turned as far as the error stays within a share of the budget, and raced there
+/// against the most accurate settings. Those that save time are then turned together, the one that
+/// saves most first, each as far as the error of all allows, and kept where the race is won again. A
+/// race counts as won when more than three samples of four are. `say` hears of every turn kept.
 ///
 /// # Errors
 /// [`Error::Input`] for fewer than two shots or a budget that is no positive number; a scene that
@@ -83,53 +84,56 @@ pub fn choose(
     let truths: Vec<Vec<f64>> = searched.iter().map(|shot| truth::image(scene, shot)).collect();
     let on = (searched, truths.as_slice());
     let knobs = knobs(scene);
-    // The next position of each knob; the end of its positions where it cannot go further.
-    let mut next = vec![0; knobs.len()];
-    let mut tuning = Tuning::default();
-    let mut best = time(device, scene, &tuning, searched, pace)?.0.median();
-    loop {
-        let mut taken: Option<(usize, f64)> = None;
-        for (i, knob) in knobs.iter().enumerate() {
-            if next[i] == knob.positions.len() {
-                continue;
+    let allowed = |tuning: &Tuning| -> Result<bool> {
+        let error = error(device, scene, tuning, on)?;
+        Ok(budget.measure.of(&error) <= MARGIN * budget.error)
+    };
+    // How much of the time `to` saves, where that is more than noise.
+    let gain = |from: &Tuning, to: &Tuning| -> Result<Option<f64>> {
+        let ratios = race(device, scene, [from, to], searched, pace)?;
+        let won = ratios.quantile(0.75) < 1.0 && ratios.median() < 1.0 - LEAST_GAIN;
+        Ok(won.then(|| ratios.median()))
+    };
+    let exact = Tuning::default();
+    let mut useful = Vec::new();
+    for knob in &knobs {
+        let mut furthest = None;
+        for position in 0..knob.positions.len() {
+            if !allowed(&knob.turn(&exact, position))? {
+                break;
             }
-            let turned = knob.turn(&tuning, next[i]);
-            let error = error(device, scene, &turned, on)?;
-            if budget.measure.of(&error) > MARGIN * budget.error {
-                // Further positions err more, and so do all with more given up elsewhere.
-                next[i] = knob.positions.len();
-                continue;
-            }
-            let (spread, _) = time(device, scene, &turned, searched, pace)?;
-            // Where more than a quarter of the samples are slower than before, noise speaks.
-            let taking = if spread.quartiles()[1] < best { spread.median() } else { best };
-            if taken.is_none_or(|(_, least)| taking < least) {
-                taken = Some((i, taking));
-            }
+            furthest = Some(position);
         }
-        // A position that saves nothing may hide one behind it that does: step over it.
-        let Some((i, taking)) = taken else { break };
-        if taking < best * (1.0 - LEAST_GAIN) {
-            tuning = knobs[i].turn(&tuning, next[i]);
-            best = taking;
-            say(&format!("{} {}", knobs[i].name, knobs[i].positions[next[i]].0))?;
-            next[i] += 1;
-        } else {
-            for (i, knob) in knobs.iter().enumerate() {
-                next[i] = (next[i] + 1).min(knob.positions.len());
+        let Some(furthest) = furthest else { continue };
+        if let Some(ratio) = gain(&exact, &knob.turn(&exact, furthest))? {
+            useful.push((ratio, knob, furthest));
+        }
+    }
+    useful.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut tuning = exact;
+    for (_, knob, furthest) in useful {
+        for position in (0..=furthest).rev() {
+            let turned = knob.turn(&tuning, position);
+            if !allowed(&turned)? {
+                continue;
             }
+            if gain(&tuning, &turned)?.is_some() {
+                say(&format!("{} {}", knob.name, knob.positions[position].0))?;
+                tuning = turned;
+            }
+            break;
         }
     }
     let (unseen, truths) = ([*unseen], [truth::image(scene, unseen)]);
     let on = (unseen.as_slice(), truths.as_slice());
-    let (exact, _, _) = evaluate(device, scene, &Tuning::default(), on, pace)?;
-    let (fast, _, error) = evaluate(device, scene, &tuning, on, pace)?;
+    let error = error(device, scene, &tuning, on)?;
+    let ratios = race(device, scene, [&exact, &tuning], &unseen, pace)?;
     let choice = Choice {
         scene: name.to_owned(),
         budget: budget.error,
         measure: budget.measure.name().to_owned(),
         settings: settings(&tuning),
-        time_ratio: fast.median() / exact.median().max(f64::MIN_POSITIVE),
+        time_ratio: ratios.median(),
         met: budget.measure.of(&error) <= budget.error,
         error,
         views: searched.len(),

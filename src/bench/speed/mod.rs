@@ -27,7 +27,9 @@ pub struct Shot {
 /// A knob with its positions, from the most accurate on; each changes one field of a [`Tuning`].
 struct Knob {
     name: &'static str,
-    positions: Vec<(String, fn(&mut Tuning, f64), f64)>,
+    set: fn(&mut Tuning, f64),
+    /// In words and as a number.
+    positions: Vec<(String, f64)>,
 }
 
 impl Knob {
@@ -36,14 +38,12 @@ impl Knob {
         set: fn(&mut Tuning, f64),
         positions: impl IntoIterator<Item = (String, f64)>,
     ) -> Knob {
-        let positions = positions.into_iter().map(|(label, value)| (label, set, value)).collect();
-        Knob { name, positions }
+        Knob { name, set, positions: positions.into_iter().collect() }
     }
 
     fn turn(&self, tuning: &Tuning, position: usize) -> Tuning {
         let mut tuning = *tuning;
-        let (_, set, value) = &self.positions[position];
-        set(&mut tuning, *value);
+        (self.set)(&mut tuning, self.positions[position].1);
         tuning
     }
 }
@@ -124,18 +124,11 @@ fn error(
     Ok(ImageError { max, rmse, psnr })
 }
 
-/// The time of a frame: each sample renders every shot and is divided by their number.
-fn time(
-    device: &Device,
-    scene: &Scene,
-    tuning: &Tuning,
-    shots: &[Shot],
-    pace: Pace,
-) -> Result<(Spread, Clock)> {
+/// Renders every shot with some settings.
+fn frames(device: &Device, scene: &Scene, tuning: &Tuning, shots: &[Shot]) -> Result<Job> {
     let mut renderer = Renderer::tuned(device, scene, tuning)?;
     let shots = shots.to_vec();
-    let frames = shots.len().max(1) as f64;
-    let mut job = Job {
+    Ok(Job {
         accuracy: Accuracy { of_bound: 0.0, error: 0.0, output: String::new() },
         work: Work::default(),
         place: Place::Device,
@@ -146,11 +139,48 @@ fn time(
             }
             Ok(None)
         }),
-    };
-    let (spread, clock) = job.time(device, pace)?;
-    let each = spread.samples().iter().map(|sample| sample / frames).collect();
+    })
+}
+
+/// The time of a frame: each sample renders every shot and is divided by their number.
+fn time(
+    device: &Device,
+    scene: &Scene,
+    tuning: &Tuning,
+    shots: &[Shot],
+    pace: Pace,
+) -> Result<(Spread, Clock)> {
+    let (spread, clock) = frames(device, scene, tuning, shots)?.time(device, pace)?;
+    let count = shots.len().max(1) as f64;
+    let each = spread.samples().iter().map(|sample| sample / count).collect();
     let spread = Spread::new(each).ok_or_else(|| Error::Failed("no time was measured".into()))?;
     Ok((spread, clock))
+}
+
+/// The time with the second settings over that with the first, sample by sample in turns, so that
+/// whatever else the machine does weighs on both.
+fn race(
+    device: &Device,
+    scene: &Scene,
+    [first, second]: [&Tuning; 2],
+    shots: &[Shot],
+    pace: Pace,
+) -> Result<Spread> {
+    let mut a = frames(device, scene, first, shots)?;
+    let mut b = frames(device, scene, second, shots)?;
+    let mut ratios = Vec::new();
+    // The first round warms up.
+    let begun = std::time::Instant::now();
+    for round in 0..=pace.most {
+        let (one, other) = (a.sample(device)?.0, b.sample(device)?.0);
+        if round > 0 {
+            ratios.push(other / one.max(f64::MIN_POSITIVE));
+        }
+        if ratios.len() >= pace.least && begun.elapsed() > 2 * pace.total {
+            break;
+        }
+    }
+    Spread::new(ratios).ok_or_else(|| Error::Failed("no time was measured".into()))
 }
 
 fn settings(tuning: &Tuning) -> serde_json::Value {
@@ -193,7 +223,7 @@ pub fn sweep(
     let best = Tuning::default();
     add("", "all at their best", &best, &mut sweep)?;
     for knob in knobs(scene) {
-        for (position, (label, _, _)) in knob.positions.iter().enumerate() {
+        for (position, (label, _)) in knob.positions.iter().enumerate() {
             add(knob.name, label, &knob.turn(&best, position), &mut sweep)?;
         }
     }
