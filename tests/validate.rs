@@ -179,3 +179,62 @@ fn a_panic_in_a_case_is_a_failure_with_words() {
     assert!(!outcome.passed());
     assert_eq!(outcome.error.unwrap().to_string(), "panicked: on purpose");
 }
+
+#[cfg(feature = "cli")]
+mod command {
+    use serde_json::Value;
+    use std::process::{Command, Output};
+
+    fn validate(arguments: &[&str]) -> Output {
+        let device = std::env::var("SPLAT4D_DEVICE").unwrap_or("software".into());
+        let mut command = Command::new(env!("CARGO_BIN_EXE_splat4d"));
+        command.args(["validate", "--json", "--device", &device]).args(arguments);
+        command.output().unwrap()
+    }
+
+    fn json(output: &Output) -> Value {
+        serde_json::from_slice(&output.stdout).expect("one JSON value on stdout")
+    }
+
+    #[test]
+    fn prints_a_row_for_each_case() {
+        let output = validate(&["--filter", "scan/", "--filter", "adam/steps", "--seed", "5"]);
+        assert_eq!(output.status.code(), Some(0));
+        let answer = json(&output);
+        let rows = answer["rows"].as_array().unwrap();
+        assert_eq!((&answer["cases"], &answer["failed"]), (&rows.len().into(), &0.into()));
+        assert!(rows.len() >= 4 && answer["devices"][0]["driver"].is_string());
+        for row in rows {
+            assert_eq!((&row["result"], &row["seed"]), (&"passed".into(), &5.into()));
+            assert!(row["comparisons"].as_u64().unwrap() > 1, "{row}");
+        }
+        let steps = rows.iter().find(|row| row["case"] == "adam/steps").unwrap();
+        let worst = &steps["worst"];
+        for key in ["absolute", "relative", "of_bound", "oracle_f32_absolute"] {
+            assert!(worst[key].is_number(), "{key}: {worst}");
+        }
+        assert!(worst["bound"]["absolute"].is_number(), "{worst}");
+    }
+
+    #[test]
+    fn says_which_families_there_are() {
+        let output = validate(&["--filter", "nonsense"]);
+        assert_eq!(output.status.code(), Some(1));
+        let error = json(&output)["error"].as_str().unwrap().to_owned();
+        assert!(error.contains("FAMILY/CASE") && error.contains("raster"), "{error}");
+    }
+
+    #[test]
+    fn fuzzes_and_repeats_a_scene() {
+        let output = validate(&["--fuzz", "20", "--seed", "2"]);
+        assert_eq!(output.status.code(), Some(0));
+        assert_eq!(json(&output)["cases"], 20);
+        let cases = concat!(env!("CARGO_MANIFEST_DIR"), "/src/check/fuzz/cases");
+        let output = validate(&["--case", &format!("{cases}/ordinary.json")]);
+        assert_eq!(output.status.code(), Some(0));
+        assert_eq!(json(&output)["rows"][0]["what"], Value::Null);
+        let output = validate(&["--case", &format!("{cases}/missing.json")]);
+        assert_eq!(output.status.code(), Some(1));
+        assert!(json(&output)["error"].as_str().unwrap().contains("missing.json"));
+    }
+}

@@ -1,12 +1,14 @@
 //! Whether the device did to a scene what the oracle does.
 
 use super::FuzzScene;
+use crate::check::rounding::gradient_limits;
 use crate::check::scene::{
     Backward, Forward, Frame, all_finite, contested, random_gradient, widen,
 };
 use crate::error::Result;
 use crate::gpu::{Device, Stream};
 use crate::oracle::Real;
+use crate::oracle::project_backward::{SplatGradient, project_backward};
 use crate::oracle::raster::Pixels;
 use crate::oracle::render::{self, Rendered};
 use crate::oracle::view::{Cloud, View};
@@ -21,6 +23,10 @@ const IMAGE: f64 = 1e-5;
 const GRADIENT: f64 = 1e-4;
 /// How much farther than its own sensitivity, or than the oracle in f32, an answer may lie.
 const SLACK: f64 = 32.0;
+/// How much of what blending's rounding can do to the splats' gradients may show in the Gaussians'.
+const REACH: f64 = 4.0;
+/// Kinds of answers that are pictures; the others are gradients.
+const PICTURES: usize = 2;
 /// Beyond this an f32 is close to its end, and products of it are over it.
 const LARGE: f64 = 1e18;
 
@@ -75,11 +81,45 @@ pub fn judge(device: &Device, stream: &mut Stream, scene: &FuzzScene) -> Result<
     if others.iter().any(|other| other.drawn != truth.drawn || !tame(other)) {
         return Ok(None);
     }
+    let limits = gradient_limits(
+        &rendered.splats,
+        &rendered.bins,
+        &settings,
+        width,
+        height,
+        &widen(&gradient),
+    );
+    let mut rounding = [0.0f64; 6];
+    for _ in 0..4 {
+        // Projection's backward pass is linear: signs at random, to see how far errors reach.
+        let signed: Vec<_> = limits.iter().map(|limit| signed(limit, &mut rng)).collect();
+        let (by, by_view) = project_backward(&cloud, &view, &settings, &rendered.splats, &signed);
+        for (reach, values) in rounding.iter_mut().zip(gradients(by, by_view.twist)) {
+            *reach = values.1.iter().fold(*reach, |most, v| v.abs().max(most));
+        }
+    }
     let device = device_answers(&forward, &backward, &skip);
-    Ok(worst(&device, &truth, &others))
+    Ok(worst(&device, &truth, &others, &rounding))
 }
 
-fn worst(device: &Answers<f64>, truth: &Answers<f64>, others: &[Answers<f64>]) -> Option<String> {
+/// Every component with a sign of its own.
+fn signed(limit: &SplatGradient<f64>, rng: &mut ChaCha8Rng) -> SplatGradient<f64> {
+    let mut turn = |v: f64| if rng.random() { v } else { -v };
+    SplatGradient {
+        mean: limit.mean.map(&mut turn),
+        conic: limit.conic.map(&mut turn),
+        opacity: turn(limit.opacity),
+        depth: turn(limit.depth),
+        colour: limit.colour.map(&mut turn),
+    }
+}
+
+fn worst(
+    device: &Answers<f64>,
+    truth: &Answers<f64>,
+    others: &[Answers<f64>],
+    rounding: &[f64; 6],
+) -> Option<String> {
     if device.drawn != truth.drawn {
         return Some(format!("draws {:?} for {:?}", device.drawn, truth.drawn));
     }
@@ -87,7 +127,10 @@ fn worst(device: &Answers<f64>, truth: &Answers<f64>, others: &[Answers<f64>]) -
         |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0f64, f64::max);
     for (k, (kind, exact)) in truth.kinds.iter().enumerate() {
         let largest = exact.iter().fold(0.0f64, |m, v| m.max(v.abs()));
-        let share = if k < 2 { IMAGE * largest.max(1.0) } else { GRADIENT * largest };
+        let share = match k.checked_sub(PICTURES) {
+            None => IMAGE * largest.max(1.0),
+            Some(k) => GRADIENT * largest + REACH * rounding[k],
+        };
         let moves = others.iter().map(|o| farthest(&o.kinds[k].1, exact)).fold(0.0, f64::max);
         let limit = share + SLACK * moves + 1e-30;
         let off = farthest(&device.kinds[k].1, exact);
@@ -123,19 +166,23 @@ fn answers<R: Real>(
     let kept = || (0..skip.len()).filter(|&i| !skip[i]);
     let p = &rendered.pixels;
     let rgba = kept().flat_map(|i| [p.rgb[i][0], p.rgb[i][1], p.rgb[i][2], p.alpha[i]]);
+    let pictures = [("image", rgba.collect()), ("depth", kept().map(|i| p.depth[i]).collect())];
     Answers {
-        kinds: vec![
-            ("image", rgba.collect()),
-            ("depth", kept().map(|i| p.depth[i]).collect()),
-            ("gradient by position", by.positions.concat()),
-            ("gradient by log-scale", by.log_scales.concat()),
-            ("gradient by rotation", by.rotations.concat()),
-            ("gradient by opacity", by.opacity_logits),
-            ("gradient by sh", by.sh.concat()),
-            ("gradient by pose", by_view.twist.to_vec()),
-        ],
+        kinds: pictures.into_iter().chain(gradients(by, by_view.twist)).collect(),
         drawn: rendered.splats.iter().map(Option::is_some).collect(),
     }
+}
+
+/// The gradients, by kind.
+fn gradients<R: Real>(by: Cloud<R>, twist: [R; 6]) -> [(&'static str, Vec<R>); 6] {
+    [
+        ("gradient by position", by.positions.concat()),
+        ("gradient by log-scale", by.log_scales.concat()),
+        ("gradient by rotation", by.rotations.concat()),
+        ("gradient by opacity", by.opacity_logits),
+        ("gradient by sh", by.sh.concat()),
+        ("gradient by pose", twist.to_vec()),
+    ]
 }
 
 impl Answers<f32> {

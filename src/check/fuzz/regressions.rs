@@ -6,4 +6,6 @@ pub const ALL: &[(&str, &str)] = &[
     // Spherical harmonics of 1e38: the colour was finite, its gradient was not.
     ("huge coefficient", include_str!("cases/huge_coefficient.json")),
     ("huge coefficient far away", include_str!("cases/huge_coefficient_far_away.json")),
+    // What lies behind a splat of alpha 0.999 is a difference of sums a thousand times as large.
+    ("behind a capped splat", include_str!("cases/behind_a_capped_splat.json")),
 ];
