@@ -70,7 +70,7 @@ fn planted(spirv: &[u8], fault: &Fault) -> (Vec<u8>, usize) {
             changed += 1;
             match fault.to {
                 Some(to) => {
-                    instruction.class = rspirv::grammar::CoreInstructionTable::get(to);
+                    instruction.class = rspirv::grammar::INSTRUCTION_TABLE.get(to);
                     true
                 }
                 None => false,
