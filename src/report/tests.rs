@@ -198,7 +198,7 @@ fn verdicts_follow_the_noise() {
     assert_eq!(slower.verdict, Verdict::Slower);
     assert_eq!(slower.ratio, Some(2.0));
     let [low, high] = slower.interval.unwrap();
-    assert!(1.9 < low && low <= 2.0 && 2.0 <= high && high < 2.1, "{low} {high}");
+    assert!((1.9..=2.0).contains(&low) && (2.0..2.1).contains(&high), "{low} {high}");
     assert_eq!(judged(&doubled, &steady).verdict, Verdict::Faster);
     assert_eq!(judged(&steady, &steady).verdict, Verdict::Noise);
     assert_eq!(judged(&steady, &wild).verdict, Verdict::Noise, "the spread forbids it");

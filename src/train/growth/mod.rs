@@ -20,7 +20,7 @@ use mcmc::Mcmc;
 
 /// Density control, every so many steps.
 pub(super) enum Growth {
-    Mcmc(Mcmc),
+    Mcmc(Box<Mcmc>),
     Adaptive(Box<Adaptive>),
 }
 
@@ -44,7 +44,7 @@ impl Growth {
         Ok(match settings.growth {
             None => None,
             Some(GrowthSettings::Mcmc(mcmc)) => {
-                Some(Growth::Mcmc(Mcmc::new(device, mcmc, capacity, settings)?))
+                Some(Growth::Mcmc(Box::new(Mcmc::new(device, mcmc, capacity, settings)?)))
             }
             Some(GrowthSettings::Adaptive(adaptive)) => {
                 let adaptive = Adaptive::new(device, adaptive, capacity, reach, settings)?;
