@@ -42,7 +42,7 @@ struct Training {
     colours: Buffer<[f32; 4]>,
 }
 
-/// What [`Selection::state`] gives and [`Selection::set_state`] takes: moments, votes, evidence.
+/// What training the motion logits has gathered: moments, votes, evidence.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SelectionState {
     moments: [Vec<f32>; 2],

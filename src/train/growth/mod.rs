@@ -1,6 +1,6 @@
 //! Density control during training: one of two strategies.
 //!
-//! [`mcmc`] moves the dead to the living and lets the scene grow by a share; [`adaptive`] clones,
+//! MCMC moves the dead to the living and lets the scene grow by a share; adaptive control clones,
 //! splits and prunes by the gradients in the picture.
 
 mod adaptive;
