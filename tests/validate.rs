@@ -6,7 +6,7 @@ mod common;
 use std::collections::BTreeSet;
 
 use rspirv::binary::Assemble;
-use rspirv::dr::{Module, load_words};
+use rspirv::dr::{Instruction, Module, load_words};
 use rspirv::spirv::Op;
 use splat4d::check::{self, Case};
 use splat4d::gpu::Device;
@@ -70,7 +70,9 @@ fn planted(spirv: &[u8], fault: &Fault) -> (Vec<u8>, usize) {
             changed += 1;
             match fault.to {
                 Some(to) => {
-                    instruction.class = rspirv::grammar::INSTRUCTION_TABLE.get(to);
+                    let operands = std::mem::take(&mut instruction.operands);
+                    let (kind, id) = (instruction.result_type, instruction.result_id);
+                    *instruction = Instruction::new(to, kind, id, operands);
                     true
                 }
                 None => false,
