@@ -37,15 +37,15 @@ const fn fault(
 
 const FAULTS: &[Fault] = &[
     fault("scan/downsweep", "a dropped barrier", Op::ControlBarrier, None, &[]),
-    fault("sort/scatter", "a dropped barrier", Op::ControlBarrier, None, &[]),
-    fault("sort/count", "an off-by-one", Op::ULessThan, Some(Op::ULessThanEqual), &[]),
+    fault("sort/scatter", "a sign", Op::IAdd, Some(Op::ISub), &[0]),
+    fault("sort/count", "a wrong shift", Op::ShiftRightLogical, Some(Op::ShiftLeftLogical), &[]),
     fault("project/forward", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
     fault("project/backward", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
     fault("bin/emit", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
     fault("raster/forward", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
     fault("raster/backward", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
     fault("loss/gradient", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
-    fault("mlp/weights", "a dropped barrier", Op::ControlBarrier, None, &[]),
+    fault("mlp/weights", "a sign", Op::IAdd, Some(Op::ISub), &[0]),
     fault("arap/fit", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
     fault("adam/step", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
     fault("deform/skin", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
