@@ -97,6 +97,8 @@ fn compare(
         let difference = if difference.is_nan() { f64::INFINITY } else { difference };
         let bound = bound_at(at);
         let share = difference / (bound.absolute + bound.relative * truth.abs());
+        // Infinity over infinity, or over NaN, is no agreement.
+        let share = if share.is_nan() { f64::INFINITY } else { share };
         let share = if difference == 0.0 { 0.0 } else { share };
         finding.worst_absolute = finding.worst_absolute.max(difference);
         finding.worst_relative = finding.worst_relative.max(difference / truth.abs().max(1e-300));

@@ -2,7 +2,7 @@
 //! `f_dc_0..2`, `f_rest_*` (channel-major: all of red, then green, then blue), `opacity` (logit),
 //! `scale_0..2` (logarithms), `rot_0..3` (w, x, y, z); all of them floats.
 //!
-//! Compressed PLY, which SuperSplat writes, is read too ([`compressed_ply`]).
+//! Compressed PLY, which SuperSplat writes, is read too (`compressed_ply`).
 //!
 //! Reading takes any order of properties, further properties, ASCII and both byte orders; normals
 //! are not needed. Motion does not fit into this format.

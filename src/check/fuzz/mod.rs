@@ -4,7 +4,7 @@
 //! Whatever goes in, what comes out must be finite, and close to the oracle as far as f32 can be:
 //! each output's limit grows with how much the truth itself moves when the input does by a last place,
 //! and with the error of the oracle in f32. A scene that fails is shrunk ([`shrink`]) and can be
-//! written and read again ([`file`]).
+//! written and read again ([`mod@file`]).
 
 mod draw;
 pub mod file;
