@@ -23,8 +23,9 @@
 //! | [`error`] | the one error: what was wrong, where, what to do | |
 //! | [`types`] | plain data: cameras, Gaussians, control points, images | |
 //! | [`io`] | whole-file reads, writes by rename, the PLY container | |
-//! | [`vk`] | the only place with `unsafe`, and the only one that names `ash` | |
+//! | [`vk`] | Vulkan: with `embed` the only place with `unsafe` and the name `ash` | |
 //! | [`gpu`] | the safe layer: devices, typed buffers, the recorder, the stream | vk |
+//! | [`embed`] | hosts: their device, command buffers, memory, semaphores | vk, gpu |
 //! | [`kernels`] | the declaration of every shader | types, gpu |
 //! | [`oracle`] | the CPU twin of every kernel, generic over f32 and f64; no Vulkan | types |
 //! | [`ops`] | algorithms of many dispatches: scan, sort, render, loss, deformation, Adam | types, gpu, kernels |
@@ -65,21 +66,30 @@
 
 #[cfg(feature = "bench")]
 pub mod bench;
+#[cfg(feature = "check")]
 pub mod check;
+#[cfg(feature = "files")]
 pub mod data;
+pub mod embed;
 pub mod error;
+#[cfg(feature = "reconstruct")]
 pub mod eval;
+#[cfg(feature = "reconstruct")]
 pub mod geometry;
 pub mod gpu;
+#[cfg(feature = "files")]
 pub mod io;
 pub mod kernels;
+#[cfg(feature = "reconstruct")]
 pub mod observe;
 pub mod ops;
+#[cfg(feature = "check")]
 pub mod oracle;
 pub mod renderer;
 #[cfg(feature = "bench")]
 pub mod report;
 pub mod scene;
+#[cfg(feature = "reconstruct")]
 pub mod track;
 pub mod train;
 pub mod types;

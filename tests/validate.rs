@@ -102,7 +102,9 @@ fn a_fault_planted_in_a_kernel_makes_its_cases_fail() {
         let info = kernels::ALL.iter().find(|k| k.name == fault.kernel).expect("a kernel");
         let (module, changed) = planted(info.spirv, fault);
         assert!(changed > 0, "{}: nothing to plant {} in", fault.kernel, fault.what);
-        let faulty = device.with_module(fault.kernel, module);
+        // SAFETY: bindings, push constants and workgroup stay, and the faults are of a kind that
+        // software drivers have been seen to survive.
+        let faulty = unsafe { device.with_module(fault.kernel, module) };
         match family_fails(&faulty, fault.kernel) {
             true => println!("{}: {} in {changed} places is noticed", fault.kernel, fault.what),
             false => unnoticed.push(format!("{}: {}", fault.kernel, fault.what)),
@@ -122,7 +124,9 @@ fn a_module_without_a_fault_passes() {
         let same = fault(name, "nothing", Op::Nop, None, &[]);
         let (module, changed) = planted(info.spirv, &same);
         assert_eq!(changed, 0);
-        assert!(!family_fails(&device.with_module(name, module), name), "{name}");
+        // SAFETY: the kernel's own module, written anew.
+        let same = unsafe { device.with_module(name, module) };
+        assert!(!family_fails(&same, name), "{name}");
     }
 }
 

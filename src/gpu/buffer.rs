@@ -40,6 +40,15 @@ impl<T: Pod> Buffer<T> {
         Ok(Buffer { raw: Arc::new(raw), len, element: PhantomData })
     }
 
+    /// Elements in a buffer or memory of a host's.
+    pub(crate) fn of_raw(raw: RawBuffer, len: usize) -> Buffer<T> {
+        Buffer { raw: Arc::new(raw), len, element: PhantomData }
+    }
+
+    pub(crate) fn raw(&self) -> &RawBuffer {
+        &self.raw
+    }
+
     /// Number of elements.
     pub fn len(&self) -> usize {
         self.len
@@ -128,9 +137,12 @@ impl<'a, const N: usize> ViewMut<'a, [f32; N]> {
 
 fn bound<T>(raw: &Arc<RawBuffer>, start: usize, len: usize) -> BoundRange {
     let element = size_of::<T>() as u64;
-    // A binding of zero bytes is illegal; every buffer has a few spare ones.
-    let bytes = (len as u64 * element).max(4);
-    BoundRange { buffer: raw.clone(), offset: start as u64 * element, bytes }
+    // A binding of zero bytes is illegal, and may not begin at the end; every buffer has a few.
+    let (offset, bytes) = match len {
+        0 => (0, 4),
+        _ => (start as u64 * element, (len as u64 * element).max(4)),
+    };
+    BoundRange { buffer: raw.clone(), offset: raw.start + offset, bytes }
 }
 
 impl<'a, T> View<'a, T> {

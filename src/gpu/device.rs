@@ -2,9 +2,12 @@
 
 use super::buffer::{Buffer, Readback};
 use super::kernel::Kernel;
+use super::recorder::Work;
 use super::stream::Stream;
 use crate::error::{Error, Result};
-use crate::vk::{self, Context, DeviceInfo, DeviceKind, Limits, Pipeline, PipelineShape};
+use crate::vk::{
+    self, CommandSlot, Context, DeviceInfo, DeviceKind, Limits, Pipeline, PipelineShape, RawBuffer,
+};
 use bytemuck::Pod;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
@@ -68,12 +71,15 @@ pub(crate) struct DeviceInner {
     pub(crate) limits: Limits,
     /// Modules that stand in for the crate's own, by kernel.
     modules: HashMap<&'static str, Vec<u8>>,
-    pipelines: Mutex<HashMap<PipelineKey, Arc<Pipeline>>>,
+    pipelines: Mutex<HashMap<&'static str, Vec<Variant>>>,
+    /// What recordings into a host's command buffers left, to record with again.
+    spare: Mutex<Vec<Work>>,
     /// Nanoseconds of metered work; `None` while the meter is off.
     pub(crate) meter: Mutex<Option<f64>>,
 }
 
-type PipelineKey = (&'static str, Vec<u32>);
+/// A kernel's pipeline with its specialisation constants.
+type Variant = (Vec<u32>, Arc<Pipeline>);
 
 impl Device {
     /// Opens a device.
@@ -92,13 +98,14 @@ impl Device {
         Ok(Device::over(context, limits, HashMap::new()))
     }
 
-    fn over(
+    pub(crate) fn over(
         context: Arc<Context>,
         limits: Limits,
         modules: HashMap<&'static str, Vec<u8>>,
     ) -> Device {
-        let (pipelines, meter) = Default::default();
-        Device { inner: Arc::new(DeviceInner { context, limits, modules, pipelines, meter }) }
+        let (pipelines, spare, meter) = Default::default();
+        let inner = DeviceInner { context, limits, modules, pipelines, spare, meter };
+        Device { inner: Arc::new(inner) }
     }
 
     /// The same device, its work kept within other limits than its own; for tests of boundaries.
@@ -107,10 +114,8 @@ impl Device {
         Device::over(self.inner.context.clone(), limits, self.inner.modules.clone())
     }
 
-    /// The same device with another SPIR-V module for one kernel (`family/stem`); for tests that a
-    /// fault in it is noticed. What the module does is the caller's business: it must have the
-    /// kernel's bindings, push constants and workgroup.
-    pub fn with_module(&self, kernel: &'static str, spirv: Vec<u8>) -> Device {
+    /// The same device with another SPIR-V module for one kernel; see `embed` for what must hold.
+    pub(crate) fn replacing(&self, kernel: &'static str, spirv: Vec<u8>) -> Device {
         let mut modules = self.inner.modules.clone();
         modules.insert(kernel, spirv);
         Device::over(self.inner.context.clone(), self.inner.limits, modules)
@@ -124,6 +129,34 @@ impl Device {
     /// What kernels have to stay within.
     pub fn limits(&self) -> &Limits {
         &self.inner.limits
+    }
+
+    /// How many buffers, command pools, descriptor pools and query pools were made so far: in steady
+    /// work it stands still.
+    pub fn allocations(&self) -> u64 {
+        self.inner.context.allocations()
+    }
+
+    /// Whether the device is a host's.
+    pub fn is_adopted(&self) -> bool {
+        self.inner.context.is_adopted()
+    }
+
+    /// Whether memory was made on it.
+    pub(crate) fn owns(&self, buffer: &RawBuffer) -> bool {
+        Arc::ptr_eq(buffer.context(), &self.inner.context)
+    }
+
+    /// Something to record into a host's command buffer with.
+    pub(crate) fn take_spare(&self) -> Work {
+        let spare = self.inner.spare.lock().expect("no holder panics").pop();
+        spare.unwrap_or_else(|| Work::new(CommandSlot::without_buffer(&self.inner.context)))
+    }
+
+    /// Takes it back, with which the device is done.
+    pub(crate) fn give_spare(&self, mut work: Work) {
+        work.clear();
+        self.inner.spare.lock().expect("no holder panics").push(work);
     }
 
     /// Bytes of buffers alive now, and the most there ever were.
@@ -198,9 +231,9 @@ impl Device {
 
     /// The pipeline of a kernel, compiled at its first use.
     pub(crate) fn pipeline<K: Kernel>(&self, specialisation: &[u32]) -> Result<Arc<Pipeline>> {
-        let key = (K::NAME, specialisation.to_vec());
         let mut pipelines = self.inner.pipelines.lock().expect("no holder panics");
-        if let Some(pipeline) = pipelines.get(&key) {
+        let variants = pipelines.entry(K::NAME).or_default();
+        if let Some((_, pipeline)) = variants.iter().find(|(values, _)| values == specialisation) {
             return Ok(pipeline.clone());
         }
         let pipeline = Arc::new(Pipeline::new(
@@ -214,7 +247,7 @@ impl Device {
                 specialisation,
             },
         )?);
-        pipelines.insert(key, pipeline.clone());
+        variants.push((specialisation.to_vec(), pipeline.clone()));
         Ok(pipeline)
     }
 }

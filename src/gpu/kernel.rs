@@ -69,8 +69,8 @@ pub trait Kernel {
     type Params: Pod;
     /// The buffers of one dispatch, by name.
     type Args<'a>;
-    /// The buffers in the order of their binding numbers.
-    fn bound(args: &Self::Args<'_>) -> Vec<BoundRange>;
+    /// Adds the buffers in the order of their binding numbers.
+    fn bind(args: &Self::Args<'_>, to: &mut Vec<BoundRange>);
 }
 
 /// Marks a binding that the kernel reads.
@@ -205,8 +205,8 @@ macro_rules! kernel {
             };
             type Params = $params;
             type Args<'a> = $args<'a>;
-            fn bound(args: &$args<'_>) -> Vec<$crate::vk::BoundRange> {
-                vec![$( <$crate::gpu::$access as $crate::gpu::Argument>::bound(&args.$arg) ),*]
+            fn bind(args: &$args<'_>, to: &mut Vec<$crate::vk::BoundRange>) {
+                to.extend([$( <$crate::gpu::$access as $crate::gpu::Argument>::bound(&args.$arg) ),*]);
             }
         }
     };

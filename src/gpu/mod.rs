@@ -28,6 +28,7 @@ pub use kernel::{
 };
 pub(crate) use kernel::{field_infos, kernel};
 pub use recorder::Recorder;
+pub(crate) use recorder::Work;
 pub use stream::{KernelTime, Stream, Ticket};
 
 pub use crate::vk::{DeviceInfo, DeviceKind, Limits};

@@ -4,7 +4,7 @@ use super::buffer::{Buffer, Readback, View, ViewMut};
 use super::device::Device;
 use super::kernel::{Access, Groups, Kernel};
 use crate::error::{Error, Result};
-use crate::vk::{BoundRange, CommandSlot, Pipeline, RawBuffer};
+use crate::vk::{BoundRange, CommandSlot, HostImage, Pipeline, RawBuffer};
 use bytemuck::Pod;
 use std::sync::Arc;
 
@@ -14,14 +14,45 @@ use std::sync::Arc;
 /// what another has written, or writes what another has read, gets one global memory barrier first.
 pub struct Recorder {
     pub(super) device: Device,
-    pub(super) slot: CommandSlot,
-    pub(super) buffers: Vec<Arc<RawBuffer>>,
-    pub(super) pipelines: Vec<Arc<Pipeline>>,
+    pub(super) work: Work,
     /// Kernels between the timestamps, when profiling.
     pub(super) profile: Option<Vec<&'static str>>,
     /// Whether the device's meter counts it.
     pub(super) metered: bool,
+    /// What went wrong where nothing could be returned; submitting fails with it.
+    pub(super) failed: Option<Error>,
+}
+
+/// A command buffer, what keeps alive what it uses, and memory to record with: recycled when the
+/// device is done, so that recording allocates nothing once it has been done before.
+pub(crate) struct Work {
+    pub(crate) slot: CommandSlot,
+    buffers: Vec<Arc<RawBuffer>>,
+    pipelines: Vec<Arc<Pipeline>>,
+    /// Since the last barrier.
     touched: Vec<Touched>,
+    /// Of the dispatch under way.
+    ranges: Vec<BoundRange>,
+}
+
+impl Work {
+    pub(crate) fn new(slot: CommandSlot) -> Work {
+        let (buffers, pipelines, touched, ranges) = Default::default();
+        Work { slot, buffers, pipelines, touched, ranges }
+    }
+
+    /// Lets go of what the recording used; the device must be done with it.
+    pub(crate) fn clear(&mut self) {
+        self.buffers.clear();
+        self.pipelines.clear();
+        self.touched.clear();
+        self.ranges.clear();
+    }
+
+    /// The last kernel recorded.
+    pub(super) fn last_kernel(&self) -> Option<&'static str> {
+        self.pipelines.last().map(|pipeline| pipeline.name)
+    }
 }
 
 struct Touched {
@@ -35,20 +66,34 @@ struct Touched {
 const UPDATE_BYTES: usize = 65_536;
 
 impl Recorder {
-    pub(super) fn new(device: &Device, mut slot: CommandSlot, metered: bool) -> Result<Recorder> {
-        slot.begin()?;
+    pub(super) fn new(device: &Device, mut work: Work, metered: bool) -> Result<Recorder> {
+        work.slot.begin()?;
         if metered {
-            slot.span(0)?;
+            work.slot.span(0)?;
         }
-        Ok(Recorder {
-            device: device.clone(),
-            slot,
-            buffers: Vec::new(),
-            pipelines: Vec::new(),
-            profile: None,
-            metered,
-            touched: Vec::new(),
-        })
+        Ok(Recorder::of(device, work, metered))
+    }
+
+    /// Into a command buffer that has been begun.
+    pub(crate) fn of(device: &Device, work: Work, metered: bool) -> Recorder {
+        Recorder { device: device.clone(), work, profile: None, metered, failed: None }
+    }
+
+    /// What is left of a recording into a host's command buffer.
+    pub(crate) fn into_parts(self) -> Result<(Device, Work, Option<Vec<&'static str>>)> {
+        match self.failed {
+            Some(error) => Err(error),
+            None => Ok((self.device, self.work, self.profile)),
+        }
+    }
+
+    /// Whether some memory is of this device; where not, the recording has failed.
+    fn owns(&mut self, range: &BoundRange, op: &'static str) -> bool {
+        let owned = self.device.owns(&range.buffer);
+        if !owned && self.failed.is_none() {
+            self.failed = Some(strange(op, &range.buffer.label));
+        }
+        owned
     }
 
     /// The device that the work is recorded for.
@@ -61,7 +106,7 @@ impl Recorder {
     /// # Errors
     /// A failed Vulkan call.
     pub fn profile(&mut self) -> Result<()> {
-        if self.device.limits().timestamp_period > 0.0 && self.slot.timestamp()? {
+        if self.device.limits().timestamp_period > 0.0 && self.work.slot.timestamp()? {
             self.profile = Some(Vec::new());
         }
         Ok(())
@@ -95,7 +140,7 @@ impl Recorder {
             return Ok(());
         }
         self.prepare::<K>(specialisation, &params, &args, None)?;
-        self.slot.dispatch(groups.0);
+        self.work.slot.dispatch(groups.0);
         self.finish_dispatch(K::NAME)
     }
 
@@ -119,8 +164,15 @@ impl Recorder {
             });
         }
         let range = arguments.range(at..at + 3).bound();
+        if !range.buffer.is_indirect() {
+            return Err(Error::Input(format!(
+                "{}: the grid lies in {}, a host's buffer without the usage INDIRECT_BUFFER",
+                K::NAME,
+                arguments.label()
+            )));
+        }
         self.prepare::<K>(&[], &params, &args, Some(&range))?;
-        self.slot.dispatch_indirect(&range.buffer, range.offset);
+        self.work.slot.dispatch_indirect(&range.buffer, range.offset);
         self.finish_dispatch(K::NAME)
     }
 
@@ -130,9 +182,12 @@ impl Recorder {
             return;
         }
         let range = to.bound();
-        self.touch(&[(&range, true)]);
-        self.slot.fill(&range, word);
-        self.buffers.push(range.buffer);
+        if !self.owns(&range, "fill") {
+            return;
+        }
+        self.touch([(&range, true)]);
+        self.work.slot.fill(&range, word);
+        self.work.buffers.push(range.buffer);
     }
 
     /// Copies between buffers; the shorter of the two decides how much.
@@ -152,9 +207,22 @@ impl Recorder {
     }
 
     pub(super) fn copy_ranges(&mut self, from: &BoundRange, to: &BoundRange) {
-        self.touch(&[(from, false), (to, true)]);
-        self.slot.copy(from, to);
-        self.buffers.extend([from.buffer.clone(), to.buffer.clone()]);
+        if !(self.owns(from, "copy") && self.owns(to, "copy")) {
+            return;
+        }
+        self.touch([(from, false), (to, true)]);
+        self.work.slot.copy(from, to);
+        self.work.buffers.extend([from.buffer.clone(), to.buffer.clone()]);
+    }
+
+    /// Copies rows of texels into a host's image.
+    pub(crate) fn copy_picture(&mut self, from: &BoundRange, to: &HostImage, size: [u32; 2]) {
+        if !self.owns(from, "copy to image") {
+            return;
+        }
+        self.touch([(from, false)]);
+        self.work.slot.copy_to_image(from, to, size);
+        self.work.buffers.push(from.buffer.clone());
     }
 
     /// Writes a little data (64 KiB at most) from the host, in order with the rest of the
@@ -176,9 +244,12 @@ impl Recorder {
             return Ok(());
         }
         let range = to.bound();
-        self.touch(&[(&range, true)]);
-        self.slot.update(&range, bytes);
-        self.buffers.push(range.buffer);
+        if !self.owns(&range, "update") {
+            return Err(strange("update", &range.buffer.label));
+        }
+        self.touch([(&range, true)]);
+        self.work.slot.update(&range, bytes);
+        self.work.buffers.push(range.buffer);
         Ok(())
     }
 
@@ -190,8 +261,15 @@ impl Recorder {
         arguments: Option<&BoundRange>,
     ) -> Result<()> {
         let pipeline = self.device.pipeline::<K>(specialisation)?;
-        let ranges = K::bound(args);
-        let limits = *self.device.limits();
+        let Work { slot, buffers, pipelines, touched, ranges } = &mut self.work;
+        ranges.clear();
+        K::bind(args, ranges);
+        let limits = self.device.limits();
+        if let Some(range) =
+            ranges.iter().chain(arguments).find(|range| !self.device.owns(&range.buffer))
+        {
+            return Err(strange(K::NAME, &range.buffer.label));
+        }
         for (range, binding) in ranges.iter().zip(K::BINDINGS) {
             if range.bytes > limits.storage_range {
                 return Err(Error::RangeLimit {
@@ -209,48 +287,60 @@ impl Recorder {
                 });
             }
         }
-        let mut touches: Vec<_> = ranges
+        let bound = ranges
             .iter()
             .zip(K::BINDINGS)
-            .map(|(range, binding)| (range, binding.access != Access::Read))
-            .collect();
-        touches.extend(arguments.map(|range| (range, false)));
-        self.touch(&touches);
-        self.slot.bind(&pipeline, &ranges, bytemuck::bytes_of(params))?;
-        self.buffers.extend(arguments.map(|range| range.buffer.clone()));
-        self.buffers.extend(ranges.into_iter().map(|range| range.buffer));
-        self.pipelines.push(pipeline);
+            .map(|(range, binding)| (range, binding.access != Access::Read));
+        touch(touched, slot, bound.chain(arguments.map(|range| (range, false))));
+        slot.bind(&pipeline, ranges, bytemuck::bytes_of(params))?;
+        buffers.extend(arguments.map(|range| range.buffer.clone()));
+        buffers.extend(ranges.drain(..).map(|range| range.buffer));
+        pipelines.push(pipeline);
         Ok(())
     }
 
     fn finish_dispatch(&mut self, name: &'static str) -> Result<()> {
         if let Some(names) = &mut self.profile
-            && self.slot.timestamp()?
+            && self.work.slot.timestamp()?
         {
             names.push(name);
         }
         Ok(())
     }
 
-    /// Notes what comes next, with a barrier first where it conflicts with what came before.
-    fn touch(&mut self, touches: &[(&BoundRange, bool)]) {
-        let conflict = |touched: &Touched| {
-            touches.iter().any(|(range, written)| {
-                touched.buffer == range.buffer.id()
-                    && (touched.written || *written)
-                    && touched.start < range.offset + range.bytes
-                    && range.offset < touched.end
-            })
-        };
-        if self.touched.iter().any(conflict) {
-            self.slot.barrier();
-            self.touched.clear();
-        }
-        self.touched.extend(touches.iter().map(|(range, written)| Touched {
-            buffer: range.buffer.id(),
-            start: range.offset,
-            end: range.offset + range.bytes,
-            written: *written,
-        }));
+    /// Notes the use of one range or two.
+    pub(super) fn touch<const N: usize>(&mut self, touches: [(&BoundRange, bool); N]) {
+        touch(&mut self.work.touched, &mut self.work.slot, touches.into_iter());
     }
+}
+
+/// Memory of one device in the work of another.
+fn strange(op: &'static str, label: &str) -> Error {
+    Error::Input(format!("{op}: {label} was made on another device than the recording is for"))
+}
+
+/// Notes what comes next, with a barrier first where it conflicts with what came before.
+fn touch<'a>(
+    touched: &mut Vec<Touched>,
+    slot: &mut CommandSlot,
+    touches: impl Iterator<Item = (&'a BoundRange, bool)> + Clone,
+) {
+    let conflict = |before: &Touched| {
+        touches.clone().any(|(range, written)| {
+            before.buffer == range.buffer.id()
+                && (before.written || written)
+                && before.start < range.offset + range.bytes
+                && range.offset < before.end
+        })
+    };
+    if touched.iter().any(conflict) {
+        slot.barrier();
+        touched.clear();
+    }
+    touched.extend(touches.map(|(range, written)| Touched {
+        buffer: range.buffer.id(),
+        start: range.offset,
+        end: range.offset + range.bytes,
+        written,
+    }));
 }

@@ -2,9 +2,9 @@
 
 use super::buffer::Buffer;
 use super::device::Device;
-use super::recorder::Recorder;
+use super::recorder::{Recorder, Work};
 use crate::error::{Error, Result};
-use crate::vk::{BoundRange, CommandSlot, Pipeline, RawBuffer, Residence, Timeline};
+use crate::vk::{BoundRange, CommandSlot, RawBuffer, Residence, SemaphorePoint, Timeline};
 use bytemuck::Pod;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -17,24 +17,28 @@ pub struct Stream {
     timeline: Timeline,
     submitted: u64,
     in_flight: VecDeque<InFlight>,
-    idle: Vec<CommandSlot>,
+    idle: Vec<Work>,
     /// Reused for downloads, grown as needed.
     readback: Option<Arc<RawBuffer>>,
 }
 
 struct InFlight {
     value: u64,
-    slot: CommandSlot,
+    work: Work,
     profile: Option<Vec<&'static str>>,
     metered: bool,
-    last_kernel: Option<&'static str>,
-    _buffers: Vec<Arc<RawBuffer>>,
-    _pipelines: Vec<Arc<Pipeline>>,
 }
 
 /// A submission, to wait for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Ticket(u64);
+
+impl Ticket {
+    /// The value of the stream's timeline semaphore that tells that it is done.
+    pub fn value(&self) -> u64 {
+        self.0
+    }
+}
 
 /// How long a dispatch took on the device.
 #[derive(Clone, Copy, Debug)]
@@ -43,6 +47,17 @@ pub struct KernelTime {
     pub kernel: &'static str,
     /// Nanoseconds from the end of what came before to its own end.
     pub nanoseconds: f64,
+}
+
+impl KernelTime {
+    /// From the timestamps before, between and after some dispatches.
+    pub(crate) fn between(names: &[&'static str], ticks: &[u64], period: f32) -> Vec<KernelTime> {
+        let time = |(kernel, pair): (&&'static str, &[u64])| KernelTime {
+            kernel,
+            nanoseconds: pair[1].wrapping_sub(pair[0]) as f64 * f64::from(period),
+        };
+        names.iter().zip(ticks.windows(2)).map(time).collect()
+    }
 }
 
 impl Stream {
@@ -73,39 +88,56 @@ impl Stream {
 
     fn recorder(&mut self, metered: bool) -> Result<Recorder> {
         self.collect()?;
-        let slot = match self.idle.pop() {
-            Some(slot) => slot,
-            None => CommandSlot::new(&self.device.inner.context)?,
+        let work = match self.idle.pop() {
+            Some(work) => work,
+            None => Work::new(CommandSlot::new(&self.device.inner.context)?),
         };
-        Recorder::new(&self.device, slot, metered)
+        Recorder::new(&self.device, work, metered)
     }
 
     /// Submits a recording; it runs after everything submitted before on this stream.
     ///
     /// # Errors
-    /// A failed Vulkan call.
-    pub fn submit(&mut self, mut recorder: Recorder) -> Result<Ticket> {
-        // Submissions of one queue may overlap: this orders them, and lets the host read.
-        recorder.slot.barrier();
-        if recorder.metered {
-            recorder.slot.span(1)?;
+    /// [`Error::Input`] for a recording of another device or of a host's command buffer, and where a
+    /// fill or a copy named memory of another device; else a failed Vulkan call.
+    pub fn submit(&mut self, recorder: Recorder) -> Result<Ticket> {
+        self.submit_with(recorder, &[], &[])
+    }
+
+    /// The same, between waits and signals of a host's semaphores.
+    pub(crate) fn submit_with(
+        &mut self,
+        mut recorder: Recorder,
+        waits: &[SemaphorePoint],
+        signals: &[SemaphorePoint],
+    ) -> Result<Ticket> {
+        if let Some(error) = recorder.failed.take() {
+            return Err(error);
         }
-        recorder.slot.end()?;
+        if !Arc::ptr_eq(&recorder.device.inner.context, &self.device.inner.context) {
+            return Err(Error::Input(
+                "a recording was submitted to another device's stream".into(),
+            ));
+        }
+        let slot = &mut recorder.work.slot;
+        if slot.is_over() {
+            let what = "a recording over a host's command buffer ends with `finish`; the host                         submits it";
+            return Err(Error::Input(what.into()));
+        }
+        // Submissions of one queue may overlap: this orders them, and lets the host read.
+        slot.barrier();
+        if recorder.metered {
+            slot.span(1)?;
+        }
+        slot.end()?;
         let value = self.submitted + 1;
-        let last_kernel = recorder.pipelines.last().map(|pipeline| pipeline.name);
+        let last_kernel = recorder.work.last_kernel();
         self.timeline
-            .submit(&recorder.slot, value)
+            .submit(&mut recorder.work.slot, value, waits, signals)
             .map_err(|error| name_lost(error, last_kernel))?;
         self.submitted = value;
-        self.in_flight.push_back(InFlight {
-            value,
-            slot: recorder.slot,
-            profile: recorder.profile,
-            metered: recorder.metered,
-            last_kernel,
-            _buffers: recorder.buffers,
-            _pipelines: recorder.pipelines,
-        });
+        let Recorder { work, profile, metered, .. } = recorder;
+        self.in_flight.push_back(InFlight { value, work, profile, metered });
         Ok(Ticket(value))
     }
 
@@ -114,7 +146,7 @@ impl Stream {
     /// # Errors
     /// [`Error::DeviceLost`], or another failed Vulkan call.
     pub fn wait(&mut self, ticket: Ticket) -> Result<()> {
-        let kernel = self.in_flight.front().and_then(|work| work.last_kernel);
+        let kernel = self.in_flight.front().and_then(|flight| flight.work.last_kernel());
         self.timeline.wait(ticket.0).map_err(|error| name_lost(error, kernel))?;
         self.collect()
     }
@@ -126,19 +158,15 @@ impl Stream {
     /// retired already.
     pub fn times(&mut self, ticket: Ticket) -> Result<Vec<KernelTime>> {
         self.timeline.wait(ticket.0)?;
-        let work = self.in_flight.iter().find(|work| work.value == ticket.0);
-        let (Some(work), period) = (work, self.device.limits().timestamp_period) else {
+        let flight = self.in_flight.iter().find(|flight| flight.value == ticket.0);
+        let (Some(flight), period) = (flight, self.device.limits().timestamp_period) else {
             return Err(Error::Input("the submission's times are gone: ask before waiting".into()));
         };
-        let Some(names) = &work.profile else {
+        let Some(names) = &flight.profile else {
             return Err(Error::Input("the submission was not profiled".into()));
         };
-        let ticks = work.slot.read_timestamps()?;
-        let times = names.iter().zip(ticks.windows(2)).map(|(kernel, pair)| KernelTime {
-            kernel,
-            nanoseconds: pair[1].wrapping_sub(pair[0]) as f64 * f64::from(period),
-        });
-        let times = times.collect();
+        let ticks = flight.work.slot.read_timestamps()?;
+        let times = KernelTime::between(names, &ticks, period);
         self.collect()?;
         Ok(times)
     }
@@ -202,16 +230,22 @@ impl Stream {
 
     /// Lets go of what finished submissions held.
     fn collect(&mut self) -> Result<()> {
-        let kernel = self.in_flight.front().and_then(|work| work.last_kernel);
+        let kernel = self.in_flight.front().and_then(|flight| flight.work.last_kernel());
         let reached = self.timeline.reached().map_err(|error| name_lost(error, kernel))?;
-        while self.in_flight.front().is_some_and(|work| work.value <= reached) {
-            let Some(work) = self.in_flight.pop_front() else { break };
-            if work.metered {
-                self.device.add_to_meter(work.slot.read_span()?);
+        while self.in_flight.front().is_some_and(|flight| flight.value <= reached) {
+            let Some(mut flight) = self.in_flight.pop_front() else { break };
+            if flight.metered {
+                self.device.add_to_meter(flight.work.slot.read_span()?);
             }
-            self.idle.push(work.slot);
+            flight.work.clear();
+            self.idle.push(flight.work);
         }
         Ok(())
+    }
+
+    /// Its semaphore.
+    pub(crate) fn timeline(&self) -> &Timeline {
+        &self.timeline
     }
 }
 

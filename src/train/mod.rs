@@ -25,29 +25,42 @@
 pub mod control;
 pub mod growth;
 pub mod motion;
+#[cfg(feature = "reconstruct")]
 pub mod network;
+#[cfg(feature = "reconstruct")]
 pub mod observer;
 pub mod optimiser;
 pub mod photographs;
+#[cfg(feature = "reconstruct")]
 pub mod posed;
+#[cfg(feature = "reconstruct")]
 pub mod region;
 pub mod rounds;
+#[cfg(feature = "reconstruct")]
 pub mod sampling;
+#[cfg(feature = "reconstruct")]
 pub mod seed;
 pub mod selection;
+#[cfg(feature = "reconstruct")]
 pub mod sequence;
 pub mod settings;
 pub mod state;
 pub mod trainer;
+#[cfg(feature = "reconstruct")]
 pub mod trajectories;
 pub mod views;
 
 pub use motion::MotionStart;
+#[cfg(feature = "reconstruct")]
 pub use observer::{Checkpoint, Observer, Phase};
+#[cfg(feature = "reconstruct")]
 pub use posed::{PosedMotion, fit_posed};
+#[cfg(feature = "reconstruct")]
 pub use region::random_points;
 pub use rounds::ControlChanges;
+#[cfg(feature = "reconstruct")]
 pub use seed::seed_from_points;
+#[cfg(feature = "reconstruct")]
 pub use sequence::{Sequence, SequenceSettings, fit_sequence};
 pub use settings::{
     AdaptiveSettings, ControlSettings, GrowthSettings, McmcSettings, MotionSettings, Rates,

@@ -12,10 +12,12 @@ use crate::ops::motion::{Motion, SoftGradients};
 use crate::types::{AdamSettings, ControlPoints, DeformNet};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
+#[cfg(feature = "files")]
 use serde::{Deserialize, Serialize};
 
 /// What moves the dynamic Gaussians, to train from.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct MotionStart {
     /// Control points in the canonical frame.
     pub points: ControlPoints,
@@ -26,7 +28,8 @@ pub struct MotionStart {
 }
 
 /// The moments of network and radii, each first and second.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct MotionMoments {
     network: [Vec<f32>; 2],
     radii: [Vec<f32>; 2],

@@ -4,10 +4,12 @@
 use super::growth::Population;
 use super::trainer::{SYNC_INTERVAL, Trainer};
 use crate::Result;
+#[cfg(feature = "files")]
 use serde::{Deserialize, Serialize};
 
 /// Control points that came and went in training.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct ControlChanges {
     /// Added where the loss pulled.
     pub added: usize,

@@ -20,6 +20,7 @@ use crate::ops::deform::SoftMotion;
 use crate::ops::mask::{self, VoteArgs};
 use crate::ops::motion::SoftGradients;
 use crate::types::AdamSettings;
+#[cfg(feature = "files")]
 use serde::{Deserialize, Serialize};
 
 /// The motion logits of a scene's Gaussians.
@@ -43,7 +44,8 @@ struct Training {
 }
 
 /// What training the motion logits has gathered: moments, votes, evidence.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct SelectionState {
     moments: [Vec<f32>; 2],
     votes: Vec<f32>,

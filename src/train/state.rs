@@ -1,6 +1,7 @@
 //! A trainer's state on the host: all that its next step depends on, besides pictures and settings.
 
 use rand_chacha::ChaCha8Rng;
+#[cfg(feature = "files")]
 use serde::{Deserialize, Serialize};
 
 use super::motion::{MotionMoments, MotionStart};
@@ -14,7 +15,8 @@ use crate::types::Gaussians;
 use crate::{Error, Result};
 
 /// What [`Trainer::state`] gives and [`Trainer::resume`] takes.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct TrainerState {
     step: u32,
     gaussians: Gaussians,

@@ -1,11 +1,14 @@
 //! The pictures to train on, and how large the scene is that they show.
 
+#[cfg(feature = "files")]
 use crate::data::View;
 use crate::types::{Camera, Gaussians, Image};
+#[cfg(feature = "files")]
 use serde::Serialize;
 
 /// A picture to train on.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug)]
+#[cfg_attr(feature = "files", derive(Serialize))]
 pub struct TrainingView {
     /// Its camera, of the picture's size.
     pub camera: Camera,
@@ -21,6 +24,7 @@ pub struct TrainingView {
     pub mask: Option<Image>,
 }
 
+#[cfg(feature = "files")]
 /// A dataset's picture as training wants it; what undistortion left empty has no weight.
 impl From<View> for TrainingView {
     fn from(view: View) -> TrainingView {

@@ -1,10 +1,12 @@
 //! Pinhole cameras and rigid transforms.
 
 use glam::{DMat3, DMat4, DQuat, DVec2, DVec3};
+#[cfg(feature = "files")]
 use serde::{Deserialize, Serialize};
 
 /// A pinhole camera's inner geometry, in pixels of an image of `width` × `height`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct Intrinsics {
     /// Focal length along x, pixels.
     pub fx: f64,
@@ -58,7 +60,8 @@ impl Intrinsics {
 }
 
 /// A rigid transform, named `a_from_b`: `x_a = rotation · x_b + translation`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct Pose {
     /// Unit quaternion.
     pub rotation: DQuat,
@@ -110,7 +113,8 @@ impl std::ops::Mul for Pose {
 }
 
 /// A camera in the world.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct Camera {
     /// Inner geometry.
     pub intrinsics: Intrinsics,

@@ -2,11 +2,13 @@
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+#[cfg(feature = "files")]
 use serde::{Deserialize, Serialize};
 
 /// Sparse control points in the canonical frame; the network gives each of them a rigid motion at
 /// every time, and Gaussians follow the nearest ones (linear blend skinning).
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct ControlPoints {
     /// Canonical positions.
     pub positions: Vec<[f32; 3]>,
@@ -34,7 +36,8 @@ impl ControlPoints {
 /// concatenated again *after* the activations of layer `skip` (counted from 0), so that layer
 /// `skip + 1` sees `[encoding, activations]`. One linear head of 7: translation (3) and the
 /// rotation's offset δ (4), rotation = normalise([1, 0, 0, 0] + δ).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct NetShape {
     /// Number of hidden layers.
     pub depth: u32,
@@ -85,7 +88,8 @@ impl NetShape {
 }
 
 /// The deformation network: `(canonical position, time) → (translation, rotation)`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct DeformNet {
     /// Its shape.
     pub shape: NetShape,

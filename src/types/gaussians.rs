@@ -1,5 +1,6 @@
 //! The Gaussians of a scene on the host.
 
+#[cfg(feature = "files")]
 use serde::{Deserialize, Serialize};
 
 /// The constant spherical harmonic.
@@ -11,7 +12,8 @@ pub const fn sh_coefficients(degree: u32) -> usize {
 }
 
 /// 3D Gaussians, one row of every array per Gaussian.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct Gaussians {
     /// Centres in the world (canonical) frame.
     pub positions: Vec<[f32; 3]>,

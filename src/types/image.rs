@@ -1,9 +1,11 @@
 //! Images on the host.
 
+#[cfg(feature = "files")]
 use serde::{Deserialize, Serialize};
 
 /// A float image, row-major, channels interleaved.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct Image {
     /// Width in pixels.
     pub width: u32,

@@ -1,5 +1,6 @@
 //! The constants of blending, and what trades accuracy for speed.
 
+#[cfg(feature = "files")]
 use serde::{Deserialize, Serialize};
 
 use crate::{Error, Result};
@@ -39,8 +40,9 @@ impl Default for RenderSettings {
 pub const DEPTH_BITS: u32 = 31;
 
 /// How an image is blended; the images are equal but for rounding.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
+#[cfg_attr(feature = "files", serde(rename_all = "snake_case"))]
 pub enum RasterKind {
     /// Each subgroup on its own block of a tile, splats passed from lane to lane.
     #[default]
@@ -50,8 +52,9 @@ pub enum RasterKind {
 }
 
 /// What trades accuracy for speed. The default gives up nothing; the keys of its JSON are the fields.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
+#[cfg_attr(feature = "files", serde(default, deny_unknown_fields))]
 pub struct Tuning {
     /// Highest degree of the spherical harmonics that is evaluated.
     pub sh_degree: u32,

@@ -1,6 +1,6 @@
 //! Buffers and their memory.
 
-use super::device::Context;
+use super::device::{Context, OnDrop};
 use super::vk_error;
 use crate::error::{Error, Result};
 use ash::vk;
@@ -22,11 +22,25 @@ pub(crate) enum Residence {
 /// A buffer with its memory.
 pub(crate) struct RawBuffer {
     pub(super) raw: vk::Buffer,
-    /// Only `drop` takes it; the mutex lets the host map through a shared reference.
-    allocation: Mutex<Option<Allocation>>,
+    pub(super) memory: Memory,
+    /// Where it begins in `raw`: a host may lend a part.
+    pub(crate) start: u64,
     pub(crate) bytes: u64,
+    pub(super) usage: vk::BufferUsageFlags,
     pub(crate) label: String,
-    context: Arc<Context>,
+    pub(super) context: Arc<Context>,
+}
+
+/// Whose a buffer's memory is.
+pub(super) enum Memory {
+    /// The allocator's. Only `drop` takes it; the mutex lets the host map through a shared
+    /// reference.
+    Ours(Mutex<Option<Allocation>>),
+    /// A host's, and so is the buffer.
+    Host(#[allow(dead_code, reason = "called when it is dropped")] Option<OnDrop>),
+    /// Imported for this buffer alone.
+    #[cfg(unix)]
+    Imported(vk::DeviceMemory),
 }
 
 impl RawBuffer {
@@ -88,8 +102,10 @@ impl RawBuffer {
         context.count_allocation(bytes);
         let buffer = RawBuffer {
             raw,
-            allocation: Mutex::new(Some(allocation)),
+            memory: Memory::Ours(Mutex::new(Some(allocation))),
+            start: 0,
             bytes,
+            usage,
             label: label.into(),
             context: context.clone(),
         };
@@ -102,16 +118,43 @@ impl RawBuffer {
         ash::vk::Handle::as_raw(self.raw)
     }
 
+    /// The handle, for a host's own commands.
+    pub(crate) fn handle(&self) -> vk::Buffer {
+        self.raw
+    }
+
+    /// The device that it was made on.
+    pub(crate) fn context(&self) -> &Arc<Context> {
+        &self.context
+    }
+
+    /// What it was made for.
+    pub(crate) fn usage(&self) -> vk::BufferUsageFlags {
+        self.usage
+    }
+
+    /// Whether indirect arguments may lie in it.
+    pub(crate) fn is_indirect(&self) -> bool {
+        self.usage.contains(vk::BufferUsageFlags::INDIRECT_BUFFER)
+    }
+
+    fn mapped(&self) -> std::sync::MutexGuard<'_, Option<Allocation>> {
+        match &self.memory {
+            Memory::Ours(allocation) => allocation.lock().expect("no holder panics"),
+            _ => unreachable!("only buffers of ours are uploaded from and read back"),
+        }
+    }
+
     /// Copies host memory into an upload buffer.
     pub(crate) fn write(&self, bytes: &[u8]) {
-        let mut guard = self.allocation.lock().expect("no holder panics");
+        let mut guard = self.mapped();
         let slice = guard.as_mut().and_then(Allocation::mapped_slice_mut);
         slice.expect("upload buffers are mapped")[..bytes.len()].copy_from_slice(bytes);
     }
 
     /// Copies a readback buffer into host memory.
     pub(crate) fn read(&self, bytes: &mut [u8]) {
-        let guard = self.allocation.lock().expect("no holder panics");
+        let guard = self.mapped();
         let slice = guard.as_ref().and_then(Allocation::mapped_slice);
         bytes.copy_from_slice(&slice.expect("readback buffers are mapped")[..bytes.len()]);
     }
@@ -119,13 +162,31 @@ impl RawBuffer {
 
 impl Drop for RawBuffer {
     fn drop(&mut self) {
-        // SAFETY: submissions in flight hold an `Arc` of every buffer they use, so nothing does.
-        unsafe { self.context.raw.destroy_buffer(self.raw, None) };
-        let allocation = self.allocation.get_mut().ok().and_then(Option::take);
-        if let (Some(allocation), Ok(mut allocator)) = (allocation, self.context.allocator.lock()) {
-            // The allocator only refuses allocations that are not its own.
-            let _ = allocator.free(allocation);
+        let device = &self.context.raw;
+        match &mut self.memory {
+            Memory::Ours(allocation) => {
+                // SAFETY: submissions in flight hold an `Arc` of every buffer they use, and hosts
+                // keep the guards of theirs, so nothing uses it.
+                unsafe { device.destroy_buffer(self.raw, None) };
+                let allocation = allocation.get_mut().ok().and_then(Option::take);
+                if let (Some(allocation), Ok(mut allocator)) =
+                    (allocation, self.context.allocator.lock())
+                {
+                    // The allocator only refuses allocations that are not its own.
+                    let _ = allocator.free(allocation);
+                }
+                self.context.count_free(self.bytes);
+            }
+            // The host is told when its callback is dropped.
+            Memory::Host(_) => {}
+            #[cfg(unix)]
+            Memory::Imported(memory) => {
+                // SAFETY: as above; the memory was allocated for this buffer.
+                unsafe {
+                    device.destroy_buffer(self.raw, None);
+                    device.free_memory(*memory, None);
+                }
+            }
         }
-        self.context.count_free(self.bytes);
     }
 }

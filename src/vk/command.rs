@@ -2,6 +2,7 @@
 
 use super::buffer::RawBuffer;
 use super::device::Context;
+use super::foreign::HostImage;
 use super::pipeline::Pipeline;
 use super::vk_error;
 use crate::error::Result;
@@ -22,9 +23,10 @@ pub struct BoundRange {
     pub(crate) bytes: u64,
 }
 
-/// A command buffer and what its recording consumes; a stream recycles it once the device is done.
+/// A command buffer and what its recording consumes; recycled once the device is done.
 pub(crate) struct CommandSlot {
     pub(super) buffer: vk::CommandBuffer,
+    /// Null where the command buffers are a host's.
     pool: vk::CommandPool,
     descriptor_pools: Vec<vk::DescriptorPool>,
     current_pool: usize,
@@ -32,13 +34,17 @@ pub(crate) struct CommandSlot {
     timestamps: u32,
     /// Whether this recording has reset the queries.
     queries_reset: bool,
+    /// Kept for their memory: what one dispatch binds, what one submission waits for and signals.
+    infos: Vec<vk::DescriptorBufferInfo>,
+    pub(super) waits: Vec<vk::SemaphoreSubmitInfo<'static>>,
+    pub(super) signals: Vec<vk::SemaphoreSubmitInfo<'static>>,
     context: Arc<Context>,
 }
 
 impl CommandSlot {
-    pub(crate) fn new(context: &Arc<Context>) -> Result<CommandSlot> {
-        let device = &context.raw;
-        let mut slot = CommandSlot {
+    /// For command buffers of a host's.
+    pub(crate) fn without_buffer(context: &Arc<Context>) -> CommandSlot {
+        CommandSlot {
             buffer: vk::CommandBuffer::null(),
             pool: vk::CommandPool::null(),
             descriptor_pools: Vec::new(),
@@ -46,8 +52,16 @@ impl CommandSlot {
             queries: vk::QueryPool::null(),
             timestamps: 0,
             queries_reset: false,
+            infos: Vec::new(),
+            waits: Vec::new(),
+            signals: Vec::new(),
             context: context.clone(),
-        };
+        }
+    }
+
+    pub(crate) fn new(context: &Arc<Context>) -> Result<CommandSlot> {
+        let device = &context.raw;
+        let mut slot = CommandSlot::without_buffer(context);
         let info = vk::CommandPoolCreateInfo::default().queue_family_index(context.family);
         // SAFETY: here and below the device is alive and the infos point at locals.
         slot.pool = unsafe { device.create_command_pool(&info, None) }
@@ -59,6 +73,7 @@ impl CommandSlot {
         // SAFETY: as above.
         slot.buffer = unsafe { device.allocate_command_buffers(&info) }
             .map_err(vk_error("vkAllocateCommandBuffers"))?[0];
+        context.count_object();
         Ok(slot)
     }
 
@@ -72,14 +87,34 @@ impl CommandSlot {
             device
                 .reset_command_pool(self.pool, vk::CommandPoolResetFlags::empty())
                 .map_err(vk_error("vkResetCommandPool"))?;
-            for &pool in &self.descriptor_pools {
-                device
-                    .reset_descriptor_pool(pool, vk::DescriptorPoolResetFlags::empty())
-                    .map_err(vk_error("vkResetDescriptorPool"))?;
-            }
             device
                 .begin_command_buffer(self.buffer, &info)
                 .map_err(vk_error("vkBeginCommandBuffer"))?;
+        }
+        self.reuse()
+    }
+
+    /// Starts a recording into a host's command buffer, which the host has begun and will end.
+    pub(crate) fn begin_over(&mut self, buffer: vk::CommandBuffer) -> Result<()> {
+        self.buffer = buffer;
+        self.reuse()?;
+        self.host_barrier();
+        Ok(())
+    }
+
+    /// Whether it records into a host's command buffers.
+    pub(crate) fn is_over(&self) -> bool {
+        self.pool == vk::CommandPool::null()
+    }
+
+    /// Frees what an earlier recording consumed.
+    fn reuse(&mut self) -> Result<()> {
+        for &pool in &self.descriptor_pools {
+            // SAFETY: the device is done with the slot's last recording, and `&mut` excludes others.
+            unsafe {
+                self.context.raw.reset_descriptor_pool(pool, vk::DescriptorPoolResetFlags::empty())
+            }
+            .map_err(vk_error("vkResetDescriptorPool"))?;
         }
         self.current_pool = 0;
         self.timestamps = 0;
@@ -100,24 +135,22 @@ impl CommandSlot {
         ranges: &[BoundRange],
         params: &[u8],
     ) -> Result<()> {
-        let device = self.context.raw.clone();
         if !ranges.is_empty() {
             let set = self.descriptor_set(pipeline.set_layout)?;
-            let infos: Vec<_> = ranges
-                .iter()
-                .map(|range| vk::DescriptorBufferInfo {
-                    buffer: range.buffer.raw,
-                    offset: range.offset,
-                    range: range.bytes,
-                })
-                .collect();
+            self.infos.clear();
+            self.infos.extend(ranges.iter().map(|range| vk::DescriptorBufferInfo {
+                buffer: range.buffer.raw,
+                offset: range.offset,
+                range: range.bytes,
+            }));
+            let device = &self.context.raw;
             // SAFETY: the template reads as many infos as the kernel has bindings, which is
             // `ranges.len()`; the set is fresh.
             unsafe {
                 device.update_descriptor_set_with_template(
                     set,
                     pipeline.template,
-                    infos.as_ptr().cast(),
+                    self.infos.as_ptr().cast(),
                 );
                 device.cmd_bind_descriptor_sets(
                     self.buffer,
@@ -129,6 +162,7 @@ impl CommandSlot {
                 );
             }
         }
+        let device = &self.context.raw;
         // SAFETY: recording; the recorder keeps the pipeline alive until the submission retires.
         unsafe {
             device.cmd_bind_pipeline(self.buffer, vk::PipelineBindPoint::COMPUTE, pipeline.raw);
@@ -177,6 +211,23 @@ impl CommandSlot {
         unsafe { self.context.raw.cmd_pipeline_barrier2(self.buffer, &info) };
     }
 
+    /// Everything that a host has recorded before, on whatever stage, is finished and visible to
+    /// everything after; and the other way round.
+    pub(crate) fn host_barrier(&mut self) {
+        let barriers = [vk::MemoryBarrier2::default()
+            .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+            .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
+            .dst_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS | vk::PipelineStageFlags2::HOST)
+            .dst_access_mask(
+                vk::AccessFlags2::MEMORY_READ
+                    | vk::AccessFlags2::MEMORY_WRITE
+                    | vk::AccessFlags2::HOST_READ,
+            )];
+        let info = vk::DependencyInfo::default().memory_barriers(&barriers);
+        // SAFETY: recording.
+        unsafe { self.context.raw.cmd_pipeline_barrier2(self.buffer, &info) };
+    }
+
     pub(crate) fn fill(&mut self, range: &BoundRange, word: u32) {
         // SAFETY: recording; ranges lie within their buffers and are multiples of four bytes.
         unsafe {
@@ -199,6 +250,32 @@ impl CommandSlot {
         // SAFETY: recording; ranges lie within their buffers, and the recorder excludes overlap.
         unsafe {
             self.context.raw.cmd_copy_buffer(self.buffer, from.buffer.raw, to.buffer.raw, &region)
+        };
+    }
+
+    /// Copies rows of texels, without gaps, into a host's image.
+    pub(crate) fn copy_to_image(&mut self, from: &BoundRange, to: &HostImage, size: [u32; 2]) {
+        let region = [vk::BufferImageCopy::default()
+            .buffer_offset(from.offset)
+            .image_subresource(
+                vk::ImageSubresourceLayers::default()
+                    .aspect_mask(vk::ImageAspectFlags::COLOR)
+                    .mip_level(to.mip_level)
+                    .base_array_layer(to.array_layer)
+                    .layer_count(1),
+            )
+            .image_offset(vk::Offset3D { x: to.offset[0] as i32, y: to.offset[1] as i32, z: 0 })
+            .image_extent(vk::Extent3D { width: size[0], height: size[1], depth: 1 })];
+        // SAFETY: recording; the range holds the picture; the image is as `Recorder::copy_to_image`
+        // asks.
+        unsafe {
+            self.context.raw.cmd_copy_buffer_to_image(
+                self.buffer,
+                from.buffer.raw,
+                to.image,
+                to.layout,
+                &region,
+            )
         };
     }
 
@@ -232,6 +309,7 @@ impl CommandSlot {
             // SAFETY: the device is alive.
             self.queries = unsafe { device.create_query_pool(&info, None) }
                 .map_err(vk_error("vkCreateQueryPool"))?;
+            self.context.count_object();
         }
         // SAFETY: recording, outside of any render pass; the query was not written yet.
         unsafe {
@@ -253,22 +331,35 @@ impl CommandSlot {
     /// The timestamps written, in ticks; only after the submission is done.
     pub(crate) fn read_timestamps(&self) -> Result<Vec<u64>> {
         let mut ticks = vec![0u64; self.timestamps as usize];
-        self.read_queries(0, &mut ticks)?;
+        self.read_queries(0, &mut ticks, vk::QueryResultFlags::WAIT)?;
+        Ok(ticks)
+    }
+
+    /// The same, or an error where the device is not done: what a host never submits would never
+    /// come.
+    pub(crate) fn try_timestamps(&self) -> Result<Vec<u64>> {
+        let mut ticks = vec![0u64; self.timestamps as usize];
+        self.read_queries(0, &mut ticks, vk::QueryResultFlags::empty())?;
         Ok(ticks)
     }
 
     /// Ticks between the span's two marks; only after the submission is done.
     pub(crate) fn read_span(&self) -> Result<u64> {
         let mut ticks = [0u64; 2];
-        self.read_queries(SPAN[0], &mut ticks)?;
+        self.read_queries(SPAN[0], &mut ticks, vk::QueryResultFlags::WAIT)?;
         Ok(ticks[1].wrapping_sub(ticks[0]))
     }
 
-    fn read_queries(&self, first: u32, ticks: &mut [u64]) -> Result<()> {
+    fn read_queries(
+        &self,
+        first: u32,
+        ticks: &mut [u64],
+        flags: vk::QueryResultFlags,
+    ) -> Result<()> {
         if ticks.is_empty() {
             return Ok(());
         }
-        let flags = vk::QueryResultFlags::TYPE_64 | vk::QueryResultFlags::WAIT;
+        let flags = vk::QueryResultFlags::TYPE_64 | flags;
         // SAFETY: the pool is alive and the queries were written.
         unsafe { self.context.raw.get_query_pool_results(self.queries, first, ticks, flags) }
             .map_err(vk_error("vkGetQueryPoolResults"))
@@ -301,6 +392,7 @@ impl CommandSlot {
                 let pool = unsafe { device.create_descriptor_pool(&info, None) }
                     .map_err(vk_error("vkCreateDescriptorPool"))?;
                 self.descriptor_pools.push(pool);
+                self.context.count_object();
             }
         }
     }

@@ -2,6 +2,8 @@
 
 use super::cache::PipelineCache;
 use super::instance::{DeviceInfo, Instance};
+use super::queue::Queue;
+use super::requirements::{Requirements, unsupported};
 use super::vk_error;
 use crate::error::{Error, Result};
 use ash::vk;
@@ -24,19 +26,45 @@ pub struct Limits {
     pub timestamp_period: f32,
 }
 
+/// Called when nothing of the engine's is left that uses what a host has lent.
+pub(crate) struct OnDrop(pub(crate) Option<Box<dyn FnOnce() + Send + Sync>>);
+
+impl Drop for OnDrop {
+    fn drop(&mut self) {
+        if let Some(call) = self.0.take() {
+            call();
+        }
+    }
+}
+
 /// A logical device. Everything made from it holds an `Arc` of it.
 pub(crate) struct Context {
     pub(super) raw: ash::Device,
-    pub(super) queue: Mutex<vk::Queue>,
+    pub(super) queue: Queue,
     pub(super) family: u32,
     pub(super) allocator: ManuallyDrop<Mutex<Allocator>>,
     pub(super) cache: PipelineCache,
     pub(crate) info: DeviceInfo,
     pub(crate) limits: Limits,
     pub(super) max_subgroup: u32,
+    /// Whether memory of other devices and processes can be imported by file descriptor.
+    pub(super) imports_fd: bool,
     bytes_now: AtomicU64,
     bytes_peak: AtomicU64,
-    instance: Arc<Instance>,
+    allocations: AtomicU64,
+    pub(super) instance: Arc<Instance>,
+    /// Of a host whose device this is. Declared last: it is called after all else is gone.
+    host: Option<OnDrop>,
+}
+
+/// A logical device to build a context around.
+pub(super) struct Opened {
+    pub(super) raw: ash::Device,
+    pub(super) physical: vk::PhysicalDevice,
+    pub(super) queue: Queue,
+    pub(super) family: u32,
+    pub(super) imports_fd: bool,
+    pub(super) host: Option<OnDrop>,
 }
 
 impl Context {
@@ -45,29 +73,47 @@ impl Context {
         physical: vk::PhysicalDevice,
         info: DeviceInfo,
     ) -> Result<Context> {
-        require_features(&instance, physical, &info)?;
-        let family = compute_family(&instance, physical, &info)?;
+        let requirements = Requirements::query();
+        requirements.check(&instance.raw, physical, &info.name)?;
+        let family = compute_family(&instance, physical)?;
         let priorities = [1.0];
         let queues = [vk::DeviceQueueCreateInfo::default()
-            .queue_family_index(family.index)
+            .queue_family_index(family)
             .queue_priorities(&priorities)];
-        let mut vulkan12 = vk::PhysicalDeviceVulkan12Features::default()
-            .timeline_semaphore(true)
-            .scalar_block_layout(true);
-        let mut vulkan13 = vk::PhysicalDeviceVulkan13Features::default()
-            .synchronization2(true)
-            .compute_full_subgroups(true)
-            .subgroup_size_control(true);
+        let mut vulkan12 = vk::PhysicalDeviceVulkan12Features::default();
+        let mut vulkan13 = vk::PhysicalDeviceVulkan13Features::default();
+        requirements.features.enable(&mut vulkan12, &mut vulkan13);
+        // SAFETY: a plain query.
+        let offered = unsafe { instance.raw.enumerate_device_extension_properties(physical) }
+            .map_err(vk_error("vkEnumerateDeviceExtensionProperties"))?;
+        let fd = ash::khr::external_memory_fd::NAME;
+        let imports_fd =
+            offered.iter().any(|e| e.extension_name_as_c_str().is_ok_and(|name| name == fd));
+        let extensions: &[_] = if imports_fd { &[fd.as_ptr()] } else { &[] };
         let create = vk::DeviceCreateInfo::default()
             .queue_create_infos(&queues)
+            .enabled_extension_names(extensions)
             .push_next(&mut vulkan12)
             .push_next(&mut vulkan13);
         // SAFETY: the features were checked, and what `create` points at outlives the call.
         let raw = unsafe { instance.raw.create_device(physical, &create, None) }
             .map_err(vk_error("vkCreateDevice"))?;
         // SAFETY: the family and its first queue were asked for above.
-        let queue = unsafe { raw.get_device_queue(family.index, 0) };
+        let queue = Queue::new(unsafe { raw.get_device_queue(family, 0) }, None);
+        Context::around(
+            instance,
+            Opened { raw, physical, queue, family, imports_fd, host: None },
+            info,
+        )
+    }
 
+    /// What belongs to a logical device. A device of ours is destroyed where this fails.
+    pub(super) fn around(
+        instance: Arc<Instance>,
+        opened: Opened,
+        info: DeviceInfo,
+    ) -> Result<Context> {
+        let Opened { raw, physical, queue, family, imports_fd, host } = opened;
         let allocator = Allocator::new(&AllocatorCreateDesc {
             instance: instance.raw.clone(),
             device: raw.clone(),
@@ -79,8 +125,10 @@ impl Context {
         let allocator = match allocator {
             Ok(allocator) => allocator,
             Err(error) => {
-                // SAFETY: nothing was made from the device yet.
-                unsafe { raw.destroy_device(None) };
+                if host.is_none() {
+                    // SAFETY: nothing was made from the device yet.
+                    unsafe { raw.destroy_device(None) };
+                }
                 return Err(Error::NoDevice(format!(
                     "no memory allocator for {}: {error}",
                     info.name
@@ -94,27 +142,37 @@ impl Context {
         let core_properties = properties.properties;
         let core = core_properties.limits;
         let max_subgroup = vulkan13.max_subgroup_size.max(1);
+        // SAFETY: a plain query.
+        let families =
+            unsafe { instance.raw.get_physical_device_queue_family_properties(physical) };
+        let timestamps = families[family as usize].timestamp_valid_bits > 0;
         let limits = Limits {
             groups: core.max_compute_work_group_count[0]
                 .min(core.max_compute_work_group_count[1])
                 .min(65_535),
             storage_range: u64::from(core.max_storage_buffer_range),
             storage_alignment: core.min_storage_buffer_offset_alignment.max(4),
-            timestamp_period: if family.timestamps { core.timestamp_period } else { 0.0 },
+            timestamp_period: if timestamps { core.timestamp_period } else { 0.0 },
         };
-        let cache = PipelineCache::open(&raw, &core_properties);
+        let cache = match host {
+            None => PipelineCache::open(&raw, &core_properties),
+            Some(_) => PipelineCache::in_memory(&raw),
+        };
         Ok(Context {
             raw,
-            queue: Mutex::new(queue),
-            family: family.index,
+            queue,
+            family,
             allocator: ManuallyDrop::new(Mutex::new(allocator)),
             cache,
             info,
             limits,
             max_subgroup,
+            imports_fd,
             bytes_now: AtomicU64::new(0),
             bytes_peak: AtomicU64::new(0),
+            allocations: AtomicU64::new(0),
             instance,
+            host,
         })
     }
 
@@ -126,6 +184,7 @@ impl Context {
     pub(super) fn count_allocation(&self, bytes: u64) {
         let now = self.bytes_now.fetch_add(bytes, Ordering::Relaxed) + bytes;
         self.bytes_peak.fetch_max(now, Ordering::Relaxed);
+        self.allocations.fetch_add(1, Ordering::Relaxed);
     }
 
     pub(super) fn count_free(&self, bytes: u64) {
@@ -136,84 +195,47 @@ impl Context {
     pub(crate) fn memory(&self) -> (u64, u64) {
         (self.bytes_now.load(Ordering::Relaxed), self.bytes_peak.load(Ordering::Relaxed))
     }
+
+    /// Buffers, descriptor pools, query pools and command pools made so far.
+    pub(crate) fn allocations(&self) -> u64 {
+        self.allocations.load(Ordering::Relaxed)
+    }
+
+    /// Counts something other than a buffer that was made.
+    pub(super) fn count_object(&self) {
+        self.allocations.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Whether the device is a host's.
+    pub(crate) fn is_adopted(&self) -> bool {
+        self.host.is_some()
+    }
 }
 
 impl Drop for Context {
     fn drop(&mut self) {
         // SAFETY: everything made from the device holds an `Arc` of this context, so nothing is in
         // flight and nothing is left but the cache and the allocator, which go before the device.
+        // A host's device stays: others may use its queues right now.
         unsafe {
-            let _ = self.raw.device_wait_idle();
+            if self.host.is_none() {
+                let _ = self.raw.device_wait_idle();
+            }
             self.cache.close(&self.raw);
             ManuallyDrop::drop(&mut self.allocator);
-            self.raw.destroy_device(None);
+            if self.host.is_none() {
+                self.raw.destroy_device(None);
+            }
         }
     }
 }
 
-struct Family {
-    index: u32,
-    timestamps: bool,
-}
-
-fn compute_family(
-    instance: &Instance,
-    physical: vk::PhysicalDevice,
-    info: &DeviceInfo,
-) -> Result<Family> {
+fn compute_family(instance: &Instance, physical: vk::PhysicalDevice) -> Result<u32> {
     // SAFETY: a plain query.
     let families = unsafe { instance.raw.get_physical_device_queue_family_properties(physical) };
     families
         .iter()
-        .enumerate()
-        .find(|(_, family)| family.queue_flags.contains(vk::QueueFlags::COMPUTE))
-        .map(|(index, family)| Family {
-            index: index as u32,
-            timestamps: family.timestamp_valid_bits > 0,
-        })
-        .ok_or_else(|| Error::Unsupported {
-            kernel: "the engine".into(),
-            missing: format!("{} has no compute queue", info.name),
-        })
-}
-
-fn require_features(
-    instance: &Instance,
-    physical: vk::PhysicalDevice,
-    info: &DeviceInfo,
-) -> Result<()> {
-    let mut vulkan12 = vk::PhysicalDeviceVulkan12Features::default();
-    let mut vulkan13 = vk::PhysicalDeviceVulkan13Features::default();
-    let mut features =
-        vk::PhysicalDeviceFeatures2::default().push_next(&mut vulkan12).push_next(&mut vulkan13);
-    // SAFETY: the chain's structures live until the end of the function.
-    unsafe { instance.raw.get_physical_device_features2(physical, &mut features) };
-    let mut vulkan11 = vk::PhysicalDeviceVulkan11Properties::default();
-    let mut properties = vk::PhysicalDeviceProperties2::default().push_next(&mut vulkan11);
-    // SAFETY: as above.
-    unsafe { instance.raw.get_physical_device_properties2(physical, &mut properties) };
-    let subgroup = vk::SubgroupFeatureFlags::BASIC
-        | vk::SubgroupFeatureFlags::BALLOT
-        | vk::SubgroupFeatureFlags::ARITHMETIC
-        | vk::SubgroupFeatureFlags::SHUFFLE;
-    let needs = [
-        (vulkan12.timeline_semaphore == vk::TRUE, "timeline semaphores"),
-        (vulkan12.scalar_block_layout == vk::TRUE, "scalar block layout"),
-        (vulkan13.synchronization2 == vk::TRUE, "synchronization2"),
-        (vulkan13.subgroup_size_control == vk::TRUE, "subgroup size control"),
-        (vulkan13.compute_full_subgroups == vk::TRUE, "full compute subgroups"),
-        (
-            vulkan11.subgroup_supported_operations.contains(subgroup)
-                && vulkan11.subgroup_supported_stages.contains(vk::ShaderStageFlags::COMPUTE),
-            "subgroup ballot, arithmetic and shuffle in compute shaders",
-        ),
-    ];
-    let missing: Vec<_> = needs.iter().filter(|(has, _)| !has).map(|(_, what)| *what).collect();
-    if missing.is_empty() {
-        return Ok(());
-    }
-    Err(Error::Unsupported {
-        kernel: "the engine".into(),
-        missing: format!("{} lacks {}", info.name, missing.join(", ")),
-    })
+        .position(|family| family.queue_flags.contains(vk::QueueFlags::COMPUTE))
+        .map(|index| index as u32)
+        .ok_or_else(|| unsupported("a queue family with compute".into()))
 }

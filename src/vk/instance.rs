@@ -16,13 +16,14 @@ const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
 /// What the validation layer has said.
 pub(crate) type Messages = Mutex<Vec<String>>;
 
-/// The loader and an instance, destroyed together after every device.
+/// The loader and an instance, destroyed together after every device; or a host's.
 pub(crate) struct Instance {
     // Declared first: the instance's functions lie in the library that `entry` keeps loaded.
     pub(super) raw: ash::Instance,
     messenger: Option<(ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
     pub(super) messages: Arc<Messages>,
-    _entry: ash::Entry,
+    /// `None` for a host's, which the host destroys.
+    entry: Option<ash::Entry>,
 }
 
 impl Instance {
@@ -66,7 +67,12 @@ impl Instance {
         } else {
             None
         };
-        Ok(Instance { raw, messenger, messages, _entry: entry })
+        Ok(Instance { raw, messenger, messages, entry: Some(entry) })
+    }
+
+    /// A host's instance, which stays the host's.
+    pub(super) fn adopt(raw: ash::Instance) -> Instance {
+        Instance { raw, messenger: None, messages: Arc::default(), entry: None }
     }
 
     /// Every physical device of Vulkan 1.3 or newer, in the loader's order.
@@ -89,7 +95,7 @@ impl Instance {
         Ok(usable)
     }
 
-    fn describe(&self, device: vk::PhysicalDevice) -> DeviceInfo {
+    pub(super) fn describe(&self, device: vk::PhysicalDevice) -> DeviceInfo {
         let mut vulkan11 = vk::PhysicalDeviceVulkan11Properties::default();
         let mut vulkan12 = vk::PhysicalDeviceVulkan12Properties::default();
         let mut properties = vk::PhysicalDeviceProperties2::default()
@@ -136,8 +142,10 @@ impl Drop for Instance {
             // SAFETY: created from this instance, destroyed once, before it.
             unsafe { functions.destroy_debug_utils_messenger(handle, None) };
         }
-        // SAFETY: devices hold an `Arc<Instance>`, so none is left.
-        unsafe { self.raw.destroy_instance(None) };
+        if self.entry.is_some() {
+            // SAFETY: ours; devices hold an `Arc<Instance>`, so none is left.
+            unsafe { self.raw.destroy_instance(None) };
+        }
     }
 }
 

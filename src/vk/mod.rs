@@ -4,22 +4,35 @@
 //! every wrapper keeps what it needs alive, and each `unsafe` block says why it holds.
 #![allow(unsafe_code)]
 
+mod adopt;
 mod buffer;
 mod cache;
+#[cfg(feature = "files")]
+mod cache_file;
 mod command;
 mod device;
+mod foreign;
 mod instance;
 mod pipeline;
+mod queue;
+mod requirements;
 mod timeline;
 
+pub use adopt::HostDevice;
 pub(crate) use buffer::{RawBuffer, Residence};
 pub use command::BoundRange;
 pub(crate) use command::CommandSlot;
-pub(crate) use device::Context;
 pub use device::Limits;
+pub(crate) use device::{Context, OnDrop};
+#[cfg(unix)]
+pub use foreign::ImportedMemory;
+pub use foreign::{HostBuffer, HostImage};
 pub(crate) use instance::Instance;
 pub use instance::{DeviceInfo, DeviceKind, enumerate};
 pub(crate) use pipeline::{Pipeline, PipelineShape};
+pub use queue::QueueLock;
+pub use requirements::{Features, Requirements};
+pub use timeline::SemaphorePoint;
 pub(crate) use timeline::Timeline;
 
 use crate::error::Error;

@@ -7,6 +7,15 @@ use crate::error::Result;
 use ash::vk;
 use std::sync::Arc;
 
+/// A value of a timeline semaphore of a host's.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SemaphorePoint {
+    /// A timeline semaphore of the device.
+    pub semaphore: vk::Semaphore,
+    /// To wait for, or to signal.
+    pub value: u64,
+}
+
 /// A timeline semaphore whose values count a stream's submissions.
 pub(crate) struct Timeline {
     raw: vk::Semaphore,
@@ -26,20 +35,42 @@ impl Timeline {
     }
 
     /// Hands recorded commands to the queue; the timeline reaches `value` when they are done.
-    pub(crate) fn submit(&self, slot: &CommandSlot, value: u64) -> Result<()> {
+    /// Before they begin, the `waits` are waited for; the `signals` come with the timeline's own.
+    pub(crate) fn submit(
+        &self,
+        slot: &mut CommandSlot,
+        value: u64,
+        waits: &[SemaphorePoint],
+        signals: &[SemaphorePoint],
+    ) -> Result<()> {
+        let info = |point: &SemaphorePoint| {
+            vk::SemaphoreSubmitInfo::default()
+                .semaphore(point.semaphore)
+                .value(point.value)
+                .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+        };
+        let own = SemaphorePoint { semaphore: self.raw, value };
+        slot.waits.clear();
+        slot.waits.extend(waits.iter().map(info));
+        slot.signals.clear();
+        slot.signals.extend(signals.iter().chain([&own]).map(info));
         let commands = [vk::CommandBufferSubmitInfo::default().command_buffer(slot.buffer)];
-        let signals = [vk::SemaphoreSubmitInfo::default()
-            .semaphore(self.raw)
-            .value(value)
-            .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)];
         let submit = [vk::SubmitInfo2::default()
             .command_buffer_infos(&commands)
-            .signal_semaphore_infos(&signals)];
-        let queue = self.context.queue.lock().expect("no holder panics");
-        // SAFETY: the lock gives exclusive use of the queue; what the commands use is kept alive by
-        // the stream until the timeline passes `value`.
-        unsafe { self.context.raw.queue_submit2(*queue, &submit, vk::Fence::null()) }
-            .map_err(vk_error("vkQueueSubmit2"))
+            .wait_semaphore_infos(&slot.waits)
+            .signal_semaphore_infos(&slot.signals)];
+        self.context.queue.with(|queue| {
+            // SAFETY: the queue is ours alone for the call; what the commands use is kept alive by
+            // the stream until the timeline passes `value`; a host's semaphores live as long as
+            // `Stream::submit_between` asks.
+            unsafe { self.context.raw.queue_submit2(queue, &submit, vk::Fence::null()) }
+                .map_err(vk_error("vkQueueSubmit2"))
+        })
+    }
+
+    /// The semaphore, for a host to wait for.
+    pub(crate) fn semaphore(&self) -> vk::Semaphore {
+        self.raw
     }
 
     /// The value reached so far.

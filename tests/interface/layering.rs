@@ -12,6 +12,8 @@ pub const MAY_SEE: &[(&str, &[&str])] = &[
     ("io", &["error"]),
     ("vk", &["error"]),
     ("gpu", &["error", "vk"]),
+    // The unsafe doors into the safe layer, for hosts.
+    ("embed", &["error", "vk", "gpu"]),
     ("kernels", &["error", "types", "gpu"]),
     ("oracle", &["error", "types"]),
     ("ops", &["error", "types", "gpu", "kernels"]),
@@ -50,6 +52,10 @@ pub const MAY_SEE: &[(&str, &[&str])] = &[
     // The command line names the crate as any other user does.
     ("cmd", &[]),
 ];
+
+/// Where `unsafe` and `ash` may stand: Vulkan itself, and the functions with which a host lends what
+/// is its own.
+const UNSAFE: &[&str] = &["vk", "embed"];
 
 /// What unit tests may name besides: the parts without Vulkan, as truth and as input.
 const TESTS_MAY_SEE: &[&str] =
@@ -179,6 +185,11 @@ struct Scan<'a> {
 }
 
 impl Scan<'_> {
+    /// Whether the part may name Vulkan's handles and be `unsafe`.
+    fn is_unsafe(&self) -> bool {
+        UNSAFE.contains(&self.room.as_str())
+    }
+
     fn walk(&mut self, tokens: TokenStream) {
         let tokens: Vec<TokenTree> = tokens.into_iter().collect();
         let mut at = 0;
@@ -189,11 +200,11 @@ impl Scan<'_> {
                 TokenTree::Ident(ident) if *ident == "super" => {
                     at = self.read_from_super(&tokens, at)
                 }
-                TokenTree::Ident(ident) if *ident == "ash" && self.room != "vk" => {
-                    self.report(token, "only src/vk names ash".into());
+                TokenTree::Ident(ident) if *ident == "ash" && !self.is_unsafe() => {
+                    self.report(token, "only src/vk and src/embed name ash".into());
                 }
-                TokenTree::Ident(ident) if *ident == "unsafe" && self.room != "vk" => {
-                    self.report(token, "`unsafe` belongs in src/vk".into());
+                TokenTree::Ident(ident) if *ident == "unsafe" && !self.is_unsafe() => {
+                    self.report(token, "`unsafe` belongs in src/vk or src/embed".into());
                 }
                 // `mod name { … }`: a module of its own, for `super` and for tests.
                 TokenTree::Ident(ident) if *ident == "mod" => {

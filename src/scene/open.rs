@@ -1,0 +1,80 @@
+//! Opening and saving a scene, whatever the format.
+
+use super::{Scene, file, ply};
+use crate::types::Gaussians;
+use crate::{Error, Result};
+use std::path::Path;
+
+/// A scene as read, and what was left out.
+#[derive(Clone, Debug)]
+pub struct Opened {
+    /// The scene.
+    pub scene: Scene,
+    /// Number of Gaussians left out because they held NaN or infinite values.
+    pub dropped: usize,
+}
+
+impl Scene {
+    /// Opens a scene's file or a 3DGS PLY; which of the two shows in the bytes. With `drop_bad`,
+    /// Gaussians that hold NaN or infinite values are left out and counted; else they are an error
+    /// that counts them.
+    pub fn open(path: impl AsRef<Path>, drop_bad: bool) -> Result<Opened> {
+        let path = path.as_ref();
+        let bytes = crate::io::read(path)?;
+        if !crate::io::ply::is_ply(&bytes) {
+            return file::parse(path, &bytes, drop_bad);
+        }
+        let (gaussians, dropped) = ply::parse(path, &bytes, drop_bad)?;
+        Ok(Opened { scene: Scene::of(gaussians), dropped })
+    }
+
+    /// Writes the scene's file by rename; see [`mod@file`].
+    pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
+        file::write(path.as_ref(), self)
+    }
+}
+
+/// Leaves out the Gaussians that hold a value that is not finite, or fails with their count.
+pub(super) fn without_bad(path: &Path, gaussians: &mut Gaussians, drop_bad: bool) -> Result<usize> {
+    let per = gaussians.sh.len() / gaussians.len().max(1);
+    let finite = |values: &[f32]| values.iter().all(|v| v.is_finite());
+    let good: Vec<bool> = (0..gaussians.len())
+        .map(|i| {
+            finite(&gaussians.positions[i])
+                && finite(&gaussians.log_scales[i])
+                && finite(&gaussians.rotations[i])
+                && gaussians.opacity_logits[i].is_finite()
+                && gaussians.sh[i * per..(i + 1) * per].iter().all(|row| finite(row))
+                && gaussians.motion_logits.get(i).is_none_or(|m| m.is_finite())
+        })
+        .collect();
+    let bad = good.iter().filter(|good| !**good).count();
+    if bad == 0 {
+        return Ok(0);
+    }
+    if !drop_bad {
+        let first = good.iter().position(|good| !good).unwrap_or(0);
+        return Err(Error::format(
+            path,
+            format!(
+                "{bad} of {} Gaussians hold NaN or infinite values (the first is number {first}); \
+                 --drop-bad leaves them out",
+                good.len()
+            ),
+        ));
+    }
+    fn keep<T>(rows: &mut Vec<T>, good: &[bool], per: usize) {
+        let mut row = 0;
+        rows.retain(|_| {
+            row += 1;
+            good[(row - 1) / per]
+        });
+    }
+    keep(&mut gaussians.positions, &good, 1);
+    keep(&mut gaussians.log_scales, &good, 1);
+    keep(&mut gaussians.rotations, &good, 1);
+    keep(&mut gaussians.opacity_logits, &good, 1);
+    keep(&mut gaussians.sh, &good, per.max(1));
+    keep(&mut gaussians.motion_logits, &good, 1);
+    Ok(bad)
+}

@@ -1,0 +1,159 @@
+//! A host's device.
+
+use super::device::{Context, OnDrop, Opened};
+use super::instance::Instance;
+use super::queue::{Queue, QueueLock};
+use super::requirements::{Features, Requirements, unsupported};
+use crate::error::{Error, Result};
+use ash::vk;
+use ash::vk::Handle;
+use std::ffi::CStr;
+use std::sync::Arc;
+
+/// A Vulkan device that a host has made, to work on. Handles only, so that any binding of Vulkan in
+/// any version can give them.
+pub struct HostDevice {
+    /// The loader's; with `ash`, `entry.static_fn().get_instance_proc_addr`.
+    pub get_instance_proc_addr: vk::PFN_vkGetInstanceProcAddr,
+    /// The instance, made for Vulkan 1.3 or newer.
+    pub instance: vk::Instance,
+    /// The physical device.
+    pub physical_device: vk::PhysicalDevice,
+    /// The device, made with what [`Requirements`] lists.
+    pub device: vk::Device,
+    /// A queue of it, for the engine's own submissions.
+    pub queue: vk::Queue,
+    /// The queue's family, which must offer compute.
+    pub queue_family: u32,
+    /// The features that the device was made with; [`Features::enabled_by`] reads them from the
+    /// host's `VkDeviceCreateInfo`.
+    pub features: Features,
+    /// Whether the device was made with `VK_KHR_external_memory_fd`.
+    pub external_memory_fd: bool,
+    /// Needed where anybody else uses the queue while the engine may submit: holds off the others
+    /// while it runs what it is given, which it must do exactly once.
+    pub queue_lock: Option<Box<QueueLock>>,
+    /// Called when nothing of the engine's is left that uses the device, on whatever thread drops
+    /// the last of it; also where adopting fails.
+    pub on_drop: Option<Box<dyn FnOnce() + Send + Sync>>,
+}
+
+/// Loads a host's instance.
+///
+/// # Safety
+/// The function is the loader's, and the instance is alive.
+unsafe fn load_instance(
+    get_instance_proc_addr: vk::PFN_vkGetInstanceProcAddr,
+    instance: vk::Instance,
+) -> Result<ash::Instance> {
+    let functions = ash::StaticFn { get_instance_proc_addr };
+    require_handle("instance", instance.is_null())?;
+    // SAFETY: by the caller's promise.
+    let found = unsafe {
+        get_instance_proc_addr(instance, c"vkGetPhysicalDeviceFeatures2".as_ptr()).is_some()
+    };
+    if !found {
+        return Err(unsupported("the host's instance was made for a Vulkan below 1.3".into()));
+    }
+    // SAFETY: by the caller's promise.
+    Ok(unsafe { ash::Instance::load(&functions, instance) })
+}
+
+fn require_handle(what: &str, is_null: bool) -> Result<()> {
+    match is_null {
+        true => Err(Error::Input(format!("the host's {what} is a null handle"))),
+        false => Ok(()),
+    }
+}
+
+impl Requirements {
+    /// What a physical device of a host's instance lacks of these, in words; empty where the engine
+    /// can run on it.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for a null handle; [`Error::Unsupported`] for an instance below Vulkan 1.3.
+    ///
+    /// # Safety
+    /// The function is the loader's; the instance is alive; the physical device is one of its own.
+    pub unsafe fn lacking(
+        &self,
+        get_instance_proc_addr: vk::PFN_vkGetInstanceProcAddr,
+        instance: vk::Instance,
+        physical_device: vk::PhysicalDevice,
+    ) -> Result<Vec<String>> {
+        // SAFETY: by the caller's promise.
+        let instance = unsafe { load_instance(get_instance_proc_addr, instance) }?;
+        require_handle("physical device", physical_device.is_null())?;
+        Ok(self.lacked_by(&instance, physical_device))
+    }
+}
+
+impl Context {
+    /// A context around a host's device.
+    ///
+    /// # Safety
+    /// As for `Device::adopt`.
+    pub(crate) unsafe fn adopt(host: HostDevice) -> Result<Context> {
+        // First of all, so that the host is told however this ends.
+        let on_drop = OnDrop(host.on_drop);
+        // SAFETY: by the caller's promise.
+        let instance = unsafe { load_instance(host.get_instance_proc_addr, host.instance) }?;
+        require_handle("physical device", host.physical_device.is_null())?;
+        require_handle("device", host.device.is_null())?;
+        require_handle("queue", host.queue.is_null())?;
+        let requirements = Requirements::query();
+        let instance = Instance::adopt(instance);
+        let physical = host.physical_device;
+        // SAFETY: a plain query; the versions of its structures are part of Vulkan 1.1 and 1.2,
+        // which `check` below needs too.
+        let version = unsafe { instance.raw.get_physical_device_properties(physical) }.api_version;
+        if version < requirements.api_version {
+            return Err(unsupported("the host's physical device is below Vulkan 1.3".into()));
+        }
+        let info = instance.describe(physical);
+        requirements.check(&instance.raw, physical, &info.name)?;
+        let lacking = host.features.lacking(&requirements.features);
+        if !lacking.is_empty() {
+            return Err(unsupported(format!(
+                "the host's device was made without the feature {}; enable it in \
+                 VkDeviceCreateInfo",
+                lacking.join(", ")
+            )));
+        }
+        // SAFETY: a plain query.
+        let families =
+            unsafe { instance.raw.get_physical_device_queue_family_properties(physical) };
+        match families.get(host.queue_family as usize) {
+            None => {
+                let (family, count) = (host.queue_family, families.len());
+                return Err(Error::Input(format!("queue family {family}: there are {count}")));
+            }
+            Some(family) if !family.queue_flags.contains(requirements.queue_flags) => {
+                return Err(unsupported(format!(
+                    "queue family {} offers no compute; take a queue of another one",
+                    host.queue_family
+                )));
+            }
+            Some(_) => {}
+        }
+        let loads = |name: &CStr| {
+            // SAFETY: the device is alive by the caller's promise.
+            unsafe { (instance.raw.fp_v1_0().get_device_proc_addr)(host.device, name.as_ptr()) }
+                .is_some()
+        };
+        if !loads(c"vkQueueSubmit2") {
+            return Err(unsupported("the host's device was made for a Vulkan below 1.3".into()));
+        }
+        // SAFETY: the device is alive by the caller's promise, and of this instance.
+        let raw = unsafe { ash::Device::load(instance.raw.fp_v1_0(), host.device) };
+        let opened = Opened {
+            raw,
+            physical,
+            queue: Queue::new(host.queue, host.queue_lock),
+            family: host.queue_family,
+            imports_fd: host.external_memory_fd,
+            host: Some(on_drop),
+        };
+        Context::around(Arc::new(instance), opened, info)
+    }
+}

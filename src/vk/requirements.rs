@@ -1,0 +1,248 @@
+//! What the engine needs of a device, in one place: for opening one, and for hosts that make their
+//! own.
+
+use crate::error::{Error, Result};
+use ash::vk;
+use std::ffi::{CStr, c_void};
+
+/// Device features; [`Requirements`] says which must be enabled.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Features {
+    /// Of Vulkan 1.2.
+    pub timeline_semaphore: bool,
+    /// Of Vulkan 1.2.
+    pub scalar_block_layout: bool,
+    /// Of Vulkan 1.3.
+    pub synchronization2: bool,
+    /// Of Vulkan 1.3.
+    pub subgroup_size_control: bool,
+    /// Of Vulkan 1.3.
+    pub compute_full_subgroups: bool,
+}
+
+impl Features {
+    /// All of them.
+    pub const ALL: Features = Features {
+        timeline_semaphore: true,
+        scalar_block_layout: true,
+        synchronization2: true,
+        subgroup_size_control: true,
+        compute_full_subgroups: true,
+    };
+
+    fn named(&self) -> [(bool, &'static str); 5] {
+        [
+            (self.timeline_semaphore, "timelineSemaphore"),
+            (self.scalar_block_layout, "scalarBlockLayout"),
+            (self.synchronization2, "synchronization2"),
+            (self.subgroup_size_control, "subgroupSizeControl"),
+            (self.compute_full_subgroups, "computeFullSubgroups"),
+        ]
+    }
+
+    /// Names, as Vulkan spells them, of those that `needed` has and this lacks.
+    pub fn lacking(&self, needed: &Features) -> Vec<&'static str> {
+        let pairs = self.named().into_iter().zip(needed.named());
+        pairs.filter(|((has, _), (needs, _))| *needs && !has).map(|((_, name), _)| name).collect()
+    }
+
+    /// Turns these on in what a device is created with; the rest stays as it is.
+    pub fn enable(
+        &self,
+        vulkan12: &mut vk::PhysicalDeviceVulkan12Features<'_>,
+        vulkan13: &mut vk::PhysicalDeviceVulkan13Features<'_>,
+    ) {
+        vulkan12.timeline_semaphore |= u32::from(self.timeline_semaphore);
+        vulkan12.scalar_block_layout |= u32::from(self.scalar_block_layout);
+        vulkan13.synchronization2 |= u32::from(self.synchronization2);
+        vulkan13.subgroup_size_control |= u32::from(self.subgroup_size_control);
+        vulkan13.compute_full_subgroups |= u32::from(self.compute_full_subgroups);
+    }
+
+    /// What a device that was created with this had enabled, read from the chain of structures:
+    /// those of Vulkan 1.2 and 1.3, and the extensions' own that they replaced.
+    ///
+    /// # Safety
+    /// The chain behind `p_next` is valid.
+    pub unsafe fn enabled_by(create: &vk::DeviceCreateInfo<'_>) -> Features {
+        let mut found = Features::default();
+        let mut next: *const c_void = create.p_next;
+        while !next.is_null() {
+            let at = next.cast::<vk::BaseInStructure<'_>>();
+            // SAFETY: the chain is valid, so each link begins with type and next, and is what its
+            // type says.
+            unsafe {
+                match (*at).s_type {
+                    vk::StructureType::PHYSICAL_DEVICE_VULKAN_1_2_FEATURES => {
+                        let link = &*next.cast::<vk::PhysicalDeviceVulkan12Features<'_>>();
+                        found.timeline_semaphore |= link.timeline_semaphore != 0;
+                        found.scalar_block_layout |= link.scalar_block_layout != 0;
+                    }
+                    vk::StructureType::PHYSICAL_DEVICE_VULKAN_1_3_FEATURES => {
+                        let link = &*next.cast::<vk::PhysicalDeviceVulkan13Features<'_>>();
+                        found.synchronization2 |= link.synchronization2 != 0;
+                        found.subgroup_size_control |= link.subgroup_size_control != 0;
+                        found.compute_full_subgroups |= link.compute_full_subgroups != 0;
+                    }
+                    vk::StructureType::PHYSICAL_DEVICE_TIMELINE_SEMAPHORE_FEATURES => {
+                        let link = &*next.cast::<vk::PhysicalDeviceTimelineSemaphoreFeatures<'_>>();
+                        found.timeline_semaphore |= link.timeline_semaphore != 0;
+                    }
+                    vk::StructureType::PHYSICAL_DEVICE_SCALAR_BLOCK_LAYOUT_FEATURES => {
+                        let link = &*next.cast::<vk::PhysicalDeviceScalarBlockLayoutFeatures<'_>>();
+                        found.scalar_block_layout |= link.scalar_block_layout != 0;
+                    }
+                    vk::StructureType::PHYSICAL_DEVICE_SYNCHRONIZATION_2_FEATURES => {
+                        let link = &*next.cast::<vk::PhysicalDeviceSynchronization2Features<'_>>();
+                        found.synchronization2 |= link.synchronization2 != 0;
+                    }
+                    vk::StructureType::PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_FEATURES => {
+                        let link =
+                            &*next.cast::<vk::PhysicalDeviceSubgroupSizeControlFeatures<'_>>();
+                        found.subgroup_size_control |= link.subgroup_size_control != 0;
+                        found.compute_full_subgroups |= link.compute_full_subgroups != 0;
+                    }
+                    _ => {}
+                }
+                next = (*at).p_next.cast();
+            }
+        }
+        found
+    }
+}
+
+/// What a device must have, be created with, and offer.
+#[derive(Clone, Copy, Debug)]
+pub struct Requirements {
+    /// Of instance and device, packed as Vulkan packs it.
+    pub api_version: u32,
+    /// Device extensions that must be enabled.
+    pub extensions: &'static [&'static CStr],
+    /// Device extensions that the engine uses where they are enabled.
+    pub optional_extensions: &'static [&'static CStr],
+    /// Device features that must be enabled.
+    pub features: Features,
+    /// What the family of the queue must offer.
+    pub queue_flags: vk::QueueFlags,
+    /// Operations of subgroups in compute shaders.
+    pub subgroup_operations: vk::SubgroupFeatureFlags,
+    /// `maxComputeWorkGroupInvocations` and `maxComputeWorkGroupSize[0]`, at least.
+    pub workgroup_invocations: u32,
+    /// `maxComputeSharedMemorySize`, at least; bytes.
+    pub shared_memory: u32,
+    /// `maxPushConstantsSize`, at least; bytes.
+    pub push_constants: u32,
+    /// `maxPerStageDescriptorStorageBuffers` and `maxDescriptorSetStorageBuffers`, at least.
+    pub storage_buffers: u32,
+}
+
+impl Requirements {
+    /// Those of every kernel of the crate.
+    ///
+    /// ```
+    /// let needed = splat4d::embed::Requirements::query();
+    /// assert!(needed.extensions.is_empty() && needed.features.timeline_semaphore);
+    /// ```
+    pub fn query() -> Requirements {
+        Requirements {
+            api_version: vk::API_VERSION_1_3,
+            extensions: &[],
+            optional_extensions: &[ash::khr::external_memory_fd::NAME],
+            features: Features::ALL,
+            queue_flags: vk::QueueFlags::COMPUTE,
+            subgroup_operations: vk::SubgroupFeatureFlags::BASIC
+                | vk::SubgroupFeatureFlags::BALLOT
+                | vk::SubgroupFeatureFlags::ARITHMETIC
+                | vk::SubgroupFeatureFlags::SHUFFLE,
+            workgroup_invocations: 256,
+            shared_memory: 32 * 1024,
+            push_constants: 128,
+            storage_buffers: 30,
+        }
+    }
+
+    /// What a physical device lacks of these, in words; empty where nothing is missing.
+    pub(super) fn lacked_by(
+        &self,
+        instance: &ash::Instance,
+        physical: vk::PhysicalDevice,
+    ) -> Vec<String> {
+        // The oldest thing first: below Vulkan 1.3 nothing else can be asked for.
+        // SAFETY: here and below plain queries of a device of this instance; the chains' structures
+        // live until the end of the function.
+        let version = unsafe { instance.get_physical_device_properties(physical) }.api_version;
+        if version < self.api_version {
+            let (major, minor) = (vk::api_version_major(version), vk::api_version_minor(version));
+            return vec![format!("Vulkan 1.3 (it has {major}.{minor})")];
+        }
+        let mut vulkan12 = vk::PhysicalDeviceVulkan12Features::default();
+        let mut vulkan13 = vk::PhysicalDeviceVulkan13Features::default();
+        let mut features = vk::PhysicalDeviceFeatures2::default()
+            .push_next(&mut vulkan12)
+            .push_next(&mut vulkan13);
+        let mut vulkan11 = vk::PhysicalDeviceVulkan11Properties::default();
+        let mut properties = vk::PhysicalDeviceProperties2::default().push_next(&mut vulkan11);
+        // SAFETY: as above.
+        unsafe {
+            instance.get_physical_device_features2(physical, &mut features);
+            instance.get_physical_device_properties2(physical, &mut properties);
+        }
+        let limits = properties.properties.limits;
+        let has = Features {
+            timeline_semaphore: vulkan12.timeline_semaphore != 0,
+            scalar_block_layout: vulkan12.scalar_block_layout != 0,
+            synchronization2: vulkan13.synchronization2 != 0,
+            subgroup_size_control: vulkan13.subgroup_size_control != 0,
+            compute_full_subgroups: vulkan13.compute_full_subgroups != 0,
+        };
+        let lacking = has.lacking(&self.features);
+        let mut missing: Vec<String> =
+            lacking.into_iter().map(|name| format!("the feature {name}")).collect();
+        let subgroup = self.subgroup_operations;
+        if !(vulkan11.subgroup_supported_operations.contains(subgroup)
+            && vulkan11.subgroup_supported_stages.contains(vk::ShaderStageFlags::COMPUTE))
+        {
+            missing.push("subgroup ballot, arithmetic and shuffle in compute shaders".into());
+        }
+        let invocations =
+            limits.max_compute_work_group_invocations.min(limits.max_compute_work_group_size[0]);
+        let buffers = limits
+            .max_per_stage_descriptor_storage_buffers
+            .min(limits.max_descriptor_set_storage_buffers);
+        for (what, least, actual) in [
+            ("invocations in a workgroup", self.workgroup_invocations, invocations),
+            ("bytes of shared memory", self.shared_memory, limits.max_compute_shared_memory_size),
+            ("bytes of push constants", self.push_constants, limits.max_push_constants_size),
+            ("storage buffers in a descriptor set", self.storage_buffers, buffers),
+        ] {
+            if actual < least {
+                missing.push(format!("{least} {what} (it has {actual})"));
+            }
+        }
+        // SAFETY: as above.
+        let families = unsafe { instance.get_physical_device_queue_family_properties(physical) };
+        if !families.iter().any(|family| family.queue_flags.contains(self.queue_flags)) {
+            missing.push("a queue family with compute".into());
+        }
+        missing
+    }
+
+    /// Fails where a physical device lacks anything.
+    pub(super) fn check(
+        &self,
+        instance: &ash::Instance,
+        physical: vk::PhysicalDevice,
+        name: &str,
+    ) -> Result<()> {
+        let missing = self.lacked_by(instance, physical);
+        if missing.is_empty() {
+            return Ok(());
+        }
+        Err(unsupported(format!("{name} lacks {}", missing.join(", "))))
+    }
+}
+
+/// The engine cannot run: what is missing.
+pub(super) fn unsupported(missing: String) -> Error {
+    Error::Unsupported { kernel: "the engine".into(), missing }
+}
