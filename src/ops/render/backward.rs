@@ -1,0 +1,241 @@
+//! From the gradients of a picture to those of the Gaussians and the camera.
+
+use super::{PixelBuffers, Render, RenderScratch};
+use crate::gpu::{Buffer, Device, Groups, Recorder, View, ViewMut};
+use crate::kernels::{project, raster};
+use crate::ops::at_least;
+use crate::ops::gaussians::{GaussianBuffers, GaussianViews};
+use crate::{Error, Result};
+
+/// What only the backward pass works in.
+pub struct BackwardScratch {
+    pub(crate) slots_a: Buffer<[f32; 4]>,
+    pub(crate) slots_b: Buffer<[f32; 4]>,
+    pub(crate) slots_c: Buffer<[f32; 2]>,
+    pub(crate) means: Buffer<[f32; 4]>,
+    pub(crate) conics: Buffer<[f32; 4]>,
+    pub(crate) colours: Buffer<[f32; 4]>,
+    pub(crate) pose_partials: Buffer<f32>,
+    pub(crate) pose: Buffer<f32>,
+}
+
+/// The gradient of a loss by a rendered image.
+pub struct PixelGradients {
+    /// By premultiplied colour and alpha.
+    pub rgba: Buffer<[f32; 4]>,
+    /// By depth.
+    pub depth: Buffer<f32>,
+}
+
+impl Render {
+    /// What [`backward`](Self::backward) works in besides.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`].
+    pub fn backward_scratch(&self, device: &Device) -> Result<BackwardScratch> {
+        let (n, m) = (self.gaussians, self.intersections);
+        Ok(BackwardScratch {
+            slots_a: device.buffer("gradient slots a", m)?,
+            slots_b: device.buffer("gradient slots b", m)?,
+            slots_c: device.buffer("gradient slots c", m)?,
+            means: device.buffer("mean gradients", n)?,
+            conics: device.buffer("conic gradients", n)?,
+            colours: device.buffer("colour gradients", n)?,
+            pose_partials: device.buffer("pose partials", 8 * n.div_ceil(64))?,
+            pose: device.buffer("pose gradient", 6)?,
+        })
+    }
+
+    /// The gradient of an image of this renderer's size.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`].
+    pub fn pixel_gradients(&self, device: &Device) -> Result<PixelGradients> {
+        let pixels = self.width as usize * self.height as usize;
+        Ok(PixelGradients {
+            rgba: device.buffer("rgba gradient", pixels)?,
+            depth: device.buffer("depth gradient", pixels)?,
+        })
+    }
+
+    /// Records the gradients of a loss by every parameter, given those by the image that
+    /// [`forward`](Self::forward) has just rendered with the same camera, Gaussians and scratch.
+    /// Culled Gaussians get zeros. With `with_pose` the gradient by a left perturbation of
+    /// `view_from_world` (translation, rotation) comes too: [`BackwardScratch::pose`].
+    ///
+    /// # Errors
+    /// [`Error::Shape`] when `gradients` has too little room; else as for [`Recorder::dispatch`].
+    pub fn backward(
+        &self,
+        recorder: &mut Recorder,
+        gaussians: GaussianViews<'_>,
+        scratch: &RenderScratch,
+        pixels: &PixelBuffers,
+        pixel_gradients: &PixelGradients,
+        backward: &mut BackwardScratch,
+        gradients: &mut GaussianBuffers,
+        with_pose: bool,
+    ) -> Result<()> {
+        gaussians.check("render backward")?;
+        if gaussians.half_sh {
+            let what = "gradients need the spherical harmonics in f32; 16 bits are for rendering";
+            return Err(Error::Input(what.into()));
+        }
+        gradients.len = gaussians.len;
+        gradients.views().at_degree(gaussians.sh_degree).check("render backward gradients")?;
+        let colours = scratch.colours.view();
+        let n = gaussians.len;
+        self.blend_backward(recorder, colours, n, scratch, pixels, pixel_gradients, backward)?;
+        let groups = Groups::linear(gaussians.len, 64, recorder.device().limits())?;
+        let (s, b) = (scratch, backward);
+        let [sh0, sh1, sh2, sh3] = gradients.sh.each_mut().map(Buffer::view_mut);
+        recorder.dispatch::<project::Backward>(
+            groups,
+            project::BackwardParams {
+                count: gaussians.len as u32,
+                width: self.width,
+                height: self.height,
+                sh_degree: gaussians.sh_degree,
+                near: self.settings.near,
+                dilation: self.settings.dilation,
+                tangent_clamp: self.settings.tangent_clamp,
+                with_pose: u32::from(with_pose),
+            },
+            project::BackwardArgs {
+                camera: s.camera.view(),
+                positions: gaussians.positions,
+                log_scales: gaussians.log_scales,
+                rotations: gaussians.rotations,
+                sh1: gaussians.sh[1],
+                sh2: gaussians.sh[2],
+                sh3: gaussians.sh[3],
+                visible: s.visible.view(),
+                opacity_logits: gaussians.opacity_logits,
+                colours: s.colours.view(),
+                mean_gradients: b.means.view(),
+                conic_gradients: b.conics.view(),
+                colour_gradients: b.colours.view(),
+                position_gradients: gradients.positions.view_mut(),
+                log_scale_gradients: gradients.log_scales.view_mut(),
+                rotation_gradients: gradients.rotations.view_mut(),
+                opacity_gradients: gradients.opacity_logits.view_mut(),
+                sh0_gradients: sh0,
+                sh1_gradients: sh1,
+                sh2_gradients: sh2,
+                sh3_gradients: sh3,
+                pose_partials: b.pose_partials.view_mut(),
+            },
+        )?;
+        if !with_pose {
+            return Ok(());
+        }
+        recorder.dispatch::<project::Pose>(
+            Groups([1, 1, 1]),
+            project::PoseParams { groups: gaussians.len.div_ceil(64) as u32 },
+            project::PoseArgs { pose_partials: b.pose_partials.view(), pose: b.pose.view_mut() },
+        )
+    }
+
+    /// Records the gradients of a loss by the projected splats, colours among them, of the first
+    /// `count` Gaussians, given those by the picture that [`blend`](Self::blend) (or
+    /// [`forward`](Self::forward)) has made of these colours: what
+    /// [`BackwardScratch::colour_gradients`] and [`BackwardScratch::mean_gradients`] give.
+    ///
+    /// # Errors
+    /// As for [`backward`](Self::backward).
+    pub fn blend_backward(
+        &self,
+        recorder: &mut Recorder,
+        colours: View<'_, [f32; 4]>,
+        count: usize,
+        scratch: &RenderScratch,
+        pixels: &PixelBuffers,
+        pixel_gradients: &PixelGradients,
+        backward: &mut BackwardScratch,
+    ) -> Result<()> {
+        self.check_scratch(scratch)?;
+        self.check_pixels("render backward", pixels)?;
+        let area = self.width as usize * self.height as usize;
+        at_least(
+            "render backward",
+            &[
+                ("Gaussians of the scratch", count, backward.means.len()),
+                ("intersections of the scratch", self.intersections, backward.slots_a.len()),
+                ("rgba gradients", area, pixel_gradients.rgba.len()),
+                ("depth gradients", area, pixel_gradients.depth.len()),
+            ],
+        )?;
+        let limits = *recorder.device().limits();
+        let groups = Groups::linear(count, 64, &limits)?;
+        let (s, b) = (scratch, backward);
+        recorder.dispatch::<raster::Backward>(
+            self.tile_groups(recorder.device())?,
+            raster::BackwardParams {
+                width: self.width,
+                height: self.height,
+                alpha_cut: self.settings.alpha_cut,
+                alpha_cap: self.settings.alpha_cap,
+            },
+            raster::BackwardArgs {
+                ranges: s.ranges.view(),
+                intersections: s.intersections.view(),
+                splats: s.splats.view(),
+                means: s.means.view(),
+                conics: s.conics.view(),
+                colours,
+                rgba: pixels.rgba.view(),
+                depth: pixels.depth.view(),
+                last: pixels.last.view(),
+                rgba_gradient: pixel_gradients.rgba.view(),
+                depth_gradient: pixel_gradients.depth.view(),
+                slots_a: b.slots_a.view_mut(),
+                slots_b: b.slots_b.view_mut(),
+                slots_c: b.slots_c.view_mut(),
+            },
+        )?;
+        recorder.dispatch::<raster::Gather>(
+            groups,
+            raster::GatherParams { count: count as u32, capacity: self.intersections as u32 },
+            raster::GatherArgs {
+                visible_count: s.visible_count.view(),
+                order: s.order.view(),
+                counts: s.rank_counts.view(),
+                offsets: s.rank_offsets.view(),
+                slots_a: b.slots_a.view(),
+                slots_b: b.slots_b.view(),
+                slots_c: b.slots_c.view(),
+                means: s.means.view(),
+                conics: s.conics.view(),
+                mean_gradients: b.means.view_mut(),
+                conic_gradients: b.conics.view_mut(),
+                colour_gradients: b.colours.view_mut(),
+            },
+        )
+    }
+}
+
+impl BackwardScratch {
+    /// The gradient by the camera's pose: translation, rotation.
+    pub fn pose(&self) -> &Buffer<f32> {
+        &self.pose
+    }
+
+    /// Gradients of the last frame by the projected splats: by mean x, mean y (pixels), depth and
+    /// opacity. Those of culled Gaussians are undefined.
+    pub fn mean_gradients(&self) -> View<'_, [f32; 4]> {
+        self.means.view()
+    }
+
+    /// Gradients of the last frame by the colours of the first `count` Gaussians: red, green, blue
+    /// and nothing. Those of culled Gaussians are undefined.
+    pub fn colour_gradients(&self, count: usize) -> View<'_, [f32; 4]> {
+        self.colours.range(0..count)
+    }
+}
+
+impl PixelGradients {
+    /// The depth's gradient, for a loss without a depth term to fill with zeros.
+    pub fn depth_mut(&mut self) -> ViewMut<'_, f32> {
+        self.depth.view_mut()
+    }
+}

@@ -1,0 +1,247 @@
+//! From Gaussians to a picture.
+
+use super::{PixelBuffers, Render, RenderScratch, device_camera};
+use crate::Result;
+use crate::gpu::{Groups, Recorder, View};
+use crate::kernels::indirect::record_arguments;
+use crate::kernels::{bin, project, raster};
+use crate::ops::gaussians::GaussianViews;
+use crate::ops::scan::ScanArgs;
+use crate::ops::sort::SortArgs;
+use crate::types::{Camera, RasterKind, RenderSettings};
+
+impl Render {
+    /// Records the rendering of `gaussians` from `camera` into `pixels`.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] when there are more Gaussians than planned for or the camera's image has
+    /// another size; else as for [`Recorder::dispatch`].
+    pub fn forward(
+        &self,
+        recorder: &mut Recorder,
+        camera: &Camera,
+        gaussians: GaussianViews<'_>,
+        scratch: &mut RenderScratch,
+        pixels: &mut PixelBuffers,
+    ) -> Result<()> {
+        self.check(camera, &gaussians)?;
+        self.check_scratch(scratch)?;
+        self.check_pixels("render", pixels)?;
+        recorder.update(scratch.camera.view_mut(), &device_camera(camera))?;
+        recorder.update(scratch.count.view_mut(), &[gaussians.len as u32])?;
+        self.project(recorder, gaussians, scratch)?;
+        self.bin(recorder, gaussians.len, scratch)?;
+        self.blend(recorder, scratch.colours.view(), scratch, pixels)
+    }
+
+    /// Records the blending of other colours, one for each Gaussian, over what the last
+    /// [`forward`](Self::forward) with this scratch has projected and sorted. Alpha and depth come
+    /// out the same.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] where sizes differ; else as for [`Recorder::dispatch`].
+    pub fn blend(
+        &self,
+        recorder: &mut Recorder,
+        colours: View<'_, [f32; 4]>,
+        scratch: &RenderScratch,
+        pixels: &mut PixelBuffers,
+    ) -> Result<()> {
+        self.check_scratch(scratch)?;
+        self.check_pixels("blend", pixels)?;
+        let s = scratch;
+        let groups = self.tile_groups(recorder.device())?;
+        let RenderSettings { alpha_cut, alpha_cap, transmittance_stop, .. } = self.settings;
+        // Two kernels of one interface.
+        macro_rules! dispatch {
+            ($kernel:ident, $params:ident, $args:ident) => {
+                recorder.dispatch::<raster::$kernel>(
+                    groups,
+                    raster::$params {
+                        width: self.width,
+                        height: self.height,
+                        alpha_cut,
+                        alpha_cap,
+                        transmittance_stop,
+                    },
+                    raster::$args {
+                        ranges: s.ranges.view(),
+                        intersections: s.intersections.view(),
+                        splats: s.splats.view(),
+                        means: s.means.view(),
+                        conics: s.conics.view(),
+                        colours,
+                        rgba: pixels.rgba.view_mut(),
+                        depth: pixels.depth.view_mut(),
+                        last: pixels.last.view_mut(),
+                    },
+                )
+            };
+        }
+        match self.raster {
+            RasterKind::Subgroup => dispatch!(Forward, ForwardParams, ForwardArgs),
+            RasterKind::Shared => dispatch!(ForwardShared, ForwardSharedParams, ForwardSharedArgs),
+        }
+    }
+
+    fn project(
+        &self,
+        recorder: &mut Recorder,
+        gaussians: GaussianViews<'_>,
+        s: &mut RenderScratch,
+    ) -> Result<()> {
+        let groups = Groups::linear(gaussians.len, 64, recorder.device().limits())?;
+        recorder.dispatch_specialised::<project::Forward>(
+            &[u32::from(gaussians.half_sh)],
+            groups,
+            project::ForwardParams {
+                count: gaussians.len as u32,
+                width: self.width,
+                height: self.height,
+                sh_degree: gaussians.sh_degree,
+                near: self.settings.near,
+                dilation: self.settings.dilation,
+                alpha_cut: self.settings.alpha_cut,
+                tangent_clamp: self.settings.tangent_clamp,
+            },
+            project::ForwardArgs {
+                camera: s.camera.view(),
+                positions: gaussians.positions,
+                log_scales: gaussians.log_scales,
+                rotations: gaussians.rotations,
+                opacity_logits: gaussians.opacity_logits,
+                sh0: gaussians.sh[0],
+                sh1: gaussians.sh[1],
+                sh2: gaussians.sh[2],
+                sh3: gaussians.sh[3],
+                means: s.means.view_mut(),
+                conics: s.conics.view_mut(),
+                colours: s.colours.view_mut(),
+                rectangles: s.rectangles.view_mut(),
+                tile_counts: s.tile_counts.view_mut(),
+                visible: s.visible.view_mut(),
+            },
+        )
+    }
+
+    fn bin(&self, recorder: &mut Recorder, len: usize, s: &mut RenderScratch) -> Result<()> {
+        let limits = *recorder.device().limits();
+        let groups = Groups::linear(len, 64, &limits)?;
+        let (count, capacity) = (len as u32, self.intersections as u32);
+        self.scan.record(
+            recorder,
+            ScanArgs {
+                count: s.count.view(),
+                count_at: 0,
+                values: s.visible.view(),
+                prefix: s.compact_offsets.view_mut(),
+                total: s.visible_count.view_mut(),
+                total_at: 0,
+            },
+            &mut s.scan,
+        )?;
+        recorder.dispatch::<bin::Compact>(
+            groups,
+            bin::CompactParams { count },
+            bin::CompactArgs {
+                visible: s.visible.view(),
+                offsets: s.compact_offsets.view(),
+                means: s.means.view(),
+                keys: s.keys.view_mut(),
+                splats: s.splat_ids.view_mut(),
+            },
+        )?;
+        self.depth_sort.record(
+            recorder,
+            SortArgs {
+                count: s.visible_count.view(),
+                count_at: 0,
+                keys: s.keys.view(),
+                payload: s.splat_ids.view(),
+                sorted_keys: s.sorted_keys.view_mut(),
+                sorted_payload: s.order.view_mut(),
+            },
+            &mut s.depth_sort,
+        )?;
+        recorder.dispatch::<bin::Counts>(
+            groups,
+            bin::CountsParams { count },
+            bin::CountsArgs {
+                visible_count: s.visible_count.view(),
+                order: s.order.view(),
+                tile_counts: s.tile_counts.view(),
+                counts: s.rank_counts.view_mut(),
+            },
+        )?;
+        self.scan.record(
+            recorder,
+            ScanArgs {
+                count: s.count.view(),
+                count_at: 0,
+                values: s.rank_counts.view(),
+                prefix: s.rank_offsets.view_mut(),
+                total: s.intersection_count.view_mut(),
+                total_at: 0,
+            },
+            &mut s.scan,
+        )?;
+        recorder.dispatch::<bin::Fits>(
+            Groups([1, 1, 1]),
+            bin::FitsParams { capacity },
+            bin::FitsArgs {
+                visible_count: s.visible_count.view(),
+                total: s.intersection_count.view(),
+                counts: s.counts.view_mut(),
+                fits: s.fits.view_mut(),
+            },
+        )?;
+        recorder.dispatch::<bin::Emit>(
+            groups,
+            bin::EmitParams { count, capacity, width: self.width, height: self.height },
+            bin::EmitArgs {
+                visible_count: s.visible_count.view(),
+                order: s.order.view(),
+                counts: s.rank_counts.view(),
+                offsets: s.rank_offsets.view(),
+                rectangles: s.rectangles.view(),
+                means: s.means.view(),
+                conics: s.conics.view(),
+                tiles: s.tiles.view_mut(),
+                intersections: s.emitted.view_mut(),
+                splats: s.splats.view_mut(),
+            },
+        )?;
+        self.tile_sort.record(
+            recorder,
+            SortArgs {
+                count: s.intersection_count.view(),
+                count_at: 0,
+                keys: s.tiles.view(),
+                payload: s.emitted.view(),
+                sorted_keys: s.sorted_tiles.view_mut(),
+                sorted_payload: s.intersections.view_mut(),
+            },
+            &mut s.tile_sort,
+        )?;
+        recorder.fill(s.ranges.view_mut(), 0);
+        record_arguments(
+            recorder,
+            s.intersection_count.view(),
+            0,
+            self.intersections,
+            64,
+            s.grid.view_mut(),
+            0,
+        )?;
+        recorder.dispatch_indirect::<bin::Ranges>(
+            &s.grid,
+            0,
+            bin::RangesParams { capacity, tile_count: self.tiles() as u32 },
+            bin::RangesArgs {
+                total: s.intersection_count.view(),
+                tiles: s.sorted_tiles.view(),
+                ranges: s.ranges.view_mut(),
+            },
+        )
+    }
+}

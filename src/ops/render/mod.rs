@@ -1,0 +1,315 @@
+//! Rendering Gaussians, forward and backward.
+//!
+//! Project every Gaussian; list the visible ones and sort them by depth; emit an intersection per
+//! tile reached, in that order; sort the intersections by tile alone (stable, so depth order holds
+//! within a tile); blend tile by tile. The number of intersections stays on the device: where it
+//! exceeds what the buffers hold, the farthest are left out, and [`RenderScratch::counts`] tells, so
+//! that the caller grows the buffers and repeats the frame.
+
+mod backward;
+mod forward;
+
+pub use backward::{BackwardScratch, PixelGradients};
+
+use super::at_least;
+use super::gaussians::GaussianViews;
+use super::scan::{Scan, ScanScratch};
+use super::sort::{RadixSort, SortScratch};
+use crate::gpu::{Buffer, Device, Groups, Stream, View};
+use crate::types::{Camera, DEPTH_BITS, RasterKind, RenderSettings};
+use crate::{Error, Result};
+
+/// Side of a tile in pixels.
+pub const TILE: u32 = 16;
+
+/// A camera as the kernels read it: the rotation of `view_from_world` row by row (9), the centre in
+/// the world (3) and what its rounding left (3), fx, fy, cx, cy, one spare.
+pub fn device_camera(camera: &Camera) -> [f32; 20] {
+    let rotation = camera.view_from_world.rotation_matrix();
+    let (k, centre) = (camera.intrinsics, camera.centre());
+    let rest = centre - centre.as_vec3().as_dvec3();
+    let rows = rotation.transpose().to_cols_array();
+    let mut floats = [0.0f32; 20];
+    let values = rows
+        .into_iter()
+        .chain(centre.to_array())
+        .chain(rest.to_array())
+        .chain([k.fx, k.fy, k.cx, k.cy]);
+    for (slot, value) in floats.iter_mut().zip(values) {
+        *slot = value as f32;
+    }
+    floats
+}
+
+/// A renderer for images of one size.
+#[derive(Clone, Debug)]
+pub struct Render {
+    gaussians: usize,
+    intersections: usize,
+    width: u32,
+    height: u32,
+    settings: RenderSettings,
+    raster: RasterKind,
+    depth_sort: RadixSort,
+    tile_sort: RadixSort,
+    scan: Scan,
+}
+
+/// What a renderer works in between its dispatches, and what its backward pass needs again.
+pub struct RenderScratch {
+    pub(crate) camera: Buffer<f32>,
+    pub(crate) count: Buffer<u32>,
+    pub(crate) visible_count: Buffer<u32>,
+    pub(crate) intersection_count: Buffer<u32>,
+    /// Both of these, side by side, for the host.
+    pub(crate) counts: Buffer<u32>,
+    pub(crate) fits: Buffer<u32>,
+    pub(crate) grid: Buffer<u32>,
+    pub(crate) means: Buffer<[f32; 4]>,
+    pub(crate) conics: Buffer<[f32; 4]>,
+    pub(crate) colours: Buffer<[f32; 4]>,
+    pub(crate) rectangles: Buffer<[u32; 2]>,
+    pub(crate) tile_counts: Buffer<u32>,
+    pub(crate) visible: Buffer<u32>,
+    pub(crate) compact_offsets: Buffer<u32>,
+    pub(crate) keys: Buffer<u32>,
+    pub(crate) splat_ids: Buffer<u32>,
+    pub(crate) sorted_keys: Buffer<u32>,
+    pub(crate) order: Buffer<u32>,
+    pub(crate) rank_counts: Buffer<u32>,
+    pub(crate) rank_offsets: Buffer<u32>,
+    pub(crate) tiles: Buffer<u32>,
+    pub(crate) emitted: Buffer<u32>,
+    pub(crate) splats: Buffer<u32>,
+    pub(crate) sorted_tiles: Buffer<u32>,
+    pub(crate) intersections: Buffer<u32>,
+    pub(crate) ranges: Buffer<[u32; 2]>,
+    pub(crate) scan: ScanScratch,
+    pub(crate) depth_sort: SortScratch,
+    pub(crate) tile_sort: SortScratch,
+}
+
+/// A rendered image on the device.
+pub struct PixelBuffers {
+    /// Width, pixels.
+    pub width: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// Premultiplied colour without background, and alpha.
+    pub rgba: Buffer<[f32; 4]>,
+    /// Sum of α · T · z over the splats of a pixel.
+    pub depth: Buffer<f32>,
+    pub(crate) last: Buffer<u32>,
+}
+
+/// What the last frame held; see [`RenderScratch::counts`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FrameCounts {
+    /// Gaussians that were not culled.
+    pub visible: usize,
+    /// (splat, tile) pairs, counted in full even where they did not fit.
+    pub intersections: usize,
+}
+
+impl FrameCounts {
+    /// From the two words that the device wrote.
+    pub fn from_device(words: [u32; 2]) -> FrameCounts {
+        FrameCounts { visible: words[0] as usize, intersections: words[1] as usize }
+    }
+}
+
+impl Render {
+    /// A renderer for at most `gaussians` Gaussians and `intersections` (splat, tile) pairs.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for an image without pixels or with more than 65,535 tiles along a side.
+    pub fn plan(
+        device: &Device,
+        gaussians: usize,
+        intersections: usize,
+        width: u32,
+        height: u32,
+        settings: RenderSettings,
+    ) -> Result<Render> {
+        let (columns, rows) = (width.div_ceil(TILE), height.div_ceil(TILE));
+        if columns == 0 || rows == 0 || columns > 0xffff || rows > 0xffff {
+            return Err(Error::Input(format!("cannot render an image of {width}×{height} pixels")));
+        }
+        // One tile more than there are takes what was counted and not emitted.
+        let tile_bits = 32 - (columns * rows).leading_zeros();
+        Ok(Render {
+            gaussians,
+            intersections,
+            width,
+            height,
+            settings,
+            raster: RasterKind::default(),
+            // Depth is positive, so its sign bit is never set.
+            depth_sort: RadixSort::plan(device, gaussians, 0..DEPTH_BITS)?,
+            tile_sort: RadixSort::plan(device, intersections, 0..tile_bits)?,
+            scan: Scan::plan(gaussians)?,
+        })
+    }
+
+    /// The same, but only the highest `bits` of a depth's 31 decide the order of splats; those that
+    /// these do not tell apart keep the order of their index. Fewer bits, fewer passes of the sort.
+    /// To be called before [`scratch`](Self::scratch).
+    ///
+    /// # Errors
+    /// [`Error::Input`] for no bits or more than 31.
+    pub fn with_depth_bits(mut self, device: &Device, bits: u32) -> Result<Render> {
+        if !(1..=DEPTH_BITS).contains(&bits) {
+            return Err(Error::Input(format!("a depth of {bits} bits: it must have 1 to 31")));
+        }
+        self.depth_sort = RadixSort::plan(device, self.gaussians, DEPTH_BITS - bits..DEPTH_BITS)?;
+        Ok(self)
+    }
+
+    /// The same, blending in another way.
+    pub fn with_raster(self, raster: RasterKind) -> Render {
+        Render { raster, ..self }
+    }
+
+    /// Number of (splat, tile) pairs that there is room for.
+    pub fn intersection_capacity(&self) -> usize {
+        self.intersections
+    }
+
+    /// The constants of blending.
+    pub fn settings(&self) -> &RenderSettings {
+        &self.settings
+    }
+
+    fn tiles(&self) -> usize {
+        (self.width.div_ceil(TILE) * self.height.div_ceil(TILE)) as usize
+    }
+
+    /// What [`forward`](Self::forward) works in.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`].
+    pub fn scratch(&self, device: &Device) -> Result<RenderScratch> {
+        let (n, m) = (self.gaussians, self.intersections);
+        Ok(RenderScratch {
+            camera: device.buffer("camera", 20)?,
+            count: device.buffer("Gaussian count", 1)?,
+            visible_count: device.buffer("visible count", 1)?,
+            intersection_count: device.buffer("intersection count", 1)?,
+            counts: device.buffer("frame counts", 2)?,
+            fits: device.buffer("frame fits", 1)?,
+            grid: device.buffer("ranges grid", 3)?,
+            means: device.buffer("means", n)?,
+            conics: device.buffer("conics", n)?,
+            colours: device.buffer("colours", n)?,
+            rectangles: device.buffer("tile rectangles", n)?,
+            tile_counts: device.buffer("tile counts", n)?,
+            visible: device.buffer("visible", n)?,
+            compact_offsets: device.buffer("compaction offsets", n)?,
+            keys: device.buffer("depth keys", n)?,
+            splat_ids: device.buffer("visible splats", n)?,
+            sorted_keys: device.buffer("sorted depth keys", n)?,
+            order: device.buffer("depth order", n)?,
+            rank_counts: device.buffer("tile counts by rank", n)?,
+            rank_offsets: device.buffer("intersection offsets", n)?,
+            tiles: device.buffer("tile keys", m)?,
+            emitted: device.buffer("emitted intersections", m)?,
+            splats: device.buffer("splat of intersection", m)?,
+            sorted_tiles: device.buffer("sorted tile keys", m)?,
+            intersections: device.buffer("sorted intersections", m)?,
+            ranges: device.buffer("tile ranges", self.tiles())?,
+            scan: self.scan.scratch(device)?,
+            depth_sort: self.depth_sort.scratch(device)?,
+            tile_sort: self.tile_sort.scratch(device)?,
+        })
+    }
+
+    /// An image of this renderer's size.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`].
+    pub fn pixels(&self, device: &Device) -> Result<PixelBuffers> {
+        let pixels = self.width as usize * self.height as usize;
+        Ok(PixelBuffers {
+            width: self.width,
+            height: self.height,
+            rgba: device.buffer("rendered rgba", pixels)?,
+            depth: device.buffer("rendered depth", pixels)?,
+            last: device.buffer("last intersections", pixels)?,
+        })
+    }
+
+    fn check(&self, camera: &Camera, gaussians: &GaussianViews<'_>) -> Result<()> {
+        gaussians.check("render")?;
+        if gaussians.len > self.gaussians {
+            return Err(Error::Shape {
+                op: "render",
+                arg: "gaussians",
+                expected: format!("at most {}", self.gaussians),
+                actual: gaussians.len,
+            });
+        }
+        let k = camera.intrinsics;
+        if (k.width, k.height) != (self.width, self.height) {
+            return Err(Error::Input(format!(
+                "the renderer was planned for {}×{} pixels, the camera has {}×{}",
+                self.width, self.height, k.width, k.height
+            )));
+        }
+        Ok(())
+    }
+
+    /// A scratch of another plan may be too small for this one.
+    fn check_scratch(&self, scratch: &RenderScratch) -> Result<()> {
+        at_least(
+            "render",
+            &[
+                ("scratch's Gaussians", self.gaussians, scratch.means.len()),
+                ("scratch's intersections", self.intersections, scratch.tiles.len()),
+                ("scratch's tiles", self.tiles(), scratch.ranges.len()),
+            ],
+        )
+    }
+
+    fn check_pixels(&self, op: &'static str, pixels: &PixelBuffers) -> Result<()> {
+        if (pixels.width, pixels.height) == (self.width, self.height) {
+            return Ok(());
+        }
+        Err(Error::Shape {
+            op,
+            arg: "pixels",
+            expected: format!("an image of {}×{}", self.width, self.height),
+            actual: pixels.width as usize * pixels.height as usize,
+        })
+    }
+
+    fn tile_groups(&self, device: &Device) -> Result<Groups> {
+        Groups::linear(self.tiles(), 1, device.limits())
+    }
+}
+
+impl RenderScratch {
+    /// Waits for the frames submitted and gives the last one's counts. More intersections than the
+    /// renderer has room for mean that the frame must be repeated with more.
+    ///
+    /// # Errors
+    /// A failed submission.
+    pub fn counts(&self, stream: &mut Stream) -> Result<FrameCounts> {
+        let counts = stream.download(&self.counts)?;
+        Ok(FrameCounts::from_device([counts[0], counts[1]]))
+    }
+
+    /// The counts on the device; [`FrameCounts::from_device`] reads them.
+    pub fn device_counts(&self) -> View<'_, u32> {
+        self.counts.view()
+    }
+
+    /// On the device: 1 where the last frame's intersections all fitted, else 0.
+    pub fn fits(&self) -> View<'_, u32> {
+        self.fits.view()
+    }
+
+    /// Which Gaussians the last frame showed: 1 for visible.
+    pub fn visible(&self) -> View<'_, u32> {
+        self.visible.view()
+    }
+}
