@@ -116,6 +116,12 @@ impl<T: Pod> Readback<T> {
         data
     }
 
+    /// The first of it, into memory that is there.
+    pub fn read_into(&self, data: &mut [T]) {
+        let count = data.len().min(self.len);
+        self.raw.read(bytemuck::cast_slice_mut(&mut data[..count]));
+    }
+
     pub(super) fn bound(&self) -> BoundRange {
         bound::<T>(&self.raw, 0, self.len)
     }
@@ -146,6 +152,15 @@ fn bound<T>(raw: &Arc<RawBuffer>, start: usize, len: usize) -> BoundRange {
 }
 
 impl<'a, T> View<'a, T> {
+    /// A part of it.
+    ///
+    /// # Panics
+    /// When the range reaches past the end.
+    pub fn range(self, range: Range<usize>) -> View<'a, T> {
+        assert!(range.start <= range.end && range.end <= self.len, "a view: {range:?}");
+        View { start: self.start + range.start, len: range.len(), ..self }
+    }
+
     /// Number of elements.
     pub fn len(&self) -> usize {
         self.len
@@ -175,6 +190,15 @@ impl<'a, T> ViewMut<'a, T> {
     /// The same part again, for a shorter time.
     pub fn reborrow(&mut self) -> ViewMut<'_, T> {
         ViewMut { raw: self.raw, start: self.start, len: self.len, element: PhantomData }
+    }
+
+    /// What is left of it from an element on.
+    ///
+    /// # Panics
+    /// When that lies past the end.
+    pub fn starting_at(self, start: usize) -> ViewMut<'a, T> {
+        assert!(start <= self.len, "a view of {}: from {start}", self.len);
+        ViewMut { start: self.start + start, len: self.len - start, ..self }
     }
 
     /// The same part, to read.

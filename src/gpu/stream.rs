@@ -1,6 +1,6 @@
 //! Submissions in order, and what becomes of them.
 
-use super::buffer::Buffer;
+use super::buffer::{Buffer, ViewMut};
 use super::device::Device;
 use super::recorder::{Recorder, Work};
 use crate::error::{Error, Result};
@@ -185,6 +185,18 @@ impl Stream {
                 actual: data.len(),
             });
         }
+        self.upload_to(buffer.view_mut(), data)
+    }
+
+    /// Writes a part of a buffer from its start. Waits until the host's memory is free again.
+    ///
+    /// # Errors
+    /// As for [`upload`](Self::upload).
+    pub fn upload_to<T: Pod>(&mut self, to: ViewMut<'_, T>, data: &[T]) -> Result<()> {
+        if data.len() > to.len() {
+            let (expected, actual) = (format!("at most {}", to.len()), data.len());
+            return Err(Error::Shape { op: "upload", arg: "data", expected, actual });
+        }
         if data.is_empty() {
             return Ok(());
         }
@@ -194,7 +206,7 @@ impl Stream {
         staging.write(bytes);
         let from = BoundRange { buffer: Arc::new(staging), offset: 0, bytes: bytes.len() as u64 };
         let mut recorder = self.recorder(false)?;
-        recorder.copy_ranges(&from, &buffer.view_mut().bound());
+        recorder.copy_ranges(&from, &to.bound());
         let ticket = self.submit(recorder)?;
         self.wait(ticket)
     }

@@ -1,8 +1,9 @@
 //! Gaussians on the device.
 
-use crate::gpu::{Buffer, Device, Stream, View};
+use crate::gpu::{Buffer, Device, Stream, View, ViewMut};
 use crate::types::{Gaussians, sh_coefficients};
 use crate::{Error, Result};
+use std::ops::Range;
 
 /// Floats per Gaussian in each band of the spherical harmonics.
 pub const SH_BAND: [usize; 4] = [3, 9, 15, 21];
@@ -144,6 +145,21 @@ impl GaussianBuffers {
     /// # Errors
     /// [`Error::Shape`] when there are more than there is room for or the arrays' lengths differ.
     pub fn upload(&mut self, stream: &mut Stream, gaussians: &Gaussians) -> Result<()> {
+        self.upload_at(stream, 0, gaussians)?;
+        self.len = gaussians.len();
+        Ok(())
+    }
+
+    /// Writes Gaussians from row `first` on; how many there are stays.
+    ///
+    /// # Errors
+    /// As for [`upload`](Self::upload).
+    pub fn upload_at(
+        &mut self,
+        stream: &mut Stream,
+        first: usize,
+        gaussians: &Gaussians,
+    ) -> Result<()> {
         let (len, coefficients) = (gaussians.len(), sh_coefficients(gaussians.sh_degree));
         let shapes = [
             ("log_scales", gaussians.log_scales.len(), len),
@@ -162,24 +178,81 @@ impl GaussianBuffers {
             let actual = gaussians.sh_degree as usize;
             return Err(Error::Shape { op: "upload", arg: "sh_degree", expected, actual });
         }
-        stream.upload(&mut self.positions, gaussians.positions.as_flattened())?;
-        stream.upload(&mut self.log_scales, gaussians.log_scales.as_flattened())?;
-        stream.upload(&mut self.rotations, &gaussians.rotations)?;
-        stream.upload(&mut self.opacity_logits, &gaussians.opacity_logits)?;
-        let mut first = 0;
+        let rows = first..first + len;
+        if rows.end > self.capacity {
+            let expected =
+                format!("at most {} from {first} on", self.capacity.saturating_sub(first));
+            return Err(Error::Shape { op: "upload", arg: "gaussians", expected, actual: len });
+        }
+        let threes = 3 * rows.start..3 * rows.end;
+        let to = self.positions.range_mut(threes.clone());
+        stream.upload_to(to, gaussians.positions.as_flattened())?;
+        stream.upload_to(self.log_scales.range_mut(threes), gaussians.log_scales.as_flattened())?;
+        stream.upload_to(self.rotations.range_mut(rows.clone()), &gaussians.rotations)?;
+        stream.upload_to(self.opacity_logits.range_mut(rows.clone()), &gaussians.opacity_logits)?;
+        let mut coefficient = 0;
         for band in 0..=self.sh_degree as usize {
-            let rows = SH_BAND[band] / 3;
-            let mut values = vec![0.0f32; len * SH_BAND[band]];
+            let (floats, triples) = (SH_BAND[band], SH_BAND[band] / 3);
+            let mut values = vec![0.0f32; len * floats];
             if band as u32 <= gaussians.sh_degree {
-                for (i, row) in values.chunks_exact_mut(SH_BAND[band]).enumerate() {
-                    let from = i * coefficients + first;
-                    row.copy_from_slice(gaussians.sh[from..from + rows].as_flattened());
+                for (i, row) in values.chunks_exact_mut(floats).enumerate() {
+                    let from = i * coefficients + coefficient;
+                    row.copy_from_slice(gaussians.sh[from..from + triples].as_flattened());
                 }
             }
-            stream.upload(&mut self.sh[band], &values)?;
-            first += rows;
+            let to = self.sh[band].range_mut(floats * rows.start..floats * rows.end);
+            stream.upload_to(to, &values)?;
+            coefficient += triples;
         }
-        self.len = len;
+        Ok(())
+    }
+
+    /// Makes room for `capacity` Gaussians; those that are there stay.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`], or a failed submission.
+    pub fn reserve(&mut self, stream: &mut Stream, capacity: usize) -> Result<()> {
+        if capacity <= self.capacity {
+            return Ok(());
+        }
+        let none = self.len..self.len;
+        self.remake(stream, capacity, none)
+    }
+
+    /// Takes a range of Gaussians out; those behind it move up.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for a range that is not there; [`Error::OutOfMemory`], since rows move into
+    /// other buffers; or a failed submission.
+    pub fn remove(&mut self, stream: &mut Stream, range: Range<usize>) -> Result<()> {
+        if range.start > range.end || range.end > self.len {
+            let (expected, actual) = (format!("a range within {}", self.len), range.end);
+            return Err(Error::Shape { op: "remove", arg: "range", expected, actual });
+        }
+        self.remake(stream, self.capacity, range)
+    }
+
+    /// Moves into new buffers, without some rows, and waits.
+    fn remake(&mut self, stream: &mut Stream, capacity: usize, out: Range<usize>) -> Result<()> {
+        let device = stream.device().clone();
+        let mut fresh = GaussianBuffers::new(&device, capacity, self.sh_degree)?;
+        fresh.len = self.len - out.len();
+        let mut recorder = stream.record()?;
+        let mut moved = |per: usize, from: View<'_, f32>, mut to: ViewMut<'_, f32>| {
+            recorder.copy(from.range(0..per * out.start), to.reborrow());
+            let behind = from.range(per * out.end..per * self.len);
+            recorder.copy(behind, to.starting_at(per * out.start));
+        };
+        moved(3, self.positions.view(), fresh.positions.view_mut());
+        moved(3, self.log_scales.view(), fresh.log_scales.view_mut());
+        moved(4, self.rotations.view().floats(), fresh.rotations.view_mut().floats());
+        moved(1, self.opacity_logits.view(), fresh.opacity_logits.view_mut());
+        for band in 0..=self.sh_degree as usize {
+            moved(SH_BAND[band], self.sh[band].view(), fresh.sh[band].view_mut());
+        }
+        let ticket = stream.submit(recorder)?;
+        stream.wait(ticket)?;
+        *self = fresh;
         Ok(())
     }
 

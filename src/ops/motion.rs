@@ -89,6 +89,25 @@ impl Motion {
         })
     }
 
+    /// Makes room for `gaussians` Gaussians; after that
+    /// [`set_dynamic`](Self::set_dynamic) and [`refresh`](Self::refresh) are needed.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`].
+    pub fn reserve(&mut self, device: &Device, gaussians: usize) -> Result<()> {
+        if gaussians <= self.rotations.len() {
+            return Ok(());
+        }
+        let (k, nodes) = (self.skin.neighbours().k(), self.log_radii.len());
+        self.skin = Skin::new(device, k, gaussians, nodes)?;
+        self.dynamic_ids = device.buffer("dynamic Gaussians", gaussians)?;
+        self.dynamic = 0;
+        self.positions = device.buffer("moved positions", 3 * gaussians)?;
+        self.rotations = device.buffer("moved rotations", gaussians)?;
+        self.rigidity = device.buffer("rigidity", gaussians)?;
+        Ok(())
+    }
+
     /// Sets which Gaussians move: those whose motion logit is above `least`, which is 0 unless
     /// motion is soft.
     ///

@@ -154,7 +154,7 @@ impl Render {
         backward: &mut BackwardScratch,
     ) -> Result<()> {
         self.check_scratch(scratch)?;
-        self.check_pixels("render backward", pixels)?;
+        self.check_size("render backward", pixels.width, pixels.height)?;
         let area = self.width as usize * self.height as usize;
         at_least(
             "render backward",

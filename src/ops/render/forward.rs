@@ -1,6 +1,6 @@
 //! From Gaussians to a picture.
 
-use super::{PixelBuffers, Render, RenderScratch, device_camera};
+use super::{PixelBuffers, PixelViews, Render, RenderScratch, device_camera};
 use crate::Result;
 use crate::gpu::{Groups, Recorder, View};
 use crate::kernels::indirect::record_arguments;
@@ -24,14 +24,30 @@ impl Render {
         scratch: &mut RenderScratch,
         pixels: &mut PixelBuffers,
     ) -> Result<()> {
+        self.forward_into(recorder, camera, gaussians, scratch, pixels.views_mut())
+    }
+
+    /// The same into parts of any buffers.
+    ///
+    /// # Errors
+    /// As for [`forward`](Self::forward); [`Error::Shape`](crate::Error::Shape) where a part is too
+    /// short.
+    pub fn forward_into(
+        &self,
+        recorder: &mut Recorder,
+        camera: &Camera,
+        gaussians: GaussianViews<'_>,
+        scratch: &mut RenderScratch,
+        pixels: PixelViews<'_>,
+    ) -> Result<()> {
         self.check(camera, &gaussians)?;
         self.check_scratch(scratch)?;
-        self.check_pixels("render", pixels)?;
+        self.check_pixels("render", &pixels)?;
         recorder.update(scratch.camera.view_mut(), &device_camera(camera))?;
         recorder.update(scratch.count.view_mut(), &[gaussians.len as u32])?;
         self.project(recorder, gaussians, scratch)?;
         self.bin(recorder, gaussians.len, scratch)?;
-        self.blend(recorder, scratch.colours.view(), scratch, pixels)
+        self.blend_into(recorder, scratch.colours.view(), scratch, pixels)
     }
 
     /// Records the blending of other colours, one for each Gaussian, over what the last
@@ -47,8 +63,22 @@ impl Render {
         scratch: &RenderScratch,
         pixels: &mut PixelBuffers,
     ) -> Result<()> {
+        self.blend_into(recorder, colours, scratch, pixels.views_mut())
+    }
+
+    /// The same into parts of any buffers.
+    ///
+    /// # Errors
+    /// As for [`blend`](Self::blend); [`Error::Shape`](crate::Error::Shape) where a part is too short.
+    pub fn blend_into(
+        &self,
+        recorder: &mut Recorder,
+        colours: View<'_, [f32; 4]>,
+        scratch: &RenderScratch,
+        pixels: PixelViews<'_>,
+    ) -> Result<()> {
         self.check_scratch(scratch)?;
-        self.check_pixels("blend", pixels)?;
+        self.check_pixels("blend", &pixels)?;
         let s = scratch;
         let groups = self.tile_groups(recorder.device())?;
         let RenderSettings { alpha_cut, alpha_cap, transmittance_stop, .. } = self.settings;
@@ -71,9 +101,9 @@ impl Render {
                         means: s.means.view(),
                         conics: s.conics.view(),
                         colours,
-                        rgba: pixels.rgba.view_mut(),
-                        depth: pixels.depth.view_mut(),
-                        last: pixels.last.view_mut(),
+                        rgba: pixels.rgba,
+                        depth: pixels.depth,
+                        last: pixels.last,
                     },
                 )
             };

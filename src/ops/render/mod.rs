@@ -15,7 +15,7 @@ use super::at_least;
 use super::gaussians::GaussianViews;
 use super::scan::{Scan, ScanScratch};
 use super::sort::{RadixSort, SortScratch};
-use crate::gpu::{Buffer, Device, Groups, Stream, View};
+use crate::gpu::{Buffer, Device, Groups, Stream, View, ViewMut};
 use crate::types::{Camera, DEPTH_BITS, RasterKind, RenderSettings};
 use crate::{Error, Result};
 
@@ -100,6 +100,33 @@ pub struct PixelBuffers {
     /// Sum of α · T · z over the splats of a pixel.
     pub depth: Buffer<f32>,
     pub(crate) last: Buffer<u32>,
+}
+
+/// Where a picture goes, pixel after pixel: parts of any buffers, a host's too.
+pub struct PixelViews<'a> {
+    /// Width, pixels.
+    pub width: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// Premultiplied colour without background, and alpha.
+    pub rgba: ViewMut<'a, [f32; 4]>,
+    /// Sum of α · T · z over the splats of a pixel.
+    pub depth: ViewMut<'a, f32>,
+    /// For the backward pass: where each pixel's blending ended.
+    pub last: ViewMut<'a, u32>,
+}
+
+impl PixelBuffers {
+    /// All of it, to write.
+    pub fn views_mut(&mut self) -> PixelViews<'_> {
+        PixelViews {
+            width: self.width,
+            height: self.height,
+            rgba: self.rgba.view_mut(),
+            depth: self.depth.view_mut(),
+            last: self.last.view_mut(),
+        }
+    }
 }
 
 /// What the last frame held; see [`RenderScratch::counts`].
@@ -270,16 +297,29 @@ impl Render {
         )
     }
 
-    fn check_pixels(&self, op: &'static str, pixels: &PixelBuffers) -> Result<()> {
-        if (pixels.width, pixels.height) == (self.width, self.height) {
+    fn check_size(&self, op: &'static str, width: u32, height: u32) -> Result<()> {
+        if (width, height) == (self.width, self.height) {
             return Ok(());
         }
         Err(Error::Shape {
             op,
             arg: "pixels",
             expected: format!("an image of {}×{}", self.width, self.height),
-            actual: pixels.width as usize * pixels.height as usize,
+            actual: width as usize * height as usize,
         })
+    }
+
+    fn check_pixels(&self, op: &'static str, pixels: &PixelViews<'_>) -> Result<()> {
+        self.check_size(op, pixels.width, pixels.height)?;
+        let area = self.width as usize * self.height as usize;
+        at_least(
+            op,
+            &[
+                ("rgba", area, pixels.rgba.len()),
+                ("depth", area, pixels.depth.len()),
+                ("last", area, pixels.last.len()),
+            ],
+        )
     }
 
     fn tile_groups(&self, device: &Device) -> Result<Groups> {

@@ -1,0 +1,112 @@
+//! Scenes edited where they lie.
+
+use super::Renderer;
+use crate::ops::gaussians::HalfHarmonics;
+use crate::types::Gaussians;
+use crate::{Error, Result};
+use std::ops::Range;
+
+/// Edits go through the renderer's own stream and wait until they are done. Frames recorded before
+/// an edit and submitted after it show the scene as it was or as it is, Gaussian by Gaussian.
+impl Renderer {
+    /// Adds Gaussians at the end, and says where they are. Without room the buffers grow to twice
+    /// their length at least. In a static scene motion logits are left out; in a moving one, Gaussians
+    /// without them stand still.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] where arrays differ in length, or for harmonics of a higher degree than the
+    /// scene's; [`Error::OutOfMemory`]; a failed submission.
+    pub fn append(&mut self, gaussians: &Gaussians) -> Result<Range<usize>> {
+        let (first, end) = (self.len(), self.len() + gaussians.len());
+        self.check_logits(gaussians)?;
+        if end > self.gaussians.capacity() {
+            let capacity = end.max(2 * self.gaussians.capacity());
+            self.gaussians.reserve(&mut self.stream, capacity)?;
+            self.studio = None;
+        }
+        self.gaussians.upload_at(&mut self.stream, first, gaussians)?;
+        self.gaussians.len = end;
+        self.revise(first, gaussians)?;
+        Ok(first..end)
+    }
+
+    /// Puts other Gaussians in the place of those from `first` on.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] where they reach past the end; else as for [`append`](Self::append).
+    pub fn replace(&mut self, first: usize, gaussians: &Gaussians) -> Result<()> {
+        self.check_logits(gaussians)?;
+        if first + gaussians.len() > self.len() {
+            return Err(Error::Shape {
+                op: "replace",
+                arg: "gaussians",
+                expected: format!("at most {} from {first} on", self.len().saturating_sub(first)),
+                actual: gaussians.len(),
+            });
+        }
+        self.gaussians.upload_at(&mut self.stream, first, gaussians)?;
+        self.revise(first, gaussians)
+    }
+
+    /// Takes a range of Gaussians out; those behind it move up and keep their order.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for a range that is not there; [`Error::OutOfMemory`]; a failed submission.
+    pub fn remove(&mut self, range: Range<usize>) -> Result<()> {
+        if range.start > range.end || range.end > self.len() {
+            return Err(Error::Shape {
+                op: "remove",
+                arg: "range",
+                expected: format!("a range within {}", self.len()),
+                actual: range.end,
+            });
+        }
+        self.gaussians.remove(&mut self.stream, range.clone())?;
+        if !self.motion_logits.is_empty() {
+            self.motion_logits.drain(range);
+        }
+        self.list_dynamic()
+    }
+
+    fn check_logits(&self, gaussians: &Gaussians) -> Result<()> {
+        let (expected, actual) = (gaussians.len(), gaussians.motion_logits.len());
+        if actual != 0 && actual != expected {
+            let expected = format!("0 or {expected}");
+            return Err(Error::Shape { op: "edit", arg: "motion_logits", expected, actual });
+        }
+        Ok(())
+    }
+
+    /// Takes over the motion logits of what lies from `first` on.
+    fn revise(&mut self, first: usize, gaussians: &Gaussians) -> Result<()> {
+        if self.motion.is_some() {
+            self.motion_logits.resize(self.gaussians.len, f32::NEG_INFINITY);
+            let logits = &mut self.motion_logits[first..first + gaussians.len()];
+            match gaussians.motion_logits.is_empty() {
+                true => logits.fill(f32::NEG_INFINITY),
+                false => logits.copy_from_slice(&gaussians.motion_logits),
+            }
+        }
+        self.list_dynamic()
+    }
+
+    /// Everything that follows from which Gaussians there are.
+    fn list_dynamic(&mut self) -> Result<()> {
+        if let Some(motion) = &mut self.motion {
+            motion.reserve(&self.device, self.gaussians.capacity())?;
+            motion.set_dynamic(&mut self.stream, &self.motion_logits, 0.0)?;
+            let mut recorder = self.stream.record()?;
+            motion.refresh(&mut recorder, self.gaussians.views().positions)?;
+            let ticket = self.stream.submit(recorder)?;
+            self.stream.wait(ticket)?;
+        }
+        if self.half.is_some() {
+            let gaussians = self.gaussians.download(&mut self.stream)?;
+            self.half = Some(HalfHarmonics::from_host(&self.device, &gaussians)?);
+        }
+        if let Some(studio) = &mut self.studio {
+            studio.moving = None;
+        }
+        Ok(())
+    }
+}

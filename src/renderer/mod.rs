@@ -1,0 +1,343 @@
+//! A scene on the device, rendered from any camera at any time.
+//!
+//! [`Renderer::render`] does all of it and gives the picture. A host that draws records instead, into
+//! its own command buffer and its own buffers:
+//!
+//! ```no_run
+//! use splat4d::embed::ash::vk;
+//! use splat4d::gpu::{Buffer, Device, Recorder};
+//! use splat4d::renderer::{Renderer, Target};
+//! use splat4d::types::Camera;
+//!
+//! /// Draws one frame; `commands` is in the recording state.
+//! ///
+//! /// # Safety
+//! /// As for [`Recorder::over`].
+//! unsafe fn draw(
+//!     device: &Device,
+//!     commands: vk::CommandBuffer,
+//!     renderer: &mut Renderer,
+//!     camera: &Camera,
+//!     picture: &mut Buffer<[f32; 4]>,
+//! ) -> splat4d::Result<()> {
+//!     let mut recorder = unsafe { Recorder::over(device, commands) }?;
+//!     let target = Target { rgba: Some(picture.view_mut()), ..Target::default() };
+//!     let frame = renderer.record(&mut recorder, camera, 0.5, target)?;
+//!     let guard = recorder.finish()?;
+//!     // … the host records on, submits, goes on with other frames; when the device is done:
+//!     drop(guard);
+//!     if !renderer.retire(frame)?.is_whole() {
+//!         // The farthest splats of that frame had no room; the next record makes it.
+//!     }
+//!     Ok(())
+//! }
+//! ```
+
+mod edit;
+mod query;
+mod rendered;
+
+pub use query::Hit;
+pub use rendered::Rendered;
+
+use crate::gpu::{Buffer, Device, Readback, Recorder, Stream, ViewMut};
+use crate::ops::gaussians::{GaussianBuffers, GaussianViews, HalfHarmonics};
+use crate::ops::motion::Motion;
+use crate::ops::render::{FrameCounts, PixelBuffers, PixelViews, Render, RenderScratch};
+use crate::scene::Scene;
+use crate::types::{Camera, Image, RenderSettings, Tuning};
+use crate::{Error, Result};
+
+/// Renders one scene. Images of one size after the other cost no allocation.
+pub struct Renderer {
+    device: Device,
+    stream: Stream,
+    gaussians: GaussianBuffers,
+    motion: Option<Motion>,
+    /// One for each Gaussian where the scene moves, else empty.
+    motion_logits: Vec<f32>,
+    settings: RenderSettings,
+    tuning: Tuning,
+    half: Option<HalfHarmonics>,
+    studio: Option<Studio>,
+    /// Intersections that the next studio has room for at least.
+    room: usize,
+    /// Counts that no frame waits for.
+    idle: Vec<Readback<u32>>,
+}
+
+/// What pictures of one size need.
+struct Studio {
+    render: Render,
+    scratch: RenderScratch,
+    pixels: PixelBuffers,
+    /// Colours that tell what moves, and the picture of them.
+    moving: Option<(Buffer<[f32; 4]>, PixelBuffers)>,
+}
+
+/// Where a frame goes: parts of buffers of the device, a host's too. What is `None` stays in the
+/// renderer's own [`pixels`](Renderer::pixels).
+#[derive(Default)]
+pub struct Target<'a> {
+    /// Premultiplied colour without background, and alpha.
+    pub rgba: Option<ViewMut<'a, [f32; 4]>>,
+    /// Σ α · T · z: divide by alpha for the mean depth.
+    pub depth: Option<ViewMut<'a, f32>>,
+    /// In red, how much of alpha comes from what moves; green and blue are 0; alpha as in `rgba`.
+    /// Costs another pass of blending.
+    pub mask: Option<ViewMut<'a, [f32; 4]>>,
+}
+
+/// A recorded frame, to be [retired](Renderer::retire) when the device is done with it.
+#[must_use = "`retire` tells whether all of it was drawn"]
+pub struct Frame {
+    counts: Readback<u32>,
+    room: usize,
+}
+
+/// What became of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Drawn {
+    /// What it held.
+    pub counts: FrameCounts,
+    /// (splat, tile) pairs that there was room for.
+    pub room: usize,
+}
+
+impl Drawn {
+    /// Whether every splat was drawn; else the farthest were left out.
+    pub fn is_whole(&self) -> bool {
+        self.counts.intersections <= self.room
+    }
+}
+
+impl Renderer {
+    /// Puts a scene on a device.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`], or a scene whose arrays do not fit together.
+    pub fn new(device: &Device, scene: &Scene) -> Result<Renderer> {
+        Renderer::tuned(device, scene, &Tuning::default())
+    }
+
+    /// Puts a scene on a device, to be rendered with some accuracy given up for speed.
+    ///
+    /// # Errors
+    /// As for [`new`](Self::new); [`Error::Input`] for settings out of range.
+    pub fn tuned(device: &Device, scene: &Scene, tuning: &Tuning) -> Result<Renderer> {
+        tuning.check()?;
+        let mut stream = device.stream()?;
+        let gaussians = GaussianBuffers::from_host(&mut stream, &scene.gaussians)?;
+        let motion = match &scene.network {
+            Some(network) if scene.gaussians.is_dynamic() => {
+                let points = &scene.control_points;
+                let most = tuning.neighbours.unwrap_or(scene.neighbours).min(scene.neighbours);
+                let k = (most as usize).min(points.len());
+                let count = scene.gaussians.len();
+                let mut motion = Motion::new(&mut stream, points, network, k, count, 1)?;
+                motion.set_dynamic(&mut stream, &scene.gaussians.motion_logits, 0.0)?;
+                let mut recorder = stream.record()?;
+                motion.refresh(&mut recorder, gaussians.views().positions)?;
+                stream.submit(recorder)?;
+                Some(motion)
+            }
+            _ => None,
+        };
+        let half = match tuning.half_sh {
+            true => Some(HalfHarmonics::from_host(device, &scene.gaussians)?),
+            false => None,
+        };
+        let mut motion_logits = Vec::new();
+        if motion.is_some() {
+            motion_logits.clone_from(&scene.gaussians.motion_logits);
+            motion_logits.resize(scene.gaussians.len(), f32::NEG_INFINITY);
+        }
+        Ok(Renderer {
+            device: device.clone(),
+            stream,
+            gaussians,
+            motion,
+            motion_logits,
+            settings: tuning.apply(scene.settings),
+            tuning: *tuning,
+            half,
+            studio: None,
+            room: 0,
+            idle: Vec::new(),
+        })
+    }
+
+    /// The device.
+    pub fn device(&self) -> &Device {
+        &self.device
+    }
+
+    /// Number of Gaussians.
+    pub fn len(&self) -> usize {
+        self.gaussians.len
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.gaussians.len == 0
+    }
+
+    /// The picture of the last frame as far as it did not go into a [`Target`]; none before the
+    /// first. Keep clones of nothing: the next frame writes it anew.
+    pub fn pixels(&self) -> Option<&PixelBuffers> {
+        self.studio.as_ref().map(|studio| &studio.pixels)
+    }
+
+    /// Renders the scene as `camera` sees it at `time` in [0, 1], and waits for it.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`], [`Error::RangeLimit`] for more intersections than a binding holds, or
+    /// a failed submission.
+    pub fn render(&mut self, camera: &Camera, time: f64) -> Result<Rendered> {
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        self.draw(camera, time)?;
+        let studio = self.studio.as_ref().expect("just drawn");
+        let rgba = self.stream.download(&studio.pixels.rgba)?.into_flattened();
+        let depth = self.stream.download(&studio.pixels.depth)?;
+        Ok(Rendered {
+            rgba: Image { width, height, channels: 4, pixels: rgba },
+            depth: Image { width, height, channels: 1, pixels: depth },
+        })
+    }
+
+    /// Renders into the renderer's own pixels and waits, with as much room as it takes.
+    fn draw(&mut self, camera: &Camera, time: f64) -> Result<()> {
+        loop {
+            let mut recorder = self.stream.record()?;
+            let frame = self.record(&mut recorder, camera, time, Target::default())?;
+            let ticket = self.stream.submit(recorder)?;
+            self.stream.wait(ticket)?;
+            if self.retire(frame)?.is_whole() {
+                return Ok(());
+            }
+        }
+    }
+
+    /// Records the scene as `camera` sees it at `time` in [0, 1]. Frames of one size after the other
+    /// allocate nothing, as long as each is [retired](Self::retire).
+    ///
+    /// The dispatches, in order: where the scene moves those of
+    /// [`Motion::forward`](crate::ops::motion::Motion::forward); those of
+    /// [`Render::forward`](crate::ops::render::Render::forward); for a mask one of blending more.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`]; [`Error::RangeLimit`] for more intersections than a binding holds;
+    /// [`Error::Shape`] where a part of the target is too short; [`Error::Input`] for a recorder of
+    /// another device.
+    pub fn record(
+        &mut self,
+        recorder: &mut Recorder,
+        camera: &Camera,
+        time: f64,
+        target: Target<'_>,
+    ) -> Result<Frame> {
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let fits = |studio: &Studio| {
+            (studio.pixels.width, studio.pixels.height) == (width, height)
+                && studio.render.intersection_capacity() >= self.room
+        };
+        if !self.studio.as_ref().is_some_and(fits) {
+            self.studio = None;
+            self.studio = Some(self.plan(width, height)?);
+        }
+        if target.mask.is_some() {
+            self.plan_mask()?;
+        }
+        let counts = match self.idle.pop() {
+            Some(readback) => readback,
+            None => self.device.readback(2)?,
+        };
+        let Renderer { gaussians, motion, half, tuning, studio, .. } = self;
+        let Studio { render, scratch, pixels, moving } = studio.as_mut().expect("planned above");
+        let views = moved(gaussians, half.as_ref(), motion.as_mut(), tuning, recorder, time)?;
+        let mut own = pixels.views_mut();
+        if let Some(rgba) = target.rgba {
+            own.rgba = rgba;
+        }
+        if let Some(depth) = target.depth {
+            own.depth = depth;
+        }
+        render.forward_into(recorder, camera, views, scratch, own)?;
+        if let (Some(mask), Some((colours, painted))) = (target.mask, moving) {
+            let pixels = PixelViews { rgba: mask, ..painted.views_mut() };
+            render.blend_into(recorder, colours.view(), scratch, pixels)?;
+        }
+        recorder.read_back(scratch.device_counts(), &counts);
+        Ok(Frame { counts, room: render.intersection_capacity() })
+    }
+
+    /// Takes back a frame with which the device is done (earlier the answer means nothing), and makes
+    /// more room where it did not fit: the next [`record`](Self::record) allocates then.
+    ///
+    /// # Errors
+    /// [`Error::Failed`] where the device has written no counts that could be.
+    pub fn retire(&mut self, frame: Frame) -> Result<Drawn> {
+        let mut words = [0; 2];
+        frame.counts.read_into(&mut words);
+        let drawn = Drawn { counts: FrameCounts::from_device(words), room: frame.room };
+        self.idle.push(frame.counts);
+        if drawn.counts.visible > self.gaussians.capacity() {
+            let what = "a frame was retired before the device was done with it";
+            return Err(Error::Failed(what.into()));
+        }
+        if !drawn.is_whole() {
+            let needed = drawn.counts.intersections;
+            self.room = self.room.max(needed + needed / 4);
+        }
+        Ok(drawn)
+    }
+
+    fn plan(&self, width: u32, height: u32) -> Result<Studio> {
+        let gaussians = self.gaussians.capacity();
+        let room = (4 * self.gaussians.len).max(1 << 14).max(self.room);
+        let render = Render::plan(&self.device, gaussians, room, width, height, self.settings)?
+            .with_depth_bits(&self.device, self.tuning.depth_bits)?
+            .with_raster(self.tuning.raster);
+        Ok(Studio {
+            scratch: render.scratch(&self.device)?,
+            pixels: render.pixels(&self.device)?,
+            moving: None,
+            render,
+        })
+    }
+
+    /// Makes what a mask needs, where it is not there.
+    fn plan_mask(&mut self) -> Result<()> {
+        let studio = self.studio.as_mut().expect("planned before");
+        if studio.moving.is_some() {
+            return Ok(());
+        }
+        let red = |logit: &f32| [if *logit > 0.0 { 1.0 } else { 0.0 }, 0.0, 0.0, 0.0];
+        let mut colours: Vec<[f32; 4]> = self.motion_logits.iter().map(red).collect();
+        colours.resize(self.gaussians.capacity(), [0.0; 4]);
+        let colours = self.device.upload("what moves", &colours)?;
+        studio.moving = Some((colours, studio.render.pixels(&self.device)?));
+        Ok(())
+    }
+}
+
+/// Records where the Gaussians are at a time, and gives them.
+fn moved<'a>(
+    gaussians: &'a GaussianBuffers,
+    half: Option<&'a HalfHarmonics>,
+    motion: Option<&'a mut Motion>,
+    tuning: &Tuning,
+    recorder: &mut Recorder,
+    time: f64,
+) -> Result<GaussianViews<'a>> {
+    let mut views = gaussians.views();
+    if let Some(half) = half {
+        views = half.replace(views);
+    }
+    views = views.at_degree(tuning.sh_degree);
+    if let Some(motion) = motion {
+        motion.forward(recorder, &views, &[time as f32], None)?;
+        views = motion.moved(views);
+    }
+    Ok(views)
+}

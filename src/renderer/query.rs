@@ -1,0 +1,136 @@
+//! Questions about a scene: what lies at a pixel, and how far it reaches.
+
+use super::{Renderer, moved};
+use crate::gpu::View;
+use crate::ops::render::{RenderScratch, TILE};
+use crate::types::Camera;
+use crate::{Error, Result};
+use bytemuck::Pod;
+use glam::{DVec2, DVec3};
+
+/// What a pixel shows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hit {
+    /// The Gaussian with which the pixel becomes more opaque than half of its alpha: the surface, where
+    /// there is one.
+    pub gaussian: usize,
+    /// Depth of that Gaussian's centre.
+    pub depth: f64,
+    /// The place of that depth behind the pixel, in the world.
+    pub point: DVec3,
+    /// The Gaussian's share of the pixel: α · T.
+    pub weight: f64,
+    /// The pixel's alpha.
+    pub alpha: f64,
+}
+
+impl Renderer {
+    /// What `camera` sees at a pixel at `time`; nothing where alpha is 0. Renders a frame, then asks
+    /// for the splats of one tile, and waits.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for a pixel outside of the picture; else as for [`render`](Self::render).
+    pub fn hit(&mut self, camera: &Camera, time: f64, pixel: [u32; 2]) -> Result<Option<Hit>> {
+        let k = camera.intrinsics;
+        let [x, y] = pixel;
+        if x >= k.width || y >= k.height {
+            let (width, height) = (k.width, k.height);
+            return Err(Error::Input(format!("pixel ({x}, {y}) of {width}×{height}")));
+        }
+        self.draw(camera, time)?;
+        let tile = (y / TILE * k.width.div_ceil(TILE) + x / TILE) as usize;
+        let splats = self.splats_of(tile)?;
+        let (centre, settings) = ([x, y].map(|v| f64::from(v) + 0.5), self.settings);
+        let mut shares = Vec::new();
+        let mut transmittance = 1.0;
+        for (gaussian, mean, conic) in splats {
+            let [mx, my, depth, opacity] = mean.map(f64::from);
+            let [a, b, c, _] = conic.map(f64::from);
+            let (dx, dy) = (centre[0] - mx, centre[1] - my);
+            let power = 0.5 * (a * dx * dx + c * dy * dy) + b * dx * dy;
+            let alpha = (opacity * (-power).exp()).min(f64::from(settings.alpha_cap));
+            // What the kernel passes over: NaN, a conic that rounding made indefinite, the faint.
+            if power.is_nan() || power < 0.0 || alpha < f64::from(settings.alpha_cut) {
+                continue;
+            }
+            let behind = transmittance * (1.0 - alpha);
+            if behind <= f64::from(settings.transmittance_stop) {
+                break;
+            }
+            shares.push((gaussian, depth, alpha * transmittance));
+            transmittance = behind;
+        }
+        let alpha = 1.0 - transmittance;
+        let mut sum = 0.0;
+        let surface = shares.into_iter().find(|(_, _, weight)| {
+            sum += weight;
+            sum >= 0.5 * alpha
+        });
+        Ok(surface.map(|(gaussian, depth, weight)| {
+            let ray = k.ray(DVec2::from_array(centre));
+            let point = camera.view_from_world.inverse().apply(ray * depth);
+            Hit { gaussian, depth, point, weight, alpha }
+        }))
+    }
+
+    /// The last frame's splats of a tile, front to back: index, projected mean, conic.
+    fn splats_of(&mut self, tile: usize) -> Result<Vec<(usize, [f32; 4], [f32; 4])>> {
+        let [begin, end] = self.read_rows(|s| s.ranges.view(), &[tile])?[0];
+        let places: Vec<usize> = (begin as usize..end as usize).collect();
+        let emitted = self.read_rows(|s| s.intersections.view(), &places)?;
+        let emitted: Vec<usize> = emitted.into_iter().map(|at| at as usize).collect();
+        let splats = self.read_rows(|s| s.splats.view(), &emitted)?;
+        let splats: Vec<usize> = splats.into_iter().map(|at| at as usize).collect();
+        let means = self.read_rows(|s| s.means.view(), &splats)?;
+        let conics = self.read_rows(|s| s.conics.view(), &splats)?;
+        Ok(splats.into_iter().zip(means).zip(conics).map(|((i, m), c)| (i, m, c)).collect())
+    }
+
+    /// Some rows of an array of the last frame.
+    fn read_rows<T: Pod>(
+        &mut self,
+        array: impl Fn(&RenderScratch) -> View<'_, T>,
+        rows: &[usize],
+    ) -> Result<Vec<T>> {
+        let studio = self.studio.as_ref().expect("a frame was drawn");
+        let mut gathered = self.device.buffer::<T>("rows asked for", rows.len())?;
+        let mut recorder = self.stream.record()?;
+        let all = array(&studio.scratch);
+        for (to, &from) in rows.iter().enumerate() {
+            recorder.copy(all.range(from..from + 1), gathered.range_mut(to..to + 1));
+        }
+        self.stream.submit(recorder)?;
+        self.stream.download(&gathered)
+    }
+
+    /// The box around every Gaussian at `time` in [0, 1]: lower and upper corner of the centres,
+    /// each widened by `sigmas` of its largest standard deviation; `None` in an empty scene. Gaussians
+    /// that are not finite do not count. Waits.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`], or a failed submission.
+    pub fn bounds(&mut self, time: f64, sigmas: f64) -> Result<Option<[DVec3; 2]>> {
+        let n = self.gaussians.len;
+        let centres = self.device.readback::<f32>(3 * n)?;
+        let mut recorder = self.stream.record()?;
+        let Renderer { gaussians, motion, half, tuning, .. } = self;
+        let motion = motion.as_mut();
+        let views = moved(gaussians, half.as_ref(), motion, tuning, &mut recorder, time)?;
+        recorder.read_back(views.positions, &centres);
+        let ticket = self.stream.submit(recorder)?;
+        self.stream.wait(ticket)?;
+        let scales = self.stream.download(&self.gaussians.log_scales)?;
+        let mut bounds: Option<[DVec3; 2]> = None;
+        for (centre, scale) in centres.read().chunks_exact(3).zip(scales.chunks_exact(3)) {
+            let centre = DVec3::new(centre[0].into(), centre[1].into(), centre[2].into());
+            let largest = scale.iter().fold(f64::NEG_INFINITY, |most, &s| most.max(s.into()));
+            let reach = DVec3::splat(sigmas * largest.exp());
+            if !(centre.is_finite() && reach.is_finite()) {
+                continue;
+            }
+            let [low, high] = bounds.unwrap_or([centre - reach, centre + reach]);
+            bounds = Some([low.min(centre - reach), high.max(centre + reach)]);
+        }
+        Ok(bounds)
+    }
+}

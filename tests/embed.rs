@@ -1,0 +1,569 @@
+//! The three depths of embedding, on a host's own device.
+
+mod common;
+mod host;
+
+use host::{Host, camera, gaussians};
+use splat4d::embed::ash::vk;
+use splat4d::embed::{
+    Features, Guard, HostBuffer, HostDevice, HostImage, Requirements, SemaphorePoint,
+};
+use splat4d::gpu::{Buffer, Device, Recorder, Stream, Ticket};
+use splat4d::ops::render::{Render, RenderScratch};
+use splat4d::renderer::{Frame, Renderer, Target};
+use splat4d::scene::Scene;
+use splat4d::train::Trainer;
+use splat4d::{Error, Result, kernels};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// The host's device, adopted.
+fn adopt(host: &Host) -> Device {
+    // SAFETY: the handles belong together and live as long as the test, which uses the queue from
+    // one thread at a time.
+    unsafe { Device::adopt(host.lend()) }.unwrap()
+}
+
+#[test]
+fn what_a_device_lacks_is_named_before_it_is_made() {
+    let host = Host::new();
+    let needed = Requirements::query();
+    assert_eq!(host.lacking(&needed), Vec::<String>::new());
+    let greedy = Requirements {
+        shared_memory: 1 << 30,
+        storage_buffers: 1 << 30,
+        workgroup_invocations: 1 << 30,
+        ..needed
+    };
+    let lacking = host.lacking(&greedy);
+    assert_eq!(lacking.len(), 3, "{lacking:?}");
+    assert!(lacking.iter().any(|what| what.contains("bytes of shared memory")), "{lacking:?}");
+    let newer = Requirements { api_version: vk::make_api_version(0, 9, 0, 0), ..needed };
+    assert_eq!(host.lacking(&newer).len(), 1);
+    for kernel in kernels::ALL {
+        assert!(kernel.workgroup.iter().product::<u32>() <= needed.workgroup_invocations);
+        assert!(kernel.bindings.len() as u32 <= needed.storage_buffers, "{}", kernel.name);
+        let params: usize = kernel.params.iter().map(|param| param.size).sum();
+        assert!(params as u32 <= needed.push_constants, "{}", kernel.name);
+    }
+}
+
+#[test]
+fn features_are_read_from_what_a_device_was_made_with() {
+    let mut timeline =
+        vk::PhysicalDeviceTimelineSemaphoreFeatures::default().timeline_semaphore(true);
+    let mut scalar =
+        vk::PhysicalDeviceScalarBlockLayoutFeatures::default().scalar_block_layout(true);
+    let mut sync = vk::PhysicalDeviceSynchronization2Features::default().synchronization2(true);
+    let mut size = vk::PhysicalDeviceSubgroupSizeControlFeatures::default()
+        .subgroup_size_control(true)
+        .compute_full_subgroups(true);
+    let create = vk::DeviceCreateInfo::default()
+        .push_next(&mut timeline)
+        .push_next(&mut scalar)
+        .push_next(&mut sync)
+        .push_next(&mut size);
+    // SAFETY: the chain is made of locals.
+    assert_eq!(unsafe { Features::enabled_by(&create) }, Features::ALL);
+    let none = vk::DeviceCreateInfo::default();
+    // SAFETY: there is no chain.
+    assert_eq!(unsafe { Features::enabled_by(&none) }, Features::default());
+    assert_eq!(Features::default().lacking(&Features::ALL).len(), 5);
+}
+
+/// Adopting fails, and the host is told that nothing uses its device.
+#[track_caller]
+fn refused(host: &Host, change: impl FnOnce(&mut HostDevice)) -> Error {
+    let dropped = Arc::new(AtomicUsize::new(0));
+    let mut lent = host.lend();
+    let counter = dropped.clone();
+    lent.on_drop = Some(Box::new(move || {
+        counter.fetch_add(1, Ordering::SeqCst);
+    }));
+    change(&mut lent);
+    // SAFETY: what is wrong is what the function promises to find.
+    let error = unsafe { Device::adopt(lent) }.err().expect("it must be refused");
+    assert_eq!(dropped.load(Ordering::SeqCst), 1, "{error}");
+    error
+}
+
+#[test]
+fn bad_devices_are_refused_by_name() {
+    let host = Host::new();
+    for (name, error) in [
+        ("instance", refused(&host, |lent| lent.instance = vk::Instance::null())),
+        ("physical device", refused(&host, |l| l.physical_device = vk::PhysicalDevice::null())),
+        ("device", refused(&host, |lent| lent.device = vk::Device::null())),
+        ("queue", refused(&host, |lent| lent.queue = vk::Queue::null())),
+    ] {
+        let text = error.to_string();
+        assert!(matches!(error, Error::Input(_)) && text.contains(name), "{name}: {text}");
+    }
+    let family = refused(&host, |lent| lent.queue_family = 77).to_string();
+    assert!(family.contains("queue family 77"), "{family}");
+    let feature = refused(&host, |lent| lent.features.synchronization2 = false);
+    assert!(matches!(feature, Error::Unsupported { .. }));
+    assert!(feature.to_string().contains("synchronization2"), "{feature}");
+    let nothing = refused(&host, |lent| lent.features = Features::default()).to_string();
+    assert!(nothing.contains("timelineSemaphore, scalarBlockLayout"), "{nothing}");
+}
+
+#[test]
+fn a_device_made_without_a_feature_is_refused() {
+    let host = Host::with(Features { timeline_semaphore: false, ..Features::ALL });
+    let error = refused(&host, |_| ()).to_string();
+    assert!(error.contains("timelineSemaphore") && error.contains("VkDeviceCreateInfo"), "{error}");
+}
+
+#[test]
+fn the_host_is_told_once_when_everything_is_gone() {
+    let host = Host::new();
+    let dropped = Arc::new(AtomicUsize::new(0));
+    let (mut lent, counter) = (host.lend(), dropped.clone());
+    lent.on_drop = Some(Box::new(move || {
+        counter.fetch_add(1, Ordering::SeqCst);
+    }));
+    // SAFETY: as for `adopt`.
+    let device = unsafe { Device::adopt(lent) }.unwrap();
+    assert!(device.is_adopted() && !common::device().is_adopted());
+    let mut stream = device.stream().unwrap();
+    let buffer = device.upload("numbers", &[1u32, 2, 3]).unwrap();
+    let clone = device.clone();
+    drop(device);
+    assert_eq!(stream.download(&buffer).unwrap(), [1, 2, 3]);
+    drop(stream);
+    drop(clone);
+    assert_eq!(dropped.load(Ordering::SeqCst), 0, "a buffer is left");
+    drop(buffer);
+    assert_eq!(dropped.load(Ordering::SeqCst), 1);
+    // The host's own device lives on.
+    // SAFETY: nothing is in flight.
+    unsafe { host.device.device_wait_idle() }.unwrap();
+}
+
+#[test]
+fn submissions_take_the_hosts_lock() {
+    let host = Host::new();
+    let taken = Arc::new(AtomicUsize::new(0));
+    let (mut lent, counter) = (host.lend(), taken.clone());
+    lent.queue_lock = Some(Box::new(move |work| {
+        counter.fetch_add(1, Ordering::SeqCst);
+        work();
+    }));
+    // SAFETY: as for `adopt`.
+    let device = unsafe { Device::adopt(lent) }.unwrap();
+    device.upload("numbers", &[1u32]).unwrap();
+    assert_eq!(taken.load(Ordering::SeqCst), 1);
+    let mut lent = host.lend();
+    lent.queue_lock = Some(Box::new(|_| ()));
+    // SAFETY: as for `adopt`.
+    let device = unsafe { Device::adopt(lent) }.unwrap();
+    let error = device.upload("numbers", &[1u32]).err().unwrap().to_string();
+    assert!(error.contains("lock did not run"), "{error}");
+}
+
+/// Renders on the engine's own device.
+fn reference(scene: &Scene, time: f64) -> (Vec<f32>, Vec<f32>) {
+    let device = common::device();
+    let camera = camera(70, 50);
+    let rendered = Renderer::new(&device, scene).unwrap().render(&camera, time).unwrap();
+    (rendered.rgba.pixels, rendered.depth.pixels)
+}
+
+#[test]
+fn an_adopted_device_gives_the_same_bits() {
+    let host = Host::new();
+    let scene = Scene::of(gaussians(400));
+    let expected = reference(&scene, 0.0);
+    let rendered =
+        Renderer::new(&adopt(&host), &scene).unwrap().render(&camera(70, 50), 0.0).unwrap();
+    assert_eq!((rendered.rgba.pixels, rendered.depth.pixels), expected);
+    assert!(expected.0.iter().any(|v| *v > 0.2), "the picture is not empty");
+}
+
+#[test]
+fn frames_are_drawn_in_the_hosts_command_buffer_into_its_buffer() {
+    let host = Host::new();
+    let device = adopt(&host);
+    let scene = Scene::of(gaussians(400));
+    let expected = reference(&scene, 0.0);
+    let (pixels, start) = (70 * 50usize, 4096);
+    let picture = host.buffer(start + 16 * pixels as u64);
+    let depth_buffer = host.buffer(4 * pixels as u64);
+    let semaphore = host.semaphore();
+    let commands = host.commands();
+    {
+        let part = HostBuffer { offset: start, bytes: 16 * pixels as u64, ..picture.whole() };
+        // SAFETY: the buffers live beyond this block, at whose end the device is done.
+        let (mut rgba, mut depth) = unsafe {
+            let depth = depth_buffer.whole();
+            (
+                Buffer::<[f32; 4]>::adopt(&device, "the host's picture", part, None).unwrap(),
+                Buffer::<f32>::adopt(&device, "the host's depth", depth, None).unwrap(),
+            )
+        };
+        assert_eq!((rgba.len(), depth.len()), (pixels, pixels));
+        let mut renderer = Renderer::new(&device, &scene).unwrap();
+        host.begin(commands);
+        // What the host has written before is seen: here, that it is all overwritten.
+        // SAFETY: recording, in range.
+        unsafe {
+            let (from, all) = (picture.buffer, vk::WHOLE_SIZE);
+            host.device.cmd_fill_buffer(commands, from, 0, all, 0x7fc0_0000);
+        }
+        // SAFETY: begun above, submitted below; the guard outlives the wait.
+        let mut recorder = unsafe { Recorder::over(&device, commands) }.unwrap();
+        recorder.profile().unwrap();
+        let target =
+            Target { rgba: Some(rgba.view_mut()), depth: Some(depth.view_mut()), mask: None };
+        let frame = renderer.record(&mut recorder, &camera(70, 50), 0.0, target).unwrap();
+        let guard = recorder.finish().unwrap();
+        host.submit(commands, semaphore, 1);
+        host.wait(semaphore, 1);
+        let times = guard.times().unwrap();
+        assert!(times.iter().any(|time| time.kernel == "raster/forward"), "{times:?}");
+        drop(guard);
+        assert!(renderer.retire(frame).unwrap().is_whole());
+    }
+    assert_eq!(picture.floats(start, 4 * pixels), expected.0);
+    assert_eq!(depth_buffer.floats(0, pixels), expected.1);
+    assert!(picture.floats(0, 8).iter().all(|v| v.is_nan()), "the host's part before stays");
+    drop(device);
+    host.free(picture);
+    host.free(depth_buffer);
+    host.destroy_semaphore(semaphore);
+}
+
+#[test]
+fn a_picture_goes_into_the_hosts_image() {
+    let host = Host::new();
+    let device = adopt(&host);
+    let scene = Scene::of(gaussians(300));
+    let expected = reference(&scene, 0.0).0;
+    let semaphore = host.semaphore();
+    let commands = host.commands();
+    let back = host.buffer(16 * 70 * 50);
+    let info = vk::ImageCreateInfo::default()
+        .image_type(vk::ImageType::TYPE_2D)
+        .format(vk::Format::R32G32B32A32_SFLOAT)
+        .extent(vk::Extent3D { width: 80, height: 60, depth: 1 })
+        .mip_levels(1)
+        .array_layers(1)
+        .samples(vk::SampleCountFlags::TYPE_1)
+        .usage(vk::ImageUsageFlags::TRANSFER_DST | vk::ImageUsageFlags::TRANSFER_SRC);
+    let range = vk::ImageSubresourceRange::default()
+        .aspect_mask(vk::ImageAspectFlags::COLOR)
+        .level_count(1)
+        .layer_count(1);
+    // SAFETY: plain Vulkan, as its specification has it.
+    let (image, memory) = unsafe {
+        let image = host.device.create_image(&info, None).unwrap();
+        let needs = host.device.get_image_memory_requirements(image);
+        let memory = host.allocate(needs, vk::MemoryPropertyFlags::empty());
+        host.device.bind_image_memory(image, memory, 0).unwrap();
+        (image, memory)
+    };
+    let mut renderer = Renderer::new(&device, &scene).unwrap();
+    host.begin(commands);
+    let transition = |from, to| {
+        let barriers = [vk::ImageMemoryBarrier2::default()
+            .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+            .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
+            .dst_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+            .dst_access_mask(vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE)
+            .old_layout(from)
+            .new_layout(to)
+            .src_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+            .dst_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+            .image(image)
+            .subresource_range(range)];
+        let info = vk::DependencyInfo::default().image_memory_barriers(&barriers);
+        // SAFETY: recording.
+        unsafe { host.device.cmd_pipeline_barrier2(commands, &info) };
+    };
+    let (undefined, written, read) = (
+        vk::ImageLayout::UNDEFINED,
+        vk::ImageLayout::TRANSFER_DST_OPTIMAL,
+        vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
+    );
+    transition(undefined, written);
+    // SAFETY: begun above, submitted below; the guard outlives the wait.
+    let mut recorder = unsafe { Recorder::over(&device, commands) }.unwrap();
+    let frame = renderer.record(&mut recorder, &camera(70, 50), 0.0, Target::default()).unwrap();
+    let to = HostImage { image, layout: written, mip_level: 0, array_layer: 0, offset: [7, 5] };
+    let rgba = renderer.pixels().unwrap().rgba.view();
+    // SAFETY: the image is of this device, large enough, in that layout.
+    unsafe {
+        let null = HostImage { image: vk::Image::null(), ..to };
+        assert!(recorder.copy_to_image(rgba, &null, 70, 50).is_err());
+        let unwritable = HostImage { layout: undefined, ..to };
+        assert!(recorder.copy_to_image(rgba, &unwritable, 70, 50).is_err());
+        assert!(recorder.copy_to_image(rgba, &to, 71, 50).is_err());
+        recorder.copy_to_image(rgba, &to, 70, 50).unwrap();
+    }
+    let guard = recorder.finish().unwrap();
+    transition(written, read);
+    let region = [vk::BufferImageCopy::default()
+        .image_subresource(
+            vk::ImageSubresourceLayers::default()
+                .aspect_mask(vk::ImageAspectFlags::COLOR)
+                .layer_count(1),
+        )
+        .image_offset(vk::Offset3D { x: 7, y: 5, z: 0 })
+        .image_extent(vk::Extent3D { width: 70, height: 50, depth: 1 })];
+    // SAFETY: recording, in range.
+    unsafe {
+        host.device.cmd_copy_image_to_buffer(commands, image, read, back.buffer, &region);
+    }
+    host.submit(commands, semaphore, 1);
+    host.wait(semaphore, 1);
+    drop(guard);
+    assert!(renderer.retire(frame).unwrap().is_whole());
+    assert_eq!(back.floats(0, 4 * 70 * 50), expected);
+    drop((renderer, device));
+    // SAFETY: the device is done with them.
+    unsafe {
+        host.device.destroy_image(image, None);
+        host.device.free_memory(memory, None);
+    }
+    host.free(back);
+    host.destroy_semaphore(semaphore);
+}
+
+#[test]
+fn submissions_wait_for_the_hosts_semaphores_and_signal_them() {
+    let host = Host::new();
+    let (start, done) = (host.semaphore(), host.semaphore());
+    {
+        let device = adopt(&host);
+        let mut stream = device.stream().unwrap();
+        let mut buffer = device.buffer::<u32>("filled", 64).unwrap();
+        let mut recorder = stream.record().unwrap();
+        recorder.fill(buffer.view_mut(), 5);
+        let waits = [SemaphorePoint { semaphore: start, value: 3 }];
+        let signals = [SemaphorePoint { semaphore: done, value: 9 }];
+        // SAFETY: the semaphores live until the end, and what is waited for comes below.
+        let ticket = unsafe { stream.submit_between(recorder, &waits, &signals) }.unwrap();
+        // SAFETY: the semaphores live.
+        unsafe {
+            assert_eq!(host.device.get_semaphore_counter_value(done).unwrap(), 0);
+            let own = stream.semaphore();
+            assert!(host.device.get_semaphore_counter_value(own).unwrap() < ticket.value());
+            let info = vk::SemaphoreSignalInfo::default().semaphore(start).value(3);
+            host.device.signal_semaphore(&info).unwrap();
+        }
+        host.wait(done, 9);
+        host.wait(stream.semaphore(), ticket.value());
+        assert_eq!(stream.download(&buffer).unwrap(), [5; 64]);
+        let recorder = stream.record().unwrap();
+        let null = [SemaphorePoint { semaphore: vk::Semaphore::null(), value: 1 }];
+        // SAFETY: the null handle is refused.
+        assert!(unsafe { stream.submit_between(recorder, &null, &[]) }.is_err());
+    }
+    host.destroy_semaphore(start);
+    host.destroy_semaphore(done);
+}
+
+#[test]
+fn bad_buffers_are_refused_by_name() {
+    let host = Host::new();
+    let device = adopt(&host);
+    let lent = host.buffer(4096);
+    let whole = lent.whole();
+    let refuse = |change: HostBuffer| -> String {
+        let told = Arc::new(AtomicUsize::new(0));
+        let counter = told.clone();
+        let on_drop: Box<dyn FnOnce() + Send + Sync> = Box::new(move || {
+            counter.fetch_add(1, Ordering::SeqCst);
+        });
+        // SAFETY: what is wrong is what the function promises to find.
+        let adopted =
+            unsafe { Buffer::<[f32; 4]>::adopt(&device, "scores", change, Some(on_drop)) };
+        let error = adopted.err().expect("it must be refused");
+        assert!(matches!(error, Error::Input(_)));
+        assert_eq!(told.load(Ordering::SeqCst), 1, "{error}");
+        error.to_string()
+    };
+    let without = vk::BufferUsageFlags::TRANSFER_SRC | vk::BufferUsageFlags::TRANSFER_DST;
+    for (change, says) in [
+        (HostBuffer { buffer: vk::Buffer::null(), ..whole }, "null"),
+        (HostBuffer { usage: without, ..whole }, "without the usage STORAGE_BUFFER"),
+        (HostBuffer { bytes: 1 << 30, ..whole }, "the whole has"),
+        (HostBuffer { offset: 4096, ..whole }, "the whole has"),
+        (HostBuffer { offset: u64::MAX - 4095, ..whole }, "the whole has"),
+        (HostBuffer { offset: 2, ..whole }, "not a multiple of"),
+        (HostBuffer { bytes: 24, ..whole }, "whole elements of 16"),
+        (HostBuffer { bytes: 0, ..whole }, "whole words, and some"),
+    ] {
+        let error = refuse(change);
+        assert!(error.contains(says) && error.contains("scores"), "{says}: {error}");
+    }
+    // SAFETY: the part lies within, and the device is done before it is freed.
+    let part = unsafe {
+        let part = HostBuffer { offset: 256, bytes: 64, ..whole };
+        Buffer::<u32>::adopt(&device, "grid", part, None)
+    };
+    let mut part = part.unwrap();
+    let handle = part.handle();
+    assert_eq!((handle.buffer, handle.offset, handle.bytes), (lent.buffer, 256, 64));
+    // Indirect arguments need a usage of their own.
+    let mut stream = device.stream().unwrap();
+    let count = device.upload("count", &[5u32]).unwrap();
+    let (mut sums, mut values) =
+        (device.buffer("sums", 8).unwrap(), device.buffer("values", 8).unwrap());
+    let mut recorder = stream.record().unwrap();
+    recorder.fill(values.view_mut(), 1);
+    let refused = recorder.dispatch_indirect::<kernels::scan::Reduce>(
+        &part,
+        0,
+        kernels::scan::ReduceParams { count_at: 0, capacity: 8 },
+        kernels::scan::ReduceArgs {
+            count: count.view(),
+            values: values.view(),
+            sums: sums.view_mut(),
+        },
+    );
+    assert!(refused.unwrap_err().to_string().contains("INDIRECT_BUFFER"));
+    recorder.fill(part.view_mut(), 77);
+    stream.submit(recorder).unwrap();
+    assert_eq!(stream.download(&part).unwrap(), [77; 16]);
+    drop((part, count, sums, values, stream, device));
+    host.free(lent);
+}
+
+#[cfg(unix)]
+#[test]
+fn memory_is_imported_or_refused_with_a_reason() {
+    use splat4d::embed::ImportedMemory;
+    let host = Host::new();
+    let device = adopt(&host);
+    let memory = ImportedMemory {
+        fd: std::fs::File::open("/dev/null").unwrap().into(),
+        allocation_bytes: 4096,
+        memory_type: 0,
+        offset: 0,
+    };
+    // SAFETY: it is refused before the descriptor is looked at: the host has not enabled it.
+    let refused = unsafe { Buffer::<u32>::import_fd(&device, "shared", memory, 8) };
+    let error = refused.err().unwrap();
+    assert!(matches!(error, Error::Unsupported { .. }), "{error}");
+    assert!(error.to_string().contains("VK_KHR_external_memory_fd"), "{error}");
+}
+
+#[test]
+fn recordings_end_where_they_belong() {
+    let host = Host::new();
+    let device = adopt(&host);
+    let mut stream = device.stream().unwrap();
+    // SAFETY: the null handle is refused.
+    let null = unsafe { Recorder::over(&device, vk::CommandBuffer::null()) };
+    assert!(null.err().unwrap().to_string().contains("null"));
+    assert!(stream.record().unwrap().finish().is_err());
+    let commands = host.commands();
+    host.begin(commands);
+    // SAFETY: begun; never submitted.
+    let recorder = unsafe { Recorder::over(&device, commands) }.unwrap();
+    assert!(stream.submit(recorder).err().unwrap().to_string().contains("finish"));
+    // SAFETY: never submitted.
+    unsafe { host.device.end_command_buffer(commands) }.unwrap();
+}
+
+#[test]
+fn memory_of_another_device_is_refused() {
+    let (host, own) = (Host::new(), common::device());
+    let device = adopt(&host);
+    let mut strange = own.buffer::<u32>("strange", 8).unwrap();
+    let mut mine = device.buffer::<u32>("mine", 8).unwrap();
+    let mut stream = device.stream().unwrap();
+    let mut recorder = stream.record().unwrap();
+    recorder.fill(strange.view_mut(), 1);
+    let error = stream.submit(recorder).err().unwrap().to_string();
+    assert!(error.contains("strange was made on another device"), "{error}");
+    let mut recorder = stream.record().unwrap();
+    recorder.copy(mine.view(), strange.view_mut());
+    assert!(stream.submit(recorder).is_err());
+    let mut recorder = stream.record().unwrap();
+    assert!(recorder.update(strange.view_mut(), &[1]).is_err());
+    let wrong = kernels::scan::ReduceArgs {
+        count: strange.view(),
+        values: strange.view(),
+        sums: mine.view_mut(),
+    };
+    let params = kernels::scan::ReduceParams { count_at: 0, capacity: 8 };
+    let groups = splat4d::gpu::Groups([1, 1, 1]);
+    assert!(recorder.dispatch::<kernels::scan::Reduce>(groups, params, wrong).is_err());
+    assert!(own.stream().unwrap().submit(recorder).is_err());
+    common::assert_valid(&own);
+}
+
+#[test]
+fn threads_record_at_once_on_one_device() {
+    let host = Host::new();
+    let scene = Scene::of(gaussians(200));
+    let expected = reference(&scene, 0.0);
+    let mut lent = host.lend();
+    let lock = Arc::new(std::sync::Mutex::new(()));
+    let shared = lock.clone();
+    lent.queue_lock = Some(Box::new(move |work| {
+        let _held = shared.lock().unwrap();
+        work();
+    }));
+    // SAFETY: as for `adopt`, and every use of the queue takes the lock.
+    let device = unsafe { Device::adopt(lent) }.unwrap();
+    std::thread::scope(|scope| {
+        for _ in 0..4 {
+            scope.spawn(|| {
+                let mut renderer = Renderer::new(&device, &scene).unwrap();
+                for _ in 0..5 {
+                    let rendered = renderer.render(&camera(70, 50), 0.0).unwrap();
+                    assert_eq!((rendered.rgba.pixels, rendered.depth.pixels), expected);
+                }
+            });
+        }
+    });
+}
+
+#[test]
+fn what_goes_to_other_threads_says_so() {
+    fn send<T: Send>() {}
+    fn share<T: Send + Sync>() {}
+    share::<Device>();
+    share::<Buffer<f32>>();
+    share::<Render>();
+    share::<RenderScratch>();
+    share::<Scene>();
+    share::<Ticket>();
+    share::<Error>();
+    send::<Recorder>();
+    send::<Stream>();
+    send::<Guard>();
+    send::<Frame>();
+    send::<Renderer>();
+    send::<Trainer>();
+}
+
+/// Two scenes and two devices at once, and everything dropped in the worst order.
+#[test]
+fn several_scenes_on_several_devices() -> Result<()> {
+    let (host, own) = (Host::new(), common::device());
+    let device = adopt(&host);
+    let scenes = [Scene::of(gaussians(100)), Scene::of(gaussians(250))];
+    let mut all = Vec::new();
+    for device in [&device, &own] {
+        for scene in &scenes {
+            all.push(Renderer::new(device, scene)?);
+        }
+    }
+    drop(device);
+    let pictures = all
+        .iter_mut()
+        .map(|renderer| Ok(renderer.render(&camera(70, 50), 0.0)?.rgba.pixels))
+        .collect::<Result<Vec<_>>>()?;
+    assert_eq!(pictures[0], pictures[2]);
+    assert_eq!(pictures[1], pictures[3]);
+    assert_ne!(pictures[0], pictures[1]);
+    all.swap(0, 3);
+    drop(all);
+    common::assert_valid(&own);
+    Ok(())
+}
