@@ -32,6 +32,8 @@ struct Layer {
 pub struct Network {
     shape: NetShape,
     layers: Vec<Layer>,
+    /// Number of parameters.
+    parameters: usize,
     planes: usize,
 }
 
@@ -70,7 +72,7 @@ impl Network {
             target += outputs;
             weights_at += (inputs + 1) * outputs;
         }
-        Ok(Network { shape: *shape, layers, planes: target })
+        Ok(Network { shape: *shape, layers, planes: target, parameters: weights_at })
     }
 
     /// The network's shape.
@@ -114,7 +116,7 @@ impl Network {
         let node_count = nodes.len() / 3;
         let rows = node_count * times.len();
         check("nodes", nodes.len(), 3 * node_count)?;
-        check("parameters", parameters.len(), self.shape.parameters())?;
+        check("parameters", parameters.len(), self.parameters)?;
         check("transforms", transforms.len(), 2 * rows)?;
         check("scratch rows", scratch.rows, rows)?;
         let limits = *recorder.device().limits();
@@ -175,8 +177,8 @@ impl Network {
         scratch: &mut NetworkScratch,
     ) -> Result<()> {
         let rows = scratch.rows;
-        check("parameters", parameters.len(), self.shape.parameters())?;
-        check("gradients", gradients.len(), self.shape.parameters())?;
+        check("parameters", parameters.len(), self.parameters)?;
+        check("gradients", gradients.len(), self.parameters)?;
         check("transform gradients", transform_gradients.len(), 2 * rows)?;
         let limits = *recorder.device().limits();
         let stride = stride(rows);

@@ -9,6 +9,7 @@
 //! | [`views`] | the pictures to train on |
 //! | [`photographs`] | the pictures on the device, and the renderer for each of their sizes |
 //! | [`optimiser`] | Adam over the Gaussians' parameter groups |
+//! | [`own_loss`] | a step with the caller's own loss |
 //! | [`growth`] | density control: MCMC, or clone, split and prune |
 //! | [`motion`] | the network and the control points |
 //! | [`control`] | control points added and removed |
@@ -30,6 +31,7 @@ pub mod network;
 #[cfg(feature = "reconstruct")]
 pub mod observer;
 pub mod optimiser;
+pub mod own_loss;
 pub mod photographs;
 #[cfg(feature = "reconstruct")]
 pub mod posed;

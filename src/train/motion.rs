@@ -219,17 +219,14 @@ impl MotionTrainer {
         self.motion.forward(recorder, gaussians, &times, soft)
     }
 
-    /// Records the gradients of everything that moves, and its step; `gradients`, by the moved
-    /// Gaussians, become those by the canonical ones.
+    /// Records the gradients of everything that moves; `gradients`, by the moved Gaussians, become
+    /// those by the canonical ones.
     pub(super) fn backward(
         &mut self,
         recorder: &mut Recorder,
         gaussians: &GaussianViews<'_>,
         gradients: &mut GaussianBuffers,
         soft: Option<SoftGradients<'_>>,
-        step: u32,
-        steps: u32,
-        fits: View<'_, u32>,
     ) -> Result<()> {
         let settings = self.settings;
         recorder.fill(self.transform_gradients.view_mut(), 0);
@@ -262,11 +259,28 @@ impl MotionTrainer {
             self.parameters.gradients.view_mut(),
             false,
             &mut self.motion.network_scratch,
-        )?;
+        )
+    }
+
+    /// Records the step by these gradients.
+    pub(super) fn update(
+        &mut self,
+        recorder: &mut Recorder,
+        step: u32,
+        steps: u32,
+        fits: View<'_, u32>,
+    ) -> Result<()> {
+        let settings = self.settings;
         let rate = exponential(settings.rate, settings.rate_last, step, steps);
         let adam = &self.adam;
         self.parameters.step(recorder, adam, rate, step, &mut self.motion.parameters, fits)?;
         self.radii.step(recorder, adam, rate, step, &mut self.motion.log_radii, fits)
+    }
+
+    /// Gradients of the last backward pass by the network's parameters and by the logarithms of the
+    /// radii.
+    pub(super) fn gradients(&self) -> (&Buffer<f32>, &Buffer<f32>) {
+        (&self.parameters.gradients, &self.radii.gradients)
     }
 
     /// Waits and reads the optimiser's state.

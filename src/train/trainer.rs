@@ -3,6 +3,7 @@
 use super::growth::{Growth, Statistics};
 use super::motion::{MotionStart, MotionTrainer};
 use super::optimiser::GaussianOptimiser;
+use super::own_loss::OwnStep;
 use super::photographs::{DeviceView, Studios};
 use super::rounds::ControlChanges;
 use super::selection::Selection;
@@ -47,13 +48,13 @@ struct Pending {
 
 /// Trains Gaussians on pictures.
 pub struct Trainer {
-    device: Device,
+    pub(super) device: Device,
     pub(super) stream: Stream,
     pub(super) settings: TrainSettings,
     views: Vec<DeviceView>,
     pub(super) studios: Studios,
     pub(super) gaussians: GaussianBuffers,
-    gradients: GaussianBuffers,
+    pub(super) gradients: GaussianBuffers,
     pub(super) optimiser: GaussianOptimiser,
     pub(super) growth: Option<Growth>,
     /// Where something reads them.
@@ -62,7 +63,9 @@ pub struct Trainer {
     /// Where there is motion.
     pub(super) selection: Option<Selection>,
     pub(super) control_changes: ControlChanges,
-    extent: f64,
+    pub(super) extent: f64,
+    /// A step with the caller's own loss, while it is under way.
+    pub(super) own: Option<OwnStep>,
     /// Of the first Gaussians; what density control measures scales by.
     pub(super) reach: f64,
     pub(super) step: u32,
@@ -71,7 +74,7 @@ pub struct Trainer {
     pub(super) round: Vec<usize>,
     last_view: Option<usize>,
     pending: VecDeque<Pending>,
-    idle: Vec<Readback<u32>>,
+    pub(super) idle: Vec<Readback<u32>>,
 }
 
 impl Trainer {
@@ -102,10 +105,25 @@ impl Trainer {
         settings: TrainSettings,
         reach: f64,
     ) -> Result<Trainer> {
-        if views.is_empty() || gaussians.is_empty() {
-            return Err(Error::Input(
-                "training needs at least one picture and one Gaussian".into(),
-            ));
+        if views.is_empty() {
+            return Err(Error::Input("training needs at least one picture".into()));
+        }
+        let extent = extent(views.iter().map(|view| &view.camera));
+        Trainer::build(device, views, gaussians, motion, settings, reach, extent)
+    }
+
+    /// With pictures or without, in a scene whose reach and extent are known.
+    pub(super) fn build(
+        device: &Device,
+        views: &[TrainingView],
+        gaussians: &Gaussians,
+        motion: Option<&MotionStart>,
+        settings: TrainSettings,
+        reach: f64,
+        extent: f64,
+    ) -> Result<Trainer> {
+        if gaussians.is_empty() {
+            return Err(Error::Input("training needs at least one Gaussian".into()));
         }
         let mut stream = device.stream()?;
         let capacity = settings.max_gaussians.max(gaussians.len());
@@ -143,7 +161,8 @@ impl Trainer {
             selection,
             control_changes: ControlChanges::default(),
             reach,
-            extent: extent(views.iter().map(|view| &view.camera)),
+            extent,
+            own: None,
             step: 0,
             rng: ChaCha8Rng::seed_from_u64(settings.seed),
             round: Vec::new(),
@@ -164,8 +183,14 @@ impl Trainer {
     /// device is done.
     ///
     /// # Errors
-    /// [`Error::OutOfMemory`], [`Error::DeviceLost`], or another failed Vulkan call.
+    /// [`Error::OutOfMemory`], [`Error::DeviceLost`], or another failed Vulkan call; [`Error::Input`]
+    /// for a trainer without pictures, or within a step with the caller's own loss.
     pub fn step(&mut self) -> Result<()> {
+        if self.views.is_empty() || self.own.is_some() {
+            let what = "a step on the trainer's own pictures: there are none, or a step with a \
+                        loss of your own is under way; see `Trainer::forward`";
+            return Err(Error::Input(what.into()));
+        }
         while self.pending.len() >= IN_FLIGHT {
             self.retire()?;
         }
@@ -318,7 +343,8 @@ impl Trainer {
             let listed = motion.motion.dynamic;
             let soft = selection.soft_gradients(&mut recorder, n, listed, step, steps);
             let gradients = &mut self.gradients;
-            motion.backward(&mut recorder, &canonical, gradients, soft, step, steps, fits)?;
+            motion.backward(&mut recorder, &canonical, gradients, soft)?;
+            motion.update(&mut recorder, step, steps, fits)?;
             selection.train(&mut recorder, studio, view.mask.as_ref(), n, step, steps)?;
         }
         if let Some(growth) = &self.growth {

@@ -373,13 +373,16 @@ impl CommandSlot {
                 let info = vk::DescriptorSetAllocateInfo::default()
                     .descriptor_pool(pool)
                     .set_layouts(&layouts);
-                // SAFETY: `&mut` gives exclusive use of the pool.
-                match unsafe { device.allocate_descriptor_sets(&info) } {
-                    Ok(sets) => return Ok(sets[0]),
-                    Err(
-                        vk::Result::ERROR_OUT_OF_POOL_MEMORY | vk::Result::ERROR_FRAGMENTED_POOL,
-                    ) => self.current_pool += 1,
-                    Err(result) => return Err(vk_error("vkAllocateDescriptorSets")(result)),
+                let mut set = vk::DescriptorSet::null();
+                // Not through the wrapper, which gives a vector.
+                let allocate = device.fp_v1_0().allocate_descriptor_sets;
+                // SAFETY: `&mut` gives exclusive use of the pool; there is room for one set.
+                match unsafe { allocate(device.handle(), &info, &mut set) } {
+                    vk::Result::SUCCESS => return Ok(set),
+                    vk::Result::ERROR_OUT_OF_POOL_MEMORY | vk::Result::ERROR_FRAGMENTED_POOL => {
+                        self.current_pool += 1;
+                    }
+                    result => return Err(vk_error("vkAllocateDescriptorSets")(result)),
                 }
             } else {
                 let sizes = [vk::DescriptorPoolSize::default()

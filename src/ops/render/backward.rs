@@ -76,6 +76,27 @@ impl Render {
         gradients: &mut GaussianBuffers,
         with_pose: bool,
     ) -> Result<()> {
+        let given = pixel_gradients.views();
+        self.backward_from(
+            recorder, gaussians, scratch, pixels, given, backward, gradients, with_pose,
+        )
+    }
+
+    /// The same from gradients that lie in any buffers.
+    ///
+    /// # Errors
+    /// As for [`backward`](Self::backward).
+    pub fn backward_from(
+        &self,
+        recorder: &mut Recorder,
+        gaussians: GaussianViews<'_>,
+        scratch: &RenderScratch,
+        pixels: &PixelBuffers,
+        pixel_gradients: PixelGradientViews<'_>,
+        backward: &mut BackwardScratch,
+        gradients: &mut GaussianBuffers,
+        with_pose: bool,
+    ) -> Result<()> {
         gaussians.check("render backward")?;
         if gaussians.half_sh {
             let what = "gradients need the spherical harmonics in f32; 16 bits are for rendering";
@@ -85,7 +106,8 @@ impl Render {
         gradients.views().at_degree(gaussians.sh_degree).check("render backward gradients")?;
         let colours = scratch.colours.view();
         let n = gaussians.len;
-        self.blend_backward(recorder, colours, n, scratch, pixels, pixel_gradients, backward)?;
+        let given = pixel_gradients;
+        self.blend_backward_from(recorder, colours, n, scratch, pixels, given, backward)?;
         let groups = Groups::linear(gaussians.len, 64, recorder.device().limits())?;
         let (s, b) = (scratch, backward);
         let [sh0, sh1, sh2, sh3] = gradients.sh.each_mut().map(Buffer::view_mut);
@@ -153,6 +175,20 @@ impl Render {
         pixel_gradients: &PixelGradients,
         backward: &mut BackwardScratch,
     ) -> Result<()> {
+        let given = pixel_gradients.views();
+        self.blend_backward_from(recorder, colours, count, scratch, pixels, given, backward)
+    }
+
+    fn blend_backward_from(
+        &self,
+        recorder: &mut Recorder,
+        colours: View<'_, [f32; 4]>,
+        count: usize,
+        scratch: &RenderScratch,
+        pixels: &PixelBuffers,
+        pixel_gradients: PixelGradientViews<'_>,
+        backward: &mut BackwardScratch,
+    ) -> Result<()> {
         self.check_scratch(scratch)?;
         self.check_size("render backward", pixels.width, pixels.height)?;
         let area = self.width as usize * self.height as usize;
@@ -186,8 +222,8 @@ impl Render {
                 rgba: pixels.rgba.view(),
                 depth: pixels.depth.view(),
                 last: pixels.last.view(),
-                rgba_gradient: pixel_gradients.rgba.view(),
-                depth_gradient: pixel_gradients.depth.view(),
+                rgba_gradient: pixel_gradients.rgba,
+                depth_gradient: pixel_gradients.depth,
                 slots_a: b.slots_a.view_mut(),
                 slots_b: b.slots_b.view_mut(),
                 slots_c: b.slots_c.view_mut(),
@@ -233,7 +269,21 @@ impl BackwardScratch {
     }
 }
 
+/// The gradient of a loss by a rendered image, pixel after pixel: parts of any buffers, a host's too.
+#[derive(Clone, Copy)]
+pub struct PixelGradientViews<'a> {
+    /// By premultiplied colour and alpha.
+    pub rgba: View<'a, [f32; 4]>,
+    /// By depth.
+    pub depth: View<'a, f32>,
+}
+
 impl PixelGradients {
+    /// All of it, to read.
+    pub fn views(&self) -> PixelGradientViews<'_> {
+        PixelGradientViews { rgba: self.rgba.view(), depth: self.depth.view() }
+    }
+
     /// The depth's gradient, for a loss without a depth term to fill with zeros.
     pub fn depth_mut(&mut self) -> ViewMut<'_, f32> {
         self.depth.view_mut()

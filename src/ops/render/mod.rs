@@ -9,7 +9,7 @@
 mod backward;
 mod forward;
 
-pub use backward::{BackwardScratch, PixelGradients};
+pub use backward::{BackwardScratch, PixelGradientViews, PixelGradients};
 
 use super::at_least;
 use super::gaussians::GaussianViews;

@@ -1,0 +1,419 @@
+//! Training with a loss of the caller's own: its gradients are those of the loss, step by step.
+
+mod common;
+#[allow(dead_code)]
+mod host;
+
+use host::{Host, camera, gaussians};
+use splat4d::gpu::{Buffer, Device, Recorder, Stream};
+use splat4d::ops::loss::{Loss, LossSettings, Photograph};
+use splat4d::oracle::view::{Cloud, View, perturbed};
+use splat4d::oracle::{deform, mlp, render};
+use splat4d::train::own_loss::OwnGradients;
+use splat4d::train::{MotionSettings, MotionStart, TrainSettings, Trainer, TrainingView};
+use splat4d::types::{
+    Camera, ControlPoints, DeformNet, Gaussians, Image, NetShape, RenderSettings,
+};
+
+const SIZE: (u32, u32) = (33, 21);
+
+/// Without the kinks of blending, so that differences mean something.
+fn smooth() -> RenderSettings {
+    RenderSettings {
+        alpha_cut: 1e-12,
+        alpha_cap: 0.95,
+        transmittance_stop: 0.0,
+        ..RenderSettings::default()
+    }
+}
+
+fn settings() -> TrainSettings {
+    TrainSettings {
+        steps: 10,
+        sh_degree: 0,
+        sh_interval: 0,
+        render: smooth(),
+        growth: None,
+        motion: MotionSettings { arap_weight: 0.0, ..MotionSettings::default() },
+        ..TrainSettings::default()
+    }
+}
+
+/// A loss that the engine does not know, and its slopes by red, green, blue, alpha and depth.
+fn loss(at: usize, rgba: [f64; 4], depth: f64) -> (f64, [f64; 5]) {
+    let (mut value, mut slopes) = (0.0, [0.0; 5]);
+    for c in 0..3 {
+        let off = rgba[c] - 0.2 - 0.1 * ((at + 7 * c) as f64).sin();
+        value += (1.0 + 5.0 * off * off).ln();
+        slopes[c] = 10.0 * off / (1.0 + 5.0 * off * off);
+    }
+    value += 0.3 * rgba[3].powi(2) + 0.02 * depth.powi(2);
+    slopes[3] = 0.6 * rgba[3];
+    slopes[4] = 0.04 * depth;
+    (value, slopes)
+}
+
+/// The loss of what the oracle renders.
+fn exact(cloud: &Cloud<f64>, camera: &Camera) -> f64 {
+    let p = render::forward(cloud, &View::new(camera), &smooth()).pixels;
+    let pixels = p.rgb.iter().zip(&p.alpha).zip(&p.depth).enumerate();
+    pixels.map(|(i, ((c, &a), &d))| loss(i, [c[0], c[1], c[2], a], d).0).sum()
+}
+
+/// Renders, and hands the loss's gradient in; gives the step's gradients to read.
+fn differentiate(stream: &mut Stream, trainer: &mut Trainer, camera: &Camera, time: f64) {
+    let device = stream.device().clone();
+    let mut recorder = stream.record().unwrap();
+    trainer.forward(&mut recorder, camera, time).unwrap();
+    stream.submit(recorder).unwrap();
+    let rgba = stream.download(&trainer.pixels().unwrap().rgba).unwrap();
+    let depth = stream.download(&trainer.pixels().unwrap().depth).unwrap();
+    let slopes: Vec<[f64; 5]> = rgba
+        .iter()
+        .zip(&depth)
+        .enumerate()
+        .map(|(i, (rgba, depth))| loss(i, rgba.map(f64::from), f64::from(*depth)).1)
+        .collect();
+    let by_rgba: Vec<[f32; 4]> =
+        slopes.iter().map(|s| std::array::from_fn(|c| s[c] as f32)).collect();
+    let by_depth: Vec<f32> = slopes.iter().map(|s| s[4] as f32).collect();
+    let by_rgba = device.upload("by rgba", &by_rgba).unwrap();
+    let by_depth = device.upload("by depth", &by_depth).unwrap();
+    let mut recorder = stream.record().unwrap();
+    let by = OwnGradients { rgba: by_rgba.view(), depth: Some(by_depth.view()) };
+    trainer.backward(&mut recorder, by).unwrap();
+    let ticket = stream.submit(recorder).unwrap();
+    stream.wait(ticket).unwrap();
+}
+
+/// Pairs of a gradient and a central difference.
+#[derive(Default)]
+struct Pairs(Vec<(String, f64, f64)>);
+
+impl Pairs {
+    const STEP: f64 = 1e-6;
+
+    fn add(&mut self, what: String, gradient: f32, value: impl Fn(f64) -> f64) {
+        let truth = (value(Self::STEP) - value(-Self::STEP)) / (2.0 * Self::STEP);
+        self.0.push((what, f64::from(gradient), truth));
+    }
+
+    /// The bound is 16 times what lavapipe and SwiftShader were seen to miss by.
+    fn hold(&self) {
+        let largest = self.0.iter().fold(0.0f64, |most, (_, _, truth)| most.max(truth.abs()));
+        let mut worst = 0.0f64;
+        for (what, gradient, truth) in &self.0 {
+            let miss = (gradient - truth).abs() / (1e-5 * largest + 1e-3 * truth.abs());
+            assert!(miss <= 1.0, "{what}: {gradient} instead of {truth} (largest {largest})");
+            worst = worst.max(miss);
+        }
+        println!("{} gradients, the worst at {worst:.3} of the bound", self.0.len());
+    }
+}
+
+/// The loss after a change of some size.
+fn after(
+    change: impl Fn(&mut Cloud<f64>, f64),
+    cloud: &Cloud<f64>,
+    camera: &Camera,
+) -> impl Fn(f64) -> f64 {
+    move |h| {
+        let mut moved = cloud.clone();
+        change(&mut moved, h);
+        exact(&moved, camera)
+    }
+}
+
+#[test]
+fn gradients_are_those_of_the_callers_loss() {
+    let device = common::device();
+    let mut stream = device.stream().unwrap();
+    let scene = gaussians(9);
+    let camera = camera(SIZE.0, SIZE.1);
+    let mut trainer = Trainer::without_pictures(&device, &scene, None, 1.0, settings()).unwrap();
+    differentiate(&mut stream, &mut trainer, &camera, 0.0);
+    let g = trainer.gradients();
+    let [positions, scales, opacities, colours] =
+        [&g.positions, &g.log_scales, &g.opacity_logits, &g.sh[0]]
+            .map(|buffer| stream.download(buffer).unwrap());
+    let rotations = stream.download(&trainer.gradients().rotations).unwrap();
+    let pose = stream.download(trainer.pose_gradient().unwrap()).unwrap();
+    assert!(trainer.conclude().unwrap());
+    let cloud = Cloud::<f64>::new(&scene);
+    let mut pairs = Pairs::default();
+    for i in 0..scene.len() {
+        let mut add = |what: &str, gradient: f32, change: &dyn Fn(&mut Cloud<f64>, f64)| {
+            pairs.add(format!("{what} of {i}"), gradient, after(change, &cloud, &camera));
+        };
+        for k in 0..3 {
+            add("position", positions[3 * i + k], &|c, h| c.positions[i][k] += h);
+            add("scale", scales[3 * i + k], &|c, h| c.log_scales[i][k] += h);
+            add("colour", colours[3 * i + k], &|c, h| c.sh[i][k] += h);
+        }
+        for k in 0..4 {
+            add("rotation", rotations[i][k], &|c, h| c.rotations[i][k] += h);
+        }
+        add("opacity", opacities[i], &|c, h| c.opacity_logits[i] += h);
+    }
+    for k in 0..6 {
+        pairs.add(format!("pose {k}"), pose[k], |h| {
+            let mut twist = [0.0; 6];
+            twist[k] = h;
+            exact(&cloud, &perturbed(&camera, twist))
+        });
+    }
+    pairs.hold();
+    common::assert_valid(&device);
+}
+
+/// What moves: eight control points, and a network that moves them.
+fn motion() -> MotionStart {
+    let shape =
+        NetShape { depth: 2, width: 16, skip: 9, position_frequencies: 2, time_frequencies: 2 };
+    let mut network = DeformNet::random(shape, 5);
+    // The head begins at nothing; here it is to move something.
+    let count = network.parameters.len();
+    for (i, value) in network.parameters.iter_mut().enumerate().skip(count - 7 * 17) {
+        *value += 0.05 * ((i * 37 % 101) as f32 / 50.0 - 1.0);
+    }
+    let positions = gaussians(8).positions;
+    MotionStart {
+        points: ControlPoints { positions, log_radii: vec![-0.3; 8] },
+        network,
+        neighbours: 3,
+    }
+}
+
+#[test]
+fn gradients_reach_network_and_radii() {
+    const TIME: f64 = 0.4;
+    let device = common::device();
+    let mut stream = device.stream().unwrap();
+    let mut scene = gaussians(9);
+    scene.motion_logits = (0..9).map(|i| if i < 6 { 2.0 } else { -2.0 }).collect();
+    let (camera, start) = (camera(SIZE.0, SIZE.1), motion());
+    let mut trainer =
+        Trainer::without_pictures(&device, &scene, Some(&start), 1.0, settings()).unwrap();
+    differentiate(&mut stream, &mut trainer, &camera, TIME);
+    let (network, radii) = trainer.motion_gradients().unwrap();
+    let (network, radii) = (stream.download(network).unwrap(), stream.download(radii).unwrap());
+    let opacities = stream.download(&trainer.gradients().opacity_logits).unwrap();
+    assert!(trainer.conclude().unwrap());
+
+    let wide = |v: &[f32]| v.iter().map(|&v| f64::from(v)).collect::<Vec<f64>>();
+    let (parameters, log_radii) = (wide(&start.network.parameters), wide(&start.points.log_radii));
+    let nodes: Vec<[f64; 3]> = start.points.positions.iter().map(|p| p.map(f64::from)).collect();
+    let cloud = Cloud::<f64>::new(&scene);
+    let dynamic: Vec<u32> = (0..6).collect();
+    let near = deform::nearest(&cloud.positions[..6], &nodes, 3);
+    // The device's time is one of its floats.
+    let time = f64::from(TIME as f32);
+    let value = |parameters: &[f64], log_radii: &[f64], opacity: f64| {
+        let queries: Vec<[f64; 4]> = nodes.iter().map(|p| [p[0], p[1], p[2], time]).collect();
+        let outputs = mlp::forward(&start.network.shape, parameters, &queries).outputs;
+        let transforms: Vec<[f64; 8]> = outputs.into_iter().map(mlp::transform).collect();
+        let skinned = deform::forward(&deform::Skin {
+            positions: &cloud.positions,
+            rotations: &cloud.rotations,
+            motion_logits: &[],
+            evidence: &[],
+            dynamic_ids: &dynamic,
+            neighbours: &near,
+            k: 3,
+            nodes: &nodes,
+            log_radii,
+            transforms: &transforms,
+            soft: false,
+        });
+        let mut moved = cloud.clone();
+        (moved.positions, moved.rotations) = (skinned.positions, skinned.rotations);
+        moved.opacity_logits[2] += opacity;
+        exact(&moved, &camera)
+    };
+    let mut pairs = Pairs::default();
+    for i in (0..parameters.len()).step_by(13) {
+        pairs.add(format!("parameter {i}"), network[i], |h| {
+            let mut changed = parameters.clone();
+            changed[i] += h;
+            value(&changed, &log_radii, 0.0)
+        });
+    }
+    for i in 0..8 {
+        pairs.add(format!("radius {i}"), radii[i], |h| {
+            let mut changed = log_radii.clone();
+            changed[i] += h;
+            value(&parameters, &changed, 0.0)
+        });
+    }
+    pairs.add("opacity".into(), opacities[2], |h| value(&parameters, &log_radii, h));
+    pairs.hold();
+    common::assert_valid(&device);
+}
+
+fn target() -> Image {
+    let mut image = Image::new(SIZE.0, SIZE.1, 3);
+    for (i, value) in image.pixels.iter_mut().enumerate() {
+        *value = 0.5 + 0.4 * (i as f32 * 0.07).sin();
+    }
+    image
+}
+
+/// One step by the engine's own loss, recorded from outside.
+fn step(
+    device: &Device,
+    stream: &mut Stream,
+    trainer: &mut Trainer,
+    photograph: &Photograph,
+) -> bool {
+    let loss = Loss::plan(SIZE.0, SIZE.1);
+    let mut scratch = loss.scratch(device).unwrap();
+    let render = splat4d::ops::render::Render::plan(device, 1, 1, SIZE.0, SIZE.1, smooth());
+    let mut gradients = render.unwrap().pixel_gradients(device).unwrap();
+    let how = LossSettings { depth_scale: 1.0, ..LossSettings::default() };
+    let mut recorder = stream.record().unwrap();
+    trainer.forward(&mut recorder, &camera(SIZE.0, SIZE.1), 0.0).unwrap();
+    let pixels = trainer.pixels().unwrap();
+    loss.record(&mut recorder, &how, pixels, photograph, None, &mut gradients, &mut scratch)
+        .unwrap();
+    let by = OwnGradients { rgba: gradients.rgba.view(), depth: Some(gradients.depth.view()) };
+    trainer.backward(&mut recorder, by).unwrap();
+    trainer.update(&mut recorder).unwrap();
+    let ticket = stream.submit(recorder).unwrap();
+    stream.wait(ticket).unwrap();
+    trainer.conclude().unwrap()
+}
+
+#[test]
+fn steps_from_outside_are_the_trainers_own() {
+    let device = common::device();
+    let mut stream = device.stream().unwrap();
+    let scene = gaussians(40);
+    let settings = TrainSettings { ssim_share: 0.2, ..settings() };
+    let view = TrainingView {
+        camera: camera(SIZE.0, SIZE.1),
+        time: 0.0,
+        image: target(),
+        weights: None,
+        disparity: None,
+        mask: None,
+    };
+    let mut own = Trainer::new(&device, &[view], &scene, None, settings.clone()).unwrap();
+    let mut outside = Trainer::without_pictures(&device, &scene, None, 1.0, settings).unwrap();
+    let photograph = Photograph::new(&device, &target(), None).unwrap();
+    for _ in 0..5 {
+        own.step().unwrap();
+        assert!(step(&device, &mut stream, &mut outside, &photograph));
+    }
+    assert_eq!(outside.progress().step, 5);
+    let trained = outside.gaussians().unwrap();
+    assert_ne!(trained, scene);
+    assert_eq!(trained, own.gaussians().unwrap());
+    common::assert_valid(&device);
+}
+
+#[test]
+fn steps_run_in_a_hosts_command_buffer() {
+    let host = Host::new();
+    let semaphore = host.semaphore();
+    {
+        // SAFETY: the handles belong together, and one thread uses the queue.
+        let device = unsafe { Device::adopt(host.lend()) }.unwrap();
+        let scene = gaussians(9);
+        let mut trainer =
+            Trainer::without_pictures(&device, &scene, None, 1.0, settings()).unwrap();
+        let commands = host.commands();
+        let area = (SIZE.0 * SIZE.1) as usize;
+        let mut by_rgba: Buffer<[f32; 4]> = device.buffer("by rgba", area).unwrap();
+        host.begin(commands);
+        // SAFETY: begun, submitted once; the guards outlive the wait.
+        let mut recorder = unsafe { Recorder::over(&device, commands) }.unwrap();
+        trainer.forward(&mut recorder, &camera(SIZE.0, SIZE.1), 0.0).unwrap();
+        let first = recorder.finish().unwrap();
+        // Here the host computes its loss; this one is the sum of everything.
+        // SAFETY: recording.
+        unsafe {
+            let to = by_rgba.handle();
+            host.device.cmd_fill_buffer(commands, to.buffer, to.offset, to.bytes, 0x3f80_0000);
+        }
+        // SAFETY: as above.
+        let mut recorder = unsafe { Recorder::over(&device, commands) }.unwrap();
+        let by = OwnGradients { rgba: by_rgba.view(), depth: None };
+        trainer.backward(&mut recorder, by).unwrap();
+        trainer.update(&mut recorder).unwrap();
+        let second = recorder.finish().unwrap();
+        host.submit(commands, semaphore, 1);
+        host.wait(semaphore, 1);
+        drop((first, second));
+        assert!(trainer.conclude().unwrap());
+        let after = trainer.gaussians().unwrap();
+        // The sum falls with every opacity.
+        for i in 0..scene.len() {
+            assert!(after.opacity_logits[i] < scene.opacity_logits[i], "Gaussian {i}");
+        }
+        let _ = by_rgba.view_mut();
+    }
+    host.destroy_semaphore(semaphore);
+}
+
+#[test]
+fn a_frame_that_does_not_fit_teaches_nothing_and_comes_again() {
+    let device = common::device();
+    let mut stream = device.stream().unwrap();
+    // Each covers all of the 1200 tiles.
+    let mut scene: Gaussians = gaussians(40);
+    scene.log_scales = vec![[1.5; 3]; 40];
+    let big = camera(640, 480);
+    let mut trainer = Trainer::without_pictures(&device, &scene, None, 1.0, settings()).unwrap();
+    let by: Buffer<[f32; 4]> = device.upload("by rgba", &vec![[1.0f32; 4]; 640 * 480]).unwrap();
+    let mut step = |trainer: &mut Trainer| {
+        let mut recorder = stream.record().unwrap();
+        trainer.forward(&mut recorder, &big, 0.0).unwrap();
+        trainer.backward(&mut recorder, OwnGradients { rgba: by.view(), depth: None }).unwrap();
+        trainer.update(&mut recorder).unwrap();
+        let ticket = stream.submit(recorder).unwrap();
+        stream.wait(ticket).unwrap();
+        trainer.conclude().unwrap()
+    };
+    assert!(!step(&mut trainer));
+    assert_eq!(trainer.progress().step, 0);
+    assert_eq!(trainer.gaussians().unwrap(), scene);
+    assert!(step(&mut trainer));
+    assert_eq!(trainer.progress().step, 1);
+    assert_ne!(trainer.gaussians().unwrap(), scene);
+    common::assert_valid(&device);
+}
+
+#[test]
+fn steps_out_of_turn_are_named() {
+    let device = common::device();
+    let mut stream = device.stream().unwrap();
+    let scene = gaussians(3);
+    let camera = camera(SIZE.0, SIZE.1);
+    assert!(Trainer::without_pictures(&device, &scene, None, f64::NAN, settings()).is_err());
+    assert!(
+        Trainer::without_pictures(&device, &Gaussians::default(), None, 1.0, settings()).is_err()
+    );
+    let mut trainer = Trainer::without_pictures(&device, &scene, None, 1.0, settings()).unwrap();
+    assert!(trainer.step().unwrap_err().to_string().contains("pictures"));
+    assert!(trainer.conclude().is_err() && trainer.pixels().is_err());
+    let by = device.buffer::<[f32; 4]>("by rgba", (SIZE.0 * SIZE.1) as usize).unwrap();
+    let few = device.buffer::<[f32; 4]>("few", 7).unwrap();
+    let given = OwnGradients { rgba: by.view(), depth: None };
+    let mut recorder = stream.record().unwrap();
+    assert!(trainer.backward(&mut recorder, given).is_err());
+    assert!(trainer.update(&mut recorder).is_err());
+    trainer.forward(&mut recorder, &camera, 0.0).unwrap();
+    assert!(trainer.pose_gradient().is_err());
+    let error = trainer.forward(&mut recorder, &camera, 0.0).unwrap_err().to_string();
+    assert!(error.contains("`forward` comes after `conclude`"), "{error}");
+    assert!(trainer.update(&mut recorder).is_err());
+    let short = OwnGradients { rgba: few.view(), depth: None };
+    assert!(trainer.backward(&mut recorder, short).is_err());
+    trainer.backward(&mut recorder, given).unwrap();
+    assert!(trainer.backward(&mut recorder, given).is_err());
+    let ticket = stream.submit(recorder).unwrap();
+    stream.wait(ticket).unwrap();
+    assert!(trainer.conclude().unwrap());
+    // Without an update nothing was learnt.
+    assert_eq!((trainer.progress().step, trainer.gaussians().unwrap()), (0, scene));
+}
