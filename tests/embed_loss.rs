@@ -30,6 +30,7 @@ fn smooth() -> RenderSettings {
 fn settings() -> TrainSettings {
     TrainSettings {
         steps: 10,
+        max_gaussians: 0,
         sh_degree: 0,
         sh_interval: 0,
         render: smooth(),
@@ -98,12 +99,12 @@ impl Pairs {
         self.0.push((what, f64::from(gradient), truth));
     }
 
-    /// The bound is 16 times what lavapipe and SwiftShader were seen to miss by.
+    /// Lavapipe and SwiftShader were seen to miss by less than a tenth of the bound.
     fn hold(&self) {
         let largest = self.0.iter().fold(0.0f64, |most, (_, _, truth)| most.max(truth.abs()));
         let mut worst = 0.0f64;
         for (what, gradient, truth) in &self.0 {
-            let miss = (gradient - truth).abs() / (1e-5 * largest + 1e-3 * truth.abs());
+            let miss = (gradient - truth).abs() / (3e-7 * largest + 3e-5 * truth.abs());
             assert!(miss <= 1.0, "{what}: {gradient} instead of {truth} (largest {largest})");
             worst = worst.max(miss);
         }

@@ -47,9 +47,9 @@ step() {
     return "$status"
 }
 
-# Whether a test file runs cases of `check`, or tests the engine under them.
+# Whether a test file runs cases of `check`, or tests the engine under them, or hosts around it.
 is_kernel_test() {
-    [[ $1 == tests/engine.rs ]] || grep -q 'common::run(' "$1"
+    [[ $1 == tests/engine.rs || $1 == tests/embed*.rs ]] || grep -q 'common::run(' "$1"
 }
 
 kernel_tests=()
@@ -84,6 +84,17 @@ validate_modules() {
     return $status
 }
 
+# The crate as others depend on it, from the engine alone up: each set of features on its own.
+check_features() {
+    local features status=0
+    for features in '' files reconstruct check bench cli; do
+        echo "features: ${features:-none}"
+        RUSTFLAGS="${RUSTFLAGS:-} -D warnings" CARGO_TARGET_DIR=$target/features \
+            cargo check --lib --no-default-features --features "$features" || status=1
+    done
+    return $status
+}
+
 test=(cargo test "${release[@]}" --no-fail-fast)
 show=(-- --show-output)
 
@@ -94,6 +105,8 @@ step "build" cargo build "${release[@]}" --all-targets || {
 }
 step "lints" cargo clippy "${release[@]}" --all-targets -- -D warnings
 RUSTDOCFLAGS="-D warnings" step "docs" cargo doc "${release[@]}" --no-deps
+step "features" check_features
+step "newcomer" env VK_DRIVER_FILES="$lavapipe" tools/newcomer.sh
 step "shaders" "$target/release/tools" check
 step "modules" validate_modules
 step "unit tests" on "$lavapipe" "${test[@]}" --lib --bins "${others[@]}" "${show[@]}"
