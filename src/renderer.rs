@@ -2,7 +2,8 @@
 
 use crate::Result;
 use crate::gpu::{Device, Stream};
-use crate::ops::gaussians::{GaussianBuffers, HalfHarmonics};
+use crate::ops::gaussians::GaussianBuffers;
+use crate::ops::half::{HalfHarmonics, HalfShapes};
 use crate::ops::motion::Motion;
 use crate::ops::render::{PixelBuffers, Render, RenderScratch};
 use crate::scene::Scene;
@@ -48,7 +49,8 @@ pub struct Renderer {
     motion: Option<Motion>,
     settings: RenderSettings,
     tuning: Tuning,
-    half: Option<HalfHarmonics>,
+    half_harmonics: Option<HalfHarmonics>,
+    half_shapes: Option<HalfShapes>,
     studio: Option<Studio>,
 }
 
@@ -91,10 +93,14 @@ impl Renderer {
             }
             _ => None,
         };
-        let half = match tuning.half_sh {
-            true => Some(HalfHarmonics::from_host(device, &scene.gaussians)?),
-            false => None,
-        };
+        let half_harmonics = tuning
+            .half_sh
+            .then(|| HalfHarmonics::from_host(device, &scene.gaussians))
+            .transpose()?;
+        let half_shapes = tuning
+            .half_shapes
+            .then(|| HalfShapes::from_host(device, &scene.gaussians))
+            .transpose()?;
         Ok(Renderer {
             device: device.clone(),
             stream,
@@ -102,7 +108,8 @@ impl Renderer {
             motion,
             settings: tuning.apply(scene.settings),
             tuning: *tuning,
-            half,
+            half_harmonics,
+            half_shapes,
             studio: None,
         })
     }
@@ -127,14 +134,19 @@ impl Renderer {
             let studio = self.studio.as_mut().expect("planned above");
             let mut recorder = self.stream.record()?;
             let mut views = self.gaussians.views();
-            if let Some(half) = &self.half {
-                views = half.replace(views);
-            }
-            views = views.at_degree(self.tuning.sh_degree);
             if let Some(motion) = &mut self.motion {
                 motion.forward(&mut recorder, &views, &[time as f32], None)?;
+            }
+            if let Some(half) = &self.half_shapes {
+                views = half.replace(views);
+            }
+            if let Some(half) = &self.half_harmonics {
+                views = half.replace(views);
+            }
+            if let Some(motion) = &self.motion {
                 views = motion.moved(views);
             }
+            views = views.at_degree(self.tuning.sh_degree);
             let Studio { render, scratch, pixels } = studio;
             render.forward(&mut recorder, camera, views, scratch, pixels)?;
             self.stream.submit(recorder)?;

@@ -3,8 +3,8 @@
 use crate::gpu::kernel;
 
 kernel! {
-    /// Culls and projects every Gaussian. Specialisation constant 0: 1 where the spherical harmonics
-    /// are 16-bit floats, two to a word.
+    /// Culls and projects every Gaussian. Specialisation constants, 1 for what is kept as 16-bit
+    /// floats, two to a word: 0 the spherical harmonics, 1 log scales and opacity logits, 2 rotations.
     pub struct Forward("project/forward"), workgroup: [64, 1, 1],
     params: ForwardParams {
         /// Number of Gaussians.

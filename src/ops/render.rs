@@ -410,7 +410,7 @@ impl Render {
     ) -> Result<()> {
         let groups = Groups::linear(gaussians.len, 64, recorder.device().limits())?;
         recorder.dispatch_specialised::<project::Forward>(
-            &[u32::from(gaussians.half_sh)],
+            &[gaussians.half_sh, gaussians.half_shapes, gaussians.half_rotations].map(u32::from),
             groups,
             project::ForwardParams {
                 count: gaussians.len as u32,
@@ -586,8 +586,8 @@ impl Render {
         with_pose: bool,
     ) -> Result<()> {
         gaussians.check("render backward")?;
-        if gaussians.half_sh {
-            let what = "gradients need the spherical harmonics in f32; 16 bits are for rendering";
+        if gaussians.half_sh || gaussians.half_shapes || gaussians.half_rotations {
+            let what = "gradients need every attribute in f32; 16 bits are for rendering";
             return Err(Error::Input(what.into()));
         }
         gradients.len = gaussians.len;
