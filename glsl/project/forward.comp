@@ -16,7 +16,7 @@ layout(std430, binding = 7) readonly buffer Sh2Buffer { uint sh2[]; };
 layout(std430, binding = 8) readonly buffer Sh3Buffer { uint sh3[]; };
 // Mean x, mean y, depth, opacity.
 layout(std430, binding = 9) writeonly buffer Means { vec4 means[]; };
-// Conic A, B, C and the power at which alpha falls to the cut.
+// The conic, factored, and the power at which alpha falls to the cut.
 layout(std430, binding = 10) writeonly buffer Conics { vec4 conics[]; };
 layout(std430, binding = 11) writeonly buffer Colours { vec4 colours[]; };
 // First and last + 1 tile along x (low half) and y (high half).

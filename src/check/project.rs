@@ -106,9 +106,9 @@ fn compare(harness: &mut Harness, what: &str, scene: &Gaussians, camera: &Camera
     let bound = Bound { absolute: 0.0, relative: 2e-6 };
     let opacity = |i: usize| vec![out.means[i][3]];
     hold("opacity", &opacity, &|s| vec![s.opacity], &|s| vec![s.opacity], bound);
-    // Entries as a share of the largest: A and C differ by the needle's aspect squared.
+    // Entries as a share of the largest: a and e differ by the needle's aspect.
     let bound = Bound { absolute: 2e-6, relative: 0.0 };
-    let share = |conic: [f64; 3]| conic.map(|x| x / (conic[0] + conic[2]));
+    let share = |[a, b, e]: [f64; 3]| [a, b, e].map(|x| x / (a + e));
     let device_share = |i: usize| {
         let [a, b, c, _] = out.conics[i];
         share([a, b, c].map(f64::from)).map(|x| x as f32).to_vec()
@@ -239,7 +239,7 @@ fn decisions(harness: &mut Harness) -> Result<()> {
         let plain = plain_camera(60.0, 96, 96);
         let seen = project(&Cloud::<f64>::new(&splat), &View::new(&plain), &settings);
         let seen = seen[0].expect("in the middle of the image");
-        let extent = (2.0 * seen.reach(&settings) / seen.conic[0]).sqrt();
+        let extent = seen.reach(&settings).sqrt() / seen.conic[0];
         let x = (64.5 - extent + f64::from(away(rng)) - 48.0) * 2.0 / 60.0;
         // Level with a row of pixel centres.
         edges.push(one([x as f32, 1.0 / 60.0, 2.0], [scale; 3], UPRIGHT, 2.0));
@@ -317,7 +317,7 @@ fn backward(harness: &mut Harness) -> Result<()> {
 fn widen(g: &SplatGradient<f32>) -> SplatGradient<f64> {
     SplatGradient {
         mean: g.mean.map(f64::from),
-        conic: g.conic.map(f64::from),
+        covariance: g.covariance.map(f64::from),
         opacity: f64::from(g.opacity),
         depth: f64::from(g.depth),
         colour: g.colour.map(f64::from),

@@ -45,7 +45,7 @@ kernel! {
         sh3: Read<f32>,
         /// Mean x, mean y, depth, opacity.
         means: Write<[f32; 4]>,
-        /// Conic A, B, C, and the power at which α falls to the cut.
+        /// The conic factored (a, b, e), and the power at which α falls to the cut.
         conics: Write<[f32; 4]>,
         /// Red, green, blue.
         colours: Write<[f32; 4]>,
@@ -102,8 +102,8 @@ kernel! {
         colours: Read<[f32; 4]>,
         /// By mean x, mean y, depth, opacity.
         mean_gradients: Read<[f32; 4]>,
-        /// By conic A, B, C.
-        conic_gradients: Read<[f32; 4]>,
+        /// By the whitened covariance: xx, xy, yy.
+        covariance_gradients: Read<[f32; 4]>,
         /// By red, green, blue.
         colour_gradients: Read<[f32; 4]>,
         /// 3 per Gaussian.

@@ -107,7 +107,7 @@ fn signed(limit: &SplatGradient<f64>, rng: &mut ChaCha8Rng) -> SplatGradient<f64
     let mut turn = |v: f64| if rng.random() { v } else { -v };
     SplatGradient {
         mean: limit.mean.map(&mut turn),
-        conic: limit.conic.map(&mut turn),
+        covariance: limit.covariance.map(&mut turn),
         opacity: turn(limit.opacity),
         depth: turn(limit.depth),
         colour: limit.colour.map(&mut turn),
