@@ -14,4 +14,6 @@ pub const ALL: &[(&str, &str)] = &[
     // The gradient by a needle's length drowned in what cancelled.
     ("needle by its length", include_str!("cases/needle_by_its_length.json")),
     ("needle far away", include_str!("cases/needle_far_away.json")),
+    // A colour of 4e-8: whether it is clamped, and its gradient 0, is rounding's to decide.
+    ("colour at the clamp", include_str!("cases/colour_at_the_clamp.json")),
 ];
