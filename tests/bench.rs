@@ -279,6 +279,13 @@ fn chosen_settings_go_from_bench_to_render() {
     json(folder.path(), &format!("{render} flat --settings flat.json"));
     let picture = |name: &str| std::fs::read(folder.path().join(name).join("0000.png")).unwrap();
     assert!(picture("exact") != picture("flat"), "the settings reach the renderer");
+
+    // Nothing is as exact as this; that is told by the exit code too.
+    let nothing = "bench --scene scene.ply --size 64x48 --quick --error-budget 1e-30";
+    let output = program(folder.path(), nothing);
+    assert_eq!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stderr));
+    let answer: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(answer["choice"]["met"], false);
 }
 
 #[test]

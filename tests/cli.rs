@@ -557,11 +557,11 @@ fn bad_clips_are_named() {
     fails(folder.path(), 2, "reconstruct fine -o x --max-frames 1");
 }
 
-/// A picture that slides by looks as from a camera that only turns: no depth is to be had from it.
+/// A picture that slides by looks as from a camera that only turns, and one that stays as from one
+/// that stands still: no depth is to be had from either.
 #[test]
 fn a_clip_without_parallax_is_refused() {
     let folder = tempfile::tempdir().unwrap();
-    fs::create_dir(folder.path().join("clip")).unwrap();
     let mut dice = support::Dice(5);
     let wide: Vec<f32> = (0..200 * 72).map(|_| dice.roll(1000) as f32 / 1000.0).collect();
     let soft = |x: usize, y: usize| {
@@ -572,17 +572,20 @@ fn a_clip_without_parallax_is_refused() {
             .sum::<f32>()
             / 9.0
     };
-    for frame in 0..5 {
-        let mut image = splat4d::types::Image::new(96, 64, 3);
-        for y in 0..64 {
-            for x in 0..96 {
-                image.at_mut(x, y).fill(soft(x as usize + 4 * frame, y as usize));
+    for (name, slide) in [("slides", 4), ("stays", 0)] {
+        fs::create_dir(folder.path().join(name)).unwrap();
+        for frame in 0..5 {
+            let mut image = splat4d::types::Image::new(96, 64, 3);
+            for y in 0..64 {
+                for x in 0..96 {
+                    image.at_mut(x, y).fill(soft(x as usize + slide * frame, y as usize));
+                }
             }
+            write_png(folder.path().join(format!("{name}/{frame}.png")), &image).unwrap();
         }
-        write_png(folder.path().join(format!("clip/{frame}.png")), &image).unwrap();
+        let said = fails(folder.path(), 1, &format!("reconstruct {name} -o x"));
+        says(&said, &["parallax"]);
     }
-    let said = fails(folder.path(), 1, "reconstruct clip -o x");
-    says(&said, &["parallax"]);
 }
 
 #[test]

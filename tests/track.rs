@@ -173,13 +173,16 @@ impl FlowSource for Turning {
 }
 
 #[test]
-fn a_camera_that_only_turns_is_refused_in_words() {
-    let k = Intrinsics::centred(150.0, 160, 90);
-    let turns: Vec<_> = (0..8).map(|i| DQuat::from_rotation_y(0.02 * f64::from(i))).collect();
-    let frames = vec![Image::new(160, 90, 3); 8];
-    let error = track(&frames, &Options::default(), &mut Turning(turns, k), &mut |_, _| Ok(()));
-    let Err(Error::Input(what)) = error else { panic!("{error:?}") };
-    assert!(what.contains("no parallax") && what.contains("sideways"), "{what}");
+fn a_camera_that_only_turns_or_stands_before_nothing_that_moves_is_refused_in_words() {
+    for (turn, why) in [(0.02, "only turns"), (0.0, "neither the camera")] {
+        let k = Intrinsics::centred(150.0, 160, 90);
+        let turns: Vec<_> = (0..8).map(|i| DQuat::from_rotation_y(turn * f64::from(i))).collect();
+        let frames = vec![Image::new(160, 90, 3); 8];
+        let error = track(&frames, &Options::default(), &mut Turning(turns, k), &mut |_, _| Ok(()));
+        let Err(Error::Input(what)) = error else { panic!("{error:?}") };
+        assert!(what.contains("no parallax") && what.contains("sideways"), "{what}");
+        assert!(what.contains(why), "{what}");
+    }
 }
 
 #[test]

@@ -42,11 +42,13 @@ void subgroup_block(vec2 corner, out vec2 lowest, out vec2 highest) {
     highest = subgroupMax(corner) + vec2(3.0, 1.0);
 }
 
-// The splat's power at the quad's pixels.
-vec4 quad_power(vec2 mean, vec3 conic, vec2 corner, out vec4 dx, out vec4 dy) {
-    dx = corner.x - mean.x + QUAD_X;
-    dy = corner.y - mean.y + QUAD_Y;
-    return 0.5 * (conic.x * dx * dx + conic.z * dy * dy) + conic.y * dx * dy;
+// The splat's power at the quad's pixels: the squared length of their whitened offsets.
+vec4 quad_power(vec2 mean, vec3 conic, vec2 corner, out vec4 across, out vec4 along) {
+    vec4 dx = corner.x - mean.x + QUAD_X;
+    vec4 dy = corner.y - mean.y + QUAD_Y;
+    across = conic.x * dx + conic.y * dy;
+    along = conic.z * dy;
+    return across * across + along * along;
 }
 
 // By ballot, so that devices need not offer votes.

@@ -42,6 +42,12 @@ bool normalised(vec4 q, out vec4 unit, out float length_q) {
 // (clamped) centre, N = view_from_world rotation times the Gaussian's own rotation and S the
 // scales: half_covariance = J N S, so that the 2D covariance is its product with its transpose plus
 // the dilation.
+//
+// The conic, half the covariance's inverse, is kept as its triangular factor: at an offset d from the
+// mean the power is (conic.x d.x + conic.y d.y)^2 + (conic.z d.y)^2. The entries are at most
+// 1/sqrt(2 dilation), and a sum of two squares does not cancel: the usual A, B, C of a needle 1e7
+// pixels long let the power of the pixels on it fall below zero, and gradients by its length drown
+// (cases fuzz/regressions).
 struct Shape {
     vec3 view;          // the centre in the camera's frame
     vec2 tangent;       // x/z and y/z, clamped
@@ -50,8 +56,10 @@ struct Shape {
     vec3 scales;
     vec3 row_x, row_y;  // of half_covariance, divided by `unit`
     float unit;         // the largest entry of half_covariance: squares stay within f32
+    float dilation;     // divided by unit²
     vec3 covariance;    // xx, xy, yy, divided by unit²
-    vec3 conic;         // the inverse: A, B, C
+    vec2 inverse;       // unit times conic.x and conic.z
+    vec3 conic;
 };
 
 // False where there is no usable shape.
@@ -87,15 +95,20 @@ bool shape_of(Camera c, vec2 size, float near, float tangent_clamp, float dilati
     s.row_x /= s.unit;
     s.row_y /= s.unit;
     float d = dilation / s.unit / s.unit;
+    s.dilation = d;
     float xx = dot(s.row_x, s.row_x), xy = dot(s.row_x, s.row_y), yy = dot(s.row_y, s.row_y);
     s.covariance = vec3(xx + d, xy, yy + d);
     // Cauchy-Binet: the determinant of a product with its transpose is a sum of squares, so a
     // needle's does not cancel away as xx*yy - xy*xy does.
     vec3 normal = cross(s.row_x, s.row_y);
     float determinant = dot(normal, normal) + d * (xx + yy) + d * d;
-    if (!(determinant > 0.0) || !finite(determinant)) {
+    float variance_y = s.covariance.z;
+    if (!(determinant > 0.0) || !finite(determinant) || !(variance_y > 0.0)) {
         return false;
     }
-    s.conic = vec3(s.covariance.z, -xy, s.covariance.x) / determinant / s.unit / s.unit;
+    // The variance of x where y is given is determinant / variance_y, its mean goes with xy /
+    // variance_y.
+    s.inverse = vec2(sqrt(0.5 * (variance_y / determinant)), inversesqrt(2.0 * variance_y));
+    s.conic = vec3(s.inverse.x, -xy / variance_y * s.inverse.x, s.inverse.y) / s.unit;
     return finite(s.conic);
 }

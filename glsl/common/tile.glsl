@@ -2,6 +2,13 @@
 // that they agree.
 const uint TILE = 16u;
 
+// With the conic factored as common/splat.glsl says.
+float power_at(vec3 conic, vec2 offset) {
+    float across = conic.x * offset.x + conic.y * offset.y;
+    float along = conic.z * offset.y;
+    return across * across + along * along;
+}
+
 // The least power, and with it the largest alpha, that the splat has within a rectangle of pixel
 // centres: 0 where its mean lies inside, else on one of the edges that face the mean.
 float least_power(vec2 mean, vec3 conic, vec2 lowest, vec2 highest) {
@@ -10,12 +17,16 @@ float least_power(vec2 mean, vec3 conic, vec2 lowest, vec2 highest) {
     float best = 0.0;
     bool outside_x = near.x != 0.0, outside_y = near.y != 0.0;
     if (outside_x) {
-        float y = conic.z > 0.0 ? clamp(-conic.y * near.x / conic.z, low.y, high.y) : near.y;
-        best = 0.5 * (conic.x * near.x * near.x + conic.z * y * y) + conic.y * near.x * y;
+        // Divided by the larger of the two, so that their squares stay within f32.
+        float unit = max(abs(conic.y), conic.z);
+        vec2 column = conic.yz / unit;
+        float y = -(conic.x / unit) * near.x * column.x / dot(column, column);
+        best = power_at(conic, vec2(near.x, unit > 0.0 ? clamp(y, low.y, high.y) : near.y));
     }
     if (outside_y) {
-        float x = conic.x > 0.0 ? clamp(-conic.y * near.y / conic.x, low.x, high.x) : near.x;
-        float other = 0.5 * (conic.x * x * x + conic.z * near.y * near.y) + conic.y * x * near.y;
+        float x = -(conic.y / conic.x) * near.y;
+        vec2 at = vec2(conic.x > 0.0 ? clamp(x, low.x, high.x) : near.x, near.y);
+        float other = power_at(conic, at);
         best = outside_x ? min(best, other) : other;
     }
     return best;

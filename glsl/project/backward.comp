@@ -20,7 +20,7 @@ layout(std430, binding = 8) readonly buffer OpacityLogits { float opacity_logits
 layout(std430, binding = 9) readonly buffer Colours { vec4 colours[]; };
 // As raster/gather writes them.
 layout(std430, binding = 10) readonly buffer MeanGradients { vec4 mean_gradients[]; };
-layout(std430, binding = 11) readonly buffer ConicGradients { vec4 conic_gradients[]; };
+layout(std430, binding = 11) readonly buffer CovarianceGradients { vec4 covariance_gradients[]; };
 layout(std430, binding = 12) readonly buffer ColourGradients { vec4 colour_gradients[]; };
 layout(std430, binding = 13) writeonly buffer PositionGradients { float position_gradients[]; };
 layout(std430, binding = 14) writeonly buffer LogScaleGradients { float log_scale_gradients[]; };
@@ -140,26 +140,14 @@ vec4 quaternion_gradient(vec4 q, mat3 g) {
                       x * s02 + y * s12 - 2.0 * z * (g[0][0] + g[1][1]) + w * a10);
 }
 
-// Gradient of the half covariance M (columns m_k) given that of the conic: -2 K G (K M). K M goes
-// through the adjugate, whose terms are cross products of the columns, so that a needle's do not
-// cancel.
-void half_covariance_gradient(Shape s, float dilation_scaled, vec3 g, out vec3 by_x, out vec3 by_y) {
-    vec2 m[3] = vec2[](vec2(s.row_x.x, s.row_y.x), vec2(s.row_x.y, s.row_y.y),
-                       vec2(s.row_x.z, s.row_y.z));
+// The columns of the half covariance M, whitened: U m_k, with U the factor of the conic. The first row
+// is what is left of a column's x when y explains its share: by cross products, so that a needle's
+// does not cancel.
+void whiten(Shape s, out vec3 across, out vec3 along) {
     vec3 normal = cross(s.row_x, s.row_y);
-    float xx = dot(s.row_x, s.row_x), yy = dot(s.row_y, s.row_y);
-    float determinant = dot(normal, normal) + dilation_scaled * (xx + yy + dilation_scaled);
-    for (int k = 0; k < 3; k++) {
-        vec2 adjugate = dilation_scaled * m[k];
-        for (int j = 0; j < 3; j++) {
-            vec2 perpendicular = vec2(m[j].y, -m[j].x);
-            adjugate += perpendicular * dot(perpendicular, m[k]);
-        }
-        vec2 km = adjugate / determinant / s.unit;
-        vec2 gkm = vec2(g.x * km.x + 0.5 * g.y * km.y, 0.5 * g.y * km.x + g.z * km.y);
-        by_x[k] = -2.0 * (s.conic.x * gkm.x + s.conic.y * gkm.y);
-        by_y[k] = -2.0 * (s.conic.y * gkm.x + s.conic.z * gkm.y);
-    }
+    vec3 rest = cross(s.row_y, normal) + s.dilation * s.row_x;
+    across = s.inverse.x * (rest / s.covariance.z);
+    along = s.inverse.y * s.row_y;
 }
 
 // Writes the Gaussian's gradients; the pose's share comes back in `translation` and `rotation`.
@@ -182,9 +170,15 @@ void backward(uint i, out vec3 translation, out vec3 rotation) {
     vec3 by_view = vec3(by_mean, mean_gradient.z - dot(by_mean, s.view.xy / s.view.z));
 
     // The shape.
-    vec3 by_x, by_y;
-    half_covariance_gradient(s, dilation / s.unit / s.unit, conic_gradients[i].xyz, by_x, by_y);
-    write3(1u, 3u * i, s.unit * (by_x * s.row_x + by_y * s.row_y));
+    // With g the gradient by the whitened covariance, that by the covariance is 2 U^T g U, and that by
+    // a column of the half covariance 4 U^T g (U m).
+    vec3 across, along;
+    whiten(s, across, along);
+    vec3 g = covariance_gradients[i].xyz;
+    vec3 by_across = g.x * across + g.y * along, by_along = g.y * across + g.z * along;
+    write3(1u, 3u * i, 4.0 * (across * by_across + along * by_along));
+    vec3 by_x = 4.0 * s.conic.x * by_across;
+    vec3 by_y = 4.0 * (s.conic.y * by_across + s.conic.z * by_along);
     vec3 along_x = by_x * s.scales, along_y = by_y * s.scales;
     mat3 rows = transpose(s.axes);
     vec2 by_tangent = -f * vec2(dot(along_x, rows[2]), dot(along_y, rows[2]));

@@ -7,16 +7,16 @@ layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer CameraBuffer { float camera[]; };
 layout(std430, binding = 1) readonly buffer Positions { float positions[]; };
-layout(std430, binding = 2) readonly buffer LogScales { float log_scales[]; };
-layout(std430, binding = 3) readonly buffer Rotations { vec4 rotations[]; };
-layout(std430, binding = 4) readonly buffer OpacityLogits { float opacity_logits[]; };
+layout(std430, binding = 2) readonly buffer LogScales { uint log_scales[]; };
+layout(std430, binding = 3) readonly buffer Rotations { uvec4 rotations[]; };
+layout(std430, binding = 4) readonly buffer OpacityLogits { uint opacity_logits[]; };
 layout(std430, binding = 5) readonly buffer Sh0Buffer { uint sh0[]; };
 layout(std430, binding = 6) readonly buffer Sh1Buffer { uint sh1[]; };
 layout(std430, binding = 7) readonly buffer Sh2Buffer { uint sh2[]; };
 layout(std430, binding = 8) readonly buffer Sh3Buffer { uint sh3[]; };
 // Mean x, mean y, depth, opacity.
 layout(std430, binding = 9) writeonly buffer Means { vec4 means[]; };
-// Conic A, B, C and the power at which alpha falls to the cut.
+// The conic, factored, and the power at which alpha falls to the cut.
 layout(std430, binding = 10) writeonly buffer Conics { vec4 conics[]; };
 layout(std430, binding = 11) writeonly buffer Colours { vec4 colours[]; };
 // First and last + 1 tile along x (low half) and y (high half).
@@ -24,8 +24,11 @@ layout(std430, binding = 12) writeonly buffer Rectangles { uvec2 rectangles[]; }
 layout(std430, binding = 13) writeonly buffer TileCounts { uint tile_counts[]; };
 layout(std430, binding = 14) writeonly buffer Visible { uint visible[]; };
 
-// Whether the spherical harmonics are 16-bit floats, two to a word, the first in the low half.
+// What is kept as 16-bit floats, two to a word, the first in the low half: the spherical harmonics;
+// log scales and opacity logits; rotations.
 layout(constant_id = 0) const bool HALF_SH = false;
+layout(constant_id = 1) const bool HALF_SHAPES = false;
+layout(constant_id = 2) const bool HALF_ROTATIONS = false;
 
 layout(push_constant) uniform Params {
     uint count;
@@ -45,11 +48,24 @@ layout(push_constant) uniform Params {
 #include "common/tile.glsl"
 #include "common/sh.glsl"
 
-// Value `at` of a band. A macro, since GLSL passes no buffers.
-#define SH(band, at)                                            \
-    (HALF_SH ? unpackHalf2x16(band[(at) >> 1])[(at) & 1u] \
-                   : uintBitsToFloat(band[at]))
-#define SH_RGB(band, at) vec3(SH(band, at), SH(band, (at) + 1u), SH(band, (at) + 2u))
+// Value `at` of a buffer. Macros, since GLSL passes no buffers.
+#define VALUE(half_kept, words, at)                                 \
+    (half_kept ? unpackHalf2x16(words[(at) >> 1])[(at) & 1u] \
+               : uintBitsToFloat(words[at]))
+#define TRIPLE(half_kept, words, at)                                             \
+    vec3(VALUE(half_kept, words, at), VALUE(half_kept, words, (at) + 1u), \
+         VALUE(half_kept, words, (at) + 2u))
+#define SH_RGB(band, at) TRIPLE(HALF_SH, band, at)
+
+// Two quaternions of halves share what one of floats takes.
+vec4 rotation_of(uint i) {
+    if (HALF_ROTATIONS) {
+        uvec4 both = rotations[i >> 1];
+        uvec2 own = (i & 1u) == 0u ? both.xy : both.zw;
+        return vec4(unpackHalf2x16(own.x), unpackHalf2x16(own.y));
+    }
+    return uintBitsToFloat(rotations[i]);
+}
 
 // Not clamped yet: a maximum may hide a NaN. `largest` becomes the largest coefficient's size.
 vec3 colour_of(uint i, vec3 d, out float largest) {
@@ -96,12 +112,12 @@ uint project(uint i) {
     Camera c = load_camera();
     vec2 size = vec2(width, height);
     vec3 position = vec3(positions[3u * i], positions[3u * i + 1u], positions[3u * i + 2u]);
-    vec3 log_scale = vec3(log_scales[3u * i], log_scales[3u * i + 1u], log_scales[3u * i + 2u]);
-    float logit = opacity_logits[i];
+    vec3 log_scale = TRIPLE(HALF_SHAPES, log_scales, 3u * i);
+    float logit = VALUE(HALF_SHAPES, opacity_logits, i);
     vec4 unit;
     float ignored;
     if (!finite(position) || !finite(log_scale) || !finite(logit)
-        || !normalised(rotations[i], unit, ignored)) {
+        || !normalised(rotation_of(i), unit, ignored)) {
         return 0u;
     }
     float opacity = sigmoid(logit);

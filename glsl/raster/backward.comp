@@ -3,9 +3,9 @@
 //
 // The pixels replay their splats front to back from full transmittance; what still lies behind is
 // the known total less what went before, so the transmittance is never divided out. With
-// v = alpha · dL/dalpha, a slot holds the moments of v over the tile (v, v·dx, v·dy, v·dx², v·dx·dy,
-// v·dy²), from which raster/gather makes the gradients of opacity, mean and conic, then the
-// gradients of colour and depth.
+// v = alpha · dL/dalpha, a slot holds the moments of v over the tile in whitened offsets (v, v·h, v·k,
+// v·h², v·h·k, v·k²), from which raster/gather makes the gradients of opacity, mean and covariance,
+// then the gradients of colour and depth.
 //
 // Subgroups share the splats of a batch: each sums over its own block, and the sums meet in shared
 // memory in a fixed order. There are no atomics on floats, so reruns give the same bits.
@@ -27,9 +27,9 @@ layout(std430, binding = 7) readonly buffer Depth { float depth[]; };
 layout(std430, binding = 8) readonly buffer Last { uint last[]; };
 layout(std430, binding = 9) readonly buffer RgbaGradient { vec4 rgba_gradient[]; };
 layout(std430, binding = 10) readonly buffer DepthGradient { float depth_gradient[]; };
-// v, v·dx, v·dy, v·dx²
+// v, v·h, v·k, v·h²
 layout(std430, binding = 11) writeonly buffer SlotsA { vec4 slots_a[]; };
-// v·dx·dy, v·dy², red, green
+// v·h·k, v·k², red, green
 layout(std430, binding = 12) writeonly buffer SlotsB { vec4 slots_b[]; };
 // blue, depth
 layout(std430, binding = 13) writeonly buffer SlotsC { vec2 slots_c[]; };
@@ -139,16 +139,16 @@ void main() {
                     vec3 c = subgroupBroadcast(conic.xyz, lane);
                     vec3 rgb = subgroupBroadcast(colour.xyz, lane);
                     uvec4 index = uvec4(batch - range.x + base + lane);
-                    vec4 raw[QUADS], dx[QUADS], dy[QUADS];
+                    vec4 raw[QUADS], h[QUADS], k[QUADS];
                     bvec4 counts[QUADS];
                     bool any_counts = false;
                     for (uint q = 0u; q < QUADS; q++) {
                         vec2 first = corner + vec2(2.0 * float(q), 0.0);
-                        vec4 power = quad_power(m.xy, c, first, dx[q], dy[q]);
+                        vec4 power = quad_power(m.xy, c, first, h[q], k[q]);
                         raw[q] = m.w * exp(-power);
-                        for (int k = 0; k < 4; k++) {
-                            counts[q][k] = index[k] < end[q][k] && power[k] >= 0.0
-                                           && min(raw[q][k], alpha_cap) >= alpha_cut;
+                        for (int i = 0; i < 4; i++) {
+                            counts[q][i] = index[i] < end[q][i] && power[i] >= 0.0
+                                           && min(raw[q][i], alpha_cap) >= alpha_cut;
                         }
                         any_counts = any_counts || any(counts[q]);
                     }
@@ -160,8 +160,8 @@ void main() {
                     for (uint q = 0u; q < QUADS; q++) {
                         vec4 alpha = min(raw[q], vec4(alpha_cap));
                         bvec4 below_cap;
-                        for (int k = 0; k < 4; k++) {
-                            below_cap[k] = counts[q][k] && raw[q][k] <= alpha_cap;
+                        for (int i = 0; i < 4; i++) {
+                            below_cap[i] = counts[q][i] && raw[q][i] <= alpha_cap;
                         }
                         vec4 weight = mix(vec4(0.0), alpha * transmittance[q], counts[q]);
                         vec4 value = red[q] * rgb.r + green[q] * rgb.g + blue[q] * rgb.b + opaque[q]
@@ -172,10 +172,10 @@ void main() {
                         v = mix(vec4(0.0), v, below_cap);
                         transmittance[q] = mix(transmittance[q], transmittance[q] * through,
                                                counts[q]);
-                        vec4 vx = v * dx[q], vy = v * dy[q];
+                        vec4 vh = v * h[q], vk = v * k[q];
                         const vec4 one = vec4(1.0);
-                        a += vec4(dot(v, one), dot(vx, one), dot(vy, one), dot(vx, dx[q]));
-                        b += vec4(dot(vx, dy[q]), dot(vy, dy[q]), dot(weight, red[q]),
+                        a += vec4(dot(v, one), dot(vh, one), dot(vk, one), dot(vh, h[q]));
+                        b += vec4(dot(vh, k[q]), dot(vk, k[q]), dot(weight, red[q]),
                                   dot(weight, green[q]));
                         d += vec2(dot(weight, blue[q]), dot(weight, z[q]));
                     }

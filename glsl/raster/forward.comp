@@ -95,9 +95,9 @@ void main() {
                 vec3 rgb = subgroupBroadcast(colour.xyz, lane);
                 any_open = false;
                 for (uint q = 0u; q < QUADS; q++) {
-                    vec4 dx, dy;
+                    vec4 across, along;
                     vec2 first = corner + vec2(2.0 * float(q), 0.0);
-                    vec4 power = quad_power(m.xy, c, first, dx, dy);
+                    vec4 power = quad_power(m.xy, c, first, across, along);
                     vec4 alpha = min(m.w * exp(-power), vec4(alpha_cap));
                     vec4 behind = transmittance[q] * (1.0 - alpha);
                     bvec4 counts;

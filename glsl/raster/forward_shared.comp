@@ -84,7 +84,7 @@ void main() {
             vec4 mean = batch_means[k];
             vec3 conic = batch_conics[k].xyz;
             vec2 d = centre - mean.xy;
-            float power = 0.5 * (conic.x * d.x * d.x + conic.z * d.y * d.y) + conic.y * d.x * d.y;
+            float power = power_at(conic, d);
             float alpha = min(mean.w * exp(-power), alpha_cap);
             if (!(power >= 0.0) || !(alpha >= alpha_cut)) {
                 continue;

@@ -15,8 +15,8 @@ layout(std430, binding = 7) readonly buffer Means { vec4 means[]; };
 layout(std430, binding = 8) readonly buffer Conics { vec4 conics[]; };
 // By mean x, mean y, depth, opacity.
 layout(std430, binding = 9) writeonly buffer MeanGradients { vec4 mean_gradients[]; };
-// By conic A, B, C.
-layout(std430, binding = 10) writeonly buffer ConicGradients { vec4 conic_gradients[]; };
+// By the whitened covariance: xx, xy, yy.
+layout(std430, binding = 10) writeonly buffer CovarianceGradients { vec4 covariance_gradients[]; };
 layout(std430, binding = 11) writeonly buffer ColourGradients { vec4 colour_gradients[]; };
 
 layout(push_constant) uniform Params {
@@ -43,8 +43,8 @@ void main() {
     }
     vec4 conic = conics[splat];
     float opacity = means[splat].w;
-    vec2 mean = vec2(conic.x * a.y + conic.y * a.z, conic.y * a.y + conic.z * a.z);
+    vec2 mean = 2.0 * vec2(conic.x * a.y, conic.y * a.y + conic.z * a.z);
     mean_gradients[splat] = vec4(mean, c.y, a.x / opacity);
-    conic_gradients[splat] = vec4(-0.5 * a.w, -b.x, -0.5 * b.y, 0.0);
+    covariance_gradients[splat] = vec4(a.w, b.x, b.y, 0.0);
     colour_gradients[splat] = vec4(b.z, b.w, c.x, 0.0);
 }

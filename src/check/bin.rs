@@ -28,13 +28,14 @@ const BAND: f64 = 1e-4;
 /// The tiles that the splat certainly reaches, and those that it may reach.
 fn tiles(out: &Forward, splat: usize, width: u32, height: u32) -> [Vec<u32>; 2] {
     let [x, y, ..] = out.means[splat].map(f64::from);
-    let [a, b, c, limit] = out.conics[splat].map(f64::from);
-    let determinant = a * c - b * b;
+    let [a, b, e, limit] = out.conics[splat].map(f64::from);
+    // The inverse of [a b; 0 e], times the square root of the reach, row by row.
+    let deviation = [(1.0 + (b / e).powi(2)).sqrt() / a, 1.0 / e];
     [limit - BAND, limit + BAND].map(|reach| {
-        let extent = [c, a].map(|k| (2.0 * reach.max(0.0) * k / determinant).sqrt());
+        let extent = deviation.map(|d| d * reach.max(0.0).sqrt());
         TileRect::around([x, y], extent, width, height)
             .tiles()
-            .filter(|&tile| hit([x, y], [a, b, c], reach, tile, width, height))
+            .filter(|&tile| hit([x, y], [a, b, e], reach, tile, width, height))
             .map(|[column, row]| row * grid(width, height)[0] + column)
             .collect()
     })

@@ -6,11 +6,12 @@ use super::scene::{
 };
 use super::{Bound, Case, Harness};
 use crate::error::Result;
-use crate::ops::gaussians::{GaussianBuffers, HalfHarmonics};
+use crate::ops::gaussians::{GaussianBuffers, GaussianViews};
+use crate::ops::half::{HalfHarmonics, HalfShapes};
 use crate::ops::render::Render;
+use crate::oracle::half;
 use crate::oracle::project::{Splat, project};
 use crate::oracle::project_backward::{SplatGradient, project_backward};
-use crate::oracle::sh;
 use crate::oracle::view::{Cloud, View};
 use crate::types::{Camera, Gaussians, RenderSettings};
 use glam::DVec3;
@@ -20,7 +21,7 @@ use rand::RngExt;
 pub const CASES: &[Case] = &[
     Case { id: "project/forward", kernels: &["project/forward"], run: forward },
     Case { id: "project/degrees", kernels: &["project/forward"], run: degrees },
-    Case { id: "project/half_harmonics", kernels: &["project/forward"], run: half_harmonics },
+    Case { id: "project/halves", kernels: &["project/forward"], run: halves },
     Case { id: "project/decisions", kernels: &["project/forward"], run: decisions },
     Case { id: "project/backward", kernels: &["project/backward", "project/pose"], run: backward },
 ];
@@ -105,9 +106,9 @@ fn compare(harness: &mut Harness, what: &str, scene: &Gaussians, camera: &Camera
     let bound = Bound { absolute: 0.0, relative: 2e-6 };
     let opacity = |i: usize| vec![out.means[i][3]];
     hold("opacity", &opacity, &|s| vec![s.opacity], &|s| vec![s.opacity], bound);
-    // Entries as a share of the largest: A and C differ by the needle's aspect squared.
+    // Entries as a share of the largest: a and e differ by the needle's aspect.
     let bound = Bound { absolute: 2e-6, relative: 0.0 };
-    let share = |conic: [f64; 3]| conic.map(|x| x / (conic[0] + conic[2]));
+    let share = |[a, b, e]: [f64; 3]| [a, b, e].map(|x| x / (a + e));
     let device_share = |i: usize| {
         let [a, b, c, _] = out.conics[i];
         share([a, b, c].map(f64::from)).map(|x| x as f32).to_vec()
@@ -151,48 +152,63 @@ fn degrees(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// Harmonics in 16 bits give the colours of rounded coefficients, and change nothing else. Odd
-/// numbers leave half of the last word empty.
-fn half_harmonics(harness: &mut Harness) -> Result<()> {
+/// Attributes in 16 bits draw what the rounded attributes draw in f32, bit for bit; how exactly f32
+/// is drawn, the other cases tell. Odd numbers leave half of the last word empty.
+fn halves(harness: &mut Harness) -> Result<()> {
     let camera = skew_camera(WIDTH, HEIGHT);
-    let settings = RenderSettings::default();
+    let mut results = Vec::new();
     for (degree, count) in [(0, 5), (1, 65), (2, 64), (3, 501)] {
-        let scene = random(&mut harness.rng, count, degree, &camera);
-        let device = harness.device.clone();
-        let stream = &mut harness.stream;
-        let buffers = GaussianBuffers::from_host(stream, &scene)?;
-        let half = HalfHarmonics::from_host(&device, &scene)?;
-        let render = Render::plan(&device, count, 1 << 15, WIDTH, HEIGHT, settings)?;
-        let mut run = |views| -> Result<_> {
+        let mut scene = random(&mut harness.rng, count, degree, &camera);
+        for rotation in &mut scene.rotations {
+            let length = 10.0f32.powf(harness.rng.random_range(-5.0..8.0));
+            *rotation = rotation.map(|x| x * length);
+        }
+        scene.rotations[0] = [0.0; 4];
+        scene.log_scales[1] = [9e4; 3];
+        let (device, stream) = (harness.device.clone(), &mut harness.stream);
+        let render =
+            Render::plan(&device, count, 1 << 15, WIDTH, HEIGHT, RenderSettings::default())?;
+        let mut run = |views: GaussianViews<'_>| -> Result<_> {
             let (mut scratch, mut pixels) = (render.scratch(&device)?, render.pixels(&device)?);
             let mut recorder = stream.record()?;
-            recorder.fill(scratch.means.view_mut(), 0);
+            for what in [&mut scratch.means, &mut scratch.conics, &mut scratch.colours] {
+                recorder.fill(what.view_mut(), 0);
+            }
             render.forward(&mut recorder, &camera, views, &mut scratch, &mut pixels)?;
             stream.submit(recorder)?;
-            let visible = stream.download(&scratch.visible)?;
-            let means = stream.download(&scratch.means)?;
-            Ok((stream.download(&scratch.colours)?, visible, means))
+            Ok((
+                stream.download(&scratch.tile_counts)?,
+                [&scratch.means, &scratch.conics, &scratch.colours]
+                    .map(|what| stream.download(what))
+                    .into_iter()
+                    .collect::<Result<Vec<_>>>()?
+                    .concat(),
+            ))
         };
-        let (_, visible, means) = run(buffers.views())?;
-        let (colours, visible_half, means_half) = run(half.replace(buffers.views()))?;
-        let mut cloud = Cloud::<f64>::new(&scene);
-        cloud.sh = sh::halves(&cloud.sh);
-        let mut narrow = Cloud::<f32>::new(&scene);
-        narrow.sh = sh::halves(&narrow.sh);
-        let truth = project(&cloud, &View::new(&camera), &settings);
-        let single = project(&narrow, &View::new(&camera), &settings);
-        let drawn: Vec<usize> = (0..count)
-            .filter(|&i| visible[i] != 0 && truth[i].is_some() && single[i].is_some())
-            .collect();
-        let what = format!("degree {degree}");
-        harness.exact(&format!("{what}: visible"), &visible_half, &visible);
-        harness.exact(&format!("{what}: means"), &means_half, &means);
-        let device: Vec<f32> = drawn.iter().flat_map(|&i| colours[i][..3].to_vec()).collect();
-        let exact: Vec<f64> = drawn.iter().flat_map(|&i| truth[i].expect("drawn").colour).collect();
-        let twin: Vec<f32> = drawn.iter().flat_map(|&i| single[i].expect("drawn").colour).collect();
-        // As for harmonics in f32.
-        let bound = Bound { absolute: 3e-6, relative: 0.0 };
-        harness.close(&format!("{what}: colour"), &device, &exact, Some(&twin), bound);
+        let own = GaussianBuffers::from_host(&mut device.stream()?, &scene)?;
+        let harmonics = HalfHarmonics::from_host(&device, &scene)?;
+        let shapes = HalfShapes::from_host(&device, &scene)?;
+        let rounded = half::harmonics(&scene);
+        for (what, kept, rounded) in [
+            ("harmonics", harmonics.replace(own.views()), &rounded),
+            ("shapes", shapes.replace(own.views()), &half::shapes(&scene)),
+            ("both", shapes.replace(harmonics.replace(own.views())), &half::shapes(&rounded)),
+        ] {
+            let (tiles, splats) = run(kept)?;
+            let rounded = GaussianBuffers::from_host(&mut device.stream()?, rounded)?;
+            let (expected_tiles, expected) = run(rounded.views())?;
+            let what = format!("degree {degree}, {what}");
+            results.push((what, tiles, expected_tiles, splats, expected));
+        }
+    }
+    for (what, tiles, expected_tiles, splats, expected) in results {
+        let drawn = expected_tiles.iter().filter(|&&tiles| tiles > 0).count();
+        if tiles.len() >= 60 {
+            harness.holds(&format!("{what}: many are drawn"), 2 * drawn > tiles.len());
+        }
+        harness.exact(&format!("{what}: tiles"), &tiles, &expected_tiles);
+        let words = |splats: &[[f32; 4]]| bytemuck::cast_slice::<_, u32>(splats).to_vec();
+        harness.exact(&format!("{what}: splats"), &words(&splats), &words(&expected));
     }
     Ok(())
 }
@@ -223,7 +239,7 @@ fn decisions(harness: &mut Harness) -> Result<()> {
         let plain = plain_camera(60.0, 96, 96);
         let seen = project(&Cloud::<f64>::new(&splat), &View::new(&plain), &settings);
         let seen = seen[0].expect("in the middle of the image");
-        let extent = (2.0 * seen.reach(&settings) / seen.conic[0]).sqrt();
+        let extent = seen.reach(&settings).sqrt() / seen.conic[0];
         let x = (64.5 - extent + f64::from(away(rng)) - 48.0) * 2.0 / 60.0;
         // Level with a row of pixel centres.
         edges.push(one([x as f32, 1.0 / 60.0, 2.0], [scale; 3], UPRIGHT, 2.0));
@@ -301,7 +317,7 @@ fn backward(harness: &mut Harness) -> Result<()> {
 fn widen(g: &SplatGradient<f32>) -> SplatGradient<f64> {
     SplatGradient {
         mean: g.mean.map(f64::from),
-        conic: g.conic.map(f64::from),
+        covariance: g.covariance.map(f64::from),
         opacity: f64::from(g.opacity),
         depth: f64::from(g.depth),
         colour: g.colour.map(f64::from),

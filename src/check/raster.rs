@@ -110,7 +110,7 @@ fn compare_gradients(
 ) {
     let parts: [(&str, Rows<f32>, Rows<f64>); 5] = [
         ("mean", |g| g.mean.into(), |g| g.mean.into()),
-        ("conic", |g| g.conic.into(), |g| g.conic.into()),
+        ("covariance", |g| g.covariance.into(), |g| g.covariance.into()),
         ("opacity", |g| vec![g.opacity], |g| vec![g.opacity]),
         ("depth", |g| vec![g.depth], |g| vec![g.depth]),
         ("colour", |g| g.colour.into(), |g| g.colour.into()),

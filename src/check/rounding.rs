@@ -8,7 +8,7 @@ use crate::oracle::bin::Bins;
 use crate::oracle::project::Splat;
 use crate::oracle::project_backward::SplatGradient;
 use crate::oracle::raster::Pixels;
-use crate::oracle::tiles::power;
+use crate::oracle::tiles::whitened;
 use crate::types::RenderSettings;
 
 /// f32's last place, as a share.
@@ -17,7 +17,9 @@ const EPS: f64 = 1.2e-7;
 /// One splat on one pixel, front to back.
 struct Layer {
     index: usize,
+    /// Whitened, and how far rounding moves that.
     offset: [f64; 2],
+    spread: [f64; 2],
     falloff: f64,
     alpha: f64,
     capped: bool,
@@ -67,10 +69,10 @@ fn layers(
     let mut layers = Vec::new();
     for &index in listed {
         let Some(splat) = &splats[index as usize] else { continue };
-        let offset = [0, 1].map(|k| f64::from(pixel[k]) + 0.5 - splat.mean[k]);
-        let [a, b, c] = splat.conic.map(f64::abs);
-        let [dx, dy] = offset.map(f64::abs);
-        let falloff = (-power(splat.conic, offset[0], offset[1])).exp();
+        let [x, y] = [0, 1].map(|k| f64::from(pixel[k]) + 0.5 - splat.mean[k]);
+        let offset = whitened(splat.conic, x, y);
+        let power = offset[0] * offset[0] + offset[1] * offset[1];
+        let falloff = (-power).exp();
         let full = splat.opacity * falloff;
         let alpha = full.min(f64::from(settings.alpha_cap));
         if alpha.is_nan() || alpha < f64::from(settings.alpha_cut) {
@@ -80,11 +82,13 @@ fn layers(
         if behind <= f64::from(settings.transmittance_stop) {
             break;
         }
-        // The power's terms before they cancel, the offsets' own rounding (of up to a pixel), and
-        // the exponential, which Vulkan lets err by 3 + 2 |x| places.
-        let terms = 0.5 * (a * dx * dx + c * dy * dy) + b * dx * dy;
-        let slopes = a * dx + b * (dx + dy) + c * dy;
-        let alpha_error = EPS * (6.0 + 6.0 * terms + slopes);
+        // The whitened offset's terms before they cancel, with the offset's own rounding (of up to a
+        // pixel), and the exponential, which Vulkan lets err by 3 + 2 |x| places.
+        let [a, b, e] = splat.conic.map(f64::abs);
+        let [dx, dy] = [x, y].map(f64::abs);
+        let spread = [2.0 * EPS * (a * (dx + 1.0) + b * (dy + 1.0)), EPS * e * (dy + 2.0)];
+        let moved: f64 = (0..2).map(|k| spread[k] * (2.0 * offset[k].abs() + spread[k])).sum();
+        let alpha_error = EPS * (6.0 + 4.0 * power) + moved;
         let parts = |rgb: [f64; 3], sign: fn(f64) -> f64| {
             let colour: f64 = (0..3).map(|k| sign(rgb[k] * splat.colour[k])).sum();
             colour + sign(g_depth * splat.depth) + sign(g_alpha)
@@ -92,6 +96,7 @@ fn layers(
         layers.push(Layer {
             index: index as usize,
             offset,
+            spread,
             falloff,
             alpha,
             capped: full > f64::from(settings.alpha_cap),
@@ -138,13 +143,15 @@ fn add_limits(
             + behind.abs() / clear * (layer.alpha * layer.alpha_error / clear + 4.0 * EPS)
             + by_alpha * (layer.alpha_error + 4.0 * EPS);
         limit.opacity += error * layer.falloff;
-        let [dx, dy] = layer.offset.map(f64::abs);
-        let [a, b, c] = splat.conic.map(f64::abs);
-        let by_power = error * layer.alpha;
-        limit.conic[0] += by_power * 0.5 * dx * dx;
-        limit.conic[1] += by_power * dx * dy;
-        limit.conic[2] += by_power * 0.5 * dy * dy;
-        limit.mean[0] += by_power * (a * dx + b * dy);
-        limit.mean[1] += by_power * (b * dx + c * dy);
+        let [h, k] = layer.offset.map(f64::abs);
+        let [to_h, to_k] = layer.spread;
+        let [a, b, e] = splat.conic.map(f64::abs);
+        let (by_power, pull) = (error * layer.alpha, by_alpha * layer.alpha);
+        limit.covariance[0] += by_power * h * h + pull * to_h * (2.0 * h + to_h);
+        limit.covariance[1] += by_power * h * k + pull * (to_h * k + to_k * h + to_h * to_k);
+        limit.covariance[2] += by_power * k * k + pull * to_k * (2.0 * k + to_k);
+        let (by_h, by_k) = (by_power * h + pull * to_h, by_power * k + pull * to_k);
+        limit.mean[0] += 2.0 * a * by_h;
+        limit.mean[1] += 2.0 * (b * by_h + e * by_k);
     }
 }

@@ -299,7 +299,7 @@ impl Frame {
         stream.upload(&mut self.pixel_gradients.depth, &gradient.depth)?;
         let mut recorder = stream.record()?;
         let (b, g, r) = (&mut self.backward, &mut self.gradients, &mut recorder);
-        poison(r, &mut [&mut b.slots_a, &mut b.slots_b, &mut b.means, &mut b.conics]);
+        poison(r, &mut [&mut b.slots_a, &mut b.slots_b, &mut b.means, &mut b.covariances]);
         poison(r, &mut [&mut b.colours, &mut g.rotations]);
         poison(r, &mut [&mut b.slots_c]);
         poison(r, &mut [&mut b.pose_partials, &mut b.pose]);
@@ -334,13 +334,13 @@ impl Frame {
         }
         let visible = read(stream, &self.scratch.visible, n)?;
         let means = read(stream, &b.means, n)?;
-        let conics = read(stream, &b.conics, n)?;
+        let covariances = read(stream, &b.covariances, n)?;
         let colours = read(stream, &b.colours, n)?;
         let splats = (0..n).filter(|&i| visible[i] != 0).map(|i| {
             let ([x, y, depth, opacity], [a, b, c, _], [red, green, blue, _]) =
-                (means[i], conics[i], colours[i]);
-            let (mean, conic) = ([x, y], [a, b, c]);
-            (i, SplatGradient { mean, conic, opacity, depth, colour: [red, green, blue] })
+                (means[i], covariances[i], colours[i]);
+            let (mean, covariance) = ([x, y], [a, b, c]);
+            (i, SplatGradient { mean, covariance, opacity, depth, colour: [red, green, blue] })
         });
         let mut by_index = vec![SplatGradient::default(); n];
         splats.for_each(|(i, splat)| by_index[i] = splat);

@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use clap::{Args, Subcommand, ValueEnum};
@@ -25,6 +26,8 @@ const BUDGET_VIEWS: usize = 3;
 const AFTER_HELP: &str = "\
 Every row is held against the oracle in f64 before it is timed; one that misses its bound has an
 error and no speed. Times are the device's own timestamps, without uploads and downloads.
+
+Exit code 1 when a row misses its bound, or the settings found miss the budget on that view.
 
 Parts, for --filter: scan, sort, project, bin, raster, loss, deform, mlp, arap, adam, density,
 ceiling, render, pipeline, and the sweeps of speed against error: sweep/still, sweep/motion,
@@ -101,10 +104,10 @@ enum Measure {
     Max,
 }
 
-/// Runs the command.
-pub fn run(args: &BenchArgs, common: &Common) -> Result<Answer> {
+/// Runs the command. The exit code says whether every row kept its bound and the budget was met.
+pub fn run(args: &BenchArgs, common: &Common) -> Result<(Answer, ExitCode)> {
     if let Some(BenchCommand::Cmp { a, b }) = &args.command {
-        return cmp(a, b);
+        return Ok((cmp(a, b)?, ExitCode::SUCCESS));
     }
     args.report.as_deref().map_or(Ok(()), check_output_folder)?;
     args.settings.as_deref().map_or(Ok(()), check_output_file)?;
@@ -147,7 +150,9 @@ pub fn run(args: &BenchArgs, common: &Common) -> Result<Answer> {
         .map_err(|e| Error::Failed(format!("the results cannot be written as JSON: {e}")))?;
     json["missed"] = json!(missed);
     json["seconds"] = json!(begun.elapsed().as_secs_f64());
-    Ok(Answer { json, text: text(&measured, missed) })
+    let kept = missed == 0 && measured.choice.as_ref().is_none_or(|choice| choice.met);
+    let code = if kept { ExitCode::SUCCESS } else { ExitCode::FAILURE };
+    Ok((Answer { json, text: text(&measured, missed) }, code))
 }
 
 fn open_scene(path: &Path) -> Result<(String, Scene)> {

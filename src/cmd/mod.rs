@@ -99,9 +99,9 @@ fn run(cli: &Cli) -> Result<(Answer, ExitCode)> {
         Command::Eval(args) => eval::run(args, &cli.common),
         Command::Info(args) => info::run(args),
         Command::Devices(args) => devices::run(args),
-        Command::Bench(args) => bench::run(args, &cli.common),
         Command::Synth(args) => synth::run(args, &cli.common),
-        // What it finds out decides the exit code.
+        // What these find out decides the exit code.
+        Command::Bench(args) => return bench::run(args, &cli.common),
         Command::Validate(args) => return validate::run(args, &cli.common),
     };
     Ok((answer?, ExitCode::SUCCESS))

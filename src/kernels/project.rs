@@ -3,8 +3,8 @@
 use crate::gpu::kernel;
 
 kernel! {
-    /// Culls and projects every Gaussian. Specialisation constant 0: 1 where the spherical harmonics
-    /// are 16-bit floats, two to a word.
+    /// Culls and projects every Gaussian. Specialisation constants, 1 for what is kept as 16-bit
+    /// floats, two to a word: 0 the spherical harmonics, 1 log scales and opacity logits, 2 rotations.
     pub struct Forward("project/forward"), workgroup: [64, 1, 1],
     params: ForwardParams {
         /// Number of Gaussians.
@@ -45,7 +45,7 @@ kernel! {
         sh3: Read<f32>,
         /// Mean x, mean y, depth, opacity.
         means: Write<[f32; 4]>,
-        /// Conic A, B, C, and the power at which α falls to the cut.
+        /// The conic factored (a, b, e), and the power at which α falls to the cut.
         conics: Write<[f32; 4]>,
         /// Red, green, blue.
         colours: Write<[f32; 4]>,
@@ -102,8 +102,8 @@ kernel! {
         colours: Read<[f32; 4]>,
         /// By mean x, mean y, depth, opacity.
         mean_gradients: Read<[f32; 4]>,
-        /// By conic A, B, C.
-        conic_gradients: Read<[f32; 4]>,
+        /// By the whitened covariance: xx, xy, yy.
+        covariance_gradients: Read<[f32; 4]>,
         /// By red, green, blue.
         colour_gradients: Read<[f32; 4]>,
         /// 3 per Gaussian.

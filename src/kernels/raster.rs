@@ -151,8 +151,8 @@ kernel! {
         conics: Read<[f32; 4]>,
         /// By mean x, mean y, depth, opacity.
         mean_gradients: Write<[f32; 4]>,
-        /// By conic A, B, C.
-        conic_gradients: Write<[f32; 4]>,
+        /// By the whitened covariance: xx, xy, yy.
+        covariance_gradients: Write<[f32; 4]>,
         /// By red, green, blue.
         colour_gradients: Write<[f32; 4]>,
     }

@@ -48,58 +48,12 @@ pub struct GaussianViews<'a> {
     pub opacity_logits: View<'a, f32>,
     /// By band.
     pub sh: [View<'a, f32>; 4],
-    /// Whether `sh` holds two 16-bit floats in each word; see [`HalfHarmonics`].
+    /// Whether `sh` holds 16-bit floats; see [`HalfHarmonics`](super::half::HalfHarmonics).
     pub half_sh: bool,
-}
-
-/// Spherical harmonics as 16-bit floats, two to a word, by band: half the memory to read for every
-/// visible splat, rounded to 11 bits.
-pub struct HalfHarmonics {
-    sh: [Buffer<f32>; 4],
-    sh_degree: u32,
-    len: usize,
-}
-
-impl HalfHarmonics {
-    /// Those of a scene, rounded to the nearest.
-    ///
-    /// # Errors
-    /// [`Error::OutOfMemory`], or a failed submission.
-    pub fn from_host(device: &Device, gaussians: &Gaussians) -> Result<HalfHarmonics> {
-        let coefficients = sh_coefficients(gaussians.sh_degree);
-        let (mut bands, mut first) = (Vec::new(), 0);
-        for band in 0..4 {
-            let rows = SH_BAND[band] / 3;
-            let mut halves: Vec<u16> = Vec::new();
-            if band as u32 <= gaussians.sh_degree {
-                for row in gaussians.sh.chunks_exact(coefficients) {
-                    let values = row[first..first + rows].as_flattened();
-                    halves.extend(values.iter().map(|&v| half::f16::from_f32(v).to_bits()));
-                }
-            }
-            let words = halves.chunks(2).map(|pair| {
-                let high = pair.get(1).copied().unwrap_or(0);
-                f32::from_bits(u32::from(pair[0]) | u32::from(high) << 16)
-            });
-            bands.push(
-                device.upload(["sh0", "sh1", "sh2", "sh3"][band], &words.collect::<Vec<_>>())?,
-            );
-            first += rows;
-        }
-        let sh = <[Buffer<f32>; 4]>::try_from(bands).unwrap_or_else(|_| unreachable!("four bands"));
-        Ok(HalfHarmonics { sh, sh_degree: gaussians.sh_degree, len: gaussians.len() })
-    }
-
-    /// The Gaussians with these harmonics instead of their own.
-    pub fn replace<'a>(&'a self, gaussians: GaussianViews<'a>) -> GaussianViews<'a> {
-        GaussianViews {
-            sh: self.sh.each_ref().map(Buffer::view),
-            sh_degree: gaussians.sh_degree.min(self.sh_degree),
-            len: gaussians.len.min(self.len),
-            half_sh: true,
-            ..gaussians
-        }
-    }
+    /// Whether `log_scales` and `opacity_logits` do; see [`HalfShapes`](super::half::HalfShapes).
+    pub half_shapes: bool,
+    /// Whether `rotations` does.
+    pub half_rotations: bool,
 }
 
 impl GaussianBuffers {
@@ -309,6 +263,8 @@ impl GaussianBuffers {
             opacity_logits: self.opacity_logits.range(0..n),
             sh: [band(0), band(1), band(2), band(3)],
             half_sh: false,
+            half_shapes: false,
+            half_rotations: false,
         }
     }
 }
@@ -316,7 +272,7 @@ impl GaussianBuffers {
 impl<'a> GaussianViews<'a> {
     /// The same Gaussians elsewhere: deformed positions and rotations.
     pub fn moved(self, positions: View<'a, f32>, rotations: View<'a, [f32; 4]>) -> Self {
-        GaussianViews { positions, rotations, ..self }
+        GaussianViews { positions, rotations, half_rotations: false, ..self }
     }
 
     /// Evaluated at a lower degree.
@@ -326,18 +282,18 @@ impl<'a> GaussianViews<'a> {
 
     pub(super) fn check(&self, op: &'static str) -> Result<()> {
         let n = self.len;
-        let per_word = if self.half_sh { 2 } else { 1 };
+        let words = |half: bool, values: usize| if half { values.div_ceil(2) } else { values };
         let band = |k: usize| match k as u32 <= self.sh_degree {
-            true => (n * SH_BAND[k]).div_ceil(per_word),
+            true => words(self.half_sh, n * SH_BAND[k]),
             false => 0,
         };
         super::at_least(
             op,
             &[
                 ("positions", 3 * n, self.positions.len()),
-                ("log_scales", 3 * n, self.log_scales.len()),
-                ("rotations", n, self.rotations.len()),
-                ("opacity_logits", n, self.opacity_logits.len()),
+                ("log_scales", words(self.half_shapes, 3 * n), self.log_scales.len()),
+                ("rotations", words(self.half_rotations, n), self.rotations.len()),
+                ("opacity_logits", words(self.half_shapes, n), self.opacity_logits.len()),
                 ("sh0", band(0), self.sh[0].len()),
                 ("sh1", band(1), self.sh[1].len()),
                 ("sh2", band(2), self.sh[2].len()),

@@ -9,6 +9,7 @@ pub mod deform;
 pub mod density;
 pub mod flow;
 pub mod gaussians;
+pub mod half;
 pub mod loss;
 pub mod mask;
 pub mod mlp;

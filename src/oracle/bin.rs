@@ -77,7 +77,7 @@ mod tests {
     fn round(mean: [f64; 2], variance: f64, depth: f64, size: [u32; 2]) -> Option<Splat<f64>> {
         let mut splat = Splat {
             mean,
-            conic: [1.0 / variance, 0.0, 1.0 / variance],
+            conic: [(0.5 / variance).sqrt(), 0.0, (0.5 / variance).sqrt()],
             opacity: 1.0,
             depth,
             colour: [0.5; 3],

@@ -11,6 +11,7 @@ pub mod ceiling;
 pub mod deform;
 pub mod density;
 pub mod flow;
+pub mod half;
 pub mod linear;
 pub mod loss;
 pub mod mask;

@@ -6,6 +6,9 @@
 //! squared 2×2 minors of M, plus `dilation · tr(M Mᵀ) + dilation²`: squares only, so needles do not
 //! cancel. All of it is computed in units of the largest entry of M, so that scales from 1e-20 to
 //! 1e20 neither overflow nor underflow in f32.
+//!
+//! The conic comes as the triangular factor of its half, [`tiles::power`]: from the variance of y,
+//! and the variance of x where y is given, which is the determinant over the former.
 
 use super::Real;
 use super::linear::{Mat3, Vec3, dot, finite, max_abs, mul, mul_vec, normalise, rotation};
@@ -27,7 +30,7 @@ pub const MIN_QUATERNION: f64 = 1e-10;
 pub struct Splat<R> {
     /// Centre, pixels.
     pub mean: [R; 2],
-    /// Inverse 2D covariance, entries xx, xy, yy.
+    /// Half the inverse 2D covariance, [factored](tiles::power).
     pub conic: [R; 3],
     /// Opacity in [0, 1].
     pub opacity: R,
@@ -79,12 +82,10 @@ pub(super) struct Geometry<R> {
     pub unit: R,
     /// M / unit.
     pub m: [Vec3<R>; 2],
-    /// Adjugate of the covariance over its determinant (xx, xy, yy), in units of 1 / unit².
+    /// The factored conic in units of 1 / unit.
     pub conic: [R; 3],
     /// Covariance's diagonal in units of unit².
     pub variance: [R; 2],
-    /// Determinant of the covariance in units of unit⁴.
-    pub determinant: R,
     /// dilation / unit².
     pub dilation: R,
 }
@@ -146,10 +147,12 @@ pub(super) fn geometry<R: Real>(
     let minors = [minor(0, 1), minor(0, 2), minor(1, 2)];
     let determinant =
         dot(minors, minors) + dilation * (dot(m[0], m[0]) + dot(m[1], m[1])) + dilation * dilation;
-    if !(determinant > R::zero() && determinant.is_finite()) {
+    if !(determinant > R::zero() && determinant.is_finite() && variance[1] > R::zero()) {
         return None;
     }
-    let conic = [variance[1], -covariance, variance[0]].map(|x| x / determinant);
+    let half = R::of(0.5);
+    let a = (half * (variance[1] / determinant)).sqrt();
+    let conic = [a, -(covariance / variance[1]) * a, (half / variance[1]).sqrt()];
     Some(Geometry {
         point,
         tangent,
@@ -162,7 +165,6 @@ pub(super) fn geometry<R: Real>(
         m,
         conic,
         variance,
-        determinant,
         dilation,
     })
 }
@@ -195,7 +197,7 @@ fn splat<R: Real>(
     let g = geometry(cloud, index, view, settings)?;
     let mean: [R; 2] =
         std::array::from_fn(|k| view.focal[k] * g.point[k] / g.point[2] + view.centre[k]);
-    let conic = g.conic.map(|x| x / g.unit / g.unit);
+    let conic = g.conic.map(|x| x / g.unit);
     if !(finite(mean) && finite(conic)) {
         return None;
     }

@@ -15,8 +15,9 @@ use crate::types::{RenderSettings, sh_coefficients};
 pub struct SplatGradient<R> {
     /// To the centre, per pixel.
     pub mean: [R; 2],
-    /// To the conic's A, B, C, each an independent number.
-    pub conic: [R; 3],
+    /// To the covariance as the conic's factor U whitens it: entries xx, xy, yy of the symmetric G of
+    /// which `2 Uᵀ G U` is the gradient to the covariance itself.
+    pub covariance: [R; 3],
     /// To the opacity.
     pub opacity: R,
     /// To the depth.
@@ -123,7 +124,7 @@ fn point_and_shape<R: Real>(
     gradient: &SplatGradient<R>,
 ) -> PointGradient<R> {
     let [x, y, z] = g.point;
-    let (half, two) = (R::of(0.5), R::of(2.0));
+    let (two, four) = (R::of(2.0), R::of(4.0));
 
     // Centre: focal · x/z + centre.
     let mut point = [
@@ -135,30 +136,25 @@ fn point_and_shape<R: Real>(
     let mut focal = [gradient.mean[0] * x / z, gradient.mean[1] * y / z];
     let mut centre = gradient.mean;
 
-    // Covariance Σ = M Mᵀ + d I, conic Q = Σ⁻¹: dL/dΣ = −Q G Q with G the symmetric gradient to Q,
-    // so dL/dM = −2 Q G (Q M). Q M is taken from the adjugate, where the parts that cancel in a
-    // needle drop out exactly: adj(Σ) mᵢ = Σⱼ perp(mⱼ) (mⱼ × mᵢ) + d mᵢ.
-    let symmetric = [gradient.conic[0], gradient.conic[1] * half, gradient.conic[2]];
-    let times = |s: [R; 3], v: [R; 2]| [s[0] * v[0] + s[1] * v[1], s[1] * v[0] + s[2] * v[1]];
-    let column = |i: usize| [g.m[0][i], g.m[1][i]];
+    // Covariance Σ = M Mᵀ + d I: dL/dM = 2 (dL/dΣ) M = 4 Uᵀ G (U M). The first row of U M is what is
+    // left of M's first row when the second explains its share: (r_y × (r_x × r_y) + d r_x) / Σ_yy,
+    // where the parts that cancel in a needle drop out.
+    let normal = cross(g.m[0], g.m[1]);
+    let rest = add(cross(g.m[1], normal), scale(g.m[0], g.dilation));
+    let [a, b, e] = g.conic;
+    let white: [[R; 2]; 3] =
+        std::array::from_fn(|i| [a * (rest[i] / g.variance[1]), e * g.m[1][i]]);
+    let [xx, xy, yy] = gradient.covariance;
+    let to_white = white.map(|[h, k]| [xx * h + xy * k, xy * h + yy * k]);
     let mut to_m = [[R::zero(); 3]; 2];
     for i in 0..3 {
-        let mi = column(i);
-        let mut adjugate = mi.map(|v| v * g.dilation);
-        for j in 0..3 {
-            let mj = column(j);
-            let minor = mj[0] * mi[1] - mj[1] * mi[0];
-            adjugate = [adjugate[0] - mj[1] * minor, adjugate[1] + mj[0] * minor];
-        }
-        let qm = adjugate.map(|v| v / g.determinant / g.unit);
-        let back = times(g.conic, times(symmetric, qm)).map(|v| -two * v / g.unit / g.unit);
-        to_m[0][i] = back[0];
-        to_m[1][i] = back[1];
+        let [h, k] = to_white[i];
+        to_m[0][i] = four * a * h / g.unit;
+        to_m[1][i] = four * (b * h + e * k) / g.unit;
     }
 
     // M = J N with N = W R S; column i of M is proportional to exp(log scale i).
-    let log_scales =
-        std::array::from_fn(|i| (to_m[0][i] * g.m[0][i] + to_m[1][i] * g.m[1][i]) * g.unit);
+    let log_scales = std::array::from_fn(|i| four * dot(white[i], to_white[i]));
     let scaled_axes: Mat3<R> = std::array::from_fn(|row| {
         std::array::from_fn(|axis| {
             g.jacobian[0][row] * to_m[0][axis] + g.jacobian[1][row] * to_m[1][axis]

@@ -5,7 +5,7 @@ use super::bin::Bins;
 use super::linear::{Vec3, dot};
 use super::project::Splat;
 use super::project_backward::SplatGradient;
-use super::tiles::{TILE, power};
+use super::tiles::{TILE, whitened};
 use crate::types::RenderSettings;
 use rayon::prelude::*;
 
@@ -39,7 +39,7 @@ struct Share<R> {
     /// exp(−power).
     falloff: R,
     capped: bool,
-    /// Pixel centre − splat centre.
+    /// Pixel centre − splat centre, whitened by the conic's factor.
     offset: [R; 2],
     /// Transmittance in front of the splat.
     transmittance: R,
@@ -67,10 +67,9 @@ fn blend<R: Real>(
     let mut transmittance = R::one();
     for &index in &bins.splats[begin as usize..end as usize] {
         let splat = splats[index as usize].as_ref().expect("bins list only drawn splats");
-        let offset = [pixel[0] - splat.mean[0], pixel[1] - splat.mean[1]];
-        let power = power(splat.conic, offset[0], offset[1]);
-        // A power below 0 is a conic that rounding has made indefinite.
-        if power.is_nan() || power < R::zero() {
+        let offset = whitened(splat.conic, pixel[0] - splat.mean[0], pixel[1] - splat.mean[1]);
+        let power = offset[0] * offset[0] + offset[1] * offset[1];
+        if power.is_nan() {
             continue;
         }
         let falloff = (-power).exp();
@@ -170,14 +169,14 @@ pub fn backward<R: Real>(
                 let to_alpha =
                     share.transmittance * value - (total - before) / (R::one() - share.alpha);
                 to.opacity += to_alpha * share.falloff;
-                let to_power = -to_alpha * share.alpha;
-                let [dx, dy] = share.offset;
-                let [a, b, c] = splat.conic;
-                to.conic[0] += to_power * R::of(0.5) * dx * dx;
-                to.conic[1] += to_power * dx * dy;
-                to.conic[2] += to_power * R::of(0.5) * dy * dy;
-                to.mean[0] -= to_power * (a * dx + b * dy);
-                to.mean[1] -= to_power * (b * dx + c * dy);
+                let pull = to_alpha * share.alpha;
+                let [h, k] = share.offset;
+                let [a, b, e] = splat.conic;
+                to.covariance[0] += pull * h * h;
+                to.covariance[1] += pull * h * k;
+                to.covariance[2] += pull * k * k;
+                to.mean[0] += R::of(2.0) * pull * a * h;
+                to.mean[1] += R::of(2.0) * pull * (b * h + e * k);
             });
         }
     }

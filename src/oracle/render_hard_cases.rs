@@ -57,7 +57,7 @@ fn run<R: Real>(gaussians: &Gaussians, camera: &Camera) -> (Pixels<R>, usize) {
     let all = all.chain(&rendered.pixels.depth).chain(to.positions.iter().flatten());
     let all = all.chain(to.log_scales.iter().flatten()).chain(to.rotations.iter().flatten());
     let all = all.chain(&to.opacity_logits).chain(to.sh.iter().flatten()).chain(&to_view.twist);
-    for value in all.chain(to_splats.iter().flat_map(|g| g.conic.iter().chain(&g.mean))) {
+    for value in all.chain(to_splats.iter().flat_map(|g| g.covariance.iter().chain(&g.mean))) {
         assert!(value.is_finite(), "{value:?} in {gaussians:?}");
     }
     let drawn = rendered.splats.iter().flatten().count();

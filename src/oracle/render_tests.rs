@@ -4,6 +4,7 @@ use super::project::project;
 use super::project_backward::{SplatGradient, project_backward};
 use super::raster::Pixels;
 use super::render;
+use super::tiles::{power, whitened};
 use super::view::{Cloud, View, perturbed};
 use crate::types::{Camera, Gaussians, Intrinsics, Pose, RenderSettings, sh_coefficients};
 use glam::{DQuat, DVec3};
@@ -120,19 +121,41 @@ fn check(
     }
 }
 
+/// A loss: linear in what a splat shows, the conic by its powers at some offsets.
+struct Weights {
+    plain: SplatGradient<f64>,
+    /// Weight and offset.
+    powers: [(f64, f64, f64); 3],
+}
+
+impl Weights {
+    /// The power falls as the covariance grows: by the square of the whitened offset.
+    fn gradient(&self, conic: [f64; 3]) -> SplatGradient<f64> {
+        let mut covariance = [0.0; 3];
+        for &(v, dx, dy) in &self.powers {
+            let [h, k] = whitened(conic, dx, dy);
+            covariance = super::linear::sub(covariance, [v * h * h, v * h * k, v * k * k]);
+        }
+        SplatGradient { covariance, ..self.plain }
+    }
+}
+
 #[test]
 fn projection_gradient_matches_central_differences() {
     for degree in 0..=3 {
         let (cloud, camera) = (cloud(24, degree, 11), camera());
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
         let mut random = || rng.random_range(-1.0..1.0);
-        let weights: Vec<SplatGradient<f64>> = (0..cloud.len())
-            .map(|_| SplatGradient {
-                mean: std::array::from_fn(|_| random()),
-                conic: std::array::from_fn(|_| random() * 10.0),
-                opacity: random(),
-                depth: random(),
-                colour: std::array::from_fn(|_| random()),
+        let weights: Vec<Weights> = (0..cloud.len())
+            .map(|_| Weights {
+                plain: SplatGradient {
+                    mean: std::array::from_fn(|_| random()),
+                    covariance: [0.0; 3],
+                    opacity: random(),
+                    depth: random(),
+                    colour: std::array::from_fn(|_| random()),
+                },
+                powers: std::array::from_fn(|_| (random(), random() * 3.0, random() * 3.0)),
             })
             .collect();
         let value = |cloud: &Cloud<f64>, view: &View<f64>| {
@@ -141,11 +164,12 @@ fn projection_gradient_matches_central_differences() {
                 .zip(&weights)
                 .filter_map(|(splat, w)| splat.as_ref().map(|s| (s, w)))
                 .map(|(s, w)| {
-                    super::linear::dot(s.mean, w.mean)
-                        + super::linear::dot(s.conic, w.conic)
-                        + s.opacity * w.opacity
-                        + s.depth * w.depth
-                        + super::linear::dot(s.colour, w.colour)
+                    let powers = w.powers.iter().map(|(v, dx, dy)| v * power(s.conic, *dx, *dy));
+                    super::linear::dot(s.mean, w.plain.mean)
+                        + powers.sum::<f64>()
+                        + s.opacity * w.plain.opacity
+                        + s.depth * w.plain.depth
+                        + super::linear::dot(s.colour, w.plain.colour)
                 })
                 .sum()
         };
@@ -153,7 +177,12 @@ fn projection_gradient_matches_central_differences() {
         let splats = project(&cloud, &view, &SMOOTH);
         let drawn = splats.iter().flatten().count();
         assert!(drawn > 15, "only {drawn} drawn");
-        let gradient = project_backward(&cloud, &view, &SMOOTH, &splats, &weights);
+        let gradients: Vec<_> = splats
+            .iter()
+            .zip(&weights)
+            .map(|(s, w)| s.as_ref().map_or(w.plain, |s| w.gradient(s.conic)))
+            .collect();
+        let gradient = project_backward(&cloud, &view, &SMOOTH, &splats, &gradients);
         check(&cloud, &camera, &value, &gradient, 1e-6);
     }
 }
@@ -256,8 +285,7 @@ fn tiles_change_nothing() {
             let (mut left, mut rgb, mut depth) = (1.0_f64, [0.0; 3], 0.0);
             for s in &order {
                 let (dx, dy) = (f64::from(x) + 0.5 - s.mean[0], f64::from(y) + 0.5 - s.mean[1]);
-                let power =
-                    0.5 * (s.conic[0] * dx * dx + s.conic[2] * dy * dy) + s.conic[1] * dx * dy;
+                let power = power(s.conic, dx, dy);
                 let alpha = (s.opacity * (-power).exp()).min(f64::from(settings.alpha_cap));
                 if alpha < f64::from(settings.alpha_cut) {
                     continue;

@@ -51,21 +51,6 @@ pub fn basis<R: Real>(direction: Vec3<R>) -> [R; 16] {
     ]
 }
 
-/// Coefficients rounded to the nearest 16-bit float (11 bits of mantissa, exponents from −14, below
-/// that steps of 2⁻²⁴; ties to even), as [`half_sh`](crate::types::Tuning::half_sh) keeps them.
-pub fn halves<R: Real>(coefficients: &[Vec3<R>]) -> Vec<Vec3<R>> {
-    let half = |x: R| {
-        let wide = x.f64();
-        if wide == 0.0 || !wide.is_finite() {
-            return x;
-        }
-        let exponent = wide.abs().log2().floor().max(-14.0);
-        let step = (exponent - 10.0).exp2();
-        R::of((wide / step).round_ties_even() * step)
-    };
-    coefficients.iter().map(|row| row.map(half)).collect()
-}
-
 /// Derivatives of [`basis`] by x, y and z, each taken as free.
 pub fn basis_gradient<R: Real>(direction: Vec3<R>) -> [Vec3<R>; 16] {
     let [x, y, z] = direction;
@@ -128,22 +113,6 @@ mod tests {
     }
 
     /// ∫ Yᵢ Yⱼ over the sphere is 1 for i = j, else 0.
-    /// Against the rounding that the host packs with.
-    #[test]
-    fn halves_are_the_nearest_16_bit_floats() {
-        let mut value = 3e-9f32;
-        while value < 6e4 {
-            for x in [value, -value] {
-                let [[rounded, _, _]] = halves(&[[f64::from(x), 0.0, 1.0]])[..] else { panic!() };
-                assert_eq!(rounded, half::f16::from_f32(x).to_f64(), "{x}");
-            }
-            value *= 1.0173;
-        }
-        // Ties go to even mantissas.
-        let ties = halves(&[[1.0 + 0.5 / 1024.0, 1.0 + 1.5 / 1024.0, 0.0]]);
-        assert_eq!(ties, [[1.0, 1.0 + 2.0 / 1024.0, 0.0]]);
-    }
-
     #[test]
     fn harmonics_are_orthonormal() {
         const RINGS: usize = 64;

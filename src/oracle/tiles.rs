@@ -48,8 +48,7 @@ impl TileRect {
     }
 }
 
-/// Whether a Gaussian with this mean and conic (A, B, C) falls to `power = ½(A dx² + C dy²) +
-/// B dx dy ≤ reach` anywhere in the rectangle that the tile's pixel centres span (those within the
+/// Whether a Gaussian with this mean and [factored conic](power) falls to `power ≤ reach` anywhere in the rectangle that the tile's pixel centres span (those within the
 /// image).
 ///
 /// The quadratic is convex, so outside its centre its least value over a rectangle lies on one of
@@ -78,23 +77,37 @@ pub fn hit<R: Real>(
         }
     };
     let power = |dx: R, dy: R| power(conic, dx, dy);
-    // The least of the quadratic along a line is at −B d / (second derivative).
-    let least = |along: R, d: R, k: usize| {
-        let free = if along > R::zero() { -conic[1] * d / along } else { R::zero() };
-        free.max(low[k]).min(high[k])
+    let [a, b, e] = conic;
+    let within = |free: R, k: usize| free.max(low[k]).min(high[k]);
+    // Where dx is given, the least is at dy = −a b dx / (b² + e²); scaled, for the squares' sake.
+    let least_y = |dx: R| {
+        let unit = b.abs().max(e);
+        let (column_b, column_e) = (b / unit, e / unit);
+        let free = -(a / unit) * dx * column_b / (column_b * column_b + column_e * column_e);
+        within(if unit > R::zero() { free } else { R::zero() }, 1)
     };
+    // Where dy is given, at dx = −b dy / a.
+    let least_x = |dy: R| within(if a > R::zero() { -(b / a) * dy } else { R::zero() }, 0);
     match (facing(0), facing(1)) {
         (None, None) => true,
         (dx, dy) => {
-            dx.is_some_and(|dx| power(dx, least(conic[2], dx, 1)) <= reach)
-                || dy.is_some_and(|dy| power(least(conic[0], dy, 0), dy) <= reach)
+            dx.is_some_and(|dx| power(dx, least_y(dx)) <= reach)
+                || dy.is_some_and(|dy| power(least_x(dy), dy) <= reach)
         }
     }
 }
 
-/// `½(A dx² + C dy²) + B dx dy`.
+/// The exponent of a splat at an offset from its mean, by the factored conic `(a, b, e)`: the squared
+/// length of the [whitened] offset. Half the conic is `UᵀU` with `U = [a b; 0 e]`; the usual entries
+/// are `A = 2a²`, `B = 2ab` and `C = 2(b² + e²)`.
 pub fn power<R: Real>(conic: [R; 3], dx: R, dy: R) -> R {
-    R::of(0.5) * (conic[0] * dx * dx + conic[2] * dy * dy) + conic[1] * dx * dy
+    let [h, k] = whitened(conic, dx, dy);
+    h * h + k * k
+}
+
+/// `U` times an offset.
+pub fn whitened<R: Real>([a, b, e]: [R; 3], dx: R, dy: R) -> [R; 2] {
+    [a * dx + b * dy, e * dy]
 }
 
 #[cfg(test)]
@@ -113,6 +126,13 @@ mod tests {
         assert_eq!(rect([8.0, 8.0], [1e30, 1e30]), TileRect { min: [0, 0], max: [3, 2] });
     }
 
+    /// From A, B, C.
+    fn factored([a, b, c]: [f64; 3]) -> [f64; 3] {
+        let first = (0.5 * a).sqrt();
+        let second = 0.5 * b / first;
+        [first, second, (0.5 * c - second * second).sqrt()]
+    }
+
     /// Against every point of a fine lattice over the tile's rectangle.
     #[test]
     fn hits_agree_with_exhaustive_search() {
@@ -125,7 +145,11 @@ mod tests {
             let (wide, thin) = (3.0 + t * 0.4, 0.6 + 0.05 * t);
             let (c, s) = (angle.cos(), angle.sin());
             let (a, b) = (1.0 / (wide * wide), 1.0 / (thin * thin));
-            let conic = [a * c * c + b * s * s, (a - b) * c * s, a * s * s + b * c * c];
+            let entries = [a * c * c + b * s * s, (a - b) * c * s, a * s * s + b * c * c];
+            let conic = factored(entries);
+            let [dx, dy] = [3.7, -2.1];
+            let plain = 0.5 * (entries[0] * dx * dx + entries[2] * dy * dy) + entries[1] * dx * dy;
+            assert!((power(conic, dx, dy) - plain).abs() < 1e-12);
             let mean = [(t * 13.7) % 90.0 - 8.0, (t * 7.9) % 60.0 - 5.0];
             for tile in (TileRect { min: [0, 0], max: grid(width, height).map(|n| n) }).tiles() {
                 let x1 = ((tile[0] + 1) * TILE).min(width) as f64 - 0.5;

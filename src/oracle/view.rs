@@ -107,7 +107,7 @@ impl<R: Real> View<R> {
 
 impl<R: Real> View<R> {
     /// From the camera's centre to a point, world frame.
-    pub(super) fn sight(&self, point: Vec3<R>) -> Vec3<R> {
+    pub fn sight(&self, point: Vec3<R>) -> Vec3<R> {
         sub(sub(point, self.eye), self.eye_rest)
     }
 }

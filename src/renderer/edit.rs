@@ -1,7 +1,6 @@
 //! Scenes edited where they lie.
 
-use super::Renderer;
-use crate::ops::gaussians::HalfHarmonics;
+use super::{Half, Renderer};
 use crate::types::Gaussians;
 use crate::{Error, Result};
 use std::ops::Range;
@@ -100,9 +99,9 @@ impl Renderer {
             let ticket = self.stream.submit(recorder)?;
             self.stream.wait(ticket)?;
         }
-        if self.half.is_some() {
+        if self.half.is_used() {
             let gaussians = self.gaussians.download(&mut self.stream)?;
-            self.half = Some(HalfHarmonics::from_host(&self.device, &gaussians)?);
+            self.half = Half::new(&self.device, &gaussians, &self.tuning)?;
         }
         if let Some(studio) = &mut self.studio {
             studio.moving = None;

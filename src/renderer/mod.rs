@@ -41,11 +41,12 @@ pub use query::Hit;
 pub use rendered::Rendered;
 
 use crate::gpu::{Buffer, Device, Readback, Recorder, Stream, ViewMut};
-use crate::ops::gaussians::{GaussianBuffers, GaussianViews, HalfHarmonics};
+use crate::ops::gaussians::{GaussianBuffers, GaussianViews};
+use crate::ops::half::{HalfHarmonics, HalfShapes};
 use crate::ops::motion::Motion;
 use crate::ops::render::{FrameCounts, PixelBuffers, PixelViews, Render, RenderScratch};
 use crate::scene::Scene;
-use crate::types::{Camera, Image, RenderSettings, Tuning};
+use crate::types::{Camera, Gaussians, Image, RenderSettings, Tuning};
 use crate::{Error, Result};
 
 /// Renders one scene. Images of one size after the other cost no allocation.
@@ -58,12 +59,33 @@ pub struct Renderer {
     motion_logits: Vec<f32>,
     settings: RenderSettings,
     tuning: Tuning,
-    half: Option<HalfHarmonics>,
+    half: Half,
     studio: Option<Studio>,
     /// Intersections that the next studio has room for at least.
     room: usize,
     /// Counts that no frame waits for.
     idle: Vec<Readback<u32>>,
+}
+
+/// Attributes in 16 bits, where the tuning asks for them.
+struct Half {
+    harmonics: Option<HalfHarmonics>,
+    shapes: Option<HalfShapes>,
+}
+
+impl Half {
+    fn new(device: &Device, gaussians: &Gaussians, tuning: &Tuning) -> Result<Half> {
+        let harmonics = || HalfHarmonics::from_host(device, gaussians);
+        let shapes = || HalfShapes::from_host(device, gaussians);
+        Ok(Half {
+            harmonics: tuning.half_sh.then(harmonics).transpose()?,
+            shapes: tuning.half_shapes.then(shapes).transpose()?,
+        })
+    }
+
+    fn is_used(&self) -> bool {
+        self.harmonics.is_some() || self.shapes.is_some()
+    }
 }
 
 /// What pictures of one size need.
@@ -143,10 +165,7 @@ impl Renderer {
             }
             _ => None,
         };
-        let half = match tuning.half_sh {
-            true => Some(HalfHarmonics::from_host(device, &scene.gaussians)?),
-            false => None,
-        };
+        let half = Half::new(device, &scene.gaussians, tuning)?;
         let mut motion_logits = Vec::new();
         if motion.is_some() {
             motion_logits.clone_from(&scene.gaussians.motion_logits);
@@ -254,7 +273,7 @@ impl Renderer {
         };
         let Renderer { gaussians, motion, half, tuning, studio, .. } = self;
         let Studio { render, scratch, pixels, moving } = studio.as_mut().expect("planned above");
-        let views = moved(gaussians, half.as_ref(), motion.as_mut(), tuning, recorder, time)?;
+        let views = moved(gaussians, half, motion.as_mut(), tuning, recorder, time)?;
         let mut own = pixels.views_mut();
         if let Some(rgba) = target.rgba {
             own.rgba = rgba;
@@ -324,20 +343,23 @@ impl Renderer {
 /// Records where the Gaussians are at a time, and gives them.
 fn moved<'a>(
     gaussians: &'a GaussianBuffers,
-    half: Option<&'a HalfHarmonics>,
+    half: &'a Half,
     motion: Option<&'a mut Motion>,
     tuning: &Tuning,
     recorder: &mut Recorder,
     time: f64,
 ) -> Result<GaussianViews<'a>> {
-    let mut views = gaussians.views();
-    if let Some(half) = half {
+    let canonical = gaussians.views();
+    let mut views = canonical;
+    if let Some(half) = &half.shapes {
         views = half.replace(views);
     }
-    views = views.at_degree(tuning.sh_degree);
+    if let Some(half) = &half.harmonics {
+        views = half.replace(views);
+    }
     if let Some(motion) = motion {
-        motion.forward(recorder, &views, &[time as f32], None)?;
+        motion.forward(recorder, &canonical, &[time as f32], None)?;
         views = motion.moved(views);
     }
-    Ok(views)
+    Ok(views.at_degree(tuning.sh_degree))
 }

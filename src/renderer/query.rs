@@ -45,12 +45,12 @@ impl Renderer {
         let mut transmittance = 1.0;
         for (gaussian, mean, conic) in splats {
             let [mx, my, depth, opacity] = mean.map(f64::from);
-            let [a, b, c, _] = conic.map(f64::from);
+            let [a, b, e, _] = conic.map(f64::from);
             let (dx, dy) = (centre[0] - mx, centre[1] - my);
-            let power = 0.5 * (a * dx * dx + c * dy * dy) + b * dx * dy;
+            let power = (a * dx + b * dy).powi(2) + (e * dy).powi(2);
             let alpha = (opacity * (-power).exp()).min(f64::from(settings.alpha_cap));
-            // What the kernel passes over: NaN, a conic that rounding made indefinite, the faint.
-            if power.is_nan() || power < 0.0 || alpha < f64::from(settings.alpha_cut) {
+            // What the kernel passes over: NaN, and the faint.
+            if power.is_nan() || alpha < f64::from(settings.alpha_cut) {
                 continue;
             }
             let behind = transmittance * (1.0 - alpha);
@@ -73,7 +73,7 @@ impl Renderer {
         }))
     }
 
-    /// The last frame's splats of a tile, front to back: index, projected mean, conic.
+    /// The last frame's splats of a tile, front to back: index, projected mean, conic as its factor.
     fn splats_of(&mut self, tile: usize) -> Result<Vec<(usize, [f32; 4], [f32; 4])>> {
         let [begin, end] = self.read_rows(|s| s.ranges.view(), &[tile])?[0];
         let places: Vec<usize> = (begin as usize..end as usize).collect();
@@ -115,7 +115,7 @@ impl Renderer {
         let mut recorder = self.stream.record()?;
         let Renderer { gaussians, motion, half, tuning, .. } = self;
         let motion = motion.as_mut();
-        let views = moved(gaussians, half.as_ref(), motion, tuning, &mut recorder, time)?;
+        let views = moved(gaussians, half, motion, tuning, &mut recorder, time)?;
         recorder.read_back(views.positions, &centres);
         let ticket = self.stream.submit(recorder)?;
         self.stream.wait(ticket)?;

@@ -223,6 +223,9 @@ pub fn track(
             progress(Stage::Cameras, 1.0)?;
         }
     }
+    if tripod && options.depth.is_none() && share(&masks) < NOTHING_MOVES {
+        return Err(still::no_parallax("neither the camera nor anything before it moves"));
+    }
     if !tripod {
         seen = residual::triangulate_frames(&cameras, &flow);
         if supplied.is_none() {
@@ -253,6 +256,8 @@ pub fn track(
 
 /// With more of the pixels moving than this, cameras are found anew once masks are known.
 const CROWDED: f64 = 0.3;
+/// A fixed camera that sees less than this share of the pixels move shows one picture, not a scene.
+const NOTHING_MOVES: f64 = 1e-3;
 /// Below this parallax (degrees) a note warns.
 const LITTLE_PARALLAX: f64 = 0.5;
 

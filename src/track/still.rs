@@ -161,7 +161,7 @@ pub(super) fn demand_parallax(
     Ok(())
 }
 
-fn no_parallax(what: &str) -> Error {
+pub(super) fn no_parallax(what: &str) -> Error {
     Error::Input(format!(
         "no parallax: {what}, so depth and position cannot be told from this video; film while \
          walking or moving the camera sideways, or take a longer part of the video"

@@ -60,6 +60,9 @@ pub struct Tuning {
     pub sh_degree: u32,
     /// Keep the spherical harmonics as 16-bit floats; for rendering only.
     pub half_sh: bool,
+    /// Keep log scales, rotations and opacity logits as 16-bit floats; for rendering only. Rotations
+    /// that a scene's motion has turned stay in f32.
+    pub half_shapes: bool,
     /// Instead of the scene's own [`RenderSettings::alpha_cut`].
     pub alpha_cut: Option<f32>,
     /// Instead of the scene's own [`RenderSettings::transmittance_stop`].
@@ -78,6 +81,7 @@ impl Default for Tuning {
         Tuning {
             sh_degree: 3,
             half_sh: false,
+            half_shapes: false,
             alpha_cut: None,
             transmittance_stop: None,
             depth_bits: DEPTH_BITS,

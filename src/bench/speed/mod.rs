@@ -74,6 +74,7 @@ fn knobs(scene: &Scene) -> Vec<Knob> {
             [("shared memory".to_owned(), 1.0)],
         ),
         Knob::new("half-packed SH", |t, _| t.half_sh = true, [("16 bits".to_owned(), 1.0)]),
+        Knob::new("half-packed shapes", |t, _| t.half_shapes = true, [("16 bits".to_owned(), 1.0)]),
     ];
     let degree = scene.gaussians.sh_degree;
     if degree > 0 {

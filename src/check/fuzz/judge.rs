@@ -7,11 +7,12 @@ use crate::check::scene::{
 };
 use crate::error::Result;
 use crate::gpu::{Device, Stream};
-use crate::oracle::Real;
+use crate::oracle::linear::{max_abs, normalise};
 use crate::oracle::project_backward::{SplatGradient, project_backward};
 use crate::oracle::raster::Pixels;
 use crate::oracle::render::{self, Rendered};
 use crate::oracle::view::{Cloud, View};
+use crate::oracle::{Real, sh};
 use crate::types::RenderSettings;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -99,7 +100,19 @@ pub fn judge(device: &Device, stream: &mut Stream, scene: &FuzzScene) -> Result<
         }
     }
     let device = device_answers(&forward, &backward, &skip);
-    Ok(worst(&device, &truth, &others, &rounding))
+    Ok(worst(&device, &truth, &others, &rounding, colour_hangs(&cloud, &view, &truth.drawn)))
+}
+
+/// Whether a colour lies so close to 0, where it is clamped and its gradient ends, that rounding
+/// decides.
+fn colour_hangs(cloud: &Cloud<f64>, view: &View<f64>, drawn: &[bool]) -> bool {
+    (0..cloud.len()).filter(|&i| drawn[i]).any(|i| {
+        let sight = normalise(view.sight(cloud.positions[i]));
+        let Some((_, direction)) = sight else { return false };
+        let coefficients = cloud.sh_of(i);
+        let size = coefficients.iter().map(|&row| max_abs(row)).fold(1.0, f64::max);
+        sh::colour(coefficients, direction).iter().any(|c| c.abs() < 1e-5 * size)
+    })
 }
 
 /// Every component with a sign of its own.
@@ -107,7 +120,7 @@ fn signed(limit: &SplatGradient<f64>, rng: &mut ChaCha8Rng) -> SplatGradient<f64
     let mut turn = |v: f64| if rng.random() { v } else { -v };
     SplatGradient {
         mean: limit.mean.map(&mut turn),
-        conic: limit.conic.map(&mut turn),
+        covariance: limit.covariance.map(&mut turn),
         opacity: turn(limit.opacity),
         depth: turn(limit.depth),
         colour: limit.colour.map(&mut turn),
@@ -119,13 +132,15 @@ fn worst(
     truth: &Answers<f64>,
     others: &[Answers<f64>],
     rounding: &[f64; 6],
+    only_pictures: bool,
 ) -> Option<String> {
     if device.drawn != truth.drawn {
         return Some(format!("draws {:?} for {:?}", device.drawn, truth.drawn));
     }
     let farthest =
         |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0f64, f64::max);
-    for (k, (kind, exact)) in truth.kinds.iter().enumerate() {
+    let kinds = if only_pictures { PICTURES } else { truth.kinds.len() };
+    for (k, (kind, exact)) in truth.kinds.iter().enumerate().take(kinds) {
         let largest = exact.iter().fold(0.0f64, |m, v| m.max(v.abs()));
         let share = match k.checked_sub(PICTURES) {
             None => IMAGE * largest.max(1.0),

@@ -8,4 +8,12 @@ pub const ALL: &[(&str, &str)] = &[
     ("huge coefficient far away", include_str!("cases/huge_coefficient_far_away.json")),
     // What lies behind a splat of alpha 0.999 is a difference of sums a thousand times as large.
     ("behind a capped splat", include_str!("cases/behind_a_capped_splat.json")),
+    // Rounding made the power of pixels on a needle of 1e7 units negative, and they were left out.
+    ("needle without pixels", include_str!("cases/needle_without_pixels.json")),
+    ("needle across a corner", include_str!("cases/needle_across_a_corner.json")),
+    // The gradient by a needle's length drowned in what cancelled.
+    ("needle by its length", include_str!("cases/needle_by_its_length.json")),
+    ("needle far away", include_str!("cases/needle_far_away.json")),
+    // A colour of 4e-8: whether it is clamped, and its gradient 0, is rounding's to decide.
+    ("colour at the clamp", include_str!("cases/colour_at_the_clamp.json")),
 ];

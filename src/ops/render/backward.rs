@@ -13,7 +13,7 @@ pub struct BackwardScratch {
     pub(crate) slots_b: Buffer<[f32; 4]>,
     pub(crate) slots_c: Buffer<[f32; 2]>,
     pub(crate) means: Buffer<[f32; 4]>,
-    pub(crate) conics: Buffer<[f32; 4]>,
+    pub(crate) covariances: Buffer<[f32; 4]>,
     pub(crate) colours: Buffer<[f32; 4]>,
     pub(crate) pose_partials: Buffer<f32>,
     pub(crate) pose: Buffer<f32>,
@@ -39,7 +39,7 @@ impl Render {
             slots_b: device.buffer("gradient slots b", m)?,
             slots_c: device.buffer("gradient slots c", m)?,
             means: device.buffer("mean gradients", n)?,
-            conics: device.buffer("conic gradients", n)?,
+            covariances: device.buffer("covariance gradients", n)?,
             colours: device.buffer("colour gradients", n)?,
             pose_partials: device.buffer("pose partials", 8 * n.div_ceil(64))?,
             pose: device.buffer("pose gradient", 6)?,
@@ -98,8 +98,8 @@ impl Render {
         with_pose: bool,
     ) -> Result<()> {
         gaussians.check("render backward")?;
-        if gaussians.half_sh {
-            let what = "gradients need the spherical harmonics in f32; 16 bits are for rendering";
+        if gaussians.half_sh || gaussians.half_shapes || gaussians.half_rotations {
+            let what = "gradients need every attribute in f32; 16 bits are for rendering";
             return Err(Error::Input(what.into()));
         }
         gradients.len = gaussians.len;
@@ -135,7 +135,7 @@ impl Render {
                 opacity_logits: gaussians.opacity_logits,
                 colours: s.colours.view(),
                 mean_gradients: b.means.view(),
-                conic_gradients: b.conics.view(),
+                covariance_gradients: b.covariances.view(),
                 colour_gradients: b.colours.view(),
                 position_gradients: gradients.positions.view_mut(),
                 log_scale_gradients: gradients.log_scales.view_mut(),
@@ -243,7 +243,7 @@ impl Render {
                 means: s.means.view(),
                 conics: s.conics.view(),
                 mean_gradients: b.means.view_mut(),
-                conic_gradients: b.conics.view_mut(),
+                covariance_gradients: b.covariances.view_mut(),
                 colour_gradients: b.colours.view_mut(),
             },
         )

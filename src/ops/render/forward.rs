@@ -122,7 +122,7 @@ impl Render {
     ) -> Result<()> {
         let groups = Groups::linear(gaussians.len, 64, recorder.device().limits())?;
         recorder.dispatch_specialised::<project::Forward>(
-            &[u32::from(gaussians.half_sh)],
+            &[gaussians.half_sh, gaussians.half_shapes, gaussians.half_rotations].map(u32::from),
             groups,
             project::ForwardParams {
                 count: gaussians.len as u32,

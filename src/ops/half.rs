@@ -1,0 +1,106 @@
+//! Attributes of Gaussians as 16-bit floats, two to a word: half the memory to read for every splat,
+//! rounded to 11 bits. For rendering only: gradients need f32.
+
+use super::gaussians::{GaussianViews, SH_BAND};
+use crate::Result;
+use crate::gpu::{Buffer, Device};
+use crate::types::{Gaussians, sh_coefficients};
+
+/// Spherical harmonics in 16 bits, by band.
+pub struct HalfHarmonics {
+    sh: [Buffer<f32>; 4],
+    sh_degree: u32,
+    len: usize,
+}
+
+/// Log scales, opacity logits and rotations in 16 bits. Positions stay in f32: 11 bits of a position
+/// are pixels of the image.
+pub struct HalfShapes {
+    log_scales: Buffer<f32>,
+    rotations: Buffer<[f32; 4]>,
+    opacity_logits: Buffer<f32>,
+    len: usize,
+}
+
+/// Two values to a word, the first in the low half, rounded to the nearest.
+fn pack(values: &[f32]) -> Vec<f32> {
+    let bits = |value: f32| u32::from(half::f16::from_f32(value).to_bits());
+    values
+        .chunks(2)
+        .map(|pair| f32::from_bits(bits(pair[0]) | bits(pair.get(1).copied().unwrap_or(0.0)) << 16))
+        .collect()
+}
+
+/// Quaternions may have any length, 16-bit floats not; what has none stays without.
+fn unit(rotation: [f32; 4]) -> [f32; 4] {
+    let wide = rotation.map(f64::from);
+    let length = wide.iter().map(|x| x * x).sum::<f64>().sqrt();
+    // The kernels take shorter ones for zero.
+    if length >= 1e-10 { wide.map(|x| (x / length) as f32) } else { [0.0; 4] }
+}
+
+impl HalfHarmonics {
+    /// Those of a scene.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`](crate::Error::OutOfMemory), or a failed submission.
+    pub fn from_host(device: &Device, gaussians: &Gaussians) -> Result<HalfHarmonics> {
+        let coefficients = sh_coefficients(gaussians.sh_degree);
+        let (mut bands, mut first) = (Vec::new(), 0);
+        for band in 0..4 {
+            let rows = SH_BAND[band] / 3;
+            let mut values: Vec<f32> = Vec::new();
+            if band as u32 <= gaussians.sh_degree {
+                for row in gaussians.sh.chunks_exact(coefficients) {
+                    values.extend(row[first..first + rows].as_flattened());
+                }
+            }
+            bands.push(device.upload(["sh0", "sh1", "sh2", "sh3"][band], &pack(&values))?);
+            first += rows;
+        }
+        let sh = <[Buffer<f32>; 4]>::try_from(bands).unwrap_or_else(|_| unreachable!("four bands"));
+        Ok(HalfHarmonics { sh, sh_degree: gaussians.sh_degree, len: gaussians.len() })
+    }
+
+    /// The Gaussians with these harmonics instead of their own.
+    pub fn replace<'a>(&'a self, gaussians: GaussianViews<'a>) -> GaussianViews<'a> {
+        GaussianViews {
+            sh: self.sh.each_ref().map(Buffer::view),
+            sh_degree: gaussians.sh_degree.min(self.sh_degree),
+            len: gaussians.len.min(self.len),
+            half_sh: true,
+            ..gaussians
+        }
+    }
+}
+
+impl HalfShapes {
+    /// Those of a scene.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`](crate::Error::OutOfMemory), or a failed submission.
+    pub fn from_host(device: &Device, gaussians: &Gaussians) -> Result<HalfShapes> {
+        let units: Vec<[f32; 4]> = gaussians.rotations.iter().map(|&q| unit(q)).collect();
+        let mut words = pack(units.as_flattened());
+        words.resize(words.len().next_multiple_of(4), 0.0);
+        Ok(HalfShapes {
+            log_scales: device.upload("log scales", &pack(gaussians.log_scales.as_flattened()))?,
+            rotations: device.upload("rotations", bytemuck::cast_slice::<f32, [f32; 4]>(&words))?,
+            opacity_logits: device.upload("opacity logits", &pack(&gaussians.opacity_logits))?,
+            len: gaussians.len(),
+        })
+    }
+
+    /// The Gaussians with these shapes instead of their own.
+    pub fn replace<'a>(&'a self, gaussians: GaussianViews<'a>) -> GaussianViews<'a> {
+        GaussianViews {
+            log_scales: self.log_scales.view(),
+            rotations: self.rotations.view(),
+            opacity_logits: self.opacity_logits.view(),
+            len: gaussians.len.min(self.len),
+            half_shapes: true,
+            half_rotations: true,
+            ..gaussians
+        }
+    }
+}
