@@ -41,6 +41,19 @@
 //!
 //! The command line (`src/main.rs`, `src/cmd/`) uses the crate as any other user does.
 //!
+//! # Features
+//!
+//! Each holds the one before. Without any, the crate is the engine alone: devices, kernels, ops, the
+//! renderer and the trainer's step; scenes are plain data, and no file is read or written.
+//!
+//! | feature | adds |
+//! |---|---|
+//! | `files` | [`io`], [`data`], the scene's files; a cache of compiled pipelines |
+//! | `reconstruct` | [`geometry`], [`observe`], [`track`], [`eval`], whole runs of [`train`] |
+//! | `check` | [`oracle`], [`check`] |
+//! | `bench` | `bench`, `report` |
+//! | `cli` (default) | the command line |
+//!
 //! # Conventions
 //!
 //! Those of [`types`]. The working precision of the device is f32; the oracle in f64 is the truth.

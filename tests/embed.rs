@@ -9,6 +9,7 @@ use splat4d::embed::{
     Features, Guard, HostBuffer, HostDevice, HostImage, Requirements, SemaphorePoint,
 };
 use splat4d::gpu::{Buffer, Device, Recorder, Stream, Ticket};
+use splat4d::ops::gaussians::GaussianBuffers;
 use splat4d::ops::render::{Render, RenderScratch};
 use splat4d::renderer::{Frame, Renderer, Target};
 use splat4d::scene::Scene;
@@ -231,6 +232,36 @@ fn frames_are_drawn_in_the_hosts_command_buffer_into_its_buffer() {
     drop(device);
     host.free(picture);
     host.free(depth_buffer);
+    host.destroy_semaphore(semaphore);
+}
+
+/// Renderer, scratch and device may go while the commands that use them are under way.
+#[test]
+fn a_guard_keeps_what_its_commands_use() {
+    let host = Host::new();
+    let dropped = Arc::new(AtomicUsize::new(0));
+    let (mut lent, counter) = (host.lend(), dropped.clone());
+    lent.on_drop = Some(Box::new(move || {
+        counter.fetch_add(1, Ordering::SeqCst);
+    }));
+    let semaphore = host.semaphore();
+    let commands = host.commands();
+    let guard = {
+        // SAFETY: as for `adopt`.
+        let device = unsafe { Device::adopt(lent) }.unwrap();
+        let mut renderer = Renderer::new(&device, &Scene::of(gaussians(100))).unwrap();
+        host.begin(commands);
+        // SAFETY: begun, submitted once; the guard outlives the wait.
+        let mut recorder = unsafe { Recorder::over(&device, commands) }.unwrap();
+        let frame = renderer.record(&mut recorder, &camera(70, 50), 0.0, Target::default());
+        let _never_retired = frame.unwrap();
+        recorder.finish().unwrap()
+    };
+    host.submit(commands, semaphore, 1);
+    host.wait(semaphore, 1);
+    assert_eq!(dropped.load(Ordering::SeqCst), 0, "the guard is left");
+    drop(guard);
+    assert_eq!(dropped.load(Ordering::SeqCst), 1);
     host.destroy_semaphore(semaphore);
 }
 
@@ -565,5 +596,54 @@ fn several_scenes_on_several_devices() -> Result<()> {
     all.swap(0, 3);
     drop(all);
     common::assert_valid(&own);
+    Ok(())
+}
+
+/// What the documentation of the ops lists, and hosts find their timestamps by.
+#[test]
+fn dispatches_come_in_the_documented_order() -> Result<()> {
+    const SCAN: [&str; 4] = ["indirect/arguments", "scan/reduce", "scan/spine", "scan/downsweep"];
+    let sort = |bits: u32| {
+        let mut all = vec!["sort/plan"];
+        for _ in 0..bits.div_ceil(8) {
+            all.push("sort/count");
+            all.extend(SCAN);
+            all.push("sort/scatter");
+        }
+        all
+    };
+    let device = common::device();
+    let mut stream = device.stream()?;
+    let scene = gaussians(50);
+    let camera = camera(70, 50);
+    let buffers = GaussianBuffers::from_host(&mut stream, &scene)?;
+    let render = Render::plan(&device, 50, 1 << 14, 70, 50, Default::default())?;
+    let (mut scratch, mut pixels) = (render.scratch(&device)?, render.pixels(&device)?);
+    let mut backward = render.backward_scratch(&device)?;
+    let by_pixels = render.pixel_gradients(&device)?;
+    let mut gradients = GaussianBuffers::new(&device, 50, 0)?;
+    let mut recorder = stream.record()?;
+    recorder.profile()?;
+    render.forward(&mut recorder, &camera, buffers.views(), &mut scratch, &mut pixels)?;
+    let (out, by) = (&mut gradients, &by_pixels);
+    let (views, into) = (buffers.views(), &mut backward);
+    render.backward(&mut recorder, views, &scratch, &pixels, by, into, out, true)?;
+    let ticket = stream.submit(recorder)?;
+    let found: Vec<_> = stream.times(ticket)?.into_iter().map(|time| time.kernel).collect();
+    // 5 × 4 tiles and the one beyond.
+    let expected = [
+        vec!["project/forward"],
+        SCAN.to_vec(),
+        vec!["bin/compact"],
+        sort(31),
+        vec!["bin/counts"],
+        SCAN.to_vec(),
+        vec!["bin/fits", "bin/emit"],
+        sort(5),
+        vec!["indirect/arguments", "bin/ranges", "raster/forward"],
+        vec!["raster/backward", "raster/gather", "project/backward", "project/pose"],
+    ];
+    assert_eq!(found, expected.concat());
+    common::assert_valid(&device);
     Ok(())
 }

@@ -64,9 +64,9 @@ fn logits(mut gaussians: Gaussians) -> Gaussians {
 #[test]
 fn edits_leave_what_a_new_renderer_would_have() {
     let device = common::device();
-    for (moving, half_sh) in [(false, false), (true, false), (false, true)] {
+    for (moving, half) in [(false, false), (true, false), (false, true), (true, true)] {
         let all = if moving { logits(gaussians(120)) } else { gaussians(120) };
-        let tuning = Tuning { half_sh, ..Tuning::default() };
+        let tuning = Tuning { half_sh: half, half_shapes: half, ..Tuning::default() };
         let camera = camera(50, 40);
         let agree = |edited: &mut Renderer, now: &Gaussians| {
             let scene = scene_of(now.clone(), moving);

@@ -21,6 +21,36 @@ pub struct AdamArgs<'a> {
 }
 
 /// The optimiser (Kingma and Ba 2015, with bias correction).
+///
+/// ```
+/// use splat4d::gpu::{Device, Request};
+/// use splat4d::ops::adam::{Adam, AdamArgs};
+/// use splat4d::types::AdamSettings;
+/// # fn main() -> splat4d::Result<()> {
+/// let device = Device::open(&Request::software())?;
+/// let mut stream = device.stream()?;
+/// let gradients = device.upload("gradients", &[1.0f32, -2.0])?;
+/// let mut parameters = device.upload("parameters", &[0.5f32, 0.5])?;
+/// let mut first = device.upload("first moments", &[0.0f32; 2])?;
+/// let mut second = device.upload("second moments", &[0.0f32; 2])?;
+///
+/// let adam = Adam::new(&device)?;
+/// let mut recorder = stream.record()?;
+/// let args = AdamArgs {
+///     gradients: gradients.view(),
+///     parameters: parameters.view_mut(),
+///     first: first.view_mut(),
+///     second: second.view_mut(),
+///     visible: None,
+/// };
+/// let settings = AdamSettings { rate: 0.1, step: 1, ..Default::default() };
+/// adam.record(&mut recorder, &settings, args)?;
+/// stream.submit(recorder)?;
+/// let stepped = stream.download(&parameters)?;
+/// assert!((stepped[0] - 0.4).abs() < 1e-6 && (stepped[1] - 0.6).abs() < 1e-6);
+/// # Ok(())
+/// # }
+/// ```
 pub struct Adam {
     /// Bound where there is no visibility.
     nothing: Buffer<u32>,
@@ -35,7 +65,7 @@ impl Adam {
         Ok(Adam { nothing: device.buffer("no visibility", 1)? })
     }
 
-    /// Records one step.
+    /// Records one step: `adam/step`.
     ///
     /// # Errors
     /// [`Error::Shape`] where the lengths disagree; [`Error::Input`] for step 0.

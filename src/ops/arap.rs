@@ -43,6 +43,29 @@ pub struct ArapArgs<'a> {
 }
 
 /// The energy over up to a number of control points.
+///
+/// ```no_run
+/// use splat4d::gpu::{Buffer, Device, Recorder};
+/// use splat4d::ops::arap::{Arap, ArapArgs, ArapSettings};
+/// # fn rigid(
+/// #     device: &Device, recorder: &mut Recorder, nodes: &Buffer<f32>, log_radii: &Buffer<f32>,
+/// #     transforms: &Buffer<[f32; 4]>, by_transforms: &mut Buffer<[f32; 4]>,
+/// # ) -> splat4d::Result<()> {
+/// let mut arap = Arap::new(device, 10, log_radii.len())?;
+/// arap.refresh(recorder, nodes.view())?;
+/// let mut energies = device.buffer("energies", log_radii.len())?;
+/// let args = ArapArgs {
+///     nodes: nodes.view(),
+///     log_radii: log_radii.view(),
+///     transforms: transforms.view(),
+///     times: [0, 1],
+///     energies: energies.view_mut(),
+///     transform_gradients: by_transforms.view_mut(),
+/// };
+/// arap.record(recorder, &ArapSettings::default(), args)?;
+/// # Ok(())
+/// # }
+/// ```
 pub struct Arap {
     neighbours: Neighbours,
     edge_gradients: Buffer<[f32; 4]>,

@@ -72,6 +72,41 @@ pub struct SkinGradients<'a> {
 }
 
 /// Skinning of up to a number of dynamic Gaussians.
+///
+/// ```no_run
+/// use splat4d::gpu::{Buffer, Device, Recorder};
+/// use splat4d::ops::deform::{Skin, SkinArgs, Skinned};
+/// # fn skin(
+/// #     device: &Device, recorder: &mut Recorder, dynamic_ids: &Buffer<u32>, positions: &Buffer<f32>,
+/// #     rotations: &Buffer<[f32; 4]>, nodes: &Buffer<f32>, log_radii: &Buffer<f32>,
+/// #     transforms: &Buffer<[f32; 4]>,
+/// # ) -> splat4d::Result<()> {
+/// // Each dynamic Gaussian follows the 4 control points next to it.
+/// let mut skin = Skin::new(device, 4, dynamic_ids.len(), log_radii.len())?;
+/// skin.refresh(recorder, dynamic_ids.view(), positions.view(), nodes.view())?;
+///
+/// let mut moved = device.buffer("moved positions", positions.len())?;
+/// let mut turned = device.buffer("moved rotations", rotations.len())?;
+/// let mut rigidity = device.buffer("rigidity", dynamic_ids.len())?;
+/// let args = SkinArgs {
+///     dynamic_ids: dynamic_ids.view(),
+///     positions: positions.view(),
+///     rotations: rotations.view(),
+///     nodes: nodes.view(),
+///     log_radii: log_radii.view(),
+///     transforms: transforms.view(),
+///     time: 0,
+///     soft: None,
+/// };
+/// let out = Skinned {
+///     positions: moved.view_mut(),
+///     rotations: turned.view_mut(),
+///     rigidity: rigidity.view_mut(),
+/// };
+/// skin.forward(recorder, args, out)?;
+/// # Ok(())
+/// # }
+/// ```
 pub struct Skin {
     neighbours: Neighbours,
     contributions: Buffer<[f32; 4]>,
@@ -133,7 +168,7 @@ impl Skin {
         Ok(())
     }
 
-    /// Records skinning: copies centres and quaternions, then moves the dynamic ones.
+    /// Records skinning: copies centres and quaternions, then moves the dynamic ones (`deform/skin`).
     ///
     /// # Errors
     /// [`Error::Shape`] where the lengths disagree with each other or with the last
@@ -178,7 +213,7 @@ impl Skin {
         )
     }
 
-    /// Records the derivative. Static Gaussians' gradients stay as they are: their centre at the
+    /// Records the derivative: `deform/skin_backward`, `deform/gather`. Static Gaussians' gradients stay as they are: their centre at the
     /// time is the canonical one.
     ///
     /// # Errors

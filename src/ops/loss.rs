@@ -102,6 +102,24 @@ impl Default for LossSettings {
 }
 
 /// The photometric loss for images of one size.
+///
+/// ```no_run
+/// use splat4d::gpu::{Device, Recorder};
+/// use splat4d::ops::loss::{Loss, LossSettings, Photograph};
+/// use splat4d::ops::render::{PixelBuffers, PixelGradients};
+/// use splat4d::types::Image;
+/// # fn compare(
+/// #     device: &Device, recorder: &mut Recorder, image: &Image, rendered: &PixelBuffers,
+/// #     gradients: &mut PixelGradients,
+/// # ) -> splat4d::Result<()> {
+/// let photograph = Photograph::new(device, image, None)?;
+/// let loss = Loss::plan(image.width, image.height);
+/// let mut scratch = loss.scratch(device)?;
+/// let settings = LossSettings::default();
+/// loss.record(recorder, &settings, rendered, &photograph, None, gradients, &mut scratch)?;
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Clone, Copy, Debug)]
 pub struct Loss {
     width: u32,

@@ -28,6 +28,30 @@ struct Layer {
 }
 
 /// A network's plan. Records only: it never allocates, submits or waits.
+///
+/// ```no_run
+/// use splat4d::gpu::{Buffer, Device, Recorder};
+/// use splat4d::ops::mlp::Network;
+/// use splat4d::types::DeformNet;
+/// # fn motions(
+/// #     device: &Device, recorder: &mut Recorder, network: &DeformNet, nodes: &Buffer<f32>,
+/// #     by_transforms: &Buffer<[f32; 4]>,
+/// # ) -> splat4d::Result<()> {
+/// let parameters = device.upload("parameters", &network.parameters)?;
+/// let times = device.upload("times", &[0.0f32, 0.5])?;
+/// let plan = Network::new(&network.shape)?;
+/// let rows = nodes.len() / 3 * times.len();
+/// let mut scratch = plan.scratch(device, rows)?;
+/// let mut transforms = device.buffer("motions", 2 * rows)?;
+/// let (weights, points) = (parameters.view(), nodes.view());
+/// plan.forward(recorder, weights, points, times.view(), transforms.view_mut(), &mut scratch)?;
+///
+/// let mut gradients = device.buffer("gradients", network.parameters.len())?;
+/// let given = by_transforms.view();
+/// plan.backward(recorder, weights, given, gradients.view_mut(), false, &mut scratch)?;
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Clone, Debug)]
 pub struct Network {
     shape: NetShape,
@@ -96,7 +120,8 @@ impl Network {
         })
     }
 
-    /// Records the motions of every control point at every time. Row `time · nodes + node` of
+    /// Records the motions of every control point at every time: `mlp/encode`, `mlp/forward` for each
+    /// layer, `mlp/transforms`. Row `time · nodes + node` of
     /// `transforms` (two vectors) gets translation and padding, then the rotation
     /// `[1, 0, 0, 0] + δ`, not normalised.
     ///
@@ -162,7 +187,8 @@ impl Network {
     }
 
     /// Records the gradient by the parameters, after [`forward`](Self::forward) with the same
-    /// scratch. `gradients` is laid out as the parameters; with `accumulate` it is added to, else
+    /// scratch: `mlp/seed`; for each layer from the last `mlp/weights`, `mlp/reduce` and, but for the
+    /// first, `mlp/backward`. `gradients` is laid out as the parameters; with `accumulate` it is added to, else
     /// written.
     ///
     /// # Errors

@@ -70,7 +70,8 @@ impl Neighbours {
         })
     }
 
-    /// Records the search: for the points that `ids` names (else for all of `positions`), among
+    /// Records the search (`deform/nearest`, `deform/keys`, those of
+    /// [`RadixSort::record`], `deform/starts`): for the points that `ids` names (else for all of `positions`), among
     /// `nodes`; both hold three values a point.
     ///
     /// # Errors

@@ -9,6 +9,29 @@ use crate::kernels::scan::{
 use crate::{Error, Result};
 
 /// Exclusive prefix sums (modulo 2³²) of at most `capacity` values.
+///
+/// ```
+/// use splat4d::gpu::{Device, Request};
+/// use splat4d::ops::scan::{Scan, ScanArgs};
+/// # fn main() -> splat4d::Result<()> {
+/// let device = Device::open(&Request::software())?;
+/// let mut stream = device.stream()?;
+/// let (count, values) = (device.upload("count", &[4u32])?, device.upload("values", &[3u32, 1, 4, 1])?);
+/// let (mut prefix, mut total) = (device.buffer("prefix", 4)?, device.buffer("total", 1)?);
+///
+/// let scan = Scan::plan(4)?;
+/// let mut scratch = scan.scratch(&device)?;
+/// let mut recorder = stream.record()?;
+/// let (count, values) = (count.view(), values.view());
+/// let out = (prefix.view_mut(), total.view_mut());
+/// let args = ScanArgs { count, count_at: 0, values, prefix: out.0, total: out.1, total_at: 0 };
+/// scan.record(&mut recorder, args, &mut scratch)?;
+/// stream.submit(recorder)?;
+/// assert_eq!(stream.download(&prefix)?, [0, 3, 4, 8]);
+/// assert_eq!(stream.download(&total)?, [9]);
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Clone, Copy, Debug)]
 pub struct Scan {
     capacity: usize,
@@ -60,7 +83,7 @@ impl Scan {
         })
     }
 
-    /// Records the scan.
+    /// Records the scan: `indirect/arguments`, `scan/reduce`, `scan/spine`, `scan/downsweep`.
     ///
     /// # Errors
     /// [`Error::Shape`] for a buffer that is too short; else as for [`Recorder::dispatch`].

@@ -18,6 +18,36 @@ const MAX_RUNS_SOFTWARE: usize = 512;
 const MAX_RUNS_GPU: usize = 16_384;
 
 /// A stable sort by some bits of the keys, ascending.
+///
+/// ```
+/// use splat4d::gpu::{Device, Request};
+/// use splat4d::ops::sort::{RadixSort, SortArgs};
+/// # fn main() -> splat4d::Result<()> {
+/// let device = Device::open(&Request::software())?;
+/// let mut stream = device.stream()?;
+/// let count = device.upload("count", &[3u32])?;
+/// let keys = device.upload("keys", &[7u32, 2, 7])?;
+/// let payload = device.upload("payload", &[10u32, 11, 12])?;
+/// let mut sorted_keys = device.buffer("sorted keys", 3)?;
+/// let mut sorted_payload = device.buffer("sorted payload", 3)?;
+///
+/// let sort = RadixSort::plan(&device, 3, 0..8)?;
+/// let mut scratch = sort.scratch(&device)?;
+/// let mut recorder = stream.record()?;
+/// let args = SortArgs {
+///     count: count.view(),
+///     count_at: 0,
+///     keys: keys.view(),
+///     payload: payload.view(),
+///     sorted_keys: sorted_keys.view_mut(),
+///     sorted_payload: sorted_payload.view_mut(),
+/// };
+/// sort.record(&mut recorder, args, &mut scratch)?;
+/// stream.submit(recorder)?;
+/// assert_eq!(stream.download(&sorted_payload)?, [11, 10, 12]);
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Clone, Debug)]
 pub struct RadixSort {
     capacity: usize,
@@ -109,7 +139,8 @@ impl RadixSort {
         })
     }
 
-    /// Records the sort.
+    /// Records the sort: `sort/plan`; for each pass of up to 8 bits `sort/count`, those of
+    /// [`Scan::record`], `sort/scatter`.
     ///
     /// # Errors
     /// [`Error::Shape`] for a buffer that is too short; else as for [`Recorder::dispatch`].

@@ -13,6 +13,31 @@ use crate::types::AdaptSettings;
 /// [`gather`](Self::gather) brings every array into the new order (into another array), and
 /// [`draw_parts`](Self::draw_parts) makes the parts of split ones. The number of rows in the end is
 /// the third word of [`totals`](Self::totals).
+///
+/// ```no_run
+/// use splat4d::gpu::{Buffer, Device, Recorder};
+/// use splat4d::ops::density::{Adaptation, AdaptationArgs};
+/// use splat4d::ops::gaussians::GaussianBuffers;
+/// use splat4d::types::AdaptSettings;
+/// # fn round(
+/// #     device: &Device, recorder: &mut Recorder, gaussians: &mut GaussianBuffers,
+/// #     fresh: &mut GaussianBuffers, statistics: &Buffer<f32>,
+/// # ) -> splat4d::Result<()> {
+/// let settings = AdaptSettings { gradient: 2e-4, small: 0.01, opacity: 0.005, large: f64::INFINITY };
+/// let n = gaussians.len;
+/// let mut adaptation = Adaptation::new(device, gaussians.capacity())?;
+/// let args = AdaptationArgs {
+///     statistics: statistics.range(0..2 * n),
+///     opacity_logits: gaussians.opacity_logits.range(0..n),
+///     log_scales: gaussians.log_scales.range(0..3 * n),
+/// };
+/// adaptation.plan(recorder, &settings, args)?;
+/// // Every array of theirs goes into another one; `totals` tells how many there are then.
+/// let (from, to) = (gaussians.positions.view(), fresh.positions.view_mut());
+/// adaptation.gather(recorder, from, to, 3, false)?;
+/// # Ok(())
+/// # }
+/// ```
 pub struct Adaptation {
     capacity: usize,
     /// Rows that the last plan may have at most.

@@ -12,6 +12,31 @@ use crate::types::MotionClass;
 /// [`relocate`](Self::relocate) or [`grow`](Self::grow) draws targets and changes their opacity and
 /// scale; then [`copy`](Self::copy) every parameter array, and [`zero`](Self::zero) every array of
 /// optimiser moments.
+///
+/// ```no_run
+/// use splat4d::gpu::{Device, Recorder};
+/// use splat4d::ops::density::{Relocation, RelocationArgs};
+/// use splat4d::ops::gaussians::GaussianBuffers;
+/// use splat4d::types::MotionClass;
+/// # fn round(
+/// #     device: &Device, recorder: &mut Recorder, gaussians: &mut GaussianBuffers,
+/// # ) -> splat4d::Result<()> {
+/// let n = gaussians.len;
+/// let mut relocation = Relocation::new(device, gaussians.capacity())?;
+/// let args = RelocationArgs {
+///     opacity_logits: gaussians.opacity_logits.range_mut(0..n),
+///     log_scales: gaussians.log_scales.range_mut(0..3 * n),
+///     motion_logits: None,
+///     class: MotionClass::Any,
+///     seed: 7,
+///     step: 1,
+/// };
+/// relocation.relocate(recorder, args)?;
+/// // Every other array of theirs follows.
+/// relocation.copy(recorder, gaussians.positions.range_mut(0..3 * n), 3)?;
+/// # Ok(())
+/// # }
+/// ```
 pub struct Relocation {
     capacity: usize,
     /// Rows after the last round.

@@ -21,6 +21,33 @@ use crate::{Error, Result};
 const TILE: [u32; 2] = [16, 4];
 
 /// Dense optical flow between images of one size.
+///
+/// ```no_run
+/// use splat4d::gpu::{Buffer, Device, Recorder};
+/// use splat4d::ops::flow::{Flow, FlowArgs};
+/// # fn flow(
+/// #     device: &Device, recorder: &mut Recorder, images: [&Buffer<f32>; 2], width: u32, height: u32,
+/// # ) -> splat4d::Result<()> {
+/// let flow = Flow::plan(width, height, &Default::default())?;
+/// let (mut first, mut second) = (flow.frame(device)?, flow.frame(device)?);
+/// flow.record_frame(recorder, images[0].view(), 3, &mut first)?;
+/// flow.record_frame(recorder, images[1].view(), 3, &mut second)?;
+///
+/// let pixels = (width * height) as usize;
+/// let mut there = device.buffer("first to second", pixels)?;
+/// let mut back = device.buffer("second to first", pixels)?;
+/// let [mut sure, mut sure_back] = [device.buffer("sure", pixels)?, device.buffer("sure", pixels)?];
+/// let args = FlowArgs {
+///     first: &first,
+///     second: &second,
+///     guess: None,
+///     flow: [there.view_mut(), back.view_mut()],
+///     confidence: [sure.view_mut(), sure_back.view_mut()],
+/// };
+/// flow.record(recorder, args, &mut flow.scratch(device)?)?;
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Clone, Debug)]
 pub struct Flow {
     settings: FlowSettings,

@@ -60,6 +60,8 @@ impl Render {
 
     /// Records the gradients of a loss by every parameter, given those by the image that
     /// [`forward`](Self::forward) has just rendered with the same camera, Gaussians and scratch.
+    /// `raster/backward`, `raster/gather`, `project/backward`, and with a pose `project/pose`.
+    ///
     /// Culled Gaussians get zeros. With `with_pose` the gradient by a left perturbation of
     /// `view_from_world` (translation, rotation) comes too: [`BackwardScratch::pose`].
     ///

@@ -11,7 +11,11 @@ use crate::ops::sort::SortArgs;
 use crate::types::{Camera, RasterKind, RenderSettings};
 
 impl Render {
-    /// Records the rendering of `gaussians` from `camera` into `pixels`.
+    /// Records the rendering of `gaussians` from `camera` into `pixels`: `project/forward`; those of
+    /// [`Scan::record`](crate::ops::scan::Scan::record); `bin/compact`; those of
+    /// [`RadixSort::record`](crate::ops::sort::RadixSort::record) by depth; `bin/counts`; a scan;
+    /// `bin/fits`, `bin/emit`; a sort by tile; `indirect/arguments`, `bin/ranges`; `raster/forward`
+    /// or `raster/forward_shared`.
     ///
     /// # Errors
     /// [`Error::Shape`] when there are more Gaussians than planned for or the camera's image has

@@ -42,6 +42,45 @@ pub fn device_camera(camera: &Camera) -> [f32; 20] {
 }
 
 /// A renderer for images of one size.
+///
+/// ```no_run
+/// use splat4d::gpu::{Device, Stream};
+/// use splat4d::ops::gaussians::GaussianBuffers;
+/// use splat4d::ops::render::{PixelGradients, Render};
+/// use splat4d::types::{Camera, Gaussians};
+/// # fn draw(device: &Device, scene: &Gaussians, camera: &Camera) -> splat4d::Result<()> {
+/// let mut stream = device.stream()?;
+/// let gaussians = GaussianBuffers::from_host(&mut stream, scene)?;
+/// let (n, k) = (gaussians.len, camera.intrinsics);
+/// let render = Render::plan(device, n, 1 << 20, k.width, k.height, Default::default())?;
+/// let (mut scratch, mut pixels) = (render.scratch(device)?, render.pixels(device)?);
+/// let mut recorder = stream.record()?;
+/// render.forward(&mut recorder, camera, gaussians.views(), &mut scratch, &mut pixels)?;
+///
+/// // … a loss writes its gradient by the picture …
+/// let mut by_pixels = render.pixel_gradients(device)?;
+/// recorder.fill(by_pixels.rgba.view_mut(), 0);
+/// recorder.fill(by_pixels.depth.view_mut(), 0);
+///
+/// let mut backward = render.backward_scratch(device)?;
+/// let mut gradients = GaussianBuffers::new(device, n, gaussians.sh_degree)?;
+/// render.backward(
+///     &mut recorder,
+///     gaussians.views(),
+///     &scratch,
+///     &pixels,
+///     &by_pixels,
+///     &mut backward,
+///     &mut gradients,
+///     true,
+/// )?;
+/// stream.submit(recorder)?;
+/// let by_pose = stream.download(backward.pose())?;
+/// let counts = scratch.counts(&mut stream)?;
+/// assert!(counts.intersections <= render.intersection_capacity(), "else plan with more");
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Clone, Debug)]
 pub struct Render {
     gaussians: usize,
