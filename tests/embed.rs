@@ -10,10 +10,12 @@ use splat4d::embed::{
 };
 use splat4d::gpu::{Buffer, Device, Recorder, Stream, Ticket};
 use splat4d::ops::gaussians::GaussianBuffers;
+use splat4d::ops::loss::{Loss, LossSettings, Photograph};
 use splat4d::ops::render::{Render, RenderScratch};
 use splat4d::renderer::{Frame, Renderer, Target};
 use splat4d::scene::Scene;
 use splat4d::train::Trainer;
+use splat4d::types::Image;
 use splat4d::{Error, Result, kernels};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -630,6 +632,17 @@ fn dispatches_come_in_the_documented_order() -> Result<()> {
     render.backward(&mut recorder, views, &scratch, &pixels, by, into, out, true)?;
     let ticket = stream.submit(recorder)?;
     let found: Vec<_> = stream.times(ticket)?.into_iter().map(|time| time.kernel).collect();
+    let photograph = Photograph::new(&device, &Image::new(70, 50, 3), None)?;
+    let loss = Loss::plan(70, 50);
+    let (mut scratch, mut by) = (loss.scratch(&device)?, render.pixel_gradients(&device)?);
+    let how = LossSettings::default();
+    let mut recorder = stream.record()?;
+    recorder.profile()?;
+    loss.record(&mut recorder, &how, &pixels, &photograph, None, &mut by, &mut scratch)?;
+    let ticket = stream.submit(recorder)?;
+    let losses: Vec<_> = stream.times(ticket)?.into_iter().map(|time| time.kernel).collect();
+    let expected = ["rows", "ssim", "total", "adjoint", "gradient", "total"];
+    assert_eq!(losses, expected.map(|stem| format!("loss/{stem}")));
     // 5 × 4 tiles and the one beyond.
     let expected = [
         vec!["project/forward"],

@@ -10,7 +10,9 @@ use splat4d::ops::loss::{Loss, LossSettings, Photograph};
 use splat4d::oracle::view::{Cloud, View, perturbed};
 use splat4d::oracle::{deform, mlp, render};
 use splat4d::train::own_loss::OwnGradients;
-use splat4d::train::{MotionSettings, MotionStart, TrainSettings, Trainer, TrainingView};
+use splat4d::train::{
+    MotionSettings, MotionStart, SYNC_INTERVAL, TrainSettings, Trainer, TrainingView,
+};
 use splat4d::types::{
     Camera, ControlPoints, DeformNet, Gaussians, Image, NetShape, RenderSettings,
 };
@@ -309,6 +311,29 @@ fn steps_from_outside_are_the_trainers_own() {
     let trained = outside.gaussians().unwrap();
     assert_ne!(trained, scene);
     assert_eq!(trained, own.gaussians().unwrap());
+    common::assert_valid(&device);
+}
+
+#[test]
+fn steps_from_outside_resume() {
+    let device = common::device();
+    let mut stream = device.stream().unwrap();
+    let scene = gaussians(20);
+    let settings = TrainSettings { steps: 200, ..settings() };
+    let photograph = Photograph::new(&device, &target(), None).unwrap();
+    let mut trainer =
+        Trainer::without_pictures(&device, &scene, None, 1.0, settings.clone()).unwrap();
+    for _ in 0..SYNC_INTERVAL {
+        assert!(step(&device, &mut stream, &mut trainer, &photograph));
+    }
+    let state = trainer.state().unwrap();
+    let mut resumed = Trainer::resume(&device, &[], state, settings).unwrap();
+    for _ in 0..3 {
+        assert!(step(&device, &mut stream, &mut trainer, &photograph));
+        assert!(step(&device, &mut stream, &mut resumed, &photograph));
+    }
+    assert_eq!(resumed.progress().step, SYNC_INTERVAL + 3);
+    assert_eq!(resumed.gaussians().unwrap(), trainer.gaussians().unwrap());
     common::assert_valid(&device);
 }
 

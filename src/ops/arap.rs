@@ -97,7 +97,7 @@ impl Arap {
         self.neighbours.refresh(recorder, None, nodes, nodes)
     }
 
-    /// Records energy and gradient.
+    /// Records energy and gradient: `arap/fit`, `arap/gather`.
     ///
     /// # Errors
     /// [`Error::Shape`] where lengths disagree with each other or the last refresh;

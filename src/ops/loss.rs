@@ -186,7 +186,8 @@ impl Loss {
     }
 
     /// Records the loss of `rendered` against `photograph`, and its gradient by the image. Without
-    /// `disparity` the gradient by depth is zero.
+    /// `disparity` the gradient by depth is zero. `loss/rows`, `loss/ssim`, `loss/total`,
+    /// `loss/adjoint`, `loss/gradient`, `loss/total`; with a disparity `loss/depth`, `loss/total`.
     ///
     /// # Errors
     /// [`Error::Shape`] when the images' sizes differ; else as for [`Recorder::dispatch`].

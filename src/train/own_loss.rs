@@ -6,9 +6,9 @@
 //! buffer, with whatever the caller records of its own in between.
 //!
 //! ```no_run
-//! use splat4d::gpu::{Device, View};
+//! use splat4d::gpu::Device;
 //! use splat4d::train::{TrainSettings, Trainer, own_loss::OwnGradients};
-//! use splat4d::types::{Camera, Gaussians, Image};
+//! use splat4d::types::{Camera, Gaussians};
 //! # fn gradient_of_my_loss(picture: &[[f32; 4]]) -> Vec<[f32; 4]> { picture.to_vec() }
 //!
 //! fn fit(device: &Device, start: &Gaussians, camera: &Camera) -> splat4d::Result<Gaussians> {

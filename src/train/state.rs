@@ -91,8 +91,8 @@ impl Trainer {
         })
     }
 
-    /// Goes on from a state: with the same pictures and settings as the trainer that it was taken
-    /// from, every later step gives the same bits.
+    /// Goes on from a state: with the same pictures (none for a trainer without) and settings as the
+    /// trainer that it was taken from, every later step gives the same bits.
     ///
     /// # Errors
     /// As for [`Trainer::new`]; [`Error::Input`] for a state of other pictures.
@@ -108,8 +108,11 @@ impl Trainer {
         }
         let (start, motion_moments) = state.motion.unzip();
         let start = start.as_ref();
-        let mut trainer =
-            Trainer::with_reach(device, views, &gaussians, start, settings, state.reach)?;
+        let reach = state.reach;
+        let mut trainer = match views.is_empty() {
+            true => Trainer::build(device, &[], &gaussians, start, settings, reach, reach)?,
+            false => Trainer::with_reach(device, views, &gaussians, start, settings, reach)?,
+        };
         trainer.optimiser.set_moments(&mut trainer.stream, &moments)?;
         let words: Vec<u32> = trainable.into_iter().map(u32::from).collect();
         trainer.stream.upload(&mut trainer.optimiser.trainable, &words)?;

@@ -24,8 +24,8 @@ pub struct TrainingView {
     pub mask: Option<Image>,
 }
 
-#[cfg(feature = "files")]
 /// A dataset's picture as training wants it; what undistortion left empty has no weight.
+#[cfg(feature = "files")]
 impl From<View> for TrainingView {
     fn from(view: View) -> TrainingView {
         let View { camera, time, image, valid, .. } = view;

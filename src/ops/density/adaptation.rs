@@ -93,6 +93,7 @@ impl Adaptation {
 
     /// Records the decision and the layout of the new rows: survivors in order, then what is added,
     /// as far as there is room; a Gaussian whose second part does not fit is not split.
+    /// `density/decide`, two scans, `density/layout`.
     ///
     /// # Errors
     /// [`Error::Shape`] where the lengths disagree or there are more than planned.

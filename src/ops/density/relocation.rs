@@ -101,7 +101,8 @@ impl Relocation {
     }
 
     /// Records a round in which every dead Gaussian of the class becomes a copy of a live one, drawn
-    /// by opacity. Where none lives, the dead stay.
+    /// by opacity: `density/weigh`, two scans, `density/slots`, `density/draw`, `density/shrink`.
+    /// Where none lives, the dead stay.
     ///
     /// # Errors
     /// [`Error::Shape`] where the lengths disagree or there are more than planned.

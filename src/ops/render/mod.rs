@@ -44,9 +44,9 @@ pub fn device_camera(camera: &Camera) -> [f32; 20] {
 /// A renderer for images of one size.
 ///
 /// ```no_run
-/// use splat4d::gpu::{Device, Stream};
+/// use splat4d::gpu::Device;
 /// use splat4d::ops::gaussians::GaussianBuffers;
-/// use splat4d::ops::render::{PixelGradients, Render};
+/// use splat4d::ops::render::Render;
 /// use splat4d::types::{Camera, Gaussians};
 /// # fn draw(device: &Device, scene: &Gaussians, camera: &Camera) -> splat4d::Result<()> {
 /// let mut stream = device.stream()?;
