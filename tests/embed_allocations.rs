@@ -2,7 +2,6 @@
 //! the device, and nothing is left at the end. One test alone, since it counts every allocation of
 //! the process.
 
-#[allow(dead_code)]
 mod host;
 
 use host::{Host, camera, gaussians};

@@ -1,7 +1,6 @@
 //! Training with a loss of the caller's own: its gradients are those of the loss, step by step.
 
 mod common;
-#[allow(dead_code)]
 mod host;
 
 use host::{Host, camera, gaussians};

@@ -1,7 +1,6 @@
 //! Scenes edited where they lie, and asked about.
 
 mod common;
-#[allow(dead_code)]
 mod host;
 
 use glam::DVec3;

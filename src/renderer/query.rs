@@ -24,6 +24,15 @@ pub struct Hit {
     pub alpha: f64,
 }
 
+/// A splat as it was projected.
+struct Splat {
+    gaussian: usize,
+    /// Mean x, mean y, depth, opacity.
+    mean: [f32; 4],
+    /// The conic's factor (a, b, e), and something else.
+    conic: [f32; 4],
+}
+
 impl Renderer {
     /// What `camera` sees at a pixel at `time`; nothing where alpha is 0. Renders a frame, then asks
     /// for the splats of one tile, and waits.
@@ -43,7 +52,7 @@ impl Renderer {
         let (centre, settings) = ([x, y].map(|v| f64::from(v) + 0.5), self.settings);
         let mut shares = Vec::new();
         let mut transmittance = 1.0;
-        for (gaussian, mean, conic) in splats {
+        for Splat { gaussian, mean, conic } in splats {
             let [mx, my, depth, opacity] = mean.map(f64::from);
             let [a, b, e, _] = conic.map(f64::from);
             let (dx, dy) = (centre[0] - mx, centre[1] - my);
@@ -73,8 +82,8 @@ impl Renderer {
         }))
     }
 
-    /// The last frame's splats of a tile, front to back: index, projected mean, conic as its factor.
-    fn splats_of(&mut self, tile: usize) -> Result<Vec<(usize, [f32; 4], [f32; 4])>> {
+    /// The last frame's splats of a tile, front to back.
+    fn splats_of(&mut self, tile: usize) -> Result<Vec<Splat>> {
         let [begin, end] = self.read_rows(|s| s.ranges.view(), &[tile])?[0];
         let places: Vec<usize> = (begin as usize..end as usize).collect();
         let emitted = self.read_rows(|s| s.intersections.view(), &places)?;
@@ -83,7 +92,8 @@ impl Renderer {
         let splats: Vec<usize> = splats.into_iter().map(|at| at as usize).collect();
         let means = self.read_rows(|s| s.means.view(), &splats)?;
         let conics = self.read_rows(|s| s.conics.view(), &splats)?;
-        Ok(splats.into_iter().zip(means).zip(conics).map(|((i, m), c)| (i, m, c)).collect())
+        let rows = splats.into_iter().zip(means).zip(conics);
+        Ok(rows.map(|((gaussian, mean), conic)| Splat { gaussian, mean, conic }).collect())
     }
 
     /// Some rows of an array of the last frame.
