@@ -138,7 +138,19 @@ fn listing(src: &Path) -> Vec<String> {
         let module = module.join("::");
         let module = if module.is_empty() { "crate" } else { &module };
         let source = std::fs::read_to_string(&path).unwrap();
-        items(&syn::parse_file(&source).unwrap().items, module, &mut lines);
+        match syn::parse_file(&source) {
+            Ok(file) => items(&file.items, module, &mut lines),
+            // What another file takes in with `include!` is no module.
+            Err(error) => {
+                let name = path.file_name().unwrap().to_string_lossy();
+                let beside = path.parent().unwrap();
+                let included = files(beside).iter().any(|other| {
+                    let text = std::fs::read_to_string(other).unwrap();
+                    text.contains(&format!("include!(\"{name}\")"))
+                });
+                assert!(included, "{}: {error}", path.display());
+            }
+        }
     }
     lines.sort();
     lines
