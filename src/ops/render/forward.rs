@@ -18,8 +18,8 @@ impl Render {
     /// or `raster/forward_shared`.
     ///
     /// # Errors
-    /// [`Error::Shape`] when there are more Gaussians than planned for or the camera's image has
-    /// another size; else as for [`Recorder::dispatch`].
+    /// [`Error::Shape`](crate::Error::Shape) when there are more Gaussians than planned for or the
+    /// camera's image has another size; else as for [`Recorder::dispatch`].
     pub fn forward(
         &self,
         recorder: &mut Recorder,
@@ -59,7 +59,7 @@ impl Render {
     /// out the same.
     ///
     /// # Errors
-    /// [`Error::Shape`] where sizes differ; else as for [`Recorder::dispatch`].
+    /// [`Error::Shape`](crate::Error::Shape) where sizes differ; else as for [`Recorder::dispatch`].
     pub fn blend(
         &self,
         recorder: &mut Recorder,
