@@ -48,7 +48,8 @@ Examples:
 JSON: format, version, commit, unix_seconds, machine {device, driver, kind, software, subgroup_size,
 threads}, ceilings {bytes, operations} (per second), rows [{id, size, place, clock, accuracy
 {of_bound, error, output}, work {bytes, operations}, time (nanoseconds, or null)}], sweeps [{scene,
-gaussians, size, clock, points [{knob, value, settings, time, error {max, rmse, psnr}}]}], choice
+gaussians, size, clock, points [{knob, value, settings, time, ratio (to the best
+settings' time, in turns), error {max, rmse, psnr}}]}], choice
 {scene, budget, measure, settings, time_ratio, error, met, views} or null, missed (rows without
 speed), seconds. Of cmp: rows [{name, ratio, interval, verdict}], faster, slower, noise,
 incomparable";
@@ -261,9 +262,10 @@ fn row_text(row: &Row, software: bool) -> String {
 fn point_text(point: &Point) -> String {
     let name = format!("{} {}", point.knob, point.value);
     format!(
-        "{:<24} {:>9} a frame, largest error {}, RMSE {}, PSNR {:.1} dB",
+        "{:<26} {:>9} a frame, {:.3} of the best's, largest error {}, RMSE {}, PSNR {:.1} dB",
         name.trim(),
         duration(point.time.median()),
+        point.ratio.median(),
         scientific(point.error.max),
         scientific(point.error.rmse),
         point.error.psnr

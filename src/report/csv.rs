@@ -2,7 +2,7 @@
 
 use super::{Clock, Measurements, Place, Spread};
 
-const HEADER: [&str; 20] = [
+const HEADER: [&str; 21] = [
     "kind",
     "id",
     "size",
@@ -16,6 +16,7 @@ const HEADER: [&str; 20] = [
     "quartile_1_ns",
     "quartile_3_ns",
     "samples",
+    "over_best_settings",
     "bytes",
     "operations",
     "share_of_ceiling",
@@ -67,6 +68,7 @@ pub fn csv(measured: &Measurements) -> String {
                 low,
                 high,
                 samples,
+                String::new(),
                 work.bytes.to_string(),
                 work.operations.to_string(),
                 share,
@@ -98,6 +100,7 @@ pub fn csv(measured: &Measurements) -> String {
                     low,
                     high,
                     samples,
+                    point.ratio.median().to_string(),
                     String::new(),
                     String::new(),
                     String::new(),

@@ -2,6 +2,7 @@
 
 use super::{ImageError, Sweep};
 use crate::{Error, Result};
+use plotters::coord::combinators::WithKeyPoints;
 use plotters::prelude::*;
 
 const SIZE: (u32, u32) = (820, 460);
@@ -23,7 +24,7 @@ const COLOURS: [RGBColor; 10] = [
     RGBColor(140, 20, 40),
 ];
 
-/// Time of a frame against `error`, both logarithmic; the line joins the points that no other beats
+/// Time of a frame over that of the best settings against `error`, both logarithmic; the line joins the points that no other beats
 /// in both.
 pub(super) fn pareto(
     sweep: &Sweep,
@@ -45,7 +46,7 @@ fn draw(
 ) -> std::result::Result<(), Box<dyn std::error::Error>> {
     let at = |i: usize| {
         let point = &sweep.points[i];
-        (point.time.median() / 1e6, error(&point.error).max(FLOOR))
+        (point.ratio.median(), error(&point.error).max(FLOOR))
     };
     let all: Vec<(f64, f64)> = (0..sweep.points.len()).map(at).collect();
     let (x, y) = (range(all.iter().map(|p| p.0), 1.15), range(all.iter().map(|p| p.1), 2.0));
@@ -56,15 +57,12 @@ fn draw(
         .margin(10)
         .x_label_area_size(42)
         .y_label_area_size(70)
-        .build_cartesian_2d((x.0..x.1).log_scale(), (y.0..y.1).log_scale())?;
+        .build_cartesian_2d(ticked(x), (y.0..y.1).log_scale())?;
     chart
         .configure_mesh()
-        .x_desc("milliseconds a frame")
+        .x_desc("time of a frame over that of the best settings")
         .y_desc(title)
-        .x_labels(5)
-        .x_label_formatter(&|v| {
-            format!("{v:.3}").trim_end_matches('0').trim_end_matches('.').into()
-        })
+        .x_label_formatter(&|v| format!("{v}"))
         .y_label_formatter(&|v| format!("{v:.0e}"))
         .light_line_style(WHITE.mix(0.0))
         .draw()?;
@@ -87,6 +85,15 @@ fn draw(
     }
     root.present()?;
     Ok(())
+}
+
+/// A logarithmic axis of ratios with ticks where readers look for them: powers of ten are too far
+/// apart.
+fn ticked((low, high): (f64, f64)) -> WithKeyPoints<LogCoord<f64>> {
+    let ticks = [0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.5];
+    let more = [2.0, 3.0, 5.0, 7.0, 10.0, 20.0, 50.0, 100.0];
+    let within = ticks.into_iter().chain(more).filter(|v| (low..=high).contains(v)).collect();
+    LogCoord::from((low..high).log_scale()).with_key_points(within)
 }
 
 /// The values' range with some room around them, never empty.

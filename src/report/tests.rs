@@ -32,6 +32,7 @@ fn measured() -> Measurements {
         Row::missed("scan/broken", "7", Place::Device, accuracy(f64::INFINITY)),
     ];
     let point = |knob: &str, value: &str, time: f64, max: f64| Point {
+        ratio: Spread::new(vec![time / 4e6; 5]).unwrap(),
         knob: knob.into(),
         value: value.into(),
         settings: serde_json::json!({ "alpha_cut": 0.01 }),
@@ -92,7 +93,7 @@ fn json_comes_back_as_it_went() {
     std::fs::write(&path, r#"{"format": 99}"#).unwrap();
     let message = Measurements::open(&path).unwrap_err().to_string();
     assert!(message.contains("`format` is 99"), "{message}");
-    std::fs::write(&path, r#"{"format": 1}"#).unwrap();
+    std::fs::write(&path, r#"{"format": 2}"#).unwrap();
     let message = Measurements::open(&path).unwrap_err().to_string();
     assert!(message.contains("missing field"), "{message}");
 }

@@ -90,7 +90,7 @@ pub fn choose(
     };
     // How much of the time `to` saves, where that is more than noise.
     let gain = |from: &Tuning, to: &Tuning| -> Result<Option<f64>> {
-        let ratios = race(device, scene, [from, to], searched, pace)?;
+        let ratios = race(device, [(scene, from), (scene, to)], searched, pace)?.ratio;
         let won = ratios.quantile(0.75) < 1.0 && ratios.median() < 1.0 - LEAST_GAIN;
         Ok(won.then(|| ratios.median()))
     };
@@ -127,7 +127,7 @@ pub fn choose(
     let (unseen, truths) = ([*unseen], [truth::image(scene, unseen)]);
     let on = (unseen.as_slice(), truths.as_slice());
     let error = error(device, scene, &tuning, on)?;
-    let ratios = race(device, scene, [&exact, &tuning], &unseen, pace)?;
+    let ratios = race(device, [(scene, &exact), (scene, &tuning)], &unseen, pace)?.ratio;
     let choice = Choice {
         scene: name.to_owned(),
         budget: budget.error,

@@ -88,19 +88,6 @@ fn knobs(scene: &Scene) -> Vec<Knob> {
     all
 }
 
-/// Renders with some settings: the time of a frame, and the error over all shots.
-fn evaluate(
-    device: &Device,
-    scene: &Scene,
-    tuning: &Tuning,
-    (shots, truths): (&[Shot], &[Vec<f64>]),
-    pace: Pace,
-) -> Result<(Spread, Clock, ImageError)> {
-    let error = error(device, scene, tuning, (shots, truths))?;
-    let (time, clock) = time(device, scene, tuning, shots, pace)?;
-    Ok((time, clock, error))
-}
-
 /// The error over all shots.
 fn error(
     device: &Device,
@@ -143,45 +130,43 @@ fn frames(device: &Device, scene: &Scene, tuning: &Tuning, shots: &[Shot]) -> Re
     })
 }
 
-/// The time of a frame: each sample renders every shot and is divided by their number.
-fn time(
-    device: &Device,
-    scene: &Scene,
-    tuning: &Tuning,
-    shots: &[Shot],
-    pace: Pace,
-) -> Result<(Spread, Clock)> {
-    let (spread, clock) = frames(device, scene, tuning, shots)?.time(device, pace)?;
-    let count = shots.len().max(1) as f64;
-    let each = spread.samples().iter().map(|sample| sample / count).collect();
-    let spread = Spread::new(each).ok_or_else(|| Error::Failed("no time was measured".into()))?;
-    Ok((spread, clock))
+/// A scene as some settings render it.
+type Rendering<'a> = (&'a Scene, &'a Tuning);
+
+/// What a race gave: the time of a frame of the second, and that over the first's, sample by sample.
+struct Race {
+    time: Spread,
+    ratio: Spread,
+    clock: Clock,
 }
 
-/// The time with the second settings over that with the first, sample by sample in turns, so that
-/// whatever else the machine does weighs on both.
+/// Two renderings of the same shots in turns, so that whatever else the machine does weighs on both.
 fn race(
     device: &Device,
-    scene: &Scene,
-    [first, second]: [&Tuning; 2],
+    [first, second]: [Rendering<'_>; 2],
     shots: &[Shot],
     pace: Pace,
-) -> Result<Spread> {
-    let mut a = frames(device, scene, first, shots)?;
-    let mut b = frames(device, scene, second, shots)?;
-    let mut ratios = Vec::new();
+) -> Result<Race> {
+    let mut a = frames(device, first.0, first.1, shots)?;
+    let mut b = frames(device, second.0, second.1, shots)?;
+    let (mut times, mut ratios, mut clock) = (Vec::new(), Vec::new(), Clock::Host);
     // The first round warms up.
     let begun = std::time::Instant::now();
     for round in 0..=pace.most {
-        let (one, other) = (a.sample(device)?.0, b.sample(device)?.0);
+        let (one, (other, read)) = (a.sample(device)?.0, b.sample(device)?);
         if round > 0 {
+            times.push(other / shots.len().max(1) as f64);
             ratios.push(other / one.max(f64::MIN_POSITIVE));
+            clock = read;
         }
         if ratios.len() >= pace.least && begun.elapsed() > 2 * pace.total {
             break;
         }
     }
-    Spread::new(ratios).ok_or_else(|| Error::Failed("no time was measured".into()))
+    let spread = |values| {
+        Spread::new(values).ok_or_else(|| Error::Failed("no time was measured".to_owned()))
+    };
+    Ok(Race { time: spread(times)?, ratio: spread(ratios)?, clock })
 }
 
 fn settings(tuning: &Tuning) -> serde_json::Value {
@@ -212,16 +197,18 @@ pub fn sweep(
         clock: Clock::Host,
         points: Vec::new(),
     };
+    let best = Tuning::default();
     let mut add = |knob: &str, value: &str, tuning: &Tuning, sweep: &mut Sweep| {
-        let (time, clock, error) = evaluate(device, scene, tuning, (shots, &truths), pace)?;
+        let error = error(device, scene, tuning, (shots, &truths))?;
+        let raced = race(device, [(scene, &best), (scene, tuning)], shots, pace)?;
+        let Race { time, ratio, clock } = raced;
         let (knob, value) = (knob.to_owned(), value.to_owned());
-        let point = Point { knob, value, settings: settings(tuning), time, error };
+        let point = Point { knob, value, settings: settings(tuning), time, ratio, error };
         each(&point)?;
         sweep.clock = clock;
         sweep.points.push(point);
         Ok::<(), Error>(())
     };
-    let best = Tuning::default();
     add("", "all at their best", &best, &mut sweep)?;
     for knob in knobs(scene) {
         for (position, (label, _)) in knob.positions.iter().enumerate() {
@@ -278,9 +265,11 @@ pub fn sweep_motion(
         let fitted = student::fit(device, &scene, shape, steps, seed)?;
         let student = Scene { network: Some(fitted), ..scene.clone() };
         let tuning = Tuning::default();
-        let (time, _, error) = evaluate(device, &student, &tuning, (&shots, &truths), pace)?;
+        let error = error(device, &student, &tuning, (&shots, &truths))?;
+        let Race { time, ratio, .. } =
+            race(device, [(&scene, &tuning), (&student, &tuning)], &shots, pace)?;
         let (knob, value) = ("network width".to_owned(), width.to_string());
-        let point = Point { knob, value, settings: settings(&tuning), time, error };
+        let point = Point { knob, value, settings: settings(&tuning), time, ratio, error };
         each(&point)?;
         sweep.points.push(point);
     }
