@@ -10,13 +10,14 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use glam::{DQuat, DVec3};
 use splat4d::Result;
+use splat4d::check::fuzz::{draw, file};
 use splat4d::data::trajectory::{self, TimedPose};
 use splat4d::data::transforms::{self, TimedCamera};
 use splat4d::data::{colmap, exr, flo, images, intrinsics, write_png};
 use splat4d::io::{Identity, read_state, write_state};
 use splat4d::scene::{Scene, SceneCamera, ply};
 use splat4d::types::{ControlPoints, DeformNet, Gaussians, Image, NetShape, Pose};
-use support::{Dice, picture, some_camera};
+use support::{Dice, compressed, picture, some_camera};
 
 /// Counts what is allocated.
 struct Counting;
@@ -136,6 +137,23 @@ const READERS: &[Reader] = &[
         read: |path| ply::read(path, true).map(drop),
         most: plain,
         prefixes_fail: true,
+    },
+    Reader {
+        name: "splats.compressed.ply",
+        write: |path| {
+            let bytes = compressed(300, [2047 << 21, 511 << 10, 1023, 0x80ff_00ff], &[7; 9]);
+            fs::write(path, bytes).unwrap();
+        },
+        read: |path| ply::read(path, true).map(drop),
+        most: plain,
+        prefixes_fail: true,
+    },
+    Reader {
+        name: "fuzzed.json",
+        write: |path| fs::write(path, file::text(&draw(3, 5))).unwrap(),
+        read: |path| file::read(path).map(drop),
+        most: plain,
+        prefixes_fail: false,
     },
     Reader {
         name: "checkpoint",

@@ -92,3 +92,33 @@ pub fn some_camera(i: u32) -> Camera {
         view_from_world: Pose::new(rotation, DVec3::new(1.0, -2.0, 3.0 + f64::from(i))),
     }
 }
+
+/// A compressed PLY of `count` Gaussians, all with the same words, and their harmonics' bytes.
+pub fn compressed(count: usize, words: [u32; 4], sh: &[u8]) -> Vec<u8> {
+    let bounds = ["x", "y", "z", "scale_x", "scale_y", "scale_z", "r", "g", "b"];
+    let mut head = String::from("ply\nformat binary_little_endian 1.0\n");
+    head += &format!("element chunk {}\n", count.div_ceil(256));
+    for end in ["min", "max"] {
+        for name in bounds {
+            head += &format!("property float {end}_{name}\n");
+        }
+    }
+    head += &format!("element vertex {count}\n");
+    for name in ["position", "rotation", "scale", "color"] {
+        head += &format!("property uint packed_{name}\n");
+    }
+    if !sh.is_empty() {
+        head += &format!("element sh {count}\n");
+        (0..sh.len()).for_each(|i| head += &format!("property uchar f_rest_{i}\n"));
+    }
+    head += "end_header\n";
+    let mut bytes = head.into_bytes();
+    for chunk in 0..count.div_ceil(256) {
+        let low = [-1.0f32, 0.0, chunk as f32, -6.0, -5.0, -4.0, 0.0, 0.0, 0.0];
+        let high = [1.0f32, 2.0, chunk as f32 + 1.0, -2.0, -1.0, 0.0, 1.0, 2.0, 1.0];
+        low.iter().chain(&high).for_each(|v| bytes.extend(v.to_le_bytes()));
+    }
+    (0..count).for_each(|_| words.iter().for_each(|w| bytes.extend(w.to_le_bytes())));
+    (0..count).for_each(|_| bytes.extend(sh));
+    bytes
+}
