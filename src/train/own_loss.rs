@@ -142,8 +142,7 @@ impl Trainer {
     pub fn backward(&mut self, recorder: &mut Recorder, by: OwnGradients<'_>) -> Result<()> {
         let size = self.under_way("backward", &[Stage::Forward])?;
         let studio = self.studios.for_size(&self.device, size)?;
-        let (step, steps) = (self.step, self.settings.steps);
-        let canonical = self.gaussians.views().at_degree(self.settings.sh_degree_at(step));
+        let canonical = self.gaussians.views().at_degree(self.settings.sh_degree_at(self.step));
         let scene = match &self.motion {
             Some(motion) => motion.motion.moved(canonical),
             None => canonical,
@@ -162,15 +161,7 @@ impl Trainer {
             &mut self.gradients,
             true,
         )?;
-        if let Some(statistics) = &mut self.statistics {
-            let (scratch, backward) = (&studio.scratch, &studio.backward);
-            statistics.add(recorder, canonical.len, scratch, backward, size)?;
-        }
-        if let (Some(motion), Some(selection)) = (&mut self.motion, &mut self.selection) {
-            let (n, listed) = (canonical.len, motion.motion.dynamic);
-            let soft = selection.soft_gradients(recorder, n, listed, step, steps);
-            motion.backward(recorder, &canonical, &mut self.gradients, soft)?;
-        }
+        self.gather(recorder, size)?;
         self.reach_stage(Stage::Backward);
         Ok(())
     }
@@ -204,30 +195,7 @@ impl Trainer {
     /// [`Recorder::dispatch`].
     pub fn update(&mut self, recorder: &mut Recorder) -> Result<()> {
         let size = self.under_way("update", &[Stage::Backward])?;
-        let studio = self.studios.for_size(&self.device, size)?;
-        let (step, steps) = (self.step, self.settings.steps);
-        let degree = self.settings.sh_degree_at(step);
-        if let (Some(motion), Some(selection)) = (&mut self.motion, &mut self.selection) {
-            motion.update(recorder, step, steps, studio.scratch.fits())?;
-            selection.train(recorder, studio, None, self.gaussians.len, step, steps)?;
-        }
-        if let Some(growth) = &self.growth {
-            growth.regularise(recorder, &self.gaussians, &mut self.gradients)?;
-        }
-        self.optimiser.record(
-            recorder,
-            &self.settings,
-            step,
-            self.extent,
-            degree,
-            studio.scratch.fits(),
-            &mut self.gaussians,
-            &self.gradients,
-        )?;
-        if let Some(growth) = &self.growth {
-            let rate = self.settings.position_rate_at(step) * self.extent;
-            growth.explore(recorder, &mut self.gaussians, rate, step)?;
-        }
+        self.learn(recorder, size, None)?;
         self.reach_stage(Stage::Update);
         Ok(())
     }

@@ -9,7 +9,7 @@ use super::rounds::ControlChanges;
 use super::selection::Selection;
 use super::settings::TrainSettings;
 use super::views::{TrainingView, extent, reach};
-use crate::gpu::{Device, Readback, Stream, Ticket};
+use crate::gpu::{Device, Readback, Recorder, Stream, Ticket};
 use crate::ops::gaussians::GaussianBuffers;
 use crate::ops::loss::{LossSettings, LossValue};
 use crate::ops::render::FrameCounts;
@@ -334,39 +334,65 @@ impl Trainer {
             &mut self.gradients,
             false,
         )?;
+        self.gather(&mut recorder, size)?;
+        self.learn(&mut recorder, size, Some(index))?;
+        let studio = self.studios.for_size(&self.device, size)?;
+        recorder.read_back(studio.scratch.device_counts(), &counts);
+        let ticket = self.stream.submit(recorder)?;
+        self.pending.push_back(Pending { ticket, view: index, counts });
+        Ok(())
+    }
+
+    /// Records what follows the picture's backward pass: density control's statistics, and the
+    /// gradients by the motion.
+    pub(super) fn gather(&mut self, recorder: &mut Recorder, size: (u32, u32)) -> Result<()> {
+        let studio = self.studios.for_size(&self.device, size)?;
+        let (step, steps) = (self.step, self.settings.steps);
+        let canonical = self.gaussians.views().at_degree(self.settings.sh_degree_at(step));
         if let Some(statistics) = &mut self.statistics {
             let (scratch, backward) = (&studio.scratch, &studio.backward);
-            statistics.add(&mut recorder, canonical.len, scratch, backward, size)?;
+            statistics.add(recorder, canonical.len, scratch, backward, size)?;
         }
         if let (Some(motion), Some(selection)) = (&mut self.motion, &mut self.selection) {
-            let (n, fits) = (canonical.len, studio.scratch.fits());
-            let listed = motion.motion.dynamic;
-            let soft = selection.soft_gradients(&mut recorder, n, listed, step, steps);
-            let gradients = &mut self.gradients;
-            motion.backward(&mut recorder, &canonical, gradients, soft)?;
-            motion.update(&mut recorder, step, steps, fits)?;
-            selection.train(&mut recorder, studio, view.mask.as_ref(), n, step, steps)?;
+            let (n, listed) = (canonical.len, motion.motion.dynamic);
+            let soft = selection.soft_gradients(recorder, n, listed, step, steps);
+            motion.backward(recorder, &canonical, &mut self.gradients, soft)?;
+        }
+        Ok(())
+    }
+
+    /// Records the update of every parameter by the gradients; `view` names the picture whose motion
+    /// mask counts too.
+    pub(super) fn learn(
+        &mut self,
+        recorder: &mut Recorder,
+        size: (u32, u32),
+        view: Option<usize>,
+    ) -> Result<()> {
+        let studio = self.studios.for_size(&self.device, size)?;
+        let (step, steps) = (self.step, self.settings.steps);
+        if let (Some(motion), Some(selection)) = (&mut self.motion, &mut self.selection) {
+            motion.update(recorder, step, steps, studio.scratch.fits())?;
+            let mask = view.and_then(|view| self.views[view].mask.as_ref());
+            selection.train(recorder, studio, mask, self.gaussians.len, step, steps)?;
         }
         if let Some(growth) = &self.growth {
-            growth.regularise(&mut recorder, &self.gaussians, &mut self.gradients)?;
+            growth.regularise(recorder, &self.gaussians, &mut self.gradients)?;
         }
         self.optimiser.record(
-            &mut recorder,
+            recorder,
             &self.settings,
-            self.step,
+            step,
             self.extent,
-            degree,
+            self.settings.sh_degree_at(step),
             studio.scratch.fits(),
             &mut self.gaussians,
             &self.gradients,
         )?;
         if let Some(growth) = &self.growth {
-            let rate = self.settings.position_rate_at(self.step) * self.extent;
-            growth.explore(&mut recorder, &mut self.gaussians, rate, self.step)?;
+            let rate = self.settings.position_rate_at(step) * self.extent;
+            growth.explore(recorder, &mut self.gaussians, rate, step)?;
         }
-        recorder.read_back(studio.scratch.device_counts(), &counts);
-        let ticket = self.stream.submit(recorder)?;
-        self.pending.push_back(Pending { ticket, view: index, counts });
         Ok(())
     }
 
