@@ -6,7 +6,7 @@ mod host;
 use host::{Host, camera, gaussians};
 use splat4d::embed::ash::vk;
 use splat4d::embed::{
-    Features, Guard, HostBuffer, HostDevice, HostImage, Requirements, SemaphorePoint,
+    FeatureLinks, Features, Guard, HostBuffer, HostDevice, HostImage, Requirements, SemaphorePoint,
 };
 use splat4d::gpu::{Buffer, Device, Recorder, Stream, Ticket};
 use splat4d::ops::gaussians::GaussianBuffers;
@@ -72,6 +72,65 @@ fn features_are_read_from_what_a_device_was_made_with() {
     // SAFETY: there is no chain.
     assert_eq!(unsafe { Features::enabled_by(&none) }, Features::default());
     assert_eq!(Features::default().lacking(&Features::ALL).len(), 5);
+}
+
+/// A library that makes the device has begun the chain; what is in it stays, and no structure comes
+/// twice, which Vulkan forbids.
+#[test]
+fn features_are_turned_on_in_any_chain() {
+    let kinds = |create: &vk::DeviceCreateInfo<'_>| {
+        let mut next = create.p_next.cast::<vk::BaseInStructure<'_>>();
+        let mut kinds = Vec::new();
+        while !next.is_null() {
+            // SAFETY: the chains below are made of locals.
+            unsafe {
+                kinds.push((*next).s_type);
+                next = (*next).p_next;
+            }
+        }
+        kinds
+    };
+    // SAFETY: here and below the chains are made of locals, each written by one at a time.
+    unsafe {
+        let (mut create, mut links) = (vk::DeviceCreateInfo::default(), FeatureLinks::default());
+        Features::ALL.enable_in(&mut create, &mut links);
+        assert_eq!(Features::enabled_by(&create), Features::ALL);
+        assert_eq!(kinds(&create).len(), 4);
+
+        let mut size =
+            vk::PhysicalDeviceSubgroupSizeControlFeatures::default().subgroup_size_control(true);
+        let mut other = vk::PhysicalDeviceMaintenance4Features::default().maintenance4(true);
+        let mut timeline = vk::PhysicalDeviceTimelineSemaphoreFeatures::default();
+        let (mut create, mut links) = (
+            vk::DeviceCreateInfo::default()
+                .push_next(&mut size)
+                .push_next(&mut other)
+                .push_next(&mut timeline),
+            FeatureLinks::default(),
+        );
+        let enabled = Features::enabled_by(&create);
+        assert_eq!(enabled, Features { subgroup_size_control: true, ..Features::default() });
+        Features::ALL.enable_in(&mut create, &mut links);
+        assert_eq!(Features::enabled_by(&create), Features::ALL);
+        let kinds = kinds(&create);
+        assert_eq!(kinds.len(), 5, "{kinds:?}");
+        assert!(kinds.iter().enumerate().all(|(k, kind)| !kinds[..k].contains(kind)), "{kinds:?}");
+        assert_eq!(other.maintenance4, vk::TRUE);
+    }
+    // SAFETY: as above.
+    unsafe {
+        let mut vulkan12 = vk::PhysicalDeviceVulkan12Features::default().shader_int8(true);
+        let mut vulkan13 = vk::PhysicalDeviceVulkan13Features::default();
+        let (mut create, mut links) = (
+            vk::DeviceCreateInfo::default().push_next(&mut vulkan12).push_next(&mut vulkan13),
+            FeatureLinks::default(),
+        );
+        let some = Features { synchronization2: false, ..Features::ALL };
+        some.enable_in(&mut create, &mut links);
+        assert_eq!(Features::enabled_by(&create), some);
+        assert_eq!(kinds(&create).len(), 2);
+        assert_eq!((vulkan12.shader_int8, vulkan13.synchronization2), (vk::TRUE, vk::FALSE));
+    }
 }
 
 /// Adopting fails, and the host is told that nothing uses its device.

@@ -41,6 +41,15 @@
 //! A recording allocates nothing once one like it has been made and its guard dropped (or, on a
 //! stream, its ticket passed): descriptor pools, lists of what is kept alive and all else are used
 //! again. [`Device::allocations`](crate::gpu::Device::allocations) counts what is made on the device.
+//!
+//! # On wgpu
+//!
+//! A host on wgpu makes its device with the engine's features in wgpu's own chain
+//! ([`Features::enable_in`]), lends the handles, and has the engine record in a command encoder that
+//! wgpu records nothing into. An image that the engine writes leaves the encoder before in the state
+//! of a copy's destination, and wgpu must have seen it written once, or it clears it. wgpu and the
+//! engine share a queue: both take the turn of [`HostDevice::queue_lock`]. `tools/wgpu-host` in the
+//! repository is such a host.
 
 #![allow(unsafe_code, reason = "what a host promises, it promises here")]
 
@@ -51,7 +60,8 @@ mod record;
 #[cfg(unix)]
 pub use crate::vk::ImportedMemory;
 pub use crate::vk::{
-    Features, HostBuffer, HostDevice, HostImage, QueueLock, Requirements, SemaphorePoint,
+    FeatureLinks, Features, HostBuffer, HostDevice, HostImage, QueueLock, Requirements,
+    SemaphorePoint,
 };
 pub use ash;
 pub use record::Guard;

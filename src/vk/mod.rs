@@ -31,7 +31,7 @@ pub(crate) use instance::Instance;
 pub use instance::{DeviceInfo, DeviceKind, enumerate};
 pub(crate) use pipeline::{Pipeline, PipelineShape};
 pub use queue::QueueLock;
-pub use requirements::{Features, Requirements};
+pub use requirements::{FeatureLinks, Features, Requirements};
 pub use timeline::SemaphorePoint;
 pub(crate) use timeline::Timeline;
 

@@ -3,7 +3,7 @@
 
 use crate::error::{Error, Result};
 use ash::vk;
-use std::ffi::{CStr, c_void};
+use std::ffi::CStr;
 
 /// Device features; [`Requirements`] says which must be enabled.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -59,56 +59,132 @@ impl Features {
         vulkan13.compute_full_subgroups |= u32::from(self.compute_full_subgroups);
     }
 
+    /// Turns these on in what a device is about to be created with, whoever has begun its chain of
+    /// structures: in those that are there, and for the rest in `links`, which join it. For hosts
+    /// whose device is made by a library with a chain of its own.
+    ///
+    /// # Safety
+    /// The chain behind `p_next` is valid, and its structures may be written.
+    pub unsafe fn enable_in<'a>(
+        &self,
+        create: &mut vk::DeviceCreateInfo<'a>,
+        links: &'a mut FeatureLinks,
+    ) {
+        // SAFETY: by the caller's promise.
+        let switches = unsafe { switches(create) };
+        let mut absent = [false; 5];
+        for (k, (wanted, _)) in self.named().into_iter().enumerate().filter(|(_, f)| f.0) {
+            match switches[k].is_null() {
+                true => absent[k] = wanted,
+                // SAFETY: a field of a structure of the chain, which may be written.
+                false => unsafe { *switches[k] = vk::TRUE },
+            }
+        }
+        let [timeline, scalar, synchronization, size, full] = absent;
+        let mut info = *create;
+        if timeline {
+            links.timeline.timeline_semaphore = vk::TRUE;
+            info = info.push_next(&mut links.timeline);
+        }
+        if scalar {
+            links.scalar.scalar_block_layout = vk::TRUE;
+            info = info.push_next(&mut links.scalar);
+        }
+        if synchronization {
+            links.synchronization.synchronization2 = vk::TRUE;
+            info = info.push_next(&mut links.synchronization);
+        }
+        // One structure holds both.
+        if size || full {
+            links.subgroups.subgroup_size_control = u32::from(size);
+            links.subgroups.compute_full_subgroups = u32::from(full);
+            info = info.push_next(&mut links.subgroups);
+        }
+        *create = info;
+    }
+
     /// What a device that was created with this had enabled, read from the chain of structures:
     /// those of Vulkan 1.2 and 1.3, and the extensions' own that they replaced.
     ///
     /// # Safety
     /// The chain behind `p_next` is valid.
     pub unsafe fn enabled_by(create: &vk::DeviceCreateInfo<'_>) -> Features {
-        let mut found = Features::default();
-        let mut next: *const c_void = create.p_next;
-        while !next.is_null() {
-            let at = next.cast::<vk::BaseInStructure<'_>>();
-            // SAFETY: the chain is valid, so each link begins with type and next, and is what its
-            // type says.
-            unsafe {
-                match (*at).s_type {
-                    vk::StructureType::PHYSICAL_DEVICE_VULKAN_1_2_FEATURES => {
-                        let link = &*next.cast::<vk::PhysicalDeviceVulkan12Features<'_>>();
-                        found.timeline_semaphore |= link.timeline_semaphore != 0;
-                        found.scalar_block_layout |= link.scalar_block_layout != 0;
-                    }
-                    vk::StructureType::PHYSICAL_DEVICE_VULKAN_1_3_FEATURES => {
-                        let link = &*next.cast::<vk::PhysicalDeviceVulkan13Features<'_>>();
-                        found.synchronization2 |= link.synchronization2 != 0;
-                        found.subgroup_size_control |= link.subgroup_size_control != 0;
-                        found.compute_full_subgroups |= link.compute_full_subgroups != 0;
-                    }
-                    vk::StructureType::PHYSICAL_DEVICE_TIMELINE_SEMAPHORE_FEATURES => {
-                        let link = &*next.cast::<vk::PhysicalDeviceTimelineSemaphoreFeatures<'_>>();
-                        found.timeline_semaphore |= link.timeline_semaphore != 0;
-                    }
-                    vk::StructureType::PHYSICAL_DEVICE_SCALAR_BLOCK_LAYOUT_FEATURES => {
-                        let link = &*next.cast::<vk::PhysicalDeviceScalarBlockLayoutFeatures<'_>>();
-                        found.scalar_block_layout |= link.scalar_block_layout != 0;
-                    }
-                    vk::StructureType::PHYSICAL_DEVICE_SYNCHRONIZATION_2_FEATURES => {
-                        let link = &*next.cast::<vk::PhysicalDeviceSynchronization2Features<'_>>();
-                        found.synchronization2 |= link.synchronization2 != 0;
-                    }
-                    vk::StructureType::PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_FEATURES => {
-                        let link =
-                            &*next.cast::<vk::PhysicalDeviceSubgroupSizeControlFeatures<'_>>();
-                        found.subgroup_size_control |= link.subgroup_size_control != 0;
-                        found.compute_full_subgroups |= link.compute_full_subgroups != 0;
-                    }
-                    _ => {}
-                }
-                next = (*at).p_next.cast();
-            }
+        // SAFETY: by the caller's promise.
+        let switches = unsafe { switches(create) };
+        let on = switches.map(|switch| {
+            // SAFETY: null, or a field of a structure of the chain, which nobody writes now.
+            unsafe { switch.as_ref() }.is_some_and(|&on| on != vk::FALSE)
+        });
+        let [timeline_semaphore, scalar_block_layout, synchronization2, size, full] = on;
+        Features {
+            timeline_semaphore,
+            scalar_block_layout,
+            synchronization2,
+            subgroup_size_control: size,
+            compute_full_subgroups: full,
         }
-        found
     }
+}
+
+/// Structures that [`Features::enable_in`] may put into a chain; they stay where they are until the
+/// device is made.
+#[derive(Default)]
+pub struct FeatureLinks {
+    timeline: vk::PhysicalDeviceTimelineSemaphoreFeatures<'static>,
+    scalar: vk::PhysicalDeviceScalarBlockLayoutFeatures<'static>,
+    synchronization: vk::PhysicalDeviceSynchronization2Features<'static>,
+    subgroups: vk::PhysicalDeviceSubgroupSizeControlFeatures<'static>,
+}
+
+/// Where a chain of structures holds each feature, in the order of [`Features`]; null where no
+/// structure has it.
+///
+/// # Safety
+/// The chain behind `p_next` is valid.
+unsafe fn switches(create: &vk::DeviceCreateInfo<'_>) -> [*mut vk::Bool32; 5] {
+    let [mut timeline, mut scalar, mut synchronization, mut size, mut full] =
+        [std::ptr::null_mut(); 5];
+    let mut next = create.p_next.cast_mut();
+    while !next.is_null() {
+        let at = next.cast::<vk::BaseOutStructure<'_>>();
+        // SAFETY: the chain is valid, so each link begins with type and next, and is what its type
+        // says.
+        unsafe {
+            match (*at).s_type {
+                vk::StructureType::PHYSICAL_DEVICE_VULKAN_1_2_FEATURES => {
+                    let link = next.cast::<vk::PhysicalDeviceVulkan12Features<'_>>();
+                    timeline = &raw mut (*link).timeline_semaphore;
+                    scalar = &raw mut (*link).scalar_block_layout;
+                }
+                vk::StructureType::PHYSICAL_DEVICE_VULKAN_1_3_FEATURES => {
+                    let link = next.cast::<vk::PhysicalDeviceVulkan13Features<'_>>();
+                    synchronization = &raw mut (*link).synchronization2;
+                    size = &raw mut (*link).subgroup_size_control;
+                    full = &raw mut (*link).compute_full_subgroups;
+                }
+                vk::StructureType::PHYSICAL_DEVICE_TIMELINE_SEMAPHORE_FEATURES => {
+                    let link = next.cast::<vk::PhysicalDeviceTimelineSemaphoreFeatures<'_>>();
+                    timeline = &raw mut (*link).timeline_semaphore;
+                }
+                vk::StructureType::PHYSICAL_DEVICE_SCALAR_BLOCK_LAYOUT_FEATURES => {
+                    let link = next.cast::<vk::PhysicalDeviceScalarBlockLayoutFeatures<'_>>();
+                    scalar = &raw mut (*link).scalar_block_layout;
+                }
+                vk::StructureType::PHYSICAL_DEVICE_SYNCHRONIZATION_2_FEATURES => {
+                    let link = next.cast::<vk::PhysicalDeviceSynchronization2Features<'_>>();
+                    synchronization = &raw mut (*link).synchronization2;
+                }
+                vk::StructureType::PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_FEATURES => {
+                    let link = next.cast::<vk::PhysicalDeviceSubgroupSizeControlFeatures<'_>>();
+                    size = &raw mut (*link).subgroup_size_control;
+                    full = &raw mut (*link).compute_full_subgroups;
+                }
+                _ => {}
+            }
+            next = (*at).p_next.cast();
+        }
+    }
+    [timeline, scalar, synchronization, size, full]
 }
 
 /// What a device must have, be created with, and offer.

@@ -1,0 +1,97 @@
+//! A host on wgpu: a program with a wgpu device of its own, which lends it to splat4d, draws splats
+//! beside a triangle of its own, frame after frame from a moving camera, and holds every pixel
+//! against what it should be.
+//!
+//! `cargo run --release -p wgpu-host -- --output frame.png`
+
+mod gpu;
+mod messages;
+mod pace;
+mod scene;
+mod stage;
+mod verify;
+
+use clap::Parser;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
+
+/// Draws splats with a wgpu device, beside a triangle drawn by wgpu, and checks every pixel.
+///
+/// The device is the one that wgpu prefers; VK_DRIVER_FILES says which drivers there are.
+/// Exit code 1 where a pixel is wrong or the validation layer has said anything.
+#[derive(Parser)]
+#[command(after_help = "Example: wgpu-host --validation --output frame.png")]
+struct Arguments {
+    /// Write the last frame as PNG
+    #[arg(long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// Run under the Khronos validation layer, with synchronization validation; any message fails
+    #[arg(long)]
+    validation: bool,
+    /// Frames to draw at the given rate while the calls are timed
+    #[arg(long, value_name = "N", default_value_t = 120)]
+    frames: u32,
+    /// Frames a second
+    #[arg(long, value_name = "HZ", default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..))]
+    rate: u32,
+    /// Splats on the ball
+    #[arg(long, value_name = "N", default_value_t = 3000, value_parser = clap::value_parser!(u32).range(1..))]
+    splats: u32,
+}
+
+/// Views whose pixels are checked before the moving camera, one after the other.
+const VIEWS: u32 = 4;
+
+fn main() -> ExitCode {
+    match run(&Arguments::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("wgpu-host: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(arguments: &Arguments) -> Result<()> {
+    let instance = gpu::instance(arguments.validation)?;
+    let adapter = gpu::adapter(&instance)?;
+    // Listens until everything else is gone, the device included: leaks are reported as it goes.
+    let messages = match arguments.validation {
+        true => Some(messages::Messages::listen(&instance, &adapter)?),
+        false => None,
+    };
+    let drawn = draw(arguments, adapter);
+    let said = messages.map(messages::Messages::finish).unwrap_or_default();
+    drawn?;
+    match said.is_empty() {
+        true => Ok(()),
+        false => Err(format!("the validation layer complains:\n{}", said.join("\n")).into()),
+    }
+}
+
+fn draw(arguments: &Arguments, adapter: wgpu::Adapter) -> Result<()> {
+    let scene = scene::ball(arguments.splats as usize);
+    let gpu = gpu::Gpu::open(&adapter)?;
+    println!("{}: {} splats", adapter.get_info().name, scene.gaussians.len());
+    let mut judge = verify::Judge::new(&adapter, &scene)?;
+    let mut stage = stage::Stage::new(gpu, &scene)?;
+    for view in 0..VIEWS {
+        let camera = scene::camera(view * 30);
+        stage.draw_whole(&camera)?;
+        println!("view {view}: {}", judge.check(&stage, &camera)?);
+    }
+    if arguments.frames > 0 {
+        print!("{}", pace::run(&mut stage, arguments.frames, arguments.rate)?);
+        let last = scene::camera(arguments.frames - 1);
+        println!("last frame: {}", judge.check(&stage, &last)?);
+    }
+    if let Some(path) = &arguments.output {
+        let bytes = stage.read(stage.frame())?;
+        let image = image::RgbaImage::from_raw(stage::WIDTH, stage::HEIGHT, bytes)
+            .expect("four bytes a pixel");
+        image.save(path).map_err(|error| format!("cannot write {}: {error}", path.display()))?;
+    }
+    Ok(())
+}
