@@ -111,6 +111,7 @@ step "shaders" "$target/release/tools" check
 step "modules" validate_modules
 step "unit tests" on "$lavapipe" "${test[@]}" --lib --bins "${others[@]}" "${show[@]}"
 step "wgpu host" on "$lavapipe" "$target/release/wgpu-host" --validation
+step "wgpu host on SwiftShader" on "$swiftshader" "$target/release/wgpu-host" --validation --frames 20
 step "doc tests" on "$lavapipe" "${test[@]}" --doc
 step "kernels on lavapipe" on "$lavapipe" "${test[@]}" "${kernel_tests[@]}" "${show[@]}"
 step "kernels on SwiftShader" on "$swiftshader" "${test[@]}" "${kernel_tests[@]}" "${show[@]}"

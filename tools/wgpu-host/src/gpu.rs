@@ -4,6 +4,7 @@ use crate::Result;
 use splat4d::embed::ash::{ext, vk};
 use splat4d::embed::{FeatureLinks, Features, HostDevice, Requirements};
 use std::ops::Deref;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use wgpu::hal::api::Vulkan;
 use wgpu::hal::vulkan::CreateInstanceCallback;
@@ -15,6 +16,8 @@ pub struct Gpu {
     pub engine: splat4d::gpu::Device,
     /// Held by whoever uses the queue, wgpu or the engine: they share it.
     pub turn: Arc<Mutex<()>>,
+    /// Whether the engine has given the device back.
+    pub given_back: Arc<AtomicBool>,
 }
 
 /// Under the validation layer through wgpu-hal: wgpu's own debug flag, which brings the extension that
@@ -124,7 +127,8 @@ impl Gpu {
         let (device, queue) = unsafe { adapter.create_device_from_hal(open, &descriptor) }?;
 
         let turn = Arc::new(Mutex::new(()));
-        let (of_engine, kept) = (turn.clone(), device.clone());
+        let given_back = Arc::new(AtomicBool::new(false));
+        let (of_engine, told, kept) = (turn.clone(), given_back.clone(), device.clone());
         // SAFETY: the guard is gone before the device, and nothing is destroyed through it.
         let hal = unsafe { device.as_hal::<Vulkan>() }.ok_or("the device is not Vulkan's")?;
         let host = HostDevice {
@@ -141,12 +145,15 @@ impl Gpu {
                 work();
             })),
             // wgpu's device, and with it instance and loader, live as long as the engine uses them.
-            on_drop: Some(Box::new(move || drop(kept))),
+            on_drop: Some(Box::new(move || {
+                told.store(true, Ordering::SeqCst);
+                drop(kept);
+            })),
         };
         // SAFETY: the handles belong together; instance and device are Vulkan 1.3's and made with
         // the features claimed; `on_drop` keeps them; every use of the queue takes the turn.
         let engine = unsafe { splat4d::gpu::Device::adopt(host) }?;
         drop(hal);
-        Ok(Gpu { device, queue, engine, turn })
+        Ok(Gpu { device, queue, engine, turn, given_back })
     }
 }

@@ -14,6 +14,7 @@ mod verify;
 use clap::Parser;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::atomic::Ordering;
 
 type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
 
@@ -74,6 +75,7 @@ fn run(arguments: &Arguments) -> Result<()> {
 fn draw(arguments: &Arguments, adapter: wgpu::Adapter) -> Result<()> {
     let scene = scene::ball(arguments.splats as usize);
     let gpu = gpu::Gpu::open(&adapter)?;
+    let given_back = gpu.given_back.clone();
     println!("{}: {} splats", adapter.get_info().name, scene.gaussians.len());
     let mut judge = verify::Judge::new(&adapter, &scene)?;
     let mut stage = stage::Stage::new(gpu, &scene)?;
@@ -93,5 +95,9 @@ fn draw(arguments: &Arguments, adapter: wgpu::Adapter) -> Result<()> {
             .expect("four bytes a pixel");
         image.save(path).map_err(|error| format!("cannot write {}: {error}", path.display()))?;
     }
-    Ok(())
+    drop(stage);
+    match given_back.load(Ordering::SeqCst) {
+        true => Ok(()),
+        false => Err("everything of the engine's is dropped, and yet it keeps the device".into()),
+    }
 }

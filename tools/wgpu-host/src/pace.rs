@@ -66,7 +66,7 @@ impl fmt::Display for Report {
             let ms = |time: Duration| time.as_secs_f64() * 1e3;
             writeln!(f, "{call:<24} {:>9.3} {:>9.3}", ms(median), ms(longest))?;
         }
-        let waited = self.waits.iter().filter(|wait| **wait > Duration::from_micros(100)).count();
+        let waited = self.waits.iter().filter(|wait| **wait > Duration::from_millis(1)).count();
         let longest = self.waits.iter().max().copied().unwrap_or_default().as_secs_f64() * 1e3;
         writeln!(
             f,
