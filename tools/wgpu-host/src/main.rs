@@ -12,9 +12,13 @@ mod stage;
 mod verify;
 
 use clap::Parser;
+use splat4d::renderer::Renderer;
+use splat4d::scene::Scene;
+use stage::Stage;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
+use verify::Judge;
 
 type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
 
@@ -72,18 +76,44 @@ fn run(arguments: &Arguments) -> Result<()> {
     }
 }
 
+/// Checks some views, while another thread loads the scene and renders it, again and again: its
+/// submissions and wgpu's take turns in the one queue.
+fn views(stage: &mut Stage, judge: &mut Judge, scene: &Scene) -> Result<()> {
+    let engine = stage.engine().clone();
+    let enough = AtomicBool::new(false);
+    std::thread::scope(|threads| {
+        let loader = threads.spawn(|| -> splat4d::Result<usize> {
+            for round in 1.. {
+                Renderer::new(&engine, scene)?.render(&scene::camera(0), 0.0)?;
+                if enough.load(Ordering::SeqCst) {
+                    return Ok(round);
+                }
+            }
+            unreachable!("it goes on until it is enough")
+        });
+        let checked = (0..VIEWS).try_for_each(|view| {
+            let camera = scene::camera(view * 30);
+            stage.draw_whole(&camera)?;
+            println!("view {view}: {}", judge.check(stage, &camera)?);
+            Ok(())
+        });
+        enough.store(true, Ordering::SeqCst);
+        let rounds = loader.join().map_err(|_| "the loading thread panicked")?;
+        checked.and_then(|()| {
+            println!("another thread loaded the scene {} times meanwhile", rounds?);
+            Ok(())
+        })
+    })
+}
+
 fn draw(arguments: &Arguments, adapter: wgpu::Adapter) -> Result<()> {
     let scene = scene::ball(arguments.splats as usize);
     let gpu = gpu::Gpu::open(&adapter)?;
     let given_back = gpu.given_back.clone();
     println!("{}: {} splats", adapter.get_info().name, scene.gaussians.len());
-    let mut judge = verify::Judge::new(&adapter, &scene)?;
-    let mut stage = stage::Stage::new(gpu, &scene)?;
-    for view in 0..VIEWS {
-        let camera = scene::camera(view * 30);
-        stage.draw_whole(&camera)?;
-        println!("view {view}: {}", judge.check(&stage, &camera)?);
-    }
+    let mut judge = Judge::new(&adapter, &scene)?;
+    let mut stage = Stage::new(gpu, &scene)?;
+    views(&mut stage, &mut judge, &scene)?;
     if arguments.frames > 0 {
         print!("{}", pace::run(&mut stage, arguments.frames, arguments.rate)?);
         let last = scene::camera(arguments.frames - 1);

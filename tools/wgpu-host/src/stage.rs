@@ -194,6 +194,10 @@ impl Stage {
         Ok(Stage { gpu, renderer, splats, frame, corners, triangle, over, binding, in_flight })
     }
 
+    pub fn engine(&self) -> &splat4d::gpu::Device {
+        &self.gpu.engine
+    }
+
     pub fn splats(&self) -> &wgpu::Texture {
         &self.splats
     }
