@@ -12,6 +12,8 @@ use splat4d::gpu::{Buffer, Device, Recorder, Stream, Ticket};
 use splat4d::ops::gaussians::GaussianBuffers;
 use splat4d::ops::loss::{Loss, LossSettings, Photograph};
 use splat4d::ops::render::{Render, RenderScratch};
+use splat4d::ops::texel::{self, Packing};
+use splat4d::oracle::texel as oracle;
 use splat4d::renderer::{Frame, Renderer, Target};
 use splat4d::scene::Scene;
 use splat4d::train::Trainer;
@@ -326,6 +328,7 @@ fn a_guard_keeps_what_its_commands_use() {
     host.destroy_semaphore(semaphore);
 }
 
+/// As the floats that it is, and in eight bits as a window has them.
 #[test]
 fn a_picture_goes_into_the_hosts_image() {
     let host = Host::new();
@@ -334,10 +337,10 @@ fn a_picture_goes_into_the_hosts_image() {
     let expected = reference(&scene, 0.0).0;
     let semaphore = host.semaphore();
     let commands = host.commands();
-    let back = host.buffer(16 * 70 * 50);
+    let back = [host.buffer(16 * 70 * 50), host.buffer(4 * 70 * 50)];
+    let formats = [vk::Format::R32G32B32A32_SFLOAT, vk::Format::B8G8R8A8_SRGB];
     let info = vk::ImageCreateInfo::default()
         .image_type(vk::ImageType::TYPE_2D)
-        .format(vk::Format::R32G32B32A32_SFLOAT)
         .extent(vk::Extent3D { width: 80, height: 60, depth: 1 })
         .mip_levels(1)
         .array_layers(1)
@@ -348,27 +351,30 @@ fn a_picture_goes_into_the_hosts_image() {
         .level_count(1)
         .layer_count(1);
     // SAFETY: plain Vulkan, as its specification has it.
-    let (image, memory) = unsafe {
-        let image = host.device.create_image(&info, None).unwrap();
+    let images = formats.map(|format| unsafe {
+        let image = host.device.create_image(&info.format(format), None).unwrap();
         let needs = host.device.get_image_memory_requirements(image);
         let memory = host.allocate(needs, vk::MemoryPropertyFlags::empty());
         host.device.bind_image_memory(image, memory, 0).unwrap();
         (image, memory)
-    };
+    });
     let mut renderer = Renderer::new(&device, &scene).unwrap();
+    let mut texels = device.buffer::<u32>("texels", 70 * 50).unwrap();
     host.begin(commands);
     let transition = |from, to| {
-        let barriers = [vk::ImageMemoryBarrier2::default()
-            .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
-            .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
-            .dst_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
-            .dst_access_mask(vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE)
-            .old_layout(from)
-            .new_layout(to)
-            .src_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
-            .dst_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
-            .image(image)
-            .subresource_range(range)];
+        let barriers = images.map(|(image, _)| {
+            vk::ImageMemoryBarrier2::default()
+                .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+                .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
+                .dst_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+                .dst_access_mask(vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE)
+                .old_layout(from)
+                .new_layout(to)
+                .src_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+                .dst_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+                .image(image)
+                .subresource_range(range)
+        });
         let info = vk::DependencyInfo::default().image_memory_barriers(&barriers);
         // SAFETY: recording.
         unsafe { host.device.cmd_pipeline_barrier2(commands, &info) };
@@ -382,16 +388,25 @@ fn a_picture_goes_into_the_hosts_image() {
     // SAFETY: begun above, submitted below; the guard outlives the wait.
     let mut recorder = unsafe { Recorder::over(&device, commands) }.unwrap();
     let frame = renderer.record(&mut recorder, &camera(70, 50), 0.0, Target::default()).unwrap();
-    let to = HostImage { image, layout: written, mip_level: 0, array_layer: 0, offset: [7, 5] };
+    let to = images.map(|(image, _)| HostImage {
+        image,
+        layout: written,
+        mip_level: 0,
+        array_layer: 0,
+        offset: [7, 5],
+    });
     let rgba = renderer.pixels().unwrap().rgba.view();
-    // SAFETY: the image is of this device, large enough, in that layout.
+    let packing = Packing { background: [0.2, 0.4, 0.6, 1.0], blue_first: true };
+    texel::unorm8(&mut recorder, rgba, &packing, texels.view_mut()).unwrap();
+    // SAFETY: the images are of this device, large enough, in that layout.
     unsafe {
-        let null = HostImage { image: vk::Image::null(), ..to };
+        let null = HostImage { image: vk::Image::null(), ..to[0] };
         assert!(recorder.copy_to_image(rgba, &null, 70, 50).is_err());
-        let unwritable = HostImage { layout: undefined, ..to };
+        let unwritable = HostImage { layout: undefined, ..to[0] };
         assert!(recorder.copy_to_image(rgba, &unwritable, 70, 50).is_err());
-        assert!(recorder.copy_to_image(rgba, &to, 71, 50).is_err());
-        recorder.copy_to_image(rgba, &to, 70, 50).unwrap();
+        assert!(recorder.copy_to_image(rgba, &to[0], 71, 50).is_err());
+        recorder.copy_to_image(rgba, &to[0], 70, 50).unwrap();
+        recorder.copy_to_image(texels.view(), &to[1], 70, 50).unwrap();
     }
     let guard = recorder.finish().unwrap();
     transition(written, read);
@@ -403,22 +418,35 @@ fn a_picture_goes_into_the_hosts_image() {
         )
         .image_offset(vk::Offset3D { x: 7, y: 5, z: 0 })
         .image_extent(vk::Extent3D { width: 70, height: 50, depth: 1 })];
-    // SAFETY: recording, in range.
-    unsafe {
-        host.device.cmd_copy_image_to_buffer(commands, image, read, back.buffer, &region);
+    for ((image, _), back) in images.iter().zip(&back) {
+        // SAFETY: recording, in range.
+        unsafe {
+            host.device.cmd_copy_image_to_buffer(commands, *image, read, back.buffer, &region);
+        }
     }
     host.submit(commands, semaphore, 1);
     host.wait(semaphore, 1);
     drop(guard);
     assert!(renderer.retire(frame).unwrap().is_whole());
-    assert_eq!(back.floats(0, 4 * 70 * 50), expected);
-    drop((renderer, device));
-    // SAFETY: the device is done with them.
-    unsafe {
-        host.device.destroy_image(image, None);
-        host.device.free_memory(memory, None);
+    assert_eq!(back[0].floats(0, 4 * 70 * 50), expected);
+    let bytes = back[1].floats(0, 70 * 50).into_iter().map(|word| word.to_bits().to_le_bytes());
+    for (at, ([b, g, r, a], pixel)) in bytes.zip(expected.chunks_exact(4)).enumerate() {
+        let pixel = std::array::from_fn(|k| f64::from(pixel[k]));
+        let exact = oracle::over(pixel, packing.background.map(f64::from)).map(oracle::level);
+        let near = |(byte, exact): (&u8, f64)| (f64::from(*byte) - exact).abs() <= 0.5001;
+        assert!([r, g, b, a].iter().zip(exact).all(near), "{at}: {:?}, {exact:?}", [r, g, b, a]);
     }
-    host.free(back);
+    drop((renderer, texels, device));
+    for (image, memory) in images {
+        // SAFETY: the device is done with them.
+        unsafe {
+            host.device.destroy_image(image, None);
+            host.device.free_memory(memory, None);
+        }
+    }
+    for back in back {
+        host.free(back);
+    }
     host.destroy_semaphore(semaphore);
 }
 

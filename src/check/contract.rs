@@ -27,6 +27,8 @@ pub const HARD: &[(&str, &[&str])] = &[
             "deform/nearest",
             "density/adapt",
             "flow/pyramid",
+            "texel/unorm8",
+            "texel/half",
         ],
     ),
     ("thousands of layers on a pixel", &["render/layers_of_equal_depth", "raster/layers"]),
@@ -108,4 +110,6 @@ pub const QUICK: &[&str] = &[
     "render/non_finite",
     "scan/sizes",
     "sort/sizes",
+    "texel/unorm8",
+    "texel/half",
 ];

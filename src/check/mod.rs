@@ -35,6 +35,7 @@ mod rounding;
 pub mod scan;
 mod scene;
 pub mod sort;
+pub mod texel;
 
 pub use contract::{HARD, QUICK};
 pub use expect::{EXPECTED, Expect, Verdict, verdict};
@@ -74,6 +75,7 @@ pub const ALL: &[&[Case]] = &[
     render::CASES,
     scan::CASES,
     sort::CASES,
+    texel::CASES,
     fuzz::CASES,
     determinism::CASES,
 ];

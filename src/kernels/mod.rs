@@ -18,6 +18,7 @@ pub mod project;
 pub mod raster;
 pub mod scan;
 pub mod sort;
+pub mod texel;
 
 use crate::gpu::{Kernel, KernelInfo};
 
@@ -99,4 +100,6 @@ pub const ALL: &[KernelInfo] = &[
     sort::Plan::INFO,
     sort::Count::INFO,
     sort::Scatter::INFO,
+    texel::Unorm8::INFO,
+    texel::Half::INFO,
 ];

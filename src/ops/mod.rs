@@ -19,6 +19,7 @@ pub mod neighbours;
 pub mod render;
 pub mod scan;
 pub mod sort;
+pub mod texel;
 
 use crate::{Error, Result};
 

@@ -30,6 +30,7 @@ pub mod scan;
 pub mod sh;
 pub mod sort;
 pub mod ssim;
+pub mod texel;
 pub mod tiles;
 pub mod view;
 

@@ -32,7 +32,7 @@ pub struct HostBuffer {
 #[derive(Clone, Copy, Debug)]
 pub struct HostImage {
     /// The image: one sample, and `R32G32B32A32_SFLOAT` for colour or `R32_SFLOAT` for depth and
-    /// mask, made with `TRANSFER_DST`.
+    /// mask, or a format of texels of `ops::texel`, made with `TRANSFER_DST`.
     pub image: vk::Image,
     /// `TRANSFER_DST_OPTIMAL` or `GENERAL`, in which it is and stays.
     pub layout: vk::ImageLayout,
