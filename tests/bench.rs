@@ -122,7 +122,7 @@ fn a_wrong_result_has_no_speed() {
         assert!(row.accuracy.output.contains(says), "{row:?}");
         assert!(!row.accuracy.passed());
     }
-    assert_eq!(device.stop_meter(), None, "a failure leaves no meter running");
+    assert!(device.stop_meter().is_none(), "a failure leaves no meter running");
 }
 
 #[test]
@@ -143,6 +143,27 @@ fn a_run_compares_with_itself() {
     for file in ["index.html", "bench.csv"] {
         assert!(std::fs::metadata(folder.path().join(file)).unwrap().len() > 100);
     }
+}
+
+/// A profile's kernels are those of the op, and take no longer than the whole.
+#[test]
+fn a_profile_takes_a_row_apart() {
+    let device = common::device();
+    let entries = bench::entries(true);
+    let find = |id: &str| entries.iter().find(|entry| entry.id == id).unwrap();
+    let profile = bench::profile(&device, find("sort/pairs"), PACE, 0).unwrap().unwrap();
+    println!("{profile:#?}");
+    assert_eq!(profile.executions, PACE.least);
+    let count = |kernel: &str| {
+        profile.kernels.iter().find(|k| k.kernel == kernel).map_or(0, |k| k.dispatches)
+    };
+    assert_eq!((count("sort/scatter"), count("raster/forward")), (4, 0));
+    let sum: f64 = profile.kernels.iter().map(|k| k.time).sum();
+    assert!(sum > 0.0 && sum <= 1.1 * profile.device && profile.device <= profile.wall);
+    assert!(profile.kernels.is_sorted_by(|a, b| a.time >= b.time), "the dearest first");
+    assert!((profile.kernels.iter().map(|k| k.share).sum::<f64>() - 1.0).abs() < 1e-9);
+    assert!(bench::profile(&device, find("sort/radsort"), PACE, 0).unwrap().is_none());
+    common::assert_valid(&device);
 }
 
 /// Every knob is in the sweep, costs nothing where it is at its best, and more and more beyond.

@@ -691,7 +691,8 @@ fn several_scenes_on_several_devices() -> Result<()> {
 /// What the documentation of the ops lists, and hosts find their timestamps by.
 #[test]
 fn dispatches_come_in_the_documented_order() -> Result<()> {
-    const SCAN: [&str; 4] = ["indirect/arguments", "scan/reduce", "scan/spine", "scan/downsweep"];
+    // Of few values, on a software driver too.
+    const SCAN: [&str; 1] = ["scan/single"];
     let sort = |bits: u32| {
         let mut all = vec!["sort/plan"];
         for _ in 0..bits.div_ceil(8) {
@@ -728,7 +729,7 @@ fn dispatches_come_in_the_documented_order() -> Result<()> {
     loss.record(&mut recorder, &how, &pixels, &photograph, None, &mut by, &mut scratch)?;
     let ticket = stream.submit(recorder)?;
     let losses: Vec<_> = stream.times(ticket)?.into_iter().map(|time| time.kernel).collect();
-    let expected = ["rows", "ssim", "total", "adjoint", "gradient", "total"];
+    let expected = ["columns", "ssim", "total", "gradient", "total"];
     assert_eq!(losses, expected.map(|stem| format!("loss/{stem}")));
     // 5 × 4 tiles and the one beyond.
     let expected = [

@@ -3,7 +3,7 @@
 mod common;
 
 use splat4d::Error;
-use splat4d::gpu::{Device, Groups, Request, Selector};
+use splat4d::gpu::{Detail, Device, Groups, Request, Selector};
 use splat4d::kernels::indirect;
 
 #[test]
@@ -147,21 +147,22 @@ fn times_come_per_dispatch() {
 #[test]
 fn the_meter_adds_up_work_and_leaves_transfers_out() {
     let device = common::device();
-    assert_eq!(device.stop_meter(), None, "it was never started");
-    if !device.start_meter() {
+    assert!(device.stop_meter().is_none(), "it was never started");
+    if !device.start_meter(Detail::Submissions) {
         println!("SKIPPED (no timestamps): {}", device.info().name);
         return;
     }
     let mut stream = device.stream().unwrap();
     let counts = device.upload("count", &vec![5u32; 1 << 20]).unwrap();
     stream.download(&counts).unwrap();
-    assert_eq!(device.stop_meter(), Some(0.0), "transfers do not count");
-    assert!(device.start_meter());
+    let transfers = device.stop_meter().unwrap().nanoseconds;
+    assert_eq!(transfers, 0.0, "transfers do not count");
+    assert!(device.start_meter(Detail::Submissions));
     let mut grid = device.buffer::<u32>("grid", 3).unwrap();
     let begun = std::time::Instant::now();
     for _ in 0..3 {
         let mut recorder = stream.record().unwrap();
-        // A profile of the same recording takes its own timestamps.
+        // A profile of the same recording takes its own timestamps, and the meter has them too.
         recorder.profile().unwrap();
         indirect::record_arguments(&mut recorder, counts.view(), 0, 9, 1, grid.view_mut(), 0)
             .unwrap();
@@ -170,7 +171,8 @@ fn the_meter_adds_up_work_and_leaves_transfers_out() {
     }
     let wall = begun.elapsed().as_nanos() as f64;
     let metered = device.stop_meter().unwrap();
-    assert!(metered > 0.0 && metered <= wall, "{metered} of {wall} ns");
+    assert!(metered.nanoseconds > 0.0 && metered.nanoseconds <= wall, "{metered:?} of {wall} ns");
+    assert_eq!(metered.kernels.len(), 3, "those that were profiled");
     common::assert_valid(&device);
 }
 

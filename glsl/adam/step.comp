@@ -1,14 +1,17 @@
 #version 460
-// One step of Adam over a flat array of parameters.
+// One step of Adam over a flat array of parameters, four to an invocation: software devices pay for
+// each access more than for its width.
 #extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_control_flow_attributes : require
+#extension GL_EXT_scalar_block_layout : require
 
 layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer Visible { uint visible[]; };
-layout(std430, binding = 1) readonly buffer Gradients { float gradients[]; };
-layout(std430, binding = 2) buffer Parameters { float parameters[]; };
-layout(std430, binding = 3) buffer First { float first[]; };
-layout(std430, binding = 4) buffer Second { float second[]; };
+layout(scalar, binding = 1) readonly buffer Gradients { vec4 gradients[]; };
+layout(scalar, binding = 2) buffer Parameters { vec4 parameters[]; };
+layout(scalar, binding = 3) buffer First { vec4 first[]; };
+layout(scalar, binding = 4) buffer Second { vec4 second[]; };
 
 layout(push_constant) uniform Params {
     uint count;
@@ -29,20 +32,71 @@ layout(push_constant) uniform Params {
 // Its square, summed, is still finite: one huge gradient cannot freeze a parameter for ever.
 const float LARGEST_GRADIENT = 1e18;
 
+// Which of the four from `base` on step, as far as visibility decides.
+bvec4 visible_from(uint base) {
+    bvec4 steps = bvec4(true);
+    if (masked == 0u) {
+        return steps;
+    }
+    uint r = base / row;
+    [[unroll]] for (uint k = 0u; k < 4u; k++) {
+        bool next = base + k - r * row >= row;
+        r += uint(next);
+        if (k == 0u || next) {
+            steps[k] = base + k < count && visible[r] != 0u;
+        } else {
+            steps[k] = steps[k - 1u];
+        }
+    }
+    return steps;
+}
+
 void main() {
     uint i = group_index() * 64u + gl_LocalInvocationIndex;
-    if (i >= count || (masked != 0u && visible[i / row] == 0u)) {
+    uint base = 4u * i;
+    if (base >= count) {
         return;
     }
-    float g = gradients[i];
+    bvec4 steps = visible_from(base);
+    if (!any(steps)) {
+        return;
+    }
+    uint left = count - base;
+    vec4 g = vec4(0.0), parameter = vec4(0.0), m = vec4(0.0), v = vec4(0.0);
+    if (left >= 4u) {
+        g = gradients[i];
+        parameter = parameters[i];
+        m = first[i];
+        v = second[i];
+    } else {
+        for (uint k = 0u; k < left; k++) {
+            g[k] = gradients[i][k];
+            parameter[k] = parameters[i][k];
+            m[k] = first[i][k];
+            v[k] = second[i][k];
+        }
+    }
     // False for NaN too.
-    if (!(abs(g) <= 3.4028234e38)) {
-        return;
-    }
+    bvec4 finite = lessThanEqual(abs(g), vec4(3.4028234e38));
     g = clamp(g, -LARGEST_GRADIENT, LARGEST_GRADIENT);
-    float m = beta1 * first[i] + rest1 * g;
-    float v = beta2 * second[i] + rest2 * g * g;
-    first[i] = m;
-    second[i] = v;
-    parameters[i] -= rate * (m * unbias1) / (sqrt(v * unbias2) + epsilon);
+    vec4 new_m = beta1 * m + rest1 * g;
+    vec4 new_v = beta2 * v + rest2 * g * g;
+    vec4 new_parameter = parameter - rate * (new_m * unbias1) / (sqrt(new_v * unbias2) + epsilon);
+    [[unroll]] for (int k = 0; k < 4; k++) {
+        bool changes = steps[k] && finite[k];
+        m[k] = changes ? new_m[k] : m[k];
+        v[k] = changes ? new_v[k] : v[k];
+        parameter[k] = changes ? new_parameter[k] : parameter[k];
+    }
+    if (left >= 4u) {
+        parameters[i] = parameter;
+        first[i] = m;
+        second[i] = v;
+    } else {
+        for (uint k = 0u; k < left; k++) {
+            parameters[i][k] = parameter[k];
+            first[i][k] = m[k];
+            second[i][k] = v[k];
+        }
+    }
 }

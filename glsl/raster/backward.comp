@@ -13,6 +13,7 @@
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_ballot : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
+#extension GL_KHR_shader_subgroup_shuffle : require
 
 layout(local_size_x = 32) in;
 
@@ -46,10 +47,18 @@ layout(push_constant) uniform Params {
 #include "common/quads.glsl"
 
 const uint BATCH = 32u;
-const uint SUMS = 10u;
-// Sums of one batch: [subgroup][sum][splat], for subgroups of 4 or more.
-shared float partial[8u * SUMS * BATCH];
+// Sums of one batch, as in the slots: [subgroup][splat], for subgroups of 4 or more.
+shared vec4 partial_a[8u * BATCH];
+shared vec4 partial_b[8u * BATCH];
+shared vec2 partial_c[8u * BATCH];
 shared uint furthest;
+
+// The sum over the subgroup, on every lane: pairs, pairs of pairs, and so on. Software devices
+// shuffle all lanes at once, but go through them one by one for subgroupAdd.
+#define SUBGROUP_SUM(x)                                                                            \
+    for (uint mask = 1u; mask < chunk; mask *= 2u) {                                               \
+        x += subgroupShuffleXor(x, mask);                                                          \
+    }
 
 void main() {
     uvec2 size = uvec2(width, height);
@@ -179,9 +188,9 @@ void main() {
                                   dot(weight, green[q]));
                         d += vec2(dot(weight, blue[q]), dot(weight, z[q]));
                     }
-                    a = subgroupAdd(a);
-                    b = subgroupAdd(b);
-                    d = subgroupAdd(d);
+                    SUBGROUP_SUM(a)
+                    SUBGROUP_SUM(b)
+                    SUBGROUP_SUM(d)
                     if (gl_SubgroupInvocationID == lane) {
                         sums_a = a;
                         sums_b = b;
@@ -190,13 +199,10 @@ void main() {
                 }
             }
             if (gl_SubgroupInvocationID < chunk) {
-                uint to = gl_SubgroupID * SUMS * BATCH + offset;
-                for (uint k = 0u; k < 4u; k++) {
-                    partial[to + k * BATCH] = sums_a[k];
-                    partial[to + (4u + k) * BATCH] = sums_b[k];
-                }
-                partial[to + 8u * BATCH] = sums_c.x;
-                partial[to + 9u * BATCH] = sums_c.y;
+                uint to = gl_SubgroupID * BATCH + offset;
+                partial_a[to] = sums_a;
+                partial_b[to] = sums_b;
+                partial_c[to] = sums_c;
             }
         }
         barrier();
@@ -204,12 +210,10 @@ void main() {
             vec4 a = vec4(0.0), b = vec4(0.0);
             vec2 c = vec2(0.0);
             for (uint group = 0u; group < gl_NumSubgroups; group++) {
-                uint from = group * SUMS * BATCH + id;
-                for (uint k = 0u; k < 4u; k++) {
-                    a[k] += partial[from + k * BATCH];
-                    b[k] += partial[from + (4u + k) * BATCH];
-                }
-                c += vec2(partial[from + 8u * BATCH], partial[from + 9u * BATCH]);
+                uint from = group * BATCH + id;
+                a += partial_a[from];
+                b += partial_b[from];
+                c += partial_c[from];
             }
             uint slot = intersections[batch + id];
             slots_a[slot] = a;

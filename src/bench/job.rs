@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use crate::gpu::{Device, Recorder};
+use crate::gpu::{Detail, Device, Meter, Recorder};
 use crate::report::{Accuracy, Clock, Place, Row, Spread, Work};
 use crate::{Error, Result};
 
@@ -31,6 +31,16 @@ pub struct Job {
     pub reset: Option<Box<dyn FnMut() -> Result<()>>>,
     /// Executes and waits. Gives nanoseconds where it has measured itself.
     pub execute: Box<dyn FnMut() -> Result<Option<f64>>>,
+}
+
+/// What one execution took.
+pub(super) struct Sample {
+    /// Nanoseconds by its own measure.
+    own: Option<f64>,
+    /// Nanoseconds by the host's clock.
+    pub(super) wall: f64,
+    /// What the device says, where it can.
+    pub(super) meter: Option<Meter>,
 }
 
 /// How long to measure.
@@ -114,19 +124,27 @@ impl Job {
     /// # Errors
     /// A failed submission.
     pub fn sample(&mut self, device: &Device) -> Result<(f64, Clock)> {
+        let sample = self.metered(device, Detail::Submissions)?;
+        Ok(match (sample.own, sample.meter) {
+            (Some(own), _) => (own, Clock::Device),
+            (None, Some(meter)) => (meter.nanoseconds, Clock::Device),
+            _ => (sample.wall, Clock::Host),
+        })
+    }
+
+    /// Executes once under the device's meter.
+    pub(super) fn metered(&mut self, device: &Device, detail: Detail) -> Result<Sample> {
         if let Some(reset) = &mut self.reset {
             reset()?;
         }
-        let metered = self.place == Place::Device && device.start_meter();
+        if self.place == Place::Device {
+            device.start_meter(detail);
+        }
         let begun = Instant::now();
         let own = (self.execute)();
         let wall = begun.elapsed().as_nanos() as f64;
         let meter = device.stop_meter();
-        Ok(match (own?, meter) {
-            (Some(own), _) => (own, Clock::Device),
-            (None, Some(meter)) if metered => (meter, Clock::Device),
-            _ => (wall, Clock::Host),
-        })
+        Ok(Sample { own: own?, wall, meter })
     }
 
     /// Warms up and takes samples.

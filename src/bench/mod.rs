@@ -11,6 +11,7 @@ mod cpu;
 mod frame;
 mod job;
 mod pipelines;
+mod profile;
 mod rows;
 mod scenes;
 mod speed;
@@ -18,6 +19,7 @@ mod truth;
 mod verify;
 
 pub use job::{Entry, Job, Pace, measure};
+pub use profile::{KernelShare, Profile, profile};
 pub use speed::{Budget, ErrorMeasure, Shot, choose, still_scene, sweep, sweep_motion};
 
 use crate::Result;

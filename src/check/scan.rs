@@ -6,7 +6,8 @@ use crate::ops::scan::{Scan, ScanArgs};
 use crate::oracle::scan;
 use rand::RngExt;
 
-const KERNELS: &[&str] = &["indirect/arguments", "scan/reduce", "scan/spine", "scan/downsweep"];
+const KERNELS: &[&str] =
+    &["scan/single", "indirect/arguments", "scan/reduce", "scan/spine", "scan/downsweep"];
 
 /// The family's cases.
 pub const CASES: &[Case] = &[
@@ -48,7 +49,8 @@ fn compare(harness: &mut Harness, what: &str, values: &[u32], count: usize) -> R
 }
 
 fn sizes(harness: &mut Harness) -> Result<()> {
-    for n in [0, 1, 2, 255, 256, 257, 4095, 4096, 4097, 65_535, 65_537, 300_001] {
+    for n in [0, 1, 2, 255, 256, 257, 4095, 4096, 4097, 8192, 8193, 65_535, 65_536, 65_537, 300_001]
+    {
         let values: Vec<u32> = (0..n).map(|_| harness.rng.random_range(0..1000)).collect();
         compare(harness, &format!("{n} values"), &values, n)?;
     }

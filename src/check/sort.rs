@@ -8,6 +8,7 @@ use rand::RngExt;
 use std::ops::Range;
 
 const KERNELS: &[&str] = &[
+    "scan/single",
     "indirect/arguments",
     "scan/reduce",
     "scan/spine",
@@ -74,7 +75,10 @@ fn random(harness: &mut Harness, n: usize) -> Vec<u32> {
 }
 
 fn sizes(harness: &mut Harness) -> Result<()> {
-    for n in [0, 1, 2, 7, 255, 256, 257, 511, 513, 8191, 8192, 8193, 65_535, 65_537, 200_003] {
+    for n in [
+        0, 1, 2, 7, 255, 256, 257, 511, 513, 1023, 1024, 1025, 8191, 8192, 8193, 65_535, 65_537,
+        200_003,
+    ] {
         let keys = random(harness, n);
         compare(harness, &format!("{n} pairs"), &keys, n, 0..32)?;
     }

@@ -7,10 +7,10 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use clap::{Args, Subcommand, ValueEnum};
 use serde_json::json;
-use splat4d::bench::{self, Budget, ErrorMeasure, Pace, Shot};
+use splat4d::bench::{self, Budget, ErrorMeasure, Pace, Profile, Shot};
 use splat4d::gpu::Device;
 use splat4d::report::{
-    Measurements, Place, Point, Row, Verdict, compare, duration, rate, scientific,
+    Machine, Measurements, Place, Point, Row, Verdict, compare, duration, rate, scientific,
 };
 use splat4d::scene::{Opened, Scene};
 use splat4d::{Error, Result};
@@ -33,6 +33,9 @@ Parts, for --filter: scan, sort, project, bin, raster, loss, deform, mlp, arap, 
 ceiling, render, pipeline, and the sweeps of speed against error: sweep/still, sweep/motion,
 sweep/scene (with --scene).
 
+With --profile rows are taken apart instead: the time of each kernel of an execution, its share, and
+what the host adds. Without a filter, of the pipelines.
+
 With --error-budget nothing but the settings is looked for: the fastest ones whose image error stays
 within it on views of the scene; one view is kept out of the search to test them.
 
@@ -41,6 +44,7 @@ The commit in the report is SPLAT4D_COMMIT where it is set, else what git says.
 Examples:
   splat4d bench --report out
   splat4d bench --filter sort --quick
+  splat4d bench --profile --filter train_step
   splat4d bench --scene scene.ply --error-budget 0.004 --settings fast.json
   splat4d render scene.ply -o views --settings fast.json
   splat4d bench cmp before/bench.json after/bench.json
@@ -51,7 +55,8 @@ threads}, ceilings {bytes, operations} (per second), rows [{id, size, place, clo
 gaussians, size, clock, points [{knob, value, settings, time, ratio (to the best
 settings' time, in turns), error {max, rmse, psnr}}]}], choice
 {scene, budget, measure, settings, time_ratio, error, met, views} or null, missed (rows without
-speed), seconds. Of cmp: rows [{name, ratio, interval, verdict}], faster, slower, noise,
+speed), seconds. With --profile: machine, profiles [{id, size, executions, device, wall (nanoseconds),
+kernels [{kernel, workgroup, dispatches, time, share}]}]. Of cmp: rows [{name, ratio, interval, verdict}], faster, slower, noise,
 incomparable";
 
 /// Measure every op and pipeline, and what each speed-up costs in accuracy
@@ -75,6 +80,9 @@ pub struct BenchArgs {
     /// Write index.html, bench.json and bench.csv into this folder
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
+    /// Print where the time of each row goes, kernel by kernel
+    #[arg(long, conflicts_with_all = ["scene", "report", "error_budget"])]
+    profile: bool,
     /// Choose the fastest settings whose image error stays within this; colours are in [0, 1]
     #[arg(long, value_name = "ERROR", value_parser = values::positive, requires = "scene")]
     error_budget: Option<f64>,
@@ -120,6 +128,9 @@ pub fn run(args: &BenchArgs, common: &Common) -> Result<(Answer, ExitCode)> {
         say("note: a software driver: its times say nothing of a GPU");
     }
     let pace = if args.quick { Pace::QUICK } else { Pace::FULL };
+    if args.profile {
+        return Ok((profiles(args, common, &device, pace, &measured.machine)?, ExitCode::SUCCESS));
+    }
     match (args.error_budget, &scene) {
         (Some(error), Some((name, scene))) => {
             let measure = match args.error_measure {
@@ -211,6 +222,53 @@ fn measure(
         measured.sweeps.push(bench::sweep(device, name, scene, &shots, pace, &mut each)?);
     }
     Ok(())
+}
+
+/// Takes the rows apart that the filter lets through; the pipelines without one.
+fn profiles(
+    args: &BenchArgs,
+    common: &Common,
+    device: &Device,
+    pace: Pace,
+    machine: &Machine,
+) -> Result<Answer> {
+    let filter = args.filter.as_deref().unwrap_or("pipeline/");
+    let (mut profiles, mut text) = (Vec::new(), String::new());
+    for entry in bench::entries(args.quick).iter().filter(|entry| entry.matches(Some(filter))) {
+        interrupt::check()?;
+        if let Some(profile) = bench::profile(device, entry, pace, common.seed)? {
+            text += &profile_text(&profile);
+            profiles.push(profile);
+        }
+    }
+    if profiles.is_empty() {
+        return Err(Error::Input(format!(
+            "no row's name holds `{filter}` and runs on the device; --help lists the parts"
+        )));
+    }
+    Ok(Answer { json: json!({ "machine": machine, "profiles": profiles }), text })
+}
+
+fn profile_text(profile: &Profile) -> String {
+    let Profile { id, size, executions, device, wall, kernels } = profile;
+    let mut text = format!(
+        "{id}, {size}: {} on the device, {} in all (medians of {executions})\n",
+        duration(*device),
+        duration(*wall)
+    );
+    for kernel in kernels {
+        let [x, y, z] = kernel.workgroup;
+        let _ = writeln!(
+            text,
+            "  {:<24} {:>9}  {:>5.1} %  {:>4} dispatches, workgroups of {}",
+            kernel.kernel,
+            duration(kernel.time),
+            100.0 * kernel.share,
+            kernel.dispatches,
+            x * y * z
+        );
+    }
+    text
 }
 
 /// Views spread over the scene's own cameras, or around it where it has none.

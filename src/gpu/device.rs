@@ -2,15 +2,16 @@
 
 use super::buffer::{Buffer, Readback};
 use super::kernel::Kernel;
+use super::meter::{Detail, Meter};
 use super::recorder::Work;
-use super::stream::Stream;
+use super::stream::{KernelTime, Stream};
 use crate::error::{Error, Result};
 use crate::vk::{
     self, CommandSlot, Context, DeviceInfo, DeviceKind, Limits, Pipeline, PipelineShape, RawBuffer,
 };
 use bytemuck::Pod;
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 /// Which device to open.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -47,7 +48,9 @@ impl From<&str> for Selector {
 pub struct Request {
     /// Which device.
     pub selector: Selector,
-    /// Turn the Khronos validation layer on, with synchronization validation.
+    /// Turn the Khronos validation layer on, with synchronization validation. Under it no thread
+    /// may make or drop a device while another uses one: the layer (seen with 1.3.239) keeps its
+    /// devices in a table without a lock, and crashes.
     pub validation: bool,
     /// Stay below these limits instead of the device's own; for tests of boundaries.
     pub limits: Option<Limits>,
@@ -74,8 +77,8 @@ pub(crate) struct DeviceInner {
     pipelines: Mutex<HashMap<&'static str, Vec<Variant>>>,
     /// What recordings into a host's command buffers left, to record with again.
     spare: Mutex<Vec<Work>>,
-    /// Nanoseconds of metered work; `None` while the meter is off.
-    pub(crate) meter: Mutex<Option<f64>>,
+    /// `None` while the meter is off.
+    meter: Mutex<Option<Meter>>,
 }
 
 /// A kernel's pipeline with its specialisation constants.
@@ -167,25 +170,30 @@ impl Device {
     /// Starts adding up how long the device works on the submissions of all its streams, by
     /// timestamps at the begin and the end of each; uploads and downloads do not count. False, and
     /// nothing is added up, where the device has no timestamps.
-    pub fn start_meter(&self) -> bool {
+    pub fn start_meter(&self, detail: Detail) -> bool {
         let on = self.limits().timestamp_period > 0.0;
-        *self.inner.meter.lock().expect("no holder panics") = on.then_some(0.0);
+        *self.meter() = on.then(|| Meter::new(detail));
         on
     }
 
-    /// Stops adding up and gives the nanoseconds; `None` where the meter was not on. Counts what was
+    /// Stops adding up and gives what there was; `None` where the meter was not on. Counts what was
     /// recorded since the start and waited for by now.
-    pub fn stop_meter(&self) -> Option<f64> {
-        self.inner.meter.lock().expect("no holder panics").take()
+    pub fn stop_meter(&self) -> Option<Meter> {
+        self.meter().take()
     }
 
-    pub(super) fn is_metered(&self) -> bool {
-        self.inner.meter.lock().expect("no holder panics").is_some()
+    fn meter(&self) -> MutexGuard<'_, Option<Meter>> {
+        self.inner.meter.lock().expect("no holder panics")
     }
 
-    pub(super) fn add_to_meter(&self, ticks: u64) {
-        if let Some(sum) = &mut *self.inner.meter.lock().expect("no holder panics") {
-            *sum += ticks as f64 * f64::from(self.limits().timestamp_period);
+    pub(super) fn metered(&self) -> Option<Detail> {
+        self.meter().as_ref().map(|meter| meter.detail)
+    }
+
+    pub(super) fn add_to_meter(&self, ticks: u64, kernels: Vec<KernelTime>) {
+        if let Some(meter) = &mut *self.meter() {
+            meter.nanoseconds += ticks as f64 * f64::from(self.limits().timestamp_period);
+            meter.kernels.extend(kernels);
         }
     }
 

@@ -23,7 +23,7 @@ pub struct Binding {
     pub name: &'static str,
     /// What the kernel does with it.
     pub access: Access,
-    /// Size of one element in bytes.
+    /// Size of one of the shader's elements in bytes.
     pub stride: usize,
 }
 
@@ -79,6 +79,10 @@ pub struct Read;
 pub struct Write;
 /// Marks a binding that the kernel reads and writes.
 pub struct ReadWrite;
+/// Marks a binding that the kernel reads four elements at a time, at the end as many as are left.
+pub struct ReadFours;
+/// Marks a binding that the kernel reads and writes in the same way.
+pub struct ReadWriteFours;
 
 /// What the access markers mean for the Rust side of a binding.
 pub trait Argument {
@@ -86,6 +90,8 @@ pub trait Argument {
     type Handle<'a, T: 'a>;
     /// The access as data.
     const ACCESS: Access;
+    /// Elements of the Rust side in one of the shader's.
+    const AT_ONCE: usize = 1;
     /// The bound memory.
     fn bound<T>(handle: &Self::Handle<'_, T>) -> BoundRange;
 }
@@ -94,6 +100,24 @@ impl Argument for Read {
     type Handle<'a, T: 'a> = View<'a, T>;
     const ACCESS: Access = Access::Read;
     fn bound<T>(handle: &View<'_, T>) -> BoundRange {
+        handle.bound()
+    }
+}
+
+impl Argument for ReadFours {
+    type Handle<'a, T: 'a> = View<'a, T>;
+    const ACCESS: Access = Access::Read;
+    const AT_ONCE: usize = 4;
+    fn bound<T>(handle: &View<'_, T>) -> BoundRange {
+        handle.bound()
+    }
+}
+
+impl Argument for ReadWriteFours {
+    type Handle<'a, T: 'a> = ViewMut<'a, T>;
+    const ACCESS: Access = Access::ReadWrite;
+    const AT_ONCE: usize = 4;
+    fn bound<T>(handle: &ViewMut<'_, T>) -> BoundRange {
         handle.bound()
     }
 }
@@ -194,7 +218,8 @@ macro_rules! kernel {
             const BINDINGS: &'static [$crate::gpu::Binding] = &[$($crate::gpu::Binding {
                 name: stringify!($arg),
                 access: <$crate::gpu::$access as $crate::gpu::Argument>::ACCESS,
-                stride: size_of::<$element>(),
+                stride: size_of::<$element>()
+                    * <$crate::gpu::$access as $crate::gpu::Argument>::AT_ONCE,
             }),*];
             const INFO: $crate::gpu::KernelInfo = $crate::gpu::KernelInfo {
                 name: Self::NAME,

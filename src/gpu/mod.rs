@@ -18,15 +18,18 @@
 mod buffer;
 mod device;
 mod kernel;
+mod meter;
 mod recorder;
 mod stream;
 
 pub use buffer::{Buffer, Readback, View, ViewMut};
 pub use device::{Device, Request, Selector};
 pub use kernel::{
-    Access, Argument, Binding, Groups, Kernel, KernelInfo, ParamInfo, Read, ReadWrite, Write,
+    Access, Argument, Binding, Groups, Kernel, KernelInfo, ParamInfo, Read, ReadFours, ReadWrite,
+    ReadWriteFours, Write,
 };
 pub(crate) use kernel::{field_infos, kernel};
+pub use meter::{Detail, Meter};
 pub use recorder::Recorder;
 pub(crate) use recorder::Work;
 pub use stream::{KernelTime, Stream, Ticket};

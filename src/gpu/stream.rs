@@ -2,6 +2,7 @@
 
 use super::buffer::{Buffer, ViewMut};
 use super::device::Device;
+use super::meter::Detail;
 use super::recorder::{Recorder, Work};
 use crate::error::{Error, Result};
 use crate::vk::{BoundRange, CommandSlot, RawBuffer, Residence, SemaphorePoint, Timeline};
@@ -82,8 +83,12 @@ impl Stream {
     /// # Errors
     /// A failed Vulkan call.
     pub fn record(&mut self) -> Result<Recorder> {
-        let metered = self.device.is_metered();
-        self.recorder(metered)
+        let metered = self.device.metered();
+        let mut recorder = self.recorder(metered.is_some())?;
+        if metered == Some(Detail::Dispatches) {
+            recorder.profile()?;
+        }
+        Ok(recorder)
     }
 
     fn recorder(&mut self, metered: bool) -> Result<Recorder> {
@@ -247,7 +252,14 @@ impl Stream {
         while self.in_flight.front().is_some_and(|flight| flight.value <= reached) {
             let Some(mut flight) = self.in_flight.pop_front() else { break };
             if flight.metered {
-                self.device.add_to_meter(flight.work.slot.read_span()?);
+                let kernels = match &flight.profile {
+                    Some(names) => {
+                        let ticks = flight.work.slot.read_timestamps()?;
+                        KernelTime::between(names, &ticks, self.device.limits().timestamp_period)
+                    }
+                    None => Vec::new(),
+                };
+                self.device.add_to_meter(flight.work.slot.read_span()?, kernels);
             }
             flight.work.clear();
             self.idle.push(flight.work);

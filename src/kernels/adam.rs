@@ -33,13 +33,13 @@ kernel! {
         /// One word a row.
         visible: Read<u32>,
         /// Gradients.
-        gradients: Read<f32>,
+        gradients: ReadFours<f32>,
         /// Parameters.
-        parameters: ReadWrite<f32>,
+        parameters: ReadWriteFours<f32>,
         /// First moments.
-        first: ReadWrite<f32>,
+        first: ReadWriteFours<f32>,
         /// Second moments.
-        second: ReadWrite<f32>,
+        second: ReadWriteFours<f32>,
     }
 }
 

@@ -3,13 +3,15 @@
 use crate::gpu::kernel;
 
 kernel! {
-    /// SSIM's window along rows.
-    pub struct Rows("loss/rows"), workgroup: [64, 1, 1],
-    params: RowsParams {
+    /// SSIM's window along columns.
+    pub struct Columns("loss/columns"), workgroup: [64, 1, 1],
+    params: ColumnsParams {
         /// Image width, pixels.
         width: i32,
         /// Image height, pixels.
         height: i32,
+        /// Pixels that an invocation walks over.
+        run: i32,
         /// Background.
         background_red: f32,
         /// Background.
@@ -17,90 +19,49 @@ kernel! {
         /// Background.
         background_blue: f32,
     },
-    args: RowsArgs {
+    args: ColumnsArgs {
         /// The rendered image.
         rgba: Read<[f32; 4]>,
         /// Packed 8-bit red, green, blue, weight.
         photograph: Read<u32>,
-        /// 3 planes.
-        mean_x: Write<f32>,
-        /// 3 planes.
-        mean_y: Write<f32>,
-        /// 3 planes.
-        square_x: Write<f32>,
-        /// 3 planes.
-        square_y: Write<f32>,
-        /// 3 planes.
-        product: Write<f32>,
+        /// 3 planes of x, y, x² + y², x·y.
+        windowed: Write<[f32; 4]>,
     }
 }
 
 kernel! {
-    /// SSIM's window along columns, the map's sum and derivatives.
+    /// SSIM's window along rows, the map's sum, and its derivatives windowed along rows.
     pub struct Ssim("loss/ssim"), workgroup: [64, 1, 1],
     params: SsimParams {
         /// Image width, pixels.
         width: i32,
         /// Image height, pixels.
         height: i32,
+        /// Pixels that an invocation walks over.
+        run: i32,
     },
     args: SsimArgs {
-        /// 3 planes.
-        mean_x: Read<f32>,
-        /// 3 planes.
-        mean_y: Read<f32>,
-        /// 3 planes.
-        square_x: Read<f32>,
-        /// 3 planes.
-        square_y: Read<f32>,
-        /// 3 planes.
-        product: Read<f32>,
+        /// 3 planes of x, y, x² + y², x·y, windowed along columns.
+        windowed: Read<[f32; 4]>,
         /// Packed 8-bit red, green, blue, weight.
         photograph: Read<u32>,
-        /// 3 planes.
-        by_mean: Write<f32>,
-        /// 3 planes.
-        by_square: Write<f32>,
-        /// 3 planes.
-        by_product: Write<f32>,
+        /// 3 planes of the derivatives by the windowed x, x², x·y.
+        derivatives: Write<[f32; 3]>,
         /// Weighted sum of the map per workgroup.
         partials: Write<f32>,
     }
 }
 
 kernel! {
-    /// The window along rows over the derivatives.
-    pub struct Adjoint("loss/adjoint"), workgroup: [64, 1, 1],
-    params: AdjointParams {
-        /// Image width, pixels.
-        width: i32,
-        /// Image height, pixels.
-        height: i32,
-    },
-    args: AdjointArgs {
-        /// 3 planes.
-        by_mean: Read<f32>,
-        /// 3 planes.
-        by_square: Read<f32>,
-        /// 3 planes.
-        by_product: Read<f32>,
-        /// 3 planes.
-        rows_mean: Write<f32>,
-        /// 3 planes.
-        rows_square: Write<f32>,
-        /// 3 planes.
-        rows_product: Write<f32>,
-    }
-}
-
-kernel! {
-    /// The window along columns, and the gradient of L1 + D-SSIM.
+    /// The derivatives' window along columns, and the gradient of L1 + D-SSIM.
     pub struct Gradient("loss/gradient"), workgroup: [64, 1, 1],
     params: GradientParams {
         /// Image width, pixels.
         width: i32,
         /// Image height, pixels.
         height: i32,
+        /// Pixels that an invocation walks over.
+        run: i32,
         /// Background.
         background_red: f32,
         /// Background.
@@ -117,12 +78,8 @@ kernel! {
         rgba: Read<[f32; 4]>,
         /// Packed 8-bit red, green, blue, weight.
         photograph: Read<u32>,
-        /// 3 planes.
-        rows_mean: Read<f32>,
-        /// 3 planes.
-        rows_square: Read<f32>,
-        /// 3 planes.
-        rows_product: Read<f32>,
+        /// 3 planes of the derivatives by x, x², x·y, windowed along rows.
+        derivatives: Read<[f32; 3]>,
         /// By colour and alpha.
         rgba_gradient: Write<[f32; 4]>,
         /// Weighted sum of the absolute differences per workgroup.

@@ -1,9 +1,32 @@
-//! Prefix sums by reduce-then-scan: no workgroup waits for another.
+//! Prefix sums by reduce-then-scan: no workgroup waits for another. Few values take one workgroup.
 
 use crate::gpu::kernel;
 
 /// Values that one workgroup handles.
 pub const BLOCK: u32 = 4096;
+
+kernel! {
+    /// Writes the exclusive prefix sums of few values; a single workgroup.
+    pub struct Single("scan/single"), workgroup: [256, 1, 1],
+    params: SingleParams {
+        /// Where the number of values lies in `count`.
+        count_at: u32,
+        /// The number is capped here.
+        capacity: u32,
+        /// Where the sum of all values goes in `total`.
+        total_at: u32,
+    },
+    args: SingleArgs {
+        /// Holds the number of values.
+        count: Read<u32>,
+        /// The values.
+        values: Read<u32>,
+        /// Gets the sum of all values before each value.
+        prefix: Write<u32>,
+        /// Gets the sum of all values.
+        total: Write<u32>,
+    }
+}
 
 kernel! {
     /// Sums each block of [`BLOCK`] values.

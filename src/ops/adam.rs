@@ -95,7 +95,7 @@ impl Adam {
         };
         let unbias = |beta: f64| (1.0 / (1.0 - beta.powf(f64::from(settings.step)))) as f32;
         recorder.dispatch::<Step>(
-            Groups::linear(count, 64, recorder.device().limits())?,
+            Groups::linear(count.div_ceil(4), 64, recorder.device().limits())?,
             StepParams {
                 count: count as u32,
                 row: row as u32,

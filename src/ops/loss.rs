@@ -6,17 +6,19 @@
 //! bytes.
 
 use super::render::{PixelBuffers, PixelGradients};
-use crate::gpu::{Buffer, Device, Groups, Recorder, Stream};
+use crate::gpu::{Buffer, Device, DeviceKind, Groups, Recorder, Stream};
 use crate::kernels::loss::{
-    Adjoint, AdjointArgs, AdjointParams, Depth, DepthArgs, DepthParams, Gradient, GradientArgs,
-    GradientParams, Rows, RowsArgs, RowsParams, Ssim, SsimArgs, SsimParams, Total, TotalArgs,
-    TotalParams,
+    Columns, ColumnsArgs, ColumnsParams, Depth, DepthArgs, DepthParams, Gradient, GradientArgs,
+    GradientParams, Ssim, SsimArgs, SsimParams, Total, TotalArgs, TotalParams,
 };
 use crate::types::Image;
 use crate::{Error, Result};
 
-/// Outputs that one invocation makes along an axis; as in the shaders.
-const RUN: usize = 8;
+/// The shortest and the longest run that an invocation walks over: beside its own pixels it loads 10
+/// to 20 around them, so longer runs load less, and shorter ones fill a device.
+const RUNS: [usize; 2] = [16, 64];
+/// Invocations that fill a software device, and any other.
+const FULL: [usize; 2] = [1 << 11, 1 << 16];
 /// Pixels less opaque than this have no depth worth comparing.
 const LEAST_ALPHA: f32 = 0.5;
 
@@ -128,8 +130,8 @@ pub struct Loss {
 
 /// What a loss works in between its dispatches.
 pub struct LossScratch {
-    pub(crate) windowed: [Buffer<f32>; 5],
-    pub(crate) derivatives: [Buffer<f32>; 3],
+    pub(crate) windowed: Buffer<[f32; 4]>,
+    pub(crate) derivatives: Buffer<[f32; 3]>,
     pub(crate) partials: Buffer<f32>,
     pub(crate) totals: Buffer<f32>,
 }
@@ -161,33 +163,35 @@ impl Loss {
     /// [`Error::OutOfMemory`].
     pub fn scratch(&self, device: &Device) -> Result<LossScratch> {
         let planes = 3 * self.pixels();
-        let partials = self.column_items(3).max(self.pixels()).div_ceil(64);
-        let plane = |label| device.buffer::<f32>(label, planes);
+        let items = |run| self.column_items(run).max(self.row_items(run));
+        let partials = items(RUNS[0]).max(self.pixels()).div_ceil(64);
         Ok(LossScratch {
-            windowed: [
-                plane("windowed x")?,
-                plane("windowed y")?,
-                plane("windowed x²")?,
-                plane("windowed y²")?,
-                plane("windowed xy")?,
-            ],
-            derivatives: [plane("by mean")?, plane("by square")?, plane("by product")?],
+            windowed: device.buffer("windowed", planes)?,
+            derivatives: device.buffer("derivatives of SSIM", planes)?,
             partials: device.buffer("loss partials", partials)?,
             totals: device.buffer("loss totals", 3)?,
         })
     }
 
-    fn row_items(&self) -> usize {
-        3 * self.height as usize * (self.width as usize).div_ceil(RUN)
+    /// Pixels that an invocation walks over.
+    fn run(&self, device: &Device) -> usize {
+        let software = device.info().kind == DeviceKind::Software;
+        (self.pixels() / FULL[usize::from(!software)]).clamp(RUNS[0], RUNS[1])
     }
 
-    fn column_items(&self, channels: usize) -> usize {
-        channels * self.width as usize * (self.height as usize).div_ceil(RUN)
+    /// Invocations that walk along rows, one channel each.
+    fn row_items(&self, run: usize) -> usize {
+        3 * self.height as usize * (self.width as usize).div_ceil(run)
+    }
+
+    /// Invocations that walk along columns, with all channels.
+    fn column_items(&self, run: usize) -> usize {
+        self.width as usize * (self.height as usize).div_ceil(run)
     }
 
     /// Records the loss of `rendered` against `photograph`, and its gradient by the image. Without
-    /// `disparity` the gradient by depth is zero. `loss/rows`, `loss/ssim`, `loss/total`,
-    /// `loss/adjoint`, `loss/gradient`, `loss/total`; with a disparity `loss/depth`, `loss/total`.
+    /// `disparity` the gradient by depth is zero. `loss/columns`, `loss/ssim`,
+    /// `loss/total`, `loss/gradient`, `loss/total`; with a disparity `loss/depth`, `loss/total`.
     ///
     /// # Errors
     /// [`Error::Shape`] when the images' sizes differ; else as for [`Recorder::dispatch`].
@@ -221,68 +225,44 @@ impl Loss {
                 ("rgba gradients", self.pixels(), gradients.rgba.len()),
                 ("depth gradients", self.pixels(), gradients.depth.len()),
                 ("known disparities", self.pixels(), known),
-                ("scratch's pixels", 3 * self.pixels(), scratch.windowed[0].len()),
+                ("scratch's pixels", 3 * self.pixels(), scratch.windowed.len()),
             ],
         )?;
         let limits = *recorder.device().limits();
         let (width, height) = (self.width as i32, self.height as i32);
         let [background_red, background_green, background_blue] = settings.background;
-        let by_rows = Groups::linear(self.row_items(), 64, &limits)?;
+        let run = self.run(recorder.device());
+        let (by_columns, by_rows) = (self.column_items(run), self.row_items(run));
+        let run = run as i32;
         let LossScratch { windowed, derivatives, partials, totals } = scratch;
-        let [mean_x, mean_y, square_x, square_y, product] = windowed;
-        recorder.dispatch::<Rows>(
-            by_rows,
-            RowsParams { width, height, background_red, background_green, background_blue },
-            RowsArgs {
+        recorder.dispatch::<Columns>(
+            Groups::linear(by_columns, 64, &limits)?,
+            ColumnsParams { width, height, run, background_red, background_green, background_blue },
+            ColumnsArgs {
                 rgba: rendered.rgba.view(),
                 photograph: photograph.pixels.view(),
-                mean_x: mean_x.view_mut(),
-                mean_y: mean_y.view_mut(),
-                square_x: square_x.view_mut(),
-                square_y: square_y.view_mut(),
-                product: product.view_mut(),
+                windowed: windowed.view_mut(),
             },
         )?;
-        let items = self.column_items(3);
-        let [by_mean, by_square, by_product] = derivatives;
         recorder.dispatch::<Ssim>(
-            Groups::linear(items, 64, &limits)?,
-            SsimParams { width, height },
+            Groups::linear(by_rows, 64, &limits)?,
+            SsimParams { width, height, run },
             SsimArgs {
-                mean_x: mean_x.view(),
-                mean_y: mean_y.view(),
-                square_x: square_x.view(),
-                square_y: square_y.view(),
-                product: product.view(),
+                windowed: windowed.view(),
                 photograph: photograph.pixels.view(),
-                by_mean: by_mean.view_mut(),
-                by_square: by_square.view_mut(),
-                by_product: by_product.view_mut(),
+                derivatives: derivatives.view_mut(),
                 partials: partials.view_mut(),
             },
         )?;
-        total(recorder, partials, items, totals, 1)?;
-        // The windowed planes are free again.
-        recorder.dispatch::<Adjoint>(
-            by_rows,
-            AdjointParams { width, height },
-            AdjointArgs {
-                by_mean: by_mean.view(),
-                by_square: by_square.view(),
-                by_product: by_product.view(),
-                rows_mean: mean_x.view_mut(),
-                rows_square: mean_y.view_mut(),
-                rows_product: square_x.view_mut(),
-            },
-        )?;
-        let items = self.column_items(1);
+        total(recorder, partials, by_rows, totals, 1)?;
         let per_weight = share_of(3.0 * photograph.weight);
         let share = f64::from(settings.ssim_share);
         recorder.dispatch::<Gradient>(
-            Groups::linear(items, 64, &limits)?,
+            Groups::linear(by_columns, 64, &limits)?,
             GradientParams {
                 width,
                 height,
+                run,
                 background_red,
                 background_green,
                 background_blue,
@@ -292,14 +272,12 @@ impl Loss {
             GradientArgs {
                 rgba: rendered.rgba.view(),
                 photograph: photograph.pixels.view(),
-                rows_mean: mean_x.view(),
-                rows_square: mean_y.view(),
-                rows_product: square_x.view(),
+                derivatives: derivatives.view(),
                 rgba_gradient: gradients.rgba.view_mut(),
                 partials: partials.view_mut(),
             },
         )?;
-        total(recorder, partials, items, totals, 0)?;
+        total(recorder, partials, by_columns, totals, 0)?;
         let Some(disparity) = disparity else {
             recorder.fill(gradients.depth_mut(), 0);
             return Ok(());

@@ -1,12 +1,17 @@
 //! Exclusive prefix sums of a number of values that the device knows.
 
-use crate::gpu::{Buffer, Device, Groups, Recorder, View, ViewMut};
+use crate::gpu::{Buffer, Device, DeviceKind, Groups, Recorder, View, ViewMut};
 use crate::kernels::indirect;
 use crate::kernels::scan::{
-    BLOCK, Downsweep, DownsweepArgs, DownsweepParams, Reduce, ReduceArgs, ReduceParams, Spine,
-    SpineArgs, SpineParams,
+    BLOCK, Downsweep, DownsweepArgs, DownsweepParams, Reduce, ReduceArgs, ReduceParams, Single,
+    SingleArgs, SingleParams, Spine, SpineArgs, SpineParams,
 };
 use crate::{Error, Result};
+
+/// Up to so many values a single workgroup is faster than four dispatches, on a GPU …
+const FEW: usize = 8192;
+/// … and on a software driver, where a dispatch costs as much as thousands of values.
+const FEW_SOFTWARE: usize = 65_536;
 
 /// Exclusive prefix sums (modulo 2³²) of at most `capacity` values.
 ///
@@ -83,7 +88,17 @@ impl Scan {
         })
     }
 
-    /// Records the scan: `indirect/arguments`, `scan/reduce`, `scan/spine`, `scan/downsweep`.
+    /// Whether one workgroup does it all.
+    fn is_single(&self, device: &Device) -> bool {
+        let few = match device.info().kind {
+            DeviceKind::Software => FEW_SOFTWARE,
+            _ => FEW,
+        };
+        self.capacity <= few
+    }
+
+    /// Records the scan: `scan/single` for a small capacity, else `indirect/arguments`,
+    /// `scan/reduce`, `scan/spine`, `scan/downsweep`.
     ///
     /// # Errors
     /// [`Error::Shape`] for a buffer that is too short; else as for [`Recorder::dispatch`].
@@ -101,6 +116,14 @@ impl Scan {
         ];
         super::at_least("scan", &shapes)?;
         let (count, count_at, capacity) = (args.count, args.count_at as u32, self.capacity as u32);
+        let total_at = args.total_at as u32;
+        if self.is_single(recorder.device()) {
+            return recorder.dispatch::<Single>(
+                Groups([1, 1, 1]),
+                SingleParams { count_at, capacity, total_at },
+                SingleArgs { count, values: args.values, prefix: args.prefix, total: args.total },
+            );
+        }
         indirect::record_arguments(
             recorder,
             count,
@@ -118,7 +141,7 @@ impl Scan {
         )?;
         recorder.dispatch::<Spine>(
             Groups([1, 1, 1]),
-            SpineParams { count_at, capacity, total_at: args.total_at as u32 },
+            SpineParams { count_at, capacity, total_at },
             SpineArgs { count, sums: scratch.sums.view_mut(), total: args.total.reborrow() },
         )?;
         recorder.dispatch_indirect::<Downsweep>(

@@ -9,13 +9,19 @@ use crate::ops::scan::{Scan, ScanArgs, ScanScratch};
 use crate::{Error, Result};
 use std::ops::Range;
 
-/// Shorter runs would spend more on counters than on keys.
-const MIN_RUN: usize = 256;
-/// Enough runs for the cores of a software driver, and few enough that the table of counters stays
-/// in the cache.
-const MAX_RUNS_SOFTWARE: usize = 512;
+/// How the keys are cut into runs, each walked by one invocation.
+#[derive(Clone, Copy, Debug)]
+struct Runs {
+    /// Shorter ones would spend more on counters than on keys.
+    least: usize,
+    /// More would not fill the device any better.
+    most: usize,
+}
+
+/// Enough runs for the cores, and a table of counters that stays small and in the cache.
+const SOFTWARE: Runs = Runs { least: 1024, most: 512 };
 /// Enough runs to fill a large GPU.
-const MAX_RUNS_GPU: usize = 16_384;
+const GPU: Runs = Runs { least: 256, most: 16_384 };
 
 /// A stable sort by some bits of the keys, ascending.
 ///
@@ -54,7 +60,7 @@ pub struct RadixSort {
     bits: Range<u32>,
     passes: u32,
     digit_bits: u32,
-    max_runs: usize,
+    runs: Runs,
 }
 
 /// What a sort works in between its dispatches.
@@ -106,9 +112,9 @@ impl RadixSort {
             // Evenly, since a pass over narrower digits costs less: 12 bits are 6 + 6, not 8 + 4.
             digit_bits: width.div_ceil(passes.max(1)),
             bits,
-            max_runs: match device.info().kind {
-                DeviceKind::Software => MAX_RUNS_SOFTWARE,
-                _ => MAX_RUNS_GPU,
+            runs: match device.info().kind {
+                DeviceKind::Software => SOFTWARE,
+                _ => GPU,
             },
         })
     }
@@ -118,7 +124,7 @@ impl RadixSort {
     }
 
     fn table_len(&self) -> usize {
-        self.bins() * self.capacity.div_ceil(MIN_RUN).min(self.max_runs)
+        self.bins() * self.capacity.div_ceil(self.runs.least).min(self.runs.most)
     }
 
     /// What [`record`](Self::record) works in.
@@ -167,8 +173,8 @@ impl RadixSort {
             count_at: args.count_at as u32,
             capacity: self.capacity as u32,
             bins: self.bins() as u32,
-            min_run: MIN_RUN as u32,
-            max_runs: self.max_runs as u32,
+            min_run: self.runs.least as u32,
+            max_runs: self.runs.most as u32,
             group_limit: recorder.device().limits().groups,
         };
         recorder.dispatch::<Plan>(

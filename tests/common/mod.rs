@@ -2,7 +2,8 @@
 //!
 //! `SPLAT4D_DEVICE` chooses the device (an index, a kind or part of a name; default: a software
 //! driver, so that the suite means the same everywhere); `SPLAT4D_VALIDATION=1` turns the
-//! validation layer on, and then any message fails. A missing driver fails.
+//! validation layer on, and then any message fails; add `RUST_TEST_THREADS=1`, since the layer is not
+//! safe when one thread makes devices while another uses its own. A missing driver fails.
 #![allow(dead_code, reason = "each test binary uses its own part")]
 
 use splat4d::check;

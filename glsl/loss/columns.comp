@@ -1,0 +1,60 @@
+#version 460
+// First pass of SSIM: the window along columns over x, y, x² + y² and x·y of every channel, x the
+// rendered image over its background and y the photograph.
+#extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_control_flow_attributes : require
+
+layout(local_size_x = 64) in;
+
+layout(std430, binding = 0) readonly buffer Rgba { vec4 rgba[]; };
+layout(std430, binding = 1) readonly buffer Photograph { uint photograph[]; };
+// One plane per channel.
+layout(std430, binding = 2) writeonly buffer Windowed { vec4 windowed[]; };
+
+layout(push_constant) uniform Params {
+    int width;
+    int height;
+    // Pixels that an invocation walks over.
+    int run;
+    float background_red;
+    float background_green;
+    float background_blue;
+};
+
+#include "common/grid.glsl"
+#include "common/ssim.glsl"
+
+void main() {
+    int item = int(group_index() * 64u + gl_LocalInvocationIndex);
+    int x = item % width, first = item / width * run;
+    if (first >= height) {
+        return;
+    }
+    vec3 background = vec3(background_red, background_green, background_blue);
+    vec4 reds[WINDOW], greens[WINDOW], blues[WINDOW];
+    [[unroll]] for (int k = 0; k < WINDOW; k++) {
+        reds[k] = greens[k] = blues[k] = vec4(0.0);
+    }
+    int end = min(first + run, height);
+    for (int y = first - HALF; y < end + HALF; y++) {
+        vec3 rendered = vec3(0.0), photo = vec3(0.0);
+        if (y >= 0 && y < height) {
+            vec4 value = rgba[y * width + x];
+            uint packed_pixel = photograph[y * width + x];
+            rendered = value.rgb + (1.0 - value.a) * background;
+            photo = vec3(unpack(packed_pixel, 0u), unpack(packed_pixel, 1u),
+                         unpack(packed_pixel, 2u));
+        }
+        vec3 squares = rendered * rendered + photo * photo, products = rendered * photo;
+        SLIDE(reds, vec4(rendered.r, photo.r, squares.r, products.r));
+        SLIDE(greens, vec4(rendered.g, photo.g, squares.g, products.g));
+        SLIDE(blues, vec4(rendered.b, photo.b, squares.b, products.b));
+        int done = y - HALF;
+        if (done >= first) {
+            int at = done * width + x, plane = width * height;
+            windowed[at] = reds[0];
+            windowed[plane + at] = greens[0];
+            windowed[2 * plane + at] = blues[0];
+        }
+    }
+}

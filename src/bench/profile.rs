@@ -1,0 +1,104 @@
+//! Where an execution's time goes, kernel by kernel.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use super::job::{Entry, Pace};
+use crate::gpu::{Detail, Device};
+use crate::kernels;
+use crate::report::{Place, Spread};
+use crate::{Error, Result};
+
+/// What a row's executions are made of. Times are medians over the executions, in nanoseconds.
+#[derive(Clone, Debug, Serialize)]
+pub struct Profile {
+    /// The row.
+    pub id: &'static str,
+    /// The size of its input.
+    pub size: String,
+    /// Executions that were looked at.
+    pub executions: usize,
+    /// From the begin to the end of the submissions, on the device.
+    pub device: f64,
+    /// From the first call to the last result, on the host.
+    pub wall: f64,
+    /// The dearest first.
+    pub kernels: Vec<KernelShare>,
+}
+
+/// One kernel of a [`Profile`].
+#[derive(Clone, Debug, Serialize)]
+pub struct KernelShare {
+    /// Which.
+    pub kernel: &'static str,
+    /// Invocations of its workgroup.
+    pub workgroup: [u32; 3],
+    /// Dispatches of one execution.
+    pub dispatches: usize,
+    /// Of all of them.
+    pub time: f64,
+    /// Of the kernels' times.
+    pub share: f64,
+}
+
+/// Executes an entry again and again with a timestamp after every dispatch. `None` for a row that
+/// does not run on the device.
+///
+/// # Errors
+/// [`Error::Unsupported`] on a device without timestamps; a failed submission.
+pub fn profile(device: &Device, entry: &Entry, pace: Pace, seed: u64) -> Result<Option<Profile>> {
+    let mut job = (entry.prepare)(device, seed)?;
+    if job.place != Place::Device {
+        return Ok(None);
+    }
+    // As for timing: the first executions compile and fill caches.
+    for _ in 0..2 {
+        job.sample(device)?;
+    }
+    let (mut walls, mut spans) = (Vec::new(), Vec::new());
+    let mut times: BTreeMap<&'static str, Vec<f64>> = BTreeMap::new();
+    let mut dispatches: BTreeMap<&'static str, usize> = BTreeMap::new();
+    while walls.len() < pace.least {
+        let sample = job.metered(device, Detail::Dispatches)?;
+        let meter = sample.meter.ok_or_else(|| Error::Unsupported {
+            kernel: "a profile".into(),
+            missing: "timestamps".into(),
+        })?;
+        walls.push(sample.wall);
+        spans.push(meter.nanoseconds);
+        let mut sums: BTreeMap<&'static str, f64> = BTreeMap::new();
+        dispatches.clear();
+        for time in &meter.kernels {
+            *sums.entry(time.kernel).or_default() += time.nanoseconds;
+            *dispatches.entry(time.kernel).or_default() += 1;
+        }
+        for (kernel, sum) in sums {
+            times.entry(kernel).or_default().push(sum);
+        }
+    }
+    let median = |samples: Vec<f64>| {
+        Spread::new(samples)
+            .map(|spread| spread.median())
+            .ok_or_else(|| Error::Failed("the device's timestamps make no sense".into()))
+    };
+    let executions = walls.len();
+    let mut kernels = Vec::new();
+    for (kernel, samples) in times {
+        let info = kernels::ALL.iter().find(|info| info.name == kernel);
+        kernels.push(KernelShare {
+            kernel,
+            workgroup: info.map_or([0; 3], |info| info.workgroup),
+            dispatches: dispatches.get(kernel).copied().unwrap_or(0),
+            time: median(samples)?,
+            share: 0.0,
+        });
+    }
+    let sum: f64 = kernels.iter().map(|kernel| kernel.time).sum();
+    for kernel in &mut kernels {
+        kernel.share = kernel.time / sum;
+    }
+    kernels.sort_by(|a, b| b.time.total_cmp(&a.time));
+    let (device, wall) = (median(spans)?, median(walls)?);
+    Ok(Some(Profile { id: entry.id, size: entry.size.clone(), executions, device, wall, kernels }))
+}
