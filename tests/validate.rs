@@ -50,6 +50,8 @@ const FAULTS: &[Fault] = &[
     fault("adam/step", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
     fault("deform/skin", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
     fault("flow/halve", "an off-by-one", Op::IAdd, Some(Op::ISub), &[0]),
+    fault("texel/unorm8", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
+    fault("texel/half", "a wrong shift", Op::ShiftRightLogical, Some(Op::ShiftLeftLogical), &[]),
 ];
 
 /// The module with the fault in it, and how many instructions changed.
