@@ -267,6 +267,12 @@ impl Stream {
         Ok(())
     }
 
+    /// The submission of a value of [`Ticket::value`], where there was one.
+    #[cfg(feature = "capi")]
+    pub(crate) fn ticket(&self, value: u64) -> Option<Ticket> {
+        (1..=self.submitted).contains(&value).then_some(Ticket(value))
+    }
+
     /// Its semaphore.
     pub(crate) fn timeline(&self) -> &Timeline {
         &self.timeline
