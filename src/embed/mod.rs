@@ -41,6 +41,13 @@
 //! A recording allocates nothing once one like it has been made and its guard dropped (or, on a
 //! stream, its ticket passed): descriptor pools, lists of what is kept alive and all else are used
 //! again. [`Device::allocations`](crate::gpu::Device::allocations) counts what is made on the device.
+//!
+//! # A lost device
+//!
+//! From then on whatever submits, waits or reads is [`Error::DeviceLost`](crate::Error::DeviceLost),
+//! with the kernel that was under way where it is known; recording may still succeed. Dropping is all
+//! that is left, in any order: it neither waits for ever nor panics. What was recorded into a host's
+//! command buffer fails where the host submits it.
 
 #![allow(unsafe_code, reason = "what a host promises, it promises here")]
 
