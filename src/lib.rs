@@ -23,7 +23,7 @@
 //! | [`error`] | the one error: what was wrong, where, what to do | |
 //! | [`types`] | plain data: cameras, Gaussians, control points, images | |
 //! | [`io`] | whole-file reads, writes by rename, the PLY container | |
-//! | [`vk`] | Vulkan: with `embed` the only place with `unsafe` and the name `ash` | |
+//! | [`vk`] | Vulkan: with `embed` and `capi` the only place with `unsafe` and the name `ash` | |
 //! | [`gpu`] | the safe layer: devices, typed buffers, the recorder, the stream | vk |
 //! | [`embed`] | hosts: their device, command buffers, memory, semaphores | vk, gpu |
 //! | [`kernels`] | the declaration of every shader | types, gpu |
@@ -35,6 +35,7 @@
 //! | [`eval`] | PSNR, SSIM, MS-SSIM, ATE, RPE | types, io, geometry |
 //! | [`train`] | seeding, the training step, schedules | all of the above but vk, kernels, oracle |
 //! | [`renderer`] | a scene on a device, rendered from any camera at any time | gpu, ops, scene |
+//! | `capi` | the engine in C, `include/splat4d.h` (feature `capi`) | gpu, embed, ops, scene, renderer, train |
 //! | [`check`] | cases: every kernel against its oracle, pose estimation on its hard cases, training twice | all of the above but vk |
 //! | `report` | measurements: JSON, CSV, plots, a page, comparisons (feature `bench`) | io |
 //! | `bench` | every op and pipeline, verified, then timed; speed against error (feature `bench`) | all of the above |
@@ -53,6 +54,8 @@
 //! | `check` | [`oracle`], [`check`] |
 //! | `bench` | `bench`, `report` |
 //! | `cli` (default) | the command line |
+//!
+//! Beside these, `capi` adds the C interface, on top of the engine alone or of `files`.
 //!
 //! # Conventions
 //!
@@ -79,6 +82,8 @@
 
 #[cfg(feature = "bench")]
 pub mod bench;
+#[cfg(feature = "capi")]
+pub mod capi;
 #[cfg(feature = "check")]
 pub mod check;
 #[cfg(feature = "files")]

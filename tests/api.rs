@@ -79,7 +79,7 @@ fn the_list_notices_every_kind_of_change() {
     }
 }
 
-/// The package holds the source, the shaders and their modules, and nothing else.
+/// The package holds the source, the shaders and their modules, C's header, and nothing else.
 #[test]
 fn the_package_holds_what_it_needs_and_nothing_more() {
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
@@ -94,7 +94,7 @@ fn the_package_holds_what_it_needs_and_nothing_more() {
     for file in ["Cargo.toml", "README.md", "CHANGELOG.md", "LICENSE-MIT", "LICENSE-APACHE"] {
         assert!(listed.contains(file), "{file} is missing");
     }
-    for folder in ["src", "spirv", "glsl"] {
+    for folder in ["src", "spirv", "glsl", "include"] {
         for path in files(&root().join(folder)) {
             let inner = path.strip_prefix(root()).unwrap().to_string_lossy().into_owned();
             assert!(listed.contains(inner.as_str()), "{inner} is missing");
@@ -103,7 +103,9 @@ fn the_package_holds_what_it_needs_and_nothing_more() {
     let generated = ["Cargo.lock", "Cargo.toml.orig", ".cargo_vcs_info.json"];
     let beside: Vec<_> = listed
         .iter()
-        .filter(|file| !["src/", "spirv/", "glsl/"].iter().any(|folder| file.starts_with(folder)))
+        .filter(|file| {
+            !["src/", "spirv/", "glsl/", "include/"].iter().any(|folder| file.starts_with(folder))
+        })
         .filter(|file| !generated.contains(file))
         .collect();
     assert_eq!(beside.len(), 5, "{beside:?}");

@@ -586,6 +586,14 @@ fn recordings_end_where_they_belong() {
     assert!(stream.submit(recorder).err().unwrap().to_string().contains("finish"));
     // SAFETY: never submitted.
     unsafe { host.device.end_command_buffer(commands) }.unwrap();
+    let scene = Scene::of(gaussians(5));
+    let [mut renderer, mut other] = [(); 2].map(|()| Renderer::new(&device, &scene).unwrap());
+    let mut recorder = stream.record().unwrap();
+    let target = Target::default();
+    let frame = renderer.record(&mut recorder, &camera(8, 8), 0.0, target).unwrap();
+    let ticket = stream.submit(recorder).unwrap();
+    stream.wait(ticket).unwrap();
+    assert!(other.retire(frame).unwrap_err().to_string().contains("another renderer"));
 }
 
 #[test]

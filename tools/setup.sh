@@ -41,6 +41,9 @@ needs=(
 if [[ $mode == test ]]; then
     needs+=(
         'has_command c++|g++'
+        'has_command valgrind|valgrind'
+        'has_command pkg-config|pkg-config'
+        'has_file /usr/include/vulkan/vulkan.h|libvulkan-dev'
         'has_command cmake|cmake'
         'has_command ninja|ninja-build'
         'has_command python3|python3'

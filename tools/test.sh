@@ -7,9 +7,9 @@ cd "$(dirname "$0")/.."
 
 tools/setup.sh test || exit 1
 
-# One profile, one selection of packages and targets, in every step: shaderc and the dependencies
-# are then built once.
-readonly release=(--release --workspace)
+# One profile, one selection of packages, targets and features, in every step: shaderc and the
+# dependencies are then built once.
+readonly release=(--release --workspace --features splat4d/capi)
 readonly target=${CARGO_TARGET_DIR:-target}
 readonly logs=out/test
 rm -rf "$logs"
@@ -89,7 +89,7 @@ validate_modules() {
 # The crate as others depend on it, from the engine alone up: each set of features on its own.
 check_features() {
     local features status=0
-    for features in '' files reconstruct check bench cli; do
+    for features in '' files reconstruct check bench cli capi capi,files; do
         echo "features: ${features:-none}"
         RUSTFLAGS="${RUSTFLAGS:-} -D warnings" CARGO_TARGET_DIR=$target/features \
             cargo check --lib --no-default-features --features "$features" || status=1
@@ -111,6 +111,7 @@ step "features" check_features
 step "newcomer" env VK_DRIVER_FILES="$lavapipe" tools/newcomer.sh
 step "shaders" "$target/release/tools" check
 step "modules" validate_modules
+step "C header" "$target/release/header" check
 step "unit tests" on "$lavapipe" "${test[@]}" --lib --bins "${others[@]}" "${show[@]}"
 step "wgpu host" on "$lavapipe" "$target/release/wgpu-host" --validation
 step "wgpu host on SwiftShader" on "$swiftshader" "$target/release/wgpu-host" --validation --frames 20

@@ -42,6 +42,13 @@
 //! stream, its ticket passed): descriptor pools, lists of what is kept alive and all else are used
 //! again. [`Device::allocations`](crate::gpu::Device::allocations) counts what is made on the device.
 //!
+//! # A lost device
+//!
+//! From then on whatever submits, waits or reads is [`Error::DeviceLost`](crate::Error::DeviceLost),
+//! with the kernel that was under way where it is known; recording may still succeed. Dropping is all
+//! that is left, in any order: it neither waits for ever nor panics. What was recorded into a host's
+//! command buffer fails where the host submits it.
+//!
 //! # On wgpu
 //!
 //! A host on wgpu makes its device with the engine's features in wgpu's own chain

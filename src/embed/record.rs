@@ -21,8 +21,9 @@ impl Recorder {
     /// after [`finish`](Self::finish), and submits it. See [the contract](crate::embed#barriers).
     ///
     /// Binds compute pipelines, descriptor sets and push constants of its own: the host binds its own
-    /// anew. A recorder that is dropped without `finish` leaves the commands recorded so far and
-    /// frees what they use: the host must throw the command buffer away.
+    /// anew. A recorder that is dropped without `finish`, also by a call that fails, leaves the
+    /// commands recorded so far and frees what they use: the host must reset or free the command
+    /// buffer.
     ///
     /// # Errors
     /// [`Error::Input`] for a null handle; else a failed Vulkan call.

@@ -74,6 +74,20 @@ impl<T: Pod> Buffer<T> {
         ViewMut { raw: &self.raw, start: 0, len: self.len, element: PhantomData }
     }
 
+    /// All of it as elements of another kind, as many as fit, to read.
+    #[cfg(feature = "capi")]
+    pub(crate) fn view_as<U: Pod>(&self) -> View<'_, U> {
+        let len = self.len * size_of::<T>() / size_of::<U>();
+        View { raw: &self.raw, start: 0, len, element: PhantomData }
+    }
+
+    /// The same, to write.
+    #[cfg(feature = "capi")]
+    pub(crate) fn view_mut_as<U: Pod>(&mut self) -> ViewMut<'_, U> {
+        let len = self.len * size_of::<T>() / size_of::<U>();
+        ViewMut { raw: &self.raw, start: 0, len, element: PhantomData }
+    }
+
     /// A part of it, to read.
     ///
     /// # Panics

@@ -151,9 +151,17 @@ impl Stream {
     /// # Errors
     /// [`Error::DeviceLost`], or another failed Vulkan call.
     pub fn wait(&mut self, ticket: Ticket) -> Result<()> {
-        let kernel = self.in_flight.front().and_then(|flight| flight.work.last_kernel());
-        self.timeline.wait(ticket.0).map_err(|error| name_lost(error, kernel))?;
+        self.wait_for(ticket)?;
         self.collect()
+    }
+
+    fn wait_for(&self, ticket: Ticket) -> Result<()> {
+        self.timeline.wait(ticket.0).map_err(|error| name_lost(error, self.first_in_flight()))
+    }
+
+    /// The last kernel of what the device is at.
+    fn first_in_flight(&self) -> Option<&'static str> {
+        self.in_flight.front().and_then(|flight| flight.work.last_kernel())
     }
 
     /// Waits for a profiled submission and gives the time of each of its dispatches, in order.
@@ -162,7 +170,7 @@ impl Stream {
     /// As for [`wait`](Self::wait); [`Error::Input`] when the submission was not profiled or has
     /// retired already.
     pub fn times(&mut self, ticket: Ticket) -> Result<Vec<KernelTime>> {
-        self.timeline.wait(ticket.0)?;
+        self.wait_for(ticket)?;
         let flight = self.in_flight.iter().find(|flight| flight.value == ticket.0);
         let (Some(flight), period) = (flight, self.device.limits().timestamp_period) else {
             return Err(Error::Input("the submission's times are gone: ask before waiting".into()));
@@ -247,7 +255,7 @@ impl Stream {
 
     /// Lets go of what finished submissions held.
     fn collect(&mut self) -> Result<()> {
-        let kernel = self.in_flight.front().and_then(|flight| flight.work.last_kernel());
+        let kernel = self.first_in_flight();
         let reached = self.timeline.reached().map_err(|error| name_lost(error, kernel))?;
         while self.in_flight.front().is_some_and(|flight| flight.value <= reached) {
             let Some(mut flight) = self.in_flight.pop_front() else { break };
@@ -265,6 +273,12 @@ impl Stream {
             self.idle.push(flight.work);
         }
         Ok(())
+    }
+
+    /// The submission of a value of [`Ticket::value`], where there was one.
+    #[cfg(feature = "capi")]
+    pub(crate) fn ticket(&self, value: u64) -> Option<Ticket> {
+        (1..=self.submitted).contains(&value).then_some(Ticket(value))
     }
 
     /// Its semaphore.

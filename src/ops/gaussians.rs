@@ -215,7 +215,11 @@ impl GaussianBuffers {
     /// # Errors
     /// A failed submission.
     pub fn download(&self, stream: &mut Stream) -> Result<Gaussians> {
-        let len = self.len;
+        self.download_first(stream, self.len)
+    }
+
+    /// Reads the first rows back, whatever is in them: gradients have no length of their own.
+    pub(crate) fn download_first(&self, stream: &mut Stream, len: usize) -> Result<Gaussians> {
         let rows3 = |mut flat: Vec<f32>| -> Vec<[f32; 3]> {
             flat.truncate(3 * len);
             bytemuck::cast_slice(&flat).to_vec()

@@ -48,6 +48,7 @@ use crate::ops::render::{FrameCounts, PixelBuffers, PixelViews, Render, RenderSc
 use crate::scene::Scene;
 use crate::types::{Camera, Gaussians, Image, RenderSettings, Tuning};
 use crate::{Error, Result};
+use std::sync::Arc;
 
 /// Renders one scene. Images of one size after the other cost no allocation.
 pub struct Renderer {
@@ -65,6 +66,8 @@ pub struct Renderer {
     room: usize,
     /// Counts that no frame waits for.
     idle: Vec<Readback<u32>>,
+    /// Tells its frames from those of others.
+    identity: Arc<()>,
 }
 
 /// Attributes in 16 bits, where the tuning asks for them.
@@ -115,6 +118,7 @@ pub struct Target<'a> {
 pub struct Frame {
     counts: Readback<u32>,
     room: usize,
+    of: Arc<()>,
 }
 
 /// What became of a frame.
@@ -183,6 +187,7 @@ impl Renderer {
             studio: None,
             room: 0,
             idle: Vec::new(),
+            identity: Arc::new(()),
         })
     }
 
@@ -271,7 +276,7 @@ impl Renderer {
             Some(readback) => readback,
             None => self.device.readback(2)?,
         };
-        let Renderer { gaussians, motion, half, tuning, studio, .. } = self;
+        let Renderer { gaussians, motion, half, tuning, studio, identity, .. } = self;
         let Studio { render, scratch, pixels, moving } = studio.as_mut().expect("planned above");
         let views = moved(gaussians, half, motion.as_mut(), tuning, recorder, time)?;
         let mut own = pixels.views_mut();
@@ -287,15 +292,19 @@ impl Renderer {
             render.blend_into(recorder, colours.view(), scratch, pixels)?;
         }
         recorder.read_back(scratch.device_counts(), &counts);
-        Ok(Frame { counts, room: render.intersection_capacity() })
+        Ok(Frame { counts, room: render.intersection_capacity(), of: identity.clone() })
     }
 
     /// Takes back a frame with which the device is done (earlier the answer means nothing), and makes
     /// more room where it did not fit: the next [`record`](Self::record) allocates then.
     ///
     /// # Errors
-    /// [`Error::Failed`] where the device has written no counts that could be.
+    /// [`Error::Input`] for a frame of another renderer; [`Error::Failed`] where the device has written
+    /// no counts that could be.
     pub fn retire(&mut self, frame: Frame) -> Result<Drawn> {
+        if !Arc::ptr_eq(&self.identity, &frame.of) {
+            return Err(Error::Input("the frame is of another renderer".into()));
+        }
         let mut words = [0; 2];
         frame.counts.read_into(&mut words);
         let drawn = Drawn { counts: FrameCounts::from_device(words), room: frame.room };

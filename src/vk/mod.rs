@@ -41,7 +41,7 @@ use ash::vk;
 /// Turns a `VkResult` into the crate's error.
 fn vk_error(call: &'static str) -> impl FnOnce(vk::Result) -> Error {
     move |result| match result {
-        vk::Result::ERROR_DEVICE_LOST => Error::DeviceLost { last_kernel: String::new() },
+        vk::Result::ERROR_DEVICE_LOST => Error::DeviceLost { last_kernel: "unknown".into() },
         other => Error::Vulkan { call, code: other.as_raw(), meaning: other.to_string() },
     }
 }

@@ -49,13 +49,15 @@ pub const MAY_SEE: &[(&str, &[&str])] = &[
             "report", "check", "train",
         ],
     ),
+    // The engine as C sees it: what a host may have, under C's names.
+    ("capi", &["error", "types", "gpu", "embed", "ops", "scene", "renderer", "train"]),
     // The command line names the crate as any other user does.
     ("cmd", &[]),
 ];
 
-/// Where `unsafe` and `ash` may stand: Vulkan itself, and the functions with which a host lends what
-/// is its own.
-const UNSAFE: &[&str] = &["vk", "embed"];
+/// Where `unsafe` and `ash` may stand: Vulkan itself, the functions with which a host lends what is its
+/// own, and C's border.
+const UNSAFE: &[&str] = &["vk", "embed", "capi"];
 
 /// What unit tests may name besides: the parts without Vulkan, as truth and as input.
 const TESTS_MAY_SEE: &[&str] =
@@ -201,10 +203,10 @@ impl Scan<'_> {
                     at = self.read_from_super(&tokens, at)
                 }
                 TokenTree::Ident(ident) if *ident == "ash" && !self.is_unsafe() => {
-                    self.report(token, "only src/vk and src/embed name ash".into());
+                    self.report(token, "only src/vk, src/embed and src/capi name ash".into());
                 }
                 TokenTree::Ident(ident) if *ident == "unsafe" && !self.is_unsafe() => {
-                    self.report(token, "`unsafe` belongs in src/vk or src/embed".into());
+                    self.report(token, "`unsafe` belongs in src/vk, src/embed or src/capi".into());
                 }
                 // `mod name { … }`: a module of its own, for `super` and for tests.
                 TokenTree::Ident(ident) if *ident == "mod" => {

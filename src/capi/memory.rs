@@ -1,0 +1,155 @@
+//! Memory on the device: ours, and the host's.
+
+use super::call::{
+    Outcome, call, claim, destroy, exclusive, give, grows, input, read, shared, splat4d_result,
+};
+use super::device::{Told, device_of, splat4d_callback, splat4d_device};
+use super::vulkan::VkBuffer;
+use crate::embed::HostBuffer;
+use crate::embed::ash::vk;
+use crate::gpu::Buffer;
+use bytemuck::Pod;
+use std::ffi::c_void;
+
+/// Memory on a device, of whole words of 4 bytes.
+pub struct splat4d_buffer {
+    pub(super) words: Buffer<u32>,
+}
+
+/// A part of a VkBuffer; buffer is null and bytes 0 where there is none.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct splat4d_range {
+    /// The buffer.
+    pub buffer: VkBuffer,
+    /// First byte.
+    pub offset: u64,
+    /// Bytes.
+    pub bytes: u64,
+}
+
+/// A part of a buffer of the host's, to adopt.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct splat4d_host_buffer {
+    /// sizeof(splat4d_host_buffer).
+    pub struct_size: usize,
+    /// The buffer, of the device, bound to memory.
+    pub buffer: VkBuffer,
+    /// First byte of the part; a multiple of splat4d_device_info.storage_alignment.
+    pub offset: u64,
+    /// Bytes of the part, a multiple of 4.
+    pub bytes: u64,
+    /// VkBufferUsageFlags that the whole buffer was made with: STORAGE_BUFFER, TRANSFER_SRC and
+    /// TRANSFER_DST at least.
+    pub usage: u32,
+    /// Called once when nothing of the engine's uses the buffer any more; also where
+    /// splat4d_buffer_adopt fails, unless with SPLAT4D_ERROR_POINTER or SPLAT4D_ERROR_STRUCT_SIZE.
+    pub on_drop: splat4d_callback,
+    /// Given to on_drop.
+    pub on_drop_user: *mut c_void,
+}
+grows!(splat4d_host_buffer, on_drop_user: *mut c_void);
+
+/// Makes a buffer of `bytes` (a multiple of 4, above 0) with undefined content. `buffer` gets a handle,
+/// to be destroyed.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn splat4d_buffer_create(
+    device: *const splat4d_device,
+    bytes: u64,
+    buffer: *mut *mut splat4d_buffer,
+) -> splat4d_result {
+    // SAFETY: the host's promise.
+    call(|| unsafe {
+        claim("buffer", buffer)?;
+        let device = device_of(device)?;
+        let words = match usize::try_from(bytes) {
+            Ok(bytes) if bytes > 0 && bytes.is_multiple_of(4) => bytes / 4,
+            _ => return Err(input(format!("a buffer of {bytes} bytes: a multiple of 4, above 0"))),
+        };
+        give(buffer, splat4d_buffer { words: device.buffer("a host's", words)? });
+        Ok(())
+    })
+}
+
+/// Takes a part of a buffer of the host's, which stays the host's. `buffer` gets a handle, to be
+/// destroyed; the VkBuffer must outlive what was recorded with it, until on_drop is called.
+///
+/// The buffer must belong to the family of the device's queue or be shared concurrently, and others
+/// use it only in order with the engine's work: in the same queue before or after a recording, or
+/// behind a semaphore.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn splat4d_buffer_adopt(
+    device: *const splat4d_device,
+    host: *const splat4d_host_buffer,
+    buffer: *mut *mut splat4d_buffer,
+) -> splat4d_result {
+    // SAFETY: the host's promise.
+    call(|| unsafe {
+        claim("buffer", buffer)?;
+        let device = device_of(device)?;
+        let host = read("host", host)?;
+        let on_drop = Told::new(host.on_drop, host.on_drop_user);
+        let part = HostBuffer {
+            buffer: host.buffer,
+            offset: host.offset,
+            bytes: host.bytes,
+            usage: vk::BufferUsageFlags::from_raw(host.usage),
+        };
+        let words = Buffer::adopt(device, "a host's", part, on_drop.into_box())?;
+        give(buffer, splat4d_buffer { words });
+        Ok(())
+    })
+}
+
+/// Where a buffer lies, for the host's own commands: keep the handle until these are done, and order
+/// them with the engine's work.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn splat4d_buffer_get_range(
+    buffer: *const splat4d_buffer,
+    range: *mut splat4d_range,
+) -> splat4d_result {
+    // SAFETY: the host's promise.
+    call(|| unsafe {
+        let part = range_of(&shared("buffer", buffer)?.words);
+        *exclusive("range", range)? = part;
+        Ok(())
+    })
+}
+
+/// Destroys the handle; null is fine. What was recorded with it keeps the memory until it is done.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn splat4d_buffer_destroy(buffer: *mut splat4d_buffer) {
+    // SAFETY: the host's promise.
+    unsafe { destroy(buffer) };
+}
+
+pub(super) fn range_of<T: Pod>(buffer: &Buffer<T>) -> splat4d_range {
+    let HostBuffer { buffer, offset, bytes, .. } = buffer.handle();
+    splat4d_range { buffer, offset, bytes }
+}
+
+/// Fails where what an op writes shares memory with anything else of the op. Parts that are null are
+/// left out.
+pub(super) unsafe fn check_apart(
+    op: &str,
+    reads: &[(&str, *const splat4d_buffer)],
+    writes: &[(&str, *mut splat4d_buffer)],
+) -> Outcome {
+    for (i, &(name, written)) in writes.iter().enumerate() {
+        let others = writes[i + 1..].iter().map(|&(other, at)| (other, at.cast_const()));
+        for (other, at) in others.chain(reads.iter().copied()) {
+            if written.is_null() || at.is_null() {
+                continue;
+            }
+            // SAFETY: the host's promise.
+            let (a, b) = unsafe { (shared(name, written.cast_const())?, shared(other, at)?) };
+            let (a, b) = (range_of(&a.words), range_of(&b.words));
+            let overlap = a.offset < b.offset + b.bytes && b.offset < a.offset + a.bytes;
+            if a.buffer == b.buffer && overlap {
+                return Err(input(format!("{op}: {name} and {other} share memory")));
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,51 @@
+//! The engine in C: `include/splat4d.h` is made of this module (`tools/header`).
+//!
+//! The conventions stand at the head of the header, in `tools/header/preamble.h`. Every function is
+//! `unsafe` by them: pointers are null or point at what the header says, handles are alive, and one
+//! thread at a time uses a handle where it is not said otherwise. Whatever else a host gets wrong is an
+//! error, and no panic crosses the border.
+//!
+//! Types and functions are named as C names them, so that the header says what is here.
+
+#![allow(unsafe_code, reason = "what a host promises in C, it promises here")]
+#![allow(non_camel_case_types, reason = "the names of the header")]
+#![allow(clippy::missing_safety_doc, reason = "the header's conventions are every function's")]
+
+mod call;
+mod device;
+mod memory;
+mod ops;
+mod record;
+mod renderer;
+mod scene;
+mod trainer;
+mod version;
+mod vulkan;
+
+pub use call::*;
+pub use device::*;
+pub use memory::*;
+pub use ops::*;
+pub use record::*;
+pub use renderer::*;
+pub use scene::*;
+pub use trainer::*;
+pub use version::*;
+pub use vulkan::*;
+
+/// What the header says of threads.
+const _: () = {
+    const fn goes<T: Send>() {}
+    const fn is_shared<T: Send + Sync>() {}
+    is_shared::<splat4d_device>();
+    goes::<splat4d_buffer>();
+    goes::<splat4d_frame>();
+    goes::<splat4d_guard>();
+    goes::<splat4d_recorder>();
+    goes::<splat4d_renderer>();
+    goes::<splat4d_scan>();
+    goes::<splat4d_scene>();
+    goes::<splat4d_sort>();
+    goes::<splat4d_stream>();
+    goes::<splat4d_trainer>();
+};

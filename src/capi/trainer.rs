@@ -1,0 +1,486 @@
+//! The trainer.
+
+use super::call::{
+    Outcome, array, call, claim, destroy, exclusive, fault, give, grows, input, read, read_or_zero,
+    shape, shared, size_of_host, splat4d_result, write,
+};
+use super::device::{device_of, splat4d_device};
+use super::memory::{range_of, splat4d_buffer, splat4d_range};
+use super::record::splat4d_recorder;
+use super::renderer::{pixels_of, splat4d_pixels};
+use super::scene::{
+    camera_of, floats_of, gaussians_of, read_out, splat4d_camera, splat4d_gaussians,
+    splat4d_gaussians_out, splat4d_scene,
+};
+use super::vulkan::VkBuffer;
+use crate::gpu::Stream;
+use crate::scene::Scene;
+use crate::train::own_loss::OwnGradients;
+use crate::train::{AdaptiveSettings, GrowthSettings, TrainSettings, Trainer, TrainingView};
+use crate::types::Image;
+
+/// Gaussians in training.
+pub struct splat4d_trainer {
+    trainer: Trainer,
+    /// For reading gradients.
+    stream: Stream,
+    background: [f32; 3],
+    sh_degree: u32,
+}
+
+/// 3DGS-MCMC: the dead move to the living, up to max_gaussians. The default.
+pub const SPLAT4D_GROWTH_MCMC: u32 = 0;
+/// 3D Gaussian Splatting: clone, split, prune.
+pub const SPLAT4D_GROWTH_ADAPTIVE: u32 = 1;
+/// The Gaussians that there are.
+pub const SPLAT4D_GROWTH_NONE: u32 = 2;
+
+/// How to train. 0 is the default of every field; where 0 itself is meant, give a value below it.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct splat4d_train_settings {
+    /// sizeof(splat4d_train_settings).
+    pub struct_size: usize,
+    /// Steps that the schedules are made for; 0 for 30000.
+    pub steps: u32,
+    /// SPLAT4D_GROWTH_*.
+    pub growth: u32,
+    /// Growth ends here; 0 for a million.
+    pub max_gaussians: usize,
+    /// Bands of the spherical harmonics, 1 to 4: the degree and 1; 0 for 4.
+    pub sh_bands: u32,
+    /// A band is added each time so many steps have passed; 0 for 1000, below 0 for all bands from the
+    /// first step.
+    pub sh_interval: i32,
+    /// Share of D-SSIM in the loss; 0 for 0.2, below 0 for none.
+    pub ssim_share: f32,
+    /// Red, green, blue behind everything.
+    pub background: [f32; 3],
+    /// Learning rates; 0 for those of 3D Gaussian Splatting, below 0 for none. Positions, at the first
+    /// step and at the last, are in units of the scene's extent.
+    pub position_rate: f64,
+    /// As above.
+    pub position_rate_last: f64,
+    /// As above.
+    pub log_scale_rate: f64,
+    /// As above.
+    pub rotation_rate: f64,
+    /// As above.
+    pub opacity_rate: f64,
+    /// As above: the constant spherical harmonic.
+    pub sh0_rate: f64,
+    /// As above: the other bands.
+    pub sh_rest_rate: f64,
+    /// Decides the order of the pictures and everything random.
+    pub seed: u64,
+}
+grows!(splat4d_train_settings, seed: u64);
+
+/// A picture to train on.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct splat4d_view {
+    /// sizeof(splat4d_view); the same in each of an array, whose elements lie so far apart.
+    pub struct_size: usize,
+    /// Its camera, of the picture's size.
+    pub camera: *const splat4d_camera,
+    /// Red, green, blue in [0, 1]: 3 * width * height.
+    pub rgb: *const f32,
+    /// Weight of each pixel in [0, 1]: width * height; null for 1.
+    pub weights: *const f32,
+}
+grows!(splat4d_view, weights: *const f32);
+
+/// How far training is.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct splat4d_progress {
+    /// sizeof(splat4d_progress).
+    pub struct_size: usize,
+    /// Steps done.
+    pub step: u32,
+    /// Degree of the spherical harmonics of what is read.
+    pub sh_degree: u32,
+    /// Number of Gaussians.
+    pub count: usize,
+}
+grows!(splat4d_progress, count: usize);
+
+/// Parts of the last step's loss.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct splat4d_loss {
+    /// sizeof(splat4d_loss).
+    pub struct_size: usize,
+    /// 1 where there is one; else the rest is 0.
+    pub is_known: u32,
+    /// Weighted mean of the absolute differences.
+    pub l1: f64,
+    /// Weighted mean of SSIM.
+    pub ssim: f64,
+}
+grows!(splat4d_loss, ssim: f64);
+
+/// Gradients on the device, in the layout of the parameters: floats, row after row.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct splat4d_gradients {
+    /// sizeof(splat4d_gradients).
+    pub struct_size: usize,
+    /// 3 per Gaussian.
+    pub positions: splat4d_range,
+    /// 3 per Gaussian.
+    pub log_scales: splat4d_range,
+    /// 4 per Gaussian.
+    pub rotations: splat4d_range,
+    /// 1 per Gaussian.
+    pub opacity_logits: splat4d_range,
+    /// By band: 3, 9, 15, 21 per Gaussian; empty above the degree.
+    pub sh: [splat4d_range; 4],
+    /// By the camera's pose, for a left perturbation of view_from_world: translation, rotation; 6.
+    /// Empty before backward.
+    pub pose: splat4d_range,
+}
+grows!(splat4d_gradients, pose: splat4d_range);
+
+/// Puts Gaussians and pictures on a device, to be trained as a static scene. Everything is copied.
+/// `settings` may be null for the defaults. `trainer` gets a handle, to be destroyed.
+///
+/// Without views (`view_count` 0, for a loss of the host's own) `extent` is the unit of the positions'
+/// learning rate: about the distance of the outermost camera from the middle of all. With views it is
+/// found from their cameras, and `extent` is not looked at.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn splat4d_trainer_create(
+    device: *const splat4d_device,
+    gaussians: *const splat4d_gaussians,
+    views: *const splat4d_view,
+    view_count: usize,
+    extent: f64,
+    settings: *const splat4d_train_settings,
+    trainer: *mut *mut splat4d_trainer,
+) -> splat4d_result {
+    // SAFETY: the host's promise.
+    call(|| unsafe {
+        claim("trainer", trainer)?;
+        let device = device_of(device)?;
+        let gaussians = gaussians_of(gaussians)?;
+        let settings = settings_of(&read_or_zero("settings", settings)?, gaussians.len())?;
+        if gaussians.sh_degree > settings.sh_degree {
+            return Err(shape(format!(
+                "gaussians.sh_degree is {}: settings.sh_bands allows {}",
+                gaussians.sh_degree, settings.sh_degree
+            )));
+        }
+        let (background, sh_degree) = (settings.background, settings.sh_degree);
+        let made = match view_count {
+            0 => Trainer::without_pictures(device, &gaussians, None, extent, settings)?,
+            _ => {
+                let views = views_of(views, view_count)?;
+                Trainer::new(device, &views, &gaussians, None, settings)?
+            }
+        };
+        let stream = device.stream()?;
+        give(trainer, splat4d_trainer { trainer: made, stream, background, sh_degree });
+        Ok(())
+    })
+}
+
+/// Does one step on the next picture with the engine's own loss. Returns before the device is done.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn splat4d_trainer_step(trainer: *mut splat4d_trainer) -> splat4d_result {
+    // SAFETY: the host's promise.
+    call(|| unsafe { Ok(exclusive("trainer", trainer)?.trainer.step()?) })
+}
+
+/// Waits, and gives the last step's loss.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn splat4d_trainer_get_loss(
+    trainer: *mut splat4d_trainer,
+    loss: *mut splat4d_loss,
+) -> splat4d_result {
+    // SAFETY: the host's promise.
+    call(|| unsafe {
+        let trainer = &mut exclusive("trainer", trainer)?.trainer;
+        size_of_host("loss", loss)?;
+        let mut value = splat4d_loss { struct_size: 0, is_known: 0, l1: 0.0, ssim: 0.0 };
+        if let Some(found) = trainer.loss()? {
+            value = splat4d_loss { is_known: 1, l1: found.l1, ssim: found.ssim, ..value };
+        }
+        write("loss", loss, value)
+    })
+}
+
+/// How far training is.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn splat4d_trainer_get_progress(
+    trainer: *const splat4d_trainer,
+    progress: *mut splat4d_progress,
+) -> splat4d_result {
+    // SAFETY: the host's promise.
+    call(|| unsafe {
+        let trainer = shared("trainer", trainer)?;
+        let found = trainer.trainer.progress();
+        let (step, sh_degree, count) = (found.step, trainer.sh_degree, found.gaussians);
+        write("progress", progress, splat4d_progress { struct_size: 0, step, sh_degree, count })
+    })
+}
+
+/// Waits for the steps under way, and reads the Gaussians.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn splat4d_trainer_read(
+    trainer: *mut splat4d_trainer,
+    gaussians: *mut splat4d_gaussians_out,
+) -> splat4d_result {
+    // SAFETY: the host's promise.
+    call(|| unsafe {
+        let trainer = &mut exclusive("trainer", trainer)?.trainer;
+        size_of_host("gaussians", gaussians)?;
+        read_out(&trainer.gaussians()?, gaussians)
+    })
+}
+
+/// Waits for the steps under way, and makes a scene of the Gaussians. `scene` gets a handle, to be
+/// destroyed.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn splat4d_trainer_get_scene(
+    trainer: *mut splat4d_trainer,
+    scene: *mut *mut splat4d_scene,
+) -> splat4d_result {
+    // SAFETY: the host's promise.
+    call(|| unsafe {
+        claim("scene", scene)?;
+        let splat4d_trainer { trainer, background, .. } = exclusive("trainer", trainer)?;
+        let mut made = Scene::of(trainer.gaussians()?);
+        made.background = *background;
+        give(scene, splat4d_scene { scene: made });
+        Ok(())
+    })
+}
+
+/// Begins a step with the host's own loss: records the picture that `camera` sees. What follows, each
+/// in its turn, in this recording or a later one: splat4d_trainer_backward, splat4d_trainer_update if
+/// the trainer is to learn from it, and when the device is done splat4d_trainer_conclude.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn splat4d_trainer_forward(
+    trainer: *mut splat4d_trainer,
+    recorder: *mut splat4d_recorder,
+    camera: *const splat4d_camera,
+) -> splat4d_result {
+    // SAFETY: the host's promise.
+    call(|| unsafe {
+        let trainer = &mut exclusive("trainer", trainer)?.trainer;
+        let recorder = &mut exclusive("recorder", recorder)?.recorder;
+        Ok(trainer.forward(recorder, &camera_of(camera)?, 0.0)?)
+    })
+}
+
+/// Where the picture of the step under way lies, for the host's own commands.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn splat4d_trainer_get_pixels(
+    trainer: *mut splat4d_trainer,
+    pixels: *mut splat4d_pixels,
+) -> splat4d_result {
+    // SAFETY: the host's promise.
+    call(|| unsafe {
+        let trainer = &mut exclusive("trainer", trainer)?.trainer;
+        write("pixels", pixels, pixels_of(trainer.pixels()?))
+    })
+}
+
+/// Records the gradients by every parameter and by the camera's pose, given those of the host's loss by
+/// the picture: `by_rgba`, by premultiplied colour and alpha, 16 bytes a pixel; `by_depth`, 4 bytes a
+/// pixel, null where the loss does not read the depth.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn splat4d_trainer_backward(
+    trainer: *mut splat4d_trainer,
+    recorder: *mut splat4d_recorder,
+    by_rgba: *const splat4d_buffer,
+    by_depth: *const splat4d_buffer,
+) -> splat4d_result {
+    // SAFETY: the host's promise.
+    call(|| unsafe {
+        let trainer = &mut exclusive("trainer", trainer)?.trainer;
+        let recorder = &mut exclusive("recorder", recorder)?.recorder;
+        let depth = match by_depth.is_null() {
+            true => None,
+            false => Some(shared("by_depth", by_depth)?.words.view_as()),
+        };
+        let rgba = shared("by_rgba", by_rgba)?.words.view_as();
+        Ok(trainer.backward(recorder, OwnGradients { rgba, depth })?)
+    })
+}
+
+/// Records the update of every parameter by these gradients. A frame that did not fit changes nothing.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn splat4d_trainer_update(
+    trainer: *mut splat4d_trainer,
+    recorder: *mut splat4d_recorder,
+) -> splat4d_result {
+    // SAFETY: the host's promise.
+    call(|| unsafe {
+        let trainer = &mut exclusive("trainer", trainer)?.trainer;
+        Ok(trainer.update(&mut exclusive("recorder", recorder)?.recorder)?)
+    })
+}
+
+/// Ends the step when the device is done with what was recorded; earlier the answer means nothing.
+/// `fitted`, which may be null, gets 0 where the frame did not fit: nothing was learnt, there is more
+/// room now, and the step should be done again.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn splat4d_trainer_conclude(
+    trainer: *mut splat4d_trainer,
+    fitted: *mut u32,
+) -> splat4d_result {
+    // SAFETY: the host's promise.
+    call(|| unsafe {
+        let trainer = &mut exclusive("trainer", trainer)?.trainer;
+        let whole = trainer.conclude()?;
+        if !fitted.is_null() {
+            *exclusive("fitted", fitted)? = u32::from(whole);
+        }
+        Ok(())
+    })
+}
+
+/// Where the gradients of the last backward lie, for the host's own commands. They stay where they are
+/// as long as the trainer lives; that by the pose until the picture's size changes.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn splat4d_trainer_get_gradients(
+    trainer: *mut splat4d_trainer,
+    gradients: *mut splat4d_gradients,
+) -> splat4d_result {
+    // SAFETY: the host's promise.
+    call(|| unsafe {
+        let trainer = &mut exclusive("trainer", trainer)?.trainer;
+        let g = trainer.gradients();
+        let none = splat4d_range { buffer: VkBuffer::null(), offset: 0, bytes: 0 };
+        let mut value = splat4d_gradients {
+            struct_size: 0,
+            positions: range_of(&g.positions),
+            log_scales: range_of(&g.log_scales),
+            rotations: range_of(&g.rotations),
+            opacity_logits: range_of(&g.opacity_logits),
+            sh: [&g.sh[0], &g.sh[1], &g.sh[2], &g.sh[3]]
+                .map(|band| if band.is_empty() { none } else { range_of(band) }),
+            pose: none,
+        };
+        if let Ok(pose) = trainer.pose_gradient() {
+            value.pose = range_of(pose);
+        }
+        write("gradients", gradients, value)
+    })
+}
+
+/// Reads the gradients of the last backward, with which the device must be done, by the parameters and
+/// by the camera's pose: 6 floats, outside of a step SPLAT4D_ERROR_INPUT. Either may be null.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn splat4d_trainer_read_gradients(
+    trainer: *mut splat4d_trainer,
+    gradients: *mut splat4d_gaussians_out,
+    pose: *mut f32,
+) -> splat4d_result {
+    // SAFETY: the host's promise.
+    call(|| unsafe {
+        let splat4d_trainer { trainer, stream, .. } = exclusive("trainer", trainer)?;
+        if !gradients.is_null() {
+            size_of_host("gradients", gradients)?;
+            let count = trainer.progress().gaussians;
+            read_out(&trainer.gradients().download_first(stream, count)?, gradients)?;
+        }
+        if !pose.is_null() {
+            let found = stream.download(trainer.pose_gradient()?)?;
+            super::scene::copy_out("pose", &found, pose)?;
+        }
+        Ok(())
+    })
+}
+
+/// Destroys the handle, and waits for the steps under way; null is fine.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn splat4d_trainer_destroy(trainer: *mut splat4d_trainer) {
+    // SAFETY: the host's promise.
+    unsafe { destroy(trainer) };
+}
+
+fn settings_of(from: &splat4d_train_settings, gaussians: usize) -> Outcome<TrainSettings> {
+    let mut to = TrainSettings::default();
+    if from.steps != 0 {
+        to.steps = from.steps;
+    }
+    if from.max_gaussians != 0 {
+        to.max_gaussians = from.max_gaussians;
+    }
+    match from.growth {
+        SPLAT4D_GROWTH_MCMC => {}
+        SPLAT4D_GROWTH_ADAPTIVE => {
+            to.growth = Some(GrowthSettings::Adaptive(AdaptiveSettings::scaled_to(to.steps)));
+        }
+        SPLAT4D_GROWTH_NONE => (to.growth, to.max_gaussians) = (None, gaussians),
+        other => return Err(input(format!("settings.growth is {other}"))),
+    }
+    match from.sh_bands {
+        0 => {}
+        1..=4 => to.sh_degree = from.sh_bands - 1,
+        bands => return Err(input(format!("settings.sh_bands is {bands}: 1 to 4"))),
+    }
+    if from.sh_interval != 0 {
+        to.sh_interval = u32::try_from(from.sh_interval).unwrap_or(0);
+    }
+    let wide = |name: &str, value: f64, default: f64| match value {
+        _ if !value.is_finite() => Err(input(format!("settings.{name} is {value}"))),
+        0.0 => Ok(default),
+        _ => Ok(value.max(0.0)),
+    };
+    let ssim = wide("ssim_share", from.ssim_share.into(), to.ssim_share.into())?;
+    if ssim > 1.0 {
+        return Err(input(format!("settings.ssim_share is {ssim}: 1 at most")));
+    }
+    if from.ssim_share != 0.0 {
+        to.ssim_share = ssim as f32;
+    }
+    to.background = from.background;
+    let rates = &mut to.rates;
+    for (name, value, rate) in [
+        ("position_rate", from.position_rate, &mut rates.position),
+        ("position_rate_last", from.position_rate_last, &mut rates.position_last),
+        ("log_scale_rate", from.log_scale_rate, &mut rates.log_scale),
+        ("rotation_rate", from.rotation_rate, &mut rates.rotation),
+        ("opacity_rate", from.opacity_rate, &mut rates.opacity),
+        ("sh0_rate", from.sh0_rate, &mut rates.sh0),
+        ("sh_rest_rate", from.sh_rest_rate, &mut rates.sh_rest),
+    ] {
+        *rate = wide(name, value, *rate)?;
+    }
+    to.seed = from.seed;
+    Ok(to)
+}
+
+unsafe fn views_of(at: *const splat4d_view, count: usize) -> Outcome<Vec<TrainingView>> {
+    // SAFETY: the host's promise, throughout: each element begins with its size.
+    unsafe {
+        let apart = size_of_host("views", at)?;
+        (0..count)
+            .map(|i| {
+                let at = at.byte_add(i * apart);
+                if size_of_host("views", at)? != apart {
+                    let message = format!("views[{i}]: struct_size differs from the first's");
+                    return Err(fault(splat4d_result::SPLAT4D_ERROR_STRUCT_SIZE, message));
+                }
+                let view = read("views", at)?;
+                let camera = camera_of(view.camera)?;
+                let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+                let image = |what: &str, from: *const f32, channels: u32| -> Outcome<Image> {
+                    let len = floats_of(&camera, channels as usize);
+                    let pixels = array(what, from, len)?.to_vec();
+                    Ok(Image { width, height, channels, pixels })
+                };
+                let weights = match view.weights.is_null() {
+                    true => None,
+                    false => Some(image("views.weights", view.weights, 1)?),
+                };
+                let image = image("views.rgb", view.rgb, 3)?;
+                Ok(TrainingView { camera, time: 0.0, image, weights, disparity: None, mask: None })
+            })
+            .collect()
+    }
+}
