@@ -551,12 +551,57 @@ fn bad_buffers_are_refused_by_name() {
     host.free(lent);
 }
 
+/// One device exports, another imports, writes, and the first reads.
 #[cfg(unix)]
 #[test]
-fn memory_is_imported_or_refused_with_a_reason() {
+fn exported_memory_is_shared() {
+    use splat4d::embed::ImportedMemory;
+    let (owner, host) = (Host::new(), Host::new());
+    if !owner.external_memory_fd {
+        println!("SKIPPED (no VK_KHR_external_memory_fd)");
+        return;
+    }
+    let device = adopt(&host);
+    let exported = owner.export(8192);
+    let memory = |offset| ImportedMemory {
+        fd: exported.fd.try_clone().unwrap(),
+        allocation_bytes: exported.bytes,
+        memory_type: exported.memory_type,
+        offset,
+    };
+    // SAFETY: an opaque export, of the same physical device and driver, used by one at a time.
+    let import = |memory| unsafe { Buffer::<u32>::import_fd(&device, "shared", memory, 8) };
+    for (wrong, says) in [
+        (ImportedMemory { offset: 8192, ..memory(0) }, "the allocation has 8192"),
+        (ImportedMemory { offset: 2, ..memory(0) }, "not a multiple of"),
+        (ImportedMemory { memory_type: 32, ..memory(0) }, "memory type 32 does not exist"),
+    ] {
+        let error = import(wrong).err().expect("it must be refused").to_string();
+        assert!(error.contains(says), "{says}: {error}");
+    }
+    let mut shared = import(memory(4096)).unwrap();
+    let mut stream = device.stream().unwrap();
+    let mut recorder = stream.record().unwrap();
+    recorder.fill(shared.view_mut(), 77);
+    stream.submit(recorder).unwrap();
+    assert_eq!(stream.download(&shared).unwrap(), [77; 8]);
+    drop((shared, stream, device));
+    // SAFETY: mapped, as long as that, and nobody writes any more; then the device is done with it.
+    unsafe {
+        let words = std::slice::from_raw_parts(exported.mapped.cast::<u32>(), 2048);
+        assert!(words.iter().enumerate().all(|(i, w)| *w == 77 * u32::from(i / 8 == 128)));
+        owner.device.free_memory(exported.memory, None);
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn memory_is_not_imported_without_the_extension() {
     use splat4d::embed::ImportedMemory;
     let host = Host::new();
-    let device = adopt(&host);
+    // SAFETY: as for `adopt`.
+    let device =
+        unsafe { Device::adopt(HostDevice { external_memory_fd: false, ..host.lend() }) }.unwrap();
     let memory = ImportedMemory {
         fd: std::fs::File::open("/dev/null").unwrap().into(),
         allocation_bytes: 4096,

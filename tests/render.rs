@@ -132,3 +132,84 @@ fn what_does_not_fit_is_named() {
 fn cases() {
     common::run("render");
 }
+
+/// A frame stage by stage has the bits of the whole; lists are in the order of depth; and splats that
+/// the host brings itself are blended as the engine's own are.
+#[test]
+fn stages_on_their_own_are_a_frame() {
+    let device = common::device();
+    let stream = &mut device.stream().unwrap();
+    let n = 300usize;
+    let at = |i: usize, k: usize| ((i * 7919 + k * 104_729) % 1000) as f32 / 500.0 - 1.0;
+    let scene = Gaussians {
+        positions: (0..n).map(|i| [at(i, 1), at(i, 2), 3.0 + at(i, 3)]).collect(),
+        log_scales: vec![[-2.5; 3]; n],
+        rotations: vec![[1.0, 0.0, 0.0, 0.0]; n],
+        opacity_logits: (0..n).map(|i| at(i, 4)).collect(),
+        sh: (0..n).map(|i| [at(i, 5), at(i, 6), at(i, 7)]).collect(),
+        ..Gaussians::default()
+    };
+    let (width, height) = (70, 50);
+    let intrinsics = Intrinsics { fx: 70.0, fy: 70.0, cx: 35.0, cy: 25.0, width, height };
+    let camera = Camera { intrinsics, view_from_world: Pose::IDENTITY };
+    let whole = render(&device, &scene, &camera);
+    assert!(whole.0.iter().any(|pixel| pixel[3] > 0.5), "the picture is not empty");
+
+    let gaussians = GaussianBuffers::from_host(stream, &scene).unwrap();
+    let op = Render::plan(&device, n, 1 << 14, width, height, Default::default()).unwrap();
+    let mut scratch = op.scratch(&device).unwrap();
+    let mut pixels = op.pixels(&device).unwrap();
+    let mut recorder = stream.record().unwrap();
+    op.project(&mut recorder, &camera, gaussians.views(), &mut scratch).unwrap();
+    stream.submit(recorder).unwrap();
+    // Another plan's scratch, which has seen no projection: the host hands the splats over.
+    let mut other = op.scratch(&device).unwrap();
+    let mut recorder = stream.record().unwrap();
+    let (from, to) = (scratch.splats(), other.splats_mut());
+    recorder.copy(from.means, to.means);
+    recorder.copy(from.conics, to.conics);
+    recorder.copy(from.colours, to.colours);
+    recorder.copy(from.rectangles, to.rectangles);
+    recorder.copy(from.tile_counts, to.tile_counts);
+    recorder.copy(from.visible, to.visible);
+    stream.submit(recorder).unwrap();
+    for scratch in [&mut scratch, &mut other] {
+        let mut recorder = stream.record().unwrap();
+        recorder.fill(pixels.rgba.view_mut(), 0);
+        op.bin(&mut recorder, n, scratch).unwrap();
+        op.blend(&mut recorder, scratch.splats().colours, scratch, &mut pixels).unwrap();
+        stream.submit(recorder).unwrap();
+        assert_eq!(stream.download(&pixels.rgba).unwrap(), whole.0);
+        assert_eq!(stream.download(&pixels.depth).unwrap(), whole.1);
+    }
+
+    let mut read = |from: splat4d::gpu::View<'_, u32>| {
+        let mut to = device.buffer::<u32>("words", from.len()).unwrap();
+        let mut recorder = stream.record().unwrap();
+        recorder.copy(from, to.view_mut());
+        stream.submit(recorder).unwrap();
+        stream.download(&to).unwrap()
+    };
+    let lists = scratch.tile_lists();
+    let (splats, intersections) = (read(lists.splats), read(lists.intersections));
+    let counts = read(scratch.splats().tile_counts);
+    let mut ranges = device.buffer("ranges", lists.ranges.len()).unwrap();
+    let mut means = device.buffer("means", n).unwrap();
+    let mut recorder = stream.record().unwrap();
+    recorder.copy(lists.ranges, ranges.view_mut());
+    recorder.copy(scratch.splats().means, means.view_mut());
+    stream.submit(recorder).unwrap();
+    let (ranges, means) = (stream.download(&ranges).unwrap(), stream.download(&means).unwrap());
+    assert_eq!(ranges.len(), 5 * 4);
+    let mut seen = vec![0u32; n];
+    for [from, to] in ranges {
+        let on_tile = &intersections[from as usize..to as usize];
+        let on_tile: Vec<usize> = on_tile.iter().map(|&at| splats[at as usize] as usize).collect();
+        assert!(on_tile.is_sorted_by(|&a, &b| means[a][2] <= means[b][2]), "front to back");
+        on_tile.iter().for_each(|&splat| seen[splat] += 1);
+    }
+    assert_eq!(seen, counts);
+    let error = op.bin(&mut stream.record().unwrap(), n + 1, &mut scratch).unwrap_err().to_string();
+    assert!(error.contains("expected at most 300"), "{error}");
+    common::assert_valid(&device);
+}

@@ -2,7 +2,7 @@
 //! the engine. As small as it can be, on plain `ash`.
 #![allow(dead_code, reason = "each test binary uses its own part")]
 
-use splat4d::embed::ash::{self, ext, vk};
+use splat4d::embed::ash::{self, ext, khr, vk};
 use splat4d::embed::{Features, HostBuffer, HostDevice, Requirements};
 use splat4d::types::{Camera, Gaussians, Intrinsics, Pose};
 use std::ffi::{CStr, c_void};
@@ -17,6 +17,8 @@ pub struct Host {
     pub family: u32,
     pub queue: vk::Queue,
     pub features: Features,
+    /// Whether the device has `VK_KHR_external_memory_fd`; it is enabled then.
+    pub external_memory_fd: bool,
     pub instance: ash::Instance,
     pub entry: ash::Entry,
     pool: vk::CommandPool,
@@ -103,8 +105,14 @@ impl Host {
             let queues = [vk::DeviceQueueCreateInfo::default()
                 .queue_family_index(family)
                 .queue_priorities(&[1.0])];
+            let offered = instance.enumerate_device_extension_properties(physical).unwrap();
+            let fd = khr::external_memory_fd::NAME;
+            let external_memory_fd =
+                offered.iter().any(|e| e.extension_name_as_c_str().is_ok_and(|name| name == fd));
+            let extensions = Vec::from_iter(external_memory_fd.then_some(fd.as_ptr()));
             let create = vk::DeviceCreateInfo::default()
                 .queue_create_infos(&queues)
+                .enabled_extension_names(&extensions)
                 .push_next(&mut vulkan12)
                 .push_next(&mut vulkan13);
             let device = instance.create_device(physical, &create, None).expect("a device");
@@ -119,6 +127,7 @@ impl Host {
                 physical,
                 family,
                 features,
+                external_memory_fd,
                 instance,
                 entry,
                 messenger,
@@ -137,7 +146,7 @@ impl Host {
             queue: self.queue,
             queue_family: self.family,
             features: self.features,
-            external_memory_fd: false,
+            external_memory_fd: self.external_memory_fd,
             queue_lock: None,
             on_drop: None,
         }
@@ -218,6 +227,35 @@ impl Host {
         }
     }
 
+    /// Memory that the processor sees and others can import, all zeros.
+    #[cfg(unix)]
+    pub fn export(&self, bytes: u64) -> Exported {
+        use std::os::fd::FromRawFd;
+        let kind = vk::ExternalMemoryHandleTypeFlags::OPAQUE_FD;
+        let mut export = vk::ExportMemoryAllocateInfo::default().handle_types(kind);
+        // SAFETY: plain Vulkan, as its specification has it; the descriptor is new, and ours.
+        unsafe {
+            let all = self.instance.get_physical_device_memory_properties(self.physical);
+            let memory_type = all.memory_types[..all.memory_type_count as usize]
+                .iter()
+                .position(|t| t.property_flags.contains(vk::MemoryPropertyFlags::HOST_COHERENT))
+                .expect("a memory type") as u32;
+            let info = vk::MemoryAllocateInfo::default()
+                .allocation_size(bytes)
+                .memory_type_index(memory_type)
+                .push_next(&mut export);
+            let memory = self.device.allocate_memory(&info, None).unwrap();
+            let flags = vk::MemoryMapFlags::empty();
+            let mapped = self.device.map_memory(memory, 0, vk::WHOLE_SIZE, flags).unwrap();
+            mapped.cast::<u8>().write_bytes(0, bytes as usize);
+            let functions = khr::external_memory_fd::Device::new(&self.instance, &self.device);
+            let info = vk::MemoryGetFdInfoKHR::default().memory(memory).handle_type(kind);
+            let fd = functions.get_memory_fd(&info).unwrap();
+            let fd = std::os::fd::OwnedFd::from_raw_fd(fd);
+            Exported { fd, memory, memory_type, bytes, mapped }
+        }
+    }
+
     pub fn allocate(
         &self,
         needs: vk::MemoryRequirements,
@@ -274,6 +312,16 @@ impl Drop for Host {
             self.instance.destroy_instance(None);
         }
     }
+}
+
+/// See [`Host::export`].
+#[cfg(unix)]
+pub struct Exported {
+    pub fd: std::os::fd::OwnedFd,
+    pub memory: vk::DeviceMemory,
+    pub memory_type: u32,
+    pub bytes: u64,
+    pub mapped: *mut c_void,
 }
 
 /// A buffer of the host's.

@@ -44,13 +44,10 @@ impl Render {
         scratch: &mut RenderScratch,
         pixels: PixelViews<'_>,
     ) -> Result<()> {
-        self.check(camera, &gaussians)?;
-        self.check_scratch(scratch)?;
         self.check_pixels("render", &pixels)?;
-        recorder.update(scratch.camera.view_mut(), &device_camera(camera))?;
-        recorder.update(scratch.count.view_mut(), &[gaussians.len as u32])?;
-        self.project(recorder, gaussians, scratch)?;
-        self.bin(recorder, gaussians.len, scratch)?;
+        let count = gaussians.len;
+        self.project(recorder, camera, gaussians, scratch)?;
+        self.bin(recorder, count, scratch)?;
         self.blend_into(recorder, scratch.colours.view(), scratch, pixels)
     }
 
@@ -118,12 +115,22 @@ impl Render {
         }
     }
 
-    fn project(
+    /// Records the first stage alone, `project/forward`: Gaussians to splats, which the scratch then
+    /// holds ([`RenderScratch::splats`]).
+    ///
+    /// # Errors
+    /// As for [`forward`](Self::forward).
+    pub fn project(
         &self,
         recorder: &mut Recorder,
+        camera: &Camera,
         gaussians: GaussianViews<'_>,
-        s: &mut RenderScratch,
+        scratch: &mut RenderScratch,
     ) -> Result<()> {
+        self.check(camera, &gaussians)?;
+        self.check_scratch(scratch)?;
+        let s = scratch;
+        recorder.update(s.camera.view_mut(), &device_camera(camera))?;
         let groups = Groups::linear(gaussians.len, 64, recorder.device().limits())?;
         recorder.dispatch_specialised::<project::Forward>(
             &[gaussians.half_sh, gaussians.half_shapes, gaussians.half_rotations].map(u32::from),
@@ -158,7 +165,23 @@ impl Render {
         )
     }
 
-    fn bin(&self, recorder: &mut Recorder, len: usize, s: &mut RenderScratch) -> Result<()> {
+    /// Records the second stage alone: which of the scratch's first `len` splats lie on which tile,
+    /// front to back ([`RenderScratch::tile_lists`]). The splats are those that
+    /// [`project`](Self::project) left, or the host's own ([`RenderScratch::splats_mut`]). The third
+    /// stage is [`blend`](Self::blend).
+    ///
+    /// # Errors
+    /// As for [`forward`](Self::forward).
+    pub fn bin(
+        &self,
+        recorder: &mut Recorder,
+        len: usize,
+        scratch: &mut RenderScratch,
+    ) -> Result<()> {
+        self.check_count(len)?;
+        self.check_scratch(scratch)?;
+        let s = scratch;
+        recorder.update(s.count.view_mut(), &[len as u32])?;
         let limits = *recorder.device().limits();
         let groups = Groups::linear(len, 64, &limits)?;
         let (count, capacity) = (len as u32, self.intersections as u32);

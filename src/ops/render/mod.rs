@@ -8,8 +8,10 @@
 
 mod backward;
 mod forward;
+mod stages;
 
 pub use backward::{BackwardScratch, PixelGradientViews, PixelGradients};
+pub use stages::{SplatViews, SplatViewsMut, TileLists};
 
 use super::at_least;
 use super::gaussians::GaussianViews;
@@ -306,20 +308,25 @@ impl Render {
 
     fn check(&self, camera: &Camera, gaussians: &GaussianViews<'_>) -> Result<()> {
         gaussians.check("render")?;
-        if gaussians.len > self.gaussians {
-            return Err(Error::Shape {
-                op: "render",
-                arg: "gaussians",
-                expected: format!("at most {}", self.gaussians),
-                actual: gaussians.len,
-            });
-        }
+        self.check_count(gaussians.len)?;
         let k = camera.intrinsics;
         if (k.width, k.height) != (self.width, self.height) {
             return Err(Error::Input(format!(
                 "the renderer was planned for {}×{} pixels, the camera has {}×{}",
                 self.width, self.height, k.width, k.height
             )));
+        }
+        Ok(())
+    }
+
+    fn check_count(&self, gaussians: usize) -> Result<()> {
+        if gaussians > self.gaussians {
+            return Err(Error::Shape {
+                op: "render",
+                arg: "gaussians",
+                expected: format!("at most {}", self.gaussians),
+                actual: gaussians,
+            });
         }
         Ok(())
     }

@@ -1,0 +1,107 @@
+//! The stages of a frame on their own, and what lies between them.
+
+use super::RenderScratch;
+use crate::gpu::{View, ViewMut};
+
+/// Splats: what the projection leaves of each Gaussian, in the Gaussians' order.
+///
+/// ```no_run
+/// use splat4d::gpu::Device;
+/// use splat4d::ops::gaussians::GaussianBuffers;
+/// use splat4d::ops::render::Render;
+/// use splat4d::types::{Camera, Gaussians};
+/// # fn list(device: &Device, scene: &Gaussians, camera: &Camera) -> splat4d::Result<()> {
+/// let mut stream = device.stream()?;
+/// let gaussians = GaussianBuffers::from_host(&mut stream, scene)?;
+/// let (n, k) = (gaussians.len, camera.intrinsics);
+/// let render = Render::plan(device, n, 1 << 20, k.width, k.height, Default::default())?;
+/// let mut scratch = render.scratch(device)?;
+/// let mut means = device.buffer("my means", n)?;
+/// let mut recorder = stream.record()?;
+/// render.project(&mut recorder, camera, gaussians.views(), &mut scratch)?;
+/// recorder.copy(scratch.splats().means, means.view_mut());
+/// render.bin(&mut recorder, n, &mut scratch)?;
+/// let mut ranges = device.buffer("my ranges", scratch.tile_lists().ranges.len())?;
+/// recorder.copy(scratch.tile_lists().ranges, ranges.view_mut());
+/// stream.submit(recorder)?;
+/// let (means, ranges) = (stream.download(&means)?, stream.download(&ranges)?);
+/// # Ok(())
+/// # }
+/// ```
+pub struct SplatViews<'a> {
+    /// Mean x and y in pixels, depth, opacity.
+    pub means: View<'a, [f32; 4]>,
+    /// The conic factored, (a, b, e): at an offset (x, y) from the mean, α is the opacity times
+    /// exp(−(a x + b y)² − (e y)²); last the power at which α falls to the cut.
+    pub conics: View<'a, [f32; 4]>,
+    /// Red, green, blue, nothing.
+    pub colours: View<'a, [f32; 4]>,
+    /// The first tile and the one past the last, x in the lower half of a word, y in the upper.
+    pub rectangles: View<'a, [u32; 2]>,
+    /// Tiles of the rectangle that the splat reaches; 0 for what is culled, whose other entries mean
+    /// nothing.
+    pub tile_counts: View<'a, u32>,
+    /// 1 for what is not culled, else 0.
+    pub visible: View<'a, u32>,
+}
+
+/// The same to write, for splats of a projection of the host's own.
+pub struct SplatViewsMut<'a> {
+    /// As [`SplatViews::means`].
+    pub means: ViewMut<'a, [f32; 4]>,
+    /// As [`SplatViews::conics`].
+    pub conics: ViewMut<'a, [f32; 4]>,
+    /// As [`SplatViews::colours`].
+    pub colours: ViewMut<'a, [f32; 4]>,
+    /// As [`SplatViews::rectangles`].
+    pub rectangles: ViewMut<'a, [u32; 2]>,
+    /// As [`SplatViews::tile_counts`].
+    pub tile_counts: ViewMut<'a, u32>,
+    /// As [`SplatViews::visible`].
+    pub visible: ViewMut<'a, u32>,
+}
+
+/// Which splats lie on which tile, front to back.
+pub struct TileLists<'a> {
+    /// For each tile, row by row: its part of `intersections`, from and to.
+    pub ranges: View<'a, [u32; 2]>,
+    /// Entries of `splats`.
+    pub intersections: View<'a, u32>,
+    /// Which splat.
+    pub splats: View<'a, u32>,
+}
+
+impl RenderScratch {
+    /// What [`Render::project`](super::Render::project) left.
+    pub fn splats(&self) -> SplatViews<'_> {
+        SplatViews {
+            means: self.means.view(),
+            conics: self.conics.view(),
+            colours: self.colours.view(),
+            rectangles: self.rectangles.view(),
+            tile_counts: self.tile_counts.view(),
+            visible: self.visible.view(),
+        }
+    }
+
+    /// What [`Render::bin`](super::Render::bin) and [`Render::blend`](super::Render::blend) read, to be written by the host instead.
+    pub fn splats_mut(&mut self) -> SplatViewsMut<'_> {
+        SplatViewsMut {
+            means: self.means.view_mut(),
+            conics: self.conics.view_mut(),
+            colours: self.colours.view_mut(),
+            rectangles: self.rectangles.view_mut(),
+            tile_counts: self.tile_counts.view_mut(),
+            visible: self.visible.view_mut(),
+        }
+    }
+
+    /// What [`Render::bin`](super::Render::bin) left.
+    pub fn tile_lists(&self) -> TileLists<'_> {
+        TileLists {
+            ranges: self.ranges.view(),
+            intersections: self.intersections.view(),
+            splats: self.splats.view(),
+        }
+    }
+}
