@@ -15,7 +15,7 @@ use crate::kernels::mask as kernels;
 
 const WORKGROUP: u32 = 64;
 
-/// Records the painting: the probability of motion of each logit as the red of a colour.
+/// Records the painting, `mask/paint`: the probability of motion of each logit as the red of a colour.
 ///
 /// # Errors
 /// [`Error::Shape`](crate::Error::Shape) for fewer colours than logits.
@@ -33,8 +33,8 @@ pub fn paint(
     )
 }
 
-/// Records the comparison of a rendered picture's red with a mask (1 where something moves), whose
-/// mean absolute difference has a weight in the loss. The gradient by depth is not written: colours
+/// Records the comparison, `mask/compare`, of a rendered picture's red with a mask (1 where something
+/// moves), whose mean absolute difference has a weight in the loss. The gradient by depth is not written: colours
 /// do not depend on it.
 ///
 /// # Errors
@@ -81,7 +81,7 @@ pub struct VoteArgs<'a> {
     pub evidence: ViewMut<'a, f32>,
 }
 
-/// Records the handing out.
+/// Records the handing out, `mask/vote`.
 ///
 /// # Errors
 /// [`Error::Shape`](crate::Error::Shape) where an array is too short.

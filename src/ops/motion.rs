@@ -127,7 +127,8 @@ impl Motion {
     }
 
     /// Records the search for the control points that each dynamic Gaussian follows; needed once,
-    /// and again when Gaussians or control points have moved in the canonical frame.
+    /// and again when Gaussians or control points have moved in the canonical frame. The dispatches
+    /// of [`Skin::refresh`](super::deform::Skin::refresh).
     ///
     /// # Errors
     /// As for [`Recorder::dispatch`].
@@ -138,7 +139,8 @@ impl Motion {
 
     /// Records where the Gaussians are at the first of some times in [0, 1]
     /// ([`moved`](Self::moved) gives them), and the control points' motions at all of them. Without
-    /// `soft` every listed Gaussian moves fully.
+    /// `soft` every listed Gaussian moves fully. The dispatches of the network's forward pass, then of
+    /// [`Skin::forward`](super::deform::Skin::forward).
     ///
     /// # Errors
     /// [`Error::Shape`] for another number of times than planned; else as for

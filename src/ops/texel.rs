@@ -42,8 +42,8 @@ pub struct Packing {
     pub blue_first: bool,
 }
 
-/// Records the packing of a premultiplied picture into eight bits a channel, the first the lowest
-/// byte: the nearest of 255 steps. What is not finite counts as 0.
+/// Records `texel/unorm8`: a premultiplied picture into eight bits a channel, the first the lowest
+/// byte, the nearest of 255 steps. What is not finite counts as 0.
 ///
 /// # Errors
 /// [`Error::Shape`](crate::Error::Shape) for fewer texels than pixels.
@@ -70,8 +70,8 @@ pub fn unorm8(
     )
 }
 
-/// Records the packing of a premultiplied picture over a premultiplied background into 16-bit
-/// floats: the nearest, ties to even, and the largest where it is out of range. What is not finite
+/// Records `texel/half`: a premultiplied picture over a premultiplied background into 16-bit
+/// floats, the nearest, ties to even, and the largest where it is out of range. What is not finite
 /// counts as 0.
 ///
 /// # Errors

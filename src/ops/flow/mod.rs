@@ -117,7 +117,8 @@ impl Flow {
 
     /// Records the pyramid of an image of `channels` interleaved values per pixel: encoded red,
     /// green, blue in [0, 1] (further channels are ignored), or luminance where there are fewer
-    /// than three. What lies outside [0, 1] is clamped, NaN is 0.
+    /// than three. What lies outside [0, 1] is clamped, NaN is 0. `flow/luma`; `flow/halve` for each
+    /// level but the first; `flow/derivatives` for each; `flow/census`.
     ///
     /// # Errors
     /// [`Error::Shape`] when `pixels` is too short; else as for [`Recorder::dispatch`].

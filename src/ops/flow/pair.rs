@@ -77,7 +77,11 @@ impl Flow {
 
     /// Records the flow of a pair, whose frames were recorded before.
     ///
-    /// Each stage goes out for both directions before the next, so that they share its barrier.
+    /// Each stage goes out for both directions before the next, so that they share its barrier: at
+    /// the coarsest level four times `flow/path`, then `flow/cheapest`; at each level, the coarsest
+    /// first, `flow/upsample` (not at the coarsest), `flow/search`, `flow/propagate` as often as the
+    /// settings have propagations, `flow/densify`, `flow/trust`, `flow/median`, and for each warp
+    /// `flow/linearise`, `flow/relax` twice a sweep, `flow/median`; at last `flow/confidence`.
     ///
     /// # Errors
     /// [`Error::Shape`](crate::Error::Shape) for a buffer that is too short; else as for
