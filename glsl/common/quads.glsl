@@ -78,12 +78,12 @@ uint either(uint a, uint b) {
 
 // One bit per lane.
 uint subgroup_ballot(bool here) {
-    if (!SHUFFLES) {
-        return subgroupBallot(here).x;
+    if (SHUFFLES) {
+        uint bits = here ? 1u << gl_SubgroupInvocationID : 0u;
+        SUBGROUP_FOLD(bits, either)
+        return bits;
     }
-    uint bits = here ? 1u << gl_SubgroupInvocationID : 0u;
-    SUBGROUP_FOLD(bits, either)
-    return bits;
+    return subgroupBallot(here).x;
 }
 
 // The rectangle of pixel centres that the subgroup's quads cover.

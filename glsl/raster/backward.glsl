@@ -18,8 +18,8 @@
 
 layout(local_size_x = LANES) in;
 
-// Whether a workgroup is one subgroup, and nothing has to meet in shared memory.
-layout(constant_id = 1) const bool ALONE = false;
+// Whether a workgroup may be several subgroups, whose sums meet in shared memory.
+layout(constant_id = 1) const bool SEVERAL = true;
 
 layout(std430, binding = 0) readonly buffer Ranges { uvec2 ranges[]; };
 layout(std430, binding = 1) readonly buffer Intersections { uint intersections[]; };
@@ -178,7 +178,7 @@ void main() {
         tile_end = max(tile_end, block_end[b]);
     }
     uvec2 range = ranges[tile];
-    if (!ALONE) {
+    if (SEVERAL) {
         if (id == 0u) {
             furthest = 0u;
         }
@@ -190,7 +190,7 @@ void main() {
         tile_end = furthest;
     }
     uint stop = range.x + tile_end;
-    uint chunk = ALONE ? LANES : min(gl_SubgroupSize, LANES);
+    uint chunk = SEVERAL ? min(gl_SubgroupSize, LANES) : LANES;
 
     uint batch = range.x;
     do {
@@ -213,20 +213,20 @@ void main() {
             sums_b = vec4(0.0);
             sums_c = vec2(0.0);
             EACH_BLOCK(replay)
-            if (ALONE) {
-                if (mine) {
-                    slots_a[slot] = sums_a;
-                    slots_b[slot] = sums_b;
-                    slots_c[slot] = sums_c;
+            if (SEVERAL) {
+                if (gl_SubgroupInvocationID < chunk) {
+                    uint to = gl_SubgroupID * LANES + base + gl_SubgroupInvocationID;
+                    partial_a[to] = sums_a;
+                    partial_b[to] = sums_b;
+                    partial_c[to] = sums_c;
                 }
-            } else if (gl_SubgroupInvocationID < chunk) {
-                uint to = gl_SubgroupID * LANES + base + gl_SubgroupInvocationID;
-                partial_a[to] = sums_a;
-                partial_b[to] = sums_b;
-                partial_c[to] = sums_c;
+            } else if (mine) {
+                slots_a[slot] = sums_a;
+                slots_b[slot] = sums_b;
+                slots_c[slot] = sums_c;
             }
         }
-        if (!ALONE) {
+        if (SEVERAL) {
             barrier();
             if (batch + id < stop) {
                 vec4 a = vec4(0.0), b = vec4(0.0);

@@ -124,8 +124,8 @@ kernel! {
 
 kernel! {
     /// [`Backward`](struct@Backward) with 8 invocations a tile, for narrow subgroups. Specialisation
-    /// constants: 0 as for [`Forward`](struct@Forward); 1, whether the subgroup size is 8, so that
-    /// nothing goes through shared memory.
+    /// constants: 0 as for [`Forward`](struct@Forward); 1, whether the subgroups are smaller, so
+    /// that sums of several meet in shared memory.
     pub struct BackwardNarrow("raster/backward_narrow"), workgroup: [8, 1, 1],
     params: BackwardNarrowParams {
         /// Image width, pixels.

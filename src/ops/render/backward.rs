@@ -241,8 +241,9 @@ impl Render {
         match self.narrow {
             None => dispatch!(Backward, BackwardParams, BackwardArgs, &[])?,
             Some(subgroup_size) => {
-                let alone = u32::from(subgroup_size >= raster::BackwardNarrow::WORKGROUP[0]);
-                dispatch!(BackwardNarrow, BackwardNarrowParams, BackwardNarrowArgs, &[1, alone])?;
+                let several = u32::from(subgroup_size < raster::BackwardNarrow::WORKGROUP[0]);
+                let constants = [1, several];
+                dispatch!(BackwardNarrow, BackwardNarrowParams, BackwardNarrowArgs, &constants)?;
             }
         }
         recorder.dispatch::<raster::Gather>(
