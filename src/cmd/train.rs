@@ -13,7 +13,7 @@ use splat4d::renderer::Renderer;
 use splat4d::scene::SceneCamera;
 use splat4d::train::{
     AdaptiveSettings, Checkpoint, GrowthSettings, McmcSettings, Phase, PosedMotion, TrainSettings,
-    TrainingView, fit_posed, random_points, seed_from_points,
+    TrainingView, fit_posed, posed_scale, random_points, seed_from_points,
 };
 use splat4d::types::{Camera, Gaussians, RenderSettings};
 use splat4d::{Error, Result};
@@ -21,7 +21,7 @@ use splat4d::{Error, Result};
 use super::checkpoints::{CheckpointArgs, Checkpoints};
 use super::clock::Clock;
 use super::common::{
-    Answer, Common, bytes, check_output_file, check_output_folder, notes, say, thousands,
+    Answer, Common, bytes, check_output_file, check_output_folder, foresee, notes, say, thousands,
 };
 use super::info::dynamic_share;
 use super::quality::{self, Quality};
@@ -42,7 +42,7 @@ Examples:
 JSON (also kept in the scene): psnr_input, psnr_test (null where nothing is held out), ssim_test,
 gaussians, control_points, control_points_added, control_points_removed (null where nothing moves),
 dynamic_share, model, density (null where their number is kept), steps, images, held_out, device,
-peak_bytes, milliseconds_per_step, seconds {load, train, evaluate}, output";
+predicted_bytes (of device memory, before it began), peak_bytes, milliseconds_per_step, seconds {load, train, evaluate}, output";
 
 /// How Gaussians are added and removed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -164,6 +164,14 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         PosedMotion { neighbours: motion.neighbours.min(most), ..motion }
     });
     let views: Vec<TrainingView> = train.iter().cloned().map(Into::into).collect();
+    let scale = posed_scale(&views, seeded.len(), motion.as_ref(), &settings);
+    let predicted_bytes = foresee(
+        &device,
+        &format!("training up to {} Gaussians", thousands(settings.max_gaussians)),
+        scale.footprint(&device),
+        || scale.most_gaussians(&device),
+        "lower --max-gaussians or --size",
+    )?;
     let mut identity = identity(&views, &seeded, &settings);
     identity.insert("motion".into(), format!("{motion:?}"));
     let mut checkpoints = Checkpoints::new(&args.output, &args.checkpoints, identity);
@@ -206,6 +214,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         "images": train.len(),
         "held_out": test.len(),
         "device": device.info().name,
+        "predicted_bytes": predicted_bytes,
         "peak_bytes": device.memory().1,
         "milliseconds_per_step": milliseconds_per_step,
         "seconds": clock.json(),

@@ -139,9 +139,11 @@ impl Recorder {
         if groups.is_empty() {
             return Ok(());
         }
-        self.prepare::<K>(specialisation, &params, &args, None)?;
-        self.work.slot.dispatch(groups.0);
-        self.finish_dispatch(K::NAME)
+        if self.prepare::<K>(specialisation, &params, &args, None)? {
+            self.work.slot.dispatch(groups.0);
+            self.finish_dispatch(K::NAME)?;
+        }
+        Ok(())
     }
 
     /// Records one dispatch whose grid the device reads from three words at `arguments[at..]`.
@@ -171,9 +173,11 @@ impl Recorder {
                 arguments.label()
             )));
         }
-        self.prepare::<K>(&[], &params, &args, Some(&range))?;
-        self.work.slot.dispatch_indirect(&range.buffer, range.offset);
-        self.finish_dispatch(K::NAME)
+        if self.prepare::<K>(&[], &params, &args, Some(&range))? {
+            self.work.slot.dispatch_indirect(&range.buffer, range.offset);
+            self.finish_dispatch(K::NAME)?;
+        }
+        Ok(())
     }
 
     /// Fills a buffer with one word.
@@ -182,7 +186,7 @@ impl Recorder {
             return;
         }
         let range = to.bound();
-        if !self.owns(&range, "fill") {
+        if !self.owns(&range, "fill") || self.device.is_rehearsing() {
             return;
         }
         self.touch([(&range, true)]);
@@ -207,7 +211,7 @@ impl Recorder {
     }
 
     pub(super) fn copy_ranges(&mut self, from: &BoundRange, to: &BoundRange) {
-        if !(self.owns(from, "copy") && self.owns(to, "copy")) {
+        if !(self.owns(from, "copy") && self.owns(to, "copy")) || self.device.is_rehearsing() {
             return;
         }
         self.touch([(from, false), (to, true)]);
@@ -247,20 +251,23 @@ impl Recorder {
         if !self.owns(&range, "update") {
             return Err(strange("update", &range.buffer.label));
         }
+        if self.device.is_rehearsing() {
+            return Ok(());
+        }
         self.touch([(&range, true)]);
         self.work.slot.update(&range, bytes);
         self.work.buffers.push(range.buffer);
         Ok(())
     }
 
+    /// Checks the bindings and binds them. False in a rehearsal, where there is nothing to dispatch.
     fn prepare<K: Kernel>(
         &mut self,
         specialisation: &[u32],
         params: &K::Params,
         args: &K::Args<'_>,
         arguments: Option<&BoundRange>,
-    ) -> Result<()> {
-        let pipeline = self.device.pipeline::<K>(specialisation)?;
+    ) -> Result<bool> {
         let Work { slot, buffers, pipelines, touched, ranges } = &mut self.work;
         ranges.clear();
         K::bind(args, ranges);
@@ -287,6 +294,10 @@ impl Recorder {
                 });
             }
         }
+        if self.device.is_rehearsing() {
+            return Ok(false);
+        }
+        let pipeline = self.device.pipeline::<K>(specialisation)?;
         let bound = ranges
             .iter()
             .zip(K::BINDINGS)
@@ -296,7 +307,7 @@ impl Recorder {
         buffers.extend(arguments.map(|range| range.buffer.clone()));
         buffers.extend(ranges.drain(..).map(|range| range.buffer));
         pipelines.push(pipeline);
-        Ok(())
+        Ok(true)
     }
 
     fn finish_dispatch(&mut self, name: &'static str) -> Result<()> {
