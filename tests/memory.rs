@@ -2,6 +2,7 @@
 
 mod common;
 
+use splat4d::Error;
 use splat4d::gpu::{Device, Footprint};
 use splat4d::renderer::{RenderScale, Renderer};
 use splat4d::scene::Scene;
@@ -13,7 +14,6 @@ use splat4d::types::{
     Camera, ControlPoints, DeformNet, Gaussians, Image, Intrinsics, NetShape, Pose, Tuning,
 };
 use splat4d::vk::Limits;
-use splat4d::Error;
 
 /// How far what is foreseen may lie from what is taken, as a share: buffers of the run itself are
 /// counted exactly, but a picture's way onto the device may end before or after the next begins.
@@ -79,8 +79,7 @@ fn a_static_training_takes_what_was_foreseen() {
         let scale = TrainingScale::new(&views, count, None, settings.clone());
         let foreseen = scale.footprint(&device).unwrap();
         assert_eq!(device.memory().1, 0, "foreseeing takes nothing");
-        let mut trainer =
-            Trainer::new(&device, &views, &cloud(count, 3), None, settings).unwrap();
+        let mut trainer = Trainer::new(&device, &views, &cloud(count, 3), None, settings).unwrap();
         (0..4).for_each(|_| trainer.step().unwrap());
         trainer.gaussians().unwrap();
         close(&format!("{count} static Gaussians"), &foreseen, &device);
@@ -161,7 +160,10 @@ fn what_does_not_fit_is_told_and_what_would() {
     of(most + most / 200).footprint(&small).unwrap_err();
 
     let scene = Scene::of(cloud(10, 3));
-    let scale = RenderScale { gaussians: 100_000, ..RenderScale::new(&scene, (64, 48), &Tuning::default()) };
+    let scale = RenderScale {
+        gaussians: 100_000,
+        ..RenderScale::new(&scene, (64, 48), &Tuning::default())
+    };
     scale.footprint(&small).unwrap_err();
     assert_eq!(scale.most_gaussians(&small), most);
 

@@ -171,6 +171,11 @@ impl Device {
         self.inner.ledger.bytes()
     }
 
+    /// Begins anew with the most there ever were, and gives the bytes alive now.
+    pub fn restart_memory_peak(&self) -> u64 {
+        self.inner.ledger.restart_peak()
+    }
+
     /// Bytes of the device's own memory that are left for buffers: of what the system grants this
     /// process, where the driver tells, else of the largest heap.
     pub fn free_memory(&self) -> u64 {

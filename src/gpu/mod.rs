@@ -33,8 +33,8 @@ pub(crate) use kernel::{field_infos, kernel};
 pub use meter::{Detail, Meter};
 pub use recorder::Recorder;
 pub(crate) use recorder::Work;
-pub use rehearsal::{Footprint, most_that_fits};
 pub(crate) use rehearsal::Rehearsal;
+pub use rehearsal::{Footprint, most_that_fits};
 pub use stream::{KernelTime, Stream, Ticket};
 
 pub use crate::vk::{DeviceInfo, DeviceKind, Limits};

@@ -249,9 +249,7 @@ impl Stream {
     fn readback_of(&mut self, bytes: u64) -> Result<Arc<RawBuffer>> {
         match self.readback.take().filter(|readback| readback.bytes >= bytes) {
             Some(readback) => Ok(readback),
-            None => {
-                Ok(Arc::new(self.device.raw_buffer(bytes, Residence::Readback, "readback")?))
-            }
+            None => Ok(Arc::new(self.device.raw_buffer(bytes, Residence::Readback, "readback")?)),
         }
     }
 

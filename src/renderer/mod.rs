@@ -170,12 +170,7 @@ impl Renderer {
 
     /// With room for so many Gaussians, not all of which need be there, and none of them in 16 bits
     /// yet.
-    fn with_room(
-        device: &Device,
-        scene: &Scene,
-        tuning: &Tuning,
-        room: usize,
-    ) -> Result<Renderer> {
+    fn with_room(device: &Device, scene: &Scene, tuning: &Tuning, room: usize) -> Result<Renderer> {
         tuning.check()?;
         let mut stream = device.stream()?;
         let mut gaussians = GaussianBuffers::new(device, room, scene.gaussians.sh_degree)?;

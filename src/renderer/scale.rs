@@ -67,9 +67,7 @@ impl RenderScale {
     /// The most Gaussians with which such a scene fits on a device; 0 where the picture alone does not
     /// fit.
     pub fn most_gaussians(&self, device: &Device) -> usize {
-        most_that_fits(device, |gaussians| {
-            RenderScale { gaussians, ..*self }.footprint(device)
-        })
+        most_that_fits(device, |gaussians| RenderScale { gaussians, ..*self }.footprint(device))
     }
 
     /// A scene of one Gaussian, and all else as it is.

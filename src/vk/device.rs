@@ -194,8 +194,9 @@ impl Context {
                 raw.enumerate_device_extension_properties(self.physical).unwrap_or_default();
             let mut budgets = vk::PhysicalDeviceMemoryBudgetPropertiesEXT::default();
             let mut memory = vk::PhysicalDeviceMemoryProperties2::default();
-            let told =
-                offered.iter().any(|e| e.extension_name_as_c_str().is_ok_and(|name| name == budget));
+            let told = offered
+                .iter()
+                .any(|e| e.extension_name_as_c_str().is_ok_and(|name| name == budget));
             if told {
                 memory = memory.push_next(&mut budgets);
             }
@@ -203,7 +204,8 @@ impl Context {
             let memory = memory.memory_properties;
             (memory, told.then_some((budgets.heap_budget, budgets.heap_usage)))
         };
-        let own = |i: &usize| memory.memory_heaps[*i].flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL);
+        let own =
+            |i: &usize| memory.memory_heaps[*i].flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL);
         let heaps = (0..memory.memory_heap_count as usize).filter(own);
         let Some(heap) = heaps.max_by_key(|&i| memory.memory_heaps[i].size) else { return 0 };
         match budgets {

@@ -38,6 +38,13 @@ impl Ledger {
         (self.now.load(Ordering::Relaxed), self.peak.load(Ordering::Relaxed))
     }
 
+    /// Forgets the peak, and gives the bytes that there are now.
+    pub(crate) fn restart_peak(&self) -> u64 {
+        let now = self.now.load(Ordering::Relaxed);
+        self.peak.store(now, Ordering::Relaxed);
+        now
+    }
+
     /// Bytes of the largest buffer that there ever was, and its name.
     pub(crate) fn largest(&self) -> (u64, String) {
         self.largest.lock().expect("no holder panics").clone()
