@@ -17,7 +17,7 @@ use splat4d::vk::Limits;
 
 /// How far what is foreseen may lie from what is taken, as a share: buffers of the run itself are
 /// counted exactly, but a picture's way onto the device may end before or after the next begins.
-const BOUND: f64 = 0.03;
+const BOUND: f64 = 0.01;
 
 const NETWORK: NetShape =
     NetShape { depth: 2, width: 32, skip: 9, position_frequencies: 2, time_frequencies: 2 };

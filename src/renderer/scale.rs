@@ -59,6 +59,9 @@ impl RenderScale {
             renderer.gaussians.len = count;
             if let Some(motion) = &mut renderer.motion {
                 motion.dynamic = count;
+                let mut recorder = renderer.stream.record()?;
+                motion.refresh(&mut recorder, renderer.gaussians.views().positions)?;
+                renderer.stream.submit(recorder)?;
             }
             renderer.render(&camera, 0.0).map(drop)
         })

@@ -167,6 +167,9 @@ impl Trainer {
         self.gaussians.len = gaussians;
         if let Some(motion) = &mut self.motion {
             motion.motion.dynamic = gaussians;
+            let mut recorder = self.stream.record()?;
+            motion.motion.refresh(&mut recorder, self.gaussians.views().positions)?;
+            self.stream.submit(recorder)?;
         }
         for view in 0..self.views.len() {
             // The first step has soft motion, the last one all bands.
