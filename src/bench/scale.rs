@@ -15,7 +15,7 @@ use super::rows::thousands;
 use super::scenes::{camera, cloud, control_points, network, rng};
 use crate::gpu::{Detail, Device, DeviceKind, Footprint};
 use crate::renderer::{RenderScale, Renderer};
-use crate::report::{Accuracy, Clock, Curve, CurvePoint, Place, Work};
+use crate::report::{Accuracy, Clock, Curve, CurvePoint, Place, Spread, Work};
 use crate::scene::Scene;
 use crate::train::{
     MotionScale, MotionStart, PictureKind, TrainSettings, Trainer, TrainingScale, TrainingView,
@@ -25,6 +25,8 @@ use crate::{Error, Result};
 
 /// Control points that a Gaussian follows.
 const FOLLOWED: usize = 4;
+/// Executions that tell how long each kernel takes.
+const PROFILED: usize = 3;
 /// One Gaussian in so many moves, where something does.
 const MOVING: usize = 10;
 
@@ -208,8 +210,11 @@ impl Plan {
                 left_out: None,
                 kernels: Vec::new(),
             };
-            // As the last one took, in proportion.
-            let expected = cost.map(|(at, took)| took.mul_f64(size as f64 / at as f64));
+            // As the last one took, in proportion; a step takes one frame however many there are.
+            let expected = cost.map(|(at, took)| match self.axis {
+                Axis::Frames => took,
+                _ => took.mul_f64(size as f64 / at as f64),
+            });
             point.left_out = match foreseen.and_then(|taken| taken.fits(device)) {
                 Err(error @ (Error::RangeLimit { .. } | Error::TooLarge { .. })) => {
                     Some(format!("does not fit: {error}"))
@@ -245,12 +250,16 @@ impl Plan {
         let pace = Pace { total: Duration::from_secs(1), least: 5, most: 15 };
         let (time, clock) = job.time(device, pace)?;
         point.time = Some(time);
-        let sample = job.metered(device, Detail::Dispatches)?;
-        let mut kernels: BTreeMap<&'static str, f64> = BTreeMap::new();
-        for time in sample.meter.iter().flat_map(|meter| &meter.kernels) {
-            *kernels.entry(time.kernel).or_default() += time.nanoseconds;
+        let mut kernels: BTreeMap<&'static str, [f64; PROFILED]> = BTreeMap::new();
+        for execution in 0..PROFILED {
+            let sample = job.metered(device, Detail::Dispatches)?;
+            for time in sample.meter.iter().flat_map(|meter| &meter.kernels) {
+                kernels.entry(time.kernel).or_default()[execution] += time.nanoseconds;
+            }
         }
-        point.kernels = kernels.into_iter().map(|(k, time)| (k.to_owned(), time)).collect();
+        let median = |times: [f64; PROFILED]| Spread::new(times.to_vec()).map(|s| s.median());
+        let named = |(kernel, times): (&str, _)| Some((kernel.to_owned(), median(times)?));
+        point.kernels = kernels.into_iter().filter_map(named).collect();
         point.kernels.sort_by(|a, b| b.1.total_cmp(&a.1));
         point.taken = Some(device.memory().1 - before);
         Ok(clock)

@@ -10,8 +10,8 @@ use serde_json::json;
 use splat4d::bench::{self, Budget, ErrorMeasure, Pace, Profile, Shot};
 use splat4d::gpu::Device;
 use splat4d::report::{
-    Curve, CurvePoint, Machine, Measurements, Place, Point, PowerLaw, Row, Verdict, compare,
-    duration, rate, scientific,
+    Ceilings, Curve, CurvePoint, Machine, Measurements, Place, Point, PowerLaw, Row, Verdict,
+    compare, duration, rate, scientific,
 };
 use splat4d::scene::{Opened, Scene};
 use splat4d::{Error, Result};
@@ -36,8 +36,8 @@ Parts, for --filter: scan, sort, project, bin, raster, loss, deform, mlp, arap, 
 ceiling, render, pipeline, and the sweeps of speed against error: sweep/still, sweep/motion,
 sweep/scene (with --scene).
 
-With --profile rows are taken apart instead: the time of each kernel of an execution, its share, and
-what the host adds. Without a filter, of the pipelines.
+With --profile rows are taken apart instead: the time of each kernel of an execution, its share, what
+the host adds, and what of the device's ceilings the row's counted bytes and operations reach. Without a filter, of the pipelines.
 
 With --scale nothing is measured but how time and memory grow: of a render and of training steps,
 against Gaussians (10 k to 5 M; 480×270 on a software driver, else 1920×1080), pixels (0.1 to 8 MP),
@@ -65,8 +65,8 @@ gaussians, size, clock, points [{knob, value, settings, time, ratio (to the best
 settings' time, in turns), error {max, rmse, psnr}}]}], choice
 {scene, budget, measure, settings, time_ratio, error, met, views} or null, curves [{pipeline, axis,
 held, clock, accuracy, points [{size, time, foreseen, taken (bytes of device memory), left_out (why,
-or null), kernels [[name, nanoseconds]]}]}] (with --scale), missed (rows without speed), seconds. With --profile: machine, profiles [{id, size, executions, device, wall (nanoseconds),
-kernels [{kernel, workgroup, dispatches, time, share}]}]. Of cmp: rows [{name, ratio, interval, verdict}], faster, slower, noise,
+or null), kernels [[name, nanoseconds]]}]}] (with --scale), missed (rows without speed), seconds. With --profile: machine, ceilings, profiles [{id, size, executions, device, wall (nanoseconds),
+host_share, work {bytes, operations}, subgroup_size, kernels [{kernel, workgroup, dispatches, time, share}]}]. Of cmp: rows [{name, ratio, interval, verdict}], faster, slower, noise,
 incomparable";
 
 /// Measure every op and pipeline, and what each speed-up costs in accuracy
@@ -262,10 +262,13 @@ fn profiles(
 ) -> Result<Answer> {
     let filter = args.filter.as_deref().unwrap_or("pipeline/");
     let (mut profiles, mut text) = (Vec::new(), String::new());
+    let all = bench::entries(true);
+    let most = bench::run(device, &all, Some("ceiling/"), pace, common.seed, |_| Ok(()))?;
+    let ceilings = bench::ceilings(&most);
     for entry in bench::entries(args.quick).iter().filter(|entry| entry.matches(Some(filter))) {
         interrupt::check()?;
         if let Some(profile) = bench::profile(device, entry, pace, common.seed)? {
-            text += &profile_text(&profile);
+            text += &profile_text(&profile, &ceilings);
             profiles.push(profile);
         }
     }
@@ -274,16 +277,24 @@ fn profiles(
             "no row's name holds `{filter}` and runs on the device; --help lists the parts"
         )));
     }
-    Ok(Answer { json: json!({ "machine": machine, "profiles": profiles }), text })
+    let json = json!({ "machine": machine, "ceilings": ceilings, "profiles": profiles });
+    Ok(Answer { json, text })
 }
 
-fn profile_text(profile: &Profile) -> String {
-    let Profile { id, size, executions, device, wall, kernels } = profile;
+fn profile_text(profile: &Profile, ceilings: &Ceilings) -> String {
+    let Profile { id, size, executions, device, wall, kernels, .. } = profile;
     let mut text = format!(
-        "{id}, {size}: {} on the device, {} in all (medians of {executions})\n",
+        "{id}, {size}: {} on the device, {} in all, {:.1} % of it the host's (medians of \
+         {executions}); subgroups of {}\n",
         duration(*device),
-        duration(*wall)
+        duration(*wall),
+        100.0 * profile.host_share,
+        profile.subgroup_size
     );
+    let shares = profile.shares(ceilings).into_iter().zip(["bytes", "operations"]);
+    for (share, what) in shares.filter_map(|(share, what)| Some((share?, what))) {
+        let _ = writeln!(text, "  {what}: {:.1} % of what the device does at most", 100.0 * share);
+    }
     for kernel in kernels {
         let [x, y, z] = kernel.workgroup;
         let _ = writeln!(

@@ -163,7 +163,9 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         let most = tuning.neighbours.map_or(motion.neighbours, |k| k as usize);
         PosedMotion { neighbours: motion.neighbours.min(most), ..motion }
     });
-    let views: Vec<TrainingView> = train.iter().cloned().map(Into::into).collect();
+    // The pictures are many: they move, and come back when training is done.
+    let (names, views): (Vec<String>, Vec<TrainingView>) =
+        train.into_iter().map(|view| (view.name.clone(), view.into())).unzip();
     let scale = posed_scale(&views, seeded.len(), motion.as_ref(), &settings);
     let predicted_bytes = foresee(
         &device,
@@ -184,7 +186,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     let mut scene =
         fit_posed(&device, &views, &seeded, motion.as_ref(), &settings, resume, &mut watcher)?;
     let milliseconds_per_step = watcher.finish();
-    drop(views);
+    let train: Vec<View> = names.into_iter().zip(views).map(picture).collect();
     scene.settings = settings.render;
     scene.cameras = trajectory(train.iter().chain(&test));
     scene.background = set.background;
@@ -228,6 +230,12 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     let mut json = scene.report.clone();
     json["output"] = json!(args.output);
     Ok(Answer { text: text(&json, &clock), json })
+}
+
+/// A training picture as it was loaded.
+fn picture((name, view): (String, TrainingView)) -> View {
+    let TrainingView { camera, time, image, weights, .. } = view;
+    View { name, time, camera, image, valid: weights }
 }
 
 fn growth(args: &TrainArgs) -> GrowthSettings {
