@@ -164,7 +164,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         PosedMotion { neighbours: motion.neighbours.min(most), ..motion }
     });
     // The pictures are many: they move, and come back when training is done.
-    let (names, views): (Vec<String>, Vec<TrainingView>) =
+    let (called, views): (Vec<String>, Vec<TrainingView>) =
         train.into_iter().map(|view| (view.name.clone(), view.into())).unzip();
     let scale = posed_scale(&views, seeded.len(), motion.as_ref(), &settings);
     let predicted_bytes = foresee(
@@ -186,7 +186,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     let mut scene =
         fit_posed(&device, &views, &seeded, motion.as_ref(), &settings, resume, &mut watcher)?;
     let milliseconds_per_step = watcher.finish();
-    let train: Vec<View> = names.into_iter().zip(views).map(picture).collect();
+    let train: Vec<View> = called.into_iter().zip(views).map(picture).collect();
     scene.settings = settings.render;
     scene.cameras = trajectory(train.iter().chain(&test));
     scene.background = set.background;
