@@ -195,7 +195,7 @@ fn curves_have_times_and_memory_and_say_what_is_left_out() {
         }
     }
     // Without time only the first of each is measured; where bindings are small, not even that.
-    let small = device.with_limits(Limits { storage_range: 1 << 20, ..*device.limits() });
+    let small = device.with_limits(Limits { storage_range: 3 << 19, ..*device.limits() });
     let curves = bench::curves(&small, 3, true, Duration::ZERO, &mut |_, _| Ok(())).unwrap();
     let why = |text: &str| {
         let all = curves.iter().flat_map(|curve| &curve.points);
