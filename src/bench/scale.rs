@@ -11,7 +11,7 @@ use rand::RngExt;
 
 use super::job::{Job, Pace};
 use super::pipelines;
-use super::rows::thousands;
+use super::rows::{NARROW, thousands};
 use super::scenes::{camera, cloud, control_points, network, rng};
 use crate::gpu::{Detail, Device, DeviceKind, Footprint};
 use crate::renderer::{RenderScale, Renderer};
@@ -63,6 +63,8 @@ struct Plan {
     axis: Axis,
     held: Sizes,
     sizes: Vec<usize>,
+    /// The deformation network, where something moves.
+    network: NetShape,
 }
 
 /// Measures time and memory of rendering and of training steps against what they may grow with, in
@@ -118,6 +120,7 @@ fn plans(software: bool, quick: bool) -> Vec<Plan> {
         axis,
         held,
         sizes: sizes.to_vec(),
+        network: if software { NARROW } else { NetShape::PAPER },
     };
     use {Axis::*, Pipeline::*};
     vec![
@@ -170,7 +173,8 @@ impl Plan {
             if axis != "control points" {
                 held.push(format!("{control_points} control points"));
             }
-            held.push(format!("1 in {MOVING} moves, network 8 layers of 256"));
+            let NetShape { depth, width, .. } = self.network;
+            held.push(format!("1 in {MOVING} moves, network of {depth} layers of {width}"));
         }
         if self.pipeline != Pipeline::Render && axis != "frames" {
             held.push(format!("{frames} frames"));
@@ -249,7 +253,7 @@ impl Plan {
     ) -> Result<Clock> {
         let before = device.restart_memory_peak();
         let mut job = self.job(device, seed, sizes)?;
-        let pace = Pace { total: Duration::from_secs(1), least: 5, most: 15 };
+        let pace = Pace { total: Duration::from_millis(500), least: 5, most: 15 };
         let (time, clock) = job.time(device, pace)?;
         point.time = Some(time);
         let mut kernels: BTreeMap<&'static str, [f64; PROFILED]> = BTreeMap::new();
@@ -310,7 +314,7 @@ impl Plan {
                     gaussians: sizes.gaussians,
                     motion: (self.pipeline == Pipeline::MovingStep).then_some(MotionScale {
                         control_points: sizes.control_points,
-                        network: NetShape::PAPER,
+                        network: self.network,
                         neighbours: FOLLOWED,
                     }),
                     settings: self.settings(),
@@ -337,7 +341,7 @@ impl Plan {
         }
         let start = (self.pipeline == Pipeline::MovingStep).then(|| MotionStart {
             points: control_points(seed, sizes.control_points, &camera),
-            network: network(seed, NetShape::PAPER),
+            network: network(seed, self.network),
             neighbours: FOLLOWED,
         });
         if start.is_some() {

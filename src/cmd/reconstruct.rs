@@ -232,7 +232,7 @@ fn foreseen(
     let scale = settings.scale(frames, size);
     let training = foresee(
         device,
-        &format!("training up to {} Gaussians", thousands(settings.max_gaussians)),
+        &format!("training up to {} Gaussians", thousands(scale.reached())),
         scale.footprint(device),
         || scale.most_gaussians(device),
         "lower --max-gaussians or --size",

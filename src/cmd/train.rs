@@ -169,7 +169,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     let scale = posed_scale(&views, seeded.len(), motion.as_ref(), &settings);
     let predicted_bytes = foresee(
         &device,
-        &format!("training up to {} Gaussians", thousands(settings.max_gaussians)),
+        &format!("training up to {} Gaussians", thousands(scale.reached())),
         scale.footprint(&device),
         || scale.most_gaussians(&device),
         "lower --max-gaussians or --size",

@@ -179,7 +179,7 @@ fn scale(body: &mut String, curves: &[Curve]) -> Result<()> {
     }
     for axis in axes {
         let of: Vec<&Curve> = curves.iter().filter(|curve| curve.axis == axis).collect();
-        let _ = write!(body, "<h2>Time and memory against {}</h2>\n", escape(axis));
+        let _ = writeln!(body, "<h2>Time and memory against {}</h2>", escape(axis));
         let time = plot::growth(&of, "milliseconds", 1e6, Curve::times)?;
         let memory = plot::growth(&of, "MiB of device memory", MEBI, Curve::bytes)?;
         let _ = writeln!(body, "<figure>{time}</figure><figure>{memory}</figure>");

@@ -109,6 +109,11 @@ impl TrainingScale {
         TrainingScale { pictures, gaussians, motion, settings }
     }
 
+    /// The number of Gaussians that growth can reach.
+    pub fn reached(&self) -> usize {
+        self.settings.reachable(self.gaussians)
+    }
+
     /// What it takes of a device's memory at most.
     ///
     /// # Errors
