@@ -795,7 +795,7 @@ fn dispatches_come_in_the_documented_order() -> Result<()> {
         vec!["bin/fits", "bin/emit"],
         sort(5),
         vec!["indirect/arguments", "bin/ranges", "raster/forward"],
-        vec!["raster/backward", "raster/gather", "project/backward", "project/pose"],
+        vec!["raster/backward_narrow", "raster/gather", "project/backward", "project/pose"],
     ];
     assert_eq!(found, expected.concat());
     common::assert_valid(&device);

@@ -44,6 +44,7 @@ const FAULTS: &[Fault] = &[
     fault("bin/emit", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
     fault("raster/forward", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
     fault("raster/backward", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
+    fault("raster/backward_narrow", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
     fault("loss/gradient", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
     fault("mlp/weights", "a sign", Op::IAdd, Some(Op::ISub), &[0]),
     fault("arap/fit", "a sign", Op::FSub, Some(Op::FAdd), &[0]),

@@ -8,9 +8,10 @@
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_ballot : require
-#extension GL_KHR_shader_subgroup_arithmetic : require
+#extension GL_KHR_shader_subgroup_shuffle : require
 
-layout(local_size_x = 32) in;
+#define LANES 32
+layout(local_size_x = LANES) in;
 
 layout(std430, binding = 0) readonly buffer Ranges { uvec2 ranges[]; };
 layout(std430, binding = 1) readonly buffer Intersections { uint intersections[]; };
@@ -43,7 +44,7 @@ void main() {
     if (tile >= grid.x * grid.y) {
         return;
     }
-    uvec2 origin = tile_origin(tile, grid) + quads_origin(lane_index());
+    uvec2 origin = tile_origin(tile, grid) + quads_origin(0u);
     vec2 corner = vec2(origin) + 0.5;
     vec2 lowest, highest;
     subgroup_block(corner, lowest, highest);
@@ -64,40 +65,45 @@ void main() {
     }
 
     uvec2 range = ranges[tile];
-    uint words = (gl_SubgroupSize + 31u) / 32u;
     // A subgroup of 64 is half empty.
-    uint chunk = min(gl_SubgroupSize, gl_WorkGroupSize.x);
-    for (uint base = range.x; base < range.y; base += chunk) {
-        if (!subgroup_any(any_open)) {
-            break;
-        }
-        uint at = base + gl_SubgroupInvocationID;
-        vec4 mean = vec4(0.0), conic = vec4(0.0), colour = vec4(0.0);
-        bool reaches = false;
-        if (at < range.y) {
-            uint splat = splats[intersections[at]];
-            mean = means[splat];
-            conic = conics[splat];
-            reaches = least_power(mean.xy, conic.xyz, lowest, highest) <= conic.w;
-            if (reaches) {
-                colour = colours[splat];
+    uint chunk = min(gl_SubgroupSize, LANES);
+    uint base = range.x;
+    // Loops end at their foot: software devices run a body once more to find that it is over.
+    do {
+        // To the next splats of which one reaches the block.
+        vec4 mean, conic, colour;
+        uint first, bits;
+        do {
+            first = base - range.x;
+            uint at = base + gl_SubgroupInvocationID;
+            mean = vec4(0.0);
+            conic = vec4(0.0);
+            colour = vec4(0.0);
+            bool reaches = false;
+            if (at < range.y) {
+                uint splat = splats[intersections[at]];
+                mean = means[splat];
+                conic = conics[splat];
+                reaches = least_power(mean.xy, conic.xyz, lowest, highest) <= conic.w;
+                if (reaches) {
+                    colour = colours[splat];
+                }
             }
-        }
-        uvec4 ballot = subgroupBallot(reaches);
-        for (uint word = 0u; word < words; word++) {
-            uint bits = ballot[word];
-            while (bits != 0u) {
+            bits = subgroup_ballot(reaches);
+            base += chunk;
+        } while (bits == 0u && base < range.y);
+        if (bits != 0u) {
+            do {
                 uint lane = uint(findLSB(bits));
                 bits &= bits - 1u;
-                lane += 32u * word;
-                vec4 m = subgroupBroadcast(mean, lane);
-                vec3 c = subgroupBroadcast(conic.xyz, lane);
-                vec3 rgb = subgroupBroadcast(colour.xyz, lane);
+                vec4 m = FROM_LANE(mean, lane);
+                vec3 c = FROM_LANE(conic.xyz, lane);
+                vec3 rgb = FROM_LANE(colour.xyz, lane);
                 any_open = false;
                 for (uint q = 0u; q < QUADS; q++) {
                     vec4 across, along;
-                    vec2 first = corner + vec2(2.0 * float(q), 0.0);
-                    vec4 power = quad_power(m.xy, c, first, across, along);
+                    vec2 pixel = corner + vec2(2.0 * float(q), 0.0);
+                    vec4 power = quad_power(m.xy, c, pixel, across, along);
                     vec4 alpha = min(m.w * exp(-power), vec4(alpha_cap));
                     vec4 behind = transmittance[q] * (1.0 - alpha);
                     bvec4 counts;
@@ -109,16 +115,16 @@ void main() {
                     }
                     vec4 weight = mix(vec4(0.0), alpha * transmittance[q], counts);
                     transmittance[q] = mix(transmittance[q], behind, counts);
-                    end[q] = mix(end[q], uvec4(base - range.x + lane + 1u), counts);
+                    end[q] = mix(end[q], uvec4(first + lane + 1u), counts);
                     red[q] += weight * rgb.r;
                     green[q] += weight * rgb.g;
                     blue[q] += weight * rgb.b;
                     z[q] += weight * m.z;
                     any_open = any_open || any(open[q]);
                 }
-            }
+            } while (bits != 0u);
         }
-    }
+    } while (base < range.y && subgroup_ballot(any_open) != 0u);
     for (uint q = 0u; q < QUADS; q++) {
         uvec2 quad = origin + uvec2(2u * q, 0u);
         bvec4 inside = quad_inside(quad, size);

@@ -2,11 +2,13 @@
 // Counts the digits of each run of keys. One invocation a run, with counters of its own: nothing is
 // shared between invocations, so there is no order among them to depend on.
 #extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_control_flow_attributes : require
+#extension GL_EXT_scalar_block_layout : require
 
 layout(local_size_x = 32) in;
 
 layout(std430, binding = 0) readonly buffer Plan { uint plan[]; };
-layout(std430, binding = 1) readonly buffer Keys { uint keys[]; };
+layout(scalar, binding = 1) readonly buffer Keys { uvec4 keys[]; };
 // Digit by digit, run by run.
 layout(std430, binding = 2) writeonly buffer Table { uint table[]; };
 
@@ -17,26 +19,34 @@ layout(push_constant) uniform Params {
 };
 
 #include "common/grid.glsl"
+#include "sort/counters.glsl"
 
-// Invocation by invocation within a digit, so that neighbours use different banks.
-shared uint counters[256 * 32];
+void count_digit(uint key) {
+    uint digit = (key >> shift) & mask;
+    set_counter(digit, counter(digit) + 1u);
+}
 
 void main() {
-    uint lane = gl_LocalInvocationIndex;
-    uint run = group_index() * 32u + lane;
+    uint run = group_index() * RUNS_PER_GROUP + gl_LocalInvocationIndex;
     uint runs = plan[2];
     if (run >= runs) {
         return;
     }
     for (uint digit = 0u; digit < bins; digit++) {
-        counters[digit * 32u + lane] = 0u;
+        set_counter(digit, 0u);
     }
-    uint begin = run * plan[1];
-    uint end = begin + min(plan[1], plan[0] - begin);
-    for (uint i = begin; i < end; i++) {
-        counters[((keys[i] >> shift) & mask) * 32u + lane] += 1u;
+    uint i = run * plan[1];
+    uint end = i + min(plan[1], plan[0] - i);
+    for (; end - i >= 4u; i += 4u) {
+        uvec4 four = keys[i / 4u];
+        [[unroll]] for (int k = 0; k < 4; k++) {
+            count_digit(four[k]);
+        }
+    }
+    for (; i < end; i++) {
+        count_digit(keys[i / 4u][i % 4u]);
     }
     for (uint digit = 0u; digit < bins; digit++) {
-        table[digit * runs + run] = counters[digit * 32u + lane];
+        table[digit * runs + run] = counter(digit);
     }
 }

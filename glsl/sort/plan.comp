@@ -24,7 +24,8 @@ uint divided_up(uint a, uint b) {
 
 void main() {
     uint n = min(count[count_at], capacity);
-    uint run = max(divided_up(n, max_runs), min_run);
+    // In fours, as they are read.
+    uint run = 4u * divided_up(max(divided_up(n, max_runs), min_run), 4u);
     uint runs = divided_up(n, run);
     uint groups = divided_up(runs, RUNS_PER_GROUP);
     uint rows = max(divided_up(groups, group_limit), 1u);

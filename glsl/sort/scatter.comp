@@ -3,13 +3,15 @@
 // `count.comp` wrote: where the run's first key of each digit goes. A run is walked in order, so
 // equal digits keep theirs.
 #extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_control_flow_attributes : require
+#extension GL_EXT_scalar_block_layout : require
 
 layout(local_size_x = 32) in;
 
 layout(std430, binding = 0) readonly buffer Plan { uint plan[]; };
 layout(std430, binding = 1) readonly buffer Offsets { uint offsets[]; };
-layout(std430, binding = 2) readonly buffer Keys { uint keys[]; };
-layout(std430, binding = 3) readonly buffer Payload { uint payload[]; };
+layout(scalar, binding = 2) readonly buffer Keys { uvec4 keys[]; };
+layout(scalar, binding = 3) readonly buffer Payload { uvec4 payload[]; };
 layout(std430, binding = 4) writeonly buffer SortedKeys { uint sorted_keys[]; };
 layout(std430, binding = 5) writeonly buffer SortedPayload { uint sorted_payload[]; };
 
@@ -20,27 +22,35 @@ layout(push_constant) uniform Params {
 };
 
 #include "common/grid.glsl"
+#include "sort/counters.glsl"
 
-shared uint next[256 * 32];
+void move(uint key, uint load) {
+    uint digit = (key >> shift) & mask;
+    uint to = counter(digit);
+    set_counter(digit, to + 1u);
+    sorted_keys[to] = key;
+    sorted_payload[to] = load;
+}
 
 void main() {
-    uint lane = gl_LocalInvocationIndex;
-    uint run = group_index() * 32u + lane;
+    uint run = group_index() * RUNS_PER_GROUP + gl_LocalInvocationIndex;
     uint runs = plan[2];
     if (run >= runs) {
         return;
     }
     for (uint digit = 0u; digit < bins; digit++) {
-        next[digit * 32u + lane] = offsets[digit * runs + run];
+        set_counter(digit, offsets[digit * runs + run]);
     }
-    uint begin = run * plan[1];
-    uint end = begin + min(plan[1], plan[0] - begin);
-    for (uint i = begin; i < end; i++) {
-        uint key = keys[i];
-        uint slot = ((key >> shift) & mask) * 32u + lane;
-        uint to = next[slot];
-        next[slot] = to + 1u;
-        sorted_keys[to] = key;
-        sorted_payload[to] = payload[i];
+    uint i = run * plan[1];
+    uint end = i + min(plan[1], plan[0] - i);
+    for (; end - i >= 4u; i += 4u) {
+        uvec4 four = keys[i / 4u];
+        uvec4 loads = payload[i / 4u];
+        [[unroll]] for (int k = 0; k < 4; k++) {
+            move(four[k], loads[k]);
+        }
+    }
+    for (; i < end; i++) {
+        move(keys[i / 4u][i % 4u], payload[i / 4u][i % 4u]);
     }
 }

@@ -25,6 +25,7 @@ const RENDER: &[&str] = &[
     "loss/ssim",
     "loss/gradient",
     "raster/backward",
+    "raster/backward_narrow",
     "raster/gather",
     "project/backward",
     "adam/step",

@@ -7,12 +7,14 @@ use super::scene::{
 };
 use super::{Bound, Case, Harness};
 use crate::error::Result;
+use crate::ops::render::Render;
 use crate::oracle::project_backward::SplatGradient;
 use crate::oracle::raster;
 use crate::types::{Camera, Gaussians, RasterKind, RenderSettings};
 use rand::RngExt;
 
-const ALL: &[&str] = &["raster/forward", "raster/backward", "raster/gather"];
+const ALL: &[&str] =
+    &["raster/forward", "raster/backward", "raster/backward_narrow", "raster/gather"];
 
 const SHARED: &[&str] = &["raster/forward_shared"];
 
@@ -21,6 +23,7 @@ pub const CASES: &[Case] = &[
     Case { id: "raster/scenes", kernels: ALL, run: scenes },
     Case { id: "raster/image_sizes", kernels: ALL, run: image_sizes },
     Case { id: "raster/shared_memory", kernels: SHARED, run: shared_memory },
+    Case { id: "raster/as_on_a_gpu", kernels: ALL, run: as_on_a_gpu },
     Case { id: "raster/layers", kernels: ALL, run: layers },
     Case { id: "raster/blending_constants", kernels: ALL, run: blending_constants },
     Case { id: "raster/decisions", kernels: &["raster/forward"], run: decisions },
@@ -39,8 +42,7 @@ fn compare(
     capacity: usize,
     settings: RenderSettings,
 ) -> Result<Forward> {
-    let how = (settings, RasterKind::Subgroup);
-    compare_blended(harness, what, scene, camera, capacity, how)
+    compare_blended(harness, what, scene, camera, capacity, (settings, |render| render))
 }
 
 /// Renders, differentiates a random linear function of the image, and compares both.
@@ -50,17 +52,17 @@ fn compare_blended(
     scene: &Gaussians,
     camera: &Camera,
     capacity: usize,
-    (settings, raster_kind): (RenderSettings, RasterKind),
+    (settings, variant): (RenderSettings, fn(Render) -> Render),
 ) -> Result<Forward> {
     let device = harness.device.clone();
     let stream = &mut harness.stream;
     let mut frame = Frame::new(&device, stream, scene, camera, capacity, settings)?;
-    frame.render = frame.render.clone().with_raster(raster_kind);
+    frame.render = variant(frame.render.clone());
     let out = frame.forward(stream)?;
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     let (splats, bins) = (out.splats(), out.bins(width, height));
     let single_splats = narrow(&splats);
-    let contested = contested(&splats, &bins, &settings, width, height, BAND);
+    let contested = contested(&splats, &settings, width, height, BAND);
     let left_out = contested.iter().filter(|&&c| c).count();
     harness.holds(&format!("{what}: few pixels hang"), left_out * 20 <= contested.len().max(20));
     let exact = raster::forward(&splats, &bins, &settings, width, height);
@@ -136,10 +138,23 @@ fn scenes(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
+/// The kernels that GPUs take, whatever the device.
+fn as_on_a_gpu(harness: &mut Harness) -> Result<()> {
+    let how = (RenderSettings::default(), Render::as_on_a_gpu as fn(Render) -> Render);
+    let camera = skew_camera(83, 59);
+    for count in [0, 1, 31, 300, 2500] {
+        let scene = random(&mut harness.rng, count, 0, &camera);
+        let what = format!("{count} Gaussians");
+        compare_blended(harness, &what, &scene, &camera, 1 << 14, how)?;
+    }
+    Ok(())
+}
+
 /// The other division of the work: whole batches, parts of one, none; images with parts of tiles; and
 /// its backward pass, which starts from where each pixel stopped.
 fn shared_memory(harness: &mut Harness) -> Result<()> {
-    let how = (RenderSettings::default(), RasterKind::Shared);
+    let shared: fn(Render) -> Render = |render| render.with_raster(RasterKind::Shared);
+    let how = (RenderSettings::default(), shared);
     let camera = skew_camera(83, 59);
     for count in [0, 1, 31, 300, 2500] {
         let scene = random(&mut harness.rng, count, 0, &camera);
@@ -244,7 +259,7 @@ fn decisions(harness: &mut Harness) -> Result<()> {
         let out = frame.forward(&mut harness.stream)?;
         let (splats, bins) = (out.splats(), out.bins(83, 59));
         let exact = raster::forward(&splats, &bins, &settings, 83, 59);
-        let stakes = stakes(&splats, &bins, &settings, 83, 59, BAND);
+        let stakes = stakes(&splats, &settings, 83, 59, BAND);
         let brightest = splats.iter().flatten().flat_map(|s| s.colour).fold(1.0f64, f64::max);
         let limits: Vec<f64> =
             stakes.iter().flat_map(|stake| [2e-6 + stake * brightest; 4]).collect();

@@ -22,6 +22,7 @@ const ALL: &[&str] = &[
     "bin/ranges",
     "raster/forward",
     "raster/backward",
+    "raster/backward_narrow",
     "raster/gather",
     "project/backward",
     "project/pose",
@@ -70,7 +71,7 @@ fn run(harness: &mut Harness, scene: &Gaussians, camera: &Camera, band: f64) -> 
     let exact = render::forward(&Cloud::<f64>::new(scene), &View::new(camera), &settings);
     let single = render::forward(&Cloud::<f32>::new(scene), &View::new(camera), &settings);
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-    let skip = contested(&exact.splats, &exact.bins, &settings, width, height, band);
+    let skip = contested(&exact.splats, &settings, width, height, band);
     let gradient = random_gradient(&mut harness.rng, &skip);
     let backward = frame.backward(stream, &gradient)?;
     Ok(Run { forward, backward, exact, single, gradient })
@@ -97,7 +98,7 @@ fn image(harness: &mut Harness, what: &str, run: &Run, camera: &Camera, toleranc
     let settings = RenderSettings::default();
     let (exact, single) = (&run.exact, &run.single.pixels);
     let band = (10.0 * tolerance).clamp(1e-5, 0.1);
-    let skip = contested(&exact.splats, &exact.bins, &settings, width, height, band);
+    let skip = contested(&exact.splats, &settings, width, height, band);
     let kept: Vec<usize> = (0..skip.len()).filter(|&i| !skip[i]).collect();
     let device: Vec<f32> = kept.iter().flat_map(|&i| run.forward.rgba[i]).collect();
     let truth: Vec<f64> = kept
@@ -170,7 +171,7 @@ fn central_differences(harness: &mut Harness) -> Result<()> {
     frame.forward(stream)?;
     // Pixels at the cap are at a kink.
     let exact = render::forward(&Cloud::<f64>::new(&scene), &View::new(&camera), &settings);
-    let kinks = contested(&exact.splats, &exact.bins, &settings, 37, 21, 1e-3);
+    let kinks = contested(&exact.splats, &settings, 37, 21, 1e-3);
     let gradient = random_gradient(&mut harness.rng, &kinks);
     let out = frame.backward(stream, &gradient)?;
     let wide = widen(&gradient);

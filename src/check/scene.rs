@@ -5,18 +5,18 @@ use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Device, Recorder, Stream};
 use crate::ops::gaussians::GaussianBuffers;
 use crate::ops::render::{BackwardScratch, PixelBuffers, PixelGradients, Render, RenderScratch};
-use crate::oracle::bin::Bins;
+use crate::oracle::bin::{Bins, bin};
 use crate::oracle::project::Splat;
 use crate::oracle::project_backward::SplatGradient;
 use crate::oracle::raster::Pixels;
-use crate::oracle::tiles::TileRect;
-use crate::oracle::tiles::{grid, power};
+use crate::oracle::tiles::{TileRect, grid, power};
 use crate::oracle::view::Cloud;
 use crate::types::{Camera, Gaussians, Intrinsics, Pose, RenderSettings, sh_coefficients};
 use bytemuck::Pod;
 use glam::{DQuat, DVec3};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
 
 /// The rotation that turns nothing.
 pub const UPRIGHT: [f32; 4] = [1.0, 0.0, 0.0, 0.0];
@@ -407,17 +407,38 @@ pub fn narrow(splats: &[Option<Splat<f64>>]) -> Vec<Option<Splat<f32>>> {
     splats.iter().map(|s| s.as_ref().map(one)).collect()
 }
 
+/// The tiles' lists as they would be if every splat reached a little farther: what is in reach of the
+/// cut by less than `band` is listed by one rounding and not by another.
+fn wide_lists(
+    splats: &[Option<Splat<f64>>],
+    settings: &RenderSettings,
+    width: u32,
+    height: u32,
+    band: f64,
+) -> Bins {
+    let settings =
+        RenderSettings { alpha_cut: settings.alpha_cut * (1.0 - band as f32), ..*settings };
+    let everywhere = TileRect { min: [0, 0], max: grid(width, height) };
+    let widened = |splat: &Splat<f64>| {
+        let mut splat = Splat { rect: everywhere, ..*splat };
+        splat.tile_count = splat.tiles(&settings, width, height).count() as u32;
+        splat
+    };
+    let splats: Vec<_> = splats.par_iter().map(|s| s.as_ref().map(widened)).collect();
+    bin(&splats, &settings, width, height)
+}
+
 /// How much of each pixel hangs on a decision (cut, cap, stop) closer than `band`, as a share of the
 /// threshold: there rounding may decide either way, and the image jumps by that much of a colour.
 /// Zero for most pixels.
 pub fn stakes(
     splats: &[Option<Splat<f64>>],
-    bins: &Bins,
     settings: &RenderSettings,
     width: u32,
     height: u32,
     band: f64,
 ) -> Vec<f64> {
+    let bins = wide_lists(splats, settings, width, height, band);
     let near = |value: f64, threshold: f32| {
         (value / f64::from(threshold) - 1.0).abs() < band || value.is_nan()
     };
@@ -456,13 +477,12 @@ pub fn stakes(
 /// Which pixels hang on a decision closer than `band`.
 pub fn contested(
     splats: &[Option<Splat<f64>>],
-    bins: &Bins,
     settings: &RenderSettings,
     width: u32,
     height: u32,
     band: f64,
 ) -> Vec<bool> {
-    let stakes = stakes(splats, bins, settings, width, height, band);
+    let stakes = stakes(splats, settings, width, height, band);
     stakes.into_iter().map(|stake| stake > 0.0).collect()
 }
 

@@ -4,6 +4,7 @@ use super::buffer::{View, ViewMut};
 use crate::error::{Error, Result};
 use crate::vk::{BoundRange, Limits};
 use bytemuck::Pod;
+use std::marker::PhantomData;
 
 /// What a kernel does with a binding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -79,10 +80,13 @@ pub struct Read;
 pub struct Write;
 /// Marks a binding that the kernel reads and writes.
 pub struct ReadWrite;
-/// Marks a binding that the kernel reads four elements at a time, at the end as many as are left.
-pub struct ReadFours;
-/// Marks a binding that the kernel reads and writes in the same way.
-pub struct ReadWriteFours;
+/// Marks a binding that the kernel works on four elements at a time, at the end on as many as are
+/// left.
+pub struct Fours<A>(PhantomData<A>);
+/// Reads in fours.
+pub type ReadFours = Fours<Read>;
+/// Reads and writes in fours.
+pub type ReadWriteFours = Fours<ReadWrite>;
 
 /// What the access markers mean for the Rust side of a binding.
 pub trait Argument {
@@ -104,21 +108,12 @@ impl Argument for Read {
     }
 }
 
-impl Argument for ReadFours {
-    type Handle<'a, T: 'a> = View<'a, T>;
-    const ACCESS: Access = Access::Read;
+impl<A: Argument> Argument for Fours<A> {
+    type Handle<'a, T: 'a> = A::Handle<'a, T>;
+    const ACCESS: Access = A::ACCESS;
     const AT_ONCE: usize = 4;
-    fn bound<T>(handle: &View<'_, T>) -> BoundRange {
-        handle.bound()
-    }
-}
-
-impl Argument for ReadWriteFours {
-    type Handle<'a, T: 'a> = ViewMut<'a, T>;
-    const ACCESS: Access = Access::ReadWrite;
-    const AT_ONCE: usize = 4;
-    fn bound<T>(handle: &ViewMut<'_, T>) -> BoundRange {
-        handle.bound()
+    fn bound<T>(handle: &A::Handle<'_, T>) -> BoundRange {
+        A::bound(handle)
     }
 }
 

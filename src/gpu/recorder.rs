@@ -157,6 +157,22 @@ impl Recorder {
         params: K::Params,
         args: K::Args<'_>,
     ) -> Result<()> {
+        self.dispatch_indirect_specialised::<K>(&[], arguments, at, params, args)
+    }
+
+    /// [`dispatch_indirect`](Self::dispatch_indirect) with values for the specialisation constants
+    /// 0, 1, …
+    ///
+    /// # Errors
+    /// As for `dispatch_indirect`.
+    pub fn dispatch_indirect_specialised<K: Kernel>(
+        &mut self,
+        specialisation: &[u32],
+        arguments: &Buffer<u32>,
+        at: usize,
+        params: K::Params,
+        args: K::Args<'_>,
+    ) -> Result<()> {
         if at + 3 > arguments.len() {
             return Err(Error::Shape {
                 op: K::NAME,
@@ -173,7 +189,7 @@ impl Recorder {
                 arguments.label()
             )));
         }
-        if self.prepare::<K>(&[], &params, &args, Some(&range))? {
+        if self.prepare::<K>(specialisation, &params, &args, Some(&range))? {
             self.work.slot.dispatch_indirect(&range.buffer, range.offset);
             self.finish_dispatch(K::NAME)?;
         }

@@ -77,6 +77,7 @@ pub const ALL: &[KernelInfo] = &[
     raster::Forward::INFO,
     raster::ForwardShared::INFO,
     raster::Backward::INFO,
+    raster::BackwardNarrow::INFO,
     raster::Gather::INFO,
     loss::Columns::INFO,
     loss::Ssim::INFO,

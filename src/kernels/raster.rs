@@ -3,7 +3,8 @@
 use crate::gpu::kernel;
 
 kernel! {
-    /// Blends front to back.
+    /// Blends front to back. Specialisation constant 0: whether lanes exchange values by shuffles,
+    /// which is cheap on software devices.
     pub struct Forward("raster/forward"), workgroup: [32, 1, 1],
     params: ForwardParams {
         /// Image width, pixels.
@@ -90,6 +91,53 @@ kernel! {
         alpha_cap: f32,
     },
     args: BackwardArgs {
+        /// Begin and end of each tile.
+        ranges: Read<[u32; 2]>,
+        /// Intersections by tile.
+        intersections: Read<u32>,
+        /// Gaussian of each intersection.
+        splats: Read<u32>,
+        /// From projection.
+        means: Read<[f32; 4]>,
+        /// From projection.
+        conics: Read<[f32; 4]>,
+        /// From projection.
+        colours: Read<[f32; 4]>,
+        /// From the forward pass.
+        rgba: Read<[f32; 4]>,
+        /// From the forward pass.
+        depth: Read<f32>,
+        /// From the forward pass.
+        last: Read<u32>,
+        /// Of the loss, by colour and alpha.
+        rgba_gradient: Read<[f32; 4]>,
+        /// Of the loss, by depth.
+        depth_gradient: Read<f32>,
+        /// v, v·dx, v·dy, v·dx².
+        slots_a: Write<[f32; 4]>,
+        /// v·dx·dy, v·dy², red, green.
+        slots_b: Write<[f32; 4]>,
+        /// Blue, depth.
+        slots_c: Write<[f32; 2]>,
+    }
+}
+
+kernel! {
+    /// [`Backward`](struct@Backward) with 8 invocations a tile, for narrow subgroups. Specialisation
+    /// constants: 0 as for [`Forward`](struct@Forward); 1, whether the subgroup size is 8, so that
+    /// nothing goes through shared memory.
+    pub struct BackwardNarrow("raster/backward_narrow"), workgroup: [8, 1, 1],
+    params: BackwardNarrowParams {
+        /// Image width, pixels.
+        width: u32,
+        /// Image height, pixels.
+        height: u32,
+        /// Least α that counts.
+        alpha_cut: f32,
+        /// Largest α.
+        alpha_cap: f32,
+    },
+    args: BackwardNarrowArgs {
         /// Begin and end of each tile.
         ranges: Read<[u32; 2]>,
         /// Intersections by tile.

@@ -1,14 +1,17 @@
 //! Stable least-significant-digit radix sort, counting and scattering by runs.
 //!
-//! Every invocation owns a run of consecutive keys and a counter per digit in shared memory, and
-//! walks its run in order: stable by construction, whatever the subgroup size.
+//! Every invocation owns a run of consecutive keys and a counter per digit, and walks its run in
+//! order: stable by construction, whatever the subgroup size. The counters lie in shared memory; with
+//! specialisation constant 0 set, which pays on software devices, in an array of the invocation's own.
 
 use crate::gpu::kernel;
 
 /// Runs that one workgroup handles; their counters fill 32 KiB of shared memory.
 pub const RUNS_PER_GROUP: u32 = 32;
-/// Most bits of a digit.
-pub const MAX_DIGIT_BITS: u32 = 8;
+/// Most bits of a digit whose counters are shared memory.
+pub const SHARED_DIGIT_BITS: u32 = 8;
+/// Most bits of a digit whose counters are an invocation's own.
+pub const OWN_DIGIT_BITS: u32 = 11;
 /// Words that [`Plan`] writes.
 pub const PLAN_WORDS: usize = 7;
 /// Where [`Plan`] writes the number of the table's entries.
@@ -26,7 +29,7 @@ kernel! {
         capacity: u32,
         /// Digits that a pass tells apart.
         bins: u32,
-        /// Runs are no shorter, but for the last.
+        /// Runs are no shorter, but for the last; all but the last are whole fours.
         min_run: u32,
         /// There are no more runs.
         max_runs: u32,
@@ -56,7 +59,7 @@ kernel! {
         /// What [`Plan`] wrote.
         plan: Read<u32>,
         /// The keys.
-        keys: Read<u32>,
+        keys: ReadFours<u32>,
         /// Gets the counts, `[digit][run]`.
         table: Write<u32>,
     }
@@ -79,9 +82,9 @@ kernel! {
         /// Exclusive prefix sums of the table.
         offsets: Read<u32>,
         /// The keys.
-        keys: Read<u32>,
+        keys: ReadFours<u32>,
         /// What goes with them.
-        payload: Read<u32>,
+        payload: ReadFours<u32>,
         /// Gets the keys, sorted by the digit.
         sorted_keys: Write<u32>,
         /// Gets what goes with them.

@@ -2,8 +2,8 @@
 
 use crate::gpu::{Buffer, Device, DeviceKind, Groups, Recorder, View, ViewMut};
 use crate::kernels::sort::{
-    Count, CountArgs, CountParams, MAX_DIGIT_BITS, PLAN_GRID_AT, PLAN_TABLE_AT, PLAN_WORDS, Plan,
-    PlanArgs, PlanParams, Scatter, ScatterArgs, ScatterParams,
+    Count, CountArgs, CountParams, OWN_DIGIT_BITS, PLAN_GRID_AT, PLAN_TABLE_AT, PLAN_WORDS, Plan,
+    PlanArgs, PlanParams, SHARED_DIGIT_BITS, Scatter, ScatterArgs, ScatterParams,
 };
 use crate::ops::scan::{Scan, ScanArgs, ScanScratch};
 use crate::{Error, Result};
@@ -16,12 +16,33 @@ struct Runs {
     least: usize,
     /// More would not fill the device any better.
     most: usize,
+    /// Whether counters are an invocation's own.
+    own_counters: bool,
 }
 
 /// Enough runs for the cores, and a table of counters that stays small and in the cache.
-const SOFTWARE: Runs = Runs { least: 1024, most: 512 };
+const SOFTWARE: Runs = Runs { least: 1024, most: 512, own_counters: true };
 /// Enough runs to fill a large GPU.
-const GPU: Runs = Runs { least: 256, most: 16_384 };
+const GPU: Runs = Runs { least: 256, most: 16_384, own_counters: false };
+
+impl Runs {
+    /// Of so many keys.
+    fn of(&self, keys: usize) -> usize {
+        keys.div_ceil(self.least).min(self.most)
+    }
+
+    /// Passes over `width` bits of so many keys. Wide digits save passes and cost counters: each is
+    /// set, written, summed and read once a pass, about half of what a key costs.
+    fn passes(&self, width: u32, keys: usize) -> u32 {
+        let usual = width.div_ceil(SHARED_DIGIT_BITS);
+        let least = if self.own_counters { width.div_ceil(OWN_DIGIT_BITS) } else { usual };
+        let cost = |passes: u32| {
+            let counters = self.of(keys) << width.div_ceil(passes.max(1));
+            passes as usize * (2 * keys + counters)
+        };
+        (least..=usual).min_by_key(|&passes| cost(passes)).unwrap_or(usual)
+    }
+}
 
 /// A stable sort by some bits of the keys, ascending.
 ///
@@ -104,19 +125,30 @@ impl RadixSort {
                  within 0..32"
             )));
         }
+        let runs = match device.info().kind {
+            DeviceKind::Software => SOFTWARE,
+            _ => GPU,
+        };
+        Ok(RadixSort::in_runs(runs, capacity, bits))
+    }
+
+    fn in_runs(runs: Runs, capacity: usize, bits: Range<u32>) -> RadixSort {
         let width = bits.end - bits.start;
-        let passes = width.div_ceil(MAX_DIGIT_BITS);
-        Ok(RadixSort {
+        let passes = runs.passes(width, capacity);
+        RadixSort {
             capacity,
             passes,
             // Evenly, since a pass over narrower digits costs less: 12 bits are 6 + 6, not 8 + 4.
             digit_bits: width.div_ceil(passes.max(1)),
             bits,
-            runs: match device.info().kind {
-                DeviceKind::Software => SOFTWARE,
-                _ => GPU,
-            },
-        })
+            runs,
+        }
+    }
+
+    /// The same in the way of GPUs, so that it can be held against the oracle on any device.
+    #[cfg(feature = "check")]
+    pub(crate) fn as_on_a_gpu(self) -> RadixSort {
+        RadixSort::in_runs(GPU, self.capacity, self.bits)
     }
 
     fn bins(&self) -> usize {
@@ -124,7 +156,7 @@ impl RadixSort {
     }
 
     fn table_len(&self) -> usize {
-        self.bins() * self.capacity.div_ceil(self.runs.least).min(self.runs.most)
+        self.bins() * self.runs.of(self.capacity)
     }
 
     /// What [`record`](Self::record) works in.
@@ -145,7 +177,8 @@ impl RadixSort {
         })
     }
 
-    /// Records the sort: `sort/plan`; for each pass of up to 8 bits `sort/count`, those of
+    /// Records the sort: `sort/plan`; for each pass of up to 8 bits (on
+    /// software devices 11) `sort/count`, those of
     /// [`Scan::record`], `sort/scatter`.
     ///
     /// # Errors
@@ -220,7 +253,9 @@ impl RadixSort {
         scan: &mut ScanScratch,
     ) -> Result<()> {
         let bins = self.bins() as u32;
-        recorder.dispatch_indirect::<Count>(
+        let counters = [u32::from(self.runs.own_counters)];
+        recorder.dispatch_indirect_specialised::<Count>(
+            &counters,
             plan,
             PLAN_GRID_AT,
             CountParams { shift, mask, bins },
@@ -238,7 +273,8 @@ impl RadixSort {
             },
             scan,
         )?;
-        recorder.dispatch_indirect::<Scatter>(
+        recorder.dispatch_indirect_specialised::<Scatter>(
+            &counters,
             plan,
             PLAN_GRID_AT,
             ScatterParams { shift, mask, bins },

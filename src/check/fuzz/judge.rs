@@ -47,7 +47,7 @@ pub fn judge(device: &Device, stream: &mut Stream, scene: &FuzzScene) -> Result<
     let cloud = Cloud::<f64>::new(&scene.gaussians);
     let view = View::<f64>::new(&scene.camera);
     let rendered = render::forward(&cloud, &view, &settings);
-    let skip = contested(&rendered.splats, &rendered.bins, &settings, width, height, BAND);
+    let skip = contested(&rendered.splats, &settings, width, height, BAND);
     let mut rng = ChaCha8Rng::seed_from_u64(scene.seed);
     let gradient = random_gradient(&mut rng, &skip);
 

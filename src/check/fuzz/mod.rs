@@ -39,6 +39,7 @@ const KERNELS: &[&str] = &[
     "bin/ranges",
     "raster/forward",
     "raster/backward",
+    "raster/backward_narrow",
     "raster/gather",
     "project/backward",
     "project/pose",

@@ -16,4 +16,7 @@ pub const ALL: &[(&str, &str)] = &[
     ("needle far away", include_str!("cases/needle_far_away.json")),
     // A colour of 4e-8: whether it is clamped, and its gradient 0, is rounding's to decide.
     ("colour at the clamp", include_str!("cases/colour_at_the_clamp.json")),
+    // Opacity six last places above the cut: rounding decides how far the splat reaches, and with it
+    // whether a tile lists it at all.
+    ("opacity at the cut", include_str!("cases/opacity_at_the_cut.json")),
 ];

@@ -1,7 +1,7 @@
 //! From the gradients of a picture to those of the Gaussians and the camera.
 
 use super::{PixelBuffers, Render, RenderScratch};
-use crate::gpu::{Buffer, Device, Groups, Recorder, View, ViewMut};
+use crate::gpu::{Buffer, Device, Groups, Kernel, Recorder, View, ViewMut};
 use crate::kernels::{project, raster};
 use crate::ops::at_least;
 use crate::ops::gaussians::{GaussianBuffers, GaussianViews};
@@ -206,31 +206,45 @@ impl Render {
         let limits = *recorder.device().limits();
         let groups = Groups::linear(count, 64, &limits)?;
         let (s, b) = (scratch, backward);
-        recorder.dispatch::<raster::Backward>(
-            self.tile_groups(recorder.device())?,
-            raster::BackwardParams {
-                width: self.width,
-                height: self.height,
-                alpha_cut: self.settings.alpha_cut,
-                alpha_cap: self.settings.alpha_cap,
-            },
-            raster::BackwardArgs {
-                ranges: s.ranges.view(),
-                intersections: s.intersections.view(),
-                splats: s.splats.view(),
-                means: s.means.view(),
-                conics: s.conics.view(),
-                colours,
-                rgba: pixels.rgba.view(),
-                depth: pixels.depth.view(),
-                last: pixels.last.view(),
-                rgba_gradient: pixel_gradients.rgba,
-                depth_gradient: pixel_gradients.depth,
-                slots_a: b.slots_a.view_mut(),
-                slots_b: b.slots_b.view_mut(),
-                slots_c: b.slots_c.view_mut(),
-            },
-        )?;
+        let groups_of_tiles = self.tile_groups(recorder.device())?;
+        // Two kernels of one interface.
+        macro_rules! dispatch {
+            ($kernel:ident, $params:ident, $args:ident, $specialisation:expr) => {
+                recorder.dispatch_specialised::<raster::$kernel>(
+                    $specialisation,
+                    groups_of_tiles,
+                    raster::$params {
+                        width: self.width,
+                        height: self.height,
+                        alpha_cut: self.settings.alpha_cut,
+                        alpha_cap: self.settings.alpha_cap,
+                    },
+                    raster::$args {
+                        ranges: s.ranges.view(),
+                        intersections: s.intersections.view(),
+                        splats: s.splats.view(),
+                        means: s.means.view(),
+                        conics: s.conics.view(),
+                        colours,
+                        rgba: pixels.rgba.view(),
+                        depth: pixels.depth.view(),
+                        last: pixels.last.view(),
+                        rgba_gradient: pixel_gradients.rgba,
+                        depth_gradient: pixel_gradients.depth,
+                        slots_a: b.slots_a.view_mut(),
+                        slots_b: b.slots_b.view_mut(),
+                        slots_c: b.slots_c.view_mut(),
+                    },
+                )
+            };
+        }
+        match self.narrow {
+            None => dispatch!(Backward, BackwardParams, BackwardArgs, &[])?,
+            Some(subgroup_size) => {
+                let alone = u32::from(subgroup_size >= raster::BackwardNarrow::WORKGROUP[0]);
+                dispatch!(BackwardNarrow, BackwardNarrowParams, BackwardNarrowArgs, &[1, alone])?;
+            }
+        }
         recorder.dispatch::<raster::Gather>(
             groups,
             raster::GatherParams { count: count as u32, capacity: self.intersections as u32 },

@@ -85,8 +85,9 @@ impl Render {
         let RenderSettings { alpha_cut, alpha_cap, transmittance_stop, .. } = self.settings;
         // Two kernels of one interface.
         macro_rules! dispatch {
-            ($kernel:ident, $params:ident, $args:ident) => {
-                recorder.dispatch::<raster::$kernel>(
+            ($kernel:ident, $params:ident, $args:ident, $specialisation:expr) => {
+                recorder.dispatch_specialised::<raster::$kernel>(
+                    $specialisation,
                     groups,
                     raster::$params {
                         width: self.width,
@@ -110,8 +111,13 @@ impl Render {
             };
         }
         match self.raster {
-            RasterKind::Subgroup => dispatch!(Forward, ForwardParams, ForwardArgs),
-            RasterKind::Shared => dispatch!(ForwardShared, ForwardSharedParams, ForwardSharedArgs),
+            RasterKind::Subgroup => {
+                let shuffles = [u32::from(self.narrow.is_some())];
+                dispatch!(Forward, ForwardParams, ForwardArgs, &shuffles)
+            }
+            RasterKind::Shared => {
+                dispatch!(ForwardShared, ForwardSharedParams, ForwardSharedArgs, &[])
+            }
         }
     }
 

@@ -17,7 +17,7 @@ use super::at_least;
 use super::gaussians::GaussianViews;
 use super::scan::{Scan, ScanScratch};
 use super::sort::{RadixSort, SortScratch};
-use crate::gpu::{Buffer, Device, Groups, Stream, View, ViewMut};
+use crate::gpu::{Buffer, Device, DeviceKind, Groups, Stream, View, ViewMut};
 use crate::types::{Camera, DEPTH_BITS, RasterKind, RenderSettings};
 use crate::{Error, Result};
 
@@ -91,6 +91,8 @@ pub struct Render {
     height: u32,
     settings: RenderSettings,
     raster: RasterKind,
+    /// The subgroup size of a software device, where the raster kernels have variants of their own.
+    narrow: Option<u32>,
     depth_sort: RadixSort,
     tile_sort: RadixSort,
     scan: Scan,
@@ -212,6 +214,10 @@ impl Render {
             height,
             settings,
             raster: RasterKind::default(),
+            narrow: match device.info().kind {
+                DeviceKind::Software => Some(device.info().subgroup_size),
+                _ => None,
+            },
             // Depth is positive, so its sign bit is never set.
             depth_sort: RadixSort::plan(device, gaussians, 0..DEPTH_BITS)?,
             tile_sort: RadixSort::plan(device, intersections, 0..tile_bits)?,
@@ -236,6 +242,13 @@ impl Render {
     /// The same, blending in another way.
     pub fn with_raster(self, raster: RasterKind) -> Render {
         Render { raster, ..self }
+    }
+
+    /// The same with the raster kernels that GPUs take, so that they can be held against the oracle on
+    /// any device.
+    #[cfg(feature = "check")]
+    pub(crate) fn as_on_a_gpu(self) -> Render {
+        Render { narrow: None, ..self }
     }
 
     /// Number of (splat, tile) pairs that there is room for.
