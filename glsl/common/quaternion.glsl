@@ -1,11 +1,6 @@
 // Quaternions (w, x, y, z) as vec4(w, x, y, z).
 
-bool finite(float x) {
-    return abs(x) <= 3.0e38;
-}
-bool finite(vec3 v) {
-    return finite(v.x) && finite(v.y) && finite(v.z);
-}
+#include "common/finite.glsl"
 
 const vec4 NO_ROTATION = vec4(1.0, 0.0, 0.0, 0.0);
 

@@ -1,18 +1,12 @@
 // The geometry of one projected Gaussian, shared by the forward and the backward pass.
 
+#include "common/finite.glsl"
+
 mat3 rotation_matrix(vec4 q) {
     float w = q.x, x = q.y, y = q.z, z = q.w;
     return mat3(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y),
                 2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x),
                 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y));
-}
-
-// By the bits of the exponent: a driver that assumes that there are no NaNs may drop a comparison.
-bool finite(float x) {
-    return (floatBitsToUint(x) & 0x7f800000u) != 0x7f800000u;
-}
-bool finite(vec3 v) {
-    return finite(v.x) && finite(v.y) && finite(v.z);
 }
 
 // Positions (in the camera's frame) and colours beyond this count as not finite: the gradients'

@@ -1,6 +1,8 @@
 // A pixel before it is packed: over what lies behind it, what is not finite counting as nothing.
+#include "common/finite.glsl"
+
 float some(float value) {
-    return (floatBitsToUint(value) & 0x7f800000u) == 0x7f800000u ? 0.0 : value;
+    return finite(value) ? value : 0.0;
 }
 
 vec4 over(vec4 rgba, vec4 background) {

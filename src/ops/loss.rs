@@ -14,11 +14,11 @@ use crate::kernels::loss::{
 use crate::types::Image;
 use crate::{Error, Result};
 
-/// The shortest and the longest run that an invocation walks over: beside its own pixels it loads 10
-/// to 20 around them, so longer runs load less, and shorter ones fill a device.
-const RUNS: [usize; 2] = [16, 64];
+/// The shortest run that an invocation walks over: beside its own pixels it loads 10 to 20 around
+/// them, so longer runs load less, and shorter ones fill a device.
+const LEAST_RUN: usize = 16;
 /// Invocations that fill a software device, and any other.
-const FULL: [usize; 2] = [1 << 11, 1 << 16];
+const FULL: [usize; 2] = [1 << 10, 1 << 16];
 /// Pixels less opaque than this have no depth worth comparing.
 const LEAST_ALPHA: f32 = 0.5;
 
@@ -163,8 +163,7 @@ impl Loss {
     /// [`Error::OutOfMemory`].
     pub fn scratch(&self, device: &Device) -> Result<LossScratch> {
         let planes = 3 * self.pixels();
-        let items = |run| self.column_items(run).max(self.row_items(run));
-        let partials = items(RUNS[0]).max(self.pixels()).div_ceil(64);
+        let partials = self.by_rows(device).1.max(self.pixels()).div_ceil(64);
         Ok(LossScratch {
             windowed: device.buffer("windowed", planes)?,
             derivatives: device.buffer("derivatives of SSIM", planes)?,
@@ -173,20 +172,26 @@ impl Loss {
         })
     }
 
-    /// Pixels that an invocation walks over.
-    fn run(&self, device: &Device) -> usize {
+    /// Pixels that an invocation walks over where `lines` lines of `length` pixels are to be walked:
+    /// each line is cut evenly, into as many runs as fill the device.
+    fn run(device: &Device, lines: usize, length: usize) -> usize {
         let software = device.info().kind == DeviceKind::Software;
-        (self.pixels() / FULL[usize::from(!software)]).clamp(RUNS[0], RUNS[1])
+        let runs = FULL[usize::from(!software)].div_ceil(lines.max(1));
+        length.div_ceil(runs.min(length.div_ceil(LEAST_RUN)).max(1)).max(1)
     }
 
-    /// Invocations that walk along rows, one channel each.
-    fn row_items(&self, run: usize) -> usize {
-        3 * self.height as usize * (self.width as usize).div_ceil(run)
+    /// Along rows, one channel each: pixels of a run, and runs.
+    fn by_rows(&self, device: &Device) -> (usize, usize) {
+        let (lines, length) = (3 * self.height as usize, self.width as usize);
+        let run = Self::run(device, lines, length);
+        (run, lines * length.div_ceil(run))
     }
 
-    /// Invocations that walk along columns, with all channels.
-    fn column_items(&self, run: usize) -> usize {
-        self.width as usize * (self.height as usize).div_ceil(run)
+    /// Along columns, with all channels: pixels of a run, and runs.
+    fn by_columns(&self, device: &Device) -> (usize, usize) {
+        let (lines, length) = (self.width as usize, self.height as usize);
+        let run = Self::run(device, lines, length);
+        (run, lines * length.div_ceil(run))
     }
 
     /// Records the loss of `rendered` against `photograph`, and its gradient by the image. Without
@@ -231,13 +236,19 @@ impl Loss {
         let limits = *recorder.device().limits();
         let (width, height) = (self.width as i32, self.height as i32);
         let [background_red, background_green, background_blue] = settings.background;
-        let run = self.run(recorder.device());
-        let (by_columns, by_rows) = (self.column_items(run), self.row_items(run));
-        let run = run as i32;
+        let (column_run, by_columns) = self.by_columns(recorder.device());
+        let (row_run, by_rows) = self.by_rows(recorder.device());
         let LossScratch { windowed, derivatives, partials, totals } = scratch;
         recorder.dispatch::<Columns>(
             Groups::linear(by_columns, 64, &limits)?,
-            ColumnsParams { width, height, run, background_red, background_green, background_blue },
+            ColumnsParams {
+                width,
+                height,
+                run: column_run as i32,
+                background_red,
+                background_green,
+                background_blue,
+            },
             ColumnsArgs {
                 rgba: rendered.rgba.view(),
                 photograph: photograph.pixels.view(),
@@ -246,7 +257,7 @@ impl Loss {
         )?;
         recorder.dispatch::<Ssim>(
             Groups::linear(by_rows, 64, &limits)?,
-            SsimParams { width, height, run },
+            SsimParams { width, height, run: row_run as i32 },
             SsimArgs {
                 windowed: windowed.view(),
                 photograph: photograph.pixels.view(),
@@ -262,7 +273,7 @@ impl Loss {
             GradientParams {
                 width,
                 height,
-                run,
+                run: column_run as i32,
                 background_red,
                 background_green,
                 background_blue,

@@ -1,0 +1,12 @@
+#ifndef FINITE_GLSL
+#define FINITE_GLSL
+
+// By the bits of the exponent: a driver that assumes that there are no NaNs may drop a comparison.
+bool finite(float x) {
+    return (floatBitsToUint(x) & 0x7f800000u) != 0x7f800000u;
+}
+bool finite(vec3 v) {
+    return finite(v.x) && finite(v.y) && finite(v.z);
+}
+
+#endif
