@@ -40,6 +40,21 @@ pub enum Error {
         /// How much was asked for.
         bytes: u64,
     },
+    /// What is about to be done would take more device memory than there is.
+    #[error(
+        "{bytes} bytes of device memory are needed ({largest} alone takes {largest_bytes}), {free} are \
+         free; use fewer Gaussians or smaller images"
+    )]
+    TooLarge {
+        /// What would be needed.
+        bytes: u64,
+        /// What the device has left.
+        free: u64,
+        /// The largest buffer.
+        largest: String,
+        /// Its bytes.
+        largest_bytes: u64,
+    },
     /// A buffer is larger than one binding of this device may be.
     #[error(
         "{label} needs {bytes} bytes in one binding, the device allows {limit}; use fewer Gaussians"

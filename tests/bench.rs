@@ -10,9 +10,11 @@ use splat4d::bench::{self, Budget, Entry, ErrorMeasure, Job, Pace};
 use splat4d::gpu::{Buffer, Device, Recorder};
 use splat4d::ops::scan::{Scan, ScanArgs};
 use splat4d::oracle::scan::exclusive;
-use splat4d::report::{Accuracy, Measurements, Place, Verdict, Work, compare};
+use splat4d::report::{Accuracy, Curve, CurvePoint, Measurements, Place, Verdict, Work, compare};
 use splat4d::scene::ply;
 use splat4d::types::Tuning;
+use splat4d::vk::Limits;
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::process::{Command, Output};
 use std::time::Duration;
@@ -167,6 +169,42 @@ fn a_profile_takes_a_row_apart() {
 }
 
 /// Every knob is in the sweep, costs nothing where it is at its best, and more and more beyond.
+#[test]
+fn curves_have_times_and_memory_and_say_what_is_left_out() {
+    let device = common::device();
+    let mut heard = 0;
+    let hour = Duration::from_secs(3600);
+    let mut each = |_: &Curve, point: &CurvePoint| {
+        heard += 1;
+        assert_eq!(point.left_out, None);
+        Ok(())
+    };
+    let curves = bench::curves(&device, 3, true, hour, &mut each).unwrap();
+    assert_eq!(heard, curves.iter().map(|curve| curve.points.len()).sum::<usize>());
+    let axes: BTreeSet<&str> = curves.iter().map(|curve| curve.axis.as_str()).collect();
+    assert_eq!(axes, ["Gaussians", "control points", "frames", "pixels"].into());
+    for curve in &curves {
+        assert!(curve.accuracy.passed(), "{}: {:?}", curve.pipeline, curve.accuracy);
+        assert_eq!(curve.times().len(), curve.points.len());
+        assert!(curve.memory_law().unwrap().exponent >= 0.0);
+        for point in &curve.points {
+            assert!(!point.kernels.is_empty());
+            // A picture may need more tiles than were foreseen, never fewer.
+            let (foreseen, taken) = (point.foreseen.unwrap() as f64, point.taken.unwrap() as f64);
+            assert!(taken > 0.9 * foreseen, "{}: {taken} of {foreseen}", curve.pipeline);
+        }
+    }
+    // Without time only the first of each is measured; where bindings are small, not even that.
+    let small = device.with_limits(Limits { storage_range: 3 << 19, ..*device.limits() });
+    let curves = bench::curves(&small, 3, true, Duration::ZERO, &mut |_, _| Ok(())).unwrap();
+    let why = |text: &str| {
+        let all = curves.iter().flat_map(|curve| &curve.points);
+        all.filter(|p| p.left_out.as_ref().is_some_and(|why| why.contains(text))).count()
+    };
+    assert!(why("does not fit") > 0 && why("are left") > 0, "{curves:?}");
+    common::assert_valid(&device);
+}
+
 #[test]
 fn knobs_cost_accuracy() {
     let device = common::device();

@@ -475,6 +475,24 @@ fn dataset(folder: &Path, pictures: usize) {
 }
 
 #[test]
+fn what_does_not_fit_is_told_before_the_work() {
+    let folder = tempfile::tempdir().unwrap();
+    dataset(&folder.path().join("set"), 4);
+    let said = fails(
+        folder.path(),
+        1,
+        "train set -o x --random-points 50 --max-gaussians 1000000000 --density adaptive",
+    );
+    says(
+        &said,
+        &["1,000,000,000 Gaussians does not fit", "Gaussians would fit", "--max-gaussians"],
+    );
+    let found = json(folder.path(), "train set -o x --random-points 50 --steps 2");
+    let (foreseen, taken) = (&found["predicted_bytes"], &found["peak_bytes"]);
+    assert!(foreseen.as_u64() > Some(1 << 20) && taken.as_u64() > Some(1 << 20), "{found}");
+}
+
+#[test]
 fn bad_datasets_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);

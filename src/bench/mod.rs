@@ -3,7 +3,7 @@
 //!
 //! An [`Entry`] prepares a [`Job`]: it uploads its input, executes once, compares with the oracle in
 //! f64, and counts what one execution moves and calculates. [`measure`] times the job only when the
-//! comparison passed. Times are the device's own, by timestamps around the submissions; uploads and
+//! comparison passed. [`curves`] tells how time and memory grow. Times are the device's own, by timestamps around the submissions; uploads and
 //! downloads lie outside. Where a device has no timestamps, the host's clock stands in and the row
 //! says so.
 
@@ -13,6 +13,7 @@ mod job;
 mod pipelines;
 mod profile;
 mod rows;
+mod scale;
 mod scenes;
 mod speed;
 mod truth;
@@ -20,6 +21,7 @@ mod verify;
 
 pub use job::{Entry, Job, Pace, measure};
 pub use profile::{KernelShare, Profile, profile};
+pub use scale::curves;
 pub use speed::{Budget, ErrorMeasure, Shot, choose, still_scene, sweep, sweep_motion};
 
 use crate::Result;

@@ -58,7 +58,13 @@ pub(super) fn entries(quick: bool) -> Vec<Entry> {
     all
 }
 
-fn rendered(device: &Device, seed: u64, n: usize, width: u32, height: u32) -> Result<Job> {
+pub(super) fn rendered(
+    device: &Device,
+    seed: u64,
+    n: usize,
+    width: u32,
+    height: u32,
+) -> Result<Job> {
     let camera = camera(width, height);
     let scene = Scene::of(cloud(seed, n, 3, &camera));
     let mut renderer = Renderer::new(device, &scene)?;
@@ -107,7 +113,7 @@ fn photometric(
     (loss, gradient)
 }
 
-fn step(
+pub(super) fn step(
     device: &Device,
     seed: u64,
     (n, width, height): (usize, u32, u32),

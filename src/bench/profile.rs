@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::job::{Entry, Pace};
 use crate::gpu::{Detail, Device};
 use crate::kernels;
-use crate::report::{Place, Spread};
+use crate::report::{Ceilings, Place, Spread, Work};
 use crate::{Error, Result};
 
 /// What a row's executions are made of. Times are medians over the executions, in nanoseconds.
@@ -23,6 +23,12 @@ pub struct Profile {
     pub device: f64,
     /// From the first call to the last result, on the host.
     pub wall: f64,
+    /// The host's share of that: what is left of it without the device's time.
+    pub host_share: f64,
+    /// What an execution moves and calculates, as far as it is counted.
+    pub work: Work,
+    /// Lanes of a subgroup.
+    pub subgroup_size: u32,
     /// The dearest first.
     pub kernels: Vec<KernelShare>,
 }
@@ -40,6 +46,17 @@ pub struct KernelShare {
     pub time: f64,
     /// Of the kernels' times.
     pub share: f64,
+}
+
+impl Profile {
+    /// Bytes and operations a second over what the device does at most; `None` where they are not
+    /// counted.
+    pub fn shares(&self, ceilings: &Ceilings) -> [Option<f64>; 2] {
+        let share = |count: u64, most: Option<f64>| {
+            (count > 0).then_some(count as f64 / self.device * 1e9 / most?)
+        };
+        [share(self.work.bytes, ceilings.bytes), share(self.work.operations, ceilings.operations)]
+    }
 }
 
 /// Executes an entry again and again with a timestamp after every dispatch. `None` for a row that
@@ -99,6 +116,16 @@ pub fn profile(device: &Device, entry: &Entry, pace: Pace, seed: u64) -> Result<
         kernel.share = kernel.time / sum;
     }
     kernels.sort_by(|a, b| b.time.total_cmp(&a.time));
-    let (device, wall) = (median(spans)?, median(walls)?);
-    Ok(Some(Profile { id: entry.id, size: entry.size.clone(), executions, device, wall, kernels }))
+    let (span, wall) = (median(spans)?, median(walls)?);
+    Ok(Some(Profile {
+        id: entry.id,
+        size: entry.size.clone(),
+        executions,
+        device: span,
+        wall,
+        host_share: (1.0 - span / wall).max(0.0),
+        work: job.work,
+        subgroup_size: device.info().subgroup_size,
+        kernels,
+    }))
 }

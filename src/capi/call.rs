@@ -76,7 +76,9 @@ impl From<Error> for Fault {
             Error::Vulkan { .. } => splat4d_result::SPLAT4D_ERROR_VULKAN,
             Error::NoDevice(_) => splat4d_result::SPLAT4D_ERROR_NO_DEVICE,
             Error::DeviceLost { .. } => splat4d_result::SPLAT4D_ERROR_DEVICE_LOST,
-            Error::OutOfMemory { .. } => splat4d_result::SPLAT4D_ERROR_OUT_OF_MEMORY,
+            Error::OutOfMemory { .. } | Error::TooLarge { .. } => {
+                splat4d_result::SPLAT4D_ERROR_OUT_OF_MEMORY
+            }
             Error::RangeLimit { .. } => splat4d_result::SPLAT4D_ERROR_RANGE_LIMIT,
             Error::Unsupported { .. } => splat4d_result::SPLAT4D_ERROR_UNSUPPORTED,
             Error::Shape { .. } => SPLAT4D_ERROR_SHAPE,

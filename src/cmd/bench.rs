@@ -3,19 +3,22 @@
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use clap::{Args, Subcommand, ValueEnum};
 use serde_json::json;
 use splat4d::bench::{self, Budget, ErrorMeasure, Pace, Profile, Shot};
 use splat4d::gpu::Device;
 use splat4d::report::{
-    Machine, Measurements, Place, Point, Row, Verdict, compare, duration, rate, scientific,
+    Ceilings, Curve, CurvePoint, Machine, Measurements, Place, Point, PowerLaw, Row, Verdict,
+    compare, duration, rate, scientific,
 };
 use splat4d::scene::{Opened, Scene};
 use splat4d::{Error, Result};
 
-use super::common::{Answer, Common, check_output_file, check_output_folder, say, thousands};
+use super::common::{
+    Answer, Common, bytes, check_output_file, check_output_folder, say, thousands,
+};
 use super::{interrupt, path, tuning, values};
 
 /// Views that a sweep of a scene renders.
@@ -33,8 +36,13 @@ Parts, for --filter: scan, sort, project, bin, raster, loss, deform, mlp, arap, 
 ceiling, render, pipeline, and the sweeps of speed against error: sweep/still, sweep/motion,
 sweep/scene (with --scene).
 
-With --profile rows are taken apart instead: the time of each kernel of an execution, its share, and
-what the host adds. Without a filter, of the pipelines.
+With --profile rows are taken apart instead: the time of each kernel of an execution, its share, what
+the host adds, and what of the device's ceilings the row's counted bytes and operations reach. Without a filter, of the pipelines.
+
+With --scale nothing is measured but how time and memory grow: of a render and of training steps,
+against Gaussians (10 k to 5 M; 480×270 on a software driver, else 1920×1080), pixels (0.1 to 8 MP),
+control points and frames, each with a power law through its points and the kernels that grow faster
+than linearly. What would not fit is foreseen and left out.
 
 With --error-budget nothing but the settings is looked for: the fastest ones whose image error stays
 within it on views of the scene; one view is kept out of the search to test them.
@@ -45,6 +53,7 @@ Examples:
   splat4d bench --report out
   splat4d bench --filter sort --quick
   splat4d bench --profile --filter train_step
+  splat4d bench --scale --report out
   splat4d bench --scene scene.ply --error-budget 0.004 --settings fast.json
   splat4d render scene.ply -o views --settings fast.json
   splat4d bench cmp before/bench.json after/bench.json
@@ -54,9 +63,10 @@ threads}, ceilings {bytes, operations} (per second), rows [{id, size, place, clo
 {of_bound, error, output}, work {bytes, operations}, time (nanoseconds, or null)}], sweeps [{scene,
 gaussians, size, clock, points [{knob, value, settings, time, ratio (to the best
 settings' time, in turns), error {max, rmse, psnr}}]}], choice
-{scene, budget, measure, settings, time_ratio, error, met, views} or null, missed (rows without
-speed), seconds. With --profile: machine, profiles [{id, size, executions, device, wall (nanoseconds),
-kernels [{kernel, workgroup, dispatches, time, share}]}]. Of cmp: rows [{name, ratio, interval, verdict}], faster, slower, noise,
+{scene, budget, measure, settings, time_ratio, error, met, views} or null, curves [{pipeline, axis,
+held, clock, accuracy, points [{size, time, foreseen, taken (bytes of device memory), left_out (why,
+or null), kernels [[name, nanoseconds]]}]}] (with --scale), missed (rows without speed), seconds. With --profile: machine, ceilings, profiles [{id, size, executions, device, wall (nanoseconds),
+host_share, work {bytes, operations}, subgroup_size, kernels [{kernel, workgroup, dispatches, time, share}]}]. Of cmp: rows [{name, ratio, interval, verdict}], faster, slower, noise,
 incomparable";
 
 /// Measure every op and pipeline, and what each speed-up costs in accuracy
@@ -83,6 +93,13 @@ pub struct BenchArgs {
     /// Print where the time of each row goes, kernel by kernel
     #[arg(long, conflicts_with_all = ["scene", "report", "error_budget"])]
     profile: bool,
+    /// Measure time and memory against number of Gaussians, pixels, control points and frames
+    #[arg(long, conflicts_with_all = ["scene", "error_budget", "profile", "filter"])]
+    scale: bool,
+    /// Time that --scale may take, about; what would take longer is left out, and said
+    #[arg(long, value_name = "SECONDS", value_parser = values::positive, default_value_t = 480.0,
+          requires = "scale")]
+    seconds: f64,
     /// Choose the fastest settings whose image error stays within this; colours are in [0, 1]
     #[arg(long, value_name = "ERROR", value_parser = values::positive, requires = "scene")]
     error_budget: Option<f64>,
@@ -150,6 +167,15 @@ pub fn run(args: &BenchArgs, common: &Common) -> Result<(Answer, ExitCode)> {
             }
             measured.choice = Some(choice);
         }
+        _ if args.scale => {
+            let time = Duration::from_secs_f64(args.seconds.min(1e6));
+            let mut each = |curve: &Curve, point: &CurvePoint| {
+                interrupt::check()?;
+                say(&curve_point_text(curve, point));
+                Ok(())
+            };
+            measured.curves = bench::curves(&device, common.seed, args.quick, time, &mut each)?;
+        }
         _ => measure(args, common, &device, scene.as_ref(), pace, &mut measured)?,
     }
     measured.unix_seconds =
@@ -162,7 +188,9 @@ pub fn run(args: &BenchArgs, common: &Common) -> Result<(Answer, ExitCode)> {
         .map_err(|e| Error::Failed(format!("the results cannot be written as JSON: {e}")))?;
     json["missed"] = json!(missed);
     json["seconds"] = json!(begun.elapsed().as_secs_f64());
-    let kept = missed == 0 && measured.choice.as_ref().is_none_or(|choice| choice.met);
+    let kept = missed == 0
+        && measured.curves.iter().all(|curve| curve.accuracy.passed())
+        && measured.choice.as_ref().is_none_or(|choice| choice.met);
     let code = if kept { ExitCode::SUCCESS } else { ExitCode::FAILURE };
     Ok((Answer { json, text: text(&measured, missed) }, code))
 }
@@ -234,10 +262,13 @@ fn profiles(
 ) -> Result<Answer> {
     let filter = args.filter.as_deref().unwrap_or("pipeline/");
     let (mut profiles, mut text) = (Vec::new(), String::new());
+    let all = bench::entries(true);
+    let most = bench::run(device, &all, Some("ceiling/"), pace, common.seed, |_| Ok(()))?;
+    let ceilings = bench::ceilings(&most);
     for entry in bench::entries(args.quick).iter().filter(|entry| entry.matches(Some(filter))) {
         interrupt::check()?;
         if let Some(profile) = bench::profile(device, entry, pace, common.seed)? {
-            text += &profile_text(&profile);
+            text += &profile_text(&profile, &ceilings);
             profiles.push(profile);
         }
     }
@@ -246,16 +277,24 @@ fn profiles(
             "no row's name holds `{filter}` and runs on the device; --help lists the parts"
         )));
     }
-    Ok(Answer { json: json!({ "machine": machine, "profiles": profiles }), text })
+    let json = json!({ "machine": machine, "ceilings": ceilings, "profiles": profiles });
+    Ok(Answer { json, text })
 }
 
-fn profile_text(profile: &Profile) -> String {
-    let Profile { id, size, executions, device, wall, kernels } = profile;
+fn profile_text(profile: &Profile, ceilings: &Ceilings) -> String {
+    let Profile { id, size, executions, device, wall, kernels, .. } = profile;
     let mut text = format!(
-        "{id}, {size}: {} on the device, {} in all (medians of {executions})\n",
+        "{id}, {size}: {} on the device, {} in all, {:.1} % of it the host's (medians of \
+         {executions}); subgroups of {}\n",
         duration(*device),
-        duration(*wall)
+        duration(*wall),
+        100.0 * profile.host_share,
+        profile.subgroup_size
     );
+    let shares = profile.shares(ceilings).into_iter().zip(["bytes", "operations"]);
+    for (share, what) in shares.filter_map(|(share, what)| Some((share?, what))) {
+        let _ = writeln!(text, "  {what}: {:.1} % of what the device does at most", 100.0 * share);
+    }
     for kernel in kernels {
         let [x, y, z] = kernel.workgroup;
         let _ = writeln!(
@@ -330,6 +369,48 @@ fn point_text(point: &Point) -> String {
     )
 }
 
+fn curve_point_text(curve: &Curve, point: &CurvePoint) -> String {
+    let what = format!("{}, {} {}", curve.pipeline, thousands(point.size as usize), curve.axis);
+    let memory = |bytes_of: Option<u64>| bytes_of.map_or("unknown".into(), bytes);
+    match (&point.time, &point.left_out) {
+        (Some(time), _) => format!(
+            "{what:<46} {:>9}  {:>10} ({} foreseen)",
+            duration(time.median()),
+            memory(point.taken),
+            memory(point.foreseen)
+        ),
+        (None, why) => format!("{what:<46} {}", why.as_deref().unwrap_or("not measured")),
+    }
+}
+
+/// Kernels that grow faster than this are named: what lies closer to linear is noise.
+const STEEP: f64 = 1.1;
+
+fn curve_text(curve: &Curve) -> String {
+    let law = |law: Option<PowerLaw>| match law {
+        Some(PowerLaw { exponent, range: [from, to], off, .. }) => format!(
+            "~ size^{exponent:.2} from {} to {} (off by {off:.2} times at most)",
+            thousands(from as usize),
+            thousands(to as usize)
+        ),
+        None => "not enough points".into(),
+    };
+    let mut text = format!("\n{} against {}: {}\n", curve.pipeline, curve.axis, curve.held);
+    let _ = writeln!(text, "  time   {}", law(curve.time_law()));
+    let _ = writeln!(text, "  memory {}", law(curve.memory_law()));
+    if let Some(last) = curve.last_law() {
+        let _ = writeln!(text, "  time, the two largest sizes ~ size^{:.2}", last.exponent);
+        for (kernel, exponent, share) in curve.steeper_than(STEEP) {
+            let percent = 100.0 * share;
+            let _ = writeln!(text, "    {kernel} ~ size^{exponent:.2}, {percent:.1} % of it");
+        }
+    }
+    for point in &curve.points {
+        let _ = writeln!(text, "  {}", curve_point_text(curve, point));
+    }
+    text
+}
+
 fn text(measured: &Measurements, missed: usize) -> String {
     let mut text = String::new();
     let machine = &measured.machine;
@@ -354,6 +435,7 @@ fn text(measured: &Measurements, missed: usize) -> String {
             let _ = writeln!(text, "  {}", point_text(point));
         }
     }
+    measured.curves.iter().for_each(|curve| text += &curve_text(curve));
     if let Some(choice) = &measured.choice {
         let met = if choice.met { "met" } else { "missed" };
         let _ = writeln!(

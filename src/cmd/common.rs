@@ -5,7 +5,7 @@ use std::path::Path;
 
 use clap::Args;
 use serde_json::Value;
-use splat4d::gpu::{Device, DeviceKind, Request, Selector};
+use splat4d::gpu::{Device, DeviceKind, Footprint, Request, Selector};
 use splat4d::{Error, Result};
 
 /// The flags that every command takes.
@@ -123,6 +123,33 @@ fn check_folder(output: &Path, folder: &Path) -> Result<()> {
 fn plain(error: &std::io::Error) -> String {
     let text = error.to_string();
     text.split(" at path ").next().unwrap_or(&text).to_string()
+}
+
+/// Says how much device memory some work will take, and gives it; an error where it does not fit, with
+/// the most Gaussians that would, and what to turn.
+pub fn foresee(
+    device: &Device,
+    what: &str,
+    footprint: Result<Footprint>,
+    most_gaussians: impl FnOnce() -> usize,
+    turn: &str,
+) -> Result<u64> {
+    let name = &device.info().name;
+    match footprint.and_then(|taken| taken.fits(device).map(|()| taken)) {
+        Ok(taken) => {
+            let free = bytes(device.free_memory());
+            say(&format!("{what} takes {} of the {free} that {name} has free", bytes(taken.bytes)));
+            Ok(taken.bytes)
+        }
+        Err(error @ (Error::RangeLimit { .. } | Error::TooLarge { .. })) => {
+            let would = match most_gaussians() {
+                0 => "not even one Gaussian would fit: make the pictures smaller".to_owned(),
+                most => format!("{} Gaussians would fit: {turn}", thousands(most)),
+            };
+            Err(Error::Input(format!("{what} does not fit on {name}: {error}; {would}")))
+        }
+        Err(other) => Err(other),
+    }
 }
 
 /// `1234567` as `1,234,567`.

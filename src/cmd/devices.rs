@@ -5,15 +5,30 @@ use std::fmt::Write;
 use clap::Args;
 use serde_json::json;
 use splat4d::Result;
+use splat4d::gpu::{Device, Request, Selector};
+use splat4d::renderer::RenderScale;
+use splat4d::scene::Scene;
+use splat4d::train::{PictureKind, TrainSettings, TrainingScale};
+use splat4d::types::{Gaussians, Tuning};
 use splat4d::vk::{self, DeviceKind};
 
-use super::common::{Answer, bytes};
+use super::common::{Answer, bytes, thousands};
+
+/// Pictures of what the largest scenes are foreseen for.
+const SIZE: (u32, u32) = (1920, 1080);
+/// How many there are to train on.
+const PICTURES: usize = 100;
 
 const AFTER_HELP: &str = "\
+The largest scene is what the free memory and the largest binding allow: still, with harmonics of
+degree 3, rendered at 1920×1080, or trained on a hundred pictures of that size, with room for four
+tiles per Gaussian.
+
 Example:
   splat4d devices
 
-JSON: devices: [{index, name, kind, driver, vulkan, subgroup_size, memory_bytes}]";
+JSON: devices: [{index, name, kind, driver, vulkan, subgroup_size, memory_bytes, free_bytes,
+binding_bytes, most_gaussians {render, train}, unfit (why it cannot run, or null)}]";
 
 /// List the Vulkan devices that --device can name
 #[derive(Args)]
@@ -41,7 +56,7 @@ pub fn run(_: &DevicesArgs) -> Result<Answer> {
             "{}  {} ({kind}; {}; Vulkan {vulkan}; subgroups of {}; {memory})",
             device.index, device.name, device.driver, device.subgroup_size
         );
-        list.push(json!({
+        let mut facts = json!({
             "index": device.index,
             "name": device.name,
             "kind": kind,
@@ -49,7 +64,47 @@ pub fn run(_: &DevicesArgs) -> Result<Answer> {
             "vulkan": vulkan,
             "subgroup_size": device.subgroup_size,
             "memory_bytes": device.memory_bytes,
-        }));
+        });
+        let request = Request { selector: Selector::Index(device.index), ..Request::default() };
+        match Device::open(&request) {
+            Ok(device) => {
+                let (render, train) = most_gaussians(&device);
+                let (free, binding) = (device.free_memory(), device.limits().storage_range);
+                let _ = writeln!(
+                    text,
+                    "   {} free, bindings of up to {}: renders {} Gaussians at {}×{}, trains {}",
+                    bytes(free),
+                    bytes(binding),
+                    thousands(render),
+                    SIZE.0,
+                    SIZE.1,
+                    thousands(train)
+                );
+                facts["free_bytes"] = json!(free);
+                facts["binding_bytes"] = json!(binding);
+                facts["most_gaussians"] = json!({ "render": render, "train": train });
+                facts["unfit"] = json!(null);
+            }
+            Err(error) => {
+                let _ = writeln!(text, "   cannot be used: {error}");
+                facts["unfit"] = json!(error.to_string());
+            }
+        }
+        list.push(facts);
     }
     Ok(Answer { json: json!({ "devices": list }), text })
+}
+
+/// The largest scenes that a device has room for, to render and to train.
+fn most_gaussians(device: &Device) -> (usize, usize) {
+    let scene = Scene::of(Gaussians { sh_degree: 3, ..Gaussians::default() });
+    let render = RenderScale::new(&scene, SIZE, &Tuning::default());
+    let kind = PictureKind { width: SIZE.0, height: SIZE.1, disparity: false, mask: false };
+    let train = TrainingScale {
+        pictures: [(kind, PICTURES)].into(),
+        gaussians: 1,
+        motion: None,
+        settings: TrainSettings::default(),
+    };
+    (render.most_gaussians(device), train.most_gaussians(device))
 }

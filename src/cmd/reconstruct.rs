@@ -19,7 +19,7 @@ use splat4d::{Error, Result};
 use super::checkpoints::{CheckpointArgs, Checkpoints};
 use super::clock::Clock;
 use super::common::{
-    Answer, Common, bytes, check_output_file, check_output_folder, notes, say, thousands,
+    Answer, Common, bytes, check_output_file, check_output_folder, foresee, notes, say, thousands,
 };
 use super::info::dynamic_share;
 use super::meter::Meter;
@@ -43,7 +43,7 @@ control_points_added and control_points_removed (in training), dynamic_share (of
 dynamic_gaussians (share), intrinsics {fx, fy, cx, cy, width, height, source (given,
 measured, assumed)}, poses {tripod, inlier_share, reprojection_rms, parallax_deg, focal_std,
 doubtful_frames, tracks}, frames, frame_names, model (what was modelled and why), notes, device,
-peak_bytes, milliseconds_per_step, seconds {load, flow, cameras, masks, depth, static,
+predicted_bytes (of device memory, before it began), peak_bytes, milliseconds_per_step, seconds {load, flow, cameras, masks, depth, static,
 trajectories, control, joint, evaluate}, output";
 
 /// Turn a video whose camera poses are unknown into a 4D scene
@@ -145,6 +145,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     clock.lap("load");
 
     let settings = settings(args, common, (width, height));
+    let predicted_bytes = foreseen(args, &device, &settings, frames.len(), (width, height))?;
     let identity = identity(args, &frames, &options, &settings);
     let mut checkpoints = Checkpoints::new(&args.output, &args.checkpoints, identity);
     let track = match checkpoints.load("track")? {
@@ -204,6 +205,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
         "model": model,
         "notes": quality.notes,
         "device": device.info().name,
+        "predicted_bytes": predicted_bytes,
         "peak_bytes": device.memory().1,
         "milliseconds_per_step": milliseconds_per_step,
         "seconds": clock.json(),
@@ -217,6 +219,30 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     let mut json = scene.report.clone();
     json["output"] = json!(args.output);
     Ok(Answer { text: text(&json, &clock), json })
+}
+
+/// What the stages take of device memory at most; an error where one does not fit.
+fn foreseen(
+    args: &ReconstructArgs,
+    device: &Device,
+    settings: &SequenceSettings,
+    frames: usize,
+    size: (u32, u32),
+) -> Result<u64> {
+    let scale = settings.scale(frames, size);
+    let training = foresee(
+        device,
+        &format!("training up to {} Gaussians", thousands(scale.reached())),
+        scale.footprint(device),
+        || scale.most_gaussians(device),
+        "lower --max-gaussians or --size",
+    )?;
+    if args.flow.is_some() {
+        return Ok(training);
+    }
+    let footprint = EngineFlow::footprint(device, size, &FlowSettings::default());
+    let flow = foresee(device, "optical flow", footprint, || 0, "")?;
+    Ok(training.max(flow))
 }
 
 fn settings(args: &ReconstructArgs, common: &Common, size: (u32, u32)) -> SequenceSettings {

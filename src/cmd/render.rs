@@ -7,11 +7,15 @@ use clap::Args;
 use serde_json::json;
 use splat4d::data::transforms::{self, TimedCamera};
 use splat4d::data::{exr, write_png};
-use splat4d::renderer::{Rendered, Renderer};
+use splat4d::gpu::Device;
+use splat4d::renderer::{RenderScale, Rendered, Renderer};
 use splat4d::scene::{Opened, Scene};
+use splat4d::types::Tuning;
 use splat4d::{Error, Result};
 
-use super::common::{Answer, Common, check_output_file, check_output_folder, say, thousands};
+use super::common::{
+    Answer, Common, check_output_file, check_output_folder, foresee, say, thousands,
+};
 use super::encode;
 use super::meter::Meter;
 use super::values::{self, Times};
@@ -39,8 +43,8 @@ Examples:
   splat4d render scene.safetensors -o orbit.mp4 --path orbit --frames 120
   splat4d render scene.safetensors -o views --path cameras.json --times 0.5 --exr
 
-JSON: frames, width, height (of the first frame), gaussians, dropped, device,
-milliseconds_per_frame, output";
+JSON: frames, width, height (of the first frame), gaussians, dropped, device, predicted_bytes (of
+device memory, before it began), peak_bytes, milliseconds_per_frame, output";
 
 /// Render a scene's file or a 3DGS PLY to pictures
 #[derive(Args)]
@@ -126,6 +130,7 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Answer> {
     }
     let shots = shots(args, &scene)?;
     let device = common.open_device()?;
+    let predicted_bytes = foreseen(&device, &scene, &shots, &tuning)?;
     let mut renderer = Renderer::tuned(&device, &scene, &tuning)?;
     let background = args.background.unwrap_or(scene.background);
     // A video's pictures lie beside it until it is whole, so that it can be renamed into place.
@@ -153,11 +158,28 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Answer> {
         "gaussians": scene.gaussians.len(),
         "dropped": dropped,
         "device": device.info().name,
+        "predicted_bytes": predicted_bytes,
+        "peak_bytes": device.memory().1,
         "milliseconds_per_frame": 1e3 * seconds / shots.len().max(1) as f64,
         "output": args.output,
     });
     let text = format!("{} pictures in {}\n", shots.len(), args.output.display());
     Ok(Answer { json, text })
+}
+
+/// What rendering takes of device memory at most; an error where it does not fit.
+fn foreseen(device: &Device, scene: &Scene, shots: &[TimedCamera], tuning: &Tuning) -> Result<u64> {
+    let sizes = shots.iter().map(|shot| shot.camera.intrinsics);
+    let largest = sizes.max_by_key(|k| u64::from(k.width) * u64::from(k.height));
+    let Some(k) = largest else { return Ok(0) };
+    let scale = RenderScale::new(scene, (k.width, k.height), tuning);
+    foresee(
+        device,
+        &format!("rendering {} Gaussians", thousands(scale.gaussians)),
+        scale.footprint(device),
+        || scale.most_gaussians(device),
+        "lower --size, or leave Gaussians out",
+    )
 }
 
 /// A temporary folder next to a file; the file's folder is made where it is missing.

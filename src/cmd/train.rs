@@ -13,7 +13,7 @@ use splat4d::renderer::Renderer;
 use splat4d::scene::SceneCamera;
 use splat4d::train::{
     AdaptiveSettings, Checkpoint, GrowthSettings, McmcSettings, Phase, PosedMotion, TrainSettings,
-    TrainingView, fit_posed, random_points, seed_from_points,
+    TrainingView, fit_posed, posed_scale, random_points, seed_from_points,
 };
 use splat4d::types::{Camera, Gaussians, RenderSettings};
 use splat4d::{Error, Result};
@@ -21,7 +21,7 @@ use splat4d::{Error, Result};
 use super::checkpoints::{CheckpointArgs, Checkpoints};
 use super::clock::Clock;
 use super::common::{
-    Answer, Common, bytes, check_output_file, check_output_folder, notes, say, thousands,
+    Answer, Common, bytes, check_output_file, check_output_folder, foresee, notes, say, thousands,
 };
 use super::info::dynamic_share;
 use super::quality::{self, Quality};
@@ -42,7 +42,7 @@ Examples:
 JSON (also kept in the scene): psnr_input, psnr_test (null where nothing is held out), ssim_test,
 gaussians, control_points, control_points_added, control_points_removed (null where nothing moves),
 dynamic_share, model, density (null where their number is kept), steps, images, held_out, device,
-peak_bytes, milliseconds_per_step, seconds {load, train, evaluate}, output";
+predicted_bytes (of device memory, before it began), peak_bytes, milliseconds_per_step, seconds {load, train, evaluate}, output";
 
 /// How Gaussians are added and removed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -163,7 +163,17 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         let most = tuning.neighbours.map_or(motion.neighbours, |k| k as usize);
         PosedMotion { neighbours: motion.neighbours.min(most), ..motion }
     });
-    let views: Vec<TrainingView> = train.iter().cloned().map(Into::into).collect();
+    // The pictures are many: they move, and come back when training is done.
+    let (called, views): (Vec<String>, Vec<TrainingView>) =
+        train.into_iter().map(|view| (view.name.clone(), view.into())).unzip();
+    let scale = posed_scale(&views, seeded.len(), motion.as_ref(), &settings);
+    let predicted_bytes = foresee(
+        &device,
+        &format!("training up to {} Gaussians", thousands(scale.reached())),
+        scale.footprint(&device),
+        || scale.most_gaussians(&device),
+        "lower --max-gaussians or --size",
+    )?;
     let mut identity = identity(&views, &seeded, &settings);
     identity.insert("motion".into(), format!("{motion:?}"));
     let mut checkpoints = Checkpoints::new(&args.output, &args.checkpoints, identity);
@@ -176,7 +186,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     let mut scene =
         fit_posed(&device, &views, &seeded, motion.as_ref(), &settings, resume, &mut watcher)?;
     let milliseconds_per_step = watcher.finish();
-    drop(views);
+    let train: Vec<View> = called.into_iter().zip(views).map(picture).collect();
     scene.settings = settings.render;
     scene.cameras = trajectory(train.iter().chain(&test));
     scene.background = set.background;
@@ -206,6 +216,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         "images": train.len(),
         "held_out": test.len(),
         "device": device.info().name,
+        "predicted_bytes": predicted_bytes,
         "peak_bytes": device.memory().1,
         "milliseconds_per_step": milliseconds_per_step,
         "seconds": clock.json(),
@@ -219,6 +230,12 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     let mut json = scene.report.clone();
     json["output"] = json!(args.output);
     Ok(Answer { text: text(&json, &clock), json })
+}
+
+/// A training picture as it was loaded.
+fn picture((name, view): (String, TrainingView)) -> View {
+    let TrainingView { camera, time, image, weights, .. } = view;
+    View { name, time, camera, image, valid: weights }
 }
 
 fn growth(args: &TrainArgs) -> GrowthSettings {

@@ -36,7 +36,7 @@ pub struct ViewMut<'a, T> {
 impl<T: Pod> Buffer<T> {
     pub(super) fn new(device: &Device, label: &str, len: usize) -> Result<Buffer<T>> {
         let bytes = (len * size_of::<T>()) as u64;
-        let raw = RawBuffer::new(&device.inner.context, bytes, Residence::Device, label)?;
+        let raw = device.raw_buffer(bytes, Residence::Device, label)?;
         Ok(Buffer { raw: Arc::new(raw), len, element: PhantomData })
     }
 
@@ -119,7 +119,7 @@ pub struct Readback<T> {
 impl<T: Pod> Readback<T> {
     pub(super) fn new(device: &Device, len: usize) -> Result<Readback<T>> {
         let bytes = (len * size_of::<T>()) as u64;
-        let raw = RawBuffer::new(&device.inner.context, bytes, Residence::Readback, "readback")?;
+        let raw = device.raw_buffer(bytes, Residence::Readback, "readback")?;
         Ok(Readback { raw: Arc::new(raw), len, element: PhantomData })
     }
 

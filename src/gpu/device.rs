@@ -7,7 +7,8 @@ use super::recorder::Work;
 use super::stream::{KernelTime, Stream};
 use crate::error::{Error, Result};
 use crate::vk::{
-    self, CommandSlot, Context, DeviceInfo, DeviceKind, Limits, Pipeline, PipelineShape, RawBuffer,
+    self, CommandSlot, Context, DeviceInfo, DeviceKind, Ledger, Limits, Pipeline, PipelineShape,
+    RawBuffer, Residence,
 };
 use bytemuck::Pod;
 use std::collections::HashMap;
@@ -72,6 +73,8 @@ pub struct Device {
 pub(crate) struct DeviceInner {
     pub(crate) context: Arc<Context>,
     pub(crate) limits: Limits,
+    /// Where its buffers are counted: the context's, but in a rehearsal.
+    pub(crate) ledger: Arc<Ledger>,
     /// Modules that stand in for the crate's own, by kernel.
     modules: HashMap<&'static str, Vec<u8>>,
     pipelines: Mutex<HashMap<&'static str, Vec<Variant>>>,
@@ -107,7 +110,8 @@ impl Device {
         modules: HashMap<&'static str, Vec<u8>>,
     ) -> Device {
         let (pipelines, spare, meter) = Default::default();
-        let inner = DeviceInner { context, limits, modules, pipelines, spare, meter };
+        let ledger = context.ledger.clone();
+        let inner = DeviceInner { context, limits, ledger, modules, pipelines, spare, meter };
         Device { inner: Arc::new(inner) }
     }
 
@@ -147,7 +151,7 @@ impl Device {
 
     /// Whether memory was made on it.
     pub(crate) fn owns(&self, buffer: &RawBuffer) -> bool {
-        Arc::ptr_eq(buffer.context(), &self.inner.context)
+        Arc::ptr_eq(buffer.ledger(), &self.inner.ledger)
     }
 
     /// Something to record into a host's command buffer with.
@@ -164,7 +168,47 @@ impl Device {
 
     /// Bytes of buffers alive now, and the most there ever were.
     pub fn memory(&self) -> (u64, u64) {
-        self.inner.context.memory()
+        self.inner.ledger.bytes()
+    }
+
+    /// Begins anew with the most there ever were, and gives the bytes alive now.
+    pub fn restart_memory_peak(&self) -> u64 {
+        self.inner.ledger.restart_peak()
+    }
+
+    /// Bytes of the device's own memory that are left for buffers: of what the system grants this
+    /// process, where the driver tells, else of the largest heap.
+    pub fn free_memory(&self) -> u64 {
+        self.inner.context.free_memory()
+    }
+
+    /// The same device to rehearse on: buffers are counted and have no memory, dispatches are checked
+    /// and not recorded, downloads give zeros.
+    pub(super) fn rehearsing(&self) -> Device {
+        let DeviceInner { context, limits, .. } = &*self.inner;
+        let (pipelines, spare, meter, ledger, modules) = Default::default();
+        let (context, limits) = (context.clone(), *limits);
+        let inner = DeviceInner { context, limits, ledger, modules, pipelines, spare, meter };
+        Device { inner: Arc::new(inner) }
+    }
+
+    /// Whether it is one to rehearse on.
+    pub(super) fn is_rehearsing(&self) -> bool {
+        !Arc::ptr_eq(&self.inner.ledger, &self.inner.context.ledger)
+    }
+
+    /// Memory for a buffer.
+    pub(super) fn raw_buffer(
+        &self,
+        bytes: u64,
+        residence: Residence,
+        label: &str,
+    ) -> Result<RawBuffer> {
+        let DeviceInner { context, ledger, .. } = &*self.inner;
+        match self.is_rehearsing() {
+            true => Ok(RawBuffer::imagined(context, ledger, bytes, residence, label)),
+            false => RawBuffer::new(context, bytes, residence, label),
+        }
     }
 
     /// Starts adding up how long the device works on the submissions of all its streams, by

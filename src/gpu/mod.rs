@@ -20,6 +20,7 @@ mod device;
 mod kernel;
 mod meter;
 mod recorder;
+mod rehearsal;
 mod stream;
 
 pub use buffer::{Buffer, Readback, View, ViewMut};
@@ -32,6 +33,8 @@ pub(crate) use kernel::{field_infos, kernel};
 pub use meter::{Detail, Meter};
 pub use recorder::Recorder;
 pub(crate) use recorder::Work;
+pub(crate) use rehearsal::Rehearsal;
+pub use rehearsal::{Footprint, most_that_fits};
 pub use stream::{KernelTime, Stream, Ticket};
 
 pub use crate::vk::{DeviceInfo, DeviceKind, Limits};

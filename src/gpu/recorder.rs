@@ -139,9 +139,11 @@ impl Recorder {
         if groups.is_empty() {
             return Ok(());
         }
-        self.prepare::<K>(specialisation, &params, &args, None)?;
-        self.work.slot.dispatch(groups.0);
-        self.finish_dispatch(K::NAME)
+        if self.prepare::<K>(specialisation, &params, &args, None)? {
+            self.work.slot.dispatch(groups.0);
+            self.finish_dispatch(K::NAME)?;
+        }
+        Ok(())
     }
 
     /// Records one dispatch whose grid the device reads from three words at `arguments[at..]`.
@@ -187,9 +189,11 @@ impl Recorder {
                 arguments.label()
             )));
         }
-        self.prepare::<K>(specialisation, &params, &args, Some(&range))?;
-        self.work.slot.dispatch_indirect(&range.buffer, range.offset);
-        self.finish_dispatch(K::NAME)
+        if self.prepare::<K>(specialisation, &params, &args, Some(&range))? {
+            self.work.slot.dispatch_indirect(&range.buffer, range.offset);
+            self.finish_dispatch(K::NAME)?;
+        }
+        Ok(())
     }
 
     /// Fills a buffer with one word.
@@ -198,7 +202,7 @@ impl Recorder {
             return;
         }
         let range = to.bound();
-        if !self.owns(&range, "fill") {
+        if !self.owns(&range, "fill") || self.device.is_rehearsing() {
             return;
         }
         self.touch([(&range, true)]);
@@ -223,7 +227,7 @@ impl Recorder {
     }
 
     pub(super) fn copy_ranges(&mut self, from: &BoundRange, to: &BoundRange) {
-        if !(self.owns(from, "copy") && self.owns(to, "copy")) {
+        if !(self.owns(from, "copy") && self.owns(to, "copy")) || self.device.is_rehearsing() {
             return;
         }
         self.touch([(from, false), (to, true)]);
@@ -263,20 +267,23 @@ impl Recorder {
         if !self.owns(&range, "update") {
             return Err(strange("update", &range.buffer.label));
         }
+        if self.device.is_rehearsing() {
+            return Ok(());
+        }
         self.touch([(&range, true)]);
         self.work.slot.update(&range, bytes);
         self.work.buffers.push(range.buffer);
         Ok(())
     }
 
+    /// Checks the bindings and binds them. False in a rehearsal, where there is nothing to dispatch.
     fn prepare<K: Kernel>(
         &mut self,
         specialisation: &[u32],
         params: &K::Params,
         args: &K::Args<'_>,
         arguments: Option<&BoundRange>,
-    ) -> Result<()> {
-        let pipeline = self.device.pipeline::<K>(specialisation)?;
+    ) -> Result<bool> {
         let Work { slot, buffers, pipelines, touched, ranges } = &mut self.work;
         ranges.clear();
         K::bind(args, ranges);
@@ -303,6 +310,10 @@ impl Recorder {
                 });
             }
         }
+        if self.device.is_rehearsing() {
+            return Ok(false);
+        }
+        let pipeline = self.device.pipeline::<K>(specialisation)?;
         let bound = ranges
             .iter()
             .zip(K::BINDINGS)
@@ -312,7 +323,7 @@ impl Recorder {
         buffers.extend(arguments.map(|range| range.buffer.clone()));
         buffers.extend(ranges.drain(..).map(|range| range.buffer));
         pipelines.push(pipeline);
-        Ok(())
+        Ok(true)
     }
 
     fn finish_dispatch(&mut self, name: &'static str) -> Result<()> {

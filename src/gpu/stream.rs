@@ -119,7 +119,7 @@ impl Stream {
         if let Some(error) = recorder.failed.take() {
             return Err(error);
         }
-        if !Arc::ptr_eq(&recorder.device.inner.context, &self.device.inner.context) {
+        if !Arc::ptr_eq(&recorder.device.inner.ledger, &self.device.inner.ledger) {
             return Err(Error::Input(
                 "a recording was submitted to another device's stream".into(),
             ));
@@ -214,10 +214,10 @@ impl Stream {
             return Ok(());
         }
         let bytes: &[u8] = bytemuck::cast_slice(data);
-        let context = &self.device.inner.context;
-        let staging = RawBuffer::new(context, bytes.len() as u64, Residence::Upload, "staging")?;
+        let size = bytes.len() as u64;
+        let staging = self.device.raw_buffer(size, Residence::Upload, "staging")?;
         staging.write(bytes);
-        let from = BoundRange { buffer: Arc::new(staging), offset: 0, bytes: bytes.len() as u64 };
+        let from = BoundRange { buffer: Arc::new(staging), offset: 0, bytes: size };
         let mut recorder = self.recorder(false)?;
         recorder.copy_ranges(&from, &to.bound());
         let ticket = self.submit(recorder)?;
@@ -234,15 +234,7 @@ impl Stream {
             return Ok(data);
         }
         let from = buffer.view().bound();
-        let readback = match self.readback.take() {
-            Some(readback) if readback.bytes >= from.bytes => readback,
-            _ => Arc::new(RawBuffer::new(
-                &self.device.inner.context,
-                from.bytes,
-                Residence::Readback,
-                "readback",
-            )?),
-        };
+        let readback = self.readback_of(from.bytes)?;
         let to = BoundRange { buffer: readback.clone(), offset: 0, bytes: from.bytes };
         let mut recorder = self.recorder(false)?;
         recorder.copy_ranges(&from, &to);
@@ -251,6 +243,20 @@ impl Stream {
         readback.read(bytemuck::cast_slice_mut(&mut data));
         self.readback = Some(readback);
         Ok(data)
+    }
+
+    /// Memory to read so many bytes back into. A smaller one that there was goes first.
+    fn readback_of(&mut self, bytes: u64) -> Result<Arc<RawBuffer>> {
+        match self.readback.take().filter(|readback| readback.bytes >= bytes) {
+            Some(readback) => Ok(readback),
+            None => Ok(Arc::new(self.device.raw_buffer(bytes, Residence::Readback, "readback")?)),
+        }
+    }
+
+    /// Makes what a download of a buffer needs, and keeps it.
+    pub(crate) fn prepare_download<T: Pod>(&mut self, buffer: &Buffer<T>) -> Result<()> {
+        self.readback = Some(self.readback_of(buffer.view().bound().bytes)?);
+        Ok(())
     }
 
     /// Lets go of what finished submissions held.

@@ -1,7 +1,7 @@
 //! Flow that the engine computes.
 
 use super::flow::{FlowPair, FlowSource};
-use crate::gpu::Device;
+use crate::gpu::{Device, Footprint, Rehearsal};
 use crate::ops::flow::{FlowEngine, FlowImages};
 use crate::types::{FlowSettings, Image};
 use crate::{Error, Result};
@@ -27,6 +27,23 @@ impl<'a> EngineFlow<'a> {
         };
         let engine = FlowEngine::new(device, first.width, first.height, settings)?;
         Ok(EngineFlow { frames, engine, ahead: None, last: None })
+    }
+
+    /// What the flow between frames of a size takes of a device's memory at most, before it begins.
+    ///
+    /// # Errors
+    /// [`Error::RangeLimit`] for a buffer larger than one binding of the device may be; frames that
+    /// flow cannot be planned for.
+    pub fn footprint(
+        device: &Device,
+        (width, height): (u32, u32),
+        settings: &FlowSettings,
+    ) -> Result<Footprint> {
+        let frames = vec![Image::new(width, height, 3); 3];
+        Rehearsal::of(device, |rehearsal| {
+            let mut flow = EngineFlow::new(rehearsal.device(), &frames, settings)?;
+            (0..2).try_for_each(|pair| flow.pair(pair).map(drop))
+        })
     }
 }
 

@@ -40,26 +40,37 @@ fn unit(rotation: [f32; 4]) -> [f32; 4] {
 }
 
 impl HalfHarmonics {
+    /// Room for those of `len` Gaussians.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`](crate::Error::OutOfMemory).
+    pub fn new(device: &Device, len: usize, sh_degree: u32) -> Result<HalfHarmonics> {
+        let band = |k: usize| {
+            let values = if k as u32 <= sh_degree { SH_BAND[k] * len } else { 0 };
+            device.buffer(["sh0", "sh1", "sh2", "sh3"][k], values.div_ceil(2))
+        };
+        Ok(HalfHarmonics { sh: [band(0)?, band(1)?, band(2)?, band(3)?], sh_degree, len })
+    }
+
     /// Those of a scene.
     ///
     /// # Errors
     /// [`Error::OutOfMemory`](crate::Error::OutOfMemory), or a failed submission.
     pub fn from_host(device: &Device, gaussians: &Gaussians) -> Result<HalfHarmonics> {
+        let mut half = HalfHarmonics::new(device, gaussians.len(), gaussians.sh_degree)?;
+        let mut stream = device.stream()?;
         let coefficients = sh_coefficients(gaussians.sh_degree);
-        let (mut bands, mut first) = (Vec::new(), 0);
-        for band in 0..4 {
+        let mut first = 0;
+        for band in 0..=gaussians.sh_degree as usize {
             let rows = SH_BAND[band] / 3;
             let mut values: Vec<f32> = Vec::new();
-            if band as u32 <= gaussians.sh_degree {
-                for row in gaussians.sh.chunks_exact(coefficients) {
-                    values.extend(row[first..first + rows].as_flattened());
-                }
+            for row in gaussians.sh.chunks_exact(coefficients) {
+                values.extend(row[first..first + rows].as_flattened());
             }
-            bands.push(device.upload(["sh0", "sh1", "sh2", "sh3"][band], &pack(&values))?);
+            stream.upload(&mut half.sh[band], &pack(&values))?;
             first += rows;
         }
-        let sh = <[Buffer<f32>; 4]>::try_from(bands).unwrap_or_else(|_| unreachable!("four bands"));
-        Ok(HalfHarmonics { sh, sh_degree: gaussians.sh_degree, len: gaussians.len() })
+        Ok(half)
     }
 
     /// The Gaussians with these harmonics instead of their own.
@@ -75,20 +86,34 @@ impl HalfHarmonics {
 }
 
 impl HalfShapes {
+    /// Room for those of `len` Gaussians.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`](crate::Error::OutOfMemory).
+    pub fn new(device: &Device, len: usize) -> Result<HalfShapes> {
+        Ok(HalfShapes {
+            log_scales: device.buffer("log scales", (3 * len).div_ceil(2))?,
+            // Two words each, and four words to an element.
+            rotations: device.buffer("rotations", len.div_ceil(2))?,
+            opacity_logits: device.buffer("opacity logits", len.div_ceil(2))?,
+            len,
+        })
+    }
+
     /// Those of a scene.
     ///
     /// # Errors
     /// [`Error::OutOfMemory`](crate::Error::OutOfMemory), or a failed submission.
     pub fn from_host(device: &Device, gaussians: &Gaussians) -> Result<HalfShapes> {
+        let mut half = HalfShapes::new(device, gaussians.len())?;
         let units: Vec<[f32; 4]> = gaussians.rotations.iter().map(|&q| unit(q)).collect();
         let mut words = pack(units.as_flattened());
         words.resize(words.len().next_multiple_of(4), 0.0);
-        Ok(HalfShapes {
-            log_scales: device.upload("log scales", &pack(gaussians.log_scales.as_flattened()))?,
-            rotations: device.upload("rotations", bytemuck::cast_slice::<f32, [f32; 4]>(&words))?,
-            opacity_logits: device.upload("opacity logits", &pack(&gaussians.opacity_logits))?,
-            len: gaussians.len(),
-        })
+        let mut stream = device.stream()?;
+        stream.upload(&mut half.log_scales, &pack(gaussians.log_scales.as_flattened()))?;
+        stream.upload(&mut half.rotations, bytemuck::cast_slice::<f32, [f32; 4]>(&words))?;
+        stream.upload(&mut half.opacity_logits, &pack(&gaussians.opacity_logits))?;
+        Ok(half)
     }
 
     /// The Gaussians with these shapes instead of their own.

@@ -36,9 +36,11 @@
 mod edit;
 mod query;
 mod rendered;
+mod scale;
 
 pub use query::Hit;
 pub use rendered::Rendered;
+pub use scale::RenderScale;
 
 use crate::gpu::{Buffer, Device, Readback, Recorder, Stream, ViewMut};
 use crate::ops::gaussians::{GaussianBuffers, GaussianViews};
@@ -77,6 +79,16 @@ struct Half {
 }
 
 impl Half {
+    /// Room for so many Gaussians.
+    fn room(device: &Device, count: usize, sh_degree: u32, tuning: &Tuning) -> Result<Half> {
+        let harmonics = || HalfHarmonics::new(device, count, sh_degree);
+        let shapes = || HalfShapes::new(device, count);
+        Ok(Half {
+            harmonics: tuning.half_sh.then(harmonics).transpose()?,
+            shapes: tuning.half_shapes.then(shapes).transpose()?,
+        })
+    }
+
     fn new(device: &Device, gaussians: &Gaussians, tuning: &Tuning) -> Result<Half> {
         let harmonics = || HalfHarmonics::from_host(device, gaussians);
         let shapes = || HalfShapes::from_host(device, gaussians);
@@ -151,16 +163,24 @@ impl Renderer {
     /// # Errors
     /// As for [`new`](Self::new); [`Error::Input`] for settings out of range.
     pub fn tuned(device: &Device, scene: &Scene, tuning: &Tuning) -> Result<Renderer> {
+        let mut renderer = Renderer::with_room(device, scene, tuning, scene.gaussians.len())?;
+        renderer.half = Half::new(device, &scene.gaussians, tuning)?;
+        Ok(renderer)
+    }
+
+    /// With room for so many Gaussians, not all of which need be there, and none of them in 16 bits
+    /// yet.
+    fn with_room(device: &Device, scene: &Scene, tuning: &Tuning, room: usize) -> Result<Renderer> {
         tuning.check()?;
         let mut stream = device.stream()?;
-        let gaussians = GaussianBuffers::from_host(&mut stream, &scene.gaussians)?;
+        let mut gaussians = GaussianBuffers::new(device, room, scene.gaussians.sh_degree)?;
+        gaussians.upload(&mut stream, &scene.gaussians)?;
         let motion = match &scene.network {
             Some(network) if scene.gaussians.is_dynamic() => {
                 let points = &scene.control_points;
                 let most = tuning.neighbours.unwrap_or(scene.neighbours).min(scene.neighbours);
                 let k = (most as usize).min(points.len());
-                let count = scene.gaussians.len();
-                let mut motion = Motion::new(&mut stream, points, network, k, count, 1)?;
+                let mut motion = Motion::new(&mut stream, points, network, k, room, 1)?;
                 motion.set_dynamic(&mut stream, &scene.gaussians.motion_logits, 0.0)?;
                 let mut recorder = stream.record()?;
                 motion.refresh(&mut recorder, gaussians.views().positions)?;
@@ -169,7 +189,7 @@ impl Renderer {
             }
             _ => None,
         };
-        let half = Half::new(device, &scene.gaussians, tuning)?;
+        let half = Half { harmonics: None, shapes: None };
         let mut motion_logits = Vec::new();
         if motion.is_some() {
             motion_logits.clone_from(&scene.gaussians.motion_logits);

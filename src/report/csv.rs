@@ -26,7 +26,8 @@ const HEADER: [&str; 21] = [
     "psnr_db",
 ];
 
-/// One line per row and per point of a sweep. A row that missed its bound has no times.
+/// One line per row and per point of a sweep or a curve. A row that missed its bound has no times; a
+/// curve's bytes are those of the device memory.
 pub fn csv(measured: &Measurements) -> String {
     let mut table = String::new();
     line(&mut table, HEADER.map(str::to_owned));
@@ -108,6 +109,40 @@ pub fn csv(measured: &Measurements) -> String {
                     String::new(),
                     point.error.rmse.to_string(),
                     point.error.psnr.to_string(),
+                ],
+            );
+        }
+    }
+    for curve in &measured.curves {
+        for point in &curve.points {
+            let [clock, device, driver, software, commit] = about(curve.clock);
+            let [median, low, high, samples] = times(point.time.as_ref());
+            let bytes = point.taken.or(point.foreseen).map_or(String::new(), |b| b.to_string());
+            let none = String::new;
+            line(
+                &mut table,
+                [
+                    format!("curve over {}", curve.axis),
+                    curve.pipeline.clone(),
+                    point.size.to_string(),
+                    "device".into(),
+                    clock,
+                    device,
+                    driver,
+                    software,
+                    commit,
+                    median,
+                    low,
+                    high,
+                    samples,
+                    none(),
+                    bytes,
+                    none(),
+                    none(),
+                    none(),
+                    none(),
+                    none(),
+                    none(),
                 ],
             );
         }

@@ -3,7 +3,10 @@
 use std::fmt::Write;
 
 use super::numbers::{duration, rate, scientific};
-use super::{Choice, Clock, Machine, Measurements, Place, Row, Spread, Sweep, plot};
+use super::{
+    Choice, Clock, Curve, CurvePoint, Machine, Measurements, Place, PowerLaw, Row, Spread, Sweep,
+    plot,
+};
 use crate::Result;
 
 const STYLE: &str = "\
@@ -29,6 +32,7 @@ pub fn page(measured: &Measurements) -> Result<String> {
     if let Some(choice) = &measured.choice {
         chosen(&mut body, choice);
     }
+    scale(&mut body, &measured.curves)?;
     rows(&mut body, measured);
     Ok(format!(
         "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
@@ -161,6 +165,72 @@ fn chosen(body: &mut String, choice: &Choice) {
         choice.time_ratio,
         escape(&choice.settings.to_string())
     );
+}
+
+/// Bytes of a mebibyte.
+const MEBI: f64 = 1_048_576.0;
+
+fn scale(body: &mut String, curves: &[Curve]) -> Result<()> {
+    let mut axes: Vec<&str> = Vec::new();
+    for curve in curves {
+        if !axes.contains(&curve.axis.as_str()) {
+            axes.push(&curve.axis);
+        }
+    }
+    for axis in axes {
+        let of: Vec<&Curve> = curves.iter().filter(|curve| curve.axis == axis).collect();
+        let _ = writeln!(body, "<h2>Time and memory against {}</h2>", escape(axis));
+        let time = plot::growth(&of, "milliseconds", 1e6, Curve::times)?;
+        let memory = plot::growth(&of, "MiB of device memory", MEBI, Curve::bytes)?;
+        let _ = writeln!(body, "<figure>{time}</figure><figure>{memory}</figure>");
+        for curve in of {
+            one_curve(body, curve);
+        }
+    }
+    Ok(())
+}
+
+fn one_curve(body: &mut String, curve: &Curve) {
+    let law = |law: Option<PowerLaw>| {
+        law.map_or("not enough points".to_owned(), |law| {
+            let [from, to] = law.range;
+            let PowerLaw { exponent, off, .. } = law;
+            format!("size^{exponent:.2} from {from} to {to} (points off by up to {off:.2} times)")
+        })
+    };
+    let _ = write!(
+        body,
+        "<h3>{}</h3>\n<p>{}; {}. Time ~ {}; between the two largest ~ {}. Memory ~ {}.</p>\n\
+         <div class=\"wide\"><table><thead><tr><th>{}</th><th>median</th><th>quartiles</th>\
+         <th>memory foreseen</th><th>memory taken</th><th>dearest kernels</th></tr></thead><tbody>",
+        escape(&curve.pipeline),
+        escape(&curve.held),
+        clock(curve.clock),
+        law(curve.time_law()),
+        curve.last_law().map_or("unknown".into(), |law| format!("size^{:.2}", law.exponent)),
+        law(curve.memory_law()),
+        escape(&curve.axis),
+    );
+    let mebi = |bytes: Option<u64>| {
+        bytes.map_or(String::new(), |bytes| format!("{:.1} MiB", bytes as f64 / MEBI))
+    };
+    for point in &curve.points {
+        let CurvePoint { size, time, foreseen, taken, left_out, kernels } = point;
+        let cells = match left_out {
+            Some(why) => format!("<td colspan=\"2\">{}</td>", escape(why)),
+            None => times(time.as_ref()),
+        };
+        let dearest: Vec<String> =
+            kernels.iter().take(3).map(|(k, time)| format!("{k} {}", duration(*time))).collect();
+        let _ = write!(
+            body,
+            "<tr><td>{size}</td>{cells}<td>{}</td><td>{}</td><td>{}</td></tr>",
+            mebi(*foreseen),
+            mebi(*taken),
+            escape(&dearest.join(", "))
+        );
+    }
+    body.push_str("</tbody></table></div>\n");
 }
 
 fn rows(body: &mut String, measured: &Measurements) {

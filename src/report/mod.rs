@@ -5,6 +5,7 @@
 
 mod compare;
 mod csv;
+mod curve;
 mod html;
 mod numbers;
 mod plot;
@@ -16,6 +17,7 @@ use serde::{Deserialize, Serialize};
 
 pub use compare::{Comparison, Verdict, compare};
 pub use csv::csv;
+pub use curve::{Curve, CurvePoint, PowerLaw};
 pub use html::page;
 pub use numbers::{duration, rate, scientific};
 pub use spread::Spread;
@@ -46,6 +48,9 @@ pub struct Measurements {
     pub sweeps: Vec<Sweep>,
     /// What was chosen for an error budget, where one was given.
     pub choice: Option<Choice>,
+    /// Time and memory against size, where these were asked for.
+    #[serde(default)]
+    pub curves: Vec<Curve>,
 }
 
 /// What measurements were made on.
@@ -305,6 +310,7 @@ impl Measurements {
             rows: Vec::new(),
             sweeps: Vec::new(),
             choice: None,
+            curves: Vec::new(),
         }
     }
 

@@ -1,6 +1,6 @@
-//! Speed against error, drawn as SVG.
+//! Speed against error, and growth with size, drawn as SVG.
 
-use super::{ImageError, Sweep};
+use super::{Curve, ImageError, PowerLaw, Sweep};
 use crate::{Error, Result};
 use plotters::coord::combinators::WithKeyPoints;
 use plotters::prelude::*;
@@ -82,6 +82,68 @@ fn draw(
         let y = 30 + 22 * number as i32;
         legend.draw(&Circle::new((12, y), 5, colour.filled()))?;
         legend.draw(&Text::new(label.to_owned(), (24, y - 6), ("sans-serif", 13)))?;
+    }
+    root.present()?;
+    Ok(())
+}
+
+/// Values of curves against what they grow with, both logarithmic, each with its law.
+pub(super) fn growth(
+    curves: &[&Curve],
+    title: &str,
+    unit: f64,
+    of: impl Fn(&Curve) -> Vec<(u64, f64)>,
+) -> Result<String> {
+    let mut svg = String::new();
+    let lines: Vec<(&Curve, Vec<(u64, f64)>)> = curves
+        .iter()
+        .map(|&curve| (curve, of(curve).iter().map(|&(s, v)| (s, v / unit)).collect()))
+        .collect();
+    draw_growth(&mut svg, &lines, title)
+        .map_err(|e| Error::Failed(format!("the plot of {title} could not be drawn: {e}")))?;
+    Ok(svg)
+}
+
+fn draw_growth(
+    svg: &mut String,
+    lines: &[(&Curve, Vec<(u64, f64)>)],
+    title: &str,
+) -> std::result::Result<(), Box<dyn std::error::Error>> {
+    let all = || lines.iter().flat_map(|(_, points)| points);
+    let (x, y) = (range(all().map(|p| p.0 as f64), 1.3), range(all().map(|p| p.1), 1.5));
+    let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
+    root.fill(&WHITE)?;
+    let (left, legend) = root.split_horizontally(SIZE.0 - LEGEND);
+    let mut chart = ChartBuilder::on(&left)
+        .margin(10)
+        .x_label_area_size(42)
+        .y_label_area_size(70)
+        .build_cartesian_2d((x.0..x.1).log_scale(), (y.0..y.1).log_scale())?;
+    let axis = lines.first().map_or("", |(curve, _)| curve.axis.as_str());
+    chart
+        .configure_mesh()
+        .x_desc(axis)
+        .y_desc(title)
+        .x_label_formatter(&|v| format!("{v}"))
+        .y_label_formatter(&|v| format!("{v}"))
+        .light_line_style(WHITE.mix(0.0))
+        .draw()?;
+    for (number, (curve, points)) in lines.iter().enumerate() {
+        let colour = COLOURS[(number + 4) % COLOURS.len()];
+        chart.draw_series(
+            points.iter().map(|&(s, v)| Circle::new((s as f64, v), 4, colour.filled())),
+        )?;
+        let y = 30 + 40 * number as i32;
+        legend.draw(&Circle::new((12, y), 5, colour.filled()))?;
+        let label = |text: String, below: i32| {
+            legend.draw(&Text::new(text, (24, y - 6 + below), ("sans-serif", 12)))
+        };
+        label(curve.pipeline.clone(), 0)?;
+        if let Some(law) = PowerLaw::fit(points) {
+            let ends = law.range.map(|size| (size as f64, law.at(size as f64)));
+            chart.draw_series(LineSeries::new(ends, colour.mix(0.5).stroke_width(2)))?;
+            label(format!("~ size^{:.2}", law.exponent), 16)?;
+        }
     }
     root.present()?;
     Ok(())

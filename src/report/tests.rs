@@ -51,7 +51,56 @@ fn measured() -> Measurements {
             point("T stop", "1e-2", 2e6, 5e-3),
         ],
     }];
+    let at = |size: u64| CurvePoint {
+        size,
+        time: Some(spread(size as f64 * 1e3)),
+        foreseen: Some(1000 * size),
+        taken: Some(1010 * size),
+        left_out: None,
+        kernels: vec![("sort/count".into(), (size * size) as f64), ("scan/<b>".into(), 1.0)],
+    };
+    let missing = CurvePoint {
+        time: None,
+        foreseen: None,
+        taken: None,
+        left_out: Some("does not fit: <i>sh3".into()),
+        kernels: Vec::new(),
+        ..at(100_000)
+    };
+    out.curves = vec![Curve {
+        pipeline: "render".into(),
+        axis: "Gaussians".into(),
+        held: "480×270 & more".into(),
+        clock: Clock::Device,
+        accuracy: accuracy(0.5),
+        points: vec![at(100), at(1000), at(10_000), missing],
+    }];
     out
+}
+
+#[test]
+fn a_law_goes_through_its_points() {
+    let squares: Vec<(u64, f64)> = (1..6).map(|n| (n, 3.0 * (n * n) as f64)).collect();
+    let law = PowerLaw::fit(&squares).unwrap();
+    assert!((law.exponent - 2.0).abs() < 1e-12 && (law.factor - 3.0).abs() < 1e-9, "{law:?}");
+    assert!(law.off < 1.0 + 1e-9 && law.range == [1, 5], "{law:?}");
+    assert!((law.at(10.0) - 300.0).abs() < 1e-6);
+    let bent = PowerLaw::fit(&[(1, 1.0), (10, 20.0), (100, 100.0)]).unwrap();
+    assert!((bent.exponent - 1.0).abs() < 1e-12 && bent.off > 1.5, "{bent:?}");
+    assert_eq!(PowerLaw::fit(&[]), None);
+    assert_eq!(PowerLaw::fit(&[(7, 1.0)]), None, "one size tells nothing");
+    assert_eq!(PowerLaw::fit(&[(7, 1.0), (8, 0.0)]), None, "no logarithm");
+}
+
+#[test]
+fn a_curve_names_what_grows_too_fast() {
+    let curve = &measured().curves[0];
+    let law = curve.time_law().unwrap();
+    assert!((law.exponent - 1.0).abs() < 1e-9 && law.range == [100, 10_000], "{law:?}");
+    assert_eq!(curve.bytes()[0], (100, 101_000.0), "taken, where it was");
+    let steep = curve.steeper_than(1.1);
+    assert_eq!(steep.len(), 1, "{steep:?}");
+    assert!(steep[0].0 == "sort/count" && (steep[0].1 - 2.0).abs() < 1e-9, "{steep:?}");
 }
 
 #[test]
@@ -127,7 +176,7 @@ fn fields(text: &str) -> Vec<Vec<String>> {
 fn csv_has_every_row_and_point() {
     let measured = measured();
     let lines = fields(&csv(&measured));
-    assert_eq!(lines.len(), 1 + 2 + 4);
+    assert_eq!(lines.len(), 1 + 2 + 4 + 4);
     assert!(lines.iter().all(|line| line.len() == lines[0].len()), "{lines:#?}");
     let column = |name: &str| lines[0].iter().position(|h| h == name).unwrap();
     assert_eq!(lines[1][column("driver")], measured.machine.driver);
@@ -145,7 +194,8 @@ fn the_page_escapes_everything_and_needs_nothing() {
     assert!(page.contains("a&lt;b&gt;.ply"));
     assert!(page.contains("software driver") && page.contains("0123abc"));
     assert!(page.contains("no speed") && page.contains("2001-09-09T01:46:40Z"));
-    assert_eq!(page.matches("<svg").count(), 2);
+    assert_eq!(page.matches("<svg").count(), 4);
+    assert!(page.contains("does not fit: &lt;i&gt;sh3") && page.contains("size^1.00"));
     for source in ["src=", "@import", "url(", "href=\"http"] {
         assert!(!page.contains(source), "{source}");
     }

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`seed`] | the first Gaussians, from points |
 //! | [`region`] | points where there are none |
+//! | [`scale`] | what a training takes of a device's memory, before it begins |
 //! | [`sampling`] | farthest-point sampling, for control points |
 //! | [`settings`] | every number that training depends on |
 //! | [`views`] | the pictures to train on |
@@ -40,6 +41,7 @@ pub mod region;
 pub mod rounds;
 #[cfg(feature = "reconstruct")]
 pub mod sampling;
+pub mod scale;
 #[cfg(feature = "reconstruct")]
 pub mod seed;
 pub mod selection;
@@ -56,10 +58,11 @@ pub use motion::MotionStart;
 #[cfg(feature = "reconstruct")]
 pub use observer::{Checkpoint, Observer, Phase};
 #[cfg(feature = "reconstruct")]
-pub use posed::{PosedMotion, fit_posed};
+pub use posed::{PosedMotion, fit_posed, posed_scale};
 #[cfg(feature = "reconstruct")]
 pub use region::random_points;
 pub use rounds::ControlChanges;
+pub use scale::{MotionScale, PictureKind, TrainingScale};
 #[cfg(feature = "reconstruct")]
 pub use seed::seed_from_points;
 #[cfg(feature = "reconstruct")]

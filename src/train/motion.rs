@@ -189,6 +189,15 @@ impl MotionTrainer {
         Ok((revision.added.len(), removed))
     }
 
+    /// Makes what a revision makes beside what there is, in a rehearsal.
+    pub(super) fn rehearse_revision(&self, stream: &mut Stream, start: &MotionStart) -> Result<()> {
+        let found = self.motion.skin.neighbours().neighbours();
+        let _neighbours = stream.device().readback::<u32>(found.len())?;
+        stream.prepare_download(&self.motion.dynamic_ids)?;
+        let capacity = self.motion.dynamic_ids.len();
+        MotionTrainer::new(stream, start, self.settings, capacity).map(drop)
+    }
+
     /// Takes over which Gaussians move, those whose logit is above `least`, and finds what they
     /// follow.
     pub(super) fn set_dynamic(

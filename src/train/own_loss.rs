@@ -34,6 +34,7 @@
 //! ```
 
 use super::motion::MotionStart;
+use super::photographs::Room;
 use super::settings::TrainSettings;
 use super::trainer::Trainer;
 use crate::gpu::{Buffer, Device, Readback, Recorder, View};
@@ -86,7 +87,8 @@ impl Trainer {
         if !(extent.is_finite() && extent > 0.0) {
             return Err(Error::Input(format!("a scene of extent {extent}: it must be positive")));
         }
-        Trainer::build(device, &[], gaussians, motion, settings, extent, extent)
+        let room = Room::of(&settings, gaussians.len());
+        Trainer::build(device, &[], gaussians, motion, settings, (extent, extent), room)
     }
 
     /// Records the picture that `camera` sees at `time`. The dispatches are those of

@@ -106,24 +106,40 @@ impl Studio {
 /// The studios by size of picture.
 pub(super) struct Studios {
     by_size: BTreeMap<(u32, u32), Studio>,
-    gaussians: usize,
+    room: Room,
     how: How,
+}
+
+/// What a trainer has room for.
+#[derive(Clone, Copy)]
+pub(super) struct Room {
+    pub(super) gaussians: usize,
+    /// (splat, tile) pairs of a picture, at first.
+    intersections: usize,
+}
+
+impl Room {
+    /// For a training that begins with so many Gaussians. A few pairs for each that there may be:
+    /// which pictures come again depends on it, so it does not follow how far growth gets.
+    pub(super) fn of(settings: &TrainSettings, first: usize) -> Room {
+        let most = settings.max_gaussians.max(first);
+        Room { gaussians: settings.reachable(first), intersections: (4 * most).max(1 << 14) }
+    }
 }
 
 /// Constants of blending, bits of depth that decide the order, how an image is blended.
 type How = (RenderSettings, u32, RasterKind);
 
 impl Studios {
-    pub(super) fn new(gaussians: usize, settings: &TrainSettings) -> Studios {
+    pub(super) fn new(room: Room, settings: &TrainSettings) -> Studios {
         let how = (settings.render, settings.depth_bits, settings.raster);
-        Studios { by_size: BTreeMap::new(), gaussians, how }
+        Studios { by_size: BTreeMap::new(), room, how }
     }
 
     /// The studio for a size; made at first use, with room for a few intersections per Gaussian.
     pub(super) fn for_size(&mut self, device: &Device, size: (u32, u32)) -> Result<&mut Studio> {
         if !self.by_size.contains_key(&size) {
-            let room = (self.gaussians * 4).max(1 << 14);
-            self.insert(device, size, room)?;
+            self.insert(device, size, self.room.intersections)?;
         }
         Ok(self.by_size.get_mut(&size).expect("made above"))
     }
@@ -147,7 +163,7 @@ impl Studios {
     }
 
     fn insert(&mut self, device: &Device, size: (u32, u32), room: usize) -> Result<()> {
-        let studio = Studio::new(device, self.gaussians, room, size, self.how)?;
+        let studio = Studio::new(device, self.room.gaussians, room, size, self.how)?;
         self.by_size.insert(size, studio);
         Ok(())
     }

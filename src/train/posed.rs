@@ -7,6 +7,7 @@
 
 use super::motion::MotionStart;
 use super::observer::{Checkpoint, Observer, Phase, run};
+use super::scale::{MotionScale, TrainingScale};
 use super::sequence;
 use super::settings::{ControlSettings, MotionSettings, TrainSettings};
 use super::trainer::Trainer;
@@ -71,13 +72,7 @@ pub fn fit_posed(
         return Ok(Scene::of(gaussians));
     };
     let warm_up = ((f64::from(settings.steps) * motion.warm_up) as u32).min(settings.steps - 1);
-    let steps = settings.steps - warm_up;
-    let control = Some(ControlSettings::scaled_to(steps, motion.control_points));
-    let joint = TrainSettings {
-        steps,
-        motion: MotionSettings { control, ..settings.motion },
-        ..settings.clone()
-    };
+    let joint = joint_settings(motion, settings, settings.steps - warm_up);
     let mut trainer = match resume {
         Some(Checkpoint::Joint(state)) => Trainer::resume(device, views, state, joint)?,
         earlier => {
@@ -115,6 +110,35 @@ pub fn fit_posed(
     scene.neighbours = motion.neighbours.min(scene.control_points.len()) as u32;
     scene.report = sequence::report(trainer.control_changes());
     Ok(scene)
+}
+
+/// How large the training of [`fit_posed`] is at its largest: that of everything together.
+pub fn posed_scale(
+    views: &[TrainingView],
+    gaussians: usize,
+    motion: Option<&PosedMotion>,
+    settings: &TrainSettings,
+) -> TrainingScale {
+    let joint = match motion {
+        Some(motion) => joint_settings(motion, settings, settings.steps),
+        None => settings.clone(),
+    };
+    let scale = motion.map(|motion| MotionScale {
+        control_points: motion.control_points,
+        network: motion.network,
+        neighbours: motion.neighbours,
+    });
+    TrainingScale::new(views, gaussians, scale, joint)
+}
+
+/// Those of the training of Gaussians and motion together.
+fn joint_settings(motion: &PosedMotion, settings: &TrainSettings, steps: u32) -> TrainSettings {
+    let control = Some(ControlSettings::scaled_to(steps, motion.control_points));
+    TrainSettings {
+        steps,
+        motion: MotionSettings { control, ..settings.motion },
+        ..settings.clone()
+    }
 }
 
 fn fit_static(

@@ -66,18 +66,24 @@ impl Selection {
         let training = match settings {
             None => None,
             Some(settings) => {
-                let zeros = vec![0.0f32; 2 * capacity];
-                let zero = |label: &str| device.upload(label, &zeros[..capacity]);
-                Some(Training {
+                let mut recorder = stream.record()?;
+                let mut filled = |label: &str, len: usize, value: f32| -> Result<Buffer<f32>> {
+                    let mut buffer = device.buffer(label, len)?;
+                    recorder.fill(buffer.view_mut(), value.to_bits());
+                    Ok(buffer)
+                };
+                let training = Training {
                     settings,
                     adam: Adam::new(&device)?,
-                    gradients: zero("motion logit gradients")?,
-                    first: zero("motion logit first moments")?,
-                    second: zero("motion logit second moments")?,
-                    votes: device.upload("votes for motion", &zeros)?,
-                    evidence: device.upload("evidence of motion", &vec![1.0f32; capacity])?,
+                    gradients: filled("motion logit gradients", capacity, 0.0)?,
+                    first: filled("motion logit first moments", capacity, 0.0)?,
+                    second: filled("motion logit second moments", capacity, 0.0)?,
+                    votes: filled("votes for motion", 2 * capacity, 0.0)?,
+                    evidence: filled("evidence of motion", capacity, 1.0)?,
                     colours: device.buffer("painted motion", capacity)?,
-                })
+                };
+                stream.submit(recorder)?;
+                Some(training)
             }
         };
         Ok(Selection { logits: buffer, training })

@@ -16,6 +16,7 @@ use super::network::fit_translations;
 use super::observer::{Checkpoint, Observer, Phase, run};
 use super::rounds::ControlChanges;
 use super::sampling::farthest_point_sample;
+use super::scale::{MotionScale, PictureKind, TrainingScale};
 use super::seed::seed_from_points;
 use super::settings::{
     ControlSettings, GrowthSettings, McmcSettings, MotionSettings, Rates, SelectionSettings,
@@ -64,6 +65,22 @@ pub struct SequenceSettings {
 }
 
 impl SequenceSettings {
+    /// How large the training of [`fit_sequence`] is at its largest, on so many frames of some size in
+    /// which something moves.
+    pub fn scale(&self, frames: usize, (width, height): (u32, u32)) -> TrainingScale {
+        let kind = PictureKind { width, height, disparity: true, mask: true };
+        TrainingScale {
+            pictures: [(kind, frames)].into(),
+            gaussians: self.max_gaussians,
+            motion: Some(MotionScale {
+                control_points: self.control_points,
+                network: self.network,
+                neighbours: self.neighbours,
+            }),
+            settings: joint_settings(self),
+        }
+    }
+
     /// For frames of some size: a Gaussian for every three pixels where the frames are large.
     pub fn for_size(width: u32, height: u32) -> SequenceSettings {
         let usual = SequenceSettings::default();

@@ -72,6 +72,23 @@ pub struct McmcSettings {
     pub noise: f64,
 }
 
+impl McmcSettings {
+    /// Whether a round is due after a step, as long as there are rounds.
+    pub(super) fn due(&self, step: u32) -> bool {
+        step >= self.from && step.is_multiple_of(self.every)
+    }
+
+    /// The last of so many steps that may have a round.
+    pub(super) fn last_of(&self, steps: u32) -> u32 {
+        (f64::from(steps) * self.until) as u32
+    }
+
+    /// Gaussians that a round adds to so many where there is room.
+    pub(super) fn wanted(&self, gaussians: usize) -> usize {
+        (gaussians as f64 * (self.factor - 1.0)).ceil() as usize
+    }
+}
+
 impl Default for McmcSettings {
     fn default() -> Self {
         McmcSettings {
@@ -302,6 +319,20 @@ impl TrainSettings {
         }
     }
 
+    /// The number of Gaussians that training can reach from `first`, at most.
+    pub(super) fn reachable(&self, first: usize) -> usize {
+        let most = self.max_gaussians.max(first);
+        match self.growth {
+            None => first,
+            Some(GrowthSettings::Adaptive(_)) => most,
+            Some(GrowthSettings::Mcmc(mcmc)) => {
+                let rounds = (1..=mcmc.last_of(self.steps)).filter(|&step| mcmc.due(step));
+                let grown = |n: usize, _| n.saturating_add(mcmc.wanted(n)).min(most);
+                rounds.fold(first, grown)
+            }
+        }
+    }
+
     /// The positions' learning rate at a step, in units of the scene's extent.
     pub fn position_rate_at(&self, step: u32) -> f64 {
         exponential(self.rates.position, self.rates.position_last, step, self.steps)
@@ -312,4 +343,22 @@ impl TrainSettings {
 pub fn exponential(first: f64, last: f64, step: u32, steps: u32) -> f64 {
     let share = (f64::from(step) / f64::from(steps.max(1))).min(1.0);
     (first.ln() * (1.0 - share) + last.ln() * share).exp()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn buffers_are_as_large_as_growth_can_reach() {
+        let mcmc = |steps| TrainSettings { steps, max_gaussians: 1000, ..Default::default() };
+        // Rounds after steps 500, 600, 700 and 800 of 1000, each of 5 % rounded up: in floats 5 % of
+        // 100 are a little more than 5.
+        assert_eq!(mcmc(1000).reachable(100), 124);
+        assert_eq!(mcmc(30_000).reachable(100), 1000);
+        assert_eq!(mcmc(400).reachable(100), 100, "no round");
+        assert_eq!(mcmc(30_000).reachable(2000), 2000, "there already");
+        let kept = TrainSettings { growth: None, ..mcmc(30_000) };
+        assert_eq!(kept.reachable(100), 100);
+    }
 }

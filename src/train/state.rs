@@ -5,6 +5,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 use super::motion::{MotionMoments, MotionStart};
+use super::photographs::Room;
 use super::rounds::ControlChanges;
 use super::selection::SelectionState;
 use super::settings::TrainSettings;
@@ -110,7 +111,10 @@ impl Trainer {
         let start = start.as_ref();
         let reach = state.reach;
         let mut trainer = match views.is_empty() {
-            true => Trainer::build(device, &[], &gaussians, start, settings, reach, reach)?,
+            true => {
+                let room = Room::of(&settings, gaussians.len());
+                Trainer::build(device, &[], &gaussians, start, settings, (reach, reach), room)?
+            }
             false => Trainer::with_reach(device, views, &gaussians, start, settings, reach)?,
         };
         trainer.optimiser.set_moments(&mut trainer.stream, &moments)?;

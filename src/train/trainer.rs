@@ -4,7 +4,7 @@ use super::growth::{Growth, Statistics};
 use super::motion::{MotionStart, MotionTrainer};
 use super::optimiser::GaussianOptimiser;
 use super::own_loss::OwnStep;
-use super::photographs::{DeviceView, Studios};
+use super::photographs::{DeviceView, Room, Studios};
 use super::rounds::ControlChanges;
 use super::selection::Selection;
 use super::settings::TrainSettings;
@@ -51,7 +51,7 @@ pub struct Trainer {
     pub(super) device: Device,
     pub(super) stream: Stream,
     pub(super) settings: TrainSettings,
-    views: Vec<DeviceView>,
+    pub(super) views: Vec<DeviceView>,
     pub(super) studios: Studios,
     pub(super) gaussians: GaussianBuffers,
     pub(super) gradients: GaussianBuffers,
@@ -109,24 +109,25 @@ impl Trainer {
             return Err(Error::Input("training needs at least one picture".into()));
         }
         let extent = extent(views.iter().map(|view| &view.camera));
-        Trainer::build(device, views, gaussians, motion, settings, reach, extent)
+        let room = Room::of(&settings, gaussians.len());
+        Trainer::build(device, views, gaussians, motion, settings, (reach, extent), room)
     }
 
-    /// With pictures or without, in a scene whose reach and extent are known.
+    /// With pictures or without, in a scene whose reach and extent are known, with this much room.
     pub(super) fn build(
         device: &Device,
         views: &[TrainingView],
         gaussians: &Gaussians,
         motion: Option<&MotionStart>,
         settings: TrainSettings,
-        reach: f64,
-        extent: f64,
+        (reach, extent): (f64, f64),
+        room: Room,
     ) -> Result<Trainer> {
         if gaussians.is_empty() {
             return Err(Error::Input("training needs at least one Gaussian".into()));
         }
         let mut stream = device.stream()?;
-        let capacity = settings.max_gaussians.max(gaussians.len());
+        let capacity = room.gaussians;
         let degree = settings.sh_degree;
         let mut buffers = GaussianBuffers::new(device, capacity, degree)?;
         buffers.upload(&mut stream, gaussians)?;
@@ -140,7 +141,7 @@ impl Trainer {
             trainer.set_dynamic(&mut stream, &logits, least, &buffers)?;
             (motion_trainer, selection) = (Some(trainer), Some(chosen));
         }
-        let growth = Growth::new(device, &settings, capacity, reach)?;
+        let growth = Growth::new(&mut stream, &settings, capacity, reach, selection.as_ref())?;
         let revised = motion.is_some() && settings.motion.control.is_some();
         let statistics = match revised || growth.as_ref().is_some_and(Growth::wants_statistics) {
             true => Some(Statistics::new(&mut stream, capacity)?),
@@ -151,7 +152,7 @@ impl Trainer {
         Ok(Trainer {
             device: device.clone(),
             views: device_views,
-            studios: Studios::new(capacity, &settings),
+            studios: Studios::new(room, &settings),
             gaussians: buffers,
             gradients: GaussianBuffers::new(device, capacity, degree)?,
             optimiser: GaussianOptimiser::new(&mut stream, capacity, degree)?,
@@ -283,7 +284,7 @@ impl Trainer {
         self.round.pop().expect("there is at least one view")
     }
 
-    fn submit(&mut self, index: usize) -> Result<()> {
+    pub(super) fn submit(&mut self, index: usize) -> Result<()> {
         let view = &self.views[index];
         let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
         let studio = self.studios.for_size(&self.device, size)?;

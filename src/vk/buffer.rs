@@ -1,6 +1,7 @@
 //! Buffers and their memory.
 
 use super::device::{Context, OnDrop};
+use super::ledger::Ledger;
 use super::vk_error;
 use crate::error::{Error, Result};
 use ash::vk;
@@ -29,6 +30,8 @@ pub(crate) struct RawBuffer {
     pub(super) usage: vk::BufferUsageFlags,
     pub(crate) label: String,
     pub(super) context: Arc<Context>,
+    /// Where it is counted, if it is.
+    pub(super) ledger: Arc<Ledger>,
 }
 
 /// Whose a buffer's memory is.
@@ -38,9 +41,31 @@ pub(super) enum Memory {
     Ours(Mutex<Option<Allocation>>),
     /// A host's, and so is the buffer.
     Host(#[allow(dead_code, reason = "called when it is dropped")] Option<OnDrop>),
+    /// Nobody's: the buffer is only counted.
+    Imagined,
     /// Imported for this buffer alone.
     #[cfg(unix)]
     Imported(vk::DeviceMemory),
+}
+
+impl Residence {
+    fn usage(self) -> vk::BufferUsageFlags {
+        match self {
+            Residence::Device => {
+                vk::BufferUsageFlags::STORAGE_BUFFER
+                    | vk::BufferUsageFlags::INDIRECT_BUFFER
+                    | vk::BufferUsageFlags::TRANSFER_SRC
+                    | vk::BufferUsageFlags::TRANSFER_DST
+            }
+            Residence::Upload => vk::BufferUsageFlags::TRANSFER_SRC,
+            Residence::Readback => vk::BufferUsageFlags::TRANSFER_DST,
+        }
+    }
+}
+
+/// The bytes that a buffer of at least so many gets.
+fn whole(bytes: u64) -> u64 {
+    bytes.max(16).next_multiple_of(16)
 }
 
 impl RawBuffer {
@@ -52,17 +77,8 @@ impl RawBuffer {
         residence: Residence,
         label: &str,
     ) -> Result<RawBuffer> {
-        let bytes = bytes.max(16).next_multiple_of(16);
-        let usage = match residence {
-            Residence::Device => {
-                vk::BufferUsageFlags::STORAGE_BUFFER
-                    | vk::BufferUsageFlags::INDIRECT_BUFFER
-                    | vk::BufferUsageFlags::TRANSFER_SRC
-                    | vk::BufferUsageFlags::TRANSFER_DST
-            }
-            Residence::Upload => vk::BufferUsageFlags::TRANSFER_SRC,
-            Residence::Readback => vk::BufferUsageFlags::TRANSFER_DST,
-        };
+        let bytes = whole(bytes);
+        let usage = residence.usage();
         let info = vk::BufferCreateInfo::default()
             .size(bytes)
             .usage(usage)
@@ -99,7 +115,8 @@ impl RawBuffer {
         let bound = unsafe {
             context.raw.bind_buffer_memory(raw, allocation.memory(), allocation.offset())
         };
-        context.count_allocation(bytes);
+        context.count_object();
+        context.ledger.add(bytes, label);
         let buffer = RawBuffer {
             raw,
             memory: Memory::Ours(Mutex::new(Some(allocation))),
@@ -108,12 +125,35 @@ impl RawBuffer {
             usage,
             label: label.into(),
             context: context.clone(),
+            ledger: context.ledger.clone(),
         };
         bound.map_err(vk_error("vkBindBufferMemory"))?;
         Ok(buffer)
     }
 
-    /// A number that no other living buffer has.
+    /// A buffer without memory, which is counted in a ledger and does nothing else.
+    pub(crate) fn imagined(
+        context: &Arc<Context>,
+        ledger: &Arc<Ledger>,
+        bytes: u64,
+        residence: Residence,
+        label: &str,
+    ) -> RawBuffer {
+        let bytes = whole(bytes);
+        ledger.add(bytes, label);
+        RawBuffer {
+            raw: vk::Buffer::null(),
+            memory: Memory::Imagined,
+            start: 0,
+            bytes,
+            usage: residence.usage(),
+            label: label.into(),
+            context: context.clone(),
+            ledger: ledger.clone(),
+        }
+    }
+
+    /// A number that no other living buffer has; imagined ones have 0.
     pub(crate) fn id(&self) -> u64 {
         ash::vk::Handle::as_raw(self.raw)
     }
@@ -123,9 +163,9 @@ impl RawBuffer {
         self.raw
     }
 
-    /// The device that it was made on.
-    pub(crate) fn context(&self) -> &Arc<Context> {
-        &self.context
+    /// Where the buffers of the device that it was made on are counted.
+    pub(crate) fn ledger(&self) -> &Arc<Ledger> {
+        &self.ledger
     }
 
     /// What it was made for.
@@ -147,13 +187,19 @@ impl RawBuffer {
 
     /// Copies host memory into an upload buffer.
     pub(crate) fn write(&self, bytes: &[u8]) {
+        if matches!(self.memory, Memory::Imagined) {
+            return;
+        }
         let mut guard = self.mapped();
         let slice = guard.as_mut().and_then(Allocation::mapped_slice_mut);
         slice.expect("upload buffers are mapped")[..bytes.len()].copy_from_slice(bytes);
     }
 
-    /// Copies a readback buffer into host memory.
+    /// Copies a readback buffer into host memory; an imagined one leaves it as it is.
     pub(crate) fn read(&self, bytes: &mut [u8]) {
+        if matches!(self.memory, Memory::Imagined) {
+            return;
+        }
         let guard = self.mapped();
         let slice = guard.as_ref().and_then(Allocation::mapped_slice);
         bytes.copy_from_slice(&slice.expect("readback buffers are mapped")[..bytes.len()]);
@@ -175,8 +221,9 @@ impl Drop for RawBuffer {
                     // The allocator only refuses allocations that are not its own.
                     let _ = allocator.free(allocation);
                 }
-                self.context.count_free(self.bytes);
+                self.ledger.remove(self.bytes);
             }
+            Memory::Imagined => self.ledger.remove(self.bytes),
             // The host is told when its callback is dropped.
             Memory::Host(_) => {}
             #[cfg(unix)]

@@ -2,6 +2,7 @@
 
 use super::cache::PipelineCache;
 use super::instance::{DeviceInfo, Instance};
+use super::ledger::Ledger;
 use super::queue::Queue;
 use super::requirements::{Requirements, unsupported};
 use super::vk_error;
@@ -49,8 +50,8 @@ pub(crate) struct Context {
     pub(super) max_subgroup: u32,
     /// Whether memory of other devices and processes can be imported by file descriptor.
     pub(super) imports_fd: bool,
-    bytes_now: AtomicU64,
-    bytes_peak: AtomicU64,
+    physical: vk::PhysicalDevice,
+    pub(crate) ledger: Arc<Ledger>,
     allocations: AtomicU64,
     pub(super) instance: Arc<Instance>,
     /// Of a host whose device this is. Declared last: it is called after all else is gone.
@@ -168,8 +169,8 @@ impl Context {
             limits,
             max_subgroup,
             imports_fd,
-            bytes_now: AtomicU64::new(0),
-            bytes_peak: AtomicU64::new(0),
+            physical,
+            ledger: Arc::default(),
             allocations: AtomicU64::new(0),
             instance,
             host,
@@ -181,19 +182,36 @@ impl Context {
         std::mem::take(&mut *self.instance.messages.lock().expect("no holder panics"))
     }
 
-    pub(super) fn count_allocation(&self, bytes: u64) {
-        let now = self.bytes_now.fetch_add(bytes, Ordering::Relaxed) + bytes;
-        self.bytes_peak.fetch_max(now, Ordering::Relaxed);
-        self.allocations.fetch_add(1, Ordering::Relaxed);
-    }
-
-    pub(super) fn count_free(&self, bytes: u64) {
-        self.bytes_now.fetch_sub(bytes, Ordering::Relaxed);
-    }
-
-    /// Bytes of buffers now and at most so far.
-    pub(crate) fn memory(&self) -> (u64, u64) {
-        (self.bytes_now.load(Ordering::Relaxed), self.bytes_peak.load(Ordering::Relaxed))
+    /// Bytes of the device's own memory that are left for buffers: of what the system grants this
+    /// process, where the driver tells, else of the heap.
+    pub(crate) fn free_memory(&self) -> u64 {
+        let raw = &self.instance.raw;
+        let budget = ash::ext::memory_budget::NAME;
+        // SAFETY: plain queries of a device of this instance; the chain lives until the call is over,
+        // and holds the budget only where the device knows of it.
+        let (memory, budgets) = unsafe {
+            let offered =
+                raw.enumerate_device_extension_properties(self.physical).unwrap_or_default();
+            let mut budgets = vk::PhysicalDeviceMemoryBudgetPropertiesEXT::default();
+            let mut memory = vk::PhysicalDeviceMemoryProperties2::default();
+            let told = offered
+                .iter()
+                .any(|e| e.extension_name_as_c_str().is_ok_and(|name| name == budget));
+            if told {
+                memory = memory.push_next(&mut budgets);
+            }
+            raw.get_physical_device_memory_properties2(self.physical, &mut memory);
+            let memory = memory.memory_properties;
+            (memory, told.then_some((budgets.heap_budget, budgets.heap_usage)))
+        };
+        let own =
+            |i: &usize| memory.memory_heaps[*i].flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL);
+        let heaps = (0..memory.memory_heap_count as usize).filter(own);
+        let Some(heap) = heaps.max_by_key(|&i| memory.memory_heaps[i].size) else { return 0 };
+        match budgets {
+            Some((budget, usage)) => budget[heap].saturating_sub(usage[heap]),
+            None => memory.memory_heaps[heap].size.saturating_sub(self.ledger.bytes().0),
+        }
     }
 
     /// Buffers, descriptor pools, query pools and command pools made so far.

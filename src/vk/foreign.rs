@@ -88,6 +88,7 @@ impl RawBuffer {
             usage: host.usage,
             label: label.into(),
             context: context.clone(),
+            ledger: context.ledger.clone(),
         })
     }
 }
@@ -157,6 +158,7 @@ impl RawBuffer {
             usage,
             label: label.into(),
             context: context.clone(),
+            ledger: context.ledger.clone(),
         };
         // SAFETY: just created.
         let needs = unsafe { device.get_buffer_memory_requirements(raw) };

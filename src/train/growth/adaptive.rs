@@ -1,7 +1,7 @@
 //! Clone, split, prune (Kerbl et al. 2023), and the reset of opacities.
 
 use super::{Population, Statistics, rows};
-use crate::gpu::{Device, Readback, Recorder, Stream};
+use crate::gpu::{Readback, Recorder, Stream};
 use crate::ops::density::{self, Adaptation, AdaptationArgs};
 use crate::ops::gaussians::GaussianBuffers;
 use crate::train::selection::Selection;
@@ -23,12 +23,14 @@ pub(in crate::train) struct Adaptive {
 
 impl Adaptive {
     pub(super) fn new(
-        device: &Device,
+        stream: &mut Stream,
         settings: AdaptiveSettings,
         capacity: usize,
         reach: f64,
         train: &TrainSettings,
+        selection: Option<&Selection>,
     ) -> Result<Adaptive> {
+        let device = &stream.device().clone();
         Ok(Adaptive {
             adaptation: Adaptation::new(device, capacity)?,
             settings,
@@ -36,7 +38,7 @@ impl Adaptive {
             last: (f64::from(train.steps) * settings.until) as u32,
             seed: train.seed as u32,
             spare: GaussianBuffers::new(device, capacity, train.sh_degree)?,
-            spare_selection: None,
+            spare_selection: selection.map(|chosen| chosen.spare(stream)).transpose()?,
             totals: device.readback(3)?,
         })
     }
@@ -98,9 +100,6 @@ impl Adaptive {
             opacity,
             large: if settled { large * self.reach } else { f64::INFINITY },
         };
-        if let (Some(selection), None) = (&population.selection, &self.spare_selection) {
-            self.spare_selection = Some(selection.spare(stream)?);
-        }
         let mut recorder = stream.record()?;
         let gaussians = &mut *population.gaussians;
         let n = gaussians.len;

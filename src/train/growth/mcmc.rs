@@ -24,13 +24,12 @@ impl Mcmc {
         train: &TrainSettings,
     ) -> Result<Mcmc> {
         let relocation = Relocation::new(device, capacity)?;
-        let last = (f64::from(train.steps) * settings.until) as u32;
+        let last = settings.last_of(train.steps);
         Ok(Mcmc { relocation, settings, capacity, last, seed: train.seed as u32 })
     }
 
     pub(super) fn due(&self, step: u32) -> bool {
-        let McmcSettings { from, every, .. } = self.settings;
-        step >= from && step <= self.last && step.is_multiple_of(every)
+        step <= self.last && self.settings.due(step)
     }
 
     pub(super) fn regularise(
@@ -90,8 +89,7 @@ impl Mcmc {
             self.relocation.relocate(&mut recorder, args)?;
             self.apply(&mut recorder, &mut population)?;
         }
-        let wanted = (n as f64 * (self.settings.factor - 1.0)).ceil() as usize;
-        let added = wanted.min(self.capacity - n);
+        let added = self.settings.wanted(n).min(self.capacity - n);
         if added > 0 {
             // Drawn by opacity over all: a new Gaussian has the class of the one it copies.
             let seed = self.seed ^ 0x9e37_79b9;

@@ -13,7 +13,7 @@ use super::optimiser::GaussianOptimiser;
 use super::selection::Selection;
 use super::settings::{GrowthSettings, TrainSettings};
 use crate::Result;
-use crate::gpu::{Buffer, Device, Recorder, Stream, ViewMut};
+use crate::gpu::{Buffer, Recorder, Stream, ViewMut};
 use crate::ops::gaussians::{GaussianBuffers, SH_BAND};
 use adaptive::Adaptive;
 use mcmc::Mcmc;
@@ -33,21 +33,25 @@ pub(super) struct Population<'a> {
 }
 
 impl Growth {
-    /// For up to `capacity` Gaussians in a scene that reaches so far; `None` where the settings ask for no
+    /// For up to `capacity` Gaussians in a scene that reaches so far, with those who choose what moves
+    /// where something does; `None` where the settings ask for no
     /// density control.
     pub(super) fn new(
-        device: &Device,
+        stream: &mut Stream,
         settings: &TrainSettings,
         capacity: usize,
         reach: f64,
+        selection: Option<&Selection>,
     ) -> Result<Option<Growth>> {
         Ok(match settings.growth {
             None => None,
             Some(GrowthSettings::Mcmc(mcmc)) => {
-                Some(Growth::Mcmc(Box::new(Mcmc::new(device, mcmc, capacity, settings)?)))
+                let mcmc = Mcmc::new(stream.device(), mcmc, capacity, settings)?;
+                Some(Growth::Mcmc(Box::new(mcmc)))
             }
             Some(GrowthSettings::Adaptive(adaptive)) => {
-                let adaptive = Adaptive::new(device, adaptive, capacity, reach, settings)?;
+                let adaptive =
+                    Adaptive::new(stream, adaptive, capacity, reach, settings, selection)?;
                 Some(Growth::Adaptive(Box::new(adaptive)))
             }
         })

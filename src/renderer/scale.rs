@@ -1,0 +1,98 @@
+//! What rendering takes of a device's memory, before it begins.
+
+use super::{Half, Renderer};
+use crate::Result;
+use crate::gpu::{Device, Footprint, Rehearsal, most_that_fits};
+use crate::scene::Scene;
+use crate::types::{
+    Camera, ControlPoints, DeformNet, Gaussians, Intrinsics, NetShape, Pose, Tuning,
+    sh_coefficients,
+};
+
+/// How large a scene and its pictures are.
+///
+/// [`footprint`](Self::footprint) makes a renderer and lets it draw where buffers have no memory: what it
+/// counts is what a real one allocates. Not foreseen is how many tiles the splats of a picture will
+/// reach: there is room for four per Gaussian, and a picture that needs more gets more.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RenderScale {
+    /// Gaussians.
+    pub gaussians: usize,
+    /// Degree of their spherical harmonics.
+    pub sh_degree: u32,
+    /// Control points, network and control points that a Gaussian follows, where something moves.
+    pub motion: Option<(usize, NetShape, u32)>,
+    /// Width and height of the largest picture, pixels.
+    pub size: (u32, u32),
+    /// Accuracy given up for speed.
+    pub tuning: Tuning,
+}
+
+impl RenderScale {
+    /// Of a scene, in pictures of a size.
+    pub fn new(scene: &Scene, size: (u32, u32), tuning: &Tuning) -> RenderScale {
+        let network = scene.network.as_ref().filter(|_| scene.gaussians.is_dynamic());
+        let points = scene.control_points.len();
+        RenderScale {
+            gaussians: scene.gaussians.len(),
+            sh_degree: scene.gaussians.sh_degree,
+            motion: network.map(|network| (points, network.shape, scene.neighbours)),
+            size,
+            tuning: *tuning,
+        }
+    }
+
+    /// What it takes of a device's memory at most.
+    ///
+    /// # Errors
+    /// [`Error::RangeLimit`](crate::Error::RangeLimit) for a buffer larger than one binding of the
+    /// device may be; [`Error::Input`](crate::Error::Input) as for [`Renderer::tuned`].
+    pub fn footprint(&self, device: &Device) -> Result<Footprint> {
+        let scene = self.sketch();
+        let (width, height) = self.size;
+        let intrinsics = Intrinsics::centred(f64::from(width), width, height);
+        let camera = Camera { intrinsics, view_from_world: Pose::IDENTITY };
+        Rehearsal::of(device, |rehearsal| {
+            let (device, count) = (rehearsal.device(), self.gaussians);
+            let mut renderer = Renderer::with_room(device, &scene, &self.tuning, count.max(1))?;
+            renderer.half = Half::room(device, count, self.sh_degree, &self.tuning)?;
+            renderer.gaussians.len = count;
+            if let Some(motion) = &mut renderer.motion {
+                motion.dynamic = count;
+                let mut recorder = renderer.stream.record()?;
+                motion.refresh(&mut recorder, renderer.gaussians.views().positions)?;
+                renderer.stream.submit(recorder)?;
+            }
+            renderer.render(&camera, 0.0).map(drop)
+        })
+    }
+
+    /// The most Gaussians with which such a scene fits on a device; 0 where the picture alone does not
+    /// fit.
+    pub fn most_gaussians(&self, device: &Device) -> usize {
+        most_that_fits(device, |gaussians| RenderScale { gaussians, ..*self }.footprint(device))
+    }
+
+    /// A scene of one Gaussian, and all else as it is.
+    fn sketch(&self) -> Scene {
+        let scene = Scene::of(Gaussians {
+            positions: vec![[0.0; 3]],
+            log_scales: vec![[0.0; 3]],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]],
+            opacity_logits: vec![0.0],
+            sh_degree: self.sh_degree,
+            sh: vec![[0.0; 3]; sh_coefficients(self.sh_degree)],
+            motion_logits: vec![1.0],
+        });
+        let Some((points, shape, neighbours)) = self.motion else { return scene };
+        Scene {
+            control_points: ControlPoints {
+                positions: vec![[0.0; 3]; points],
+                log_radii: vec![0.0; points],
+            },
+            network: Some(DeformNet { shape, parameters: vec![0.0; shape.parameters()] }),
+            neighbours,
+            ..scene
+        }
+    }
+}

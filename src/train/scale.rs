@@ -1,0 +1,198 @@
+//! What a training takes of a device's memory, before it begins.
+//!
+//! [`TrainingScale::footprint`] makes a trainer and lets it do its steps where buffers have no memory:
+//! what it counts is what a real run allocates. Not foreseen is how many tiles the splats of a picture
+//! will reach: there is room for four per Gaussian that there may be, and a picture that needs more
+//! gets more.
+
+use super::motion::MotionStart;
+use super::photographs::{DeviceView, Room};
+use super::settings::TrainSettings;
+use super::trainer::Trainer;
+use super::views::TrainingView;
+use crate::Result;
+use crate::gpu::{Device, Footprint, Rehearsal, most_that_fits};
+use crate::ops::gaussians::GaussianBuffers;
+use crate::types::{
+    Camera, ControlPoints, DeformNet, Gaussians, Image, Intrinsics, NetShape, Pose, sh_coefficients,
+};
+use std::collections::BTreeMap;
+
+/// Pictures that take the same memory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct PictureKind {
+    /// Width, pixels.
+    pub width: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// Whether a disparity is known.
+    pub disparity: bool,
+    /// Whether a motion mask is.
+    pub mask: bool,
+}
+
+/// What moves, at most.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MotionScale {
+    /// Control points.
+    pub control_points: usize,
+    /// The deformation network.
+    pub network: NetShape,
+    /// Control points that a Gaussian follows.
+    pub neighbours: usize,
+}
+
+/// How large a training is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrainingScale {
+    /// How many pictures there are of each kind.
+    pub pictures: BTreeMap<PictureKind, usize>,
+    /// Gaussians to begin with.
+    pub gaussians: usize,
+    /// `None` where nothing moves.
+    pub motion: Option<MotionScale>,
+    /// How it is trained.
+    pub settings: TrainSettings,
+}
+
+impl PictureKind {
+    fn of(view: &TrainingView) -> PictureKind {
+        PictureKind {
+            width: view.image.width,
+            height: view.image.height,
+            disparity: view.disparity.is_some(),
+            mask: view.mask.is_some(),
+        }
+    }
+
+    /// A black picture.
+    fn blank(&self) -> TrainingView {
+        let PictureKind { width, height, disparity, mask } = *self;
+        let image = |channels| Image::new(width, height, channels);
+        let intrinsics = Intrinsics::centred(f64::from(width), width, height);
+        TrainingView {
+            camera: Camera { intrinsics, view_from_world: Pose::IDENTITY },
+            time: 0.0,
+            image: image(3),
+            weights: None,
+            disparity: disparity.then(|| image(2)),
+            mask: mask.then(|| image(1)),
+        }
+    }
+}
+
+impl MotionScale {
+    /// Control points and a network of this scale.
+    fn start(&self) -> MotionStart {
+        let MotionScale { control_points, network, neighbours } = *self;
+        MotionStart {
+            points: ControlPoints {
+                positions: vec![[0.0; 3]; control_points],
+                log_radii: vec![0.0; control_points],
+            },
+            network: DeformNet { shape: network, parameters: vec![0.0; network.parameters()] },
+            neighbours,
+        }
+    }
+}
+
+impl TrainingScale {
+    /// Of a training of `gaussians` Gaussians on some pictures.
+    pub fn new(
+        views: &[TrainingView],
+        gaussians: usize,
+        motion: Option<MotionScale>,
+        settings: TrainSettings,
+    ) -> TrainingScale {
+        let mut pictures = BTreeMap::new();
+        views.iter().for_each(|view| *pictures.entry(PictureKind::of(view)).or_insert(0) += 1);
+        TrainingScale { pictures, gaussians, motion, settings }
+    }
+
+    /// The number of Gaussians that growth can reach.
+    pub fn reached(&self) -> usize {
+        self.settings.reachable(self.gaussians)
+    }
+
+    /// What it takes of a device's memory at most.
+    ///
+    /// # Errors
+    /// [`Error::RangeLimit`](crate::Error::RangeLimit) for a buffer larger than one binding of the
+    /// device may be; [`Error::Input`](crate::Error::Input) as for [`Trainer::new`].
+    pub fn footprint(&self, device: &Device) -> Result<Footprint> {
+        let room = Room::of(&self.settings, self.gaussians);
+        let first = one(self.settings.sh_degree);
+        let start = self.motion.as_ref().map(MotionScale::start);
+        Rehearsal::of(device, |rehearsal| {
+            let mut trainer = Trainer::build(
+                rehearsal.device(),
+                &[],
+                &first,
+                start.as_ref(),
+                self.settings.clone(),
+                (1.0, 1.0),
+                room,
+            )?;
+            for (kind, &count) in &self.pictures {
+                let view =
+                    rehearsal.repeat(count, |device| DeviceView::new(device, &kind.blank()))?;
+                trainer.views.push(view);
+            }
+            trainer.rehearse(room.gaussians, start.as_ref())
+        })
+    }
+
+    /// The most Gaussians with which such a training fits on a device, none added on the way; 0
+    /// where the pictures alone do not fit.
+    pub fn most_gaussians(&self, device: &Device) -> usize {
+        most_that_fits(device, |count| {
+            let settings = TrainSettings { max_gaussians: count, ..self.settings.clone() };
+            TrainingScale { gaussians: count, settings, ..self.clone() }.footprint(device)
+        })
+    }
+}
+
+/// A Gaussian to begin with.
+fn one(sh_degree: u32) -> Gaussians {
+    Gaussians {
+        positions: vec![[0.0; 3]],
+        log_scales: vec![[0.0; 3]],
+        rotations: vec![[1.0, 0.0, 0.0, 0.0]],
+        opacity_logits: vec![0.0],
+        sh_degree,
+        sh: vec![[0.0; 3]; sh_coefficients(sh_degree)],
+        motion_logits: vec![1.0],
+    }
+}
+
+impl Trainer {
+    /// Does, in a rehearsal, all that a training makes buffers for, with so many Gaussians, all of
+    /// which move where anything does.
+    fn rehearse(&mut self, gaussians: usize, start: Option<&MotionStart>) -> Result<()> {
+        self.gaussians.len = gaussians;
+        if let Some(motion) = &mut self.motion {
+            motion.motion.dynamic = gaussians;
+            let mut recorder = self.stream.record()?;
+            motion.motion.refresh(&mut recorder, self.gaussians.views().positions)?;
+            self.stream.submit(recorder)?;
+        }
+        for view in 0..self.views.len() {
+            // The first step has soft motion, the last one all bands.
+            for step in [0, self.settings.steps.saturating_sub(1)] {
+                self.step = step;
+                self.submit(view)?;
+                self.finish()?;
+            }
+        }
+        if let (Some(motion), Some(start), Some(_)) =
+            (&self.motion, start, self.settings.motion.control)
+        {
+            motion.rehearse_revision(&mut self.stream, start)?;
+        }
+        // Checkpoints and the result.
+        let GaussianBuffers { positions, rotations, sh, .. } = &self.gaussians;
+        self.stream.prepare_download(rotations)?;
+        self.stream.prepare_download(positions)?;
+        sh.iter().try_for_each(|band| self.stream.prepare_download(band))
+    }
+}
