@@ -269,12 +269,8 @@ fn fox270_reaches_its_figure() {
     let training = views(&dataset, &train, Resize::Keep);
     let held_out = views(&dataset, &test, Resize::Keep);
     let seeds = seed_from_points(&dataset.points, 3);
-    let settings = TrainSettings {
-        steps: 1000,
-        max_gaussians: seeds.len(),
-        growth: None,
-        ..Default::default()
-    };
+    let settings =
+        TrainSettings { max_gaussians: seeds.len(), growth: None, ..TrainSettings::of_steps(1000) };
     let mut trainer = Trainer::new(&device, &training, &seeds, None, settings).unwrap();
     let started = Instant::now();
     for step in 0..1000 {
@@ -292,5 +288,5 @@ fn fox270_reaches_its_figure() {
         training.len(),
         held_out.len()
     );
-    assert!(psnr >= 21.0, "{psnr} dB");
+    assert!(psnr >= 21.3, "{psnr} dB");
 }

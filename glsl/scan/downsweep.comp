@@ -1,13 +1,15 @@
 #version 460
 // Writes the exclusive prefix sums of each block of 4096 values, from the sum before the block on.
 #extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_control_flow_attributes : require
+#extension GL_EXT_scalar_block_layout : require
 
 layout(local_size_x = 256) in;
 
 layout(std430, binding = 0) readonly buffer Count { uint count[]; };
-layout(std430, binding = 1) readonly buffer Values { uint values[]; };
+layout(scalar, binding = 1) readonly buffer Values { uvec4 values[]; };
 layout(std430, binding = 2) readonly buffer Sums { uint sums[]; };
-layout(std430, binding = 3) writeonly buffer Prefix { uint prefix[]; };
+layout(scalar, binding = 3) writeonly buffer Prefix { uvec4 prefix[]; };
 
 layout(push_constant) uniform Params {
     uint count_at;
@@ -16,9 +18,11 @@ layout(push_constant) uniform Params {
 
 #include "common/grid.glsl"
 #include "common/workgroup_sum.glsl"
+#include "scan/fours.glsl"
+#include "scan/prefix.glsl"
 
 const uint BLOCK = 4096u;
-const uint ITEMS = 16u;
+const uint FOURS = 4u;
 
 void main() {
     uint block = group_index();
@@ -28,18 +32,16 @@ void main() {
     if (block >= blocks) {
         return;
     }
-    uint left = n - block * BLOCK;
-    uint begin = min(ITEMS * gl_LocalInvocationIndex, left);
-    uint end = min(begin + ITEMS, left);
+    uint begin = block * BLOCK + 4u * FOURS * gl_LocalInvocationIndex;
+    uvec4 own[FOURS];
     uint sum = 0u;
-    for (uint k = begin; k < end; k++) {
-        sum += values[block * BLOCK + k];
+    [[unroll]] for (uint k = 0u; k < FOURS; k++) {
+        own[k] = load_four(begin + 4u * k, n);
+        sum += own[k].x + own[k].y + own[k].z + own[k].w;
     }
     uint total;
     uint running = sums[block] + exclusive_sum(sum, total);
-    for (uint k = begin; k < end; k++) {
-        uint at = block * BLOCK + k;
-        prefix[at] = running;
-        running += values[at];
+    [[unroll]] for (uint k = 0u; k < FOURS; k++) {
+        store_four(begin + 4u * k, n, own[k], running);
     }
 }

@@ -1,11 +1,13 @@
 #version 460
 // Sums each block of 4096 values.
 #extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_control_flow_attributes : require
+#extension GL_EXT_scalar_block_layout : require
 
 layout(local_size_x = 256) in;
 
 layout(std430, binding = 0) readonly buffer Count { uint count[]; };
-layout(std430, binding = 1) readonly buffer Values { uint values[]; };
+layout(scalar, binding = 1) readonly buffer Values { uvec4 values[]; };
 layout(std430, binding = 2) writeonly buffer Sums { uint sums[]; };
 
 layout(push_constant) uniform Params {
@@ -15,6 +17,7 @@ layout(push_constant) uniform Params {
 
 #include "common/grid.glsl"
 #include "common/workgroup_sum.glsl"
+#include "scan/fours.glsl"
 
 const uint BLOCK = 4096u;
 
@@ -26,10 +29,10 @@ void main() {
     if (block >= blocks) {
         return;
     }
-    uint end = min(n - block * BLOCK, BLOCK);
     uint sum = 0u;
-    for (uint k = gl_LocalInvocationIndex; k < end; k += 256u) {
-        sum += values[block * BLOCK + k];
+    [[unroll]] for (uint k = 0u; k < BLOCK; k += 1024u) {
+        uvec4 four = load_four(block * BLOCK + k + 4u * gl_LocalInvocationIndex, n);
+        sum += four.x + four.y + four.z + four.w;
     }
     uint total;
     exclusive_sum(sum, total);

@@ -3,12 +3,13 @@
 // that further dispatches would cost more than they share.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_control_flow_attributes : require
+#extension GL_EXT_scalar_block_layout : require
 
 layout(local_size_x = 256) in;
 
 layout(std430, binding = 0) readonly buffer Count { uint count[]; };
-layout(std430, binding = 1) readonly buffer Values { uint values[]; };
-layout(std430, binding = 2) writeonly buffer Prefix { uint prefix[]; };
+layout(scalar, binding = 1) readonly buffer Values { uvec4 values[]; };
+layout(scalar, binding = 2) writeonly buffer Prefix { uvec4 prefix[]; };
 layout(std430, binding = 3) writeonly buffer Total { uint total[]; };
 
 layout(push_constant) uniform Params {
@@ -18,28 +19,27 @@ layout(push_constant) uniform Params {
 };
 
 #include "common/workgroup_sum.glsl"
+#include "scan/fours.glsl"
+#include "scan/prefix.glsl"
 
 const uint BLOCK = 4096u;
-const uint ITEMS = 16u;
+const uint FOURS = 4u;
 
 void main() {
     uint n = min(count[count_at], capacity);
     uint carry = 0u;
     for (uint base = 0u; base < n; base += BLOCK) {
-        uint begin = base + ITEMS * gl_LocalInvocationIndex;
-        uint own[ITEMS];
+        uint begin = base + 4u * FOURS * gl_LocalInvocationIndex;
+        uvec4 own[FOURS];
         uint sum = 0u;
-        [[unroll]] for (uint k = 0u; k < ITEMS; k++) {
-            own[k] = begin + k < n ? values[begin + k] : 0u;
-            sum += own[k];
+        [[unroll]] for (uint k = 0u; k < FOURS; k++) {
+            own[k] = load_four(begin + 4u * k, n);
+            sum += own[k].x + own[k].y + own[k].z + own[k].w;
         }
         uint chunk;
         uint running = carry + exclusive_sum(sum, chunk);
-        [[unroll]] for (uint k = 0u; k < ITEMS; k++) {
-            if (begin + k < n) {
-                prefix[begin + k] = running;
-            }
-            running += own[k];
+        [[unroll]] for (uint k = 0u; k < FOURS; k++) {
+            store_four(begin + 4u * k, n, own[k], running);
         }
         carry += chunk;
     }

@@ -141,7 +141,6 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     clock.lap("load");
 
     let settings = TrainSettings {
-        steps: args.steps,
         max_gaussians: if args.max_gaussians == 0 { seeded.len() } else { args.max_gaussians },
         sh_degree,
         render: tuning.apply(RenderSettings::default()),
@@ -150,7 +149,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         background: set.background,
         growth: (args.max_gaussians > 0).then(|| growth(args)),
         seed: common.seed,
-        ..TrainSettings::default()
+        ..TrainSettings::of_steps(args.steps)
     };
     let moving = set.timed && !args.still;
     let model = match moving {

@@ -85,6 +85,8 @@ pub struct ReadWrite;
 pub struct Fours<A>(PhantomData<A>);
 /// Reads in fours.
 pub type ReadFours = Fours<Read>;
+/// Writes in fours.
+pub type WriteFours = Fours<Write>;
 /// Reads and writes in fours.
 pub type ReadWriteFours = Fours<ReadWrite>;
 

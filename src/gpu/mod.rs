@@ -27,7 +27,7 @@ pub use buffer::{Buffer, Readback, View, ViewMut};
 pub use device::{Device, Request, Selector};
 pub use kernel::{
     Access, Argument, Binding, Fours, Groups, Kernel, KernelInfo, ParamInfo, Read, ReadFours,
-    ReadWrite, ReadWriteFours, Write,
+    ReadWrite, ReadWriteFours, Write, WriteFours,
 };
 pub(crate) use kernel::{field_infos, kernel};
 pub use meter::{Detail, Meter};

@@ -21,7 +21,7 @@ struct Runs {
 }
 
 /// Enough runs for the cores, and a table of counters that stays small and in the cache.
-const SOFTWARE: Runs = Runs { least: 1024, most: 512, own_counters: true };
+const SOFTWARE: Runs = Runs { least: 1024, most: 256, own_counters: true };
 /// Enough runs to fill a large GPU.
 const GPU: Runs = Runs { least: 256, most: 16_384, own_counters: false };
 
@@ -32,13 +32,13 @@ impl Runs {
     }
 
     /// Passes over `width` bits of so many keys. Wide digits save passes and cost counters: each is
-    /// set, written, summed and read once a pass, about half of what a key costs.
+    /// set, written, summed and read once a pass, which takes one and a half times what a key takes.
     fn passes(&self, width: u32, keys: usize) -> u32 {
         let usual = width.div_ceil(SHARED_DIGIT_BITS);
         let least = if self.own_counters { width.div_ceil(OWN_DIGIT_BITS) } else { usual };
         let cost = |passes: u32| {
             let counters = self.of(keys) << width.div_ceil(passes.max(1));
-            passes as usize * (2 * keys + counters)
+            passes as usize * (2 * keys + 3 * counters)
         };
         (least..=usual).min_by_key(|&passes| cost(passes)).unwrap_or(usual)
     }

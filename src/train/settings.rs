@@ -311,6 +311,15 @@ impl Default for TrainSettings {
 }
 
 impl TrainSettings {
+    /// The usual settings for a run of so many steps: where it is shorter than 30,000, the bands of the
+    /// spherical harmonics come sooner in proportion, so that they are trained at all.
+    pub fn of_steps(steps: u32) -> TrainSettings {
+        let usual = TrainSettings::default();
+        let interval = u64::from(usual.sh_interval) * u64::from(steps.min(usual.steps))
+            / u64::from(usual.steps);
+        TrainSettings { steps, sh_interval: (interval as u32).clamp(1, usual.sh_interval), ..usual }
+    }
+
     /// The degree of the spherical harmonics at a step.
     pub fn sh_degree_at(&self, step: u32) -> u32 {
         match self.sh_interval {
