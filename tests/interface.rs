@@ -16,10 +16,9 @@ use std::path::{Path, PathBuf};
 /// Kernels that naga's front end rejects, with the reason: what its message must contain. One that
 /// naga has learnt to read must leave this list.
 const NAGA_REJECTS: &[(&str, &str)] = &[
-    // naga 30 loses an expression of their loops (an unwrap in proc/emitter.rs); spirv-val and the
-    // drivers accept the modules, and rspirv checks them against their declarations all the same.
+    // naga 30 loses an expression of the unrolled loops (an unwrap in proc/emitter.rs); spirv-val and
+    // the drivers accept the module, and rspirv checks it against its declaration all the same.
     ("raster/forward", "the front end panicked"),
-    ("raster/backward", "the front end panicked"),
 ];
 
 /// The smallest limits that kernels are made for: SwiftShader's and Vulkan's own.
