@@ -140,7 +140,7 @@ fn scenes(harness: &mut Harness) -> Result<()> {
 
 /// The kernels that GPUs take, whatever the device.
 fn as_on_a_gpu(harness: &mut Harness) -> Result<()> {
-    let how = (RenderSettings::default(), Render::as_on_a_gpu as fn(Render) -> Render);
+    let how = (RenderSettings::default(), Render::with_gpu_kernels as fn(Render) -> Render);
     let camera = skew_camera(83, 59);
     for count in [0, 1, 31, 300, 2500] {
         let scene = random(&mut harness.rng, count, 0, &camera);

@@ -138,7 +138,7 @@ fn bit_ranges(harness: &mut Harness) -> Result<()> {
 fn as_on_a_gpu(harness: &mut Harness) -> Result<()> {
     for (n, bits) in [(0, 0..32), (1, 0..32), (257, 0..9), (20_001, 3..20), (131_073, 0..32)] {
         let keys = random(harness, n);
-        let op = RadixSort::plan(&harness.device, n, bits.clone())?.as_on_a_gpu();
+        let op = RadixSort::plan(&harness.device, n, bits.clone())?.with_gpu_runs();
         compare_sorted(harness, &format!("{n} pairs by {bits:?}"), &keys, n, bits, &op)?;
     }
     Ok(())

@@ -147,7 +147,7 @@ impl RadixSort {
 
     /// The same in the way of GPUs, so that it can be held against the oracle on any device.
     #[cfg(feature = "check")]
-    pub(crate) fn as_on_a_gpu(self) -> RadixSort {
+    pub(crate) fn with_gpu_runs(self) -> RadixSort {
         RadixSort::in_runs(GPU, self.capacity, self.bits)
     }
 

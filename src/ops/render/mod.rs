@@ -247,7 +247,7 @@ impl Render {
     /// The same with the raster kernels that GPUs take, so that they can be held against the oracle on
     /// any device.
     #[cfg(feature = "check")]
-    pub(crate) fn as_on_a_gpu(self) -> Render {
+    pub(crate) fn with_gpu_kernels(self) -> Render {
         Render { narrow: None, ..self }
     }
 
