@@ -6,7 +6,7 @@ const uint RUNS_PER_GROUP = 32u;
 // unrolls the lanes of the one and loops over those of the other. On a GPU such an array is spilled.
 layout(constant_id = 0) const bool OWN_COUNTERS = false;
 
-uint own_counters[2048];
+uint own_counters[512];
 // Invocation by invocation within a digit, so that neighbours use different banks.
 shared uint shared_counters[256 * RUNS_PER_GROUP];
 

@@ -11,7 +11,7 @@ pub const RUNS_PER_GROUP: u32 = 32;
 /// Most bits of a digit whose counters are shared memory.
 pub const SHARED_DIGIT_BITS: u32 = 8;
 /// Most bits of a digit whose counters are an invocation's own.
-pub const OWN_DIGIT_BITS: u32 = 11;
+pub const OWN_DIGIT_BITS: u32 = 9;
 /// Words that [`Plan`] writes.
 pub const PLAN_WORDS: usize = 7;
 /// Where [`Plan`] writes the number of the table's entries.

@@ -31,16 +31,18 @@ impl Runs {
         keys.div_ceil(self.least).min(self.most)
     }
 
-    /// Passes over `width` bits of so many keys. Wide digits save passes and cost counters: each is
-    /// set, written, summed and read once a pass, which takes one and a half times what a key takes.
-    fn passes(&self, width: u32, keys: usize) -> u32 {
+    /// Passes over `width` bits. Wide digits save passes and cost counters: each is set, written,
+    /// summed and read once a pass, which takes one and a half times what a key takes. Weighed for the
+    /// shortest runs, so that it is the same for every number of keys: a larger sort's scratch serves a
+    /// smaller one.
+    fn passes(&self, width: u32) -> u32 {
         let usual = width.div_ceil(SHARED_DIGIT_BITS);
-        let least = if self.own_counters { width.div_ceil(OWN_DIGIT_BITS) } else { usual };
+        let fewest = if self.own_counters { width.div_ceil(OWN_DIGIT_BITS) } else { usual };
         let cost = |passes: u32| {
-            let counters = self.of(keys) << width.div_ceil(passes.max(1));
-            passes as usize * (2 * keys + 3 * counters)
+            let counters = 1usize << width.div_ceil(passes.max(1));
+            passes as usize * (2 * self.least + 3 * counters)
         };
-        (least..=usual).min_by_key(|&passes| cost(passes)).unwrap_or(usual)
+        (fewest..=usual).min_by_key(|&passes| cost(passes)).unwrap_or(usual)
     }
 }
 
@@ -134,7 +136,7 @@ impl RadixSort {
 
     fn in_runs(runs: Runs, capacity: usize, bits: Range<u32>) -> RadixSort {
         let width = bits.end - bits.start;
-        let passes = runs.passes(width, capacity);
+        let passes = runs.passes(width);
         RadixSort {
             capacity,
             passes,
@@ -178,7 +180,7 @@ impl RadixSort {
     }
 
     /// Records the sort: `sort/plan`; for each pass of up to 8 bits (on
-    /// software devices 11) `sort/count`, those of
+    /// software devices 9) `sort/count`, those of
     /// [`Scan::record`], `sort/scatter`.
     ///
     /// # Errors
