@@ -3,9 +3,9 @@
 //!
 //! An [`Entry`] prepares a [`Job`]: it uploads its input, executes once, compares with the oracle in
 //! f64, and counts what one execution moves and calculates. [`measure`] times the job only when the
-//! comparison passed. [`curves`] tells how time and memory grow. Times are the device's own, by timestamps around the submissions; uploads and
-//! downloads lie outside. Where a device has no timestamps, the host's clock stands in and the row
-//! says so.
+//! comparison passed. [`curves`] tells how time and memory grow. Times are the device's own, by
+//! timestamps around the submissions; uploads and downloads lie outside. Where a device has no
+//! timestamps, the host's clock stands in and the row says so.
 
 mod cpu;
 mod frame;

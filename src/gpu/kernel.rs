@@ -186,8 +186,36 @@ macro_rules! field_infos {
 pub(crate) use field_infos;
 
 /// Declares a kernel: its place, workgroup, push constants and bindings. The binding number is the
-/// field's place. `tests/interface.rs` holds the declaration against the compiled module.
+/// field's place. `tests/interface.rs` holds the declaration against the compiled module. A variant
+/// of another kernel, `like` it, has its push constants and bindings.
 macro_rules! kernel {
+    (
+        $(#[$doc:meta])*
+        pub struct $name:ident($path:literal) like $other:ident, workgroup: $workgroup:expr
+    ) => {
+        $(#[$doc])*
+        pub struct $name;
+
+        impl $crate::gpu::Kernel for $name {
+            const NAME: &'static str = $path;
+            const SPIRV: &'static [u8] =
+                include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/spirv/", $path, ".spv"));
+            const WORKGROUP: [u32; 3] = $workgroup;
+            const BINDINGS: &'static [$crate::gpu::Binding] =
+                <$other as $crate::gpu::Kernel>::BINDINGS;
+            const INFO: $crate::gpu::KernelInfo = $crate::gpu::KernelInfo {
+                name: Self::NAME,
+                spirv: Self::SPIRV,
+                workgroup: Self::WORKGROUP,
+                ..<$other as $crate::gpu::Kernel>::INFO
+            };
+            type Params = <$other as $crate::gpu::Kernel>::Params;
+            type Args<'a> = <$other as $crate::gpu::Kernel>::Args<'a>;
+            fn bind(args: &Self::Args<'_>, to: &mut Vec<$crate::vk::BoundRange>) {
+                <$other as $crate::gpu::Kernel>::bind(args, to);
+            }
+        }
+    };
     (
         $(#[$doc:meta])*
         pub struct $name:ident($path:literal), workgroup: $workgroup:expr,

@@ -42,39 +42,7 @@ kernel! {
 
 kernel! {
     /// [`Forward`](struct@Forward) with an invocation per pixel and splats staged in shared memory.
-    pub struct ForwardShared("raster/forward_shared"), workgroup: [256, 1, 1],
-    params: ForwardSharedParams {
-        /// Image width, pixels.
-        width: u32,
-        /// Image height, pixels.
-        height: u32,
-        /// Least α that counts.
-        alpha_cut: f32,
-        /// Largest α.
-        alpha_cap: f32,
-        /// Blending stops before the transmittance falls to this.
-        transmittance_stop: f32,
-    },
-    args: ForwardSharedArgs {
-        /// Begin and end of each tile.
-        ranges: Read<[u32; 2]>,
-        /// Intersections by tile.
-        intersections: Read<u32>,
-        /// Gaussian of each intersection.
-        splats: Read<u32>,
-        /// From projection.
-        means: Read<[f32; 4]>,
-        /// From projection.
-        conics: Read<[f32; 4]>,
-        /// From projection.
-        colours: Read<[f32; 4]>,
-        /// Premultiplied colour without background, and alpha.
-        rgba: Write<[f32; 4]>,
-        /// Sum of α · T · z.
-        depth: Write<f32>,
-        /// One past the last intersection blended, from the tile's first.
-        last: Write<u32>,
-    }
+    pub struct ForwardShared("raster/forward_shared") like Forward, workgroup: [256, 1, 1]
 }
 
 kernel! {
@@ -126,47 +94,7 @@ kernel! {
     /// [`Backward`](struct@Backward) with 8 invocations a tile, for narrow subgroups. Specialisation
     /// constants: 0 as for [`Forward`](struct@Forward); 1, whether the subgroups are smaller, so
     /// that sums of several meet in shared memory.
-    pub struct BackwardNarrow("raster/backward_narrow"), workgroup: [8, 1, 1],
-    params: BackwardNarrowParams {
-        /// Image width, pixels.
-        width: u32,
-        /// Image height, pixels.
-        height: u32,
-        /// Least α that counts.
-        alpha_cut: f32,
-        /// Largest α.
-        alpha_cap: f32,
-    },
-    args: BackwardNarrowArgs {
-        /// Begin and end of each tile.
-        ranges: Read<[u32; 2]>,
-        /// Intersections by tile.
-        intersections: Read<u32>,
-        /// Gaussian of each intersection.
-        splats: Read<u32>,
-        /// From projection.
-        means: Read<[f32; 4]>,
-        /// From projection.
-        conics: Read<[f32; 4]>,
-        /// From projection.
-        colours: Read<[f32; 4]>,
-        /// From the forward pass.
-        rgba: Read<[f32; 4]>,
-        /// From the forward pass.
-        depth: Read<f32>,
-        /// From the forward pass.
-        last: Read<u32>,
-        /// Of the loss, by colour and alpha.
-        rgba_gradient: Read<[f32; 4]>,
-        /// Of the loss, by depth.
-        depth_gradient: Read<f32>,
-        /// v, v·dx, v·dy, v·dx².
-        slots_a: Write<[f32; 4]>,
-        /// v·dx·dy, v·dy², red, green.
-        slots_b: Write<[f32; 4]>,
-        /// Blue, depth.
-        slots_c: Write<[f32; 2]>,
-    }
+    pub struct BackwardNarrow("raster/backward_narrow") like Backward, workgroup: [8, 1, 1]
 }
 
 kernel! {

@@ -6,7 +6,6 @@ use crate::gpu::{Device, Footprint, Rehearsal, most_that_fits};
 use crate::scene::Scene;
 use crate::types::{
     Camera, ControlPoints, DeformNet, Gaussians, Intrinsics, NetShape, Pose, Tuning,
-    sh_coefficients,
 };
 
 /// How large a scene and its pictures are.
@@ -75,15 +74,7 @@ impl RenderScale {
 
     /// A scene of one Gaussian, and all else as it is.
     fn sketch(&self) -> Scene {
-        let scene = Scene::of(Gaussians {
-            positions: vec![[0.0; 3]],
-            log_scales: vec![[0.0; 3]],
-            rotations: vec![[1.0, 0.0, 0.0, 0.0]],
-            opacity_logits: vec![0.0],
-            sh_degree: self.sh_degree,
-            sh: vec![[0.0; 3]; sh_coefficients(self.sh_degree)],
-            motion_logits: vec![1.0],
-        });
+        let scene = Scene::of(Gaussians::one(self.sh_degree));
         let Some((points, shape, neighbours)) = self.motion else { return scene };
         Scene {
             control_points: ControlPoints {

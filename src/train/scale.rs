@@ -14,7 +14,7 @@ use crate::Result;
 use crate::gpu::{Device, Footprint, Rehearsal, most_that_fits};
 use crate::ops::gaussians::GaussianBuffers;
 use crate::types::{
-    Camera, ControlPoints, DeformNet, Gaussians, Image, Intrinsics, NetShape, Pose, sh_coefficients,
+    Camera, ControlPoints, DeformNet, Gaussians, Image, Intrinsics, NetShape, Pose,
 };
 use std::collections::BTreeMap;
 
@@ -121,7 +121,7 @@ impl TrainingScale {
     /// device may be; [`Error::Input`](crate::Error::Input) as for [`Trainer::new`].
     pub fn footprint(&self, device: &Device) -> Result<Footprint> {
         let room = Room::of(&self.settings, self.gaussians);
-        let first = one(self.settings.sh_degree);
+        let first = Gaussians::one(self.settings.sh_degree);
         let start = self.motion.as_ref().map(MotionScale::start);
         Rehearsal::of(device, |rehearsal| {
             let mut trainer = Trainer::build(
@@ -149,19 +149,6 @@ impl TrainingScale {
             let settings = TrainSettings { max_gaussians: count, ..self.settings.clone() };
             TrainingScale { gaussians: count, settings, ..self.clone() }.footprint(device)
         })
-    }
-}
-
-/// A Gaussian to begin with.
-fn one(sh_degree: u32) -> Gaussians {
-    Gaussians {
-        positions: vec![[0.0; 3]],
-        log_scales: vec![[0.0; 3]],
-        rotations: vec![[1.0, 0.0, 0.0, 0.0]],
-        opacity_logits: vec![0.0],
-        sh_degree,
-        sh: vec![[0.0; 3]; sh_coefficients(sh_degree)],
-        motion_logits: vec![1.0],
     }
 }
 

@@ -33,6 +33,19 @@ pub struct Gaussians {
 }
 
 impl Gaussians {
+    /// One black Gaussian at the origin that may move, for where only sizes matter.
+    pub(crate) fn one(sh_degree: u32) -> Gaussians {
+        Gaussians {
+            positions: vec![[0.0; 3]],
+            log_scales: vec![[0.0; 3]],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]],
+            opacity_logits: vec![0.0],
+            sh_degree,
+            sh: vec![[0.0; 3]; sh_coefficients(sh_degree)],
+            motion_logits: vec![1.0],
+        }
+    }
+
     /// Number of Gaussians.
     pub fn len(&self) -> usize {
         self.positions.len()

@@ -206,44 +206,37 @@ impl Render {
         let limits = *recorder.device().limits();
         let groups = Groups::linear(count, 64, &limits)?;
         let (s, b) = (scratch, backward);
-        let groups_of_tiles = self.tile_groups(recorder.device())?;
-        // Two kernels of one interface.
-        macro_rules! dispatch {
-            ($kernel:ident, $params:ident, $args:ident, $specialisation:expr) => {
-                recorder.dispatch_specialised::<raster::$kernel>(
-                    $specialisation,
-                    groups_of_tiles,
-                    raster::$params {
-                        width: self.width,
-                        height: self.height,
-                        alpha_cut: self.settings.alpha_cut,
-                        alpha_cap: self.settings.alpha_cap,
-                    },
-                    raster::$args {
-                        ranges: s.ranges.view(),
-                        intersections: s.intersections.view(),
-                        splats: s.splats.view(),
-                        means: s.means.view(),
-                        conics: s.conics.view(),
-                        colours,
-                        rgba: pixels.rgba.view(),
-                        depth: pixels.depth.view(),
-                        last: pixels.last.view(),
-                        rgba_gradient: pixel_gradients.rgba,
-                        depth_gradient: pixel_gradients.depth,
-                        slots_a: b.slots_a.view_mut(),
-                        slots_b: b.slots_b.view_mut(),
-                        slots_c: b.slots_c.view_mut(),
-                    },
-                )
-            };
-        }
+        let tiles = self.tile_groups(recorder.device())?;
+        let params = raster::BackwardParams {
+            width: self.width,
+            height: self.height,
+            alpha_cut: self.settings.alpha_cut,
+            alpha_cap: self.settings.alpha_cap,
+        };
+        let args = raster::BackwardArgs {
+            ranges: s.ranges.view(),
+            intersections: s.intersections.view(),
+            splats: s.splats.view(),
+            means: s.means.view(),
+            conics: s.conics.view(),
+            colours,
+            rgba: pixels.rgba.view(),
+            depth: pixels.depth.view(),
+            last: pixels.last.view(),
+            rgba_gradient: pixel_gradients.rgba,
+            depth_gradient: pixel_gradients.depth,
+            slots_a: b.slots_a.view_mut(),
+            slots_b: b.slots_b.view_mut(),
+            slots_c: b.slots_c.view_mut(),
+        };
         match self.narrow {
-            None => dispatch!(Backward, BackwardParams, BackwardArgs, &[])?,
+            None => recorder.dispatch::<raster::Backward>(tiles, params, args)?,
             Some(subgroup_size) => {
                 let several = u32::from(subgroup_size < raster::BackwardNarrow::WORKGROUP[0]);
                 let constants = [1, several];
-                dispatch!(BackwardNarrow, BackwardNarrowParams, BackwardNarrowArgs, &constants)?;
+                recorder.dispatch_specialised::<raster::BackwardNarrow>(
+                    &constants, tiles, params, args,
+                )?;
             }
         }
         recorder.dispatch::<raster::Gather>(

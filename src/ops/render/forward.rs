@@ -83,41 +83,30 @@ impl Render {
         let s = scratch;
         let groups = self.tile_groups(recorder.device())?;
         let RenderSettings { alpha_cut, alpha_cap, transmittance_stop, .. } = self.settings;
-        // Two kernels of one interface.
-        macro_rules! dispatch {
-            ($kernel:ident, $params:ident, $args:ident, $specialisation:expr) => {
-                recorder.dispatch_specialised::<raster::$kernel>(
-                    $specialisation,
-                    groups,
-                    raster::$params {
-                        width: self.width,
-                        height: self.height,
-                        alpha_cut,
-                        alpha_cap,
-                        transmittance_stop,
-                    },
-                    raster::$args {
-                        ranges: s.ranges.view(),
-                        intersections: s.intersections.view(),
-                        splats: s.splats.view(),
-                        means: s.means.view(),
-                        conics: s.conics.view(),
-                        colours,
-                        rgba: pixels.rgba,
-                        depth: pixels.depth,
-                        last: pixels.last,
-                    },
-                )
-            };
-        }
+        let params = raster::ForwardParams {
+            width: self.width,
+            height: self.height,
+            alpha_cut,
+            alpha_cap,
+            transmittance_stop,
+        };
+        let args = raster::ForwardArgs {
+            ranges: s.ranges.view(),
+            intersections: s.intersections.view(),
+            splats: s.splats.view(),
+            means: s.means.view(),
+            conics: s.conics.view(),
+            colours,
+            rgba: pixels.rgba,
+            depth: pixels.depth,
+            last: pixels.last,
+        };
         match self.raster {
             RasterKind::Subgroup => {
                 let shuffles = [u32::from(self.narrow.is_some())];
-                dispatch!(Forward, ForwardParams, ForwardArgs, &shuffles)
+                recorder.dispatch_specialised::<raster::Forward>(&shuffles, groups, params, args)
             }
-            RasterKind::Shared => {
-                dispatch!(ForwardShared, ForwardSharedParams, ForwardSharedArgs, &[])
-            }
+            RasterKind::Shared => recorder.dispatch::<raster::ForwardShared>(groups, params, args),
         }
     }
 
