@@ -15,8 +15,6 @@ layout(scalar, binding = 4) buffer Second { vec4 second[]; };
 
 layout(push_constant) uniform Params {
     uint count;
-    uint row;          // values of a row, for visibility
-    uint masked;       // whether rows of visible 0 stay as they are
     float rate;
     float beta1;
     float beta2;
@@ -27,6 +25,13 @@ layout(push_constant) uniform Params {
     float epsilon;
 };
 
+// Whether rows of visible 0 stay as they are, the values of a row, and whether it has fewer than three.
+// Constants: software devices divide by what they know several times faster, and walk through branches
+// not taken, too.
+layout(constant_id = 0) const bool MASKED = false;
+layout(constant_id = 1) const uint ROW = 1u;
+layout(constant_id = 2) const bool SHORT_ROWS = true;
+
 #include "common/grid.glsl"
 
 // Its square, summed, is still finite: one huge gradient cannot freeze a parameter for ever.
@@ -34,18 +39,19 @@ const float LARGEST_GRADIENT = 1e18;
 
 // Which of the four from `base` on step, as far as visibility decides.
 bvec4 visible_from(uint base) {
-    bvec4 steps = bvec4(true);
-    if (masked == 0u) {
-        return steps;
-    }
-    uint r = base / row;
-    [[unroll]] for (uint k = 0u; k < 4u; k++) {
-        bool next = base + k - r * row >= row;
-        r += uint(next);
-        if (k == 0u || next) {
-            steps[k] = base + k < count && visible[r] != 0u;
-        } else {
-            steps[k] = steps[k - 1u];
+    bvec4 steps;
+    uint last = count - 1u;
+    if (SHORT_ROWS) {
+        [[unroll]] for (uint k = 0u; k < 4u; k++) {
+            steps[k] = visible[min(base + k, last) / ROW] != 0u;
+        }
+    } else {
+        // Four values lie in two rows at most.
+        uint row = base / ROW;
+        bool first_steps = visible[row] != 0u;
+        bool next_steps = visible[min(base + 3u, last) / ROW] != 0u;
+        [[unroll]] for (uint k = 0u; k < 4u; k++) {
+            steps[k] = base + k - row * ROW < ROW ? first_steps : next_steps;
         }
     }
     return steps;
@@ -57,7 +63,10 @@ void main() {
     if (base >= count) {
         return;
     }
-    bvec4 steps = visible_from(base);
+    bvec4 steps = bvec4(true);
+    if (MASKED) {
+        steps = visible_from(base);
+    }
     if (!any(steps)) {
         return;
     }

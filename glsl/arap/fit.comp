@@ -2,10 +2,11 @@
 // As rigid as possible: for every control point the rotation that best carries its edges from one
 // time to the other, the energy that remains, and each edge's gradient.
 #extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_scalar_block_layout : require
 
 layout(local_size_x = 64) in;
 
-layout(std430, binding = 0) readonly buffer Nodes { float nodes[]; };
+layout(scalar, binding = 0) readonly buffer Nodes { vec3 nodes[]; };
 layout(std430, binding = 1) readonly buffer LogRadii { float log_radii[]; };
 layout(std430, binding = 2) readonly buffer Neighbours { uint neighbours[]; };
 layout(std430, binding = 3) readonly buffer Transforms { vec4 transforms[]; };
@@ -31,17 +32,13 @@ const float LARGEST_LOG_RADIUS = 40.0;
 // Stands for an exponent of minus infinity.
 const float NEVER = -3.4e38;
 
-vec3 node_at(uint i) {
-    return vec3(nodes[3u * i], nodes[3u * i + 1u], nodes[3u * i + 2u]);
-}
-
 // One edge of node i, the canonical one `rest`; false for an empty place.
 bool edge_of(uint i, uint place, inout uint kept, out uint j, out vec3 rest) {
     j = neighbours[i * k + place];
     if (j == NONE || j == i) {
         return false;
     }
-    rest = node_at(j) - node_at(i);
+    rest = nodes[j] - nodes[i];
     kept++;
     return kept <= always || dot(rest, rest) < reach * reach;
 }

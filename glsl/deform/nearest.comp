@@ -2,12 +2,13 @@
 // The k nearest nodes of every listed point, nearest first, equal distances by index. A node whose
 // squared distance is not finite is no neighbour.
 #extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_scalar_block_layout : require
 
 layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer Ids { uint ids[]; };
-layout(std430, binding = 1) readonly buffer Positions { float positions[]; };
-layout(std430, binding = 2) readonly buffer Nodes { float nodes[]; };
+layout(scalar, binding = 1) readonly buffer Positions { vec3 positions[]; };
+layout(scalar, binding = 2) readonly buffer Nodes { vec3 nodes[]; };
 layout(std430, binding = 3) writeonly buffer Neighbours { uint neighbours[]; };
 
 layout(push_constant) uniform Params {
@@ -27,7 +28,7 @@ void main() {
         return;
     }
     uint id = listed != 0u ? ids[row] : row;
-    vec3 point = vec3(positions[3u * id], positions[3u * id + 1u], positions[3u * id + 2u]);
+    vec3 point = positions[id];
     const float FAR = uintBitsToFloat(0x7f800000u);
     float distances[16];
     uint found[16];
@@ -38,7 +39,7 @@ void main() {
         found[s] = 0xffffffffu;
     }
     for (uint node = 0u; node < node_count; node++) {
-        vec3 d = point - vec3(nodes[3u * node], nodes[3u * node + 1u], nodes[3u * node + 2u]);
+        vec3 d = point - nodes[node];
         // Unfused, so that ties fall as they do in the oracle.
         precise float distance_here = d.x * d.x;
         distance_here = distance_here + d.y * d.y;

@@ -2,19 +2,20 @@
 // Moves every dynamic Gaussian with its nearest control points (linear blend skinning). All others
 // are left as they are.
 #extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_scalar_block_layout : require
 
 layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer DynamicIds { uint dynamic_ids[]; };
 layout(std430, binding = 1) readonly buffer Neighbours { uint neighbours[]; };
-layout(std430, binding = 2) readonly buffer Positions { float positions[]; };
+layout(scalar, binding = 2) readonly buffer Positions { vec3 positions[]; };
 layout(std430, binding = 3) readonly buffer Rotations { vec4 rotations[]; };
 layout(std430, binding = 4) readonly buffer MotionLogits { float motion_logits[]; };
 layout(std430, binding = 5) readonly buffer Evidence { float evidence[]; };
-layout(std430, binding = 6) readonly buffer Nodes { float nodes[]; };
+layout(scalar, binding = 6) readonly buffer Nodes { vec3 nodes[]; };
 layout(std430, binding = 7) readonly buffer LogRadii { float log_radii[]; };
 layout(std430, binding = 8) readonly buffer Transforms { vec4 transforms[]; };
-layout(std430, binding = 9) writeonly buffer MovedPositions { float moved_positions[]; };
+layout(scalar, binding = 9) writeonly buffer MovedPositions { vec3 moved_positions[]; };
 layout(std430, binding = 10) writeonly buffer MovedRotations { vec4 moved_rotations[]; };
 layout(std430, binding = 11) writeonly buffer Rigidity { float rigidity[]; };
 
@@ -35,7 +36,7 @@ void main() {
         return;
     }
     uint j = dynamic_ids[row];
-    vec3 point = vec3(positions[3u * j], positions[3u * j + 1u], positions[3u * j + 2u]);
+    vec3 point = positions[j];
     vec4 q = rotations[j];
     float rigid = 0.0;
     Neighbour near[8];
@@ -57,9 +58,7 @@ void main() {
         vec4 u;
         q = unit_quaternion(q, u, norm) ? multiply(r, q) : r;
     }
-    moved_positions[3u * j] = point.x;
-    moved_positions[3u * j + 1u] = point.y;
-    moved_positions[3u * j + 2u] = point.z;
+    moved_positions[j] = point;
     moved_rotations[j] = q;
     rigidity[row] = rigid;
 }

@@ -42,8 +42,7 @@ bool load_neighbours(uint row, vec3 point, out Neighbour near[8], out uint heavi
         exponents[s] = NEVER;
         inverse_squares[s] = 0.0;
         if (node != NONE) {
-            vec3 offset =
-                point - vec3(nodes[3u * node], nodes[3u * node + 1u], nodes[3u * node + 2u]);
+            vec3 offset = point - nodes[node];
             float log_radius = log_radii[node];
             inverse_squares[s] = inverse_square(log_radius);
             float ratio = dot(offset, offset) * inverse_squares[s];

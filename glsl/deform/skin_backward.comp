@@ -3,19 +3,20 @@
 // ones in place, and writes what each of its control points gets, to be added up per control point.
 // Weights carry gradient to the radii only.
 #extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_scalar_block_layout : require
 
 layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer DynamicIds { uint dynamic_ids[]; };
 layout(std430, binding = 1) readonly buffer Neighbours { uint neighbours[]; };
-layout(std430, binding = 2) readonly buffer Positions { float positions[]; };
+layout(scalar, binding = 2) readonly buffer Positions { vec3 positions[]; };
 layout(std430, binding = 3) readonly buffer Rotations { vec4 rotations[]; };
 layout(std430, binding = 4) readonly buffer MotionLogits { float motion_logits[]; };
 layout(std430, binding = 5) readonly buffer Evidence { float evidence[]; };
-layout(std430, binding = 6) readonly buffer Nodes { float nodes[]; };
+layout(scalar, binding = 6) readonly buffer Nodes { vec3 nodes[]; };
 layout(std430, binding = 7) readonly buffer LogRadii { float log_radii[]; };
 layout(std430, binding = 8) readonly buffer Transforms { vec4 transforms[]; };
-layout(std430, binding = 9) buffer PositionGradients { float position_gradients[]; };
+layout(scalar, binding = 9) buffer PositionGradients { vec3 position_gradients[]; };
 layout(std430, binding = 10) buffer RotationGradients { vec4 rotation_gradients[]; };
 layout(std430, binding = 11) buffer MotionGradients { float motion_gradients[]; };
 // Per (row, neighbour): translation and log-radius; unit rotation.
@@ -39,7 +40,7 @@ void main() {
         return;
     }
     uint j = dynamic_ids[row];
-    vec3 point = vec3(positions[3u * j], positions[3u * j + 1u], positions[3u * j + 2u]);
+    vec3 point = positions[j];
     Neighbour near[8];
     uint heaviest;
     if (!load_neighbours(row, point, near, heaviest)) {
@@ -49,8 +50,7 @@ void main() {
         }
         return;
     }
-    vec3 by_position = vec3(position_gradients[3u * j], position_gradients[3u * j + 1u],
-                            position_gradients[3u * j + 2u]);
+    vec3 by_position = position_gradients[j];
     vec4 by_rotation = rotation_gradients[j];
     vec3 delta;
     vec4 sum, blended;
@@ -106,7 +106,5 @@ void main() {
         contributions[2u * (row * K + s)] = vec4(n.weight * by_delta, by_log_radius);
         contributions[2u * (row * K + s) + 1u] = n.weight * by_own;
     }
-    position_gradients[3u * j] = by_position.x;
-    position_gradients[3u * j + 1u] = by_position.y;
-    position_gradients[3u * j + 2u] = by_position.z;
+    position_gradients[j] = by_position;
 }

@@ -1,13 +1,14 @@
 #version 460
 // What adaptive control does with every Gaussian: 0 prune, 1 keep, 2 clone, 3 split.
 #extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_scalar_block_layout : require
 
 layout(local_size_x = 64) in;
 
 // Sum of screen-space gradient norms; number of views.
 layout(std430, binding = 0) readonly buffer Statistics { float statistics[]; };
 layout(std430, binding = 1) readonly buffer OpacityLogits { float opacity_logits[]; };
-layout(std430, binding = 2) readonly buffer LogScales { float log_scales[]; };
+layout(scalar, binding = 2) readonly buffer LogScales { vec3 log_scales[]; };
 layout(std430, binding = 3) writeonly buffer Actions { uint actions[]; };
 layout(std430, binding = 4) writeonly buffer Kept { uint kept[]; };
 layout(std430, binding = 5) writeonly buffer Added { uint added[]; };
@@ -27,10 +28,10 @@ void main() {
     if (j >= count) {
         return;
     }
-    float a = log_scales[3u * j], b = log_scales[3u * j + 1u], c = log_scales[3u * j + 2u];
+    vec3 log_scale = log_scales[j];
     float logit = opacity_logits[j];
-    float largest = max(a, max(b, c));
-    bool broken = isnan(a) || isnan(b) || isnan(c) || isnan(logit);
+    float largest = max(log_scale.x, max(log_scale.y, log_scale.z));
+    bool broken = any(isnan(log_scale)) || isnan(logit);
     uint action = 1u;
     if (broken || logit < prune_logit || largest > log_large) {
         action = 0u;

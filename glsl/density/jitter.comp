@@ -1,13 +1,14 @@
 #version 460
 // Moves every centre by noise of the Gaussian's own covariance, the more the fainter it is.
 #extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_scalar_block_layout : require
 
 layout(local_size_x = 64) in;
 
-layout(std430, binding = 0) readonly buffer LogScales { float log_scales[]; };
+layout(scalar, binding = 0) readonly buffer LogScales { vec3 log_scales[]; };
 layout(std430, binding = 1) readonly buffer Rotations { vec4 rotations[]; };
 layout(std430, binding = 2) readonly buffer OpacityLogits { float opacity_logits[]; };
-layout(std430, binding = 3) buffer Positions { float positions[]; };
+layout(scalar, binding = 3) buffer Positions { vec3 positions[]; };
 
 layout(push_constant) uniform Params {
     uint count;
@@ -33,12 +34,10 @@ void main() {
     float norm;
     unit_quaternion(rotations[j], q, norm);
     vec3 local = noise + turn_offset(conjugate(q), noise);
-    vec3 log_scale = vec3(log_scales[3u * j], log_scales[3u * j + 1u], log_scales[3u * j + 2u]);
+    vec3 log_scale = log_scales[j];
     vec3 stretched = local * exp(2.0 * log_scale);
     vec3 moved = (stretched + turn_offset(q, stretched)) * (gate * size);
     if (finite(moved)) {
-        for (uint c = 0u; c < 3u; c++) {
-            positions[3u * j + c] += moved[c];
-        }
+        positions[j] += moved;
     }
 }

@@ -1,14 +1,15 @@
 #version 460
 // Draws the parts of split Gaussians: displaced by a sample of their source, and smaller.
 #extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_scalar_block_layout : require
 
 layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer Totals { uint totals[]; };
 layout(std430, binding = 1) readonly buffer Rows { uint rows[]; };
 layout(std430, binding = 2) readonly buffer Rotations { vec4 rotations[]; };
-layout(std430, binding = 3) buffer Positions { float positions[]; };
-layout(std430, binding = 4) buffer LogScales { float log_scales[]; };
+layout(scalar, binding = 3) buffer Positions { vec3 positions[]; };
+layout(scalar, binding = 4) buffer LogScales { vec3 log_scales[]; };
 
 layout(push_constant) uniform Params {
     uint seed;
@@ -26,14 +27,12 @@ void main() {
     if (j >= totals[2] || rows[j] >> 30u != 2u) {
         return;
     }
-    vec3 log_scale = vec3(log_scales[3u * j], log_scales[3u * j + 1u], log_scales[3u * j + 2u]);
+    vec3 log_scale = log_scales[j];
     vec3 local = random_normals(uvec4(j, step_number, seed, 2u)) * exp(log_scale);
     vec4 q;
     float norm;
     unit_quaternion(rotations[j], q, norm);
     vec3 moved = local + turn_offset(q, local);
-    for (uint c = 0u; c < 3u; c++) {
-        positions[3u * j + c] += moved[c];
-        log_scales[3u * j + c] = log_scale[c] - log_shrink;
-    }
+    positions[j] += moved;
+    log_scales[j] = log_scale - log_shrink;
 }

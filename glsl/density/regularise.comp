@@ -1,13 +1,14 @@
 #version 460
 // Adds MCMC's two regularisers to the gradients: the means of opacity and of scale.
 #extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_scalar_block_layout : require
 
 layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer OpacityLogits { float opacity_logits[]; };
-layout(std430, binding = 1) readonly buffer LogScales { float log_scales[]; };
+layout(scalar, binding = 1) readonly buffer LogScales { vec3 log_scales[]; };
 layout(std430, binding = 2) buffer OpacityGradients { float opacity_gradients[]; };
-layout(std430, binding = 3) buffer LogScaleGradients { float log_scale_gradients[]; };
+layout(scalar, binding = 3) buffer LogScaleGradients { vec3 log_scale_gradients[]; };
 
 layout(push_constant) uniform Params {
     uint count;
@@ -26,7 +27,5 @@ void main() {
     // e / (1 + e)² is symmetric in the logit's sign, so the exponential can stay at most 1.
     float e = exp(-abs(opacity_logits[i]));
     opacity_gradients[i] += opacity_factor * e / ((1.0 + e) * (1.0 + e));
-    for (uint k = 0u; k < 3u; k++) {
-        log_scale_gradients[3u * i + k] += scale_factor * exp(log_scales[3u * i + k]);
-    }
+    log_scale_gradients[i] += scale_factor * exp(log_scales[i]);
 }

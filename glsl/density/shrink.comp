@@ -2,12 +2,13 @@
 // Opacity and scale of every Gaussian that was drawn, so that it and its copies together look like
 // the one before (3DGS-MCMC, equation 9).
 #extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_scalar_block_layout : require
 
 layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer Drawn { uint drawn[]; };
 layout(std430, binding = 1) buffer OpacityLogits { float opacity_logits[]; };
-layout(std430, binding = 2) buffer LogScales { float log_scales[]; };
+layout(scalar, binding = 2) buffer LogScales { vec3 log_scales[]; };
 
 layout(push_constant) uniform Params {
     uint count;
@@ -65,7 +66,5 @@ void main() {
     float change = -softplus(-logit) - log(coverage(part, share));
     // ln(e^x - 1)
     opacity_logits[j] = max(thickness + log(part), dead_logit);
-    for (uint c = 0u; c < 3u; c++) {
-        log_scales[3u * j + c] += change;
-    }
+    log_scales[j] += change;
 }

@@ -8,8 +8,11 @@ layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer Rgba { vec4 rgba[]; };
 layout(std430, binding = 1) readonly buffer Photograph { uint photograph[]; };
-// One plane per channel.
-layout(std430, binding = 2) writeonly buffer Windowed { vec4 windowed[]; };
+// Each channel in memory of its own: all in one would be more than a binding may hold on some
+// devices, for images well within their reach.
+layout(std430, binding = 2) writeonly buffer WindowedReds { vec4 windowed_reds[]; };
+layout(std430, binding = 3) writeonly buffer WindowedGreens { vec4 windowed_greens[]; };
+layout(std430, binding = 4) writeonly buffer WindowedBlues { vec4 windowed_blues[]; };
 
 layout(push_constant) uniform Params {
     int width;
@@ -51,10 +54,10 @@ void main() {
         SLIDE(blues, vec4(rendered.b, photo.b, squares.b, products.b));
         int done = y - HALF;
         if (done >= first) {
-            int at = done * width + x, plane = width * height;
-            windowed[at] = reds[0];
-            windowed[plane + at] = greens[0];
-            windowed[2 * plane + at] = blues[0];
+            int at = done * width + x;
+            windowed_reds[at] = reds[0];
+            windowed_greens[at] = greens[0];
+            windowed_blues[at] = blues[0];
         }
     }
 }

@@ -10,10 +10,12 @@ layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer Rgba { vec4 rgba[]; };
 layout(std430, binding = 1) readonly buffer Photograph { uint photograph[]; };
-// By x, x² and x·y, windowed along rows; one plane per channel.
-layout(scalar, binding = 2) readonly buffer Derivatives { vec3 derivatives[]; };
-layout(std430, binding = 3) writeonly buffer RgbaGradient { vec4 rgba_gradient[]; };
-layout(std430, binding = 4) writeonly buffer Partials { float partials[]; };
+// By x, x² and x·y, windowed along rows, of each channel.
+layout(scalar, binding = 2) readonly buffer ByReds { vec3 by_reds[]; };
+layout(scalar, binding = 3) readonly buffer ByGreens { vec3 by_greens[]; };
+layout(scalar, binding = 4) readonly buffer ByBlues { vec3 by_blues[]; };
+layout(std430, binding = 5) writeonly buffer RgbaGradient { vec4 rgba_gradient[]; };
+layout(std430, binding = 6) writeonly buffer Partials { float partials[]; };
 
 layout(push_constant) uniform Params {
     int width;
@@ -41,14 +43,14 @@ float walk(int x, int first) {
         reds[k] = greens[k] = blues[k] = vec3(0.0);
     }
     float total = 0.0;
-    int end = min(first + run, height), plane = width * height;
+    int end = min(first + run, height);
     for (int y = first - HALF; y < end + HALF; y++) {
         vec3 red = vec3(0.0), green = vec3(0.0), blue = vec3(0.0);
         if (y >= 0 && y < height) {
             int at = y * width + x;
-            red = derivatives[at];
-            green = derivatives[plane + at];
-            blue = derivatives[2 * plane + at];
+            red = by_reds[at];
+            green = by_greens[at];
+            blue = by_blues[at];
         }
         SLIDE(reds, red);
         SLIDE(greens, green);

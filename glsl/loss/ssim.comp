@@ -1,6 +1,7 @@
 #version 460
-// Second pass of SSIM: the window along rows, the map, its derivatives by the windowed x, x² (and,
-// the same, y²) and x·y, and, since the blur is its own adjoint, the window along rows over those.
+// Second pass of SSIM, for one channel: the window along rows, the map, its derivatives by the
+// windowed x, x² (and, the same, y²) and x·y, and, since the blur is its own adjoint, the window along
+// rows over those.
 // Each workgroup leaves its sum of the weighted map.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_control_flow_attributes : require
@@ -8,7 +9,6 @@
 
 layout(local_size_x = 64) in;
 
-// One plane per channel each.
 layout(std430, binding = 0) readonly buffer Windowed { vec4 windowed[]; };
 layout(std430, binding = 1) readonly buffer Photograph { uint photograph[]; };
 layout(scalar, binding = 2) writeonly buffer Derivatives { vec3 derivatives[]; };
@@ -19,6 +19,8 @@ layout(push_constant) uniform Params {
     int height;
     // Pixels that an invocation walks over.
     int run;
+    // Where the workgroups' sums go.
+    int partials_at;
 };
 
 #include "common/grid.glsl"
@@ -41,8 +43,8 @@ float map_of(vec4 means, out vec3 by) {
     return map;
 }
 
-// The weighted map's sum over one run along row `row` of one channel's plane.
-float walk(int plane, int row, int first) {
+// The weighted map's sum over one run along the row that begins at pixel `row`.
+float walk(int row, int first) {
     vec4 means[WINDOW];
     vec3 blurred[WINDOW];
     [[unroll]] for (int k = 0; k < WINDOW; k++) {
@@ -54,7 +56,7 @@ float walk(int plane, int row, int first) {
     for (int x = first - 2 * HALF; x < end + 2 * HALF; x++) {
         vec4 value = vec4(0.0);
         if (x >= 0 && x < width) {
-            value = windowed[plane + row + x];
+            value = windowed[row + x];
         }
         SLIDE(means, value);
         int centre = x - HALF;
@@ -68,7 +70,7 @@ float walk(int plane, int row, int first) {
         SLIDE(blurred, by);
         int done = centre - HALF;
         if (done >= first) {
-            derivatives[plane + row + done] = blurred[0];
+            derivatives[row + done] = blurred[0];
         }
     }
     return total;
@@ -79,15 +81,15 @@ void main() {
     uint id = gl_LocalInvocationIndex;
     int item = int(group * 64u + id);
     int runs = (width + run - 1) / run;
-    int channel = item / (runs * height), y = item / runs % height, first = item % runs * run;
-    totals[id] = channel < 3 ? walk(channel * width * height, y * width, first) : 0.0;
+    int y = item / runs, first = item % runs * run;
+    totals[id] = y < height ? walk(y * width, first) : 0.0;
     for (uint step = 32u; step > 0u; step /= 2u) {
         barrier();
         if (id < step) {
             totals[id] += totals[id + step];
         }
     }
-    if (id == 0u && channel < 3) {
-        partials[group] = totals[0];
+    if (id == 0u && y < height) {
+        partials[partials_at + int(group)] = totals[0];
     }
 }

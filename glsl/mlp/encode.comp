@@ -1,10 +1,11 @@
 #version 460
 // Positional encodings of every (control point, time): the network's input, one plane per feature.
 #extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_scalar_block_layout : require
 
 layout(local_size_x = 64) in;
 
-layout(std430, binding = 0) readonly buffer Nodes { float nodes[]; };
+layout(scalar, binding = 0) readonly buffer Nodes { vec3 nodes[]; };
 layout(std430, binding = 1) readonly buffer Times { float times[]; };
 layout(std430, binding = 2) writeonly buffer Activations { vec4 activations[]; };
 
@@ -34,7 +35,7 @@ void main() {
     uint item = i / stride;
     bool real = row < rows;
     uint node = real ? row % node_count : 0u;
-    vec3 p = real ? vec3(nodes[3u * node], nodes[3u * node + 1u], nodes[3u * node + 2u]) : vec3(0.0);
+    vec3 p = real ? nodes[node] : vec3(0.0);
     float t = real ? times[row / node_count] : 0.0;
     uint time_plane = 3u + 6u * position_frequencies;
     if (item == 0u) {

@@ -5,16 +5,17 @@
 // view_from_world <- exp(twist) * view_from_world, twist = (translation, rotation); each workgroup
 // leaves its sum, and project/pose adds them up.
 #extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_scalar_block_layout : require
 
 layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer CameraBuffer { float camera[]; };
-layout(std430, binding = 1) readonly buffer Positions { float positions[]; };
-layout(std430, binding = 2) readonly buffer LogScales { float log_scales[]; };
+layout(scalar, binding = 1) readonly buffer Positions { vec3 positions[]; };
+layout(scalar, binding = 2) readonly buffer LogScales { vec3 log_scales[]; };
 layout(std430, binding = 3) readonly buffer Rotations { vec4 rotations[]; };
-layout(std430, binding = 4) readonly buffer Sh1Buffer { float sh1[]; };
-layout(std430, binding = 5) readonly buffer Sh2Buffer { float sh2[]; };
-layout(std430, binding = 6) readonly buffer Sh3Buffer { float sh3[]; };
+layout(scalar, binding = 4) readonly buffer Sh1Buffer { vec3 sh1[]; };
+layout(scalar, binding = 5) readonly buffer Sh2Buffer { vec3 sh2[]; };
+layout(scalar, binding = 6) readonly buffer Sh3Buffer { vec3 sh3[]; };
 layout(std430, binding = 7) readonly buffer Visible { uint visible[]; };
 layout(std430, binding = 8) readonly buffer OpacityLogits { float opacity_logits[]; };
 layout(std430, binding = 9) readonly buffer Colours { vec4 colours[]; };
@@ -22,14 +23,14 @@ layout(std430, binding = 9) readonly buffer Colours { vec4 colours[]; };
 layout(std430, binding = 10) readonly buffer MeanGradients { vec4 mean_gradients[]; };
 layout(std430, binding = 11) readonly buffer CovarianceGradients { vec4 covariance_gradients[]; };
 layout(std430, binding = 12) readonly buffer ColourGradients { vec4 colour_gradients[]; };
-layout(std430, binding = 13) writeonly buffer PositionGradients { float position_gradients[]; };
-layout(std430, binding = 14) writeonly buffer LogScaleGradients { float log_scale_gradients[]; };
+layout(scalar, binding = 13) writeonly buffer PositionGradients { vec3 position_gradients[]; };
+layout(scalar, binding = 14) writeonly buffer LogScaleGradients { vec3 log_scale_gradients[]; };
 layout(std430, binding = 15) writeonly buffer RotationGradients { vec4 rotation_gradients[]; };
 layout(std430, binding = 16) writeonly buffer OpacityGradients { float opacity_gradients[]; };
-layout(std430, binding = 17) writeonly buffer Sh0Gradients { float sh0_gradients[]; };
-layout(std430, binding = 18) writeonly buffer Sh1Gradients { float sh1_gradients[]; };
-layout(std430, binding = 19) writeonly buffer Sh2Gradients { float sh2_gradients[]; };
-layout(std430, binding = 20) writeonly buffer Sh3Gradients { float sh3_gradients[]; };
+layout(scalar, binding = 17) writeonly buffer Sh0Gradients { vec3 sh0_gradients[]; };
+layout(scalar, binding = 18) writeonly buffer Sh1Gradients { vec3 sh1_gradients[]; };
+layout(scalar, binding = 19) writeonly buffer Sh2Gradients { vec3 sh2_gradients[]; };
+layout(scalar, binding = 20) writeonly buffer Sh3Gradients { vec3 sh3_gradients[]; };
 // Eight words per workgroup, six of them used.
 layout(std430, binding = 21) writeonly buffer PosePartials { float pose_partials[]; };
 
@@ -37,12 +38,17 @@ layout(push_constant) uniform Params {
     uint count;
     uint width;
     uint height;
-    uint sh_degree;
     float near;
     float dilation;
     float tangent_clamp;
-    uint with_pose;
 };
+
+// The bands of the spherical harmonics that the colours have, and whether the pose's gradient is
+// wanted. Constants, since software devices walk through the branches not taken, too.
+layout(constant_id = 0) const bool BAND1 = true;
+layout(constant_id = 1) const bool BAND2 = true;
+layout(constant_id = 2) const bool BAND3 = true;
+layout(constant_id = 3) const bool WITH_POSE = true;
 
 #include "common/grid.glsl"
 #include "common/camera.glsl"
@@ -52,80 +58,57 @@ layout(push_constant) uniform Params {
 
 shared float pose_sums[6][64];
 
-void write3(uint which, uint at, vec3 v) {
-    for (uint k = 0u; k < 3u; k++) {
-        switch (which) {
-        case 0u: position_gradients[at + k] = v[k]; break;
-        case 1u: log_scale_gradients[at + k] = v[k]; break;
-        case 2u: sh0_gradients[at + k] = v[k]; break;
-        case 3u: sh1_gradients[at + k] = v[k]; break;
-        case 4u: sh2_gradients[at + k] = v[k]; break;
-        default: sh3_gradients[at + k] = v[k]; break;
-        }
-    }
-}
-
-void write_zeros(uint i) {
-    write3(0u, 3u * i, vec3(0.0));
-    write3(1u, 3u * i, vec3(0.0));
-    rotation_gradients[i] = vec4(0.0);
-    opacity_gradients[i] = 0.0;
-    write3(2u, 3u * i, vec3(0.0));
-    if (sh_degree >= 1u) {
-        for (uint k = 0u; k < 3u; k++) {
-            write3(3u, 9u * i + 3u * k, vec3(0.0));
-        }
-    }
-    if (sh_degree >= 2u) {
-        for (uint k = 0u; k < 5u; k++) {
-            write3(4u, 15u * i + 3u * k, vec3(0.0));
-        }
-    }
-    if (sh_degree >= 3u) {
-        for (uint k = 0u; k < 7u; k++) {
-            write3(5u, 21u * i + 3u * k, vec3(0.0));
-        }
-    }
-}
-
-// Writes the coefficients' gradients and returns the direction's.
-vec3 colour_backward(uint i, vec3 d, vec3 g) {
-    write3(2u, 3u * i, SH0 * g);
+// The gradient by a direction of colour dotted with g.
+vec3 direction_gradient(uint i, vec3 d, vec3 g) {
     vec3 by_direction = vec3(0.0);
-    if (sh_degree >= 1u) {
-        float b[3];
+    if (BAND1) {
         vec3 db[3];
-        sh_band1(d, b);
         sh_band1_gradient(db);
         for (uint k = 0u; k < 3u; k++) {
-            uint at = 9u * i + 3u * k;
-            write3(3u, at, b[k] * g);
-            by_direction += dot(g, vec3(sh1[at], sh1[at + 1u], sh1[at + 2u])) * db[k];
+            by_direction += dot(g, sh1[3u * i + k]) * db[k];
         }
     }
-    if (sh_degree >= 2u) {
-        float b[5];
+    if (BAND2) {
         vec3 db[5];
-        sh_band2(d, b);
         sh_band2_gradient(d, db);
         for (uint k = 0u; k < 5u; k++) {
-            uint at = 15u * i + 3u * k;
-            write3(4u, at, b[k] * g);
-            by_direction += dot(g, vec3(sh2[at], sh2[at + 1u], sh2[at + 2u])) * db[k];
+            by_direction += dot(g, sh2[5u * i + k]) * db[k];
         }
     }
-    if (sh_degree >= 3u) {
-        float b[7];
+    if (BAND3) {
         vec3 db[7];
-        sh_band3(d, b);
         sh_band3_gradient(d, db);
         for (uint k = 0u; k < 7u; k++) {
-            uint at = 21u * i + 3u * k;
-            write3(5u, at, b[k] * g);
-            by_direction += dot(g, vec3(sh3[at], sh3[at + 1u], sh3[at + 2u])) * db[k];
+            by_direction += dot(g, sh3[7u * i + k]) * db[k];
         }
     }
     return by_direction;
+}
+
+// Writes the coefficients' gradients.
+void colour_backward(uint i, vec3 d, vec3 g) {
+    sh0_gradients[i] = SH0 * g;
+    if (BAND1) {
+        float b[3];
+        sh_band1(d, b);
+        for (uint k = 0u; k < 3u; k++) {
+            sh1_gradients[3u * i + k] = b[k] * g;
+        }
+    }
+    if (BAND2) {
+        float b[5];
+        sh_band2(d, b);
+        for (uint k = 0u; k < 5u; k++) {
+            sh2_gradients[5u * i + k] = b[k] * g;
+        }
+    }
+    if (BAND3) {
+        float b[7];
+        sh_band3(d, b);
+        for (uint k = 0u; k < 7u; k++) {
+            sh3_gradients[7u * i + k] = b[k] * g;
+        }
+    }
 }
 
 // Gradient by the unit quaternion (w, x, y, z) of what has gradient g by its rotation matrix.
@@ -150,19 +133,31 @@ void whiten(Shape s, out vec3 across, out vec3 along) {
     along = s.inverse.y * s.row_y;
 }
 
-// Writes the Gaussian's gradients; the pose's share comes back in `translation` and `rotation`.
-void backward(uint i, out vec3 translation, out vec3 rotation) {
-    Camera c = load_camera();
+// A Gaussian's gradients; of a culled one, zeros.
+struct Gradients {
+    vec3 position;
+    vec3 log_scale;
+    vec4 rotation;
+    float opacity;
+    // By the colour, and the direction in which it was seen.
+    vec3 colour;
+    vec3 direction;
+    // The pose's share.
+    vec3 translation;
+    vec3 twist;
+};
+
+void backward(Camera c, uint i, inout Gradients to) {
     vec2 size = vec2(width, height);
-    vec3 position = vec3(positions[3u * i], positions[3u * i + 1u], positions[3u * i + 2u]);
-    vec3 log_scale = vec3(log_scales[3u * i], log_scales[3u * i + 1u], log_scales[3u * i + 2u]);
+    vec3 position = positions[i];
+    vec3 log_scale = log_scales[i];
     vec4 unit;
     float length_q;
     normalised(rotations[i], unit, length_q);
     Shape s;
     shape_of(c, size, near, tangent_clamp, dilation, position, log_scale, unit, s);
     vec4 mean_gradient = mean_gradients[i];
-    opacity_gradients[i] = mean_gradient.w * sigmoid_slope(opacity_logits[i]);
+    to.opacity = mean_gradient.w * sigmoid_slope(opacity_logits[i]);
 
     // The mean and the depth.
     vec2 f = c.focal / s.view.z;
@@ -176,7 +171,7 @@ void backward(uint i, out vec3 translation, out vec3 rotation) {
     whiten(s, across, along);
     vec3 g = covariance_gradients[i].xyz;
     vec3 by_across = g.x * across + g.y * along, by_along = g.y * across + g.z * along;
-    write3(1u, 3u * i, 4.0 * (across * by_across + along * by_along));
+    to.log_scale = 4.0 * (across * by_across + along * by_along);
     vec3 by_x = 4.0 * s.conic.x * by_across;
     vec3 by_y = 4.0 * (s.conic.y * by_across + s.conic.z * by_along);
     vec3 along_x = by_x * s.scales, along_y = by_y * s.scales;
@@ -191,41 +186,30 @@ void backward(uint i, out vec3 translation, out vec3 rotation) {
                              -f.x * s.tangent.x * along_x - f.y * s.tangent.y * along_y);
     mat3 by_axes = transpose(by_axes_rows);
     vec4 by_unit = quaternion_gradient(unit, transpose(c.rotation) * by_axes);
-    rotation_gradients[i] = (by_unit - unit * dot(unit, by_unit)) / length_q;
+    to.rotation = (by_unit - unit * dot(unit, by_unit)) / length_q;
 
     // The colour, where it was not clamped.
     vec3 offset = sight(c, position);
     float range = length(offset);
-    vec3 direction = range > 0.0 ? offset / range : vec3(0.0, 0.0, 1.0);
-    vec3 by_colour = mix(vec3(0.0), colour_gradients[i].rgb, greaterThan(colours[i].rgb, vec3(0.0)));
-    vec3 by_direction = colour_backward(i, direction, by_colour);
+    to.direction = range > 0.0 ? offset / range : to.direction;
+    to.colour = mix(vec3(0.0), colour_gradients[i].rgb, greaterThan(colours[i].rgb, vec3(0.0)));
+    vec3 by_direction = direction_gradient(i, to.direction, to.colour);
     vec3 by_offset = range > 0.0
-                         ? (by_direction - direction * dot(direction, by_direction)) / range
+                         ? (by_direction - to.direction * dot(to.direction, by_direction)) / range
                          : vec3(0.0);
 
-    write3(0u, 3u * i, transpose(c.rotation) * by_view + by_offset);
-    translation = by_view + c.rotation * by_offset;
-    rotation = cross(s.view, by_view) + cross(s.axes[0], by_axes[0])
+    to.position = transpose(c.rotation) * by_view + by_offset;
+    to.translation = by_view + c.rotation * by_offset;
+    to.twist = cross(s.view, by_view) + cross(s.axes[0], by_axes[0])
                + cross(s.axes[1], by_axes[1]) + cross(s.axes[2], by_axes[2]);
 }
 
-void main() {
-    uint i = group_index() * 64u + gl_LocalInvocationIndex;
-    vec3 translation = vec3(0.0), rotation = vec3(0.0);
-    if (i < count) {
-        if (visible[i] != 0u) {
-            backward(i, translation, rotation);
-        } else {
-            write_zeros(i);
-        }
-    }
-    if (with_pose == 0u) {
-        return;
-    }
+// Adds up the workgroup's shares of the pose's gradient.
+void sum_pose(Gradients g) {
     uint id = gl_LocalInvocationIndex;
     for (uint k = 0u; k < 3u; k++) {
-        pose_sums[k][id] = translation[k];
-        pose_sums[k + 3u][id] = rotation[k];
+        pose_sums[k][id] = g.translation[k];
+        pose_sums[k + 3u][id] = g.twist[k];
     }
     for (uint step = 32u; step > 0u; step /= 2u) {
         barrier();
@@ -238,5 +222,26 @@ void main() {
     barrier();
     if (id < 6u && group_index() * 64u < count) {
         pose_partials[8u * group_index() + id] = pose_sums[id][0];
+    }
+}
+
+void main() {
+    // Before any branch, where software devices know that every invocation reads the same.
+    Camera c = load_camera();
+    uint i = group_index() * 64u + gl_LocalInvocationIndex;
+    Gradients g = Gradients(vec3(0.0), vec3(0.0), vec4(0.0), 0.0, vec3(0.0), vec3(0.0, 0.0, 1.0),
+                            vec3(0.0), vec3(0.0));
+    if (i < count) {
+        if (visible[i] != 0u) {
+            backward(c, i, g);
+        }
+        position_gradients[i] = g.position;
+        log_scale_gradients[i] = g.log_scale;
+        rotation_gradients[i] = g.rotation;
+        opacity_gradients[i] = g.opacity;
+        colour_backward(i, g.direction, g.colour);
+    }
+    if (WITH_POSE) {
+        sum_pose(g);
     }
 }

@@ -2,18 +2,19 @@
 // Projects every Gaussian: culls, or writes mean, depth, opacity, conic, colour and the number of
 // tiles it reaches.
 #extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_scalar_block_layout : require
 
 layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer CameraBuffer { float camera[]; };
-layout(std430, binding = 1) readonly buffer Positions { float positions[]; };
-layout(std430, binding = 2) readonly buffer LogScales { uint log_scales[]; };
+layout(scalar, binding = 1) readonly buffer Positions { vec3 positions[]; };
+layout(scalar, binding = 2) readonly buffer LogScales { uvec3 log_scales[]; };
 layout(std430, binding = 3) readonly buffer Rotations { uvec4 rotations[]; };
 layout(std430, binding = 4) readonly buffer OpacityLogits { uint opacity_logits[]; };
-layout(std430, binding = 5) readonly buffer Sh0Buffer { uint sh0[]; };
-layout(std430, binding = 6) readonly buffer Sh1Buffer { uint sh1[]; };
-layout(std430, binding = 7) readonly buffer Sh2Buffer { uint sh2[]; };
-layout(std430, binding = 8) readonly buffer Sh3Buffer { uint sh3[]; };
+layout(scalar, binding = 5) readonly buffer Sh0Buffer { uvec3 sh0[]; };
+layout(scalar, binding = 6) readonly buffer Sh1Buffer { uvec3 sh1[]; };
+layout(scalar, binding = 7) readonly buffer Sh2Buffer { uvec3 sh2[]; };
+layout(scalar, binding = 8) readonly buffer Sh3Buffer { uvec3 sh3[]; };
 // Mean x, mean y, depth, opacity.
 layout(std430, binding = 9) writeonly buffer Means { vec4 means[]; };
 // The conic, factored, and the power at which alpha falls to the cut.
@@ -29,12 +30,16 @@ layout(std430, binding = 14) writeonly buffer Visible { uint visible[]; };
 layout(constant_id = 0) const bool HALF_SH = false;
 layout(constant_id = 1) const bool HALF_SHAPES = false;
 layout(constant_id = 2) const bool HALF_ROTATIONS = false;
+// The bands of the spherical harmonics that are evaluated. Constants, since software devices walk
+// through the branches not taken, too.
+layout(constant_id = 3) const bool BAND1 = true;
+layout(constant_id = 4) const bool BAND2 = true;
+layout(constant_id = 5) const bool BAND3 = true;
 
 layout(push_constant) uniform Params {
     uint count;
     uint width;
     uint height;
-    uint sh_degree;
     float near;
     float dilation;
     float alpha_cut;
@@ -48,14 +53,18 @@ layout(push_constant) uniform Params {
 #include "common/tile.glsl"
 #include "common/sh.glsl"
 
-// Value `at` of a buffer. Macros, since GLSL passes no buffers.
-#define VALUE(half_kept, words, at)                                 \
-    (half_kept ? unpackHalf2x16(words[(at) >> 1])[(at) & 1u] \
-               : uintBitsToFloat(words[at]))
-#define TRIPLE(half_kept, words, at)                                             \
-    vec3(VALUE(half_kept, words, at), VALUE(half_kept, words, (at) + 1u), \
-         VALUE(half_kept, words, (at) + 2u))
-#define SH_RGB(band, at) TRIPLE(HALF_SH, band, at)
+// Triple `i` of a buffer's words. Macros, since GLSL passes no buffers.
+#define HALF_OF(word, at) unpackHalf2x16(word)[(at) & 1u]
+#define HALF_AT(words, at) HALF_OF(words[((at) >> 1) / 3u][((at) >> 1) % 3u], at)
+#define TRIPLE(half_kept, words, i)                                                       \
+    (half_kept ? vec3(HALF_AT(words, 3u * (i)), HALF_AT(words, 3u * (i) + 1u),            \
+                      HALF_AT(words, 3u * (i) + 2u))                                      \
+               : uintBitsToFloat(words[i]))
+#define SH_RGB(band, i) TRIPLE(HALF_SH, band, i)
+
+float opacity_logit_of(uint i) {
+    return HALF_SHAPES ? HALF_OF(opacity_logits[i >> 1], i) : uintBitsToFloat(opacity_logits[i]);
+}
 
 // Two quaternions of halves share what one of floats takes.
 vec4 rotation_of(uint i) {
@@ -70,35 +79,32 @@ vec4 rotation_of(uint i) {
 // Not clamped yet: a maximum may hide a NaN. `largest` becomes the largest coefficient's size.
 vec3 colour_of(uint i, vec3 d, out float largest) {
     vec3 sizes = vec3(0.0);
-    vec3 coefficient = SH_RGB(sh0, 3u * i);
+    vec3 coefficient = SH_RGB(sh0, i);
     vec3 colour = vec3(0.5) + SH0 * coefficient;
     sizes = max(sizes, abs(coefficient));
-    if (sh_degree >= 1u) {
+    if (BAND1) {
         float b[3];
         sh_band1(d, b);
         for (uint k = 0u; k < 3u; k++) {
-            uint at = 9u * i + 3u * k;
-            coefficient = SH_RGB(sh1, at);
+            coefficient = SH_RGB(sh1, 3u * i + k);
             colour += b[k] * coefficient;
             sizes = max(sizes, abs(coefficient));
         }
     }
-    if (sh_degree >= 2u) {
+    if (BAND2) {
         float b[5];
         sh_band2(d, b);
         for (uint k = 0u; k < 5u; k++) {
-            uint at = 15u * i + 3u * k;
-            coefficient = SH_RGB(sh2, at);
+            coefficient = SH_RGB(sh2, 5u * i + k);
             colour += b[k] * coefficient;
             sizes = max(sizes, abs(coefficient));
         }
     }
-    if (sh_degree >= 3u) {
+    if (BAND3) {
         float b[7];
         sh_band3(d, b);
         for (uint k = 0u; k < 7u; k++) {
-            uint at = 21u * i + 3u * k;
-            coefficient = SH_RGB(sh3, at);
+            coefficient = SH_RGB(sh3, 7u * i + k);
             colour += b[k] * coefficient;
             sizes = max(sizes, abs(coefficient));
         }
@@ -108,12 +114,11 @@ vec3 colour_of(uint i, vec3 d, out float largest) {
 }
 
 // Number of tiles that the splat reaches; 0 means culled.
-uint project(uint i) {
-    Camera c = load_camera();
+uint project(Camera c, uint i) {
     vec2 size = vec2(width, height);
-    vec3 position = vec3(positions[3u * i], positions[3u * i + 1u], positions[3u * i + 2u]);
-    vec3 log_scale = TRIPLE(HALF_SHAPES, log_scales, 3u * i);
-    float logit = VALUE(HALF_SHAPES, opacity_logits, i);
+    vec3 position = positions[i];
+    vec3 log_scale = TRIPLE(HALF_SHAPES, log_scales, i);
+    float logit = opacity_logit_of(i);
     vec4 unit;
     float ignored;
     if (!finite(position) || !finite(log_scale) || !finite(logit)
@@ -161,11 +166,13 @@ uint project(uint i) {
 }
 
 void main() {
+    // Before any branch, where software devices know that every invocation reads the same.
+    Camera c = load_camera();
     uint i = group_index() * 64u + gl_LocalInvocationIndex;
     if (i >= count) {
         return;
     }
-    uint reached = project(i);
+    uint reached = project(c, i);
     tile_counts[i] = reached;
     visible[i] = min(reached, 1u);
 }

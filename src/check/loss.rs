@@ -170,8 +170,8 @@ fn run(harness: &mut Harness, input: &Input) -> Result<Answer> {
     let mut recorder = stream.record()?;
     poison(&mut recorder, &mut gradients.rgba);
     poison(&mut recorder, &mut gradients.depth);
-    poison(&mut recorder, &mut scratch.windowed);
-    poison(&mut recorder, &mut scratch.derivatives);
+    scratch.windowed.iter_mut().for_each(|channel| poison(&mut recorder, channel));
+    scratch.derivatives.iter_mut().for_each(|channel| poison(&mut recorder, channel));
     poison(&mut recorder, &mut scratch.partials);
     poison(&mut recorder, &mut scratch.totals);
     op.record(
@@ -184,8 +184,10 @@ fn run(harness: &mut Harness, input: &Input) -> Result<Answer> {
         &mut scratch,
     )?;
     stream.submit(recorder)?;
-    read(stream, &scratch.windowed, 3 * area)?;
-    read(stream, &scratch.derivatives, 3 * area)?;
+    for (windowed, derivatives) in scratch.windowed.iter().zip(&scratch.derivatives) {
+        read(stream, windowed, area)?;
+        read(stream, derivatives, area)?;
+    }
     Ok(Answer {
         value: op.value(stream, &photograph, known.as_ref(), &scratch)?,
         rgba: read(stream, &gradients.rgba, area)?,

@@ -80,15 +80,21 @@ pub struct Read;
 pub struct Write;
 /// Marks a binding that the kernel reads and writes.
 pub struct ReadWrite;
-/// Marks a binding that the kernel works on four elements at a time, at the end on as many as are
+/// Marks a binding that the kernel works on `N` elements at a time, at the end on as many as are
 /// left.
-pub struct Fours<A>(PhantomData<A>);
+pub struct Several<A, const N: usize>(PhantomData<A>);
+/// Reads in threes: vectors that lie packed.
+pub type ReadThrees = Several<Read, 3>;
+/// Writes in threes.
+pub type WriteThrees = Several<Write, 3>;
+/// Reads and writes in threes.
+pub type ReadWriteThrees = Several<ReadWrite, 3>;
 /// Reads in fours.
-pub type ReadFours = Fours<Read>;
+pub type ReadFours = Several<Read, 4>;
 /// Writes in fours.
-pub type WriteFours = Fours<Write>;
+pub type WriteFours = Several<Write, 4>;
 /// Reads and writes in fours.
-pub type ReadWriteFours = Fours<ReadWrite>;
+pub type ReadWriteFours = Several<ReadWrite, 4>;
 
 /// What the access markers mean for the Rust side of a binding.
 pub trait Argument {
@@ -110,10 +116,10 @@ impl Argument for Read {
     }
 }
 
-impl<A: Argument> Argument for Fours<A> {
+impl<A: Argument, const N: usize> Argument for Several<A, N> {
     type Handle<'a, T: 'a> = A::Handle<'a, T>;
     const ACCESS: Access = A::ACCESS;
-    const AT_ONCE: usize = 4;
+    const AT_ONCE: usize = N;
     fn bound<T>(handle: &A::Handle<'_, T>) -> BoundRange {
         A::bound(handle)
     }

@@ -26,8 +26,8 @@ mod stream;
 pub use buffer::{Buffer, Readback, View, ViewMut};
 pub use device::{Device, Request, Selector};
 pub use kernel::{
-    Access, Argument, Binding, Fours, Groups, Kernel, KernelInfo, ParamInfo, Read, ReadFours,
-    ReadWrite, ReadWriteFours, Write, WriteFours,
+    Access, Argument, Binding, Groups, Kernel, KernelInfo, ParamInfo, Read, ReadFours, ReadThrees,
+    ReadWrite, ReadWriteFours, ReadWriteThrees, Several, Write, WriteFours, WriteThrees,
 };
 pub(crate) use kernel::{field_infos, kernel};
 pub use meter::{Detail, Meter};

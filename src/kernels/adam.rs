@@ -3,15 +3,12 @@
 use crate::gpu::kernel;
 
 kernel! {
-    /// One step of Adam over a flat array.
+    /// One step of Adam over a flat array. Specialisation constants: 0 whether rows whose entry in
+    /// `visible` is 0 stay as they are, 1 the values of a row, 2 whether those are fewer than three.
     pub struct Step("adam/step"), workgroup: [64, 1, 1],
     params: StepParams {
         /// Values.
         count: u32,
-        /// Values of a row.
-        row: u32,
-        /// Whether rows whose entry in `visible` is 0 stay as they are.
-        masked: u32,
         /// Learning rate.
         rate: f32,
         /// Decay of the first moment.

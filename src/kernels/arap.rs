@@ -23,7 +23,7 @@ kernel! {
     },
     args: FitArgs {
         /// Canonical positions.
-        nodes: Read<f32>,
+        nodes: ReadThrees<f32>,
         /// Logarithms of the radii.
         log_radii: Read<f32>,
         /// Nearest control points, most rows with the control point itself.

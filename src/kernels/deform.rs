@@ -17,9 +17,9 @@ kernel! {
         /// Rows of `positions`.
         ids: Read<u32>,
         /// Three values a point.
-        positions: Read<f32>,
+        positions: ReadThrees<f32>,
         /// Three values a node.
-        nodes: Read<f32>,
+        nodes: ReadThrees<f32>,
         /// Nodes of each row, nearest first.
         neighbours: Write<u32>,
     }
@@ -78,7 +78,7 @@ kernel! {
         /// Their control points.
         neighbours: Read<u32>,
         /// Canonical centres.
-        positions: Read<f32>,
+        positions: ReadThrees<f32>,
         /// Canonical quaternions.
         rotations: Read<[f32; 4]>,
         /// Motion logits; not read unless soft.
@@ -86,13 +86,13 @@ kernel! {
         /// Evidence of motion; not read unless soft.
         evidence: Read<f32>,
         /// Canonical positions of the control points.
-        nodes: Read<f32>,
+        nodes: ReadThrees<f32>,
         /// Logarithms of their radii.
         log_radii: Read<f32>,
         /// Their motions, two vectors each.
         transforms: Read<[f32; 4]>,
         /// Centres at the time.
-        moved_positions: Write<f32>,
+        moved_positions: WriteThrees<f32>,
         /// Quaternions at the time.
         moved_rotations: Write<[f32; 4]>,
         /// The rigidity term of each row.
@@ -119,7 +119,7 @@ kernel! {
         /// Their control points.
         neighbours: Read<u32>,
         /// Canonical centres.
-        positions: Read<f32>,
+        positions: ReadThrees<f32>,
         /// Canonical quaternions.
         rotations: Read<[f32; 4]>,
         /// Motion logits; not read unless soft.
@@ -127,13 +127,13 @@ kernel! {
         /// Evidence of motion; not read unless soft.
         evidence: Read<f32>,
         /// Canonical positions of the control points.
-        nodes: Read<f32>,
+        nodes: ReadThrees<f32>,
         /// Logarithms of their radii.
         log_radii: Read<f32>,
         /// Their motions, two vectors each.
         transforms: Read<[f32; 4]>,
         /// Gradient by the moved centres; becomes that by the canonical ones.
-        position_gradients: ReadWrite<f32>,
+        position_gradients: ReadWriteThrees<f32>,
         /// Likewise for the quaternions.
         rotation_gradients: ReadWrite<[f32; 4]>,
         /// Added to where soft.

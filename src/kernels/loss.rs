@@ -24,13 +24,18 @@ kernel! {
         rgba: Read<[f32; 4]>,
         /// Packed 8-bit red, green, blue, weight.
         photograph: Read<u32>,
-        /// 3 planes of x, y, x² + y², x·y.
-        windowed: Write<[f32; 4]>,
+        /// x, y, x² + y², x·y of the first channel.
+        windowed_reds: Write<[f32; 4]>,
+        /// Of the second.
+        windowed_greens: Write<[f32; 4]>,
+        /// Of the third.
+        windowed_blues: Write<[f32; 4]>,
     }
 }
 
 kernel! {
-    /// SSIM's window along rows, the map's sum, and its derivatives windowed along rows.
+    /// SSIM's window along rows, the map's sum, and its derivatives windowed along rows, of one
+    /// channel.
     pub struct Ssim("loss/ssim"), workgroup: [64, 1, 1],
     params: SsimParams {
         /// Image width, pixels.
@@ -39,13 +44,15 @@ kernel! {
         height: i32,
         /// Pixels that an invocation walks over.
         run: i32,
+        /// Where the workgroups' sums go.
+        partials_at: i32,
     },
     args: SsimArgs {
-        /// 3 planes of x, y, x² + y², x·y, windowed along columns.
+        /// x, y, x² + y², x·y, windowed along columns.
         windowed: Read<[f32; 4]>,
         /// Packed 8-bit red, green, blue, weight.
         photograph: Read<u32>,
-        /// 3 planes of the derivatives by the windowed x, x², x·y.
+        /// By the windowed x, x², x·y.
         derivatives: Write<[f32; 3]>,
         /// Weighted sum of the map per workgroup.
         partials: Write<f32>,
@@ -78,8 +85,12 @@ kernel! {
         rgba: Read<[f32; 4]>,
         /// Packed 8-bit red, green, blue, weight.
         photograph: Read<u32>,
-        /// 3 planes of the derivatives by x, x², x·y, windowed along rows.
-        derivatives: Read<[f32; 3]>,
+        /// Derivatives of the first channel by x, x², x·y, windowed along rows.
+        by_reds: Read<[f32; 3]>,
+        /// Of the second.
+        by_greens: Read<[f32; 3]>,
+        /// Of the third.
+        by_blues: Read<[f32; 3]>,
         /// By colour and alpha.
         rgba_gradient: Write<[f32; 4]>,
         /// Weighted sum of the absolute differences per workgroup.

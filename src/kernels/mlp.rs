@@ -22,7 +22,7 @@ kernel! {
     },
     args: EncodeArgs {
         /// Canonical positions, three values each.
-        nodes: Read<f32>,
+        nodes: ReadThrees<f32>,
         /// Times.
         times: Read<f32>,
         /// Gets the encodings in its first planes.

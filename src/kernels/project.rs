@@ -4,7 +4,8 @@ use crate::gpu::kernel;
 
 kernel! {
     /// Culls and projects every Gaussian. Specialisation constants, 1 for what is kept as 16-bit
-    /// floats, two to a word: 0 the spherical harmonics, 1 log scales and opacity logits, 2 rotations.
+    /// floats, two to a word: 0 the spherical harmonics, 1 log scales and opacity logits, 2 rotations;
+    /// 3, 4, 5: whether the harmonics have the bands 1, 2, 3.
     pub struct Forward("project/forward"), workgroup: [64, 1, 1],
     params: ForwardParams {
         /// Number of Gaussians.
@@ -13,8 +14,6 @@ kernel! {
         width: u32,
         /// Image height, pixels.
         height: u32,
-        /// Degree of the spherical harmonics evaluated.
-        sh_degree: u32,
         /// Near plane.
         near: f32,
         /// Dilation of the 2D covariance, pixels².
@@ -28,21 +27,21 @@ kernel! {
         /// The camera, 20 floats.
         camera: Read<f32>,
         /// 3 per Gaussian.
-        positions: Read<f32>,
+        positions: ReadThrees<f32>,
         /// 3 per Gaussian.
-        log_scales: Read<f32>,
+        log_scales: ReadThrees<f32>,
         /// w, x, y, z.
         rotations: Read<[f32; 4]>,
         /// 1 per Gaussian.
         opacity_logits: Read<f32>,
         /// 3 per Gaussian.
-        sh0: Read<f32>,
-        /// 9 per Gaussian; read at degree 1 and above.
-        sh1: Read<f32>,
-        /// 15 per Gaussian; read at degree 2 and above.
-        sh2: Read<f32>,
-        /// 21 per Gaussian; read at degree 3.
-        sh3: Read<f32>,
+        sh0: ReadThrees<f32>,
+        /// 9 per Gaussian; read with band 1.
+        sh1: ReadThrees<f32>,
+        /// 15 per Gaussian; read with band 2.
+        sh2: ReadThrees<f32>,
+        /// 21 per Gaussian; read with band 3.
+        sh3: ReadThrees<f32>,
         /// Mean x, mean y, depth, opacity.
         means: Write<[f32; 4]>,
         /// The conic factored (a, b, e), and the power at which α falls to the cut.
@@ -59,7 +58,8 @@ kernel! {
 }
 
 kernel! {
-    /// Gradients to every parameter and to the camera's pose.
+    /// Gradients to every parameter and to the camera's pose. Specialisation constants: 0, 1, 2 whether
+    /// the harmonics have the bands 1, 2, 3; 3 whether the pose's gradient is wanted.
     pub struct Backward("project/backward"), workgroup: [64, 1, 1],
     params: BackwardParams {
         /// Number of Gaussians.
@@ -68,32 +68,28 @@ kernel! {
         width: u32,
         /// Image height, pixels.
         height: u32,
-        /// Degree of the spherical harmonics evaluated.
-        sh_degree: u32,
         /// Near plane.
         near: f32,
         /// Dilation of the 2D covariance, pixels².
         dilation: f32,
         /// Clamp of the Jacobian's tangents, half fields of view.
         tangent_clamp: f32,
-        /// Whether the pose's gradient is wanted.
-        with_pose: u32,
     },
     args: BackwardArgs {
         /// The camera, 20 floats.
         camera: Read<f32>,
         /// 3 per Gaussian.
-        positions: Read<f32>,
+        positions: ReadThrees<f32>,
         /// 3 per Gaussian.
-        log_scales: Read<f32>,
+        log_scales: ReadThrees<f32>,
         /// w, x, y, z.
         rotations: Read<[f32; 4]>,
         /// 9 per Gaussian.
-        sh1: Read<f32>,
+        sh1: ReadThrees<f32>,
         /// 15 per Gaussian.
-        sh2: Read<f32>,
+        sh2: ReadThrees<f32>,
         /// 21 per Gaussian.
-        sh3: Read<f32>,
+        sh3: ReadThrees<f32>,
         /// From the forward pass.
         visible: Read<u32>,
         /// 1 per Gaussian.
@@ -107,21 +103,21 @@ kernel! {
         /// By red, green, blue.
         colour_gradients: Read<[f32; 4]>,
         /// 3 per Gaussian.
-        position_gradients: Write<f32>,
+        position_gradients: WriteThrees<f32>,
         /// 3 per Gaussian.
-        log_scale_gradients: Write<f32>,
+        log_scale_gradients: WriteThrees<f32>,
         /// By the raw quaternion.
         rotation_gradients: Write<[f32; 4]>,
         /// 1 per Gaussian.
         opacity_gradients: Write<f32>,
         /// 3 per Gaussian.
-        sh0_gradients: Write<f32>,
+        sh0_gradients: WriteThrees<f32>,
         /// 9 per Gaussian.
-        sh1_gradients: Write<f32>,
+        sh1_gradients: WriteThrees<f32>,
         /// 15 per Gaussian.
-        sh2_gradients: Write<f32>,
+        sh2_gradients: WriteThrees<f32>,
         /// 21 per Gaussian.
-        sh3_gradients: Write<f32>,
+        sh3_gradients: WriteThrees<f32>,
         /// 8 per workgroup, 6 used: translation, rotation.
         pose_partials: Write<f32>,
     }

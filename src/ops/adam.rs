@@ -94,12 +94,11 @@ impl Adam {
             None => (1, self.nothing.view()),
         };
         let unbias = |beta: f64| (1.0 / (1.0 - beta.powf(f64::from(settings.step)))) as f32;
-        recorder.dispatch::<Step>(
+        recorder.dispatch_specialised::<Step>(
+            &[u32::from(args.visible.is_some()), row as u32, u32::from(row < 3)],
             Groups::linear(count.div_ceil(4), 64, recorder.device().limits())?,
             StepParams {
                 count: count as u32,
-                row: row as u32,
-                masked: u32::from(args.visible.is_some()),
                 rate: settings.rate as f32,
                 beta1: settings.beta1 as f32,
                 beta2: settings.beta2 as f32,

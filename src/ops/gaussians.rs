@@ -284,6 +284,11 @@ impl<'a> GaussianViews<'a> {
         GaussianViews { sh_degree: sh_degree.min(self.sh_degree), ..self }
     }
 
+    /// Whether bands 1, 2 and 3 of the spherical harmonics are evaluated.
+    pub(super) fn bands(&self) -> [bool; 3] {
+        [1, 2, 3].map(|band| band <= self.sh_degree)
+    }
+
     pub(super) fn check(&self, op: &'static str) -> Result<()> {
         let n = self.len;
         let words = |half: bool, values: usize| if half { values.div_ceil(2) } else { values };

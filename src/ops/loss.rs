@@ -130,8 +130,10 @@ pub struct Loss {
 
 /// What a loss works in between its dispatches.
 pub struct LossScratch {
-    pub(crate) windowed: Buffer<[f32; 4]>,
-    pub(crate) derivatives: Buffer<[f32; 3]>,
+    /// Of each channel.
+    pub(crate) windowed: [Buffer<[f32; 4]>; 3],
+    /// Likewise.
+    pub(crate) derivatives: [Buffer<[f32; 3]>; 3],
     pub(crate) partials: Buffer<f32>,
     pub(crate) totals: Buffer<f32>,
 }
@@ -162,11 +164,13 @@ impl Loss {
     /// # Errors
     /// [`Error::OutOfMemory`].
     pub fn scratch(&self, device: &Device) -> Result<LossScratch> {
-        let planes = 3 * self.pixels();
-        let partials = self.by_rows(device).1.max(self.pixels()).div_ceil(64);
+        let pixels = self.pixels();
+        let windowed = || device.buffer("windowed", pixels);
+        let derivatives = || device.buffer("derivatives of SSIM", pixels);
+        let partials = (3 * self.by_rows(device).1.div_ceil(64)).max(pixels.div_ceil(64));
         Ok(LossScratch {
-            windowed: device.buffer("windowed", planes)?,
-            derivatives: device.buffer("derivatives of SSIM", planes)?,
+            windowed: [windowed()?, windowed()?, windowed()?],
+            derivatives: [derivatives()?, derivatives()?, derivatives()?],
             partials: device.buffer("loss partials", partials)?,
             totals: device.buffer("loss totals", 3)?,
         })
@@ -180,11 +184,11 @@ impl Loss {
         length.div_ceil(runs.min(length.div_ceil(LEAST_RUN)).max(1)).max(1)
     }
 
-    /// Along rows, one channel each: pixels of a run, and runs.
+    /// Along rows, one channel each: pixels of a run, and runs of a channel.
     fn by_rows(&self, device: &Device) -> (usize, usize) {
-        let (lines, length) = (3 * self.height as usize, self.width as usize);
-        let run = Self::run(device, lines, length);
-        (run, lines * length.div_ceil(run))
+        let (rows, length) = (self.height as usize, self.width as usize);
+        let run = Self::run(device, 3 * rows, length);
+        (run, rows * length.div_ceil(run))
     }
 
     /// Along columns, with all channels: pixels of a run, and runs.
@@ -195,7 +199,7 @@ impl Loss {
     }
 
     /// Records the loss of `rendered` against `photograph`, and its gradient by the image. Without
-    /// `disparity` the gradient by depth is zero. `loss/columns`, `loss/ssim`,
+    /// `disparity` the gradient by depth is zero. `loss/columns`, `loss/ssim` for each channel,
     /// `loss/total`, `loss/gradient`, `loss/total`; with a disparity `loss/depth`, `loss/total`.
     ///
     /// # Errors
@@ -230,7 +234,7 @@ impl Loss {
                 ("rgba gradients", self.pixels(), gradients.rgba.len()),
                 ("depth gradients", self.pixels(), gradients.depth.len()),
                 ("known disparities", self.pixels(), known),
-                ("scratch's pixels", 3 * self.pixels(), scratch.windowed.len()),
+                ("scratch's pixels", self.pixels(), scratch.windowed[0].len()),
             ],
         )?;
         let limits = *recorder.device().limits();
@@ -239,6 +243,7 @@ impl Loss {
         let (column_run, by_columns) = self.by_columns(recorder.device());
         let (row_run, by_rows) = self.by_rows(recorder.device());
         let LossScratch { windowed, derivatives, partials, totals } = scratch;
+        let [reds, greens, blues] = windowed;
         recorder.dispatch::<Columns>(
             Groups::linear(by_columns, 64, &limits)?,
             ColumnsParams {
@@ -252,20 +257,31 @@ impl Loss {
             ColumnsArgs {
                 rgba: rendered.rgba.view(),
                 photograph: photograph.pixels.view(),
-                windowed: windowed.view_mut(),
+                windowed_reds: reds.view_mut(),
+                windowed_greens: greens.view_mut(),
+                windowed_blues: blues.view_mut(),
             },
         )?;
-        recorder.dispatch::<Ssim>(
-            Groups::linear(by_rows, 64, &limits)?,
-            SsimParams { width, height, run: row_run as i32 },
-            SsimArgs {
-                windowed: windowed.view(),
-                photograph: photograph.pixels.view(),
-                derivatives: derivatives.view_mut(),
-                partials: partials.view_mut(),
-            },
-        )?;
-        total(recorder, partials, by_rows, totals, 1)?;
+        let row_groups = by_rows.div_ceil(64);
+        for (channel, (windowed, derivatives)) in windowed.iter().zip(&mut *derivatives).enumerate()
+        {
+            recorder.dispatch::<Ssim>(
+                Groups::linear(by_rows, 64, &limits)?,
+                SsimParams {
+                    width,
+                    height,
+                    run: row_run as i32,
+                    partials_at: (channel * row_groups) as i32,
+                },
+                SsimArgs {
+                    windowed: windowed.view(),
+                    photograph: photograph.pixels.view(),
+                    derivatives: derivatives.view_mut(),
+                    partials: partials.view_mut(),
+                },
+            )?;
+        }
+        total(recorder, partials, 3 * row_groups, totals, 1)?;
         let per_weight = share_of(3.0 * photograph.weight);
         let share = f64::from(settings.ssim_share);
         recorder.dispatch::<Gradient>(
@@ -283,12 +299,14 @@ impl Loss {
             GradientArgs {
                 rgba: rendered.rgba.view(),
                 photograph: photograph.pixels.view(),
-                derivatives: derivatives.view(),
+                by_reds: derivatives[0].view(),
+                by_greens: derivatives[1].view(),
+                by_blues: derivatives[2].view(),
                 rgba_gradient: gradients.rgba.view_mut(),
                 partials: partials.view_mut(),
             },
         )?;
-        total(recorder, partials, by_columns, totals, 0)?;
+        total(recorder, partials, by_columns.div_ceil(64), totals, 0)?;
         let Some(disparity) = disparity else {
             recorder.fill(gradients.depth_mut(), 0);
             return Ok(());
@@ -311,7 +329,7 @@ impl Loss {
                 partials: partials.view_mut(),
             },
         )?;
-        total(recorder, partials, pixels, totals, 2)
+        total(recorder, partials, pixels.div_ceil(64), totals, 2)
     }
 
     /// Waits for what was submitted and gives the last loss recorded with this scratch.
@@ -340,17 +358,17 @@ fn share_of(weight: f64) -> f64 {
     if weight > 0.0 { 1.0 / weight } else { 0.0 }
 }
 
-/// Adds up the partial sums that a dispatch over `items` in workgroups of 64 left.
+/// Adds up the partial sums of so many workgroups.
 fn total(
     recorder: &mut Recorder,
     partials: &Buffer<f32>,
-    items: usize,
+    groups: usize,
     totals: &mut Buffer<f32>,
     slot: u32,
 ) -> Result<()> {
     recorder.dispatch::<Total>(
         Groups([1, 1, 1]),
-        TotalParams { count: items.div_ceil(64) as u32, slot },
+        TotalParams { count: groups as u32, slot },
         TotalArgs { partials: partials.view(), totals: totals.view_mut() },
     )
 }

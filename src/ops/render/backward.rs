@@ -113,17 +113,17 @@ impl Render {
         let groups = Groups::linear(gaussians.len, 64, recorder.device().limits())?;
         let (s, b) = (scratch, backward);
         let [sh0, sh1, sh2, sh3] = gradients.sh.each_mut().map(Buffer::view_mut);
-        recorder.dispatch::<project::Backward>(
+        let [band1, band2, band3] = gaussians.bands();
+        recorder.dispatch_specialised::<project::Backward>(
+            &[band1, band2, band3, with_pose].map(u32::from),
             groups,
             project::BackwardParams {
                 count: gaussians.len as u32,
                 width: self.width,
                 height: self.height,
-                sh_degree: gaussians.sh_degree,
                 near: self.settings.near,
                 dilation: self.settings.dilation,
                 tangent_clamp: self.settings.tangent_clamp,
-                with_pose: u32::from(with_pose),
             },
             project::BackwardArgs {
                 camera: s.camera.view(),

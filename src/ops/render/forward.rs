@@ -127,14 +127,15 @@ impl Render {
         let s = scratch;
         recorder.update(s.camera.view_mut(), &device_camera(camera))?;
         let groups = Groups::linear(gaussians.len, 64, recorder.device().limits())?;
+        let [band1, band2, band3] = gaussians.bands();
+        let GaussianViews { half_sh, half_shapes, half_rotations, .. } = gaussians;
         recorder.dispatch_specialised::<project::Forward>(
-            &[gaussians.half_sh, gaussians.half_shapes, gaussians.half_rotations].map(u32::from),
+            &[half_sh, half_shapes, half_rotations, band1, band2, band3].map(u32::from),
             groups,
             project::ForwardParams {
                 count: gaussians.len as u32,
                 width: self.width,
                 height: self.height,
-                sh_degree: gaussians.sh_degree,
                 near: self.settings.near,
                 dilation: self.settings.dilation,
                 alpha_cut: self.settings.alpha_cut,
