@@ -782,7 +782,7 @@ fn dispatches_come_in_the_documented_order() -> Result<()> {
     loss.record(&mut recorder, &how, &pixels, &photograph, None, &mut by, &mut scratch)?;
     let ticket = stream.submit(recorder)?;
     let losses: Vec<_> = stream.times(ticket)?.into_iter().map(|time| time.kernel).collect();
-    let expected = ["columns", "ssim", "total", "gradient", "total"];
+    let expected = ["columns", "ssim", "ssim", "ssim", "total", "gradient", "total"];
     assert_eq!(losses, expected.map(|stem| format!("loss/{stem}")));
     // 5 × 4 tiles and the one beyond.
     let expected = [
