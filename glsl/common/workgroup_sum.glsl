@@ -1,32 +1,33 @@
-// Prefix sums over a workgroup of 256 invocations, by shared memory alone: right for every subgroup
-// size. Two barriers: 16 invocations each scan 16 values, then everyone adds up the partial sums
-// before its own.
-shared uint workgroup_values[256];
-shared uint workgroup_partials[16];
+// Prefix sums over a workgroup of at most 256 invocations in full subgroups, of any size: a subgroup
+// sums its own, then everyone adds up the sums of the subgroups before its own.
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+
+shared uint subgroup_sums[256];
+
+// The invocation's place in the order of `exclusive_sum`.
+uint sum_index() {
+    return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID;
+}
 
 // Sum of `value` over the invocations before this one; `total` over all. Every invocation of the
 // workgroup must call it. A second call needs no barrier in between.
 uint exclusive_sum(uint value, out uint total) {
-    uint lane = gl_LocalInvocationIndex;
+    // Vectors, since naga's front end takes no operand here that a loop has left in a variable.
+    uint before = subgroupExclusiveAdd(uvec2(value, 0u)).x;
     barrier();
-    workgroup_values[lane] = value;
-    barrier();
-    if (lane < 16u) {
-        uint sum = 0u;
-        for (uint k = 0u; k < 16u; k++) {
-            uint v = workgroup_values[16u * lane + k];
-            workgroup_values[16u * lane + k] = sum;
-            sum += v;
-        }
-        workgroup_partials[lane] = sum;
+    if (gl_SubgroupInvocationID == gl_SubgroupSize - 1u) {
+        subgroup_sums[gl_SubgroupID] = before + value;
     }
     barrier();
-    uint before = 0u;
+    uint below = 0u;
     total = 0u;
-    for (uint k = 0u; k < 16u; k++) {
-        uint v = workgroup_partials[k];
-        before += k < lane / 16u ? v : 0u;
-        total += v;
+    for (uint k = gl_SubgroupInvocationID; k < gl_NumSubgroups; k += gl_SubgroupSize) {
+        uint sum = subgroup_sums[k];
+        below += k < gl_SubgroupID ? sum : 0u;
+        total += sum;
     }
-    return before + workgroup_values[lane];
+    uvec2 sums = subgroupAdd(uvec2(below, total));
+    total = sums.y;
+    return sums.x + before;
 }

@@ -32,16 +32,27 @@ void main() {
     if (block >= blocks) {
         return;
     }
-    uint begin = block * BLOCK + 4u * FOURS * gl_LocalInvocationIndex;
+    uint begin = min(block * BLOCK + 4u * FOURS * sum_index(), n);
+    uint end = min(begin + 4u * FOURS, n);
+    uint rest = max(begin, end - end % 4u);
     uvec4 own[FOURS];
     uint sum = 0u;
     [[unroll]] for (uint k = 0u; k < FOURS; k++) {
-        own[k] = load_four(begin + 4u * k, n);
-        sum += own[k].x + own[k].y + own[k].z + own[k].w;
+        own[k] = uvec4(0u);
+        if (begin + 4u * k < rest) {
+            own[k] = values[begin / 4u + k];
+        }
+        sum += sum_of(own[k]);
+    }
+    for (uint at = rest; at < end; at++) {
+        sum += value(at);
     }
     uint total;
     uint running = sums[block] + exclusive_sum(sum, total);
     [[unroll]] for (uint k = 0u; k < FOURS; k++) {
-        store_four(begin + 4u * k, n, own[k], running);
+        if (begin + 4u * k < rest) {
+            write_four(begin + 4u * k, own[k], running);
+        }
     }
+    write_rest(rest, end, running);
 }

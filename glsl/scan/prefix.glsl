@@ -1,20 +1,20 @@
-// Needs `prefix` as uvec4.
+// Needs `prefix` as uvec4, and scan/fours.glsl.
 
-// Writes the sums before each of the four values from `at`, begun at `running`, and moves that on.
-void store_four(uint at, uint n, uvec4 four, inout uint running) {
+// Writes what precedes each of the four values from `at`, begun at `running`, and moves that on.
+void write_four(uint at, uvec4 four, inout uint running) {
     uvec4 before;
-    [[unroll]] for (uint k = 0u; k < 4u; k++) {
-        before[k] = running;
-        running += four[k];
-    }
-    uint left = n - min(at, n);
-    if (left >= 4u) {
-        prefix[at / 4u] = before;
-    } else {
-        [[unroll]] for (uint k = 0u; k < 3u; k++) {
-            if (k < left) {
-                prefix[at / 4u][k] = before[k];
-            }
-        }
+    before.x = running;
+    before.y = before.x + four.x;
+    before.z = before.y + four.y;
+    before.w = before.z + four.z;
+    running = before.w + four.w;
+    prefix[at / 4u] = before;
+}
+
+// The same for the values in [begin, end), fewer than four.
+void write_rest(uint begin, uint end, uint running) {
+    for (uint at = begin; at < end; at++) {
+        prefix[at / 4u][at % 4u] = running;
+        running += value(at);
     }
 }

@@ -29,14 +29,22 @@ void main() {
     if (block >= blocks) {
         return;
     }
+    uint begin = block * BLOCK;
+    uint end = min(begin + BLOCK, n);
+    uint rest = end - end % 4u;
     uint sum = 0u;
     [[unroll]] for (uint k = 0u; k < BLOCK; k += 1024u) {
-        uvec4 four = load_four(block * BLOCK + k + 4u * gl_LocalInvocationIndex, n);
-        sum += four.x + four.y + four.z + four.w;
+        uint at = begin + k + 4u * sum_index();
+        if (at < rest) {
+            sum += sum_of(values[at / 4u]);
+        }
+    }
+    if (sum_index() < end - rest) {
+        sum += value(rest + sum_index());
     }
     uint total;
     exclusive_sum(sum, total);
-    if (gl_LocalInvocationIndex == 0u) {
+    if (sum_index() == 0u) {
         sums[block] = total;
     }
 }

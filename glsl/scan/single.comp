@@ -1,8 +1,7 @@
 #version 460
-// Exclusive prefix sums by a single workgroup, which walks over the values 4096 at a time: for so few
-// that further dispatches would cost more than they share.
+// Exclusive prefix sums by a single workgroup, each of whose invocations walks twice over values of
+// its own: for so few that further dispatches would cost more than they share.
 #extension GL_GOOGLE_include_directive : require
-#extension GL_EXT_control_flow_attributes : require
 #extension GL_EXT_scalar_block_layout : require
 
 layout(local_size_x = 256) in;
@@ -22,28 +21,26 @@ layout(push_constant) uniform Params {
 #include "scan/fours.glsl"
 #include "scan/prefix.glsl"
 
-const uint BLOCK = 4096u;
-const uint FOURS = 4u;
-
 void main() {
     uint n = min(count[count_at], capacity);
-    uint carry = 0u;
-    for (uint base = 0u; base < n; base += BLOCK) {
-        uint begin = base + 4u * FOURS * gl_LocalInvocationIndex;
-        uvec4 own[FOURS];
-        uint sum = 0u;
-        [[unroll]] for (uint k = 0u; k < FOURS; k++) {
-            own[k] = load_four(begin + 4u * k, n);
-            sum += own[k].x + own[k].y + own[k].z + own[k].w;
-        }
-        uint chunk;
-        uint running = carry + exclusive_sum(sum, chunk);
-        [[unroll]] for (uint k = 0u; k < FOURS; k++) {
-            store_four(begin + 4u * k, n, own[k], running);
-        }
-        carry += chunk;
+    uint own = 4u * (n / 1024u + (n % 1024u == 0u ? 0u : 1u));
+    uint begin = min(own * sum_index(), n);
+    uint end = min(begin + own, n);
+    uint rest = max(begin, end - end % 4u);
+    uint sum = 0u;
+    for (uint at = begin; at < rest; at += 4u) {
+        sum += sum_of(values[at / 4u]);
     }
-    if (gl_LocalInvocationIndex == 0u) {
-        total[total_at] = carry;
+    for (uint at = rest; at < end; at++) {
+        sum += value(at);
+    }
+    uint all;
+    uint running = exclusive_sum(sum, all);
+    for (uint at = begin; at < rest; at += 4u) {
+        write_four(at, values[at / 4u], running);
+    }
+    write_rest(rest, end, running);
+    if (sum_index() == 0u) {
+        total[total_at] = all;
     }
 }

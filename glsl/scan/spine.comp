@@ -25,7 +25,7 @@ void main() {
     uint blocks = n / BLOCK + (n % BLOCK == 0u ? 0u : 1u);
     uint carry = 0u;
     for (uint base = 0u; base < blocks; base += BLOCK) {
-        uint begin = min(base + ITEMS * gl_LocalInvocationIndex, blocks);
+        uint begin = min(base + ITEMS * sum_index(), blocks);
         uint end = min(begin + ITEMS, blocks);
         uint sum = 0u;
         for (uint k = begin; k < end; k++) {
@@ -40,7 +40,7 @@ void main() {
         }
         carry += chunk;
     }
-    if (gl_LocalInvocationIndex == 0u) {
+    if (sum_index() == 0u) {
         total[total_at] = carry;
     }
 }
