@@ -49,8 +49,10 @@ fn compare(harness: &mut Harness, what: &str, values: &[u32], count: usize) -> R
 }
 
 fn sizes(harness: &mut Harness) -> Result<()> {
-    for n in [0, 1, 2, 255, 256, 257, 4095, 4096, 4097, 8192, 8193, 65_535, 65_536, 65_537, 300_001]
-    {
+    for n in [
+        0, 1, 2, 255, 256, 257, 4095, 4096, 4097, 8192, 8193, 65_535, 131_071, 131_072, 131_073,
+        300_001,
+    ] {
         let values: Vec<u32> = (0..n).map(|_| harness.rng.random_range(0..1000)).collect();
         compare(harness, &format!("{n} values"), &values, n)?;
     }

@@ -11,7 +11,7 @@ use crate::{Error, Result};
 /// Up to so many values a single workgroup is faster than four dispatches, on a GPU …
 const FEW: usize = 8192;
 /// … and on a software driver, where a dispatch costs as much as thousands of values.
-const FEW_SOFTWARE: usize = 65_536;
+const FEW_SOFTWARE: usize = 131_072;
 
 /// Exclusive prefix sums (modulo 2³²) of at most `capacity` values.
 ///

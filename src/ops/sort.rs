@@ -20,8 +20,10 @@ struct Runs {
     own_counters: bool,
 }
 
-/// Enough runs for the cores, and a table of counters that stays small and in the cache.
-const SOFTWARE: Runs = Runs { least: 1024, most: 256, own_counters: true };
+/// Enough runs for the cores. The lanes of a subgroup write to neighbouring places, and the shorter
+/// their runs, the more of those share a line of the cache; more runs than these make a table of
+/// counters that costs more than that gains.
+const SOFTWARE: Runs = Runs { least: 1024, most: 512, own_counters: true };
 /// Enough runs to fill a large GPU.
 const GPU: Runs = Runs { least: 256, most: 16_384, own_counters: false };
 
