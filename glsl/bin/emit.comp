@@ -24,11 +24,14 @@ layout(push_constant) uniform Params {
     uint height;
 };
 
+layout(constant_id = 0) const bool SPREAD = false;
+
 #include "common/grid.glsl"
+#include "common/spread.glsl"
 #include "common/tile.glsl"
 
 void main() {
-    uint rank = group_index() * 64u + gl_LocalInvocationIndex;
+    uint rank = spread_group_index() * 64u + gl_LocalInvocationIndex;
     if (rank >= min(count, visible_count[0])) {
         return;
     }

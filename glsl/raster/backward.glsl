@@ -20,6 +20,7 @@ layout(local_size_x = LANES) in;
 
 // Whether a workgroup may be several subgroups, whose sums meet in shared memory.
 layout(constant_id = 1) const bool SEVERAL = true;
+layout(constant_id = 2) const bool SPREAD = false;
 
 layout(std430, binding = 0) readonly buffer Ranges { uvec2 ranges[]; };
 layout(std430, binding = 1) readonly buffer Intersections { uint intersections[]; };
@@ -47,6 +48,7 @@ layout(push_constant) uniform Params {
 };
 
 #include "common/grid.glsl"
+#include "common/spread.glsl"
 #include "common/tile.glsl"
 #include "common/quads.glsl"
 
@@ -166,7 +168,7 @@ void replay(uint block) {
 void main() {
     size = uvec2(width, height);
     uvec2 grid = tile_grid(size);
-    uint tile = group_index();
+    uint tile = spread_group_index();
     if (tile >= grid.x * grid.y) {
         return;
     }

@@ -33,14 +33,17 @@ layout(push_constant) uniform Params {
     float transmittance_stop;
 };
 
+layout(constant_id = 1) const bool SPREAD = false;
+
 #include "common/grid.glsl"
+#include "common/spread.glsl"
 #include "common/tile.glsl"
 #include "common/quads.glsl"
 
 void main() {
     uvec2 size = uvec2(width, height);
     uvec2 grid = tile_grid(size);
-    uint tile = group_index();
+    uint tile = spread_group_index();
     if (tile >= grid.x * grid.y) {
         return;
     }

@@ -43,7 +43,8 @@ kernel! {
 }
 
 kernel! {
-    /// Emits a (tile, intersection) pair per tile reached.
+    /// Emits a (tile, intersection) pair per tile reached. Specialisation constant 0: whether costly
+    /// workgroups are spread over all.
     pub struct Emit("bin/emit"), workgroup: [64, 1, 1],
     params: EmitParams {
         /// Number of Gaussians.

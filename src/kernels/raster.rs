@@ -3,8 +3,8 @@
 use crate::gpu::kernel;
 
 kernel! {
-    /// Blends front to back. Specialisation constant 0: whether lanes exchange values by shuffles,
-    /// which is cheap on software devices.
+    /// Blends front to back. Specialisation constants, both for software devices: 0, whether lanes
+    /// exchange values by shuffles; 1, whether costly workgroups are spread over all.
     pub struct Forward("raster/forward"), workgroup: [32, 1, 1],
     params: ForwardParams {
         /// Image width, pixels.
@@ -92,13 +92,14 @@ kernel! {
 
 kernel! {
     /// [`Backward`](struct@Backward) with 8 invocations a tile, for narrow subgroups. Specialisation
-    /// constants: 0 as for [`Forward`](struct@Forward); 1, whether the subgroups are smaller, so
-    /// that sums of several meet in shared memory.
+    /// constants: 0 and 2 as 0 and 1 of [`Forward`](struct@Forward); 1, whether the subgroups are
+    /// smaller, so that sums of several meet in shared memory.
     pub struct BackwardNarrow("raster/backward_narrow") like Backward, workgroup: [8, 1, 1]
 }
 
 kernel! {
-    /// Sums each visible splat's slots.
+    /// Sums each visible splat's slots. Specialisation constant 0: whether costly workgroups are spread
+    /// over all.
     pub struct Gather("raster/gather"), workgroup: [64, 1, 1],
     params: GatherParams {
         /// Number of Gaussians.

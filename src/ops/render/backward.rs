@@ -233,13 +233,14 @@ impl Render {
             None => recorder.dispatch::<raster::Backward>(tiles, params, args)?,
             Some(subgroup_size) => {
                 let several = u32::from(subgroup_size < raster::BackwardNarrow::WORKGROUP[0]);
-                let constants = [1, several];
+                let constants = [1, several, 1];
                 recorder.dispatch_specialised::<raster::BackwardNarrow>(
                     &constants, tiles, params, args,
                 )?;
             }
         }
-        recorder.dispatch::<raster::Gather>(
+        recorder.dispatch_specialised::<raster::Gather>(
+            &[u32::from(self.narrow.is_some())],
             groups,
             raster::GatherParams { count: count as u32, capacity: self.intersections as u32 },
             raster::GatherArgs {

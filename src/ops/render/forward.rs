@@ -103,8 +103,8 @@ impl Render {
         };
         match self.raster {
             RasterKind::Subgroup => {
-                let shuffles = [u32::from(self.narrow.is_some())];
-                recorder.dispatch_specialised::<raster::Forward>(&shuffles, groups, params, args)
+                let constants = [u32::from(self.narrow.is_some()); 2];
+                recorder.dispatch_specialised::<raster::Forward>(&constants, groups, params, args)
             }
             RasterKind::Shared => recorder.dispatch::<raster::ForwardShared>(groups, params, args),
         }
@@ -248,7 +248,8 @@ impl Render {
                 fits: s.fits.view_mut(),
             },
         )?;
-        recorder.dispatch::<bin::Emit>(
+        recorder.dispatch_specialised::<bin::Emit>(
+            &[u32::from(self.narrow.is_some())],
             groups,
             bin::EmitParams { count, capacity, width: self.width, height: self.height },
             bin::EmitArgs {

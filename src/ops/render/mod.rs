@@ -91,7 +91,8 @@ pub struct Render {
     height: u32,
     settings: RenderSettings,
     raster: RasterKind,
-    /// The subgroup size of a software device, where the raster kernels have variants of their own.
+    /// The subgroup size of a software device, where the raster kernels have variants of their own
+    /// and costly workgroups are spread.
     narrow: Option<u32>,
     depth_sort: RadixSort,
     tile_sort: RadixSort,
