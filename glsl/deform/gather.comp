@@ -2,6 +2,8 @@
 // Adds up what every control point gets from its Gaussians: one workgroup a control point, always
 // in the same order.
 #extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
 
 layout(local_size_x = 64) in;
 
@@ -37,20 +39,25 @@ void main() {
         a += contributions[2u * place];
         b += contributions[2u * place + 1u];
     }
-    first_half[lane] = a;
-    second_half[lane] = b;
-    for (uint width = 32u; width > 0u; width >>= 1u) {
-        barrier();
-        if (lane < width) {
-            first_half[lane] += first_half[lane + width];
-            second_half[lane] += second_half[lane + width];
-        }
+    // Halves of both in one, since naga's front end takes no operand here that a loop has left in a
+    // variable.
+    vec4 low = subgroupAdd(vec4(a.xy, b.xy));
+    vec4 high = subgroupAdd(vec4(a.zw, b.zw));
+    if (gl_SubgroupInvocationID == 0u) {
+        first_half[gl_SubgroupID] = vec4(low.xy, high.xy);
+        second_half[gl_SubgroupID] = vec4(low.zw, high.zw);
     }
+    barrier();
     if (lane == 0u && real) {
         a = first_half[0];
+        b = second_half[0];
+        for (uint k = 1u; k < gl_NumSubgroups; k++) {
+            a += first_half[k];
+            b += second_half[k];
+        }
         // From the unit rotations to the stored ones.
         uint at = 2u * (transforms_at + node);
-        b = unit_quaternion_backward(transforms[at + 1u], second_half[0]);
+        b = unit_quaternion_backward(transforms[at + 1u], b);
         vec4 t = vec4(a.xyz, 0.0);
         if (accumulate != 0u) {
             t += transform_gradients[at];

@@ -43,13 +43,9 @@ void main() {
     vec3 point = positions[j];
     Neighbour near[8];
     uint heaviest;
-    if (!load_neighbours(row, point, near, heaviest)) {
-        for (uint s = 0u; s < K; s++) {
-            contributions[2u * (row * K + s)] = vec4(0.0);
-            contributions[2u * (row * K + s) + 1u] = vec4(0.0);
-        }
-        return;
-    }
+    // Without a neighbour everything stays as it is, through the same stores: software devices walk
+    // through branches not taken.
+    bool moves = load_neighbours(row, point, near, heaviest);
     vec3 by_position = position_gradients[j];
     vec4 by_rotation = rotation_gradients[j];
     vec3 delta;
@@ -71,13 +67,14 @@ void main() {
     vec4 ignored;
     bool real = unit_quaternion(q, ignored, norm);
     q = real ? q : NO_ROTATION;
-    rotation_gradients[j] = real ? multiply(conjugate(r), by_rotation) : vec4(0.0);
+    vec4 by_own_rotation = real ? multiply(conjugate(r), by_rotation) : vec4(0.0);
+    rotation_gradients[j] = moves ? by_own_rotation : by_rotation;
     vec4 by_blended = multiply(by_rotation, conjugate(q));
     vec3 by_delta = m * by_position;
     if (soft != 0u) {
         vec4 by_mixture = unit_quaternion_backward(mixture, by_blended);
         float by_m = dot(by_position, delta) + dot(by_mixture, side * blended - NO_ROTATION);
-        motion_gradients[j] += by_m * sigmoid_slope(motion_logits[j]);
+        motion_gradients[j] += moves ? by_m * sigmoid_slope(motion_logits[j]) : 0.0;
         by_blended = m * side * by_mixture;
         by_delta += 2.0 * rigid_scale * (1.0 - evidence[j]) * delta;
     }
@@ -90,7 +87,8 @@ void main() {
     for (uint s = 0u; s < K; s++) {
         Neighbour n = near[s];
         // Turning back by -rotation is turning back by rotation: the sign does not show here.
-        by_position += n.weight * turn_offset(conjugate(n.rotation), by_delta);
+        vec3 turned = n.weight * turn_offset(conjugate(n.rotation), by_delta);
+        by_position += moves ? turned : vec3(0.0);
         // The mean of differences, not the difference to the mean: where this one takes nearly all
         // the weight, that would leave rounding, times a slope of thousands (case
         // deform/underflow).
@@ -103,8 +101,9 @@ void main() {
         vec4 own = transforms[2u * (transforms_at + (n.node != NONE ? n.node : 0u)) + 1u];
         vec4 by_own = turn_backward(n.rotation, n.offset, by_delta) + by_sum;
         by_own = dot(own, n.rotation) < 0.0 ? -by_own : by_own;
-        contributions[2u * (row * K + s)] = vec4(n.weight * by_delta, by_log_radius);
-        contributions[2u * (row * K + s) + 1u] = n.weight * by_own;
+        vec4 by_motion = vec4(n.weight * by_delta, by_log_radius);
+        contributions[2u * (row * K + s)] = moves ? by_motion : vec4(0.0);
+        contributions[2u * (row * K + s) + 1u] = moves ? n.weight * by_own : vec4(0.0);
     }
     position_gradients[j] = by_position;
 }

@@ -21,34 +21,28 @@ layout(push_constant) uniform Params {
 };
 
 #include "common/grid.glsl"
-
-shared float sums[64];
+#include "common/workgroup_total.glsl"
 
 void main() {
     uint group = group_index();
     uint id = gl_LocalInvocationIndex;
     uint i = group * 64u + id;
-    sums[id] = 0.0;
+    float own = 0.0;
     if (i < pixels) {
         float alpha = rgba[i].a, z = depth[i], by_depth = 0.0;
         float weight = known[i].y;
         if (weight > 0.0 && alpha >= least_alpha && z > 0.0) {
             float disparity = alpha / z;
             float difference = disparity - known[i].x;
-            sums[id] = weight * abs(difference);
+            own = weight * abs(difference);
             float g = factor * weight * sign(difference);
             by_depth = -g * disparity / z;
             rgba_gradient[i].a += g / z;
         }
         depth_gradient[i] = by_depth;
     }
-    for (uint step = 32u; step > 0u; step /= 2u) {
-        barrier();
-        if (id < step) {
-            sums[id] += sums[id + step];
-        }
-    }
+    float total = workgroup_total(own);
     if (id == 0u && group * 64u < pixels) {
-        partials[group] = sums[0];
+        partials[group] = total;
     }
 }

@@ -32,8 +32,7 @@ layout(push_constant) uniform Params {
 
 #include "common/grid.glsl"
 #include "common/ssim.glsl"
-
-shared float totals[64];
+#include "common/workgroup_total.glsl"
 
 // The weighted L1's sum over one run.
 float walk(int x, int first) {
@@ -82,14 +81,8 @@ void main() {
     uint id = gl_LocalInvocationIndex;
     int item = int(group * 64u + id);
     int x = item % width, first = item / width * run;
-    totals[id] = first < height ? walk(x, first) : 0.0;
-    for (uint step = 32u; step > 0u; step /= 2u) {
-        barrier();
-        if (id < step) {
-            totals[id] += totals[id + step];
-        }
-    }
+    float total = workgroup_total(first < height ? walk(x, first) : 0.0);
     if (id == 0u && first < height) {
-        partials[group] = totals[0];
+        partials[group] = total;
     }
 }

@@ -25,8 +25,7 @@ layout(push_constant) uniform Params {
 
 #include "common/grid.glsl"
 #include "common/ssim.glsl"
-
-shared float totals[64];
+#include "common/workgroup_total.glsl"
 
 // One pixel's map and its derivatives, from the windowed x, y, x² + y² and x·y.
 float map_of(vec4 means, out vec3 by) {
@@ -82,14 +81,8 @@ void main() {
     int item = int(group * 64u + id);
     int runs = (width + run - 1) / run;
     int y = item / runs, first = item % runs * run;
-    totals[id] = y < height ? walk(y * width, first) : 0.0;
-    for (uint step = 32u; step > 0u; step /= 2u) {
-        barrier();
-        if (id < step) {
-            totals[id] += totals[id + step];
-        }
-    }
+    float total = workgroup_total(y < height ? walk(y * width, first) : 0.0);
     if (id == 0u && y < height) {
-        partials[partials_at + int(group)] = totals[0];
+        partials[partials_at + int(group)] = total;
     }
 }

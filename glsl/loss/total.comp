@@ -1,5 +1,6 @@
 #version 460
 // Adds up the workgroups' sums of one term, in a fixed order.
+#extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;
 
@@ -11,7 +12,7 @@ layout(push_constant) uniform Params {
     uint slot;
 };
 
-shared float sums[64];
+#include "common/workgroup_total.glsl"
 
 void main() {
     uint id = gl_LocalInvocationIndex;
@@ -19,14 +20,8 @@ void main() {
     for (uint k = id; k < count; k += 64u) {
         own += partials[k];
     }
-    sums[id] = own;
-    for (uint step = 32u; step > 0u; step /= 2u) {
-        barrier();
-        if (id < step) {
-            sums[id] += sums[id + step];
-        }
-    }
+    float total = workgroup_total(own);
     if (id == 0u) {
-        totals[slot] = sums[0];
+        totals[slot] = total;
     }
 }

@@ -6,6 +6,8 @@
 // leaves its sum, and project/pose adds them up.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+#extension GL_KHR_shader_subgroup_basic : require
 
 layout(local_size_x = 64) in;
 
@@ -56,7 +58,8 @@ layout(constant_id = 3) const bool WITH_POSE = true;
 #include "common/splat.glsl"
 #include "common/sh.glsl"
 
-shared float pose_sums[6][64];
+// Of each subgroup: translation and twist.
+shared float pose_sums[64][6];
 
 // The gradient by a direction of colour dotted with g.
 vec3 direction_gradient(uint i, vec3 d, vec3 g) {
@@ -206,22 +209,22 @@ void backward(Camera c, uint i, inout Gradients to) {
 
 // Adds up the workgroup's shares of the pose's gradient.
 void sum_pose(Gradients g) {
-    uint id = gl_LocalInvocationIndex;
-    for (uint k = 0u; k < 3u; k++) {
-        pose_sums[k][id] = g.translation[k];
-        pose_sums[k + 3u][id] = g.twist[k];
-    }
-    for (uint step = 32u; step > 0u; step /= 2u) {
-        barrier();
-        if (id < step) {
-            for (uint k = 0u; k < 6u; k++) {
-                pose_sums[k][id] += pose_sums[k][id + step];
-            }
+    vec3 translation = subgroupAdd(g.translation);
+    vec3 twist = subgroupAdd(g.twist);
+    if (gl_SubgroupInvocationID == 0u) {
+        for (uint k = 0u; k < 3u; k++) {
+            pose_sums[gl_SubgroupID][k] = translation[k];
+            pose_sums[gl_SubgroupID][k + 3u] = twist[k];
         }
     }
     barrier();
+    uint id = gl_LocalInvocationIndex;
     if (id < 6u && group_index() * 64u < count) {
-        pose_partials[8u * group_index() + id] = pose_sums[id][0];
+        float sum = 0.0;
+        for (uint k = 0u; k < gl_NumSubgroups; k++) {
+            sum += pose_sums[k][id];
+        }
+        pose_partials[8u * group_index() + id] = sum;
     }
 }
 

@@ -1,5 +1,7 @@
 #version 460
 // Adds up what project/backward's workgroups left of the pose's gradient.
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
 
 layout(local_size_x = 64) in;
 
@@ -8,7 +10,8 @@ layout(std430, binding = 1) writeonly buffer Pose { float pose[]; };
 
 layout(push_constant) uniform Params { uint groups; };
 
-shared float sums[6][64];
+// Of each subgroup.
+shared float sums[64][6];
 
 void main() {
     uint id = gl_LocalInvocationIndex;
@@ -18,19 +21,20 @@ void main() {
             own[k] += pose_partials[8u * group + k];
         }
     }
-    for (uint k = 0u; k < 6u; k++) {
-        sums[k][id] = own[k];
-    }
-    for (uint step = 32u; step > 0u; step /= 2u) {
-        barrier();
-        if (id < step) {
-            for (uint k = 0u; k < 6u; k++) {
-                sums[k][id] += sums[k][id + step];
-            }
+    vec3 translation = subgroupAdd(vec3(own[0], own[1], own[2]));
+    vec3 twist = subgroupAdd(vec3(own[3], own[4], own[5]));
+    if (gl_SubgroupInvocationID == 0u) {
+        for (uint k = 0u; k < 3u; k++) {
+            sums[gl_SubgroupID][k] = translation[k];
+            sums[gl_SubgroupID][k + 3u] = twist[k];
         }
     }
     barrier();
     if (id < 6u) {
-        pose[id] = sums[id][0];
+        float sum = 0.0;
+        for (uint k = 0u; k < gl_NumSubgroups; k++) {
+            sum += sums[k][id];
+        }
+        pose[id] = sum;
     }
 }
