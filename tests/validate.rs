@@ -36,7 +36,11 @@ const fn fault(
 }
 
 const FAULTS: &[Fault] = &[
-    fault("scan/downsweep", "a dropped barrier", Op::ControlBarrier, None, &[]),
+    // Not in `scan/downsweep`: its sums flow from earlier subgroups to later ones, and a software device
+    // that runs them one after the other gets them right without a barrier. Totals flow both ways.
+    fault("scan/single", "a dropped barrier", Op::ControlBarrier, None, &[]),
+    fault("scan/downsweep", "a sign", Op::IAdd, Some(Op::ISub), &[0]),
+    fault("loss/ssim", "a dropped barrier", Op::ControlBarrier, None, &[]),
     fault("sort/scatter", "a sign", Op::IAdd, Some(Op::ISub), &[0]),
     fault("sort/count", "a wrong shift", Op::ShiftRightLogical, Some(Op::ShiftLeftLogical), &[]),
     fault("project/forward", "a sign", Op::FSub, Some(Op::FAdd), &[0]),
