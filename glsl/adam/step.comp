@@ -59,7 +59,10 @@ bvec4 visible_from(uint base) {
 
 void main() {
     uint i = group_index() * 64u + gl_LocalInvocationIndex;
-    uint base = 4u * i;
+    uint fours = count / 4u;
+    bool whole = i < fours;
+    // What is left of a four comes one by one.
+    uint base = whole ? 4u * i : i + 3u * fours;
     if (base >= count) {
         return;
     }
@@ -67,23 +70,17 @@ void main() {
     if (MASKED) {
         steps = visible_from(base);
     }
-    if (!any(steps)) {
-        return;
-    }
-    uint left = count - base;
-    vec4 g = vec4(0.0), parameter = vec4(0.0), m = vec4(0.0), v = vec4(0.0);
-    if (left >= 4u) {
+    vec4 g, parameter, m, v;
+    if (whole) {
         g = gradients[i];
         parameter = parameters[i];
         m = first[i];
         v = second[i];
     } else {
-        for (uint k = 0u; k < left; k++) {
-            g[k] = gradients[i][k];
-            parameter[k] = parameters[i][k];
-            m[k] = first[i][k];
-            v[k] = second[i][k];
-        }
+        g = vec4(gradients[base / 4u][base % 4u], vec3(0.0));
+        parameter = vec4(parameters[base / 4u][base % 4u], vec3(0.0));
+        m = vec4(first[base / 4u][base % 4u], vec3(0.0));
+        v = vec4(second[base / 4u][base % 4u], vec3(0.0));
     }
     // False for NaN too.
     bvec4 finite = lessThanEqual(abs(g), vec4(3.4028234e38));
@@ -97,15 +94,13 @@ void main() {
         v[k] = changes ? new_v[k] : v[k];
         parameter[k] = changes ? new_parameter[k] : parameter[k];
     }
-    if (left >= 4u) {
+    if (whole) {
         parameters[i] = parameter;
         first[i] = m;
         second[i] = v;
     } else {
-        for (uint k = 0u; k < left; k++) {
-            parameters[i][k] = parameter[k];
-            first[i][k] = m[k];
-            second[i][k] = v[k];
-        }
+        parameters[base / 4u][base % 4u] = parameter.x;
+        first[base / 4u][base % 4u] = m.x;
+        second[base / 4u][base % 4u] = v.x;
     }
 }

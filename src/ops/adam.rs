@@ -96,7 +96,7 @@ impl Adam {
         let unbias = |beta: f64| (1.0 / (1.0 - beta.powf(f64::from(settings.step)))) as f32;
         recorder.dispatch_specialised::<Step>(
             &[u32::from(args.visible.is_some()), row as u32, u32::from(row < 3)],
-            Groups::linear(count.div_ceil(4), 64, recorder.device().limits())?,
+            Groups::linear(count / 4 + count % 4, 64, recorder.device().limits())?,
             StepParams {
                 count: count as u32,
                 rate: settings.rate as f32,
