@@ -13,14 +13,6 @@ use splat4d::{check, kernels};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// Kernels that naga's front end rejects, with the reason: what its message must contain. One that
-/// naga has learnt to read must leave this list.
-const NAGA_REJECTS: &[(&str, &str)] = &[
-    // naga 30 loses an expression of the unrolled loops (an unwrap in proc/emitter.rs); spirv-val and
-    // the drivers accept the module, and rspirv checks it against its declaration all the same.
-    ("raster/forward", "the front end panicked"),
-];
-
 /// The smallest limits that kernels are made for: SwiftShader's and Vulkan's own.
 const MAX_BINDINGS: usize = 30;
 const MAX_PARAMS: usize = 128;
@@ -47,19 +39,9 @@ fn shaders_offer_what_rust_declares() {
             }
             Err(error) => wrong.push(format!("{}: {error}", kernel.name)),
         }
-        let excused = NAGA_REJECTS.iter().find(|(name, _)| *name == kernel.name);
-        match (reflect::by_naga(kernel.spirv), excused) {
-            (Ok(interface), None) => wrong.extend(differences(kernel, &interface, "naga")),
-            (Ok(_), Some(_)) => {
-                wrong.push(format!("{}: naga reads it; drop its exception", kernel.name));
-            }
-            (Err(error), Some((_, reason))) if error.contains(reason) => {}
-            (Err(error), _) => wrong.push(format!("{}: naga: {error}", kernel.name)),
-        }
-    }
-    for (name, _) in NAGA_REJECTS {
-        if !kernels::ALL.iter().any(|kernel| kernel.name == *name) {
-            wrong.push(format!("{name}: an exception for a kernel that does not exist"));
+        match reflect::by_naga(kernel.spirv) {
+            Ok(interface) => wrong.extend(differences(kernel, &interface, "naga")),
+            Err(error) => wrong.push(format!("{}: naga: {error}", kernel.name)),
         }
     }
     assert!(wrong.is_empty(), "\n{}", wrong.join("\n"));

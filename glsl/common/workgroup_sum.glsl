@@ -13,8 +13,7 @@ uint sum_index() {
 // Sum of `value` over the invocations before this one; `total` over all. Every invocation of the
 // workgroup must call it. A second call needs no barrier in between.
 uint exclusive_sum(uint value, out uint total) {
-    // Vectors, since naga's front end takes no operand here that a loop has left in a variable.
-    uint before = subgroupExclusiveAdd(uvec2(value, 0u)).x;
+    uint before = subgroupExclusiveAdd(value);
     barrier();
     if (gl_SubgroupInvocationID == gl_SubgroupSize - 1u) {
         subgroup_sums[gl_SubgroupID] = before + value;

@@ -7,8 +7,7 @@ shared float subgroup_totals[64];
 
 // Sum of `value` over all. Every invocation of the workgroup must call it, once.
 float workgroup_total(float value) {
-    // A vector, since naga's front end takes no operand here that a loop has left in a variable.
-    float own = subgroupAdd(vec2(value, 0.0)).x;
+    float own = subgroupAdd(value);
     if (gl_SubgroupInvocationID == 0u) {
         subgroup_totals[gl_SubgroupID] = own;
     }
