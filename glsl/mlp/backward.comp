@@ -21,6 +21,19 @@ layout(push_constant) uniform Params {
 };
 
 #include "common/grid.glsl"
+#include "mlp/shared.glsl"
+
+vec4 weights(uint at) {
+    vec4 four;
+    if (SHARED) {
+        float weight = parameters[at + (gl_SubgroupInvocationID & 3u)];
+        four = vec4(subgroupShuffle(weight, 0u), subgroupShuffle(weight, 1u),
+                    subgroupShuffle(weight, 2u), subgroupShuffle(weight, 3u));
+    } else {
+        four = vec4(parameters[at], parameters[at + 1u], parameters[at + 2u], parameters[at + 3u]);
+    }
+    return four;
+}
 
 void store(mat4 low, mat4 high, uint row4, uint k) {
     for (uint j = 0u; j < 4u; j++) {
@@ -35,7 +48,7 @@ void main() {
     // The width of the layer below is a multiple of 16.
     uint width = inputs - encoded;
     uint tiles = stride4 / 2u;
-    uint i = group_index() * 64u + gl_LocalInvocationIndex;
+    uint i = shared_index();
     uint row4 = i % tiles * 2u;
     uint k = i / tiles * 8u;
     if (k >= width) {
@@ -47,8 +60,8 @@ void main() {
     for (uint o = 0u; o < outputs; o++) {
         vec4 d0 = deltas[from];
         vec4 d1 = deltas[from + 1u];
-        vec4 w0 = vec4(parameters[w], parameters[w + 1u], parameters[w + 2u], parameters[w + 3u]);
-        vec4 w1 = vec4(parameters[w + 4u], parameters[w + 5u], parameters[w + 6u], parameters[w + 7u]);
+        vec4 w0 = weights(w);
+        vec4 w1 = weights(w + 4u);
         c00 += outerProduct(d0, w0);
         c10 += outerProduct(d1, w0);
         c01 += outerProduct(d0, w1);

@@ -20,6 +20,20 @@ layout(push_constant) uniform Params {
 };
 
 #include "common/grid.glsl"
+#include "mlp/shared.glsl"
+
+vec4 weights(uvec4 rows, uint own, uint k) {
+    vec4 four;
+    if (SHARED) {
+        float weight = parameters[own + k];
+        four = vec4(subgroupShuffle(weight, 0u), subgroupShuffle(weight, 1u),
+                    subgroupShuffle(weight, 2u), subgroupShuffle(weight, 3u));
+    } else {
+        four = vec4(parameters[rows.x + k], parameters[rows.y + k], parameters[rows.z + k],
+                    parameters[rows.w + k]);
+    }
+    return four;
+}
 
 void accumulate(uint first, uint count, uint plane, uint row4, uint o, inout mat4 c00, inout mat4 c10,
                 inout mat4 c01, inout mat4 c11) {
@@ -27,14 +41,13 @@ void accumulate(uint first, uint count, uint plane, uint row4, uint o, inout mat
     uvec4 low = weights_at + first + min(uvec4(o, o + 1u, o + 2u, o + 3u), uvec4(outputs - 1u)) * inputs;
     uvec4 high = weights_at + first
         + min(uvec4(o + 4u, o + 5u, o + 6u, o + 7u), uvec4(outputs - 1u)) * inputs;
+    uint own_low = own_of(low), own_high = own_of(high);
     uint at = plane * stride4 + row4;
     for (uint k = 0u; k < count; k++) {
         vec4 x0 = activations[at];
         vec4 x1 = activations[at + 1u];
-        vec4 w0 = vec4(parameters[low.x + k], parameters[low.y + k], parameters[low.z + k],
-                       parameters[low.w + k]);
-        vec4 w1 = vec4(parameters[high.x + k], parameters[high.y + k], parameters[high.z + k],
-                       parameters[high.w + k]);
+        vec4 w0 = weights(low, own_low, k);
+        vec4 w1 = weights(high, own_high, k);
         c00 += outerProduct(x0, w0);
         c10 += outerProduct(x1, w0);
         c01 += outerProduct(x0, w1);
@@ -58,7 +71,7 @@ void store(mat4 low, mat4 high, uint row4, uint o) {
 
 void main() {
     uint tiles = stride4 / 2u;
-    uint i = group_index() * 64u + gl_LocalInvocationIndex;
+    uint i = shared_index();
     uint row4 = i % tiles * 2u;
     uint o = i / tiles * 8u;
     if (o >= outputs) {

@@ -20,6 +20,7 @@ layout(push_constant) uniform Params {
 };
 
 #include "common/grid.glsl"
+#include "mlp/shared.glsl"
 
 uint plane_of(uint k) {
     uint input_at = min(k, inputs - 1u);
@@ -36,12 +37,34 @@ void store(mat4 c, uint segment, uint o, uint k) {
     }
 }
 
+// Vectors of rows of four inputs; a column of ones where an input is the bias's.
+mat4 inputs_at(uvec4 planes, uint own, uint r, vec4 ones, float own_one) {
+    mat4 x;
+    if (SHARED) {
+        vec4 mine = mix(activations[own + r], vec4(1.0), own_one);
+        x = mat4(subgroupShuffle(mine, 0u), subgroupShuffle(mine, 1u), subgroupShuffle(mine, 2u),
+                 subgroupShuffle(mine, 3u));
+    } else {
+        x = mat4(mix(activations[planes.x + r], vec4(1.0), ones.x),
+                 mix(activations[planes.y + r], vec4(1.0), ones.y),
+                 mix(activations[planes.z + r], vec4(1.0), ones.z),
+                 mix(activations[planes.w + r], vec4(1.0), ones.w));
+    }
+    return x;
+}
+
+mat4 deltas_at(uvec4 planes, uint r) {
+    return transpose(mat4(deltas[planes.x + r], deltas[planes.y + r], deltas[planes.z + r],
+                          deltas[planes.w + r]));
+}
+
 void main() {
     uint columns = (inputs + 8u) / 8u;
     uint rows = (outputs + 7u) / 8u;
-    uint i = group_index() * 64u + gl_LocalInvocationIndex;
-    uint k = i % columns * 8u;
-    uint o = i / columns % rows * 8u;
+    // Neighbours have the same inputs.
+    uint i = shared_index();
+    uint o = i % rows * 8u;
+    uint k = i / rows % columns * 8u;
     uint segment = i / (columns * rows);
     uint first = segment * segment4;
     if (first >= stride4) {
@@ -52,23 +75,18 @@ void main() {
     uvec4 d_high = (delta + min(uvec4(o + 4u, o + 5u, o + 6u, o + 7u), uvec4(outputs - 1u))) * stride4;
     uvec4 x_low = uvec4(plane_of(k), plane_of(k + 1u), plane_of(k + 2u), plane_of(k + 3u));
     uvec4 x_high = uvec4(plane_of(k + 4u), plane_of(k + 5u), plane_of(k + 6u), plane_of(k + 7u));
+    uint own_low = own_of(x_low), own_high = own_of(x_high);
     // Where a column of inputs is the bias's.
     vec4 one_low = vec4(equal(uvec4(k, k + 1u, k + 2u, k + 3u), uvec4(inputs)));
     vec4 one_high = vec4(equal(uvec4(k + 4u, k + 5u, k + 6u, k + 7u), uvec4(inputs)));
+    uint lane = gl_SubgroupInvocationID & 3u;
+    float own_one_low = one_low[lane], own_one_high = one_high[lane];
     mat4 c00 = mat4(0.0), c10 = mat4(0.0), c01 = mat4(0.0), c11 = mat4(0.0);
     for (uint r = first; r < last; r++) {
-        mat4 d0 = transpose(mat4(deltas[d_low.x + r], deltas[d_low.y + r], deltas[d_low.z + r],
-                                 deltas[d_low.w + r]));
-        mat4 d1 = transpose(mat4(deltas[d_high.x + r], deltas[d_high.y + r], deltas[d_high.z + r],
-                                 deltas[d_high.w + r]));
-        mat4 x0 = mat4(mix(activations[x_low.x + r], vec4(1.0), one_low.x),
-                       mix(activations[x_low.y + r], vec4(1.0), one_low.y),
-                       mix(activations[x_low.z + r], vec4(1.0), one_low.z),
-                       mix(activations[x_low.w + r], vec4(1.0), one_low.w));
-        mat4 x1 = mat4(mix(activations[x_high.x + r], vec4(1.0), one_high.x),
-                       mix(activations[x_high.y + r], vec4(1.0), one_high.y),
-                       mix(activations[x_high.z + r], vec4(1.0), one_high.z),
-                       mix(activations[x_high.w + r], vec4(1.0), one_high.w));
+        mat4 d0 = deltas_at(d_low, r);
+        mat4 d1 = deltas_at(d_high, r);
+        mat4 x0 = inputs_at(x_low, own_low, r, one_low, own_one_low);
+        mat4 x1 = inputs_at(x_high, own_high, r, one_high, own_one_high);
         c00 += d0 * x0;
         c10 += d1 * x0;
         c01 += d0 * x1;

@@ -2,7 +2,7 @@
 //! parameters.
 
 use crate::error::{Error, Result};
-use crate::gpu::{Buffer, Device, Groups, Recorder, View, ViewMut};
+use crate::gpu::{Buffer, Device, DeviceKind, Groups, Recorder, View, ViewMut};
 use crate::kernels::mlp::{
     Backward, BackwardArgs, BackwardParams, Encode, EncodeArgs, EncodeParams, Forward, ForwardArgs,
     ForwardParams, Reduce, ReduceArgs, ReduceParams, Seed, SeedArgs, SeedParams, Transforms,
@@ -59,6 +59,8 @@ pub struct Network {
     /// Number of parameters.
     parameters: usize,
     planes: usize,
+    /// Whether software devices work as GPUs do.
+    as_on_a_gpu: bool,
 }
 
 /// What a [`Network`] works in; keeps the activations between forward and backward.
@@ -96,7 +98,19 @@ impl Network {
             target += outputs;
             weights_at += (inputs + 1) * outputs;
         }
-        Ok(Network { shape: *shape, layers, planes: target, parameters: weights_at })
+        Ok(Network {
+            shape: *shape,
+            layers,
+            planes: target,
+            parameters: weights_at,
+            as_on_a_gpu: false,
+        })
+    }
+
+    /// The same in the way of GPUs, so that it can be held against the oracle on any device.
+    #[cfg(feature = "check")]
+    pub(crate) fn as_on_a_gpu(self) -> Network {
+        Network { as_on_a_gpu: true, ..self }
     }
 
     /// The network's shape.
@@ -109,14 +123,15 @@ impl Network {
     /// # Errors
     /// [`Error::OutOfMemory`].
     pub fn scratch(&self, device: &Device, rows: usize) -> Result<NetworkScratch> {
-        let stride4 = stride(rows) / 4;
+        let stride = self.stride(device, rows);
+        let stride4 = stride / 4;
         let widest = (self.shape.width as usize).max(NetShape::OUTPUTS);
         let largest = self.layers.iter().map(|l| l.outputs * (l.inputs + 1)).max().unwrap_or(0);
         Ok(NetworkScratch {
             rows,
             activations: device.buffer("network activations", self.planes * stride4)?,
             deltas: device.buffer("network gradients", 2 * widest * stride4)?,
-            partials: device.buffer("network partials", rows.div_ceil(SEGMENT) * largest)?,
+            partials: device.buffer("network partials", stride.div_ceil(SEGMENT) * largest)?,
         })
     }
 
@@ -145,7 +160,7 @@ impl Network {
         check("transforms", transforms.len(), 2 * rows)?;
         check("scratch rows", scratch.rows, rows)?;
         let limits = *recorder.device().limits();
-        let stride = stride(rows);
+        let stride = self.stride(recorder.device(), rows);
         let octaves = self.shape.position_frequencies.max(self.shape.time_frequencies) as usize;
         recorder.dispatch::<Encode>(
             Groups::linear(stride * (octaves + 1), WORKGROUP, &limits)?,
@@ -159,9 +174,11 @@ impl Network {
             EncodeArgs { nodes, times, activations: scratch.activations.view_mut() },
         )?;
         for (index, layer) in self.layers.iter().enumerate() {
-            let tiles = stride / TILE * layer.outputs.div_ceil(TILE);
-            recorder.dispatch::<Forward>(
-                Groups::linear(tiles, WORKGROUP, &limits)?,
+            let tiles = stride / TILE;
+            let shared_weights = self.shared(recorder.device(), tiles);
+            recorder.dispatch_specialised::<Forward>(
+                &[shared_weights],
+                Groups::linear(tiles * layer.outputs.div_ceil(TILE), WORKGROUP, &limits)?,
                 ForwardParams {
                     stride4: (stride / 4) as u32,
                     inputs: layer.inputs as u32,
@@ -207,7 +224,7 @@ impl Network {
         check("gradients", gradients.len(), self.parameters)?;
         check("transform gradients", transform_gradients.len(), 2 * rows)?;
         let limits = *recorder.device().limits();
-        let stride = stride(rows);
+        let stride = self.stride(recorder.device(), rows);
         let widest = (self.shape.width as usize).max(NetShape::OUTPUTS);
         // Two layers' gradients live at a time; the deltas alternate between two places.
         let (mut here, mut below) = (0, widest);
@@ -218,9 +235,12 @@ impl Network {
         )?;
         let segments = stride.div_ceil(SEGMENT);
         for (index, layer) in self.layers.iter().enumerate().rev() {
-            let tiles = (layer.inputs + 1).div_ceil(TILE) * layer.outputs.div_ceil(TILE);
-            recorder.dispatch::<Weights>(
-                Groups::linear(tiles * segments, WORKGROUP, &limits)?,
+            let tiles = layer.outputs.div_ceil(TILE);
+            let of_rows = tiles * (layer.inputs + 1).div_ceil(TILE);
+            let shared_inputs = self.shared(recorder.device(), tiles);
+            recorder.dispatch_specialised::<Weights>(
+                &[shared_inputs],
+                Groups::linear(of_rows * segments, WORKGROUP, &limits)?,
                 WeightsParams {
                     stride4: (stride / 4) as u32,
                     inputs: layer.inputs as u32,
@@ -250,9 +270,12 @@ impl Network {
             if index == 0 {
                 break;
             }
-            let tiles = stride / TILE * (layer.inputs - layer.encoded).div_ceil(TILE);
-            recorder.dispatch::<Backward>(
-                Groups::linear(tiles, WORKGROUP, &limits)?,
+            let tiles = stride / TILE;
+            let of_features = tiles * (layer.inputs - layer.encoded).div_ceil(TILE);
+            let shared_weights = self.shared(recorder.device(), tiles);
+            recorder.dispatch_specialised::<Backward>(
+                &[shared_weights],
+                Groups::linear(of_features, WORKGROUP, &limits)?,
                 BackwardParams {
                     stride4: (stride / 4) as u32,
                     inputs: layer.inputs as u32,
@@ -273,11 +296,24 @@ impl Network {
         }
         Ok(())
     }
-}
 
-/// Rows with padding.
-fn stride(rows: usize) -> usize {
-    rows.next_multiple_of(TILE)
+    /// The size of the subgroups whose invocations load for each other.
+    fn sharing(&self, device: &Device) -> Option<usize> {
+        let info = device.info();
+        let subgroup = info.subgroup_size as usize;
+        let pays = info.kind == DeviceKind::Software && !self.as_on_a_gpu;
+        (pays && (4..=WORKGROUP as usize).contains(&subgroup)).then_some(subgroup)
+    }
+
+    /// Rows with padding: whole tiles, as many as whole subgroups work on where those share.
+    fn stride(&self, device: &Device, rows: usize) -> usize {
+        rows.next_multiple_of(TILE * self.sharing(device).unwrap_or(1))
+    }
+
+    /// Whether a subgroup may share where every `tiles` invocations need the same.
+    fn shared(&self, device: &Device, tiles: usize) -> u32 {
+        u32::from(self.sharing(device).is_some_and(|subgroup| tiles.is_multiple_of(subgroup)))
+    }
 }
 
 fn check(arg: &'static str, actual: usize, expected: usize) -> Result<()> {
