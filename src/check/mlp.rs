@@ -38,7 +38,7 @@ struct Problem {
     nodes: Vec<f32>,
     times: Vec<f32>,
     gradients: Vec<[f32; 8]>,
-    as_on_a_gpu: bool,
+    gpu_loads: bool,
 }
 
 impl Problem {
@@ -57,7 +57,7 @@ impl Problem {
             gradients: (0..nodes * times)
                 .map(|_| std::array::from_fn(|_| h.rng.random_range(-1.0f32..1.0)))
                 .collect(),
-            as_on_a_gpu: false,
+            gpu_loads: false,
         }
     }
 
@@ -81,8 +81,8 @@ impl Problem {
 
     fn device(&self, h: &mut Harness, repeats: usize) -> Result<(Vec<f32>, Vec<f32>)> {
         let mut network = Network::new(&self.shape)?;
-        if self.as_on_a_gpu {
-            network = network.as_on_a_gpu();
+        if self.gpu_loads {
+            network = network.with_gpu_loads();
         }
         let rows = self.gradients.len();
         let mut scratch = network.scratch(&h.device, rows)?;
@@ -143,7 +143,7 @@ fn narrow(h: &mut Harness) -> Result<()> {
 
 fn as_on_a_gpu(h: &mut Harness) -> Result<()> {
     let [outputs, gradients] = NARROW_BOUNDS;
-    Problem { as_on_a_gpu: true, ..Problem::new(h, NARROW, 100, 2) }.run(h, outputs, gradients)
+    Problem { gpu_loads: true, ..Problem::new(h, NARROW, 100, 2) }.run(h, outputs, gradients)
 }
 
 fn paper(h: &mut Harness) -> Result<()> {

@@ -59,8 +59,8 @@ pub struct Network {
     /// Number of parameters.
     parameters: usize,
     planes: usize,
-    /// Whether software devices work as GPUs do.
-    as_on_a_gpu: bool,
+    /// Whether software devices load as GPUs do.
+    gpu_loads: bool,
 }
 
 /// What a [`Network`] works in; keeps the activations between forward and backward.
@@ -103,14 +103,14 @@ impl Network {
             layers,
             planes: target,
             parameters: weights_at,
-            as_on_a_gpu: false,
+            gpu_loads: false,
         })
     }
 
     /// The same in the way of GPUs, so that it can be held against the oracle on any device.
     #[cfg(feature = "check")]
-    pub(crate) fn as_on_a_gpu(self) -> Network {
-        Network { as_on_a_gpu: true, ..self }
+    pub(crate) fn with_gpu_loads(self) -> Network {
+        Network { gpu_loads: true, ..self }
     }
 
     /// The network's shape.
@@ -301,7 +301,7 @@ impl Network {
     fn sharing(&self, device: &Device) -> Option<usize> {
         let info = device.info();
         let subgroup = info.subgroup_size as usize;
-        let pays = info.kind == DeviceKind::Software && !self.as_on_a_gpu;
+        let pays = info.kind == DeviceKind::Software && !self.gpu_loads;
         (pays && (4..=WORKGROUP as usize).contains(&subgroup)).then_some(subgroup)
     }
 
