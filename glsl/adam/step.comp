@@ -70,6 +70,9 @@ void main() {
     if (MASKED) {
         steps = visible_from(base);
     }
+    if (!any(steps)) {
+        return;
+    }
     vec4 g, parameter, m, v;
     if (whole) {
         g = gradients[i];

@@ -39,13 +39,11 @@ void main() {
         a += contributions[2u * place];
         b += contributions[2u * place + 1u];
     }
-    // Halves of both in one, since naga's front end takes no operand here that a loop has left in a
-    // variable.
-    vec4 low = subgroupAdd(vec4(a.xy, b.xy));
-    vec4 high = subgroupAdd(vec4(a.zw, b.zw));
+    a = subgroupAdd(a);
+    b = subgroupAdd(b);
     if (gl_SubgroupInvocationID == 0u) {
-        first_half[gl_SubgroupID] = vec4(low.xy, high.xy);
-        second_half[gl_SubgroupID] = vec4(low.zw, high.zw);
+        first_half[gl_SubgroupID] = a;
+        second_half[gl_SubgroupID] = b;
     }
     barrier();
     if (lane == 0u && real) {

@@ -26,9 +26,7 @@ layout(push_constant) uniform Params {
 vec4 weights(uint at) {
     vec4 four;
     if (SHARED) {
-        float weight = parameters[at + (gl_SubgroupInvocationID & 3u)];
-        four = vec4(subgroupShuffle(weight, 0u), subgroupShuffle(weight, 1u),
-                    subgroupShuffle(weight, 2u), subgroupShuffle(weight, 3u));
+        four = all_four(parameters[at + own_of(uvec4(0u, 1u, 2u, 3u))]);
     } else {
         four = vec4(parameters[at], parameters[at + 1u], parameters[at + 2u], parameters[at + 3u]);
     }

@@ -25,9 +25,7 @@ layout(push_constant) uniform Params {
 vec4 weights(uvec4 rows, uint own, uint k) {
     vec4 four;
     if (SHARED) {
-        float weight = parameters[own + k];
-        four = vec4(subgroupShuffle(weight, 0u), subgroupShuffle(weight, 1u),
-                    subgroupShuffle(weight, 2u), subgroupShuffle(weight, 3u));
+        four = all_four(parameters[own + k]);
     } else {
         four = vec4(parameters[rows.x + k], parameters[rows.y + k], parameters[rows.z + k],
                     parameters[rows.w + k]);

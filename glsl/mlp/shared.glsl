@@ -11,7 +11,22 @@ uint shared_index() {
     return group_index() * 64u + gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID;
 }
 
-// What the invocation loads of four.
+// Which of four the invocation loads.
 uint own_of(uvec4 four) {
     return four[gl_SubgroupInvocationID & 3u];
+}
+
+float own_of(vec4 four) {
+    return four[gl_SubgroupInvocationID & 3u];
+}
+
+// The four that invocations have loaded.
+vec4 all_four(float own) {
+    return vec4(subgroupShuffle(own, 0u), subgroupShuffle(own, 1u), subgroupShuffle(own, 2u),
+                subgroupShuffle(own, 3u));
+}
+
+mat4 all_four(vec4 own) {
+    return mat4(subgroupShuffle(own, 0u), subgroupShuffle(own, 1u), subgroupShuffle(own, 2u),
+                subgroupShuffle(own, 3u));
 }

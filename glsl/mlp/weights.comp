@@ -41,9 +41,7 @@ void store(mat4 c, uint segment, uint o, uint k) {
 mat4 inputs_at(uvec4 planes, uint own, uint r, vec4 ones, float own_one) {
     mat4 x;
     if (SHARED) {
-        vec4 mine = mix(activations[own + r], vec4(1.0), own_one);
-        x = mat4(subgroupShuffle(mine, 0u), subgroupShuffle(mine, 1u), subgroupShuffle(mine, 2u),
-                 subgroupShuffle(mine, 3u));
+        x = all_four(mix(activations[own + r], vec4(1.0), own_one));
     } else {
         x = mat4(mix(activations[planes.x + r], vec4(1.0), ones.x),
                  mix(activations[planes.y + r], vec4(1.0), ones.y),
@@ -79,8 +77,7 @@ void main() {
     // Where a column of inputs is the bias's.
     vec4 one_low = vec4(equal(uvec4(k, k + 1u, k + 2u, k + 3u), uvec4(inputs)));
     vec4 one_high = vec4(equal(uvec4(k + 4u, k + 5u, k + 6u, k + 7u), uvec4(inputs)));
-    uint lane = gl_SubgroupInvocationID & 3u;
-    float own_one_low = one_low[lane], own_one_high = one_high[lane];
+    float own_one_low = own_of(one_low), own_one_high = own_of(one_high);
     mat4 c00 = mat4(0.0), c10 = mat4(0.0), c01 = mat4(0.0), c11 = mat4(0.0);
     for (uint r = first; r < last; r++) {
         mat4 d0 = deltas_at(d_low, r);

@@ -1,8 +1,8 @@
 //! The deformation network.
 //!
 //! Activations and gradients are *planes*: one feature of all rows, `stride4` vectors of four rows.
-//! Rows are (control point, time) pairs, padded to a multiple of eight. With specialisation constant 0
-//! set, the invocations of a subgroup load for each other what all of them need.
+//! Rows are (control point, time) pairs, padded to a multiple of eight at least. With specialisation
+//! constant 0 set, the invocations of a subgroup load for each other what all of them need.
 
 use crate::gpu::kernel;
 

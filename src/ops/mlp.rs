@@ -173,9 +173,9 @@ impl Network {
             },
             EncodeArgs { nodes, times, activations: scratch.activations.view_mut() },
         )?;
+        let tiles = stride / TILE;
+        let shared_weights = self.shared(recorder.device(), tiles);
         for (index, layer) in self.layers.iter().enumerate() {
-            let tiles = stride / TILE;
-            let shared_weights = self.shared(recorder.device(), tiles);
             recorder.dispatch_specialised::<Forward>(
                 &[shared_weights],
                 Groups::linear(tiles * layer.outputs.div_ceil(TILE), WORKGROUP, &limits)?,
