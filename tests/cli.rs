@@ -760,6 +760,10 @@ fn what_was_interrupted_is_resumed() {
         let other = command.replace("--steps ", "--steps 1");
         let said = fails(folder.path(), 1, &format!("{other} -o part --resume --device software"));
         says(&said, &["part.checkpoint", "--steps was", "without --resume"]);
+        let message = said.lines().last().unwrap();
+        assert!(message.len() < 200, "only what has changed: {message}");
+        let other = format!("{command} -o part --resume --device software --seed 7");
+        says(&fails(folder.path(), 1, &other), &["--seed was 0 and is 7"]);
         let good = fs::read(&kept).unwrap();
         fs::write(&kept, &good[..good.len() / 2]).unwrap();
         let said =

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use clap::Args;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use splat4d::io::{Identity, read_state, write_state};
+use splat4d::io::{Identity, checksum, read_state, write_state};
 use splat4d::{Error, Result};
 
 use super::common::say;
@@ -21,6 +21,22 @@ pub struct CheckpointArgs {
     /// Seconds between checkpoints, which lie in OUTPUT.checkpoint until the work is done; 0: none
     #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = values::not_negative)]
     checkpoint_every: f64,
+}
+
+/// What a command's work depends on: each of its options under the option's name, so that a run that
+/// resumes another can be told in these words what has changed.
+pub fn identity<const N: usize>(entries: [(&str, String); N]) -> Identity {
+    entries.map(|(name, value)| (name.to_owned(), value)).into()
+}
+
+/// An option's value as an entry of an identity.
+pub fn shown(value: Option<impl ToString>) -> String {
+    value.map_or_else(|| "none".into(), |value| value.to_string())
+}
+
+/// What an option's files hold, as an entry of an identity.
+pub fn summed(value: Option<&(impl Serialize + ?Sized)>) -> String {
+    shown(value.map(|value| format!("a file or folder with the checksum {}", checksum(value))))
 }
 
 /// What is put away of a command's work, and when.
@@ -114,5 +130,34 @@ impl Checkpoints {
         }
         let _ = std::fs::remove_dir(&self.folder);
         Ok(())
+    }
+}
+
+#[cfg(test)]
+pub mod tests {
+    use super::super::{Cli, Command, Common};
+    use super::*;
+    use clap::{CommandFactory, Parser};
+
+    /// Options that decide where something is written, and when, but not what.
+    const WITHOUT_EFFECT: [&str; 4] = ["output", "report", "resume", "checkpoint-every"];
+
+    /// That a command's identity has an entry for each of its options.
+    pub fn names_every_option(
+        arguments: &[&str],
+        without_effect: &[&str],
+        identity: impl Fn(&Command, &Common) -> Identity,
+    ) {
+        let cli = Cli::try_parse_from(["splat4d"].iter().chain(arguments)).unwrap();
+        let found = identity(&cli.command, &cli.common);
+        let declared = Cli::command();
+        let declared = declared.find_subcommand(arguments[0]).unwrap();
+        let names = declared.get_arguments().filter_map(|argument| argument.get_long());
+        for name in names.chain(["seed"]) {
+            let entry = format!("--{name}");
+            let named = found.keys().any(|key| key.split([' ', ',']).any(|word| word == entry));
+            let none = WITHOUT_EFFECT.contains(&name) || without_effect.contains(&name);
+            assert!(named != none, "{entry} in {found:?}");
+        }
     }
 }

@@ -16,7 +16,7 @@ use splat4d::train::{Checkpoint, Phase, Sequence, SequenceSettings, fit_sequence
 use splat4d::types::{Camera, FlowSettings, Image};
 use splat4d::{Error, Result};
 
-use super::checkpoints::{CheckpointArgs, Checkpoints};
+use super::checkpoints::{self, CheckpointArgs, Checkpoints, shown, summed};
 use super::clock::Clock;
 use super::common::{
     Answer, Common, bytes, check_output_file, check_output_folder, foresee, notes, say, thousands,
@@ -379,15 +379,27 @@ fn identity(
     options: &Options,
     settings: &SequenceSettings,
 ) -> Identity {
-    let mut identity = Identity::from([
-        ("the frames".into(), format!("{} ({})", frames.len(), checksum(frames))),
-        ("what is known beforehand".into(), checksum(options)),
-        ("--steps".into(), settings.steps.to_string()),
-        ("--max-gaussians".into(), settings.max_gaussians.to_string()),
-    ]);
-    identity.insert("--flow".into(), format!("{:?}", args.flow));
-    identity.insert("the settings".into(), format!("{settings:?}"));
-    identity
+    let size = frames.first().map(|frame| format!("{}×{}", frame.width, frame.height));
+    checkpoints::identity([
+        ("--steps", settings.steps.to_string()),
+        ("--max-gaussians", settings.max_gaussians.to_string()),
+        ("--control-points", settings.control_points.to_string()),
+        ("--sh-degree", settings.sh_degree.to_string()),
+        ("--seed", settings.seed.to_string()),
+        ("--every", args.every.to_string()),
+        ("--max-frames", shown(args.max_frames)),
+        ("--size or --width", shown(size)),
+        ("--focal", shown(args.focal)),
+        ("--intrinsics", summed(options.intrinsics.as_ref())),
+        ("--poses", summed(options.poses.as_ref())),
+        ("--masks", summed(options.masks.as_ref())),
+        ("--depth", summed(options.depth.as_ref())),
+        ("--flow", shown(args.flow.as_ref().map(|folder| folder.display()))),
+        ("the frames", format!("{} with the checksum {}", frames.len(), checksum(frames))),
+        // What no option says: the focal length in the pictures' EXIF, this version's settings.
+        ("what is known beforehand", summed(Some(options))),
+        ("the program's settings", summed(Some(&format!("{settings:?}")))),
+    ])
 }
 
 /// What was modelled, what was left out, and why.
@@ -480,4 +492,24 @@ fn text(report: &Value, clock: &Clock) -> String {
         clock.line(),
         bytes(whole("peak_bytes")),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::checkpoints::tests::names_every_option;
+    use super::*;
+
+    #[test]
+    fn a_checkpoint_names_every_option_that_matters() {
+        names_every_option(
+            &["reconstruct", "clip", "-o", "x"],
+            &["skip-bad"],
+            |command, common| {
+                let super::super::Command::Reconstruct(args) = command else {
+                    panic!("no reconstruct")
+                };
+                identity(args, &[], &Options::default(), &settings(args, common, (32, 18)))
+            },
+        );
+    }
 }

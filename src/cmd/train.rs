@@ -15,10 +15,10 @@ use splat4d::train::{
     AdaptiveSettings, Checkpoint, GrowthSettings, McmcSettings, Phase, PosedMotion, TrainSettings,
     TrainingView, fit_posed, posed_scale, random_points, seed_from_points,
 };
-use splat4d::types::{Camera, Gaussians, RenderSettings};
+use splat4d::types::{Camera, Gaussians, RenderSettings, Tuning};
 use splat4d::{Error, Result};
 
-use super::checkpoints::{CheckpointArgs, Checkpoints};
+use super::checkpoints::{self, CheckpointArgs, Checkpoints, shown, summed};
 use super::clock::Clock;
 use super::common::{
     Answer, Common, bytes, check_output_file, check_output_folder, foresee, notes, say, thousands,
@@ -173,8 +173,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         || scale.most_gaussians(&device),
         "lower --max-gaussians or --size",
     )?;
-    let mut identity = identity(&views, &seeded, &settings);
-    identity.insert("motion".into(), format!("{motion:?}"));
+    let identity = identity(args, &views, &seeded, &tuning, &settings, motion.as_ref());
     let mut checkpoints = Checkpoints::new(&args.output, &args.checkpoints, identity);
     let resume: Option<Checkpoint> = checkpoints.load("training")?;
     let names = |phase: Phase| match (phase, moving) {
@@ -261,14 +260,36 @@ fn points(args: &TrainArgs, common: &Common, set: &Dataset, cameras: &[Camera]) 
 }
 
 /// The pictures, and all that the training of them depends on.
-fn identity(views: &[TrainingView], seeded: &Gaussians, settings: &TrainSettings) -> Identity {
-    let mut identity = Identity::from([
-        ("the pictures".into(), format!("{} ({})", views.len(), checksum(views))),
-        ("the first Gaussians".into(), format!("{} ({})", seeded.len(), checksum(seeded))),
-        ("--steps".into(), settings.steps.to_string()),
-        ("--max-gaussians".into(), settings.max_gaussians.to_string()),
+fn identity(
+    args: &TrainArgs,
+    views: &[TrainingView],
+    seeded: &Gaussians,
+    tuning: &Tuning,
+    settings: &TrainSettings,
+    motion: Option<&PosedMotion>,
+) -> Identity {
+    let colour = |[r, g, b]: [f32; 3]| format!("{r},{g},{b}");
+    let density = args.density.to_possible_value();
+    let mut identity = checkpoints::identity([
+        ("--steps", settings.steps.to_string()),
+        ("--max-gaussians", args.max_gaussians.to_string()),
+        ("--density", shown(density.as_ref().map(|value| value.get_name()))),
+        ("--size", shown(args.size)),
+        ("--eval-every", args.eval_every.to_string()),
+        ("--sh-degree", args.sh_degree.to_string()),
+        ("--static", shown(args.still.then_some("given"))),
+        ("--control-points", args.control_points.to_string()),
+        ("--random-points", args.random_points.to_string()),
+        ("--background", shown(args.background.map(colour))),
+        ("--seed", settings.seed.to_string()),
+        ("the pictures", format!("{} with the checksum {}", views.len(), checksum(views))),
+        ("the first Gaussians", format!("{} with the checksum {}", seeded.len(), checksum(seeded))),
+        ("the program's settings", summed(Some(&format!("{settings:?} {motion:?}")))),
     ]);
-    identity.insert("the settings".into(), format!("{settings:?}"));
+    if let Ok(Value::Object(fields)) = serde_json::to_value(tuning) {
+        let known = |(name, value)| (format!("--settings, {name}"), format!("{value}"));
+        identity.extend(fields.into_iter().map(known));
+    }
     identity
 }
 
@@ -295,4 +316,19 @@ fn text(report: &Value, clock: &Clock) -> String {
         clock.line(),
         bytes(report["peak_bytes"].as_u64().unwrap_or(0)),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::checkpoints::tests::names_every_option;
+    use super::*;
+
+    #[test]
+    fn a_checkpoint_names_every_option_that_matters() {
+        names_every_option(&["train", "set", "-o", "x"], &[], |command, _| {
+            let super::super::Command::Train(args) = command else { panic!("no train") };
+            let none = Gaussians::default();
+            identity(args, &[], &none, &Tuning::default(), &TrainSettings::default(), None)
+        });
+    }
 }
