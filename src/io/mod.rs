@@ -1,11 +1,14 @@
 //! What every reader and writer of files needs: whole-file reads with the path in the error, writes
-//! by rename, a bounds-checked cursor over bytes, the PLY container, and files of state.
+//! by rename, a bounds-checked cursor over bytes, the PLY container, files of state, and how much
+//! memory there is.
 
 mod bytes;
+mod memory;
 pub mod ply;
 mod state;
 
 pub use bytes::Bytes;
+pub use memory::{available_memory, check_memory};
 pub use state::{Identity, checksum, read_state, write_state};
 
 use std::fs::File;
