@@ -123,6 +123,9 @@ if ((${#end_to_end[@]})); then
     step "end to end" env VK_DRIVER_FILES="$lavapipe" "${test[@]}" "${end_to_end[@]}" "${show[@]}"
 fi
 
+step "command line fuzz" env VK_DRIVER_FILES="$lavapipe" "$target/release/cli-fuzz" \
+    --program "$target/release/splat4d" --commands 250 --keep "$logs/cli-fuzz"
+
 passed=$(cat "$logs"/*.log | awk '/^test result:/ { sum += $4 } END { print sum + 0 }')
 skipped=$(cat "$logs"/*.log | grep -c '^SKIPPED')
 summary="$passed tests passed, $skipped skipped something, $((SECONDS / 60)) min $((SECONDS % 60)) s"

@@ -1,0 +1,107 @@
+//! Damaged copies of files and folders.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+
+use crate::fixtures::files;
+
+/// Numbers that no honest file or command line holds.
+pub const NUMBERS: [&str; 20] = [
+    "0",
+    "-0",
+    "-1",
+    "1e-300",
+    "1e10",
+    "1e19",
+    "1e38",
+    "1e300",
+    "1e999",
+    "nan",
+    "NaN",
+    "inf",
+    "-inf",
+    "65536",
+    "1000000000",
+    "4294967295",
+    "4294967296",
+    "9223372036854775808",
+    "18446744073709551615",
+    "18446744073709551616",
+];
+
+/// Copies a file, or a folder with all below it, and damages one file of it, or takes one away.
+///
+/// # Errors
+/// The copy cannot be written.
+pub fn copy(from: &Path, to: &Path, rng: &mut ChaCha8Rng) -> std::io::Result<()> {
+    if from.is_file() {
+        return fs::write(to, damaged(fs::read(from)?, rng));
+    }
+    let mut all: Vec<PathBuf> = Vec::new();
+    files(from, &mut all);
+    all.sort();
+    // Text decides more than pixels.
+    let texts: Vec<usize> = (0..all.len())
+        .filter(|&i| all[i].extension().is_some_and(|e| e == "json" || e == "txt"))
+        .collect();
+    let victim = match texts.is_empty() || rng.random_range(0..2) == 0 {
+        true => rng.random_range(0..all.len().max(1)),
+        false => texts[rng.random_range(0..texts.len())],
+    };
+    for (i, file) in all.iter().enumerate() {
+        let target = to.join(file.strip_prefix(from).unwrap_or(file));
+        fs::create_dir_all(target.parent().unwrap_or(to))?;
+        if i != victim {
+            fs::copy(file, target)?;
+        } else if rng.random_range(0..5) > 0 {
+            fs::write(target, damaged(fs::read(file)?, rng))?;
+        }
+    }
+    Ok(())
+}
+
+/// A few changes: bytes flipped, the end cut off, numbers made hostile, parts doubled or cut out.
+fn damaged(mut bytes: Vec<u8>, rng: &mut ChaCha8Rng) -> Vec<u8> {
+    for _ in 0..rng.random_range(1..4) {
+        if bytes.is_empty() {
+            return bytes;
+        }
+        // Headers are short and matter most.
+        let within = if rng.random_range(0..2) == 0 { bytes.len().min(512) } else { bytes.len() };
+        let at = rng.random_range(0..within);
+        let end = (at + rng.random_range(1..65)).min(bytes.len());
+        match rng.random_range(0..7) {
+            0 | 1 => bytes[at] = rng.random_range(0..=255),
+            2 => bytes.truncate(at),
+            3 => {
+                let word = [0u32, 1, 0x7f7f_ffff, 0x7fc0_0000, u32::MAX][rng.random_range(0..5)];
+                let end = (at + 4).min(bytes.len());
+                bytes[at..end].copy_from_slice(&word.to_le_bytes()[..end - at]);
+            }
+            4 => {
+                if let Some((start, end)) = number(&bytes, at) {
+                    let other = NUMBERS[rng.random_range(0..NUMBERS.len())];
+                    bytes.splice(start..end, other.bytes());
+                }
+            }
+            5 => {
+                let part = bytes[at..end].to_vec();
+                bytes.splice(at..at, part);
+            }
+            _ => drop(bytes.drain(at..end)),
+        }
+    }
+    bytes
+}
+
+/// The first number in a text at or after a place.
+fn number(bytes: &[u8], at: usize) -> Option<(usize, usize)> {
+    let of_number = |b: &u8| b.is_ascii_digit() || b"+-.eE".contains(b);
+    let start = at + bytes[at..].iter().position(|b| b.is_ascii_digit())?;
+    let start = start - bytes[..start].iter().rev().take_while(|b| of_number(b)).count();
+    let length = bytes[start..].iter().take_while(|b| of_number(b)).count();
+    Some((start, start + length))
+}
