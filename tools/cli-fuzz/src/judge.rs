@@ -110,7 +110,7 @@ fn finish(
     let mut status = wait(&mut child, bounds.time)?;
     if status.is_none() {
         interrupted = true;
-        Command::new("kill").args(["-INT", &child.id().to_string()]).status()?;
+        Command::new("kill").args(["-INT".to_owned(), child.id().to_string()]).status()?;
         status = wait(&mut child, bounds.grace)?;
     }
     if status.is_none() {
