@@ -16,9 +16,8 @@ use splat4d::report::{
 use splat4d::scene::{Opened, Scene};
 use splat4d::{Error, Result};
 
-use super::common::{
-    Answer, Common, bytes, check_output_file, check_output_folder, say, thousands,
-};
+use super::common::{Answer, Common, bytes, say, thousands};
+use super::outputs::{Inputs, Outputs};
 use super::{interrupt, path, tuning, values};
 
 /// Views that a sweep of a scene renders.
@@ -135,8 +134,14 @@ pub fn run(args: &BenchArgs, common: &Common) -> Result<(Answer, ExitCode)> {
     if let Some(BenchCommand::Cmp { a, b }) = &args.command {
         return Ok((cmp(a, b)?, ExitCode::SUCCESS));
     }
-    args.report.as_deref().map_or(Ok(()), check_output_folder)?;
-    args.settings.as_deref().map_or(Ok(()), check_output_file)?;
+    let mut outputs = Outputs::default();
+    if let Some(folder) = &args.report {
+        outputs = outputs.folder(folder, &Measurements::REPORT_FILES)?;
+    }
+    if let Some(file) = &args.settings {
+        outputs = outputs.file(file)?;
+    }
+    outputs.spare(&Inputs::new(args.scene.clone(), []))?;
     let begun = std::time::Instant::now();
     let scene = args.scene.as_deref().map(open_scene).transpose()?;
     let device = common.open_device()?;

@@ -39,6 +39,29 @@ pub fn summed(value: Option<&(impl Serialize + ?Sized)>) -> String {
     shown(value.map(|value| format!("a file or folder with the checksum {}", checksum(value))))
 }
 
+impl CheckpointArgs {
+    /// That checkpoints can lie where they would, before long work begins.
+    pub fn check(&self, output: &Path) -> Result<()> {
+        let folder = folder(output);
+        if (self.resume || self.checkpoint_every > 0.0)
+            && std::fs::symlink_metadata(&folder).is_ok()
+            && !folder.is_dir()
+        {
+            let what = "is no folder, and checkpoints are to lie in it; move it away, or go without \
+                        them by --checkpoint-every 0";
+            return Err(Error::format(folder, what));
+        }
+        Ok(())
+    }
+}
+
+/// Where the checkpoints of the command lie that writes `output`.
+fn folder(output: &Path) -> PathBuf {
+    let mut folder = output.as_os_str().to_owned();
+    folder.push(".checkpoint");
+    folder.into()
+}
+
 /// What is put away of a command's work, and when.
 pub struct Checkpoints {
     folder: PathBuf,
@@ -56,9 +79,7 @@ const PARTS: [&str; 2] = ["track", "training"];
 impl Checkpoints {
     /// For the command that writes `output`; only checkpoints of the same identity are of use to it.
     pub fn new(output: &Path, args: &CheckpointArgs, identity: Identity) -> Checkpoints {
-        let mut folder = output.as_os_str().to_owned();
-        folder.push(".checkpoint");
-        let folder = PathBuf::from(folder);
+        let folder = folder(output);
         let found = PARTS.iter().any(|part| folder.join(part).exists());
         let shown = folder.display();
         match (args.resume, found) {
@@ -117,19 +138,17 @@ impl Checkpoints {
         interrupt::stopped(self.usable.then(|| self.folder.clone()))
     }
 
-    /// Takes the checkpoints away: the work is done. A folder that holds anything else stays.
-    pub fn remove(self) -> Result<()> {
-        for part in PARTS {
-            let path = self.folder.join(part);
-            match std::fs::remove_file(&path) {
-                Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                    return Err(Error::io(&path)(error));
-                }
-                _ => {}
+    /// Takes the checkpoints away: the work is done, and one that stays does not undo it. A folder that
+    /// holds anything else stays.
+    pub fn remove(self) {
+        for path in PARTS.map(|part| self.folder.join(part)) {
+            if path.exists()
+                && let Err(error) = std::fs::remove_file(&path)
+            {
+                say(&format!("note: {} stays behind: {error}", path.display()));
             }
         }
         let _ = std::fs::remove_dir(&self.folder);
-        Ok(())
     }
 }
 

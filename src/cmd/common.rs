@@ -1,4 +1,4 @@
-//! What all commands share: their common flags, what they answer, checks of where output goes.
+//! What all commands share: their common flags, what they answer, words for people.
 
 use std::io::Write;
 use std::path::Path;
@@ -59,6 +59,13 @@ pub struct Answer {
     pub text: String,
 }
 
+/// A machine's one object on stdout.
+pub fn print_json(value: &Value) -> std::io::Result<()> {
+    let mut stdout = std::io::stdout().lock();
+    writeln!(stdout, "{value}")?;
+    stdout.flush()
+}
+
 /// A line on stderr. Nobody listening is no error.
 pub fn say(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
@@ -69,60 +76,9 @@ pub fn notes(lines: &[String]) {
     lines.iter().for_each(|line| say(&format!("note: {line}")));
 }
 
-/// That a file can be written at `path`, before long work begins. Leaves nothing behind.
-pub fn check_output_file(path: &Path) -> Result<()> {
-    match std::fs::metadata(path) {
-        Ok(found) if found.is_dir() => {
-            Err(Error::format(path, "is a folder; name the file to write"))
-        }
-        // A pipe or a device is written in place.
-        Ok(found) if !found.is_file() => {
-            std::fs::File::options().write(true).open(path).map_err(Error::io(path)).map(drop)
-        }
-        _ => check_folder(path, path.parent().unwrap_or(Path::new("."))),
-    }
-}
-
-/// That files can be written into a folder that may not exist yet. Leaves nothing behind.
-pub fn check_output_folder(path: &Path) -> Result<()> {
-    check_folder(path, path)
-}
-
-fn check_folder(output: &Path, folder: &Path) -> Result<()> {
-    let mut folder = folder;
-    loop {
-        let here = if folder == Path::new("") { Path::new(".") } else { folder };
-        match std::fs::metadata(here) {
-            Ok(found) if found.is_dir() => {
-                // Writing by rename makes a file beside the target, so that is what is tried.
-                let tried = tempfile::tempfile_in(here);
-                return tried.map(drop).map_err(|source| Error::Io {
-                    path: output.to_path_buf(),
-                    source: std::io::Error::new(
-                        source.kind(),
-                        format!("cannot write into {}: {}", here.display(), plain(&source)),
-                    ),
-                });
-            }
-            Ok(_) if here == output => {
-                return Err(Error::format(output, "is a file; name a folder to write into"));
-            }
-            Ok(_) => {
-                return Err(Error::format(output, format!("{} is a file", here.display())));
-            }
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => match folder.parent() {
-                Some(parent) => folder = parent,
-                None => return Err(Error::io(output)(error)),
-            },
-            Err(error) => return Err(Error::io(output)(error)),
-        }
-    }
-}
-
-/// The system's message without the temporary file's name.
-fn plain(error: &std::io::Error) -> String {
-    let text = error.to_string();
-    text.split(" at path ").next().unwrap_or(&text).to_string()
+/// A path as JSON holds it: as text, in which what is not Unicode is replaced.
+pub fn path_text(path: &Path) -> Value {
+    path.to_string_lossy().into()
 }
 
 /// Says how much device memory some work will take, and gives it; an error where it does not fit, with
@@ -189,22 +145,5 @@ mod tests {
         assert_eq!(bytes(512), "512 B");
         assert_eq!(bytes(1536), "1.5 KiB");
         assert_eq!(bytes(3 << 30), "3.0 GiB");
-    }
-
-    #[test]
-    fn outputs_are_tried_before_the_work() {
-        let folder = tempfile::tempdir().unwrap();
-        let inside = folder.path().join("a/b/scene.safetensors");
-        check_output_file(&inside).unwrap();
-        check_output_folder(&inside).unwrap();
-        assert!(std::fs::read_dir(folder.path()).unwrap().next().is_none(), "nothing is left");
-        let file = folder.path().join("file");
-        std::fs::write(&file, "x").unwrap();
-        check_output_file(&file).unwrap();
-        let message = check_output_folder(&file).unwrap_err().to_string();
-        assert!(message.contains("name a folder"), "{message}");
-        assert!(check_output_file(&file.join("below")).is_err());
-        let message = check_output_file(folder.path()).unwrap_err().to_string();
-        assert!(message.contains("is a folder"), "{message}");
     }
 }

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use splat4d::{Error, Result};
+use splat4d::{Error, Result, io};
 
 /// Whether an output is to be a video.
 pub fn is_video(path: &Path) -> bool {
@@ -24,14 +24,16 @@ pub fn check(path: &Path) -> Result<()> {
 
 /// Encodes `folder/0000.png` … as H.264; the video appears by rename.
 pub fn encode(folder: &Path, rate: f64, output: &Path) -> Result<()> {
-    let partial = folder.join("whole.mp4");
+    const PARTIAL: &str = "whole.mp4";
     let done = Command::new("ffmpeg")
         .args(["-nostdin", "-v", "error", "-y", "-framerate", &rate.to_string(), "-i"])
-        .arg(folder.join("%04d.png"))
+        // In the folder: in its name a % would be taken for a part of the pattern.
+        .arg("%04d.png")
+        .current_dir(folder)
         // Players want even sides and subsampled colour.
         .args(["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p"])
         .args(["-c:v", "libx264", "-crf", "18", "-movflags", "+faststart"])
-        .arg(&partial)
+        .arg(PARTIAL)
         .stdin(Stdio::null())
         .output()
         .map_err(Error::io("ffmpeg"))?;
@@ -41,5 +43,7 @@ pub fn encode(folder: &Path, rate: f64, output: &Path) -> Result<()> {
         let why = last.unwrap_or("it gives no reason");
         return Err(Error::Failed(format!("ffmpeg cannot write {}: {why}", output.display())));
     }
-    std::fs::rename(&partial, output).map_err(Error::io(output))
+    let partial = folder.join(PARTIAL);
+    let mut whole = std::fs::File::open(&partial).map_err(Error::io(&partial))?;
+    io::write_atomically(output, |sink| std::io::copy(&mut whole, sink).map(drop))
 }

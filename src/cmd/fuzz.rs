@@ -1,5 +1,6 @@
 //! `splat4d validate --fuzz` and `--case`: scenes at random, and one of them again.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
@@ -8,11 +9,12 @@ use serde_json::json;
 use splat4d::check::fuzz::{self, FuzzScene};
 use splat4d::gpu::Device;
 use splat4d::vk::DeviceInfo;
-use splat4d::{Error, Result};
+use splat4d::{Error, Result, io};
 
-use super::common::{Answer, say};
+use super::common::{Answer, path_text, say};
 use super::interrupt;
 use super::meter::Meter;
+use super::outputs::Outputs;
 use super::rows::devices_json;
 
 /// Failures after which a device has shown enough.
@@ -20,6 +22,8 @@ const ENOUGH: usize = 10;
 
 /// Judges `count` scenes on every device; failures are shrunk and written into the working folder.
 pub fn run(devices: &[(DeviceInfo, Device)], count: u64, seed: u64) -> Result<(Answer, ExitCode)> {
+    let case = |scene: u64| PathBuf::from(format!("fuzz-{seed}-{scene}.json"));
+    Outputs::default().file(&case(count))?;
     let started = Instant::now();
     let mut meter = Meter::new("fuzz", "scenes", count * devices.len() as u64, 0);
     let (mut failures, mut judged, mut text) = (Vec::new(), 0, String::new());
@@ -46,8 +50,9 @@ pub fn run(devices: &[(DeviceInfo, Device)], count: u64, seed: u64) -> Result<(A
             next = failure.index + 1;
             found += 1;
             meter.advance();
-            let path = PathBuf::from(format!("fuzz-{seed}-{}.json", failure.index));
-            std::fs::write(&path, fuzz::file::text(&failure.scene)).map_err(Error::io(&path))?;
+            let path = case(failure.index);
+            let text_of = fuzz::file::text(&failure.scene);
+            io::write_atomically(&path, |sink| sink.write_all(text_of.as_bytes()))?;
             let line = format!(
                 "{}: scene {} of seed {seed}: {}; again: splat4d validate --device {} --case {}",
                 info.name,
@@ -62,7 +67,7 @@ pub fn run(devices: &[(DeviceInfo, Device)], count: u64, seed: u64) -> Result<(A
                 "device": info.index,
                 "scene": failure.index,
                 "what": failure.what,
-                "file": path.to_string_lossy(),
+                "file": path_text(&path),
             }));
         }
     }
@@ -92,7 +97,7 @@ pub fn repeat(devices: &[(DeviceInfo, Device)], path: &Path) -> Result<(Answer, 
         failed += usize::from(wrong.is_some());
         let what = wrong.as_deref().unwrap_or("as the oracle");
         text += &format!("{}: {what}\n", info.name);
-        rows.push(json!({ "device": info.index, "what": wrong, "file": path.to_string_lossy() }));
+        rows.push(json!({ "device": info.index, "what": wrong, "file": path_text(path) }));
     }
     let infos: Vec<DeviceInfo> = devices.iter().map(|(info, _)| info.clone()).collect();
     let json = json!({

@@ -3,24 +3,70 @@
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use super::common::say;
+use serde_json::json;
+
+use super::common::{print_json, say};
 use splat4d::{Error, Result};
 
 /// What shells report for a program that SIGINT ended.
 pub const EXIT_CODE: u8 = 130;
 
 static REQUESTED: AtomicBool = AtomicBool::new(false);
+/// Whether the answer is being printed, or the program ends without one.
+static ENDING: AtomicBool = AtomicBool::new(false);
 
-/// Begins to listen. Where the system does not allow it, Ctrl-C ends the program as usual.
-pub fn watch() {
-    let installed = ctrlc::set_handler(|| {
-        if REQUESTED.swap(true, Ordering::SeqCst) {
-            std::process::exit(EXIT_CODE.into());
+/// Begins to listen. Where the system does not allow it, Ctrl-C ends the program as usual. With `json`
+/// a program that is ended at once still gives its one object.
+pub fn watch(json: bool) {
+    let installed = listen(move || {
+        if !REQUESTED.swap(true, Ordering::SeqCst) {
+            return say("stopping; once more to stop at once");
         }
-        say("stopping; once more to stop at once");
+        if !ENDING.swap(true, Ordering::SeqCst) && json {
+            // Whether or not anyone reads it, this is the end.
+            let _ = print_json(&json!({ "error": "stopped at once" }));
+        }
+        std::process::exit(EXIT_CODE.into());
     });
     if let Err(error) = installed {
         say(&format!("note: Ctrl-C ends without tidying up: {error}"));
+    }
+}
+
+/// Calls `stop` on Ctrl-C, SIGTERM and SIGHUP. A file that grows beyond `ulimit -f` is an error of its
+/// writer and no longer ends the program.
+#[cfg(unix)]
+fn listen(stop: impl Fn() + Send + 'static) -> std::io::Result<()> {
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
+    let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM, SIGXFSZ])?;
+    if !ignored(SIGHUP) {
+        signals.add_signal(SIGHUP)?;
+    }
+    let listen = move || signals.forever().filter(|&signal| signal != SIGXFSZ).for_each(|_| stop());
+    std::thread::Builder::new().name("signals".into()).spawn(listen).map(drop)
+}
+
+#[cfg(not(unix))]
+fn listen(stop: impl Fn() + Send + 'static) -> std::io::Result<()> {
+    ctrlc::set_handler(stop).map_err(std::io::Error::other)
+}
+
+/// Whether whoever started this program had it ignore a signal, as `nohup` does. Known on Linux.
+#[cfg(unix)]
+fn ignored(signal: i32) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    mask.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
+}
+
+/// The work is done or has failed: from now on, stdout belongs to its answer.
+pub fn end() {
+    if ENDING.swap(true, Ordering::SeqCst) {
+        // The program is being ended at once.
+        loop {
+            std::thread::park();
+        }
     }
 }
 

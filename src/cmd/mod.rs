@@ -15,6 +15,7 @@ mod fuzz;
 mod info;
 mod interrupt;
 mod meter;
+mod outputs;
 mod path;
 mod quality;
 mod reconstruct;
@@ -71,16 +72,21 @@ enum Command {
 
 /// Runs the command that the process was given.
 pub fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => return explain(&error),
+    };
     let json = cli.common.json;
-    match run(&cli).and_then(|(answer, code)| print(&answer, json).map(|()| code)) {
+    let done = run(&cli);
+    interrupt::end();
+    match done.and_then(|(answer, code)| print(&answer, json).map(|()| code)) {
         Ok(code) => code,
         Err(error) => {
             common::say(&format!("error: {error}"));
             if json {
                 // A machine that reads stdout gets its one object here too; where even that cannot
                 // be written, stderr and the exit code have said it.
-                let _ = writeln!(std::io::stdout(), "{}", json!({ "error": error.to_string() }));
+                let _ = common::print_json(&json!({ "error": error.to_string() }));
             }
             ExitCode::from(match error {
                 Error::Interrupted { .. } => interrupt::EXIT_CODE,
@@ -90,8 +96,29 @@ pub fn main() -> ExitCode {
     }
 }
 
+/// Prints what there is instead of a command to run: help or the version where they were asked for,
+/// else what is wrong with the arguments.
+fn explain(error: &clap::Error) -> ExitCode {
+    let _ = error.print();
+    let json = std::env::args_os().take_while(|argument| argument != "--");
+    if error.use_stderr() && json.into_iter().any(|argument| argument == "--json") {
+        let _ = common::print_json(&json!({ "error": usage_error(error) }));
+    }
+    ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2))
+}
+
+/// What is wrong with the arguments, on one line, without the usage that follows.
+fn usage_error(error: &clap::Error) -> String {
+    let text = error.render().to_string();
+    let what = ["\n\nUsage:", "\n\nFor more information"]
+        .iter()
+        .fold(&text[..], |text, end| text.split(end).next().unwrap_or_default());
+    let words = what.strip_prefix("error: ").unwrap_or(what).split_whitespace();
+    words.collect::<Vec<_>>().join(" ")
+}
+
 fn run(cli: &Cli) -> Result<(Answer, ExitCode)> {
-    interrupt::watch();
+    interrupt::watch(cli.common.json);
     let answer = match &cli.command {
         Command::Reconstruct(args) => reconstruct::run(args, &cli.common),
         Command::Train(args) => train::run(args, &cli.common),
@@ -109,12 +136,14 @@ fn run(cli: &Cli) -> Result<(Answer, ExitCode)> {
 
 /// Prints an answer on stdout. A reader that has seen enough and closed the pipe is no error.
 fn print(answer: &Answer, json: bool) -> Result<()> {
-    let mut stdout = std::io::stdout().lock();
     let printed = match json {
-        true => writeln!(stdout, "{}", answer.json),
-        false => write!(stdout, "{}", answer.text),
+        true => common::print_json(&answer.json),
+        false => {
+            let mut stdout = std::io::stdout().lock();
+            write!(stdout, "{}", answer.text).and_then(|()| stdout.flush())
+        }
     };
-    match printed.and_then(|()| stdout.flush()) {
+    match printed {
         Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
             Err(Error::io("stdout")(error))
         }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde_json::{Value, json};
 use splat4d::data::trajectory::{self, TimedPose};
-use splat4d::data::{Clip, ClipOptions, Resize, View, intrinsics};
+use splat4d::data::{Clip, ClipOptions, Resize, View, images, intrinsics};
 use splat4d::gpu::{Device, DeviceKind};
 use splat4d::io::{Identity, checksum};
 use splat4d::observe::{EngineFlow, FlowSource};
@@ -18,11 +18,10 @@ use splat4d::{Error, Result};
 
 use super::checkpoints::{self, CheckpointArgs, Checkpoints, shown, summed};
 use super::clock::Clock;
-use super::common::{
-    Answer, Common, bytes, check_output_file, check_output_folder, foresee, notes, say, thousands,
-};
+use super::common::{Answer, Common, bytes, foresee, notes, path_text, say, thousands};
 use super::info::dynamic_share;
 use super::meter::Meter;
+use super::outputs::{Folder, Inputs, Outputs};
 use super::watcher::Watcher;
 use super::{quality, sheet, supplied, values};
 
@@ -38,13 +37,14 @@ Examples:
   splat4d reconstruct video.mp4 -o scene.safetensors
   splat4d reconstruct frames/ -o scene.safetensors --every 2 --size 320 --report report
 
-JSON (also kept in the scene): psnr_input, ssim_input, gaussians, control_points,
+JSON: psnr_input, ssim_input, gaussians, control_points,
 control_points_added and control_points_removed (in training), dynamic_share (of the pixels),
 dynamic_gaussians (share), intrinsics {fx, fy, cx, cy, width, height, source (given,
 measured, assumed)}, poses {tripod, inlier_share, reprojection_rms, parallax_deg, focal_std,
 doubtful_frames, tracks}, frames, frame_names, model (what was modelled and why), notes, device,
-predicted_bytes (of device memory, before it began), peak_bytes, milliseconds_per_step, seconds {load, flow, cameras, masks, depth, static,
-trajectories, control, joint, evaluate}, output";
+predicted_bytes (of device memory, before it began), all also kept in the scene; and, in report.json too,
+peak_bytes, milliseconds_per_step, seconds {load, flow, cameras, masks, depth, static, trajectories,
+control, joint, evaluate}; output";
 
 /// Turn a video whose camera poses are unknown into a 4D scene
 #[derive(Args)]
@@ -120,8 +120,7 @@ pub struct ReconstructArgs {
 
 /// Runs the command.
 pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
-    check_output_file(&args.output)?;
-    args.report.as_deref().map_or(Ok(()), check_output_folder)?;
+    check_outputs(args)?;
     if args.flow.is_some() && args.every > 1 {
         let what = "--flow leads from each frame to the next; it does not go with --every";
         return Err(Error::Input(what.into()));
@@ -206,19 +205,48 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
         "notes": quality.notes,
         "device": device.info().name,
         "predicted_bytes": predicted_bytes,
-        "peak_bytes": device.memory().1,
-        "milliseconds_per_step": milliseconds_per_step,
-        "seconds": clock.json(),
     });
     scene.save(&args.output)?;
-    checkpoints.remove()?;
+    checkpoints.remove();
+    // What differs from run to run is not the scene's: equal runs leave equal files.
+    let mut json = scene.report.clone();
+    json["peak_bytes"] = json!(device.memory().1);
+    json["milliseconds_per_step"] = json!(milliseconds_per_step);
+    json["seconds"] = clock.json();
     if let Some(folder) = &args.report {
-        sheet::write(folder, &device, &scene, &sheet::spread(&views))?;
+        sheet::write(folder, &device, &scene, &sheet::spread(&views), &json)?;
         write_cameras(folder, &scene)?;
     }
-    let mut json = scene.report.clone();
-    json["output"] = json!(args.output);
+    json["output"] = path_text(&args.output);
     Ok(Answer { text: text(&json, &clock), json })
+}
+
+/// Tries where output goes, and that it spares what is read.
+fn check_outputs(args: &ReconstructArgs) -> Result<()> {
+    let mut outputs = Outputs::default().file(&args.output)?;
+    if let Some(folder) = &args.report {
+        outputs = outputs.folder(folder, &sheet::FILES)?.folder(folder, &CAMERA_FILES)?;
+    }
+    args.checkpoints.check(&args.output)?;
+    let files = [Some(&args.clip), args.intrinsics.as_ref(), args.poses.as_ref()];
+    // A clip's or a flow's files may lie one folder deeper.
+    let below = |folder: Option<&PathBuf>, names: &[&str], extensions| -> Vec<Folder> {
+        let inner =
+            folder.map(|folder| names.iter().map(move |name| (folder.join(name), extensions)));
+        inner.into_iter().flatten().collect()
+    };
+    let folders = [
+        below(Some(&args.clip), &["", "frames", "images"], &images::EXTENSIONS),
+        below(args.masks.as_ref(), &[""], &images::EXTENSIONS),
+        below(args.depth.as_ref(), &[""], &["exr"]),
+        below(
+            args.flow.as_ref(),
+            &["flow_forward", "flow_backward", "forward", "backward"],
+            &["flo"],
+        ),
+    ];
+    let files = files.into_iter().flatten().cloned();
+    outputs.spare(&Inputs::new(files, folders.into_iter().flatten()))
 }
 
 /// What the stages take of device memory at most; an error where one does not fit.
@@ -451,6 +479,9 @@ fn views(frames: &[Image], names: &[String], scene: &Scene) -> Vec<View> {
         .collect()
 }
 
+/// What [`write_cameras`] writes into the report's folder.
+const CAMERA_FILES: [&str; 2] = ["poses.txt", "intrinsics.json"];
+
 fn write_cameras(folder: &Path, scene: &Scene) -> Result<()> {
     let poses: Vec<TimedPose> = scene
         .cameras
@@ -461,9 +492,9 @@ fn write_cameras(folder: &Path, scene: &Scene) -> Result<()> {
             world_from_view: known.camera.view_from_world.inverse(),
         })
         .collect();
-    trajectory::write(folder.join("poses.txt"), &poses)?;
+    trajectory::write(folder.join(CAMERA_FILES[0]), &poses)?;
     match scene.cameras.first().map(|known| known.camera) {
-        Some(Camera { intrinsics: k, .. }) => intrinsics::write(folder.join("intrinsics.json"), &k),
+        Some(Camera { intrinsics: k, .. }) => intrinsics::write(folder.join(CAMERA_FILES[1]), &k),
         None => Ok(()),
     }
 }

@@ -1,9 +1,10 @@
 //! `splat4d render`.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
 
 use clap::Args;
+use clap::builder::{OsStringValueParser, TypedValueParser};
 use serde_json::json;
 use splat4d::data::transforms::{self, TimedCamera};
 use splat4d::data::{exr, write_png};
@@ -13,11 +14,10 @@ use splat4d::scene::{Opened, Scene};
 use splat4d::types::Tuning;
 use splat4d::{Error, Result};
 
-use super::common::{
-    Answer, Common, check_output_file, check_output_folder, foresee, say, thousands,
-};
+use super::common::{Answer, Common, foresee, path_text, say, thousands};
 use super::encode;
 use super::meter::Meter;
+use super::outputs::{Inputs, Outputs};
 use super::values::{self, Times};
 use super::{interrupt, path, tuning};
 
@@ -60,7 +60,7 @@ pub struct RenderArgs {
     #[arg(long, value_name = "RATE", default_value_t = 24.0, value_parser = values::positive)]
     rate: f64,
     /// The cameras
-    #[arg(long, value_name = "input|orbit|FILE", value_parser = ViewPath::from_str)]
+    #[arg(long, value_name = "input|orbit|FILE", value_parser = OsStringValueParser::new().map(ViewPath::from))]
     path: Option<ViewPath>,
     /// Times in [0, 1], as 0,0.5,1; or a whole number above 1 for so many, spread evenly
     #[arg(long, value_name = "TIMES", value_parser = values::times)]
@@ -98,15 +98,13 @@ enum ViewPath {
     File(PathBuf),
 }
 
-impl FromStr for ViewPath {
-    type Err = std::convert::Infallible;
-
-    fn from_str(text: &str) -> std::result::Result<ViewPath, Self::Err> {
-        Ok(match text {
-            "input" => ViewPath::Input,
-            "orbit" => ViewPath::Orbit,
-            file => ViewPath::File(file.into()),
-        })
+impl From<OsString> for ViewPath {
+    fn from(text: OsString) -> ViewPath {
+        match text.to_str() {
+            Some("input") => ViewPath::Input,
+            Some("orbit") => ViewPath::Orbit,
+            _ => ViewPath::File(text.into()),
+        }
     }
 }
 
@@ -114,14 +112,14 @@ impl FromStr for ViewPath {
 pub fn run(args: &RenderArgs, common: &Common) -> Result<Answer> {
     let video = encode::is_video(&args.output);
     if video {
-        check_output_file(&args.output)?;
+        Outputs::default().file(&args.output)?;
         encode::check(&args.output)?;
         if args.exr || args.depth {
             let what = "--exr and --depth need a folder to write into, not a video";
             return Err(Error::Input(what.into()));
         }
     } else {
-        check_output_folder(&args.output)?;
+        Outputs::default().folder(&args.output, &[&file_name(0, ".png")])?;
     }
     let tuning = tuning::read(args.settings.as_deref())?;
     let Opened { scene, dropped } = Scene::open(&args.scene, args.drop_bad)?;
@@ -129,6 +127,7 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Answer> {
         say(&format!("note: left out {} Gaussians that are not finite", thousands(dropped)));
     }
     let shots = shots(args, &scene)?;
+    spare_inputs(args, if video { 0 } else { shots.len() })?;
     let device = common.open_device()?;
     let predicted_bytes = foreseen(&device, &scene, &shots, &tuning)?;
     let mut renderer = Renderer::tuned(&device, &scene, &tuning)?;
@@ -161,7 +160,7 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Answer> {
         "predicted_bytes": predicted_bytes,
         "peak_bytes": device.memory().1,
         "milliseconds_per_frame": 1e3 * seconds / shots.len().max(1) as f64,
-        "output": args.output,
+        "output": path_text(&args.output),
     });
     let text = format!("{} pictures in {}\n", shots.len(), args.output.display());
     Ok(Answer { json, text })
@@ -192,6 +191,29 @@ fn beside(output: &Path) -> Result<tempfile::TempDir> {
     tempfile::Builder::new().prefix(".splat4d-").tempdir_in(parent).map_err(Error::io(parent))
 }
 
+fn file_name(index: usize, ending: &str) -> String {
+    format!("{index:04}{ending}")
+}
+
+/// That the video, or so many pictures, spare what is read.
+fn spare_inputs(args: &RenderArgs, pictures: usize) -> Result<()> {
+    let path = match &args.path {
+        Some(ViewPath::File(file)) => Some(file),
+        _ => None,
+    };
+    let read = [Some(&args.scene), path, args.settings.as_ref()];
+    let inputs = Inputs::new(read.into_iter().flatten().cloned(), []);
+    inputs.spared_by(&args.output)?;
+    let mut endings = vec![".png"];
+    endings.extend(args.exr.then_some(".exr"));
+    endings.extend(args.depth.then_some("_depth.exr"));
+    (0..pictures).try_for_each(|i| {
+        endings
+            .iter()
+            .try_for_each(|ending| inputs.spared_by(&args.output.join(file_name(i, ending))))
+    })
+}
+
 fn write(
     args: &RenderArgs,
     folder: &Path,
@@ -199,7 +221,7 @@ fn write(
     rendered: &Rendered,
     background: [f32; 3],
 ) -> Result<()> {
-    let file = |ending: &str| folder.join(format!("{index:04}{ending}"));
+    let file = |ending: &str| folder.join(file_name(index, ending));
     write_png(file(".png"), &rendered.over(background))?;
     if args.exr {
         exr::write_rgba(file(".exr"), &rendered.rgba)?;

@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use serde_json::Value;
 use splat4d::data::{View, images, write_png};
 use splat4d::gpu::Device;
 use splat4d::renderer::Renderer;
@@ -11,6 +12,9 @@ use splat4d::types::Image;
 use splat4d::{Result, io};
 
 use super::quality::motion_only;
+
+/// What [`write`] writes into the folder.
+pub const FILES: [&str; 2] = ["report.json", "sheet.png"];
 
 /// Rows of the sheet.
 const ROWS: usize = 5;
@@ -26,7 +30,13 @@ pub fn spread(views: &[View]) -> Vec<&View> {
 }
 
 /// Renders the views and writes both files.
-pub fn write(folder: &Path, device: &Device, scene: &Scene, views: &[&View]) -> Result<()> {
+pub fn write(
+    folder: &Path,
+    device: &Device,
+    scene: &Scene,
+    views: &[&View],
+    report: &Value,
+) -> Result<()> {
     let mut colours = Renderer::new(device, scene)?;
     let mut motion = Renderer::new(device, &motion_only(scene))?;
     let mut rows = Vec::new();
@@ -46,7 +56,7 @@ pub fn write(folder: &Path, device: &Device, scene: &Scene, views: &[&View]) -> 
         }));
     }
     write_png(folder.join("sheet.png"), &tile(&rows))?;
-    io::write_json(folder.join("report.json"), &scene.report)
+    io::write_json(folder.join("report.json"), report)
 }
 
 /// Near is bright, far is dark, nothing is black: inverse depth, stretched between its 2nd and 98th

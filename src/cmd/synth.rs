@@ -8,7 +8,8 @@ use serde_json::json;
 use splat4d::Result;
 use splat4d::data::synth::{self, SynthOptions};
 
-use super::common::{Answer, Common, check_output_folder, say};
+use super::common::{Answer, Common, path_text, say};
+use super::outputs::Outputs;
 use super::{interrupt, values};
 
 const AFTER_HELP: &str = "\
@@ -46,7 +47,8 @@ pub struct SynthArgs {
 
 /// Runs the command.
 pub fn run(args: &SynthArgs, common: &Common) -> Result<Answer> {
-    check_output_folder(&args.output)?;
+    Outputs::default().folder(&args.output, &["frames", "truth"])?;
+    synth::check_folder(&args.output)?;
     let SynthArgs { name, output, frames, size: (width, height) } = args;
     let options =
         SynthOptions { frames: *frames, width: *width, height: *height, seed: common.seed };
@@ -56,7 +58,7 @@ pub fn run(args: &SynthArgs, common: &Common) -> Result<Answer> {
     synth::write(&clip, output)?;
     let json = json!({
         "name": name, "frames": frames, "width": width, "height": height, "seed": common.seed,
-        "output": output,
+        "output": path_text(output),
     });
     let text = format!("{0}/frames, {0}/truth\n", output.display());
     Ok(Answer { json, text })

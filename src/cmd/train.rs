@@ -20,10 +20,9 @@ use splat4d::{Error, Result};
 
 use super::checkpoints::{self, CheckpointArgs, Checkpoints, shown, summed};
 use super::clock::Clock;
-use super::common::{
-    Answer, Common, bytes, check_output_file, check_output_folder, foresee, notes, say, thousands,
-};
+use super::common::{Answer, Common, bytes, foresee, notes, path_text, say, thousands};
 use super::info::dynamic_share;
+use super::outputs::{Inputs, Outputs};
 use super::quality::{self, Quality};
 use super::watcher::Watcher;
 use super::{sheet, tuning, values};
@@ -39,10 +38,11 @@ Examples:
   splat4d train captures/fox -o fox.safetensors --steps 2000 --size 480
   splat4d train captures/fox -o fox.safetensors --max-gaussians 50000 --density adaptive
 
-JSON (also kept in the scene): psnr_input, psnr_test (null where nothing is held out), ssim_test,
+JSON: psnr_input, psnr_test (null where nothing is held out), ssim_test,
 gaussians, control_points, control_points_added, control_points_removed (null where nothing moves),
 dynamic_share, model, density (null where their number is kept), steps, images, held_out, device,
-predicted_bytes (of device memory, before it began), peak_bytes, milliseconds_per_step, seconds {load, train, evaluate}, output";
+predicted_bytes (of device memory, before it began), all also kept in the scene; and, in report.json too,
+peak_bytes, milliseconds_per_step, seconds {load, train, evaluate}; output";
 
 /// How Gaussians are added and removed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -109,14 +109,20 @@ pub struct TrainArgs {
 
 /// Runs the command.
 pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
-    check_output_file(&args.output)?;
-    args.report.as_deref().map_or(Ok(()), check_output_folder)?;
+    let mut outputs = Outputs::default().file(&args.output)?;
+    if let Some(folder) = &args.report {
+        outputs = outputs.folder(folder, &sheet::FILES)?;
+    }
+    args.checkpoints.check(&args.output)?;
     let tuning = tuning::read(args.settings.as_deref())?;
     let sh_degree = args.sh_degree.min(tuning.sh_degree);
     let mut clock = Clock::start();
 
     let mut set = Dataset::open(&args.dataset)?;
     notes(&set.notes);
+    let pictures = set.frames.iter().map(|frame| &frame.path);
+    let read = pictures.chain(&set.sources).chain(&args.settings).cloned();
+    outputs.spare(&Inputs::new(read, []))?;
     set.background = args.background.unwrap_or(set.background);
     if set.frames.len() < 2 {
         let what = "holds one picture only; a scene needs two at least, from different places";
@@ -215,18 +221,19 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         "held_out": test.len(),
         "device": device.info().name,
         "predicted_bytes": predicted_bytes,
-        "peak_bytes": device.memory().1,
-        "milliseconds_per_step": milliseconds_per_step,
-        "seconds": clock.json(),
     });
     scene.save(&args.output)?;
-    checkpoints.remove()?;
+    checkpoints.remove();
+    // What differs from run to run is not the scene's: equal runs leave equal files.
+    let mut json = scene.report.clone();
+    json["peak_bytes"] = json!(device.memory().1);
+    json["milliseconds_per_step"] = json!(milliseconds_per_step);
+    json["seconds"] = clock.json();
     if let Some(folder) = &args.report {
         let shown = sheet::spread(if test.is_empty() { &train } else { &test });
-        sheet::write(folder, &device, &scene, &shown)?;
+        sheet::write(folder, &device, &scene, &shown, &json)?;
     }
-    let mut json = scene.report.clone();
-    json["output"] = json!(args.output);
+    json["output"] = path_text(&args.output);
     Ok(Answer { text: text(&json, &clock), json })
 }
 

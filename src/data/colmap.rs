@@ -60,7 +60,10 @@ pub fn read(root: &Path, model: &Path) -> Result<Dataset> {
     let Model { lenses, mut images, points } = read_model(model)?;
     images.sort_by(|a, b| images::natural(&a.name, &b.name));
     let folders: Vec<PathBuf> = ["images", "input", ""].iter().map(|f| root.join(f)).collect();
-    let mut set = Dataset { points, ..Dataset::default() };
+    let parts = ["cameras", "images", "points3D"];
+    let sources = ["bin", "txt"].iter().flat_map(|e| parts.map(|p| model.join(format!("{p}.{e}"))));
+    let sources = sources.filter(|path| path.is_file()).collect();
+    let mut set = Dataset { points, sources, ..Dataset::default() };
     let (listed, mut missing) = (images.len(), Vec::new());
     for image in images {
         let lens = lenses.get(&image.camera).ok_or_else(|| {

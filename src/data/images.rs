@@ -207,7 +207,8 @@ pub fn list(folder: &Path) -> Result<Vec<std::path::PathBuf>> {
             found.push(path);
         }
     }
-    found.sort_by(|a, b| natural(&a.to_string_lossy(), &b.to_string_lossy()));
+    // Names that are not UTF-8 may look the same as text.
+    found.sort_by(|a, b| natural(&a.to_string_lossy(), &b.to_string_lossy()).then(a.cmp(b)));
     Ok(found)
 }
 

@@ -112,6 +112,8 @@ pub struct Dataset {
     pub background: [f32; 3],
     /// Lines to show: what was skipped or assumed.
     pub notes: Vec<String>,
+    /// The files that were read beside the pictures.
+    pub sources: Vec<PathBuf>,
 }
 
 impl Dataset {

@@ -48,7 +48,10 @@ pub fn read(path: &Path) -> Result<Dataset> {
     if let Some(cloud) = listing.top.get("ply_file_path").and_then(Value::as_str) {
         let cloud = listing.folder().join(cloud);
         match cloud.is_file() {
-            true => set.points = points::read_ply(&cloud)?,
+            true => {
+                set.points = points::read_ply(&cloud)?;
+                set.sources.push(cloud);
+            }
             false => set.notes.push(format!("no point cloud: {} does not exist", cloud.display())),
         }
     }
@@ -56,6 +59,7 @@ pub fn read(path: &Path) -> Result<Dataset> {
     let span = span(path, &times, &mut set.notes)?;
     set.timed = span.is_some();
     listing.frames(span, &mut set)?;
+    set.sources.push(path.to_path_buf());
     if set.frames.is_empty() {
         return Err(Error::format(path, "none of the images that it lists exists"));
     }
@@ -87,6 +91,8 @@ pub fn read_split(folder: &Path) -> Result<Dataset> {
     let span = span(&train.path, &times, &mut set.notes)?;
     set.timed = span.is_some();
     train.frames(span, &mut set)?;
+    set.sources.extend(["transforms_train.json", "transforms_test.json"].map(|f| folder.join(f)));
+    set.sources.retain(|path| path.is_file());
     let first = set.frames.len();
     if first == 0 {
         return Err(Error::format(&train.path, "none of the images that it lists exists"));

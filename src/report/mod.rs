@@ -298,6 +298,9 @@ pub struct Choice {
 }
 
 impl Measurements {
+    /// What [`Measurements::write_report`] writes into its folder.
+    pub const REPORT_FILES: [&str; 3] = ["bench.json", "bench.csv", "index.html"];
+
     /// Nothing measured yet.
     pub fn new(machine: Machine, commit: Option<String>) -> Measurements {
         Measurements {
@@ -351,10 +354,11 @@ impl Measurements {
         use std::io::Write;
         let folder = folder.as_ref();
         let page = page(self)?;
-        self.save(folder.join("bench.json"))?;
+        let [results, rows, whole] = Measurements::REPORT_FILES.map(|name| folder.join(name));
+        self.save(results)?;
         let table = csv(self);
-        io::write_atomically(folder.join("bench.csv"), |s| s.write_all(table.as_bytes()))?;
-        io::write_atomically(folder.join("index.html"), |s| s.write_all(page.as_bytes()))
+        io::write_atomically(rows, |s| s.write_all(table.as_bytes()))?;
+        io::write_atomically(whole, |s| s.write_all(page.as_bytes()))
     }
 }
 

@@ -8,8 +8,10 @@ use std::sync::{Arc, Mutex};
 
 const NO_LOADER: &str = "no Vulkan loader found; install libvulkan1 and a driver \
      (Debian: apt-get install libvulkan1 mesa-vulkan-drivers, which brings a software driver too)";
-const NO_DRIVER: &str = "the Vulkan loader found no driver; install one (Debian: apt-get install \
-     mesa-vulkan-drivers, which brings a software driver too) or point VK_DRIVER_FILES at one";
+const A_DRIVER: &str = "install one (Debian: apt-get install mesa-vulkan-drivers, which brings a \
+     software driver too) or point VK_DRIVER_FILES at one";
+/// Where the loader takes its list of drivers from, the first that is set; else from its own folders.
+const DRIVER_LISTS: [&str; 2] = ["VK_DRIVER_FILES", "VK_ICD_FILENAMES"];
 
 const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
 
@@ -53,7 +55,12 @@ impl Instance {
         }
         // SAFETY: everything `info` points at outlives the call.
         let raw = unsafe { entry.create_instance(&info, None) }.map_err(|result| match result {
-            vk::Result::ERROR_INCOMPATIBLE_DRIVER => Error::NoDevice(NO_DRIVER.into()),
+            vk::Result::ERROR_INCOMPATIBLE_DRIVER => no_driver(),
+            // Loaders say so too of a list with a file in it that is no driver's description.
+            vk::Result::ERROR_OUT_OF_HOST_MEMORY => Error::NoDevice(format!(
+                "the Vulkan loader could load no driver{}, or memory ran out; {A_DRIVER}",
+                driver_list()
+            )),
             other => vk_error("vkCreateInstance")(other),
         })?;
         let messenger = if validation {
@@ -90,7 +97,7 @@ impl Instance {
             })
             .collect();
         if usable.is_empty() {
-            return Err(Error::NoDevice(NO_DRIVER.into()));
+            return Err(no_driver());
         }
         Ok(usable)
     }
@@ -147,6 +154,19 @@ impl Drop for Instance {
             unsafe { self.raw.destroy_instance(None) };
         }
     }
+}
+
+fn no_driver() -> Error {
+    Error::NoDevice(format!("the Vulkan loader found no driver{}; {A_DRIVER}", driver_list()))
+}
+
+/// Where the loader has looked, for messages; nothing where that is its own folders.
+fn driver_list() -> String {
+    let found = DRIVER_LISTS.iter().find_map(|name| Some((name, std::env::var_os(name)?)));
+    found.map_or_else(String::new, |(name, list)| {
+        let list: String = list.to_string_lossy().chars().take(200).collect();
+        format!(" in {name}={list:?}")
+    })
 }
 
 fn require_layer(entry: &ash::Entry) -> Result<()> {

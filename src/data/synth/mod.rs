@@ -25,7 +25,7 @@ use crate::types::{Camera, Image, Intrinsics, Pose};
 use render::{Geometry, Moment};
 use scene::Scene;
 
-pub use write::write;
+pub use write::{check_folder, write};
 
 /// The clips, by name:
 /// - `rigid`: a cart is driven through the room, the camera moves;

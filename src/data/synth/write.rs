@@ -15,7 +15,27 @@ use crate::types::Image;
 /// What readers of `.flo` take for "unknown": beyond 1e9.
 const UNKNOWN_FLOW: f32 = 1e10;
 
-/// Writes a clip as a new folder. It appears by rename, whole or not at all:
+/// That a clip can be written as `folder`: it does not exist yet, or is empty.
+///
+/// # Errors
+/// [`Error::Input`] when it is not empty; [`Error::Io`] when it cannot be read or is no folder.
+pub fn check_folder(folder: impl AsRef<Path>) -> Result<()> {
+    let folder = folder.as_ref();
+    if !folder.exists() {
+        return Ok(());
+    }
+    let mut entries = fs::read_dir(folder).map_err(Error::io(folder))?;
+    match entries.next() {
+        None => Ok(()),
+        Some(_) => Err(Error::Input(format!(
+            "{} is not empty; name a new folder, or remove it first",
+            folder.display()
+        ))),
+    }
+}
+
+/// Writes a clip as a new folder, or into an empty one. `frames` and `truth` appear by rename, in a new
+/// folder both at once:
 ///
 /// ```text
 /// frames/0000.png …               8-bit RGB
@@ -33,20 +53,14 @@ const UNKNOWN_FLOW: f32 = 1e10;
 /// ```
 ///
 /// # Errors
-/// [`Error::Input`] when `folder` exists and is not an empty folder; [`Error::Io`] when the disk
-/// refuses.
+/// Those of [`check_folder`]; [`Error::Io`] when the disk refuses.
 pub fn write(clip: &Clip, folder: impl AsRef<Path>) -> Result<()> {
     let folder = folder.as_ref();
-    if folder.exists() {
-        let mut entries = fs::read_dir(folder).map_err(Error::io(folder))?;
-        if entries.next().is_some() {
-            return Err(Error::Input(format!(
-                "{} is not empty; name a new folder, or remove it first",
-                folder.display()
-            )));
-        }
-    }
+    check_folder(folder)?;
+    // A folder that is there stays the same one: it may be a link, or where a disk is mounted.
+    let new = !folder.exists();
     let parent = match folder.parent() {
+        _ if !new => folder,
         Some(parent) if parent != Path::new("") => parent,
         _ => Path::new("."),
     };
@@ -56,7 +70,13 @@ pub fn write(clip: &Clip, folder: impl AsRef<Path>) -> Result<()> {
     // Nested, since a temporary folder is its owner's alone and its mode would come along.
     let whole = partial.path().join("clip");
     contents(clip, &whole)?;
-    fs::rename(&whole, folder).map_err(Error::io(folder))
+    if new {
+        return fs::rename(&whole, folder).map_err(Error::io(folder));
+    }
+    ["truth", "frames"]
+        .iter()
+        .try_for_each(|name| fs::rename(whole.join(name), folder.join(name)))
+        .map_err(Error::io(folder))
 }
 
 fn contents(clip: &Clip, folder: &Path) -> Result<()> {

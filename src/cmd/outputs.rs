@@ -1,0 +1,295 @@
+//! Where output goes, tried before long work begins; nothing is left behind.
+
+use std::collections::HashMap;
+use std::fs;
+use std::io::ErrorKind;
+use std::path::{Component, Path, PathBuf};
+
+use splat4d::{Error, Result, io};
+
+/// The files that a command will write.
+#[derive(Default)]
+pub struct Outputs(Vec<Output>);
+
+struct Output {
+    /// As the user names it.
+    path: PathBuf,
+    /// Where it comes to lie: absolute, links followed.
+    place: PathBuf,
+}
+
+impl Outputs {
+    /// One more file, which can be written there.
+    ///
+    /// # Errors
+    /// It is a folder, it cannot be written, or it lies where another output is to lie.
+    pub fn file(mut self, path: &Path) -> Result<Outputs> {
+        let place = try_file(path)?;
+        let taken =
+            |other: &&Output| other.place.starts_with(&place) || place.starts_with(&other.place);
+        if let Some(other) = self.0.iter().find(taken) {
+            let what = format!("and {} cannot both be written there", other.path.display());
+            return Err(Error::format(path, what));
+        }
+        self.0.push(Output { path: path.to_path_buf(), place });
+        Ok(self)
+    }
+
+    /// The same for files of some names in a folder, which may not exist yet.
+    pub fn folder(self, folder: &Path, names: &[&str]) -> Result<Outputs> {
+        if fs::metadata(folder).is_ok_and(|found| !found.is_dir()) {
+            return Err(Error::format(folder, "is a file; name a folder to write into"));
+        }
+        names.iter().try_fold(self, |outputs, name| outputs.file(&folder.join(name)))
+    }
+
+    /// That none of these files lies on what the command reads.
+    pub fn spare(&self, inputs: &Inputs) -> Result<()> {
+        self.0.iter().try_for_each(|output| inputs.spared_by(&output.path))
+    }
+}
+
+/// What a command reads.
+#[derive(Default)]
+pub struct Inputs {
+    files: HashMap<FileId, PathBuf>,
+    folders: Vec<(FileId, Folder)>,
+}
+
+/// A folder, and the extensions of the files in it that are all read.
+pub type Folder = (PathBuf, &'static [&'static str]);
+
+impl Inputs {
+    /// These files, and those of these folders; what does not exist is read by nobody.
+    pub fn new(
+        files: impl IntoIterator<Item = PathBuf>,
+        folders: impl IntoIterator<Item = Folder>,
+    ) -> Inputs {
+        let mut inputs = Inputs::default();
+        inputs.extend(files);
+        for (folder, extensions) in folders {
+            let Some(id) = file_id(&folder) else { continue };
+            let entries = fs::read_dir(&folder).into_iter().flatten().flatten();
+            let paths = entries.map(|entry| entry.path());
+            inputs.extend(paths.filter(|path| has_extension(path, extensions)));
+            inputs.folders.push((id, (folder, extensions)));
+        }
+        inputs
+    }
+
+    fn extend(&mut self, files: impl IntoIterator<Item = PathBuf>) {
+        let known = files.into_iter().filter_map(|path| Some((file_id(&path)?, path)));
+        self.files.extend(known.filter(|(_, path)| !path.is_dir()));
+    }
+
+    /// That a file can be written without losing or changing what the command reads, whatever links
+    /// lead there.
+    pub fn spared_by(&self, output: &Path) -> Result<()> {
+        if let Some(input) = file_id(output).and_then(|id| self.files.get(&id)) {
+            let what = match input == output {
+                true => "is read by this command; it would be lost. Name another file".to_owned(),
+                false => {
+                    let input = input.display();
+                    format!(
+                        "is {input}, which this command reads; it would be lost. Name another file"
+                    )
+                }
+            };
+            return Err(Error::format(output, what));
+        }
+        let folder = match output.parent() {
+            Some(parent) if parent != Path::new("") => parent,
+            _ => Path::new("."),
+        };
+        let Some(id) = file_id(folder) else { return Ok(()) };
+        let reads = |(of, (_, extensions)): &&(FileId, Folder)| {
+            *of == id && has_extension(output, extensions)
+        };
+        match self.folders.iter().find(reads) {
+            Some((_, (folder, _))) => Err(Error::format(
+                output,
+                format!(
+                    "would lie among the files that this command reads in {}, as one of them from \
+                     then on. Name another place",
+                    folder.display()
+                ),
+            )),
+            None => Ok(()),
+        }
+    }
+}
+
+fn has_extension(path: &Path, extensions: &[&str]) -> bool {
+    let found = path.extension().unwrap_or_default();
+    extensions.iter().any(|extension| found.eq_ignore_ascii_case(extension))
+}
+
+/// What tells a file from every other, whatever its path.
+#[cfg(unix)]
+type FileId = (u64, u64);
+#[cfg(not(unix))]
+type FileId = PathBuf;
+
+#[cfg(unix)]
+fn file_id(path: &Path) -> Option<FileId> {
+    use std::os::unix::fs::MetadataExt;
+    let found = fs::metadata(path).ok()?;
+    (found.is_file() || found.is_dir()).then(|| (found.dev(), found.ino()))
+}
+
+#[cfg(not(unix))]
+fn file_id(path: &Path) -> Option<FileId> {
+    fs::canonicalize(path).ok()
+}
+
+/// Tries a file, and gives its place.
+fn try_file(path: &Path) -> Result<PathBuf> {
+    let named = path.as_os_str().as_encoded_bytes();
+    let ends = |end: &str| named.ends_with(end.as_bytes());
+    if path.file_name().is_none() || ends("/") || ends("/.") || ends(std::path::MAIN_SEPARATOR_STR)
+    {
+        return Err(Error::format(path, "names a folder; name the file to write"));
+    }
+    match fs::metadata(path) {
+        Ok(found) if found.is_dir() => {
+            return Err(Error::format(path, "is a folder; name the file to write"));
+        }
+        // These are written in place. A pipe is not opened: its reader would take that for the end.
+        Ok(found) if is_pipe(&found) => return Ok(path.to_path_buf()),
+        Ok(found) if !found.is_file() => {
+            let device = fs::File::options().write(true).open(path);
+            return device.map(|_| path.to_path_buf()).map_err(Error::io(path));
+        }
+        _ => {}
+    }
+    let target = io::follow_links(path).map_err(Error::io(path))?;
+    try_beside(path, &target)
+}
+
+#[cfg(unix)]
+fn is_pipe(found: &fs::Metadata) -> bool {
+    std::os::unix::fs::FileTypeExt::is_fifo(&found.file_type())
+}
+
+#[cfg(not(unix))]
+fn is_pipe(_: &fs::Metadata) -> bool {
+    false
+}
+
+/// Makes the file, and the folders above it that are missing, in a temporary folder beside the place
+/// where they are to lie: what forbids the one forbids the other. Gives that place.
+fn try_beside(output: &Path, target: &Path) -> Result<PathBuf> {
+    let mut folder = target.parent().unwrap_or(Path::new(""));
+    let folder = loop {
+        let here = if folder == Path::new("") { Path::new(".") } else { folder };
+        match fs::metadata(here) {
+            Ok(found) if found.is_dir() => break here,
+            Ok(_) => return Err(Error::format(output, format!("{} is a file", here.display()))),
+            Err(error) if error.kind() == ErrorKind::NotFound => {
+                if here.is_symlink() {
+                    let what = format!("{} is a symbolic link to nothing", here.display());
+                    return Err(Error::format(output, what));
+                }
+                folder = here.parent().ok_or_else(|| Error::io(output)(error))?;
+            }
+            Err(error) => return Err(Error::io(output)(error)),
+        }
+    };
+    let refused = |error: std::io::Error| Error::Io {
+        path: output.to_path_buf(),
+        source: std::io::Error::new(
+            error.kind(),
+            format!("cannot write into {}: {}", folder.display(), plain(&error)),
+        ),
+    };
+    let missing = target.strip_prefix(folder).unwrap_or(target);
+    let trial = tempfile::Builder::new().prefix(".splat4d-").tempdir_in(folder).map_err(refused)?;
+    // A way that leads up again would lead out of the temporary folder.
+    if !missing.components().any(|part| part == Component::ParentDir) {
+        let file = trial.path().join(missing);
+        let made = file.parent().map_or(Ok(()), fs::create_dir_all);
+        made.and_then(|()| fs::File::create_new(&file)).map_err(refused)?;
+    }
+    Ok(fs::canonicalize(folder).map_err(Error::io(output))?.join(missing))
+}
+
+/// The system's message without the temporary file's name.
+fn plain(error: &std::io::Error) -> String {
+    let text = error.to_string();
+    text.split(" at path ").next().unwrap_or(&text).to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file(path: &Path) -> Result<Outputs> {
+        Outputs::default().file(path)
+    }
+
+    fn message<T>(result: Result<T>) -> String {
+        result.err().expect("an error").to_string()
+    }
+
+    #[test]
+    fn outputs_are_tried_before_the_work() {
+        let folder = tempfile::tempdir().unwrap();
+        let inside = folder.path().join("a/b/scene.safetensors");
+        file(&inside).unwrap();
+        Outputs::default().folder(&inside, &["x"]).unwrap();
+        file(&folder.path().join("missing/../../x")).unwrap();
+        let long = |length: usize| folder.path().join("new").join("n".repeat(length));
+        file(&long(255)).unwrap();
+        assert!(message(file(&long(256))).contains("too long"));
+        for folder_like in ["new/", "new/.", "new/..", "a.mp4/"] {
+            let message = message(file(&folder.path().join(folder_like)));
+            assert!(message.contains("name the file"), "{folder_like}: {message}");
+        }
+        assert!(fs::read_dir(folder.path()).unwrap().next().is_none(), "nothing is left");
+        let there = folder.path().join("file");
+        fs::write(&there, "x").unwrap();
+        file(&there).unwrap();
+        assert!(message(Outputs::default().folder(&there, &["x"])).contains("name a folder"));
+        assert!(file(&there.join("below")).is_err());
+        assert!(message(file(folder.path())).contains("is a folder"));
+        assert_eq!(fs::read(&there).unwrap(), b"x");
+    }
+
+    #[test]
+    fn two_outputs_need_two_places() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let both = |a: &str, b: &str| file(&at(a)).unwrap().file(&at(b));
+        both("x", "y").unwrap();
+        both("x", "x.y").unwrap();
+        for (a, b) in [("x", "x"), ("x", "./x"), ("x", "x/y"), ("new/x/y", "new/x")] {
+            assert!(message(both(a, b)).contains("both"), "{a} {b}");
+        }
+    }
+
+    #[test]
+    fn inputs_are_spared() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        fs::create_dir(at("set")).unwrap();
+        for name in ["set/1.png", "set/notes.txt"] {
+            fs::write(at(name), name).unwrap();
+        }
+        fs::hard_link(at("set/1.png"), at("hard")).unwrap();
+        let inputs = Inputs::new([at("set/1.png")], [(at("set"), &["png"][..])]);
+        let spared = |name: &str| inputs.spared_by(&at(name));
+        for name in ["set/1.png", "set/../set/1.png", "hard"] {
+            assert!(message(spared(name)).contains("set/1.png"), "{name}");
+        }
+        assert!(message(spared("set/new.png")).contains("among the files"));
+        for name in ["set/new", "set/notes.txt", "1.png", "set/inner/1.png"] {
+            spared(name).unwrap();
+        }
+        #[cfg(unix)]
+        {
+            std::os::unix::fs::symlink("set", at("soft")).unwrap();
+            assert!(message(spared("soft/1.png")).contains("set/1.png"));
+            assert!(message(spared("soft/2.png")).contains("among the files"));
+        }
+    }
+}
