@@ -88,7 +88,7 @@ pub enum Error {
         actual: usize,
     },
     /// A file or folder could not be read or written.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {source}", shown(path))]
     Io {
         /// The file or folder.
         path: PathBuf,
@@ -96,7 +96,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// A file holds something else than its format says.
-    #[error("{}: {what}", path.display())]
+    #[error("{}: {what}", shown(path))]
     Format {
         /// The file.
         path: PathBuf,
@@ -110,7 +110,7 @@ pub enum Error {
     #[error("{0}")]
     Failed(String),
     /// The user asked to stop; the last checkpoint stays usable.
-    #[error("interrupted{}", .checkpoint.as_ref().map(|p| format!("; resume with --resume, the checkpoint is {}", p.display())).unwrap_or_default())]
+    #[error("interrupted{}", .checkpoint.as_ref().map(|p| format!("; resume with --resume, the checkpoint is {}", shown(p))).unwrap_or_default())]
     Interrupted {
         /// The checkpoint to resume from, where one was written.
         checkpoint: Option<PathBuf>,
@@ -127,5 +127,53 @@ impl Error {
     /// A file holds something else than its format says.
     pub fn format(path: impl AsRef<Path>, what: impl Into<String>) -> Error {
         Error::Format { path: path.as_ref().to_path_buf(), what: what.into() }
+    }
+}
+
+/// Text from a file, to be quoted in a message: its first 80 characters on one line, and `…` where
+/// there are more. Control characters are escaped, so that no file can write to the terminal.
+pub fn excerpt(text: &str) -> String {
+    printable(text.trim(), 80)
+}
+
+/// A path for a message: whole, unless no system would take it, and printable as it is in
+/// [`excerpt`]; files can hold names of other files.
+fn shown(path: &Path) -> String {
+    printable(&path.to_string_lossy(), 4096)
+}
+
+fn printable(text: &str, most: usize) -> String {
+    let mut out = String::new();
+    for (i, c) in text.chars().enumerate() {
+        if i == most {
+            out.push('…');
+            break;
+        }
+        match is_harmless(c) {
+            true => out.push(c),
+            false => out.extend(c.escape_default()),
+        }
+    }
+    out
+}
+
+/// Neither a control character nor one that reverses or hides what stands beside it.
+fn is_harmless(c: char) -> bool {
+    !c.is_control()
+        && !matches!(c, '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{feff}')
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_quoted_is_short_and_printable() {
+        assert_eq!(excerpt("  format text 1.0\r\n"), "format text 1.0");
+        assert_eq!(excerpt("a\u{1b}[2J\tb\u{202e}c\u{85}é"), r"a\u{1b}[2J\tb\u{202e}c\u{85}é");
+        let long = excerpt(&"é".repeat(1 << 20));
+        assert_eq!((long.chars().count(), long.ends_with('…')), (81, true));
+        let error = Error::format(format!("a\n{}", "b".repeat(9000)), "is odd").to_string();
+        assert!(error.starts_with(r"a\nbbb") && error.len() < 4200 && error.ends_with(": is odd"));
     }
 }

@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::process::{Command, Stdio};
 
+use splat4d::error::excerpt;
 use splat4d::{Error, Result, io};
 
 /// Whether an output is to be a video.
@@ -40,7 +41,7 @@ pub fn encode(folder: &Path, rate: f64, output: &Path) -> Result<()> {
     if !done.status.success() {
         let said = String::from_utf8_lossy(&done.stderr);
         let last = said.lines().map(str::trim).rfind(|line| !line.is_empty());
-        let why = last.unwrap_or("it gives no reason");
+        let why = last.map_or("it gives no reason".into(), excerpt);
         return Err(Error::Failed(format!("ffmpeg cannot write {}: {why}", output.display())));
     }
     let partial = folder.join(PARTIAL);

@@ -142,19 +142,34 @@ fn around(scene: &Scene, angle: f64) -> Camera {
         }
     }
     let target = 0.5 * (low + high);
-    let radius = (0.5 * (high - low).length()).max(1e-3);
+    let near = f64::from(scene.settings.near);
+    // Where the centres have no extent, as in a scene of one Gaussian, its own size is the scene's.
+    let mut sizes: Vec<f64> = chosen.iter().map(|&i| deviation(g.log_scales[i])).collect();
+    let spread = 0.5 * (high - low).length();
+    let radius = spread.max(3.0 * median(&mut sizes).unwrap_or(0.0)).max(1e-6);
     let (width, height) = DEFAULT_SIZE;
-    let focal = f64::from(width) * 0.8;
-    let half_view = (f64::from(height) / 2.0 / focal).atan();
+    let mut half_view = (f64::from(height) / 2.0 / (f64::from(width) * 0.8)).atan();
+    let mut distance = radius / half_view.sin();
+    // What is nearer than `near` is not drawn: tiny scenes are seen from further away, enlarged.
+    if distance - radius < 2.0 * near {
+        distance = radius + 2.0 * near;
+        half_view = (radius / distance).asin();
+    }
+    let focal = f64::from(height) / 2.0 / half_view.tan();
     let up = Vec3::from_array(scene.up).as_dvec3().try_normalize().unwrap_or(DVec3::NEG_Y);
     let side = up.any_orthonormal_vector();
     let (sin, cos) = angle.sin_cos();
     let outward = (side * cos + up.cross(side) * sin) * ELEVATION.cos() + up * ELEVATION.sin();
-    let centre = target + outward * (radius / half_view.sin());
+    let centre = target + outward * distance;
     Camera {
         intrinsics: Intrinsics::centred(focal, width, height),
         view_from_world: look_at(centre, target, up),
     }
+}
+
+/// The largest standard deviation of a Gaussian.
+fn deviation(log_scales: [f32; 3]) -> f64 {
+    f64::from(log_scales.into_iter().fold(f32::NEG_INFINITY, f32::max)).exp()
 }
 
 /// The camera's picture at another size: all that it showed stays in the picture, pixels stay
@@ -245,6 +260,22 @@ mod tests {
                     assert!(seen.z > 0.0 && pixel.x > 0.0 && pixel.x < f64::from(k.width));
                     assert!(pixel.y > 0.0 && pixel.y < f64::from(k.height));
                 }
+            }
+        }
+        // One Gaussian of any size, and scenes nearer to each other than the renderer draws.
+        for (log_scale, depth) in [(-3.0, 4.0), (-12.0, 0.0), (5.0, 1e6), (-40.0, 1.0)] {
+            let mut scene = wall(depth);
+            let g = &mut scene.gaussians;
+            g.positions.fill([0.5, 0.5, depth]);
+            g.log_scales.fill([log_scale; 3]);
+            for shot in orbit(&scene, 5) {
+                shot.camera.check().unwrap();
+                let centre = glam::DVec3::new(0.5, 0.5, f64::from(depth));
+                let seen = shot.camera.view_from_world.apply(centre);
+                let k = shot.camera.intrinsics;
+                let sigma = k.fy * f64::from(log_scale).exp() / seen.z;
+                assert!(seen.z > 0.01 && (k.project(seen).x - k.cx).abs() < 1.0, "{seen}");
+                assert!(log_scale < -13.0 || (20.0..200.0).contains(&sigma), "{sigma}");
             }
         }
         let empty = orbit(&Scene::of(Gaussians::default()), 3);

@@ -13,7 +13,7 @@ use splat4d::renderer::Renderer;
 use splat4d::scene::Scene;
 use splat4d::track::{FocalSource, Options, Stage, Track, track};
 use splat4d::train::{Checkpoint, Phase, Sequence, SequenceSettings, fit_sequence};
-use splat4d::types::{Camera, FlowSettings, Image};
+use splat4d::types::{Camera, FlowSettings, Image, Intrinsics};
 use splat4d::{Error, Result};
 
 use super::checkpoints::{self, CheckpointArgs, Checkpoints, shown, summed};
@@ -323,6 +323,10 @@ fn options(args: &ReconstructArgs, common: &Common, clip: &Clip) -> Result<Optio
         supplied::for_frames(read(path)?, count, every, path, what).map(Some)
     }
     let scale = f64::from(width) / f64::from(clip.original.0);
+    if let Some(focal) = args.focal {
+        let whole = Intrinsics::centred(focal, clip.original.0, clip.original.1);
+        whole.check().map_err(|what| Error::Input(format!("--focal {focal:?}: {what}")))?;
+    }
     Ok(Options {
         intrinsics: match &args.intrinsics {
             Some(path) => Some(supplied::intrinsics(path, clip)?),

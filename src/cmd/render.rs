@@ -255,6 +255,11 @@ fn shots(args: &RenderArgs, scene: &Scene) -> Result<Vec<TimedCamera>> {
             (k.fx, k.fy) = (focal, focal);
         }
     }
+    for (i, shot) in cameras.iter().enumerate() {
+        shot.camera.check().map_err(|what| {
+            Error::Input(format!("camera {i} of the path cannot be rendered from: {what}"))
+        })?;
+    }
     Ok(match times {
         None => cameras,
         Some(times) => at_times(&cameras, &times),

@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use splat4d::error::excerpt;
 use splat4d::types::Tuning;
 use splat4d::{Error, Result, io};
 
@@ -16,8 +17,9 @@ pub fn write(path: &Path, tuning: &Tuning) -> Result<()> {
 /// Reads one, or the most accurate settings where there is none.
 pub fn read(path: Option<&Path>) -> Result<Tuning> {
     let Some(path) = path else { return Ok(Tuning::default()) };
-    let tuning: Tuning = serde_json::from_value(io::read_json(path)?)
-        .map_err(|e| Error::format(path, format!("is no file of settings: {e}")))?;
+    let tuning: Tuning = serde_json::from_value(io::read_json(path)?).map_err(|e| {
+        Error::format(path, format!("is no file of settings: {}", excerpt(&e.to_string())))
+    })?;
     tuning.check().map_err(|e| Error::format(path, e.to_string()))?;
     Ok(tuning)
 }

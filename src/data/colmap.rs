@@ -9,9 +9,10 @@ use std::str::FromStr;
 
 use glam::{DQuat, DVec3};
 
-use super::{Dataset, Distortion, Frame, Point, fit_to_image, images, missing_note};
+use super::{Dataset, Distortion, Frame, Point, fit_to_image, images, missing_note, points};
+use crate::error::excerpt;
 use crate::io::{self, Bytes};
-use crate::types::{Camera, Intrinsics, Pose};
+use crate::types::{Camera, Intrinsics, Pose, range};
 use crate::{Error, Result};
 
 /// A camera model with its lens.
@@ -41,8 +42,11 @@ pub struct Model {
     pub lenses: HashMap<u32, Lens>,
     /// Images in file order.
     pub images: Vec<Registered>,
-    /// Triangulated points; those not finite are left out.
+    /// Triangulated points, without those that are not finite or out of reach
+    /// ([`range::CAMERA_REACH`]).
     pub points: Vec<Point>,
+    /// Number of points left out.
+    pub left_out: usize,
 }
 
 /// The folder below `root` that holds a model, if there is one.
@@ -57,18 +61,22 @@ pub fn find(root: &Path) -> Option<PathBuf> {
 /// Frames come in the natural order of their names; pictures that do not exist are skipped and
 /// counted in a note.
 pub fn read(root: &Path, model: &Path) -> Result<Dataset> {
-    let Model { lenses, mut images, points } = read_model(model)?;
+    let Model { lenses, mut images, points, left_out } = read_model(model)?;
+    let notes = Vec::from_iter(points::left_out_note(left_out, points.len()));
     images.sort_by(|a, b| images::natural(&a.name, &b.name));
     let folders: Vec<PathBuf> = ["images", "input", ""].iter().map(|f| root.join(f)).collect();
     let parts = ["cameras", "images", "points3D"];
     let sources = ["bin", "txt"].iter().flat_map(|e| parts.map(|p| model.join(format!("{p}.{e}"))));
     let sources = sources.filter(|path| path.is_file()).collect();
-    let mut set = Dataset { points, sources, ..Dataset::default() };
+    let mut set = Dataset { points, notes, sources, ..Dataset::default() };
     let (listed, mut missing) = (images.len(), Vec::new());
     for image in images {
         let lens = lenses.get(&image.camera).ok_or_else(|| {
-            let what =
-                format!("image {} names camera {}, which is absent", image.name, image.camera);
+            let what = format!(
+                "image {} names camera {}, which is absent",
+                excerpt(&image.name),
+                image.camera
+            );
             Error::format(model, what)
         })?;
         let found = folders.iter().map(|f| f.join(&image.name)).find(|path| path.is_file());
@@ -99,25 +107,28 @@ pub fn read_model(folder: &Path) -> Result<Model> {
     let file = |stem: &str| folder.join(format!("{stem}.{}", if binary { "bin" } else { "txt" }));
     let (cameras, images, points) = (file("cameras"), file("images"), file("points3D"));
     let has_points = points.is_file();
-    Ok(if binary {
-        Model {
-            lenses: binary_cameras(&cameras, &io::read(&cameras)?)?,
-            images: binary_images(&images, &io::read(&images)?)?,
-            points: match has_points {
+    let (lenses, images, found) = if binary {
+        (
+            binary_cameras(&cameras, &io::read(&cameras)?)?,
+            binary_images(&images, &io::read(&images)?)?,
+            match has_points {
                 true => binary_points(&points, &io::read(&points)?)?,
                 false => Vec::new(),
             },
-        }
+        )
     } else {
-        Model {
-            lenses: text_cameras(&cameras, &io::read_text(&cameras)?)?,
-            images: text_images(&images, &io::read_text(&images)?)?,
-            points: match has_points {
+        (
+            text_cameras(&cameras, &io::read_text(&cameras)?)?,
+            text_images(&images, &io::read_text(&images)?)?,
+            match has_points {
                 true => text_points(&points, &io::read_text(&points)?)?,
                 false => Vec::new(),
             },
-        }
-    })
+        )
+    };
+    let listed = found.len();
+    let points: Vec<Point> = found.into_iter().flatten().collect();
+    Ok(Model { lenses, images, left_out: listed - points.len(), points })
 }
 
 /// COLMAP's camera models in the order of their ids, with their numbers of parameters.
@@ -153,35 +164,30 @@ fn lens(path: &Path, id: u32, model: &str, size: (u64, u64), p: &[f64]) -> Resul
         ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => (at(fx, fy, cx, cy), bent(k1, k2, p1, p2)),
         _ => {
             return Err(bad(format!(
-                "model {model} with {} parameters is not supported (SIMPLE_PINHOLE, PINHOLE, \
+                "model {} with {} parameters is not supported (SIMPLE_PINHOLE, PINHOLE, \
                  SIMPLE_RADIAL, RADIAL and OPENCV are); run `colmap image_undistorter` first",
+                excerpt(model),
                 p.len()
             )));
         }
     };
-    if !p.iter().all(|v| v.is_finite()) || intrinsics.fx <= 0.0 || intrinsics.fy <= 0.0 {
-        return Err(bad(format!("parameters {p:?} make no sense")));
-    }
+    intrinsics.check().and_then(|()| distortion.check(&intrinsics)).map_err(bad)?;
     Ok(Lens { intrinsics, distortion })
 }
 
 /// The pose of a quaternion (w, x, y, z) and a translation.
 fn pose(path: &Path, name: &str, q: [f64; 4], t: [f64; 3]) -> Result<Pose> {
     let rotation = DQuat::from_xyzw(q[1], q[2], q[3], q[0]);
-    let length = rotation.length();
-    if !(length > 1e-6 && length.is_finite() && t.iter().all(|v| v.is_finite())) {
-        return Err(Error::format(
-            path,
-            format!("image {name}: its pose {q:?} {t:?} makes no sense"),
-        ));
-    }
-    Ok(Pose::new(rotation, DVec3::from_array(t)))
+    let bad = |what: String| Error::format(path, format!("image {}: {what}", excerpt(name)));
+    range::quaternion(rotation).map_err(bad)?;
+    let pose = Pose::new(rotation, DVec3::from_array(t));
+    pose.check().map_err(bad)?;
+    Ok(pose)
 }
 
 fn point(position: [f64; 3], colour: [u8; 3]) -> Option<Point> {
-    let position = position.map(|v| v as f32);
-    let finite = position.iter().all(|v| v.is_finite());
-    finite.then(|| Point { position, colour: colour.map(|v| f32::from(v) / 255.0) })
+    let colour = colour.map(|v| f32::from(v) / 255.0);
+    Some(Point { position: position.map(|v| v as f32), colour }).filter(Point::is_usable)
 }
 
 fn binary_cameras(path: &Path, bytes: &[u8]) -> Result<HashMap<u32, Lens>> {
@@ -224,7 +230,8 @@ fn binary_images(path: &Path, bytes: &[u8]) -> Result<Vec<Registered>> {
     Ok(images)
 }
 
-fn binary_points(path: &Path, bytes: &[u8]) -> Result<Vec<Point>> {
+/// The points; none in the place of one that cannot be used.
+fn binary_points(path: &Path, bytes: &[u8]) -> Result<Vec<Option<Point>>> {
     let mut from = Bytes::new(path, bytes);
     let count = from.count(51, "points")?;
     let mut points = Vec::with_capacity(count);
@@ -238,7 +245,7 @@ fn binary_points(path: &Path, bytes: &[u8]) -> Result<Vec<Point>> {
         from.f64("a point's error")?;
         let track = from.count(8, "track elements")?;
         from.take(8 * track, "a point's track")?;
-        points.extend(point(position, colour));
+        points.push(point(position, colour));
     }
     Ok(points)
 }
@@ -285,7 +292,7 @@ fn text_cameras(path: &Path, text: &str) -> Result<HashMap<u32, Lens>> {
 
 fn text_images(path: &Path, text: &str) -> Result<Vec<Registered>> {
     let mut images = Vec::new();
-    let mut lines = lines(path, text);
+    let mut lines = lines(path, text).peekable();
     while let Some((line, mut words)) = lines.next() {
         if line.trim().is_empty() {
             continue;
@@ -303,13 +310,21 @@ fn text_images(path: &Path, text: &str) -> Result<Vec<Registered>> {
         }
         let view_from_world = pose(path, &name, q, t)?;
         images.push(Registered { name, camera, view_from_world });
-        // The image's observations follow on a line of their own, which may be empty.
-        lines.next();
+        // The image's observations follow on a line of their own, which is empty where there are
+        // none. Some writers leave it out then: the next image follows at once.
+        lines.next_if(|(line, _)| is_observations(line));
     }
     Ok(images)
 }
 
-fn text_points(path: &Path, text: &str) -> Result<Vec<Point>> {
+/// Whether a line holds `x y id` any number of times. An image's line does not: it has a name, and
+/// ten words at least.
+fn is_observations(line: &str) -> bool {
+    let words = || line.split_ascii_whitespace();
+    words().count().is_multiple_of(3) && words().all(|word| word.parse::<f64>().is_ok())
+}
+
+fn text_points(path: &Path, text: &str) -> Result<Vec<Option<Point>>> {
     let mut points = Vec::new();
     for (line, mut words) in lines(path, text) {
         if line.trim().is_empty() {
@@ -323,7 +338,7 @@ fn text_points(path: &Path, text: &str) -> Result<Vec<Point>> {
         for value in &mut colour {
             *value = words.next("a colour from 0 to 255")?;
         }
-        points.extend(point(position, colour));
+        points.push(point(position, colour));
     }
     Ok(points)
 }

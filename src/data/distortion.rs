@@ -7,6 +7,7 @@
 use glam::DVec2;
 use rayon::prelude::*;
 
+use crate::types::range::{self, Check};
 use crate::types::{Image, Intrinsics};
 
 /// Brown–Conrady distortion as OpenCV, COLMAP and nerfstudio write it: with r² = x² + y² in the
@@ -20,7 +21,59 @@ pub struct Distortion {
     pub tangential: [f64; 2],
 }
 
+/// Least share of a picture that undistortion must leave.
+const LEAST_LEFT: f64 = 0.1;
+/// Places along each side of a picture at which [`Distortion::check`] looks.
+const CHECKED: u32 = 33;
+
 impl Distortion {
+    /// That this is a lens's distortion of a picture with these intrinsics: no two directions share
+    /// a pixel that [`undistort`](Self::undistort) takes, and it finds a source for a tenth of the
+    /// pixels at least.
+    ///
+    /// # Errors
+    /// What is wrong, in words.
+    pub fn check(&self, intrinsics: &Intrinsics) -> Check {
+        if self.is_none() {
+            return Ok(());
+        }
+        let size = DVec2::new(f64::from(intrinsics.width), f64::from(intrinsics.height));
+        let fold = self.fold(reach(intrinsics, size));
+        let named = || format!("the distortion k {:?}, p {:?}", self.radial, self.tangential);
+        let mut left = 0;
+        for i in 0..CHECKED * CHECKED {
+            let share = DVec2::new(f64::from(i % CHECKED), f64::from(i / CHECKED));
+            let pixel = size * share / f64::from(CHECKED - 1);
+            let plane = intrinsics.ray(pixel).truncate();
+            let source = intrinsics.project(self.distort(plane).extend(1.0));
+            let inside = source.cmpge(DVec2::ZERO).all() && source.cmple(size).all();
+            if !(inside && plane.length_squared() <= fold) {
+                continue;
+            }
+            range::wanted(self.turns_over(plane) > 0.0, || {
+                format!("{} cannot be undone: at pixel {pixel} it folds the picture over", named())
+            })?;
+            left += 1;
+        }
+        let share = f64::from(left) / f64::from(CHECKED * CHECKED);
+        range::wanted(share >= LEAST_LEFT, || {
+            format!("{} leaves only {:.1} % of the picture", named(), 100.0 * share)
+        })
+    }
+
+    /// The determinant of [`distort`](Self::distort)'s derivative: below zero it mirrors.
+    fn turns_over(&self, p: DVec2) -> f64 {
+        let [k1, k2, k3, k4] = self.radial;
+        let [p1, p2] = self.tangential;
+        let r2 = p.length_squared();
+        let factor = 1.0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)));
+        let slope = k1 + r2 * (2.0 * k2 + r2 * (3.0 * k3 + r2 * 4.0 * k4));
+        let xx = factor + 2.0 * p.x * p.x * slope + 2.0 * p1 * p.y + 6.0 * p2 * p.x;
+        let yy = factor + 2.0 * p.y * p.y * slope + 6.0 * p1 * p.y + 2.0 * p2 * p.x;
+        let xy = 2.0 * p.x * p.y * slope + 2.0 * p1 * p.x + 2.0 * p2 * p.y;
+        xx * yy - xy * xy
+    }
+
     /// Whether every coefficient is zero.
     pub fn is_none(&self) -> bool {
         self.radial == [0.0; 4] && self.tangential == [0.0; 2]
@@ -59,12 +112,8 @@ impl Distortion {
     pub fn undistort(&self, image: &Image, intrinsics: &Intrinsics) -> (Image, Option<Image>) {
         let (width, height) = (image.width as usize, image.height as usize);
         let channels = image.channels as usize;
-        let reach = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)]
-            .map(|(x, y)| DVec2::new(x * width as f64, y * height as f64))
-            .map(|corner| intrinsics.ray(corner).truncate().length_squared())
-            .into_iter()
-            .fold(0.0, f64::max);
-        let fold = self.fold(reach);
+        let size = DVec2::new(width as f64, height as f64);
+        let fold = self.fold(reach(intrinsics, size));
         let mut out = Image::new(image.width, image.height, image.channels);
         let mut valid = Image::new(image.width, image.height, 1);
         out.pixels
@@ -88,6 +137,15 @@ impl Distortion {
         let whole = valid.pixels.iter().all(|&v| v == 1.0);
         (out, (!whole).then_some(valid))
     }
+}
+
+/// The largest squared radius, in the plane of unit depth, of a pinhole's picture of some size.
+fn reach(intrinsics: &Intrinsics, size: DVec2) -> f64 {
+    [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)]
+        .map(|(x, y)| DVec2::new(x, y) * size)
+        .map(|corner| intrinsics.ray(corner).truncate().length_squared())
+        .into_iter()
+        .fold(0.0, f64::max)
 }
 
 /// Samples bilinearly at a pixel position (centres at +0.5); the outermost half pixel repeats the

@@ -8,11 +8,13 @@ use exr::prelude::{
     ReadLayers, SmallVec, WritableImage,
 };
 
+use crate::error::excerpt;
 use crate::io;
-use crate::types::Image;
+use crate::types::{Image, range};
 use crate::{Error, Result};
 
-/// Reads a depth map: the channel `Z`, else `depth`, `Y` or `R`, else the only one.
+/// Reads a depth map: the channel `Z`, else `depth`, `Y` or `R`, else the only one. What is no depth
+/// (NaN, not above 0, nearer than [`range::DEPTH`]) comes back as 0, what is farther as infinite.
 pub fn read_depth(path: impl AsRef<Path>) -> Result<Image> {
     let path = path.as_ref();
     let mut planes = read_planes(path)?;
@@ -23,11 +25,19 @@ pub fn read_depth(path: impl AsRef<Path>) -> Result<Image> {
         Some(index) => index,
         None if names.len() == 1 => 0,
         None => {
-            let what = format!("has no depth channel Z or Y, but {}", planes.names.join(", "));
+            let found = excerpt(&planes.names.join(", "));
+            let what = format!("has no depth channel Z or Y, but {found}");
             return Err(Error::format(path, what));
         }
     };
-    let pixels = planes.values.swap_remove(index);
+    let mut pixels = planes.values.swap_remove(index);
+    for z in &mut pixels {
+        *z = match *z {
+            z if range::DEPTH.contains(&z) => z,
+            z if z > *range::DEPTH.end() => f32::INFINITY,
+            _ => 0.0,
+        };
+    }
     Ok(Image { width: planes.width, height: planes.height, channels: 1, pixels })
 }
 
@@ -37,7 +47,7 @@ pub fn read_rgba(path: impl AsRef<Path>) -> Result<Image> {
     let planes = read_planes(path)?;
     let plane = |name: &str| planes.names.iter().position(|n| n.eq_ignore_ascii_case(name));
     let (Some(r), Some(g), Some(b)) = (plane("R"), plane("G"), plane("B")) else {
-        let what = format!("has no channels R, G, B, but {}", planes.names.join(", "));
+        let what = format!("has no channels R, G, B, but {}", excerpt(&planes.names.join(", ")));
         return Err(Error::format(path, what));
     };
     let chosen: Vec<&Vec<f32>> =
@@ -71,8 +81,9 @@ struct Planes {
 
 fn read_planes(path: &Path) -> Result<Planes> {
     let bytes = io::read(path)?;
-    let bad =
-        |e: &dyn std::fmt::Display| Error::format(path, format!("is not a readable EXR: {e}"));
+    let bad = |e: &dyn std::fmt::Display| {
+        Error::format(path, format!("is not a readable EXR: {}", excerpt(&e.to_string())))
+    };
     let headers = exr::meta::MetaData::read_from_buffered(Cursor::new(&bytes), false)
         .map_err(|e| bad(&e))?
         .headers;
@@ -93,6 +104,9 @@ fn read_planes(path: &Path) -> Result<Planes> {
     let layer = image.layer_data;
     let side = |side: usize| u32::try_from(side).map_err(|e| bad(&e));
     let (width, height) = (side(layer.size.0)?, side(layer.size.1)?);
+    if !(range::SIDE.contains(&width) && range::SIDE.contains(&height)) {
+        return Err(Error::format(path, format!("a size of {width}×{height} makes no sense")));
+    }
     let count = layer.size.0 * layer.size.1;
     let mut planes = Planes { width, height, names: Vec::new(), values: Vec::new() };
     for channel in layer.channel_data.list {

@@ -5,12 +5,13 @@ use std::io::Write;
 use std::path::Path;
 
 use crate::io::{self, Bytes};
-use crate::types::Image;
+use crate::types::{Image, range};
 use crate::{Error, Result};
 
 const TAG: f32 = 202_021.25;
 
-/// Reads a flow field as an image of two channels (u, v), pixels.
+/// Reads a flow field as an image of two channels (u, v), pixels. Vectors beyond [`range::FLOW`], by
+/// which the format marks what is unknown, and those that are not finite come back as NaN.
 pub fn read(path: impl AsRef<Path>) -> Result<Image> {
     let path = path.as_ref();
     let bytes = io::read(path)?;
@@ -22,6 +23,9 @@ pub fn read(path: impl AsRef<Path>) -> Result<Image> {
     let (Ok(w), Ok(h)) = (u32::try_from(width), u32::try_from(height)) else {
         return Err(Error::format(path, format!("a size of {width}×{height} makes no sense")));
     };
+    if !(range::SIDE.contains(&w) && range::SIDE.contains(&h)) {
+        return Err(Error::format(path, format!("a size of {w}×{h} makes no sense")));
+    }
     let needed = 8 * u64::from(w) * u64::from(h);
     if needed != from.left() as u64 {
         let left = from.left();
@@ -30,7 +34,12 @@ pub fn read(path: impl AsRef<Path>) -> Result<Image> {
     }
     let data = from.take(needed as usize, "the vectors")?;
     let value = |b: &[u8]| f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
-    let pixels = data.chunks_exact(4).map(value).collect();
+    let mut pixels: Vec<f32> = data.chunks_exact(4).map(value).collect();
+    for vector in pixels.chunks_exact_mut(2) {
+        if !vector.iter().all(|v| v.abs() <= range::FLOW) {
+            vector.fill(f32::NAN);
+        }
+    }
     Ok(Image { width: w, height: h, channels: 2, pixels })
 }
 

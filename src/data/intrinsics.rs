@@ -23,13 +23,13 @@ pub fn read(path: impl AsRef<Path>) -> Result<Intrinsics> {
     let positive = |keys: &[&str]| match number(keys)? {
         Some(number) if number > 0.0 => Ok(number),
         Some(number) => {
-            Err(Error::format(path, format!("`{}` = {number} makes no sense", keys[0])))
+            Err(Error::format(path, format!("`{}` = {number:?} makes no sense", keys[0])))
         }
         None => Err(Error::format(path, format!("`{}` is missing", keys[0]))),
     };
     let side = |keys: &[&str]| match positive(keys)? {
         side if side >= 1.0 && side < f64::from(u32::MAX) => Ok(side as u32),
-        side => Err(Error::format(path, format!("`{}` = {side} makes no sense", keys[0]))),
+        side => Err(Error::format(path, format!("`{}` = {side:?} makes no sense", keys[0]))),
     };
     let fx = positive(&["fx", "fl_x", "focal"])?;
     let fy = match number(&["fy", "fl_y"])? {
@@ -39,7 +39,9 @@ pub fn read(path: impl AsRef<Path>) -> Result<Intrinsics> {
     let (width, height) = (side(&["width", "w"])?, side(&["height", "h"])?);
     let cx = number(&["cx"])?.unwrap_or(f64::from(width) / 2.0);
     let cy = number(&["cy"])?.unwrap_or(f64::from(height) / 2.0);
-    Ok(Intrinsics { fx, fy, cx, cy, width, height })
+    let intrinsics = Intrinsics { fx, fy, cx, cy, width, height };
+    intrinsics.check().map_err(|what| Error::format(path, what))?;
+    Ok(intrinsics)
 }
 
 /// Writes intrinsics by rename.

@@ -28,6 +28,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
+use crate::error::excerpt;
 use crate::types::{Camera, Image};
 use crate::{Error, Result};
 
@@ -206,7 +207,8 @@ fn fit_to_image(camera: &mut Camera, path: &Path) -> Result<()> {
 fn missing_note(missing: &[String], listed: usize) -> Option<String> {
     let first = missing.first()?;
     Some(format!(
-        "skipped {} of {listed} listed images that do not exist ({first} …)",
-        missing.len()
+        "skipped {} of {listed} listed images that do not exist ({} …)",
+        missing.len(),
+        excerpt(first)
     ))
 }

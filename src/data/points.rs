@@ -2,7 +2,10 @@
 
 use std::path::Path;
 
+use glam::Vec3;
+
 use crate::io::{self, ply::Kind, ply::Ply, ply::Scalar};
+use crate::types::range::{self, CAMERA_REACH};
 use crate::{Error, Result};
 
 /// A coloured point in the world.
@@ -15,8 +18,13 @@ pub struct Point {
 }
 
 /// Reads a point cloud from a PLY file: `x y z` and, where present, `red green blue` (grey
-/// otherwise). Points that are not finite are left out.
-pub fn read_ply(path: &Path) -> Result<Vec<Point>> {
+/// otherwise). Points that are not finite or out of reach ([`range::CAMERA_REACH`]) are left out; the
+/// second value counts them.
+///
+/// # Errors
+/// The file is no PLY of points, is cut off, or has colours outside of [0, 1] (the message names the
+/// first such vertex).
+pub fn read_ply(path: &Path) -> Result<(Vec<Point>, usize)> {
     let bytes = io::read(path)?;
     let ply = Ply::parse(path, &bytes)?;
     let vertex = ply
@@ -49,6 +57,34 @@ pub fn read_ply(path: &Path) -> Result<Vec<Point>> {
             false => [0.5; 3],
         },
     };
-    let finite = |p: &Point| p.position.iter().chain(&p.colour).all(|v| v.is_finite());
-    Ok(rows.chunks_exact(columns.len()).map(point).filter(finite).collect())
+    let all = rows.chunks_exact(columns.len()).map(point).enumerate();
+    let (mut points, mut left_out) = (Vec::new(), 0);
+    for (i, point) in all {
+        if !point.is_usable() {
+            left_out += 1;
+            continue;
+        }
+        range::colour(point.colour)
+            .map_err(|what| Error::format(path, format!("vertex {i}: {what}")))?;
+        points.push(point);
+    }
+    Ok((points, left_out))
+}
+
+impl Point {
+    /// Whether its numbers are finite and its place within reach.
+    pub(super) fn is_usable(&self) -> bool {
+        range::place(Vec3::from(self.position).as_dvec3()).is_ok()
+            && self.colour.iter().all(|c| c.is_finite())
+    }
+}
+
+/// The one line about points that were left out.
+pub(super) fn left_out_note(left_out: usize, kept: usize) -> Option<String> {
+    let all = left_out + kept;
+    (left_out > 0).then(|| {
+        format!(
+            "left out {left_out} of {all} points that are not finite or lie beyond {CAMERA_REACH:e}"
+        )
+    })
 }

@@ -3,10 +3,10 @@
 use std::io::Write;
 use std::path::Path;
 
-use glam::{DMat4, DQuat, DVec3, DVec4};
+use glam::{DMat3, DQuat, DVec3};
 
 use crate::io;
-use crate::types::Pose;
+use crate::types::{Pose, range};
 use crate::{Error, Result};
 
 /// A camera's pose at a time.
@@ -54,8 +54,7 @@ pub fn read(path: impl AsRef<Path>, order: Option<QuaternionOrder>) -> Result<Ve
         let words = line.split(separators).filter(|w| !w.is_empty());
         let numbers: Vec<f64> = words.map_while(|w| w.parse().ok()).collect();
         let count = line.split(separators).filter(|w| !w.is_empty()).count();
-        let finite = numbers.iter().all(|v: &f64| v.is_finite());
-        if numbers.len() < count || !matches!(count, 7 | 8 | 12) || !finite {
+        if numbers.len() < count || !matches!(count, 7 | 8 | 12) {
             return Err(Error::format(
                 path,
                 format!("line {}: `timestamp tx ty tz qx qy qz qw` expected", i + 1),
@@ -70,13 +69,16 @@ pub fn read(path: impl AsRef<Path>, order: Option<QuaternionOrder>) -> Result<Ve
     rows.iter()
         .enumerate()
         .map(|(index, (line, numbers))| {
-            let bad = || Error::format(path, format!("line {line}: not a rigid transform"));
+            let bad = |what: String| Error::format(path, format!("line {line}: {what}"));
             let (time, world_from_view) = match numbers[..] {
                 [time, ref pose @ ..] if pose.len() == 7 => (time, quaternion_pose(pose, order)),
                 ref pose if pose.len() == 7 => (index as f64, quaternion_pose(pose, order)),
                 ref matrix => (index as f64, matrix_pose(matrix)),
             };
-            Ok(TimedPose { time, world_from_view: world_from_view.ok_or_else(bad)? })
+            let world_from_view = world_from_view.map_err(bad)?;
+            range::timestamp(time).map_err(bad)?;
+            world_from_view.check().map_err(bad)?;
+            Ok(TimedPose { time, world_from_view })
         })
         .collect()
 }
@@ -89,21 +91,25 @@ fn guess_order(first: &[f64]) -> QuaternionOrder {
 }
 
 /// The pose of tx ty tz and a quaternion.
-fn quaternion_pose(row: &[f64], order: QuaternionOrder) -> Option<Pose> {
+fn quaternion_pose(row: &[f64], order: QuaternionOrder) -> std::result::Result<Pose, String> {
     let rotation = match order {
         QuaternionOrder::Xyzw => DQuat::from_xyzw(row[3], row[4], row[5], row[6]),
         QuaternionOrder::Wxyz => DQuat::from_xyzw(row[4], row[5], row[6], row[3]),
     };
-    let unit = (rotation.length() - 1.0).abs() < 0.05;
-    unit.then(|| Pose::new(rotation, DVec3::new(row[0], row[1], row[2])))
+    range::quaternion(rotation)?;
+    Ok(Pose::new(rotation, DVec3::new(row[0], row[1], row[2])))
 }
 
 /// The pose of the 12 numbers of a 3×4 matrix, row by row.
-fn matrix_pose(row: &[f64]) -> Option<Pose> {
-    let line = |i: usize| DVec4::from_slice(&row[4 * i..4 * i + 4]);
-    let matrix = DMat4::from_cols(line(0), line(1), line(2), DVec4::W).transpose();
-    let unit = (matrix.determinant() - 1.0).abs() < 0.05;
-    unit.then(|| Pose::from_matrix(matrix))
+fn matrix_pose(row: &[f64]) -> std::result::Result<Pose, String> {
+    let column = |c: usize| DVec3::new(row[c], row[4 + c], row[8 + c]);
+    let matrix = DMat3::from_cols(column(0), column(1), column(2));
+    let (rotation, scale) =
+        range::rotation_and_scale(matrix).map_err(|what| format!("the matrix {what}"))?;
+    if (scale - 1.0).abs() > range::ROTATION_TOLERANCE {
+        return Err(format!("the matrix is not a rigid transform: it scales by {scale:?}"));
+    }
+    Ok(Pose::new(rotation, column(3)))
 }
 
 /// Writes TUM's format (x, y, z, w), with as many digits as bring the same numbers back.

@@ -6,13 +6,14 @@
 
 use std::path::{Path, PathBuf};
 
-use glam::{DMat3, DMat4, DQuat, DVec3};
+use glam::{DMat3, DMat4, DVec3};
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 
 use super::{Dataset, Distortion, Frame, fit_to_image, images, missing_note, points};
+use crate::error::excerpt;
 use crate::io;
-use crate::types::{Camera, Intrinsics, Pose};
+use crate::types::{Camera, Intrinsics, Pose, range};
 use crate::{Error, Result};
 
 /// A camera of a path or a trajectory.
@@ -49,7 +50,9 @@ pub fn read(path: &Path) -> Result<Dataset> {
         let cloud = listing.folder().join(cloud);
         match cloud.is_file() {
             true => {
-                set.points = points::read_ply(&cloud)?;
+                let (points, left_out) = points::read_ply(&cloud)?;
+                set.notes.extend(points::left_out_note(left_out, points.len()));
+                set.points = points;
                 set.sources.push(cloud);
             }
             false => set.notes.push(format!("no point cloud: {} does not exist", cloud.display())),
@@ -108,6 +111,9 @@ pub fn read_split(folder: &Path) -> Result<Dataset> {
 /// its size (`w`, `h`), at the top or at the frame. Where times are absent, they run from 0 to 1.
 pub fn read_cameras(path: &Path) -> Result<Vec<TimedCamera>> {
     let listing = Listing::read(path)?;
+    if listing.entries.is_empty() {
+        return Err(Error::format(path, "its list `frames` is empty: there is no camera in it"));
+    }
     let times: Vec<_> = listing.entries.iter().map(|e| e.time).collect();
     let span = span(path, &times, &mut Vec::new())?;
     let last = listing.entries.len().saturating_sub(1).max(1) as f64;
@@ -206,16 +212,18 @@ impl Listing {
                 Some(file) => file.replace('\\', "/"),
                 None => format!("frame {i}"),
             };
+            let here = |what: String| bad(format!("frame {i} ({}): {what}", excerpt(&file)));
             let time = match fields.get("time") {
                 None | Some(Value::Null) => None,
                 Some(time) => {
-                    Some(time.as_f64().filter(|t| t.is_finite()).ok_or_else(|| {
-                        bad(format!("frame {i} ({file}): `time` is not a number"))
-                    })?)
+                    let time =
+                        time.as_f64().ok_or_else(|| here("`time` is not a number".into()))?;
+                    range::timestamp(time).map_err(here)?;
+                    Some(time)
                 }
             };
             let view_from_world = pose(fields.get("transform_matrix"))
-                .map_err(|what| bad(format!("frame {i} ({file}): transform_matrix {what}")))?;
+                .map_err(|what| here(format!("transform_matrix {what}")))?;
             entries.push(Entry { file, time, view_from_world, fields });
         }
         Ok(Listing { path: path.to_path_buf(), top, entries })
@@ -264,7 +272,7 @@ impl Listing {
     /// Intrinsics and distortion of a frame; `size` is the picture's, for files that do not say.
     fn lens(&self, entry: &Entry, size: Option<(u32, u32)>) -> Result<(Intrinsics, Distortion)> {
         let bad = |what: String| {
-            Error::format(&self.path, format!("the camera of {}: {what}", entry.file))
+            Error::format(&self.path, format!("the camera of {}: {what}", excerpt(&entry.file)))
         };
         let field = |key: &str| entry.fields.get(key).or_else(|| self.top.get(key));
         let number = |key: &str| match field(key) {
@@ -278,23 +286,30 @@ impl Listing {
         let fisheye = field("is_fisheye").and_then(Value::as_bool).unwrap_or(false);
         if fisheye || !["OPENCV", "PINHOLE", "SIMPLE_PINHOLE"].contains(&model) {
             let model = if fisheye { "fisheye" } else { model };
+            let model = excerpt(model);
             return Err(bad(format!("model {model} is not supported; undistort the images first")));
         }
         let side = |key: &str, own: Option<u32>| match (number(key)?, own) {
             (Some(value), _) if value >= 1.0 && value <= f64::from(u32::MAX) => Ok(value as u32),
-            (Some(value), _) => Err(bad(format!("`{key}` = {value} makes no sense"))),
+            (Some(value), _) => Err(bad(format!("`{key}` = {value:?} makes no sense"))),
             (None, Some(own)) => Ok(own),
             (None, None) => Err(bad(format!("`{key}` is missing"))),
         };
         let width = side("w", size.map(|s| s.0))?;
         let height = side("h", size.map(|s| s.1))?;
         let (w, h) = (f64::from(width), f64::from(height));
-        let of_angle = |key: &str, side: f64| -> Result<Option<f64>> {
-            Ok(number(key)?.map(|angle| side / 2.0 / (angle / 2.0).tan()))
+        let of_angle = |key: &str, side: f64| match number(key)? {
+            Some(angle) if angle > 0.0 && angle < std::f64::consts::PI => {
+                Ok(Some(side / 2.0 / (angle / 2.0).tan()))
+            }
+            Some(angle) => Err(bad(format!("`{key}` = {angle:?} is not between 0 and π radians"))),
+            None => Ok(None),
         };
+        // Angles beside focal lengths are not read: some exporters leave them at 0.
         let given = number("fl_x")?;
-        let x = given.or(of_angle("camera_angle_x", w)?);
-        let y = number("fl_y")?.or(given).or(of_angle("camera_angle_y", h)?);
+        let x = given.map_or_else(|| of_angle("camera_angle_x", w), |fx| Ok(Some(fx)))?;
+        let y = number("fl_y")?.or(given);
+        let y = y.map_or_else(|| of_angle("camera_angle_y", h), |fy| Ok(Some(fy)))?;
         let (fx, fy) = match (x.or(y), y.or(x)) {
             (Some(fx), Some(fy)) if fx > 0.0 && fy > 0.0 => (fx, fy),
             (None, None) => return Err(bad("no `fl_x` and no `camera_angle_x`".into())),
@@ -310,7 +325,9 @@ impl Listing {
                 *slot = number(key)?.unwrap_or(0.0);
             }
         }
-        Ok((Intrinsics { fx, fy, cx, cy, width, height }, distortion))
+        let intrinsics = Intrinsics { fx, fy, cx, cy, width, height };
+        intrinsics.check().and_then(|()| distortion.check(&intrinsics)).map_err(bad)?;
+        Ok((intrinsics, distortion))
     }
 }
 
@@ -328,13 +345,7 @@ fn pose(value: Option<&Value>) -> std::result::Result<Pose, String> {
         }
     }
     let [x, y, z, centre] = columns;
-    let scale = (x.length() + y.length() + z.length()) / 3.0;
-    let gl = DMat3::from_cols(x, y, z) * (1.0 / scale);
-    let error = gl.transpose() * gl - DMat3::IDENTITY;
-    let off = error.to_cols_array().iter().fold(0.0f64, |most, v| most.max(v.abs()));
-    if !(off < 1e-2 && scale.is_finite() && centre.is_finite()) || gl.determinant() < 0.0 {
-        return Err("is not a rigid transform".into());
-    }
-    let rotation = DQuat::from_mat3(&(gl * DMat3::from_diagonal(GL_FLIP)));
+    let (rotation, _) = range::rotation_and_scale(DMat3::from_cols(x, -y, -z))?;
+    range::place(centre).map_err(|what| format!("puts the camera at {what}"))?;
     Ok(Pose::new(rotation, centre).inverse())
 }

@@ -15,6 +15,7 @@ pub use write::{Sink, follow_links, write_atomically, write_json};
 
 use std::path::Path;
 
+use crate::error::excerpt;
 use crate::{Error, Result};
 
 /// Reads a whole file; the error names it.
@@ -53,5 +54,5 @@ pub fn read_text(path: &Path) -> Result<String> {
 pub fn read_json(path: &Path) -> Result<serde_json::Value> {
     let text = read(path)?;
     serde_json::from_slice(&text)
-        .map_err(|e| Error::format(path, format!("is not valid JSON: {e}")))
+        .map_err(|e| Error::format(path, format!("is not valid JSON: {}", excerpt(&e.to_string()))))
 }

@@ -5,6 +5,7 @@
 
 use std::path::Path;
 
+use crate::error::excerpt;
 use crate::{Error, Result};
 
 /// A scalar type.
@@ -151,7 +152,7 @@ impl<'a> Ply<'a> {
             let line = std::str::from_utf8(&rest[..length])
                 .map_err(|_| bad(format!("header line {number} is not text")))?;
             let words: Vec<&str> = line.split_ascii_whitespace().collect();
-            let odd = || bad(format!("header line {number} makes no sense: {}", line.trim()));
+            let odd = || bad(format!("header line {number} makes no sense: {}", excerpt(line)));
             match words.as_slice() {
                 ["ply"] | ["comment", ..] | ["obj_info", ..] | [] => {}
                 ["format", kind, _] => {
@@ -260,7 +261,11 @@ impl<'a> Ply<'a> {
 fn body_end(path: &Path, table: &Element, row: u64, size: usize) -> Error {
     Error::format(
         path,
-        format!("truncated: {} {row} of {} is cut off at byte {size}", table.name, table.count),
+        format!(
+            "truncated: {} {row} of {} is cut off at byte {size}",
+            excerpt(&table.name),
+            table.count
+        ),
     )
 }
 

@@ -48,7 +48,7 @@ use crate::ops::half::{HalfHarmonics, HalfShapes};
 use crate::ops::motion::Motion;
 use crate::ops::render::{FrameCounts, PixelBuffers, PixelViews, Render, RenderScratch};
 use crate::scene::Scene;
-use crate::types::{Camera, Gaussians, Image, RenderSettings, Tuning};
+use crate::types::{Camera, DeformNet, Gaussians, Image, RenderSettings, Tuning, range};
 use crate::{Error, Result};
 use std::sync::Arc;
 
@@ -153,7 +153,9 @@ impl Renderer {
     /// Puts a scene on a device.
     ///
     /// # Errors
-    /// [`Error::OutOfMemory`], or a scene whose arrays do not fit together.
+    /// [`Error::OutOfMemory`], a scene whose arrays do not fit together, or [`Error::Input`] for
+    /// settings, control points or a network out of [range](crate::types::range). Gaussians that are
+    /// not finite are not drawn.
     pub fn new(device: &Device, scene: &Scene) -> Result<Renderer> {
         Renderer::tuned(device, scene, &Tuning::default())
     }
@@ -172,6 +174,11 @@ impl Renderer {
     /// yet.
     fn with_room(device: &Device, scene: &Scene, tuning: &Tuning, room: usize) -> Result<Renderer> {
         tuning.check()?;
+        let network = scene.network.as_ref();
+        (scene.settings.check())
+            .and_then(|()| scene.control_points.check())
+            .and_then(|()| network.map_or(Ok(()), DeformNet::check))
+            .map_err(|what| Error::Input(format!("the scene cannot be rendered: {what}")))?;
         let mut stream = device.stream()?;
         let mut gaussians = GaussianBuffers::new(device, room, scene.gaussians.sh_degree)?;
         gaussians.upload(&mut stream, &scene.gaussians)?;
@@ -235,8 +242,9 @@ impl Renderer {
     /// Renders the scene as `camera` sees it at `time` in [0, 1], and waits for it.
     ///
     /// # Errors
-    /// [`Error::OutOfMemory`], [`Error::RangeLimit`] for more intersections than a binding holds, or
-    /// a failed submission.
+    /// [`Error::Input`] for a camera or a time out of [range](crate::types::range);
+    /// [`Error::OutOfMemory`], [`Error::RangeLimit`] for more intersections than a binding holds, or a
+    /// failed submission.
     pub fn render(&mut self, camera: &Camera, time: f64) -> Result<Rendered> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         self.draw(camera, time)?;
@@ -272,7 +280,7 @@ impl Renderer {
     /// # Errors
     /// [`Error::OutOfMemory`]; [`Error::RangeLimit`] for more intersections than a binding holds;
     /// [`Error::Shape`] where a part of the target is too short; [`Error::Input`] for a recorder of
-    /// another device.
+    /// another device, or a camera or a time out of [range](crate::types::range).
     pub fn record(
         &mut self,
         recorder: &mut Recorder,
@@ -280,6 +288,7 @@ impl Renderer {
         time: f64,
         target: Target<'_>,
     ) -> Result<Frame> {
+        camera.check().and_then(|()| range::moment(time)).map_err(Error::Input)?;
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let fits = |studio: &Studio| {
             (studio.pixels.width, studio.pixels.height) == (width, height)

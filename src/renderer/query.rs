@@ -3,7 +3,7 @@
 use super::{Renderer, moved};
 use crate::gpu::View;
 use crate::ops::render::{RenderScratch, TILE};
-use crate::types::Camera;
+use crate::types::{Camera, range};
 use crate::{Error, Result};
 use bytemuck::Pod;
 use glam::{DVec2, DVec3};
@@ -118,8 +118,10 @@ impl Renderer {
     /// that are not finite do not count. Waits.
     ///
     /// # Errors
-    /// [`Error::OutOfMemory`], or a failed submission.
+    /// [`Error::Input`] for a time out of [range](crate::types::range); [`Error::OutOfMemory`], or a
+    /// failed submission.
     pub fn bounds(&mut self, time: f64, sigmas: f64) -> Result<Option<[DVec3; 2]>> {
+        range::moment(time).map_err(Error::Input)?;
         let n = self.gaussians.len;
         let centres = self.device.readback::<f32>(3 * n)?;
         let mut recorder = self.stream.record()?;

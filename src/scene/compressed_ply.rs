@@ -8,7 +8,7 @@
 
 use std::path::Path;
 
-use crate::io::ply::{Element, Kind, Ply};
+use crate::io::ply::{Element, Kind, Ply, Scalar};
 use crate::types::{Gaussians, SH_C0, sh_coefficients};
 use crate::{Error, Result};
 
@@ -56,7 +56,11 @@ pub(super) fn gaussians(path: &Path, ply: &Ply<'_>) -> Result<Gaussians> {
         BOUNDS.into_iter().chain(COLOURS.into_iter().filter(|_| coloured)).collect();
     let bounds = ply.rows("chunk", &columns(chunk, &names)?)?;
     let packed = ["packed_position", "packed_rotation", "packed_scale", "packed_color"];
-    let words = ply.words("vertex", &columns(vertex, &packed)?)?;
+    let packed = columns(vertex, &packed)?;
+    if packed.iter().any(|&c| vertex.properties[c].kind != Kind::Scalar(Scalar::U32)) {
+        return Err(bad("the compressed PLY's `packed_*` are of another type than uint".into()));
+    }
+    let words = ply.words("vertex", &packed)?;
     let count = words.len() / 4;
     let chunks = bounds.len() / names.len();
     if count.div_ceil(CHUNK) > chunks {
@@ -129,7 +133,11 @@ fn further_harmonics(path: &Path, ply: &Ply<'_>, sh: &Element, out: &mut Gaussia
         let column = sh.column(&format!("f_rest_{i}")).filter(|&c| is_scalar(sh, c));
         column.ok_or_else(|| bad(format!("the compressed PLY's `sh` has no number `f_rest_{i}`")))
     });
-    let bytes = ply.words("sh", &columns.collect::<Result<Vec<usize>>>()?)?;
+    let columns = columns.collect::<Result<Vec<usize>>>()?;
+    if columns.iter().any(|&c| sh.properties[c].kind != Kind::Scalar(Scalar::U8)) {
+        return Err(bad("the compressed PLY's `f_rest_*` are of another type than uchar".into()));
+    }
+    let bytes = ply.words("sh", &columns)?;
     if bytes.len() != rest * out.len() {
         let rows = bytes.len() / rest.max(1);
         return Err(bad(format!("has {} vertices and {rows} rows of `sh`", out.len())));

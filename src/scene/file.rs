@@ -35,15 +35,19 @@ use safetensors::{Dtype, SafeTensorError, SafeTensors};
 use serde_json::{Map, Value, json};
 
 use super::{Opened, Scene, SceneCamera, without_bad};
+use crate::error::excerpt;
 use crate::io;
 use crate::types::{
-    Camera, ControlPoints, DeformNet, Gaussians, Intrinsics, NetShape, Pose, RenderSettings,
+    Camera, ControlPoints, DeformNet, Gaussians, Intrinsics, NetShape, Pose, RenderSettings, range,
     sh_coefficients,
 };
 use crate::{Error, Result};
 
 /// The newest version of the format that this crate reads, and the one that it writes.
 pub const VERSION: u32 = 1;
+
+/// Most control points that a Gaussian follows; 0 in a static scene.
+const MOST_NEIGHBOURS: u32 = 16;
 
 /// Values of a tensor to write.
 enum Values<'a> {
@@ -245,15 +249,18 @@ pub fn parse(path: &Path, bytes: &[u8], drop_bad: bool) -> Result<Opened> {
     };
     let dropped = without_bad(path, &mut gaussians, drop_bad)?;
     let neighbours = file.json("neighbours")?.as_u64().and_then(|n| u32::try_from(n).ok());
+    let neighbours = neighbours.filter(|n| *n <= MOST_NEIGHBOURS);
     let scene = Scene {
         gaussians,
         control_points: file.control_points()?,
         network: file.network()?,
         settings: file.settings()?,
-        neighbours: neighbours.ok_or_else(|| bad("metadata `neighbours` is no number".into()))?,
+        neighbours: neighbours.ok_or_else(|| {
+            bad(format!("metadata `neighbours` is no number up to {MOST_NEIGHBOURS}"))
+        })?,
         cameras: file.cameras()?,
-        background: file.colour("background", [0.0; 3])?,
-        up: file.colour("up", [0.0, -1.0, 0.0])?,
+        background: file.three("background", [0.0; 3], range::colour)?,
+        up: file.three("up", [0.0, -1.0, 0.0], |up| range::unit(up.map(f64::from).into()))?,
         report: match file.metadata.contains_key("report") {
             true => file.json("report")?,
             false => Value::Null,
@@ -278,8 +285,9 @@ fn check_header(path: &Path, bytes: &[u8]) -> Result<()> {
     let header = header.ok_or_else(|| {
         bad(format!("is cut off: its header has {length} bytes, {} follow", body.len()))
     })?;
-    let header: Value = serde_json::from_slice(header)
-        .map_err(|e| bad(format!("is damaged: its header is not JSON ({e})")))?;
+    let header: Value = serde_json::from_slice(header).map_err(|e| {
+        bad(format!("is damaged: its header is not JSON ({})", excerpt(&e.to_string())))
+    })?;
     let metadata = &header["__metadata__"];
     if metadata["format"] != "splat4d" {
         return Err(bad("is a safetensors file, but not a splat4d scene".into()));
@@ -301,7 +309,7 @@ fn damaged(path: &Path, bytes: &[u8], error: &SafeTensorError) -> Error {
             let size = bytes.len();
             format!("is cut off: it has {size} bytes, and its header announces another size")
         }
-        other => format!("is damaged: {other}"),
+        other => format!("is damaged: its header: {}", excerpt(&other.to_string())),
     };
     Error::format(path, what)
 }
@@ -398,42 +406,51 @@ impl<'a> File<'a> {
         let bad = |what: String| Error::format(self.path, what);
         let text =
             self.metadata.get(key).ok_or_else(|| bad(format!("its metadata lacks `{key}`")))?;
-        serde_json::from_str(text).map_err(|e| bad(format!("metadata `{key}` is not JSON: {e}")))
+        serde_json::from_str(text)
+            .map_err(|e| bad(format!("metadata `{key}` is not JSON: {}", excerpt(&e.to_string()))))
     }
 
     /// Three numbers of the metadata.
-    fn colour(&self, key: &str, default: [f32; 3]) -> Result<[f32; 3]> {
+    fn three(
+        &self,
+        key: &str,
+        default: [f32; 3],
+        check: fn([f32; 3]) -> range::Check,
+    ) -> Result<[f32; 3]> {
         if !self.metadata.contains_key(key) {
             return Ok(default);
         }
         let value = self.json(key)?;
-        let mut colour = [0.0; 3];
-        for (i, slot) in colour.iter_mut().enumerate() {
+        let bad = |what: String| Error::format(self.path, format!("metadata `{key}`{what}"));
+        let mut three = [0.0; 3];
+        for (i, slot) in three.iter_mut().enumerate() {
             let number = value.get(i).and_then(Value::as_f64).map(|v| v as f32);
-            *slot = number.filter(|v| v.is_finite()).ok_or_else(|| {
-                Error::format(self.path, format!("metadata `{key}` is not three numbers"))
-            })?;
+            *slot = number.ok_or_else(|| bad(" is not three numbers".into()))?;
         }
-        Ok(colour)
+        check(three).map_err(|what| bad(format!(": {what}")))?;
+        Ok(three)
     }
 
     fn settings(&self) -> Result<RenderSettings> {
         let value = self.json("settings")?;
         let field = |key: &str| {
             let number = value.get(key).and_then(Value::as_f64).map(|v| v as f32);
-            number.filter(|v| v.is_finite() && *v >= 0.0).ok_or_else(|| {
+            number.ok_or_else(|| {
                 let what = format!("metadata `settings` has no valid `{key}`");
                 Error::format(self.path, what)
             })
         };
-        Ok(RenderSettings {
+        let settings = RenderSettings {
             near: field("near")?,
             dilation: field("dilation")?,
             alpha_cut: field("alpha_cut")?,
             alpha_cap: field("alpha_cap")?,
             transmittance_stop: field("transmittance_stop")?,
             tangent_clamp: field("tangent_clamp")?,
-        })
+        };
+        let bad = |what| Error::format(self.path, format!("metadata `settings`: {what}"));
+        settings.check().map_err(bad)?;
+        Ok(settings)
     }
 
     fn control_points(&self) -> Result<ControlPoints> {
@@ -443,7 +460,9 @@ impl<'a> File<'a> {
         let positions = self.finite_f32("control_points.position")?;
         let c = positions.rows(3)?;
         let log_radii = self.finite_f32("control_points.log_radius")?.exactly(&[c])?;
-        Ok(ControlPoints { positions: arrays(&positions.values), log_radii })
+        let points = ControlPoints { positions: arrays(&positions.values), log_radii };
+        points.check().map_err(|what| Error::format(self.path, what))?;
+        Ok(points)
     }
 
     fn network(&self) -> Result<Option<DeformNet>> {
@@ -472,7 +491,9 @@ impl<'a> File<'a> {
             let name = format!("network.{i}.bias");
             parameters.extend(self.finite_f32(&name)?.exactly(&[outputs])?);
         }
-        Ok(Some(DeformNet { shape, parameters }))
+        let network = DeformNet { shape, parameters };
+        network.check().map_err(|what| Error::format(self.path, what))?;
+        Ok(Some(network))
     }
 
     fn cameras(&self) -> Result<Vec<SceneCamera>> {
@@ -487,12 +508,9 @@ impl<'a> File<'a> {
         rows.zip(times)
             .enumerate()
             .map(|(i, ((k, p), time))| {
+                let bad = |what| Error::format(self.path, format!("camera {i}: {what}"));
                 let rotation = DQuat::from_xyzw(p[1], p[2], p[3], p[0]);
-                let side = |v: f64| (1.0..f64::from(u32::MAX)).contains(&v);
-                let valid = k[0] > 0.0 && k[1] > 0.0 && side(k[4]) && side(k[5]);
-                if !valid || rotation.length() < 1e-6 {
-                    return Err(Error::format(self.path, format!("camera {i} makes no sense")));
-                }
+                range::quaternion(rotation).map_err(bad)?;
                 let intrinsics = Intrinsics {
                     fx: k[0],
                     fy: k[1],
@@ -505,7 +523,9 @@ impl<'a> File<'a> {
                 let unit = (rotation.length() - 1.0).abs() < 1e-12;
                 let rotation = if unit { rotation } else { rotation.normalize() };
                 let view_from_world = Pose { rotation, translation: DVec3::new(p[4], p[5], p[6]) };
-                Ok(SceneCamera { time, camera: Camera { intrinsics, view_from_world } })
+                let camera = Camera { intrinsics, view_from_world };
+                camera.check().and_then(|()| range::time(time)).map_err(bad)?;
+                Ok(SceneCamera { time, camera })
             })
             .collect()
     }

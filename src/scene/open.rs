@@ -10,14 +10,15 @@ use std::path::Path;
 pub struct Opened {
     /// The scene.
     pub scene: Scene,
-    /// Number of Gaussians left out because they held NaN or infinite values.
+    /// Number of Gaussians left out because they held NaN, infinite or out-of-range values
+    /// ([`Gaussians::check`]).
     pub dropped: usize,
 }
 
 impl Scene {
     /// Opens a scene's file or a 3DGS PLY; which of the two shows in the bytes. With `drop_bad`,
-    /// Gaussians that hold NaN or infinite values are left out and counted; else they are an error
-    /// that counts them.
+    /// Gaussians that hold NaN, infinite or out-of-range values ([`Gaussians::check`]) are left out and
+    /// counted; else they are an error that counts them.
     pub fn open(path: impl AsRef<Path>, drop_bad: bool) -> Result<Opened> {
         let path = path.as_ref();
         let bytes = crate::io::read(path)?;
@@ -34,31 +35,23 @@ impl Scene {
     }
 }
 
-/// Leaves out the Gaussians that hold a value that is not finite, or fails with their count.
+/// Leaves out the Gaussians with a value that is not finite or out of range, or fails with their
+/// count.
 pub(super) fn without_bad(path: &Path, gaussians: &mut Gaussians, drop_bad: bool) -> Result<usize> {
     let per = gaussians.sh.len() / gaussians.len().max(1);
-    let finite = |values: &[f32]| values.iter().all(|v| v.is_finite());
-    let good: Vec<bool> = (0..gaussians.len())
-        .map(|i| {
-            finite(&gaussians.positions[i])
-                && finite(&gaussians.log_scales[i])
-                && finite(&gaussians.rotations[i])
-                && gaussians.opacity_logits[i].is_finite()
-                && gaussians.sh[i * per..(i + 1) * per].iter().all(|row| finite(row))
-                && gaussians.motion_logits.get(i).is_none_or(|m| m.is_finite())
-        })
-        .collect();
+    let good: Vec<bool> = (0..gaussians.len()).map(|i| gaussians.check(i).is_ok()).collect();
     let bad = good.iter().filter(|good| !**good).count();
     if bad == 0 {
         return Ok(0);
     }
     if !drop_bad {
         let first = good.iter().position(|good| !good).unwrap_or(0);
+        let what = gaussians.check(first).err().unwrap_or_default();
         return Err(Error::format(
             path,
             format!(
-                "{bad} of {} Gaussians hold NaN or infinite values (the first is number {first}); \
-                 --drop-bad leaves them out",
+                "{bad} of {} Gaussians hold NaN, infinite or out-of-range values (the first is \
+                 number {first}: {what}); --drop-bad leaves them out",
                 good.len()
             ),
         ));

@@ -370,8 +370,17 @@ fn check(frames: &[Image], options: &Options) -> Result<()> {
             }
         }
     }
-    if let Some(focal) = options.focal.filter(|f| !(f.is_finite() && *f > 0.0)) {
-        return Err(Error::Input(format!("a focal length of {focal} px makes no sense")));
+    for (i, pose) in options.poses.iter().flatten().enumerate() {
+        pose.check().map_err(|what| Error::Input(format!("supplied pose {i}: {what}")))?;
+    }
+    if let Some(focal) = options.focal {
+        let checked = Intrinsics::centred(focal, first.width, first.height).check();
+        let refused = |what| format!("a focal length of {focal:?} px makes no sense: {what}");
+        checked.map_err(|what| Error::Input(refused(what)))?;
+    }
+    if let Some(intrinsics) = &options.intrinsics {
+        let refused = |what| Error::Input(format!("the supplied intrinsics: {what}"));
+        intrinsics.check().map_err(refused)?;
     }
     if let Some(k) =
         options.intrinsics.filter(|k| (k.width, k.height) != (first.width, first.height))

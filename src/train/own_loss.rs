@@ -40,7 +40,7 @@ use super::trainer::Trainer;
 use crate::gpu::{Buffer, Device, Readback, Recorder, View};
 use crate::ops::gaussians::GaussianBuffers;
 use crate::ops::render::{FrameCounts, PixelBuffers, PixelGradientViews};
-use crate::types::{Camera, Gaussians};
+use crate::types::{Camera, Gaussians, range};
 use crate::{Error, Result};
 
 /// A step under way.
@@ -84,8 +84,11 @@ impl Trainer {
         extent: f64,
         settings: TrainSettings,
     ) -> Result<Trainer> {
-        if !(extent.is_finite() && extent > 0.0) {
-            return Err(Error::Input(format!("a scene of extent {extent}: it must be positive")));
+        if !(extent > 0.0 && extent <= f64::from(range::REACH)) {
+            let most = range::REACH;
+            let what =
+                format!("a scene of extent {extent:?}: it must be positive, at most {most:e}");
+            return Err(Error::Input(what));
         }
         let room = Room::of(&settings, gaussians.len());
         Trainer::build(device, &[], gaussians, motion, settings, (extent, extent), room)
@@ -95,12 +98,13 @@ impl Trainer {
     /// [`Renderer::record`](crate::renderer::Renderer::record).
     ///
     /// # Errors
-    /// [`Error::Input`] while another step is under way; [`Error::OutOfMemory`]; else as for
-    /// [`Recorder::dispatch`].
+    /// [`Error::Input`] while another step is under way, or for a camera or a time out of
+    /// [range](crate::types::range); [`Error::OutOfMemory`]; else as for [`Recorder::dispatch`].
     pub fn forward(&mut self, recorder: &mut Recorder, camera: &Camera, time: f64) -> Result<()> {
         if self.own.is_some() {
             return Err(out_of_turn("forward", "after `conclude`"));
         }
+        camera.check().and_then(|()| range::moment(time)).map_err(Error::Input)?;
         self.finish()?;
         let size = (camera.intrinsics.width, camera.intrinsics.height);
         let studio = self.studios.for_size(&self.device, size)?;

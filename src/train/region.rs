@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::data::Point;
 use crate::geometry::look_at_point;
-use crate::types::Camera;
+use crate::types::{Camera, range};
 
 /// `count` grey points spread evenly over the cube that the cameras look at: around the point
 /// nearest to their axes, its half side a third of the cameras' mean distance from it (the objects
@@ -19,11 +19,14 @@ pub fn random_points(cameras: &[Camera], count: usize, seed: u64) -> Vec<Point> 
         points.sum::<DVec3>() / cameras.len().max(1) as f64
     };
     let middle = mean(&mut cameras.iter().map(Camera::centre));
-    let (centre, distance) = match look_at_point(cameras) {
-        Some(point) => {
-            let sum: f64 = cameras.iter().map(|c| c.centre().distance(point)).sum();
-            (point, sum / cameras.len() as f64)
-        }
+    let seen = look_at_point(cameras).map(|point| {
+        let sum: f64 = cameras.iter().map(|c| c.centre().distance(point)).sum();
+        (point, sum / cameras.len() as f64)
+    });
+    // Cameras in one place look at that place: there is no cube around it.
+    let seen = seen.filter(|(point, distance)| *distance > 1e-9 * point.length().max(1e-3));
+    let (centre, distance) = match seen {
+        Some(seen) => seen,
         None => {
             let axes = &mut cameras.iter().map(|c| c.view_from_world.inverse().rotation * DVec3::Z);
             let forward = mean(axes).try_normalize().unwrap_or(DVec3::Z);
@@ -32,7 +35,7 @@ pub fn random_points(cameras: &[Camera], count: usize, seed: u64) -> Vec<Point> 
             (middle + forward * distance, distance)
         }
     };
-    let half = distance / 3.0;
+    let half = (distance / 3.0).clamp(f64::MIN_POSITIVE, f64::from(range::REACH));
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut inside = || DVec3::from_array(std::array::from_fn(|_| rng.random_range(-half..half)));
     (0..count)
@@ -62,6 +65,20 @@ mod tests {
         assert!(points.iter().any(|p| from(p).abs().max_element() > 1.8));
         assert_eq!(points, random_points(&around, 500, 3));
         assert_ne!(points, random_points(&around, 500, 4));
+        // Cameras that turn in one place, and numbers that no reader lets through.
+        let turning: Vec<Camera> = [DVec3::X, DVec3::Z, DVec3::NEG_X, DVec3::NEG_Z]
+            .map(|side| Camera {
+                view_from_world: look_at(target, target + side, DVec3::NEG_Y),
+                ..around[0]
+            })
+            .to_vec();
+        let points = random_points(&turning, 50, 3);
+        assert!(points.iter().any(|p| from(p).length() > 0.5));
+        for wild in [1e19, 1e300, f64::NAN, f64::INFINITY] {
+            let mut cameras = around.clone();
+            cameras[1].view_from_world.translation.x = wild;
+            assert_eq!(random_points(&cameras, 50, 3).len(), 50);
+        }
         // One camera alone.
         let seen = random_points(&around[..1], 50, 0);
         let before = |p: &Point| {

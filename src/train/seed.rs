@@ -1,7 +1,7 @@
 //! The first Gaussians, from points.
 
 use crate::data::Point;
-use crate::types::{Gaussians, SH_C0, sh_coefficients};
+use crate::types::{Gaussians, SH_C0, range, sh_coefficients};
 use rayon::prelude::*;
 use rstar::RTree;
 use rstar::primitives::GeomWithData;
@@ -10,7 +10,9 @@ use rstar::primitives::GeomWithData;
 pub const FIRST_OPACITY: f32 = 0.1;
 
 /// One Gaussian per point, as 3D Gaussian Splatting starts: isotropic, its scale the root mean
-/// square of the distances to the three nearest other points, opacity 0.1, the point's colour.
+/// square of the distances to the three nearest other points, opacity 0.1, the point's colour. A
+/// point that is not finite or out of reach ([`range::REACH`]) is nobody's neighbour; a training
+/// refuses its Gaussian.
 pub fn seed_from_points(points: &[Point], sh_degree: u32) -> Gaussians {
     let count = points.len();
     let coefficients = sh_coefficients(sh_degree);
@@ -30,22 +32,31 @@ pub fn seed_from_points(points: &[Point], sh_degree: u32) -> Gaussians {
     }
 }
 
-/// Root mean square distance of every point to its three nearest others; at least √1e-7.
+/// Points that coincide still get a scale.
+const LEAST_DISTANCE: f32 = 3.162_277_6e-4;
+
+/// Root mean square distance of every point to its three nearest others; at least [`LEAST_DISTANCE`].
 fn nearest_distances(points: &[[f32; 3]]) -> Vec<f32> {
-    let entries = points.iter().enumerate().map(|(i, p)| GeomWithData::new(*p, i)).collect();
+    // The tree orders distances and panics where there is none.
+    let usable = |p: &[f32; 3]| p.iter().all(|v| v.abs() <= range::REACH);
+    let entries = points.iter().enumerate().filter(|(_, p)| usable(p));
+    let entries = entries.map(|(i, p)| GeomWithData::new(*p, i)).collect();
     let tree: RTree<GeomWithData<[f32; 3], usize>> = RTree::bulk_load(entries);
     let squared = |a: [f32; 3], b: [f32; 3]| (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f32>();
     points
         .par_iter()
         .enumerate()
         .map(|(i, &point)| {
+            if !usable(&point) {
+                return LEAST_DISTANCE;
+            }
             let others = tree.nearest_neighbor_iter(point).filter(|other| other.data != i).take(3);
             let (mut sum, mut count) = (0.0, 0);
             for other in others {
                 sum += squared(point, *other.geom());
                 count += 1;
             }
-            (sum / count.max(1) as f32).max(1e-7).sqrt()
+            (sum / count.max(1) as f32).sqrt().max(LEAST_DISTANCE)
         })
         .collect()
 }
@@ -66,6 +77,12 @@ mod tests {
         for points in [vec![at(1.0); 5], vec![at(1.0)]] {
             let seeded = seed_from_points(&points, 0);
             assert!(seeded.log_scales.iter().flatten().all(|s| s.is_finite()));
+        }
+        // Numbers that no reader lets through harm only their own point.
+        for wild in [1e19, 1e38, f32::MAX, f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            let seeded = seed_from_points(&[at(0.0), at(wild), at(1.0), at(3.0), at(103.0)], 1);
+            assert!(seeded.log_scales.iter().flatten().all(|s| s.is_finite()), "{wild}");
+            assert!((seeded.log_scales[0][2] - expected).abs() < 1e-5, "{wild}");
         }
     }
 }

@@ -13,6 +13,7 @@ use crate::gpu::{Device, Readback, Recorder, Stream, Ticket};
 use crate::ops::gaussians::GaussianBuffers;
 use crate::ops::loss::{LossSettings, LossValue};
 use crate::ops::render::FrameCounts;
+use crate::types::range::{self, Check};
 use crate::types::{ControlPoints, DeformNet, Gaussians};
 use crate::{Error, Result};
 use rand::SeedableRng;
@@ -44,6 +45,16 @@ struct Pending {
     ticket: Ticket,
     view: usize,
     counts: Readback<u32>,
+}
+
+/// That every number is in its range, those of the Gaussians aside.
+fn check(views: &[TrainingView], motion: Option<&MotionStart>, settings: &TrainSettings) -> Check {
+    settings.render.check().map_err(|what| format!("settings: {what}"))?;
+    range::colour(settings.background).map_err(|what| format!("background: {what}"))?;
+    for (i, view) in views.iter().enumerate() {
+        view.check().map_err(|what| format!("picture {i}: {what}"))?;
+    }
+    motion.map_or(Ok(()), |start| start.points.check().and_then(|()| start.network.check()))
 }
 
 /// Trains Gaussians on pictures.
@@ -83,7 +94,8 @@ impl Trainer {
     /// static.
     ///
     /// # Errors
-    /// [`Error::Input`] without views or Gaussians; [`Error::OutOfMemory`]; [`Error::Shape`] when a
+    /// [`Error::Input`] without views or Gaussians, or for a number that is out of its
+    /// [range](crate::types::range), NaN among them; [`Error::OutOfMemory`]; [`Error::Shape`] when a
     /// picture and its camera, weights, disparity or mask differ in size.
     pub fn new(
         device: &Device,
@@ -126,11 +138,15 @@ impl Trainer {
         if gaussians.is_empty() {
             return Err(Error::Input("training needs at least one Gaussian".into()));
         }
+        check(views, motion, &settings).map_err(Error::Input)?;
         let mut stream = device.stream()?;
         let capacity = room.gaussians;
         let degree = settings.sh_degree;
         let mut buffers = GaussianBuffers::new(device, capacity, degree)?;
         buffers.upload(&mut stream, gaussians)?;
+        for i in 0..gaussians.len() {
+            gaussians.check(i).map_err(|what| Error::Input(format!("Gaussian {i}: {what}")))?;
+        }
         let (mut motion_trainer, mut selection) = (None, None);
         if let Some(start) = motion {
             let mut trainer = MotionTrainer::new(&mut stream, start, settings.motion, capacity)?;

@@ -2,6 +2,7 @@
 
 #[cfg(feature = "files")]
 use crate::data::View;
+use crate::types::range::{self, Check};
 use crate::types::{Camera, Gaussians, Image};
 #[cfg(feature = "files")]
 use serde::Serialize;
@@ -22,6 +23,24 @@ pub struct TrainingView {
     pub disparity: Option<Image>,
     /// Motion mask, one channel: 1 where something moves, else 0; `None` where unknown.
     pub mask: Option<Image>,
+}
+
+impl TrainingView {
+    /// That its camera, its time and what is known beside the picture are in their ranges; the
+    /// picture itself is cut to [0, 1].
+    pub(super) fn check(&self) -> Check {
+        self.camera.check()?;
+        range::moment(self.time)?;
+        for (what, image) in [("disparity", &self.disparity), ("mask", &self.mask)] {
+            let pixels = image.iter().flat_map(|image| &image.pixels);
+            let mut wrong = pixels.filter(|v| !(0.0..=1e15).contains(*v));
+            let wrong = wrong.next();
+            range::wanted(wrong.is_none(), || {
+                format!("{what} {:?} is no {what}", wrong.unwrap_or(&0.0))
+            })?;
+        }
+        Ok(())
+    }
 }
 
 /// A dataset's picture as training wants it; what undistortion left empty has no weight.

@@ -1,5 +1,6 @@
 //! Pinhole cameras and rigid transforms.
 
+use super::range::{self, Check, LARGEST_TANGENT, LONGEST_FOCAL};
 use glam::{DMat3, DMat4, DQuat, DVec2, DVec3};
 #[cfg(feature = "files")]
 use serde::{Deserialize, Serialize};
@@ -33,6 +34,35 @@ impl Intrinsics {
             width,
             height,
         }
+    }
+
+    /// That a pinhole camera can have these numbers; see [`range`].
+    ///
+    /// # Errors
+    /// What is wrong, in words.
+    pub fn check(&self) -> Check {
+        let Intrinsics { fx, fy, cx, cy, width, height } = *self;
+        range::inside("image width", width, &range::SIDE)?;
+        range::inside("image height", height, &range::SIDE)?;
+        let most = LONGEST_FOCAL * f64::from(width.max(height));
+        for (axis, focal, centre, side) in [("x", fx, cx, width), ("y", fy, cy, height)] {
+            let side = f64::from(side);
+            range::wanted(focal > 0.0 && focal <= most, || {
+                format!("focal length {focal:?} along {axis} is not above 0 and at most {most:e}")
+            })?;
+            // Beyond 87.5° from the axis a pinhole's picture is stretched without end.
+            let reach = centre.abs().max((side - centre).abs());
+            let least = reach / LARGEST_TANGENT;
+            range::wanted(centre.is_finite() && focal >= least, || {
+                format!(
+                    "focal length {focal:?} and principal point {centre:?} along {axis} see more than \
+                     87.5° beside the optical axis on {side} pixels; {:?} is the least focal length \
+                     there",
+                    (10.0 * least).ceil() / 10.0
+                )
+            })?;
+        }
+        Ok(())
     }
 
     /// The same camera at another image size.
@@ -84,6 +114,15 @@ impl Pose {
         Pose::new(DQuat::from_mat3(&rotation), matrix.w_axis.truncate())
     }
 
+    /// That the rotation is one, and the translation within reach; see [`range`].
+    ///
+    /// # Errors
+    /// What is wrong, in words.
+    pub fn check(&self) -> Check {
+        range::quaternion(self.rotation)?;
+        range::place(self.translation).map_err(|what| format!("translation {what}"))
+    }
+
     /// `b_from_a` of an `a_from_b`.
     pub fn inverse(&self) -> Pose {
         let rotation = self.rotation.conjugate();
@@ -123,6 +162,15 @@ pub struct Camera {
 }
 
 impl Camera {
+    /// [`Intrinsics::check`] and [`Pose::check`].
+    ///
+    /// # Errors
+    /// What is wrong, in words.
+    pub fn check(&self) -> Check {
+        self.intrinsics.check()?;
+        self.view_from_world.check()
+    }
+
     /// The camera's centre in the world.
     pub fn centre(&self) -> DVec3 {
         self.view_from_world.inverse().translation

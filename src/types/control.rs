@@ -1,5 +1,6 @@
 //! Control points and the deformation network: what moves the dynamic Gaussians.
 
+use super::range::{self, Check, LOG_SCALE, REACH, WEIGHT};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 #[cfg(feature = "files")]
@@ -17,6 +18,22 @@ pub struct ControlPoints {
 }
 
 impl ControlPoints {
+    /// That every number is in its range; see [`range`].
+    ///
+    /// # Errors
+    /// What is wrong, in words.
+    pub fn check(&self) -> Check {
+        for (i, position) in self.positions.iter().enumerate() {
+            let near = position.iter().try_for_each(|&v| range::within("position", v, REACH));
+            near.map_err(|what| format!("control point {i}: {what}"))?;
+        }
+        for (i, &radius) in self.log_radii.iter().enumerate() {
+            range::inside("log radius", radius, &LOG_SCALE)
+                .map_err(|what| format!("control point {i}: {what}"))?;
+        }
+        Ok(())
+    }
+
     /// Number of control points.
     pub fn len(&self) -> usize {
         self.positions.len()
@@ -102,6 +119,15 @@ pub struct DeformNet {
 const HEAD_DEVIATION: f64 = 1e-5;
 
 impl DeformNet {
+    /// That every parameter is in its range; see [`range`].
+    ///
+    /// # Errors
+    /// What is wrong, in words.
+    pub fn check(&self) -> Check {
+        let mut all = self.parameters.iter();
+        all.try_for_each(|&weight| range::within("network parameter", weight, WEIGHT))
+    }
+
     /// A network to train from: hidden weights uniform in ±√(6 / inputs) (Kaiming for ReLU), the
     /// head's normal with a deviation of 1e-5, biases zero. The same seed gives the same parameters
     /// everywhere.

@@ -1,5 +1,6 @@
 //! The Gaussians of a scene on the host.
 
+use super::range::{self, Check, HALF, LOG_SCALE, REACH};
 #[cfg(feature = "files")]
 use serde::{Deserialize, Serialize};
 
@@ -49,6 +50,24 @@ impl Gaussians {
     /// Number of Gaussians.
     pub fn len(&self) -> usize {
         self.positions.len()
+    }
+
+    /// That every number of one of them is in its range; see [`range`]. Arrays must be as long as
+    /// they should be.
+    ///
+    /// # Errors
+    /// What is wrong, in words.
+    pub fn check(&self, index: usize) -> Check {
+        let per = sh_coefficients(self.sh_degree);
+        self.positions[index].iter().try_for_each(|&v| range::within("position", v, REACH))?;
+        let scales = self.log_scales[index];
+        scales.iter().try_for_each(|&v| range::inside("log scale", v, &LOG_SCALE))?;
+        range::direction(self.rotations[index])?;
+        range::within("opacity logit", self.opacity_logits[index], HALF)?;
+        let sh = self.sh[index * per..(index + 1) * per].as_flattened();
+        sh.iter().try_for_each(|&v| range::within("spherical harmonic", v, HALF))?;
+        let motion = self.motion_logits.get(index);
+        motion.map_or(Ok(()), |&v| range::within("motion logit", v, HALF))
     }
 
     /// Whether there are none.

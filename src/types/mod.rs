@@ -12,6 +12,7 @@ mod density;
 mod flow;
 mod gaussians;
 mod image;
+pub mod range;
 mod settings;
 
 pub use adam::AdamSettings;

@@ -1,5 +1,6 @@
 //! The constants of blending, and what trades accuracy for speed.
 
+use super::range::{self, Check};
 #[cfg(feature = "files")]
 use serde::{Deserialize, Serialize};
 
@@ -33,6 +34,22 @@ impl Default for RenderSettings {
             transmittance_stop: 1e-4,
             tangent_clamp: 1.3,
         }
+    }
+}
+
+impl RenderSettings {
+    /// That every number is in its range.
+    ///
+    /// # Errors
+    /// What is wrong, in words.
+    pub fn check(&self) -> Check {
+        range::inside("near", self.near, &(1e-12..=1e12))?;
+        range::inside("dilation", self.dilation, &(0.0..=1e6))?;
+        range::inside("alpha_cut", self.alpha_cut, &(0.0..=1.0))?;
+        // Gradients are divided by 1 − α.
+        range::inside("alpha_cap", self.alpha_cap, &(0.0..=0.99999))?;
+        range::inside("transmittance_stop", self.transmittance_stop, &(0.0..=1.0))?;
+        range::inside("tangent_clamp", self.tangent_clamp, &(0.0..=1e6))
     }
 }
 
