@@ -79,7 +79,7 @@ pub struct EvalArgs {
     /// Poses pair when their timestamps differ by at most so many seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 0.02)]
     max_difference: f64,
-    /// Leave out Gaussians that hold NaN or infinite values
+    /// Leave out Gaussians that hold NaN, infinite or out-of-range values
     #[arg(long)]
     drop_bad: bool,
 }
@@ -130,7 +130,10 @@ fn is_text(reference: &Path) -> Result<bool> {
 fn open(args: &EvalArgs) -> Result<Scene> {
     let Opened { scene, dropped } = Scene::open(&args.estimate, args.drop_bad)?;
     if dropped > 0 {
-        say(&format!("note: left out {} Gaussians that are not finite", thousands(dropped)));
+        say(&format!(
+            "note: left out {} Gaussians that are not finite or out of range",
+            thousands(dropped)
+        ));
     }
     Ok(scene)
 }

@@ -26,7 +26,7 @@ pub struct InfoArgs {
     /// A scene's file or a 3DGS PLY
     #[arg(value_name = "SCENE|PLY")]
     scene: PathBuf,
-    /// Leave out Gaussians that hold NaN or infinite values
+    /// Leave out Gaussians that hold NaN, infinite or out-of-range values
     #[arg(long)]
     drop_bad: bool,
 }
@@ -74,7 +74,8 @@ pub fn run(args: &InfoArgs) -> Result<Answer> {
     let mut text = String::new();
     let _ = writeln!(text, "Gaussians       {}", thousands(g.len()));
     if dropped > 0 {
-        let _ = writeln!(text, "left out        {} (not finite)", thousands(dropped));
+        let _ =
+            writeln!(text, "left out        {} (not finite or out of range)", thousands(dropped));
     }
     let _ = writeln!(text, "dynamic         {:.1} %", 100.0 * dynamic_share(&scene));
     let _ = writeln!(text, "harmonics       degree {}", g.sh_degree);

@@ -83,7 +83,7 @@ pub struct RenderArgs {
     /// Write depth maps too
     #[arg(long)]
     depth: bool,
-    /// Leave out Gaussians that hold NaN or infinite values
+    /// Leave out Gaussians that hold NaN, infinite or out-of-range values
     #[arg(long)]
     drop_bad: bool,
     /// Settings that trade accuracy for speed, as `bench --error-budget` writes them
@@ -124,7 +124,10 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Answer> {
     let tuning = tuning::read(args.settings.as_deref())?;
     let Opened { scene, dropped } = Scene::open(&args.scene, args.drop_bad)?;
     if dropped > 0 {
-        say(&format!("note: left out {} Gaussians that are not finite", thousands(dropped)));
+        say(&format!(
+            "note: left out {} Gaussians that are not finite or out of range",
+            thousands(dropped)
+        ));
     }
     let shots = shots(args, &scene)?;
     spare_inputs(args, if video { 0 } else { shots.len() })?;
