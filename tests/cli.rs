@@ -9,7 +9,7 @@ mod support;
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::{Command, Output, Stdio};
 use std::sync::LazyLock;
 
 use glam::DVec3;
@@ -23,6 +23,33 @@ use tempfile::TempDir;
 
 const COMMANDS: [&str; 9] =
     ["reconstruct", "train", "render", "eval", "info", "devices", "bench", "synth", "validate"];
+
+/// The same within so many MiB of address space and a minute: what takes memory or time without
+/// bound fails here, and leaves the machine to others.
+#[cfg(target_os = "linux")]
+#[track_caller]
+fn fails_within(folder: &Path, mebibytes: u64, code: i32, arguments: &str) -> String {
+    let before = content(folder);
+    let output = within(folder, mebibytes, arguments);
+    let said = stderr(&output);
+    assert_eq!(output.status.code(), Some(code), "{arguments}: {said}");
+    assert!(output.stdout.is_empty(), "{arguments}: nothing on stdout");
+    let errors = said.lines().filter(|line| line.starts_with("error: ")).count();
+    assert!(errors == 1 && !said.contains("panicked"), "{arguments}: {said}");
+    assert_eq!(content(folder), before, "{arguments} leaves nothing behind");
+    said
+}
+
+/// Runs within so many MiB of address space and a minute.
+#[cfg(target_os = "linux")]
+fn within(folder: &Path, mebibytes: u64, arguments: &str) -> Output {
+    let kibibytes = (mebibytes << 10).to_string();
+    let mut command = Command::new("sh");
+    command.stdin(Stdio::null()).current_dir(folder);
+    command.args(["-c", "ulimit -v $0 && exec timeout 60 \"$@\"", &kibibytes]);
+    command.arg(env!("CARGO_BIN_EXE_splat4d")).args(arguments.split_whitespace());
+    command.output().unwrap()
+}
 
 /// A folder with a synthetic clip `clip` and a scene `scene.safetensors` trained on it for some steps.
 static TRAINED: LazyLock<(TempDir, Value)> = LazyLock::new(|| {
@@ -376,6 +403,158 @@ fn bad_input_is_named() {
     ] {
         says(&fails(folder.path(), 1, arguments), parts);
     }
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn sizes_are_checked_before_memory_is_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    dataset(&folder.path().join("set"), 3);
+    ply::write(folder.path().join("blobs.ply"), &blobs()).unwrap();
+    for arguments in [
+        "render blobs.ply -o x --times 18446744073709551615",
+        "render blobs.ply -o x --times 10000000000",
+        "render blobs.ply -o x --frames 4294967295",
+        "render blobs.ply -o x --focal 1e300",
+        "train set -o x --control-points 18446744073709551615",
+        "train set -o x --control-points 1000000000",
+        "train set -o x --random-points 4294967295",
+        "train set -o x --max-gaussians 18446744073709551615",
+        "train set -o x --steps 4294967295",
+        "reconstruct set -o x --width 100000",
+        "synth rigid -o x --frames 4294967295",
+    ] {
+        says(&fails_within(folder.path(), 4096, 2, arguments), &[" to ", "expected"]);
+    }
+    let half_a_terabyte = "render blobs.ply -o x --frames 1000 --times 1001";
+    let said = fails_within(folder.path(), 4096, 1, half_a_terabyte);
+    says(&said, &["1,001,000 pictures", "--times", "--frames"]);
+    for (arguments, parts) in [
+        ("render blobs.ply -o x --frames 1 --size 65535x65535", &["65535×65535", "memory"][..]),
+        ("train set -o x --random-points 100000000", &["100,000,000", "--random-points"]),
+        ("train set -o x --max-gaussians 1000000000", &["1,000,000,000", "--max-gaussians"]),
+        ("synth rigid -o x --frames 10000 --size 320x180", &["memory"]),
+    ] {
+        says(&fails_within(folder.path(), 4096, 1, arguments), parts);
+    }
+}
+
+/// From where hardly the program itself can be loaded to where a software driver works.
+#[test]
+#[cfg(target_os = "linux")]
+fn too_little_address_space_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    dataset(&folder.path().join("set"), 3);
+    ply::write(folder.path().join("blobs.ply"), &blobs()).unwrap();
+    fs::write(folder.path().join("a.txt"), "0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n").unwrap();
+    for mebibytes in [250, 400, 550, 700, 850, 1000] {
+        for arguments in [
+            "devices",
+            "render blobs.ply -o x --device software --frames 1",
+            "train set -o x --device software --steps 1 --random-points 9",
+            "reconstruct set -o x --device software",
+            "eval blobs.ply set --device software",
+            "validate --quick --device software",
+            "bench --quick --filter scan --device software",
+        ] {
+            let said = fails_within(folder.path(), mebibytes, 1, arguments);
+            says(&said, &["Vulkan device", "address space", "ulimit -v"]);
+        }
+        for arguments in ["info blobs.ply", "eval a.txt a.txt"] {
+            let output = within(folder.path(), mebibytes, arguments);
+            assert!(output.status.success(), "{mebibytes}, {arguments}: {}", stderr(&output));
+        }
+    }
+    for mebibytes in [40, 60] {
+        let said = fails_within(folder.path(), mebibytes, 1, "synth rigid -o x");
+        says(&said, &["splat4d", "address space", "ulimit -v"]);
+    }
+}
+
+#[test]
+fn wide_splats_are_foreseen() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut gaussians = blobs();
+    for _ in 0..8 {
+        gaussians = Gaussians {
+            positions: gaussians.positions.repeat(2),
+            log_scales: vec![[1.0; 3]; 2 * gaussians.len()],
+            rotations: gaussians.rotations.repeat(2),
+            opacity_logits: gaussians.opacity_logits.repeat(2),
+            sh: gaussians.sh.repeat(2),
+            ..gaussians
+        };
+    }
+    ply::write(folder.path().join("wide.ply"), &gaussians).unwrap();
+    let found = json(folder.path(), "render wide.ply -o x --frames 2 --size 160x96");
+    let [foreseen, taken] =
+        ["predicted_bytes", "peak_bytes"].map(|key| found[key].as_f64().unwrap());
+    assert!((foreseen / taken - 1.0).abs() < 0.02, "{found}");
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn trajectories_of_equal_timestamps_take_little_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let line = |i: usize| format!("5.5 {} {} 0 0 0 0 1\n", i % 7, i % 3);
+    let text: String = (0..20_000).map(line).collect();
+    fs::write(folder.path().join("a.txt"), text).unwrap();
+    let output = within(folder.path(), 1024, "eval a.txt a.txt --json");
+    assert!(output.status.success(), "{}", stderr(&output));
+    let found: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(found["poses"], 20_000);
+    assert!(found["ate_rmse"].as_f64() < Some(1e-9), "{found}");
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn inputs_that_are_no_regular_files_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    dataset(&at("set"), 3);
+    ply::write(at("blobs.ply"), &blobs()).unwrap();
+    fs::write(at("a.txt"), "0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n").unwrap();
+    for pipe in ["pipe", "pipe.json"] {
+        assert!(Command::new("mkfifo").arg(at(pipe)).status().unwrap().success());
+    }
+    // An endless file with the ending of a dataset.
+    std::os::unix::fs::symlink("/dev/zero", at("zero.json")).unwrap();
+    for endless in ["/dev/zero", "pipe"] {
+        for arguments in [
+            "info IN",
+            "render IN -o x",
+            "render blobs.ply -o x --path IN",
+            "render blobs.ply -o x --settings IN",
+            "eval IN a.txt",
+            "eval a.txt IN",
+            "eval IN set",
+            "bench cmp IN IN",
+            "validate --device software --case IN",
+            "train set -o x --settings IN",
+            "reconstruct set -o x --intrinsics IN",
+            "reconstruct set -o x --poses IN",
+        ] {
+            let arguments = arguments.replace("IN", endless);
+            let said = fails_within(folder.path(), 4096, 1, &arguments);
+            says(&said, &[endless, "no regular file"]);
+        }
+        says(
+            &fails_within(folder.path(), 4096, 1, &format!("train {endless} -o x")),
+            &[endless, "not a dataset"],
+        );
+    }
+    for arguments in ["train zero.json -o x", "train pipe.json -o x", "eval blobs.ply pipe.json"] {
+        says(&fails_within(folder.path(), 4096, 1, arguments), &["no regular file"]);
+    }
+    // Regular, and larger than memory, or than its kind is.
+    for (name, size) in [("large.ply", 1u64 << 40), ("large.json", 1 << 30)] {
+        fs::File::create(at(name)).unwrap().set_len(size).unwrap();
+    }
+    says(&fails_within(folder.path(), 4096, 1, "info large.ply"), &["large.ply", "memory"]);
+    says(
+        &fails_within(folder.path(), 4096, 1, "train large.json -o x"),
+        &["large.json", "at most"],
+    );
 }
 
 #[test]

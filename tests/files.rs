@@ -220,6 +220,7 @@ fn sizes() {
     assert_eq!(Resize::Longest(500).target(400, 300), (400, 300));
     assert_eq!(Resize::Width(200).target(400, 301), (200, 151));
     assert_eq!(Resize::Width(1).target(4000, 3), (1, 1));
+    assert_eq!(Resize::Width(100_000).target(400, 301), (400, 301), "images only shrink");
     assert_eq!(Resize::To(0, 7).target(4, 3), (1, 7));
     // Halving keeps means: each result is an average, so a flat image stays flat.
     let mut flat = Image::new(64, 48, 3);

@@ -143,6 +143,95 @@ fn rendering_takes_what_was_foreseen() {
     }
 }
 
+/// Splats each of which covers a large part of the picture.
+fn wide(count: usize) -> Scene {
+    let gaussians = cloud(count, 0);
+    Scene::of(Gaussians {
+        log_scales: vec![[0.0; 3]; count],
+        opacity_logits: vec![-2.0; count],
+        motion_logits: Vec::new(),
+        ..gaussians
+    })
+}
+
+#[test]
+fn wide_splats_are_counted_and_take_what_was_foreseen() {
+    let device = common::device();
+    let (scene, tuning) = (wide(3000), Tuning::default());
+    let camera = camera(160, 96);
+    let mut counter = Renderer::tuned(&device, &scene, &tuning).unwrap();
+    let counted = counter.count(&camera, 0.0).unwrap() as usize;
+    assert!(counted > 40 * 3000, "{counted} pairs: most of 60 tiles each");
+    drop(counter);
+    device.restart_memory_peak();
+
+    let base = RenderScale::new(&scene, (160, 96), &tuning);
+    let scale = RenderScale { intersections: counted, ..base };
+    assert!(scale.is_dense() && !base.is_dense());
+    let foreseen = scale.footprint(&device).unwrap();
+    assert!(foreseen.bytes > 2 * base.footprint(&device).unwrap().bytes);
+    let mut renderer = Renderer::tuned(&device, &scene, &tuning).unwrap();
+    renderer.reserve(counted);
+    let reserved = renderer.render(&camera, 0.0).unwrap();
+    close("wide splats", &foreseen, &device);
+
+    // Without the reservation the picture is the same; it is drawn twice, and a quarter more room made.
+    drop(renderer);
+    let mut renderer = Renderer::tuned(&device, &scene, &tuning).unwrap();
+    assert!(renderer.render(&camera, 0.0).unwrap().rgba == reserved.rgba);
+    let taken = device.memory().1 as f64;
+    assert!(taken < 1.3 * foreseen.bytes as f64, "{taken} taken, {} foreseen", foreseen.bytes);
+
+    // More than any device has.
+    let before = device.memory().0;
+    renderer.reserve(u32::MAX as usize);
+    let error = renderer.render(&camera, 0.0).unwrap_err();
+    assert!(matches!(error, Error::TooLarge { .. } | Error::RangeLimit { .. }), "{error}");
+    renderer.reserve(1 << 32);
+    let error = renderer.render(&camera, 0.0).unwrap_err();
+    assert!(matches!(&error, Error::RangeLimit { label, .. } if label == "tile keys"), "{error}");
+    assert!(device.memory().0 <= before);
+    common::assert_valid(&device);
+}
+
+#[test]
+fn a_training_of_wide_splats_takes_what_was_foreseen() {
+    let device = common::device();
+    let scene = wide(3000);
+    let views = views(3, 160, 96, false);
+    let settings = TrainSettings { steps: 3, max_gaussians: 0, growth: None, ..Default::default() };
+    let mut counter = Renderer::new(&device, &scene).unwrap();
+    let intersections = counter.count(&views[0].camera, 0.0).unwrap() as usize;
+    drop(counter);
+    device.restart_memory_peak();
+    let base = TrainingScale::new(&views, 3000, None, settings.clone());
+    let scale = TrainingScale { intersections, ..base };
+    let foreseen = scale.footprint(&device).unwrap().bytes as f64;
+    let mut trainer = Trainer::new(&device, &views, &scene.gaussians, None, settings).unwrap();
+    (0..3).for_each(|_| trainer.step().unwrap());
+    trainer.gaussians().unwrap();
+    // The splats change as they learn: within a tenth.
+    let off = foreseen / device.memory().1 as f64;
+    assert!((0.9..1.1).contains(&off), "{foreseen} foreseen, {} taken", device.memory().1);
+    common::assert_valid(&device);
+}
+
+#[test]
+fn sizes_beyond_every_device_are_errors() {
+    let device = common::device();
+    let views = views(2, 64, 48, false);
+    for count in [1 << 30, 1 << 32, 1 << 62, usize::MAX] {
+        let settings = TrainSettings { max_gaussians: count, ..Default::default() };
+        let scale = TrainingScale::new(&views, count, None, settings);
+        let error = scale.footprint(&device).unwrap_err();
+        assert!(matches!(error, Error::RangeLimit { .. }), "{count}: {error}");
+        let scene = Scene::of(cloud(1, 0));
+        let scale = RenderScale::new(&scene, (64, 48), &Tuning::default());
+        let error = RenderScale { gaussians: count, ..scale }.footprint(&device).unwrap_err();
+        assert!(matches!(error, Error::RangeLimit { .. }), "{count}: {error}");
+    }
+}
+
 #[test]
 fn what_does_not_fit_is_told_and_what_would() {
     let device = common::device();

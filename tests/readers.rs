@@ -278,6 +278,38 @@ fn mutated(original: &[u8], dice: &mut Dice) -> Vec<u8> {
 }
 
 /// One test, so that nothing else allocates while a read is measured.
+/// Only `io` opens input files, so that what it refuses (pipes, devices, sizes beyond memory) is refused
+/// everywhere.
+#[test]
+fn inputs_are_opened_in_one_place() {
+    fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                sources(&path, found);
+            } else if path.extension().is_some_and(|e| e == "rs") {
+                found.push(path);
+            }
+        }
+    }
+    // Its own way of asking the system, the cache that the engine writes itself, and tests.
+    let others = ["src/io/mod.rs", "src/io/memory.rs", "src/vk/cache_file.rs"];
+    let mut files = Vec::new();
+    sources(Path::new("src"), &mut files);
+    assert!(files.len() > 100);
+    for path in files {
+        let name = path.to_str().unwrap().replace('\\', "/");
+        if others.contains(&name.as_str()) || name.ends_with("_tests.rs") {
+            continue;
+        }
+        let text = fs::read_to_string(&path).unwrap();
+        let code = text.split("#[cfg(test)]\nmod ").next().unwrap();
+        for opener in ["File::open(", "fs::read(", "read_to_string(", "ImageReader::open("] {
+            assert!(!code.contains(opener), "{name} calls {opener}…); call io::open or io::read");
+        }
+    }
+}
+
 #[test]
 fn damaged_files_are_refused_cheaply() {
     let folder = tempfile::tempdir().unwrap();

@@ -312,6 +312,7 @@ impl Plan {
                 TrainingScale {
                     pictures: [(kind, sizes.frames)].into(),
                     gaussians: sizes.gaussians,
+                    intersections: 0,
                     motion: (self.pipeline == Pipeline::MovingStep).then_some(MotionScale {
                         control_points: sizes.control_points,
                         network: self.network,

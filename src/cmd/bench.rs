@@ -9,16 +9,19 @@ use clap::{Args, Subcommand, ValueEnum};
 use serde_json::json;
 use splat4d::bench::{self, Budget, ErrorMeasure, Pace, Profile, Shot};
 use splat4d::gpu::Device;
+use splat4d::renderer::RenderScale;
 use splat4d::report::{
     Ceilings, Curve, CurvePoint, Machine, Measurements, Place, Point, PowerLaw, Row, Verdict,
     compare, duration, rate, scientific,
 };
 use splat4d::scene::{Opened, Scene};
+use splat4d::types::Tuning;
 use splat4d::{Error, Result};
 
-use super::common::{Answer, Common, bytes, say, thousands};
+use super::common::{Answer, Common, bytes, foresee, say, thousands};
 use super::outputs::{Inputs, Outputs};
-use super::{interrupt, path, tuning, values};
+use super::path::{self, Orbit};
+use super::{interrupt, tuning, values};
 
 /// Views that a sweep of a scene renders.
 const SWEEP_VIEWS: usize = 2;
@@ -96,11 +99,12 @@ pub struct BenchArgs {
     #[arg(long, conflicts_with_all = ["scene", "error_budget", "profile", "filter"])]
     scale: bool,
     /// Time that --scale may take, about; what would take longer is left out, and said
-    #[arg(long, value_name = "SECONDS", value_parser = values::positive, default_value_t = 480.0,
-          requires = "scale")]
+    #[arg(long, value_name = "SECONDS", default_value_t = 480.0,
+          requires = "scale", value_parser = values::number(0.001..=values::MOST_SECONDS))]
     seconds: f64,
     /// Choose the fastest settings whose image error stays within this; colours are in [0, 1]
-    #[arg(long, value_name = "ERROR", value_parser = values::positive, requires = "scene")]
+    #[arg(long, value_name = "ERROR", requires = "scene",
+          value_parser = values::number(1e-30..=1.0))]
     error_budget: Option<f64>,
     /// What of the error is budgeted
     #[arg(long, value_name = "MEASURE", default_value = "rmse", requires = "error_budget")]
@@ -145,6 +149,11 @@ pub fn run(args: &BenchArgs, common: &Common) -> Result<(Answer, ExitCode)> {
     let begun = std::time::Instant::now();
     let scene = args.scene.as_deref().map(open_scene).transpose()?;
     let device = common.open_device()?;
+    if let Some((_, scene)) = &scene {
+        let scale = RenderScale::new(scene, args.size, &Tuning::default());
+        let most = || scale.most_gaussians(&device);
+        foresee(&device, "rendering the scene", scale.footprint(&device), most, "lower --size")?;
+    }
     let mut measured = Measurements::new(bench::machine(&device), bench::commit());
     if measured.machine.software {
         say("note: a software driver: its times say nothing of a GPU");
@@ -173,7 +182,7 @@ pub fn run(args: &BenchArgs, common: &Common) -> Result<(Answer, ExitCode)> {
             measured.choice = Some(choice);
         }
         _ if args.scale => {
-            let time = Duration::from_secs_f64(args.seconds.min(1e6));
+            let time = Duration::from_secs_f64(args.seconds);
             let mut each = |curve: &Curve, point: &CurvePoint| {
                 interrupt::check()?;
                 say(&curve_point_text(curve, point));
@@ -317,11 +326,14 @@ fn profile_text(profile: &Profile, ceilings: &Ceilings) -> String {
 
 /// Views spread over the scene's own cameras, or around it where it has none.
 fn shots(scene: &Scene, (width, height): (u32, u32), count: usize) -> Vec<Shot> {
-    let cameras = match path::input(scene) {
+    let cameras: Vec<_> = match path::input(scene) {
         Ok(cameras) if cameras.len() >= count => {
             (0..count).map(|i| cameras[(2 * i + 1) * cameras.len() / (2 * count)]).collect()
         }
-        _ => path::orbit(scene, count),
+        _ => {
+            let orbit = Orbit::new(scene, count);
+            (0..count).map(|i| orbit.at(i)).collect()
+        }
     };
     cameras
         .into_iter()

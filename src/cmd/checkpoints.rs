@@ -19,7 +19,8 @@ pub struct CheckpointArgs {
     #[arg(long)]
     resume: bool,
     /// Seconds between checkpoints, which lie in OUTPUT.checkpoint until the work is done; 0: none
-    #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = values::not_negative)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 60.0,
+          value_parser = values::number(0.0..=values::MOST_SECONDS))]
     checkpoint_every: f64,
 }
 
@@ -94,7 +95,7 @@ impl Checkpoints {
         Checkpoints {
             identity,
             resume: args.resume,
-            every: Duration::from_secs_f64(args.checkpoint_every.min(1e9)),
+            every: Duration::from_secs_f64(args.checkpoint_every),
             saved: Instant::now(),
             usable: args.resume && found,
             folder,

@@ -6,7 +6,13 @@ use std::path::Path;
 use clap::Args;
 use serde_json::Value;
 use splat4d::gpu::{Device, DeviceKind, Footprint, Request, Selector};
+use splat4d::io::{check_limits, check_memory};
+use splat4d::renderer::Renderer;
+use splat4d::train::TrainingScale;
+use splat4d::types::Camera;
 use splat4d::{Error, Result};
+
+use super::{interrupt, values};
 
 /// The flags that every command takes.
 #[derive(Args)]
@@ -29,7 +35,8 @@ pub struct Common {
         global = true,
         help_heading = "Common options",
         value_name = "NUMBER",
-        default_value_t = 0
+        default_value_t = 0,
+        value_parser = values::whole::<u64>(0..=u64::MAX)
     )]
     pub seed: u64,
 }
@@ -37,6 +44,7 @@ pub struct Common {
 impl Common {
     /// Opens the device; a software driver that was not asked for is pointed out.
     pub fn open_device(&self) -> Result<Device> {
+        check_room_for_drivers()?;
         let selector = Selector::from(self.device.as_str());
         let asked = selector != Selector::Best;
         let device = Device::open(&Request { selector, ..Request::default() })?;
@@ -49,6 +57,23 @@ impl Common {
         }
         Ok(device)
     }
+}
+
+/// Number of processors, as far as the system tells.
+fn processors() -> u64 {
+    std::thread::available_parallelism().map_or(1, |count| count.get() as u64)
+}
+
+/// That there is room for the program itself and a thread for each processor. Rust ends a program that
+/// cannot have a few bytes, so that what is far too little is told first.
+pub fn check_room() -> Result<()> {
+    check_limits((64 << 20) + (4 << 20) * processors(), "splat4d")
+}
+
+/// That there is address space for Vulkan drivers. Of what they cannot have some make faults instead of
+/// errors: a software driver maps a compiler, and a stack and a heap for each of up to 32 threads.
+pub fn check_room_for_drivers() -> Result<()> {
+    check_limits((1 << 30) + (72 << 20) * processors().min(32), "opening a Vulkan device")
 }
 
 /// What a command found out: for machines, and for people.
@@ -81,8 +106,41 @@ pub fn path_text(path: &Path) -> Value {
     path.to_string_lossy().into()
 }
 
+/// Pictures whose (splat, tile) pairs are counted beforehand, at most.
+const MOST_COUNTED: usize = 64;
+
+/// The most (splat, tile) pairs of some pictures, which `at` gives; of many, those of an even choice.
+pub fn most_pairs(
+    renderer: &mut Renderer,
+    pictures: usize,
+    at: impl Fn(usize) -> (Camera, f64),
+) -> Result<usize> {
+    let counted = pictures.min(MOST_COUNTED);
+    let mut most = 0;
+    for i in 0..counted {
+        interrupt::check()?;
+        let (camera, time) = at(i * pictures / counted);
+        most = most.max(renderer.count(&camera, time)?);
+    }
+    if counted < pictures {
+        // Those between may have some more.
+        most = most.saturating_add(most / 4);
+    }
+    Ok(usize::try_from(most).unwrap_or(usize::MAX))
+}
+
+/// A training in words, for [`foresee`]: growth may not reach the most that there is room for.
+pub fn training(scale: &TrainingScale) -> String {
+    let (reached, most) = (scale.reached(), scale.settings.max_gaussians);
+    let text = format!("training up to {} Gaussians", thousands(reached));
+    match most > reached {
+        true => format!("{text} with --max-gaussians {}", thousands(most)),
+        false => text,
+    }
+}
+
 /// Says how much device memory some work will take, and gives it; an error where it does not fit, with
-/// the most Gaussians that would, and what to turn.
+/// the most Gaussians that would, where there are any, and what to turn.
 pub fn foresee(
     device: &Device,
     what: &str,
@@ -93,13 +151,17 @@ pub fn foresee(
     let name = &device.info().name;
     match footprint.and_then(|taken| taken.fits(device).map(|()| taken)) {
         Ok(taken) => {
+            if device.info().kind == DeviceKind::Software {
+                // Its memory is the machine's.
+                check_memory(taken.bytes, what)?;
+            }
             let free = bytes(device.free_memory());
             say(&format!("{what} takes {} of the {free} that {name} has free", bytes(taken.bytes)));
             Ok(taken.bytes)
         }
         Err(error @ (Error::RangeLimit { .. } | Error::TooLarge { .. })) => {
             let would = match most_gaussians() {
-                0 => "not even one Gaussian would fit: make the pictures smaller".to_owned(),
+                0 => turn.to_owned(),
                 most => format!("{} Gaussians would fit: {turn}", thousands(most)),
             };
             Err(Error::Input(format!("{what} does not fit on {name}: {error}; {would}")))

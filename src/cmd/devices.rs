@@ -12,7 +12,7 @@ use splat4d::train::{PictureKind, TrainSettings, TrainingScale};
 use splat4d::types::{Gaussians, Tuning};
 use splat4d::vk::{self, DeviceKind};
 
-use super::common::{Answer, bytes, thousands};
+use super::common::{Answer, bytes, check_room_for_drivers, thousands};
 
 /// Pictures of what the largest scenes are foreseen for.
 const SIZE: (u32, u32) = (1920, 1080);
@@ -37,6 +37,7 @@ pub struct DevicesArgs {}
 
 /// Runs the command.
 pub fn run(_: &DevicesArgs) -> Result<Answer> {
+    check_room_for_drivers()?;
     let (mut text, mut list) = (String::new(), Vec::new());
     for device in vk::enumerate()? {
         let kind = match device.kind {
@@ -103,6 +104,7 @@ fn most_gaussians(device: &Device) -> (usize, usize) {
     let train = TrainingScale {
         pictures: [(kind, PICTURES)].into(),
         gaussians: 1,
+        intersections: 0,
         motion: None,
         settings: TrainSettings::default(),
     };

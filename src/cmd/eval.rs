@@ -19,6 +19,7 @@ use super::eval_truth;
 use super::interrupt;
 use super::meter::Meter;
 use super::quality::{self, Quality};
+use super::values;
 
 const AFTER_HELP: &str = "\
 REFERENCE decides what is measured:
@@ -67,17 +68,20 @@ pub struct EvalArgs {
     /// A dataset, a clip's truth folder, or a trajectory (TUM)
     reference: PathBuf,
     /// Shrink the dataset's pictures so that their longer side has at most so many pixels
-    #[arg(long, value_name = "LONGEST", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "LONGEST",
+          value_parser = values::whole::<u32>(1..=values::MOST_PIXELS))]
     size: Option<u32>,
     /// Measure every N-th picture of the dataset, as `train` holds them out; 0: all, or those of its
     /// own test split
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0,
+          value_parser = values::whole::<usize>(0..=values::MOST_PICTURES))]
     eval_every: usize,
     /// What aligning a trajectory may change
     #[arg(long, value_enum, default_value = "sim3")]
     align: AlignBy,
     /// Poses pair when their timestamps differ by at most so many seconds
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.02)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.02,
+          value_parser = values::number(0.0..=values::MOST_SECONDS))]
     max_difference: f64,
     /// Leave out Gaussians that hold NaN, infinite or out-of-range values
     #[arg(long)]
@@ -121,10 +125,10 @@ fn truth_folder(reference: &Path) -> Result<Option<PathBuf>> {
     Ok(candidates.into_iter().find(is_truth))
 }
 
-/// Whether the reference is a file other than a `transforms.json`: a trajectory, then.
+/// Whether the reference is something else than a folder or a `transforms.json`: a trajectory, then.
 fn is_text(reference: &Path) -> Result<bool> {
     let found = std::fs::metadata(reference).map_err(Error::io(reference))?;
-    Ok(found.is_file() && reference.extension().is_none_or(|e| e != "json"))
+    Ok(!found.is_dir() && reference.extension().is_none_or(|e| e != "json"))
 }
 
 fn open(args: &EvalArgs) -> Result<Scene> {

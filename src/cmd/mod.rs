@@ -118,6 +118,8 @@ fn usage_error(error: &clap::Error) -> String {
 }
 
 fn run(cli: &Cli) -> Result<(Answer, ExitCode)> {
+    common::check_room()?;
+    start_threads()?;
     interrupt::watch(cli.common.json);
     let answer = match &cli.command {
         Command::Reconstruct(args) => reconstruct::run(args, &cli.common),
@@ -132,6 +134,17 @@ fn run(cli: &Cli) -> Result<(Answer, ExitCode)> {
         Command::Validate(args) => return validate::run(args, &cli.common),
     };
     Ok((answer?, ExitCode::SUCCESS))
+}
+
+/// Starts the threads that all parallel work shares. Started by the first such work instead, what
+/// cannot be started would be a panic.
+fn start_threads() -> Result<()> {
+    rayon::ThreadPoolBuilder::new().build_global().map_err(|error| {
+        Error::Failed(format!(
+            "the threads to work on cannot be started: {error}; raise the limits (ulimit -v, ulimit \
+             -u) or set RAYON_NUM_THREADS=1"
+        ))
+    })
 }
 
 /// Prints an answer on stdout. A reader that has seen enough and closed the pipe is no error.
@@ -155,9 +168,92 @@ fn print(answer: &Answer, json: bool) -> Result<()> {
 mod tests {
     use super::*;
     use clap::CommandFactory;
+    use clap::error::ErrorKind;
+    use std::any::TypeId;
+    use std::path::PathBuf;
 
     #[test]
     fn the_declarations_hold_together() {
         Cli::command().debug_assert();
+    }
+
+    /// What an option might be given that no job can mean.
+    const HOSTILE: [&str; 11] = [
+        "-1",
+        "0",
+        "NaN",
+        "inf",
+        "1e300",
+        "4294967295",
+        "4294967296",
+        "18446744073709551615",
+        "18446744073709551616",
+        "many",
+        "",
+    ];
+
+    /// Those of them that lie in an option's range.
+    fn in_range(option: &str) -> &'static [&'static str] {
+        match option {
+            "seed" => &["0", "4294967295", "4294967296", "18446744073709551615"],
+            "max_gaussians" | "eval_every" | "sh_degree" | "checkpoint_every"
+            | "max_difference" | "times" => &["0"],
+            "background" => &["0,0,0"],
+            _ => &[],
+        }
+    }
+
+    /// Whether an argument takes text rather than numbers: a path, one of a list of words, a name.
+    fn takes_text(argument: &clap::Arg) -> bool {
+        let is_path = argument.get_value_parser().type_id() == TypeId::of::<PathBuf>();
+        let words = ["device", "filter", "path"];
+        is_path
+            || !argument.get_possible_values().is_empty()
+            || words.contains(&argument.get_id().as_str())
+    }
+
+    /// Whether a command accepts the value, whatever else it misses.
+    fn accepts(way: &[String], argument: &clap::Arg, value: &str) -> bool {
+        let long = argument.get_long().expect("a number has a name");
+        let line = [way, &[format!("--{long}={value}")]].concat();
+        let kind = Cli::command().try_get_matches_from(line).err().map(|error| error.kind());
+        !matches!(kind, Some(ErrorKind::InvalidValue | ErrorKind::ValueValidation))
+    }
+
+    #[test]
+    fn every_number_has_a_range() {
+        fn walk(command: &clap::Command, way: &[String], seen: &mut usize) {
+            let way = [way, &[command.get_name().to_owned()]].concat();
+            for argument in command.get_arguments() {
+                if !argument.get_action().takes_values() || takes_text(argument) {
+                    continue;
+                }
+                *seen += 1;
+                for hostile in HOSTILE {
+                    let several = [
+                        hostile.to_owned(),
+                        format!("{hostile}x{hostile}"),
+                        format!("{hostile}x9"),
+                        format!("{hostile},{hostile},{hostile}"),
+                        format!("1,{hostile}"),
+                    ];
+                    for value in several {
+                        let option = argument.get_id().as_str();
+                        // A list is in range where each of its numbers is.
+                        let fine = in_range(option).contains(&value.as_str())
+                            || option == "times" && value.split(',').all(|v| v == "0" || v == "1");
+                        assert!(
+                            fine || !accepts(&way, argument, &value),
+                            "{}: --{option} takes `{value}`; give it a parser of cmd/values.rs",
+                            way.join(" ")
+                        );
+                    }
+                }
+            }
+            command.get_subcommands().for_each(|command| walk(command, &way, seen));
+        }
+        let mut seen = 0;
+        walk(&Cli::command(), &[], &mut seen);
+        assert!(seen > 30, "{seen} numbers were found");
     }
 }

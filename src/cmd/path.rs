@@ -30,48 +30,76 @@ pub fn input(scene: &Scene) -> Result<Vec<TimedCamera>> {
     Ok(scene.cameras.iter().map(|c| TimedCamera { time: c.time, camera: c.camera }).collect())
 }
 
-/// A gentle path through views that the input did not have, `frames` long, its times from 0 to 1.
+/// A gentle path through views that the input did not have, its times from 0 to 1.
 ///
 /// Where the input is a continuous shot, the camera follows it and sways around it on an ellipse,
 /// always looking at what the input looks at; where it is photographs from all around, it sways
 /// around the one nearest to their middle. A scene without cameras is circled once.
-pub fn orbit(scene: &Scene, frames: usize) -> Vec<TimedCamera> {
-    let at = |i: usize| i as f64 / frames.max(2).saturating_sub(1) as f64;
-    if scene.cameras.is_empty() {
-        // A full circle ends one step before its beginning.
-        return (0..frames)
-            .map(|i| TimedCamera {
-                time: at(i),
-                camera: around(scene, i as f64 / frames as f64 * std::f64::consts::TAU),
-            })
-            .collect();
+pub struct Orbit<'a> {
+    frames: usize,
+    around: Around<'a>,
+}
+
+/// What an orbit goes around.
+enum Around<'a> {
+    /// The input's camera at each time, at a distance from what it looks at.
+    Shot(&'a Scene, f64),
+    /// One camera of the input, likewise.
+    Photograph(Camera, f64),
+    /// All of a scene without cameras.
+    Whole(Circle),
+}
+
+impl Orbit<'_> {
+    /// A path of so many views.
+    pub fn new(scene: &Scene, frames: usize) -> Orbit<'_> {
+        let around = match middle_camera(scene) {
+            None => Around::Whole(Circle::around(scene)),
+            Some(middle) => {
+                let distance = typical_depth(scene, &middle);
+                match is_shot(scene, distance) {
+                    true => Around::Shot(scene, distance),
+                    false => Around::Photograph(middle, distance),
+                }
+            }
+        };
+        Orbit { frames, around }
     }
-    let middle = middle_camera(scene);
-    let distance = typical_depth(scene, &middle);
-    let follows = is_shot(scene, distance);
-    (0..frames)
-        .map(|i| {
-            let time = at(i);
-            let base = if follows { between(scene, time) } else { middle };
-            let (sin, cos) = (time * std::f64::consts::TAU).sin_cos();
-            let sway = DVec3::new(SWAY[0] * cos, SWAY[1] * sin, 0.0) * distance;
-            let world_from_view = base.view_from_world.inverse();
-            let target = world_from_view.apply(DVec3::Z * distance);
-            let up = world_from_view.rotation * DVec3::NEG_Y;
-            let view_from_world = look_at(world_from_view.apply(sway), target, up);
-            TimedCamera { time, camera: Camera { view_from_world, ..base } }
-        })
-        .collect()
+
+    /// How many views there are.
+    pub fn len(&self) -> usize {
+        self.frames
+    }
+
+    /// One of the views.
+    pub fn at(&self, index: usize) -> TimedCamera {
+        let time = index as f64 / self.frames.max(2).saturating_sub(1) as f64;
+        let (base, distance) = match &self.around {
+            Around::Shot(scene, distance) => (between(scene, time), distance),
+            Around::Photograph(camera, distance) => (*camera, distance),
+            Around::Whole(circle) => {
+                // A full circle ends one step before its beginning.
+                let angle = index as f64 / self.frames as f64 * std::f64::consts::TAU;
+                return TimedCamera { time, camera: circle.at(angle) };
+            }
+        };
+        let (sin, cos) = (time * std::f64::consts::TAU).sin_cos();
+        let sway = DVec3::new(SWAY[0] * cos, SWAY[1] * sin, 0.0) * *distance;
+        let world_from_view = base.view_from_world.inverse();
+        let target = world_from_view.apply(DVec3::Z * *distance);
+        let up = world_from_view.rotation * DVec3::NEG_Y;
+        let view_from_world = look_at(world_from_view.apply(sway), target, up);
+        TimedCamera { time, camera: Camera { view_from_world, ..base } }
+    }
 }
 
 /// The input camera nearest to the mean of their centres.
-fn middle_camera(scene: &Scene) -> Camera {
+fn middle_camera(scene: &Scene) -> Option<Camera> {
     let centres = scene.cameras.iter().map(|c| c.camera.centre());
     let mean = centres.sum::<DVec3>() / scene.cameras.len() as f64;
     let distance = |camera: &Camera| camera.centre().distance_squared(mean);
     let cameras = scene.cameras.iter().map(|c| c.camera);
-    let nearest = cameras.min_by(|a, b| distance(a).total_cmp(&distance(b)));
-    nearest.expect("the scene has cameras")
+    cameras.min_by(|a, b| distance(a).total_cmp(&distance(b)))
 }
 
 /// Median depth of the opaque Gaussians that a camera sees; 1 where it sees none.
@@ -123,47 +151,65 @@ fn between(scene: &Scene, time: f64) -> Camera {
     Camera { view_from_world: world_from_view.inverse(), ..first.camera }
 }
 
-/// A camera at an angle of the circle around a scene without cameras.
-fn around(scene: &Scene, angle: f64) -> Camera {
-    let g = &scene.gaussians;
-    let solid = |i: &usize| g.opacity_logits[*i] > 0.0;
-    let mut chosen: Vec<usize> = (0..g.len()).filter(solid).collect();
-    if chosen.is_empty() {
-        chosen = (0..g.len()).collect();
-    }
-    // Without the outermost twentieth on every side: floaters would push the camera away.
-    let (mut low, mut high) = (DVec3::ZERO, DVec3::ZERO);
-    for axis in 0..3 {
-        let mut values: Vec<f64> =
-            chosen.iter().map(|&i| f64::from(g.positions[i][axis])).collect();
-        values.sort_by(f64::total_cmp);
-        if let Some(last) = values.len().checked_sub(1) {
-            (low[axis], high[axis]) = (values[last / 20], values[last - last / 20]);
+/// The circle around a scene without cameras.
+struct Circle {
+    target: DVec3,
+    /// From the cameras to the target.
+    distance: f64,
+    /// Of the cameras, pixels.
+    focal: f64,
+    up: DVec3,
+}
+
+impl Circle {
+    fn around(scene: &Scene) -> Circle {
+        let g = &scene.gaussians;
+        let solid = |i: &usize| g.opacity_logits[*i] > 0.0;
+        let mut chosen: Vec<usize> = (0..g.len()).filter(solid).collect();
+        if chosen.is_empty() {
+            chosen = (0..g.len()).collect();
         }
+        // Without the outermost twentieth on every side: floaters would push the camera away.
+        let (mut low, mut high) = (DVec3::ZERO, DVec3::ZERO);
+        for axis in 0..3 {
+            let mut values: Vec<f64> =
+                chosen.iter().map(|&i| f64::from(g.positions[i][axis])).collect();
+            values.sort_by(f64::total_cmp);
+            if let Some(last) = values.len().checked_sub(1) {
+                (low[axis], high[axis]) = (values[last / 20], values[last - last / 20]);
+            }
+        }
+        let target = 0.5 * (low + high);
+        let near = f64::from(scene.settings.near);
+        // Where the centres have no extent, as in a scene of one Gaussian, its own size is the scene's.
+        let mut sizes: Vec<f64> = chosen.iter().map(|&i| deviation(g.log_scales[i])).collect();
+        let spread = 0.5 * (high - low).length();
+        let radius = spread.max(3.0 * median(&mut sizes).unwrap_or(0.0)).max(1e-6);
+        let (width, height) = DEFAULT_SIZE;
+        let mut half_view = (f64::from(height) / 2.0 / (f64::from(width) * 0.8)).atan();
+        let mut distance = radius / half_view.sin();
+        // What is nearer than `near` is not drawn: tiny scenes are seen from further away, enlarged.
+        if distance - radius < 2.0 * near {
+            distance = radius + 2.0 * near;
+            half_view = (radius / distance).asin();
+        }
+        let focal = f64::from(height) / 2.0 / half_view.tan();
+        let up = Vec3::from_array(scene.up).as_dvec3().try_normalize().unwrap_or(DVec3::NEG_Y);
+        Circle { target, distance, focal, up }
     }
-    let target = 0.5 * (low + high);
-    let near = f64::from(scene.settings.near);
-    // Where the centres have no extent, as in a scene of one Gaussian, its own size is the scene's.
-    let mut sizes: Vec<f64> = chosen.iter().map(|&i| deviation(g.log_scales[i])).collect();
-    let spread = 0.5 * (high - low).length();
-    let radius = spread.max(3.0 * median(&mut sizes).unwrap_or(0.0)).max(1e-6);
-    let (width, height) = DEFAULT_SIZE;
-    let mut half_view = (f64::from(height) / 2.0 / (f64::from(width) * 0.8)).atan();
-    let mut distance = radius / half_view.sin();
-    // What is nearer than `near` is not drawn: tiny scenes are seen from further away, enlarged.
-    if distance - radius < 2.0 * near {
-        distance = radius + 2.0 * near;
-        half_view = (radius / distance).asin();
-    }
-    let focal = f64::from(height) / 2.0 / half_view.tan();
-    let up = Vec3::from_array(scene.up).as_dvec3().try_normalize().unwrap_or(DVec3::NEG_Y);
-    let side = up.any_orthonormal_vector();
-    let (sin, cos) = angle.sin_cos();
-    let outward = (side * cos + up.cross(side) * sin) * ELEVATION.cos() + up * ELEVATION.sin();
-    let centre = target + outward * distance;
-    Camera {
-        intrinsics: Intrinsics::centred(focal, width, height),
-        view_from_world: look_at(centre, target, up),
+
+    /// The camera at an angle.
+    fn at(&self, angle: f64) -> Camera {
+        let Circle { target, distance, focal, up } = *self;
+        let (width, height) = DEFAULT_SIZE;
+        let side = up.any_orthonormal_vector();
+        let (sin, cos) = angle.sin_cos();
+        let outward = (side * cos + up.cross(side) * sin) * ELEVATION.cos() + up * ELEVATION.sin();
+        let centre = target + outward * distance;
+        Camera {
+            intrinsics: Intrinsics::centred(focal, width, height),
+            view_from_world: look_at(centre, target, up),
+        }
     }
 }
 
@@ -225,6 +271,11 @@ mod tests {
             })
             .collect();
         scene
+    }
+
+    fn orbit(scene: &Scene, frames: usize) -> Vec<TimedCamera> {
+        let orbit = Orbit::new(scene, frames);
+        (0..orbit.len()).map(|i| orbit.at(i)).collect()
     }
 
     #[test]

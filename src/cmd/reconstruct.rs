@@ -18,7 +18,7 @@ use splat4d::{Error, Result};
 
 use super::checkpoints::{self, CheckpointArgs, Checkpoints, shown, summed};
 use super::clock::Clock;
-use super::common::{Answer, Common, bytes, foresee, notes, path_text, say, thousands};
+use super::common::{Answer, Common, bytes, foresee, notes, path_text, say, thousands, training};
 use super::info::dynamic_share;
 use super::meter::Meter;
 use super::outputs::{Folder, Inputs, Outputs};
@@ -58,38 +58,40 @@ pub struct ReconstructArgs {
     output: PathBuf,
     /// Take every N-th frame
     #[arg(long, value_name = "N", default_value_t = 1,
-          value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
+          value_parser = values::whole::<usize>(1..=values::MOST_PICTURES))]
     every: usize,
     /// Take at most so many frames
     #[arg(long, value_name = "N",
-          value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(2..))]
+          value_parser = values::whole::<usize>(2..=values::MOST_PICTURES))]
     max_frames: Option<usize>,
     /// Shrink frames so that their longer side has at most so many pixels [default: 640, on a
     /// software driver 320; with --flow the flow's size]
-    #[arg(long, value_name = "LONGEST", value_parser = clap::value_parser!(u32).range(16..))]
+    #[arg(long, value_name = "LONGEST",
+          value_parser = values::whole::<u32>(16..=values::MOST_PIXELS))]
     size: Option<u32>,
-    /// Shrink frames to this width instead
+    /// Shrink frames to this width instead; narrower ones stay as they are
     #[arg(long, value_name = "PIXELS", conflicts_with = "size",
-          value_parser = clap::value_parser!(u32).range(16..))]
+          value_parser = values::whole::<u32>(16..=values::MOST_PIXELS))]
     width: Option<u32>,
     /// Steps of the last and longest stage; the stages before it go in proportion
     #[arg(long, value_name = "N", default_value_t = SequenceSettings::default().steps,
-          value_parser = clap::value_parser!(u32).range(1..))]
+          value_parser = values::whole::<u32>(1..=values::MOST_STEPS))]
     steps: u32,
     /// Most Gaussians [default: 40,000, or one for every three pixels of a frame]
     #[arg(long, value_name = "N",
-          value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(16..))]
+          value_parser = values::whole::<usize>(16..=values::MOST_GAUSSIANS))]
     max_gaussians: Option<usize>,
     /// Most control points
     #[arg(long, value_name = "N", default_value_t = SequenceSettings::default().control_points,
-          value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
+          value_parser = values::whole::<usize>(1..=values::MOST_CONTROL_POINTS))]
     control_points: usize,
     /// Highest degree of the spherical harmonics
     #[arg(long, value_name = "0..3", default_value_t = SequenceSettings::default().sh_degree,
-          value_parser = clap::value_parser!(u32).range(0..=3))]
+          value_parser = values::whole::<u32>(0..=3))]
     sh_degree: u32,
     /// Focal length, in pixels of the clip's own size
-    #[arg(long, value_name = "PIXELS", value_parser = values::positive)]
+    #[arg(long, value_name = "PIXELS",
+          value_parser = values::number(1.0..=values::MOST_FOCAL))]
     focal: Option<f64>,
     /// Intrinsics: JSON with fx, fy, cx, cy, width, height
     #[arg(long, value_name = "FILE", conflicts_with = "focal")]
@@ -260,16 +262,16 @@ fn foreseen(
     let scale = settings.scale(frames, size);
     let training = foresee(
         device,
-        &format!("training up to {} Gaussians", thousands(scale.reached())),
+        &training(&scale),
         scale.footprint(device),
         || scale.most_gaussians(device),
-        "lower --max-gaussians or --size",
+        "lower --max-gaussians, --control-points or --size",
     )?;
     if args.flow.is_some() {
         return Ok(training);
     }
     let footprint = EngineFlow::footprint(device, size, &FlowSettings::default());
-    let flow = foresee(device, "optical flow", footprint, || 0, "")?;
+    let flow = foresee(device, "optical flow", footprint, || 0, "lower --size")?;
     Ok(training.max(flow))
 }
 

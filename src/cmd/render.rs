@@ -11,16 +11,19 @@ use splat4d::data::{exr, write_png};
 use splat4d::gpu::Device;
 use splat4d::renderer::{RenderScale, Rendered, Renderer};
 use splat4d::scene::{Opened, Scene};
-use splat4d::types::Tuning;
-use splat4d::{Error, Result};
+use splat4d::types::{Intrinsics, Tuning};
+use splat4d::{Error, Result, io::check_memory};
 
-use super::common::{Answer, Common, foresee, path_text, say, thousands};
+use super::common::{Answer, Common, foresee, most_pairs, path_text, say, thousands};
 use super::encode;
 use super::meter::Meter;
 use super::outputs::{Inputs, Outputs};
-use super::values::{self, Times};
-use super::{interrupt, path, tuning};
+use super::path::{self, Orbit};
+use super::values::{self, MOST_PICTURES, Times};
+use super::{interrupt, tuning};
 
+/// Host memory of a picture and all that is made of it, a pixel.
+const BYTES_A_PIXEL: u64 = 64;
 /// Length of an orbit.
 const ORBIT_FRAMES: usize = 60;
 
@@ -57,7 +60,8 @@ pub struct RenderArgs {
     #[arg(short, long, value_name = "DIR|FILE.mp4")]
     output: PathBuf,
     /// Pictures a second of a video
-    #[arg(long, value_name = "RATE", default_value_t = 24.0, value_parser = values::positive)]
+    #[arg(long, value_name = "RATE", default_value_t = 24.0,
+          value_parser = values::number(0.01..=1000.0))]
     rate: f64,
     /// The cameras
     #[arg(long, value_name = "input|orbit|FILE", value_parser = OsStringValueParser::new().map(ViewPath::from))]
@@ -66,13 +70,14 @@ pub struct RenderArgs {
     #[arg(long, value_name = "TIMES", value_parser = values::times)]
     times: Option<Times>,
     /// Length of an orbit [default: 60, or the number of times]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    frames: Option<u32>,
+    #[arg(long, value_name = "N", value_parser = values::whole::<usize>(1..=values::MOST_PICTURES))]
+    frames: Option<usize>,
     /// Size of the pictures; all that the camera shows stays in them
     #[arg(long, value_name = "WxH", value_parser = values::size)]
     size: Option<(u32, u32)>,
     /// Focal length in pixels of the rendered size, instead of the camera's
-    #[arg(long, value_name = "PIXELS", value_parser = values::positive)]
+    #[arg(long, value_name = "PIXELS",
+          value_parser = values::number(1.0..=values::MOST_FOCAL))]
     focal: Option<f64>,
     /// What lies behind everything, instead of the scene's own: R,G,B in [0, 1], black or white
     #[arg(long, value_name = "R,G,B", value_parser = values::colour)]
@@ -129,19 +134,19 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Answer> {
             thousands(dropped)
         ));
     }
-    let shots = shots(args, &scene)?;
+    let shots = Shots::of(args, &scene)?;
     spare_inputs(args, if video { 0 } else { shots.len() })?;
     let device = common.open_device()?;
-    let predicted_bytes = foreseen(&device, &scene, &shots, &tuning)?;
-    let mut renderer = Renderer::tuned(&device, &scene, &tuning)?;
+    let (predicted_bytes, mut renderer) = foreseen(&device, &scene, &shots, &tuning)?;
     let background = args.background.unwrap_or(scene.background);
     // A video's pictures lie beside it until it is whole, so that it can be renamed into place.
     let pictures = if video { Some(beside(&args.output)?) } else { None };
     let folder = pictures.as_ref().map_or(args.output.as_path(), |pictures| pictures.path());
     let mut meter = Meter::new("rendering", "pictures", shots.len() as u64, 0);
     let mut seconds = 0.0;
-    for (i, shot) in shots.iter().enumerate() {
+    for i in 0..shots.len() {
         interrupt::check()?;
+        let shot = shots.at(i);
         let begun = std::time::Instant::now();
         let rendered = renderer.render(&shot.camera, shot.time)?;
         seconds += begun.elapsed().as_secs_f64();
@@ -152,7 +157,7 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Answer> {
     if video {
         encode::encode(folder, args.rate, &args.output)?;
     }
-    let size = shots.first().map(|shot| shot.camera.intrinsics);
+    let size = (shots.len() > 0).then(|| shots.at(0).camera.intrinsics);
     let json = json!({
         "frames": shots.len(),
         "width": size.map(|k| k.width),
@@ -169,19 +174,50 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Answer> {
     Ok(Answer { json, text })
 }
 
-/// What rendering takes of device memory at most; an error where it does not fit.
-fn foreseen(device: &Device, scene: &Scene, shots: &[TimedCamera], tuning: &Tuning) -> Result<u64> {
-    let sizes = shots.iter().map(|shot| shot.camera.intrinsics);
-    let largest = sizes.max_by_key(|k| u64::from(k.width) * u64::from(k.height));
-    let Some(k) = largest else { return Ok(0) };
-    let scale = RenderScale::new(scene, (k.width, k.height), tuning);
-    foresee(
-        device,
-        &format!("rendering {} Gaussians", thousands(scale.gaussians)),
-        scale.footprint(device),
-        || scale.most_gaussians(device),
-        "lower --size, or leave Gaussians out",
-    )
+/// What rendering takes of device memory at most, and a renderer with room for all of it; an error where
+/// it does not fit.
+fn foreseen(
+    device: &Device,
+    scene: &Scene,
+    shots: &Shots,
+    tuning: &Tuning,
+) -> Result<(u64, Renderer)> {
+    let k = shots.largest();
+    let (width, height) = k.map_or((1, 1), |k| (k.width, k.height));
+    check_memory(
+        u64::from(width) * u64::from(height) * BYTES_A_PIXEL,
+        &format!("a picture of {width}×{height}"),
+    )?;
+    let mut scale = RenderScale::new(scene, (width, height), tuning);
+    let foresee = |scale: &RenderScale| {
+        let mut what = format!("rendering {} Gaussians", thousands(scale.gaussians));
+        if scale.is_dense() {
+            what += &format!(", up to {} (splat, tile) pairs,", thousands(scale.intersections));
+        }
+        let most = || scale.most_gaussians(device);
+        foresee(
+            device,
+            &what,
+            scale.footprint(device),
+            most,
+            "lower --size, or leave Gaussians out",
+        )
+    };
+    let predicted = foresee(&scale)?;
+    let mut renderer = Renderer::tuned(device, scene, tuning)?;
+    scale.intersections = most_pairs(&mut renderer, shots.len(), |i| {
+        let shot = shots.at(i);
+        (shot.camera, shot.time)
+    })?;
+    if !scale.is_dense() {
+        return Ok((predicted, renderer));
+    }
+    // What it holds must not count as taken.
+    drop(renderer);
+    let predicted = foresee(&scale)?;
+    let mut renderer = Renderer::tuned(device, scene, tuning)?;
+    renderer.reserve(scale.intersections);
+    Ok((predicted, renderer))
 }
 
 /// A temporary folder next to a file; the file's folder is made where it is missing.
@@ -235,53 +271,102 @@ fn write(
     Ok(())
 }
 
-/// What to render, in order.
-fn shots(args: &RenderArgs, scene: &Scene) -> Result<Vec<TimedCamera>> {
-    let times = args.times.as_ref().map(Times::values);
-    let orbit_frames = match (args.frames, &times) {
-        (Some(frames), _) => frames as usize,
-        (None, Some(times)) if times.len() > 1 => times.len(),
-        _ => ORBIT_FRAMES,
-    };
-    let default = if scene.cameras.is_empty() { ViewPath::Orbit } else { ViewPath::Input };
-    let mut cameras = match args.path.as_ref().unwrap_or(&default) {
-        ViewPath::Input => path::input(scene)?,
-        ViewPath::Orbit => path::orbit(scene, orbit_frames),
-        ViewPath::File(file) => transforms::read_cameras(file)?,
-    };
-    for shot in &mut cameras {
-        let k = &mut shot.camera.intrinsics;
-        if let Some((width, height)) = args.size {
-            *k = path::resized(k, width, height);
-        }
-        if let Some(focal) = args.focal {
-            (k.fx, k.fy) = (focal, focal);
-        }
-    }
-    for (i, shot) in cameras.iter().enumerate() {
-        shot.camera.check().map_err(|what| {
-            Error::Input(format!("camera {i} of the path cannot be rendered from: {what}"))
-        })?;
-    }
-    Ok(match times {
-        None => cameras,
-        Some(times) => at_times(&cameras, &times),
-    })
+/// What to render, in order. Only the cameras of a file are kept: there may be many shots.
+struct Shots<'a> {
+    cameras: Cameras<'a>,
+    times: Option<Times>,
+    size: Option<(u32, u32)>,
+    focal: Option<f64>,
 }
 
-/// Cameras at given times; see the command's help.
-fn at_times(cameras: &[TimedCamera], times: &[f64]) -> Vec<TimedCamera> {
-    let at = |shot: &TimedCamera, time: f64| TimedCamera { time, ..*shot };
-    if cameras.len() == times.len() {
-        return cameras.iter().zip(times).map(|(shot, time)| at(shot, *time)).collect();
+enum Cameras<'a> {
+    Listed(Vec<TimedCamera>),
+    Orbit(Orbit<'a>),
+}
+
+impl Cameras<'_> {
+    fn len(&self) -> usize {
+        match self {
+            Cameras::Listed(cameras) => cameras.len(),
+            Cameras::Orbit(orbit) => orbit.len(),
+        }
     }
-    times.iter().flat_map(|time| cameras.iter().map(|shot| at(shot, *time))).collect()
+}
+
+impl<'a> Shots<'a> {
+    fn of(args: &RenderArgs, scene: &'a Scene) -> Result<Shots<'a>> {
+        let orbit_frames = match (args.frames, &args.times) {
+            (Some(frames), _) => frames,
+            (None, Some(times)) if times.len() > 1 => times.len(),
+            _ => ORBIT_FRAMES,
+        };
+        let default = if scene.cameras.is_empty() { ViewPath::Orbit } else { ViewPath::Input };
+        let cameras = match args.path.as_ref().unwrap_or(&default) {
+            ViewPath::Input => Cameras::Listed(path::input(scene)?),
+            ViewPath::Orbit => Cameras::Orbit(Orbit::new(scene, orbit_frames)),
+            ViewPath::File(file) => Cameras::Listed(transforms::read_cameras(file)?),
+        };
+        let shots =
+            Shots { cameras, times: args.times.clone(), size: args.size, focal: args.focal };
+        for i in 0..shots.cameras.len() {
+            shots.at(i).camera.check().map_err(|what| {
+                Error::Input(format!("camera {i} of the path cannot be rendered from: {what}"))
+            })?;
+        }
+        match shots.len() as u64 {
+            0..=MOST_PICTURES => Ok(shots),
+            count => Err(Error::Input(format!(
+                "{} cameras, each at {} times, are {} pictures; at most {} are rendered at once: \
+                 give fewer --times or --frames",
+                thousands(shots.cameras.len()),
+                thousands(shots.times.as_ref().map_or(1, Times::len)),
+                thousands(count as usize),
+                thousands(MOST_PICTURES as usize)
+            ))),
+        }
+    }
+
+    fn len(&self) -> usize {
+        let cameras = self.cameras.len();
+        match self.times.as_ref().map(Times::len) {
+            // As many times as cameras: one of each.
+            Some(times) if times != cameras => cameras.saturating_mul(times),
+            _ => cameras,
+        }
+    }
+
+    /// One of them; see the command's help.
+    fn at(&self, index: usize) -> TimedCamera {
+        let camera = index % self.cameras.len();
+        let mut shot = match &self.cameras {
+            Cameras::Listed(cameras) => cameras[camera],
+            Cameras::Orbit(orbit) => orbit.at(camera),
+        };
+        if let Some(times) = &self.times {
+            let one_each = times.len() == self.cameras.len();
+            shot.time = times.at(if one_each { index } else { index / self.cameras.len() });
+        }
+        let k = &mut shot.camera.intrinsics;
+        if let Some((width, height)) = self.size {
+            *k = path::resized(k, width, height);
+        }
+        if let Some(focal) = self.focal {
+            (k.fx, k.fy) = (focal, focal);
+        }
+        shot
+    }
+
+    /// The intrinsics of the largest picture.
+    fn largest(&self) -> Option<Intrinsics> {
+        let sizes = (0..self.cameras.len()).map(|i| self.at(i).camera.intrinsics);
+        sizes.max_by_key(|k| u64::from(k.width) * u64::from(k.height))
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use splat4d::types::{Intrinsics, Pose};
+    use splat4d::types::Pose;
 
     #[test]
     fn times_replace_those_of_the_path() {
@@ -294,13 +379,20 @@ mod tests {
         };
         let path = [camera(0), camera(1)];
         let found = |times: &[f64], path: &[TimedCamera]| -> Vec<(u32, f64)> {
-            let shots = at_times(path, times);
-            shots.iter().map(|s| (s.camera.intrinsics.fx as u32 - 10, s.time)).collect()
+            let shots = Shots {
+                cameras: Cameras::Listed(path.to_vec()),
+                times: Some(Times::List(times.to_vec())),
+                size: None,
+                focal: None,
+            };
+            let shots = (0..shots.len()).map(|i| shots.at(i));
+            shots.map(|s| (s.camera.intrinsics.fx as u32 - 10, s.time)).collect()
         };
         assert_eq!(found(&[0.0, 1.0], &path), [(0, 0.0), (1, 1.0)]);
         assert_eq!(found(&[0.5], &path), [(0, 0.5), (1, 0.5)]);
         assert_eq!(found(&[0.0, 0.5, 1.0], &path[1..]), [(1, 0.0), (1, 0.5), (1, 1.0)]);
         let each = [(0, 0.0), (1, 0.0), (0, 0.5), (1, 0.5), (0, 1.0), (1, 1.0)];
         assert_eq!(found(&[0.0, 0.5, 1.0], &path), each);
+        assert_eq!(found(&[0.5], &[]), []);
     }
 }

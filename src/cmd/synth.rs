@@ -38,7 +38,8 @@ pub struct SynthArgs {
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Number of frames
-    #[arg(long, value_name = "N", default_value_t = SynthOptions::default().frames)]
+    #[arg(long, value_name = "N", default_value_t = SynthOptions::default().frames,
+          value_parser = values::whole::<usize>(2..=10_000))]
     frames: usize,
     /// Size of the pictures
     #[arg(long, value_name = "WxH", default_value = "320x180", value_parser = values::size)]

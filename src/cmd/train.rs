@@ -8,19 +8,22 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use splat4d::data::{Dataset, Point, Resize, View};
-use splat4d::io::{Identity, checksum};
+use splat4d::gpu::Device;
+use splat4d::io::{Identity, check_memory, checksum};
 use splat4d::renderer::Renderer;
-use splat4d::scene::SceneCamera;
+use splat4d::scene::{Scene, SceneCamera};
 use splat4d::train::{
     AdaptiveSettings, Checkpoint, GrowthSettings, McmcSettings, Phase, PosedMotion, TrainSettings,
-    TrainingView, fit_posed, posed_scale, random_points, seed_from_points,
+    TrainingScale, TrainingView, fit_posed, posed_scale, random_points, seed_from_points,
 };
 use splat4d::types::{Camera, Gaussians, RenderSettings, Tuning};
 use splat4d::{Error, Result};
 
 use super::checkpoints::{self, CheckpointArgs, Checkpoints, shown, summed};
 use super::clock::Clock;
-use super::common::{Answer, Common, bytes, foresee, notes, path_text, say, thousands};
+use super::common::{
+    Answer, Common, bytes, foresee, most_pairs, notes, path_text, say, thousands, training,
+};
 use super::info::dynamic_share;
 use super::outputs::{Inputs, Outputs};
 use super::quality::{self, Quality};
@@ -44,6 +47,10 @@ dynamic_share, model, density (null where their number is kept), steps, images, 
 predicted_bytes (of device memory, before it began), all also kept in the scene; and, in report.json too,
 peak_bytes, milliseconds_per_step, seconds {load, train, evaluate}; output";
 
+/// Host memory of a Gaussian from its point to the device: the point, the tree of its neighbours, all
+/// its values twice.
+const BYTES_A_SEED: u64 = 1024;
+
 /// How Gaussians are added and removed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Density {
@@ -64,35 +71,38 @@ pub struct TrainArgs {
     output: PathBuf,
     /// Number of steps, one picture each
     #[arg(long, value_name = "N", default_value_t = 7000,
-          value_parser = clap::value_parser!(u32).range(1..))]
+          value_parser = values::whole::<u32>(1..=values::MOST_STEPS))]
     steps: u32,
     /// Most Gaussians; 0 keeps the number that the points give
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0,
+          value_parser = values::whole::<usize>(0..=values::MOST_GAUSSIANS))]
     max_gaussians: usize,
     /// How Gaussians are added and removed, where --max-gaussians leaves room
     #[arg(long, value_enum, default_value_t = Density::Mcmc, requires = "max_gaussians")]
     density: Density,
     /// Shrink pictures so that their longer side has at most so many pixels
-    #[arg(long, value_name = "LONGEST", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "LONGEST",
+          value_parser = values::whole::<u32>(1..=values::MOST_PIXELS))]
     size: Option<u32>,
     /// Hold out every N-th picture for the test, unless the dataset has its own split; 0: none
-    #[arg(long, value_name = "N", default_value_t = 8)]
+    #[arg(long, value_name = "N", default_value_t = 8,
+          value_parser = values::whole::<usize>(0..=values::MOST_PICTURES))]
     eval_every: usize,
     /// Highest degree of the spherical harmonics
     #[arg(long, value_name = "0..3", default_value_t = 3,
-          value_parser = clap::value_parser!(u32).range(0..=3))]
+          value_parser = values::whole::<u32>(0..=3))]
     sh_degree: u32,
     /// Nothing moves, although the pictures have times
     #[arg(long = "static")]
     still: bool,
     /// Most control points of a scene that moves
     #[arg(long, value_name = "N", default_value_t = PosedMotion::default().control_points,
-          value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
+          value_parser = values::whole::<usize>(1..=values::MOST_CONTROL_POINTS))]
     control_points: usize,
     /// Points to begin with where the dataset has none, spread over what the cameras look at
     #[arg(long, value_name = "N", default_value_t = 20_000,
-          value_parser = clap::value_parser!(u32).range(1..))]
-    random_points: u32,
+          value_parser = values::whole::<usize>(1..=values::MOST_POINTS))]
+    random_points: usize,
     /// What lies behind everything; default: white for pictures with an alpha channel, else black
     #[arg(long, value_name = "R,G,B", value_parser = values::colour)]
     background: Option<[f32; 3]>,
@@ -137,17 +147,16 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     let size = args.size.map_or(Resize::Keep, Resize::Longest);
     let (train, test) = (set.load(&train, size)?, set.load(&test, size)?);
     let cameras: Vec<Camera> = train.iter().map(|view| view.camera).collect();
-    let seeded = seed_from_points(&points(args, common, &set, &cameras), sh_degree);
+    let first = first_gaussians(args, &set);
     say(&format!(
         "{} pictures to train on, {} held out, {} Gaussians to begin with",
         train.len(),
         test.len(),
-        thousands(seeded.len())
+        thousands(first)
     ));
-    clock.lap("load");
 
     let settings = TrainSettings {
-        max_gaussians: if args.max_gaussians == 0 { seeded.len() } else { args.max_gaussians },
+        max_gaussians: if args.max_gaussians == 0 { first } else { args.max_gaussians },
         sh_degree,
         render: tuning.apply(RenderSettings::default()),
         depth_bits: tuning.depth_bits,
@@ -171,14 +180,28 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     // The pictures are many: they move, and come back when training is done.
     let (called, views): (Vec<String>, Vec<TrainingView>) =
         train.into_iter().map(|view| (view.name.clone(), view.into())).unzip();
-    let scale = posed_scale(&views, seeded.len(), motion.as_ref(), &settings);
-    let predicted_bytes = foresee(
-        &device,
-        &format!("training up to {} Gaussians", thousands(scale.reached())),
-        scale.footprint(&device),
-        || scale.most_gaussians(&device),
-        "lower --max-gaussians or --size",
+    let mut scale = posed_scale(&views, first, motion.as_ref(), &settings);
+    let foresee = |scale: &TrainingScale| {
+        foresee(
+            &device,
+            &training(scale),
+            scale.footprint(&device),
+            || scale.most_gaussians(&device),
+            turn(args, &set),
+        )
+    };
+    let mut predicted_bytes = foresee(&scale)?;
+    check_memory(
+        (first as u64).saturating_mul(BYTES_A_SEED),
+        &format!("beginning with {} Gaussians", thousands(first)),
     )?;
+    let seeded = seed_from_points(&points(common, &set, &cameras, first), sh_degree);
+    clock.lap("load");
+    // The first Gaussians may be large: few points are far apart.
+    scale.intersections = pairs_of(&device, &seeded, settings.render, &views)?;
+    if scale.intersections > 4 * scale.reached() {
+        predicted_bytes = foresee(&scale)?;
+    }
     let identity = identity(args, &views, &seeded, &tuning, &settings, motion.as_ref());
     let mut checkpoints = Checkpoints::new(&args.output, &args.checkpoints, identity);
     let resume: Option<Checkpoint> = checkpoints.load("training")?;
@@ -250,18 +273,43 @@ fn growth(args: &TrainArgs) -> GrowthSettings {
     }
 }
 
-/// The dataset's points, at most as many as there may be Gaussians; random ones where it has none.
-fn points(args: &TrainArgs, common: &Common, set: &Dataset, cameras: &[Camera]) -> Vec<Point> {
+/// How many Gaussians there are to begin with: one for each point, at most as many as there may be.
+fn first_gaussians(args: &TrainArgs, set: &Dataset) -> usize {
     let most = if args.max_gaussians == 0 { usize::MAX } else { args.max_gaussians };
+    let points = if set.points.is_empty() { args.random_points } else { set.points.len() };
+    points.min(most)
+}
+
+/// What makes a training smaller.
+fn turn(args: &TrainArgs, set: &Dataset) -> &'static str {
+    match (args.max_gaussians, set.points.is_empty()) {
+        (0, true) => "lower --random-points, --control-points or --size",
+        _ => "give a lower --max-gaussians, --control-points or --size",
+    }
+}
+
+/// The most (splat, tile) pairs that the first Gaussians make of a picture.
+fn pairs_of(
+    device: &Device,
+    seeded: &Gaussians,
+    settings: RenderSettings,
+    views: &[TrainingView],
+) -> Result<usize> {
+    let scene = Scene { settings, ..Scene::of(seeded.clone()) };
+    let mut renderer = Renderer::new(device, &scene)?;
+    most_pairs(&mut renderer, views.len(), |i| (views[i].camera, views[i].time))
+}
+
+/// So many of the dataset's points; random ones where it has none.
+fn points(common: &Common, set: &Dataset, cameras: &[Camera], count: usize) -> Vec<Point> {
     if set.points.is_empty() {
-        let count = most.min(args.random_points as usize);
         say(&format!("note: the dataset has no points; beginning with {count} random ones"));
         return random_points(cameras, count, common.seed);
     }
     let mut points = set.points.clone();
-    if points.len() > most {
+    if points.len() > count {
         points.shuffle(&mut ChaCha8Rng::seed_from_u64(common.seed));
-        points.truncate(most);
+        points.truncate(count);
     }
     points
 }

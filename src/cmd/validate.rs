@@ -11,11 +11,12 @@ use splat4d::gpu::{Device, DeviceKind, Request, Selector};
 use splat4d::vk::{self, DeviceInfo};
 use splat4d::{Error, Result};
 
-use super::common::{Answer, Common, say};
+use super::common::{Answer, Common, check_room_for_drivers, say};
 use super::fuzz;
 use super::interrupt;
 use super::meter::Meter;
 use super::rows::{Row, devices_json, table};
+use super::values;
 
 const AFTER_HELP: &str = "\
 Every kernel runs on the device and is held against the CPU's f64 oracle, on ordinary and on hard
@@ -53,7 +54,8 @@ pub struct ValidateArgs {
     validation: bool,
     /// Judge so many small scenes of ordinary and poisoned values instead; --seed chooses them. One
     /// that fails is shrunk and written to fuzz-SEED-SCENE.json
-    #[arg(long, value_name = "N", conflicts_with_all = ["quick", "filter"])]
+    #[arg(long, value_name = "N", conflicts_with_all = ["quick", "filter"],
+          value_parser = values::whole::<u64>(1..=1_000_000_000))]
     fuzz: Option<u64>,
     /// Judge the scene of such a file again instead
     #[arg(long, value_name = "FILE", conflicts_with_all = ["quick", "filter", "fuzz"])]
@@ -63,6 +65,7 @@ pub struct ValidateArgs {
 /// Runs the command. The exit code says whether all is well; an error, that it could not be found
 /// out.
 pub fn run(args: &ValidateArgs, common: &Common) -> Result<(Answer, ExitCode)> {
+    check_room_for_drivers()?;
     let infos = devices(common)?;
     if args.fuzz.is_some() || args.case.is_some() {
         let open = |info: &DeviceInfo| Ok((info.clone(), open(info, args.validation)?));

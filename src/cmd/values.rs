@@ -1,11 +1,71 @@
-//! Values of flags.
+//! Values of flags: what parses them, and the range of every number. A new flag takes a parser of these.
+
+use std::ops::RangeInclusive;
+
+use super::common::thousands;
+
+/// Pixels along a side of a picture: PNG and EXR hold more, but 16 bits address all of these.
+pub const MOST_PIXELS: u64 = 65_535;
+/// Pictures of a clip, a dataset or a folder: nine hours of video.
+pub const MOST_PICTURES: u64 = 1_000_000;
+/// Training steps: three hundred times what papers take. Schedules walk over all of them beforehand.
+pub const MOST_STEPS: u64 = 10_000_000;
+/// Gaussians: four (splat, tile) pairs of each still have indices of 32 bits.
+pub const MOST_GAUSSIANS: u64 = 1_000_000_000;
+/// Points to begin with: each needs about a kilobyte of host memory.
+pub const MOST_POINTS: u64 = 100_000_000;
+/// Control points: as many as a small scene has Gaussians, a thousand times the default.
+pub const MOST_CONTROL_POINTS: u64 = 1_000_000;
+/// Pixels of a focal length: beyond, a float does not tell neighbouring pixels apart.
+pub const MOST_FOCAL: f64 = 16_777_216.0;
+/// Seconds of anything: thirty years.
+pub const MOST_SECONDS: f64 = 1e9;
+
+/// A parser of whole numbers within a range; its message names the range.
+pub fn whole<T: TryFrom<u64>>(
+    range: RangeInclusive<u64>,
+) -> impl Fn(&str) -> Result<T, String> + Clone + Send + Sync + 'static {
+    move |text| {
+        let value = text.parse().ok().filter(|value| range.contains(value));
+        value.and_then(|value| T::try_from(value).ok()).ok_or_else(|| {
+            let [least, most] = [range.start(), range.end()].map(|end| thousands(*end as usize));
+            format!("a whole number from {least} to {most} is expected")
+        })
+    }
+}
+
+/// A parser of numbers within a range; its message names the range.
+pub fn number(
+    range: RangeInclusive<f64>,
+) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
+    move |text| {
+        // NaN lies in no range.
+        let value = text.parse().ok().filter(|value| range.contains(value));
+        value.ok_or_else(|| {
+            let [least, most] = [range.start(), range.end()].map(|end| short(*end));
+            format!("a number from {least} to {most} is expected")
+        })
+    }
+}
+
+/// A number without rows of zeros.
+fn short(number: f64) -> String {
+    let plain = number == 0.0 || (1e-4..1e9).contains(&number);
+    if plain { format!("{number}") } else { format!("{number:e}") }
+}
 
 /// `320x180`.
 pub fn size(text: &str) -> Result<(u32, u32), String> {
-    let side = |text: &str| text.trim().parse().ok().filter(|side| (1..=65_535).contains(side));
+    let most = MOST_PIXELS as u32;
+    let side = |text: &str| text.trim().parse().ok().filter(|side| (1..=most).contains(side));
     text.split_once(['x', 'X', '×'])
         .and_then(|(width, height)| Some((side(width)?, side(height)?)))
-        .ok_or_else(|| "WIDTHxHEIGHT in pixels is expected, for example 640x360".to_string())
+        .ok_or_else(|| {
+            format!(
+                "WIDTHxHEIGHT in pixels is expected, for example 640x360; up to {} a side",
+                thousands(most as usize)
+            )
+        })
 }
 
 /// `r,g,b` in [0, 1], `black` or `white`.
@@ -25,22 +85,6 @@ pub fn colour(text: &str) -> Result<[f32; 3], String> {
     })
 }
 
-/// A number above zero.
-pub fn positive(text: &str) -> Result<f64, String> {
-    let value: Option<f64> = text.parse().ok();
-    value
-        .filter(|v| v.is_finite() && *v > 0.0)
-        .ok_or_else(|| "a number above 0 is expected".to_string())
-}
-
-/// A number of 0 or above.
-pub fn not_negative(text: &str) -> Result<f64, String> {
-    let value: Option<f64> = text.parse().ok();
-    value
-        .filter(|v| v.is_finite() && *v >= 0.0)
-        .ok_or_else(|| "a number of 0 or above is expected".to_string())
-}
-
 /// Times to render.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Times {
@@ -51,32 +95,43 @@ pub enum Times {
 }
 
 impl Times {
-    /// The times.
-    pub fn values(&self) -> Vec<f64> {
+    /// How many there are.
+    pub fn len(&self) -> usize {
         match self {
-            Times::Evenly(count) => {
-                (0..*count).map(|i| i as f64 / (*count - 1).max(1) as f64).collect()
-            }
-            Times::List(list) => list.clone(),
+            Times::Evenly(count) => *count,
+            Times::List(list) => list.len(),
+        }
+    }
+
+    /// One of them.
+    ///
+    /// # Panics
+    /// When a list has none of this index.
+    pub fn at(&self, index: usize) -> f64 {
+        match self {
+            Times::Evenly(count) => index as f64 / (*count - 1).max(1) as f64,
+            Times::List(list) => list[index],
         }
     }
 }
 
 /// `0,0.25,1`, or a whole number above 1: so many times, evenly.
 pub fn times(text: &str) -> Result<Times, String> {
-    if let Ok(count) = text.parse::<usize>()
-        && count > 1
+    if let Ok(count) = text.parse::<u64>()
+        && (2..=MOST_PICTURES).contains(&count)
     {
-        return Ok(Times::Evenly(count));
+        return Ok(Times::Evenly(count as usize));
     }
     let list: Option<Vec<f64>> = text
         .split(',')
         .map(|t| t.trim().parse().ok().filter(|t| (0.0..=1.0).contains(t)))
         .collect();
     list.map(Times::List).ok_or_else(|| {
-        "times in [0, 1] are expected, for example 0,0.5,1; or a whole number above 1 for so many \
-         times spread evenly"
-            .to_string()
+        format!(
+            "times in [0, 1] are expected, for example 0,0.5,1; or a whole number from 2 to {} \
+             for so many times spread evenly",
+            thousands(MOST_PICTURES as usize)
+        )
     })
 }
 
@@ -102,12 +157,36 @@ mod tests {
     }
 
     #[test]
+    fn ranges_are_named() {
+        let count = whole::<u32>(1..=1_000_000);
+        assert_eq!(count("1000000"), Ok(1_000_000));
+        for bad in ["0", "1000001", "-1", "1.5", "1e3", "", "x", "18446744073709551616"] {
+            let message = count(bad).unwrap_err();
+            assert_eq!(message, "a whole number from 1 to 1,000,000 is expected", "{bad}");
+        }
+        assert!(whole::<u8>(0..=1000)("256").is_err(), "what the type does not hold");
+        let share = number(0.0..=1.0);
+        assert_eq!(
+            [0.0, 0.01, 1000.0, 1e-30, 1e9].map(short),
+            ["0", "0.01", "1000", "1e-30", "1e9"]
+        );
+        assert_eq!((share("0"), share("1e-3")), (Ok(0.0), Ok(0.001)));
+        for bad in ["-0.1", "1.1", "nan", "inf", "-inf", "1e300", "", "x"] {
+            assert_eq!(share(bad).unwrap_err(), "a number from 0 to 1 is expected", "{bad}");
+        }
+    }
+
+    #[test]
     fn lists_and_numbers_of_times() {
-        assert_eq!(times("3").unwrap().values(), [0.0, 0.5, 1.0]);
-        assert_eq!(times("0").unwrap().values(), [0.0]);
-        assert_eq!(times("1").unwrap().values(), [1.0]);
-        assert_eq!(times("0.25, 1").unwrap().values(), [0.25, 1.0]);
-        for bad in ["", "-1", "0,2", "x", "1.5", "0,,1", "nan"] {
+        let values = |text: &str| {
+            let times = times(text).unwrap();
+            (0..times.len()).map(|i| times.at(i)).collect::<Vec<f64>>()
+        };
+        assert_eq!(values("3"), [0.0, 0.5, 1.0]);
+        assert_eq!(values("0"), [0.0]);
+        assert_eq!(values("1"), [1.0]);
+        assert_eq!(values("0.25, 1"), [0.25, 1.0]);
+        for bad in ["", "-1", "0,2", "x", "1.5", "0,,1", "nan", "1000001", "10000000000"] {
             assert!(times(bad).is_err(), "{bad}");
         }
     }

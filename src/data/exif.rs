@@ -11,7 +11,7 @@ const FULL_FRAME_DIAGONAL_MM: f64 = 43.266_615_305_567_87;
 /// equivalent, or the true focal length and the sensor's pixel density. `None` where neither is
 /// there or they make no sense (a missing hint is no error).
 pub fn focal(path: &Path, width: u32, height: u32) -> Option<f64> {
-    let file = std::fs::File::open(path).ok()?;
+    let file = crate::io::open(path).ok()?;
     let exif = Reader::new().read_from_container(&mut std::io::BufReader::new(file)).ok()?;
     from_exif(&exif, f64::from(width), f64::from(height))
 }

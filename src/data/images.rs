@@ -5,7 +5,7 @@ use std::path::Path;
 
 use image::{DynamicImage, ImageDecoder, ImageReader};
 
-use crate::io::{check_unpacked, read, write_atomically};
+use crate::io::{check_unpacked, open, read, write_atomically};
 use crate::types::Image;
 use crate::{Error, Result};
 
@@ -37,7 +37,7 @@ pub enum Resize {
     Keep,
     /// Exactly this width and height.
     To(u32, u32),
-    /// This width; the height keeps the proportions.
+    /// At most this width; the height keeps the proportions, a narrower image is left alone.
     Width(u32),
     /// The longer side has at most so many pixels; a smaller image is left alone.
     Longest(u32),
@@ -52,6 +52,7 @@ impl Resize {
         match self {
             Resize::Keep => (width, height),
             Resize::To(w, h) => (w.max(1), h.max(1)),
+            Resize::Width(most) if width <= most => (width, height),
             Resize::Width(w) => (w.max(1), scaled(height, w.max(1), width)),
             Resize::Longest(most) if width.max(height) <= most => (width, height),
             Resize::Longest(most) => {
@@ -64,7 +65,7 @@ impl Resize {
 
 /// Width and height of an image file, from its header.
 pub fn dimensions(path: &Path, orientation: Orientation) -> Result<(u32, u32)> {
-    let file = std::fs::File::open(path).map_err(Error::io(path))?;
+    let file = open(path)?;
     let reader = ImageReader::new(std::io::BufReader::new(file));
     let reader = reader.with_guessed_format().map_err(Error::io(path))?;
     let mut decoder = reader.into_decoder().map_err(|e| undecodable(path, &e))?;
@@ -75,7 +76,7 @@ pub fn dimensions(path: &Path, orientation: Orientation) -> Result<(u32, u32)> {
 
 /// Whether an image file has an alpha channel, from its header.
 pub fn has_alpha(path: &Path) -> Result<bool> {
-    let file = std::fs::File::open(path).map_err(Error::io(path))?;
+    let file = open(path)?;
     let reader = ImageReader::new(std::io::BufReader::new(file));
     let reader = reader.with_guessed_format().map_err(Error::io(path))?;
     let decoder = reader.into_decoder().map_err(|e| undecodable(path, &e))?;

@@ -30,7 +30,7 @@ use rayon::prelude::*;
 
 use crate::error::excerpt;
 use crate::types::{Camera, Image};
-use crate::{Error, Result};
+use crate::{Error, Result, io};
 
 /// One picture of a dataset, not decoded yet.
 #[derive(Clone, Debug)]
@@ -128,7 +128,7 @@ impl Dataset {
     pub fn open(path: impl AsRef<Path>) -> Result<Dataset> {
         let path = path.as_ref();
         let found = std::fs::metadata(path).map_err(Error::io(path))?;
-        let mut set = if found.is_file() {
+        let mut set = if !found.is_dir() {
             if path.extension().is_none_or(|e| e != "json") {
                 return Err(Error::format(
                     path,
@@ -176,8 +176,19 @@ impl Dataset {
         (train, test)
     }
 
-    /// Loads frames, decoding on all cores; the order is that of `indices`.
+    /// Loads frames, decoding on all cores; the order is that of `indices`. That there is memory for
+    /// all of them is checked first.
     pub fn load(&self, indices: &[usize], size: Resize) -> Result<Vec<View>> {
+        let bytes = |&i: &usize| {
+            let frame = &self.frames[i];
+            let k = frame.camera.intrinsics;
+            let (width, height) = size.target(k.width, k.height);
+            // Three floats a pixel, and one that tells where an undistorted picture is real.
+            let floats = if frame.distortion.is_none() { 3 } else { 4 };
+            4 * floats * u64::from(width) * u64::from(height)
+        };
+        let bytes = indices.iter().map(bytes).fold(0, u64::saturating_add);
+        io::check_memory(bytes, &format!("loading {} pictures", indices.len()))?;
         indices.par_iter().map(|&i| self.frames[i].load(self.background, size)).collect()
     }
 }

@@ -35,7 +35,7 @@ pub struct ViewMut<'a, T> {
 
 impl<T: Pod> Buffer<T> {
     pub(super) fn new(device: &Device, label: &str, len: usize) -> Result<Buffer<T>> {
-        let bytes = (len * size_of::<T>()) as u64;
+        let bytes = (len as u64).saturating_mul(size_of::<T>() as u64);
         let raw = device.raw_buffer(bytes, Residence::Device, label)?;
         Ok(Buffer { raw: Arc::new(raw), len, element: PhantomData })
     }

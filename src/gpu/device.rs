@@ -193,7 +193,7 @@ impl Device {
     }
 
     /// Whether it is one to rehearse on.
-    pub(super) fn is_rehearsing(&self) -> bool {
+    pub(crate) fn is_rehearsing(&self) -> bool {
         !Arc::ptr_eq(&self.inner.ledger, &self.inner.context.ledger)
     }
 

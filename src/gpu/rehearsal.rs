@@ -71,7 +71,8 @@ impl Rehearsal {
         let before = self.device.memory().0;
         let made = work(&self.device)?;
         let each = self.device.memory().0 - before;
-        self.device.inner.ledger.add_bytes(each * times.saturating_sub(1) as u64);
+        let more = each.saturating_mul(times.saturating_sub(1) as u64);
+        self.device.inner.ledger.add_bytes(more);
         Ok(made)
     }
 }

@@ -13,8 +13,7 @@ use crate::{Error, Result};
 /// where the system does not tell.
 pub fn available_memory() -> Option<u64> {
     let machine = text("/proc/meminfo").and_then(|text| machine(&text));
-    let limits = text("/proc/self/limits").zip(text("/proc/self/status"));
-    let limits = limits.and_then(|(limits, status)| limited(&limits, &status));
+    let limits = address_space();
     let groups = text("/proc/self/cgroup").and_then(|text| grouped(&text));
     [machine, limits, groups].into_iter().flatten().min()
 }
@@ -30,6 +29,30 @@ pub fn check_memory(bytes: u64, what: &str) -> Result<()> {
             "{what} needs {} of memory, {} are available; make it smaller or free memory",
             gibibytes(bytes),
             gibibytes(available)
+        ))),
+        _ => Ok(()),
+    }
+}
+
+/// Bytes that this process's own limits (`ulimit -v`, `ulimit -d`) leave; `None` where it has none.
+fn address_space() -> Option<u64> {
+    let (limits, status) = text("/proc/self/limits").zip(text("/proc/self/status"))?;
+    limited(&limits, &status)
+}
+
+/// That this process's own limits leave `bytes` for `what`, which begins the message. Unlike
+/// [`check_memory`] this also suits what is reserved and mostly never used, such as the stacks of
+/// threads.
+///
+/// # Errors
+/// [`Error::Input`] with both numbers.
+pub fn check_limits(bytes: u64, what: &str) -> Result<()> {
+    match address_space() {
+        Some(left) if bytes > left => Err(Error::Input(format!(
+            "{what} needs {} of address space, this process's limits leave {}; raise them \
+             (ulimit -v, ulimit -d)",
+            gibibytes(bytes),
+            gibibytes(left)
         ))),
         _ => Ok(()),
     }

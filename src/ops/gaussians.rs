@@ -60,8 +60,9 @@ impl GaussianBuffers {
     /// Room for `capacity` Gaussians, none there yet.
     ///
     /// # Errors
-    /// [`Error::OutOfMemory`].
+    /// [`Error::OutOfMemory`]; [`Error::RangeLimit`] for 2³² or more.
     pub fn new(device: &Device, capacity: usize, sh_degree: u32) -> Result<GaussianBuffers> {
+        super::countable(device, "rotations", capacity, 16)?;
         let band = |k: usize| {
             let floats = if k as u32 <= sh_degree { SH_BAND[k] } else { 0 };
             device.buffer(["sh0", "sh1", "sh2", "sh3"][k], capacity * floats)

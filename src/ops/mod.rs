@@ -21,7 +21,18 @@ pub mod scan;
 pub mod sort;
 pub mod texel;
 
+use crate::gpu::Device;
 use crate::{Error, Result};
+
+/// Checks that a buffer of `len` elements of `size` bytes can be counted in 32 bits, as kernels count.
+fn countable(device: &Device, label: &str, len: usize, size: u64) -> Result<()> {
+    if u32::try_from(len).is_ok() {
+        return Ok(());
+    }
+    let bytes = (len as u64).saturating_mul(size);
+    let limit = device.limits().storage_range.min(size * u64::from(u32::MAX));
+    Err(Error::RangeLimit { label: label.into(), bytes, limit })
+}
 
 /// Checks that every argument, given as name, elements needed and elements there, is long enough.
 fn at_least(op: &'static str, shapes: &[(&'static str, usize, usize)]) -> Result<()> {

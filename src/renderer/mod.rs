@@ -42,7 +42,7 @@ pub use query::Hit;
 pub use rendered::Rendered;
 pub use scale::RenderScale;
 
-use crate::gpu::{Buffer, Device, Readback, Recorder, Stream, ViewMut};
+use crate::gpu::{Buffer, Device, Readback, Recorder, Rehearsal, Stream, ViewMut};
 use crate::ops::gaussians::{GaussianBuffers, GaussianViews};
 use crate::ops::half::{HalfHarmonics, HalfShapes};
 use crate::ops::motion::Motion;
@@ -295,8 +295,7 @@ impl Renderer {
                 && studio.render.intersection_capacity() >= self.room
         };
         if !self.studio.as_ref().is_some_and(fits) {
-            self.studio = None;
-            self.studio = Some(self.plan(width, height)?);
+            self.make_studio(width, height)?;
         }
         if target.mask.is_some() {
             self.plan_mask()?;
@@ -349,15 +348,57 @@ impl Renderer {
         Ok(drawn)
     }
 
-    fn plan(&self, width: u32, height: u32) -> Result<Studio> {
+    /// Makes room for so many (splat, tile) pairs at the next picture, so that none of at most as many
+    /// has to be drawn again.
+    pub fn reserve(&mut self, intersections: usize) {
+        self.room = self.room.max(intersections);
+    }
+
+    /// How many (splat, tile) pairs the picture of `camera` at `time` has. Takes the projection of the
+    /// Gaussians, not the picture, and no room for the pairs.
+    ///
+    /// # Errors
+    /// As for [`render`](Self::render).
+    pub fn count(&mut self, camera: &Camera, time: f64) -> Result<u64> {
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let fits = |studio: &Studio| (studio.pixels.width, studio.pixels.height) == (width, height);
+        if !self.studio.as_ref().is_some_and(fits) {
+            self.make_studio(width, height)?;
+        }
+        let mut recorder = self.stream.record()?;
+        let Renderer { stream, gaussians, motion, half, tuning, studio, .. } = self;
+        let Studio { render, scratch, .. } = studio.as_mut().expect("made above");
+        let views = moved(gaussians, half, motion.as_mut(), tuning, &mut recorder, time)?;
+        let len = views.len;
+        render.project(&mut recorder, camera, views, scratch)?;
+        stream.submit(recorder)?;
+        let counts = stream.download(&scratch.tile_counts)?;
+        Ok(counts[..len].iter().map(|&count| u64::from(count)).sum())
+    }
+
+    /// Makes what pictures of a size need. Room for more pairs than usual is asked for only where there
+    /// is memory for it: systems promise more than they have.
+    fn make_studio(&mut self, width: u32, height: u32) -> Result<()> {
+        self.studio = None;
+        if self.room > 0 && !self.device.is_rehearsing() {
+            let foreseen = Rehearsal::of(&self.device, |rehearsal| {
+                self.plan(rehearsal.device(), width, height).map(drop)
+            });
+            foreseen?.fits(&self.device)?;
+        }
+        self.studio = Some(self.plan(&self.device, width, height)?);
+        Ok(())
+    }
+
+    fn plan(&self, device: &Device, width: u32, height: u32) -> Result<Studio> {
         let gaussians = self.gaussians.capacity();
-        let room = (4 * self.gaussians.len).max(1 << 14).max(self.room);
-        let render = Render::plan(&self.device, gaussians, room, width, height, self.settings)?
-            .with_depth_bits(&self.device, self.tuning.depth_bits)?
+        let room = usual_room(self.gaussians.len).max(self.room);
+        let render = Render::plan(device, gaussians, room, width, height, self.settings)?
+            .with_depth_bits(device, self.tuning.depth_bits)?
             .with_raster(self.tuning.raster);
         Ok(Studio {
-            scratch: render.scratch(&self.device)?,
-            pixels: render.pixels(&self.device)?,
+            scratch: render.scratch(device)?,
+            pixels: render.pixels(device)?,
             moving: None,
             render,
         })
@@ -376,6 +417,11 @@ impl Renderer {
         studio.moving = Some((colours, studio.render.pixels(&self.device)?));
         Ok(())
     }
+}
+
+/// (splat, tile) pairs that there is room for at first.
+fn usual_room(gaussians: usize) -> usize {
+    gaussians.saturating_mul(4).max(1 << 14)
 }
 
 /// Records where the Gaussians are at a time, and gives them.

@@ -11,8 +11,8 @@ use crate::types::{
 /// How large a scene and its pictures are.
 ///
 /// [`footprint`](Self::footprint) makes a renderer and lets it draw where buffers have no memory: what it
-/// counts is what a real one allocates. Not foreseen is how many tiles the splats of a picture will
-/// reach: there is room for four per Gaussian, and a picture that needs more gets more.
+/// counts is what a real one allocates. How many tiles the splats of a picture will reach depends on the
+/// cameras: [`Renderer::count`] counts them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderScale {
     /// Gaussians.
@@ -23,6 +23,8 @@ pub struct RenderScale {
     pub motion: Option<(usize, NetShape, u32)>,
     /// Width and height of the largest picture, pixels.
     pub size: (u32, u32),
+    /// (splat, tile) pairs of the fullest picture; there is room for four per Gaussian in any case.
+    pub intersections: usize,
     /// Accuracy given up for speed.
     pub tuning: Tuning,
 }
@@ -37,8 +39,14 @@ impl RenderScale {
             sh_degree: scene.gaussians.sh_degree,
             motion: network.map(|network| (points, network.shape, scene.neighbours)),
             size,
+            intersections: 0,
             tuning: *tuning,
         }
+    }
+
+    /// Whether its pictures need more room for (splat, tile) pairs than there is at first.
+    pub fn is_dense(&self) -> bool {
+        self.intersections > super::usual_room(self.gaussians)
     }
 
     /// What it takes of a device's memory at most.
@@ -56,6 +64,7 @@ impl RenderScale {
             let mut renderer = Renderer::with_room(device, &scene, &self.tuning, count.max(1))?;
             renderer.half = Half::room(device, count, self.sh_degree, &self.tuning)?;
             renderer.gaussians.len = count;
+            renderer.room = self.intersections;
             if let Some(motion) = &mut renderer.motion {
                 motion.dynamic = count;
                 let mut recorder = renderer.stream.record()?;
@@ -66,10 +75,14 @@ impl RenderScale {
         })
     }
 
-    /// The most Gaussians with which such a scene fits on a device; 0 where the picture alone does not
-    /// fit.
+    /// The most Gaussians, each of which reaches as many tiles, with which such a scene fits on a
+    /// device; 0 where the picture alone does not fit.
     pub fn most_gaussians(&self, device: &Device) -> usize {
-        most_that_fits(device, |gaussians| RenderScale { gaussians, ..*self }.footprint(device))
+        let each = self.intersections as f64 / self.gaussians.max(1) as f64;
+        most_that_fits(device, |gaussians| {
+            let intersections = (each * gaussians as f64) as usize;
+            RenderScale { gaussians, intersections, ..*self }.footprint(device)
+        })
     }
 
     /// A scene of one Gaussian, and all else as it is.

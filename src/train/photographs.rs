@@ -2,7 +2,7 @@
 
 use super::settings::TrainSettings;
 use super::views::TrainingView;
-use crate::gpu::{Buffer, Device};
+use crate::gpu::{Buffer, Device, Rehearsal};
 use crate::ops::loss::{KnownDisparity, Loss, LossScratch, Photograph};
 use crate::ops::render::{BackwardScratch, PixelBuffers, PixelGradients, Render, RenderScratch};
 use crate::types::{Camera, RasterKind, RenderSettings};
@@ -123,8 +123,22 @@ impl Room {
     /// which pictures come again depends on it, so it does not follow how far growth gets.
     pub(super) fn of(settings: &TrainSettings, first: usize) -> Room {
         let most = settings.max_gaussians.max(first);
-        Room { gaussians: settings.reachable(first), intersections: (4 * most).max(1 << 14) }
+        let intersections = most.saturating_mul(4).max(1 << 14);
+        Room { gaussians: settings.reachable(first), intersections }
     }
+
+    /// The same, once a picture had so many (splat, tile) pairs.
+    pub(super) fn after(self, intersections: usize) -> Room {
+        match intersections > self.intersections {
+            true => Room { intersections: grown(intersections), ..self },
+            false => self,
+        }
+    }
+}
+
+/// Room for more (splat, tile) pairs than a picture had, which the next may have.
+fn grown(needed: usize) -> usize {
+    needed.saturating_add(needed / 2)
 }
 
 /// Constants of blending, bits of depth that decide the order, how an image is blended.
@@ -155,11 +169,30 @@ impl Studios {
         self.insert(device, size, room)
     }
 
-    /// Makes a studio anew with more room for intersections. What the old one holds lives on until
-    /// the device is done with it.
+    /// Makes a studio anew with more room for intersections, where there is memory for it. What the old
+    /// one holds lives on until the device is done with it.
     pub(super) fn grow(&mut self, device: &Device, size: (u32, u32), needed: usize) -> Result<()> {
         self.by_size.remove(&size);
-        self.insert(device, size, needed + needed / 2)
+        let room = grown(needed);
+        // Systems promise more memory than they have.
+        Rehearsal::of(device, |rehearsal| {
+            Studio::new(rehearsal.device(), self.room.gaussians, room, size, self.how).map(drop)
+        })?
+        .fits(device)?;
+        self.insert(device, size, room)
+    }
+
+    /// Does, in a rehearsal, what growing from another room does: for a moment both are there.
+    pub(super) fn rehearse_growth(&self, device: &Device, first: Room) -> Result<()> {
+        let sizes = self.by_size.keys();
+        let largest = sizes.max_by_key(|(width, height)| u64::from(*width) * u64::from(*height));
+        match largest {
+            Some(&size) if first.intersections < self.room.intersections => {
+                let Room { gaussians, intersections } = first;
+                Studio::new(device, gaussians, intersections, size, self.how).map(drop)
+            }
+            _ => Ok(()),
+        }
     }
 
     fn insert(&mut self, device: &Device, size: (u32, u32), room: usize) -> Result<()> {

@@ -1,9 +1,10 @@
 //! What a training takes of a device's memory, before it begins.
 //!
 //! [`TrainingScale::footprint`] makes a trainer and lets it do its steps where buffers have no memory:
-//! what it counts is what a real run allocates. Not foreseen is how many tiles the splats of a picture
-//! will reach: there is room for four per Gaussian that there may be, and a picture that needs more
-//! gets more.
+//! what it counts is what a real run allocates. How many tiles the splats of a picture reach can be
+//! counted for the first Gaussians only ([`Renderer::count`](crate::renderer::Renderer::count)): there is
+//! room for four per Gaussian that there may be, and a picture that needs more gets more where there is
+//! memory for it.
 
 use super::motion::MotionStart;
 use super::photographs::{DeviceView, Room};
@@ -49,6 +50,8 @@ pub struct TrainingScale {
     pub pictures: BTreeMap<PictureKind, usize>,
     /// Gaussians to begin with.
     pub gaussians: usize,
+    /// (splat, tile) pairs of the fullest picture, where they are known.
+    pub intersections: usize,
     /// `None` where nothing moves.
     pub motion: Option<MotionScale>,
     /// How it is trained.
@@ -106,7 +109,7 @@ impl TrainingScale {
     ) -> TrainingScale {
         let mut pictures = BTreeMap::new();
         views.iter().for_each(|view| *pictures.entry(PictureKind::of(view)).or_insert(0) += 1);
-        TrainingScale { pictures, gaussians, motion, settings }
+        TrainingScale { pictures, gaussians, intersections: 0, motion, settings }
     }
 
     /// The number of Gaussians that growth can reach.
@@ -120,7 +123,8 @@ impl TrainingScale {
     /// [`Error::RangeLimit`](crate::Error::RangeLimit) for a buffer larger than one binding of the
     /// device may be; [`Error::Input`](crate::Error::Input) as for [`Trainer::new`].
     pub fn footprint(&self, device: &Device) -> Result<Footprint> {
-        let room = Room::of(&self.settings, self.gaussians);
+        let first_room = Room::of(&self.settings, self.gaussians);
+        let room = first_room.after(self.intersections);
         let first = Gaussians::one(self.settings.sh_degree);
         let start = self.motion.as_ref().map(MotionScale::start);
         Rehearsal::of(device, |rehearsal| {
@@ -138,16 +142,20 @@ impl TrainingScale {
                     rehearsal.repeat(count, |device| DeviceView::new(device, &kind.blank()))?;
                 trainer.views.push(view);
             }
-            trainer.rehearse(room.gaussians, start.as_ref())
+            trainer.rehearse(room.gaussians, start.as_ref())?;
+            trainer.studios.rehearse_growth(rehearsal.device(), first_room)
         })
     }
 
     /// The most Gaussians with which such a training fits on a device, none added on the way; 0
     /// where the pictures alone do not fit.
     pub fn most_gaussians(&self, device: &Device) -> usize {
+        let each = self.intersections as f64 / self.gaussians.max(1) as f64;
         most_that_fits(device, |count| {
             let settings = TrainSettings { max_gaussians: count, ..self.settings.clone() };
-            TrainingScale { gaussians: count, settings, ..self.clone() }.footprint(device)
+            let intersections = (each * count as f64) as usize;
+            TrainingScale { gaussians: count, intersections, settings, ..self.clone() }
+                .footprint(device)
         })
     }
 }

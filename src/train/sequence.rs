@@ -72,6 +72,7 @@ impl SequenceSettings {
         TrainingScale {
             pictures: [(kind, frames)].into(),
             gaussians: self.max_gaussians,
+            intersections: 0,
             motion: Some(MotionScale {
                 control_points: self.control_points,
                 network: self.network,

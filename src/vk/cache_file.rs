@@ -17,7 +17,8 @@ impl CacheFile {
     pub(super) fn of(uuid: &[u8]) -> Option<CacheFile> {
         let name: String = uuid.iter().map(|byte| format!("{byte:02x}")).collect();
         let path = cache_folder()?.join(format!("{name}.pipelines"));
-        let bytes = fs::read(&path).unwrap_or_default();
+        // Reading a pipe that lies there would wait for ever.
+        let bytes = if path.is_file() { fs::read(&path).unwrap_or_default() } else { Vec::new() };
         let loaded = unwrap(&bytes).map(<[u8]>::to_vec).unwrap_or_default();
         Some(CacheFile { path, loaded })
     }

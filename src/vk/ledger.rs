@@ -24,13 +24,17 @@ impl Ledger {
 
     /// Bytes of buffers that are as others.
     pub(crate) fn add_bytes(&self, bytes: u64) {
-        let now = self.now.fetch_add(bytes, Ordering::Relaxed) + bytes;
+        // A rehearsal may count more than any machine has.
+        let add = |now: u64| Some(now.saturating_add(bytes));
+        let before = self.now.fetch_update(Ordering::Relaxed, Ordering::Relaxed, add);
+        let now = before.unwrap_or_else(|before| before).saturating_add(bytes);
         self.peak.fetch_max(now, Ordering::Relaxed);
     }
 
     /// One less.
     pub(super) fn remove(&self, bytes: u64) {
-        self.now.fetch_sub(bytes, Ordering::Relaxed);
+        let subtract = |now: u64| Some(now.saturating_sub(bytes));
+        let _ = self.now.fetch_update(Ordering::Relaxed, Ordering::Relaxed, subtract);
     }
 
     /// Bytes now, and at most so far.

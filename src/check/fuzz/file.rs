@@ -39,7 +39,7 @@ fn list(values: impl IntoIterator<Item = f64>) -> Value {
 /// # Errors
 /// [`Error::Io`], or [`Error::Format`] that names the key.
 pub fn read(path: &Path) -> Result<FuzzScene> {
-    let text = std::fs::read_to_string(path).map_err(Error::io(path))?;
+    let text = crate::io::read_text(path)?;
     parse(&path.to_string_lossy(), &text)
 }
 

@@ -21,6 +21,7 @@ mod write;
 use glam::DVec3;
 
 use crate::error::{Error, Result};
+use crate::io::check_memory;
 use crate::types::{Camera, Image, Intrinsics, Pose};
 use render::{Geometry, Moment};
 use scene::Scene;
@@ -194,5 +195,5 @@ fn check(options: &SynthOptions) -> Result<()> {
             MOST_BYTES >> 30
         )));
     }
-    Ok(())
+    check_memory(bytes as u64, &format!("a clip of {frames} frames of {width}×{height}"))
 }

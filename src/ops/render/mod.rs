@@ -13,10 +13,10 @@ mod stages;
 pub use backward::{BackwardScratch, PixelGradientViews, PixelGradients};
 pub use stages::{SplatViews, SplatViewsMut, TileLists};
 
-use super::at_least;
 use super::gaussians::GaussianViews;
 use super::scan::{Scan, ScanScratch};
 use super::sort::{RadixSort, SortScratch};
+use super::{at_least, countable};
 use crate::gpu::{Buffer, Device, DeviceKind, Groups, Stream, View, ViewMut};
 use crate::types::{Camera, DEPTH_BITS, RasterKind, RenderSettings};
 use crate::{Error, Result};
@@ -193,7 +193,8 @@ impl Render {
     /// A renderer for at most `gaussians` Gaussians and `intersections` (splat, tile) pairs.
     ///
     /// # Errors
-    /// [`Error::Input`] for an image without pixels or with more than 65,535 tiles along a side.
+    /// [`Error::Input`] for an image without pixels or with more than 65,535 tiles along a side;
+    /// [`Error::RangeLimit`] for 2³² Gaussians or pairs, or more.
     pub fn plan(
         device: &Device,
         gaussians: usize,
@@ -206,6 +207,8 @@ impl Render {
         if columns == 0 || rows == 0 || columns > 0xffff || rows > 0xffff {
             return Err(Error::Input(format!("cannot render an image of {width}×{height} pixels")));
         }
+        countable(device, "means", gaussians, 16)?;
+        countable(device, "tile keys", intersections, 4)?;
         // One tile more than there are takes what was counted and not emitted.
         let tile_bits = 32 - (columns * rows).leading_zeros();
         Ok(Render {
