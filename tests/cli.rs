@@ -18,6 +18,7 @@ use serde_json::Value;
 use splat4d::data::{exr, images, transforms, write_png};
 use splat4d::renderer::Renderer;
 use splat4d::scene::{Scene, SceneCamera, ply};
+use splat4d::types::Gaussians;
 use support::{picture, says};
 use tempfile::TempDir;
 

@@ -45,6 +45,6 @@ pub fn encode(folder: &Path, rate: f64, output: &Path) -> Result<()> {
         return Err(Error::Failed(format!("ffmpeg cannot write {}: {why}", output.display())));
     }
     let partial = folder.join(PARTIAL);
-    let mut whole = std::fs::File::open(&partial).map_err(Error::io(&partial))?;
+    let mut whole = splat4d::io::open(&partial)?;
     io::write_atomically(output, |sink| std::io::copy(&mut whole, sink).map(drop))
 }
