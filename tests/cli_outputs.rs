@@ -202,6 +202,13 @@ fn places_are_tried_before_the_work() {
         }
     }
     says(&fails(folder.path(), 1, "render missing -o new.mp4/"), &["name the file"]);
+    ply::write(at("a.ply"), &blobs()).unwrap();
+    fs::create_dir_all(at("views/0002.png")).unwrap();
+    fs::create_dir_all(at("report/sheet.png")).unwrap();
+    let said = fails(folder.path(), 1, "render a.ply -o views --frames 3 --size 16x16");
+    says(&said, &["0002.png", "is a folder"]);
+    let said = fails(folder.path(), 1, "train missing -o x --report report");
+    says(&said, &["sheet.png", "is a folder"]);
     // Before the pictures are made, which then is said first.
     let said = fails(folder.path(), 1, "synth still -o . --frames 2 --size 16x16");
     says(&said, &["not empty"]);

@@ -234,7 +234,7 @@ fn file_name(index: usize, ending: &str) -> String {
     format!("{index:04}{ending}")
 }
 
-/// That the video, or so many pictures, spare what is read.
+/// That the video, or so many pictures, can be written without losing what is read.
 fn spare_inputs(args: &RenderArgs, pictures: usize) -> Result<()> {
     let path = match &args.path {
         Some(ViewPath::File(file)) => Some(file),
@@ -246,11 +246,19 @@ fn spare_inputs(args: &RenderArgs, pictures: usize) -> Result<()> {
     let mut endings = vec![".png"];
     endings.extend(args.exr.then_some(".exr"));
     endings.extend(args.depth.then_some("_depth.exr"));
-    (0..pictures).try_for_each(|i| {
-        endings
-            .iter()
-            .try_for_each(|ending| inputs.spared_by(&args.output.join(file_name(i, ending))))
-    })
+    for i in 0..pictures {
+        for ending in &endings {
+            let picture = args.output.join(file_name(i, ending));
+            if picture.is_dir() {
+                return Err(Error::format(
+                    picture,
+                    "is a folder, where a picture is to be written",
+                ));
+            }
+            inputs.spared_by(&picture)?;
+        }
+    }
+    Ok(())
 }
 
 fn write(
