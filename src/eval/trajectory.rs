@@ -378,7 +378,8 @@ mod tests {
         let (mut taken, mut pairs) = ((Vec::new(), Vec::new()), Vec::new());
         for (_, i, j) in all {
             if !taken.0.contains(&i) && !taken.1.contains(&j) {
-                (taken.0.push(i), taken.1.push(j));
+                taken.0.push(i);
+                taken.1.push(j);
                 pairs.push((i, j));
             }
         }

@@ -62,7 +62,7 @@ pub fn check_limits(bytes: u64, what: &str) -> Result<()> {
 fn gibibytes(bytes: u64) -> String {
     const MEBI: f64 = (1 << 20) as f64;
     let mebi = bytes as f64 / MEBI;
-    if mebi < 1024.0 { format!("{mebi:.1} MiB") } else { format!("{:.1} GiB", mebi / 1024.0) }
+    if mebi < 10_240.0 { format!("{mebi:.1} MiB") } else { format!("{:.1} GiB", mebi / 1024.0) }
 }
 
 fn text(path: impl AsRef<Path>) -> Option<String> {
