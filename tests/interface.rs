@@ -3,6 +3,8 @@
 
 #[path = "interface/layering.rs"]
 mod layering;
+#[path = "interface/messages.rs"]
+mod messages;
 #[path = "interface/reflect.rs"]
 mod reflect;
 
@@ -258,6 +260,44 @@ fn breaches_are_noticed_in_every_spelling() {
     assert_eq!(in_test_file("geometry/cases.rs", "use crate::oracle::sort;"), 0);
     assert_eq!(in_test_file("geometry/cases.rs", "use crate::gpu::Device;"), 1);
     assert_eq!(in_test_file("gpu/cases.rs", "use crate::oracle::sort;"), 1);
+}
+
+#[test]
+fn messages_have_no_gaps() {
+    let gaps = messages::gaps(&root().join("src"));
+    assert!(gaps.is_empty(), "\n{}", gaps.join("\n"));
+}
+
+#[test]
+fn gaps_are_noticed_where_text_is_not_laid_out() {
+    let lines = |source: &str, laid_out: bool| -> Vec<usize> {
+        messages::gaps_of(source, laid_out).into_iter().map(|(line, _)| line).collect()
+    };
+    for source in [
+        "fn f() { g(\"one  two\") }",
+        "fn f() { g(\"one;\n   two\") }",
+        "fn f() { g(r#\"one\ttwo\"#) }",
+        "fn f() { let what = \"one\n two\"; }",
+        "#[error(\"one  two\")] enum E {}",
+    ] {
+        assert_eq!(lines(source, false), [1], "{source}");
+        assert_eq!(lines(source, true), Vec::<usize>::new(), "{source}");
+    }
+    for source in [
+        "fn f() { Err(Error::Input(\"one  two\".into())) }",
+        "fn f() { return Err(format!(\"one  {x}\")) }",
+        "fn f() { Error::Shape { op, expected: format!(\"one  {x}\") } }",
+    ] {
+        assert_eq!((lines(source, false), lines(source, true)), (vec![1], vec![1]), "{source}");
+    }
+    for source in [
+        "fn f() { g(\"one \\\n   two\") }",
+        "/// one  two\nfn f() { g(\"  one\\n\") }",
+        "#[cfg(test)]\nmod tests { fn f() { g(\"one  two\") } }",
+        "fn f() { g(b\"one  two\") }",
+    ] {
+        assert_eq!(lines(source, false), Vec::<usize>::new(), "{source}");
+    }
 }
 
 fn root() -> PathBuf {

@@ -37,9 +37,9 @@ pub fn run(devices: &[(DeviceInfo, Device)], count: u64, seed: u64) -> Result<(A
             let messages = device.take_validation_messages();
             if !messages.is_empty() {
                 return Err(Error::Failed(format!(
-                    "the validation layer complains on {}:\n{}",
+                    "the validation layer complains on {}: {}",
                     info.name,
-                    messages.join("\n")
+                    messages.join("; ")
                 )));
             }
             let Some(failure) = failure else {

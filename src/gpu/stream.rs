@@ -104,7 +104,8 @@ impl Stream {
     ///
     /// # Errors
     /// [`Error::Input`] for a recording of another device or of a host's command buffer, and where a
-    /// fill or a copy named memory of another device; else a failed Vulkan call.
+    /// fill or a copy named memory of another device; [`Error::Shape`] where the two sides of a copy
+    /// differ in length; else a failed Vulkan call.
     pub fn submit(&mut self, recorder: Recorder) -> Result<Ticket> {
         self.submit_with(recorder, &[], &[])
     }
@@ -126,7 +127,8 @@ impl Stream {
         }
         let slot = &mut recorder.work.slot;
         if slot.is_over() {
-            let what = "a recording over a host's command buffer ends with `finish`; the host                         submits it";
+            let what = "a recording over a host's command buffer ends with `finish`; the host \
+                        submits it";
             return Err(Error::Input(what.into()));
         }
         // Submissions of one queue may overlap: this orders them, and lets the host read.
