@@ -790,8 +790,9 @@ splat4d_result splat4d_renderer_record(struct splat4d_renderer *renderer,
                                        const struct splat4d_target *target,
                                        struct splat4d_frame **frame);
 
-// Takes back a frame with which the device is done; earlier the answer means nothing. The frame is
-// gone afterwards, also where this fails. `drawn` may be null.
+// Takes back a frame with which the device is known to be done: after splat4d_stream_wait for its
+// submission, or when the guard of the host's recording is destroyed. SPLAT4D_ERROR_INPUT earlier. The
+// frame is gone afterwards, also where this fails. `drawn` may be null.
 splat4d_result splat4d_renderer_retire(struct splat4d_renderer *renderer,
                                        struct splat4d_frame *frame,
                                        struct splat4d_drawn *drawn);
@@ -863,7 +864,9 @@ splat4d_result splat4d_trainer_backward(struct splat4d_trainer *trainer,
 splat4d_result splat4d_trainer_update(struct splat4d_trainer *trainer,
                                       struct splat4d_recorder *recorder);
 
-// Ends the step when the device is done with what was recorded; earlier the answer means nothing.
+// Ends the step when the device is known to be done with what was recorded: after splat4d_stream_wait
+// for the submissions, or when the guards of the host's recordings are destroyed. SPLAT4D_ERROR_INPUT
+// earlier; the step is still under way then.
 // `fitted`, which may be null, gets 0 where the frame did not fit: nothing was learnt, there is more
 // room now, and the step should be done again.
 splat4d_result splat4d_trainer_conclude(struct splat4d_trainer *trainer,

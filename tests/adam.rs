@@ -4,6 +4,8 @@ mod common;
 
 use splat4d::check;
 use splat4d::gpu::{Device, Request};
+use splat4d::ops::adam::{Adam, AdamArgs};
+use splat4d::types::AdamSettings;
 
 #[test]
 fn cases() {
@@ -11,6 +13,40 @@ fn cases() {
 }
 
 /// Grids that 40 workgroups along an axis do not hold.
+/// Whatever the rows, the kernel has no more variants than it lists.
+#[test]
+fn rows_of_every_length_share_a_few_pipelines() {
+    let shared = common::device();
+    let device = shared.with_limits(*shared.limits());
+    let mut stream = device.stream().unwrap();
+    let adam = Adam::new(&device).unwrap();
+    let mut recorder = stream.record().unwrap();
+    // One row, several, and no visibility at all.
+    for (row, rows) in (1..=100).flat_map(|row| [(row, Some(1)), (row, Some(2)), (row, None)]) {
+        let count = row * rows.unwrap_or(1);
+        let gradients = device.upload("gradients", &vec![1.0f32; count]).unwrap();
+        let visible = device.upload("visible", &vec![1u32; rows.unwrap_or(0)]).unwrap();
+        let mut arrays: Vec<_> = (0..3)
+            .map(|_| device.upload("parameters and moments", &vec![0.0f32; count]).unwrap())
+            .collect();
+        let [parameters, first, second] = &mut arrays[..] else { unreachable!("three") };
+        let args = AdamArgs {
+            gradients: gradients.view(),
+            parameters: parameters.view_mut(),
+            first: first.view_mut(),
+            second: second.view_mut(),
+            visible: rows.map(|_| (row, visible.view())),
+        };
+        let settings = AdamSettings { step: 1, ..AdamSettings::default() };
+        adam.record(&mut recorder, &settings, args).unwrap();
+    }
+    stream.submit(recorder).unwrap();
+    drop(stream);
+    // Without visibility, one row, six lengths of their own, and other lengths, short or not.
+    assert_eq!(device.pipelines(), 10);
+    common::assert_valid(&device);
+}
+
 #[test]
 fn folded_grids() {
     let mut limits = *common::device().limits();

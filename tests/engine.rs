@@ -38,6 +38,87 @@ fn work_that_conflicts_runs_in_order() {
 }
 
 #[test]
+fn copies_between_different_lengths_are_errors() {
+    let device = common::device();
+    let mut stream = device.stream().unwrap();
+    let source = device.upload("source", &[1u32, 2, 3]).unwrap();
+    for len in [0usize, 2, 4] {
+        let mut target = device.buffer::<u32>("target", len).unwrap();
+        let mut recorder = stream.record().unwrap();
+        recorder.copy(source.view(), target.view_mut());
+        let error = stream.submit(recorder).unwrap_err();
+        assert!(matches!(error, Error::Shape { op: "copy", .. }), "{error}");
+        assert!(error.to_string().contains(&format!("{len} elements, expected 3")), "{error}");
+
+        let readback = device.readback::<u32>(len).unwrap();
+        let mut recorder = stream.record().unwrap();
+        recorder.read_back(source.view(), &readback);
+        let error = stream.submit(recorder).unwrap_err();
+        assert!(matches!(error, Error::Shape { op: "read back", .. }), "{error}");
+    }
+    let mut nothing = device.buffer::<u32>("nothing", 0).unwrap();
+    let mut recorder = stream.record().unwrap();
+    recorder.copy(source.range(3..3), nothing.view_mut());
+    stream.submit(recorder).unwrap();
+    common::assert_valid(&device);
+}
+
+#[test]
+fn a_readback_is_read_when_the_device_is_done_and_not_before() {
+    let device = common::device();
+    let (mut stream, mut other) = (device.stream().unwrap(), device.stream().unwrap());
+    let source = device.upload("source", &[1u32, 2, 3]).unwrap();
+    let mut readback = device.readback::<u32>(3).unwrap();
+    let early = |readback: &mut splat4d::gpu::Readback<u32>| {
+        let error = readback.read().unwrap_err();
+        assert!(matches!(error, Error::Input(_)), "{error}");
+        assert!(error.to_string().contains("before the device was known to be done"), "{error}");
+    };
+    for round in 0..3 {
+        // Under way: recorded, submitted, and waited for on another stream only.
+        let mut recorder = stream.record().unwrap();
+        recorder.read_back(source.view(), &readback);
+        early(&mut readback);
+        let ticket = stream.submit(recorder).unwrap();
+        early(&mut readback);
+        let recorder = other.record().unwrap();
+        let unrelated = other.submit(recorder).unwrap();
+        other.wait(unrelated).unwrap();
+        early(&mut readback);
+        match round {
+            0 => stream.wait(ticket).unwrap(),
+            // Whatever comes later on the stream, too.
+            1 => drop(stream.download(&source).unwrap()),
+            _ => {
+                stream = device.stream().unwrap();
+            }
+        }
+        assert_eq!(readback.read().unwrap(), [1, 2, 3]);
+        let (mut all, mut few) = ([0; 3], [0; 2]);
+        readback.read_into(&mut all).unwrap();
+        assert_eq!(all, [1, 2, 3]);
+        assert!(matches!(readback.read_into(&mut few), Err(Error::Shape { .. })));
+    }
+    // Two streams: each must be waited for.
+    let mut first = stream.record().unwrap();
+    first.read_back(source.view(), &readback);
+    let first = stream.submit(first).unwrap();
+    let mut second = other.record().unwrap();
+    second.read_back(source.view(), &readback);
+    let second = other.submit(second).unwrap();
+    stream.wait(first).unwrap();
+    early(&mut readback);
+    other.wait(second).unwrap();
+    assert_eq!(readback.read().unwrap(), [1, 2, 3]);
+    // A recording that is given up holds nothing.
+    let mut recorder = stream.record().unwrap();
+    recorder.read_back(source.view(), &readback);
+    drop(recorder);
+    assert_eq!(readback.read().unwrap(), [1, 2, 3]);
+    common::assert_valid(&device);
+}
+
+#[test]
 fn a_buffer_outlives_its_owner_while_in_flight() {
     let device = common::device();
     let mut stream = device.stream().unwrap();

@@ -9,8 +9,8 @@ use splat4d::gpu::Device;
 use splat4d::renderer::Renderer;
 use splat4d::scene::Scene;
 use splat4d::train::{
-    AdaptiveSettings, GrowthSettings, McmcSettings, MotionSettings, MotionStart, SelectionSettings,
-    TrainSettings, Trainer, TrainingView, seed_from_points,
+    AdaptiveSettings, ControlSettings, GrowthSettings, McmcSettings, MotionSettings, MotionStart,
+    SelectionSettings, TrainSettings, Trainer, TrainingView, seed_from_points,
 };
 use splat4d::types::{ControlPoints, DeformNet, Gaussians, Image, NetShape};
 use std::time::Instant;
@@ -204,6 +204,66 @@ fn adaptive_control_takes_motion_along() {
     let stays = |(p, &m): (&[f32; 3], &f32)| m == logit(p);
     let kept = grown.positions.iter().zip(&grown.motion_logits).filter(|&g| stays(g)).count();
     assert!(kept * 10 > grown.len() * 9, "{kept} of {} have their place's logit", grown.len());
+    common::assert_valid(&device);
+}
+
+/// Rounds change the number of Gaussians and of control points, and no pipeline may depend on either:
+/// it would be compiled anew in each round, and kept.
+#[test]
+fn rounds_of_growth_compile_no_pipelines() {
+    let device = common::device();
+    let (mut views, points) = half_known_room();
+    for view in &mut views {
+        view.mask = Some(Image::new(96, 64, 1));
+    }
+    let mut seeds = seed_from_points(&points, 0);
+    seeds.motion_logits =
+        seeds.positions.iter().map(|p| if p[0] < 0.0 { 3.0 } else { -5.0 }).collect();
+    let motion = small_motion();
+    const STEPS: u32 = 40;
+    let run = |every: u32, adaptive: bool| {
+        let growth = match adaptive {
+            true => GrowthSettings::Adaptive(AdaptiveSettings {
+                from: every,
+                every,
+                until: 1.0,
+                ..AdaptiveSettings::scaled_to(STEPS)
+            }),
+            false => GrowthSettings::Mcmc(McmcSettings {
+                from: every,
+                every,
+                until: 1.0,
+                ..Default::default()
+            }),
+        };
+        let control = ControlSettings { every, until: 1.0, most: 40, above: 0.0, share: 0.5 };
+        let settings = TrainSettings {
+            steps: STEPS,
+            sh_degree: 0,
+            max_gaussians: 1500,
+            growth: Some(growth),
+            motion: MotionSettings {
+                control: Some(control),
+                selection: Some(SelectionSettings::scaled_to(STEPS)),
+                ..Default::default()
+            },
+            ..Default::default()
+        };
+        let mut trainer = Trainer::new(&device, &views, &seeds, Some(&motion), settings).unwrap();
+        (0..STEPS).for_each(|_| trainer.step().unwrap());
+        let points = trainer.motion().unwrap().unwrap().0.len();
+        (device.pipelines(), [trainer.gaussians().unwrap().len(), points])
+    };
+    // Everything that trainings of these sizes need is compiled once …
+    let first = [false, true].map(|adaptive| run(4, adaptive));
+    // … and rounds at other steps, of other sizes, need nothing more.
+    let others = [false, true].map(|adaptive| run(5, adaptive));
+    println!("pipelines, [Gaussians, control points]: {first:?}, then {others:?}");
+    for (_, sizes) in first.iter().chain(&others) {
+        assert!(sizes[0] > seeds.len() && sizes[1] > 3, "{sizes:?}: growth, and control points");
+    }
+    assert_ne!(first[0].1, others[0].1);
+    assert_eq!(others.map(|(pipelines, _)| pipelines), [first[1].0; 2], "pipelines");
     common::assert_valid(&device);
 }
 

@@ -23,14 +23,16 @@ layout(push_constant) uniform Params {
     float unbias1;     // 1 / (1 - beta1^step)
     float unbias2;     // 1 / (1 - beta2^step)
     float epsilon;
+    uint row;          // the values of a row, where ANY_ROW is set
 };
 
-// Whether rows of visible 0 stay as they are, the values of a row, and whether it has fewer than three.
-// Constants: software devices divide by what they know several times faster, and walk through branches
-// not taken, too.
+// Whether rows of visible 0 stay as they are, the values of a row, whether it has fewer than three, and
+// whether `row` tells instead how many it has. Constants: software devices divide by what they know
+// several times faster, and walk through branches not taken, too.
 layout(constant_id = 0) const bool MASKED = false;
 layout(constant_id = 1) const uint ROW = 1u;
 layout(constant_id = 2) const bool SHORT_ROWS = true;
+layout(constant_id = 3) const bool ANY_ROW = false;
 
 #include "common/grid.glsl"
 
@@ -40,18 +42,19 @@ const float LARGEST_GRADIENT = 1e18;
 // Which of the four from `base` on step, as far as visibility decides.
 bvec4 visible_from(uint base) {
     bvec4 steps;
+    uint values = ANY_ROW ? row : ROW;
     uint last = count - 1u;
     if (SHORT_ROWS) {
         [[unroll]] for (uint k = 0u; k < 4u; k++) {
-            steps[k] = visible[min(base + k, last) / ROW] != 0u;
+            steps[k] = visible[min(base + k, last) / values] != 0u;
         }
     } else {
         // Four values lie in two rows at most.
-        uint row = base / ROW;
-        bool first_steps = visible[row] != 0u;
-        bool next_steps = visible[min(base + 3u, last) / ROW] != 0u;
+        uint row_index = base / values;
+        bool first_steps = visible[row_index] != 0u;
+        bool next_steps = visible[min(base + 3u, last) / values] != 0u;
         [[unroll]] for (uint k = 0u; k < 4u; k++) {
-            steps[k] = base + k - row * ROW < ROW ? first_steps : next_steps;
+            steps[k] = base + k - row_index * values < values ? first_steps : next_steps;
         }
     }
     return steps;

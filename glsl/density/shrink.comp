@@ -19,9 +19,13 @@ layout(push_constant) uniform Params {
 
 const uint LARGEST_SHARE = 51u;
 
-// ln(1 + x) for 0 <= x <= 1, where forming 1 + x would lose a small x.
+// ln(1 + x) for 0 <= x <= 1, as 2 artanh(x / (2 + x)): forming 1 + x would lose what a small x has, and
+// devices need not know the logarithm of a number near 1 to more than 2^-21.
 float log_one_plus(float x) {
-    return x < 1e-2 ? x * (1.0 - x * (0.5 - x * (0.33333334 - 0.25 * x))) : log(1.0 + x);
+    float z = x / (2.0 + x);
+    float w = z * z;
+    float tail = 0.11111111 + w * (9.090909e-2 + w * 7.6923077e-2);
+    return 2.0 * z * (1.0 + w * (0.33333334 + w * (0.2 + w * (0.14285715 + w * tail))));
 }
 
 // ln(1 + e^x)
@@ -29,9 +33,10 @@ float softplus(float x) {
     return max(x, 0.0) + log_one_plus(exp(-abs(x)));
 }
 
-// 1 - e^-x for x >= 0, likewise.
+// 1 - e^-x for x >= 0, without a difference that loses digits.
 float one_minus_exp(float x) {
-    return x < 0.1 ? x * (1.0 - x * (0.5 - x * (0.16666667 - x * (4.1666668e-2 - 8.333334e-3 * x))))
+    float tail = 8.333334e-3 - x * (1.3888889e-3 - x * (1.984127e-4 - x * 2.4801588e-5));
+    return x < 0.5 ? x * (1.0 - x * (0.5 - x * (0.16666667 - x * (4.1666668e-2 - x * tail))))
                    : 1.0 - exp(-x);
 }
 

@@ -168,8 +168,9 @@ pub unsafe extern "C" fn splat4d_renderer_record(
     })
 }
 
-/// Takes back a frame with which the device is done; earlier the answer means nothing. The frame is
-/// gone afterwards, also where this fails. `drawn` may be null.
+/// Takes back a frame with which the device is known to be done: after splat4d_stream_wait for its
+/// submission, or when the guard of the host's recording is destroyed. SPLAT4D_ERROR_INPUT earlier. The
+/// frame is gone afterwards, also where this fails. `drawn` may be null.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_renderer_retire(
     renderer: *mut splat4d_renderer,

@@ -323,7 +323,9 @@ pub unsafe extern "C" fn splat4d_trainer_update(
     })
 }
 
-/// Ends the step when the device is done with what was recorded; earlier the answer means nothing.
+/// Ends the step when the device is known to be done with what was recorded: after splat4d_stream_wait
+/// for the submissions, or when the guards of the host's recordings are destroyed. SPLAT4D_ERROR_INPUT
+/// earlier; the step is still under way then.
 /// `fitted`, which may be null, gets 0 where the frame did not fit: nothing was learnt, there is more
 /// room now, and the step should be done again.
 #[unsafe(no_mangle)]

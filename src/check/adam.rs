@@ -106,12 +106,18 @@ fn steps(h: &mut Harness) -> Result<()> {
 }
 
 fn visible(h: &mut Harness) -> Result<()> {
-    for row in [1, 3, 45] {
+    let bound = Bound { absolute: 1e-6, relative: 0.0 };
+    for row in [1, 2, 3, 4, 5, 7, 9, 15, 21, 45] {
         let start = random(h, 101 * row);
         let gradients: Vec<_> = (0..3).map(|_| random(h, 101 * row)).collect();
         let mask: Vec<u32> = (0..101).map(|i| u32::from(i % 3 == 1)).collect();
-        let bound = Bound { absolute: 1e-6, relative: 0.0 };
         compare(h, &start, &gradients, Some((row, &mask)), 1e-2, bound)?;
+    }
+    // One row that holds everything.
+    for (row, visible) in [1, 2, 3, 1001].into_iter().flat_map(|row| [(row, 0), (row, 1)]) {
+        let start = random(h, row);
+        let gradients = [random(h, row)];
+        compare(h, &start, &gradients, Some((row, &[visible])), 1e-2, bound)?;
     }
     Ok(())
 }

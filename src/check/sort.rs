@@ -136,7 +136,9 @@ fn bit_ranges(harness: &mut Harness) -> Result<()> {
 
 /// Runs and counters of GPUs, whatever the device.
 fn as_on_a_gpu(harness: &mut Harness) -> Result<()> {
-    for (n, bits) in [(0, 0..32), (1, 0..32), (257, 0..9), (20_001, 3..20), (131_073, 0..32)] {
+    for (n, bits) in
+        [(0, 0..32), (1, 0..32), (257, 0..9), (257, 5..5), (20_001, 3..20), (131_073, 0..32)]
+    {
         let keys = random(harness, n);
         let op = RadixSort::plan(&harness.device, n, bits.clone())?.with_gpu_runs();
         compare_sorted(harness, &format!("{n} pairs by {bits:?}"), &keys, n, bits, &op)?;
@@ -159,7 +161,9 @@ fn orders(harness: &mut Harness) -> Result<()> {
 fn count_below_capacity(harness: &mut Harness) -> Result<()> {
     let keys = random(harness, 10_000);
     for count in [0, 1, 257, 9999, 10_000, 1_000_000] {
-        compare(harness, &format!("{count} of 10,000"), &keys, count, 0..16)?;
+        for bits in [0..16, 0..0, 7..7, 32..32] {
+            compare(harness, &format!("{count} of 10,000, bits {bits:?}"), &keys, count, bits)?;
+        }
     }
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! Typed buffers on the device, and views of them.
 
 use super::device::Device;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::vk::{BoundRange, RawBuffer, Residence};
 use bytemuck::Pod;
 use std::marker::PhantomData;
@@ -110,6 +110,10 @@ impl<T: Pod> Buffer<T> {
 /// Memory that the device copies into and the host reads, for results that are fetched without
 /// stopping the stream: [`Recorder::read_back`](super::Recorder::read_back) into it, wait for the
 /// ticket, then [`read`](Self::read).
+///
+/// A recording shares this memory until the device is known to be done with it: until
+/// [`Stream::wait`](super::Stream::wait) for its submission or a later one, or until the guard of a
+/// host's command buffer is dropped. Reading earlier is an error.
 pub struct Readback<T> {
     raw: Arc<RawBuffer>,
     len: usize,
@@ -123,17 +127,43 @@ impl<T: Pod> Readback<T> {
         Ok(Readback { raw: Arc::new(raw), len, element: PhantomData })
     }
 
-    /// What the device has copied; before the submission is done, anything.
-    pub fn read(&self) -> Vec<T> {
+    /// What the device has copied; where nothing has been copied yet, anything.
+    ///
+    /// # Errors
+    /// [`Error::Input`] while a recording holds it.
+    pub fn read(&mut self) -> Result<Vec<T>> {
         let mut data = vec![T::zeroed(); self.len];
-        self.raw.read(bytemuck::cast_slice_mut(&mut data));
-        data
+        self.read_into(&mut data)?;
+        Ok(data)
     }
 
-    /// The first of it, into memory that is there.
-    pub fn read_into(&self, data: &mut [T]) {
-        let count = data.len().min(self.len);
-        self.raw.read(bytemuck::cast_slice_mut(&mut data[..count]));
+    /// The same, into memory that is there.
+    ///
+    /// # Errors
+    /// As for [`read`](Self::read); [`Error::Shape`] where the lengths differ.
+    pub fn read_into(&mut self, data: &mut [T]) -> Result<()> {
+        if data.len() != self.len {
+            let (expected, actual) = (self.len.to_string(), data.len());
+            return Err(Error::Shape { op: "readback", arg: "data", expected, actual });
+        }
+        // The memory is this readback's alone: no recording that could write it is left.
+        let Some(raw) = Arc::get_mut(&mut self.raw) else {
+            let what = "a readback was read before the device was known to be done with it: wait for \
+                        its submission, or drop the guard of the host's recording, first";
+            return Err(Error::Input(what.into()));
+        };
+        raw.read(bytemuck::cast_slice_mut(data));
+        Ok(())
+    }
+
+    /// Number of elements.
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
     }
 
     pub(super) fn bound(&self) -> BoundRange {
@@ -206,13 +236,13 @@ impl<'a, T> ViewMut<'a, T> {
         ViewMut { raw: self.raw, start: self.start, len: self.len, element: PhantomData }
     }
 
-    /// What is left of it from an element on.
+    /// A part of it.
     ///
     /// # Panics
-    /// When that lies past the end.
-    pub fn starting_at(self, start: usize) -> ViewMut<'a, T> {
-        assert!(start <= self.len, "a view of {}: from {start}", self.len);
-        ViewMut { start: self.start + start, len: self.len - start, ..self }
+    /// When the range reaches past the end.
+    pub fn range(self, range: Range<usize>) -> ViewMut<'a, T> {
+        assert!(range.start <= range.end && range.end <= self.len, "a view: {range:?}");
+        ViewMut { start: self.start + range.start, len: range.len(), ..self }
     }
 
     /// The same part, to read.

@@ -144,6 +144,13 @@ impl Device {
         self.inner.context.allocations()
     }
 
+    /// How many pipelines were compiled so far. A kernel has one for each set of its specialisation
+    /// constants, and keeps it as long as the device lives.
+    pub fn pipelines(&self) -> usize {
+        let pipelines = self.inner.pipelines.lock().expect("no holder panics");
+        pipelines.values().map(Vec::len).sum()
+    }
+
     /// Whether the device is a host's.
     pub fn is_adopted(&self) -> bool {
         self.inner.context.is_adopted()

@@ -210,20 +210,30 @@ impl Recorder {
         self.work.buffers.push(range.buffer);
     }
 
-    /// Copies between buffers; the shorter of the two decides how much.
+    /// Copies between buffers. Where the lengths differ the recording has failed, and submitting it
+    /// gives [`Error::Shape`].
     pub fn copy<T: Pod>(&mut self, from: View<'_, T>, to: ViewMut<'_, T>) {
-        if from.is_empty() || to.is_empty() {
-            return;
-        }
-        let (from, to) = (from.bound(), to.bound());
-        self.copy_ranges(&from, &to);
-    }
-
-    /// Copies to host memory; the shorter of the two decides how much.
-    pub fn read_back<T: Pod>(&mut self, from: View<'_, T>, to: &Readback<T>) {
-        if !from.is_empty() {
+        if self.is_of_one_length("copy", from.len(), to.len()) {
             self.copy_ranges(&from.bound(), &to.bound());
         }
+    }
+
+    /// Copies to host memory. Where the lengths differ the recording has failed, as for
+    /// [`copy`](Self::copy).
+    pub fn read_back<T: Pod>(&mut self, from: View<'_, T>, to: &Readback<T>) {
+        if self.is_of_one_length("read back", from.len(), to.len()) {
+            self.copy_ranges(&from.bound(), &to.bound());
+        }
+    }
+
+    /// Whether there is something to copy, and as much room for it; where the lengths differ, the
+    /// recording has failed.
+    fn is_of_one_length(&mut self, op: &'static str, from: usize, to: usize) -> bool {
+        if from != to && self.failed.is_none() {
+            let expected = format!("{from}, as many as are copied");
+            self.failed = Some(Error::Shape { op, arg: "the target", expected, actual: to });
+        }
+        from == to && from > 0
     }
 
     pub(super) fn copy_ranges(&mut self, from: &BoundRange, to: &BoundRange) {

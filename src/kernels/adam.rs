@@ -4,7 +4,8 @@ use crate::gpu::kernel;
 
 kernel! {
     /// One step of Adam over a flat array. Specialisation constants: 0 whether rows whose entry in
-    /// `visible` is 0 stay as they are, 1 the values of a row, 2 whether those are fewer than three.
+    /// `visible` is 0 stay as they are, 1 the values of a row, 2 whether those are fewer than three, 3
+    /// whether `row` tells them instead.
     pub struct Step("adam/step"), workgroup: [64, 1, 1],
     params: StepParams {
         /// Values.
@@ -25,6 +26,8 @@ kernel! {
         unbias2: f32,
         /// Added to the root of the second moment.
         epsilon: f32,
+        /// Values of a row, where constant 3 is set.
+        row: u32,
     },
     args: StepArgs {
         /// One word a row.

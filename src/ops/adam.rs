@@ -5,6 +5,23 @@ use crate::gpu::{Buffer, Device, Groups, Recorder, View, ViewMut};
 use crate::kernels::adam::{Gate, GateArgs, GateParams, Step, StepArgs, StepParams};
 use crate::types::AdamSettings;
 
+/// Rows with a pipeline of their own, whose length it knows: those of a Gaussian's parameters. Every other
+/// length is told at the dispatch, or each would have a pipeline compiled, and kept.
+const ROWS: [usize; 6] = [1, 3, 4, 9, 15, 21];
+
+/// The specialisation constants for rows of a length.
+fn constants(row: usize, rows: Option<usize>) -> [u32; 4] {
+    let (masked, length, any) = match rows {
+        None => (0, 1, 0),
+        // Every value lies in the first of rows this long, and no device divides to find out.
+        Some(1) => (1, u32::MAX, 0),
+        Some(_) if ROWS.contains(&row) => (1, row as u32, 0),
+        Some(_) => (1, 1, 1),
+    };
+    let short = if any == 1 { row < 3 } else { length < 3 };
+    [masked, length, u32::from(short), any]
+}
+
 /// One group of parameters with its moments, all of one length.
 pub struct AdamArgs<'a> {
     /// Gradients. What is not a number or infinite leaves its parameter and moments as they are;
@@ -93,9 +110,10 @@ impl Adam {
             }
             None => (1, self.nothing.view()),
         };
+        let rows = args.visible.map(|(_, visible)| visible.len());
         let unbias = |beta: f64| (1.0 / (1.0 - beta.powf(f64::from(settings.step)))) as f32;
         recorder.dispatch_specialised::<Step>(
-            &[u32::from(args.visible.is_some()), row as u32, u32::from(row < 3)],
+            &constants(row, rows),
             Groups::linear(count / 4 + count % 4, 64, recorder.device().limits())?,
             StepParams {
                 count: count as u32,
@@ -107,6 +125,7 @@ impl Adam {
                 unbias1: unbias(settings.beta1),
                 unbias2: unbias(settings.beta2),
                 epsilon: settings.epsilon as f32,
+                row: row as u32,
             },
             StepArgs {
                 visible,

@@ -194,9 +194,10 @@ impl GaussianBuffers {
         fresh.len = self.len - out.len();
         let mut recorder = stream.record()?;
         let mut moved = |per: usize, from: View<'_, f32>, mut to: ViewMut<'_, f32>| {
-            recorder.copy(from.range(0..per * out.start), to.reborrow());
-            let behind = from.range(per * out.end..per * self.len);
-            recorder.copy(behind, to.starting_at(per * out.start));
+            let (before, behind) = (0..per * out.start, per * out.end..per * self.len);
+            let freed = before.end..before.end + behind.len();
+            recorder.copy(from.range(before.clone()), to.reborrow().range(before));
+            recorder.copy(from.range(behind), to.range(freed));
         };
         moved(3, self.positions.view(), fresh.positions.view_mut());
         moved(3, self.log_scales.view(), fresh.log_scales.view_mut());

@@ -44,7 +44,8 @@ impl Runs {
             let counters = 1usize << width.div_ceil(passes.max(1));
             passes as usize * (2 * self.least + 3 * counters)
         };
-        (fewest..=usual).min_by_key(|&passes| cost(passes)).unwrap_or(usual)
+        // No bits are a pass over a digit of none, since only the device knows how many pairs to copy.
+        (fewest..=usual).min_by_key(|&passes| cost(passes)).unwrap_or(usual).max(1)
     }
 }
 
@@ -138,12 +139,14 @@ impl RadixSort {
 
     fn in_runs(runs: Runs, capacity: usize, bits: Range<u32>) -> RadixSort {
         let width = bits.end - bits.start;
+        // Keys must not be shifted by all of their bits.
+        let bits = if width == 0 { 0..0 } else { bits };
         let passes = runs.passes(width);
         RadixSort {
             capacity,
             passes,
             // Evenly, since a pass over narrower digits costs less: 12 bits are 6 + 6, not 8 + 4.
-            digit_bits: width.div_ceil(passes.max(1)),
+            digit_bits: width.div_ceil(passes),
             bits,
             runs,
         }
@@ -201,11 +204,6 @@ impl RadixSort {
             ("sorted_payload", self.capacity, args.sorted_payload.len()),
         ];
         super::at_least("sort", &shapes)?;
-        if self.passes == 0 {
-            recorder.copy(args.keys, args.sorted_keys);
-            recorder.copy(args.payload, args.sorted_payload);
-            return Ok(());
-        }
         let params = PlanParams {
             count_at: args.count_at as u32,
             capacity: self.capacity as u32,

@@ -126,7 +126,7 @@ pub fn draw(weights: &[u32], draws: usize, seed: u32, step: u32) -> Vec<u32> {
 /// s' = s · o / Σ_{i=1..N} Σ_{k=0..i−1} C(i−1, k) (−1)^k o'^{k+1} / √(k+1)
 /// ```
 ///
-/// (3DGS-MCMC, equation 9). The opacity is kept above [`DEAD_OPACITY`], or what was relocated would
+/// (3DGS-MCMC, equation 9), the sum by [`coverage`]. The opacity is kept above [`DEAD_OPACITY`], or what was relocated would
 /// be dead at once. `share` is cut to [`LARGEST_SHARE`].
 pub fn split_mass<R: Real>(opacity_logit: R, log_scales: [R; 3], share: u32) -> (R, [R; 3]) {
     let share = share.clamp(1, LARGEST_SHARE);
@@ -136,20 +136,31 @@ pub fn split_mass<R: Real>(opacity_logit: R, log_scales: [R; 3], share: u32) -> 
     // −ln(1 − o') = softplus(logit)/N, without forming 1 − o.
     let density = softplus(opacity_logit) / R::of(f64::from(share));
     let part = -(-density).exp_m1();
-    let mut sum = R::zero();
-    for i in 1..=share {
-        let mut term = part;
-        for k in 0..i {
-            let kr = R::of(f64::from(k));
-            sum += term / (kr + R::one()).sqrt();
-            term *= -part * R::of(f64::from(i - 1 - k)) / (kr + R::one());
-        }
-    }
-    let shrink = -softplus(-opacity_logit) - sum.ln();
+    let shrink = -softplus(-opacity_logit) - coverage(part, share).ln();
     let dead = R::of((DEAD_OPACITY / (1.0 - DEAD_OPACITY)).ln());
     // exp overflows for a logit beyond f32's reach only; ln(expm1 d) = d there.
     let logit = if density > R::of(30.0) { density } else { density.exp_m1().ln() };
     (logit.max(dead), log_scales.map(|s| s + shrink))
+}
+
+/// What `share` blended Gaussians of one opacity cover along a line, over √π. The source's double sum,
+/// whose terms alternate and cancel, equals
+///
+/// ```text
+/// 2/√π ∫_{s≥0} 1 − (1 − o e^{−s²})^N ds
+/// ```
+///
+/// by the trapezoid rule, which converges exponentially: with this step to 1e-16.
+fn coverage<R: Real>(opacity: R, share: u32) -> R {
+    const STEP: f64 = 0.125;
+    let mut sum = R::zero();
+    for i in 0..52 {
+        let s = STEP * f64::from(i);
+        let alpha = opacity * R::of(-s * s).exp();
+        let covered = -(R::of(f64::from(share)) * (-alpha).ln_1p()).exp_m1();
+        sum += if i == 0 { R::of(0.5) * covered } else { covered };
+    }
+    R::of(STEP * std::f64::consts::FRAC_2_SQRT_PI) * sum
 }
 
 /// One round of relocation: what the drawn targets become. `targets` is what [`draw`] gave; slot
@@ -380,6 +391,34 @@ mod tests {
             }
         }
         assert!(second.iter().all(|s| (s / 4096.0 - 1.0).abs() < 0.1), "{second:?}");
+    }
+
+    #[test]
+    fn coverage_is_the_sources_sum() {
+        for share in 2..=LARGEST_SHARE {
+            for step in 0..60 {
+                let density = softplus(-6.0 + 0.4 * f64::from(step)) / f64::from(share);
+                let part = -(-density).exp_m1();
+                let (mut sum, mut largest) = (0.0, 0.0f64);
+                for i in 1..=share {
+                    let mut term = part;
+                    for k in 0..i {
+                        sum += term / f64::from(k + 1).sqrt();
+                        largest = largest.max(term.abs());
+                        term *= -part * f64::from(i - 1 - k) / f64::from(k + 1);
+                    }
+                }
+                // What the sum's rounding leaves of it.
+                let bound = 1e-13 * largest.max(sum);
+                let off = (coverage(part, share) - sum).abs();
+                assert!(off <= bound, "{share} of {part}: {off:e} off, {bound:e} allowed");
+                let twin = f64::from(coverage(part as f32, share));
+                assert!(
+                    (twin / coverage(part, share) - 1.0).abs() < 2e-6,
+                    "{share} of {part}: f32 {twin}"
+                );
+            }
+        }
     }
 
     #[test]

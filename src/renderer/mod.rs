@@ -323,22 +323,23 @@ impl Renderer {
         Ok(Frame { counts, room: render.intersection_capacity(), of: identity.clone() })
     }
 
-    /// Takes back a frame with which the device is done (earlier the answer means nothing), and makes
+    /// Takes back a frame with which the device is known to be done: after
+    /// [`Stream::wait`] for its submission, or when the guard of the host's recording is dropped. Makes
     /// more room where it did not fit: the next [`record`](Self::record) allocates then.
     ///
     /// # Errors
-    /// [`Error::Input`] for a frame of another renderer; [`Error::Failed`] where the device has written
-    /// no counts that could be.
-    pub fn retire(&mut self, frame: Frame) -> Result<Drawn> {
+    /// [`Error::Input`] for a frame of another renderer, and earlier than that; [`Error::Failed`] for one
+    /// that was never submitted, where its counts tell.
+    pub fn retire(&mut self, mut frame: Frame) -> Result<Drawn> {
         if !Arc::ptr_eq(&self.identity, &frame.of) {
             return Err(Error::Input("the frame is of another renderer".into()));
         }
         let mut words = [0; 2];
-        frame.counts.read_into(&mut words);
+        frame.counts.read_into(&mut words)?;
         let drawn = Drawn { counts: FrameCounts::from_device(words), room: frame.room };
         self.idle.push(frame.counts);
         if drawn.counts.visible > self.gaussians.capacity() {
-            let what = "a frame was retired before the device was done with it";
+            let what = "a frame was retired that the device has not drawn: its recording was not submitted";
             return Err(Error::Failed(what.into()));
         }
         if !drawn.is_whole() {

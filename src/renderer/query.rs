@@ -123,7 +123,7 @@ impl Renderer {
     pub fn bounds(&mut self, time: f64, sigmas: f64) -> Result<Option<[DVec3; 2]>> {
         range::moment(time).map_err(Error::Input)?;
         let n = self.gaussians.len;
-        let centres = self.device.readback::<f32>(3 * n)?;
+        let mut centres = self.device.readback::<f32>(3 * n)?;
         let mut recorder = self.stream.record()?;
         let Renderer { gaussians, motion, half, tuning, .. } = self;
         let motion = motion.as_mut();
@@ -133,7 +133,7 @@ impl Renderer {
         self.stream.wait(ticket)?;
         let scales = self.stream.download(&self.gaussians.log_scales)?;
         let mut bounds: Option<[DVec3; 2]> = None;
-        for (centre, scale) in centres.read().chunks_exact(3).zip(scales.chunks_exact(3)) {
+        for (centre, scale) in centres.read()?.chunks_exact(3).zip(scales.chunks_exact(3)) {
             let centre = DVec3::new(centre[0].into(), centre[1].into(), centre[2].into());
             let largest = scale.iter().fold(f64::NEG_INFINITY, |most, &s| most.max(s.into()));
             let reach = DVec3::splat(sigmas * largest.exp());

@@ -142,7 +142,7 @@ impl MotionTrainer {
         }
         let lists = self.motion.skin.neighbours();
         let (k, found) = (lists.k(), lists.neighbours());
-        let neighbours = stream.device().readback::<u32>(found.len())?;
+        let mut neighbours = stream.device().readback::<u32>(found.len())?;
         let mut recorder = stream.record()?;
         recorder.read_back(found, &neighbours);
         let ticket = stream.submit(recorder)?;
@@ -157,7 +157,7 @@ impl MotionTrainer {
             pulls.push(if views > 0.0 { sum / views } else { 0.0 });
         }
         let (points, network) = self.download(stream)?;
-        let neighbours = neighbours.read();
+        let neighbours = neighbours.read()?;
         let followers = Followers { positions: &positions, neighbours: &neighbours, pulls: &pulls };
         let revision = revise(&points, &followers, settings);
         let removed = points.len() - revision.kept.len();

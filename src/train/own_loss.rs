@@ -206,19 +206,25 @@ impl Trainer {
         Ok(())
     }
 
-    /// Ends the step when the device is done with what was recorded (earlier the answer means
-    /// nothing). After an update whatever is due between steps is done then: density control, control
+    /// Ends the step when the device is known to be done with what was recorded: after
+    /// [`Stream::wait`](crate::gpu::Stream::wait) for the submissions, or when the guards of the host's
+    /// recordings are dropped. After an update whatever is due between steps is done then: density control, control
     /// points, lists of who moves. False where the frame did not fit: nothing was learnt, there is
     /// more room now, and the step should be done again.
     ///
     /// # Errors
-    /// [`Error::Input`] outside of a step; else as for [`step`](Self::step).
+    /// [`Error::Input`] outside of a step, and earlier than that: the step is still under way then; else
+    /// as for [`step`](Self::step).
     pub fn conclude(&mut self) -> Result<bool> {
-        let Some(OwnStep { size, counts, stage }) = self.own.take() else {
+        let Some(mut own) = self.own.take() else {
             return Err(out_of_turn("conclude", "after `forward`"));
         };
         let mut words = [0; 2];
-        counts.read_into(&mut words);
+        if let Err(error) = own.counts.read_into(&mut words) {
+            self.own = Some(own);
+            return Err(error);
+        }
+        let OwnStep { size, counts, stage } = own;
         self.idle.push(counts);
         let counts = FrameCounts::from_device(words);
         let studio = self.studios.for_size(&self.device, size)?;

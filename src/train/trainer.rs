@@ -415,10 +415,11 @@ impl Trainer {
 
     /// Waits for the oldest step under way.
     fn retire(&mut self) -> Result<()> {
-        let Some(pending) = self.pending.pop_front() else { return Ok(()) };
+        let Some(mut pending) = self.pending.pop_front() else { return Ok(()) };
         self.stream.wait(pending.ticket)?;
-        let words = pending.counts.read();
-        let counts = FrameCounts::from_device([words[0], words[1]]);
+        let mut words = [0; 2];
+        pending.counts.read_into(&mut words)?;
+        let counts = FrameCounts::from_device(words);
         self.idle.push(pending.counts);
         let k = self.views[pending.view].camera.intrinsics;
         let size = (k.width, k.height);

@@ -85,6 +85,8 @@ void between_semaphores(Host &host, const Device &device, const Job &job)
         VkSemaphore own{};
         OK(splat4d_stream_get_semaphore(stream.get(), &own));
         host_wait(&host, own, ticket);
+        // The stream looks at its semaphore: it does not wait.
+        OK(splat4d_stream_wait(stream.get(), ticket));
         OK(splat4d_renderer_retire(renderer.get(), frame.release(), nullptr));
     }
     CHECK(drops == 1);

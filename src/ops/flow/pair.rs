@@ -125,7 +125,8 @@ impl Flow {
             )?;
         }
         for d in 0..2 {
-            recorder.copy(scratch.directions[d].flow.range(0..n), args.flow[d].reborrow());
+            recorder
+                .copy(scratch.directions[d].flow.range(0..n), args.flow[d].reborrow().range(0..n));
         }
         Ok(())
     }

@@ -135,7 +135,7 @@ impl Adaptive {
         recorder.read_back(self.adaptation.totals(), &self.totals);
         let ticket = stream.submit(recorder)?;
         stream.wait(ticket)?;
-        gaussians.len = self.totals.read()[2] as usize;
+        gaussians.len = self.totals.read()?[2] as usize;
         if gaussians.len == 0 {
             return Err(Error::Input(format!(
                 "density control has removed every Gaussian at step {step}: none is more opaque \
