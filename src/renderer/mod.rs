@@ -330,14 +330,15 @@ impl Renderer {
     /// # Errors
     /// [`Error::Input`] for a frame of another renderer, and earlier than that; [`Error::Failed`] for one
     /// that was never submitted, where its counts tell.
-    pub fn retire(&mut self, mut frame: Frame) -> Result<Drawn> {
-        if !Arc::ptr_eq(&self.identity, &frame.of) {
+    pub fn retire(&mut self, frame: Frame) -> Result<Drawn> {
+        let Frame { mut counts, room, of } = frame;
+        if !Arc::ptr_eq(&self.identity, &of) {
             return Err(Error::Input("the frame is of another renderer".into()));
         }
         let mut words = [0; 2];
-        frame.counts.read_into(&mut words)?;
-        let drawn = Drawn { counts: FrameCounts::from_device(words), room: frame.room };
-        self.idle.push(frame.counts);
+        counts.read_into(&mut words)?;
+        let drawn = Drawn { counts: FrameCounts::from_device(words), room };
+        self.idle.push(counts);
         if drawn.counts.visible > self.gaussians.capacity() {
             let what = "a frame was retired that the device has not drawn: its recording was not submitted";
             return Err(Error::Failed(what.into()));
