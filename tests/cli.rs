@@ -274,6 +274,16 @@ fn trajectories_are_measured() {
 }
 
 #[test]
+fn a_reference_that_is_a_video_is_named() {
+    fs::write(trained().join("reference.mp4"), b"\0\0\0 ftypisom\xff\xfe").unwrap();
+    let output = run(trained(), "eval scene.safetensors reference.mp4");
+    assert_eq!(output.status.code(), Some(1));
+    let said = stderr(&output);
+    says(&said, &["reference.mp4", "dataset", "a video or picture has no known cameras"]);
+    assert!(!said.contains("scene.safetensors"), "{said}");
+}
+
+#[test]
 fn rendering_writes_what_the_renderer_gives() {
     let folder = tempfile::tempdir().unwrap();
     let path = cameras(3);
@@ -656,7 +666,131 @@ fn bad_clips_are_named() {
     fs::write(at("wide.json"), r#"{"focal": 50, "width": 99, "height": 32}"#).unwrap();
     says(&reconstruct("fine --intrinsics wide.json"), &["wide.json", "99×32"]);
     fails(folder.path(), 2, "reconstruct fine -o x --focal 50 --intrinsics wide.json");
-    fails(folder.path(), 2, "reconstruct fine -o x --max-frames 1");
+    for few in [1, 2] {
+        let said = fails(folder.path(), 2, &format!("reconstruct fine -o x --max-frames {few}"));
+        says(&said, &["from 3 to"]);
+    }
+    clip("two", &[(48, 32); 2]);
+    says(&reconstruct("two"), &["two", "2 frames only", "3 frames at least"]);
+    // After a gap, lists that do not say which frame they leave out belong to no frame for certain.
+    fs::write(at("poses.txt"), "0 0 0 0 0 0 0 1\n1 0 0 1 0 0 0 1\n2 0 0 2 0 0 0 1\n").unwrap();
+    let said = reconstruct("broken --skip-bad --poses poses.txt");
+    says(&said, &["poses.txt", "3 poses", "3 frames of the clip's 4", "1 left out"]);
+    says(
+        &reconstruct("broken --skip-bad --flow empty"),
+        &["empty", "1 frames are left out", "--flow"],
+    );
+    says(&reconstruct("fine --masks broken"), &["2.png", "image"]);
+}
+
+/// A picture whose file is small and that is not is refused before memory runs out.
+#[cfg(target_os = "linux")]
+#[test]
+fn pictures_too_large_for_memory_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::create_dir(folder.path().join("clip")).unwrap();
+    let large = ::image::GrayImage::new(12_000, 12_000);
+    large.save(folder.path().join("clip/0.png")).unwrap();
+    for i in 1..3 {
+        let (from, to) = (folder.path().join("clip/0.png"), format!("clip/{i}.png"));
+        fs::hard_link(from, folder.path().join(to)).unwrap();
+    }
+    let limited = format!(
+        "ulimit -v 1800000; exec {} reconstruct clip -o x --skip-bad --device software",
+        env!("CARGO_BIN_EXE_splat4d")
+    );
+    let output =
+        Command::new("sh").current_dir(folder.path()).args(["-c", &limited]).output().unwrap();
+    let said = stderr(&output);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    says(&said, &[".png: a picture of 12000×12000 needs", "B of memory", "are available"]);
+}
+
+/// An `ffmpeg` that does what a script says, first on the path.
+#[cfg(unix)]
+fn with_ffmpeg(folder: &Path, script: &str) -> std::ffi::OsString {
+    use std::os::unix::fs::PermissionsExt;
+    let own = folder.join("ffmpeg");
+    fs::write(&own, format!("#!/bin/sh\n{script}\n")).unwrap();
+    fs::set_permissions(&own, fs::Permissions::from_mode(0o755)).unwrap();
+    let paths = std::env::var_os("PATH").unwrap_or_default();
+    let paths = std::iter::once(folder.to_path_buf()).chain(std::env::split_paths(&paths));
+    std::env::join_paths(paths).unwrap()
+}
+
+/// Ctrl-C in a terminal reaches every program there; that ffmpeg ends of it is no failure of its own.
+#[cfg(unix)]
+#[test]
+fn ctrl_c_while_ffmpeg_works() {
+    use std::os::unix::process::CommandExt;
+    let tools = tempfile::tempdir().unwrap();
+    let started = tools.path().join("started");
+    let script = format!(
+        "case \"$1\" in -version) exit 0;; esac\ntouch {}\nexec sleep 100",
+        started.display()
+    );
+    let path = with_ffmpeg(tools.path(), &script);
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("clip.mp4"), "a video").unwrap();
+    ply::write(folder.path().join("blobs.ply"), &blobs()).unwrap();
+    let before = content(folder.path());
+    for command in
+        ["reconstruct clip.mp4 -o x", "render blobs.ply -o x.mp4 --frames 2 --size 16x16"]
+    {
+        let child = program()
+            .current_dir(folder.path())
+            .args(command.split(' '))
+            .args(["--device", "software"])
+            .env("PATH", &path)
+            .stderr(Stdio::piped())
+            .process_group(0)
+            .spawn()
+            .unwrap();
+        let begun = std::time::Instant::now();
+        while !started.exists() && begun.elapsed().as_secs() < 60 {
+            std::thread::sleep(std::time::Duration::from_millis(20));
+        }
+        fs::remove_file(&started).unwrap();
+        let group = format!("-{}", child.id());
+        assert!(Command::new("kill").args(["-INT", "--", &group]).status().unwrap().success());
+        let begun = std::time::Instant::now();
+        let output = child.wait_with_output().unwrap();
+        let said = stderr(&output);
+        assert_eq!(output.status.code(), Some(130), "{command}: {said}");
+        says(&said, &["interrupted"]);
+        assert!(begun.elapsed().as_secs() < 50, "{command}: it was not waited for");
+        assert_eq!(content(folder.path()), before, "{command} leaves nothing behind");
+    }
+}
+
+/// An ffmpeg that is there and does not run is not called missing.
+#[cfg(unix)]
+#[test]
+fn an_ffmpeg_that_cannot_run_is_told() {
+    let tools = tempfile::tempdir().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    ply::write(folder.path().join("blobs.ply"), &blobs()).unwrap();
+    let render = |path: std::ffi::OsString| {
+        let output = program()
+            .current_dir(folder.path())
+            .args("render blobs.ply -o x.mp4 --frames 2 --size 16x16".split(' '))
+            .env("PATH", path)
+            .output()
+            .unwrap();
+        assert_eq!(output.status.code(), Some(1));
+        stderr(&output)
+    };
+    let said = render(with_ffmpeg(tools.path(), "echo 'no libavcodec' >&2; exit 127"));
+    says(&said, &["ffmpeg", "no libavcodec"]);
+    fs::write(tools.path().join("ffmpeg"), "").unwrap();
+    fs::set_permissions(
+        tools.path().join("ffmpeg"),
+        std::os::unix::fs::PermissionsExt::from_mode(0o644),
+    )
+    .unwrap();
+    let said = render(tools.path().into());
+    says(&said, &["ffmpeg cannot be started", "denied"]);
+    assert!(!said.contains("not found"));
 }
 
 /// A picture that slides by looks as from a camera that only turns, and one that stays as from one

@@ -86,22 +86,226 @@ fn clip_of_a_folder() {
     assert_eq!(clip.frames[3].time, 1.0);
     let exact = psnr(&clip.frames[0].image, &picture(40, 30, 2)).unwrap();
     assert!(exact > 50.0, "{exact}");
+    write_png(frames.join("f12.png"), &picture(40, 30, 12)).unwrap();
     let some = ClipOptions { every: 2, size: Resize::Width(20), ..options };
     let clip = Clip::open(&frames, &some).unwrap();
-    assert_eq!((names(&clip).join(" "), clip.height), ("f2 f10".into(), 15));
-    let two = ClipOptions { max_frames: Some(2), ..options };
-    assert_eq!(names(&Clip::open(&frames, &two).unwrap()), ["f2", "f9"]);
+    assert_eq!((names(&clip).join(" "), clip.height), ("f2 f10 f12".into(), 15));
+    assert_eq!(clip.frames.iter().map(|f| f.number).collect::<Vec<_>>(), [0, 2, 4]);
+    assert_eq!((clip.total, clip.frames[1].time), (Some(5), 0.5));
+    let wide = ClipOptions { size: Resize::Width(100), ..options };
+    assert_eq!(Clip::open(&frames, &wide).unwrap().width, 40, "nothing is enlarged");
+    let three = ClipOptions { max_frames: Some(3), ..options };
+    assert_eq!(names(&Clip::open(&frames, &three).unwrap()), ["f2", "f9", "f10"]);
+    assert!(Clip::open(&frames, &ClipOptions { max_frames: Some(2), ..options }).is_err());
+    let far = ClipOptions { every: 4, ..options };
+    says(&message(Clip::open(&frames, &far)), &["2 frames only", "3 frames at least"]);
     says(&message(Clip::open(&frames, &ClipOptions { every: 9, ..options })), &["one frame only"]);
     assert!(Clip::open(&frames, &ClipOptions { every: 0, ..options }).is_err());
 
     fs::write(frames.join("f3.png"), b"\x89PNG\r\n\x1a\nbroken").unwrap();
     says(&message(Clip::open(&frames, &options)), &["f3.png", "--skip-bad"]);
     let clip = Clip::open(&frames, &ClipOptions { skip_bad: true, ..options }).unwrap();
-    assert_eq!(clip.frames.len(), 4);
-    says(&clip.notes[0], &["skipped 1 of 5", "f3.png"]);
+    assert_eq!(clip.frames.len(), 5);
+    assert_eq!(clip.frames.iter().map(|f| f.number).collect::<Vec<_>>(), [0, 2, 3, 4, 5]);
+    assert_eq!((clip.total, clip.skipped, clip.frames[1].time), (Some(6), 1, 0.4));
+    says(&clip.notes[0], &["skipped 1 of 6", "f3.png"]);
 
     write_png(frames.join("f3.png"), &picture(40, 31, 3)).unwrap();
     says(&message(Clip::open(&frames, &options)), &["f3.png", "40×31", "f2.png", "40×30"]);
+}
+
+/// What is no whole picture among the frames is an error that names it, or left out with a note.
+#[test]
+fn bad_frames_of_a_folder_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    for i in [1, 2, 4, 5] {
+        write_png(at(&format!("{i}.png")), &picture(40, 30, i)).unwrap();
+    }
+    let options = ClipOptions::default();
+    let skip = ClipOptions { skip_bad: true, ..options };
+    let refused = |name: &str| {
+        says(&message(Clip::open(folder.path(), &options)), &[name, "--skip-bad"]);
+        let clip = Clip::open(folder.path(), &skip).unwrap();
+        assert_eq!(clip.frames.iter().map(|f| f.number).collect::<Vec<_>>(), [0, 1, 3, 4]);
+        says(&clip.notes[0], &["skipped 1 of 5", name]);
+    };
+    // Half a file of every kind that is read.
+    let whole = picture(40, 30, 3);
+    let bytes = whole.pixels.iter().map(|v| (v * 255.0) as u8).collect();
+    let whole = ::image::RgbImage::from_raw(40, 30, bytes).unwrap();
+    for name in ["3.jpg", "3.bmp", "3.tif", "3.webp", "3.png"] {
+        whole.save(at(name)).unwrap();
+        assert_eq!(Clip::open(folder.path(), &options).unwrap().frames.len(), 5, "{name}");
+        let bytes = fs::read(at(name)).unwrap();
+        for part in [1, 2, 9] {
+            fs::write(at(name), &bytes[..bytes.len() * part / 10]).unwrap();
+            refused(name);
+        }
+        fs::remove_file(at(name)).unwrap();
+    }
+    #[cfg(unix)]
+    {
+        std::os::unix::fs::symlink("nowhere", at("3.png")).unwrap();
+        refused("3.png");
+        fs::remove_file(at("3.png")).unwrap();
+        assert!(std::process::Command::new("mkfifo").arg(at("3.png")).status().unwrap().success());
+        refused("3.png");
+        fs::remove_file(at("3.png")).unwrap();
+        let pipe = at("pipe.mp4");
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        says(&message(Clip::open(&pipe, &options)), &["pipe.mp4", "neither a file nor a folder"]);
+        says(&message(Clip::open("/dev/zero", &options)), &["neither a file nor a folder"]);
+    }
+}
+
+fn has_ffmpeg() -> bool {
+    let found = std::process::Command::new("ffmpeg").arg("-version").output().is_ok();
+    if !found {
+        eprintln!("SKIPPED (no ffmpeg): decoding a video");
+    }
+    found
+}
+
+/// Makes a video with the given arguments of ffmpeg between its input and its output.
+fn video_of(path: &Path, source: &str, arguments: &str) {
+    let made = std::process::Command::new("ffmpeg")
+        .args(["-nostdin", "-v", "error", "-f", "lavfi", "-i", source])
+        .args(arguments.split_whitespace())
+        .arg(path)
+        .output()
+        .unwrap();
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+}
+
+const MOVING: &str = "testsrc2=s=160x90:r=12:d=4";
+
+/// A video with damaged or missing frames is an error, or its whole frames are taken, by number.
+#[test]
+fn damaged_videos_are_told() {
+    if !has_ffmpeg() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let options = ClipOptions::default();
+    let skip = ClipOptions { skip_bad: true, ..options };
+    let h264 = "-c:v libx264 -g 12 -bf 2 -threads 1 -flags +bitexact";
+    for (name, arguments) in [
+        ("a.mp4", format!("{h264} -movflags +faststart")),
+        ("b.mkv", h264.to_string()),
+        ("c.avi", "-c:v mjpeg -threads 1".to_string()),
+    ] {
+        let path = folder.path().join(name);
+        video_of(&path, MOVING, &arguments);
+        let whole = Clip::open(&path, &options).unwrap();
+        assert_eq!(
+            (whole.frames.len(), whole.total, whole.notes.len()),
+            (48, Some(48), 0),
+            "{name}"
+        );
+        let bytes = fs::read(&path).unwrap();
+        let middle = bytes.len() / 2;
+
+        // Changed bits in the middle.
+        let mut bad = bytes.clone();
+        bad[middle..middle + 40].iter_mut().for_each(|b| *b ^= 0x55);
+        fs::write(&path, &bad).unwrap();
+        let said = message(Clip::open(&path, &options));
+        says(&said, &[name, "of 48 frames are damaged or lost", "--skip-bad"]);
+        let clip = Clip::open(&path, &skip).unwrap();
+        assert!(clip.skipped > 0 && clip.frames.len() + clip.skipped == 48, "{name}");
+        says(&clip.notes[0], &["of 48 frames are damaged", "left out"]);
+        for frame in &clip.frames {
+            assert!(frame.image == whole.frames[frame.number].image, "{name}: {}", frame.name);
+        }
+        // What the damage does not touch is taken as if it were not there.
+        let few = ClipOptions { max_frames: Some(4), ..options };
+        assert_eq!(Clip::open(&path, &few).unwrap().frames.len(), 4, "{name}");
+
+        // The end is missing.
+        fs::write(&path, &bytes[..middle]).unwrap();
+        says(&message(Clip::open(&path, &options)), &[name, "damaged", "--skip-bad"]);
+        let clip = Clip::open(&path, &skip).unwrap();
+        assert!((10..40).contains(&clip.frames.len()) && clip.total != Some(clip.frames.len()));
+        assert!(!clip.notes.is_empty());
+        for frame in &clip.frames {
+            assert!(frame.image == whole.frames[frame.number].image, "{name}: {}", frame.name);
+        }
+
+        // A hole: frames in the middle are missing.
+        let mut bad = bytes.clone();
+        bad[middle..middle * 6 / 5].fill(0);
+        fs::write(&path, &bad).unwrap();
+        says(&message(Clip::open(&path, &options)), &[name, "damaged", "--skip-bad"]);
+        assert!(Clip::open(&path, &skip).unwrap().frames.len() < 48);
+    }
+}
+
+/// Whole videos of the usual kinds are read without a word.
+#[test]
+fn whole_videos_are_read() {
+    if !has_ffmpeg() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let h264 = "-c:v libx264 -g 12 -bf 2";
+    for (name, source, arguments) in [
+        ("vfr.mp4", MOVING, format!("-vf select=not(eq(mod(n\\,5)\\,3)) -vsync vfr {h264}")),
+        ("odd.mkv", "testsrc2=s=161x91:r=12:d=4", "-c:v ffv1".to_string()),
+        ("turned.mov", MOVING, format!("{h264} -metadata:s:v rotate=90")),
+        (
+            "fields.mp4",
+            "testsrc2=s=160x96:r=12:d=4",
+            format!("{h264} -flags +ilme+ildct -x264-params tff=1"),
+        ),
+        ("vp8.webm", MOVING, "-c:v libvpx -b:v 300k -auto-alt-ref 1".to_string()),
+        ("vp9.webm", MOVING, "-c:v libvpx-vp9 -b:v 300k -deadline realtime".to_string()),
+        ("mpeg4.avi", MOVING, "-c:v mpeg4 -bf 2".to_string()),
+        ("stream.ts", MOVING, h264.to_string()),
+        ("still.gif", MOVING, String::new()),
+    ] {
+        let path = folder.path().join(name);
+        video_of(&path, source, &arguments);
+        let clip = Clip::open(&path, &ClipOptions::default()).unwrap();
+        let count = if name == "vfr.mp4" { 39 } else { 48 };
+        assert_eq!((clip.frames.len(), clip.notes.len()), (count, 0), "{name}");
+        let third = ClipOptions { every: 3, ..ClipOptions::default() };
+        assert_eq!(Clip::open(&path, &third).unwrap().total, Some(count), "{name}");
+    }
+    // Sound is of no concern, even where it is damaged; nor is what an edit list hides.
+    let sound = folder.path().join("sound.mkv");
+    let made = "-f lavfi -i sine=d=4 -c:v libx264 -g 12 -c:a ac3";
+    video_of(&sound, MOVING, made);
+    assert_eq!(Clip::open(&sound, &ClipOptions::default()).unwrap().frames.len(), 48);
+    let cut = folder.path().join("cut.mp4");
+    let made = std::process::Command::new("ffmpeg")
+        .args(["-nostdin", "-v", "error", "-ss", "1.5", "-i"])
+        .arg(&sound)
+        .args(["-an", "-c", "copy"])
+        .arg(&cut)
+        .status();
+    assert!(made.unwrap().success());
+    let clip = Clip::open(&cut, &ClipOptions::default()).unwrap();
+    assert!((28..=36).contains(&clip.frames.len()) && clip.notes.is_empty());
+}
+
+/// Work stops when the caller says so, and in time.
+#[test]
+fn reading_a_video_can_be_stopped() {
+    if !has_ffmpeg() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.mp4");
+    video_of(&path, MOVING, "-c:v libx264");
+    let stop = || Err(Error::Interrupted { checkpoint: None });
+    for clip in [path.as_path(), folder.path()] {
+        for i in 0..3 {
+            write_png(folder.path().join(format!("{i}.png")), &picture(40, 30, i)).unwrap();
+        }
+        let stopped = Clip::open_while(clip, &ClipOptions::default(), &stop);
+        assert!(matches!(stopped, Err(Error::Interrupted { .. })));
+    }
 }
 
 #[test]
@@ -109,14 +313,24 @@ fn clip_of_a_video() {
     let Some(path) = shared("cotracker_videos/apple.mp4") else { return };
     let options = ClipOptions { every: 10, size: Resize::Width(324), ..ClipOptions::default() };
     let none = std::ffi::OsStr::new("no-such-program");
-    let text = message(video::decode_with(none, none, &path, &options));
+    let text = message(video::decode_with(none, none, &path, &options, &|| Ok(())));
     says(&text, &["apple.mp4", "ffmpeg", "apt-get install ffmpeg", "extract the frames"]);
-    if std::process::Command::new("ffmpeg").arg("-version").output().is_err() {
-        eprintln!("SKIPPED (no ffmpeg): decoding a video");
+    // A program that is there and cannot be run is not called missing.
+    #[cfg(unix)]
+    {
+        let folder = tempfile::tempdir().unwrap();
+        let locked = folder.path().join("locked");
+        fs::write(&locked, "").unwrap();
+        let text =
+            message(video::decode_with(locked.as_os_str(), none, &path, &options, &|| Ok(())));
+        says(&text, &["apple.mp4", "locked", "cannot be started", "denied"]);
+    }
+    if !has_ffmpeg() {
         return;
     }
     let clip = Clip::open(&path, &options).unwrap();
     assert_eq!((clip.frames.len(), clip.width, clip.height), (5, 324, 180));
+    assert_eq!(clip.frames[4].number, 40);
     assert_eq!(clip.frames[1].name, "00010");
     assert!(clip.rate.is_some_and(|rate| rate > 0.5 && rate < 10.0), "{:?}", clip.rate);
     assert!(clip.frames.iter().all(|f| f.image.pixels.iter().any(|&v| v > 0.3)));
@@ -136,7 +350,7 @@ fn clip_of_a_video() {
             exec ffmpeg \"$@\"\n";
         fs::write(&old, script).unwrap();
         fs::set_permissions(&old, fs::Permissions::from_mode(0o755)).unwrap();
-        let decoded = video::decode_with(old.as_os_str(), none, &path, &three).unwrap();
+        let decoded = video::decode_with(old.as_os_str(), none, &path, &three, &|| Ok(())).unwrap();
         assert_eq!((decoded.frames.len(), decoded.rate), (3, None));
     }
 }
@@ -188,14 +402,16 @@ fn exif_focal_length() {
 
     fs::remove_file(sensor).unwrap();
     fs::remove_file(&zero).unwrap();
-    fs::copy(&film, folder.path().join("second.jpg")).unwrap();
+    for other in ["second.jpg", "third.jpg"] {
+        fs::copy(&film, folder.path().join(other)).unwrap();
+    }
     let half = ClipOptions { size: Resize::Width(200), ..ClipOptions::default() };
     let clip = Clip::open(folder.path(), &half).unwrap();
     assert!((clip.focal.unwrap() - focal / 2.0).abs() < 1e-9);
 
     // A picture held upright: EXIF turns it, and the clip shows it so.
     let turned = tempfile::tempdir().unwrap();
-    for name in ["1.jpg", "2.jpg"] {
+    for name in ["1.jpg", "2.jpg", "3.jpg"] {
         let path = with(name, &[field(Tag::Orientation, Value::Short(vec![6]))]);
         fs::rename(&path, turned.path().join(name)).unwrap();
     }
@@ -219,6 +435,7 @@ fn sizes() {
     assert_eq!(Resize::Longest(100).target(400, 300), (100, 75));
     assert_eq!(Resize::Longest(500).target(400, 300), (400, 300));
     assert_eq!(Resize::Width(200).target(400, 301), (200, 151));
+    assert_eq!(Resize::Width(800).target(400, 301), (400, 301));
     assert_eq!(Resize::Width(1).target(4000, 3), (1, 1));
     assert_eq!(Resize::Width(100_000).target(400, 301), (400, 301), "images only shrink");
     assert_eq!(Resize::To(0, 7).target(4, 3), (1, 7));

@@ -196,8 +196,9 @@ fn bad_input_gets_one_clear_error() {
         }
     };
     let frames = &clip.frames;
-    refused(&frames[..1], Options::default(), "two frames");
-    refused(&[], Options::default(), "two frames");
+    for few in 0..3 {
+        refused(&frames[..few], Options::default(), "3 frames at least");
+    }
     let mut odd = frames.clone();
     odd[3] = Image::new(80, 90, 3);
     refused(&odd, Options::default(), "frame 3 is 80×90");
@@ -205,6 +206,15 @@ fn bad_input_gets_one_clear_error() {
     refused(frames, Options { poses: Some(few), ..Options::default() }, "5 poses");
     let masks = vec![Image::new(10, 10, 1); 12];
     refused(frames, Options { masks: Some(masks), ..Options::default() }, "mask 0 is 10×10");
+    let white = frames.iter().map(|f| Image {
+        channels: 1,
+        pixels: vec![1.0; (f.width * f.height) as usize],
+        ..*f
+    });
+    let white: Vec<Image> = white.collect();
+    let masked = |poses| Options { masks: Some(white.clone()), poses, ..Options::default() };
+    refused(frames, masked(None), "the masks leave nothing static");
+    refused(frames, masked(Some(clip.view_from_world.clone())), "the masks leave nothing static");
     refused(frames, Options { focal: Some(f64::NAN), ..Options::default() }, "makes no sense");
     let more: Vec<_> = frames.iter().chain(frames).cloned().collect();
     refused(&more, Options::default(), "supplied flow has 11");

@@ -175,8 +175,16 @@ pub fn picture_keys(per_frame: &[Quality]) -> Map<String, Value> {
 }
 
 fn trajectories(args: &EvalArgs) -> Result<Map<String, Value>> {
+    // The reference decides what is measured, so that it is judged first.
+    let reference = trajectory::read(&args.reference, None).map_err(|error| match error {
+        Error::Format { path, what } => {
+            let hint = "a reference is a dataset, a clip's truth folder or a trajectory (TUM); a \
+                        video or picture has no known cameras to compare with";
+            Error::Format { path, what: format!("{what}; {hint}") }
+        }
+        other => other,
+    })?;
     let estimate = trajectory::read(&args.estimate, None)?;
-    let reference = trajectory::read(&args.reference, None)?;
     let times = |poses: &[TimedPose]| poses.iter().map(|p| p.time).collect::<Vec<f64>>();
     let pairs = match_by_time(&times(&estimate), &times(&reference), args.max_difference);
     if pairs.is_empty() {

@@ -7,8 +7,8 @@ use serde_json::{Value, json};
 use splat4d::data::trajectory::{self, TimedPose};
 use splat4d::data::{Clip, ClipOptions, Resize, View, images, intrinsics};
 use splat4d::gpu::{Device, DeviceKind};
-use splat4d::io::{Identity, checksum};
-use splat4d::observe::{EngineFlow, FlowSource};
+use splat4d::io::{Identity, check_memory, checksum};
+use splat4d::observe::{EngineFlow, FlowSource, SuppliedFlow};
 use splat4d::renderer::Renderer;
 use splat4d::scene::Scene;
 use splat4d::track::{FocalSource, Options, Stage, Track, track};
@@ -23,10 +23,15 @@ use super::info::dynamic_share;
 use super::meter::Meter;
 use super::outputs::{Folder, Inputs, Outputs};
 use super::watcher::Watcher;
-use super::{quality, sheet, supplied, values};
+use super::{interrupt, quality, sheet, supplied, values};
 
 /// Longest side of the frames unless told otherwise: on a GPU, and on a software driver.
 const LONGEST: [u32; 2] = [640, 320];
+
+/// Bytes for each pixel of each frame: of the frames themselves, and of what tracking makes of them,
+/// which is flow and confidence both ways, masks, depth and its confidence.
+const FRAME_BYTES: u64 = 12;
+const TRACK_BYTES: u64 = 36;
 
 const AFTER_HELP: &str = "\
 The clip is one shot of a moving camera: a video file (read through ffmpeg) or a folder of frames in
@@ -62,7 +67,7 @@ pub struct ReconstructArgs {
     every: usize,
     /// Take at most so many frames
     #[arg(long, value_name = "N",
-          value_parser = values::whole::<usize>(2..=values::MOST_PICTURES))]
+          value_parser = values::whole::<usize>(Clip::LEAST as u64..=values::MOST_PICTURES))]
     max_frames: Option<usize>,
     /// Shrink frames so that their longer side has at most so many pixels [default: 640, on a
     /// software driver 320; with --flow the flow's size]
@@ -96,10 +101,12 @@ pub struct ReconstructArgs {
     /// Intrinsics: JSON with fx, fy, cx, cy, width, height
     #[arg(long, value_name = "FILE", conflicts_with = "focal")]
     intrinsics: Option<PathBuf>,
-    /// Camera poses: TUM (camera to world), one per frame, or a transforms.json
+    /// Camera poses: TUM (camera to world), one per frame, or a transforms.json, whose file names may
+    /// be those of the frames
     #[arg(long, value_name = "FILE")]
     poses: Option<PathBuf>,
-    /// Motion masks: a folder of images, white where something moves
+    /// Motion masks: a folder of images, white where something moves, one per frame or named as the
+    /// frames are
     #[arg(long, value_name = "DIR")]
     masks: Option<PathBuf>,
     /// Depth maps: a folder of EXR files, z up to one scale, 0 where unknown
@@ -109,7 +116,7 @@ pub struct ReconstructArgs {
     /// backward)
     #[arg(long, value_name = "DIR")]
     flow: Option<PathBuf>,
-    /// Leave out images of a folder that cannot be read
+    /// Leave out frames that are damaged or lost, with a note
     #[arg(long)]
     skip_bad: bool,
     /// Write report.json, sheet.png (input, render, motion mask, depth), poses.txt (TUM) and
@@ -133,26 +140,31 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     let device = common.open_device()?;
     let clip = open_clip(args, &device)?;
     let options = options(args, common, &clip)?;
+    let flow = given(&args.flow, &clip, supplied::flow)?;
     let times: Vec<f64> = clip.frames.iter().map(|frame| frame.time).collect();
     let names: Vec<String> = clip.frames.iter().map(|frame| frame.name.clone()).collect();
     let (width, height, original) = (clip.width, clip.height, clip.original);
     let frames: Vec<Image> = clip.frames.into_iter().map(|frame| frame.image).collect();
+    let host = frames.len() as u64 * u64::from(width) * u64::from(height);
     say(&format!(
-        "{} frames of {width}×{height} (from {}×{})",
+        "{} frames of {width}×{height} (from {}×{}), {} of memory",
         frames.len(),
         original.0,
-        original.1
+        original.1,
+        bytes(FRAME_BYTES * host)
     ));
+    let what = format!("tracking {} frames of {width}×{height}", frames.len());
+    check_memory(TRACK_BYTES * host, &what)?;
     clock.lap("load");
 
     let settings = settings(args, common, (width, height));
     let predicted_bytes = foreseen(args, &device, &settings, frames.len(), (width, height))?;
-    let identity = identity(args, &frames, &options, &settings);
+    let identity = identity(args, &frames, &options, flow.as_ref(), &settings);
     let mut checkpoints = Checkpoints::new(&args.output, &args.checkpoints, identity);
     let track = match checkpoints.load("track")? {
         Some(track) => track,
         None => {
-            let track = observe(args, &device, &frames, &options, &checkpoints, &mut clock)?;
+            let track = observe(&device, &frames, &options, flow, &checkpoints, &mut clock)?;
             checkpoints.save("track", &track);
             track
         }
@@ -174,7 +186,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     let model = model(&scene, &track, &settings);
     say(&model);
 
-    let views = views(&frames, &names, &scene);
+    let views = views(frames, &names, &scene);
     let mut renderer = Renderer::new(&device, &scene)?;
     let measured = quality::measure(&mut renderer, &views, scene.background, "PSNR, input")?;
     clock.lap("evaluate");
@@ -306,50 +318,33 @@ fn open_clip(args: &ReconstructArgs, device: &Device) -> Result<Clip> {
         size,
         skip_bad: args.skip_bad,
     };
-    let clip = Clip::open(&args.clip, &options)?;
+    let clip = Clip::open_while(&args.clip, &options, &interrupt::check)?;
     notes(&clip.notes);
     Ok(clip)
 }
 
+/// What a file or folder holds for the clip's frames.
+fn given<T>(
+    path: &Option<PathBuf>,
+    clip: &Clip,
+    read: impl FnOnce(&Path, &Clip) -> Result<T>,
+) -> Result<Option<T>> {
+    path.as_deref().map(|path| read(path, clip)).transpose()
+}
+
 /// What is known beforehand.
 fn options(args: &ReconstructArgs, common: &Common, clip: &Clip) -> Result<Options> {
-    let (width, height, count) = (clip.width, clip.height, clip.frames.len());
-    fn each<T>(
-        path: &Option<PathBuf>,
-        read: impl FnOnce(&Path) -> Result<Vec<T>>,
-        count: usize,
-        every: usize,
-        what: &str,
-    ) -> Result<Option<Vec<T>>> {
-        let Some(path) = path else { return Ok(None) };
-        supplied::for_frames(read(path)?, count, every, path, what).map(Some)
-    }
-    let scale = f64::from(width) / f64::from(clip.original.0);
+    let scale = f64::from(clip.width) / f64::from(clip.original.0);
     if let Some(focal) = args.focal {
         let whole = Intrinsics::centred(focal, clip.original.0, clip.original.1);
         whole.check().map_err(|what| Error::Input(format!("--focal {focal:?}: {what}")))?;
     }
     Ok(Options {
-        intrinsics: match &args.intrinsics {
-            Some(path) => Some(supplied::intrinsics(path, clip)?),
-            None => None,
-        },
+        intrinsics: given(&args.intrinsics, clip, supplied::intrinsics)?,
         focal: args.focal.map(|focal| focal * scale).or(clip.focal),
-        poses: each(&args.poses, supplied::poses, count, args.every, "poses")?,
-        masks: each(
-            &args.masks,
-            |path| supplied::masks(path, width, height),
-            count,
-            args.every,
-            "masks",
-        )?,
-        depth: each(
-            &args.depth,
-            |path| supplied::depth(path, width, height),
-            count,
-            args.every,
-            "depth maps",
-        )?,
+        poses: given(&args.poses, clip, supplied::poses)?,
+        masks: given(&args.masks, clip, supplied::masks)?,
+        depth: given(&args.depth, clip, supplied::depth)?,
         seed: common.seed,
         ..Options::default()
     })
@@ -357,15 +352,15 @@ fn options(args: &ReconstructArgs, common: &Common, clip: &Clip) -> Result<Optio
 
 /// Flow, cameras, masks, depth.
 fn observe(
-    args: &ReconstructArgs,
     device: &Device,
     frames: &[Image],
     options: &Options,
+    supplied: Option<SuppliedFlow>,
     checkpoints: &Checkpoints,
     clock: &mut Clock,
 ) -> Result<Track> {
-    let mut source: Box<dyn FlowSource + '_> = match &args.flow {
-        Some(folder) => Box::new(supplied::flow(folder)?),
+    let mut source: Box<dyn FlowSource + '_> = match supplied {
+        Some(flow) => Box::new(flow),
         None => Box::new(EngineFlow::new(device, frames, &FlowSettings::default())?),
     };
     let name = |stage: Stage| match stage {
@@ -411,6 +406,7 @@ fn identity(
     args: &ReconstructArgs,
     frames: &[Image],
     options: &Options,
+    flow: Option<&SuppliedFlow>,
     settings: &SequenceSettings,
 ) -> Identity {
     let size = frames.first().map(|frame| format!("{}×{}", frame.width, frame.height));
@@ -428,7 +424,7 @@ fn identity(
         ("--poses", summed(options.poses.as_ref())),
         ("--masks", summed(options.masks.as_ref())),
         ("--depth", summed(options.depth.as_ref())),
-        ("--flow", shown(args.flow.as_ref().map(|folder| folder.display()))),
+        ("--flow", summed(flow)),
         ("the frames", format!("{} with the checksum {}", frames.len(), checksum(frames))),
         // What no option says: the focal length in the pictures' EXIF, this version's settings.
         ("what is known beforehand", summed(Some(options))),
@@ -470,16 +466,16 @@ fn focal_source(source: FocalSource) -> &'static str {
 }
 
 /// The frames with the scene's cameras.
-fn views(frames: &[Image], names: &[String], scene: &Scene) -> Vec<View> {
+fn views(frames: Vec<Image>, names: &[String], scene: &Scene) -> Vec<View> {
     frames
-        .iter()
+        .into_iter()
         .zip(names)
         .zip(&scene.cameras)
         .map(|((image, name), known)| View {
             name: name.clone(),
             time: known.time,
             camera: known.camera,
-            image: image.clone(),
+            image,
             valid: None,
         })
         .collect()
@@ -545,8 +541,33 @@ mod tests {
                 let super::super::Command::Reconstruct(args) = command else {
                     panic!("no reconstruct")
                 };
-                identity(args, &[], &Options::default(), &settings(args, common, (32, 18)))
+                identity(args, &[], &Options::default(), None, &settings(args, common, (32, 18)))
             },
         );
+    }
+
+    #[test]
+    fn a_checkpoint_belongs_to_what_a_flow_holds() {
+        use clap::Parser;
+        let cli = super::super::Cli::try_parse_from([
+            "splat4d",
+            "reconstruct",
+            "clip",
+            "-o",
+            "x",
+            "--flow",
+            "flow",
+        ])
+        .unwrap();
+        let super::super::Command::Reconstruct(args) = &cli.command else { panic!() };
+        let of = |value: f32| {
+            let mut field = Image::new(4, 3, 2);
+            field.pixels[5] = value;
+            let flow = SuppliedFlow::new(vec![field.clone()], vec![field]).unwrap();
+            let settings = settings(args, &cli.common, (32, 18));
+            identity(args, &[], &Options::default(), Some(&flow), &settings)
+        };
+        assert_eq!(of(0.5), of(0.5));
+        assert_ne!(of(0.5)["--flow"], of(0.25)["--flow"]);
     }
 }

@@ -1,5 +1,6 @@
 //! What the user already has of a clip: poses, masks, depth, flow, brought to the frames taken.
 
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use splat4d::data::{Clip, exr, flo, images, intrinsics, read_mask, trajectory, transforms};
@@ -7,39 +8,82 @@ use splat4d::observe::SuppliedFlow;
 use splat4d::types::{Image, Intrinsics, Pose};
 use splat4d::{Error, Result};
 
-/// One thing for each frame taken, from a list for the frames taken or for all frames of the clip.
-pub fn for_frames<T>(
-    all: Vec<T>,
-    frames: usize,
-    every: usize,
-    path: &Path,
-    what: &str,
-) -> Result<Vec<T>> {
-    let count = all.len();
-    if count == frames {
-        return Ok(all);
-    }
-    let chosen: Vec<T> = all.into_iter().step_by(every).take(frames).collect();
-    if chosen.len() == frames && count > frames {
-        return Ok(chosen);
-    }
-    Err(Error::format(
-        path,
-        format!(
-            "holds {count} {what}, and {frames} frames are taken; give one for each frame taken, \
-             or one for each frame of the clip"
-        ),
-    ))
+/// Things that are supplied for a clip's frames: a list in the order of the frames, with the names
+/// that say which frame each belongs to, where they have names.
+struct Listed<'a> {
+    path: &'a Path,
+    /// What they are, for messages.
+    what: &'static str,
+    count: usize,
+    names: Vec<String>,
 }
 
-/// Poses (`view_from_world`) of a TUM trajectory or a `transforms.json`.
-pub fn poses(path: &Path) -> Result<Vec<Pose>> {
-    if path.extension().is_some_and(|e| e == "json") {
-        let cameras = transforms::read_cameras(path)?;
-        return Ok(cameras.iter().map(|c| c.camera.view_from_world).collect());
+impl Listed<'_> {
+    /// For each frame taken, the place of what belongs to it: by name, if every frame finds its own;
+    /// else by number, if there is one for each frame of the whole clip; else one by one, if there
+    /// is one for each frame taken and none of those was left out.
+    fn pair(&self, clip: &Clip) -> Result<Vec<usize>> {
+        let (count, taken) = (self.count, clip.frames.len());
+        let by_name: HashMap<&str, usize> =
+            self.names.iter().enumerate().map(|(i, name)| (name.as_str(), i)).collect();
+        let named: HashSet<&str> = clip.frames.iter().map(|frame| frame.name.as_str()).collect();
+        let unique = by_name.len() == count && named.len() == taken;
+        if unique && clip.total.is_none_or(|total| count <= total) {
+            let found = clip.frames.iter().map(|frame| by_name.get(frame.name.as_str()).copied());
+            if let Some(pairs) = found.collect::<Option<Vec<_>>>() {
+                return Ok(pairs);
+            }
+        }
+        if clip.total == Some(count) {
+            return Ok(clip.frames.iter().map(|frame| frame.number).collect());
+        }
+        if clip.skipped == 0 && count == taken {
+            return Ok((0..count).collect());
+        }
+        let of_clip = clip.total.map_or(String::new(), |total| format!(" of the clip's {total}"));
+        let skipped = match clip.skipped {
+            0 => String::new(),
+            n => format!(" and {n} left out as damaged"),
+        };
+        let one_each = match (clip.skipped, clip.total) {
+            (0, Some(_)) => "one for each frame of the clip or one for each frame taken",
+            (0, None) => "one for each frame taken",
+            (_, Some(_)) => "one for each frame of the clip, the damaged ones among them",
+            (_, None) => "frames of which none is missing",
+        };
+        let names = if self.names.is_empty() { "" } else { ", or files named as the frames are" };
+        Err(Error::format(
+            self.path,
+            format!(
+                "holds {count} {}, and {taken} frames{of_clip} are taken{skipped}; give \
+                 {one_each}{names}",
+                self.what
+            ),
+        ))
     }
-    let poses = trajectory::read(path, None)?;
-    Ok(poses.iter().map(|p| p.world_from_view.inverse()).collect())
+}
+
+/// Poses (`view_from_world`) of a TUM trajectory or a `transforms.json`, one for each frame taken.
+pub fn poses(path: &Path, clip: &Clip) -> Result<Vec<Pose>> {
+    let (poses, names): (Vec<Pose>, _) = if path.extension().is_some_and(|e| e == "json") {
+        let cameras = transforms::read_cameras(path)?;
+        let names = transforms::file_names(path)?;
+        (
+            cameras.iter().map(|c| c.camera.view_from_world).collect(),
+            names.iter().map(|name| stem(Path::new(name))).collect(),
+        )
+    } else {
+        let poses = trajectory::read(path, None)?;
+        (poses.iter().map(|p| p.world_from_view.inverse()).collect(), Vec::new())
+    };
+    let listed = Listed { path, what: "poses", count: poses.len(), names };
+    Ok(listed.pair(clip)?.into_iter().map(|i| poses[i]).collect())
+}
+
+/// A file's name without its extension. `a.b` alone has none that a picture could have.
+fn stem(file: &Path) -> String {
+    let name = if images::has_image_extension(file) { file.file_stem() } else { file.file_name() };
+    name.unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// Intrinsics of a file, at the size of the frames.
@@ -61,28 +105,76 @@ pub fn intrinsics(path: &Path, clip: &Clip) -> Result<Intrinsics> {
     Ok(given.resized(clip.width, clip.height))
 }
 
-/// Motion masks of a folder of images.
-pub fn masks(folder: &Path, width: u32, height: u32) -> Result<Vec<Image>> {
-    let files = images::list(folder)?;
-    files.iter().map(|file| Ok(nearest(&read_mask(file)?, width, height))).collect()
+/// Motion masks of a folder of images, one for each frame taken, at the size of the frames.
+pub fn masks(folder: &Path, clip: &Clip) -> Result<Vec<Image>> {
+    of_folder(folder, images::list(folder)?, clip, "masks", |file| read_mask(file))
 }
 
-/// Depth maps of a folder of EXR files.
-pub fn depth(folder: &Path, width: u32, height: u32) -> Result<Vec<Image>> {
-    let files = files(folder, "exr")?;
-    files.iter().map(|file| Ok(nearest(&exr::read_depth(file)?, width, height))).collect()
+/// Depth maps of a folder of EXR files, one for each frame taken, at the size of the frames.
+pub fn depth(folder: &Path, clip: &Clip) -> Result<Vec<Image>> {
+    of_folder(folder, files(folder, "exr")?, clip, "depth maps", |file| exr::read_depth(file))
 }
 
-/// Optical flow of a folder, as `synth` lays it out or as [`SuppliedFlow::open`] reads it.
-pub fn flow(folder: &Path) -> Result<SuppliedFlow> {
-    let both = ["flow_forward", "flow_backward"].map(|name| folder.join(name));
-    if !both.iter().all(|inner| inner.is_dir()) {
-        return SuppliedFlow::open(folder);
+/// Reads, of a folder's files, those of the frames taken.
+fn of_folder(
+    folder: &Path,
+    files: Vec<PathBuf>,
+    clip: &Clip,
+    what: &'static str,
+    read: impl Fn(&Path) -> Result<Image>,
+) -> Result<Vec<Image>> {
+    let names = files.iter().map(|f| f.file_stem().unwrap_or_default().to_string_lossy());
+    let names = names.map(|name| name.into_owned()).collect();
+    let listed = Listed { path: folder, what, count: files.len(), names };
+    let read = |i: usize| Ok(nearest(&read(&files[i])?, clip.width, clip.height));
+    listed.pair(clip)?.into_iter().map(read).collect()
+}
+
+/// Optical flow of a folder, as `synth` lays it out or as [`SuppliedFlow::open`] reads it, through
+/// the frames taken.
+pub fn flow(folder: &Path, clip: &Clip) -> Result<SuppliedFlow> {
+    let taken = clip.frames.len();
+    if clip.skipped > 0 {
+        return Err(Error::format(
+            folder,
+            format!(
+                "leads from each frame to the next, and {} frames are left out as damaged; leave \
+                 out --flow, or mend the frames",
+                clip.skipped
+            ),
+        ));
     }
-    let read = |inner: &Path| -> Result<Vec<Image>> {
-        files(inner, "flo")?.iter().map(flo::read).collect()
+    let both = ["flow_forward", "flow_backward"].map(|name| folder.join(name));
+    let flow = if both.iter().all(|inner| inner.is_dir()) {
+        let [forward, backward] = both.map(|inner| files(&inner, "flo"));
+        let (forward, backward) = (forward?, backward?);
+        if forward.len() != backward.len() {
+            return Err(Error::format(
+                folder,
+                format!(
+                    "holds {} forward and {} backward fields; give as many of each",
+                    forward.len(),
+                    backward.len()
+                ),
+            ));
+        }
+        let read = |files: &[PathBuf]| files.iter().map(flo::read).collect::<Result<Vec<_>>>();
+        SuppliedFlow::new(read(&forward)?, read(&backward)?)?
+    } else {
+        SuppliedFlow::open(folder)?
     };
-    SuppliedFlow::new(read(&both[0])?, read(&both[1])?)
+    let leads_through = flow.pairs() + 1;
+    if leads_through != taken && Some(leads_through) != clip.total {
+        return Err(Error::format(
+            folder,
+            format!(
+                "holds {} fields each way, and {taken} frames are taken; give one less than there \
+                 are frames",
+                flow.pairs()
+            ),
+        ));
+    }
+    Ok(flow)
 }
 
 /// The files with an extension, in the natural order of their names.
@@ -119,18 +211,68 @@ fn nearest(image: &Image, width: u32, height: u32) -> Image {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use splat4d::data::ClipFrame;
+
+    /// A clip of so many frames, those of these numbers taken.
+    fn clip(total: Option<usize>, numbers: &[usize], skipped: usize) -> Clip {
+        let frame = |&number: &usize| ClipFrame {
+            name: format!("f{number}"),
+            number,
+            time: 0.0,
+            image: Image::new(1, 1, 3),
+        };
+        Clip {
+            frames: numbers.iter().map(frame).collect(),
+            total,
+            skipped,
+            width: 1,
+            height: 1,
+            original: (1, 1),
+            rate: None,
+            focal: None,
+            notes: Vec::new(),
+        }
+    }
 
     #[test]
-    fn lists_for_all_frames_or_for_those_taken() {
+    fn what_is_supplied_stays_with_its_frame() {
         let path = Path::new("poses.txt");
-        let take = |count: usize, frames: usize, every: usize| {
-            for_frames((0..count).collect(), frames, every, path, "poses")
+        let pair = |count: usize, names: &[&str], clip: &Clip| {
+            let names = names.iter().map(|name| name.to_string()).collect();
+            Listed { path, what: "poses", count, names }.pair(clip)
         };
-        assert_eq!(take(4, 4, 3).unwrap(), [0, 1, 2, 3]);
-        assert_eq!(take(10, 4, 3).unwrap(), [0, 3, 6, 9]);
-        assert_eq!(take(24, 4, 2).unwrap(), [0, 2, 4, 6]);
-        let message = take(3, 4, 1).unwrap_err().to_string();
-        assert!(message.contains("3 poses") && message.contains("4 frames"), "{message}");
+        let all = clip(Some(4), &[0, 1, 2, 3], 0);
+        assert_eq!(pair(4, &[], &all).unwrap(), [0, 1, 2, 3]);
+        let third = clip(Some(10), &[0, 3, 6, 9], 0);
+        assert_eq!(pair(4, &[], &third).unwrap(), [0, 1, 2, 3]);
+        assert_eq!(pair(10, &[], &third).unwrap(), [0, 3, 6, 9]);
+        for count in [0, 3, 5, 9, 11] {
+            let message = pair(count, &[], &third).unwrap_err().to_string();
+            let both = [format!("holds {count} poses"), "4 frames of the clip's 10".into()];
+            assert!(both.iter().all(|part| message.contains(part)), "{message}");
+        }
+        // After a gap, only the whole clip's numbers are certain, or names.
+        let gap = clip(Some(5), &[0, 1, 3, 4], 1);
+        assert_eq!(pair(5, &[], &gap).unwrap(), [0, 1, 3, 4]);
+        let message = pair(4, &[], &gap).unwrap_err().to_string();
+        assert!(message.contains("4 poses") && message.contains("1 left out"), "{message}");
+        assert_eq!(pair(4, &["f0", "f1", "f3", "f4"], &gap).unwrap(), [0, 1, 2, 3]);
+        assert_eq!(pair(5, &["f4", "f3", "f2", "f1", "f0"], &gap).unwrap(), [4, 3, 1, 0]);
+        assert_eq!(pair(5, &["a", "b", "c", "d", "e"], &gap).unwrap(), [0, 1, 3, 4]);
+        assert!(pair(4, &["f0", "f0", "f3", "f4"], &gap).is_err());
+        // More than the clip has, whatever they are called.
+        assert!(pair(6, &["f0", "f1", "f2", "f3", "f4", "f5"], &gap).is_err());
+        let unknown = clip(None, &[0, 1, 3], 1);
+        assert!(pair(4, &[], &unknown).is_err() && pair(3, &[], &unknown).is_err());
+    }
+
+    #[test]
+    fn names_of_cameras() {
+        for (file, name) in
+            [("./train/r_0.png", "r_0"), ("r_0", "r_0"), ("a/frame_0.5", "frame_0.5")]
+        {
+            assert_eq!(stem(Path::new(file)), name);
+        }
     }
 
     #[test]

@@ -5,7 +5,9 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use super::images::{self, Orientation, Resize};
+use super::video::GoOn;
 use super::{exif, video};
+use crate::io::check_memory;
 use crate::types::Image;
 use crate::{Error, Result};
 
@@ -18,7 +20,7 @@ pub struct ClipOptions {
     pub max_frames: Option<usize>,
     /// The size to bring the frames to.
     pub size: Resize,
-    /// Leave out images of a folder that cannot be read, with a note, instead of failing.
+    /// Leave out frames that are damaged or lost, with a note, instead of failing.
     pub skip_bad: bool,
 }
 
@@ -33,17 +35,25 @@ impl Default for ClipOptions {
 pub struct ClipFrame {
     /// The file's name without extension, or the frame's number in the video.
     pub name: String,
-    /// In [0, 1]: the first frame 0, the last 1.
+    /// Its place, from 0, in the whole clip: among all files of the folder or all frames of the
+    /// video, those that were not taken and those that cannot be read among them.
+    pub number: usize,
+    /// In [0, 1]: the first frame 0, the last 1, the others by their numbers.
     pub time: f64,
     /// RGB in [0, 1].
     pub image: Image,
 }
 
-/// At least two frames of one size.
+/// At least [`Clip::LEAST`] frames of one size.
 #[derive(Clone, Debug)]
 pub struct Clip {
     /// In order.
     pub frames: Vec<ClipFrame>,
+    /// Frames of the whole clip, as [`ClipFrame::number`] counts them; `None` where frames of a
+    /// damaged video are missing without a trace.
+    pub total: Option<usize>,
+    /// Frames that were left out because they are damaged or lost.
+    pub skipped: usize,
     /// Width of every frame.
     pub width: u32,
     /// Height of every frame.
@@ -59,62 +69,139 @@ pub struct Clip {
 }
 
 impl Clip {
+    /// Fewest frames that cameras can be found from: a point counts once three frames agree on it.
+    pub const LEAST: usize = 3;
+
     /// Opens a video file (through `ffmpeg`), or a folder of images in natural order of their names;
     /// a folder without images but with a folder `frames` or `images` in it stands for that one.
     ///
     /// # Errors
-    /// No such file; a folder without images; only one frame; frames of different sizes; an image
-    /// that cannot be read (unless `skip_bad`); no `ffmpeg`. Each names the file and says what to do.
+    /// No such file, or what is neither a file nor a folder; a folder without images; fewer than
+    /// [`Clip::LEAST`] frames; frames of different sizes; a frame that is damaged or lost (unless
+    /// `skip_bad`); more than there is memory for; no `ffmpeg`. Each names the file and says what to
+    /// do.
     pub fn open(path: impl AsRef<Path>, options: &ClipOptions) -> Result<Clip> {
+        Clip::open_while(path, options, &|| Ok(()))
+    }
+
+    /// As [`Clip::open`]; `go_on` is asked several times a second, and its error ends the work.
+    pub fn open_while(path: impl AsRef<Path>, options: &ClipOptions, go_on: GoOn) -> Result<Clip> {
         let path = path.as_ref();
-        if options.every == 0 || options.max_frames.is_some_and(|most| most < 2) {
-            let what = "take every 1st frame or more, and at least 2 frames";
-            return Err(Error::Input(what.into()));
+        if options.every == 0 || options.max_frames.is_some_and(|most| most < Clip::LEAST) {
+            let least = Clip::LEAST;
+            let what = format!("take every 1st frame or more, and at least {least} frames");
+            return Err(Error::Input(what));
         }
         let found = std::fs::metadata(path).map_err(Error::io(path))?;
         if found.is_dir() {
-            return open_folder(path, options);
+            return open_folder(path, options, go_on);
+        }
+        if !found.is_file() {
+            // Opening a pipe waits for someone to write into it.
+            let what = "is neither a file nor a folder; give a video file or a folder of images";
+            return Err(Error::format(path, what));
         }
         if images::has_image_extension(path) {
-            return Err(one_frame(path));
+            return Err(too_few(path, 1, options, 0));
         }
-        let decoded = video::decode(path, options)?;
-        let mut clip = assemble(path, decoded.frames, options)?;
+        let decoded = video::decode(path, options, go_on)?;
+        let named = |(number, image)| (format!("{number:05}"), number, image);
+        let frames = decoded.frames.into_iter().map(named).collect();
+        let mut clip = assemble(path, frames, options, decoded.skipped)?;
         clip.original = decoded.original;
         clip.rate = decoded.rate.map(|rate| rate / options.every as f64);
+        clip.total = decoded.total;
+        clip.notes = decoded.notes;
         Ok(clip)
     }
 }
 
-fn one_frame(path: &Path) -> Error {
+fn too_few(path: &Path, frames: usize, options: &ClipOptions, skipped: usize) -> Error {
+    let has = match frames {
+        0 => "has no frames".to_string(),
+        1 => "has one frame only".to_string(),
+        n => format!("has {n} frames only"),
+    };
+    let left_out = match skipped {
+        0 => String::new(),
+        n => format!(" besides {n} that cannot be read"),
+    };
+    let what =
+        if options.every > 1 { " (of those taken; take more with a smaller step)" } else { "" };
+    let least = Clip::LEAST;
     Error::format(
         path,
-        "has one frame only; a reconstruction needs a moving camera's video, two frames at least",
+        format!(
+            "{has}{left_out}{what}; a reconstruction needs a moving camera's video, {least} frames \
+             at least"
+        ),
     )
 }
 
-fn assemble(path: &Path, frames: Vec<(String, Image)>, options: &ClipOptions) -> Result<Clip> {
-    if frames.len() < 2 {
-        let what =
-            if options.every > 1 { " (of those taken; take more with a smaller step)" } else { "" };
-        return Err(match frames.len() {
-            0 => Error::format(path, format!("has no frames{what}")),
-            _ if options.every > 1 => Error::format(path, format!("has one frame only{what}")),
-            _ => one_frame(path),
-        });
-    }
-    let last = (frames.len() - 1) as f64;
-    let (width, height) = (frames[0].1.width, frames[0].1.height);
-    let frames = frames
-        .into_iter()
-        .enumerate()
-        .map(|(i, (name, image))| ClipFrame { name, time: i as f64 / last, image })
-        .collect();
-    let original = (width, height);
-    Ok(Clip { frames, width, height, original, rate: None, focal: None, notes: Vec::new() })
+/// Bytes of a frame in memory.
+fn frame_bytes((width, height): (u32, u32)) -> u64 {
+    u64::from(width) * u64::from(height) * 12
 }
 
-fn open_folder(folder: &Path, options: &ClipOptions) -> Result<Clip> {
+/// That so many frames of a size find room in memory.
+pub(super) fn foresee(path: &Path, frames: usize, size: (u32, u32)) -> Result<()> {
+    let what = format!("{}: a clip of {frames} frames of {}×{}", path.display(), size.0, size.1);
+    check_memory((frames as u64).saturating_mul(frame_bytes(size)), &what).map_err(hint_less)
+}
+
+/// That one more frame finds room, beside what all else that runs may want meanwhile: for clips
+/// whose length only reading tells.
+pub(super) fn room_for(path: &Path, frames: usize, size: (u32, u32)) -> Result<()> {
+    const SPARE: u64 = 64 << 20;
+    let what = format!("{}: frame {frames} of {}×{}", path.display(), size.0, size.1);
+    check_memory(frame_bytes(size).saturating_add(SPARE), &what).map_err(hint_less)
+}
+
+/// Says how to go on where a clip is too large.
+fn hint_less(error: Error) -> Error {
+    match error {
+        Error::Input(what) => Error::Input(format!(
+            "{what}: --every takes fewer frames, --max-frames the first of them, --size smaller ones"
+        )),
+        other => other,
+    }
+}
+
+fn assemble(
+    path: &Path,
+    frames: Vec<(String, usize, Image)>,
+    options: &ClipOptions,
+    skipped: usize,
+) -> Result<Clip> {
+    if frames.len() < Clip::LEAST {
+        return Err(too_few(path, frames.len(), options, skipped));
+    }
+    let first = frames[0].1;
+    let last = (frames[frames.len() - 1].1 - first) as f64;
+    let (width, height) = (frames[0].2.width, frames[0].2.height);
+    let frames = frames
+        .into_iter()
+        .map(|(name, number, image)| ClipFrame {
+            name,
+            number,
+            time: (number - first) as f64 / last,
+            image,
+        })
+        .collect();
+    Ok(Clip {
+        frames,
+        total: None,
+        skipped,
+        width,
+        height,
+        original: (width, height),
+        rate: None,
+        focal: None,
+        notes: Vec::new(),
+    })
+}
+
+fn open_folder(folder: &Path, options: &ClipOptions, go_on: GoOn) -> Result<Clip> {
     let mut files = images::list(folder)?;
     for inner in ["frames", "images"] {
         let inner = folder.join(inner);
@@ -127,29 +214,35 @@ fn open_folder(folder: &Path, options: &ClipOptions) -> Result<Clip> {
         return Err(Error::format(folder, format!("holds no images ({known})")));
     }
     let total = files.len();
-    if total == 1 {
-        return Err(one_frame(folder));
-    }
     // Bad files are looked for among the frames that are taken: what lies between is of no concern.
     let files: Vec<_> = files
         .into_iter()
+        .enumerate()
         .step_by(options.every)
         .take(options.max_frames.unwrap_or(usize::MAX))
         .collect();
+    if files.len() < Clip::LEAST {
+        return Err(too_few(folder, files.len(), options, 0));
+    }
+    let header = |file: &Path| images::dimensions(file, Orientation::Upright).ok();
+    if let Some((width, height)) = files.iter().find_map(|(_, file)| header(file)) {
+        foresee(folder, files.len(), options.size.target(width, height))?;
+    }
     let decoded: Vec<_> = files
         .par_iter()
-        .map(|file| {
+        .map(|(_, file)| {
+            go_on()?;
             let image = images::decode_rgb(file, [0.0; 3], Orientation::Upright)?;
             let size = (image.width, image.height);
             let (width, height) = options.size.target(size.0, size.1);
-            Ok((file, size, images::resize(&image, width, height)))
+            Ok((size, images::resize(&image, width, height)))
         })
         .collect();
     let (mut frames, mut bad) = (Vec::new(), Vec::new());
     let mut first = None;
-    for (result, file) in decoded.into_iter().zip(&files) {
+    for (result, (number, file)) in decoded.into_iter().zip(&files) {
         match result {
-            Ok((file, size, image)) => {
+            Ok((size, image)) => {
                 let (of, expected) = *first.get_or_insert((file, size));
                 if size != expected {
                     return Err(Error::format(
@@ -165,13 +258,20 @@ fn open_folder(folder: &Path, options: &ClipOptions) -> Result<Clip> {
                     ));
                 }
                 let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-                frames.push((stem, image));
+                frames.push((stem, *number, image));
             }
-            Err(error) if !options.skip_bad => return Err(hint_skip(error)),
-            Err(_) => bad.push(file.file_name().unwrap_or_default().to_string_lossy()),
+            // Only what is wrong with the file itself may be passed over.
+            Err(error @ (Error::Io { .. } | Error::Format { .. })) if !options.skip_bad => {
+                return Err(hint_skip(error));
+            }
+            Err(Error::Io { .. } | Error::Format { .. }) => {
+                bad.push(file.file_name().unwrap_or_default().to_string_lossy());
+            }
+            Err(other) => return Err(other),
         }
     }
-    let mut clip = assemble(folder, frames, options)?;
+    let mut clip = assemble(folder, frames, options, bad.len())?;
+    clip.total = Some(total);
     if let Some(name) = bad.first() {
         let (n, all) = (bad.len(), files.len());
         clip.notes.push(format!("skipped {n} of {all} images that cannot be read ({name} …)"));
@@ -184,12 +284,33 @@ fn open_folder(folder: &Path, options: &ClipOptions) -> Result<Clip> {
     Ok(clip)
 }
 
-/// Says how to go on where one image of a folder is damaged.
-fn hint_skip(error: Error) -> Error {
+/// Says how to go on where a frame is damaged.
+pub(super) fn hint_skip(error: Error) -> Error {
+    let hint = "--skip-bad leaves such frames out";
     match error {
-        Error::Format { path, what } => {
-            Error::Format { path, what: format!("{what}; --skip-bad leaves such images out") }
+        Error::Format { path, what } => Error::Format { path, what: format!("{what}; {hint}") },
+        Error::Io { path, source } => {
+            Error::Format { path, what: format!("cannot be read: {source}; {hint}") }
         }
         other => other,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn clips_too_long_for_memory_are_told() {
+        if crate::io::available_memory().is_none() {
+            return;
+        }
+        let path = Path::new("long.mp4");
+        assert!(foresee(path, 3, (64, 64)).is_ok() && room_for(path, 7, (64, 64)).is_ok());
+        let text = foresee(path, 12_000_000, (3840, 2160)).unwrap_err().to_string();
+        for part in ["long.mp4", "12000000 frames of 3840×2160", "1112365.7 GiB", "--max-frames"] {
+            assert!(text.contains(part), "{part} is not in: {text}");
+        }
+        assert!(room_for(path, 7, (u32::MAX, u32::MAX)).is_err());
     }
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use image::{DynamicImage, ImageDecoder, ImageReader};
 
-use crate::io::{check_unpacked, open, read, write_atomically};
+use crate::io::{check_memory, check_unpacked, open, read, write_atomically};
 use crate::types::Image;
 use crate::{Error, Result};
 
@@ -98,19 +98,55 @@ pub fn decode_rgb(path: &Path, background: [f32; 3], orientation: Orientation) -
     rgb_over(decode(path, orientation)?, background)
 }
 
-/// Decodes bytes as [`decode_rgb`] does; `path` is for the messages.
+/// Decodes a file. Half a file is an error, also where a decoder would fill in the rest.
 fn decode(path: &Path, orientation: Orientation) -> Result<DynamicImage> {
     let bytes = read(path)?;
+    if bytes.starts_with(&[0xff, 0xd8]) && !jpeg_ends(&bytes) {
+        return Err(Error::format(path, "is cut short: a JPEG picture without its end"));
+    }
     let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format();
     let mut decoder =
         reader.map_err(Error::io(path))?.into_decoder().map_err(|e| undecodable(path, &e))?;
     check_unpacked(path, decoder.total_bytes(), bytes.len())?;
+    let (width, height) = decoder.dimensions();
+    let what = format!("{}: a picture of {width}×{height}", path.display());
+    // As decoded, and as floats.
+    let floats = (u64::from(width) * u64::from(height)).saturating_mul(12);
+    check_memory(decoder.total_bytes().saturating_add(floats), &what)?;
     let turn = decoder.orientation();
     let mut image = DynamicImage::from_decoder(decoder).map_err(|e| undecodable(path, &e))?;
     if let (Orientation::Upright, Ok(turn)) = (orientation, turn) {
         image.apply_orientation(turn);
     }
     Ok(image)
+}
+
+/// Whether a JPEG file holds its picture to the end. Decoders fill in what is missing with grey.
+fn jpeg_ends(bytes: &[u8]) -> bool {
+    let mut at = 2;
+    while let Some(&marker) = bytes.get(at + 1).filter(|_| bytes[at] == 0xff) {
+        match marker {
+            0xd9 => return true,
+            // Fill bytes and markers that stand alone.
+            0xff => at += 1,
+            0x01 | 0xd0..=0xd8 => at += 2,
+            _ => {
+                let Some(&[high, low]) = bytes.get(at + 2..at + 4) else { return false };
+                at += 2 + usize::from(u16::from_be_bytes([high, low]));
+                if marker == 0xda {
+                    // Compressed data, up to a marker that is no restart and no stuffed 0xff.
+                    let pairs = bytes.get(at..).unwrap_or_default().windows(2);
+                    let ends = |p: &[u8]| p[0] == 0xff && !matches!(p[1], 0 | 0xd0..=0xd7 | 0xff);
+                    match pairs.into_iter().position(ends) {
+                        Some(length) => at += length,
+                        None => return false,
+                    }
+                }
+            }
+        }
+    }
+    // What is no marker where one belongs is for the decoder to judge.
+    at < bytes.len()
 }
 
 fn undecodable(path: &Path, error: &image::ImageError) -> Error {
@@ -198,13 +234,14 @@ pub fn write_mask(path: impl AsRef<Path>, mask: &Image) -> Result<()> {
     write_png(path, &Image { pixels, ..*mask })
 }
 
-/// Image files directly in a folder, in natural order (2 before 10); hidden ones are left out.
+/// Image files directly in a folder, in natural order (2 before 10); hidden ones are left out. A link
+/// that leads nowhere is listed, for a file that is missing is not to pass unnoticed.
 pub fn list(folder: &Path) -> Result<Vec<std::path::PathBuf>> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(Error::io(folder))? {
         let path = entry.map_err(Error::io(folder))?.path();
         let hidden = path.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.'));
-        if !hidden && has_image_extension(&path) && path.is_file() {
+        if !hidden && has_image_extension(&path) && !path.is_dir() {
             found.push(path);
         }
     }

@@ -125,6 +125,11 @@ pub fn read_cameras(path: &Path) -> Result<Vec<TimedCamera>> {
     listing.entries.iter().enumerate().map(camera).collect()
 }
 
+/// The `file_path` of each camera that [`read_cameras`] gives; `frame N` where there is none.
+pub fn file_names(path: &Path) -> Result<Vec<String>> {
+    Ok(Listing::read(path)?.entries.into_iter().map(|entry| entry.file).collect())
+}
+
 /// Writes cameras as nerfstudio reads them, each with its `time`; `files` names a picture for each
 /// camera, relative to the file.
 pub fn write(path: impl AsRef<Path>, cameras: &[TimedCamera], files: &[String]) -> Result<()> {

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use glam::DVec2;
 use rayon::prelude::*;
+use serde::Serialize;
 
 use crate::data::flo;
 use crate::types::Image;
@@ -34,7 +35,7 @@ pub trait FlowSource {
 }
 
 /// Flow that is there already: from files, or exact from a synthetic clip.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct SuppliedFlow {
     forward: Vec<Image>,
     backward: Vec<Image>,
@@ -64,6 +65,11 @@ impl SuppliedFlow {
             });
         }
         Ok(SuppliedFlow { forward, backward })
+    }
+
+    /// Fields each way: one less than the frames that they lead through.
+    pub fn pairs(&self) -> usize {
+        self.forward.len()
     }
 
     /// From a folder of `.flo` files: those whose name begins with `forward` and with `backward`, or

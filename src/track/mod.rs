@@ -25,6 +25,7 @@ mod still;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
+use crate::data::Clip;
 use crate::observe::{FlowSource, NeighbourFlow, PointTrack, TrackOptions, follow, observe_flow};
 use crate::types::{Image, Intrinsics, Pose};
 use crate::{Error, Result};
@@ -158,8 +159,8 @@ pub struct Quality {
 /// `progress` is told the stage and the share of it that is done; an error from it ends the work.
 ///
 /// # Errors
-/// Fewer than two frames, frames or supplied images of differing sizes, supplied lists of the wrong
-/// length, a clip without parallax ([`Error::Input`] says what to do), flow that follows nothing.
+/// Fewer than [`Clip::LEAST`] frames, frames or supplied images of differing sizes, supplied lists of the wrong
+/// length, masks that leave nothing static, a clip without parallax ([`Error::Input`] says what to do), flow that follows nothing.
 pub fn track(
     frames: &[Image],
     options: &Options,
@@ -184,6 +185,9 @@ pub fn track(
         Some(masks) => masks::static_weights(&tracks, masks),
         None => tracks.iter().map(|t| still::border_prior(t, size)).collect(),
     };
+    if let Some(masks) = &supplied {
+        demand_static(masks, &weights)?;
+    }
     let tripod = options.poses.is_none() && still::is_fixed(&tracks, &weights, &flow);
     let mut focal = Focal::choose(options, &flow, &tracks, &weights);
     let mut cameras = if tripod {
@@ -317,6 +321,21 @@ fn share(masks: &[Image]) -> f64 {
     moving as f64 / pixels.max(1) as f64
 }
 
+/// That supplied masks leave points to find cameras by.
+fn demand_static(masks: &[Image], weights: &[f64]) -> Result<()> {
+    // Two views need eight points.
+    let stay = weights.iter().filter(|weight| **weight > 0.05).count();
+    if stay >= 8 {
+        return Ok(());
+    }
+    Err(Error::Input(format!(
+        "the masks leave nothing static to find cameras by: they say that {:.1} % of the pixels \
+         move, and {stay} of {} points that were followed stand still; white is what moves",
+        100.0 * share(masks),
+        weights.len()
+    )))
+}
+
 fn binary(mask: &Image) -> Image {
     let pixels = mask.pixels.iter().map(|v| if *v > 0.5 { 1.0 } else { 0.0 }).collect();
     Image { pixels, ..*mask }
@@ -324,9 +343,11 @@ fn binary(mask: &Image) -> Image {
 
 fn check(frames: &[Image], options: &Options) -> Result<()> {
     let n = frames.len();
-    let Some(first) = frames.first().filter(|_| n >= 2) else {
+    let least = Clip::LEAST;
+    let Some(first) = frames.first().filter(|_| n >= least) else {
         return Err(Error::Input(format!(
-            "{n} frame{} given; cameras are found from a moving camera's video, two frames at least",
+            "{n} frame{} given; cameras are found from a moving camera's video, {least} frames at \
+             least",
             if n == 1 { "" } else { "s" }
         )));
     };
