@@ -140,7 +140,7 @@ fn too_few(path: &Path, frames: usize, options: &ClipOptions, skipped: usize) ->
 
 /// Bytes of a frame in memory.
 fn frame_bytes((width, height): (u32, u32)) -> u64 {
-    u64::from(width) * u64::from(height) * 12
+    (u64::from(width) * u64::from(height)).saturating_mul(12)
 }
 
 /// That so many frames of a size find room in memory.

@@ -194,6 +194,9 @@ struct Source<'a> {
     go_on: GoOn<'a>,
 }
 
+/// Frames that were kept with their numbers, how many there were in all, and their size.
+type Taken = (Vec<(usize, Image)>, usize, (u32, u32));
+
 /// What one run of ffmpeg gave.
 struct Run {
     /// Those that were kept, with their numbers.
@@ -286,7 +289,7 @@ impl Source<'_> {
         &self,
         pictures: &Receiver<std::io::Result<Image>>,
         keep: &mut dyn FnMut(usize) -> Option<usize>,
-    ) -> Result<(Vec<(usize, Image)>, usize, (u32, u32))> {
+    ) -> Result<Taken> {
         let (mut frames, mut decoded) = (Vec::new(), 0);
         let mut original = None;
         loop {
