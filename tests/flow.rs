@@ -273,19 +273,6 @@ fn wrong_arguments_are_named() {
     assert!(error.contains("6×8") && error.contains("8×6"), "{error}");
 }
 
-fn data(path: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("SPLAT4D_DATA").map_or_else(
-        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
-        PathBuf::from,
-    );
-    let path = root.join(path);
-    if !path.exists() {
-        eprintln!("SKIPPED (no ../shared/data): {}", path.display());
-        return None;
-    }
-    Some(path)
-}
-
 fn load(path: PathBuf) -> Image {
     let image = image::open(path).unwrap().to_rgb8();
     let (width, height) = image.dimensions();
@@ -296,7 +283,7 @@ fn load(path: PathBuf) -> Image {
 /// A hard pair of KITTI: a car comes nearer by half its size, flow reaches 150 pixels.
 #[test]
 fn kitti() {
-    let Some(dir) = data("flow_gt/KITTI") else { return };
+    let Some(dir) = common::shared_data("flow_gt/KITTI") else { return };
     let (first, second) = (load(dir.join("frame1.png")), load(dir.join("frame2.png")));
     let truth = image::open(dir.join("flow_gt.png")).unwrap().to_rgb16();
     let device = common::device();

@@ -19,17 +19,11 @@ const WIDTH: usize = 480;
 const HEIGHT: usize = 270;
 const FRAMES: usize = 12;
 
+#[path = "support/data.rs"]
+mod data;
+
 fn clip() -> Option<PathBuf> {
-    let root = std::env::var_os("SPLAT4D_DATA").map_or_else(
-        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
-        PathBuf::from,
-    );
-    let path = root.join("nvidia_balloon1");
-    if !path.exists() {
-        eprintln!("SKIPPED (no ../shared/data): nvidia_balloon1");
-        return None;
-    }
-    Some(path)
+    data::shared_data("nvidia_balloon1")
 }
 
 /// The arrays of an `.npz` of 2-channel halves, by name, without the `.npy`.

@@ -23,6 +23,11 @@ lavapipe=$(compgen -G '/usr/share/vulkan/icd.d/lvp_icd*.json' | head -n1)
 readonly lavapipe
 readonly swiftshader=/usr/lib/chromium/vk_swiftshader_icd.json
 
+# Where the real data is, a test that does not find its part of it fails.
+if [[ -d ${SPLAT4D_DATA:-../shared/data} ]]; then
+    export SPLAT4D_REQUIRE_DATA=1
+fi
+
 failed=()
 number=0
 
@@ -128,6 +133,10 @@ step "command line fuzz" env VK_DRIVER_FILES="$lavapipe" "$target/release/cli-fu
 
 passed=$(cat "$logs"/*.log | awk '/^test result:/ { sum += $4 } END { print sum + 0 }')
 skipped=$(cat "$logs"/*.log | grep -c '^SKIPPED')
+if ((skipped)); then
+    echo "== skipped:"
+    cat "$logs"/*.log | grep '^SKIPPED' | sort | uniq -c
+fi
 summary="$passed tests passed, $skipped skipped something, $((SECONDS / 60)) min $((SECONDS % 60)) s"
 if ((${#failed[@]})); then
     echo "tests FAILED: $(printf '%s; ' "${failed[@]}")$summary"

@@ -1,5 +1,6 @@
 //! Checkpoints of long commands: the folder `OUTPUT.checkpoint` beside the output.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -72,16 +73,24 @@ pub struct Checkpoints {
     saved: Instant,
     /// Whether something to resume from is there.
     usable: bool,
+    /// Whether what an earlier run has left is still to be replaced.
+    stale: bool,
+    /// Parts of the tracking that the next checkpoint puts away.
+    waiting: BTreeMap<String, Vec<u8>>,
 }
 
 /// What may lie in the folder.
 const PARTS: [&str; 2] = ["track", "training"];
+/// A folder in it: the parts of a tracking under way, a file each.
+const TRACKING: &str = "tracking";
+/// Parts of the tracking wait for a checkpoint until they are so many bytes.
+const MOST_WAITING: usize = 256 << 20;
 
 impl Checkpoints {
     /// For the command that writes `output`; only checkpoints of the same identity are of use to it.
     pub fn new(output: &Path, args: &CheckpointArgs, identity: Identity) -> Checkpoints {
         let folder = folder(output);
-        let found = PARTS.iter().any(|part| folder.join(part).exists());
+        let found = PARTS.iter().chain([&TRACKING]).any(|part| folder.join(part).exists());
         let shown = folder.display();
         match (args.resume, found) {
             (true, false) => {
@@ -98,6 +107,8 @@ impl Checkpoints {
             every: Duration::from_secs_f64(args.checkpoint_every),
             saved: Instant::now(),
             usable: args.resume && found,
+            stale: !args.resume && found,
+            waiting: BTreeMap::new(),
             folder,
         }
     }
@@ -123,15 +134,88 @@ impl Checkpoints {
         if self.every.is_zero() {
             return;
         }
-        match write_state(&self.folder.join(part), part, &self.identity, value) {
+        self.replace_stale();
+        self.concluded(write_state(&self.folder.join(part), part, &self.identity, value));
+    }
+
+    /// Whether checkpoints are on.
+    pub fn are_on(&self) -> bool {
+        !self.every.is_zero()
+    }
+
+    /// Takes a part of the tracking, to be put away with the next checkpoint. It takes the place of
+    /// those within it, whose names begin with its own and a `/`.
+    pub fn keep(&mut self, part: &str, value: Vec<u8>) {
+        let within = format!("{part}/");
+        self.waiting.retain(|name, _| !name.starts_with(&within));
+        self.waiting.insert(part.into(), value);
+        if self.due() || self.waiting.values().map(Vec::len).sum::<usize>() > MOST_WAITING {
+            self.put_away();
+        }
+    }
+
+    /// A part of the tracking that an earlier run has put away, if this one resumes it.
+    pub fn kept(&self, part: &str) -> Result<Option<Vec<u8>>> {
+        let path = self.tracking_file(part);
+        if !self.resume || !path.exists() {
+            return Ok(None);
+        }
+        read_state(&path, TRACKING, &self.identity).map(Some)
+    }
+
+    /// The whole tracking is done: its parts are of no use any more.
+    pub fn tracked<T: Serialize>(&mut self, track: &T) {
+        self.waiting.clear();
+        self.save("track", track);
+        if self.folder.join("track").exists() {
+            self.remove_tracking();
+        }
+    }
+
+    fn tracking_file(&self, part: &str) -> PathBuf {
+        self.folder.join(TRACKING).join(part.replace('/', "."))
+    }
+
+    fn put_away(&mut self) {
+        self.replace_stale();
+        let parts = std::mem::take(&mut self.waiting);
+        let written = parts.iter().try_for_each(|(part, value)| {
+            write_state(&self.tracking_file(part), TRACKING, &self.identity, value)
+        });
+        if written.is_ok() {
+            let outer: Vec<String> =
+                parts.keys().map(|part| format!("{}.", part.replace('/', "."))).collect();
+            for file in
+                std::fs::read_dir(self.folder.join(TRACKING)).into_iter().flatten().flatten()
+            {
+                let name = file.file_name().to_string_lossy().into_owned();
+                if outer.iter().any(|outer| name.starts_with(outer)) {
+                    remove_file(&file.path());
+                }
+            }
+        }
+        self.concluded(written);
+    }
+
+    /// After a checkpoint was written or could not be.
+    fn concluded(&mut self, written: Result<()>) {
+        match written {
             Ok(()) => self.usable = true,
             Err(error) => {
                 // Unless an earlier checkpoint lies there, the folder is empty.
+                let _ = std::fs::remove_dir(self.folder.join(TRACKING));
                 let _ = std::fs::remove_dir(&self.folder);
                 say(&format!("note: no checkpoint could be written: {error}; going on"));
             }
         }
         self.saved = Instant::now();
+    }
+
+    /// Before the first checkpoint of a run that begins anew.
+    fn replace_stale(&mut self) {
+        if std::mem::take(&mut self.stale) {
+            self.remove_all();
+        }
     }
 
     /// Fails once the user has asked to stop, naming what to resume from.
@@ -142,14 +226,38 @@ impl Checkpoints {
     /// Takes the checkpoints away: the work is done, and one that stays does not undo it. A folder that
     /// holds anything else stays.
     pub fn remove(self) {
-        for path in PARTS.map(|part| self.folder.join(part)) {
-            if path.exists()
-                && let Err(error) = std::fs::remove_file(&path)
-            {
-                say(&format!("note: {} stays behind: {error}", path.display()));
+        self.remove_all();
+    }
+
+    fn remove_all(&self) {
+        PARTS.iter().for_each(|part| remove_file(&self.folder.join(part)));
+        self.remove_tracking();
+        // A run that was killed while it wrote leaves the half of a file.
+        for file in std::fs::read_dir(&self.folder).into_iter().flatten().flatten() {
+            let name = file.file_name().to_string_lossy().into_owned();
+            if name.starts_with(".splat4d-") && name.ends_with(".part") {
+                remove_file(&file.path());
             }
         }
         let _ = std::fs::remove_dir(&self.folder);
+    }
+
+    fn remove_tracking(&self) {
+        let folder = self.folder.join(TRACKING);
+        for file in std::fs::read_dir(&folder).into_iter().flatten().flatten() {
+            remove_file(&file.path());
+        }
+        let _ = std::fs::remove_dir(&folder);
+    }
+}
+
+/// Removes a file, if it is there; one that stays is told.
+fn remove_file(path: &Path) {
+    match std::fs::remove_file(path) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            say(&format!("note: {} stays behind: {error}", path.display()));
+        }
+        _ => {}
     }
 }
 

@@ -37,11 +37,13 @@ Examples:
 
 JSON: psnr, ssim, ms_ssim, lpips (always null: no network weights come along), per_frame [{name,
 psnr, ssim, ms_ssim}], ate_rmse, ate_relative (to the length of the camera's path),
-rpe_trans_rmse, rpe_rot_deg_rmse, scale, poses, focal_error (relative), depth_rel_median, mask_iou.
+rpe_trans_rmse, rpe_rot_deg_rmse, scale, poses, focal_error (relative), depth_rel_median, mask_iou;
+psnr_own_focal, ssim_own_focal, ms_ssim_own_focal: the same pictures of a clip's held-out cameras, but
+with their focal length multiplied by the scene's own error in it, which hides that error.
 What does not apply is null; so is an infinite PSNR.";
 
 /// Every key of the JSON, so that each is always there.
-const KEYS: [&str; 14] = [
+const KEYS: [&str; 17] = [
     "psnr",
     "ssim",
     "ms_ssim",
@@ -56,6 +58,9 @@ const KEYS: [&str; 14] = [
     "focal_error",
     "depth_rel_median",
     "mask_iou",
+    "psnr_own_focal",
+    "ssim_own_focal",
+    "ms_ssim_own_focal",
 ];
 
 /// Measure a scene against pictures or truth, or a trajectory against another

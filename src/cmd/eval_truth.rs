@@ -2,7 +2,9 @@
 //!
 //! The scene's own cameras are aligned to the true ones by a similarity; through it the held-out
 //! cameras are carried into the scene's frame and rendered there, and the scene's depth becomes
-//! metres.
+//! metres. They keep their true focal length; beside that, marked as such, stands what the scene shows
+//! through a lens of its own: a scene built with a slightly long focal length is slightly deep, and
+//! right only through that lens.
 
 use std::path::Path;
 
@@ -61,9 +63,14 @@ pub fn measure(device: &Device, scene: &Scene, truth: &Path) -> Result<Map<Strin
     ]);
 
     let held_out = truth.join("held_out/transforms.json");
-    let per_frame =
+    let views =
         novel_views(device, scene, &pairs, &held_out, &truth_from_scene.inverse(), focal_ratio)?;
-    found.extend(picture_keys(&per_frame));
+    let (true_focal, own_focal): (Vec<Quality>, Vec<Quality>) = views.into_iter().unzip();
+    found.extend(picture_keys(&true_focal));
+    let own_focal = picture_keys(&own_focal);
+    found.extend(
+        ["psnr", "ssim", "ms_ssim"].map(|key| (format!("{key}_own_focal"), own_focal[key].clone())),
+    );
     Ok(found)
 }
 
@@ -171,6 +178,8 @@ fn scaled_by_depth(sim: Sim3, looks: &Looks, ours: &[Pose], theirs: &[Pose]) -> 
     Sim3 { scale, translation, ..sim }
 }
 
+/// The held-out views: through the true lens, and through one whose focal length is longer by
+/// `focal_ratio`.
 fn novel_views(
     device: &Device,
     scene: &Scene,
@@ -178,7 +187,7 @@ fn novel_views(
     held_out: &Path,
     scene_from_truth: &Sim3,
     focal_ratio: f64,
-) -> Result<Vec<Quality>> {
+) -> Result<Vec<(Quality, Quality)>> {
     let set = Dataset::open(held_out)?;
     let mut renderer = Renderer::new(device, scene)?;
     let mut meter = Meter::new("novel views", "pictures", set.frames.len() as u64, 0);
@@ -190,15 +199,15 @@ fn novel_views(
         let Some(time) = scene_time(pairs, frame.time) else { continue };
         let view = frame.load(set.background, Resize::Keep)?;
         let world_from_view = scene_from_truth.apply_pose(&view.camera.view_from_world.inverse());
-        // The held-out cameras are of the clip's make, and what make that is belongs to the estimate
-        // as the poses do: a scene built with a slightly long focal length is slightly deep, and
-        // right only through that lens. `focal_error` tells how far off it is.
-        let mut intrinsics = view.camera.intrinsics;
-        intrinsics.fx *= focal_ratio;
-        intrinsics.fy *= focal_ratio;
-        let camera = Camera { intrinsics, view_from_world: world_from_view.inverse() };
-        let picture = renderer.render(&camera, time)?.over(scene.background);
-        per_frame.push(Quality::of(&view.name, &picture, &view.image, None)?);
+        let mut through = |ratio: f64| -> Result<Quality> {
+            let mut intrinsics = view.camera.intrinsics;
+            intrinsics.fx *= ratio;
+            intrinsics.fy *= ratio;
+            let camera = Camera { intrinsics, view_from_world: world_from_view.inverse() };
+            let picture = renderer.render(&camera, time)?.over(scene.background);
+            Quality::of(&view.name, &picture, &view.image, None)
+        };
+        per_frame.push((through(1.0)?, through(focal_ratio)?));
     }
     Ok(per_frame)
 }

@@ -24,6 +24,7 @@ mod rows;
 mod sheet;
 mod supplied;
 mod synth;
+mod tracker;
 mod train;
 mod tuning;
 mod validate;

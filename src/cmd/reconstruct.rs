@@ -11,7 +11,7 @@ use splat4d::io::{Identity, check_memory, checksum};
 use splat4d::observe::{EngineFlow, FlowSource, SuppliedFlow};
 use splat4d::renderer::Renderer;
 use splat4d::scene::Scene;
-use splat4d::track::{FocalSource, Options, Stage, Track, track};
+use splat4d::track::{FocalSource, Options, Track, track_observed};
 use splat4d::train::{Checkpoint, Phase, Sequence, SequenceSettings, fit_sequence};
 use splat4d::types::{Camera, FlowSettings, Image, Intrinsics};
 use splat4d::{Error, Result};
@@ -20,8 +20,8 @@ use super::checkpoints::{self, CheckpointArgs, Checkpoints, shown, summed};
 use super::clock::Clock;
 use super::common::{Answer, Common, bytes, foresee, notes, path_text, say, thousands, training};
 use super::info::dynamic_share;
-use super::meter::Meter;
 use super::outputs::{Folder, Inputs, Outputs};
+use super::tracker::Tracker;
 use super::watcher::Watcher;
 use super::{interrupt, quality, sheet, supplied, values};
 
@@ -163,11 +163,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     let mut checkpoints = Checkpoints::new(&args.output, &args.checkpoints, identity);
     let track = match checkpoints.load("track")? {
         Some(track) => track,
-        None => {
-            let track = observe(&device, &frames, &options, flow, &checkpoints, &mut clock)?;
-            checkpoints.save("track", &track);
-            track
-        }
+        None => observe(&device, &frames, &options, flow, &mut checkpoints, &mut clock)?,
     };
     let quality = &track.quality;
     notes(&quality.notes);
@@ -356,37 +352,17 @@ fn observe(
     frames: &[Image],
     options: &Options,
     supplied: Option<SuppliedFlow>,
-    checkpoints: &Checkpoints,
+    checkpoints: &mut Checkpoints,
     clock: &mut Clock,
 ) -> Result<Track> {
     let mut source: Box<dyn FlowSource + '_> = match supplied {
         Some(flow) => Box::new(flow),
         None => Box::new(EngineFlow::new(device, frames, &FlowSettings::default())?),
     };
-    let name = |stage: Stage| match stage {
-        Stage::Flow => "flow",
-        Stage::Cameras => "cameras",
-        Stage::Masks => "masks",
-        Stage::Depth => "depth",
-    };
-    let mut under_way: Option<(Stage, Meter)> = None;
-    let mut progress = |stage: Stage, share: f64| -> Result<()> {
-        checkpoints.interrupt()?;
-        if under_way.as_ref().is_none_or(|(before, _)| *before != stage) {
-            if let Some((before, _)) = under_way.take() {
-                clock.lap(name(before));
-            }
-            under_way = Some((stage, Meter::new(name(stage), "%", 100, 0)));
-        }
-        if let Some((_, meter)) = &mut under_way {
-            meter.set((100.0 * share) as u64);
-        }
-        Ok(())
-    };
-    let found = track(frames, options, source.as_mut(), &mut progress)?;
-    if let Some((last, _)) = under_way.take() {
-        clock.lap(name(last));
-    }
+    let mut tracker = Tracker::new(clock, checkpoints);
+    let found = track_observed(frames, options, source.as_mut(), &mut tracker)?;
+    tracker.finish();
+    checkpoints.tracked(&found);
     Ok(found)
 }
 

@@ -72,4 +72,13 @@ impl FlowSource for EngineFlow<'_> {
         self.last = Some((first, found));
         Ok(pair)
     }
+
+    fn known(&mut self, first: usize, pair: &FlowPair) {
+        // The next pair's guess; confidences are not used there.
+        let (forward, backward) = (pair.forward.clone(), pair.backward.clone());
+        let unused = |image: &Image| Image::new(image.width, image.height, 1);
+        let (forward_confidence, backward_confidence) = (unused(&forward), unused(&backward));
+        let images = FlowImages { forward, backward, forward_confidence, backward_confidence };
+        self.last = Some((first, images));
+    }
 }

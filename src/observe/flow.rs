@@ -4,7 +4,7 @@ use std::path::Path;
 
 use glam::DVec2;
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::data::flo;
 use crate::types::Image;
@@ -13,7 +13,7 @@ use crate::{Error, Result};
 /// Flow between two frames in both directions. Vectors are images of two channels (u, v) in pixels:
 /// the point seen at pixel p of the first frame is at p + (u, v) in the second. Confidences are
 /// images of one channel in [0, 1], or absent.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct FlowPair {
     /// From the first frame to the second.
     pub forward: Image,
@@ -32,6 +32,15 @@ pub trait FlowSource {
     /// # Errors
     /// Whatever keeps the source from answering.
     fn pair(&mut self, first: usize) -> Result<FlowPair>;
+
+    /// Whether a pair takes long enough to be put away for a run that resumes this one.
+    fn is_costly(&self) -> bool {
+        true
+    }
+
+    /// Told instead of being asked for a pair that an earlier run has put away; the next pair must
+    /// be as if this source had computed it.
+    fn known(&mut self, _first: usize, _pair: &FlowPair) {}
 }
 
 /// Flow that is there already: from files, or exact from a synthetic clip.
@@ -133,6 +142,10 @@ impl FlowSource for SuppliedFlow {
             backward_confidence: None,
         })
     }
+
+    fn is_costly(&self) -> bool {
+        false
+    }
 }
 
 /// The flow of a whole clip between neighbouring frames, with a confidence per pixel that holds
@@ -167,19 +180,32 @@ pub fn observe_flow(
     source: &mut dyn FlowSource,
     progress: &mut dyn FnMut(f64) -> Result<()>,
 ) -> Result<NeighbourFlow> {
-    let Some(first) = frames.first() else {
-        return Err(Error::Input("a clip without frames has no flow".into()));
-    };
-    let (width, height) = (first.width, first.height);
-    let mut out = NeighbourFlow {
-        width: width as usize,
-        height: height as usize,
-        frames: frames.len(),
-        forward: Vec::new(),
-        backward: Vec::new(),
-    };
+    let mut out = NeighbourFlow::begin(frames)?;
     for i in 0..frames.len() - 1 {
-        let pair = source.pair(i)?;
+        out.push(&source.pair(i)?)?;
+        progress((i + 1) as f64 / (frames.len() - 1) as f64)?;
+    }
+    Ok(out)
+}
+
+impl NeighbourFlow {
+    /// The flow of a clip of which no pair is known yet.
+    pub(crate) fn begin(frames: &[Image]) -> Result<NeighbourFlow> {
+        let Some(first) = frames.first() else {
+            return Err(Error::Input("a clip without frames has no flow".into()));
+        };
+        Ok(NeighbourFlow {
+            width: first.width as usize,
+            height: first.height as usize,
+            frames: frames.len(),
+            forward: Vec::new(),
+            backward: Vec::new(),
+        })
+    }
+
+    /// Takes the next pair.
+    pub(crate) fn push(&mut self, pair: &FlowPair) -> Result<()> {
+        let (i, width, height) = (self.forward.len(), self.width as u32, self.height as u32);
         for (field, channels) in [(Some(&pair.forward), 2), (Some(&pair.backward), 2)]
             .into_iter()
             .chain([(pair.forward_confidence.as_ref(), 1), (pair.backward_confidence.as_ref(), 1)])
@@ -196,15 +222,11 @@ pub fn observe_flow(
                 )));
             }
         }
-        out.forward.push(checked(&pair.forward, &pair.backward, pair.forward_confidence.as_ref()));
-        out.backward.push(checked(
-            &pair.backward,
-            &pair.forward,
-            pair.backward_confidence.as_ref(),
-        ));
-        progress((i + 1) as f64 / (frames.len() - 1) as f64)?;
+        self.forward.push(checked(&pair.forward, &pair.backward, pair.forward_confidence.as_ref()));
+        let own = pair.backward_confidence.as_ref();
+        self.backward.push(checked(&pair.backward, &pair.forward, own));
+        Ok(())
     }
-    Ok(out)
 }
 
 /// A field with its confidence: where it leads back to is where it came from.
@@ -310,5 +332,69 @@ impl NeighbourFlow {
     /// The flow at a pixel's centre: (u, v, confidence), forward from `frame`, or backward.
     pub fn at(&self, frame: usize, forward: bool, index: usize) -> [f32; 3] {
         if forward { self.forward[frame].0[index] } else { self.backward[frame - 1].0[index] }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn field(pixels: Vec<f32>) -> Image {
+        Image { width: 8, height: 1, channels: 2, pixels }
+    }
+
+    #[test]
+    fn confidence_falls_with_disagreement() {
+        // Everything goes 1 px to the right; four of the eight say something else on the way back.
+        let there = field([1.0, 0.0].repeat(8));
+        let mut back = field([-1.0, 0.0].repeat(8));
+        let tolerance = DISAGREEMENT.0 + DISAGREEMENT.1;
+        back.pixels[2 * 2] = -1.0 + tolerance;
+        back.pixels[2 * 3] = -1.0 + 3.0 * tolerance;
+        back.pixels[2 * 4] = f32::NAN;
+        let Field(values) = checked(&there, &back, None);
+        let confidence: Vec<f32> = values.iter().map(|v| v[2]).collect();
+        // The vector at pixel i is held against the one at i + 1.
+        assert_eq!(confidence[0], 1.0);
+        assert!((confidence[1] - 0.5).abs() < 1e-5, "half at the tolerance: {confidence:?}");
+        assert_eq!(confidence[2], 0.0, "2⁻⁹ counts as none");
+        assert_eq!(confidence[3], 0.0, "a way back that is no number");
+        assert_eq!(confidence[5], 1.0);
+        assert_eq!(confidence[7], 0.0, "it leaves the picture by more than half a pixel");
+
+        let own = Image { width: 8, height: 1, channels: 1, pixels: vec![0.25; 8] };
+        assert_eq!(checked(&there, &back, Some(&own)).0[0][2], 0.25);
+        let lost = field([f32::NAN, 0.0].repeat(8));
+        assert!(checked(&lost, &back, None).0.iter().all(|v| *v == [0.0; 3]));
+    }
+
+    #[test]
+    fn samples_are_bilinear_and_end_at_the_picture() {
+        let ramp: Vec<[f32; 3]> = (0..6).map(|i| [(i % 3) as f32, (i / 3) as f32, 1.0]).collect();
+        let at = |x: f64, y: f64| sample(&ramp, 3, 2, DVec2::new(x, y));
+        assert_eq!(at(1.5, 0.5), Some([1.0, 0.0, 1.0]));
+        assert_eq!(at(1.75, 1.0), Some([1.25, 0.5, 1.0]));
+        assert_eq!(at(0.0, 0.0), Some([0.0, 0.0, 1.0]), "the outermost half pixel is level");
+        assert_eq!(at(-0.01, 1.0), None);
+        assert_eq!(at(1.0, 2.01), None);
+    }
+
+    #[test]
+    fn chains_multiply_their_confidences() {
+        let frames = vec![Image::new(8, 1, 3); 4];
+        let own = Image { width: 8, height: 1, channels: 1, pixels: vec![0.5; 8] };
+        let pair = FlowPair {
+            forward: field([1.0, 0.0].repeat(8)),
+            backward: field([-1.0, 0.0].repeat(8)),
+            forward_confidence: Some(own.clone()),
+            backward_confidence: Some(own),
+        };
+        let mut flow = NeighbourFlow::begin(&frames).unwrap();
+        (0..3).for_each(|_| flow.push(&pair).unwrap());
+        let mut seen = Vec::new();
+        flow.follow(1, DVec2::new(3.5, 0.5), 2, |frame, chain| {
+            seen.push((frame, chain.pixel.x, chain.confidence));
+        });
+        assert_eq!(seen, [(2, 4.5, 0.5), (3, 5.5, 0.25), (0, 2.5, 0.5)]);
     }
 }

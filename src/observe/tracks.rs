@@ -102,3 +102,73 @@ pub fn follow(flow: &NeighbourFlow, options: &TrackOptions) -> Vec<PointTrack> {
     });
     done
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::observe::{SuppliedFlow, observe_flow};
+    use crate::types::Image;
+
+    const SIZE: (u32, u32) = (40, 20);
+
+    /// Four frames in which everything goes by (4, 1), but for one vector.
+    fn flow(odd: Option<(usize, [f32; 2])>) -> NeighbourFlow {
+        let field = |v: [f32; 2]| {
+            let pixels = (0..SIZE.0 * SIZE.1).flat_map(|_| v).collect();
+            Image { width: SIZE.0, height: SIZE.1, channels: 2, pixels }
+        };
+        let mut forward = vec![field([4.0, 1.0]); 3];
+        if let Some((at, v)) = odd {
+            forward[1].pixels[2 * at..2 * at + 2].copy_from_slice(&v);
+        }
+        let mut source = SuppliedFlow::new(forward, vec![field([-4.0, -1.0]); 3]).unwrap();
+        let frames = vec![Image::new(SIZE.0, SIZE.1, 3); 4];
+        observe_flow(&frames, &mut source, &mut |_| Ok(())).unwrap()
+    }
+
+    #[test]
+    fn a_grid_follows_an_even_flow_and_is_refilled() {
+        let tracks = follow(&flow(None), &TrackOptions { spacing: 4, confidence: 0.3 });
+        for track in &tracks {
+            assert!(track.pixels.len() > 1 && track.end() <= 4);
+            for (k, pixel) in track.pixels.iter().enumerate() {
+                let moved = *pixel - track.pixels[0] - DVec2::new(4.0, 1.0) * k as f64;
+                assert!(moved.length() < 1e-6, "{track:?}");
+                assert!((0.0..=40.0).contains(&pixel.x) && (0.0..=20.0).contains(&pixel.y));
+            }
+            assert!(track.confidence.iter().all(|c| (0.3..=1.0).contains(c)));
+            assert_eq!(track.at(track.end()), None);
+        }
+        // The first frame's grid has ten by five points; the last column leaves in the first step
+        // and is not followed, all others are: those in the lowest row stay inside for one step.
+        let begin = |frame: usize| tracks.iter().filter(|t| t.first == frame).count();
+        assert_eq!(begin(0), 9 * 5);
+        // What the flow leaves bare on the left is filled by new points, in the first column.
+        let fresh: Vec<_> = tracks.iter().filter(|t| t.first == 1).collect();
+        assert!(fresh.iter().filter(|t| t.pixels[0].x == 2.0).count() >= 4, "{fresh:?}");
+        let whole = tracks.iter().filter(|t| t.first == 0 && t.end() == 4).count();
+        // Three steps: 7 columns of 10 stay inside; of the rows at 2, 6, 10, 14 and 18 all but the
+        // last.
+        assert_eq!(whole, 7 * 4);
+    }
+
+    #[test]
+    fn a_step_that_cannot_be_believed_ends_a_track() {
+        // The point (6, 6) of the first frame is at (10, 7) in the second, between the pixels of rows
+        // 6 and 7 and columns 9 and 10: all four would have to go wrong.
+        let spacing = TrackOptions { spacing: 4, confidence: 0.3 };
+        let at = |y: usize, x: usize| y * SIZE.0 as usize + x;
+        let life = |flow: &NeighbourFlow| {
+            let start = DVec2::new(6.0, 6.0);
+            let tracks = follow(flow, &spacing);
+            tracks.iter().find(|t| t.first == 0 && t.pixels[0] == start).unwrap().pixels.len()
+        };
+        assert_eq!(life(&flow(None)), 4);
+        // One wrong vector of four: the confidence falls to three quarters of one, which is enough.
+        assert!(life(&flow(Some((at(6, 9), [-9.0, 0.0])))) > 2);
+        let strict = TrackOptions { confidence: 0.9, ..spacing };
+        let tracks = follow(&flow(Some((at(6, 9), [-9.0, 0.0]))), &strict);
+        let ended = tracks.iter().find(|t| t.first == 0 && t.pixels[0] == DVec2::new(6.0, 6.0));
+        assert_eq!(ended.unwrap().pixels.len(), 2);
+    }
+}

@@ -145,6 +145,11 @@ impl Skin {
         self.neighbours.refresh(recorder, Some(dynamic_ids), positions, nodes)
     }
 
+    /// What each dynamic Gaussian follows, to be put back.
+    pub(crate) fn neighbours_mut(&mut self) -> &mut Neighbours {
+        &mut self.neighbours
+    }
+
     /// What each dynamic Gaussian follows.
     pub fn neighbours(&self) -> &Neighbours {
         &self.neighbours

@@ -1,7 +1,7 @@
 //! Lists of nearest control points, and the same lists by control point.
 
 use crate::error::{Error, Result};
-use crate::gpu::{Buffer, Device, Groups, Recorder, View};
+use crate::gpu::{Buffer, Device, Groups, Recorder, Stream, View};
 use crate::kernels::deform::{
     Keys, KeysArgs, KeysParams, Nearest, NearestArgs, NearestParams, Starts, StartsArgs,
     StartsParams,
@@ -96,7 +96,6 @@ impl Neighbours {
         room("nodes", node_count, self.node_capacity)?;
         (self.rows, self.node_count) = (rows, node_count);
         let limits = *recorder.device().limits();
-        let places = rows * self.k;
         recorder.dispatch_specialised::<Nearest>(
             &[self.k as u32],
             Groups::linear(rows, 64, &limits)?,
@@ -112,6 +111,47 @@ impl Neighbours {
                 neighbours: self.neighbours.view_mut(),
             },
         )?;
+        self.index(recorder)
+    }
+
+    /// Waits and reads the lists of the last refresh.
+    pub(crate) fn download(&self, stream: &mut Stream) -> Result<Vec<u32>> {
+        let mut lists = stream.download(&self.neighbours)?;
+        lists.truncate(self.rows * self.k);
+        Ok(lists)
+    }
+
+    /// Puts lists of `node_count` control points back, as a refresh would have found them.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for more than there is room for; a failed upload.
+    pub(crate) fn restore(
+        &mut self,
+        stream: &mut Stream,
+        lists: &[u32],
+        node_count: usize,
+    ) -> Result<()> {
+        let rows = lists.len() / self.k;
+        if rows > self.capacity || node_count > self.node_capacity {
+            return Err(Error::Shape {
+                op: "neighbours",
+                arg: "lists",
+                expected: format!("at most {} of {} nodes", self.capacity, self.node_capacity),
+                actual: rows,
+            });
+        }
+        (self.rows, self.node_count) = (rows, node_count);
+        stream.upload(&mut self.neighbours, lists)?;
+        let mut recorder = stream.record()?;
+        self.index(&mut recorder)?;
+        stream.submit(recorder)?;
+        Ok(())
+    }
+
+    /// Records the lists by control point.
+    fn index(&mut self, recorder: &mut Recorder) -> Result<()> {
+        let limits = *recorder.device().limits();
+        let (node_count, places) = (self.node_count, self.rows * self.k);
         recorder.dispatch::<Keys>(
             Groups::linear(places, 64, &limits)?,
             KeysParams { count: places as u32, node_count: node_count as u32 },

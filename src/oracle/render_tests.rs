@@ -10,6 +10,9 @@ use crate::types::{Camera, Gaussians, Intrinsics, Pose, RenderSettings, sh_coeff
 use glam::{DQuat, DVec3};
 use rand::{RngExt, SeedableRng};
 
+#[path = "../../tests/support/data.rs"]
+mod data;
+
 /// Cuts so low that their steps vanish among rounding errors: differences across them would not
 /// converge.
 const SMOOTH: RenderSettings = RenderSettings {
@@ -312,15 +315,8 @@ fn tiles_change_nothing() {
 /// gsplat's own image of four splats; the data's README says with which camera and constants.
 #[test]
 fn agrees_with_gsplat() {
-    let root = std::env::var_os("SPLAT4D_DATA").map_or_else(
-        || std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
-        std::path::PathBuf::from,
-    );
-    let path = root.join("brush_ref/tiny_case.safetensors");
-    let Ok(bytes) = std::fs::read(&path) else {
-        println!("SKIPPED (no ../shared/data): {}", path.display());
-        return;
-    };
+    let Some(path) = data::shared_data("brush_ref/tiny_case.safetensors") else { return };
+    let bytes = std::fs::read(path).unwrap();
     let file = safetensors::SafeTensors::deserialize(&bytes).unwrap();
     let floats = |name: &str| -> Vec<f32> {
         let data = file.tensor(name).unwrap().data().to_vec();

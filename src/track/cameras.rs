@@ -4,9 +4,11 @@ use std::collections::HashMap;
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
+use super::observer::Work;
 use super::still::{relate, shared};
-use super::{FocalSource, Options, intrinsics_size, quantile};
+use super::{FocalSource, Options, Stage, intrinsics_size, quantile};
 use crate::geometry::bundle::{self, FocalMode, Observation, Point, Problem, adjust};
 use crate::geometry::focal::{FocalPair, estimate_focal};
 use crate::geometry::pnp::{PnpOptions, pnp_ransac};
@@ -18,7 +20,7 @@ use crate::types::{Intrinsics, Pose};
 use crate::{Error, Result};
 
 /// The focal length to begin with, and what may be done with it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Focal {
     pub intrinsics: Intrinsics,
     pub source: FocalSource,
@@ -83,14 +85,14 @@ impl Focal {
 }
 
 /// Where a track's point lies along the ray of one of its pixels.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct Anchor {
     pub frame: usize,
     pub inverse_depth: f64,
 }
 
 /// Poses of all frames, and an inverse depth for each track that has one.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Cameras {
     pub intrinsics: Intrinsics,
     pub focal_source: FocalSource,
@@ -109,13 +111,51 @@ pub(super) struct Cameras {
     supplied: bool,
 }
 
+/// The scale of residuals is not taken below this, pixels.
+const SCALE_FLOOR: f64 = 0.1;
 /// Most points of an adjustment on the way, and of the last one.
 const POINTS: (usize, usize) = (900, 4000);
 
 impl Cameras {
     /// The camera of a tripod.
     pub fn fixed(focal: &Focal, flow: &NeighbourFlow, tracks: usize) -> Cameras {
-        Cameras { fixed: true, inlier_share: 1.0, ..Cameras::new(focal, flow.frames, tracks) }
+        Cameras { fixed: true, ..Cameras::new(focal, flow.frames, tracks) }
+    }
+
+    /// Measures how well the static tracks of a fixed camera stay in place, as an adjustment does for
+    /// one that moves: what is seen at a pixel once is seen there in every frame.
+    pub fn measure_fixed(&mut self, tracks: &[PointTrack], weights: &[f64]) {
+        // Length and weight of each observation besides a track's first.
+        let residuals: Vec<(DVec2, f64)> = tracks
+            .iter()
+            .zip(weights)
+            .filter(|(_, weight)| **weight > 0.05)
+            .flat_map(|(track, weight)| {
+                let mut confidence = 1.0;
+                track.pixels.iter().zip(&track.confidence).skip(1).map(move |(pixel, step)| {
+                    confidence *= f64::from(*step);
+                    (*pixel - track.pixels[0], weight * confidence.max(0.02))
+                })
+            })
+            .collect();
+        let coordinates = residuals.iter().flat_map(|(r, _)| [r.x.abs(), r.y.abs()]).collect();
+        let limit = bundle::Options::default().kernel_width
+            * (1.4826 * quantile(coordinates, 0.5)).max(SCALE_FLOOR);
+        let (mut inliers, mut sum, mut total) = (0usize, 0.0, 0.0);
+        for (residual, weight) in residuals.iter().filter(|(r, _)| r.length() <= limit) {
+            inliers += 1;
+            sum += weight * residual.length_squared();
+            total += weight;
+        }
+        self.inlier_share = inliers as f64 / residuals.len().max(1) as f64;
+        self.rms = if total > 0.0 { (sum / total).sqrt() } else { 0.0 };
+    }
+
+    /// Cameras that a unit test knows.
+    #[cfg(test)]
+    pub fn known(intrinsics: Intrinsics, poses: Vec<Pose>) -> Cameras {
+        let focal = Focal { intrinsics, source: FocalSource::Given, deviation: 0.0 };
+        Cameras { poses, ..Cameras::new(&focal, 0, 0) }
     }
 
     fn new(focal: &Focal, frames: usize, tracks: usize) -> Cameras {
@@ -272,7 +312,7 @@ impl Cameras {
             focal,
             focal_prior: (self.focal_source == FocalSource::Assumed)
                 .then_some((ASSUMED * side, ASSUMED_DEVIATION)),
-            scale_floor: 0.1,
+            scale_floor: SCALE_FLOOR,
             rounds,
             ..Default::default()
         };
@@ -437,19 +477,27 @@ fn start(
         .map(|(_, pair, found, tracks)| (pair, found, tracks))
 }
 
-/// Cameras from tracks alone: a start from two frames, then frame by frame by PnP, adjusted on the
-/// way and all together at the end.
+/// Frames getting their poses one by one.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Posing {
+    cameras: Cameras,
+    /// Per frame: it has its pose.
+    posed: Vec<bool>,
+    /// How many had when all were last adjusted.
+    adjusted: usize,
+}
+
+/// The start from two frames.
 ///
 /// # Errors
-/// No pair of frames shows parallax; too few static points.
-pub(super) fn reconstruct(
+/// No pair of frames shows parallax.
+fn begin(
     tracks: &[PointTrack],
     weights: &[f64],
     focal: &Focal,
-    flow: &NeighbourFlow,
+    n: usize,
     seed: u64,
-) -> Result<Cameras> {
-    let n = flow.frames;
+) -> Result<Posing> {
     let k = focal.intrinsics;
     let Some(((a, b), found, ids)) = start(tracks, weights, &k, n, seed) else {
         return Err(Error::Input(
@@ -471,46 +519,36 @@ pub(super) fn reconstruct(
             cameras.anchors[i] = Some(Anchor { frame: a, inverse_depth: d.value });
         }
     }
-    let mut adjusted = 2;
-    while let Some(frame) = next_frame(tracks, &posed, &cameras.anchors) {
-        let visible: Vec<(usize, DVec3, DVec2)> = (0..tracks.len())
-            .filter_map(|i| Some((i, cameras.point(tracks, i)?, tracks[i].at(frame)?)))
-            .collect();
-        let stride = visible.len().div_ceil(1500).max(1);
-        let visible: Vec<_> = visible.into_iter().step_by(stride).collect();
-        let points: Vec<DVec3> = visible.iter().map(|v| v.1).collect();
-        let pixels: Vec<DVec2> = visible.iter().map(|v| v.2).collect();
-        let weight: Vec<f64> = visible.iter().map(|v| weights[v.0]).collect();
-        let nearest = (0..n).filter(|&f| posed[f]).min_by_key(|f| f.abs_diff(frame));
-        let prediction = nearest.map(|f| cameras.poses[f]);
-        let options = PnpOptions {
-            seed,
-            threshold: 2.0 * (f64::from(k.width) / 320.0).max(1.0),
-            max_iterations: 1500,
-            ..PnpOptions::for_width(k.width)
-        };
-        let k = &cameras.intrinsics;
-        match pnp_ransac(&points, &pixels, Some(&weight), k, prediction.as_ref(), &options) {
-            Ok(found) => {
-                cameras.poses[frame] = found.view_from_world;
-                if found.inlier_ratio < 0.25 {
-                    cameras.doubtful.push(frame);
-                }
-            }
-            Err(_) => {
-                cameras.poses[frame] = prediction.unwrap_or(Pose::IDENTITY);
-                cameras.doubtful.push(frame);
-            }
-        }
-        posed[frame] = true;
-        let count = posed.iter().filter(|p| **p).count();
-        cameras.triangulate(tracks, weights, &posed, false);
-        if count == n || count as f64 >= 1.3 * adjusted as f64 || count <= 5 {
-            adjusted = count;
-            cameras.solve(tracks, weights, &posed, FocalMode::Fixed, POINTS.0, 2)?;
-            cameras.triangulate(tracks, weights, &posed, true);
-        }
+    Ok(Posing { cameras, posed, adjusted: 2 })
+}
+
+/// Cameras from tracks alone: a start from two frames, then frame by frame by PnP, adjusted on the
+/// way and all together at the end. `part` is the name under which the way there is kept.
+///
+/// # Errors
+/// No pair of frames shows parallax; too few static points; what the observer of `work` returns.
+pub(super) fn reconstruct(
+    tracks: &[PointTrack],
+    weights: &[f64],
+    focal: &Focal,
+    flow: &NeighbourFlow,
+    seed: u64,
+    work: &mut Work,
+    part: &str,
+) -> Result<Cameras> {
+    let n = flow.frames;
+    let mut posing: Posing = match work.kept(part)? {
+        Some(kept) => kept,
+        None => begin(tracks, weights, focal, n, seed)?,
+    };
+    loop {
+        work.keep(part, &posing)?;
+        let count = posing.posed.iter().filter(|p| **p).count();
+        work.progress(Stage::Cameras, 0.9 * count as f64 / n as f64)?;
+        let Some(frame) = next_frame(tracks, &posing.posed, &posing.cameras.anchors) else { break };
+        pose_frame(&mut posing, frame, tracks, weights, seed)?;
     }
+    let Posing { mut cameras, posed, .. } = posing;
     cameras.doubtful.sort_unstable();
     if let Some(lost) = posed.iter().position(|p| !p) {
         return Err(Error::Failed(format!(
@@ -520,6 +558,56 @@ pub(super) fn reconstruct(
     }
     cameras.adjust(tracks, weights, focal)?;
     Ok(cameras)
+}
+
+/// Gives a frame its pose by PnP, and adjusts all where enough frames have come since.
+fn pose_frame(
+    posing: &mut Posing,
+    frame: usize,
+    tracks: &[PointTrack],
+    weights: &[f64],
+    seed: u64,
+) -> Result<()> {
+    let Posing { cameras, posed, adjusted } = posing;
+    let n = posed.len();
+    let visible: Vec<(usize, DVec3, DVec2)> = (0..tracks.len())
+        .filter_map(|i| Some((i, cameras.point(tracks, i)?, tracks[i].at(frame)?)))
+        .collect();
+    let stride = visible.len().div_ceil(1500).max(1);
+    let visible: Vec<_> = visible.into_iter().step_by(stride).collect();
+    let points: Vec<DVec3> = visible.iter().map(|v| v.1).collect();
+    let pixels: Vec<DVec2> = visible.iter().map(|v| v.2).collect();
+    let weight: Vec<f64> = visible.iter().map(|v| weights[v.0]).collect();
+    let nearest = (0..n).filter(|&f| posed[f]).min_by_key(|f| f.abs_diff(frame));
+    let prediction = nearest.map(|f| cameras.poses[f]);
+    let k = &cameras.intrinsics;
+    let options = PnpOptions {
+        seed,
+        threshold: 2.0 * (f64::from(k.width) / 320.0).max(1.0),
+        max_iterations: 1500,
+        ..PnpOptions::for_width(k.width)
+    };
+    match pnp_ransac(&points, &pixels, Some(&weight), k, prediction.as_ref(), &options) {
+        Ok(found) => {
+            cameras.poses[frame] = found.view_from_world;
+            if found.inlier_ratio < 0.25 {
+                cameras.doubtful.push(frame);
+            }
+        }
+        Err(_) => {
+            cameras.poses[frame] = prediction.unwrap_or(Pose::IDENTITY);
+            cameras.doubtful.push(frame);
+        }
+    }
+    posed[frame] = true;
+    let count = posed.iter().filter(|p| **p).count();
+    cameras.triangulate(tracks, weights, posed, false);
+    if count == n || count as f64 >= 1.3 * *adjusted as f64 || count <= 5 {
+        *adjusted = count;
+        cameras.solve(tracks, weights, posed, FocalMode::Fixed, POINTS.0, 2)?;
+        cameras.triangulate(tracks, weights, posed, true);
+    }
+    Ok(())
 }
 
 /// The frame without pose that sees most of the points known.
@@ -532,4 +620,54 @@ fn next_frame(tracks: &[PointTrack], posed: &[bool], anchors: &[Option<Anchor>])
     }
     let best = (0..posed.len()).max_by_key(|&f| (counts[f], std::cmp::Reverse(f)))?;
     (counts[best] >= 12).then_some(best)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::sliding::*;
+    use super::*;
+
+    fn track(pixels: Vec<DVec2>) -> PointTrack {
+        PointTrack { first: 0, confidence: vec![1.0; pixels.len()], pixels }
+    }
+
+    #[test]
+    fn a_fixed_cameras_tracks_are_measured() {
+        let at = |i: usize| DVec2::new(3.0 * i as f64, 2.0 * i as f64);
+        // Nine tracks tremble by 0.1 px, one goes away.
+        let mut tracks: Vec<PointTrack> = (1..10)
+            .map(|i| track(vec![at(i), at(i) + DVec2::new(0.1, 0.0), at(i) - DVec2::new(0.0, 0.1)]))
+            .collect();
+        tracks.push(track(vec![at(3), at(3) + DVec2::new(5.0, 0.0), at(3) + DVec2::new(9.0, 0.0)]));
+        let mut cameras = cameras(0.0);
+        cameras.measure_fixed(&tracks, &[1.0; 10]);
+        assert!((cameras.inlier_share - 0.9).abs() < 1e-9, "{}", cameras.inlier_share);
+        assert!((cameras.rms - 0.1).abs() < 1e-9, "{}", cameras.rms);
+        // A mover has no say.
+        let weights: Vec<f64> = (0..10).map(|i| f64::from(i < 9)).collect();
+        cameras.measure_fixed(&tracks, &weights);
+        assert_eq!(cameras.inlier_share, 1.0);
+        // Without a static track nothing agrees.
+        cameras.measure_fixed(&tracks, &[0.0; 10]);
+        assert_eq!((cameras.inlier_share, cameras.rms), (0.0, 0.0));
+    }
+
+    #[test]
+    fn static_tracks_get_their_depth() {
+        let mut cameras = cameras(STEP);
+        let wall =
+            |x: f64| track((0..5).map(|f| DVec2::new(x, 20.0) + wall() * f as f64).collect());
+        let down = |x: f64| {
+            track((0..5).map(|f| DVec2::new(x, 9.0) + DVec2::new(-2.0, 4.0) * f as f64).collect())
+        };
+        let tracks = [wall(40.0), wall(30.0), down(50.0), wall(50.0)];
+        cameras.anchors = vec![None; 4];
+        cameras.triangulate(&tracks, &[1.0, 1.0, 1.0, 0.0], &[true; FRAMES], true);
+        for i in [0, 1] {
+            let point = cameras.point(&tracks, i).unwrap();
+            assert!((point.z - WALL).abs() < 1e-6, "{point}");
+        }
+        assert!(cameras.anchors[2].is_none(), "it leaves its epipolar lines");
+        assert!(cameras.anchors[3].is_none(), "it moves, says the mask");
+    }
 }

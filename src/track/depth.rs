@@ -9,11 +9,15 @@
 
 use glam::DVec2;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
+use super::Stage;
 use super::cameras::Cameras;
 use super::masks::regions;
+use super::observer::Work;
 use super::quantile;
 use super::residual::Seen;
+use crate::Result;
 use crate::observe::NeighbourFlow;
 use crate::types::Image;
 
@@ -40,15 +44,18 @@ pub(super) fn dense(
     masks: &[Image],
     seen: &[Seen],
     supplied: Option<&[Image]>,
-) -> (Vec<Image>, Vec<Image>) {
+    work: &mut Work,
+) -> Result<(Vec<Image>, Vec<Image>)> {
     let scale = supplied.map(|maps| scale_of(maps, seen, masks));
-    let mut layers: Vec<Layer> = (0..frames.len())
-        .into_par_iter()
-        .map(|f| {
+    let made = |range: std::ops::Range<usize>| {
+        let layer = |f: usize| {
             let known = supplied.zip(scale).map(|(maps, scale)| (&maps[f], scale));
             static_layer(&frames[f], &masks[f], &seen[f], cameras.fixed, known)
-        })
-        .collect();
+        };
+        range.into_par_iter().map(layer).collect()
+    };
+    let mut layers: Vec<Layer> =
+        work.frames("depth", frames.len(), made, Stage::Depth, 0.0..0.8)?;
     let movers: Vec<Vec<Option<(f32, f32)>>> =
         layers.par_iter().zip(masks).map(|(layer, mask)| movers(layer, mask)).collect();
     for (f, layer) in layers.iter_mut().enumerate() {
@@ -63,13 +70,13 @@ pub(super) fn dense(
     }
     let (width, height) = super::intrinsics_size(flow);
     let image = |pixels| Image { width, height, channels: 1, pixels };
-    layers
+    Ok(layers
         .into_iter()
         .map(|layer| {
             let depth = layer.inverse.iter().map(|d| d.recip().clamp(NEAREST, FARTHEST)).collect();
             (image(depth), image(layer.confidence))
         })
-        .unzip()
+        .unzip())
 }
 
 /// One factor for all supplied maps: the median ratio to what was triangulated.
@@ -94,6 +101,7 @@ fn scale_of(maps: &[Image], seen: &[Seen], masks: &[Image]) -> f32 {
 }
 
 /// The static world as one frame sees it, behind the movers too.
+#[derive(Serialize, Deserialize)]
 struct Layer {
     inverse: Vec<f32>,
     confidence: Vec<f32>,
@@ -316,4 +324,110 @@ fn smoothed(
         add(movers[other][y * flow.width + x], chain.confidence);
     });
     if total > 0.0 { (sum / total).exp() } else { 1.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::sliding::*;
+    use super::*;
+
+    /// A picture with an edge in the middle: black to the left, white to the right.
+    fn halves() -> Image {
+        let mut image = Image::new(WIDTH, HEIGHT, 3);
+        for (i, c) in image.pixels.chunks_exact_mut(3).enumerate() {
+            c.fill(if centre(i).x < 32.0 { 0.0 } else { 1.0 });
+        }
+        image
+    }
+
+    /// What static pixels of a known inverse depth look like; those that `measured` leaves out were
+    /// not seen.
+    fn seen(inverse: impl Fn(DVec2) -> f32, measured: impl Fn(DVec2) -> bool) -> Seen {
+        let measured = map(|p| f32::from(u8::from(measured(p))));
+        Seen {
+            inverse_depth: map(&inverse).pixels,
+            deviation: map(|p| 0.02 * inverse(p)).pixels,
+            score: vec![0.5; measured.pixels.len()],
+            support: measured.pixels.iter().map(|m| 4.0 * m).collect(),
+        }
+    }
+
+    #[test]
+    fn gaps_are_filled_up_to_edges_of_colour() {
+        // One row in eight is measured: 1/2 to the left, 1/8 to the right.
+        let truth = |p: DVec2| if p.x < 32.0 { 0.5 } else { 0.125 };
+        let seen = seen(truth, |p| (p.y as u32).is_multiple_of(8));
+        let nothing = map(|_| 0.0);
+        let layer = static_layer(&halves(), &nothing, &seen, false, None);
+        for (i, d) in layer.inverse.iter().enumerate() {
+            let p = centre(i);
+            assert!((d / truth(p) - 1.0).abs() < 0.1, "{p}: {d}");
+            let measured = (p.y as u32).is_multiple_of(8);
+            assert_eq!(layer.confidence[i] > 0.5, measured, "{p}");
+        }
+        // A fixed camera has measured nothing: a wall at depth 1.
+        let layer = static_layer(&halves(), &nothing, &seen, true, None);
+        assert!(layer.inverse.iter().all(|d| *d == 1.0));
+        assert!(layer.confidence.iter().all(|c| *c == FILLED));
+    }
+
+    #[test]
+    fn what_is_not_to_be_believed_is_left_out() {
+        let mut seen = seen(|_| 0.25, |_| true);
+        let moved = (20 * WIDTH + 20) as usize;
+        let vague = (20 * WIDTH + 40) as usize;
+        (seen.inverse_depth[moved], seen.score[moved]) = (2.0, 2.0 * UNEXPLAINED);
+        (seen.inverse_depth[vague], seen.deviation[vague]) = (2.0, 1.0);
+        let layer = static_layer(&halves(), &map(|_| 0.0), &seen, false, None);
+        for i in [moved, vague] {
+            assert!((layer.inverse[i] - 0.25).abs() < 0.01, "{}", layer.inverse[i]);
+            assert_eq!(layer.confidence[i], FILLED);
+        }
+    }
+
+    #[test]
+    fn known_depth_is_kept_up_to_one_scale() {
+        // Metres where the unit is 2.5 m, unknown in a corner.
+        let depth = map(|p| if within(p, (0.0, 0.0), (8.0, 8.0)) { 0.0 } else { 10.0 });
+        let seen = seen(|_| 0.25, |_| true);
+        let mask = map(|_| 0.0);
+        let scale =
+            scale_of(std::slice::from_ref(&depth), std::slice::from_ref(&seen), &[mask.clone()]);
+        assert!((scale - 0.4).abs() < 1e-5, "{scale}");
+        let layer = static_layer(&halves(), &mask, &seen, false, Some((&depth, scale)));
+        let known = (20 * WIDTH + 20) as usize;
+        assert!(layer.supplied[known] && !layer.supplied[0]);
+        assert_eq!((layer.inverse[known], layer.confidence[known]), (1.0 / (10.0 * scale), 1.0));
+        // Without parallax the unit is the maps' own median.
+        let blind = self::seen(|_| 0.25, |_| true);
+        let blind = Seen { deviation: vec![f32::INFINITY; blind.score.len()], ..blind };
+        let scale = scale_of(&[depth], &[blind], &[mask]);
+        assert!((scale - 0.1).abs() < 1e-6, "{scale}");
+    }
+
+    #[test]
+    fn a_mover_is_as_far_as_the_ground_below_it_and_nearer_than_what_it_hides() {
+        // Ground that comes nearer towards the lower border, a far wall above row 16.
+        let world = |p: DVec2| if p.y < 16.0 { 0.1 } else { 0.1 + 0.02 * (p.y as f32 - 16.0) };
+        let layer = Layer {
+            inverse: map(world).pixels,
+            confidence: vec![1.0; (WIDTH * HEIGHT) as usize],
+            supplied: vec![false; (WIDTH * HEIGHT) as usize],
+        };
+        let standing = map(|p| f32::from(u8::from(within(p, (20.0, 8.0), (30.0, 28.0)))));
+        let found = movers(&layer, &standing);
+        let (d, confidence) = found[(15 * WIDTH + 25) as usize].unwrap();
+        // It stands on row 28; the mask may overhang, so the ground is looked for two rows below.
+        assert!((d - world(DVec2::new(25.0, 30.5))).abs() < 1e-3, "{d}");
+        assert_eq!(confidence, CONTACT);
+        assert!(found[0].is_none());
+        // In the air, before the wall: only that it is nearer is known.
+        let flying = map(|p| f32::from(u8::from(within(p, (20.0, 2.0), (30.0, 10.0)))));
+        let (d, _) = movers(&layer, &flying)[(5 * WIDTH + 25) as usize].unwrap();
+        assert!(d >= 0.1, "{d}");
+        // Cut off by the lower border: its feet are not seen.
+        let cut = map(|p| f32::from(u8::from(within(p, (20.0, 20.0), (30.0, 40.0)))));
+        let (d, confidence) = movers(&layer, &cut)[(30 * WIDTH + 25) as usize].unwrap();
+        assert!(confidence == BOUND && d > 0.3, "{d}, {confidence}");
+    }
 }

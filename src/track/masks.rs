@@ -10,10 +10,13 @@
 use glam::DVec2;
 use rayon::prelude::*;
 
+use super::Stage;
 use super::cameras::Cameras;
+use super::observer::Work;
 use super::photometric::judge;
 use super::residual::Seen;
 use super::still::{border_prior, trusted};
+use crate::Result;
 use crate::observe::{NeighbourFlow, PointTrack};
 use crate::types::Image;
 
@@ -69,22 +72,33 @@ pub(super) fn segment(
     cameras: &Cameras,
     flow: &NeighbourFlow,
     seen: &[Seen],
-) -> Vec<Image> {
-    let odds: Vec<Vec<f32>> = seen
-        .par_iter()
-        .enumerate()
-        .map(|(f, seen)| judge(frames, cameras, flow, seen, f, &odds(seen)))
-        .collect();
-    (0..frames.len())
-        .into_par_iter()
-        .map(|frame| {
+    work: &mut Work,
+    part: &str,
+    shares: std::ops::Range<f64>,
+) -> Result<Vec<Image>> {
+    let middle = 0.5 * (shares.start + shares.end);
+    let judged = |range: std::ops::Range<usize>| {
+        let judge = |f: usize| judge(frames, cameras, flow, &seen[f], f, &odds(&seen[f]));
+        range.into_par_iter().map(judge).collect()
+    };
+    let odds: Vec<Vec<f32>> = work.frames(
+        &format!("{part}/odds"),
+        frames.len(),
+        judged,
+        Stage::Masks,
+        shares.start..middle,
+    )?;
+    let (width, height) = super::intrinsics_size(flow);
+    let segmented = |range: std::ops::Range<usize>| {
+        let segment = |frame: usize| {
             let gathered = gather(flow, &odds, seen, frame);
             let mut u = relax(&gathered, &edges(&frames[frame], flow, frame), flow.width);
             clean(&mut u, flow.width);
-            let (width, height) = super::intrinsics_size(flow);
             Image { width, height, channels: 1, pixels: u }
-        })
-        .collect()
+        };
+        range.into_par_iter().map(segment).collect()
+    };
+    work.frames(&format!("{part}/masks"), frames.len(), segmented, Stage::Masks, middle..shares.end)
 }
 
 /// Log odds of motion of each pixel, by itself.
@@ -222,4 +236,124 @@ pub(super) fn regions(u: &[f32], w: usize, inside: bool) -> Vec<(Vec<usize>, boo
         out.push((region, border));
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::residual::triangulate_frames;
+    use super::super::sliding::*;
+    use super::*;
+
+    #[test]
+    fn regions_are_connected_by_edges() {
+        // Two squares that touch at a corner, and a hole.
+        let u = [
+            1.0, 1.0, 0.0, 0.0, 0.0, //
+            1.0, 1.0, 0.0, 0.0, 0.0, //
+            0.0, 0.0, 1.0, 1.0, 1.0, //
+            0.0, 0.0, 1.0, 0.0, 1.0, //
+            0.0, 0.0, 1.0, 1.0, 1.0,
+        ];
+        let sizes = |inside: bool| -> Vec<(usize, bool)> {
+            regions(&u, 5, inside).iter().map(|(region, border)| (region.len(), *border)).collect()
+        };
+        assert_eq!(sizes(true), [(4, true), (8, true)]);
+        assert_eq!(sizes(false), [(6, true), (6, true), (1, false)]);
+    }
+
+    #[test]
+    fn specks_go_and_holes_are_filled() {
+        let mut mask = map(|p| {
+            let hole = within(p, (20.0, 20.0), (21.0, 22.0));
+            let speck = within(p, (50.0, 5.0), (51.0, 7.0));
+            f32::from(u8::from((within(p, (10.0, 10.0), (30.0, 30.0)) && !hole) || speck))
+        });
+        clean(&mut mask.pixels, WIDTH as usize);
+        let whole = map(|p| f32::from(u8::from(within(p, (10.0, 10.0), (30.0, 30.0)))));
+        assert_eq!(mask, whole);
+    }
+
+    #[test]
+    fn the_labelling_outvotes_single_pixels_and_keeps_to_edges() {
+        // Odds for motion within a square, but for one pixel; weak odds for it beside the square.
+        let inside = |p: DVec2| within(p, (20.0, 10.0), (40.0, 30.0));
+        let odds = map(|p| match (inside(p), p.x as u32, p.y as u32) {
+            (true, 30, 20) => -1.0,
+            (true, ..) => 1.5,
+            (false, 5, 5) => 1.5,
+            (false, ..) => -1.0,
+        });
+        let cost = vec![[0.5; 2]; odds.pixels.len()];
+        let cost: Vec<[f32; 2]> = cost
+            .iter()
+            .enumerate()
+            .map(|(i, c)| {
+                let (x, y) = (i % WIDTH as usize, i / WIDTH as usize);
+                [
+                    if x + 1 < WIDTH as usize { c[0] } else { 0.0 },
+                    if y + 1 < HEIGHT as usize { c[1] } else { 0.0 },
+                ]
+            })
+            .collect();
+        let u = relax(&odds.pixels, &cost, WIDTH as usize);
+        for (i, u) in u.iter().enumerate() {
+            let p = centre(i);
+            let corner = [20.5, 39.5].contains(&p.x) && [10.5, 29.5].contains(&p.y);
+            assert!(corner || (*u > 0.5) == inside(p), "{p}: {u}");
+        }
+    }
+
+    #[test]
+    fn a_track_counts_by_the_most_moving_of_its_moments() {
+        let masks: Vec<Image> = (0..FRAMES)
+            .map(|_| map(|p| if within(p, (30.0, 10.0), (50.0, 30.0)) { 0.9 } else { 0.0 }))
+            .collect();
+        let track = |x: [f64; 3]| PointTrack {
+            first: 1,
+            pixels: x.iter().map(|x| DVec2::new(*x, 20.0)).collect(),
+            confidence: vec![1.0; 3],
+        };
+        let tracks = [track([5.0, 6.0, 7.0]), track([28.0, 29.0, 31.0]), track([35.0, 36.0, 37.0])];
+        let weights = static_weights(&tracks, &masks);
+        assert_eq!(weights[0], 1.0);
+        assert!((weights[1] - 0.1).abs() < 1e-6 && (weights[2] - 0.1).abs() < 1e-6, "{weights:?}");
+    }
+
+    /// A square that goes down before a wall that slides by: pictures, flow and all.
+    #[test]
+    fn a_mover_is_segmented() {
+        let square = |frame: usize, p: DVec2| {
+            let (x, y) = (26.0 - 2.0 * frame as f64, 8.0 + 1.5 * frame as f64);
+            within(p, (x, y), (x + 14.0, y + 14.0))
+        };
+        let down = DVec2::new(0.0, 1.5);
+        let flow = flow(|frame, p| if square(frame, p) { wall() + down } else { wall() });
+        let frames: Vec<Image> = (0..FRAMES)
+            .map(|frame| {
+                let mut image = Image::new(WIDTH, HEIGHT, 3);
+                for (i, c) in image.pixels.chunks_exact_mut(3).enumerate() {
+                    let p = centre(i);
+                    let moved = if square(frame, p) { wall() + down } else { wall() };
+                    let q = p - moved * frame as f64;
+                    let v = 0.5 + 0.2 * (0.9 * q.x).sin() * (0.7 * q.y).cos();
+                    let tint = if square(frame, p) { 0.3 } else { 0.0 };
+                    c.copy_from_slice(&[v as f32 + tint, v as f32, v as f32 - tint]);
+                }
+                image
+            })
+            .collect();
+        let masks = working(|work| {
+            let seen = triangulate_frames(&cameras(STEP), &flow, work, "test", 0.0..0.5).unwrap();
+            segment(&frames, &cameras(STEP), &flow, &seen, work, "test", 0.5..1.0).unwrap()
+        });
+        for frame in 1..FRAMES - 1 {
+            let (mut both, mut either) = (0, 0);
+            for (i, u) in masks[frame].pixels.iter().enumerate() {
+                let (found, truth) = (*u > 0.5, square(frame, centre(i)));
+                both += usize::from(found && truth);
+                either += usize::from(found || truth);
+            }
+            assert!(both as f64 > 0.7 * either as f64, "frame {frame}: {both} of {either}");
+        }
+    }
 }

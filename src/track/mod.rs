@@ -8,6 +8,7 @@
 //! | `photometric` | does the picture itself say that a pixel moved? |
 //! | `masks` | from what is unexplained to a dense motion mask that keeps to the picture's edges |
 //! | `depth` | depth of all pixels, measured where it can be, inferred and marked so where not |
+//! | `observer` | who looks on: progress, and finished parts put away |
 //! | `points` | static points to seed Gaussians with |
 //!
 //! Cameras and masks need each other: points on movers spoil poses, and what moves can be told only
@@ -17,19 +18,25 @@
 mod cameras;
 mod depth;
 mod masks;
+mod observer;
 mod photometric;
 mod points;
 mod residual;
+#[cfg(test)]
+mod sliding;
 mod still;
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use crate::data::Clip;
-use crate::observe::{FlowSource, NeighbourFlow, PointTrack, TrackOptions, follow, observe_flow};
+use crate::observe::{FlowSource, NeighbourFlow, PointTrack, TrackOptions, follow};
 use crate::types::{Image, Intrinsics, Pose};
 use crate::{Error, Result};
 use cameras::{Cameras, Focal};
+use observer::{Progress, Work, numbered};
+
+pub use observer::Observer;
 
 /// What is known beforehand, and how hard to try.
 #[derive(Clone, Debug, Serialize)]
@@ -134,9 +141,10 @@ pub enum FocalSource {
 pub struct Quality {
     /// The camera was found to be fixed; poses are locked to one.
     pub tripod: bool,
-    /// Share of the static observations that agree with the cameras.
+    /// Share of the static observations that agree with the cameras (of a fixed one: that stay in
+    /// place).
     pub inlier_share: f64,
-    /// Root mean square reprojection error of those, pixels.
+    /// Root mean square reprojection error of those (of a fixed one: how far they stray), pixels.
     pub reprojection_rms: f64,
     /// Median over the static points of the widest angle between two of their rays, degrees.
     pub parallax_deg: f64,
@@ -167,11 +175,26 @@ pub fn track(
     source: &mut dyn FlowSource,
     progress: &mut dyn FnMut(Stage, f64) -> Result<()>,
 ) -> Result<Track> {
+    track_observed(frames, options, source, &mut Progress(progress))
+}
+
+/// [`track`] with an observer that may keep finished parts, and give those that an earlier run on the
+/// same frames, options and flow has kept: then the result has the same bits as that of a run that
+/// was never interrupted.
+///
+/// # Errors
+/// As for [`track`]; whatever `observer` returns.
+pub fn track_observed(
+    frames: &[Image],
+    options: &Options,
+    source: &mut dyn FlowSource,
+    observer: &mut dyn Observer,
+) -> Result<Track> {
     check(frames, options)?;
-    let flow = observe_flow(frames, source, &mut |share| progress(Stage::Flow, share))?;
+    let mut work = Work::new(observer);
+    let flow = observe(frames, source, &mut work)?;
     let tracks = follow(&flow, &TrackOptions::for_size(flow.width, flow.height));
-    progress(Stage::Cameras, 0.0)?;
-    let size = (flow.width, flow.height);
+    work.progress(Stage::Cameras, 0.0)?;
     if tracks.len() < 50 {
         return Err(Error::Failed(format!(
             "the flow follows only {} points from frame to frame; the frames may be blank, too \
@@ -179,73 +202,43 @@ pub fn track(
             tracks.len()
         )));
     }
-    let mut notes = Vec::new();
     let supplied = options.masks.as_ref().map(|m| m.iter().map(binary).collect::<Vec<_>>());
-    let mut weights: Vec<f64> = match &supplied {
-        Some(masks) => masks::static_weights(&tracks, masks),
-        None => tracks.iter().map(|t| still::border_prior(t, size)).collect(),
-    };
-    if let Some(masks) = &supplied {
-        demand_static(masks, &weights)?;
-    }
-    let tripod = options.poses.is_none() && still::is_fixed(&tracks, &weights, &flow);
-    let mut focal = Focal::choose(options, &flow, &tracks, &weights);
-    let mut cameras = if tripod {
-        notes.push("the camera is fixed (tripod): poses are locked to one".to_string());
-        Cameras::fixed(&focal, &flow, tracks.len())
-    } else if let Some(poses) = &options.poses {
-        Cameras::supplied(poses, &focal, &tracks, &weights)?
-    } else {
-        still::demand_parallax(&tracks, &weights, &flow)?;
-        cameras::reconstruct(&tracks, &weights, &focal, &flow, options.seed)?
-    };
-    progress(Stage::Cameras, 1.0)?;
+    let known =
+        Known { frames, options, flow: &flow, tracks: &tracks, supplied: supplied.as_deref() };
+    let mut so_far = work.part("cameras", |work| known.first_cameras(work))?;
+    work.progress(Stage::Cameras, 1.0)?;
 
-    let rounds = if supplied.is_some() && tripod { 1 } else { options.rounds.max(1) };
-    let mut masks = supplied.clone().unwrap_or_default();
-    let mut seen = Vec::new();
+    let tripod = so_far.cameras.fixed;
+    // A fixed camera's masks change nothing that they depend on.
+    let rounds = if tripod { 1 } else { options.rounds.max(1) };
     for round in 0..rounds {
-        seen = residual::triangulate_frames(&cameras, &flow);
-        if supplied.is_none() {
-            masks = masks::segment(frames, &cameras, &flow, &seen);
-        }
-        progress(Stage::Masks, (round + 1) as f64 / rounds as f64)?;
-        if !tripod {
-            weights = masks::static_weights(&tracks, &masks);
-            // Where much moves, the first cameras may have settled on a compromise that adjustment
-            // does not leave: they are found anew from what stands still.
-            let crowded = options.poses.is_none() && supplied.is_none() && share(&masks) > CROWDED;
-            if crowded
-                && let Ok(afresh) = {
-                    focal = Focal::choose(options, &flow, &tracks, &weights);
-                    cameras::reconstruct(&tracks, &weights, &focal, &flow, options.seed)
-                }
-            {
-                cameras = afresh;
-            }
-            cameras.adjust(&tracks, &weights, &focal)?;
-            progress(Stage::Cameras, 1.0)?;
-        }
+        let part = format!("round-{round}");
+        let shares = [round, round + 1].map(|r| r as f64 / rounds as f64);
+        so_far = work.part(&part, |work| known.round(so_far, work, &part, shares[0]..shares[1]))?;
     }
+    let SoFar { mut cameras, mut masks, mut weights, .. } = so_far;
     if tripod && options.depth.is_none() && share(&masks) < NOTHING_MOVES {
         return Err(still::no_parallax("neither the camera nor anything before it moves"));
     }
-    if !tripod {
-        seen = residual::triangulate_frames(&cameras, &flow);
-        if supplied.is_none() {
-            masks = masks::segment(frames, &cameras, &flow, &seen);
-        }
+    let part = "last";
+    let mut seen = residual::triangulate_frames(&cameras, &flow, &mut work, part, 0.0..0.5)?;
+    if tripod {
+        weights = masks::static_weights(&tracks, &masks);
+        cameras.measure_fixed(&tracks, &weights);
+    } else if supplied.is_none() {
+        masks = masks::segment(frames, &cameras, &flow, &seen, &mut work, part, 0.5..1.0)?;
     }
     if !tripod && options.poses.is_none() {
         cameras.normalise(&tracks, &weights, &mut seen);
     }
-    progress(Stage::Depth, 0.0)?;
+    work.progress(Stage::Depth, 0.0)?;
+    let depths = options.depth.as_deref();
     let (depth, depth_confidence) =
-        depth::dense(frames, &cameras, &flow, &masks, &seen, options.depth.as_deref());
+        depth::dense(frames, &cameras, &flow, &masks, &seen, depths, &mut work)?;
     let points =
         points::gather(frames, &cameras, &depth, &depth_confidence, &masks, options.max_points);
-    let quality = quality(tripod, &cameras, &tracks, &weights, &masks, notes);
-    progress(Stage::Depth, 1.0)?;
+    let quality = quality(&cameras, &tracks, &weights, &masks);
+    work.progress(Stage::Depth, 1.0)?;
     Ok(Track {
         intrinsics: cameras.intrinsics,
         view_from_world: cameras.poses,
@@ -258,6 +251,122 @@ pub fn track(
     })
 }
 
+/// The flow of all pairs, each put away where computing it again would take long.
+fn observe(
+    frames: &[Image],
+    source: &mut dyn FlowSource,
+    work: &mut Work,
+) -> Result<NeighbourFlow> {
+    let mut flow = NeighbourFlow::begin(frames)?;
+    let pairs = frames.len() - 1;
+    for first in 0..pairs {
+        let part = numbered("flow", first);
+        let kept = if source.is_costly() { work.kept(&part)? } else { None };
+        let pair = match kept {
+            Some(pair) => {
+                source.known(first, &pair);
+                pair
+            }
+            None => {
+                let pair = source.pair(first)?;
+                if source.is_costly() {
+                    work.keep(&part, &pair)?;
+                }
+                pair
+            }
+        };
+        flow.push(&pair)?;
+        work.progress(Stage::Flow, (first + 1) as f64 / pairs as f64)?;
+    }
+    Ok(flow)
+}
+
+/// What cameras and masks are found from.
+#[derive(Clone, Copy)]
+struct Known<'a> {
+    frames: &'a [Image],
+    options: &'a Options,
+    flow: &'a NeighbourFlow,
+    tracks: &'a [PointTrack],
+    /// Masks that are known.
+    supplied: Option<&'a [Image]>,
+}
+
+/// What a round of masks and cameras begins with and ends with.
+#[derive(Clone, Serialize, Deserialize)]
+struct SoFar {
+    focal: Focal,
+    cameras: Cameras,
+    masks: Vec<Image>,
+    /// How much each track counts as static.
+    weights: Vec<f64>,
+}
+
+impl Known<'_> {
+    /// Cameras before masks are known.
+    fn first_cameras(self, work: &mut Work) -> Result<SoFar> {
+        let Known { options, flow, tracks, supplied, .. } = self;
+        let size = (flow.width, flow.height);
+        let weights: Vec<f64> = match supplied {
+            Some(masks) => masks::static_weights(tracks, masks),
+            None => tracks.iter().map(|t| still::border_prior(t, size)).collect(),
+        };
+        if let Some(masks) = supplied {
+            demand_static(masks, &weights)?;
+        }
+        let tripod = options.poses.is_none() && still::is_fixed(tracks, &weights, flow);
+        let focal = Focal::choose(options, flow, tracks, &weights);
+        let cameras = if tripod {
+            Cameras::fixed(&focal, flow, tracks.len())
+        } else if let Some(poses) = &options.poses {
+            Cameras::supplied(poses, &focal, tracks, &weights)?
+        } else {
+            still::demand_parallax(tracks, &weights, flow)?;
+            let seed = options.seed;
+            cameras::reconstruct(tracks, &weights, &focal, flow, seed, work, "cameras/posing")?
+        };
+        let masks = supplied.map(<[Image]>::to_vec).unwrap_or_default();
+        Ok(SoFar { focal, cameras, masks, weights })
+    }
+
+    /// Masks by the cameras, then cameras by the masks.
+    fn round(
+        self,
+        so_far: SoFar,
+        work: &mut Work,
+        part: &str,
+        shares: std::ops::Range<f64>,
+    ) -> Result<SoFar> {
+        let Known { frames, options, flow, tracks, supplied } = self;
+        let SoFar { mut focal, mut cameras, mut masks, mut weights } = so_far;
+        if supplied.is_none() {
+            let middle = 0.5 * (shares.start + shares.end);
+            let first = shares.start..middle;
+            let seen = residual::triangulate_frames(&cameras, flow, work, part, first)?;
+            let second = middle..shares.end;
+            masks = masks::segment(frames, &cameras, flow, &seen, work, part, second)?;
+        }
+        work.progress(Stage::Masks, shares.end)?;
+        if !cameras.fixed {
+            weights = masks::static_weights(tracks, &masks);
+            // Where much moves, the first cameras may have settled on a compromise that adjustment
+            // does not leave: they are found anew from what stands still.
+            if options.poses.is_none() && supplied.is_none() && share(&masks) > CROWDED {
+                focal = Focal::choose(options, flow, tracks, &weights);
+                let (seed, part) = (options.seed, format!("{part}/posing"));
+                match cameras::reconstruct(tracks, &weights, &focal, flow, seed, work, &part) {
+                    Ok(afresh) => cameras = afresh,
+                    Err(error) if work.ended => return Err(error),
+                    Err(_) => {}
+                }
+            }
+            cameras.adjust(tracks, &weights, &focal)?;
+            work.progress(Stage::Cameras, 1.0)?;
+        }
+        Ok(SoFar { focal, cameras, masks, weights })
+    }
+}
+
 /// With more of the pixels moving than this, cameras are found anew once masks are known.
 const CROWDED: f64 = 0.3;
 /// A fixed camera that sees less than this share of the pixels move shows one picture, not a scene.
@@ -265,15 +374,12 @@ const NOTHING_MOVES: f64 = 1e-3;
 /// Below this parallax (degrees) a note warns.
 const LITTLE_PARALLAX: f64 = 0.5;
 
-fn quality(
-    tripod: bool,
-    cameras: &Cameras,
-    tracks: &[PointTrack],
-    weights: &[f64],
-    masks: &[Image],
-    mut notes: Vec<String>,
-) -> Quality {
-    let dynamic_share = share(masks);
+fn quality(cameras: &Cameras, tracks: &[PointTrack], weights: &[f64], masks: &[Image]) -> Quality {
+    let (tripod, dynamic_share) = (cameras.fixed, share(masks));
+    let mut notes = Vec::new();
+    if tripod {
+        notes.push("the camera is fixed (tripod): poses are locked to one".to_string());
+    }
     if cameras.focal_source == FocalSource::Assumed {
         notes.push(format!(
             "the clip does not show its focal length; {:.0} px is assumed (--focal gives it)",

@@ -117,3 +117,38 @@ fn covers(
     let z = f64::from(depth[frame].at(x, y)[0]);
     if compare { (z / p.z).ln().abs() < SAME_DEPTH } else { confidence[frame].at(x, y)[0] > 0.5 }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::sliding::FRAMES;
+    use super::super::sliding::*;
+    use super::*;
+
+    #[test]
+    fn what_several_frames_see_is_taken_once_and_movers_never() {
+        let cameras = cameras(STEP);
+        let wall = vec![map(|_| WALL as f32); FRAMES];
+        let sure = vec![map(|_| 0.9); FRAMES];
+        let mover = |frame: usize| {
+            map(move |p| {
+                let x = 30.0 + frame as f64;
+                f32::from(u8::from(within(p, (x, 10.0), (x + 10.0, 30.0))))
+            })
+        };
+        let nothing = vec![map(|_| 0.0); FRAMES];
+        let gathered = gather(&frames(), &cameras, &wall, &sure, &nothing, 5120);
+        // Two pictures' worth of points at most: a stride of one pixel. The first frame gives all of
+        // its own, the last the ten columns that it alone sees; those between add nothing.
+        let (w, h) = (WIDTH as usize, HEIGHT as usize);
+        assert_eq!(gathered.len(), (w + 10) * h);
+        assert!(gathered.iter().all(|p| (p.position.z - WALL).abs() < 1e-6 && p.frame != 2));
+        let masks: Vec<Image> = (0..FRAMES).map(mover).collect();
+        for point in gather(&frames(), &cameras, &wall, &sure, &masks, 5120) {
+            let p = cameras.poses[point.frame].apply(point.position);
+            let x = 30.0 + point.frame as f64;
+            let pixel = cameras.intrinsics.project(p);
+            assert!(!within(pixel, (x - 1.5, 8.5), (x + 11.5, 31.5)), "{pixel}");
+        }
+        assert!(gather(&frames(), &cameras, &wall, &sure, &nothing, 100).len() <= 100);
+    }
+}

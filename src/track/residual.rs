@@ -6,13 +6,17 @@
 
 use glam::DVec2;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
+use super::Stage;
 use super::cameras::Cameras;
+use super::observer::Work;
+use crate::Result;
 use crate::observe::NeighbourFlow;
 use crate::types::Pose;
 
 /// What one frame's pixels say; all lists hold one value per pixel.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Seen {
     /// 1 / z of the static hypothesis, 0 at infinity.
     pub inverse_depth: Vec<f32>,
@@ -43,9 +47,18 @@ struct View {
 }
 
 /// Triangulates every pixel of every frame.
-pub(super) fn triangulate_frames(cameras: &Cameras, flow: &NeighbourFlow) -> Vec<Seen> {
+pub(super) fn triangulate_frames(
+    cameras: &Cameras,
+    flow: &NeighbourFlow,
+    work: &mut Work,
+    part: &str,
+    shares: std::ops::Range<f64>,
+) -> Result<Vec<Seen>> {
     let noise = noise(cameras, flow);
-    (0..flow.frames).map(|frame| triangulate_frame(cameras, flow, frame, noise)).collect()
+    let frames = |range: std::ops::Range<usize>| {
+        range.map(|frame| triangulate_frame(cameras, flow, frame, noise)).collect()
+    };
+    work.frames(&format!("{part}/seen"), flow.frames, frames, Stage::Masks, shares)
 }
 
 /// The spread of one step's residuals on what stands still, pixels per coordinate. The lowest tenth
@@ -192,4 +205,73 @@ fn fit(
         spread: (2.0 * sum / free).sqrt(),
         support,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::sliding::*;
+    use super::*;
+
+    fn seen(flow: &NeighbourFlow) -> Seen {
+        let frames = working(|work| {
+            triangulate_frames(&cameras(STEP), flow, work, "test", 0.0..1.0).unwrap()
+        });
+        assert_eq!(frames.len(), FRAMES);
+        frames.into_iter().nth(2).unwrap()
+    }
+
+    /// Pixels that no chain loses.
+    fn inner() -> impl Iterator<Item = usize> {
+        (0..(WIDTH * HEIGHT) as usize).filter(|i| within(centre(*i), (12.0, 4.0), (52.0, 36.0)))
+    }
+
+    #[test]
+    fn a_wall_has_its_distance_and_leaves_nothing_unexplained() {
+        let seen = seen(&flow(|_, _| wall()));
+        for i in inner() {
+            let d = f64::from(seen.inverse_depth[i]);
+            assert!((d * WALL - 1.0).abs() < 1e-4, "{}: 1/{}", centre(i), 1.0 / d);
+            assert!(seen.score[i] < 0.01, "{}", seen.score[i]);
+            // Frames 0, 1, 3 and 4 are at distances that are looked at, and believed.
+            assert!((seen.support[i] - 4.0).abs() < 1e-3, "{}", seen.support[i]);
+        }
+        // One pixel of noise is worth 1 / (focal · baseline); the four views' baselines are one and
+        // two steps, those of two with half the weight. The noise is at its floor.
+        let information = 2.0 * (1.0 + 4.0 / 2.0) * (FOCAL * STEP).powi(2);
+        let expected = NOISE_FLOOR / information.sqrt();
+        let deviation = f64::from(seen.deviation[inner().next().unwrap()]);
+        assert!((deviation / expected - 1.0).abs() < 0.01, "{deviation} {expected}");
+    }
+
+    #[test]
+    fn what_leaves_its_epipolar_line_moved_and_what_keeps_to_it_seems_nearer() {
+        let (low, high) = ((24.0, 12.0), (40.0, 28.0));
+        let moving =
+            |by: DVec2| seen(&flow(|_, p| if within(p, low, high) { wall() + by } else { wall() }));
+        let middle = (20 * WIDTH + 32) as usize;
+        let corner = (6 * WIDTH + 14) as usize;
+        // Lines are rows: what goes down by 1.5 px a frame has no depth.
+        let across = moving(DVec2::new(0.0, 1.5));
+        assert!(across.score[middle] > 8.0, "{}", across.score[middle]);
+        assert!(across.score[corner] < 0.5, "{}", across.score[corner]);
+        // What goes along at the wall's own speed once more looks half as far away.
+        let along = moving(wall());
+        assert!(along.score[middle] < 0.5, "{}", along.score[middle]);
+        let d = f64::from(along.inverse_depth[middle]);
+        assert!((d * WALL / 2.0 - 1.0).abs() < 1e-3, "{d}");
+        // What runs ahead of what is infinitely far has no depth either.
+        let ahead = moving(-2.0 * wall());
+        assert!(ahead.score[middle] > 8.0, "{}", ahead.score[middle]);
+        assert_eq!(ahead.inverse_depth[middle], 0.0);
+    }
+
+    #[test]
+    fn a_fixed_camera_sees_no_depth() {
+        let still = flow(|_, _| DVec2::ZERO);
+        let frames = working(|work| {
+            triangulate_frames(&cameras(0.0), &still, work, "test", 0.0..1.0).unwrap()
+        });
+        assert!(frames[2].deviation.iter().all(|d| d.is_infinite()));
+        assert!(frames[2].score.iter().all(|s| *s < 0.01));
+    }
 }

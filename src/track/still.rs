@@ -199,3 +199,57 @@ fn zooms(pair: &Shared) -> bool {
     }
     (scale - 1.0).abs() > 0.02 && quantile(residuals, 0.7) < 0.5
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::sliding::*;
+    use super::*;
+    use crate::observe::{TrackOptions, follow};
+
+    fn tracks(forward: impl Fn(usize, DVec2) -> DVec2) -> (NeighbourFlow, Vec<PointTrack>) {
+        let flow = flow(forward);
+        let tracks = follow(&flow, &TrackOptions { spacing: 3, confidence: 0.3 });
+        (flow, tracks)
+    }
+
+    #[test]
+    fn a_tripod_is_told_from_a_camera_that_moves() {
+        let fixed = |forward: &dyn Fn(usize, DVec2) -> DVec2| {
+            let (flow, tracks) = tracks(forward);
+            is_fixed(&tracks, &vec![1.0; tracks.len()], &flow)
+        };
+        let middle = |p: DVec2| within(p, (16.0, 10.0), (48.0, 30.0));
+        assert!(fixed(&|_, _| DVec2::ZERO));
+        assert!(fixed(&|_, p| if middle(p) { DVec2::new(3.0, 0.0) } else { DVec2::ZERO }));
+        assert!(!fixed(&|_, _| wall()));
+        // What stays in one place of the picture only, a reflection or a far window, is no tripod.
+        assert!(!fixed(&|_, p| if within(p, (0.0, 0.0), (16.0, 10.0)) {
+            DVec2::ZERO
+        } else {
+            wall()
+        }));
+    }
+
+    #[test]
+    fn a_scaling_about_a_point_is_a_zoom() {
+        let zoomed = |scale: f64, bend: f64| {
+            let a: Vec<DVec2> = (0..400).map(|i| centre(i * 6)).collect();
+            let b = a
+                .iter()
+                .map(|p| (*p - DVec2::new(30.0, 20.0)) * (scale + bend * (0.3 * p.x).sin()))
+                .collect();
+            zooms(&Shared { tracks: (0..400).collect(), weights: vec![1.0; 400], a, b })
+        };
+        assert!(zoomed(1.1, 0.0));
+        assert!(!zoomed(1.0, 0.0), "nothing grows");
+        assert!(!zoomed(1.1, 0.08), "near things grow faster");
+    }
+
+    #[test]
+    fn masks_that_call_the_surroundings_moving_are_not_trusted() {
+        let middle = map(|p| f32::from(u8::from(within(p, (16.0, 10.0), (48.0, 30.0)))));
+        let around = Image { pixels: middle.pixels.iter().map(|m| 1.0 - m).collect(), ..middle };
+        assert_eq!(trusted(&[middle.clone(), around.clone()]), [true, false]);
+        assert_eq!(trusted(&[around.clone(), around]), [true, true], "the prior is what fails");
+    }
+}

@@ -35,6 +35,14 @@ pub struct MotionMoments {
     radii: [Vec<f32>; 2],
 }
 
+/// Which Gaussians move, and which control points each of them follows: found every so many steps.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
+pub struct Following {
+    ids: Vec<u32>,
+    neighbours: Vec<u32>,
+}
+
 /// The picture's own time, and two times between which motion should be as rigid as possible.
 const TIMES: usize = 3;
 /// Half the width of the window from which the two times come.
@@ -212,6 +220,25 @@ impl MotionTrainer {
         self.motion.refresh(&mut recorder, gaussians.views().positions)?;
         stream.submit(recorder)?;
         Ok(())
+    }
+
+    /// Waits and reads what [`set_dynamic`](Self::set_dynamic) has found.
+    pub(super) fn following(&self, stream: &mut Stream) -> Result<Following> {
+        let mut ids = stream.download(&self.motion.dynamic_ids)?;
+        ids.truncate(self.motion.dynamic);
+        Ok(Following { ids, neighbours: self.motion.skin.neighbours().download(stream)? })
+    }
+
+    /// Puts that back.
+    pub(super) fn set_following(
+        &mut self,
+        stream: &mut Stream,
+        following: &Following,
+    ) -> Result<()> {
+        stream.upload(&mut self.motion.dynamic_ids, &following.ids)?;
+        self.motion.dynamic = following.ids.len();
+        let nodes = self.motion.log_radii.len();
+        self.motion.skin.neighbours_mut().restore(stream, &following.neighbours, nodes)
     }
 
     /// Records where the Gaussians are at `time`.

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::motion::MotionStart;
+use super::network::TranslationFitState;
 use super::state::TrainerState;
 use super::trainer::{SYNC_INTERVAL, Trainer};
 use crate::ops::loss::LossValue;
@@ -28,6 +29,13 @@ pub enum Phase {
 pub enum Checkpoint {
     /// Under way in [`Phase::Static`].
     Static(TrainerState),
+    /// Under way in [`Phase::Trajectories`].
+    Trajectories {
+        /// The static world, trained.
+        still: Gaussians,
+        /// The network's fit.
+        fit: TranslationFitState,
+    },
     /// Under way in [`Phase::Control`].
     Control {
         /// The static world, trained.
@@ -54,6 +62,7 @@ impl Checkpoint {
     pub fn place(&self) -> (Phase, u32) {
         match self {
             Checkpoint::Static(trainer) => (Phase::Static, trainer.step()),
+            Checkpoint::Trajectories { fit, .. } => (Phase::Trajectories, fit.step()),
             Checkpoint::Control { trainer, .. } => (Phase::Control, trainer.step()),
             Checkpoint::Joint(trainer) => (Phase::Joint, trainer.step()),
         }
@@ -69,7 +78,8 @@ pub trait Observer {
     /// The loss of the last step, every [`SYNC_INTERVAL`] steps.
     fn loss(&mut self, _loss: LossValue) {}
 
-    /// Whether the state should be put away now; asked every [`SYNC_INTERVAL`] steps.
+    /// Whether the state should be put away now; asked after every step. Reading the state waits for
+    /// the device.
     fn wants_checkpoint(&mut self) -> bool {
         false
     }
@@ -102,9 +112,9 @@ pub(super) fn run(
             if let Some(loss) = trainer.loss()? {
                 observer.loss(loss);
             }
-            if observer.wants_checkpoint() {
-                observer.checkpoint(&wrap(trainer.state()?))?;
-            }
+        }
+        if observer.wants_checkpoint() {
+            observer.checkpoint(&wrap(trainer.state()?))?;
         }
     }
     trainer.finish()

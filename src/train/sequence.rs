@@ -12,7 +12,7 @@
 //! A clip in which nothing moves gets no control points and no network.
 
 use super::motion::MotionStart;
-use super::network::fit_translations;
+use super::network::{TranslationFit, TranslationFitState, Translations};
 use super::observer::{Checkpoint, Observer, Phase, run};
 use super::rounds::ControlChanges;
 use super::sampling::farthest_point_sample;
@@ -236,14 +236,19 @@ impl BeforeJoint<'_> {
     ) -> Result<(Gaussians, MotionStart)> {
         let (still, start, state) = match resume {
             Some(Checkpoint::Control { still, start, trainer }) => (still, start, Some(*trainer)),
-            Some(Checkpoint::Static(state)) => {
-                let still = self.static_world(seeds, Some(state), observer)?;
-                (still, self.follow_trajectories(observer)?, None)
+            Some(Checkpoint::Trajectories { still, fit }) => {
+                let start = self.follow_trajectories(&still, Some(fit), observer)?;
+                (still, start, None)
             }
-            Some(other) => return Err(other.foreign()),
-            None => {
-                let still = self.static_world(seeds, None, observer)?;
-                (still, self.follow_trajectories(observer)?, None)
+            Some(other @ Checkpoint::Joint(_)) => return Err(other.foreign()),
+            earlier => {
+                let state = match earlier {
+                    Some(Checkpoint::Static(state)) => Some(state),
+                    _ => None,
+                };
+                let still = self.static_world(seeds, state, observer)?;
+                let start = self.follow_trajectories(&still, None, observer)?;
+                (still, start, None)
             }
         };
         let network = self.control_stage(&still, &start, state, observer)?;
@@ -279,7 +284,12 @@ impl BeforeJoint<'_> {
     }
 
     /// Control points, and a network that follows their trajectories.
-    fn follow_trajectories(self, observer: &mut dyn Observer) -> Result<MotionStart> {
+    fn follow_trajectories(
+        self,
+        still: &Gaussians,
+        resume: Option<TranslationFitState>,
+        observer: &mut dyn Observer,
+    ) -> Result<MotionStart> {
         let BeforeJoint { sequence, trajectories, settings, .. } = self;
         let (points, chosen) = control_points(trajectories, settings)?;
         let mut network = DeformNet::random(settings.network, settings.seed);
@@ -291,16 +301,19 @@ impl BeforeJoint<'_> {
                 path.iter().map(|p| (*p - origin).as_vec3().to_array()).collect()
             })
             .collect();
-        fit_translations(
-            self.device,
-            &mut network,
-            &points,
-            sequence.times,
-            &targets,
-            TRAJECTORY_STEPS,
-            settings.seed,
-            &mut |step| observer.progress(Phase::Trajectories, step, TRAJECTORY_STEPS),
-        )?;
+        let goal = Translations { times: sequence.times, targets: &targets };
+        let state = resume.unwrap_or_else(|| TranslationFitState::begin(&network, settings.seed));
+        let mut fit =
+            TranslationFit::new(self.device, &network, &points, goal, TRAJECTORY_STEPS, &state)?;
+        while fit.steps_done() < TRAJECTORY_STEPS {
+            fit.step()?;
+            observer.progress(Phase::Trajectories, fit.steps_done(), TRAJECTORY_STEPS)?;
+            if observer.wants_checkpoint() {
+                let fit = fit.state()?;
+                observer.checkpoint(&Checkpoint::Trajectories { still: still.clone(), fit })?;
+            }
+        }
+        network.parameters = fit.parameters()?;
         Ok(MotionStart { points, network, neighbours: 1 })
     }
 

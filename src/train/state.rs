@@ -4,12 +4,12 @@ use rand_chacha::ChaCha8Rng;
 #[cfg(feature = "files")]
 use serde::{Deserialize, Serialize};
 
-use super::motion::{MotionMoments, MotionStart};
+use super::motion::{Following, MotionMoments, MotionStart};
 use super::photographs::Room;
 use super::rounds::ControlChanges;
 use super::selection::SelectionState;
 use super::settings::TrainSettings;
-use super::trainer::{SYNC_INTERVAL, Trainer};
+use super::trainer::Trainer;
 use super::views::TrainingView;
 use crate::gpu::Device;
 use crate::types::Gaussians;
@@ -24,7 +24,7 @@ pub struct TrainerState {
     /// First and second moments, laid out as the Gaussians.
     moments: [Gaussians; 2],
     trainable: Vec<bool>,
-    motion: Option<(MotionStart, MotionMoments)>,
+    motion: Option<(MotionStart, MotionMoments, Following)>,
     /// Besides the motion logits, which the Gaussians hold.
     selection: Option<SelectionState>,
     /// As far as something reads them.
@@ -35,6 +35,8 @@ pub struct TrainerState {
     round: Vec<usize>,
     /// Room for intersections by size of picture: how often a step has to be done again depends on it.
     rooms: Vec<((u32, u32), usize)>,
+    /// Steps whose counts have not been looked at: picture and counts.
+    pending: Vec<(usize, [u32; 2])>,
 }
 
 impl TrainerState {
@@ -45,28 +47,23 @@ impl TrainerState {
 }
 
 impl Trainer {
-    /// Waits and reads everything that the next step depends on. Only at a multiple of
-    /// [`SYNC_INTERVAL`] steps, where a trainer that goes on and one that resumes do the same.
+    /// Waits and reads everything that the next step depends on. Training goes the same way whether
+    /// its state was read or not.
     ///
     /// # Errors
-    /// [`Error::Input`] between such steps; else as for [`step`](Self::step).
+    /// As for [`step`](Self::step).
     pub fn state(&mut self) -> Result<TrainerState> {
-        if !self.step.is_multiple_of(SYNC_INTERVAL) {
-            let what = "a trainer's state can be taken every";
-            return Err(Error::Input(format!(
-                "{what} {SYNC_INTERVAL} steps only, not after {}",
-                self.step
-            )));
-        }
-        let gaussians = self.gaussians()?;
+        let pending = self.settle()?;
+        let gaussians = self.download_gaussians()?;
         let n = gaussians.len();
-        let motion = match self.motion()? {
+        let motion = match self.download_motion()? {
             None => None,
             Some((points, network)) => {
                 let trainer = self.motion.as_ref().expect("it gave its parameters");
                 let neighbours = trainer.motion.skin.neighbours().k();
                 let moments = trainer.moments(&mut self.stream)?;
-                Some((MotionStart { points, network, neighbours }, moments))
+                let following = trainer.following(&mut self.stream)?;
+                Some((MotionStart { points, network, neighbours }, moments, following))
             }
         };
         let trainable = self.stream.download(&self.optimiser.trainable)?;
@@ -89,6 +86,7 @@ impl Trainer {
             rng: self.rng.clone(),
             round: self.round.clone(),
             rooms: self.studios.rooms(),
+            pending,
         })
     }
 
@@ -104,11 +102,11 @@ impl Trainer {
         settings: TrainSettings,
     ) -> Result<Trainer> {
         let TrainerState { step, gaussians, moments, trainable, rng, round, rooms, .. } = state;
-        if round.iter().any(|&view| view >= views.len()) {
+        let mut pictures = round.iter().chain(state.pending.iter().map(|(view, _)| view));
+        if pictures.any(|&view| view >= views.len()) {
             return Err(Error::Input("the state to resume from is of other pictures".into()));
         }
-        let (start, motion_moments) = state.motion.unzip();
-        let start = start.as_ref();
+        let start = state.motion.as_ref().map(|(start, ..)| start);
         let reach = state.reach;
         let mut trainer = match views.is_empty() {
             true => {
@@ -120,8 +118,10 @@ impl Trainer {
         trainer.optimiser.set_moments(&mut trainer.stream, &moments)?;
         let words: Vec<u32> = trainable.into_iter().map(u32::from).collect();
         trainer.stream.upload(&mut trainer.optimiser.trainable, &words)?;
-        if let (Some(motion), Some(moments)) = (&mut trainer.motion, motion_moments) {
-            motion.set_moments(&mut trainer.stream, &moments)?;
+        if let (Some(motion), Some((_, moments, following))) = (&mut trainer.motion, &state.motion)
+        {
+            motion.set_moments(&mut trainer.stream, moments)?;
+            motion.set_following(&mut trainer.stream, following)?;
         }
         if let (Some(selection), Some(state)) = (&mut trainer.selection, state.selection) {
             selection.set_state(&mut trainer.stream, &state)?;
@@ -134,8 +134,7 @@ impl Trainer {
             trainer.studios.reserve(device, size, room)?;
         }
         (trainer.step, trainer.rng, trainer.round) = (step, rng, round);
-        // Who moves depends on the step.
-        trainer.list_dynamic()?;
+        trainer.set_settled(state.pending);
         Ok(trainer)
     }
 }

@@ -33,18 +33,25 @@ pub struct Progress {
 }
 
 /// Steps between points at which the device is waited for, which Gaussians move is listed anew, and
-/// these find their control points again. A trainer's state is well defined there: with
-/// [`Trainer::state`] it can be put away, and training goes the same way whether it was or not.
+/// these find their control points again.
 pub const SYNC_INTERVAL: u32 = 100;
 
 /// Submissions that may be under way before the host waits for the oldest: enough to keep the device
 /// busy while the next one is recorded.
 const IN_FLIGHT: usize = 2;
 
-struct Pending {
-    ticket: Ticket,
+/// A step that has been submitted and whose counts have not been looked at.
+pub(super) struct Pending {
     view: usize,
-    counts: Readback<u32>,
+    counts: Counts,
+}
+
+/// What a step's frame needed.
+enum Counts {
+    /// The device may still be at it.
+    UnderWay(Ticket, Readback<u32>),
+    /// It is done.
+    Known([u32; 2]),
 }
 
 /// That every number is in its range, those of the Gaussians aside.
@@ -84,7 +91,7 @@ pub struct Trainer {
     /// Views still to come in this round, last first.
     pub(super) round: Vec<usize>,
     last_view: Option<usize>,
-    pending: VecDeque<Pending>,
+    pub(super) pending: VecDeque<Pending>,
     pub(super) idle: Vec<Readback<u32>>,
 }
 
@@ -271,6 +278,12 @@ impl Trainer {
     /// As for [`step`](Self::step).
     pub fn gaussians(&mut self) -> Result<Gaussians> {
         self.finish()?;
+        self.download_gaussians()
+    }
+
+    /// [`gaussians`](Self::gaussians) after the steps that have been submitted, whether their frames
+    /// fitted or not.
+    pub(super) fn download_gaussians(&mut self) -> Result<Gaussians> {
         let mut gaussians = self.gaussians.download(&mut self.stream)?;
         if let Some(selection) = &self.selection {
             gaussians.motion_logits = selection.download(&mut self.stream, gaussians.len())?;
@@ -284,6 +297,11 @@ impl Trainer {
     /// As for [`step`](Self::step).
     pub fn motion(&mut self) -> Result<Option<(ControlPoints, DeformNet)>> {
         self.finish()?;
+        self.download_motion()
+    }
+
+    /// [`motion`](Self::motion) likewise.
+    pub(super) fn download_motion(&mut self) -> Result<Option<(ControlPoints, DeformNet)>> {
         self.motion.as_ref().map(|motion| motion.download(&mut self.stream)).transpose()
     }
 
@@ -356,7 +374,7 @@ impl Trainer {
         let studio = self.studios.for_size(&self.device, size)?;
         recorder.read_back(studio.scratch.device_counts(), &counts);
         let ticket = self.stream.submit(recorder)?;
-        self.pending.push_back(Pending { ticket, view: index, counts });
+        self.pending.push_back(Pending { view: index, counts: Counts::UnderWay(ticket, counts) });
         Ok(())
     }
 
@@ -413,14 +431,41 @@ impl Trainer {
         Ok(())
     }
 
+    /// Waits for the steps under way without looking at their counts: for each its picture and them.
+    /// What follows from them comes when it would have come.
+    pub(super) fn settle(&mut self) -> Result<Vec<(usize, [u32; 2])>> {
+        let mut settled = Vec::with_capacity(self.pending.len());
+        for Pending { view, counts } in std::mem::take(&mut self.pending) {
+            settled.push((view, self.words(counts)?));
+        }
+        self.set_settled(settled.clone());
+        Ok(settled)
+    }
+
+    /// Steps that were under way and that the device is done with.
+    pub(super) fn set_settled(&mut self, settled: Vec<(usize, [u32; 2])>) {
+        let known = |(view, words)| Pending { view, counts: Counts::Known(words) };
+        self.pending = settled.into_iter().map(known).collect();
+    }
+
+    /// Waits for a step's counts.
+    fn words(&mut self, counts: Counts) -> Result<[u32; 2]> {
+        match counts {
+            Counts::Known(words) => Ok(words),
+            Counts::UnderWay(ticket, mut readback) => {
+                self.stream.wait(ticket)?;
+                let mut words = [0; 2];
+                readback.read_into(&mut words)?;
+                self.idle.push(readback);
+                Ok(words)
+            }
+        }
+    }
+
     /// Waits for the oldest step under way.
     fn retire(&mut self) -> Result<()> {
-        let Some(mut pending) = self.pending.pop_front() else { return Ok(()) };
-        self.stream.wait(pending.ticket)?;
-        let mut words = [0; 2];
-        pending.counts.read_into(&mut words)?;
-        let counts = FrameCounts::from_device(words);
-        self.idle.push(pending.counts);
+        let Some(pending) = self.pending.pop_front() else { return Ok(()) };
+        let counts = FrameCounts::from_device(self.words(pending.counts)?);
         let k = self.views[pending.view].camera.intrinsics;
         let size = (k.width, k.height);
         let studio = self.studios.for_size(&self.device, size)?;

@@ -4,7 +4,12 @@
 //! driver, so that the suite means the same everywhere); `SPLAT4D_VALIDATION=1` turns the
 //! validation layer on, and then any message fails; add `RUST_TEST_THREADS=1`, since the layer is not
 //! safe when one thread makes devices while another uses its own. A missing driver fails.
-#![allow(dead_code, reason = "each test binary uses its own part")]
+#![allow(dead_code, unused_imports, reason = "each test binary uses its own part")]
+
+#[path = "../support/data.rs"]
+mod data;
+
+pub use data::shared_data;
 
 use splat4d::check;
 use splat4d::gpu::{Device, Request, Selector};
@@ -73,18 +78,4 @@ fn run_on(device: &Device, family: &str) {
     }
     assert_valid(device);
     assert!(failures.is_empty(), "{}: \n{failures}", device.info().name);
-}
-
-/// A path in the real data, which lies beside the project; `None`, loudly, where it is absent.
-pub fn shared_data(path: &str) -> Option<std::path::PathBuf> {
-    let base = match std::env::var_os("SPLAT4D_DATA") {
-        Some(base) => base.into(),
-        None => std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
-    };
-    let path = base.join(path);
-    if !path.exists() {
-        println!("SKIPPED (no ../shared/data): {}", path.display());
-        return None;
-    }
-    Some(path)
 }

@@ -1,28 +1,18 @@
 //! What the tests of readers and files share.
 
 // Each test binary uses its own part.
-#![allow(dead_code)]
+#![allow(dead_code, unused_imports)]
+
+mod data;
+
+pub use data::shared_data as shared;
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use glam::{DQuat, DVec3};
 use splat4d::Result;
 use splat4d::types::{Camera, Image, Intrinsics, Pose};
-
-/// A folder of the shared data; `None`, said loudly, where it is not there.
-pub fn shared(name: &str) -> Option<PathBuf> {
-    let root = match std::env::var_os("SPLAT4D_DATA") {
-        Some(root) => PathBuf::from(root),
-        None => Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
-    };
-    let path = root.join(name);
-    if path.exists() {
-        return Some(path);
-    }
-    eprintln!("SKIPPED (no ../shared/data): {name}");
-    None
-}
 
 pub fn message<T>(result: Result<T>) -> String {
     match result {

@@ -1,0 +1,70 @@
+//! Looks on while a clip is tracked: progress, time by stage, checkpoints, Ctrl-C.
+
+use splat4d::Result;
+use splat4d::track::{Observer, Stage};
+
+use super::checkpoints::Checkpoints;
+use super::clock::Clock;
+use super::meter::Meter;
+
+/// The observer of `reconstruct` until cameras, masks and depth are there.
+pub struct Tracker<'a> {
+    clock: &'a mut Clock,
+    checkpoints: &'a mut Checkpoints,
+    under_way: Option<(Stage, Meter)>,
+}
+
+impl<'a> Tracker<'a> {
+    /// Begins to look.
+    pub fn new(clock: &'a mut Clock, checkpoints: &'a mut Checkpoints) -> Tracker<'a> {
+        Tracker { clock, checkpoints, under_way: None }
+    }
+
+    /// Ends the last stage.
+    pub fn finish(mut self) {
+        self.end_stage();
+    }
+
+    fn end_stage(&mut self) {
+        if let Some((stage, _)) = self.under_way.take() {
+            self.clock.lap(name(stage));
+        }
+    }
+}
+
+/// What a stage is called, on the bar and in the report.
+fn name(stage: Stage) -> &'static str {
+    match stage {
+        Stage::Flow => "flow",
+        Stage::Cameras => "cameras",
+        Stage::Masks => "masks",
+        Stage::Depth => "depth",
+    }
+}
+
+impl Observer for Tracker<'_> {
+    fn progress(&mut self, stage: Stage, share: f64) -> Result<()> {
+        self.checkpoints.interrupt()?;
+        if self.under_way.as_ref().is_none_or(|(before, _)| *before != stage) {
+            self.end_stage();
+            self.under_way = Some((stage, Meter::new(name(stage), "%", 100, 0)));
+        }
+        if let Some((_, meter)) = &mut self.under_way {
+            meter.set((100.0 * share) as u64);
+        }
+        Ok(())
+    }
+
+    fn keeps(&self) -> bool {
+        self.checkpoints.are_on()
+    }
+
+    fn keep(&mut self, part: &str, value: Vec<u8>) -> Result<()> {
+        self.checkpoints.keep(part, value);
+        Ok(())
+    }
+
+    fn kept(&mut self, part: &str) -> Result<Option<Vec<u8>>> {
+        self.checkpoints.kept(part)
+    }
+}
