@@ -324,21 +324,16 @@ fn hard_cases_end_finite_and_say_so() {
     assert_eq!(problem.poses, truth.poses);
     assert_eq!(report.initial_squared, report.final_squared);
 
-    // A hopeless start, poses turned by a radian and more: it goes down, stays finite, and says that
-    // next to nothing agrees. A start that is good ends with all but the outliers.
+    // A start that is far off, poses turned by a radian and more and some points behind their cameras:
+    // it ends where a near one does. Measured: 0.09 % of the path, and 99.6 % agree.
     let truth = sequence(MAKE);
     let mut problem = disturbed(&truth, 1.5, 2.0, 8);
-    let hopeless = adjust(&mut problem, &Options::default()).unwrap();
-    assert!(all_finite(&problem) && hopeless.final_cost <= hopeless.initial_cost);
-    let error = relative_ate(&problem, &truth);
-    eprintln!("hopeless: ATE {error}, {} agree, scale {}", hopeless.inlier_ratio, hopeless.scale);
-    let mut problem = disturbed(&truth, 0.01, 0.2, 8);
-    let good = adjust(&mut problem, &Options::default()).unwrap();
-    let near = relative_ate(&problem, &truth);
-    eprintln!("good: ATE {near}, {} agree, scale {}", good.inlier_ratio, good.scale);
-    assert!(near < 0.005 && good.inlier_ratio > 0.9, "{near} {good:?}");
-    assert!(error > 0.05, "not so hopeless: {error}");
-    assert!(hopeless.scale > 10.0 * good.scale, "{} {}", hopeless.scale, good.scale);
+    let before = relative_ate(&problem, &truth);
+    let report = adjust(&mut problem, &Options::default()).unwrap();
+    assert!(all_finite(&problem) && report.final_cost <= report.initial_cost);
+    let after = relative_ate(&problem, &truth);
+    assert!(after < 0.004 && after < 0.1 * before, "{after} from {before}");
+    assert!(report.inlier_ratio > 0.95, "{}", report.inlier_ratio);
 
     // A static camera and no prior: nothing to solve, nothing lost.
     let mut problem = sequence(Make { step: 0.0, turn: 0.0, ..MAKE });
