@@ -60,11 +60,15 @@ pub struct Fixtures {
 }
 
 impl Fixtures {
-    /// Writes all fixtures below `root` with the program itself and the crate's writers.
+    /// Writes all fixtures below `root` with the program itself and the crate's writers; those of an
+    /// earlier run are taken away.
     ///
     /// # Errors
     /// The program fails on good input, or a file cannot be written.
     pub fn write(program: &Path, root: &Path) -> Result<Fixtures, String> {
+        if root.exists() {
+            fs::remove_dir_all(root).map_err(|e| format!("{}: {e}", root.display()))?;
+        }
         fs::create_dir_all(root).map_err(|e| format!("{}: {e}", root.display()))?;
         let run = |arguments: &str| run(program, root, arguments);
         run("synth rigid -o clip --frames 5 --size 40x24 --seed 3")?;
@@ -96,7 +100,7 @@ impl Fixtures {
             ply::write(root.join("blobs.ply"), &blobs())?;
             let cameras = cameras();
             let names: Vec<String> = (0..cameras.len()).map(|i| format!("{i}.png")).collect();
-            transforms::write(&root.join("path.json"), &cameras, &names)?;
+            transforms::write(root.join("path.json"), &cameras, &names)?;
             let poses: Vec<TimedPose> = cameras
                 .iter()
                 .map(|c| TimedPose {
