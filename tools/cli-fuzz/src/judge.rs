@@ -149,7 +149,9 @@ fn words(code: i32, drawn: &Drawn, stdout: &[u8], stderr: &str) -> Vec<String> {
     // These end with 1 for what they found out, too.
     let judges = ["bench", "validate"].contains(&drawn.command.as_str());
     let failed = code != 0 && !(judges && code == 1 && !stdout.is_empty());
-    let json = drawn.words.iter().any(|word| word == "--json");
+    // After `--` it would be a name.
+    let flags = drawn.words.iter().take_while(|word| *word != "--");
+    let json = flags.into_iter().any(|word| word == "--json");
     let errors = stderr.lines().filter(|line| line.starts_with("error: ")).count();
     if failed && errors != 1 {
         faults.push(format!("{errors} lines begin with `error: `"));
