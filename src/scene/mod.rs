@@ -16,6 +16,7 @@ pub use open::Opened;
 #[cfg(feature = "files")]
 use open::without_bad;
 
+use crate::types::range::{self, Check};
 use crate::types::{Camera, ControlPoints, DeformNet, Gaussians, RenderSettings};
 
 /// A camera of the input at its time.
@@ -76,6 +77,25 @@ impl Scene {
         Scene { gaussians, ..Scene::default() }
     }
 
+    /// That every number is in its range, so that a reader of the scene's file takes it; see
+    /// [`crate::types::range`]. Arrays must be as long as they should be.
+    ///
+    /// # Errors
+    /// What is wrong, in words.
+    pub fn check(&self) -> Check {
+        for i in 0..self.gaussians.len() {
+            self.gaussians.check(i).map_err(|what| format!("Gaussian {i}: {what}"))?;
+        }
+        self.control_points.check()?;
+        self.network.as_ref().map_or(Ok(()), |network| network.check())?;
+        self.settings.check()?;
+        for (i, known) in self.cameras.iter().enumerate() {
+            let checked = known.camera.check().and_then(|()| range::time(known.time));
+            checked.map_err(|what| format!("camera {i}: {what}"))?;
+        }
+        Ok(())
+    }
+
     /// Sets [`Self::up`] from the cameras: the mean of their upward axes. Without cameras, or where
     /// these cancel out, it stays.
     pub fn set_up_from_cameras(&mut self) {
@@ -87,5 +107,33 @@ impl Scene {
         if mean.length() > 1e-3 * self.cameras.len().max(1) as f64 {
             self.up = mean.normalize().as_vec3().to_array();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scene_with_a_number_out_of_range_is_named() {
+        let gaussians = Gaussians {
+            positions: vec![[0.0; 3]; 2],
+            log_scales: vec![[-1.0; 3]; 2],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]; 2],
+            opacity_logits: vec![0.0; 2],
+            sh_degree: 0,
+            sh: vec![[0.0; 3]; 2],
+            motion_logits: Vec::new(),
+        };
+        let good = Scene::of(gaussians);
+        assert_eq!(good.check(), Ok(()));
+        let mut bad = good.clone();
+        bad.gaussians.log_scales[1][2] = f32::NAN;
+        let what = bad.check().unwrap_err();
+        assert!(what.contains("Gaussian 1") && what.contains("scale"), "{what}");
+        let mut bad = good;
+        bad.control_points =
+            ControlPoints { positions: vec![[f32::INFINITY, 0.0, 0.0]], log_radii: vec![0.0] };
+        assert!(bad.check().unwrap_err().contains("control point 0"));
     }
 }

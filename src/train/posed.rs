@@ -57,7 +57,8 @@ const STRENGTH: f32 = 4.0;
 ///
 /// # Errors
 /// As for [`Trainer::new`] and [`Trainer::step`]; [`Error::Input`](crate::Error::Input) for a
-/// checkpoint of another training; whatever `observer` returns.
+/// checkpoint of another training; [`Error::Failed`](crate::Error::Failed) where a number runs out of
+/// its range in training; whatever `observer` returns.
 pub fn fit_posed(
     device: &Device,
     views: &[TrainingView],
@@ -69,7 +70,7 @@ pub fn fit_posed(
 ) -> Result<Scene> {
     let Some(motion) = motion else {
         let gaussians = fit_static(device, views, seeds, settings.clone(), resume, observer)?;
-        return Ok(Scene::of(gaussians));
+        return sequence::sound(Scene::of(gaussians));
     };
     let warm_up = ((f64::from(settings.steps) * motion.warm_up) as u32).min(settings.steps - 1);
     let joint = joint_settings(motion, settings, settings.steps - warm_up);
@@ -109,7 +110,7 @@ pub fn fit_posed(
     }
     scene.neighbours = motion.neighbours.min(scene.control_points.len()) as u32;
     scene.report = sequence::report(trainer.control_changes());
-    Ok(scene)
+    sequence::sound(scene)
 }
 
 /// How large the training of [`fit_posed`] is at its largest: that of everything together.

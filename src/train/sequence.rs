@@ -179,7 +179,21 @@ pub fn fit_sequence(
         .map(|(frame, &time)| SceneCamera { time, camera: camera(track, frame) })
         .collect();
     scene.set_up_from_cameras();
-    Ok(scene)
+    sound(scene)
+}
+
+/// A trained scene, if it can be used.
+///
+/// # Errors
+/// A number ran out of its range in training.
+pub(super) fn sound(scene: Scene) -> Result<Scene> {
+    match scene.check() {
+        Ok(()) => Ok(scene),
+        Err(what) => Err(Error::Failed(format!(
+            "the training ran off: {what}; look for cameras that do not fit their pictures, or \
+             train for fewer steps"
+        ))),
+    }
 }
 
 fn fit_moving(
