@@ -539,14 +539,18 @@ pub(super) fn reconstruct(
     let n = flow.frames;
     let mut posing: Posing = match work.kept(part)? {
         Some(kept) => kept,
-        None => begin(tracks, weights, focal, n, seed)?,
+        None => {
+            let begun = begin(tracks, weights, focal, n, seed)?;
+            work.keep(part, &begun)?;
+            begun
+        }
     };
     loop {
-        work.keep(part, &posing)?;
         let count = posing.posed.iter().filter(|p| **p).count();
         work.progress(Stage::Cameras, 0.9 * count as f64 / n as f64)?;
         let Some(frame) = next_frame(tracks, &posing.posed, &posing.cameras.anchors) else { break };
         pose_frame(&mut posing, frame, tracks, weights, seed)?;
+        work.keep(part, &posing)?;
     }
     let Posing { mut cameras, posed, .. } = posing;
     cameras.doubtful.sort_unstable();
