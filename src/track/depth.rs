@@ -391,17 +391,17 @@ mod tests {
         let depth = map(|p| if within(p, (0.0, 0.0), (8.0, 8.0)) { 0.0 } else { 10.0 });
         let seen = seen(|_| 0.25, |_| true);
         let mask = map(|_| 0.0);
-        let scale =
-            scale_of(std::slice::from_ref(&depth), std::slice::from_ref(&seen), &[mask.clone()]);
+        let (depth, mask) = ([depth], [mask]);
+        let scale = scale_of(&depth, std::slice::from_ref(&seen), &mask);
         assert!((scale - 0.4).abs() < 1e-5, "{scale}");
-        let layer = static_layer(&halves(), &mask, &seen, false, Some((&depth, scale)));
+        let layer = static_layer(&halves(), &mask[0], &seen, false, Some((&depth[0], scale)));
         let known = (20 * WIDTH + 20) as usize;
         assert!(layer.supplied[known] && !layer.supplied[0]);
         assert_eq!((layer.inverse[known], layer.confidence[known]), (1.0 / (10.0 * scale), 1.0));
         // Without parallax the unit is the maps' own median.
         let blind = self::seen(|_| 0.25, |_| true);
         let blind = Seen { deviation: vec![f32::INFINITY; blind.score.len()], ..blind };
-        let scale = scale_of(&[depth], &[blind], &[mask]);
+        let scale = scale_of(&depth, &[blind], &mask);
         assert!((scale - 0.1).abs() < 1e-6, "{scale}");
     }
 

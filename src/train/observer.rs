@@ -108,10 +108,11 @@ pub(super) fn run(
         trainer.step()?;
         now = trainer.progress();
         observer.progress(phase, now.step, now.steps)?;
-        if now.step.is_multiple_of(SYNC_INTERVAL) && now.step < now.steps {
-            if let Some(loss) = trainer.loss()? {
-                observer.loss(loss);
-            }
+        if now.step.is_multiple_of(SYNC_INTERVAL)
+            && now.step < now.steps
+            && let Some(loss) = trainer.loss()?
+        {
+            observer.loss(loss);
         }
         if observer.wants_checkpoint() {
             observer.checkpoint(&wrap(trainer.state()?))?;

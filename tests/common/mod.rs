@@ -6,6 +6,8 @@
 //! safe when one thread makes devices while another uses its own. A missing driver fails.
 #![allow(dead_code, unused_imports, reason = "each test binary uses its own part")]
 
+// A test binary may use `support`, too.
+#[allow(clippy::duplicate_mod)]
 #[path = "../support/data.rs"]
 mod data;
 

@@ -3,6 +3,8 @@
 // Each test binary uses its own part.
 #![allow(dead_code, unused_imports)]
 
+// A test binary may use `common`, too.
+#[allow(clippy::duplicate_mod)]
 mod data;
 
 pub use data::shared_data as shared;
