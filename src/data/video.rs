@@ -5,7 +5,7 @@
 //!
 //! ffmpeg goes on where a video is damaged: it conceals what it cannot decode, leaves frames out and
 //! ends as if all were well. What it says of that on stderr is read, and then the video is looked
-//! through frame by frame ([`damage`]).
+//! through frame by frame (`damage`).
 
 use std::ffi::{OsStr, OsString};
 use std::io::{BufRead, BufReader, Read};

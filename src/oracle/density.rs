@@ -126,7 +126,7 @@ pub fn draw(weights: &[u32], draws: usize, seed: u32, step: u32) -> Vec<u32> {
 /// s' = s · o / Σ_{i=1..N} Σ_{k=0..i−1} C(i−1, k) (−1)^k o'^{k+1} / √(k+1)
 /// ```
 ///
-/// (3DGS-MCMC, equation 9), the sum by [`coverage`]. The opacity is kept above [`DEAD_OPACITY`], or what was relocated would
+/// (3DGS-MCMC, equation 9), the sum by `coverage`. The opacity is kept above [`DEAD_OPACITY`], or what was relocated would
 /// be dead at once. `share` is cut to [`LARGEST_SHARE`].
 pub fn split_mass<R: Real>(opacity_logit: R, log_scales: [R; 3], share: u32) -> (R, [R; 3]) {
     let share = share.clamp(1, LARGEST_SHARE);

@@ -154,7 +154,7 @@ impl Renderer {
     ///
     /// # Errors
     /// [`Error::OutOfMemory`], a scene whose arrays do not fit together, or [`Error::Input`] for
-    /// settings, control points or a network out of [range](crate::types::range). Gaussians that are
+    /// settings, control points or a network out of [range]. Gaussians that are
     /// not finite are not drawn.
     pub fn new(device: &Device, scene: &Scene) -> Result<Renderer> {
         Renderer::tuned(device, scene, &Tuning::default())
@@ -242,7 +242,7 @@ impl Renderer {
     /// Renders the scene as `camera` sees it at `time` in [0, 1], and waits for it.
     ///
     /// # Errors
-    /// [`Error::Input`] for a camera or a time out of [range](crate::types::range);
+    /// [`Error::Input`] for a camera or a time out of [range];
     /// [`Error::OutOfMemory`], [`Error::RangeLimit`] for more intersections than a binding holds, or a
     /// failed submission.
     pub fn render(&mut self, camera: &Camera, time: f64) -> Result<Rendered> {
@@ -280,7 +280,7 @@ impl Renderer {
     /// # Errors
     /// [`Error::OutOfMemory`]; [`Error::RangeLimit`] for more intersections than a binding holds;
     /// [`Error::Shape`] where a part of the target is too short; [`Error::Input`] for a recorder of
-    /// another device, or a camera or a time out of [range](crate::types::range).
+    /// another device, or a camera or a time out of [range].
     pub fn record(
         &mut self,
         recorder: &mut Recorder,

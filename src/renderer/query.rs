@@ -118,7 +118,7 @@ impl Renderer {
     /// that are not finite do not count. Waits.
     ///
     /// # Errors
-    /// [`Error::Input`] for a time out of [range](crate::types::range); [`Error::OutOfMemory`], or a
+    /// [`Error::Input`] for a time out of [range]; [`Error::OutOfMemory`], or a
     /// failed submission.
     pub fn bounds(&mut self, time: f64, sigmas: f64) -> Result<Option<[DVec3; 2]>> {
         range::moment(time).map_err(Error::Input)?;

@@ -99,7 +99,7 @@ impl Trainer {
     ///
     /// # Errors
     /// [`Error::Input`] while another step is under way, or for a camera or a time out of
-    /// [range](crate::types::range); [`Error::OutOfMemory`]; else as for [`Recorder::dispatch`].
+    /// [range]; [`Error::OutOfMemory`]; else as for [`Recorder::dispatch`].
     pub fn forward(&mut self, recorder: &mut Recorder, camera: &Camera, time: f64) -> Result<()> {
         if self.own.is_some() {
             return Err(out_of_turn("forward", "after `conclude`"));

@@ -102,7 +102,7 @@ impl Trainer {
     ///
     /// # Errors
     /// [`Error::Input`] without views or Gaussians, or for a number that is out of its
-    /// [range](crate::types::range), NaN among them; [`Error::OutOfMemory`]; [`Error::Shape`] when a
+    /// [range], NaN among them; [`Error::OutOfMemory`]; [`Error::Shape`] when a
     /// picture and its camera, weights, disparity or mask differ in size.
     pub fn new(
         device: &Device,
