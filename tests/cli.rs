@@ -659,6 +659,31 @@ fn a_clip_in_which_nothing_moves_becomes_a_static_scene() {
 }
 
 #[test]
+fn supplied_poses_stay_with_their_frames_when_one_is_left_out() {
+    let folder = tempfile::tempdir().unwrap();
+    json(folder.path(), "synth still -o clip --frames 8 --size 96x54");
+    let residual = |more: &str| {
+        let report = json(
+            folder.path(),
+            &format!(
+                "reconstruct clip/frames -o x --poses clip/truth/poses.txt --steps 2 \
+                 --max-gaussians 200 {more}"
+            ),
+        );
+        (report["frames"].as_u64(), report["poses"]["reprojection_rms"].as_f64().unwrap())
+    };
+    let (frames, whole) = residual("");
+    assert_eq!(frames, Some(8));
+    let frame = images::list(&folder.path().join("clip/frames")).unwrap().swap_remove(3);
+    fs::write(frame, "no picture").unwrap();
+    let (frames, without) = residual("--skip-bad");
+    assert_eq!(frames, Some(7));
+    // Measured: 0.129 px of the whole clip, 0.127 without the frame, 0.315 with all poses after it one
+    // frame off.
+    assert!(whole < 0.16 && without < 0.16, "{whole} px, {without} px without a frame");
+}
+
+#[test]
 fn bad_clips_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
