@@ -271,6 +271,9 @@ static void trainers(splat4d_device *device)
     FAILS(SPLAT4D_ERROR_INPUT, "at least one",
           splat4d_trainer_create(device, &g, NULL, 0, 1, &settings, &trainer));
     g.count = 2;
+    FAILS(SPLAT4D_ERROR_INPUT, "no direction",
+          splat4d_trainer_create(device, &g, NULL, 0, 1, &settings, &trainer));
+    arrays.rotations[0] = arrays.rotations[4] = 1;
     FAILS(SPLAT4D_ERROR_INPUT, "extent 0",
           splat4d_trainer_create(device, &g, NULL, 0, 0, &settings, &trainer));
     FAILS(SPLAT4D_ERROR_POINTER, "views",
