@@ -320,8 +320,11 @@ impl Artist<'_> {
     /// A path to write to: mostly a new one in `out`, or one where nothing can or should be written.
     fn output(&mut self, name: &str, inputs: &[OsString]) -> std::io::Result<OsString> {
         let new = format!("out/{name}");
+        // A folder that is read may take new files.
+        let is_file = |path: &&OsString| !self.folder.join(path).is_dir();
+        let files: Vec<OsString> = inputs.iter().filter(is_file).cloned().collect();
         Ok(match self.below(16) {
-            0 if !inputs.is_empty() => self.pick(inputs),
+            0 if !files.is_empty() => self.pick(&files),
             1 => format!("{new}/").into(),
             2 => OsString::from_vec([b"out/\xff", name.as_bytes()].concat()),
             3 => format!("out/50%d/{name}").into(),
