@@ -426,7 +426,7 @@ typedef struct splat4d_drawn {
     uint32_t is_whole;
     // Gaussians that were visible.
     size_t visible;
-    // (splat, tile) pairs.
+    // (splat, tile) pairs; 2³² − 1 stands for as many or more.
     size_t intersections;
 } splat4d_drawn;
 

@@ -792,7 +792,7 @@ fn dispatches_come_in_the_documented_order() -> Result<()> {
         sort(31),
         vec!["bin/counts"],
         SCAN.to_vec(),
-        vec!["bin/fits", "bin/emit"],
+        vec!["bin/emit", "bin/fits"],
         sort(5),
         vec!["indirect/arguments", "bin/ranges", "raster/forward"],
         vec!["raster/backward_narrow", "raster/gather", "project/backward", "project/pose"],

@@ -16,6 +16,7 @@ layout(std430, binding = 6) readonly buffer Conics { vec4 conics[]; };
 layout(std430, binding = 7) writeonly buffer Tiles { uint tiles[]; };
 layout(std430, binding = 8) writeonly buffer Intersections { uint intersections[]; };
 layout(std430, binding = 9) writeonly buffer Splats { uint splats[]; };
+layout(std430, binding = 10) buffer Total { uint total[]; };
 
 layout(push_constant) uniform Params {
     uint count;
@@ -38,9 +39,15 @@ void main() {
     uvec2 image = uvec2(width, height);
     uvec2 grid = tile_grid(image);
     uint splat = order[rank];
-    uint at = min(offsets[rank], capacity);
+    uint offset = offsets[rank], reached = counts[rank];
+    // A sum that wrapped must not pass for one that fits. No splat reaches 2^32 tiles, so that a sum
+    // that wraps does so at some rank.
+    if (offset + reached < offset) {
+        atomicMax(total[0], 0xffffffffu);
+    }
+    uint at = min(offset, capacity);
     // Emission never leaves the counted budget, whatever rounding does to the tests.
-    uint end = min(at + counts[rank], capacity);
+    uint end = at + min(reached, capacity - at);
     vec2 mean = means[splat].xy;
     vec4 conic = conics[splat];
     uvec2 packed_first = uvec2(rectangles[splat].x & 0xffffu, rectangles[splat].x >> 16);

@@ -65,7 +65,7 @@ pub struct splat4d_drawn {
     pub is_whole: u32,
     /// Gaussians that were visible.
     pub visible: usize,
-    /// (splat, tile) pairs.
+    /// (splat, tile) pairs; 2³² − 1 stands for as many or more.
     pub intersections: usize,
 }
 grows!(splat4d_drawn, intersections: usize);

@@ -19,6 +19,7 @@ pub const CASES: &[Case] = &[
     Case { id: "bin/depth_bits", kernels: KERNELS, run: depth_bits },
     Case { id: "bin/image_sizes", kernels: KERNELS, run: image_sizes },
     Case { id: "bin/overflow", kernels: KERNELS, run: overflow },
+    Case { id: "bin/saturation", kernels: KERNELS, run: saturation },
 ];
 
 /// How much the power at the cut may be off, from rounding in the conic and the power: below this
@@ -41,6 +42,11 @@ fn tiles(out: &Forward, splat: usize, width: u32, height: u32) -> [Vec<u32>; 2] 
     })
 }
 
+/// How many pairs so many tiles of each splat are, as far as 32 bits tell.
+fn pairs(counts: &[u32]) -> u32 {
+    counts.iter().fold(0, |sum, &count| sum.saturating_add(count))
+}
+
 /// Everything that binning makes, for a frame whose intersections number `capacity` at most.
 fn compare(
     harness: &mut Harness,
@@ -61,7 +67,7 @@ fn compare(
     let mut counts: Vec<u32> = order.iter().map(|&i| out.tile_counts[i as usize]).collect();
     counts.resize(out.visible.len(), 0);
     harness.exact(&format!("{what}: offsets"), &out.rank_offsets, &scan::exclusive(&counts));
-    let total = scan::sum(&counts);
+    let total = pairs(&counts);
     harness.exact(&format!("{what}: counts"), &out.counts, &[drawn.len() as u32, total]);
     harness.exact(&format!("{what}: fits"), &[out.fits], &[total as usize <= capacity]);
 
@@ -196,6 +202,50 @@ fn overflow(harness: &mut Harness) -> Result<()> {
         harness.exact(&format!("{what}: counts"), &out.counts, &whole.counts);
         harness.exact(&format!("{what}: nearest"), &out.tiles, &whole.tiles[..capacity]);
         harness.exact(&format!("{what}: whose"), &out.splats, &whole.splats[..capacity]);
+    }
+    Ok(())
+}
+
+/// More pairs than 32 bits count: neither the count nor whether they fit may wrap.
+fn saturation(harness: &mut Harness) -> Result<()> {
+    let (device, stream) = (harness.device.clone(), &mut harness.stream);
+    let capacity = 1 << 12;
+    let mut found = Vec::new();
+    for counts in [
+        vec![u32::MAX],
+        vec![u32::MAX, 1],
+        vec![1 << 31, (1 << 31) - 1],
+        vec![1 << 31; 2],
+        vec![1 << 31; 3],
+        vec![0xffff * 0xffff; 300],
+        vec![500_000; 9000],
+        vec![2000, 2000],
+        [vec![u32::MAX], vec![0; 500], vec![2000]].concat(),
+    ] {
+        let len = counts.len();
+        let render = Render::plan(&device, len, capacity, 40, 30, RenderSettings::default())?;
+        let mut scratch = render.scratch(&device)?;
+        // Splats whose rectangles are empty: none of what is counted is emitted.
+        let splats = scratch.splats_mut();
+        let mut recorder = stream.record()?;
+        recorder.fill(splats.means, 0);
+        recorder.fill(splats.conics, 0);
+        recorder.fill(splats.rectangles, 0);
+        stream.submit(recorder)?;
+        let visible: Vec<u32> = counts.iter().map(|&count| count.min(1)).collect();
+        stream.upload(&mut scratch.visible, &visible)?;
+        stream.upload(&mut scratch.tile_counts, &counts)?;
+        let mut recorder = stream.record()?;
+        render.bin(&mut recorder, len, &mut scratch)?;
+        stream.submit(recorder)?;
+        let intersections = scratch.counts(stream)?.intersections as u32;
+        let fits = stream.download(&scratch.fits)? == [1];
+        let what = format!("{len} splats, the first on {} tiles", counts[0]);
+        found.push((what, pairs(&counts), intersections, fits));
+    }
+    for (what, total, intersections, fits) in found {
+        harness.exact(&format!("{what}: pairs"), &[intersections], &[total]);
+        harness.exact(&format!("{what}: fits"), &[fits], &[total as usize <= capacity]);
     }
     Ok(())
 }

@@ -77,6 +77,8 @@ kernel! {
         intersections: Write<u32>,
         /// Gaussian of each intersection.
         splats: Write<u32>,
+        /// Number of intersections: the sum of `counts`, which wraps; becomes 2³² − 1 where it did.
+        total: ReadWrite<u32>,
     }
 }
 

@@ -14,7 +14,7 @@ impl Render {
     /// Records the rendering of `gaussians` from `camera` into `pixels`: `project/forward`; those of
     /// [`Scan::record`](crate::ops::scan::Scan::record); `bin/compact`; those of
     /// [`RadixSort::record`](crate::ops::sort::RadixSort::record) by depth; `bin/counts`; a scan;
-    /// `bin/fits`, `bin/emit`; a sort by tile; `indirect/arguments`, `bin/ranges`; `raster/forward`
+    /// `bin/emit`, `bin/fits`; a sort by tile; `indirect/arguments`, `bin/ranges`; `raster/forward`
     /// or `raster/forward_shared`.
     ///
     /// # Errors
@@ -238,16 +238,6 @@ impl Render {
             },
             &mut s.scan,
         )?;
-        recorder.dispatch::<bin::Fits>(
-            Groups([1, 1, 1]),
-            bin::FitsParams { capacity },
-            bin::FitsArgs {
-                visible_count: s.visible_count.view(),
-                total: s.intersection_count.view(),
-                counts: s.counts.view_mut(),
-                fits: s.fits.view_mut(),
-            },
-        )?;
         recorder.dispatch_specialised::<bin::Emit>(
             &[u32::from(self.narrow.is_some())],
             groups,
@@ -263,6 +253,17 @@ impl Render {
                 tiles: s.tiles.view_mut(),
                 intersections: s.emitted.view_mut(),
                 splats: s.splats.view_mut(),
+                total: s.intersection_count.view_mut(),
+            },
+        )?;
+        recorder.dispatch::<bin::Fits>(
+            Groups([1, 1, 1]),
+            bin::FitsParams { capacity },
+            bin::FitsArgs {
+                visible_count: s.visible_count.view(),
+                total: s.intersection_count.view(),
+                counts: s.counts.view_mut(),
+                fits: s.fits.view_mut(),
             },
         )?;
         self.tile_sort.record(

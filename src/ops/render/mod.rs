@@ -178,7 +178,8 @@ impl PixelBuffers {
 pub struct FrameCounts {
     /// Gaussians that were not culled.
     pub visible: usize,
-    /// (splat, tile) pairs, counted in full even where they did not fit.
+    /// (splat, tile) pairs, counted in full even where they did not fit; 2³² − 1 stands for as many or
+    /// more, for which no renderer has room.
     pub intersections: usize,
 }
 
