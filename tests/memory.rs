@@ -175,9 +175,26 @@ fn wide_splats_are_counted_and_take_what_was_foreseen() {
     let reserved = renderer.render(&camera, 0.0).unwrap();
     close("wide splats", &foreseen, &device);
 
-    // Without the reservation the picture is the same; it is drawn twice, and a quarter more room made.
+    // Without the reservation the pairs are counted first: the picture is the same, and so is the memory.
     drop(renderer);
+    device.restart_memory_peak();
     let mut renderer = Renderer::tuned(&device, &scene, &tuning).unwrap();
+    assert!(renderer.render(&camera, 0.0).unwrap().rgba == reserved.rgba);
+    close("wide splats, unreserved", &foreseen, &device);
+
+    // A second picture with more pairs is drawn twice, and a quarter more room made.
+    drop(renderer);
+    device.restart_memory_peak();
+    let mut renderer = Renderer::tuned(&device, &scene, &tuning).unwrap();
+    let half = Camera {
+        view_from_world: Pose {
+            rotation: Pose::IDENTITY.rotation,
+            translation: [1.6, 0.0, 0.0].into(),
+        },
+        ..camera
+    };
+    assert!(renderer.count(&half, 0.0).unwrap() < counted as u64);
+    renderer.render(&half, 0.0).unwrap();
     assert!(renderer.render(&camera, 0.0).unwrap().rgba == reserved.rgba);
     let taken = device.memory().1 as f64;
     assert!(taken < 1.3 * foreseen.bytes as f64, "{taken} taken, {} foreseen", foreseen.bytes);
@@ -191,6 +208,35 @@ fn wide_splats_are_counted_and_take_what_was_foreseen() {
     let error = renderer.render(&camera, 0.0).unwrap_err();
     assert!(matches!(&error, Error::RangeLimit { label, .. } if label == "tile keys"), "{error}");
     assert!(device.memory().0 <= before);
+    common::assert_valid(&device);
+}
+
+/// 100,000 splats on some 190 tiles each: a scene whose arrays are small, and whose pictures are not.
+#[test]
+fn a_crowd_of_wide_splats_takes_what_was_foreseen() {
+    let (count, width, height, tuning) = (100_000, 640, 360, Tuning::default());
+    let device = common::device();
+    let small = cloud(count, 0);
+    let scene = Scene::of(Gaussians {
+        positions: small.positions.iter().map(|p| p.map(|x| 160.0 * x)).collect(),
+        log_scales: vec![[3.0; 3]; count],
+        motion_logits: Vec::new(),
+        ..small
+    });
+    let camera = camera(width, height);
+    let mut renderer = Renderer::tuned(&device, &scene, &tuning).unwrap();
+    let intersections = renderer.count(&camera, 0.0).unwrap() as usize;
+    drop(renderer);
+    device.restart_memory_peak();
+    let base = RenderScale::new(&scene, (width, height), &tuning);
+    let scale = RenderScale { intersections, ..base };
+    let foreseen = scale.footprint(&device).unwrap();
+    eprintln!("{intersections} pairs");
+    assert!(foreseen.bytes > 10 * base.footprint(&device).unwrap().bytes);
+    // Whoever renders without counting takes no more.
+    let mut renderer = Renderer::tuned(&device, &scene, &tuning).unwrap();
+    renderer.render(&camera, 0.0).unwrap();
+    close("a crowd of wide splats", &foreseen, &device);
     common::assert_valid(&device);
 }
 

@@ -257,8 +257,13 @@ impl Renderer {
         })
     }
 
-    /// Renders into the renderer's own pixels and waits, with as much room as it takes.
+    /// Renders into the renderer's own pixels and waits, with as much room as it takes. The pairs of
+    /// the first picture of a size are counted before any room is made.
     fn draw(&mut self, camera: &Camera, time: f64) -> Result<()> {
+        if !self.has_studio(camera) {
+            let pairs = self.count(camera, time)?;
+            self.reserve(usize::try_from(pairs).unwrap_or(usize::MAX));
+        }
         loop {
             let mut recorder = self.stream.record()?;
             let frame = self.record(&mut recorder, camera, time, Target::default())?;
@@ -289,13 +294,9 @@ impl Renderer {
         target: Target<'_>,
     ) -> Result<Frame> {
         camera.check().and_then(|()| range::moment(time)).map_err(Error::Input)?;
-        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-        let fits = |studio: &Studio| {
-            (studio.pixels.width, studio.pixels.height) == (width, height)
-                && studio.render.intersection_capacity() >= self.room
-        };
-        if !self.studio.as_ref().is_some_and(fits) {
-            self.make_studio(width, height)?;
+        let has_room = |studio: &Studio| studio.render.intersection_capacity() >= self.room;
+        if !self.has_studio(camera) || !self.studio.as_ref().is_some_and(has_room) {
+            self.make_studio(camera)?;
         }
         if target.mask.is_some() {
             self.plan_mask()?;
@@ -362,10 +363,9 @@ impl Renderer {
     /// # Errors
     /// As for [`render`](Self::render).
     pub fn count(&mut self, camera: &Camera, time: f64) -> Result<u64> {
-        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-        let fits = |studio: &Studio| (studio.pixels.width, studio.pixels.height) == (width, height);
-        if !self.studio.as_ref().is_some_and(fits) {
-            self.make_studio(width, height)?;
+        camera.check().and_then(|()| range::moment(time)).map_err(Error::Input)?;
+        if !self.has_studio(camera) {
+            self.make_studio(camera)?;
         }
         let mut recorder = self.stream.record()?;
         let Renderer { stream, gaussians, motion, half, tuning, studio, .. } = self;
@@ -378,9 +378,16 @@ impl Renderer {
         Ok(counts[..len].iter().map(|&count| u64::from(count)).sum())
     }
 
-    /// Makes what pictures of a size need. Room for more pairs than usual is asked for only where there
+    /// Whether there is a studio for pictures of a camera's size.
+    fn has_studio(&self, camera: &Camera) -> bool {
+        let k = camera.intrinsics;
+        self.pixels().is_some_and(|pixels| (pixels.width, pixels.height) == (k.width, k.height))
+    }
+
+    /// Makes what pictures of a camera's size need. Room for more pairs than usual is asked for only where there
     /// is memory for it: systems promise more than they have.
-    fn make_studio(&mut self, width: u32, height: u32) -> Result<()> {
+    fn make_studio(&mut self, camera: &Camera) -> Result<()> {
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         self.studio = None;
         if self.room > 0 && !self.device.is_rehearsing() {
             let foreseen = Rehearsal::of(&self.device, |rehearsal| {
