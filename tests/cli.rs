@@ -670,6 +670,10 @@ fn supplied_poses_stay_with_their_frames_when_one_is_left_out() {
                  --max-gaussians 200 {more}"
             ),
         );
+        let of_skipped =
+            |note: &Value| note.as_str().is_some_and(|note| note.contains("skipped 1 of 8"));
+        let told = report["notes"].as_array().unwrap().iter().any(of_skipped);
+        assert_eq!(told, !more.is_empty(), "a frame left out is a note: {}", report["notes"]);
         (report["frames"].as_u64(), report["poses"]["reprojection_rms"].as_f64().unwrap())
     };
     let (frames, whole) = residual("");

@@ -387,11 +387,19 @@ fn signal(child: &Child, signal: &str) {
 fn a_hangup_stops_unless_it_is_ignored() {
     for (start, ignored) in [("", false), ("trap '' HUP;", true)] {
         let folder = tempfile::tempdir().unwrap();
-        let (mut child, mut lines) = endless(folder.path(), start, "");
+        let (mut child, mut lines) = endless(folder.path(), start, "--checkpoint-every 1e-9");
         signal(&child, "-HUP");
         if ignored {
-            std::thread::sleep(std::time::Duration::from_millis(300));
-            assert!(child.try_wait().unwrap().is_none(), "it goes on");
+            // It trains on: checkpoints come anew, which end with the work.
+            let checkpoint = folder.path().join("x.checkpoint/training");
+            let written = || fs::metadata(&checkpoint).and_then(|found| found.modified()).ok();
+            for _ in 0..3 {
+                let before = written();
+                while written() == before {
+                    std::thread::sleep(std::time::Duration::from_millis(10));
+                    assert!(child.try_wait().unwrap().is_none(), "it goes on");
+                }
+            }
             signal(&child, "-TERM");
         }
         assert!(lines.any(|line| line.contains("stopping")));
@@ -458,9 +466,9 @@ fn the_limit_of_a_files_size() {
     let before = content(folder.path());
     let program = env!("CARGO_BIN_EXE_splat4d");
     for command in [
-        "train set -o x --steps 1 --random-points 5000 --device software",
-        "render a.ply -o new/a.mp4 --frames 2 --size 400x400 --device software",
-        "synth still -o clip --frames 2 --size 160x90",
+        "train set --steps 1 --random-points 5000 --device software -o x",
+        "render a.ply --frames 2 --size 400x400 --device software -o new/a.mp4",
+        "synth still --frames 2 --size 160x90 -o clip",
     ] {
         let output = Command::new("sh")
             .current_dir(folder.path())
@@ -469,7 +477,9 @@ fn the_limit_of_a_files_size() {
             .unwrap();
         let said = stderr(&output);
         assert_eq!(output.status.code(), Some(1), "{command}: {said}");
-        says(&said, &["error: ", "large"]);
+        // Not where it lies until it is whole.
+        let output = command.split_whitespace().last().unwrap();
+        says(&said, &[&format!("error: {output}"), "large"]);
         let mut after = content(folder.path());
         after.retain(|path| !path.ends_with("new"));
         assert_eq!(after, before, "{command} leaves nothing behind");
@@ -492,6 +502,36 @@ fn a_list_of_drivers_that_is_none() {
         let said = stderr(&output);
         says(&said, &["driver in VK_DRIVER_FILES=", "mesa-vulkan-drivers"]);
         assert!(!said.contains('\u{1b}') && said.lines().count() == 1, "{said}");
+    }
+}
+
+/// An input that is not there is told before a driver that is not.
+#[test]
+fn missing_inputs_come_before_missing_drivers() {
+    let folder = tempfile::tempdir().unwrap();
+    ply::write(folder.path().join("a.ply"), &blobs()).unwrap();
+    let clip = CLIP.path().join("clip");
+    symlink(&clip, folder.path().join("clip")).unwrap();
+    for command in [
+        "train missing -o x",
+        "reconstruct missing -o x",
+        "render missing -o x",
+        "render a.ply -o x --path missing",
+        "render a.ply -o x --settings missing",
+        "eval missing clip",
+        "eval a.ply missing",
+        "bench --scene missing --error-budget 1 --settings x",
+        "validate --case missing",
+    ] {
+        let output = program()
+            .current_dir(folder.path())
+            .args(command.split_whitespace())
+            .env("VK_DRIVER_FILES", "/dev/null")
+            .env_remove("VK_ADD_DRIVER_FILES")
+            .output()
+            .unwrap();
+        assert_eq!(output.status.code(), Some(1), "{command}");
+        says(&stderr(&output), &["error: missing: "]);
     }
 }
 

@@ -251,7 +251,8 @@ fn a_training_of_wide_splats_takes_what_was_foreseen() {
     drop(counter);
     device.restart_memory_peak();
     let base = TrainingScale::new(&views, 3000, None, settings.clone());
-    let scale = TrainingScale { intersections, ..base };
+    let scale = TrainingScale { intersections, ..base.clone() };
+    assert!(scale.is_dense() && !base.is_dense());
     let foreseen = scale.footprint(&device).unwrap().bytes as f64;
     let mut trainer = Trainer::new(&device, &views, &scene.gaussians, None, settings).unwrap();
     (0..3).for_each(|_| trainer.step().unwrap());

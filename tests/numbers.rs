@@ -6,6 +6,8 @@
 
 mod common;
 mod support;
+#[path = "support/wild.rs"]
+mod wild;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -25,22 +27,7 @@ use splat4d::types::{
 };
 use splat4d::{Error, Result};
 use support::{compressed, message, picture, says, shared, some_camera};
-
-/// What may stand in the place of any number.
-const WILD: [&str; 12] = [
-    "0",
-    "-0",
-    "-1",
-    "1e-300",
-    "1e10",
-    "1e19",
-    "1e38",
-    "1e300",
-    "NaN",
-    "inf",
-    "4294967295",
-    "18446744073709551615",
-];
+use wild::WILD;
 
 // ---------------------------------------------------------------------------------------------
 // The rule

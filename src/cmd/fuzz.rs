@@ -85,13 +85,26 @@ pub fn run(devices: &[(DeviceInfo, Device)], count: u64, seed: u64) -> Result<(A
     Ok((Answer { json, text }, ExitCode::from(u8::from(failed > 0))))
 }
 
+/// A scene's file.
+pub struct FuzzCase {
+    path: PathBuf,
+    scene: FuzzScene,
+}
+
+impl FuzzCase {
+    /// Reads it.
+    pub fn read(path: &Path) -> Result<FuzzCase> {
+        Ok(FuzzCase { path: path.to_owned(), scene: fuzz::file::read(path)? })
+    }
+}
+
 /// Judges one scene's file on every device.
-pub fn repeat(devices: &[(DeviceInfo, Device)], path: &Path) -> Result<(Answer, ExitCode)> {
+pub fn repeat(devices: &[(DeviceInfo, Device)], case: &FuzzCase) -> Result<(Answer, ExitCode)> {
     let started = Instant::now();
-    let scene: FuzzScene = fuzz::file::read(path)?;
+    let FuzzCase { path, scene } = case;
     let (mut rows, mut text, mut failed) = (Vec::new(), String::new(), 0);
     for (info, device) in devices {
-        let wrong = fuzz::judge(device, &mut device.stream()?, &scene)?;
+        let wrong = fuzz::judge(device, &mut device.stream()?, scene)?;
         let messages = device.take_validation_messages();
         let wrong = wrong.or_else(|| messages.into_iter().next());
         failed += usize::from(wrong.is_some());

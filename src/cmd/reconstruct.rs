@@ -144,6 +144,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     let times: Vec<f64> = clip.frames.iter().map(|frame| frame.time).collect();
     let names: Vec<String> = clip.frames.iter().map(|frame| frame.name.clone()).collect();
     let (width, height, original) = (clip.width, clip.height, clip.original);
+    let mut all_notes = clip.notes;
     let frames: Vec<Image> = clip.frames.into_iter().map(|frame| frame.image).collect();
     let host = frames.len() as u64 * u64::from(width) * u64::from(height);
     say(&format!(
@@ -167,6 +168,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     };
     let quality = &track.quality;
     notes(&quality.notes);
+    all_notes.extend_from_slice(&quality.notes);
     say(&format!(
         "focal length {:.1} px ({}), {:.1} % of the pixels move",
         track.intrinsics.fx,
@@ -212,7 +214,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
         "frames": names.len(),
         "frame_names": names,
         "model": model,
-        "notes": quality.notes,
+        "notes": all_notes,
         "device": device.info().name,
         "predicted_bytes": predicted_bytes,
     });

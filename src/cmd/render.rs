@@ -150,7 +150,11 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Answer> {
         let begun = std::time::Instant::now();
         let rendered = renderer.render(&shot.camera, shot.time)?;
         seconds += begun.elapsed().as_secs_f64();
-        write(args, folder, i, &rendered, background)?;
+        write(args, folder, i, &rendered, background).map_err(|error| match error {
+            // The pictures of a video are nothing that the user has named.
+            Error::Io { source, .. } if video => Error::io(&args.output)(source),
+            other => other,
+        })?;
         meter.advance();
     }
     drop(meter);
@@ -246,17 +250,22 @@ fn spare_inputs(args: &RenderArgs, pictures: usize) -> Result<()> {
     let mut endings = vec![".png"];
     endings.extend(args.exr.then_some(".exr"));
     endings.extend(args.depth.then_some("_depth.exr"));
-    for i in 0..pictures {
-        for ending in &endings {
-            let picture = args.output.join(file_name(i, ending));
-            if picture.is_dir() {
-                return Err(Error::format(
-                    picture,
-                    "is a folder, where a picture is to be written",
-                ));
-            }
-            inputs.spared_by(&picture)?;
+    let is_written = |name: &str| {
+        let index = |ending: &str| name.strip_suffix(ending)?.parse::<usize>().ok();
+        endings.iter().any(|ending| {
+            index(ending).is_some_and(|i| i < pictures && file_name(i, ending) == name)
+        })
+    };
+    // What is there are few, where pictures may be many; a folder that is not there holds none.
+    for entry in std::fs::read_dir(&args.output).into_iter().flatten().flatten() {
+        if !entry.file_name().to_str().is_some_and(is_written) {
+            continue;
         }
+        let picture = entry.path();
+        if picture.is_dir() {
+            return Err(Error::format(picture, "is a folder, where a picture is to be written"));
+        }
+        inputs.spared_by(&picture)?;
     }
     Ok(())
 }

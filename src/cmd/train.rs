@@ -199,7 +199,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     clock.lap("load");
     // The first Gaussians may be large: few points are far apart.
     scale.intersections = pairs_of(&device, &seeded, settings.render, &views)?;
-    if scale.intersections > 4 * scale.reached() {
+    if scale.is_dense() {
         predicted_bytes = foresee(&scale)?;
     }
     let identity = identity(args, &views, &seeded, &tuning, &settings, motion.as_ref());

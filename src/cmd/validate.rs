@@ -12,7 +12,7 @@ use splat4d::vk::{self, DeviceInfo};
 use splat4d::{Error, Result};
 
 use super::common::{Answer, Common, check_room_for_drivers, say};
-use super::fuzz;
+use super::fuzz::{self, FuzzCase};
 use super::interrupt;
 use super::meter::Meter;
 use super::rows::{Row, devices_json, table};
@@ -65,13 +65,15 @@ pub struct ValidateArgs {
 /// Runs the command. The exit code says whether all is well; an error, that it could not be found
 /// out.
 pub fn run(args: &ValidateArgs, common: &Common) -> Result<(Answer, ExitCode)> {
+    // Before a device is looked for: it is no use where there is no such file.
+    let case = args.case.as_deref().map(FuzzCase::read).transpose()?;
     check_room_for_drivers()?;
     let infos = devices(common)?;
     if args.fuzz.is_some() || args.case.is_some() {
         let open = |info: &DeviceInfo| Ok((info.clone(), open(info, args.validation)?));
         let devices = infos.iter().map(open).collect::<Result<Vec<_>>>()?;
-        return match &args.case {
-            Some(path) => fuzz::repeat(&devices, path),
+        return match &case {
+            Some(case) => fuzz::repeat(&devices, case),
             None => fuzz::run(&devices, args.fuzz.unwrap_or(0), common.seed),
         };
     }

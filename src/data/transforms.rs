@@ -351,6 +351,6 @@ fn pose(value: Option<&Value>) -> std::result::Result<Pose, String> {
     }
     let [x, y, z, centre] = columns;
     let (rotation, _) = range::rotation_and_scale(DMat3::from_cols(x, -y, -z))?;
-    range::place(centre).map_err(|what| format!("puts the camera at {what}"))?;
+    range::place(centre).map_err(|what| format!("is of a camera whose place {what}"))?;
     Ok(Pose::new(rotation, centre).inverse())
 }

@@ -127,11 +127,16 @@ impl Room {
         Room { gaussians: settings.reachable(first), intersections }
     }
 
+    /// Whether a picture may have so many (splat, tile) pairs.
+    pub(super) fn holds(&self, intersections: usize) -> bool {
+        intersections <= self.intersections
+    }
+
     /// The same, once a picture had so many (splat, tile) pairs.
     pub(super) fn after(self, intersections: usize) -> Room {
-        match intersections > self.intersections {
-            true => Room { intersections: grown(intersections), ..self },
-            false => self,
+        match self.holds(intersections) {
+            true => self,
+            false => Room { intersections: grown(intersections), ..self },
         }
     }
 }

@@ -117,6 +117,11 @@ impl TrainingScale {
         self.settings.reachable(self.gaussians)
     }
 
+    /// Whether its pictures need more room for (splat, tile) pairs than there is at first.
+    pub fn is_dense(&self) -> bool {
+        !Room::of(&self.settings, self.gaussians).holds(self.intersections)
+    }
+
     /// What it takes of a device's memory at most.
     ///
     /// # Errors

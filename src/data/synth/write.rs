@@ -69,7 +69,7 @@ pub fn write(clip: &Clip, folder: impl AsRef<Path>) -> Result<()> {
         tempfile::Builder::new().prefix(".synth-").tempdir_in(parent).map_err(Error::io(parent))?;
     // Nested, since a temporary folder is its owner's alone and its mode would come along.
     let whole = partial.path().join("clip");
-    contents(clip, &whole)?;
+    contents(clip, &whole).map_err(|error| moved(error, &whole, folder))?;
     if new {
         return fs::rename(&whole, folder).map_err(Error::io(folder));
     }
@@ -77,6 +77,17 @@ pub fn write(clip: &Clip, folder: impl AsRef<Path>) -> Result<()> {
         .iter()
         .try_for_each(|name| fs::rename(whole.join(name), folder.join(name)))
         .map_err(Error::io(folder))
+}
+
+/// An error of writing below one folder, told of the folder that is to take its place.
+fn moved(error: Error, from: &Path, to: &Path) -> Error {
+    match error {
+        Error::Io { path, source } => {
+            let path = path.strip_prefix(from).map(|rest| to.join(rest)).unwrap_or(path);
+            Error::Io { path, source }
+        }
+        other => other,
+    }
 }
 
 fn contents(clip: &Clip, folder: &Path) -> Result<()> {

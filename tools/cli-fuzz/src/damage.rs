@@ -7,30 +7,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use crate::fixtures::files;
-
-/// Numbers that no honest file or command line holds.
-pub const NUMBERS: [&str; 20] = [
-    "0",
-    "-0",
-    "-1",
-    "1e-300",
-    "1e10",
-    "1e19",
-    "1e38",
-    "1e300",
-    "1e999",
-    "nan",
-    "NaN",
-    "inf",
-    "-inf",
-    "65536",
-    "1000000000",
-    "4294967295",
-    "4294967296",
-    "9223372036854775808",
-    "18446744073709551615",
-    "18446744073709551616",
-];
+use crate::wild::WILD;
 
 /// Copies a file, or a folder with all below it, and damages one file of it, or takes one away.
 ///
@@ -83,7 +60,7 @@ fn damaged(mut bytes: Vec<u8>, rng: &mut ChaCha8Rng) -> Vec<u8> {
             }
             4 => {
                 if let Some((start, end)) = number(&bytes, at) {
-                    let other = NUMBERS[rng.random_range(0..NUMBERS.len())];
+                    let other = WILD[rng.random_range(0..WILD.len())];
                     bytes.splice(start..end, other.bytes());
                 }
             }

@@ -13,6 +13,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::damage;
 use crate::fixtures::{Fixtures, Kind};
 use crate::grammar::Flag;
+use crate::wild::WILD;
 
 /// Where the fixtures are reached from the folder that a command runs in.
 pub const INPUTS: &str = "in";
@@ -224,7 +225,7 @@ impl Artist<'_> {
         }
         let number = |artist: &mut Self| -> String {
             match artist.below(3) {
-                0 => artist.pick(&damage::NUMBERS).to_owned(),
+                0 => artist.pick(&WILD).to_owned(),
                 _ => artist.pick(&["1", "2", "3", "5", "0.5", "16", "20"]).to_owned(),
             }
         };

@@ -9,6 +9,8 @@ mod draw;
 mod fixtures;
 mod grammar;
 mod judge;
+#[path = "../../../tests/support/wild.rs"]
+mod wild;
 
 use std::fs;
 use std::io::Write;
