@@ -51,14 +51,13 @@ fn listen(stop: impl Fn() + Send + 'static) -> std::io::Result<()> {
     ctrlc::set_handler(stop).map_err(std::io::Error::other)
 }
 
-/// Whether whoever started this program had it ignore a signal, as `nohup` does.
+/// Whether whoever started this program had it ignore a signal, as `nohup` does. Known on Linux.
 #[cfg(unix)]
-fn ignored(signal: libc::c_int) -> bool {
-    // SAFETY: a sigaction is plain data, for which zeros are valid.
-    let mut now: libc::sigaction = unsafe { std::mem::zeroed() };
-    // SAFETY: without an action to set, the call only writes the one that holds.
-    let known = unsafe { libc::sigaction(signal, std::ptr::null(), &mut now) } == 0;
-    known && now.sa_sigaction == libc::SIG_IGN
+fn ignored(signal: i32) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    mask.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
 }
 
 /// The work is done or has failed: from now on, stdout belongs to its answer.
