@@ -544,7 +544,11 @@ fn what_is_no_depth_is_unknown() {
     let depth = Image { width: wild.len() as u32, height: 1, channels: 1, pixels: wild };
     exr::write_depth(&path, &depth).unwrap();
     let inf = f32::INFINITY;
-    let expected = [0.0, 0.0, 0.0, 0.0, 1e10, inf, inf, inf, 0.0, inf, 4294967295.0, inf];
+    let expected = [
+        [0.0, 0.0, 0.0, 0.0, 1e10, inf, inf, inf, inf, 0.0],
+        [0.0, inf, 0.0, 65536.0, 1e9, 4294967295.0, 4294967296.0, inf, inf, inf],
+    ]
+    .concat();
     assert_eq!(exr::read_depth(&path).unwrap().pixels, expected);
 }
 
