@@ -531,28 +531,12 @@ pub(super) fn reconstruct(
     tracks: &[PointTrack],
     weights: &[f64],
     focal: &Focal,
-    flow: &NeighbourFlow,
+    frames: usize,
     seed: u64,
     work: &mut Work,
     part: &str,
 ) -> Result<Cameras> {
-    let n = flow.frames;
-    let mut posing: Posing = match work.kept(part)? {
-        Some(kept) => kept,
-        None => {
-            let begun = begin(tracks, weights, focal, n, seed)?;
-            work.keep(part, &begun)?;
-            begun
-        }
-    };
-    loop {
-        let count = posing.posed.iter().filter(|p| **p).count();
-        work.progress(Stage::Cameras, 0.9 * count as f64 / n as f64)?;
-        let Some(frame) = next_frame(tracks, &posing.posed, &posing.cameras.anchors) else { break };
-        pose_frame(&mut posing, frame, tracks, weights, seed)?;
-        work.keep(part, &posing)?;
-    }
-    let Posing { mut cameras, posed, .. } = posing;
+    let Posing { mut cameras, posed, .. } = pose(tracks, weights, focal, frames, seed, work, part)?;
     cameras.doubtful.sort_unstable();
     if let Some(lost) = posed.iter().position(|p| !p) {
         return Err(Error::Failed(format!(
@@ -562,6 +546,56 @@ pub(super) fn reconstruct(
     }
     cameras.adjust(tracks, weights, focal)?;
     Ok(cameras)
+}
+
+/// The longest run of frames that one structure from motion can pose.
+pub(super) fn posable(
+    tracks: &[PointTrack],
+    weights: &[f64],
+    focal: &Focal,
+    frames: usize,
+    work: &mut Work,
+    part: &str,
+) -> Result<std::ops::Range<usize>> {
+    let posed = pose(tracks, weights, focal, frames, 0, work, part)?.posed;
+    let (mut best, mut start) = (0..0, 0);
+    for f in 0..=frames {
+        if f == frames || !posed[f] {
+            if f - start > best.len() {
+                best = start..f;
+            }
+            start = f + 1;
+        }
+    }
+    Ok(best)
+}
+
+/// Poses frame after frame, as long as points lead from one to the next.
+fn pose(
+    tracks: &[PointTrack],
+    weights: &[f64],
+    focal: &Focal,
+    frames: usize,
+    seed: u64,
+    work: &mut Work,
+    part: &str,
+) -> Result<Posing> {
+    let mut posing: Posing = match work.kept(part)? {
+        Some(kept) => kept,
+        None => {
+            let begun = begin(tracks, weights, focal, frames, seed)?;
+            work.keep(part, &begun)?;
+            begun
+        }
+    };
+    loop {
+        let count = posing.posed.iter().filter(|p| **p).count();
+        work.progress(Stage::Cameras, 0.9 * count as f64 / frames as f64)?;
+        let Some(frame) = next_frame(tracks, &posing.posed, &posing.cameras.anchors) else { break };
+        pose_frame(&mut posing, frame, tracks, weights, seed)?;
+        work.keep(part, &posing)?;
+    }
+    Ok(posing)
 }
 
 /// Gives a frame its pose by PnP, and adjusts all where enough frames have come since.

@@ -2,10 +2,9 @@
 //!
 //! Static pixels are triangulated; what they leave out is filled in by diffusion of inverse depth
 //! that stops at edges of colour, and noisy measurements are smoothed by the same equation, each
-//! according to its deviation. One camera cannot see how far a mover is. It stands on something:
-//! where the lower end of a mover meets static ground, both have one depth; and it hides what is
-//! behind it, so it is nearer than that. These two give each mover one depth per frame, smoothed
-//! along the flow; training refines it.
+//! according to its deviation. Movers are lifted as objects ([`super::movers`]). What belongs to none,
+//! for hardly a point can be followed on it, gets one depth per region and frame, smoothed along the
+//! flow: that of the ground where its lower end meets it, nearer than what it hides.
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -14,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use super::Stage;
 use super::cameras::Cameras;
 use super::masks::regions;
+use super::movers;
 use super::observer::Work;
 use super::quantile;
 use super::residual::Seen;
@@ -56,16 +56,19 @@ pub(super) fn dense(
     };
     let mut layers: Vec<Layer> =
         work.frames("depth", frames.len(), made, Stage::Depth, 0.0..0.8)?;
-    let movers: Vec<Vec<Option<(f32, f32)>>> =
-        layers.par_iter().zip(masks).map(|(layer, mask)| movers(layer, mask)).collect();
+    let behind: Vec<&[f32]> = layers.iter().map(|layer| layer.inverse.as_slice()).collect();
+    let lifted = movers::lift(cameras, flow, masks, &behind);
+    // What no object owns: by region and frame.
+    let rest: Vec<Vec<Option<(f32, f32)>>> =
+        layers.par_iter().zip(masks).map(|(layer, mask)| cardboard(layer, mask)).collect();
     for (f, layer) in layers.iter_mut().enumerate() {
         for i in 0..layer.inverse.len() {
-            let Some((_, confidence)) = movers[f][i] else { continue };
+            let Some((_, confidence)) = rest[f][i] else { continue };
             if layer.supplied[i] {
                 continue;
             }
-            layer.inverse[i] = smoothed(flow, &movers, f, i);
-            layer.confidence[i] = confidence;
+            let unknown = || (smoothed(flow, &rest, f, i), confidence);
+            (layer.inverse[i], layer.confidence[i]) = lifted[f][i].unwrap_or_else(unknown);
         }
     }
     let (width, height) = super::intrinsics_size(flow);
@@ -258,7 +261,7 @@ fn diffuse(image: &Image, value: &[f32], weight: &[f32], w: usize) -> Vec<f32> {
 }
 
 /// Inverse depth and confidence of the pixels of movers, by region of the mask.
-fn movers(layer: &Layer, mask: &Image) -> Vec<Option<(f32, f32)>> {
+fn cardboard(layer: &Layer, mask: &Image) -> Vec<Option<(f32, f32)>> {
     let (w, h) = (mask.width as usize, mask.height as usize);
     let u = &mask.pixels;
     let mut out = vec![None; u.len()];
@@ -415,7 +418,7 @@ mod tests {
             supplied: vec![false; (WIDTH * HEIGHT) as usize],
         };
         let standing = map(|p| f32::from(u8::from(within(p, (20.0, 8.0), (30.0, 28.0)))));
-        let found = movers(&layer, &standing);
+        let found = cardboard(&layer, &standing);
         let (d, confidence) = found[(15 * WIDTH + 25) as usize].unwrap();
         // It stands on row 28; the mask may overhang, so the ground is looked for two rows below.
         assert!((d - world(DVec2::new(25.0, 30.5))).abs() < 1e-3, "{d}");
@@ -423,11 +426,11 @@ mod tests {
         assert!(found[0].is_none());
         // In the air, before the wall: only that it is nearer is known.
         let flying = map(|p| f32::from(u8::from(within(p, (20.0, 2.0), (30.0, 10.0)))));
-        let (d, _) = movers(&layer, &flying)[(5 * WIDTH + 25) as usize].unwrap();
+        let (d, _) = cardboard(&layer, &flying)[(5 * WIDTH + 25) as usize].unwrap();
         assert!(d >= 0.1, "{d}");
         // Cut off by the lower border: its feet are not seen.
         let cut = map(|p| f32::from(u8::from(within(p, (20.0, 20.0), (30.0, 40.0)))));
-        let (d, confidence) = movers(&layer, &cut)[(30 * WIDTH + 25) as usize].unwrap();
+        let (d, confidence) = cardboard(&layer, &cut)[(30 * WIDTH + 25) as usize].unwrap();
         assert!(confidence == BOUND && d > 0.3, "{d}, {confidence}");
     }
 }

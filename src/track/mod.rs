@@ -8,6 +8,9 @@
 //! | `photometric` | does the picture itself say that a pixel moved? |
 //! | `masks` | from what is unexplained to a dense motion mask that keeps to the picture's edges |
 //! | `depth` | depth of all pixels, measured where it can be, inferred and marked so where not |
+//! | `objects` | what moves, as objects: points on it that belong together |
+//! | `movers` | each object's shape and path up to scale, and the scale |
+//! | `smooth` | the scale of a path, from how smoothly things move |
 //! | `observer` | who looks on: progress, and finished parts put away |
 //! | `points` | static points to seed Gaussians with |
 //!
@@ -18,12 +21,15 @@
 mod cameras;
 mod depth;
 mod masks;
+mod movers;
+mod objects;
 mod observer;
 mod photometric;
 mod points;
 mod residual;
 #[cfg(test)]
 mod sliding;
+mod smooth;
 mod still;
 
 use glam::DVec3;
@@ -102,7 +108,8 @@ pub struct Track {
     pub depth: Vec<Image>,
     /// Per frame, one channel, in [0, 1]: how far the depth is measured. Above 0.5 it was
     /// triangulated or supplied, at or below it was filled in from the surroundings or, on movers,
-    /// inferred from where they touch the static world and from what they hide.
+    /// solved for object by object: up to 0.4 where the object's scale is known, 0.2 where only a
+    /// bound is.
     pub depth_confidence: Vec<Image>,
     /// Static points.
     pub points: Vec<StaticPoint>,
@@ -323,7 +330,15 @@ impl Known<'_> {
         } else {
             still::demand_parallax(tracks, &weights, flow)?;
             let seed = options.seed;
-            cameras::reconstruct(tracks, &weights, &focal, flow, seed, work, "cameras/posing")?
+            cameras::reconstruct(
+                tracks,
+                &weights,
+                &focal,
+                flow.frames,
+                seed,
+                work,
+                "cameras/posing",
+            )?
         };
         let masks = supplied.map(<[Image]>::to_vec).unwrap_or_default();
         Ok(SoFar { focal, cameras, masks, weights })
@@ -354,7 +369,8 @@ impl Known<'_> {
             if options.poses.is_none() && supplied.is_none() && share(&masks) > CROWDED {
                 focal = Focal::choose(options, flow, tracks, &weights);
                 let (seed, part) = (options.seed, format!("{part}/posing"));
-                match cameras::reconstruct(tracks, &weights, &focal, flow, seed, work, &part) {
+                match cameras::reconstruct(tracks, &weights, &focal, flow.frames, seed, work, &part)
+                {
                     Ok(afresh) => cameras = afresh,
                     Err(error) if work.ended => return Err(error),
                     Err(_) => {}
