@@ -5,9 +5,10 @@ use crate::error::{Error, Result};
 use crate::types::Pose;
 use glam::{DMat3, DQuat, DVec3};
 use nalgebra::Matrix3;
+use serde::{Deserialize, Serialize};
 
 /// A similarity, named `a_from_b`: `x_a = scale · rotation · x_b + translation`.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Sim3 {
     /// Units of a per unit of b, positive.
     pub scale: f64,

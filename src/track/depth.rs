@@ -10,13 +10,13 @@ use glam::DVec2;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::Stage;
 use super::cameras::Cameras;
 use super::masks::regions;
 use super::movers;
 use super::observer::Work;
 use super::quantile;
 use super::residual::Seen;
+use super::{Mover, Stage};
 use crate::Result;
 use crate::observe::NeighbourFlow;
 use crate::types::Image;
@@ -35,6 +35,14 @@ const FILLED: f32 = 0.3;
 const CONTACT: f32 = 0.4;
 const BOUND: f32 = 0.2;
 
+/// What [`super::Track`] holds of depth and movers.
+pub(super) struct Dense {
+    pub depth: Vec<Image>,
+    pub confidence: Vec<Image>,
+    pub movers: Vec<Mover>,
+    pub owners: Vec<Image>,
+}
+
 /// Depth and its confidence per frame, as [`super::Track`] has them. Without parallax (a fixed
 /// camera) and without supplied depth everything lies on a wall at depth 1, movers before it.
 pub(super) fn dense(
@@ -45,7 +53,7 @@ pub(super) fn dense(
     seen: &[Seen],
     supplied: Option<&[Image]>,
     work: &mut Work,
-) -> Result<(Vec<Image>, Vec<Image>)> {
+) -> Result<Dense> {
     let scale = supplied.map(|maps| scale_of(maps, seen, masks));
     let made = |range: std::ops::Range<usize>| {
         let layer = |f: usize| {
@@ -68,18 +76,19 @@ pub(super) fn dense(
                 continue;
             }
             let unknown = || (smoothed(flow, &rest, f, i), confidence);
-            (layer.inverse[i], layer.confidence[i]) = lifted[f][i].unwrap_or_else(unknown);
+            (layer.inverse[i], layer.confidence[i]) = lifted.pixels[f][i].unwrap_or_else(unknown);
         }
     }
     let (width, height) = super::intrinsics_size(flow);
     let image = |pixels| Image { width, height, channels: 1, pixels };
-    Ok(layers
+    let (depth, confidence) = layers
         .into_iter()
         .map(|layer| {
             let depth = layer.inverse.iter().map(|d| d.recip().clamp(NEAREST, FARTHEST)).collect();
             (image(depth), image(layer.confidence))
         })
-        .unzip())
+        .unzip();
+    Ok(Dense { depth, confidence, movers: lifted.movers, owners: lifted.owners })
 }
 
 /// One factor for all supplied maps: the median ratio to what was triangulated.

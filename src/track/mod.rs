@@ -36,6 +36,7 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use crate::data::Clip;
+use crate::geometry::sim3::Sim3;
 use crate::observe::{FlowSource, NeighbourFlow, PointTrack, TrackOptions, follow};
 use crate::types::{Image, Intrinsics, Pose};
 use crate::{Error, Result};
@@ -111,12 +112,36 @@ pub struct Track {
     /// solved for object by object: up to 0.4 where the object's scale is known, 0.2 where only a
     /// bound is.
     pub depth_confidence: Vec<Image>,
+    /// What moves, object by object.
+    pub movers: Vec<Mover>,
+    /// Per frame, one channel: one more than the number in `movers` of the object that the pixel
+    /// shows; 0 where none is known.
+    pub owners: Vec<Image>,
     /// Static points.
     pub points: Vec<StaticPoint>,
     /// Points followed through the pictures, static and moving ones.
     pub tracks: Vec<PointTrack>,
     /// How well all this is known.
     pub quality: Quality,
+}
+
+/// An object that moves.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Mover {
+    /// The frame in which it is first seen.
+    pub first: usize,
+    /// From that frame to the last in which it is seen: from a frame of its own, in which a rigid
+    /// object stands still.
+    pub world_from_object: Vec<Sim3>,
+}
+
+impl Mover {
+    /// Where it is in any frame; before it is first seen and after it is last seen it stays.
+    pub fn world_from_object(&self, frame: usize) -> Sim3 {
+        let last = self.world_from_object.len().saturating_sub(1);
+        let k = frame.saturating_sub(self.first).min(last);
+        self.world_from_object.get(k).copied().unwrap_or(Sim3::IDENTITY)
+    }
 }
 
 /// A point of the static world.
@@ -240,7 +265,7 @@ pub fn track_observed(
     }
     work.progress(Stage::Depth, 0.0)?;
     let depths = options.depth.as_deref();
-    let (depth, depth_confidence) =
+    let depth::Dense { depth, confidence: depth_confidence, movers, owners } =
         depth::dense(frames, &cameras, &flow, &masks, &seen, depths, &mut work)?;
     let points =
         points::gather(frames, &cameras, &depth, &depth_confidence, &masks, options.max_points);
@@ -252,6 +277,8 @@ pub fn track_observed(
         masks,
         depth,
         depth_confidence,
+        movers,
+        owners,
         points,
         tracks,
         quality,

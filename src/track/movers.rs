@@ -15,9 +15,10 @@ use super::masks::regions;
 use super::objects::{self, Object};
 use super::observer::{Progress, Work};
 use super::smooth::{self, Place};
-use super::{FocalSource, Stage, quantile};
+use super::{FocalSource, Mover, Stage, quantile};
+use crate::geometry::sim3::Sim3;
 use crate::observe::{NeighbourFlow, PointTrack};
-use crate::types::Image;
+use crate::types::{Image, Pose};
 
 /// Confidence of a mover's depth whose scale is known, and of one that only has a bound.
 pub(super) const KNOWN: f32 = 0.4;
@@ -48,23 +49,36 @@ struct Frame {
     middle: DVec2,
     /// Depth of each track relative to the middle's, if the track lives in this frame.
     relative: Vec<Option<f64>>,
+    /// Where the structure from motion holds.
+    view_from_object: Option<Pose>,
 }
 
 /// An object up to scale.
 struct Shape {
     /// From the object's first frame on.
     frames: Vec<Frame>,
+    /// The middle in the object's own frame.
+    middle: DVec3,
     rigid: bool,
 }
 
-/// Inverse depth and confidence of the movers' pixels, frame by frame; none where no object is.
-/// `behind` is the static world's inverse depth, behind the movers too.
+/// The movers of a clip in three dimensions.
+pub(super) struct Lifted {
+    /// Inverse depth and confidence of the movers' pixels, frame by frame; none where no object is.
+    pub pixels: Vec<Vec<Option<(f32, f32)>>>,
+    /// As [`super::Track`] has them.
+    pub movers: Vec<Mover>,
+    /// As [`super::Track`] has them.
+    pub owners: Vec<Image>,
+}
+
+/// Lifts all movers. `behind` is the static world's inverse depth, behind the movers too.
 pub(super) fn lift(
     cameras: &Cameras,
     flow: &NeighbourFlow,
     masks: &[Image],
     behind: &[&[f32]],
-) -> Vec<Vec<Option<(f32, f32)>>> {
+) -> Lifted {
     let objects = objects::find(flow, masks);
     let shapes: Vec<Shape> = objects.iter().map(|object| shape(object, cameras, flow)).collect();
     let owners: Vec<Vec<Option<u16>>> =
@@ -75,9 +89,63 @@ pub(super) fn lift(
         .enumerate()
         .map(|(i, (object, shape))| scale(i, object, shape, cameras, &owners, behind, flow.width))
         .collect();
-    (0..masks.len())
+    let pixels = (0..masks.len())
         .into_par_iter()
         .map(|f| paint(f, &objects, &shapes, &scaled, &owners[f], flow.width))
+        .collect();
+    let movers = objects
+        .iter()
+        .zip(&shapes)
+        .zip(&scaled)
+        .map(|((object, shape), (depths, _))| Mover {
+            first: object.first,
+            world_from_object: motion(object, shape, depths, cameras),
+        })
+        .collect();
+    let numbered = |owner: &Option<u16>| owner.map_or(0.0, |i| f32::from(i) + 1.0);
+    let owners = owners
+        .iter()
+        .zip(masks)
+        .map(|(own, mask)| Image { pixels: own.iter().map(numbered).collect(), ..*mask })
+        .collect();
+    Lifted { pixels, movers, owners }
+}
+
+/// Where an object is, frame by frame: as its structure from motion says; elsewhere it keeps the
+/// orientation in the world that it had, and its middle goes on.
+fn motion(object: &Object, shape: &Shape, depths: &[f64], cameras: &Cameras) -> Vec<Sim3> {
+    let known: Vec<Option<Sim3>> = shape
+        .frames
+        .iter()
+        .zip(depths)
+        .enumerate()
+        .map(|(k, (frame, depth))| {
+            let view_from_object = frame.view_from_object?;
+            let scale = depth / frame.depth;
+            let world_from_view = cameras.poses[object.first + k].inverse();
+            let world_from_object = world_from_view
+                * Pose::new(view_from_object.rotation, scale * view_from_object.translation);
+            let Pose { rotation, translation } = world_from_object;
+            Some(Sim3 { scale, rotation, translation })
+        })
+        .collect();
+    let run: Vec<usize> = (0..known.len()).filter(|k| known[*k].is_some()).collect();
+    shape
+        .frames
+        .iter()
+        .zip(depths)
+        .enumerate()
+        .map(|(k, (frame, depth))| {
+            if let Some(known) = known[k] {
+                return known;
+            }
+            let nearest = run.iter().min_by_key(|r| r.abs_diff(k)).and_then(|r| known[*r]);
+            let nearest = nearest.unwrap_or(Sim3::IDENTITY);
+            let ray = cameras.intrinsics.ray(frame.middle);
+            let middle = cameras.poses[object.first + k].inverse().apply(ray * *depth);
+            let translation = middle - nearest.scale * (nearest.rotation * shape.middle);
+            Sim3 { translation, ..nearest }
+        })
         .collect()
 }
 
@@ -110,7 +178,7 @@ fn owners(objects: &[Object], mask: &Image, frame: usize) -> Vec<Option<u16>> {
 /// An object's shape and path up to scale: rigid in the frames in which it is, upright in the others.
 fn shape(object: &Object, cameras: &Cameras, flow: &NeighbourFlow) -> Shape {
     let upright = upright(object);
-    let Some((run, mut rigid)) = rigid(object, cameras, flow) else { return upright };
+    let Some((run, middle, mut rigid)) = rigid(object, cameras, flow) else { return upright };
     let mut frames = upright.frames;
     for (edge, rest) in [(run.start, 0..run.start), (run.end - 1, run.end..frames.len())] {
         let known = &rigid[edge - run.start];
@@ -123,15 +191,16 @@ fn shape(object: &Object, cameras: &Cameras, flow: &NeighbourFlow) -> Shape {
     }
     let rigid_share = run.len() as f64 / frames.len() as f64;
     frames.iter_mut().skip(run.start).zip(rigid.drain(..)).for_each(|(to, from)| *to = from);
-    Shape { frames, rigid: rigid_share > 0.8 }
+    Shape { frames, middle, rigid: rigid_share > 0.8 }
 }
 
-/// Structure from motion of a rigid object: the run of its frames that it holds for, and these.
+/// Structure from motion of a rigid object: the run of its frames that it holds for, the middle in
+/// the object's own frame, and these frames.
 fn rigid(
     object: &Object,
     cameras: &Cameras,
     flow: &NeighbourFlow,
-) -> Option<(std::ops::Range<usize>, Vec<Frame>)> {
+) -> Option<(std::ops::Range<usize>, DVec3, Vec<Frame>)> {
     let frames = object.end - object.first;
     if frames < 5 || object.tracks.len() < 30 {
         return None;
@@ -173,10 +242,15 @@ fn rigid(
                     .map(|point| solved.poses[f].apply(point).z / centre.z)
                     .filter(|r| (0.3..3.0).contains(r));
             }
-            Frame { depth: centre.z, middle: cameras.intrinsics.project(centre), relative }
+            Frame {
+                depth: centre.z,
+                middle: cameras.intrinsics.project(centre),
+                relative,
+                view_from_object: Some(solved.poses[f]),
+            }
         })
         .collect();
-    frames.iter().all(|f| f.depth > 0.0 && f.depth.is_finite()).then_some((run, frames))
+    frames.iter().all(|f| f.depth > 0.0 && f.depth.is_finite()).then_some((run, middle, frames))
 }
 
 /// A track's part within a run of frames, which becomes the whole clip.
@@ -230,9 +304,10 @@ fn upright(object: &Object) -> Shape {
             depth: depth[f],
             middle: middle[f],
             relative: object.tracks.iter().map(|t| t.at(object.first + f).map(|_| 1.0)).collect(),
+            view_from_object: None,
         })
         .collect();
-    Shape { frames, rigid: false }
+    Shape { frames, middle: DVec3::ZERO, rigid: false }
 }
 
 /// The depth of an object's middle in the world's unit, frame by frame, and its confidence.

@@ -32,7 +32,7 @@ use crate::scene::{Scene, SceneCamera};
 use crate::track::Track;
 use crate::types::{ControlPoints, DeformNet, Gaussians, Image, NetShape, RenderSettings};
 use crate::{Error, Result};
-use glam::{DVec2, DVec3};
+use glam::DVec2;
 use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::collections::HashSet;
@@ -155,7 +155,7 @@ pub fn fit_sequence(
     let dynamic = track.quality.dynamic_share >= settings.least_dynamic_share;
     let trajectories = dynamic.then(|| Trajectories::of(track));
     let mut scene = match trajectories {
-        Some(trajectories) if !trajectories.positions.is_empty() => {
+        Some(trajectories) if !trajectories.all.is_empty() => {
             fit_moving(device, sequence, &seeds, &trajectories, settings, resume, observer)?
         }
         _ => {
@@ -310,7 +310,7 @@ impl BeforeJoint<'_> {
         let targets: Vec<Vec<[f32; 3]>> = chosen
             .iter()
             .map(|&k| {
-                let path = &trajectories.positions[k];
+                let path = &trajectories.all[k].positions;
                 let origin = path[trajectories.canonical];
                 path.iter().map(|p| (*p - origin).as_vec3().to_array()).collect()
             })
@@ -429,8 +429,12 @@ fn joint_settings(settings: &SequenceSettings) -> TrainSettings {
     }
 }
 
+/// Weight of the depth of movers' pixels: in the depth term they are few.
+const LIFTED_WEIGHT: f32 = 1.0;
+
 /// The frames as training views; `weight` turns the movers' nearness (1 on a mover, 0 away from any)
-/// into a pixel's weight. The depth that was measured on static pixels comes along.
+/// into a pixel's weight. The depth that was measured on static pixels, and that of lifted movers,
+/// comes along.
 fn views(sequence: Sequence<'_>, weight: impl Fn(f32) -> f32 + Sync) -> Vec<TrainingView> {
     let track = sequence.track;
     (0..sequence.frames.len())
@@ -440,11 +444,16 @@ fn views(sequence: Sequence<'_>, weight: impl Fn(f32) -> f32 + Sync) -> Vec<Trai
             let mut weights = mask.clone();
             weights.pixels.iter_mut().for_each(|w| *w = weight(*w));
             let (depth, confidence) = (&track.depth[frame], &track.depth_confidence[frame]);
+            let owners = &track.owners[frame];
             let mut disparity = Image::new(depth.width, depth.height, 2);
             for (i, pair) in disparity.pixels.chunks_exact_mut(2).enumerate() {
                 let z = depth.pixels[i];
-                if mask.pixels[i] == 0.0 && z > 0.0 && confidence.pixels[i] > 0.5 {
-                    pair.copy_from_slice(&[1.0 / z, confidence.pixels[i]]);
+                let measured = mask.pixels[i] == 0.0 && confidence.pixels[i] > 0.5;
+                // The picture alone does not hold a mover at its depth.
+                let lifted = owners.pixels[i] > 0.0;
+                if z > 0.0 && (measured || lifted) {
+                    let weight = if measured { confidence.pixels[i] } else { LIFTED_WEIGHT };
+                    pair.copy_from_slice(&[1.0 / z, weight]);
                 }
             }
             TrainingView {
@@ -515,9 +524,9 @@ fn control_points(
     settings: &SequenceSettings,
 ) -> Result<(ControlPoints, Vec<usize>)> {
     let canonical: Vec<[f32; 3]> = trajectories
-        .positions
+        .all
         .iter()
-        .map(|path| path[trajectories.canonical].as_vec3().to_array())
+        .map(|path| path.positions[trajectories.canonical].as_vec3().to_array())
         .collect();
     let count = first_control_points(settings.control_points).min(canonical.len());
     spread(&canonical, count, settings.seed)
@@ -575,8 +584,8 @@ fn seed_movers(
                     continue;
                 }
                 let here = lift(track, frame, pixel);
-                let Some(path) = trajectories.nearest(frame, here) else { continue };
-                let position: DVec3 = here - path[frame] + path[canonical];
+                let position = trajectories.to_canonical(track, frame, pixel, here);
+                let Some(position) = position else { continue };
                 let cell = (position / spacing.max(1e-9)).floor().as_i64vec3();
                 if position.is_finite() && taken.insert(cell) {
                     points.push(Point {

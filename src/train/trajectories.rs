@@ -1,10 +1,11 @@
 //! Where the points of a moving object are at every frame: what control points start from.
 //!
-//! Point tracks on movers are lifted to the world by the frames' depth. A control point goes with
-//! its own track while that lives, and beyond with the tracks that are nearest to it at the time.
+//! Point tracks on movers are lifted to the world by the frames' depth. A point goes with its own track
+//! while that lives, and beyond with its object; on what is no object, with the tracks that are nearest
+//! to it at the time.
 
 use crate::observe::PointTrack;
-use crate::track::Track;
+use crate::track::{Mover, Track};
 use crate::types::{Camera, Image};
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -13,16 +14,26 @@ use rayon::prelude::*;
 pub(super) const MOVING: f32 = 0.5;
 /// Tracks that a point without one of its own goes with.
 const COMPANIONS: usize = 4;
+/// A track on an object counts if it lives for so many frames.
+const LEAST_LIFE: usize = 4;
 /// Standard deviation of the smoothing over time, frames: depth on movers is inferred frame by
 /// frame and trembles.
 const SMOOTHING: f64 = 1.0;
 
-/// Points of movers through all frames, in the world.
+/// A point of a mover through all frames.
+pub(super) struct Trajectory {
+    /// The object it is on, as [`Track::owners`] numbers them; 0 where none is known.
+    owner: usize,
+    /// By frame, in the world.
+    pub(super) positions: Vec<DVec3>,
+}
+
+/// Points of movers through all frames.
 pub(super) struct Trajectories {
     /// The frame whose positions are the canonical ones.
     pub(super) canonical: usize,
-    /// By point, then by frame.
-    pub(super) positions: Vec<Vec<DVec3>>,
+    /// One by one.
+    pub(super) all: Vec<Trajectory>,
 }
 
 /// The camera of a frame.
@@ -57,8 +68,8 @@ fn canonical_frame(masks: &[Image]) -> usize {
         .unwrap_or(middle)
 }
 
-/// Tracks on movers, lifted: by track, the first frame and the positions.
-fn lifted(track: &Track) -> Vec<(usize, Vec<DVec3>)> {
+/// Tracks on movers, lifted: by track, its object, and its first frame and positions.
+fn lifted(track: &Track) -> Vec<(usize, (usize, Vec<DVec3>))> {
     let moving = |t: &PointTrack| {
         let on = t.pixels.iter().enumerate();
         let on = on.filter(|(k, p)| value(&track.masks[t.first + k], **p) > MOVING).count();
@@ -70,23 +81,55 @@ fn lifted(track: &Track) -> Vec<(usize, Vec<DVec3>)> {
         .filter(|t| moving(t))
         .map(|t| {
             let lift = |(k, p): (usize, &DVec2)| lift(track, t.first + k, *p);
-            (t.first, t.pixels.iter().enumerate().map(lift).collect())
+            (owner(track, t), (t.first, t.pixels.iter().enumerate().map(lift).collect()))
+        })
+        .collect()
+}
+
+/// The object that a track is on, if most of its pixels say the same.
+fn owner(track: &Track, points: &PointTrack) -> usize {
+    let at = |(k, p): (usize, &DVec2)| value(&track.owners[points.first + k], *p) as usize;
+    let mut owners: Vec<usize> = points.pixels.iter().enumerate().map(at).collect();
+    owners.sort_unstable();
+    // One that holds more than half holds the middle.
+    let middle = owners[owners.len() / 2];
+    let count = owners.iter().filter(|o| **o == middle).count();
+    if 2 * count > owners.len() { middle } else { 0 }
+}
+
+/// A track's path through the whole clip: in the frame of its object, smoothed while it is seen, and
+/// where it is not, where it was last.
+fn with_mover(own: &(usize, Vec<DVec3>), mover: &Mover, frames: usize) -> Vec<DVec3> {
+    let (first, seen) = own;
+    let inside = |(k, p): (usize, &DVec3)| mover.world_from_object(first + k).inverse().apply(*p);
+    let inside: Vec<DVec3> = seen.iter().enumerate().map(inside).collect();
+    let inside: Vec<DVec3> = (0..inside.len()).map(|k| mean(&inside, k)).collect();
+    (0..frames)
+        .map(|frame| {
+            let k = frame.saturating_sub(*first).min(inside.len() - 1);
+            mover.world_from_object(frame).apply(inside[k])
         })
         .collect()
 }
 
 impl Trajectories {
-    /// Follows every track on a mover that lives in the canonical frame through the whole clip.
+    /// Follows tracks on movers through the whole clip: all that are on an object, and of the others
+    /// those that live in the canonical frame.
     pub(super) fn of(track: &Track) -> Trajectories {
         let frames = track.masks.len();
         let canonical = canonical_frame(&track.masks);
-        let lifted = lifted(track);
+        let (owners, lifted): (Vec<usize>, Vec<_>) = lifted(track).into_iter().unzip();
         let at = |t: &(usize, Vec<DVec3>), frame: usize| {
             frame.checked_sub(t.0).and_then(|k| t.1.get(k)).copied()
         };
-        let positions = lifted
+        let all = lifted
             .par_iter()
-            .filter_map(|own| {
+            .zip(&owners)
+            .filter_map(|(own, &owner)| {
+                if let Some(mover) = owner.checked_sub(1).and_then(|i| track.movers.get(i)) {
+                    let positions = with_mover(own, mover, frames);
+                    return (own.1.len() >= LEAST_LIFE).then_some(Trajectory { owner, positions });
+                }
                 let start = at(own, canonical)?;
                 let mut path = vec![start; frames];
                 let mut walk = |from: usize, to: usize| {
@@ -99,16 +142,37 @@ impl Trajectories {
                 };
                 (canonical + 1..frames).for_each(|frame| walk(frame - 1, frame));
                 (0..canonical).rev().for_each(|frame| walk(frame + 1, frame));
-                Some(smoothed(&path, canonical))
+                Some(Trajectory { owner: 0, positions: smoothed(&path, canonical) })
             })
             .collect();
-        Trajectories { canonical, positions }
+        Trajectories { canonical, all }
     }
 
-    /// The trajectory that is nearest to a point at a frame.
-    pub(super) fn nearest(&self, frame: usize, point: DVec3) -> Option<&Vec<DVec3>> {
-        let distance = |path: &&Vec<DVec3>| path[frame].distance_squared(point);
-        self.positions.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)))
+    /// Where a point that a pixel of a frame shows is in the canonical frame: it goes as the nearest
+    /// trajectory on the same object does. None where there is no trajectory.
+    pub(super) fn to_canonical(
+        &self,
+        track: &Track,
+        frame: usize,
+        pixel: DVec2,
+        point: DVec3,
+    ) -> Option<DVec3> {
+        let owner = value(&track.owners[frame], pixel) as usize;
+        let distance = |t: &&Trajectory| t.positions[frame].distance_squared(point);
+        let nearest = |on: &dyn Fn(&&Trajectory) -> bool| {
+            let on = self.all.iter().filter(on);
+            on.min_by(|a, b| distance(a).total_cmp(&distance(b)))
+        };
+        let same = nearest(&|t| t.owner == owner);
+        let path = &same.or_else(|| nearest(&|_| true))?.positions;
+        let (here, there) = (path[frame], path[self.canonical]);
+        let mover =
+            owner.checked_sub(1).and_then(|i| track.movers.get(i)).filter(|_| same.is_some());
+        let Some(mover) = mover else { return Some(point - here + there) };
+        // The offset from the trajectory turns with the object.
+        let turned = mover.world_from_object(self.canonical).rotation
+            * mover.world_from_object(frame).rotation.conjugate();
+        Some(turned * (point - here) + there)
     }
 }
 
@@ -128,22 +192,49 @@ fn companions_step(lifted: &[(usize, Vec<DVec3>)], here: DVec3, from: usize, to:
     near.into_iter().map(|(_, step)| step).sum::<DVec3>() / count
 }
 
-/// A Gaussian window over time, of displacements from the canonical frame, which stays in place.
-fn smoothed(path: &[DVec3], canonical: usize) -> Vec<DVec3> {
+/// The mean of a path around one of its places, in a Gaussian window over time.
+fn mean(path: &[DVec3], place: usize) -> DVec3 {
     let reach = (3.0 * SMOOTHING).ceil() as usize;
-    let mean = |frame: usize| {
-        let (mut sum, mut weight) = (DVec3::ZERO, 0.0);
-        let last = (frame + reach).min(path.len() - 1);
-        for (other, &position) in
-            path.iter().enumerate().take(last + 1).skip(frame.saturating_sub(reach))
-        {
-            let d = frame.abs_diff(other) as f64 / SMOOTHING;
-            let w = (-0.5 * d * d).exp();
-            sum += w * position;
-            weight += w;
+    let (mut sum, mut weight) = (DVec3::ZERO, 0.0);
+    let last = (place + reach).min(path.len() - 1);
+    for (other, &position) in
+        path.iter().enumerate().take(last + 1).skip(place.saturating_sub(reach))
+    {
+        let d = place.abs_diff(other) as f64 / SMOOTHING;
+        let w = (-0.5 * d * d).exp();
+        sum += w * position;
+        weight += w;
+    }
+    sum / weight
+}
+
+/// A path smoothed over time, shifted so that it stays in place in the canonical frame.
+fn smoothed(path: &[DVec3], canonical: usize) -> Vec<DVec3> {
+    let shift = path[canonical] - mean(path, canonical);
+    (0..path.len()).map(|frame| mean(path, frame) + shift).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::sim3::Sim3;
+    use glam::DQuat;
+
+    #[test]
+    fn what_is_not_seen_goes_on_with_its_object() {
+        // It turns by a tenth of a radian a frame and goes along x; it is known from frame 1 on.
+        let at = |frame: usize| Sim3 {
+            scale: 0.5,
+            rotation: DQuat::from_rotation_y(0.1 * frame as f64),
+            translation: DVec3::new(0.2 * frame as f64, 0.0, 3.0),
+        };
+        let mover = Mover { first: 1, world_from_object: (1..9).map(at).collect() };
+        let point = DVec3::new(0.3, -0.2, 0.4);
+        let seen = (4, (4..7).map(|frame| at(frame).apply(point)).collect());
+        let path = with_mover(&seen, &mover, 10);
+        for (frame, position) in path.iter().enumerate() {
+            let expected = at(frame.clamp(1, 8)).apply(point);
+            assert!(position.distance(expected) < 1e-9, "{frame}: {position} {expected}");
         }
-        sum / weight
-    };
-    let shift = path[canonical] - mean(canonical);
-    (0..path.len()).map(|frame| mean(frame) + shift).collect()
+    }
 }
