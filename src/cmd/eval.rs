@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde_json::{Map, Value, json};
 use splat4d::data::trajectory::{self, TimedPose};
-use splat4d::data::{Dataset, Resize};
+use splat4d::data::{Dataset, Resize, images};
 use splat4d::eval::{Align, TrajectoryErrors, compare_trajectories, match_by_time};
 use splat4d::renderer::Renderer;
 use splat4d::scene::{Opened, Scene};
@@ -15,24 +15,31 @@ use splat4d::types::Pose;
 use splat4d::{Error, Result};
 
 use super::common::{Answer, Common, notes, say, thousands};
-use super::eval_truth;
+use super::held_out::{self, Comparisons};
 use super::interrupt;
 use super::meter::Meter;
+use super::outputs::Inputs;
 use super::quality::{self, Quality};
 use super::values;
+use super::{eval_first, eval_truth};
 
 const AFTER_HELP: &str = "\
 REFERENCE decides what is measured:
   a dataset (as for `train`)     the scene, rendered from the dataset's cameras, against its
                                  pictures: those of its test split, or of --eval-every, or all
   the truth folder of a clip     (from `synth`) the scene's cameras against the true ones, its depth
-                                 and motion masks, and pictures of two held-out cameras, after
-                                 aligning by a similarity (rotation, translation, scale)
+                                 and motion masks, and pictures of held-out cameras, after aligning
+                                 by a similarity: rotation from the cameras' orientations, scale
+                                 and translation from their centres
+  a folder of v000_t003.png …    what the scene's first camera sees at the times of other frames
+                                 (here of frame 3), from that camera's own pose, nothing aligned
   a TUM trajectory               a trajectory against it, after --align; poses pair by timestamp
 
 Examples:
   splat4d eval fox.safetensors captures/fox --eval-every 8
   splat4d eval scene.safetensors clip/truth --json
+  splat4d eval scene.safetensors clip/truth --fit-poses --pictures views
+  splat4d eval scene.safetensors balloon/gt_cam000
   splat4d eval estimate.txt groundtruth.txt
 
 JSON: psnr, ssim, ms_ssim, lpips (always null: no network weights come along), per_frame [{name,
@@ -40,15 +47,26 @@ psnr, ssim, ms_ssim}], ate_rmse, ate_relative (to the length of the camera's pat
 rpe_trans_rmse, rpe_rot_deg_rmse, scale, poses, focal_error (relative), depth_rel_median, mask_iou;
 psnr_own_focal, ssim_own_focal, ms_ssim_own_focal: the same pictures of a clip's held-out cameras, but
 with their focal length multiplied by the scene's own error in it, which hides that error.
+held_out: pictures that no input camera took, 8-bit as a file holds them, one row for each distance (a
+folder of held-out cameras, or first_camera) and one for all: {distance, pictures, psnr, ssim, ms_ssim,
+worst (PSNR), worst_picture, movers, outside_movers, covisible, static_covisible, not_filmed_share}. The
+four regions are {psnr, ssim, worst, worst_picture, pictures}: what moves (held_out/masks/K), the rest,
+the pixels whose static point some input frame saw (held_out/covisible/K), and those of them that do not
+move. A region's PSNR is that of its pixels, its SSIM the mean of the map there; both are means over the
+pictures in which it holds at least 0.1 % of the pixels, so that each picture counts alike.
+held_out_fitted: the same with each pose fitted to its picture (--fit-poses): least squared error over
+the static covisible pixels, or all where masks are missing. Poses fitted to test pictures flatter.
 What does not apply is null; so is an infinite PSNR.";
 
 /// Every key of the JSON, so that each is always there.
-const KEYS: [&str; 17] = [
+const KEYS: [&str; 19] = [
     "psnr",
     "ssim",
     "ms_ssim",
     "lpips",
     "per_frame",
+    "held_out",
+    "held_out_fitted",
     "ate_rmse",
     "ate_relative",
     "rpe_trans_rmse",
@@ -69,9 +87,20 @@ const KEYS: [&str; 17] = [
 pub struct EvalArgs {
     /// A scene's file, a 3DGS PLY, or a trajectory (TUM)
     #[arg(value_name = "SCENE|TRAJECTORY")]
-    estimate: PathBuf,
-    /// A dataset, a clip's truth folder, or a trajectory (TUM)
-    reference: PathBuf,
+    pub estimate: PathBuf,
+    /// A dataset, a clip's truth folder, pictures of the first camera, or a trajectory (TUM)
+    pub reference: PathBuf,
+    /// REFERENCE holds what the scene's first camera sees at the times of other frames; the last number
+    /// in a picture's name is the frame's. Names of the form v000_t003.png say so themselves
+    #[arg(long)]
+    pub first_camera: bool,
+    /// Measure held-out pictures a second time, from the pose that fits each best; takes a hundred
+    /// renders a picture
+    #[arg(long)]
+    pub fit_poses: bool,
+    /// Write truth, render and absolute error of each held-out picture side by side, as PNG
+    #[arg(long, value_name = "DIR")]
+    pub pictures: Option<PathBuf>,
     /// Shrink the dataset's pictures so that their longer side has at most so many pixels
     #[arg(long, value_name = "LONGEST",
           value_parser = values::whole::<u32>(1..=values::MOST_PIXELS))]
@@ -93,6 +122,16 @@ pub struct EvalArgs {
     drop_bad: bool,
 }
 
+impl EvalArgs {
+    /// Where the held-out pictures of some names go, where they are asked for; `folders` are read.
+    pub fn comparisons(&self, names: &[String], folders: &[&Path]) -> Result<Option<Comparisons>> {
+        let Some(folder) = &self.pictures else { return Ok(None) };
+        let read = folders.iter().map(|read| (read.to_path_buf(), &images::EXTENSIONS[..]));
+        let inputs = Inputs::new([self.estimate.clone()], read);
+        Comparisons::new(folder, names, &inputs).map(Some)
+    }
+}
+
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum AlignBy {
     /// Nothing
@@ -109,8 +148,9 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Answer> {
         Some(truth) => {
             let scene = open(args)?;
             let device = common.open_device()?;
-            eval_truth::measure(&device, &scene, &truth)?
+            eval_truth::measure(&device, &scene, &truth, args)?
         }
+        None if eval_first::is_meant(args)? => eval_first::measure(&open(args)?, args, common)?,
         None if is_text(&args.reference)? => trajectories(args)?,
         None => pictures(args, common)?,
     };
@@ -120,12 +160,12 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Answer> {
     Ok(Answer { text: text(&json), json })
 }
 
-/// The folder that holds `poses.txt` and `held_out`: the reference itself, or the `truth` in it.
+/// The folder that holds `transforms.json` and `held_out`: the reference itself, or the `truth` in it.
 fn truth_folder(reference: &Path) -> Result<Option<PathBuf>> {
     std::fs::metadata(reference).map_err(Error::io(reference))?;
     let candidates = [reference.to_path_buf(), reference.join("truth")];
     let is_truth = |folder: &PathBuf| {
-        folder.join("poses.txt").is_file() && folder.join("held_out/transforms.json").is_file()
+        ["transforms.json", "held_out/transforms.json"].iter().all(|f| folder.join(f).is_file())
     };
     Ok(candidates.into_iter().find(is_truth))
 }
@@ -172,9 +212,9 @@ fn pictures(args: &EvalArgs, common: &Common) -> Result<Map<String, Value>> {
 pub fn picture_keys(per_frame: &[Quality]) -> Map<String, Value> {
     let rows: Vec<Value> = per_frame.iter().map(Quality::json).collect();
     Map::from_iter([
-        ("psnr".into(), json!(quality::mean(per_frame, |q| Some(q.psnr)))),
-        ("ssim".into(), json!(quality::mean(per_frame, |q| Some(q.ssim)))),
-        ("ms_ssim".into(), json!(quality::mean(per_frame, |q| q.ms_ssim))),
+        ("psnr".into(), json!(quality::mean(per_frame.iter().map(|q| Some(q.psnr))))),
+        ("ssim".into(), json!(quality::mean(per_frame.iter().map(|q| Some(q.ssim))))),
+        ("ms_ssim".into(), json!(quality::mean(per_frame.iter().map(|q| q.ms_ssim)))),
         ("per_frame".into(), json!(rows)),
     ])
 }
@@ -243,6 +283,10 @@ fn text(found: &Value) -> String {
             }
             _ => {}
         }
+    }
+    let table = held_out::table(found);
+    if !table.is_empty() {
+        return text + &table;
     }
     for row in found["per_frame"].as_array().into_iter().flatten() {
         let name = row["name"].as_str().unwrap_or_default();

@@ -1,17 +1,18 @@
-//! A scene against the truth of a synthetic clip.
+//! A scene against the truth of a clip.
 //!
 //! The scene's own cameras are aligned to the true ones by a similarity; through it the held-out
 //! cameras are carried into the scene's frame and rendered there, and the scene's depth becomes
-//! metres. They keep their true focal length; beside that, marked as such, stands what the scene shows
+//! metres. Depth, motion masks and the regions of the held-out pictures are measured where the folder
+//! has them. They keep their true focal length; beside that, marked as such, stands what the scene shows
 //! through a lens of its own: a scene built with a slightly long focal length is slightly deep, and
 //! right only through that lens.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 use serde_json::{Map, Value, json};
 use splat4d::data::transforms::{self, TimedCamera};
-use splat4d::data::{Dataset, Resize, exr, read_mask};
+use splat4d::data::{Dataset, Frame, Resize, exr, read_mask};
 use splat4d::eval::{Align, compare_trajectories, depth_relative_median, mask_iou, match_by_time};
 use splat4d::geometry::sim3::{Shape, Sim3, align_cameras};
 use splat4d::gpu::Device;
@@ -20,7 +21,8 @@ use splat4d::scene::{Scene, SceneCamera};
 use splat4d::types::{Camera, Image, Pose};
 use splat4d::{Error, Result};
 
-use super::eval::{picture_keys, trajectory_keys};
+use super::eval::{EvalArgs, picture_keys, trajectory_keys};
+use super::held_out::{self, Judge, Shot, eight_bits};
 use super::interrupt;
 use super::meter::Meter;
 use super::path;
@@ -35,7 +37,15 @@ struct Pair<'a> {
 }
 
 /// Measures everything that the truth allows.
-pub fn measure(device: &Device, scene: &Scene, truth: &Path) -> Result<Map<String, Value>> {
+pub fn measure(
+    device: &Device,
+    scene: &Scene,
+    truth: &Path,
+    args: &EvalArgs,
+) -> Result<Map<String, Value>> {
+    let set = Dataset::open(truth.join("held_out/transforms.json"))?;
+    let names: Vec<String> = set.frames.iter().map(|frame| frame.name.clone()).collect();
+    let comparisons = args.comparisons(&names, &[truth])?;
     let cameras = transforms::read_cameras(&truth.join("transforms.json"))?;
     let pairs = pair(scene, &cameras)?;
     let poses = |of: &dyn Fn(&Pair) -> Camera| -> Vec<Pose> {
@@ -54,23 +64,28 @@ pub fn measure(device: &Device, scene: &Scene, truth: &Path) -> Result<Map<Strin
     let focal = |c: &Camera| c.intrinsics.fx / f64::from(c.intrinsics.width);
     let relative = pairs.iter().map(|p| focal(&p.ours.camera) / focal(&p.truth.camera));
     let focal_ratio = relative.sum::<f64>() / pairs.len() as f64;
-    let depth = depth_relative_median(&looks.depth, &looks.true_depth, truth_from_scene.scale)?;
+    let depth = match &looks.depth {
+        Some((ours, truth)) => depth_relative_median(ours, truth, truth_from_scene.scale)?,
+        None => None,
+    };
+    let masks = looks.masks.as_ref();
+    let iou = masks.map(|(ours, truth)| mask_iou(ours, truth)).transpose()?;
     found.extend([
         ("focal_error".to_string(), json!((focal_ratio - 1.0).abs())),
         ("depth_rel_median".to_string(), json!(depth)),
-        ("mask_iou".to_string(), json!(mask_iou(&looks.mask, &looks.true_mask)?)),
+        ("mask_iou".to_string(), json!(iou)),
         ("scale".to_string(), json!(truth_from_scene.scale)),
     ]);
 
-    let held_out = truth.join("held_out/transforms.json");
-    let views =
-        novel_views(device, scene, &pairs, &held_out, &truth_from_scene.inverse(), focal_ratio)?;
-    let (true_focal, own_focal): (Vec<Quality>, Vec<Quality>) = views.into_iter().unzip();
-    found.extend(picture_keys(&true_focal));
-    let own_focal = picture_keys(&own_focal);
-    found.extend(
-        ["psnr", "ssim", "ms_ssim"].map(|key| (format!("{key}_own_focal"), own_focal[key].clone())),
-    );
+    let mut renderer = Renderer::new(device, scene)?;
+    let mut judge = Judge {
+        renderer: &mut renderer,
+        background: scene.background,
+        fit: args.fit_poses,
+        comparisons: comparisons.as_ref(),
+    };
+    let held_out = HeldOut { set, folder: truth.join("held_out"), pairs: &pairs };
+    found.extend(held_out.judged(&mut judge, &truth_from_scene.inverse(), focal_ratio)?);
     Ok(found)
 }
 
@@ -102,18 +117,19 @@ fn pair<'a>(scene: &'a Scene, truth: &[TimedCamera]) -> Result<Vec<Pair<'a>>> {
         .collect())
 }
 
-/// What the scene shows from its own cameras and what is true there, all frames one below the other.
+/// What the scene shows from its own cameras and what is true there, all frames one below the other;
+/// `None` where the truth has no such pictures.
 struct Looks {
-    depth: Image,
-    true_depth: Image,
-    mask: Image,
-    true_mask: Image,
+    depth: Option<(Image, Image)>,
+    masks: Option<(Image, Image)>,
 }
 
 fn look(device: &Device, scene: &Scene, pairs: &[Pair], truth: &Path) -> Result<Looks> {
     let mut renderer = Renderer::new(device, scene)?;
     let moving = if scene.gaussians.is_dynamic() { Some(motion_only(scene)) } else { None };
     let mut motion = moving.as_ref().map(|moving| Renderer::new(device, moving)).transpose()?;
+    let [depth_folder, mask_folder] = ["depth", "masks"].map(|name| truth.join(name));
+    let (has_depth, has_masks) = (depth_folder.is_dir(), mask_folder.is_dir());
     let mut meter = Meter::new("depth and masks", "frames", pairs.len() as u64, 0);
     let (mut depth, mut true_depth) = (Vec::new(), Vec::new());
     let (mut mask, mut true_mask) = (Vec::new(), Vec::new());
@@ -122,20 +138,25 @@ fn look(device: &Device, scene: &Scene, pairs: &[Pair], truth: &Path) -> Result<
         let k = &camera.camera.intrinsics;
         let intrinsics = path::resized(&ours.camera.intrinsics, k.width, k.height);
         let seen_by = Camera { intrinsics, ..ours.camera };
-        depth.push(renderer.render(&seen_by, ours.time)?.mean_depth());
-        true_depth.push(exr::read_depth(truth.join(format!("depth/{frame:04}.exr")))?);
-        mask.push(match &mut motion {
-            Some(motion) => first_channel(&motion.render(&seen_by, ours.time)?.rgba),
-            None => Image::new(k.width, k.height, 1),
-        });
-        true_mask.push(read_mask(truth.join(format!("masks/{frame:04}.png")))?);
+        if has_depth {
+            depth.push(renderer.render(&seen_by, ours.time)?.mean_depth());
+            true_depth.push(exr::read_depth(depth_folder.join(format!("{frame:04}.exr")))?);
+        }
+        if has_masks {
+            mask.push(match &mut motion {
+                Some(motion) => first_channel(&motion.render(&seen_by, ours.time)?.rgba),
+                None => Image::new(k.width, k.height, 1),
+            });
+            true_mask.push(read_mask(mask_folder.join(format!("{frame:04}.png")))?);
+        }
         meter.advance();
     }
+    let both = |there: bool, ours: &[Image], truth: &[Image]| {
+        if there { Ok(Some((stack(ours)?, stack(truth)?))) } else { Ok(None) }
+    };
     Ok(Looks {
-        depth: stack(&depth)?,
-        true_depth: stack(&true_depth)?,
-        mask: stack(&mask)?,
-        true_mask: stack(&true_mask)?,
+        depth: both(has_depth, &depth, &true_depth)?,
+        masks: both(has_masks, &mask, &true_mask)?,
     })
 }
 
@@ -162,7 +183,8 @@ fn stack(images: &[Image]) -> Result<Image> {
 /// pixels; the middles of both camera paths stay on each other.
 fn scaled_by_depth(sim: Sim3, looks: &Looks, ours: &[Pose], theirs: &[Pose]) -> Sim3 {
     let good = |d: f32| d.is_finite() && d > 0.0;
-    let pixels = looks.depth.pixels.iter().zip(&looks.true_depth.pixels);
+    let Some((depth, true_depth)) = &looks.depth else { return sim };
+    let pixels = depth.pixels.iter().zip(&true_depth.pixels);
     let mut ratios: Vec<f64> = pixels
         .filter(|(ours, truth)| good(**ours) && good(**truth))
         .map(|(ours, truth)| f64::from(*truth) / f64::from(*ours))
@@ -178,38 +200,78 @@ fn scaled_by_depth(sim: Sim3, looks: &Looks, ours: &[Pose], theirs: &[Pose]) -> 
     Sim3 { scale, translation, ..sim }
 }
 
-/// The held-out views: through the true lens, and through one whose focal length is longer by
-/// `focal_ratio`.
-fn novel_views(
-    device: &Device,
-    scene: &Scene,
-    pairs: &[Pair],
-    held_out: &Path,
-    scene_from_truth: &Sim3,
-    focal_ratio: f64,
-) -> Result<Vec<(Quality, Quality)>> {
-    let set = Dataset::open(held_out)?;
-    let mut renderer = Renderer::new(device, scene)?;
-    let mut meter = Meter::new("novel views", "pictures", set.frames.len() as u64, 0);
-    let mut per_frame = Vec::with_capacity(set.frames.len());
-    for frame in &set.frames {
-        interrupt::check()?;
-        meter.advance();
-        // The scene may have been made of a part of the clip; it is not asked beyond that.
-        let Some(time) = scene_time(pairs, frame.time) else { continue };
-        let view = frame.load(set.background, Resize::Keep)?;
-        let world_from_view = scene_from_truth.apply_pose(&view.camera.view_from_world.inverse());
-        let mut through = |ratio: f64| -> Result<Quality> {
-            let mut intrinsics = view.camera.intrinsics;
-            intrinsics.fx *= ratio;
-            intrinsics.fy *= ratio;
-            let camera = Camera { intrinsics, view_from_world: world_from_view.inverse() };
-            let picture = renderer.render(&camera, time)?.over(scene.background);
-            Quality::of(&view.name, &picture, &view.image, None)
-        };
-        per_frame.push((through(1.0)?, through(focal_ratio)?));
+/// The held-out pictures of a clip.
+struct HeldOut<'a> {
+    set: Dataset,
+    folder: PathBuf,
+    pairs: &'a [Pair<'a>],
+}
+
+impl HeldOut<'_> {
+    /// The keys that speak of them: through the true lens, and through one whose focal length is longer
+    /// by `focal_ratio`.
+    fn judged(
+        &self,
+        judge: &mut Judge,
+        scene_from_truth: &Sim3,
+        focal_ratio: f64,
+    ) -> Result<Map<String, Value>> {
+        let mut meter = Meter::new("novel views", "pictures", self.set.frames.len() as u64, 0);
+        let (mut judged, mut own_focal) = (Vec::new(), Vec::new());
+        for (index, frame) in self.set.frames.iter().enumerate() {
+            interrupt::check()?;
+            meter.advance();
+            // The scene may have been made of a part of the clip; it is not asked beyond that.
+            let Some(time) = scene_time(self.pairs, frame.time) else { continue };
+            let shot = self.shot(frame, time, scene_from_truth)?;
+            judged.push(judge.judge(index, &shot)?);
+            let mut camera = shot.camera;
+            camera.intrinsics.fx *= focal_ratio;
+            camera.intrinsics.fy *= focal_ratio;
+            let picture = judge.renderer.render(&camera, time)?.over(judge.background);
+            own_focal.push(Quality::of(&shot.name, &eight_bits(picture), &shot.truth, None)?);
+        }
+        let mut found = held_out::keys(&judged);
+        let own_focal = picture_keys(&own_focal);
+        found.extend(
+            ["psnr", "ssim", "ms_ssim"]
+                .map(|key| (format!("{key}_own_focal"), own_focal[key].clone())),
+        );
+        Ok(found)
     }
-    Ok(per_frame)
+
+    fn shot(&self, frame: &Frame, time: f64, scene_from_truth: &Sim3) -> Result<Shot> {
+        let view = frame.load(self.set.background, Resize::Keep)?;
+        // "K/0000.png" in the folder: camera K.
+        let below = frame.path.strip_prefix(&self.folder).unwrap_or(&frame.path);
+        let distance = below.parent().map_or(String::new(), |p| p.display().to_string());
+        let mask = |kind: &str| -> Result<Option<Image>> {
+            let file = self.folder.join(kind).join(below).with_extension("png");
+            if !file.is_file() {
+                return Ok(None);
+            }
+            let mask = read_mask(&file)?;
+            let (width, height) = (view.image.width, view.image.height);
+            if (mask.width, mask.height) != (width, height) {
+                let what = format!(
+                    "is {}×{}, its picture {width}×{height}; give masks of the pictures' size",
+                    mask.width, mask.height
+                );
+                return Err(Error::format(file, what));
+            }
+            Ok(Some(mask))
+        };
+        let world_from_view = scene_from_truth.apply_pose(&view.camera.view_from_world.inverse());
+        Ok(Shot {
+            name: view.name,
+            distance,
+            camera: Camera { view_from_world: world_from_view.inverse(), ..view.camera },
+            time,
+            movers: mask("masks")?,
+            covisible: mask("covisible")?,
+            truth: view.image,
+        })
+    }
 }
 
 /// The scene's time at a time of the clip, interpolated between the paired frames; `None` outside.

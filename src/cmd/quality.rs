@@ -15,6 +15,7 @@ use super::meter::Meter;
 const MS_SSIM_SIDE: u32 = 160;
 
 /// How close one picture comes to another.
+#[derive(Clone)]
 pub struct Quality {
     /// What messages call it.
     pub name: String,
@@ -72,8 +73,8 @@ pub fn measure(
 }
 
 /// Mean of a figure over some pictures; `None` without pictures, or where one lacks the figure.
-pub fn mean(of: &[Quality], figure: impl Fn(&Quality) -> Option<f64>) -> Option<f64> {
-    let values: Option<Vec<f64>> = of.iter().map(figure).collect();
+pub fn mean(figures: impl Iterator<Item = Option<f64>>) -> Option<f64> {
+    let values: Option<Vec<f64>> = figures.collect();
     let values = values.filter(|values| !values.is_empty())?;
     Some(values.iter().sum::<f64>() / values.len() as f64)
 }

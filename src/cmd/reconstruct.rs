@@ -193,8 +193,8 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     known_intrinsics["source"] = json!(focal_source(quality.focal_source));
     let trained = scene.report.take();
     scene.report = json!({
-        "psnr_input": quality::mean(&measured, |q| Some(q.psnr)),
-        "ssim_input": quality::mean(&measured, |q| Some(q.ssim)),
+        "psnr_input": quality::mean(measured.iter().map(|q| Some(q.psnr))),
+        "ssim_input": quality::mean(measured.iter().map(|q| Some(q.ssim))),
         "gaussians": scene.gaussians.len(),
         "control_points": scene.control_points.len(),
         "control_points_added": trained["control_points_added"],

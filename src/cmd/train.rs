@@ -223,12 +223,12 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     let on_test = quality::measure(&mut renderer, &test, set.background, "PSNR, test")?;
     clock.lap("evaluate");
 
-    let psnr = |of: &[Quality]| quality::mean(of, |q| Some(q.psnr));
+    let psnr = |of: &[Quality]| quality::mean(of.iter().map(|q| Some(q.psnr)));
     let trained = scene.report.take();
     scene.report = json!({
         "psnr_input": psnr(&on_input),
         "psnr_test": psnr(&on_test),
-        "ssim_test": quality::mean(&on_test, |q| Some(q.ssim)),
+        "ssim_test": quality::mean(on_test.iter().map(|q| Some(q.ssim))),
         "gaussians": scene.gaussians.len(),
         "control_points": scene.control_points.len(),
         "control_points_added": trained["control_points_added"],

@@ -61,6 +61,25 @@ pub fn masked_psnr(a: &Image, b: &Image, mask: &Image) -> Result<f64> {
     Ok(-10.0 * (sum / count as f64).log10())
 }
 
+/// Mean over the pixels where `mask` (one channel) is above one half, and over all channels; of a map
+/// such as [`ssim_map`] gives.
+///
+/// # Errors
+/// The mask has another size or chooses no pixel.
+pub fn masked_mean(map: &Image, mask: &Image) -> Result<f64> {
+    check_mask(map, mask)?;
+    let pixels = map.pixels.chunks_exact(map.channels as usize).zip(&mask.pixels);
+    let (mut sum, mut count) = (0.0, 0usize);
+    for (values, _) in pixels.filter(|(_, m)| **m > 0.5) {
+        sum += values.iter().map(|v| f64::from(*v)).sum::<f64>();
+        count += values.len();
+    }
+    match count {
+        0 => Err(Error::Input("the mask of a masked mean chooses no pixel".into())),
+        _ => Ok(sum / count as f64),
+    }
+}
+
 fn check_mask(a: &Image, mask: &Image) -> Result<()> {
     if (mask.width, mask.height, mask.channels) == (a.width, a.height, 1) {
         return Ok(());
@@ -342,6 +361,24 @@ mod tests {
         assert!(masked_psnr(&a, &b, &mask).is_err());
         mask.pixels = vec![0.0, 0.0, 0.0, 1.0];
         assert!((masked_psnr(&a, &b, &mask).unwrap() - 20.0).abs() < 1e-5);
+    }
+
+    #[test]
+    fn a_masked_mean_sees_only_the_mask() {
+        let (a, mut b) = (noise(40, 16, 1), noise(40, 16, 1));
+        for y in 0..16 {
+            b.at_mut(30, y).fill(0.0);
+        }
+        let map = ssim_map(&a, &b).unwrap();
+        let mut mask = Image::new(40, 16, 1);
+        assert!(masked_mean(&map, &mask).is_err());
+        for y in 0..16 {
+            (0..20).for_each(|x| mask.at_mut(x, y).fill(1.0));
+        }
+        assert!((masked_mean(&map, &mask).unwrap() - 1.0).abs() < 1e-6, "no window reaches over");
+        mask.pixels.fill(1.0);
+        assert!((masked_mean(&map, &mask).unwrap() - ssim(&a, &b).unwrap()).abs() < 1e-9);
+        assert!(masked_mean(&map, &Image::new(39, 16, 1)).is_err());
     }
 
     /// SSIM at one pixel straight from its definition, with a two-dimensional window.
