@@ -16,10 +16,10 @@ use std::sync::LazyLock;
 use glam::DVec3;
 use program::{blobs, cameras, content, dataset, fails, json, program, run, stderr};
 use serde_json::Value;
-use splat4d::data::{exr, images, transforms, write_png};
+use splat4d::data::{exr, images, transforms, write_mask, write_png};
 use splat4d::renderer::Renderer;
 use splat4d::scene::{Scene, SceneCamera, ply};
-use splat4d::types::Gaussians;
+use splat4d::types::{Gaussians, Image};
 use support::{picture, says};
 use tempfile::TempDir;
 
@@ -214,6 +214,157 @@ fn a_scene_is_measured_against_the_truth() {
     assert!((of(&off, "psnr") - of(&found, "psnr")).abs() < 1e-6, "{off}");
     // Measured: 17.39 dB, which would be 0.9 dB too kind.
     assert!((of(&off, "psnr_own_focal") - of(&off, "psnr")).abs() > 0.4, "{off}");
+}
+
+/// A folder with a truth whose held-out pictures, `1` and `2`, are those of the trained scene; in camera 2
+/// the left third moves and is painted black, the right third was not filmed and is painted white.
+fn clip_of_its_own_scene() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let mut cameras =
+        transforms::read_cameras(&trained().join("clip/truth/transforms.json")).unwrap();
+    let names = |folder: &str| (0..4).map(|i| format!("{folder}/{i:04}.png")).collect::<Vec<_>>();
+    fs::create_dir_all(at("truth/held_out")).unwrap();
+    transforms::write(at("truth/transforms.json"), &cameras, &names("frames")).unwrap();
+    let scene = trained().join("scene.safetensors");
+    let mut all = Vec::new();
+    for distance in ["1", "2"] {
+        for camera in &mut cameras {
+            camera.camera.view_from_world.translation.x += 0.1;
+        }
+        transforms::write(at("path.json"), &cameras, &names("x")).unwrap();
+        let pictures = format!("truth/held_out/{distance}");
+        let render = format!("render {} -o {pictures} --path path.json", scene.display());
+        json(folder.path(), &render);
+        all.extend(cameras.iter().copied());
+    }
+    let files = [names("1"), names("2")].concat();
+    transforms::write(at("truth/held_out/transforms.json"), &all, &files).unwrap();
+    for name in names("2") {
+        let file = at("truth/held_out").join(&name);
+        let mut picture = images::decode_rgb(&file, [0.0; 3], images::Orientation::Stored).unwrap();
+        let [mut movers, mut covisible] = [Image::new(48, 27, 1), Image::new(48, 27, 1)];
+        for y in 0..27 {
+            for x in 0..48 {
+                movers.at_mut(x, y)[0] = if x < 16 { 1.0 } else { 0.0 };
+                covisible.at_mut(x, y)[0] = if x < 32 { 1.0 } else { 0.0 };
+                match x {
+                    0..16 => picture.at_mut(x, y).fill(0.0),
+                    16..32 => {}
+                    _ => picture.at_mut(x, y).fill(1.0),
+                }
+            }
+        }
+        write_png(&file, &picture).unwrap();
+        for (kind, mask) in [("masks", movers), ("covisible", covisible)] {
+            let file = at("truth/held_out").join(kind).join(&name);
+            fs::create_dir_all(file.parent().unwrap()).unwrap();
+            write_mask(file, &mask).unwrap();
+        }
+    }
+    folder
+}
+
+/// No error but that of rounding; an infinite PSNR is null.
+fn equal(row: &Value) -> bool {
+    row["psnr"].as_f64().is_none_or(|psnr| psnr > 45.0) && row["ssim"].as_f64() > Some(0.99)
+}
+
+#[test]
+fn held_out_pictures_are_scored_by_region_and_distance() {
+    let folder = clip_of_its_own_scene();
+    let scene = trained().join("scene.safetensors");
+    let eval = format!("eval {} truth", scene.display());
+    let found = json(folder.path(), &format!("{eval} --pictures out"));
+    documented("eval", &found);
+    assert_eq!(found["held_out_fitted"], Value::Null, "not asked for");
+    assert_eq!((&found["depth_rel_median"], &found["mask_iou"]), (&Value::Null, &Value::Null));
+    let rows = found["held_out"].as_array().unwrap();
+    let distances: Vec<&str> = rows.iter().map(|row| row["distance"].as_str().unwrap()).collect();
+    assert_eq!(distances, ["1", "2", "all"]);
+    let [one, two, all] = [0, 1, 2].map(|i| &rows[i]);
+    documented("eval", one);
+    assert!(equal(one), "{one}");
+    for key in ["movers", "outside_movers", "covisible", "static_covisible", "not_filmed_share"] {
+        assert_eq!(one[key], Value::Null, "{key}: there are no masks");
+    }
+    // Windows at the region's edges see what is painted; its pixels do not.
+    let kept = &two["static_covisible"];
+    assert!(kept["psnr"].as_f64().is_none_or(|psnr| psnr > 45.0), "{two}");
+    assert!(kept["pictures"] == 4 && kept["ssim"].as_f64() > Some(0.6), "{two}");
+    documented("eval", &two["movers"]);
+    assert!((two["not_filmed_share"].as_f64().unwrap() - 1.0 / 3.0).abs() < 1e-6);
+    let psnr = |row: &Value| row["psnr"].as_f64().unwrap();
+    let painted = [&two["movers"], &two["outside_movers"], &two["covisible"], two].map(psnr);
+    assert!(painted.iter().all(|psnr| *psnr < 20.0), "{two}");
+    // Squared errors add up: what moves is half of what was filmed, and the other half is right.
+    assert!((psnr(&two["covisible"]) - psnr(&two["movers"]) - 10.0 * 2f64.log10()).abs() < 0.5);
+    assert!(two["movers"]["worst"].as_f64() <= two["movers"]["psnr"].as_f64());
+    assert_eq!((&all["pictures"], &all["movers"]["pictures"]), (&8.into(), &4.into()));
+    assert_eq!(all["movers"]["psnr"], two["movers"]["psnr"]);
+
+    let written = images::list(&folder.path().join("out")).unwrap();
+    assert_eq!(written.len(), 8);
+    let sheet = images::decode_rgb(&written[4], [0.0; 3], images::Orientation::Stored).unwrap();
+    assert_eq!((sheet.width, sheet.height), (3 * 48, 27), "truth, render, error");
+    for y in 0..27 {
+        assert_eq!(sheet.at(3, y), [0.0; 3], "painted black");
+        assert_eq!(sheet.at(48 + 3, y), sheet.at(96 + 3, y), "so that the render is the error");
+    }
+    let said = fails(folder.path(), 1, &format!("{eval} --pictures truth/held_out/1"));
+    says(&said, &["truth/held_out/1", "reads"]);
+
+    let text = run(folder.path(), &eval);
+    says(&String::from_utf8(text.stdout).unwrap(), &["movers", "not filmed", "33.3 %"]);
+}
+
+/// A truth whose held-out cameras are a little off: the fitted poses show the pictures better.
+#[test]
+fn poses_are_fitted_to_held_out_pictures() {
+    let folder = clip_of_its_own_scene();
+    let file = folder.path().join("truth/held_out/transforms.json");
+    let names = transforms::file_names(&file).unwrap();
+    let mut cameras = transforms::read_cameras(&file).unwrap();
+    for camera in &mut cameras {
+        camera.camera.view_from_world.translation.y += 0.08;
+    }
+    transforms::write(&file, &cameras, &names).unwrap();
+    let eval = format!("eval {} truth --fit-poses", trained().join("scene.safetensors").display());
+    let found = json(folder.path(), &eval);
+    for (row, region) in [(0, None), (1, Some("static_covisible"))] {
+        let [off, fitted] = ["held_out", "held_out_fitted"].map(|key| {
+            let row = &found[key][row];
+            region.map_or(row, |region| &row[region])["psnr"].as_f64().unwrap_or(f64::INFINITY)
+        });
+        assert!(fitted > off + 6.0, "{off} dB, fitted {fitted} dB");
+    }
+}
+
+#[test]
+fn a_scene_is_measured_from_its_first_camera_at_other_times() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = trained().join("scene.safetensors");
+    let render = format!("render {} -o views --path input", scene.display());
+    json(folder.path(), &render);
+    // The scene stands still, so that the first camera always sees the same; frame 9 is not in it.
+    fs::create_dir(folder.path().join("seen")).unwrap();
+    for name in ["v000_t000.png", "v000_t001.png", "v000_t003.png", "v000_t009.png"] {
+        fs::copy(folder.path().join("views/0000.png"), folder.path().join("seen").join(name))
+            .unwrap();
+    }
+    let found = json(folder.path(), &format!("eval {} seen", scene.display()));
+    let row = &found["held_out"][0];
+    assert_eq!((&row["distance"], &row["pictures"]), (&"first_camera".into(), &2.into()));
+    assert!(equal(row), "{row}");
+    assert_eq!(found["ate_rmse"], Value::Null);
+    // What another camera saw is another picture; a name's number is the frame's when it is said so.
+    fs::rename(folder.path().join("views"), folder.path().join("others")).unwrap();
+    let others = json(folder.path(), &format!("eval {} others --first-camera", scene.display()));
+    let row = &others["held_out"][0];
+    assert!(row["pictures"] == 3 && !equal(row), "{row}");
+    write_png(folder.path().join("seen/v000_t002.png"), &Image::new(30, 27, 3)).unwrap();
+    let said = fails(folder.path(), 1, &format!("eval {} seen", scene.display()));
+    says(&said, &["v000_t002.png", "proportions"]);
 }
 
 /// A scene in a frame of its own, turned, moved and scaled, measures as the same scene does at home.
