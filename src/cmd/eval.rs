@@ -124,9 +124,13 @@ pub struct EvalArgs {
 
 impl EvalArgs {
     /// Where the held-out pictures of some names go, where they are asked for; `folders` are read.
-    pub fn comparisons(&self, names: &[String], folders: &[&Path]) -> Result<Option<Comparisons>> {
+    pub fn comparisons(
+        &self,
+        names: &[String],
+        folders: &[PathBuf],
+    ) -> Result<Option<Comparisons>> {
         let Some(folder) = &self.pictures else { return Ok(None) };
-        let read = folders.iter().map(|read| (read.to_path_buf(), &images::EXTENSIONS[..]));
+        let read = folders.iter().map(|read| (read.clone(), &images::EXTENSIONS[..]));
         let inputs = Inputs::new([self.estimate.clone()], read);
         Comparisons::new(folder, names, &inputs).map(Some)
     }

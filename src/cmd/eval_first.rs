@@ -41,7 +41,7 @@ pub fn measure(scene: &Scene, args: &EvalArgs, common: &Common) -> Result<Map<St
     let folder = &args.reference;
     let pictures = pictures(scene, folder)?;
     let names: Vec<String> = pictures.iter().map(|(file, _)| name(file)).collect();
-    let comparisons = args.comparisons(&names, &[folder.as_path()])?;
+    let comparisons = args.comparisons(&names, std::slice::from_ref(folder))?;
     let first = scene.cameras[0].camera;
     let device = common.open_device()?;
     let mut renderer = Renderer::new(&device, scene)?;

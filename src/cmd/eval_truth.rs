@@ -45,7 +45,7 @@ pub fn measure(
 ) -> Result<Map<String, Value>> {
     let set = Dataset::open(truth.join("held_out/transforms.json"))?;
     let names: Vec<String> = set.frames.iter().map(|frame| frame.name.clone()).collect();
-    let comparisons = args.comparisons(&names, &[truth])?;
+    let comparisons = args.comparisons(&names, &read_folders(truth, &set))?;
     let cameras = transforms::read_cameras(&truth.join("transforms.json"))?;
     let pairs = pair(scene, &cameras)?;
     let poses = |of: &dyn Fn(&Pair) -> Camera| -> Vec<Pose> {
@@ -87,6 +87,21 @@ pub fn measure(
     let held_out = HeldOut { set, folder: truth.join("held_out"), pairs: &pairs };
     found.extend(held_out.judged(&mut judge, &truth_from_scene.inverse(), focal_ratio)?);
     Ok(found)
+}
+
+/// The folders of the pictures and masks that are read.
+fn read_folders(truth: &Path, set: &Dataset) -> Vec<PathBuf> {
+    let held_out = truth.join("held_out");
+    let mut folders = vec![truth.join("masks")];
+    for frame in &set.frames {
+        let Some(folder) = frame.path.parent() else { continue };
+        let below = folder.strip_prefix(&held_out).unwrap_or(folder);
+        let kinds = ["masks", "covisible"].map(|kind| held_out.join(kind).join(below));
+        folders.extend([folder.to_path_buf()].into_iter().chain(kinds));
+    }
+    folders.sort();
+    folders.dedup();
+    folders
 }
 
 /// Pairs the scene's cameras with the clip's frames: by the numbers of the frames where the scene's
