@@ -392,7 +392,7 @@ fn contact(
     for x in 0..width {
         let mut column = (0..height).filter(|y| own(y * width + x));
         let Some(first) = column.next() else { continue };
-        let last = column.last().unwrap_or(first);
+        let last = column.next_back().unwrap_or(first);
         (top, bottom) = (top.min(first), bottom.max(last));
         lowest.push((x, last));
     }
