@@ -31,6 +31,7 @@ fn reconstruct(name: &str) -> Outcome {
     let found = track(&clip.frames, &Options::default(), &mut source, &mut |_, _| Ok(())).unwrap();
     let settings = SequenceSettings {
         static_steps: 150,
+        trajectory_steps: 600,
         control_steps: 80,
         steps: 300,
         max_gaussians: 12_000,

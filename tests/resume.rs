@@ -151,6 +151,7 @@ fn a_tracked_clip_in_every_phase() {
     let sequence = Sequence { frames: &clip.frames, times: &clip.times, track: &found };
     let settings = SequenceSettings {
         static_steps: 60,
+        trajectory_steps: 600,
         control_steps: 50,
         steps: 350,
         max_gaussians: 2000,

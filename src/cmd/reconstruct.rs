@@ -28,6 +28,10 @@ use super::{interrupt, quality, sheet, supplied, values};
 /// Longest side of the frames unless told otherwise: on a GPU, and on a software driver.
 const LONGEST: [u32; 2] = [640, 320];
 
+/// A network that hardly follows the trajectories loses the movers in whatever comes after: a short
+/// training does not save on this.
+const LEAST_TRAJECTORY_STEPS: u32 = 600;
+
 /// Bytes for each pixel of each frame: of the frames themselves, and of what tracking makes of them,
 /// which is flow and confidence both ways, masks, depth and its confidence.
 const FRAME_BYTES: u64 = 12;
@@ -292,6 +296,7 @@ fn settings(args: &ReconstructArgs, common: &Common, size: (u32, u32)) -> Sequen
     };
     SequenceSettings {
         static_steps: in_proportion(usual.static_steps),
+        trajectory_steps: in_proportion(usual.trajectory_steps).max(LEAST_TRAJECTORY_STEPS),
         control_steps: in_proportion(usual.control_steps),
         steps: args.steps,
         max_gaussians: args.max_gaussians.unwrap_or(usual.max_gaussians),

@@ -42,6 +42,8 @@ use std::collections::HashSet;
 pub struct SequenceSettings {
     /// Steps on the static world alone.
     pub static_steps: u32,
+    /// Steps of the network's fit to the control points' trajectories.
+    pub trajectory_steps: u32,
     /// Steps of stage 1.
     pub control_steps: u32,
     /// Steps of stage 2, or of all training where nothing moves.
@@ -94,6 +96,7 @@ impl Default for SequenceSettings {
     fn default() -> Self {
         SequenceSettings {
             static_steps: 500,
+            trajectory_steps: 2000,
             control_steps: 300,
             steps: 2200,
             max_gaussians: 40_000,
@@ -228,8 +231,6 @@ fn fit_moving(
 
 /// Motion logits of what is seeded as static or dynamic.
 const STRENGTH: f32 = 4.0;
-/// Steps of the network's fit to the trajectories.
-const TRAJECTORY_STEPS: u32 = 600;
 
 /// What comes before stage 2.
 #[derive(Clone, Copy)]
@@ -316,12 +317,12 @@ impl BeforeJoint<'_> {
             })
             .collect();
         let goal = Translations { times: sequence.times, targets: &targets };
+        let steps = settings.trajectory_steps;
         let state = resume.unwrap_or_else(|| TranslationFitState::begin(&network, settings.seed));
-        let mut fit =
-            TranslationFit::new(self.device, &network, &points, goal, TRAJECTORY_STEPS, &state)?;
-        while fit.steps_done() < TRAJECTORY_STEPS {
+        let mut fit = TranslationFit::new(self.device, &network, &points, goal, steps, &state)?;
+        while fit.steps_done() < steps {
             fit.step()?;
-            observer.progress(Phase::Trajectories, fit.steps_done(), TRAJECTORY_STEPS)?;
+            observer.progress(Phase::Trajectories, fit.steps_done(), steps)?;
             if observer.wants_checkpoint() {
                 let fit = fit.state()?;
                 observer.checkpoint(&Checkpoint::Trajectories { still: still.clone(), fit })?;

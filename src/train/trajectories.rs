@@ -16,6 +16,8 @@ pub(super) const MOVING: f32 = 0.5;
 const COMPANIONS: usize = 4;
 /// A track on an object counts if it lives for so many frames.
 const LEAST_LIFE: usize = 4;
+/// A point is not on an object that is farther from its middle than so many times the median.
+const STRAY: f64 = 3.0;
 /// Standard deviation of the smoothing over time, frames: depth on movers is inferred frame by
 /// frame and trembles.
 const SMOOTHING: f64 = 1.0;
@@ -97,19 +99,39 @@ fn owner(track: &Track, points: &PointTrack) -> usize {
     if 2 * count > owners.len() { middle } else { 0 }
 }
 
-/// A track's path through the whole clip: in the frame of its object, smoothed while it is seen, and
-/// where it is not, where it was last.
-fn with_mover(own: &(usize, Vec<DVec3>), mover: &Mover, frames: usize) -> Vec<DVec3> {
+/// A track in the frame of its object, smoothed.
+fn inside(own: &(usize, Vec<DVec3>), mover: &Mover) -> Vec<DVec3> {
     let (first, seen) = own;
     let inside = |(k, p): (usize, &DVec3)| mover.world_from_object(first + k).inverse().apply(*p);
     let inside: Vec<DVec3> = seen.iter().enumerate().map(inside).collect();
-    let inside: Vec<DVec3> = (0..inside.len()).map(|k| mean(&inside, k)).collect();
+    (0..inside.len()).map(|k| mean(&inside, k)).collect()
+}
+
+/// A track's path through the whole clip, from its path in the frame of its object: where it is not
+/// seen, it is where it was last.
+fn with_mover(first: usize, inside: &[DVec3], mover: &Mover, frames: usize) -> Vec<DVec3> {
     (0..frames)
         .map(|frame| {
-            let k = frame.saturating_sub(*first).min(inside.len() - 1);
+            let k = frame.saturating_sub(first).min(inside.len() - 1);
             mover.world_from_object(frame).apply(inside[k])
         })
         .collect()
+}
+
+/// Which of some points on an object are on it indeed: what lies far off, by another's depth or by
+/// another's track, would swing widely where the object turns.
+fn near_the_others(points: &[DVec3]) -> Vec<bool> {
+    let median = |mut values: Vec<f64>| {
+        let middle = values.len() / 2;
+        *values.select_nth_unstable_by(middle, f64::total_cmp).1
+    };
+    if points.is_empty() {
+        return Vec::new();
+    }
+    let centre = [0, 1, 2].map(|k| median(points.iter().map(|p| p[k]).collect()));
+    let centre = DVec3::from_array(centre);
+    let usual = median(points.iter().map(|p| p.distance(centre)).collect());
+    points.iter().map(|p| p.distance(centre) <= STRAY * usual).collect()
 }
 
 impl Trajectories {
@@ -122,14 +144,25 @@ impl Trajectories {
         let at = |t: &(usize, Vec<DVec3>), frame: usize| {
             frame.checked_sub(t.0).and_then(|k| t.1.get(k)).copied()
         };
-        let all = lifted
+        let mut all = Vec::new();
+        for (i, mover) in track.movers.iter().enumerate() {
+            let own = lifted.iter().zip(&owners).filter(|(_, owner)| **owner == i + 1);
+            let own = own.map(|(own, _)| own).filter(|own| own.1.len() >= LEAST_LIFE);
+            let paths: Vec<(usize, Vec<DVec3>)> =
+                own.map(|own| (own.0, inside(own, mover))).collect();
+            let middles: Vec<DVec3> = paths.iter().map(|(_, path)| path[path.len() / 2]).collect();
+            let kept = paths.iter().zip(near_the_others(&middles)).filter(|(_, near)| *near);
+            all.extend(kept.map(|((first, path), _)| Trajectory {
+                owner: i + 1,
+                positions: with_mover(*first, path, mover, frames),
+            }));
+        }
+        // What is on no object.
+        let others: Vec<Trajectory> = lifted
             .par_iter()
             .zip(&owners)
-            .filter_map(|(own, &owner)| {
-                if let Some(mover) = owner.checked_sub(1).and_then(|i| track.movers.get(i)) {
-                    let positions = with_mover(own, mover, frames);
-                    return (own.1.len() >= LEAST_LIFE).then_some(Trajectory { owner, positions });
-                }
+            .filter(|(_, owner)| **owner == 0)
+            .filter_map(|(own, _)| {
                 let start = at(own, canonical)?;
                 let mut path = vec![start; frames];
                 let mut walk = |from: usize, to: usize| {
@@ -145,6 +178,7 @@ impl Trajectories {
                 Some(Trajectory { owner: 0, positions: smoothed(&path, canonical) })
             })
             .collect();
+        all.extend(others);
         Trajectories { canonical, all }
     }
 
@@ -231,10 +265,20 @@ mod tests {
         let mover = Mover { first: 1, world_from_object: (1..9).map(at).collect() };
         let point = DVec3::new(0.3, -0.2, 0.4);
         let seen = (4, (4..7).map(|frame| at(frame).apply(point)).collect());
-        let path = with_mover(&seen, &mover, 10);
+        let path = with_mover(4, &inside(&seen, &mover), &mover, 10);
         for (frame, position) in path.iter().enumerate() {
             let expected = at(frame.clamp(1, 8)).apply(point);
             assert!(position.distance(expected) < 1e-9, "{frame}: {position} {expected}");
         }
+    }
+
+    #[test]
+    fn what_lies_far_off_is_not_on_the_object() {
+        let mut points: Vec<DVec3> =
+            (0..20).map(|i| DVec3::new(f64::from(i % 5), f64::from(i / 5), 0.0)).collect();
+        points.push(DVec3::new(2.0, 2.0, 20.0));
+        let near = near_the_others(&points);
+        assert!(near[..20].iter().all(|near| *near) && !near[20], "{near:?}");
+        assert!(near_the_others(&[]).is_empty());
     }
 }
