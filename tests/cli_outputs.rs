@@ -359,14 +359,16 @@ fn a_pipe_gets_the_scene() {
     assert!(!at("pipe").is_file(), "the pipe is still one");
 }
 
-/// Begins a training that does not end by itself, and waits until it is under way.
+/// Begins a training that does not end by itself, and waits until it is under way. Hangups are not
+/// ignored but by `start`, even where whoever runs the tests has them ignored.
 fn endless(folder: &Path, start: &str, options: &str) -> (Child, impl Iterator<Item = String>) {
     dataset(&folder.join("set"), 3);
     let program = env!("CARGO_BIN_EXE_splat4d");
     let train = "train set -o x --steps 1000000 --random-points 50 --device software";
-    let mut child = Command::new("sh")
+    let mut child = Command::new("env")
         .current_dir(folder)
-        .args(["-c", &format!("{start} exec {program} {train} {options}")])
+        .args(["--default-signal=HUP", "sh", "-c"])
+        .arg(format!("{start} exec {program} {train} {options}"))
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
