@@ -1,6 +1,7 @@
 //! Focal length, poses and sparse points of the static world.
 
 use std::collections::HashMap;
+use std::ops::Range;
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -479,7 +480,7 @@ fn start(
 
 /// Frames getting their poses one by one.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-struct Posing {
+pub(super) struct Posing {
     cameras: Cameras,
     /// Per frame: it has its pose.
     posed: Vec<bool>,
@@ -536,42 +537,54 @@ pub(super) fn reconstruct(
     work: &mut Work,
     part: &str,
 ) -> Result<Cameras> {
-    let Posing { mut cameras, posed, .. } = pose(tracks, weights, focal, frames, seed, work, part)?;
-    cameras.doubtful.sort_unstable();
-    if let Some(lost) = posed.iter().position(|p| !p) {
-        return Err(Error::Failed(format!(
-            "the cameras were lost at frame {lost}: too few points are followed from the frames \
-             before it; the video may have a cut there"
-        )));
-    }
-    cameras.adjust(tracks, weights, focal)?;
-    Ok(cameras)
+    let posing = pose(tracks, weights, focal, frames, seed, work, part)?;
+    posing.adjusted(tracks, weights, focal)
 }
 
-/// The longest run of frames that one structure from motion can pose.
-pub(super) fn posable(
-    tracks: &[PointTrack],
-    weights: &[f64],
-    focal: &Focal,
-    frames: usize,
-    work: &mut Work,
-    part: &str,
-) -> Result<std::ops::Range<usize>> {
-    let posed = pose(tracks, weights, focal, frames, 0, work, part)?.posed;
-    let (mut best, mut start) = (0..0, 0);
-    for f in 0..=frames {
-        if f == frames || !posed[f] {
-            if f - start > best.len() {
-                best = start..f;
-            }
-            start = f + 1;
+impl Posing {
+    /// The cameras, adjusted to all static tracks.
+    ///
+    /// # Errors
+    /// A frame without a pose; those of the adjustment.
+    pub(super) fn adjusted(
+        self,
+        tracks: &[PointTrack],
+        weights: &[f64],
+        focal: &Focal,
+    ) -> Result<Cameras> {
+        let Posing { mut cameras, posed, .. } = self;
+        cameras.doubtful.sort_unstable();
+        if let Some(lost) = posed.iter().position(|p| !p) {
+            return Err(Error::Failed(format!(
+                "the cameras were lost at frame {lost}: too few points are followed from the \
+                 frames before it; the video may have a cut there"
+            )));
         }
+        cameras.adjust(tracks, weights, focal)?;
+        Ok(cameras)
     }
-    Ok(best)
+
+    /// The longest run of frames with poses.
+    pub(super) fn longest_run(&self) -> Range<usize> {
+        let frames = self.posed.len();
+        let (mut best, mut start) = (0..0, 0);
+        for f in 0..=frames {
+            if f == frames || !self.posed[f] {
+                if f - start > best.len() {
+                    best = start..f;
+                }
+                start = f + 1;
+            }
+        }
+        best
+    }
 }
 
 /// Poses frame after frame, as long as points lead from one to the next.
-fn pose(
+///
+/// # Errors
+/// No pair of frames shows parallax; what the observer of `work` returns.
+pub(super) fn pose(
     tracks: &[PointTrack],
     weights: &[f64],
     focal: &Focal,

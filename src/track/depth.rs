@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::cameras::Cameras;
 use super::masks::regions;
-use super::movers;
+use super::movers::{self, BOUND, KNOWN};
 use super::observer::Work;
 use super::quantile;
 use super::residual::Seen;
@@ -30,10 +30,8 @@ const NEAREST: f32 = 0.02;
 const DOUBT: (f32, f32) = (0.35, 0.02);
 /// A static pixel that leaves more unexplained than this many deviations is not measured.
 const UNEXPLAINED: f32 = 4.0;
-/// Confidence of depth that was filled in, that has contact with the ground, that has not.
+/// Confidence of depth that was filled in.
 const FILLED: f32 = 0.3;
-const CONTACT: f32 = 0.4;
-const BOUND: f32 = 0.2;
 
 /// What [`super::Track`] holds of depth and movers.
 pub(super) struct Dense {
@@ -68,7 +66,7 @@ pub(super) fn dense(
     let lifted = movers::lift(cameras, flow, masks, &behind);
     // What no object owns: by region and frame.
     let rest: Vec<Vec<Option<(f32, f32)>>> =
-        layers.par_iter().zip(masks).map(|(layer, mask)| cardboard(layer, mask)).collect();
+        layers.par_iter().zip(masks).map(|(layer, mask)| by_region(layer, mask)).collect();
     for (f, layer) in layers.iter_mut().enumerate() {
         for i in 0..layer.inverse.len() {
             let Some((_, confidence)) = rest[f][i] else { continue };
@@ -270,7 +268,7 @@ fn diffuse(image: &Image, value: &[f32], weight: &[f32], w: usize) -> Vec<f32> {
 }
 
 /// Inverse depth and confidence of the pixels of movers, by region of the mask.
-fn cardboard(layer: &Layer, mask: &Image) -> Vec<Option<(f32, f32)>> {
+fn by_region(layer: &Layer, mask: &Image) -> Vec<Option<(f32, f32)>> {
     let (w, h) = (mask.width as usize, mask.height as usize);
     let u = &mask.pixels;
     let mut out = vec![None; u.len()];
@@ -301,7 +299,7 @@ fn cardboard(layer: &Layer, mask: &Image) -> Vec<Option<(f32, f32)>> {
         let cut = bottom + 1 == h;
         let hidden = quantile(behind.clone(), 0.6);
         let (inverse, confidence) = if ground.len() >= 3 && !cut {
-            (quantile(ground, 0.6).max(hidden), CONTACT)
+            (quantile(ground, 0.6).max(hidden), KNOWN)
         } else {
             let near = if ground.is_empty() { 0.0 } else { quantile(ground, 0.8) };
             let bound = near.max(1.25 * quantile(behind, 0.8));
@@ -427,19 +425,19 @@ mod tests {
             supplied: vec![false; (WIDTH * HEIGHT) as usize],
         };
         let standing = map(|p| f32::from(u8::from(within(p, (20.0, 8.0), (30.0, 28.0)))));
-        let found = cardboard(&layer, &standing);
+        let found = by_region(&layer, &standing);
         let (d, confidence) = found[(15 * WIDTH + 25) as usize].unwrap();
         // It stands on row 28; the mask may overhang, so the ground is looked for two rows below.
         assert!((d - world(DVec2::new(25.0, 30.5))).abs() < 1e-3, "{d}");
-        assert_eq!(confidence, CONTACT);
+        assert_eq!(confidence, KNOWN);
         assert!(found[0].is_none());
         // In the air, before the wall: only that it is nearer is known.
         let flying = map(|p| f32::from(u8::from(within(p, (20.0, 2.0), (30.0, 10.0)))));
-        let (d, _) = cardboard(&layer, &flying)[(5 * WIDTH + 25) as usize].unwrap();
+        let (d, _) = by_region(&layer, &flying)[(5 * WIDTH + 25) as usize].unwrap();
         assert!(d >= 0.1, "{d}");
         // Cut off by the lower border: its feet are not seen.
         let cut = map(|p| f32::from(u8::from(within(p, (20.0, 20.0), (30.0, 40.0)))));
-        let (d, confidence) = cardboard(&layer, &cut)[(30 * WIDTH + 25) as usize].unwrap();
+        let (d, confidence) = by_region(&layer, &cut)[(30 * WIDTH + 25) as usize].unwrap();
         assert!(confidence == BOUND && d > 0.3, "{d}, {confidence}");
     }
 }

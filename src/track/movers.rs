@@ -178,7 +178,7 @@ fn owners(objects: &[Object], mask: &Image, frame: usize) -> Vec<Option<u16>> {
 /// An object's shape and path up to scale: rigid in the frames in which it is, upright in the others.
 fn shape(object: &Object, cameras: &Cameras, flow: &NeighbourFlow) -> Shape {
     let upright = upright(object);
-    let Some((run, middle, mut rigid)) = rigid(object, cameras, flow) else { return upright };
+    let Some((run, middle, rigid)) = rigid(object, cameras, flow) else { return upright };
     let mut frames = upright.frames;
     for (edge, rest) in [(run.start, 0..run.start), (run.end - 1, run.end..frames.len())] {
         let known = &rigid[edge - run.start];
@@ -190,7 +190,7 @@ fn shape(object: &Object, cameras: &Cameras, flow: &NeighbourFlow) -> Shape {
         }
     }
     let rigid_share = run.len() as f64 / frames.len() as f64;
-    frames.iter_mut().skip(run.start).zip(rigid.drain(..)).for_each(|(to, from)| *to = from);
+    frames.iter_mut().skip(run.start).zip(rigid).for_each(|(to, from)| *to = from);
     Shape { frames, middle, rigid: rigid_share > 0.8 }
 }
 
@@ -213,7 +213,8 @@ fn rigid(
     let mut progress = Progress(&mut nothing);
     let mut work = Work::new(&mut progress);
     let weights = vec![1.0; tracks.len()];
-    let run = cameras::posable(&tracks, &weights, &focal, frames, &mut work, "object").ok()?;
+    let posing = cameras::pose(&tracks, &weights, &focal, frames, 0, &mut work, "object").ok()?;
+    let run = posing.longest_run();
     if run.len() < 5 {
         return None;
     }
@@ -222,8 +223,13 @@ fn rigid(
     let places: Vec<usize> = (0..within.len()).filter(|i| within[*i].is_some()).collect();
     let tracks: Vec<PointTrack> = within.into_iter().flatten().collect();
     let weights = vec![1.0; tracks.len()];
-    let solved =
-        cameras::reconstruct(&tracks, &weights, &focal, run.len(), 0, &mut work, "object").ok()?;
+    let solved = if run.len() == frames {
+        // Every track lies within.
+        posing.adjusted(&tracks, &weights, &focal)
+    } else {
+        cameras::reconstruct(&tracks, &weights, &focal, run.len(), 0, &mut work, "object")
+    };
+    let solved = solved.ok()?;
     let size = (flow.width as f64 / 320.0).max(1.0);
     let parallax = solved.parallax(&tracks, &weights).to_degrees();
     if solved.inlier_share < RIGID.0 || solved.rms > RIGID.1 * size || parallax < RIGID.2 {
@@ -334,6 +340,9 @@ fn scale(
         .collect();
     let step = if shape.rigid { STEP.1 } else { STEP.0 };
     let touching = touched(&path, &contacts, step);
+    if let Some(path) = touching {
+        return (path, KNOWN);
+    }
     let unit = {
         let places: Vec<Place> = shape
             .frames
@@ -353,9 +362,6 @@ fn scale(
             .collect();
         smooth::unit(&places)
     };
-    if let Some(path) = touching {
-        return (path, KNOWN);
-    }
     // Nearer than what it hides, in nearly every frame.
     let bounds = (0..n)
         .filter_map(|k| {
