@@ -3,6 +3,7 @@
 //! | module | what it does |
 //! |---|---|
 //! | [`seed`] | the first Gaussians, from points |
+//! | `surface` | Gaussians laid along the surfaces that the depth shows |
 //! | [`region`] | points where there are none |
 //! | [`scale`] | what a training takes of a device's memory, before it begins |
 //! | [`sampling`] | farthest-point sampling, for control points |
@@ -49,6 +50,8 @@ pub mod selection;
 pub mod sequence;
 pub mod settings;
 pub mod state;
+#[cfg(feature = "reconstruct")]
+mod surface;
 pub mod trainer;
 #[cfg(feature = "reconstruct")]
 pub mod trajectories;

@@ -23,13 +23,14 @@ use super::settings::{
     TrainSettings,
 };
 use super::state::TrainerState;
+use super::surface::{lay, normal};
 use super::trainer::Trainer;
 use super::trajectories::{MOVING, Trajectories, camera, lift, value};
 use super::views::TrainingView;
 use crate::data::Point;
 use crate::gpu::Device;
 use crate::scene::{Scene, SceneCamera};
-use crate::track::Track;
+use crate::track::{StaticPoint, Track};
 use crate::types::{ControlPoints, DeformNet, Gaussians, Image, NetShape, RenderSettings};
 use crate::{Error, Result};
 use glam::DVec2;
@@ -143,18 +144,12 @@ pub fn fit_sequence(
     observer: &mut dyn Observer,
 ) -> Result<Scene> {
     let track = sequence.track;
-    let points: Vec<Point> = track
-        .points
-        .iter()
-        .map(|p| Point { position: p.position.as_vec3().to_array(), colour: p.colour })
-        .collect();
-    if points.is_empty() {
+    if track.points.is_empty() {
         return Err(Error::Input(
             "no static point was found to begin with: the clip shows no static surroundings".into(),
         ));
     }
-    let points = thinned(points, settings.max_gaussians / 2);
-    let seeds = seed_from_points(&points, settings.sh_degree);
+    let seeds = seed_static(track, settings);
     let dynamic = track.quality.dynamic_share >= settings.least_dynamic_share;
     let trajectories = dynamic.then(|| Trajectories::of(track));
     let mut scene = match trajectories {
@@ -197,6 +192,25 @@ pub(super) fn sound(scene: Scene) -> Result<Scene> {
              train for fewer steps"
         ))),
     }
+}
+
+/// Gaussians on the static points, laid along the surfaces of the frames that they were taken from.
+fn seed_static(track: &Track, settings: &SequenceSettings) -> Gaussians {
+    let points = thinned(track.points.iter().collect(), settings.max_gaussians / 2);
+    let at =
+        |p: &&StaticPoint| Point { position: p.position.as_vec3().to_array(), colour: p.colour };
+    let positions: Vec<Point> = points.iter().map(at).collect();
+    let mut seeds = seed_from_points(&positions, settings.sh_degree);
+    for (i, point) in points.iter().enumerate() {
+        let view_from_world = track.view_from_world[point.frame];
+        let ray = view_from_world.apply(point.position);
+        let pixel = track.intrinsics.project(ray);
+        if let Some(normal) = normal(&track.depth[point.frame], &track.intrinsics, pixel) {
+            let world_from_view = view_from_world.rotation.conjugate();
+            lay(&mut seeds, i, world_from_view * ray, world_from_view * normal);
+        }
+    }
+    seeds
 }
 
 fn fit_moving(
@@ -497,7 +511,7 @@ fn colour(image: &Image, pixel: DVec2) -> [f32; 3] {
 }
 
 /// Every so-manieth, so that at most `most` stay.
-fn thinned(points: Vec<Point>, most: usize) -> Vec<Point> {
+fn thinned<T>(points: Vec<T>, most: usize) -> Vec<T> {
     let keep = points.len().div_ceil(most.max(1)).max(1);
     points.into_iter().step_by(keep).collect()
 }
