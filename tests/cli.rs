@@ -1043,7 +1043,7 @@ fn damaged_scenes_are_named() {
     Scene::of(blobs()).save(at("good.safetensors")).unwrap();
     truncate("good.safetensors", "short.safetensors");
     let mut bytes = fs::read(at("good.safetensors")).unwrap();
-    let version = b"\"version\":\"1\"";
+    let version = b"\"version\":\"2\"";
     let place = bytes.windows(version.len()).position(|w| w == version).unwrap();
     bytes[place + version.len() - 2] = b'7';
     fs::write(at("newer.safetensors"), &bytes).unwrap();

@@ -8,7 +8,7 @@ use host::{Host, camera, gaussians};
 use splat4d::gpu::{Buffer, Device, Recorder};
 use splat4d::renderer::{Renderer, Target};
 use splat4d::scene::Scene;
-use splat4d::types::{ControlPoints, DeformNet, NetShape};
+use splat4d::types::ControlPoints;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -47,14 +47,12 @@ const IN_FLIGHT: usize = 3;
 fn moving() -> Scene {
     let mut gaussians = gaussians(150);
     gaussians.motion_logits = (0..150).map(|i| if i % 2 == 0 { 3.0 } else { -3.0 }).collect();
-    let shape =
-        NetShape { depth: 2, width: 16, skip: 9, position_frequencies: 2, time_frequencies: 2 };
     Scene {
         control_points: ControlPoints {
             positions: gaussians.positions[..8].to_vec(),
             log_radii: vec![0.0; 8],
+            paths: vec![[0.0; 8]; 24],
         },
-        network: Some(DeformNet::random(shape, 1)),
         ..Scene::of(gaussians)
     }
 }

@@ -7,7 +7,7 @@ use host::{Host, camera, gaussians};
 use splat4d::gpu::{Buffer, Device, Recorder, Stream};
 use splat4d::ops::loss::{Loss, LossSettings, Photograph};
 use splat4d::oracle::view::{Cloud, View, perturbed};
-use splat4d::oracle::{deform, mlp, render};
+use splat4d::oracle::{deform, mlp, path, render};
 use splat4d::train::own_loss::OwnGradients;
 use splat4d::train::{
     MotionSettings, MotionStart, SYNC_INTERVAL, TrainSettings, Trainer, TrainingView,
@@ -168,6 +168,21 @@ fn gradients_are_those_of_the_callers_loss() {
     common::assert_valid(&device);
 }
 
+/// What moves: eight control points on paths of four key times.
+fn paths() -> MotionStart {
+    let at = |i: usize| (i * 37 % 101) as f32 / 50.0 - 1.0;
+    let mut paths = vec![[0.0; 8]; 32];
+    for (i, motion) in paths.iter_mut().enumerate() {
+        (0..8).filter(|k| *k != 3).for_each(|k| motion[k] = 0.1 * at(8 * i + k));
+    }
+    let positions = gaussians(8).positions;
+    MotionStart {
+        points: ControlPoints { positions, log_radii: vec![-0.3; 8], paths },
+        network: None,
+        neighbours: 3,
+    }
+}
+
 /// What moves: eight control points, and a network that moves them.
 fn motion() -> MotionStart {
     let shape =
@@ -180,30 +195,43 @@ fn motion() -> MotionStart {
     }
     let positions = gaussians(8).positions;
     MotionStart {
-        points: ControlPoints { positions, log_radii: vec![-0.3; 8] },
-        network,
+        points: ControlPoints { positions, log_radii: vec![-0.3; 8], paths: vec![] },
+        network: Some(network),
         neighbours: 3,
     }
 }
 
 #[test]
 fn gradients_reach_network_and_radii() {
+    gradients_reach(&motion());
+}
+
+#[test]
+fn gradients_reach_paths_and_radii() {
+    gradients_reach(&paths());
+}
+
+fn gradients_reach(start: &MotionStart) {
     const TIME: f64 = 0.4;
     let device = common::device();
     let mut stream = device.stream().unwrap();
     let mut scene = gaussians(9);
     scene.motion_logits = (0..9).map(|i| if i < 6 { 2.0 } else { -2.0 }).collect();
-    let (camera, start) = (camera(SIZE.0, SIZE.1), motion());
+    let camera = camera(SIZE.0, SIZE.1);
     let mut trainer =
-        Trainer::without_pictures(&device, &scene, Some(&start), 1.0, settings()).unwrap();
+        Trainer::without_pictures(&device, &scene, Some(start), 1.0, settings()).unwrap();
     differentiate(&mut stream, &mut trainer, &camera, TIME);
-    let (network, radii) = trainer.motion_gradients().unwrap();
-    let (network, radii) = (stream.download(network).unwrap(), stream.download(radii).unwrap());
+    let (model, radii) = trainer.motion_gradients().unwrap();
+    let (model, radii) = (stream.download(model).unwrap(), stream.download(radii).unwrap());
     let opacities = stream.download(&trainer.gradients().opacity_logits).unwrap();
     assert!(trainer.conclude().unwrap());
 
     let wide = |v: &[f32]| v.iter().map(|&v| f64::from(v)).collect::<Vec<f64>>();
-    let (parameters, log_radii) = (wide(&start.network.parameters), wide(&start.points.log_radii));
+    let parameters = match &start.network {
+        Some(network) => wide(&network.parameters),
+        None => wide(start.points.paths.as_flattened()),
+    };
+    let log_radii = wide(&start.points.log_radii);
     let nodes: Vec<[f64; 3]> = start.points.positions.iter().map(|p| p.map(f64::from)).collect();
     let cloud = Cloud::<f64>::new(&scene);
     let dynamic: Vec<u32> = (0..6).collect();
@@ -211,9 +239,15 @@ fn gradients_reach_network_and_radii() {
     // The device's time is one of its floats.
     let time = f64::from(TIME as f32);
     let value = |parameters: &[f64], log_radii: &[f64], opacity: f64| {
-        let queries: Vec<[f64; 4]> = nodes.iter().map(|p| [p[0], p[1], p[2], time]).collect();
-        let outputs = mlp::forward(&start.network.shape, parameters, &queries).outputs;
-        let transforms: Vec<[f64; 8]> = outputs.into_iter().map(mlp::transform).collect();
+        let transforms: Vec<[f64; 8]> = match &start.network {
+            Some(network) => {
+                let query = |p: &[f64; 3]| [p[0], p[1], p[2], time];
+                let queries: Vec<[f64; 4]> = nodes.iter().map(query).collect();
+                let outputs = mlp::forward(&network.shape, parameters, &queries).outputs;
+                outputs.into_iter().map(mlp::transform).collect()
+            }
+            None => path::evaluate(parameters.as_chunks().0, nodes.len(), &[time]),
+        };
         let skinned = deform::forward(&deform::Skin {
             positions: &cloud.positions,
             rotations: &cloud.rotations,
@@ -234,7 +268,7 @@ fn gradients_reach_network_and_radii() {
     };
     let mut pairs = Pairs::default();
     for i in (0..parameters.len()).step_by(13) {
-        pairs.add(format!("parameter {i}"), network[i], |h| {
+        pairs.add(format!("parameter {i}"), model[i], |h| {
             let mut changed = parameters.clone();
             changed[i] += h;
             value(&changed, &log_radii, 0.0)

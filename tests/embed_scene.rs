@@ -47,7 +47,7 @@ fn scene_of(gaussians: Gaussians, moving: bool) -> Scene {
     network.parameters[count - 7..count - 4].copy_from_slice(&[0.2, -0.1, 0.05]);
     let positions = host::gaussians(6).positions;
     Scene {
-        control_points: ControlPoints { positions, log_radii: vec![0.0; 6] },
+        control_points: ControlPoints { positions, log_radii: vec![0.0; 6], paths: vec![] },
         network: Some(network),
         ..Scene::of(gaussians)
     }

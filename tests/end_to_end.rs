@@ -31,8 +31,6 @@ fn reconstruct(name: &str) -> Outcome {
     let found = track(&clip.frames, &Options::default(), &mut source, &mut |_, _| Ok(())).unwrap();
     let settings = SequenceSettings {
         static_steps: 150,
-        trajectory_steps: 600,
-        control_steps: 80,
         steps: 300,
         max_gaussians: 12_000,
         control_points: 64,
@@ -116,7 +114,7 @@ fn rigid_is_reconstructed_from_its_frames_alone() {
     // Measured: 0.09 % of the path, IoU 0.95, 28.64 dB, held out 21.37 dB against 18.57 dB.
     assert!(held_out >= copied + 1.5, "{held_out} dB on held-out views, {copied} without depth");
     assert!(outcome.scene.gaussians.is_dynamic() && !outcome.scene.control_points.is_empty());
-    assert!(outcome.scene.network.is_some());
+    assert!(outcome.scene.moves());
     // Three quarters of the most to begin with; then as the loss asks.
     let count = |key: &str| outcome.scene.report[key].as_u64().unwrap() as usize;
     let (added, removed) = (count("control_points_added"), count("control_points_removed"));
@@ -132,7 +130,7 @@ fn still_gets_no_control_points() {
     let outcome = reconstruct("still");
     let psnr = psnr_on_input(&outcome);
     println!("{psnr:.2} dB, {:?}", outcome.track.quality);
-    assert!(outcome.scene.control_points.is_empty() && outcome.scene.network.is_none());
+    assert!(outcome.scene.control_points.is_empty() && !outcome.scene.moves());
     assert!(!outcome.scene.gaussians.is_dynamic());
     assert!(psnr >= 21.0, "{psnr} dB on the input");
     common::assert_valid(&outcome.device);

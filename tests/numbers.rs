@@ -156,8 +156,11 @@ fn gaussians(n: usize) -> Gaussians {
 
 fn scene() -> Scene {
     let mut scene = Scene::of(gaussians(3));
-    scene.control_points =
-        ControlPoints { positions: vec![[0.1, 0.2, 0.3]; 2], log_radii: vec![-1.0; 2] };
+    scene.control_points = ControlPoints {
+        positions: vec![[0.1, 0.2, 0.3]; 2],
+        log_radii: vec![-1.0; 2],
+        paths: vec![],
+    };
     let shape =
         NetShape { depth: 1, width: 16, skip: 9, position_frequencies: 1, time_frequencies: 1 };
     scene.network = Some(DeformNet::random(shape, 1));

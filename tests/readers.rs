@@ -92,8 +92,11 @@ fn gaussians(sh_degree: u32) -> Gaussians {
 
 fn scene() -> Scene {
     let mut scene = Scene::of(gaussians(2));
-    scene.control_points =
-        ControlPoints { positions: vec![[0.1, 0.2, 0.3]; 5], log_radii: vec![-1.0; 5] };
+    scene.control_points = ControlPoints {
+        positions: vec![[0.1, 0.2, 0.3]; 5],
+        log_radii: vec![-1.0; 5],
+        paths: vec![],
+    };
     let shape =
         NetShape { depth: 2, width: 16, skip: 0, position_frequencies: 1, time_frequencies: 1 };
     scene.network = Some(DeformNet::random(shape, 1));

@@ -73,6 +73,7 @@ fn dynamic_scene() -> Scene {
         control_points: ControlPoints {
             positions: numbers.rows(5),
             log_radii: numbers.rows::<1>(5).concat(),
+            paths: vec![],
         },
         network: Some(DeformNet { shape, parameters }),
         settings: RenderSettings { near: 0.2, alpha_cap: 0.99, ..RenderSettings::default() },
@@ -94,7 +95,7 @@ fn scene_round_trips_exactly() {
     let path = folder.path().join("a.safetensors");
     let empty = Scene::default();
     let still = Scene::of(gaussians(3, 0));
-    for scene in [dynamic_scene(), still, empty] {
+    for scene in [dynamic_scene(), on_paths(), still, empty] {
         scene.save(&path).unwrap();
         let opened = Scene::open(&path, false).unwrap();
         assert_eq!(opened.scene, scene);
@@ -103,6 +104,42 @@ fn scene_round_trips_exactly() {
         scene.save(&path).unwrap();
         assert_eq!(fs::read(&path).unwrap(), first, "the same scene gives the same bytes");
     }
+}
+
+/// The dynamic scene, its control points moved by paths of three key times.
+fn on_paths() -> Scene {
+    let mut scene = dynamic_scene();
+    scene.network = None;
+    scene.control_points.paths =
+        (0..15).map(|i| std::array::from_fn(|k| (i * 8 + k) as f32 / 77.0)).collect();
+    scene
+}
+
+#[test]
+fn paths_are_read_and_refused_as_they_should() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.safetensors");
+    let scene = on_paths();
+    assert_eq!(scene.control_points.keys(), 3);
+    assert!(scene.moves() && scene.check().is_ok());
+    scene.save(&path).unwrap();
+    let bytes = fs::read(&path).unwrap();
+    let file = safetensors::SafeTensors::deserialize(&bytes).unwrap();
+    assert_eq!(file.tensor("control_points.path").unwrap().shape(), [3, 5, 8]);
+
+    let mut uneven = scene.clone();
+    uneven.control_points.paths.pop();
+    says(&message(uneven.save(&path)), &["control_points.paths"]);
+    says(&uneven.check().unwrap_err(), &["14 motions", "5 control points"]);
+    let mut wild = scene.clone();
+    wild.control_points.paths[7][2] = f32::NAN;
+    says(&wild.check().unwrap_err(), &["control point 2", "motion on its path"]);
+    wild.save(&path).unwrap();
+    says(&message(Scene::open(&path, false)), &["control_points.path", "1 NaN"]);
+    let both = Scene { network: dynamic_scene().network, ..scene };
+    says(&both.check().unwrap_err(), &["not by both"]);
+    both.save(&path).unwrap();
+    says(&message(Scene::open(&path, false)), &["not by both"]);
 }
 
 #[test]

@@ -174,8 +174,9 @@ fn small_motion() -> MotionStart {
         points: ControlPoints {
             positions: vec![[-0.8, 0.0, 3.0], [1.6, 0.3, 3.5], [0.4, -0.3, 4.0]],
             log_radii: vec![0.0; 3],
+            paths: vec![],
         },
-        network: DeformNet::random(shape, 5),
+        network: Some(DeformNet::random(shape, 5)),
         neighbours: 2,
     }
 }
@@ -294,7 +295,6 @@ fn what_the_masks_show_to_be_still_stops_moving() {
         (0..400).for_each(|_| trainer.step().unwrap());
         let (control_points, network) = trainer.motion().unwrap().unwrap();
         let gaussians = trainer.gaussians().unwrap();
-        let network = Some(network);
         Scene { control_points, network, neighbours: 2, ..Scene::of(gaussians) }
     };
     let hard = run(None);

@@ -126,7 +126,7 @@ pub(super) fn step(
     photo.pixels.iter_mut().for_each(|v| *v = f32::from(rng.random::<u8>()) / 255.0);
     let start = moving.then(|| MotionStart {
         points: control_points(seed, NODES, &camera),
-        network: network(seed, NARROW),
+        network: Some(network(seed, NARROW)),
         neighbours: FOLLOWED,
     });
     if moving {
@@ -159,7 +159,7 @@ pub(super) fn step(
     let after = trainer.gaussians()?;
     let mut scene = Scene::of(gaussians.clone());
     if let Some(MotionStart { points, network, neighbours }) = start.clone() {
-        (scene.control_points, scene.network) = (points, Some(network));
+        (scene.control_points, scene.network) = (points, network);
         scene.neighbours = neighbours as u32;
     }
     let placed = cloud_at(&scene, time);

@@ -17,10 +17,8 @@ use crate::gpu::{Detail, Device, DeviceKind, Footprint};
 use crate::renderer::{RenderScale, Renderer};
 use crate::report::{Accuracy, Clock, Curve, CurvePoint, Place, Spread, Work};
 use crate::scene::Scene;
-use crate::train::{
-    MotionScale, MotionStart, PictureKind, TrainSettings, Trainer, TrainingScale, TrainingView,
-};
-use crate::types::{Gaussians, Image, NetShape, Tuning};
+use crate::train::{MotionStart, PictureKind, TrainSettings, Trainer, TrainingScale, TrainingView};
+use crate::types::{Gaussians, Image, MotionScale, NetShape, Tuning};
 use crate::{Error, Result};
 
 /// Control points that a Gaussian follows.
@@ -315,7 +313,8 @@ impl Plan {
                     intersections: 0,
                     motion: (self.pipeline == Pipeline::MovingStep).then_some(MotionScale {
                         control_points: sizes.control_points,
-                        network: self.network,
+                        keys: 0,
+                        network: Some(self.network),
                         neighbours: FOLLOWED,
                     }),
                     settings: self.settings(),
@@ -342,7 +341,7 @@ impl Plan {
         }
         let start = (self.pipeline == Pipeline::MovingStep).then(|| MotionStart {
             points: control_points(seed, sizes.control_points, &camera),
-            network: network(seed, self.network),
+            network: Some(network(seed, self.network)),
             neighbours: FOLLOWED,
         });
         if start.is_some() {

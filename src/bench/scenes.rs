@@ -62,7 +62,7 @@ pub(super) fn control_points(seed: u64, count: usize, camera: &Camera) -> Contro
         .collect();
     let log_radii =
         (0..count).map(|_| (spacing.ln() + rng.random_range(-0.2..0.2)) as f32).collect();
-    ControlPoints { positions, log_radii }
+    ControlPoints { positions, log_radii, paths: Vec::new() }
 }
 
 /// A network whose motions show: the ordinary start's head would move nothing.

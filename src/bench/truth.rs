@@ -3,23 +3,32 @@
 use super::speed::Shot;
 use crate::oracle::raster::Pixels;
 use crate::oracle::view::{Cloud, View};
-use crate::oracle::{deform, mlp, render};
+use crate::oracle::{deform, mlp, path, render};
 use crate::scene::Scene;
 
 /// Where the scene's Gaussians are at a time in [0, 1].
 pub(super) fn cloud_at(scene: &Scene, time: f64) -> Cloud<f64> {
     let gaussians = &scene.gaussians;
     let mut cloud = Cloud::<f64>::new(gaussians);
-    let Some(network) = scene.network.as_ref().filter(|_| gaussians.is_dynamic()) else {
+    if !scene.moves() {
         return cloud;
-    };
+    }
     let points = &scene.control_points;
     let k = (scene.neighbours as usize).min(points.len());
-    let parameters: Vec<f64> = network.parameters.iter().map(|&p| f64::from(p)).collect();
     let nodes: Vec<[f64; 3]> = points.positions.iter().map(|p| p.map(f64::from)).collect();
-    let queries: Vec<[f64; 4]> = nodes.iter().map(|p| [p[0], p[1], p[2], time]).collect();
-    let outputs = mlp::forward(&network.shape, &parameters, &queries).outputs;
-    let transforms: Vec<[f64; 8]> = outputs.into_iter().map(mlp::transform).collect();
+    let transforms: Vec<[f64; 8]> = match &scene.network {
+        Some(network) => {
+            let parameters: Vec<f64> = network.parameters.iter().map(|&p| f64::from(p)).collect();
+            let queries: Vec<[f64; 4]> = nodes.iter().map(|p| [p[0], p[1], p[2], time]).collect();
+            let outputs = mlp::forward(&network.shape, &parameters, &queries).outputs;
+            outputs.into_iter().map(mlp::transform).collect()
+        }
+        None => {
+            let paths: Vec<[f64; 8]> =
+                points.paths.iter().map(|motion| motion.map(f64::from)).collect();
+            path::evaluate(&paths, points.len(), &[time])
+        }
+    };
     let log_radii: Vec<f64> = points.log_radii.iter().map(|&r| f64::from(r)).collect();
     let ids: Vec<u32> =
         (0..).zip(&gaussians.motion_logits).filter(|(_, m)| **m > 0.0).map(|(i, _)| i).collect();

@@ -161,7 +161,7 @@ pub unsafe extern "C" fn splat4d_scene_get_info(
             struct_size: 0,
             count: scene.gaussians.len(),
             sh_degree: scene.gaussians.sh_degree,
-            is_dynamic: u32::from(scene.network.is_some() && scene.gaussians.is_dynamic()),
+            is_dynamic: u32::from(scene.moves()),
             camera_count: scene.cameras.len(),
             background: scene.background,
         };

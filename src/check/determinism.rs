@@ -1,5 +1,6 @@
 //! Training gives the same bits: every case runs twice, and these are two hundred steps long, through
-//! every kernel that training has, over growth, relocation and, in the moving scene, the network.
+//! every kernel that training has, over growth, relocation and, in the moving scenes, the network or
+//! the paths.
 
 use super::{Case, Harness};
 use crate::data::Point;
@@ -36,9 +37,18 @@ const RENDER: &[&str] = &[
 
 /// The family's cases.
 pub const CASES: &[Case] = &[
-    Case { id: "determinism/static_training", kernels: RENDER, run: |h| train(h, false) },
-    Case { id: "determinism/dynamic_training", kernels: RENDER, run: |h| train(h, true) },
+    Case { id: "determinism/static_training", kernels: RENDER, run: |h| train(h, Moved::Not) },
+    Case { id: "determinism/dynamic_training", kernels: RENDER, run: |h| train(h, Moved::Network) },
+    Case { id: "determinism/path_training", kernels: RENDER, run: |h| train(h, Moved::Paths) },
 ];
+
+/// What moves the Gaussians.
+#[derive(Clone, Copy, PartialEq)]
+enum Moved {
+    Not,
+    Network,
+    Paths,
+}
 
 const STEPS: u32 = 200;
 const SIZE: (u32, u32) = (40, 28);
@@ -71,7 +81,7 @@ fn views() -> Vec<TrainingView> {
     (0..4).map(view).collect()
 }
 
-fn train(h: &mut Harness, moves: bool) -> Result<()> {
+fn train(h: &mut Harness, by: Moved) -> Result<()> {
     let points: Vec<Point> = (0..300)
         .map(|_| Point {
             position: std::array::from_fn(|_| h.rng.random_range(-1.0f32..1.0)),
@@ -79,15 +89,22 @@ fn train(h: &mut Harness, moves: bool) -> Result<()> {
         })
         .collect();
     let mut seeds = seed_from_points(&points, 1);
-    let start = moves.then(|| {
+    let start = (by != Moved::Not).then(|| {
         seeds.motion_logits = (0..seeds.len()).map(|i| [-2.0, 2.0][i % 2]).collect();
         let shape =
             NetShape { depth: 3, width: 32, skip: 1, position_frequencies: 4, time_frequencies: 4 };
         let positions: Vec<[f32; 3]> = points.iter().step_by(20).map(|p| p.position).collect();
         let log_radii = vec![-1.0; positions.len()];
         MotionStart {
-            points: ControlPoints { positions, log_radii },
-            network: DeformNet::random(shape, 5),
+            points: ControlPoints {
+                paths: match by {
+                    Moved::Paths => vec![[0.0; 8]; 4 * positions.len()],
+                    _ => Vec::new(),
+                },
+                positions,
+                log_radii,
+            },
+            network: (by == Moved::Network).then(|| DeformNet::random(shape, 5)),
             neighbours: 3,
         }
     });
@@ -123,11 +140,13 @@ fn train(h: &mut Harness, moves: bool) -> Result<()> {
     h.note(&found.motion_logits);
     let mut moved = false;
     if let Some((points, network)) = trainer.motion()? {
-        moved = start.is_some_and(|start| start.network.parameters != network.parameters);
+        moved = start
+            .is_some_and(|start| start.network != network || start.points.paths != points.paths);
         h.note(points.positions.as_flattened());
         h.note(&points.log_radii);
-        h.note(&network.parameters);
+        h.note(points.paths.as_flattened());
+        h.note(&network.map(|network| network.parameters).unwrap_or_default());
     }
-    h.holds("the network was trained", moved == moves);
+    h.holds("what moves them was trained", moved == (by != Moved::Not));
     Ok(())
 }

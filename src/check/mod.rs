@@ -28,6 +28,7 @@ pub mod indirect;
 pub mod loss;
 pub mod mask;
 pub mod mlp;
+pub mod path;
 pub mod project;
 pub mod raster;
 pub mod render;
@@ -70,6 +71,7 @@ pub const ALL: &[&[Case]] = &[
     loss::CASES,
     mask::CASES,
     mlp::CASES,
+    path::CASES,
     project::CASES,
     raster::CASES,
     render::CASES,

@@ -14,8 +14,9 @@ const AFTER_HELP: &str = "\
 Example:
   splat4d info scene.safetensors
 
-JSON: gaussians, dropped, sh_degree, dynamic_share, control_points, neighbours, network ({depth,
-width, skip, position_frequencies, time_frequencies, parameters} or null), cameras, times ([first,
+JSON: gaussians, dropped, sh_degree, dynamic_share, control_points, path_keys (key times of their
+paths, 0 without), neighbours, network ({depth, width, skip, position_frequencies,
+time_frequencies, parameters} or null), cameras, times ([first,
 last] or null), width, height, focal (of the first camera, or null), bounding_box ([[x, y, z],
 [x, y, z]] or null), background, up, report";
 
@@ -59,6 +60,7 @@ pub fn run(args: &InfoArgs) -> Result<Answer> {
         "sh_degree": g.sh_degree,
         "dynamic_share": dynamic_share(&scene),
         "control_points": scene.control_points.len(),
+        "path_keys": scene.control_points.keys(),
         "neighbours": scene.neighbours,
         "network": network,
         "cameras": scene.cameras.len(),
@@ -80,6 +82,9 @@ pub fn run(args: &InfoArgs) -> Result<Answer> {
     let _ = writeln!(text, "dynamic         {:.1} %", 100.0 * dynamic_share(&scene));
     let _ = writeln!(text, "harmonics       degree {}", g.sh_degree);
     let _ = writeln!(text, "control points  {}", scene.control_points.len());
+    if scene.control_points.keys() > 0 {
+        let _ = writeln!(text, "paths           {} key times", scene.control_points.keys());
+    }
     if let Some(network) = &scene.network {
         let NetShape { depth, width, .. } = network.shape;
         let parameters = thousands(network.parameters.len());

@@ -28,10 +28,6 @@ use super::{interrupt, quality, sheet, supplied, values};
 /// Longest side of the frames unless told otherwise: on a GPU, and on a software driver.
 const LONGEST: [u32; 2] = [640, 320];
 
-/// A network that hardly follows the trajectories loses the movers in whatever comes after: a short
-/// training does not save on this.
-const LEAST_TRAJECTORY_STEPS: u32 = 600;
-
 /// Bytes for each pixel of each frame: of the frames themselves, and of what tracking makes of them,
 /// which is flow and confidence both ways, masks, depth and its confidence.
 const FRAME_BYTES: u64 = 12;
@@ -52,8 +48,8 @@ dynamic_gaussians (share), intrinsics {fx, fy, cx, cy, width, height, source (gi
 measured, assumed)}, poses {tripod, inlier_share, reprojection_rms, parallax_deg, focal_std,
 doubtful_frames, tracks}, frames, frame_names, model (what was modelled and why), notes, device,
 predicted_bytes (of device memory, before it began), all also kept in the scene; and, in report.json too,
-peak_bytes, milliseconds_per_step, seconds {load, flow, cameras, masks, depth, static, trajectories,
-control, joint, evaluate}; output";
+peak_bytes, milliseconds_per_step, seconds {load, flow, cameras, masks, depth, static, joint,
+evaluate}; output";
 
 /// Turn a video whose camera poses are unknown into a 4D scene
 #[derive(Args)]
@@ -296,8 +292,6 @@ fn settings(args: &ReconstructArgs, common: &Common, size: (u32, u32)) -> Sequen
     };
     SequenceSettings {
         static_steps: in_proportion(usual.static_steps),
-        trajectory_steps: in_proportion(usual.trajectory_steps).max(LEAST_TRAJECTORY_STEPS),
-        control_steps: in_proportion(usual.control_steps),
         steps: args.steps,
         max_gaussians: args.max_gaussians.unwrap_or(usual.max_gaussians),
         control_points: args.control_points,
@@ -377,8 +371,6 @@ fn observe(
 fn phase_names(phase: Phase) -> (&'static str, &'static str) {
     let name = match phase {
         Phase::Static => "static",
-        Phase::Trajectories => "trajectories",
-        Phase::Control => "control",
         Phase::Joint => "joint",
     };
     (name, name)
@@ -418,14 +410,16 @@ fn identity(
 /// What was modelled, what was left out, and why.
 fn model(scene: &Scene, track: &Track, settings: &SequenceSettings) -> String {
     let moving = 100.0 * track.quality.dynamic_share;
-    if scene.network.is_some() {
+    if scene.moves() {
         let share = 100.0 * dynamic_share(scene);
         return format!(
             "{moving:.1} % of the pixels move: {} control points ({} added and {} removed in \
-             training) and a network move {share:.1} % of the Gaussians, all others are static",
+             training) on paths of {} key times move {share:.1} % of the Gaussians, all others are \
+             static",
             scene.control_points.len(),
             scene.report["control_points_added"],
             scene.report["control_points_removed"],
+            scene.control_points.keys(),
         );
     }
     if track.quality.dynamic_share < settings.least_dynamic_share {

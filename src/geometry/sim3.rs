@@ -194,7 +194,7 @@ fn best_turn(axis: DVec3, rotation: DQuat, target: DMat3) -> DQuat {
 }
 
 /// The rotation R that maximises tr(RᵀM), reflections excluded, and how far M determines it.
-fn nearest_rotation(m: &Matrix3<f64>) -> (DQuat, Shape) {
+pub(crate) fn nearest_rotation(m: &Matrix3<f64>) -> (DQuat, Shape) {
     let svd = m.svd(true, true);
     let (Some(u), Some(vt)) = (svd.u, svd.v_t) else { return (DQuat::IDENTITY, Shape::Point) };
     let s = svd.singular_values;

@@ -14,6 +14,7 @@ pub mod indirect;
 pub mod loss;
 pub mod mask;
 pub mod mlp;
+pub mod path;
 pub mod project;
 pub mod raster;
 pub mod scan;
@@ -94,6 +95,8 @@ pub const ALL: &[KernelInfo] = &[
     mlp::Backward::INFO,
     mlp::Weights::INFO,
     mlp::Reduce::INFO,
+    path::Evaluate::INFO,
+    path::Gather::INFO,
     scan::Single::INFO,
     scan::Reduce::INFO,
     scan::Spine::INFO,

@@ -16,6 +16,7 @@ pub mod mask;
 pub mod mlp;
 pub mod motion;
 pub mod neighbours;
+pub mod path;
 pub mod render;
 pub mod scan;
 pub mod sort;

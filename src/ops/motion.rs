@@ -1,9 +1,9 @@
-//! Control points, the deformation network and skinning together: where a scene's Gaussians are at
-//! a time.
+//! Control points, what moves them and skinning together: where a scene's Gaussians are at a time.
 
 use super::deform::{Skin, SkinArgs, SkinGradients, Skinned, SoftMotion};
 use super::gaussians::{GaussianBuffers, GaussianViews};
 use super::mlp::{Network, NetworkScratch};
+use super::path;
 use crate::gpu::{Buffer, Device, Recorder, Stream, View, ViewMut};
 use crate::types::{ControlPoints, DeformNet};
 use crate::{Error, Result};
@@ -18,11 +18,20 @@ pub struct SoftGradients<'a> {
     pub rigid_scale: f32,
 }
 
+/// What moves control points.
+pub enum Model {
+    /// Their paths.
+    Paths,
+    /// The deformation network: its plan, and its activations at the times of the last forward pass.
+    Network(Network, NetworkScratch),
+}
+
 /// What moves a scene's dynamic Gaussians, on the device.
 pub struct Motion {
-    /// The network's plan.
-    pub network: Network,
-    /// Its parameters, laid out as [`DeformNet::parameters`].
+    /// What moves the control points.
+    pub model: Model,
+    /// Its parameters: the paths, laid out as [`ControlPoints::paths`], or the network's, laid out as
+    /// [`DeformNet::parameters`].
     pub parameters: Buffer<f32>,
     /// Canonical positions of the control points, three values each.
     pub nodes: Buffer<f32>,
@@ -34,8 +43,6 @@ pub struct Motion {
     pub skin: Skin,
     /// The Gaussians that move.
     pub dynamic_ids: Buffer<u32>,
-    /// The network's activations at those times.
-    pub network_scratch: NetworkScratch,
     /// How many of `dynamic_ids` there are.
     pub dynamic: usize,
     times: Buffer<f32>,
@@ -45,17 +52,18 @@ pub struct Motion {
 }
 
 impl Motion {
-    /// Control points and network on the device, with room for `gaussians` Gaussians, each dynamic
+    /// Control points and what moves them on the device, with room for `gaussians` Gaussians, each dynamic
     /// one following `neighbours` control points, evaluated at `times` times at once.
     /// [`set_dynamic`](Self::set_dynamic) says which ones move.
     ///
     /// # Errors
-    /// [`Error::Input`] without control points or for a network that does not fit its shape;
+    /// [`Error::Input`] without control points, with both paths and a network or with neither, for as
+    /// many motions as do not fit the control points, or a network that does not fit its shape;
     /// [`Error::OutOfMemory`]; or a failed upload.
     pub fn new(
         stream: &mut Stream,
         points: &ControlPoints,
-        network: &DeformNet,
+        network: Option<&DeformNet>,
         neighbours: usize,
         gaussians: usize,
         times: usize,
@@ -63,29 +71,46 @@ impl Motion {
         if points.is_empty() {
             return Err(Error::Input("motion needs at least one control point".into()));
         }
-        if network.parameters.len() != network.shape.parameters() {
-            return Err(Error::Input(format!(
-                "the deformation network has {} parameters, its shape asks for {}",
-                network.parameters.len(),
-                network.shape.parameters()
-            )));
-        }
         let device: Device = stream.device().clone();
-        let plan = Network::new(&network.shape)?;
+        let rows = points.len() * times;
+        let (model, parameters) = match network {
+            Some(network) if points.paths.is_empty() => {
+                let expected = network.shape.parameters();
+                if network.parameters.len() != expected {
+                    return Err(Error::Input(format!(
+                        "the deformation network has {} parameters, its shape asks for {expected}",
+                        network.parameters.len(),
+                    )));
+                }
+                let plan = Network::new(&network.shape)?;
+                let scratch = plan.scratch(&device, rows)?;
+                let parameters = device.upload("network parameters", &network.parameters)?;
+                (Model::Network(plan, scratch), parameters)
+            }
+            None if !points.paths.is_empty() => {
+                points.check_paths().map_err(Error::Input)?;
+                (Model::Paths, device.upload("control paths", points.paths.as_flattened())?)
+            }
+            _ => {
+                return Err(Error::Input(
+                    "control points are moved by their paths or by a network: give one of them"
+                        .into(),
+                ));
+            }
+        };
         Ok(Motion {
-            parameters: device.upload("network parameters", &network.parameters)?,
+            model,
+            parameters,
             nodes: device.upload("control points", points.positions.as_flattened())?,
             log_radii: device.upload("control radii", &points.log_radii)?,
-            transforms: device.buffer("control transforms", 2 * points.len() * times)?,
+            transforms: device.buffer("control transforms", 2 * rows)?,
             skin: Skin::new(&device, neighbours, gaussians, points.len())?,
             dynamic_ids: device.buffer("dynamic Gaussians", gaussians)?,
-            network_scratch: plan.scratch(&device, points.len() * times)?,
             dynamic: 0,
             times: device.buffer("times", times)?,
             positions: device.buffer("moved positions", 3 * gaussians)?,
             rotations: device.buffer("moved rotations", gaussians)?,
             rigidity: device.buffer("rigidity", gaussians)?,
-            network: plan,
         })
     }
 
@@ -139,8 +164,8 @@ impl Motion {
 
     /// Records where the Gaussians are at the first of some times in [0, 1]
     /// ([`moved`](Self::moved) gives them), and the control points' motions at all of them. Without
-    /// `soft` every listed Gaussian moves fully. The dispatches of the network's forward pass, then of
-    /// [`Skin::forward`](super::deform::Skin::forward).
+    /// `soft` every listed Gaussian moves fully. The dispatches of [`path::evaluate`] or of the
+    /// network's forward pass, then of [`Skin::forward`](super::deform::Skin::forward).
     ///
     /// # Errors
     /// [`Error::Shape`] for another number of times than planned; else as for
@@ -153,14 +178,17 @@ impl Motion {
         soft: Option<SoftMotion<'_>>,
     ) -> Result<()> {
         recorder.update(self.times.view_mut(), times)?;
-        self.network.forward(
-            recorder,
-            self.parameters.view(),
-            self.nodes.view(),
-            self.times.view(),
-            self.transforms.view_mut(),
-            &mut self.network_scratch,
-        )?;
+        let (parameters, times) = (self.parameters.view(), self.times.view());
+        let transforms = self.transforms.view_mut();
+        match &mut self.model {
+            Model::Paths => {
+                path::evaluate(recorder, self.log_radii.len(), parameters, times, transforms)?;
+            }
+            Model::Network(plan, scratch) => {
+                let nodes = self.nodes.view();
+                plan.forward(recorder, parameters, nodes, times, transforms, scratch)?;
+            }
+        }
         let n = gaussians.len;
         self.skin.forward(
             recorder,
@@ -221,6 +249,29 @@ impl Motion {
             rigid_scale,
         };
         self.skin.backward(recorder, args, gradients)
+    }
+
+    /// Records the gradient by the parameters of what moves the control points, from that by their
+    /// motions at all times of the last [`forward`](Self::forward).
+    ///
+    /// # Errors
+    /// As for [`path::gather`] and [`Network::backward`].
+    pub fn model_backward(
+        &mut self,
+        recorder: &mut Recorder,
+        transform_gradients: View<'_, [f32; 4]>,
+        gradients: ViewMut<'_, f32>,
+    ) -> Result<()> {
+        match &mut self.model {
+            Model::Paths => {
+                let (nodes, times) = (self.log_radii.len(), self.times.view());
+                path::gather(recorder, nodes, times, transform_gradients, gradients)
+            }
+            Model::Network(plan, scratch) => {
+                let parameters = self.parameters.view();
+                plan.backward(recorder, parameters, transform_gradients, gradients, false, scratch)
+            }
+        }
     }
 
     /// The Gaussians where the last [`forward`](Self::forward) put them.

@@ -16,6 +16,7 @@ pub mod linear;
 pub mod loss;
 pub mod mask;
 pub mod mlp;
+pub mod path;
 pub mod project;
 pub mod project_backward;
 pub mod raster;

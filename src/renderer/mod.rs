@@ -182,8 +182,8 @@ impl Renderer {
         let mut stream = device.stream()?;
         let mut gaussians = GaussianBuffers::new(device, room, scene.gaussians.sh_degree)?;
         gaussians.upload(&mut stream, &scene.gaussians)?;
-        let motion = match &scene.network {
-            Some(network) if scene.gaussians.is_dynamic() => {
+        let motion = match scene.moves() {
+            true => {
                 let points = &scene.control_points;
                 let most = tuning.neighbours.unwrap_or(scene.neighbours).min(scene.neighbours);
                 let k = (most as usize).min(points.len());
@@ -194,7 +194,7 @@ impl Renderer {
                 stream.submit(recorder)?;
                 Some(motion)
             }
-            _ => None,
+            false => None,
         };
         let half = Half { harmonics: None, shapes: None };
         let mut motion_logits = Vec::new();

@@ -4,9 +4,7 @@ use super::{Half, Renderer};
 use crate::Result;
 use crate::gpu::{Device, Footprint, Rehearsal, most_that_fits};
 use crate::scene::Scene;
-use crate::types::{
-    Camera, ControlPoints, DeformNet, Gaussians, Intrinsics, NetShape, Pose, Tuning,
-};
+use crate::types::{Camera, Gaussians, Intrinsics, MotionScale, Pose, Tuning};
 
 /// How large a scene and its pictures are.
 ///
@@ -19,8 +17,8 @@ pub struct RenderScale {
     pub gaussians: usize,
     /// Degree of their spherical harmonics.
     pub sh_degree: u32,
-    /// Control points, network and control points that a Gaussian follows, where something moves.
-    pub motion: Option<(usize, NetShape, u32)>,
+    /// What moves; `None` where nothing does.
+    pub motion: Option<MotionScale>,
     /// Width and height of the largest picture, pixels.
     pub size: (u32, u32),
     /// (splat, tile) pairs of the fullest picture; there is room for four per Gaussian in any case.
@@ -32,12 +30,15 @@ pub struct RenderScale {
 impl RenderScale {
     /// Of a scene, in pictures of a size.
     pub fn new(scene: &Scene, size: (u32, u32), tuning: &Tuning) -> RenderScale {
-        let network = scene.network.as_ref().filter(|_| scene.gaussians.is_dynamic());
-        let points = scene.control_points.len();
         RenderScale {
             gaussians: scene.gaussians.len(),
             sh_degree: scene.gaussians.sh_degree,
-            motion: network.map(|network| (points, network.shape, scene.neighbours)),
+            motion: scene.moves().then(|| MotionScale {
+                control_points: scene.control_points.len(),
+                keys: scene.control_points.keys(),
+                network: scene.network.as_ref().map(|network| network.shape),
+                neighbours: scene.neighbours as usize,
+            }),
             size,
             intersections: 0,
             tuning: *tuning,
@@ -88,15 +89,8 @@ impl RenderScale {
     /// A scene of one Gaussian, and all else as it is.
     fn sketch(&self) -> Scene {
         let scene = Scene::of(Gaussians::one(self.sh_degree));
-        let Some((points, shape, neighbours)) = self.motion else { return scene };
-        Scene {
-            control_points: ControlPoints {
-                positions: vec![[0.0; 3]; points],
-                log_radii: vec![0.0; points],
-            },
-            network: Some(DeformNet { shape, parameters: vec![0.0; shape.parameters()] }),
-            neighbours,
-            ..scene
-        }
+        let Some(motion) = self.motion else { return scene };
+        let (control_points, network) = motion.sketch();
+        Scene { control_points, network, neighbours: motion.neighbours as u32, ..scene }
     }
 }

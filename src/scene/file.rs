@@ -13,6 +13,7 @@
 //! | `gaussians.motion_logit` | N | above 0: dynamic; absent in a static scene |
 //! | `control_points.position` | C, 3 | absent where there are none, as the next |
 //! | `control_points.log_radius` | C | |
+//! | `control_points.path` | T, C, 8 | motions at T even times over [0, 1]: translation, 0, rotation offset (w, x, y, z) from (1, 0, 0, 0); absent where the network alone moves them |
 //! | `network.<i>.weight` | outputs, inputs | layer i of the deformation network ([`NetShape`]); absent in a static scene |
 //! | `network.<i>.bias` | outputs | |
 //! | `cameras.time` | F | f64, in [0, 1]; absent where no camera is known, as the next |
@@ -34,7 +35,7 @@ use glam::{DQuat, DVec3};
 use safetensors::{Dtype, SafeTensorError, SafeTensors};
 use serde_json::{Map, Value, json};
 
-use super::{Opened, Scene, SceneCamera, without_bad};
+use super::{Opened, Scene, SceneCamera, TWICE_MOVED, without_bad};
 use crate::error::excerpt;
 use crate::io;
 use crate::types::{
@@ -44,7 +45,7 @@ use crate::types::{
 use crate::{Error, Result};
 
 /// The newest version of the format that this crate reads, and the one that it writes.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 
 /// Most control points that a Gaussian follows; 0 in a static scene.
 const MOST_NEIGHBOURS: u32 = 16;
@@ -165,6 +166,7 @@ fn tensors(scene: &Scene) -> Result<Vec<Tensor<'_>>> {
     let (g, c) = (&scene.gaussians, &scene.control_points);
     check_lengths(g)?;
     check_length("control_points.log_radii", c.log_radii.len(), c.len())?;
+    check_length("control_points.paths", c.paths.len(), c.keys() * c.len())?;
     let mut tensors = Vec::new();
     // f64 first: so every tensor is aligned to its own type.
     let cameras = &scene.cameras;
@@ -201,6 +203,10 @@ fn tensors(scene: &Scene) -> Result<Vec<Tensor<'_>>> {
     if !c.is_empty() {
         put("control_points.position".into(), vec![c.len(), 3], c.positions.as_flattened());
         put("control_points.log_radius".into(), vec![c.len()], &c.log_radii);
+        if !c.paths.is_empty() {
+            let shape = vec![c.keys(), c.len(), 8];
+            put("control_points.path".into(), shape, c.paths.as_flattened());
+        }
     }
     if let Some(net) = &scene.network {
         check_length("network.parameters", net.parameters.len(), net.shape.parameters())?;
@@ -250,10 +256,14 @@ pub fn parse(path: &Path, bytes: &[u8], drop_bad: bool) -> Result<Opened> {
     let dropped = without_bad(path, &mut gaussians, drop_bad)?;
     let neighbours = file.json("neighbours")?.as_u64().and_then(|n| u32::try_from(n).ok());
     let neighbours = neighbours.filter(|n| *n <= MOST_NEIGHBOURS);
+    let (control_points, network) = (file.control_points()?, file.network()?);
+    if network.is_some() && !control_points.paths.is_empty() {
+        return Err(bad(TWICE_MOVED.into()));
+    }
     let scene = Scene {
         gaussians,
-        control_points: file.control_points()?,
-        network: file.network()?,
+        control_points,
+        network,
         settings: file.settings()?,
         neighbours: neighbours.ok_or_else(|| {
             bad(format!("metadata `neighbours` is no number up to {MOST_NEIGHBOURS}"))
@@ -460,7 +470,15 @@ impl<'a> File<'a> {
         let positions = self.finite_f32("control_points.position")?;
         let c = positions.rows(3)?;
         let log_radii = self.finite_f32("control_points.log_radius")?.exactly(&[c])?;
-        let points = ControlPoints { positions: arrays(&positions.values), log_radii };
+        let paths = match self.has("control_points.path") {
+            true => {
+                let paths = self.finite_f32("control_points.path")?;
+                let keys = paths.shape.first().copied().unwrap_or(0);
+                arrays(&paths.exactly(&[keys, c, 8])?)
+            }
+            false => Vec::new(),
+        };
+        let points = ControlPoints { positions: arrays(&positions.values), log_radii, paths };
         points.check().map_err(|what| Error::format(self.path, what))?;
         Ok(points)
     }

@@ -28,6 +28,9 @@ pub struct SceneCamera {
     pub camera: Camera,
 }
 
+/// Why a scene with paths and a network is refused.
+const TWICE_MOVED: &str = "control points are moved by their paths or by a network, not by both";
+
 /// A scene: everything that rendering it at any time needs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
@@ -35,7 +38,7 @@ pub struct Scene {
     pub gaussians: Gaussians,
     /// What moves the dynamic ones; empty in a static scene.
     pub control_points: ControlPoints,
-    /// What moves the control points; `None` in a static scene.
+    /// What moves control points without paths; `None` in a static scene and where they have paths.
     pub network: Option<DeformNet>,
     /// The constants that the scene was trained with.
     pub settings: RenderSettings,
@@ -77,6 +80,12 @@ impl Scene {
         Scene { gaussians, ..Scene::default() }
     }
 
+    /// Whether something moves.
+    pub fn moves(&self) -> bool {
+        let moved = self.network.is_some() || !self.control_points.paths.is_empty();
+        moved && self.gaussians.is_dynamic()
+    }
+
     /// That every number is in its range, so that a reader of the scene's file takes it; see
     /// [`crate::types::range`]. Arrays must be as long as they should be.
     ///
@@ -87,6 +96,9 @@ impl Scene {
             self.gaussians.check(i).map_err(|what| format!("Gaussian {i}: {what}"))?;
         }
         self.control_points.check()?;
+        if self.network.is_some() && !self.control_points.paths.is_empty() {
+            return Err(TWICE_MOVED.into());
+        }
         self.network.as_ref().map_or(Ok(()), |network| network.check())?;
         self.settings.check()?;
         for (i, known) in self.cameras.iter().enumerate() {
@@ -132,8 +144,11 @@ mod tests {
         let what = bad.check().unwrap_err();
         assert!(what.contains("Gaussian 1") && what.contains("scale"), "{what}");
         let mut bad = good;
-        bad.control_points =
-            ControlPoints { positions: vec![[f32::INFINITY, 0.0, 0.0]], log_radii: vec![0.0] };
+        bad.control_points = ControlPoints {
+            positions: vec![[f32::INFINITY, 0.0, 0.0]],
+            log_radii: vec![0.0],
+            paths: vec![],
+        };
         assert!(bad.check().unwrap_err().contains("control point 0"));
     }
 }

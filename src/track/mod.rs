@@ -10,6 +10,7 @@
 //! | `depth` | depth of all pixels, measured where it can be, inferred and marked so where not |
 //! | `objects` | what moves, as objects: points on it that belong together |
 //! | `movers` | each object's shape and path up to scale, and the scale |
+//! | [`scaffold`] | nodes on what moves, each carried through the whole clip |
 //! | `smooth` | the scale of a path, from how smoothly things move |
 //! | `observer` | who looks on: progress, and finished parts put away |
 //! | `points` | static points to seed Gaussians with |
@@ -27,6 +28,7 @@ mod observer;
 mod photometric;
 mod points;
 mod residual;
+pub mod scaffold;
 #[cfg(test)]
 mod sliding;
 mod smooth;
@@ -44,6 +46,7 @@ use cameras::{Cameras, Focal};
 use observer::{Progress, Work, numbered};
 
 pub use observer::Observer;
+pub use scaffold::Scaffold;
 
 /// What is known beforehand, and how hard to try.
 #[derive(Clone, Debug, Serialize)]
@@ -117,6 +120,8 @@ pub struct Track {
     /// Per frame, one channel: one more than the number in `movers` of the object that the pixel
     /// shows; 0 where none is known.
     pub owners: Vec<Image>,
+    /// Nodes on what moves.
+    pub scaffold: Scaffold,
     /// Static points.
     pub points: Vec<StaticPoint>,
     /// Points followed through the pictures, static and moving ones.
@@ -269,6 +274,15 @@ pub fn track_observed(
         depth::dense(frames, &cameras, &flow, &masks, &seen, depths, &mut work)?;
     let points =
         points::gather(frames, &cameras, &depth, &depth_confidence, &masks, options.max_points);
+    let scaffold = scaffold::build(&scaffold::Surfaces {
+        intrinsics: cameras.intrinsics,
+        view_from_world: &cameras.poses,
+        flow: &flow,
+        masks: &masks,
+        depth: &depth,
+        owners: &owners,
+        movers: &movers,
+    });
     let quality = quality(&cameras, &tracks, &weights, &masks);
     work.progress(Stage::Depth, 1.0)?;
     Ok(Track {
@@ -279,6 +293,7 @@ pub fn track_observed(
         depth_confidence,
         movers,
         owners,
+        scaffold,
         points,
         tracks,
         quality,

@@ -4,12 +4,12 @@
 //! the picture, each weighted as the follower follows it (4D3R's g_k; the gradient in the picture
 //! rather than in space, so that the scene's scale does not enter). Where it is several times the
 //! median, motion is too coarse there: a control point is added at the followers' mean, weighted
-//! alike, and the network, a function of the place, tells its motion at once. All of it happens on
-//! the host: rounds are rare, and followers few.
+//! alike. Its path is its parent's, and the network is a function of the place, so that its motion is
+//! known at once. All of it happens on the host: rounds are rare, and followers few.
 
 use super::settings::ControlSettings;
 use crate::types::ControlPoints;
-use glam::{DVec3, Vec3};
+use glam::{DQuat, DVec3, Vec3};
 
 /// Where the sum of the weights with which a control point is followed is below this, nothing
 /// follows it.
@@ -34,6 +34,43 @@ pub(super) struct Revision {
     pub(super) kept: Vec<usize>,
     /// New ones: the parent's index, and where.
     pub(super) added: Vec<(usize, DVec3)>,
+}
+
+impl Revision {
+    /// The control points after the round. A new one goes as if it were fixed to its parent, of which
+    /// it takes radius and path.
+    pub(super) fn apply(&self, points: &ControlPoints) -> ControlPoints {
+        let mut left = ControlPoints {
+            positions: self.kept.iter().map(|&n| points.positions[n]).collect(),
+            log_radii: self.kept.iter().map(|&n| points.log_radii[n]).collect(),
+            paths: Vec::new(),
+        };
+        for &(parent, place) in &self.added {
+            left.positions.push(place.as_vec3().to_array());
+            left.log_radii.push(points.log_radii[parent]);
+        }
+        for key in points.paths.chunks_exact(points.len()) {
+            left.paths.extend(self.kept.iter().map(|&n| key[n]));
+            left.paths.extend(self.added.iter().map(|&(parent, place)| {
+                let offset = place - Vec3::from(points.positions[parent]).as_dvec3();
+                fixed_to(key[parent], offset)
+            }));
+        }
+        left
+    }
+}
+
+/// The motion of what is fixed to a control point of some motion, at an offset from it.
+fn fixed_to(motion: [f32; 8], offset: DVec3) -> [f32; 8] {
+    let [x, y, z, _, w, i, j, k] = motion.map(f64::from);
+    let rotation = DQuat::from_xyzw(i, j, k, 1.0 + w);
+    let turned = match rotation.length() > 0.0 {
+        true => rotation.normalize() * offset,
+        false => offset,
+    };
+    let moved = (DVec3::new(x, y, z) + turned - offset).as_vec3();
+    let [.., w, i, j, k] = motion;
+    [moved.x, moved.y, moved.z, 0.0, w, i, j, k]
 }
 
 /// Decides a round. At least as many as a Gaussian follows are kept.
@@ -123,6 +160,7 @@ mod tests {
         let points = ControlPoints {
             positions: (0..12).map(|i| [i as f32, 0.0, 0.0]).collect(),
             log_radii: vec![0.3f32.ln(); 12],
+            paths: Vec::new(),
         };
         let positions: Vec<[f32; 3]> =
             (0..90).map(|i| [i as f32 / 10.0 + 0.05, 0.0, 0.0]).collect();

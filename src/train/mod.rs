@@ -13,13 +13,12 @@
 //! | [`optimiser`] | Adam over the Gaussians' parameter groups |
 //! | [`own_loss`] | a step with the caller's own loss |
 //! | [`growth`] | density control: MCMC, or clone, split and prune |
-//! | [`motion`] | the network and the control points |
+//! | [`motion`] | the control points, and their paths or the network that moves them |
 //! | [`control`] | control points added and removed |
 //! | [`selection`] | which Gaussians move |
-//! | [`trajectories`] | where a mover's points are at every frame |
-//! | [`network`] | the deformation network's start |
+//! | `lifting` | pixels of a tracked clip in the world, and the paths of its nodes |
 //! | [`posed`] | from posed pictures of a moving scene to a scene |
-//! | [`sequence`] | from a tracked clip to a scene: the two stages |
+//! | [`sequence`] | from a tracked clip to a scene |
 //! | [`observer`] | who looks on: progress, checkpoints |
 //! | [`state`] | a trainer's state, to put away and resume from |
 //! | [`rounds`] | what happens between some steps: growth, control points, who moves |
@@ -27,9 +26,9 @@
 
 pub mod control;
 pub mod growth;
-pub mod motion;
 #[cfg(feature = "reconstruct")]
-pub mod network;
+mod lifting;
+pub mod motion;
 #[cfg(feature = "reconstruct")]
 pub mod observer;
 pub mod optimiser;
@@ -53,8 +52,6 @@ pub mod state;
 #[cfg(feature = "reconstruct")]
 mod surface;
 pub mod trainer;
-#[cfg(feature = "reconstruct")]
-pub mod trajectories;
 pub mod views;
 
 pub use motion::MotionStart;
@@ -65,7 +62,7 @@ pub use posed::{PosedMotion, fit_posed, posed_scale};
 #[cfg(feature = "reconstruct")]
 pub use region::random_points;
 pub use rounds::ControlChanges;
-pub use scale::{MotionScale, PictureKind, TrainingScale};
+pub use scale::{PictureKind, TrainingScale};
 #[cfg(feature = "reconstruct")]
 pub use seed::seed_from_points;
 #[cfg(feature = "reconstruct")]

@@ -1,4 +1,4 @@
-//! Training what moves: the deformation network and the control points' radii.
+//! Training what moves: the control points' paths or the deformation network, and their radii.
 
 use super::control::{Followers, revise};
 use super::settings::{ControlSettings, MotionSettings, exponential};
@@ -8,7 +8,8 @@ use crate::ops::adam::{Adam, AdamArgs};
 use crate::ops::arap::{Arap, ArapArgs, ArapSettings};
 use crate::ops::deform::SoftMotion;
 use crate::ops::gaussians::{GaussianBuffers, GaussianViews};
-use crate::ops::motion::{Motion, SoftGradients};
+use crate::ops::motion::{Model, Motion, SoftGradients};
+use crate::ops::path;
 use crate::types::{AdamSettings, ControlPoints, DeformNet};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -21,17 +22,17 @@ use serde::{Deserialize, Serialize};
 pub struct MotionStart {
     /// Control points in the canonical frame.
     pub points: ControlPoints,
-    /// The network.
-    pub network: DeformNet,
+    /// The network, where they have no paths.
+    pub network: Option<DeformNet>,
     /// How many control points a dynamic Gaussian follows.
     pub neighbours: usize,
 }
 
-/// The moments of network and radii, each first and second.
+/// The moments of the paths or the network, and of the radii, each first and second.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct MotionMoments {
-    network: [Vec<f32>; 2],
+    model: [Vec<f32>; 2],
     radii: [Vec<f32>; 2],
 }
 
@@ -48,11 +49,23 @@ const TIMES: usize = 3;
 /// Half the width of the window from which the two times come.
 const ARAP_WINDOW: f64 = 0.05;
 
+/// An array of `width` values for each of `before` control points, row after row, with only those that
+/// are kept and zeros for new ones, `count` in all.
+fn resized(all: &[f32], width: usize, before: usize, kept: &[usize], count: usize) -> Vec<f32> {
+    let mut out = Vec::new();
+    for row in all.chunks_exact(width * before) {
+        kept.iter().for_each(|&n| out.extend_from_slice(&row[width * n..width * (n + 1)]));
+        out.resize(out.len() + width * (count - kept.len()), 0.0);
+    }
+    out
+}
+
 /// Motion with gradients and optimiser state.
 pub(super) struct MotionTrainer {
     pub(super) motion: Motion,
     settings: MotionSettings,
-    shape: crate::types::NetShape,
+    /// Of the network, where there is one.
+    shape: Option<crate::types::NetShape>,
     adam: Adam,
     parameters: State,
     radii: State,
@@ -114,7 +127,8 @@ impl MotionTrainer {
     ) -> Result<MotionTrainer> {
         let nodes = start.points.len();
         let k = start.neighbours.min(nodes);
-        let motion = Motion::new(stream, &start.points, &start.network, k, capacity, TIMES)?;
+        let network = start.network.as_ref();
+        let motion = Motion::new(stream, &start.points, network, k, capacity, TIMES)?;
         let device = stream.device().clone();
         let mut arap =
             Arap::new(&device, settings.arap_edges.min(nodes.saturating_sub(1)).max(1), nodes)?;
@@ -122,12 +136,12 @@ impl MotionTrainer {
         arap.refresh(&mut recorder, motion.nodes.view())?;
         stream.submit(recorder)?;
         Ok(MotionTrainer {
-            parameters: State::new(stream, "network", motion.parameters.len())?,
+            parameters: State::new(stream, "motion", motion.parameters.len())?,
             radii: State::new(stream, "radius", nodes)?,
             transform_gradients: device.buffer("transform gradients", 2 * nodes * TIMES)?,
             energies: device.buffer("rigidity energies", nodes)?,
             adam: Adam::new(&device)?,
-            shape: start.network.shape,
+            shape: network.map(|network| network.shape),
             arap,
             motion,
             settings,
@@ -172,27 +186,22 @@ impl MotionTrainer {
         if revision.added.is_empty() && removed == 0 {
             return Ok((0, 0));
         }
-        let mut left = ControlPoints {
-            positions: revision.kept.iter().map(|&n| points.positions[n]).collect(),
-            log_radii: revision.kept.iter().map(|&n| points.log_radii[n]).collect(),
-        };
-        for &(parent, place) in &revision.added {
-            left.positions.push(place.as_vec3().to_array());
-            left.log_radii.push(points.log_radii[parent]);
-        }
-        let moments = [stream.download(&self.radii.first)?, stream.download(&self.radii.second)?];
-        let [first, second] = moments.map(|all| {
-            let mut kept: Vec<f32> = revision.kept.iter().map(|&n| all[n]).collect();
-            kept.resize(left.len(), 0.0);
-            kept
-        });
+        let left = revision.apply(&points);
+        let moments = self.moments(stream)?;
+        let (kept, count) = (&revision.kept, left.len());
         let capacity = self.motion.dynamic_ids.len();
         let start = MotionStart { points: left, network, neighbours: k };
         let mut fresh = MotionTrainer::new(stream, &start, self.settings, capacity)?;
-        // The network and its moments stay; what counts control points is new.
-        std::mem::swap(&mut fresh.parameters, &mut self.parameters);
-        stream.upload(&mut fresh.radii.first, &first)?;
-        stream.upload(&mut fresh.radii.second, &second)?;
+        let resized = |width: usize, all: Vec<f32>| resized(&all, width, points.len(), kept, count);
+        let moments = MotionMoments {
+            // A network stays as it is; what counts control points is new.
+            model: match self.motion.model {
+                Model::Paths => moments.model.map(|all| resized(path::VALUES, all)),
+                Model::Network(..) => moments.model,
+            },
+            radii: moments.radii.map(|all| resized(1, all)),
+        };
+        fresh.set_moments(stream, &moments)?;
         *self = fresh;
         Ok((revision.added.len(), removed))
     }
@@ -288,14 +297,8 @@ impl MotionTrainer {
                 },
             )?;
         }
-        self.motion.network.backward(
-            recorder,
-            self.motion.parameters.view(),
-            self.transform_gradients.view(),
-            self.parameters.gradients.view_mut(),
-            false,
-            &mut self.motion.network_scratch,
-        )
+        let (given, gradients) = (&self.transform_gradients, &mut self.parameters.gradients);
+        self.motion.model_backward(recorder, given.view(), gradients.view_mut())
     }
 
     /// Records the step by these gradients.
@@ -308,12 +311,17 @@ impl MotionTrainer {
     ) -> Result<()> {
         let settings = self.settings;
         let rate = exponential(settings.rate, settings.rate_last, step, steps);
+        let model_rate = match self.motion.model {
+            Model::Paths => exponential(settings.path_rate, settings.path_rate_last, step, steps),
+            Model::Network(..) => rate,
+        };
         let adam = &self.adam;
-        self.parameters.step(recorder, adam, rate, step, &mut self.motion.parameters, fits)?;
+        let parameters = &mut self.motion.parameters;
+        self.parameters.step(recorder, adam, model_rate, step, parameters, fits)?;
         self.radii.step(recorder, adam, rate, step, &mut self.motion.log_radii, fits)
     }
 
-    /// Gradients of the last backward pass by the network's parameters and by the logarithms of the
+    /// Gradients of the last backward pass by the parameters of the paths or the network and by the logarithms of the
     /// radii.
     pub(super) fn gradients(&self) -> (&Buffer<f32>, &Buffer<f32>) {
         (&self.parameters.gradients, &self.radii.gradients)
@@ -324,7 +332,7 @@ impl MotionTrainer {
         let mut both = |state: &State| -> Result<[Vec<f32>; 2]> {
             Ok([stream.download(&state.first)?, stream.download(&state.second)?])
         };
-        Ok(MotionMoments { network: both(&self.parameters)?, radii: both(&self.radii)? })
+        Ok(MotionMoments { model: both(&self.parameters)?, radii: both(&self.radii)? })
     }
 
     /// Puts the optimiser's state back.
@@ -334,7 +342,7 @@ impl MotionTrainer {
         moments: &MotionMoments,
     ) -> Result<()> {
         for (state, [first, second]) in
-            [(&mut self.parameters, &moments.network), (&mut self.radii, &moments.radii)]
+            [(&mut self.parameters, &moments.model), (&mut self.radii, &moments.radii)]
         {
             stream.upload(&mut state.first, first)?;
             stream.upload(&mut state.second, second)?;
@@ -342,13 +350,21 @@ impl MotionTrainer {
         Ok(())
     }
 
-    /// Waits and reads control points and network.
-    pub(super) fn download(&self, stream: &mut Stream) -> Result<(ControlPoints, DeformNet)> {
+    /// Waits and reads the control points, and the network where there is one.
+    pub(super) fn download(&self, stream: &mut Stream) -> Result<MotionNow> {
+        let parameters = stream.download(&self.motion.parameters)?;
+        let (paths, network) = match self.shape {
+            Some(shape) => (Vec::new(), Some(DeformNet { shape, parameters })),
+            None => (bytemuck::cast_slice(&parameters).to_vec(), None),
+        };
         let points = ControlPoints {
             positions: bytemuck::cast_slice(&stream.download(&self.motion.nodes)?).to_vec(),
             log_radii: stream.download(&self.motion.log_radii)?,
+            paths,
         };
-        let parameters = stream.download(&self.motion.parameters)?;
-        Ok((points, DeformNet { shape: self.shape, parameters }))
+        Ok((points, network))
     }
 }
+
+/// Control points, and the network where they have no paths.
+pub type MotionNow = (ControlPoints, Option<DeformNet>);

@@ -2,12 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::motion::MotionStart;
-use super::network::TranslationFitState;
 use super::state::TrainerState;
 use super::trainer::{SYNC_INTERVAL, Trainer};
 use crate::ops::loss::LossValue;
-use crate::types::Gaussians;
 use crate::{Error, Result};
 
 /// What is being trained.
@@ -15,11 +12,7 @@ use crate::{Error, Result};
 pub enum Phase {
     /// The static world.
     Static,
-    /// The network's fit to the trajectories.
-    Trajectories,
-    /// Stage 1.
-    Control,
-    /// Stage 2.
+    /// Everything together.
     Joint,
 }
 
@@ -29,22 +22,6 @@ pub enum Phase {
 pub enum Checkpoint {
     /// Under way in [`Phase::Static`].
     Static(TrainerState),
-    /// Under way in [`Phase::Trajectories`].
-    Trajectories {
-        /// The static world, trained.
-        still: Gaussians,
-        /// The network's fit.
-        fit: TranslationFitState,
-    },
-    /// Under way in [`Phase::Control`].
-    Control {
-        /// The static world, trained.
-        still: Gaussians,
-        /// What the stage began with.
-        start: MotionStart,
-        /// The temporary Gaussians and the network.
-        trainer: Box<TrainerState>,
-    },
     /// Under way in [`Phase::Joint`].
     Joint(TrainerState),
 }
@@ -62,8 +39,6 @@ impl Checkpoint {
     pub fn place(&self) -> (Phase, u32) {
         match self {
             Checkpoint::Static(trainer) => (Phase::Static, trainer.step()),
-            Checkpoint::Trajectories { fit, .. } => (Phase::Trajectories, fit.step()),
-            Checkpoint::Control { trainer, .. } => (Phase::Control, trainer.step()),
             Checkpoint::Joint(trainer) => (Phase::Joint, trainer.step()),
         }
     }

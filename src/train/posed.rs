@@ -7,7 +7,7 @@
 
 use super::motion::MotionStart;
 use super::observer::{Checkpoint, Observer, Phase, run};
-use super::scale::{MotionScale, TrainingScale};
+use super::scale::TrainingScale;
 use super::sequence;
 use super::settings::{ControlSettings, MotionSettings, TrainSettings};
 use super::trainer::Trainer;
@@ -15,7 +15,7 @@ use super::views::TrainingView;
 use crate::Result;
 use crate::gpu::Device;
 use crate::scene::Scene;
-use crate::types::{ControlPoints, DeformNet, Gaussians, NetShape};
+use crate::types::{ControlPoints, DeformNet, Gaussians, MotionScale, NetShape};
 
 /// What is to move, and how much of the time goes before it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -96,7 +96,7 @@ pub fn fit_posed(
                     sequence::first_control_points(motion.control_points),
                     settings.seed,
                 )?,
-                network: DeformNet::random(motion.network, settings.seed),
+                network: Some(DeformNet::random(motion.network, settings.seed)),
                 neighbours: motion.neighbours,
             };
             Trainer::new(device, views, &gaussians, Some(&start), joint)?
@@ -106,7 +106,7 @@ pub fn fit_posed(
     let mut scene = Scene::of(trainer.gaussians()?);
     if let Some((points, network)) = trainer.motion()? {
         scene.control_points = points;
-        scene.network = Some(network);
+        scene.network = network;
     }
     scene.neighbours = motion.neighbours.min(scene.control_points.len()) as u32;
     scene.report = sequence::report(trainer.control_changes());
@@ -126,7 +126,8 @@ pub fn posed_scale(
     };
     let scale = motion.map(|motion| MotionScale {
         control_points: motion.control_points,
-        network: motion.network,
+        keys: 0,
+        network: Some(motion.network),
         neighbours: motion.neighbours,
     });
     TrainingScale::new(views, gaussians, scale, joint)

@@ -14,9 +14,7 @@ use super::views::TrainingView;
 use crate::Result;
 use crate::gpu::{Device, Footprint, Rehearsal, most_that_fits};
 use crate::ops::gaussians::GaussianBuffers;
-use crate::types::{
-    Camera, ControlPoints, DeformNet, Gaussians, Image, Intrinsics, NetShape, Pose,
-};
+use crate::types::{Camera, Gaussians, Image, Intrinsics, MotionScale, Pose};
 use std::collections::BTreeMap;
 
 /// Pictures that take the same memory.
@@ -32,17 +30,6 @@ pub struct PictureKind {
     pub mask: bool,
 }
 
-/// What moves, at most.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MotionScale {
-    /// Control points.
-    pub control_points: usize,
-    /// The deformation network.
-    pub network: NetShape,
-    /// Control points that a Gaussian follows.
-    pub neighbours: usize,
-}
-
 /// How large a training is.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrainingScale {
@@ -52,7 +39,7 @@ pub struct TrainingScale {
     pub gaussians: usize,
     /// (splat, tile) pairs of the fullest picture, where they are known.
     pub intersections: usize,
-    /// `None` where nothing moves.
+    /// What moves, at most; `None` where nothing does.
     pub motion: Option<MotionScale>,
     /// How it is trained.
     pub settings: TrainSettings,
@@ -80,21 +67,6 @@ impl PictureKind {
             weights: None,
             disparity: disparity.then(|| image(2)),
             mask: mask.then(|| image(1)),
-        }
-    }
-}
-
-impl MotionScale {
-    /// Control points and a network of this scale.
-    fn start(&self) -> MotionStart {
-        let MotionScale { control_points, network, neighbours } = *self;
-        MotionStart {
-            points: ControlPoints {
-                positions: vec![[0.0; 3]; control_points],
-                log_radii: vec![0.0; control_points],
-            },
-            network: DeformNet { shape: network, parameters: vec![0.0; network.parameters()] },
-            neighbours,
         }
     }
 }
@@ -131,7 +103,10 @@ impl TrainingScale {
         let first_room = Room::of(&self.settings, self.gaussians);
         let room = first_room.after(self.intersections);
         let first = Gaussians::one(self.settings.sh_degree);
-        let start = self.motion.as_ref().map(MotionScale::start);
+        let start = self.motion.map(|scale| {
+            let (points, network) = scale.sketch();
+            MotionStart { points, network, neighbours: scale.neighbours }
+        });
         Rehearsal::of(device, |rehearsal| {
             let mut trainer = Trainer::build(
                 rehearsal.device(),

@@ -1,37 +1,35 @@
-//! From a tracked clip to a 4D scene: static Gaussians, control points (stage 1), then everything
-//! together (stage 2).
+//! From a tracked clip to a 4D scene: static Gaussians, then everything together.
 //!
 //! 1. The static world is trained on what does not move.
-//! 2. Control points are chosen among the movers' points; the network is fitted to their
-//!    trajectories, as far as flow and depth show them.
-//! 3. Stage 1: every control point is drawn as a temporary Gaussian before the frozen static world,
-//!    and the network is trained on the movers' pixels. The temporary Gaussians are thrown away.
-//! 4. Stage 2: Gaussians are seeded on the movers, follow the control points, and all is trained on
-//!    all pixels.
+//! 2. Control points are chosen among the nodes of the track's scaffold, and take their paths.
+//!    Gaussians are seeded on the movers, in the canonical frame, and follow the control points; all is
+//!    trained on all pixels.
 //!
-//! A clip in which nothing moves gets no control points and no network.
+//! 4D3R's stage 1, control points drawn as temporary Gaussians to train a network that moves them, is
+//! left out: paths that begin where dense flow has carried the nodes are better without it.
+//!
+//! A clip in which nothing moves gets no control points.
 
+use super::lifting::{MOVING, camera, lift, path, value};
 use super::motion::MotionStart;
-use super::network::{TranslationFit, TranslationFitState, Translations};
 use super::observer::{Checkpoint, Observer, Phase, run};
 use super::rounds::ControlChanges;
 use super::sampling::farthest_point_sample;
-use super::scale::{MotionScale, PictureKind, TrainingScale};
+use super::scale::{PictureKind, TrainingScale};
 use super::seed::seed_from_points;
 use super::settings::{
     ControlSettings, GrowthSettings, McmcSettings, MotionSettings, Rates, SelectionSettings,
     TrainSettings,
 };
-use super::state::TrainerState;
 use super::surface::{lay, normal};
 use super::trainer::Trainer;
-use super::trajectories::{MOVING, Trajectories, camera, lift, value};
 use super::views::TrainingView;
 use crate::data::Point;
 use crate::gpu::Device;
 use crate::scene::{Scene, SceneCamera};
+use crate::track::scaffold::Node;
 use crate::track::{StaticPoint, Track};
-use crate::types::{ControlPoints, DeformNet, Gaussians, Image, NetShape, RenderSettings};
+use crate::types::{ControlPoints, Gaussians, Image, MotionScale, RenderSettings};
 use crate::{Error, Result};
 use glam::DVec2;
 use rayon::prelude::*;
@@ -43,29 +41,28 @@ use std::collections::HashSet;
 pub struct SequenceSettings {
     /// Steps on the static world alone.
     pub static_steps: u32,
-    /// Steps of the network's fit to the control points' trajectories.
-    pub trajectory_steps: u32,
-    /// Steps of stage 1.
-    pub control_steps: u32,
-    /// Steps of stage 2, or of all training where nothing moves.
+    /// Steps of all together.
     pub steps: u32,
     /// Growth ends here.
     pub max_gaussians: usize,
     /// Most control points.
     pub control_points: usize,
-    /// The deformation network.
-    pub network: NetShape,
     /// Control points that a dynamic Gaussian follows.
     pub neighbours: usize,
     /// Highest degree of the spherical harmonics.
     pub sh_degree: u32,
-    /// Whether it is trained which Gaussians move; else the masks decide once, before stage 2.
+    /// Whether it is trained which Gaussians move; else the masks decide once, beforehand.
     pub train_selection: bool,
     /// Clips whose movers cover less of the pixels than this are static.
     pub least_dynamic_share: f64,
     /// Decides everything random.
     pub seed: u64,
 }
+
+/// Training steps for every key time of the control points' paths.
+const VISITS: usize = 20;
+/// With fewer key times than this a short training would not follow a clip's motion at all.
+const LEAST_KEYS: usize = 32;
 
 impl SequenceSettings {
     /// How large the training of [`fit_sequence`] is at its largest, on so many frames of some size in
@@ -78,11 +75,18 @@ impl SequenceSettings {
             intersections: 0,
             motion: Some(MotionScale {
                 control_points: self.control_points,
-                network: self.network,
+                keys: self.keys(frames),
+                network: None,
                 neighbours: self.neighbours,
             }),
             settings: joint_settings(self),
         }
+    }
+
+    /// How many key times the control points' paths have on so many frames: one for each, as long as
+    /// training has [`VISITS`] steps for every one.
+    fn keys(&self, frames: usize) -> usize {
+        frames.min((self.steps as usize / VISITS).max(LEAST_KEYS))
     }
 
     /// For frames of some size: a Gaussian for every three pixels where the frames are large.
@@ -97,18 +101,9 @@ impl Default for SequenceSettings {
     fn default() -> Self {
         SequenceSettings {
             static_steps: 500,
-            trajectory_steps: 2000,
-            control_steps: 300,
             steps: 2200,
             max_gaussians: 40_000,
             control_points: 256,
-            network: NetShape {
-                depth: 6,
-                width: 64,
-                skip: 3,
-                position_frequencies: 6,
-                time_frequencies: 6,
-            },
             neighbours: 4,
             sh_degree: 1,
             train_selection: true,
@@ -151,12 +146,9 @@ pub fn fit_sequence(
     }
     let seeds = seed_static(track, settings);
     let dynamic = track.quality.dynamic_share >= settings.least_dynamic_share;
-    let trajectories = dynamic.then(|| Trajectories::of(track));
-    let mut scene = match trajectories {
-        Some(trajectories) if !trajectories.all.is_empty() => {
-            fit_moving(device, sequence, &seeds, &trajectories, settings, resume, observer)?
-        }
-        _ => {
+    let mut scene = match dynamic && !track.scaffold.nodes.is_empty() {
+        true => fit_moving(device, sequence, &seeds, settings, resume, observer)?,
+        false => {
             let views = views(sequence, |_| 1.0);
             let train = joint_settings(settings);
             let mut trainer = match resume {
@@ -217,208 +209,61 @@ fn fit_moving(
     device: &Device,
     sequence: Sequence<'_>,
     seeds: &Gaussians,
-    trajectories: &Trajectories,
     settings: &SequenceSettings,
     resume: Option<Checkpoint>,
     observer: &mut dyn Observer,
 ) -> Result<Scene> {
     let train = joint_settings(settings);
-    let all = || views(sequence, |_| 1.0);
+    let all = views(sequence, |_| 1.0);
     let mut trainer = match resume {
-        Some(Checkpoint::Joint(state)) => Trainer::resume(device, &all(), state, train)?,
+        Some(Checkpoint::Joint(state)) => Trainer::resume(device, &all, state, train)?,
         earlier => {
-            let before = BeforeJoint { device, sequence, trajectories, settings };
-            let (gaussians, start) = before.run(seeds, earlier, observer)?;
-            Trainer::new(device, &all(), &gaussians, Some(&start), train)?
+            let mut gaussians = static_world(device, sequence, seeds, settings, earlier, observer)?;
+            append(&mut gaussians, &seed_movers(sequence, settings));
+            let points = control_points(sequence, settings)?;
+            let start = MotionStart { points, network: None, neighbours: settings.neighbours };
+            Trainer::new(device, &all, &gaussians, Some(&start), train)?
         }
     };
     run(&mut trainer, Phase::Joint, observer, Checkpoint::Joint)?;
     let mut scene = Scene::of(trainer.gaussians()?);
     if let Some((points, network)) = trainer.motion()? {
-        scene.control_points = points;
-        scene.network = Some(network);
+        (scene.control_points, scene.network) = (points, network);
     }
     scene.neighbours = settings.neighbours.min(scene.control_points.len()) as u32;
     scene.report = report(trainer.control_changes());
     Ok(scene)
 }
 
+/// The static world, on what surely does not move.
+fn static_world(
+    device: &Device,
+    sequence: Sequence<'_>,
+    seeds: &Gaussians,
+    settings: &SequenceSettings,
+    resume: Option<Checkpoint>,
+    observer: &mut dyn Observer,
+) -> Result<Gaussians> {
+    let views = views(sequence, |moving| if moving > 0.0 { 0.0 } else { 1.0 });
+    let train = TrainSettings {
+        steps: settings.static_steps,
+        growth: None,
+        max_gaussians: 0,
+        ..joint_settings(settings)
+    };
+    let mut trainer = match resume {
+        Some(Checkpoint::Static(state)) => Trainer::resume(device, &views, state, train)?,
+        Some(other) => return Err(other.foreign()),
+        None => Trainer::new(device, &views, seeds, None, train)?,
+    };
+    run(&mut trainer, Phase::Static, observer, Checkpoint::Static)?;
+    let mut still = trainer.gaussians()?;
+    still.motion_logits = vec![-STRENGTH; still.len()];
+    Ok(still)
+}
+
 /// Motion logits of what is seeded as static or dynamic.
 const STRENGTH: f32 = 4.0;
-
-/// What comes before stage 2.
-#[derive(Clone, Copy)]
-struct BeforeJoint<'a> {
-    device: &'a Device,
-    sequence: Sequence<'a>,
-    trajectories: &'a Trajectories,
-    settings: &'a SequenceSettings,
-}
-
-impl BeforeJoint<'_> {
-    /// The Gaussians and the motion that stage 2 begins with.
-    fn run(
-        self,
-        seeds: &Gaussians,
-        resume: Option<Checkpoint>,
-        observer: &mut dyn Observer,
-    ) -> Result<(Gaussians, MotionStart)> {
-        let (still, start, state) = match resume {
-            Some(Checkpoint::Control { still, start, trainer }) => (still, start, Some(*trainer)),
-            Some(Checkpoint::Trajectories { still, fit }) => {
-                let start = self.follow_trajectories(&still, Some(fit), observer)?;
-                (still, start, None)
-            }
-            Some(other @ Checkpoint::Joint(_)) => return Err(other.foreign()),
-            earlier => {
-                let state = match earlier {
-                    Some(Checkpoint::Static(state)) => Some(state),
-                    _ => None,
-                };
-                let still = self.static_world(seeds, state, observer)?;
-                let start = self.follow_trajectories(&still, None, observer)?;
-                (still, start, None)
-            }
-        };
-        let network = self.control_stage(&still, &start, state, observer)?;
-        let movers = seed_movers(self.sequence, self.trajectories, self.settings);
-        let mut gaussians = still;
-        append(&mut gaussians, &movers);
-        let neighbours = self.settings.neighbours;
-        Ok((gaussians, MotionStart { points: start.points, network, neighbours }))
-    }
-
-    /// The static world, on what surely does not move.
-    fn static_world(
-        self,
-        seeds: &Gaussians,
-        resume: Option<TrainerState>,
-        observer: &mut dyn Observer,
-    ) -> Result<Gaussians> {
-        let views = views(self.sequence, |moving| if moving > 0.0 { 0.0 } else { 1.0 });
-        let train = TrainSettings {
-            steps: self.settings.static_steps,
-            growth: None,
-            max_gaussians: 0,
-            ..joint_settings(self.settings)
-        };
-        let mut trainer = match resume {
-            Some(state) => Trainer::resume(self.device, &views, state, train)?,
-            None => Trainer::new(self.device, &views, seeds, None, train)?,
-        };
-        run(&mut trainer, Phase::Static, observer, Checkpoint::Static)?;
-        let mut still = trainer.gaussians()?;
-        still.motion_logits = vec![-STRENGTH; still.len()];
-        Ok(still)
-    }
-
-    /// Control points, and a network that follows their trajectories.
-    fn follow_trajectories(
-        self,
-        still: &Gaussians,
-        resume: Option<TranslationFitState>,
-        observer: &mut dyn Observer,
-    ) -> Result<MotionStart> {
-        let BeforeJoint { sequence, trajectories, settings, .. } = self;
-        let (points, chosen) = control_points(trajectories, settings)?;
-        let mut network = DeformNet::random(settings.network, settings.seed);
-        let targets: Vec<Vec<[f32; 3]>> = chosen
-            .iter()
-            .map(|&k| {
-                let path = &trajectories.all[k].positions;
-                let origin = path[trajectories.canonical];
-                path.iter().map(|p| (*p - origin).as_vec3().to_array()).collect()
-            })
-            .collect();
-        let goal = Translations { times: sequence.times, targets: &targets };
-        let steps = settings.trajectory_steps;
-        let state = resume.unwrap_or_else(|| TranslationFitState::begin(&network, settings.seed));
-        let mut fit = TranslationFit::new(self.device, &network, &points, goal, steps, &state)?;
-        while fit.steps_done() < steps {
-            fit.step()?;
-            observer.progress(Phase::Trajectories, fit.steps_done(), steps)?;
-            if observer.wants_checkpoint() {
-                let fit = fit.state()?;
-                observer.checkpoint(&Checkpoint::Trajectories { still: still.clone(), fit })?;
-            }
-        }
-        network.parameters = fit.parameters()?;
-        Ok(MotionStart { points, network, neighbours: 1 })
-    }
-
-    /// Stage 1: the control points as temporary Gaussians before the frozen static world.
-    fn control_stage(
-        self,
-        still: &Gaussians,
-        start: &MotionStart,
-        resume: Option<TrainerState>,
-        observer: &mut dyn Observer,
-    ) -> Result<DeformNet> {
-        let BeforeJoint { device, sequence, trajectories, settings } = self;
-        if settings.control_steps == 0 {
-            return Ok(start.network.clone());
-        }
-        let views = views(sequence, |moving| if moving > 0.0 { 1.0 } else { 0.05 });
-        // The temporary Gaussians keep place and shape: motion is for the network to learn.
-        let rates = Rates {
-            position: 1e-12,
-            position_last: 1e-12,
-            log_scale: 0.0,
-            rotation: 0.0,
-            ..Rates::default()
-        };
-        let train = TrainSettings {
-            steps: settings.control_steps,
-            growth: None,
-            max_gaussians: 0,
-            rates,
-            motion: MotionSettings { rate: 4e-4, rate_last: 4e-5, ..MotionSettings::default() },
-            ..joint_settings(settings)
-        };
-        let mut trainer = match resume {
-            Some(state) => Trainer::resume(device, &views, state, train)?,
-            None => {
-                let mut gaussians = still.clone();
-                append(&mut gaussians, &temporary(sequence, start, trajectories, settings));
-                let mut trainer = Trainer::new(device, &views, &gaussians, Some(start), train)?;
-                let trainable: Vec<bool> = (0..gaussians.len()).map(|i| i >= still.len()).collect();
-                trainer.set_trainable(&trainable)?;
-                trainer
-            }
-        };
-        run(&mut trainer, Phase::Control, observer, |trainer| Checkpoint::Control {
-            still: still.clone(),
-            start: start.clone(),
-            trainer: Box::new(trainer),
-        })?;
-        Ok(trainer.motion()?.map_or_else(|| start.network.clone(), |(_, network)| network))
-    }
-}
-
-/// The control points as Gaussians, in the colours of the canonical frame.
-fn temporary(
-    sequence: Sequence<'_>,
-    start: &MotionStart,
-    trajectories: &Trajectories,
-    settings: &SequenceSettings,
-) -> Gaussians {
-    let frame = trajectories.canonical;
-    let camera = camera(sequence.track, frame);
-    let colours: Vec<Point> = start
-        .points
-        .positions
-        .iter()
-        .map(|&position| {
-            let view = camera.view_from_world.apply(glam::Vec3::from(position).as_dvec3());
-            let pixel = camera.intrinsics.project(view);
-            Point { position, colour: colour(&sequence.frames[frame], pixel) }
-        })
-        .collect();
-    let mut nodes = seed_from_points(&colours, settings.sh_degree);
-    nodes.opacity_logits.fill(1.0);
-    nodes.motion_logits = vec![STRENGTH; nodes.len()];
-    nodes
-}
 
 fn joint_settings(settings: &SequenceSettings) -> TrainSettings {
     TrainSettings {
@@ -433,6 +278,8 @@ fn joint_settings(settings: &SequenceSettings) -> TrainSettings {
         motion: MotionSettings {
             rate: 4e-4,
             rate_last: 2e-5,
+            path_rate: 8e-4,
+            path_rate_last: 2e-5,
             control: Some(ControlSettings::scaled_to(settings.steps, settings.control_points)),
             selection: settings
                 .train_selection
@@ -533,18 +380,19 @@ pub(super) fn report(changes: ControlChanges) -> Value {
     })
 }
 
-/// Control points spread over the movers, and the trajectories they stand for.
-fn control_points(
-    trajectories: &Trajectories,
-    settings: &SequenceSettings,
-) -> Result<(ControlPoints, Vec<usize>)> {
-    let canonical: Vec<[f32; 3]> = trajectories
-        .all
-        .iter()
-        .map(|path| path.positions[trajectories.canonical].as_vec3().to_array())
-        .collect();
+/// Control points spread over the nodes of the scaffold, with these nodes' paths.
+fn control_points(sequence: Sequence<'_>, settings: &SequenceSettings) -> Result<ControlPoints> {
+    let scaffold = &sequence.track.scaffold;
+    let place = |node: &Node| node.world_from_node[scaffold.canonical].translation;
+    let canonical: Vec<[f32; 3]> =
+        scaffold.nodes.iter().map(|node| place(node).as_vec3().to_array()).collect();
     let count = first_control_points(settings.control_points).min(canonical.len());
-    spread(&canonical, count, settings.seed)
+    let (mut points, chosen) = spread(&canonical, count, settings.seed)?;
+    let keys = settings.keys(sequence.frames.len());
+    let paths: Vec<Vec<[f32; 8]>> =
+        chosen.iter().map(|&k| path(&scaffold.nodes[k], scaffold.canonical, keys)).collect();
+    points.paths = (0..keys).flat_map(|key| paths.iter().map(move |path| path[key])).collect();
+    Ok(points)
 }
 
 /// At most `count` control points spread over some positions, and which positions they are.
@@ -559,20 +407,16 @@ pub(super) fn spread(
     let stand_ins: Vec<Point> =
         positions.iter().map(|&position| Point { position, colour: [0.5; 3] }).collect();
     let log_radii = seed_from_points(&stand_ins, 0).log_scales.iter().map(|s| s[0]).collect();
-    Ok((ControlPoints { positions, log_radii }, chosen))
+    Ok((ControlPoints { positions, log_radii, paths: Vec::new() }, chosen))
 }
 
 /// Gaussians on the movers, brought back to the canonical frame from several frames, one per cell of
 /// a grid.
-fn seed_movers(
-    sequence: Sequence<'_>,
-    trajectories: &Trajectories,
-    settings: &SequenceSettings,
-) -> Gaussians {
+fn seed_movers(sequence: Sequence<'_>, settings: &SequenceSettings) -> Gaussians {
     let track = sequence.track;
     let count = sequence.frames.len();
     let every = count.div_ceil(8).max(1);
-    let canonical = trajectories.canonical;
+    let canonical = track.scaffold.canonical;
     let mut order: Vec<usize> = (0..count).step_by(every).collect();
     order.insert(0, canonical);
     // A cell is what two pixels cover at the movers' depth.
@@ -599,20 +443,32 @@ fn seed_movers(
                     continue;
                 }
                 let here = lift(track, frame, pixel);
-                let position = trajectories.to_canonical(track, frame, pixel, here);
-                let Some(position) = position else { continue };
+                let owner = value(&track.owners[frame], pixel) as usize;
+                let there = track.scaffold.carry(owner, here, frame, canonical);
+                let Some((position, turned)) = there else { continue };
                 let cell = (position / spacing.max(1e-9)).floor().as_i64vec3();
-                if position.is_finite() && taken.insert(cell) {
-                    points.push(Point {
-                        position: position.as_vec3().to_array(),
-                        colour: colour(&sequence.frames[frame], pixel),
-                    });
+                if !position.is_finite() || !taken.insert(cell) {
+                    continue;
                 }
+                let canonical_from_view =
+                    turned * track.view_from_world[frame].rotation.conjugate();
+                let ray = canonical_from_view * track.intrinsics.ray(pixel);
+                let normal = normal(&track.depth[frame], &track.intrinsics, pixel);
+                let normal = normal.map(|normal| canonical_from_view * normal);
+                let colour = colour(&sequence.frames[frame], pixel);
+                let position = position.as_vec3().to_array();
+                points.push((Point { position, colour }, ray, normal));
             }
         }
     }
-    let points = thinned(points, settings.max_gaussians / 3);
+    let seeds = thinned(points, settings.max_gaussians / 3);
+    let points: Vec<Point> = seeds.iter().map(|(point, ..)| *point).collect();
     let mut gaussians = seed_from_points(&points, settings.sh_degree);
+    for (i, (_, ray, normal)) in seeds.iter().enumerate() {
+        if let Some(normal) = normal {
+            lay(&mut gaussians, i, *ray, *normal);
+        }
+    }
     gaussians.motion_logits = vec![STRENGTH; gaussians.len()];
     gaussians
 }

@@ -231,6 +231,10 @@ pub struct MotionSettings {
     pub rate: f64,
     /// At the last step.
     pub rate_last: f64,
+    /// Learning rate of the control points' paths at the first step.
+    pub path_rate: f64,
+    /// At the last step.
+    pub path_rate_last: f64,
     /// Weight of the as-rigid-as-possible energy.
     pub arap_weight: f64,
     /// Edges of a control point in that energy.
@@ -247,6 +251,8 @@ impl Default for MotionSettings {
         MotionSettings {
             rate: 8e-4,
             rate_last: 1.6e-6,
+            path_rate: 4e-4,
+            path_rate_last: 1e-5,
             arap_weight: 1e-2,
             arap_edges: 10,
             control: None,

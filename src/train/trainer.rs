@@ -1,7 +1,7 @@
 //! The training step: deform, render, compare, differentiate, update.
 
 use super::growth::{Growth, Statistics};
-use super::motion::{MotionStart, MotionTrainer};
+use super::motion::{MotionNow, MotionStart, MotionTrainer};
 use super::optimiser::GaussianOptimiser;
 use super::own_loss::OwnStep;
 use super::photographs::{DeviceView, Room, Studios};
@@ -14,7 +14,7 @@ use crate::ops::gaussians::GaussianBuffers;
 use crate::ops::loss::{LossSettings, LossValue};
 use crate::ops::render::FrameCounts;
 use crate::types::range::{self, Check};
-use crate::types::{ControlPoints, DeformNet, Gaussians};
+use crate::types::{DeformNet, Gaussians};
 use crate::{Error, Result};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
@@ -61,7 +61,9 @@ fn check(views: &[TrainingView], motion: Option<&MotionStart>, settings: &TrainS
     for (i, view) in views.iter().enumerate() {
         view.check().map_err(|what| format!("picture {i}: {what}"))?;
     }
-    motion.map_or(Ok(()), |start| start.points.check().and_then(|()| start.network.check()))
+    let Some(start) = motion else { return Ok(()) };
+    start.points.check()?;
+    start.network.as_ref().map_or(Ok(()), DeformNet::check)
 }
 
 /// Trains Gaussians on pictures.
@@ -291,17 +293,18 @@ impl Trainer {
         Ok(gaussians)
     }
 
-    /// Waits and reads control points and network, where there is motion.
+    /// Waits and reads the control points, and the network where they have no paths, where there is
+    /// motion.
     ///
     /// # Errors
     /// As for [`step`](Self::step).
-    pub fn motion(&mut self) -> Result<Option<(ControlPoints, DeformNet)>> {
+    pub fn motion(&mut self) -> Result<Option<MotionNow>> {
         self.finish()?;
         self.download_motion()
     }
 
     /// [`motion`](Self::motion) likewise.
-    pub(super) fn download_motion(&mut self) -> Result<Option<(ControlPoints, DeformNet)>> {
+    pub(super) fn download_motion(&mut self) -> Result<Option<MotionNow>> {
         self.motion.as_ref().map(|motion| motion.download(&mut self.stream)).transpose()
     }
 

@@ -6,8 +6,8 @@ use rand_chacha::ChaCha8Rng;
 #[cfg(feature = "files")]
 use serde::{Deserialize, Serialize};
 
-/// Sparse control points in the canonical frame; the network gives each of them a rigid motion at
-/// every time, and Gaussians follow the nearest ones (linear blend skinning).
+/// Sparse control points in the canonical frame. Each has a rigid motion at every time, by its path or,
+/// where it has none, by the network, and Gaussians follow the nearest ones (linear blend skinning).
 #[derive(Clone, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct ControlPoints {
@@ -15,6 +15,11 @@ pub struct ControlPoints {
     pub positions: Vec<[f32; 3]>,
     /// Natural logarithms of the radius ρ of the Gaussian kernel `exp(−d²/2ρ²)`.
     pub log_radii: Vec<f32>,
+    /// Their paths: motions at evenly spaced times, the first at 0 and the last at 1, key after key and
+    /// in each as many as there are points: translation (3), a zero, and the rotation's offset δ (4)
+    /// from `[1, 0, 0, 0]`. Between keys they are interpolated by Catmull and Rom's cubic. Empty
+    /// where the network moves them.
+    pub paths: Vec<[f32; 8]>,
 }
 
 impl ControlPoints {
@@ -31,7 +36,32 @@ impl ControlPoints {
             range::inside("log radius", radius, &LOG_SCALE)
                 .map_err(|what| format!("control point {i}: {what}"))?;
         }
+        self.check_paths()?;
+        for (i, motion) in self.paths.iter().enumerate() {
+            let inside = |&v: &f32| range::within("motion on its path", v, REACH);
+            motion
+                .iter()
+                .try_for_each(inside)
+                .map_err(|what| format!("control point {}: {what}", i % self.len()))?;
+        }
         Ok(())
+    }
+
+    /// That there are as many motions at every key time as control points.
+    ///
+    /// # Errors
+    /// What is wrong, in words.
+    pub(crate) fn check_paths(&self) -> Check {
+        let (motions, points) = (self.paths.len(), self.len());
+        match motions == self.keys() * points {
+            true => Ok(()),
+            false => Err(format!("{motions} motions on the paths of {points} control points")),
+        }
+    }
+
+    /// Number of key times of their paths; 0 where they have none.
+    pub fn keys(&self) -> usize {
+        self.paths.len() / self.len().max(1)
     }
 
     /// Number of control points.
@@ -155,4 +185,33 @@ impl DeformNet {
 fn normal(rng: &mut ChaCha8Rng) -> f64 {
     let (a, b): (f64, f64) = (rng.random(), rng.random());
     (-2.0 * (1.0 - a).ln()).sqrt() * (std::f64::consts::TAU * b).cos()
+}
+
+/// What moves, and how much of it there is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MotionScale {
+    /// Control points.
+    pub control_points: usize,
+    /// Key times of their paths; 0 where the network moves them.
+    pub keys: usize,
+    /// The deformation network; `None` where paths move them.
+    pub network: Option<NetShape>,
+    /// Control points that a Gaussian follows.
+    pub neighbours: usize,
+}
+
+impl MotionScale {
+    /// Control points and a network of this scale, all zero.
+    pub(crate) fn sketch(&self) -> (ControlPoints, Option<DeformNet>) {
+        let count = self.control_points;
+        let points = ControlPoints {
+            positions: vec![[0.0; 3]; count],
+            log_radii: vec![0.0; count],
+            paths: vec![[0.0; 8]; self.keys * count],
+        };
+        let network = self
+            .network
+            .map(|shape| DeformNet { shape, parameters: vec![0.0; shape.parameters()] });
+        (points, network)
+    }
 }

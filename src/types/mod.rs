@@ -17,7 +17,7 @@ mod settings;
 
 pub use adam::AdamSettings;
 pub use camera::{Camera, Intrinsics, Pose};
-pub use control::{ControlPoints, DeformNet, NetShape};
+pub use control::{ControlPoints, DeformNet, MotionScale, NetShape};
 pub use density::{AdaptSettings, MotionClass};
 pub use flow::FlowSettings;
 pub use gaussians::{Gaussians, SH_C0, sh_coefficients};

@@ -224,9 +224,11 @@ mod tests {
             ] {
                 assert!(g.check(0).is_err(), "{g:?}");
             }
-            let points = ControlPoints { positions: vec![[v; 3]], log_radii: vec![0.0] };
+            let points =
+                ControlPoints { positions: vec![[v; 3]], log_radii: vec![0.0], paths: vec![] };
             assert!(points.check().is_err(), "{v}");
-            let points = ControlPoints { positions: vec![[0.0; 3]], log_radii: vec![v] };
+            let points =
+                ControlPoints { positions: vec![[0.0; 3]], log_radii: vec![v], paths: vec![] };
             assert!(points.check().is_err(), "{v}");
             let shape = NetShape { depth: 1, width: 16, ..NetShape::PAPER };
             let mut network = DeformNet::random(shape, 0);

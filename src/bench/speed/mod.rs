@@ -81,7 +81,7 @@ fn knobs(scene: &Scene) -> Vec<Knob> {
         let lower = (0..degree).rev().map(|d| number(f64::from(d)));
         all.push(Knob::new("SH degree", |t, v| t.sh_degree = v as u32, lower));
     }
-    if scene.network.is_some() && scene.gaussians.is_dynamic() && scene.neighbours > 1 {
+    if scene.moves() && scene.neighbours > 1 {
         let fewer = (1..scene.neighbours).rev().map(|k| number(f64::from(k)));
         all.push(Knob::new("neighbours", |t, v| t.neighbours = Some(v as u32), fewer));
     }

@@ -1,0 +1,23 @@
+//! The paths of control points against its oracle.
+
+mod common;
+
+use splat4d::check;
+use splat4d::gpu::{Device, Request};
+
+#[test]
+fn cases() {
+    common::run("path");
+}
+
+/// Grids that 40 workgroups along an axis do not hold.
+#[test]
+fn folded_grids() {
+    let mut limits = *common::device().limits();
+    limits.groups = 40;
+    let device = Device::open(&Request { limits: Some(limits), ..Request::software() }).unwrap();
+    for case in check::path::CASES {
+        let outcome = check::run(case, &device, 2);
+        assert!(outcome.passed(), "{outcome:#?}");
+    }
+}
