@@ -1,4 +1,4 @@
-//! The paths of control points against its oracle.
+//! The paths of control points against their oracle.
 
 mod common;
 

@@ -98,6 +98,8 @@ pub const QUICK: &[&str] = &[
     "mask/vote",
     "mlp/narrow",
     "mlp/encoding",
+    "path/random",
+    "path/ends",
     "project/forward",
     "project/backward",
     "project/decisions",

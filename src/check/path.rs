@@ -14,8 +14,9 @@ pub const CASES: &[Case] = &[
 ];
 
 const KERNELS: &[&str] = &["path/evaluate", "path/gather"];
-/// Measured 1.9e-7, where a place between the keys is a rounded product; times five.
-const BOUND: Bound = Bound { absolute: 1e-6, relative: 1e-6 };
+/// Measured 2.4e-6 at 25 keys: the place between them is a rounded product, and the oracle in f32 errs
+/// as much; times five.
+const BOUND: Bound = Bound { absolute: 1.2e-5, relative: 1e-6 };
 
 /// Paths at some times, compared both ways.
 fn compare(h: &mut Harness, nodes: usize, keys: usize, times: &[f32]) -> Result<()> {
