@@ -26,11 +26,23 @@ pub fn watch(json: bool) {
             // Whether or not anyone reads it, this is the end.
             let _ = print_json(&json!({ "error": "stopped at once" }));
         }
-        std::process::exit(EXIT_CODE.into());
+        exit_at_once();
     });
     if let Err(error) = installed {
         say(&format!("note: Ctrl-C ends without tidying up: {error}"));
     }
+}
+
+/// Ends the program while other threads work: what drivers run at an ordinary exit would take their
+/// memory from under them.
+#[cfg(unix)]
+fn exit_at_once() -> ! {
+    signal_hook::low_level::exit(EXIT_CODE.into())
+}
+
+#[cfg(not(unix))]
+fn exit_at_once() -> ! {
+    std::process::exit(EXIT_CODE.into())
 }
 
 /// Calls `stop` on Ctrl-C, SIGTERM and SIGHUP. A file that grows beyond `ulimit -f` is an error of its
