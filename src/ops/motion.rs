@@ -52,8 +52,8 @@ pub struct Motion {
 }
 
 impl Motion {
-    /// Control points and what moves them on the device, with room for `gaussians` Gaussians, each dynamic
-    /// one following `neighbours` control points, evaluated at `times` times at once.
+    /// Control points and what moves them on the device, with room for `gaussians` Gaussians, each
+    /// dynamic one following `neighbours` control points, evaluated at `times` times at once.
     /// [`set_dynamic`](Self::set_dynamic) says which ones move.
     ///
     /// # Errors

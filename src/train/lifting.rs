@@ -2,7 +2,8 @@
 
 use crate::track::Track;
 use crate::track::scaffold::Node;
-use crate::types::{Camera, Image};
+pub(super) use crate::track::scaffold::value;
+use crate::types::Camera;
 use glam::{DVec2, DVec3};
 
 /// Above this a pixel of a mask counts as moving.
@@ -18,13 +19,6 @@ pub(super) fn lift(track: &Track, frame: usize, pixel: DVec2) -> DVec3 {
     let z = f64::from(value(&track.depth[frame], pixel));
     let view = track.intrinsics.ray(pixel) * z;
     track.view_from_world[frame].inverse().apply(view)
-}
-
-/// The value of a one-channel image at the pixel that holds a position.
-pub(super) fn value(image: &Image, pixel: DVec2) -> f32 {
-    let x = (pixel.x.max(0.0) as u32).min(image.width - 1);
-    let y = (pixel.y.max(0.0) as u32).min(image.height - 1);
-    image.at(x, y)[0]
 }
 
 /// A node's motions from the canonical frame at so many even times over the frames, as

@@ -321,8 +321,8 @@ impl MotionTrainer {
         self.radii.step(recorder, adam, rate, step, &mut self.motion.log_radii, fits)
     }
 
-    /// Gradients of the last backward pass by the parameters of the paths or the network and by the logarithms of the
-    /// radii.
+    /// Gradients of the last backward pass by the parameters of the paths or the network, and by the
+    /// logarithms of the radii.
     pub(super) fn gradients(&self) -> (&Buffer<f32>, &Buffer<f32>) {
         (&self.parameters.gradients, &self.radii.gradients)
     }

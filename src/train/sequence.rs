@@ -214,15 +214,16 @@ fn fit_moving(
     observer: &mut dyn Observer,
 ) -> Result<Scene> {
     let train = joint_settings(settings);
-    let all = views(sequence, |_| 1.0);
+    // Not before they are needed: the static world is trained on views of its own.
+    let all = || views(sequence, |_| 1.0);
     let mut trainer = match resume {
-        Some(Checkpoint::Joint(state)) => Trainer::resume(device, &all, state, train)?,
+        Some(Checkpoint::Joint(state)) => Trainer::resume(device, &all(), state, train)?,
         earlier => {
             let mut gaussians = static_world(device, sequence, seeds, settings, earlier, observer)?;
             append(&mut gaussians, &seed_movers(sequence, settings));
             let points = control_points(sequence, settings)?;
             let start = MotionStart { points, network: None, neighbours: settings.neighbours };
-            Trainer::new(device, &all, &gaussians, Some(&start), train)?
+            Trainer::new(device, &all(), &gaussians, Some(&start), train)?
         }
     };
     run(&mut trainer, Phase::Joint, observer, Checkpoint::Joint)?;
