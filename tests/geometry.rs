@@ -144,7 +144,13 @@ fn sequence(make: Make) -> Problem {
                 seen += DVec2::new(rng.random_range(-40.0..40.0), rng.random_range(-40.0..40.0));
             }
             seen += DVec2::new(normal(&mut rng), normal(&mut rng)) * make.noise;
-            observations.push(Observation { point: index, frame: other, pixel: seen, weight: 1.0 });
+            observations.push(Observation {
+                point: index,
+                frame: other,
+                pixel: seen,
+                weight: 1.0,
+                deviation: 1.0,
+            });
         }
     }
     let fixed = (0..make.frames).map(|i| i == 0).collect();
@@ -444,7 +450,9 @@ fn anchored(intrinsics: Intrinsics, poses: Vec<Pose>, points: &[DVec3], seen: &[
                 index[point] = Some(anchors.len());
                 anchors.push(Point { frame, pixel, inverse_depth: 1.0 / depth, prior: None });
             }
-            Some(point) => observations.push(Observation { point, frame, pixel, weight: 1.0 }),
+            Some(point) => {
+                observations.push(Observation { point, frame, pixel, weight: 1.0, deviation: 1.0 })
+            }
         }
     }
     let fixed = (0..poses.len()).map(|i| i == 0).collect();
@@ -606,6 +614,7 @@ fn wild_problems_end_finite_or_in_words() {
                 frame: (i * 7 / 3) % frames,
                 pixel: DVec2::new(wild(limit), wild(limit)),
                 weight: wild(limit).max(0.0),
+                deviation: wild(limit).abs().max(1e-3),
             })
             .collect();
         let mut problem = Problem {

@@ -340,7 +340,13 @@ fn gather(
         });
         origin.push(i);
         for (frame, pixel) in seen {
-            problem.observations.push(Observation { point, frame, pixel, weight: 1.0 });
+            problem.observations.push(Observation {
+                point,
+                frame,
+                pixel,
+                weight: 1.0,
+                deviation: 1.0,
+            });
         }
     }
     (problem, origin)

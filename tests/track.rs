@@ -119,11 +119,12 @@ fn a_tripod_is_recognised_and_its_mover_masked() {
     assert!(found.view_from_world.iter().all(|p| *p == Pose::IDENTITY));
     assert!(found.quality.notes.iter().any(|n| n.contains("tripod")), "{:?}", found.quality.notes);
     assert!(iou(&found, &clip) > 0.7, "{}", iou(&found, &clip));
-    // That the camera stands still is measured: the flow is off by 0.05 px along each axis.
+    // That the camera stands still is measured: the flow is off by 0.05 px along each axis and step, the
+    // points are found again in the pictures to less.
     let (share, rms) = (found.quality.inlier_share, found.quality.reprojection_rms);
     eprintln!("tripod: {share:.3} of the observations stay, within {rms:.3} px");
     assert!((0.6..1.0).contains(&share), "{share}");
-    assert!((0.02..0.3).contains(&rms), "{rms}");
+    assert!((1e-4..0.05).contains(&rms), "{rms}");
 
     // Flow that trembles more shows it.
     let worse = run(&clip, &Options::default(), 0.15).unwrap();

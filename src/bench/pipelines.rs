@@ -305,7 +305,13 @@ fn bundle(seed: u64, frames: usize, points: usize) -> Result<Job> {
             let other = (frame + step) % frames;
             let relative = truth[other] * truth[frame].inverse();
             if let Some((pixel, _)) = project(&intrinsics, &relative, pixel, inverse_depth) {
-                observations.push(Observation { point, frame: other, pixel, weight: 1.0 });
+                observations.push(Observation {
+                    point,
+                    frame: other,
+                    pixel,
+                    weight: 1.0,
+                    deviation: 1.0,
+                });
             }
         }
         all.push(Point { frame, pixel, inverse_depth, prior: None });

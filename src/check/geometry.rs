@@ -149,7 +149,13 @@ fn clip(h: &mut Harness, poses: &[Pose], inverse_depth: impl Fn(f64) -> f64) -> 
             let x = ray + t_from_r.translation * point.inverse_depth;
             if other != frame && x.z > 0.1 {
                 let pixel = lens().project(x);
-                observations.push(Observation { point: index, frame: other, pixel, weight: 1.0 });
+                observations.push(Observation {
+                    point: index,
+                    frame: other,
+                    pixel,
+                    weight: 1.0,
+                    deviation: 1.0,
+                });
             }
         }
         points.push(point);

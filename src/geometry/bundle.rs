@@ -55,8 +55,10 @@ pub struct Observation {
     pub frame: usize,
     /// Pixel in that frame.
     pub pixel: DVec2,
-    /// How much it counts: confidence · (1 − P(dynamic)) and the like; 0 is ignored.
+    /// How much it counts: 1 − P(dynamic) and the like; 0 is ignored.
     pub weight: f64,
+    /// Standard deviation of the pixel along each axis, pixels, or in proportion to it.
+    pub deviation: f64,
 }
 
 /// What is adjusted, in place.
@@ -107,9 +109,10 @@ pub struct Options {
     pub depths: bool,
     /// Robust kernel.
     pub kernel: Kernel,
-    /// Kernel width in units of the scale (1.4826 · median absolute residual coordinate).
+    /// Kernel width in units of the scale (1.4826 · median absolute residual coordinate, each divided
+    /// by its observation's deviation).
     pub kernel_width: f64,
-    /// The scale is not taken below this, pixels.
+    /// The scale is not taken below this, deviations.
     pub scale_floor: f64,
     /// The scale is estimated anew this many times.
     pub rounds: usize,
@@ -135,7 +138,7 @@ impl Default for Options {
 /// What an adjustment did.
 #[derive(Clone, Debug)]
 pub struct Report {
-    /// Σ w r² before, without kernel, over the observations in front of their cameras; pixels².
+    /// Σ w r² / σ² before, without kernel, over the observations in front of their cameras.
     pub initial_squared: f64,
     /// The same afterwards.
     pub final_squared: f64,
@@ -147,7 +150,7 @@ pub struct Report {
     pub inlier_rmse: f64,
     /// Inliers among the observations used.
     pub inlier_ratio: f64,
-    /// Robust scale of a residual's coordinate at the end, pixels, floored.
+    /// Robust scale of a residual's coordinate at the end, deviations, floored.
     pub scale: f64,
     /// Steps tried.
     pub steps: usize,
@@ -411,6 +414,7 @@ fn check(problem: &Problem, options: &Options) -> Result<()> {
             ));
         }
     }
+    let positive = |v: f64| v.is_finite() && v > 0.0;
     for (i, o) in problem.observations.iter().enumerate() {
         if o.point >= problem.points.len() || o.frame >= frames {
             return bad(format!(
@@ -420,11 +424,13 @@ fn check(problem: &Problem, options: &Options) -> Result<()> {
                 o.frame
             ));
         }
-        if !o.pixel.is_finite() || !o.weight.is_finite() || o.weight < 0.0 {
-            return bad(format!("observation {i} needs a finite pixel and a weight ≥ 0: {o:?}"));
+        let fine = o.pixel.is_finite() && o.weight.is_finite() && o.weight >= 0.0;
+        if !fine || !positive(o.deviation) {
+            return bad(format!(
+                "observation {i} needs a finite pixel, a weight ≥ 0 and a positive deviation: {o:?}"
+            ));
         }
     }
-    let positive = |v: f64| v.is_finite() && v > 0.0;
     if !positive(options.kernel_width) || options.scale_floor.is_nan() || options.scale_floor < 0.0
     {
         return bad(format!(

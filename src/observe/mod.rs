@@ -6,14 +6,18 @@
 //! | [`engine`] | [`EngineFlow`]: flow that the engine computes |
 //! | [`flow`] | [`FlowSource`] and flow that the user supplies; forward–backward confidence; chaining |
 //! | [`tracks`] | points followed over many frames |
+//! | [`refine`] | tracks aligned with the pictures, so that they do not drift |
 //!
 //! Everything after this stage sees only [`NeighbourFlow`]: where a flow came from (the engine, a
 //! network, a file, a synthetic clip) makes no difference to it.
 
 pub mod engine;
 pub mod flow;
+pub(crate) mod luminance;
+pub mod refine;
 pub mod tracks;
 
 pub use engine::EngineFlow;
 pub use flow::{Chain, FlowPair, FlowSource, NeighbourFlow, SuppliedFlow, observe_flow};
+pub use refine::refine;
 pub use tracks::{PointTrack, TrackOptions, follow};

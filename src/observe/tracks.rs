@@ -12,14 +12,30 @@ pub struct PointTrack {
     pub first: usize,
     /// Its pixel in that frame and in those that follow.
     pub pixels: Vec<DVec2>,
-    /// Confidence of each step, in (0, 1]; the first is 1.
-    pub confidence: Vec<f32>,
+    /// Standard deviation of each pixel along each axis, the first taken as exact, pixels.
+    pub deviation: Vec<f32>,
 }
+
+/// A step of flow is off by so many pixels along each axis, where it is surely believed.
+pub(super) const STEP_DEVIATION: f32 = 0.2;
 
 impl PointTrack {
     /// The pixel in a frame; none outside of the track's life.
     pub fn at(&self, frame: usize) -> Option<DVec2> {
         frame.checked_sub(self.first).and_then(|k| self.pixels.get(k)).copied()
+    }
+
+    /// Its part within a range of frames, the first pixel there taken as exact.
+    pub fn part(&self, frames: std::ops::Range<usize>) -> PointTrack {
+        let (first, end) = (self.first.max(frames.start), self.end().min(frames.end));
+        let part = first - self.first..end.max(first) - self.first;
+        let start = self.deviation.get(part.start).copied().unwrap_or(0.0);
+        let since = |d: &f32| (d * d - start * start).abs().sqrt();
+        PointTrack {
+            first,
+            pixels: self.pixels[part.clone()].to_vec(),
+            deviation: self.deviation[part].iter().map(since).collect(),
+        }
     }
 
     /// One past the last frame it lives in.
@@ -76,7 +92,7 @@ pub fn follow(flow: &NeighbourFlow, options: &TrackOptions) -> Vec<PointTrack> {
             let corner = DVec2::new((c % columns) as f64, (c / columns) as f64);
             let pixel = (corner + 0.5) * spacing as f64;
             if pixel.x < flow.width as f64 && pixel.y < flow.height as f64 {
-                alive.push(PointTrack { first: frame, pixels: vec![pixel], confidence: vec![1.0] });
+                alive.push(PointTrack { first: frame, pixels: vec![pixel], deviation: vec![0.0] });
             }
         }
         let mut going = Vec::with_capacity(alive.len());
@@ -85,7 +101,8 @@ pub fn follow(flow: &NeighbourFlow, options: &TrackOptions) -> Vec<PointTrack> {
             match flow.step(frame, true, here) {
                 Some(next) if next.confidence >= options.confidence => {
                     track.pixels.push(next.pixel);
-                    track.confidence.push(next.confidence);
+                    let before = track.deviation[track.deviation.len() - 1];
+                    track.deviation.push(before.hypot(STEP_DEVIATION / next.confidence));
                     going.push(track);
                 }
                 _ => done.push(track),
@@ -136,7 +153,7 @@ mod tests {
                 assert!(moved.length() < 1e-6, "{track:?}");
                 assert!((0.0..=40.0).contains(&pixel.x) && (0.0..=20.0).contains(&pixel.y));
             }
-            assert!(track.confidence.iter().all(|c| (0.3..=1.0).contains(c)));
+            assert!(track.deviation.windows(2).all(|d| d[0] < d[1]) && track.deviation[0] == 0.0);
             assert_eq!(track.at(track.end()), None);
         }
         // The first frame's grid has ten by five points; the last column leaves in the first step

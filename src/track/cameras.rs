@@ -112,8 +112,16 @@ pub(super) struct Cameras {
     supplied: bool,
 }
 
-/// The scale of residuals is not taken below this, pixels.
+/// The scale of residuals is not taken below this, pixels, and deviations.
 const SCALE_FLOOR: f64 = 0.1;
+const DEVIATION_FLOOR: f64 = 0.5;
+/// A point is seen to so many pixels along each axis, where it is followed without an error.
+const DEVIATION: f64 = 0.05;
+
+/// How much an observation counts beside one that is followed without an error.
+fn information(deviation: f32) -> f64 {
+    DEVIATION.powi(2) / (DEVIATION.powi(2) + f64::from(deviation).powi(2))
+}
 /// Most points of an adjustment on the way, and of the last one.
 const POINTS: (usize, usize) = (900, 4000);
 
@@ -132,10 +140,9 @@ impl Cameras {
             .zip(weights)
             .filter(|(_, weight)| **weight > 0.05)
             .flat_map(|(track, weight)| {
-                let mut confidence = 1.0;
-                track.pixels.iter().zip(&track.confidence).skip(1).map(move |(pixel, step)| {
-                    confidence *= f64::from(*step);
-                    (*pixel - track.pixels[0], weight * confidence.max(0.02))
+                let observed = track.pixels.iter().zip(&track.deviation).skip(1);
+                observed.map(move |(pixel, deviation)| {
+                    (*pixel - track.pixels[0], weight * information(*deviation))
                 })
             })
             .collect();
@@ -245,7 +252,11 @@ impl Cameras {
                 let views: Vec<_> = seen
                     .iter()
                     .filter(|&&f| f != frame)
-                    .map(|&f| (self.poses[f] * reference, track.pixels[f - track.first], 1.0))
+                    .map(|&f| {
+                        let k = f - track.first;
+                        let weight = information(track.deviation[k]);
+                        (self.poses[f] * reference, track.pixels[k], weight)
+                    })
                     .collect();
                 let pixel = track.pixels[frame - track.first];
                 let d = inverse_depth(&self.intrinsics, pixel, &views, tolerance)?;
@@ -296,14 +307,14 @@ impl Cameras {
             for f in track.first..track.end() {
                 let k = f - track.first;
                 if posed[f] && f != frame {
-                    let (low, high) = (frame.min(f), frame.max(f));
-                    let steps = &track.confidence[low + 1 - track.first..=high - track.first];
-                    let confidence: f64 = steps.iter().map(|c| f64::from(*c)).product();
+                    let start = track.deviation[frame - track.first];
+                    let since = (track.deviation[k].powi(2) - start.powi(2)).abs().sqrt();
                     problem.observations.push(Observation {
                         point,
                         frame: place_of[f],
                         pixel: track.pixels[k],
-                        weight: weights[i] * confidence.max(0.02),
+                        weight: weights[i],
+                        deviation: DEVIATION.hypot(f64::from(since)),
                     });
                 }
             }
@@ -313,7 +324,7 @@ impl Cameras {
             focal,
             focal_prior: (self.focal_source == FocalSource::Assumed)
                 .then_some((ASSUMED * side, ASSUMED_DEVIATION)),
-            scale_floor: SCALE_FLOOR,
+            scale_floor: DEVIATION_FLOOR,
             rounds,
             ..Default::default()
         };
@@ -679,7 +690,7 @@ mod tests {
     use super::*;
 
     fn track(pixels: Vec<DVec2>) -> PointTrack {
-        PointTrack { first: 0, confidence: vec![1.0; pixels.len()], pixels }
+        PointTrack { first: 0, deviation: vec![0.1; pixels.len()], pixels }
     }
 
     #[test]

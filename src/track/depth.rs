@@ -61,9 +61,9 @@ pub(super) fn dense(
         range.into_par_iter().map(layer).collect()
     };
     let mut layers: Vec<Layer> =
-        work.frames("depth", frames.len(), made, Stage::Depth, 0.0..0.8)?;
+        work.frames("depth", frames.len(), made, Stage::Depth, 0.5..0.9)?;
     let behind: Vec<&[f32]> = layers.iter().map(|layer| layer.inverse.as_slice()).collect();
-    let lifted = movers::lift(cameras, flow, masks, &behind);
+    let lifted = movers::lift(frames, cameras, flow, masks, &behind);
     // What no object owns: by region and frame.
     let rest: Vec<Vec<Option<(f32, f32)>>> =
         layers.par_iter().zip(masks).map(|(layer, mask)| by_region(layer, mask)).collect();

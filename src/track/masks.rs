@@ -311,7 +311,7 @@ mod tests {
         let track = |x: [f64; 3]| PointTrack {
             first: 1,
             pixels: x.iter().map(|x| DVec2::new(*x, 20.0)).collect(),
-            confidence: vec![1.0; 3],
+            deviation: vec![0.1; 3],
         };
         let tracks = [track([5.0, 6.0, 7.0]), track([28.0, 29.0, 31.0]), track([35.0, 36.0, 37.0])];
         let weights = static_weights(&tracks, &masks);

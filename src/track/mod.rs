@@ -7,6 +7,7 @@
 //! | `residual` | per pixel: the inverse depth that a static world would need, and what it leaves unexplained |
 //! | `photometric` | does the picture itself say that a pixel moved? |
 //! | `masks` | from what is unexplained to a dense motion mask that keeps to the picture's edges |
+//! | `stereo` | static depth refined against the pictures |
 //! | `depth` | depth of all pixels, measured where it can be, inferred and marked so where not |
 //! | `objects` | what moves, as objects: points on it that belong together |
 //! | `movers` | each object's shape and path up to scale, and the scale |
@@ -32,6 +33,7 @@ pub mod scaffold;
 #[cfg(test)]
 mod sliding;
 mod smooth;
+mod stereo;
 mod still;
 
 use glam::DVec3;
@@ -39,7 +41,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::data::Clip;
 use crate::geometry::sim3::Sim3;
-use crate::observe::{FlowSource, NeighbourFlow, PointTrack, TrackOptions, follow};
+use crate::observe::{FlowSource, NeighbourFlow, PointTrack, TrackOptions, follow, refine};
 use crate::types::{Image, Intrinsics, Pose};
 use crate::{Error, Result};
 use cameras::{Cameras, Focal};
@@ -230,7 +232,8 @@ pub fn track_observed(
     check(frames, options)?;
     let mut work = Work::new(observer);
     let flow = observe(frames, source, &mut work)?;
-    let tracks = follow(&flow, &TrackOptions::for_size(flow.width, flow.height));
+    let mut tracks = follow(&flow, &TrackOptions::for_size(flow.width, flow.height));
+    refine(frames, &flow, &mut tracks);
     work.progress(Stage::Cameras, 0.0)?;
     if tracks.len() < 50 {
         return Err(Error::Failed(format!(
@@ -269,6 +272,9 @@ pub fn track_observed(
         cameras.normalise(&tracks, &weights, &mut seen);
     }
     work.progress(Stage::Depth, 0.0)?;
+    if !tripod && options.depth.is_none() {
+        stereo::refine(frames, &cameras, &masks, &mut seen, &mut work, part, 0.0..0.5)?;
+    }
     let depths = options.depth.as_deref();
     let depth::Dense { depth, confidence: depth_confidence, movers, owners } =
         depth::dense(frames, &cameras, &flow, &masks, &seen, depths, &mut work)?;

@@ -74,12 +74,13 @@ pub(super) struct Lifted {
 
 /// Lifts all movers. `behind` is the static world's inverse depth, behind the movers too.
 pub(super) fn lift(
+    frames: &[Image],
     cameras: &Cameras,
     flow: &NeighbourFlow,
     masks: &[Image],
     behind: &[&[f32]],
 ) -> Lifted {
-    let objects = objects::find(flow, masks);
+    let objects = objects::find(frames, flow, masks);
     let shapes: Vec<Shape> = objects.iter().map(|object| shape(object, cameras, flow)).collect();
     let owners: Vec<Vec<Option<u16>>> =
         (0..masks.len()).into_par_iter().map(|f| owners(&objects, &masks[f], f)).collect();
@@ -263,12 +264,8 @@ fn rigid(
 fn clipped(track: &PointTrack, run: &std::ops::Range<usize>) -> Option<PointTrack> {
     let (first, end) = (track.first.max(run.start), track.end().min(run.end));
     (end >= first + 2).then(|| {
-        let part = first - track.first..end - track.first;
-        PointTrack {
-            first: first - run.start,
-            pixels: track.pixels[part.clone()].to_vec(),
-            confidence: track.confidence[part].to_vec(),
-        }
+        let part = track.part(first..end);
+        PointTrack { first: first - run.start, ..part }
     })
 }
 
@@ -560,7 +557,7 @@ mod tests {
         // Twelve points that spread by 2 % a frame and go to the right.
         let track = |i: usize| PointTrack {
             first: 3,
-            confidence: vec![1.0; 6],
+            deviation: vec![0.1; 6],
             pixels: (0..6)
                 .map(|k| {
                     let at = DVec2::new(10.0 * (i % 4) as f64, 10.0 * (i / 4) as f64);

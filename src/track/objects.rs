@@ -7,7 +7,7 @@
 use glam::DVec2;
 use rayon::prelude::*;
 
-use crate::observe::{NeighbourFlow, PointTrack, TrackOptions, follow};
+use crate::observe::{NeighbourFlow, PointTrack, TrackOptions, follow, refine};
 use crate::types::Image;
 
 /// Points per frame on all that moves, about.
@@ -34,8 +34,8 @@ pub(super) struct Object {
     pub end: usize,
 }
 
-/// Finds the objects of a clip, those with the longest tracks first.
-pub(super) fn find(flow: &NeighbourFlow, masks: &[Image]) -> Vec<Object> {
+/// Finds the objects of a clip, its points aligned with the pictures; those with the longest tracks first.
+pub(super) fn find(frames: &[Image], flow: &NeighbourFlow, masks: &[Image]) -> Vec<Object> {
     let moving: usize =
         masks.iter().map(|mask| mask.pixels.iter().filter(|u| **u > 0.5).count()).sum();
     if moving == 0 {
@@ -43,8 +43,9 @@ pub(super) fn find(flow: &NeighbourFlow, masks: &[Image]) -> Vec<Object> {
     }
     let spacing = (moving as f64 / masks.len() as f64 / POINTS).sqrt().round().max(2.0) as usize;
     let options = TrackOptions { spacing, confidence: 0.3 };
-    let tracks: Vec<PointTrack> =
+    let mut tracks: Vec<PointTrack> =
         follow(flow, &options).iter().filter_map(|track| on_movers(track, masks)).collect();
+    refine(frames, flow, &mut tracks);
     let labels = together(&tracks, spacing as f64, masks.len());
     let mut groups: Vec<Vec<PointTrack>> = vec![Vec::new(); tracks.len()];
     for (track, label) in tracks.into_iter().zip(labels) {
@@ -84,15 +85,8 @@ fn on_movers(track: &PointTrack, masks: &[Image]) -> Option<PointTrack> {
             _ => {}
         }
     }
-    (best.len() >= LEAST_LIFE).then(|| {
-        let mut confidence = track.confidence[best.clone()].to_vec();
-        confidence[0] = 1.0;
-        PointTrack {
-            first: track.first + best.start,
-            pixels: track.pixels[best].to_vec(),
-            confidence,
-        }
-    })
+    let frames = track.first + best.start..track.first + best.end;
+    (best.len() >= LEAST_LIFE).then(|| track.part(frames))
 }
 
 /// By track, a number that tracks of one object share.
@@ -168,7 +162,7 @@ mod tests {
         });
         let mask = |f: usize| map(move |p| f32::from(u8::from(left(f, p) || right(f, p))));
         let masks: Vec<Image> = (0..FRAMES).map(mask).collect();
-        let found = find(&flow, &masks);
+        let found = find(&frames(), &flow, &masks);
         assert_eq!(
             found.len(),
             2,
@@ -182,6 +176,6 @@ mod tests {
             assert_eq!((object.first, object.end), (0, FRAMES));
         }
         let nothing = vec![map(|_| 0.0); FRAMES];
-        assert!(find(&flow, &nothing).is_empty());
+        assert!(find(&frames(), &flow, &nothing).is_empty());
     }
 }

@@ -178,7 +178,8 @@ impl NormalEquations {
             );
             let Some((u, jacobian)) = found else { continue };
             let r = u - o.pixel;
-            let w = o.weight * kernel(options.kernel, r.length_squared(), width).1;
+            let (variance, squared) = (o.deviation.powi(2), r.length_squared());
+            let w = o.weight * kernel(options.kernel, squared / variance, width).1 / variance;
             let mut columns = [(0usize, DVec2::ZERO); COLUMNS];
             let mut used = 0;
             let mut push = |column: usize, derivative: DVec2| {

@@ -123,7 +123,7 @@ pub(super) fn cost(problem: &Problem, options: &Options, scale: f64) -> f64 {
             return 0.0;
         }
         let rho = residual(problem, o)
-            .map_or(behind, |r| kernel(options.kernel, r.length_squared(), c).0);
+            .map_or(behind, |r| kernel(options.kernel, (r / o.deviation).length_squared(), c).0);
         o.weight * rho
     });
     let priors: f64 = problem
@@ -141,13 +141,13 @@ pub(super) fn focal_prior(problem: &Problem, options: &Options, scale: f64) -> O
     Some(((scale / std).powi(2), (problem.intrinsics.fx / focal).ln()))
 }
 
-/// Σ w r² over the observations in front of their cameras.
+/// Σ w r² / σ² over the observations in front of their cameras.
 pub(super) fn squared_sum(problem: &Problem) -> f64 {
     ordered_sum(&problem.observations, |o| {
         if !counts(problem, o) {
             return 0.0;
         }
-        residual(problem, o).map_or(0.0, |r| o.weight * r.length_squared())
+        residual(problem, o).map_or(0.0, |r| o.weight * (r / o.deviation).length_squared())
     })
 }
 
@@ -160,13 +160,13 @@ pub(super) fn lengths(problem: &Problem) -> Vec<f64> {
         .collect()
 }
 
-/// 1.4826 · median |residual coordinate| over the observations that count, floored.
+/// 1.4826 · median |residual coordinate| / σ over the observations that count, floored.
 pub(super) fn robust_scale(problem: &Problem, options: &Options) -> f64 {
     let mut sizes: Vec<f64> = problem
         .observations
         .par_iter()
         .filter(|o| counts(problem, o))
-        .filter_map(|o| residual(problem, o))
+        .filter_map(|o| residual(problem, o).map(|r| r / o.deviation))
         .flat_map_iter(|r| [r.x.abs(), r.y.abs()])
         .collect();
     let floor = options.scale_floor.max(1e-6);
@@ -177,17 +177,18 @@ pub(super) fn robust_scale(problem: &Problem, options: &Options) -> f64 {
     (1.4826 * *sizes.select_nth_unstable_by(middle, f64::total_cmp).1).max(floor)
 }
 
-/// Weighted RMS of the residuals within the kernel's width, and their share.
+/// Weighted RMS of the residuals within the kernel's width, pixels, and their share.
 pub(super) fn inliers(problem: &Problem, options: &Options, scale: f64) -> (f64, f64) {
     let limit = options.kernel_width * scale;
     let (mut sum, mut weight, mut count, mut all) = (0.0, 0.0, 0usize, 0usize);
     for (o, length) in problem.observations.iter().zip(lengths(problem)) {
         if counts(problem, o) {
             all += 1;
-            if length <= limit {
+            if length <= limit * o.deviation {
                 count += 1;
-                sum += o.weight * length * length;
-                weight += o.weight;
+                let information = o.weight / o.deviation.powi(2);
+                sum += information * length * length;
+                weight += information;
             }
         }
     }
