@@ -6,7 +6,7 @@
 //! | [`engine`] | [`EngineFlow`]: flow that the engine computes |
 //! | [`flow`] | [`FlowSource`] and flow that the user supplies; forward–backward confidence; chaining |
 //! | [`tracks`] | points followed over many frames |
-//! | [`refine`] | tracks aligned with the pictures, so that they do not drift |
+//! | [`mod@refine`] | tracks aligned with the pictures, so that they do not drift |
 //!
 //! Everything after this stage sees only [`NeighbourFlow`]: where a flow came from (the engine, a
 //! network, a file, a synthetic clip) makes no difference to it.

@@ -92,6 +92,16 @@ pub(super) struct Anchor {
     pub inverse_depth: f64,
 }
 
+/// How well the point of a track is known.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Certainty {
+    /// Standard deviation of its depth relative to the depth, as far as the deviations of the track's
+    /// pixels are right.
+    pub deviation: f64,
+    /// Root mean square of its residuals' coordinates, in those deviations.
+    pub residual: f64,
+}
+
 /// Poses of all frames, and an inverse depth for each track that has one.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Cameras {
@@ -396,6 +406,29 @@ impl Cameras {
         let Anchor { frame, inverse_depth } = self.anchors[i].filter(|a| a.inverse_depth > 1e-9)?;
         let ray = self.intrinsics.ray(tracks[i].at(frame)?);
         Some(self.poses[frame].inverse().apply(ray / inverse_depth))
+    }
+
+    /// How well the pictures say how deep the point of a track lies.
+    pub fn certainty(&self, tracks: &[PointTrack], i: usize) -> Option<Certainty> {
+        let Anchor { frame, inverse_depth } = self.anchors[i].filter(|a| a.inverse_depth > 1e-9)?;
+        let track = &tracks[i];
+        let pixel = track.at(frame)?;
+        let anchor_from_world = self.poses[frame].inverse();
+        let (mut information, mut squares, mut views) = (0.0, 0.0, 0.0);
+        for f in (track.first..track.end()).filter(|f| *f != frame) {
+            let k = f - track.first;
+            let relative = self.poses[f] * anchor_from_world;
+            let found = bundle::project(&self.intrinsics, &relative, pixel, inverse_depth);
+            let (seen, jacobian) = found?;
+            let known = DEVIATION.hypot(f64::from(track.deviation[k])).powi(-2);
+            information += known * jacobian.inverse_depth.length_squared();
+            squares += known * (seen - track.pixels[k]).length_squared();
+            views += 1.0;
+        }
+        (information > 0.0).then(|| Certainty {
+            deviation: (inverse_depth * information.sqrt()).recip(),
+            residual: (0.5 * squares / views).sqrt(),
+        })
     }
 
     /// Makes the median depth of the static points in the cameras that see them the unit, and the

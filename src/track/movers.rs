@@ -41,6 +41,11 @@ const DECIDED: f64 = 0.2;
 /// logarithm. Few things fly right before a wall or right before the camera.
 const BEFORE: (f64, f64) = (0.4, 0.3);
 
+/// A point whose residuals are so many times the usual does not go with its object.
+const ODD: f64 = 3.0;
+/// No point of an object is farther before or behind its middle than this share of the depth.
+const MOST_BEYOND: f64 = 0.7;
+
 /// What is known of an object in one frame.
 struct Frame {
     /// Depth (z) of its middle, in a unit that all frames share.
@@ -237,17 +242,34 @@ fn rigid(
         return None;
     }
     let points: Vec<Option<DVec3>> = (0..tracks.len()).map(|i| solved.point(&tracks, i)).collect();
+    let certainty: Vec<_> = (0..tracks.len()).map(|i| solved.certainty(&tracks, i)).collect();
+    let usual = quantile(certainty.iter().flatten().map(|c| c.residual).collect(), 0.5);
+    // Variance of a point's depth relative to the depth; none for what does not go with the object.
+    let variance = |i: usize| {
+        let known = certainty[i].filter(|c| c.residual <= ODD * usual)?;
+        Some((usual.max(1.0) * known.deviation).powi(2))
+    };
     let coordinate = |k: usize| quantile(points.iter().flatten().map(|p| p[k]).collect(), 0.5);
     let middle = DVec3::new(coordinate(0), coordinate(1), coordinate(2));
     let frames: Vec<Frame> = (0..run.len())
         .map(|f| {
             let centre = solved.poses[f].apply(middle);
+            // What is not known lies as deep as the middle, to about half of the object's size.
+            let seen = || tracks.iter().filter_map(|track| track.at(f));
+            let extent = |k: usize| {
+                let ends =
+                    [0.05, 0.95].map(|share| quantile(seen().map(|p| p[k]).collect(), share));
+                ends[1] - ends[0]
+            };
+            let half = 0.5 * extent(0).max(extent(1)) / cameras.intrinsics.fx;
             let mut relative = vec![None; object.tracks.len()];
-            for ((track, point), place) in tracks.iter().zip(&points).zip(&places) {
-                let point = point.filter(|_| track.at(f).is_some());
-                relative[*place] = point
-                    .map(|point| solved.poses[f].apply(point).z / centre.z)
-                    .filter(|r| (0.3..3.0).contains(r));
+            for (i, place) in places.iter().enumerate() {
+                let alive = points[i].filter(|_| tracks[i].at(f).is_some());
+                relative[*place] = alive.zip(variance(i)).map(|(point, variance)| {
+                    let beyond = solved.poses[f].apply(point).z / centre.z - 1.0;
+                    let share = half * half / (half * half + variance);
+                    1.0 + (share * beyond).clamp(-MOST_BEYOND, MOST_BEYOND)
+                });
             }
             Frame {
                 depth: centre.z,
