@@ -47,8 +47,13 @@ const UNEXPLAINED: f64 = 0.05;
 /// A step to where the patch is not found again is as uncertain as so many.
 const LOST: f32 = 3.0;
 
+/// Where flow is not to be believed, it is off by so many pixels; a point that is found again to less
+/// than the second is found.
+const ASTRAY: f64 = 1.0;
+const SURE: f32 = 0.2;
+
 /// Aligns the points of tracks with the pictures that the flow was found in; their deviations become
-/// what the pictures leave. Where pictures have no content, points stay where they are.
+/// what the pictures leave. A track goes on past its end as long as its point is found. Where pictures have no content, points stay where they are.
 pub fn refine(frames: &[Image], flow: &NeighbourFlow, tracks: &mut [PointTrack]) {
     let frames: Vec<Luminance> = frames.par_iter().map(Luminance::of).collect();
     tracks.par_iter_mut().for_each(|track| refine_track(&frames, flow, track));
@@ -60,6 +65,7 @@ fn refine_track(frames: &[Luminance], flow: &NeighbourFlow, track: &mut PointTra
     let mut look = Look::START;
     // The place of the patch in the track, and the deviation there.
     let (mut anchor, mut base) = (0, 0.0f32);
+    let mut held = true;
     let apart = |a: f32, b: f32| (a * a - b * b).max(0.0).sqrt();
     for k in 1..chain.pixels.len() {
         let frame = &frames[track.first + k];
@@ -78,6 +84,7 @@ fn refine_track(frames: &[Luminance], flow: &NeighbourFlow, track: &mut PointTra
                 found = patch.find(frame, prior(0.0), &look);
             }
         }
+        held = found.is_some();
         match found {
             Some(Found { pixel, look: now, deviation }) => {
                 (track.pixels[k], look) = (pixel, now);
@@ -88,6 +95,22 @@ fn refine_track(frames: &[Luminance], flow: &NeighbourFlow, track: &mut PointTra
                 track.deviation[k] = known.hypot(LOST * step);
             }
         }
+    }
+    // The chain ends where flow is in doubt: the pictures may show the point nevertheless.
+    while held && track.end() < frames.len() {
+        let frame = track.end() - 1;
+        let [.., earlier, before] = track.pixels[..] else { return };
+        let step = flow.step(frame, true, before);
+        let pixel = step.map_or(before + (before - earlier), |step| step.pixel);
+        let prior = Prior { pixel, deviation: ASTRAY };
+        let Some(found) = patch.find(&frames[frame + 1], prior, &look) else { return };
+        let deviation = base.hypot(found.deviation as f32);
+        if deviation > SURE {
+            return;
+        }
+        look = found.look;
+        track.pixels.push(found.pixel);
+        track.deviation.push(deviation);
     }
 }
 
@@ -311,6 +334,25 @@ mod tests {
         refine(&frames, &flow, &mut tracks);
         assert!(off(&tracks[0]) < 0.05, "{}", off(&tracks[0]));
         assert!(tracks[0].deviation[last] < 0.1, "{:?}", tracks[0].deviation);
+    }
+
+    #[test]
+    fn a_track_goes_on_where_flow_ends() {
+        let frames = pictures();
+        let flow = flow(&frames, DVec2::ZERO);
+        let first = DVec2::new(28.3, 21.6);
+        let mut tracks = vec![chained(&flow, first).part(0..4)];
+        refine(&frames, &flow, &mut tracks);
+        assert_eq!(tracks[0].end(), FRAMES);
+        for (frame, pixel) in tracks[0].pixels.iter().enumerate() {
+            assert!(pixel.distance(place(frame, first)) < 0.05, "{frame}: {pixel}");
+        }
+        // It ends where the pictures no longer show the point.
+        let mut ended = frames.clone();
+        ended[6] = Image::new(SIZE.0, SIZE.1, 3);
+        let mut tracks = vec![chained(&flow, first).part(0..4)];
+        refine(&ended, &flow, &mut tracks);
+        assert_eq!(tracks[0].end(), 6);
     }
 
     #[test]

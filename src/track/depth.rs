@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::cameras::Cameras;
+use super::distance::Behind;
 use super::masks::regions;
 use super::movers::{self, BOUND, KNOWN};
 use super::observer::Work;
@@ -62,7 +63,10 @@ pub(super) fn dense(
     };
     let mut layers: Vec<Layer> =
         work.frames("depth", frames.len(), made, Stage::Depth, 0.5..0.9)?;
-    let behind: Vec<&[f32]> = layers.iter().map(|layer| layer.inverse.as_slice()).collect();
+    let behind: Vec<Behind<'_>> = layers
+        .iter()
+        .map(|layer| Behind { inverse: &layer.inverse, confidence: &layer.confidence })
+        .collect();
     let lifted = movers::lift(frames, cameras, flow, masks, &behind);
     // What no object owns: by region and frame.
     let rest: Vec<Vec<Option<(f32, f32)>>> =

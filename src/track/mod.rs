@@ -10,7 +10,9 @@
 //! | `stereo` | static depth refined against the pictures |
 //! | `depth` | depth of all pixels, measured where it can be, inferred and marked so where not |
 //! | `objects` | what moves, as objects: points on it that belong together |
-//! | `movers` | each object's shape and path up to scale, and the scale |
+//! | `movers` | each object's shape and path up to scale |
+//! | `distance` | how far an object is: contact with the ground, its size, a smooth path |
+//! | `outline` | what an object's outline tells of its place and size |
 //! | [`scaffold`] | nodes on what moves, each carried through the whole clip |
 //! | `smooth` | the scale of a path, from how smoothly things move |
 //! | `observer` | who looks on: progress, and finished parts put away |
@@ -22,10 +24,12 @@
 
 mod cameras;
 mod depth;
+mod distance;
 mod masks;
 mod movers;
 mod objects;
 mod observer;
+mod outline;
 mod photometric;
 mod points;
 mod residual;

@@ -2,19 +2,17 @@
 //!
 //! Up to scale: where an object moves rigidly, its points are to the camera what a static world is,
 //! and the same structure from motion solves them. Otherwise the object stands upright before the
-//! camera, and its size in the picture tells how its distance changes. The scale comes from where the
-//! object touches static ground, if it does so in most frames; else from the smoothness of its path
-//! ([`super::smooth`]), if that decides it; else only the bound is known that it is nearer than what
-//! it hides.
+//! camera, and its size in the picture tells how its distance changes. The scale is
+//! [`super::distance`]'s.
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::cameras::{self, Cameras, Focal};
+use super::distance::{Behind, distances};
 use super::masks::regions;
 use super::objects::{self, Object};
 use super::observer::{Progress, Work};
-use super::smooth::{self, Place};
 use super::{FocalSource, Mover, Stage, quantile};
 use crate::geometry::sim3::Sim3;
 use crate::observe::{NeighbourFlow, PointTrack};
@@ -27,44 +25,39 @@ pub(super) const BOUND: f32 = 0.2;
 /// A structure from motion of an object is believed with this share of inliers, this reprojection
 /// error (pixels at 320 wide) and this parallax (degrees).
 const RIGID: (f64, f64, f64) = (0.6, 0.8, 4.0);
-/// Relative standard deviation of a contact's depth, and of the change of depth from frame to frame
-/// by size, and by structure.
-const CONTACT: f64 = 0.03;
-const STEP: (f64, f64) = (0.01, 0.002);
-/// A contact agrees with the path within this relative difference.
-const AGREES: f64 = 0.1;
-/// An object touches the ground if so many of its contacts agree.
-const TOUCHES: f64 = 0.5;
-/// A scale is known that has less than this relative deviation.
-const DECIDED: f64 = 0.2;
-/// How much nearer than what it hides a thing is that touches nothing: mean and deviation of the
-/// logarithm. Few things fly right before a wall or right before the camera.
-const BEFORE: (f64, f64) = (0.4, 0.3);
-
 /// A point whose residuals are so many times the usual does not go with its object.
 const ODD: f64 = 3.0;
 /// No point of an object is farther before or behind its middle than this share of the depth.
 const MOST_BEYOND: f64 = 0.7;
 
+/// Standard deviation of the change of an object's depth from frame to frame that its size in the
+/// picture tells, logarithm.
+const UPRIGHT_DRIFT: f64 = 0.06;
+/// A structure from motion drifts so many times as fast as if the errors of its tracks were
+/// independent: those of neighbours are not.
+const TOGETHER: f64 = 40.0;
+
 /// What is known of an object in one frame.
-struct Frame {
+pub(super) struct Frame {
     /// Depth (z) of its middle, in a unit that all frames share.
-    depth: f64,
+    pub depth: f64,
     /// Its middle's pixel.
-    middle: DVec2,
+    pub middle: DVec2,
     /// Depth of each track relative to the middle's, if the track lives in this frame.
-    relative: Vec<Option<f64>>,
+    pub relative: Vec<Option<f64>>,
     /// Where the structure from motion holds.
-    view_from_object: Option<Pose>,
+    pub view_from_object: Option<Pose>,
 }
 
 /// An object up to scale.
-struct Shape {
+pub(super) struct Shape {
     /// From the object's first frame on.
-    frames: Vec<Frame>,
+    pub frames: Vec<Frame>,
+    /// Standard deviation of the change of depth from each frame to the next, logarithm.
+    pub drift: Vec<f64>,
     /// The middle in the object's own frame.
     middle: DVec3,
-    rigid: bool,
+    pub rigid: bool,
 }
 
 /// The movers of a clip in three dimensions.
@@ -77,13 +70,13 @@ pub(super) struct Lifted {
     pub owners: Vec<Image>,
 }
 
-/// Lifts all movers. `behind` is the static world's inverse depth, behind the movers too.
+/// Lifts all movers, before the static world.
 pub(super) fn lift(
     frames: &[Image],
     cameras: &Cameras,
     flow: &NeighbourFlow,
     masks: &[Image],
-    behind: &[&[f32]],
+    behind: &[Behind<'_>],
 ) -> Lifted {
     let objects = objects::find(frames, flow, masks);
     let shapes: Vec<Shape> = objects.iter().map(|object| shape(object, cameras, flow)).collect();
@@ -93,7 +86,7 @@ pub(super) fn lift(
         .par_iter()
         .zip(&shapes)
         .enumerate()
-        .map(|(i, (object, shape))| scale(i, object, shape, cameras, &owners, behind, flow.width))
+        .map(|(i, (object, shape))| distances(i, object, shape, cameras, &owners, behind))
         .collect();
     let pixels = (0..masks.len())
         .into_par_iter()
@@ -184,8 +177,11 @@ fn owners(objects: &[Object], mask: &Image, frame: usize) -> Vec<Option<u16>> {
 /// An object's shape and path up to scale: rigid in the frames in which it is, upright in the others.
 fn shape(object: &Object, cameras: &Cameras, flow: &NeighbourFlow) -> Shape {
     let upright = upright(object);
-    let Some((run, middle, rigid)) = rigid(object, cameras, flow) else { return upright };
-    let mut frames = upright.frames;
+    let Some(Rigid { run, middle, frames: rigid, drift }) = rigid(object, cameras, flow) else {
+        return upright;
+    };
+    let Shape { mut frames, drift: mut drifts, .. } = upright;
+    drifts[run.start..run.end - 1].fill(drift);
     for (edge, rest) in [(run.start, 0..run.start), (run.end - 1, run.end..frames.len())] {
         let known = &rigid[edge - run.start];
         let ratio = known.depth / frames[edge].depth;
@@ -197,16 +193,21 @@ fn shape(object: &Object, cameras: &Cameras, flow: &NeighbourFlow) -> Shape {
     }
     let rigid_share = run.len() as f64 / frames.len() as f64;
     frames.iter_mut().skip(run.start).zip(rigid).for_each(|(to, from)| *to = from);
-    Shape { frames, middle, rigid: rigid_share > 0.8 }
+    Shape { frames, drift: drifts, middle, rigid: rigid_share > 0.8 }
 }
 
-/// Structure from motion of a rigid object: the run of its frames that it holds for, the middle in
-/// the object's own frame, and these frames.
-fn rigid(
-    object: &Object,
-    cameras: &Cameras,
-    flow: &NeighbourFlow,
-) -> Option<(std::ops::Range<usize>, DVec3, Vec<Frame>)> {
+/// A structure from motion of an object.
+struct Rigid {
+    /// The run of the object's frames that it holds for.
+    run: std::ops::Range<usize>,
+    /// The middle in the object's own frame.
+    middle: DVec3,
+    frames: Vec<Frame>,
+    /// Standard deviation of the change of depth from frame to frame, logarithm.
+    drift: f64,
+}
+
+fn rigid(object: &Object, cameras: &Cameras, flow: &NeighbourFlow) -> Option<Rigid> {
     let frames = object.end - object.first;
     if frames < 5 || object.tracks.len() < 30 {
         return None;
@@ -251,17 +252,26 @@ fn rigid(
     };
     let coordinate = |k: usize| quantile(points.iter().flatten().map(|p| p[k]).collect(), 0.5);
     let middle = DVec3::new(coordinate(0), coordinate(1), coordinate(2));
+    // Half the size in the picture, pixels.
+    let half = |f: usize| {
+        let seen = || tracks.iter().filter_map(|track| track.at(f));
+        let extent = |k: usize| {
+            let ends = [0.05, 0.95].map(|share| quantile(seen().map(|p| p[k]).collect(), share));
+            ends[1] - ends[0]
+        };
+        0.5 * extent(0).max(extent(1))
+    };
+    let drift = {
+        let halves = quantile((0..run.len()).map(half).collect(), 0.5);
+        let seen = tracks.iter().map(|track| track.pixels.len()).sum::<usize>() as f64;
+        let (life, points) = (seen / tracks.len() as f64, seen / run.len() as f64);
+        (TOGETHER * solved.rms / (halves * points.sqrt() * life)).min(UPRIGHT_DRIFT)
+    };
     let frames: Vec<Frame> = (0..run.len())
         .map(|f| {
             let centre = solved.poses[f].apply(middle);
             // What is not known lies as deep as the middle, to about half of the object's size.
-            let seen = || tracks.iter().filter_map(|track| track.at(f));
-            let extent = |k: usize| {
-                let ends =
-                    [0.05, 0.95].map(|share| quantile(seen().map(|p| p[k]).collect(), share));
-                ends[1] - ends[0]
-            };
-            let half = 0.5 * extent(0).max(extent(1)) / cameras.intrinsics.fx;
+            let half = half(f) / cameras.intrinsics.fx;
             let mut relative = vec![None; object.tracks.len()];
             for (i, place) in places.iter().enumerate() {
                 let alive = points[i].filter(|_| tracks[i].at(f).is_some());
@@ -279,7 +289,8 @@ fn rigid(
             }
         })
         .collect();
-    frames.iter().all(|f| f.depth > 0.0 && f.depth.is_finite()).then_some((run, middle, frames))
+    let sound = drift.is_finite() && frames.iter().all(|f| f.depth > 0.0 && f.depth.is_finite());
+    sound.then_some(Rigid { run, middle, frames, drift })
 }
 
 /// A track's part within a run of frames, which becomes the whole clip.
@@ -324,6 +335,7 @@ fn upright(object: &Object) -> Shape {
     };
     (best + 1..object.end).for_each(|f| walk(f - 1, f));
     (object.first..best).rev().for_each(|f| walk(f + 1, f));
+    let drift = vec![UPRIGHT_DRIFT; frames.saturating_sub(1)];
     let frames = (0..frames)
         .map(|f| Frame {
             depth: depth[f],
@@ -332,152 +344,7 @@ fn upright(object: &Object) -> Shape {
             view_from_object: None,
         })
         .collect();
-    Shape { frames, middle: DVec3::ZERO, rigid: false }
-}
-
-/// The depth of an object's middle in the world's unit, frame by frame, and its confidence.
-fn scale(
-    index: usize,
-    object: &Object,
-    shape: &Shape,
-    cameras: &Cameras,
-    owners: &[Vec<Option<u16>>],
-    behind: &[&[f32]],
-    width: usize,
-) -> (Vec<f64>, f32) {
-    let n = shape.frames.len();
-    let path: Vec<f64> = shape.frames.iter().map(|f| f.depth.ln()).collect();
-    let contacts: Vec<Option<f64>> = (0..n)
-        .map(|k| {
-            let f = object.first + k;
-            let (depth, pixel) = contact(index, &owners[f], behind[f], width)?;
-            let near = object.tracks.iter().zip(&shape.frames[k].relative);
-            let near = near.filter_map(|(t, r)| Some((t.at(f)?.distance(pixel), (*r)?)));
-            let relative = near.min_by(|a, b| a.0.total_cmp(&b.0)).map_or(1.0, |near| near.1);
-            Some((depth / relative).ln())
-        })
-        .collect();
-    let step = if shape.rigid { STEP.1 } else { STEP.0 };
-    let touching = touched(&path, &contacts, step);
-    if let Some(path) = touching {
-        return (path, KNOWN);
-    }
-    let unit = {
-        let places: Vec<Place> = shape
-            .frames
-            .iter()
-            .enumerate()
-            .map(|(k, frame)| {
-                let world_from_view = cameras.poses[object.first + k].inverse();
-                let relative = cameras.intrinsics.ray(frame.middle) * frame.depth;
-                let along = if shape.rigid { 0.005 } else { 0.1 };
-                Place {
-                    relative: world_from_view.rotation * relative,
-                    centre: world_from_view.translation,
-                    across: 0.1 * frame.depth / cameras.intrinsics.fx,
-                    along: along * frame.depth,
-                }
-            })
-            .collect();
-        smooth::unit(&places)
-    };
-    // Nearer than what it hides, in nearly every frame.
-    let bounds = (0..n)
-        .filter_map(|k| {
-            let f = object.first + k;
-            let hidden: Vec<f64> = (0..owners[f].len())
-                .filter(|i| owners[f][*i] == Some(index as u16))
-                .map(|i| f64::from(behind[f][i]))
-                .collect();
-            (!hidden.is_empty()).then(|| -quantile(hidden, 0.8).max(1e-3).ln() - path[k])
-        })
-        .collect();
-    let (mut logarithm, mut deviation) = (quantile(bounds, 0.1) - BEFORE.0, BEFORE.1);
-    if let Some(unit) = unit.filter(|u| u.inverse > 0.0 && u.deviation < u.inverse) {
-        let (other, its) = (-unit.inverse.ln(), unit.deviation / unit.inverse);
-        let (a, b) = (deviation.powi(-2), its.powi(-2));
-        (logarithm, deviation) = ((a * logarithm + b * other) / (a + b), (a + b).sqrt().recip());
-    }
-    let confidence = if deviation < DECIDED { KNOWN } else { BOUND };
-    (shape.frames.iter().map(|f| f.depth * logarithm.exp()).collect(), confidence)
-}
-
-/// Where an object meets static ground: the ground's depth there, and the pixel. `None` where its
-/// lower end is cut off by the picture or hidden.
-fn contact(
-    index: usize,
-    owners: &[Option<u16>],
-    behind: &[f32],
-    width: usize,
-) -> Option<(f64, DVec2)> {
-    let height = owners.len() / width;
-    let own = |i: usize| owners[i] == Some(index as u16);
-    let mut lowest: Vec<(usize, usize)> = Vec::new();
-    let (mut top, mut bottom) = (usize::MAX, 0);
-    for x in 0..width {
-        let mut column = (0..height).filter(|y| own(y * width + x));
-        let Some(first) = column.next() else { continue };
-        let last = column.next_back().unwrap_or(first);
-        (top, bottom) = (top.min(first), bottom.max(last));
-        lowest.push((x, last));
-    }
-    // Masks overhang by a pixel or two.
-    if lowest.len() < 3 || bottom + 3 >= height {
-        return None;
-    }
-    let band = (0.06 * (bottom - top) as f64).max(2.0) as usize;
-    let below = |(x, y): (usize, usize)| (y + 2) * width + x;
-    lowest.retain(|at| at.1 + band >= bottom && owners[below(*at)].is_none());
-    let inverse = quantile(lowest.iter().map(|at| f64::from(behind[below(*at)])).collect(), 0.5);
-    let (x, y) = *lowest.get(lowest.len() / 2)?;
-    (inverse > 0.0).then(|| (1.0 / inverse, DVec2::new(x as f64 + 0.5, y as f64 + 0.5)))
-}
-
-/// The path, scaled and bent so that it meets its contacts; `None` where they do not agree.
-fn touched(path: &[f64], contacts: &[Option<f64>], step: f64) -> Option<Vec<f64>> {
-    let n = path.len();
-    let offsets: Vec<(usize, f64)> =
-        contacts.iter().enumerate().filter_map(|(k, c)| Some((k, (*c)? - path[k]))).collect();
-    if offsets.len() < 3 {
-        return None;
-    }
-    // From the offset that most agree with.
-    let agreeing =
-        |o: &(usize, f64)| offsets.iter().filter(|p| (p.1 - o.1).abs() < 0.5 * AGREES).count();
-    let start = offsets.iter().max_by_key(|o| agreeing(o))?.1;
-    let mut bent: Vec<f64> = path.iter().map(|p| p + start).collect();
-    for _ in 0..10 {
-        // Tridiagonal: contacts pull with a weight that falls beyond their deviation, steps keep the
-        // shape of the path.
-        let stiff = step.powi(-2);
-        let (mut diagonal, mut right) = (vec![1e-9; n], vec![0.0; n]);
-        for (k, contact) in contacts.iter().enumerate() {
-            let Some(contact) = contact else { continue };
-            let off = (contact - bent[k]) / CONTACT;
-            let weight = CONTACT.powi(-2) / (1.0 + off * off).powi(2);
-            diagonal[k] += weight;
-            right[k] += weight * contact;
-        }
-        for k in 0..n - 1 {
-            let change = path[k + 1] - path[k];
-            diagonal[k] += stiff;
-            diagonal[k + 1] += stiff;
-            right[k] -= stiff * change;
-            right[k + 1] += stiff * change;
-        }
-        for k in 1..n {
-            let factor = stiff / diagonal[k - 1];
-            diagonal[k] -= factor * stiff;
-            right[k] += factor * right[k - 1];
-        }
-        bent[n - 1] = right[n - 1] / diagonal[n - 1];
-        for k in (0..n - 1).rev() {
-            bent[k] = (right[k] + stiff * bent[k + 1]) / diagonal[k];
-        }
-    }
-    let agree = contacts.iter().zip(&bent).filter_map(|(c, b)| Some(((*c)? - b).abs() < AGREES));
-    let agree = agree.filter(|a| *a).count();
-    (agree as f64 >= TOUCHES * offsets.len() as f64).then(|| bent.iter().map(|b| b.exp()).collect())
+    Shape { frames, drift, middle: DVec3::ZERO, rigid: false }
 }
 
 /// Inverse depth and confidence of a frame's movers.
@@ -534,45 +401,7 @@ fn paint(
 
 #[cfg(test)]
 mod tests {
-    use super::super::sliding::*;
     use super::*;
-
-    #[test]
-    fn contacts_that_agree_bend_the_path_to_them() {
-        // Up to scale the path is right; three contacts of ten are of something else.
-        let path: Vec<f64> = (0..10).map(|k| (1.0 + 0.02 * f64::from(k)).ln()).collect();
-        let contacts: Vec<Option<f64>> = (0..10)
-            .map(|k| match k {
-                4 => None,
-                2 | 5 | 8 => Some((7.0 + f64::from(k)).ln()),
-                _ => Some(path[k as usize] + 3f64.ln()),
-            })
-            .collect();
-        let found = touched(&path, &contacts, 0.002).unwrap();
-        for (depth, p) in found.iter().zip(&path) {
-            assert!((depth / (3.0 * p.exp()) - 1.0).abs() < 0.01, "{depth}");
-        }
-        // Contacts that come from what happens to lie below do not agree.
-        let below = |k: usize| Some((2.0 + k as f64).ln());
-        assert!(touched(&path, &(0..10).map(below).collect::<Vec<_>>(), 0.002).is_none());
-        assert!(touched(&path, &[None; 10], 0.002).is_none());
-    }
-
-    #[test]
-    fn an_object_touches_the_ground_at_its_lower_end() {
-        let (w, h) = (WIDTH as usize, HEIGHT as usize);
-        let ground = map(|p| 0.1 + 0.02 * p.y as f32);
-        let object = |bottom: f64| -> Vec<Option<u16>> {
-            let on = |i| within(centre(i), (20.0, 8.0), (30.0, bottom));
-            (0..w * h).map(|i| on(i).then_some(0)).collect()
-        };
-        let (depth, pixel) = contact(0, &object(30.0), &ground.pixels, w).unwrap();
-        // Two rows below the last.
-        assert!((1.0 / depth - (0.1 + 0.02 * 31.5)).abs() < 1e-6, "{depth}");
-        assert_eq!(pixel.y, 29.5);
-        assert!(contact(0, &object(39.0), &ground.pixels, w).is_none(), "it is cut off");
-        assert!(contact(1, &object(30.0), &ground.pixels, w).is_none());
-    }
 
     #[test]
     fn what_grows_comes_nearer() {

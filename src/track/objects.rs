@@ -44,8 +44,9 @@ pub(super) fn find(frames: &[Image], flow: &NeighbourFlow, masks: &[Image]) -> V
     let spacing = (moving as f64 / masks.len() as f64 / POINTS).sqrt().round().max(2.0) as usize;
     let options = TrackOptions { spacing, confidence: 0.3 };
     let mut tracks: Vec<PointTrack> =
-        follow(flow, &options).iter().filter_map(|track| on_movers(track, masks)).collect();
+        follow(flow, &options).iter().filter_map(|track| on_movers(track, masks, 2)).collect();
     refine(frames, flow, &mut tracks);
+    tracks = tracks.iter().filter_map(|track| on_movers(track, masks, LEAST_LIFE)).collect();
     let labels = together(&tracks, spacing as f64, masks.len());
     let mut groups: Vec<Vec<PointTrack>> = vec![Vec::new(); tracks.len()];
     for (track, label) in tracks.into_iter().zip(labels) {
@@ -64,8 +65,8 @@ pub(super) fn find(frames: &[Image], flow: &NeighbourFlow, masks: &[Image]) -> V
         .collect()
 }
 
-/// The longest part of a track that lies on movers.
-fn on_movers(track: &PointTrack, masks: &[Image]) -> Option<PointTrack> {
+/// The longest part of a track that lies on movers, if it has so many frames.
+fn on_movers(track: &PointTrack, masks: &[Image], least: usize) -> Option<PointTrack> {
     let on = |k: usize| {
         let (mask, p) = (&masks[track.first + k], track.pixels[k]);
         let x = (p.x.max(0.0) as u32).min(mask.width - 1);
@@ -86,7 +87,7 @@ fn on_movers(track: &PointTrack, masks: &[Image]) -> Option<PointTrack> {
         }
     }
     let frames = track.first + best.start..track.first + best.end;
-    (best.len() >= LEAST_LIFE).then(|| track.part(frames))
+    (best.len() >= least).then(|| track.part(frames))
 }
 
 /// By track, a number that tracks of one object share.

@@ -9,6 +9,7 @@
 //! | [`sampling`] | farthest-point sampling, for control points |
 //! | [`settings`] | every number that training depends on |
 //! | [`views`] | the pictures to train on |
+//! | `aside` | pictures from where no camera was, drawn from a tracked clip's frames by their depth |
 //! | [`photographs`] | the pictures on the device, and the renderer for each of their sizes |
 //! | [`optimiser`] | Adam over the Gaussians' parameter groups |
 //! | [`own_loss`] | a step with the caller's own loss |
@@ -24,6 +25,8 @@
 //! | [`rounds`] | what happens between some steps: growth, control points, who moves |
 //! | [`trainer`] | the step: deform, render, compare, differentiate, update |
 
+#[cfg(feature = "reconstruct")]
+mod aside;
 pub mod control;
 pub mod growth;
 #[cfg(feature = "reconstruct")]

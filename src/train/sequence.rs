@@ -8,8 +8,11 @@
 //! 4D3R's stage 1, control points drawn as temporary Gaussians to train a network that moves them, is
 //! left out: paths that begin where dense flow has carried the nodes are better without it.
 //!
+//! Both train on the frames and on what some of them show from aside ([`aside`](SequenceSettings::aside)).
+//!
 //! A clip in which nothing moves gets no control points.
 
+use super::aside::{Frame, aside};
 use super::lifting::{MOVING, camera, lift, path, value};
 use super::motion::MotionStart;
 use super::observer::{Checkpoint, Observer, Phase, run};
@@ -53,6 +56,8 @@ pub struct SequenceSettings {
     pub sh_degree: u32,
     /// Whether it is trained which Gaussians move; else the masks decide once, beforehand.
     pub train_selection: bool,
+    /// Pictures from aside to train on as well, drawn from the frames by their depth, per frame.
+    pub aside: f64,
     /// Clips whose movers cover less of the pixels than this are static.
     pub least_dynamic_share: f64,
     /// Decides everything random.
@@ -69,8 +74,9 @@ impl SequenceSettings {
     /// which something moves.
     pub fn scale(&self, frames: usize, (width, height): (u32, u32)) -> TrainingScale {
         let kind = PictureKind { width, height, disparity: true, mask: true };
+        let aside = PictureKind { mask: false, ..kind };
         TrainingScale {
-            pictures: [(kind, frames)].into(),
+            pictures: [(kind, frames), (aside, self.aside_before(frames))].into(),
             gaussians: self.max_gaussians,
             intersections: 0,
             motion: Some(MotionScale {
@@ -87,6 +93,11 @@ impl SequenceSettings {
     /// training has [`VISITS`] steps for every one.
     fn keys(&self, frames: usize) -> usize {
         frames.min((self.steps as usize / VISITS).max(LEAST_KEYS))
+    }
+
+    /// How many pictures from aside come from the frames before this one.
+    fn aside_before(&self, frame: usize) -> usize {
+        (frame as f64 * self.aside.max(0.0)) as usize
     }
 
     /// For frames of some size: a Gaussian for every three pixels where the frames are large.
@@ -107,6 +118,7 @@ impl Default for SequenceSettings {
             neighbours: 4,
             sh_degree: 1,
             train_selection: true,
+            aside: 0.5,
             least_dynamic_share: 0.002,
             seed: 0,
         }
@@ -149,7 +161,7 @@ pub fn fit_sequence(
     let mut scene = match dynamic && !track.scaffold.nodes.is_empty() {
         true => fit_moving(device, sequence, &seeds, settings, resume, observer)?,
         false => {
-            let views = views(sequence, |_| 1.0);
+            let views = views(sequence, settings, |_| 1.0);
             let train = joint_settings(settings);
             let mut trainer = match resume {
                 Some(Checkpoint::Static(state)) => Trainer::resume(device, &views, state, train)?,
@@ -215,7 +227,7 @@ fn fit_moving(
 ) -> Result<Scene> {
     let train = joint_settings(settings);
     // Not before they are needed: the static world is trained on views of its own.
-    let all = || views(sequence, |_| 1.0);
+    let all = || views(sequence, settings, |_| 1.0);
     let mut trainer = match resume {
         Some(Checkpoint::Joint(state)) => Trainer::resume(device, &all(), state, train)?,
         earlier => {
@@ -245,7 +257,7 @@ fn static_world(
     resume: Option<Checkpoint>,
     observer: &mut dyn Observer,
 ) -> Result<Gaussians> {
-    let views = views(sequence, |moving| if moving > 0.0 { 0.0 } else { 1.0 });
+    let views = views(sequence, settings, |moving| if moving > 0.0 { 0.0 } else { 1.0 });
     let train = TrainSettings {
         steps: settings.static_steps,
         growth: None,
@@ -297,10 +309,14 @@ const LIFTED_WEIGHT: f32 = 1.0;
 
 /// The frames as training views; `weight` turns the movers' nearness (1 on a mover, 0 away from any)
 /// into a pixel's weight. The depth that was measured on static pixels, and that of lifted movers,
-/// comes along.
-fn views(sequence: Sequence<'_>, weight: impl Fn(f32) -> f32 + Sync) -> Vec<TrainingView> {
+/// comes along. Then what they show from aside.
+fn views(
+    sequence: Sequence<'_>,
+    settings: &SequenceSettings,
+    weight: impl Fn(f32) -> f32 + Sync,
+) -> Vec<TrainingView> {
     let track = sequence.track;
-    (0..sequence.frames.len())
+    let mut views: Vec<TrainingView> = (0..sequence.frames.len())
         .into_par_iter()
         .map(|frame| {
             let mask = dilated(&track.masks[frame], 2);
@@ -328,7 +344,21 @@ fn views(sequence: Sequence<'_>, weight: impl Fn(f32) -> f32 + Sync) -> Vec<Trai
                 mask: Some(track.masks[frame].clone()),
             }
         })
-        .collect()
+        .collect();
+    let from_aside: Vec<TrainingView> = (0..views.len())
+        .into_par_iter()
+        .flat_map_iter(|frame| {
+            let numbers = settings.aside_before(frame)..settings.aside_before(frame + 1);
+            numbers.map(move |number| (frame, number))
+        })
+        .filter_map(|(frame, number)| {
+            let (view, depth) = (&views[frame], &track.depth[frame]);
+            let (mask, owners) = (&track.masks[frame], &track.owners[frame]);
+            aside(Frame { view, depth, mask, owners }, number)
+        })
+        .collect();
+    views.extend(from_aside);
+    views
 }
 
 /// 1 on what moves and within some pixels of it, else 0.

@@ -1,0 +1,473 @@
+//! How far a mover is: one scale for its path, and corrections of the path, from four sources.
+//!
+//! - Its outline: a thing keeps its size, so what its structure from motion drifts is seen in it
+//!   ([`super::outline`]).
+//! - Contact: where it touches static ground, in most frames, it is as far as the ground.
+//! - Smoothness: what moves by itself moves smoothly and a camera in a hand does not
+//!   ([`super::smooth`]).
+//! - It is nearer than what it hides.
+//!
+//! Contact and smoothness each come with a standard deviation and are averaged by it. The bound takes
+//! the place of contact where there is none.
+
+use glam::{DMat3, DVec2, DVec3};
+
+use super::cameras::Cameras;
+use super::movers::{BOUND, KNOWN, Shape};
+use super::objects::Object;
+use super::outline::{Outline, outline};
+use super::quantile;
+use super::smooth::{self, Place};
+use crate::types::Pose;
+
+/// Standard deviation of an outline's depth, logarithm: what turns or bends looks larger and smaller.
+const OUTLINE: f64 = 0.1;
+/// Standard deviation of a contact's depth at least, logarithm.
+const CONTACT: f64 = 0.03;
+/// A contact agrees with the path within this relative difference.
+const AGREES: f64 = 0.1;
+/// An object touches the ground if it has contacts in this share of its frames, and this share of
+/// them agrees.
+const TOUCHES: (f64, f64) = (0.25, 0.5);
+/// An object is as deep at its contact as the median of so many points next to it.
+const NEAR_CONTACT: usize = 5;
+/// Masks overhang by so many pixels.
+const OVERHANG: f64 = 1.0;
+/// The ground at a contact is a plane about it: so many widths of the object to each side, so many of
+/// its heights up and down, at least so many pixels.
+const GROUND: (f64, f64) = (0.3, 0.4);
+const GROUND_PIXELS: usize = 40;
+/// To this relative difference of inverse depth, at least this share of the pixels lies on the plane.
+const ON_GROUND: (f64, f64) = (0.05, 0.6);
+/// Weight of a pixel whose depth is filled in; one that is measured has up to 0.5.
+const UNMEASURED: f64 = 0.01;
+/// What lies next to a contact and is not so deep as the ground, to this relative difference, hides
+/// the object's lower end.
+const HIDES: f64 = 0.2;
+/// Over the height of the picture the ground's inverse depth changes by at least this share.
+const SLOPE: f64 = 0.7;
+/// Standard deviation across the line of sight of an object's middle, pixels.
+const MIDDLE: f64 = 0.1;
+/// A scale is known that has less than this relative deviation.
+const DECIDED: f64 = 0.2;
+/// How much nearer than what it hides a thing is that touches nothing: mean and deviation of the
+/// logarithm. Few things fly right before a wall or right before the camera.
+const BEFORE: (f64, f64) = (0.4, 0.3);
+/// Least deviation of a step of a path, logarithm.
+const LEAST_DRIFT: f64 = 0.002;
+
+/// The static world as a frame sees it, behind the movers too.
+#[derive(Clone, Copy)]
+pub(super) struct Behind<'a> {
+    /// Inverse depth.
+    pub inverse: &'a [f32],
+    /// How far it is measured; see [`super::Track::depth_confidence`].
+    pub confidence: &'a [f32],
+}
+
+/// A logarithm and its standard deviation.
+#[derive(Clone, Copy, Debug)]
+struct Estimate {
+    value: f64,
+    deviation: f64,
+}
+
+impl Estimate {
+    fn and(self, other: Estimate) -> Estimate {
+        let (a, b) = (self.deviation.powi(-2), other.deviation.powi(-2));
+        Estimate {
+            value: (a * self.value + b * other.value) / (a + b),
+            deviation: (a + b).sqrt().recip(),
+        }
+    }
+}
+
+/// The depth of an object's middle in the world's unit, frame by frame, and its confidence. `owners`
+/// and `behind` are of all frames of the clip.
+pub(super) fn distances(
+    index: usize,
+    object: &Object,
+    shape: &Shape,
+    cameras: &Cameras,
+    owners: &[Vec<Option<u16>>],
+    behind: &[Behind<'_>],
+) -> (Vec<f64>, f32) {
+    let n = shape.frames.len();
+    let frames = object.first..object.first + n;
+    let outlines: Vec<Option<Outline>> =
+        frames.clone().map(|f| outline(index, &owners[f], &cameras.intrinsics)).collect();
+    let steps: Vec<f64> = shape.drift.iter().map(|drift| drift.max(LEAST_DRIFT)).collect();
+    let path = {
+        let path: Vec<f64> = shape.frames.iter().map(|f| f.depth.ln()).collect();
+        let sizes: Vec<Option<f64>> = outlines.iter().map(|o| Some((*o)?.depth.ln())).collect();
+        sized(path, &sizes, &steps)
+    };
+    let middles = middles(shape, &outlines);
+    let smooth = smoothness(shape, &path, &middles, &cameras.poses[frames.clone()], cameras);
+    let contacts: Vec<Option<f64>> = frames
+        .clone()
+        .enumerate()
+        .map(|(k, f)| {
+            let width = cameras.intrinsics.width as usize;
+            let (depth, pixel) = contact(index, &owners[f], behind[f], width)?;
+            let near = object.tracks.iter().zip(&shape.frames[k].relative);
+            let mut near: Vec<(f64, f64)> =
+                near.filter_map(|(t, r)| Some((t.at(f)?.distance(pixel), (*r)?))).collect();
+            near.sort_by(|a, b| a.0.total_cmp(&b.0));
+            near.truncate(NEAR_CONTACT);
+            let relative = near.iter().map(|n| n.1).collect::<Vec<_>>();
+            let relative = if near.is_empty() { 1.0 } else { quantile(relative, 0.5) };
+            Some((depth / relative).ln())
+        })
+        .collect();
+    if let Some((bent, touching)) = touched(&path, &contacts, &steps) {
+        let both = smooth.map_or(touching, |smooth| touching.and(smooth));
+        let shift = both.value - touching.value;
+        return (bent.iter().map(|x| (x + shift).exp()).collect(), KNOWN);
+    }
+    // Nearer than what it hides, in nearly every frame.
+    let bounds = frames
+        .zip(&path)
+        .filter_map(|(f, depth)| {
+            let own = owners[f].iter().zip(behind[f].inverse);
+            let hidden: Vec<f64> = own
+                .filter(|(owner, _)| **owner == Some(index as u16))
+                .map(|(_, inverse)| f64::from(*inverse))
+                .collect();
+            (!hidden.is_empty()).then(|| -quantile(hidden, 0.8).max(1e-3).ln() - depth)
+        })
+        .collect();
+    let before = Estimate { value: quantile(bounds, 0.1) - BEFORE.0, deviation: BEFORE.1 };
+    let scale = smooth.map_or(before, |smooth| before.and(smooth));
+    let confidence = if scale.deviation < DECIDED { KNOWN } else { BOUND };
+    (path.iter().map(|x| (x + scale.value).exp()).collect(), confidence)
+}
+
+/// The pixel of an object's middle, frame by frame: where its structure from motion does not hold,
+/// the middle of its outline, which is as far from the object's as in the nearest frame that has both.
+fn middles(shape: &Shape, outlines: &[Option<Outline>]) -> Vec<DVec2> {
+    let n = outlines.len();
+    let structured = |k: usize| shape.frames[k].view_from_object.is_some();
+    let both: Vec<usize> = (0..n).filter(|k| structured(*k) && outlines[*k].is_some()).collect();
+    let place = |k: usize| {
+        let middle = shape.frames[k].middle;
+        let Some(outline) = outlines[k].filter(|_| !structured(k)) else { return middle };
+        let nearest = both.iter().min_by_key(|b| b.abs_diff(k));
+        let off = nearest.and_then(|b| Some(shape.frames[*b].middle - outlines[*b]?.middle));
+        outline.middle + off.unwrap_or(DVec2::ZERO)
+    };
+    (0..n).map(place).collect()
+}
+
+/// The scale that makes a path smoothest.
+fn smoothness(
+    shape: &Shape,
+    path: &[f64],
+    middles: &[DVec2],
+    view_from_world: &[Pose],
+    cameras: &Cameras,
+) -> Option<Estimate> {
+    let places: Vec<Place> = (0..path.len())
+        .map(|k| {
+            let world_from_view = view_from_world[k].inverse();
+            let depth = path[k].exp();
+            let relative = cameras.intrinsics.ray(middles[k]) * depth;
+            let along = if shape.rigid { 0.005 } else { 0.1 };
+            Place {
+                relative: world_from_view.rotation * relative,
+                centre: world_from_view.translation,
+                across: MIDDLE * depth / cameras.intrinsics.fx,
+                along: along * depth,
+            }
+        })
+        .collect();
+    let unit = smooth::unit(&places).filter(|u| u.inverse > 0.0 && u.deviation < u.inverse)?;
+    Some(Estimate { value: -unit.inverse.ln(), deviation: unit.deviation / unit.inverse })
+}
+
+/// Where an object meets static ground: the ground's depth there, and the pixel. `None` where its
+/// lower end is cut off by the picture or hidden.
+fn contact(
+    index: usize,
+    owners: &[Option<u16>],
+    behind: Behind<'_>,
+    width: usize,
+) -> Option<(f64, DVec2)> {
+    let height = owners.len() / width;
+    let own = |i: usize| owners[i] == Some(index as u16);
+    let mut lowest: Vec<(usize, usize)> = Vec::new();
+    let (mut top, mut bottom) = (usize::MAX, 0);
+    for x in 0..width {
+        let mut column = (0..height).filter(|y| own(y * width + x));
+        let Some(first) = column.next() else { continue };
+        let last = column.next_back().unwrap_or(first);
+        (top, bottom) = (top.min(first), bottom.max(last));
+        lowest.push((x, last));
+    }
+    // Masks overhang by a pixel or two.
+    if lowest.len() < 3 || bottom + 3 >= height {
+        return None;
+    }
+    let ends = (lowest[0].0, lowest[lowest.len() - 1].0);
+    let band = (0.06 * (bottom - top) as f64).max(2.0) as usize;
+    let below = |(x, y): (usize, usize)| (y + 2) * width + x;
+    lowest.retain(|at| at.1 + band >= bottom && owners[below(*at)].is_none());
+    let (x, y) = *lowest.get(lowest.len() / 2)?;
+    let aside = (GROUND.0 * (ends.1 - ends.0) as f64) as usize;
+    let up = ((GROUND.1 * (bottom - top) as f64) as usize).max(4);
+    let columns = ends.0.saturating_sub(aside)..=(ends.1 + aside).min(width - 1);
+    let rows = bottom.saturating_sub(up)..=(bottom + up).min(height - 1);
+    let static_pixels = rows
+        .flat_map(|y| columns.clone().map(move |x| (x, y)))
+        .filter(|(x, y)| owners[y * width + x].is_none());
+    let plane = plane(static_pixels, behind, width, DVec2::new(x as f64, y as f64 - OVERHANG))?;
+    // Ground is seen from above: its depth falls from the horizon downwards.
+    let (inverse, slope) = (plane.z, plane.y);
+    // What hides the lower end is not on the ground.
+    let seen = lowest.iter().map(|at| f64::from(behind.inverse[below(*at)]));
+    let next_to_it = quantile(seen.collect(), 0.5);
+    let agrees = (next_to_it / (inverse + slope * (2.0 + OVERHANG))).ln().abs() < HIDES;
+    let found = inverse > 0.0 && slope * height as f64 > SLOPE * inverse && agrees;
+    found.then(|| (1.0 / inverse, DVec2::new(x as f64 + 0.5, y as f64 + 0.5)))
+}
+
+/// The plane that most pixels of measured depth lie on: on a plane inverse depth is linear in the
+/// pixel. Its slopes by x and y and its value at the pixel `at`. `None` for too few pixels, and where
+/// they lie on no one plane.
+fn plane(
+    pixels: impl Iterator<Item = (usize, usize)>,
+    behind: Behind<'_>,
+    width: usize,
+    at: DVec2,
+) -> Option<DVec3> {
+    let samples: Vec<(DVec3, f64, f64)> = pixels
+        .map(|(x, y)| {
+            let i = y * width + x;
+            let weight = (f64::from(behind.confidence[i]) - 0.5).max(UNMEASURED);
+            let off = DVec2::new(x as f64, y as f64) - at;
+            (off.extend(1.0), f64::from(behind.inverse[i]), weight)
+        })
+        .collect();
+    if samples.len() < GROUND_PIXELS {
+        return None;
+    }
+    let mut plane = DVec3::ZERO;
+    let mut spread = f64::INFINITY;
+    for _ in 0..10 {
+        let (mut products, mut right) = (DMat3::ZERO, DVec3::ZERO);
+        for (row, value, weight) in &samples {
+            let off = (value - plane.dot(*row)) / spread;
+            let weight = weight / (1.0 + off * off).powi(2);
+            products += DMat3::from_cols(*row * row.x, *row * row.y, *row * row.z) * weight;
+            right += *row * (weight * value);
+        }
+        plane = products.inverse() * right;
+        if !plane.is_finite() {
+            return None;
+        }
+        let off = samples.iter().map(|(row, value, _)| (value - plane.dot(*row)).abs()).collect();
+        spread = (2.0 * quantile(off, 0.5)).max(1e-4 * plane.z.abs());
+    }
+    let total: f64 = samples.iter().map(|sample| sample.2).sum();
+    let on = samples.iter().filter(|(row, value, _)| {
+        let expected = plane.dot(*row);
+        (value - expected).abs() < ON_GROUND.0 * expected
+    });
+    (on.map(|sample| sample.2).sum::<f64>() > ON_GROUND.1 * total).then_some(plane)
+}
+
+/// The path, bent to what the sizes of the outlines say, up to one factor.
+fn sized(path: Vec<f64>, sizes: &[Option<f64>], steps: &[f64]) -> Vec<f64> {
+    let off: Vec<f64> = sizes.iter().zip(&path).filter_map(|(s, p)| Some((*s)? - p)).collect();
+    if off.len() < 3 {
+        return path;
+    }
+    let unit = quantile(off, 0.5);
+    let targets: Vec<Option<f64>> = sizes.iter().map(|s| Some((*s)? - unit)).collect();
+    let pull = Pull { deviation: OUTLINE, first_width: 16.0, power: 1 };
+    bent(&path, &path, &targets, pull, steps)
+}
+
+/// The path, scaled and bent so that it meets its contacts, and how well they tell the scale; `None`
+/// where they do not agree.
+fn touched(path: &[f64], contacts: &[Option<f64>], steps: &[f64]) -> Option<(Vec<f64>, Estimate)> {
+    let offsets: Vec<f64> =
+        contacts.iter().zip(path).filter_map(|(c, p)| Some((*c)? - p)).collect();
+    if (offsets.len() as f64) < (TOUCHES.0 * path.len() as f64).max(3.0) {
+        return None;
+    }
+    // From the offset that most agree with.
+    let agreeing = |o: &f64| offsets.iter().filter(|p| (*p - o).abs() < 0.5 * AGREES).count();
+    let start = *offsets.iter().max_by_key(|o| agreeing(o))?;
+    let first: Vec<f64> = path.iter().map(|p| p + start).collect();
+    let scatter = |path: &[f64]| {
+        let off = contacts.iter().zip(path).filter_map(|(c, p)| Some(((*c)? - p).abs()));
+        1.5 * quantile(off.collect(), 0.5)
+    };
+    let pull = Pull { deviation: CONTACT, first_width: 1.0, power: 2 };
+    let bent = bent(path, &first, contacts, pull, steps);
+    let agree = contacts.iter().zip(&bent).filter_map(|(c, b)| Some(((*c)? - b).abs() < AGREES));
+    let agree = agree.filter(|a| *a).count();
+    let touches = agree as f64 >= TOUCHES.1 * offsets.len() as f64;
+    let moved = bent.iter().zip(path).map(|(b, p)| b - p).sum::<f64>() / path.len() as f64;
+    // What puts one contact off puts off its neighbours: they are not averaged.
+    let deviation = scatter(&bent).max(CONTACT);
+    touches.then_some((bent, Estimate { value: moved, deviation }))
+}
+
+/// How targets pull at a path.
+struct Pull {
+    deviation: f64,
+    /// Width of the robust kernel at first, in deviations; it ends at one.
+    first_width: f64,
+    /// Of the kernel: 1 is Cauchy's, which holds on to targets that are far off; 2 is Geman and
+    /// McClure's, which lets go of them.
+    power: i32,
+}
+
+/// A path that keeps the steps of `path`, each to its standard deviation, and meets what targets
+/// there are, from `first` on.
+fn bent(
+    path: &[f64],
+    first: &[f64],
+    targets: &[Option<f64>],
+    Pull { deviation, first_width, power }: Pull,
+    steps: &[f64],
+) -> Vec<f64> {
+    let n = path.len();
+    let mut bent = first.to_vec();
+    for round in 0..10 {
+        // From a wide kernel to its own width.
+        let width = deviation * f64::max(1.0, first_width * 0.5f64.powi(round));
+        // Tridiagonal.
+        let (mut diagonal, mut right) = (vec![1e-9; n], vec![0.0; n]);
+        for (k, target) in targets.iter().enumerate() {
+            let Some(target) = target else { continue };
+            let off = (target - bent[k]) / width;
+            let weight = deviation.powi(-2) / (1.0 + off * off).powi(power);
+            diagonal[k] += weight;
+            right[k] += weight * target;
+        }
+        for k in 0..n - 1 {
+            let stiff = steps[k].powi(-2);
+            let change = path[k + 1] - path[k];
+            diagonal[k] += stiff;
+            diagonal[k + 1] += stiff;
+            right[k] -= stiff * change;
+            right[k + 1] += stiff * change;
+        }
+        for k in 1..n {
+            let stiff = steps[k - 1].powi(-2);
+            let factor = stiff / diagonal[k - 1];
+            diagonal[k] -= factor * stiff;
+            right[k] += factor * right[k - 1];
+        }
+        bent[n - 1] = right[n - 1] / diagonal[n - 1];
+        for k in (0..n - 1).rev() {
+            bent[k] = (right[k] + steps[k].powi(-2) * bent[k + 1]) / diagonal[k];
+        }
+    }
+    bent
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::sliding::*;
+    use super::*;
+    use crate::types::Image;
+
+    #[test]
+    fn contacts_that_agree_bend_the_path_to_them() {
+        // Up to scale the path is right; three contacts of ten are of something else.
+        let path: Vec<f64> = (0..10).map(|k| (1.0 + 0.02 * f64::from(k)).ln()).collect();
+        let contacts: Vec<Option<f64>> = (0..10)
+            .map(|k| match k {
+                4 => None,
+                2 | 5 | 8 => Some((7.0 + f64::from(k)).ln()),
+                _ => Some(path[k as usize] + 3f64.ln()),
+            })
+            .collect();
+        let steps = [0.002; 9];
+        let (found, scale) = touched(&path, &contacts, &steps).unwrap();
+        for (logarithm, p) in found.iter().zip(&path) {
+            assert!((logarithm - p - 3f64.ln()).abs() < 0.01, "{logarithm}");
+        }
+        assert!((scale.value - 3f64.ln()).abs() < 0.01 && scale.deviation == CONTACT, "{scale:?}");
+        // Contacts that come from what happens to lie below do not agree.
+        let below = |k: usize| Some((2.0 + k as f64).ln());
+        assert!(touched(&path, &(0..10).map(below).collect::<Vec<_>>(), &steps).is_none());
+        assert!(touched(&path, &[None; 10], &steps).is_none());
+        // Two of ten are too few to be more than chance.
+        let few: Vec<_> = (0..10).map(|k| if k < 2 { contacts[k] } else { None }).collect();
+        assert!(touched(&path, &few, &steps).is_none());
+    }
+
+    #[test]
+    fn a_drifting_path_keeps_the_size() {
+        // It drifts by 0.25 in the 5 steps that are little known; the outlines tremble, and one is
+        // wrong.
+        let truth = |k: usize| 0.02 * k as f64;
+        let drift = |k: usize| 0.05 * k.clamp(8, 13) as f64;
+        let path: Vec<f64> = (0..20).map(|k| truth(k) + drift(k)).collect();
+        let sizes: Vec<Option<f64>> = (0..20)
+            .map(|k| match k {
+                3 | 7 => None,
+                12 => Some(truth(k) - 0.7),
+                _ => Some(2.0 + truth(k) + 0.04 * (2.1 * k as f64).sin()),
+            })
+            .collect();
+        let steps: Vec<f64> =
+            (0..19).map(|k| if (8..13).contains(&k) { 0.06 } else { 0.005 }).collect();
+        let found = sized(path.clone(), &sizes, &steps);
+        let change = |p: &[f64]| (p[19] - p[0] - truth(19)).abs();
+        assert!(change(&path) > 0.24 && change(&found) < 0.06, "{}", change(&found));
+        // Without outlines it stays, and what does not drift is not moved by their trembling.
+        assert_eq!(sized(path.clone(), &[None; 20], &steps), path);
+        let steady: Vec<f64> = (0..20).map(truth).collect();
+        let found = sized(steady.clone(), &sizes, &[0.002; 19]);
+        assert!(change(&found) < 0.02, "{}", change(&found));
+    }
+
+    /// Ground that a camera above it sees, some of it measured wrongly, with what hides it in places.
+    fn ground(hides: impl Fn(DVec2) -> bool) -> (Image, Image) {
+        let inverse = map(|p| match (p.x as usize * 7 + p.y as usize * 3) % 5 {
+            _ if hides(p) => 1.4,
+            0 => 0.9,
+            _ => 0.1 + 0.02 * p.y as f32,
+        });
+        (inverse, map(|_| 0.9))
+    }
+
+    #[test]
+    fn an_object_touches_the_ground_at_its_lower_end() {
+        let (w, h) = (WIDTH as usize, HEIGHT as usize);
+        let object = |bottom: f64| -> Vec<Option<u16>> {
+            let on = |i| within(centre(i), (20.0, 8.0), (30.0, bottom));
+            (0..w * h).map(|i| on(i).then_some(0)).collect()
+        };
+        let (inverse, confidence) = ground(|_| false);
+        let behind = Behind { inverse: &inverse.pixels, confidence: &confidence.pixels };
+        let (depth, pixel) = contact(0, &object(30.0), behind, w).unwrap();
+        // A row above the last of the mask.
+        assert!((1.0 / depth / (0.1 + 0.02 * 28.5) - 1.0).abs() < 0.01, "{depth}");
+        assert_eq!(pixel.y, 29.5);
+        assert!(contact(0, &object(39.0), behind, w).is_none(), "it is cut off");
+        assert!(contact(1, &object(30.0), behind, w).is_none());
+        // A box stands before its lower end.
+        let (inverse, confidence) = ground(|p| within(p, (16.0, 29.0), (36.0, 40.0)));
+        let behind = Behind { inverse: &inverse.pixels, confidence: &confidence.pixels };
+        assert!(contact(0, &object(30.0), behind, w).is_none(), "it is hidden");
+        // A wall is no ground.
+        let wall = map(|_| 0.5);
+        let behind = Behind { inverse: &wall.pixels, confidence: &confidence.pixels };
+        assert!(contact(0, &object(30.0), behind, w).is_none());
+    }
+
+    #[test]
+    fn estimates_are_averaged_by_their_deviations() {
+        let sure = Estimate { value: 1.0, deviation: 0.1 };
+        let both = sure.and(Estimate { value: 2.0, deviation: 0.2 });
+        assert!((both.value - 1.2).abs() < 1e-12);
+        assert!((both.deviation - 0.1 / 1.25f64.sqrt()).abs() < 1e-12);
+    }
+}
