@@ -58,12 +58,13 @@ pub(super) fn aside(frame: Frame<'_>, number: usize) -> Option<TrainingView> {
     Some(Mesh { frame, disparity }.draw(&aside_from_view(number, median)))
 }
 
-/// A camera aside that looks at what the frame's looks at, at depth `depth`. The golden angle and the
-/// golden ratio spread directions and distances evenly, however many there are.
+/// A camera aside that looks at what the frame's looks at, at depth `depth`. Directions and distances
+/// are spread evenly, and independently of each other, by the plane's low-discrepancy sequence of the
+/// plastic ratio (Roberts 2018).
 fn aside_from_view(number: usize, depth: f64) -> Pose {
-    let golden = 0.5 * (5f64.sqrt() - 1.0);
-    let turn = std::f64::consts::TAU * (number as f64 * golden).fract();
-    let share = (number as f64 * golden * golden * golden + 0.5).fract();
+    const STEP: [f64; 2] = [0.754_877_666_246_692_8, 0.569_840_290_998_053_3];
+    let [turn, share] = STEP.map(|step| (number as f64 * step + 0.5).fract());
+    let turn = std::f64::consts::TAU * turn;
     let distance = depth * (DISTANCE.0 + (DISTANCE.1 - DISTANCE.0) * share);
     let centre = distance * DVec3::new(turn.cos(), turn.sin(), 0.0);
     let towards = (DVec3::Z * depth - centre).normalize();
