@@ -118,7 +118,7 @@ impl Default for SequenceSettings {
             neighbours: 4,
             sh_degree: 1,
             train_selection: true,
-            aside: 0.5,
+            aside: 0.3,
             least_dynamic_share: 0.002,
             seed: 0,
         }
