@@ -53,7 +53,8 @@ const ASTRAY: f64 = 1.0;
 const SURE: f32 = 0.2;
 
 /// Aligns the points of tracks with the pictures that the flow was found in; their deviations become
-/// what the pictures leave. A track goes on past its end as long as its point is found. Where pictures have no content, points stay where they are.
+/// what the pictures leave. A track goes on past its end as long as its point is found. Where pictures
+/// have no content, points stay where they are.
 pub fn refine(frames: &[Image], flow: &NeighbourFlow, tracks: &mut [PointTrack]) {
     let frames: Vec<Luminance> = frames.par_iter().map(Luminance::of).collect();
     tracks.par_iter_mut().for_each(|track| refine_track(&frames, flow, track));

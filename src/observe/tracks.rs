@@ -25,16 +25,21 @@ impl PointTrack {
         frame.checked_sub(self.first).and_then(|k| self.pixels.get(k)).copied()
     }
 
+    /// Standard deviation of a pixel of the track where another is taken as exact, both by their place
+    /// in the track.
+    pub(crate) fn deviation_between(&self, exact: usize, k: usize) -> f32 {
+        let [exact, other] = [exact, k].map(|k| self.deviation[k]);
+        (other * other - exact * exact).abs().sqrt()
+    }
+
     /// Its part within a range of frames, the first pixel there taken as exact.
     pub fn part(&self, frames: std::ops::Range<usize>) -> PointTrack {
         let (first, end) = (self.first.max(frames.start), self.end().min(frames.end));
         let part = first - self.first..end.max(first) - self.first;
-        let start = self.deviation.get(part.start).copied().unwrap_or(0.0);
-        let since = |d: &f32| (d * d - start * start).abs().sqrt();
         PointTrack {
             first,
             pixels: self.pixels[part.clone()].to_vec(),
-            deviation: self.deviation[part].iter().map(since).collect(),
+            deviation: part.clone().map(|k| self.deviation_between(part.start, k)).collect(),
         }
     }
 

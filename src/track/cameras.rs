@@ -317,8 +317,7 @@ impl Cameras {
             for f in track.first..track.end() {
                 let k = f - track.first;
                 if posed[f] && f != frame {
-                    let start = track.deviation[frame - track.first];
-                    let since = (track.deviation[k].powi(2) - start.powi(2)).abs().sqrt();
+                    let since = track.deviation_between(frame - track.first, k);
                     problem.observations.push(Observation {
                         point,
                         frame: place_of[f],
@@ -420,7 +419,8 @@ impl Cameras {
             let relative = self.poses[f] * anchor_from_world;
             let found = bundle::project(&self.intrinsics, &relative, pixel, inverse_depth);
             let (seen, jacobian) = found?;
-            let known = DEVIATION.hypot(f64::from(track.deviation[k])).powi(-2);
+            let since = track.deviation_between(frame - track.first, k);
+            let known = DEVIATION.hypot(f64::from(since)).powi(-2);
             information += known * jacobian.inverse_depth.length_squared();
             squares += known * (seen - track.pixels[k]).length_squared();
             views += 1.0;

@@ -1,7 +1,7 @@
 //! How far a mover is: one scale for its path, and corrections of the path, from four sources.
 //!
-//! - Its outline: a thing keeps its size, so what its structure from motion drifts is seen in it
-//!   ([`super::outline`]).
+//! - Its outline: a thing keeps its size, so the drift of its structure from motion shows as a change
+//!   of size ([`super::outline`]).
 //! - Contact: where it touches static ground, in most frames, it is as far as the ground.
 //! - Smoothness: what moves by itself moves smoothly and a camera in a hand does not
 //!   ([`super::smooth`]).
@@ -18,7 +18,6 @@ use super::objects::Object;
 use super::outline::{Outline, outline};
 use super::quantile;
 use super::smooth::{self, Place};
-use crate::types::Pose;
 
 /// Standard deviation of an outline's depth, logarithm: what turns or bends looks larger and smaller.
 const OUTLINE: f64 = 0.1;
@@ -48,6 +47,8 @@ const HIDES: f64 = 0.2;
 const SLOPE: f64 = 0.7;
 /// Standard deviation across the line of sight of an object's middle, pixels.
 const MIDDLE: f64 = 0.1;
+/// Along it, relative to its depth, where the object is rigid and where it is not.
+const ALONG: (f64, f64) = (0.005, 0.1);
 /// A scale is known that has less than this relative deviation.
 const DECIDED: f64 = 0.2;
 /// How much nearer than what it hides a thing is that touches nothing: mean and deviation of the
@@ -103,7 +104,7 @@ pub(super) fn distances(
         sized(path, &sizes, &steps)
     };
     let middles = middles(shape, &outlines);
-    let smooth = smoothness(shape, &path, &middles, &cameras.poses[frames.clone()], cameras);
+    let smooth = smoothness(shape, &path, &middles, cameras, object.first);
     let contacts: Vec<Option<f64>> = frames
         .clone()
         .enumerate()
@@ -164,15 +165,15 @@ fn smoothness(
     shape: &Shape,
     path: &[f64],
     middles: &[DVec2],
-    view_from_world: &[Pose],
     cameras: &Cameras,
+    first: usize,
 ) -> Option<Estimate> {
     let places: Vec<Place> = (0..path.len())
         .map(|k| {
-            let world_from_view = view_from_world[k].inverse();
+            let world_from_view = cameras.poses[first + k].inverse();
             let depth = path[k].exp();
             let relative = cameras.intrinsics.ray(middles[k]) * depth;
-            let along = if shape.rigid { 0.005 } else { 0.1 };
+            let along = if shape.rigid { ALONG.0 } else { ALONG.1 };
             Place {
                 relative: world_from_view.rotation * relative,
                 centre: world_from_view.translation,
@@ -213,9 +214,9 @@ fn contact(
     let below = |(x, y): (usize, usize)| (y + 2) * width + x;
     lowest.retain(|at| at.1 + band >= bottom && owners[below(*at)].is_none());
     let (x, y) = *lowest.get(lowest.len() / 2)?;
-    let aside = (GROUND.0 * (ends.1 - ends.0) as f64) as usize;
+    let beside = (GROUND.0 * (ends.1 - ends.0) as f64) as usize;
     let up = ((GROUND.1 * (bottom - top) as f64) as usize).max(4);
-    let columns = ends.0.saturating_sub(aside)..=(ends.1 + aside).min(width - 1);
+    let columns = ends.0.saturating_sub(beside)..=(ends.1 + beside).min(width - 1);
     let rows = bottom.saturating_sub(up)..=(bottom + up).min(height - 1);
     let static_pixels = rows
         .flat_map(|y| columns.clone().map(move |x| (x, y)))
@@ -300,18 +301,15 @@ fn touched(path: &[f64], contacts: &[Option<f64>], steps: &[f64]) -> Option<(Vec
     let agreeing = |o: &f64| offsets.iter().filter(|p| (*p - o).abs() < 0.5 * AGREES).count();
     let start = *offsets.iter().max_by_key(|o| agreeing(o))?;
     let first: Vec<f64> = path.iter().map(|p| p + start).collect();
-    let scatter = |path: &[f64]| {
-        let off = contacts.iter().zip(path).filter_map(|(c, p)| Some(((*c)? - p).abs()));
-        1.5 * quantile(off.collect(), 0.5)
-    };
     let pull = Pull { deviation: CONTACT, first_width: 1.0, power: 2 };
     let bent = bent(path, &first, contacts, pull, steps);
-    let agree = contacts.iter().zip(&bent).filter_map(|(c, b)| Some(((*c)? - b).abs() < AGREES));
-    let agree = agree.filter(|a| *a).count();
+    let off: Vec<f64> =
+        contacts.iter().zip(&bent).filter_map(|(c, b)| Some(((*c)? - b).abs())).collect();
+    let agree = off.iter().filter(|off| **off < AGREES).count();
     let touches = agree as f64 >= TOUCHES.1 * offsets.len() as f64;
     let moved = bent.iter().zip(path).map(|(b, p)| b - p).sum::<f64>() / path.len() as f64;
     // What puts one contact off puts off its neighbours: they are not averaged.
-    let deviation = scatter(&bent).max(CONTACT);
+    let deviation = (1.5 * quantile(off, 0.5)).max(CONTACT);
     touches.then_some((bent, Estimate { value: moved, deviation }))
 }
 

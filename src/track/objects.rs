@@ -46,6 +46,7 @@ pub(super) fn find(frames: &[Image], flow: &NeighbourFlow, masks: &[Image]) -> V
     let mut tracks: Vec<PointTrack> =
         follow(flow, &options).iter().filter_map(|track| on_movers(track, masks, 2)).collect();
     refine(frames, flow, &mut tracks);
+    // They have become longer, and may have left the movers.
     tracks = tracks.iter().filter_map(|track| on_movers(track, masks, LEAST_LIFE)).collect();
     let labels = together(&tracks, spacing as f64, masks.len());
     let mut groups: Vec<Vec<PointTrack>> = vec![Vec::new(); tracks.len()];

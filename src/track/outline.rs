@@ -8,7 +8,7 @@ use glam::{DVec2, DVec3};
 
 /// Nearer to the picture's edge an outline is cut off, pixels.
 const EDGE: usize = 2;
-/// An outline is hidden in part if more than this share of it lies on another mover's.
+/// An outline is hidden in part if more than this share of its contour borders on another mover.
 const HIDDEN: f64 = 0.05;
 /// Smaller ones are mostly the mask's own error, pixels.
 const LEAST: usize = 30;

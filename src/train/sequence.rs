@@ -8,7 +8,7 @@
 //! 4D3R's stage 1, control points drawn as temporary Gaussians to train a network that moves them, is
 //! left out: paths that begin where dense flow has carried the nodes are better without it.
 //!
-//! Both train on the frames and on what some of them show from aside ([`aside`](SequenceSettings::aside)).
+//! Both steps train on the frames and on what some of them show from aside ([`aside`](SequenceSettings::aside)).
 //!
 //! A clip in which nothing moves gets no control points.
 
