@@ -17,6 +17,7 @@ mod held_out;
 mod info;
 mod interrupt;
 mod meter;
+mod model;
 mod outputs;
 mod path;
 mod quality;

@@ -23,7 +23,7 @@ use super::info::dynamic_share;
 use super::outputs::{Folder, Inputs, Outputs};
 use super::tracker::Tracker;
 use super::watcher::Watcher;
-use super::{interrupt, quality, sheet, supplied, values};
+use super::{interrupt, model, quality, sheet, supplied, values};
 
 /// Longest side of the frames unless told otherwise: on a GPU, and on a software driver.
 const LONGEST: [u32; 2] = [640, 320];
@@ -46,7 +46,8 @@ JSON: psnr_input, ssim_input, gaussians, control_points,
 control_points_added and control_points_removed (in training), dynamic_share (of the pixels),
 dynamic_gaussians (share), intrinsics {fx, fy, cx, cy, width, height, source (given,
 measured, assumed)}, poses {tripod, inlier_share, reprojection_rms, parallax_deg, focal_std,
-doubtful_frames, tracks}, frames, frame_names, model (what was modelled and why), notes, device,
+doubtful_frames, tracks}, frames, frame_names, model [{what, chosen, because, saves}] (each choice, the measurement that
+decided and what it saves), notes, device,
 predicted_bytes (of device memory, before it began), all also kept in the scene; and, in report.json too,
 peak_bytes, milliseconds_per_step, seconds {load, flow, cameras, masks, depth, static, joint,
 evaluate}; output";
@@ -181,8 +182,8 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     let mut watcher = Watcher::new(&mut clock, &mut checkpoints, &phase_names);
     let mut scene = fit_sequence(&device, sequence, &settings, resume, &mut watcher)?;
     let milliseconds_per_step = watcher.finish();
-    let model = model(&scene, &track, &settings);
-    say(&model);
+    let model = model::of_clip(&scene, &track, &settings);
+    say(&model::lines(&model));
 
     let views = views(frames, &names, &scene);
     let mut renderer = Renderer::new(&device, &scene)?;
@@ -405,33 +406,6 @@ fn identity(
         ("what is known beforehand", summed(Some(options))),
         ("the program's settings", summed(Some(&format!("{settings:?}")))),
     ])
-}
-
-/// What was modelled, what was left out, and why.
-fn model(scene: &Scene, track: &Track, settings: &SequenceSettings) -> String {
-    let moving = 100.0 * track.quality.dynamic_share;
-    if scene.moves() {
-        let share = 100.0 * dynamic_share(scene);
-        return format!(
-            "{moving:.1} % of the pixels move: {} control points ({} added and {} removed in \
-             training) on paths of {} key times move {share:.1} % of the Gaussians, all others are \
-             static",
-            scene.control_points.len(),
-            scene.report["control_points_added"],
-            scene.report["control_points_removed"],
-            scene.control_points.keys(),
-        );
-    }
-    if track.quality.dynamic_share < settings.least_dynamic_share {
-        return format!(
-            "nothing moves but the camera ({moving:.2} % of the pixels): no control points, no \
-             network"
-        );
-    }
-    format!(
-        "{moving:.1} % of the pixels seem to move, but none could be followed: no control points, \
-         no network"
-    )
 }
 
 fn focal_source(source: FocalSource) -> &'static str {

@@ -25,6 +25,7 @@ use super::common::{
     Answer, Common, bytes, foresee, most_pairs, notes, path_text, say, thousands, training,
 };
 use super::info::dynamic_share;
+use super::model::{self, Choice};
 use super::outputs::{Inputs, Outputs};
 use super::quality::{self, Quality};
 use super::watcher::Watcher;
@@ -43,9 +44,10 @@ Examples:
 
 JSON: psnr_input, psnr_test (null where nothing is held out), ssim_test,
 gaussians, control_points, control_points_added, control_points_removed (null where nothing moves),
-dynamic_share, model, density (null where their number is kept), steps, images, held_out, device,
-predicted_bytes (of device memory, before it began), all also kept in the scene; and, in report.json too,
-peak_bytes, milliseconds_per_step, seconds {load, train, evaluate}; output";
+dynamic_share, model [{what, chosen, because, saves}], density (null where their number is kept),
+steps, images, held_out, device, predicted_bytes (of device memory, before it began), all also kept
+in the scene; and, in report.json too, peak_bytes, milliseconds_per_step,
+seconds {load, train, evaluate}; output";
 
 /// Host memory of a Gaussian from its point to the device: the point, the tree of its neighbours, all
 /// its values twice.
@@ -167,11 +169,17 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         ..TrainSettings::of_steps(args.steps)
     };
     let moving = set.timed && !args.still;
-    let model = match moving {
-        true => "the pictures have times: every Gaussian follows control points (--static: none)",
-        false => "no motion: no control points, no network",
-    };
-    say(model);
+    let model = [match (moving, set.timed) {
+        (true, _) => {
+            let chosen = "every Gaussian follows control points (--static: none)";
+            Choice::new("motion", chosen, "the pictures have times")
+        }
+        (false, timed) => {
+            let because = if timed { "--static" } else { "the pictures have no times" };
+            Choice::new("motion", "none: no control points, no network", because)
+        }
+    }];
+    say(&model::lines(&model));
     let motion = moving.then(|| {
         let motion = PosedMotion { control_points: args.control_points, ..Default::default() };
         let most = tuning.neighbours.map_or(motion.neighbours, |k| k as usize);

@@ -76,7 +76,7 @@ impl SequenceSettings {
         let kind = PictureKind { width, height, disparity: true, mask: true };
         let aside = PictureKind { mask: false, ..kind };
         TrainingScale {
-            pictures: [(kind, frames), (aside, self.aside_before(frames))].into(),
+            pictures: [(kind, frames), (aside, self.pictures_aside(frames))].into(),
             gaussians: self.max_gaussians,
             intersections: 0,
             motion: Some(MotionScale {
@@ -95,9 +95,9 @@ impl SequenceSettings {
         frames.min((self.steps as usize / VISITS).max(LEAST_KEYS))
     }
 
-    /// How many pictures from aside come from the frames before this one.
-    fn aside_before(&self, frame: usize) -> usize {
-        (frame as f64 * self.aside.max(0.0)) as usize
+    /// How many pictures from aside so many frames give.
+    pub fn pictures_aside(&self, frames: usize) -> usize {
+        (frames as f64 * self.aside.max(0.0)) as usize
     }
 
     /// For frames of some size: a Gaussian for every three pixels where the frames are large.
@@ -348,7 +348,7 @@ fn views(
     let from_aside: Vec<TrainingView> = (0..views.len())
         .into_par_iter()
         .flat_map_iter(|frame| {
-            let numbers = settings.aside_before(frame)..settings.aside_before(frame + 1);
+            let numbers = settings.pictures_aside(frame)..settings.pictures_aside(frame + 1);
             numbers.map(move |number| (frame, number))
         })
         .filter_map(|(frame, number)| {

@@ -1,0 +1,172 @@
+//! The model report: what of a scene was modelled and what was left out, the measurement that each choice
+//! rests on, and what it saves.
+
+use serde::Serialize;
+use splat4d::scene::Scene;
+use splat4d::track::{FocalSource, Track};
+use splat4d::train::SequenceSettings;
+
+use super::common::thousands;
+use super::info::dynamic_share;
+
+/// One choice.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Choice {
+    /// What is chosen about.
+    pub what: &'static str,
+    /// What was chosen.
+    pub chosen: String,
+    /// The measurement or the setting that decided.
+    pub because: String,
+    /// What is spared by it; `None` where the choice is the costly one.
+    pub saves: Option<String>,
+}
+
+impl Choice {
+    /// A choice that saves nothing.
+    pub fn new(
+        what: &'static str,
+        chosen: impl Into<String>,
+        because: impl Into<String>,
+    ) -> Choice {
+        Choice { what, chosen: chosen.into(), because: because.into(), saves: None }
+    }
+
+    fn saving(self, saves: impl Into<String>) -> Choice {
+        Choice { saves: Some(saves.into()), ..self }
+    }
+}
+
+/// The choices as lines to read.
+pub fn lines(choices: &[Choice]) -> String {
+    let line = |choice: &Choice| {
+        let Choice { what, chosen, because, saves } = choice;
+        let saves = saves.as_ref().map_or(String::new(), |saves| format!("; saves {saves}"));
+        format!("  {what}: {chosen} ({because}{saves})")
+    };
+    let lines: Vec<String> = choices.iter().map(line).collect();
+    format!("model:\n{}", lines.join("\n"))
+}
+
+/// The choices of a reconstruction; `scene.report` is what training has left.
+pub fn of_clip(scene: &Scene, track: &Track, settings: &SequenceSettings) -> Vec<Choice> {
+    let mut choices = vec![poses(track), focal_length(track)];
+    choices.extend(motion(scene, track, settings));
+    choices.push(gaussians(scene, settings));
+    choices.push(aside(track.view_from_world.len(), settings));
+    let degree = scene.gaussians.sh_degree;
+    let colours = format!("spherical harmonics of degree {degree}");
+    choices.push(Choice::new("colours by direction", colours, "--sh-degree"));
+    choices
+}
+
+fn poses(track: &Track) -> Choice {
+    let (quality, frames) = (&track.quality, track.view_from_world.len());
+    if quality.tripod {
+        let because = format!(
+            "the camera stands still: {:.0} % of the observations of still points stay within {:.2} px",
+            100.0 * quality.inlier_share,
+            quality.reprojection_rms
+        );
+        let saves = format!("{} poses", frames.saturating_sub(1));
+        return Choice::new("poses", "one for all frames", because).saving(saves);
+    }
+    let because = format!(
+        "the camera moves: rays to a still point differ by up to {:.1}° (median)",
+        quality.parallax_deg
+    );
+    Choice::new("poses", format!("one for each of {frames} frames"), because)
+}
+
+fn focal_length(track: &Track) -> Choice {
+    let chosen = format!("{:.1} px", track.intrinsics.fx);
+    let because = match track.quality.focal_source {
+        FocalSource::Given => "given".into(),
+        FocalSource::Measured => {
+            format!("the clip shows it to ± {:.2} %", 100.0 * track.quality.focal_std)
+        }
+        FocalSource::Assumed => "a common value: the clip does not show it".into(),
+    };
+    Choice::new("focal length", chosen, because)
+}
+
+fn motion(scene: &Scene, track: &Track, settings: &SequenceSettings) -> Vec<Choice> {
+    const NONE: &str = "none: no control points, no network";
+    let moving = 100.0 * track.quality.dynamic_share;
+    if !scene.moves() {
+        let nothing = track.quality.dynamic_share < settings.least_dynamic_share;
+        let because = match nothing {
+            true => format!(
+                "nothing moves but the camera: {moving:.2} % of the pixels do, and motion is modelled \
+                 from {:.2} % on",
+                100.0 * settings.least_dynamic_share
+            ),
+            false => {
+                format!("{moving:.1} % of the pixels seem to move, but none could be followed")
+            }
+        };
+        return vec![Choice::new("motion", NONE, because).saving("its stage of the training")];
+    }
+    let points = &scene.control_points;
+    let share = 100.0 * dynamic_share(scene);
+    let motion = Choice::new(
+        "motion",
+        format!("{share:.1} % of the Gaussians follow control points"),
+        format!("{moving:.1} % of the pixels move"),
+    )
+    .saving(format!("moving the other {:.1} % of the Gaussians", 100.0 - share));
+    let count = Choice::new(
+        "control points",
+        points.len().to_string(),
+        format!(
+            "{} added in training where the loss pulled hardest, {} removed that nothing followed",
+            scene.report["control_points_added"], scene.report["control_points_removed"]
+        ),
+    );
+    let count = match settings.control_points.checked_sub(points.len()) {
+        None | Some(0) => count,
+        Some(spared) => count.saving(format!("{spared} of at most {}", settings.control_points)),
+    };
+    let (keys, frames) = (points.keys(), track.view_from_world.len());
+    let keys = match keys < frames {
+        true => {
+            let because = format!("{} steps are too few for one for each frame", settings.steps);
+            let saves = format!("{} of {frames} for each control point", frames - keys);
+            Choice::new("key times of a path", keys.to_string(), because).saving(saves)
+        }
+        false => Choice::new("key times of a path", keys.to_string(), "one for each frame"),
+    };
+    vec![motion, count, keys]
+}
+
+fn gaussians(scene: &Scene, settings: &SequenceSettings) -> Choice {
+    let (count, most) = (scene.gaussians.len(), settings.max_gaussians);
+    let chosen = format!("{} of at most {}", thousands(count), thousands(most));
+    if count >= most {
+        return Choice::new("Gaussians", chosen, "growth reached the limit");
+    }
+    let because = format!("growth had come so far after {} steps", settings.steps);
+    Choice::new("Gaussians", chosen, because).saving(thousands(most - count))
+}
+
+fn aside(frames: usize, settings: &SequenceSettings) -> Choice {
+    let pictures = settings.pictures_aside(frames);
+    let because = format!("{} for each frame", settings.aside);
+    Choice::new("pictures from aside", pictures.to_string(), because)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_tells_what_was_chosen_why_and_what_it_saves() {
+        let costly = Choice::new("poses", "one for each of 9 frames", "the camera moves");
+        let sparing = Choice::new("motion", "none", "nothing moves").saving("a stage");
+        assert_eq!(
+            lines(&[costly, sparing]),
+            "model:\n  poses: one for each of 9 frames (the camera moves)\n  \
+             motion: none (nothing moves; saves a stage)"
+        );
+    }
+}
