@@ -23,8 +23,18 @@ use splat4d::types::{Gaussians, Image};
 use support::{picture, says};
 use tempfile::TempDir;
 
-const COMMANDS: [&str; 9] =
-    ["reconstruct", "train", "render", "eval", "info", "devices", "bench", "synth", "validate"];
+const COMMANDS: [&str; 10] = [
+    "reconstruct",
+    "train",
+    "render",
+    "eval",
+    "ablate",
+    "info",
+    "devices",
+    "bench",
+    "synth",
+    "validate",
+];
 
 /// The same within so many MiB of address space and a minute: what takes memory or time without
 /// bound fails here, and leaves the machine to others.

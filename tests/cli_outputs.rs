@@ -521,6 +521,7 @@ fn missing_inputs_come_before_missing_drivers() {
         "render a.ply -o x --path missing",
         "render a.ply -o x --settings missing",
         "eval missing clip",
+        "ablate missing",
         "eval a.ply missing",
         "bench --scene missing --error-budget 1 --settings x",
         "validate --case missing",

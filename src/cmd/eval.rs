@@ -152,7 +152,8 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Answer> {
         Some(truth) => {
             let scene = open(args)?;
             let device = common.open_device()?;
-            eval_truth::measure(&device, &scene, &truth, args)?
+            let shown = |names: &[String], folders: &[PathBuf]| args.comparisons(names, folders);
+            eval_truth::measure(&device, &scene, &truth, args.fit_poses, &shown)?
         }
         None if eval_first::is_meant(args)? => eval_first::measure(&open(args)?, args, common)?,
         None if is_text(&args.reference)? => trajectories(args)?,
@@ -165,7 +166,7 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Answer> {
 }
 
 /// The folder that holds `transforms.json` and `held_out`: the reference itself, or the `truth` in it.
-fn truth_folder(reference: &Path) -> Result<Option<PathBuf>> {
+pub fn truth_folder(reference: &Path) -> Result<Option<PathBuf>> {
     std::fs::metadata(reference).map_err(Error::io(reference))?;
     let candidates = [reference.to_path_buf(), reference.join("truth")];
     let is_truth = |folder: &PathBuf| {

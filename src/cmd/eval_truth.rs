@@ -21,8 +21,8 @@ use splat4d::scene::{Scene, SceneCamera};
 use splat4d::types::{Camera, Image, Pose};
 use splat4d::{Error, Result};
 
-use super::eval::{EvalArgs, picture_keys, trajectory_keys};
-use super::held_out::{self, Judge, Shot, eight_bits};
+use super::eval::{picture_keys, trajectory_keys};
+use super::held_out::{self, Comparisons, Judge, Shot, eight_bits};
 use super::interrupt;
 use super::meter::Meter;
 use super::path;
@@ -36,16 +36,21 @@ struct Pair<'a> {
     frame: usize,
 }
 
-/// Measures everything that the truth allows.
+/// Where the held-out pictures of some names are shown, if anywhere; some folders are read.
+pub type Shown<'a> = &'a dyn Fn(&[String], &[PathBuf]) -> Result<Option<Comparisons>>;
+
+/// Measures everything that the truth allows; with `fit_poses`, held-out pictures from poses fitted to
+/// them as well.
 pub fn measure(
     device: &Device,
     scene: &Scene,
     truth: &Path,
-    args: &EvalArgs,
+    fit_poses: bool,
+    shown: Shown<'_>,
 ) -> Result<Map<String, Value>> {
     let set = Dataset::open(truth.join("held_out/transforms.json"))?;
     let names: Vec<String> = set.frames.iter().map(|frame| frame.name.clone()).collect();
-    let comparisons = args.comparisons(&names, &read_folders(truth, &set))?;
+    let comparisons = shown(&names, &read_folders(truth, &set))?;
     let cameras = transforms::read_cameras(&truth.join("transforms.json"))?;
     let pairs = pair(scene, &cameras)?;
     let poses = |of: &dyn Fn(&Pair) -> Camera| -> Vec<Pose> {
@@ -81,7 +86,7 @@ pub fn measure(
     let mut judge = Judge {
         renderer: &mut renderer,
         background: scene.background,
-        fit: args.fit_poses,
+        fit: fit_poses,
         comparisons: comparisons.as_ref(),
     };
     let held_out = HeldOut { set, folder: truth.join("held_out"), pairs: &pairs };

@@ -3,10 +3,14 @@
 //! A command returns an [`Answer`]; [`main`] prints it, as text or as JSON, and turns errors into
 //! exit codes: 0 done, 1 the job failed, 2 wrong usage, 130 stopped by Ctrl-C.
 
+mod ablate;
+mod ablation;
 mod bench;
 mod checkpoints;
+mod clip;
 mod clock;
 mod common;
+mod components;
 mod devices;
 mod encode;
 mod eval;
@@ -67,6 +71,7 @@ enum Command {
     Train(train::TrainArgs),
     Render(render::RenderArgs),
     Eval(eval::EvalArgs),
+    Ablate(ablate::AblateArgs),
     Info(info::InfoArgs),
     Devices(devices::DevicesArgs),
     Bench(bench::BenchArgs),
@@ -130,6 +135,7 @@ fn run(cli: &Cli) -> Result<(Answer, ExitCode)> {
         Command::Train(args) => train::run(args, &cli.common),
         Command::Render(args) => render::run(args, &cli.common),
         Command::Eval(args) => eval::run(args, &cli.common),
+        Command::Ablate(args) => ablate::run(args, &cli.common),
         Command::Info(args) => info::run(args),
         Command::Devices(args) => devices::run(args),
         Command::Synth(args) => synth::run(args, &cli.common),

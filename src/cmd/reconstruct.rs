@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde_json::{Value, json};
 use splat4d::data::trajectory::{self, TimedPose};
-use splat4d::data::{Clip, ClipOptions, Resize, View, images, intrinsics};
-use splat4d::gpu::{Device, DeviceKind};
+use splat4d::data::{Clip, View, images, intrinsics};
+use splat4d::gpu::Device;
 use splat4d::io::{Identity, check_memory, checksum};
 use splat4d::observe::{EngineFlow, FlowSource, SuppliedFlow};
 use splat4d::renderer::Renderer;
@@ -17,16 +17,14 @@ use splat4d::types::{Camera, FlowSettings, Image, Intrinsics};
 use splat4d::{Error, Result};
 
 use super::checkpoints::{self, CheckpointArgs, Checkpoints, shown, summed};
+use super::clip::ClipArgs;
 use super::clock::Clock;
 use super::common::{Answer, Common, bytes, foresee, notes, path_text, say, thousands, training};
 use super::info::dynamic_share;
 use super::outputs::{Folder, Inputs, Outputs};
 use super::tracker::Tracker;
 use super::watcher::Watcher;
-use super::{interrupt, model, quality, sheet, supplied, values};
-
-/// Longest side of the frames unless told otherwise: on a GPU, and on a software driver.
-const LONGEST: [u32; 2] = [640, 320];
+use super::{model, quality, sheet, supplied, values};
 
 /// Bytes for each pixel of each frame: of the frames themselves, and of what tracking makes of them,
 /// which is flow and confidence both ways, masks, depth and its confidence.
@@ -62,23 +60,8 @@ pub struct ReconstructArgs {
     /// The scene's file to write
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Take every N-th frame
-    #[arg(long, value_name = "N", default_value_t = 1,
-          value_parser = values::whole::<usize>(1..=values::MOST_PICTURES))]
-    every: usize,
-    /// Take at most so many frames
-    #[arg(long, value_name = "N",
-          value_parser = values::whole::<usize>(Clip::LEAST as u64..=values::MOST_PICTURES))]
-    max_frames: Option<usize>,
-    /// Shrink frames so that their longer side has at most so many pixels [default: 640, on a
-    /// software driver 320; with --flow the flow's size]
-    #[arg(long, value_name = "LONGEST",
-          value_parser = values::whole::<u32>(16..=values::MOST_PIXELS))]
-    size: Option<u32>,
-    /// Shrink frames to this width instead; narrower ones stay as they are
-    #[arg(long, value_name = "PIXELS", conflicts_with = "size",
-          value_parser = values::whole::<u32>(16..=values::MOST_PIXELS))]
-    width: Option<u32>,
+    #[command(flatten)]
+    frames: ClipArgs,
     /// Steps of the last and longest stage; the stages before it go in proportion
     #[arg(long, value_name = "N", default_value_t = SequenceSettings::default().steps,
           value_parser = values::whole::<u32>(1..=values::MOST_STEPS))]
@@ -114,12 +97,9 @@ pub struct ReconstructArgs {
     #[arg(long, value_name = "DIR")]
     depth: Option<PathBuf>,
     /// Optical flow: a folder with .flo files in flow_forward and flow_backward (or forward and
-    /// backward)
+    /// backward); frames keep their own size then unless another is asked for
     #[arg(long, value_name = "DIR")]
     flow: Option<PathBuf>,
-    /// Leave out frames that are damaged or lost, with a note
-    #[arg(long)]
-    skip_bad: bool,
     /// Write report.json, sheet.png (input, render, motion mask, depth), poses.txt (TUM) and
     /// intrinsics.json into this folder
     #[arg(long, value_name = "DIR")]
@@ -131,7 +111,7 @@ pub struct ReconstructArgs {
 /// Runs the command.
 pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     check_outputs(args)?;
-    if args.flow.is_some() && args.every > 1 {
+    if args.flow.is_some() && args.frames.every > 1 {
         let what = "--flow leads from each frame to the next; it does not go with --every";
         return Err(Error::Input(what.into()));
     }
@@ -139,7 +119,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     // A missing file is told before a missing driver.
     std::fs::metadata(&args.clip).map_err(Error::io(&args.clip))?;
     let device = common.open_device()?;
-    let clip = open_clip(args, &device)?;
+    let clip = args.frames.open(&args.clip, &device, args.flow.is_some())?;
     let options = options(args, common, &clip)?;
     let flow = given(&args.flow, &clip, supplied::flow)?;
     let times: Vec<f64> = clip.frames.iter().map(|frame| frame.time).collect();
@@ -287,38 +267,14 @@ fn foreseen(
 }
 
 fn settings(args: &ReconstructArgs, common: &Common, size: (u32, u32)) -> SequenceSettings {
-    let usual = SequenceSettings::for_size(size.0, size.1);
-    let in_proportion = |steps: u32| {
-        (u64::from(steps) * u64::from(args.steps)).div_ceil(u64::from(usual.steps)) as u32
-    };
+    let usual = SequenceSettings::for_size(size.0, size.1).of_steps(args.steps);
     SequenceSettings {
-        static_steps: in_proportion(usual.static_steps),
-        steps: args.steps,
         max_gaussians: args.max_gaussians.unwrap_or(usual.max_gaussians),
         control_points: args.control_points,
         sh_degree: args.sh_degree,
         seed: common.seed,
         ..usual
     }
-}
-
-fn open_clip(args: &ReconstructArgs, device: &Device) -> Result<Clip> {
-    let software = device.info().kind == DeviceKind::Software;
-    let size = match (args.width, args.size) {
-        (Some(width), _) => Resize::Width(width),
-        (None, Some(longest)) => Resize::Longest(longest),
-        _ if args.flow.is_some() => Resize::Keep,
-        _ => Resize::Longest(LONGEST[usize::from(software)]),
-    };
-    let options = ClipOptions {
-        every: args.every,
-        max_frames: args.max_frames,
-        size,
-        skip_bad: args.skip_bad,
-    };
-    let clip = Clip::open_while(&args.clip, &options, &interrupt::check)?;
-    notes(&clip.notes);
-    Ok(clip)
 }
 
 /// What a file or folder holds for the clip's frames.
@@ -392,8 +348,8 @@ fn identity(
         ("--control-points", settings.control_points.to_string()),
         ("--sh-degree", settings.sh_degree.to_string()),
         ("--seed", settings.seed.to_string()),
-        ("--every", args.every.to_string()),
-        ("--max-frames", shown(args.max_frames)),
+        ("--every", args.frames.every.to_string()),
+        ("--max-frames", shown(args.frames.max_frames)),
         ("--size or --width", shown(size)),
         ("--focal", shown(args.focal)),
         ("--intrinsics", summed(options.intrinsics.as_ref())),

@@ -162,10 +162,15 @@ fn times(spread: Option<&Spread>) -> [String; 4] {
 }
 
 fn line(table: &mut String, fields: [String; HEADER.len()]) {
-    let quoted = fields.map(|field| match field.contains([',', '"', '\n', '\r']) {
+    record(table, fields);
+}
+
+/// One line of a table.
+pub(super) fn record(table: &mut String, fields: impl IntoIterator<Item = String>) {
+    let quoted = |field: String| match field.contains([',', '"', '\n', '\r']) {
         true => format!("\"{}\"", field.replace('"', "\"\"")),
         false => field,
-    });
-    table.push_str(&quoted.join(","));
+    };
+    table.push_str(&fields.into_iter().map(quoted).collect::<Vec<_>>().join(","));
     table.push_str("\r\n");
 }

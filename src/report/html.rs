@@ -9,7 +9,7 @@ use super::{
 };
 use crate::Result;
 
-const STYLE: &str = "\
+pub(super) const STYLE: &str = "\
 body{font:15px/1.5 system-ui,sans-serif;max-width:76rem;margin:2rem auto;padding:0 1rem;color:#222}\
 h1,h2,h3{line-height:1.2}table{border-collapse:collapse;margin:1rem 0;font-size:13px}\
 th,td{padding:.2rem .6rem;text-align:right;border-bottom:1px solid #ddd;white-space:nowrap}\
@@ -44,7 +44,7 @@ pub fn page(measured: &Measurements) -> Result<String> {
 }
 
 /// Text as HTML shows it, in elements and in attributes.
-fn escape(text: &str) -> String {
+pub(super) fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
         match c {

@@ -2,7 +2,11 @@
 //!
 //! Times are nanoseconds, rates are per second. A row whose result misses its bound has an error and
 //! no time; [`Row::timed`] and [`Row::missed`] are the only ways to make one.
+//!
+//! [`Ablation`] is what the components of a reconstruction are worth.
 
+mod ablation;
+mod ablation_page;
 mod compare;
 mod csv;
 mod curve;
@@ -15,6 +19,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+pub use ablation::{Ablation, AblationRow, Better, Figure, Summary};
 pub use compare::{Comparison, Verdict, compare};
 pub use csv::csv;
 pub use curve::{Curve, CurvePoint, PowerLaw};

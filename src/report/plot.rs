@@ -11,7 +11,7 @@ const LEGEND: u32 = 150;
 /// Errors below this are drawn here: the axis is logarithmic, and an error may be 0.
 const FLOOR: f64 = 1e-9;
 /// Distinct for most eyes (Okabe and Ito's, and three more), one per knob.
-const COLOURS: [RGBColor; 10] = [
+pub(super) const COLOURS: [RGBColor; 10] = [
     RGBColor(0, 0, 0),
     RGBColor(230, 159, 0),
     RGBColor(86, 180, 233),

@@ -13,11 +13,11 @@ use serde::{Deserialize, Serialize};
 use super::cameras::Cameras;
 use super::distance::Behind;
 use super::masks::regions;
-use super::movers::{self, BOUND, KNOWN};
+use super::movers::{self, BOUND, KNOWN, Lifted};
 use super::observer::Work;
 use super::quantile;
 use super::residual::Seen;
-use super::{Mover, Stage};
+use super::{Mover, Options, Stage};
 use crate::Result;
 use crate::observe::NeighbourFlow;
 use crate::types::Image;
@@ -50,9 +50,10 @@ pub(super) fn dense(
     flow: &NeighbourFlow,
     masks: &[Image],
     seen: &[Seen],
-    supplied: Option<&[Image]>,
+    options: &Options,
     work: &mut Work,
 ) -> Result<Dense> {
+    let supplied = options.depth.as_deref();
     let scale = supplied.map(|maps| scale_of(maps, seen, masks));
     let made = |range: std::ops::Range<usize>| {
         let layer = |f: usize| {
@@ -67,7 +68,10 @@ pub(super) fn dense(
         .iter()
         .map(|layer| Behind { inverse: &layer.inverse, confidence: &layer.confidence })
         .collect();
-    let lifted = movers::lift(frames, cameras, flow, masks, &behind);
+    let lifted = match options.lift {
+        true => movers::lift(frames, cameras, flow, masks, &behind),
+        false => Lifted::nothing(masks),
+    };
     // What no object owns: by region and frame.
     let rest: Vec<Vec<Option<(f32, f32)>>> =
         layers.par_iter().zip(masks).map(|(layer, mask)| by_region(layer, mask)).collect();

@@ -70,6 +70,15 @@ pub struct Options {
     pub depth: Option<Vec<Image>>,
     /// How many times masks and poses are alternated; at least 1.
     pub rounds: usize,
+    /// Whether each track's point is found again in the pictures; else it keeps the places that chained
+    /// flow gives, which drift.
+    pub refine_tracks: bool,
+    /// Whether static depth is refined against the pictures by multi-baseline stereo; else it is that of
+    /// the flow alone.
+    pub stereo: bool,
+    /// Whether movers are lifted as objects, each with a shape, a path and a distance; else each has one
+    /// depth per region of the mask and frame.
+    pub lift: bool,
     /// Most static points to return.
     pub max_points: usize,
     /// The same seed gives the same result.
@@ -85,6 +94,9 @@ impl Default for Options {
             masks: None,
             depth: None,
             rounds: 2,
+            refine_tracks: true,
+            stereo: true,
+            lift: true,
             max_points: 60_000,
             seed: 0,
         }
@@ -237,7 +249,9 @@ pub fn track_observed(
     let mut work = Work::new(observer);
     let flow = observe(frames, source, &mut work)?;
     let mut tracks = follow(&flow, &TrackOptions::for_size(flow.width, flow.height));
-    refine(frames, &flow, &mut tracks);
+    if options.refine_tracks {
+        refine(frames, &flow, &mut tracks);
+    }
     work.progress(Stage::Cameras, 0.0)?;
     if tracks.len() < 50 {
         return Err(Error::Failed(format!(
@@ -276,12 +290,11 @@ pub fn track_observed(
         cameras.normalise(&tracks, &weights, &mut seen);
     }
     work.progress(Stage::Depth, 0.0)?;
-    if !tripod && options.depth.is_none() {
+    if !tripod && options.stereo && options.depth.is_none() {
         stereo::refine(frames, &cameras, &masks, &mut seen, &mut work, part, 0.0..0.5)?;
     }
-    let depths = options.depth.as_deref();
     let depth::Dense { depth, confidence: depth_confidence, movers, owners } =
-        depth::dense(frames, &cameras, &flow, &masks, &seen, depths, &mut work)?;
+        depth::dense(frames, &cameras, &flow, &masks, &seen, options, &mut work)?;
     let points =
         points::gather(frames, &cameras, &depth, &depth_confidence, &masks, options.max_points);
     let scaffold = scaffold::build(&scaffold::Surfaces {

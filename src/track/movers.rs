@@ -70,6 +70,17 @@ pub(super) struct Lifted {
     pub owners: Vec<Image>,
 }
 
+impl Lifted {
+    /// No object is known in what the masks show to move.
+    pub fn nothing(masks: &[Image]) -> Lifted {
+        Lifted {
+            pixels: masks.iter().map(|mask| vec![None; mask.pixels.len()]).collect(),
+            movers: Vec::new(),
+            owners: masks.iter().map(|mask| Image::new(mask.width, mask.height, 1)).collect(),
+        }
+    }
+}
+
 /// Lifts all movers, before the static world.
 pub(super) fn lift(
     frames: &[Image],

@@ -56,6 +56,17 @@ pub struct SequenceSettings {
     pub sh_degree: u32,
     /// Whether it is trained which Gaussians move; else the masks decide once, beforehand.
     pub train_selection: bool,
+    /// Whether control points are added and removed in training; else it begins with all of them.
+    pub revise_control: bool,
+    /// Weight of the as-rigid-as-possible energy of the control points; 0 leaves it out.
+    pub arap_weight: f64,
+    /// Whether Gaussians are added and moved to where they are needed; else those that were seeded stay.
+    pub grow: bool,
+    /// Factor of the depth term; 0 leaves it out.
+    pub depth_scale: f32,
+    /// Weight of the depth of movers' pixels in the depth term, in which static ones have at most 1; 0
+    /// leaves it to the pictures how far movers are.
+    pub movers_depth: f32,
     /// Pictures from aside to train on as well, drawn from the frames by their depth, per frame.
     pub aside: f64,
     /// Clips whose movers cover less of the pixels than this are static.
@@ -100,6 +111,17 @@ impl SequenceSettings {
         (frames as f64 * self.aside.max(0.0)) as usize
     }
 
+    /// The same with so many steps of all together; those before go in proportion.
+    pub fn of_steps(self, steps: u32) -> SequenceSettings {
+        let scaled = u64::from(self.static_steps) * u64::from(steps);
+        let static_steps = scaled.div_ceil(u64::from(self.steps.max(1)));
+        SequenceSettings {
+            static_steps: u32::try_from(static_steps).unwrap_or(u32::MAX),
+            steps,
+            ..self
+        }
+    }
+
     /// For frames of some size: a Gaussian for every three pixels where the frames are large.
     pub fn for_size(width: u32, height: u32) -> SequenceSettings {
         let usual = SequenceSettings::default();
@@ -118,6 +140,11 @@ impl Default for SequenceSettings {
             neighbours: 4,
             sh_degree: 1,
             train_selection: true,
+            revise_control: true,
+            arap_weight: MotionSettings::default().arap_weight,
+            grow: true,
+            depth_scale: 0.1,
+            movers_depth: 1.0,
             aside: 0.3,
             least_dynamic_share: 0.002,
             seed: 0,
@@ -279,6 +306,7 @@ fn static_world(
 const STRENGTH: f32 = 4.0;
 
 fn joint_settings(settings: &SequenceSettings) -> TrainSettings {
+    let growth = McmcSettings { from: 200, ..McmcSettings::default() };
     TrainSettings {
         steps: settings.steps,
         max_gaussians: settings.max_gaussians,
@@ -286,14 +314,17 @@ fn joint_settings(settings: &SequenceSettings) -> TrainSettings {
         sh_interval: (settings.steps / 2).clamp(1, 1000),
         // Few pictures and few steps: positions may move faster than over 30,000 steps.
         rates: Rates { position: 4e-4, position_last: 1e-5, ..Rates::default() },
-        depth_scale: 0.1,
-        growth: Some(GrowthSettings::Mcmc(McmcSettings { from: 200, ..McmcSettings::default() })),
+        depth_scale: settings.depth_scale,
+        growth: settings.grow.then_some(GrowthSettings::Mcmc(growth)),
         motion: MotionSettings {
             rate: 4e-4,
             rate_last: 2e-5,
             path_rate: 8e-4,
             path_rate_last: 2e-5,
-            control: Some(ControlSettings::scaled_to(settings.steps, settings.control_points)),
+            arap_weight: settings.arap_weight,
+            control: settings
+                .revise_control
+                .then(|| ControlSettings::scaled_to(settings.steps, settings.control_points)),
             selection: settings
                 .train_selection
                 .then(|| SelectionSettings::scaled_to(settings.steps)),
@@ -303,9 +334,6 @@ fn joint_settings(settings: &SequenceSettings) -> TrainSettings {
         ..TrainSettings::default()
     }
 }
-
-/// Weight of the depth of movers' pixels: in the depth term they are few.
-const LIFTED_WEIGHT: f32 = 1.0;
 
 /// The frames as training views; `weight` turns the movers' nearness (1 on a mover, 0 away from any)
 /// into a pixel's weight. The depth that was measured on static pixels, and that of lifted movers,
@@ -329,9 +357,10 @@ fn views(
                 let z = depth.pixels[i];
                 let measured = mask.pixels[i] == 0.0 && confidence.pixels[i] > 0.5;
                 // The picture alone does not hold a mover at its depth.
-                let lifted = owners.pixels[i] > 0.0;
+                let lifted = settings.movers_depth > 0.0 && owners.pixels[i] > 0.0;
                 if z > 0.0 && (measured || lifted) {
-                    let weight = if measured { confidence.pixels[i] } else { LIFTED_WEIGHT };
+                    let weight =
+                        if measured { confidence.pixels[i] } else { settings.movers_depth };
                     pair.copy_from_slice(&[1.0 / z, weight]);
                 }
             }
@@ -417,7 +446,9 @@ fn control_points(sequence: Sequence<'_>, settings: &SequenceSettings) -> Result
     let place = |node: &Node| node.world_from_node[scaffold.canonical].translation;
     let canonical: Vec<[f32; 3]> =
         scaffold.nodes.iter().map(|node| place(node).as_vec3().to_array()).collect();
-    let count = first_control_points(settings.control_points).min(canonical.len());
+    let most = settings.control_points;
+    let count = if settings.revise_control { first_control_points(most) } else { most };
+    let count = count.min(canonical.len());
     let (mut points, chosen) = spread(&canonical, count, settings.seed)?;
     let keys = settings.keys(sequence.frames.len());
     let paths: Vec<Vec<[f32; 8]>> =

@@ -37,7 +37,7 @@ struct Base {
 
 /// Good commands, each with options that keep it short; `<kind>` stands for an input and `>name` for
 /// an output.
-const BASES: [&str; 19] = [
+const BASES: [&str; 20] = [
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150",
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150 \
      --control-points 6 --report >report",
@@ -53,6 +53,7 @@ const BASES: [&str; 19] = [
     "eval <scene> <dataset>",
     "eval <scene> <truth>",
     "eval <cameras> <cameras>",
+    "ablate <clip> --only motion --size 32 --steps 3 --max-gaussians 150 --report >report",
     "info <scene>",
     "synth rigid -o >clip --frames 3 --size 24x16",
     "bench --quick --filter scan --report >report",
@@ -63,8 +64,18 @@ const BASES: [&str; 19] = [
 ];
 
 /// Every command's name.
-pub const COMMANDS: [&str; 9] =
-    ["reconstruct", "train", "render", "eval", "info", "devices", "bench", "synth", "validate"];
+pub const COMMANDS: [&str; 10] = [
+    "reconstruct",
+    "train",
+    "render",
+    "eval",
+    "ablate",
+    "info",
+    "devices",
+    "bench",
+    "synth",
+    "validate",
+];
 
 /// A command to run, with the files it needs in its folder.
 #[derive(Clone, Debug)]

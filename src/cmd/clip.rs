@@ -1,0 +1,61 @@
+//! The frames of a clip that a command takes, and their size.
+
+use std::path::Path;
+
+use clap::Args;
+use splat4d::Result;
+use splat4d::data::{Clip, ClipOptions, Resize};
+use splat4d::gpu::{Device, DeviceKind};
+
+use super::common::notes;
+use super::{interrupt, values};
+
+/// Longest side of the frames unless told otherwise: on a GPU, and on a software driver.
+const LONGEST: [u32; 2] = [640, 320];
+
+/// The flags of commands that take a clip.
+#[derive(Args)]
+pub struct ClipArgs {
+    /// Take every N-th frame
+    #[arg(long, value_name = "N", default_value_t = 1,
+          value_parser = values::whole::<usize>(1..=values::MOST_PICTURES))]
+    pub every: usize,
+    /// Take at most so many frames
+    #[arg(long, value_name = "N",
+          value_parser = values::whole::<usize>(Clip::LEAST as u64..=values::MOST_PICTURES))]
+    pub max_frames: Option<usize>,
+    /// Shrink frames so that their longer side has at most so many pixels [default: 640, on a
+    /// software driver 320]
+    #[arg(long, value_name = "LONGEST",
+          value_parser = values::whole::<u32>(16..=values::MOST_PIXELS))]
+    size: Option<u32>,
+    /// Shrink frames to this width instead; narrower ones stay as they are
+    #[arg(long, value_name = "PIXELS", conflicts_with = "size",
+          value_parser = values::whole::<u32>(16..=values::MOST_PIXELS))]
+    width: Option<u32>,
+    /// Leave out frames that are damaged or lost, with a note
+    #[arg(long)]
+    skip_bad: bool,
+}
+
+impl ClipArgs {
+    /// Reads the frames; `keep` leaves them their own size unless another is asked for.
+    pub fn open(&self, path: &Path, device: &Device, keep: bool) -> Result<Clip> {
+        let software = device.info().kind == DeviceKind::Software;
+        let size = match (self.width, self.size) {
+            (Some(width), _) => Resize::Width(width),
+            (None, Some(longest)) => Resize::Longest(longest),
+            _ if keep => Resize::Keep,
+            _ => Resize::Longest(LONGEST[usize::from(software)]),
+        };
+        let options = ClipOptions {
+            every: self.every,
+            max_frames: self.max_frames,
+            size,
+            skip_bad: self.skip_bad,
+        };
+        let clip = Clip::open_while(path, &options, &interrupt::check)?;
+        notes(&clip.notes);
+        Ok(clip)
+    }
+}
