@@ -806,6 +806,7 @@ fn a_clip_in_which_nothing_moves_becomes_a_static_scene() {
     says(motion["chosen"].as_str().unwrap(), &["no control points"]);
     says(motion["because"].as_str().unwrap(), &["nothing moves"]);
     says(motion["saves"].as_str().unwrap(), &["training"]);
+    assert_eq!(report["quality"], "standard");
     // Measured: 19.22 dB.
     assert!(report["psnr_input"].as_f64() > Some(18.2), "{report}");
     for file in ["sheet.png", "report.json", "poses.txt", "intrinsics.json"] {

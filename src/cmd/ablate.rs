@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use clap::builder::PossibleValuesParser;
 use serde_json::{Value, json};
-use splat4d::data::images;
+use splat4d::data::{Resize, images};
 use splat4d::gpu::Device;
 use splat4d::report::{Ablation, AblationRow, Figure};
 use splat4d::track::Options;
-use splat4d::train::SequenceSettings;
+use splat4d::train::{Quality, SequenceSettings};
 use splat4d::{Error, Result, bench};
 
 use super::ablation::{Figures, Material, figures};
@@ -94,9 +94,10 @@ pub fn run(args: &AblateArgs, common: &Common) -> Result<Answer> {
     std::fs::metadata(&args.clip).map_err(Error::io(&args.clip))?;
     let truth = truth_folder(&args.clip)?;
     let device = common.open_device()?;
-    let clip = args.frames.open(&args.clip, &device, false)?;
+    let preset = Quality::Standard.preset(device.info().kind);
+    let clip = args.frames.open(&args.clip, Resize::Longest(preset.longest_side))?;
     let size = (clip.width, clip.height);
-    let usual = SequenceSettings::for_size(size.0, size.1).of_steps(args.steps);
+    let usual = preset.settings(size, Some(args.steps));
     let max_gaussians = args.max_gaussians.unwrap_or(usual.max_gaussians);
     let settings = SequenceSettings { max_gaussians, ..usual };
     check_memory(&device, &settings, clip.frames.len(), size)?;

@@ -5,13 +5,9 @@ use std::path::Path;
 use clap::Args;
 use splat4d::Result;
 use splat4d::data::{Clip, ClipOptions, Resize};
-use splat4d::gpu::{Device, DeviceKind};
 
 use super::common::notes;
 use super::{interrupt, values};
-
-/// Longest side of the frames unless told otherwise: on a GPU, and on a software driver.
-const LONGEST: [u32; 2] = [640, 320];
 
 /// The flags of commands that take a clip.
 #[derive(Args)]
@@ -24,8 +20,8 @@ pub struct ClipArgs {
     #[arg(long, value_name = "N",
           value_parser = values::whole::<usize>(Clip::LEAST as u64..=values::MOST_PICTURES))]
     pub max_frames: Option<usize>,
-    /// Shrink frames so that their longer side has at most so many pixels [default: 640, on a
-    /// software driver 320]
+    /// Shrink frames so that their longer side has at most so many pixels [default: by
+    /// device and quality; standard 640, on a software driver 320]
     #[arg(long, value_name = "LONGEST",
           value_parser = values::whole::<u32>(16..=values::MOST_PIXELS))]
     size: Option<u32>,
@@ -39,14 +35,12 @@ pub struct ClipArgs {
 }
 
 impl ClipArgs {
-    /// Reads the frames; `keep` leaves them their own size unless another is asked for.
-    pub fn open(&self, path: &Path, device: &Device, keep: bool) -> Result<Clip> {
-        let software = device.info().kind == DeviceKind::Software;
+    /// Reads the frames, of the `usual` size unless another is asked for.
+    pub fn open(&self, path: &Path, usual: Resize) -> Result<Clip> {
         let size = match (self.width, self.size) {
             (Some(width), _) => Resize::Width(width),
             (None, Some(longest)) => Resize::Longest(longest),
-            _ if keep => Resize::Keep,
-            _ => Resize::Longest(LONGEST[usize::from(software)]),
+            _ => usual,
         };
         let options = ClipOptions {
             every: self.every,

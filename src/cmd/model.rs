@@ -5,6 +5,7 @@ use serde::Serialize;
 use splat4d::scene::Scene;
 use splat4d::track::{FocalSource, Track};
 use splat4d::train::SequenceSettings;
+use splat4d::types::Image;
 
 use super::common::thousands;
 use super::info::dynamic_share;
@@ -52,11 +53,14 @@ pub fn lines(choices: &[Choice]) -> String {
 pub fn of_clip(scene: &Scene, track: &Track, settings: &SequenceSettings) -> Vec<Choice> {
     let mut choices = vec![poses(track), focal_length(track)];
     choices.extend(motion(scene, track, settings));
+    if scene.moves() {
+        choices.push(movers_distance(track));
+    }
     choices.push(gaussians(scene, settings));
     choices.push(aside(track.view_from_world.len(), settings));
     let degree = scene.gaussians.sh_degree;
     let colours = format!("spherical harmonics of degree {degree}");
-    choices.push(Choice::new("colours by direction", colours, "--sh-degree"));
+    choices.push(Choice::new("colours by direction", colours, "--sh-degree or --quality"));
     choices
 }
 
@@ -137,6 +141,29 @@ fn motion(scene: &Scene, track: &Track, settings: &SequenceSettings) -> Vec<Choi
         false => Choice::new("key times of a path", keys.to_string(), "one for each frame"),
     };
     vec![motion, count, keys]
+}
+
+/// A mover's depth of more confidence than this has a measured scale; see `Track::depth_confidence`.
+const KNOWN_SCALE: f32 = 0.3;
+
+fn movers_distance(track: &Track) -> Choice {
+    let on_movers = |(owners, confidence): (&Image, &Image)| -> Vec<f32> {
+        let pixels = owners.pixels.iter().zip(&confidence.pixels);
+        pixels.filter(|(owner, _)| **owner > 0.0).map(|(_, confidence)| *confidence).collect()
+    };
+    let confidences: Vec<f32> =
+        track.owners.iter().zip(&track.depth_confidence).flat_map(on_movers).collect();
+    if confidences.is_empty() {
+        let chosen = "one depth for each region of the mask and frame";
+        return Choice::new("distance of what moves", chosen, "no object could be followed");
+    }
+    let known = confidences.iter().filter(|confidence| **confidence > KNOWN_SCALE).count();
+    let because = format!(
+        "its scale is measured for {:.0} % of their pixels and only bounded for the others",
+        100.0 * known as f64 / confidences.len() as f64
+    );
+    let chosen = format!("a shape and a path for each of {} objects", track.movers.len());
+    Choice::new("distance of what moves", chosen, because)
 }
 
 fn gaussians(scene: &Scene, settings: &SequenceSettings) -> Choice {

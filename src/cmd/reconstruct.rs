@@ -1,18 +1,21 @@
 //! `splat4d reconstruct`: the main job.
 
+use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
 use splat4d::data::trajectory::{self, TimedPose};
-use splat4d::data::{Clip, View, images, intrinsics};
-use splat4d::gpu::Device;
+use splat4d::data::{Clip, Resize, View, images, intrinsics};
+use splat4d::gpu::{Device, DeviceKind};
 use splat4d::io::{Identity, check_memory, checksum};
 use splat4d::observe::{EngineFlow, FlowSource, SuppliedFlow};
 use splat4d::renderer::Renderer;
 use splat4d::scene::Scene;
 use splat4d::track::{FocalSource, Options, Track, track_observed};
-use splat4d::train::{Checkpoint, Phase, Sequence, SequenceSettings, fit_sequence};
+use splat4d::train::{
+    Checkpoint, Phase, Preset, Quality, Sequence, SequenceSettings, fit_sequence,
+};
 use splat4d::types::{Camera, FlowSettings, Image, Intrinsics};
 use splat4d::{Error, Result};
 
@@ -38,21 +41,73 @@ by themselves, and new views stay close to the old ones.
 
 Examples:
   splat4d reconstruct video.mp4 -o scene.safetensors
+  splat4d reconstruct video.mp4 -o look.safetensors --quality draft
   splat4d reconstruct frames/ -o scene.safetensors --every 2 --size 320 --report report
 
 JSON: psnr_input, ssim_input, gaussians, control_points,
 control_points_added and control_points_removed (in training), dynamic_share (of the pixels),
 dynamic_gaussians (share), intrinsics {fx, fy, cx, cy, width, height, source (given,
 measured, assumed)}, poses {tripod, inlier_share, reprojection_rms, parallax_deg, focal_std,
-doubtful_frames, tracks}, frames, frame_names, model [{what, chosen, because, saves}] (each choice, the measurement that
-decided and what it saves), notes, device,
-predicted_bytes (of device memory, before it began), all also kept in the scene; and, in report.json too,
-peak_bytes, milliseconds_per_step, seconds {load, flow, cameras, masks, depth, static, joint,
-evaluate}; output";
+doubtful_frames, tracks}, frames, frame_names, quality, model [{what, chosen, because, saves}] (each
+choice, the measurement that decided and what it saves), notes, device, predicted_bytes (of device
+memory, before it began), all also kept in the scene; and, in report.json too, peak_bytes,
+milliseconds_per_step, seconds {load, flow, cameras, masks, depth, static, joint, evaluate}; output";
+
+const QUALITY: &str = "longest side of the frames, steps, most Gaussians (or one for so many
+pixels of a frame, where that is more), most control points, degree of the spherical harmonics.";
+
+fn after_help() -> String {
+    let mut table = format!(
+        "{:26}{:>6}{:>7}{:>11}{:>10}{:>9}{:>4}\n",
+        "", "size", "steps", "Gaussians", "or 1 per", "control", "SH"
+    );
+    let kinds = [
+        ("software", DeviceKind::Software),
+        ("integrated GPU", DeviceKind::Integrated),
+        ("discrete GPU", DeviceKind::Discrete),
+    ];
+    for quality in Quality::ALL {
+        for (device, kind) in kinds {
+            let Preset { longest_side, steps, gaussians, pixels_per_gaussian, .. } =
+                quality.preset(kind);
+            let Preset { control_points, sh_degree, .. } = quality.preset(kind);
+            let _ = writeln!(
+                table,
+                "{:26}{longest_side:>6}{steps:>7}{:>11}{:>10}\
+                 {control_points:>9}{sh_degree:>4}",
+                format!("{}, {device}", quality.name()),
+                thousands(gaussians),
+                format!("{pixels_per_gaussian} px"),
+            );
+        }
+    }
+    format!("What --quality stands for: {QUALITY}\n{table}\n{AFTER_HELP}")
+}
+
+/// [`Quality`] by name.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum QualityName {
+    /// A first look
+    Draft,
+    /// The usual one
+    Standard,
+    /// Larger frames, more of all, and an hour's training on a software driver
+    Best,
+}
+
+impl From<QualityName> for Quality {
+    fn from(name: QualityName) -> Quality {
+        match name {
+            QualityName::Draft => Quality::Draft,
+            QualityName::Standard => Quality::Standard,
+            QualityName::Best => Quality::Best,
+        }
+    }
+}
 
 /// Turn a video whose camera poses are unknown into a 4D scene
 #[derive(Args)]
-#[command(after_help = AFTER_HELP)]
+#[command(after_help = after_help())]
 pub struct ReconstructArgs {
     /// A video file, or a folder of its frames
     #[arg(value_name = "VIDEO|DIR")]
@@ -62,22 +117,24 @@ pub struct ReconstructArgs {
     output: PathBuf,
     #[command(flatten)]
     frames: ClipArgs,
-    /// Steps of the last and longest stage; the stages before it go in proportion
-    #[arg(long, value_name = "N", default_value_t = SequenceSettings::default().steps,
-          value_parser = values::whole::<u32>(1..=values::MOST_STEPS))]
-    steps: u32,
-    /// Most Gaussians [default: 40,000, or one for every three pixels of a frame]
+    /// How good the scene is to be for its time: sizes, steps and caps, each of which its own option
+    /// overrides
+    #[arg(long, value_enum, default_value = "standard")]
+    quality: QualityName,
+    /// Steps of the last and longest stage; the stages before it go in proportion [default: by quality]
+    #[arg(long, value_name = "N", value_parser = values::whole::<u32>(1..=values::MOST_STEPS))]
+    steps: Option<u32>,
+    /// Most Gaussians [default: by quality; standard 40,000, or one for every three pixels of a frame]
     #[arg(long, value_name = "N",
           value_parser = values::whole::<usize>(16..=values::MOST_GAUSSIANS))]
     max_gaussians: Option<usize>,
-    /// Most control points
-    #[arg(long, value_name = "N", default_value_t = SequenceSettings::default().control_points,
+    /// Most control points [default: by quality; standard 256]
+    #[arg(long, value_name = "N",
           value_parser = values::whole::<usize>(1..=values::MOST_CONTROL_POINTS))]
-    control_points: usize,
-    /// Highest degree of the spherical harmonics
-    #[arg(long, value_name = "0..3", default_value_t = SequenceSettings::default().sh_degree,
-          value_parser = values::whole::<u32>(0..=3))]
-    sh_degree: u32,
+    control_points: Option<usize>,
+    /// Highest degree of the spherical harmonics [default: by quality; standard 1]
+    #[arg(long, value_name = "0..3", value_parser = values::whole::<u32>(0..=3))]
+    sh_degree: Option<u32>,
     /// Focal length, in pixels of the clip's own size
     #[arg(long, value_name = "PIXELS",
           value_parser = values::number(1.0..=values::MOST_FOCAL))]
@@ -119,7 +176,14 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     // A missing file is told before a missing driver.
     std::fs::metadata(&args.clip).map_err(Error::io(&args.clip))?;
     let device = common.open_device()?;
-    let clip = args.frames.open(&args.clip, &device, args.flow.is_some())?;
+    let quality = Quality::from(args.quality);
+    let preset = quality.preset(device.info().kind);
+    let usual = match args.flow {
+        // Flow is of its frames' own size.
+        Some(_) => Resize::Keep,
+        None => Resize::Longest(preset.longest_side),
+    };
+    let clip = args.frames.open(&args.clip, usual)?;
     let options = options(args, common, &clip)?;
     let flow = given(&args.flow, &clip, supplied::flow)?;
     let times: Vec<f64> = clip.frames.iter().map(|frame| frame.time).collect();
@@ -139,7 +203,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     check_memory(TRACK_BYTES * host, &what)?;
     clock.lap("load");
 
-    let settings = settings(args, common, (width, height));
+    let settings = settings(args, common, &preset, (width, height));
     let predicted_bytes = foreseen(args, &device, &settings, frames.len(), (width, height))?;
     let identity = identity(args, &frames, &options, flow.as_ref(), &settings);
     let mut checkpoints = Checkpoints::new(&args.output, &args.checkpoints, identity);
@@ -147,14 +211,14 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
         Some(track) => track,
         None => observe(&device, &frames, &options, flow, &mut checkpoints, &mut clock)?,
     };
-    let quality = &track.quality;
-    notes(&quality.notes);
-    all_notes.extend_from_slice(&quality.notes);
+    let found = &track.quality;
+    notes(&found.notes);
+    all_notes.extend_from_slice(&found.notes);
     say(&format!(
         "focal length {:.1} px ({}), {:.1} % of the pixels move",
         track.intrinsics.fx,
-        focal_source(quality.focal_source),
-        100.0 * quality.dynamic_share
+        focal_source(found.focal_source),
+        100.0 * found.dynamic_share
     ));
 
     let sequence = Sequence { frames: &frames, times: &times, track: &track };
@@ -171,7 +235,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     clock.lap("evaluate");
 
     let mut known_intrinsics = intrinsics::to_json(&track.intrinsics);
-    known_intrinsics["source"] = json!(focal_source(quality.focal_source));
+    known_intrinsics["source"] = json!(focal_source(found.focal_source));
     let trained = scene.report.take();
     scene.report = json!({
         "psnr_input": quality::mean(measured.iter().map(|q| Some(q.psnr))),
@@ -180,20 +244,21 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
         "control_points": scene.control_points.len(),
         "control_points_added": trained["control_points_added"],
         "control_points_removed": trained["control_points_removed"],
-        "dynamic_share": quality.dynamic_share,
+        "dynamic_share": found.dynamic_share,
         "dynamic_gaussians": dynamic_share(&scene),
         "intrinsics": known_intrinsics,
         "poses": {
-            "tripod": quality.tripod,
-            "inlier_share": quality.inlier_share,
-            "reprojection_rms": quality.reprojection_rms,
-            "parallax_deg": quality.parallax_deg,
-            "focal_std": quality.focal_std,
-            "doubtful_frames": quality.doubtful_frames,
-            "tracks": quality.tracks,
+            "tripod": found.tripod,
+            "inlier_share": found.inlier_share,
+            "reprojection_rms": found.reprojection_rms,
+            "parallax_deg": found.parallax_deg,
+            "focal_std": found.focal_std,
+            "doubtful_frames": found.doubtful_frames,
+            "tracks": found.tracks,
         },
         "frames": names.len(),
         "frame_names": names,
+        "quality": quality.name(),
         "model": model,
         "notes": all_notes,
         "device": device.info().name,
@@ -266,12 +331,17 @@ fn foreseen(
     Ok(training.max(flow))
 }
 
-fn settings(args: &ReconstructArgs, common: &Common, size: (u32, u32)) -> SequenceSettings {
-    let usual = SequenceSettings::for_size(size.0, size.1).of_steps(args.steps);
+fn settings(
+    args: &ReconstructArgs,
+    common: &Common,
+    preset: &Preset,
+    size: (u32, u32),
+) -> SequenceSettings {
+    let usual = preset.settings(size, args.steps);
     SequenceSettings {
         max_gaussians: args.max_gaussians.unwrap_or(usual.max_gaussians),
-        control_points: args.control_points,
-        sh_degree: args.sh_degree,
+        control_points: args.control_points.unwrap_or(usual.control_points),
+        sh_degree: args.sh_degree.unwrap_or(usual.sh_degree),
         seed: common.seed,
         ..usual
     }
@@ -343,6 +413,7 @@ fn identity(
 ) -> Identity {
     let size = frames.first().map(|frame| format!("{}×{}", frame.width, frame.height));
     checkpoints::identity([
+        ("--quality", Quality::from(args.quality).name().to_owned()),
         ("--steps", settings.steps.to_string()),
         ("--max-gaussians", settings.max_gaussians.to_string()),
         ("--control-points", settings.control_points.to_string()),
@@ -439,6 +510,10 @@ mod tests {
     use super::super::checkpoints::tests::names_every_option;
     use super::*;
 
+    fn preset() -> Preset {
+        Quality::default().preset(DeviceKind::Software)
+    }
+
     #[test]
     fn a_checkpoint_names_every_option_that_matters() {
         names_every_option(
@@ -448,7 +523,13 @@ mod tests {
                 let super::super::Command::Reconstruct(args) = command else {
                     panic!("no reconstruct")
                 };
-                identity(args, &[], &Options::default(), None, &settings(args, common, (32, 18)))
+                identity(
+                    args,
+                    &[],
+                    &Options::default(),
+                    None,
+                    &settings(args, common, &preset(), (32, 18)),
+                )
             },
         );
     }
@@ -471,7 +552,7 @@ mod tests {
             let mut field = Image::new(4, 3, 2);
             field.pixels[5] = value;
             let flow = SuppliedFlow::new(vec![field.clone()], vec![field]).unwrap();
-            let settings = settings(args, &cli.common, (32, 18));
+            let settings = settings(args, &cli.common, &preset(), (32, 18));
             identity(args, &[], &Options::default(), Some(&flow), &settings)
         };
         assert_eq!(of(0.5), of(0.5));

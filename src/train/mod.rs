@@ -19,6 +19,7 @@
 //! | [`selection`] | which Gaussians move |
 //! | `lifting` | pixels of a tracked clip in the world, and the paths of its nodes |
 //! | [`posed`] | from posed pictures of a moving scene to a scene |
+//! | [`preset`] | sizes, steps and caps by quality and device |
 //! | [`sequence`] | from a tracked clip to a scene |
 //! | [`observer`] | who looks on: progress, checkpoints |
 //! | [`state`] | a trainer's state, to put away and resume from |
@@ -39,6 +40,8 @@ pub mod own_loss;
 pub mod photographs;
 #[cfg(feature = "reconstruct")]
 pub mod posed;
+#[cfg(feature = "reconstruct")]
+pub mod preset;
 #[cfg(feature = "reconstruct")]
 pub mod region;
 pub mod rounds;
@@ -62,6 +65,8 @@ pub use motion::MotionStart;
 pub use observer::{Checkpoint, Observer, Phase};
 #[cfg(feature = "reconstruct")]
 pub use posed::{PosedMotion, fit_posed, posed_scale};
+#[cfg(feature = "reconstruct")]
+pub use preset::{Preset, Quality};
 #[cfg(feature = "reconstruct")]
 pub use region::random_points;
 pub use rounds::ControlChanges;

@@ -121,13 +121,6 @@ impl SequenceSettings {
             ..self
         }
     }
-
-    /// For frames of some size: a Gaussian for every three pixels where the frames are large.
-    pub fn for_size(width: u32, height: u32) -> SequenceSettings {
-        let usual = SequenceSettings::default();
-        let pixels = width as usize * height as usize;
-        SequenceSettings { max_gaussians: usual.max_gaussians.max(pixels / 3), ..usual }
-    }
 }
 
 impl Default for SequenceSettings {
