@@ -685,6 +685,24 @@ fn wide_splats_are_foreseen() {
     assert!((foreseen / taken - 1.0).abs() < 0.02, "{found}");
 }
 
+/// Few Gaussians in large frames fill many tiles each: what their training takes is told once they are
+/// known.
+#[test]
+fn wide_splats_of_a_clip_are_foreseen() {
+    let folder = tempfile::tempdir().unwrap();
+    json(folder.path(), "synth rigid -o clip --frames 4 --size 640x400");
+    let options = "--size 640 --steps 4 --max-gaussians 64 --control-points 6 --device software";
+    let output = run(folder.path(), &format!("reconstruct clip/frames -o x {options} --json"));
+    let said = stderr(&output);
+    assert!(output.status.success(), "{said}");
+    let lines = said.lines().filter(|line| line.starts_with("training up to 64 Gaussians takes"));
+    assert_eq!(lines.count(), 2, "{said}");
+    let found: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let [foreseen, taken] =
+        ["predicted_bytes", "peak_bytes"].map(|key| found[key].as_f64().unwrap());
+    assert!(foreseen >= taken, "{found}");
+}
+
 #[test]
 #[cfg(target_os = "linux")]
 fn trajectories_of_equal_timestamps_take_little_memory() {
@@ -905,7 +923,8 @@ fn bad_clips_are_named() {
     says(&reconstruct("fine --masks broken"), &["2.png", "image"]);
 }
 
-/// A picture whose file is small and that is not is refused before memory runs out.
+/// A picture whose file is small and that is not is refused before memory runs out; as many are read
+/// at a time as there is memory for.
 #[cfg(target_os = "linux")]
 #[test]
 fn pictures_too_large_for_memory_are_told() {
@@ -917,15 +936,22 @@ fn pictures_too_large_for_memory_are_told() {
         let (from, to) = (folder.path().join("clip/0.png"), format!("clip/{i}.png"));
         fs::hard_link(from, folder.path().join(to)).unwrap();
     }
-    let limited = format!(
-        "ulimit -v 1800000; exec {} reconstruct clip -o x --skip-bad --device software",
-        env!("CARGO_BIN_EXE_splat4d")
-    );
-    let output =
-        Command::new("sh").current_dir(folder.path()).args(["-c", &limited]).output().unwrap();
-    let said = stderr(&output);
-    assert_eq!(output.status.code(), Some(1), "{said}");
+    let limited = |kibibytes: u64| {
+        let limited = format!(
+            "ulimit -v {kibibytes}; exec {} reconstruct clip -o x --skip-bad --device software",
+            env!("CARGO_BIN_EXE_splat4d")
+        );
+        let output =
+            Command::new("sh").current_dir(folder.path()).args(["-c", &limited]).output().unwrap();
+        let said = stderr(&output);
+        assert_eq!(output.status.code(), Some(1), "{said}");
+        said
+    };
+    let said = limited(1_800_000);
     says(&said, &[".png: a picture of 12000×12000 needs", "B of memory", "are available"]);
+    // One of them at a time has room, two have not.
+    let said = limited(4_000_000);
+    says(&said, &["pictures of 12000×12000 take 2197.3 MiB of memory each while", "no parallax"]);
 }
 
 /// An `ffmpeg` that does what a script says, first on the path.

@@ -51,7 +51,7 @@ fn exit_at_once() -> ! {
 fn listen(stop: impl Fn() + Send + 'static) -> std::io::Result<()> {
     use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
     let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM, SIGXFSZ])?;
-    if !ignored(SIGHUP) {
+    if !hangups_are_ignored() {
         signals.add_signal(SIGHUP)?;
     }
     let listen = move || signals.forever().filter(|&signal| signal != SIGXFSZ).for_each(|_| stop());
@@ -63,13 +63,16 @@ fn listen(stop: impl Fn() + Send + 'static) -> std::io::Result<()> {
     ctrlc::set_handler(stop).map_err(std::io::Error::other)
 }
 
-/// Whether whoever started this program had it ignore a signal, as `nohup` does. Known on Linux.
+/// Whether whoever started this program had it ignore hangups, as `nohup` does. A program that ignores a
+/// signal hands that on to those that it starts, so that a shell that sends itself one is asked: POSIX
+/// has no other way that needs no unsafe code.
 #[cfg(unix)]
-fn ignored(signal: i32) -> bool {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
-    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
-    mask.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
+fn hangups_are_ignored() -> bool {
+    use std::process::{Command, Stdio};
+    let mut shell = Command::new("sh");
+    shell.args(["-c", "kill -s HUP $$"]);
+    let ended = shell.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).status();
+    ended.is_ok_and(|status| status.success())
 }
 
 /// The work is done or has failed: from now on, stdout belongs to its answer.

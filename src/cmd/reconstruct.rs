@@ -14,7 +14,8 @@ use splat4d::renderer::Renderer;
 use splat4d::scene::Scene;
 use splat4d::track::{FocalSource, Options, Track, track_observed};
 use splat4d::train::{
-    Checkpoint, Phase, Preset, Quality, Sequence, SequenceSettings, fit_sequence,
+    Checkpoint, Phase, Preset, Quality, Sequence, SequenceSettings, TrainingScale, first_gaussians,
+    fit_sequence,
 };
 use splat4d::types::{Camera, FlowSettings, Image, Intrinsics};
 use splat4d::{Error, Result};
@@ -22,7 +23,9 @@ use splat4d::{Error, Result};
 use super::checkpoints::{self, CheckpointArgs, Checkpoints, shown, summed};
 use super::clip::ClipArgs;
 use super::clock::Clock;
-use super::common::{Answer, Common, bytes, foresee, notes, path_text, say, thousands, training};
+use super::common::{
+    Answer, Common, bytes, foresee, most_pairs, notes, path_text, say, thousands, training,
+};
 use super::info::dynamic_share;
 use super::outputs::{Folder, Inputs, Outputs};
 use super::tracker::Tracker;
@@ -204,7 +207,8 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     clock.lap("load");
 
     let settings = settings(args, common, &preset, (width, height));
-    let predicted_bytes = foreseen(args, &device, &settings, frames.len(), (width, height))?;
+    let scale = settings.scale(frames.len(), (width, height));
+    let mut predicted_bytes = foreseen(args, &device, &scale, (width, height))?;
     let identity = identity(args, &frames, &options, flow.as_ref(), &settings);
     let mut checkpoints = Checkpoints::new(&args.output, &args.checkpoints, identity);
     let track = match checkpoints.load("track")? {
@@ -222,6 +226,12 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     ));
 
     let sequence = Sequence { frames: &frames, times: &times, track: &track };
+    // The first Gaussians may be large: what is near fills many tiles.
+    let intersections = first_pairs(&device, sequence, &settings)?;
+    let scale = TrainingScale { intersections, ..scale };
+    if scale.is_dense() {
+        predicted_bytes = predicted_bytes.max(foreseen_training(&device, &scale)?);
+    }
     let resume: Option<Checkpoint> = checkpoints.load("training")?;
     let mut watcher = Watcher::new(&mut clock, &mut checkpoints, &phase_names);
     let mut scene = fit_sequence(&device, sequence, &settings, resume, &mut watcher)?;
@@ -311,24 +321,44 @@ fn check_outputs(args: &ReconstructArgs) -> Result<()> {
 fn foreseen(
     args: &ReconstructArgs,
     device: &Device,
-    settings: &SequenceSettings,
-    frames: usize,
+    scale: &TrainingScale,
     size: (u32, u32),
 ) -> Result<u64> {
-    let scale = settings.scale(frames, size);
-    let training = foresee(
-        device,
-        &training(&scale),
-        scale.footprint(device),
-        || scale.most_gaussians(device),
-        "lower --max-gaussians, --control-points or --size",
-    )?;
+    let training = foreseen_training(device, scale)?;
     if args.flow.is_some() {
         return Ok(training);
     }
     let footprint = EngineFlow::footprint(device, size, &FlowSettings::default());
     let flow = foresee(device, "optical flow", footprint, || 0, "lower --size")?;
     Ok(training.max(flow))
+}
+
+fn foreseen_training(device: &Device, scale: &TrainingScale) -> Result<u64> {
+    foresee(
+        device,
+        &training(scale),
+        scale.footprint(device),
+        || scale.most_gaussians(device),
+        "lower --max-gaussians, --control-points or --size",
+    )
+}
+
+/// The most (splat, tile) pairs that the first Gaussians make of a frame.
+fn first_pairs(
+    device: &Device,
+    sequence: Sequence<'_>,
+    settings: &SequenceSettings,
+) -> Result<usize> {
+    let seeds = first_gaussians(sequence, settings);
+    if seeds.is_empty() {
+        return Ok(0);
+    }
+    let mut renderer = Renderer::new(device, &Scene::of(seeds))?;
+    let Sequence { times, track, .. } = sequence;
+    most_pairs(&mut renderer, times.len(), |frame| {
+        let view_from_world = track.view_from_world[frame];
+        (Camera { intrinsics: track.intrinsics, view_from_world }, times[frame])
+    })
 }
 
 fn settings(

@@ -1,6 +1,6 @@
 //! A clip: the frames of one video, in order, cameras unknown.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
@@ -225,18 +225,19 @@ fn open_folder(folder: &Path, options: &ClipOptions, go_on: GoOn) -> Result<Clip
         return Err(too_few(folder, files.len(), options, 0));
     }
     let header = |file: &Path| images::dimensions(file, Orientation::Upright).ok();
-    if let Some((width, height)) = files.iter().find_map(|(_, file)| header(file)) {
-        foresee(folder, files.len(), options.size.target(width, height))?;
-    }
+    let size = files.iter().find_map(|(_, file)| header(file)).unwrap_or_default();
+    foresee(folder, files.len(), options.size.target(size.0, size.1))?;
+    let read = |(_, file): &(usize, PathBuf)| {
+        go_on()?;
+        let image = images::decode_rgb(file, [0.0; 3], Orientation::Upright)?;
+        let size = (image.width, image.height);
+        let (width, height) = options.size.target(size.0, size.1);
+        Ok((size, images::resize(&image, width, height)))
+    };
+    let at_a_time = images::at_a_time(size);
     let decoded: Vec<_> = files
-        .par_iter()
-        .map(|(_, file)| {
-            go_on()?;
-            let image = images::decode_rgb(file, [0.0; 3], Orientation::Upright)?;
-            let size = (image.width, image.height);
-            let (width, height) = options.size.target(size.0, size.1);
-            Ok((size, images::resize(&image, width, height)))
-        })
+        .chunks(at_a_time)
+        .flat_map(|files| files.par_iter().map(read).collect::<Vec<_>>())
         .collect();
     let (mut frames, mut bad) = (Vec::new(), Vec::new());
     let mut first = None;
@@ -272,6 +273,7 @@ fn open_folder(folder: &Path, options: &ClipOptions, go_on: GoOn) -> Result<Clip
     }
     let mut clip = assemble(folder, frames, options, bad.len())?;
     clip.total = Some(total);
+    clip.notes.extend(images::large_note(size));
     if let Some(name) = bad.first() {
         let (n, all) = (bad.len(), files.len());
         clip.notes.push(format!("skipped {n} of {all} images that cannot be read ({name} …)"));

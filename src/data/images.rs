@@ -5,7 +5,9 @@ use std::path::Path;
 
 use image::{DynamicImage, ImageDecoder, ImageReader};
 
-use crate::io::{check_memory, check_unpacked, open, read, write_atomically};
+use crate::io::{
+    available_memory, check_memory, check_unpacked, gibibytes, open, read, write_atomically,
+};
 use crate::types::Image;
 use crate::{Error, Result};
 
@@ -96,6 +98,34 @@ fn turns(decoder: &mut impl ImageDecoder) -> bool {
 /// [`Error::Io`] where the file cannot be read, [`Error::Format`] where it is no image.
 pub fn decode_rgb(path: &Path, background: [f32; 3], orientation: Orientation) -> Result<Image> {
     rgb_over(decode(path, orientation)?, background)
+}
+
+/// Bytes of memory for each pixel of a picture while it is read: as decoded, four channels of 8 bits,
+/// and as three floats.
+const READING_BYTES: u64 = 16;
+
+/// Bytes of memory that a picture takes while it is read, before it is brought to its size.
+fn reading_bytes((width, height): (u32, u32)) -> u64 {
+    (u64::from(width) * u64::from(height)).saturating_mul(READING_BYTES)
+}
+
+/// How many pictures of a size to read at a time: one on each core, fewer where memory is short.
+pub(super) fn at_a_time(size: (u32, u32)) -> usize {
+    let cores = rayon::current_num_threads();
+    let room = available_memory().map_or(u64::MAX, |bytes| bytes / reading_bytes(size).max(1));
+    usize::try_from(room).unwrap_or(usize::MAX).clamp(1, cores)
+}
+
+/// A line about pictures that take much memory while they are read, however small their files are.
+pub(super) fn large_note(size: (u32, u32)) -> Option<String> {
+    const MUCH: u64 = 1 << 30;
+    let bytes = Some(reading_bytes(size)).filter(|bytes| *bytes >= MUCH)?;
+    Some(format!(
+        "pictures of {}×{} take {} of memory each while they are read",
+        size.0,
+        size.1,
+        gibibytes(bytes)
+    ))
 }
 
 /// Decodes a file. Half a file is an error, also where a decoder would fill in the rest.
@@ -275,4 +305,20 @@ fn number<'a>(text: &mut &'a [u8]) -> &'a [u8] {
     let (digits, rest) = text.split_at(length);
     *text = rest;
     &digits[digits.iter().position(|&d| d != b'0').unwrap_or(length)..]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn large_pictures_are_read_a_few_at_a_time() {
+        assert!(at_a_time((0, 0)) >= 1 && at_a_time((640, 360)) >= 1);
+        if available_memory().is_some() {
+            assert_eq!(at_a_time((u32::MAX, u32::MAX)), 1);
+        }
+        assert!(large_note((6000, 4000)).is_none());
+        let note = large_note((12_000, 12_000)).unwrap();
+        assert!(note.contains("12000×12000 take 2197.3 MiB"), "{note}");
+    }
 }

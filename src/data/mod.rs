@@ -156,6 +156,7 @@ impl Dataset {
         {
             set.background = [1.0; 3];
         }
+        set.notes.extend(images::large_note(largest(&set.frames)));
         if !set.timed {
             let last = set.frames.len().saturating_sub(1).max(1) as f64;
             for (i, frame) in set.frames.iter_mut().enumerate() {
@@ -189,8 +190,22 @@ impl Dataset {
         };
         let bytes = indices.iter().map(bytes).fold(0, u64::saturating_add);
         io::check_memory(bytes, &format!("loading {} pictures", indices.len()))?;
-        indices.par_iter().map(|&i| self.frames[i].load(self.background, size)).collect()
+        let at_a_time = images::at_a_time(largest(indices.iter().map(|&i| &self.frames[i])));
+        let load = |&i: &usize| self.frames[i].load(self.background, size);
+        let mut views = Vec::with_capacity(indices.len());
+        for indices in indices.chunks(at_a_time) {
+            let loaded: Result<Vec<View>> = indices.par_iter().map(load).collect();
+            views.extend(loaded?);
+        }
+        Ok(views)
     }
+}
+
+/// Width and height of the picture with the most pixels; zeros of none.
+fn largest<'a>(frames: impl IntoIterator<Item = &'a Frame>) -> (u32, u32) {
+    let size = |frame: &Frame| (frame.camera.intrinsics.width, frame.camera.intrinsics.height);
+    let sizes = frames.into_iter().map(size);
+    sizes.max_by_key(|&(w, h)| u64::from(w) * u64::from(h)).unwrap_or_default()
 }
 
 /// Brings a camera to the size that its picture has: sets are often kept at a fraction of the size

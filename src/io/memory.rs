@@ -59,7 +59,7 @@ pub fn check_limits(bytes: u64, what: &str) -> Result<()> {
 }
 
 /// Bytes in words, for messages.
-fn gibibytes(bytes: u64) -> String {
+pub(crate) fn gibibytes(bytes: u64) -> String {
     const MEBI: f64 = (1 << 20) as f64;
     let mebi = bytes as f64 / MEBI;
     if mebi < 10_240.0 { format!("{mebi:.1} MiB") } else { format!("{:.1} GiB", mebi / 1024.0) }

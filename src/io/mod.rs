@@ -9,6 +9,7 @@ mod state;
 mod write;
 
 pub use bytes::Bytes;
+pub(crate) use memory::gibibytes;
 pub use memory::{available_memory, check_limits, check_memory};
 pub use state::{Identity, checksum, read_state, write_state};
 pub use write::{Sink, follow_links, write_atomically, write_json};

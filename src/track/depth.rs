@@ -72,6 +72,7 @@ pub(super) fn dense(
         true => movers::lift(frames, cameras, flow, masks, &behind),
         false => Lifted::nothing(masks),
     };
+    work.progress(Stage::Depth, 0.95)?;
     // What no object owns: by region and frame.
     let rest: Vec<Vec<Option<(f32, f32)>>> =
         layers.par_iter().zip(masks).map(|(layer, mask)| by_region(layer, mask)).collect();

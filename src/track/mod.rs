@@ -295,6 +295,7 @@ pub fn track_observed(
     }
     let depth::Dense { depth, confidence: depth_confidence, movers, owners } =
         depth::dense(frames, &cameras, &flow, &masks, &seen, options, &mut work)?;
+    work.progress(Stage::Depth, 0.96)?;
     let points =
         points::gather(frames, &cameras, &depth, &depth_confidence, &masks, options.max_points);
     let scaffold = scaffold::build(&scaffold::Surfaces {

@@ -74,7 +74,7 @@ pub use scale::{PictureKind, TrainingScale};
 #[cfg(feature = "reconstruct")]
 pub use seed::seed_from_points;
 #[cfg(feature = "reconstruct")]
-pub use sequence::{Sequence, SequenceSettings, fit_sequence};
+pub use sequence::{Sequence, SequenceSettings, first_gaussians, fit_sequence};
 pub use settings::{
     AdaptiveSettings, ControlSettings, GrowthSettings, McmcSettings, MotionSettings, Rates,
     SelectionSettings, TrainSettings,

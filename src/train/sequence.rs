@@ -177,8 +177,7 @@ pub fn fit_sequence(
         ));
     }
     let seeds = seed_static(track, settings);
-    let dynamic = track.quality.dynamic_share >= settings.least_dynamic_share;
-    let mut scene = match dynamic && !track.scaffold.nodes.is_empty() {
+    let mut scene = match moves(track, settings) {
         true => fit_moving(device, sequence, &seeds, settings, resume, observer)?,
         false => {
             let views = views(sequence, settings, |_| 1.0);
@@ -202,6 +201,24 @@ pub fn fit_sequence(
         .collect();
     scene.set_up_from_cameras();
     sound(scene)
+}
+
+/// The Gaussians that [`fit_sequence`] begins with, movers where they are in the canonical frame: how
+/// many tiles they reach tells what memory the training of dense ones takes
+/// ([`TrainingScale::intersections`]).
+pub fn first_gaussians(sequence: Sequence<'_>, settings: &SequenceSettings) -> Gaussians {
+    let mut gaussians = seed_static(sequence.track, settings);
+    if moves(sequence.track, settings) {
+        gaussians.motion_logits = vec![-STRENGTH; gaussians.len()];
+        append(&mut gaussians, &seed_movers(sequence, settings));
+    }
+    gaussians
+}
+
+/// Whether a clip is trained with movers.
+fn moves(track: &Track, settings: &SequenceSettings) -> bool {
+    let dynamic = track.quality.dynamic_share >= settings.least_dynamic_share;
+    dynamic && !track.scaffold.nodes.is_empty()
 }
 
 /// A trained scene, if it can be used.
