@@ -1256,6 +1256,69 @@ fn what_was_interrupted_is_resumed() {
     says(&stderr(&output), &["fresh.checkpoint", "beginning anew"]);
 }
 
+/// What files hold counts, not where they lie: a run resumes only from what was found on the same
+/// pictures, poses, masks, depth and flow.
+#[cfg(unix)]
+#[test]
+fn a_changed_input_is_not_resumed() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    json(folder.path(), "synth rigid -o clip --frames 5 --size 64x48");
+    let command = "reconstruct clip/frames -o x --steps 100000 --max-gaussians 200 \
+                   --poses clip/truth/poses.txt --masks clip/truth/masks --depth clip/truth/depth \
+                   --flow clip/truth";
+    let mut child = program()
+        .current_dir(folder.path())
+        .args(format!("{command} --checkpoint-every 1e-9").split_whitespace())
+        .args(["--device", "software"])
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    while !at("x.checkpoint/training").exists() {
+        assert!(child.try_wait().unwrap().is_none(), "it ended without a checkpoint");
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    let pid = child.id().to_string();
+    assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(130), "{}", stderr(&output));
+    let checkpoint = content(&at("x.checkpoint"));
+    for (input, changed) in [
+        ("the frames", "clip/frames"),
+        ("--masks", "clip/truth/masks"),
+        ("--depth", "clip/truth/depth"),
+        ("--flow", "clip/truth/flow_forward"),
+        ("--poses", "clip/truth/poses.txt"),
+    ] {
+        let (file, other) = match at(changed).is_file() {
+            // The last frame is where the one before it is.
+            true => {
+                let text = fs::read_to_string(at(changed)).unwrap();
+                let [.., before, last] = text.lines().collect::<Vec<_>>()[..] else { panic!() };
+                let (_, pose) = before.split_once(' ').unwrap();
+                let (time, _) = last.split_once(' ').unwrap();
+                (at(changed), text.replace(last, &format!("{time} {pose}")).into_bytes())
+            }
+            // The first frame's file holds what another frame's does.
+            false => {
+                let entries = fs::read_dir(at(changed)).unwrap();
+                let mut files: Vec<_> = entries.map(|entry| entry.unwrap().path()).collect();
+                files.sort();
+                (files[0].clone(), fs::read(&files[2]).unwrap())
+            }
+        };
+        let good = fs::read(&file).unwrap();
+        assert!(good != other, "{input}: nothing is changed");
+        fs::write(&file, other).unwrap();
+        let resume = format!("{command} --resume --device software");
+        let said = fails(folder.path(), 1, &resume);
+        says(&said, &["x.checkpoint", input, "checksum"]);
+        assert_eq!(content(&at("x.checkpoint")), checkpoint, "{input}: the checkpoint stays");
+        fs::write(&file, good).unwrap();
+    }
+}
+
 /// Killed again and again, soon after each first checkpoint, in the tracking and in trainings of a few
 /// steps: it comes to an end, and to the same one.
 #[cfg(unix)]
