@@ -51,6 +51,9 @@ pub struct Fixture {
     pub path: PathBuf,
 }
 
+/// Every file with its size and the time it was written.
+pub type State = Vec<(PathBuf, u64, Option<std::time::SystemTime>)>;
+
 /// The fixtures' folder and what it holds.
 pub struct Fixtures {
     /// The folder.
@@ -138,8 +141,8 @@ impl Fixtures {
         self.all.iter().filter(|fixture| fixture.kind == kind).collect()
     }
 
-    /// Every file with its size and the time it was written, to see whether one was touched.
-    pub fn state(&self) -> Vec<(PathBuf, u64, Option<std::time::SystemTime>)> {
+    /// To see whether an input was touched.
+    pub fn state(&self) -> State {
         let mut found = Vec::new();
         files(&self.root, &mut found);
         found.sort();

@@ -19,7 +19,7 @@ use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Mutex;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -80,7 +80,7 @@ struct Run<'a> {
     /// How many commands ended in which way.
     ends: Mutex<std::collections::BTreeMap<String, usize>>,
     /// Two commands never look at the fixtures at once.
-    fixtures_before: Mutex<Vec<(PathBuf, u64, Option<std::time::SystemTime>)>>,
+    fixtures_before: Mutex<fixtures::State>,
 }
 
 fn run(args: &Args) -> Result<ExitCode, String> {
@@ -161,7 +161,7 @@ fn one(run: &Run, keep: &Path, number: u64, bar: &ProgressBar) -> Result<bool, S
     let mut ended = judge::run(&run.program, &drawn, &folder, &run.bounds).map_err(failed)?;
     {
         let mut before = run.fixtures_before.lock().map_err(|e| e.to_string())?;
-        let now = run.fixtures.state();
+        let now = settled(&run.fixtures, &before);
         if *before != now {
             ended.faults.push("an input was changed by this command or one beside it".into());
             *before = now;
@@ -181,6 +181,19 @@ fn one(run: &Run, keep: &Path, number: u64, bar: &ProgressBar) -> Result<bool, S
     fs::rename(&folder, &kept).map_err(failed)?;
     report(&kept, &command, &ended).map_err(failed)?;
     Ok(false)
+}
+
+/// The fixtures' state, `before` if it is that within a second: a command that is to write over an input
+/// tries the place before it refuses, and what it tries with is gone soon.
+fn settled(fixtures: &Fixtures, before: &fixtures::State) -> fixtures::State {
+    let begun = Instant::now();
+    loop {
+        let now = fixtures.state();
+        if now == *before || begun.elapsed().as_secs() >= 1 {
+            return now;
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
 }
 
 fn report(folder: &Path, command: &str, ended: &Ended) -> std::io::Result<()> {
