@@ -326,6 +326,14 @@ fn held_out_pictures_are_scored_by_region_and_distance() {
 
     let text = run(folder.path(), &eval);
     says(&String::from_utf8(text.stdout).unwrap(), &["movers", "not filmed", "33.3 %"]);
+
+    // What cannot be measured to the end leaves no pictures, those before it neither.
+    let last = folder.path().join("truth/held_out/2/0003.png");
+    let whole = fs::read(&last).unwrap();
+    fs::write(&last, &whole[..whole.len() / 2]).unwrap();
+    let said = fails(folder.path(), 1, &format!("{eval} --pictures half"));
+    says(&said, &["2/0003.png"]);
+    assert!(!folder.path().join("half").exists());
 }
 
 /// A truth whose held-out cameras are a little off: the fitted poses show the pictures better.

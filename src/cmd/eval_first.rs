@@ -13,7 +13,7 @@ use splat4d::{Error, Result};
 
 use super::common::{Common, say};
 use super::eval::EvalArgs;
-use super::held_out::{self, Judge, Shot};
+use super::held_out::{self, Comparisons, Judge, Shot};
 use super::interrupt;
 use super::meter::Meter;
 use super::path;
@@ -68,6 +68,7 @@ pub fn measure(scene: &Scene, args: &EvalArgs, common: &Common) -> Result<Map<St
         judged.push(judge.judge(index, &shot)?);
         meter.advance();
     }
+    comparisons.map_or(Ok(()), Comparisons::finish)?;
     Ok(held_out::keys(&judged))
 }
 

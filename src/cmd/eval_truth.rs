@@ -91,6 +91,7 @@ pub fn measure(
     };
     let held_out = HeldOut { set, folder: truth.join("held_out"), pairs: &pairs };
     found.extend(held_out.judged(&mut judge, &truth_from_scene.inverse(), focal_ratio)?);
+    comparisons.map_or(Ok(()), Comparisons::finish)?;
     Ok(found)
 }
 

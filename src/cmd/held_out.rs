@@ -3,6 +3,7 @@
 
 use std::collections::HashSet;
 use std::fmt::Write;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value, json};
@@ -10,7 +11,8 @@ use splat4d::data::write_png;
 use splat4d::eval::{fit_pose, masked_mean, masked_psnr, ssim_map};
 use splat4d::renderer::Renderer;
 use splat4d::types::{Camera, Image};
-use splat4d::{Error, Result};
+use splat4d::{Error, Result, io};
+use tempfile::TempDir;
 
 use super::outputs::{Inputs, Outputs};
 use super::quality::{Quality, mean};
@@ -299,8 +301,12 @@ pub fn table(found: &Value) -> String {
     text
 }
 
-/// Files that show the truth, the picture and their difference side by side.
-pub struct Comparisons(Vec<PathBuf>);
+/// Files that show the truth, the picture and their difference side by side. They lie elsewhere until
+/// all are there: a command that fails leaves none.
+pub struct Comparisons {
+    files: Vec<PathBuf>,
+    until_all_are_there: TempDir,
+}
 
 impl Comparisons {
     /// One file in a folder for each name; all can be written, and none is read by the command.
@@ -327,10 +333,16 @@ impl Comparisons {
             }
             inputs.spared_by(file)?;
         }
-        Ok(Comparisons(files))
+        let elsewhere = tempfile::tempdir().map_err(Error::io(std::env::temp_dir()))?;
+        Ok(Comparisons { files, until_all_are_there: elsewhere })
     }
 
-    /// Writes the file of the `index`-th name.
+    /// Where the file of the `index`-th name lies until all are there.
+    fn elsewhere(&self, index: usize) -> PathBuf {
+        self.until_all_are_there.path().join(format!("{index}.png"))
+    }
+
+    /// Draws the file of the `index`-th name.
     pub fn write(&self, index: usize, truth: &Image, picture: &Image) -> Result<()> {
         let (width, height) = (truth.width, truth.height);
         let mut sheet = Image::new(3 * width, height, 3);
@@ -344,7 +356,19 @@ impl Comparisons {
                 }
             }
         }
-        write_png(&self.0[index], &sheet)
+        write_png(self.elsewhere(index), &sheet)
+    }
+
+    /// Puts the files that were drawn where they belong.
+    pub fn finish(self) -> Result<()> {
+        for (index, file) in self.files.iter().enumerate() {
+            let drawn = self.elsewhere(index);
+            if drawn.exists() {
+                let bytes = io::read(&drawn)?;
+                io::write_atomically(file, |sink| sink.write_all(&bytes))?;
+            }
+        }
+        Ok(())
     }
 }
 
