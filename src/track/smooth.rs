@@ -3,12 +3,17 @@
 //! One camera sees a mover's path up to one scale: with y(t) the path relative to the camera in a
 //! unit of its own, and c(t) the camera's centre in the world, the mover is at c(t) + y(t) / κ. What
 //! moves by itself moves smoothly, and a camera in a hand does not: κ is what makes y + κ c smoothest
-//! (trajectory triangulation, Park et al., ECCV 2010). Smooth is a path of little jerk: then gravity
-//! costs nothing. The equations are linear in κ, so its standard deviation comes along; where the
-//! camera's own path is as smooth as the mover's, it is large.
+//! (trajectory triangulation, Park et al., ECCV 2010). The equations are linear in κ, so its standard
+//! deviation comes along; where the camera's own path is as smooth as the mover's, it is large.
+//!
+//! What is smooth depends on the mover. What travels has little jerk: then gravity costs nothing. What
+//! stays about a place, a person who stands and gestures say, has little velocity, which ties it to its
+//! place where a jerk would let it drift along with the camera. The evidence of the path (its marginal
+//! likelihood under a Gaussian model of the velocities, accelerations or jerks) decides between them.
 
 use glam::{DMat3, DVec3};
 use nalgebra::{Cholesky, DMatrix, DVector};
+use std::ops::Range;
 
 /// One frame of a path.
 #[derive(Clone, Copy, Debug)]
@@ -36,99 +41,197 @@ pub(super) struct Unit {
 const MOST: usize = 60;
 /// Degrees of freedom of the jerks' distribution: things do bounce.
 const TAIL: f64 = 3.0;
+/// Rounds of weights for that distribution.
+const ROUNDS: usize = 4;
+
+/// Orders of the differences of a path that are small: velocities, accelerations, jerks.
+const VELOCITY: usize = 1;
+const ACCELERATION: usize = 2;
+const JERK: usize = 3;
+
+/// Half powers of ten of the information of differences, in units of what observation noise alone
+/// would make: of any path, and of one whose jerks tell the unit. The jerks are not far above the noise;
+/// where they were free to be, a soft path would follow the camera's shake.
+const ANY: Range<i32> = -16..10;
+const STIFF: Range<i32> = -2..10;
 
 /// The unit in which a path is smoothest. The places are in order, at equal distances in time.
 /// `None` for fewer than eight places, or where nothing decides.
 pub(super) fn unit(places: &[Place]) -> Option<Unit> {
     let places: Vec<Place> =
         places.iter().copied().step_by(places.len().div_ceil(MOST).max(1)).collect();
-    let frames = places.len();
-    if frames < 8 {
+    if places.len() < 8 {
         return None;
     }
-    let n = 3 * frames;
-    let mean = places.iter().map(|p| p.centre).sum::<DVec3>() / frames as f64;
-    let mut weights = DMatrix::<f64>::zeros(n, n);
-    let (mut y, mut c) = (DVector::<f64>::zeros(n), DVector::<f64>::zeros(n));
-    for (t, place) in places.iter().enumerate() {
-        let ray = place.relative.normalize();
-        let (across, along) = (place.across.powi(-2), place.along.powi(-2));
-        let outer = DMat3::from_cols(ray * ray.x, ray * ray.y, ray * ray.z);
-        let w = DMat3::IDENTITY * across + outer * (along - across);
-        for i in 0..3 {
-            for j in 0..3 {
-                weights[(3 * t + i, 3 * t + j)] = w.col(j)[i];
+    let path = Path::new(&places);
+    let [stays, steady, travels] = [VELOCITY, ACCELERATION, JERK]
+        .map(|order| path.fit(order, &[], ANY).map(|fit| fit.evidence));
+    let cost = |evidence: Option<f64>| evidence.unwrap_or(f64::INFINITY);
+    // Whatever travels is held by its jerks: accelerations are more easily the camera's own.
+    let stays = cost(stays) < cost(steady).min(cost(travels));
+    if stays { path.robust(VELOCITY, ANY) } else { path.robust(JERK, STIFF) }
+}
+
+/// The equations of a path.
+struct Path {
+    frames: usize,
+    /// Information of the observations, three rows a frame.
+    weights: DMatrix<f64>,
+    /// The mover relative to the camera.
+    relative: DVector<f64>,
+    /// The camera about the middle of its path.
+    camera: DVector<f64>,
+    /// The information of differences that observation noise alone would make.
+    noise: f64,
+    /// The usual distance from the camera.
+    distance: f64,
+}
+
+/// A path's unit under one model of its differences.
+struct Fit {
+    unit: Unit,
+    /// Minus twice the logarithm of the marginal likelihood, up to a constant that all models share.
+    evidence: f64,
+    path: DVector<f64>,
+}
+
+impl Path {
+    fn new(places: &[Place]) -> Path {
+        let frames = places.len();
+        let n = 3 * frames;
+        let mean = places.iter().map(|p| p.centre).sum::<DVec3>() / frames as f64;
+        let mut weights = DMatrix::<f64>::zeros(n, n);
+        let (mut relative, mut camera) = (DVector::zeros(n), DVector::zeros(n));
+        for (t, place) in places.iter().enumerate() {
+            let ray = place.relative.normalize();
+            let (across, along) = (place.across.powi(-2), place.along.powi(-2));
+            let outer = DMat3::from_cols(ray * ray.x, ray * ray.y, ray * ray.z);
+            let w = DMat3::IDENTITY * across + outer * (along - across);
+            for i in 0..3 {
+                for j in 0..3 {
+                    weights[(3 * t + i, 3 * t + j)] = w.col(j)[i];
+                }
+                relative[3 * t + i] = place.relative[i];
+                camera[3 * t + i] = (place.centre - mean)[i];
             }
-            y[3 * t + i] = place.relative[i];
-            c[3 * t + i] = (place.centre - mean)[i];
+        }
+        let middle = |of: fn(&Place) -> f64| super::quantile(places.iter().map(of).collect(), 0.5);
+        Path {
+            frames,
+            weights,
+            relative,
+            camera,
+            noise: middle(|p| p.across.powi(-2)),
+            distance: middle(|p| p.relative.length()),
         }
     }
-    // The scale of jerks that observation noise alone would make.
-    let noise = {
-        let mut all: Vec<f64> = places.iter().map(|p| p.across.powi(-2)).collect();
-        all.sort_by(f64::total_cmp);
-        all[frames / 2]
-    };
-    let mut jerks = vec![1.0; frames - 3];
-    let mut best: Option<(f64, f64, f64, DVector<f64>)> = None;
-    for _ in 0..4 {
-        best = None;
+
+    /// The unit under which the differences of an order have heavy tails.
+    fn robust(&self, order: usize, stiffnesses: Range<i32>) -> Option<Unit> {
+        let mut scales = vec![1.0; self.frames - order];
+        let mut unit = None;
+        for _ in 0..ROUNDS {
+            let fit = self.fit(order, &scales, stiffnesses.clone())?;
+            let squared: Vec<f64> = (0..self.frames - order)
+                .map(|t| (0..3).map(|axis| fit.difference(order, t, axis).powi(2)).sum())
+                .collect();
+            // Reweighted as under Student's distribution.
+            let weight = |s: f64, spread: f64| (TAIL + 3.0) / (TAIL + 3.0 * s / spread.max(1e-300));
+            let mut spread = squared.iter().sum::<f64>() / squared.len() as f64;
+            for _ in 0..10 {
+                let sum: f64 = squared.iter().map(|s| s * weight(*s, spread)).sum();
+                spread = sum / squared.len() as f64;
+            }
+            scales = squared.iter().map(|s| weight(*s, spread)).collect();
+            unit = Some(fit.unit);
+        }
+        unit.filter(|u| u.inverse.is_finite() && u.deviation.is_finite())
+    }
+
+    /// The most likely unit, differences of an order being Gaussian with a variance that the path
+    /// itself tells, each divided by its own of `scales`, or all alike where there are none.
+    fn fit(&self, order: usize, scales: &[f64], stiffnesses: Range<i32>) -> Option<Fit> {
+        let n = 3 * self.frames;
+        let row = binomials(order);
         let mut penalty = DMatrix::<f64>::zeros(n, n);
-        for (t, jerk) in jerks.iter().enumerate() {
-            let row = [-1.0, 3.0, -3.0, 1.0];
+        for t in 0..self.frames - order {
+            let scale = scales.get(t).copied().unwrap_or(1.0);
             for (a, p) in row.iter().enumerate() {
                 for (b, q) in row.iter().enumerate() {
                     for i in 0..3 {
-                        penalty[(3 * (t + a) + i, 3 * (t + b) + i)] += jerk * p * q;
+                        penalty[(3 * (t + a) + i, 3 * (t + b) + i)] += scale * p * q;
                     }
                 }
             }
         }
-        for exponent in 0..12 {
-            let stiffness = noise * 10f64.powf(0.5 * f64::from(exponent) - 1.0);
-            let Some(factor) = Cholesky::new(&weights + &penalty * stiffness) else { continue };
-            let explained = |v: &DVector<f64>| {
-                let weighted = &weights * v;
-                let x = factor.solve(&weighted);
-                (weighted.clone() - &weights * &x, x)
+        // What the differences leave free, a place, a velocity, an acceleration on each axis, is spread
+        // about as widely as the mover is far away.
+        let width = self.distance * (self.frames as f64).sqrt();
+        let free_of_differences = 6.0 * order as f64 * width.ln();
+        let differences = 3.0 * log_determinant_of_differences(self.frames, order);
+        // κ and the variance are free as well as what the differences leave free.
+        let rank = (n - 3 * order) as f64;
+        let free = rank - 1.0;
+        let mut best: Option<Fit> = None;
+        for exponent in stiffnesses {
+            let stiffness = self.noise * 10f64.powf(0.5 * f64::from(exponent));
+            let Some(factor) = Cholesky::new(&self.weights + &penalty * stiffness) else {
+                continue;
             };
-            let ((sy, xy), (sc, xc)) = (explained(&y), explained(&c));
-            let information = c.dot(&sc);
+            let explained = |v: &DVector<f64>| {
+                let weighted = &self.weights * v;
+                let x = factor.solve(&weighted);
+                (weighted.clone() - &self.weights * &x, x)
+            };
+            let ((sy, xy), (sc, xc)) = (explained(&self.relative), explained(&self.camera));
+            let information = self.camera.dot(&sc);
             if information <= 0.0 {
                 continue;
             }
-            let inverse = -c.dot(&sy) / information;
-            let rest = (y.dot(&sy) - inverse * inverse * information).max(1e-12);
-            let free = (n - 10) as f64;
+            let inverse = -self.camera.dot(&sy) / information;
+            let rest = (self.relative.dot(&sy) - inverse * inverse * information).max(1e-12);
             let log_determinant = 2.0 * factor.l().diagonal().iter().map(|d| d.ln()).sum::<f64>();
             let evidence =
-                free * (rest / free).ln() + log_determinant - (n - 9) as f64 * stiffness.ln();
-            let deviation = (rest / free / information).sqrt();
-            if best.as_ref().is_none_or(|b| evidence < b.0) {
+                free * (rest / free).ln() + log_determinant - rank * stiffness.ln() - differences
+                    + free_of_differences;
+            if best.as_ref().is_none_or(|b| evidence < b.evidence) {
+                let deviation = (rest / free / information).sqrt();
                 let path = xy + inverse * xc;
-                best = Some((evidence, inverse, deviation, path));
+                best = Some(Fit { unit: Unit { inverse, deviation }, evidence, path });
             }
         }
-        let (_, _, _, path) = best.as_ref()?;
-        let at = |t: usize| DVec3::new(path[3 * t], path[3 * t + 1], path[3 * t + 2]);
-        let squared: Vec<f64> = (0..frames - 3)
-            .map(|t| (at(t + 3) - 3.0 * at(t + 2) + 3.0 * at(t + 1) - at(t)).length_squared())
-            .collect();
-        // Reweighted as under Student's distribution.
-        let mut spread = squared.iter().sum::<f64>() / squared.len() as f64;
-        for _ in 0..10 {
-            let sum: f64 = squared
-                .iter()
-                .map(|s| s * (TAIL + 3.0) / (TAIL + 3.0 * s / spread.max(1e-300)))
-                .sum();
-            spread = sum / squared.len() as f64;
-        }
-        for (jerk, s) in jerks.iter_mut().zip(&squared) {
-            *jerk = (TAIL + 3.0) / (TAIL + 3.0 * s / spread.max(1e-300));
-        }
+        best
     }
-    let (_, inverse, deviation, _) = best?;
-    (inverse.is_finite() && deviation.is_finite()).then_some(Unit { inverse, deviation })
+}
+
+impl Fit {
+    /// A difference of the path along an axis.
+    fn difference(&self, order: usize, t: usize, axis: usize) -> f64 {
+        let terms = binomials(order).into_iter().enumerate();
+        terms.map(|(a, p)| p * self.path[3 * (t + a) + axis]).sum()
+    }
+}
+
+/// The factors of a difference of an order: −1, 1; 1, −2, 1; −1, 3, −3, 1.
+fn binomials(order: usize) -> Vec<f64> {
+    let mut row = vec![1.0];
+    for _ in 0..order {
+        let at = |k: usize| row.get(k).copied().unwrap_or(0.0);
+        row = (0..=row.len()).map(|k| if k > 0 { at(k - 1) } else { 0.0 } - at(k)).collect();
+    }
+    row
+}
+
+/// Logarithm of the determinant of D Dᵀ, with D x the differences of an order of so many numbers.
+fn log_determinant_of_differences(numbers: usize, order: usize) -> f64 {
+    let row = binomials(order);
+    let differences = DMatrix::from_fn(numbers - order, numbers, |t, k| {
+        k.checked_sub(t).and_then(|a| row.get(a)).copied().unwrap_or(0.0)
+    });
+    let squared = &differences * differences.transpose();
+    // Of full rank: each difference has a number that no earlier one has.
+    Cholesky::new(squared)
+        .map_or(0.0, |f| 2.0 * f.l().diagonal().iter().map(|d| d.ln()).sum::<f64>())
 }
 
 #[cfg(test)]
@@ -167,5 +270,50 @@ mod tests {
         let found = unit(&places(0.0, 0.0005));
         assert!(found.is_none_or(|f| f.deviation > 0.2 * f.inverse.abs()), "{found:?}");
         assert!(unit(&places(0.02, 0.001)[..7]).is_none());
+    }
+
+    #[test]
+    fn differences_are_of_their_order() {
+        assert_eq!(binomials(1), [-1.0, 1.0]);
+        assert_eq!(binomials(3), [-1.0, 3.0, -3.0, 1.0]);
+        // Of five numbers there are four velocities; D Dᵀ is tridiagonal 2, −1, its determinant 5.
+        assert!((log_determinant_of_differences(5, 1) - 5f64.ln()).abs() < 1e-12);
+    }
+
+    /// Somebody who stands and gestures, seen from a camera that goes there, steps up and goes back.
+    fn standing() -> Vec<Place> {
+        (0..12)
+            .map(|t| {
+                let (k, t) = (t as f64, t as usize);
+                let aside = if t < 6 { 0.05 * k } else { 0.05 * (10.5 - k) };
+                let centre = DVec3::new(aside, if t < 6 { 0.0 } else { 0.05 }, 0.01 * k);
+                // To and fro about a place, by a tenth of the camera's way.
+                let gesture = [0.0, 0.8, -0.4, 0.3, 1.0, -0.7, -0.2, 0.6, -1.0, 0.1, -0.5, 0.4][t];
+                let at = DVec3::new(0.1 + 0.015 * gesture, 0.01 * gesture * gesture, 0.85);
+                Place { relative: (at - centre) * 2.0, centre, across: 0.001, along: 0.01 }
+            })
+            .collect()
+    }
+
+    #[test]
+    fn who_stands_and_gestures_is_held_by_the_place() {
+        let places = standing();
+        let found = unit(&places).unwrap();
+        assert!((found.inverse / 2.0 - 1.0).abs() < 0.03, "{found:?}");
+        let path = Path::new(&places);
+        let by_jerk = path.robust(JERK, STIFF).unwrap();
+        let off = |unit: Unit| (unit.inverse / 2.0 - 1.0).abs();
+        assert!(off(by_jerk) > off(found), "{by_jerk:?}");
+    }
+
+    #[test]
+    fn what_travels_is_held_by_its_jerks() {
+        // As before, for its velocities would tie the ball to the camera.
+        let places = places(0.02, 0.0005);
+        let path = Path::new(&places);
+        let (chosen, by_velocity) = (unit(&places).unwrap(), path.robust(VELOCITY, ANY));
+        assert_eq!(chosen.inverse, path.robust(JERK, STIFF).unwrap().inverse);
+        let off = by_velocity.map_or(f64::INFINITY, |u| (u.inverse / 0.5 - 1.0).abs());
+        assert!(off > 0.1, "{by_velocity:?}");
     }
 }
