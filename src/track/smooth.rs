@@ -39,7 +39,7 @@ pub(super) struct Unit {
 
 /// Frames that a path is thinned to: the work grows with their cube.
 const MOST: usize = 60;
-/// Degrees of freedom of the jerks' distribution: things do bounce.
+/// Degrees of freedom of the differences' distribution: things do bounce.
 const TAIL: f64 = 3.0;
 /// Rounds of weights for that distribution.
 const ROUNDS: usize = 4;
@@ -65,9 +65,9 @@ pub(super) fn unit(places: &[Place]) -> Option<Unit> {
     }
     let path = Path::new(&places);
     let [stays, steady, travels] = [VELOCITY, ACCELERATION, JERK]
-        .map(|order| path.fit(order, &[], ANY).map(|fit| fit.evidence));
+        .map(|order| path.fit(order, &path.even(order), ANY).map(|fit| fit.evidence));
     let cost = |evidence: Option<f64>| evidence.unwrap_or(f64::INFINITY);
-    // Whatever travels is held by its jerks: accelerations are more easily the camera's own.
+    // Accelerations compete but never give the unit: those of a thrown thing are gravity's.
     let stays = cost(stays) < cost(steady).min(cost(travels));
     if stays { path.robust(VELOCITY, ANY) } else { path.robust(JERK, STIFF) }
 }
@@ -126,14 +126,20 @@ impl Path {
         }
     }
 
+    /// Differences of an order that are all alike.
+    fn even(&self, order: usize) -> Vec<f64> {
+        vec![1.0; self.frames - order]
+    }
+
     /// The unit under which the differences of an order have heavy tails.
     fn robust(&self, order: usize, stiffnesses: Range<i32>) -> Option<Unit> {
-        let mut scales = vec![1.0; self.frames - order];
+        let row = binomials(order);
+        let mut scales = self.even(order);
         let mut unit = None;
         for _ in 0..ROUNDS {
             let fit = self.fit(order, &scales, stiffnesses.clone())?;
             let squared: Vec<f64> = (0..self.frames - order)
-                .map(|t| (0..3).map(|axis| fit.difference(order, t, axis).powi(2)).sum())
+                .map(|t| (0..3).map(|axis| fit.difference(&row, t, axis).powi(2)).sum())
                 .collect();
             // Reweighted as under Student's distribution.
             let weight = |s: f64, spread: f64| (TAIL + 3.0) / (TAIL + 3.0 * s / spread.max(1e-300));
@@ -149,13 +155,12 @@ impl Path {
     }
 
     /// The most likely unit, differences of an order being Gaussian with a variance that the path
-    /// itself tells, each divided by its own of `scales`, or all alike where there are none.
+    /// itself tells, each divided by its own of `scales`.
     fn fit(&self, order: usize, scales: &[f64], stiffnesses: Range<i32>) -> Option<Fit> {
         let n = 3 * self.frames;
         let row = binomials(order);
         let mut penalty = DMatrix::<f64>::zeros(n, n);
-        for t in 0..self.frames - order {
-            let scale = scales.get(t).copied().unwrap_or(1.0);
+        for (t, scale) in scales.iter().enumerate() {
             for (a, p) in row.iter().enumerate() {
                 for (b, q) in row.iter().enumerate() {
                     for i in 0..3 {
@@ -190,7 +195,7 @@ impl Path {
             }
             let inverse = -self.camera.dot(&sy) / information;
             let rest = (self.relative.dot(&sy) - inverse * inverse * information).max(1e-12);
-            let log_determinant = 2.0 * factor.l().diagonal().iter().map(|d| d.ln()).sum::<f64>();
+            let log_determinant = factor.ln_determinant();
             let evidence =
                 free * (rest / free).ln() + log_determinant - rank * stiffness.ln() - differences
                     + free_of_differences;
@@ -205,10 +210,9 @@ impl Path {
 }
 
 impl Fit {
-    /// A difference of the path along an axis.
-    fn difference(&self, order: usize, t: usize, axis: usize) -> f64 {
-        let terms = binomials(order).into_iter().enumerate();
-        terms.map(|(a, p)| p * self.path[3 * (t + a) + axis]).sum()
+    /// A difference of the path along an axis, by its factors.
+    fn difference(&self, row: &[f64], t: usize, axis: usize) -> f64 {
+        row.iter().enumerate().map(|(a, p)| p * self.path[3 * (t + a) + axis]).sum()
     }
 }
 
@@ -230,8 +234,7 @@ fn log_determinant_of_differences(numbers: usize, order: usize) -> f64 {
     });
     let squared = &differences * differences.transpose();
     // Of full rank: each difference has a number that no earlier one has.
-    Cholesky::new(squared)
-        .map_or(0.0, |f| 2.0 * f.l().diagonal().iter().map(|d| d.ln()).sum::<f64>())
+    Cholesky::new(squared).map_or(0.0, |factor| factor.ln_determinant())
 }
 
 #[cfg(test)]
