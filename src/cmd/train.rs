@@ -14,7 +14,8 @@ use splat4d::renderer::Renderer;
 use splat4d::scene::{Scene, SceneCamera};
 use splat4d::train::{
     AdaptiveSettings, Checkpoint, GrowthSettings, McmcSettings, Phase, PosedMotion, TrainSettings,
-    TrainingScale, TrainingView, fit_posed, posed_scale, random_points, seed_from_points,
+    TrainingScale, TrainingView, fit_posed, points_in_hull, posed_scale, random_points,
+    seed_from_points,
 };
 use splat4d::types::{Camera, Gaussians, RenderSettings, Tuning};
 use splat4d::{Error, Result};
@@ -44,7 +45,7 @@ Examples:
 
 JSON: psnr_input, psnr_test (null where nothing is held out), ssim_test,
 gaussians, control_points, control_points_added, control_points_removed (null where nothing moves),
-dynamic_share, model [{what, chosen, because, saves}], density (null where their number is kept),
+dynamic_share, model [{what, chosen, because, saves}], density (null where the dataset's points are kept),
 steps, images, held_out, device, predicted_bytes (of device memory, before it began), all also kept
 in the scene; and, in report.json too, peak_bytes, milliseconds_per_step,
 seconds {load, train, evaluate}; output";
@@ -101,7 +102,8 @@ pub struct TrainArgs {
     #[arg(long, value_name = "N", default_value_t = PosedMotion::default().control_points,
           value_parser = values::whole::<usize>(1..=values::MOST_CONTROL_POINTS))]
     control_points: usize,
-    /// Points to begin with where the dataset has none, spread over what the cameras look at
+    /// Points to begin with where the dataset has none, spread over what the alpha channels of the
+    /// pictures show, or over what the cameras look at
     #[arg(long, value_name = "N", default_value_t = 20_000,
           value_parser = values::whole::<usize>(1..=values::MOST_POINTS))]
     random_points: usize,
@@ -148,7 +150,6 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     let device = common.open_device()?;
     let size = args.size.map_or(Resize::Keep, Resize::Longest);
     let (train, test) = (set.load(&train, size)?, set.load(&test, size)?);
-    let cameras: Vec<Camera> = train.iter().map(|view| view.camera).collect();
     let first = first_gaussians(args, &set);
     say(&format!(
         "{} pictures to train on, {} held out, {} Gaussians to begin with",
@@ -164,7 +165,8 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         depth_bits: tuning.depth_bits,
         raster: tuning.raster,
         background: set.background,
-        growth: (args.max_gaussians > 0).then(|| growth(args)),
+        // Random points are not where the subject is: the faint move there.
+        growth: (args.max_gaussians > 0 || set.points.is_empty()).then(|| growth(args)),
         seed: common.seed,
         ..TrainSettings::of_steps(args.steps)
     };
@@ -203,7 +205,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         (first as u64).saturating_mul(BYTES_A_SEED),
         &format!("beginning with {} Gaussians", thousands(first)),
     )?;
-    let seeded = seed_from_points(&points(common, &set, &cameras, first), sh_degree);
+    let seeded = seed_from_points(&points(common, &set, &views, first), sh_degree);
     clock.lap("load");
     // The first Gaussians may be large: few points are far apart.
     scale.intersections = pairs_of(&device, &seeded, settings.render, &views)?;
@@ -243,9 +245,9 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         "control_points_removed": trained["control_points_removed"],
         "dynamic_share": dynamic_share(&scene),
         "model": model,
-        "density": match args.max_gaussians {
-            0 => Value::Null,
-            _ => json!(args.density.to_possible_value().map(|v| v.get_name().to_owned())),
+        "density": match settings.growth {
+            None => Value::Null,
+            Some(_) => json!(args.density.to_possible_value().map(|v| v.get_name().to_owned())),
         },
         "steps": args.steps,
         "images": train.len(),
@@ -309,10 +311,17 @@ fn pairs_of(
 }
 
 /// So many of the dataset's points; random ones where it has none.
-fn points(common: &Common, set: &Dataset, cameras: &[Camera], count: usize) -> Vec<Point> {
+fn points(common: &Common, set: &Dataset, views: &[TrainingView], count: usize) -> Vec<Point> {
     if set.points.is_empty() {
-        say(&format!("note: the dataset has no points; beginning with {count} random ones"));
-        return random_points(cameras, count, common.seed);
+        let within = if set.alpha { " within what the alpha channels show" } else { "" };
+        say(&format!(
+            "note: the dataset has no points; beginning with {count} random ones{within}"
+        ));
+        let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
+        return match set.alpha {
+            true => points_in_hull(views, set.background, count, common.seed),
+            false => random_points(&cameras, count, common.seed),
+        };
     }
     let mut points = set.points.clone();
     if points.len() > count {

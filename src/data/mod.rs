@@ -111,6 +111,8 @@ pub struct Dataset {
     /// What lies behind everything: white where the pictures have an alpha channel, as D-NeRF and
     /// NeRF-synthetic have it, else black.
     pub background: [f32; 3],
+    /// Whether the pictures have an alpha channel, as far as the first of them tells.
+    pub alpha: bool,
     /// Lines to show: what was skipped or assumed.
     pub notes: Vec<String>,
     /// The files that were read beside the pictures.
@@ -154,7 +156,7 @@ impl Dataset {
         if let Some(first) = set.frames.first()
             && images::has_alpha(&first.path)?
         {
-            set.background = [1.0; 3];
+            (set.background, set.alpha) = ([1.0; 3], true);
         }
         set.notes.extend(images::large_note(largest(&set.frames)));
         if !set.timed {

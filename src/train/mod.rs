@@ -68,7 +68,7 @@ pub use posed::{PosedMotion, fit_posed, posed_scale};
 #[cfg(feature = "reconstruct")]
 pub use preset::{Preset, Quality};
 #[cfg(feature = "reconstruct")]
-pub use region::random_points;
+pub use region::{points_in_hull, random_points};
 pub use rounds::ControlChanges;
 pub use scale::{PictureKind, TrainingScale};
 #[cfg(feature = "reconstruct")]

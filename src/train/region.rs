@@ -1,13 +1,26 @@
 //! Where to put the first Gaussians when there are no points: in the space that the cameras look
-//! at.
+//! at, and where pictures show what is there before an empty background, within its visual hull.
 
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
 
+use super::views::TrainingView;
 use crate::data::Point;
 use crate::geometry::look_at_point;
 use crate::types::{Camera, range};
+
+/// Rounds in which as many random points are looked up as are wanted: the hull fills little of the
+/// space.
+const ROUNDS: u64 = 64;
+/// Pictures that a point is looked up in, at most.
+const PICTURES: usize = 64;
+/// A point is within the hull that at least this share of the pictures shows before the background.
+/// What moves is somewhere else half of the time.
+const WITHIN: f64 = 0.4;
+/// A pixel shows something where a channel differs from the background by more than this.
+const SHOWS: f32 = 0.02;
 
 /// `count` grey points spread evenly over the cube that the cameras look at: around the point
 /// nearest to their axes, its half side a third of the cameras' mean distance from it (the objects
@@ -43,11 +56,117 @@ pub fn random_points(cameras: &[Camera], count: usize, seed: u64) -> Vec<Point> 
         .collect()
 }
 
+/// `count` of [`random_points`]' points that most of the pictures show before `background`, as the
+/// visual hull of a moving subject (Laurentini 1994; a share of the pictures, since no point is in all
+/// of them), each of the mean colour that the pictures show there. Where too few points lie within the
+/// hull, those come next that the most pictures show.
+pub fn points_in_hull(
+    views: &[TrainingView],
+    background: [f32; 3],
+    count: usize,
+    seed: u64,
+) -> Vec<Point> {
+    let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
+    let every = views.len().div_ceil(PICTURES).max(1);
+    let looked_up: Vec<&TrainingView> = views.iter().step_by(every).collect();
+    // Those within the hull in the order in which they come, then the others by their shares.
+    let mut best: Vec<(f64, Point)> = Vec::new();
+    for round in 0..ROUNDS {
+        let seed = seed ^ (round << 32);
+        let points = random_points(&cameras, count, seed).into_par_iter();
+        best.par_extend(points.map(|point| shown(point, &looked_up, background)));
+        // Sorting is stable.
+        best.sort_by(|a, b| b.0.min(WITHIN).total_cmp(&a.0.min(WITHIN)));
+        best.truncate(count);
+        if best.last().is_none_or(|(share, _)| *share >= WITHIN) {
+            break;
+        }
+    }
+    best.into_iter().map(|(_, point)| point).collect()
+}
+
+/// The share of the pictures that show something where a point is, of those that it lies in, and the
+/// point with the mean colour there.
+fn shown(point: Point, views: &[&TrainingView], background: [f32; 3]) -> (f64, Point) {
+    let (mut inside, mut shown) = (0, 0);
+    let mut colour = [0.0; 3];
+    for view in views {
+        let camera = &view.camera;
+        let place = DVec3::from_array(point.position.map(f64::from));
+        let seen = camera.view_from_world.apply(place);
+        let pixel = camera.intrinsics.project(seen);
+        let (width, height) = (view.image.width, view.image.height);
+        let within = pixel.x >= 0.0
+            && pixel.y >= 0.0
+            && pixel.x < f64::from(width)
+            && pixel.y < f64::from(height);
+        if seen.z <= 0.0 || !within {
+            continue;
+        }
+        inside += 1;
+        let here = view.image.at(pixel.x as u32, pixel.y as u32);
+        if (0..3).any(|k| (here[k] - background[k]).abs() > SHOWS) {
+            shown += 1;
+            (0..3).for_each(|k| colour[k] += here[k]);
+        }
+    }
+    let share = f64::from(shown) / f64::from(inside.max(1));
+    match shown {
+        0 => (share, point),
+        _ => (share, Point { colour: colour.map(|c| c / shown as f32), ..point }),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::geometry::look_at;
-    use crate::types::Intrinsics;
+    use crate::types::{Image, Intrinsics};
+    use glam::DVec2;
+
+    #[test]
+    fn points_lie_within_what_the_pictures_show() {
+        // A red ball of radius 0.5 about (1, 2, 3), which jumps aside in every third picture.
+        let centre = DVec3::new(1.0, 2.0, 3.0);
+        let views: Vec<TrainingView> = (0..12)
+            .map(|i| {
+                let turn = f64::from(i) * 0.9;
+                let from = centre + 4.0 * DVec3::new(turn.cos(), 0.3 * turn.sin(), turn.sin());
+                let camera = Camera {
+                    intrinsics: Intrinsics::centred(60.0, 64, 64),
+                    view_from_world: look_at(from, centre, DVec3::NEG_Y),
+                };
+                let at = if i % 3 == 0 { centre + DVec3::Y } else { centre };
+                let mut image = Image::new(64, 64, 3);
+                for y in 0..64 {
+                    for x in 0..64 {
+                        let pixel = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
+                        let ray = camera.intrinsics.ray(pixel).normalize();
+                        let to = camera.view_from_world.apply(at);
+                        let hit = to.cross(ray).length() < 0.5;
+                        let colour = if hit { [0.8, 0.1, 0.1] } else { [1.0; 3] };
+                        image.at_mut(x, y).copy_from_slice(&colour);
+                    }
+                }
+                let time = f64::from(i) / 11.0;
+                TrainingView { camera, time, image, weights: None, disparity: None, mask: None }
+            })
+            .collect();
+        let points = points_in_hull(&views, [1.0; 3], 200, 7);
+        assert_eq!(points.len(), 200);
+        let off = |p: &Point| glam::Vec3::from(p.position).as_dvec3().distance(centre);
+        // The cube that the cameras look at reaches to 1.35 along each axis; in a share of the
+        // pictures there is more than the ball.
+        let mut offs: Vec<f64> = points.iter().map(off).collect();
+        offs.sort_by(f64::total_cmp);
+        assert!(offs[100] < 0.6 && offs[180] < 1.0, "{} {}", offs[100], offs[180]);
+        assert!(points.iter().any(|p| off(p) > 0.4), "they fill it");
+        let red = |p: &Point| (p.colour[0] - 0.8).abs() < 1e-4 && (p.colour[1] - 0.1).abs() < 1e-4;
+        assert!(points.iter().all(red));
+        assert_eq!(points, points_in_hull(&views, [1.0; 3], 200, 7));
+        // Where nothing is shown there are points all the same.
+        assert_eq!(points_in_hull(&views, [0.8, 0.1, 0.1], 20, 7).len(), 20);
+    }
 
     #[test]
     fn points_lie_where_the_cameras_look() {
