@@ -119,7 +119,7 @@ fn training_reports_and_leaves_a_scene() {
     assert_eq!(report["gaussians"], 400);
     assert_eq!((&report["images"], &report["held_out"]), (&2.into(), &2.into()));
     assert_eq!(report["control_points"], 0);
-    assert_eq!((&report["dynamic_share"], &report["density"]), (&0.0.into(), &Value::Null));
+    assert_eq!((&report["dynamic_share"], &report["density"]), (&0.0.into(), &"mcmc".into()));
     for key in ["psnr_input", "psnr_test", "peak_bytes", "milliseconds_per_step"] {
         assert!(report[key].as_f64() > Some(1.0), "{key}: {report}");
     }
@@ -169,7 +169,7 @@ fn pictures_with_times_make_a_scene_that_moves() {
     assert_eq!((&report["control_points"], &report["gaussians"]), (&15.into(), &300.into()));
     assert_eq!((&report["dynamic_share"], &report["density"]), (&1.0.into(), &"adaptive".into()));
     let found = json(folder.path(), "info x");
-    assert_eq!(found["network"]["width"], 64);
+    assert_eq!(found["network"]["width"], 128);
     json(folder.path(), "render x -o views --path input --times 0.5");
 }
 
