@@ -145,6 +145,7 @@ const FASTEST: f64 = 3.0;
 /// of it.
 fn joint_settings(motion: &PosedMotion, settings: &TrainSettings, steps: u32) -> TrainSettings {
     let faster = (30_000.0 / f64::from(steps.max(1))).clamp(1.0, FASTEST);
+    let rate = faster * settings.motion.rate;
     let growth = settings.growth.map(|growth| match growth {
         GrowthSettings::Mcmc(mcmc) => GrowthSettings::Mcmc(McmcSettings {
             from: mcmc.from.min(200),
@@ -165,8 +166,9 @@ fn joint_settings(motion: &PosedMotion, settings: &TrainSettings, steps: u32) ->
             ..settings.rates
         },
         motion: MotionSettings {
-            rate: faster * settings.motion.rate,
-            rate_last: settings.motion.rate_last.max(0.5 / f64::from(steps.max(1))),
+            rate,
+            // So that the last steps still move it: 1e-4 of 5,000.
+            rate_last: settings.motion.rate_last.max(0.5 / f64::from(steps.max(1))).min(rate),
             control: Some(ControlSettings::scaled_to(steps, motion.control_points)),
             ..settings.motion
         },
