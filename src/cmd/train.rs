@@ -45,7 +45,7 @@ Examples:
 
 JSON: psnr_input, psnr_test (null where nothing is held out), ssim_test,
 gaussians, control_points, control_points_added, control_points_removed (null where nothing moves),
-dynamic_share, model [{what, chosen, because, saves}], density (null where the dataset's points are kept),
+dynamic_share, model [{what, chosen, because, saves}], density (null where their number is kept),
 steps, images, held_out, device, predicted_bytes (of device memory, before it began), all also kept
 in the scene; and, in report.json too, peak_bytes, milliseconds_per_step,
 seconds {load, train, evaluate}; output";
@@ -165,8 +165,8 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         depth_bits: tuning.depth_bits,
         raster: tuning.raster,
         background: set.background,
-        // Random points are not where the subject is: the faint move there.
-        growth: (args.max_gaussians > 0 || set.points.is_empty()).then(|| growth(args)),
+        // A hull is larger than the subject: the faint move to where it is.
+        growth: (args.max_gaussians > 0 || begins_in_hull(&set)).then(|| growth(args)),
         seed: common.seed,
         ..TrainSettings::of_steps(args.steps)
     };
@@ -290,6 +290,11 @@ fn first_gaussians(args: &TrainArgs, set: &Dataset) -> usize {
     points.min(most)
 }
 
+/// Whether the first Gaussians are random ones within the visual hull.
+fn begins_in_hull(set: &Dataset) -> bool {
+    set.points.is_empty() && set.alpha
+}
+
 /// What makes a training smaller.
 fn turn(args: &TrainArgs, set: &Dataset) -> &'static str {
     match (args.max_gaussians, set.points.is_empty()) {
@@ -313,12 +318,12 @@ fn pairs_of(
 /// So many of the dataset's points; random ones where it has none.
 fn points(common: &Common, set: &Dataset, views: &[TrainingView], count: usize) -> Vec<Point> {
     if set.points.is_empty() {
-        let within = if set.alpha { " within what the alpha channels show" } else { "" };
+        let within = if begins_in_hull(set) { " within what the alpha channels show" } else { "" };
         say(&format!(
             "note: the dataset has no points; beginning with {count} random ones{within}"
         ));
         let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
-        return match set.alpha {
+        return match begins_in_hull(set) {
             true => points_in_hull(views, set.background, count, common.seed),
             false => random_points(&cameras, count, common.seed),
         };
