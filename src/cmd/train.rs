@@ -322,11 +322,11 @@ fn points(common: &Common, set: &Dataset, views: &[TrainingView], count: usize) 
         say(&format!(
             "note: the dataset has no points; beginning with {count} random ones{within}"
         ));
+        if begins_in_hull(set) {
+            return points_in_hull(views, set.background, count, common.seed);
+        }
         let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
-        return match begins_in_hull(set) {
-            true => points_in_hull(views, set.background, count, common.seed),
-            false => random_points(&cameras, count, common.seed),
-        };
+        return random_points(&cameras, count, common.seed);
     }
     let mut points = set.points.clone();
     if points.len() > count {

@@ -8,7 +8,7 @@
 use super::motion::MotionStart;
 use super::observer::{Checkpoint, Observer, Phase, run};
 use super::scale::TrainingScale;
-use super::seed::FIRST_OPACITY;
+use super::seed::first_logit;
 use super::sequence;
 use super::settings::{
     ControlSettings, GrowthSettings, McmcSettings, MotionSettings, Rates, TrainSettings,
@@ -196,8 +196,7 @@ fn fit_static(
 /// Control points spread over the Gaussians that the warm-up has made more opaque than they began;
 /// over all of them where there are none.
 fn spread(gaussians: &Gaussians, count: usize, seed: u64) -> Result<ControlPoints> {
-    let first = FIRST_OPACITY / (1.0 - FIRST_OPACITY);
-    let seen = |i: &usize| gaussians.opacity_logits[*i] > first.ln();
+    let seen = |i: &usize| gaussians.opacity_logits[*i] > first_logit();
     let mut chosen: Vec<usize> = (0..gaussians.len()).filter(seen).collect();
     if chosen.len() < count.min(gaussians.len()) {
         chosen = (0..gaussians.len()).collect();

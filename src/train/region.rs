@@ -58,7 +58,7 @@ pub fn random_points(cameras: &[Camera], count: usize, seed: u64) -> Vec<Point> 
 
 /// `count` of [`random_points`]' points that most of the pictures show before `background`, as the
 /// visual hull of a moving subject (Laurentini 1994; a share of the pictures, since no point is in all
-/// of them), each of the mean colour that the pictures show there. Where too few points lie within the
+/// of them), each in the world's frame and of the mean colour that the pictures show there; `background` is RGB. Where too few points lie within the
 /// hull, those come next that the most pictures show.
 pub fn points_in_hull(
     views: &[TrainingView],

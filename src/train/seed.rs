@@ -9,6 +9,11 @@ use rstar::primitives::GeomWithData;
 /// Opacity of a Gaussian that has just been seeded.
 pub const FIRST_OPACITY: f32 = 0.1;
 
+/// Its logit.
+pub(super) fn first_logit() -> f32 {
+    (FIRST_OPACITY / (1.0 - FIRST_OPACITY)).ln()
+}
+
 /// One Gaussian per point, as 3D Gaussian Splatting starts: isotropic, its scale the root mean
 /// square of the distances to the three nearest other points, opacity 0.1, the point's colour. A
 /// point that is not finite or out of reach ([`range::REACH`]) is nobody's neighbour; a training
@@ -24,7 +29,7 @@ pub fn seed_from_points(points: &[Point], sh_degree: u32) -> Gaussians {
     Gaussians {
         log_scales: nearest_distances(&positions).into_iter().map(|d| [d.ln(); 3]).collect(),
         rotations: vec![[1.0, 0.0, 0.0, 0.0]; count],
-        opacity_logits: vec![(FIRST_OPACITY / (1.0 - FIRST_OPACITY)).ln(); count],
+        opacity_logits: vec![first_logit(); count],
         positions,
         sh_degree,
         sh,
