@@ -58,8 +58,9 @@ pub fn random_points(cameras: &[Camera], count: usize, seed: u64) -> Vec<Point> 
 
 /// `count` of [`random_points`]' points that most of the pictures show before `background`, as the
 /// visual hull of a moving subject (Laurentini 1994; a share of the pictures, since no point is in all
-/// of them), each in the world's frame and of the mean colour that the pictures show there; `background` is RGB. Where too few points lie within the
-/// hull, those come next that the most pictures show.
+/// of them), each in the world's frame and of the mean colour that the pictures show there;
+/// `background` is RGB. Where too few points lie within the hull, those come next that the most
+/// pictures show.
 pub fn points_in_hull(
     views: &[TrainingView],
     background: [f32; 3],
