@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use super::cameras::Cameras;
 use super::distance::Behind;
 use super::masks::regions;
-use super::movers::{self, BOUND, KNOWN, Lifted};
+use super::movers::{self, BOUND, KNOWN, Lifted, NEARER};
 use super::observer::Work;
 use super::quantile;
 use super::residual::Seen;
@@ -311,7 +311,7 @@ fn by_region(layer: &Layer, mask: &Image) -> Vec<Option<(f32, f32)>> {
             (quantile(ground, 0.6).max(hidden), KNOWN)
         } else {
             let near = if ground.is_empty() { 0.0 } else { quantile(ground, 0.8) };
-            let bound = near.max(1.25 * quantile(behind, 0.8));
+            let bound = near.max(NEARER * quantile(behind, 0.8));
             (if bound > 0.0 { bound } else { 1.2 }, BOUND)
         };
         for i in region {

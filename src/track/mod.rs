@@ -12,6 +12,7 @@
 //! | `objects` | what moves, as objects: points on it that belong together |
 //! | `movers` | each object's shape and path up to scale |
 //! | `distance` | how far an object is: contact with the ground, its size, a smooth path |
+//! | `unfollowed` | parts of movers on which no point could be followed |
 //! | `outline` | what an object's outline tells of its place and size |
 //! | [`scaffold`] | nodes on what moves, each carried through the whole clip |
 //! | `smooth` | the scale of a path, from how smoothly things move |
@@ -39,6 +40,7 @@ mod sliding;
 mod smooth;
 mod stereo;
 mod still;
+mod unfollowed;
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};

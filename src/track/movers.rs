@@ -13,7 +13,7 @@ use super::distance::{Behind, distances};
 use super::masks::regions;
 use super::objects::{self, Object};
 use super::observer::{Progress, Work};
-use super::{FocalSource, Mover, Stage, quantile};
+use super::{FocalSource, Mover, Stage, quantile, unfollowed};
 use crate::geometry::sim3::Sim3;
 use crate::observe::{NeighbourFlow, PointTrack};
 use crate::types::{Image, Pose};
@@ -21,6 +21,8 @@ use crate::types::{Image, Pose};
 /// Confidence of a mover's depth whose scale is known, and of one that only has a bound.
 pub(super) const KNOWN: f32 = 0.4;
 pub(super) const BOUND: f32 = 0.2;
+/// Inverse depth of a thing of which only that is known what it hides, relative to what it hides.
+pub(super) const NEARER: f64 = 1.25;
 
 /// A structure from motion of an object is believed with this share of inliers, this reprojection
 /// error (pixels at 320 wide) and this parallax (degrees).
@@ -89,20 +91,39 @@ pub(super) fn lift(
     masks: &[Image],
     behind: &[Behind<'_>],
 ) -> Lifted {
-    let objects = objects::find(frames, flow, masks);
-    let shapes: Vec<Shape> = objects.iter().map(|object| shape(object, cameras, flow)).collect();
-    let owners: Vec<Vec<Option<u16>>> =
+    let mut objects = objects::find(frames, flow, masks);
+    let mut shapes: Vec<Shape> =
+        objects.iter().map(|object| shape(object, cameras, flow)).collect();
+    let mut owners: Vec<Vec<Option<u16>>> =
         (0..masks.len()).into_par_iter().map(|f| owners(&objects, &masks[f], f)).collect();
-    let scaled: Vec<(Vec<f64>, f32)> = objects
+    let points: Vec<Vec<DVec2>> =
+        (0..masks.len()).map(|f| followed(&objects, &shapes, f)).collect();
+    let spacing = objects::spacing(masks) as f64;
+    let parts = unfollowed::find(frames, masks, &points, spacing);
+    if let Some(parts) = &parts {
+        let own = Some(objects.len() as u16);
+        for (owners, part) in owners.iter_mut().zip(parts) {
+            owners.iter_mut().zip(part).filter(|(_, part)| **part).for_each(|(o, _)| *o = own);
+        }
+    }
+    let mut scaled: Vec<(Vec<f64>, f32)> = objects
         .par_iter()
         .zip(&shapes)
         .enumerate()
         .map(|(i, (object, shape))| distances(i, object, shape, cameras, &owners, behind))
         .collect();
-    let pixels = (0..masks.len())
-        .into_par_iter()
-        .map(|f| paint(f, &objects, &shapes, &scaled, &owners[f], flow.width))
-        .collect();
+    let painted = |objects: &[Object], shapes: &[Shape], scaled: &[(Vec<f64>, f32)]| {
+        let paint = |f: usize| paint(f, objects, shapes, scaled, &owners[f], flow.width);
+        (0..masks.len()).into_par_iter().map(paint).collect::<Vec<_>>()
+    };
+    let mut pixels = painted(&objects, &shapes, &scaled);
+    if let Some(parts) = &parts {
+        let (shape, depths) = before(parts, &pixels, behind, flow.width);
+        objects.push(Object { tracks: Vec::new(), first: 0, end: masks.len() });
+        shapes.push(shape);
+        scaled.push((depths, BOUND));
+        pixels = painted(&objects, &shapes, &scaled);
+    }
     let movers = objects
         .iter()
         .zip(&shapes)
@@ -183,6 +204,62 @@ fn owners(objects: &[Object], mask: &Image, frame: usize) -> Vec<Option<u16>> {
         }
     }
     out
+}
+
+/// The followed points of a frame that go with their object.
+fn followed(objects: &[Object], shapes: &[Shape], frame: usize) -> Vec<DVec2> {
+    let of = |(object, shape): (&Object, &Shape)| {
+        let k = frame.checked_sub(object.first).filter(|k| *k < shape.frames.len());
+        let relative = k.map_or(&[][..], |k| &shape.frames[k].relative);
+        let goes = object.tracks.iter().zip(relative).filter(|(_, relative)| relative.is_some());
+        goes.filter_map(|(track, _)| track.at(frame)).collect::<Vec<_>>()
+    };
+    objects.iter().zip(shapes).flat_map(of).collect()
+}
+
+/// The shape and the depth of parts of movers that are not followed: flat, and nearer than what they
+/// hide, followed movers (`pixels`: their inverse depth) and the static world.
+fn before(
+    parts: &[Vec<bool>],
+    pixels: &[Vec<Option<(f32, f32)>>],
+    behind: &[Behind<'_>],
+    width: usize,
+) -> (Shape, Vec<f64>) {
+    let known: Vec<Option<(DVec2, f64)>> = (0..parts.len())
+        .map(|f| {
+            let own: Vec<usize> = (0..parts[f].len()).filter(|i| parts[f][*i]).collect();
+            let middle = |k: usize| {
+                let place = |i: &usize| [i % width, i / width][k] as f64 + 0.5;
+                quantile(own.iter().map(place).collect(), 0.5)
+            };
+            let movers = pixels[f].iter().flatten().map(|(inverse, _)| f64::from(*inverse));
+            let still = own.iter().map(|i| f64::from(behind[f].inverse[*i]));
+            let hidden = [movers.collect::<Vec<_>>(), still.collect()]
+                .into_iter()
+                .filter(|hidden| !hidden.is_empty())
+                .map(|hidden| quantile(hidden, 0.5))
+                .fold(0.0, f64::max);
+            (hidden > 0.0 && !own.is_empty())
+                .then(|| (DVec2::new(middle(0), middle(1)), 1.0 / (NEARER * hidden)))
+        })
+        .collect();
+    // Where it is not seen it is as in the nearest frame in which it is.
+    let seen: Vec<usize> = (0..known.len()).filter(|f| known[*f].is_some()).collect();
+    let (middles, depths): (Vec<DVec2>, Vec<f64>) = (0..known.len())
+        .map(|f| {
+            let nearest = seen.iter().min_by_key(|s| s.abs_diff(f));
+            nearest.and_then(|s| known[*s]).unwrap_or((DVec2::ZERO, 1.0))
+        })
+        .unzip();
+    let frame = |(middle, depth): (&DVec2, &f64)| Frame {
+        depth: *depth,
+        middle: *middle,
+        relative: Vec::new(),
+        view_from_object: None,
+    };
+    let frames = middles.iter().zip(&depths).map(frame).collect();
+    let drift = vec![UPRIGHT_DRIFT; depths.len().saturating_sub(1)];
+    (Shape { frames, drift, middle: DVec3::ZERO, rigid: false }, depths)
 }
 
 /// An object's shape and path up to scale: rigid in the frames in which it is, upright in the others.
@@ -386,7 +463,7 @@ fn paint(
         .enumerate()
         .map(|(i, owner)| {
             let owner = usize::from((*owner)?);
-            let k = frame.checked_sub(objects[owner].first)?;
+            let k = frame.checked_sub(objects.get(owner)?.first)?;
             let (depth, confidence) = (*scaled[owner].0.get(k)?, scaled[owner].1);
             let p = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
             let mut near: [(f64, f64); NEAREST] = [(f64::INFINITY, 1.0); NEAREST];

@@ -34,14 +34,19 @@ pub(super) struct Object {
     pub end: usize,
 }
 
-/// Finds the objects of a clip, its points aligned with the pictures; those with the longest tracks first.
-pub(super) fn find(frames: &[Image], flow: &NeighbourFlow, masks: &[Image]) -> Vec<Object> {
+/// The distance of the points that are followed on movers, pixels.
+pub(super) fn spacing(masks: &[Image]) -> usize {
     let moving: usize =
         masks.iter().map(|mask| mask.pixels.iter().filter(|u| **u > 0.5).count()).sum();
-    if moving == 0 {
+    (moving as f64 / masks.len() as f64 / POINTS).sqrt().round().max(2.0) as usize
+}
+
+/// Finds the objects of a clip, its points aligned with the pictures; those with the longest tracks first.
+pub(super) fn find(frames: &[Image], flow: &NeighbourFlow, masks: &[Image]) -> Vec<Object> {
+    if masks.iter().all(|mask| mask.pixels.iter().all(|u| *u <= 0.5)) {
         return Vec::new();
     }
-    let spacing = (moving as f64 / masks.len() as f64 / POINTS).sqrt().round().max(2.0) as usize;
+    let spacing = spacing(masks);
     let options = TrackOptions { spacing, confidence: 0.3 };
     let mut tracks: Vec<PointTrack> =
         follow(flow, &options).iter().filter_map(|track| on_movers(track, masks, 2)).collect();

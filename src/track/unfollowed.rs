@@ -1,0 +1,165 @@
+//! Parts of movers on which no point could be followed: what is held and waved, too fast or too plain
+//! for flow, before somebody who is followed.
+//!
+//! Such a part would get the depth of the nearest followed point, which is another thing's. It is told
+//! apart by its distance from all followed points, and its border is put where the picture has an edge.
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+use glam::DVec2;
+use rayon::prelude::*;
+
+use super::masks::regions;
+use super::quantile;
+use crate::types::Image;
+
+/// A pixel farther from every followed point than so many spacings of the points is not followed.
+const FAR: f64 = 4.0;
+/// Such pixels count as a part of their own if they are more than this share of the movers that have
+/// followed points, in half of the frames. Of movers that are followed, a fifth at most.
+const LEAST_SHARE: f64 = 0.3;
+/// What a step from pixel to pixel costs apart from the change of colour (the sum over the channels).
+const STEP: f32 = 0.05;
+
+/// By frame and pixel, whether it belongs to a part of a mover that is not followed. `points` are
+/// the followed ones of each frame, `spacing` their distance when they started, pixels. Only regions
+/// of the masks that have a followed point are looked at. `None` if there is no such part.
+pub(super) fn find(
+    frames: &[Image],
+    masks: &[Image],
+    points: &[Vec<DVec2>],
+    spacing: f64,
+) -> Option<Vec<Vec<bool>>> {
+    let found: Vec<Vec<Followed>> = masks
+        .par_iter()
+        .zip(points)
+        .map(|(mask, points)| followed(mask, points, FAR * spacing))
+        .collect();
+    let shares: Vec<f64> = found
+        .iter()
+        .filter(|regions| !regions.is_empty())
+        .map(|regions| {
+            let far = regions.iter().map(|region| region.far.len()).sum::<usize>();
+            far as f64 / regions.iter().map(|region| region.pixels.len()).sum::<usize>() as f64
+        })
+        .collect();
+    if shares.is_empty() || quantile(shares, 0.5) < LEAST_SHARE {
+        return None;
+    }
+    let parts = frames.par_iter().zip(&found).map(|(frame, regions)| {
+        let mut part = vec![false; frame.width as usize * frame.height as usize];
+        regions.iter().for_each(|region| region.spread(frame, &mut part));
+        part
+    });
+    Some(parts.collect())
+}
+
+/// A region of a mask with followed points in it.
+struct Followed {
+    pixels: Vec<usize>,
+    /// Those with a followed point.
+    seeds: Vec<usize>,
+    /// Those far from all followed points.
+    far: Vec<usize>,
+}
+
+fn followed(mask: &Image, points: &[DVec2], far: f64) -> Vec<Followed> {
+    let (w, h) = (mask.width as usize, mask.height as usize);
+    let mut seeded = vec![false; w * h];
+    for p in points {
+        let (x, y) = ((p.x.max(0.0) as usize).min(w - 1), (p.y.max(0.0) as usize).min(h - 1));
+        seeded[y * w + x] = true;
+    }
+    let centre = |i: usize| DVec2::new((i % w) as f64 + 0.5, (i / w) as f64 + 0.5);
+    let is_far = |i: &usize| points.iter().all(|p| p.distance_squared(centre(*i)) > far * far);
+    regions(&mask.pixels, w, true)
+        .into_iter()
+        .filter_map(|(pixels, _)| {
+            let seeds: Vec<usize> = pixels.iter().copied().filter(|i| seeded[*i]).collect();
+            let far = pixels.iter().copied().filter(is_far).collect();
+            (!seeds.is_empty()).then_some(Followed { pixels, seeds, far })
+        })
+        .collect()
+}
+
+impl Followed {
+    /// Marks the pixels that the far ones reach at less cost than the followed points do.
+    fn spread(&self, frame: &Image, part: &mut [bool]) {
+        let w = frame.width as usize;
+        let colour = |i: usize| &frame.pixels[frame.channels as usize * i..][..3];
+        let mut inside = vec![false; part.len()];
+        self.pixels.iter().for_each(|i| inside[*i] = true);
+        // Costs are not negative: their bits have the order of their values.
+        let mut queue: BinaryHeap<Reverse<(u32, usize, bool)>> = BinaryHeap::new();
+        for (pixels, is_part) in [(&self.seeds, false), (&self.far, true)] {
+            queue.extend(pixels.iter().map(|i| Reverse((0, *i, is_part))));
+        }
+        while let Some(Reverse((bits, i, is_part))) = queue.pop() {
+            if !std::mem::take(&mut inside[i]) {
+                continue;
+            }
+            part[i] = is_part;
+            let x = i % w;
+            let neighbours = [
+                (x > 0).then(|| i - 1),
+                (x + 1 < w).then_some(i + 1),
+                i.checked_sub(w),
+                (i + w < part.len()).then_some(i + w),
+            ];
+            for j in neighbours.into_iter().flatten().filter(|j| inside[*j]) {
+                let change: f32 = colour(i).iter().zip(colour(j)).map(|(a, b)| (a - b).abs()).sum();
+                let cost = f32::from_bits(bits) + STEP + change.clamp(0.0, 3.0);
+                queue.push(Reverse((cost.to_bits(), j, is_part)));
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::sliding::*;
+    use super::*;
+
+    /// A mover, grey on the left of x = 40 and green on the right, with points on the grey part.
+    fn scene(points: impl Fn(DVec2) -> bool) -> (Vec<Image>, Vec<Image>, Vec<Vec<DVec2>>) {
+        let mut frame = Image::new(WIDTH, HEIGHT, 3);
+        for (i, pixel) in frame.pixels.chunks_exact_mut(3).enumerate() {
+            let green = centre(i).x > 40.0;
+            pixel.copy_from_slice(if green { &[0.1, 0.8, 0.2] } else { &[0.4, 0.4, 0.4] });
+        }
+        let mask = map(|p| f32::from(u8::from(within(p, (8.0, 4.0), (60.0, 36.0)))));
+        let points = (0..(WIDTH * HEIGHT) as usize)
+            .map(centre)
+            .filter(|p| p.x as u32 % 4 == 1 && p.y as u32 % 4 == 1)
+            .filter(|p| within(*p, (8.0, 4.0), (60.0, 36.0)) && points(*p))
+            .collect();
+        (vec![frame; 3], vec![mask; 3], vec![points; 3])
+    }
+
+    #[test]
+    fn a_part_without_points_ends_at_the_edge_in_the_picture() {
+        // The points end well before the edge of colour.
+        let (frames, masks, points) = scene(|p| p.x < 34.0);
+        let parts = find(&frames, &masks, &points, 2.0).expect("a part is not followed");
+        for part in &parts {
+            for (i, is_part) in part.iter().enumerate() {
+                let p = centre(i);
+                let inside = within(p, (8.0, 4.0), (60.0, 36.0));
+                assert_eq!(*is_part, inside && p.x > 40.0, "{p}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_followed_has_no_such_part() {
+        let (frames, masks, points) = scene(|_| true);
+        assert!(find(&frames, &masks, &points, 2.0).is_none());
+        // A sixth of it is little.
+        let (frames, masks, points) = scene(|p| p.x < 46.0);
+        assert!(find(&frames, &masks, &points, 2.0).is_none());
+        // No point at all: nothing is known of the region, and another rule takes it.
+        let (frames, masks, points) = scene(|_| false);
+        assert!(find(&frames, &masks, &points, 2.0).is_none());
+    }
+}
