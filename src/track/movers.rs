@@ -489,7 +489,56 @@ fn paint(
 
 #[cfg(test)]
 mod tests {
+    use super::super::sliding::{self, FRAMES, HEIGHT, STEP, WALL, WIDTH, map, within};
     use super::*;
+
+    #[test]
+    fn what_is_not_followed_lies_before_what_is() {
+        // A mover whose left half goes down evenly; on the right half flow is different at every
+        // pixel, and the way back never leads back.
+        let left = |frame: usize, p: DVec2| {
+            within(p, (8.0, 3.0 + frame as f64), (32.0, 33.0 + frame as f64))
+        };
+        let right = |frame: usize, p: DVec2| {
+            within(p, (32.0, 3.0 + frame as f64), (56.0, 33.0 + frame as f64))
+        };
+        let flow = sliding::flow(|frame, p| {
+            if left(frame, p) {
+                DVec2::new(0.0, 1.0)
+            } else if right(frame, p) {
+                DVec2::new(3.0 + 2.0 * p.x.sin(), 3.0 * (5.0 * p.y).cos())
+            } else {
+                sliding::wall()
+            }
+        });
+        let frame = |f: usize| {
+            let mut image = Image::new(WIDTH, HEIGHT, 3);
+            for (i, pixel) in image.pixels.chunks_exact_mut(3).enumerate() {
+                pixel.fill(if right(f, sliding::centre(i)) { 0.8 } else { 0.3 });
+            }
+            image
+        };
+        let frames: Vec<Image> = (0..FRAMES).map(frame).collect();
+        let mask = |f: usize| map(move |p| f32::from(u8::from(left(f, p) || right(f, p))));
+        let masks: Vec<Image> = (0..FRAMES).map(mask).collect();
+        let (inverse, confidence) =
+            (map(|_| (1.0 / WALL) as f32).pixels, vec![1.0; masks[0].pixels.len()]);
+        let behind = vec![Behind { inverse: &inverse, confidence: &confidence }; FRAMES];
+        let lifted = lift(&frames, &sliding::cameras(STEP), &flow, &masks, &behind);
+        assert_eq!(lifted.movers.len(), 2);
+        for f in 0..FRAMES {
+            let depth = |half: &dyn Fn(usize, DVec2) -> bool, owner: f32| {
+                let own = (0..masks[f].pixels.len()).filter(|i| half(f, sliding::centre(*i)));
+                let own: Vec<usize> =
+                    own.filter(|i| lifted.owners[f].pixels[*i] == owner).collect();
+                assert!(own.len() > 24 * 30 * 9 / 10, "frame {f}, owner {owner}: {}", own.len());
+                let inverse = own.iter().map(|i| f64::from(lifted.pixels[f][*i].unwrap().0));
+                quantile(inverse.collect(), 0.5)
+            };
+            let ratio = depth(&right, 2.0) / depth(&left, 1.0);
+            assert!((ratio / NEARER - 1.0).abs() < 0.02, "frame {f}: {ratio}");
+        }
+    }
 
     #[test]
     fn what_grows_comes_nearer() {
