@@ -15,6 +15,7 @@ use super::distance::Behind;
 use super::masks::regions;
 use super::movers::{self, BOUND, KNOWN, Lifted, NEARER};
 use super::observer::Work;
+use super::plate::Evidence;
 use super::quantile;
 use super::residual::Seen;
 use super::{Mover, Options, Stage};
@@ -33,6 +34,10 @@ const DOUBT: (f32, f32) = (0.35, 0.02);
 const UNEXPLAINED: f32 = 4.0;
 /// Confidence of depth that was filled in.
 const FILLED: f32 = 0.3;
+/// Confidence above which depth was measured.
+pub(super) const MEASURED: f32 = 0.5;
+/// Weight of what other frames show behind a mover.
+const HIDDEN_WEIGHT: f32 = 1.0;
 
 /// What [`super::Track`] holds of depth and movers.
 pub(super) struct Dense {
@@ -42,6 +47,31 @@ pub(super) struct Dense {
     pub owners: Vec<Image>,
 }
 
+/// The static world in all frames, behind movers too: what they hide is as the plates tell it, else it
+/// is filled in. `part` is the name under which finished frames are kept.
+pub(super) fn layers(
+    frames: &[Image],
+    cameras: &Cameras,
+    masks: &[Image],
+    seen: &[Seen],
+    plates: Option<&[Evidence]>,
+    options: &Options,
+    work: &mut Work,
+    (part, shares): (&str, std::ops::Range<f64>),
+) -> Result<Vec<Layer>> {
+    let supplied = options.depth.as_deref();
+    let scale = supplied.map(|maps| scale_of(maps, seen, masks));
+    let made = |range: std::ops::Range<usize>| {
+        let layer = |f: usize| {
+            let known = supplied.zip(scale).map(|(maps, scale)| (&maps[f], scale));
+            let hidden = plates.map(|plates| plates[f].hidden.as_slice());
+            static_layer(&frames[f], &masks[f], &seen[f], hidden, cameras.fixed, known)
+        };
+        range.into_par_iter().map(layer).collect()
+    };
+    work.frames(part, frames.len(), made, Stage::Depth, shares)
+}
+
 /// Depth and its confidence per frame, as [`super::Track`] has them. Without parallax (a fixed
 /// camera) and without supplied depth everything lies on a wall at depth 1, movers before it.
 pub(super) fn dense(
@@ -49,25 +79,23 @@ pub(super) fn dense(
     cameras: &Cameras,
     flow: &NeighbourFlow,
     masks: &[Image],
-    seen: &[Seen],
+    mut layers: Vec<Layer>,
+    plates: &[Evidence],
     options: &Options,
     work: &mut Work,
 ) -> Result<Dense> {
-    let supplied = options.depth.as_deref();
-    let scale = supplied.map(|maps| scale_of(maps, seen, masks));
-    let made = |range: std::ops::Range<usize>| {
-        let layer = |f: usize| {
-            let known = supplied.zip(scale).map(|(maps, scale)| (&maps[f], scale));
-            static_layer(&frames[f], &masks[f], &seen[f], cameras.fixed, known)
-        };
-        range.into_par_iter().map(layer).collect()
-    };
-    let mut layers: Vec<Layer> =
-        work.frames("depth", frames.len(), made, Stage::Depth, 0.5..0.9)?;
-    let behind: Vec<Behind<'_>> = layers
-        .iter()
-        .map(|layer| Behind { inverse: &layer.inverse, confidence: &layer.confidence })
+    // Of the ground that movers stand on the other frames know more than this one: a shadow lies on it.
+    let ground: Vec<(Vec<f32>, Vec<f32>)> = layers
+        .par_iter()
+        .zip(plates)
+        .map(|(layer, plate)| {
+            let own = layer.inverse.iter().zip(&layer.confidence);
+            let told = own.zip(&plate.hidden);
+            told.map(|((d, c), hidden)| if *hidden > 0.0 { (*hidden, 1.0) } else { (*d, *c) }).unzip()
+        })
         .collect();
+    let behind: Vec<Behind<'_>> =
+        ground.iter().map(|(inverse, confidence)| Behind { inverse, confidence }).collect();
     let lifted = match options.lift {
         true => movers::lift(frames, cameras, flow, masks, &behind),
         false => Lifted::nothing(masks),
@@ -121,9 +149,9 @@ fn scale_of(maps: &[Image], seen: &[Seen], masks: &[Image]) -> f32 {
 
 /// The static world as one frame sees it, behind the movers too.
 #[derive(Serialize, Deserialize)]
-struct Layer {
-    inverse: Vec<f32>,
-    confidence: Vec<f32>,
+pub(super) struct Layer {
+    pub inverse: Vec<f32>,
+    pub confidence: Vec<f32>,
     supplied: Vec<bool>,
 }
 
@@ -131,6 +159,7 @@ fn static_layer(
     image: &Image,
     mask: &Image,
     seen: &Seen,
+    hidden: Option<&[f32]>,
     fixed: bool,
     known: Option<(&Image, f32)>,
 ) -> Layer {
@@ -150,7 +179,12 @@ fn static_layer(
                 continue;
             }
         }
-        if fixed || mask.pixels[i] > 0.5 || seen.support[i] < 0.5 || seen.score[i] > UNEXPLAINED {
+        let moves = mask.pixels[i] > 0.5;
+        if let Some(&behind) = hidden.map(|hidden| &hidden[i]).filter(|d| moves && **d > 0.0) {
+            (value[i], weight[i]) = (behind, HIDDEN_WEIGHT);
+            continue;
+        }
+        if fixed || moves || seen.support[i] < 0.5 || seen.score[i] > UNEXPLAINED {
             continue;
         }
         let (d, deviation) = (seen.inverse_depth[i], seen.deviation[i]);
@@ -377,7 +411,7 @@ mod tests {
         let truth = |p: DVec2| if p.x < 32.0 { 0.5 } else { 0.125 };
         let seen = seen(truth, |p| (p.y as u32).is_multiple_of(8));
         let nothing = map(|_| 0.0);
-        let layer = static_layer(&halves(), &nothing, &seen, false, None);
+        let layer = static_layer(&halves(), &nothing, &seen, None, false, None);
         for (i, d) in layer.inverse.iter().enumerate() {
             let p = centre(i);
             assert!((d / truth(p) - 1.0).abs() < 0.1, "{p}: {d}");
@@ -385,7 +419,7 @@ mod tests {
             assert_eq!(layer.confidence[i] > 0.5, measured, "{p}");
         }
         // A fixed camera has measured nothing: a wall at depth 1.
-        let layer = static_layer(&halves(), &nothing, &seen, true, None);
+        let layer = static_layer(&halves(), &nothing, &seen, None, true, None);
         assert!(layer.inverse.iter().all(|d| *d == 1.0));
         assert!(layer.confidence.iter().all(|c| *c == FILLED));
     }
@@ -397,7 +431,7 @@ mod tests {
         let vague = (20 * WIDTH + 40) as usize;
         (seen.inverse_depth[moved], seen.score[moved]) = (2.0, 2.0 * UNEXPLAINED);
         (seen.inverse_depth[vague], seen.deviation[vague]) = (2.0, 1.0);
-        let layer = static_layer(&halves(), &map(|_| 0.0), &seen, false, None);
+        let layer = static_layer(&halves(), &map(|_| 0.0), &seen, None, false, None);
         for i in [moved, vague] {
             assert!((layer.inverse[i] - 0.25).abs() < 0.01, "{}", layer.inverse[i]);
             assert_eq!(layer.confidence[i], FILLED);
@@ -413,7 +447,7 @@ mod tests {
         let (depth, mask) = ([depth], [mask]);
         let scale = scale_of(&depth, std::slice::from_ref(&seen), &mask);
         assert!((scale - 0.4).abs() < 1e-5, "{scale}");
-        let layer = static_layer(&halves(), &mask[0], &seen, false, Some((&depth[0], scale)));
+        let layer = static_layer(&halves(), &mask[0], &seen, None, false, Some((&depth[0], scale)));
         let known = (20 * WIDTH + 20) as usize;
         assert!(layer.supplied[known] && !layer.supplied[0]);
         assert_eq!((layer.inverse[known], layer.confidence[known]), (1.0 / (10.0 * scale), 1.0));

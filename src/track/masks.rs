@@ -14,6 +14,7 @@ use super::Stage;
 use super::cameras::Cameras;
 use super::observer::Work;
 use super::photometric::judge;
+use super::plate::Evidence;
 use super::residual::Seen;
 use super::still::{border_prior, trusted};
 use crate::Result;
@@ -30,6 +31,10 @@ const MEMORY: usize = 4;
 const BOUNDARY: f32 = 2.5;
 /// Colour difference (sum over channels) at which boundary costs 1/e.
 const COLOUR_EDGE: f32 = 0.18;
+/// Support at which a pixel's odds count in full.
+const CERTAIN: f32 = 2.0;
+/// What is gathered along the flow counts so much where a plate is known.
+const BESIDE_PLATE: f32 = 0.3;
 /// Iterations of the primal-dual method.
 const ITERATIONS: usize = 120;
 /// Specks and holes of less than this share of the picture are removed.
@@ -66,39 +71,54 @@ pub(super) fn static_weights(tracks: &[PointTrack], masks: &[Image]) -> Vec<f64>
         .collect()
 }
 
-/// A motion mask per frame, one channel in [0, 1].
+/// A motion mask per frame, one channel in [0, 1], by the flow and, where there are, by the plates.
 pub(super) fn segment(
     frames: &[Image],
     cameras: &Cameras,
     flow: &NeighbourFlow,
     seen: &[Seen],
+    plates: Option<&[Evidence]>,
     work: &mut Work,
     part: &str,
     shares: std::ops::Range<f64>,
 ) -> Result<Vec<Image>> {
+    // Plates come once depth is known.
+    let stage = if plates.is_some() { Stage::Depth } else { Stage::Masks };
     let middle = 0.5 * (shares.start + shares.end);
     let judged = |range: std::ops::Range<usize>| {
         let judge = |f: usize| judge(frames, cameras, flow, &seen[f], f, &odds(&seen[f]));
         range.into_par_iter().map(judge).collect()
     };
-    let odds: Vec<Vec<f32>> = work.frames(
-        &format!("{part}/odds"),
-        frames.len(),
-        judged,
-        Stage::Masks,
-        shares.start..middle,
-    )?;
+    let odds: Vec<Vec<f32>> =
+        work.frames(&format!("{part}/odds"), frames.len(), judged, stage, shares.start..middle)?;
+    let mut odds = odds;
+    let mut support: Vec<Vec<f32>> = seen.iter().map(|seen| seen.support.clone()).collect();
+    for (frame, plate) in plates.unwrap_or_default().iter().enumerate() {
+        for (i, said) in plate.odds.iter().enumerate().filter(|(_, said)| !said.is_nan()) {
+            odds[frame][i] += said;
+            support[frame][i] = CERTAIN;
+        }
+    }
     let (width, height) = super::intrinsics_size(flow);
     let segmented = |range: std::ops::Range<usize>| {
         let segment = |frame: usize| {
-            let gathered = gather(flow, &odds, seen, frame);
+            let mut gathered = gather(flow, &odds, &support, frame);
+            if let Some(plate) = plates.and_then(|plates| plates.get(frame)) {
+                // What may be a shadow is decided by all frames around together: where it is plain, it
+                // looks like a dark mover.
+                for (i, odds) in gathered.iter_mut().enumerate().filter(|(i, _)| !plate.shade[*i]) {
+                    if !plate.odds[i].is_nan() {
+                        *odds = plate.odds[i] + BESIDE_PLATE * *odds;
+                    }
+                }
+            }
             let mut u = relax(&gathered, &edges(&frames[frame], flow, frame), flow.width);
             clean(&mut u, flow.width);
             Image { width, height, channels: 1, pixels: u }
         };
         range.into_par_iter().map(segment).collect()
     };
-    work.frames(&format!("{part}/masks"), frames.len(), segmented, Stage::Masks, middle..shares.end)
+    work.frames(&format!("{part}/masks"), frames.len(), segmented, stage, middle..shares.end)
 }
 
 /// Log odds of motion of each pixel, by itself.
@@ -109,17 +129,17 @@ fn odds(seen: &Seen) -> Vec<f32> {
         .map(|(score, support)| {
             let z = (1.0 + score * score) / (1.0 + EVEN * EVEN);
             let odds = (1.5 * z.ln()).clamp(ODDS.0, ODDS.1);
-            odds * (support / 2.0).min(1.0)
+            odds * (support / CERTAIN).min(1.0)
         })
         .collect()
 }
 
 /// Log odds with those of the same points in the frames around.
-fn gather(flow: &NeighbourFlow, odds: &[Vec<f32>], seen: &[Seen], frame: usize) -> Vec<f32> {
+fn gather(flow: &NeighbourFlow, odds: &[Vec<f32>], support: &[Vec<f32>], frame: usize) -> Vec<f32> {
     (0..flow.width * flow.height)
         .map(|i| {
             let pixel = DVec2::new((i % flow.width) as f64 + 0.5, (i / flow.width) as f64 + 0.5);
-            let own = (seen[frame].support[i] / 2.0).min(1.0);
+            let own = (support[frame][i] / CERTAIN).min(1.0);
             let (mut sum, mut total) = (odds[frame][i], own);
             flow.follow(frame, pixel, MEMORY, |other, chain| {
                 let x = (chain.pixel.x as usize).min(flow.width - 1);
@@ -130,7 +150,7 @@ fn gather(flow: &NeighbourFlow, odds: &[Vec<f32>], seen: &[Seen], frame: usize) 
                 let said = odds[other][j];
                 let weight = if said > 0.0 { weight } else { 0.5 * weight };
                 sum += weight * said;
-                total += weight * (seen[other].support[j] / 2.0).min(1.0);
+                total += weight * (support[other][j] / CERTAIN).min(1.0);
             });
             if total > 0.0 { sum / total.max(0.5) } else { 0.0 }
         })
@@ -344,7 +364,7 @@ mod tests {
             .collect();
         let masks = working(|work| {
             let seen = triangulate_frames(&cameras(STEP), &flow, work, "test", 0.0..0.5).unwrap();
-            segment(&frames, &cameras(STEP), &flow, &seen, work, "test", 0.5..1.0).unwrap()
+            segment(&frames, &cameras(STEP), &flow, &seen, None, work, "test", 0.5..1.0).unwrap()
         });
         for frame in 1..FRAMES - 1 {
             let (mut both, mut either) = (0, 0);

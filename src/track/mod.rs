@@ -6,6 +6,7 @@
 //! | `cameras` | focal length, two-view start, PnP frame by frame, bundle adjustment |
 //! | `residual` | per pixel: the inverse depth that a static world would need, and what it leaves unexplained |
 //! | `photometric` | does the picture itself say that a pixel moved? |
+//! | `plate` | what each frame would show if nothing moved |
 //! | `masks` | from what is unexplained to a dense motion mask that keeps to the picture's edges |
 //! | `stereo` | static depth refined against the pictures |
 //! | `depth` | depth of all pixels, measured where it can be, inferred and marked so where not |
@@ -32,6 +33,7 @@ mod objects;
 mod observer;
 mod outline;
 mod photometric;
+mod plate;
 mod points;
 mod residual;
 pub mod scaffold;
@@ -286,17 +288,43 @@ pub fn track_observed(
         weights = masks::static_weights(&tracks, &masks);
         cameras.measure_fixed(&tracks, &weights);
     } else if supplied.is_none() {
-        masks = masks::segment(frames, &cameras, &flow, &seen, &mut work, part, 0.5..1.0)?;
+        masks = masks::segment(frames, &cameras, &flow, &seen, None, &mut work, part, 0.5..1.0)?;
     }
     if !tripod && options.poses.is_none() {
         cameras.normalise(&tracks, &weights, &mut seen);
     }
     work.progress(Stage::Depth, 0.0)?;
     if !tripod && options.stereo && options.depth.is_none() {
-        stereo::refine(frames, &cameras, &masks, &mut seen, &mut work, part, 0.0..0.5)?;
+        stereo::refine(frames, &cameras, &masks, &mut seen, &mut work, part, 0.0..0.4)?;
     }
+    let layers = depth::layers(
+        frames,
+        &cameras,
+        &masks,
+        &seen,
+        None,
+        options,
+        &mut work,
+        ("last/layers", 0.4..0.5),
+    )?;
+    let part = "last/plates";
+    let plates = plate::evidence(frames, &cameras, &layers, &masks, &mut work, part, 0.5..0.65)?;
+    if supplied.is_none() {
+        let (plates, part) = (Some(plates.as_slice()), "last/masks");
+        masks = masks::segment(frames, &cameras, &flow, &seen, plates, &mut work, part, 0.65..0.8)?;
+    }
+    let layers = depth::layers(
+        frames,
+        &cameras,
+        &masks,
+        &seen,
+        Some(&plates),
+        options,
+        &mut work,
+        ("depth", 0.8..0.9),
+    )?;
     let depth::Dense { depth, confidence: depth_confidence, movers, owners } =
-        depth::dense(frames, &cameras, &flow, &masks, &seen, options, &mut work)?;
+        depth::dense(frames, &cameras, &flow, &masks, layers, &plates, options, &mut work)?;
     work.progress(Stage::Depth, 0.96)?;
     let points =
         points::gather(frames, &cameras, &depth, &depth_confidence, &masks, options.max_points);
@@ -427,7 +455,7 @@ impl Known<'_> {
             let first = shares.start..middle;
             let seen = residual::triangulate_frames(&cameras, flow, work, part, first)?;
             let second = middle..shares.end;
-            masks = masks::segment(frames, &cameras, flow, &seen, work, part, second)?;
+            masks = masks::segment(frames, &cameras, flow, &seen, None, work, part, second)?;
         }
         work.progress(Stage::Masks, shares.end)?;
         if !cameras.fixed {

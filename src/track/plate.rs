@@ -1,0 +1,395 @@
+//! What each frame would show if nothing moved.
+//!
+//! Cameras and static depth tell where a point that stands still lies in every other frame. The median
+//! of the colours that the other frames show there, movers left out, is the frame's plate. What differs
+//! from it moves, whether flow can follow it or not. A shadow is told from a mover by what it does to
+//! the plate: it scales it, and keeps its texture.
+
+use glam::DVec2;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::Stage;
+use super::cameras::Cameras;
+use super::depth::{Layer, MEASURED};
+use super::observer::Work;
+use crate::Result;
+use crate::types::{Image, Pose};
+
+/// At most so many frames are looked at for a plate.
+const SOURCES: usize = 20;
+/// So many of them are the next ones.
+const NEXT: usize = 4;
+/// None is farther away than this.
+const REACH: usize = 60;
+/// Pixels so near to a mover may show it.
+const MARGIN: usize = 3;
+/// A point is the one looked for where inverse depths agree to this share, and to this in units.
+const SAME_POINT: (f64, f64) = (0.06, 0.004);
+/// A plate is known where at least so many frames show it.
+const WITNESSES: u8 = 3;
+
+/// What a plate says of its frame; all lists hold one value per pixel.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Evidence {
+    /// Log odds of motion; not a number where the plate is not known.
+    pub odds: Vec<f32>,
+    /// Whether a shadow on what stands still explains the pixel better than motion.
+    pub shade: Vec<bool>,
+    /// Inverse depth of what a mover hides, as the other frames tell it; 0 where they tell none.
+    pub hidden: Vec<f32>,
+}
+
+/// What a frame would show if nothing moved.
+struct Plate {
+    /// RGB, in the frame's own exposure.
+    colour: Vec<[f32; 3]>,
+    /// Median absolute difference of the frames that show a pixel, mean over the channels.
+    spread: Vec<f32>,
+    /// How many frames show it.
+    witnesses: Vec<u8>,
+}
+
+/// What the plates of all frames say, by `masks` that show roughly what moves. `layers` are the static
+/// world's. `part` is the name under which finished frames are kept.
+///
+/// # Errors
+/// What the observer of `work` returns.
+pub(super) fn evidence(
+    frames: &[Image],
+    cameras: &Cameras,
+    layers: &[Layer],
+    masks: &[Image],
+    work: &mut Work,
+    part: &str,
+    shares: std::ops::Range<f64>,
+) -> Result<Vec<Evidence>> {
+    let clip = Clip::new(frames, cameras, layers, masks);
+    let made = |range: std::ops::Range<usize>| {
+        let of = |frame: usize| {
+            let hidden = clip.hidden(frame);
+            let (odds, shade) = clip.plate(frame, &hidden).evidence(&frames[frame]);
+            Evidence { odds, shade, hidden }
+        };
+        range.into_par_iter().map(of).collect()
+    };
+    work.frames(part, frames.len(), made, Stage::Depth, shares)
+}
+
+/// The clip that plates are made from.
+struct Clip<'a> {
+    frames: &'a [Image],
+    cameras: &'a Cameras,
+    layers: &'a [Layer],
+    masks: &'a [Image],
+    /// Pixels on movers or beside them.
+    near_movers: Vec<Vec<bool>>,
+}
+
+impl<'a> Clip<'a> {
+    fn new(
+        frames: &'a [Image],
+        cameras: &'a Cameras,
+        layers: &'a [Layer],
+        masks: &'a [Image],
+    ) -> Clip<'a> {
+        let near_movers = masks.par_iter().map(|mask| near(mask, MARGIN)).collect();
+        Clip { frames, cameras, layers, masks, near_movers }
+    }
+
+    /// Whether a frame has measured the static depth of a pixel.
+    fn knows(&self, frame: usize, i: usize) -> bool {
+        let measured = self.cameras.fixed || self.layers[frame].confidence[i] > MEASURED;
+        measured && !self.near_movers[frame][i]
+    }
+
+    /// The frames to look at: the next ones, and some evenly among those farther away.
+    fn sources(&self, frame: usize) -> Vec<usize> {
+        let mut others: Vec<usize> = (0..self.frames.len())
+            .filter(|other| (1..=REACH).contains(&other.abs_diff(frame)))
+            .collect();
+        others.sort_by_key(|other| other.abs_diff(frame));
+        let far = others.split_off(NEXT.min(others.len()));
+        let room = SOURCES - NEXT;
+        let chosen = (0..room.min(far.len())).map(|k| far[k * far.len() / room.min(far.len())]);
+        others.extend(chosen);
+        others
+    }
+
+    /// Inverse depth of the static world in a frame as the other frames tell it, 0 where none does.
+    fn hidden(&self, frame: usize) -> Vec<f32> {
+        let k = &self.cameras.intrinsics;
+        let (w, h) = (self.masks[frame].width as usize, self.masks[frame].height as usize);
+        let mut found: Vec<Vec<f32>> = vec![Vec::new(); w * h];
+        let mut nearest = vec![0.0f32; w * h];
+        for other in self.sources(frame) {
+            nearest.fill(0.0);
+            let frame_from_other = self.relative(other, frame);
+            for i in (0..w * h).filter(|i| self.knows(other, *i)) {
+                let ray = k.ray(centre(i, w));
+                let d = f64::from(self.layers[other].inverse[i]);
+                let point = frame_from_other.apply(ray / d);
+                if point.z < 1e-3 {
+                    continue;
+                }
+                let at = k.project(point) - 0.5;
+                let (x, y) = (at.x.floor() as i64, at.y.floor() as i64);
+                for (x, y) in [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)] {
+                    if (0..w as i64).contains(&x) && (0..h as i64).contains(&y) {
+                        let j = y as usize * w + x as usize;
+                        nearest[j] = nearest[j].max(point.z.recip() as f32);
+                    }
+                }
+            }
+            for (j, d) in nearest.iter().enumerate() {
+                if *d > 0.0 {
+                    found[j].push(*d);
+                }
+            }
+        }
+        found.into_iter().map(|mut all| median(&mut all).unwrap_or(0.0)).collect()
+    }
+
+    /// `frame_from_other`.
+    fn relative(&self, other: usize, frame: usize) -> Pose {
+        self.cameras.poses[frame] * self.cameras.poses[other].inverse()
+    }
+
+    /// The plate of a frame. A pixel is as deep as the frame itself says where other frames confirm it,
+    /// else as they tell (`hidden`, 0 where nothing).
+    fn plate(&self, frame: usize, hidden: &[f32]) -> Plate {
+        let k = &self.cameras.intrinsics;
+        let w = self.masks[frame].width as usize;
+        let views: Vec<(usize, Pose)> = self
+            .sources(frame)
+            .into_iter()
+            .map(|other| (other, self.relative(frame, other)))
+            .collect();
+        let own = &self.layers[frame].inverse;
+        let mut plate = Plate {
+            colour: vec![[0.0; 3]; own.len()],
+            spread: vec![0.0; own.len()],
+            witnesses: vec![0; own.len()],
+        };
+        let mut seen: [Vec<f32>; 3] = Default::default();
+        for i in 0..own.len() {
+            let ray = k.ray(centre(i, w));
+            let mut look = |d: f32| {
+                seen.iter_mut().for_each(Vec::clear);
+                let point = ray / f64::from(d);
+                let mut through = 0;
+                for (other, other_from_frame) in &views {
+                    match self.shown(*other, other_from_frame.apply(point)) {
+                        Shown::Point(colour) => {
+                            seen.iter_mut().zip(colour).for_each(|(all, c)| all.push(c));
+                        }
+                        Shown::Behind => through += 1,
+                        Shown::Nothing => {}
+                    }
+                }
+                (seen[0].len(), through)
+            };
+            let (confirm, deny) = if self.near_movers[frame][i] { (0, 0) } else { look(own[i]) };
+            if (confirm < usize::from(WITNESSES) || deny > confirm) && hidden[i] > 0.0 {
+                look(hidden[i]);
+            } else if confirm == 0 {
+                look(own[i]);
+            }
+            plate.witnesses[i] = seen[0].len() as u8;
+            for (c, all) in seen.iter_mut().enumerate() {
+                let Some(middle) = median(all) else { break };
+                plate.colour[i][c] = middle;
+                all.iter_mut().for_each(|value| *value = (*value - middle).abs());
+                plate.spread[i] += median(all).unwrap_or(0.0) / 3.0;
+            }
+        }
+        plate.expose(&self.frames[frame], &self.near_movers[frame]);
+        plate
+    }
+
+    /// What a frame shows of a point of the static world, given in its camera's axes.
+    fn shown(&self, frame: usize, point: glam::DVec3) -> Shown {
+        if point.z < 1e-3 {
+            return Shown::Nothing;
+        }
+        let image = &self.frames[frame];
+        let at = self.cameras.intrinsics.project(point);
+        let (w, h) = (image.width as usize, image.height as usize);
+        let inside = |v: f64, size: usize| v >= 0.5 && v <= size as f64 - 0.5;
+        if !inside(at.x, w) || !inside(at.y, h) {
+            return Shown::Nothing;
+        }
+        let i = at.y as usize * w + at.x as usize;
+        let (d, expected) = (f64::from(self.layers[frame].inverse[i]), point.z.recip());
+        // What was filled in is less exact.
+        let share = if self.knows(frame, i) { SAME_POINT.0 } else { 4.0 * SAME_POINT.0 };
+        let beyond = d - expected;
+        if self.near_movers[frame][i] {
+            return Shown::Nothing;
+        }
+        let within = share * expected + SAME_POINT.1;
+        if beyond < -within {
+            return Shown::Behind;
+        }
+        if beyond > within {
+            return Shown::Nothing;
+        }
+        let (x, y) = (at.x - 0.5, at.y - 0.5);
+        let (x0, y0) = ((x as u32).min(image.width - 2), (y as u32).min(image.height - 2));
+        let (fx, fy) = ((x - f64::from(x0)) as f32, (y - f64::from(y0)) as f32);
+        let corner = |dx: u32, dy: u32| image.at(x0 + dx, y0 + dy);
+        let (a, b, c, d) = (corner(0, 0), corner(1, 0), corner(0, 1), corner(1, 1));
+        Shown::Point([0, 1, 2].map(|k| {
+            let top = a[k] + (b[k] - a[k]) * fx;
+            let bottom = c[k] + (d[k] - c[k]) * fx;
+            top + (bottom - top) * fy
+        }))
+    }
+}
+
+/// What a frame shows where a point of the static world should be.
+enum Shown {
+    /// The point, in this colour.
+    Point([f32; 3]),
+    /// What lies behind it.
+    Behind,
+    /// Nothing that tells: a mover, something nearer, or it is outside the picture.
+    Nothing,
+}
+
+impl Plate {
+    /// Brings the plate to the exposure of the frame: one gain per channel, by what surely stands.
+    fn expose(&mut self, image: &Image, near_movers: &[bool]) {
+        for c in 0..3 {
+            let mut ratios: Vec<f32> = (0..self.colour.len())
+                .filter(|i| self.witnesses[*i] >= WITNESSES && !near_movers[*i])
+                .filter(|i| self.colour[*i][c] > 0.05)
+                .map(|i| image.pixels[3 * i + c] / self.colour[i][c])
+                .collect();
+            let gain = median(&mut ratios).unwrap_or(1.0);
+            self.colour.iter_mut().for_each(|colour| colour[c] *= gain);
+        }
+    }
+
+    /// Log odds of motion of each pixel of its frame, not a number where the plate is not known, and
+    /// whether it lies in a shadow.
+    fn evidence(&self, image: &Image) -> (Vec<f32>, Vec<bool>) {
+        let judged = |i: usize| self.judge(image, i).unwrap_or((f32::NAN, false));
+        (0..self.colour.len()).map(judged).unzip()
+    }
+
+    fn judge(&self, image: &Image, i: usize) -> Option<(f32, bool)> {
+        if self.witnesses[i] < WITNESSES {
+            return None;
+        }
+        // Static edges are known to a pixel: the best of nine shifts counts.
+        let shifts = (0..9).map(|k| (k % 3 - 1, k / 3 - 1));
+        let compared: Vec<Compared> =
+            shifts.filter_map(|shift| self.compare(image, i, shift)).collect();
+        let least = |value: fn(&Compared) -> f32| {
+            compared.iter().copied().min_by(|a, b| value(a).total_cmp(&value(b)))
+        };
+        let as_it_is = least(|c| c.difference)?;
+        let shaded = least(|c| c.shaded)?;
+        let even = EVEN + 2.0 * as_it_is.spread;
+        let odds =
+            |difference: f32| (2.0 * ((difference + 0.01) / even).ln()).clamp(ODDS.0, ODDS.1);
+        let moved = odds(as_it_is.difference);
+        if moved > 0.0 && (SHADE.0..SHADE.1).contains(&shaded.gain) {
+            let shade = odds(shaded.shaded) + SHADE_COST;
+            if shade < moved {
+                return Some((shade, true));
+            }
+        }
+        Some((moved, false))
+    }
+
+    /// The patch about a pixel against the plate, shifted by a pixel or not.
+    fn compare(&self, image: &Image, i: usize, (sx, sy): (i32, i32)) -> Option<Compared> {
+        let (w, h) = (image.width as i32, image.height as i32);
+        let (x, y) = (i as i32 % w, i as i32 / w);
+        let mut pairs = [([0.0f32; 3], [0.0f32; 3]); 9];
+        let (mut count, mut spread) = (0, 0.0);
+        for dy in -1..=1 {
+            for dx in -1..=1 {
+                let (px, py) = (x + dx, y + dy);
+                let (qx, qy) = (px + sx, py + sy);
+                let inside = |x: i32, y: i32| x >= 0 && y >= 0 && x < w && y < h;
+                if !inside(px, py) || !inside(qx, qy) {
+                    continue;
+                }
+                let q = (qy * w + qx) as usize;
+                if self.witnesses[q] < WITNESSES {
+                    continue;
+                }
+                let shown = image.at(px as u32, py as u32);
+                pairs[count] = ([shown[0], shown[1], shown[2]], self.colour[q]);
+                spread += self.spread[q];
+                count += 1;
+            }
+        }
+        if count < 4 {
+            return None;
+        }
+        let pairs = &pairs[..count];
+        let sums = |f: &dyn Fn(f32, f32) -> f32| -> f32 {
+            pairs.iter().flat_map(|(a, b)| a.iter().zip(b)).map(|(a, b)| f(*a, *b)).sum()
+        };
+        let n = 3.0 * count as f32;
+        let gain = sums(&|a, b| a * b) / sums(&|_, b| b * b).max(1e-4);
+        Some(Compared {
+            difference: sums(&|a, b| (a - b).abs()) / n,
+            shaded: sums(&|a, b| (a - gain * b).abs()) / n / gain.max(0.2).sqrt(),
+            gain,
+            spread: spread / count as f32,
+        })
+    }
+}
+
+/// A patch against the plate.
+#[derive(Clone, Copy)]
+struct Compared {
+    /// Mean absolute difference.
+    difference: f32,
+    /// The same after the best gain, in the plate's brightness.
+    shaded: f32,
+    gain: f32,
+    spread: f32,
+}
+
+/// A difference from a plate at which motion and noise are equally likely.
+const EVEN: f32 = 0.04;
+/// Log odds stay within these.
+const ODDS: (f32, f32) = (-3.0, 4.0);
+/// Gains of shadows.
+const SHADE: (f32, f32) = (0.25, 0.93);
+/// Log odds of a shadow against nothing.
+const SHADE_COST: f32 = 0.5;
+
+/// Pixels within so many of a mover's.
+fn near(mask: &Image, reach: usize) -> Vec<bool> {
+    let (w, h) = (mask.width as usize, mask.height as usize);
+    let moving: Vec<bool> = mask.pixels.iter().map(|p| *p > 0.5).collect();
+    let across: Vec<bool> = (0..w * h)
+        .map(|i| {
+            let (x, row) = (i % w, i / w * w);
+            moving[row + x.saturating_sub(reach)..=row + (x + reach).min(w - 1)].contains(&true)
+        })
+        .collect();
+    (0..w * h)
+        .map(|i| {
+            let (x, y) = (i % w, i / w);
+            (y.saturating_sub(reach)..=(y + reach).min(h - 1)).any(|y| across[y * w + x])
+        })
+        .collect()
+}
+
+fn centre(i: usize, w: usize) -> DVec2 {
+    DVec2::new((i % w) as f64 + 0.5, (i / w) as f64 + 0.5)
+}
+
+/// Of an even number the lower middle one; the order changes.
+fn median(values: &mut [f32]) -> Option<f32> {
+    let middle = values.len().checked_sub(1)? / 2;
+    Some(*values.select_nth_unstable_by(middle, f32::total_cmp).1)
+}
