@@ -13,10 +13,11 @@
 use glam::{DMat3, DVec2, DVec3};
 
 use super::cameras::Cameras;
-use super::movers::{BOUND, KNOWN, Shape};
+use super::movers::{BOUND, KNOWN};
 use super::objects::Object;
 use super::outline::{Outline, outline};
 use super::quantile;
+use super::shape::Shape;
 use super::smooth::{self, Place};
 
 /// Standard deviation of an outline's depth, logarithm: what turns or bends looks larger and smaller.
@@ -138,7 +139,10 @@ pub(super) fn distances(
             (!hidden.is_empty()).then(|| -quantile(hidden, 0.8).max(1e-3).ln() - depth)
         })
         .collect();
-    let before = Estimate { value: quantile(bounds, 0.1) - BEFORE.0, deviation: BEFORE.1 };
+    let bound = quantile(bounds, 0.1);
+    let before = Estimate { value: bound - BEFORE.0, deviation: BEFORE.1 };
+    // A path that is smoothest behind what the object hides is not the object's.
+    let smooth = smooth.filter(|smooth| smooth.value - smooth.deviation < bound);
     let scale = smooth.map_or(before, |smooth| before.and(smooth));
     let confidence = if scale.deviation < DECIDED { KNOWN } else { BOUND };
     (path.iter().map(|x| (x + scale.value).exp()).collect(), confidence)

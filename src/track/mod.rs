@@ -11,7 +11,8 @@
 //! | `stereo` | static depth refined against the pictures |
 //! | `depth` | depth of all pixels, measured where it can be, inferred and marked so where not |
 //! | `objects` | what moves, as objects: points on it that belong together |
-//! | `movers` | each object's shape and path up to scale |
+//! | `shape` | each object's shape and path up to scale |
+//! | `movers` | depth of movers' pixels, from shapes and distances |
 //! | `distance` | how far an object is: contact with the ground, its size, a smooth path |
 //! | `unfollowed` | parts of movers on which no point could be followed |
 //! | `outline` | what an object's outline tells of its place and size |
@@ -37,6 +38,7 @@ mod plate;
 mod points;
 mod residual;
 pub mod scaffold;
+mod shape;
 #[cfg(test)]
 mod sliding;
 mod smooth;
