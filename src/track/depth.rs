@@ -91,7 +91,8 @@ pub(super) fn dense(
         .map(|(layer, plate)| {
             let own = layer.inverse.iter().zip(&layer.confidence);
             let told = own.zip(&plate.hidden);
-            told.map(|((d, c), hidden)| if *hidden > 0.0 { (*hidden, 1.0) } else { (*d, *c) }).unzip()
+            told.map(|((d, c), hidden)| if *hidden > 0.0 { (*hidden, 1.0) } else { (*d, *c) })
+                .unzip()
         })
         .collect();
     let behind: Vec<Behind<'_>> =
@@ -152,7 +153,7 @@ fn scale_of(maps: &[Image], seen: &[Seen], masks: &[Image]) -> f32 {
 pub(super) struct Layer {
     pub inverse: Vec<f32>,
     pub confidence: Vec<f32>,
-    supplied: Vec<bool>,
+    pub supplied: Vec<bool>,
 }
 
 fn static_layer(

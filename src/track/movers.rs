@@ -51,8 +51,7 @@ pub(super) fn lift(
     behind: &[Behind<'_>],
 ) -> Lifted {
     let mut objects = objects::find(frames, flow, masks);
-    let mut shapes: Vec<Shape> =
-        objects.iter().map(|object| shape(object, cameras)).collect();
+    let mut shapes: Vec<Shape> = objects.iter().map(|object| shape(object, cameras)).collect();
     let mut owners: Vec<Vec<Option<u16>>> =
         (0..masks.len()).into_par_iter().map(|f| owners(&objects, &masks[f], f)).collect();
     let points: Vec<Vec<DVec2>> =

@@ -393,3 +393,114 @@ fn median(values: &mut [f32]) -> Option<f32> {
     let middle = values.len().checked_sub(1)? / 2;
     Some(*values.select_nth_unstable_by(middle, f32::total_cmp).1)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::sliding::{self, FRAMES, HEIGHT, STEP, WALL, WIDTH, map, within, working};
+    use super::*;
+
+    /// A mover that goes down by more than its height from frame to frame.
+    fn mover(frame: usize, p: DVec2) -> bool {
+        within(p, (24.0, 6.0 * frame as f64), (38.0, 6.0 * frame as f64 + 6.0))
+    }
+
+    /// A shadow that goes up.
+    fn shadow(frame: usize, p: DVec2) -> bool {
+        let y = 6.0 * (FRAMES - frame) as f64;
+        within(p, (44.0, y - 6.0), (58.0, y))
+    }
+
+    /// The wall with its texture, a mover, a shadow; the fourth frame is darker.
+    fn frames() -> Vec<Image> {
+        let frame = |f: usize| {
+            let mut image = Image::new(WIDTH, HEIGHT, 3);
+            for (i, c) in image.pixels.chunks_exact_mut(3).enumerate() {
+                let p = sliding::centre(i);
+                let q = p - sliding::wall() * f as f64;
+                let wall = 0.5 + 0.2 * (0.9 * q.x).sin() * (0.7 * q.y).cos();
+                let gain = if f == 3 { 0.8 } else { 1.0 };
+                let seen = match (mover(f, p), shadow(f, p)) {
+                    (true, _) => [0.9, 0.2, 0.1],
+                    (_, true) => [0.6 * wall; 3],
+                    _ => [wall; 3],
+                };
+                c.copy_from_slice(&seen.map(|v| (gain * v) as f32));
+            }
+            image
+        };
+        (0..FRAMES).map(frame).collect()
+    }
+
+    /// The wall, not measured where the mover is: there it seems nearer.
+    fn layers() -> Vec<Layer> {
+        let layer = |f: usize| {
+            let by = |here: f32, there: f32| map(|p| if mover(f, p) { here } else { there }).pixels;
+            let wall = (1.0 / WALL) as f32;
+            let pixels = (WIDTH * HEIGHT) as usize;
+            Layer {
+                inverse: by(2.0 * wall, wall),
+                confidence: by(0.0, 0.9),
+                supplied: vec![false; pixels],
+            }
+        };
+        (0..FRAMES).map(layer).collect()
+    }
+
+    /// The evidence with some masks.
+    fn found(masks: &[Image]) -> Vec<Evidence> {
+        let cameras = sliding::cameras(STEP);
+        working(|work| {
+            evidence(&frames(), &cameras, &layers(), masks, work, "test", 0.0..1.0).unwrap()
+        })
+    }
+
+    #[test]
+    fn movers_differ_from_the_plate_and_shadows_scale_it() {
+        // No mask tells what moves.
+        let found = found(&vec![map(|_| 0.0); FRAMES]);
+        for (f, evidence) in found.iter().enumerate() {
+            // Of the pixels of a kind, those whose evidence is as it should be.
+            let share = |kind: &dyn Fn(DVec2) -> bool, right: &dyn Fn(f32, bool) -> bool| {
+                let own = (0..evidence.odds.len())
+                    .filter(|i| kind(sliding::centre(*i)) && !evidence.odds[*i].is_nan());
+                let own: Vec<usize> = own.collect();
+                assert!(own.len() > 40, "frame {f}: only {} are known", own.len());
+                let right = own.iter().filter(|i| right(evidence.odds[**i], evidence.shade[**i]));
+                right.count() as f64 / own.len() as f64
+            };
+            let moves = share(&|p| mover(f, p), &|odds, shade| odds > 1.0 && !shade);
+            let shaded = share(&|p| shadow(f, p), &|odds, shade| shade && odds < 0.0);
+            let near = |p: DVec2, of: fn(usize, DVec2) -> bool| {
+                [-3.0, 0.0, 3.0]
+                    .iter()
+                    .any(|dx| [-3.0, 0.0, 3.0].iter().any(|dy| of(f, p + DVec2::new(*dx, *dy))))
+            };
+            let stands = share(&|p| !near(p, mover) && !near(p, shadow), &|odds, _| odds < 0.0);
+            // Patches on the borders show both.
+            assert!(moves > 0.9 && shaded > 0.5 && stands > 0.97, "{f}: {moves} {shaded} {stands}");
+        }
+    }
+
+    #[test]
+    fn what_a_mover_hides_is_told_by_other_frames() {
+        let masks: Vec<Image> =
+            (0..FRAMES).map(|f| map(|p| f32::from(u8::from(mover(f, p))))).collect();
+        for (f, evidence) in found(&masks).iter().enumerate() {
+            for (i, hidden) in evidence.hidden.iter().enumerate() {
+                // The picture's sides are seen by fewer frames.
+                let known = mover(f, sliding::centre(i));
+                assert!(!known || (f64::from(*hidden) * WALL - 1.0).abs() < 1e-3, "{f}: {hidden}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_clip_too_short_has_no_plate() {
+        let (frames, masks) = (&frames()[..2], vec![map(|_| 0.0); 2]);
+        let cameras = sliding::cameras(STEP);
+        let found = working(|work| {
+            evidence(frames, &cameras, &layers()[..2], &masks, work, "test", 0.0..1.0).unwrap()
+        });
+        assert!(found.iter().all(|evidence| evidence.odds.iter().all(|odds| odds.is_nan())));
+    }
+}

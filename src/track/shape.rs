@@ -300,6 +300,8 @@ fn upright(object: &Object) -> Shape {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::types::Intrinsics;
+    use glam::DQuat;
 
     #[test]
     fn what_grows_comes_nearer() {
@@ -318,5 +320,54 @@ mod tests {
         let shape = upright(&object);
         let ratio = shape.frames[0].depth / shape.frames[5].depth;
         assert!((ratio / 1.02f64.powi(5) - 1.0).abs() < 1e-6, "{ratio}");
+    }
+
+    #[test]
+    fn a_limb_that_swings_is_not_far_out() {
+        // A body that turns as it goes by; its lower third sways against it, as if it were elsewhere.
+        let intrinsics = Intrinsics::centred(300.0, 320, 180);
+        let poses = vec![Pose::new(DQuat::IDENTITY, DVec3::ZERO); 12];
+        let cameras = Cameras::known(intrinsics, poses);
+        let track = |i: usize, sways: bool| {
+            let (x, y) = ((i % 7) as f64 / 6.0 - 0.5, (i / 7) as f64 / 14.0 - 0.5);
+            let relief = 0.2 * (1.9 * i as f64).sin();
+            let at = |k: usize| {
+                let turned =
+                    DQuat::from_rotation_y(0.05 * k as f64) * DVec3::new(0.6 * x, 1.6 * y, relief);
+                let sway = if sways && y > 0.17 { 0.018 * k as f64 } else { 0.0 };
+                let middle = DVec3::new(0.05 * k as f64 - 0.3 + sway, 0.0, 2.5);
+                intrinsics.project(middle + turned)
+            };
+            PointTrack { first: 0, pixels: (0..12).map(at).collect(), deviation: vec![0.1; 12] }
+        };
+        let shape_of = |sways: bool| {
+            let tracks = (0..105).map(|i| track(i, sways)).collect();
+            let object = Object { tracks, first: 0, end: 12 };
+            shape(&object, &cameras)
+        };
+        // How far a point lies before or behind the middle at most, relative to the depth.
+        let range = |shape: &Shape| {
+            let all = shape.frames.iter().flat_map(|frame| frame.relative.iter().flatten());
+            all.fold(0.0, |far: f64, relative| far.max((relative - 1.0).abs()))
+        };
+        let (still, swaying) = (shape_of(false), shape_of(true));
+        assert!(still.rigid && (0.1..0.16).contains(&range(&still)), "{}", range(&still));
+        // Without the limit it is 0.39.
+        assert!(range(&swaying) < 0.2, "{}", range(&swaying));
+    }
+
+    #[test]
+    fn the_longest_run_of_what_is_as_it_should_be() {
+        let good = |value: f64| value < 1.0;
+        assert_eq!(longest(&[0.5, 2.0, 0.1, 0.2, 3.0, 0.3], good), 2..4);
+        assert_eq!(longest(&[0.5, 0.1], good), 0..2);
+        assert_eq!(longest(&[2.0, 2.0], good), 0..0);
+        // Points on a slanted strip, 10 by 2.
+        let along = DVec2::from_angle(0.7);
+        let strip = (0..400).map(|i| {
+            let (a, b) = (f64::from(i % 20) - 9.5, f64::from(i / 20) - 9.5);
+            along * (0.5 * a) + along.perp() * (0.1 * b)
+        });
+        assert!((narrow_half(strip) - 0.9).abs() < 0.06);
     }
 }
