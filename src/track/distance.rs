@@ -139,10 +139,10 @@ pub(super) fn distances(
             (!hidden.is_empty()).then(|| -quantile(hidden, 0.8).max(1e-3).ln() - depth)
         })
         .collect();
-    let bound = quantile(bounds, 0.1);
-    let before = Estimate { value: bound - BEFORE.0, deviation: BEFORE.1 };
-    // A path that is smoothest behind what the object hides is not the object's.
-    let smooth = smooth.filter(|smooth| smooth.value - smooth.deviation < bound);
+    let usual: f64 = quantile(Vec::clone(&bounds), 0.5);
+    let before = Estimate { value: quantile(bounds, 0.1) - BEFORE.0, deviation: BEFORE.1 };
+    // A path that is smoothest far behind what the object hides is not the object's.
+    let smooth = smooth.filter(|smooth| smooth.value - smooth.deviation < usual + BEFORE.1);
     let scale = smooth.map_or(before, |smooth| before.and(smooth));
     let confidence = if scale.deviation < DECIDED { KNOWN } else { BOUND };
     (path.iter().map(|x| (x + scale.value).exp()).collect(), confidence)
