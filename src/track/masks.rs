@@ -89,9 +89,8 @@ pub(super) fn segment(
         let judge = |f: usize| judge(frames, cameras, flow, &seen[f], f, &odds(&seen[f]));
         range.into_par_iter().map(judge).collect()
     };
-    let odds: Vec<Vec<f32>> =
+    let mut odds: Vec<Vec<f32>> =
         work.frames(&format!("{part}/odds"), frames.len(), judged, stage, shares.start..middle)?;
-    let mut odds = odds;
     let mut support: Vec<Vec<f32>> = seen.iter().map(|seen| seen.support.clone()).collect();
     for (frame, plate) in plates.unwrap_or_default().iter().enumerate() {
         for (i, said) in plate.odds.iter().enumerate().filter(|(_, said)| !said.is_nan()) {
