@@ -105,7 +105,9 @@ pub(super) fn segment(
             if let Some(plate) = plates.and_then(|plates| plates.get(frame)) {
                 // What may be a shadow is decided by all frames around together: where it is plain, it
                 // looks like a dark mover.
-                for (i, odds) in gathered.iter_mut().enumerate().filter(|(i, _)| !plate.shade[*i]) {
+                for (i, odds) in
+                    gathered.iter_mut().enumerate().filter(|(i, _)| plate.shade[*i] == 0.0)
+                {
                     if !plate.odds[i].is_nan() {
                         *odds = plate.odds[i] + BESIDE_PLATE * *odds;
                     }

@@ -16,6 +16,7 @@
 //! | `distance` | how far an object is: contact with the ground, its size, a smooth path |
 //! | `unfollowed` | parts of movers on which no point could be followed |
 //! | `outline` | what an object's outline tells of its place and size |
+//! | `shade` | the shadows of movers, and the nodes that carry them |
 //! | [`scaffold`] | nodes on what moves, each carried through the whole clip |
 //! | `smooth` | the scale of a path, from how smoothly things move |
 //! | `observer` | who looks on: progress, and finished parts put away |
@@ -38,6 +39,7 @@ mod plate;
 mod points;
 mod residual;
 pub mod scaffold;
+mod shade;
 mod shape;
 #[cfg(test)]
 mod sliding;
@@ -144,7 +146,11 @@ pub struct Track {
     /// Per frame, one channel: one more than the number in `movers` of the object that the pixel
     /// shows; 0 where none is known.
     pub owners: Vec<Image>,
-    /// Nodes on what moves.
+    /// Per frame, two channels: the share of the light that the shadow of a mover takes away from what
+    /// stands still, 0 where there is none; and the number by which the nodes of `scaffold` that carry
+    /// this shadow name their owner, larger than those of all objects.
+    pub shadows: Vec<Image>,
+    /// Nodes on what moves, shadows too.
     pub scaffold: Scaffold,
     /// Static points.
     pub points: Vec<StaticPoint>,
@@ -330,7 +336,7 @@ pub fn track_observed(
     work.progress(Stage::Depth, 0.96)?;
     let points =
         points::gather(frames, &cameras, &depth, &depth_confidence, &masks, options.max_points);
-    let scaffold = scaffold::build(&scaffold::Surfaces {
+    let surfaces = scaffold::Surfaces {
         intrinsics: cameras.intrinsics,
         view_from_world: &cameras.poses,
         flow: &flow,
@@ -338,7 +344,9 @@ pub fn track_observed(
         depth: &depth,
         owners: &owners,
         movers: &movers,
-    });
+    };
+    let mut scaffold = scaffold::build(&surfaces);
+    let shadows = shade::shadows(&surfaces, &plates, &mut scaffold);
     let quality = quality(&cameras, &tracks, &weights, &masks);
     work.progress(Stage::Depth, 1.0)?;
     Ok(Track {
@@ -349,6 +357,7 @@ pub fn track_observed(
         depth_confidence,
         movers,
         owners,
+        shadows,
         scaffold,
         points,
         tracks,

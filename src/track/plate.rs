@@ -34,8 +34,9 @@ const WITNESSES: u8 = 3;
 pub(super) struct Evidence {
     /// Log odds of motion; not a number where the plate is not known.
     pub odds: Vec<f32>,
-    /// Whether a shadow on what stands still explains the pixel better than motion.
-    pub shade: Vec<bool>,
+    /// Where a shadow on what stands still explains the pixel better than motion, the share of the light
+    /// that it takes away; else 0.
+    pub shade: Vec<f32>,
     /// Inverse depth of what a mover hides, as the other frames tell it; 0 where they tell none.
     pub hidden: Vec<f32>,
 }
@@ -272,13 +273,13 @@ impl Plate {
     }
 
     /// Log odds of motion of each pixel of its frame, not a number where the plate is not known, and
-    /// whether it lies in a shadow.
-    fn evidence(&self, image: &Image) -> (Vec<f32>, Vec<bool>) {
-        let judged = |i: usize| self.judge(image, i).unwrap_or((f32::NAN, false));
+    /// the share of the light that a shadow takes away.
+    fn evidence(&self, image: &Image) -> (Vec<f32>, Vec<f32>) {
+        let judged = |i: usize| self.judge(image, i).unwrap_or((f32::NAN, 0.0));
         (0..self.colour.len()).map(judged).unzip()
     }
 
-    fn judge(&self, image: &Image, i: usize) -> Option<(f32, bool)> {
+    fn judge(&self, image: &Image, i: usize) -> Option<(f32, f32)> {
         if self.witnesses[i] < WITNESSES {
             return None;
         }
@@ -298,10 +299,10 @@ impl Plate {
         if moved > 0.0 && (SHADE.0..SHADE.1).contains(&shaded.gain) {
             let shade = odds(shaded.shaded) + SHADE_COST;
             if shade < moved {
-                return Some((shade, true));
+                return Some((shade, 1.0 - shaded.gain));
             }
         }
-        Some((moved, false))
+        Some((moved, 0.0))
     }
 
     /// The patch about a pixel against the plate, shifted by a pixel or not.
@@ -465,7 +466,8 @@ mod tests {
                     .filter(|i| kind(sliding::centre(*i)) && !evidence.odds[*i].is_nan());
                 let own: Vec<usize> = own.collect();
                 assert!(own.len() > 40, "frame {f}: only {} are known", own.len());
-                let right = own.iter().filter(|i| right(evidence.odds[**i], evidence.shade[**i]));
+                let right =
+                    own.iter().filter(|i| right(evidence.odds[**i], evidence.shade[**i] > 0.0));
                 right.count() as f64 / own.len() as f64
             };
             let moves = share(&|p| mover(f, p), &|odds, shade| odds > 1.0 && !shade);

@@ -65,7 +65,8 @@ pub struct Scaffold {
 /// A place on a mover's surface, with its surroundings.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Node {
-    /// The object it is on, as [`super::Track::owners`] numbers them; 0 where none is known.
+    /// The object it is on, as [`super::Track::owners`] numbers them, or the shadow, as
+    /// [`super::Track::shadows`] does; 0 where none is known.
     pub owner: usize,
     /// Where it is, frame by frame. Only differences between frames mean something of the rotation.
     pub world_from_node: Vec<Pose>,
@@ -115,13 +116,13 @@ impl Surfaces<'_> {
     }
 
     /// The point in the world that a pixel shows.
-    fn lift(&self, frame: usize, pixel: DVec2) -> DVec3 {
+    pub(super) fn lift(&self, frame: usize, pixel: DVec2) -> DVec3 {
         let z = f64::from(value(&self.depth[frame], pixel));
         self.view_from_world[frame].inverse().apply(self.intrinsics.ray(pixel) * z)
     }
 
     /// What a pixel measures in the world at a point.
-    fn pixel_size(&self, frame: usize, point: DVec3) -> f64 {
+    pub(super) fn pixel_size(&self, frame: usize, point: DVec3) -> f64 {
         self.view_from_world[frame].apply(point).z.max(1e-6) / self.intrinsics.fx
     }
 

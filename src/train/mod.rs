@@ -7,6 +7,7 @@
 //! | [`region`] | points where there are none |
 //! | [`scale`] | what a training takes of a device's memory, before it begins |
 //! | [`sampling`] | farthest-point sampling, for control points |
+//! | `shadow` | Gaussians for the shadows of movers |
 //! | [`settings`] | every number that training depends on |
 //! | [`views`] | the pictures to train on |
 //! | `aside` | pictures from where no camera was, drawn from a tracked clip's frames by their depth |
@@ -54,6 +55,8 @@ pub mod selection;
 #[cfg(feature = "reconstruct")]
 pub mod sequence;
 pub mod settings;
+#[cfg(feature = "reconstruct")]
+mod shadow;
 pub mod state;
 #[cfg(feature = "reconstruct")]
 mod surface;

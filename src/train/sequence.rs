@@ -24,6 +24,7 @@ use super::settings::{
     ControlSettings, GrowthSettings, McmcSettings, MotionSettings, Rates, SelectionSettings,
     TrainSettings,
 };
+use super::shadow::seed_shadows;
 use super::surface::{lay, normal};
 use super::trainer::Trainer;
 use super::views::TrainingView;
@@ -358,8 +359,17 @@ fn views(
         .into_par_iter()
         .map(|frame| {
             let mask = dilated(&track.masks[frame], 2);
+            let shadow = &track.shadows[frame].pixels;
+            let shaded = |i: usize| shadow[2 * i] > 0.0;
             let mut weights = mask.clone();
-            weights.pixels.iter_mut().for_each(|w| *w = weight(*w));
+            for (i, w) in weights.pixels.iter_mut().enumerate() {
+                *w = weight(if shaded(i) { 1.0 } else { *w });
+            }
+            // A shadow's Gaussians, which move, cover what it falls on by as much as it takes away.
+            let mut moving = track.masks[frame].clone();
+            for (i, m) in moving.pixels.iter_mut().enumerate().filter(|(i, _)| shaded(*i)) {
+                *m = shadow[2 * i];
+            }
             let (depth, confidence) = (&track.depth[frame], &track.depth_confidence[frame]);
             let owners = &track.owners[frame];
             let mut disparity = Image::new(depth.width, depth.height, 2);
@@ -380,7 +390,7 @@ fn views(
                 image: sequence.frames[frame].clone(),
                 weights: Some(weights),
                 disparity: Some(disparity),
-                mask: Some(track.masks[frame].clone()),
+                mask: Some(moving),
             }
         })
         .collect();
@@ -487,10 +497,8 @@ pub(super) fn spread(
 fn seed_movers(sequence: Sequence<'_>, settings: &SequenceSettings) -> Gaussians {
     let track = sequence.track;
     let count = sequence.frames.len();
-    let every = count.div_ceil(8).max(1);
     let canonical = track.scaffold.canonical;
-    let mut order: Vec<usize> = (0..count).step_by(every).collect();
-    order.insert(0, canonical);
+    let order = seeding_frames(count, canonical);
     // A cell is what two pixels cover at the movers' depth.
     let spacing = {
         let mask = &track.masks[canonical];
@@ -506,7 +514,7 @@ fn seed_movers(sequence: Sequence<'_>, settings: &SequenceSettings) -> Gaussians
     };
     let mut taken = HashSet::new();
     let mut points = Vec::new();
-    for frame in order {
+    for &frame in &order {
         let mask = &track.masks[frame];
         for y in 0..mask.height {
             for x in 0..mask.width {
@@ -541,8 +549,16 @@ fn seed_movers(sequence: Sequence<'_>, settings: &SequenceSettings) -> Gaussians
             lay(&mut gaussians, i, *ray, *normal);
         }
     }
+    let shadows = seed_shadows(track, &order, settings.sh_degree, settings.max_gaussians / 8);
+    append(&mut gaussians, &shadows);
     gaussians.motion_logits = vec![STRENGTH; gaussians.len()];
     gaussians
+}
+
+/// The frames that movers are seeded from: the canonical one, then some evenly.
+fn seeding_frames(count: usize, canonical: usize) -> Vec<usize> {
+    let every = count.div_ceil(8).max(1);
+    std::iter::once(canonical).chain((0..count).step_by(every)).collect()
 }
 
 fn append(to: &mut Gaussians, more: &Gaussians) {
