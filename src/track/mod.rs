@@ -346,7 +346,7 @@ pub fn track_observed(
         movers: &movers,
     };
     let mut scaffold = scaffold::build(&surfaces);
-    let shadows = shade::shadows(&surfaces, &plates, &mut scaffold);
+    let shadows = shade::shadows(&surfaces, frames, &plates, &mut scaffold);
     let quality = quality(&cameras, &tracks, &weights, &masks);
     work.progress(Stage::Depth, 1.0)?;
     Ok(Track {

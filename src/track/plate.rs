@@ -23,7 +23,7 @@ const NEXT: usize = 4;
 /// None is farther away than this.
 const REACH: usize = 60;
 /// Pixels so near to a mover may show it.
-const MARGIN: usize = 3;
+pub(super) const MARGIN: usize = 3;
 /// A point is the one looked for where inverse depths agree to this share, and to this in units.
 const SAME_POINT: (f64, f64) = (0.06, 0.004);
 /// A plate is known where at least so many frames show it.
@@ -37,6 +37,8 @@ pub(super) struct Evidence {
     /// Where a shadow on what stands still explains the pixel better than motion, the share of the light
     /// that it takes away; else 0.
     pub shade: Vec<f32>,
+    /// Brightness of the plate, mean over the channels; not a number where it is not known.
+    pub brightness: Vec<f32>,
     /// Inverse depth of what a mover hides, as the other frames tell it; 0 where they tell none.
     pub hidden: Vec<f32>,
 }
@@ -69,8 +71,7 @@ pub(super) fn evidence(
     let made = |range: std::ops::Range<usize>| {
         let of = |frame: usize| {
             let hidden = clip.hidden(frame);
-            let (odds, shade) = clip.plate(frame, &hidden).evidence(&frames[frame]);
-            Evidence { odds, shade, hidden }
+            clip.plate(frame, &hidden).evidence(&frames[frame], hidden)
         };
         range.into_par_iter().map(of).collect()
     };
@@ -272,13 +273,19 @@ impl Plate {
         }
     }
 
-    /// Log odds of motion of each pixel of its frame, not a number where the plate is not known, and
-    /// the share of the light that a shadow takes away.
-    fn evidence(&self, image: &Image) -> (Vec<f32>, Vec<f32>) {
+    /// What it says of its frame.
+    fn evidence(&self, image: &Image, hidden: Vec<f32>) -> Evidence {
         let judged = |i: usize| self.judge(image, i).unwrap_or((f32::NAN, 0.0));
-        (0..self.colour.len()).map(judged).unzip()
+        let (odds, shade) = (0..self.colour.len()).map(judged).unzip();
+        let brightness = |(colour, witnesses): (&[f32; 3], &u8)| match *witnesses >= WITNESSES {
+            true => colour.iter().sum::<f32>() / 3.0,
+            false => f32::NAN,
+        };
+        let brightness = self.colour.iter().zip(&self.witnesses).map(brightness).collect();
+        Evidence { odds, shade, brightness, hidden }
     }
 
+    /// Log odds of motion of a pixel, and the share of the light that a shadow takes away.
     fn judge(&self, image: &Image, i: usize) -> Option<(f32, f32)> {
         if self.witnesses[i] < WITNESSES {
             return None;
@@ -368,7 +375,7 @@ const SHADE: (f32, f32) = (0.25, 0.93);
 const SHADE_COST: f32 = 0.5;
 
 /// Pixels within so many of a mover's.
-fn near(mask: &Image, reach: usize) -> Vec<bool> {
+pub(super) fn near(mask: &Image, reach: usize) -> Vec<bool> {
     let (w, h) = (mask.width as usize, mask.height as usize);
     let moving: Vec<bool> = mask.pixels.iter().map(|p| *p > 0.5).collect();
     let across: Vec<bool> = (0..w * h)

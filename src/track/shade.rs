@@ -10,14 +10,17 @@ use nalgebra::{Matrix3, SymmetricEigen};
 use rayon::prelude::*;
 
 use super::masks::regions;
-use super::plate::Evidence;
+use super::plate::{Evidence, MARGIN, near};
 use super::scaffold::{Node, Scaffold, Surfaces};
 use crate::types::{Image, Pose};
 
-/// Half the side of the window over which shade is averaged, pixels.
+/// Half the side of the window in which a frame's brightness is compared with its plate's, pixels: texture
+/// that is off by a pixel is averaged out.
 const WINDOW: i64 = 2;
-/// A pixel lies in a shadow where this share of the window does.
-const LEAST_SHARE: f32 = 0.5;
+/// A shadow takes this share of the light away at least.
+const LEAST_TAKEN: f32 = 0.1;
+/// In this share of a shadow's pixels, at least, the plate's texture is still seen.
+const CONFIRMED: f64 = 0.2;
 /// A shadow covers at least this share of the picture.
 const LEAST_AREA: f64 = 1e-3;
 /// What casts a shadow is at most so far from it, as a share of the picture's width.
@@ -30,13 +33,17 @@ const MOST_NODES: usize = 32;
 /// to the scaffold.
 pub(super) fn shadows(
     surfaces: &Surfaces<'_>,
+    frames: &[Image],
     plates: &[Evidence],
     scaffold: &mut Scaffold,
 ) -> Vec<Image> {
     let objects = surfaces.movers.len();
     let mut shadows: Vec<Image> = (0..plates.len())
         .into_par_iter()
-        .map(|f| of_frame(&plates[f].shade, &surfaces.masks[f], &surfaces.owners[f], objects))
+        .map(|f| {
+            let (mask, owners) = (&surfaces.masks[f], &surfaces.owners[f]);
+            of_frame(&frames[f], &plates[f], mask, owners, objects)
+        })
         .collect();
     for caster in 1..=objects {
         let shadow = objects + caster;
@@ -53,34 +60,25 @@ pub(super) fn shadows(
 }
 
 /// The shadows in a frame, each with the object that it is nearest to.
-fn of_frame(shade: &[f32], mask: &Image, owners: &Image, objects: usize) -> Image {
-    let (width, height) = (i64::from(mask.width), i64::from(mask.height));
-    let mut taken = vec![0.0f32; shade.len()];
-    let mut shaded = vec![0.0f32; shade.len()];
-    for (i, taken) in taken.iter_mut().enumerate().filter(|(i, _)| mask.pixels[*i] <= 0.5) {
-        let (x, y) = (i as i64 % width, i as i64 / width);
-        let (mut sum, mut dark, mut all) = (0.0, 0.0, 0.0);
-        for py in (y - WINDOW).max(0)..=(y + WINDOW).min(height - 1) {
-            for px in (x - WINDOW).max(0)..=(x + WINDOW).min(width - 1) {
-                let j = (py * width + px) as usize;
-                if mask.pixels[j] <= 0.5 {
-                    sum += shade[j];
-                    all += 1.0;
-                    dark += f32::from(u8::from(shade[j] > 0.0));
-                }
-            }
-        }
-        if dark >= LEAST_SHARE * all {
-            (*taken, shaded[i]) = (sum / dark, 1.0);
-        }
-    }
+fn of_frame(
+    frame: &Image,
+    plate: &Evidence,
+    mask: &Image,
+    owners: &Image,
+    objects: usize,
+) -> Image {
+    let taken = taken(frame, plate, mask);
+    let shaded: Vec<f32> =
+        taken.iter().map(|taken| f32::from(u8::from(*taken > LEAST_TAKEN))).collect();
     let mut out = Image::new(mask.width, mask.height, 2);
     let nearest = nearest_owners(owners);
-    for (region, _) in regions(&shaded, width as usize, true) {
+    for (region, _) in regions(&shaded, mask.width as usize, true) {
         let caster = region.iter().filter_map(|i| nearest[*i]).min();
         let Some((distance, owner)) = caster else { continue };
-        let near = f64::from(distance) <= FARTHEST * width as f64;
-        if !near || (region.len() as f64) < LEAST_AREA * shade.len() as f64 {
+        let beside = f64::from(distance) <= FARTHEST * f64::from(mask.width);
+        let large = region.len() as f64 >= LEAST_AREA * shaded.len() as f64;
+        let confirmed = region.iter().filter(|i| plate.shade[**i] > 0.0).count();
+        if !beside || !large || (confirmed as f64) < CONFIRMED * region.len() as f64 {
             continue;
         }
         for i in region {
@@ -89,6 +87,31 @@ fn of_frame(shade: &[f32], mask: &Image, owners: &Image, objects: usize) -> Imag
         }
     }
     out
+}
+
+/// By pixel, the share of the plate's light that is missing, 0 on movers, beside them and where it is not known.
+fn taken(frame: &Image, plate: &Evidence, mask: &Image) -> Vec<f32> {
+    let (width, height) = (i64::from(mask.width), i64::from(mask.height));
+    let near_movers = near(mask, MARGIN);
+    let stands = |i: usize| !near_movers[i] && plate.brightness[i].is_finite();
+    let of = |i: usize| {
+        if !stands(i) {
+            return 0.0;
+        }
+        let (x, y) = (i as i64 % width, i as i64 / width);
+        let (mut seen, mut expected) = (0.0, 0.0);
+        for py in (y - WINDOW).max(0)..=(y + WINDOW).min(height - 1) {
+            for px in (x - WINDOW).max(0)..=(x + WINDOW).min(width - 1) {
+                let j = (py * width + px) as usize;
+                if stands(j) {
+                    seen += frame.pixels[3 * j..3 * j + 3].iter().sum::<f32>() / 3.0;
+                    expected += plate.brightness[j];
+                }
+            }
+        }
+        if expected > 0.0 { (1.0 - seen / expected).clamp(0.0, 1.0) } else { 0.0 }
+    };
+    (0..mask.pixels.len()).map(of).collect()
 }
 
 /// By pixel, the steps to the nearest pixel of an object, and the object.
@@ -213,6 +236,22 @@ mod tests {
         within(p, (10.0, 22.0), (30.0, 32.0))
     }
 
+    /// A grey picture.
+    fn picture(brightness: impl Fn(DVec2) -> f32) -> Image {
+        let pixels = map(brightness).pixels.iter().flat_map(|value| [*value; 3]).collect();
+        Image { width: WIDTH, height: HEIGHT, channels: 3, pixels }
+    }
+
+    /// An even plate, whose texture is seen through the shadow.
+    fn plate() -> Evidence {
+        Evidence {
+            odds: map(|_| 0.0).pixels,
+            shade: map(|p| if shadow(p) { 0.4 } else { 0.0 }).pixels,
+            brightness: map(|_| 0.5).pixels,
+            hidden: map(|_| 0.0).pixels,
+        }
+    }
+
     fn flag(inside: bool) -> f32 {
         f32::from(u8::from(inside))
     }
@@ -221,13 +260,10 @@ mod tests {
     fn a_shadow_is_that_of_the_object_next_to_it() {
         let owners = map(|p| if mover(p) { 2.0 } else { flag(p.x > 60.0) });
         let mask = map(|p| flag(mover(p) || p.x > 60.0));
-        // Some pixels within are not shaded, one far from everything is.
-        let shade = map(|p| match (shadow(p), p.x as u32 * 7 + p.y as u32 * 3) {
-            (true, k) if k % 5 > 0 => 0.4,
-            (false, _) if within(p, (44.0, 34.0), (46.0, 35.0)) => 0.4,
-            _ => 0.0,
-        });
-        let found = of_frame(&shade.pixels, &mask, &owners, 3);
+        // A speck is dark as well.
+        let speck = |p: DVec2| within(p, (44.0, 34.0), (46.0, 35.0));
+        let frame = picture(|p| if shadow(p) || speck(p) { 0.3 } else { 0.5 });
+        let found = of_frame(&frame, &plate(), &mask, &owners, 3);
         for (i, pixel) in found.pixels.chunks_exact(2).enumerate() {
             let p = sliding::centre(i);
             let well_inside = within(p, (12.0, 24.0), (28.0, 30.0));
@@ -237,7 +273,11 @@ mod tests {
         }
         // Nothing is near that could cast it.
         let far = map(|p| flag(p.x > 60.0));
-        let found = of_frame(&shade.pixels, &far, &far, 3);
+        let found = of_frame(&frame, &plate(), &far, &far, 3);
+        assert!(found.pixels.iter().all(|value| *value == 0.0));
+        // The plate's texture is not seen: it is something dark.
+        let nowhere = Evidence { shade: vec![0.0; plate().shade.len()], ..plate() };
+        let found = of_frame(&frame, &nowhere, &mask, &owners, 3);
         assert!(found.pixels.iter().all(|value| *value == 0.0));
     }
 
@@ -261,13 +301,10 @@ mod tests {
         let pose = |f| Pose { rotation: DQuat::IDENTITY, translation: DVec3::Z * 3.0 + step(f) };
         let node =
             Node { owner: 1, world_from_node: (0..FRAMES).map(pose).collect(), spacing: 0.1 };
-        let plate = |shaded: bool| Evidence {
-            odds: vec![0.0; (WIDTH * HEIGHT) as usize],
-            shade: map(|p| if shaded && shadow(p) { 0.4 } else { 0.0 }).pixels,
-            hidden: vec![0.0; (WIDTH * HEIGHT) as usize],
-        };
+        let frames = vec![picture(|p| if shadow(p) { 0.3 } else { 0.5 }); FRAMES];
+        let plates = vec![plate(); FRAMES];
         let mut scaffold = Scaffold { canonical: 2, nodes: vec![node] };
-        let found = shadows(&surfaces, &vec![plate(true); FRAMES], &mut scaffold);
+        let found = shadows(&surfaces, &frames, &plates, &mut scaffold);
         assert!(found.iter().all(|image| image.pixels.contains(&2.0)));
         assert!(scaffold.nodes.len() > 5);
         for node in scaffold.nodes.iter().skip(1) {
@@ -280,11 +317,11 @@ mod tests {
         }
         // Without a node of its object nothing carries it, and no shadow is told.
         let mut nothing = Scaffold { canonical: 2, nodes: Vec::new() };
-        let found = shadows(&surfaces, &vec![plate(true); FRAMES], &mut nothing);
+        let found = shadows(&surfaces, &frames, &plates, &mut nothing);
         assert!(nothing.nodes.is_empty());
         assert!(found.iter().all(|image| image.pixels.iter().all(|value| *value == 0.0)));
         let mut same = scaffold.clone();
-        shadows(&surfaces, &vec![plate(false); FRAMES], &mut same);
+        shadows(&surfaces, &vec![picture(|_| 0.5); FRAMES], &plates, &mut same);
         assert_eq!(same, scaffold);
     }
 }

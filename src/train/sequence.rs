@@ -76,6 +76,8 @@ pub struct SequenceSettings {
     pub seed: u64,
 }
 
+/// Of so many Gaussians one may be seeded on a shadow: shadows are smooth.
+const SHADOWS: usize = 40;
 /// Training steps for every key time of the control points' paths.
 const VISITS: usize = 20;
 /// With fewer key times than this a short training would not follow a clip's motion at all.
@@ -359,16 +361,13 @@ fn views(
         .into_par_iter()
         .map(|frame| {
             let mask = dilated(&track.masks[frame], 2);
-            let shadow = &track.shadows[frame].pixels;
-            let shaded = |i: usize| shadow[2 * i] > 0.0;
             let mut weights = mask.clone();
-            for (i, w) in weights.pixels.iter_mut().enumerate() {
-                *w = weight(if shaded(i) { 1.0 } else { *w });
-            }
+            weights.pixels.iter_mut().for_each(|w| *w = weight(*w));
             // A shadow's Gaussians, which move, cover what it falls on by as much as it takes away.
             let mut moving = track.masks[frame].clone();
-            for (i, m) in moving.pixels.iter_mut().enumerate().filter(|(i, _)| shaded(*i)) {
-                *m = shadow[2 * i];
+            let shadows = track.shadows[frame].pixels.chunks_exact(2);
+            for (m, shadow) in moving.pixels.iter_mut().zip(shadows).filter(|(_, s)| s[0] > 0.0) {
+                *m = shadow[0];
             }
             let (depth, confidence) = (&track.depth[frame], &track.depth_confidence[frame]);
             let owners = &track.owners[frame];
@@ -549,7 +548,8 @@ fn seed_movers(sequence: Sequence<'_>, settings: &SequenceSettings) -> Gaussians
             lay(&mut gaussians, i, *ray, *normal);
         }
     }
-    let shadows = seed_shadows(track, &order, settings.sh_degree, settings.max_gaussians / 8);
+    let most = settings.max_gaussians / SHADOWS;
+    let shadows = seed_shadows(track, &order, settings.sh_degree, most);
     append(&mut gaussians, &shadows);
     gaussians.motion_logits = vec![STRENGTH; gaussians.len()];
     gaussians

@@ -16,7 +16,7 @@ use std::collections::HashSet;
 /// A shadow's Gaussians lie before the ground by this share of the ground's distance.
 const BEFORE: f64 = 0.015;
 /// Distance of the Gaussians, pixels.
-const SPACING: f64 = 3.0;
+const SPACING: f64 = 5.0;
 /// The weights of Gaussians that are as wide as far from each other add up to 2π.
 const OVERLAP: f32 = std::f32::consts::TAU;
 
@@ -63,11 +63,39 @@ pub(super) fn seed_shadows(
     let points: Vec<Point> = seeds.iter().map(|seed| seed.0).collect();
     let mut gaussians = seed_from_points(&points, sh_degree);
     for (i, (_, share, ray, normal)) in seeds.iter().enumerate() {
-        let opacity = (-(1.0 - share.min(0.95)).ln() / OVERLAP).clamp(0.01, 0.5);
+        let opacity = opacity(*share);
         gaussians.opacity_logits[i] = (opacity / (1.0 - opacity)).ln();
         if let Some(normal) = normal {
             lay(&mut gaussians, i, *ray, *normal);
         }
     }
     gaussians
+}
+
+/// The opacity of Gaussians that together take a share of the light away.
+fn opacity(share: f32) -> f32 {
+    (-(1.0 - share.min(0.95)).ln() / OVERLAP).clamp(0.01, 0.5)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gaussians_together_take_the_share_away() {
+        for share in [0.1f32, 0.4, 0.7] {
+            for at in [DVec2::new(0.0, 0.0), DVec2::new(0.5, 0.5), DVec2::new(0.3, 0.1)] {
+                // As wide as far from each other, on a grid.
+                let offsets = (-6..=6).flat_map(|y| (-6..=6).map(move |x| (x, y)));
+                let left: f64 = offsets
+                    .map(|(x, y)| {
+                        let off = DVec2::new(f64::from(x), f64::from(y)) - at;
+                        let weight = (-0.5 * off.length_squared()).exp();
+                        1.0 - f64::from(opacity(share)) * weight
+                    })
+                    .product();
+                assert!((1.0 - left - f64::from(share)).abs() < 0.05, "{share}: {}", 1.0 - left);
+            }
+        }
+    }
 }
