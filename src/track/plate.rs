@@ -95,7 +95,7 @@ impl<'a> Clip<'a> {
         layers: &'a [Layer],
         masks: &'a [Image],
     ) -> Clip<'a> {
-        let near_movers = masks.par_iter().map(|mask| near(mask, MARGIN)).collect();
+        let near_movers = masks.par_iter().map(|mask| mask.near(MARGIN)).collect();
         Clip { frames, cameras, layers, masks, near_movers }
     }
 
@@ -373,24 +373,6 @@ const ODDS: (f32, f32) = (-3.0, 4.0);
 const SHADE: (f32, f32) = (0.25, 0.93);
 /// Log odds of a shadow against nothing.
 const SHADE_COST: f32 = 0.5;
-
-/// Pixels within so many of a mover's.
-pub(super) fn near(mask: &Image, reach: usize) -> Vec<bool> {
-    let (w, h) = (mask.width as usize, mask.height as usize);
-    let moving: Vec<bool> = mask.pixels.iter().map(|p| *p > 0.5).collect();
-    let across: Vec<bool> = (0..w * h)
-        .map(|i| {
-            let (x, row) = (i % w, i / w * w);
-            moving[row + x.saturating_sub(reach)..=row + (x + reach).min(w - 1)].contains(&true)
-        })
-        .collect();
-    (0..w * h)
-        .map(|i| {
-            let (x, y) = (i % w, i / w);
-            (y.saturating_sub(reach)..=(y + reach).min(h - 1)).any(|y| across[y * w + x])
-        })
-        .collect()
-}
 
 fn centre(i: usize, w: usize) -> DVec2 {
     DVec2::new((i % w) as f64 + 0.5, (i / w) as f64 + 0.5)

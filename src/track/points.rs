@@ -11,7 +11,7 @@ const SAME_DEPTH: f64 = 0.05;
 /// Points are taken from no more than so many frames.
 const FRAMES: usize = 16;
 /// Points keep this distance to the mask, pixels: its edge is never exact.
-const MARGIN: i64 = 2;
+const MARGIN: usize = 2;
 
 /// Takes points from frames all over the clip: what was measured, then, at half the density, what
 /// was filled in where nothing measured covers it.
@@ -40,14 +40,7 @@ pub(super) fn gather(
     }
     // Movers aside, neighbouring frames see mostly the same: two pictures' worth of points.
     let stride = (2.0 * (w * h) as f64 / most.max(1) as f64).sqrt().ceil().max(1.0) as i64;
-    let near_mover = |mask: &Image, x: i64, y: i64| {
-        (-MARGIN..=MARGIN).any(|dy| {
-            (-MARGIN..=MARGIN).any(|dx| {
-                let (x, y) = ((x + dx).clamp(0, w - 1), (y + dy).clamp(0, h - 1));
-                mask.at(x as u32, y as u32)[0] > 0.5
-            })
-        })
-    };
+    let near_movers: Vec<Vec<bool>> = masks.iter().map(|mask| mask.near(MARGIN)).collect();
     let mut points = Vec::new();
     for measured in [true, false] {
         let step = if measured { stride } else { 2 * stride };
@@ -57,7 +50,7 @@ pub(super) fn gather(
             for y in (step / 2..h).step_by(step as usize) {
                 for x in (step / 2..w).step_by(step as usize) {
                     let sure = confidence[f].at(x as u32, y as u32)[0];
-                    if (sure > 0.5) != measured || near_mover(&masks[f], x, y) {
+                    if (sure > 0.5) != measured || near_movers[f][(y * w + x) as usize] {
                         continue;
                     }
                     let z = f64::from(depth[f].at(x as u32, y as u32)[0]);

@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, SymmetricEigen};
 use rayon::prelude::*;
 
 use super::masks::regions;
-use super::plate::{Evidence, MARGIN, near};
+use super::plate::{Evidence, MARGIN};
 use super::scaffold::{Node, Scaffold, Surfaces};
 use crate::types::{Image, Pose};
 
@@ -92,7 +92,7 @@ fn of_frame(
 /// By pixel, the share of the plate's light that is missing, 0 on movers, beside them and where it is not known.
 fn taken(frame: &Image, plate: &Evidence, mask: &Image) -> Vec<f32> {
     let (width, height) = (i64::from(mask.width), i64::from(mask.height));
-    let near_movers = near(mask, MARGIN);
+    let near_movers = mask.near(MARGIN);
     let stands = |i: usize| !near_movers[i] && plate.brightness[i].is_finite();
     let of = |i: usize| {
         if !stands(i) {

@@ -78,6 +78,8 @@ pub struct SequenceSettings {
 
 /// Of so many Gaussians one may be seeded on a shadow: shadows are smooth.
 const SHADOWS: usize = 40;
+/// Pixels so near to a mover's may show it: the static world is not trained on them.
+const MARGIN: usize = 2;
 /// Training steps for every key time of the control points' paths.
 const VISITS: usize = 20;
 /// With fewer key times than this a short training would not follow a clip's motion at all.
@@ -297,7 +299,7 @@ fn static_world(
     resume: Option<Checkpoint>,
     observer: &mut dyn Observer,
 ) -> Result<Gaussians> {
-    let views = views(sequence, settings, |moving| if moving > 0.0 { 0.0 } else { 1.0 });
+    let views = views(sequence, settings, |near_mover| if near_mover { 0.0 } else { 1.0 });
     let train = TrainSettings {
         steps: settings.static_steps,
         growth: None,
@@ -348,21 +350,23 @@ fn joint_settings(settings: &SequenceSettings) -> TrainSettings {
     }
 }
 
-/// The frames as training views; `weight` turns the movers' nearness (1 on a mover, 0 away from any)
-/// into a pixel's weight. The depth that was measured on static pixels, and that of lifted movers,
+/// The frames as training views; `weight` gives a pixel's weight by whether it is on a mover or beside
+/// one. The depth that was measured on static pixels, and that of lifted movers,
 /// comes along. Then what they show from aside.
 fn views(
     sequence: Sequence<'_>,
     settings: &SequenceSettings,
-    weight: impl Fn(f32) -> f32 + Sync,
+    weight: impl Fn(bool) -> f32 + Sync,
 ) -> Vec<TrainingView> {
     let track = sequence.track;
     let mut views: Vec<TrainingView> = (0..sequence.frames.len())
         .into_par_iter()
         .map(|frame| {
-            let mask = dilated(&track.masks[frame], 2);
-            let mut weights = mask.clone();
-            weights.pixels.iter_mut().for_each(|w| *w = weight(*w));
+            let near_movers = track.masks[frame].near(MARGIN);
+            let mut weights = Image::new(track.masks[frame].width, track.masks[frame].height, 1);
+            for (w, near) in weights.pixels.iter_mut().zip(&near_movers) {
+                *w = weight(*near);
+            }
             // A shadow's Gaussians, which move, cover what it falls on by as much as it takes away.
             let mut moving = track.masks[frame].clone();
             let shadows = track.shadows[frame].pixels.chunks_exact(2);
@@ -374,7 +378,7 @@ fn views(
             let mut disparity = Image::new(depth.width, depth.height, 2);
             for (i, pair) in disparity.pixels.chunks_exact_mut(2).enumerate() {
                 let z = depth.pixels[i];
-                let measured = mask.pixels[i] == 0.0 && confidence.pixels[i] > 0.5;
+                let measured = !near_movers[i] && confidence.pixels[i] > 0.5;
                 // The picture alone does not hold a mover at its depth.
                 let lifted = settings.movers_depth > 0.0 && owners.pixels[i] > 0.0;
                 if z > 0.0 && (measured || lifted) {
@@ -407,26 +411,6 @@ fn views(
         .collect();
     views.extend(from_aside);
     views
-}
-
-/// 1 on what moves and within some pixels of it, else 0.
-fn dilated(mask: &Image, radius: i64) -> Image {
-    let mut out = Image::new(mask.width, mask.height, 1);
-    let (width, height) = (i64::from(mask.width), i64::from(mask.height));
-    for y in 0..height {
-        for x in 0..width {
-            let near = (-radius..=radius).any(|dy| {
-                (-radius..=radius).any(|dx| {
-                    let (px, py) = (x + dx, y + dy);
-                    (0..width).contains(&px)
-                        && (0..height).contains(&py)
-                        && mask.pixels[(py * width + px) as usize] > MOVING
-                })
-            });
-            out.pixels[(y * width + x) as usize] = f32::from(u8::from(near));
-        }
-    }
-    out
 }
 
 fn colour(image: &Image, pixel: DVec2) -> [f32; 3] {

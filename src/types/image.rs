@@ -37,4 +37,46 @@ impl Image {
         let start = (y as usize * self.width as usize + x as usize) * c;
         &mut self.pixels[start..start + c]
     }
+
+    /// Of a mask (one channel): whether a value above one half is within so many pixels of each, across
+    /// and down.
+    pub(crate) fn near(&self, reach: usize) -> Vec<bool> {
+        let (w, h) = (self.width as usize, self.height as usize);
+        let set: Vec<bool> = self.pixels.iter().map(|p| *p > 0.5).collect();
+        let across: Vec<bool> = (0..w * h)
+            .map(|i| {
+                let (x, row) = (i % w, i / w * w);
+                set[row + x.saturating_sub(reach)..=row + (x + reach).min(w - 1)].contains(&true)
+            })
+            .collect();
+        (0..w * h)
+            .map(|i| {
+                let (x, y) = (i % w, i / w);
+                (y.saturating_sub(reach)..=(y + reach).min(h - 1)).any(|y| across[y * w + x])
+            })
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_near_a_mask_is_a_square_about_each_of_its_pixels() {
+        let mut mask = Image::new(9, 7, 1);
+        for (x, y) in [(0, 0), (5, 3)] {
+            mask.at_mut(x, y)[0] = 1.0;
+        }
+        // One half is not within the mask.
+        mask.at_mut(8, 6)[0] = 0.5;
+        for reach in [0u32, 2, 20] {
+            let near = mask.near(reach as usize);
+            for (i, near) in near.iter().enumerate() {
+                let (x, y) = (i as u32 % 9, i as u32 / 9);
+                let within = |(px, py)| x.abs_diff(px).max(y.abs_diff(py)) <= reach;
+                assert_eq!(*near, [(0, 0), (5, 3)].into_iter().any(within), "{reach}: {x}, {y}");
+            }
+        }
+    }
 }
