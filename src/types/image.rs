@@ -40,6 +40,7 @@ impl Image {
 
     /// Of a mask (one channel): whether a value above one half is within so many pixels of each, across
     /// and down.
+    #[cfg(feature = "reconstruct")]
     pub(crate) fn near(&self, reach: usize) -> Vec<bool> {
         let (w, h) = (self.width as usize, self.height as usize);
         let set: Vec<bool> = self.pixels.iter().map(|p| *p > 0.5).collect();
@@ -58,7 +59,7 @@ impl Image {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "reconstruct"))]
 mod tests {
     use super::*;
 
