@@ -40,17 +40,17 @@ pub(super) fn gather(
     }
     // Movers aside, neighbouring frames see mostly the same: two pictures' worth of points.
     let stride = (2.0 * (w * h) as f64 / most.max(1) as f64).sqrt().ceil().max(1.0) as i64;
-    let near_movers: Vec<Vec<bool>> = masks.iter().map(|mask| mask.near(MARGIN)).collect();
+    let near_movers: Vec<Vec<bool>> = order.iter().map(|f| masks[*f].near(MARGIN)).collect();
     let mut points = Vec::new();
     for measured in [true, false] {
         let step = if measured { stride } else { 2 * stride };
         let mut taken: Vec<usize> = Vec::new();
-        for &f in &order {
+        for (&f, near_movers) in order.iter().zip(&near_movers) {
             let world_from_view: Pose = cameras.poses[f].inverse();
             for y in (step / 2..h).step_by(step as usize) {
                 for x in (step / 2..w).step_by(step as usize) {
                     let sure = confidence[f].at(x as u32, y as u32)[0];
-                    if (sure > 0.5) != measured || near_movers[f][(y * w + x) as usize] {
+                    if (sure > 0.5) != measured || near_movers[(y * w + x) as usize] {
                         continue;
                     }
                     let z = f64::from(depth[f].at(x as u32, y as u32)[0]);

@@ -351,8 +351,8 @@ fn joint_settings(settings: &SequenceSettings) -> TrainSettings {
 }
 
 /// The frames as training views; `weight` gives a pixel's weight by whether it is on a mover or beside
-/// one. The depth that was measured on static pixels, and that of lifted movers,
-/// comes along. Then what they show from aside.
+/// one. The depth that was measured on static pixels, and that of lifted movers, comes along. Then what
+/// they show from aside.
 fn views(
     sequence: Sequence<'_>,
     settings: &SequenceSettings,
