@@ -11,6 +11,8 @@
 //! | [`settings`] | every number that training depends on |
 //! | [`views`] | the pictures to train on |
 //! | `aside` | pictures from where no camera was, drawn from a tracked clip's frames by their depth |
+//! | `mesh` | frames as meshes over their pixels, drawn before other cameras |
+//! | `beyond` | what lies beyond the edges of what a frame shows: a guess |
 //! | [`photographs`] | the pictures on the device, and the renderer for each of their sizes |
 //! | [`optimiser`] | Adam over the Gaussians' parameter groups |
 //! | [`own_loss`] | a step with the caller's own loss |
@@ -29,10 +31,14 @@
 
 #[cfg(feature = "reconstruct")]
 mod aside;
+#[cfg(feature = "reconstruct")]
+mod beyond;
 pub mod control;
 pub mod growth;
 #[cfg(feature = "reconstruct")]
 mod lifting;
+#[cfg(feature = "reconstruct")]
+mod mesh;
 pub mod motion;
 #[cfg(feature = "reconstruct")]
 pub mod observer;

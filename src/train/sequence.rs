@@ -12,8 +12,9 @@
 //!
 //! A clip in which nothing moves gets no control points.
 
-use super::aside::{Frame, aside};
+use super::aside::aside;
 use super::lifting::{MOVING, camera, lift, path, value};
+use super::mesh::Frame;
 use super::motion::MotionStart;
 use super::observer::{Checkpoint, Observer, Phase, run};
 use super::rounds::ControlChanges;
@@ -397,18 +398,15 @@ fn views(
             }
         })
         .collect();
-    let from_aside: Vec<TrainingView> = (0..views.len())
-        .into_par_iter()
-        .flat_map_iter(|frame| {
-            let numbers = settings.pictures_aside(frame)..settings.pictures_aside(frame + 1);
-            numbers.map(move |number| (frame, number))
-        })
-        .filter_map(|(frame, number)| {
-            let (view, depth) = (&views[frame], &track.depth[frame]);
-            let (mask, owners) = (&track.masks[frame], &track.owners[frame]);
-            aside(Frame { view, depth, mask, owners }, number)
+    let frames: Vec<Frame<'_>> = views
+        .iter()
+        .enumerate()
+        .map(|(frame, view)| {
+            let (depth, mask) = (&track.depth[frame], &track.masks[frame]);
+            Frame { view, depth, mask, owners: &track.owners[frame] }
         })
         .collect();
+    let from_aside = aside(&frames, |frames| settings.pictures_aside(frames));
     views.extend(from_aside);
     views
 }
