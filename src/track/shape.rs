@@ -28,9 +28,15 @@ const LEAST_RUN: usize = 5;
 /// An object that in some frame looks deeper than this, relative to its narrower side in the picture, is
 /// less deep: a limb that swings is seen to shift against the body, as if it were nearer or farther.
 const DEEP: f64 = 1.2;
+/// In this share of its frames an object is seen narrower than it is.
+const WHOLE: f64 = 0.9;
 /// In a frame in which it looks so deep the structure from motion is not believed at all: what a
 /// solution is wrong by lies along the line of sight.
 const DEEPEST: f64 = 3.5;
+
+/// What is seen of things bulges towards the camera. A solution of which a hollow explains more than this
+/// share of the depths' variance, less what a bulge explains in other frames, is the mirrored one, or none.
+const HOLLOW: f64 = -0.03;
 
 /// Standard deviation of the change of an object's depth from frame to frame that its size in the
 /// picture tells, logarithm.
@@ -198,18 +204,34 @@ fn believed(
         })
         .collect();
     let sound = drift.is_finite() && frames.iter().all(|f| f.depth > 0.0 && f.depth.is_finite());
-    let deepness = |(f, frame): (usize, &Frame)| {
-        let deep = half_width(frame.relative.iter().flatten().copied());
-        deep * cameras.intrinsics.fx / narrow_half(tracks.iter().filter_map(|track| track.at(f)))
+    // Half of its narrower side. Of what is cut off, by the picture's border say, less is seen.
+    let narrow = |(f, frame): (usize, &Frame)| {
+        let pixels = narrow_half(tracks.iter().filter_map(|track| track.at(f)));
+        frame.depth * pixels / cameras.intrinsics.fx
     };
-    let deepness: Vec<f64> = frames.iter().enumerate().map(deepness).collect();
+    let narrow = quantile(frames.iter().enumerate().map(narrow).collect(), WHOLE);
+    if !(sound && narrow > 0.0) {
+        return None;
+    }
+    let deepness =
+        |frame: &Frame| half_width(frame.relative.iter().flatten().copied()) * frame.depth / narrow;
+    let deepness: Vec<f64> = frames.iter().map(deepness).collect();
     for (frame, deepness) in frames.iter_mut().zip(&deepness) {
         let share = (DEEP / deepness).powi(2).min(1.0);
+        let most = DEEP * narrow / frame.depth;
         for relative in frame.relative.iter_mut().flatten() {
-            *relative = 1.0 + share * (*relative - 1.0);
+            *relative = 1.0 + (share * (*relative - 1.0)).clamp(-most, most);
         }
     }
-    sound.then_some((Rigid { run, middle, frames, drift }, deepness))
+    // Near and far can be mistaken for each other where perspective is weak: the mirrored solution turns
+    // the other way.
+    let bulge = |(f, frame): (usize, &Frame)| {
+        let seen = places.iter().enumerate();
+        bulge(seen.filter_map(|(i, place)| Some((tracks[i].at(f)?, frame.relative[*place]?))))
+    };
+    let explained = |bulge: f64| bulge * bulge.abs();
+    let bulge = frames.iter().enumerate().map(bulge).map(explained).sum::<f64>() / run.len() as f64;
+    (bulge > HOLLOW).then_some((Rigid { run, middle, frames, drift }, deepness))
 }
 
 /// Half of the range that most of the values lie in.
@@ -228,6 +250,28 @@ fn narrow_half(points: impl Iterator<Item = DVec2>) -> f64 {
     }
     let along = 0.5 * f64::atan2(2.0 * xy, xx - yy);
     half_width(points.iter().map(|p| p.dot(DVec2::from_angle(along).perp())))
+}
+
+/// How far a thing bulges towards the camera, from pixels of its points and their depths: the correlation
+/// of the depth with the squared distance from the middle, in units of the spread in each direction.
+fn bulge(points: impl Iterator<Item = (DVec2, f64)>) -> f64 {
+    let points: Vec<(DVec2, f64)> = points.collect();
+    let count = points.len() as f64;
+    let middle = points.iter().map(|(p, _)| *p).sum::<DVec2>() / count;
+    let off: Vec<DVec2> = points.iter().map(|(p, _)| *p - middle).collect();
+    let spread = |of: fn(&DVec2) -> f64| off.iter().map(of).sum::<f64>() / count;
+    let (xx, xy, yy) = (spread(|o| o.x * o.x), spread(|o| o.x * o.y), spread(|o| o.y * o.y));
+    let far = |o: &DVec2| yy * o.x * o.x - 2.0 * xy * o.x * o.y + xx * o.y * o.y;
+    let far: Vec<f64> = off.iter().map(far).collect();
+    let (mean_far, mean_depth) =
+        (far.iter().sum::<f64>() / count, points.iter().map(|(_, z)| z).sum::<f64>() / count);
+    let (mut ff, mut fz, mut zz) = (0.0, 0.0, 0.0);
+    for (far, (_, depth)) in far.iter().zip(&points) {
+        let (f, z) = (far - mean_far, depth - mean_depth);
+        (ff, fz, zz) = (ff + f * f, fz + f * z, zz + z * z);
+    }
+    let scale = (ff * zz).sqrt();
+    if scale > 0.0 { fz / scale } else { 0.0 }
 }
 
 /// The longest run of values that are as they should be.
@@ -354,6 +398,23 @@ mod tests {
         assert!(still.rigid && (0.1..0.16).contains(&range(&still)), "{}", range(&still));
         // Without the limit it is 0.39.
         assert!(range(&swaying) < 0.2, "{}", range(&swaying));
+    }
+
+    #[test]
+    fn a_ball_bulges_towards_the_camera_and_its_mirrored_solution_away() {
+        // Points on the half of an ellipsoid that is seen, turned about the line of sight.
+        let half = |i: usize| {
+            let (a, b) = ((i % 20) as f64 / 9.5 - 1.0, (i / 20) as f64 / 9.5 - 1.0);
+            let height = (1.0 - a * a - b * b).sqrt();
+            let pixel = DVec2::from_angle(0.5).rotate(DVec2::new(40.0 * a, 15.0 * b));
+            (height > 0.1).then_some((DVec2::new(120.0, 80.0) + pixel, height))
+        };
+        let solved = |sign: f64| bulge((0..400).filter_map(half).map(|(p, h)| (p, 3.0 + sign * h)));
+        assert!(solved(-0.1) > 0.9 && solved(0.1) < -0.9, "{} {}", solved(-0.1), solved(0.1));
+        assert_eq!(solved(0.0), 0.0);
+        // A slanted plane is neither.
+        let plane = (0..400).filter_map(half).map(|(p, _)| (p, 0.01 * p.x));
+        assert!(bulge(plane).abs() < 0.05);
     }
 
     #[test]
