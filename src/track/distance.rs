@@ -13,15 +13,16 @@
 use glam::{DMat3, DVec2, DVec3};
 
 use super::cameras::Cameras;
+use super::contour::Region;
 use super::movers::{BOUND, KNOWN};
 use super::objects::Object;
-use super::outline::{Outline, outline};
+use super::outline::{self, Outline, outline};
 use super::quantile;
 use super::shape::Shape;
 use super::smooth::{self, Place};
 
-/// Standard deviation of an outline's depth, logarithm: what turns or bends looks larger and smaller.
-const OUTLINE: f64 = 0.1;
+/// Width at first of the robust kernel that outlines pull with, logarithm.
+const SIZED_FIRST: f64 = 1.6;
 /// Standard deviation of a contact's depth at least, logarithm.
 const CONTACT: f64 = 0.03;
 /// A contact agrees with the path within this relative difference.
@@ -46,10 +47,13 @@ const UNMEASURED: f64 = 0.01;
 const HIDES: f64 = 0.2;
 /// Over the height of the picture the ground's inverse depth changes by at least this share.
 const SLOPE: f64 = 0.7;
-/// Standard deviation across the line of sight of an object's middle, pixels.
-const MIDDLE: f64 = 0.1;
-/// Along it, relative to its depth, where the object is rigid and where it is not.
+/// Standard deviation across the line of sight of an object's middle, pixels: where it is known from
+/// structure from motion or from the whole outline, and where it is not.
+const MIDDLE: (f64, f64) = (0.1, 2.0);
+/// Along it, relative to its depth, where the object is rigid, and where not even its outline is known.
 const ALONG: (f64, f64) = (0.005, 0.1);
+/// An object whose middle is not known for more frames than these may have been thrown back meanwhile.
+const GAP: usize = 2;
 /// A scale is known that has less than this relative deviation.
 const DECIDED: f64 = 0.2;
 /// How much nearer than what it hides a thing is that touches nothing: mean and deviation of the
@@ -96,21 +100,35 @@ pub(super) fn distances(
 ) -> (Vec<f64>, f32) {
     let n = shape.frames.len();
     let frames = object.first..object.first + n;
-    let outlines: Vec<Option<Outline>> =
-        frames.clone().map(|f| outline(index, &owners[f], &cameras.intrinsics)).collect();
+    let width = cameras.intrinsics.width as usize;
+    let outlined = |f: usize| {
+        let region = Region::new(index as u16, &owners[f], behind[f].inverse, width);
+        outline(&region, &cameras.intrinsics)
+    };
+    let outlines: Vec<Option<Outline>> = frames.clone().map(outlined).collect();
+    let outline_deviation = outline::deviation(&outlines);
     let steps: Vec<f64> = shape.drift.iter().map(|drift| drift.max(LEAST_DRIFT)).collect();
     let path = {
         let path: Vec<f64> = shape.frames.iter().map(|f| f.depth.ln()).collect();
         let sizes: Vec<Option<f64>> = outlines.iter().map(|o| Some((*o)?.depth.ln())).collect();
-        sized(path, &sizes, &steps)
+        sized(path, &sizes, outline_deviation, &steps)
     };
     let middles = middles(shape, &outlines);
-    let smooth = smoothness(shape, &path, &middles, cameras, object.first);
+    let known: Vec<(f64, f64)> = outlines
+        .iter()
+        .zip(&shape.frames)
+        .map(|(outline, frame)| match (frame.view_from_object, outline) {
+            (Some(_), _) if shape.rigid => (MIDDLE.0, ALONG.0),
+            (_, Some(_)) => (MIDDLE.0, outline_deviation),
+            (Some(_), None) => (MIDDLE.0, ALONG.1),
+            (None, None) => (MIDDLE.1, ALONG.1),
+        })
+        .collect();
+    let smooth = smoothness(&path, &middles, &known, cameras, object.first);
     let contacts: Vec<Option<f64>> = frames
         .clone()
         .enumerate()
         .map(|(k, f)| {
-            let width = cameras.intrinsics.width as usize;
             let (depth, pixel) = contact(index, &owners[f], behind[f], width)?;
             let near = object.tracks.iter().zip(&shape.frames[k].relative);
             let mut near: Vec<(f64, f64)> =
@@ -164,11 +182,12 @@ fn middles(shape: &Shape, outlines: &[Option<Outline>]) -> Vec<DVec2> {
     (0..n).map(place).collect()
 }
 
-/// The scale that makes a path smoothest.
+/// The scale that makes a path smoothest. `known` are standard deviations of the middles, pixels, and of
+/// the path.
 fn smoothness(
-    shape: &Shape,
     path: &[f64],
     middles: &[DVec2],
+    known: &[(f64, f64)],
     cameras: &Cameras,
     first: usize,
 ) -> Option<Estimate> {
@@ -177,17 +196,44 @@ fn smoothness(
             let world_from_view = cameras.poses[first + k].inverse();
             let depth = path[k].exp();
             let relative = cameras.intrinsics.ray(middles[k]) * depth;
-            let along = if shape.rigid { ALONG.0 } else { ALONG.1 };
             Place {
                 relative: world_from_view.rotation * relative,
                 centre: world_from_view.translation,
-                across: MIDDLE * depth / cameras.intrinsics.fx,
-                along: along * depth,
+                across: known[k].0 * depth / cameras.intrinsics.fx,
+                along: known[k].1 * depth,
             }
         })
         .collect();
-    let unit = smooth::unit(&places).filter(|u| u.inverse > 0.0 && u.deviation < u.inverse)?;
-    Some(Estimate { value: -unit.inverse.ln(), deviation: unit.deviation / unit.inverse })
+    // Where the middle is not known for some frames a path of its own begins.
+    let mut runs: Vec<Vec<Place>> = vec![Vec::new()];
+    for (place, unknown) in places.into_iter().zip(unknown_for(known)) {
+        if unknown > GAP {
+            runs.push(Vec::new());
+        } else {
+            runs.last_mut().expect("never empty").push(place);
+        }
+    }
+    let (mut sum, mut information) = (0.0, 0.0);
+    for unit in runs.iter().filter_map(|run| smooth::unit(run)) {
+        let weight = unit.deviation.powi(-2);
+        (sum, information) = (sum + weight * unit.inverse, information + weight);
+    }
+    let (inverse, deviation) = (sum / information, information.powf(-0.5));
+    (inverse > 0.0 && deviation < inverse)
+        .then(|| Estimate { value: -inverse.ln(), deviation: deviation / inverse })
+}
+
+/// How many frames long the gap is that a frame lies in in which the middle is not known.
+fn unknown_for(known: &[(f64, f64)]) -> Vec<usize> {
+    let mut out = vec![0; known.len()];
+    let mut start = 0;
+    for k in 0..=known.len() {
+        if k == known.len() || known[k].0 == MIDDLE.0 {
+            out[start..k].fill(k - start);
+            start = k + 1;
+        }
+    }
+    out
 }
 
 /// Where an object meets static ground: the ground's depth there, and the pixel. `None` where its
@@ -282,14 +328,14 @@ fn plane(
 }
 
 /// The path, bent to what the sizes of the outlines say, up to one factor.
-fn sized(path: Vec<f64>, sizes: &[Option<f64>], steps: &[f64]) -> Vec<f64> {
+fn sized(path: Vec<f64>, sizes: &[Option<f64>], deviation: f64, steps: &[f64]) -> Vec<f64> {
     let off: Vec<f64> = sizes.iter().zip(&path).filter_map(|(s, p)| Some((*s)? - p)).collect();
     if off.len() < 3 {
         return path;
     }
     let unit = quantile(off, 0.5);
     let targets: Vec<Option<f64>> = sizes.iter().map(|s| Some((*s)? - unit)).collect();
-    let pull = Pull { deviation: OUTLINE, first_width: 16.0, power: 1 };
+    let pull = Pull { deviation, first_width: SIZED_FIRST / deviation, power: 1 };
     bent(&path, &path, &targets, pull, steps)
 }
 
@@ -379,6 +425,12 @@ mod tests {
     use crate::types::Image;
 
     #[test]
+    fn gaps_are_as_long_as_the_frames_that_are_not_known() {
+        let known = [0.1, 2.0, 0.1, 2.0, 2.0, 2.0, 0.1, 2.0].map(|across| (across, 0.1));
+        assert_eq!(unknown_for(&known), [0, 1, 0, 3, 3, 3, 0, 1]);
+    }
+
+    #[test]
     fn contacts_that_agree_bend_the_path_to_them() {
         // Up to scale the path is right; three contacts of ten are of something else.
         let path: Vec<f64> = (0..10).map(|k| (1.0 + 0.02 * f64::from(k)).ln()).collect();
@@ -420,13 +472,13 @@ mod tests {
             .collect();
         let steps: Vec<f64> =
             (0..19).map(|k| if (8..13).contains(&k) { 0.06 } else { 0.005 }).collect();
-        let found = sized(path.clone(), &sizes, &steps);
+        let found = sized(path.clone(), &sizes, 0.1, &steps);
         let change = |p: &[f64]| (p[19] - p[0] - truth(19)).abs();
         assert!(change(&path) > 0.24 && change(&found) < 0.06, "{}", change(&found));
         // Without outlines it stays, and what does not drift is not moved by their trembling.
-        assert_eq!(sized(path.clone(), &[None; 20], &steps), path);
+        assert_eq!(sized(path.clone(), &[None; 20], 0.1, &steps), path);
         let steady: Vec<f64> = (0..20).map(truth).collect();
-        let found = sized(steady.clone(), &sizes, &[0.002; 19]);
+        let found = sized(steady.clone(), &sizes, 0.1, &[0.002; 19]);
         assert!(change(&found) < 0.02, "{}", change(&found));
     }
 

@@ -11,10 +11,12 @@
 //! | `stereo` | static depth refined against the pictures |
 //! | `depth` | depth of all pixels, measured where it can be, inferred and marked so where not |
 //! | `objects` | what moves, as objects: points on it that belong together |
+//! | `relief` | the depth of an object's pixels relative to its middle's |
 //! | `shape` | each object's shape and path up to scale |
 //! | `movers` | depth of movers' pixels, from shapes and distances |
 //! | `distance` | how far an object is: contact with the ground, its size, a smooth path |
 //! | `unfollowed` | parts of movers on which no point could be followed |
+//! | `contour` | an object's pixels in a frame, and what its contour borders on |
 //! | `outline` | what an object's outline tells of its place and size |
 //! | `shade` | the shadows of movers, and the nodes that carry them |
 //! | [`scaffold`] | nodes on what moves, each carried through the whole clip |
@@ -27,6 +29,7 @@
 //! hardly any mask, then each round weighs the tracks by the masks of the one before.
 
 mod cameras;
+mod contour;
 mod depth;
 mod distance;
 mod masks;
@@ -37,6 +40,7 @@ mod outline;
 mod photometric;
 mod plate;
 mod points;
+mod relief;
 mod residual;
 pub mod scaffold;
 mod shade;

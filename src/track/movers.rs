@@ -6,14 +6,16 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::cameras::Cameras;
+use super::contour::Region;
 use super::distance::{Behind, distances};
 use super::masks::regions;
 use super::objects::{self, Object};
+use super::relief::relief;
 use super::shape::{Frame, Shape, UPRIGHT_DRIFT, shape};
 use super::{Mover, quantile, unfollowed};
 use crate::geometry::sim3::Sim3;
 use crate::observe::NeighbourFlow;
-use crate::types::{Image, Pose};
+use crate::types::{Image, Intrinsics, Pose};
 
 /// Confidence of a mover's depth whose scale is known, and of one that only has a bound.
 pub(super) const KNOWN: f32 = 0.4;
@@ -70,17 +72,21 @@ pub(super) fn lift(
         .enumerate()
         .map(|(i, (object, shape))| distances(i, object, shape, cameras, &owners, behind))
         .collect();
-    let painted = |objects: &[Object], shapes: &[Shape], scaled: &[(Vec<f64>, f32)]| {
-        let paint = |f: usize| paint(f, objects, shapes, scaled, &owners[f], flow.width);
+    let reliefs: Vec<Vec<f64>> = (0..masks.len())
+        .into_par_iter()
+        .map(|f| reliefs(f, &objects, &shapes, &owners[f], behind[f].inverse, &cameras.intrinsics))
+        .collect();
+    let painted = |objects: &[Object], scaled: &[(Vec<f64>, f32)]| {
+        let paint = |f: usize| paint(f, objects, scaled, &owners[f], &reliefs[f]);
         (0..masks.len()).into_par_iter().map(paint).collect::<Vec<_>>()
     };
-    let mut pixels = painted(&objects, &shapes, &scaled);
+    let mut pixels = painted(&objects, &scaled);
     if let Some(parts) = &parts {
         let (shape, depths) = before(parts, &pixels, behind, flow.width);
         objects.push(Object { tracks: Vec::new(), first: 0, end: masks.len() });
         shapes.push(shape);
         scaled.push((depths, BOUND));
-        pixels = painted(&objects, &shapes, &scaled);
+        pixels = painted(&objects, &scaled);
     }
     let movers = objects
         .iter()
@@ -220,56 +226,49 @@ fn before(
     (Shape { frames, drift, middle: DVec3::ZERO, rigid: false }, depths)
 }
 
+/// The relief of all movers in a frame: the logarithm of each pixel's depth relative to its mover's.
+fn reliefs(
+    frame: usize,
+    objects: &[Object],
+    shapes: &[Shape],
+    owners: &[Option<u16>],
+    behind: &[f32],
+    intrinsics: &Intrinsics,
+) -> Vec<f64> {
+    let mut out = vec![0.0; owners.len()];
+    for (index, (object, shape)) in objects.iter().zip(shapes).enumerate() {
+        let Some(k) = frame.checked_sub(object.first).filter(|k| *k < shape.frames.len()) else {
+            continue;
+        };
+        let region = Region::new(index as u16, owners, behind, intrinsics.width as usize);
+        // Without a structure from motion nothing is known of the points but where they are.
+        let structured = shape.frames[k].view_from_object.is_some();
+        let relative = object.tracks.iter().zip(&shape.frames[k].relative);
+        let points: Vec<(DVec2, Option<f64>)> = relative
+            .filter_map(|(track, relative)| Some((track.at(frame)?, (*relative)?.ln())))
+            .map(|(pixel, depth)| (pixel, structured.then_some(depth)))
+            .collect();
+        let relief = relief(&region, &points, intrinsics);
+        region.pixels.iter().zip(relief).for_each(|(pixel, relief)| out[*pixel] = relief);
+    }
+    out
+}
+
 /// Inverse depth and confidence of a frame's movers.
 fn paint(
     frame: usize,
     objects: &[Object],
-    shapes: &[Shape],
     scaled: &[(Vec<f64>, f32)],
     owners: &[Option<u16>],
-    width: usize,
+    relief: &[f64],
 ) -> Vec<Option<(f32, f32)>> {
-    /// Points that a pixel's depth is the mean of.
-    const NEAREST: usize = 4;
-    let points: Vec<Vec<(DVec2, f64)>> = objects
-        .iter()
-        .zip(shapes)
-        .map(|(object, shape)| {
-            let Some(k) = frame.checked_sub(object.first).filter(|k| *k < shape.frames.len())
-            else {
-                return Vec::new();
-            };
-            let relative = object.tracks.iter().zip(&shape.frames[k].relative);
-            relative.filter_map(|(t, r)| Some((t.at(frame)?, (*r)?))).collect()
-        })
-        .collect();
-    owners
-        .iter()
-        .enumerate()
-        .map(|(i, owner)| {
-            let owner = usize::from((*owner)?);
-            let k = frame.checked_sub(objects.get(owner)?.first)?;
-            let (depth, confidence) = (*scaled[owner].0.get(k)?, scaled[owner].1);
-            let p = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
-            let mut near: [(f64, f64); NEAREST] = [(f64::INFINITY, 1.0); NEAREST];
-            for (q, relative) in &points[owner] {
-                let d = q.distance_squared(p);
-                if d < near[NEAREST - 1].0 {
-                    let at = near.partition_point(|n| n.0 <= d);
-                    near.copy_within(at..NEAREST - 1, at + 1);
-                    near[at] = (d, *relative);
-                }
-            }
-            let (mut sum, mut total) = (0.0, 0.0);
-            for (d, relative) in near.iter().filter(|n| n.0.is_finite()) {
-                let weight = 1.0 / (d + 1.0);
-                sum += weight / relative;
-                total += weight;
-            }
-            let inverse = if total > 0.0 { sum / total } else { 1.0 };
-            Some(((inverse / depth) as f32, confidence))
-        })
-        .collect()
+    let pixel = |(owner, relief): (&Option<u16>, &f64)| {
+        let owner = usize::from((*owner)?);
+        let k = frame.checked_sub(objects.get(owner)?.first)?;
+        let (depths, confidence) = &scaled[owner];
+        Some(((1.0 / (depths.get(k)? * relief.exp())) as f32, *confidence))
+    };
+    owners.iter().zip(relief).map(pixel).collect()
 }
 
 #[cfg(test)]

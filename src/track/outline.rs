@@ -3,15 +3,27 @@
 //! A thing of one size covers a solid angle that falls with the square of its distance, whichever way it
 //! is seen. Solid angles, not pixels: a wide lens draws the same thing larger near the picture's edge.
 
+use super::contour::{Region, Side};
+use super::quantile;
 use crate::types::Intrinsics;
 use glam::{DVec2, DVec3};
 
 /// Nearer to the picture's edge an outline is cut off, pixels.
-const EDGE: usize = 2;
-/// An outline is hidden in part if more than this share of its contour borders on another mover.
-const HIDDEN: f64 = 0.05;
+const EDGE: f64 = 2.0;
+/// An outline is hidden in part if more than this share of its contour borders on another mover, or on
+/// static things that stand before it.
+const OPEN: f64 = 0.05;
 /// Smaller ones are mostly the mask's own error, pixels.
 const LEAST: usize = 30;
+
+/// Standard deviation of the depth of an outline that does not change its shape: the mask's.
+const SHARP: f64 = 0.015;
+/// Of one that does, or of which too little is seen to judge it.
+const CHANGES: f64 = 0.1;
+/// Outlines that tell how it changes, at least.
+const JUDGED: usize = 5;
+/// From the first to the last decile of a normal distribution, standard deviations.
+const NORMAL_SPREAD: f64 = 2.563;
 
 /// A whole outline.
 #[derive(Clone, Copy, Debug)]
@@ -20,41 +32,59 @@ pub(super) struct Outline {
     pub middle: DVec2,
     /// Depth (z) of its middle, in a unit of which the thing's size decides.
     pub depth: f64,
+    /// Logarithm of its length over its width, as an ellipse would have them.
+    pub slenderness: f64,
 }
 
-/// The outline of an object in a frame, whose pixels have their object in `owners`; none where it is
-/// cut off or hidden in part.
-pub(super) fn outline(
-    index: usize,
-    owners: &[Option<u16>],
-    intrinsics: &Intrinsics,
-) -> Option<Outline> {
-    let (width, height) = (intrinsics.width as usize, intrinsics.height as usize);
-    let own = Some(index as u16);
-    let (mut pixels, mut angle, mut sum) = (0, 0.0, DVec3::ZERO);
-    let (mut contour, mut shared) = (0.0, 0.0);
-    for (i, _) in owners.iter().enumerate().filter(|(_, owner)| **owner == own) {
-        let (x, y) = (i % width, i / width);
-        if x.min(y) < EDGE || x + EDGE >= width || y + EDGE >= height {
-            return None;
-        }
-        let ray = intrinsics.ray(DVec2::new(x as f64 + 0.5, y as f64 + 0.5));
-        // Of a pixel: its area over the focal lengths, by the cube of the ray's cosine.
-        let cosine = ray.length().recip();
-        let solid = cosine.powi(3) / (intrinsics.fx * intrinsics.fy);
-        (pixels, angle, sum) = (pixels + 1, angle + solid, sum + solid * cosine * ray);
-        for next in [i - 1, i + 1, i - width, i + width] {
-            if owners[next] != own {
-                contour += 1.0;
-                shared += f64::from(u8::from(owners[next].is_some()));
-            }
-        }
-    }
-    if pixels < LEAST || shared > HIDDEN * contour {
+/// The outline of an object's pixels in a frame; none where it is cut off or hidden in part.
+pub(super) fn outline(region: &Region, intrinsics: &Intrinsics) -> Option<Outline> {
+    let cut = |p: &DVec2| {
+        let size = DVec2::new(f64::from(intrinsics.width), f64::from(intrinsics.height));
+        p.min(size - *p).min_element() < EDGE
+    };
+    let count = |side: Side| {
+        let sides = region.sides.iter().flatten();
+        sides.filter(|s| **s == side).count() as f64
+    };
+    let (hidden, open) = (count(Side::Hidden), count(Side::Open));
+    let whole = open <= OPEN * (open + hidden) && !region.centres.iter().any(cut);
+    if region.pixels.len() < LEAST || !whole {
         return None;
     }
-    let direction = sum.try_normalize()?;
-    Some(Outline { middle: intrinsics.project(direction), depth: direction.z / angle.sqrt() })
+    // Each pixel's direction and its solid angle: its area over the focal lengths, by the cube of the
+    // cosine.
+    let seen = || {
+        region.centres.iter().map(|p| {
+            let ray = intrinsics.ray(*p);
+            let cosine = ray.length().recip();
+            (ray * cosine, cosine.powi(3) / (intrinsics.fx * intrinsics.fy))
+        })
+    };
+    let angle: f64 = seen().map(|(_, solid)| solid).sum();
+    let middle = seen().map(|(ray, solid)| solid * ray).sum::<DVec3>().try_normalize()?;
+    let (right, down) = middle.any_orthonormal_pair();
+    let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+    for (ray, solid) in seen() {
+        let (x, y) = (right.dot(ray), down.dot(ray));
+        (xx, xy, yy) = (xx + solid * x * x, xy + solid * x * y, yy + solid * y * y);
+    }
+    let (half, off) = (0.5 * (xx + yy), (0.5 * (xx - yy)).hypot(xy));
+    Some(Outline {
+        middle: intrinsics.project(middle),
+        depth: middle.z / angle.sqrt(),
+        slenderness: 0.5 * ((half + off) / (half - off).max(1e-12 * half)).ln(),
+    })
+}
+
+/// Standard deviation of the depths that outlines tell, logarithm: what turns or bends looks larger and
+/// smaller, and its slenderness changes with it.
+pub(super) fn deviation(outlines: &[Option<Outline>]) -> f64 {
+    let slenderness: Vec<f64> = outlines.iter().flatten().map(|o| o.slenderness).collect();
+    if slenderness.len() < JUDGED {
+        return CHANGES;
+    }
+    let spread = quantile(slenderness.clone(), 0.9) - quantile(slenderness, 0.1);
+    (spread / NORMAL_SPREAD).hypot(SHARP).min(CHANGES)
 }
 
 #[cfg(test)]
@@ -63,6 +93,11 @@ mod tests {
 
     const INTRINSICS: Intrinsics =
         Intrinsics { fx: 150.0, fy: 150.0, cx: 100.0, cy: 60.0, width: 200, height: 120 };
+
+    /// The outline of object 3, before a far wall.
+    fn outline_of(owners: &[Option<u16>]) -> Option<Outline> {
+        outline(&Region::new(3, owners, &vec![0.1; owners.len()], 200), &INTRINSICS)
+    }
 
     /// The pixels that show a ball.
     fn ball(centre: DVec3, radius: f64) -> Vec<Option<u16>> {
@@ -78,28 +113,45 @@ mod tests {
     fn a_ball_is_as_far_as_it_looks_small() {
         let at =
             [DVec3::new(0.0, 0.0, 2.0), DVec3::new(-1.9, 0.6, 4.0), DVec3::new(1.2, -0.5, 3.0)];
-        let found = at.map(|centre| outline(3, &ball(centre, 0.3), &INTRINSICS).unwrap());
+        let found = at.map(|centre| outline_of(&ball(centre, 0.3)).unwrap());
         for (centre, outline) in at.iter().zip(&found) {
             let unit = outline.depth * at[0].z / found[0].depth;
             assert!((unit / centre.z - 1.0).abs() < 0.02, "{centre}: {unit}");
             let off = outline.middle.distance(INTRINSICS.project(*centre));
             assert!(off < 0.5, "{centre}: {off}");
+            assert!(outline.slenderness < 0.03, "{centre}: {}", outline.slenderness);
         }
     }
 
     #[test]
     fn what_is_cut_off_or_hidden_tells_nothing() {
         let whole = ball(DVec3::new(0.0, 0.0, 2.0), 0.3);
-        assert!(outline(3, &whole, &INTRINSICS).is_some());
-        assert!(outline(2, &whole, &INTRINSICS).is_none());
-        let cut = ball(DVec3::new(0.0, 0.75, 2.0), 0.3);
-        assert!(outline(3, &cut, &INTRINSICS).is_none());
-        let mut hidden = whole;
+        assert!(outline_of(&whole).is_some());
+        assert!(outline_of(&[None; 200 * 120]).is_none());
+        assert!(outline_of(&ball(DVec3::new(0.0, 0.75, 2.0), 0.3)).is_none());
+        let mut hidden = whole.clone();
         hidden.iter_mut().enumerate().filter(|(i, _)| i % 200 > 105).for_each(|(_, o)| {
             if o.is_some() {
                 *o = Some(1);
             }
         });
-        assert!(outline(3, &hidden, &INTRINSICS).is_none());
+        assert!(outline_of(&hidden).is_none());
+        // A post stands right beside it, before the wall.
+        let behind: Vec<f32> =
+            (0..200 * 120).map(|i| if i % 200 > 122 { 0.8 } else { 0.1 }).collect();
+        let beside = outline(&Region::new(3, &whole, &behind, 200), &INTRINSICS);
+        assert!(beside.is_none());
+    }
+
+    #[test]
+    fn an_outline_that_changes_its_shape_tells_less() {
+        let with = |slenderness| Some(Outline { middle: DVec2::ZERO, depth: 1.0, slenderness });
+        let sharp: Vec<_> = (0..9).map(|k| with(0.3 + 0.001 * f64::from(k))).collect();
+        assert!((deviation(&sharp) - SHARP).abs() < 0.001);
+        let turning: Vec<_> = (0..9).map(|k| with(0.02 * f64::from(k))).collect();
+        assert!((0.04..0.08).contains(&deviation(&turning)), "{}", deviation(&turning));
+        let tumbling: Vec<_> = (0..9).map(|k| with(0.1 * f64::from(k))).collect();
+        assert_eq!(deviation(&tumbling), CHANGES);
+        assert_eq!(deviation(&sharp[..4]), CHANGES);
     }
 }

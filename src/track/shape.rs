@@ -6,12 +6,13 @@
 
 use std::ops::Range;
 
-use glam::{DVec2, DVec3};
+use glam::{DQuat, DVec2, DVec3};
 
 use super::cameras::{self, Cameras, Focal};
 use super::objects::Object;
 use super::observer::{Progress, Work};
 use super::{FocalSource, Stage, quantile};
+use crate::geometry::sim3::{Sim3, align_points};
 use crate::observe::PointTrack;
 use crate::types::Pose;
 
@@ -23,8 +24,17 @@ const ODD: f64 = 3.0;
 /// No point of an object is farther before or behind its middle than this share of the depth.
 const MOST_BEYOND: f64 = 0.7;
 
-/// Frames of a structure from motion, at least.
+/// Frames and tracks of a structure from motion, at least.
 const LEAST_RUN: usize = 5;
+const LEAST_TRACKS: usize = 30;
+/// A step of the depth that differs so much from what the change of size tells is not believed,
+/// logarithm.
+const JUMP: f64 = 0.12;
+/// Frames whose turn goes on from one structure to the next.
+const TURN: usize = 3;
+/// Points that two structures share, at least, and how well they fit, relative to their spread.
+const SHARED: usize = 10;
+const FITS: f64 = 0.2;
 /// An object that in some frame looks deeper than this, relative to its narrower side in the picture, is
 /// less deep: a limb that swings is seen to shift against the body, as if it were nearer or farther.
 const DEEP: f64 = 1.2;
@@ -72,58 +82,215 @@ pub(super) struct Shape {
 /// An object's shape and path up to scale: rigid in the frames in which it is, upright in the others.
 pub(super) fn shape(object: &Object, cameras: &Cameras) -> Shape {
     let upright = upright(object);
-    let Some(Rigid { run, middle, frames: rigid, drift }) = rigid(object, cameras) else {
+    let sizes: Vec<f64> = upright.frames.iter().map(|frame| frame.depth.ln()).collect();
+    let pieces = pieces(object, &sizes, cameras);
+    let Some(longest) = (0..pieces.len()).max_by_key(|i| pieces[*i].run.len()) else {
         return upright;
     };
     let Shape { mut frames, drift: mut drifts, .. } = upright;
-    drifts[run.start..run.end - 1].fill(drift);
-    for (edge, rest) in [(run.start, 0..run.start), (run.end - 1, run.end..frames.len())] {
-        let known = &rigid[edge - run.start];
-        let ratio = known.depth / frames[edge].depth;
-        let shift = known.middle - frames[edge].middle;
-        for frame in &mut frames[rest] {
-            frame.depth *= ratio;
-            frame.middle += shift;
+    let middle = pieces[longest].middle;
+    let pieces = joined(pieces, longest, &sizes, cameras, object.first);
+    for (i, piece) in pieces.iter().enumerate() {
+        drifts[piece.run.start..piece.run.end - 1].fill(piece.drift);
+        // Up to the next piece, and before the first, its edge's depth goes on by size.
+        let end = pieces.get(i + 1).map_or(frames.len(), |next| next.run.start);
+        let before = if i == 0 { 0..piece.run.start } else { 0..0 };
+        for (edge, rest) in [(piece.run.start, before), (piece.run.end - 1, piece.run.end..end)] {
+            let known = &piece.frames[edge - piece.run.start];
+            let ratio = known.depth / frames[edge].depth;
+            let shift = known.middle - frames[edge].middle;
+            for frame in &mut frames[rest] {
+                frame.depth *= ratio;
+                frame.middle += shift;
+            }
         }
     }
-    let rigid_share = run.len() as f64 / frames.len() as f64;
-    frames.iter_mut().skip(run.start).zip(rigid).for_each(|(to, from)| *to = from);
-    Shape { frames, drift: drifts, middle, rigid: rigid_share > 0.8 }
+    let structured: usize = pieces.iter().map(|piece| piece.run.len()).sum();
+    let rigid = structured as f64 / frames.len() as f64 > 0.8;
+    for piece in pieces {
+        frames.iter_mut().skip(piece.run.start).zip(piece.frames).for_each(|(to, from)| *to = from);
+    }
+    Shape { frames, drift: drifts, middle, rigid }
 }
 
-/// A structure from motion of an object.
-struct Rigid {
+/// A structure from motion of an object, in some of its frames.
+struct Piece {
     /// The run of the object's frames that it holds for.
     run: Range<usize>,
     /// The middle in the object's own frame.
     middle: DVec3,
+    /// The points of the object's tracks in its own frame.
+    points: Vec<Option<DVec3>>,
     frames: Vec<Frame>,
     /// Standard deviation of the change of depth from frame to frame, logarithm.
     drift: f64,
 }
 
-fn rigid(object: &Object, cameras: &Cameras) -> Option<Rigid> {
-    let frames = object.end - object.first;
-    if frames < LEAST_RUN || object.tracks.len() < 30 {
+/// The pieces, each in the object's frame and unit of its neighbour, and so all in those of the one
+/// numbered `from`. `sizes` are logarithms of the depths that the size in the picture tells.
+fn joined(
+    pieces: Vec<Piece>,
+    from: usize,
+    sizes: &[f64],
+    cameras: &Cameras,
+    first: usize,
+) -> Vec<Piece> {
+    let middle = pieces[from].middle;
+    let mut earlier = pieces;
+    let later = earlier.split_off(from + 1);
+    let mut out: Vec<Piece> = earlier.pop().into_iter().collect();
+    for piece in later {
+        let known_from_piece = match out.last() {
+            Some(known) => known.from(&piece, middle, sizes, cameras, first),
+            None => Sim3::IDENTITY,
+        };
+        out.push(piece.moved(known_from_piece, middle, cameras));
+    }
+    for piece in earlier.into_iter().rev() {
+        let known_from_piece = match out.first() {
+            Some(known) => known.from(&piece, middle, sizes, cameras, first),
+            None => Sim3::IDENTITY,
+        };
+        out.insert(0, piece.moved(known_from_piece, middle, cameras));
+    }
+    out
+}
+
+impl Piece {
+    /// Depth of the middle and pose in a frame of the object.
+    fn at(&self, frame: usize) -> (f64, Pose) {
+        let frame = &self.frames[frame - self.run.start];
+        (frame.depth, frame.view_from_object.unwrap_or(Pose::IDENTITY))
+    }
+
+    /// `self_from_other`: from the points that both know. Where those do not tell, the object turns on as
+    /// it turned, and its size in the picture joins the depths.
+    fn from(
+        &self,
+        other: &Piece,
+        middle: DVec3,
+        sizes: &[f64],
+        cameras: &Cameras,
+        first: usize,
+    ) -> Sim3 {
+        if let Some(self_from_other) = shared(&other.points, &self.points) {
+            return self_from_other;
+        }
+        let (own, others) = if self.run.start < other.run.start {
+            (self.run.end - 1, other.run.start)
+        } else {
+            (self.run.start, other.run.end - 1)
+        };
+        let ((own_depth, own_view), (other_depth, other_view)) = (self.at(own), other.at(others));
+        let in_world =
+            |f: usize, view: Pose| cameras.poses[first + f].rotation.conjugate() * view.rotation;
+        let world_from_self = in_world(own, own_view);
+        // How it turned from some frames before the edge to the edge.
+        let steps = TURN.min(self.run.len() - 1);
+        let inner = if own < others { own - steps } else { own + steps };
+        let turn = world_from_self * in_world(inner, self.at(inner).1).conjugate();
+        let gap = own.abs_diff(others) as f64 / steps as f64;
+        let turned = DQuat::from_scaled_axis(turn.to_scaled_axis() * gap) * world_from_self;
+        let rotation = turned.conjugate() * in_world(others, other_view);
+        let scale = own_depth * (sizes[others] - sizes[own]).exp() / other_depth;
+        Sim3 { scale, rotation, translation: middle - scale * (rotation * other.middle) }
+    }
+
+    /// The piece in another frame and unit, in which the object's middle is `middle`.
+    fn moved(self, new_from_own: Sim3, middle: DVec3, cameras: &Cameras) -> Piece {
+        let own_from_new = new_from_own.inverse();
+        let moved = |frame: Frame| {
+            let view_from_own = frame.view_from_object?;
+            let view_from_new = Pose::new(
+                view_from_own.rotation * own_from_new.rotation,
+                new_from_own.scale * view_from_own.apply(own_from_new.translation),
+            );
+            let centre = view_from_new.apply(middle);
+            let ratio = new_from_own.scale * frame.depth / centre.z;
+            Some(Frame {
+                depth: centre.z,
+                middle: cameras.intrinsics.project(centre),
+                relative: frame.relative.iter().map(|r| Some((*r)? * ratio)).collect(),
+                view_from_object: Some(view_from_new),
+            })
+        };
+        let points = self.points.iter().map(|p| Some(new_from_own.apply((*p)?))).collect();
+        let frames = self.frames.into_iter().filter_map(moved).collect();
+        Piece { middle, points, frames, ..self }
+    }
+}
+
+/// The similarity that takes points in one frame to the same points in another, `other_from_own`; `None`
+/// where too few are known in both, or where they do not fit.
+fn shared(own: &[Option<DVec3>], other: &[Option<DVec3>]) -> Option<Sim3> {
+    let both = own.iter().zip(other).filter_map(|(a, b)| (*a).zip(*b));
+    let (own, other): (Vec<DVec3>, Vec<DVec3>) = both.unzip();
+    if own.len() < SHARED {
         return None;
     }
+    let middle = other.iter().sum::<DVec3>() / other.len() as f64;
+    let spread = quantile(other.iter().map(|p| p.distance(middle)).collect(), 0.5);
+    let mut weights = vec![1.0; own.len()];
+    let mut found = None;
+    for _ in 0..10 {
+        let fit = align_points(&own, &other, Some(&weights), true).ok()?.reference_from_estimate;
+        let pairs = own.iter().zip(&other);
+        let off: Vec<f64> = pairs.map(|(a, b)| fit.apply(*a).distance(*b)).collect();
+        let usual = quantile(off.clone(), 0.5);
+        let weight = |off: &f64| (1.0 + (off / usual.max(1e-12)).powi(2)).powi(-2);
+        weights = off.iter().map(weight).collect();
+        found = (usual < FITS * spread).then_some(fit);
+    }
+    found
+}
+
+/// The structures from motion of an object, in the order of its frames. `sizes` are logarithms of the
+/// depths that its size in the picture tells.
+fn pieces(object: &Object, sizes: &[f64], cameras: &Cameras) -> Vec<Piece> {
     let mut tracks = object.tracks.clone();
     tracks.iter_mut().for_each(|track| track.first -= object.first);
+    let mut open = Vec::new();
+    open.push(0..object.end - object.first);
+    let mut found = Vec::new();
+    while let Some(within) = open.pop() {
+        if let Some(piece) = piece(&tracks, within.clone(), sizes, cameras) {
+            open.extend([within.start..piece.run.start, piece.run.end..within.end]);
+            found.push(piece);
+        }
+    }
+    found.sort_by_key(|piece: &Piece| piece.run.start);
+    found
+}
+
+/// The longest structure from motion of an object's tracks within a run of frames.
+fn piece(
+    tracks: &[PointTrack],
+    within: Range<usize>,
+    sizes: &[f64],
+    cameras: &Cameras,
+) -> Option<Piece> {
     let focal =
         Focal { intrinsics: cameras.intrinsics, source: FocalSource::Given, deviation: 0.0 };
     let mut nothing = |_: Stage, _: f64| Ok(());
     let mut progress = Progress(&mut nothing);
     let mut work = Work::new(&mut progress);
-    let weights = vec![1.0; tracks.len()];
-    let posing = cameras::pose(&tracks, &weights, &focal, frames, 0, &mut work, "object").ok()?;
-    let mut run = posing.longest_run();
-    let mut whole = (run.len() == frames).then_some(posing);
+    // The tracks within a run, and their numbers.
+    let parts = |run: &Range<usize>| -> (Vec<usize>, Vec<PointTrack>) {
+        let tracks = tracks.iter().enumerate();
+        tracks.filter_map(|(i, track)| Some((i, clipped(track, run)?))).unzip()
+    };
+    let (_, inside) = parts(&within);
+    if within.len() < LEAST_RUN || inside.len() < LEAST_TRACKS {
+        return None;
+    }
+    let weights = vec![1.0; inside.len()];
+    let posing =
+        cameras::pose(&inside, &weights, &focal, within.len(), 0, &mut work, "object").ok()?;
+    let posed = posing.longest_run();
+    let mut run = within.start + posed.start..within.start + posed.end;
+    let mut whole = (run == within).then_some(posing);
     while run.len() >= LEAST_RUN {
-        // The tracks within the run.
-        let parts: Vec<Option<PointTrack>> =
-            tracks.iter().map(|track| clipped(track, &run)).collect();
-        let places: Vec<usize> = (0..parts.len()).filter(|i| parts[*i].is_some()).collect();
-        let parts: Vec<PointTrack> = parts.into_iter().flatten().collect();
+        let (places, parts) = parts(&run);
         let weights = vec![1.0; parts.len()];
         let solved = match whole.take() {
             // Every track lies within.
@@ -132,11 +299,20 @@ fn rigid(object: &Object, cameras: &Cameras) -> Option<Rigid> {
                 cameras::reconstruct(&parts, &weights, &focal, run.len(), 0, &mut work, "object")
             }
         };
-        let (rigid, deepness) =
+        let (piece, deepness) =
             believed(&solved.ok()?, &parts, &places, tracks.len(), run.clone(), cameras)?;
-        let solid = longest(&deepness, |deepness| deepness < DEEPEST);
+        // A change of depth that is not seen as a change of size is a wrong turn of the solution.
+        let off = |k: usize| {
+            let change = (piece.frames[k + 1].depth / piece.frames[k].depth).ln();
+            change - (sizes[run.start + k + 1] - sizes[run.start + k])
+        };
+        let off: Vec<f64> = (0..run.len() - 1).map(off).collect();
+        let usual = quantile(off.clone(), 0.5);
+        let good = |k: usize| deepness[k] < DEEPEST;
+        let goes_on = |k: usize| (off[k] - usual).abs() < JUMP;
+        let solid = longest(run.len(), good, goes_on);
         if solid.len() == run.len() {
-            return Some(rigid);
+            return Some(piece);
         }
         run = run.start + solid.start..run.start + solid.end;
     }
@@ -153,7 +329,7 @@ fn believed(
     all: usize,
     run: Range<usize>,
     cameras: &Cameras,
-) -> Option<(Rigid, Vec<f64>)> {
+) -> Option<(Piece, Vec<f64>)> {
     let weights = vec![1.0; tracks.len()];
     let size = (f64::from(cameras.intrinsics.width) / 320.0).max(1.0);
     let parallax = solved.parallax(tracks, &weights).to_degrees();
@@ -231,7 +407,9 @@ fn believed(
     };
     let explained = |bulge: f64| bulge * bulge.abs();
     let bulge = frames.iter().enumerate().map(bulge).map(explained).sum::<f64>() / run.len() as f64;
-    (bulge > HOLLOW).then_some((Rigid { run, middle, frames, drift }, deepness))
+    let mut known = vec![None; all];
+    places.iter().zip(&points).for_each(|(place, point)| known[*place] = *point);
+    (bulge > HOLLOW).then_some((Piece { run, middle, points: known, frames, drift }, deepness))
 }
 
 /// Half of the range that most of the values lie in.
@@ -274,13 +452,22 @@ fn bulge(points: impl Iterator<Item = (DVec2, f64)>) -> f64 {
     if scale > 0.0 { fz / scale } else { 0.0 }
 }
 
-/// The longest run of values that are as they should be.
-fn longest(values: &[f64], good: impl Fn(f64) -> bool) -> Range<usize> {
+/// The longest run of frames that are as they should be, as is each step from one to the next.
+fn longest(
+    count: usize,
+    good: impl Fn(usize) -> bool,
+    goes_on: impl Fn(usize) -> bool,
+) -> Range<usize> {
     let (mut best, mut start) = (0..0, 0);
-    for (k, value) in values.iter().enumerate() {
-        if !good(*value) {
+    for k in 0..count {
+        if !good(k) {
             start = k + 1;
-        } else if k + 1 - start > best.len() {
+            continue;
+        }
+        if k > start && !goes_on(k - 1) {
+            start = k;
+        }
+        if k + 1 - start > best.len() {
             best = start..k + 1;
         }
     }
@@ -345,7 +532,6 @@ fn upright(object: &Object) -> Shape {
 mod tests {
     use super::*;
     use crate::types::Intrinsics;
-    use glam::DQuat;
 
     #[test]
     fn what_grows_comes_nearer() {
@@ -401,6 +587,60 @@ mod tests {
     }
 
     #[test]
+    fn two_structures_without_a_shared_point_are_one_object_that_turns_on() {
+        // A ball that turns evenly; after twelve frames all its points are lost, and others are found.
+        let intrinsics = Intrinsics::centred(300.0, 320, 180);
+        let poses = vec![Pose::new(DQuat::IDENTITY, DVec3::ZERO); 24];
+        let cameras = Cameras::known(intrinsics, poses);
+        let track = |i: usize, first: usize| {
+            let (x, y) = ((i % 10) as f64 / 9.0 - 0.5, (i / 10) as f64 / 9.0 - 0.5);
+            let (x, y) = (x + 0.03 * (first + i) as f64 % 0.05, y);
+            let point = DVec3::new(x, y, -(0.6 - x * x - y * y).sqrt()) * 0.8;
+            let at = |k: usize| {
+                let turned = DQuat::from_rotation_y(0.04 * (first + k) as f64 - 0.46) * point;
+                intrinsics.project(DVec3::new(0.02 * (first + k) as f64 - 0.2, 0.0, 2.5) + turned)
+            };
+            PointTrack { first, pixels: (0..12).map(at).collect(), deviation: vec![0.1; 12] }
+        };
+        let tracks = (0..100).flat_map(|i| [track(i, 0), track(i, 12)]).collect();
+        let found = shape(&Object { tracks, first: 0, end: 24 }, &cameras);
+        assert!(found.rigid && found.frames.iter().all(|f| f.view_from_object.is_some()));
+        let view = |k: usize| found.frames[k].view_from_object.unwrap();
+        for k in 0..23 {
+            let turn = (view(k + 1).rotation * view(k).rotation.conjugate()).to_scaled_axis();
+            assert!(turn.distance(DVec3::new(0.0, 0.04, 0.0)) < 0.01, "{k}: {turn}");
+            let ratio = found.frames[k + 1].depth / found.frames[k].depth;
+            assert!((ratio - 1.0).abs() < 0.04, "{k}: {ratio}");
+        }
+        assert_eq!(found.drift[11], UPRIGHT_DRIFT);
+    }
+
+    #[test]
+    fn points_that_two_structures_share_join_them() {
+        let own: Vec<Option<DVec3>> = (0..30)
+            .map(|i| {
+                let i = f64::from(i);
+                (i != 3.0).then(|| DVec3::new((1.3 * i).sin(), (2.1 * i).cos(), (0.7 * i).sin()))
+            })
+            .collect();
+        let other_from_own = Sim3 {
+            scale: 1.7,
+            rotation: DQuat::from_rotation_x(0.4),
+            translation: DVec3::new(0.3, -2.0, 1.0),
+        };
+        let mut other: Vec<Option<DVec3>> =
+            own.iter().map(|p| Some(other_from_own.apply((*p)?))).collect();
+        // Some went wrong.
+        (5..9).for_each(|i| other[i] = other[i].map(|p| p + DVec3::new(2.0, 1.0, 0.0)));
+        let found = shared(&own, &other).unwrap();
+        assert!((found.scale / 1.7 - 1.0).abs() < 1e-3, "{found:?}");
+        assert!(found.rotation.angle_between(other_from_own.rotation) < 1e-3, "{found:?}");
+        assert!(shared(&own[..10], &other[..10]).is_none());
+        let unrelated: Vec<_> = other.iter().rev().copied().collect();
+        assert!(shared(&own, &unrelated).is_none());
+    }
+
+    #[test]
     fn a_ball_bulges_towards_the_camera_and_its_mirrored_solution_away() {
         // Points on the half of an ellipsoid that is seen, turned about the line of sight.
         let half = |i: usize| {
@@ -419,10 +659,15 @@ mod tests {
 
     #[test]
     fn the_longest_run_of_what_is_as_it_should_be() {
-        let good = |value: f64| value < 1.0;
-        assert_eq!(longest(&[0.5, 2.0, 0.1, 0.2, 3.0, 0.3], good), 2..4);
-        assert_eq!(longest(&[0.5, 0.1], good), 0..2);
-        assert_eq!(longest(&[2.0, 2.0], good), 0..0);
+        let run = |values: &[f64], stops: &[usize]| {
+            longest(values.len(), |k| values[k] < 1.0, |k| !stops.contains(&k))
+        };
+        assert_eq!(run(&[0.5, 2.0, 0.1, 0.2, 3.0, 0.3], &[]), 2..4);
+        assert_eq!(run(&[0.5, 0.1], &[]), 0..2);
+        assert_eq!(run(&[2.0, 2.0], &[]), 0..0);
+        // A step that is not as it should be ends one run and begins another.
+        assert_eq!(run(&[0.5; 6], &[1]), 2..6);
+        assert_eq!(run(&[0.5; 6], &[0, 4]), 1..5);
         // Points on a slanted strip, 10 by 2.
         let along = DVec2::from_angle(0.7);
         let strip = (0..400).map(|i| {

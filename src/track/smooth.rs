@@ -64,12 +64,16 @@ pub(super) fn unit(places: &[Place]) -> Option<Unit> {
         return None;
     }
     let path = Path::new(&places);
-    let [stays, steady, travels] = [VELOCITY, ACCELERATION, JERK]
-        .map(|order| path.fit(order, &path.even(order), ANY).map(|fit| fit.evidence));
-    let cost = |evidence: Option<f64>| evidence.unwrap_or(f64::INFINITY);
+    let [stays, steady, travels] =
+        [VELOCITY, ACCELERATION, JERK].map(|order| path.robust(order, ANY));
+    let cost = |fit: &Option<Fit>| fit.as_ref().map_or(f64::INFINITY, |fit| fit.evidence);
     // Accelerations compete but never give the unit: those of a thrown thing are gravity's.
-    let stays = cost(stays) < cost(steady).min(cost(travels));
-    if stays { path.robust(VELOCITY, ANY) } else { path.robust(JERK, STIFF) }
+    let chosen = if cost(&stays) < cost(&steady).min(cost(&travels)) {
+        stays
+    } else {
+        path.robust(JERK, STIFF)
+    };
+    chosen.map(|fit| fit.unit).filter(|unit| unit.inverse.is_finite() && unit.deviation.is_finite())
 }
 
 /// The equations of a path.
@@ -131,13 +135,17 @@ impl Path {
         vec![1.0; self.frames - order]
     }
 
-    /// The unit under which the differences of an order have heavy tails.
-    fn robust(&self, order: usize, stiffnesses: Range<i32>) -> Option<Unit> {
+    /// The fit under which the differences of an order have heavy tails: what bounces travels all the
+    /// same.
+    fn robust(&self, order: usize, stiffnesses: Range<i32>) -> Option<Fit> {
         let row = binomials(order);
         let mut scales = self.even(order);
-        let mut unit = None;
+        let mut best = None;
         for _ in 0..ROUNDS {
-            let fit = self.fit(order, &scales, stiffnesses.clone())?;
+            let mut fit = self.fit(order, &scales, stiffnesses.clone())?;
+            // Student's distribution as a mixture: each difference's own scale, and what it costs.
+            let mixture = scales.iter().map(|s| (TAIL - 2.0) * -s.ln() + TAIL * (s - 1.0));
+            fit.evidence += mixture.sum::<f64>();
             let squared: Vec<f64> = (0..self.frames - order)
                 .map(|t| (0..3).map(|axis| fit.difference(&row, t, axis).powi(2)).sum())
                 .collect();
@@ -149,9 +157,9 @@ impl Path {
                 spread = sum / squared.len() as f64;
             }
             scales = squared.iter().map(|s| weight(*s, spread)).collect();
-            unit = Some(fit.unit);
+            best = Some(fit);
         }
-        unit.filter(|u| u.inverse.is_finite() && u.deviation.is_finite())
+        best
     }
 
     /// The most likely unit, differences of an order being Gaussian with a variance that the path
@@ -173,7 +181,8 @@ impl Path {
         // about as widely as the mover is far away.
         let width = self.distance * (self.frames as f64).sqrt();
         let free_of_differences = 6.0 * order as f64 * width.ln();
-        let differences = 3.0 * log_determinant_of_differences(self.frames, order);
+        let differences = 3.0 * log_determinant_of_differences(self.frames, order)
+            + 3.0 * scales.iter().map(|scale| scale.ln()).sum::<f64>();
         // κ and the variance are free as well as what the differences leave free.
         let rank = (n - 3 * order) as f64;
         let free = rank - 1.0;
@@ -302,11 +311,23 @@ mod tests {
     fn who_stands_and_gestures_is_held_by_the_place() {
         let places = standing();
         let path = Path::new(&places);
-        let (found, by_jerk) = (unit(&places).unwrap(), path.robust(JERK, STIFF).unwrap());
-        assert_eq!(found.inverse, path.robust(VELOCITY, ANY).unwrap().inverse);
+        let (found, by_jerk) = (unit(&places).unwrap(), path.robust(JERK, STIFF).unwrap().unit);
+        assert_eq!(found.inverse, path.robust(VELOCITY, ANY).unwrap().unit.inverse);
         assert!((found.inverse - 2.0).abs() < 2.0 * found.deviation, "{found:?}");
         assert!(found.deviation < 0.6 * by_jerk.deviation, "{found:?} {by_jerk:?}");
         assert!(found.deviation < 0.03 * found.inverse, "{found:?}");
+    }
+
+    #[test]
+    fn what_bounces_travels() {
+        // It falls, bounces in the middle and rises.
+        let mut places = places(0.02, 0.0005);
+        for (t, place) in places.iter_mut().enumerate() {
+            place.relative.y -= 0.5 * 0.12 * (t as f64 - 15.0).abs();
+        }
+        let path = Path::new(&places);
+        let [stays, travels] = [VELOCITY, JERK].map(|order| path.robust(order, ANY).unwrap());
+        assert!(travels.evidence < stays.evidence, "{} {}", travels.evidence, stays.evidence);
     }
 
     #[test]
@@ -314,8 +335,9 @@ mod tests {
         // As before, for its velocities would tie the ball to the camera.
         let places = places(0.02, 0.0005);
         let path = Path::new(&places);
-        let (chosen, by_velocity) = (unit(&places).unwrap(), path.robust(VELOCITY, ANY));
-        assert_eq!(chosen.inverse, path.robust(JERK, STIFF).unwrap().inverse);
+        let (chosen, by_velocity) =
+            (unit(&places).unwrap(), path.robust(VELOCITY, ANY).map(|fit| fit.unit));
+        assert_eq!(chosen.inverse, path.robust(JERK, STIFF).unwrap().unit.inverse);
         let off = by_velocity.map_or(f64::INFINITY, |u| (u.inverse / 0.5 - 1.0).abs());
         assert!(off > 0.1, "{by_velocity:?}");
     }
