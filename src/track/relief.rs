@@ -1,7 +1,7 @@
 //! The relief of a mover in one frame: the depth of every pixel relative to its middle's.
 //!
-//! Before anything is known, things are round: the surface bulges towards the camera as a sheet does that
-//! is inflated within the outline, and as a whole it faces the camera. Where a structure from motion knows
+//! Before anything is known, compact things are round: the surface bulges towards the camera as a sheet
+//! does that is inflated within the outline, and as a whole it faces the camera. Where a structure from motion knows
 //! points, the surface goes through them, and on between them and beside them as the round one would;
 //! single points that stand out from their neighbours, reflections say, are not followed. The structure
 //! as a whole is taken as it is: what is wrong with it agrees with what is wrong with the motion that was
@@ -91,14 +91,15 @@ fn round(region: &Region, extent: &Extent, intrinsics: &Intrinsics) -> Vec<f64> 
         let at_edge = |side: &Side| f64::from(u8::from(*side == Side::Hidden));
         membrane(region, 1.0, at_edge, &vec![0.0; count], &vec![1.0; count], &mut height);
     }
-    // A card at a right angle to the ray is equally far, not equally deep. How a long thing leans is not
-    // known: along itself it is taken for upright.
+    // A card at a right angle to the ray is equally far, not equally deep.
     let ray = intrinsics.ray(extent.middle).truncate();
     let slope = -ray / ((1.0 + ray.length_squared()) * DVec2::new(intrinsics.fx, intrinsics.fy));
-    let along = (extent.narrow / extent.long).powi(2);
-    let slope = slope - (1.0 - along) * slope.dot(extent.axis) * extent.axis;
+    // How a long thing leans and how flat it is are not known: the longer, the more it is a card that
+    // stands upright.
+    let compact = (extent.narrow / extent.long).powi(2);
     let surface = |(p, height): (&DVec2, &f64)| {
-        slope.dot(*p - extent.middle) - ROUND * height.max(0.0).sqrt() / intrinsics.fx
+        let height = ROUND * height.max(0.0).sqrt() / intrinsics.fx;
+        compact * (slope.dot(*p - extent.middle) - height)
     };
     region.centres.iter().zip(&height).map(surface).collect()
 }
@@ -106,8 +107,6 @@ fn round(region: &Region, extent: &Extent, intrinsics: &Intrinsics) -> Vec<f64> 
 /// Where a region is and how wide.
 struct Extent {
     middle: DVec2,
-    /// Direction in which it is longest.
-    axis: DVec2,
     /// Half of its length and of its width, pixels, as an ellipse would have them.
     long: f64,
     narrow: f64,
@@ -129,7 +128,7 @@ impl Extent {
         // Of an ellipse a semi-axis is twice the standard deviation.
         let (long, narrow) =
             (2.0 * variance(axis).max(0.0).sqrt(), 2.0 * variance(axis.perp()).max(0.0).sqrt());
-        (narrow > 0.5).then_some(Extent { middle, axis, long, narrow })
+        (narrow > 0.5).then_some(Extent { middle, long, narrow })
     }
 }
 
