@@ -114,14 +114,14 @@ pub(super) fn distances(
         sized(path, &sizes, outline_deviation, &steps)
     };
     let middles = middles(shape, &outlines);
-    let known: Vec<(f64, f64)> = outlines
+    let known: Vec<Option<f64>> = outlines
         .iter()
         .zip(&shape.frames)
         .map(|(outline, frame)| match (frame.view_from_object, outline) {
-            (Some(_), _) if shape.rigid => (MIDDLE.0, ALONG.0),
-            (_, Some(_)) => (MIDDLE.0, outline_deviation),
-            (Some(_), None) => (MIDDLE.0, ALONG.1),
-            (None, None) => (MIDDLE.1, ALONG.1),
+            (Some(_), _) if shape.rigid => Some(ALONG.0),
+            (_, Some(_)) => Some(outline_deviation),
+            (Some(_), None) => Some(ALONG.1),
+            (None, None) => None,
         })
         .collect();
     let smooth = smoothness(&path, &middles, &known, cameras, object.first);
@@ -182,12 +182,12 @@ fn middles(shape: &Shape, outlines: &[Option<Outline>]) -> Vec<DVec2> {
     (0..n).map(place).collect()
 }
 
-/// The scale that makes a path smoothest. `known` are standard deviations of the middles, pixels, and of
-/// the path.
+/// The scale that makes a path smoothest. `known` are standard deviations of the path where the middle is
+/// known.
 fn smoothness(
     path: &[f64],
     middles: &[DVec2],
-    known: &[(f64, f64)],
+    known: &[Option<f64>],
     cameras: &Cameras,
     first: usize,
 ) -> Option<Estimate> {
@@ -199,8 +199,8 @@ fn smoothness(
             Place {
                 relative: world_from_view.rotation * relative,
                 centre: world_from_view.translation,
-                across: known[k].0 * depth / cameras.intrinsics.fx,
-                along: known[k].1 * depth,
+                across: known[k].map_or(MIDDLE.1, |_| MIDDLE.0) * depth / cameras.intrinsics.fx,
+                along: known[k].unwrap_or(ALONG.1) * depth,
             }
         })
         .collect();
@@ -224,11 +224,11 @@ fn smoothness(
 }
 
 /// How many frames long the gap is that a frame lies in in which the middle is not known.
-fn unknown_for(known: &[(f64, f64)]) -> Vec<usize> {
+fn unknown_for(known: &[Option<f64>]) -> Vec<usize> {
     let mut out = vec![0; known.len()];
     let mut start = 0;
     for k in 0..=known.len() {
-        if k == known.len() || known[k].0 == MIDDLE.0 {
+        if k == known.len() || known[k].is_some() {
             out[start..k].fill(k - start);
             start = k + 1;
         }
@@ -426,7 +426,7 @@ mod tests {
 
     #[test]
     fn gaps_are_as_long_as_the_frames_that_are_not_known() {
-        let known = [0.1, 2.0, 0.1, 2.0, 2.0, 2.0, 0.1, 2.0].map(|across| (across, 0.1));
+        let known = [1, 0, 1, 0, 0, 0, 1, 0].map(|known| (known == 1).then_some(0.1));
         assert_eq!(unknown_for(&known), [0, 1, 0, 3, 3, 3, 0, 1]);
     }
 
