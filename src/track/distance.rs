@@ -28,7 +28,7 @@ const CONTACT: f64 = 0.03;
 /// A contact agrees with the path within this relative difference.
 const AGREES: f64 = 0.1;
 /// An object touches the ground if it has contacts in this share of its frames, and this share of
-/// them agrees.
+/// them agrees, three at least.
 const TOUCHES: (f64, f64) = (0.25, 0.5);
 /// An object is as deep at its contact as the median of so many points next to it.
 const NEAR_CONTACT: usize = 5;
@@ -59,6 +59,8 @@ const DECIDED: f64 = 0.2;
 /// How much nearer than what it hides a thing is that touches nothing: mean and deviation of the
 /// logarithm. Few things fly right before a wall or right before the camera.
 const BEFORE: (f64, f64) = (0.4, 0.3);
+/// The same of an object that hangs together with another one, relative to that.
+const BESIDE: (f64, f64) = (0.05, 0.12);
 /// Least deviation of a step of a path, logarithm.
 const LEAST_DRIFT: f64 = 0.002;
 
@@ -88,16 +90,73 @@ impl Estimate {
     }
 }
 
-/// The depth of an object's middle in the world's unit, frame by frame, and its confidence. `owners`
-/// and `behind` are of all frames of the clip.
-pub(super) fn distances(
+/// What is known of how far an object is.
+pub(super) struct Distance {
+    /// Logarithm of the depth of its middle, frame by frame, up to one number.
+    path: Vec<f64>,
+    /// That number.
+    scale: Scale,
+}
+
+/// How the scale of a path is known.
+enum Scale {
+    /// The object touches what stands still.
+    Known(Estimate),
+    /// It is somewhere before what it hides.
+    Bounded { before: Estimate, smooth: Option<Estimate> },
+}
+
+impl Distance {
+    /// Whether the object's own path tells how far it is.
+    pub fn is_known(&self) -> bool {
+        self.scale().1 == KNOWN
+    }
+
+    /// The depth of the middle in the world's unit, frame by frame, and its confidence.
+    pub fn depths(&self) -> (Vec<f64>, f32) {
+        let (scale, confidence) = self.scale();
+        (self.path.iter().map(|x| (x + scale.value).exp()).collect(), confidence)
+    }
+
+    fn scale(&self) -> (Estimate, f32) {
+        match &self.scale {
+            Scale::Known(scale) => (*scale, KNOWN),
+            Scale::Bounded { before, smooth } => {
+                let scale = smooth.map_or(*before, |smooth| before.and(smooth));
+                (scale, if scale.deviation < DECIDED { KNOWN } else { BOUND })
+            }
+        }
+    }
+
+    /// Takes the object to be about as deep as another that it hangs together with; this takes the place
+    /// of the bound. Both are given by the frame in which they are first seen.
+    pub fn hang_on(&mut self, first: usize, (other, other_first): (&Distance, usize)) {
+        let (scale, _) = other.scale();
+        let off: Vec<f64> = self
+            .path
+            .iter()
+            .enumerate()
+            .filter_map(|(k, own)| {
+                let there = other.path.get((first + k).checked_sub(other_first)?)?;
+                Some(there + scale.value - own)
+            })
+            .collect();
+        if let (Scale::Bounded { before, .. }, false) = (&mut self.scale, off.is_empty()) {
+            let deviation = BESIDE.1.hypot(scale.deviation);
+            *before = Estimate { value: quantile(off, 0.5) - BESIDE.0, deviation };
+        }
+    }
+}
+
+/// How far an object is, by itself. `owners` and `behind` are of all frames of the clip.
+pub(super) fn distance(
     index: usize,
     object: &Object,
     shape: &Shape,
     cameras: &Cameras,
     owners: &[Vec<Option<u16>>],
     behind: &[Behind<'_>],
-) -> (Vec<f64>, f32) {
+) -> Distance {
     let n = shape.frames.len();
     let frames = object.first..object.first + n;
     let width = cameras.intrinsics.width as usize;
@@ -142,8 +201,8 @@ pub(super) fn distances(
         .collect();
     if let Some((bent, touching)) = touched(&path, &contacts, &steps) {
         let both = smooth.map_or(touching, |smooth| touching.and(smooth));
-        let shift = both.value - touching.value;
-        return (bent.iter().map(|x| (x + shift).exp()).collect(), KNOWN);
+        let scale = Estimate { value: both.value - touching.value, ..both };
+        return Distance { path: bent, scale: Scale::Known(scale) };
     }
     // Nearer than what it hides, in nearly every frame.
     let bounds = frames
@@ -161,9 +220,7 @@ pub(super) fn distances(
     let before = Estimate { value: quantile(bounds, 0.1) - BEFORE.0, deviation: BEFORE.1 };
     // A path that is smoothest far behind what the object hides is not the object's.
     let smooth = smooth.filter(|smooth| smooth.value - smooth.deviation < usual + BEFORE.1);
-    let scale = smooth.map_or(before, |smooth| before.and(smooth));
-    let confidence = if scale.deviation < DECIDED { KNOWN } else { BOUND };
-    (path.iter().map(|x| (x + scale.value).exp()).collect(), confidence)
+    Distance { path, scale: Scale::Bounded { before, smooth } }
 }
 
 /// The pixel of an object's middle, frame by frame: where its structure from motion does not hold,
@@ -356,7 +413,7 @@ fn touched(path: &[f64], contacts: &[Option<f64>], steps: &[f64]) -> Option<(Vec
     let off: Vec<f64> =
         contacts.iter().zip(&bent).filter_map(|(c, b)| Some(((*c)? - b).abs())).collect();
     let agree = off.iter().filter(|off| **off < AGREES).count();
-    let touches = agree as f64 >= TOUCHES.1 * offsets.len() as f64;
+    let touches = agree >= 3 && agree as f64 >= TOUCHES.1 * offsets.len() as f64;
     let moved = bent.iter().zip(path).map(|(b, p)| b - p).sum::<f64>() / path.len() as f64;
     // What puts one contact off puts off its neighbours: they are not averaged.
     let deviation = (1.5 * quantile(off, 0.5)).max(CONTACT);
@@ -523,5 +580,30 @@ mod tests {
         let both = sure.and(Estimate { value: 2.0, deviation: 0.2 });
         assert!((both.value - 1.2).abs() < 1e-12);
         assert!((both.deviation - 0.1 / 1.25f64.sqrt()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_hangs_on_another_is_about_as_far() {
+        let bounded = |value: f64, smooth: Option<f64>| {
+            let smooth = smooth.map(|value| Estimate { value, deviation: 0.01 });
+            let before = Estimate { value, deviation: 0.3 };
+            let path = vec![0.1, 0.2, 0.3];
+            Distance { path, scale: Scale::Bounded { before, smooth } }
+        };
+        let known = bounded(1.0, Some(1.5));
+        assert!(known.is_known() && !bounded(1.0, None).is_known());
+        // Its second frame is the other's first.
+        let mut own = bounded(-2.0, None);
+        own.hang_on(4, (&known, 5));
+        assert!(own.is_known());
+        let (depths, (there, _)) = (own.depths().0, known.depths());
+        assert!((depths[1] / there[0]).ln().abs() < 0.11 && depths[1] < there[1], "{depths:?}");
+        // What is only bounded makes nothing known; one never seen with it says nothing.
+        let mut own = bounded(-2.0, None);
+        own.hang_on(4, (&bounded(1.0, None), 5));
+        assert!(!own.is_known() && own.depths().0[0] > 2.0);
+        let mut own = bounded(-2.0, None);
+        own.hang_on(4, (&known, 9));
+        assert_eq!(own.depths(), bounded(-2.0, None).depths());
     }
 }

@@ -35,6 +35,9 @@ const COLOUR_EDGE: f32 = 0.18;
 const CERTAIN: f32 = 2.0;
 /// What is gathered along the flow counts so much where a plate is known.
 const BESIDE_PLATE: f32 = 0.3;
+/// Log odds of motion where the other frames show movers and flow does not follow: what stands still
+/// seldom appears for one frame only.
+const UNFOLLOWED: f32 = 0.6;
 /// Iterations of the primal-dual method.
 const ITERATIONS: usize = 120;
 /// Specks and holes of less than this share of the picture are removed.
@@ -103,15 +106,7 @@ pub(super) fn segment(
         let segment = |frame: usize| {
             let mut gathered = gather(flow, &odds, &support, frame);
             if let Some(plate) = plates.and_then(|plates| plates.get(frame)) {
-                // What may be a shadow is decided by all frames around together: where it is plain, it
-                // looks like a dark mover.
-                for (i, odds) in
-                    gathered.iter_mut().enumerate().filter(|(i, _)| plate.shade[*i] == 0.0)
-                {
-                    if !plate.odds[i].is_nan() {
-                        *odds = plate.odds[i] + BESIDE_PLATE * *odds;
-                    }
-                }
+                beside_plate(&mut gathered, plate, &seen[frame].support);
             }
             let mut u = relax(&gathered, &edges(&frames[frame], flow, frame), flow.width);
             clean(&mut u, flow.width);
@@ -156,6 +151,19 @@ fn gather(flow: &NeighbourFlow, odds: &[Vec<f32>], support: &[Vec<f32>], frame: 
             if total > 0.0 { sum / total.max(0.5) } else { 0.0 }
         })
         .collect()
+}
+
+/// Corrects gathered odds by what the frame's plate says.
+fn beside_plate(gathered: &mut [f32], plate: &Evidence, support: &[f32]) {
+    // What may be a shadow is decided by all frames around together: where it is plain, it looks like a
+    // dark mover.
+    for (i, odds) in gathered.iter_mut().enumerate().filter(|(i, _)| plate.shade[*i] == 0.0) {
+        if !plate.odds[i].is_nan() {
+            *odds = plate.odds[i] + BESIDE_PLATE * *odds;
+        } else if plate.covered[i] {
+            *odds += UNFOLLOWED * (1.0 - (support[i] / CERTAIN).min(1.0));
+        }
+    }
 }
 
 /// The cost of a boundary to the right of, and below, each pixel.
@@ -292,6 +300,23 @@ mod tests {
         clean(&mut mask.pixels, WIDTH as usize);
         let whole = map(|p| f32::from(u8::from(within(p, (10.0, 10.0), (30.0, 30.0)))));
         assert_eq!(mask, whole);
+    }
+
+    #[test]
+    fn what_nobody_sees_and_flow_does_not_follow_moves_rather_than_not() {
+        // By pixel: a plate that says so; shade; nothing known; covered and followed, half, not at all.
+        let plate = Evidence {
+            odds: [vec![1.0, 1.0], vec![f32::NAN; 4]].concat(),
+            covered: vec![false, false, false, true, true, true],
+            shade: vec![0.0, 0.3, 0.0, 0.0, 0.0, 0.0],
+            brightness: vec![0.5; 6],
+            hidden: vec![0.0; 6],
+        };
+        let mut odds = vec![-1.0; 6];
+        beside_plate(&mut odds, &plate, &[0.0, 0.0, 0.0, CERTAIN, 0.5 * CERTAIN, 0.0]);
+        let half = -1.0 + 0.5 * UNFOLLOWED;
+        let expected = [1.0 - BESIDE_PLATE, -1.0, -1.0, -1.0, half, -1.0 + UNFOLLOWED];
+        assert_eq!(odds, expected);
     }
 
     #[test]

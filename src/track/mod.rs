@@ -475,27 +475,33 @@ impl Known<'_> {
         work.progress(Stage::Masks, shares.end)?;
         if !cameras.fixed {
             weights = masks::static_weights(tracks, &masks);
-            // Where much moves, the first cameras may have settled on a compromise that adjustment
-            // does not leave: they are found anew from what stands still.
-            if options.poses.is_none() && supplied.is_none() && share(&masks) > CROWDED {
-                focal = Focal::choose(options, flow, tracks, &weights);
-                let (seed, part) = (options.seed, format!("{part}/posing"));
-                match cameras::reconstruct(tracks, &weights, &focal, flow.frames, seed, work, &part)
-                {
-                    Ok(afresh) => cameras = afresh,
-                    Err(error) if work.ended => return Err(error),
-                    Err(_) => {}
+            let kept = cameras.adjust(tracks, &weights, &focal).map(|()| cameras);
+            // The first cameras may have settled on a compromise with what moves, which adjustment does
+            // not leave: they are found anew from what stands still.
+            cameras = if options.poses.is_none() && supplied.is_none() {
+                let part = format!("{part}/posing");
+                let chosen = Focal::choose(options, flow, tracks, &weights);
+                let (seed, n) = (options.seed, flow.frames);
+                let afresh = cameras::reconstruct(tracks, &weights, &chosen, n, seed, work, &part);
+                let explained = |cameras: &Cameras| cameras.explained(tracks, &weights);
+                match (kept, afresh) {
+                    (_, Err(error)) if work.ended => return Err(error),
+                    (Ok(kept), Ok(afresh)) if explained(&kept) >= explained(&afresh) => kept,
+                    (_, Ok(afresh)) => {
+                        focal = chosen;
+                        afresh
+                    }
+                    (kept, Err(_)) => kept?,
                 }
-            }
-            cameras.adjust(tracks, &weights, &focal)?;
+            } else {
+                kept?
+            };
             work.progress(Stage::Cameras, 1.0)?;
         }
         Ok(SoFar { focal, cameras, masks, weights })
     }
 }
 
-/// With more of the pixels moving than this, cameras are found anew once masks are known.
-const CROWDED: f64 = 0.3;
 /// A fixed camera that sees less than this share of the pixels move shows one picture, not a scene.
 const NOTHING_MOVES: f64 = 1e-3;
 /// Below this parallax (degrees) a note warns.

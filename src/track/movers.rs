@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::cameras::Cameras;
 use super::contour::Region;
-use super::distance::{Behind, distances};
+use super::distance::{Behind, Distance, distance};
 use super::masks::regions;
 use super::objects::{self, Object};
 use super::relief::relief;
@@ -22,6 +22,13 @@ pub(super) const KNOWN: f32 = 0.4;
 pub(super) const BOUND: f32 = 0.2;
 /// Inverse depth of a thing of which only that is known what it hides, relative to what it hides.
 pub(super) const NEARER: f64 = 1.25;
+
+/// Objects hang together that are in one region of the masks for this share of the frames in which both
+/// are seen.
+const TOGETHER: f64 = 0.75;
+
+/// Regions of a mask count as one where less than two shares of the width, one over this, are between.
+const BESIDE: usize = 64;
 
 /// The movers of a clip in three dimensions.
 pub(super) struct Lifted {
@@ -66,12 +73,14 @@ pub(super) fn lift(
             owners.iter_mut().zip(part).filter(|(_, part)| **part).for_each(|(o, _)| *o = own);
         }
     }
-    let mut scaled: Vec<(Vec<f64>, f32)> = objects
+    let mut known: Vec<Distance> = objects
         .par_iter()
         .zip(&shapes)
         .enumerate()
-        .map(|(i, (object, shape))| distances(i, object, shape, cameras, &owners, behind))
+        .map(|(i, (object, shape))| distance(i, object, shape, cameras, &owners, behind))
         .collect();
+    hang_together(&objects, masks, &owners, &mut known);
+    let mut scaled: Vec<(Vec<f64>, f32)> = known.iter().map(Distance::depths).collect();
     let reliefs: Vec<Vec<f64>> = (0..masks.len())
         .into_par_iter()
         .map(|f| reliefs(f, &objects, &shapes, &owners[f], behind[f].inverse, &cameras.intrinsics))
@@ -104,6 +113,70 @@ pub(super) fn lift(
         .map(|(own, mask)| Image { pixels: own.iter().map(numbered).collect(), ..*mask })
         .collect();
     Lifted { pixels, movers, owners }
+}
+
+/// What is connected in the masks for most of the time is one thing, or held: objects whose path does
+/// not tell their distance are as far as what they hang together with. Of two that do not, the smaller
+/// one follows.
+fn hang_together(
+    objects: &[Object],
+    masks: &[Image],
+    owners: &[Vec<Option<u16>>],
+    known: &mut [Distance],
+) {
+    let n = objects.len();
+    let mut pixels = vec![0usize; n];
+    // In how many frames two objects have their greater part in the same region.
+    let mut together = vec![vec![0usize; n]; n];
+    for (mask, owners) in masks.iter().zip(owners) {
+        let mut home: Vec<(usize, usize)> = vec![(0, 0); n];
+        let width = mask.width as usize;
+        let near =
+            mask.near((width / BESIDE).max(1)).into_iter().map(|near| f32::from(u8::from(near)));
+        let near: Vec<f32> = near.collect();
+        for (r, (region, _)) in regions(&near, width, true).iter().enumerate() {
+            let mut counts = vec![0usize; n];
+            for owner in region.iter().filter_map(|i| owners[*i]).map(usize::from) {
+                if owner < n {
+                    counts[owner] += 1;
+                    pixels[owner] += 1;
+                }
+            }
+            for (home, count) in home.iter_mut().zip(counts) {
+                if count > home.0 {
+                    *home = (count, r);
+                }
+            }
+        }
+        for a in 0..n {
+            for b in 0..n {
+                let both = home[a].0 > 0 && home[b].0 > 0;
+                together[a][b] += usize::from(both && home[a].1 == home[b].1);
+            }
+        }
+    }
+    // Those that know come first, then the larger ones.
+    let mut order: Vec<usize> = (0..n).collect();
+    order.sort_by_key(|i| (!known[*i].is_known(), std::cmp::Reverse(pixels[*i])));
+    for (place, own) in order.iter().copied().enumerate() {
+        if known[own].is_known() {
+            continue;
+        }
+        let frames = objects[own].first..objects[own].end;
+        let shared = |other: &usize| {
+            let end = frames.end.min(objects[*other].end);
+            end.saturating_sub(frames.start.max(objects[*other].first))
+        };
+        let held = |other: &&usize| {
+            let least = TOGETHER * (frames.len().min(shared(other).max(1)) as f64);
+            2 * shared(other) >= frames.len() && together[own][**other] as f64 >= least
+        };
+        if let Some(other) = order[..place].iter().find(held).copied() {
+            let first = objects[other].first;
+            let [own, other] = known.get_disjoint_mut([own, other]).expect("an order has no twins");
+            own.hang_on(frames.start, (other, first));
+        }
+    }
 }
 
 /// Where an object is, frame by frame: as its structure from motion says; elsewhere it keeps the
@@ -322,5 +395,37 @@ mod tests {
             let ratio = depth(&right, 2.0) / depth(&left, 1.0);
             assert!((ratio / NEARER - 1.0).abs() < 0.02, "frame {f}: {ratio}");
         }
+    }
+
+    #[test]
+    fn the_smaller_of_two_that_touch_is_about_as_far_as_the_larger() {
+        // One goes down, beside it a smaller one goes up, before walls of different depths.
+        let large = |frame: usize, p: DVec2| {
+            let y = 6.0 + 2.0 * frame as f64;
+            within(p, (10.0, y), (32.0, y + 20.0))
+        };
+        let small = |frame: usize, p: DVec2| {
+            let y = 18.0 - 2.0 * frame as f64;
+            within(p, (32.0, y), (44.0, y + 14.0))
+        };
+        let flow = sliding::flow(|frame, p| match (large(frame, p), small(frame, p)) {
+            (true, _) => DVec2::new(0.0, 2.0),
+            (_, true) => DVec2::new(0.0, -2.0),
+            _ => sliding::wall(),
+        });
+        let mask = |f: usize| map(move |p| f32::from(u8::from(large(f, p) || small(f, p))));
+        let masks: Vec<Image> = (0..FRAMES).map(mask).collect();
+        let inverse = map(|p| if p.x < 32.0 { 0.25 } else { 0.1 }).pixels;
+        let confidence = vec![1.0; inverse.len()];
+        let behind = vec![Behind { inverse: &inverse, confidence: &confidence }; FRAMES];
+        let lifted = lift(&sliding::frames(), &sliding::cameras(STEP), &flow, &masks, &behind);
+        assert_eq!(lifted.movers.len(), 2);
+        let depth = |owner: f32| {
+            let pixels = lifted.pixels[2].iter().zip(&lifted.owners[2].pixels);
+            let own = pixels.filter(|(_, o)| **o == owner).map(|(p, _)| f64::from(p.unwrap().0));
+            quantile(own.collect(), 0.5).recip()
+        };
+        let ratio = depth(2.0) / depth(1.0);
+        assert!((ratio.ln() + 0.05).abs() < 0.03, "{ratio}");
     }
 }

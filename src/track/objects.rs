@@ -7,6 +7,7 @@
 use glam::DVec2;
 use rayon::prelude::*;
 
+use super::masks::regions;
 use crate::observe::{NeighbourFlow, PointTrack, TrackOptions, follow, refine};
 use crate::types::Image;
 
@@ -21,6 +22,12 @@ const WINDOW: usize = 4;
 /// In such a window, how much the offset between two points of one object may change, relative to
 /// its length and a tolerance in pixels.
 const CHANGE: (f64, f64) = (0.7, 2.0);
+/// A group goes on in one that begins so many frames before or after its end.
+const GONE: usize = 3;
+/// It ends with the last frame that has so many of its points.
+const FEW: usize = 3;
+/// Share of the pixels of two regions that both have, at least, if they are of the same form.
+const ALIKE: f64 = 0.6;
 /// Points of an object, at least.
 const LEAST_POINTS: usize = 10;
 
@@ -59,6 +66,10 @@ pub(super) fn find(frames: &[Image], flow: &NeighbourFlow, masks: &[Image]) -> V
         groups[label].push(track);
     }
     groups.retain(|group| group.len() >= LEAST_POINTS);
+    while let Some((a, b)) = goes_on(&groups, masks) {
+        let tracks = groups.swap_remove(b.max(a));
+        groups[a.min(b)].extend(tracks);
+    }
     let length = |group: &Vec<PointTrack>| group.iter().map(|t| t.pixels.len()).sum::<usize>();
     groups.sort_by_key(|group| std::cmp::Reverse(length(group)));
     groups
@@ -132,6 +143,84 @@ fn together(tracks: &[PointTrack], spacing: f64, frames: usize) -> Vec<usize> {
     (0..tracks.len()).map(|i| find(&mut root, i)).collect()
 }
 
+/// Two groups of which the second begins when the first ends, alone in a region of the masks of the same
+/// form: all points were lost, and others found.
+fn goes_on(groups: &[Vec<PointTrack>], masks: &[Image]) -> Option<(usize, usize)> {
+    let lives = |group: &Vec<PointTrack>| {
+        let alive = |frame: usize| group.iter().filter(|t| t.at(frame).is_some()).count();
+        let frames = (0..masks.len()).filter(|f| alive(*f) >= FEW);
+        let frames: Vec<usize> = frames.collect();
+        Some((*frames.first()?, *frames.last()?))
+    };
+    let lives: Vec<Option<(usize, usize)>> = groups.iter().map(lives).collect();
+    let home = |group: usize, frame: usize| {
+        let (mask, w) = (&masks[frame], masks[frame].width as usize);
+        let place = |p: DVec2| {
+            let x = (p.x.max(0.0) as usize).min(w - 1);
+            (p.y.max(0.0) as usize).min(mask.height as usize - 1) * w + x
+        };
+        let inside = |region: &Vec<bool>, group: usize| {
+            let points = groups[group].iter().filter_map(|t| t.at(frame));
+            points.filter(|p| region[place(*p)]).count()
+        };
+        let as_map = |(region, _): (Vec<usize>, bool)| {
+            let mut map = vec![false; mask.pixels.len()];
+            region.into_iter().for_each(|i| map[i] = true);
+            map
+        };
+        let regions = regions(&mask.pixels, w, true).into_iter().map(as_map);
+        let region = regions.max_by_key(|region| inside(region, group))?;
+        let within: Vec<usize> = (0..groups.len()).filter(|g| inside(&region, *g) > 0).collect();
+        Some((within, region))
+    };
+    for (a, first) in lives.iter().enumerate() {
+        for (b, second) in lives.iter().enumerate() {
+            let (Some((begin, end)), Some((start, last))) = (first, second) else { continue };
+            let follows = start > begin && last > end;
+            if !follows || start + GONE < *end || *start > end + GONE {
+                continue;
+            }
+            let (Some((in_a, before)), Some((in_b, after))) = (home(a, *end), home(b, *start))
+            else {
+                continue;
+            };
+            let alone = |within: &[usize]| within.iter().all(|g| *g == a || *g == b);
+            if alone(&in_a) && alone(&in_b) && alike(&before, &after, masks[0].width as usize) {
+                return Some((a, b));
+            }
+        }
+    }
+    None
+}
+
+/// Whether two regions have the same form, one moved onto the other by its middle, by less than itself.
+fn alike(a: &[bool], b: &[bool], width: usize) -> bool {
+    let pixels = |map: &[bool]| -> Vec<(i64, i64)> {
+        let inside = (0..map.len()).filter(|i| map[*i]);
+        inside.map(|i| ((i % width) as i64, (i / width) as i64)).collect()
+    };
+    let (a_pixels, b_pixels) = (pixels(a), pixels(b));
+    let middle = |pixels: &[(i64, i64)]| {
+        let count = pixels.len().max(1) as f64;
+        let sum =
+            pixels.iter().fold(DVec2::ZERO, |sum, p| sum + DVec2::new(p.0 as f64, p.1 as f64));
+        sum / count
+    };
+    let moved = middle(&b_pixels) - middle(&a_pixels);
+    let (dx, dy) = (moved.x.round() as i64, moved.y.round() as i64);
+    let height = (b.len() / width) as i64;
+    let in_b = |(x, y): &&(i64, i64)| {
+        let (x, y) = (x + dx, y + dy);
+        (0..width as i64).contains(&x)
+            && (0..height).contains(&y)
+            && b[y as usize * width + x as usize]
+    };
+    let both = a_pixels.iter().filter(in_b).count();
+    let either = a_pixels.len() + b_pixels.len() - both;
+    let size = (a_pixels.len() as f64).sqrt();
+    either > 0 && both as f64 >= ALIKE * either as f64 && moved.length() < size
+}
+
 /// Whether two tracks go together wherever both live.
 fn as_one(a: &PointTrack, b: &PointTrack) -> bool {
     let (first, end) = (a.first.max(b.first), a.end().min(b.end()));
@@ -184,5 +273,36 @@ mod tests {
         }
         let nothing = vec![map(|_| 0.0); FRAMES];
         assert!(find(&frames(), &flow, &nothing).is_empty());
+    }
+
+    #[test]
+    fn one_whose_points_were_all_lost_goes_on() {
+        // A mover goes to the right; in the fourth frame its points end and others begin.
+        let left = |frame: usize| 10.0 + 2.0 * frame as f64;
+        let mover =
+            |frame: usize, p: DVec2| within(p, (left(frame), 10.0), (left(frame) + 20.0, 30.0));
+        let group = |frames: std::ops::Range<usize>, x: f64| -> Vec<PointTrack> {
+            let track = |k: usize| {
+                let at = |f: usize| DVec2::new(left(f) + x + 4.0 * k as f64, 20.0);
+                let pixels: Vec<DVec2> = frames.clone().map(at).collect();
+                PointTrack { first: frames.start, deviation: vec![0.1; pixels.len()], pixels }
+            };
+            (0..4).map(track).collect()
+        };
+        let masks: Vec<Image> =
+            (0..FRAMES).map(|f| map(|p| f32::from(u8::from(mover(f, p))))).collect();
+        let groups = [group(0..3, 2.0), group(3..FRAMES, 3.0)];
+        assert_eq!(goes_on(&groups, &masks), Some((0, 1)));
+        // Two that live at the same time are two.
+        assert_eq!(goes_on(&[group(0..FRAMES, 2.0), group(0..FRAMES, 3.0)], &masks), None);
+        // With a third in the region one cannot tell which it was.
+        let crossing = [group(0..3, 2.0), group(3..FRAMES, 3.0), group(0..FRAMES, 1.0)];
+        assert_eq!(goes_on(&crossing, &masks), None);
+        // What begins has another form.
+        let mut masks = masks;
+        for mask in &mut masks[3..] {
+            *mask = map(|p| f32::from(u8::from(within(p, (14.0, 18.0), (50.0, 23.0)))));
+        }
+        assert_eq!(goes_on(&groups, &masks), None);
     }
 }

@@ -34,6 +34,8 @@ const WITNESSES: u8 = 3;
 pub(super) struct Evidence {
     /// Log odds of motion; not a number where the plate is not known.
     pub odds: Vec<f32>,
+    /// Where it is not known although frames look there: they show movers.
+    pub covered: Vec<bool>,
     /// Where a shadow on what stands still explains the pixel better than motion, the share of the light
     /// that it takes away; else 0.
     pub shade: Vec<f32>,
@@ -51,6 +53,8 @@ struct Plate {
     spread: Vec<f32>,
     /// How many frames show it.
     witnesses: Vec<u8>,
+    /// How many frames show a mover there.
+    covered: Vec<u8>,
 }
 
 /// What the plates of all frames say, by `masks` that show roughly what moves. `layers` are the static
@@ -172,20 +176,24 @@ impl<'a> Clip<'a> {
             colour: vec![[0.0; 3]; own.len()],
             spread: vec![0.0; own.len()],
             witnesses: vec![0; own.len()],
+            covered: vec![0; own.len()],
         };
         let mut seen: [Vec<f32>; 3] = Default::default();
         for i in 0..own.len() {
             let ray = k.ray(centre(i, w));
+            let mut covered = 0u8;
             let mut look = |d: f32| {
                 seen.iter_mut().for_each(Vec::clear);
                 let point = ray / f64::from(d);
                 let mut through = 0;
+                covered = 0;
                 for (other, other_from_frame) in &views {
                     match self.shown(*other, other_from_frame.apply(point)) {
                         Shown::Point(colour) => {
                             seen.iter_mut().zip(colour).for_each(|(all, c)| all.push(c));
                         }
                         Shown::Behind => through += 1,
+                        Shown::Mover => covered += 1,
                         Shown::Nothing => {}
                     }
                 }
@@ -198,6 +206,7 @@ impl<'a> Clip<'a> {
                 look(own[i]);
             }
             plate.witnesses[i] = seen[0].len() as u8;
+            plate.covered[i] = covered;
             for (c, all) in seen.iter_mut().enumerate() {
                 let Some(middle) = median(all) else { break };
                 plate.colour[i][c] = middle;
@@ -227,7 +236,7 @@ impl<'a> Clip<'a> {
         let share = if self.knows(frame, i) { SAME_POINT.0 } else { 4.0 * SAME_POINT.0 };
         let beyond = d - expected;
         if self.near_movers[frame][i] {
-            return Shown::Nothing;
+            return Shown::Mover;
         }
         let within = share * expected + SAME_POINT.1;
         if beyond < -within {
@@ -255,7 +264,9 @@ enum Shown {
     Point([f32; 3]),
     /// What lies behind it.
     Behind,
-    /// Nothing that tells: a mover, something nearer, or it is outside the picture.
+    /// A mover, or something beside one.
+    Mover,
+    /// Nothing that tells: something nearer, or it is outside the picture.
     Nothing,
 }
 
@@ -281,8 +292,11 @@ impl Plate {
             true => colour.iter().sum::<f32>() / 3.0,
             false => f32::NAN,
         };
+        let covered =
+            |(witnesses, covered): (&u8, &u8)| *witnesses < WITNESSES && *covered >= WITNESSES;
+        let covered = self.witnesses.iter().zip(&self.covered).map(covered).collect();
         let brightness = self.colour.iter().zip(&self.witnesses).map(brightness).collect();
-        Evidence { odds, shade, brightness, hidden }
+        Evidence { odds, covered, shade, brightness, hidden }
     }
 
     /// Log odds of motion of a pixel, and the share of the light that a shadow takes away.
@@ -481,6 +495,29 @@ mod tests {
                 // The picture's sides are seen by fewer frames.
                 let known = mover(f, sliding::centre(i));
                 assert!(!known || (f64::from(*hidden) * WALL - 1.0).abs() < 1e-3, "{f}: {hidden}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_movers_cover_in_all_frames_is_known_to_be_covered() {
+        // The left quarter, as the last camera sees it, is behind movers in every frame.
+        let masks: Vec<Image> = (0..FRAMES)
+            .map(|f| {
+                let end = 16.0 - sliding::wall().x * (FRAMES - 1 - f) as f64;
+                map(|p| f32::from(u8::from(p.x < end)))
+            })
+            .collect();
+        let last = &found(&masks)[FRAMES - 1];
+        for i in 0..last.odds.len() {
+            let p = sliding::centre(i);
+            if within(p, (2.0, 2.0), (12.0, 38.0)) {
+                assert!(last.odds[i].is_nan() && last.covered[i], "{p}");
+            } else if within(p, (24.0, 2.0), (52.0, 38.0)) {
+                assert!(!last.odds[i].is_nan() && !last.covered[i], "{p}");
+            } else if p.x > 63.0 {
+                // It has only just come into the picture.
+                assert!(last.odds[i].is_nan() && !last.covered[i], "{p}");
             }
         }
     }

@@ -246,6 +246,7 @@ mod tests {
     fn plate() -> Evidence {
         Evidence {
             odds: map(|_| 0.0).pixels,
+            covered: vec![false; (WIDTH * HEIGHT) as usize],
             shade: map(|p| if shadow(p) { 0.4 } else { 0.0 }).pixels,
             brightness: map(|_| 0.5).pixels,
             hidden: map(|_| 0.0).pixels,

@@ -23,27 +23,28 @@ const LEAST_SHARE: f64 = 0.3;
 const STEP: f32 = 0.05;
 
 /// By frame and pixel, whether it belongs to a part of a mover that is not followed. `points` are
-/// the followed ones of each frame, `spacing` their distance when they started, pixels. Only regions
-/// of the masks that have a followed point are looked at. `None` if there is no such part.
+/// the followed ones of each frame, `spacing` their distance when they started, pixels. A region of
+/// the masks that has no followed point counts where the part is in the frame before or after.
+/// `None` if there is no such part.
 pub(super) fn find(
     frames: &[Image],
     masks: &[Image],
     points: &[Vec<DVec2>],
     spacing: f64,
 ) -> Option<Vec<Vec<bool>>> {
-    let found: Vec<Vec<Followed>> = masks
+    let found: Vec<Vec<Region>> = masks
         .par_iter()
         .zip(points)
-        .map(|(mask, points)| followed(mask, points, FAR * spacing))
+        .map(|(mask, points)| seen_regions(mask, points, FAR * spacing))
         .collect();
-    let shares: Vec<f64> = found
-        .iter()
-        .filter(|regions| !regions.is_empty())
-        .map(|regions| {
-            let far = regions.iter().map(|region| region.far.len()).sum::<usize>();
-            far as f64 / regions.iter().map(|region| region.pixels.len()).sum::<usize>() as f64
-        })
-        .collect();
+    let followed = |regions: &[Region]| {
+        let of = |count: fn(&Region) -> usize| -> usize {
+            regions.iter().filter(|region| !region.seeds.is_empty()).map(count).sum()
+        };
+        let all = of(|region| region.pixels.len());
+        (all > 0).then(|| of(|region| region.far.len()) as f64 / all as f64)
+    };
+    let shares: Vec<f64> = found.iter().filter_map(|regions| followed(regions)).collect();
     if shares.is_empty() || quantile(shares, 0.5) < LEAST_SHARE {
         return None;
     }
@@ -52,19 +53,37 @@ pub(super) fn find(
         regions.iter().for_each(|region| region.spread(frame, &mut part));
         part
     });
-    Some(parts.collect())
+    let mut parts: Vec<Vec<bool>> = parts.collect();
+    let alone: Vec<Vec<&Region>> = found
+        .iter()
+        .enumerate()
+        .map(|(frame, regions)| {
+            let beside = [frame.checked_sub(1), Some(frame + 1)];
+            let beside = beside.map(|other| other.and_then(|other| parts.get(other)));
+            let in_part = |i: &&usize| beside.iter().flatten().any(|part| part[**i]);
+            let goes_on = |region: &&Region| {
+                let inside = region.pixels.iter().filter(in_part).count();
+                region.seeds.is_empty() && 2 * inside > region.pixels.len()
+            };
+            regions.iter().filter(goes_on).collect()
+        })
+        .collect();
+    for (part, regions) in parts.iter_mut().zip(alone) {
+        regions.into_iter().flat_map(|region| &region.pixels).for_each(|i| part[*i] = true);
+    }
+    Some(parts)
 }
 
-/// A region of a mask with followed points in it.
-struct Followed {
+/// A region of a mask.
+struct Region {
     pixels: Vec<usize>,
-    /// Those with a followed point.
+    /// Those with a followed point; another rule takes a region that has none.
     seeds: Vec<usize>,
     /// Those far from all followed points.
     far: Vec<usize>,
 }
 
-fn followed(mask: &Image, points: &[DVec2], far: f64) -> Vec<Followed> {
+fn seen_regions(mask: &Image, points: &[DVec2], far: f64) -> Vec<Region> {
     let (w, h) = (mask.width as usize, mask.height as usize);
     let mut seeded = vec![false; w * h];
     for p in points {
@@ -75,17 +94,21 @@ fn followed(mask: &Image, points: &[DVec2], far: f64) -> Vec<Followed> {
     let is_far = |i: &usize| points.iter().all(|p| p.distance_squared(centre(*i)) > far * far);
     regions(&mask.pixels, w, true)
         .into_iter()
-        .filter_map(|(pixels, _)| {
-            let seeds: Vec<usize> = pixels.iter().copied().filter(|i| seeded[*i]).collect();
+        .map(|(pixels, _)| {
+            let seeds = pixels.iter().copied().filter(|i| seeded[*i]).collect();
             let far = pixels.iter().copied().filter(is_far).collect();
-            (!seeds.is_empty()).then_some(Followed { pixels, seeds, far })
+            Region { pixels, seeds, far }
         })
         .collect()
 }
 
-impl Followed {
-    /// Marks the pixels that the far ones reach at less cost than the followed points do.
+impl Region {
+    /// Marks the pixels that the far ones reach at less cost than the followed points do; none if there
+    /// is no followed point.
     fn spread(&self, frame: &Image, part: &mut [bool]) {
+        if self.seeds.is_empty() {
+            return;
+        }
         let w = frame.width as usize;
         let colour = |i: usize| &frame.pixels[frame.channels as usize * i..][..3];
         let mut inside = vec![false; part.len()];
@@ -161,5 +184,21 @@ mod tests {
         // No point at all: nothing is known of the region, and another rule takes it.
         let (frames, masks, points) = scene(|_| false);
         assert!(find(&frames, &masks, &points, 2.0).is_none());
+    }
+
+    #[test]
+    fn a_region_without_points_is_the_part_of_the_frames_around() {
+        let (frames, mut masks, mut points) = scene(|p| p.x < 34.0);
+        // In the middle frame only the green part is left, and something elsewhere.
+        masks[1] = map(|p| {
+            let left = within(p, (42.0, 4.0), (60.0, 36.0)) || within(p, (0.0, 4.0), (6.0, 36.0));
+            f32::from(u8::from(left))
+        });
+        points[1].clear();
+        let parts = find(&frames, &masks, &points, 2.0).expect("a part is not followed");
+        for (i, is_part) in parts[1].iter().enumerate() {
+            let p = centre(i);
+            assert_eq!(*is_part, within(p, (42.0, 4.0), (60.0, 36.0)), "{p}");
+        }
     }
 }
