@@ -16,6 +16,8 @@ const float LARGEST = 1e18;
 // Shorter quaternions count as zero.
 const float LEAST_QUATERNION = 1e-10;
 
+const float TWO_TO_64 = 18446744073709551616.0;
+
 // Scaled twice, so that neither huge nor tiny quaternions overflow or vanish in the square.
 bool normalised(vec4 q, out vec4 unit, out float length_q) {
     if (!finite(q.xyz) || !finite(q.w)) {
@@ -25,7 +27,9 @@ bool normalised(vec4 q, out vec4 unit, out float length_q) {
     if (largest == 0.0) {
         return false;
     }
-    vec4 scaled = q / largest;
+    // One over a number above 2^126 is subnormal, and GPUs flush it to zero: a power of two first.
+    float down = largest > TWO_TO_64 ? 1.0 / TWO_TO_64 : 1.0;
+    vec4 scaled = (q * down) / (largest * down);
     float l = length(scaled);
     unit = scaled / l;
     length_q = l * largest;

@@ -25,6 +25,9 @@ use super::smooth::{self, Place};
 const SIZED_FIRST: f64 = 1.6;
 /// Standard deviation of a contact's depth at least, logarithm.
 const CONTACT: f64 = 0.03;
+/// The same of a contact at the object's end, half of its width from its middle: how much nearer or farther
+/// that is, structure from motion tells only so well.
+const CONTACT_ASIDE: f64 = 0.1;
 /// A contact agrees with the path within this relative difference.
 const AGREES: f64 = 0.1;
 /// An object touches the ground if it has contacts in this share of its frames, and this share of
@@ -184,11 +187,12 @@ pub(super) fn distance(
         })
         .collect();
     let smooth = smoothness(&path, &middles, &known, cameras, object.first);
-    let contacts: Vec<Option<f64>> = frames
+    let contacts: Vec<Option<Estimate>> = frames
         .clone()
         .enumerate()
         .map(|(k, f)| {
-            let (depth, pixel) = contact(index, &owners[f], behind[f], width)?;
+            let Contact { depth, pixel, half_width } =
+                contact(index, &owners[f], behind[f], width)?;
             let near = object.tracks.iter().zip(&shape.frames[k].relative);
             let mut near: Vec<(f64, f64)> =
                 near.filter_map(|(t, r)| Some((t.at(f)?.distance(pixel), (*r)?))).collect();
@@ -196,7 +200,9 @@ pub(super) fn distance(
             near.truncate(NEAR_CONTACT);
             let relative = near.iter().map(|n| n.1).collect::<Vec<_>>();
             let relative = if near.is_empty() { 1.0 } else { quantile(relative, 0.5) };
-            Some((depth / relative).ln())
+            let aside = (pixel.x - middles[k].x) / half_width;
+            let deviation = CONTACT.hypot(CONTACT_ASIDE * aside);
+            Some(Estimate { value: (depth / relative).ln(), deviation })
         })
         .collect();
     if let Some((bent, touching)) = touched(&path, &contacts, &steps) {
@@ -293,14 +299,22 @@ fn unknown_for(known: &[Option<f64>]) -> Vec<usize> {
     out
 }
 
-/// Where an object meets static ground: the ground's depth there, and the pixel. `None` where its
-/// lower end is cut off by the picture or hidden.
+/// Where an object meets static ground.
+struct Contact {
+    /// The ground's.
+    depth: f64,
+    pixel: DVec2,
+    /// Half of the object's width there, pixels.
+    half_width: f64,
+}
+
+/// Where an object meets static ground. `None` where its lower end is cut off by the picture or hidden.
 fn contact(
     index: usize,
     owners: &[Option<u16>],
     behind: Behind<'_>,
     width: usize,
-) -> Option<(f64, DVec2)> {
+) -> Option<Contact> {
     let height = owners.len() / width;
     let own = |i: usize| owners[i] == Some(index as u16);
     let mut lowest: Vec<(usize, usize)> = Vec::new();
@@ -336,7 +350,11 @@ fn contact(
     let next_to_it = quantile(seen.collect(), 0.5);
     let agrees = (next_to_it / (inverse + slope * (2.0 + OVERHANG))).ln().abs() < HIDES;
     let found = inverse > 0.0 && slope * height as f64 > SLOPE * inverse && agrees;
-    found.then(|| (1.0 / inverse, DVec2::new(x as f64 + 0.5, y as f64 + 0.5)))
+    found.then(|| Contact {
+        depth: 1.0 / inverse,
+        pixel: DVec2::new(x as f64 + 0.5, y as f64 + 0.5),
+        half_width: 0.5 * (ends.1 - ends.0 + 1) as f64,
+    })
 }
 
 /// The plane that most pixels of measured depth lie on: on a plane inverse depth is linear in the
@@ -391,39 +409,49 @@ fn sized(path: Vec<f64>, sizes: &[Option<f64>], deviation: f64, steps: &[f64]) -
         return path;
     }
     let unit = quantile(off, 0.5);
-    let targets: Vec<Option<f64>> = sizes.iter().map(|s| Some((*s)? - unit)).collect();
-    let pull = Pull { deviation, first_width: SIZED_FIRST / deviation, power: 1 };
+    let target = |size: &Option<f64>| Some(Estimate { value: (*size)? - unit, deviation });
+    let targets: Vec<Option<Estimate>> = sizes.iter().map(target).collect();
+    let pull = Pull { first_width: SIZED_FIRST / deviation, power: 1 };
     bent(&path, &path, &targets, pull, steps)
 }
 
 /// The path, scaled and bent so that it meets its contacts, and how well they tell the scale; `None`
 /// where they do not agree.
-fn touched(path: &[f64], contacts: &[Option<f64>], steps: &[f64]) -> Option<(Vec<f64>, Estimate)> {
-    let offsets: Vec<f64> =
-        contacts.iter().zip(path).filter_map(|(c, p)| Some((*c)? - p)).collect();
+fn touched(
+    path: &[f64],
+    contacts: &[Option<Estimate>],
+    steps: &[f64],
+) -> Option<(Vec<f64>, Estimate)> {
+    let offsets: Vec<Estimate> = contacts
+        .iter()
+        .zip(path)
+        .filter_map(|(c, p)| (*c).map(|c| Estimate { value: c.value - p, ..c }))
+        .collect();
     if (offsets.len() as f64) < (TOUCHES.0 * path.len() as f64).max(3.0) {
         return None;
     }
-    // From the offset that most agree with.
-    let agreeing = |o: &f64| offsets.iter().filter(|p| (*p - o).abs() < 0.5 * AGREES).count();
-    let start = *offsets.iter().max_by_key(|o| agreeing(o))?;
+    // From the offset that most agree with, those counting most that are best known.
+    let agreeing = |o: &Estimate| {
+        let near = offsets.iter().filter(|p| (p.value - o.value).abs() < 0.5 * AGREES);
+        near.map(|p| p.deviation.powi(-2)).sum::<f64>()
+    };
+    let start = offsets.iter().max_by(|a, b| agreeing(a).total_cmp(&agreeing(b)))?.value;
     let first: Vec<f64> = path.iter().map(|p| p + start).collect();
-    let pull = Pull { deviation: CONTACT, first_width: 1.0, power: 2 };
-    let bent = bent(path, &first, contacts, pull, steps);
-    let off: Vec<f64> =
-        contacts.iter().zip(&bent).filter_map(|(c, b)| Some(((*c)? - b).abs())).collect();
-    let agree = off.iter().filter(|off| **off < AGREES).count();
+    let bent = bent(path, &first, contacts, Pull { first_width: 1.0, power: 2 }, steps);
+    let off = |(c, b): (&Option<Estimate>, &f64)| Some(((*c)?.value - b, (*c)?.deviation));
+    let off: Vec<(f64, f64)> = contacts.iter().zip(&bent).filter_map(off).collect();
+    let agree = off.iter().filter(|(off, _)| off.abs() < AGREES).count();
     let touches = agree >= 3 && agree as f64 >= TOUCHES.1 * offsets.len() as f64;
     let moved = bent.iter().zip(path).map(|(b, p)| b - p).sum::<f64>() / path.len() as f64;
     // What puts one contact off puts off its neighbours: they are not averaged.
-    let deviation = (1.5 * quantile(off, 0.5)).max(CONTACT);
+    let of_deviation = off.iter().map(|(off, deviation)| off.abs() / deviation).collect();
+    let deviation = CONTACT * (1.5 * quantile(of_deviation, 0.5)).max(1.0);
     touches.then_some((bent, Estimate { value: moved, deviation }))
 }
 
 /// How targets pull at a path.
 struct Pull {
-    deviation: f64,
-    /// Width of the robust kernel at first, in deviations; it ends at one.
+    /// Width of the robust kernel at first, in the target's deviations; it ends at one.
     first_width: f64,
     /// Of the kernel: 1 is Cauchy's, which holds on to targets that are far off; 2 is Geman and
     /// McClure's, which lets go of them.
@@ -435,23 +463,23 @@ struct Pull {
 fn bent(
     path: &[f64],
     first: &[f64],
-    targets: &[Option<f64>],
-    Pull { deviation, first_width, power }: Pull,
+    targets: &[Option<Estimate>],
+    Pull { first_width, power }: Pull,
     steps: &[f64],
 ) -> Vec<f64> {
     let n = path.len();
     let mut bent = first.to_vec();
     for round in 0..10 {
         // From a wide kernel to its own width.
-        let width = deviation * f64::max(1.0, first_width * 0.5f64.powi(round));
+        let width = f64::max(1.0, first_width * 0.5f64.powi(round));
         // Tridiagonal.
         let (mut diagonal, mut right) = (vec![1e-9; n], vec![0.0; n]);
         for (k, target) in targets.iter().enumerate() {
-            let Some(target) = target else { continue };
-            let off = (target - bent[k]) / width;
+            let Some(Estimate { value, deviation }) = target else { continue };
+            let off = (value - bent[k]) / (width * deviation);
             let weight = deviation.powi(-2) / (1.0 + off * off).powi(power);
             diagonal[k] += weight;
-            right[k] += weight * target;
+            right[k] += weight * value;
         }
         for k in 0..n - 1 {
             let stiff = steps[k].powi(-2);
@@ -491,11 +519,12 @@ mod tests {
     fn contacts_that_agree_bend_the_path_to_them() {
         // Up to scale the path is right; three contacts of ten are of something else.
         let path: Vec<f64> = (0..10).map(|k| (1.0 + 0.02 * f64::from(k)).ln()).collect();
-        let contacts: Vec<Option<f64>> = (0..10)
+        let sure = |value: f64| Some(Estimate { value, deviation: CONTACT });
+        let contacts: Vec<Option<Estimate>> = (0..10)
             .map(|k| match k {
                 4 => None,
-                2 | 5 | 8 => Some((7.0 + f64::from(k)).ln()),
-                _ => Some(path[k as usize] + 3f64.ln()),
+                2 | 5 | 8 => sure((7.0 + f64::from(k)).ln()),
+                _ => sure(path[k as usize] + 3f64.ln()),
             })
             .collect();
         let steps = [0.002; 9];
@@ -505,12 +534,21 @@ mod tests {
         }
         assert!((scale.value - 3f64.ln()).abs() < 0.01 && scale.deviation == CONTACT, "{scale:?}");
         // Contacts that come from what happens to lie below do not agree.
-        let below = |k: usize| Some((2.0 + k as f64).ln());
+        let below = |k: usize| sure((2.0 + k as f64).ln());
         assert!(touched(&path, &(0..10).map(below).collect::<Vec<_>>(), &steps).is_none());
         assert!(touched(&path, &[None; 10], &steps).is_none());
         // Two of ten are too few to be more than chance.
         let few: Vec<_> = (0..10).map(|k| if k < 2 { contacts[k] } else { None }).collect();
         assert!(touched(&path, &few, &steps).is_none());
+        // Of two groups the smaller one is believed that is near the object's middle.
+        let contacts: Vec<Option<Estimate>> = (0..10)
+            .map(|k| match k {
+                0..4 => sure(path[k] + 3f64.ln()),
+                _ => Some(Estimate { value: path[k] + 3f64.ln() - 0.08, deviation: 0.1 }),
+            })
+            .collect();
+        let (_, scale) = touched(&path, &contacts, &steps).unwrap();
+        assert!((scale.value - 3f64.ln()).abs() < 0.02, "{scale:?}");
     }
 
     #[test]
@@ -558,7 +596,8 @@ mod tests {
         };
         let (inverse, confidence) = ground(|_| false);
         let behind = Behind { inverse: &inverse.pixels, confidence: &confidence.pixels };
-        let (depth, pixel) = contact(0, &object(30.0), behind, w).unwrap();
+        let Contact { depth, pixel, half_width } = contact(0, &object(30.0), behind, w).unwrap();
+        assert_eq!(half_width, 5.0);
         // A row above the last of the mask.
         assert!((1.0 / depth / (0.1 + 0.02 * 28.5) - 1.0).abs() < 0.01, "{depth}");
         assert_eq!(pixel.y, 29.5);

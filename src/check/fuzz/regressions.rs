@@ -19,4 +19,6 @@ pub const ALL: &[(&str, &str)] = &[
     // Opacity six last places above the cut: rounding decides how far the splat reaches, and with it
     // whether a tile lists it at all.
     ("opacity at the cut", include_str!("cases/opacity_at_the_cut.json")),
+    // A quaternion of 1e38: one over it is subnormal, a GPU flushed it to zero, and nothing was drawn.
+    ("huge quaternion", include_str!("cases/huge_quaternion.json")),
 ];
