@@ -486,7 +486,11 @@ impl Known<'_> {
                 let explained = |cameras: &Cameras| cameras.explained(tracks, &weights);
                 match (kept, afresh) {
                     (_, Err(error)) if work.ended => return Err(error),
-                    (Ok(kept), Ok(afresh)) if explained(&kept) >= explained(&afresh) => kept,
+                    (Ok(kept), Ok(afresh))
+                        if share(&masks) < CROWDED && explained(&kept) >= explained(&afresh) =>
+                    {
+                        kept
+                    }
                     (_, Ok(afresh)) => {
                         focal = chosen;
                         afresh
@@ -502,6 +506,9 @@ impl Known<'_> {
     }
 }
 
+/// With more of the pixels moving than this, the first cameras are never kept: masks that were made by
+/// them leave in what agrees with the compromise.
+const CROWDED: f64 = 0.3;
 /// A fixed camera that sees less than this share of the pixels move shows one picture, not a scene.
 const NOTHING_MOVES: f64 = 1e-3;
 /// Below this parallax (degrees) a note warns.
