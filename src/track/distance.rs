@@ -8,7 +8,8 @@
 //! - It is nearer than what it hides.
 //!
 //! Contact and smoothness each come with a standard deviation and are averaged by it. The bound takes
-//! the place of contact where there is none.
+//! the place of contact where there is none, and the depth of an object that this one is connected with
+//! takes the place of the bound.
 
 use glam::{DMat3, DVec2, DVec3};
 
@@ -25,8 +26,8 @@ use super::smooth::{self, Place};
 const SIZED_FIRST: f64 = 1.6;
 /// Standard deviation of a contact's depth at least, logarithm.
 const CONTACT: f64 = 0.03;
-/// The same of a contact at the object's end, half of its width from its middle: how much nearer or farther
-/// that is, structure from motion tells only so well.
+/// The same of a contact at the object's end, half of its width from its middle, whose depth relative to
+/// the middle's is only known to this.
 const CONTACT_ASIDE: f64 = 0.1;
 /// A contact agrees with the path within this relative difference.
 const AGREES: f64 = 0.1;
@@ -62,7 +63,7 @@ const DECIDED: f64 = 0.2;
 /// How much nearer than what it hides a thing is that touches nothing: mean and deviation of the
 /// logarithm. Few things fly right before a wall or right before the camera.
 const BEFORE: (f64, f64) = (0.4, 0.3);
-/// The same of an object that hangs together with another one, relative to that.
+/// The same of an object that is connected with another one, relative to that.
 const BESIDE: (f64, f64) = (0.05, 0.12);
 /// Least deviation of a step of a path, logarithm.
 const LEAST_DRIFT: f64 = 0.002;
@@ -131,8 +132,8 @@ impl Distance {
         }
     }
 
-    /// Takes the object to be about as deep as another that it hangs together with; this takes the place
-    /// of the bound. Both are given by the frame in which they are first seen.
+    /// Takes the object to be about as deep as another that it is connected with; this takes the place of
+    /// the bound. `first` and `other_first` are the frames in which the two are first seen.
     pub fn hang_on(&mut self, first: usize, (other, other_first): (&Distance, usize)) {
         let (scale, _) = other.scale();
         let off: Vec<f64> = self

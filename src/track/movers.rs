@@ -27,7 +27,7 @@ pub(super) const NEARER: f64 = 1.25;
 /// are seen.
 const TOGETHER: f64 = 0.75;
 
-/// Regions of a mask count as one where less than two shares of the width, one over this, are between.
+/// Regions of a mask count as one where the gap between them is less than 2 / this of the picture's width.
 const BESIDE: usize = 64;
 
 /// The movers of a clip in three dimensions.
@@ -115,9 +115,9 @@ pub(super) fn lift(
     Lifted { pixels, movers, owners }
 }
 
-/// What is connected in the masks for most of the time is one thing, or held: objects whose path does
-/// not tell their distance are as far as what they hang together with. Of two that do not, the smaller
-/// one follows.
+/// Objects that are connected in the masks in most frames are parts of one thing, or one holds the other.
+/// One whose own path does not tell its distance gets that of a connected one whose path does; where no
+/// path does, the smaller object gets the larger one's.
 fn hang_together(
     objects: &[Object],
     masks: &[Image],

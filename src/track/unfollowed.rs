@@ -32,13 +32,13 @@ pub(super) fn find(
     points: &[Vec<DVec2>],
     spacing: f64,
 ) -> Option<Vec<Vec<bool>>> {
-    let found: Vec<Vec<Region>> = masks
+    let found: Vec<Vec<MaskRegion>> = masks
         .par_iter()
         .zip(points)
-        .map(|(mask, points)| seen_regions(mask, points, FAR * spacing))
+        .map(|(mask, points)| mask_regions(mask, points, FAR * spacing))
         .collect();
-    let followed = |regions: &[Region]| {
-        let of = |count: fn(&Region) -> usize| -> usize {
+    let followed = |regions: &[MaskRegion]| {
+        let of = |count: fn(&MaskRegion) -> usize| -> usize {
             regions.iter().filter(|region| !region.seeds.is_empty()).map(count).sum()
         };
         let all = of(|region| region.pixels.len());
@@ -54,14 +54,14 @@ pub(super) fn find(
         part
     });
     let mut parts: Vec<Vec<bool>> = parts.collect();
-    let alone: Vec<Vec<&Region>> = found
+    let alone: Vec<Vec<&MaskRegion>> = found
         .iter()
         .enumerate()
         .map(|(frame, regions)| {
             let beside = [frame.checked_sub(1), Some(frame + 1)];
             let beside = beside.map(|other| other.and_then(|other| parts.get(other)));
             let in_part = |i: &&usize| beside.iter().flatten().any(|part| part[**i]);
-            let goes_on = |region: &&Region| {
+            let goes_on = |region: &&MaskRegion| {
                 let inside = region.pixels.iter().filter(in_part).count();
                 region.seeds.is_empty() && 2 * inside > region.pixels.len()
             };
@@ -75,7 +75,7 @@ pub(super) fn find(
 }
 
 /// A region of a mask.
-struct Region {
+struct MaskRegion {
     pixels: Vec<usize>,
     /// Those with a followed point; another rule takes a region that has none.
     seeds: Vec<usize>,
@@ -83,7 +83,7 @@ struct Region {
     far: Vec<usize>,
 }
 
-fn seen_regions(mask: &Image, points: &[DVec2], far: f64) -> Vec<Region> {
+fn mask_regions(mask: &Image, points: &[DVec2], far: f64) -> Vec<MaskRegion> {
     let (w, h) = (mask.width as usize, mask.height as usize);
     let mut seeded = vec![false; w * h];
     for p in points {
@@ -97,12 +97,12 @@ fn seen_regions(mask: &Image, points: &[DVec2], far: f64) -> Vec<Region> {
         .map(|(pixels, _)| {
             let seeds = pixels.iter().copied().filter(|i| seeded[*i]).collect();
             let far = pixels.iter().copied().filter(is_far).collect();
-            Region { pixels, seeds, far }
+            MaskRegion { pixels, seeds, far }
         })
         .collect()
 }
 
-impl Region {
+impl MaskRegion {
     /// Marks the pixels that the far ones reach at less cost than the followed points do; none if there
     /// is no followed point.
     fn spread(&self, frame: &Image, part: &mut [bool]) {
