@@ -1,0 +1,247 @@
+//! Triangulation of the static tracks and bundle adjustment of all frames that have a pose.
+
+use std::collections::HashMap;
+
+use glam::DVec2;
+use rayon::prelude::*;
+
+use super::focal::ASSUMED;
+use super::{Anchor, Cameras, DEVIATION, Focal, information};
+use crate::Result;
+use crate::geometry::bundle::{self, FocalMode, Observation, Point, Problem, adjust};
+use crate::geometry::triangulate::inverse_depth;
+use crate::observe::PointTrack;
+use crate::track::FocalSource;
+
+/// Relative standard deviation of a focal length that nobody tells.
+const ASSUMED_DEVIATION: f64 = 0.25;
+/// The adjustment measures the focal length if it can to this relative standard deviation.
+const MEASURABLE: f64 = 0.05;
+/// The scale of residuals is not taken below so many deviations.
+const DEVIATION_FLOOR: f64 = 0.5;
+/// Most points of the last adjustment.
+const POINTS: usize = 4000;
+
+impl Cameras {
+    /// Adjusts everything to all static tracks.
+    ///
+    /// # Errors
+    /// No track that counts, or an adjustment that ran off.
+    pub fn adjust(&mut self, tracks: &[PointTrack], weights: &[f64], focal: &Focal) -> Result<()> {
+        let posed = vec![true; self.poses.len()];
+        self.triangulate(tracks, weights, &posed, true);
+        let mode = match focal.source {
+            FocalSource::Given => FocalMode::Fixed,
+            _ => FocalMode::Gated(MEASURABLE),
+        };
+        let report = self.solve(tracks, weights, &posed, mode, POINTS, 4)?;
+        if focal.source != FocalSource::Given {
+            self.focal_std = report.focal_std.min(focal.deviation);
+            if report.focal_released {
+                self.focal_std = report.focal_std;
+                self.focal_source = FocalSource::Measured;
+            }
+        }
+        self.inlier_share = report.inlier_ratio;
+        self.rms = report.inlier_rmse;
+        Ok(())
+    }
+
+    /// Gives inverse depths to static tracks that are seen by frames with poses; `afresh` also to
+    /// those that have one. Points that movers may have left are kept out by asking three views to
+    /// agree.
+    pub(super) fn triangulate(
+        &mut self,
+        tracks: &[PointTrack],
+        weights: &[f64],
+        posed: &[bool],
+        afresh: bool,
+    ) {
+        let tolerance = 1.5 * (f64::from(self.intrinsics.width) / 320.0).max(1.0);
+        let found: Vec<Option<Anchor>> = tracks
+            .par_iter()
+            .enumerate()
+            .map(|(i, track)| {
+                let known = self.anchors[i];
+                if weights[i] <= 0.05 || (known.is_some() && !afresh) {
+                    return known;
+                }
+                let seen: Vec<usize> = (track.first..track.end()).filter(|&f| posed[f]).collect();
+                if seen.len() < 3 {
+                    return known;
+                }
+                let frame = known.map_or(seen[0], |a| a.frame);
+                let reference = self.poses[frame].inverse();
+                let views: Vec<_> = seen
+                    .iter()
+                    .filter(|&&f| f != frame)
+                    .map(|&f| {
+                        let k = f - track.first;
+                        let weight = information(track.deviation[k]);
+                        (self.poses[f] * reference, track.pixels[k], weight)
+                    })
+                    .collect();
+                let pixel = track.pixels[frame - track.first];
+                let d = inverse_depth(&self.intrinsics, pixel, &views, tolerance)?;
+                // Without parallax a depth is noise that would pull at the next pose.
+                let certain = d.deviation < 0.5 * d.value.max(1e-9) || d.deviation < 1e-3;
+                (d.rmse < tolerance && (certain || afresh))
+                    .then_some(Anchor { frame, inverse_depth: d.value })
+            })
+            .collect();
+        self.anchors = found;
+    }
+
+    /// One bundle adjustment over the frames with poses, on up to `most` tracks that cover all
+    /// frames and places evenly.
+    pub(super) fn solve(
+        &mut self,
+        tracks: &[PointTrack],
+        weights: &[f64],
+        posed: &[bool],
+        focal: FocalMode,
+        most: usize,
+        rounds: usize,
+    ) -> Result<bundle::Report> {
+        let places: Vec<usize> = (0..posed.len()).filter(|&f| posed[f]).collect();
+        let mut place_of = vec![usize::MAX; posed.len()];
+        places.iter().enumerate().for_each(|(place, &f)| place_of[f] = place);
+        let chosen = self.choose(tracks, weights, posed, most);
+        let mut problem = Problem {
+            intrinsics: self.intrinsics,
+            poses: places.iter().map(|&f| self.poses[f]).collect(),
+            fixed: places.iter().map(|_| self.supplied).collect(),
+            points: Vec::with_capacity(chosen.len()),
+            observations: Vec::new(),
+        };
+        if let Some(first) = problem.fixed.first_mut() {
+            *first = true;
+        }
+        for &i in &chosen {
+            let track = &tracks[i];
+            let Some(Anchor { frame, inverse_depth }) = self.anchors[i] else { continue };
+            let point = problem.points.len();
+            problem.points.push(Point {
+                frame: place_of[frame],
+                pixel: track.pixels[frame - track.first],
+                inverse_depth,
+                prior: None,
+            });
+            for f in track.first..track.end() {
+                let k = f - track.first;
+                if posed[f] && f != frame {
+                    let since = track.deviation_between(frame - track.first, k);
+                    problem.observations.push(Observation {
+                        point,
+                        frame: place_of[f],
+                        pixel: track.pixels[k],
+                        weight: weights[i],
+                        deviation: DEVIATION.hypot(f64::from(since)),
+                    });
+                }
+            }
+        }
+        let side = f64::from(self.intrinsics.width.max(self.intrinsics.height));
+        let options = bundle::Options {
+            focal,
+            focal_prior: (self.focal_source == FocalSource::Assumed)
+                .then_some((ASSUMED * side, ASSUMED_DEVIATION)),
+            scale_floor: DEVIATION_FLOOR,
+            rounds,
+            ..Default::default()
+        };
+        let report = adjust(&mut problem, &options)?;
+        for (place, &f) in places.iter().enumerate() {
+            self.poses[f] = problem.poses[place];
+        }
+        for (point, &i) in problem.points.iter().zip(&chosen) {
+            if let Some(anchor) = &mut self.anchors[i] {
+                anchor.inverse_depth = point.inverse_depth;
+            }
+        }
+        self.intrinsics = problem.intrinsics;
+        Ok(report)
+    }
+
+    /// Tracks with a depth that see at least two posed frames besides their first, the long ones
+    /// first, until each part of each frame has its share.
+    fn choose(
+        &self,
+        tracks: &[PointTrack],
+        weights: &[f64],
+        posed: &[bool],
+        most: usize,
+    ) -> Vec<usize> {
+        const COLUMNS: usize = 12;
+        const ROWS: usize = 8;
+        let (w, h) = (f64::from(self.intrinsics.width), f64::from(self.intrinsics.height));
+        let cell = |p: DVec2| {
+            let x = (p.x / w * COLUMNS as f64).clamp(0.0, COLUMNS as f64 - 1.0) as usize;
+            let y = (p.y / h * ROWS as f64).clamp(0.0, ROWS as f64 - 1.0) as usize;
+            y * COLUMNS + x
+        };
+        let views = |t: &PointTrack| (t.first..t.end()).filter(|&f| posed[f]).count() - 1;
+        let mut order: Vec<(usize, usize)> = (0..tracks.len())
+            .filter(|&i| weights[i] > 0.05 && self.anchors[i].is_some_and(|a| posed[a.frame]))
+            .map(|i| (views(&tracks[i]), i))
+            .filter(|(views, _)| *views >= 2)
+            .collect();
+        order.sort_by_key(|(views, i)| (std::cmp::Reverse(*views), *i));
+        let frames = posed.iter().filter(|p| **p).count();
+        let mean_views =
+            order.iter().map(|o| o.0 + 1).sum::<usize>() as f64 / order.len().max(1) as f64;
+        let share = (most as f64 * mean_views / (frames * COLUMNS * ROWS) as f64).ceil().max(2.0);
+        let mut counts: HashMap<(usize, usize), usize> = HashMap::new();
+        let mut chosen = Vec::new();
+        for (views, i) in order {
+            let track = &tracks[i];
+            let cells: Vec<_> = (track.first..track.end())
+                .filter(|&f| posed[f])
+                .map(|f| (f, cell(track.pixels[f - track.first])))
+                .collect();
+            let open =
+                cells.iter().filter(|c| (counts.get(c).copied().unwrap_or(0) as f64) < share);
+            if 2 * open.count() > views {
+                cells.into_iter().for_each(|c| *counts.entry(c).or_default() += 1);
+                chosen.push(i);
+                if chosen.len() == most {
+                    break;
+                }
+            }
+        }
+        chosen.sort_unstable();
+        chosen
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec2;
+
+    use super::super::super::sliding::*;
+
+    use crate::observe::PointTrack;
+
+    fn track(pixels: Vec<DVec2>) -> PointTrack {
+        PointTrack { first: 0, deviation: vec![0.1; pixels.len()], pixels }
+    }
+
+    #[test]
+    fn static_tracks_get_their_depth() {
+        let mut cameras = cameras(STEP);
+        let wall =
+            |x: f64| track((0..5).map(|f| DVec2::new(x, 20.0) + wall() * f as f64).collect());
+        let down = |x: f64| {
+            track((0..5).map(|f| DVec2::new(x, 9.0) + DVec2::new(-2.0, 4.0) * f as f64).collect())
+        };
+        let tracks = [wall(40.0), wall(30.0), down(50.0), wall(50.0)];
+        cameras.anchors = vec![None; 4];
+        cameras.triangulate(&tracks, &[1.0, 1.0, 1.0, 0.0], &[true; FRAMES], true);
+        for i in [0, 1] {
+            let point = cameras.point(&tracks, i).unwrap();
+            assert!((point.z - WALL).abs() < 1e-6, "{point}");
+        }
+        assert!(cameras.anchors[2].is_none(), "it leaves its epipolar lines");
+        assert!(cameras.anchors[3].is_none(), "it moves, says the mask");
+    }
+}

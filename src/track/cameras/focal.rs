@@ -1,0 +1,73 @@
+//! The focal length that cameras begin with.
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::geometry::focal::{FocalPair, estimate_focal};
+use crate::geometry::ransac::RansacOptions;
+use crate::geometry::two_view::fundamental_ransac;
+use crate::observe::{NeighbourFlow, PointTrack};
+use crate::track::still::shared;
+use crate::track::{FocalSource, Options, intrinsics_size};
+use crate::types::Intrinsics;
+
+/// The focal length to begin with, and what may be done with it.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(in crate::track) struct Focal {
+    pub intrinsics: Intrinsics,
+    pub source: FocalSource,
+    pub deviation: f64,
+}
+
+/// A focal length that nobody tells, as a multiple of the longer side: phones film at 0.75 to 1.1,
+/// and video stabilisation crops.
+pub(super) const ASSUMED: f64 = 1.0;
+
+impl Focal {
+    /// What was given; else what image pairs tell; else a common value.
+    pub fn choose(
+        options: &Options,
+        flow: &NeighbourFlow,
+        tracks: &[PointTrack],
+        weights: &[f64],
+    ) -> Focal {
+        let (w, h) = intrinsics_size(flow);
+        let given = options.intrinsics.or(options.focal.map(|f| Intrinsics::centred(f, w, h)));
+        if let Some(intrinsics) = given {
+            return Focal { intrinsics, source: FocalSource::Given, deviation: 0.0 };
+        }
+        let n = flow.frames;
+        let gaps = [n / 8, n / 5, n / 3].map(|g| g.clamp(1, n - 1));
+        let ends: Vec<(usize, usize)> = gaps
+            .iter()
+            .flat_map(|&gap| (0..n - gap).step_by(gap).map(move |a| (a, a + gap)))
+            .collect();
+        let threshold = (f64::from(w) / 320.0).max(0.7);
+        let ransac = RansacOptions { threshold, seed: options.seed, ..Default::default() };
+        let pairs: Vec<FocalPair> = ends
+            .par_iter()
+            .filter_map(|&pair| {
+                let s = shared(tracks, weights, pair, 500);
+                let pixels: Vec<_> = s.a.into_iter().zip(s.b).collect();
+                let found = fundamental_ransac(&pixels, &ransac)?;
+                let inliers: Vec<_> = found.inliers.iter().map(|&i| pixels[i]).collect();
+                (inliers.len() >= 50)
+                    .then_some(FocalPair { fundamental: found.model, pixels: inliers })
+            })
+            .collect();
+        let side = f64::from(w.max(h));
+        let estimate = estimate_focal(&pairs, w, h, &Default::default()).ok();
+        match estimate.filter(|e| e.observable) {
+            Some(e) => Focal {
+                intrinsics: Intrinsics::centred(e.focal, w, h),
+                source: FocalSource::Measured,
+                deviation: e.relative_std,
+            },
+            None => Focal {
+                intrinsics: Intrinsics::centred(ASSUMED * side, w, h),
+                source: FocalSource::Assumed,
+                deviation: f64::INFINITY,
+            },
+        }
+    }
+}

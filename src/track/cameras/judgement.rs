@@ -1,0 +1,186 @@
+//! How well cameras explain what is seen.
+
+use glam::DVec2;
+use rayon::prelude::*;
+
+use super::{Anchor, Cameras, DEVIATION, information};
+use crate::geometry::bundle;
+use crate::observe::PointTrack;
+use crate::track::quantile;
+
+/// A track's point in a frame.
+struct View {
+    /// One over the variance of the pixel along each axis.
+    known: f64,
+    /// From where it is seen to where it should be, pixels.
+    off: DVec2,
+    /// How the latter changes with the inverse depth.
+    per_inverse_depth: DVec2,
+}
+
+/// How well the point of a track is known.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::track) struct Certainty {
+    /// Standard deviation of its depth relative to the depth, as far as the deviations of the track's
+    /// pixels are right.
+    pub deviation: f64,
+    /// Root mean square of its residuals' coordinates, in those deviations.
+    pub residual: f64,
+}
+
+/// The scale of residuals is not taken below so many pixels.
+const SCALE_FLOOR: f64 = 0.1;
+/// A residual of this square, in deviations, is explained by half.
+const EXPLAINS: f64 = 9.0;
+
+impl Cameras {
+    /// Measures how well the static tracks of a fixed camera stay in place, as an adjustment does for
+    /// one that moves: what is seen at a pixel once is seen there in every frame.
+    pub fn measure_fixed(&mut self, tracks: &[PointTrack], weights: &[f64]) {
+        // Length and weight of each observation besides a track's first.
+        let residuals: Vec<(DVec2, f64)> = tracks
+            .iter()
+            .zip(weights)
+            .filter(|(_, weight)| **weight > 0.05)
+            .flat_map(|(track, weight)| {
+                let observed = track.pixels.iter().zip(&track.deviation).skip(1);
+                observed.map(move |(pixel, deviation)| {
+                    (*pixel - track.pixels[0], weight * information(*deviation))
+                })
+            })
+            .collect();
+        let coordinates = residuals.iter().flat_map(|(r, _)| [r.x.abs(), r.y.abs()]).collect();
+        let limit = bundle::Options::default().kernel_width
+            * (1.4826 * quantile(coordinates, 0.5)).max(SCALE_FLOOR);
+        let (mut inliers, mut sum, mut total) = (0usize, 0.0, 0.0);
+        for (residual, weight) in residuals.iter().filter(|(r, _)| r.length() <= limit) {
+            inliers += 1;
+            sum += weight * residual.length_squared();
+            total += weight;
+        }
+        self.inlier_share = inliers as f64 / residuals.len().max(1) as f64;
+        self.rms = if total > 0.0 { (sum / total).sqrt() } else { 0.0 };
+    }
+
+    /// How well the pictures say how deep the point of a track lies.
+    pub fn certainty(&self, tracks: &[PointTrack], i: usize) -> Option<Certainty> {
+        let (mut information, mut squares, mut views) = (0.0, 0.0, 0.0);
+        for view in self.reprojected(tracks, i)? {
+            let View { known, off, per_inverse_depth } = view?;
+            information += known * per_inverse_depth.length_squared();
+            squares += known * off.length_squared();
+            views += 1.0;
+        }
+        let inverse_depth = self.anchors[i]?.inverse_depth;
+        (information > 0.0).then(|| Certainty {
+            deviation: (inverse_depth * information.sqrt()).recip(),
+            residual: (0.5 * squares / views).sqrt(),
+        })
+    }
+
+    /// The share of what is seen of static tracks that the cameras explain: what is seen where it should
+    /// be counts in full, what is far from there, or has no depth, not at all. Of two solutions the
+    /// better one explains more.
+    pub fn explained(&self, tracks: &[PointTrack], weights: &[f64]) -> f64 {
+        // The adjustment has moved the cameras, and only the points that it chose.
+        let mut cameras = self.clone();
+        cameras.triangulate(tracks, weights, &vec![true; self.poses.len()], true);
+        let counted = (0..tracks.len()).into_par_iter().filter(|i| weights[*i] > 0.05);
+        let of_track = |i: usize| {
+            let near = |view: View| 1.0 / (1.0 + view.known * view.off.length_squared() / EXPLAINS);
+            let views = cameras.reprojected(tracks, i);
+            let explained: f64 = views.map_or(0.0, |views| views.flatten().map(near).sum());
+            (weights[i] * explained, weights[i] * (tracks[i].pixels.len() - 1) as f64)
+        };
+        let counted: Vec<(f64, f64)> = counted.map(of_track).collect();
+        let (explained, seen) =
+            counted.iter().fold((0.0, 0.0), |sum, one| (sum.0 + one.0, sum.1 + one.1));
+        if seen > 0.0 { explained / seen } else { 0.0 }
+    }
+
+    /// The point of a track in the frames that see it besides the one that it is anchored in; `None` in
+    /// a frame that it lies behind.
+    fn reprojected<'a>(
+        &'a self,
+        tracks: &'a [PointTrack],
+        i: usize,
+    ) -> Option<impl Iterator<Item = Option<View>> + 'a> {
+        let Anchor { frame, inverse_depth } = self.anchors[i].filter(|a| a.inverse_depth > 1e-9)?;
+        let track = &tracks[i];
+        let pixel = track.at(frame)?;
+        let anchor_from_world = self.poses[frame].inverse();
+        let others = (track.first..track.end()).filter(move |f| *f != frame);
+        Some(others.map(move |f| {
+            let k = f - track.first;
+            let relative = self.poses[f] * anchor_from_world;
+            let found = bundle::project(&self.intrinsics, &relative, pixel, inverse_depth);
+            let (seen, jacobian) = found?;
+            let since = track.deviation_between(frame - track.first, k);
+            Some(View {
+                known: DEVIATION.hypot(f64::from(since)).powi(-2),
+                off: seen - track.pixels[k],
+                per_inverse_depth: jacobian.inverse_depth,
+            })
+        }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec2;
+
+    use super::super::super::sliding::*;
+
+    use crate::observe::PointTrack;
+
+    fn track(pixels: Vec<DVec2>) -> PointTrack {
+        PointTrack { first: 0, deviation: vec![0.1; pixels.len()], pixels }
+    }
+
+    #[test]
+    fn a_fixed_cameras_tracks_are_measured() {
+        let at = |i: usize| DVec2::new(3.0 * i as f64, 2.0 * i as f64);
+        // Nine tracks tremble by 0.1 px, one goes away.
+        let mut tracks: Vec<PointTrack> = (1..10)
+            .map(|i| track(vec![at(i), at(i) + DVec2::new(0.1, 0.0), at(i) - DVec2::new(0.0, 0.1)]))
+            .collect();
+        tracks.push(track(vec![at(3), at(3) + DVec2::new(5.0, 0.0), at(3) + DVec2::new(9.0, 0.0)]));
+        let mut cameras = cameras(0.0);
+        cameras.measure_fixed(&tracks, &[1.0; 10]);
+        assert!((cameras.inlier_share - 0.9).abs() < 1e-9, "{}", cameras.inlier_share);
+        assert!((cameras.rms - 0.1).abs() < 1e-9, "{}", cameras.rms);
+        // A mover has no say.
+        let weights: Vec<f64> = (0..10).map(|i| f64::from(i < 9)).collect();
+        cameras.measure_fixed(&tracks, &weights);
+        assert_eq!(cameras.inlier_share, 1.0);
+        // Without a static track nothing agrees.
+        cameras.measure_fixed(&tracks, &[0.0; 10]);
+        assert_eq!((cameras.inlier_share, cameras.rms), (0.0, 0.0));
+    }
+
+    #[test]
+    fn the_better_of_two_solutions_explains_more() {
+        let wall =
+            |x: f64| track((0..FRAMES).map(|f| DVec2::new(x, 20.0) + wall() * f as f64).collect());
+        let tracks: Vec<PointTrack> = (0..20).map(|i| wall(20.0 + 2.0 * f64::from(i))).collect();
+        let weights = vec![1.0; tracks.len()];
+        let mut right = cameras(STEP);
+        right.anchors = vec![None; tracks.len()];
+        assert!((right.explained(&tracks, &weights) - 1.0).abs() < 1e-6);
+        // One camera is off by half a pixel.
+        let mut wrong = right.clone();
+        wrong.poses[3].translation.y += 0.5 * WALL / FOCAL;
+        let explained = wrong.explained(&tracks, &weights);
+        assert!(explained > 0.3 && explained < 0.95, "{explained}");
+        // What moves does not count; of nothing, nothing is explained.
+        let mut weights = weights;
+        let mut tracks = tracks;
+        tracks.push(track((0..FRAMES).map(|f| DVec2::new(9.0, 5.0 + 3.0 * f as f64)).collect()));
+        weights.push(0.0);
+        right.anchors.push(None);
+        assert!((right.explained(&tracks, &weights) - 1.0).abs() < 1e-6);
+        weights[20] = 1.0;
+        assert!(right.explained(&tracks, &weights) < 0.97);
+        assert_eq!(right.explained(&tracks, &[0.0; 21]), 0.0);
+    }
+}

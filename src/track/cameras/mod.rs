@@ -1,0 +1,159 @@
+//! Focal length, poses and sparse points of the static world.
+
+mod adjustment;
+mod focal;
+mod judgement;
+mod posing;
+
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+pub(super) use focal::Focal;
+pub(super) use posing::{pose, reconstruct};
+
+use super::{FocalSource, quantile};
+use crate::Result;
+use crate::observe::{NeighbourFlow, PointTrack};
+use crate::types::{Intrinsics, Pose};
+
+/// Where a track's point lies along the ray of one of its pixels.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub(super) struct Anchor {
+    pub frame: usize,
+    pub inverse_depth: f64,
+}
+
+/// Poses of all frames, and an inverse depth for each track that has one.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Cameras {
+    pub intrinsics: Intrinsics,
+    pub focal_source: FocalSource,
+    pub focal_std: f64,
+    /// `view_from_world`.
+    pub poses: Vec<Pose>,
+    /// Per track: a frame that it lives in, and 1 / z there.
+    pub anchors: Vec<Option<Anchor>>,
+    /// Frames whose pose is a guess.
+    pub doubtful: Vec<usize>,
+    pub inlier_share: f64,
+    pub rms: f64,
+    /// All poses are one.
+    pub fixed: bool,
+    /// Poses were supplied: only structure and focal length are adjusted.
+    supplied: bool,
+}
+
+/// A point is seen to so many pixels along each axis, where it is followed without an error.
+const DEVIATION: f64 = 0.05;
+
+/// How much an observation counts beside one that is followed without an error.
+fn information(deviation: f32) -> f64 {
+    DEVIATION.powi(2) / (DEVIATION.powi(2) + f64::from(deviation).powi(2))
+}
+
+impl Cameras {
+    /// The camera of a tripod.
+    pub fn fixed(focal: &Focal, flow: &NeighbourFlow, tracks: usize) -> Cameras {
+        Cameras { fixed: true, ..Cameras::new(focal, flow.frames, tracks) }
+    }
+
+    /// Cameras that a unit test knows.
+    #[cfg(test)]
+    pub fn known(intrinsics: Intrinsics, poses: Vec<Pose>) -> Cameras {
+        let focal = Focal { intrinsics, source: FocalSource::Given, deviation: 0.0 };
+        Cameras { poses, ..Cameras::new(&focal, 0, 0) }
+    }
+
+    fn new(focal: &Focal, frames: usize, tracks: usize) -> Cameras {
+        Cameras {
+            intrinsics: focal.intrinsics,
+            focal_source: focal.source,
+            focal_std: focal.deviation,
+            poses: vec![Pose::IDENTITY; frames],
+            anchors: vec![None; tracks],
+            doubtful: Vec::new(),
+            inlier_share: 0.0,
+            rms: 0.0,
+            fixed: false,
+            supplied: false,
+        }
+    }
+
+    /// Cameras that the user knows.
+    ///
+    /// # Errors
+    /// Those of the adjustment.
+    pub fn supplied(
+        poses: &[Pose],
+        focal: &Focal,
+        tracks: &[PointTrack],
+        weights: &[f64],
+    ) -> Result<Cameras> {
+        let mut cameras = Cameras {
+            poses: poses.to_vec(),
+            supplied: true,
+            ..Cameras::new(focal, poses.len(), tracks.len())
+        };
+        cameras.adjust(tracks, weights, focal)?;
+        Ok(cameras)
+    }
+
+    /// The point of a track in the world.
+    pub fn point(&self, tracks: &[PointTrack], i: usize) -> Option<DVec3> {
+        let Anchor { frame, inverse_depth } = self.anchors[i].filter(|a| a.inverse_depth > 1e-9)?;
+        let ray = self.intrinsics.ray(tracks[i].at(frame)?);
+        Some(self.poses[frame].inverse().apply(ray / inverse_depth))
+    }
+
+    /// Makes the median depth of the static points in the cameras that see them the unit, and the
+    /// first camera the world.
+    pub fn normalise(
+        &mut self,
+        tracks: &[PointTrack],
+        weights: &[f64],
+        seen: &mut [super::residual::Seen],
+    ) {
+        let mut depths = Vec::new();
+        for i in (0..tracks.len()).filter(|&i| weights[i] > 0.5) {
+            let Some(point) = self.point(tracks, i) else { continue };
+            for f in tracks[i].first..tracks[i].end() {
+                depths.push(self.poses[f].apply(point).z);
+            }
+        }
+        depths.retain(|z| *z > 0.0 && z.is_finite());
+        if depths.is_empty() {
+            return;
+        }
+        let unit = quantile(depths, 0.5);
+        let first = self.poses[0].inverse();
+        for pose in &mut self.poses {
+            *pose = *pose * first;
+            pose.translation /= unit;
+        }
+        self.anchors.iter_mut().flatten().for_each(|a| a.inverse_depth *= unit);
+        for frame in seen {
+            frame.inverse_depth.iter_mut().for_each(|d| *d *= unit as f32);
+            frame.deviation.iter_mut().for_each(|d| *d *= unit as f32);
+        }
+    }
+
+    /// The median over the static tracks of the widest angle between their rays, radians.
+    pub fn parallax(&self, tracks: &[PointTrack], weights: &[f64]) -> f64 {
+        let angles = (0..tracks.len())
+            .filter(|&i| weights[i] > 0.5 && tracks[i].pixels.len() > 2)
+            .filter_map(|i| {
+                let point = self.point(tracks, i)?;
+                let to = |f: usize| (point - self.poses[f].inverse().translation).normalize();
+                let (first, last) = (tracks[i].first, tracks[i].end() - 1);
+                let middle = (first + last) / 2;
+                let angle = |a: DVec3, b: DVec3| a.angle_between(b);
+                Some(
+                    angle(to(first), to(last))
+                        .max(angle(to(first), to(middle)))
+                        .max(angle(to(middle), to(last))),
+                )
+            })
+            .collect();
+        quantile(angles, 0.5)
+    }
+}

@@ -1,0 +1,255 @@
+//! Poses from tracks alone: a start from two frames, then frame by frame by PnP.
+
+use std::ops::Range;
+
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::{Anchor, Cameras, Focal};
+use crate::geometry::bundle::FocalMode;
+use crate::geometry::pnp::{PnpOptions, pnp_ransac};
+use crate::geometry::triangulate::inverse_depth;
+use crate::geometry::two_view::{Motion, TwoView};
+use crate::observe::PointTrack;
+use crate::track::Stage;
+use crate::track::observer::Work;
+use crate::track::still::{relate, shared};
+use crate::types::{Intrinsics, Pose};
+use crate::{Error, Result};
+
+/// Most points of an adjustment on the way.
+const POINTS: usize = 900;
+
+/// The pair to start from: many tracks, wide parallax, no plane.
+fn start(
+    tracks: &[PointTrack],
+    weights: &[f64],
+    k: &Intrinsics,
+    frames: usize,
+    seed: u64,
+) -> Option<((usize, usize), TwoView, Vec<usize>)> {
+    let gaps = [frames / 12, frames / 8, frames / 5, frames / 3, frames / 2];
+    let mut gaps: Vec<usize> = gaps.iter().map(|g| (*g).clamp(1, frames - 1)).collect();
+    gaps.dedup();
+    let pairs: Vec<(usize, usize)> = gaps
+        .iter()
+        .flat_map(|&gap| {
+            let step = (gap / 2).max(frames / 10).max(1);
+            (0..frames - gap).step_by(step).map(move |a| (a, a + gap))
+        })
+        .collect();
+    let living = pairs.iter().map(|p| shared(tracks, weights, *p, usize::MAX).tracks.len());
+    let most = living.max()? as f64;
+    pairs
+        .par_iter()
+        .filter_map(|&pair| {
+            let all = shared(tracks, weights, pair, usize::MAX).tracks.len() as f64;
+            let s = shared(tracks, weights, pair, 700);
+            let found = relate(&s, k, seed).ok()?;
+            if matches!(found.motion, Motion::Static | Motion::PureRotation) {
+                return None;
+            }
+            let wide = found.parallax_deg / (found.parallax_deg + 2.0);
+            let depth = 1.05 - found.homography_ratio.min(1.0);
+            let score = found.inlier_ratio * (all / most).sqrt() * wide * depth.sqrt();
+            Some((score, pair, found, s.tracks))
+        })
+        .max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)))
+        .map(|(_, pair, found, tracks)| (pair, found, tracks))
+}
+
+/// Frames getting their poses one by one.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(in crate::track) struct Posing {
+    cameras: Cameras,
+    /// Per frame: it has its pose.
+    posed: Vec<bool>,
+    /// How many had when all were last adjusted.
+    adjusted: usize,
+}
+
+/// The start from two frames.
+///
+/// # Errors
+/// No pair of frames shows parallax.
+fn begin(
+    tracks: &[PointTrack],
+    weights: &[f64],
+    focal: &Focal,
+    n: usize,
+    seed: u64,
+) -> Result<Posing> {
+    let k = focal.intrinsics;
+    let Some(((a, b), found, ids)) = start(tracks, weights, &k, n, seed) else {
+        return Err(Error::Input(
+            "no two frames of this video show parallax that one moving camera explains; film while \
+             walking or moving the camera sideways, or supply poses"
+                .into(),
+        ));
+    };
+    let mut cameras = Cameras::new(focal, n, tracks.len());
+    let mut posed = vec![false; n];
+    (posed[a], posed[b]) = (true, true);
+    cameras.poses[b] = found.b_from_a;
+    for (&i, _) in ids.iter().zip(&found.inliers).filter(|(_, inlier)| **inlier) {
+        let (Some(pa), Some(pb)) = (tracks[i].at(a), tracks[i].at(b)) else { continue };
+        if let Some(d) = inverse_depth(&k, pa, &[(found.b_from_a, pb, 1.0)], 1.0)
+            && d.value > 1e-6
+            && d.deviation < d.value
+        {
+            cameras.anchors[i] = Some(Anchor { frame: a, inverse_depth: d.value });
+        }
+    }
+    Ok(Posing { cameras, posed, adjusted: 2 })
+}
+
+/// Cameras from tracks alone: a start from two frames, then frame by frame by PnP, adjusted on the
+/// way and all together at the end. `part` is the name under which the way there is kept.
+///
+/// # Errors
+/// No pair of frames shows parallax; too few static points; what the observer of `work` returns.
+pub(in crate::track) fn reconstruct(
+    tracks: &[PointTrack],
+    weights: &[f64],
+    focal: &Focal,
+    frames: usize,
+    seed: u64,
+    work: &mut Work,
+    part: &str,
+) -> Result<Cameras> {
+    let posing = pose(tracks, weights, focal, frames, seed, work, part)?;
+    posing.adjusted(tracks, weights, focal)
+}
+
+impl Posing {
+    /// The cameras, adjusted to all static tracks.
+    ///
+    /// # Errors
+    /// A frame without a pose; those of the adjustment.
+    pub(in crate::track) fn adjusted(
+        self,
+        tracks: &[PointTrack],
+        weights: &[f64],
+        focal: &Focal,
+    ) -> Result<Cameras> {
+        let Posing { mut cameras, posed, .. } = self;
+        cameras.doubtful.sort_unstable();
+        if let Some(lost) = posed.iter().position(|p| !p) {
+            return Err(Error::Failed(format!(
+                "the cameras were lost at frame {lost}: too few points are followed from the \
+                 frames before it; the video may have a cut there"
+            )));
+        }
+        cameras.adjust(tracks, weights, focal)?;
+        Ok(cameras)
+    }
+
+    /// The longest run of frames with poses.
+    pub(in crate::track) fn longest_run(&self) -> Range<usize> {
+        let frames = self.posed.len();
+        let (mut best, mut start) = (0..0, 0);
+        for f in 0..=frames {
+            if f == frames || !self.posed[f] {
+                if f - start > best.len() {
+                    best = start..f;
+                }
+                start = f + 1;
+            }
+        }
+        best
+    }
+}
+
+/// Poses frame after frame, as long as points lead from one to the next.
+///
+/// # Errors
+/// No pair of frames shows parallax; what the observer of `work` returns.
+pub(in crate::track) fn pose(
+    tracks: &[PointTrack],
+    weights: &[f64],
+    focal: &Focal,
+    frames: usize,
+    seed: u64,
+    work: &mut Work,
+    part: &str,
+) -> Result<Posing> {
+    let mut posing: Posing = match work.kept(part)? {
+        Some(kept) => kept,
+        None => {
+            let begun = begin(tracks, weights, focal, frames, seed)?;
+            work.keep(part, &begun)?;
+            begun
+        }
+    };
+    loop {
+        let count = posing.posed.iter().filter(|p| **p).count();
+        work.progress(Stage::Cameras, 0.9 * count as f64 / frames as f64)?;
+        let Some(frame) = next_frame(tracks, &posing.posed, &posing.cameras.anchors) else { break };
+        pose_frame(&mut posing, frame, tracks, weights, seed)?;
+        work.keep(part, &posing)?;
+    }
+    Ok(posing)
+}
+
+/// Gives a frame its pose by PnP, and adjusts all where enough frames have come since.
+fn pose_frame(
+    posing: &mut Posing,
+    frame: usize,
+    tracks: &[PointTrack],
+    weights: &[f64],
+    seed: u64,
+) -> Result<()> {
+    let Posing { cameras, posed, adjusted } = posing;
+    let n = posed.len();
+    let visible: Vec<(usize, DVec3, DVec2)> = (0..tracks.len())
+        .filter_map(|i| Some((i, cameras.point(tracks, i)?, tracks[i].at(frame)?)))
+        .collect();
+    let stride = visible.len().div_ceil(1500).max(1);
+    let visible: Vec<_> = visible.into_iter().step_by(stride).collect();
+    let points: Vec<DVec3> = visible.iter().map(|v| v.1).collect();
+    let pixels: Vec<DVec2> = visible.iter().map(|v| v.2).collect();
+    let weight: Vec<f64> = visible.iter().map(|v| weights[v.0]).collect();
+    let nearest = (0..n).filter(|&f| posed[f]).min_by_key(|f| f.abs_diff(frame));
+    let prediction = nearest.map(|f| cameras.poses[f]);
+    let k = &cameras.intrinsics;
+    let options = PnpOptions {
+        seed,
+        threshold: 2.0 * (f64::from(k.width) / 320.0).max(1.0),
+        max_iterations: 1500,
+        ..PnpOptions::for_width(k.width)
+    };
+    match pnp_ransac(&points, &pixels, Some(&weight), k, prediction.as_ref(), &options) {
+        Ok(found) => {
+            cameras.poses[frame] = found.view_from_world;
+            if found.inlier_ratio < 0.25 {
+                cameras.doubtful.push(frame);
+            }
+        }
+        Err(_) => {
+            cameras.poses[frame] = prediction.unwrap_or(Pose::IDENTITY);
+            cameras.doubtful.push(frame);
+        }
+    }
+    posed[frame] = true;
+    let count = posed.iter().filter(|p| **p).count();
+    cameras.triangulate(tracks, weights, posed, false);
+    if count == n || count as f64 >= 1.3 * *adjusted as f64 || count <= 5 {
+        *adjusted = count;
+        cameras.solve(tracks, weights, posed, FocalMode::Fixed, POINTS, 2)?;
+        cameras.triangulate(tracks, weights, posed, true);
+    }
+    Ok(())
+}
+
+/// The frame without pose that sees most of the points known.
+fn next_frame(tracks: &[PointTrack], posed: &[bool], anchors: &[Option<Anchor>]) -> Option<usize> {
+    let mut counts = vec![0usize; posed.len()];
+    for (track, _) in tracks.iter().zip(anchors).filter(|(_, anchor)| anchor.is_some()) {
+        for f in track.first..track.end() {
+            counts[f] += usize::from(!posed[f]);
+        }
+    }
+    let best = (0..posed.len()).max_by_key(|&f| (counts[f], std::cmp::Reverse(f)))?;
+    (counts[best] >= 12).then_some(best)
+}
