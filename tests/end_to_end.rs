@@ -65,14 +65,15 @@ fn psnr_held_out(outcome: &Outcome) -> (f64, f64) {
     let mut renderer = Renderer::new(device, scene).unwrap();
     let (mut rendered, mut copied, mut count) = (0.0, 0.0, 0.0);
     for held_out in &clip.held_out {
-        for frame in 0..clip.frames.len() {
-            let camera = held_out.cameras[frame];
+        for ((&frame, camera), truth) in
+            held_out.times.iter().zip(&held_out.cameras).zip(&held_out.frames)
+        {
             let world_from_view = scene_from_truth.apply_pose(&camera.view_from_world.inverse());
-            let camera = Camera { view_from_world: world_from_view.inverse(), ..camera };
+            let camera = Camera { view_from_world: world_from_view.inverse(), ..*camera };
             let time = scene.cameras[frame].time;
             let picture = renderer.render(&camera, time).unwrap().over(scene.background);
-            rendered += psnr(&picture, &held_out.frames[frame]).unwrap();
-            copied += psnr(&clip.frames[frame], &held_out.frames[frame]).unwrap();
+            rendered += psnr(&picture, truth).unwrap();
+            copied += psnr(&clip.frames[frame], truth).unwrap();
             count += 1.0;
         }
     }

@@ -169,6 +169,9 @@ fn movers_cover_what_the_clip_promises() {
             ("crowd", 0.5, 0.85),
             ("still", 0.0, 0.0),
             ("tripod", 0.05, 0.14),
+            ("throw", 0.02, 0.08),
+            ("hold", 0.04, 0.2),
+            ("walk", 0.03, 0.1),
         ] {
             let options = SynthOptions { frames: 3, width: 48, height: 27, seed };
             let clip = synth::clip(name, &options).unwrap();
@@ -204,20 +207,116 @@ fn cameras_move_as_the_clip_says() {
     for seed in 0..3 {
         let options = SynthOptions { frames: 24, width: 16, height: 16, seed };
         let still = synth::clip("still", &options).unwrap();
-        let depth = mean(&still.depth[0]);
+        let mut depths = still.depth[12].pixels.clone();
+        depths.sort_by(f32::total_cmp);
+        let depth = f64::from(depths[depths.len() / 2]);
         let centres: Vec<_> = (0..24).map(|i| still.camera(i).centre()).collect();
         let length: f64 = centres.windows(2).map(|c| c[0].distance(c[1])).sum();
         let share = length / depth;
         assert!((0.1..0.25).contains(&share), "seed {seed}: path of {share} of the depth");
+        assert_eq!(still.held_out.each_ref().map(|view| view.aside), [0.08, 0.18, 0.30]);
         for view in &still.held_out {
-            for (i, camera) in view.cameras.iter().enumerate() {
-                let share = camera.centre().distance(centres[i]) / depth;
-                assert!((0.02..0.07).contains(&share), "held out at {share} of the depth");
+            assert_eq!(view.times, (0..24).step_by(2).collect::<Vec<_>>());
+            for (frame, camera) in view.times.iter().zip(&view.cameras) {
+                let share = camera.centre().distance(centres[*frame]) / depth;
+                assert!((share - view.aside).abs() < 1e-6, "held out at {share} of the depth");
             }
         }
     }
     let tripod = small("tripod");
     assert!(tripod.view_from_world.iter().all(|pose| *pose == tripod.view_from_world[0]));
+}
+
+#[test]
+fn held_out_pixels_that_a_frame_shows_are_told() {
+    let clip = rendered("rigid", SMOOTH);
+    let mut filmed = Vec::new();
+    for view in &clip.held_out {
+        let pairs = view.masks.iter().zip(&view.covisible);
+        for (mask, covisible) in pairs.clone() {
+            let moving =
+                mask.pixels.iter().zip(&covisible.pixels).filter(|(mask, _)| **mask == 1.0);
+            assert!(moving.clone().count() > 20 && moving.clone().all(|(_, seen)| *seen == 1.0));
+        }
+        filmed.push(pairs.map(|(_, covisible)| mean(covisible)).sum::<f64>() / 6.0);
+    }
+    // The farther aside, the less was filmed.
+    assert!(filmed[0] > 0.9 && filmed[0] > filmed[1] && filmed[1] > filmed[2], "{filmed:?}");
+    assert!(filmed[2] > 0.6, "{filmed:?}");
+
+    // What is filmed has the colour there that it has in some frame: the one that is nearest to it.
+    let view = &clip.held_out[0];
+    let (frame, camera) = (view.times[3], view.cameras[3]);
+    let from = clip.camera(frame);
+    let (mut off, mut count) = (0.0, 0.0);
+    for (x, y, centre) in centres(&clip.depth[frame]) {
+        let z = f64::from(clip.depth[frame].at(x, y)[0]);
+        let point = from.view_from_world.inverse().apply(from.intrinsics.ray(centre) * z);
+        let local = camera.view_from_world.apply(point);
+        let at = camera.intrinsics.project(local);
+        let Some(seen) = sample(&view.covisible[3], at, 0).filter(|seen| *seen == 1.0) else {
+            continue;
+        };
+        let Some(there) = sample(&view.frames[3], at, 1) else { continue };
+        off += seen * (there - f64::from(clip.frames[frame].at(x, y)[1])).abs();
+        count += 1.0;
+    }
+    assert!(count > 5000.0 && off / count < 0.03, "{count} pixels, off by {}", off / count);
+}
+
+#[test]
+fn movers_cast_shadows_where_the_clip_says_so() {
+    // Static points that the first and the last frame show: a shadow lay on some of them.
+    for (name, shadows) in [("throw", true), ("walk", true), ("bend", false)] {
+        let clip = rendered(name, SMOOTH);
+        let (first, last) = (clip.camera(0), clip.camera(11));
+        let last_from_first = last.view_from_world * first.view_from_world.inverse();
+        let (mut darker, mut count) = (0, 0);
+        for (x, y, centre) in centres(&clip.depth[0]) {
+            let ray = first.intrinsics.ray(centre);
+            let point = last_from_first.apply(ray * f64::from(clip.depth[0].at(x, y)[0]));
+            let to = last.intrinsics.project(point);
+            let Some(depth) = sample(&clip.depth[11], to, 0) else { continue };
+            let moves = sample(&clip.masks[11], to, 0) != Some(0.0);
+            let hidden = (depth - point.z).abs() > 0.005 * point.z;
+            if clip.masks[0].at(x, y)[0] != 0.0 || moves || hidden {
+                continue;
+            }
+            let here = f64::from(clip.frames[0].at(x, y)[1]);
+            let there = sample(&clip.frames[11], to, 1).unwrap();
+            count += 1;
+            darker += usize::from(here > 0.2 && there < 0.75 * here);
+        }
+        let share = darker as f64 / f64::from(count);
+        assert!(count > 4000, "{name}: {count} pixels");
+        assert!(if shadows { share > 0.01 } else { share < 0.007 }, "{name}: {share}");
+    }
+}
+
+#[test]
+fn what_flies_and_walks_stays_above_the_floor() {
+    // The floor is the lowest that the camera sees: no pixel is below it.
+    for name in ["throw", "walk", "hold"] {
+        for seed in 0..3 {
+            let options = SynthOptions { frames: 5, width: 96, height: 54, seed };
+            let clip = synth::clip(name, &options).unwrap();
+            let mut lowest: f64 = 0.0;
+            for frame in 0..5 {
+                let camera = clip.camera(frame);
+                let world_from_view = camera.view_from_world.inverse();
+                for (x, y, centre) in centres(&clip.masks[frame]) {
+                    if clip.masks[frame].at(x, y)[0] == 1.0 {
+                        let z = f64::from(clip.depth[frame].at(x, y)[0]);
+                        let point = world_from_view.apply(camera.intrinsics.ray(centre) * z);
+                        lowest = lowest.max(point.y);
+                    }
+                }
+            }
+            assert!(lowest < 1.0 + 1e-5, "{name}, seed {seed}: {lowest}");
+            // A walker's foot is on the floor.
+            assert!(name != "walk" || lowest > 0.9, "{name}, seed {seed}: {lowest}");
+        }
+    }
 }
 
 #[test]
@@ -286,10 +385,17 @@ fn a_written_clip_reads_back() {
         .fold(0.0, f32::max);
     assert!(worst <= 0.5 / 255.0 + 1e-6, "8 bits lose at most half a step, not {worst}");
     let held_out = transforms::read_cameras(&truth.join("held_out/transforms.json")).unwrap();
-    assert_eq!(held_out.len(), 2 * n);
-    let gap = held_out[n].camera.centre().distance(clip.held_out[1].cameras[0].centre());
+    // Frames 0, 2 and 4 of five.
+    assert_eq!(held_out.len(), 3 * 3);
+    let gap = held_out[5].camera.centre().distance(clip.held_out[1].cameras[2].centre());
     assert!(gap < 1e-9, "{gap}");
-    assert_eq!(Dataset::open(truth.join("held_out")).unwrap().frames.len(), 2 * n);
+    let views = Dataset::open(truth.join("held_out")).unwrap().frames;
+    assert_eq!(views.len(), 3 * 3);
+    assert!(views[5].path.ends_with("2/0004.png"), "{:?}", views[5].path);
+    let movers = read_mask(truth.join("held_out/masks/2/0004.png")).unwrap();
+    assert_eq!(movers, clip.held_out[1].masks[2]);
+    let covisible = read_mask(truth.join("held_out/covisible/3/0002.png")).unwrap();
+    assert_eq!(covisible, clip.held_out[2].covisible[1]);
 
     // Nothing else beside it, and nothing is written over.
     assert_eq!(std::fs::read_dir(folder.parent().unwrap()).unwrap().count(), 1);

@@ -107,6 +107,16 @@ impl Mesh {
         mesh
     }
 
+    /// The triangles, each with its corners anticlockwise seen from outside.
+    pub fn triangles_outwards(&self) -> impl Iterator<Item = [u32; 3]> + Clone + '_ {
+        self.triangles.iter().map(|&[a, b, c]| {
+            let [at_a, at_b, at_c] = [a, b, c].map(|v| self.vertices[v as usize].position);
+            let outward: DVec3 = [a, b, c].iter().map(|v| self.vertices[*v as usize].normal).sum();
+            let out = (at_b - at_a).cross(at_c - at_a).dot(outward) >= 0.0;
+            if out { [a, b, c] } else { [a, c, b] }
+        })
+    }
+
     /// The mesh with its other side out.
     pub fn flipped(mut self) -> Mesh {
         for vertex in &mut self.vertices {

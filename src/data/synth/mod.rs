@@ -3,22 +3,27 @@
 //! A clip shows a furnished room, textured all over, from a camera that moves through it; most
 //! have something that moves. Everything is a mesh whose vertices are closed functions of time,
 //! so that the point behind a pixel has an exact place at every other time: depth, flow, masks
-//! and visibility are read from the same triangles as the pixels. Surfaces are diffuse, their
-//! light is baked at rest, and what moves casts no shadow, so a surface point has one colour in
-//! all frames and from all cameras.
+//! and visibility are read from the same triangles as the pixels. In most clips surfaces are
+//! diffuse, their light is baked at rest, and what moves casts no shadow, so a surface point has one
+//! colour in all frames and from all cameras. In `throw`, `hold` and `walk` movers are lit where they
+//! are and cast shadows, and what is held is glossy.
 //!
 //! The room is about 6 m wide and 4 to 6 m deep before the camera; world axes are the camera's of
 //! a level camera that looks into the room (x right, y down, z forward).
 
+mod held;
 mod mesh;
 mod movers;
+mod person;
 mod render;
 mod scene;
 mod texture;
+mod thrown;
 mod trace;
 mod write;
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
 
 use crate::error::{Error, Result};
 use crate::io::check_memory;
@@ -33,11 +38,21 @@ pub use write::{check_folder, write};
 /// - `bend`: a cloth ripples and a column bends, the camera moves;
 /// - `crowd`: walkers cover more than half of the picture, the camera moves;
 /// - `still`: nothing moves but the camera;
-/// - `tripod`: the cart again, the camera fixed.
-pub const NAMES: [&str; 5] = ["rigid", "bend", "crowd", "still", "tripod"];
+/// - `tripod`: the cart again, the camera fixed;
+/// - `throw`: a ball and a box fly past each other, spinning, over a floor that is nearly plain;
+/// - `hold`: a hand turns a glossy jug before the camera;
+/// - `walk`: a person with limbs walks across the room and turns.
+pub const NAMES: [&str; 8] = ["rigid", "bend", "crowd", "still", "tripod", "throw", "hold", "walk"];
 
-/// Metres from the camera's path to each held-out camera: 3 to 6 % of the depth of the scene.
-const HELD_OUT: [DVec3; 2] = [DVec3::new(0.13, -0.11, 0.0), DVec3::new(-0.12, 0.09, 0.1)];
+/// Where the held-out cameras are: how far aside, as a share of the median depth in the middle of the
+/// clip, and in which direction.
+const HELD_OUT: [(f64, DVec3); 3] = [
+    (0.08, DVec3::new(0.8, -0.6, 0.0)),
+    (0.18, DVec3::new(-0.9, -0.4, 0.17)),
+    (0.30, DVec3::new(0.94, -0.3, 0.17)),
+];
+/// Held-out cameras take every so-manieth frame.
+const HELD_OUT_EVERY: usize = 2;
 
 /// A clip holds all of its frames and truth in memory; no more than this.
 const MOST_BYTES: u64 = 8 << 30;
@@ -88,17 +103,27 @@ pub struct Clip {
     pub visible_backward: Vec<Image>,
     /// `n` images of one channel: 1 where the pixel's centre shows something that moves, else 0.
     pub masks: Vec<Image>,
-    /// Two cameras beside the path, for measuring novel views.
-    pub held_out: [HeldOut; 2],
+    /// Cameras beside the path, for measuring novel views: 8, 18 and 30 % of the median depth aside.
+    pub held_out: [HeldOut; 3],
 }
 
-/// A camera that keeps beside the clip's own, and what it sees at every time of the clip.
+/// A camera that keeps beside the clip's own, and what it sees at every second time of the clip.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HeldOut {
-    /// `n` cameras.
+    /// Its distance from the clip's camera over the median depth of the clip's middle frame.
+    pub aside: f64,
+    /// The frames of the clip at whose times it takes its pictures; as many as there are of the
+    /// following.
+    pub times: Vec<usize>,
+    /// Where it is.
     pub cameras: Vec<Camera>,
-    /// `n` pictures of three channels.
+    /// Pictures of three channels.
     pub frames: Vec<Image>,
+    /// Images of one channel: 1 where the pixel's centre shows something that moves, else 0.
+    pub masks: Vec<Image>,
+    /// Images of one channel: 1 where some frame of the clip shows the static point at the pixel's
+    /// centre, and where something moves; else 0.
+    pub covisible: Vec<Image>,
 }
 
 impl Clip {
@@ -128,6 +153,11 @@ pub fn clip(name: &str, options: &SynthOptions) -> Result<Clip> {
     let times: Vec<f64> = (0..frames).map(|i| i as f64 / (frames - 1) as f64).collect();
     let camera =
         |time, offset| Camera { intrinsics, view_from_world: path.view_from_world(time, offset) };
+    let unit = {
+        let middle = times[frames / 2];
+        geometry.median_depth(&geometry.at(middle), &camera(middle, DVec3::ZERO))
+    };
+    let shown: Vec<usize> = (0..frames).step_by(HELD_OUT_EVERY).collect();
     let mut clip = Clip {
         name: name.to_owned(),
         frames: Vec::new(),
@@ -140,11 +170,19 @@ pub fn clip(name: &str, options: &SynthOptions) -> Result<Clip> {
         visible_forward: Vec::new(),
         visible_backward: Vec::new(),
         masks: Vec::new(),
-        held_out: HELD_OUT.map(|offset| HeldOut {
-            cameras: times.iter().map(|t| camera(*t, offset)).collect(),
+        held_out: HELD_OUT.map(|(aside, direction)| HeldOut {
+            aside,
+            times: shown.clone(),
+            cameras: shown
+                .iter()
+                .map(|i| camera(times[*i], direction.normalize() * aside * unit))
+                .collect(),
             frames: Vec::new(),
+            masks: Vec::new(),
+            covisible: Vec::new(),
         }),
     };
+    let mut held_out_depth: [Vec<Image>; HELD_OUT.len()] = Default::default();
     let cameras: Vec<Camera> = times.iter().map(|t| camera(*t, DVec3::ZERO)).collect();
     // The frame in hand with its neighbours; a long clip's geometry is not kept whole.
     let mut window: [Option<Moment>; 3] = [None, None, Some(geometry.at(times[0]))];
@@ -153,8 +191,14 @@ pub fn clip(name: &str, options: &SynthOptions) -> Result<Clip> {
         window[2] = times.get(here + 1).map(|time| geometry.at(*time));
         let [before, Some(now), after] = &window else { break };
         clip.frames.push(geometry.picture(now, &cameras[here]));
-        for held_out in &mut clip.held_out {
-            held_out.frames.push(geometry.picture(now, &held_out.cameras[here]));
+        if here % HELD_OUT_EVERY == 0 {
+            for (held_out, depth) in clip.held_out.iter_mut().zip(&mut held_out_depth) {
+                let camera = &held_out.cameras[here / HELD_OUT_EVERY];
+                held_out.frames.push(geometry.picture(now, camera));
+                let truth = geometry.truth((now, camera), &[]);
+                held_out.masks.push(truth.mask);
+                depth.push(truth.depth);
+            }
         }
         let backward = before.iter().map(|moment| (moment, &cameras[here - 1]));
         let forward = after.iter().map(|moment| (moment, &cameras[here + 1]));
@@ -172,7 +216,58 @@ pub fn clip(name: &str, options: &SynthOptions) -> Result<Clip> {
             clip.visible_forward.push(forward.visible);
         }
     }
+    for (held_out, depth) in clip.held_out.iter_mut().zip(&held_out_depth) {
+        let views = held_out.cameras.iter().zip(depth).zip(&held_out.masks);
+        let seen = views
+            .map(|((camera, depth), mask)| covisible(camera, depth, mask, &cameras, &clip.depth));
+        held_out.covisible = seen.collect();
+    }
     Ok(clip)
+}
+
+/// 1 where a frame of the clip shows the point at a pixel's centre, and where something moves.
+fn covisible(
+    camera: &Camera,
+    depth: &Image,
+    mask: &Image,
+    cameras: &[Camera],
+    depth_of_frames: &[Image],
+) -> Image {
+    let world_from_view = camera.view_from_world.inverse();
+    let mut seen = mask.clone();
+    let width = depth.width as usize;
+    seen.pixels.par_iter_mut().enumerate().filter(|(_, seen)| **seen == 0.0).for_each(
+        |(pixel, seen)| {
+            let centre = DVec2::new((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
+            let z = f64::from(depth.pixels[pixel]);
+            let point = world_from_view.apply(camera.intrinsics.ray(centre) * z);
+            let shown =
+                z > 0.0 && cameras.iter().zip(depth_of_frames).any(|(c, d)| shows(c, d, point));
+            *seen = f32::from(shown);
+        },
+    );
+    seen
+}
+
+/// Whether a frame shows a point: it is not behind all of the pixels about it.
+fn shows(camera: &Camera, depth: &Image, point: DVec3) -> bool {
+    let local = camera.view_from_world.apply(point);
+    if local.z <= 0.0 {
+        return false;
+    }
+    let at = camera.intrinsics.project(local);
+    let (width, height) = (f64::from(depth.width), f64::from(depth.height));
+    if !(at.x >= 0.0 && at.y >= 0.0 && at.x < width && at.y < height) {
+        return false;
+    }
+    // The four pixels whose centres are about it, inside the picture.
+    let near = |at: f64, size: u32| {
+        let low = (at - 0.5).floor().max(0.0) as u32;
+        [low, (low + 1).min(size - 1)]
+    };
+    let (xs, ys) = (near(at.x, depth.width), near(at.y, depth.height));
+    let farthest = xs.iter().flat_map(|&x| ys.map(|y| depth.at(x, y)[0])).fold(0.0, f32::max);
+    local.z <= f64::from(farthest) * (1.0 + 1e-3)
 }
 
 fn check(options: &SynthOptions) -> Result<()> {
@@ -185,8 +280,9 @@ fn check(options: &SynthOptions) -> Result<()> {
             "a clip is at least 16 pixels wide and high, not {width}×{height}"
         )));
     }
-    // Three pictures of three channels, depth, mask, two flows of two channels with visibility.
-    let bytes = u128::from(width) * u128::from(height) * frames as u128 * (9 + 2 + 6) * 4;
+    // A picture of three channels, depth, mask, two flows of two channels with visibility; and for
+    // every second frame three pictures with depth, mask and what is covisible.
+    let bytes = u128::from(width) * u128::from(height) * frames as u128 * (3 + 2 + 6 + 9) * 4;
     if bytes > u128::from(MOST_BYTES) {
         return Err(Error::Input(format!(
             "{frames} frames of {width}×{height} take {} GiB of memory, more than {}; \

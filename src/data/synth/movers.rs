@@ -21,12 +21,15 @@ fn upright(x: f64, z: f64, turn: f64) -> Pose {
 }
 
 /// Moves a shape rigidly: the rest frame is carried to `world_from_shape` of each time.
-fn rigid(rest: Pose, world_from_shape: impl Fn(f64) -> Pose + Send + Sync + 'static) -> Motion {
+pub(super) fn rigid(
+    rest: Pose,
+    world_from_shape: impl Fn(f64) -> Pose + Send + Sync + 'static,
+) -> Motion {
     let shape_from_rest = rest.inverse();
     Arc::new(move |p, time| (world_from_shape(time) * shape_from_rest).apply(p))
 }
 
-fn sign(rng: &mut ChaCha8Rng) -> f64 {
+pub(super) fn sign(rng: &mut ChaCha8Rng) -> f64 {
     if rng.random_bool(0.5) { 1.0 } else { -1.0 }
 }
 

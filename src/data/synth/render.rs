@@ -6,6 +6,7 @@ use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::scene::{Part, Scene};
+use super::texture::Material;
 use super::trace::{Bvh, Hit};
 use crate::types::{Camera, Image};
 
@@ -16,6 +17,22 @@ const OPENNESS_RAYS: usize = 32;
 /// Surroundings farther than this do not darken a vertex.
 const OPENNESS_REACH: f64 = 0.9;
 
+/// Towards the lamp.
+const LAMP: DVec3 = DVec3::new(-0.45, -0.75, -0.55);
+/// The lamp's radius over its distance: how soft shadows are.
+const LAMP_SIZE: f64 = 0.05;
+/// Sharpness of the lamp's highlight on what is glossy, and its strength over the gloss.
+const HIGHLIGHT: (i32, f32) = (40, 2.0);
+
+/// The light on a vertex.
+#[derive(Clone, Copy)]
+struct Light {
+    /// Light that nothing takes away.
+    steady: f32,
+    /// Light of the lamp, which movers may hide.
+    lamp: f32,
+}
+
 /// What does not change over a clip: the triangles of all parts together, and the light on them.
 pub(super) struct Geometry {
     parts: Vec<Part>,
@@ -23,15 +40,29 @@ pub(super) struct Geometry {
     /// The part of each triangle.
     part_of: Vec<u32>,
     texture: Vec<Vec3>,
-    /// Light baked at rest: a surface keeps its brightness however it moves and from wherever it
-    /// is seen, which is what makes the flow's truth exact in the pixels as well.
-    light: Vec<f32>,
+    /// Light baked at rest. Unless the scene is lit a surface keeps its brightness however it moves
+    /// and from wherever it is seen, which makes the flow's truth exact in the pixels as well.
+    light: Vec<Light>,
+    /// Movers are lit where they are and cast shadows.
+    lit: bool,
+    /// The triangles that move, their corners anticlockwise seen from outside.
+    moving: Vec<[u32; 3]>,
 }
 
 /// The geometry at one time.
 pub(super) struct Moment {
     positions: Vec<DVec3>,
     bvh: Bvh,
+    /// Of a scene that is lit.
+    lit: Option<Lit>,
+}
+
+/// How a moment is lit.
+struct Lit {
+    normals: Vec<DVec3>,
+    light: Vec<Light>,
+    /// What moves.
+    movers: Bvh,
 }
 
 /// What a camera sees at the pixels' centres, and where that goes.
@@ -59,14 +90,20 @@ impl Geometry {
             part_of: Vec::new(),
             texture: Vec::new(),
             light: Vec::new(),
+            lit: scene.lit,
+            moving: Vec::new(),
             parts: scene.parts,
         };
         let mut still = Vec::new();
         for (index, part) in (0u32..).zip(&geometry.parts) {
             let offset = geometry.texture.len() as u32;
             let triangles = part.mesh.triangles.iter().map(|t| t.map(|v| v + offset));
-            if part.motion.is_none() {
-                still.extend(triangles.clone());
+            match part.motion {
+                None => still.extend(triangles.clone()),
+                Some(_) => {
+                    let outwards = part.mesh.triangles_outwards();
+                    geometry.moving.extend(outwards.map(|t| t.map(|v| v + offset)));
+                }
             }
             geometry.triangles.extend(triangles);
             geometry.part_of.resize(geometry.triangles.len(), index);
@@ -75,13 +112,17 @@ impl Geometry {
         let vertices = || geometry.parts.iter().flat_map(|part| &part.mesh.vertices);
         let rest: Vec<DVec3> = vertices().map(|v| v.position).collect();
         let surroundings = Bvh::build(&rest, &still);
+        let lit = geometry.lit;
         geometry.light = geometry
             .parts
             .par_iter()
             .flat_map(|part| {
-                // What moves casts no shadow and takes none: it would slide over the surface.
+                // No shadow that is baked moves along.
                 let open = part.motion.is_none().then_some(&surroundings);
-                part.mesh.vertices.par_iter().map(move |v| light(v.position, v.normal, open))
+                part.mesh.vertices.par_iter().map(move |v| {
+                    let open = open.map_or(1.0, |bvh| openness(v.position, v.normal, bvh));
+                    if lit { light(v.normal, open) } else { baked(v.normal, open) }
+                })
             })
             .collect();
         geometry
@@ -96,21 +137,108 @@ impl Geometry {
             .flat_map(|part| part.mesh.vertices.iter().map(move |v| place(part, v.position)))
             .collect();
         let bvh = Bvh::build(&positions, &self.triangles);
-        Moment { positions, bvh }
+        let lit = self.lit.then(|| self.lit_at(&positions));
+        Moment { positions, bvh, lit }
     }
 
-    fn colour(&self, hit: &Hit) -> Vec3 {
+    /// Normals and light of a moment whose vertices are at `positions`.
+    fn lit_at(&self, positions: &[DVec3]) -> Lit {
+        let mut normals = vec![DVec3::ZERO; positions.len()];
+        for triangle in &self.moving {
+            let [a, b, c] = triangle.map(|v| positions[v as usize]);
+            // Twice the area long: larger triangles count more.
+            let normal = (b - a).cross(c - a);
+            triangle.iter().for_each(|v| normals[*v as usize] += normal);
+        }
+        let mut light = self.light.clone();
+        let parts = self.parts.iter().flat_map(|part| {
+            part.mesh.vertices.iter().map(move |v| (v.normal, part.motion.is_some()))
+        });
+        for ((place, now), (normal, moves)) in normals.iter_mut().zip(&mut light).zip(parts) {
+            *place = match place.try_normalize().filter(|_| moves) {
+                Some(found) => found,
+                None => normal,
+            };
+            if moves {
+                *now = self::light(*place, 1.0);
+            }
+        }
+        Lit { normals, light, movers: Bvh::build(positions, &self.moving) }
+    }
+
+    fn material(&self, hit: &Hit) -> &Material {
+        &self.parts[self.part_of[hit.triangle as usize] as usize].material
+    }
+
+    /// A value of the vertices where a ray met a triangle.
+    fn at_hit<T: std::ops::Mul<f32, Output = T> + std::iter::Sum>(
+        &self,
+        hit: &Hit,
+        of: impl Fn(usize) -> T,
+    ) -> T {
         let corners = self.triangles[hit.triangle as usize].map(|v| v as usize);
         let [b, c] = hit.weights.map(|w| w as f32);
-        let weights = [1.0 - b - c, b, c];
-        let mut point = Vec3::ZERO;
-        let mut light = 0.0;
-        for (corner, weight) in corners.into_iter().zip(weights) {
-            point += self.texture[corner] * weight;
-            light += self.light[corner] * weight;
-        }
-        let material = &self.parts[self.part_of[hit.triangle as usize] as usize].material;
-        (material.colour(point) * light).clamp(Vec3::ZERO, Vec3::ONE)
+        corners.into_iter().zip([1.0 - b - c, b, c]).map(|(v, weight)| of(v) * weight).sum()
+    }
+
+    /// The colour that comes back along a ray; `sample` chooses the point of the lamp.
+    fn colour(&self, moment: &Moment, ray: (DVec3, DVec3), hit: &Hit, sample: usize) -> Vec3 {
+        let Some(lit) = &moment.lit else {
+            let unlit = self.material(hit).colour(self.at_hit(hit, |v| self.texture[v]));
+            return (unlit * self.at_hit(hit, |v| self.light[v].steady))
+                .clamp(Vec3::ZERO, Vec3::ONE);
+        };
+        let (colour, highlight) = self.lit_colour(lit, ray, hit, sample);
+        let gloss = self.material(hit).gloss;
+        let mirrored = if gloss > 0.0 {
+            let (origin, direction) = self.mirrored(lit, ray, hit);
+            // What is seen in the mirror mirrors nothing in turn.
+            let seen = moment.bvh.nearest(origin, direction, None);
+            seen.map_or(Vec3::ZERO, |seen| {
+                self.lit_colour(lit, (origin, direction), &seen, sample).0
+            })
+        } else {
+            Vec3::ZERO
+        };
+        (colour * (1.0 - gloss) + mirrored * gloss + Vec3::splat(highlight * gloss))
+            .clamp(Vec3::ZERO, Vec3::ONE)
+    }
+
+    /// Colour of a surface in its light, and the strength of the lamp's highlight on it.
+    fn lit_colour(&self, lit: &Lit, ray: (DVec3, DVec3), hit: &Hit, sample: usize) -> (Vec3, f32) {
+        let (origin, direction) = ray;
+        let unlit = self.material(hit).colour(self.at_hit(hit, |v| self.texture[v]));
+        let normal = self.facing(lit, hit, direction);
+        let angle = sample as f64 * TAU * 0.618_033_988_749_895;
+        let radius = LAMP_SIZE * ((sample as f64 + 0.5) / (SAMPLES * SAMPLES) as f64).sqrt();
+        let (across, up) = LAMP.normalize().any_orthonormal_pair();
+        let lamp = LAMP.normalize() + (across * angle.cos() + up * angle.sin()) * radius;
+        let from = origin + direction * hit.t + normal * 4e-3;
+        let open = if lit.movers.blocked(from, lamp, f64::INFINITY) { 0.0 } else { 1.0 };
+        let steady: f32 = self.at_hit(hit, |v| lit.light[v].steady);
+        let of_lamp: f32 = self.at_hit(hit, |v| lit.light[v].lamp);
+        let back = (direction - 2.0 * direction.dot(normal) * normal).normalize();
+        let (sharpness, strength) = HIGHLIGHT;
+        let highlight =
+            strength * open * (back.dot(LAMP.normalize()).max(0.0) as f32).powi(sharpness);
+        (unlit * (steady + of_lamp * open), highlight)
+    }
+
+    /// The unit normal of the side that a ray meets.
+    fn facing(&self, lit: &Lit, hit: &Hit, direction: DVec3) -> DVec3 {
+        let corners = self.triangles[hit.triangle as usize].map(|v| lit.normals[v as usize]);
+        let [b, c] = hit.weights;
+        let normal = corners[0] * (1.0 - b - c) + corners[1] * b + corners[2] * c;
+        let normal = normal.try_normalize().unwrap_or(corners[0]);
+        if normal.dot(direction) > 0.0 { -normal } else { normal }
+    }
+
+    /// The ray that goes on from a mirror.
+    fn mirrored(&self, lit: &Lit, ray: (DVec3, DVec3), hit: &Hit) -> (DVec3, DVec3) {
+        let (origin, direction) = ray;
+        let normal = self.facing(lit, hit, direction);
+        let back = direction - 2.0 * direction.dot(normal) * normal;
+        (origin + direction * hit.t + normal * 4e-3, back)
     }
 
     /// The picture that a camera takes: three channels, each pixel the mean over its area.
@@ -147,7 +275,9 @@ impl Geometry {
                     Some(triangle) => moment.bvh.on_plane(triangle, view.centre, ray(i, j)),
                     None => moment.bvh.nearest(view.centre, ray(i, j), *guess),
                 };
-                sum += hit.map_or(Vec3::ZERO, |h| self.colour(&h));
+                let along = (view.centre, ray(i, j));
+                let colour = |h| self.colour(moment, along, &h, j * SAMPLES + i);
+                sum += hit.map_or(Vec3::ZERO, colour);
             }
         }
         sum / (SAMPLES * SAMPLES) as f32
@@ -206,6 +336,17 @@ impl Geometry {
         truth
     }
 
+    /// The median depth of what a camera sees.
+    pub fn median_depth(&self, moment: &Moment, camera: &Camera) -> f64 {
+        let mut depth = self.truth((moment, camera), &[]).depth.pixels;
+        depth.retain(|z| *z > 0.0);
+        let middle = depth.len() / 2;
+        if depth.is_empty() {
+            return 0.0;
+        }
+        f64::from(*depth.select_nth_unstable_by(middle, f32::total_cmp).1)
+    }
+
     /// Where in another camera a surface point is, and whether it is seen there.
     fn seen_in(
         &self,
@@ -261,13 +402,21 @@ impl View {
     }
 }
 
-/// Diffuse light at a vertex: a lamp, the sky of the ceiling, and what the surroundings leave open.
-fn light(position: DVec3, normal: DVec3, surroundings: Option<&Bvh>) -> f32 {
-    let lamp = DVec3::new(-0.45, -0.75, -0.55).normalize();
-    let direct = normal.dot(lamp).max(0.0);
+/// Diffuse light at a vertex that no mover takes away: a lamp, the sky of the ceiling, as far as the
+/// surroundings leave them `open`.
+fn baked(normal: DVec3, open: f64) -> Light {
+    let direct = normal.dot(LAMP.normalize()).max(0.0);
     let ambient = 0.5 - 0.5 * normal.y;
-    let open = surroundings.map_or(1.0, |bvh| openness(position, normal, bvh));
-    ((0.5 + 0.42 * direct + 0.3 * ambient) * (0.4 + 0.6 * open)) as f32
+    let all = (0.5 + 0.42 * direct + 0.3 * ambient) * (0.4 + 0.6 * open);
+    Light { steady: all as f32, lamp: 0.0 }
+}
+
+/// The same light where movers may stand before the lamp, which is stronger.
+fn light(normal: DVec3, open: f64) -> Light {
+    let direct = normal.dot(LAMP.normalize()).max(0.0);
+    let ambient = 0.5 - 0.5 * normal.y;
+    let open = 0.4 + 0.6 * open;
+    Light { steady: ((0.34 + 0.25 * ambient) * open) as f32, lamp: (0.68 * direct * open) as f32 }
 }
 
 /// The share of the hemisphere, weighted by the cosine, that is clear within reach.

@@ -11,8 +11,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::mesh::Mesh;
-use super::movers;
 use super::texture::{Material, Pattern};
+use super::{held, movers, person, thrown};
 use crate::types::Pose;
 
 /// Height of the floor.
@@ -24,6 +24,11 @@ const FRONT: f64 = -1.6;
 const SIDE: f64 = 2.9;
 /// Walls and furniture are cut this fine, for the light is baked at their vertices.
 const CELL: f64 = 0.28;
+
+/// The first parts of the room: floor, ceiling, walls and carpet.
+const FLOOR_AND_WALLS: usize = 7;
+/// How much of their texture they keep where they are plain.
+const PLAIN: f32 = 0.12;
 
 /// Where a rest position is at a time in [0, 1].
 pub(super) type Motion = Arc<dyn Fn(DVec3, f64) -> DVec3 + Send + Sync>;
@@ -42,6 +47,8 @@ pub(super) struct Scene {
     pub path: CameraPath,
     /// Focal length over the image's width.
     pub focal: f64,
+    /// Movers are lit where they are and cast shadows; else light is baked at rest.
+    pub lit: bool,
 }
 
 impl Scene {
@@ -66,11 +73,20 @@ impl Scene {
             }
             "bend" => movers::bending(&mut movers),
             "crowd" => movers::crowd(&mut movers),
+            "throw" => thrown::ball_and_box(&mut movers),
+            "hold" => held::jug(&mut movers),
+            "walk" => person::walking(&mut movers),
             _ => return None,
         };
         let mut parts = room(&mut stream(0));
+        if name == "throw" {
+            parts.iter_mut().take(FLOOR_AND_WALLS).for_each(|part| {
+                part.material = part.material.clone().of_contrast(PLAIN);
+            });
+        }
         parts.extend(moving);
-        Some(Scene { parts, path, focal })
+        let lit = matches!(name, "throw" | "hold" | "walk");
+        Some(Scene { parts, path, focal, lit })
     }
 }
 

@@ -1,7 +1,7 @@
 //! Solid textures: band-limited noise in several octaves, with a pattern laid over it.
 //!
 //! Every texture is a function of a point in its shape's own frame and of nothing else, so that a
-//! surface point keeps its colour in every frame and from every camera.
+//! surface point keeps its unlit colour in every frame and from every camera.
 
 use glam::{IVec3, Vec3};
 use rand::RngExt;
@@ -36,6 +36,10 @@ pub(super) struct Material {
     pub finest: f32,
     /// Which of the noises.
     pub seed: u32,
+    /// How strong noise and pattern are: 1 is textured all over, 0 one plain colour.
+    pub contrast: f32,
+    /// Share of the light that is mirrored.
+    pub gloss: f32,
 }
 
 impl Material {
@@ -46,7 +50,7 @@ impl Material {
         // Away from the base in hue and in brightness, so that the pattern shows in grey as well.
         let value = if base.element_sum() > 1.5 { 0.3 } else { 0.95 };
         let accent = hsv(hue + rng.random_range(0.25..0.75), 0.5, value);
-        Material { base, accent, pattern, finest, seed: rng.random() }
+        Material { base, accent, pattern, finest, seed: rng.random(), contrast: 1.0, gloss: 0.0 }
     }
 
     /// A material of a given main colour, a little varied.
@@ -59,7 +63,19 @@ impl Material {
             pattern,
             finest,
             seed: rng.random(),
+            contrast: 1.0,
+            gloss: 0.0,
         }
+    }
+
+    /// The same with weaker noise and pattern.
+    pub fn of_contrast(self, contrast: f32) -> Material {
+        Material { contrast, ..self }
+    }
+
+    /// The same, but a share of the light is mirrored.
+    pub fn glossy(self, gloss: f32) -> Material {
+        Material { gloss, ..self }
     }
 
     /// The unlit colour at a point of the shape's own frame.
@@ -70,8 +86,9 @@ impl Material {
             noise += lattice_noise(p * frequency, self.seed.wrapping_add(octave as u32)) * *weight;
             frequency *= 0.5;
         }
+        let cover = self.cover(p, noise) * self.contrast;
+        let noise = noise * self.contrast;
         let tint = Vec3::new(noise.y, -0.5 * (noise.y + noise.z), noise.z) * 0.3;
-        let cover = self.cover(p, noise);
         self.base.lerp(self.accent, cover) * (1.0 + 1.2 * noise.x) + tint
     }
 

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::Clip;
+use super::{Clip, HELD_OUT_EVERY};
 use crate::data::trajectory::{self, TimedPose};
 use crate::data::transforms::{self, TimedCamera};
 use crate::data::{exr, flo, intrinsics, write_mask, write_png};
@@ -48,8 +48,14 @@ pub fn check_folder(folder: impl AsRef<Path>) -> Result<()> {
 /// truth/visible_forward/0000.png, truth/visible_backward/0001.png …
 ///                                 white where the flow ends on a point that is seen there
 /// truth/masks/0000.png …          white where something moves
-/// truth/held_out/0/0000.png …, truth/held_out/1/0000.png …
-/// truth/held_out/transforms.json  both cameras at every time
+/// truth/held_out/1/0000.png …, truth/held_out/2/0000.png …, truth/held_out/3/0000.png …
+///                                 from 8, 18 and 30 % of the median depth aside, every second time;
+///                                 the number is that of the frame
+/// truth/held_out/masks/1/0000.png …
+///                                 white where something moves
+/// truth/held_out/covisible/1/0000.png …
+///                                 white where some frame shows the static point, or something moves
+/// truth/held_out/transforms.json  all of these cameras
 /// ```
 ///
 /// # Errors
@@ -92,21 +98,21 @@ fn moved(error: Error, from: &Path, to: &Path) -> Error {
 
 fn contents(clip: &Clip, folder: &Path) -> Result<()> {
     let truth = folder.join("truth");
-    series(&folder.join("frames"), "png", 0, &clip.frames, |path, i| write_png(path, i))?;
-    series(&truth.join("depth"), "exr", 0, &clip.depth, |path, i| exr::write_depth(path, i))?;
-    series(&truth.join("masks"), "png", 0, &clip.masks, |path, i| write_mask(path, i))?;
+    series(&folder.join("frames"), "png", (0, 1), &clip.frames, |path, i| write_png(path, i))?;
+    series(&truth.join("depth"), "exr", (0, 1), &clip.depth, |path, i| exr::write_depth(path, i))?;
+    series(&truth.join("masks"), "png", (0, 1), &clip.masks, |path, i| write_mask(path, i))?;
     for (name, first, flows, visible) in [
         ("forward", 0, &clip.flow_forward, &clip.visible_forward),
         ("backward", 1, &clip.flow_backward, &clip.visible_backward),
     ] {
         let to = truth.join(format!("flow_{name}"));
-        series(&to, "flo", first, flows, |path, flow| {
+        series(&to, "flo", (first, 1), flows, |path, flow| {
             let known = |v: &f32| if v.is_nan() { UNKNOWN_FLOW } else { *v };
             let pixels = flow.pixels.iter().map(known).collect();
             flo::write(path, &Image { pixels, ..*flow })
         })?;
         let to = truth.join(format!("visible_{name}"));
-        series(&to, "png", first, visible, |path, i| write_mask(path, i))?;
+        series(&to, "png", (first, 1), visible, |path, i| write_mask(path, i))?;
     }
     intrinsics::write(truth.join("intrinsics.json"), &clip.intrinsics)?;
     let poses: Vec<TimedPose> = clip
@@ -126,27 +132,31 @@ fn contents(clip: &Clip, folder: &Path) -> Result<()> {
 
     let held_out = truth.join("held_out");
     let (mut cameras, mut files) = (Vec::new(), Vec::new());
-    for (name, view) in clip.held_out.iter().enumerate() {
-        let to = held_out.join(name.to_string());
-        series(&to, "png", 0, &view.frames, |path, i| write_png(path, i))?;
-        for (i, camera) in view.cameras.iter().enumerate() {
-            cameras.push(TimedCamera { time: clip.times[i], camera: *camera });
-            files.push(format!("{name}/{}", number(i)));
+    for (name, view) in (1..).map(|k: usize| k.to_string()).zip(&clip.held_out) {
+        let each = (0, HELD_OUT_EVERY);
+        series(&held_out.join(&name), "png", each, &view.frames, |path, i| write_png(path, i))?;
+        for (kind, images) in [("masks", &view.masks), ("covisible", &view.covisible)] {
+            let to = held_out.join(kind).join(&name);
+            series(&to, "png", each, images, |path, i| write_mask(path, i))?;
+        }
+        for (camera, frame) in view.cameras.iter().zip(&view.times) {
+            cameras.push(TimedCamera { time: clip.times[*frame], camera: *camera });
+            files.push(format!("{name}/{}", number(*frame)));
         }
     }
     transforms::write(held_out.join("transforms.json"), &cameras, &files)
 }
 
-/// Writes images into a new folder, numbered from `first`.
+/// Writes images into a new folder, numbered from the first, every so-manieth.
 fn series(
     folder: &Path,
     extension: &str,
-    first: usize,
+    (first, every): (usize, usize),
     images: &[Image],
     write: impl Fn(&Path, &Image) -> Result<()> + Sync,
 ) -> Result<()> {
     fs::create_dir_all(folder).map_err(Error::io(folder))?;
     images.par_iter().enumerate().try_for_each(|(i, image)| {
-        write(&folder.join(format!("{:04}.{extension}", i + first)), image)
+        write(&folder.join(format!("{:04}.{extension}", first + i * every)), image)
     })
 }
