@@ -31,9 +31,14 @@ const CONTACT: f64 = 0.03;
 const CONTACT_ASIDE: f64 = 0.1;
 /// A contact agrees with the path within this relative difference.
 const AGREES: f64 = 0.1;
+/// Its lower edge is as low as its lower hull but for this share of its height, and so many pixels at
+/// least; what is higher is seen between two feet.
+const NOTCH: (f64, f64) = (0.03, 3.0);
 /// An object touches the ground if it has contacts in this share of its frames, and this share of
 /// them agrees, three at least.
 const TOUCHES: (f64, f64) = (0.25, 0.5);
+/// It does not if it is in the air in more than this share of those frames that tell.
+const IN_THE_AIR: f64 = 0.25;
 /// An object is as deep at its contact as the median of so many points next to it.
 const NEAR_CONTACT: usize = 5;
 /// Masks overhang by so many pixels.
@@ -56,6 +61,9 @@ const SLOPE: f64 = 0.7;
 const MIDDLE: (f64, f64) = (0.1, 2.0);
 /// Along it, relative to its depth, where the object is rigid, and where not even its outline is known.
 const ALONG: (f64, f64) = (0.005, 0.1);
+/// Standard deviation of where an object's centre of mass is from the middle of the points that are seen on
+/// it, over its radius, along each axis.
+const OFF_CENTRE: f64 = 0.3;
 /// An object whose middle is not known for more frames than these may have been thrown back meanwhile.
 const GAP: usize = 2;
 /// A scale is known that has less than this relative deviation.
@@ -187,13 +195,37 @@ pub(super) fn distance(
             (None, None) => None,
         })
         .collect();
-    let smooth = smoothness(&path, &middles, &known, cameras, object.first);
+    let radius = {
+        let pixels = frames.clone().map(|f| {
+            let own = owners[f].iter().filter(|owner| **owner == Some(index as u16));
+            (own.count() as f64 / std::f64::consts::PI).sqrt()
+        });
+        let sizes = pixels.zip(&path).map(|(pixels, depth)| pixels * depth.exp());
+        quantile(sizes.collect(), 0.5) / cameras.intrinsics.fx
+    };
+    let seen: Vec<Seen> = (0..n)
+        .map(|k| {
+            let turned = shape.frames[k].view_from_object.map(|pose| pose.rotation);
+            let turned = turned.map_or(DMat3::ZERO, DMat3::from_quat);
+            Seen {
+                depth: path[k],
+                middle: middles[k],
+                known: known[k],
+                view_from_object: turned * radius,
+            }
+        })
+        .collect();
+    let smooth = smoothness(&seen, cameras, object.first);
+    let lower_ends: Vec<LowerEnd> =
+        frames.clone().map(|f| lower_end(index, &owners[f], behind[f], width)).collect();
+    let walls: Vec<Option<f64>> = lower_ends.iter().map(LowerEnd::wall).collect();
     let contacts: Vec<Option<Estimate>> = frames
         .clone()
         .enumerate()
         .map(|(k, f)| {
-            let Contact { depth, pixel, half_width } =
-                contact(index, &owners[f], behind[f], width)?;
+            let LowerEnd::Touches(Contact { depth, pixel, half_width }) = lower_ends[k] else {
+                return None;
+            };
             let near = object.tracks.iter().zip(&shape.frames[k].relative);
             let mut near: Vec<(f64, f64)> =
                 near.filter_map(|(t, r)| Some((t.at(f)?.distance(pixel), (*r)?))).collect();
@@ -206,7 +238,7 @@ pub(super) fn distance(
             Some(Estimate { value: (depth / relative).ln(), deviation })
         })
         .collect();
-    if let Some((bent, touching)) = touched(&path, &contacts, &steps) {
+    if let Some((bent, touching)) = touched(&path, &contacts, &walls, &steps) {
         let both = smooth.map_or(touching, |smooth| touching.and(smooth));
         let scale = Estimate { value: both.value - touching.value, ..both };
         return Distance { path: bent, scale: Scale::Known(scale) };
@@ -246,31 +278,37 @@ fn middles(shape: &Shape, outlines: &[Option<Outline>]) -> Vec<DVec2> {
     (0..n).map(place).collect()
 }
 
-/// The scale that makes a path smoothest. `known` are standard deviations of the path where the middle is
-/// known.
-fn smoothness(
-    path: &[f64],
-    middles: &[DVec2],
-    known: &[Option<f64>],
-    cameras: &Cameras,
-    first: usize,
-) -> Option<Estimate> {
-    let places: Vec<Place> = (0..path.len())
-        .map(|k| {
-            let world_from_view = cameras.poses[first + k].inverse();
-            let depth = path[k].exp();
-            let relative = cameras.intrinsics.ray(middles[k]) * depth;
-            Place {
-                relative: world_from_view.rotation * relative,
-                centre: world_from_view.translation,
-                across: known[k].map_or(MIDDLE.1, |_| MIDDLE.0) * depth / cameras.intrinsics.fx,
-                along: known[k].unwrap_or(ALONG.1) * depth,
-            }
-        })
-        .collect();
+/// An object in a frame, up to scale.
+struct Seen {
+    /// Logarithm of its depth.
+    depth: f64,
+    middle: DVec2,
+    /// Standard deviation of the depth where the middle is known.
+    known: Option<f64>,
+    /// How it is turned, times its radius; zero where that is not known.
+    view_from_object: DMat3,
+}
+
+/// The scale that makes a path smoothest.
+fn smoothness(path: &[Seen], cameras: &Cameras, first: usize) -> Option<Estimate> {
+    let place = |(k, seen): (usize, &Seen)| {
+        let world_from_view = cameras.poses[first + k].inverse();
+        let depth = seen.depth.exp();
+        let relative = cameras.intrinsics.ray(seen.middle) * depth;
+        let rotation = DMat3::from_quat(world_from_view.rotation);
+        Place {
+            relative: rotation * relative,
+            centre: world_from_view.translation,
+            across: seen.known.map_or(MIDDLE.1, |_| MIDDLE.0) * depth / cameras.intrinsics.fx,
+            along: seen.known.unwrap_or(ALONG.1) * depth,
+            off_centre: rotation * seen.view_from_object * OFF_CENTRE,
+        }
+    };
+    let places: Vec<Place> = path.iter().enumerate().map(place).collect();
+    let known: Vec<Option<f64>> = path.iter().map(|seen| seen.known).collect();
     // Where the middle is not known for some frames a path of its own begins.
     let mut runs: Vec<Vec<Place>> = vec![Vec::new()];
-    for (place, unknown) in places.into_iter().zip(unknown_for(known)) {
+    for (place, unknown) in places.into_iter().zip(unknown_for(&known)) {
         if unknown > GAP {
             runs.push(Vec::new());
         } else {
@@ -309,13 +347,35 @@ struct Contact {
     half_width: f64,
 }
 
-/// Where an object meets static ground. `None` where its lower end is cut off by the picture or hidden.
-fn contact(
+/// What is about an object's lower end in a frame.
+enum LowerEnd {
+    /// Ground, which it would touch there.
+    Touches(Contact),
+    /// A wall of this depth, or what stands upright: the object is in the air before it, or behind it.
+    Wall(f64),
+    /// It is cut off by the picture, hidden, or before a jumble.
+    Unknown,
+}
+
+impl LowerEnd {
+    /// Logarithm of the wall's depth.
+    fn wall(&self) -> Option<f64> {
+        if let LowerEnd::Wall(depth) = self { Some(depth.ln()) } else { None }
+    }
+}
+
+/// What is about an object's lower end.
+fn lower_end(index: usize, owners: &[Option<u16>], behind: Behind<'_>, width: usize) -> LowerEnd {
+    lower_end_before(index, owners, behind, width).unwrap_or(LowerEnd::Unknown)
+}
+
+/// [`lower_end`]; `None` where it is not known.
+fn lower_end_before(
     index: usize,
     owners: &[Option<u16>],
     behind: Behind<'_>,
     width: usize,
-) -> Option<Contact> {
+) -> Option<LowerEnd> {
     let height = owners.len() / width;
     let own = |i: usize| owners[i] == Some(index as u16);
     let mut lowest: Vec<(usize, usize)> = Vec::new();
@@ -335,6 +395,10 @@ fn contact(
     let band = (0.06 * (bottom - top) as f64).max(2.0) as usize;
     let below = |(x, y): (usize, usize)| (y + 2) * width + x;
     lowest.retain(|at| at.1 + band >= bottom && owners[below(*at)].is_none());
+    // It stands on what is near the lower hull, not on what is seen between two feet or wheels.
+    let edge = lowest.clone();
+    let notch = (NOTCH.0 * (bottom - top) as f64).max(NOTCH.1);
+    lowest.retain(|at| at.1 as f64 + notch >= lower_hull(&edge, at.0));
     let (x, y) = *lowest.get(lowest.len() / 2)?;
     let beside = (GROUND.0 * (ends.1 - ends.0) as f64) as usize;
     let up = ((GROUND.1 * (bottom - top) as f64) as usize).max(4);
@@ -343,19 +407,38 @@ fn contact(
     let static_pixels = rows
         .flat_map(|y| columns.clone().map(move |x| (x, y)))
         .filter(|(x, y)| owners[y * width + x].is_none());
-    let plane = plane(static_pixels, behind, width, DVec2::new(x as f64, y as f64 - OVERHANG))?;
+    let plane =
+        plane(static_pixels, behind, width, DVec2::new(x as f64, y as f64 + 0.5 - OVERHANG))?;
     // Ground is seen from above: its depth falls from the horizon downwards.
     let (inverse, slope) = (plane.z, plane.y);
     // What hides the lower end is not on the ground.
     let seen = lowest.iter().map(|at| f64::from(behind.inverse[below(*at)]));
     let next_to_it = quantile(seen.collect(), 0.5);
-    let agrees = (next_to_it / (inverse + slope * (2.0 + OVERHANG))).ln().abs() < HIDES;
-    let found = inverse > 0.0 && slope * height as f64 > SLOPE * inverse && agrees;
-    found.then(|| Contact {
-        depth: 1.0 / inverse,
-        pixel: DVec2::new(x as f64 + 0.5, y as f64 + 0.5),
-        half_width: 0.5 * (ends.1 - ends.0 + 1) as f64,
+    let agrees = (next_to_it / (inverse + slope * (1.5 + OVERHANG))).ln().abs() < HIDES;
+    if inverse <= 0.0 || !agrees {
+        return None;
+    }
+    let depth = 1.0 / inverse;
+    Some(if slope * height as f64 > SLOPE * inverse {
+        let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+        let half_width = 0.5 * (ends.1 - ends.0 + 1) as f64;
+        LowerEnd::Touches(Contact { depth, pixel, half_width })
+    } else {
+        LowerEnd::Wall(depth)
     })
+}
+
+/// The row at column `x` of the lower hull of an object's `lowest` pixels: between two feet it is the line
+/// from one to the other.
+fn lower_hull(lowest: &[(usize, usize)], x: usize) -> f64 {
+    let at = x as f64;
+    let points = || lowest.iter().map(|(x, y)| DVec2::new(*x as f64, *y as f64));
+    let here = points().filter(|p| p.x == at).map(|p| p.y);
+    let left = || points().filter(|p| p.x < at);
+    let between = left().flat_map(|a| {
+        points().filter(|b| b.x > at).map(move |b| a.y + (b.y - a.y) * (at - a.x) / (b.x - a.x))
+    });
+    here.chain(between).fold(0.0, f64::max)
 }
 
 /// The plane that most pixels of measured depth lie on: on a plane inverse depth is linear in the
@@ -421,6 +504,7 @@ fn sized(path: Vec<f64>, sizes: &[Option<f64>], deviation: f64, steps: &[f64]) -
 fn touched(
     path: &[f64],
     contacts: &[Option<Estimate>],
+    walls: &[Option<f64>],
     steps: &[f64],
 ) -> Option<(Vec<f64>, Estimate)> {
     let offsets: Vec<Estimate> = contacts
@@ -442,7 +526,13 @@ fn touched(
     let off = |(c, b): (&Option<Estimate>, &f64)| Some(((*c)?.value - b, (*c)?.deviation));
     let off: Vec<(f64, f64)> = contacts.iter().zip(&bent).filter_map(off).collect();
     let agree = off.iter().filter(|(off, _)| off.abs() < AGREES).count();
-    let touches = agree >= 3 && agree as f64 >= TOUCHES.1 * offsets.len() as f64;
+    // What is in the air is nearer than the ground that is seen below it, and goes before walls.
+    let nearer = off.iter().filter(|(off, _)| *off <= -AGREES).count();
+    let before = walls.iter().zip(&bent).filter(|(wall, b)| wall.is_some_and(|w| w > **b)).count();
+    let all = offsets.len() as f64;
+    let touches = agree >= 3
+        && agree as f64 >= TOUCHES.1 * all
+        && (nearer + before) as f64 <= IN_THE_AIR * (all + before as f64);
     let moved = bent.iter().zip(path).map(|(b, p)| b - p).sum::<f64>() / path.len() as f64;
     // What puts one contact off puts off its neighbours: they are not averaged.
     let of_deviation = off.iter().map(|(off, deviation)| off.abs() / deviation).collect();
@@ -529,18 +619,20 @@ mod tests {
             })
             .collect();
         let steps = [0.002; 9];
-        let (found, scale) = touched(&path, &contacts, &steps).unwrap();
+        let (found, scale) = touched(&path, &contacts, &[None; 10], &steps).unwrap();
         for (logarithm, p) in found.iter().zip(&path) {
             assert!((logarithm - p - 3f64.ln()).abs() < 0.01, "{logarithm}");
         }
         assert!((scale.value - 3f64.ln()).abs() < 0.01 && scale.deviation == CONTACT, "{scale:?}");
         // Contacts that come from what happens to lie below do not agree.
         let below = |k: usize| sure((2.0 + k as f64).ln());
-        assert!(touched(&path, &(0..10).map(below).collect::<Vec<_>>(), &steps).is_none());
-        assert!(touched(&path, &[None; 10], &steps).is_none());
+        assert!(
+            touched(&path, &(0..10).map(below).collect::<Vec<_>>(), &[None; 10], &steps).is_none()
+        );
+        assert!(touched(&path, &[None; 10], &[None; 10], &steps).is_none());
         // Two of ten are too few to be more than chance.
         let few: Vec<_> = (0..10).map(|k| if k < 2 { contacts[k] } else { None }).collect();
-        assert!(touched(&path, &few, &steps).is_none());
+        assert!(touched(&path, &few, &[None; 10], &steps).is_none());
         // Of two groups the smaller one is believed that is near the object's middle.
         let contacts: Vec<Option<Estimate>> = (0..10)
             .map(|k| match k {
@@ -548,7 +640,7 @@ mod tests {
                 _ => Some(Estimate { value: path[k] + 3f64.ln() - 0.08, deviation: 0.1 }),
             })
             .collect();
-        let (_, scale) = touched(&path, &contacts, &steps).unwrap();
+        let (_, scale) = touched(&path, &contacts, &[None; 10], &steps).unwrap();
         assert!((scale.value - 3f64.ln()).abs() < 0.02, "{scale:?}");
     }
 
@@ -597,21 +689,69 @@ mod tests {
         };
         let (inverse, confidence) = ground(|_| false);
         let behind = Behind { inverse: &inverse.pixels, confidence: &confidence.pixels };
-        let Contact { depth, pixel, half_width } = contact(0, &object(30.0), behind, w).unwrap();
+        let touches = |owners: &[Option<u16>]| match lower_end(0, owners, behind, w) {
+            LowerEnd::Touches(contact) => contact,
+            _ => panic!("it touches nothing"),
+        };
+        let unknown = |index: usize, owners: &[Option<u16>], behind: Behind<'_>| {
+            matches!(lower_end(index, owners, behind, w), LowerEnd::Unknown)
+        };
+        let Contact { depth, pixel, half_width } = touches(&object(30.0));
         assert_eq!(half_width, 5.0);
-        // A row above the last of the mask.
-        assert!((1.0 / depth / (0.1 + 0.02 * 28.5) - 1.0).abs() < 0.01, "{depth}");
+        // The lower edge of the row above the last of the mask.
+        assert!((1.0 / depth / (0.1 + 0.02 * 29.0) - 1.0).abs() < 0.01, "{depth}");
         assert_eq!(pixel.y, 29.5);
-        assert!(contact(0, &object(39.0), behind, w).is_none(), "it is cut off");
-        assert!(contact(1, &object(30.0), behind, w).is_none());
+        assert!(unknown(0, &object(39.0), behind), "it is cut off");
+        assert!(unknown(1, &object(30.0), behind));
+        // Between two feet the mask ends higher.
+        let mut feet = object(30.0);
+        for i in (0..w * h).filter(|i| within(centre(*i), (22.0, 26.0), (28.0, 30.0))) {
+            feet[i] = None;
+        }
+        let contact = touches(&feet);
+        assert!((contact.depth / depth - 1.0).abs() < 1e-6 && contact.pixel.y == 29.5);
+        assert!(!(22.0..28.0).contains(&contact.pixel.x), "{}", contact.pixel.x);
         // A box stands before its lower end.
         let (inverse, confidence) = ground(|p| within(p, (16.0, 29.0), (36.0, 40.0)));
         let behind = Behind { inverse: &inverse.pixels, confidence: &confidence.pixels };
-        assert!(contact(0, &object(30.0), behind, w).is_none(), "it is hidden");
+        assert!(unknown(0, &object(30.0), behind), "it is hidden");
         // A wall is no ground.
         let wall = map(|_| 0.5);
         let behind = Behind { inverse: &wall.pixels, confidence: &confidence.pixels };
-        assert!(contact(0, &object(30.0), behind, w).is_none());
+        let LowerEnd::Wall(depth) = lower_end(0, &object(30.0), behind, w) else {
+            panic!("it is before a wall")
+        };
+        assert!((depth - 2.0).abs() < 1e-3, "{depth}");
+    }
+
+    #[test]
+    fn the_lower_hull_goes_from_foot_to_foot() {
+        let lowest = [(0, 10), (1, 10), (2, 4), (3, 3), (4, 8), (5, 6)];
+        let hull: Vec<f64> = lowest.iter().map(|(x, _)| lower_hull(&lowest, *x)).collect();
+        for (found, expected) in hull.iter().zip([10.0, 10.0, 28.0 / 3.0, 26.0 / 3.0, 8.0, 6.0]) {
+            assert!((found - expected).abs() < 1e-9, "{hull:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_in_the_air_touches_nothing() {
+        // The ground that is seen below it is as far as a path would be that touched it, by chance.
+        let path = [0.0; 12];
+        let steps = [0.002; 11];
+        let at = |value: f64| Some(Estimate { value, deviation: CONTACT });
+        let mut contacts = [None; 12];
+        contacts[..6].fill(at(1.0));
+        assert!(touched(&path, &contacts, &[None; 12], &steps).is_some());
+        // In as many frames it goes before a wall that is farther.
+        let mut walls = [None; 12];
+        walls[6..].fill(Some(1.3));
+        assert!(touched(&path, &contacts, &walls, &steps).is_none());
+        // A nearer one hides it.
+        walls[6..].fill(Some(0.7));
+        assert!(touched(&path, &contacts, &walls, &steps).is_some());
+        // It is seen before ground that is nearer.
+        contacts[6..10].fill(at(0.7));
+        assert!(touched(&path, &contacts, &[None; 12], &steps).is_none());
     }
 
     #[test]
