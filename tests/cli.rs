@@ -201,8 +201,8 @@ fn a_scene_is_measured_against_the_truth() {
     assert_eq!(found["poses"], 4);
     assert_eq!(found["mask_iou"], 0.0, "a static scene covers none of the mover");
     assert!(found["depth_rel_median"].as_f64().unwrap() > 0.0);
-    assert_eq!(found["per_frame"].as_array().unwrap().len(), 8, "two cameras at four times");
-    // Measured: 16.48 dB and an SSIM of 0.324, through the true focal length and our own.
+    assert_eq!(found["per_frame"].as_array().unwrap().len(), 6, "three cameras at two times");
+    // Measured: 16.03 dB and an SSIM of 0.294, through the true focal length and our own.
     assert!(found["psnr"].as_f64() > Some(15.7), "{found}");
     assert!(found["ssim"].as_f64() > Some(0.28), "{found}");
     assert_eq!(found["psnr"], found["psnr_own_focal"]);
@@ -222,7 +222,7 @@ fn a_scene_is_measured_against_the_truth() {
     let of = |found: &Value, key: &str| found[key].as_f64().unwrap();
     assert!((of(&off, "focal_error") - 0.2).abs() < 1e-5, "{off}");
     assert!((of(&off, "psnr") - of(&found, "psnr")).abs() < 1e-6, "{off}");
-    // Measured: 17.39 dB, which would be 0.9 dB too kind.
+    // Measured: 17.08 dB, which would be 1.05 dB too kind.
     assert!((of(&off, "psnr_own_focal") - of(&off, "psnr")).abs() > 0.4, "{off}");
 }
 
@@ -839,12 +839,14 @@ fn a_clip_in_which_nothing_moves_becomes_a_static_scene() {
         assert!(folder.path().join("report").join(file).is_file(), "{file}");
     }
     let found = json(folder.path(), "eval scene.safetensors clip/truth");
-    // Measured: 0.2 % of the path, 0.7 % of the focal length, 3 % of the depth, 18.99 dB, SSIM 0.522.
+    // Measured: 0.1 % of the path, 0.6 % of the focal length, 4 % of the depth; from 8 % of the depth
+    // aside 18.38 dB, SSIM 0.508.
     assert!(found["ate_relative"].as_f64() < Some(0.02), "{found}");
     assert!(found["focal_error"].as_f64() < Some(0.04), "{found}");
     assert!(found["depth_rel_median"].as_f64() < Some(0.1), "{found}");
-    assert!(found["psnr"].as_f64() > Some(18.0), "{found}");
-    assert!(found["ssim"].as_f64() > Some(0.46), "{found}");
+    let nearest = &found["held_out"][0];
+    assert!(nearest["psnr"].as_f64() > Some(18.0), "{found}");
+    assert!(nearest["ssim"].as_f64() > Some(0.46), "{found}");
     let path = json(folder.path(), "eval report/poses.txt clip/truth/poses.txt");
     assert!(
         (path["ate_rmse"].as_f64().unwrap() - found["ate_rmse"].as_f64().unwrap()).abs() < 1e-6

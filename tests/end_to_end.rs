@@ -112,8 +112,11 @@ fn rigid_is_reconstructed_from_its_frames_alone() {
     assert!(ate <= 0.05, "ATE {ate} of the path");
     assert!(iou >= 0.6, "mask IoU {iou}");
     assert!(psnr >= 21.0, "{psnr} dB on the input");
-    // Measured: 0.09 % of the path, IoU 0.95, 28.64 dB, held out 21.37 dB against 18.57 dB.
-    assert!(held_out >= copied + 1.5, "{held_out} dB on held-out views, {copied} without depth");
+    // Measured: 0.03 % of the path, IoU 0.93, 30.20 dB, held out 22.34 dB against 14.29 dB.
+    assert!(
+        held_out >= 21.0 && held_out >= copied + 6.0,
+        "{held_out} dB on held-out views, {copied} without depth"
+    );
     assert!(outcome.scene.gaussians.is_dynamic() && !outcome.scene.control_points.is_empty());
     assert!(outcome.scene.moves());
     // Three quarters of the most to begin with; then as the loss asks.
