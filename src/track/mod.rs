@@ -15,6 +15,7 @@
 //! | `shape` | each object's shape and path up to scale |
 //! | `movers` | depth of movers' pixels, from shapes and distances |
 //! | `distance` | how far an object is: contact with the ground, its size, a smooth path |
+//! | `lower_end` | what an object stands on, or goes before |
 //! | `unfollowed` | parts of movers on which no point could be followed |
 //! | `contour` | an object's pixels in a frame, and what its contour borders on |
 //! | `outline` | what an object's outline tells of its place and size |
@@ -32,6 +33,7 @@ mod cameras;
 mod contour;
 mod depth;
 mod distance;
+mod lower_end;
 mod masks;
 mod movers;
 mod objects;

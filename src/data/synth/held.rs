@@ -7,7 +7,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::mesh::Mesh;
-use super::movers::{rigid, sign};
+use super::movers::sign;
 use super::scene::{Assembly, Part};
 use super::texture::{Material, Pattern};
 use crate::types::Pose;
@@ -41,8 +41,7 @@ pub(super) fn jug(rng: &mut ChaCha8Rng) -> Vec<Part> {
         Pose::new(DQuat::from_rotation_arc(-DVec3::Y, up), wrist)
     };
     let mut a = Assembly::new(rng);
-    a.world_from_shape = hand(0.5);
-    a.motion = Some(rigid(hand(0.5), hand));
+    a.carry(hand);
     let glaze = Material::random(a.rng, Pattern::Blobs(0.09), 0.018).glossy(0.2);
     a.add(Mesh::cylinder(0.13, 0.17, 48, 4), glaze.clone());
     for (y, reach) in [(-0.09, 0.06), (0.09, 0.06)] {
@@ -54,8 +53,7 @@ pub(super) fn jug(rng: &mut ChaCha8Rng) -> Vec<Part> {
     a.add(grip, glaze);
     let skin = Material::tinted(a.rng, [0.74, 0.55, 0.45], Pattern::Plain, 0.03);
     a.add(Mesh::ellipsoid(DVec3::new(0.1, 0.07, 0.09), 32).at(DVec3::Y * 0.21), skin.clone());
-    a.world_from_shape = arm(0.5);
-    a.motion = Some(rigid(arm(0.5), arm));
+    a.carry(arm);
     let sleeve = Material::random(a.rng, Pattern::Stripes(Vec3::new(0.0, 6.0, 1.0)), 0.025);
     a.add(Mesh::cylinder(0.055, 0.09, 24, 2).at(DVec3::Y * 0.08), skin);
     let cloth = Mesh::cylinder(0.085, 0.5 * FOREARM, 32, 6);

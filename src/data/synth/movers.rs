@@ -44,10 +44,8 @@ pub(super) fn cart(rng: &mut ChaCha8Rng) -> Vec<Part> {
         let heading = (4.0 * curve * s).atan2(length);
         upright(middle + way * 0.5 * length * s, depth + curve * s * s, way * -heading)
     };
-    let rest = drive(0.5);
     let mut a = Assembly::new(rng);
-    a.world_from_shape = rest;
-    a.motion = Some(rigid(rest, drive));
+    a.carry(drive);
     // Heights are below zero: y points down, and the shape's origin lies on the floor.
     let body = Material::random(a.rng, Pattern::Blobs(0.2), 0.035);
     let cab = Material::random(a.rng, Pattern::Stripes(Vec3::new(2.0, 1.4, 1.0)), 0.035);

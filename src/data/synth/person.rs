@@ -10,7 +10,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::mesh::Mesh;
-use super::movers::{rigid, sign};
+use super::movers::sign;
 use super::scene::{Assembly, FLOOR, Part};
 use super::texture::{Material, Pattern};
 use crate::types::Pose;
@@ -104,7 +104,7 @@ pub(super) fn walking(rng: &mut ChaCha8Rng) -> Vec<Part> {
     let trousers = Material::random(a.rng, Pattern::Blobs(0.1), 0.026);
     let skin = Material::tinted(a.rng, [0.72, 0.54, 0.44], Pattern::Blobs(0.11), 0.024);
     let shoe = Material::tinted(a.rng, [0.25, 0.2, 0.18], Pattern::Plain, 0.03);
-    limb(&mut a, move |time| gait.world_from_hips(time));
+    a.carry(move |time| gait.world_from_hips(time));
     let chest = DVec3::new(0.14, 0.33, 0.21);
     a.add(Mesh::ellipsoid(chest, 32).at(DVec3::Y * (-0.55 * TRUNK)), coat.clone());
     a.add(Mesh::ellipsoid(DVec3::new(0.13, 0.12, 0.17), 28), trousers.clone());
@@ -112,25 +112,19 @@ pub(super) fn walking(rng: &mut ChaCha8Rng) -> Vec<Part> {
     let head = DVec3::new(0.125, 0.15, 0.11);
     a.add(Mesh::ellipsoid(head, 28).at(DVec3::new(0.01, -TRUNK - 0.25, 0.0)), skin.clone());
     for side in [-1.0, 1.0] {
-        limb(&mut a, move |time| gait.world_from_thigh(side, time));
+        a.carry(move |time| gait.world_from_thigh(side, time));
         a.add(rounded(0.085, THIGH), trousers.clone());
-        limb(&mut a, move |time| gait.world_from_shin(side, time));
+        a.carry(move |time| gait.world_from_shin(side, time));
         a.add(rounded(0.065, SHIN - 0.06), trousers.clone());
         let foot = Mesh::ellipsoid(DVec3::new(0.13, 0.05, 0.05), 24);
         a.add(foot.at(DVec3::new(0.06, SHIN - 0.05, 0.0)), shoe.clone());
-        limb(&mut a, move |time| gait.world_from_upper_arm(side, time));
+        a.carry(move |time| gait.world_from_upper_arm(side, time));
         a.add(rounded(0.06, UPPER_ARM), coat.clone());
-        limb(&mut a, move |time| gait.world_from_lower_arm(side, time));
+        a.carry(move |time| gait.world_from_lower_arm(side, time));
         a.add(rounded(0.048, LOWER_ARM - 0.06), coat.clone());
         a.add(Mesh::ellipsoid(DVec3::splat(0.055), 20).at(DVec3::Y * LOWER_ARM), skin.clone());
     }
     a.parts
-}
-
-/// Shapes that are added next belong to a limb, in whose frame they are given.
-fn limb(a: &mut Assembly, world_from_limb: impl Fn(f64) -> Pose + Send + Sync + 'static) {
-    a.world_from_shape = world_from_limb(0.5);
-    a.motion = Some(rigid(world_from_limb(0.5), world_from_limb));
 }
 
 /// From the joint at the origin down along y.

@@ -188,40 +188,39 @@ impl Geometry {
             return (unlit * self.at_hit(hit, |v| self.light[v].steady))
                 .clamp(Vec3::ZERO, Vec3::ONE);
         };
-        let (colour, highlight) = self.lit_colour(lit, ray, hit, sample);
+        let (colour, open) = self.lit_colour(lit, ray, hit, sample);
         let gloss = self.material(hit).gloss;
-        let mirrored = if gloss > 0.0 {
-            let (origin, direction) = self.mirrored(lit, ray, hit);
-            // What is seen in the mirror mirrors nothing in turn.
-            let seen = moment.bvh.nearest(origin, direction, None);
-            seen.map_or(Vec3::ZERO, |seen| {
-                self.lit_colour(lit, (origin, direction), &seen, sample).0
-            })
-        } else {
-            Vec3::ZERO
-        };
-        (colour * (1.0 - gloss) + mirrored * gloss + Vec3::splat(highlight * gloss))
+        if gloss == 0.0 {
+            return colour.clamp(Vec3::ZERO, Vec3::ONE);
+        }
+        let normal = self.facing(lit, hit, ray.1);
+        let back = ray.1 - 2.0 * ray.1.dot(normal) * normal;
+        let onward = (off_surface(ray, hit, normal), back);
+        // What is seen in the mirror mirrors nothing in turn.
+        let seen = moment.bvh.nearest(onward.0, onward.1, None);
+        let mirrored =
+            seen.map_or(Vec3::ZERO, |seen| self.lit_colour(lit, onward, &seen, sample).0);
+        let (sharpness, strength) = HIGHLIGHT;
+        let aligned = back.normalize().dot(LAMP.normalize()).max(0.0) as f32;
+        let highlight = strength * open * aligned.powi(sharpness);
+        (colour * (1.0 - gloss) + (mirrored + Vec3::splat(highlight)) * gloss)
             .clamp(Vec3::ZERO, Vec3::ONE)
     }
 
-    /// Colour of a surface in its light, and the strength of the lamp's highlight on it.
+    /// Colour of a surface in its light, and 1 where the lamp shines on it, else 0.
     fn lit_colour(&self, lit: &Lit, ray: (DVec3, DVec3), hit: &Hit, sample: usize) -> (Vec3, f32) {
-        let (origin, direction) = ray;
         let unlit = self.material(hit).colour(self.at_hit(hit, |v| self.texture[v]));
-        let normal = self.facing(lit, hit, direction);
+        let normal = self.facing(lit, hit, ray.1);
         let angle = sample as f64 * TAU * 0.618_033_988_749_895;
         let radius = LAMP_SIZE * ((sample as f64 + 0.5) / (SAMPLES * SAMPLES) as f64).sqrt();
-        let (across, up) = LAMP.normalize().any_orthonormal_pair();
-        let lamp = LAMP.normalize() + (across * angle.cos() + up * angle.sin()) * radius;
-        let from = origin + direction * hit.t + normal * 4e-3;
-        let open = if lit.movers.blocked(from, lamp, f64::INFINITY) { 0.0 } else { 1.0 };
+        let lamp = LAMP.normalize();
+        let (across, up) = lamp.any_orthonormal_pair();
+        let lamp = lamp + (across * angle.cos() + up * angle.sin()) * radius;
+        let hidden = lit.movers.blocked(off_surface(ray, hit, normal), lamp, f64::INFINITY);
+        let open = if hidden { 0.0 } else { 1.0 };
         let steady: f32 = self.at_hit(hit, |v| lit.light[v].steady);
         let of_lamp: f32 = self.at_hit(hit, |v| lit.light[v].lamp);
-        let back = (direction - 2.0 * direction.dot(normal) * normal).normalize();
-        let (sharpness, strength) = HIGHLIGHT;
-        let highlight =
-            strength * open * (back.dot(LAMP.normalize()).max(0.0) as f32).powi(sharpness);
-        (unlit * (steady + of_lamp * open), highlight)
+        (unlit * (steady + of_lamp * open), open)
     }
 
     /// The unit normal of the side that a ray meets.
@@ -231,14 +230,6 @@ impl Geometry {
         let normal = corners[0] * (1.0 - b - c) + corners[1] * b + corners[2] * c;
         let normal = normal.try_normalize().unwrap_or(corners[0]);
         if normal.dot(direction) > 0.0 { -normal } else { normal }
-    }
-
-    /// The ray that goes on from a mirror.
-    fn mirrored(&self, lit: &Lit, ray: (DVec3, DVec3), hit: &Hit) -> (DVec3, DVec3) {
-        let (origin, direction) = ray;
-        let normal = self.facing(lit, hit, direction);
-        let back = direction - 2.0 * direction.dot(normal) * normal;
-        (origin + direction * hit.t + normal * 4e-3, back)
     }
 
     /// The picture that a camera takes: three channels, each pixel the mean over its area.
@@ -374,6 +365,11 @@ impl Geometry {
                 .is_some_and(|first| first.t > local.z * (1.0 - 1e-4));
         Some((to, seen))
     }
+}
+
+/// Where a ray met a surface, so far off it that a ray from there does not meet it again.
+fn off_surface((origin, direction): (DVec3, DVec3), hit: &Hit, normal: DVec3) -> DVec3 {
+    origin + direction * hit.t + normal * 4e-3
 }
 
 /// A camera, as rays want it.

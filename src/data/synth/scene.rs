@@ -158,6 +158,13 @@ impl<'a> Assembly<'a> {
         self.parts.push(Part { mesh, material, motion: self.motion.clone() });
     }
 
+    /// Shapes that are added from here on are given in a frame that is carried to `world_from_shape` of
+    /// each time.
+    pub fn carry(&mut self, world_from_shape: impl Fn(f64) -> Pose + Send + Sync + 'static) {
+        self.world_from_shape = world_from_shape(0.5);
+        self.motion = Some(movers::rigid(self.world_from_shape, world_from_shape));
+    }
+
     /// Adds a box of a random material between two heights, `top` the smaller.
     fn crate_box(
         &mut self,

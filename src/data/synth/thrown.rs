@@ -5,7 +5,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::mesh::Mesh;
-use super::movers::{rigid, sign};
+use super::movers::sign;
 use super::scene::{Assembly, Part};
 use super::texture::{Material, Pattern};
 use crate::types::Pose;
@@ -49,7 +49,7 @@ pub(super) fn ball_and_box(rng: &mut ChaCha8Rng) -> Vec<Part> {
         ),
         spin: random_spin(a.rng, 2.5),
     };
-    fly(&mut a, ball);
+    a.carry(move |time| ball.world_from_shape(time));
     let skin = Material::random(a.rng, Pattern::Stripes(Vec3::new(2.0, 3.5, 0.0)), 0.03);
     let radius = a.rng.random_range(0.17..0.2);
     a.add(Mesh::ellipsoid(DVec3::splat(radius), 48), skin);
@@ -66,16 +66,10 @@ pub(super) fn ball_and_box(rng: &mut ChaCha8Rng) -> Vec<Part> {
         ),
         spin: random_spin(a.rng, 3.0),
     };
-    fly(&mut a, parcel);
+    a.carry(move |time| parcel.world_from_shape(time));
     let paper = Material::random(a.rng, Pattern::Blobs(0.14), 0.03);
     a.add(Mesh::cuboid(DVec3::new(0.24, 0.17, 0.2), 0.3), paper);
     a.parts
-}
-
-fn fly(a: &mut Assembly, flight: Flight) {
-    let rest = flight.world_from_shape(0.5);
-    a.world_from_shape = rest;
-    a.motion = Some(rigid(rest, move |time| flight.world_from_shape(time)));
 }
 
 fn random_spin(rng: &mut ChaCha8Rng, rate: f64) -> DVec3 {

@@ -1,0 +1,229 @@
+//! What a mover stands on, or goes before: the static world about its lower end.
+
+use glam::{DMat3, DVec2, DVec3};
+
+use super::distance::Behind;
+use super::quantile;
+
+/// An object's lower edge is as low as its lower hull but for this share of its height, and so many pixels at
+/// least; what is higher is seen between two feet.
+const NOTCH: (f64, f64) = (0.03, 3.0);
+/// Masks overhang by so many pixels.
+const OVERHANG: f64 = 1.0;
+/// The ground at a contact is a plane about it: so many widths of the object to each side, so many of
+/// its heights up and down, at least so many pixels.
+const GROUND: (f64, f64) = (0.3, 0.4);
+const GROUND_PIXELS: usize = 40;
+/// To this relative difference of inverse depth, at least this share of the pixels lies on the plane.
+const ON_GROUND: (f64, f64) = (0.05, 0.6);
+/// Weight of a pixel whose depth is filled in; one that is measured has up to 0.5.
+const UNMEASURED: f64 = 0.01;
+/// What lies next to a contact and is not so deep as the ground, to this relative difference, hides
+/// the object's lower end.
+const HIDES: f64 = 0.2;
+/// Over the height of the picture the ground's inverse depth changes by at least this share.
+const SLOPE: f64 = 0.7;
+
+/// Where an object meets static ground.
+pub(super) struct Contact {
+    /// The ground's.
+    pub depth: f64,
+    pub pixel: DVec2,
+    /// Half of the object's width there, pixels.
+    pub half_width: f64,
+}
+
+/// What is about an object's lower end in a frame.
+pub(super) enum LowerEnd {
+    /// Ground, which it would touch there.
+    Touches(Contact),
+    /// A wall of this depth, or what stands upright: the object is in the air before it, or behind it.
+    Wall(f64),
+}
+
+/// What is about an object's lower end; `None` where it is cut off by the picture, hidden, or before a jumble.
+pub(super) fn lower_end(
+    index: usize,
+    owners: &[Option<u16>],
+    behind: Behind<'_>,
+    width: usize,
+) -> Option<LowerEnd> {
+    let height = owners.len() / width;
+    let own = |i: usize| owners[i] == Some(index as u16);
+    let mut lowest: Vec<(usize, usize)> = Vec::new();
+    let (mut top, mut bottom) = (usize::MAX, 0);
+    for x in 0..width {
+        let mut column = (0..height).filter(|y| own(y * width + x));
+        let Some(first) = column.next() else { continue };
+        let last = column.next_back().unwrap_or(first);
+        (top, bottom) = (top.min(first), bottom.max(last));
+        lowest.push((x, last));
+    }
+    // Masks overhang by a pixel or two.
+    if lowest.len() < 3 || bottom + 3 >= height {
+        return None;
+    }
+    let ends = (lowest[0].0, lowest[lowest.len() - 1].0);
+    let band = (0.06 * (bottom - top) as f64).max(2.0) as usize;
+    let below = |(x, y): (usize, usize)| (y + 2) * width + x;
+    lowest.retain(|at| at.1 + band >= bottom && owners[below(*at)].is_none());
+    // It stands on what is near the lower hull, not on what is seen between two feet or wheels.
+    let edge = lowest.clone();
+    let notch = (NOTCH.0 * (bottom - top) as f64).max(NOTCH.1);
+    lowest.retain(|at| at.1 as f64 + notch >= lower_hull(&edge, at.0));
+    let (x, y) = *lowest.get(lowest.len() / 2)?;
+    let beside = (GROUND.0 * (ends.1 - ends.0) as f64) as usize;
+    let up = ((GROUND.1 * (bottom - top) as f64) as usize).max(4);
+    let columns = ends.0.saturating_sub(beside)..=(ends.1 + beside).min(width - 1);
+    let rows = bottom.saturating_sub(up)..=(bottom + up).min(height - 1);
+    let static_pixels = rows
+        .flat_map(|y| columns.clone().map(move |x| (x, y)))
+        .filter(|(x, y)| owners[y * width + x].is_none());
+    let plane =
+        plane(static_pixels, behind, width, DVec2::new(x as f64, y as f64 + 0.5 - OVERHANG))?;
+    // Ground is seen from above: its depth falls from the horizon downwards.
+    let (inverse, slope) = (plane.z, plane.y);
+    // What hides the lower end is not on the ground.
+    let seen = lowest.iter().map(|at| f64::from(behind.inverse[below(*at)]));
+    let next_to_it = quantile(seen.collect(), 0.5);
+    let agrees = (next_to_it / (inverse + slope * (1.5 + OVERHANG))).ln().abs() < HIDES;
+    if inverse <= 0.0 || !agrees {
+        return None;
+    }
+    let depth = 1.0 / inverse;
+    Some(if slope * height as f64 > SLOPE * inverse {
+        let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+        let half_width = 0.5 * (ends.1 - ends.0 + 1) as f64;
+        LowerEnd::Touches(Contact { depth, pixel, half_width })
+    } else {
+        LowerEnd::Wall(depth)
+    })
+}
+
+/// The row at column `x` of the lower hull of an object's `lowest` pixels: between two feet it is the line
+/// from one to the other.
+fn lower_hull(lowest: &[(usize, usize)], x: usize) -> f64 {
+    let at = x as f64;
+    let points = || lowest.iter().map(|(x, y)| DVec2::new(*x as f64, *y as f64));
+    let here = points().filter(|p| p.x == at).map(|p| p.y);
+    let left = || points().filter(|p| p.x < at);
+    let between = left().flat_map(|a| {
+        points().filter(|b| b.x > at).map(move |b| a.y + (b.y - a.y) * (at - a.x) / (b.x - a.x))
+    });
+    here.chain(between).fold(0.0, f64::max)
+}
+
+/// The plane that most pixels of measured depth lie on: on a plane inverse depth is linear in the
+/// pixel. Its slopes by x and y and its value at the pixel `at`. `None` for too few pixels, and where
+/// they lie on no one plane.
+fn plane(
+    pixels: impl Iterator<Item = (usize, usize)>,
+    behind: Behind<'_>,
+    width: usize,
+    at: DVec2,
+) -> Option<DVec3> {
+    let samples: Vec<(DVec3, f64, f64)> = pixels
+        .map(|(x, y)| {
+            let i = y * width + x;
+            let weight = (f64::from(behind.confidence[i]) - 0.5).max(UNMEASURED);
+            let off = DVec2::new(x as f64, y as f64) - at;
+            (off.extend(1.0), f64::from(behind.inverse[i]), weight)
+        })
+        .collect();
+    if samples.len() < GROUND_PIXELS {
+        return None;
+    }
+    let mut plane = DVec3::ZERO;
+    let mut spread = f64::INFINITY;
+    for _ in 0..10 {
+        let (mut products, mut right) = (DMat3::ZERO, DVec3::ZERO);
+        for (row, value, weight) in &samples {
+            let off = (value - plane.dot(*row)) / spread;
+            let weight = weight / (1.0 + off * off).powi(2);
+            products += DMat3::from_cols(*row * row.x, *row * row.y, *row * row.z) * weight;
+            right += *row * (weight * value);
+        }
+        plane = products.inverse() * right;
+        if !plane.is_finite() {
+            return None;
+        }
+        let off = samples.iter().map(|(row, value, _)| (value - plane.dot(*row)).abs()).collect();
+        spread = (2.0 * quantile(off, 0.5)).max(1e-4 * plane.z.abs());
+    }
+    let total: f64 = samples.iter().map(|sample| sample.2).sum();
+    let on = samples.iter().filter(|(row, value, _)| {
+        let expected = plane.dot(*row);
+        (value - expected).abs() < ON_GROUND.0 * expected
+    });
+    (on.map(|sample| sample.2).sum::<f64>() > ON_GROUND.1 * total).then_some(plane)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::sliding::*;
+    use super::*;
+    use crate::types::Image;
+
+    /// Ground that a camera above it sees, some of it measured wrongly, with what hides it in places.
+    fn ground(hides: impl Fn(DVec2) -> bool) -> (Image, Image) {
+        let inverse = map(|p| match (p.x as usize * 7 + p.y as usize * 3) % 5 {
+            _ if hides(p) => 1.4,
+            0 => 0.9,
+            _ => 0.1 + 0.02 * p.y as f32,
+        });
+        (inverse, map(|_| 0.9))
+    }
+
+    #[test]
+    fn an_object_touches_the_ground_at_its_lower_end() {
+        let (w, h) = (WIDTH as usize, HEIGHT as usize);
+        let object = |bottom: f64| -> Vec<Option<u16>> {
+            let on = |i| within(centre(i), (20.0, 8.0), (30.0, bottom));
+            (0..w * h).map(|i| on(i).then_some(0)).collect()
+        };
+        let (inverse, confidence) = ground(|_| false);
+        let behind = Behind { inverse: &inverse.pixels, confidence: &confidence.pixels };
+        let touches = |owners: &[Option<u16>]| match lower_end(0, owners, behind, w) {
+            Some(LowerEnd::Touches(contact)) => contact,
+            _ => panic!("it touches nothing"),
+        };
+        let unknown = |index: usize, owners: &[Option<u16>], behind: Behind<'_>| {
+            lower_end(index, owners, behind, w).is_none()
+        };
+        let Contact { depth, pixel, half_width } = touches(&object(30.0));
+        assert_eq!(half_width, 5.0);
+        // The lower edge of the row above the last of the mask.
+        assert!((1.0 / depth / (0.1 + 0.02 * 29.0) - 1.0).abs() < 0.01, "{depth}");
+        assert_eq!(pixel.y, 29.5);
+        assert!(unknown(0, &object(39.0), behind), "it is cut off");
+        assert!(unknown(1, &object(30.0), behind));
+        // Between two feet the mask ends higher.
+        let mut feet = object(30.0);
+        for i in (0..w * h).filter(|i| within(centre(*i), (22.0, 26.0), (28.0, 30.0))) {
+            feet[i] = None;
+        }
+        let contact = touches(&feet);
+        assert!((contact.depth / depth - 1.0).abs() < 1e-6 && contact.pixel.y == 29.5);
+        assert!(!(22.0..28.0).contains(&contact.pixel.x), "{}", contact.pixel.x);
+        // A box stands before its lower end.
+        let (inverse, confidence) = ground(|p| within(p, (16.0, 29.0), (36.0, 40.0)));
+        let behind = Behind { inverse: &inverse.pixels, confidence: &confidence.pixels };
+        assert!(unknown(0, &object(30.0), behind), "it is hidden");
+        // A wall is no ground.
+        let wall = map(|_| 0.5);
+        let behind = Behind { inverse: &wall.pixels, confidence: &confidence.pixels };
+        let Some(LowerEnd::Wall(depth)) = lower_end(0, &object(30.0), behind, w) else {
+            panic!("it is before a wall")
+        };
+        assert!((depth - 2.0).abs() < 1e-3, "{depth}");
+    }
+
+    #[test]
+    fn the_lower_hull_goes_from_foot_to_foot() {
+        let lowest = [(0, 10), (1, 10), (2, 4), (3, 3), (4, 8), (5, 6)];
+        let hull: Vec<f64> = lowest.iter().map(|(x, _)| lower_hull(&lowest, *x)).collect();
+        for (found, expected) in hull.iter().zip([10.0, 10.0, 28.0 / 3.0, 26.0 / 3.0, 8.0, 6.0]) {
+            assert!((found - expected).abs() < 1e-9, "{hull:?}");
+        }
+    }
+}
