@@ -39,8 +39,9 @@ Reconstructs the clip with everything, then with one component off at a time, po
   lifting           a mover has one depth per region of its mask and frame
   stereo            static depth is that of the flow between neighbouring frames
   track-refinement  tracks are chained flow
+  exposure          all frames are taken to be equally exposed
   rounds            masks and cameras are found once, not in turns
-The last four track the clip anew; flow is computed once, and left out of the times.
+The last five track the clip anew; flow is computed once, and left out of the times.
 
 Every run is measured on the clip's frames, whole and inside the movers: those of CLIP/truth/masks, else
 of the full run's masks. Where CLIP has a `truth` folder, as `synth` writes it, the held-out cameras are

@@ -25,7 +25,7 @@ pub enum Switch {
 use Switch::{Track, Train};
 
 /// All of them; those of training first, which share the full run's track.
-pub const COMPONENTS: [Component; 14] = [
+pub const COMPONENTS: [Component; 15] = [
     Component {
         name: "motion",
         without: "everything is static",
@@ -90,6 +90,11 @@ pub const COMPONENTS: [Component; 14] = [
         name: "track-refinement",
         without: "tracks are chained flow",
         switch: Track(|options| options.refine_tracks = false),
+    },
+    Component {
+        name: "exposure",
+        without: "all frames are taken to be equally exposed",
+        switch: Track(|options| options.exposure = false),
     },
     Component {
         name: "rounds",

@@ -51,7 +51,7 @@ pub fn lines(choices: &[Choice]) -> String {
 
 /// The choices of a reconstruction; `scene.report` is what training has left.
 pub fn of_clip(scene: &Scene, track: &Track, settings: &SequenceSettings) -> Vec<Choice> {
-    let mut choices = vec![poses(track), focal_length(track)];
+    let mut choices = vec![poses(track), focal_length(track), exposure(track)];
     choices.extend(motion(scene, track, settings));
     if scene.moves() {
         choices.push(movers_distance(track));
@@ -92,6 +92,19 @@ fn focal_length(track: &Track) -> Choice {
         FocalSource::Assumed => "a common value: the clip does not show it".into(),
     };
     Choice::new("focal length", chosen, because)
+}
+
+fn exposure(track: &Track) -> Choice {
+    let gains = track.exposure.gains.iter().flatten();
+    let range = gains.fold([f32::INFINITY, 0.0], |r, gain| [r[0].min(*gain), r[1].max(*gain)]);
+    if track.exposure.is_constant() {
+        let because = "no frame is 2 % brighter or darker than the others";
+        return Choice::new("exposure", "one for all frames", because)
+            .saving("three gains for each frame");
+    }
+    let percent = range.map(|gain| 100.0 * (gain - 1.0));
+    let because = format!("encoded values change by {:+.0} to {:+.0} %", percent[0], percent[1]);
+    Choice::new("exposure", "three gains for each frame", because)
 }
 
 fn motion(scene: &Scene, track: &Track, settings: &SequenceSettings) -> Vec<Choice> {

@@ -51,7 +51,8 @@ JSON: psnr_input, ssim_input, gaussians, control_points,
 control_points_added and control_points_removed (in training), dynamic_share (of the pixels),
 dynamic_gaussians (share), intrinsics {fx, fy, cx, cy, width, height, source (given,
 measured, assumed)}, poses {tripod, inlier_share, reprojection_rms, parallax_deg, focal_std,
-doubtful_frames, tracks}, frames, frame_names, quality, model [{what, chosen, because, saves}] (each
+doubtful_frames, tracks}, exposure (per frame, by what red, green and blue were multiplied, 0.055
+added to the encoded values; null where it does not change), frames, frame_names, quality, model [{what, chosen, because, saves}] (each
 choice, the measurement that decided and what it saves), notes, device, predicted_bytes (of device
 memory, before it began), all also kept in the scene; and, in report.json too, peak_bytes,
 milliseconds_per_step, seconds {load, flow, cameras, masks, depth, static, joint, evaluate}; output";
@@ -239,6 +240,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     let model = model::of_clip(&scene, &track, &settings);
     say(&model::lines(&model));
 
+    let frames = track.exposure.even_all(&frames).into_owned();
     let views = views(frames, &names, &scene);
     let mut renderer = Renderer::new(&device, &scene)?;
     let measured = quality::measure(&mut renderer, &views, scene.background, "PSNR, input")?;
@@ -266,6 +268,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
             "doubtful_frames": found.doubtful_frames,
             "tracks": found.tracks,
         },
+        "exposure": (!track.exposure.is_constant()).then_some(&track.exposure.gains),
         "frames": names.len(),
         "frame_names": names,
         "quality": quality.name(),
@@ -473,7 +476,7 @@ fn focal_source(source: FocalSource) -> &'static str {
     }
 }
 
-/// The frames with the scene's cameras.
+/// The frames, at one exposure, with the scene's cameras.
 fn views(frames: Vec<Image>, names: &[String], scene: &Scene) -> Vec<View> {
     frames
         .into_iter()

@@ -4,6 +4,7 @@
 //! | module | what it holds |
 //! |---|---|
 //! | [`engine`] | [`EngineFlow`]: flow that the engine computes |
+//! | [`exposure`] | how bright each frame is |
 //! | [`flow`] | [`FlowSource`] and flow that the user supplies; forward–backward confidence; chaining |
 //! | [`tracks`] | points followed over many frames |
 //! | [`mod@refine`] | tracks aligned with the pictures, so that they do not drift |
@@ -12,12 +13,14 @@
 //! network, a file, a synthetic clip) makes no difference to it.
 
 pub mod engine;
+pub mod exposure;
 pub mod flow;
 pub(crate) mod luminance;
 pub mod refine;
 pub mod tracks;
 
 pub use engine::EngineFlow;
+pub use exposure::Exposure;
 pub use flow::{Chain, FlowPair, FlowSource, NeighbourFlow, SuppliedFlow, observe_flow};
 pub use refine::refine;
 pub use tracks::{PointTrack, TrackOptions, follow};

@@ -59,7 +59,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::data::Clip;
 use crate::geometry::sim3::Sim3;
-use crate::observe::{FlowSource, NeighbourFlow, PointTrack, TrackOptions, follow, refine};
+use crate::observe::{
+    Exposure, FlowSource, NeighbourFlow, PointTrack, TrackOptions, follow, refine,
+};
 use crate::types::{Image, Intrinsics, Pose};
 use crate::{Error, Result};
 use cameras::{Cameras, Focal};
@@ -87,6 +89,9 @@ pub struct Options {
     /// Whether each track's point is found again in the pictures; else it keeps the places that chained
     /// flow gives, which drift.
     pub refine_tracks: bool,
+    /// Whether the exposure of each frame is measured, and frames that differ are made equal before
+    /// their colours are compared.
+    pub exposure: bool,
     /// Whether static depth is refined against the pictures by multi-baseline stereo; else it is that of
     /// the flow alone.
     pub stereo: bool,
@@ -109,6 +114,7 @@ impl Default for Options {
             depth: None,
             rounds: 2,
             refine_tracks: true,
+            exposure: true,
             stereo: true,
             lift: true,
             max_points: 60_000,
@@ -158,6 +164,8 @@ pub struct Track {
     pub shadows: Vec<Image>,
     /// Nodes on what moves, shadows too.
     pub scaffold: Scaffold,
+    /// How bright each frame is; colours in `points` are at the exposure of the clip as a whole.
+    pub exposure: Exposure,
     /// Static points.
     pub points: Vec<StaticPoint>,
     /// Points followed through the pictures, static and moving ones.
@@ -270,6 +278,12 @@ pub fn track_observed(
     if options.refine_tracks {
         refine(frames, &flow, &mut tracks);
     }
+    let exposure = match options.exposure {
+        true => Exposure::measure(frames, &tracks),
+        false => Exposure::default(),
+    };
+    let even = exposure.even_all(frames);
+    let frames = &*even;
     work.progress(Stage::Cameras, 0.0)?;
     if tracks.len() < 50 {
         return Err(Error::Failed(format!(
@@ -365,6 +379,7 @@ pub fn track_observed(
         owners,
         shadows,
         scaffold,
+        exposure,
         points,
         tracks,
         quality,

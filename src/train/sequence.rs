@@ -154,7 +154,7 @@ impl Default for SequenceSettings {
 /// A tracked clip.
 #[derive(Clone, Copy)]
 pub struct Sequence<'a> {
-    /// The frames, RGB.
+    /// The frames, RGB, as they were filmed; training makes their exposures equal.
     pub frames: &'a [Image],
     /// Their times in [0, 1].
     pub times: &'a [f64],
@@ -177,6 +177,8 @@ pub fn fit_sequence(
     observer: &mut dyn Observer,
 ) -> Result<Scene> {
     let track = sequence.track;
+    let frames = track.exposure.even_all(sequence.frames);
+    let sequence = Sequence { frames: &frames, ..sequence };
     if track.points.is_empty() {
         return Err(Error::Input(
             "no static point was found to begin with: the clip shows no static surroundings".into(),

@@ -1,0 +1,294 @@
+//! How bright each frame is: automatic exposure and white balance change while a clip is filmed.
+//!
+//! A point that is followed keeps its colour, so what the colours of all points change by from one
+//! frame to another together is the camera's doing. In linear light that is one gain per channel. The
+//! ratios of many pairs of frames, near and far ones, are solved for together, so that small errors do
+//! not add up along the clip. Movers turn into and out of the light and pass through shadows; the
+//! median over the points leaves them out.
+
+use std::borrow::Cow;
+
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::PointTrack;
+use crate::types::Image;
+
+/// Of an encoded value of sRGB this much more goes in proportion to a power of linear light, but for
+/// the darkest.
+const TOE: f32 = 0.055;
+/// Encoded values outside of this are clipped or noise.
+const USABLE: (f32, f32) = (0.08, 0.95);
+/// Frames that far apart are compared.
+const APART: [usize; 5] = [1, 2, 4, 8, 16];
+/// At least so many points tell how two frames compare.
+const LEAST_POINTS: usize = 30;
+/// Gains that stay this near to one (of the encoded values) are not modelled: less is within what
+/// changes with the direction of view.
+const SIGNIFICANT: f32 = 0.02;
+/// Neighbouring frames that no points compare are as bright to this standard deviation, in logarithms.
+const STEADY: f64 = 0.1;
+
+/// The exposure of each frame of a clip against that of the clip as a whole.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Exposure {
+    /// Per frame: what the encoded RGB values, 0.055 added, have been multiplied by. Their median over
+    /// the frames is 1. Empty where the exposure does not change.
+    pub gains: Vec<[f32; 3]>,
+}
+
+impl Exposure {
+    /// Measures the exposure of `frames` (RGB, encoded values in [0, 1]) by points followed through
+    /// them. What changes by less than 2 % is taken not to change.
+    pub fn measure(frames: &[Image], tracks: &[PointTrack]) -> Exposure {
+        if frames.is_empty() {
+            return Exposure::default();
+        }
+        let compared: Vec<Comparison> = APART
+            .into_par_iter()
+            .flat_map(|apart| {
+                let pairs = 0..frames.len().saturating_sub(apart);
+                pairs.into_par_iter().map(move |first| (first, first + apart))
+            })
+            .filter_map(|(first, second)| compare(frames, tracks, first, second))
+            .collect();
+        let mut gains = vec![[1.0f32; 3]; frames.len()];
+        for channel in 0..3 {
+            let Some(logs) = solve(frames.len(), &compared, channel) else {
+                return Exposure::default();
+            };
+            for (gain, log) in gains.iter_mut().zip(logs) {
+                gain[channel] = log.exp() as f32;
+            }
+        }
+        let changes = gains.iter().flatten().any(|gain| (gain - 1.0).abs() > SIGNIFICANT);
+        if changes { Exposure { gains } } else { Exposure::default() }
+    }
+
+    /// Whether all frames have the same.
+    pub fn is_constant(&self) -> bool {
+        self.gains.is_empty()
+    }
+
+    /// A frame's picture (RGB) as it would be at the exposure of the clip as a whole.
+    pub fn even(&self, frame: usize, image: &Image) -> Image {
+        let Some(gain) = self.gains.get(frame) else { return image.clone() };
+        let mut even = image.clone();
+        for pixel in even.pixels.chunks_exact_mut(3) {
+            for (value, gain) in pixel.iter_mut().zip(gain) {
+                *value = ((*value + TOE) / gain - TOE).clamp(0.0, 1.0);
+            }
+        }
+        even
+    }
+
+    /// [`even`](Exposure::even) for all frames.
+    pub fn even_all<'a>(&self, frames: &'a [Image]) -> Cow<'a, [Image]> {
+        if self.is_constant() {
+            return Cow::Borrowed(frames);
+        }
+        let even = frames.par_iter().enumerate().map(|(frame, image)| self.even(frame, image));
+        Cow::Owned(even.collect())
+    }
+}
+
+/// How much brighter one frame is than another.
+struct Comparison {
+    first: usize,
+    second: usize,
+    /// Median of the logarithm of the ratio, by channel, and its standard deviation.
+    log_ratio: [(f64, f64); 3],
+}
+
+fn compare(
+    frames: &[Image],
+    tracks: &[PointTrack],
+    first: usize,
+    second: usize,
+) -> Option<Comparison> {
+    let mut ratios: [Vec<f64>; 3] = Default::default();
+    for track in tracks {
+        let colour = |frame: usize| track.at(frame).and_then(|at| mean(&frames[frame], at));
+        let (Some(a), Some(b)) = (colour(first), colour(second)) else { continue };
+        for ((ratios, a), b) in ratios.iter_mut().zip(a).zip(b) {
+            let usable = |v: f32| (USABLE.0..USABLE.1).contains(&v);
+            if usable(a) && usable(b) {
+                ratios.push(f64::from((b + TOE) / (a + TOE)).ln());
+            }
+        }
+    }
+    let mut log_ratio = [(0.0, f64::INFINITY); 3];
+    for (found, ratios) in log_ratio.iter_mut().zip(&mut ratios) {
+        let n = ratios.len();
+        if n < LEAST_POINTS {
+            continue;
+        }
+        let middle = median(ratios);
+        ratios.iter_mut().for_each(|ratio| *ratio = (*ratio - middle).abs());
+        // Of a normal distribution, from the median absolute difference; that of its median.
+        let deviation = 1.48 * 1.25 * median(ratios) / (n as f64).sqrt();
+        *found = (middle, deviation.max(1e-4));
+    }
+    log_ratio.iter().any(|found| found.1.is_finite()).then_some(Comparison {
+        first,
+        second,
+        log_ratio,
+    })
+}
+
+/// The mean colour of three by three pixels; none at the edge.
+fn mean(image: &Image, at: glam::DVec2) -> Option<[f32; 3]> {
+    let (x, y) = (at.x.floor(), at.y.floor());
+    let within = |v: f64, size: u32| v >= 1.0 && v + 2.0 <= f64::from(size);
+    if !within(x, image.width) || !within(y, image.height) {
+        return None;
+    }
+    let (x, y) = (x as u32, y as u32);
+    let mut sum = [0.0; 3];
+    for (dx, dy) in (0..9).map(|i| (i % 3, i / 3)) {
+        for (sum, value) in sum.iter_mut().zip(image.at(x + dx - 1, y + dy - 1)) {
+            *sum += value / 9.0;
+        }
+    }
+    Some(sum)
+}
+
+/// The logarithms of all frames' gains, of which the median is zero.
+fn solve(frames: usize, compared: &[Comparison], channel: usize) -> Option<Vec<f64>> {
+    let mut normal = DMatrix::<f64>::zeros(frames, frames);
+    let mut right = DVector::<f64>::zeros(frames);
+    let mut add = |first: usize, second: usize, (log, deviation): (f64, f64)| {
+        let weight = deviation.powi(-2);
+        normal[(first, first)] += weight;
+        normal[(second, second)] += weight;
+        normal[(first, second)] -= weight;
+        normal[(second, first)] -= weight;
+        right[first] -= weight * log;
+        right[second] += weight * log;
+    };
+    for second in 1..frames {
+        add(second - 1, second, (0.0, STEADY));
+    }
+    for found in compared {
+        add(found.first, found.second, found.log_ratio[channel]);
+    }
+    // Only differences are measured: the first frame is held, then the median is taken off.
+    normal[(0, 0)] += STEADY.powi(-2);
+    let mut logs = normal.cholesky()?.solve(&right).data.as_vec().clone();
+    let middle = median(&mut logs.clone());
+    logs.iter_mut().for_each(|log| *log -= middle);
+    Some(logs)
+}
+
+/// The middle value; of at least one.
+fn median(values: &mut [f64]) -> f64 {
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec2;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    const SIZE: (u32, u32) = (64, 48);
+
+    fn light(encoded: f64) -> f64 {
+        if encoded <= 0.04045 { encoded / 12.92 } else { ((encoded + 0.055) / 1.055).powf(2.4) }
+    }
+
+    fn encoded(light: f64) -> f64 {
+        if light <= 0.003_130_8 { light * 12.92 } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 }
+    }
+
+    /// Frames of one picture at some gains of linear light, with noise; in a part of it the light
+    /// changes of itself, as on what moves.
+    fn filmed(gains: &[[f64; 3]]) -> (Image, Vec<Image>, Vec<PointTrack>) {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let mut scene = Image::new(SIZE.0, SIZE.1, 3);
+        for (i, value) in scene.pixels.iter_mut().enumerate() {
+            let x = (i / 3) % SIZE.0 as usize;
+            *value = 0.15 + 0.5 * ((x / 4) as f32 * 0.7).sin().abs() + 0.1 * rng.random::<f32>();
+        }
+        let frames: Vec<Image> = gains
+            .iter()
+            .enumerate()
+            .map(|(frame, gain)| {
+                let mut image = scene.clone();
+                for (i, value) in image.pixels.iter_mut().enumerate() {
+                    let moves = (i / 3) / SIZE.0 as usize > 2 * SIZE.1 as usize / 3;
+                    let own = if moves { 1.0 + 0.08 * frame as f64 } else { 1.0 };
+                    let lit = encoded(gain[i % 3] * own * light(f64::from(*value)));
+                    *value = (lit + 0.01 * (f64::from(rng.random::<f32>()) - 0.5)).clamp(0.0, 1.0)
+                        as f32;
+                }
+                image
+            })
+            .collect();
+        let tracks = (0..15 * 11)
+            .map(|i| {
+                let pixel = DVec2::new((i % 15) as f64 + 0.9, (i / 15) as f64 + 0.9) * 4.0;
+                PointTrack {
+                    first: 0,
+                    pixels: vec![pixel; gains.len()],
+                    deviation: vec![0.1; gains.len()],
+                }
+            })
+            .collect();
+        (scene, frames, tracks)
+    }
+
+    #[test]
+    fn a_drift_of_exposure_and_white_balance_is_measured_and_taken_off() {
+        // Brighter by 30 %, and warmer by 10 %.
+        let gains: Vec<[f64; 3]> = (0..21)
+            .map(|frame| {
+                let t = frame as f64 / 20.0 - 0.5;
+                [1.3f64.powf(t) * 1.1f64.powf(t), 1.3f64.powf(t), 1.3f64.powf(t)]
+            })
+            .collect();
+        let (scene, frames, tracks) = filmed(&gains);
+        let found = Exposure::measure(&frames, &tracks);
+        for (gain, found) in gains.iter().zip(&found.gains) {
+            for (gain, found) in gain.iter().zip(found) {
+                let gain = gain.powf(1.0 / 2.4);
+                assert!((f64::from(*found) / gain - 1.0).abs() < 3e-3, "{found} for {gain}");
+            }
+        }
+        let worst = |frame: &Image| {
+            let still = 2 * frame.pixels.len() / 3;
+            let pairs = frame.pixels[..still].iter().zip(&scene.pixels);
+            pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+        };
+        assert!(worst(&frames[20]) > 0.04, "{}", worst(&frames[20]));
+        let even = found.even_all(&frames);
+        assert!(even.iter().all(|frame| worst(frame) < 0.01), "{}", worst(&even[20]));
+    }
+
+    #[test]
+    fn a_steady_exposure_is_left_alone() {
+        let (_, frames, tracks) = filmed(&[[1.0; 3]; 12]);
+        let found = Exposure::measure(&frames, &tracks);
+        assert!(found.is_constant(), "{found:?}");
+        assert_eq!(found.even(3, &frames[3]), frames[3]);
+    }
+
+    #[test]
+    fn what_tells_nothing_changes_nothing() {
+        let black = vec![Image::new(SIZE.0, SIZE.1, 3); 4];
+        let (_, frames, tracks) = filmed(&[[1.0; 3], [1.3; 3], [1.0; 3], [1.3; 3]]);
+        assert!(Exposure::measure(&black, &tracks).is_constant());
+        assert!(Exposure::measure(&frames, &[]).is_constant());
+        assert!(Exposure::measure(&[], &[]).is_constant());
+        // A black frame among others says nothing of itself, and spoils nothing.
+        let mut one = frames;
+        one[2] = black[0].clone();
+        let found = Exposure::measure(&one, &tracks);
+        let ratio = f64::from(found.gains[3][1] / found.gains[0][1]);
+        assert!((ratio / 1.3f64.powf(1.0 / 2.4) - 1.0).abs() < 3e-3, "{found:?}");
+    }
+}
