@@ -168,7 +168,7 @@ impl<'a> Material<'a> {
                 distance: "input".into(),
                 camera: at.camera,
                 time: at.time,
-                truth: exposure.even(frame, &self.frames[frame]),
+                truth: exposure.even(frame, &self.frames[frame]).into_owned(),
                 movers: Some(self.movers[frame].clone()),
                 covisible: None,
             };

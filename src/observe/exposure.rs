@@ -72,15 +72,15 @@ impl Exposure {
     }
 
     /// A frame's picture (RGB) as it would be at the exposure of the clip as a whole.
-    pub fn even(&self, frame: usize, image: &Image) -> Image {
-        let Some(gain) = self.gains.get(frame) else { return image.clone() };
+    pub fn even<'a>(&self, frame: usize, image: &'a Image) -> Cow<'a, Image> {
+        let Some(gain) = self.gains.get(frame) else { return Cow::Borrowed(image) };
         let mut even = image.clone();
         for pixel in even.pixels.chunks_exact_mut(3) {
             for (value, gain) in pixel.iter_mut().zip(gain) {
                 *value = ((*value + TOE) / gain - TOE).clamp(0.0, 1.0);
             }
         }
-        even
+        Cow::Owned(even)
     }
 
     /// [`even`](Exposure::even) for all frames.
@@ -88,8 +88,8 @@ impl Exposure {
         if self.is_constant() {
             return Cow::Borrowed(frames);
         }
-        let even = frames.par_iter().enumerate().map(|(frame, image)| self.even(frame, image));
-        Cow::Owned(even.collect())
+        let even = |(frame, image)| self.even(frame, image).into_owned();
+        Cow::Owned(frames.par_iter().enumerate().map(even).collect())
     }
 }
 
@@ -274,7 +274,7 @@ mod tests {
         let (_, frames, tracks) = filmed(&[[1.0; 3]; 12]);
         let found = Exposure::measure(&frames, &tracks);
         assert!(found.is_constant(), "{found:?}");
-        assert_eq!(found.even(3, &frames[3]), frames[3]);
+        assert_eq!(*found.even(3, &frames[3]), frames[3]);
     }
 
     #[test]
