@@ -23,8 +23,9 @@ use splat4d::types::{Gaussians, Image};
 use support::{picture, says};
 use tempfile::TempDir;
 
-const COMMANDS: [&str; 10] = [
+const COMMANDS: [&str; 11] = [
     "reconstruct",
+    "track",
     "train",
     "render",
     "eval",
@@ -235,21 +236,21 @@ fn clip_of_its_own_scene() -> TempDir {
         transforms::read_cameras(&trained().join("clip/truth/transforms.json")).unwrap();
     let names = |folder: &str| (0..4).map(|i| format!("{folder}/{i:04}.png")).collect::<Vec<_>>();
     fs::create_dir_all(at("truth/held_out")).unwrap();
-    transforms::write(at("truth/transforms.json"), &cameras, &names("frames")).unwrap();
+    transforms::write(at("truth/transforms.json"), &cameras, &names("frames"), None).unwrap();
     let scene = trained().join("scene.safetensors");
     let mut all = Vec::new();
     for distance in ["1", "2"] {
         for camera in &mut cameras {
             camera.camera.view_from_world.translation.x += 0.1;
         }
-        transforms::write(at("path.json"), &cameras, &names("x")).unwrap();
+        transforms::write(at("path.json"), &cameras, &names("x"), None).unwrap();
         let pictures = format!("truth/held_out/{distance}");
         let render = format!("render {} -o {pictures} --path path.json", scene.display());
         json(folder.path(), &render);
         all.extend(cameras.iter().copied());
     }
     let files = [names("1"), names("2")].concat();
-    transforms::write(at("truth/held_out/transforms.json"), &all, &files).unwrap();
+    transforms::write(at("truth/held_out/transforms.json"), &all, &files, None).unwrap();
     for name in names("2") {
         let file = at("truth/held_out").join(&name);
         let mut picture = images::decode_rgb(&file, [0.0; 3], images::Orientation::Stored).unwrap();
@@ -346,7 +347,7 @@ fn poses_are_fitted_to_held_out_pictures() {
     for camera in &mut cameras {
         camera.camera.view_from_world.translation.y += 0.08;
     }
-    transforms::write(&file, &cameras, &names).unwrap();
+    transforms::write(&file, &cameras, &names, None).unwrap();
     let eval = format!("eval {} truth --fit-poses", trained().join("scene.safetensors").display());
     let found = json(folder.path(), &eval);
     for (row, region) in [(0, None), (1, Some("static_covisible"))] {
@@ -478,7 +479,7 @@ fn rendering_writes_what_the_renderer_gives() {
     let folder = tempfile::tempdir().unwrap();
     let path = cameras(3);
     let names: Vec<String> = (0..3).map(|i| format!("{i}.png")).collect();
-    transforms::write(folder.path().join("path.json"), &path, &names).unwrap();
+    transforms::write(folder.path().join("path.json"), &path, &names, None).unwrap();
     ply::write(folder.path().join("blobs.ply"), &blobs()).unwrap();
     let found = json(
         folder.path(),
@@ -851,6 +852,40 @@ fn a_clip_in_which_nothing_moves_becomes_a_static_scene() {
     assert!(
         (path["ate_rmse"].as_f64().unwrap() - found["ate_rmse"].as_f64().unwrap()).abs() < 1e-6
     );
+}
+
+#[test]
+fn a_clip_is_tracked_for_other_programs() {
+    let folder = tempfile::tempdir().unwrap();
+    json(folder.path(), "synth rigid -o clip --frames 8 --size 112x63");
+    let asked = "track clip/frames -o tracked --queries clip/truth/tracks.npz";
+    let report = json(folder.path(), asked);
+    documented("track", &report);
+    documented("track", &report["poses"]);
+    documented("track", &report["intrinsics"]);
+    assert_eq!((&report["frames"], &report["exposure"]), (&8.into(), &Value::Null));
+    let found = json(folder.path(), "eval tracked/tracks.npz clip/truth/tracks.npz");
+    documented("eval", &found);
+    documented("eval", &found["tracks"]);
+    documented("eval", &found["tracks"]["movers"]);
+    let jaccard = |what: &str| found["tracks"][what]["average_jaccard"].as_f64().unwrap();
+    eprintln!("average Jaccard {:.3}, movers {:.3}", jaccard("all"), jaccard("movers"));
+    assert_eq!(found["tracks"]["all"]["points"], report["tracks"]);
+    assert!(jaccard("all") > 0.7 && jaccard("movers") > 0.5, "{found}");
+    let text = run(folder.path(), "eval tracked/tracks.npz clip/truth/tracks.npz").stdout;
+    says(&String::from_utf8(text).unwrap(), &["movers", "average Jaccard", "occlusion"]);
+    // Others train from it, as this program does.
+    let train = "train tracked -o scene.safetensors --steps 5 --static --eval-every 0";
+    assert_eq!(json(folder.path(), train)["images"], 8);
+    // Points that others have followed are taken.
+    let also = "track clip -o again --tracks clip/truth/tracks.npz";
+    let more = json(folder.path(), also)["poses"]["tracks"].as_u64();
+    assert!(more > report["poses"]["tracks"].as_u64(), "{more:?}");
+    // A folder that holds something is left alone.
+    says(&fails(folder.path(), 1, asked), &["tracked is not empty"]);
+    let wrong = "track clip -o other --tracks clip/truth/poses.txt";
+    says(&fails(folder.path(), 1, wrong), &["poses.txt", "is no .npz"]);
+    assert!(!folder.path().join("other").exists());
 }
 
 #[test]

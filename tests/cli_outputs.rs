@@ -76,7 +76,7 @@ fn a_dataset_is_not_written_over() {
     // Of a report too.
     fs::rename(at("set/2.png"), at("set/sheet.png")).unwrap();
     let names = ["0.png", "1.png", "sheet.png"].map(String::from);
-    transforms::write(at("set/transforms.json"), &cameras(3), &names).unwrap();
+    transforms::write(at("set/transforms.json"), &cameras(3), &names, None).unwrap();
     says(&spares(folder.path(), "train set -o x --report set"), &["sheet.png", "another"]);
     // A new file in the folder is welcome, and so is the same command again.
     for _ in 0..2 {
@@ -308,7 +308,7 @@ fn names_need_not_be_unicode() {
 
     ply::write(of(&[b"blobs", NAME, b".ply"]), &blobs()).unwrap();
     let names: Vec<String> = (0..2).map(|i| format!("{i}.png")).collect();
-    transforms::write(of(&[b"path", NAME, b".json"]), &cameras(2), &names).unwrap();
+    transforms::write(of(&[b"path", NAME, b".json"]), &cameras(2), &names, None).unwrap();
     fs::write(of(&[b"fast", NAME, b".json"]), "{}").unwrap();
     let render = "render blobsNAME.ply --path pathNAME.json --settings fastNAME.json --size 16x16";
     shown(&run(&format!("{render} -o viewsNAME --exr --depth")), "");

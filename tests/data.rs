@@ -325,8 +325,8 @@ fn transforms_round_trip() {
     let cameras: Vec<_> =
         (0..5).map(|i| transforms::TimedCamera { time: time(i), camera: some_camera(i) }).collect();
     let files: Vec<_> = (0..5).map(|i| format!("images/{i:03}.png")).collect();
-    transforms::write(&file, &cameras, &files).unwrap();
-    assert!(transforms::write(&file, &cameras, &files[1..]).is_err());
+    transforms::write(&file, &cameras, &files, None).unwrap();
+    assert!(transforms::write(&file, &cameras, &files[1..], None).is_err());
     for (a, b) in transforms::read_cameras(&file).unwrap().iter().zip(&cameras) {
         assert_eq!((a.time, a.camera.intrinsics), (b.time, b.camera.intrinsics));
         let (p, q) = (a.camera.view_from_world, b.camera.view_from_world);

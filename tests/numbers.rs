@@ -249,7 +249,7 @@ const SOURCES: &[Source] = &[
         file: "path.json",
         write: |folder| {
             let files: Vec<String> = (0..3).map(|i| format!("{i}.png")).collect();
-            transforms::write(folder.join("path.json"), &cameras(3), &files).unwrap();
+            transforms::write(folder.join("path.json"), &cameras(3), &files, None).unwrap();
         },
         numbers: in_text,
         read: |folder| {
@@ -269,7 +269,8 @@ const SOURCES: &[Source] = &[
             }
             let write = |name: &str, range: std::ops::Range<usize>| {
                 let all = cameras(4);
-                transforms::write(folder.join(name), &all[range.clone()], &files[range]).unwrap();
+                transforms::write(folder.join(name), &all[range.clone()], &files[range], None)
+                    .unwrap();
             };
             write("transforms_train.json", 0..3);
             write("transforms_test.json", 3..4);
@@ -892,7 +893,7 @@ fn small_set(folder: &Path, middle: DVec3, unit: f64) {
         },
     };
     let cameras: Vec<TimedCamera> = (0..4).map(camera).collect();
-    transforms::write(folder.join("transforms.json"), &cameras, &names).unwrap();
+    transforms::write(folder.join("transforms.json"), &cameras, &names, None).unwrap();
 }
 
 #[test]

@@ -8,15 +8,17 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use glam::{DQuat, DVec3};
+use glam::{DQuat, DVec2, DVec3};
 use splat4d::Result;
 use splat4d::check::fuzz::{draw, file};
 use splat4d::data::trajectory::{self, TimedPose};
 use splat4d::data::transforms::{self, TimedCamera};
-use splat4d::data::{colmap, exr, flo, images, intrinsics, write_png};
+use splat4d::data::{colmap, exr, flo, images, intrinsics, tracks, write_png};
 use splat4d::io::{Identity, read_state, write_state};
 use splat4d::scene::{Scene, SceneCamera, ply};
-use splat4d::types::{ControlPoints, DeformNet, Gaussians, Image, NetShape, Pose};
+use splat4d::types::{
+    ControlPoints, DeformNet, Gaussians, Image, NetShape, PointPath, Pose, Tracks,
+};
 use support::{Dice, compressed, picture, some_camera};
 
 /// Counts what is allocated.
@@ -106,6 +108,15 @@ fn scene() -> Scene {
     scene
 }
 
+fn point_paths() -> Tracks {
+    let point = |i: usize| PointPath {
+        query: (i % 7, DVec2::new(i as f64, 3.5)),
+        pixels: (0..7).map(|t| DVec2::new((i * t) as f64 * 0.3, 3.5)).collect(),
+        seen: (0..7).map(|t| !(i + t).is_multiple_of(3)).collect(),
+    };
+    Tracks { size: Some((64, 48)), points: (0..50).map(point).collect() }
+}
+
 fn poses() -> Vec<TimedPose> {
     (0..20)
         .map(|i| TimedPose {
@@ -172,7 +183,7 @@ const READERS: &[Reader] = &[
                 .map(|i| TimedCamera { time: f64::from(i) / 5.0, camera: some_camera(i) })
                 .collect();
             let files: Vec<String> = (0..6).map(|i| format!("{i}.png")).collect();
-            transforms::write(path, &cameras, &files).unwrap();
+            transforms::write(path, &cameras, &files, None).unwrap();
         },
         read: |path| transforms::read_cameras(path).map(drop),
         most: plain,
@@ -197,6 +208,13 @@ const READERS: &[Reader] = &[
         write: |path| flo::write(path, &ramp(31, 17, 2)).unwrap(),
         read: |path| flo::read(path).map(drop),
         most: plain,
+        prefixes_fail: true,
+    },
+    Reader {
+        name: "tracks.npz",
+        write: |path| tracks::write(path, &point_paths()).unwrap(),
+        read: |path| tracks::read(path).map(drop),
+        most: packed,
         prefixes_fail: true,
     },
     Reader {

@@ -2,9 +2,9 @@
 
 use std::sync::OnceLock;
 
-use glam::{DQuat, DVec3};
+use glam::{DQuat, DVec2, DVec3};
 use splat4d::data::synth::{self, SynthOptions};
-use splat4d::eval::{Align, compare_trajectories, mask_iou};
+use splat4d::eval::{Align, TrackScores, compare_trajectories, mask_iou, score_tracks};
 use splat4d::observe::{FlowPair, FlowSource, SuppliedFlow};
 use splat4d::track::{FocalSource, Options, Stage, Track, track};
 use splat4d::types::{Image, Intrinsics, Pose};
@@ -134,7 +134,8 @@ fn a_tripod_is_recognised_and_its_mover_masked() {
 
 /// Cloth that waves, and many that walk: what moves is no rigid body, or most of the picture.
 /// Measured: `bend` 0.03 % of the path, IoU 0.92; `crowd`, of which 77 % move, 6 % and 0.53, which
-/// tells little of the masks: all of the picture called moving would have 0.77.
+/// tells little of the masks: all of the picture called moving would have 0.77. Points of the cloth are
+/// followed with an average Jaccard of 0.87, what stands still there with 0.92.
 #[test]
 fn what_bends_and_a_crowd_are_told_from_the_room() {
     for (name, most_ate, least_iou) in [("bend", 0.005, 0.8), ("crowd", 0.1, 0.45)] {
@@ -152,7 +153,25 @@ fn what_bends_and_a_crowd_are_told_from_the_room() {
         assert!(iou > least_iou, "{name}: {iou}");
         assert!((found.quality.dynamic_share / truth - 1.0).abs() < 0.3, "{name}: {truth}");
         assert!(found.quality.doubtful_frames.is_empty(), "{name}: {:?}", found.quality);
+        let scores = |moves| tap_vid(&found, &clip, moves);
+        let (movers, still) = (scores(true), scores(false));
+        eprintln!("{name}: movers {movers:?}, still {still:?}");
+        if name == "bend" {
+            assert!(movers.average_jaccard > 0.8, "{movers:?}");
+            assert!(still.average_jaccard > 0.85, "{still:?}");
+        }
     }
+}
+
+/// How well the clip's points are followed, those that move or those that stand still.
+fn tap_vid(found: &Track, clip: &synth::Clip, moves: bool) -> TrackScores {
+    let queries: Vec<(usize, DVec2)> = clip.tracks.points.iter().map(|p| p.query).collect();
+    let followed = found.follow(&queries);
+    let on_mover = |i: usize| {
+        let (frame, at) = queries[i];
+        clip.masks[frame].at(at.x as u32, at.y as u32)[0] > 0.5
+    };
+    score_tracks(&followed, &clip.tracks, |i| on_mover(i) == moves).unwrap().unwrap()
 }
 
 #[test]
@@ -186,7 +205,7 @@ impl FlowSource for Turning {
             let mut out = Image::new(k.width, k.height, 2);
             for y in 0..k.height {
                 for x in 0..k.width {
-                    let pixel = glam::DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
+                    let pixel = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
                     let there = k.project(to * (from.conjugate() * k.ray(pixel)));
                     let moved = there - pixel;
                     out.at_mut(x, y).copy_from_slice(&[moved.x as f32, moved.y as f32]);

@@ -1,5 +1,5 @@
-//! `splat4d eval`: a scene against pictures, a scene against a synthetic clip's truth, a trajectory
-//! against another.
+//! `splat4d eval`: a scene against pictures, a scene against a synthetic clip's truth, a trajectory or
+//! tracks of points against others.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -21,7 +21,7 @@ use super::meter::Meter;
 use super::outputs::Inputs;
 use super::quality::{self, Quality};
 use super::values;
-use super::{eval_first, eval_truth};
+use super::{eval_first, eval_tracks, eval_truth};
 
 const AFTER_HELP: &str = "\
 REFERENCE decides what is measured:
@@ -34,6 +34,7 @@ REFERENCE decides what is measured:
   a folder of v000_t003.png …    what the scene's first camera sees at the times of other frames
                                  (here of frame 3), from that camera's own pose, nothing aligned
   a TUM trajectory               a trajectory against it, after --align; poses pair by timestamp
+  an .npz of point tracks        tracks of the same points against it, as TAP-Vid measures them
 
 Examples:
   splat4d eval fox.safetensors captures/fox --eval-every 8
@@ -41,10 +42,14 @@ Examples:
   splat4d eval scene.safetensors clip/truth --fit-poses --pictures views
   splat4d eval scene.safetensors balloon/gt_cam000
   splat4d eval estimate.txt groundtruth.txt
+  splat4d eval tracked/tracks.npz clip/truth/tracks.npz
 
 JSON: psnr, ssim, ms_ssim, lpips (always null: no network weights come along), per_frame [{name,
 psnr, ssim, ms_ssim}], ate_rmse, ate_relative (to the length of the camera's path),
 rpe_trans_rmse, rpe_rot_deg_rmse, scale, poses, focal_error (relative), depth_rel_median, mask_iou;
+tracks: {all, movers, static}, each {average_jaccard, position_accuracy, within (shares within 1, 2, 4, 8 and
+16 pixels of 256×256), occlusion_accuracy, points}; the latter two by `masks` beside the reference, null
+without;
 psnr_own_focal, ssim_own_focal, ms_ssim_own_focal: the same pictures of a clip's held-out cameras, but
 with their focal length multiplied by the scene's own error in it, which hides that error.
 held_out: pictures that no input camera took, 8-bit as a file holds them, one row for each distance (a
@@ -59,7 +64,7 @@ the static covisible pixels, or all where masks are missing. Poses fitted to tes
 What does not apply is null; so is an infinite PSNR.";
 
 /// Every key of the JSON, so that each is always there.
-const KEYS: [&str; 19] = [
+const KEYS: [&str; 20] = [
     "psnr",
     "ssim",
     "ms_ssim",
@@ -76,19 +81,21 @@ const KEYS: [&str; 19] = [
     "focal_error",
     "depth_rel_median",
     "mask_iou",
+    "tracks",
     "psnr_own_focal",
     "ssim_own_focal",
     "ms_ssim_own_focal",
 ];
 
-/// Measure a scene against pictures or truth, or a trajectory against another
+/// Measure a scene against pictures or truth, a trajectory or point tracks against others
 #[derive(Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct EvalArgs {
-    /// A scene's file, a 3DGS PLY, or a trajectory (TUM)
-    #[arg(value_name = "SCENE|TRAJECTORY")]
+    /// A scene's file, a 3DGS PLY, a trajectory (TUM), or point tracks (.npz)
+    #[arg(value_name = "SCENE|TRAJECTORY|TRACKS")]
     pub estimate: PathBuf,
-    /// A dataset, a clip's truth folder, pictures of the first camera, or a trajectory (TUM)
+    /// A dataset, a clip's truth folder, pictures of the first camera, a trajectory (TUM), or point tracks
+    /// (.npz)
     pub reference: PathBuf,
     /// REFERENCE holds what the scene's first camera sees at the times of other frames; the last number
     /// in a picture's name is the frame's. Names of the form v000_t003.png say so themselves
@@ -156,6 +163,9 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Answer> {
             eval_truth::measure(&device, &scene, &truth, args.fit_poses, &shown)?
         }
         None if eval_first::is_meant(args)? => eval_first::measure(&open(args)?, args, common)?,
+        None if args.reference.extension().is_some_and(|e| e == "npz") => {
+            eval_tracks::measure(&args.estimate, &args.reference)?
+        }
         None if is_text(&args.reference)? => trajectories(args)?,
         None => pictures(args, common)?,
     };
@@ -289,6 +299,7 @@ fn text(found: &Value) -> String {
             _ => {}
         }
     }
+    text += &eval_tracks::table(&found["tracks"]);
     let table = held_out::table(found);
     if !table.is_empty() {
         return text + &table;

@@ -15,11 +15,13 @@ mod devices;
 mod encode;
 mod eval;
 mod eval_first;
+mod eval_tracks;
 mod eval_truth;
 mod fuzz;
 mod held_out;
 mod info;
 mod interrupt;
+mod known;
 mod meter;
 mod model;
 mod outputs;
@@ -31,6 +33,7 @@ mod rows;
 mod sheet;
 mod supplied;
 mod synth;
+mod track;
 mod tracker;
 mod train;
 mod tuning;
@@ -68,6 +71,7 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     Reconstruct(reconstruct::ReconstructArgs),
+    Track(track::TrackArgs),
     Train(train::TrainArgs),
     Render(render::RenderArgs),
     Eval(eval::EvalArgs),
@@ -132,6 +136,7 @@ fn run(cli: &Cli) -> Result<(Answer, ExitCode)> {
     interrupt::watch(cli.common.json);
     let answer = match &cli.command {
         Command::Reconstruct(args) => reconstruct::run(args, &cli.common),
+        Command::Track(args) => track::run(args, &cli.common),
         Command::Train(args) => train::run(args, &cli.common),
         Command::Render(args) => render::run(args, &cli.common),
         Command::Eval(args) => eval::run(args, &cli.common),

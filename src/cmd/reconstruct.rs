@@ -6,18 +6,18 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
 use splat4d::data::trajectory::{self, TimedPose};
-use splat4d::data::{Clip, Resize, View, images, intrinsics};
+use splat4d::data::{View, intrinsics};
 use splat4d::gpu::{Device, DeviceKind};
 use splat4d::io::{Identity, check_memory, checksum};
-use splat4d::observe::{EngineFlow, FlowSource, SuppliedFlow};
+use splat4d::observe::{EngineFlow, SuppliedFlow};
 use splat4d::renderer::Renderer;
 use splat4d::scene::Scene;
-use splat4d::track::{FocalSource, Options, Track, track_observed};
+use splat4d::track::Options;
 use splat4d::train::{
     Checkpoint, Phase, Preset, Quality, Sequence, SequenceSettings, TrainingScale, first_gaussians,
     fit_sequence,
 };
-use splat4d::types::{Camera, FlowSettings, Image, Intrinsics};
+use splat4d::types::{Camera, FlowSettings, Image};
 use splat4d::{Error, Result};
 
 use super::checkpoints::{self, CheckpointArgs, Checkpoints, shown, summed};
@@ -27,10 +27,11 @@ use super::common::{
     Answer, Common, bytes, foresee, most_pairs, notes, path_text, say, thousands, training,
 };
 use super::info::dynamic_share;
-use super::outputs::{Folder, Inputs, Outputs};
+use super::known::{KnownArgs, focal_source, observe};
+use super::outputs::Outputs;
 use super::tracker::Tracker;
 use super::watcher::Watcher;
-use super::{model, quality, sheet, supplied, values};
+use super::{model, quality, sheet, values};
 
 /// Bytes for each pixel of each frame: of the frames themselves, and of what tracking makes of them,
 /// which is flow and confidence both ways, masks, depth and its confidence.
@@ -139,28 +140,8 @@ pub struct ReconstructArgs {
     /// Highest degree of the spherical harmonics [default: by quality; standard 1]
     #[arg(long, value_name = "0..3", value_parser = values::whole::<u32>(0..=3))]
     sh_degree: Option<u32>,
-    /// Focal length, in pixels of the clip's own size
-    #[arg(long, value_name = "PIXELS",
-          value_parser = values::number(1.0..=values::MOST_FOCAL))]
-    focal: Option<f64>,
-    /// Intrinsics: JSON with fx, fy, cx, cy, width, height
-    #[arg(long, value_name = "FILE", conflicts_with = "focal")]
-    intrinsics: Option<PathBuf>,
-    /// Camera poses: TUM (camera to world), one per frame, or a transforms.json, whose file names may
-    /// be those of the frames
-    #[arg(long, value_name = "FILE")]
-    poses: Option<PathBuf>,
-    /// Motion masks: a folder of images, white where something moves, one per frame or named as the
-    /// frames are
-    #[arg(long, value_name = "DIR")]
-    masks: Option<PathBuf>,
-    /// Depth maps: a folder of EXR files, z up to one scale, 0 where unknown
-    #[arg(long, value_name = "DIR")]
-    depth: Option<PathBuf>,
-    /// Optical flow: a folder with .flo files in flow_forward and flow_backward (or forward and
-    /// backward); frames keep their own size then unless another is asked for
-    #[arg(long, value_name = "DIR")]
-    flow: Option<PathBuf>,
+    #[command(flatten)]
+    known: KnownArgs,
     /// Write report.json, sheet.png (input, render, motion mask, depth), poses.txt (TUM) and
     /// intrinsics.json into this folder
     #[arg(long, value_name = "DIR")]
@@ -172,24 +153,17 @@ pub struct ReconstructArgs {
 /// Runs the command.
 pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     check_outputs(args)?;
-    if args.flow.is_some() && args.frames.every > 1 {
-        let what = "--flow leads from each frame to the next; it does not go with --every";
-        return Err(Error::Input(what.into()));
-    }
+    args.known.check(&args.frames)?;
     let mut clock = Clock::start();
     // A missing file is told before a missing driver.
     std::fs::metadata(&args.clip).map_err(Error::io(&args.clip))?;
     let device = common.open_device()?;
     let quality = Quality::from(args.quality);
     let preset = quality.preset(device.info().kind);
-    let usual = match args.flow {
-        // Flow is of its frames' own size.
-        Some(_) => Resize::Keep,
-        None => Resize::Longest(preset.longest_side),
-    };
+    let usual = args.known.size(preset.longest_side);
     let clip = args.frames.open(&args.clip, usual)?;
-    let options = options(args, common, &clip)?;
-    let flow = given(&args.flow, &clip, supplied::flow)?;
+    let options = args.known.options(&clip, common.seed)?;
+    let flow = args.known.flow(&clip)?;
     let times: Vec<f64> = clip.frames.iter().map(|frame| frame.time).collect();
     let names: Vec<String> = clip.frames.iter().map(|frame| frame.name.clone()).collect();
     let (width, height, original) = (clip.width, clip.height, clip.original);
@@ -214,7 +188,13 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     let mut checkpoints = Checkpoints::new(&args.output, &args.checkpoints, identity);
     let track = match checkpoints.load("track")? {
         Some(track) => track,
-        None => observe(&device, &frames, &options, flow, &mut checkpoints, &mut clock)?,
+        None => {
+            let mut tracker = Tracker::new(&mut clock, &mut checkpoints);
+            let found = observe(&device, &frames, &options, flow, &mut tracker)?;
+            tracker.finish();
+            checkpoints.tracked(&found);
+            found
+        }
     };
     let found = &track.quality;
     notes(&found.notes);
@@ -259,15 +239,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
         "dynamic_share": found.dynamic_share,
         "dynamic_gaussians": dynamic_share(&scene),
         "intrinsics": known_intrinsics,
-        "poses": {
-            "tripod": found.tripod,
-            "inlier_share": found.inlier_share,
-            "reprojection_rms": found.reprojection_rms,
-            "parallax_deg": found.parallax_deg,
-            "focal_std": found.focal_std,
-            "doubtful_frames": found.doubtful_frames,
-            "tracks": found.tracks,
-        },
+        "poses": poses_json(found),
         "exposure": (!track.exposure.is_constant()).then_some(&track.exposure.gains),
         "frames": names.len(),
         "frame_names": names,
@@ -292,6 +264,19 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     Ok(Answer { text: text(&json, &clock), json })
 }
 
+/// How well cameras are known, for reports.
+pub fn poses_json(found: &splat4d::track::Quality) -> Value {
+    json!({
+        "tripod": found.tripod,
+        "inlier_share": found.inlier_share,
+        "reprojection_rms": found.reprojection_rms,
+        "parallax_deg": found.parallax_deg,
+        "focal_std": found.focal_std,
+        "doubtful_frames": found.doubtful_frames,
+        "tracks": found.tracks,
+    })
+}
+
 /// Tries where output goes, and that it spares what is read.
 fn check_outputs(args: &ReconstructArgs) -> Result<()> {
     let mut outputs = Outputs::default().file(&args.output)?;
@@ -299,25 +284,7 @@ fn check_outputs(args: &ReconstructArgs) -> Result<()> {
         outputs = outputs.folder(folder, &sheet::FILES)?.folder(folder, &CAMERA_FILES)?;
     }
     args.checkpoints.check(&args.output)?;
-    let files = [Some(&args.clip), args.intrinsics.as_ref(), args.poses.as_ref()];
-    // A clip's or a flow's files may lie one folder deeper.
-    let below = |folder: Option<&PathBuf>, names: &[&str], extensions| -> Vec<Folder> {
-        let inner =
-            folder.map(|folder| names.iter().map(move |name| (folder.join(name), extensions)));
-        inner.into_iter().flatten().collect()
-    };
-    let folders = [
-        below(Some(&args.clip), &["", "frames", "images"], &images::EXTENSIONS),
-        below(args.masks.as_ref(), &[""], &images::EXTENSIONS),
-        below(args.depth.as_ref(), &[""], &["exr"]),
-        below(
-            args.flow.as_ref(),
-            &["flow_forward", "flow_backward", "forward", "backward"],
-            &["flo"],
-        ),
-    ];
-    let files = files.into_iter().flatten().cloned();
-    outputs.spare(&Inputs::new(files, folders.into_iter().flatten()))
+    outputs.spare(&args.known.inputs(&args.clip))
 }
 
 /// What the stages take of device memory at most; an error where one does not fit.
@@ -328,7 +295,7 @@ fn foreseen(
     size: (u32, u32),
 ) -> Result<u64> {
     let training = foreseen_training(device, scale)?;
-    if args.flow.is_some() {
+    if args.known.supplies_flow() {
         return Ok(training);
     }
     let footprint = EngineFlow::footprint(device, size, &FlowSettings::default());
@@ -380,53 +347,6 @@ fn settings(
     }
 }
 
-/// What a file or folder holds for the clip's frames.
-fn given<T>(
-    path: &Option<PathBuf>,
-    clip: &Clip,
-    read: impl FnOnce(&Path, &Clip) -> Result<T>,
-) -> Result<Option<T>> {
-    path.as_deref().map(|path| read(path, clip)).transpose()
-}
-
-/// What is known beforehand.
-fn options(args: &ReconstructArgs, common: &Common, clip: &Clip) -> Result<Options> {
-    let scale = f64::from(clip.width) / f64::from(clip.original.0);
-    if let Some(focal) = args.focal {
-        let whole = Intrinsics::centred(focal, clip.original.0, clip.original.1);
-        whole.check().map_err(|what| Error::Input(format!("--focal {focal:?}: {what}")))?;
-    }
-    Ok(Options {
-        intrinsics: given(&args.intrinsics, clip, supplied::intrinsics)?,
-        focal: args.focal.map(|focal| focal * scale).or(clip.focal),
-        poses: given(&args.poses, clip, supplied::poses)?,
-        masks: given(&args.masks, clip, supplied::masks)?,
-        depth: given(&args.depth, clip, supplied::depth)?,
-        seed: common.seed,
-        ..Options::default()
-    })
-}
-
-/// Flow, cameras, masks, depth.
-fn observe(
-    device: &Device,
-    frames: &[Image],
-    options: &Options,
-    supplied: Option<SuppliedFlow>,
-    checkpoints: &mut Checkpoints,
-    clock: &mut Clock,
-) -> Result<Track> {
-    let mut source: Box<dyn FlowSource + '_> = match supplied {
-        Some(flow) => Box::new(flow),
-        None => Box::new(EngineFlow::new(device, frames, &FlowSettings::default())?),
-    };
-    let mut tracker = Tracker::new(clock, checkpoints);
-    let found = track_observed(frames, options, source.as_mut(), &mut tracker)?;
-    tracker.finish();
-    checkpoints.tracked(&found);
-    Ok(found)
-}
-
 /// What a phase is called, on the bar and in the report.
 fn phase_names(phase: Phase) -> (&'static str, &'static str) {
     let name = match phase {
@@ -455,25 +375,18 @@ fn identity(
         ("--every", args.frames.every.to_string()),
         ("--max-frames", shown(args.frames.max_frames)),
         ("--size or --width", shown(size)),
-        ("--focal", shown(args.focal)),
+        ("--focal", shown(args.known.focal)),
         ("--intrinsics", summed(options.intrinsics.as_ref())),
         ("--poses", summed(options.poses.as_ref())),
         ("--masks", summed(options.masks.as_ref())),
         ("--depth", summed(options.depth.as_ref())),
+        ("--tracks", summed(options.tracks.as_ref())),
         ("--flow", summed(flow)),
         ("the frames", format!("{} with the checksum {}", frames.len(), checksum(frames))),
         // What no option says: the focal length in the pictures' EXIF, this version's settings.
         ("what is known beforehand", summed(Some(options))),
         ("the program's settings", summed(Some(&format!("{settings:?}")))),
     ])
-}
-
-fn focal_source(source: FocalSource) -> &'static str {
-    match source {
-        FocalSource::Given => "given",
-        FocalSource::Measured => "measured",
-        FocalSource::Assumed => "assumed",
-    }
 }
 
 /// The frames, at one exposure, with the scene's cameras.

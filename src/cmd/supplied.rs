@@ -3,9 +3,11 @@
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-use splat4d::data::{Clip, exr, flo, images, intrinsics, read_mask, trajectory, transforms};
+use splat4d::data::{
+    Clip, exr, flo, images, intrinsics, read_mask, tracks, trajectory, transforms,
+};
 use splat4d::observe::SuppliedFlow;
-use splat4d::types::{Image, Intrinsics, Pose};
+use splat4d::types::{Image, Intrinsics, Pose, Tracks};
 use splat4d::{Error, Result};
 
 /// Things that are supplied for a clip's frames: a list in the order of the frames, with the names
@@ -113,6 +115,24 @@ pub fn masks(folder: &Path, clip: &Clip) -> Result<Vec<Image>> {
 /// Depth maps of a folder of EXR files, one for each frame taken, at the size of the frames.
 pub fn depth(folder: &Path, clip: &Clip) -> Result<Vec<Image>> {
     of_folder(folder, files(folder, "exr")?, clip, "depth maps", |file| exr::read_depth(file))
+}
+
+/// Points followed through the clip, one place for each frame taken, at the size of the frames.
+pub fn tracks(path: &Path, clip: &Clip) -> Result<Tracks> {
+    let found = tracks::read(path)?;
+    let listed =
+        Listed { path, what: "places of each point", count: found.frames(), names: Vec::new() };
+    let pairs = listed.pair(clip)?;
+    let size = found.size.unwrap_or(clip.original);
+    let mut taken = Tracks { size: Some(size), ..found }.resized((clip.width, clip.height));
+    for point in &mut taken.points {
+        point.pixels = pairs.iter().map(|i| point.pixels[*i]).collect();
+        point.seen = pairs.iter().map(|i| point.seen[*i]).collect();
+        let query = pairs.iter().position(|i| *i == point.query.0);
+        let first = query.or_else(|| point.seen.iter().position(|seen| *seen)).unwrap_or(0);
+        point.query = (first, point.pixels[first]);
+    }
+    Ok(taken)
 }
 
 /// Reads, of a folder's files, those of the frames taken.

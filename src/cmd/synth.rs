@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use clap::Args;
 use clap::builder::PossibleValuesParser;
 use serde_json::json;
-use splat4d::Result;
 use splat4d::data::synth::{self, SynthOptions};
+use splat4d::{Result, io};
 
 use super::common::{Answer, Common, path_text, say};
 use super::outputs::Outputs;
@@ -23,7 +23,7 @@ hold    a hand turns a glossy jug before the camera
 walk    a person with limbs walks across the room and turns
 
 In the last three movers cast shadows. DIR/frames holds the pictures; DIR/truth intrinsics, poses
-(TUM), depth (EXR), flow (.flo), masks, and held-out cameras 8, 18 and 30 % of the median depth aside,
+(TUM), depth (EXR), flow (.flo), masks, point tracks (.npz), and held-out cameras 8, 18 and 30 % of the median depth aside,
 every second time, with masks of the movers there and of the pixels that some frame saw.
 
 Example:
@@ -53,7 +53,7 @@ pub struct SynthArgs {
 /// Runs the command.
 pub fn run(args: &SynthArgs, common: &Common) -> Result<Answer> {
     Outputs::default().folder(&args.output, &["frames", "truth"])?;
-    synth::check_folder(&args.output)?;
+    io::check_new_folder(&args.output)?;
     let SynthArgs { name, output, frames, size: (width, height) } = args;
     let options =
         SynthOptions { frames: *frames, width: *width, height: *height, seed: common.seed };

@@ -33,7 +33,7 @@ impl<'a> Tracker<'a> {
 }
 
 /// What a stage is called, on the bar and in the report.
-fn name(stage: Stage) -> &'static str {
+pub fn name(stage: Stage) -> &'static str {
     match stage {
         Stage::Flow => "flow",
         Stage::Cameras => "cameras",

@@ -15,6 +15,7 @@ pub mod images;
 pub mod intrinsics;
 pub mod points;
 pub mod synth;
+pub mod tracks;
 pub mod trajectory;
 pub mod transforms;
 pub mod video;

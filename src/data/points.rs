@@ -1,5 +1,6 @@
 //! Coloured points.
 
+use std::io::Write;
 use std::path::Path;
 
 use glam::Vec3;
@@ -69,6 +70,25 @@ pub fn read_ply(path: &Path) -> Result<(Vec<Point>, usize)> {
         points.push(point);
     }
     Ok((points, left_out))
+}
+
+/// Writes a point cloud as binary PLY, colours in 8 bits, by rename.
+///
+/// # Errors
+/// [`Error::Io`].
+pub fn write_ply(path: impl AsRef<Path>, points: &[Point]) -> Result<()> {
+    io::write_atomically(path, |sink| {
+        writeln!(sink, "ply\nformat binary_little_endian 1.0")?;
+        writeln!(sink, "element vertex {}", points.len())?;
+        ["x", "y", "z"].iter().try_for_each(|name| writeln!(sink, "property float {name}"))?;
+        let colours = ["red", "green", "blue"];
+        colours.iter().try_for_each(|name| writeln!(sink, "property uchar {name}"))?;
+        writeln!(sink, "end_header")?;
+        points.iter().try_for_each(|point| {
+            point.position.iter().try_for_each(|v| sink.write_all(&v.to_le_bytes()))?;
+            sink.write_all(&point.colour.map(|c| (c.clamp(0.0, 1.0) * 255.0).round() as u8))
+        })
+    })
 }
 
 impl Point {

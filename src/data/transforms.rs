@@ -131,8 +131,13 @@ pub fn file_names(path: &Path) -> Result<Vec<String>> {
 }
 
 /// Writes cameras as nerfstudio reads them, each with its `time`; `files` names a picture for each
-/// camera, relative to the file.
-pub fn write(path: impl AsRef<Path>, cameras: &[TimedCamera], files: &[String]) -> Result<()> {
+/// camera, relative to the file; `cloud` a PLY of points to begin with, where there is one.
+pub fn write(
+    path: impl AsRef<Path>,
+    cameras: &[TimedCamera],
+    files: &[String],
+    cloud: Option<&str>,
+) -> Result<()> {
     if files.len() != cameras.len() {
         return Err(Error::Shape {
             op: "transforms::write",
@@ -160,6 +165,9 @@ pub fn write(path: impl AsRef<Path>, cameras: &[TimedCamera], files: &[String]) 
         }
         (top["w"], top["h"]) = (json!(k.width), json!(k.height));
         top["camera_angle_x"] = json!(2.0 * (f64::from(k.width) / 2.0 / k.fx).atan());
+    }
+    if let Some(cloud) = cloud {
+        top["ply_file_path"] = json!(cloud);
     }
     io::write_json(path, &top)
 }

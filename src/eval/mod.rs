@@ -1,8 +1,9 @@
-//! How good a result is: images and masks against a reference, camera trajectories against a
+//! How good a result is: images and masks, camera trajectories and tracks of points against a
 //! reference.
 
 mod fit;
 mod image;
+mod tracks;
 mod trajectory;
 
 pub use fit::{PoseFit, fit_pose};
@@ -10,4 +11,5 @@ pub use image::{
     depth_relative_median, mask_iou, masked_mean, masked_psnr, ms_ssim, psnr, ssim, ssim_map,
     ssim_valid,
 };
+pub use tracks::{SIDE, TrackScores, WITHIN, score_tracks};
 pub use trajectory::{Align, Statistics, TrajectoryErrors, compare_trajectories, match_by_time};

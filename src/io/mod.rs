@@ -3,12 +3,14 @@
 //! memory there is.
 
 mod bytes;
+mod folder;
 mod memory;
 pub mod ply;
 mod state;
 mod write;
 
 pub use bytes::Bytes;
+pub use folder::{check_new_folder, write_folder};
 pub(crate) use memory::gibibytes;
 pub use memory::{available_memory, check_limits, check_memory};
 pub use state::{Identity, checksum, read_state, write_state};

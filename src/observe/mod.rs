@@ -23,4 +23,5 @@ pub use engine::EngineFlow;
 pub use exposure::Exposure;
 pub use flow::{Chain, FlowPair, FlowSource, NeighbourFlow, SuppliedFlow, observe_flow};
 pub use refine::refine;
+pub(crate) use tracks::supplied_tracks;
 pub use tracks::{PointTrack, TrackOptions, follow};

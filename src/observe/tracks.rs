@@ -4,6 +4,7 @@ use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
 use super::flow::NeighbourFlow;
+use crate::types::Tracks;
 
 /// A point followed from frame to frame without a gap.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -125,13 +126,53 @@ pub fn follow(flow: &NeighbourFlow, options: &TrackOptions) -> Vec<PointTrack> {
     done
 }
 
+/// What is seen of points that others have followed, each time from where it appears to where it
+/// disappears, within pictures of a size. What they are off by is taken to grow as in a chain of flow.
+pub(crate) fn supplied_tracks(tracks: &Tracks, size: DVec2) -> Vec<PointTrack> {
+    let inside = |at: DVec2| at.cmpge(DVec2::ZERO).all() && at.cmplt(size).all();
+    let mut found = Vec::new();
+    for point in &tracks.points {
+        let places = point.pixels.iter().zip(&point.seen);
+        let places: Vec<Option<DVec2>> =
+            places.map(|(pixel, seen)| Some(*pixel).filter(|at| *seen && inside(*at))).collect();
+        let mut first = 0;
+        for run in places.split(Option::is_none) {
+            let pixels: Vec<DVec2> = run.iter().copied().flatten().collect();
+            if pixels.len() > 1 {
+                let deviation = |k: usize| STEP_DEVIATION * (k as f32).sqrt();
+                let deviation = (0..pixels.len()).map(deviation).collect();
+                found.push(PointTrack { first, pixels, deviation });
+            }
+            first += run.len() + 1;
+        }
+    }
+    found
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::observe::{SuppliedFlow, observe_flow};
-    use crate::types::Image;
+    use crate::types::{Image, PointPath};
 
     const SIZE: (u32, u32) = (40, 20);
+
+    #[test]
+    fn supplied_points_are_taken_from_where_they_appear_to_where_they_disappear() {
+        let x = [3.0, 5.0, 7.0, 9.0, f64::NAN, 13.0, 60.0, 17.0, 19.0];
+        let point = PointPath {
+            query: (0, DVec2::new(3.0, 4.0)),
+            pixels: x.map(|x| DVec2::new(x, 4.0)).to_vec(),
+            seen: vec![true, true, true, false, true, true, true, true, true],
+        };
+        let tracks = Tracks { size: Some(SIZE), points: vec![point] };
+        let found = supplied_tracks(&tracks, DVec2::new(40.0, 20.0));
+        let told: Vec<(usize, Vec<f64>)> =
+            found.iter().map(|t| (t.first, t.pixels.iter().map(|p| p.x).collect())).collect();
+        assert_eq!(told, [(0, vec![3.0, 5.0, 7.0]), (7, vec![17.0, 19.0])]);
+        assert_eq!(found[0].deviation[0], 0.0);
+        assert!(found[0].deviation[2] > found[0].deviation[1]);
+    }
 
     /// Four frames in which everything goes by (4, 1), but for one vector.
     fn flow(odd: Option<(usize, [f32; 2])>) -> NeighbourFlow {

@@ -23,6 +23,7 @@
 //! | [`scaffold`] | nodes on what moves, each carried through the whole clip |
 //! | `smooth` | the scale of a path, from how smoothly things move |
 //! | `observer` | who looks on: progress, and finished parts put away |
+//! | `places` | where a point of the scene is in every frame |
 //! | `points` | static points to seed Gaussians with |
 //!
 //! Cameras and masks need each other: points on movers spoil poses, and what moves can be told only
@@ -40,6 +41,7 @@ mod objects;
 mod observer;
 mod outline;
 mod photometric;
+mod places;
 mod plate;
 mod points;
 mod relief;
@@ -54,15 +56,15 @@ mod stereo;
 mod still;
 mod unfollowed;
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
 use crate::data::Clip;
 use crate::geometry::sim3::Sim3;
 use crate::observe::{
-    Exposure, FlowSource, NeighbourFlow, PointTrack, TrackOptions, follow, refine,
+    Exposure, FlowSource, NeighbourFlow, PointTrack, TrackOptions, follow, refine, supplied_tracks,
 };
-use crate::types::{Image, Intrinsics, Pose};
+use crate::types::{Image, Intrinsics, Pose, Tracks};
 use crate::{Error, Result};
 use cameras::{Cameras, Focal};
 use observer::{Progress, Work, numbered};
@@ -84,6 +86,9 @@ pub struct Options {
     /// Depth (z), one channel, up to one scale for the whole clip, 0 or not finite where unknown,
     /// where it is known: kept but for that scale.
     pub depth: Option<Vec<Image>>,
+    /// Points that are followed already, places at the size of the frames, where there are any: they are
+    /// taken in besides the program's own.
+    pub tracks: Option<Tracks>,
     /// How many times masks and poses are alternated; at least 1.
     pub rounds: usize,
     /// Whether each track's point is found again in the pictures; else it keeps the places that chained
@@ -112,6 +117,7 @@ impl Default for Options {
             poses: None,
             masks: None,
             depth: None,
+            tracks: None,
             rounds: 2,
             refine_tracks: true,
             exposure: true,
@@ -275,6 +281,8 @@ pub fn track_observed(
     let mut work = Work::new(observer);
     let flow = observe(frames, source, &mut work)?;
     let mut tracks = follow(&flow, &TrackOptions::for_size(flow.width, flow.height));
+    let size = DVec2::new(flow.width as f64, flow.height as f64);
+    tracks.extend(options.tracks.iter().flat_map(|tracks| supplied_tracks(tracks, size)));
     if options.refine_tracks {
         refine(frames, &flow, &mut tracks);
     }
@@ -635,6 +643,10 @@ fn check(frames: &[Image], options: &Options) -> Result<()> {
         ("poses", options.poses.as_ref().map(Vec::len)),
         ("masks", options.masks.as_ref().map(Vec::len)),
         ("depth maps", options.depth.as_ref().map(Vec::len)),
+        (
+            "places of each point",
+            options.tracks.as_ref().filter(|t| !t.points.is_empty()).map(Tracks::frames),
+        ),
     ];
     for (what, length) in lists {
         if let Some(length) = length.filter(|l| *l != n) {

@@ -6,7 +6,9 @@
 //! surroundings as rigid as possible (embedded deformation: Sumner, Schmid, Pauly 2007; rotations and
 //! translations alternate as in Sorkine and Alexa 2007). What is hidden, or whose flow is not to be
 //! believed, goes along with its surroundings. So no point has to be followed on its own: chained
-//! tracks on a body lose half of their points every few frames.
+//! tracks on a body lose half of their points every few frames. Where flow can be chained over several
+//! frames it says more: the same points, from frames farther back, keep the nodes from drifting along
+//! the surface, since the errors of single steps do not add up in them.
 //!
 //! The scaffold begins in the frame that shows most of the movers. Where a later frame shows surface
 //! that no node is near to, nodes are added, and carried to all other frames afterwards, between nodes
@@ -50,6 +52,8 @@ const LEAST_MATCHES: usize = 20;
 const BELIEVED: f64 = 3.0;
 /// Objects are judged by the points that are off by more than this share of all.
 const JUDGED: f64 = 0.8;
+/// Flow that is chained from so many frames before the last tells where nodes have gone astray.
+const BACK: [usize; 8] = [1, 2, 3, 4, 6, 8, 11, 15];
 /// Nodes go as one where that leaves at most so much more.
 const STIFF: f64 = 1.5;
 
@@ -346,8 +350,9 @@ impl Builder<'_> {
         let matches = surfaces.matches(from, to);
         let bound: Vec<Option<Bound>> =
             matches.par_iter().map(|m| self.bind(m, &chosen, &here, &neighbours)).collect();
+        let bound = matches.into_iter().zip(bound).filter_map(|(m, b)| Some((m, b?)));
         let (matches, bound): (Vec<Match>, Vec<Bound>) =
-            matches.into_iter().zip(bound).filter_map(|(m, b)| Some((m, b?))).unzip();
+            bound.chain(self.long_matches(from, to, &chosen, &neighbours)).unzip();
         let guess: Vec<Pose> = chosen
             .iter()
             .zip(&here)
@@ -381,6 +386,78 @@ impl Builder<'_> {
             self.nodes[i].poses[to] = Some(*pose);
         }
         self.measure(to);
+    }
+
+    /// Surface points of frames farther back, beyond `from`, that chained flow leads to `to`: as the nodes
+    /// have carried them to `from`, where they may have gone astray a little, and where they should be
+    /// in `to`.
+    fn long_matches(
+        &self,
+        from: usize,
+        to: usize,
+        chosen: &[usize],
+        neighbours: &[Vec<usize>],
+    ) -> Vec<(Match, Bound)> {
+        let frames = self.surfaces.masks.len();
+        let of = |back: usize| {
+            let source = if to > from { from.checked_sub(back)? } else { from + back };
+            (source < frames).then_some(source)
+        };
+        let sources = BACK.iter().filter_map(|back| of(*back));
+        sources.flat_map(|source| self.chained(source, from, to, chosen, neighbours)).collect()
+    }
+
+    fn chained(
+        &self,
+        source: usize,
+        from: usize,
+        to: usize,
+        chosen: &[usize],
+        neighbours: &[Vec<usize>],
+    ) -> Vec<(Match, Bound)> {
+        let surfaces = self.surfaces;
+        let known = |i: usize| self.nodes[i].poses[source];
+        let place = |j: usize| known(chosen[j]).map(|pose| pose.translation);
+        let every = if area(&surfaces.masks[source]) > PLENTY { 2 } else { 1 };
+        let find = |&(pixel, owner): &(DVec2, usize)| {
+            let (mut at, mut frame, mut certainty) = (pixel, source, 1.0f32);
+            while frame != to {
+                let next = surfaces.flow.step(frame, to > from, at)?;
+                (at, frame) = (next.pixel, if to > from { frame + 1 } else { frame - 1 });
+                certainty = certainty.min(next.confidence);
+                if certainty < CONFIDENCE || surfaces.owner(frame, at) != Some(owner) {
+                    return None;
+                }
+            }
+            let point = surfaces.lift(source, pixel);
+            let distance = |j: usize| place(j).map_or(f64::INFINITY, |at| at.distance(point));
+            let on_it = (0..chosen.len())
+                .filter(|&j| self.nodes[chosen[j]].owner == owner && place(j).is_some());
+            let nearest = on_it.min_by(|&a, &b| distance(a).total_cmp(&distance(b)))?;
+            let radius = self.nodes[chosen[nearest]].spacing;
+            let near: Vec<usize> =
+                neighbours[nearest].iter().copied().filter(|&j| place(j).is_some()).collect();
+            let bound = followed(nearest, &near, radius, distance);
+            let mut here = DVec3::ZERO;
+            for &(j, weight) in &bound {
+                let poses = &self.nodes[chosen[j]].poses;
+                let (before, now) = (poses[source]?, poses[from]?);
+                let turned = now.rotation * before.rotation.conjugate();
+                here += weight * (turned * (point - before.translation) + now.translation);
+            }
+            let there = surfaces.lift(to, at);
+            let certainty = f64::from(certainty) * (every * every) as f64;
+            let found = Match {
+                owner,
+                here,
+                there,
+                sight: surfaces.sight(to, there),
+                weight: certainty / surfaces.pixel_size(to, there).powi(2),
+                certainty,
+            };
+            Some((found, bound))
+        };
+        surfaces.inner_pixels(source, every).par_iter().filter_map(find).collect()
     }
 
     /// A pose in the next frame if it were fixed to its object.

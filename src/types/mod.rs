@@ -14,6 +14,7 @@ mod gaussians;
 mod image;
 pub mod range;
 mod settings;
+mod tracks;
 
 pub use adam::AdamSettings;
 pub use camera::{Camera, Intrinsics, Pose};
@@ -23,3 +24,4 @@ pub use flow::FlowSettings;
 pub use gaussians::{Gaussians, SH_C0, sh_coefficients};
 pub use image::Image;
 pub use settings::{DEPTH_BITS, RasterKind, RenderSettings, Tuning};
+pub use tracks::{PointPath, Tracks};

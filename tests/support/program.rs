@@ -109,5 +109,5 @@ pub fn dataset(folder: &Path, pictures: usize) {
     for (i, name) in names.iter().enumerate() {
         write_png(folder.join(name), &picture(48, 32, i as u32)).unwrap();
     }
-    transforms::write(folder.join("transforms.json"), &cameras(pictures), &names).unwrap();
+    transforms::write(folder.join("transforms.json"), &cameras(pictures), &names, None).unwrap();
 }

@@ -22,16 +22,19 @@ mod thrown;
 mod trace;
 mod write;
 
+use std::collections::BTreeSet;
+
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
 use crate::io::check_memory;
-use crate::types::{Camera, Image, Intrinsics, Pose};
+use crate::types::{Camera, Image, Intrinsics, PointPath, Pose, Tracks};
 use render::{Geometry, Moment};
 use scene::Scene;
+use trace::Hit;
 
-pub use write::{check_folder, write};
+pub use write::write;
 
 /// The clips, by name:
 /// - `rigid`: a cart is driven through the room, the camera moves;
@@ -53,6 +56,10 @@ const HELD_OUT: [(f64, DVec3); 3] = [
 ];
 /// Held-out cameras take every so-manieth frame.
 const HELD_OUT_EVERY: usize = 2;
+
+/// Points whose tracks are known lie on a grid of so many columns, in the first, the middle and the last
+/// frame.
+const TRACK_COLUMNS: u32 = 32;
 
 /// A clip holds all of its frames and truth in memory; no more than this.
 const MOST_BYTES: u64 = 8 << 30;
@@ -103,6 +110,9 @@ pub struct Clip {
     pub visible_backward: Vec<Image>,
     /// `n` images of one channel: 1 where the pixel's centre shows something that moves, else 0.
     pub masks: Vec<Image>,
+    /// Points through the clip: those that pixels of a grid show in the first, the middle and the last
+    /// frame.
+    pub tracks: Tracks,
     /// Cameras beside the path, for measuring novel views: 8, 18 and 30 % of the median depth aside.
     pub held_out: [HeldOut; 3],
 }
@@ -170,6 +180,7 @@ pub fn clip(name: &str, options: &SynthOptions) -> Result<Clip> {
         visible_forward: Vec::new(),
         visible_backward: Vec::new(),
         masks: Vec::new(),
+        tracks: Tracks { size: Some((width, height)), points: Vec::new() },
         held_out: HELD_OUT.map(|(aside, direction)| HeldOut {
             aside,
             times: shown.clone(),
@@ -182,6 +193,19 @@ pub fn clip(name: &str, options: &SynthOptions) -> Result<Clip> {
             covisible: Vec::new(),
         }),
     };
+    let pixels = grid(width, height);
+    let mut followed: Vec<(usize, DVec2, Hit)> = Vec::new();
+    for frame in BTreeSet::from([0, frames / 2, frames - 1]) {
+        let moment = geometry.at(times[frame]);
+        let hits = geometry.hits((&moment, &camera(times[frame], DVec3::ZERO)), &pixels);
+        let met = pixels.iter().zip(hits).filter_map(|(pixel, hit)| Some((frame, *pixel, hit?)));
+        followed.extend(met);
+    }
+    let point = |(frame, pixel, _): &(usize, DVec2, Hit)| PointPath {
+        query: (*frame, *pixel),
+        ..PointPath::default()
+    };
+    clip.tracks.points = followed.iter().map(point).collect();
     let mut held_out_depth: [Vec<Image>; HELD_OUT.len()] = Default::default();
     let cameras: Vec<Camera> = times.iter().map(|t| camera(*t, DVec3::ZERO)).collect();
     // The frame in hand with its neighbours; a long clip's geometry is not kept whole.
@@ -191,6 +215,11 @@ pub fn clip(name: &str, options: &SynthOptions) -> Result<Clip> {
         window[2] = times.get(here + 1).map(|time| geometry.at(*time));
         let [before, Some(now), after] = &window else { break };
         clip.frames.push(geometry.picture(now, &cameras[here]));
+        let places = geometry.places(followed.iter().map(|(.., hit)| hit), (now, &cameras[here]));
+        for (point, (pixel, seen)) in clip.tracks.points.iter_mut().zip(places) {
+            point.pixels.push(pixel);
+            point.seen.push(seen);
+        }
         if here % HELD_OUT_EVERY == 0 {
             for (held_out, depth) in clip.held_out.iter_mut().zip(&mut held_out_depth) {
                 let camera = &held_out.cameras[here / HELD_OUT_EVERY];
@@ -223,6 +252,14 @@ pub fn clip(name: &str, options: &SynthOptions) -> Result<Clip> {
         held_out.covisible = seen.collect();
     }
     Ok(clip)
+}
+
+/// Middles of pixels on a grid.
+fn grid(width: u32, height: u32) -> Vec<DVec2> {
+    let spacing = (width / TRACK_COLUMNS).max(1);
+    let along = |size: u32| (spacing / 2..size).step_by(spacing as usize);
+    let centre = |x, y| DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
+    along(height).flat_map(|y| along(width).map(move |x| centre(x, y))).collect()
 }
 
 /// 1 where a frame of the clip shows the point at a pixel's centre, and where something moves.

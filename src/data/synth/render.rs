@@ -327,6 +327,24 @@ impl Geometry {
         truth
     }
 
+    /// What a camera sees at some pixels.
+    pub fn hits(&self, (moment, camera): (&Moment, &Camera), pixels: &[DVec2]) -> Vec<Option<Hit>> {
+        let view = View::new(camera);
+        let hit = |pixel: &DVec2| moment.bvh.nearest(view.centre, view.ray(*pixel), None);
+        pixels.par_iter().map(hit).collect()
+    }
+
+    /// Where surface points are in a camera, and whether they are seen there; behind it a place is NaN.
+    pub fn places<'a>(
+        &self,
+        hits: impl Iterator<Item = &'a Hit>,
+        (moment, camera): (&Moment, &Camera),
+    ) -> Vec<(DVec2, bool)> {
+        let view = View::new(camera);
+        let place = |hit| self.seen_in(hit, moment, camera, &view);
+        hits.map(|hit| place(hit).unwrap_or((DVec2::NAN, false))).collect()
+    }
+
     /// The median depth of what a camera sees.
     pub fn median_depth(&self, moment: &Moment, camera: &Camera) -> f64 {
         let mut depth = self.truth((moment, camera), &[]).depth.pixels;

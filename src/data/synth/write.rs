@@ -8,31 +8,13 @@ use rayon::prelude::*;
 use super::{Clip, HELD_OUT_EVERY};
 use crate::data::trajectory::{self, TimedPose};
 use crate::data::transforms::{self, TimedCamera};
-use crate::data::{exr, flo, intrinsics, write_mask, write_png};
+use crate::data::{exr, flo, intrinsics, tracks, write_mask, write_png};
 use crate::error::{Error, Result};
+use crate::io;
 use crate::types::Image;
 
 /// What readers of `.flo` take for "unknown": beyond 1e9.
 const UNKNOWN_FLOW: f32 = 1e10;
-
-/// That a clip can be written as `folder`: it does not exist yet, or is empty.
-///
-/// # Errors
-/// [`Error::Input`] when it is not empty; [`Error::Io`] when it cannot be read or is no folder.
-pub fn check_folder(folder: impl AsRef<Path>) -> Result<()> {
-    let folder = folder.as_ref();
-    if !folder.exists() {
-        return Ok(());
-    }
-    let mut entries = fs::read_dir(folder).map_err(Error::io(folder))?;
-    match entries.next() {
-        None => Ok(()),
-        Some(_) => Err(Error::Input(format!(
-            "{} is not empty; name a new folder, or remove it first",
-            folder.display()
-        ))),
-    }
-}
 
 /// Writes a clip as a new folder, or into an empty one. `frames` and `truth` appear by rename, in a new
 /// folder both at once:
@@ -48,6 +30,7 @@ pub fn check_folder(folder: impl AsRef<Path>) -> Result<()> {
 /// truth/visible_forward/0000.png, truth/visible_backward/0001.png …
 ///                                 white where the flow ends on a point that is seen there
 /// truth/masks/0000.png …          white where something moves
+/// truth/tracks.npz                points through the clip (see [`tracks`](crate::data::tracks))
 /// truth/held_out/1/0000.png …, truth/held_out/2/0000.png …, truth/held_out/3/0000.png …
 ///                                 from 8, 18 and 30 % of the median depth aside, every second time;
 ///                                 the number is that of the frame
@@ -59,41 +42,9 @@ pub fn check_folder(folder: impl AsRef<Path>) -> Result<()> {
 /// ```
 ///
 /// # Errors
-/// Those of [`check_folder`]; [`Error::Io`] when the disk refuses.
+/// Those of [`check_new_folder`](crate::io::check_new_folder); [`Error::Io`] when the disk refuses.
 pub fn write(clip: &Clip, folder: impl AsRef<Path>) -> Result<()> {
-    let folder = folder.as_ref();
-    check_folder(folder)?;
-    // A folder that is there stays the same one: it may be a link, or where a disk is mounted.
-    let new = !folder.exists();
-    let parent = match folder.parent() {
-        _ if !new => folder,
-        Some(parent) if parent != Path::new("") => parent,
-        _ => Path::new("."),
-    };
-    fs::create_dir_all(parent).map_err(Error::io(parent))?;
-    let partial =
-        tempfile::Builder::new().prefix(".synth-").tempdir_in(parent).map_err(Error::io(parent))?;
-    // Nested, since a temporary folder is its owner's alone and its mode would come along.
-    let whole = partial.path().join("clip");
-    contents(clip, &whole).map_err(|error| moved(error, &whole, folder))?;
-    if new {
-        return fs::rename(&whole, folder).map_err(Error::io(folder));
-    }
-    ["truth", "frames"]
-        .iter()
-        .try_for_each(|name| fs::rename(whole.join(name), folder.join(name)))
-        .map_err(Error::io(folder))
-}
-
-/// An error of writing below one folder, told of the folder that is to take its place.
-fn moved(error: Error, from: &Path, to: &Path) -> Error {
-    match error {
-        Error::Io { path, source } => {
-            let path = path.strip_prefix(from).map(|rest| to.join(rest)).unwrap_or(path);
-            Error::Io { path, source }
-        }
-        other => other,
-    }
+    io::write_folder(folder.as_ref(), &["truth", "frames"], |whole| contents(clip, whole))
 }
 
 fn contents(clip: &Clip, folder: &Path) -> Result<()> {
@@ -114,6 +65,7 @@ fn contents(clip: &Clip, folder: &Path) -> Result<()> {
         let to = truth.join(format!("visible_{name}"));
         series(&to, "png", (first, 1), visible, |path, i| write_mask(path, i))?;
     }
+    tracks::write(truth.join("tracks.npz"), &clip.tracks)?;
     intrinsics::write(truth.join("intrinsics.json"), &clip.intrinsics)?;
     let poses: Vec<TimedPose> = clip
         .view_from_world
@@ -128,7 +80,7 @@ fn contents(clip: &Clip, folder: &Path) -> Result<()> {
         .collect();
     let files: Vec<String> =
         (0..cameras.len()).map(|i| format!("../frames/{}", number(i))).collect();
-    transforms::write(truth.join("transforms.json"), &cameras, &files)?;
+    transforms::write(truth.join("transforms.json"), &cameras, &files, None)?;
 
     let held_out = truth.join("held_out");
     let (mut cameras, mut files) = (Vec::new(), Vec::new());
@@ -144,7 +96,7 @@ fn contents(clip: &Clip, folder: &Path) -> Result<()> {
             files.push(format!("{name}/{}", number(*frame)));
         }
     }
-    transforms::write(held_out.join("transforms.json"), &cameras, &files)
+    transforms::write(held_out.join("transforms.json"), &cameras, &files, None)
 }
 
 /// Writes images into a new folder, numbered from the first, every so-manieth.

@@ -37,13 +37,15 @@ struct Base {
 
 /// Good commands, each with options that keep it short; `<kind>` stands for an input and `>name` for
 /// an output.
-const BASES: [&str; 20] = [
+const BASES: [&str; 23] = [
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150",
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150 \
      --control-points 6 --report >report",
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --poses <cameras> --masks <masks> \
      --intrinsics <intrinsics>",
     "reconstruct <clip> -o >scene.safetensors --steps 3 --flow <flow> --depth <depth>",
+    "track <clip> -o >tracked --size 32",
+    "track <clip> -o >tracked --tracks <tracks> --queries <tracks>",
     "train <dataset> -o >scene.safetensors --steps 3 --random-points 80 --sh-degree 0 --static",
     "train <dataset> -o >scene.safetensors --steps 3 --random-points 80 --max-gaussians 120 \
      --density adaptive --report >report --settings <settings>",
@@ -53,6 +55,7 @@ const BASES: [&str; 20] = [
     "eval <scene> <dataset>",
     "eval <scene> <truth>",
     "eval <cameras> <cameras>",
+    "eval <tracks> <tracks>",
     "ablate <clip> --only motion --size 32 --steps 3 --max-gaussians 150 --report >report",
     "info <scene>",
     "synth rigid -o >clip --frames 3 --size 24x16",
@@ -64,8 +67,9 @@ const BASES: [&str; 20] = [
 ];
 
 /// Every command's name.
-pub const COMMANDS: [&str; 10] = [
+pub const COMMANDS: [&str; 11] = [
     "reconstruct",
+    "track",
     "train",
     "render",
     "eval",
@@ -220,6 +224,7 @@ impl Artist<'_> {
             "--masks" => Kind::Masks,
             "--depth" => Kind::Depth,
             "--flow" => Kind::Flow,
+            "--tracks" | "--queries" => Kind::Tracks,
             "--settings" => Kind::Settings,
             "--case" => Kind::Case,
             _ => {
@@ -363,6 +368,7 @@ fn kind_of(name: &str) -> Kind {
         "masks" => Kind::Masks,
         "depth" => Kind::Depth,
         "flow" => Kind::Flow,
+        "tracks" => Kind::Tracks,
         "settings" => Kind::Settings,
         "measurements" => Kind::Measurements,
         "case" => Kind::Case,

@@ -40,6 +40,8 @@ pub enum Kind {
     Case,
     /// A clip's truth.
     Truth,
+    /// Points through a clip.
+    Tracks,
 }
 
 /// A good input.
@@ -96,6 +98,7 @@ impl Fixtures {
         add(Kind::Masks, "clip/truth/masks");
         add(Kind::Depth, "clip/truth/depth");
         add(Kind::Flow, "clip/truth");
+        add(Kind::Tracks, "clip/truth/tracks.npz");
         add(Kind::Scene, "scene.safetensors");
         add(Kind::Scene, "moving.safetensors");
         add(Kind::Measurements, "bench/bench.json");
@@ -103,7 +106,7 @@ impl Fixtures {
             ply::write(root.join("blobs.ply"), &blobs())?;
             let cameras = cameras();
             let names: Vec<String> = (0..cameras.len()).map(|i| format!("{i}.png")).collect();
-            transforms::write(root.join("path.json"), &cameras, &names)?;
+            transforms::write(root.join("path.json"), &cameras, &names, None)?;
             let poses: Vec<TimedPose> = cameras
                 .iter()
                 .map(|c| TimedPose {

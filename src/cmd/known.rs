@@ -1,0 +1,152 @@
+//! What the user knows of a clip before it is tracked, and the tracking itself: what `reconstruct` and
+//! `track` share.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use splat4d::data::{Clip, Resize, images};
+use splat4d::gpu::Device;
+use splat4d::observe::{EngineFlow, FlowSource, SuppliedFlow};
+use splat4d::track::{FocalSource, Observer, Options, Track, track_observed};
+use splat4d::types::{FlowSettings, Image, Intrinsics};
+use splat4d::{Error, Result};
+
+use super::clip::ClipArgs;
+use super::outputs::{Folder, Inputs};
+use super::{supplied, values};
+
+/// What is known of a clip.
+#[derive(Args)]
+pub struct KnownArgs {
+    /// Focal length, in pixels of the clip's own size
+    #[arg(long, value_name = "PIXELS",
+          value_parser = values::number(1.0..=values::MOST_FOCAL))]
+    pub focal: Option<f64>,
+    /// Intrinsics: JSON with fx, fy, cx, cy, width, height
+    #[arg(long, value_name = "FILE", conflicts_with = "focal")]
+    intrinsics: Option<PathBuf>,
+    /// Camera poses: TUM (camera to world), one per frame, or a transforms.json, whose file names may
+    /// be those of the frames
+    #[arg(long, value_name = "FILE")]
+    poses: Option<PathBuf>,
+    /// Motion masks: a folder of images, white where something moves, one per frame or named as the
+    /// frames are
+    #[arg(long, value_name = "DIR")]
+    masks: Option<PathBuf>,
+    /// Depth maps: a folder of EXR files, z up to one scale, 0 where unknown
+    #[arg(long, value_name = "DIR")]
+    depth: Option<PathBuf>,
+    /// Optical flow: a folder with .flo files in flow_forward and flow_backward (or forward and
+    /// backward); frames keep their own size then unless another is asked for
+    #[arg(long, value_name = "DIR")]
+    flow: Option<PathBuf>,
+    /// Points followed through the clip, besides those that the program follows: an .npz as TAPIR
+    /// (tracks, visibles) or CoTracker (pred_tracks, pred_visibility) write it, one place for each frame
+    #[arg(long, value_name = "FILE")]
+    tracks: Option<PathBuf>,
+}
+
+impl KnownArgs {
+    /// That options go with each other.
+    pub fn check(&self, frames: &ClipArgs) -> Result<()> {
+        if self.flow.is_some() && frames.every > 1 {
+            let what = "--flow leads from each frame to the next; it does not go with --every";
+            return Err(Error::Input(what.into()));
+        }
+        Ok(())
+    }
+
+    /// Whether flow need not be computed.
+    pub fn supplies_flow(&self) -> bool {
+        self.flow.is_some()
+    }
+
+    /// The size of the frames where no option says it.
+    pub fn size(&self, longest_side: u32) -> Resize {
+        match self.flow {
+            // Flow is of its frames' own size.
+            Some(_) => Resize::Keep,
+            None => Resize::Longest(longest_side),
+        }
+    }
+
+    /// What is known beforehand.
+    pub fn options(&self, clip: &Clip, seed: u64) -> Result<Options> {
+        let scale = f64::from(clip.width) / f64::from(clip.original.0);
+        if let Some(focal) = self.focal {
+            let whole = Intrinsics::centred(focal, clip.original.0, clip.original.1);
+            whole.check().map_err(|what| Error::Input(format!("--focal {focal:?}: {what}")))?;
+        }
+        Ok(Options {
+            intrinsics: given(&self.intrinsics, clip, supplied::intrinsics)?,
+            focal: self.focal.map(|focal| focal * scale).or(clip.focal),
+            poses: given(&self.poses, clip, supplied::poses)?,
+            masks: given(&self.masks, clip, supplied::masks)?,
+            depth: given(&self.depth, clip, supplied::depth)?,
+            tracks: given(&self.tracks, clip, supplied::tracks)?,
+            seed,
+            ..Options::default()
+        })
+    }
+
+    /// The flow that is known.
+    pub fn flow(&self, clip: &Clip) -> Result<Option<SuppliedFlow>> {
+        given(&self.flow, clip, supplied::flow)
+    }
+
+    /// All files that are read, those of the clip among them.
+    pub fn inputs(&self, clip: &PathBuf) -> Inputs {
+        let files =
+            [Some(clip), self.intrinsics.as_ref(), self.poses.as_ref(), self.tracks.as_ref()];
+        // A clip's or a flow's files may lie one folder deeper.
+        let below = |folder: Option<&PathBuf>, names: &[&str], extensions| -> Vec<Folder> {
+            let inner =
+                folder.map(|folder| names.iter().map(move |name| (folder.join(name), extensions)));
+            inner.into_iter().flatten().collect()
+        };
+        let folders = [
+            below(Some(clip), &["", "frames", "images"], &images::EXTENSIONS),
+            below(self.masks.as_ref(), &[""], &images::EXTENSIONS),
+            below(self.depth.as_ref(), &[""], &["exr"]),
+            below(
+                self.flow.as_ref(),
+                &["flow_forward", "flow_backward", "forward", "backward"],
+                &["flo"],
+            ),
+        ];
+        Inputs::new(files.into_iter().flatten().cloned(), folders.into_iter().flatten())
+    }
+}
+
+/// What a file or folder holds for the clip's frames.
+fn given<T>(
+    path: &Option<PathBuf>,
+    clip: &Clip,
+    read: impl FnOnce(&Path, &Clip) -> Result<T>,
+) -> Result<Option<T>> {
+    path.as_deref().map(|path| read(path, clip)).transpose()
+}
+
+/// Flow, cameras, masks, depth.
+pub fn observe(
+    device: &Device,
+    frames: &[Image],
+    options: &Options,
+    supplied: Option<SuppliedFlow>,
+    observer: &mut dyn Observer,
+) -> Result<Track> {
+    let mut source: Box<dyn FlowSource + '_> = match supplied {
+        Some(flow) => Box::new(flow),
+        None => Box::new(EngineFlow::new(device, frames, &FlowSettings::default())?),
+    };
+    track_observed(frames, options, source.as_mut(), observer)
+}
+
+/// How a focal length was come by, in reports.
+pub fn focal_source(source: FocalSource) -> &'static str {
+    match source {
+        FocalSource::Given => "given",
+        FocalSource::Measured => "measured",
+        FocalSource::Assumed => "assumed",
+    }
+}

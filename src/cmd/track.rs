@@ -1,0 +1,266 @@
+//! `splat4d track`: cameras, motion masks, depth and point tracks of a clip, for other programs.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use glam::DVec2;
+use rayon::prelude::*;
+use serde_json::{Value, json};
+use splat4d::data::trajectory::{self, TimedPose};
+use splat4d::data::transforms::{self, TimedCamera};
+use splat4d::data::{Point, exr, intrinsics, points, tracks, write_mask, write_png};
+use splat4d::track::{Observer, Stage, Track};
+use splat4d::train::Quality;
+use splat4d::types::{Camera, Image, Tracks};
+use splat4d::{Error, Result, io};
+
+use super::clip::ClipArgs;
+use super::clock::Clock;
+use super::common::{Answer, Common, notes, path_text, say};
+use super::interrupt;
+use super::known::{KnownArgs, focal_source, observe};
+use super::meter::Meter;
+use super::outputs::Outputs;
+use super::tracker;
+
+const AFTER_HELP: &str = "\
+DIR gets, whole or not at all:
+  frames/0000.png …     the frames as they were tracked
+  poses.txt             TUM, camera to world; the time is the frame's index
+  intrinsics.json       pixels
+  transforms.json       the frames with their cameras and times in [0, 1], for nerfstudio and its kin
+  points.ply            static points
+  masks/0000.png …      white where something moves
+  depth/0000.exr …      z, in the world's unit: the median depth of the static points
+  tracks.npz            tracks (points × frames × 2: x, y), visibles (points × frames), query_points
+                        (points × 3: frame, y, x), size; pixels, the picture's corner at 0
+  report.json           what --json prints
+
+Points are followed through all frames, behind others and outside of the picture too: what stands still by
+cameras and depth, what moves by the surface that was found for it. --queries takes those of a file
+like tracks.npz; else they lie on a grid in the first, the middle and the last frame.
+
+Examples:
+  splat4d track video.mp4 -o tracked
+  splat4d track clip/frames -o tracked --queries clip/truth/tracks.npz
+  splat4d eval tracked/tracks.npz clip/truth/tracks.npz
+
+JSON: frames, frame_names, intrinsics {fx, fy, cx, cy, width, height, source (given, measured, assumed)},
+poses {tripod, inlier_share, reprojection_rms, parallax_deg, focal_std, doubtful_frames, tracks},
+exposure (per frame, by what red, green and blue were multiplied, 0.055 added to the encoded values;
+null where it does not change), dynamic_share (of the pixels), movers (objects), points, tracks,
+notes, device, seconds {load, flow, cameras, masks, depth}, output";
+
+/// What the command writes into its folder.
+const CONTENTS: [&str; 9] = [
+    "frames",
+    "masks",
+    "depth",
+    "poses.txt",
+    "intrinsics.json",
+    "transforms.json",
+    "points.ply",
+    "tracks.npz",
+    "report.json",
+];
+/// Points of the grid along a frame's longer side.
+const GRID: f64 = 48.0;
+
+/// Find cameras, masks, depth and point tracks of a video
+#[derive(Args)]
+#[command(after_help = AFTER_HELP)]
+pub struct TrackArgs {
+    /// A video file, or a folder of its frames
+    #[arg(value_name = "VIDEO|DIR")]
+    clip: PathBuf,
+    /// The folder to make; it must not hold anything yet
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    #[command(flatten)]
+    frames: ClipArgs,
+    #[command(flatten)]
+    known: KnownArgs,
+    /// Follow the points of this .npz: its query_points, or where its tracks first appear
+    #[arg(long, value_name = "FILE")]
+    queries: Option<PathBuf>,
+}
+
+/// Runs the command.
+pub fn run(args: &TrackArgs, common: &Common) -> Result<Answer> {
+    let outputs = Outputs::default().folder(&args.output, &CONTENTS)?;
+    io::check_new_folder(&args.output)?;
+    outputs.spare(&args.known.inputs(&args.clip))?;
+    args.known.check(&args.frames)?;
+    let mut clock = Clock::start();
+    std::fs::metadata(&args.clip).map_err(Error::io(&args.clip))?;
+    let device = common.open_device()?;
+    let preset = Quality::Standard.preset(device.info().kind);
+    let clip = args.frames.open(&args.clip, args.known.size(preset.longest_side))?;
+    let options = args.known.options(&clip, common.seed)?;
+    let flow = args.known.flow(&clip)?;
+    let queries = args.queries.as_deref().map(|file| queries(file, &clip)).transpose()?;
+    let times: Vec<f64> = clip.frames.iter().map(|frame| frame.time).collect();
+    let names: Vec<String> = clip.frames.iter().map(|frame| frame.name.clone()).collect();
+    let mut all_notes = clip.notes;
+    let frames: Vec<Image> = clip.frames.into_iter().map(|frame| frame.image).collect();
+    say(&format!("{} frames of {}×{}", frames.len(), clip.width, clip.height));
+    clock.lap("load");
+
+    let mut follower = Follower { clock: &mut clock, under_way: None };
+    let track = observe(&device, &frames, &options, flow, &mut follower)?;
+    follower.end_stage();
+    let found = &track.quality;
+    notes(&found.notes);
+    all_notes.extend_from_slice(&found.notes);
+    let queries = queries.unwrap_or_else(|| grid(frames.len(), (clip.width, clip.height)));
+    let followed = track.follow(&queries);
+
+    let mut known_intrinsics = intrinsics::to_json(&track.intrinsics);
+    known_intrinsics["source"] = json!(focal_source(found.focal_source));
+    let mut json = json!({
+        "frames": frames.len(),
+        "frame_names": names,
+        "intrinsics": known_intrinsics,
+        "poses": super::reconstruct::poses_json(found),
+        "exposure": (!track.exposure.is_constant()).then_some(&track.exposure.gains),
+        "dynamic_share": found.dynamic_share,
+        "movers": track.movers.len(),
+        "points": track.points.len(),
+        "tracks": followed.points.len(),
+        "notes": all_notes,
+        "device": device.info().name,
+        "seconds": clock.json(),
+    });
+    json["output"] = path_text(&args.output);
+    io::write_folder(&args.output, &CONTENTS, |folder| {
+        write(folder, &frames, &times, &track, &followed)?;
+        io::write_json(folder.join("report.json"), &json)
+    })?;
+    Ok(Answer { text: text(&json, &clock), json })
+}
+
+/// The points that a file asks for, at the size of the frames.
+fn queries(file: &Path, clip: &splat4d::data::Clip) -> Result<Vec<(usize, DVec2)>> {
+    let asked = super::supplied::tracks(file, clip)?;
+    let size = DVec2::new(clip.width.into(), clip.height.into());
+    let inside = |at: DVec2| at.cmpge(DVec2::ZERO).all() && at.cmplt(size).all();
+    match asked.points.iter().position(|point| !inside(point.query.1)) {
+        Some(i) => {
+            let (frame, at) = asked.points[i].query;
+            let what = format!("point {i} is asked for at {at} of frame {frame}, outside of it");
+            Err(Error::format(file, what))
+        }
+        None => Ok(asked.points.iter().map(|point| point.query).collect()),
+    }
+}
+
+/// Points on a grid in the first, the middle and the last frame.
+fn grid(frames: usize, (width, height): (u32, u32)) -> Vec<(usize, DVec2)> {
+    let spacing = (f64::from(width.max(height)) / GRID).max(1.0);
+    let along = |size: u32| {
+        let count = (f64::from(size) / spacing) as usize;
+        (0..count.max(1)).map(move |i| ((i as f64 + 0.5) * spacing).min(f64::from(size) - 0.5))
+    };
+    let mut chosen = vec![0, frames / 2, frames - 1];
+    chosen.dedup();
+    let frame = |frame: usize| {
+        along(height).flat_map(move |y| along(width).map(move |x| (frame, DVec2::new(x, y))))
+    };
+    chosen.into_iter().flat_map(frame).collect()
+}
+
+/// Writes all but the report.
+fn write(
+    folder: &Path,
+    frames: &[Image],
+    times: &[f64],
+    track: &Track,
+    followed: &Tracks,
+) -> Result<()> {
+    let series = |name: &str, one: &(dyn Fn(&Path, usize) -> Result<()> + Sync)| {
+        let to = folder.join(name);
+        fs::create_dir_all(&to).map_err(Error::io(&to))?;
+        (0..frames.len()).into_par_iter().try_for_each(|i| {
+            interrupt::check()?;
+            one(&to.join(format!("{i:04}")), i)
+        })
+    };
+    series("frames", &|to, i| write_png(to.with_extension("png"), &frames[i]))?;
+    series("masks", &|to, i| write_mask(to.with_extension("png"), &track.masks[i]))?;
+    series("depth", &|to, i| exr::write_depth(to.with_extension("exr"), &track.depth[i]))?;
+    let camera = |i: usize| {
+        let view_from_world = track.view_from_world[i];
+        let camera = Camera { intrinsics: track.intrinsics, view_from_world };
+        TimedCamera { time: times[i], camera }
+    };
+    let cameras: Vec<TimedCamera> = (0..frames.len()).map(camera).collect();
+    let poses: Vec<TimedPose> = cameras
+        .iter()
+        .enumerate()
+        .map(|(i, at)| TimedPose {
+            time: i as f64,
+            world_from_view: at.camera.view_from_world.inverse(),
+        })
+        .collect();
+    trajectory::write(folder.join("poses.txt"), &poses)?;
+    intrinsics::write(folder.join("intrinsics.json"), &track.intrinsics)?;
+    let files: Vec<String> = (0..frames.len()).map(|i| format!("frames/{i:04}.png")).collect();
+    transforms::write(folder.join("transforms.json"), &cameras, &files, Some("points.ply"))?;
+    let cloud: Vec<Point> = track
+        .points
+        .iter()
+        .map(|p| Point { position: p.position.as_vec3().to_array(), colour: p.colour })
+        .collect();
+    points::write_ply(folder.join("points.ply"), &cloud)?;
+    tracks::write(folder.join("tracks.npz"), followed)
+}
+
+/// Looks on while the clip is tracked.
+struct Follower<'a> {
+    clock: &'a mut Clock,
+    under_way: Option<(Stage, Meter)>,
+}
+
+impl Follower<'_> {
+    fn end_stage(&mut self) {
+        if let Some((stage, _)) = self.under_way.take() {
+            self.clock.lap(tracker::name(stage));
+        }
+    }
+}
+
+impl Observer for Follower<'_> {
+    fn progress(&mut self, stage: Stage, share: f64) -> Result<()> {
+        interrupt::check()?;
+        if self.under_way.as_ref().is_none_or(|(before, _)| *before != stage) {
+            self.end_stage();
+            self.under_way = Some((stage, Meter::new(tracker::name(stage), "%", 100, 0)));
+        }
+        if let Some((_, meter)) = &mut self.under_way {
+            meter.set((100.0 * share) as u64);
+        }
+        Ok(())
+    }
+}
+
+fn text(report: &Value, clock: &Clock) -> String {
+    format!(
+        "output          {}\nfocal length    {:.1} px ({})\n\
+         poses           {:.0} % of {} tracks agree within {:.2} px rms, parallax {:.1}°\n\
+         moving pixels   {:.1} %, {} objects\npoints          {} static, {} followed\n\
+         time            {}\n",
+        report["output"].as_str().unwrap_or_default(),
+        report["intrinsics"]["fx"].as_f64().unwrap_or(f64::NAN),
+        report["intrinsics"]["source"].as_str().unwrap_or_default(),
+        100.0 * report["poses"]["inlier_share"].as_f64().unwrap_or(f64::NAN),
+        report["poses"]["tracks"],
+        report["poses"]["reprojection_rms"].as_f64().unwrap_or(f64::NAN),
+        report["poses"]["parallax_deg"].as_f64().unwrap_or(f64::NAN),
+        100.0 * report["dynamic_share"].as_f64().unwrap_or(f64::NAN),
+        report["movers"],
+        report["points"],
+        report["tracks"],
+        clock.line(),
+    )
+}

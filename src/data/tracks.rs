@@ -1,0 +1,344 @@
+//! Points through a clip as an `.npz`: where each of them is in every frame, and where it is seen.
+//!
+//! Written as TAPIR does: `tracks` (points × frames × 2, x and y), `visibles` (points × frames) and
+//! `query_points` (points × 3: frame, y, x), in pixels with the corner of the picture at 0, and `size`
+//! (width, height), to which they belong. Read are also `occluded` instead of `visibles`, and what
+//! CoTracker gives: `pred_tracks` ([batch ×] frames × points × 2) and `pred_visibility`, whose pixel
+//! centres are at whole numbers.
+
+use std::io::{Cursor, Read, Write};
+use std::path::Path;
+
+use glam::DVec2;
+use npyz::{NpyFile, Order, WriterBuilder};
+use zip::ZipArchive;
+use zip::result::ZipError;
+use zip::write::{SimpleFileOptions, ZipWriter};
+
+use crate::error::excerpt;
+use crate::io;
+use crate::types::{PointPath, Tracks, range};
+use crate::{Error, Result};
+
+/// Numbers of an array with its shape.
+struct Array {
+    shape: Vec<usize>,
+    values: Vec<f64>,
+}
+
+/// Reads points.
+///
+/// # Errors
+/// [`Error::Io`]; [`Error::Format`] for what is no `.npz`, lacks an array, or holds shapes that do not
+/// fit each other.
+pub fn read(path: impl AsRef<Path>) -> Result<Tracks> {
+    let path = path.as_ref();
+    let bytes = io::read(path)?;
+    let damaged =
+        |e: ZipError| Error::format(path, format!("is no .npz: {}", excerpt(&e.to_string())));
+    let mut archive = ZipArchive::new(Cursor::new(&bytes)).map_err(damaged)?;
+    let mut array = |name: &str| array(path, &mut archive, bytes.len(), name);
+    let (tracks, centre) = match array("tracks")? {
+        Some(tracks) => (tracks, 0.0),
+        None => match array("pred_tracks")? {
+            Some(tracks) => (swapped(path, tracks, 2)?, 0.5),
+            None => {
+                let what = "holds neither `tracks` (points × frames × 2) nor `pred_tracks`";
+                return Err(Error::format(path, what));
+            }
+        },
+    };
+    let [points, frames, 2] = tracks.shape[..] else {
+        let what = format!("its tracks are of shape {:?}, not points × frames × 2", tracks.shape);
+        return Err(Error::format(path, what));
+    };
+    let seen = match (array("visibles")?, array("occluded")?) {
+        (Some(visibles), _) => Some(visibles),
+        (None, Some(occluded)) => {
+            let values = occluded.values.iter().map(|o| 1.0 - o).collect();
+            Some(Array { values, ..occluded })
+        }
+        (None, None) => match array("pred_visibility")? {
+            Some(visibility) => Some(swapped(path, visibility, 0)?),
+            None => None,
+        },
+    };
+    let fits = |array: &Array, shape: [usize; 2], name: &str| match array.shape == shape {
+        true => Ok(()),
+        false => Err(Error::format(
+            path,
+            format!("its {name} are of shape {:?}, its tracks ask for {shape:?}", array.shape),
+        )),
+    };
+    if let Some(seen) = &seen {
+        fits(seen, [points, frames], "visibilities")?;
+    }
+    let queries = array("query_points")?;
+    if let Some(queries) = &queries {
+        fits(queries, [points, 3], "query points")?;
+    }
+    let size = match array("size")? {
+        Some(size) => {
+            let side = |k: usize| size.values.get(k).map(|v| *v as u32);
+            let known = side(0)
+                .zip(side(1))
+                .filter(|(w, h)| range::SIDE.contains(w) && range::SIDE.contains(h));
+            let refused =
+                || Error::format(path, format!("a size of {:?} makes no sense", size.values));
+            Some(known.ok_or_else(refused)?)
+        }
+        None => None,
+    };
+    let point = |i: usize| {
+        let at = |frame: usize| {
+            let k = 2 * (i * frames + frame);
+            DVec2::new(tracks.values[k], tracks.values[k + 1]) + centre
+        };
+        let pixels: Vec<DVec2> = (0..frames).map(at).collect();
+        let seen: Vec<bool> = (0..frames)
+            .map(|frame| {
+                let said = seen.as_ref().is_none_or(|seen| seen.values[i * frames + frame] > 0.5);
+                said && pixels[frame].is_finite()
+            })
+            .collect();
+        let query = match &queries {
+            Some(queries) => {
+                let [frame, y, x] = [0, 1, 2].map(|k| queries.values[3 * i + k]);
+                if !(frame >= 0.0 && (frame as usize) < frames && x.is_finite() && y.is_finite()) {
+                    let what = format!("query point {i} (frame {frame:?}) is outside of the clip");
+                    return Err(Error::format(path, what));
+                }
+                (frame as usize, DVec2::new(x, y) + centre)
+            }
+            None => {
+                let first = seen.iter().position(|seen| *seen).unwrap_or(0);
+                (first, pixels.get(first).copied().unwrap_or_default())
+            }
+        };
+        Ok(PointPath { query, pixels, seen })
+    };
+    Ok(Tracks { size, points: (0..points).map(point).collect::<Result<_>>()? })
+}
+
+/// An array of an archive; none where it is not there.
+fn array(
+    path: &Path,
+    archive: &mut ZipArchive<Cursor<&Vec<u8>>>,
+    packed: usize,
+    name: &str,
+) -> Result<Option<Array>> {
+    let wrong = |what: String| Error::format(path, format!("its array {name}: {what}"));
+    let entry = match archive.by_name(&format!("{name}.npy")) {
+        Ok(entry) => entry,
+        Err(ZipError::FileNotFound) => return Ok(None),
+        Err(error) => return Err(wrong(excerpt(&error.to_string()))),
+    };
+    let damaged = |error: std::io::Error| wrong(excerpt(&error.to_string()));
+    // The header is short; a longer one is damaged.
+    let file = NpyFile::new(entry.take(u64::MAX)).map_err(damaged)?;
+    let count = file.shape().iter().try_fold(1u64, |all, side| all.checked_mul(*side));
+    let count = count.unwrap_or(u64::MAX);
+    io::check_unpacked(path, count.saturating_mul(8), packed)?;
+    if file.order() != Order::C && file.shape().len() > 1 {
+        return Err(wrong("is stored column by column; save it in C order".into()));
+    }
+    let shape: Vec<usize> = file.shape().iter().map(|side| *side as usize).collect();
+    let of = |values: std::result::Result<Vec<f64>, std::io::Error>| values.map_err(damaged);
+    macro_rules! of_type {
+        ($file:expr, $($kind:ty => $convert:expr),+) => {{
+            let file = $file;
+            $(let file = match file.try_data::<$kind>() {
+                Ok(values) => {
+                    let convert: fn($kind) -> f64 = $convert;
+                    let values = of(values.map(|v| v.map(convert)).collect())?;
+                    return Ok(Some(Array { shape, values }));
+                }
+                Err(file) => file,
+            };)+
+            file
+        }};
+    }
+    let other = of_type!(file, f32 => f64::from, f64 => |v| v, bool => |v| f64::from(u8::from(v)),
+        u8 => f64::from, i32 => f64::from, i64 => |v| v as f64);
+    let kind = excerpt(&other.dtype().descr());
+    Err(wrong(format!("holds values of type {kind}; real numbers or booleans were expected")))
+}
+
+/// From [batch ×] frames × points × … to points × frames × …, of so many values each (0: one, without
+/// an axis of its own).
+fn swapped(path: &Path, array: Array, each: usize) -> Result<Array> {
+    let Array { mut shape, values } = array;
+    let axes = if each == 0 { 2 } else { 3 };
+    if shape.len() == axes + 1 && shape[0] == 1 {
+        shape.remove(0);
+    }
+    if shape.len() != axes || (axes == 3 && shape[2] != each) {
+        let what = format!("its predictions are of shape {shape:?}; one clip's was expected");
+        return Err(Error::format(path, what));
+    }
+    let (frames, points, each) = (shape[0], shape[1], each.max(1));
+    let mut out = Vec::with_capacity(values.len());
+    for point in 0..points {
+        for frame in 0..frames {
+            let from = (frame * points + point) * each;
+            out.extend_from_slice(&values[from..from + each]);
+        }
+    }
+    shape.swap(0, 1);
+    Ok(Array { shape, values: out })
+}
+
+/// Writes points, by rename.
+///
+/// # Errors
+/// [`Error::Io`]; [`Error::Shape`] where points differ in the number of their frames.
+pub fn write(path: impl AsRef<Path>, tracks: &Tracks) -> Result<()> {
+    let path = path.as_ref();
+    let (points, frames) = (tracks.points.len(), tracks.frames());
+    let odd = |point: &&PointPath| point.pixels.len() != frames || point.seen.len() != frames;
+    if let Some(odd) = tracks.points.iter().find(odd) {
+        return Err(Error::Shape {
+            op: "tracks::write",
+            arg: "points",
+            expected: format!("{frames} frames for each"),
+            actual: odd.pixels.len().min(odd.seen.len()),
+        });
+    }
+    let each = || tracks.points.iter();
+    let pixels: Vec<f32> =
+        each().flat_map(|p| p.pixels.iter().flat_map(|at| at.as_vec2().to_array())).collect();
+    let seen: Vec<bool> = each().flat_map(|p| p.seen.iter().copied()).collect();
+    let queries: Vec<f32> =
+        each().flat_map(|p| [p.query.0 as f32, p.query.1.y as f32, p.query.1.x as f32]).collect();
+    let (n, t) = (points as u64, frames as u64);
+    let mut bytes = ZipWriter::new(Cursor::new(Vec::new()));
+    let filled = (|| {
+        entry(&mut bytes, "tracks", &[n, t, 2], pixels)?;
+        entry(&mut bytes, "visibles", &[n, t], seen)?;
+        entry(&mut bytes, "query_points", &[n, 3], queries)?;
+        if let Some((width, height)) = tracks.size {
+            entry(&mut bytes, "size", &[2], vec![i64::from(width), i64::from(height)])?;
+        }
+        bytes.finish().map_err(std::io::Error::from)
+    })();
+    let bytes = filled.map_err(Error::io(path))?.into_inner();
+    io::write_atomically(path, |sink| sink.write_all(&bytes))
+}
+
+fn entry<T: npyz::AutoSerialize>(
+    archive: &mut ZipWriter<Cursor<Vec<u8>>>,
+    name: &str,
+    shape: &[u64],
+    values: Vec<T>,
+) -> std::io::Result<()> {
+    // The same bytes whenever they are written.
+    let options = SimpleFileOptions::default().last_modified_time(zip::DateTime::default());
+    archive.start_file(format!("{name}.npy"), options)?;
+    let options = npyz::WriteOptions::new().default_dtype();
+    let mut writer = options.shape(shape).writer(archive).begin_nd()?;
+    writer.extend(values)?;
+    writer.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn tracks() -> Tracks {
+        let point = |i: usize| PointPath {
+            query: (i, DVec2::new(i as f64 + 0.25, 2.5)),
+            pixels: (0..4).map(|t| DVec2::new((t + i) as f64 + 0.25, 2.5 - t as f64)).collect(),
+            seen: (0..4).map(|t| t != i).collect(),
+        };
+        Tracks { size: Some((64, 48)), points: (0..3).map(point).collect() }
+    }
+
+    fn file(fill: impl FnOnce(&mut ZipWriter<Cursor<Vec<u8>>>)) -> tempfile::NamedTempFile {
+        let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
+        fill(&mut archive);
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), archive.finish().unwrap().into_inner()).unwrap();
+        file
+    }
+
+    #[test]
+    fn what_is_written_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("tracks.npz");
+        write(&path, &tracks()).unwrap();
+        assert_eq!(read(&path).unwrap(), tracks());
+        let first = std::fs::read(&path).unwrap();
+        write(&path, &tracks()).unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), first);
+        let half = tracks().resized((32, 24));
+        assert_eq!(half.points[1].pixels[2], tracks().points[1].pixels[2] * 0.5);
+        write(&path, &Tracks::default()).unwrap();
+        assert_eq!(read(&path).unwrap(), Tracks::default());
+    }
+
+    #[test]
+    fn what_cotracker_gives_is_read() {
+        let truth = tracks();
+        let file = file(|archive| {
+            let at = |frame: usize, point: usize| truth.points[point].pixels[frame] - 0.5;
+            let order = || (0..4).flat_map(|frame| (0..3).map(move |point| (frame, point)));
+            let pixels = order().flat_map(|(f, p)| at(f, p).as_vec2().to_array()).collect();
+            let seen = order().map(|(f, p)| truth.points[p].seen[f]).collect();
+            entry::<f32>(archive, "pred_tracks", &[1, 4, 3, 2], pixels).unwrap();
+            entry::<bool>(archive, "pred_visibility", &[1, 4, 3], seen).unwrap();
+        });
+        let found = read(file.path()).unwrap();
+        assert_eq!(found.size, None);
+        for (found, truth) in found.points.iter().zip(&truth.points) {
+            assert_eq!((&found.pixels, &found.seen), (&truth.pixels, &truth.seen));
+            // The first frame in which it is seen.
+            assert!(found.seen[found.query.0] && !found.seen[..found.query.0].contains(&true));
+        }
+    }
+
+    #[test]
+    fn what_does_not_fit_is_told() {
+        let told = |file: &tempfile::NamedTempFile, what: &str| {
+            let error = read(file.path()).unwrap_err().to_string();
+            assert!(error.contains(what), "{error}");
+        };
+        told(&file(|_| ()), "neither `tracks`");
+        let flat = |archive: &mut ZipWriter<_>| entry(archive, "tracks", &[4], vec![0.0f32; 4]);
+        told(&file(|archive| flat(archive).unwrap()), "of shape [4]");
+        let with = |name: &str, shape: &[u64], count: usize| {
+            file(|archive| {
+                entry(archive, "tracks", &[2, 3, 2], vec![0.0f32; 12]).unwrap();
+                entry(archive, name, shape, vec![1.0f64; count]).unwrap();
+            })
+        };
+        told(&with("visibles", &[3, 2], 6), "its visibilities are of shape [3, 2]");
+        told(&with("query_points", &[2, 2], 4), "its query points are of shape [2, 2]");
+        told(&with("size", &[1], 1), "a size of [1.0]");
+        let mut far = vec![0.0f32; 6];
+        far[3] = 3.0;
+        let far = file(|archive| {
+            entry(archive, "tracks", &[2, 3, 2], vec![0.0f32; 12]).unwrap();
+            entry(archive, "query_points", &[2, 3], far).unwrap();
+        });
+        told(&far, "query point 1 (frame 3.0) is outside of the clip");
+        let none = tempfile::NamedTempFile::new().unwrap();
+        told(&none, "is no .npz");
+        assert!(
+            write(
+                "/none",
+                &Tracks {
+                    size: None,
+                    points: vec![
+                        PointPath {
+                            pixels: vec![DVec2::ZERO],
+                            seen: vec![true],
+                            ..PointPath::default()
+                        },
+                        PointPath::default(),
+                    ],
+                }
+            )
+            .is_err()
+        );
+    }
+}
