@@ -88,8 +88,8 @@ pub struct TrackArgs {
 
 /// Runs the command.
 pub fn run(args: &TrackArgs, common: &Common) -> Result<Answer> {
-    let outputs = Outputs::default().folder(&args.output, &CONTENTS)?;
     io::check_new_folder(&args.output)?;
+    let outputs = Outputs::default().folder(&args.output, &CONTENTS)?;
     outputs.spare(&args.known.inputs(&args.clip))?;
     args.known.check(&args.frames)?;
     let mut clock = Clock::start();
