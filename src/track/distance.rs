@@ -5,7 +5,8 @@
 //! - Contact: where it touches static ground, in most frames, it is as far as the ground.
 //! - Smoothness: what moves by itself moves smoothly and a camera in a hand does not
 //!   ([`super::smooth`]).
-//! - It is nearer than what it hides.
+//! - It is nearer than what it hides, and where the picture cuts off its lower end a little nearer than the
+//!   ground there.
 //!
 //! Contact and smoothness each come with a standard deviation and are averaged by it. The bound takes
 //! the place of contact where there is none, and the depth of an object that this one is connected with
@@ -54,6 +55,9 @@ const DECIDED: f64 = 0.2;
 /// How much nearer than what it hides a thing is that touches nothing: mean and deviation of the
 /// logarithm. Few things fly right before a wall or right before the camera.
 const BEFORE: (f64, f64) = (0.4, 0.3);
+/// How much nearer than the ground at the picture's lower edge a thing is, where it is nearest to being as far,
+/// that this edge cuts off: mean and deviation of the logarithm. It stands on ground below the picture.
+const CUT_OFF: (f64, f64) = (0.1, 0.15);
 /// The same of an object that is connected with another one, relative to that.
 const BESIDE: (f64, f64) = (0.05, 0.12);
 /// Least deviation of a step of a path, logarithm.
@@ -206,6 +210,14 @@ pub(super) fn distance(
         _ => None,
     };
     let walls: Vec<Option<f64>> = lower_ends.iter().map(wall).collect();
+    let cut_off: Vec<f64> = lower_ends
+        .iter()
+        .zip(&path)
+        .filter_map(|(end, path)| match end {
+            Some(LowerEnd::CutOff(ground)) => Some(ground.ln() - path),
+            _ => None,
+        })
+        .collect();
     let contacts: Vec<Option<Estimate>> = frames
         .clone()
         .enumerate()
@@ -226,7 +238,7 @@ pub(super) fn distance(
             Some(Estimate { value: (depth / relative).ln(), deviation })
         })
         .collect();
-    if let Some((bent, touching)) = touched(&path, &contacts, &walls, &steps) {
+    if let Some((bent, touching)) = touched(&path, &contacts, &walls, cut_off.len(), &steps) {
         let both = smooth.map_or(touching, |smooth| touching.and(smooth));
         let scale = Estimate { value: both.value - touching.value, ..both };
         return Distance { path: bent, scale: Scale::Known(scale) };
@@ -244,7 +256,15 @@ pub(super) fn distance(
         })
         .collect();
     let usual: f64 = quantile(Vec::clone(&bounds), 0.5);
-    let before = Estimate { value: quantile(bounds, 0.1) - BEFORE.0, deviation: BEFORE.1 };
+    let bound = quantile(bounds, 0.1);
+    let below = match 2 * cut_off.len() > n {
+        true => quantile(cut_off, 0.1),
+        false => f64::INFINITY,
+    };
+    let before = match below - CUT_OFF.0 < bound - BEFORE.0 + BEFORE.1 {
+        true => Estimate { value: below - CUT_OFF.0, deviation: CUT_OFF.1 },
+        false => Estimate { value: bound - BEFORE.0, deviation: BEFORE.1 },
+    };
     // A path that is smoothest far behind what the object hides is not the object's.
     let smooth = smooth.filter(|smooth| smooth.value - smooth.deviation < usual + BEFORE.1);
     Distance { path, scale: Scale::Bounded { before, smooth } }
@@ -341,11 +361,12 @@ fn sized(path: Vec<f64>, sizes: &[Option<f64>], deviation: f64, steps: &[f64]) -
 
 /// The path, scaled and bent so that it meets its contacts, and how well they tell the scale; `None`
 /// where they do not agree, or where the object is in the air too often. `walls` are logarithms of the
-/// depths of the walls that it goes before.
+/// depths of the walls that it goes before; in `cut_off` frames its lower end is not in the picture.
 fn touched(
     path: &[f64],
     contacts: &[Option<Estimate>],
     walls: &[Option<f64>],
+    cut_off: usize,
     steps: &[f64],
 ) -> Option<(Vec<f64>, Estimate)> {
     let offsets: Vec<Estimate> = contacts
@@ -353,7 +374,7 @@ fn touched(
         .zip(path)
         .filter_map(|(c, p)| (*c).map(|c| Estimate { value: c.value - p, ..c }))
         .collect();
-    if (offsets.len() as f64) < (TOUCHES.0 * path.len() as f64).max(3.0) {
+    if (offsets.len() as f64) < (TOUCHES.0 * (path.len() - cut_off) as f64).max(3.0) {
         return None;
     }
     // From the offset that most agree with, those counting most that are best known.
@@ -458,7 +479,7 @@ mod tests {
             })
             .collect();
         let steps = [0.002; 9];
-        let (found, scale) = touched(&path, &contacts, &[None; 10], &steps).unwrap();
+        let (found, scale) = touched(&path, &contacts, &[None; 10], 0, &steps).unwrap();
         for (logarithm, p) in found.iter().zip(&path) {
             assert!((logarithm - p - 3f64.ln()).abs() < 0.01, "{logarithm}");
         }
@@ -466,12 +487,13 @@ mod tests {
         // Contacts that come from what happens to lie below do not agree.
         let below = |k: usize| sure((2.0 + k as f64).ln());
         assert!(
-            touched(&path, &(0..10).map(below).collect::<Vec<_>>(), &[None; 10], &steps).is_none()
+            touched(&path, &(0..10).map(below).collect::<Vec<_>>(), &[None; 10], 0, &steps)
+                .is_none()
         );
-        assert!(touched(&path, &[None; 10], &[None; 10], &steps).is_none());
+        assert!(touched(&path, &[None; 10], &[None; 10], 0, &steps).is_none());
         // Two of ten are too few to be more than chance.
         let few: Vec<_> = (0..10).map(|k| if k < 2 { contacts[k] } else { None }).collect();
-        assert!(touched(&path, &few, &[None; 10], &steps).is_none());
+        assert!(touched(&path, &few, &[None; 10], 0, &steps).is_none());
         // Of two groups the smaller one is believed that is near the object's middle.
         let contacts: Vec<Option<Estimate>> = (0..10)
             .map(|k| match k {
@@ -479,7 +501,7 @@ mod tests {
                 _ => Some(Estimate { value: path[k] + 3f64.ln() - 0.08, deviation: 0.1 }),
             })
             .collect();
-        let (_, scale) = touched(&path, &contacts, &[None; 10], &steps).unwrap();
+        let (_, scale) = touched(&path, &contacts, &[None; 10], 0, &steps).unwrap();
         assert!((scale.value - 3f64.ln()).abs() < 0.02, "{scale:?}");
     }
 
@@ -517,17 +539,17 @@ mod tests {
         let at = |value: f64| Some(Estimate { value, deviation: CONTACT });
         let mut contacts = [None; 12];
         contacts[..6].fill(at(1.0));
-        assert!(touched(&path, &contacts, &[None; 12], &steps).is_some());
+        assert!(touched(&path, &contacts, &[None; 12], 0, &steps).is_some());
         // In as many frames it goes before a wall that is farther.
         let mut walls = [None; 12];
         walls[6..].fill(Some(1.3));
-        assert!(touched(&path, &contacts, &walls, &steps).is_none());
+        assert!(touched(&path, &contacts, &walls, 0, &steps).is_none());
         // A nearer one hides it.
         walls[6..].fill(Some(0.7));
-        assert!(touched(&path, &contacts, &walls, &steps).is_some());
+        assert!(touched(&path, &contacts, &walls, 0, &steps).is_some());
         // It is seen before ground that is nearer.
         contacts[6..10].fill(at(0.7));
-        assert!(touched(&path, &contacts, &[None; 12], &steps).is_none());
+        assert!(touched(&path, &contacts, &[None; 12], 0, &steps).is_none());
     }
 
     #[test]

@@ -39,9 +39,11 @@ pub(super) enum LowerEnd {
     Touches(Contact),
     /// A wall of this depth, or what stands upright: the object is in the air before it, or behind it.
     Wall(f64),
+    /// The picture cuts it off, over ground of this depth.
+    CutOff(f64),
 }
 
-/// What is about an object's lower end; `None` where it is cut off by the picture, hidden, or before a jumble.
+/// What is about an object's lower end; `None` where it is hidden, or before a jumble.
 pub(super) fn lower_end(
     index: usize,
     owners: &[Option<u16>],
@@ -59,11 +61,27 @@ pub(super) fn lower_end(
         (top, bottom) = (top.min(first), bottom.max(last));
         lowest.push((x, last));
     }
-    // Masks overhang by a pixel or two.
-    if lowest.len() < 3 || bottom + 3 >= height {
+    if lowest.len() < 3 {
         return None;
     }
     let ends = (lowest[0].0, lowest[lowest.len() - 1].0);
+    let beside = (GROUND.0 * (ends.1 - ends.0) as f64) as usize;
+    let up = ((GROUND.1 * (bottom - top) as f64) as usize).max(4);
+    let columns = ends.0.saturating_sub(beside)..=(ends.1 + beside).min(width - 1);
+    let rows = bottom.saturating_sub(up)..=(bottom + up).min(height - 1);
+    let static_pixels = || {
+        let row = |y: usize| columns.clone().map(move |x| (x, y));
+        rows.clone().flat_map(row).filter(|(x, y)| owners[y * width + x].is_none())
+    };
+    // Ground is seen from above: its depth falls from the horizon downwards.
+    let is_ground = |plane: &DVec3| plane.y * height as f64 > SLOPE * plane.z;
+    // Masks overhang by a pixel or two.
+    if bottom + 3 >= height {
+        lowest.retain(|at| at.1 + 3 >= height);
+        let at = DVec2::new(lowest[lowest.len() / 2].0 as f64, height as f64 - 0.5);
+        let ground = plane(static_pixels(), behind, width, at)?;
+        return (ground.z > 0.0 && is_ground(&ground)).then(|| LowerEnd::CutOff(1.0 / ground.z));
+    }
     let band = (0.06 * (bottom - top) as f64).max(2.0) as usize;
     let below = |(x, y): (usize, usize)| (y + 2) * width + x;
     lowest.retain(|at| at.1 + band >= bottom && owners[below(*at)].is_none());
@@ -72,16 +90,8 @@ pub(super) fn lower_end(
     let notch = (NOTCH.0 * (bottom - top) as f64).max(NOTCH.1);
     lowest.retain(|at| at.1 as f64 + notch >= lower_hull(&edge, at.0));
     let (x, y) = *lowest.get(lowest.len() / 2)?;
-    let beside = (GROUND.0 * (ends.1 - ends.0) as f64) as usize;
-    let up = ((GROUND.1 * (bottom - top) as f64) as usize).max(4);
-    let columns = ends.0.saturating_sub(beside)..=(ends.1 + beside).min(width - 1);
-    let rows = bottom.saturating_sub(up)..=(bottom + up).min(height - 1);
-    let static_pixels = rows
-        .flat_map(|y| columns.clone().map(move |x| (x, y)))
-        .filter(|(x, y)| owners[y * width + x].is_none());
-    let plane =
-        plane(static_pixels, behind, width, DVec2::new(x as f64, y as f64 + 0.5 - OVERHANG))?;
-    // Ground is seen from above: its depth falls from the horizon downwards.
+    let at = DVec2::new(x as f64, y as f64 + 0.5 - OVERHANG);
+    let plane = plane(static_pixels(), behind, width, at)?;
     let (inverse, slope) = (plane.z, plane.y);
     // What hides the lower end is not on the ground.
     let seen = lowest.iter().map(|at| f64::from(behind.inverse[below(*at)]));
@@ -91,7 +101,7 @@ pub(super) fn lower_end(
         return None;
     }
     let depth = 1.0 / inverse;
-    Some(if slope * height as f64 > SLOPE * inverse {
+    Some(if is_ground(&plane) {
         let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
         let half_width = 0.5 * (ends.1 - ends.0 + 1) as f64;
         LowerEnd::Touches(Contact { depth, pixel, half_width })
@@ -195,7 +205,10 @@ mod tests {
         // The lower edge of the row above the last of the mask.
         assert!((1.0 / depth / (0.1 + 0.02 * 29.0) - 1.0).abs() < 0.01, "{depth}");
         assert_eq!(pixel.y, 29.5);
-        assert!(unknown(0, &object(39.0), behind), "it is cut off");
+        let Some(LowerEnd::CutOff(at_edge)) = lower_end(0, &object(39.0), behind, w) else {
+            panic!("it is cut off")
+        };
+        assert!((1.0 / at_edge / (0.1 + 0.02 * HEIGHT as f64) - 1.0).abs() < 0.02, "{at_edge}");
         assert!(unknown(1, &object(30.0), behind));
         // Between two feet the mask ends higher.
         let mut feet = object(30.0);
