@@ -78,7 +78,8 @@ pub fn read_ply(path: &Path) -> Result<(Vec<Point>, usize)> {
 /// [`Error::Io`].
 pub fn write_ply(path: impl AsRef<Path>, points: &[Point]) -> Result<()> {
     io::write_atomically(path, |sink| {
-        writeln!(sink, "ply\nformat binary_little_endian 1.0")?;
+        writeln!(sink, "ply")?;
+        writeln!(sink, "format binary_little_endian 1.0")?;
         writeln!(sink, "element vertex {}", points.len())?;
         ["x", "y", "z"].iter().try_for_each(|name| writeln!(sink, "property float {name}"))?;
         let colours = ["red", "green", "blue"];
