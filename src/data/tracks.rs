@@ -20,6 +20,9 @@ use crate::io;
 use crate::types::{PointPath, Tracks, range};
 use crate::{Error, Result};
 
+/// Bytes of an array's header, at most.
+const MOST_HEADER: u32 = 1 << 16;
+
 /// Numbers of an array with its shape.
 struct Array {
     shape: Vec<usize>,
@@ -128,14 +131,20 @@ fn array(
     name: &str,
 ) -> Result<Option<Array>> {
     let wrong = |what: String| Error::format(path, format!("its array {name}: {what}"));
-    let entry = match archive.by_name(&format!("{name}.npy")) {
+    let mut entry = match archive.by_name(&format!("{name}.npy")) {
         Ok(entry) => entry,
         Err(ZipError::FileNotFound) => return Ok(None),
         Err(error) => return Err(wrong(excerpt(&error.to_string()))),
     };
     let damaged = |error: std::io::Error| wrong(excerpt(&error.to_string()));
-    // The header is short; a longer one is damaged.
-    let file = NpyFile::new(entry.take(u64::MAX)).map_err(damaged)?;
+    // Of a format newer than the first, the header's length has four bytes, and as much memory is asked for.
+    let mut start = [0; 12];
+    entry.read_exact(&mut start).map_err(damaged)?;
+    let [.., a, b, c, d] = start;
+    if start[6] > 1 && u32::from_le_bytes([a, b, c, d]) > MOST_HEADER {
+        return Err(wrong("has a header of a length that makes no sense".into()));
+    }
+    let file = NpyFile::new(start.chain(entry)).map_err(damaged)?;
     let count = file.shape().iter().try_fold(1u64, |all, side| all.checked_mul(*side));
     let count = count.unwrap_or(u64::MAX);
     io::check_unpacked(path, count.saturating_mul(8), packed)?;
@@ -321,6 +330,11 @@ mod tests {
             entry(archive, "query_points", &[2, 3], far).unwrap();
         });
         told(&far, "query point 1 (frame 3.0) is outside of the clip");
+        let long = file(|archive| {
+            archive.start_file("tracks.npy", SimpleFileOptions::default()).unwrap();
+            archive.write_all(b"\x93NUMPY\x02\x00\xff\xff\xff\xff").unwrap();
+        });
+        told(&long, "a header of a length that makes no sense");
         let none = tempfile::NamedTempFile::new().unwrap();
         told(&none, "is no .npz");
         assert!(
