@@ -4,11 +4,13 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use splat4d::data::{Clip, Resize, images};
+use serde_json::{Value, json};
+use splat4d::data::trajectory::{self, TimedPose};
+use splat4d::data::{Clip, Resize, images, intrinsics};
 use splat4d::gpu::Device;
 use splat4d::observe::{EngineFlow, FlowSource, SuppliedFlow};
-use splat4d::track::{FocalSource, Observer, Options, Track, track_observed};
-use splat4d::types::{FlowSettings, Image, Intrinsics};
+use splat4d::track::{FocalSource, Observer, Options, Quality, Track, track_observed};
+use splat4d::types::{Camera, FlowSettings, Image, Intrinsics};
 use splat4d::{Error, Result};
 
 use super::clip::ClipArgs;
@@ -148,5 +150,37 @@ pub fn focal_source(source: FocalSource) -> &'static str {
         FocalSource::Given => "given",
         FocalSource::Measured => "measured",
         FocalSource::Assumed => "assumed",
+    }
+}
+
+/// How well cameras are known, for reports.
+pub fn poses_json(found: &Quality) -> Value {
+    json!({
+        "tripod": found.tripod,
+        "inlier_share": found.inlier_share,
+        "reprojection_rms": found.reprojection_rms,
+        "parallax_deg": found.parallax_deg,
+        "focal_std": found.focal_std,
+        "doubtful_frames": found.doubtful_frames,
+        "tracks": found.tracks,
+    })
+}
+
+/// What [`write_cameras`] writes.
+pub const CAMERA_FILES: [&str; 2] = ["poses.txt", "intrinsics.json"];
+
+/// Writes the cameras of a clip's frames: poses as TUM, camera to world, the time being the frame's index,
+/// and the intrinsics of the first.
+pub fn write_cameras(folder: &Path, cameras: impl Iterator<Item = Camera>) -> Result<()> {
+    let cameras: Vec<Camera> = cameras.collect();
+    let pose = |(i, camera): (usize, &Camera)| TimedPose {
+        time: i as f64,
+        world_from_view: camera.view_from_world.inverse(),
+    };
+    let poses: Vec<TimedPose> = cameras.iter().enumerate().map(pose).collect();
+    trajectory::write(folder.join(CAMERA_FILES[0]), &poses)?;
+    match cameras.first() {
+        Some(first) => intrinsics::write(folder.join(CAMERA_FILES[1]), &first.intrinsics),
+        None => Ok(()),
     }
 }

@@ -1,11 +1,10 @@
 //! `splat4d reconstruct`: the main job.
 
 use std::fmt::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
-use splat4d::data::trajectory::{self, TimedPose};
 use splat4d::data::{View, intrinsics};
 use splat4d::gpu::{Device, DeviceKind};
 use splat4d::io::{Identity, check_memory, checksum};
@@ -27,7 +26,7 @@ use super::common::{
     Answer, Common, bytes, foresee, most_pairs, notes, path_text, say, thousands, training,
 };
 use super::info::dynamic_share;
-use super::known::{KnownArgs, focal_source, observe};
+use super::known::{CAMERA_FILES, KnownArgs, focal_source, observe, poses_json, write_cameras};
 use super::outputs::Outputs;
 use super::tracker::Tracker;
 use super::watcher::Watcher;
@@ -189,7 +188,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     let track = match checkpoints.load("track")? {
         Some(track) => track,
         None => {
-            let mut tracker = Tracker::new(&mut clock, &mut checkpoints);
+            let mut tracker = Tracker::new(&mut clock, Some(&mut checkpoints));
             let found = observe(&device, &frames, &options, flow, &mut tracker)?;
             tracker.finish();
             checkpoints.tracked(&found);
@@ -258,23 +257,10 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     json["seconds"] = clock.json();
     if let Some(folder) = &args.report {
         sheet::write(folder, &device, &scene, &sheet::spread(&views), &json)?;
-        write_cameras(folder, &scene)?;
+        write_cameras(folder, scene.cameras.iter().map(|known| known.camera))?;
     }
     json["output"] = path_text(&args.output);
     Ok(Answer { text: text(&json, &clock), json })
-}
-
-/// How well cameras are known, for reports.
-pub fn poses_json(found: &splat4d::track::Quality) -> Value {
-    json!({
-        "tripod": found.tripod,
-        "inlier_share": found.inlier_share,
-        "reprojection_rms": found.reprojection_rms,
-        "parallax_deg": found.parallax_deg,
-        "focal_std": found.focal_std,
-        "doubtful_frames": found.doubtful_frames,
-        "tracks": found.tracks,
-    })
 }
 
 /// Tries where output goes, and that it spares what is read.
@@ -403,26 +389,6 @@ fn views(frames: Vec<Image>, names: &[String], scene: &Scene) -> Vec<View> {
             valid: None,
         })
         .collect()
-}
-
-/// What [`write_cameras`] writes into the report's folder.
-const CAMERA_FILES: [&str; 2] = ["poses.txt", "intrinsics.json"];
-
-fn write_cameras(folder: &Path, scene: &Scene) -> Result<()> {
-    let poses: Vec<TimedPose> = scene
-        .cameras
-        .iter()
-        .enumerate()
-        .map(|(i, known)| TimedPose {
-            time: i as f64,
-            world_from_view: known.camera.view_from_world.inverse(),
-        })
-        .collect();
-    trajectory::write(folder.join(CAMERA_FILES[0]), &poses)?;
-    match scene.cameras.first().map(|known| known.camera) {
-        Some(Camera { intrinsics: k, .. }) => intrinsics::write(folder.join(CAMERA_FILES[1]), &k),
-        None => Ok(()),
-    }
 }
 
 fn text(report: &Value, clock: &Clock) -> String {

@@ -7,10 +7,9 @@ use clap::Args;
 use glam::DVec2;
 use rayon::prelude::*;
 use serde_json::{Value, json};
-use splat4d::data::trajectory::{self, TimedPose};
 use splat4d::data::transforms::{self, TimedCamera};
 use splat4d::data::{Point, exr, intrinsics, points, tracks, write_mask, write_png};
-use splat4d::track::{Observer, Stage, Track};
+use splat4d::track::Track;
 use splat4d::train::Quality;
 use splat4d::types::{Camera, Image, Tracks};
 use splat4d::{Error, Result, io};
@@ -19,10 +18,9 @@ use super::clip::ClipArgs;
 use super::clock::Clock;
 use super::common::{Answer, Common, notes, path_text, say};
 use super::interrupt;
-use super::known::{KnownArgs, focal_source, observe};
-use super::meter::Meter;
+use super::known::{KnownArgs, focal_source, observe, poses_json, write_cameras};
 use super::outputs::Outputs;
-use super::tracker;
+use super::tracker::Tracker;
 
 const AFTER_HELP: &str = "\
 DIR gets, whole or not at all:
@@ -107,9 +105,9 @@ pub fn run(args: &TrackArgs, common: &Common) -> Result<Answer> {
     say(&format!("{} frames of {}×{}", frames.len(), clip.width, clip.height));
     clock.lap("load");
 
-    let mut follower = Follower { clock: &mut clock, under_way: None };
-    let track = observe(&device, &frames, &options, flow, &mut follower)?;
-    follower.end_stage();
+    let mut tracker = Tracker::new(&mut clock, None);
+    let track = observe(&device, &frames, &options, flow, &mut tracker)?;
+    tracker.finish();
     let found = &track.quality;
     notes(&found.notes);
     all_notes.extend_from_slice(&found.notes);
@@ -122,7 +120,7 @@ pub fn run(args: &TrackArgs, common: &Common) -> Result<Answer> {
         "frames": frames.len(),
         "frame_names": names,
         "intrinsics": known_intrinsics,
-        "poses": super::reconstruct::poses_json(found),
+        "poses": poses_json(found),
         "exposure": (!track.exposure.is_constant()).then_some(&track.exposure.gains),
         "dynamic_share": found.dynamic_share,
         "movers": track.movers.len(),
@@ -195,16 +193,7 @@ fn write(
         TimedCamera { time: times[i], camera }
     };
     let cameras: Vec<TimedCamera> = (0..frames.len()).map(camera).collect();
-    let poses: Vec<TimedPose> = cameras
-        .iter()
-        .enumerate()
-        .map(|(i, at)| TimedPose {
-            time: i as f64,
-            world_from_view: at.camera.view_from_world.inverse(),
-        })
-        .collect();
-    trajectory::write(folder.join("poses.txt"), &poses)?;
-    intrinsics::write(folder.join("intrinsics.json"), &track.intrinsics)?;
+    write_cameras(folder, cameras.iter().map(|at| at.camera))?;
     let files: Vec<String> = (0..frames.len()).map(|i| format!("frames/{i:04}.png")).collect();
     transforms::write(folder.join("transforms.json"), &cameras, &files, Some("points.ply"))?;
     let cloud: Vec<Point> = track
@@ -214,34 +203,6 @@ fn write(
         .collect();
     points::write_ply(folder.join("points.ply"), &cloud)?;
     tracks::write(folder.join("tracks.npz"), followed)
-}
-
-/// Looks on while the clip is tracked.
-struct Follower<'a> {
-    clock: &'a mut Clock,
-    under_way: Option<(Stage, Meter)>,
-}
-
-impl Follower<'_> {
-    fn end_stage(&mut self) {
-        if let Some((stage, _)) = self.under_way.take() {
-            self.clock.lap(tracker::name(stage));
-        }
-    }
-}
-
-impl Observer for Follower<'_> {
-    fn progress(&mut self, stage: Stage, share: f64) -> Result<()> {
-        interrupt::check()?;
-        if self.under_way.as_ref().is_none_or(|(before, _)| *before != stage) {
-            self.end_stage();
-            self.under_way = Some((stage, Meter::new(tracker::name(stage), "%", 100, 0)));
-        }
-        if let Some((_, meter)) = &mut self.under_way {
-            meter.set((100.0 * share) as u64);
-        }
-        Ok(())
-    }
 }
 
 fn text(report: &Value, clock: &Clock) -> String {

@@ -5,18 +5,19 @@ use splat4d::track::{Observer, Stage};
 
 use super::checkpoints::Checkpoints;
 use super::clock::Clock;
+use super::interrupt;
 use super::meter::Meter;
 
-/// The observer of `reconstruct` until cameras, masks and depth are there.
+/// The observer of `reconstruct` until cameras, masks and depth are there, and of `track`.
 pub struct Tracker<'a> {
     clock: &'a mut Clock,
-    checkpoints: &'a mut Checkpoints,
+    checkpoints: Option<&'a mut Checkpoints>,
     under_way: Option<(Stage, Meter)>,
 }
 
 impl<'a> Tracker<'a> {
-    /// Begins to look.
-    pub fn new(clock: &'a mut Clock, checkpoints: &'a mut Checkpoints) -> Tracker<'a> {
+    /// Begins to look; parts are put away where there are checkpoints.
+    pub fn new(clock: &'a mut Clock, checkpoints: Option<&'a mut Checkpoints>) -> Tracker<'a> {
         Tracker { clock, checkpoints, under_way: None }
     }
 
@@ -33,7 +34,7 @@ impl<'a> Tracker<'a> {
 }
 
 /// What a stage is called, on the bar and in the report.
-pub fn name(stage: Stage) -> &'static str {
+fn name(stage: Stage) -> &'static str {
     match stage {
         Stage::Flow => "flow",
         Stage::Cameras => "cameras",
@@ -44,7 +45,10 @@ pub fn name(stage: Stage) -> &'static str {
 
 impl Observer for Tracker<'_> {
     fn progress(&mut self, stage: Stage, share: f64) -> Result<()> {
-        self.checkpoints.interrupt()?;
+        match &self.checkpoints {
+            Some(checkpoints) => checkpoints.interrupt()?,
+            None => interrupt::check()?,
+        }
         if self.under_way.as_ref().is_none_or(|(before, _)| *before != stage) {
             self.end_stage();
             self.under_way = Some((stage, Meter::new(name(stage), "%", 100, 0)));
@@ -56,15 +60,17 @@ impl Observer for Tracker<'_> {
     }
 
     fn keeps(&self) -> bool {
-        self.checkpoints.are_on()
+        self.checkpoints.as_ref().is_some_and(|checkpoints| checkpoints.are_on())
     }
 
     fn keep(&mut self, part: &str, value: Vec<u8>) -> Result<()> {
-        self.checkpoints.keep(part, value);
+        if let Some(checkpoints) = &mut self.checkpoints {
+            checkpoints.keep(part, value);
+        }
         Ok(())
     }
 
     fn kept(&mut self, part: &str) -> Result<Option<Vec<u8>>> {
-        self.checkpoints.kept(part)
+        self.checkpoints.as_ref().map_or(Ok(None), |checkpoints| checkpoints.kept(part))
     }
 }

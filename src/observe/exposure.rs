@@ -45,13 +45,15 @@ impl Exposure {
         if frames.is_empty() {
             return Exposure::default();
         }
+        let colours: Vec<Colours> =
+            tracks.par_iter().map(|track| Colours::of(frames, track)).collect();
         let compared: Vec<Comparison> = APART
             .into_par_iter()
             .flat_map(|apart| {
                 let pairs = 0..frames.len().saturating_sub(apart);
                 pairs.into_par_iter().map(move |first| (first, first + apart))
             })
-            .filter_map(|(first, second)| compare(frames, tracks, first, second))
+            .filter_map(|(first, second)| compare(&colours, first, second))
             .collect();
         let mut gains = vec![[1.0f32; 3]; frames.len()];
         for channel in 0..3 {
@@ -101,16 +103,28 @@ struct Comparison {
     log_ratio: [(f64, f64); 3],
 }
 
-fn compare(
-    frames: &[Image],
-    tracks: &[PointTrack],
+/// The colours of a point, frame by frame.
+struct Colours {
     first: usize,
-    second: usize,
-) -> Option<Comparison> {
+    mean: Vec<Option<[f32; 3]>>,
+}
+
+impl Colours {
+    fn of(frames: &[Image], track: &PointTrack) -> Colours {
+        let pixels = track.pixels.iter().zip(&frames[track.first..]);
+        let mean = pixels.map(|(at, frame)| mean(frame, *at)).collect();
+        Colours { first: track.first, mean }
+    }
+
+    fn at(&self, frame: usize) -> Option<[f32; 3]> {
+        frame.checked_sub(self.first).and_then(|k| self.mean.get(k)).copied().flatten()
+    }
+}
+
+fn compare(colours: &[Colours], first: usize, second: usize) -> Option<Comparison> {
     let mut ratios: [Vec<f64>; 3] = Default::default();
-    for track in tracks {
-        let colour = |frame: usize| track.at(frame).and_then(|at| mean(&frames[frame], at));
-        let (Some(a), Some(b)) = (colour(first), colour(second)) else { continue };
+    for point in colours {
+        let (Some(a), Some(b)) = (point.at(first), point.at(second)) else { continue };
         for ((ratios, a), b) in ratios.iter_mut().zip(a).zip(b) {
             let usable = |v: f32| (USABLE.0..USABLE.1).contains(&v);
             if usable(a) && usable(b) {

@@ -22,6 +22,7 @@
 //! | `shade` | the shadows of movers, and the nodes that carry them |
 //! | [`scaffold`] | nodes on what moves, each carried through the whole clip |
 //! | `smooth` | the scale of a path, from how smoothly things move |
+//! | `options` | what is known beforehand, and how hard to try |
 //! | `observer` | who looks on: progress, and finished parts put away |
 //! | `places` | where a point of the scene is in every frame |
 //! | `points` | static points to seed Gaussians with |
@@ -39,6 +40,7 @@ mod masks;
 mod movers;
 mod objects;
 mod observer;
+mod options;
 mod outline;
 mod photometric;
 mod places;
@@ -59,75 +61,18 @@ mod unfollowed;
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
-use crate::data::Clip;
 use crate::geometry::sim3::Sim3;
 use crate::observe::{
     Exposure, FlowSource, NeighbourFlow, PointTrack, TrackOptions, follow, refine, supplied_tracks,
 };
-use crate::types::{Image, Intrinsics, Pose, Tracks};
+use crate::types::{Image, Intrinsics, Pose};
 use crate::{Error, Result};
 use cameras::{Cameras, Focal};
 use observer::{Progress, Work, numbered};
 
 pub use observer::Observer;
+pub use options::Options;
 pub use scaffold::Scaffold;
-
-/// What is known beforehand, and how hard to try.
-#[derive(Clone, Debug, Serialize)]
-pub struct Options {
-    /// The camera's inner geometry, where it is known; wins over `focal`.
-    pub intrinsics: Option<Intrinsics>,
-    /// Focal length in pixels of the frames, where it is known.
-    pub focal: Option<f64>,
-    /// `view_from_world` per frame, where it is known: kept but for one scale.
-    pub poses: Option<Vec<Pose>>,
-    /// Motion masks, one channel, 1 where something moves, where they are known: kept.
-    pub masks: Option<Vec<Image>>,
-    /// Depth (z), one channel, up to one scale for the whole clip, 0 or not finite where unknown,
-    /// where it is known: kept but for that scale.
-    pub depth: Option<Vec<Image>>,
-    /// Points that are followed already, places at the size of the frames, where there are any: they are
-    /// taken in besides the program's own.
-    pub tracks: Option<Tracks>,
-    /// How many times masks and poses are alternated; at least 1.
-    pub rounds: usize,
-    /// Whether each track's point is found again in the pictures; else it keeps the places that chained
-    /// flow gives, which drift.
-    pub refine_tracks: bool,
-    /// Whether the exposure of each frame is measured, and frames that differ are made equal before
-    /// their colours are compared.
-    pub exposure: bool,
-    /// Whether static depth is refined against the pictures by multi-baseline stereo; else it is that of
-    /// the flow alone.
-    pub stereo: bool,
-    /// Whether movers are lifted as objects, each with a shape, a path and a distance; else each has one
-    /// depth per region of the mask and frame.
-    pub lift: bool,
-    /// Most static points to return.
-    pub max_points: usize,
-    /// The same seed gives the same result.
-    pub seed: u64,
-}
-
-impl Default for Options {
-    fn default() -> Options {
-        Options {
-            intrinsics: None,
-            focal: None,
-            poses: None,
-            masks: None,
-            depth: None,
-            tracks: None,
-            rounds: 2,
-            refine_tracks: true,
-            exposure: true,
-            stereo: true,
-            lift: true,
-            max_points: 60_000,
-            seed: 0,
-        }
-    }
-}
 
 /// What is being worked on, for progress.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -254,7 +199,7 @@ pub struct Quality {
 /// `progress` is told the stage and the share of it that is done; an error from it ends the work.
 ///
 /// # Errors
-/// Fewer than [`Clip::LEAST`] frames, frames or supplied images of differing sizes, supplied lists of the wrong
+/// Fewer than [`Clip::LEAST`](crate::data::Clip::LEAST) frames, frames or supplied images of differing sizes, supplied lists of the wrong
 /// length, masks that leave nothing static, a clip without parallax ([`Error::Input`] says what to do), flow that follows nothing.
 pub fn track(
     frames: &[Image],
@@ -277,7 +222,7 @@ pub fn track_observed(
     source: &mut dyn FlowSource,
     observer: &mut dyn Observer,
 ) -> Result<Track> {
-    check(frames, options)?;
+    options.check(frames)?;
     let mut work = Work::new(observer);
     let flow = observe(frames, source, &mut work)?;
     let mut tracks = follow(&flow, &TrackOptions::for_size(flow.width, flow.height));
@@ -610,83 +555,6 @@ fn demand_static(masks: &[Image], weights: &[f64]) -> Result<()> {
 fn binary(mask: &Image) -> Image {
     let pixels = mask.pixels.iter().map(|v| if *v > 0.5 { 1.0 } else { 0.0 }).collect();
     Image { pixels, ..*mask }
-}
-
-fn check(frames: &[Image], options: &Options) -> Result<()> {
-    let n = frames.len();
-    let least = Clip::LEAST;
-    let Some(first) = frames.first().filter(|_| n >= least) else {
-        return Err(Error::Input(format!(
-            "{n} frame{} given; cameras are found from a moving camera's video, {least} frames at \
-             least",
-            if n == 1 { "" } else { "s" }
-        )));
-    };
-    if first.width < 16 || first.height < 16 {
-        return Err(Error::Input(format!(
-            "the frames are {}×{}; at least 16 pixels a side are needed",
-            first.width, first.height
-        )));
-    }
-    if let Some(i) = frames
-        .iter()
-        .position(|f| (f.width, f.height, f.channels) != (first.width, first.height, 3))
-    {
-        let f = &frames[i];
-        return Err(Error::Input(format!(
-            "frame {i} is {}×{} with {} channels, the first frame is {}×{}; all frames must be RGB \
-             of one size",
-            f.width, f.height, f.channels, first.width, first.height
-        )));
-    }
-    let lists = [
-        ("poses", options.poses.as_ref().map(Vec::len)),
-        ("masks", options.masks.as_ref().map(Vec::len)),
-        ("depth maps", options.depth.as_ref().map(Vec::len)),
-        (
-            "places of each point",
-            options.tracks.as_ref().filter(|t| !t.points.is_empty()).map(Tracks::frames),
-        ),
-    ];
-    for (what, length) in lists {
-        if let Some(length) = length.filter(|l| *l != n) {
-            return Err(Error::Input(format!(
-                "{length} {what} are supplied for {n} frames; give one for each frame"
-            )));
-        }
-    }
-    for (what, images) in [("mask", &options.masks), ("depth map", &options.depth)] {
-        for (i, image) in images.iter().flatten().enumerate() {
-            if (image.width, image.height, image.channels) != (first.width, first.height, 1) {
-                return Err(Error::Input(format!(
-                    "supplied {what} {i} is {}×{} with {} channels, the frames are {}×{}; give one \
-                     channel at the size of the frames",
-                    image.width, image.height, image.channels, first.width, first.height
-                )));
-            }
-        }
-    }
-    for (i, pose) in options.poses.iter().flatten().enumerate() {
-        pose.check().map_err(|what| Error::Input(format!("supplied pose {i}: {what}")))?;
-    }
-    if let Some(focal) = options.focal {
-        let checked = Intrinsics::centred(focal, first.width, first.height).check();
-        let refused = |what| format!("a focal length of {focal:?} px makes no sense: {what}");
-        checked.map_err(|what| Error::Input(refused(what)))?;
-    }
-    if let Some(intrinsics) = &options.intrinsics {
-        let refused = |what| Error::Input(format!("the supplied intrinsics: {what}"));
-        intrinsics.check().map_err(refused)?;
-    }
-    if let Some(k) =
-        options.intrinsics.filter(|k| (k.width, k.height) != (first.width, first.height))
-    {
-        return Err(Error::Input(format!(
-            "the supplied intrinsics are of {}×{} pixels, the frames are {}×{}; resize them",
-            k.width, k.height, first.width, first.height
-        )));
-    }
-    Ok(())
 }
 
 /// The value that `share` of the values lie below; 0 of none.

@@ -5,7 +5,7 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::Track;
-use super::scaffold::value;
+use super::scaffold::{owner, value};
 use crate::types::{PointPath, Tracks};
 
 /// A point is hidden where all that is shown about its place is nearer by more than this share.
@@ -26,8 +26,7 @@ impl Track {
 
     fn follow_point(&self, query: (usize, DVec2)) -> PointPath {
         let (first, pixel) = query;
-        let z = f64::from(value(&self.depth[first], pixel));
-        let point = self.view_from_world[first].inverse().apply(self.intrinsics.ray(pixel) * z);
+        let point = self.lift(first, pixel);
         let owner = self.owner(first, pixel);
         let mut path = PointPath { query, ..PointPath::default() };
         for frame in 0..self.view_from_world.len() {
@@ -45,10 +44,15 @@ impl Track {
         path
     }
 
-    /// The object that a pixel shows, 0 where none is known; none where nothing moves.
+    /// The point in the world that a pixel shows.
+    pub(crate) fn lift(&self, frame: usize, pixel: DVec2) -> DVec3 {
+        let z = f64::from(value(&self.depth[frame], pixel));
+        self.view_from_world[frame].inverse().apply(self.intrinsics.ray(pixel) * z)
+    }
+
+    /// The object that a pixel shows, as [`owner`] tells it.
     fn owner(&self, frame: usize, pixel: DVec2) -> Option<usize> {
-        let moves = value(&self.masks[frame], pixel) > 0.5;
-        moves.then(|| value(&self.owners[frame], pixel) as usize)
+        owner(&self.masks[frame], &self.owners[frame], pixel)
     }
 
     /// Where a point is in a frame, and whether it is seen there: something of its own object, not

@@ -14,25 +14,21 @@
 //! that no node is near to, nodes are added, and carried to all other frames afterwards, between nodes
 //! whose place there is known already.
 
+mod build;
 mod step;
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use self::step::{Bound, Match, Step, followed, rigid};
+pub(super) use self::build::build;
+use self::step::{Match, followed, rigid};
 use super::Mover;
 use crate::geometry::se3::matrix3;
 use crate::geometry::sim3::nearest_rotation;
 use crate::observe::NeighbourFlow;
 use crate::types::{Image, Intrinsics, Pose};
 
-/// Nodes in the frame that the scaffold begins in, about.
-const NODES: f64 = 128.0;
-/// Nodes in all, at most.
-const MOST_NODES: usize = 256;
-/// Surface farther from every node than so many spacings gets a node of its own.
-const UNCOVERED: f64 = 1.5;
 /// Flow with less confidence is not used.
 const CONFIDENCE: f32 = 0.3;
 /// Where more pixels move, every second one along each axis is enough.
@@ -43,19 +39,11 @@ const EDGES: usize = 8;
 /// nearest ones.
 const REACH: f64 = 4.0;
 const ALWAYS: usize = 2;
-/// Weight of an edge, by that of all surface points of a node.
-const RIGIDITY: f64 = 0.05;
 /// An object's own motion is found from so many surface points, at least.
 const LEAST_MATCHES: usize = 20;
 /// An object that was found as a whole is believed where it leaves at most so much more than what its
 /// surface points ask for from frame to frame: it does not drift.
 const BELIEVED: f64 = 3.0;
-/// Objects are judged by the points that are off by more than this share of all.
-const JUDGED: f64 = 0.8;
-/// Flow that is chained from so many frames before the last tells where nodes have gone astray.
-const BACK: [usize; 8] = [1, 2, 3, 4, 6, 8, 11, 15];
-/// Nodes go as one where that leaves at most so much more.
-const STIFF: f64 = 1.5;
 
 /// Nodes on what moves.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -89,18 +77,6 @@ pub(super) struct Surfaces<'a> {
     pub movers: &'a [Mover],
 }
 
-/// The frame that shows most of the movers, the one nearest to the middle among the good ones: from
-/// there motion has to reach least far.
-fn canonical_frame(masks: &[Image]) -> usize {
-    let areas: Vec<usize> = masks.iter().map(area).collect();
-    let most = areas.iter().copied().max().unwrap_or(0);
-    let middle = masks.len() / 2;
-    (0..masks.len())
-        .filter(|&frame| areas[frame] * 10 >= most * 7)
-        .min_by_key(|&frame| frame.abs_diff(middle))
-        .unwrap_or(middle)
-}
-
 fn area(mask: &Image) -> usize {
     mask.pixels.iter().filter(|m| **m > 0.5).count()
 }
@@ -112,11 +88,15 @@ pub(crate) fn value(image: &Image, pixel: DVec2) -> f32 {
     image.at(x, y)[0]
 }
 
+/// The object that a pixel shows, by a frame's mask and [`super::Track::owners`]: 0 where none is known, none
+/// where nothing moves.
+pub(super) fn owner(mask: &Image, owners: &Image, pixel: DVec2) -> Option<usize> {
+    (value(mask, pixel) > 0.5).then(|| value(owners, pixel) as usize)
+}
+
 impl Surfaces<'_> {
-    /// The object that a pixel shows, 0 where none is known; none where nothing moves.
     fn owner(&self, frame: usize, pixel: DVec2) -> Option<usize> {
-        let moves = value(&self.masks[frame], pixel) > 0.5;
-        moves.then(|| value(&self.owners[frame], pixel) as usize)
+        owner(&self.masks[frame], &self.owners[frame], pixel)
     }
 
     /// The point in the world that a pixel shows.
@@ -187,340 +167,29 @@ impl Surfaces<'_> {
             if next.confidence < CONFIDENCE || self.owner(to, next.pixel) != Some(owner) {
                 return None;
             }
-            let there = self.lift(to, next.pixel);
             let certainty = f64::from(next.confidence) * (every * every) as f64;
-            Some(Match {
-                owner,
-                here: self.lift(from, pixel),
-                there,
-                sight: self.sight(to, there),
-                weight: certainty / self.pixel_size(to, there).powi(2),
-                certainty,
-            })
+            Some(self.matched(owner, self.lift(from, pixel), (to, next.pixel), certainty))
         };
         self.inner_pixels(from, every).par_iter().filter_map(find).collect()
     }
-}
 
-/// A node whose place is not known in every frame yet.
-struct Growing {
-    owner: usize,
-    spacing: f64,
-    poses: Vec<Option<Pose>>,
-}
-
-/// The scaffold while it is being built.
-struct Builder<'a> {
-    surfaces: &'a Surfaces<'a>,
-    /// Distance of the nodes, pixels.
-    spacing: f64,
-    nodes: Vec<Growing>,
-    /// The largest distance that two nodes have had, row by row.
-    farthest: Vec<Vec<f64>>,
-    /// By frame and object, how this goes to the next frame.
-    steps: &'a [Vec<Pose>],
-    /// By object, whether its nodes go as one.
-    rigid: Vec<bool>,
-    /// By object, what its own motion and what the nodes' motions leave of each step.
-    left: Vec<Vec<[f64; 2]>>,
-}
-
-/// Builds the scaffold of a clip.
-pub(super) fn build(surfaces: &Surfaces<'_>) -> Scaffold {
-    let frames = surfaces.masks.len();
-    let canonical = canonical_frame(surfaces.masks);
-    let most = surfaces.masks.iter().map(area).max().unwrap_or(0);
-    if most == 0 {
-        return Scaffold { canonical, nodes: Vec::new() };
-    }
-    let spacing = (most as f64 / NODES).sqrt().max(2.0);
-    let steps: Vec<Vec<Pose>> =
-        (0..frames - 1).into_par_iter().map(|frame| surfaces.object_steps(frame)).collect();
-    let objects = surfaces.movers.len() + 1;
-    let mut builder = Builder {
-        surfaces,
-        spacing,
-        nodes: Vec::new(),
-        farthest: Vec::new(),
-        steps: &steps,
-        rigid: vec![false; objects],
-        left: vec![Vec::new(); objects],
-    };
-    builder.grow(canonical);
-    let rigid: Vec<bool> = builder.left.iter().enumerate().map(is_rigid).collect();
-    if rigid.contains(&true) {
-        let left = vec![Vec::new(); objects];
-        builder = Builder { nodes: Vec::new(), farthest: Vec::new(), rigid, left, ..builder };
-        builder.grow(canonical);
-    }
-    let nodes = builder.nodes.into_iter().filter_map(|node| {
-        let world_from_node: Option<Vec<Pose>> = node.poses.into_iter().collect();
-        Some(Node { owner: node.owner, spacing: node.spacing, world_from_node: world_from_node? })
-    });
-    Scaffold { canonical, nodes: nodes.collect() }
-}
-
-/// Whether what an object's own motion leaves of its steps is hardly more than what the nodes' motions
-/// leave.
-fn is_rigid((owner, left): (usize, &Vec<[f64; 2]>)) -> bool {
-    let of = |k: usize| super::quantile(left.iter().map(|step| step[k]).collect(), 0.5);
-    owner > 0 && of(0) < STIFF * of(1)
-}
-
-impl Builder<'_> {
-    /// Builds all from a first frame on.
-    fn grow(&mut self, first: usize) {
-        let frames = self.surfaces.masks.len();
-        self.cover(first);
-        for frame in first + 1..frames {
-            self.carry(frame - 1, frame);
-            self.cover(frame);
-        }
-        for frame in (0..frames - 1).rev() {
-            self.carry(frame + 1, frame);
-            if frame < first {
-                self.cover(frame);
-            }
-        }
-        for frame in 1..frames {
-            self.carry(frame - 1, frame);
-        }
-    }
-
-    /// Adds nodes where a frame shows surface that none is near to.
-    fn cover(&mut self, frame: usize) {
-        let surfaces = self.surfaces;
-        let every = ((0.5 * self.spacing) as usize).max(1);
-        for (pixel, owner) in surfaces.inner_pixels(frame, every) {
-            if self.nodes.len() >= MOST_NODES {
-                break;
-            }
-            let point = surfaces.lift(frame, pixel);
-            let sight = surfaces.sight(frame, point);
-            let spacing = self.spacing * surfaces.pixel_size(frame, point);
-            let reach = spacing * if self.nodes.len() < NODES as usize { 1.0 } else { UNCOVERED };
-            let near = |node: &Growing| {
-                let Some(pose) = node.poses[frame].filter(|_| node.owner == owner) else {
-                    return false;
-                };
-                let offset = pose.translation - point;
-                // Depth is inferred: along the line of sight nodes are off by more.
-                (offset - 0.5 * sight * sight.dot(offset)).length() < reach
-            };
-            if self.nodes.iter().any(near) {
-                continue;
-            }
-            let mut poses = vec![None; surfaces.masks.len()];
-            poses[frame] = Some(Pose { rotation: DQuat::IDENTITY, translation: point });
-            self.nodes.push(Growing { owner, spacing, poses });
-        }
-        self.measure(frame);
-    }
-
-    /// Takes the distances of a frame into account.
-    fn measure(&mut self, frame: usize) {
-        let count = self.nodes.len();
-        self.farthest.resize(count, Vec::new());
-        self.farthest.iter_mut().for_each(|row| row.resize(count, 0.0));
-        let places: Vec<Option<DVec3>> =
-            self.nodes.iter().map(|node| node.poses[frame].map(|p| p.translation)).collect();
-        let owners: Vec<usize> = self.nodes.iter().map(|node| node.owner).collect();
-        self.farthest.par_iter_mut().enumerate().for_each(|(i, row)| {
-            for (j, distance) in row.iter_mut().enumerate() {
-                if owners[i] != owners[j] {
-                    *distance = f64::INFINITY;
-                } else if let (Some(a), Some(b)) = (places[i], places[j]) {
-                    *distance = distance.max(a.distance(b));
-                }
-            }
-        });
-    }
-
-    /// Finds where the nodes of a frame are in its neighbour, those whose place there is not known.
-    fn carry(&mut self, from: usize, to: usize) {
-        let chosen: Vec<usize> =
-            (0..self.nodes.len()).filter(|&i| self.nodes[i].poses[from].is_some()).collect();
-        if chosen.iter().all(|&i| self.nodes[i].poses[to].is_some()) {
-            return;
-        }
-        let surfaces = self.surfaces;
-        let here: Vec<Pose> = chosen.iter().filter_map(|&i| self.nodes[i].poses[from]).collect();
-        let known: Vec<Option<Pose>> = chosen.iter().map(|&i| self.nodes[i].poses[to]).collect();
-        let neighbours = self.neighbours(&chosen);
-        let matches = surfaces.matches(from, to);
-        let bound: Vec<Option<Bound>> =
-            matches.par_iter().map(|m| self.bind(m, &chosen, &here, &neighbours)).collect();
-        let bound = matches.into_iter().zip(bound).filter_map(|(m, b)| Some((m, b?)));
-        let (matches, bound): (Vec<Match>, Vec<Bound>) =
-            bound.chain(self.long_matches(from, to, &chosen, &neighbours)).unzip();
-        let guess: Vec<Pose> = chosen
-            .iter()
-            .zip(&here)
-            .zip(&known)
-            .map(|((&i, here), known)| {
-                known.unwrap_or_else(|| self.with_object(self.nodes[i].owner, from, to, here))
-            })
-            .collect();
-        let edge_weights = here
-            .iter()
-            .map(|pose| {
-                RIGIDITY * self.spacing.powi(2)
-                    / surfaces.pixel_size(from, pose.translation).powi(2)
-            })
-            .collect();
-        let step = Step {
-            free: known
-                .iter()
-                .zip(&chosen)
-                .map(|(known, &i)| known.is_none() && !self.rigid[self.nodes[i].owner])
-                .collect(),
+    /// A surface point that is to be where a pixel of a frame shows it.
+    fn matched(
+        &self,
+        owner: usize,
+        here: DVec3,
+        (to, pixel): (usize, DVec2),
+        certainty: f64,
+    ) -> Match {
+        let there = self.lift(to, pixel);
+        Match {
+            owner,
             here,
-            neighbours,
-            edge_weights,
-            matches,
-            bound,
-        };
-        let there = step.solve(&guess);
-        self.record(&step, &there, from, to);
-        for (&i, pose) in chosen.iter().zip(&there) {
-            self.nodes[i].poses[to] = Some(*pose);
+            there,
+            sight: self.sight(to, there),
+            weight: certainty / self.pixel_size(to, there).powi(2),
+            certainty,
         }
-        self.measure(to);
-    }
-
-    /// Surface points of frames farther back, beyond `from`, that chained flow leads to `to`: as the nodes
-    /// have carried them to `from`, where they may have gone astray a little, and where they should be
-    /// in `to`.
-    fn long_matches(
-        &self,
-        from: usize,
-        to: usize,
-        chosen: &[usize],
-        neighbours: &[Vec<usize>],
-    ) -> Vec<(Match, Bound)> {
-        let frames = self.surfaces.masks.len();
-        let of = |back: usize| {
-            let source = if to > from { from.checked_sub(back)? } else { from + back };
-            (source < frames).then_some(source)
-        };
-        let sources = BACK.iter().filter_map(|back| of(*back));
-        sources.flat_map(|source| self.chained(source, from, to, chosen, neighbours)).collect()
-    }
-
-    fn chained(
-        &self,
-        source: usize,
-        from: usize,
-        to: usize,
-        chosen: &[usize],
-        neighbours: &[Vec<usize>],
-    ) -> Vec<(Match, Bound)> {
-        let surfaces = self.surfaces;
-        let known = |i: usize| self.nodes[i].poses[source];
-        let place = |j: usize| known(chosen[j]).map(|pose| pose.translation);
-        let every = if area(&surfaces.masks[source]) > PLENTY { 2 } else { 1 };
-        let find = |&(pixel, owner): &(DVec2, usize)| {
-            let (mut at, mut frame, mut certainty) = (pixel, source, 1.0f32);
-            while frame != to {
-                let next = surfaces.flow.step(frame, to > from, at)?;
-                (at, frame) = (next.pixel, if to > from { frame + 1 } else { frame - 1 });
-                certainty = certainty.min(next.confidence);
-                if certainty < CONFIDENCE || surfaces.owner(frame, at) != Some(owner) {
-                    return None;
-                }
-            }
-            let point = surfaces.lift(source, pixel);
-            let distance = |j: usize| place(j).map_or(f64::INFINITY, |at| at.distance(point));
-            let on_it = (0..chosen.len())
-                .filter(|&j| self.nodes[chosen[j]].owner == owner && place(j).is_some());
-            let nearest = on_it.min_by(|&a, &b| distance(a).total_cmp(&distance(b)))?;
-            let radius = self.nodes[chosen[nearest]].spacing;
-            let near: Vec<usize> =
-                neighbours[nearest].iter().copied().filter(|&j| place(j).is_some()).collect();
-            let bound = followed(nearest, &near, radius, distance);
-            let mut here = DVec3::ZERO;
-            for &(j, weight) in &bound {
-                let poses = &self.nodes[chosen[j]].poses;
-                let (before, now) = (poses[source]?, poses[from]?);
-                let turned = now.rotation * before.rotation.conjugate();
-                here += weight * (turned * (point - before.translation) + now.translation);
-            }
-            let there = surfaces.lift(to, at);
-            let certainty = f64::from(certainty) * (every * every) as f64;
-            let found = Match {
-                owner,
-                here,
-                there,
-                sight: surfaces.sight(to, there),
-                weight: certainty / surfaces.pixel_size(to, there).powi(2),
-                certainty,
-            };
-            Some((found, bound))
-        };
-        surfaces.inner_pixels(source, every).par_iter().filter_map(find).collect()
-    }
-
-    /// A pose in the next frame if it were fixed to its object.
-    fn with_object(&self, owner: usize, from: usize, to: usize, here: &Pose) -> Pose {
-        let step = self.steps[from.min(to)][owner];
-        let step = if to > from { step } else { step.inverse() };
-        Pose::new(step.rotation * here.rotation, step.apply(here.translation))
-    }
-
-    /// Remembers what a step leaves, pixels, object by object: the share of the points that
-    /// [`JUDGED`] tells leaves less.
-    fn record(&mut self, step: &Step, there: &[Pose], from: usize, to: usize) {
-        let turns: Vec<DQuat> = there
-            .iter()
-            .zip(&step.here)
-            .map(|(there, here)| there.rotation * here.rotation.conjugate())
-            .collect();
-        let places: Vec<DVec3> = there.iter().map(|pose| pose.translation).collect();
-        let mut off = vec![[Vec::new(), Vec::new()]; self.left.len()];
-        for (m, point) in step.matches.iter().enumerate() {
-            let here = Pose { rotation: DQuat::IDENTITY, translation: point.here };
-            let as_one = self.with_object(point.owner, from, to, &here).translation;
-            let [one, many] = &mut off[point.owner];
-            one.push(point.off(as_one));
-            many.push(point.off(step.moved(m, &turns, &places)));
-        }
-        for (left, off) in self.left.iter_mut().zip(off) {
-            if off[0].len() >= LEAST_MATCHES {
-                left.push(off.map(|off| super::quantile(off, JUDGED)));
-            }
-        }
-    }
-
-    /// The edges of the chosen nodes, by their numbers among these: to those that have always been
-    /// near.
-    fn neighbours(&self, chosen: &[usize]) -> Vec<Vec<usize>> {
-        let of = |&i: &usize| {
-            let distance = |j: usize| self.farthest[i][chosen[j]];
-            let mut near: Vec<usize> =
-                (0..chosen.len()).filter(|&j| chosen[j] != i && distance(j).is_finite()).collect();
-            near.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)));
-            near.truncate(EDGES);
-            let reach = REACH * self.nodes[i].spacing;
-            let kept = near.iter().filter(|&&j| distance(j) < reach).count();
-            near.truncate(kept.max(ALWAYS));
-            near
-        };
-        chosen.par_iter().map(of).collect()
-    }
-
-    /// The nodes that a surface point follows: the nearest one, and its neighbours.
-    fn bind(
-        &self,
-        point: &Match,
-        chosen: &[usize],
-        here: &[Pose],
-        neighbours: &[Vec<usize>],
-    ) -> Option<Bound> {
-        let distance = |j: usize| here[j].translation.distance(point.here);
-        let on_it = (0..chosen.len()).filter(|&j| self.nodes[chosen[j]].owner == point.owner);
-        let nearest = on_it.min_by(|&a, &b| distance(a).total_cmp(&distance(b)))?;
-        let radius = self.nodes[chosen[nearest]].spacing;
-        Some(followed(nearest, &neighbours[nearest], radius, distance))
     }
 }
 

@@ -4,7 +4,6 @@ use crate::track::Track;
 use crate::track::scaffold::Node;
 pub(super) use crate::track::scaffold::value;
 use crate::types::Camera;
-use glam::{DVec2, DVec3};
 
 /// Above this a pixel of a mask counts as moving.
 pub(super) const MOVING: f32 = 0.5;
@@ -12,13 +11,6 @@ pub(super) const MOVING: f32 = 0.5;
 /// The camera of a frame.
 pub(super) fn camera(track: &Track, frame: usize) -> Camera {
     Camera { intrinsics: track.intrinsics, view_from_world: track.view_from_world[frame] }
-}
-
-/// The point in the world that a pixel shows.
-pub(super) fn lift(track: &Track, frame: usize, pixel: DVec2) -> DVec3 {
-    let z = f64::from(value(&track.depth[frame], pixel));
-    let view = track.intrinsics.ray(pixel) * z;
-    track.view_from_world[frame].inverse().apply(view)
 }
 
 /// A node's motions from the canonical frame at so many even times over the frames, as

@@ -13,7 +13,7 @@
 //! A clip in which nothing moves gets no control points.
 
 use super::aside::aside;
-use super::lifting::{MOVING, camera, lift, path, value};
+use super::lifting::{MOVING, camera, path, value};
 use super::mesh::Frame;
 use super::motion::MotionStart;
 use super::observer::{Checkpoint, Observer, Phase, run};
@@ -505,7 +505,7 @@ fn seed_movers(sequence: Sequence<'_>, settings: &SequenceSettings) -> Gaussians
                 if value(mask, pixel) <= MOVING {
                     continue;
                 }
-                let here = lift(track, frame, pixel);
+                let here = track.lift(frame, pixel);
                 let owner = value(&track.owners[frame], pixel) as usize;
                 let there = track.scaffold.carry(owner, here, frame, canonical);
                 let Some((position, turned)) = there else { continue };

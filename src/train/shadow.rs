@@ -4,7 +4,6 @@
 //! of the renderer and no file format has to know of shadows. It moves with the scaffold's nodes for
 //! shadows.
 
-use super::lifting::lift;
 use super::seed::seed_from_points;
 use super::surface::{lay, normal};
 use crate::data::Point;
@@ -39,7 +38,7 @@ pub(super) fn seed_shadows(
                 continue;
             }
             let pixel = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
-            let ground = lift(track, frame, pixel);
+            let ground = track.lift(frame, pixel);
             let here = ground + BEFORE * (world_from_view.translation - ground);
             let there = track.scaffold.carry(*owner as usize, here, frame, canonical);
             let Some((position, turned)) = there else { continue };
