@@ -1377,8 +1377,10 @@ fn what_is_killed_again_and_again_ends() {
     let times = |folder: &Path| -> Vec<_> {
         content(folder).iter().filter_map(|p| fs::metadata(p).ok()?.modified().ok()).collect()
     };
+    let training = || at("part.checkpoint").join("training").exists();
     let mut kept = BTreeSet::new();
     let mut killed = 0u64;
+    let mut killed_in_training = 0u64;
     loop {
         let before =
             if at("part.checkpoint").exists() { times(&at("part.checkpoint")) } else { vec![] };
@@ -1390,16 +1392,24 @@ fn what_is_killed_again_and_again_ends() {
             .stdout(Stdio::null())
             .spawn()
             .unwrap();
+        let mut put_away = None;
         let ended = loop {
             std::thread::sleep(std::time::Duration::from_millis(20));
+            // It may have come to its end.
             if let Some(status) = child.try_wait().unwrap() {
                 break Some(status);
             }
-            if at("part.checkpoint").exists() && times(&at("part.checkpoint")) != before {
-                // On a busy machine, where the next part takes longer, it comes in a later run.
-                std::thread::sleep(std::time::Duration::from_millis(300 + 20 * killed));
-                // It may have come to its end.
-                break child.try_wait().unwrap();
+            if put_away.is_none()
+                && at("part.checkpoint").exists()
+                && times(&at("part.checkpoint")) != before
+            {
+                put_away = Some(std::time::Instant::now());
+            }
+            // On a busy machine, where the next part takes longer, it comes in a later run. A training of
+            // so few steps is over soon: it is killed as soon as the first checkpoint lies there.
+            let pause = if training() { 20 * killed_in_training } else { 300 + 20 * killed };
+            if put_away.is_some_and(|at| at.elapsed().as_millis() >= u128::from(pause)) {
+                break None;
             }
         };
         if let Some(status) = ended {
@@ -1416,6 +1426,7 @@ fn what_is_killed_again_and_again_ends() {
                 kept.insert(part);
             }
         }
+        killed_in_training += u64::from(training());
     }
     assert!(killed >= 3 && kept.len() == 2, "killed {killed} times, with {kept:?}");
     assert!(!at("part.checkpoint").exists());
