@@ -19,7 +19,7 @@ fn rows_of_every_length_share_a_few_pipelines() {
     let shared = common::device();
     let device = shared.with_limits(*shared.limits());
     let mut stream = device.stream().unwrap();
-    let adam = Adam::new(&device).unwrap();
+    let mut adam = Adam::new(&device).unwrap();
     let mut recorder = stream.record().unwrap();
     // One row, several, and no visibility at all.
     for (row, rows) in (1..=100).flat_map(|row| [(row, Some(1)), (row, Some(2)), (row, None)]) {

@@ -442,6 +442,46 @@ fn a_frame_that_does_not_fit_teaches_nothing_and_comes_again() {
     common::assert_valid(&device);
 }
 
+/// A loss that is not a number: what it would move stays as it is, and is counted.
+#[test]
+fn gradients_that_are_no_numbers_are_left_out_and_counted() {
+    let device = common::device();
+    let mut stream = device.stream().unwrap();
+    let scene = gaussians(9);
+    let camera = camera(SIZE.0, SIZE.1);
+    let mut trainer = Trainer::without_pictures(&device, &scene, None, 1.0, settings()).unwrap();
+    let mut by = vec![[1.0f32; 4]; (SIZE.0 * SIZE.1) as usize];
+    let mut step = |trainer: &mut Trainer, by: &[[f32; 4]]| {
+        let by: Buffer<[f32; 4]> = device.upload("by rgba", by).unwrap();
+        let mut recorder = stream.record().unwrap();
+        trainer.forward(&mut recorder, &camera, 0.0).unwrap();
+        trainer.backward(&mut recorder, OwnGradients { rgba: by.view(), depth: None }).unwrap();
+        trainer.update(&mut recorder).unwrap();
+        let ticket = stream.submit(recorder).unwrap();
+        stream.wait(ticket).unwrap();
+        assert!(trainer.conclude().unwrap());
+    };
+    step(&mut trainer, &by);
+    assert_eq!(trainer.broken_gradients().unwrap(), 0);
+    let before = trainer.gaussians().unwrap();
+    by.fill([f32::NAN; 4]);
+    step(&mut trainer, &by);
+    let broken = trainer.broken_gradients().unwrap();
+    // Place, scale, rotation, opacity and colour of each.
+    assert!((9..=9 * 14).contains(&broken), "{broken} gradients");
+    let after = trainer.gaussians().unwrap();
+    assert_eq!(after, before);
+    // The count is a part of the state.
+    let state = trainer.state().unwrap();
+    let mut trainer = Trainer::resume(&device, &[], state, settings()).unwrap();
+    assert_eq!(trainer.broken_gradients().unwrap(), broken);
+    by.fill([1.0; 4]);
+    step(&mut trainer, &by);
+    assert_eq!(trainer.broken_gradients().unwrap(), broken);
+    assert_ne!(trainer.gaussians().unwrap(), before);
+    common::assert_valid(&device);
+}
+
 #[test]
 fn steps_out_of_turn_are_named() {
     let device = common::device();

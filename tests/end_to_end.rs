@@ -1,26 +1,16 @@
 //! The main job on small synthetic clips: frames in, a scene out, held against the exact truth.
 
 mod common;
+mod outcome;
 
+use outcome::{HeldOut, Outcome, stacked, world_from_view};
 use splat4d::data::synth::{self, SynthOptions};
 use splat4d::data::transforms;
 use splat4d::data::{Clip, ClipOptions, Resize};
-use splat4d::eval::{Align, compare_trajectories, mask_iou, psnr};
-use splat4d::geometry::sim3::align_cameras;
-use splat4d::gpu::Device;
-use splat4d::observe::EngineFlow;
-use splat4d::renderer::Renderer;
-use splat4d::scene::Scene;
-use splat4d::track::{Options, Track, track};
-use splat4d::train::{Phase, Sequence, SequenceSettings, fit_sequence};
-use splat4d::types::{Camera, FlowSettings, Image, Pose};
-
-struct Outcome {
-    clip: synth::Clip,
-    track: Track,
-    scene: Scene,
-    device: Device,
-}
+use splat4d::eval::{Align, compare_trajectories, mask_iou};
+use splat4d::track::Options;
+use splat4d::train::SequenceSettings;
+use splat4d::types::{Image, Pose};
 
 fn reconstruct(name: &str) -> Outcome {
     reconstruct_clip(synth_clip(name))
@@ -34,9 +24,6 @@ fn synth_clip(name: &str) -> synth::Clip {
 
 /// With few steps: minutes on two cores.
 fn reconstruct_clip(clip: synth::Clip) -> Outcome {
-    let device = common::device();
-    let mut source = EngineFlow::new(&device, &clip.frames, &FlowSettings::default()).unwrap();
-    let found = track(&clip.frames, &Options::default(), &mut source, &mut |_, _| Ok(())).unwrap();
     let settings = SequenceSettings {
         static_steps: 150,
         steps: 300,
@@ -44,74 +31,16 @@ fn reconstruct_clip(clip: synth::Clip) -> Outcome {
         control_points: 64,
         ..SequenceSettings::default()
     };
-    let sequence = Sequence { frames: &clip.frames, times: &clip.times, track: &found };
-    let scene =
-        fit_sequence(&device, sequence, &settings, None, &mut |_: Phase, _, _| Ok(())).unwrap();
-    Outcome { clip, track: found, scene, device }
-}
-
-fn psnr_on_input(outcome: &Outcome) -> f64 {
-    let mut renderer = Renderer::new(&outcome.device, &outcome.scene).unwrap();
-    let frames = outcome.clip.frames.iter().zip(&outcome.scene.cameras);
-    let sum: f64 = frames
-        .map(|(frame, at)| {
-            let picture = renderer.render(&at.camera, at.time).unwrap().over([0.0; 3]);
-            psnr(&picture, frame).unwrap()
-        })
-        .sum();
-    sum / outcome.clip.frames.len() as f64
-}
-
-/// PSNR of what the scene shows to the clip's held-out cameras, carried into the scene's world; and that
-/// of the input frame of the same time, which a reconstruction without depth would show.
-fn psnr_held_out(outcome: &Outcome) -> (f64, f64) {
-    let Outcome { clip, track, scene, device } = outcome;
-    let ours = world_from_view(&track.view_from_world);
-    let theirs = world_from_view(&clip.view_from_world);
-    let truth_from_scene = align_cameras(&ours, &theirs, true).unwrap().reference_from_estimate;
-    let scene_from_truth = truth_from_scene.inverse();
-    let mut renderer = Renderer::new(device, scene).unwrap();
-    let (mut rendered, mut copied, mut count) = (0.0, 0.0, 0.0);
-    for held_out in &clip.held_out {
-        for ((&frame, camera), truth) in
-            held_out.times.iter().zip(&held_out.cameras).zip(&held_out.frames)
-        {
-            let world_from_view = scene_from_truth.apply_pose(&camera.view_from_world.inverse());
-            let camera = Camera { view_from_world: world_from_view.inverse(), ..*camera };
-            let time = scene.cameras[frame].time;
-            let picture = renderer.render(&camera, time).unwrap().over(scene.background);
-            rendered += psnr(&picture, truth).unwrap();
-            copied += psnr(&clip.frames[frame], truth).unwrap();
-            count += 1.0;
-        }
-    }
-    (rendered / count, copied / count)
-}
-
-fn world_from_view(poses: &[Pose]) -> Vec<Pose> {
-    poses.iter().map(Pose::inverse).collect()
-}
-
-fn stacked(masks: &[Image]) -> Image {
-    let mut all = masks[0].clone();
-    all.height *= masks.len() as u32;
-    all.pixels = masks.iter().flat_map(|mask| mask.pixels.iter().map(|m| m.round())).collect();
-    all
+    outcome::reconstruct(common::device(), clip, &Options::default(), &settings)
 }
 
 #[test]
 fn rigid_is_reconstructed_from_its_frames_alone() {
     let outcome = reconstruct("rigid");
-    let errors = compare_trajectories(
-        &world_from_view(&outcome.track.view_from_world),
-        &world_from_view(&outcome.clip.view_from_world),
-        Align::Sim3,
-    )
-    .unwrap();
-    let ate = errors.ate_relative;
-    let iou = mask_iou(&stacked(&outcome.track.masks), &stacked(&outcome.clip.masks)).unwrap();
-    let psnr = psnr_on_input(&outcome);
-    let (held_out, copied) = psnr_held_out(&outcome);
+    let ate = outcome.ate();
+    let iou = outcome.mask_iou();
+    let psnr = outcome.psnr_on_input();
+    let HeldOut { whole: held_out, copied, .. } = outcome.held_out();
     println!(
         "ATE {:.2} % of the path, mask IoU {iou:.2}, {psnr:.2} dB, held out {held_out:.2} dB (the \
          input frame itself {copied:.2} dB)",
@@ -166,7 +95,7 @@ fn exposure_that_drifts_by_30_percent_is_taken_off() {
     assert_eq!(gains.len(), 12);
     let gain = |frame: usize| gains[frame].iter().map(|gain| f64::from(*gain)).sum::<f64>();
     let drift = (gain(11) / gain(0)).powf(2.4);
-    let (held_out, copied) = psnr_held_out(&outcome);
+    let HeldOut { whole: held_out, copied, .. } = outcome.held_out();
     println!("exposure drifts by {drift:.3}, held out {held_out:.2} dB (copied {copied:.2} dB)");
     assert!((drift - 1.3).abs() < 0.02, "{drift}");
     // Measured: 22.49 dB.
@@ -177,7 +106,7 @@ fn exposure_that_drifts_by_30_percent_is_taken_off() {
 #[test]
 fn still_gets_no_control_points() {
     let outcome = reconstruct("still");
-    let psnr = psnr_on_input(&outcome);
+    let psnr = outcome.psnr_on_input();
     println!("{psnr:.2} dB, {:?}", outcome.track.quality);
     assert!(outcome.scene.control_points.is_empty() && !outcome.scene.moves());
     assert!(!outcome.scene.gaussians.is_dynamic());
@@ -190,8 +119,7 @@ fn tripod_is_recognised() {
     let options = SynthOptions { frames: 8, width: 240, height: 136, seed: 2 };
     let clip = synth::clip("tripod", &options).unwrap();
     let device = common::device();
-    let mut source = EngineFlow::new(&device, &clip.frames, &FlowSettings::default()).unwrap();
-    let found = track(&clip.frames, &Options::default(), &mut source, &mut |_, _| Ok(())).unwrap();
+    let found = outcome::tracked(&device, &clip.frames, &Options::default()).unwrap();
     assert!(found.quality.tripod, "{:?}", found.quality);
     assert!(found.view_from_world.iter().all(|pose| *pose == found.view_from_world[0]));
     let iou = mask_iou(&stacked(&found.masks), &stacked(&clip.masks)).unwrap();
@@ -210,8 +138,7 @@ fn a_real_clip_is_tracked() {
     let frames: Vec<Image> = clip.frames.into_iter().map(|frame| frame.image).collect();
     assert_eq!((frames.len(), truth.len()), (12, 12));
     let device = common::device();
-    let mut source = EngineFlow::new(&device, &frames, &FlowSettings::default()).unwrap();
-    let found = track(&frames, &Options::default(), &mut source, &mut |_, _| Ok(())).unwrap();
+    let found = outcome::tracked(&device, &frames, &Options::default()).unwrap();
     let poses: Vec<Pose> = truth.iter().map(|known| known.camera.view_from_world).collect();
     let (ours, theirs) = (world_from_view(&found.view_from_world), world_from_view(&poses));
     let errors = compare_trajectories(&ours, &theirs, Align::Sim3).unwrap();

@@ -12,6 +12,7 @@ layout(scalar, binding = 1) readonly buffer Gradients { vec4 gradients[]; };
 layout(scalar, binding = 2) buffer Parameters { vec4 parameters[]; };
 layout(scalar, binding = 3) buffer First { vec4 first[]; };
 layout(scalar, binding = 4) buffer Second { vec4 second[]; };
+layout(std430, binding = 5) buffer Broken { uint broken; };
 
 layout(push_constant) uniform Params {
     uint count;
@@ -90,6 +91,11 @@ void main() {
     }
     // False for NaN too.
     bvec4 finite = lessThanEqual(abs(g), vec4(3.4028234e38));
+    uvec4 left_out = uvec4(steps) * uvec4(not(finite));
+    uint count_broken = left_out.x + left_out.y + left_out.z + left_out.w;
+    if (count_broken != 0u) {
+        atomicAdd(broken, count_broken);
+    }
     g = clamp(g, -LARGEST_GRADIENT, LARGEST_GRADIENT);
     vec4 new_m = beta1 * m + rest1 * g;
     vec4 new_v = beta2 * v + rest2 * g * g;

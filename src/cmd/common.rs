@@ -101,6 +101,15 @@ pub fn notes(lines: &[String]) {
     lines.iter().for_each(|line| say(&format!("note: {line}")));
 }
 
+/// What is to be said where a training had gradients that were not finite.
+pub fn broken_gradients(trained: &Value) -> Option<String> {
+    let count = trained["broken_gradients"].as_u64().filter(|count| *count > 0)?;
+    Some(format!(
+        "{count} gradients were not a number or infinite and were left out; look for cameras that do not \
+         fit their pictures, or check the driver with `splat4d validate`"
+    ))
+}
+
 /// A path as JSON holds it: as text, in which what is not Unicode is replaced.
 pub fn path_text(path: &Path) -> Value {
     path.to_string_lossy().into()

@@ -23,7 +23,8 @@ use super::checkpoints::{self, CheckpointArgs, Checkpoints, shown, summed};
 use super::clip::ClipArgs;
 use super::clock::Clock;
 use super::common::{
-    Answer, Common, bytes, foresee, most_pairs, notes, path_text, say, thousands, training,
+    Answer, Common, broken_gradients, bytes, foresee, most_pairs, notes, path_text, say, thousands,
+    training,
 };
 use super::info::dynamic_share;
 use super::known::{CAMERA_FILES, KnownArgs, focal_source, observe, poses_json, write_cameras};
@@ -48,7 +49,8 @@ Examples:
   splat4d reconstruct frames/ -o scene.safetensors --every 2 --size 320 --report report
 
 JSON: psnr_input, ssim_input, gaussians, control_points,
-control_points_added and control_points_removed (in training), dynamic_share (of the pixels),
+control_points_added and control_points_removed (in training), broken_gradients (values that were not
+a number or infinite and were left out), dynamic_share (of the pixels),
 dynamic_gaussians (share), intrinsics {fx, fy, cx, cy, width, height, source (given,
 measured, assumed)}, poses {tripod, inlier_share, reprojection_rms, parallax_deg, focal_std,
 doubtful_frames, tracks}, exposure (per frame, by what red, green and blue were multiplied, 0.055
@@ -228,6 +230,10 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     let mut known_intrinsics = intrinsics::to_json(&track.intrinsics);
     known_intrinsics["source"] = json!(focal_source(found.focal_source));
     let trained = scene.report.take();
+    if let Some(note) = broken_gradients(&trained) {
+        notes(std::slice::from_ref(&note));
+        all_notes.push(note);
+    }
     scene.report = json!({
         "psnr_input": quality::mean(measured.iter().map(|q| Some(q.psnr))),
         "ssim_input": quality::mean(measured.iter().map(|q| Some(q.ssim))),
@@ -235,6 +241,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
         "control_points": scene.control_points.len(),
         "control_points_added": trained["control_points_added"],
         "control_points_removed": trained["control_points_removed"],
+        "broken_gradients": trained["broken_gradients"],
         "dynamic_share": found.dynamic_share,
         "dynamic_gaussians": dynamic_share(&scene),
         "intrinsics": known_intrinsics,

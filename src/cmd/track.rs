@@ -30,7 +30,7 @@ DIR gets, whole or not at all:
   transforms.json       the frames with their cameras and times in [0, 1], for nerfstudio and its kin
   points.ply            static points
   masks/0000.png …      white where something moves
-  depth/0000.exr …      z, in the world's unit: the median depth of the static points
+  depth/0000.exr …      z, in the unit of --poses, else of the static points' median depth
   tracks.npz            tracks (points × frames × 2: x, y), visibles (points × frames), query_points
                         (points × 3: frame, y, x), size; pixels, the picture's corner at 0
   report.json           what --json prints
@@ -186,9 +186,14 @@ fn write(
     };
     series("frames", &|to, i| write_png(to.with_extension("png"), &frames[i]))?;
     series("masks", &|to, i| write_mask(to.with_extension("png"), &track.masks[i]))?;
-    series("depth", &|to, i| exr::write_depth(to.with_extension("exr"), &track.depth[i]))?;
+    series("depth", &|to, i| {
+        let mut depth = track.depth[i].clone();
+        depth.pixels.iter_mut().for_each(|z| *z *= track.unit as f32);
+        exr::write_depth(to.with_extension("exr"), &depth)
+    })?;
     let camera = |i: usize| {
-        let view_from_world = track.view_from_world[i];
+        let mut view_from_world = track.view_from_world[i];
+        view_from_world.translation *= track.unit;
         let camera = Camera { intrinsics: track.intrinsics, view_from_world };
         TimedCamera { time: times[i], camera }
     };
@@ -199,7 +204,10 @@ fn write(
     let cloud: Vec<Point> = track
         .points
         .iter()
-        .map(|p| Point { position: p.position.as_vec3().to_array(), colour: p.colour })
+        .map(|p| Point {
+            position: (track.unit * p.position).as_vec3().to_array(),
+            colour: p.colour,
+        })
         .collect();
     points::write_ply(folder.join("points.ply"), &cloud)?;
     tracks::write(folder.join("tracks.npz"), followed)

@@ -23,7 +23,8 @@ use splat4d::{Error, Result};
 use super::checkpoints::{self, CheckpointArgs, Checkpoints, shown, summed};
 use super::clock::Clock;
 use super::common::{
-    Answer, Common, bytes, foresee, most_pairs, notes, path_text, say, thousands, training,
+    Answer, Common, broken_gradients, bytes, foresee, most_pairs, notes, path_text, say, thousands,
+    training,
 };
 use super::info::dynamic_share;
 use super::model::{self, Choice};
@@ -45,6 +46,7 @@ Examples:
 
 JSON: psnr_input, psnr_test (null where nothing is held out), ssim_test,
 gaussians, control_points, control_points_added, control_points_removed (null where nothing moves),
+broken_gradients (values that were not a number or infinite and were left out),
 dynamic_share, model [{what, chosen, because, saves}], density (null where their number is kept),
 steps, images, held_out, device, predicted_bytes (of device memory, before it began), all also kept
 in the scene; and, in report.json too, peak_bytes, milliseconds_per_step,
@@ -235,6 +237,9 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
 
     let psnr = |of: &[Quality]| quality::mean(of.iter().map(|q| Some(q.psnr)));
     let trained = scene.report.take();
+    if let Some(note) = broken_gradients(&trained) {
+        notes(&[note]);
+    }
     scene.report = json!({
         "psnr_input": psnr(&on_input),
         "psnr_test": psnr(&on_test),
@@ -243,6 +248,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         "control_points": scene.control_points.len(),
         "control_points_added": trained["control_points_added"],
         "control_points_removed": trained["control_points_removed"],
+        "broken_gradients": trained["broken_gradients"],
         "dynamic_share": dynamic_share(&scene),
         "model": model,
         "density": match settings.growth {

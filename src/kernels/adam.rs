@@ -40,6 +40,8 @@ kernel! {
         first: ReadWriteFours<f32>,
         /// Second moments.
         second: ReadWriteFours<f32>,
+        /// One word, to which the number of gradients is added that would count but are not finite.
+        broken: ReadWrite<u32>,
     }
 }
 

@@ -1,7 +1,7 @@
 //! Adam on the device.
 
 use crate::error::{Error, Result};
-use crate::gpu::{Buffer, Device, Groups, Recorder, View, ViewMut};
+use crate::gpu::{Buffer, Device, Groups, Recorder, Stream, View, ViewMut};
 use crate::kernels::adam::{Gate, GateArgs, GateParams, Step, StepArgs, StepParams};
 use crate::types::AdamSettings;
 
@@ -51,7 +51,7 @@ pub struct AdamArgs<'a> {
 /// let mut first = device.upload("first moments", &[0.0f32; 2])?;
 /// let mut second = device.upload("second moments", &[0.0f32; 2])?;
 ///
-/// let adam = Adam::new(&device)?;
+/// let mut adam = Adam::new(&device)?;
 /// let mut recorder = stream.record()?;
 /// let args = AdamArgs {
 ///     gradients: gradients.view(),
@@ -65,13 +65,23 @@ pub struct AdamArgs<'a> {
 /// stream.submit(recorder)?;
 /// let stepped = stream.download(&parameters)?;
 /// assert!((stepped[0] - 0.4).abs() < 1e-6 && (stepped[1] - 0.6).abs() < 1e-6);
+/// assert_eq!(adam.broken(&mut stream)?, 0);
 /// # Ok(())
 /// # }
 /// ```
 pub struct Adam {
     /// Bound where there is no visibility.
     nothing: Buffer<u32>,
+    /// Counts of broken gradients, one every [`STRIDE`] words.
+    broken: Buffer<u32>,
+    /// The count that the next step adds to.
+    next: usize,
 }
+
+/// Steps that may run side by side, each with a count of its own.
+const COUNTS: usize = 16;
+/// Words from count to count: as far as any device's storage offsets are aligned (256 bytes).
+const STRIDE: usize = 64;
 
 impl Adam {
     /// The optimiser on a device.
@@ -79,7 +89,11 @@ impl Adam {
     /// # Errors
     /// [`Error::OutOfMemory`].
     pub fn new(device: &Device) -> Result<Adam> {
-        Ok(Adam { nothing: device.buffer("no visibility", 1)? })
+        Ok(Adam {
+            nothing: device.buffer("no visibility", 1)?,
+            broken: device.upload("broken gradients", &[0; COUNTS * STRIDE])?,
+            next: 0,
+        })
     }
 
     /// Records one step: `adam/step`.
@@ -87,7 +101,7 @@ impl Adam {
     /// # Errors
     /// [`Error::Shape`] where the lengths disagree; [`Error::Input`] for step 0.
     pub fn record(
-        &self,
+        &mut self,
         recorder: &mut Recorder,
         settings: &AdamSettings,
         args: AdamArgs<'_>,
@@ -112,6 +126,8 @@ impl Adam {
         };
         let rows = args.visible.map(|(_, visible)| visible.len());
         let unbias = |beta: f64| (1.0 / (1.0 - beta.powf(f64::from(settings.step)))) as f32;
+        let at = self.next * STRIDE;
+        self.next = (self.next + 1) % COUNTS;
         recorder.dispatch_specialised::<Step>(
             &constants(row, rows),
             Groups::linear(count / 4 + count % 4, 64, recorder.device().limits())?,
@@ -133,8 +149,18 @@ impl Adam {
                 parameters: args.parameters,
                 first: args.first,
                 second: args.second,
+                broken: self.broken.range_mut(at..at + 1),
             },
         )
+    }
+
+    /// Waits, and counts the gradients that were not a number or infinite, of rows that steps changed.
+    ///
+    /// # Errors
+    /// As for [`Stream::download`].
+    pub fn broken(&self, stream: &mut Stream) -> Result<u64> {
+        let words = stream.download(&self.broken)?;
+        Ok(words.iter().map(|&count| u64::from(count)).sum())
     }
 }
 

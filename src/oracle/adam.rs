@@ -9,7 +9,7 @@ pub const LARGEST_GRADIENT: f64 = 1e18;
 
 /// One step, in place. `row` values belong to each row; with `visible`, rows whose entry is 0 keep
 /// parameters and moments. A gradient that is not a number or infinite leaves its parameter and
-/// moments as they are.
+/// moments as they are; these are counted.
 pub fn step<R: Real>(
     settings: &AdamSettings,
     row: usize,
@@ -18,13 +18,18 @@ pub fn step<R: Real>(
     parameters: &mut [R],
     first: &mut [R],
     second: &mut [R],
-) {
+) -> u64 {
     let (beta1, beta2) = (R::of(settings.beta1), R::of(settings.beta2));
     let unbias1 = R::of(1.0 / (1.0 - settings.beta1.powf(f64::from(settings.step))));
     let unbias2 = R::of(1.0 / (1.0 - settings.beta2.powf(f64::from(settings.step))));
     let limit = R::of(LARGEST_GRADIENT);
+    let mut broken = 0;
     for i in 0..parameters.len() {
-        if visible.is_some_and(|visible| visible[i / row] == 0) || !gradients[i].is_finite() {
+        if visible.is_some_and(|visible| visible[i / row] == 0) {
+            continue;
+        }
+        if !gradients[i].is_finite() {
+            broken += 1;
             continue;
         }
         let g = gradients[i].min(limit).max(-limit);
@@ -34,6 +39,7 @@ pub fn step<R: Real>(
         parameters[i] -=
             R::of(settings.rate) * (first[i] * unbias1) / (root + R::of(settings.epsilon));
     }
+    broken
 }
 
 #[cfg(test)]
@@ -61,7 +67,9 @@ mod tests {
     fn huge_and_broken_gradients_do_not_freeze_a_parameter() {
         let (mut p, mut m, mut v) = ([0.0f32; 3], [0.0; 3], [0.0; 3]);
         let settings = AdamSettings::default();
-        step(&settings, 1, None, &[3e38, f32::NAN, f32::INFINITY], &mut p, &mut m, &mut v);
+        let gradients = [3e38, f32::NAN, f32::INFINITY];
+        let broken = step(&settings, 1, None, &gradients, &mut p, &mut m, &mut v);
+        assert_eq!(broken, 2);
         assert!(p[0] < 0.0 && v[0].is_finite());
         assert_eq!((p[1], m[1], v[1], p[2]), (0.0, 0.0, 0.0, 0.0));
     }

@@ -80,6 +80,29 @@ impl Scene {
         Scene { gaussians, ..Scene::default() }
     }
 
+    /// Makes everything so many times as large, cameras and their distances too, so that the pictures stay
+    /// the same.
+    ///
+    /// # Panics
+    /// When a network moves the scene: its motions have the unit that they were trained in.
+    #[cfg(feature = "reconstruct")]
+    pub(crate) fn enlarge(&mut self, factor: f64) {
+        assert!(self.network.is_none(), "a network's motions cannot be enlarged");
+        let (by, logarithm) = (factor as f32, factor.ln() as f32);
+        for position in
+            self.gaussians.positions.iter_mut().chain(&mut self.control_points.positions)
+        {
+            position.iter_mut().for_each(|v| *v *= by);
+        }
+        self.gaussians.log_scales.iter_mut().flatten().for_each(|v| *v += logarithm);
+        self.control_points.log_radii.iter_mut().for_each(|v| *v += logarithm);
+        for motion in &mut self.control_points.paths {
+            motion[..3].iter_mut().for_each(|v| *v *= by);
+        }
+        self.cameras.iter_mut().for_each(|at| at.camera.view_from_world.translation *= factor);
+        self.settings.near *= by;
+    }
+
     /// Whether something moves.
     pub fn moves(&self) -> bool {
         let moved = self.network.is_some() || !self.control_points.paths.is_empty();

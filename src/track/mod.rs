@@ -87,8 +87,9 @@ pub enum Stage {
     Depth,
 }
 
-/// Cameras, motion and depth of a clip. The world's unit is the median depth of the static points
-/// in the cameras that see them; the world's axes are the first camera's.
+/// Cameras, motion and depth of a clip. The world's unit is the median depth of the static points in the
+/// cameras that see them, whatever that of supplied poses is; see `unit`. The world's place and axes are
+/// the first camera's, or those of the supplied poses.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Track {
     /// Of all frames.
@@ -121,6 +122,8 @@ pub struct Track {
     pub points: Vec<StaticPoint>,
     /// Points followed through the pictures, static and moving ones.
     pub tracks: Vec<PointTrack>,
+    /// One of the world's units in that of the supplied poses; 1 where none were supplied.
+    pub unit: f64,
     /// How well all this is known.
     pub quality: Quality,
 }
@@ -246,12 +249,20 @@ pub fn track_observed(
         )));
     }
     let supplied = options.masks.as_ref().map(|m| m.iter().map(binary).collect::<Vec<_>>());
-    let known =
+    let mut known =
         Known { frames, options, flow: &flow, tracks: &tracks, supplied: supplied.as_deref() };
     let mut so_far = work.part("cameras", |work| known.first_cameras(work))?;
     work.progress(Stage::Cameras, 1.0)?;
 
     let tripod = so_far.cameras.fixed;
+    let mut mended = Vec::new();
+    if let Some(given) = known.supplied.filter(|_| !tripod) {
+        let cameras = &so_far.cameras;
+        (so_far.masks, mended) = work.part("mended", |work| known.mend(given, cameras, work))?;
+        so_far.weights = masks::static_weights(&tracks, &so_far.masks);
+    }
+    let supplied = (!so_far.masks.is_empty()).then(|| so_far.masks.clone());
+    known.supplied = supplied.as_deref();
     // A fixed camera's masks change nothing that they depend on.
     let rounds = if tripod { 1 } else { options.rounds.max(1) };
     for round in 0..rounds {
@@ -271,7 +282,7 @@ pub fn track_observed(
     } else if supplied.is_none() {
         masks = masks::segment(frames, &cameras, &flow, &seen, None, &mut work, part, 0.5..1.0)?;
     }
-    if !tripod && options.poses.is_none() {
+    if !tripod {
         cameras.normalise(&tracks, &weights, &mut seen);
     }
     work.progress(Stage::Depth, 0.0)?;
@@ -320,10 +331,14 @@ pub fn track_observed(
     };
     let mut scaffold = scaffold::build(&surfaces);
     let shadows = shade::shadows(&surfaces, frames, &plates, &mut scaffold);
-    let quality = quality(&cameras, &tracks, &weights, &masks);
+    let mut quality = quality(&cameras, &tracks, &weights, &masks);
+    if !mended.is_empty() {
+        quality.notes.push(mended_note(&mended));
+    }
     work.progress(Stage::Depth, 1.0)?;
     Ok(Track {
         intrinsics: cameras.intrinsics,
+        unit: cameras.unit,
         view_from_world: cameras.poses,
         masks,
         depth,
@@ -425,6 +440,18 @@ impl Known<'_> {
         Ok(SoFar { focal, cameras, masks, weights })
     }
 
+    /// Supplied masks without those that slip or flicker, and which those are.
+    fn mend(
+        self,
+        masks: &[Image],
+        cameras: &Cameras,
+        work: &mut Work,
+    ) -> Result<(Vec<Image>, Vec<usize>)> {
+        let Known { frames, flow, .. } = self;
+        let seen = residual::triangulate_frames(cameras, flow, work, "mended", 0.0..0.2)?;
+        masks::mended(masks, frames, cameras, flow, &seen, work, "mended", 0.2..0.4)
+    }
+
     /// Masks by the cameras, then cameras by the masks.
     fn round(
         self,
@@ -481,6 +508,8 @@ impl Known<'_> {
 const CROWDED: f64 = 0.3;
 /// A fixed camera that sees less than this share of the pixels move shows one picture, not a scene.
 const NOTHING_MOVES: f64 = 1e-3;
+/// A note names no more frames than these.
+const MOST_NAMED: usize = 12;
 /// Below this parallax (degrees) a note warns.
 const LITTLE_PARALLAX: f64 = 0.5;
 
@@ -528,6 +557,18 @@ fn quality(cameras: &Cameras, tracks: &[PointTrack], weights: &[f64], masks: &[I
         tracks: tracks.len(),
         notes,
     }
+}
+
+/// That supplied masks were not kept.
+fn mended_note(frames: &[usize]) -> String {
+    let named: Vec<String> = frames.iter().take(MOST_NAMED).map(usize::to_string).collect();
+    let more = if frames.len() > MOST_NAMED { ", …" } else { "" };
+    format!(
+        "the supplied masks of {} frames ({}{more}) are contradicted by those of the frames around them \
+         and by what moves, and were mended",
+        frames.len(),
+        named.join(", ")
+    )
 }
 
 /// Share of the pixels that move.

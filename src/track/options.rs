@@ -13,9 +13,11 @@ pub struct Options {
     pub intrinsics: Option<Intrinsics>,
     /// Focal length in pixels of the frames, where it is known.
     pub focal: Option<f64>,
-    /// `view_from_world` per frame, where it is known: kept but for one scale.
+    /// `view_from_world` per frame, where it is known, in any unit: kept but for that; see
+    /// [`Track::unit`](super::Track::unit).
     pub poses: Option<Vec<Pose>>,
-    /// Motion masks, one channel, 1 where something moves, where they are known: kept.
+    /// Motion masks, one channel, 1 where something moves, where they are known: kept, but for frames
+    /// whose mask is contradicted by those of the frames around and by what moves, which are noted.
     pub masks: Option<Vec<Image>>,
     /// Depth (z), one channel, up to one scale for the whole clip, 0 or not finite where unknown,
     /// where it is known: kept but for that scale.

@@ -95,7 +95,7 @@ impl State {
     fn step(
         &mut self,
         recorder: &mut Recorder,
-        adam: &Adam,
+        adam: &mut Adam,
         rate: f64,
         step: u32,
         parameters: &mut Buffer<f32>,
@@ -315,10 +315,15 @@ impl MotionTrainer {
             Model::Paths => exponential(settings.path_rate, settings.path_rate_last, step, steps),
             Model::Network(..) => rate,
         };
-        let adam = &self.adam;
+        let adam = &mut self.adam;
         let parameters = &mut self.motion.parameters;
         self.parameters.step(recorder, adam, model_rate, step, parameters, fits)?;
         self.radii.step(recorder, adam, rate, step, &mut self.motion.log_radii, fits)
+    }
+
+    /// Waits, and counts gradients that were not finite and so were left out.
+    pub(super) fn broken(&self, stream: &mut Stream) -> Result<u64> {
+        self.adam.broken(stream)
     }
 
     /// Gradients of the last backward pass by the parameters of the paths or the network, and by the

@@ -59,6 +59,11 @@ impl GaussianOptimiser {
         Ok([read(&mut self.first)?, read(&mut self.second)?])
     }
 
+    /// Waits, and counts gradients that were not finite and so were left out.
+    pub(super) fn broken(&self, stream: &mut Stream) -> Result<u64> {
+        self.adam.broken(stream)
+    }
+
     /// Puts first and second moments back.
     pub(super) fn set_moments(
         &mut self,

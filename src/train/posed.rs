@@ -112,7 +112,7 @@ pub fn fit_posed(
         scene.network = network;
     }
     scene.neighbours = motion.neighbours.min(scene.control_points.len()) as u32;
-    scene.report = sequence::report(trainer.control_changes());
+    scene.report = sequence::report(&mut trainer)?;
     sequence::sound(scene)
 }
 

@@ -237,6 +237,11 @@ impl Selection {
         )
     }
 
+    /// Waits, and counts gradients that were not finite and so were left out.
+    pub(super) fn broken(&self, stream: &mut Stream) -> Result<u64> {
+        self.training.as_ref().map_or(Ok(0), |training| training.adam.broken(stream))
+    }
+
     /// Every array that goes with the Gaussians, with the floats of a row.
     pub(super) fn rows(&mut self) -> Vec<(usize, ViewMut<'_, f32>)> {
         let mut all = vec![(1, self.logits.view_mut())];

@@ -17,7 +17,6 @@ use super::lifting::{MOVING, camera, path, value};
 use super::mesh::Frame;
 use super::motion::MotionStart;
 use super::observer::{Checkpoint, Observer, Phase, run};
-use super::rounds::ControlChanges;
 use super::sampling::farthest_point_sample;
 use super::scale::{PictureKind, TrainingScale};
 use super::seed::seed_from_points;
@@ -163,8 +162,9 @@ pub struct Sequence<'a> {
 }
 
 /// Trains a scene on a tracked clip, from the beginning or from a checkpoint of the same clip and
-/// settings. The scene's report says how many control points were added and removed on the way:
-/// `control_points_added`, `control_points_removed`.
+/// settings. The scene is in the unit of the supplied poses, where there are any ([`Track::unit`]). The scene's report says how many control points were added and removed in the last phase,
+/// `control_points_added` and `control_points_removed`, and how many of its gradients were not finite and
+/// so left out, `broken_gradients`.
 ///
 /// # Errors
 /// [`Error::Input`] when the clip has no static point to begin with, or the checkpoint is of another
@@ -197,7 +197,7 @@ pub fn fit_sequence(
             };
             run(&mut trainer, Phase::Static, observer, Checkpoint::Static)?;
             let scene = Scene::of(trainer.gaussians()?);
-            Scene { report: report(ControlChanges::default()), ..scene }
+            Scene { report: report(&mut trainer)?, ..scene }
         }
     };
     scene.settings = RenderSettings::default();
@@ -208,6 +208,7 @@ pub fn fit_sequence(
         .map(|(frame, &time)| SceneCamera { time, camera: camera(track, frame) })
         .collect();
     scene.set_up_from_cameras();
+    scene.enlarge(track.unit);
     sound(scene)
 }
 
@@ -289,7 +290,7 @@ fn fit_moving(
         (scene.control_points, scene.network) = (points, network);
     }
     scene.neighbours = settings.neighbours.min(scene.control_points.len()) as u32;
-    scene.report = report(trainer.control_changes());
+    scene.report = report(&mut trainer)?;
     Ok(scene)
 }
 
@@ -436,11 +437,13 @@ pub(super) fn first_control_points(most: usize) -> usize {
 }
 
 /// What training tells of itself.
-pub(super) fn report(changes: ControlChanges) -> Value {
-    json!({
+pub(super) fn report(trainer: &mut Trainer) -> Result<Value> {
+    let changes = trainer.control_changes();
+    Ok(json!({
         "control_points_added": changes.added,
         "control_points_removed": changes.removed,
-    })
+        "broken_gradients": trainer.broken_gradients()?,
+    }))
 }
 
 /// Control points spread over the nodes of the scaffold, with these nodes' paths.

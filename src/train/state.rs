@@ -30,6 +30,7 @@ pub struct TrainerState {
     /// As far as something reads them.
     statistics: Option<Vec<f32>>,
     control_changes: ControlChanges,
+    broken_gradients: u64,
     reach: f64,
     rng: ChaCha8Rng,
     round: Vec<usize>,
@@ -82,6 +83,7 @@ impl Trainer {
                 None => None,
             },
             control_changes: self.control_changes,
+            broken_gradients: self.broken_gradients()?,
             reach: self.reach,
             rng: self.rng.clone(),
             round: self.round.clone(),
@@ -130,6 +132,7 @@ impl Trainer {
             statistics.restore(&mut trainer.stream, &sums)?;
         }
         trainer.control_changes = state.control_changes;
+        trainer.broken_before = state.broken_gradients;
         for (size, room) in rooms {
             trainer.studios.reserve(device, size, room)?;
         }

@@ -83,6 +83,8 @@ pub struct Trainer {
     /// Where there is motion.
     pub(super) selection: Option<Selection>,
     pub(super) control_changes: ControlChanges,
+    /// Gradients that were left out before the state that training was resumed from.
+    pub(super) broken_before: u64,
     pub(super) extent: f64,
     /// A step with the caller's own loss, while it is under way.
     pub(super) own: Option<OwnStep>,
@@ -186,6 +188,7 @@ impl Trainer {
             motion: motion_trainer,
             selection,
             control_changes: ControlChanges::default(),
+            broken_before: 0,
             reach,
             extent,
             own: None,
@@ -311,6 +314,22 @@ impl Trainer {
     /// How many control points have been added and removed so far.
     pub fn control_changes(&self) -> ControlChanges {
         self.control_changes
+    }
+
+    /// Waits, and counts the gradients that were not a number or infinite so far: values whose step was
+    /// left out. There should be none.
+    ///
+    /// # Errors
+    /// As for [`step`](Self::step).
+    pub fn broken_gradients(&mut self) -> Result<u64> {
+        let mut count = self.broken_before + self.optimiser.broken(&mut self.stream)?;
+        if let Some(motion) = &self.motion {
+            count += motion.broken(&mut self.stream)?;
+        }
+        if let Some(selection) = &self.selection {
+            count += selection.broken(&mut self.stream)?;
+        }
+        Ok(count)
     }
 
     fn next_view(&mut self) -> usize {

@@ -170,7 +170,7 @@ fn sort(device: &Device, seed: u64, n: usize) -> Result<Job> {
 
 fn adam(device: &Device, seed: u64, n: usize) -> Result<Job> {
     let (start, gradients) = (floats(seed, n), floats(seed + 1, n));
-    let op = Adam::new(device)?;
+    let mut op = Adam::new(device)?;
     let settings = AdamSettings { rate: 1e-2, ..AdamSettings::default() };
     let source = device.upload("gradients", &gradients)?;
     let mut parameters = device.upload("parameters", &start)?;

@@ -41,10 +41,24 @@ pub(super) struct Cameras {
     pub fixed: bool,
     /// Poses were supplied: only structure and focal length are adjusted.
     supplied: bool,
+    /// One of the world's units in that of the supplied poses; 1 without.
+    pub unit: f64,
 }
 
 /// A point is seen to so many pixels along each axis, where it is followed without an error.
 const DEVIATION: f64 = 0.05;
+
+/// How far cameras lie from their middle in the unit in which supplied poses are first looked at: as far as
+/// those of a hand-held clip do in units of the median depth.
+const USUAL_SPREAD: f64 = 0.1;
+
+/// How far cameras lie from their middle, root mean square.
+fn spread(poses: &[Pose]) -> f64 {
+    let centres: Vec<DVec3> = poses.iter().map(|pose| pose.inverse().translation).collect();
+    let n = centres.len().max(1) as f64;
+    let middle = centres.iter().sum::<DVec3>() / n;
+    (centres.iter().map(|centre| centre.distance_squared(middle)).sum::<f64>() / n).sqrt()
+}
 
 /// How much an observation counts beside one that is followed without an error.
 fn information(deviation: f32) -> f64 {
@@ -76,6 +90,7 @@ impl Cameras {
             rms: 0.0,
             fixed: false,
             supplied: false,
+            unit: 1.0,
         }
     }
 
@@ -94,7 +109,15 @@ impl Cameras {
             supplied: true,
             ..Cameras::new(focal, poses.len(), tracks.len())
         };
+        // In whatever unit the poses are, all that follows is done in the world's.
+        let spread = spread(poses);
+        if spread > 0.0 {
+            cameras.rescale(spread / USUAL_SPREAD);
+        }
         cameras.adjust(tracks, weights, focal)?;
+        if let Some(depth) = cameras.median_depth(tracks, weights) {
+            cameras.rescale(depth);
+        }
         Ok(cameras)
     }
 
@@ -105,14 +128,28 @@ impl Cameras {
         Some(self.poses[frame].inverse().apply(ray / inverse_depth))
     }
 
-    /// Makes the median depth of the static points in the cameras that see them the unit, and the
-    /// first camera the world.
+    /// Makes the median depth of the static points in the cameras that see them the unit, and the first
+    /// camera the world; supplied poses keep their world's place and axes.
     pub fn normalise(
         &mut self,
         tracks: &[PointTrack],
         weights: &[f64],
         seen: &mut [super::residual::Seen],
     ) {
+        if !self.supplied {
+            let first = self.poses[0].inverse();
+            self.poses.iter_mut().for_each(|pose| *pose = *pose * first);
+        }
+        let Some(unit) = self.median_depth(tracks, weights) else { return };
+        self.rescale(unit);
+        for frame in seen {
+            frame.inverse_depth.iter_mut().for_each(|d| *d *= unit as f32);
+            frame.deviation.iter_mut().for_each(|d| *d *= unit as f32);
+        }
+    }
+
+    /// The median depth of the static points in the cameras that see them.
+    fn median_depth(&self, tracks: &[PointTrack], weights: &[f64]) -> Option<f64> {
         let mut depths = Vec::new();
         for i in (0..tracks.len()).filter(|&i| weights[i] > 0.5) {
             let Some(point) = self.point(tracks, i) else { continue };
@@ -121,19 +158,15 @@ impl Cameras {
             }
         }
         depths.retain(|z| *z > 0.0 && z.is_finite());
-        if depths.is_empty() {
-            return;
-        }
-        let unit = quantile(depths, 0.5);
-        let first = self.poses[0].inverse();
-        for pose in &mut self.poses {
-            *pose = *pose * first;
-            pose.translation /= unit;
-        }
+        (!depths.is_empty()).then(|| quantile(depths, 0.5))
+    }
+
+    /// Makes so much of the world's unit the new one.
+    fn rescale(&mut self, unit: f64) {
+        self.poses.iter_mut().for_each(|pose| pose.translation /= unit);
         self.anchors.iter_mut().flatten().for_each(|a| a.inverse_depth *= unit);
-        for frame in seen {
-            frame.inverse_depth.iter_mut().for_each(|d| *d *= unit as f32);
-            frame.deviation.iter_mut().for_each(|d| *d *= unit as f32);
+        if self.supplied {
+            self.unit *= unit;
         }
     }
 

@@ -1,0 +1,182 @@
+//! Clips that are hard: what appears, leaves or crosses, wrong masks, few frames, any unit, few control
+//! points. Each figure that is asked for is a little below what was measured, which stands beside it.
+
+mod common;
+mod outcome;
+
+use outcome::{HeldOut, Outcome};
+use splat4d::data::synth::{self, SynthOptions};
+use splat4d::track::Options;
+use splat4d::train::SequenceSettings;
+use splat4d::types::{Image, Pose};
+
+const FRAMES: usize = 12;
+const SIZE: SynthOptions = SynthOptions { frames: FRAMES, width: 160, height: 90, seed: 1 };
+
+fn clip(name: &str) -> synth::Clip {
+    synth::clip(name, &SIZE).unwrap()
+}
+
+fn settings() -> SequenceSettings {
+    SequenceSettings {
+        static_steps: 100,
+        steps: 200,
+        max_gaussians: 5_000,
+        control_points: 48,
+        ..SequenceSettings::default()
+    }
+}
+
+/// Reconstructs a clip and tells how good it is.
+fn reconstruct(
+    what: &str,
+    clip: synth::Clip,
+    options: &Options,
+    settings: &SequenceSettings,
+) -> (Outcome, HeldOut) {
+    let outcome = outcome::reconstruct(common::device(), clip, options, settings);
+    let held_out = outcome.held_out();
+    println!(
+        "{what}: ATE {:.3} % of the path, mask IoU {:.2}, input {:.2} dB, held out {:.2} dB, inside movers \
+         {:.2} dB, the input frame itself {:.2} dB; {:?}",
+        100.0 * outcome.ate(),
+        outcome.mask_iou(),
+        outcome.psnr_on_input(),
+        held_out.whole,
+        held_out.movers,
+        held_out.copied,
+        outcome.track.quality.notes
+    );
+    common::assert_valid(&outcome.device);
+    (outcome, held_out)
+}
+
+/// The frames of one clip before a frame, and those of another, by the same cameras, from it on.
+fn joined(first: &str, second: &str, at: usize) -> synth::Clip {
+    let (mut joined, second) = (clip(first), clip(second));
+    assert_eq!(joined.view_from_world, second.view_from_world);
+    joined.frames[at..].clone_from_slice(&second.frames[at..]);
+    joined.masks[at..].clone_from_slice(&second.masks[at..]);
+    for (to, from) in joined.held_out.iter_mut().zip(second.held_out) {
+        let k = to.times.iter().take_while(|frame| **frame < at).count();
+        to.frames[k..].clone_from_slice(&from.frames[k..]);
+        to.masks[k..].clone_from_slice(&from.masks[k..]);
+    }
+    joined
+}
+
+#[test]
+fn what_appears_in_the_middle_of_a_clip() {
+    let clip = joined("still", "rigid", FRAMES / 2);
+    let (outcome, held_out) = reconstruct("appears", clip, &Options::default(), &settings());
+    assert!(outcome.ate() < 0.005 && outcome.mask_iou() > 0.8);
+    // Measured: 19.27 dB, inside what appears 12.89 dB.
+    assert!(held_out.whole > 18.0 && held_out.movers > 11.5, "{} dB", held_out.whole);
+}
+
+#[test]
+fn what_leaves_in_the_middle_of_a_clip() {
+    let clip = joined("rigid", "still", FRAMES / 2);
+    let (outcome, held_out) = reconstruct("leaves", clip, &Options::default(), &settings());
+    assert!(outcome.ate() < 0.005 && outcome.mask_iou() > 0.8);
+    // Measured: 20.35 dB, inside what leaves 15.51 dB.
+    assert!(held_out.whole > 19.0 && held_out.movers > 14.0, "{} dB", held_out.whole);
+}
+
+/// A ball and a box that fly past each other, each by more than its size from frame to frame.
+#[test]
+fn movers_that_cross() {
+    let (outcome, held_out) =
+        reconstruct("crosses", clip("throw"), &Options::default(), &settings());
+    assert!(outcome.ate() < 0.005 && outcome.mask_iou() > 0.55);
+    // Measured: 21.22 dB, inside movers 13.19 dB.
+    assert!(held_out.whole > 20.0 && held_out.movers > 12.0, "{} dB", held_out.whole);
+}
+
+/// Supplied masks that lack what moves in every second frame, and such that are elsewhere in every third,
+/// are as good as the true ones.
+#[test]
+fn masks_that_flicker_and_masks_that_slip() {
+    let clip = clip("rigid");
+    let with = |what: &str, masks: Vec<Image>| {
+        let options = Options { masks: Some(masks), ..Options::default() };
+        reconstruct(what, clip.clone(), &options, &settings())
+    };
+    let (kept, truth) = with("true masks", clip.masks.clone());
+    assert_eq!(kept.track.masks, clip.masks);
+    assert!(kept.track.quality.notes.is_empty());
+    let changed = |first: usize, step: usize, change: &dyn Fn(&Image) -> Image| {
+        let mut masks = clip.masks.clone();
+        masks.iter_mut().skip(first).step_by(step).for_each(|mask| *mask = change(mask));
+        masks
+    };
+    let empty = |mask: &Image| Image::new(mask.width, mask.height, 1);
+    let aside = |mask: &Image| {
+        let mut moved = mask.clone();
+        moved.pixels.chunks_exact_mut(mask.width as usize).for_each(|row| row.rotate_left(40));
+        moved
+    };
+    for (what, masks, frames) in [
+        ("masks that flicker", changed(1, 2, &empty), "(1, 3, 5, 7, 9, 11)"),
+        ("masks that slip", changed(1, 3, &aside), "(1, 4, 7, 10)"),
+    ] {
+        let (outcome, held_out) = with(what, masks);
+        let notes = &outcome.track.quality.notes;
+        assert!(notes.iter().any(|note| note.contains(frames)), "{what}: {notes:?}");
+        // Measured: 0.97 and 0.98; inside movers 20.44 dB by the true masks, 20.54 and 20.25 dB.
+        assert!(outcome.mask_iou() > 0.93, "{what}");
+        assert!(held_out.movers > truth.movers - 0.7, "{what}: {} dB", held_out.movers);
+        assert!(held_out.whole > truth.whole - 0.3, "{what}: {} dB", held_out.whole);
+    }
+}
+
+/// Cameras that move by micrometres and by thousands of kilometres.
+#[test]
+fn supplied_poses_have_any_unit() {
+    let clip = clip("rigid");
+    let scaled = |unit: f64| {
+        let pose = |pose: &Pose| Pose { translation: unit * pose.translation, ..*pose };
+        let poses = clip.view_from_world.iter().map(pose).collect();
+        let options = Options { poses: Some(poses), ..Options::default() };
+        let what = format!("poses × {unit:e}");
+        let (outcome, held_out) = reconstruct(&what, clip.clone(), &options, &settings());
+        // The scene is in their unit.
+        for (at, theirs) in outcome.scene.cameras.iter().zip(&clip.view_from_world) {
+            let off = at.camera.view_from_world.translation / unit - theirs.translation;
+            assert!(off.length() < 1e-6, "{what}: {off}");
+        }
+        held_out
+    };
+    let usual = scaled(1.0);
+    // Measured: 20.63 dB, inside movers 18.69 dB, in each unit.
+    assert!(usual.whole > 19.5 && usual.movers > 17.5, "{} dB", usual.whole);
+    for unit in [1e-6, 1e6] {
+        let held_out = scaled(unit);
+        assert!((held_out.whole - usual.whole).abs() < 0.1, "× {unit}: {} dB", held_out.whole);
+        assert!((held_out.movers - usual.movers).abs() < 0.5, "× {unit}: {} dB", held_out.movers);
+    }
+}
+
+#[test]
+fn a_clip_of_eight_frames() {
+    let options = SynthOptions { frames: 8, width: 240, height: 136, seed: 1 };
+    let clip = synth::clip("rigid", &options).unwrap();
+    let (outcome, held_out) = reconstruct("8 frames", clip, &Options::default(), &settings());
+    assert!(outcome.ate() < 0.005 && outcome.mask_iou() > 0.8);
+    // Measured: 20.72 dB, inside movers 18.42 dB.
+    assert!(held_out.whole > 19.5 && held_out.movers > 17.0, "{} dB", held_out.whole);
+}
+
+/// Fewer control points than a Gaussian follows.
+#[test]
+fn fewer_control_points_than_neighbours() {
+    let settings = SequenceSettings { control_points: 2, ..settings() };
+    assert!(settings.control_points < settings.neighbours);
+    let (outcome, held_out) =
+        reconstruct("2 control points", clip("rigid"), &Options::default(), &settings);
+    let points = outcome.scene.control_points.len();
+    assert!((1..=2).contains(&points), "{points}");
+    assert!(outcome.scene.neighbours as usize <= points);
+    // Measured: 20.37 dB, inside movers 18.55 dB.
+    assert!(held_out.whole > 19.0 && held_out.movers > 17.0, "{} dB", held_out.whole);
+}
