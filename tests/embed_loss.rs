@@ -185,8 +185,14 @@ fn paths() -> MotionStart {
 
 /// What moves: eight control points, and a network that moves them.
 fn motion() -> MotionStart {
-    let shape =
-        NetShape { depth: 2, width: 16, skip: 9, position_frequencies: 2, time_frequencies: 2 };
+    let shape = NetShape {
+        depth: 2,
+        width: 16,
+        skip: 9,
+        position_frequencies: 2,
+        time_frequencies: 2,
+        position_octave: 0,
+    };
     let mut network = DeformNet::random(shape, 5);
     // The head begins at nothing; here it is to move something.
     let count = network.parameters.len();

@@ -40,8 +40,14 @@ fn scene_of(gaussians: Gaussians, moving: bool) -> Scene {
     if !moving {
         return Scene::of(gaussians);
     }
-    let shape =
-        NetShape { depth: 2, width: 16, skip: 9, position_frequencies: 1, time_frequencies: 1 };
+    let shape = NetShape {
+        depth: 2,
+        width: 16,
+        skip: 9,
+        position_frequencies: 1,
+        time_frequencies: 1,
+        position_octave: 0,
+    };
     let mut network = DeformNet::random(shape, 3);
     let count = network.parameters.len();
     network.parameters[count - 7..count - 4].copy_from_slice(&[0.2, -0.1, 0.05]);

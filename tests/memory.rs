@@ -20,8 +20,14 @@ use splat4d::vk::Limits;
 /// counted exactly, but a picture's way onto the device may end before or after the next begins.
 const BOUND: f64 = 0.01;
 
-const NETWORK: NetShape =
-    NetShape { depth: 2, width: 32, skip: 9, position_frequencies: 2, time_frequencies: 2 };
+const NETWORK: NetShape = NetShape {
+    depth: 2,
+    width: 32,
+    skip: 9,
+    position_frequencies: 2,
+    time_frequencies: 2,
+    position_octave: 0,
+};
 
 /// Small splats spread over what the camera sees, so that each reaches a tile or two.
 fn cloud(count: usize, sh_degree: u32) -> Gaussians {

@@ -161,8 +161,14 @@ fn scene() -> Scene {
         log_radii: vec![-1.0; 2],
         paths: vec![],
     };
-    let shape =
-        NetShape { depth: 1, width: 16, skip: 9, position_frequencies: 1, time_frequencies: 1 };
+    let shape = NetShape {
+        depth: 1,
+        width: 16,
+        skip: 9,
+        position_frequencies: 1,
+        time_frequencies: 1,
+        position_octave: 0,
+    };
     scene.network = Some(DeformNet::random(shape, 1));
     scene.neighbours = 2;
     let camera = |i| SceneCamera { time: f64::from(i) / 2.0, camera: some_camera(i) };

@@ -99,8 +99,14 @@ fn scene() -> Scene {
         log_radii: vec![-1.0; 5],
         paths: vec![],
     };
-    let shape =
-        NetShape { depth: 2, width: 16, skip: 0, position_frequencies: 1, time_frequencies: 1 };
+    let shape = NetShape {
+        depth: 2,
+        width: 16,
+        skip: 0,
+        position_frequencies: 1,
+        time_frequencies: 1,
+        position_octave: 0,
+    };
     scene.network = Some(DeformNet::random(shape, 1));
     scene.neighbours = 3;
     scene.cameras =

@@ -106,7 +106,7 @@ fn posed_pictures_static_and_moving() {
     let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
     let seeds = seed_from_points(&random_points(&cameras, 800, 1), 1);
     let places = resumes(&[1, 100, 173, 250], |resume, observer| {
-        fit_posed(&device, &views, &seeds, None, &growing(250), resume, observer)
+        fit_posed(&device, &mut views.clone(), &seeds, None, &growing(250), resume, observer)
     });
     assert_eq!(places, [1, 100, 173, 250].map(|step| (Phase::Static, step)));
 
@@ -114,7 +114,7 @@ fn posed_pictures_static_and_moving() {
     let settings = growing(320);
     // 128 steps before anything moves.
     let places = resumes(&[128, 171, 228], |resume, observer| {
-        fit_posed(&device, &views, &seeds, Some(&motion), &settings, resume, observer)
+        fit_posed(&device, &mut views.clone(), &seeds, Some(&motion), &settings, resume, observer)
     });
     assert_eq!(places, [(Phase::Static, 128), (Phase::Joint, 43), (Phase::Joint, 100)]);
 
@@ -130,7 +130,7 @@ fn posed_pictures_static_and_moving() {
         ..settings
     };
     let places = resumes(&[77, 283], |resume, observer| {
-        fit_posed(&device, &views, &seeds, Some(&motion), &settings, resume, observer)
+        fit_posed(&device, &mut views.clone(), &seeds, Some(&motion), &settings, resume, observer)
     });
     assert_eq!(places, [(Phase::Static, 77), (Phase::Joint, 155)]);
     common::assert_valid(&device);
@@ -241,9 +241,10 @@ fn what_does_not_fit_is_refused() {
 
     // A static scene's checkpoint says nothing of what moves.
     let joint = Checkpoint::Joint(state);
-    let resumed = fit_posed(&device, &views, &seeds, None, &settings, Some(joint), &mut {
-        |_: Phase, _: u32, _: u32| Ok(())
-    });
+    let resumed =
+        fit_posed(&device, &mut views.clone(), &seeds, None, &settings, Some(joint), &mut {
+            |_: Phase, _: u32, _: u32| Ok(())
+        });
     let message = resumed.err().map(|error| error.to_string()).unwrap_or_default();
     assert!(message.contains("another training"), "{message}");
 }

@@ -46,8 +46,14 @@ fn gaussians(n: usize, sh_degree: u32) -> Gaussians {
 
 fn dynamic_scene() -> Scene {
     let mut numbers = Numbers(9.0);
-    let shape =
-        NetShape { depth: 3, width: 16, skip: 1, position_frequencies: 2, time_frequencies: 1 };
+    let shape = NetShape {
+        depth: 3,
+        width: 16,
+        skip: 1,
+        position_frequencies: 2,
+        time_frequencies: 1,
+        position_octave: 0,
+    };
     let mut g = gaussians(7, 2);
     g.motion_logits = numbers.rows::<1>(7).concat();
     let camera = |i: u32| SceneCamera {

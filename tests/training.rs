@@ -168,8 +168,14 @@ fn adaptive_control_grows_where_it_is_needed_and_matches_mcmc() {
 
 /// Three control points and a small network.
 fn small_motion() -> MotionStart {
-    let shape =
-        NetShape { depth: 2, width: 16, skip: 0, position_frequencies: 2, time_frequencies: 2 };
+    let shape = NetShape {
+        depth: 2,
+        width: 16,
+        skip: 0,
+        position_frequencies: 2,
+        time_frequencies: 2,
+        position_octave: 0,
+    };
     MotionStart {
         points: ControlPoints {
             positions: vec![[-0.8, 0.0, 3.0], [1.6, 0.3, 3.5], [0.4, -0.3, 4.0]],

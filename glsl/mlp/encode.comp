@@ -15,6 +15,7 @@ layout(push_constant) uniform Params {
     uint stride;
     uint position_frequencies;
     uint time_frequencies;
+    float position_lowest;
 };
 
 #include "common/grid.glsl"
@@ -50,7 +51,7 @@ void main() {
     if (octave < position_frequencies) {
         for (uint c = 0u; c < 3u; c++) {
             float s, k;
-            sine_cosine(p[c] * frequency, s, k);
+            sine_cosine(p[c] * (position_lowest * frequency), s, k);
             uint plane = 3u + 6u * octave + c;
             put(plane, row, s);
             put(plane + 3u, row, k);

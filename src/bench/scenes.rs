@@ -86,7 +86,13 @@ pub(super) fn all_dynamic(mut gaussians: Gaussians) -> Gaussians {
 /// A network whose motion is smooth in space and time, so that others can learn it: octaves are few,
 /// and the head moves by tenths.
 pub(super) fn swing(seed: u64) -> DeformNet {
-    let shape =
-        NetShape { depth: 6, width: 64, skip: 3, position_frequencies: 1, time_frequencies: 2 };
+    let shape = NetShape {
+        depth: 6,
+        width: 64,
+        skip: 3,
+        position_frequencies: 1,
+        time_frequencies: 2,
+        position_octave: 0,
+    };
     network(seed, shape)
 }

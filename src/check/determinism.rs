@@ -91,8 +91,14 @@ fn train(h: &mut Harness, by: Moved) -> Result<()> {
     let mut seeds = seed_from_points(&points, 1);
     let start = (by != Moved::Not).then(|| {
         seeds.motion_logits = (0..seeds.len()).map(|i| [-2.0, 2.0][i % 2]).collect();
-        let shape =
-            NetShape { depth: 3, width: 32, skip: 1, position_frequencies: 4, time_frequencies: 4 };
+        let shape = NetShape {
+            depth: 3,
+            width: 32,
+            skip: 1,
+            position_frequencies: 4,
+            time_frequencies: 4,
+            position_octave: 0,
+        };
         let positions: Vec<[f32; 3]> = points.iter().step_by(20).map(|p| p.position).collect();
         let log_radii = vec![-1.0; positions.len()];
         MotionStart {

@@ -28,8 +28,14 @@ const KERNELS: &[&str] = &[
     "mlp/reduce",
 ];
 
-const NARROW: NetShape =
-    NetShape { depth: 6, width: 64, skip: 3, position_frequencies: 10, time_frequencies: 6 };
+const NARROW: NetShape = NetShape {
+    depth: 6,
+    width: 64,
+    skip: 3,
+    position_frequencies: 10,
+    time_frequencies: 6,
+    position_octave: 0,
+};
 
 /// One network with its inputs and what the oracle makes of it.
 struct Problem {
@@ -160,8 +166,14 @@ fn paper(h: &mut Harness) -> Result<()> {
 /// layer.
 fn central_differences(h: &mut Harness) -> Result<()> {
     const STEP: f64 = 1e-6;
-    let shape =
-        NetShape { depth: 4, width: 16, skip: 1, position_frequencies: 3, time_frequencies: 2 };
+    let shape = NetShape {
+        depth: 4,
+        width: 16,
+        skip: 1,
+        position_frequencies: 3,
+        time_frequencies: 2,
+        position_octave: 0,
+    };
     let problem = Problem::new(h, shape, 7, 2);
     let (_, by_parameter) = problem.device(h, 1)?;
     let wide = |values: &[f32]| -> Vec<f64> { values.iter().map(|&v| f64::from(v)).collect() };
@@ -195,13 +207,21 @@ fn central_differences(h: &mut Harness) -> Result<()> {
 
 /// One row, one layer, no octaves, a skip into the head and none: what odd counts would break.
 fn shapes(h: &mut Harness) -> Result<()> {
-    let base =
-        NetShape { depth: 3, width: 16, skip: 0, position_frequencies: 3, time_frequencies: 1 };
+    let base = NetShape {
+        depth: 3,
+        width: 16,
+        skip: 0,
+        position_frequencies: 3,
+        time_frequencies: 1,
+        position_octave: 0,
+    };
     for (shape, nodes, times) in [
         (base, 1, 1),
         (NetShape { depth: 1, skip: 9, ..base }, 9, 1),
         (NetShape { skip: 2, position_frequencies: 0, time_frequencies: 4, ..base }, 5, 3),
         (NetShape { width: 48, skip: u32::MAX, ..base }, 64, 1),
+        (NetShape { position_octave: 3, ..base }, 7, 2),
+        (NetShape { position_octave: -20, ..base }, 7, 2),
         (base, 0, 1),
     ] {
         let problem = Problem::new(h, shape, nodes, times);
@@ -227,8 +247,14 @@ fn accumulate(h: &mut Harness) -> Result<()> {
 
 /// A network that hands its encodings through shows them one by one, at large arguments too.
 fn encoding(h: &mut Harness) -> Result<()> {
-    let shape =
-        NetShape { depth: 1, width: 96, skip: 9, position_frequencies: 10, time_frequencies: 10 };
+    let shape = NetShape {
+        depth: 1,
+        width: 96,
+        skip: 9,
+        position_frequencies: 10,
+        time_frequencies: 10,
+        position_octave: 0,
+    };
     let inputs = shape.inputs();
     for (first, sign) in [0, 7, 14, 21, 28, 35, 42, 49, 56, 63, 70, 77]
         .into_iter()

@@ -16,7 +16,7 @@ Example:
 
 JSON: gaussians, dropped, sh_degree, dynamic_share, control_points, path_keys (key times of their
 paths, 0 without), neighbours, network ({depth, width, skip, position_frequencies,
-time_frequencies, parameters} or null), cameras, times ([first,
+time_frequencies, position_octave, parameters} or null), cameras, times ([first,
 last] or null), width, height, focal (of the first camera, or null), bounding_box ([[x, y, z],
 [x, y, z]] or null), background, up, report";
 
@@ -44,10 +44,13 @@ pub fn run(args: &InfoArgs) -> Result<Answer> {
     let g = &scene.gaussians;
     let bounds = bounding_box(&g.positions);
     let network = scene.network.as_ref().map(|network| {
-        let NetShape { depth, width, skip, position_frequencies, time_frequencies } = network.shape;
+        let NetShape { depth, width, skip, .. } = network.shape;
+        let NetShape { position_frequencies, time_frequencies, position_octave, .. } =
+            network.shape;
         json!({
             "depth": depth, "width": width, "skip": skip,
             "position_frequencies": position_frequencies, "time_frequencies": time_frequencies,
+            "position_octave": position_octave,
             "parameters": network.parameters.len(),
         })
     });

@@ -27,12 +27,12 @@ pub struct KnownArgs {
     /// Intrinsics: JSON with fx, fy, cx, cy, width, height
     #[arg(long, value_name = "FILE", conflicts_with = "focal")]
     intrinsics: Option<PathBuf>,
-    /// Camera poses: TUM (camera to world), one per frame, or a transforms.json, whose file names may
-    /// be those of the frames
+    /// Camera poses in any unit: TUM (camera to world), one per frame, or a transforms.json, whose file
+    /// names may be those of the frames
     #[arg(long, value_name = "FILE")]
     poses: Option<PathBuf>,
     /// Motion masks: a folder of images, white where something moves, one per frame or named as the
-    /// frames are
+    /// frames are; those that flicker or slip are mended, and noted
     #[arg(long, value_name = "DIR")]
     masks: Option<PathBuf>,
     /// Depth maps: a folder of EXR files, z up to one scale, 0 where unknown

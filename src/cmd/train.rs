@@ -14,7 +14,7 @@ use splat4d::renderer::Renderer;
 use splat4d::scene::{Scene, SceneCamera};
 use splat4d::train::{
     AdaptiveSettings, Checkpoint, GrowthSettings, McmcSettings, Phase, PosedMotion, TrainSettings,
-    TrainingScale, TrainingView, fit_posed, points_in_hull, posed_scale, random_points,
+    TrainingScale, TrainingView, fit_posed, points_in_hull, posed_scale, posed_unit, random_points,
     seed_from_points,
 };
 use splat4d::types::{Camera, Gaussians, RenderSettings, Tuning};
@@ -190,7 +190,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         PosedMotion { neighbours: motion.neighbours.min(most), ..motion }
     });
     // The pictures are many: they move, and come back when training is done.
-    let (called, views): (Vec<String>, Vec<TrainingView>) =
+    let (called, mut views): (Vec<String>, Vec<TrainingView>) =
         train.into_iter().map(|view| (view.name.clone(), view.into())).unzip();
     let mut scale = posed_scale(&views, first, motion.as_ref(), &settings);
     let foresee = |scale: &TrainingScale| {
@@ -210,7 +210,9 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     let seeded = seed_from_points(&points(common, &set, &views, first), sh_degree);
     clock.lap("load");
     // The first Gaussians may be large: few points are far apart.
-    scale.intersections = pairs_of(&device, &seeded, settings.render, &views)?;
+    let near = settings.render.near * posed_unit(&views, &seeded) as f32;
+    let render = RenderSettings { near, ..settings.render };
+    scale.intersections = pairs_of(&device, &seeded, render, &views)?;
     if scale.is_dense() {
         predicted_bytes = foresee(&scale)?;
     }
@@ -223,10 +225,9 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     };
     let mut watcher = Watcher::new(&mut clock, &mut checkpoints, &names);
     let mut scene =
-        fit_posed(&device, &views, &seeded, motion.as_ref(), &settings, resume, &mut watcher)?;
+        fit_posed(&device, &mut views, &seeded, motion.as_ref(), &settings, resume, &mut watcher)?;
     let milliseconds_per_step = watcher.finish();
     let train: Vec<View> = called.into_iter().zip(views).map(picture).collect();
-    scene.settings = settings.render;
     scene.cameras = trajectory(train.iter().chain(&test));
     scene.background = set.background;
     scene.set_up_from_cameras();

@@ -20,6 +20,8 @@ kernel! {
         position_frequencies: u32,
         /// Octaves of the time.
         time_frequencies: u32,
+        /// The position's lowest frequency.
+        position_lowest: f32,
     },
     args: EncodeArgs {
         /// Canonical positions, three values each.

@@ -170,6 +170,7 @@ impl Network {
                 stride: stride as u32,
                 position_frequencies: self.shape.position_frequencies,
                 time_frequencies: self.shape.time_frequencies,
+                position_lowest: 2f32.powi(self.shape.position_octave),
             },
             EncodeArgs { nodes, times, activations: scratch.activations.view_mut() },
         )?;

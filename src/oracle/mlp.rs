@@ -10,11 +10,14 @@ use crate::types::NetShape;
 /// and the cosines of its three coordinates; the time likewise.
 pub fn encode<R: Real>(shape: &NetShape, query: [R; 4]) -> Vec<R> {
     let mut input = Vec::with_capacity(shape.inputs());
-    let groups = [(&query[..3], shape.position_frequencies), (&query[3..], shape.time_frequencies)];
-    for (values, frequencies) in groups {
+    let groups = [
+        (&query[..3], shape.position_frequencies, shape.position_octave),
+        (&query[3..], shape.time_frequencies, 0),
+    ];
+    for (values, frequencies, lowest) in groups {
         input.extend_from_slice(values);
         for octave in 0..frequencies {
-            let frequency = R::of(f64::from(octave).exp2());
+            let frequency = R::of((f64::from(lowest) + f64::from(octave)).exp2());
             input.extend(values.iter().map(|&v| (v * frequency).sin()));
             input.extend(values.iter().map(|&v| (v * frequency).cos()));
         }
@@ -118,8 +121,14 @@ mod tests {
     }
 
     fn shapes() -> Vec<NetShape> {
-        let base =
-            NetShape { depth: 4, width: 16, skip: 1, position_frequencies: 2, time_frequencies: 3 };
+        let base = NetShape {
+            depth: 4,
+            width: 16,
+            skip: 1,
+            position_frequencies: 2,
+            time_frequencies: 3,
+            position_octave: 0,
+        };
         vec![
             base,
             NetShape { skip: 0, ..base },
@@ -176,8 +185,14 @@ mod tests {
     #[test]
     fn a_network_of_ones_counts_its_inputs() {
         // All weights 1, no frequencies: layer 0 sums four inputs in each unit, and so on.
-        let shape =
-            NetShape { depth: 2, width: 16, skip: 0, position_frequencies: 0, time_frequencies: 0 };
+        let shape = NetShape {
+            depth: 2,
+            width: 16,
+            skip: 0,
+            position_frequencies: 0,
+            time_frequencies: 0,
+            position_octave: 0,
+        };
         let mut parameters = vec![1.0; shape.parameters()];
         let mut start = 0;
         for (inputs, outputs) in shape.layers() {
@@ -192,8 +207,14 @@ mod tests {
 
     #[test]
     fn encodings_have_no_factor_pi_and_alternate() {
-        let shape =
-            NetShape { depth: 1, width: 16, skip: 9, position_frequencies: 2, time_frequencies: 1 };
+        let shape = NetShape {
+            depth: 1,
+            width: 16,
+            skip: 9,
+            position_frequencies: 2,
+            time_frequencies: 1,
+            position_octave: 0,
+        };
         let e = encode(&shape, [0.1f64, 0.2, 0.3, 0.7]);
         assert_eq!(e.len(), shape.inputs());
         assert_eq!(e[3], 0.1f64.sin());

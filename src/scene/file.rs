@@ -44,6 +44,9 @@ use crate::types::{
 };
 use crate::{Error, Result};
 
+/// A network's lowest frequency is 2 to the power of no more than this, or one over that.
+const MOST_OCTAVES: u32 = 100;
+
 /// The newest version of the format that this crate reads, and the one that it writes.
 pub const VERSION: u32 = 2;
 
@@ -133,6 +136,7 @@ fn metadata(scene: &Scene) -> Value {
             "skip": shape.skip,
             "position_frequencies": shape.position_frequencies,
             "time_frequencies": shape.time_frequencies,
+            "position_octave": shape.position_octave,
         });
         metadata["network"] = json!(shape.to_string());
     }
@@ -501,6 +505,18 @@ impl<'a> File<'a> {
             skip: field("skip", u64::from(u32::MAX) - 1)?,
             position_frequencies: field("position_frequencies", 64)?,
             time_frequencies: field("time_frequencies", 64)?,
+            // Absent in files from before it could be another.
+            position_octave: match value.get("position_octave") {
+                None => 0,
+                Some(octave) => octave
+                    .as_i64()
+                    .and_then(|octave| i32::try_from(octave).ok())
+                    .filter(|octave| octave.unsigned_abs() <= MOST_OCTAVES)
+                    .ok_or_else(|| {
+                        let what = "metadata `network` has no valid `position_octave`";
+                        Error::format(self.path, what)
+                    })?,
+            },
         };
         let mut parameters = Vec::new();
         for (i, (inputs, outputs)) in shape.layers().into_iter().enumerate() {

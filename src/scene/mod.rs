@@ -84,10 +84,14 @@ impl Scene {
     /// the same.
     ///
     /// # Panics
-    /// When a network moves the scene: its motions have the unit that they were trained in.
+    /// When a network moves the scene and the factor is no power of two.
     #[cfg(feature = "reconstruct")]
     pub(crate) fn enlarge(&mut self, factor: f64) {
-        assert!(self.network.is_none(), "a network's motions cannot be enlarged");
+        if let Some(network) = &mut self.network {
+            let octaves = factor.log2();
+            assert!(octaves.fract() == 0.0, "a network is enlarged by powers of two");
+            network.enlarge(octaves as i32);
+        }
         let (by, logarithm) = (factor as f32, factor.ln() as f32);
         for position in
             self.gaussians.positions.iter_mut().chain(&mut self.control_points.positions)
@@ -148,6 +152,46 @@ impl Scene {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The pictures stay the same: what is rendered depends on nothing else.
+    #[cfg(feature = "reconstruct")]
+    #[test]
+    fn an_enlarged_scene_is_larger_in_all_its_lengths() {
+        let mut scene = Scene::of(Gaussians {
+            positions: vec![[1.0, -2.0, 3.0]],
+            log_scales: vec![[-1.0, 0.0, 1.0]],
+            rotations: vec![[0.8, 0.6, 0.0, 0.0]],
+            opacity_logits: vec![0.5],
+            sh_degree: 0,
+            sh: vec![[0.1; 3]],
+            motion_logits: vec![1.0],
+        });
+        scene.control_points = ControlPoints {
+            positions: vec![[0.5, 0.0, 1.0]],
+            log_radii: vec![-2.0],
+            paths: vec![[0.1, 0.2, 0.3, 0.0, 0.4, 0.5, 0.6, 0.7]; 2],
+        };
+        let pose = crate::types::Pose {
+            rotation: glam::DQuat::from_rotation_x(0.3),
+            translation: glam::DVec3::X,
+        };
+        let intrinsics = crate::types::Intrinsics::centred(100.0, 64, 48);
+        let camera = Camera { intrinsics, view_from_world: pose };
+        scene.cameras = vec![SceneCamera { time: 0.0, camera }];
+        let small = scene.clone();
+        scene.enlarge(1000.0);
+        assert_eq!(scene.gaussians.positions, [[1000.0, -2000.0, 3000.0]]);
+        let grown = (scene.gaussians.log_scales[0][0] + 1.0).exp();
+        assert!((grown / 1000.0 - 1.0).abs() < 1e-6, "{grown}");
+        assert_eq!(scene.control_points.positions, [[500.0, 0.0, 1000.0]]);
+        assert!((scene.control_points.log_radii[0] + 2.0 - 1000f32.ln()).abs() < 1e-6);
+        assert_eq!(scene.control_points.paths[1], [100.0, 200.0, 300.0, 0.0, 0.4, 0.5, 0.6, 0.7]);
+        let at = scene.cameras[0].camera.view_from_world;
+        assert_eq!((at.rotation, at.translation), (pose.rotation, 1000.0 * pose.translation));
+        assert_eq!(scene.settings.near, 1000.0 * small.settings.near);
+        assert_eq!(scene.gaussians.rotations, small.gaussians.rotations);
+        assert_eq!(scene.check(), Ok(()));
+    }
 
     #[test]
     fn a_scene_with_a_number_out_of_range_is_named() {

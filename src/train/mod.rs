@@ -73,7 +73,7 @@ pub use motion::MotionStart;
 #[cfg(feature = "reconstruct")]
 pub use observer::{Checkpoint, Observer, Phase};
 #[cfg(feature = "reconstruct")]
-pub use posed::{PosedMotion, fit_posed, posed_scale};
+pub use posed::{PosedMotion, fit_posed, posed_scale, posed_unit};
 #[cfg(feature = "reconstruct")]
 pub use preset::{Preset, Quality};
 #[cfg(feature = "reconstruct")]

@@ -14,7 +14,7 @@ use super::settings::{
     ControlSettings, GrowthSettings, McmcSettings, MotionSettings, Rates, TrainSettings,
 };
 use super::trainer::Trainer;
-use super::views::TrainingView;
+use super::views::{TrainingView, reach};
 use crate::Result;
 use crate::gpu::Device;
 use crate::scene::Scene;
@@ -44,6 +44,7 @@ impl Default for PosedMotion {
                 skip: 2,
                 position_frequencies: 6,
                 time_frequencies: 6,
+                position_octave: 0,
             },
             neighbours: 4,
         }
@@ -55,14 +56,62 @@ const STRENGTH: f32 = 4.0;
 
 /// Trains a scene on posed pictures, from the beginning or from a checkpoint of the same pictures
 /// and settings: a moving one, or without `motion` a static one. The scene has no cameras yet; the report
-/// of a moving one says how many control points were added and removed: `control_points_added`,
-/// `control_points_removed`.
+/// of a moving one says how many control points were added and removed, `control_points_added` and
+/// `control_points_removed`, and how many gradients were not finite and so left out, `broken_gradients`.
+///
+/// The poses may have any unit: training works in that of [`posed_unit`], in which `near` of the settings
+/// counts, too, and the scene is in theirs again. `views` come back as they were.
 ///
 /// # Errors
 /// As for [`Trainer::new`] and [`Trainer::step`]; [`Error::Input`](crate::Error::Input) for a
 /// checkpoint of another training; [`Error::Failed`](crate::Error::Failed) where a number runs out of
 /// its range in training; whatever `observer` returns.
 pub fn fit_posed(
+    device: &Device,
+    views: &mut [TrainingView],
+    seeds: &Gaussians,
+    motion: Option<&PosedMotion>,
+    settings: &TrainSettings,
+    resume: Option<Checkpoint>,
+    observer: &mut dyn Observer,
+) -> Result<Scene> {
+    let unit = posed_unit(views, seeds);
+    let mut first = Scene::of(seeds.clone());
+    first.enlarge(1.0 / unit);
+    enlarge(views, 1.0 / unit);
+    let fitted = fit(device, views, &first.gaussians, motion, settings, resume, observer);
+    // A power of two leaves no trace.
+    enlarge(views, unit);
+    let mut scene = fitted?;
+    scene.settings = settings.render;
+    scene.enlarge(unit);
+    sequence::sound(scene)
+}
+
+/// The unit in which [`fit_posed`] works: the power of two in which the scene reaches about as far as that
+/// of a camera on a sphere of radius 4 about it, for which rates and frequencies were chosen.
+pub fn posed_unit(views: &[TrainingView], seeds: &Gaussians) -> f64 {
+    let octaves = (reach(views, seeds) / USUAL_REACH).log2().round();
+    if octaves.abs() <= MOST_OCTAVES { octaves.exp2() } else { 1.0 }
+}
+
+/// How far the scene reaches in the unit of training.
+const USUAL_REACH: f64 = 4.0;
+/// Units are 2 to the power of no more than this, or one over that: what lies beyond has a number out of
+/// its range.
+const MOST_OCTAVES: f64 = 40.0;
+
+/// Makes the world of pictures so many times as large.
+fn enlarge(views: &mut [TrainingView], factor: f64) {
+    for view in views {
+        view.camera.view_from_world.translation *= factor;
+        let disparity = view.disparity.iter_mut().flat_map(|d| d.pixels.chunks_exact_mut(2));
+        disparity.for_each(|pair| pair[0] /= factor as f32);
+    }
+}
+
+/// [`fit_posed`] in the unit of training.
+fn fit(
     device: &Device,
     views: &[TrainingView],
     seeds: &Gaussians,
@@ -72,8 +121,7 @@ pub fn fit_posed(
     observer: &mut dyn Observer,
 ) -> Result<Scene> {
     let Some(motion) = motion else {
-        let gaussians = fit_static(device, views, seeds, settings.clone(), resume, observer)?;
-        return sequence::sound(Scene::of(gaussians));
+        return fit_static(device, views, seeds, settings.clone(), resume, observer).map(Scene::of);
     };
     let warm_up = ((f64::from(settings.steps) * motion.warm_up) as u32).min(settings.steps - 1);
     let joint = joint_settings(motion, settings, settings.steps - warm_up);
@@ -113,7 +161,7 @@ pub fn fit_posed(
     }
     scene.neighbours = motion.neighbours.min(scene.control_points.len()) as u32;
     scene.report = sequence::report(&mut trainer)?;
-    sequence::sound(scene)
+    Ok(scene)
 }
 
 /// How large the training of [`fit_posed`] is at its largest: that of everything together.

@@ -37,10 +37,13 @@ pub fn seed_from_points(points: &[Point], sh_degree: u32) -> Gaussians {
     }
 }
 
-/// Points that coincide still get a scale.
-const LEAST_DISTANCE: f32 = 3.162_277_6e-4;
+/// Points that coincide still get a scale: this share of the median one.
+const LEAST_SHARE: f32 = 1e-3;
+/// The scale of points none of which is beside another.
+const LONELY: f32 = 3.162_277_6e-4;
 
-/// Root mean square distance of every point to its three nearest others; at least [`LEAST_DISTANCE`].
+/// Root mean square distance of every point to its three nearest others; at least [`LEAST_SHARE`] of the
+/// median.
 fn nearest_distances(points: &[[f32; 3]]) -> Vec<f32> {
     // The tree orders distances and panics where there is none.
     let usable = |p: &[f32; 3]| p.iter().all(|v| v.abs() <= range::REACH);
@@ -48,12 +51,12 @@ fn nearest_distances(points: &[[f32; 3]]) -> Vec<f32> {
     let entries = entries.map(|(i, p)| GeomWithData::new(*p, i)).collect();
     let tree: RTree<GeomWithData<[f32; 3], usize>> = RTree::bulk_load(entries);
     let squared = |a: [f32; 3], b: [f32; 3]| (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f32>();
-    points
+    let mut distances: Vec<f32> = points
         .par_iter()
         .enumerate()
         .map(|(i, &point)| {
             if !usable(&point) {
-                return LEAST_DISTANCE;
+                return 0.0;
             }
             let others = tree.nearest_neighbor_iter(point).filter(|other| other.data != i).take(3);
             let (mut sum, mut count) = (0.0, 0);
@@ -61,9 +64,17 @@ fn nearest_distances(points: &[[f32; 3]]) -> Vec<f32> {
                 sum += squared(point, *other.geom());
                 count += 1;
             }
-            (sum / count.max(1) as f32).sqrt().max(LEAST_DISTANCE)
+            (sum / count.max(1) as f32).sqrt()
         })
-        .collect()
+        .collect();
+    let mut apart: Vec<f32> = distances.iter().copied().filter(|d| *d > 0.0).collect();
+    let middle = apart.len() / 2;
+    let least = match apart.is_empty() {
+        true => LONELY,
+        false => LEAST_SHARE * *apart.select_nth_unstable_by(middle, f32::total_cmp).1,
+    };
+    distances.iter_mut().for_each(|d| *d = d.max(least));
+    distances
 }
 
 #[cfg(test)]

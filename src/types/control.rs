@@ -96,6 +96,9 @@ pub struct NetShape {
     pub position_frequencies: u32,
     /// Frequencies of the time's encoding.
     pub time_frequencies: u32,
+    /// The position's lowest frequency is 2 to the power of this, and each further one twice as high; the
+    /// time's lowest is 1.
+    pub position_octave: i32,
 }
 
 impl NetShape {
@@ -103,8 +106,14 @@ impl NetShape {
     pub const OUTPUTS: usize = 7;
 
     /// The paper's network.
-    pub const PAPER: NetShape =
-        NetShape { depth: 8, width: 256, skip: 4, position_frequencies: 10, time_frequencies: 10 };
+    pub const PAPER: NetShape = NetShape {
+        depth: 8,
+        width: 256,
+        skip: 4,
+        position_frequencies: 10,
+        time_frequencies: 10,
+        position_octave: 0,
+    };
 
     /// Number of values that enter the network.
     pub fn inputs(&self) -> usize {
@@ -178,6 +187,31 @@ impl DeformNet {
             parameters.extend(std::iter::repeat_n(0.0, outputs));
         }
         DeformNet { shape, parameters }
+    }
+
+    /// Makes the motions those of a scene that is `2^octaves` times as large. All values stay the same but
+    /// for their exponents.
+    #[cfg(feature = "reconstruct")]
+    pub(crate) fn enlarge(&mut self, octaves: i32) {
+        let factor = 2f32.powi(octaves);
+        let layers = self.shape.layers();
+        let mut rest = &mut self.parameters[..];
+        for (index, &(inputs, outputs)) in layers.iter().enumerate() {
+            let (layer, next) = rest.split_at_mut((inputs + 1) * outputs);
+            let (weights, biases) = layer.split_at_mut(inputs * outputs);
+            // Layers that see the encoding have the plain position first.
+            if index == 0 || index as u32 == self.shape.skip.saturating_add(1) {
+                for row in weights.chunks_exact_mut(inputs) {
+                    row[..3].iter_mut().for_each(|weight| *weight /= factor);
+                }
+            }
+            if index + 1 == layers.len() {
+                let translation = weights[..3 * inputs].iter_mut().chain(&mut biases[..3]);
+                translation.for_each(|value| *value *= factor);
+            }
+            rest = next;
+        }
+        self.shape.position_octave -= octaves;
     }
 }
 

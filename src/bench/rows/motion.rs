@@ -22,8 +22,14 @@ const FOLLOWED: usize = 4;
 /// Control points of the skinning rows.
 const NODES: usize = 512;
 /// A network that suits a software driver.
-pub(in crate::bench) const NARROW: NetShape =
-    NetShape { depth: 6, width: 64, skip: 3, position_frequencies: 10, time_frequencies: 6 };
+pub(in crate::bench) const NARROW: NetShape = NetShape {
+    depth: 6,
+    width: 64,
+    skip: 3,
+    position_frequencies: 10,
+    time_frequencies: 6,
+    position_octave: 0,
+};
 
 pub(super) fn entries(quick: bool) -> Vec<Entry> {
     let mut all = Vec::new();
