@@ -324,6 +324,11 @@ fn static_world(
 /// Motion logits of what is seeded as static or dynamic.
 const STRENGTH: f32 = 4.0;
 
+/// The unit of the positions' learning rate, in that of the track (the median depth): the extent of a
+/// hand-held camera's path about a scene. That of the clip itself would hardly let them move where it is
+/// short, and is nothing where the camera is fixed.
+const POSITION_UNIT: f64 = 0.35;
+
 fn joint_settings(settings: &SequenceSettings) -> TrainSettings {
     let growth = McmcSettings { from: 200, ..McmcSettings::default() };
     TrainSettings {
@@ -333,6 +338,7 @@ fn joint_settings(settings: &SequenceSettings) -> TrainSettings {
         sh_interval: (settings.steps / 2).clamp(1, 1000),
         // Few pictures and few steps: positions may move faster than over 30,000 steps.
         rates: Rates { position: 4e-4, position_last: 1e-5, ..Rates::default() },
+        position_unit: Some(POSITION_UNIT),
         depth_scale: settings.depth_scale,
         growth: settings.grow.then_some(GrowthSettings::Mcmc(growth)),
         motion: MotionSettings {

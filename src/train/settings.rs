@@ -274,6 +274,8 @@ pub struct TrainSettings {
     pub sh_interval: u32,
     /// Learning rates.
     pub rates: Rates,
+    /// The unit of the positions' learning rate; `None`: the extent of the cameras.
+    pub position_unit: Option<f64>,
     /// λ, the share of D-SSIM in the loss.
     pub ssim_share: f32,
     /// Factor of the depth term, where a depth is known.
@@ -303,6 +305,7 @@ impl Default for TrainSettings {
             sh_degree: 3,
             sh_interval: 1000,
             rates: Rates::default(),
+            position_unit: None,
             ssim_share: 0.2,
             depth_scale: 0.0,
             background: [0.0; 3],

@@ -57,6 +57,11 @@ enum Counts {
 /// That every number is in its range, those of the Gaussians aside.
 fn check(views: &[TrainingView], motion: Option<&MotionStart>, settings: &TrainSettings) -> Check {
     settings.render.check().map_err(|what| format!("settings: {what}"))?;
+    if let Some(unit) = settings.position_unit {
+        range::wanted(unit > 0.0 && unit <= f64::from(range::REACH), || {
+            format!("settings: a position unit of {unit:?}: it must be positive")
+        })?;
+    }
     range::colour(settings.background).map_err(|what| format!("background: {what}"))?;
     for (i, view) in views.iter().enumerate() {
         view.check().map_err(|what| format!("picture {i}: {what}"))?;
@@ -131,7 +136,8 @@ impl Trainer {
         if views.is_empty() {
             return Err(Error::Input("training needs at least one picture".into()));
         }
-        let extent = extent(views.iter().map(|view| &view.camera));
+        let cameras = views.iter().map(|view| &view.camera);
+        let extent = settings.position_unit.unwrap_or_else(|| extent(cameras));
         let room = Room::of(&settings, gaussians.len());
         Trainer::build(device, views, gaussians, motion, settings, (reach, extent), room)
     }
