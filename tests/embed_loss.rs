@@ -191,7 +191,7 @@ fn motion() -> MotionStart {
         skip: 9,
         position_frequencies: 2,
         time_frequencies: 2,
-        position_octave: 0,
+        ..NetShape::PAPER
     };
     let mut network = DeformNet::random(shape, 5);
     // The head begins at nothing; here it is to move something.

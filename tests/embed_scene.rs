@@ -46,7 +46,7 @@ fn scene_of(gaussians: Gaussians, moving: bool) -> Scene {
         skip: 9,
         position_frequencies: 1,
         time_frequencies: 1,
-        position_octave: 0,
+        ..NetShape::PAPER
     };
     let mut network = DeformNet::random(shape, 3);
     let count = network.parameters.len();

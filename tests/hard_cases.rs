@@ -70,32 +70,32 @@ fn joined(first: &str, second: &str, at: usize) -> synth::Clip {
     joined
 }
 
+/// Reconstructs a clip that nothing is known of; asks for cameras, masks, and dB from held-out cameras,
+/// whole and inside movers.
+fn demand(what: &str, clip: synth::Clip, least_iou: f64, least: [f64; 2]) {
+    let (outcome, held_out) = reconstruct(what, clip, &Options::default(), &settings());
+    assert!(outcome.ate() < 0.005 && outcome.mask_iou() > least_iou, "{what}");
+    let found = [held_out.whole, held_out.movers];
+    assert!(found[0] > least[0] && found[1] > least[1], "{what}: {found:?} dB");
+}
+
 #[test]
 fn what_appears_in_the_middle_of_a_clip() {
-    let clip = joined("still", "rigid", FRAMES / 2);
-    let (outcome, held_out) = reconstruct("appears", clip, &Options::default(), &settings());
-    assert!(outcome.ate() < 0.005 && outcome.mask_iou() > 0.8);
     // Measured: 19.27 dB, inside what appears 12.89 dB.
-    assert!(held_out.whole > 18.0 && held_out.movers > 11.5, "{} dB", held_out.whole);
+    demand("appears", joined("still", "rigid", FRAMES / 2), 0.8, [18.0, 11.5]);
 }
 
 #[test]
 fn what_leaves_in_the_middle_of_a_clip() {
-    let clip = joined("rigid", "still", FRAMES / 2);
-    let (outcome, held_out) = reconstruct("leaves", clip, &Options::default(), &settings());
-    assert!(outcome.ate() < 0.005 && outcome.mask_iou() > 0.8);
     // Measured: 20.35 dB, inside what leaves 15.51 dB.
-    assert!(held_out.whole > 19.0 && held_out.movers > 14.0, "{} dB", held_out.whole);
+    demand("leaves", joined("rigid", "still", FRAMES / 2), 0.8, [19.0, 14.0]);
 }
 
 /// A ball and a box that fly past each other, each by more than its size from frame to frame.
 #[test]
 fn movers_that_cross() {
-    let (outcome, held_out) =
-        reconstruct("crosses", clip("throw"), &Options::default(), &settings());
-    assert!(outcome.ate() < 0.005 && outcome.mask_iou() > 0.55);
     // Measured: 21.22 dB, inside movers 13.19 dB.
-    assert!(held_out.whole > 20.0 && held_out.movers > 12.0, "{} dB", held_out.whole);
+    demand("crosses", clip("throw"), 0.55, [20.0, 12.0]);
 }
 
 /// Supplied masks that lack what moves in every second frame, and such that are elsewhere in every third,
@@ -214,10 +214,8 @@ fn posed_pictures_have_any_unit() {
 fn a_clip_of_eight_frames() {
     let options = SynthOptions { frames: 8, width: 240, height: 136, seed: 1 };
     let clip = synth::clip("rigid", &options).unwrap();
-    let (outcome, held_out) = reconstruct("8 frames", clip, &Options::default(), &settings());
-    assert!(outcome.ate() < 0.005 && outcome.mask_iou() > 0.8);
     // Measured: 20.72 dB, inside movers 18.42 dB.
-    assert!(held_out.whole > 19.5 && held_out.movers > 17.0, "{} dB", held_out.whole);
+    demand("8 frames", clip, 0.8, [19.5, 17.0]);
 }
 
 /// Fewer control points than a Gaussian follows.

@@ -26,7 +26,7 @@ const NETWORK: NetShape = NetShape {
     skip: 9,
     position_frequencies: 2,
     time_frequencies: 2,
-    position_octave: 0,
+    ..NetShape::PAPER
 };
 
 /// Small splats spread over what the camera sees, so that each reaches a tile or two.

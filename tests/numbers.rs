@@ -167,7 +167,7 @@ fn scene() -> Scene {
         skip: 9,
         position_frequencies: 1,
         time_frequencies: 1,
-        position_octave: 0,
+        ..NetShape::PAPER
     };
     scene.network = Some(DeformNet::random(shape, 1));
     scene.neighbours = 2;

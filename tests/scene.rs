@@ -52,7 +52,7 @@ fn dynamic_scene() -> Scene {
         skip: 1,
         position_frequencies: 2,
         time_frequencies: 1,
-        position_octave: 0,
+        ..NetShape::PAPER
     };
     let mut g = gaussians(7, 2);
     g.motion_logits = numbers.rows::<1>(7).concat();

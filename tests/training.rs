@@ -174,7 +174,7 @@ fn small_motion() -> MotionStart {
         skip: 0,
         position_frequencies: 2,
         time_frequencies: 2,
-        position_octave: 0,
+        ..NetShape::PAPER
     };
     MotionStart {
         points: ControlPoints {

@@ -92,7 +92,7 @@ pub(super) fn swing(seed: u64) -> DeformNet {
         skip: 3,
         position_frequencies: 1,
         time_frequencies: 2,
-        position_octave: 0,
+        ..NetShape::PAPER
     };
     network(seed, shape)
 }

@@ -97,7 +97,7 @@ fn train(h: &mut Harness, by: Moved) -> Result<()> {
             skip: 1,
             position_frequencies: 4,
             time_frequencies: 4,
-            position_octave: 0,
+            ..NetShape::PAPER
         };
         let positions: Vec<[f32; 3]> = points.iter().step_by(20).map(|p| p.position).collect();
         let log_radii = vec![-1.0; positions.len()];

@@ -28,13 +28,14 @@ const KERNELS: &[&str] = &[
     "mlp/reduce",
 ];
 
-const NARROW: NetShape = NetShape {
+/// A network that suits a software driver.
+pub(crate) const NARROW: NetShape = NetShape {
     depth: 6,
     width: 64,
     skip: 3,
     position_frequencies: 10,
     time_frequencies: 6,
-    position_octave: 0,
+    ..NetShape::PAPER
 };
 
 /// One network with its inputs and what the oracle makes of it.
@@ -172,7 +173,7 @@ fn central_differences(h: &mut Harness) -> Result<()> {
         skip: 1,
         position_frequencies: 3,
         time_frequencies: 2,
-        position_octave: 0,
+        ..NetShape::PAPER
     };
     let problem = Problem::new(h, shape, 7, 2);
     let (_, by_parameter) = problem.device(h, 1)?;
@@ -213,7 +214,7 @@ fn shapes(h: &mut Harness) -> Result<()> {
         skip: 0,
         position_frequencies: 3,
         time_frequencies: 1,
-        position_octave: 0,
+        ..NetShape::PAPER
     };
     for (shape, nodes, times) in [
         (base, 1, 1),
@@ -253,7 +254,7 @@ fn encoding(h: &mut Harness) -> Result<()> {
         skip: 9,
         position_frequencies: 10,
         time_frequencies: 10,
-        position_octave: 0,
+        ..NetShape::PAPER
     };
     let inputs = shape.inputs();
     for (first, sign) in [0, 7, 14, 21, 28, 35, 42, 49, 56, 63, 70, 77]

@@ -127,7 +127,7 @@ mod tests {
             skip: 1,
             position_frequencies: 2,
             time_frequencies: 3,
-            position_octave: 0,
+            ..NetShape::PAPER
         };
         vec![
             base,
@@ -191,7 +191,7 @@ mod tests {
             skip: 0,
             position_frequencies: 0,
             time_frequencies: 0,
-            position_octave: 0,
+            ..NetShape::PAPER
         };
         let mut parameters = vec![1.0; shape.parameters()];
         let mut start = 0;
@@ -213,7 +213,7 @@ mod tests {
             skip: 9,
             position_frequencies: 2,
             time_frequencies: 1,
-            position_octave: 0,
+            ..NetShape::PAPER
         };
         let e = encode(&shape, [0.1f64, 0.2, 0.3, 0.7]);
         assert_eq!(e.len(), shape.inputs());

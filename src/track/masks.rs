@@ -38,12 +38,6 @@ const BESIDE_PLATE: f32 = 0.3;
 /// Log odds of motion where the other frames show movers and flow does not follow: what stands still
 /// seldom appears for one frame only.
 const UNFOLLOWED: f32 = 0.6;
-/// Log odds of a supplied mask, and as much of all those around it together.
-const SUPPLIED: f32 = 1.5;
-/// How much the masks of the next frames count, and of those after them.
-const AROUND: [f32; 2] = [1.0, 0.4];
-/// A supplied mask that overlaps with its mended self by less, as a share of both together, is wrong.
-const LEAST_OVERLAP: f64 = 0.7;
 /// Iterations of the primal-dual method.
 const ITERATIONS: usize = 120;
 /// Specks and holes of less than this share of the picture are removed.
@@ -80,22 +74,30 @@ pub(super) fn static_weights(tracks: &[PointTrack], masks: &[Image]) -> Vec<f64>
         .collect()
 }
 
+/// What motion is judged by.
+#[derive(Clone, Copy)]
+pub(super) struct Observed<'a> {
+    pub frames: &'a [Image],
+    pub cameras: &'a Cameras,
+    pub flow: &'a NeighbourFlow,
+    /// By frame: what a static world leaves unexplained.
+    pub seen: &'a [Seen],
+}
+
 /// A motion mask per frame, one channel in [0, 1], by the flow and, where there are, by the plates.
 pub(super) fn segment(
-    frames: &[Image],
-    cameras: &Cameras,
-    flow: &NeighbourFlow,
-    seen: &[Seen],
+    observed: Observed<'_>,
     plates: Option<&[Evidence]>,
     work: &mut Work,
     part: &str,
     shares: std::ops::Range<f64>,
 ) -> Result<Vec<Image>> {
+    let Observed { frames, flow, seen, .. } = observed;
     // Plates come once depth is known.
     let stage = if plates.is_some() { Stage::Depth } else { Stage::Masks };
     let middle = 0.5 * (shares.start + shares.end);
-    let mut odds = all_odds(frames, cameras, flow, seen, work, part, stage, shares.start..middle)?;
-    let mut support: Vec<Vec<f32>> = seen.iter().map(|seen| seen.support.clone()).collect();
+    let mut odds = all_odds(observed, work, part, stage, shares.start..middle)?;
+    let mut support = observed.support();
     for (frame, plate) in plates.unwrap_or_default().iter().enumerate() {
         for (i, said) in plate.odds.iter().enumerate().filter(|(_, said)| !said.is_nan()) {
             odds[frame][i] += said;
@@ -118,82 +120,27 @@ pub(super) fn segment(
     work.frames(&format!("{part}/masks"), frames.len(), segmented, stage, middle..shares.end)
 }
 
+impl Observed<'_> {
+    /// How well each pixel of each frame is followed.
+    pub(super) fn support(&self) -> Vec<Vec<f32>> {
+        self.seen.iter().map(|seen| seen.support.clone()).collect()
+    }
+}
+
 /// Log odds of motion of each pixel of each frame, by itself.
-fn all_odds(
-    frames: &[Image],
-    cameras: &Cameras,
-    flow: &NeighbourFlow,
-    seen: &[Seen],
+pub(super) fn all_odds(
+    observed: Observed<'_>,
     work: &mut Work,
     part: &str,
     stage: Stage,
     shares: std::ops::Range<f64>,
 ) -> Result<Vec<Vec<f32>>> {
+    let Observed { frames, cameras, flow, seen } = observed;
     let judged = |range: std::ops::Range<usize>| {
         let judge = |f: usize| judge(frames, cameras, flow, &seen[f], f, &odds(&seen[f]));
         range.into_par_iter().map(judge).collect()
     };
     work.frames(&format!("{part}/odds"), frames.len(), judged, stage, shares)
-}
-
-/// Supplied masks (0 or 1), mended where a frame's is contradicted both by those of the frames around it
-/// and by what moves: masks that flicker or slip. What all masks leave out stays out, whether it moves or
-/// not. With the frames whose mask is another now.
-pub(super) fn mended(
-    supplied: &[Image],
-    frames: &[Image],
-    cameras: &Cameras,
-    flow: &NeighbourFlow,
-    seen: &[Seen],
-    work: &mut Work,
-    part: &str,
-    shares: std::ops::Range<f64>,
-) -> Result<(Vec<Image>, Vec<usize>)> {
-    let odds = all_odds(frames, cameras, flow, seen, work, part, Stage::Masks, shares)?;
-    let support: Vec<Vec<f32>> = seen.iter().map(|seen| seen.support.clone()).collect();
-    let mend = |frame: usize| -> Option<Image> {
-        let gathered = gather(flow, &odds, &support, frame);
-        let around = around(flow, supplied, frame);
-        let mut total = Vec::with_capacity(gathered.len());
-        for (i, own) in gathered.iter().enumerate() {
-            let said = if supplied[frame].pixels[i] > 0.5 { SUPPLIED } else { -SUPPLIED };
-            let contradicted = said * around[i] < 0.0;
-            total.push(if contradicted { said + SUPPLIED * around[i] + own } else { said });
-        }
-        let mut u = relax(&total, &edges(&frames[frame], flow, frame), flow.width);
-        clean(&mut u, flow.width);
-        u.iter_mut().for_each(|u| *u = u.round());
-        let pairs = u.iter().zip(&supplied[frame].pixels);
-        let (both, either) = pairs.fold((0, 0), |(both, either), (a, b)| {
-            let (a, b) = (*a > 0.5, *b > 0.5);
-            (both + usize::from(a && b), either + usize::from(a || b))
-        });
-        let wrong = (both as f64) < LEAST_OVERLAP * either as f64;
-        wrong.then(|| Image { pixels: u, ..supplied[frame].clone() })
-    };
-    let mended: Vec<Option<Image>> = (0..frames.len()).into_par_iter().map(mend).collect();
-    let changed = (0..frames.len()).filter(|&frame| mended[frame].is_some()).collect();
-    let masks = mended.into_iter().zip(supplied).map(|(m, given)| m.unwrap_or(given.clone()));
-    Ok((masks.collect(), changed))
-}
-
-/// What the masks of the frames around say of a frame's pixels, followed by the flow: from −1, that nothing
-/// moves, to 1.
-fn around(flow: &NeighbourFlow, masks: &[Image], frame: usize) -> Vec<f32> {
-    let follow = |i: usize| {
-        let pixel = DVec2::new((i % flow.width) as f64 + 0.5, (i / flow.width) as f64 + 0.5);
-        let (mut sum, mut total) = (0.0, 0.0);
-        flow.follow(frame, pixel, AROUND.len(), |other, chain| {
-            let x = (chain.pixel.x as usize).min(flow.width - 1);
-            let y = (chain.pixel.y as usize).min(flow.height - 1);
-            let weight = AROUND[other.abs_diff(frame) - 1] * chain.confidence;
-            let moves = masks[other].pixels[y * flow.width + x] > 0.5;
-            sum += if moves { weight } else { -weight };
-            total += weight;
-        });
-        if total > 0.0 { sum / total } else { 0.0 }
-    };
-    (0..flow.width * flow.height).map(follow).collect()
 }
 
 /// Log odds of motion of each pixel, by itself.
@@ -210,7 +157,12 @@ fn odds(seen: &Seen) -> Vec<f32> {
 }
 
 /// Log odds with those of the same points in the frames around.
-fn gather(flow: &NeighbourFlow, odds: &[Vec<f32>], support: &[Vec<f32>], frame: usize) -> Vec<f32> {
+pub(super) fn gather(
+    flow: &NeighbourFlow,
+    odds: &[Vec<f32>],
+    support: &[Vec<f32>],
+    frame: usize,
+) -> Vec<f32> {
     (0..flow.width * flow.height)
         .map(|i| {
             let pixel = DVec2::new((i % flow.width) as f64 + 0.5, (i / flow.width) as f64 + 0.5);
@@ -246,7 +198,7 @@ fn beside_plate(gathered: &mut [f32], plate: &Evidence, support: &[f32]) {
 }
 
 /// The cost of a boundary to the right of, and below, each pixel.
-fn edges(image: &Image, flow: &NeighbourFlow, frame: usize) -> Vec<[f32; 2]> {
+pub(super) fn edges(image: &Image, flow: &NeighbourFlow, frame: usize) -> Vec<[f32; 2]> {
     let (w, h) = (flow.width, flow.height);
     let forward = frame + 1 < flow.frames;
     let cost = |i: usize, j: usize| {
@@ -267,7 +219,7 @@ fn edges(image: &Image, flow: &NeighbourFlow, frame: usize) -> Vec<[f32; 2]> {
 }
 
 /// Minimises −Σ odds·u + Σ cost·|∇u| over u in [0, 1].
-fn relax(odds: &[f32], cost: &[[f32; 2]], w: usize) -> Vec<f32> {
+pub(super) fn relax(odds: &[f32], cost: &[[f32; 2]], w: usize) -> Vec<f32> {
     let n = odds.len();
     let mut u: Vec<f32> = odds.iter().map(|o| if *o > 0.0 { 1.0 } else { 0.0 }).collect();
     let mut lead = u.clone();
@@ -298,7 +250,7 @@ fn relax(odds: &[f32], cost: &[[f32; 2]], w: usize) -> Vec<f32> {
 }
 
 /// Removes specks, fills holes.
-fn clean(u: &mut [f32], w: usize) {
+pub(super) fn clean(u: &mut [f32], w: usize) {
     let least = (SPECK * u.len() as f64).max(4.0) as usize;
     for inside in [true, false] {
         for (region, border) in regions(u, w, inside) {
@@ -469,7 +421,9 @@ mod tests {
             .collect();
         let masks = working(|work| {
             let seen = triangulate_frames(&cameras(STEP), &flow, work, "test", 0.0..0.5).unwrap();
-            segment(&frames, &cameras(STEP), &flow, &seen, None, work, "test", 0.5..1.0).unwrap()
+            let cameras = &cameras(STEP);
+            let observed = Observed { frames: &frames, cameras, flow: &flow, seen: &seen };
+            segment(observed, None, work, "test", 0.5..1.0).unwrap()
         });
         for frame in 1..FRAMES - 1 {
             let (mut both, mut either) = (0, 0);

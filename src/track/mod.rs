@@ -8,6 +8,7 @@
 //! | `photometric` | does the picture itself say that a pixel moved? |
 //! | `plate` | what each frame would show if nothing moved |
 //! | `masks` | from what is unexplained to a dense motion mask that keeps to the picture's edges |
+//! | `mended` | supplied masks that flicker or slip, by those around and by what moves |
 //! | `stereo` | static depth refined against the pictures |
 //! | `depth` | depth of all pixels, measured where it can be, inferred and marked so where not |
 //! | `objects` | what moves, as objects: points on it that belong together |
@@ -37,6 +38,7 @@ mod depth;
 mod distance;
 mod lower_end;
 mod masks;
+mod mended;
 mod movers;
 mod objects;
 mod observer;
@@ -202,8 +204,9 @@ pub struct Quality {
 /// `progress` is told the stage and the share of it that is done; an error from it ends the work.
 ///
 /// # Errors
-/// Fewer than [`Clip::LEAST`](crate::data::Clip::LEAST) frames, frames or supplied images of differing sizes, supplied lists of the wrong
-/// length, masks that leave nothing static, a clip without parallax ([`Error::Input`] says what to do), flow that follows nothing.
+/// Fewer than [`Clip::LEAST`](crate::data::Clip::LEAST) frames, frames or supplied images of differing
+/// sizes, supplied lists of the wrong length, masks that leave nothing static, a clip without parallax
+/// ([`Error::Input`] says what to do), flow that follows nothing.
 pub fn track(
     frames: &[Image],
     options: &Options,
@@ -280,7 +283,13 @@ pub fn track_observed(
         weights = masks::static_weights(&tracks, &masks);
         cameras.measure_fixed(&tracks, &weights);
     } else if supplied.is_none() {
-        masks = masks::segment(frames, &cameras, &flow, &seen, None, &mut work, part, 0.5..1.0)?;
+        masks = masks::segment(
+            masks::Observed { frames, cameras: &cameras, flow: &flow, seen: &seen },
+            None,
+            &mut work,
+            part,
+            0.5..1.0,
+        )?;
     }
     if !tripod {
         cameras.normalise(&tracks, &weights, &mut seen);
@@ -303,7 +312,13 @@ pub fn track_observed(
     let plates = plate::evidence(frames, &cameras, &layers, &masks, &mut work, part, 0.5..0.65)?;
     if supplied.is_none() {
         let (plates, part) = (Some(plates.as_slice()), "last/masks");
-        masks = masks::segment(frames, &cameras, &flow, &seen, plates, &mut work, part, 0.65..0.8)?;
+        masks = masks::segment(
+            masks::Observed { frames, cameras: &cameras, flow: &flow, seen: &seen },
+            plates,
+            &mut work,
+            part,
+            0.65..0.8,
+        )?;
     }
     let layers = depth::layers(
         frames,
@@ -449,7 +464,8 @@ impl Known<'_> {
     ) -> Result<(Vec<Image>, Vec<usize>)> {
         let Known { frames, flow, .. } = self;
         let seen = residual::triangulate_frames(cameras, flow, work, "mended", 0.0..0.2)?;
-        masks::mended(masks, frames, cameras, flow, &seen, work, "mended", 0.2..0.4)
+        let observed = masks::Observed { frames, cameras, flow, seen: &seen };
+        mended::mended(masks, observed, work, "mended", 0.2..0.4)
     }
 
     /// Masks by the cameras, then cameras by the masks.
@@ -467,7 +483,8 @@ impl Known<'_> {
             let first = shares.start..middle;
             let seen = residual::triangulate_frames(&cameras, flow, work, part, first)?;
             let second = middle..shares.end;
-            masks = masks::segment(frames, &cameras, flow, &seen, None, work, part, second)?;
+            let observed = masks::Observed { frames, cameras: &cameras, flow, seen: &seen };
+            masks = masks::segment(observed, None, work, part, second)?;
         }
         work.progress(Stage::Masks, shares.end)?;
         if !cameras.fixed {

@@ -79,7 +79,7 @@ pub fn fit_posed(
     let mut first = Scene::of(seeds.clone());
     first.enlarge(1.0 / unit);
     enlarge(views, 1.0 / unit);
-    let fitted = fit(device, views, &first.gaussians, motion, settings, resume, observer);
+    let fitted = fit(device, views, first.gaussians, motion, settings, resume, observer);
     // A power of two leaves no trace.
     enlarge(views, unit);
     let mut scene = fitted?;
@@ -114,21 +114,22 @@ fn enlarge(views: &mut [TrainingView], factor: f64) {
 fn fit(
     device: &Device,
     views: &[TrainingView],
-    seeds: &Gaussians,
+    seeds: Gaussians,
     motion: Option<&PosedMotion>,
     settings: &TrainSettings,
     resume: Option<Checkpoint>,
     observer: &mut dyn Observer,
 ) -> Result<Scene> {
     let Some(motion) = motion else {
-        return fit_static(device, views, seeds, settings.clone(), resume, observer).map(Scene::of);
+        return fit_static(device, views, &seeds, settings.clone(), resume, observer)
+            .map(Scene::of);
     };
     let warm_up = ((f64::from(settings.steps) * motion.warm_up) as u32).min(settings.steps - 1);
     let joint = joint_settings(motion, settings, settings.steps - warm_up);
     let mut trainer = match resume {
         Some(Checkpoint::Joint(state)) => Trainer::resume(device, views, state, joint)?,
         earlier => {
-            let mut gaussians = seeds.clone();
+            let mut gaussians = seeds;
             if warm_up > 0 {
                 // Bands would explain by direction what is due to motion.
                 let still = TrainSettings {
@@ -138,7 +139,7 @@ fn fit(
                     sh_interval: u32::MAX,
                     ..settings.clone()
                 };
-                gaussians = fit_static(device, views, seeds, still, earlier, observer)?;
+                gaussians = fit_static(device, views, &gaussians, still, earlier, observer)?;
             }
             gaussians.motion_logits = vec![STRENGTH; gaussians.len()];
             let start = MotionStart {

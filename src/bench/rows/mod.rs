@@ -5,7 +5,7 @@ mod density;
 mod motion;
 mod render;
 
-pub(in crate::bench) use motion::NARROW;
+pub(in crate::bench) use crate::check::mlp::NARROW;
 pub(in crate::bench) use render::image as compare_image;
 
 use super::job::Entry;

@@ -1,6 +1,6 @@
 //! What moves a scene: nearest control points, skinning, the deformation network, rigidity.
 
-use super::{sizes, thousands};
+use super::{NARROW, sizes, thousands};
 use crate::Result;
 use crate::bench::job::{Entry, Job};
 use crate::bench::scenes::{camera, cloud, control_points, network, rng};
@@ -21,16 +21,6 @@ use std::rc::Rc;
 const FOLLOWED: usize = 4;
 /// Control points of the skinning rows.
 const NODES: usize = 512;
-/// A network that suits a software driver.
-pub(in crate::bench) const NARROW: NetShape = NetShape {
-    depth: 6,
-    width: 64,
-    skip: 3,
-    position_frequencies: 10,
-    time_frequencies: 6,
-    position_octave: 0,
-};
-
 pub(super) fn entries(quick: bool) -> Vec<Entry> {
     let mut all = Vec::new();
     for n in sizes(quick, &[10_000usize, 100_000]) {
