@@ -133,12 +133,12 @@ fn a_tripod_is_recognised_and_its_mover_masked() {
 }
 
 /// Cloth that waves, and many that walk: what moves is no rigid body, or most of the picture.
-/// Measured: `bend` 0.03 % of the path, IoU 0.92; `crowd`, of which 77 % move, 6 % and 0.53, which
-/// tells little of the masks: all of the picture called moving would have 0.77. Points of the cloth are
+/// Measured: `bend` 0.03 % of the path, IoU 0.92; `crowd`, of which 77 % move, 1.3 % and 0.81 (all of
+/// the picture called moving would have 0.77); the other rigid motion that it shows is that of a walker. Points of the cloth are
 /// followed with an average Jaccard of 0.87, what stands still there with 0.92.
 #[test]
 fn what_bends_and_a_crowd_are_told_from_the_room() {
-    for (name, most_ate, least_iou) in [("bend", 0.005, 0.8), ("crowd", 0.1, 0.45)] {
+    for (name, most_ate, least_iou) in [("bend", 0.005, 0.8), ("crowd", 0.03, 0.78)] {
         let clip = clip(name);
         let found = run(&clip, &Options::default(), 0.1).unwrap();
         let (ate, iou) = (ate(&found, &clip), iou(&found, &clip));
@@ -156,10 +156,38 @@ fn what_bends_and_a_crowd_are_told_from_the_room() {
         let scores = |moves| tap_vid(&found, &clip, moves);
         let (movers, still) = (scores(true), scores(false));
         eprintln!("{name}: movers {movers:?}, still {still:?}");
+        let chosen = found.quality.static_motion;
+        assert_eq!(chosen.is_some(), name == "crowd", "{name}: {:?}", found.quality);
+        if let Some(chosen) = chosen {
+            let motions = &found.quality.motions;
+            assert!(chosen < motions.len() && found.quality.notes[0].contains("rigid motion"));
+            // Another motion is taken where the user asks for it; there is no end of such.
+            let other = Options { static_motion: Some(1 - chosen), ..Options::default() };
+            let other = run(&clip, &other, 0.1).unwrap();
+            assert_eq!(other.quality.static_motion, Some(1 - chosen));
+            assert_eq!(&other.quality.motions, motions);
+            assert!(self::ate(&other, &clip) > 2.0 * ate, "{}", self::ate(&other, &clip));
+            let none = Options { static_motion: Some(motions.len()), ..Options::default() };
+            let message = run(&clip, &none, 0.1).unwrap_err().to_string();
+            assert!(message.contains("the clip shows"), "{message}");
+        }
         if name == "bend" {
             assert!(movers.average_jaccard > 0.8, "{movers:?}");
             assert!(still.average_jaccard > 0.85, "{still:?}");
         }
+    }
+}
+
+/// Poses and masks say what stands still; a motion for it beside them would be a contradiction.
+#[test]
+fn a_static_motion_does_not_go_with_poses_or_masks() {
+    let clip = rigid();
+    let poses = Options { poses: Some(clip.view_from_world.clone()), ..Options::default() };
+    let masks = Options { masks: Some(clip.masks.clone()), ..Options::default() };
+    for options in [poses, masks] {
+        let options = Options { static_motion: Some(0), ..options };
+        let message = run(clip, &options, 0.1).unwrap_err().to_string();
+        assert!(message.contains("say it already"), "{message}");
     }
 }
 

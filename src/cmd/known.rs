@@ -9,7 +9,7 @@ use splat4d::data::trajectory::{self, TimedPose};
 use splat4d::data::{Clip, Resize, images, intrinsics};
 use splat4d::gpu::Device;
 use splat4d::observe::{EngineFlow, FlowSource, SuppliedFlow};
-use splat4d::track::{FocalSource, Observer, Options, Quality, Track, track_observed};
+use splat4d::track::{FocalSource, Observer, Options, Quality, RigidMotion, Track, track_observed};
 use splat4d::types::{Camera, FlowSettings, Image, Intrinsics};
 use splat4d::{Error, Result};
 
@@ -46,6 +46,11 @@ pub struct KnownArgs {
     /// (tracks, visibles) or CoTracker (pred_tracks, pred_visibility) write it, one place for each frame
     #[arg(long, value_name = "FILE")]
     tracks: Option<PathBuf>,
+    /// Take this rigid motion for that of the static world, counted from 0 as the notes of an earlier run
+    /// count them
+    #[arg(long = "static", value_name = "N", conflicts_with_all = ["poses", "masks"],
+          value_parser = values::whole::<usize>(0..=Options::MOST_MOTIONS as u64 - 1))]
+    static_motion: Option<usize>,
 }
 
 impl KnownArgs {
@@ -86,6 +91,7 @@ impl KnownArgs {
             masks: given(&self.masks, clip, supplied::masks)?,
             depth: given(&self.depth, clip, supplied::depth)?,
             tracks: given(&self.tracks, clip, supplied::tracks)?,
+            static_motion: self.static_motion,
             seed,
             ..Options::default()
         })
@@ -155,6 +161,8 @@ pub fn focal_source(source: FocalSource) -> &'static str {
 
 /// How well cameras are known, for reports.
 pub fn poses_json(found: &Quality) -> Value {
+    let motion = |RigidMotion { explained, hidden, hides }: &RigidMotion| json!({ "explained": explained, "hidden": hidden, "hides": hides });
+    let motions: Vec<Value> = found.motions.iter().map(motion).collect();
     json!({
         "tripod": found.tripod,
         "inlier_share": found.inlier_share,
@@ -163,6 +171,8 @@ pub fn poses_json(found: &Quality) -> Value {
         "focal_std": found.focal_std,
         "doubtful_frames": found.doubtful_frames,
         "tracks": found.tracks,
+        "motions": motions,
+        "static_motion": found.static_motion,
     })
 }
 

@@ -27,6 +27,10 @@ pub struct Options {
     pub tracks: Option<Tracks>,
     /// How many times masks and poses are alternated; at least 1.
     pub rounds: usize,
+    /// Which of the rigid motions that the clip shows is the static world's, as
+    /// [`Quality::motions`](super::Quality::motions) counts them; found if not given. Does not go with
+    /// poses or masks, which say it already.
+    pub static_motion: Option<usize>,
     /// Whether each track's point is found again in the pictures; else it keeps the places that chained
     /// flow gives, which drift.
     pub refine_tracks: bool,
@@ -55,6 +59,7 @@ impl Default for Options {
             depth: None,
             tracks: None,
             rounds: 2,
+            static_motion: None,
             refine_tracks: true,
             exposure: true,
             stereo: true,
@@ -66,6 +71,9 @@ impl Default for Options {
 }
 
 impl Options {
+    /// At most so many rigid motions of a clip are told apart.
+    pub const MOST_MOTIONS: usize = 5;
+
     /// That frames can be tracked, and that what is supplied fits them.
     pub(super) fn check(&self, frames: &[Image]) -> Result<()> {
         let n = frames.len();
@@ -93,6 +101,10 @@ impl Options {
                  of one size",
                 f.width, f.height, f.channels, first.width, first.height
             )));
+        }
+        if self.static_motion.is_some() && (self.poses.is_some() || self.masks.is_some()) {
+            let what = "a rigid motion was asked for as the static world's, but poses or masks say it already";
+            return Err(Error::Input(what.into()));
         }
         let lists = [
             ("poses", self.poses.as_ref().map(Vec::len)),

@@ -8,7 +8,7 @@ use std::ops::Range;
 
 use glam::{DQuat, DVec2, DVec3};
 
-use super::cameras::{self, Cameras, Focal};
+use super::cameras::{self, Cameras, Focal, Strictness};
 use super::objects::Object;
 use super::observer::{Progress, Work};
 use super::{FocalSource, Stage, quantile};
@@ -284,8 +284,17 @@ fn piece(
         return None;
     }
     let weights = vec![1.0; inside.len()];
-    let posing =
-        cameras::pose(&inside, &weights, &focal, within.len(), 0, &mut work, "object").ok()?;
+    let posing = cameras::pose(
+        &inside,
+        &weights,
+        &focal,
+        within.len(),
+        0,
+        Strictness::Usual,
+        &mut work,
+        "object",
+    )
+    .ok()?;
     let posed = posing.longest_run();
     let mut run = within.start + posed.start..within.start + posed.end;
     let mut whole = (run == within).then_some(posing);
@@ -295,9 +304,16 @@ fn piece(
         let solved = match whole.take() {
             // Every track lies within.
             Some(posing) => posing.adjusted(&parts, &weights, &focal),
-            None => {
-                cameras::reconstruct(&parts, &weights, &focal, run.len(), 0, &mut work, "object")
-            }
+            None => cameras::reconstruct(
+                &parts,
+                &weights,
+                &focal,
+                run.len(),
+                0,
+                Strictness::Usual,
+                &mut work,
+                "object",
+            ),
         };
         let (piece, deepness) =
             believed(&solved.ok()?, &parts, &places, tracks.len(), run.clone(), cameras)?;

@@ -2,6 +2,7 @@
 
 use glam::DVec2;
 
+use super::cameras::Strictness;
 use super::quantile;
 use crate::geometry::ransac::RansacOptions;
 use crate::geometry::two_view::{Motion, TwoView, TwoViewOptions, two_view};
@@ -113,9 +114,14 @@ pub(super) fn shared(
     }
 }
 
-/// How two frames lie to each other under a focal length.
-pub(super) fn relate(shared: &Shared, k: &Intrinsics, seed: u64) -> Result<TwoView> {
-    let threshold = (f64::from(k.width) / 320.0).max(0.7);
+/// How two frames lie to each other under a focal length; `strictness` scales the threshold of outliers.
+pub(super) fn relate(
+    shared: &Shared,
+    k: &Intrinsics,
+    seed: u64,
+    strictness: Strictness,
+) -> Result<TwoView> {
+    let threshold = strictness.factor() * (f64::from(k.width) / 320.0).max(0.7);
     let options = TwoViewOptions {
         ransac: RansacOptions { threshold, max_iterations: 1000, seed, ..Default::default() },
         ..Default::default()
@@ -146,7 +152,7 @@ pub(super) fn demand_parallax(
     for ratio in [0.6, 0.85, 1.2, 1.7] {
         let k = Intrinsics::centred(ratio * side, flow.width as u32, flow.height as u32);
         let turns = pairs.iter().all(|pair| {
-            relate(pair, &k, 1).is_ok_and(|found| {
+            relate(pair, &k, 1, Strictness::Usual).is_ok_and(|found| {
                 matches!(found.motion, Motion::PureRotation | Motion::Static)
                     && found.inlier_ratio > 0.5
             })

@@ -57,7 +57,8 @@ impl Cameras {
         posed: &[bool],
         afresh: bool,
     ) {
-        let tolerance = 1.5 * (f64::from(self.intrinsics.width) / 320.0).max(1.0);
+        let width = f64::from(self.intrinsics.width);
+        let tolerance = 1.5 * self.strictness.factor() * (width / 320.0).max(1.0);
         let found: Vec<Option<Anchor>> = tracks
             .par_iter()
             .enumerate()

@@ -3,12 +3,13 @@
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::Strictness;
 use crate::geometry::focal::{FocalPair, estimate_focal};
 use crate::geometry::ransac::RansacOptions;
 use crate::geometry::two_view::fundamental_ransac;
-use crate::observe::{NeighbourFlow, PointTrack};
+use crate::observe::PointTrack;
 use crate::track::still::shared;
-use crate::track::{FocalSource, Options, intrinsics_size};
+use crate::track::{FocalSource, Options};
 use crate::types::Intrinsics;
 
 /// The focal length to begin with, and what may be done with it.
@@ -24,25 +25,28 @@ pub(in crate::track) struct Focal {
 pub(super) const ASSUMED: f64 = 1.0;
 
 impl Focal {
-    /// What was given; else what image pairs tell; else a common value.
+    /// What was given; else what image pairs tell; else a common value. `strictness` scales the threshold
+    /// of outliers.
     pub fn choose(
         options: &Options,
-        flow: &NeighbourFlow,
+        (width, height): (usize, usize),
+        frames: usize,
         tracks: &[PointTrack],
         weights: &[f64],
+        strictness: Strictness,
     ) -> Focal {
-        let (w, h) = intrinsics_size(flow);
+        let (w, h) = (width as u32, height as u32);
         let given = options.intrinsics.or(options.focal.map(|f| Intrinsics::centred(f, w, h)));
         if let Some(intrinsics) = given {
             return Focal { intrinsics, source: FocalSource::Given, deviation: 0.0 };
         }
-        let n = flow.frames;
+        let n = frames;
         let gaps = [n / 8, n / 5, n / 3].map(|g| g.clamp(1, n - 1));
         let ends: Vec<(usize, usize)> = gaps
             .iter()
             .flat_map(|&gap| (0..n - gap).step_by(gap).map(move |a| (a, a + gap)))
             .collect();
-        let threshold = (f64::from(w) / 320.0).max(0.7);
+        let threshold = strictness.factor() * (f64::from(w) / 320.0).max(0.7);
         let ransac = RansacOptions { threshold, seed: options.seed, ..Default::default() };
         let pairs: Vec<FocalPair> = ends
             .par_iter()

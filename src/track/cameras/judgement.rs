@@ -33,6 +33,22 @@ const SCALE_FLOOR: f64 = 0.1;
 /// A residual of this square, in deviations, is explained by half.
 const EXPLAINS: f64 = 9.0;
 
+/// A track that weighs no more does not count.
+const COUNTS: f64 = 0.05;
+
+/// The share of what is seen of the tracks that is explained, given that of each.
+pub(super) fn explained_by(tracks: &[PointTrack], weights: &[f64], shares: &[f64]) -> f64 {
+    let (mut explained, mut seen) = (0.0, 0.0);
+    for ((track, weight), share) in tracks.iter().zip(weights).zip(shares) {
+        if *weight > COUNTS {
+            let views = weight * (track.pixels.len() - 1) as f64;
+            explained += views * share;
+            seen += views;
+        }
+    }
+    if seen > 0.0 { explained / seen } else { 0.0 }
+}
+
 impl Cameras {
     /// Measures how well the static tracks of a fixed camera stay in place, as an adjustment does for
     /// one that moves: what is seen at a pixel once is seen there in every frame.
@@ -41,7 +57,7 @@ impl Cameras {
         let residuals: Vec<(DVec2, f64)> = tracks
             .iter()
             .zip(weights)
-            .filter(|(_, weight)| **weight > 0.05)
+            .filter(|(_, weight)| **weight > COUNTS)
             .flat_map(|(track, weight)| {
                 let observed = track.pixels.iter().zip(&track.deviation).skip(1);
                 observed.map(move |(pixel, deviation)| {
@@ -82,20 +98,21 @@ impl Cameras {
     /// be counts in full, what is far from there, or has no depth, not at all. Of two solutions the
     /// better one explains more.
     pub fn explained(&self, tracks: &[PointTrack], weights: &[f64]) -> f64 {
+        explained_by(tracks, weights, &self.shares(tracks, weights))
+    }
+
+    /// By track, the share of what is seen of it that the cameras explain; 0 of those that do not count.
+    pub(super) fn shares(&self, tracks: &[PointTrack], weights: &[f64]) -> Vec<f64> {
         // The adjustment has moved the cameras, and only the points that it chose.
         let mut cameras = self.clone();
         cameras.triangulate(tracks, weights, &vec![true; self.poses.len()], true);
-        let counted = (0..tracks.len()).into_par_iter().filter(|i| weights[*i] > 0.05);
         let of_track = |i: usize| {
             let near = |view: View| 1.0 / (1.0 + view.known * view.off.length_squared() / EXPLAINS);
-            let views = cameras.reprojected(tracks, i);
+            let views = cameras.reprojected(tracks, i).filter(|_| weights[i] > COUNTS);
             let explained: f64 = views.map_or(0.0, |views| views.flatten().map(near).sum());
-            (weights[i] * explained, weights[i] * (tracks[i].pixels.len() - 1) as f64)
+            explained / (tracks[i].pixels.len() - 1).max(1) as f64
         };
-        let counted: Vec<(f64, f64)> = counted.map(of_track).collect();
-        let (explained, seen) =
-            counted.iter().fold((0.0, 0.0), |sum, one| (sum.0 + one.0, sum.1 + one.1));
-        if seen > 0.0 { explained / seen } else { 0.0 }
+        (0..tracks.len()).into_par_iter().map(of_track).collect()
     }
 
     /// The point of a track in the frames that see it besides the one that it is anchored in; `None` in

@@ -3,12 +3,15 @@
 mod adjustment;
 mod focal;
 mod judgement;
+mod motions;
 mod posing;
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 pub(super) use focal::Focal;
+pub use motions::RigidMotion;
+pub(super) use motions::{Motions, Search};
 pub(super) use posing::{pose, reconstruct};
 
 use super::{FocalSource, quantile};
@@ -39,10 +42,30 @@ pub(super) struct Cameras {
     pub rms: f64,
     /// All poses are one.
     pub fixed: bool,
+    strictness: Strictness,
     /// Poses were supplied: only structure and focal length are adjusted.
     supplied: bool,
     /// One of the world's units in that of the supplied poses; 1 without.
     pub unit: f64,
+}
+
+/// What counts as an outlier.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) enum Strictness {
+    /// What is farther off than points of the same rigid motion may be.
+    Usual,
+    /// What is farther off than most of them are: a compromise between two motions holds no more.
+    Strict,
+}
+
+impl Strictness {
+    /// Thresholds are those of the usual strictness times this.
+    pub fn factor(self) -> f64 {
+        match self {
+            Strictness::Usual => 1.0,
+            Strictness::Strict => 0.3,
+        }
+    }
 }
 
 /// A point is seen to so many pixels along each axis, where it is followed without an error.
@@ -89,6 +112,7 @@ impl Cameras {
             inlier_share: 0.0,
             rms: 0.0,
             fixed: false,
+            strictness: Strictness::Usual,
             supplied: false,
             unit: 1.0,
         }

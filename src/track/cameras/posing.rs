@@ -6,7 +6,7 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{Anchor, Cameras, Focal};
+use super::{Anchor, Cameras, Focal, Strictness};
 use crate::geometry::bundle::FocalMode;
 use crate::geometry::pnp::{PnpOptions, pnp_ransac};
 use crate::geometry::triangulate::inverse_depth;
@@ -18,6 +18,14 @@ use crate::track::still::{relate, shared};
 use crate::types::{Intrinsics, Pose};
 use crate::{Error, Result};
 
+/// A point that was seen from so many poses has its full weight in the next one.
+const SENIOR: f64 = 10.0;
+
+/// How much a point counts that was seen from so many poses: a mover may fit any camera for a few frames.
+fn seniority(views: usize) -> f64 {
+    ((views as f64 - 2.0) / (SENIOR - 2.0)).clamp(0.02, 1.0)
+}
+
 /// Most points of an adjustment on the way.
 const POINTS: usize = 900;
 
@@ -28,6 +36,7 @@ fn start(
     k: &Intrinsics,
     frames: usize,
     seed: u64,
+    strictness: Strictness,
 ) -> Option<((usize, usize), TwoView, Vec<usize>)> {
     let gaps = [frames / 12, frames / 8, frames / 5, frames / 3, frames / 2];
     let mut gaps: Vec<usize> = gaps.iter().map(|g| (*g).clamp(1, frames - 1)).collect();
@@ -46,7 +55,7 @@ fn start(
         .filter_map(|&pair| {
             let all = shared(tracks, weights, pair, usize::MAX).tracks.len() as f64;
             let s = shared(tracks, weights, pair, 700);
-            let found = relate(&s, k, seed).ok()?;
+            let found = relate(&s, k, seed, strictness).ok()?;
             if matches!(found.motion, Motion::Static | Motion::PureRotation) {
                 return None;
             }
@@ -79,16 +88,17 @@ fn begin(
     focal: &Focal,
     n: usize,
     seed: u64,
+    strictness: Strictness,
 ) -> Result<Posing> {
     let k = focal.intrinsics;
-    let Some(((a, b), found, ids)) = start(tracks, weights, &k, n, seed) else {
+    let Some(((a, b), found, ids)) = start(tracks, weights, &k, n, seed, strictness) else {
         return Err(Error::Input(
             "no two frames of this video show parallax that one moving camera explains; film while \
              walking or moving the camera sideways, or supply poses"
                 .into(),
         ));
     };
-    let mut cameras = Cameras::new(focal, n, tracks.len());
+    let mut cameras = Cameras { strictness, ..Cameras::new(focal, n, tracks.len()) };
     let mut posed = vec![false; n];
     (posed[a], posed[b]) = (true, true);
     cameras.poses[b] = found.b_from_a;
@@ -105,7 +115,8 @@ fn begin(
 }
 
 /// Cameras from tracks alone: a start from two frames, then frame by frame by PnP, adjusted on the
-/// way and all together at the end. `part` is the name under which the way there is kept.
+/// way and all together at the end. `strictness` scales the thresholds of outliers; `part` is the name under
+/// which the way there is kept.
 ///
 /// # Errors
 /// No pair of frames shows parallax; too few static points; what the observer of `work` returns.
@@ -115,10 +126,11 @@ pub(in crate::track) fn reconstruct(
     focal: &Focal,
     frames: usize,
     seed: u64,
+    strictness: Strictness,
     work: &mut Work,
     part: &str,
 ) -> Result<Cameras> {
-    let posing = pose(tracks, weights, focal, frames, seed, work, part)?;
+    let posing = pose(tracks, weights, focal, frames, seed, strictness, work, part)?;
     posing.adjusted(tracks, weights, focal)
 }
 
@@ -171,13 +183,14 @@ pub(in crate::track) fn pose(
     focal: &Focal,
     frames: usize,
     seed: u64,
+    strictness: Strictness,
     work: &mut Work,
     part: &str,
 ) -> Result<Posing> {
     let mut posing: Posing = match work.kept(part)? {
         Some(kept) => kept,
         None => {
-            let begun = begin(tracks, weights, focal, frames, seed)?;
+            let begun = begin(tracks, weights, focal, frames, seed, strictness)?;
             work.keep(part, &begun)?;
             begun
         }
@@ -209,13 +222,18 @@ fn pose_frame(
     let visible: Vec<_> = visible.into_iter().step_by(stride).collect();
     let points: Vec<DVec3> = visible.iter().map(|v| v.1).collect();
     let pixels: Vec<DVec2> = visible.iter().map(|v| v.2).collect();
-    let weight: Vec<f64> = visible.iter().map(|v| weights[v.0]).collect();
+    let views = |i: usize| (tracks[i].first..tracks[i].end()).filter(|&f| posed[f]).count();
+    let weight = |i: usize| match cameras.strictness {
+        Strictness::Usual => weights[i],
+        Strictness::Strict => weights[i] * seniority(views(i)),
+    };
+    let weight: Vec<f64> = visible.iter().map(|v| weight(v.0)).collect();
     let nearest = (0..n).filter(|&f| posed[f]).min_by_key(|f| f.abs_diff(frame));
     let prediction = nearest.map(|f| cameras.poses[f]);
     let k = &cameras.intrinsics;
     let options = PnpOptions {
         seed,
-        threshold: 2.0 * (f64::from(k.width) / 320.0).max(1.0),
+        threshold: 2.0 * cameras.strictness.factor() * (f64::from(k.width) / 320.0).max(1.0),
         max_iterations: 1500,
         ..PnpOptions::for_width(k.width)
     };

@@ -1,0 +1,396 @@
+//! Which of the rigid motions that a clip shows is that of the static world.
+//!
+//! Where movers fill most of the picture, the motion that most points agree with may be a mover's, or a
+//! compromise between several. So rigid motions are taken from the clip one after another, each from the
+//! points that those before leave unexplained, to a tolerance so small that no compromise holds over all
+//! frames. The static world is then told by what makes a background: it reaches the picture's edges, and
+//! others hide it more often than it hides them.
+
+use glam::DVec2;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::judgement::explained_by;
+use super::{Cameras, Focal, Strictness, reconstruct};
+use crate::observe::{PointTrack, TrackOptions};
+use crate::track::Options;
+use crate::track::observer::Work;
+use crate::{Error, Result};
+
+/// The search looks at about so many tracks.
+const TRACKS: usize = 3000;
+/// The static world's cameras are solved for so many times at most,
+const AGAIN: u64 = 4;
+/// as long as they explain so many times what they did before.
+const GAIN: f64 = 1.01;
+/// The search ends when the motions leave less of what is seen, weighed by the prior, than this.
+const LEFT: f64 = 0.2;
+/// Cameras explain a track of which they explain more than this.
+const EXPLAINED: f64 = 0.5;
+/// How much it counts to be hidden by others and never to hide them, beside the share that is explained.
+const ORDER: f64 = 1.0;
+/// So many places where one thing hides another say half as much as any number of them.
+const PLACES: f64 = 20.0;
+/// A place this near the picture's edge does not tell whether a track was hidden or left, pixels.
+const MARGIN: f64 = 3.0;
+/// Neighbours of a point lie within so many times the distance at which points are followed.
+const NEIGHBOURHOOD: f64 = 1.2;
+
+/// What speaks for a rigid motion's being that of the static world.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct RigidMotion {
+    /// The share of what is seen that it explains; what is seen near the picture's edges counts most.
+    pub explained: f64,
+    /// At how many places what follows it is hidden by something else.
+    pub hidden: usize,
+    /// At how many places what follows it hides something else.
+    pub hides: usize,
+}
+
+/// The rigid motions of a clip, and the one that was taken for the static world.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(in crate::track) struct Motions {
+    pub found: Vec<RigidMotion>,
+    pub chosen: usize,
+    /// By track: how much it counts when two solutions for the static world are compared; nothing where
+    /// another of the motions explains it.
+    pub weights: Vec<f64>,
+}
+
+/// Another motion whose score is this near makes the choice doubtful.
+const NEAR: f64 = 0.1;
+
+/// By motion, how much speaks for it; that of the static world has most.
+fn scores(found: &[RigidMotion]) -> Vec<f64> {
+    let places: usize = found.iter().map(|motion| motion.hidden + motion.hides).sum();
+    let score = |motion: &RigidMotion| {
+        let order = (motion.hidden as f64 - motion.hides as f64) / (places as f64 + PLACES);
+        motion.explained + ORDER * order
+    };
+    found.iter().map(score).collect()
+}
+
+impl Motions {
+    /// Which one was taken, and why.
+    pub fn note(&self) -> String {
+        let RigidMotion { explained, hidden, hides } = self.found[self.chosen];
+        let all = self.found.len();
+        let chosen = format!(
+            "the clip shows {all} rigid motion{} that may be the static world's; number {}, counted from 0, \
+             was taken: it explains {:.0} % of what is seen, things near the picture's edges counting most, \
+             is hidden by others at {hidden} places and hides them at {hides}",
+            if all == 1 { "" } else { "s" },
+            self.chosen,
+            100.0 * explained,
+        );
+        let others = (0..all).filter(|m| *m != self.chosen);
+        let scores = scores(&self.found);
+        let next = others.max_by(|&a, &b| scores[a].total_cmp(&scores[b]));
+        match next {
+            Some(next) if scores[next] + NEAR > scores[self.chosen] => format!(
+                "{chosen}; number {next} is nearly as likely, so the cameras are doubtful: --static \
+                 {next} takes it"
+            ),
+            _ => chosen,
+        }
+    }
+}
+
+/// A focal length to begin with, and the cameras that came of it.
+type Solution = (Focal, Cameras);
+
+/// What the static world is looked for in.
+#[derive(Clone, Copy)]
+pub(in crate::track) struct Search<'a> {
+    pub tracks: &'a [PointTrack],
+    /// How much each track counts as static before anything is known.
+    pub prior: &'a [f64],
+    pub options: &'a Options,
+    pub size: (usize, usize),
+    pub frames: usize,
+}
+
+impl Search<'_> {
+    /// Finds the rigid motions of the clip and the cameras of the one that is the static world's: the one
+    /// that the options name, else the one that most speaks for. `first` are cameras from all of what is
+    /// seen, if there are; they are kept if they explain the static world better.
+    ///
+    /// # Errors
+    /// Not even one motion was found, or fewer than the options ask for; those of the adjustment; what the
+    /// observer of `work` returns.
+    pub fn static_world(
+        self,
+        first: Option<Solution>,
+        work: &mut Work,
+    ) -> Result<(Solution, Motions)> {
+        let (mut solutions, shares) = self.rigid_motions(work)?;
+        let everything = vec![1.0; self.tracks.len()];
+        let motions = self.judged(&shares)?;
+        let (focal, mut cameras) = solutions.swap_remove(motions.chosen);
+        cameras.adjust(self.tracks, &following(&shares[motions.chosen], &everything), &focal)?;
+        cameras.strictness = Strictness::Usual;
+        let explained = |cameras: &Cameras| cameras.explained(self.tracks, &motions.weights);
+        let found = (focal, cameras);
+        let best = match first {
+            Some(first) if explained(&first.1) > explained(&found.1) => first,
+            _ => found,
+        };
+        Ok((self.refined(best, &motions, work)?, motions))
+    }
+
+    /// Rigid motions that explain a part of the tracks each, the first taken from all of them; and by motion
+    /// and track, the share of it that is explained.
+    fn rigid_motions(self, work: &mut Work) -> Result<(Vec<Solution>, Vec<Vec<f64>>)> {
+        let mut weights = self.prior.to_vec();
+        let (everything, all) = (vec![1.0; weights.len()], weights.iter().sum::<f64>());
+        let (mut solutions, mut shares) = (Vec::new(), Vec::new());
+        while solutions.len() < Options::MOST_MOTIONS && weights.iter().sum::<f64>() > LEFT * all {
+            let part = format!("cameras/motion-{}", solutions.len());
+            let (focal, cameras) = match self.solve_by_few(&weights, work, &part) {
+                Ok(solution) => solution,
+                Err(error) if work.ended || solutions.is_empty() => return Err(error),
+                // What is left is not seen from the first frame to the last.
+                Err(_) => break,
+            };
+            let explained = cameras.shares(self.tracks, &everything);
+            for (weight, share) in weights.iter_mut().zip(&explained) {
+                if *share > EXPLAINED {
+                    *weight = 0.0;
+                }
+            }
+            solutions.push((focal, cameras));
+            shares.push(explained);
+        }
+        Ok((solutions, shares))
+    }
+
+    /// A strict solution by some of the tracks that count; by more of them where these do not lead through
+    /// all frames.
+    fn solve_by_few(self, weights: &[f64], work: &mut Work, part: &str) -> Result<Solution> {
+        let mut stride = self.tracks.len().div_ceil(TRACKS).max(1);
+        loop {
+            let few: Vec<PointTrack> = self.tracks.iter().step_by(stride).cloned().collect();
+            let weights: Vec<f64> = weights.iter().step_by(stride).copied().collect();
+            let part = format!("{part}-{stride}");
+            let search = Search { tracks: &few, ..self };
+            match search.solve(&weights, self.options.seed, work, &part) {
+                Err(_) if stride > 1 && !work.ended => stride /= 2,
+                found => {
+                    let (focal, mut cameras) = found?;
+                    cameras.anchors = vec![None; self.tracks.len()];
+                    return Ok((focal, cameras));
+                }
+            }
+        }
+    }
+
+    /// A strict solution by the tracks that count.
+    fn solve(self, weights: &[f64], seed: u64, work: &mut Work, part: &str) -> Result<Solution> {
+        let Search { tracks, options, size, frames, .. } = self;
+        let strict = Strictness::Strict;
+        let focal = Focal::choose(options, size, frames, tracks, weights, strict);
+        let cameras = reconstruct(tracks, weights, &focal, frames, seed, strict, work, part)?;
+        Ok((focal, cameras))
+    }
+
+    /// What speaks for each motion, and which is taken, given what each explains of each track.
+    fn judged(self, shares: &[Vec<f64>]) -> Result<Motions> {
+        let Search { tracks, prior, options, .. } = self;
+        let best_of = |i: usize| {
+            let explain = (0..shares.len()).filter(|&m| shares[m][i] > EXPLAINED);
+            explain.max_by(|&a, &b| shares[a][i].total_cmp(&shares[b][i]).then(b.cmp(&a)))
+        };
+        let motion_of: Vec<Option<usize>> = (0..tracks.len()).map(best_of).collect();
+        let ends = Ends::new(tracks, self.size, self.frames);
+        let evidence = |m: usize| {
+            let (hidden, hides) = ends.order(&motion_of, m);
+            RigidMotion { explained: explained_by(tracks, prior, &shares[m]), hidden, hides }
+        };
+        let found: Vec<RigidMotion> = (0..shares.len()).map(evidence).collect();
+        let scores = scores(&found);
+        let best =
+            (0..found.len()).max_by(|&a, &b| scores[a].total_cmp(&scores[b]).then(b.cmp(&a)));
+        let chosen = options.static_motion.or(best).unwrap_or(0);
+        if chosen >= found.len() {
+            return Err(Error::Input(format!(
+                "rigid motion {chosen} was asked for as the static world's, but the clip shows {}, \
+                 counted from 0",
+                found.len()
+            )));
+        }
+        let of_others = |i: usize| motion_of[i].is_some_and(|m| m != chosen);
+        let weights =
+            (0..tracks.len()).map(|i| if of_others(i) { 0.0 } else { prior[i] }).collect();
+        Ok(Motions { found, chosen, weights })
+    }
+
+    /// The best of several solutions for the chosen motion. It was found in few of the tracks, with a focal
+    /// length by these and others: now it is solved by what follows it, and by all that no other motion
+    /// explains, until that explains no more.
+    fn refined(self, start: Solution, motions: &Motions, work: &mut Work) -> Result<Solution> {
+        let Search { tracks, .. } = self;
+        let everything = vec![1.0; tracks.len()];
+        let mut best = start;
+        let mut most = best.1.explained(tracks, &motions.weights);
+        for again in 0..AGAIN {
+            let before = most;
+            let strictly = Cameras { strictness: Strictness::Strict, ..best.1.clone() };
+            let follows = following(&strictly.shares(tracks, &everything), &motions.weights);
+            for (name, weights) in [("follows", &follows), ("rest", &motions.weights)] {
+                let part = format!("cameras/static-{again}-{name}");
+                let seed = self.options.seed.wrapping_add(again);
+                let (focal, mut cameras) = match self.solve(weights, seed, work, &part) {
+                    Ok(solution) => solution,
+                    Err(error) if work.ended => return Err(error),
+                    Err(_) => continue,
+                };
+                cameras.strictness = Strictness::Usual;
+                let explained = cameras.explained(tracks, &motions.weights);
+                if explained > most {
+                    (most, best) = (explained, (focal, cameras));
+                }
+            }
+            if most < GAIN * before {
+                break;
+            }
+        }
+        Ok(best)
+    }
+}
+
+/// The weights of the tracks that cameras explain, given what they explain of each; 0 of the others.
+fn following(shares: &[f64], weights: &[f64]) -> Vec<f64> {
+    let weight = |(share, weight): (&f64, &f64)| if *share > EXPLAINED { *weight } else { 0.0 };
+    shares.iter().zip(weights).map(weight).collect()
+}
+
+/// The ends of tracks, and what is there instead.
+struct Ends {
+    /// For each end of a track inside of the picture: the track, and the one that is seen where it would be
+    /// in the next frame, or in the one before its first.
+    replaced: Vec<(usize, usize)>,
+}
+
+impl Ends {
+    fn new(tracks: &[PointTrack], (width, height): (usize, usize), frames: usize) -> Ends {
+        let radius = NEIGHBOURHOOD * TrackOptions::for_size(width, height).spacing as f64;
+        let columns = (width as f64 / radius) as usize + 1;
+        let rows = (height as f64 / radius) as usize + 1;
+        let cell = |p: DVec2| {
+            let x = ((p.x / radius) as usize).min(columns - 1);
+            let y = ((p.y / radius) as usize).min(rows - 1);
+            (x, y)
+        };
+        let mut of_cell: Vec<Vec<Vec<usize>>> = vec![vec![Vec::new(); columns * rows]; frames];
+        for (i, track) in tracks.iter().enumerate() {
+            for (k, pixel) in track.pixels.iter().enumerate() {
+                let (x, y) = cell(*pixel);
+                of_cell[track.first + k][y * columns + x].push(i);
+            }
+        }
+        let (right, lower) = (width as f64 - MARGIN, height as f64 - MARGIN);
+        let inside = |p: DVec2| p.x > MARGIN && p.y > MARGIN && p.x < right && p.y < lower;
+        let nearest = |frame: usize, place: DVec2| {
+            let (x, y) = cell(place);
+            let (xs, ys) =
+                (x.saturating_sub(1)..(x + 2).min(columns), y.saturating_sub(1)..(y + 2).min(rows));
+            let cells = ys.flat_map(|y| xs.clone().map(move |x| y * columns + x));
+            cells
+                .flat_map(|c| of_cell[frame][c].iter().copied())
+                .filter_map(|j| Some((tracks[j].at(frame)?.distance(place), j)))
+                .filter(|(distance, _)| *distance < radius)
+                .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)))
+        };
+        let replaced = (0..tracks.len())
+            .into_par_iter()
+            .flat_map_iter(|i| {
+                let pixels = &tracks[i].pixels;
+                let beyond = |last: usize, before: usize| 2.0 * pixels[last] - pixels[before];
+                let n = pixels.len();
+                let long = n > 2;
+                let after = long.then(|| (tracks[i].end(), beyond(n - 1, n - 2)));
+                let earlier = tracks[i].first.checked_sub(1).filter(|_| long);
+                let ends = after.into_iter().chain(earlier.map(|frame| (frame, beyond(0, 1))));
+                ends.filter(|(frame, place)| *frame < frames && inside(*place))
+                    .filter_map(|(frame, place)| Some((i, nearest(frame, place)?.1)))
+                    .collect::<Vec<_>>()
+            })
+            .collect();
+        Ends { replaced }
+    }
+
+    /// At how many places the tracks that follow a motion are hidden by others, and hide others.
+    fn order(&self, motions: &[Option<usize>], motion: usize) -> (usize, usize) {
+        let count = |hidden: bool| {
+            let counts = |(i, j): &&(usize, usize)| {
+                let [behind, before] = [*i, *j].map(|i| motions[i]);
+                behind != before && (if hidden { behind } else { before }) == Some(motion)
+            };
+            self.replaced.iter().filter(counts).count()
+        };
+        (count(true), count(false))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A wall that stands still, and before it a board that moves by 3 pixels per frame: points of the wall
+    /// are seen until the board comes, and again after it.
+    fn board_before_wall(frames: usize) -> (Vec<PointTrack>, Vec<Option<usize>>) {
+        let (mut tracks, mut motions) = (Vec::new(), Vec::new());
+        let mut add = |first: usize, pixels: Vec<DVec2>, motion: usize| {
+            if pixels.len() > 1 {
+                tracks.push(PointTrack { first, deviation: vec![0.1; pixels.len()], pixels });
+                motions.push(Some(motion));
+            }
+        };
+        let board = |frame: usize| 20.0 + 3.0 * frame as f64..60.0 + 3.0 * frame as f64;
+        for y in (5..90).step_by(5).map(f64::from) {
+            for x in (5..160).step_by(5).map(f64::from) {
+                let seen = |frame: &usize| !board(*frame).contains(&x);
+                let until = (0..frames).take_while(seen).count();
+                add(0, vec![DVec2::new(x, y); until], 0);
+                let again = (0..frames).rev().take_while(seen).count();
+                if until < frames {
+                    add(frames - again, vec![DVec2::new(x, y); again], 0);
+                }
+                if board(0).contains(&x) {
+                    let along = |frame: usize| DVec2::new(x + 3.0 * frame as f64, y);
+                    add(0, (0..frames).map(along).collect(), 1);
+                }
+            }
+        }
+        (tracks, motions)
+    }
+
+    #[test]
+    fn what_stands_behind_is_hidden() {
+        let frames = 12;
+        let (tracks, motions) = board_before_wall(frames);
+        let ends = Ends::new(&tracks, (160, 90), frames);
+        let (hidden, hides) = ends.order(&motions, 0);
+        assert!(hidden > 100 && hides == 0, "the wall: {hidden}, {hides}");
+        assert_eq!(ends.order(&motions, 1), (hides, hidden), "the board");
+        // Nothing is replaced by its like, and nothing by what follows no motion.
+        assert_eq!(ends.order(&vec![Some(0); tracks.len()], 0), (0, 0));
+        assert_eq!(ends.order(&vec![None; tracks.len()], 0), (0, 0));
+    }
+
+    #[test]
+    fn a_background_beats_what_is_larger() {
+        let background = RigidMotion { explained: 0.2, hidden: 1107, hides: 189 };
+        let walker = RigidMotion { explained: 0.22, hidden: 500, hides: 540 };
+        let found = vec![walker, background];
+        let scores = scores(&found);
+        assert!(scores[1] > scores[0] + NEAR, "{scores:?}");
+        let note = |found: Vec<RigidMotion>| Motions { found, chosen: 1, weights: vec![] }.note();
+        let sure = note(found);
+        assert!(sure.contains("number 1") && !sure.contains("doubtful"), "{sure}");
+        // Where nothing hides anything, only what is explained tells.
+        let alike = |explained| RigidMotion { explained, hidden: 0, hides: 0 };
+        let doubtful = note(vec![alike(0.21), alike(0.22)]);
+        assert!(doubtful.contains("--static 0"), "{doubtful}");
+    }
+}
