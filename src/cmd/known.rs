@@ -50,7 +50,7 @@ pub struct KnownArgs {
     /// count them
     #[arg(long = "static", value_name = "N", conflicts_with_all = ["poses", "masks"],
           value_parser = values::whole::<usize>(0..=Options::MOST_MOTIONS as u64 - 1))]
-    static_motion: Option<usize>,
+    pub static_motion: Option<usize>,
 }
 
 impl KnownArgs {
