@@ -9,7 +9,7 @@ use splat4d::data::trajectory::{self, TimedPose};
 use splat4d::data::{Clip, Resize, images, intrinsics};
 use splat4d::gpu::Device;
 use splat4d::observe::{EngineFlow, FlowSource, SuppliedFlow};
-use splat4d::track::{FocalSource, Observer, Options, Quality, RigidMotion, Track, track_observed};
+use splat4d::track::{FocalSource, Observer, Options, Quality, Track, track_observed};
 use splat4d::types::{Camera, FlowSettings, Image, Intrinsics};
 use splat4d::{Error, Result};
 
@@ -161,8 +161,6 @@ pub fn focal_source(source: FocalSource) -> &'static str {
 
 /// How well cameras are known, for reports.
 pub fn poses_json(found: &Quality) -> Value {
-    let motion = |RigidMotion { explained, hidden, hides }: &RigidMotion| json!({ "explained": explained, "hidden": hidden, "hides": hides });
-    let motions: Vec<Value> = found.motions.iter().map(motion).collect();
     json!({
         "tripod": found.tripod,
         "inlier_share": found.inlier_share,
@@ -171,7 +169,7 @@ pub fn poses_json(found: &Quality) -> Value {
         "focal_std": found.focal_std,
         "doubtful_frames": found.doubtful_frames,
         "tracks": found.tracks,
-        "motions": motions,
+        "motions": found.motions,
         "static_motion": found.static_motion,
     })
 }

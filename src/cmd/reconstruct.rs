@@ -55,8 +55,8 @@ dynamic_gaussians (share), intrinsics {fx, fy, cx, cy, width, height, source (gi
 measured, assumed)}, poses {tripod, inlier_share, reprojection_rms, parallax_deg, focal_std,
 doubtful_frames, tracks, motions (that the static world was chosen from, where that was in doubt:
 [{explained, hidden, hides}]), static_motion (the one taken, or null)}, exposure (per frame, by what
-red, green and blue were multiplied, 0.055 added to the encoded values; null where it does not change), frames, frame_names, quality, model [{what, chosen, because, saves}] (each
-choice, the measurement that decided and what it saves), notes, device, predicted_bytes (of device
+red, green and blue were multiplied, 0.055 added to the encoded values; null where it does not
+change), frames, frame_names, quality, model [{what, chosen, because, saves}] (each choice, the measurement that decided and what it saves), notes, device, predicted_bytes (of device
 memory, before it began), all also kept in the scene; and, in report.json too, peak_bytes,
 milliseconds_per_step, seconds {load, flow, cameras, masks, depth, static, joint, evaluate}; output";
 

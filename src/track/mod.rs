@@ -29,9 +29,10 @@
 //! | `points` | static points to seed Gaussians with |
 //!
 //! Cameras and masks need each other: points on movers spoil poses, and what moves can be told only
-//! against known cameras. Where movers fill most of the picture, the static world is first chosen from several
-//! rigid motions ([`Quality::motions`]). Then they are alternated ([`Options::rounds`]): robust estimation starts with
-//! hardly any mask, then each round weighs the tracks by the masks of the one before.
+//! against known cameras. They are alternated ([`Options::rounds`]): robust estimation starts with
+//! hardly any mask, then each round weighs the tracks by the masks of the one before. Where movers fill
+//! most of the picture, the static world is first chosen from several rigid motions
+//! ([`Quality::motions`]).
 
 mod cameras;
 mod contour;
