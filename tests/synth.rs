@@ -163,15 +163,17 @@ fn visibility_tells_hidden_points() {
 #[test]
 fn movers_cover_what_the_clip_promises() {
     for seed in 0..3 {
-        for (name, least, most) in [
-            ("rigid", 0.05, 0.14),
-            ("bend", 0.08, 0.25),
-            ("crowd", 0.5, 0.85),
-            ("still", 0.0, 0.0),
-            ("tripod", 0.05, 0.14),
-            ("throw", 0.02, 0.08),
-            ("hold", 0.04, 0.2),
-            ("walk", 0.03, 0.1),
+        for (name, least, most, farthest) in [
+            ("rigid", 0.05, 0.14, 9.0),
+            ("bend", 0.08, 0.25, 9.0),
+            ("crowd", 0.5, 0.85, 9.0),
+            ("still", 0.0, 0.0, 9.0),
+            ("tripod", 0.05, 0.14, 9.0),
+            ("throw", 0.02, 0.08, 9.0),
+            ("hold", 0.04, 0.2, 9.0),
+            ("walk", 0.03, 0.1, 9.0),
+            ("pan", 0.06, 0.2, 40.0),
+            ("follow", 0.06, 0.2, 40.0),
         ] {
             let options = SynthOptions { frames: 3, width: 48, height: 27, seed };
             let clip = synth::clip(name, &options).unwrap();
@@ -180,9 +182,9 @@ fn movers_cover_what_the_clip_promises() {
                 assert!(mask.pixels.iter().all(|v| *v == 0.0 || *v == 1.0));
                 assert!(share >= least && share <= most, "{name}, seed {seed}, {i}: {share}");
             }
-            // A closed room: every ray meets something, and nothing is in the camera's face.
+            // Closed all around: every ray meets something, and nothing is in the camera's face.
             let depths = clip.depth.iter().flat_map(|d| &d.pixels);
-            assert!(depths.clone().all(|d| *d > 1.0 && *d < 9.0), "{name}, seed {seed}");
+            assert!(depths.clone().all(|d| *d > 1.0 && *d < farthest), "{name}, seed {seed}");
         }
     }
 }
@@ -223,6 +225,10 @@ fn cameras_move_as_the_clip_says() {
             }
         }
     }
+    let pan = small("pan");
+    assert!(pan.view_from_world.windows(2).all(|pair| pair[0] != pair[1]));
+    let centre = pan.camera(0).centre();
+    assert!((0..pan.frames.len()).all(|i| pan.camera(i).centre().distance(centre) < 1e-12));
     let tripod = small("tripod");
     assert!(tripod.view_from_world.iter().all(|pose| *pose == tripod.view_from_world[0]));
 }

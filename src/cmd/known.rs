@@ -163,6 +163,7 @@ pub fn focal_source(source: FocalSource) -> &'static str {
 pub fn poses_json(found: &Quality) -> Value {
     json!({
         "tripod": found.tripod,
+        "turns": found.turns,
         "inlier_share": found.inlier_share,
         "reprojection_rms": found.reprojection_rms,
         "parallax_deg": found.parallax_deg,

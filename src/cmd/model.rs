@@ -75,6 +75,17 @@ fn poses(track: &Track) -> Choice {
         let saves = format!("{} poses", frames.saturating_sub(1));
         return Choice::new("poses", "one for all frames", because).saving(saves);
     }
+    if quality.turns {
+        let because = format!(
+            "the camera turns in place: rotations leave {:.2} px of {:.0} % of the observations of still \
+             points",
+            quality.reprojection_rms,
+            100.0 * quality.inlier_share
+        );
+        let chosen = format!("a rotation for each of {frames} frames");
+        return Choice::new("poses", chosen, because)
+            .saving("places of the camera, depth of the still");
+    }
     let because = format!(
         "the camera moves: rays to a still point differ by up to {:.1}° (median)",
         quality.parallax_deg

@@ -45,7 +45,7 @@ Examples:
   splat4d eval tracked/tracks.npz clip/truth/tracks.npz
 
 JSON: frames, frame_names, intrinsics {fx, fy, cx, cy, width, height, source (given, measured, assumed)},
-poses {tripod, inlier_share, reprojection_rms, parallax_deg, focal_std, doubtful_frames, tracks,
+poses {tripod, turns, inlier_share, reprojection_rms, parallax_deg, focal_std, doubtful_frames, tracks,
 motions (that the static world was chosen from, where that was in doubt: [{explained, hidden, hides}]),
 static_motion (the one taken, or null)},
 exposure (per frame, by what red, green and blue were multiplied, 0.055 added to the encoded values;

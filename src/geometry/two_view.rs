@@ -216,6 +216,22 @@ pub fn fundamental_ransac(
     ransac(&Fundamental(pairs), options, &[])
 }
 
+/// The turn of a camera in place that takes pixels of one image to those of another, under outliers: two
+/// pairs inside RANSAC, distances in image b, pixels. Inliers are indices into `pixels_a`, all of whose
+/// pairs count by their weights. None for fewer than two pairs or where no sample gave a turn.
+pub fn turn_ransac(
+    pixels_a: &[DVec2],
+    pixels_b: &[DVec2],
+    weights: &[f64],
+    k: &Intrinsics,
+    options: &RansacOptions,
+) -> Option<Consensus<DQuat>> {
+    let pairs = Pairs::gather(pixels_a, pixels_b, Some(weights), k, k);
+    let found = ransac(&Turn(&pairs), options, &[])?;
+    let inliers = found.inliers.iter().map(|&i| pairs.origin[i]).collect();
+    Some(Consensus { inliers, ..found })
+}
+
 /// The last refinement: the pose on all its inliers until they settle, with the one of its four
 /// interpretations that most of them are in front of.
 fn settle(

@@ -61,19 +61,20 @@ pub(super) fn layers(
 ) -> Result<Vec<Layer>> {
     let supplied = options.depth.as_deref();
     let scale = supplied.map(|maps| scale_of(maps, seen, masks));
+    let background = cameras.background();
     let made = |range: std::ops::Range<usize>| {
         let layer = |f: usize| {
             let known = supplied.zip(scale).map(|(maps, scale)| (&maps[f], scale));
             let hidden = plates.map(|plates| plates[f].hidden.as_slice());
-            static_layer(&frames[f], &masks[f], &seen[f], hidden, cameras.fixed, known)
+            static_layer(&frames[f], &masks[f], &seen[f], hidden, background.as_deref(), known)
         };
         range.into_par_iter().map(layer).collect()
     };
     work.frames(part, frames.len(), made, Stage::Depth, shares)
 }
 
-/// Depth and its confidence per frame, as [`super::Track`] has them. Without parallax (a fixed
-/// camera) and without supplied depth everything lies on a wall at depth 1, movers before it.
+/// Depth and its confidence per frame, as [`super::Track`] has them. Without parallax and without supplied
+/// depth everything lies on [`Cameras::background`], movers before it.
 pub(super) fn dense(
     frames: &[Image],
     cameras: &Cameras,
@@ -161,7 +162,7 @@ fn static_layer(
     mask: &Image,
     seen: &Seen,
     hidden: Option<&[f32]>,
-    fixed: bool,
+    background: Option<&[f32]>,
     known: Option<(&Image, f32)>,
 ) -> Layer {
     let w = image.width as usize;
@@ -169,6 +170,9 @@ fn static_layer(
     let (mut value, mut weight) = (vec![0.0f32; n], vec![0.0f32; n]);
     let mut layer =
         Layer { inverse: vec![1.0; n], confidence: vec![FILLED; n], supplied: vec![false; n] };
+    if let Some(background) = background.filter(|_| known.is_none()) {
+        return Layer { inverse: background.to_vec(), ..layer };
+    }
     for i in 0..n {
         if let Some((map, scale)) = known {
             let z = map.pixels[i] * scale;
@@ -185,7 +189,7 @@ fn static_layer(
             (value[i], weight[i]) = (behind, HIDDEN_WEIGHT);
             continue;
         }
-        if fixed || moves || seen.support[i] < 0.5 || seen.score[i] > UNEXPLAINED {
+        if background.is_some() || moves || seen.support[i] < 0.5 || seen.score[i] > UNEXPLAINED {
             continue;
         }
         let (d, deviation) = (seen.inverse_depth[i], seen.deviation[i]);
@@ -412,7 +416,7 @@ mod tests {
         let truth = |p: DVec2| if p.x < 32.0 { 0.5 } else { 0.125 };
         let seen = seen(truth, |p| (p.y as u32).is_multiple_of(8));
         let nothing = map(|_| 0.0);
-        let layer = static_layer(&halves(), &nothing, &seen, None, false, None);
+        let layer = static_layer(&halves(), &nothing, &seen, None, None, None);
         for (i, d) in layer.inverse.iter().enumerate() {
             let p = centre(i);
             assert!((d / truth(p) - 1.0).abs() < 0.1, "{p}: {d}");
@@ -420,7 +424,8 @@ mod tests {
             assert_eq!(layer.confidence[i] > 0.5, measured, "{p}");
         }
         // A fixed camera has measured nothing: a wall at depth 1.
-        let layer = static_layer(&halves(), &nothing, &seen, None, true, None);
+        let wall = vec![1.0; nothing.pixels.len()];
+        let layer = static_layer(&halves(), &nothing, &seen, None, Some(&wall), None);
         assert!(layer.inverse.iter().all(|d| *d == 1.0));
         assert!(layer.confidence.iter().all(|c| *c == FILLED));
     }
@@ -432,7 +437,7 @@ mod tests {
         let vague = (20 * WIDTH + 40) as usize;
         (seen.inverse_depth[moved], seen.score[moved]) = (2.0, 2.0 * UNEXPLAINED);
         (seen.inverse_depth[vague], seen.deviation[vague]) = (2.0, 1.0);
-        let layer = static_layer(&halves(), &map(|_| 0.0), &seen, None, false, None);
+        let layer = static_layer(&halves(), &map(|_| 0.0), &seen, None, None, None);
         for i in [moved, vague] {
             assert!((layer.inverse[i] - 0.25).abs() < 0.01, "{}", layer.inverse[i]);
             assert_eq!(layer.confidence[i], FILLED);
@@ -448,7 +453,7 @@ mod tests {
         let (depth, mask) = ([depth], [mask]);
         let scale = scale_of(&depth, std::slice::from_ref(&seen), &mask);
         assert!((scale - 0.4).abs() < 1e-5, "{scale}");
-        let layer = static_layer(&halves(), &mask[0], &seen, None, false, Some((&depth[0], scale)));
+        let layer = static_layer(&halves(), &mask[0], &seen, None, None, Some((&depth[0], scale)));
         let known = (20 * WIDTH + 20) as usize;
         assert!(layer.supplied[known] && !layer.supplied[0]);
         assert_eq!((layer.inverse[known], layer.confidence[known]), (1.0 / (10.0 * scale), 1.0));

@@ -2,8 +2,8 @@
 //!
 //! | module | what it does |
 //! |---|---|
-//! | `still` | is the camera fixed, does it only turn or zoom? |
-//! | `cameras` | focal length, two-view start, PnP frame by frame, bundle adjustment |
+//! | `still` | is the camera fixed, does it only zoom? |
+//! | `cameras` | focal length, two-view start, PnP frame by frame, bundle adjustment; cameras that only turn |
 //! | `residual` | per pixel: the inverse depth that a static world would need, and what it leaves unexplained |
 //! | `photometric` | does the picture itself say that a pixel moved? |
 //! | `plate` | what each frame would show if nothing moved |
@@ -71,7 +71,7 @@ use crate::observe::{
 };
 use crate::types::{Image, Intrinsics, Pose};
 use crate::{Error, Result};
-use cameras::{Cameras, Focal, Motions, Strictness};
+use cameras::{Cameras, Focal, Motions, Standpoint, Strictness};
 use observer::{Progress, Work, numbered};
 
 pub use cameras::RigidMotion;
@@ -181,6 +181,9 @@ pub enum FocalSource {
 pub struct Quality {
     /// The camera was found to be fixed; poses are locked to one.
     pub tripod: bool,
+    /// The camera was found to turn in place: the static world is a sphere of radius 1 around it, its
+    /// poses are rotations.
+    pub turns: bool,
     /// Share of the static observations that agree with the cameras (of a fixed one: that stay in
     /// place).
     pub inlier_share: f64,
@@ -264,7 +267,7 @@ pub fn track_observed(
     let mut so_far = work.part("cameras", |work| known.first_cameras(work))?;
     work.progress(Stage::Cameras, 1.0)?;
 
-    let tripod = so_far.cameras.fixed;
+    let tripod = so_far.cameras.standpoint == Standpoint::Fixed;
     let mut mended = Vec::new();
     if let Some(given) = known.supplied.filter(|_| !tripod) {
         let cameras = &so_far.cameras;
@@ -298,11 +301,11 @@ pub fn track_observed(
             0.5..1.0,
         )?;
     }
-    if !tripod {
+    if cameras.have_parallax() {
         cameras.normalise(&tracks, &weights, &mut seen);
     }
     work.progress(Stage::Depth, 0.0)?;
-    if !tripod && options.stereo && options.depth.is_none() {
+    if cameras.have_parallax() && options.stereo && options.depth.is_none() {
         stereo::refine(frames, &cameras, &masks, &mut seen, &mut work, part, 0.0..0.4)?;
     }
     let layers = depth::layers(
@@ -451,22 +454,26 @@ impl Known<'_> {
         } else if let Some(poses) = &options.poses {
             Cameras::supplied(poses, &focal, tracks, &weights)?
         } else {
-            if found {
-                still::demand_parallax(tracks, &weights, flow)?;
-            }
             let (n, part) = (flow.frames, "cameras/posing");
+            if found {
+                still::refuse_zoom(tracks, &weights, flow)?;
+            }
             let first =
                 cameras::reconstruct(tracks, &weights, &focal, n, options.seed, usual, work, part);
-            match first {
+            let first = match first {
                 Err(error) if work.ended => return Err(error),
-                first if supplied.is_some() => first?,
-                Ok(first)
-                    if options.static_motion.is_none()
-                        && first.explained(tracks, &weights) > PLAIN =>
-                {
-                    first
+                first => first,
+            };
+            let explained = |cameras: &Cameras| cameras.explained(tracks, &weights);
+            let moving = first.as_ref().map_or(0.0, explained);
+            let turning = Cameras::turning(tracks, &weights, &focal, n, options.seed);
+            match (first, turning) {
+                (_, Ok(turning)) if found && explained(&turning) > TURNS * moving.max(PLAIN) => {
+                    turning
                 }
-                first => {
+                (first, _) if supplied.is_some() => first?,
+                (Ok(first), _) if found && moving > PLAIN => first,
+                (first, _) => {
                     let first = first.ok().map(|cameras| (focal.clone(), cameras));
                     let search =
                         cameras::Search { tracks, prior: &weights, options, size, frames: n };
@@ -513,14 +520,15 @@ impl Known<'_> {
             masks = masks::segment(observed, None, work, part, second)?;
         }
         work.progress(Stage::Masks, shares.end)?;
-        if !cameras.fixed {
+        if cameras.standpoint != Standpoint::Fixed {
             weights = masks::static_weights(tracks, &masks);
             // Where much moves, the masks may be worse than the cameras.
             let before = motions.is_some().then(|| cameras.clone());
+            let parallax = cameras.have_parallax();
             let kept = cameras.adjust(tracks, &weights, &focal).map(|()| cameras);
             // The first cameras may have settled on a compromise with what moves, which adjustment does
             // not leave: they are found anew from what stands still.
-            cameras = if options.poses.is_none() && supplied.is_none() {
+            cameras = if parallax && options.poses.is_none() && supplied.is_none() {
                 let part = format!("{part}/posing");
                 let (seed, n, usual) = (options.seed, flow.frames, Strictness::Usual);
                 let size = (flow.width, flow.height);
@@ -561,6 +569,10 @@ impl Known<'_> {
 /// ones explain 0.27 to 0.39 where walkers fill three quarters of the picture, and 0.54 or more of
 /// handheld clips with a mover or two.
 const PLAIN: f64 = 0.45;
+/// A camera that turns in place explains a clip if it explains more than this share of what one that moves
+/// does, which has a depth for each point to fit noise and movers with. Of clips with parallax a turn
+/// explains half as much at the most.
+const TURNS: f64 = 0.85;
 /// With more of the pixels moving than this, the first cameras are never kept: masks that were made by
 /// them leave in what agrees with the compromise.
 const CROWDED: f64 = 0.3;
@@ -578,10 +590,20 @@ fn quality(
     masks: &[Image],
     motions: Option<Motions>,
 ) -> Quality {
-    let (tripod, dynamic_share) = (cameras.fixed, share(masks));
+    let tripod = cameras.standpoint == Standpoint::Fixed;
+    let turns = cameras.standpoint == Standpoint::Turns;
+    let dynamic_share = share(masks);
     let mut notes = Vec::new();
     if tripod {
         notes.push("the camera is fixed (tripod): poses are locked to one".to_string());
+    }
+    if turns {
+        notes.push(
+            "the camera turns in place as far as the video tells: no depth is seen, what stands still is a \
+             sphere around it, what moves stands before that; film while walking or moving the camera \
+             sideways to see depth"
+                .to_string(),
+        );
     }
     if cameras.focal_source == FocalSource::Assumed {
         notes.push(format!(
@@ -605,8 +627,9 @@ fn quality(
             100.0 * dynamic_share
         ));
     }
-    let parallax_deg = if tripod { 0.0 } else { cameras.parallax(tracks, weights).to_degrees() };
-    if !tripod && parallax_deg < LITTLE_PARALLAX {
+    let parallax = cameras.have_parallax();
+    let parallax_deg = if parallax { cameras.parallax(tracks, weights).to_degrees() } else { 0.0 };
+    if parallax && parallax_deg < LITTLE_PARALLAX {
         notes.push(format!(
             "little parallax ({parallax_deg:.2}° at the middle point): the camera hardly leaves its \
              place, depth and focal length are uncertain; film with more sideways motion"
@@ -614,6 +637,7 @@ fn quality(
     }
     Quality {
         tripod,
+        turns,
         inlier_share: cameras.inlier_share,
         reprojection_rms: cameras.rms,
         parallax_deg,

@@ -105,7 +105,7 @@ impl<'a> Clip<'a> {
 
     /// Whether a frame has measured the static depth of a pixel.
     fn knows(&self, frame: usize, i: usize) -> bool {
-        let measured = self.cameras.fixed || self.layers[frame].confidence[i] > MEASURED;
+        let measured = !self.cameras.have_parallax() || self.layers[frame].confidence[i] > MEASURED;
         measured && !self.near_movers[frame][i]
     }
 

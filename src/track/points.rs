@@ -50,7 +50,9 @@ pub(super) fn gather(
             for y in (step / 2..h).step_by(step as usize) {
                 for x in (step / 2..w).step_by(step as usize) {
                     let sure = confidence[f].at(x as u32, y as u32)[0];
-                    if (sure > 0.5) != measured || near_movers[(y * w + x) as usize] {
+                    if (sure > 0.5 || !cameras.have_parallax()) != measured
+                        || near_movers[(y * w + x) as usize]
+                    {
                         continue;
                     }
                     let z = f64::from(depth[f].at(x as u32, y as u32)[0]);
@@ -73,7 +75,7 @@ pub(super) fn gather(
                         position,
                         colour: [c[0], c[1], c[2]],
                         frame: f,
-                        deviation: if measured { 0.35 * 2.0 * (1.0 - sure) } else { 1.0 },
+                        deviation: if sure > 0.5 { 0.35 * 2.0 * (1.0 - sure) } else { 1.0 },
                     });
                 }
             }

@@ -5,7 +5,7 @@ use glam::DVec2;
 use super::cameras::Strictness;
 use super::quantile;
 use crate::geometry::ransac::RansacOptions;
-use crate::geometry::two_view::{Motion, TwoView, TwoViewOptions, two_view};
+use crate::geometry::two_view::{TwoView, TwoViewOptions, two_view};
 use crate::observe::{NeighbourFlow, PointTrack};
 use crate::types::{Image, Intrinsics};
 use crate::{Error, Result};
@@ -129,11 +129,8 @@ pub(super) fn relate(
     two_view(&shared.a, &shared.b, Some(&shared.weights), k, k, &options)
 }
 
-/// Refuses a clip whose camera only turns (or zooms): depth cannot be seen in it.
-///
-/// Whether a turn explains the pixels depends on the focal length, which is not known yet: it is
-/// tried over the range that cameras have, and one that lets turns explain all pairs is enough.
-pub(super) fn demand_parallax(
+/// Refuses a clip whose camera only zooms.
+pub(super) fn refuse_zoom(
     tracks: &[PointTrack],
     weights: &[f64],
     flow: &NeighbourFlow,
@@ -145,26 +142,10 @@ pub(super) fn demand_parallax(
         .map(|&a| shared(tracks, weights, (a, a + gap), 400))
         .filter(|s| s.tracks.len() >= 30)
         .collect();
-    if pairs.is_empty() {
-        return Ok(());
+    match !pairs.is_empty() && pairs.iter().all(zooms) {
+        true => Err(no_parallax("the camera only zooms")),
+        false => Ok(()),
     }
-    let side = flow.width.max(flow.height) as f64;
-    for ratio in [0.6, 0.85, 1.2, 1.7] {
-        let k = Intrinsics::centred(ratio * side, flow.width as u32, flow.height as u32);
-        let turns = pairs.iter().all(|pair| {
-            relate(pair, &k, 1, Strictness::Usual).is_ok_and(|found| {
-                matches!(found.motion, Motion::PureRotation | Motion::Static)
-                    && found.inlier_ratio > 0.5
-            })
-        });
-        if turns {
-            return Err(no_parallax("the camera only turns"));
-        }
-    }
-    if pairs.iter().all(zooms) {
-        return Err(no_parallax("the camera only zooms"));
-    }
-    Ok(())
 }
 
 pub(super) fn no_parallax(what: &str) -> Error {

@@ -17,6 +17,7 @@ mod movers;
 mod person;
 mod render;
 mod scene;
+mod street;
 mod texture;
 mod thrown;
 mod trace;
@@ -44,8 +45,11 @@ pub use write::write;
 /// - `tripod`: the cart again, the camera fixed;
 /// - `throw`: a ball and a box fly past each other, spinning, over a floor that is nearly plain;
 /// - `hold`: a hand turns a glossy jug before the camera;
-/// - `walk`: a person with limbs walks across the room and turns.
-pub const NAMES: [&str; 8] = ["rigid", "bend", "crowd", "still", "tripod", "throw", "hold", "walk"];
+/// - `walk`: a person with limbs walks across the room and turns;
+/// - `pan`: a car passes in a street, the camera turns in place and follows it;
+/// - `follow`: the same, the camera in the hands of one who stands.
+pub const NAMES: [&str; 10] =
+    ["rigid", "bend", "crowd", "still", "tripod", "throw", "hold", "walk", "pan", "follow"];
 
 /// Where the held-out cameras are: how far aside, as a share of the median depth in the middle of the
 /// clip, and in which direction.

@@ -11,6 +11,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::mesh::Mesh;
+use super::street::{self, Drive};
 use super::texture::{Material, Pattern};
 use super::{held, movers, person, thrown};
 use crate::types::Pose;
@@ -24,6 +25,9 @@ const FRONT: f64 = -1.6;
 const SIDE: f64 = 2.9;
 /// Walls and furniture are cut this fine, for the light is baked at their vertices.
 const CELL: f64 = 0.28;
+
+/// How far the hands of one who stands move, beside those of one who walks.
+const STANDING: f64 = 0.12;
 
 /// The first parts of the room: floor, ceiling, walls and carpet.
 const FLOOR_AND_WALLS: usize = 7;
@@ -76,21 +80,34 @@ impl Scene {
             "throw" => thrown::ball_and_box(&mut movers),
             "hold" => held::jug(&mut movers),
             "walk" => person::walking(&mut movers),
+            "pan" | "follow" => {
+                let (car, drive) = street::car(&mut movers);
+                path.follow(drive);
+                if name == "pan" {
+                    path.stop();
+                }
+                car
+            }
             _ => return None,
         };
-        let mut parts = room(&mut stream(0));
+        let mut surroundings = stream(0);
+        let mut parts = match name {
+            "pan" | "follow" => street::street(&mut surroundings),
+            _ => room(&mut surroundings),
+        };
         if name == "throw" {
             parts.iter_mut().take(FLOOR_AND_WALLS).for_each(|part| {
                 part.material = part.material.clone().of_contrast(PLAIN);
             });
         }
         parts.extend(moving);
-        let lit = matches!(name, "throw" | "hold" | "walk");
+        let lit = matches!(name, "throw" | "hold" | "walk" | "pan" | "follow");
         Some(Scene { parts, path, focal, lit })
     }
 }
 
-/// A smooth sideways arc that keeps its eye on one point, with a slow dolly, rise and roll.
+/// A smooth sideways arc that keeps its eye on one point, at rest or driving, with a slow dolly, rise and
+/// roll.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CameraPath {
     sweep: f64,
@@ -99,6 +116,8 @@ pub(super) struct CameraPath {
     roll: f64,
     phase: f64,
     target: DVec3,
+    /// How far the target goes from the middle of the clip to its end.
+    target_half_way: DVec3,
 }
 
 impl CameraPath {
@@ -112,12 +131,21 @@ impl CameraPath {
             roll: rng.random_range(-0.02..0.02),
             phase: rng.random_range(0.0..TAU),
             target: DVec3::new(rng.random_range(-0.1..0.1), rng.random_range(0.15..0.25), 4.2),
+            target_half_way: DVec3::ZERO,
         }
     }
 
     /// Puts the camera on a tripod in the middle of its path.
     fn stop(&mut self) {
         (self.sweep, self.dolly, self.rise, self.roll) = (0.0, 0.0, 0.0, 0.0);
+    }
+
+    /// Keeps the eye on what drives past, the camera held in the hands of one who stands.
+    fn follow(&mut self, drive: Drive) {
+        (self.target, self.target_half_way) = (drive.middle, drive.half_way);
+        self.sweep *= STANDING;
+        self.dolly *= STANDING;
+        self.rise *= STANDING;
     }
 
     /// The camera at a time in [0, 1], moved by `offset` metres; it still looks at the target.
@@ -130,7 +158,10 @@ impl CameraPath {
                 -0.1 + self.rise * (PI * time + self.phase).sin(),
                 self.dolly * along - 0.15 * (2.0 * along).powi(2) * self.sweep.abs(),
             );
-        let forward = (self.target - centre).normalize();
+        // Those who pan run ahead of what they follow, and fall behind it.
+        let lead = 0.05 * (TAU * 0.8 * time + self.phase).sin();
+        let target = self.target + self.target_half_way * (2.0 * time - 1.0 + lead);
+        let forward = (target - centre).normalize();
         let right = DVec3::Y.cross(forward).normalize();
         let upright = DMat3::from_cols(right, forward.cross(right), forward);
         let roll = DQuat::from_rotation_z(self.roll * (TAU * 0.7 * time + self.phase).sin());

@@ -6,7 +6,7 @@ use glam::DVec2;
 use rayon::prelude::*;
 
 use super::focal::ASSUMED;
-use super::{Anchor, Cameras, DEVIATION, Focal, information};
+use super::{Anchor, Cameras, DEVIATION, Focal, Standpoint, information};
 use crate::Result;
 use crate::geometry::bundle::{self, FocalMode, Observation, Point, Problem, adjust};
 use crate::geometry::triangulate::inverse_depth;
@@ -16,7 +16,7 @@ use crate::track::FocalSource;
 /// Relative standard deviation of a focal length that nobody tells.
 const ASSUMED_DEVIATION: f64 = 0.25;
 /// The adjustment measures the focal length if it can to this relative standard deviation.
-const MEASURABLE: f64 = 0.05;
+pub(super) const MEASURABLE: f64 = 0.05;
 /// The scale of residuals is not taken below so many deviations.
 const DEVIATION_FLOOR: f64 = 0.5;
 /// Most points of the last adjustment.
@@ -29,7 +29,10 @@ impl Cameras {
     /// No track that counts, or an adjustment that ran off.
     pub fn adjust(&mut self, tracks: &[PointTrack], weights: &[f64], focal: &Focal) -> Result<()> {
         let posed = vec![true; self.poses.len()];
-        self.triangulate(tracks, weights, &posed, true);
+        match self.standpoint {
+            Standpoint::Turns => self.put_far(tracks, weights),
+            _ => self.triangulate(tracks, weights, &posed, true),
+        }
         let mode = match focal.source {
             FocalSource::Given => FocalMode::Fixed,
             _ => FocalMode::Gated(MEASURABLE),
@@ -145,6 +148,7 @@ impl Cameras {
         let side = f64::from(self.intrinsics.width.max(self.intrinsics.height));
         let options = bundle::Options {
             focal,
+            depths: self.have_parallax(),
             focal_prior: (self.focal_source == FocalSource::Assumed)
                 .then_some((ASSUMED * side, ASSUMED_DEVIATION)),
             scale_floor: DEVIATION_FLOOR,

@@ -3,7 +3,7 @@
 use glam::DVec2;
 use rayon::prelude::*;
 
-use super::{Anchor, Cameras, DEVIATION, information};
+use super::{Anchor, Cameras, DEVIATION, Standpoint, information};
 use crate::geometry::bundle;
 use crate::observe::PointTrack;
 use crate::track::quantile;
@@ -105,7 +105,10 @@ impl Cameras {
     pub(super) fn shares(&self, tracks: &[PointTrack], weights: &[f64]) -> Vec<f64> {
         // The adjustment has moved the cameras, and only the points that it chose.
         let mut cameras = self.clone();
-        cameras.triangulate(tracks, weights, &vec![true; self.poses.len()], true);
+        match self.standpoint {
+            Standpoint::Turns => cameras.put_far(tracks, weights),
+            _ => cameras.triangulate(tracks, weights, &vec![true; self.poses.len()], true),
+        }
         let of_track = |i: usize| {
             let near = |view: View| 1.0 / (1.0 + view.known * view.off.length_squared() / EXPLAINS);
             let views = cameras.reprojected(tracks, i).filter(|_| weights[i] > COUNTS);
@@ -122,7 +125,8 @@ impl Cameras {
         tracks: &'a [PointTrack],
         i: usize,
     ) -> Option<impl Iterator<Item = Option<View>> + 'a> {
-        let Anchor { frame, inverse_depth } = self.anchors[i].filter(|a| a.inverse_depth > 1e-9)?;
+        let near = |anchor: &Anchor| anchor.inverse_depth > 1e-9 || !self.have_parallax();
+        let Anchor { frame, inverse_depth } = self.anchors[i].filter(near)?;
         let track = &tracks[i];
         let pixel = track.at(frame)?;
         let anchor_from_world = self.poses[frame].inverse();

@@ -5,8 +5,9 @@ mod focal;
 mod judgement;
 mod motions;
 mod posing;
+mod turning;
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
 pub(super) use focal::Focal;
@@ -40,13 +41,23 @@ pub(super) struct Cameras {
     pub doubtful: Vec<usize>,
     pub inlier_share: f64,
     pub rms: f64,
-    /// All poses are one.
-    pub fixed: bool,
+    pub standpoint: Standpoint,
     strictness: Strictness,
     /// Poses were supplied: only structure and focal length are adjusted.
     supplied: bool,
     /// One of the world's units in that of the supplied poses; 1 without.
     pub unit: f64,
+}
+
+/// What the camera does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(in crate::track) enum Standpoint {
+    /// It moves through the scene: static points have depths.
+    Moves,
+    /// It turns in place: the static world is infinitely far away as far as anything tells.
+    Turns,
+    /// All poses are one.
+    Fixed,
 }
 
 /// What counts as an outlier.
@@ -91,7 +102,7 @@ fn information(deviation: f32) -> f64 {
 impl Cameras {
     /// The camera of a tripod.
     pub fn fixed(focal: &Focal, flow: &NeighbourFlow, tracks: usize) -> Cameras {
-        Cameras { fixed: true, ..Cameras::new(focal, flow.frames, tracks) }
+        Cameras { standpoint: Standpoint::Fixed, ..Cameras::new(focal, flow.frames, tracks) }
     }
 
     /// Cameras that a unit test knows.
@@ -111,7 +122,7 @@ impl Cameras {
             doubtful: Vec::new(),
             inlier_share: 0.0,
             rms: 0.0,
-            fixed: false,
+            standpoint: Standpoint::Moves,
             strictness: Strictness::Usual,
             supplied: false,
             unit: 1.0,
@@ -143,6 +154,26 @@ impl Cameras {
             cameras.rescale(depth);
         }
         Ok(cameras)
+    }
+
+    /// Do static points have depths?
+    pub fn have_parallax(&self) -> bool {
+        self.standpoint == Standpoint::Moves
+    }
+
+    /// Inverse depth of all pixels of a frame where there is no parallax: a wall at depth 1 before a fixed
+    /// camera, the sphere of radius 1 around one that turns.
+    pub fn background(&self) -> Option<Vec<f32>> {
+        let (w, h) = (self.intrinsics.width, self.intrinsics.height);
+        let pixels =
+            (0..h).flat_map(|y| (0..w).map(move |x| DVec2::new(f64::from(x), f64::from(y)) + 0.5));
+        match self.standpoint {
+            Standpoint::Moves => None,
+            Standpoint::Turns => {
+                Some(pixels.map(|p| self.intrinsics.ray(p).length() as f32).collect())
+            }
+            Standpoint::Fixed => Some(pixels.map(|_| 1.0).collect()),
+        }
     }
 
     /// The point of a track in the world.
