@@ -32,6 +32,7 @@ h3{font-size:1rem;margin:0 0 .2em}p{max-width:60rem;margin:.5em 0}\
 dt{color:var(--dim)}dd{margin:0;text-align:right}\
 .notes{background:var(--note);border-left:4px solid var(--two);padding:.5rem 1rem .5rem 2rem;margin:1rem 0}\
 .grid-of{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(21rem,100%),1fr));gap:1.5rem}\
+.maps{grid-template-columns:repeat(auto-fit,minmax(min(17rem,100%),1fr))}\
 figure{margin:0;min-width:0}figcaption{color:var(--dim);font-size:13px}\
 .pair{display:grid;grid-template-columns:1fr 1fr;gap:3px}.pair img{width:100%;height:auto;display:block}\
 .scale{display:grid;grid-template-columns:auto minmax(6rem,16rem) auto 1fr;gap:.6rem;align-items:center;\
@@ -111,8 +112,8 @@ impl Page<'_> {
             ("Focal length", format!("{:.1} px{std}, {source}", k.fx)),
             ("Field of view, horizontal", format!("{across:.1}°")),
             ("Camera", camera),
-            ("Static observations that agree", format!("{:.1} %", 100.0 * found.inlier_share)),
-            ("Their reprojection error, RMS", format!("{:.2} px", found.reprojection_rms)),
+            ("Adjusted observations that agree", format!("{:.1} %", 100.0 * found.inlier_share)),
+            ("Their error, RMS by their weight", format!("{:.2} px", found.reprojection_rms)),
             ("Pixels that move", format!("{:.1} %", 100.0 * found.dynamic_share)),
             ("Objects that move", self.track.movers.len().to_string()),
             ("Points followed", found.tracks.to_string()),
@@ -194,7 +195,7 @@ impl Page<'_> {
             .collect();
         let above = |v: DVec3| [v.x, v.z];
         let side = |v: DVec3| [v.z, v.y];
-        body.push_str("<div class=\"grid-of\">");
+        body.push_str("<div class=\"grid-of maps\">");
         let mut map =
             |title: &str, axes: [&str; 2], with: bool, flat: &dyn Fn(DVec3) -> [f64; 2]| {
                 let placed = |(i, (at, looks)): (usize, &(DVec3, DVec3))| Placed {
