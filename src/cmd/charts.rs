@@ -177,11 +177,12 @@ pub fn map(map: &Map) -> String {
         );
     }
     if let (Some(first), Some(last)) = (map.cameras.first(), map.cameras.last()) {
-        let ends = [(first, "a", "first", -8.0), (last, "b", "last", 16.0)];
-        for (camera, class, name, below) in ends {
+        // Beside the places, each to its own side: the two may be close.
+        let ends = [(first, "a", "first", "end", -7.0), (last, "b", "last", "start", 7.0)];
+        for (camera, class, name, anchor, aside) in ends {
             let at = (x(camera.at[0]), y(camera.at[1]));
             mark(&mut svg, class, at);
-            text(&mut svg, (at.0, at.1 + below), "middle", name);
+            text(&mut svg, (at.0 + aside, at.1 + 4.0), anchor, name);
         }
     }
     svg + "</svg>"
