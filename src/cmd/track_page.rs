@@ -98,7 +98,7 @@ impl Page<'_> {
         let across = 2.0 * (0.5 * f64::from(k.width) / k.fx).atan().to_degrees();
         let source = focal_source(found.focal_source);
         let std = match found.focal_std {
-            std if std == 0.0 => String::new(),
+            0.0 => String::new(),
             std if std.is_finite() => format!(" ± {:.1} px ({:.1} %)", k.fx * std, 100.0 * std),
             _ => " ± unknown".into(),
         };
