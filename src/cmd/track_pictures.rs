@@ -236,6 +236,8 @@ mod tests {
         let light = |x: u32| drawn.at(x, 0).iter().sum::<f32>();
         assert!(light(0) < light(1) && light(1) < light(2) && light(2) < light(3));
         assert_eq!(drawn.at(4, 0), UNKNOWN);
-        assert_eq!(brightest([&residual].into_iter()), 5.0);
+        let even = Image { width: 70, height: 1, channels: 1, pixels: vec![3.7; 70] };
+        assert_eq!(brightest([&even].into_iter()), 5.0);
+        assert_eq!(brightest(std::iter::empty()), 1.0);
     }
 }
