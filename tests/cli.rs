@@ -16,7 +16,7 @@ use std::sync::LazyLock;
 use glam::DVec3;
 use program::{blobs, cameras, content, dataset, fails, json, program, run, stderr};
 use serde_json::Value;
-use splat4d::data::{exr, images, transforms, write_mask, write_png};
+use splat4d::data::{Dataset, colmap, exr, images, transforms, write_mask, write_png};
 use splat4d::renderer::Renderer;
 use splat4d::scene::{Scene, SceneCamera, ply};
 use splat4d::types::{Gaussians, Image};
@@ -877,6 +877,8 @@ fn a_clip_is_tracked_for_other_programs() {
     // Others train from it, as this program does.
     let train = "train tracked -o scene.safetensors --steps 5 --static --eval-every 0";
     assert_eq!(json(folder.path(), train)["images"], 8);
+    told_as_colmap(&folder.path().join("tracked"), &report);
+    told_on_a_page(&folder.path().join("tracked"), &report);
     // Points that others have followed are taken.
     let also = "track clip -o again --tracks clip/truth/tracks.npz";
     let more = json(folder.path(), also)["poses"]["tracks"].as_u64();
@@ -886,6 +888,53 @@ fn a_clip_is_tracked_for_other_programs() {
     let wrong = "track clip -o other --tracks clip/truth/poses.txt";
     says(&fails(folder.path(), 1, wrong), &["poses.txt", "is no .npz"]);
     assert!(!folder.path().join("other").exists());
+}
+
+/// That the COLMAP model in a folder of `track` says what the rest says, as a dataset of its own.
+fn told_as_colmap(tracked: &Path, report: &Value) {
+    let from_json = Dataset::open(tracked.join("transforms.json")).unwrap();
+    let from_colmap = colmap::read(tracked, &colmap::find(tracked).unwrap()).unwrap();
+    assert_eq!(from_json.frames.len(), from_colmap.frames.len());
+    for (a, b) in from_json.frames.iter().zip(&from_colmap.frames) {
+        assert_eq!(fs::canonicalize(&a.path).unwrap(), fs::canonicalize(&b.path).unwrap());
+        let (k, l) = (a.camera.intrinsics, b.camera.intrinsics);
+        assert_eq!((k.width, k.height), (l.width, l.height));
+        assert!((k.fx - l.fx).abs() < 1e-9 && (k.cx - l.cx).abs() < 1e-9, "{k:?} {l:?}");
+        let [at, there] = [&a.camera, &b.camera].map(|camera| camera.view_from_world);
+        assert!(at.translation.abs_diff_eq(there.translation, 1e-9), "{at:?} {there:?}");
+        assert!(at.rotation.dot(there.rotation).abs() > 1.0 - 1e-12, "{at:?} {there:?}");
+    }
+    let landmarks = report["landmarks"].as_u64().unwrap() as usize;
+    assert!(landmarks > 300 && from_colmap.points.len() == landmarks, "{landmarks}");
+    // What follows the name of an image are its observations: every point was seen three times or more.
+    let images = fs::metadata(tracked.join("sparse/0/images.bin")).unwrap().len();
+    assert!(images as usize > 3 * 24 * landmarks, "{images} bytes");
+}
+
+/// That the figures by frame are there, and a page that shows them and needs nothing else.
+fn told_on_a_page(tracked: &Path, report: &Value) {
+    let per_frame = report["per_frame"].as_array().unwrap();
+    assert_eq!(per_frame.len(), 8);
+    documented("track", &per_frame[0]);
+    let number = |frame: usize, key: &str| per_frame[frame][key].as_f64();
+    assert_eq!((number(0, "position_std"), number(0, "rotation_std_deg")), (Some(0.0), Some(0.0)));
+    for frame in 1..8 {
+        let [agree, all] = ["inliers", "observations"].map(|key| number(frame, key).unwrap());
+        assert!(all > 300.0 && agree > 0.8 * all && agree <= all, "{frame}: {agree} of {all}");
+        assert!(number(frame, "rms") < Some(1.0), "{frame}: {per_frame:?}");
+        for (key, most) in [("position_std", 0.02), ("rotation_std_deg", 0.3)] {
+            let std = number(frame, key).unwrap();
+            assert!(std > 1e-7 && std < most, "{frame}: {key} {std}");
+        }
+    }
+    let page = fs::read_to_string(tracked.join("report.html")).unwrap();
+    let wanted = ["Doubtful frames", "From above", "Residual", "±", "0007", "data:image/jpeg"];
+    let page_lower = page.to_lowercase();
+    wanted.iter().for_each(|w| assert!(page_lower.contains(&w.to_lowercase()), "{w}"));
+    for elsewhere in ["http:", "https:", "<script", "src=\"/", "NaN", "inf<"] {
+        assert!(!page.contains(elsewhere), "{elsewhere}");
+    }
+    assert!(page.len() < 4 << 20, "{} bytes", page.len());
 }
 
 #[test]

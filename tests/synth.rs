@@ -172,8 +172,8 @@ fn movers_cover_what_the_clip_promises() {
             ("throw", 0.02, 0.08, 9.0),
             ("hold", 0.04, 0.2, 9.0),
             ("walk", 0.03, 0.1, 9.0),
-            ("pan", 0.06, 0.2, 40.0),
-            ("follow", 0.06, 0.2, 40.0),
+            ("pan", 0.06, 0.25, 40.0),
+            ("follow", 0.06, 0.25, 40.0),
         ] {
             let options = SynthOptions { frames: 3, width: 48, height: 27, seed };
             let clip = synth::clip(name, &options).unwrap();
@@ -330,7 +330,9 @@ fn a_seed_gives_the_same_bits_and_another_gives_others() {
     let options = SynthOptions { frames: 2, width: 32, height: 18, seed: 7 };
     for name in synth::NAMES {
         let first = synth::clip(name, &options).unwrap();
-        assert_eq!(first, synth::clip(name, &options).unwrap(), "{name}");
+        // A point behind the camera has no pixel, and not a number equals nothing.
+        let bits = |clip: &synth::Clip| format!("{clip:?}");
+        assert!(bits(&first) == bits(&synth::clip(name, &options).unwrap()), "{name}");
         let other = synth::clip(name, &SynthOptions { seed: 8, ..options }).unwrap();
         assert_ne!(first.frames, other.frames, "{name}");
         assert_ne!(first.depth, other.depth, "{name}");

@@ -143,11 +143,20 @@ pub fn observe(
     supplied: Option<SuppliedFlow>,
     observer: &mut dyn Observer,
 ) -> Result<Track> {
-    let mut source: Box<dyn FlowSource + '_> = match supplied {
+    let mut source = flow_source(device, frames, supplied)?;
+    track_observed(frames, options, source.as_mut(), observer)
+}
+
+/// Flow that is known, else the engine's.
+pub fn flow_source<'a>(
+    device: &Device,
+    frames: &'a [Image],
+    supplied: Option<SuppliedFlow>,
+) -> Result<Box<dyn FlowSource + 'a>> {
+    Ok(match supplied {
         Some(flow) => Box::new(flow),
         None => Box::new(EngineFlow::new(device, frames, &FlowSettings::default())?),
-    };
-    track_observed(frames, options, source.as_mut(), observer)
+    })
 }
 
 /// How a focal length was come by, in reports.

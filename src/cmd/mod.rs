@@ -6,6 +6,7 @@
 mod ablate;
 mod ablation;
 mod bench;
+mod charts;
 mod checkpoints;
 mod clip;
 mod clock;
@@ -34,6 +35,9 @@ mod sheet;
 mod supplied;
 mod synth;
 mod track;
+mod track_model;
+mod track_page;
+mod track_pictures;
 mod tracker;
 mod train;
 mod tuning;

@@ -1,6 +1,7 @@
 //! `splat4d track`: cameras, motion masks, depth and point tracks of a clip, for other programs.
 
 use std::fs;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -9,30 +10,36 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 use splat4d::data::transforms::{self, TimedCamera};
 use splat4d::data::{Point, exr, intrinsics, points, tracks, write_mask, write_png};
-use splat4d::track::Track;
+use splat4d::track::{Landmark, Track, track_observed};
 use splat4d::train::Quality;
-use splat4d::types::{Camera, Image, Tracks};
+use splat4d::types::{Camera, Image, Pose, Tracks};
 use splat4d::{Error, Result, io};
 
 use super::clip::ClipArgs;
 use super::clock::Clock;
 use super::common::{Answer, Common, notes, path_text, say};
 use super::interrupt;
-use super::known::{KnownArgs, focal_source, observe, poses_json, write_cameras};
+use super::known::{KnownArgs, flow_source, focal_source, poses_json, write_cameras};
 use super::outputs::Outputs;
+use super::track_model;
+use super::track_page::Page;
+use super::track_pictures::Watched;
 use super::tracker::Tracker;
 
 const AFTER_HELP: &str = "\
 DIR gets, whole or not at all:
-  frames/0000.png …     the frames as they were tracked
+  images/0000.png …     the frames as they were tracked
   poses.txt             TUM, camera to world; the time is the frame's index
   intrinsics.json       pixels
   transforms.json       the frames with their cameras and times in [0, 1], for nerfstudio and its kin
+  sparse/0/*.bin        a COLMAP model: cameras, images, and the points that were triangulated with where
+                        each frame saw them; for 3DGS, gsplat, nerfstudio and COLMAP, as DIR itself
   points.ply            static points
   masks/0000.png …      white where something moves
   depth/0000.exr …      z, in the unit of --poses, else of the static points' median depth
   tracks.npz            tracks (points × frames × 2: x, y), visibles (points × frames), query_points
                         (points × 3: frame, y, x), size; pixels, the picture's corner at 0
+  report.html           a page: the camera's path, what moves, residual flow, how well each frame is known
   report.json           what --json prints
 
 Points are followed through all frames, behind others and outside of the picture too: what stands still by
@@ -49,19 +56,23 @@ poses {tripod, turns, inlier_share, reprojection_rms, parallax_deg, focal_std, d
 motions (that the static world was chosen from, where that was in doubt: [{explained, hidden, hides}]),
 static_motion (the one taken, or null)},
 exposure (per frame, by what red, green and blue were multiplied, 0.055 added to the encoded values;
-null where it does not change), dynamic_share (of the pixels), movers (objects), points, tracks,
-notes, device, seconds {load, flow, cameras, masks, depth}, output";
+null where it does not change), per_frame [{observations (of static points), inliers (that agree),
+rms (of those, pixels), rotation_std_deg, position_std (unit of the poses; both from the first frame, null
+of a fixed camera, of given poses and where nothing tells)}], dynamic_share (of the pixels),
+movers (objects), points, landmarks (points triangulated), tracks, notes, device, seconds {load, flow, cameras, masks, depth, page}, output";
 
 /// What the command writes into its folder.
-const CONTENTS: [&str; 9] = [
-    "frames",
+const CONTENTS: [&str; 11] = [
+    "images",
     "masks",
     "depth",
+    "sparse",
     "poses.txt",
     "intrinsics.json",
     "transforms.json",
     "points.ply",
     "tracks.npz",
+    "report.html",
     "report.json",
 ];
 /// Points of the grid along a frame's longer side.
@@ -108,13 +119,30 @@ pub fn run(args: &TrackArgs, common: &Common) -> Result<Answer> {
     clock.lap("load");
 
     let mut tracker = Tracker::new(&mut clock, None);
-    let track = observe(&device, &frames, &options, flow, &mut tracker)?;
+    let mut flow = Watched::new(flow_source(&device, &frames, flow)?, frames.len());
+    let track = track_observed(&frames, &options, &mut flow, &mut tracker)?;
     tracker.finish();
     let found = &track.quality;
     notes(&found.notes);
     all_notes.extend_from_slice(&found.notes);
     let queries = queries.unwrap_or_else(|| grid(frames.len(), (clip.width, clip.height)));
     let followed = track.follow(&queries);
+    let landmarks = track.landmarks();
+    let poses: Vec<Pose> =
+        track.view_from_world.iter().map(|pose| scaled(pose, track.unit)).collect();
+    let page = Page {
+        clip: &args.clip.display().to_string(),
+        names: &names,
+        frames: &frames,
+        track: &track,
+        poses: &poses,
+        supplied: options.poses.is_some(),
+        landmarks: landmarks.len(),
+        flow: &flow.kept,
+        notes: &all_notes,
+    }
+    .html()?;
+    clock.lap("page");
 
     let mut known_intrinsics = intrinsics::to_json(&track.intrinsics);
     known_intrinsics["source"] = json!(focal_source(found.focal_source));
@@ -124,9 +152,11 @@ pub fn run(args: &TrackArgs, common: &Common) -> Result<Answer> {
         "intrinsics": known_intrinsics,
         "poses": poses_json(found),
         "exposure": (!track.exposure.is_constant()).then_some(&track.exposure.gains),
+        "per_frame": found.per_frame,
         "dynamic_share": found.dynamic_share,
         "movers": track.movers.len(),
         "points": track.points.len(),
+        "landmarks": landmarks.len(),
         "tracks": followed.points.len(),
         "notes": all_notes,
         "device": device.info().name,
@@ -134,7 +164,9 @@ pub fn run(args: &TrackArgs, common: &Common) -> Result<Answer> {
     });
     json["output"] = path_text(&args.output);
     io::write_folder(&args.output, &CONTENTS, |folder| {
-        write(folder, &frames, &times, &track, &followed)?;
+        write(folder, &frames, &times, &poses, &track, &followed, &landmarks)?;
+        let to = folder.join("report.html");
+        io::write_atomically(to, |sink| sink.write_all(page.as_bytes()))?;
         io::write_json(folder.join("report.json"), &json)
     })?;
     Ok(Answer { text: text(&json, &clock), json })
@@ -175,8 +207,10 @@ fn write(
     folder: &Path,
     frames: &[Image],
     times: &[f64],
+    poses: &[Pose],
     track: &Track,
     followed: &Tracks,
+    landmarks: &[Landmark],
 ) -> Result<()> {
     let series = |name: &str, one: &(dyn Fn(&Path, usize) -> Result<()> + Sync)| {
         let to = folder.join(name);
@@ -186,22 +220,22 @@ fn write(
             one(&to.join(format!("{i:04}")), i)
         })
     };
-    series("frames", &|to, i| write_png(to.with_extension("png"), &frames[i]))?;
+    series("images", &|to, i| write_png(to.with_extension("png"), &frames[i]))?;
     series("masks", &|to, i| write_mask(to.with_extension("png"), &track.masks[i]))?;
     series("depth", &|to, i| {
         let mut depth = track.depth[i].clone();
         depth.pixels.iter_mut().for_each(|z| *z *= track.unit as f32);
         exr::write_depth(to.with_extension("exr"), &depth)
     })?;
-    let camera = |i: usize| {
-        let mut view_from_world = track.view_from_world[i];
-        view_from_world.translation *= track.unit;
-        let camera = Camera { intrinsics: track.intrinsics, view_from_world };
-        TimedCamera { time: times[i], camera }
+    let camera = |(time, pose): (&f64, &Pose)| {
+        let camera = Camera { intrinsics: track.intrinsics, view_from_world: *pose };
+        TimedCamera { time: *time, camera }
     };
-    let cameras: Vec<TimedCamera> = (0..frames.len()).map(camera).collect();
+    let cameras: Vec<TimedCamera> = times.iter().zip(poses).map(camera).collect();
     write_cameras(folder, cameras.iter().map(|at| at.camera))?;
-    let files: Vec<String> = (0..frames.len()).map(|i| format!("frames/{i:04}.png")).collect();
+    let names: Vec<String> = (0..frames.len()).map(|i| format!("{i:04}.png")).collect();
+    track_model::write(&folder.join("sparse/0"), &names, frames, poses, track, landmarks)?;
+    let files: Vec<String> = names.iter().map(|name| format!("images/{name}")).collect();
     transforms::write(folder.join("transforms.json"), &cameras, &files, Some("points.ply"))?;
     let cloud: Vec<Point> = track
         .points
@@ -213,6 +247,11 @@ fn write(
         .collect();
     points::write_ply(folder.join("points.ply"), &cloud)?;
     tracks::write(folder.join("tracks.npz"), followed)
+}
+
+/// A pose in another unit, of which one of the world's has so many.
+fn scaled(view_from_world: &Pose, unit: f64) -> Pose {
+    Pose { translation: unit * view_from_world.translation, ..*view_from_world }
 }
 
 fn text(report: &Value, clock: &Clock) -> String {

@@ -1,7 +1,9 @@
-//! COLMAP models, binary and text.
+//! COLMAP models: binary and text are read, binary is written.
 //!
 //! Format: COLMAP's documentation, "Output Format". Poses are `view_from_world` with OpenCV axes and
 //! quaternions (w, x, y, z); pixel centres lie at +0.5. Both are the crate's own conventions.
+
+mod write;
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -14,6 +16,8 @@ use crate::error::excerpt;
 use crate::io::{self, Bytes};
 use crate::types::{Camera, Intrinsics, Pose, range};
 use crate::{Error, Result};
+
+pub use write::{TrackedPoint, write_model};
 
 /// A camera model with its lens.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -14,11 +14,13 @@
 //! Gauge: the first frame is held when none is marked fixed; the overall scale, where nothing
 //! anchors it, is held by keeping the median inverse depth what it was on entry.
 
+mod deviation;
 mod normal;
 mod residual;
 
 use crate::error::{Error, Result};
 use crate::types::{Intrinsics, Pose};
+pub use deviation::{PoseDeviation, pose_deviations};
 use glam::DVec2;
 use normal::{Layout, NormalEquations};
 pub use residual::{Jacobian, project};

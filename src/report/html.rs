@@ -44,7 +44,7 @@ pub fn page(measured: &Measurements) -> Result<String> {
 }
 
 /// Text as HTML shows it, in elements and in attributes.
-pub(super) fn escape(text: &str) -> String {
+pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
         match c {

@@ -23,7 +23,7 @@ pub use ablation::{Ablation, AblationRow, Better, Figure, Summary};
 pub use compare::{Comparison, Verdict, compare};
 pub use csv::csv;
 pub use curve::{Curve, CurvePoint, PowerLaw};
-pub use html::page;
+pub use html::{escape, page};
 pub use numbers::{duration, rate, scientific};
 pub use spread::Spread;
 

@@ -27,6 +27,7 @@
 //! | `observer` | who looks on: progress, and finished parts put away |
 //! | `places` | where a point of the scene is in every frame |
 //! | `points` | static points to seed Gaussians with |
+//! | `landmarks` | what the frames saw of static points, and how far that agrees with the cameras |
 //!
 //! Cameras and masks need each other: points on movers spoil poses, and what moves can be told only
 //! against known cameras. They are alternated ([`Options::rounds`]): robust estimation starts with
@@ -38,6 +39,7 @@ mod cameras;
 mod contour;
 mod depth;
 mod distance;
+mod landmarks;
 mod lower_end;
 mod masks;
 mod mended;
@@ -75,6 +77,7 @@ use cameras::{Cameras, Focal, Motions, Standpoint, Strictness};
 use observer::{Progress, Work, numbered};
 
 pub use cameras::RigidMotion;
+pub use landmarks::{FrameQuality, Landmark};
 pub use observer::Observer;
 pub use options::Options;
 pub use scaffold::Scaffold;
@@ -199,6 +202,8 @@ pub struct Quality {
     pub dynamic_share: f64,
     /// Frames whose pose is doubtful: too few static points agreed.
     pub doubtful_frames: Vec<usize>,
+    /// How well each frame's camera is known.
+    pub per_frame: Vec<FrameQuality>,
     /// Number of point tracks followed.
     pub tracks: usize,
     /// The rigid motions that the static world was chosen from, where that was in doubt.
@@ -645,6 +650,7 @@ fn quality(
         focal_std: cameras.focal_std,
         dynamic_share,
         doubtful_frames: cameras.doubtful.clone(),
+        per_frame: landmarks::by_frame(cameras, tracks, weights),
         tracks: tracks.len(),
         static_motion: motions.as_ref().map(|motions| motions.chosen),
         motions: motions.map_or(Vec::new(), |motions| motions.found),

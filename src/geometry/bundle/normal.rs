@@ -6,6 +6,7 @@ use crate::geometry::se3::{Twist, retract};
 use glam::DVec2;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Columns that one observation touches at most: two poses and the focal length.
 const COLUMNS: usize = 13;
@@ -57,6 +58,11 @@ impl Layout {
             }
         }
         Layout { column, focal, size, depths: options.depths, by_point }
+    }
+
+    /// The columns of a frame's twist, translation first; none where it is held.
+    pub(super) fn columns(&self, frame: usize) -> Option<Range<usize>> {
+        self.column[frame].map(|first| first..first + 6)
     }
 
     /// Takes a step. Inverse depths end at 0, a point at infinity, where they would turn negative.
@@ -313,6 +319,50 @@ impl NormalEquations {
         unit[c] = 1.0;
         let variance = reduced.cholesky()?.solve(&unit)[c];
         (variance.is_finite() && variance > 0.0).then(|| 1.0 / variance)
+    }
+
+    /// The variance of each column with all else unknown, per unit of the residuals' variance, where the
+    /// sum of the inverse depths' changes, weighted by `gauge`, is held at 0. None for a column whose
+    /// information is less than `least` of what it would be with all else given.
+    pub(super) fn variances(
+        &self,
+        layout: &Layout,
+        gauge: &[f64],
+        least: f64,
+    ) -> Option<Vec<Option<f64>>> {
+        let (mut reduced, _) = self.reduce(layout, 0.0);
+        // Holding a sum of depths adds to their block a term of one rank and infinite weight. Reduced to the
+        // cameras, that is a term of one rank, too.
+        let mut held = DVector::zeros(layout.size);
+        let mut norm = 0.0;
+        for (row, weight) in self.rows.iter().zip(gauge).filter(|(row, _)| row.information > 0.0) {
+            let scaled = weight / row.damped(0.0);
+            norm += weight * scaled;
+            row.coupling.iter().for_each(|(c, v)| held[*c] += scaled * v);
+        }
+        if norm > 0.0 {
+            reduced.ger(1.0 / norm, &held, &held, 1.0);
+        }
+        let largest = self.camera.diagonal().max().max(1e-300);
+        let floor = |k: usize| 0.01 * least * self.camera[(k, k)] + 1e-14 * largest;
+        (0..layout.size).for_each(|k| reduced[(k, k)] += floor(k));
+        let factor = reduced.cholesky()?.unpack();
+        // With S = L Lᵀ the diagonal of S⁻¹ holds the squared lengths of the columns of L⁻¹.
+        let variance = |k: usize| {
+            let mut column = vec![0.0; layout.size - k];
+            column[0] = 1.0;
+            for j in k..layout.size {
+                let of = &factor.as_slice()[j * layout.size + j..(j + 1) * layout.size];
+                let (solved, below) = column[j - k..].split_first_mut()?;
+                *solved /= of[0];
+                below.iter_mut().zip(&of[1..]).for_each(|(b, l)| *b -= *solved * l);
+            }
+            let variance: f64 = column.iter().map(|v| v * v).sum();
+            let given = self.camera[(k, k)];
+            let known = given > 0.0 && variance.is_finite() && variance * given * least < 1.0;
+            known.then_some(variance)
+        };
+        Some((0..layout.size).into_par_iter().map(variance).collect())
     }
 }
 

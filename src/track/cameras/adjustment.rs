@@ -8,7 +8,9 @@ use rayon::prelude::*;
 use super::focal::ASSUMED;
 use super::{Anchor, Cameras, DEVIATION, Focal, Standpoint, information};
 use crate::Result;
-use crate::geometry::bundle::{self, FocalMode, Observation, Point, Problem, adjust};
+use crate::geometry::bundle::{
+    self, FocalMode, Observation, Point, PoseDeviation, Problem, adjust, pose_deviations,
+};
 use crate::geometry::triangulate::inverse_depth;
 use crate::observe::PointTrack;
 use crate::track::FocalSource;
@@ -107,6 +109,30 @@ impl Cameras {
         most: usize,
         rounds: usize,
     ) -> Result<bundle::Report> {
+        let (mut problem, chosen) = self.problem(tracks, weights, posed, most);
+        let options = self.options(focal, rounds);
+        let report = adjust(&mut problem, &options)?;
+        for (f, pose) in (0..posed.len()).filter(|&f| posed[f]).zip(&problem.poses) {
+            self.poses[f] = *pose;
+        }
+        for (point, &i) in problem.points.iter().zip(&chosen) {
+            if let Some(anchor) = &mut self.anchors[i] {
+                anchor.inverse_depth = point.inverse_depth;
+            }
+        }
+        self.intrinsics = problem.intrinsics;
+        Ok(report)
+    }
+
+    /// The frames with poses and up to `most` tracks that cover all frames and places evenly, and which
+    /// tracks these are.
+    fn problem(
+        &self,
+        tracks: &[PointTrack],
+        weights: &[f64],
+        posed: &[bool],
+        most: usize,
+    ) -> (Problem, Vec<usize>) {
         let places: Vec<usize> = (0..posed.len()).filter(|&f| posed[f]).collect();
         let mut place_of = vec![usize::MAX; posed.len()];
         places.iter().enumerate().for_each(|(place, &f)| place_of[f] = place);
@@ -145,8 +171,13 @@ impl Cameras {
                 }
             }
         }
+        (problem, chosen)
+    }
+
+    /// How it is adjusted.
+    fn options(&self, focal: FocalMode, rounds: usize) -> bundle::Options {
         let side = f64::from(self.intrinsics.width.max(self.intrinsics.height));
-        let options = bundle::Options {
+        bundle::Options {
             focal,
             depths: self.have_parallax(),
             focal_prior: (self.focal_source == FocalSource::Assumed)
@@ -154,18 +185,24 @@ impl Cameras {
             scale_floor: DEVIATION_FLOOR,
             rounds,
             ..Default::default()
+        }
+    }
+
+    /// How well the poses are known by the static tracks, per frame; none of a fixed camera, of one
+    /// that turns in place (its rotations are known to what is farther away than its own motion), and of
+    /// supplied poses.
+    pub fn deviations(&self, tracks: &[PointTrack], weights: &[f64]) -> Vec<Option<PoseDeviation>> {
+        if !self.have_parallax() || self.supplied {
+            return vec![None; self.poses.len()];
+        }
+        let (problem, _) = self.problem(tracks, weights, &vec![true; self.poses.len()], POINTS);
+        let mode = match self.focal_source {
+            FocalSource::Given => FocalMode::Fixed,
+            _ => FocalMode::Free,
         };
-        let report = adjust(&mut problem, &options)?;
-        for (place, &f) in places.iter().enumerate() {
-            self.poses[f] = problem.poses[place];
-        }
-        for (point, &i) in problem.points.iter().zip(&chosen) {
-            if let Some(anchor) = &mut self.anchors[i] {
-                anchor.inverse_depth = point.inverse_depth;
-            }
-        }
-        self.intrinsics = problem.intrinsics;
-        Ok(report)
+        // Of a problem without an observation nothing is known.
+        let found = pose_deviations(&problem, &self.options(mode, 1));
+        found.unwrap_or_else(|_| vec![None; self.poses.len()])
     }
 
     /// Tracks with a depth that see at least two posed frames besides their first, the long ones

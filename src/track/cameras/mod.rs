@@ -80,7 +80,7 @@ impl Strictness {
 }
 
 /// A point is seen to so many pixels along each axis, where it is followed without an error.
-const DEVIATION: f64 = 0.05;
+pub(super) const DEVIATION: f64 = 0.05;
 
 /// How far cameras lie from their middle in the unit in which supplied poses are first looked at: as far as
 /// those of a hand-held clip do in units of the median depth.
@@ -95,7 +95,7 @@ fn spread(poses: &[Pose]) -> f64 {
 }
 
 /// How much an observation counts beside one that is followed without an error.
-fn information(deviation: f32) -> f64 {
+pub(super) fn information(deviation: f32) -> f64 {
     DEVIATION.powi(2) / (DEVIATION.powi(2) + f64::from(deviation).powi(2))
 }
 

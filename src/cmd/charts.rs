@@ -1,0 +1,317 @@
+//! Charts for a page, as inline SVG that takes its colours from the page's style: they follow light and
+//! dark, and shrink with the page without becoming illegible.
+
+use std::fmt::Write;
+
+use splat4d::report::escape;
+
+/// A chart's own size; text is of 12 of these units.
+const WIDTH: f64 = 400.0;
+const HEIGHT: f64 = 210.0;
+/// Room for the axes.
+const LEFT: f64 = 52.0;
+const RIGHT: f64 = 12.0;
+const TOP: f64 = 30.0;
+const BOTTOM: f64 = 36.0;
+/// Lines of more points than this have no dots.
+const DOTTED: usize = 64;
+/// A digit's width.
+const DIGIT: f64 = 6.8;
+
+/// What the style of a page with charts must hold.
+pub const STYLE: &str = "\
+svg{display:block;width:100%;height:auto;font:12px system-ui,sans-serif;fill:var(--ink)}\
+.grid{stroke:var(--faint);stroke-width:1;fill:none}.axis{stroke:var(--dim);stroke-width:1;fill:none}\
+.a,.b{fill:none;stroke-width:1.8;stroke-linejoin:round}.a{stroke:var(--one)}\
+.b{stroke:var(--two);stroke-dasharray:5 3}.da{fill:var(--one)}.db{fill:var(--two)}\
+.cloud{stroke:var(--dim);stroke-width:1.6;stroke-linecap:round;fill:none;opacity:.55}\
+.view{stroke:var(--two);stroke-width:1.2;fill:none}\
+.bad{fill:var(--bad);opacity:.22}.cross{stroke:var(--bad);stroke-width:2;fill:none}";
+
+/// Values by frame; none is a gap.
+pub struct Series<'a> {
+    pub name: &'a str,
+    pub values: Vec<Option<f64>>,
+}
+
+/// A chart over the frames of a clip, of one or two series that begin at 0. `unit` is what the values are
+/// measured in; bands mark `doubtful` frames.
+pub fn over_frames(title: &str, unit: &str, series: &[Series], doubtful: &[usize]) -> String {
+    let frames = series.iter().map(|s| s.values.len()).max().unwrap_or(0);
+    let all = series.iter().flat_map(|s| s.values.iter().flatten());
+    let most = all.copied().filter(|v| v.is_finite()).fold(0.0, f64::max);
+    let ticks = ticks(0.0, if most > 0.0 { most } else { 1.0 }, 4);
+    let top = ticks.last().copied().unwrap_or(1.0);
+    let last = frames.saturating_sub(1).max(1) as f64;
+    let x = |frame: f64| LEFT + (WIDTH - LEFT - RIGHT) * frame / last;
+    let y = |value: f64| HEIGHT - BOTTOM - (HEIGHT - BOTTOM - TOP) * value / top;
+    let mut svg = open(title, HEIGHT);
+    for frame in doubtful {
+        let (low, high) =
+            (x(*frame as f64 - 0.5).max(LEFT), x(*frame as f64 + 0.5).min(WIDTH - RIGHT));
+        let _ = write!(
+            svg,
+            "<rect class=\"bad\" x=\"{low:.1}\" y=\"{TOP}\" width=\"{:.1}\" height=\"{:.1}\">\
+             <title>frame {frame} is doubtful</title></rect>",
+            (high - low).max(1.5),
+            HEIGHT - BOTTOM - TOP
+        );
+    }
+    for tick in &ticks {
+        line(&mut svg, "grid", (LEFT, y(*tick)), (WIDTH - RIGHT, y(*tick)));
+        text(&mut svg, (LEFT - 6.0, y(*tick) + 4.0), "end", &number(*tick, top));
+    }
+    for frame in frame_ticks(frames) {
+        line(&mut svg, "axis", (x(frame as f64), y(0.0)), (x(frame as f64), y(0.0) + 4.0));
+        text(&mut svg, (x(frame as f64), y(0.0) + 16.0), "middle", &frame.to_string());
+    }
+    line(&mut svg, "axis", (LEFT, y(0.0)), (WIDTH - RIGHT, y(0.0)));
+    text(&mut svg, (LEFT + (WIDTH - LEFT - RIGHT) / 2.0, HEIGHT - 5.0), "middle", "frame");
+    text(&mut svg, (4.0, 14.0), "start", unit);
+    legend(&mut svg, series);
+    for (series, class) in series.iter().zip(["a", "b"]) {
+        let mut path = String::new();
+        let mut begun = false;
+        for (frame, value) in series.values.iter().enumerate() {
+            match value.filter(|v| v.is_finite()) {
+                Some(value) => {
+                    let command = if begun { 'L' } else { 'M' };
+                    let _ = write!(path, "{command}{:.1} {:.1}", x(frame as f64), y(value));
+                    begun = true;
+                }
+                None => begun = false,
+            }
+        }
+        let _ = write!(svg, "<path class=\"{class}\" d=\"{path}\"/>");
+        if series.values.len() <= DOTTED {
+            for (frame, value) in series.values.iter().enumerate() {
+                let Some(value) = value.filter(|v| v.is_finite()) else { continue };
+                mark(&mut svg, class, (x(frame as f64), y(value)));
+            }
+        }
+    }
+    svg + "</svg>"
+}
+
+/// A camera on a map.
+#[derive(Clone, Copy)]
+pub struct Placed {
+    /// Right, and up, on the map.
+    pub at: [f64; 2],
+    /// Where it looks, of length 1 at most.
+    pub looks: [f64; 2],
+    pub doubtful: bool,
+}
+
+/// What a map shows: `axes` name what goes to the right and what goes up, with their unit.
+pub struct Map<'a> {
+    pub title: &'a str,
+    pub axes: [&'a str; 2],
+    pub cameras: &'a [Placed],
+    pub points: &'a [[f64; 2]],
+}
+
+/// Cameras and points on a plane, both axes at one scale.
+pub fn map(map: &Map) -> String {
+    const SIDE: f64 = 340.0;
+    let plot = (LEFT, TOP, WIDTH - RIGHT, SIDE - BOTTOM);
+    let all = || map.cameras.iter().map(|c| c.at).chain(map.points.iter().copied());
+    let bounds = |axis: usize| {
+        let ends = all()
+            .map(|p| p[axis])
+            .fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
+        if ends.0 <= ends.1 { ends } else { (-1.0, 1.0) }
+    };
+    let (across, up) = (bounds(0), bounds(1));
+    let (wide, high) = (plot.2 - plot.0, plot.3 - plot.1);
+    let room = 1.15;
+    let scale = (wide / (across.1 - across.0).max(1e-9)).min(high / (up.1 - up.0).max(1e-9)) / room;
+    // Cameras in one place, to rounding, have a map of some size all the same.
+    let scale = scale.min(wide / (1e-6 * (1.0 + across.1.abs() + up.1.abs())));
+    let middle = |(low, high): (f64, f64)| 0.5 * (low + high);
+    let x = |v: f64| 0.5 * (plot.0 + plot.2) + scale * (v - middle(across));
+    let y = |v: f64| 0.5 * (plot.1 + plot.3) - scale * (v - middle(up));
+    let mut svg = open(map.title, SIDE);
+    let shown = |axis: (f64, f64), length: f64| {
+        let half = 0.5 * length / scale;
+        ticks(middle(axis) - half, middle(axis) + half, 5)
+            .into_iter()
+            .filter(move |t| (t - middle(axis)).abs() <= half)
+    };
+    for tick in shown(across, wide) {
+        line(&mut svg, "grid", (x(tick), plot.1), (x(tick), plot.3));
+        text(&mut svg, (x(tick), plot.3 + 15.0), "middle", &number(tick, wide / scale));
+    }
+    for tick in shown(up, high) {
+        line(&mut svg, "grid", (plot.0, y(tick)), (plot.2, y(tick)));
+        text(&mut svg, (plot.0 - 6.0, y(tick) + 4.0), "end", &number(tick, high / scale));
+    }
+    text(&mut svg, (0.5 * (plot.0 + plot.2), SIDE - 5.0), "middle", map.axes[0]);
+    text(&mut svg, (4.0, 14.0), "start", map.axes[1]);
+    let mut cloud = String::new();
+    for point in map.points {
+        let _ = write!(cloud, "M{:.1} {:.1}h0", x(point[0]), y(point[1]));
+    }
+    let _ = write!(svg, "<path class=\"cloud\" d=\"{cloud}\"/>");
+    // Directions of some of the cameras: of all, a long clip's would run together.
+    let every = map.cameras.len().div_ceil(24).max(1);
+    let mut views = String::new();
+    for camera in map.cameras.iter().step_by(every) {
+        let (dx, dy) = (18.0 * camera.looks[0], -18.0 * camera.looks[1]);
+        let _ = write!(views, "M{:.1} {:.1}l{dx:.1} {dy:.1}", x(camera.at[0]), y(camera.at[1]));
+    }
+    let _ = write!(svg, "<path class=\"view\" d=\"{views}\"/>");
+    let mut path = String::new();
+    for (i, camera) in map.cameras.iter().enumerate() {
+        let command = if i == 0 { 'M' } else { 'L' };
+        let _ = write!(path, "{command}{:.1} {:.1}", x(camera.at[0]), y(camera.at[1]));
+    }
+    let _ = write!(svg, "<path class=\"a\" d=\"{path}\"/>");
+    for camera in map.cameras.iter().filter(|camera| camera.doubtful) {
+        let (x, y) = (x(camera.at[0]), y(camera.at[1]));
+        let (left, right, top, low) = (x - 4.0, x + 4.0, y - 4.0, y + 4.0);
+        let _ = write!(
+            svg,
+            "<path class=\"cross\" d=\"M{left:.1} {top:.1}L{right:.1} {low:.1}M{left:.1} \
+             {low:.1}L{right:.1} {top:.1}\"/>"
+        );
+    }
+    if let (Some(first), Some(last)) = (map.cameras.first(), map.cameras.last()) {
+        // Beside the places, each to its own side: the two may be close.
+        let ends = [(first, "a", "first", "end", -7.0), (last, "b", "last", "start", 7.0)];
+        for (camera, class, name, anchor, aside) in ends {
+            let at = (x(camera.at[0]), y(camera.at[1]));
+            mark(&mut svg, class, at);
+            text(&mut svg, (at.0 + aside, at.1 + 4.0), anchor, name);
+        }
+    }
+    svg + "</svg>"
+}
+
+fn open(title: &str, height: f64) -> String {
+    let title = escape(title);
+    format!("<svg viewBox=\"0 0 {WIDTH} {height}\" role=\"img\"><title>{title}</title>")
+}
+
+fn line(svg: &mut String, class: &str, from: (f64, f64), to: (f64, f64)) {
+    let _ = write!(
+        svg,
+        "<path class=\"{class}\" d=\"M{:.1} {:.1}L{:.1} {:.1}\"/>",
+        from.0, from.1, to.0, to.1
+    );
+}
+
+fn text(svg: &mut String, at: (f64, f64), anchor: &str, words: &str) {
+    let words = escape(words);
+    let _ = write!(
+        svg,
+        "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"{anchor}\">{words}</text>",
+        at.0, at.1
+    );
+}
+
+/// A disc for the first series, a square for the second.
+fn mark(svg: &mut String, class: &str, (x, y): (f64, f64)) {
+    let _ = match class {
+        "a" => write!(svg, "<circle class=\"da\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"2.6\"/>"),
+        _ => write!(
+            svg,
+            "<rect class=\"db\" x=\"{:.1}\" y=\"{:.1}\" width=\"5\" height=\"5\"/>",
+            x - 2.5,
+            y - 2.5
+        ),
+    };
+}
+
+/// Names of two series, at the top right.
+fn legend(svg: &mut String, series: &[Series]) {
+    if series.len() < 2 {
+        return;
+    }
+    let mut end = WIDTH - RIGHT;
+    for (series, class) in series.iter().zip(["a", "b"]).rev() {
+        text(svg, (end, 14.0), "end", series.name);
+        let begin = end - DIGIT * series.name.chars().count() as f64 - 8.0;
+        line(svg, class, (begin - 26.0, 10.0), (begin, 10.0));
+        mark(svg, class, (begin - 13.0, 10.0));
+        end = begin - 38.0;
+    }
+}
+
+/// Round numbers from at or below `low` to at or above `high`, some `count` steps.
+fn ticks(low: f64, high: f64, count: usize) -> Vec<f64> {
+    let raw = (high - low) / count as f64;
+    let power = 10f64.powf(raw.log10().floor());
+    let rounded = [1.0, 2.0, 2.5, 5.0, 10.0].map(|m| m * power);
+    let step = rounded.into_iter().find(|step| *step >= 0.999 * raw).unwrap_or(raw);
+    let (first, last) = ((low / step + 1e-9).floor() as i64, (high / step - 1e-9).ceil() as i64);
+    (first..=last.max(first + 1)).map(|i| i as f64 * step).collect()
+}
+
+/// Some frames to name on an axis.
+fn frame_ticks(frames: usize) -> Vec<usize> {
+    let last = frames.saturating_sub(1);
+    let steps = [1, 2, 5].into_iter().cycle().zip([1, 1, 1, 10, 10, 10, 100, 100, 100, 1000]);
+    let step = steps.map(|(m, power)| m * power).find(|step| last / step <= 8);
+    (0..=last).step_by(step.unwrap_or(last.max(1))).collect()
+}
+
+/// A tick's number, with digits for a span of values.
+fn number(value: f64, span: f64) -> String {
+    let value = if value.abs() < 1e-9 * span { 0.0 } else { value };
+    let text = match span {
+        _ if value == 0.0 => "0".into(),
+        s if !(1e-3..1e5).contains(&s) => format!("{value:.1e}"),
+        s if s >= 20.0 => format!("{value:.0}"),
+        s if s >= 2.0 => format!("{value:.1}"),
+        s if s >= 0.2 => format!("{value:.2}"),
+        s if s >= 0.02 => format!("{value:.3}"),
+        _ => format!("{value:.4}"),
+    };
+    text.replace('-', "−")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ticks_are_round_and_hold_the_range() {
+        assert_eq!(ticks(0.0, 7.0, 4), [0.0, 2.0, 4.0, 6.0, 8.0]);
+        assert_eq!(ticks(0.0, 100.0, 4), [0.0, 25.0, 50.0, 75.0, 100.0]);
+        for high in [1e-9, 0.37, 3.0, 1234.5, 1e9] {
+            let found = ticks(0.0, high, 4);
+            assert!(found[0] == 0.0 && found[found.len() - 1] >= 0.999 * high, "{high}: {found:?}");
+            assert!(found.len() < 8, "{found:?}");
+        }
+        assert_eq!(frame_ticks(9), [0, 1, 2, 3, 4, 5, 6, 7, 8]);
+        assert_eq!(frame_ticks(50), [0, 10, 20, 30, 40]);
+        assert_eq!(frame_ticks(1), [0]);
+        assert_eq!(number(-0.5, 3.0), "−0.5");
+    }
+
+    #[test]
+    fn gaps_and_names_survive() {
+        let series = [
+            Series { name: "a<b", values: vec![Some(1.0), None, Some(3.0), Some(f64::INFINITY)] },
+            Series { name: "more", values: vec![None; 4] },
+        ];
+        let svg = over_frames("t", "px", &series, &[3]);
+        assert!(svg.contains("a&lt;b") && svg.contains("frame 3 is doubtful"));
+        assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+        assert_eq!(svg.matches("<circle").count(), 1 + 2, "one in the legend");
+    }
+
+    #[test]
+    fn maps_of_one_place_have_a_size() {
+        let camera = Placed { at: [1.0, 2.0], looks: [0.0, 1.0], doubtful: true };
+        for points in [&[][..], &[[0.0, 5.0]][..]] {
+            let cameras = [camera; 3];
+            let svg = map(&Map { title: "t", axes: ["x", "y"], cameras: &cameras, points });
+            assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+            assert_eq!(svg.matches("class=\"cross\"").count(), 3);
+        }
+        let empty = map(&Map { title: "t", axes: ["x", "y"], cameras: &[], points: &[] });
+        assert!(!empty.contains("NaN"));
+    }
+}

@@ -1,0 +1,196 @@
+//! How well an adjustment knows its poses.
+
+use super::normal::{Layout, NormalEquations};
+use super::{FocalMode, Options, Problem, check, residual, scale_is_anchored};
+use crate::Result;
+
+/// Standard deviations of a pose, each the square root of the covariance's trace: the root mean square
+/// length of what it is off by.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseDeviation {
+    /// Of the rotation, radians.
+    pub rotation: f64,
+    /// Of the camera's centre, in the world's unit.
+    pub position: f64,
+}
+
+/// A pose is known if it is known no worse than this many times what it would be with all else given.
+const DETERMINED: f64 = 1e4;
+
+/// The standard deviations of an adjusted problem's poses, with depths and other poses unknown, and the
+/// focal length too unless it is [`FocalMode::Fixed`]: the diagonal of the inverse of the normal
+/// equations, reduced to the cameras, times the residuals' robust variance.
+///
+/// Gauge: held frames have 0, the first one where none is marked fixed. Where nothing anchors the scale,
+/// the mean relative change of the middle half of the inverse depths is held at 0, as [`adjust`] holds
+/// their median. `None` is a pose that the observations do not determine. Errors of observations are
+/// taken to be independent; as far as they are not, poses are known less well.
+///
+/// [`adjust`]: super::adjust
+///
+/// # Errors
+/// Those of [`adjust`] for a problem that is not one.
+pub fn pose_deviations(problem: &Problem, options: &Options) -> Result<Vec<Option<PoseDeviation>>> {
+    check(problem, options)?;
+    let scale = residual::robust_scale(problem, options);
+    let layout = Layout::new(problem, options, options.focal != FocalMode::Fixed);
+    let equations = NormalEquations::build(problem, options, &layout, scale);
+    let gauge = match options.depths && !scale_is_anchored(problem) {
+        true => middle_half(problem),
+        false => vec![0.0; problem.points.len()],
+    };
+    let variances = equations.variances(&layout, &gauge, 1.0 / DETERMINED.powi(2));
+    let of_frame = |frame: usize| {
+        let Some(columns) = layout.columns(frame) else {
+            return Some(PoseDeviation { rotation: 0.0, position: 0.0 });
+        };
+        let variances = &variances.as_ref()?[columns];
+        let deviation = |of: &[Option<f64>]| {
+            let sum = of.iter().try_fold(0.0, |sum, variance| Some(sum + (*variance)?));
+            sum.map(|trace| scale * trace.sqrt())
+        };
+        // A left twist's translation moves the centre by as much, in the camera's axes.
+        Some(PoseDeviation {
+            position: deviation(&variances[..3])?,
+            rotation: deviation(&variances[3..])?,
+        })
+    };
+    Ok((0..problem.poses.len()).map(of_frame).collect())
+}
+
+/// By point, what its inverse depth weighs in the mean relative change of the middle half of them.
+fn middle_half(problem: &Problem) -> Vec<f64> {
+    let mut all: Vec<f64> =
+        problem.points.iter().map(|p| p.inverse_depth).filter(|d| *d > 0.0).collect();
+    all.sort_by(f64::total_cmp);
+    let at = |share: usize| all.get(share * all.len().saturating_sub(1) / 4).copied();
+    let (Some(low), Some(high)) = (at(1), at(3)) else { return vec![0.0; problem.points.len()] };
+    let inside = |d: f64| if (low..=high).contains(&d) { 1.0 / d } else { 0.0 };
+    problem.points.iter().map(|p| inside(p.inverse_depth)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DQuat, DVec2, DVec3};
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::super::{DepthPrior, Kernel, Observation, Point, adjust, project};
+    use super::*;
+    use crate::geometry::se3::{angle_between, exp_so3};
+    use crate::types::{Intrinsics, Pose};
+
+    const FRAMES: usize = 6;
+
+    /// A camera that goes round a cloud of points, all seen in frame 0 and then in all others, and a
+    /// focal length that is not known.
+    fn exact() -> Problem {
+        let mut random = ChaCha8Rng::seed_from_u64(5);
+        let intrinsics = Intrinsics::centred(300.0, 320, 240);
+        let pose = |i: usize| {
+            let t = i as f64;
+            let centre = DVec3::new(0.15 * t, 0.05 * t * t / 5.0, 0.03 * t);
+            Pose::new(exp_so3(DVec3::new(0.01 * t, -0.03 * t, 0.005)), centre).inverse()
+        };
+        let poses: Vec<Pose> = (0..FRAMES).map(pose).collect();
+        let mut points = Vec::new();
+        let mut observations = Vec::new();
+        for point in 0..120 {
+            let mut number = || random.random::<f64>();
+            let pixel = DVec2::new(20.0 + 280.0 * number(), 20.0 + 200.0 * number());
+            let inverse_depth = 1.0 / (2.0 + 3.0 * number());
+            points.push(Point { frame: 0, pixel, inverse_depth, prior: None });
+            for frame in 1..FRAMES {
+                let relative = poses[frame] * poses[0].inverse();
+                let pixel = project(&intrinsics, &relative, pixel, inverse_depth).unwrap().0;
+                observations.push(Observation { point, frame, pixel, weight: 1.0, deviation: 1.0 });
+            }
+        }
+        Problem { intrinsics, poses, fixed: vec![false; FRAMES], points, observations }
+    }
+
+    /// The problem with other noise of one pixel each time.
+    fn noisy(exact: &Problem, seed: u64) -> Problem {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut normal = || {
+            let (u, v): (f64, f64) = (random.random(), random.random());
+            (-2.0 * (1.0 - u).ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+        };
+        let mut problem = exact.clone();
+        for o in &mut problem.observations {
+            o.pixel += DVec2::new(normal(), normal());
+        }
+        problem
+    }
+
+    #[test]
+    fn deviations_are_the_spread_of_solutions() {
+        let exact = exact();
+        for (kernel, focal) in
+            [(Kernel::None, FocalMode::Free), (Kernel::GemanMcClure, FocalMode::Fixed)]
+        {
+            let options = Options { kernel, focal, ..Default::default() };
+            let draws = 60;
+            let mut spread = [(0.0, 0.0); FRAMES];
+            let mut told = [(0.0, 0.0); FRAMES];
+            for seed in 0..draws {
+                let mut problem = noisy(&exact, seed);
+                adjust(&mut problem, &options).unwrap();
+                let found = pose_deviations(&problem, &options).unwrap();
+                for frame in 0..FRAMES {
+                    let [at, truth] = [&problem, &exact].map(|p| p.poses[frame]);
+                    let off = at.inverse().translation - truth.inverse().translation;
+                    let turned = angle_between(at.rotation, truth.rotation);
+                    spread[frame].0 += off.length_squared() / draws as f64;
+                    spread[frame].1 += turned * turned / draws as f64;
+                    let deviation = found[frame].unwrap();
+                    told[frame].0 += deviation.position / draws as f64;
+                    told[frame].1 += deviation.rotation / draws as f64;
+                }
+            }
+            assert_eq!(told[0], (0.0, 0.0), "the first camera is held");
+            for frame in 1..FRAMES {
+                for (told, spread) in
+                    [(told[frame].0, spread[frame].0), (told[frame].1, spread[frame].1)]
+                {
+                    let ratio = told / spread.sqrt();
+                    eprintln!("{kernel:?}, frame {frame}: {told:.2e}, {ratio:.2} of the spread");
+                    assert!((1.0 / 1.5..1.5).contains(&ratio), "{kernel:?} {frame}: {ratio}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_anchored_is_known_better() {
+        let options = Options::default();
+        let free = noisy(&exact(), 1);
+        let of = |problem: &Problem| pose_deviations(problem, &options).unwrap()[5].unwrap();
+        let mut anchored = free.clone();
+        for point in &mut anchored.points {
+            let inverse_depth = point.inverse_depth;
+            point.prior = Some(DepthPrior { inverse_depth, weight: 1e8 });
+        }
+        assert!(of(&anchored).position < of(&free).position);
+        // Of held frames nothing is off.
+        let held = Problem { fixed: vec![true; FRAMES], ..free };
+        assert_eq!(of(&held), PoseDeviation { rotation: 0.0, position: 0.0 });
+    }
+
+    #[test]
+    fn what_nothing_determines_has_none() {
+        let options = Options::default();
+        // A frame that saw nothing, and frames that only turn, whose place nothing tells.
+        let mut problem = exact();
+        problem.observations.retain(|o| o.frame != 3);
+        let found = pose_deviations(&problem, &options).unwrap();
+        assert!(found[3].is_none() && found[2].is_some() && found[4].is_some(), "{found:?}");
+        let mut problem = exact();
+        for (frame, pose) in problem.poses.iter_mut().enumerate() {
+            *pose = Pose::new(DQuat::from_rotation_y(0.02 * frame as f64), DVec3::ZERO);
+        }
+        problem.points.iter_mut().for_each(|point| point.inverse_depth = 0.0);
+        let found = pose_deviations(&problem, &options).unwrap();
+        assert!(found[1..].iter().all(Option::is_none), "{found:?}");
+    }
+}
