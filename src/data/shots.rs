@@ -159,7 +159,7 @@ pub(super) struct Detector {
 
 impl Detector {
     /// Takes the next frame's small grey picture; `None` of a frame that cannot be read.
-    pub fn push(&mut self, picture: Option<&Image>) {
+    pub(super) fn push(&mut self, picture: Option<&Image>) {
         let number = self.frames;
         self.frames += 1;
         let Some(picture) = picture.map(Picture::of).filter(Picture::is_telling) else { return };
@@ -178,7 +178,7 @@ impl Detector {
     }
 
     /// All shots, in order; none where no cut was found.
-    pub fn finish(mut self) -> Vec<Shot> {
+    pub(super) fn finish(mut self) -> Vec<Shot> {
         while self.next + 1 < self.recent.len() {
             self.look();
         }

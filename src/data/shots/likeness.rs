@@ -29,7 +29,7 @@ const COMPANY: usize = 2;
 const SAME: f32 = 0.0015;
 
 /// A small grey picture, made ready for comparisons.
-pub struct Picture {
+pub(super) struct Picture {
     width: usize,
     height: usize,
     grey: Vec<f32>,
@@ -45,7 +45,7 @@ pub struct Picture {
 
 impl Picture {
     /// Of a grey image.
-    pub fn of(image: &Image) -> Picture {
+    pub(super) fn of(image: &Image) -> Picture {
         let (width, height) = (image.width as usize, image.height as usize);
         let grey = image.pixels.clone();
         let (fine, coarse) = (blur(&grey, width, height, FINE), blur(&grey, width, height, COARSE));
@@ -67,12 +67,12 @@ impl Picture {
     }
 
     /// Whether there is enough in it to find again.
-    pub fn is_telling(&self) -> bool {
+    pub(super) fn is_telling(&self) -> bool {
         self.blocks.iter().flatten().count() >= LEAST_BLOCKS
     }
 
     /// Whether it shows what the other shows, at the same place.
-    pub fn repeats(&self, other: &Picture) -> bool {
+    pub(super) fn repeats(&self, other: &Picture) -> bool {
         let difference: f32 = self.grey.iter().zip(&other.grey).map(|(a, b)| (a - b).abs()).sum();
         self.has_size_of(other) && difference <= SAME * self.grey.len() as f32
     }
@@ -147,7 +147,7 @@ fn plain() -> f32 {
 /// The share, in 0 to 1, of the blocks of `a` that are found in `b`: near their places, or anywhere if
 /// they are found back from there and the blocks around them move with them. Brightness and contrast do
 /// not count. Pictures of nothing in common have less than 0.1. Zero where the sizes differ.
-pub fn likeness(a: &Picture, b: &Picture) -> f32 {
+pub(super) fn likeness(a: &Picture, b: &Picture) -> f32 {
     let blocks = a.blocks.iter().flatten().count();
     if blocks == 0 || !a.has_size_of(b) {
         return 0.0;
