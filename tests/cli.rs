@@ -937,6 +937,37 @@ fn told_on_a_page(tracked: &Path, report: &Value) {
     assert!(page.len() < 4 << 20, "{} bytes", page.len());
 }
 
+/// Of a clip with cuts one shot is tracked; where poses are given for each frame, all of it.
+#[test]
+fn a_clip_with_cuts_is_no_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    json(folder.path(), "synth still -o a --frames 8 --size 112x63");
+    json(folder.path(), "synth crowd -o b --frames 5 --size 112x63 --seed 1");
+    fs::create_dir(at("cut")).unwrap();
+    let pictures = |clip: &str| images::list(&at(clip).join("frames")).unwrap();
+    for (i, file) in [pictures("b"), pictures("a")].concat().iter().enumerate() {
+        fs::copy(file, at("cut").join(format!("{i:02}.png"))).unwrap();
+    }
+    let report = json(folder.path(), "track cut -o tracked");
+    documented("track", &report);
+    assert_eq!(report["shots"], serde_json::json!([[0, 4], [5, 12]]));
+    assert_eq!((&report["shot"], &report["frames"]), (&1.into(), &8.into()));
+    assert_eq!(report["frame_names"][0], "05");
+    let note = report["notes"][0].as_str().unwrap();
+    says(note, &["2 shots", "0 (frames 0 to 4)", "shot 1, the longest", "--shot N"]);
+    let said = fails(folder.path(), 1, "reconstruct cut -o x --shot 2");
+    says(&said, &["no shot 2", "1 (frames 5 to 12)"]);
+    let said = fails(folder.path(), 1, "track cut -o x --shot 0 --poses a/truth/poses.txt");
+    says(&said, &["8 poses", "5 frames of the clip's 13", "shot 0 (frames 0 to 4)"]);
+    let said = fails(folder.path(), 1, "track cut -o x --poses a/truth/poses.txt");
+    says(&said, &["seems to have 2 shots", "8 poses", "13 frames"]);
+    let whole = json(folder.path(), "track cut -o given --shot 1 --poses a/truth/poses.txt");
+    assert_eq!((&whole["shot"], &whole["frames"]), (&1.into(), &8.into()));
+    let one = json(folder.path(), "track a -o one");
+    assert_eq!((&one["shot"], &one["shots"]), (&Value::Null, &serde_json::json!([])));
+}
+
 #[test]
 fn supplied_poses_stay_with_their_frames_when_one_is_left_out() {
     let folder = tempfile::tempdir().unwrap();

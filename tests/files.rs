@@ -8,8 +8,8 @@ use std::path::Path;
 
 use glam::{DQuat, DVec2, DVec3};
 use splat4d::data::{
-    Clip, ClipOptions, Distortion, Resize, exif, exr, flo, images, intrinsics, read_mask,
-    trajectory, video, write_mask, write_png,
+    Clip, ClipOptions, Distortion, Resize, Shot, ShotChoice, exif, exr, flo, images, intrinsics,
+    read_mask, trajectory, video, write_mask, write_png,
 };
 use splat4d::eval::psnr;
 use splat4d::io::write_atomically;
@@ -239,6 +239,57 @@ fn damaged_videos_are_told() {
         says(&message(Clip::open(&path, &options)), &[name, "damaged", "--skip-bad"]);
         assert!(Clip::open(&path, &skip).unwrap().frames.len() < 48);
     }
+}
+
+/// Of a video with cuts one shot is taken, with the video's own frame numbers; of a folder likewise.
+#[test]
+fn a_clip_with_cuts_has_shots() {
+    if !has_ffmpeg() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cut.mp4");
+    let cut = "testsrc2=s=160x90:r=10:d=0.8[a];mandelbrot=s=160x90:r=10:start_scale=0.3,\
+               trim=end_frame=12[b];[a][b]concat=n=2:v=1";
+    video_of(&path, cut, "-c:v ffv1 -f matroska");
+    let frames = folder.path().join("frames");
+    fs::create_dir(&frames).unwrap();
+    let written = std::process::Command::new("ffmpeg")
+        .args(["-nostdin", "-v", "error", "-i"])
+        .arg(&path)
+        .args(["-start_number", "0"])
+        .arg(frames.join("%05d.png"))
+        .status();
+    assert!(written.unwrap().success());
+    let shots = vec![Shot { first: 0, last: 7 }, Shot { first: 8, last: 19 }];
+    let options = ClipOptions::default();
+    for clip in [&path, &frames] {
+        let open = |shot, every, max_frames| {
+            Clip::open(clip, &ClipOptions { shot, every, max_frames, ..options })
+        };
+        let numbers = |clip: &Clip| clip.frames.iter().map(|f| f.number).collect::<Vec<_>>();
+        let longest = open(ShotChoice::Longest, 1, None).unwrap();
+        assert_eq!(longest.shots, shots);
+        assert_eq!((longest.shot, longest.total), (Some(1), Some(20)));
+        assert_eq!(numbers(&longest), (8..20).collect::<Vec<_>>());
+        assert_eq!((longest.frames[0].name.as_str(), longest.frames[11].time), ("00008", 1.0));
+        says(&longest.notes[0], &["2 shots", "frames 8 to 19", "shot 1", "longest", "--shot"]);
+        let whole = open(ShotChoice::Whole, 1, None).unwrap();
+        assert_eq!((whole.frames.len(), whole.shot, whole.shots.len()), (20, None, 2));
+        for frame in &longest.frames {
+            assert!(frame.image == whole.frames[frame.number].image, "{}", frame.name);
+        }
+        let first = open(ShotChoice::Number(0), 1, None).unwrap();
+        assert_eq!((numbers(&first), first.shot), ((0..8).collect(), Some(0)));
+        let few = open(ShotChoice::Number(1), 3, Some(3)).unwrap();
+        assert_eq!(numbers(&few), [8, 11, 14]);
+        let none = message(open(ShotChoice::Number(2), 1, None));
+        says(&none, &["no shot 2", "0 (frames 0 to 7", "1 (frames 8 to 19"]);
+        let too_few = message(open(ShotChoice::Number(0), 4, None));
+        says(&too_few, &["2 frames only"]);
+    }
+    // The video tells times, too.
+    says(&Clip::open(&path, &options).unwrap().notes[0], &["8 to 19, 0.80 to 2.00 s"]);
 }
 
 /// Whole videos of the usual kinds are read without a word.

@@ -96,7 +96,8 @@ pub fn run(args: &AblateArgs, common: &Common) -> Result<Answer> {
     let truth = truth_folder(&args.clip)?;
     let device = common.open_device()?;
     let preset = Quality::Standard.preset(device.info().kind);
-    let clip = args.frames.open(&args.clip, Resize::Longest(preset.longest_side))?;
+    let longest = Resize::Longest(preset.longest_side);
+    let clip = args.frames.open(&args.clip, longest, truth.is_some())?;
     let size = (clip.width, clip.height);
     let usual = preset.settings(size, Some(args.steps));
     let max_gaussians = args.max_gaussians.unwrap_or(usual.max_gaussians);

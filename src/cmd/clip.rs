@@ -3,8 +3,9 @@
 use std::path::Path;
 
 use clap::Args;
+use serde_json::{Value, json};
 use splat4d::Result;
-use splat4d::data::{Clip, ClipOptions, Resize};
+use splat4d::data::{Clip, ClipOptions, Resize, Shot, ShotChoice};
 
 use super::common::notes;
 use super::{interrupt, values};
@@ -12,11 +13,16 @@ use super::{interrupt, values};
 /// The flags of commands that take a clip.
 #[derive(Args)]
 pub struct ClipArgs {
-    /// Take every N-th frame
+    /// Take this shot of a clip with cuts, counted from 0 as the notes count them [default: the longest;
+    /// all of the clip where --poses, --masks or others give something for each of its frames]
+    #[arg(long, value_name = "N",
+          value_parser = values::whole::<usize>(0..=values::MOST_PICTURES))]
+    pub shot: Option<usize>,
+    /// Take every N-th frame of the shot
     #[arg(long, value_name = "N", default_value_t = 1,
           value_parser = values::whole::<usize>(1..=values::MOST_PICTURES))]
     pub every: usize,
-    /// Take at most so many frames
+    /// Take at most so many frames of the shot
     #[arg(long, value_name = "N",
           value_parser = values::whole::<usize>(Clip::LEAST as u64..=values::MOST_PICTURES))]
     pub max_frames: Option<usize>,
@@ -35,14 +41,21 @@ pub struct ClipArgs {
 }
 
 impl ClipArgs {
-    /// Reads the frames, of the `usual` size unless another is asked for.
-    pub fn open(&self, path: &Path, usual: Resize) -> Result<Clip> {
+    /// Reads the frames of one shot, of the `usual` size unless another is asked for. Where the user has
+    /// something `for_each` of the frames, these are all that there are unless a shot is asked for.
+    pub fn open(&self, path: &Path, usual: Resize, for_each: bool) -> Result<Clip> {
         let size = match (self.width, self.size) {
             (Some(width), _) => Resize::Width(width),
             (None, Some(longest)) => Resize::Longest(longest),
             _ => usual,
         };
+        let shot = match self.shot {
+            Some(number) => ShotChoice::Number(number),
+            None if for_each => ShotChoice::Whole,
+            None => ShotChoice::Longest,
+        };
         let options = ClipOptions {
+            shot,
             every: self.every,
             max_frames: self.max_frames,
             size,
@@ -52,4 +65,9 @@ impl ClipArgs {
         notes(&clip.notes);
         Ok(clip)
     }
+}
+
+/// Shots for reports: the first and the last frame of each.
+pub fn shots_json(shots: &[Shot]) -> Value {
+    shots.iter().map(|shot| json!([shot.first, shot.last])).collect()
 }

@@ -68,6 +68,12 @@ impl KnownArgs {
         self.flow.is_some()
     }
 
+    /// Whether there is something for each frame, so that the user knows which these are.
+    pub fn is_for_each_frame(&self) -> bool {
+        let given = [&self.poses, &self.masks, &self.depth, &self.flow, &self.tracks];
+        given.iter().any(|path| path.is_some())
+    }
+
     /// The size of the frames where no option says it.
     pub fn size(&self, longest_side: u32) -> Resize {
         match self.flow {

@@ -216,7 +216,7 @@ mod tests {
         match option {
             "seed" => &["0", "4294967295", "4294967296", "18446744073709551615"],
             "max_gaussians" | "eval_every" | "sh_degree" | "checkpoint_every"
-            | "max_difference" | "static_motion" | "times" => &["0"],
+            | "max_difference" | "static_motion" | "shot" | "times" => &["0"],
             "background" => &["0,0,0"],
             _ => &[],
         }

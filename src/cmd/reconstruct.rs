@@ -20,7 +20,7 @@ use splat4d::types::{Camera, FlowSettings, Image};
 use splat4d::{Error, Result};
 
 use super::checkpoints::{self, CheckpointArgs, Checkpoints, shown, summed};
-use super::clip::ClipArgs;
+use super::clip::{ClipArgs, shots_json};
 use super::clock::Clock;
 use super::common::{
     Answer, Common, broken_gradients, bytes, foresee, most_pairs, notes, path_text, say, thousands,
@@ -39,8 +39,9 @@ const FRAME_BYTES: u64 = 12;
 const TRACK_BYTES: u64 = 36;
 
 const AFTER_HELP: &str = "\
-The clip is one shot of a moving camera: a video file (read through ffmpeg) or a folder of frames in
-the order of their names. A camera that stands still is recognised; then its pictures give no depth
+The clip is a moving camera's: a video file (read through ffmpeg) or a folder of frames in the order of
+their names. Of a clip with cuts one shot is taken, the longest unless --shot says another; --every and
+--max-frames count within it. A camera that stands still is recognised; then its pictures give no depth
 by themselves, and new views stay close to the old ones.
 
 Examples:
@@ -56,7 +57,8 @@ measured, assumed)}, poses {tripod, turns, inlier_share, reprojection_rms, paral
 doubtful_frames, tracks, motions (that the static world was chosen from, where that was in doubt:
 [{explained, hidden, hides}]), static_motion (the one taken, or null)}, exposure (per frame, by what
 red, green and blue were multiplied, 0.055 added to the encoded values; null where it does not
-change), frames, frame_names, quality, model [{what, chosen, because, saves}] (each choice, the measurement that decided and what it saves), notes, device, predicted_bytes (of device
+change), frames, frame_names, shot (the one taken, or null), shots ([first, last] frame of each; empty
+where no cut was found), quality, model [{what, chosen, because, saves}] (each choice, the measurement that decided and what it saves), notes, device, predicted_bytes (of device
 memory, before it began), all also kept in the scene; and, in report.json too, peak_bytes,
 milliseconds_per_step, seconds {load, flow, cameras, masks, depth, static, joint, evaluate}; output";
 
@@ -163,12 +165,13 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     let quality = Quality::from(args.quality);
     let preset = quality.preset(device.info().kind);
     let usual = args.known.size(preset.longest_side);
-    let clip = args.frames.open(&args.clip, usual)?;
+    let clip = args.frames.open(&args.clip, usual, args.known.is_for_each_frame())?;
     let options = args.known.options(&clip, common.seed)?;
     let flow = args.known.flow(&clip)?;
     let times: Vec<f64> = clip.frames.iter().map(|frame| frame.time).collect();
     let names: Vec<String> = clip.frames.iter().map(|frame| frame.name.clone()).collect();
     let (width, height, original) = (clip.width, clip.height, clip.original);
+    let (shot, shots) = (clip.shot, clip.shots);
     let mut all_notes = clip.notes;
     let frames: Vec<Image> = clip.frames.into_iter().map(|frame| frame.image).collect();
     let host = frames.len() as u64 * u64::from(width) * u64::from(height);
@@ -250,6 +253,8 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
         "exposure": (!track.exposure.is_constant()).then_some(&track.exposure.gains),
         "frames": names.len(),
         "frame_names": names,
+        "shot": shot,
+        "shots": shots_json(&shots),
         "quality": quality.name(),
         "model": model,
         "notes": all_notes,
@@ -366,6 +371,7 @@ fn identity(
         ("--control-points", settings.control_points.to_string()),
         ("--sh-degree", settings.sh_degree.to_string()),
         ("--seed", settings.seed.to_string()),
+        ("--shot", shown(args.frames.shot)),
         ("--every", args.frames.every.to_string()),
         ("--max-frames", shown(args.frames.max_frames)),
         ("--size or --width", shown(size)),

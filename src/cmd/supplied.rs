@@ -43,6 +43,7 @@ impl Listed<'_> {
             return Ok((0..count).collect());
         }
         let of_clip = clip.total.map_or(String::new(), |total| format!(" of the clip's {total}"));
+        let of_shot = of_shot(clip);
         let skipped = match clip.skipped {
             0 => String::new(),
             n => format!(" and {n} left out as damaged"),
@@ -57,12 +58,20 @@ impl Listed<'_> {
         Err(Error::format(
             self.path,
             format!(
-                "holds {count} {}, and {taken} frames{of_clip} are taken{skipped}; give \
+                "holds {count} {}, and {taken} frames{of_clip} are taken{of_shot}{skipped}; give \
                  {one_each}{names}",
                 self.what
             ),
         ))
     }
+}
+
+/// Which shot of a clip with cuts the frames are of, in words.
+fn of_shot(clip: &Clip) -> String {
+    clip.shot.map_or(String::new(), |number| {
+        let shot = clip.shots[number];
+        format!(", those of shot {number} (frames {} to {})", shot.first, shot.last)
+    })
 }
 
 /// Poses (`view_from_world`) of a TUM trajectory or a `transforms.json`, one for each frame taken.
@@ -184,17 +193,21 @@ pub fn flow(folder: &Path, clip: &Clip) -> Result<SuppliedFlow> {
         SuppliedFlow::open(folder)?
     };
     let leads_through = flow.pairs() + 1;
-    if leads_through != taken && Some(leads_through) != clip.total {
-        return Err(Error::format(
-            folder,
-            format!(
-                "holds {} fields each way, and {taken} frames are taken; give one less than there \
-                 are frames",
-                flow.pairs()
-            ),
-        ));
+    if leads_through == taken {
+        return Ok(flow);
     }
-    Ok(flow)
+    if Some(leads_through) == clip.total {
+        return Ok(flow.from_frame(clip.frames[0].number));
+    }
+    Err(Error::format(
+        folder,
+        format!(
+            "holds {} fields each way, and {taken} frames are taken{}; give one less than there are \
+             frames",
+            flow.pairs(),
+            of_shot(clip)
+        ),
+    ))
 }
 
 /// The files with an extension, in the natural order of their names.
@@ -231,7 +244,7 @@ fn nearest(image: &Image, width: u32, height: u32) -> Image {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use splat4d::data::ClipFrame;
+    use splat4d::data::{ClipFrame, Shot};
 
     /// A clip of so many frames, those of these numbers taken.
     fn clip(total: Option<usize>, numbers: &[usize], skipped: usize) -> Clip {
@@ -245,6 +258,8 @@ mod tests {
             frames: numbers.iter().map(frame).collect(),
             total,
             skipped,
+            shots: Vec::new(),
+            shot: None,
             width: 1,
             height: 1,
             original: (1, 1),
@@ -282,8 +297,49 @@ mod tests {
         assert!(pair(4, &["f0", "f0", "f3", "f4"], &gap).is_err());
         // More than the clip has, whatever they are called.
         assert!(pair(6, &["f0", "f1", "f2", "f3", "f4", "f5"], &gap).is_err());
+        // Of a shot: by the whole clip's numbers, or one by one.
+        let mut shot = clip(Some(9), &[5, 6, 7, 8], 0);
+        (shot.shots, shot.shot) =
+            (vec![Shot { first: 0, last: 4 }, Shot { first: 5, last: 8 }], Some(1));
+        assert_eq!(pair(9, &[], &shot).unwrap(), [5, 6, 7, 8]);
+        assert_eq!(pair(4, &[], &shot).unwrap(), [0, 1, 2, 3]);
+        let message = pair(5, &[], &shot).unwrap_err().to_string();
+        assert!(message.contains("are taken, those of shot 1 (frames 5 to 8)"), "{message}");
         let unknown = clip(None, &[0, 1, 3], 1);
         assert!(pair(4, &[], &unknown).is_err() && pair(3, &[], &unknown).is_err());
+    }
+
+    #[test]
+    fn flow_of_the_whole_clip_serves_a_shot() {
+        let folder = tempfile::tempdir().unwrap();
+        for direction in ["forward", "backward"] {
+            std::fs::create_dir(folder.path().join(direction)).unwrap();
+            for i in 0..5u16 {
+                let field =
+                    Image { width: 1, height: 1, channels: 2, pixels: vec![f32::from(i); 2] };
+                let file = folder.path().join(direction).join(format!("{i}.flo"));
+                flo::write(file, &field).unwrap();
+            }
+        }
+        let first = |clip: &Clip| {
+            let mut flow = flow(folder.path(), clip)?;
+            splat4d::observe::FlowSource::pair(&mut flow, 0)
+        };
+        for (total, numbers, value) in [
+            (6, vec![3, 4, 5], Some(3.0)),
+            (9, vec![3, 4, 5, 6, 7, 8], Some(0.0)),
+            (9, vec![6, 7, 8], None),
+        ] {
+            let mut clip = clip(Some(total), &numbers, 0);
+            clip.shots =
+                vec![Shot { first: 0, last: 2 }, Shot { first: numbers[0], last: total - 1 }];
+            clip.shot = Some(1);
+            match (first(&clip), value) {
+                (Ok(pair), Some(value)) => assert_eq!(pair.forward.pixels[0], value),
+                (Err(error), None) => assert!(error.to_string().contains("shot 1"), "{error}"),
+                (other, _) => panic!("{:?}", other.map(|pair| pair.forward)),
+            }
+        }
     }
 
     #[test]

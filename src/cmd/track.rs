@@ -15,7 +15,7 @@ use splat4d::train::Quality;
 use splat4d::types::{Camera, Image, Pose, Tracks};
 use splat4d::{Error, Result, io};
 
-use super::clip::ClipArgs;
+use super::clip::{ClipArgs, shots_json};
 use super::clock::Clock;
 use super::common::{Answer, Common, notes, path_text, say};
 use super::interrupt;
@@ -46,12 +46,16 @@ Points are followed through all frames, behind others and outside of the picture
 cameras and depth, what moves by the surface that was found for it. --queries takes those of a file
 like tracks.npz; else they lie on a grid in the first, the middle and the last frame.
 
+Of a clip with cuts one shot is taken, the longest unless --shot says another; --every and --max-frames
+count within it. Frames are counted from the shot's first.
+
 Examples:
   splat4d track video.mp4 -o tracked
   splat4d track clip/frames -o tracked --queries clip/truth/tracks.npz
   splat4d eval tracked/tracks.npz clip/truth/tracks.npz
 
-JSON: frames, frame_names, intrinsics {fx, fy, cx, cy, width, height, source (given, measured, assumed)},
+JSON: frames, frame_names, shot (the one taken, or null), shots ([first, last] frame of each; empty where
+no cut was found), intrinsics {fx, fy, cx, cy, width, height, source (given, measured, assumed)},
 poses {tripod, turns, inlier_share, reprojection_rms, parallax_deg, focal_std, doubtful_frames, tracks,
 motions (that the static world was chosen from, where that was in doubt: [{explained, hidden, hides}]),
 static_motion (the one taken, or null)},
@@ -107,7 +111,8 @@ pub fn run(args: &TrackArgs, common: &Common) -> Result<Answer> {
     std::fs::metadata(&args.clip).map_err(Error::io(&args.clip))?;
     let device = common.open_device()?;
     let preset = Quality::Standard.preset(device.info().kind);
-    let clip = args.frames.open(&args.clip, args.known.size(preset.longest_side))?;
+    let for_each = args.known.is_for_each_frame() || args.queries.is_some();
+    let clip = args.frames.open(&args.clip, args.known.size(preset.longest_side), for_each)?;
     let options = args.known.options(&clip, common.seed)?;
     let flow = args.known.flow(&clip)?;
     let queries = args.queries.as_deref().map(|file| queries(file, &clip)).transpose()?;
@@ -149,6 +154,8 @@ pub fn run(args: &TrackArgs, common: &Common) -> Result<Answer> {
     let mut json = json!({
         "frames": frames.len(),
         "frame_names": names,
+        "shot": clip.shot,
+        "shots": shots_json(&clip.shots),
         "intrinsics": known_intrinsics,
         "poses": poses_json(found),
         "exposure": (!track.exposure.is_constant()).then_some(&track.exposure.gains),

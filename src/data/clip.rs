@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 
 use super::images::{self, Orientation, Resize};
+use super::shots::{self, Detector, Shot, ShotChoice};
 use super::video::GoOn;
 use super::{exif, video};
 use crate::io::check_memory;
@@ -14,9 +15,11 @@ use crate::{Error, Result};
 /// What to take of a clip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ClipOptions {
-    /// Every so-manieth frame, beginning with the first; 1 takes all.
+    /// Which shot, where the clip has cuts.
+    pub shot: ShotChoice,
+    /// Every so-manieth frame, beginning with the shot's first; 1 takes all.
     pub every: usize,
-    /// At most so many frames, after `every`.
+    /// At most so many frames of the shot, after `every`.
     pub max_frames: Option<usize>,
     /// The size to bring the frames to.
     pub size: Resize,
@@ -26,7 +29,13 @@ pub struct ClipOptions {
 
 impl Default for ClipOptions {
     fn default() -> Self {
-        ClipOptions { every: 1, max_frames: None, size: Resize::Keep, skip_bad: false }
+        ClipOptions {
+            shot: ShotChoice::Longest,
+            every: 1,
+            max_frames: None,
+            size: Resize::Keep,
+            skip_bad: false,
+        }
     }
 }
 
@@ -44,7 +53,7 @@ pub struct ClipFrame {
     pub image: Image,
 }
 
-/// At least [`Clip::LEAST`] frames of one size.
+/// At least [`Clip::LEAST`] frames of one size and, unless all are asked for, of one shot.
 #[derive(Clone, Debug)]
 pub struct Clip {
     /// In order.
@@ -54,6 +63,10 @@ pub struct Clip {
     pub total: Option<usize>,
     /// Frames that were left out because they are damaged or lost.
     pub skipped: usize,
+    /// The shots of the whole clip, of three frames or more; empty where no cut was found.
+    pub shots: Vec<Shot>,
+    /// Which of them the frames were taken from; `None` where they were taken from the whole clip.
+    pub shot: Option<usize>,
     /// Width of every frame.
     pub width: u32,
     /// Height of every frame.
@@ -73,11 +86,12 @@ impl Clip {
     pub const LEAST: usize = 3;
 
     /// Opens a video file (through `ffmpeg`), or a folder of images in natural order of their names;
-    /// a folder without images but with a folder `frames` or `images` in it stands for that one.
+    /// a folder without images but with a folder `frames` or `images` in it stands for that one. All of
+    /// the clip is looked through for cuts first, in small pictures of which a few are kept.
     ///
     /// # Errors
     /// No such file, or what is neither a file nor a folder; a folder without images; fewer than
-    /// [`Clip::LEAST`] frames; frames of different sizes; a frame that is damaged or lost (unless
+    /// [`Clip::LEAST`] frames; no such shot; frames of different sizes; a frame that is damaged or lost (unless
     /// `skip_bad`); more than there is memory for; no `ffmpeg`. Each names the file and says what to
     /// do.
     pub fn open(path: impl AsRef<Path>, options: &ClipOptions) -> Result<Clip> {
@@ -112,7 +126,22 @@ impl Clip {
         clip.rate = decoded.rate.map(|rate| rate / options.every as f64);
         clip.total = decoded.total;
         clip.notes = decoded.notes;
+        clip.cut(decoded.shots, decoded.shot, decoded.rate, options);
         Ok(clip)
+    }
+
+    /// Tells the shots, where there are any.
+    fn cut(
+        &mut self,
+        shots: Vec<Shot>,
+        shot: Option<usize>,
+        rate: Option<f64>,
+        options: &ClipOptions,
+    ) {
+        if !shots.is_empty() {
+            self.notes.push(options.shot.note(&shots, shot, rate));
+        }
+        (self.shots, self.shot) = (shots, shot);
     }
 }
 
@@ -192,6 +221,8 @@ fn assemble(
         frames,
         total: None,
         skipped,
+        shots: Vec::new(),
+        shot: None,
         width,
         height,
         original: (width, height),
@@ -214,10 +245,18 @@ fn open_folder(folder: &Path, options: &ClipOptions, go_on: GoOn) -> Result<Clip
         return Err(Error::format(folder, format!("holds no images ({known})")));
     }
     let total = files.len();
+    if total < Clip::LEAST {
+        return Err(too_few(folder, total, options, 0));
+    }
+    let shots = find_shots(&files, go_on)?;
+    let shot = options.shot.among(folder, &shots, None)?;
+    let range = shot.map_or(Shot { first: 0, last: total - 1 }, |shot| shots[shot]);
     // Bad files are looked for among the frames that are taken: what lies between is of no concern.
     let files: Vec<_> = files
         .into_iter()
         .enumerate()
+        .take(range.last + 1)
+        .skip(range.first)
         .step_by(options.every)
         .take(options.max_frames.unwrap_or(usize::MAX))
         .collect();
@@ -273,6 +312,7 @@ fn open_folder(folder: &Path, options: &ClipOptions, go_on: GoOn) -> Result<Clip
     }
     let mut clip = assemble(folder, frames, options, bad.len())?;
     clip.total = Some(total);
+    clip.cut(shots, shot, None, options);
     clip.notes.extend(images::large_note(size));
     if let Some(name) = bad.first() {
         let (n, all) = (bad.len(), files.len());
@@ -284,6 +324,28 @@ fn open_folder(folder: &Path, options: &ClipOptions, go_on: GoOn) -> Result<Clip
         clip.focal = exif::focal(file, width, height).map(|focal| focal * scale);
     }
     Ok(clip)
+}
+
+/// The shots of a folder's pictures. What cannot be read is passed over: it is told if it is taken.
+fn find_shots(files: &[PathBuf], go_on: GoOn) -> Result<Vec<Shot>> {
+    let header = |file: &PathBuf| images::dimensions(file, Orientation::Upright).ok();
+    let at_a_time = images::at_a_time(files.iter().find_map(header).unwrap_or_default());
+    let small = |file: &PathBuf| -> Result<Option<Image>> {
+        go_on()?;
+        let image = images::decode_rgb(file, [0.0; 3], Orientation::Upright).ok();
+        Ok(image.map(|image| {
+            let (width, height) = Resize::Longest(shots::LONGEST).target(image.width, image.height);
+            shots::grey(&images::resize(&image, width, height))
+        }))
+    };
+    let mut detector = Detector::default();
+    for files in files.chunks(at_a_time) {
+        let pictures: Vec<_> = files.par_iter().map(small).collect();
+        for picture in pictures {
+            detector.push(picture?.as_ref());
+        }
+    }
+    Ok(detector.finish())
 }
 
 /// Says how to go on where a frame is damaged.

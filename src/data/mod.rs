@@ -14,6 +14,7 @@ pub mod flo;
 pub mod images;
 pub mod intrinsics;
 pub mod points;
+mod shots;
 pub mod synth;
 pub mod tracks;
 pub mod trajectory;
@@ -24,6 +25,7 @@ pub use clip::{Clip, ClipFrame, ClipOptions};
 pub use distortion::Distortion;
 pub use images::{Resize, read_mask, write_mask, write_png};
 pub use points::Point;
+pub use shots::{Shot, ShotChoice};
 
 use std::path::{Path, PathBuf};
 

@@ -18,6 +18,7 @@ use std::time::Duration;
 use super::ClipOptions;
 use super::clip::{foresee, hint_skip, room_for};
 use super::images::resize;
+use super::shots::{Detector, LONGEST, Shot, grey};
 use crate::types::Image;
 use crate::{Error, Result};
 
@@ -35,6 +36,10 @@ pub struct Decoded {
     pub total: Option<usize>,
     /// Frames left out because they are damaged or lost.
     pub skipped: usize,
+    /// The shots of the video, by the numbers of their frames; empty where no cut was found.
+    pub shots: Vec<Shot>,
+    /// Which of them the frames were taken from; `None` where it was all of the video.
+    pub shot: Option<usize>,
     /// Lines to show.
     pub notes: Vec<String>,
 }
@@ -51,8 +56,8 @@ pub type GoOn<'a> = &'a (dyn Fn() -> Result<()> + Sync);
 ///
 /// # Errors
 /// The program is missing (the message says how to install it or do without) or cannot be started,
-/// it cannot read the file (the message is its own), frames are damaged or lost (unless
-/// `skip_bad`), more frames than there is memory for; those of `go_on`.
+/// it cannot read the file (the message is its own), no such shot, frames are damaged or lost
+/// (unless `skip_bad`), more frames than there is memory for; those of `go_on`.
 pub fn decode_with(
     ffmpeg: &OsStr,
     ffprobe: &OsStr,
@@ -65,28 +70,53 @@ pub fn decode_with(
     input.push(path);
     let told = Told::by(ffprobe, &input);
     let most = options.max_frames.unwrap_or(usize::MAX);
-    if let (Some(count), Some((width, height))) = (told.packets, told.size) {
-        let taken = count.div_ceil(options.every).min(most);
+    let source = Source { ffmpeg, input: &input, path, options, go_on };
+    let (shots, scan) = source.shots()?;
+    let shot = options.shot.among(path, &shots, told.rate)?;
+    let all = Shot { first: 0, last: scan.decoded.saturating_sub(1) };
+    let range = shot.map_or(all, |shot| shots[shot]);
+    if let Some((width, height)) = told.size {
+        let taken = range.frames().div_ceil(options.every).min(most);
         foresee(path, taken, options.size.target(width, height))?;
     }
-    let source = Source { ffmpeg, input: &input, path, options, go_on };
-    let every = &mut |i: usize| Some(i * options.every);
-    let mut run = source.run(options.every, options.max_frames, every)?;
-    let complaint = run.said.lines().find_map(|line| told.complaint(line));
-    let complaint = complaint.or(run.failed.take());
-    let whole = options.every == 1 && options.max_frames.is_none();
+    let select = Select { first: range.first, every: options.every };
+    // All of a video is read to its end: what is damaged there is told.
+    let count = shot.map(|_| range.frames().div_ceil(options.every).min(most));
+    let number = &mut |i: usize| Some(range.first + i * options.every);
+    let mut taken = source.take(&select, count.or(options.max_frames), number)?;
+    let complaint = |run: &Run| run.said.lines().find_map(|line| told.complaint(line));
+    let total = if complaint(&scan).is_none() { Some(scan.decoded) } else { told.packets };
+    let complaint = complaint(&taken.run).or(taken.run.failed.take());
     let mut decoded = Decoded {
-        total: if whole { Some(run.frames.len()) } else { told.packets },
-        original: run.original,
+        total,
+        original: taken.original,
         rate: told.rate,
         skipped: 0,
+        shots,
+        shot,
         notes: Vec::new(),
         frames: Vec::new(),
     };
     if let Some(complaint) = complaint {
-        let seen = damage::inspect(ffprobe, &input, &told, &run.said);
+        let seen = damage::inspect(ffprobe, &input, &told, &taken.run.said);
         decoded.total = seen.as_ref().and_then(|seen| seen.total);
-        let chosen = |seen: &damage::Seen| (0..seen.whole.len()).step_by(options.every).take(most);
+        let mut range = all;
+        if let Some(seen) = &seen {
+            // Frames are missing between others, so that shots have other numbers.
+            if scan.decoded != seen.decoded.len() && shot.is_some() {
+                return Err(Error::format(path, UNTELLABLE));
+            }
+            let number = |place: usize| seen.decoded.get(place).copied().unwrap_or(place);
+            for shot in &mut decoded.shots {
+                *shot = Shot { first: number(shot.first), last: number(shot.last) };
+            }
+            range.last = seen.whole.len().saturating_sub(1);
+        }
+        let range = shot.map_or(range, |shot| decoded.shots[shot]);
+        let chosen = |seen: &damage::Seen| {
+            let end = seen.whole.len().min(range.last + 1);
+            (range.first..end).step_by(options.every).take(most)
+        };
         let bad: Vec<usize> =
             seen.iter().flat_map(|s| chosen(s).filter(|&n| !s.whole[n])).collect();
         let harmless = seen.as_ref().is_some_and(|seen| seen.finds_all() && bad.is_empty());
@@ -121,24 +151,27 @@ pub fn decode_with(
         decoded.skipped = bad.len();
         if let Some(seen) = seen.filter(|seen| seen.whole.contains(&false)) {
             // Frames are missing between others, so that counting gives wrong numbers.
-            drop(run.frames);
+            drop(taken.frames);
             let keep = &mut |i: usize| {
                 let number = *seen.decoded.get(i)?;
-                let place = number / options.every;
-                let taken = seen.whole[number] && number % options.every == 0 && place < most;
-                taken.then_some(number)
+                let place = number.checked_sub(range.first)?;
+                let inside = number <= range.last && place / options.every < most;
+                let kept = seen.whole[number] && inside && place % options.every == 0;
+                kept.then_some(number)
             };
-            run = source.run(1, None, keep)?;
-            if run.decoded != seen.decoded.len() {
-                let what = "is so damaged that its frames cannot be told apart; extract them \
-                            elsewhere and give the folder of images";
-                return Err(Error::format(path, what));
+            taken = source.take(&Select { first: 0, every: 1 }, None, keep)?;
+            if taken.run.decoded != seen.decoded.len() {
+                return Err(Error::format(path, UNTELLABLE));
             }
         }
     }
-    decoded.frames = run.frames;
+    decoded.frames = taken.frames;
     Ok(decoded)
 }
+
+/// Why a damaged video is given up.
+const UNTELLABLE: &str = "is so damaged that its frames cannot be told apart; extract them elsewhere \
+                          and give the folder of images";
 
 /// A process of ours that ends with what waits for it.
 struct Running(Child);
@@ -194,36 +227,82 @@ struct Source<'a> {
     go_on: GoOn<'a>,
 }
 
-/// Frames that were kept with their numbers, how many there were in all, and their size.
-type Taken = (Vec<(usize, Image)>, usize, (u32, u32));
+/// The frames of a video that are asked for: every so-manieth, from one on.
+struct Select {
+    first: usize,
+    every: usize,
+}
 
-/// What one run of ffmpeg gave.
-struct Run {
-    /// Those that were kept, with their numbers.
+/// Frames that were kept with their numbers, the size that they had, and the run that gave them.
+struct Taken {
     frames: Vec<(usize, Image)>,
-    /// Those that ffmpeg wrote.
-    decoded: usize,
     original: (u32, u32),
+    run: Run,
+}
+
+/// What one run of ffmpeg came to.
+struct Run {
+    /// Frames that ffmpeg wrote.
+    decoded: usize,
     /// On stderr, each line with its level.
     said: String,
     /// Why it ended early, if it did.
     failed: Option<String>,
 }
 
+/// Gets each picture that ffmpeg writes, with its place among them.
+type Each<'a> = &'a mut dyn FnMut(usize, Image) -> Result<()>;
+
 impl Source<'_> {
-    /// Runs ffmpeg and keeps the frames that `keep` gives a number to, asked with their places among
+    /// The shots of the whole video, by the places of their frames among those that ffmpeg writes;
+    /// empty where no cut was found. Only small pictures are read, and a few kept.
+    fn shots(&self) -> Result<(Vec<Shot>, Run)> {
+        let filter = format!(
+            "scale=w=min({LONGEST}\\,iw):h=min({LONGEST}\\,ih):\
+             force_original_aspect_ratio=decrease:flags=area"
+        );
+        let mut detector = Detector::default();
+        let run = self.run(&filter, None, &mut |_, image| {
+            detector.push(Some(&grey(&image)));
+            Ok(())
+        })?;
+        Ok((detector.finish(), run))
+    }
+
+    /// Takes at most so many frames, those that `keep` gives a number to, asked with their places among
     /// those that ffmpeg writes.
-    fn run(
+    fn take(
         &self,
-        every: usize,
+        select: &Select,
         most: Option<usize>,
         keep: &mut dyn FnMut(usize) -> Option<usize>,
-    ) -> Result<Run> {
+    ) -> Result<Taken> {
+        let Select { first, every } = select;
+        let filter = format!("select=gte(n\\,{first})*not(mod(n-{first}\\,{every}))");
+        let (mut frames, mut original) = (Vec::new(), None);
+        let run = self.run(&filter, most, &mut |place, image| {
+            let size = (image.width, image.height);
+            if *original.get_or_insert(size) != size {
+                let what = format!("frame {place} has another size than the first");
+                return Err(Error::format(self.path, what));
+            }
+            if let Some(number) = keep(place) {
+                let (width, height) = self.options.size.target(size.0, size.1);
+                room_for(self.path, frames.len(), (width, height))?;
+                frames.push((number, resize(&image, width, height)));
+            }
+            Ok(())
+        })?;
+        Ok(Taken { frames, original: original.unwrap_or_default(), run })
+    }
+
+    /// Runs ffmpeg and hands over the pictures that come through its filter, at most so many.
+    fn run(&self, filter: &str, most: Option<usize>, each: Each) -> Result<Run> {
         // Frames are to come out as they went in. The option for that changed its name with ffmpeg
         // 5.1, and each name is unknown to some version in use.
-        match self.run_timed(every, most, keep, ["-fps_mode", "passthrough"]) {
+        match self.run_timed(filter, most, each, ["-fps_mode", "passthrough"]) {
             Err(Error::Format { what, .. }) if what.contains("'fps_mode'") => {
-                self.run_timed(every, most, keep, ["-vsync", "0"])
+                self.run_timed(filter, most, each, ["-vsync", "0"])
             }
             other => other,
         }
@@ -231,17 +310,16 @@ impl Source<'_> {
 
     fn run_timed(
         &self,
-        every: usize,
+        filter: &str,
         most: Option<usize>,
-        keep: &mut dyn FnMut(usize) -> Option<usize>,
+        each: Each,
         timing: [&str; 2],
     ) -> Result<Run> {
         let mut command = Command::new(self.ffmpeg);
         command.args(["-nostdin", "-v", "level+warning"]);
         // Several threads race for what they say of damage; one always says the same.
         command.args(["-threads", "1", "-i"]).arg(self.input);
-        command.args(["-map", "0:v:0", "-vf"]);
-        command.arg(format!("select=not(mod(n\\,{every}))"));
+        command.args(["-map", "0:v:0", "-vf", filter]);
         command.args(timing);
         if let Some(most) = most {
             command.args(["-frames:v", &most.to_string()]);
@@ -263,9 +341,9 @@ impl Source<'_> {
                 }
             }
         });
-        let taken = self.take(&pictures, keep);
+        let decoded = self.receive(&pictures, each);
         drop(pictures);
-        if taken.is_err() {
+        if decoded.is_err() {
             // It would wait for ever for someone to read on; it may also be gone already.
             let _ = child.0.kill();
         }
@@ -273,25 +351,20 @@ impl Source<'_> {
         let said = said.join().unwrap_or_default();
         // Only a panic of its own could end it otherwise.
         let _ = reader.join();
-        let (frames, decoded, original) = taken?;
+        let decoded = decoded?;
         let failed = (!status.success()).then(|| reason(&said));
         match failed {
             Some(why) if decoded == 0 => {
                 let what = format!("ffmpeg cannot read it as a video: {why}");
                 Err(Error::format(self.path, what))
             }
-            failed => Ok(Run { frames, decoded, original, said, failed }),
+            failed => Ok(Run { decoded, said, failed }),
         }
     }
 
-    /// Takes the pictures as they come.
-    fn take(
-        &self,
-        pictures: &Receiver<std::io::Result<Image>>,
-        keep: &mut dyn FnMut(usize) -> Option<usize>,
-    ) -> Result<Taken> {
-        let (mut frames, mut decoded) = (Vec::new(), 0);
-        let mut original = None;
+    /// Hands over the pictures as they come, and counts them.
+    fn receive(&self, pictures: &Receiver<std::io::Result<Image>>, each: Each) -> Result<usize> {
+        let mut decoded = 0;
         loop {
             (self.go_on)()?;
             let image = match pictures.recv_timeout(Duration::from_millis(100)) {
@@ -299,19 +372,10 @@ impl Source<'_> {
                 Err(RecvTimeoutError::Timeout) => continue,
                 Err(RecvTimeoutError::Disconnected) => break,
             };
-            let size = (image.width, image.height);
-            if *original.get_or_insert(size) != size {
-                let what = format!("frame {decoded} has another size than the first");
-                return Err(Error::format(self.path, what));
-            }
-            if let Some(number) = keep(decoded) {
-                let (width, height) = self.options.size.target(size.0, size.1);
-                room_for(self.path, frames.len(), (width, height))?;
-                frames.push((number, resize(&image, width, height)));
-            }
+            each(decoded, image)?;
             decoded += 1;
         }
-        Ok((frames, decoded, original.unwrap_or_default()))
+        Ok(decoded)
     }
 }
 

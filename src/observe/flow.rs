@@ -81,6 +81,14 @@ impl SuppliedFlow {
         self.forward.len()
     }
 
+    /// The flow from a frame on, which becomes the first.
+    pub fn from_frame(mut self, first: usize) -> SuppliedFlow {
+        for fields in [&mut self.forward, &mut self.backward] {
+            fields.drain(..first.min(fields.len()));
+        }
+        self
+    }
+
     /// From a folder of `.flo` files: those whose name begins with `forward` and with `backward`, or
     /// those in folders `forward` and `backward`, in the natural order of their names.
     ///

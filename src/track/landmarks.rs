@@ -188,8 +188,8 @@ fn landmarks(
 
 #[cfg(test)]
 mod tests {
-    use super::super::sliding::*;
     use super::super::cameras::Standpoint;
+    use super::super::sliding::*;
     use super::*;
 
     /// Points of the wall, followed from the first frame to the last.

@@ -150,7 +150,8 @@ impl Posing {
         if let Some(lost) = posed.iter().position(|p| !p) {
             return Err(Error::Failed(format!(
                 "the cameras were lost at frame {lost}: too few points are followed from the \
-                 frames before it; the video may have a cut there"
+                 frames before it; the video may have a cut there that was not found: give the frames \
+                 up to it, or from it on, by themselves (--max-frames, or a folder of them)"
             )));
         }
         cameras.adjust(tracks, weights, focal)?;

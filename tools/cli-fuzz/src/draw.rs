@@ -44,7 +44,7 @@ const BASES: [&str; 23] = [
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --poses <cameras> --masks <masks> \
      --intrinsics <intrinsics>",
     "reconstruct <clip> -o >scene.safetensors --steps 3 --flow <flow> --depth <depth>",
-    "track <clip> -o >tracked --size 32",
+    "track <clip> -o >tracked --size 32 --shot 0",
     "track <clip> -o >tracked --tracks <tracks> --queries <tracks>",
     "train <dataset> -o >scene.safetensors --steps 3 --random-points 80 --sh-degree 0 --static",
     "train <dataset> -o >scene.safetensors --steps 3 --random-points 80 --max-gaussians 120 \
