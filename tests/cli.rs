@@ -460,8 +460,52 @@ fn trajectories_are_measured() {
     assert_eq!(found["poses"], 20);
     let rigid = json(folder.path(), "eval a.txt b.txt --align se3");
     assert!(rigid["ate_rmse"].as_f64().unwrap() > 0.5);
+    assert_eq!(found["ape_trans"]["rmse"], found["ate_rmse"]);
+    assert_eq!(found["rpe_pairs"], 19);
+    documented("eval", &found);
+    let late = fails(folder.path(), 1, "eval a.txt b.txt --time-offset 5");
+    says(&late, &["--time-offset", "--max-time-diff"]);
+    // The option's former name.
     let said = fails(folder.path(), 1, "eval a.txt b.txt --max-difference 0.0001");
-    says(&said, &["--max-difference"]);
+    says(&said, &["--max-time-diff"]);
+    let part = fails(folder.path(), 1, "eval a.txt b.txt --rpe-delta 1.5");
+    says(&part, &["--rpe-delta", "--rpe-unit"]);
+    // A whole number of poses, farther apart than there are: no relative error, and a note.
+    let none = json(folder.path(), "eval a.txt b.txt --rpe-delta 20");
+    assert!(none["rpe_trans"].is_null() && none["rpe_trans_rmse"].is_null(), "{none}");
+}
+
+#[test]
+fn trajectories_of_formats_without_times_pair_in_order() {
+    let folder = tempfile::tempdir().unwrap();
+    let cams = folder.path().join("cams");
+    fs::create_dir(&cams).unwrap();
+    let (mut tum, mut kitti) = (String::new(), String::new());
+    for i in 0..12u32 {
+        let (x, y) = (f64::from(i) * 0.25, f64::from(i * i) * 0.125);
+        tum += &format!("{} {x} {y} 2 0 0 0 1\n", 100 + i);
+        kitti += &format!("1 0 0 {x} 0 1 0 {y} 0 0 1 2\n");
+        // World to camera, the rotation being none.
+        let k = [1120.0, 0.0, 511.5, 0.0, 1120.0, 217.5, 0.0, 0.0, 1.0];
+        let m = [1.0, 0.0, 0.0, -x, 0.0, 1.0, 0.0, -y, 0.0, 0.0, 1.0, -2.0];
+        let mut bytes = 202_021.25f32.to_le_bytes().to_vec();
+        bytes.extend(k.iter().chain(&m).flat_map(|v| v.to_le_bytes()));
+        fs::write(cams.join(format!("frame_{i:04}.cam")), bytes).unwrap();
+    }
+    fs::write(folder.path().join("tum.txt"), tum).unwrap();
+    fs::write(folder.path().join("kitti.txt"), &kitti).unwrap();
+    for pair in ["tum.txt cams", "kitti.txt tum.txt", "cams kitti.txt"] {
+        let found = json(folder.path(), &format!("eval {pair} --align none"));
+        assert_eq!(found["poses"], 12, "{pair}");
+        assert!(found["ape_trans"]["max"].as_f64().unwrap() < 1e-12, "{pair}: {found}");
+    }
+    // One pose less: no order is certain any more.
+    let short: String = kitti.lines().skip(1).map(|line| format!("{line}\n")).collect();
+    fs::write(folder.path().join("short.txt"), short).unwrap();
+    let said = fails(folder.path(), 1, "eval short.txt tum.txt");
+    says(&said, &["count from 0", "--time-offset"]);
+    fs::write(cams.join("frame_0003.cam"), b"PIEH").unwrap();
+    says(&fails(folder.path(), 1, "eval tum.txt cams"), &["frame_0003.cam", "172 bytes"]);
 }
 
 #[test]

@@ -2,7 +2,8 @@
 # Installs what is missing, on Debian 12 or its like; does nothing when all is there.
 #
 #   tools/setup.sh run    what building and running need: linker, Vulkan loader, lavapipe, ffmpeg
-#   tools/setup.sh test   and what the test suite needs: validation layer, SwiftShader, CMake …
+#   tools/setup.sh test   and what the test suite needs: validation layer, SwiftShader, CMake, the evo
+#                         package …
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -29,6 +30,7 @@ has_loader() {
 }
 has_lavapipe() { has_file '/usr/share/vulkan/icd.d/lvp_icd*.json'; }
 has_validation() { has_file '/usr/share/vulkan/explicit_layer.d/VkLayer_khronos_validation.json'; }
+has_module() { python3 -c "import $1" >/dev/null 2>&1; }
 has_swiftshader() { has_file '/usr/lib/chromium/vk_swiftshader_icd.json'; }
 
 # One probe and the package that satisfies it.
@@ -47,6 +49,8 @@ if [[ $mode == test ]]; then
         'has_command cmake|cmake'
         'has_command ninja|ninja-build'
         'has_command python3|python3'
+        # Where it is absent, no environment of its own can be made.
+        'has_module ensurepip|python3-venv'
         'has_command git|git'
         'has_command spirv-val|spirv-tools'
         'has_validation|vulkan-validationlayers'
@@ -100,5 +104,17 @@ if [[ $mode == test ]]; then
         has_command rustup || fail "$component is missing and there is no rustup to add it"
         rustup component add "$component" || fail "rustup could not add $component"
     done
+fi
+# Tests compare errors of trajectories with those of the evo package. It lies beside the build, in an
+# environment of its own, so that the system's Python stays as it is.
+if [[ $mode == test ]]; then
+    evo=${CARGO_TARGET_DIR:-target}/evo
+    if ! "$evo/bin/python" -c 'import evo.main_rpe' >/dev/null 2>&1; then
+        echo "setup: installing evo into $evo"
+        python3 -m venv --clear "$evo" || fail "python3 could not make an environment in $evo"
+        "$evo/bin/pip" install --quiet --disable-pip-version-check 'evo>=1.30,<2' ||
+            fail "pip could not install evo into $evo; is there a network?"
+        "$evo/bin/python" -c 'import evo.main_rpe' || fail "evo was installed into $evo and does not run"
+    fi
 fi
 echo "setup: everything for '$mode' is there (Rust $found)"

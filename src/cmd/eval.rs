@@ -6,12 +6,14 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde_json::{Map, Value, json};
-use splat4d::data::trajectory::{self, TimedPose};
-use splat4d::data::{Dataset, Resize, images};
-use splat4d::eval::{Align, TrajectoryErrors, compare_trajectories, match_by_time};
+use splat4d::data::trajectory::{self, Format, QuaternionOrder, Trajectory};
+use splat4d::data::{Dataset, Resize, cam, images};
+use splat4d::eval::{
+    Align, Comparison, Relative, Statistics, Step, TrajectoryErrors, compare_matrices,
+    nearest_by_time,
+};
 use splat4d::renderer::Renderer;
 use splat4d::scene::{Opened, Scene};
-use splat4d::types::Pose;
 use splat4d::{Error, Result};
 
 use super::common::{Answer, Common, notes, say, thousands};
@@ -33,7 +35,10 @@ REFERENCE decides what is measured:
                                  and translation from their centres
   a folder of v000_t003.png …    what the scene's first camera sees at the times of other frames
                                  (here of frame 3), from that camera's own pose, nothing aligned
-  a TUM trajectory               a trajectory against it, after --align; poses pair by timestamp
+  a trajectory                   a trajectory against it, after --align, as the evo package measures;
+                                 files of TUM, KITTI or EuRoC, Sintel's .cam or a folder of them,
+                                 told by what they hold. Poses pair by timestamp as evo pairs them,
+                                 in order where a format has none (KITTI, .cam)
   an .npz of point tracks        tracks of the same points against it, as TAP-Vid measures them
 
 Examples:
@@ -42,11 +47,18 @@ Examples:
   splat4d eval scene.safetensors clip/truth --fit-poses --pictures views
   splat4d eval scene.safetensors balloon/gt_cam000
   splat4d eval estimate.txt groundtruth.txt
+  splat4d eval orb.txt KITTI_00_gt.txt --align se3 --rpe-delta 100 --rpe-unit metres
+  splat4d eval tracked/poses.txt sintel/camdata_left/alley_1 --align sim3
   splat4d eval tracked/tracks.npz clip/truth/tracks.npz
 
 JSON: psnr, ssim, ms_ssim, lpips (always null: no network weights come along), per_frame [{name,
 psnr, ssim, ms_ssim}], ate_rmse, ate_relative (to the length of the camera's path),
 rpe_trans_rmse, rpe_rot_deg_rmse, scale, poses, focal_error (relative), depth_rel_median, mask_iou;
+ape_trans, ape_rot_deg, rpe_trans, rpe_rot_deg: of a trajectory the errors of centres (in the reference's
+unit) and rotations (degrees), absolute and relative, each {rmse, mean, median, std, min, max, sse};
+rpe_pairs: the pairs of poses that the relative ones compare (--rpe-delta; they are null without any).
+ate_rmse, rpe_trans_rmse and rpe_rot_deg_rmse are the same rmse (the latter two null where the reference
+stands still);
 tracks: {all, movers, static}, each {average_jaccard, position_accuracy, within (shares within 1, 2, 4, 8 and
 16 pixels of 256×256), occlusion_accuracy, points}; the latter two by `masks` beside the reference, null
 without;
@@ -64,7 +76,7 @@ the static covisible pixels, or all where masks are missing. Poses fitted to tes
 What does not apply is null; so is an infinite PSNR.";
 
 /// Every key of the JSON, so that each is always there.
-const KEYS: [&str; 20] = [
+const KEYS: [&str; 25] = [
     "psnr",
     "ssim",
     "ms_ssim",
@@ -76,6 +88,11 @@ const KEYS: [&str; 20] = [
     "ate_relative",
     "rpe_trans_rmse",
     "rpe_rot_deg_rmse",
+    "ape_trans",
+    "ape_rot_deg",
+    "rpe_trans",
+    "rpe_rot_deg",
+    "rpe_pairs",
     "scale",
     "poses",
     "focal_error",
@@ -91,11 +108,11 @@ const KEYS: [&str; 20] = [
 #[derive(Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct EvalArgs {
-    /// A scene's file, a 3DGS PLY, a trajectory (TUM), or point tracks (.npz)
+    /// A scene's file, a 3DGS PLY, a trajectory (TUM, KITTI, EuRoC, .cam), or point tracks (.npz)
     #[arg(value_name = "SCENE|TRAJECTORY|TRACKS")]
     pub estimate: PathBuf,
-    /// A dataset, a clip's truth folder, pictures of the first camera, a trajectory (TUM), or point tracks
-    /// (.npz)
+    /// A dataset, a clip's truth folder, pictures of the first camera, a trajectory (TUM, KITTI, EuRoC,
+    /// .cam), or point tracks (.npz)
     pub reference: PathBuf,
     /// REFERENCE holds what the scene's first camera sees at the times of other frames; the last number
     /// in a picture's name is the frame's. Names of the form v000_t003.png say so themselves
@@ -120,10 +137,35 @@ pub struct EvalArgs {
     /// What aligning a trajectory may change
     #[arg(long, value_enum, default_value = "sim3")]
     align: AlignBy,
+    /// Find the alignment from the first N poses alone; 0: from all
+    #[arg(long, value_name = "N", default_value_t = 0,
+          value_parser = values::whole::<usize>(0..=values::MOST_PICTURES))]
+    align_first: usize,
     /// Poses pair when their timestamps differ by at most so many seconds
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.02,
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.01, alias = "max-difference",
           value_parser = values::number(0.0..=values::MOST_SECONDS))]
-    max_difference: f64,
+    max_time_diff: f64,
+    /// Add so many seconds to the estimate's timestamps before they are paired
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_negative_numbers = true,
+          value_parser = values::number(-values::MOST_SECONDS..=values::MOST_SECONDS))]
+    time_offset: f64,
+    /// Distance between the two poses of a relative error
+    #[arg(long, value_name = "DISTANCE", default_value_t = 1.0,
+          value_parser = values::number(1e-9..=1e9))]
+    rpe_delta: f64,
+    /// What --rpe-delta counts: poses, the path between them, or how far it turns
+    #[arg(long, value_enum, default_value = "frames")]
+    rpe_unit: Unit,
+    /// Compare all pairs of poses that lie --rpe-delta apart, not only such as follow each other
+    #[arg(long)]
+    rpe_all_pairs: bool,
+    /// With --rpe-all-pairs: how far off a pair's metres or degrees may be, as a share of --rpe-delta
+    #[arg(long, value_name = "SHARE", default_value_t = 0.1, requires = "rpe_all_pairs",
+          value_parser = values::number(0.0..=1.0))]
+    rpe_tolerance: f64,
+    /// Count --rpe-delta's metres or degrees on the reference instead of the aligned estimate
+    #[arg(long)]
+    rpe_along_reference: bool,
     /// Leave out Gaussians that hold NaN, infinite or out-of-range values
     #[arg(long)]
     drop_bad: bool,
@@ -147,10 +189,56 @@ impl EvalArgs {
 enum AlignBy {
     /// Nothing
     None,
+    /// Rotation and translation, by the first pose alone
+    Origin,
+    /// Scale alone
+    Scale,
     /// Rotation and translation
     Se3,
     /// Rotation, translation and scale
     Sim3,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum Unit {
+    /// Poses
+    Frames,
+    /// Length of the path, in the reference's unit
+    Metres,
+    /// Angle turned
+    Degrees,
+}
+
+impl EvalArgs {
+    /// How trajectories are compared.
+    fn comparison(&self) -> Result<Comparison> {
+        if matches!(self.rpe_unit, Unit::Frames) && self.rpe_delta.fract() != 0.0 {
+            let delta = self.rpe_delta;
+            let what = format!("--rpe-delta {delta}: frames are whole numbers; see --rpe-unit");
+            return Err(Error::Input(what));
+        }
+        Ok(Comparison {
+            align: match self.align {
+                AlignBy::None => Align::None,
+                AlignBy::Origin => Align::Origin,
+                AlignBy::Scale => Align::Scale,
+                AlignBy::Se3 => Align::Se3,
+                AlignBy::Sim3 => Align::Sim3,
+            },
+            align_first: Some(self.align_first).filter(|first| *first > 0),
+            relative: Relative {
+                delta: self.rpe_delta,
+                step: match self.rpe_unit {
+                    Unit::Frames => Step::Frames,
+                    Unit::Metres => Step::Metres,
+                    Unit::Degrees => Step::Degrees,
+                },
+                tolerance: self.rpe_tolerance,
+                all_pairs: self.rpe_all_pairs,
+                along_reference: self.rpe_along_reference,
+            },
+        })
+    }
 }
 
 /// Runs the command.
@@ -166,7 +254,7 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Answer> {
         None if args.reference.extension().is_some_and(|e| e == "npz") => {
             eval_tracks::measure(&args.estimate, &args.reference)?
         }
-        None if is_text(&args.reference)? => trajectories(args)?,
+        None if is_trajectory(&args.reference)? => trajectories(args)?,
         None => pictures(args, common)?,
     };
     let mut whole: Map<String, Value> = KEYS.iter().map(|k| (k.to_string(), Value::Null)).collect();
@@ -185,10 +273,14 @@ pub fn truth_folder(reference: &Path) -> Result<Option<PathBuf>> {
     Ok(candidates.into_iter().find(is_truth))
 }
 
-/// Whether the reference is something else than a folder or a `transforms.json`: a trajectory, then.
-fn is_text(reference: &Path) -> Result<bool> {
+/// Whether the reference is something else than a dataset: a folder of `.cam` files, or a file that is no
+/// `transforms.json`.
+fn is_trajectory(reference: &Path) -> Result<bool> {
     let found = std::fs::metadata(reference).map_err(Error::io(reference))?;
-    Ok(!found.is_dir() && reference.extension().is_none_or(|e| e != "json"))
+    if found.is_dir() {
+        return Ok(!cam::list(reference)?.is_empty());
+    }
+    Ok(reference.extension().is_none_or(|e| e != "json"))
 }
 
 fn open(args: &EvalArgs) -> Result<Scene> {
@@ -235,55 +327,120 @@ pub fn picture_keys(per_frame: &[Quality]) -> Map<String, Value> {
 }
 
 fn trajectories(args: &EvalArgs) -> Result<Map<String, Value>> {
+    let how = args.comparison()?;
     // The reference decides what is measured, so that it is judged first.
-    let reference = trajectory::read(&args.reference, None).map_err(|error| match error {
+    let reference = trajectory::open(&args.reference, None).map_err(|error| match error {
         Error::Format { path, what } => {
-            let hint = "a reference is a dataset, a clip's truth folder or a trajectory (TUM); a \
-                        video or picture has no known cameras to compare with";
+            let hint = "a reference is a dataset, a clip's truth folder or a trajectory (TUM, KITTI, \
+                        EuRoC, .cam); a video or picture has no known cameras to compare with";
             Error::Format { path, what: format!("{what}; {hint}") }
         }
         other => other,
     })?;
-    let estimate = trajectory::read(&args.estimate, None)?;
-    let times = |poses: &[TimedPose]| poses.iter().map(|p| p.time).collect::<Vec<f64>>();
-    let pairs = match_by_time(&times(&estimate), &times(&reference), args.max_difference);
+    let estimate = trajectory::open(&args.estimate, None)?;
+    for (path, found) in [(&args.estimate, &estimate), (&args.reference, &reference)] {
+        if found.format != Format::Euroc && found.order == Some(QuaternionOrder::Wxyz) {
+            let path = path.display();
+            say(&format!("note: the quaternions of {path} are read as (w, x, y, z)"));
+        }
+    }
+    let pairs = pair(args, &estimate, &reference)?;
+    let unpaired = estimate.times.len() - pairs.len().min(estimate.times.len());
+    if unpaired > 0 {
+        let all = estimate.times.len();
+        say(&format!("note: {unpaired} of {all} poses have no counterpart"));
+    }
+    let ours: Vec<_> = pairs.iter().map(|pair| estimate.world_from_view[pair.0]).collect();
+    let theirs: Vec<_> = pairs.iter().map(|pair| reference.world_from_view[pair.1]).collect();
+    let errors = compare_matrices(&ours, &theirs, &how)?;
+    if errors.rpe_pairs == 0 {
+        say("note: no two poses lie --rpe-delta apart; there is no relative error");
+    }
+    Ok(trajectory_keys(&errors))
+}
+
+/// Which poses belong together: in order where neither has timestamps, or only one and both are as long;
+/// else by time, places in a file counting as times.
+fn pair(
+    args: &EvalArgs,
+    estimate: &Trajectory,
+    reference: &Trajectory,
+) -> Result<Vec<(usize, usize)>> {
+    let (ours, theirs) = (estimate.times.len(), reference.times.len());
+    let timed = [estimate, reference].map(Trajectory::is_timed);
+    if timed == [false; 2] || timed != [true; 2] && ours == theirs {
+        if ours != theirs {
+            say(&format!(
+                "note: neither trajectory has timestamps; of {ours} and {theirs} poses the first {} \
+                 are paired in order",
+                ours.min(theirs)
+            ));
+        }
+        return Ok((0..ours.min(theirs)).map(|i| (i, i)).collect());
+    }
+    let pairs =
+        nearest_by_time(&estimate.times, &reference.times, args.max_time_diff, args.time_offset);
     if pairs.is_empty() {
+        let places = match timed {
+            [true, true] => "",
+            _ => {
+                " (poses of a format without timestamps count from 0, and there are not as many of both)"
+            }
+        };
         return Err(Error::Input(format!(
-            "no timestamp of {} lies within {} s of one of {}; --max-difference widens that",
+            "no timestamp of {} lies within {} s of one of {}{places}; --max-time-diff widens that, \
+             --time-offset shifts the estimate",
             args.estimate.display(),
-            args.max_difference,
+            args.max_time_diff,
             args.reference.display()
         )));
     }
-    let unpaired = estimate.len() - pairs.len();
-    if unpaired > 0 {
-        say(&format!("note: {unpaired} of {} poses have no counterpart", estimate.len()));
-    }
-    let poses = |of: &[TimedPose], which: fn(&(usize, usize)) -> usize| -> Vec<Pose> {
-        pairs.iter().map(|pair| of[which(pair)].world_from_view).collect()
-    };
-    let align = match args.align {
-        AlignBy::None => Align::None,
-        AlignBy::Se3 => Align::Se3,
-        AlignBy::Sim3 => Align::Sim3,
-    };
-    let errors =
-        compare_trajectories(&poses(&estimate, |p| p.0), &poses(&reference, |p| p.1), align)?;
-    Ok(trajectory_keys(&errors))
+    Ok(pairs)
 }
 
 /// The keys that speak of trajectories. A camera that stands still has no path to relate errors to,
 /// and no motion to err in.
 pub fn trajectory_keys(errors: &TrajectoryErrors) -> Map<String, Value> {
-    let moving = |value: f64| (errors.path_length > 0.0).then_some(value);
+    let moving = |value: f64| (errors.path_length > 0.0 && errors.rpe_pairs > 0).then_some(value);
+    let relative = |found: &Statistics| (errors.rpe_pairs > 0).then(|| statistics(found));
     Map::from_iter([
         ("ate_rmse".into(), json!(errors.ate.rmse)),
-        ("ate_relative".into(), json!(moving(errors.ate_relative))),
+        ("ate_relative".into(), json!((errors.path_length > 0.0).then_some(errors.ate_relative))),
         ("rpe_trans_rmse".into(), json!(moving(errors.rpe_trans.rmse))),
         ("rpe_rot_deg_rmse".into(), json!(moving(errors.rpe_rot_deg.rmse))),
+        ("ape_trans".into(), statistics(&errors.ate)),
+        ("ape_rot_deg".into(), statistics(&errors.ate_rot_deg)),
+        ("rpe_trans".into(), json!(relative(&errors.rpe_trans))),
+        ("rpe_rot_deg".into(), json!(relative(&errors.rpe_rot_deg))),
+        ("rpe_pairs".into(), json!(errors.rpe_pairs)),
         ("scale".into(), json!(errors.reference_from_estimate.scale)),
         ("poses".into(), json!(errors.poses)),
     ])
+}
+
+/// The names under which [`statistics`] gives what a list of errors comes to.
+const STATISTICS: [&str; 7] = ["rmse", "mean", "median", "std", "min", "max", "sse"];
+
+fn statistics(of: &Statistics) -> Value {
+    let values = [of.rmse, of.mean, of.median, of.std, of.min, of.max, of.sse];
+    STATISTICS.iter().zip(values).map(|(name, value)| (name.to_string(), json!(value))).collect()
+}
+
+/// The statistics of a trajectory as a table; empty where there are none.
+fn statistics_table(found: &Value) -> String {
+    let mut table = String::new();
+    for key in ["ape_trans", "ape_rot_deg", "rpe_trans", "rpe_rot_deg"] {
+        let Some(row) = found[key].as_object() else { continue };
+        if table.is_empty() {
+            let names: String = STATISTICS.iter().map(|name| format!(" {name:>12}")).collect();
+            let _ = writeln!(table, "{:18}{names}", "");
+        }
+        let value = |name: &&str| row[*name].as_f64().unwrap_or(f64::NAN);
+        let values: String =
+            STATISTICS.iter().map(|name| format!(" {:12.6}", value(name))).collect();
+        let _ = writeln!(table, "{key:18}{values}");
+    }
+    table
 }
 
 fn text(found: &Value) -> String {
@@ -299,6 +456,7 @@ fn text(found: &Value) -> String {
             _ => {}
         }
     }
+    text += &statistics_table(found);
     text += &eval_tracks::table(&found["tracks"]);
     let table = held_out::table(found);
     if !table.is_empty() {

@@ -215,8 +215,9 @@ mod tests {
     fn in_range(option: &str) -> &'static [&'static str] {
         match option {
             "seed" => &["0", "4294967295", "4294967296", "18446744073709551615"],
-            "max_gaussians" | "eval_every" | "sh_degree" | "checkpoint_every"
-            | "max_difference" | "static_motion" | "shot" | "times" => &["0"],
+            "max_gaussians" | "eval_every" | "sh_degree" | "checkpoint_every" | "max_time_diff"
+            | "align_first" | "rpe_tolerance" | "static_motion" | "shot" | "times" => &["0"],
+            "time_offset" => &["-1", "0"],
             "background" => &["0,0,0"],
             _ => &[],
         }

@@ -5,6 +5,7 @@
 //! Cameras are the crate's own everywhere (OpenCV axes, `view_from_world`, pinhole); each reader
 //! converts on its way in.
 
+pub mod cam;
 pub mod clip;
 pub mod colmap;
 pub mod distortion;

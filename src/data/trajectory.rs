@@ -1,10 +1,12 @@
-//! Trajectories: TUM's `timestamp tx ty tz qx qy qz qw`, and what goes by that name elsewhere.
+//! Trajectories: TUM's `timestamp tx ty tz qx qy qz qw` and what goes by that name elsewhere, KITTI's
+//! pose files, EuRoC's ground truth, Sintel's cameras.
 
 use std::io::Write;
 use std::path::Path;
 
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DAffine3, DQuat, DVec3};
 
+use super::cam;
 use crate::io;
 use crate::types::{Pose, range};
 use crate::{Error, Result};
@@ -12,7 +14,7 @@ use crate::{Error, Result};
 /// A camera's pose at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimedPose {
-    /// The file's timestamp, in its own unit.
+    /// The file's timestamp, in its own unit; of EuRoC's in seconds.
     pub time: f64,
     /// Camera to world.
     pub world_from_view: Pose,
@@ -27,19 +29,113 @@ pub enum QuaternionOrder {
     Wxyz,
 }
 
-/// Reads a trajectory of camera-to-world poses. A line holds 8 numbers (TUM), 7 (the same without
-/// a timestamp; the line's index takes its place) or 12 (KITTI: the rows of a 3×4 matrix). Lines that
-/// begin with `#` are comments.
+/// The formats that are told apart, by what a file holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// Lines of 8 numbers: a timestamp, a translation, a quaternion.
+    Tum,
+    /// Lines of 7 numbers: the same without timestamps.
+    Poses,
+    /// Lines of 12 numbers: the rows of a 3×4 matrix.
+    Kitti,
+    /// Lines of 8 numbers or more with commas between: a timestamp in nanoseconds, a position, a
+    /// quaternion (w, x, y, z), and what is passed over.
+    Euroc,
+    /// Sintel's `.cam`: a file, or a folder of them.
+    Cam,
+}
+
+/// A trajectory as it is written.
+#[derive(Clone, Debug)]
+pub struct Trajectory {
+    /// What it is written as.
+    pub format: Format,
+    /// One for each pose: the file's timestamp, in its own unit, of EuRoC's in seconds. Places in the
+    /// file, from 0, where the format has no timestamps.
+    pub times: Vec<f64>,
+    /// Camera to world, matrices as written: rounding may leave them a little off a rotation.
+    pub world_from_view: Vec<DAffine3>,
+    /// The order in which quaternions were read; none where the format has none.
+    pub order: Option<QuaternionOrder>,
+}
+
+impl Trajectory {
+    /// Whether the format has timestamps.
+    pub fn is_timed(&self) -> bool {
+        matches!(self.format, Format::Tum | Format::Euroc)
+    }
+
+    /// The poses, their rotations made such.
+    pub fn poses(&self) -> Vec<TimedPose> {
+        let timed = |(&time, rigid): (&f64, &DAffine3)| {
+            let rotation = DQuat::from_mat3(&rigid.matrix3);
+            TimedPose { time, world_from_view: Pose::new(rotation, rigid.translation) }
+        };
+        self.times.iter().zip(&self.world_from_view).map(timed).collect()
+    }
+}
+
+/// Reads a trajectory of camera-to-world poses, as [`open`] does.
+pub fn read(path: impl AsRef<Path>, order: Option<QuaternionOrder>) -> Result<Vec<TimedPose>> {
+    Ok(open(path, order)?.poses())
+}
+
+/// Reads a trajectory: a text file whose lines hold 8 numbers (TUM), 7 (the same without a timestamp),
+/// 12 (KITTI) or EuRoC's, or Sintel's `.cam` (world to camera there), a file or a folder of them in the
+/// natural order of their names. What is read shows in the file. Lines that begin with `#` are comments.
+///
+/// A line with commas is EuRoC's where a comment says `[ns]`, or where the first number is too large
+/// for seconds.
 ///
 /// With `order` `None` the order of quaternions is found out: a comment that names `qw` before `qx`
-/// decides; else, where the first pose is the identity in one of the two readings, it is that one
-/// (files written as (w, x, y, z) usually begin so); else TUM's (x, y, z, w).
-pub fn read(path: impl AsRef<Path>, order: Option<QuaternionOrder>) -> Result<Vec<TimedPose>> {
+/// decides; EuRoC's is (w, x, y, z); else, where the first pose is the identity in one of the two
+/// readings, it is that one (files written as (w, x, y, z) usually begin so); else TUM's (x, y, z, w).
+///
+/// # Errors
+/// [`Error::Io`]; [`Error::Format`] for what is no trajectory, with the line.
+pub fn open(path: impl AsRef<Path>, order: Option<QuaternionOrder>) -> Result<Trajectory> {
     let path = path.as_ref();
+    if path.is_dir() {
+        let files = cam::list(path)?;
+        if files.is_empty() {
+            return Err(Error::format(path, "holds no .cam files"));
+        }
+        return cams(files.iter().map(cam::read).collect::<Result<_>>()?);
+    }
+    if cam::is_cam(path)? {
+        return cams(vec![cam::read(path)?]);
+    }
+    text(path, order)
+}
+
+fn cams(cams: Vec<cam::Cam>) -> Result<Trajectory> {
+    Ok(Trajectory {
+        format: Format::Cam,
+        times: (0..cams.len()).map(|i| i as f64).collect(),
+        // The transpose as the inverse: it leaves the matrix as far off a rotation as it was.
+        world_from_view: cams
+            .iter()
+            .map(|cam| {
+                let inverse = cam.view_from_world.matrix3.transpose();
+                let translation = -(inverse * cam.view_from_world.translation);
+                DAffine3 { matrix3: inverse, translation }
+            })
+            .collect(),
+        order: None,
+    })
+}
+
+/// A line's place and its numbers.
+struct Row {
+    line: usize,
+    numbers: Vec<f64>,
+}
+
+fn text(path: &Path, order: Option<QuaternionOrder>) -> Result<Trajectory> {
     let text = io::read_text(path)?;
-    let mut rows: Vec<(usize, Vec<f64>)> = Vec::new();
-    let mut named = None;
-    for (i, line) in text.lines().enumerate() {
+    let mut rows: Vec<Row> = Vec::new();
+    let (mut named, mut nanoseconds, mut commas) = (None, false, false);
+    for (i, line) in text.trim_start_matches('\u{feff}').lines().enumerate() {
         let line = line.trim();
         if line.is_empty() {
             continue;
@@ -48,39 +144,67 @@ pub fn read(path: impl AsRef<Path>, order: Option<QuaternionOrder>) -> Result<Ve
             if let (Some(w), Some(x)) = (line.find("qw"), line.find("qx")) {
                 named = Some(if w < x { QuaternionOrder::Wxyz } else { QuaternionOrder::Xyzw });
             }
+            nanoseconds |= line.contains("[ns]");
             continue;
         }
+        commas |= line.contains(',');
         let separators = |c: char| c.is_ascii_whitespace() || c == ',';
-        let words = line.split(separators).filter(|w| !w.is_empty());
-        let numbers: Vec<f64> = words.map_while(|w| w.parse().ok()).collect();
-        let count = line.split(separators).filter(|w| !w.is_empty()).count();
-        if numbers.len() < count || !matches!(count, 7 | 8 | 12) {
+        let words = || line.split(separators).filter(|word| !word.is_empty());
+        let numbers: Vec<f64> = words().map_while(|word| word.parse().ok()).collect();
+        let (count, first) = (words().count(), rows.first().map_or(0, |row| row.numbers.len()));
+        let bad = |what: String| Err(Error::format(path, format!("line {}: {what}", i + 1)));
+        if numbers.len() < count || count < 7 {
+            return bad("`timestamp tx ty tz qx qy qz qw` expected, or a 3×4 matrix".into());
+        }
+        if first > 0 && count != first {
+            return bad(format!("holds {count} numbers, the lines before hold {first}"));
+        }
+        rows.push(Row { line: i + 1, numbers });
+    }
+    let Some(first) = rows.first() else { return Err(Error::format(path, "holds no poses")) };
+    /// Seconds beyond this lie 30 million years from 1970; nanoseconds, eleven days.
+    const NANOSECONDS: f64 = 1e15;
+    nanoseconds = commas && (nanoseconds || first.numbers[0].abs() >= NANOSECONDS);
+    let format = match first.numbers.len() {
+        8.. if nanoseconds => Format::Euroc,
+        8 => Format::Tum,
+        7 => Format::Poses,
+        12 => Format::Kitti,
+        count => {
             return Err(Error::format(
                 path,
-                format!("line {}: `timestamp tx ty tz qx qy qz qw` expected", i + 1),
+                format!(
+                    "line {}: holds {count} numbers; 8 (TUM), 7 (without timestamps), 12 (KITTI) or \
+                     EuRoC's, whose timestamps are nanoseconds, are expected",
+                    first.line
+                ),
             ));
         }
-        rows.push((i + 1, numbers));
+    };
+    let order = order.or(named).unwrap_or_else(|| match format {
+        Format::Euroc => QuaternionOrder::Wxyz,
+        _ => guess_order(&first.numbers),
+    });
+    let (mut times, mut world_from_view) = (Vec::new(), Vec::new());
+    for (index, Row { line, numbers }) in rows.iter().enumerate() {
+        let bad = |what: String| Error::format(path, format!("line {line}: {what}"));
+        let (time, pose) = match (format, &numbers[..]) {
+            (Format::Tum, [time, pose @ ..]) => (*time, pose),
+            (Format::Euroc, [time, pose @ ..]) => (*time / 1e9, pose),
+            (_, pose) => (index as f64, pose),
+        };
+        let rigid = match <&[f64; 12]>::try_from(pose) {
+            Ok(matrix) if format == Format::Kitti => cam::rigid(matrix),
+            _ => quaternion_pose(pose, order),
+        };
+        let rigid = rigid.map_err(bad)?;
+        range::timestamp(time).map_err(bad)?;
+        range::place(rigid.translation).map_err(|what| bad(format!("translation {what}")))?;
+        times.push(time);
+        world_from_view.push(rigid);
     }
-    if rows.is_empty() {
-        return Err(Error::format(path, "holds no poses"));
-    }
-    let order = order.or(named).unwrap_or_else(|| guess_order(&rows[0].1));
-    rows.iter()
-        .enumerate()
-        .map(|(index, (line, numbers))| {
-            let bad = |what: String| Error::format(path, format!("line {line}: {what}"));
-            let (time, world_from_view) = match numbers[..] {
-                [time, ref pose @ ..] if pose.len() == 7 => (time, quaternion_pose(pose, order)),
-                ref pose if pose.len() == 7 => (index as f64, quaternion_pose(pose, order)),
-                ref matrix => (index as f64, matrix_pose(matrix)),
-            };
-            let world_from_view = world_from_view.map_err(bad)?;
-            range::timestamp(time).map_err(bad)?;
-            world_from_view.check().map_err(bad)?;
-            Ok(TimedPose { time, world_from_view })
-        })
-        .collect()
+    let order = Some(order).filter(|_| format != Format::Kitti);
+    Ok(Trajectory { format, times, world_from_view, order })
 }
 
 fn guess_order(first: &[f64]) -> QuaternionOrder {
@@ -91,25 +215,14 @@ fn guess_order(first: &[f64]) -> QuaternionOrder {
 }
 
 /// The pose of tx ty tz and a quaternion.
-fn quaternion_pose(row: &[f64], order: QuaternionOrder) -> std::result::Result<Pose, String> {
+fn quaternion_pose(row: &[f64], order: QuaternionOrder) -> std::result::Result<DAffine3, String> {
     let rotation = match order {
         QuaternionOrder::Xyzw => DQuat::from_xyzw(row[3], row[4], row[5], row[6]),
         QuaternionOrder::Wxyz => DQuat::from_xyzw(row[4], row[5], row[6], row[3]),
     };
     range::quaternion(rotation)?;
-    Ok(Pose::new(rotation, DVec3::new(row[0], row[1], row[2])))
-}
-
-/// The pose of the 12 numbers of a 3×4 matrix, row by row.
-fn matrix_pose(row: &[f64]) -> std::result::Result<Pose, String> {
-    let column = |c: usize| DVec3::new(row[c], row[4 + c], row[8 + c]);
-    let matrix = DMat3::from_cols(column(0), column(1), column(2));
-    let (rotation, scale) =
-        range::rotation_and_scale(matrix).map_err(|what| format!("the matrix {what}"))?;
-    if (scale - 1.0).abs() > range::ROTATION_TOLERANCE {
-        return Err(format!("the matrix is not a rigid transform: it scales by {scale:?}"));
-    }
-    Ok(Pose::new(rotation, column(3)))
+    let translation = DVec3::new(row[0], row[1], row[2]);
+    Ok(DAffine3::from_rotation_translation(rotation.normalize(), translation))
 }
 
 /// Writes TUM's format (x, y, z, w), with as many digits as bring the same numbers back.

@@ -1,29 +1,94 @@
 //! Absolute and relative errors of a camera trajectory.
 //!
-//! The field's definitions (Sturm et al., IROS 2012; the evaluation of MonST3R, Sintel and TUM):
-//! ATE is the distance between camera centres after one global alignment; RPE compares the motion
-//! from each frame to the next, after the same alignment (so in the reference's scale).
+//! The field's definitions (Sturm et al., IROS 2012; Zhang, Scaramuzza, IROS 2018; the evaluation of
+//! MonST3R, Sintel and TUM), and the numbers that the `evo` package gives. The absolute error (ATE,
+//! or APE) compares each pose after one global alignment. The relative one (RPE) compares the motion
+//! from one pose to a later one, after the same alignment, so in the reference's scale.
+//!
+//! Rotation matrices of a file are compared as they are written: rounding leaves them a little off
+//! the rotations, and a relative translation sees that.
+
+use glam::DAffine3;
 
 use crate::error::{Error, Result};
-use crate::geometry::se3::log_so3;
-use crate::geometry::sim3::{Alignment, Shape, Sim3, align_poses};
+use crate::geometry::se3::{log_so3, matrix3};
+use crate::geometry::sim3::{Alignment, Shape, Sim3, align_poses, nearest_rotation};
 use crate::types::Pose;
-use std::cmp::{Ordering, Reverse};
-use std::collections::{BinaryHeap, VecDeque};
 
 /// What the global alignment may change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Align {
     /// Nothing: both trajectories are in one frame already.
     None,
+    /// Rotation and translation, so that the first poses agree.
+    Origin,
+    /// Scale alone.
+    Scale,
     /// Rotation and translation.
     Se3,
     /// Rotation, translation and scale: for monocular methods.
     Sim3,
 }
 
-/// Summary of a list of errors.
+/// What the distance between two poses of a relative error is counted in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Step {
+    /// Poses.
+    Frames,
+    /// Length of the path between them, in the reference's units.
+    Metres,
+    /// Degrees turned: summed along the path, or between the two poses where all pairs are taken.
+    Degrees,
+}
+
+/// Which pairs of poses relative errors compare.
 #[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Relative {
+    /// How far the two poses of a pair lie apart; a whole number of frames.
+    pub delta: f64,
+    /// What that is counted in.
+    pub step: Step,
+    /// Where all pairs are taken by metres or degrees: how far off a pair may be, as a share of
+    /// `delta`.
+    pub tolerance: f64,
+    /// Every pair that far apart, instead of pairs that begin where the one before ends.
+    pub all_pairs: bool,
+    /// Count metres and degrees on the reference instead of the estimate.
+    pub along_reference: bool,
+}
+
+impl Default for Relative {
+    /// From each frame to the next.
+    fn default() -> Relative {
+        Relative {
+            delta: 1.0,
+            step: Step::Frames,
+            tolerance: 0.1,
+            all_pairs: false,
+            along_reference: false,
+        }
+    }
+}
+
+/// How two trajectories are compared.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Comparison {
+    /// What the alignment may change.
+    pub align: Align,
+    /// How many poses, from the first, the alignment is found from; all where `None`.
+    pub align_first: Option<usize>,
+    /// Which pairs the relative errors compare.
+    pub relative: Relative,
+}
+
+impl From<Align> for Comparison {
+    fn from(align: Align) -> Comparison {
+        Comparison { align, align_first: None, relative: Relative::default() }
+    }
+}
+
+/// Summary of a list of errors.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Statistics {
     /// Root of the mean square.
     pub rmse: f64,
@@ -31,8 +96,14 @@ pub struct Statistics {
     pub mean: f64,
     /// Median; the mean of the middle two where the count is even.
     pub median: f64,
+    /// Standard deviation, of the list itself: divided by its length.
+    pub std: f64,
+    /// Smallest.
+    pub min: f64,
     /// Largest.
     pub max: f64,
+    /// Sum of the squares.
+    pub sse: f64,
 }
 
 impl Statistics {
@@ -40,15 +111,21 @@ impl Statistics {
     fn of(mut values: Vec<f64>) -> Statistics {
         let n = values.len();
         if n == 0 {
-            return Statistics { rmse: 0.0, mean: 0.0, median: 0.0, max: 0.0 };
+            return Statistics::default();
         }
         values.sort_by(f64::total_cmp);
         let count = n as f64;
+        let sse = values.iter().map(|v| v * v).sum::<f64>();
+        let mean = values.iter().sum::<f64>() / count;
+        let variance = values.iter().map(|v| (v - mean) * (v - mean)).sum::<f64>() / count;
         Statistics {
-            rmse: (values.iter().map(|v| v * v).sum::<f64>() / count).sqrt(),
-            mean: values.iter().sum::<f64>() / count,
+            rmse: (sse / count).sqrt(),
+            mean,
             median: 0.5 * (values[(n - 1) / 2] + values[n / 2]),
+            std: variance.sqrt(),
+            min: values[0],
             max: values[n - 1],
+            sse,
         }
     }
 }
@@ -58,13 +135,18 @@ impl Statistics {
 pub struct TrajectoryErrors {
     /// Distance of the aligned camera centres, in the reference's units.
     pub ate: Statistics,
+    /// Angle between the aligned cameras, degrees.
+    pub ate_rot_deg: Statistics,
     /// `ate.rmse` over the length of the reference's path; infinite for a path of length 0 with
     /// errors, 0 without.
     pub ate_relative: f64,
-    /// Translation error of the motion from each frame to the next, in the reference's units.
+    /// Translation error of the motion from the first pose of each pair to the second, in the
+    /// reference's units.
     pub rpe_trans: Statistics,
     /// Rotation error of the same, degrees.
     pub rpe_rot_deg: Statistics,
+    /// Pairs of poses that the relative errors compare.
+    pub rpe_pairs: usize,
     /// What aligned the estimate; the identity for [`Align::None`].
     pub reference_from_estimate: Sim3,
     /// What the reference's centres determined of the rotation; see [`Shape`].
@@ -75,7 +157,8 @@ pub struct TrajectoryErrors {
     pub poses: usize,
 }
 
-/// Compares two trajectories (`world_from_view` each, paired by index).
+/// Compares two trajectories (`world_from_view` each, paired by index), with the relative errors from
+/// each frame to the next.
 ///
 /// A single pose has no motion: its RPE is 0. Centres on one line, or at one place, are aligned as
 /// [`align_poses`] says.
@@ -87,217 +170,218 @@ pub fn compare_trajectories(
     reference: &[Pose],
     align: Align,
 ) -> Result<TrajectoryErrors> {
+    let [estimate, reference] = [estimate, reference].map(|poses| {
+        let rigid =
+            |p: &Pose| DAffine3 { matrix3: p.rotation_matrix(), translation: p.translation };
+        poses.iter().map(rigid).collect::<Vec<DAffine3>>()
+    });
+    compare_matrices(&estimate, &reference, &align.into())
+}
+
+/// As [`compare_trajectories`], of `world_from_view` as files write it: matrices that are rotations but
+/// for rounding.
+///
+/// # Errors
+/// As [`compare_trajectories`]; a `delta` that is not above 0, or not whole where it counts frames.
+pub fn compare_matrices(
+    estimate: &[DAffine3],
+    reference: &[DAffine3],
+    how: &Comparison,
+) -> Result<TrajectoryErrors> {
+    let Relative { delta, step, tolerance, .. } = how.relative;
+    if !(delta > 0.0 && tolerance >= 0.0 && (step != Step::Frames || delta.fract() == 0.0)) {
+        return Err(Error::Input(format!(
+            "relative errors: a distance of {delta:?} {}, within {tolerance:?}, makes no sense; give \
+             one above 0, of frames a whole number",
+            match step {
+                Step::Frames => "frames",
+                Step::Metres => "metres",
+                Step::Degrees => "degrees",
+            }
+        )));
+    }
     for (name, poses) in [("estimate", estimate), ("reference", reference)] {
-        if let Some(i) =
-            poses.iter().position(|p| !(p.translation.is_finite() && p.rotation.is_finite()))
-        {
+        if let Some(i) = poses.iter().position(|p| !p.is_finite()) {
             return Err(Error::Input(format!(
                 "trajectory errors: pose {i} of the {name} is not finite; leave it out of both"
             )));
         }
     }
-    let Alignment { reference_from_estimate, shape, .. } =
-        align_poses(estimate, reference, align == Align::Sim3)?;
-    let transform = if align == Align::None { Sim3::IDENTITY } else { reference_from_estimate };
-    let aligned: Vec<Pose> = estimate.iter().map(|p| transform.apply_pose(p)).collect();
-    let distance = |(a, b): (&Pose, &Pose)| (a.translation - b.translation).length();
-    let ate = Statistics::of(aligned.iter().zip(reference).map(distance).collect());
-    let (mut translations, mut rotations, mut path_length) = (Vec::new(), Vec::new(), 0.0);
-    for (a, b) in aligned.windows(2).zip(reference.windows(2)) {
-        let motion = |p: &[Pose]| p[0].inverse() * p[1];
-        let error = motion(b).inverse() * motion(a);
+    let aligning = Aligning::of(estimate, reference, how)?;
+    let aligned: Vec<DAffine3> = estimate.iter().map(|p| aligning.apply(p)).collect();
+    let both = || aligned.iter().zip(reference);
+    let distance = |(a, b): (&DAffine3, &DAffine3)| (a.translation - b.translation).length();
+    let ate = Statistics::of(both().map(distance).collect());
+    let turn = |(a, b): (&DAffine3, &DAffine3)| angle(&inverse_times(a, b)).to_degrees();
+    let ate_rot_deg = Statistics::of(both().map(turn).collect());
+    let counted = if how.relative.along_reference { reference } else { &aligned };
+    let pairs = pairs(counted, &how.relative);
+    let (mut translations, mut rotations) = (Vec::new(), Vec::new());
+    for &(i, j) in &pairs {
+        let motion = |p: &[DAffine3]| inverse_times(&p[i], &p[j]);
+        let error = inverse_times(&motion(reference), &motion(&aligned));
         translations.push(error.translation.length());
-        rotations.push(log_so3(error.rotation).length().to_degrees());
-        path_length += (b[1].translation - b[0].translation).length();
+        rotations.push(angle(&error).to_degrees());
     }
+    let path_length = lengths(reference).last().copied().unwrap_or(0.0);
     let ate_relative = if ate.rmse == 0.0 { 0.0 } else { ate.rmse / path_length };
     Ok(TrajectoryErrors {
         ate,
+        ate_rot_deg,
         ate_relative,
         rpe_trans: Statistics::of(translations),
         rpe_rot_deg: Statistics::of(rotations),
-        reference_from_estimate: transform,
-        shape,
+        rpe_pairs: pairs.len(),
+        reference_from_estimate: aligning.transform,
+        shape: aligning.shape,
         path_length,
         poses: estimate.len(),
     })
 }
 
-/// Pairs (estimate, reference) of time stamps that lie closest to each other, at most
-/// `max_difference` (seconds) apart, each used once, in the order of the estimate.
-///
-/// Close pairs are served first, as TUM's evaluation does; of pairs that are equally close, the one
-/// with the lower indices. Time stamps need not be sorted; those that are not finite are never
-/// matched. Takes O(n log n) time and linear memory, however many time stamps are equal.
-pub fn match_by_time(
-    estimate: &[f64],
-    reference: &[f64],
-    max_difference: f64,
-) -> Vec<(usize, usize)> {
-    let mut pairs: Vec<(usize, usize)> = Vec::new();
-    let mut line = TimeLine::new(estimate, reference, max_difference, &mut pairs);
-    while let Some(Reverse(next)) = line.candidates.pop() {
-        line.serve(&next, &mut pairs);
+/// What aligns the estimate with the reference.
+struct Aligning {
+    /// As it is told.
+    transform: Sim3,
+    /// As it is applied: centres are scaled first.
+    scale: f64,
+    rigid: DAffine3,
+    shape: Shape,
+}
+
+impl Aligning {
+    fn of(estimate: &[DAffine3], reference: &[DAffine3], how: &Comparison) -> Result<Aligning> {
+        let first = how.align_first.unwrap_or(usize::MAX).max(1);
+        // Lists of differing length are for the alignment to refuse.
+        let same = estimate.len() == reference.len();
+        let part = |poses: &[DAffine3]| -> Vec<Pose> {
+            let count = if same { first.min(poses.len()) } else { poses.len() };
+            poses[..count].iter().map(nearest_pose).collect()
+        };
+        let with_scale = matches!(how.align, Align::Scale | Align::Sim3);
+        let Alignment { reference_from_estimate: fitted, shape, .. } =
+            align_poses(&part(estimate), &part(reference), with_scale)?;
+        let (scale, rigid) = match how.align {
+            Align::None => (1.0, DAffine3::IDENTITY),
+            Align::Origin => (1.0, reference[0] * rigid_inverse(&estimate[0])),
+            Align::Scale => (fitted.scale, DAffine3::IDENTITY),
+            Align::Se3 | Align::Sim3 => {
+                let rigid =
+                    DAffine3::from_rotation_translation(fitted.rotation, fitted.translation);
+                (fitted.scale, rigid)
+            }
+        };
+        let Pose { rotation, translation } = nearest_pose(&rigid);
+        Ok(Aligning { transform: Sim3 { scale, rotation, translation }, scale, rigid, shape })
     }
-    pairs.sort_unstable();
+
+    fn apply(&self, pose: &DAffine3) -> DAffine3 {
+        self.rigid * DAffine3 { translation: self.scale * pose.translation, ..*pose }
+    }
+}
+
+/// The pose whose rotation is nearest to a matrix.
+fn nearest_pose(rigid: &DAffine3) -> Pose {
+    let (rotation, _) = nearest_rotation(&matrix3(&rigid.matrix3));
+    Pose::new(rotation, rigid.translation)
+}
+
+/// The inverse of a rigid transform: the transpose, whether or not rounding left it one.
+fn rigid_inverse(a: &DAffine3) -> DAffine3 {
+    let inverse = a.matrix3.transpose();
+    DAffine3 { matrix3: inverse, translation: -(inverse * a.translation) }
+}
+
+/// a⁻¹ b.
+fn inverse_times(a: &DAffine3, b: &DAffine3) -> DAffine3 {
+    rigid_inverse(a) * *b
+}
+
+/// The angle of a transform's rotation, radians in [0, π].
+fn angle(rigid: &DAffine3) -> f64 {
+    log_so3(nearest_pose(rigid).rotation).length()
+}
+
+/// The length of the path from the first pose to each.
+fn lengths(poses: &[DAffine3]) -> Vec<f64> {
+    let mut lengths = Vec::with_capacity(poses.len());
+    let mut length = 0.0;
+    for (i, pose) in poses.iter().enumerate() {
+        if i > 0 {
+            length += (pose.translation - poses[i - 1].translation).length();
+        }
+        lengths.push(length);
+    }
+    lengths
+}
+
+/// The pairs of poses that relative errors compare.
+fn pairs(poses: &[DAffine3], relative: &Relative) -> Vec<(usize, usize)> {
+    let Relative { delta, step, all_pairs, .. } = *relative;
+    let off = delta * relative.tolerance;
+    match (step, all_pairs) {
+        (Step::Frames, true) => {
+            let step = delta as usize;
+            (step..poses.len()).map(|j| (j - step, j)).collect()
+        }
+        (Step::Frames, false) => {
+            let step = delta as usize;
+            let ends = (1..).map_while(|k: usize| k.checked_mul(step));
+            ends.take_while(|j| *j < poses.len()).map(|j| (j - step, j)).collect()
+        }
+        (Step::Metres, true) => {
+            let lengths = lengths(poses);
+            (0..poses.len()).filter_map(|i| nearest_length(&lengths, i, delta, off)).collect()
+        }
+        (Step::Metres, false) => {
+            one_after_another(poses, delta, |a, b| (b.translation - a.translation).length())
+        }
+        (Step::Degrees, true) => {
+            let range = (delta - off).to_radians()..=(delta + off).to_radians();
+            let turns: Vec<_> = poses.iter().map(|pose| nearest_pose(pose).rotation).collect();
+            let pair = |i: usize, j: usize| {
+                let turn = log_so3(turns[i].conjugate() * turns[j]).length();
+                range.contains(&turn).then_some((i, j))
+            };
+            let from = |i: usize| (i + 1..poses.len()).filter_map(move |j| pair(i, j));
+            (0..poses.len()).flat_map(from).collect()
+        }
+        (Step::Degrees, false) => {
+            one_after_another(poses, delta.to_radians(), |a, b| angle(&inverse_times(a, b)))
+        }
+    }
+}
+
+/// Pairs that begin where the one before ends, each as soon as the sum of `away` between neighbours
+/// reaches `delta`.
+fn one_after_another(
+    poses: &[DAffine3],
+    delta: f64,
+    away: impl Fn(&DAffine3, &DAffine3) -> f64,
+) -> Vec<(usize, usize)> {
+    let (mut pairs, mut first, mut sum) = (Vec::new(), 0, 0.0);
+    for j in 1..poses.len() {
+        sum += away(&poses[j - 1], &poses[j]);
+        if sum >= delta {
+            pairs.push((first, j));
+            (first, sum) = (j, 0.0);
+        }
+    }
     pairs
 }
 
-/// Indices of one list that share a time.
-struct Moment {
-    time: f64,
-    of_estimate: bool,
-    /// Those not paired yet, ascending.
-    left: VecDeque<usize>,
-    before: Option<usize>,
-    after: Option<usize>,
-}
-
-/// Two neighbouring moments, one of each list, that could be paired next.
-struct Candidate {
-    difference: f64,
-    /// The first of the indices left.
-    estimate: usize,
-    reference: usize,
-    /// The earlier moment and the later one.
-    moments: (usize, usize),
-}
-
-impl Ord for Candidate {
-    fn cmp(&self, other: &Candidate) -> Ordering {
-        let indices = |c: &Candidate| (c.estimate, c.reference);
-        self.difference.total_cmp(&other.difference).then(indices(self).cmp(&indices(other)))
-    }
-}
-
-impl PartialOrd for Candidate {
-    fn partial_cmp(&self, other: &Candidate) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl PartialEq for Candidate {
-    fn eq(&self, other: &Candidate) -> bool {
-        self.cmp(other) == Ordering::Equal
-    }
-}
-
-impl Eq for Candidate {}
-
-/// The moments in the order of time. The closest pair of all lies in neighbouring moments: one
-/// between them would be closer still.
-struct TimeLine {
-    moments: Vec<Moment>,
-    candidates: BinaryHeap<Reverse<Candidate>>,
-    max_difference: f64,
-}
-
-impl TimeLine {
-    /// Equal times are paired at once; no pair is closer.
-    fn new(
-        estimate: &[f64],
-        reference: &[f64],
-        max_difference: f64,
-        pairs: &mut Vec<(usize, usize)>,
-    ) -> TimeLine {
-        let stamps = |times: &[f64], of_estimate: bool| {
-            let finite = times.iter().copied().enumerate().filter(|(_, time)| time.is_finite());
-            // Zero without its sign: both zeros are one moment.
-            finite.map(|(i, time)| (time + 0.0, of_estimate, i)).collect::<Vec<_>>()
-        };
-        let mut stamps = [stamps(estimate, true), stamps(reference, false)].concat();
-        stamps.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.2.cmp(&b.2)));
-        let mut line =
-            TimeLine { moments: Vec::new(), candidates: BinaryHeap::new(), max_difference };
-        for same in stamps.chunk_by(|a, b| a.0 == b.0) {
-            let of = |wanted: bool| {
-                let stamps = same.iter().filter(move |(_, of_estimate, _)| *of_estimate == wanted);
-                stamps.map(|&(_, _, i)| i).collect::<VecDeque<usize>>()
-            };
-            let mut left = [of(true), of(false)];
-            let equal = if max_difference >= 0.0 { left[0].len().min(left[1].len()) } else { 0 };
-            let [ours, theirs] = &mut left;
-            pairs.extend(ours.drain(..equal).zip(theirs.drain(..equal)));
-            for (left, of_estimate) in left.into_iter().zip([true, false]) {
-                if !left.is_empty() {
-                    let (before, after) = (line.moments.len().checked_sub(1), None);
-                    line.moments.push(Moment { time: same[0].0, of_estimate, left, before, after });
-                }
-            }
-        }
-        for later in 1..line.moments.len() {
-            line.moments[later - 1].after = Some(later);
-            line.offer(Some(later - 1), Some(later));
-        }
-        line
-    }
-
-    /// Makes neighbouring moments a candidate, where they are one of each list and close enough.
-    fn offer(&mut self, earlier: Option<usize>, later: Option<usize>) {
-        let (Some(earlier), Some(later)) = (earlier, later) else { return };
-        let (a, b) = (&self.moments[earlier], &self.moments[later]);
-        let (ours, theirs) = match (a.of_estimate, b.of_estimate) {
-            (true, false) => (a, b),
-            (false, true) => (b, a),
-            _ => return,
-        };
-        let reach = self.max_difference;
-        let near = theirs.time >= ours.time - reach && theirs.time <= ours.time + reach;
-        if let (true, Some(&estimate), Some(&reference)) =
-            (near, ours.left.front(), theirs.left.front())
-        {
-            self.candidates.push(Reverse(Candidate {
-                difference: (theirs.time - ours.time).abs(),
-                estimate,
-                reference,
-                moments: (earlier, later),
-            }));
-        }
-    }
-
-    /// Pairs a candidate, unless one of its two was paired before.
-    fn serve(&mut self, next: &Candidate, pairs: &mut Vec<(usize, usize)>) {
-        let (earlier, later) = next.moments;
-        let (ours, theirs) = match self.moments[earlier].of_estimate {
-            true => (earlier, later),
-            false => (later, earlier),
-        };
-        let first = |moment: usize| self.moments[moment].left.front().copied();
-        if (first(ours), first(theirs)) != (Some(next.estimate), Some(next.reference)) {
-            return;
-        }
-        pairs.push((next.estimate, next.reference));
-        for moment in [earlier, later] {
-            self.moments[moment].left.pop_front();
-            if self.moments[moment].left.is_empty() {
-                let Moment { before, after, .. } = self.moments[moment];
-                if let Some(before) = before {
-                    self.moments[before].after = after;
-                }
-                if let Some(after) = after {
-                    self.moments[after].before = before;
-                }
-            }
-        }
-        // Who is next at these places now.
-        let is_left = |moment: usize| !self.moments[moment].left.is_empty();
-        match (is_left(earlier), is_left(later)) {
-            (true, true) => {
-                self.offer(self.moments[earlier].before, Some(earlier));
-                self.offer(Some(earlier), Some(later));
-                self.offer(Some(later), self.moments[later].after);
-            }
-            (true, false) => {
-                self.offer(self.moments[earlier].before, Some(earlier));
-                self.offer(Some(earlier), self.moments[earlier].after);
-            }
-            (false, true) => {
-                self.offer(self.moments[later].before, Some(later));
-                self.offer(Some(later), self.moments[later].after);
-            }
-            (false, false) => self.offer(self.moments[earlier].before, self.moments[later].after),
-        }
-    }
+/// The pose after the `i`-th whose way from it is nearest to `delta`, the first of those equally near,
+/// if it is no more than `off` from it.
+fn nearest_length(lengths: &[f64], i: usize, delta: f64, off: f64) -> Option<(usize, usize)> {
+    // Lengths rise, so that the nearest is one of the two about `delta`.
+    let after = &lengths[i + 1..];
+    let way = |k: usize| after[k] - lengths[i];
+    let above = after.partition_point(|length| length - lengths[i] < delta);
+    let below = above.checked_sub(1).map(|k| after.partition_point(|l| l - lengths[i] < way(k)));
+    let candidates = [below, Some(above).filter(|k| *k < after.len())];
+    let error = |k: &usize| (way(*k) - delta).abs();
+    let nearest = candidates.into_iter().flatten().min_by(|a, b| error(a).total_cmp(&error(b)))?;
+    (error(&nearest) <= off).then_some((i, i + 1 + nearest))
 }
 
 #[cfg(test)]
@@ -359,64 +443,74 @@ mod tests {
         assert!(message.contains("pose 1 of the estimate"), "{message}");
     }
 
-    #[test]
-    fn time_stamps_pair_with_the_nearest_once() {
-        let pairs = match_by_time(&[0.0, 1.0, 1.02, 2.0, f64::NAN], &[2.01, 1.015, 0.2, 9.0], 0.05);
-        assert_eq!(pairs, vec![(2, 1), (3, 0)]);
-        assert!(match_by_time(&[], &[1.0], 1.0).is_empty());
-    }
-
-    /// The definition: every pair near enough, closest first. Takes quadratic memory.
-    fn match_by_definition(ours: &[f64], theirs: &[f64], reach: f64) -> Vec<(usize, usize)> {
-        let near = |a: f64, b: f64| b >= a - reach && b <= a + reach;
-        let mut all = Vec::new();
-        for (i, &a) in ours.iter().enumerate() {
-            let close = theirs.iter().enumerate().filter(|&(_, &b)| near(a, b));
-            all.extend(close.map(|(j, &b)| ((b - a).abs(), i, j)));
-        }
-        all.sort_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
-        let (mut taken, mut pairs) = ((Vec::new(), Vec::new()), Vec::new());
-        for (_, i, j) in all {
-            if !taken.0.contains(&i) && !taken.1.contains(&j) {
-                taken.0.push(i);
-                taken.1.push(j);
-                pairs.push((i, j));
-            }
-        }
-        pairs.sort_unstable();
-        pairs
+    fn matrices(poses: &[Pose]) -> Vec<DAffine3> {
+        let rigid = |p: &Pose| DAffine3::from_rotation_translation(p.rotation, p.translation);
+        poses.iter().map(rigid).collect()
     }
 
     #[test]
-    fn time_stamps_pair_as_the_definition_says() {
-        use rand::{RngExt, SeedableRng};
-        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(5);
-        for round in 0..3000 {
-            // Quarters: equal times and equal differences, both exact. Else hardly any.
-            let coarse = round % 2 == 0;
-            let mut list = || -> Vec<f64> {
-                let len = random.random_range(0..24);
-                let mut time = || match random.random_range(0.0..6.0) {
-                    time if coarse => f64::floor(4.0 * time) / 4.0,
-                    time => time,
-                };
-                (0..len).map(|_| time()).collect()
-            };
-            let (ours, theirs) = (list(), list());
-            for reach in [-1.0, 0.0, 0.25, 0.6, f64::INFINITY, f64::NAN] {
-                let found = match_by_time(&ours, &theirs, reach);
-                let wanted = match_by_definition(&ours, &theirs, reach);
-                assert_eq!(found, wanted, "{ours:?}, {theirs:?}, {reach}");
-            }
-        }
-        assert_eq!(match_by_time(&[0.0, -0.0], &[-0.0, 0.0], 0.0), [(0, 0), (1, 1)]);
+    fn statistics_of_a_list() {
+        let found = Statistics::of(vec![4.0, 1.0, 2.0, 3.0]);
+        assert_eq!((found.min, found.max, found.mean, found.median), (1.0, 4.0, 2.5, 2.5));
+        assert_eq!((found.sse, found.std, found.rmse), (30.0, 1.25f64.sqrt(), 7.5f64.sqrt()));
+        assert_eq!(Statistics::of(Vec::new()), Statistics::default());
     }
 
     #[test]
-    fn many_equal_time_stamps_take_linear_memory() {
-        let count = 300_000;
-        let whole: Vec<(usize, usize)> = (0..count).map(|i| (i, i)).collect();
-        assert_eq!(match_by_time(&vec![7.0; count], &vec![7.0; count], 0.02), whole);
-        assert_eq!(match_by_time(&vec![7.0; count], &vec![7.01; count], 0.02), whole);
+    fn alignments_change_what_they_may() {
+        let reference = path(30);
+        let turn = Pose::new(exp_so3(DVec3::new(0.1, 0.7, -0.3)), DVec3::new(4.0, 5.0, 6.0));
+        let turned: Vec<Pose> = reference.iter().map(|p| turn * *p).collect();
+        let doubled: Vec<Pose> =
+            reference.iter().map(|p| Pose { translation: 2.0 * p.translation, ..*p }).collect();
+        let rmse = |estimate: &[Pose], align| {
+            let found = compare_trajectories(estimate, &reference, align).unwrap();
+            found.ate.rmse.max(found.ate_rot_deg.rmse)
+        };
+        assert!(rmse(&turned, Align::Origin) < 1e-6 && rmse(&turned, Align::Se3) < 1e-6);
+        assert!(rmse(&turned, Align::Scale) > 1.0 && rmse(&doubled, Align::Origin) > 0.1);
+        assert!(rmse(&doubled, Align::Sim3) < 1e-6);
+        // The factor is the one that fits once all is aligned.
+        let scale = compare_trajectories(&doubled, &reference, Align::Scale).unwrap();
+        assert!((scale.reference_from_estimate.scale - 0.5).abs() < 1e-12);
+        assert!(scale.ate.rmse < 1e-12);
+        // Found from the first poses alone, of a path that bends off later.
+        let mut bent = turned;
+        bent[20..].iter_mut().for_each(|p| p.translation.x += 3.0);
+        let how = Comparison { align_first: Some(10), ..Align::Se3.into() };
+        let found = compare_matrices(&matrices(&bent), &matrices(&reference), &how).unwrap();
+        assert!(found.ate.min < 1e-9 && (found.ate.max - 3.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn pairs_of_relative_errors() {
+        let line: Vec<Pose> = (0..7)
+            .map(|i| {
+                let turn = exp_so3(DVec3::Z * (10.0 * f64::from(i)).to_radians());
+                Pose::new(turn, DVec3::X * f64::from(i) * 0.5)
+            })
+            .collect();
+        let of = |delta, step, all_pairs| {
+            let relative = Relative { delta, step, all_pairs, ..Relative::default() };
+            pairs(&matrices(&line), &relative)
+        };
+        assert_eq!(of(2.0, Step::Frames, false), [(0, 2), (2, 4), (4, 6)]);
+        assert_eq!(of(4.0, Step::Frames, true), [(0, 4), (1, 5), (2, 6)]);
+        assert_eq!(of(4.0, Step::Frames, false), [(0, 4)]);
+        assert_eq!(of(7.0, Step::Frames, true), []);
+        assert_eq!(of(1e300, Step::Frames, false), []);
+        assert_eq!(of(0.9, Step::Metres, false), [(0, 2), (2, 4), (4, 6)]);
+        // A metre is 10 % more than 0.91 and more than that beyond 0.9.
+        assert_eq!(of(0.91, Step::Metres, true).len(), 5);
+        assert_eq!(of(0.9, Step::Metres, true), []);
+        assert_eq!(of(25.0, Step::Degrees, false), [(0, 3), (3, 6)]);
+        assert_eq!(of(19.0, Step::Degrees, true).len(), 5);
+        let how = |delta| Comparison {
+            relative: Relative { delta, ..Relative::default() },
+            ..Align::None.into()
+        };
+        for delta in [0.0, -1.0, 1.5, f64::NAN] {
+            assert!(compare_matrices(&matrices(&line), &matrices(&line), &how(delta)).is_err());
+        }
     }
 }

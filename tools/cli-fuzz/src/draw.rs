@@ -37,7 +37,7 @@ struct Base {
 
 /// Good commands, each with options that keep it short; `<kind>` stands for an input and `>name` for
 /// an output.
-const BASES: [&str; 23] = [
+const BASES: [&str; 24] = [
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150",
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150 \
      --control-points 6 --report >report",
@@ -55,6 +55,7 @@ const BASES: [&str; 23] = [
     "eval <scene> <dataset>",
     "eval <scene> <truth>",
     "eval <cameras> <cameras>",
+    "eval <cameras> <cameras> --align scale --rpe-delta 0.1 --rpe-unit metres --rpe-all-pairs",
     "eval <tracks> <tracks>",
     "ablate <clip> --only motion --size 32 --steps 3 --max-gaussians 150 --report >report",
     "info <scene>",

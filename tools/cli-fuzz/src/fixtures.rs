@@ -127,6 +127,8 @@ impl Fixtures {
         };
         text("kitti.txt", &"1 0 0 0.5 0 1 0 0 0 0 1 0\n".repeat(5))?;
         add(Kind::Cameras, "kitti.txt");
+        text("euroc.csv", &"1403636579763555584,0.5,0,0,1,0,0,0\n".repeat(5))?;
+        add(Kind::Cameras, "euroc.csv");
         text("case.json", &file::text(&draw(3, 5)))?;
         add(Kind::Case, "case.json");
         text("settings.json", "{\"sh_degree\": 1, \"alpha_cut\": 0.01}\n")?;
