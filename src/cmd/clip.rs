@@ -13,8 +13,8 @@ use super::{interrupt, values};
 /// The flags of commands that take a clip.
 #[derive(Args)]
 pub struct ClipArgs {
-    /// Take this shot of a clip with cuts, counted from 0 as the notes count them [default: the longest;
-    /// all of the clip where --poses, --masks or others give something for each of its frames]
+    /// Take this shot of a clip with cuts, counted from 0 as the notes count them [default: the
+    /// longest; all of the clip where something is given for each of its frames]
     #[arg(long, value_name = "N",
           value_parser = values::whole::<usize>(0..=values::MOST_PICTURES))]
     pub shot: Option<usize>,

@@ -39,10 +39,10 @@ const FRAME_BYTES: u64 = 12;
 const TRACK_BYTES: u64 = 36;
 
 const AFTER_HELP: &str = "\
-The clip is a moving camera's: a video file (read through ffmpeg) or a folder of frames in the order of
-their names. Of a clip with cuts one shot is taken, the longest unless --shot says another; --every and
---max-frames count within it. A camera that stands still is recognised; then its pictures give no depth
-by themselves, and new views stay close to the old ones.
+The clip is a moving camera's: a video file (read through ffmpeg) or a folder of frames in the
+order of their names. Of a clip with cuts one shot is taken, the longest unless --shot says another;
+--every and --max-frames count within it. A camera that stands still is recognised; then its pictures
+give no depth by themselves, and new views stay close to the old ones.
 
 Examples:
   splat4d reconstruct video.mp4 -o scene.safetensors
@@ -57,8 +57,8 @@ measured, assumed)}, poses {tripod, turns, inlier_share, reprojection_rms, paral
 doubtful_frames, tracks, motions (that the static world was chosen from, where that was in doubt:
 [{explained, hidden, hides}]), static_motion (the one taken, or null)}, exposure (per frame, by what
 red, green and blue were multiplied, 0.055 added to the encoded values; null where it does not
-change), frames, frame_names, shot (the one taken, or null), shots ([first, last] frame of each; empty
-where no cut was found), quality, model [{what, chosen, because, saves}] (each choice, the measurement that decided and what it saves), notes, device, predicted_bytes (of device
+change), frames, frame_names, shot (the one taken, or null), shots ([first, last] frame of each,
+in the whole clip; empty where no cut was found), quality, model [{what, chosen, because, saves}] (each choice, the measurement that decided and what it saves), notes, device, predicted_bytes (of device
 memory, before it began), all also kept in the scene; and, in report.json too, peak_bytes,
 milliseconds_per_step, seconds {load, flow, cameras, masks, depth, static, joint, evaluate}; output";
 

@@ -46,16 +46,16 @@ Points are followed through all frames, behind others and outside of the picture
 cameras and depth, what moves by the surface that was found for it. --queries takes those of a file
 like tracks.npz; else they lie on a grid in the first, the middle and the last frame.
 
-Of a clip with cuts one shot is taken, the longest unless --shot says another; --every and --max-frames
-count within it. Frames are counted from the shot's first.
+Of a clip with cuts one shot is taken, the longest unless --shot says another; --every and
+--max-frames count within it.
 
 Examples:
   splat4d track video.mp4 -o tracked
   splat4d track clip/frames -o tracked --queries clip/truth/tracks.npz
   splat4d eval tracked/tracks.npz clip/truth/tracks.npz
 
-JSON: frames, frame_names, shot (the one taken, or null), shots ([first, last] frame of each; empty where
-no cut was found), intrinsics {fx, fy, cx, cy, width, height, source (given, measured, assumed)},
+JSON: frames, frame_names, shot (the one taken, or null), shots ([first, last] frame of each, in the
+whole clip; empty where no cut was found), intrinsics {fx, fy, cx, cy, width, height, source (given, measured, assumed)},
 poses {tripod, turns, inlier_share, reprojection_rms, parallax_deg, focal_std, doubtful_frames, tracks,
 motions (that the static world was chosen from, where that was in doubt: [{explained, hidden, hides}]),
 static_motion (the one taken, or null)},
