@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde_json::{Value, json};
 use splat4d::data::trajectory::{self, TimedPose};
-use splat4d::data::{Clip, Resize, images, intrinsics};
+use splat4d::data::{Clip, Resize, depth, flow, images, intrinsics};
 use splat4d::gpu::Device;
 use splat4d::observe::{EngineFlow, FlowSource, SuppliedFlow};
 use splat4d::track::{FocalSource, Observer, Options, Quality, Track, track_observed};
@@ -14,8 +14,12 @@ use splat4d::types::{Camera, FlowSettings, Image, Intrinsics};
 use splat4d::{Error, Result};
 
 use super::clip::ClipArgs;
+use super::common::notes;
 use super::outputs::{Folder, Inputs};
 use super::{supplied, values};
+
+/// Extensions of files of cameras in a folder.
+const CAMERAS: [&str; 4] = ["cam", "bin", "txt", "json"];
 
 /// What is known of a clip.
 #[derive(Args)]
@@ -27,19 +31,27 @@ pub struct KnownArgs {
     /// Intrinsics: JSON with fx, fy, cx, cy, width, height
     #[arg(long, value_name = "FILE", conflicts_with = "focal")]
     intrinsics: Option<PathBuf>,
-    /// Camera poses in any unit: TUM (camera to world), one per frame, or a transforms.json, whose file
-    /// names may be those of the frames
-    #[arg(long, value_name = "FILE")]
+    /// Camera poses in any unit, one per frame or named as the frames are: a file of TUM, KITTI or EuRoC
+    /// (camera to world) or a transforms.json; a folder with one, with a COLMAP model, with Sintel's .cam
+    /// files, or written by MonST3R. Intrinsics told there are used unless given here
+    #[arg(long, value_name = "FILE|DIR")]
     poses: Option<PathBuf>,
     /// Motion masks: a folder of images, white where something moves, one per frame or named as the
-    /// frames are; those that flicker or slip are mended, and noted
+    /// frames are (of MonST3R's folder dynamic_mask_*.png); those that flicker or slip are mended, and
+    /// noted
     #[arg(long, value_name = "DIR")]
     masks: Option<PathBuf>,
-    /// Depth maps: a folder of EXR files, z up to one scale, 0 where unknown
+    /// Depth maps: a folder of EXR, .npy or .npz files or of grey 16-bit PNGs (of MonST3R's folder
+    /// frame_*.npy), z up to one scale, 0 where unknown
     #[arg(long, value_name = "DIR")]
     depth: Option<PathBuf>,
-    /// Optical flow: a folder with .flo files in flow_forward and flow_backward (or forward and
-    /// backward); frames keep their own size then unless another is asked for
+    /// What a unit of length is in a PNG of depth
+    #[arg(long, value_name = "VALUE", default_value_t = 1000.0, requires = "depth",
+          value_parser = values::number(1e-6..=1e9))]
+    pub depth_scale: f64,
+    /// Optical flow: a folder with files of .flo, .npy or .npz (height × width × 2) or KITTI's PNG in
+    /// flow_forward and flow_backward (or forward and backward); frames keep their own size then unless
+    /// another is asked for
     #[arg(long, value_name = "DIR")]
     flow: Option<PathBuf>,
     /// Points followed through the clip, besides those that the program follows: an .npz as TAPIR
@@ -90,12 +102,17 @@ impl KnownArgs {
             let whole = Intrinsics::centred(focal, clip.original.0, clip.original.1);
             whole.check().map_err(|what| Error::Input(format!("--focal {focal:?}: {what}")))?;
         }
+        let cameras = given(&self.poses, clip, supplied::cameras)?;
+        notes(cameras.as_ref().map_or(&[], |cameras| &cameras.notes));
+        let told = cameras.as_ref().and_then(|cameras| cameras.intrinsics);
+        let depth = |path: &Path, clip: &Clip| supplied::depth(path, clip, self.depth_scale);
         Ok(Options {
-            intrinsics: given(&self.intrinsics, clip, supplied::intrinsics)?,
+            intrinsics: given(&self.intrinsics, clip, supplied::intrinsics)?
+                .or(told.filter(|_| self.focal.is_none())),
             focal: self.focal.map(|focal| focal * scale).or(clip.focal),
-            poses: given(&self.poses, clip, supplied::poses)?,
+            poses: cameras.map(|cameras| cameras.poses),
             masks: given(&self.masks, clip, supplied::masks)?,
-            depth: given(&self.depth, clip, supplied::depth)?,
+            depth: given(&self.depth, clip, depth)?,
             tracks: given(&self.tracks, clip, supplied::tracks)?,
             static_motion: self.static_motion,
             seed,
@@ -121,11 +138,12 @@ impl KnownArgs {
         let folders = [
             below(Some(clip), &["", "frames", "images"], &images::EXTENSIONS),
             below(self.masks.as_ref(), &[""], &images::EXTENSIONS),
-            below(self.depth.as_ref(), &[""], &["exr"]),
+            below(self.depth.as_ref(), &[""], &depth::EXTENSIONS),
+            below(self.poses.as_ref(), &["", "sparse", "sparse/0", "colmap/sparse/0"], &CAMERAS),
             below(
                 self.flow.as_ref(),
                 &["flow_forward", "flow_backward", "forward", "backward"],
-                &["flo"],
+                &flow::EXTENSIONS,
             ),
         ];
         Inputs::new(files.into_iter().flatten().cloned(), folders.into_iter().flatten())

@@ -3,12 +3,16 @@
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
+use splat4d::data::trajectory::{Format, QuaternionOrder};
 use splat4d::data::{
-    Clip, exr, flo, images, intrinsics, read_mask, tracks, trajectory, transforms,
+    Clip, cam, colmap, depth, flow, images, intrinsics, monst3r, read_mask, tracks, trajectory,
+    transforms,
 };
 use splat4d::observe::SuppliedFlow;
 use splat4d::types::{Image, Intrinsics, Pose, Tracks};
 use splat4d::{Error, Result};
+
+use super::common::say;
 
 /// Things that are supplied for a clip's frames: a list in the order of the frames, with the names
 /// that say which frame each belongs to, where they have names.
@@ -54,7 +58,14 @@ impl Listed<'_> {
             (_, Some(_)) => "one for each frame of the clip, the damaged ones among them",
             (_, None) => "frames of which none is missing",
         };
-        let names = if self.names.is_empty() { "" } else { ", or files named as the frames are" };
+        let unnamed = clip.frames.iter().find(|frame| !by_name.contains_key(frame.name.as_str()));
+        let names = match (self.names.is_empty(), unnamed) {
+            (true, _) => String::new(),
+            (false, None) => ", or files named as the frames are".to_owned(),
+            (false, Some(frame)) => {
+                format!(", or files named as the frames are (none is named {})", frame.name)
+            }
+        };
         Err(Error::format(
             self.path,
             format!(
@@ -74,21 +85,153 @@ fn of_shot(clip: &Clip) -> String {
     })
 }
 
-/// Poses (`view_from_world`) of a TUM trajectory or a `transforms.json`, one for each frame taken.
-pub fn poses(path: &Path, clip: &Clip) -> Result<Vec<Pose>> {
-    let (poses, names): (Vec<Pose>, _) = if path.extension().is_some_and(|e| e == "json") {
-        let cameras = transforms::read_cameras(path)?;
-        let names = transforms::file_names(path)?;
-        (
-            cameras.iter().map(|c| c.camera.view_from_world).collect(),
-            names.iter().map(|name| stem(Path::new(name))).collect(),
-        )
-    } else {
-        let poses = trajectory::read(path, None)?;
-        (poses.iter().map(|p| p.world_from_view.inverse()).collect(), Vec::new())
-    };
+/// What a file or a folder of cameras holds for the frames taken.
+pub struct Cameras {
+    /// `view_from_world` of each frame.
+    pub poses: Vec<Pose>,
+    /// Those of all frames, at their size, where the file tells them.
+    pub intrinsics: Option<Intrinsics>,
+    /// Lines to show.
+    pub notes: Vec<String>,
+}
+
+/// Cameras as they are listed, each with its inner geometry where that is told.
+#[derive(Default)]
+struct Found {
+    poses: Vec<Pose>,
+    names: Vec<String>,
+    intrinsics: Vec<Intrinsics>,
+    distorted: bool,
+    notes: Vec<String>,
+}
+
+/// Cameras of a trajectory (TUM, KITTI, EuRoC), a `transforms.json`, or a folder: a COLMAP model,
+/// Sintel's `.cam` files, what MonST3R wrote, or one with a `transforms.json`.
+pub fn cameras(path: &Path, clip: &Clip) -> Result<Cameras> {
+    let Found { poses, names, intrinsics, distorted, mut notes } = find(path, clip)?;
     let listed = Listed { path, what: "poses", count: poses.len(), names };
-    Ok(listed.pair(clip)?.into_iter().map(|i| poses[i]).collect())
+    let pairs = listed.pair(clip)?;
+    let told: Vec<Intrinsics> = pairs.iter().filter_map(|i| intrinsics.get(*i).copied()).collect();
+    let place = path.display();
+    if distorted {
+        notes.push(format!(
+            "the cameras of {place} have lens distortion, which is not taken off the frames; undistort \
+             them first"
+        ));
+    }
+    let intrinsics = match told.first() {
+        Some(first) if !told.iter().all(|k| same(k, first)) => {
+            notes.push(format!(
+                "the intrinsics of {place} differ from frame to frame and are not used; one camera for \
+                 all frames is found instead"
+            ));
+            None
+        }
+        Some(first) if !fits(first, clip) => {
+            notes.push(format!(
+                "the intrinsics of {place} are of {}×{} pixels, of other proportions than the frames, \
+                 and are not used",
+                first.width, first.height
+            ));
+            None
+        }
+        Some(first) => Some(first.resized(clip.width, clip.height)),
+        None => None,
+    };
+    Ok(Cameras { poses: pairs.into_iter().map(|i| poses[i]).collect(), intrinsics, notes })
+}
+
+fn find(path: &Path, clip: &Clip) -> Result<Found> {
+    if !path.is_dir() {
+        if path.extension().is_some_and(|e| e == "json") {
+            return of_transforms(path);
+        }
+        let found = trajectory::open(path, None)?;
+        let poses = found.poses().iter().map(|p| p.world_from_view.inverse()).collect();
+        let mut notes = Vec::new();
+        if found.format != Format::Euroc && found.order == Some(QuaternionOrder::Wxyz) {
+            notes.push(format!("the quaternions of {} are read as (w, x, y, z)", path.display()));
+        }
+        return Ok(Found { poses, notes, ..Found::default() });
+    }
+    if monst3r::is_output(path) {
+        let poses = monst3r::poses(path)?.iter().map(|p| p.world_from_view.inverse()).collect();
+        let intrinsics = monst3r::intrinsics(path)?.unwrap_or_default();
+        return Ok(Found { poses, intrinsics, ..Found::default() });
+    }
+    let cams = cam::list(path)?;
+    if !cams.is_empty() {
+        let (width, height) = clip.original;
+        let mut found = Found::default();
+        for file in &cams {
+            let read = cam::read(file)?;
+            found.poses.push(read.pose);
+            found.names.push(stem_of(file));
+            let k = read.intrinsics(width, height).map_err(|what| Error::format(file, what))?;
+            found.intrinsics.push(k);
+        }
+        return Ok(found);
+    }
+    let transforms = path.join("transforms.json");
+    if transforms.is_file() {
+        return of_transforms(&transforms);
+    }
+    match colmap::find(path) {
+        Some(model) => of_colmap(&model),
+        None => Err(Error::format(
+            path,
+            "holds no cameras: neither a COLMAP model (cameras.bin or .txt, also in sparse/0) nor \
+             transforms.json, .cam files or MonST3R's pred_traj.txt",
+        )),
+    }
+}
+
+fn of_transforms(path: &Path) -> Result<Found> {
+    let cameras = transforms::read_cameras(path)?;
+    let names = transforms::file_names(path)?;
+    Ok(Found {
+        poses: cameras.iter().map(|c| c.camera.view_from_world).collect(),
+        names: names.iter().map(|name| stem(Path::new(name))).collect(),
+        intrinsics: cameras.iter().map(|c| c.camera.intrinsics).collect(),
+        distorted: transforms::distortions(path)?.iter().any(|bend| !bend.is_none()),
+        notes: Vec::new(),
+    })
+}
+
+fn of_colmap(folder: &Path) -> Result<Found> {
+    let colmap::Model { lenses, mut images, .. } = colmap::read_model(folder)?;
+    images.sort_by(|a, b| images::natural(&a.name, &b.name));
+    let mut found = Found::default();
+    for image in images {
+        let lens = lenses.get(&image.camera).ok_or_else(|| {
+            let what = format!("image {} names a camera that is absent", image.name);
+            Error::format(folder, what)
+        })?;
+        found.poses.push(image.view_from_world);
+        found.names.push(stem(Path::new(&image.name)));
+        found.intrinsics.push(lens.intrinsics);
+        found.distorted |= !lens.distortion.is_none();
+    }
+    Ok(found)
+}
+
+/// Whether two cameras are one but for what estimating each on its own leaves.
+fn same(a: &Intrinsics, b: &Intrinsics) -> bool {
+    let near = |a: f64, b: f64, of: f64| (a - b).abs() <= 1e-3 * of;
+    let (w, h) = (f64::from(b.width), f64::from(b.height));
+    (a.width, a.height) == (b.width, b.height)
+        && near(a.fx, b.fx, b.fx)
+        && near(a.fy, b.fy, b.fy)
+        && near(a.cx, b.cx, w)
+        && near(a.cy, b.cy, h)
+}
+
+/// Whether intrinsics are of an image of the frames' proportions; a resized one's sides are whole pixels.
+fn fits(given: &Intrinsics, clip: &Clip) -> bool {
+    let aspect = |width: u32, height: u32| f64::from(width) / f64::from(height);
+    let ratio = aspect(given.width, given.height) / aspect(clip.width, clip.height);
+    let least = clip.width.min(clip.height).min(given.width.min(given.height));
+    (ratio - 1.0).abs() <= 2.0 / f64::from(least)
 }
 
 /// A file's name without its extension. `a.b` alone has none that a picture could have.
@@ -97,13 +240,23 @@ fn stem(file: &Path) -> String {
     name.unwrap_or_default().to_string_lossy().into_owned()
 }
 
+/// A file's name without its extension, whatever that is.
+fn stem_of(file: &Path) -> String {
+    file.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+}
+
 /// Intrinsics of a file, at the size of the frames.
 pub fn intrinsics(path: &Path, clip: &Clip) -> Result<Intrinsics> {
     let given = intrinsics::read(path)?;
-    let aspect = |width: u32, height: u32| f64::from(width) / f64::from(height);
-    let ratio = aspect(given.width, given.height) / aspect(clip.width, clip.height);
-    // A resized frame's sides are whole pixels.
-    if (ratio - 1.0).abs() > 2.0 / f64::from(clip.width.min(clip.height)) {
+    let bent = intrinsics::distorted_by(path)?;
+    if !bent.is_empty() {
+        say(&format!(
+            "note: {} of {} are not taken off the frames; undistort them first",
+            bent.join(", "),
+            path.display()
+        ));
+    }
+    if !fits(&given, clip) {
         let (width, height) = clip.original;
         return Err(Error::format(
             path,
@@ -116,14 +269,24 @@ pub fn intrinsics(path: &Path, clip: &Clip) -> Result<Intrinsics> {
     Ok(given.resized(clip.width, clip.height))
 }
 
-/// Motion masks of a folder of images, one for each frame taken, at the size of the frames.
+/// Motion masks of a folder of images or of MonST3R's folder, one for each frame taken, at the size of
+/// the frames.
 pub fn masks(folder: &Path, clip: &Clip) -> Result<Vec<Image>> {
-    of_folder(folder, images::list(folder)?, clip, "masks", |file| read_mask(file))
+    let files = match monst3r::is_output(folder) {
+        true => monst3r::masks(folder)?,
+        false => images::list(folder)?,
+    };
+    of_folder(folder, files, clip, "masks", |file| read_mask(file))
 }
 
-/// Depth maps of a folder of EXR files, one for each frame taken, at the size of the frames.
-pub fn depth(folder: &Path, clip: &Clip) -> Result<Vec<Image>> {
-    of_folder(folder, files(folder, "exr")?, clip, "depth maps", |file| exr::read_depth(file))
+/// Depth maps of a folder, one for each frame taken, at the size of the frames. `unit` of a PNG's numbers
+/// are a unit of length.
+pub fn depth(folder: &Path, clip: &Clip, unit: f64) -> Result<Vec<Image>> {
+    let files = match monst3r::is_output(folder) {
+        true => monst3r::depth(folder)?,
+        false => first_of(folder, &depth::EXTENSIONS)?,
+    };
+    of_folder(folder, files, clip, "depth maps", |file| depth::read(file, unit))
 }
 
 /// Points followed through the clip, one place for each frame taken, at the size of the frames.
@@ -152,8 +315,7 @@ fn of_folder(
     what: &'static str,
     read: impl Fn(&Path) -> Result<Image>,
 ) -> Result<Vec<Image>> {
-    let names = files.iter().map(|f| f.file_stem().unwrap_or_default().to_string_lossy());
-    let names = names.map(|name| name.into_owned()).collect();
+    let names = files.iter().map(|file| stem_of(file)).collect();
     let listed = Listed { path: folder, what, count: files.len(), names };
     let read = |i: usize| Ok(nearest(&read(&files[i])?, clip.width, clip.height));
     listed.pair(clip)?.into_iter().map(read).collect()
@@ -175,7 +337,7 @@ pub fn flow(folder: &Path, clip: &Clip) -> Result<SuppliedFlow> {
     }
     let both = ["flow_forward", "flow_backward"].map(|name| folder.join(name));
     let flow = if both.iter().all(|inner| inner.is_dir()) {
-        let [forward, backward] = both.map(|inner| files(&inner, "flo"));
+        let [forward, backward] = both.map(|inner| first_of(&inner, &flow::EXTENSIONS));
         let (forward, backward) = (forward?, backward?);
         if forward.len() != backward.len() {
             return Err(Error::format(
@@ -187,7 +349,7 @@ pub fn flow(folder: &Path, clip: &Clip) -> Result<SuppliedFlow> {
                 ),
             ));
         }
-        let read = |files: &[PathBuf]| files.iter().map(flo::read).collect::<Result<Vec<_>>>();
+        let read = |files: &[PathBuf]| files.iter().map(flow::read).collect::<Result<Vec<_>>>();
         SuppliedFlow::new(read(&forward)?, read(&backward)?)?
     } else {
         SuppliedFlow::open(folder)?
@@ -208,6 +370,17 @@ pub fn flow(folder: &Path, clip: &Clip) -> Result<SuppliedFlow> {
             of_shot(clip)
         ),
     ))
+}
+
+/// The files with the first of these extensions that there are files of.
+fn first_of(folder: &Path, extensions: &[&str]) -> Result<Vec<PathBuf>> {
+    for extension in extensions {
+        let found = files(folder, extension)?;
+        if !found.is_empty() {
+            return Ok(found);
+        }
+    }
+    Ok(Vec::new())
 }
 
 /// The files with an extension, in the natural order of their names.
@@ -244,6 +417,7 @@ fn nearest(image: &Image, width: u32, height: u32) -> Image {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::{DQuat, DVec3};
     use splat4d::data::{ClipFrame, Shot};
 
     /// A clip of so many frames, those of these numbers taken.
@@ -356,5 +530,109 @@ mod tests {
         let image = Image { width: 2, height: 1, channels: 1, pixels: vec![1.0, 9.0] };
         assert_eq!(nearest(&image, 4, 2).pixels, [1.0, 1.0, 9.0, 9.0, 1.0, 1.0, 9.0, 9.0]);
         assert_eq!(nearest(&image, 1, 1).pixels.len(), 1);
+    }
+
+    /// A clip of four frames of 64×48, half as large as they were.
+    fn four() -> Clip {
+        let mut four = clip(Some(4), &[0, 1, 2, 3], 0);
+        (four.width, four.height, four.original) = (64, 48, (128, 96));
+        four
+    }
+
+    /// The camera of a frame, as it is written into each kind of file: at (n, 2, 0), turned by half a
+    /// turn about x.
+    fn camera(n: usize) -> Pose {
+        let turn = DQuat::from_xyzw(1.0, 0.0, 0.0, 0.0);
+        Pose::new(turn, DVec3::new(n as f64, 2.0, 0.0)).inverse()
+    }
+
+    #[track_caller]
+    fn found(path: &Path, focal: Option<f64>) -> Vec<String> {
+        let Cameras { poses, intrinsics, notes } = cameras(path, &four()).unwrap();
+        for (n, pose) in poses.iter().enumerate() {
+            let off = pose.inverse() * camera(n);
+            assert!(off.translation.length() < 1e-9, "{n}: {pose:?}");
+            assert!(off.rotation.w.abs() > 1.0 - 1e-12, "{n}: {pose:?}");
+        }
+        assert_eq!(poses.len(), 4);
+        assert_eq!(intrinsics.map(|k| k.fx), focal, "{notes:?}");
+        assert!(intrinsics.is_none_or(|k| (k.width, k.height) == (64, 48)));
+        notes
+    }
+
+    #[test]
+    fn cameras_of_every_kind() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let write = |name: &str, text: String| std::fs::write(at(name), text).unwrap();
+        let each = |line: &dyn Fn(usize) -> String| (0..4).map(line).collect::<String>();
+        write("kitti.txt", each(&|n| format!("1 0 0 {n} 0 -1 0 2 0 0 -1 0\n")));
+        found(&at("kitti.txt"), None);
+        let euroc =
+            |n| format!("{},{n},2,0,0,1,0,0,9,9,9\n", 1_403_636_579_763_555_584_u64 + n as u64);
+        write("euroc.csv", each(&euroc));
+        found(&at("euroc.csv"), None);
+
+        // COLMAP: world to camera, by name, in any order, one more than there are frames.
+        std::fs::create_dir_all(at("colmap/sparse/0")).unwrap();
+        let lens = |model: &str| write("colmap/sparse/0/cameras.txt", format!("1 {model}\n"));
+        lens("PINHOLE 128 96 100 100 64 48");
+        let image = |n: usize| {
+            let t = camera(n).translation;
+            format!("{} 0 1 0 0 {} {} {} 1 left/f{n}.png\n\n", 9 - n, t.x, t.y, t.z)
+        };
+        let images = [3, 1, 0, 2].map(image).concat();
+        write("colmap/sparse/0/images.txt", images.clone());
+        assert!(found(&at("colmap"), Some(50.0)).is_empty());
+        found(&at("colmap/sparse/0"), Some(50.0));
+        lens("OPENCV 128 96 100 100 64 48 0.1 0 0 0");
+        assert!(found(&at("colmap"), Some(50.0))[0].contains("distortion"));
+        lens("PINHOLE 128 128 100 100 64 64");
+        assert!(found(&at("colmap"), None)[0].contains("other proportions"));
+        write("colmap/sparse/0/images.txt", images.replace("/f", "/g"));
+        found(&at("colmap"), None);
+        write("colmap/sparse/0/images.txt", [3, 1, 0].map(image).concat());
+        let said = cameras(&at("colmap"), &four()).err().unwrap().to_string();
+        assert!(said.contains("3 poses") && said.contains("none is named f2"), "{said}");
+
+        // MonST3R, at half of the frames' first size.
+        std::fs::create_dir(at("monst3r")).unwrap();
+        write("monst3r/pred_traj.txt", each(&|n| format!("{n}.0 {n} 2 0 0 1 0 0\n")));
+        found(&at("monst3r"), None);
+        let matrix = |_| "60.0 0.0 32.0 0.0 60.0 24.0 0.0 0.0 1.0\n".to_owned();
+        write("monst3r/pred_intrinsics.txt", each(&matrix));
+        found(&at("monst3r"), Some(60.0));
+        let lens = |n| format!("{} 0 32 0 60 24 0 0 1\n", 60 + n);
+        write("monst3r/pred_intrinsics.txt", each(&lens));
+        assert!(found(&at("monst3r"), None)[0].contains("differ"));
+        write("monst3r/pred_intrinsics.txt", "60 0 32\n".into());
+        let said = cameras(&at("monst3r"), &four()).err().unwrap().to_string();
+        assert!(said.contains("pred_intrinsics.txt: line 1"), "{said}");
+        for i in 0..4 {
+            std::fs::write(at(&format!("monst3r/conf_{i}.npy")), "not read").unwrap();
+            let mask = Image { pixels: vec![i as f32 % 2.0], ..Image::new(1, 1, 1) };
+            let name = format!("monst3r/dynamic_mask_{i}.png");
+            splat4d::data::write_mask(at(&name), &mask).unwrap();
+            std::fs::copy(at(&name), at(&format!("monst3r/frame_{i:04}.png"))).unwrap();
+        }
+        let masks = masks(&at("monst3r"), &four()).unwrap();
+        assert_eq!(masks.len(), 4);
+        assert!(masks[1].pixels[0] == 1.0 && masks[1].width == 64 && masks[2].pixels[0] == 0.0);
+
+        // Sintel.
+        std::fs::create_dir(at("cams")).unwrap();
+        for n in 0..4 {
+            let t = camera(n).translation;
+            let k = [100.0, 0.0, 63.5, 0.0, 100.0, 47.5, 0.0, 0.0, 1.0];
+            let m = [1.0, 0.0, 0.0, t.x, 0.0, -1.0, 0.0, t.y, 0.0, 0.0, -1.0, t.z];
+            let mut bytes = 202_021.25f32.to_le_bytes().to_vec();
+            bytes.extend(k.iter().chain(&m).flat_map(|v: &f64| v.to_le_bytes()));
+            std::fs::write(at(&format!("cams/frame_{:04}.cam", n + 1)), bytes).unwrap();
+        }
+        assert!(found(&at("cams"), Some(50.0)).is_empty());
+
+        std::fs::create_dir(at("none")).unwrap();
+        let said = cameras(&at("none"), &four()).err().unwrap().to_string();
+        assert!(said.contains("COLMAP") && said.contains("pred_traj.txt"), "{said}");
     }
 }

@@ -8,6 +8,7 @@ use exr::prelude::{
     ReadLayers, SmallVec, WritableImage,
 };
 
+use super::depth::clean;
 use crate::error::excerpt;
 use crate::io;
 use crate::types::{Image, range};
@@ -31,13 +32,7 @@ pub fn read_depth(path: impl AsRef<Path>) -> Result<Image> {
         }
     };
     let mut pixels = planes.values.swap_remove(index);
-    for z in &mut pixels {
-        *z = match *z {
-            z if range::DEPTH.contains(&z) => z,
-            z if z > *range::DEPTH.end() => f32::INFINITY,
-            _ => 0.0,
-        };
-    }
+    pixels.iter_mut().for_each(|z| *z = clean(*z));
     Ok(Image { width: planes.width, height: planes.height, channels: 1, pixels })
 }
 

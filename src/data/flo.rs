@@ -4,6 +4,7 @@
 use std::io::Write;
 use std::path::Path;
 
+use super::flow::clean;
 use crate::io::{self, Bytes};
 use crate::types::{Image, range};
 use crate::{Error, Result};
@@ -35,11 +36,7 @@ pub fn read(path: impl AsRef<Path>) -> Result<Image> {
     let data = from.take(needed as usize, "the vectors")?;
     let value = |b: &[u8]| f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
     let mut pixels: Vec<f32> = data.chunks_exact(4).map(value).collect();
-    for vector in pixels.chunks_exact_mut(2) {
-        if !vector.iter().all(|v| v.abs() <= range::FLOW) {
-            vector.fill(f32::NAN);
-        }
-    }
+    pixels.chunks_exact_mut(2).for_each(clean);
     Ok(Image { width: w, height: h, channels: 2, pixels })
 }
 

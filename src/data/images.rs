@@ -8,7 +8,7 @@ use image::{DynamicImage, ImageDecoder, ImageReader};
 use crate::io::{
     available_memory, check_memory, check_unpacked, gibibytes, open, read, write_atomically,
 };
-use crate::types::Image;
+use crate::types::{Image, range};
 use crate::{Error, Result};
 
 /// Extensions of the image files that are read, in the order in which a missing extension is
@@ -256,6 +256,38 @@ pub fn read_mask(path: impl AsRef<Path>) -> Result<Image> {
     let (width, height) = grey.dimensions();
     let pixels = grey.as_raw().iter().map(|&v| if v >= 128 { 1.0 } else { 0.0 }).collect();
     Ok(Image { width, height, channels: 1, pixels })
+}
+
+/// Reads a grey image of 16 bits: one channel, the values as they are stored.
+pub(super) fn read_grey16(path: &Path) -> Result<Image> {
+    match decode(path, Orientation::Stored)? {
+        DynamicImage::ImageLuma16(grey) => Ok(Image {
+            width: grey.width(),
+            height: grey.height(),
+            channels: 1,
+            pixels: grey.as_raw().iter().map(|&v| f32::from(v)).collect(),
+        }),
+        other => Err(not_of_16_bits(path, "a grey", &other)),
+    }
+}
+
+/// Reads a colour image of 16 bits: width, height and the values as they are stored.
+pub(super) fn read_rgb16(path: &Path) -> Result<(u32, u32, Vec<u16>)> {
+    match decode(path, Orientation::Stored)? {
+        DynamicImage::ImageRgb16(rgb) => Ok((rgb.width(), rgb.height(), rgb.into_raw())),
+        other => Err(not_of_16_bits(path, "a colour", &other)),
+    }
+}
+
+fn not_of_16_bits(path: &Path, wanted: &str, found: &DynamicImage) -> Error {
+    let found = found.color();
+    Error::format(path, format!("{wanted} picture of 16 bits was expected, this one is {found:?}"))
+}
+
+/// Width and height of an array, where an image can have them.
+pub(super) fn sides(width: usize, height: usize) -> Option<(u32, u32)> {
+    let side = |side: usize| u32::try_from(side).ok().filter(|side| range::SIDE.contains(side));
+    side(width).zip(side(height))
 }
 
 /// Writes a mask of one channel as a PNG of 0 and 255.

@@ -44,6 +44,14 @@ pub fn read(path: impl AsRef<Path>) -> Result<Intrinsics> {
     Ok(intrinsics)
 }
 
+/// Which of the numbers of a lens's distortion (`k1` …, `p1` …) such a file holds besides, other than 0.
+/// [`read`] passes over them.
+pub fn distorted_by(path: impl AsRef<Path>) -> Result<Vec<String>> {
+    let value = io::read_json(path.as_ref())?;
+    let bends = |key: &&&str| value.get(**key).and_then(Value::as_f64).is_some_and(|v| v != 0.0);
+    Ok(["k1", "k2", "k3", "k4", "p1", "p2"].iter().filter(bends).map(|k| k.to_string()).collect())
+}
+
 /// Writes intrinsics by rename.
 pub fn write(path: impl AsRef<Path>, intrinsics: &Intrinsics) -> Result<()> {
     io::write_json(path, &to_json(intrinsics))

@@ -8,12 +8,16 @@
 pub mod cam;
 pub mod clip;
 pub mod colmap;
+pub mod depth;
 pub mod distortion;
 pub mod exif;
 pub mod exr;
 pub mod flo;
+pub mod flow;
 pub mod images;
 pub mod intrinsics;
+pub mod monst3r;
+pub mod npy;
 pub mod points;
 mod shots;
 pub mod synth;

@@ -6,28 +6,17 @@
 //! CoTracker gives: `pred_tracks` ([batch ×] frames × points × 2) and `pred_visibility`, whose pixel
 //! centres are at whole numbers.
 
-use std::io::{Cursor, Read, Write};
+use std::io::{Cursor, Write};
 use std::path::Path;
 
 use glam::DVec2;
-use npyz::{NpyFile, Order, WriterBuilder};
-use zip::ZipArchive;
-use zip::result::ZipError;
+use npyz::WriterBuilder;
 use zip::write::{SimpleFileOptions, ZipWriter};
 
-use crate::error::excerpt;
+use super::npy::{self, Array};
 use crate::io;
 use crate::types::{PointPath, Tracks, range};
 use crate::{Error, Result};
-
-/// Bytes of an array's header, at most.
-const MOST_HEADER: u32 = 1 << 16;
-
-/// Numbers of an array with its shape.
-struct Array {
-    shape: Vec<usize>,
-    values: Vec<f64>,
-}
 
 /// Reads points.
 ///
@@ -37,10 +26,8 @@ struct Array {
 pub fn read(path: impl AsRef<Path>) -> Result<Tracks> {
     let path = path.as_ref();
     let bytes = io::read(path)?;
-    let damaged =
-        |e: ZipError| Error::format(path, format!("is no .npz: {}", excerpt(&e.to_string())));
-    let mut archive = ZipArchive::new(Cursor::new(&bytes)).map_err(damaged)?;
-    let mut array = |name: &str| array(path, &mut archive, bytes.len(), name);
+    let mut archive = npy::open(path, &bytes)?;
+    let mut array = |name: &str| npy::entry(path, &mut archive, bytes.len(), name);
     let (tracks, centre) = match array("tracks")? {
         Some(tracks) => (tracks, 0.0),
         None => match array("pred_tracks")? {
@@ -121,56 +108,6 @@ pub fn read(path: impl AsRef<Path>) -> Result<Tracks> {
         Ok(PointPath { query, pixels, seen })
     };
     Ok(Tracks { size, points: (0..points).map(point).collect::<Result<_>>()? })
-}
-
-/// An array of an archive; none where it is not there.
-fn array(
-    path: &Path,
-    archive: &mut ZipArchive<Cursor<&Vec<u8>>>,
-    packed: usize,
-    name: &str,
-) -> Result<Option<Array>> {
-    let wrong = |what: String| Error::format(path, format!("its array {name}: {what}"));
-    let mut entry = match archive.by_name(&format!("{name}.npy")) {
-        Ok(entry) => entry,
-        Err(ZipError::FileNotFound) => return Ok(None),
-        Err(error) => return Err(wrong(excerpt(&error.to_string()))),
-    };
-    let damaged = |error: std::io::Error| wrong(excerpt(&error.to_string()));
-    // Of a format newer than the first, the header's length has four bytes, and as much memory is asked for.
-    let mut start = [0; 12];
-    entry.read_exact(&mut start).map_err(damaged)?;
-    let [.., a, b, c, d] = start;
-    if start[6] > 1 && u32::from_le_bytes([a, b, c, d]) > MOST_HEADER {
-        return Err(wrong("has a header of a length that makes no sense".into()));
-    }
-    let file = NpyFile::new(start.chain(entry)).map_err(damaged)?;
-    let count = file.shape().iter().try_fold(1u64, |all, side| all.checked_mul(*side));
-    let count = count.unwrap_or(u64::MAX);
-    io::check_unpacked(path, count.saturating_mul(8), packed)?;
-    if file.order() != Order::C && file.shape().len() > 1 {
-        return Err(wrong("is stored column by column; save it in C order".into()));
-    }
-    let shape: Vec<usize> = file.shape().iter().map(|side| *side as usize).collect();
-    let of = |values: std::result::Result<Vec<f64>, std::io::Error>| values.map_err(damaged);
-    macro_rules! of_type {
-        ($file:expr, $($kind:ty => $convert:expr),+) => {{
-            let file = $file;
-            $(let file = match file.try_data::<$kind>() {
-                Ok(values) => {
-                    let convert: fn($kind) -> f64 = $convert;
-                    let values = of(values.map(|v| v.map(convert)).collect())?;
-                    return Ok(Some(Array { shape, values }));
-                }
-                Err(file) => file,
-            };)+
-            file
-        }};
-    }
-    let other = of_type!(file, f32 => f64::from, f64 => |v| v, bool => |v| f64::from(u8::from(v)),
-        u8 => f64::from, i32 => f64::from, i64 => |v| v as f64);
-    let kind = excerpt(&other.dtype().descr());
-    Err(wrong(format!("holds values of type {kind}; real numbers or booleans were expected")))
 }
 
 /// From [batch ×] frames × points × … to points × frames × …, of so many values each (0: one, without

@@ -130,6 +130,12 @@ pub fn file_names(path: &Path) -> Result<Vec<String>> {
     Ok(Listing::read(path)?.entries.into_iter().map(|entry| entry.file).collect())
 }
 
+/// The distortion of each camera that [`read_cameras`] gives as a pinhole.
+pub fn distortions(path: &Path) -> Result<Vec<Distortion>> {
+    let listing = Listing::read(path)?;
+    listing.entries.iter().map(|entry| Ok(listing.lens(entry, None)?.1)).collect()
+}
+
 /// Writes cameras as nerfstudio reads them, each with its `time`; `files` names a picture for each
 /// camera, relative to the file; `cloud` a PLY of points to begin with, where there is one.
 pub fn write(

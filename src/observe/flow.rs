@@ -1,12 +1,12 @@
 //! Dense optical flow of a clip, from whatever source, with a confidence per pixel.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use glam::DVec2;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::data::flo;
+use crate::data::flow;
 use crate::types::Image;
 use crate::{Error, Result};
 
@@ -89,8 +89,9 @@ impl SuppliedFlow {
         self
     }
 
-    /// From a folder of `.flo` files: those whose name begins with `forward` and with `backward`, or
-    /// those in folders `forward` and `backward`, in the natural order of their names.
+    /// From a folder of flow files ([`flow::EXTENSIONS`]; all of the first of these kinds that is
+    /// there): those whose name begins with `forward` and with `backward`, or those in folders
+    /// `forward` and `backward`, in the natural order of their names.
     ///
     /// # Errors
     /// A folder that cannot be read, no such files, numbers of files that differ, a damaged file.
@@ -100,29 +101,34 @@ impl SuppliedFlow {
             let inner = folder.join(direction);
             let (place, prefix) =
                 if inner.is_dir() { (inner.as_path(), "") } else { (folder, direction) };
-            let mut files = Vec::new();
+            let mut found = Vec::new();
             for entry in std::fs::read_dir(place).map_err(Error::io(place))? {
                 let path = entry.map_err(Error::io(place))?.path();
-                let name = path.file_name().unwrap_or_default().to_string_lossy();
-                if name.starts_with(prefix) && name.ends_with(".flo") {
-                    files.push(path);
+                if path.file_name().unwrap_or_default().to_string_lossy().starts_with(prefix) {
+                    found.push(path);
                 }
             }
+            let of = |extension: &&str| -> Vec<PathBuf> {
+                let named = |path: &&PathBuf| path.extension().is_some_and(|e| e == *extension);
+                found.iter().filter(named).cloned().collect()
+            };
+            let mut files =
+                flow::EXTENSIONS.iter().map(of).find(|files| !files.is_empty()).unwrap_or_default();
             // By the numbers in the name, then by the name: 10 follows 9.
             files.sort_by_cached_key(|path| {
                 let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
                 let digits: String = name.chars().filter(char::is_ascii_digit).collect();
                 (digits.parse::<u64>().unwrap_or(u64::MAX), name)
             });
-            files.par_iter().map(flo::read).collect::<Result<Vec<_>>>()
+            files.par_iter().map(flow::read).collect::<Result<Vec<_>>>()
         });
         let (forward, backward) = (forward?, backward?);
         if forward.is_empty() || forward.len() != backward.len() {
             return Err(Error::format(
                 folder,
                 format!(
-                    "holds {} forward and {} backward .flo fields; a clip of n frames needs n − 1 \
-                     of each, named forward*.flo and backward*.flo",
+                    "holds {} forward and {} backward fields; a clip of n frames needs n − 1 of \
+                     each, named forward* and backward*, as .flo, .npy, .npz or KITTI's .png",
                     forward.len(),
                     backward.len()
                 ),

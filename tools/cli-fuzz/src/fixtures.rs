@@ -135,6 +135,7 @@ impl Fixtures {
         add(Kind::Settings, "settings.json");
         colmap(root).map_err(|e| format!("the COLMAP model: {e}"))?;
         add(Kind::Dataset, "colmap");
+        add(Kind::Cameras, "colmap");
         if video(root) {
             add(Kind::Clip, "clip.mp4");
         }
