@@ -492,7 +492,7 @@ mod tests {
                 let field =
                     Image { width: 1, height: 1, channels: 2, pixels: vec![f32::from(i); 2] };
                 let file = folder.path().join(direction).join(format!("{i}.flo"));
-                flo::write(file, &field).unwrap();
+                splat4d::data::flo::write(file, &field).unwrap();
             }
         }
         let first = |clip: &Clip| {
