@@ -6,7 +6,7 @@ use glam::{DQuat, DVec2, DVec3};
 use splat4d::data::synth::{self, SynthOptions};
 use splat4d::eval::{Align, TrackScores, compare_trajectories, mask_iou, score_tracks};
 use splat4d::observe::{FlowPair, FlowSource, SuppliedFlow};
-use splat4d::track::{FocalSource, Options, Stage, Track, track};
+use splat4d::track::{FocalSource, Options, Refined, Stage, Track, track};
 use splat4d::types::{Image, Intrinsics, Pose};
 use splat4d::{Error, Result};
 
@@ -228,6 +228,31 @@ fn what_the_user_knows_is_kept() {
     }
 }
 
+/// Poses that are a little off, and a focal length that is 4 % too long.
+#[test]
+fn what_the_user_knows_roughly_is_refined() {
+    let clip = rigid();
+    let off = |(i, pose): (usize, &Pose)| {
+        let wave = |phase: f64| (1.9 * i as f64 + phase).sin();
+        let turn = DQuat::from_scaled_axis(0.004 * DVec3::new(wave(0.0), wave(1.0), wave(2.0)));
+        Pose::new(turn, 0.02 * DVec3::new(wave(3.0), wave(4.0), wave(5.0))) * *pose
+    };
+    let given: Vec<Pose> = clip.view_from_world.iter().enumerate().map(off).collect();
+    let options = Options {
+        focal: Some(1.04 * clip.intrinsics.fx),
+        poses: Some(given.clone()),
+        refined: Refined { poses: true, focal: true },
+        ..Options::default()
+    };
+    let found = run(clip, &options, 0.1).unwrap();
+    let rough = ate(&Track { view_from_world: given.clone(), ..found.clone() }, clip);
+    let (refined, focal) = (ate(&found, clip), found.intrinsics.fx / clip.intrinsics.fx - 1.0);
+    eprintln!("ATE {rough:.4} given, {refined:.4} refined; focal length {focal:+.4}");
+    assert!(rough > 0.01 && refined < 0.003 && focal.abs() < 0.01, "{rough} {refined} {focal}");
+    assert_eq!(found.quality.focal_source, FocalSource::Measured);
+    assert_eq!(found.view_from_world[0].rotation, given[0].rotation, "the first one is kept");
+}
+
 /// Flow of a camera that only turns, exact.
 struct Turning(Vec<DQuat>, Intrinsics);
 
@@ -340,6 +365,10 @@ fn bad_input_gets_one_clear_error() {
     refused(frames, masked(None), "the masks leave nothing static");
     refused(frames, masked(Some(clip.view_from_world.clone())), "the masks leave nothing static");
     refused(frames, Options { focal: Some(f64::NAN), ..Options::default() }, "makes no sense");
+    let refined = Refined { poses: true, focal: false };
+    refused(frames, Options { refined, ..Options::default() }, "poses are to be refined, but not");
+    let refined = Refined { poses: false, focal: true };
+    refused(frames, Options { refined, ..Options::default() }, "focal length is to be refined");
     let more: Vec<_> = frames.iter().chain(frames).cloned().collect();
     refused(&more, Options::default(), "supplied flow has 11");
     // An error from the listener ends the work.

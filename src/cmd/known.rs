@@ -3,13 +3,13 @@
 
 use std::path::{Path, PathBuf};
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
 use splat4d::data::trajectory::{self, TimedPose};
 use splat4d::data::{Clip, Resize, depth, flow, images, intrinsics};
 use splat4d::gpu::Device;
 use splat4d::observe::{EngineFlow, FlowSource, SuppliedFlow};
-use splat4d::track::{FocalSource, Observer, Options, Quality, Track, track_observed};
+use splat4d::track::{FocalSource, Observer, Options, Quality, Refined, Track, track_observed};
 use splat4d::types::{Camera, FlowSettings, Image, Intrinsics};
 use splat4d::{Error, Result};
 
@@ -20,6 +20,15 @@ use super::{supplied, values};
 
 /// Extensions of files of cameras in a folder.
 const CAMERAS: [&str; 4] = ["cam", "bin", "txt", "json"];
+
+/// What is supplied and adjusted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Refine {
+    /// Poses; the first one and the scale are kept
+    Poses,
+    /// The focal length, where the clip shows it
+    Focal,
+}
 
 /// What is known of a clip.
 #[derive(Args)]
@@ -36,6 +45,9 @@ pub struct KnownArgs {
     /// files, or written by MonST3R. Intrinsics told there are used unless given here
     #[arg(long, value_name = "FILE|DIR")]
     poses: Option<PathBuf>,
+    /// What of --poses and of the focal length is only where to begin, and is adjusted to the clip
+    #[arg(long, value_name = "WHAT", value_enum, value_delimiter = ',')]
+    pub refine: Vec<Refine>,
     /// Motion masks: a folder of images, white where something moves, one per frame or named as the
     /// frames are (of MonST3R's folder dynamic_mask_*.png); those that flicker or slip are mended, and
     /// noted
@@ -70,6 +82,10 @@ impl KnownArgs {
     pub fn check(&self, frames: &ClipArgs) -> Result<()> {
         if self.flow.is_some() && frames.every > 1 {
             let what = "--flow leads from each frame to the next; it does not go with --every";
+            return Err(Error::Input(what.into()));
+        }
+        if self.refine.contains(&Refine::Poses) && self.poses.is_none() {
+            let what = "--refine poses adjusts those that --poses gives; there are none";
             return Err(Error::Input(what.into()));
         }
         Ok(())
@@ -111,6 +127,10 @@ impl KnownArgs {
                 .or(told.filter(|_| self.focal.is_none())),
             focal: self.focal.map(|focal| focal * scale).or(clip.focal),
             poses: cameras.map(|cameras| cameras.poses),
+            refined: Refined {
+                poses: self.refine.contains(&Refine::Poses),
+                focal: self.refine.contains(&Refine::Focal),
+            },
             masks: given(&self.masks, clip, supplied::masks)?,
             depth: given(&self.depth, clip, depth)?,
             tracks: given(&self.tracks, clip, supplied::tracks)?,

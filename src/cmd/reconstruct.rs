@@ -376,6 +376,7 @@ fn identity(
         ("--max-frames", shown(args.frames.max_frames)),
         ("--size or --width", shown(size)),
         ("--focal", shown(args.known.focal)),
+        ("--refine", format!("{:?}", args.known.refine)),
         ("--depth-scale", args.known.depth_scale.to_string()),
         ("--static", shown(args.known.static_motion)),
         ("--intrinsics", summed(options.intrinsics.as_ref())),

@@ -79,7 +79,7 @@ use observer::{Progress, Work, numbered};
 pub use cameras::RigidMotion;
 pub use landmarks::{FrameQuality, Landmark};
 pub use observer::Observer;
-pub use options::Options;
+pub use options::{Options, Refined};
 pub use scaffold::Scaffold;
 
 /// What is being worked on, for progress.
@@ -457,7 +457,7 @@ impl Known<'_> {
         let cameras = if tripod {
             Cameras::fixed(&focal, flow, tracks.len())
         } else if let Some(poses) = &options.poses {
-            Cameras::supplied(poses, &focal, tracks, &weights)?
+            Cameras::supplied(poses, options.refined.poses, &focal, tracks, &weights)?
         } else {
             let (n, part) = (flow.frames, "cameras/posing");
             if found {

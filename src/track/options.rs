@@ -6,6 +6,15 @@ use crate::data::Clip;
 use crate::types::{Image, Intrinsics, Pose, Tracks};
 use crate::{Error, Result};
 
+/// What is supplied and yet adjusted to what the clip shows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Refined {
+    /// Poses begin as they are supplied; the first one and the scale are kept.
+    pub poses: bool,
+    /// The focal length begins as it is given, and stays so where the clip does not show it.
+    pub focal: bool,
+}
+
 /// What is known beforehand, and how hard to try.
 #[derive(Clone, Debug, Serialize)]
 pub struct Options {
@@ -13,9 +22,11 @@ pub struct Options {
     pub intrinsics: Option<Intrinsics>,
     /// Focal length in pixels of the frames, where it is known.
     pub focal: Option<f64>,
-    /// `view_from_world` per frame, where it is known, in any unit: kept but for that; see
-    /// [`Track::unit`](super::Track::unit).
+    /// `view_from_world` per frame, where it is known, in any unit: kept but for that, see
+    /// [`Track::unit`](super::Track::unit), unless it is to be refined.
     pub poses: Option<Vec<Pose>>,
+    /// Which of these are adjusted.
+    pub refined: Refined,
     /// Motion masks, one channel, 1 where something moves, where they are known: kept, but for frames
     /// whose mask is contradicted by those of the frames around and by what moves, which are noted.
     pub masks: Option<Vec<Image>>,
@@ -55,6 +66,7 @@ impl Default for Options {
             intrinsics: None,
             focal: None,
             poses: None,
+            refined: Refined::default(),
             masks: None,
             depth: None,
             tracks: None,
@@ -105,6 +117,16 @@ impl Options {
         if self.static_motion.is_some() && (self.poses.is_some() || self.masks.is_some()) {
             let what = "a rigid motion was asked for as the static world's, but poses or masks say it already";
             return Err(Error::Input(what.into()));
+        }
+        let nothing = |what: &str| {
+            let why = format!("{what} to be refined, but not supplied");
+            Err(Error::Input(why))
+        };
+        if self.refined.poses && self.poses.is_none() {
+            return nothing("poses are");
+        }
+        if self.refined.focal && self.focal.is_none() && self.intrinsics.is_none() {
+            return nothing("the focal length is");
         }
         let lists = [
             ("poses", self.poses.as_ref().map(Vec::len)),

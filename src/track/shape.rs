@@ -269,8 +269,12 @@ fn piece(
     sizes: &[f64],
     cameras: &Cameras,
 ) -> Option<Piece> {
-    let focal =
-        Focal { intrinsics: cameras.intrinsics, source: FocalSource::Given, deviation: 0.0 };
+    let focal = Focal {
+        intrinsics: cameras.intrinsics,
+        source: FocalSource::Given,
+        deviation: 0.0,
+        held: true,
+    };
     let mut nothing = |_: Stage, _: f64| Ok(());
     let mut progress = Progress(&mut nothing);
     let mut work = Work::new(&mut progress);

@@ -17,8 +17,6 @@ use crate::track::FocalSource;
 
 /// Relative standard deviation of a focal length that nobody tells.
 const ASSUMED_DEVIATION: f64 = 0.25;
-/// The adjustment measures the focal length if it can to this relative standard deviation.
-pub(super) const MEASURABLE: f64 = 0.05;
 /// The scale of residuals is not taken below so many deviations.
 const DEVIATION_FLOOR: f64 = 0.5;
 /// Most points of the last adjustment.
@@ -35,12 +33,8 @@ impl Cameras {
             Standpoint::Turns => self.put_far(tracks, weights),
             _ => self.triangulate(tracks, weights, &posed, true),
         }
-        let mode = match focal.source {
-            FocalSource::Given => FocalMode::Fixed,
-            _ => FocalMode::Gated(MEASURABLE),
-        };
-        let report = self.solve(tracks, weights, &posed, mode, POINTS, 4)?;
-        if focal.source != FocalSource::Given {
+        let report = self.solve(tracks, weights, &posed, focal.mode(), POINTS, 4)?;
+        if !focal.held {
             self.focal_std = report.focal_std.min(focal.deviation);
             if report.focal_released {
                 self.focal_std = report.focal_std;
@@ -140,7 +134,7 @@ impl Cameras {
         let mut problem = Problem {
             intrinsics: self.intrinsics,
             poses: places.iter().map(|&f| self.poses[f]).collect(),
-            fixed: places.iter().map(|_| self.supplied).collect(),
+            fixed: places.iter().map(|_| self.held).collect(),
             points: Vec::with_capacity(chosen.len()),
             observations: Vec::new(),
         };
@@ -190,9 +184,9 @@ impl Cameras {
 
     /// How well the poses are known by the static tracks, per frame; none of a fixed camera, of one
     /// that turns in place (its rotations are known to what is farther away than its own motion), and of
-    /// supplied poses.
+    /// poses that are kept as supplied.
     pub fn deviations(&self, tracks: &[PointTrack], weights: &[f64]) -> Vec<Option<PoseDeviation>> {
-        if !self.have_parallax() || self.supplied {
+        if !self.have_parallax() || self.held {
             return vec![None; self.poses.len()];
         }
         let (problem, _) = self.problem(tracks, weights, &vec![true; self.poses.len()], POINTS);

@@ -4,6 +4,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::Strictness;
+use crate::geometry::bundle::FocalMode;
 use crate::geometry::focal::{FocalPair, estimate_focal};
 use crate::geometry::ransac::RansacOptions;
 use crate::geometry::two_view::fundamental_ransac;
@@ -18,13 +19,23 @@ pub(in crate::track) struct Focal {
     pub intrinsics: Intrinsics,
     pub source: FocalSource,
     pub deviation: f64,
+    /// It was given and is not to be adjusted.
+    pub held: bool,
 }
 
 /// A focal length that nobody tells, as a multiple of the longer side: phones film at 0.75 to 1.1,
 /// and video stabilisation crops.
 pub(super) const ASSUMED: f64 = 1.0;
 
+/// The adjustment measures the focal length if it can to this relative standard deviation.
+const MEASURABLE: f64 = 0.05;
+
 impl Focal {
+    /// How it is adjusted.
+    pub fn mode(&self) -> FocalMode {
+        if self.held { FocalMode::Fixed } else { FocalMode::Gated(MEASURABLE) }
+    }
+
     /// What was given; else what image pairs tell; else a common value. `strictness` scales the threshold
     /// of outliers.
     pub fn choose(
@@ -38,7 +49,9 @@ impl Focal {
         let (w, h) = (width as u32, height as u32);
         let given = options.intrinsics.or(options.focal.map(|f| Intrinsics::centred(f, w, h)));
         if let Some(intrinsics) = given {
-            return Focal { intrinsics, source: FocalSource::Given, deviation: 0.0 };
+            let held = !options.refined.focal;
+            let deviation = if held { 0.0 } else { f64::INFINITY };
+            return Focal { intrinsics, source: FocalSource::Given, deviation, held };
         }
         let n = frames;
         let gaps = [n / 8, n / 5, n / 3].map(|g| g.clamp(1, n - 1));
@@ -66,11 +79,13 @@ impl Focal {
                 intrinsics: Intrinsics::centred(e.focal, w, h),
                 source: FocalSource::Measured,
                 deviation: e.relative_std,
+                held: false,
             },
             None => Focal {
                 intrinsics: Intrinsics::centred(ASSUMED * side, w, h),
                 source: FocalSource::Assumed,
                 deviation: f64::INFINITY,
+                held: false,
             },
         }
     }

@@ -43,8 +43,10 @@ pub(super) struct Cameras {
     pub rms: f64,
     pub standpoint: Standpoint,
     strictness: Strictness,
-    /// Poses were supplied: only structure and focal length are adjusted.
+    /// Poses were supplied.
     supplied: bool,
+    /// Only structure and focal length are adjusted.
+    held: bool,
     /// One of the world's units in that of the supplied poses; 1 without.
     pub unit: f64,
 }
@@ -108,7 +110,7 @@ impl Cameras {
     /// Cameras that a unit test knows.
     #[cfg(test)]
     pub fn known(intrinsics: Intrinsics, poses: Vec<Pose>) -> Cameras {
-        let focal = Focal { intrinsics, source: FocalSource::Given, deviation: 0.0 };
+        let focal = Focal { intrinsics, source: FocalSource::Given, deviation: 0.0, held: true };
         Cameras { poses, ..Cameras::new(&focal, 0, 0) }
     }
 
@@ -125,16 +127,18 @@ impl Cameras {
             standpoint: Standpoint::Moves,
             strictness: Strictness::Usual,
             supplied: false,
+            held: false,
             unit: 1.0,
         }
     }
 
-    /// Cameras that the user knows.
+    /// Cameras that the user knows; to `refine` is to adjust them too.
     ///
     /// # Errors
     /// Those of the adjustment.
     pub fn supplied(
         poses: &[Pose],
+        refine: bool,
         focal: &Focal,
         tracks: &[PointTrack],
         weights: &[f64],
@@ -142,6 +146,7 @@ impl Cameras {
         let mut cameras = Cameras {
             poses: poses.to_vec(),
             supplied: true,
+            held: !refine,
             ..Cameras::new(focal, poses.len(), tracks.len())
         };
         // In whatever unit the poses are, all that follows is done in the world's.

@@ -3,10 +3,8 @@
 use glam::DQuat;
 use rayon::prelude::*;
 
-use super::adjustment::MEASURABLE;
 use super::focal::ASSUMED;
 use super::{Anchor, Cameras, Focal, Standpoint};
-use crate::geometry::bundle::FocalMode;
 use crate::geometry::ransac::RansacOptions;
 use crate::geometry::two_view::turn_ransac;
 use crate::observe::PointTrack;
@@ -36,42 +34,43 @@ impl Cameras {
         seed: u64,
     ) -> Result<Cameras> {
         let posed = vec![true; frames];
-        let start = |intrinsics: Intrinsics| {
-            let given = focal.source == FocalSource::Given;
-            let (source, deviation) = match given {
-                true => (FocalSource::Given, 0.0),
-                false => (FocalSource::Assumed, f64::INFINITY),
-            };
-            let focal = Focal { intrinsics, source, deviation };
-            let new = Cameras::new(&focal, frames, tracks.len());
+        let start = |focal: &Focal| {
+            let new = Cameras::new(focal, frames, tracks.len());
             let mut cameras = Cameras { standpoint: Standpoint::Turns, ..new };
-            cameras.poses = chained(tracks, weights, &intrinsics, frames, seed)?;
+            cameras.poses = chained(tracks, weights, &focal.intrinsics, frames, seed)?;
             cameras.put_far(tracks, weights);
-            let mode = if given { FocalMode::Fixed } else { FocalMode::Gated(MEASURABLE) };
-            cameras.solve(tracks, weights, &posed, mode, POINTS, 2)?;
-            Ok::<_, Error>((cameras, focal))
+            cameras.solve(tracks, weights, &posed, focal.mode(), POINTS, 2)?;
+            Ok::<_, Error>(cameras)
         };
-        if focal.source != FocalSource::Given {
-            let (w, h) = (focal.intrinsics.width, focal.intrinsics.height);
-            let centred = |ratio: f64| Intrinsics::centred(ratio * f64::from(w.max(h)), w, h);
-            let best = STARTS
-                .iter()
-                .filter_map(|ratio| start(centred(*ratio)).ok())
-                .map(|(cameras, focal)| (cameras.explained(tracks, weights), cameras, focal))
-                .max_by(|a, b| a.0.total_cmp(&b.0));
-            if let Some((_, mut cameras, focal)) = best {
-                cameras.adjust(tracks, weights, &focal)?;
-                if cameras.focal_source == FocalSource::Measured {
-                    return Ok(cameras);
-                }
-            }
-            let (mut cameras, focal) = start(centred(ASSUMED))?;
-            cameras.adjust(tracks, weights, &focal)?;
-            return Ok(cameras);
+        let adjusted = |mut cameras: Cameras, focal: &Focal| {
+            cameras.adjust(tracks, weights, focal)?;
+            Ok::<_, Error>(cameras)
+        };
+        if focal.source == FocalSource::Given {
+            return adjusted(start(focal)?, focal);
         }
-        let (mut cameras, focal) = start(focal.intrinsics)?;
-        cameras.adjust(tracks, weights, &focal)?;
-        Ok(cameras)
+        let (w, h) = (focal.intrinsics.width, focal.intrinsics.height);
+        let assumed = |ratio: f64| Focal {
+            intrinsics: Intrinsics::centred(ratio * f64::from(w.max(h)), w, h),
+            source: FocalSource::Assumed,
+            deviation: f64::INFINITY,
+            held: false,
+        };
+        let best = STARTS
+            .iter()
+            .filter_map(|ratio| Some((start(&assumed(*ratio)).ok()?, assumed(*ratio))))
+            .max_by(|a, b| {
+                let explained = |cameras: &Cameras| cameras.explained(tracks, weights);
+                explained(&a.0).total_cmp(&explained(&b.0))
+            });
+        if let Some((cameras, focal)) = best {
+            let cameras = adjusted(cameras, &focal)?;
+            if cameras.focal_source == FocalSource::Measured {
+                return Ok(cameras);
+            }
+        }
+        let focal = assumed(ASSUMED);
+        adjusted(start(&focal)?, &focal)
     }
 
     /// Puts all tracks that count at infinity.
