@@ -471,11 +471,11 @@ impl Known<'_> {
             };
             let explained = |cameras: &Cameras| cameras.explained(tracks, &weights);
             let moving = first.as_ref().map_or(0.0, explained);
-            let turning = Cameras::turning(tracks, &weights, &focal, n, options.seed);
+            let turning = found
+                .then(|| Cameras::turning(tracks, &weights, &focal, n, options.seed).ok())
+                .flatten();
             match (first, turning) {
-                (_, Ok(turning)) if found && explained(&turning) > TURNS * moving.max(PLAIN) => {
-                    turning
-                }
+                (_, Some(turning)) if explained(&turning) > TURNS * moving.max(PLAIN) => turning,
                 (first, _) if supplied.is_some() => first?,
                 (Ok(first), _) if found && moving > PLAIN => first,
                 (first, _) => {

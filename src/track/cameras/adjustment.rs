@@ -29,10 +29,7 @@ impl Cameras {
     /// No track that counts, or an adjustment that ran off.
     pub fn adjust(&mut self, tracks: &[PointTrack], weights: &[f64], focal: &Focal) -> Result<()> {
         let posed = vec![true; self.poses.len()];
-        match self.standpoint {
-            Standpoint::Turns => self.put_far(tracks, weights),
-            _ => self.triangulate(tracks, weights, &posed, true),
-        }
+        self.triangulate(tracks, weights, &posed, true);
         let report = self.solve(tracks, weights, &posed, focal.mode(), POINTS, 4)?;
         if !focal.held {
             self.focal_std = report.focal_std.min(focal.deviation);
@@ -48,7 +45,7 @@ impl Cameras {
 
     /// Gives inverse depths to static tracks that are seen by frames with poses; `afresh` also to
     /// those that have one. Points that movers may have left are kept out by asking three views to
-    /// agree.
+    /// agree. Before a camera that turns in place all are infinitely far away.
     pub(super) fn triangulate(
         &mut self,
         tracks: &[PointTrack],
@@ -56,6 +53,9 @@ impl Cameras {
         posed: &[bool],
         afresh: bool,
     ) {
+        if self.standpoint == Standpoint::Turns {
+            return self.put_far(tracks, weights);
+        }
         let width = f64::from(self.intrinsics.width);
         let tolerance = 1.5 * self.strictness.factor() * (width / 320.0).max(1.0);
         let found: Vec<Option<Anchor>> = tracks

@@ -3,7 +3,7 @@
 use glam::DVec2;
 use rayon::prelude::*;
 
-use super::{Anchor, Cameras, DEVIATION, Standpoint, information};
+use super::{Anchor, Cameras, DEVIATION, information};
 use crate::geometry::bundle;
 use crate::observe::PointTrack;
 use crate::track::quantile;
@@ -105,10 +105,7 @@ impl Cameras {
     pub(super) fn shares(&self, tracks: &[PointTrack], weights: &[f64]) -> Vec<f64> {
         // The adjustment has moved the cameras, and only the points that it chose.
         let mut cameras = self.clone();
-        match self.standpoint {
-            Standpoint::Turns => cameras.put_far(tracks, weights),
-            _ => cameras.triangulate(tracks, weights, &vec![true; self.poses.len()], true),
-        }
+        cameras.triangulate(tracks, weights, &vec![true; self.poses.len()], true);
         let of_track = |i: usize| {
             let near = |view: View| 1.0 / (1.0 + view.known * view.off.length_squared() / EXPLAINS);
             let views = cameras.reprojected(tracks, i).filter(|_| weights[i] > COUNTS);

@@ -38,7 +38,7 @@ impl Cameras {
             let new = Cameras::new(focal, frames, tracks.len());
             let mut cameras = Cameras { standpoint: Standpoint::Turns, ..new };
             cameras.poses = chained(tracks, weights, &focal.intrinsics, frames, seed)?;
-            cameras.put_far(tracks, weights);
+            cameras.triangulate(tracks, weights, &posed, true);
             cameras.solve(tracks, weights, &posed, focal.mode(), POINTS, 2)?;
             Ok::<_, Error>(cameras)
         };
@@ -59,11 +59,9 @@ impl Cameras {
         let best = STARTS
             .iter()
             .filter_map(|ratio| Some((start(&assumed(*ratio)).ok()?, assumed(*ratio))))
-            .max_by(|a, b| {
-                let explained = |cameras: &Cameras| cameras.explained(tracks, weights);
-                explained(&a.0).total_cmp(&explained(&b.0))
-            });
-        if let Some((cameras, focal)) = best {
+            .map(|(cameras, focal)| (cameras.explained(tracks, weights), cameras, focal))
+            .max_by(|a, b| a.0.total_cmp(&b.0));
+        if let Some((_, cameras, focal)) = best {
             let cameras = adjusted(cameras, &focal)?;
             if cameras.focal_source == FocalSource::Measured {
                 return Ok(cameras);
