@@ -8,8 +8,8 @@ use std::path::Path;
 
 use glam::{DQuat, DVec2, DVec3};
 use splat4d::data::{
-    Clip, ClipOptions, Distortion, Resize, Shot, ShotChoice, exif, exr, flo, images, intrinsics,
-    read_mask, trajectory, video, write_mask, write_png,
+    Clip, ClipOptions, Distortion, Lens, Resize, Shot, ShotChoice, exif, exr, flo, images,
+    intrinsics, read_mask, trajectory, video, write_mask, write_png,
 };
 use splat4d::eval::psnr;
 use splat4d::io::write_atomically;
@@ -38,7 +38,8 @@ fn undistortion_undoes_the_lens() {
             bent.at_mut(x, y)[0] = colour(u);
         }
     }
-    let (found, valid) = lens.undistort(&bent, &k);
+    let camera = Lens { intrinsics: k, distortion: lens };
+    let (found, valid) = camera.undistort(&bent, &k);
     let valid = valid.expect("k1 > 0 pushes corners out of the picture");
     assert_eq!(valid.at(60, 45), [1.0]);
     assert_eq!(valid.at(0, 0), [0.0]);
@@ -57,7 +58,7 @@ fn undistortion_undoes_the_lens() {
     assert!(worst < 5e-4, "{worst}");
     // Beyond the fold of a strong negative polynomial nothing is real.
     let fold = Distortion { radial: [-1.5, 0.0, 0.0, 0.0], tangential: [0.0; 2] };
-    let (_, valid) = fold.undistort(&bent, &k);
+    let (_, valid) = Lens { distortion: fold, ..camera }.undistort(&bent, &k);
     assert_eq!(valid.unwrap().at(119, 89), [0.0]);
 }
 

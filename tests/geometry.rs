@@ -154,7 +154,7 @@ fn sequence(make: Make) -> Problem {
         }
     }
     let fixed = (0..make.frames).map(|i| i == 0).collect();
-    Problem { intrinsics, poses, fixed, points, observations }
+    Problem { intrinsics, k1: 0.0, poses, fixed, points, observations }
 }
 
 fn disturbed(truth: &Problem, pose: f64, depth: f64, seed: u64) -> Problem {
@@ -456,7 +456,7 @@ fn anchored(intrinsics: Intrinsics, poses: Vec<Pose>, points: &[DVec3], seen: &[
         }
     }
     let fixed = (0..poses.len()).map(|i| i == 0).collect();
-    Problem { intrinsics, poses, fixed, points: anchors, observations }
+    Problem { intrinsics, k1: 0.0, poses, fixed, points: anchors, observations }
 }
 
 /// A file of the Bundle Adjustment in the Large collection: 3 cameras, 7 points, 19 observations.
@@ -619,6 +619,7 @@ fn wild_problems_end_finite_or_in_words() {
             .collect();
         let mut problem = Problem {
             intrinsics: Intrinsics::centred(wild(2.0).abs() * 10.0, 64, 48),
+            k1: 0.0,
             poses,
             fixed: (0..frames).map(|i| i % 4 == 1).collect(),
             points,

@@ -312,6 +312,7 @@ fn gather(
     let place = |f: usize| posed.iter().position(|&p| p == f);
     let mut problem = Problem {
         intrinsics: *k,
+        k1: 0.0,
         poses: posed.iter().map(|&f| poses[f].unwrap()).collect(),
         fixed: posed.iter().map(|&f| f == 0).collect(),
         points: Vec::new(),

@@ -318,6 +318,7 @@ fn bundle(seed: u64, frames: usize, points: usize) -> Result<Job> {
     }
     let mut problem = Problem {
         intrinsics,
+        k1: 0.0,
         poses: truth.clone(),
         // The first and the last frame hold place and scale.
         fixed: (0..frames).map(|i| i == 0 || i + 1 == frames).collect(),

@@ -161,7 +161,8 @@ fn clip(h: &mut Harness, poses: &[Pose], inverse_depth: impl Fn(f64) -> f64) -> 
         points.push(point);
     }
     let fixed = (0..FRAMES).map(|i| i == 0).collect();
-    let truth = Problem { intrinsics: lens(), poses: poses.to_vec(), fixed, points, observations };
+    let truth =
+        Problem { intrinsics: lens(), k1: 0.0, poses: poses.to_vec(), fixed, points, observations };
     let mut start = truth.clone();
     for pose in start.poses.iter_mut().skip(1) {
         let mut off = || h.rng.random_range(-0.005..0.005);

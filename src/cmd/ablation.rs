@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use splat4d::Result;
 use splat4d::data::{Clip, read_mask};
 use splat4d::gpu::Device;
-use splat4d::observe::{EngineFlow, Exposure};
+use splat4d::observe::EngineFlow;
 use splat4d::renderer::Renderer;
 use splat4d::report::{Better, Figure};
 use splat4d::scene::Scene;
@@ -137,7 +137,7 @@ impl<'a> Material<'a> {
             ("seconds_train".to_owned(), seconds_train),
             ("peak_bytes".to_owned(), peak as f64),
         ]);
-        figures.extend(self.on_input(&scene, &track.exposure)?);
+        figures.extend(self.on_input(&scene, &track.prepared(&self.frames))?);
         if let Some(truth) = self.truth {
             let found = eval_truth::measure(self.device, &scene, truth, false, &|_, _| Ok(None))?;
             self.distances.clear();
@@ -150,8 +150,8 @@ impl<'a> Material<'a> {
         Ok(figures)
     }
 
-    /// Against the frames at one exposure.
-    fn on_input(&self, scene: &Scene, exposure: &Exposure) -> Result<Figures> {
+    /// Against the frames as they were trained on.
+    fn on_input(&self, scene: &Scene, frames: &[Image]) -> Result<Figures> {
         let mut renderer = Renderer::new(self.device, scene)?;
         let mut judge = Judge {
             renderer: &mut renderer,
@@ -168,7 +168,7 @@ impl<'a> Material<'a> {
                 distance: "input".into(),
                 camera: at.camera,
                 time: at.time,
-                truth: exposure.even(frame, &self.frames[frame]).into_owned(),
+                truth: frames[frame].clone(),
                 movers: Some(self.movers[frame].clone()),
                 covisible: None,
             };

@@ -15,6 +15,7 @@ use super::common::{Common, say};
 use super::eval::EvalArgs;
 use super::held_out::{self, Comparisons, Judge, Shot};
 use super::interrupt;
+use super::known::lens_of;
 use super::meter::Meter;
 use super::path;
 
@@ -43,6 +44,7 @@ pub fn measure(scene: &Scene, args: &EvalArgs, common: &Common) -> Result<Map<St
     let names: Vec<String> = pictures.iter().map(|(file, _)| name(file)).collect();
     let comparisons = args.comparisons(&names, std::slice::from_ref(folder))?;
     let first = scene.cameras[0].camera;
+    let lens = lens_of(&scene.report);
     let device = common.open_device()?;
     let mut renderer = Renderer::new(&device, scene)?;
     let mut judge = Judge {
@@ -56,12 +58,18 @@ pub fn measure(scene: &Scene, args: &EvalArgs, common: &Common) -> Result<Map<St
     for (index, (file, at)) in pictures.iter().enumerate() {
         interrupt::check()?;
         let intrinsics = seen_as(&first.intrinsics, file)?;
+        let truth = decode_rgb(file, scene.background, Orientation::Stored)?;
         let shot = Shot {
             name: names[index].clone(),
             distance: DISTANCE.into(),
             camera: Camera { intrinsics, ..first },
             time: at.time,
-            truth: decode_rgb(file, scene.background, Orientation::Stored)?,
+            truth: match &lens {
+                Some(lens) => {
+                    lens.resized(truth.width, truth.height).undistort(&truth, &intrinsics).0
+                }
+                None => truth,
+            },
             movers: None,
             covisible: None,
         };

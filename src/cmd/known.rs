@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
 use splat4d::data::trajectory::{self, TimedPose};
-use splat4d::data::{Clip, Resize, depth, flow, images, intrinsics};
+use splat4d::data::{Clip, Distortion, Lens, Resize, depth, flow, images, intrinsics};
 use splat4d::gpu::Device;
 use splat4d::observe::{EngineFlow, FlowSource, SuppliedFlow};
 use splat4d::track::{FocalSource, Observer, Options, Quality, Refined, Track, track_observed};
@@ -48,6 +48,9 @@ pub struct KnownArgs {
     /// What of --poses and of the focal length is only where to begin, and is adjusted to the clip
     #[arg(long, value_name = "WHAT", value_enum, value_delimiter = ',')]
     pub refine: Vec<Refine>,
+    /// Take the frames for those of a pinhole: a lens's distortion is not looked for
+    #[arg(long)]
+    pub pinhole: bool,
     /// Motion masks: a folder of images, white where something moves, one per frame or named as the
     /// frames are (of MonST3R's folder dynamic_mask_*.png); those that flicker or slip are mended, and
     /// noted
@@ -135,6 +138,7 @@ impl KnownArgs {
             depth: given(&self.depth, clip, depth)?,
             tracks: given(&self.tracks, clip, supplied::tracks)?,
             static_motion: self.static_motion,
+            lens: !self.pinhole,
             seed,
             ..Options::default()
         })
@@ -226,6 +230,34 @@ pub fn poses_json(found: &Quality) -> Value {
         "motions": found.motions,
         "static_motion": found.static_motion,
     })
+}
+
+/// The lens that frames were straightened by, for reports.
+pub fn lens_json(lens: Option<&Lens>) -> Value {
+    lens.map_or(Value::Null, |lens| {
+        let mut json = intrinsics::to_json(&lens.intrinsics);
+        json["k1"] = json!(lens.distortion.radial[0]);
+        json
+    })
+}
+
+/// The lens that a scene's report tells of.
+pub fn lens_of(report: &Value) -> Option<Lens> {
+    let told = &report["lens"];
+    let number = |key: &str| told[key].as_f64();
+    let side = |key: &str| told[key].as_u64().and_then(|v| u32::try_from(v).ok());
+    let intrinsics = Intrinsics {
+        fx: number("fx")?,
+        fy: number("fy")?,
+        cx: number("cx")?,
+        cy: number("cy")?,
+        width: side("width")?,
+        height: side("height")?,
+    };
+    let radial = [number("k1")?, 0.0, 0.0, 0.0];
+    let distortion = Distortion { radial, ..Default::default() };
+    intrinsics.check().and_then(|()| distortion.check(&intrinsics)).ok()?;
+    Some(Lens { intrinsics, distortion })
 }
 
 /// What [`write_cameras`] writes.

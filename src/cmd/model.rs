@@ -51,7 +51,7 @@ pub fn lines(choices: &[Choice]) -> String {
 
 /// The choices of a reconstruction; `scene.report` is what training has left.
 pub fn of_clip(scene: &Scene, track: &Track, settings: &SequenceSettings) -> Vec<Choice> {
-    let mut choices = vec![poses(track), focal_length(track), exposure(track)];
+    let mut choices = vec![poses(track), focal_length(track), lens(track), exposure(track)];
     choices.extend(motion(scene, track, settings));
     if scene.moves() {
         choices.push(movers_distance(track));
@@ -103,6 +103,20 @@ fn focal_length(track: &Track) -> Choice {
         FocalSource::Assumed => "a common value: the clip does not show it".into(),
     };
     Choice::new("focal length", chosen, because)
+}
+
+fn lens(track: &Track) -> Choice {
+    match &track.lens {
+        Some(lens) => {
+            let chosen = format!("k1 {:+.4}, frames straightened", lens.distortion.radial[0]);
+            let because = "static points agree better so, in both halves of the clip";
+            Choice::new("lens", chosen, because)
+        }
+        None => {
+            let because = "no distortion shows, or none is looked for";
+            Choice::new("lens", "a pinhole", because).saving("k1 and resampled frames")
+        }
+    }
 }
 
 fn exposure(track: &Track) -> Choice {

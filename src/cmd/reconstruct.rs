@@ -27,7 +27,9 @@ use super::common::{
     training,
 };
 use super::info::dynamic_share;
-use super::known::{CAMERA_FILES, KnownArgs, focal_source, observe, poses_json, write_cameras};
+use super::known::{
+    CAMERA_FILES, KnownArgs, focal_source, lens_json, observe, poses_json, write_cameras,
+};
 use super::outputs::Outputs;
 use super::tracker::Tracker;
 use super::watcher::Watcher;
@@ -53,7 +55,8 @@ JSON: psnr_input, ssim_input, gaussians, control_points,
 control_points_added and control_points_removed (in training), broken_gradients (values that were not
 a number or infinite and were left out), dynamic_share (of the pixels),
 dynamic_gaussians (share), intrinsics {fx, fy, cx, cy, width, height, source (given,
-measured, assumed)}, poses {tripod, turns, inlier_share, reprojection_rms, parallax_deg, focal_std,
+measured, assumed)}, lens (by which the frames were straightened: {k1, fx, fy, cx, cy, width, height};
+null of a pinhole), poses {tripod, turns, inlier_share, reprojection_rms, parallax_deg, focal_std,
 doubtful_frames, tracks, motions (that the static world was chosen from, where that was in doubt:
 [{explained, hidden, hides}]), static_motion (the one taken, or null)}, exposure (per frame, by what
 red, green and blue were multiplied, 0.055 added to the encoded values; null where it does not
@@ -225,7 +228,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     let model = model::of_clip(&scene, &track, &settings);
     say(&model::lines(&model));
 
-    let frames = track.exposure.even_all(&frames).into_owned();
+    let frames = track.prepared(&frames).into_owned();
     let views = views(frames, &names, &scene);
     let mut renderer = Renderer::new(&device, &scene)?;
     let measured = quality::measure(&mut renderer, &views, scene.background, "PSNR, input")?;
@@ -249,6 +252,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
         "dynamic_share": found.dynamic_share,
         "dynamic_gaussians": dynamic_share(&scene),
         "intrinsics": known_intrinsics,
+        "lens": lens_json(track.lens.as_ref()),
         "poses": poses_json(found),
         "exposure": (!track.exposure.is_constant()).then_some(&track.exposure.gains),
         "frames": names.len(),
@@ -379,6 +383,7 @@ fn identity(
         ("--refine", format!("{:?}", args.known.refine)),
         ("--depth-scale", args.known.depth_scale.to_string()),
         ("--static", shown(args.known.static_motion)),
+        ("--pinhole", args.known.pinhole.to_string()),
         ("--intrinsics", summed(options.intrinsics.as_ref())),
         ("--poses", summed(options.poses.as_ref())),
         ("--masks", summed(options.masks.as_ref())),
@@ -392,7 +397,7 @@ fn identity(
     ])
 }
 
-/// The frames, at one exposure, with the scene's cameras.
+/// The frames as they were trained on, with the scene's cameras.
 fn views(frames: Vec<Image>, names: &[String], scene: &Scene) -> Vec<View> {
     frames
         .into_iter()

@@ -115,8 +115,8 @@ pub fn cameras(path: &Path, clip: &Clip) -> Result<Cameras> {
     let place = path.display();
     if distorted {
         notes.push(format!(
-            "the cameras of {place} have lens distortion, which is not taken off the frames; undistort \
-             them first"
+            "the lens distortion of {place} is not used: what the clip shows of it is taken off the \
+             frames"
         ));
     }
     let intrinsics = match told.first() {
@@ -251,7 +251,7 @@ pub fn intrinsics(path: &Path, clip: &Clip) -> Result<Intrinsics> {
     let bent = intrinsics::distorted_by(path)?;
     if !bent.is_empty() {
         say(&format!(
-            "note: {} of {} are not taken off the frames; undistort them first",
+            "note: {} of {} are not used: what the clip shows of the lens's distortion is taken off the frames",
             bent.join(", "),
             path.display()
         ));

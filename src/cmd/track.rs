@@ -19,7 +19,7 @@ use super::clip::{ClipArgs, shots_json};
 use super::clock::Clock;
 use super::common::{Answer, Common, notes, path_text, say};
 use super::interrupt;
-use super::known::{KnownArgs, flow_source, focal_source, poses_json, write_cameras};
+use super::known::{KnownArgs, flow_source, focal_source, lens_json, poses_json, write_cameras};
 use super::outputs::Outputs;
 use super::track_model;
 use super::track_page::Page;
@@ -28,7 +28,8 @@ use super::tracker::Tracker;
 
 const AFTER_HELP: &str = "\
 DIR gets, whole or not at all:
-  images/0000.png …     the frames as they were tracked
+  images/0000.png …     the frames as they were tracked, without their lens's distortion; all else is of
+                        these
   poses.txt             TUM, camera to world; the time is the frame's index
   intrinsics.json       pixels
   transforms.json       the frames with their cameras and times in [0, 1], for nerfstudio and its kin
@@ -56,6 +57,7 @@ Examples:
 
 JSON: frames, frame_names, shot (the one taken, or null), shots ([first, last] frame of each, in the
 whole clip; empty where no cut was found), intrinsics {fx, fy, cx, cy, width, height, source (given, measured, assumed)},
+lens (by which the frames were straightened: {k1, fx, fy, cx, cy, width, height}; null of a pinhole),
 poses {tripod, turns, inlier_share, reprojection_rms, parallax_deg, focal_std, doubtful_frames, tracks,
 motions (that the static world was chosen from, where that was in doubt: [{explained, hidden, hides}]),
 static_motion (the one taken, or null)},
@@ -130,7 +132,11 @@ pub fn run(args: &TrackArgs, common: &Common) -> Result<Answer> {
     let found = &track.quality;
     notes(&found.notes);
     all_notes.extend_from_slice(&found.notes);
-    let queries = queries.unwrap_or_else(|| grid(frames.len(), (clip.width, clip.height)));
+    let frames = track.straight(&frames);
+    let queries = match queries {
+        Some(asked) => straightened(asked, &track),
+        None => grid(frames.len(), (clip.width, clip.height)),
+    };
     let followed = track.follow(&queries);
     let landmarks = track.landmarks();
     let poses: Vec<Pose> =
@@ -157,6 +163,7 @@ pub fn run(args: &TrackArgs, common: &Common) -> Result<Answer> {
         "shot": clip.shot,
         "shots": shots_json(&clip.shots),
         "intrinsics": known_intrinsics,
+        "lens": lens_json(track.lens.as_ref()),
         "poses": poses_json(found),
         "exposure": (!track.exposure.is_constant()).then_some(&track.exposure.gains),
         "per_frame": found.per_frame,
@@ -192,6 +199,19 @@ fn queries(file: &Path, clip: &splat4d::data::Clip) -> Result<Vec<(usize, DVec2)
         }
         None => Ok(asked.points.iter().map(|point| point.query).collect()),
     }
+}
+
+/// Points of the clip's frames, in straightened ones.
+fn straightened(mut asked: Vec<(usize, DVec2)>, track: &Track) -> Vec<(usize, DVec2)> {
+    if let Some(lens) = &track.lens {
+        let k = &track.intrinsics;
+        let size = DVec2::new(k.width.into(), k.height.into());
+        for (_, pixel) in &mut asked {
+            // What lies beyond the straightened frame's edge is followed from there.
+            *pixel = lens.straight(k, *pixel).unwrap_or(*pixel).clamp(DVec2::ZERO, size - 1e-3);
+        }
+    }
+    asked
 }
 
 /// Points on a grid in the first, the middle and the last frame.

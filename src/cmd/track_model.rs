@@ -3,8 +3,9 @@
 use std::path::Path;
 
 use splat4d::Result;
-use splat4d::data::Distortion;
-use splat4d::data::colmap::{Lens, Registered, TrackedPoint, write_model};
+
+use splat4d::data::colmap::{Registered, TrackedPoint, write_model};
+use splat4d::data::{Distortion, Lens};
 use splat4d::track::{Landmark, StaticPoint, Track};
 use splat4d::types::{Image, Pose};
 

@@ -1,5 +1,6 @@
 //! Pictures for the page of `track`: frames with the outlines of what moves, and residual flow.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use base64::Engine;
@@ -105,7 +106,15 @@ pub fn draw(
 
 /// By pixel, how far flow is from that of a world that stands still, by depth and cameras; not a number where
 /// either is not known.
-fn residual(track: &Track, frame: usize, (flow, believed): &(Image, Option<Image>)) -> Image {
+fn residual(track: &Track, frame: usize, filmed: &(Image, Option<Image>)) -> Image {
+    let (flow, believed) = match &track.lens {
+        None => (Cow::Borrowed(&filmed.0), Cow::Borrowed(&filmed.1)),
+        Some(lens) => {
+            let straight = |map: &Image| lens.undistort(map, &track.intrinsics).0;
+            let flow = lens.straighten_flow(&filmed.0, &track.intrinsics);
+            (Cow::Owned(flow), Cow::Owned(filmed.1.as_ref().map(straight)))
+        }
+    };
     let last = track.view_from_world.len() - 1;
     let other = if frame < last { frame + 1 } else { last.saturating_sub(1) };
     let relative = track.view_from_world[other] * track.view_from_world[frame].inverse();
@@ -116,7 +125,7 @@ fn residual(track: &Track, frame: usize, (flow, believed): &(Image, Option<Image
             let pixel = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
             let there = relative.apply(k.ray(pixel) * f64::from(depth.at(x, y)[0]));
             let moved = flow.at(x, y);
-            let sure = believed.as_ref().is_none_or(|sure| sure.at(x, y)[0] >= BELIEVED);
+            let sure = believed.as_ref().as_ref().is_none_or(|sure| sure.at(x, y)[0] >= BELIEVED);
             let known = sure && there.z > 0.0;
             let expected = k.project(there) - pixel;
             let off = DVec2::new(moved[0].into(), moved[1].into()).distance(expected);

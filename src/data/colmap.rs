@@ -11,22 +11,13 @@ use std::str::FromStr;
 
 use glam::{DQuat, DVec3};
 
-use super::{Dataset, Distortion, Frame, Point, fit_to_image, images, missing_note, points};
+use super::{Dataset, Distortion, Frame, Lens, Point, fit_to_image, images, missing_note, points};
 use crate::error::excerpt;
 use crate::io::{self, Bytes};
 use crate::types::{Camera, Intrinsics, Pose, range};
 use crate::{Error, Result};
 
 pub use write::{TrackedPoint, write_model};
-
-/// A camera model with its lens.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Lens {
-    /// Focal lengths, principal point, size.
-    pub intrinsics: Intrinsics,
-    /// What the lens bends.
-    pub distortion: Distortion,
-}
 
 /// A registered image.
 #[derive(Clone, Debug, PartialEq)]

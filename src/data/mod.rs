@@ -16,6 +16,7 @@ pub mod flo;
 pub mod flow;
 pub mod images;
 pub mod intrinsics;
+pub mod lens;
 pub mod monst3r;
 pub mod npy;
 pub mod points;
@@ -29,6 +30,7 @@ pub mod video;
 pub use clip::{Clip, ClipFrame, ClipOptions};
 pub use distortion::Distortion;
 pub use images::{Resize, read_mask, write_mask, write_png};
+pub use lens::Lens;
 pub use points::Point;
 pub use shots::{Shot, ShotChoice};
 
@@ -87,7 +89,8 @@ impl Frame {
         }
         let mut valid = None;
         if !self.distortion.is_none() {
-            (image, valid) = self.distortion.undistort(&image, &camera.intrinsics);
+            let lens = Lens { intrinsics: camera.intrinsics, distortion: self.distortion };
+            (image, valid) = lens.undistort(&image, &camera.intrinsics);
         }
         let (width, height) = size.target(image.width, image.height);
         if (width, height) != (image.width, image.height) {

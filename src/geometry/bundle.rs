@@ -1,4 +1,5 @@
-//! Bundle adjustment: camera poses, one shared focal length, and an inverse depth per point.
+//! Bundle adjustment: camera poses, one shared focal length and radial distortion, and an inverse depth
+//! per point.
 //!
 //! A point is a pixel of its reference frame r and an inverse depth d along that pixel's ray. With
 //! `G = view_from_world` and `t_from_r = G_t G_r⁻¹`, it is seen in frame t at
@@ -68,6 +69,9 @@ pub struct Observation {
 pub struct Problem {
     /// Shared by all frames; only its focal length is ever changed, fx and fy by one factor.
     pub intrinsics: Intrinsics,
+    /// Radial distortion of the lens, shared by all frames: what a pinhole sees at p in the plane of unit
+    /// depth is at p (1 + k1 |p|²). 0 for a pinhole.
+    pub k1: f64,
     /// `view_from_world` per frame.
     pub poses: Vec<Pose>,
     /// Per frame: held as it is. When none is, the first frame is held.
@@ -107,6 +111,8 @@ pub struct Options {
     pub focal: FocalMode,
     /// Prior focal length (pixels, fx) and its relative standard deviation.
     pub focal_prior: Option<(f64, f64)>,
+    /// Is the lens's distortion adjusted?
+    pub distortion: bool,
     /// Are inverse depths adjusted?
     pub depths: bool,
     /// Robust kernel.
@@ -127,6 +133,7 @@ impl Default for Options {
         Options {
             focal: FocalMode::Fixed,
             focal_prior: None,
+            distortion: false,
             depths: true,
             kernel: Kernel::GemanMcClure,
             kernel_width: 3.0,
@@ -162,6 +169,9 @@ pub struct Report {
     pub focal_released: bool,
     /// Relative standard deviation of the focal length, all else free; infinite if unobservable.
     pub focal_std: f64,
+    /// Standard deviation of k1, all else free, where it was adjusted; infinite if unobservable, 0 where it
+    /// was kept.
+    pub k1_std: f64,
     /// Median over the points of the relative standard deviation of the inverse depth, σ_d / d with
     /// poses held. Well-posed clips lie below 0.1; above 0.3 there is no parallax to speak of.
     pub depth_std: f64,
@@ -174,7 +184,7 @@ pub struct Report {
 /// A focal length may leave its start by this factor, not more: beyond it runs off, not converges.
 const FOCAL_RANGE: f64 = 8.0;
 
-/// Adjusts poses, inverse depths and, as asked, the focal length of a problem in place.
+/// Adjusts poses, inverse depths and, as asked, the focal length and the distortion of a problem in place.
 ///
 /// Pure rotation, no parallax and points at infinity leave directions free that damping then
 /// holds: the result is finite and the report says how little was known (`depth_std`,
@@ -244,6 +254,7 @@ pub fn adjust(problem: &mut Problem, options: &Options) -> Result<Report> {
         converged: work.converged,
         focal_released,
         focal_std,
+        k1_std: distortion_deviation(problem, options, focal_released),
         depth_std: normal::median_depth_deviation(problem, options, scale),
         underdetermined: residuals_used + priors < layout.size + depths,
         residuals: residual::lengths(problem),
@@ -360,7 +371,17 @@ fn focal_deviation(problem: &Problem, options: &Options) -> f64 {
     let scale = residual::robust_scale(problem, options);
     let layout = Layout::new(problem, options, true);
     let equations = NormalEquations::build(problem, options, &layout, scale);
-    equations.focal_information(&layout).map_or(f64::INFINITY, |i| scale / i.sqrt())
+    let information = layout.focal().and_then(|column| equations.information(&layout, column));
+    information.map_or(f64::INFINITY, |i| scale / i.sqrt())
+}
+
+/// The standard deviation of k1 with everything else free; 0 where it is kept.
+fn distortion_deviation(problem: &Problem, options: &Options, focal: bool) -> f64 {
+    let layout = Layout::new(problem, options, focal);
+    let Some(column) = layout.distortion() else { return 0.0 };
+    let scale = residual::robust_scale(problem, options);
+    let equations = NormalEquations::build(problem, options, &layout, scale);
+    equations.information(&layout, column).map_or(f64::INFINITY, |i| scale / i.sqrt())
 }
 
 /// Is the scale of the world held by fixed cameras apart from each other, or by depth priors?
@@ -384,6 +405,7 @@ fn counts(problem: &Problem, o: &Observation) -> bool {
 
 fn is_finite(problem: &Problem) -> bool {
     problem.intrinsics.fx.is_finite()
+        && problem.k1.is_finite()
         && problem.poses.iter().all(|p| p.rotation.is_finite() && p.translation.is_finite())
         && problem.points.iter().all(|p| p.inverse_depth.is_finite())
 }
@@ -397,6 +419,9 @@ fn check(problem: &Problem, options: &Options) -> Result<()> {
         return Err(Error::Shape { op, arg: "fixed", expected, actual: problem.fixed.len() });
     }
     let bad = |what: String| Err(Error::Input(format!("{op}: {what}")));
+    if !(problem.k1.is_finite() && problem.k1.abs() <= 1.0) {
+        return bad(format!("k1 {} is no lens's distortion; it is within ±1", problem.k1));
+    }
     for (i, p) in problem.poses.iter().enumerate() {
         if !p.translation.is_finite() || !p.rotation.is_normalized() {
             return bad(format!("the pose of frame {i} is not a rigid transform: {p:?}"));

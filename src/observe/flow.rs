@@ -6,8 +6,8 @@ use glam::DVec2;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::data::flow;
-use crate::types::Image;
+use crate::data::{Lens, flow};
+use crate::types::{Image, Intrinsics};
 use crate::{Error, Result};
 
 /// Flow between two frames in both directions. Vectors are images of two channels (u, v) in pixels:
@@ -240,6 +240,21 @@ impl NeighbourFlow {
         let own = pair.backward_confidence.as_ref();
         self.backward.push(checked(&pair.backward, &pair.forward, own));
         Ok(())
+    }
+
+    /// The flow between the pictures of a pinhole that sees what the lens saw.
+    pub(crate) fn straightened(&self, lens: &Lens, pinhole: &Intrinsics) -> NeighbourFlow {
+        let (width, height) = (self.width as u32, self.height as u32);
+        let straight = |Field(values): &Field| {
+            let pixels = values.as_flattened().to_vec();
+            let field = Image { width, height, channels: 3, pixels };
+            let straight = lens.straighten_flow(&field, pinhole);
+            let known = |v: &[f32; 3]| if v[2].is_nan() { [0.0; 3] } else { *v };
+            Field(straight.pixels.as_chunks().0.iter().map(known).collect())
+        };
+        let all = |fields: &[Field]| fields.iter().map(straight).collect();
+        let (forward, backward) = (all(&self.forward), all(&self.backward));
+        NeighbourFlow { forward, backward, ..*self }
     }
 }
 

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `still` | is the camera fixed, does it only zoom? |
 //! | `cameras` | focal length, two-view start, PnP frame by frame, bundle adjustment; cameras that only turn |
+//! | `straight` | the clip as a pinhole would have filmed it |
 //! | `residual` | per pixel: the inverse depth that a static world would need, and what it leaves unexplained |
 //! | `photometric` | does the picture itself say that a pixel moved? |
 //! | `plate` | what each frame would show if nothing moved |
@@ -62,11 +63,15 @@ mod sliding;
 mod smooth;
 mod stereo;
 mod still;
+mod straight;
 mod unfollowed;
+
+use std::borrow::Cow;
 
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
+use crate::data::Lens;
 use crate::geometry::sim3::Sim3;
 use crate::observe::{
     Exposure, FlowSource, NeighbourFlow, PointTrack, TrackOptions, follow, refine, supplied_tracks,
@@ -75,6 +80,7 @@ use crate::types::{Image, Intrinsics, Pose};
 use crate::{Error, Result};
 use cameras::{Cameras, Focal, Motions, Standpoint, Strictness};
 use observer::{Progress, Work, numbered};
+use straight::Straight;
 
 pub use cameras::RigidMotion;
 pub use landmarks::{FrameQuality, Landmark};
@@ -130,10 +136,34 @@ pub struct Track {
     pub points: Vec<StaticPoint>,
     /// Points followed through the pictures, static and moving ones.
     pub tracks: Vec<PointTrack>,
+    /// The lens that the clip was found to be filmed with, where that is no pinhole. All else is of the
+    /// pictures that a pinhole of `intrinsics` would have taken: see [`straight`](Track::straight).
+    pub lens: Option<Lens>,
     /// One of the world's units in that of the supplied poses; 1 where none were supplied.
     pub unit: f64,
     /// How well all this is known.
     pub quality: Quality,
+}
+
+impl Track {
+    /// The clip's frames as a scene is trained on them: straight, and of one exposure.
+    pub fn prepared<'a>(&self, frames: &'a [Image]) -> Cow<'a, [Image]> {
+        match self.exposure.even_all(frames) {
+            Cow::Borrowed(frames) => self.straight(frames),
+            Cow::Owned(even) => Cow::Owned(self.straight(&even).into_owned()),
+        }
+    }
+
+    /// The frames as all that was found speaks of them: without the lens's distortion.
+    pub fn straight<'a>(&self, frames: &'a [Image]) -> Cow<'a, [Image]> {
+        match &self.lens {
+            None => Cow::Borrowed(frames),
+            Some(lens) => {
+                let straight = |frame| lens.undistort(frame, &self.intrinsics).0;
+                Cow::Owned(frames.iter().map(straight).collect())
+            }
+        }
+    }
 }
 
 /// An object that moves.
@@ -283,23 +313,36 @@ pub fn track_observed(
     known.supplied = supplied.as_deref();
     // A fixed camera's masks change nothing that they depend on.
     let rounds = if tripod { 1 } else { options.rounds.max(1) };
-    for round in 0..rounds {
+    let once = |known: Known, so_far: SoFar, round: usize, work: &mut Work| {
         let part = format!("round-{round}");
         let shares = [round, round + 1].map(|r| r as f64 / rounds as f64);
-        so_far = work.part(&part, |work| known.round(so_far, work, &part, shares[0]..shares[1]))?;
+        work.part(&part, |work| known.round(so_far, work, &part, shares[0]..shares[1]))
+    };
+    so_far = once(known, so_far, 0, &mut work)?;
+    // The lens is looked for once it is roughly known what moves, and taken off for good.
+    let found = work.part("lens", |_| known.lens(&so_far))?;
+    let lens = found.as_ref().map(|(lens, _)| *lens);
+    let straight;
+    if let Some((lens, cameras)) = found {
+        (straight, so_far) = Straight::new(known, &lens, cameras, so_far);
+        known = straight.known();
     }
+    for round in 1..rounds {
+        so_far = once(known, so_far, round, &mut work)?;
+    }
+    let Known { frames, options, flow, tracks, supplied } = known;
     let SoFar { mut cameras, mut masks, mut weights, motions, .. } = so_far;
     if tripod && options.depth.is_none() && share(&masks) < NOTHING_MOVES {
         return Err(still::no_parallax("neither the camera nor anything before it moves"));
     }
     let part = "last";
-    let mut seen = residual::triangulate_frames(&cameras, &flow, &mut work, part, 0.0..0.5)?;
+    let mut seen = residual::triangulate_frames(&cameras, flow, &mut work, part, 0.0..0.5)?;
     if tripod {
-        weights = masks::static_weights(&tracks, &masks);
-        cameras.measure_fixed(&tracks, &weights);
+        weights = masks::static_weights(tracks, &masks);
+        cameras.measure_fixed(tracks, &weights);
     } else if supplied.is_none() {
         masks = masks::segment(
-            masks::Observed { frames, cameras: &cameras, flow: &flow, seen: &seen },
+            masks::Observed { frames, cameras: &cameras, flow, seen: &seen },
             None,
             &mut work,
             part,
@@ -307,7 +350,7 @@ pub fn track_observed(
         )?;
     }
     if cameras.have_parallax() {
-        cameras.normalise(&tracks, &weights, &mut seen);
+        cameras.normalise(tracks, &weights, &mut seen);
     }
     work.progress(Stage::Depth, 0.0)?;
     if cameras.have_parallax() && options.stereo && options.depth.is_none() {
@@ -328,7 +371,7 @@ pub fn track_observed(
     if supplied.is_none() {
         let (plates, part) = (Some(plates.as_slice()), "last/masks");
         masks = masks::segment(
-            masks::Observed { frames, cameras: &cameras, flow: &flow, seen: &seen },
+            masks::Observed { frames, cameras: &cameras, flow, seen: &seen },
             plates,
             &mut work,
             part,
@@ -346,14 +389,14 @@ pub fn track_observed(
         ("depth", 0.8..0.9),
     )?;
     let depth::Dense { depth, confidence: depth_confidence, movers, owners } =
-        depth::dense(frames, &cameras, &flow, &masks, layers, &plates, options, &mut work)?;
+        depth::dense(frames, &cameras, flow, &masks, layers, &plates, options, &mut work)?;
     work.progress(Stage::Depth, 0.96)?;
     let points =
         points::gather(frames, &cameras, &depth, &depth_confidence, &masks, options.max_points);
     let surfaces = scaffold::Surfaces {
         intrinsics: cameras.intrinsics,
         view_from_world: &cameras.poses,
-        flow: &flow,
+        flow,
         masks: &masks,
         depth: &depth,
         owners: &owners,
@@ -361,7 +404,8 @@ pub fn track_observed(
     };
     let mut scaffold = scaffold::build(&surfaces);
     let shadows = shade::shadows(&surfaces, frames, &plates, &mut scaffold);
-    let mut quality = quality(&cameras, &tracks, &weights, &masks, motions);
+    let mut quality = quality(&cameras, tracks, &weights, &masks, motions);
+    quality.notes.extend(lens.as_ref().map(lens_note));
     if !mended.is_empty() {
         quality.notes.push(mended_note(&mended));
     }
@@ -379,7 +423,8 @@ pub fn track_observed(
         scaffold,
         exposure,
         points,
-        tracks,
+        tracks: tracks.to_vec(),
+        lens,
         quality,
     })
 }
@@ -438,6 +483,15 @@ struct SoFar {
 }
 
 impl Known<'_> {
+    /// The lens, where the clip shows that it is no pinhole, and the cameras with it.
+    fn lens(self, so_far: &SoFar) -> Result<Option<(Lens, Cameras)>> {
+        let SoFar { cameras, weights, focal, motions, .. } = so_far;
+        match self.options.lens && motions.is_none() {
+            true => cameras.lens(self.tracks, weights, focal),
+            false => Ok(None),
+        }
+    }
+
     /// Cameras before masks are known.
     fn first_cameras(self, work: &mut Work) -> Result<SoFar> {
         let Known { options, flow, tracks, supplied, .. } = self;
@@ -656,6 +710,14 @@ fn quality(
         motions: motions.map_or(Vec::new(), |motions| motions.found),
         notes,
     }
+}
+
+/// That the lens is no pinhole.
+fn lens_note(lens: &Lens) -> String {
+    format!(
+        "the lens bends the picture (k1 {:+.4}); all that is found is of straightened frames",
+        lens.distortion.radial[0]
+    )
 }
 
 /// That supplied masks were not kept.

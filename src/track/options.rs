@@ -45,6 +45,8 @@ pub struct Options {
     /// Whether each track's point is found again in the pictures; else it keeps the places that chained
     /// flow gives, which drift.
     pub refine_tracks: bool,
+    /// Whether the lens's distortion is looked for and taken off; else the frames are a pinhole's.
+    pub lens: bool,
     /// Whether the exposure of each frame is measured, and frames that differ are made equal before
     /// their colours are compared.
     pub exposure: bool,
@@ -73,6 +75,7 @@ impl Default for Options {
             rounds: 2,
             static_motion: None,
             refine_tracks: true,
+            lens: true,
             exposure: true,
             stereo: true,
             lift: true,

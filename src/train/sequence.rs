@@ -153,7 +153,7 @@ impl Default for SequenceSettings {
 /// A tracked clip.
 #[derive(Clone, Copy)]
 pub struct Sequence<'a> {
-    /// The frames, RGB, as they were filmed; training makes their exposures equal.
+    /// The frames, RGB, as they were filmed; training straightens them and makes their exposures equal.
     pub frames: &'a [Image],
     /// Their times in [0, 1].
     pub times: &'a [f64],
@@ -177,7 +177,7 @@ pub fn fit_sequence(
     observer: &mut dyn Observer,
 ) -> Result<Scene> {
     let track = sequence.track;
-    let frames = track.exposure.even_all(sequence.frames);
+    let frames = track.prepared(sequence.frames);
     let sequence = Sequence { frames: &frames, ..sequence };
     if track.points.is_empty() {
         return Err(Error::Input(

@@ -106,7 +106,7 @@ mod tests {
                 observations.push(Observation { point, frame, pixel, weight: 1.0, deviation: 1.0 });
             }
         }
-        Problem { intrinsics, poses, fixed: vec![false; FRAMES], points, observations }
+        Problem { intrinsics, k1: 0.0, poses, fixed: vec![false; FRAMES], points, observations }
     }
 
     /// The problem with other noise of one pixel each time.

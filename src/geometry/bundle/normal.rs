@@ -1,6 +1,6 @@
 //! The normal equations, reduced to the cameras.
 
-use super::residual::{focal_prior, kernel, project, relative};
+use super::residual::{focal_prior, kernel, project_through, relative};
 use super::{Options, Problem, counts};
 use crate::geometry::se3::{Twist, retract};
 use glam::DVec2;
@@ -8,8 +8,8 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Columns that one observation touches at most: two poses and the focal length.
-const COLUMNS: usize = 13;
+/// Columns that one observation touches at most: two poses, the focal length and the distortion.
+const COLUMNS: usize = 14;
 /// The reduced system is gathered in this many parts at the most, added in order: the same bits for
 /// any number of threads.
 const PARTS: usize = 8;
@@ -23,6 +23,8 @@ pub(super) struct Layout {
     column: Vec<Option<usize>>,
     /// Column of log f.
     focal: Option<usize>,
+    /// Column of k1.
+    distortion: Option<usize>,
     /// Number of columns.
     pub(super) size: usize,
     /// Are inverse depths unknown?
@@ -51,13 +53,27 @@ impl Layout {
             size += 1;
             size - 1
         });
+        let distortion = options.distortion.then(|| {
+            size += 1;
+            size - 1
+        });
         let mut by_point = vec![Vec::new(); problem.points.len()];
         for (i, o) in problem.observations.iter().enumerate() {
             if counts(problem, o) {
                 by_point[o.point].push(i);
             }
         }
-        Layout { column, focal, size, depths: options.depths, by_point }
+        Layout { column, focal, distortion, size, depths: options.depths, by_point }
+    }
+
+    /// The column of log f; none where it is kept.
+    pub(super) fn focal(&self) -> Option<usize> {
+        self.focal
+    }
+
+    /// The column of k1; none where it is kept.
+    pub(super) fn distortion(&self) -> Option<usize> {
+        self.distortion
     }
 
     /// The columns of a frame's twist, translation first; none where it is held.
@@ -76,6 +92,9 @@ impl Layout {
             let factor = delta.camera[c].clamp(-1.0, 1.0).exp();
             problem.intrinsics.fx *= factor;
             problem.intrinsics.fy *= factor;
+        }
+        if let Some(c) = self.distortion {
+            problem.k1 = (problem.k1 + delta.camera[c]).clamp(-1.0, 1.0);
         }
         if self.depths {
             for (point, d) in problem.points.iter_mut().zip(&delta.depth) {
@@ -98,7 +117,7 @@ struct Row {
     gradient: f64,
     /// Damping acts on this: the information, floored.
     floor: f64,
-    /// (first column, six or one entries) blocks: the twists of frames, then the focal length.
+    /// (column, value) of the twists of frames, the focal length and the distortion.
     coupling: Vec<(usize, f64)>,
 }
 
@@ -176,8 +195,9 @@ impl NormalEquations {
         let mut row = Row::default();
         for &m in members {
             let o = &problem.observations[m];
-            let found = project(
+            let found = project_through(
                 &problem.intrinsics,
+                problem.k1,
                 &relative(problem, o),
                 point.pixel,
                 point.inverse_depth,
@@ -201,6 +221,9 @@ impl NormalEquations {
             }
             if let Some(c) = layout.focal {
                 push(c, jacobian.log_focal);
+            }
+            if let Some(c) = layout.distortion {
+                push(c, jacobian.k1);
             }
             let columns = &columns[..used];
             for &(a, ja) in columns {
@@ -306,18 +329,18 @@ impl NormalEquations {
         sum
     }
 
-    /// Information about log f that remains when poses and depths are free, in pixels².
-    pub(super) fn focal_information(&self, layout: &Layout) -> Option<f64> {
-        let c = layout.focal?;
+    /// Information about the unknown of a column that remains when all others are free, in pixels² over its
+    /// unit's square.
+    pub(super) fn information(&self, layout: &Layout, column: usize) -> Option<f64> {
         let (mut reduced, _) = self.reduce(layout, 0.0);
         let largest = self.camera.diagonal().max().max(1e-300);
         for k in 0..layout.size {
-            // The free scale is a null direction; it does not reach the focal length.
+            // The free scale is a null direction; it does not reach the focal length and the lens.
             reduced[(k, k)] += 1e-10 * self.camera[(k, k)] + 1e-14 * largest;
         }
         let mut unit = DVector::zeros(layout.size);
-        unit[c] = 1.0;
-        let variance = reduced.cholesky()?.solve(&unit)[c];
+        unit[column] = 1.0;
+        let variance = reduced.cholesky()?.solve(&unit)[column];
         (variance.is_finite() && variance > 0.0).then(|| 1.0 / variance)
     }
 

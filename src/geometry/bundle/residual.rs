@@ -21,6 +21,8 @@ pub struct Jacobian {
     pub inverse_depth: DVec2,
     /// By the logarithm of the focal length.
     pub log_focal: DVec2,
+    /// By the first coefficient of the lens's radial distortion.
+    pub k1: DVec2,
 }
 
 /// Where a pixel of the reference frame with an inverse depth is seen by the target frame, and the
@@ -33,13 +35,31 @@ pub fn project(
     pixel: DVec2,
     inverse_depth: f64,
 ) -> Option<(DVec2, Jacobian)> {
+    project_through(k, 0.0, target_from_reference, pixel, inverse_depth)
+}
+
+/// As [`project`], through a lens that puts what a pinhole sees at p in the plane of unit depth at
+/// p (1 + k1 |p|²); none either where that folds the picture over.
+pub(super) fn project_through(
+    k: &Intrinsics,
+    k1: f64,
+    target_from_reference: &Pose,
+    pixel: DVec2,
+    inverse_depth: f64,
+) -> Option<(DVec2, Jacobian)> {
     let rotation = target_from_reference.rotation_matrix();
     let (u, x, ray) =
-        forward(k, &rotation, target_from_reference.translation, pixel, inverse_depth)?;
+        forward(k, k1, &rotation, target_from_reference.translation, pixel, inverse_depth)?;
     let (iz, d) = (1.0 / x.z, inverse_depth);
-    // Rows of the derivative of the pixel by the homogeneous point x = R ray + d t.
-    let row_x = DVec3::new(k.fx * iz, 0.0, -k.fx * x.x * iz * iz);
-    let row_y = DVec3::new(0.0, k.fy * iz, -k.fy * x.y * iz * iz);
+    let n = x.truncate() * iz;
+    let n2 = n.length_squared();
+    // Rows of the derivative of the pixel by the homogeneous point x = R ray + d t: of the pinhole, then of
+    // the lens.
+    let plane_x = DVec3::new(iz, 0.0, -n.x * iz);
+    let plane_y = DVec3::new(0.0, iz, -n.y * iz);
+    let bent = 2.0 * k1 * (n.x * plane_x + n.y * plane_y);
+    let row_x = k.fx * ((1.0 + k1 * n2) * plane_x + n.x * bent);
+    let row_y = k.fy * ((1.0 + k1 * n2) * plane_y + n.y * bent);
     let by = |v: DVec3| DVec2::new(row_x.dot(v), row_y.dot(v));
     let axes = [DVec3::X, DVec3::Y, DVec3::Z];
     // Left twist of G_t: x ← x + d ρ + ω × x.
@@ -55,25 +75,64 @@ pub fn project(
         _ => by(turned.col(c - 3)),
     });
     let inverse_depth = by(target_from_reference.translation);
-    // f scales the pixel about the principal point, and shrinks the ray's x and y.
-    let log_focal =
-        DVec2::new(u.x - k.cx, u.y - k.cy) - by(rotation.col(0) * ray.x + rotation.col(1) * ray.y);
-    Some((u, Jacobian { target, reference, inverse_depth, log_focal }))
+    // The ray's x and y solve r (1 + k1 r²) = m, m being the pixel over f: along the ray,
+    // (1 + 3 k1 r²) dr = dm − r³ dk1. f shrinks m, and scales the pixel about the principal point.
+    let r2 = ray.x * ray.x + ray.y * ray.y;
+    let along = by(rotation.col(0) * ray.x + rotation.col(1) * ray.y) / (1.0 + 3.0 * k1 * r2);
+    let log_focal = DVec2::new(u.x - k.cx, u.y - k.cy) - (1.0 + k1 * r2) * along;
+    let by_k1 = DVec2::new(k.fx, k.fy) * n * n2 - r2 * along;
+    Some((u, Jacobian { target, reference, inverse_depth, log_focal, k1: by_k1 }))
 }
 
 /// Pixel, homogeneous point and ray; none unless the point is clearly in front of the target.
 fn forward(
     k: &Intrinsics,
+    k1: f64,
     rotation: &DMat3,
     translation: DVec3,
     pixel: DVec2,
     inverse_depth: f64,
 ) -> Option<(DVec2, DVec3, DVec3)> {
-    let ray = k.ray(pixel);
+    let ray = straightened(k1, k.ray(pixel).truncate())?.extend(1.0);
     let x = *rotation * ray + inverse_depth * translation;
     // A ray within a tenth of a degree of the image plane has no pixel worth comparing.
-    let in_front = x.z > 2e-3 * x.abs().max_element();
-    in_front.then(|| (k.project(x), x, ray))
+    if x.z <= 2e-3 * x.abs().max_element() {
+        return None;
+    }
+    if k1 == 0.0 {
+        return Some((k.project(x), x, ray));
+    }
+    let n = x.truncate() / x.z;
+    let bend = 1.0 + k1 * n.length_squared();
+    let rising = 1.0 + 3.0 * k1 * n.length_squared() > FOLD;
+    rising.then(|| (k.project((bend * n).extend(1.0)), x, ray))
+}
+
+/// A lens is believed where a direction's place on the picture moves by this share at least of what a
+/// pinhole's would.
+const FOLD: f64 = 0.1;
+
+/// Where a pinhole sees what a lens with `k1` shows at `m`, both in the plane of unit depth; none where the
+/// lens folds the picture over.
+fn straightened(k1: f64, m: DVec2) -> Option<DVec2> {
+    if k1 == 0.0 {
+        return Some(m);
+    }
+    let reach = m.length();
+    let mut r = reach;
+    for _ in 0..20 {
+        let slope = 1.0 + 3.0 * k1 * r * r;
+        if slope < FOLD {
+            return None;
+        }
+        let step = (r * (1.0 + k1 * r * r) - reach) / slope;
+        r -= step;
+        if step.abs() <= 1e-15 * reach {
+            break;
+        }
+    }
+    let solved = (r * (1.0 + k1 * r * r) - reach).abs() <= 1e-12 * (1.0 + reach);
+    (solved && r >= 0.0).then(|| if reach > 0.0 { m * (r / reach) } else { m })
 }
 
 /// `target_from_reference` for an observation.
@@ -88,6 +147,7 @@ fn residual(problem: &Problem, o: &Observation) -> Option<DVec2> {
     let rotation = relative.rotation_matrix();
     let (u, _, _) = forward(
         &problem.intrinsics,
+        problem.k1,
         &rotation,
         relative.translation,
         point.pixel,
@@ -207,10 +267,17 @@ mod tests {
     use super::*;
     use crate::geometry::se3::{Twist, exp_so3, retract};
 
-    /// Pixel for poses, inverse depth and focal factor.
-    fn seen(k: &Intrinsics, t: &Pose, r: &Pose, pixel: DVec2, d: f64, log_focal: f64) -> DVec2 {
+    /// Pixel for poses, inverse depth, focal factor and distortion.
+    fn seen(
+        k: &Intrinsics,
+        [t, r]: [&Pose; 2],
+        pixel: DVec2,
+        d: f64,
+        log_focal: f64,
+        k1: f64,
+    ) -> DVec2 {
         let k = Intrinsics { fx: k.fx * log_focal.exp(), fy: k.fy * log_focal.exp(), ..*k };
-        project(&k, &(*t * r.inverse()), pixel, d).unwrap().0
+        project_through(&k, k1, &(*t * r.inverse()), pixel, d).unwrap().0
     }
 
     #[test]
@@ -218,10 +285,13 @@ mod tests {
         let k = Intrinsics { fx: 400.0, fy: 420.0, cx: 150.0, cy: 110.0, width: 320, height: 240 };
         let r = Pose::new(exp_so3(DVec3::new(0.2, -0.1, 0.3)), DVec3::new(0.3, 0.5, -0.2));
         let t = Pose::new(exp_so3(DVec3::new(0.1, 0.2, 0.1)), DVec3::new(-0.4, 0.1, 0.6));
-        for (pixel, d) in
-            [(DVec2::new(40.0, 200.0), 0.4), (DVec2::new(300.0, 20.0), 1.7), (DVec2::ONE, 0.0)]
-        {
-            let (_, j) = project(&k, &(t * r.inverse()), pixel, d).unwrap();
+        for (pixel, d, k1) in [
+            (DVec2::new(40.0, 200.0), 0.4, 0.0),
+            (DVec2::new(300.0, 20.0), 1.7, -0.1),
+            (DVec2::ONE, 0.0, 0.2),
+            (DVec2::new(k.cx, k.cy), 0.3, -0.3),
+        ] {
+            let (_, j) = project_through(&k, k1, &(t * r.inverse()), pixel, d).unwrap();
             let h = 1e-6;
             let compare = |name: &str, analytic: DVec2, at: &dyn Fn(f64) -> DVec2| {
                 let numeric = (at(h) - at(-h)) / (2.0 * h);
@@ -238,15 +308,30 @@ mod tests {
                     xi
                 };
                 compare("target", j.target[c], &|s| {
-                    seen(&k, &retract(&t, &twist(s)), &r, pixel, d, 0.0)
+                    seen(&k, [&retract(&t, &twist(s)), &r], pixel, d, 0.0, k1)
                 });
                 compare("reference", j.reference[c], &|s| {
-                    seen(&k, &t, &retract(&r, &twist(s)), pixel, d, 0.0)
+                    seen(&k, [&t, &retract(&r, &twist(s))], pixel, d, 0.0, k1)
                 });
             }
-            compare("depth", j.inverse_depth, &|s| seen(&k, &t, &r, pixel, d + s, 0.0));
-            compare("focal", j.log_focal, &|s| seen(&k, &t, &r, pixel, d, s));
+            compare("depth", j.inverse_depth, &|s| seen(&k, [&t, &r], pixel, d + s, 0.0, k1));
+            compare("focal", j.log_focal, &|s| seen(&k, [&t, &r], pixel, d, s, k1));
+            compare("k1", j.k1, &|s| seen(&k, [&t, &r], pixel, d, 0.0, k1 + s));
         }
+    }
+
+    #[test]
+    fn what_a_lens_bends_is_straightened() {
+        for k1 in [-0.3, -0.05, 0.0, 0.1, 0.5] {
+            for p in [DVec2::ZERO, DVec2::new(0.3, -0.6), DVec2::new(-0.7, 0.1)] {
+                let m = p * (1.0 + k1 * p.length_squared());
+                let found = straightened(k1, m).unwrap();
+                assert!((found - p).length() < 1e-14, "{k1} {p}: {found}");
+            }
+        }
+        // r (1 − r²) is 0.385 at the most.
+        assert!(straightened(-1.0, DVec2::new(0.4, 0.0)).is_none());
+        assert!(straightened(-1.0, DVec2::new(0.384, 0.0)).is_none(), "nearly folded");
     }
 
     #[test]

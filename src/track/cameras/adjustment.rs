@@ -20,7 +20,7 @@ const ASSUMED_DEVIATION: f64 = 0.25;
 /// The scale of residuals is not taken below so many deviations.
 const DEVIATION_FLOOR: f64 = 0.5;
 /// Most points of the last adjustment.
-const POINTS: usize = 4000;
+pub(super) const POINTS: usize = 4000;
 
 impl Cameras {
     /// Adjusts everything to all static tracks.
@@ -106,21 +106,26 @@ impl Cameras {
         let (mut problem, chosen) = self.problem(tracks, weights, posed, most);
         let options = self.options(focal, rounds);
         let report = adjust(&mut problem, &options)?;
+        self.take(problem, &chosen, posed);
+        Ok(report)
+    }
+
+    /// Takes over what an adjusted problem says of the frames with poses and of the chosen tracks.
+    pub(super) fn take(&mut self, problem: Problem, chosen: &[usize], posed: &[bool]) {
         for (f, pose) in (0..posed.len()).filter(|&f| posed[f]).zip(&problem.poses) {
             self.poses[f] = *pose;
         }
-        for (point, &i) in problem.points.iter().zip(&chosen) {
+        for (point, &i) in problem.points.iter().zip(chosen) {
             if let Some(anchor) = &mut self.anchors[i] {
                 anchor.inverse_depth = point.inverse_depth;
             }
         }
-        self.intrinsics = problem.intrinsics;
-        Ok(report)
+        (self.intrinsics, self.k1) = (problem.intrinsics, problem.k1);
     }
 
     /// The frames with poses and up to `most` tracks that cover all frames and places evenly, and which
     /// tracks these are.
-    fn problem(
+    pub(super) fn problem(
         &self,
         tracks: &[PointTrack],
         weights: &[f64],
@@ -133,6 +138,7 @@ impl Cameras {
         let chosen = self.choose(tracks, weights, posed, most);
         let mut problem = Problem {
             intrinsics: self.intrinsics,
+            k1: self.k1,
             poses: places.iter().map(|&f| self.poses[f]).collect(),
             fixed: places.iter().map(|_| self.held).collect(),
             points: Vec::with_capacity(chosen.len()),
@@ -169,7 +175,7 @@ impl Cameras {
     }
 
     /// How it is adjusted.
-    fn options(&self, focal: FocalMode, rounds: usize) -> bundle::Options {
+    pub(super) fn options(&self, focal: FocalMode, rounds: usize) -> bundle::Options {
         let side = f64::from(self.intrinsics.width.max(self.intrinsics.height));
         bundle::Options {
             focal,

@@ -3,6 +3,7 @@
 mod adjustment;
 mod focal;
 mod judgement;
+mod lens;
 mod motions;
 mod posing;
 mod turning;
@@ -31,6 +32,8 @@ pub(super) struct Anchor {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Cameras {
     pub intrinsics: Intrinsics,
+    /// Of the lens, while it is looked for; else 0, the pictures being straight.
+    k1: f64,
     pub focal_source: FocalSource,
     pub focal_std: f64,
     /// `view_from_world`.
@@ -117,6 +120,7 @@ impl Cameras {
     fn new(focal: &Focal, frames: usize, tracks: usize) -> Cameras {
         Cameras {
             intrinsics: focal.intrinsics,
+            k1: 0.0,
             focal_source: focal.source,
             focal_std: focal.deviation,
             poses: vec![Pose::IDENTITY; frames],
@@ -179,6 +183,14 @@ impl Cameras {
             }
             Standpoint::Fixed => Some(pixels.map(|_| 1.0).collect()),
         }
+    }
+
+    /// Keeps those tracks that are named by their index, each as it is now.
+    pub fn keep(&mut self, kept: &[(usize, PointTrack)]) {
+        let lives = |track: &PointTrack, anchor: &Anchor| track.at(anchor.frame).is_some();
+        let anchor =
+            |(i, track): &(usize, PointTrack)| self.anchors[*i].filter(|a| lives(track, a));
+        self.anchors = kept.iter().map(anchor).collect();
     }
 
     /// The point of a track in the world.

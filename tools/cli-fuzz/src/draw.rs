@@ -42,7 +42,7 @@ const BASES: [&str; 24] = [
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150 \
      --control-points 6 --report >report",
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --poses <cameras> --masks <masks> \
-     --intrinsics <intrinsics> --refine poses,focal",
+     --intrinsics <intrinsics> --refine poses,focal --pinhole",
     "reconstruct <clip> -o >scene.safetensors --steps 3 --flow <flow> --depth <depth>",
     "track <clip> -o >tracked --size 32 --shot 0",
     "track <clip> -o >tracked --tracks <tracks> --queries <tracks>",

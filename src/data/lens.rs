@@ -1,0 +1,219 @@
+//! Lenses, and pictures as a pinhole would have taken them.
+//!
+//! Distortion is removed once, when a picture is loaded or its lens is found; everything after that works on
+//! pinhole pictures.
+
+use glam::DVec2;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::Distortion;
+use super::distortion::reach;
+use crate::types::{Image, Intrinsics};
+
+/// A camera's inner geometry with its lens.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Lens {
+    /// Focal lengths, principal point, size.
+    pub intrinsics: Intrinsics,
+    /// What the lens bends.
+    pub distortion: Distortion,
+}
+
+/// A pinhole's picture shows this many times less than the lens's at the most.
+const MOST_CROPPED: f64 = 4.0;
+/// Places along each side of a picture that are looked at.
+const ALONG: u32 = 64;
+
+impl Lens {
+    /// Where the lens shows what a pinhole shows at a pixel.
+    pub fn bent(&self, pinhole: &Intrinsics, pixel: DVec2) -> DVec2 {
+        let plane = pinhole.ray(pixel).truncate();
+        self.intrinsics.project(self.distortion.distort(plane).extend(1.0))
+    }
+
+    /// Where a pinhole shows what the lens shows at a pixel; none where the lens folds the picture over.
+    pub fn straight(&self, pinhole: &Intrinsics, pixel: DVec2) -> Option<DVec2> {
+        let plane = self.distortion.straighten(self.intrinsics.ray(pixel).truncate())?;
+        Some(pinhole.project(plane.extend(1.0)))
+    }
+
+    /// The pinhole of the same size and principal point whose picture the lens's fills, with the shortest
+    /// focal length that is not below the lens's.
+    pub fn filled(&self) -> Intrinsics {
+        let k = self.intrinsics;
+        let size = DVec2::new(f64::from(k.width), f64::from(k.height));
+        let zoomed = |zoom: f64| Intrinsics { fx: zoom * k.fx, fy: zoom * k.fy, ..k };
+        let inside = |zoom: f64| {
+            let pinhole = zoomed(zoom);
+            let fold = self.distortion.fold(reach(&pinhole, size));
+            (0..=ALONG).all(|i| {
+                let t = f64::from(i) / f64::from(ALONG);
+                let edges = [(t, 0.0), (t, 1.0), (0.0, t), (1.0, t)];
+                edges.iter().all(|(x, y)| {
+                    let pixel = DVec2::new(*x, *y) * size;
+                    let at = self.bent(&pinhole, pixel);
+                    let unfolded = pinhole.ray(pixel).truncate().length_squared() <= fold;
+                    unfolded && at.cmpge(DVec2::splat(-1e-6)).all() && at.cmple(size + 1e-6).all()
+                })
+            })
+        };
+        if inside(1.0) {
+            return k;
+        }
+        let (mut low, mut high) = (1.0, MOST_CROPPED);
+        for _ in 0..40 {
+            let middle = 0.5 * (low + high);
+            if inside(middle) { high = middle } else { low = middle }
+        }
+        zoomed(high)
+    }
+
+    /// The lens as it is of pictures of another size.
+    pub fn resized(&self, width: u32, height: u32) -> Lens {
+        Lens { intrinsics: self.intrinsics.resized(width, height), ..*self }
+    }
+
+    /// Resamples what the lens saw to what a pinhole sees, bilinearly, at the picture's size. The second
+    /// image (one channel) is 1 where a pixel's source lies inside the picture and 0 elsewhere; `None` where
+    /// that is everywhere.
+    pub fn undistort(&self, image: &Image, pinhole: &Intrinsics) -> (Image, Option<Image>) {
+        let (width, height) = (image.width as usize, image.height as usize);
+        let channels = image.channels as usize;
+        let size = DVec2::new(width as f64, height as f64);
+        let fold = self.distortion.fold(reach(pinhole, size));
+        let mut out = Image::new(image.width, image.height, image.channels);
+        let mut valid = Image::new(image.width, image.height, 1);
+        out.pixels
+            .par_chunks_mut((width * channels).max(1))
+            .zip(valid.pixels.par_chunks_mut(width.max(1)))
+            .enumerate()
+            .for_each(|(y, (row, valid))| {
+                for x in 0..width {
+                    let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+                    if pinhole.ray(pixel).truncate().length_squared() > fold {
+                        continue;
+                    }
+                    let source = self.bent(pinhole, pixel);
+                    let values = &mut row[x * channels..(x + 1) * channels];
+                    if sample(image, source, values) {
+                        valid[x] = 1.0;
+                    }
+                }
+            });
+        let whole = valid.pixels.iter().all(|&v| v == 1.0);
+        (out, (!whole).then_some(valid))
+    }
+}
+
+impl Lens {
+    /// The flow between the pictures of a pinhole, from that between the lens's: the first two channels are
+    /// vectors in pixels; others go along. Not a number where the lens's flow leads nowhere.
+    pub fn straighten_flow(&self, flow: &Image, pinhole: &Intrinsics) -> Image {
+        let (width, channels) = (flow.width as usize, flow.channels as usize);
+        let mut out = Image::new(flow.width, flow.height, flow.channels);
+        out.pixels.par_chunks_mut(channels.max(1)).enumerate().for_each(|(i, values)| {
+            let pixel = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+            let bent = self.bent(pinhole, pixel);
+            let there = sample(flow, bent, values).then(|| {
+                let by = DVec2::new(f64::from(values[0]), f64::from(values[1]));
+                self.straight(pinhole, bent + by)
+            });
+            match there.flatten() {
+                Some(there) => {
+                    let by = (there - pixel).as_vec2();
+                    values[..2].copy_from_slice(&[by.x, by.y]);
+                }
+                None => values.fill(f32::NAN),
+            }
+        });
+        out
+    }
+}
+
+/// Samples bilinearly at a pixel position (centres at +0.5); the outermost half pixel repeats the
+/// edge. False, with nothing written, where the position lies outside the picture.
+fn sample(image: &Image, at: DVec2, out: &mut [f32]) -> bool {
+    let (width, height) = (image.width as f64, image.height as f64);
+    if !(at.x >= 0.0 && at.y >= 0.0 && at.x <= width && at.y <= height) {
+        return false;
+    }
+    let x = (at.x - 0.5).clamp(0.0, width - 1.0);
+    let y = (at.y - 0.5).clamp(0.0, height - 1.0);
+    let (x0, y0) = (x.floor(), y.floor());
+    let (fx, fy) = ((x - x0) as f32, (y - y0) as f32);
+    let (x0, y0) = (x0 as u32, y0 as u32);
+    let (x1, y1) = ((x0 + 1).min(image.width - 1), (y0 + 1).min(image.height - 1));
+    let (a, b) = (image.at(x0, y0), image.at(x1, y0));
+    let (c, d) = (image.at(x0, y1), image.at(x1, y1));
+    for (i, value) in out.iter_mut().enumerate() {
+        let upper = a[i] + (b[i] - a[i]) * fx;
+        let lower = c[i] + (d[i] - c[i]) * fx;
+        *value = upper + (lower - upper) * fy;
+    }
+    true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lens(k1: f64) -> Lens {
+        let distortion = Distortion { radial: [k1, 0.0, 0.0, 0.0], ..Default::default() };
+        Lens { intrinsics: Intrinsics::centred(150.0, 160, 120), distortion }
+    }
+
+    #[test]
+    fn a_pinholes_picture_is_filled() {
+        // Barrel distortion brings the surroundings in: all of the pinhole's picture is there.
+        assert_eq!(lens(-0.1).filled(), lens(-0.1).intrinsics);
+        let bent = lens(0.1);
+        let pinhole = bent.filled();
+        let zoom = pinhole.fx / 150.0;
+        assert!(zoom > 1.01 && zoom < 1.1, "{zoom}");
+        let white = Image { pixels: vec![1.0; 160 * 120], ..Image::new(160, 120, 1) };
+        let (picture, valid) = bent.undistort(&white, &pinhole);
+        assert!(valid.is_none() && picture.pixels.iter().all(|p| *p == 1.0));
+        assert!(bent.undistort(&white, &bent.intrinsics).1.is_some());
+    }
+
+    #[test]
+    fn flow_is_straightened() {
+        // A pinhole's flow that is the same everywhere, as the lens sees it.
+        let lens = lens(-0.15);
+        let pinhole = lens.filled();
+        let by = DVec2::new(6.0, -3.0);
+        let mut flow = Image::new(160, 120, 3);
+        for y in 0..120 {
+            for x in 0..160 {
+                let pixel = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
+                let from = lens.straight(&pinhole, pixel).unwrap();
+                let moved = (lens.bent(&pinhole, from + by) - pixel).as_vec2();
+                flow.at_mut(x, y).copy_from_slice(&[moved.x, moved.y, 0.5]);
+            }
+        }
+        let straight = lens.straighten_flow(&flow, &pinhole);
+        for (x, y) in [(2, 2), (80, 60), (150, 30), (40, 110)] {
+            let [u, v, kept] = straight.at(x, y) else { panic!("three channels") };
+            assert!((f64::from(*u) - by.x).hypot(f64::from(*v) - by.y) < 2e-3, "{u} {v}");
+            assert_eq!(*kept, 0.5);
+        }
+    }
+
+    #[test]
+    fn straight_and_bent_are_each_others_inverse() {
+        let radial = [0.1, -0.05, 0.01, 0.0];
+        let distortion = Distortion { radial, tangential: [0.002, -0.003] };
+        for lens in [lens(-0.2), lens(0.15), Lens { distortion, ..lens(0.0) }] {
+            let pinhole = lens.filled();
+            for pixel in [DVec2::new(3.0, 4.0), DVec2::new(80.0, 60.0), DVec2::new(155.0, 20.0)] {
+                let back = lens.straight(&pinhole, lens.bent(&pinhole, pixel)).unwrap();
+                assert!(back.distance(pixel) < 1e-9, "{pixel} {back}");
+            }
+        }
+        // At k1 = −2 the picture folds over at 0.41 in the plane of unit depth, which it shows at 0.27.
+        let k = Intrinsics::centred(150.0, 160, 120);
+        assert!(lens(-2.0).straight(&k, DVec2::new(80.0 + 0.4 * 150.0, 60.0)).is_none());
+        assert!(lens(-2.0).straight(&k, DVec2::new(80.0 + 0.2 * 150.0, 60.0)).is_some());
+    }
+}

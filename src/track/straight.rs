@@ -1,0 +1,132 @@
+//! A clip as a pinhole would have filmed it: frames, flow, tracks and what was supplied without the lens's
+//! distortion.
+
+use glam::DVec2;
+
+use super::cameras::Cameras;
+use super::{Known, Options, SoFar, binary};
+use crate::data::Lens;
+use crate::observe::{NeighbourFlow, PointTrack};
+use crate::types::{Image, Intrinsics};
+
+/// A clip without its lens's distortion.
+pub(super) struct Straight {
+    pub frames: Vec<Image>,
+    pub flow: NeighbourFlow,
+    /// Those of the clip of which something is left, in their order.
+    pub tracks: Vec<PointTrack>,
+    pub options: Options,
+    pub supplied: Option<Vec<Image>>,
+}
+
+impl Straight {
+    /// What is known of the clip, and what was found so far with `cameras` of a lens, without its
+    /// distortion. Cameras are those of the pinhole then.
+    pub fn new(known: Known, lens: &Lens, cameras: Cameras, so_far: SoFar) -> (Straight, SoFar) {
+        let pinhole = cameras.intrinsics;
+        let straight = |image: &Image| lens.undistort(image, &pinhole).0;
+        let size = DVec2::new(f64::from(pinhole.width), f64::from(pinhole.height));
+        let left = |track: &PointTrack| straightened(track, lens, &pinhole, size);
+        let kept: Vec<(usize, PointTrack)> = known
+            .tracks
+            .iter()
+            .enumerate()
+            .filter_map(|(i, track)| Some((i, left(track)?)))
+            .collect();
+        let mut cameras = cameras;
+        cameras.keep(&kept);
+        let SoFar { mut focal, masks, weights, motions, .. } = so_far;
+        let zoom = pinhole.fx / lens.intrinsics.fx;
+        if focal.held {
+            focal.intrinsics = zoomed(&focal.intrinsics, zoom);
+        } else {
+            focal.intrinsics = pinhole;
+        }
+        let options = known.options;
+        let options = Options {
+            intrinsics: options.intrinsics.map(|k| zoomed(&k, zoom)),
+            focal: options.focal.map(|focal| zoom * focal),
+            depth: options
+                .depth
+                .as_ref()
+                .map(|maps| maps.iter().map(|map| nearest(map, lens, &pinhole)).collect()),
+            // They are taken in already, and straightened with the others.
+            tracks: None,
+            ..options.clone()
+        };
+        let so_far = SoFar {
+            focal,
+            cameras,
+            masks: masks.iter().map(straight).collect(),
+            weights: kept.iter().map(|(i, _)| weights[*i]).collect(),
+            motions,
+        };
+        let supplied = known.supplied.map(|masks| {
+            let straight = masks.iter().map(|mask| binary(&straight(mask)));
+            straight.collect()
+        });
+        let clip = Straight {
+            frames: known.frames.iter().map(straight).collect(),
+            flow: known.flow.straightened(lens, &pinhole),
+            tracks: kept.into_iter().map(|(_, track)| track).collect(),
+            options,
+            supplied,
+        };
+        (clip, so_far)
+    }
+
+    pub fn known(&self) -> Known<'_> {
+        Known {
+            frames: &self.frames,
+            options: &self.options,
+            flow: &self.flow,
+            tracks: &self.tracks,
+            supplied: self.supplied.as_deref(),
+        }
+    }
+}
+
+fn zoomed(k: &Intrinsics, zoom: f64) -> Intrinsics {
+    Intrinsics { fx: zoom * k.fx, fy: zoom * k.fy, ..*k }
+}
+
+/// The longest part of a track that the pinhole's picture shows; none where that is less than two frames.
+fn straightened(
+    track: &PointTrack,
+    lens: &Lens,
+    pinhole: &Intrinsics,
+    size: DVec2,
+) -> Option<PointTrack> {
+    let inside = |p: &DVec2| p.cmpge(DVec2::ZERO).all() && p.cmple(size).all();
+    let pixels: Vec<Option<DVec2>> =
+        track.pixels.iter().map(|p| lens.straight(pinhole, *p).filter(inside)).collect();
+    let mut longest = 0..0;
+    let mut begin = 0;
+    for k in 0..=pixels.len() {
+        if k == pixels.len() || pixels[k].is_none() {
+            if k - begin > longest.len() {
+                longest = begin..k;
+            }
+            begin = k + 1;
+        }
+    }
+    if longest.len() < 2 {
+        return None;
+    }
+    let part = track.part(track.first + longest.start..track.first + longest.end);
+    Some(PointTrack { pixels: pixels[longest].iter().flatten().copied().collect(), ..part })
+}
+
+/// A map whose values do not mix.
+fn nearest(map: &Image, lens: &Lens, pinhole: &Intrinsics) -> Image {
+    let mut out = Image::new(map.width, map.height, map.channels);
+    for y in 0..map.height {
+        for x in 0..map.width {
+            let at = lens.bent(pinhole, DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5));
+            let from = |v: f64, side: u32| (v.max(0.0) as u32).min(side - 1);
+            let source = map.at(from(at.x, map.width), from(at.y, map.height));
+            out.at_mut(x, y).copy_from_slice(source);
+        }
+    }
+    out
+}
