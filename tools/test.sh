@@ -12,6 +12,7 @@ tools/setup.sh test || exit 1
 readonly release=(--release --workspace --features splat4d/capi)
 # A panic tells its line without debug information, and some fifty programs are linked faster without it.
 export CARGO_PROFILE_RELEASE_DEBUG=0
+export CMAKE_TOOLCHAIN_FILE=${CMAKE_TOOLCHAIN_FILE:-$PWD/tools/shaderc.cmake}
 readonly target=${CARGO_TARGET_DIR:-target}
 readonly logs=out/test
 rm -rf "$logs"
