@@ -106,12 +106,16 @@ fn a_rigid_mover_is_told_from_the_room_and_the_cameras_are_found() {
 }
 
 /// A map of a pinhole's frames at a lens's pixels, bilinear; beyond the frame's edge what is there.
-fn bend(map: &Image, lens: &Lens, mut value: impl FnMut(DVec2, Vec<f32>) -> Vec<f32>) -> Image {
+fn distorted(
+    map: &Image,
+    lens: &Lens,
+    mut value: impl FnMut(DVec2, Vec<f32>) -> Vec<f32>,
+) -> Image {
     let mut out = Image::new(map.width, map.height, map.channels);
     for y in 0..map.height {
         for x in 0..map.width {
             let pixel = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
-            let at = lens.straight(&lens.intrinsics, pixel).unwrap();
+            let at = lens.undistort_pixel(&lens.intrinsics, pixel).unwrap();
             let last = DVec2::new(f64::from(map.width) - 1.0, f64::from(map.height) - 1.0);
             let from = (at - 0.5).clamp(DVec2::ZERO, last);
             let (first, share) = (from.floor(), (from - from.floor()).as_vec2());
@@ -137,26 +141,27 @@ fn a_lens_is_found_and_taken_off() {
     for k1 in [-0.1, 0.1] {
         let distortion = Distortion { radial: [k1, 0.0, 0.0, 0.0], ..Default::default() };
         let lens = Lens { intrinsics: clip.intrinsics, distortion };
-        let still = |map: &Image| bend(map, &lens, |_, there| there);
+        let still = |map: &Image| distorted(map, &lens, |_, there| there);
         let flow = |map: &Image| {
-            bend(map, &lens, |at, by| {
+            distorted(map, &lens, |at, by| {
                 let to = at + DVec2::new(by[0].into(), by[1].into());
-                let by =
-                    (lens.bent(&clip.intrinsics, to) - lens.bent(&clip.intrinsics, at)).as_vec2();
+                let by = (lens.distort_pixel(&clip.intrinsics, to)
+                    - lens.distort_pixel(&clip.intrinsics, at))
+                .as_vec2();
                 vec![by.x, by.y]
             })
         };
-        let bent = synth::Clip {
+        let distorted = synth::Clip {
             frames: clip.frames.iter().map(still).collect(),
             masks: clip.masks.iter().map(still).collect(),
             flow_forward: clip.flow_forward.iter().map(flow).collect(),
             flow_backward: clip.flow_backward.iter().map(flow).collect(),
             ..clip.clone()
         };
-        let found = run(&bent, &options, 0.1).unwrap();
+        let found = run(&distorted, &options, 0.1).unwrap();
         let lens = found.lens.expect("a lens");
-        let straight = found.straight(&bent.masks).into_owned();
-        let seen = synth::Clip { masks: straight, ..bent.clone() };
+        let masks = found.undistorted(&distorted.masks).into_owned();
+        let seen = synth::Clip { masks, ..distorted.clone() };
         let focal = lens.intrinsics.fx / clip.intrinsics.fx - 1.0;
         eprintln!(
             "k1 {k1}: {:+.4}, focal {focal:+.4}, ATE {:.5}, IoU {:.3}",

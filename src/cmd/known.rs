@@ -232,7 +232,7 @@ pub fn poses_json(found: &Quality) -> Value {
     })
 }
 
-/// The lens that frames were straightened by, for reports.
+/// The lens that frames were undistorted by, for reports.
 pub fn lens_json(lens: Option<&Lens>) -> Value {
     lens.map_or(Value::Null, |lens| {
         let mut json = intrinsics::to_json(&lens.intrinsics);

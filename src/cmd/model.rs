@@ -108,7 +108,7 @@ fn focal_length(track: &Track) -> Choice {
 fn lens(track: &Track) -> Choice {
     match &track.lens {
         Some(lens) => {
-            let chosen = format!("k1 {:+.4}, frames straightened", lens.distortion.radial[0]);
+            let chosen = format!("k1 {:+.4}, frames undistorted", lens.distortion.radial[0]);
             let because = "static points agree better so, in both halves of the clip";
             Choice::new("lens", chosen, because)
         }

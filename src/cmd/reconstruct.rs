@@ -55,7 +55,7 @@ JSON: psnr_input, ssim_input, gaussians, control_points,
 control_points_added and control_points_removed (in training), broken_gradients (values that were not
 a number or infinite and were left out), dynamic_share (of the pixels),
 dynamic_gaussians (share), intrinsics {fx, fy, cx, cy, width, height, source (given,
-measured, assumed)}, lens (by which the frames were straightened: {k1, fx, fy, cx, cy, width, height};
+measured, assumed)}, lens (by which the frames were undistorted: {k1, fx, fy, cx, cy, width, height};
 null of a pinhole), poses {tripod, turns, inlier_share, reprojection_rms, parallax_deg, focal_std,
 doubtful_frames, tracks, motions (that the static world was chosen from, where that was in doubt:
 [{explained, hidden, hides}]), static_motion (the one taken, or null)}, exposure (per frame, by what

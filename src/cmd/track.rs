@@ -57,7 +57,7 @@ Examples:
 
 JSON: frames, frame_names, shot (the one taken, or null), shots ([first, last] frame of each, in the
 whole clip; empty where no cut was found), intrinsics {fx, fy, cx, cy, width, height, source (given, measured, assumed)},
-lens (by which the frames were straightened: {k1, fx, fy, cx, cy, width, height}; null of a pinhole),
+lens (by which the frames were undistorted: {k1, fx, fy, cx, cy, width, height}; null of a pinhole),
 poses {tripod, turns, inlier_share, reprojection_rms, parallax_deg, focal_std, doubtful_frames, tracks,
 motions (that the static world was chosen from, where that was in doubt: [{explained, hidden, hides}]),
 static_motion (the one taken, or null)},
@@ -132,9 +132,9 @@ pub fn run(args: &TrackArgs, common: &Common) -> Result<Answer> {
     let found = &track.quality;
     notes(&found.notes);
     all_notes.extend_from_slice(&found.notes);
-    let frames = track.straight(&frames);
+    let frames = track.undistorted(&frames);
     let queries = match queries {
-        Some(asked) => straightened(asked, &track),
+        Some(asked) => undistorted(asked, &track),
         None => grid(frames.len(), (clip.width, clip.height)),
     };
     let followed = track.follow(&queries);
@@ -201,14 +201,15 @@ fn queries(file: &Path, clip: &splat4d::data::Clip) -> Result<Vec<(usize, DVec2)
     }
 }
 
-/// Points of the clip's frames, in straightened ones.
-fn straightened(mut asked: Vec<(usize, DVec2)>, track: &Track) -> Vec<(usize, DVec2)> {
+/// Points of the clip's frames, in undistorted ones.
+fn undistorted(mut asked: Vec<(usize, DVec2)>, track: &Track) -> Vec<(usize, DVec2)> {
     if let Some(lens) = &track.lens {
         let k = &track.intrinsics;
         let size = DVec2::new(k.width.into(), k.height.into());
         for (_, pixel) in &mut asked {
-            // What lies beyond the straightened frame's edge is followed from there.
-            *pixel = lens.straight(k, *pixel).unwrap_or(*pixel).clamp(DVec2::ZERO, size - 1e-3);
+            // What lies beyond the undistorted frame's edge is followed from there.
+            *pixel =
+                lens.undistort_pixel(k, *pixel).unwrap_or(*pixel).clamp(DVec2::ZERO, size - 1e-3);
         }
     }
     asked

@@ -110,9 +110,9 @@ fn residual(track: &Track, frame: usize, filmed: &(Image, Option<Image>)) -> Ima
     let (flow, believed) = match &track.lens {
         None => (Cow::Borrowed(&filmed.0), Cow::Borrowed(&filmed.1)),
         Some(lens) => {
-            let straight = |map: &Image| lens.undistort(map, &track.intrinsics).0;
-            let flow = lens.straighten_flow(&filmed.0, &track.intrinsics);
-            (Cow::Owned(flow), Cow::Owned(filmed.1.as_ref().map(straight)))
+            let undistorted = |map: &Image| lens.undistort(map, &track.intrinsics).0;
+            let flow = lens.undistort_flow(&filmed.0, &track.intrinsics);
+            (Cow::Owned(flow), Cow::Owned(filmed.1.as_ref().map(undistorted)))
         }
     };
     let last = track.view_from_world.len() - 1;

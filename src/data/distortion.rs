@@ -110,7 +110,7 @@ impl Distortion {
     /// Where a pinhole puts the point that the lens puts at `m`, both in the plane of unit depth: the inverse
     /// of [`distort`](Self::distort), by Newton's method. None where the lens shows nothing there, or folds
     /// the picture over.
-    pub fn straighten(&self, m: DVec2) -> Option<DVec2> {
+    pub fn undistort(&self, m: DVec2) -> Option<DVec2> {
         let mut p = m;
         for _ in 0..30 {
             let off = self.distort(p) - m;

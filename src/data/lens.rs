@@ -16,7 +16,7 @@ use crate::types::{Image, Intrinsics};
 pub struct Lens {
     /// Focal lengths, principal point, size.
     pub intrinsics: Intrinsics,
-    /// What the lens bends.
+    /// The distortion.
     pub distortion: Distortion,
 }
 
@@ -27,20 +27,20 @@ const ALONG: u32 = 64;
 
 impl Lens {
     /// Where the lens shows what a pinhole shows at a pixel.
-    pub fn bent(&self, pinhole: &Intrinsics, pixel: DVec2) -> DVec2 {
+    pub fn distort_pixel(&self, pinhole: &Intrinsics, pixel: DVec2) -> DVec2 {
         let plane = pinhole.ray(pixel).truncate();
         self.intrinsics.project(self.distortion.distort(plane).extend(1.0))
     }
 
     /// Where a pinhole shows what the lens shows at a pixel; none where the lens folds the picture over.
-    pub fn straight(&self, pinhole: &Intrinsics, pixel: DVec2) -> Option<DVec2> {
-        let plane = self.distortion.straighten(self.intrinsics.ray(pixel).truncate())?;
+    pub fn undistort_pixel(&self, pinhole: &Intrinsics, pixel: DVec2) -> Option<DVec2> {
+        let plane = self.distortion.undistort(self.intrinsics.ray(pixel).truncate())?;
         Some(pinhole.project(plane.extend(1.0)))
     }
 
     /// The pinhole of the same size and principal point whose picture the lens's fills, with the shortest
     /// focal length that is not below the lens's.
-    pub fn filled(&self) -> Intrinsics {
+    pub fn full_pinhole(&self) -> Intrinsics {
         let k = self.intrinsics;
         let size = DVec2::new(f64::from(k.width), f64::from(k.height));
         let zoomed = |zoom: f64| Intrinsics { fx: zoom * k.fx, fy: zoom * k.fy, ..k };
@@ -52,7 +52,7 @@ impl Lens {
                 let edges = [(t, 0.0), (t, 1.0), (0.0, t), (1.0, t)];
                 edges.iter().all(|(x, y)| {
                     let pixel = DVec2::new(*x, *y) * size;
-                    let at = self.bent(&pinhole, pixel);
+                    let at = self.distort_pixel(&pinhole, pixel);
                     let unfolded = pinhole.ray(pixel).truncate().length_squared() <= fold;
                     unfolded && at.cmpge(DVec2::splat(-1e-6)).all() && at.cmple(size + 1e-6).all()
                 })
@@ -94,7 +94,7 @@ impl Lens {
                     if pinhole.ray(pixel).truncate().length_squared() > fold {
                         continue;
                     }
-                    let source = self.bent(pinhole, pixel);
+                    let source = self.distort_pixel(pinhole, pixel);
                     let values = &mut row[x * channels..(x + 1) * channels];
                     if sample(image, source, values) {
                         valid[x] = 1.0;
@@ -109,15 +109,15 @@ impl Lens {
 impl Lens {
     /// The flow between the pictures of a pinhole, from that between the lens's: the first two channels are
     /// vectors in pixels; others go along. Not a number where the lens's flow leads nowhere.
-    pub fn straighten_flow(&self, flow: &Image, pinhole: &Intrinsics) -> Image {
+    pub fn undistort_flow(&self, flow: &Image, pinhole: &Intrinsics) -> Image {
         let (width, channels) = (flow.width as usize, flow.channels as usize);
         let mut out = Image::new(flow.width, flow.height, flow.channels);
         out.pixels.par_chunks_mut(channels.max(1)).enumerate().for_each(|(i, values)| {
             let pixel = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
-            let bent = self.bent(pinhole, pixel);
-            let there = sample(flow, bent, values).then(|| {
+            let distorted = self.distort_pixel(pinhole, pixel);
+            let there = sample(flow, distorted, values).then(|| {
                 let by = DVec2::new(f64::from(values[0]), f64::from(values[1]));
-                self.straight(pinhole, bent + by)
+                self.undistort_pixel(pinhole, distorted + by)
             });
             match there.flatten() {
                 Some(there) => {
@@ -164,56 +164,57 @@ mod tests {
     }
 
     #[test]
-    fn a_pinholes_picture_is_filled() {
+    fn a_pinholes_picture_is_full_pinhole() {
         // Barrel distortion brings the surroundings in: all of the pinhole's picture is there.
-        assert_eq!(lens(-0.1).filled(), lens(-0.1).intrinsics);
-        let bent = lens(0.1);
-        let pinhole = bent.filled();
+        assert_eq!(lens(-0.1).full_pinhole(), lens(-0.1).intrinsics);
+        let distorted = lens(0.1);
+        let pinhole = distorted.full_pinhole();
         let zoom = pinhole.fx / 150.0;
         assert!(zoom > 1.01 && zoom < 1.1, "{zoom}");
         let white = Image { pixels: vec![1.0; 160 * 120], ..Image::new(160, 120, 1) };
-        let (picture, valid) = bent.undistort(&white, &pinhole);
+        let (picture, valid) = distorted.undistort(&white, &pinhole);
         assert!(valid.is_none() && picture.pixels.iter().all(|p| *p == 1.0));
-        assert!(bent.undistort(&white, &bent.intrinsics).1.is_some());
+        assert!(distorted.undistort(&white, &distorted.intrinsics).1.is_some());
     }
 
     #[test]
-    fn flow_is_straightened() {
+    fn flow_is_undistorted() {
         // A pinhole's flow that is the same everywhere, as the lens sees it.
         let lens = lens(-0.15);
-        let pinhole = lens.filled();
+        let pinhole = lens.full_pinhole();
         let by = DVec2::new(6.0, -3.0);
         let mut flow = Image::new(160, 120, 3);
         for y in 0..120 {
             for x in 0..160 {
                 let pixel = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
-                let from = lens.straight(&pinhole, pixel).unwrap();
-                let moved = (lens.bent(&pinhole, from + by) - pixel).as_vec2();
+                let from = lens.undistort_pixel(&pinhole, pixel).unwrap();
+                let moved = (lens.distort_pixel(&pinhole, from + by) - pixel).as_vec2();
                 flow.at_mut(x, y).copy_from_slice(&[moved.x, moved.y, 0.5]);
             }
         }
-        let straight = lens.straighten_flow(&flow, &pinhole);
+        let undistorted = lens.undistort_flow(&flow, &pinhole);
         for (x, y) in [(2, 2), (80, 60), (150, 30), (40, 110)] {
-            let [u, v, kept] = straight.at(x, y) else { panic!("three channels") };
+            let [u, v, kept] = undistorted.at(x, y) else { panic!("three channels") };
             assert!((f64::from(*u) - by.x).hypot(f64::from(*v) - by.y) < 2e-3, "{u} {v}");
             assert_eq!(*kept, 0.5);
         }
     }
 
     #[test]
-    fn straight_and_bent_are_each_others_inverse() {
+    fn distorting_and_undistorting_are_each_others_inverse() {
         let radial = [0.1, -0.05, 0.01, 0.0];
         let distortion = Distortion { radial, tangential: [0.002, -0.003] };
         for lens in [lens(-0.2), lens(0.15), Lens { distortion, ..lens(0.0) }] {
-            let pinhole = lens.filled();
+            let pinhole = lens.full_pinhole();
             for pixel in [DVec2::new(3.0, 4.0), DVec2::new(80.0, 60.0), DVec2::new(155.0, 20.0)] {
-                let back = lens.straight(&pinhole, lens.bent(&pinhole, pixel)).unwrap();
+                let back =
+                    lens.undistort_pixel(&pinhole, lens.distort_pixel(&pinhole, pixel)).unwrap();
                 assert!(back.distance(pixel) < 1e-9, "{pixel} {back}");
             }
         }
         // At k1 = −2 the picture folds over at 0.41 in the plane of unit depth, which it shows at 0.27.
         let k = Intrinsics::centred(150.0, 160, 120);
-        assert!(lens(-2.0).straight(&k, DVec2::new(80.0 + 0.4 * 150.0, 60.0)).is_none());
-        assert!(lens(-2.0).straight(&k, DVec2::new(80.0 + 0.2 * 150.0, 60.0)).is_some());
+        assert!(lens(-2.0).undistort_pixel(&k, DVec2::new(80.0 + 0.4 * 150.0, 60.0)).is_none());
+        assert!(lens(-2.0).undistort_pixel(&k, DVec2::new(80.0 + 0.2 * 150.0, 60.0)).is_some());
     }
 }

@@ -243,16 +243,16 @@ impl NeighbourFlow {
     }
 
     /// The flow between the pictures of a pinhole that sees what the lens saw.
-    pub(crate) fn straightened(&self, lens: &Lens, pinhole: &Intrinsics) -> NeighbourFlow {
+    pub(crate) fn undistorted(&self, lens: &Lens, pinhole: &Intrinsics) -> NeighbourFlow {
         let (width, height) = (self.width as u32, self.height as u32);
-        let straight = |Field(values): &Field| {
+        let undistorted = |Field(values): &Field| {
             let pixels = values.as_flattened().to_vec();
             let field = Image { width, height, channels: 3, pixels };
-            let straight = lens.straighten_flow(&field, pinhole);
+            let field = lens.undistort_flow(&field, pinhole);
             let known = |v: &[f32; 3]| if v[2].is_nan() { [0.0; 3] } else { *v };
-            Field(straight.pixels.as_chunks().0.iter().map(known).collect())
+            Field(field.pixels.as_chunks().0.iter().map(known).collect())
         };
-        let all = |fields: &[Field]| fields.iter().map(straight).collect();
+        let all = |fields: &[Field]| fields.iter().map(undistorted).collect();
         let (forward, backward) = (all(&self.forward), all(&self.backward));
         NeighbourFlow { forward, backward, ..*self }
     }

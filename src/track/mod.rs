@@ -4,7 +4,7 @@
 //! |---|---|
 //! | `still` | is the camera fixed, does it only zoom? |
 //! | `cameras` | focal length, two-view start, PnP frame by frame, bundle adjustment; cameras that only turn |
-//! | `straight` | the clip as a pinhole would have filmed it |
+//! | `undistorted` | the clip without the distortion of its lens |
 //! | `residual` | per pixel: the inverse depth that a static world would need, and what it leaves unexplained |
 //! | `photometric` | does the picture itself say that a pixel moved? |
 //! | `plate` | what each frame would show if nothing moved |
@@ -28,6 +28,7 @@
 //! | `observer` | who looks on: progress, and finished parts put away |
 //! | `places` | where a point of the scene is in every frame |
 //! | `points` | static points to seed Gaussians with |
+//! | `quality` | how well all this is known, and what is said about it |
 //! | `landmarks` | what the frames saw of static points, and how far that agrees with the cameras |
 //!
 //! Cameras and masks need each other: points on movers spoil poses, and what moves can be told only
@@ -53,6 +54,7 @@ mod photometric;
 mod places;
 mod plate;
 mod points;
+mod quality;
 mod relief;
 mod residual;
 pub mod scaffold;
@@ -63,7 +65,7 @@ mod sliding;
 mod smooth;
 mod stereo;
 mod still;
-mod straight;
+mod undistorted;
 mod unfollowed;
 
 use std::borrow::Cow;
@@ -80,12 +82,13 @@ use crate::types::{Image, Intrinsics, Pose};
 use crate::{Error, Result};
 use cameras::{Cameras, Focal, Motions, Standpoint, Strictness};
 use observer::{Progress, Work, numbered};
-use straight::Straight;
+use undistorted::Undistorted;
 
 pub use cameras::RigidMotion;
 pub use landmarks::{FrameQuality, Landmark};
 pub use observer::Observer;
 pub use options::{Options, Refined};
+pub use quality::Quality;
 pub use scaffold::Scaffold;
 
 /// What is being worked on, for progress.
@@ -137,7 +140,7 @@ pub struct Track {
     /// Points followed through the pictures, static and moving ones.
     pub tracks: Vec<PointTrack>,
     /// The lens that the clip was found to be filmed with, where that is no pinhole. All else is of the
-    /// pictures that a pinhole of `intrinsics` would have taken: see [`straight`](Track::straight).
+    /// pictures that a pinhole of `intrinsics` would have taken: see [`undistorted`](Track::undistorted).
     pub lens: Option<Lens>,
     /// One of the world's units in that of the supplied poses; 1 where none were supplied.
     pub unit: f64,
@@ -146,21 +149,21 @@ pub struct Track {
 }
 
 impl Track {
-    /// The clip's frames as a scene is trained on them: straight, and of one exposure.
+    /// The clip's frames as a scene is trained on them: undistorted, and of one exposure.
     pub fn prepared<'a>(&self, frames: &'a [Image]) -> Cow<'a, [Image]> {
         match self.exposure.even_all(frames) {
-            Cow::Borrowed(frames) => self.straight(frames),
-            Cow::Owned(even) => Cow::Owned(self.straight(&even).into_owned()),
+            Cow::Borrowed(frames) => self.undistorted(frames),
+            Cow::Owned(even) => Cow::Owned(self.undistorted(&even).into_owned()),
         }
     }
 
     /// The frames as all that was found speaks of them: without the lens's distortion.
-    pub fn straight<'a>(&self, frames: &'a [Image]) -> Cow<'a, [Image]> {
+    pub fn undistorted<'a>(&self, frames: &'a [Image]) -> Cow<'a, [Image]> {
         match &self.lens {
             None => Cow::Borrowed(frames),
             Some(lens) => {
-                let straight = |frame| lens.undistort(frame, &self.intrinsics).0;
-                Cow::Owned(frames.iter().map(straight).collect())
+                let undistorted = |frame| lens.undistort(frame, &self.intrinsics).0;
+                Cow::Owned(frames.iter().map(undistorted).collect())
             }
         }
     }
@@ -207,41 +210,6 @@ pub enum FocalSource {
     Measured,
     /// A common value: the clip does not show it.
     Assumed,
-}
-
-/// How well a track is known.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Quality {
-    /// The camera was found to be fixed; poses are locked to one.
-    pub tripod: bool,
-    /// The camera was found to turn in place: the static world is a sphere of radius 1 around it, its
-    /// poses are rotations.
-    pub turns: bool,
-    /// Share of the static observations that agree with the cameras (of a fixed one: that stay in
-    /// place).
-    pub inlier_share: f64,
-    /// Root mean square reprojection error of those (of a fixed one: how far they stray), pixels.
-    pub reprojection_rms: f64,
-    /// Median over the static points of the widest angle between two of their rays, degrees.
-    pub parallax_deg: f64,
-    /// Where the focal length is from.
-    pub focal_source: FocalSource,
-    /// Relative standard deviation of the focal length; 0 if given, infinite if unobservable.
-    pub focal_std: f64,
-    /// Share of the pixels that move, over all frames.
-    pub dynamic_share: f64,
-    /// Frames whose pose is doubtful: too few static points agreed.
-    pub doubtful_frames: Vec<usize>,
-    /// How well each frame's camera is known.
-    pub per_frame: Vec<FrameQuality>,
-    /// Number of point tracks followed.
-    pub tracks: usize,
-    /// The rigid motions that the static world was chosen from, where that was in doubt.
-    pub motions: Vec<RigidMotion>,
-    /// Which of them was taken.
-    pub static_motion: Option<usize>,
-    /// Lines to show.
-    pub notes: Vec<String>,
 }
 
 /// Finds cameras, motion masks and depth of a clip.
@@ -322,10 +290,10 @@ pub fn track_observed(
     // The lens is looked for once it is roughly known what moves, and taken off for good.
     let found = work.part("lens", |_| known.lens(&so_far))?;
     let lens = found.as_ref().map(|(lens, _)| *lens);
-    let straight;
+    let undistorted;
     if let Some((lens, cameras)) = found {
-        (straight, so_far) = Straight::new(known, &lens, cameras, so_far);
-        known = straight.known();
+        (undistorted, so_far) = Undistorted::new(known, &lens, cameras, so_far);
+        known = undistorted.known();
     }
     for round in 1..rounds {
         so_far = once(known, so_far, round, &mut work)?;
@@ -404,10 +372,10 @@ pub fn track_observed(
     };
     let mut scaffold = scaffold::build(&surfaces);
     let shadows = shade::shadows(&surfaces, frames, &plates, &mut scaffold);
-    let mut quality = quality(&cameras, tracks, &weights, &masks, motions);
-    quality.notes.extend(lens.as_ref().map(lens_note));
+    let mut quality = quality::of(&cameras, tracks, &weights, &masks, motions);
+    quality.notes.extend(lens.as_ref().map(quality::lens_note));
     if !mended.is_empty() {
-        quality.notes.push(mended_note(&mended));
+        quality.notes.push(quality::mended_note(&mended));
     }
     work.progress(Stage::Depth, 1.0)?;
     Ok(Track {
@@ -637,101 +605,6 @@ const TURNS: f64 = 0.85;
 const CROWDED: f64 = 0.3;
 /// A fixed camera that sees less than this share of the pixels move shows one picture, not a scene.
 const NOTHING_MOVES: f64 = 1e-3;
-/// A note names no more frames than these.
-const MOST_NAMED: usize = 12;
-/// Below this parallax (degrees) a note warns.
-const LITTLE_PARALLAX: f64 = 0.5;
-
-fn quality(
-    cameras: &Cameras,
-    tracks: &[PointTrack],
-    weights: &[f64],
-    masks: &[Image],
-    motions: Option<Motions>,
-) -> Quality {
-    let tripod = cameras.standpoint == Standpoint::Fixed;
-    let turns = cameras.standpoint == Standpoint::Turns;
-    let dynamic_share = share(masks);
-    let mut notes = Vec::new();
-    if tripod {
-        notes.push("the camera is fixed (tripod): poses are locked to one".to_string());
-    }
-    if turns {
-        notes.push(
-            "the camera turns in place as far as the video tells: no depth is seen, what stands still is a \
-             sphere around it, what moves stands before that; film while walking or moving the camera \
-             sideways to see depth"
-                .to_string(),
-        );
-    }
-    if cameras.focal_source == FocalSource::Assumed {
-        notes.push(format!(
-            "the clip does not show its focal length; {:.0} px is assumed (--focal gives it)",
-            cameras.intrinsics.fx
-        ));
-    }
-    if !cameras.doubtful.is_empty() {
-        notes.push(format!(
-            "{} of {} poses are doubtful: too few static points agree with them",
-            cameras.doubtful.len(),
-            cameras.poses.len()
-        ));
-    }
-    if let Some(motions) = &motions {
-        notes.push(motions.note());
-    }
-    if dynamic_share > 0.7 {
-        notes.push(format!(
-            "{:.0} % of the pixels move; cameras from the little that stands still are less certain",
-            100.0 * dynamic_share
-        ));
-    }
-    let parallax = cameras.have_parallax();
-    let parallax_deg = if parallax { cameras.parallax(tracks, weights).to_degrees() } else { 0.0 };
-    if parallax && parallax_deg < LITTLE_PARALLAX {
-        notes.push(format!(
-            "little parallax ({parallax_deg:.2}° at the middle point): the camera hardly leaves its \
-             place, depth and focal length are uncertain; film with more sideways motion"
-        ));
-    }
-    Quality {
-        tripod,
-        turns,
-        inlier_share: cameras.inlier_share,
-        reprojection_rms: cameras.rms,
-        parallax_deg,
-        focal_source: cameras.focal_source,
-        focal_std: cameras.focal_std,
-        dynamic_share,
-        doubtful_frames: cameras.doubtful.clone(),
-        per_frame: landmarks::by_frame(cameras, tracks, weights),
-        tracks: tracks.len(),
-        static_motion: motions.as_ref().map(|motions| motions.chosen),
-        motions: motions.map_or(Vec::new(), |motions| motions.found),
-        notes,
-    }
-}
-
-/// That the lens is no pinhole.
-fn lens_note(lens: &Lens) -> String {
-    format!(
-        "the lens bends the picture (k1 {:+.4}); all that is found is of straightened frames",
-        lens.distortion.radial[0]
-    )
-}
-
-/// That supplied masks were not kept.
-fn mended_note(frames: &[usize]) -> String {
-    let named: Vec<String> = frames.iter().take(MOST_NAMED).map(usize::to_string).collect();
-    let more = if frames.len() > MOST_NAMED { ", …" } else { "" };
-    format!(
-        "the supplied masks of {} frames ({}{more}) are contradicted by those of the frames around them \
-         and by what moves, and were mended",
-        frames.len(),
-        named.join(", ")
-    )
-}
-
 /// Share of the pixels that move.
 fn share(masks: &[Image]) -> f64 {
     let moving: usize = masks.iter().flat_map(|m| &m.pixels).filter(|p| **p > 0.5).count();

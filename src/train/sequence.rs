@@ -153,7 +153,7 @@ impl Default for SequenceSettings {
 /// A tracked clip.
 #[derive(Clone, Copy)]
 pub struct Sequence<'a> {
-    /// The frames, RGB, as they were filmed; training straightens them and makes their exposures equal.
+    /// The frames, RGB, as they were filmed; training takes off the lens's distortion and makes their exposures equal.
     pub frames: &'a [Image],
     /// Their times in [0, 1].
     pub times: &'a [f64],

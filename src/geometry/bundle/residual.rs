@@ -57,9 +57,9 @@ pub(super) fn project_through(
     // the lens.
     let plane_x = DVec3::new(iz, 0.0, -n.x * iz);
     let plane_y = DVec3::new(0.0, iz, -n.y * iz);
-    let bent = 2.0 * k1 * (n.x * plane_x + n.y * plane_y);
-    let row_x = k.fx * ((1.0 + k1 * n2) * plane_x + n.x * bent);
-    let row_y = k.fy * ((1.0 + k1 * n2) * plane_y + n.y * bent);
+    let stretch = 2.0 * k1 * (n.x * plane_x + n.y * plane_y);
+    let row_x = k.fx * ((1.0 + k1 * n2) * plane_x + n.x * stretch);
+    let row_y = k.fy * ((1.0 + k1 * n2) * plane_y + n.y * stretch);
     let by = |v: DVec3| DVec2::new(row_x.dot(v), row_y.dot(v));
     let axes = [DVec3::X, DVec3::Y, DVec3::Z];
     // Left twist of G_t: x ← x + d ρ + ω × x.
@@ -93,7 +93,7 @@ fn forward(
     pixel: DVec2,
     inverse_depth: f64,
 ) -> Option<(DVec2, DVec3, DVec3)> {
-    let ray = straightened(k1, k.ray(pixel).truncate())?.extend(1.0);
+    let ray = undistorted(k1, k.ray(pixel).truncate())?.extend(1.0);
     let x = *rotation * ray + inverse_depth * translation;
     // A ray within a tenth of a degree of the image plane has no pixel worth comparing.
     if x.z <= 2e-3 * x.abs().max_element() {
@@ -103,9 +103,9 @@ fn forward(
         return Some((k.project(x), x, ray));
     }
     let n = x.truncate() / x.z;
-    let bend = 1.0 + k1 * n.length_squared();
+    let factor = 1.0 + k1 * n.length_squared();
     let rising = 1.0 + 3.0 * k1 * n.length_squared() > FOLD;
-    rising.then(|| (k.project((bend * n).extend(1.0)), x, ray))
+    rising.then(|| (k.project((factor * n).extend(1.0)), x, ray))
 }
 
 /// A lens is believed where a direction's place on the picture moves by this share at least of what a
@@ -114,7 +114,7 @@ const FOLD: f64 = 0.1;
 
 /// Where a pinhole sees what a lens with `k1` shows at `m`, both in the plane of unit depth; none where the
 /// lens folds the picture over.
-fn straightened(k1: f64, m: DVec2) -> Option<DVec2> {
+fn undistorted(k1: f64, m: DVec2) -> Option<DVec2> {
     if k1 == 0.0 {
         return Some(m);
     }
@@ -321,17 +321,17 @@ mod tests {
     }
 
     #[test]
-    fn what_a_lens_bends_is_straightened() {
+    fn what_a_lens_distorts_is_undistorted() {
         for k1 in [-0.3, -0.05, 0.0, 0.1, 0.5] {
             for p in [DVec2::ZERO, DVec2::new(0.3, -0.6), DVec2::new(-0.7, 0.1)] {
                 let m = p * (1.0 + k1 * p.length_squared());
-                let found = straightened(k1, m).unwrap();
+                let found = undistorted(k1, m).unwrap();
                 assert!((found - p).length() < 1e-14, "{k1} {p}: {found}");
             }
         }
         // r (1 − r²) is 0.385 at the most.
-        assert!(straightened(-1.0, DVec2::new(0.4, 0.0)).is_none());
-        assert!(straightened(-1.0, DVec2::new(0.384, 0.0)).is_none(), "nearly folded");
+        assert!(undistorted(-1.0, DVec2::new(0.4, 0.0)).is_none());
+        assert!(undistorted(-1.0, DVec2::new(0.384, 0.0)).is_none(), "nearly folded");
     }
 
     #[test]

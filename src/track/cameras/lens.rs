@@ -21,9 +21,9 @@ const PASSES: usize = 2;
 
 impl Cameras {
     /// The lens with which the static tracks agree better than with a pinhole, and the cameras with it; none
-    /// where the clip does not show one. Depths in `anchors` are along straightened rays then.
+    /// where the clip does not show one. Depths in `anchors` are along undistorted rays then.
     ///
-    /// k1 is adjusted together with poses, depths and focal length. It has to bend the picture by what can be
+    /// k1 is adjusted together with poses, depths and focal length. It has to move pixels by what can be
     /// seen, to stand out from its own uncertainty, and to be much the same in the first and in the second
     /// half of the tracks: movers, rolling shutter and wrong poses are not.
     ///
@@ -38,17 +38,17 @@ impl Cameras {
         if self.standpoint != Standpoint::Moves {
             return Ok(None);
         }
-        let mut bent = self.clone();
-        let mut report = bent.bend(tracks, weights, focal)?;
+        let mut found = self.clone();
+        let mut report = found.adjust_with_lens(tracks, weights, focal)?;
         for _ in 1..PASSES {
-            bent.measure_depths(tracks, weights);
-            report = bent.bend(tracks, weights, focal)?;
+            found.measure_depths(tracks, weights);
+            report = found.adjust_with_lens(tracks, weights, focal)?;
         }
-        let k = bent.intrinsics;
+        let k = found.intrinsics;
         let (x, y) = (k.cx.max(f64::from(k.width) - k.cx), k.cy.max(f64::from(k.height) - k.cy));
         let corner = (x / k.fx).hypot(y / k.fy);
-        let moved = bent.k1.abs() * corner.powi(3) * k.fx / f64::from(k.width);
-        let sure = bent.k1.abs() > SURE * report.k1_std;
+        let moved = found.k1.abs() * corner.powi(3) * k.fx / f64::from(k.width);
+        let sure = found.k1.abs() > SURE * report.k1_std;
         if !(moved > LEAST && sure) {
             return Ok(None);
         }
@@ -62,40 +62,40 @@ impl Cameras {
                     if (mean <= middle) == early { *weight } else { 0.0 }
                 })
                 .collect();
-            let mut alone = Cameras { k1: bent.k1, ..bent.clone() };
-            alone.bend(tracks, &part, &Focal { held: true, ..focal.clone() })?;
-            if (alone.k1 - bent.k1).abs() > AGREES * bent.k1.abs() {
+            let mut alone = Cameras { k1: found.k1, ..found.clone() };
+            alone.adjust_with_lens(tracks, &part, &Focal { held: true, ..focal.clone() })?;
+            if (alone.k1 - found.k1).abs() > AGREES * found.k1.abs() {
                 return Ok(None);
             }
         }
-        let lens = bent.current();
-        bent.intrinsics = lens.filled();
-        bent.k1 = 0.0;
-        Ok(Some((lens, bent)))
+        let lens = found.current_lens();
+        found.intrinsics = lens.full_pinhole();
+        found.k1 = 0.0;
+        Ok(Some((lens, found)))
     }
 
     /// Triangulates all tracks that count, as the lens has them.
     fn measure_depths(&mut self, tracks: &[PointTrack], weights: &[f64]) {
-        let lens = self.current();
-        let straight: Vec<PointTrack> = tracks
+        let lens = self.current_lens();
+        let undistorted: Vec<PointTrack> = tracks
             .iter()
             .map(|track| {
-                let pixel = |p: &DVec2| lens.straight(&lens.intrinsics, *p).unwrap_or(*p);
+                let pixel = |p: &DVec2| lens.undistort_pixel(&lens.intrinsics, *p).unwrap_or(*p);
                 PointTrack { pixels: track.pixels.iter().map(pixel).collect(), ..track.clone() }
             })
             .collect();
         let posed = vec![true; self.poses.len()];
-        self.triangulate(&straight, weights, &posed, true);
+        self.triangulate(&undistorted, weights, &posed, true);
     }
 
-    fn current(&self) -> Lens {
+    fn current_lens(&self) -> Lens {
         let radial = [self.k1, 0.0, 0.0, 0.0];
         let distortion = Distortion { radial, ..Default::default() };
         Lens { intrinsics: self.intrinsics, distortion }
     }
 
     /// Adjusts everything, k1 among it.
-    fn bend(
+    fn adjust_with_lens(
         &mut self,
         tracks: &[PointTrack],
         weights: &[f64],

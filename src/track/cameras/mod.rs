@@ -32,7 +32,7 @@ pub(super) struct Anchor {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Cameras {
     pub intrinsics: Intrinsics,
-    /// Of the lens, while it is looked for; else 0, the pictures being straight.
+    /// Of the lens, while it is looked for; else 0, the pictures being undistorted.
     k1: f64,
     pub focal_source: FocalSource,
     pub focal_std: f64,

@@ -10,7 +10,7 @@ use crate::observe::{NeighbourFlow, PointTrack};
 use crate::types::{Image, Intrinsics};
 
 /// A clip without its lens's distortion.
-pub(super) struct Straight {
+pub(super) struct Undistorted {
     pub frames: Vec<Image>,
     pub flow: NeighbourFlow,
     /// Those of the clip of which something is left, in their order.
@@ -19,14 +19,14 @@ pub(super) struct Straight {
     pub supplied: Option<Vec<Image>>,
 }
 
-impl Straight {
+impl Undistorted {
     /// What is known of the clip, and what was found so far with `cameras` of a lens, without its
     /// distortion. Cameras are those of the pinhole then.
-    pub fn new(known: Known, lens: &Lens, cameras: Cameras, so_far: SoFar) -> (Straight, SoFar) {
+    pub fn new(known: Known, lens: &Lens, cameras: Cameras, so_far: SoFar) -> (Undistorted, SoFar) {
         let pinhole = cameras.intrinsics;
-        let straight = |image: &Image| lens.undistort(image, &pinhole).0;
+        let undistorted = |image: &Image| lens.undistort(image, &pinhole).0;
         let size = DVec2::new(f64::from(pinhole.width), f64::from(pinhole.height));
-        let left = |track: &PointTrack| straightened(track, lens, &pinhole, size);
+        let left = |track: &PointTrack| in_pinhole(track, lens, &pinhole, size);
         let kept: Vec<(usize, PointTrack)> = known
             .tracks
             .iter()
@@ -50,24 +50,23 @@ impl Straight {
                 .depth
                 .as_ref()
                 .map(|maps| maps.iter().map(|map| nearest(map, lens, &pinhole)).collect()),
-            // They are taken in already, and straightened with the others.
+            // They are taken in already, and undistorted with the others.
             tracks: None,
             ..options.clone()
         };
         let so_far = SoFar {
             focal,
             cameras,
-            masks: masks.iter().map(straight).collect(),
+            masks: masks.iter().map(undistorted).collect(),
             weights: kept.iter().map(|(i, _)| weights[*i]).collect(),
             motions,
         };
-        let supplied = known.supplied.map(|masks| {
-            let straight = masks.iter().map(|mask| binary(&straight(mask)));
-            straight.collect()
-        });
-        let clip = Straight {
-            frames: known.frames.iter().map(straight).collect(),
-            flow: known.flow.straightened(lens, &pinhole),
+        let supplied = known
+            .supplied
+            .map(|masks| masks.iter().map(|mask| binary(&undistorted(mask))).collect());
+        let clip = Undistorted {
+            frames: known.frames.iter().map(undistorted).collect(),
+            flow: known.flow.undistorted(lens, &pinhole),
             tracks: kept.into_iter().map(|(_, track)| track).collect(),
             options,
             supplied,
@@ -91,7 +90,7 @@ fn zoomed(k: &Intrinsics, zoom: f64) -> Intrinsics {
 }
 
 /// The longest part of a track that the pinhole's picture shows; none where that is less than two frames.
-fn straightened(
+fn in_pinhole(
     track: &PointTrack,
     lens: &Lens,
     pinhole: &Intrinsics,
@@ -99,7 +98,7 @@ fn straightened(
 ) -> Option<PointTrack> {
     let inside = |p: &DVec2| p.cmpge(DVec2::ZERO).all() && p.cmple(size).all();
     let pixels: Vec<Option<DVec2>> =
-        track.pixels.iter().map(|p| lens.straight(pinhole, *p).filter(inside)).collect();
+        track.pixels.iter().map(|p| lens.undistort_pixel(pinhole, *p).filter(inside)).collect();
     let mut longest = 0..0;
     let mut begin = 0;
     for k in 0..=pixels.len() {
@@ -122,7 +121,8 @@ fn nearest(map: &Image, lens: &Lens, pinhole: &Intrinsics) -> Image {
     let mut out = Image::new(map.width, map.height, map.channels);
     for y in 0..map.height {
         for x in 0..map.width {
-            let at = lens.bent(pinhole, DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5));
+            let at =
+                lens.distort_pixel(pinhole, DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5));
             let from = |v: f64, side: u32| (v.max(0.0) as u32).min(side - 1);
             let source = map.at(from(at.x, map.width), from(at.y, map.height));
             out.at_mut(x, y).copy_from_slice(source);
