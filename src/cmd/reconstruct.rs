@@ -36,9 +36,10 @@ use super::watcher::Watcher;
 use super::{model, quality, sheet, values};
 
 /// Bytes for each pixel of each frame: of the frames themselves, and of what tracking makes of them,
-/// which is flow and confidence both ways, masks, depth and its confidence.
+/// which is flow and confidence both ways, masks, depth and its confidence, and frames and flow once more
+/// where the lens's distortion is taken off.
 const FRAME_BYTES: u64 = 12;
-const TRACK_BYTES: u64 = 36;
+const TRACK_BYTES: u64 = 72;
 
 const AFTER_HELP: &str = "\
 The clip is a moving camera's: a video file (read through ffmpeg) or a folder of frames in the
