@@ -44,7 +44,7 @@ pub fn measure(scene: &Scene, args: &EvalArgs, common: &Common) -> Result<Map<St
     let names: Vec<String> = pictures.iter().map(|(file, _)| name(file)).collect();
     let comparisons = args.comparisons(&names, std::slice::from_ref(folder))?;
     let first = scene.cameras[0].camera;
-    let lens = lens_of(&scene.report);
+    let lens = lens_of(&scene.report)?;
     let device = common.open_device()?;
     let mut renderer = Renderer::new(&device, scene)?;
     let mut judge = Judge {

@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
+use serde::Deserialize;
 use serde_json::{Value, json};
 use splat4d::data::trajectory::{self, TimedPose};
 use splat4d::data::{Clip, Distortion, Lens, Resize, depth, flow, images, intrinsics};
@@ -241,23 +242,22 @@ pub fn lens_json(lens: Option<&Lens>) -> Value {
     })
 }
 
-/// The lens that a scene's report tells of.
-pub fn lens_of(report: &Value) -> Option<Lens> {
+/// The lens that a scene's report tells of: what [`lens_json`] wrote there.
+///
+/// # Errors
+/// Something else there.
+pub fn lens_of(report: &Value) -> Result<Option<Lens>> {
     let told = &report["lens"];
-    let number = |key: &str| told[key].as_f64();
-    let side = |key: &str| told[key].as_u64().and_then(|v| u32::try_from(v).ok());
-    let intrinsics = Intrinsics {
-        fx: number("fx")?,
-        fy: number("fy")?,
-        cx: number("cx")?,
-        cy: number("cy")?,
-        width: side("width")?,
-        height: side("height")?,
-    };
-    let radial = [number("k1")?, 0.0, 0.0, 0.0];
-    let distortion = Distortion { radial, ..Default::default() };
-    intrinsics.check().and_then(|()| distortion.check(&intrinsics)).ok()?;
-    Some(Lens { intrinsics, distortion })
+    if told.is_null() {
+        return Ok(None);
+    }
+    let bad =
+        |what: String| Error::Input(format!("the scene's report has no valid `lens`: {what}"));
+    let intrinsics = Intrinsics::deserialize(told).map_err(|error| bad(error.to_string()))?;
+    let k1 = told["k1"].as_f64().ok_or_else(|| bad("`k1` is no number".into()))?;
+    let distortion = Distortion { radial: [k1, 0.0, 0.0, 0.0], ..Default::default() };
+    intrinsics.check().and_then(|()| distortion.check(&intrinsics)).map_err(bad)?;
+    Ok(Some(Lens { intrinsics, distortion }))
 }
 
 /// What [`write_cameras`] writes.

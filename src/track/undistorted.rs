@@ -22,7 +22,12 @@ pub(super) struct Undistorted {
 impl Undistorted {
     /// What is known of the clip, and what was found so far with `cameras` of a lens, without its
     /// distortion. Cameras are those of the pinhole then.
-    pub fn new(known: Known, lens: &Lens, cameras: Cameras, so_far: SoFar) -> (Undistorted, SoFar) {
+    pub fn new(
+        known: Known,
+        lens: &Lens,
+        mut cameras: Cameras,
+        so_far: SoFar,
+    ) -> (Undistorted, SoFar) {
         let pinhole = cameras.intrinsics;
         let undistorted = |image: &Image| lens.undistort(image, &pinhole).0;
         let size = DVec2::new(f64::from(pinhole.width), f64::from(pinhole.height));
@@ -33,7 +38,6 @@ impl Undistorted {
             .enumerate()
             .filter_map(|(i, track)| Some((i, left(track)?)))
             .collect();
-        let mut cameras = cameras;
         cameras.keep(&kept);
         let SoFar { mut focal, masks, weights, motions, .. } = so_far;
         let zoom = pinhole.fx / lens.intrinsics.fx;
