@@ -10,7 +10,7 @@
 //! | `plate` | what each frame would show if nothing moved |
 //! | `masks` | from what is unexplained to a dense motion mask that keeps to the picture's edges |
 //! | `mended` | supplied masks that flicker or slip, by those around and by what moves |
-//! | `stereo` | static depth refined against the pictures |
+//! | `stereo` | static depth from the pictures of the whole clip |
 //! | `depth` | depth of all pixels, measured where it can be, inferred and marked so where not |
 //! | `objects` | what moves, as objects: points on it that belong together |
 //! | `relief` | the depth of an object's pixels relative to its middle's |
@@ -321,41 +321,31 @@ pub fn track_observed(
         cameras.normalise(tracks, &weights, &mut seen);
     }
     work.progress(Stage::Depth, 0.0)?;
-    if cameras.have_parallax() && options.stereo && options.depth.is_none() {
-        stereo::refine(frames, &cameras, &masks, &mut seen, &mut work, part, 0.0..0.4)?;
-    }
-    let layers = depth::layers(
-        frames,
-        &cameras,
-        &masks,
-        &seen,
-        None,
-        options,
-        &mut work,
-        ("last/layers", 0.4..0.5),
-    )?;
-    let part = "last/plates";
-    let plates = plate::evidence(frames, &cameras, &layers, &masks, &mut work, part, 0.5..0.65)?;
+    let layers =
+        |seen: &[residual::Seen], masks: &[Image], plates, work: &mut Work, part, shares| {
+            depth::layers(frames, &cameras, masks, seen, plates, options, work, (part, shares))
+        };
+    let plates = |layers: &[depth::Layer], masks: &[Image], work: &mut Work, part, shares| {
+        plate::evidence(frames, &cameras, layers, masks, work, part, shares)
+    };
     if supplied.is_none() {
-        let (plates, part) = (Some(plates.as_slice()), "last/masks");
+        let static_world = layers(&seen, &masks, None, &mut work, "last/layers", 0.0..0.1)?;
+        let plates = plates(&static_world, &masks, &mut work, "last/plates", 0.1..0.2)?;
         masks = masks::segment(
             masks::Observed { frames, cameras: &cameras, flow, seen: &seen },
-            plates,
+            Some(&plates),
             &mut work,
-            part,
-            0.65..0.8,
+            "last/masks",
+            0.2..0.3,
         )?;
     }
-    let layers = depth::layers(
-        frames,
-        &cameras,
-        &masks,
-        &seen,
-        Some(&plates),
-        options,
-        &mut work,
-        ("depth", 0.8..0.9),
-    )?;
+    if cameras.have_parallax() && options.stereo && options.depth.is_none() {
+        let shares = 0.3..0.7;
+        seen = stereo::measure(frames, &cameras, &masks, &seen, &mut work, "depth", shares)?;
+    }
+    let static_world = layers(&seen, &masks, None, &mut work, "depth/layers", 0.7..0.75)?;
+    let plates = plates(&static_world, &masks, &mut work, "depth/plates", 0.75..0.85)?;
+    let layers = layers(&seen, &masks, Some(&plates), &mut work, "depth", 0.85..0.9)?;
     let depth::Dense { depth, confidence: depth_confidence, movers, owners } =
         depth::dense(frames, &cameras, flow, &masks, layers, &plates, options, &mut work)?;
     work.progress(Stage::Depth, 0.96)?;

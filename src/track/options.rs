@@ -50,8 +50,8 @@ pub struct Options {
     /// Whether the exposure of each frame is measured, and frames that differ are made equal before
     /// their colours are compared.
     pub exposure: bool,
-    /// Whether static depth is refined against the pictures by multi-baseline stereo; else it is that of
-    /// the flow alone.
+    /// Whether static depth is measured in the pictures of the whole clip by multi-view stereo; else it is
+    /// that of the flow between neighbouring frames alone.
     pub stereo: bool,
     /// Whether movers are lifted as objects, each with a shape, a path and a distance; else each has one
     /// depth per region of the mask and frame.

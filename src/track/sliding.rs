@@ -56,6 +56,21 @@ pub(super) fn frames() -> Vec<Image> {
     vec![Image::new(WIDTH, HEIGHT, 3); FRAMES]
 }
 
+/// What the sliding camera sees of a painted wall.
+pub(super) fn painted() -> Vec<Image> {
+    (0..FRAMES)
+        .map(|frame| {
+            let mut image = Image::new(WIDTH, HEIGHT, 3);
+            for (i, out) in image.pixels.chunks_exact_mut(3).enumerate() {
+                let at = centre(i) - wall() * frame as f64;
+                let wave = (0.8 * at.x + 0.2 * at.y).sin() * (0.6 * at.y).cos();
+                out.fill((0.5 + 0.3 * wave) as f32);
+            }
+            image
+        })
+        .collect()
+}
+
 /// A picture of one channel by pixel.
 pub(super) fn map(value: impl Fn(DVec2) -> f32) -> Image {
     let pixels = (0..(WIDTH * HEIGHT) as usize).map(|i| value(centre(i))).collect();
