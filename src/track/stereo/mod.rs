@@ -38,6 +38,8 @@ const MARGIN: usize = 2;
 const WITNESSES: (usize, usize) = (2, 1);
 /// Where only agreement speaks for an inverse depth, this is its relative deviation.
 const AGREED: f32 = 0.3;
+/// Frames are swept at the same time as far as this many bytes go.
+const MEMORY: usize = 2 << 30;
 /// The sweep takes this share of the work.
 const SWEEP: f64 = 0.6;
 
@@ -66,8 +68,12 @@ pub(super) fn measure(
     let clip = Clip { frames, cameras, pictures: &pictures, views: &views, levels: &levels, flow };
     let middle = shares.start + SWEEP * (shares.end - shares.start);
 
+    let pixels = pictures.first().map_or(0, Vec::len);
+    let at_once = (MEMORY / sweep::memory(pixels).max(1)).max(1);
     let sweep = |range: std::ops::Range<usize>| {
-        range.into_par_iter().map(|frame| clip.swept(frame)).collect()
+        let frames: Vec<usize> = range.collect();
+        let some = frames.chunks(at_once);
+        some.flat_map(|some| some.par_iter().map(|f| clip.swept(*f)).collect::<Vec<_>>()).collect()
     };
     let (name, n) = (format!("{part}/sweep"), frames.len());
     let swept: Vec<Seen> = work.frames(&name, n, sweep, Stage::Depth, shares.start..middle)?;
@@ -102,10 +108,11 @@ impl Clip<'_> {
     /// A frame's inverse depths at the best levels; flow's where there is nothing to compare with.
     fn swept(&self, frame: usize) -> Seen {
         let (levels, flow) = (&self.levels[frame], &self.flow[frame]);
-        if levels.len() < 2 {
+        let image = &self.frames[frame];
+        let no_patch = image.width.min(image.height) as usize <= 2 * patch::RADIUS;
+        if levels.len() < 2 || no_patch {
             return flow.clone();
         }
-        let image = &self.frames[frame];
         let views = &self.views[frame];
         let mut volume = sweep::volume(image, self.pictures, self.cameras, frame, views, levels);
         let n = flow.inverse_depth.len();

@@ -6,7 +6,7 @@
 
 use super::super::cameras::Cameras;
 use super::patch::{self, RADIUS, neighbours};
-use super::views::View;
+use super::views::{self, View};
 use crate::types::Image;
 
 /// Noise of a pixel's luminance is not taken to be less.
@@ -44,6 +44,13 @@ pub(super) fn luminance(frame: &Image, mask: &[bool]) -> Vec<f32> {
     let mean = |p: &[f32]| p.iter().sum::<f32>() / channels as f32;
     let shown = |(p, moves): (&[f32], &bool)| if *moves { f32::NAN } else { mean(p) };
     frame.pixels.chunks_exact(channels).zip(mask).map(shown).collect()
+}
+
+/// Bytes that sweeping a frame of so many pixels, and choosing its levels, takes at most.
+pub(super) fn memory(pixels: usize) -> usize {
+    let costs_and_sums = views::LEVELS * (size_of::<u8>() + size_of::<i16>());
+    let lists = 2 * neighbours().len() + views::VIEWS + 2;
+    pixels * (costs_and_sums + lists * size_of::<f32>())
 }
 
 /// Costs of a frame, whose pictures are those of [`luminance`]; where the frame itself is not a number,
@@ -218,7 +225,7 @@ fn better_half(lists: &mut [Vec<f32>]) {
 #[cfg(test)]
 mod tests {
     use super::super::super::sliding;
-    use super::super::views;
+
     use super::*;
 
     #[test]

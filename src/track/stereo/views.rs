@@ -8,7 +8,7 @@ use super::super::residual::Seen;
 use crate::types::Pose;
 
 /// At most so many frames are compared with one.
-const VIEWS: usize = 8;
+pub(super) const VIEWS: usize = 8;
 /// None is farther away than this.
 const REACH: usize = 60;
 /// They show at least this share of the frame.
@@ -20,7 +20,7 @@ const STEP: f64 = 1.0;
 /// Where that is less than this share of the inverse depth, it is this share.
 const RELATIVE_STEP: f64 = 0.02;
 /// At most so many inverse depths are looked at.
-const LEVELS: usize = 256;
+pub(super) const LEVELS: usize = 256;
 /// They reach from these quantiles of what flow said, by these factors.
 const RANGE: [(f64, f64); 2] = [(0.01, 0.4), (0.995, 1.3)];
 /// Flow says the inverse depth where its relative deviation is below this.
