@@ -67,7 +67,7 @@ impl Maps<'_> {
                 continue;
             }
             agree += 1;
-            let back = view.view_from_frame.inverse().apply(k.ray(at) / there);
+            let back = view.frame_from_view.apply(k.ray(at) / there);
             let weight = weigh(other.deviation[j]);
             sum += weight / back.z;
             weights += weight;

@@ -13,7 +13,6 @@ use crate::types::Image;
 const NOISE: f32 = 0.01;
 /// The cost of what does not match at all.
 const WORST: f32 = 100.0;
-
 /// A level that is preferred is so by at most this.
 const UNLIKE: usize = 6;
 
@@ -225,7 +224,6 @@ fn better_half(lists: &mut [Vec<f32>]) {
 #[cfg(test)]
 mod tests {
     use super::super::super::sliding;
-
     use super::*;
 
     #[test]

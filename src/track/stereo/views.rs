@@ -30,8 +30,9 @@ const CERTAIN: f32 = 0.2;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct View {
     pub frame: usize,
-    /// From the frame that is looked at.
+    /// From the frame that is looked at, and back.
     pub view_from_frame: Pose,
+    pub frame_from_view: Pose,
     /// How far a point at the median depth goes by, pixels, a mean over the picture.
     pub parallax: f64,
 }
@@ -46,7 +47,8 @@ pub(super) fn views(cameras: &Cameras, frame: usize) -> Vec<View> {
         .filter_map(|other| {
             let view_from_frame = cameras.poses[other] * frame_from_world;
             let parallax = parallax(cameras, view_from_frame)?;
-            Some(View { frame: other, view_from_frame, parallax })
+            let frame_from_view = view_from_frame.inverse();
+            Some(View { frame: other, view_from_frame, frame_from_view, parallax })
         })
         .collect();
     all.sort_by(|a, b| a.parallax.total_cmp(&b.parallax));
