@@ -8,14 +8,17 @@
 //! a robust kernel, since flow brings no learned weights.
 //!
 //! The normal equations are reduced to the cameras by the Schur complement over the inverse depths
-//! (one scalar a point), and solved densely by Cholesky inside Levenberg–Marquardt. The focal
-//! length is one more camera column, as log f; it is released only when the data determine it
-//! ([`FocalMode::Gated`], MegaSaM's Hessian gate put as a standard deviation).
+//! (one scalar a point), and solved by Cholesky inside Levenberg–Marquardt. A camera is coupled with
+//! those that see the same points: where points are followed for a given number of frames, time and
+//! memory grow linearly with the number of frames. The focal length is one more camera column, as
+//! log f; it is released only when the data determine it ([`FocalMode::Gated`], MegaSaM's Hessian
+//! gate put as a standard deviation).
 //!
 //! Gauge: the first frame is held when none is marked fixed; the overall scale, where nothing
 //! anchors it, is held by keeping the median inverse depth what it was on entry.
 
 mod deviation;
+mod envelope;
 mod normal;
 mod residual;
 
@@ -181,6 +184,9 @@ pub struct Report {
     pub residuals: Vec<f64>,
 }
 
+/// Where residuals are less than this, deviations, in their root mean square, steps follow rounding errors.
+const EXACT: f64 = 1e-10;
+
 /// A focal length may leave its start by this factor, not more: beyond it runs off, not converges.
 const FOCAL_RANGE: f64 = 8.0;
 
@@ -315,6 +321,31 @@ fn solve(problem: &mut Problem, options: &Options, focal: bool) -> Work {
     work
 }
 
+/// What a step changes.
+struct Unknowns {
+    intrinsics: Intrinsics,
+    k1: f64,
+    poses: Vec<Pose>,
+    points: Vec<Point>,
+}
+
+impl Unknowns {
+    fn of(problem: &Problem) -> Unknowns {
+        Unknowns {
+            intrinsics: problem.intrinsics,
+            k1: problem.k1,
+            poses: problem.poses.clone(),
+            points: problem.points.clone(),
+        }
+    }
+
+    fn restore(self, problem: &mut Problem) {
+        let Unknowns { intrinsics, k1, poses, points } = self;
+        (problem.intrinsics, problem.k1) = (intrinsics, k1);
+        (problem.poses, problem.points) = (poses, points);
+    }
+}
+
 fn levenberg_marquardt(
     problem: &mut Problem,
     options: &Options,
@@ -322,6 +353,7 @@ fn levenberg_marquardt(
     scale: f64,
 ) -> (usize, bool) {
     let mut cost = residual::cost(problem, options, scale);
+    let exact = EXACT.powi(2) * problem.observations.len() as f64;
     let mut damping = 1e-4;
     let mut growth = 2.0;
     let mut equations = NormalEquations::build(problem, options, layout, scale);
@@ -334,14 +366,13 @@ fn levenberg_marquardt(
             }
             continue;
         };
-        let mut next = problem.clone();
-        layout.apply(&mut next, &delta);
-        let next_cost = residual::cost(&next, options, scale);
+        let before = Unknowns::of(problem);
+        layout.apply(problem, &delta);
+        let next_cost = residual::cost(problem, options, scale);
         let predicted = equations.predicted_decrease(&delta, damping);
         if next_cost.is_finite() && next_cost < cost {
             let decrease = cost - next_cost;
-            *problem = next;
-            let converged = decrease <= 1e-9 * cost;
+            let converged = decrease <= 1e-9 * cost || next_cost <= exact;
             cost = next_cost;
             // Nielsen's rule: trust grows with how well the quadratic model foretold the decrease.
             let gain = if predicted > 0.0 { decrease / predicted } else { 1.0 };
@@ -353,6 +384,7 @@ fn levenberg_marquardt(
             }
             equations = NormalEquations::build(problem, options, layout, scale);
         } else {
+            before.restore(problem);
             if predicted <= 1e-12 * cost {
                 return (step + 1, true);
             }

@@ -1,15 +1,15 @@
 //! The normal equations, reduced to the cameras.
 
+use super::envelope::Envelope;
 use super::residual::{focal_prior, kernel, project_through, relative};
 use super::{Options, Problem, counts};
 use crate::geometry::se3::{Twist, retract};
 use glam::DVec2;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 use rayon::prelude::*;
 use std::ops::Range;
+use std::slice::from_ref;
 
-/// Columns that one observation touches at most: two poses, the focal length and the distortion.
-const COLUMNS: usize = 14;
 /// The reduced system is gathered in this many parts at the most, added in order: the same bits for
 /// any number of threads.
 const PARTS: usize = 8;
@@ -27,6 +27,8 @@ pub(super) struct Layout {
     distortion: Option<usize>,
     /// Number of columns.
     pub(super) size: usize,
+    /// By column, the first one that it is coupled with.
+    coupled: Vec<usize>,
     /// Are inverse depths unknown?
     depths: bool,
     /// Observations that count, by point.
@@ -37,7 +39,7 @@ impl Layout {
     pub(super) fn new(problem: &Problem, options: &Options, focal: bool) -> Layout {
         let none_fixed = !problem.fixed.iter().any(|f| *f);
         let mut size = 0;
-        let column = problem
+        let column: Vec<Option<usize>> = problem
             .fixed
             .iter()
             .enumerate()
@@ -63,7 +65,19 @@ impl Layout {
                 by_point[o.point].push(i);
             }
         }
-        Layout { column, focal, distortion, size, depths: options.depths, by_point }
+        // What all are coupled with stands last, and begins at the first column.
+        let mut coupled = vec![0; size];
+        column.iter().flatten().for_each(|&c| coupled[c..c + 6].fill(c));
+        for (point, members) in problem.points.iter().zip(&by_point) {
+            let seen = || members.iter().map(|m| problem.observations[*m].frame);
+            let frames = || seen().chain([point.frame]).filter_map(|frame| column[frame]);
+            let Some(first) = frames().min() else { continue };
+            for c in frames() {
+                let first = first.min(coupled[c]);
+                coupled[c..c + 6].fill(first);
+            }
+        }
+        Layout { column, focal, distortion, size, coupled, depths: options.depths, by_point }
     }
 
     /// The column of log f; none where it is kept.
@@ -117,13 +131,79 @@ struct Row {
     gradient: f64,
     /// Damping acts on this: the information, floored.
     floor: f64,
-    /// (column, value) of the twists of frames, the focal length and the distortion.
-    coupling: Vec<(usize, f64)>,
+    /// With the twists of frames, the focal length and the distortion.
+    coupling: Coupling,
 }
 
-/// J^T W J and J^T W r: a dense camera block, and a sparse row for each point.
+/// A vector over the columns that has entries at few of them: runs of columns that follow each other.
+#[derive(Default)]
+struct Coupling {
+    /// First column, and where the run's entries are in `values`.
+    runs: Vec<(usize, Range<usize>)>,
+    values: Vec<f64>,
+}
+
+impl Coupling {
+    /// The sum of blocks, each given by its first column and its entries, in any order.
+    fn sum(mut blocks: Vec<(usize, [f64; 6], usize)>) -> Coupling {
+        blocks.sort_by_key(|block| block.0);
+        let mut sum = Coupling::default();
+        let mut last = None;
+        for (column, values, width) in blocks {
+            let end = sum.values.len();
+            if last == Some(column) {
+                let own = &mut sum.values[end - width..];
+                own.iter_mut().zip(&values).for_each(|(sum, value)| *sum += value);
+                continue;
+            }
+            match sum.runs.last_mut() {
+                Some((first, run)) if *first + run.len() == column => run.end += width,
+                _ => sum.runs.push((column, end..end + width)),
+            }
+            sum.values.extend(&values[..width]);
+            last = Some(column);
+        }
+        sum
+    }
+
+    /// First column and entries of each run, in ascending order.
+    fn runs(&self) -> impl Iterator<Item = (usize, &[f64])> {
+        self.runs.iter().map(|(first, run)| (*first, &self.values[run.clone()]))
+    }
+
+    /// The dot product with a vector of all columns.
+    fn dot(&self, all: &[f64]) -> f64 {
+        let of_run = |(first, run): (usize, &[f64])| {
+            run.iter().zip(&all[first..]).map(|(a, b)| a * b).sum::<f64>()
+        };
+        self.runs().map(of_run).sum()
+    }
+
+    /// Adds this, times `factor`, to a vector of all columns.
+    fn add_to(&self, all: &mut [f64], factor: f64) {
+        for (first, run) in self.runs() {
+            all[first..].iter_mut().zip(run).for_each(|(sum, value)| *sum += factor * value);
+        }
+    }
+
+    /// Adds the product of this with itself, times `factor`, to the lower triangle.
+    fn add_square_to(&self, matrix: &mut Envelope, factor: f64) {
+        for (place, (first, run)) in self.runs().enumerate() {
+            for (row, value) in (first..).zip(run) {
+                let scaled = factor * value;
+                for (column, other) in self.runs().take(place + 1) {
+                    // In its own run a row ends at the diagonal.
+                    let sums = matrix.row_mut(row, column);
+                    sums.iter_mut().zip(other).for_each(|(sum, value)| *sum += scaled * value);
+                }
+            }
+        }
+    }
+}
+
+/// Jᵀ W J and Jᵀ W r: the cameras' block, and a row for each point.
 pub(super) struct NormalEquations {
-    camera: DMatrix<f64>,
+    camera: Envelope,
     gradient: DVector<f64>,
     rows: Vec<Row>,
 }
@@ -143,7 +223,7 @@ impl NormalEquations {
             .par_chunks(part)
             .enumerate()
             .map(|(p, members)| {
-                let mut sum = NormalEquations::empty(layout.size);
+                let mut sum = NormalEquations::empty(layout);
                 for (k, members) in members.iter().enumerate() {
                     let row = sum.add_point(
                         problem,
@@ -159,23 +239,23 @@ impl NormalEquations {
                 sum
             })
             .collect();
-        let mut total = NormalEquations::empty(layout.size);
+        let mut total = NormalEquations::empty(layout);
         for part in parts {
-            total.camera += part.camera;
+            total.camera.add(1.0, &part.camera);
             total.gradient += part.gradient;
             total.rows.extend(part.rows);
         }
         if let (Some(c), Some((w, e))) = (layout.focal, focal_prior(problem, options, scale)) {
-            total.camera[(c, c)] += w;
+            *total.camera.diagonal_mut(c) += w;
             total.gradient[c] += w * e;
         }
         total
     }
 
-    fn empty(size: usize) -> NormalEquations {
+    fn empty(layout: &Layout) -> NormalEquations {
         NormalEquations {
-            camera: DMatrix::zeros(size, size),
-            gradient: DVector::zeros(size),
+            camera: Envelope::zeros(layout.coupled.clone()),
+            gradient: DVector::zeros(layout.size),
             rows: Vec::new(),
         }
     }
@@ -193,6 +273,10 @@ impl NormalEquations {
     ) -> Row {
         let point = &problem.points[index];
         let mut row = Row::default();
+        // The reference frame, the focal length and the distortion: all observations touch them.
+        let shared = [layout.column[point.frame], layout.focal, layout.distortion];
+        let mut with_shared = [[0.0; 6]; 3];
+        let mut blocks = Vec::with_capacity(members.len() + shared.len());
         for &m in members {
             let o = &problem.observations[m];
             let found = project_through(
@@ -206,46 +290,40 @@ impl NormalEquations {
             let r = u - o.pixel;
             let (variance, squared) = (o.deviation.powi(2), r.length_squared());
             let w = o.weight * kernel(options.kernel, squared / variance, width).1 / variance;
-            let mut columns = [(0usize, DVec2::ZERO); COLUMNS];
-            let mut used = 0;
-            let mut push = |column: usize, derivative: DVec2| {
-                columns[used] = (column, derivative);
-                used += 1;
-            };
-            for (frame, derivatives) in
-                [(o.frame, &jacobian.target), (point.frame, &jacobian.reference)]
-            {
-                if let Some(c) = layout.column[frame] {
-                    (0..6).for_each(|k| push(c + k, derivatives[k]));
-                }
-            }
-            if let Some(c) = layout.focal {
-                push(c, jacobian.log_focal);
-            }
-            if let Some(c) = layout.distortion {
-                push(c, jacobian.k1);
-            }
-            let columns = &columns[..used];
-            for &(a, ja) in columns {
-                self.gradient[a] += w * ja.dot(r);
-                for &(b, jb) in columns {
-                    if b <= a {
-                        self.camera[(a, b)] += w * ja.dot(jb);
-                    }
+            let by_shared =
+                [&jacobian.reference[..], from_ref(&jacobian.log_focal), from_ref(&jacobian.k1)];
+            let run = |column: Option<usize>, derivatives| Some((column?, derivatives));
+            let runs = [
+                run(layout.column[o.frame], &jacobian.target[..]),
+                run(shared[0], by_shared[0]),
+                run(shared[1], by_shared[1]),
+                run(shared[2], by_shared[2]),
+            ];
+            for later in runs.into_iter().flatten() {
+                let gradient = self.gradient.as_mut_slice()[later.0..].iter_mut();
+                gradient.zip(later.1).for_each(|(sum, j)| *sum += w * j.dot(r));
+                for earlier in runs.into_iter().flatten().filter(|run| run.0 <= later.0) {
+                    self.add_block(w, later, earlier);
                 }
             }
             if layout.depths {
                 let jd = jacobian.inverse_depth;
-                row.information += w * jd.length_squared();
+                let with_depth = |derivative: &DVec2| w * derivative.dot(jd);
+                row.information += with_depth(&jd);
                 row.gradient += w * jd.dot(r);
-                for &(a, ja) in columns {
-                    let value = w * ja.dot(jd);
-                    match row.coupling.iter_mut().find(|(c, _)| *c == a) {
-                        Some((_, sum)) => *sum += value,
-                        None => row.coupling.push((a, value)),
-                    }
+                if let Some((column, derivatives)) = runs[0] {
+                    blocks.push((column, std::array::from_fn(|k| with_depth(&derivatives[k])), 6));
+                }
+                for (sums, derivatives) in with_shared.iter_mut().zip(by_shared) {
+                    sums.iter_mut().zip(derivatives).for_each(|(sum, j)| *sum += with_depth(j));
                 }
             }
+        }
+        if layout.depths {
+            for ((column, sums), width) in shared.into_iter().zip(with_shared).zip([6, 1, 1]) {
+                blocks.extend(column.map(|column| (column, sums, width)));
+            }
+            row.coupling = Coupling::sum(blocks);
         }
         if let Some(prior) = point.prior {
             row.information += prior.weight;
@@ -255,16 +333,25 @@ impl NormalEquations {
         row
     }
 
+    /// Adds products of derivatives by two runs of columns, each given by its first column; `later` is not
+    /// before `earlier`.
+    fn add_block(&mut self, w: f64, later: (usize, &[DVec2]), earlier: (usize, &[DVec2])) {
+        for (row, derivative) in (later.0..).zip(later.1) {
+            let scaled = w * *derivative;
+            let sums = self.camera.row_mut(row, earlier.0).iter_mut();
+            sums.zip(earlier.1).for_each(|(sum, j)| *sum += scaled.dot(*j));
+        }
+    }
+
     /// The damped Gauss–Newton step; none where the reduced system is not positive definite.
     pub(super) fn solve(&self, layout: &Layout, damping: f64) -> Option<Step> {
         let (mut reduced, mut right) = self.reduce(layout, damping);
-        let largest = self.camera.diagonal().max().max(1e-300);
+        let largest = self.camera.largest_diagonal().max(1e-300);
         for k in 0..layout.size {
-            reduced[(k, k)] += damping * self.camera[(k, k)] + 1e-12 * largest;
+            *reduced.diagonal_mut(k) += damping * self.camera.diagonal(k) + 1e-12 * largest;
         }
         right.neg_mut();
-        let camera =
-            if layout.size == 0 { DVector::zeros(0) } else { reduced.cholesky()?.solve(&right) };
+        let camera = reduced.cholesky()?.solve(&right);
         if camera.iter().any(|v| !v.is_finite()) {
             return None;
         }
@@ -272,8 +359,7 @@ impl NormalEquations {
             self.rows
                 .iter()
                 .map(|row| {
-                    let coupled: f64 = row.coupling.iter().map(|&(c, v)| v * camera[c]).sum();
-                    -(row.gradient + coupled) / row.damped(damping)
+                    -(row.gradient + row.coupling.dot(camera.as_slice())) / row.damped(damping)
                 })
                 .collect()
         } else {
@@ -283,26 +369,18 @@ impl NormalEquations {
     }
 
     /// Schur complement over the inverse depths (lower triangle) and the reduced gradient.
-    fn reduce(&self, layout: &Layout, damping: f64) -> (DMatrix<f64>, DVector<f64>) {
+    fn reduce(&self, layout: &Layout, damping: f64) -> (Envelope, DVector<f64>) {
         let part = self.rows.len().div_ceil(PARTS).max(1);
-        let size = layout.size;
-        let parts: Vec<(DMatrix<f64>, DVector<f64>)> = self
+        let parts: Vec<(Envelope, DVector<f64>)> = self
             .rows
             .par_chunks(part)
             .map(|rows| {
-                let mut matrix = DMatrix::zeros(size, size);
-                let mut vector = DVector::zeros(size);
+                let mut matrix = Envelope::zeros(layout.coupled.clone());
+                let mut vector = DVector::zeros(layout.size);
                 for row in rows {
                     let inverse = 1.0 / row.damped(damping);
-                    for &(a, va) in &row.coupling {
-                        let scaled = va * inverse;
-                        vector[a] += scaled * row.gradient;
-                        for &(b, vb) in &row.coupling {
-                            if b <= a {
-                                matrix[(a, b)] += scaled * vb;
-                            }
-                        }
-                    }
+                    row.coupling.add_square_to(&mut matrix, inverse);
+                    row.coupling.add_to(vector.as_mut_slice(), inverse * row.gradient);
                 }
                 (matrix, vector)
             })
@@ -310,7 +388,7 @@ impl NormalEquations {
         let mut matrix = self.camera.clone();
         let mut vector = self.gradient.clone();
         for (m, v) in parts {
-            matrix -= m;
+            matrix.add(-1.0, &m);
             vector -= v;
         }
         (matrix, vector)
@@ -321,7 +399,7 @@ impl NormalEquations {
         let mut sum = 0.0;
         for k in 0..step.camera.len() {
             let d = step.camera[k];
-            sum += -self.gradient[k] * d + damping * self.camera[(k, k)] * d * d;
+            sum += -self.gradient[k] * d + damping * self.camera.diagonal(k) * d * d;
         }
         for (row, d) in self.rows.iter().zip(&step.depth) {
             sum += -row.gradient * d + (row.damped(damping) - row.information) * d * d;
@@ -333,10 +411,10 @@ impl NormalEquations {
     /// unit's square.
     pub(super) fn information(&self, layout: &Layout, column: usize) -> Option<f64> {
         let (mut reduced, _) = self.reduce(layout, 0.0);
-        let largest = self.camera.diagonal().max().max(1e-300);
+        let largest = self.camera.largest_diagonal().max(1e-300);
         for k in 0..layout.size {
             // The free scale is a null direction; it does not reach the focal length and the lens.
-            reduced[(k, k)] += 1e-10 * self.camera[(k, k)] + 1e-14 * largest;
+            *reduced.diagonal_mut(k) += 1e-10 * self.camera.diagonal(k) + 1e-14 * largest;
         }
         let mut unit = DVector::zeros(layout.size);
         unit[column] = 1.0;
@@ -353,7 +431,7 @@ impl NormalEquations {
         gauge: &[f64],
         least: f64,
     ) -> Option<Vec<Option<f64>>> {
-        let (mut reduced, _) = self.reduce(layout, 0.0);
+        let mut reduced = self.reduce(layout, 0.0).0.to_dense();
         // Holding a sum of depths adds to their block a term of one rank and infinite weight. Reduced to the
         // cameras, that is a term of one rank, too.
         let mut held = DVector::zeros(layout.size);
@@ -361,13 +439,13 @@ impl NormalEquations {
         for (row, weight) in self.rows.iter().zip(gauge).filter(|(row, _)| row.information > 0.0) {
             let scaled = weight / row.damped(0.0);
             norm += weight * scaled;
-            row.coupling.iter().for_each(|(c, v)| held[*c] += scaled * v);
+            row.coupling.add_to(held.as_mut_slice(), scaled);
         }
         if norm > 0.0 {
             reduced.ger(1.0 / norm, &held, &held, 1.0);
         }
-        let largest = self.camera.diagonal().max().max(1e-300);
-        let floor = |k: usize| 0.01 * least * self.camera[(k, k)] + 1e-14 * largest;
+        let largest = self.camera.largest_diagonal().max(1e-300);
+        let floor = |k: usize| 0.01 * least * self.camera.diagonal(k) + 1e-14 * largest;
         (0..layout.size).for_each(|k| reduced[(k, k)] += floor(k));
         let factor = reduced.cholesky()?.unpack();
         // With S = L Lᵀ the diagonal of S⁻¹ holds the squared lengths of the columns of L⁻¹.
@@ -381,7 +459,7 @@ impl NormalEquations {
                 below.iter_mut().zip(&of[1..]).for_each(|(b, l)| *b -= *solved * l);
             }
             let variance: f64 = column.iter().map(|v| v * v).sum();
-            let given = self.camera[(k, k)];
+            let given = self.camera.diagonal(k);
             let known = given > 0.0 && variance.is_finite() && variance * given * least < 1.0;
             known.then_some(variance)
         };
@@ -416,4 +494,109 @@ pub(super) fn median_depth_deviation(problem: &Problem, options: &Options, scale
     }
     let middle = deviations.len() / 2;
     *deviations.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DQuat, DVec3};
+    use nalgebra::DMatrix;
+
+    use super::super::{Kernel, Observation, Point, project};
+    use super::*;
+    use crate::types::{Intrinsics, Pose};
+
+    /// A camera that goes sideways; each frame has points of its own, seen by the `span` frames after it
+    /// but for the third, all a pixel off.
+    fn sideways(frames: usize, span: usize) -> Problem {
+        let intrinsics = Intrinsics::centred(300.0, 320, 240);
+        let pose = |i: usize| {
+            Pose::new(DQuat::from_rotation_y(0.02 * i as f64), DVec3::new(0.1 * i as f64, 0.0, 0.0))
+        };
+        let poses: Vec<Pose> = (0..frames).map(pose).collect();
+        let (mut points, mut observations) = (Vec::new(), Vec::new());
+        for frame in 0..frames {
+            for k in 0..4 {
+                let pixel = DVec2::new(60.0 + 50.0 * k as f64, 40.0 + 37.0 * k as f64);
+                let inverse_depth = 0.2 + 0.1 * k as f64;
+                for other in frame + 1..frames.min(frame + span) {
+                    let relative = poses[other] * poses[frame].inverse();
+                    let (seen, _) = project(&intrinsics, &relative, pixel, inverse_depth).unwrap();
+                    let pixel = seen + DVec2::new(1.0, -0.5);
+                    let observation = Observation {
+                        point: points.len(),
+                        frame: other,
+                        pixel,
+                        weight: 0.5,
+                        deviation: 0.5,
+                    };
+                    observations.extend((other != frame + 3).then_some(observation));
+                }
+                points.push(Point { frame, pixel, inverse_depth, prior: None });
+            }
+        }
+        let fixed = vec![false; frames];
+        Problem { intrinsics, k1: -0.02, poses, fixed, points, observations }
+    }
+
+    /// The damped normal equations, dense and with all inverse depths, solved for the cameras.
+    fn dense(problem: &Problem, layout: &Layout, damping: f64) -> DVector<f64> {
+        let size = layout.size + problem.points.len();
+        let mut matrix = DMatrix::zeros(size, size);
+        let mut gradient = DVector::zeros(size);
+        for o in &problem.observations {
+            let point = &problem.points[o.point];
+            let (pixel, d) = (point.pixel, point.inverse_depth);
+            let relative = relative(problem, o);
+            let (u, j) =
+                project_through(&problem.intrinsics, problem.k1, &relative, pixel, d).unwrap();
+            let mut row = vec![DVec2::ZERO; size];
+            for (frame, by) in [(o.frame, j.target), (point.frame, j.reference)] {
+                for (column, by) in layout.columns(frame).into_iter().flatten().zip(by) {
+                    row[column] = by;
+                }
+            }
+            row[layout.focal.unwrap()] = j.log_focal;
+            row[layout.distortion.unwrap()] = j.k1;
+            row[layout.size + o.point] = j.inverse_depth;
+            let w = o.weight / o.deviation.powi(2);
+            for a in 0..size {
+                gradient[a] += w * row[a].dot(u - o.pixel);
+                (0..size).for_each(|b| matrix[(a, b)] += w * row[a].dot(row[b]));
+            }
+        }
+        let typical = super::super::median_inverse_depth(problem).unwrap();
+        let cameras = matrix.diagonal().rows(0, layout.size).max();
+        for k in 0..size {
+            let floor = match k < layout.size {
+                true => 1e-12 * cameras,
+                false => DEPTH_FLOOR / (typical * typical),
+            };
+            matrix[(k, k)] += damping * matrix[(k, k)] + floor;
+        }
+        -matrix.cholesky().unwrap().solve(&gradient).rows(0, layout.size)
+    }
+
+    #[test]
+    fn a_step_is_that_of_the_dense_normal_equations() {
+        let problem = sideways(9, 6);
+        let options = Options { kernel: Kernel::None, distortion: true, ..Options::default() };
+        let layout = Layout::new(&problem, &options, true);
+        let equations = NormalEquations::build(&problem, &options, &layout, 1.0);
+        let expected = dense(&problem, &layout, 1e-2);
+        let found = equations.solve(&layout, 1e-2).unwrap().camera;
+        assert!(expected.amax() > 1e-4);
+        assert!((found - &expected).amax() < 1e-9 * expected.amax());
+    }
+
+    #[test]
+    fn memory_grows_linearly_with_the_number_of_frames() {
+        let entries = |frames| {
+            let layout = Layout::new(&sideways(frames, 8), &Options::default(), true);
+            let size = layout.size * (layout.size + 1) / 2;
+            (layout.coupled.iter().enumerate().map(|(row, c)| row + 1 - c).sum::<usize>(), size)
+        };
+        let [few, many, more] = [50, 100, 150].map(entries);
+        assert_eq!(more.0 - many.0, many.0 - few.0);
+        assert!(many.0 < many.1 / 5, "{} of {}", many.0, many.1);
+    }
 }
