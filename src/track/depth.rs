@@ -99,7 +99,7 @@ pub(super) fn dense(
     let behind: Vec<Behind<'_>> =
         ground.iter().map(|(inverse, confidence)| Behind { inverse, confidence }).collect();
     let lifted = match options.lift {
-        true => movers::lift(frames, cameras, flow, masks, &behind),
+        true => movers::lift(frames, cameras, flow, masks, &layers, &behind),
         false => Lifted::nothing(masks),
     };
     work.progress(Stage::Depth, 0.95)?;

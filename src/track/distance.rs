@@ -8,6 +8,8 @@
 //! - It is nearer than what it hides, and where the picture cuts off its lower end a little nearer than the
 //!   ground there.
 //!
+//! Supplied depth, where there is some on the object, takes the place of all of these.
+//!
 //! Contact and smoothness each come with a standard deviation and are averaged by it. The bound takes
 //! the place of contact where there is none, and the depth of an object that this one is connected with
 //! takes the place of the bound.
@@ -60,6 +62,9 @@ const BEFORE: (f64, f64) = (0.4, 0.3);
 const CUT_OFF: (f64, f64) = (0.1, 0.15);
 /// The same of an object that is connected with another one, relative to that.
 const BESIDE: (f64, f64) = (0.05, 0.12);
+/// Standard deviation of supplied depth in one frame, logarithm, and the share of its frames in which an
+/// object has some, at least.
+const SUPPLIED: (f64, f64) = (0.05, 0.5);
 /// Least deviation of a step of a path, logarithm.
 const LEAST_DRIFT: f64 = 0.002;
 
@@ -106,6 +111,29 @@ enum Scale {
 }
 
 impl Distance {
+    /// What supplied depth tells: `supplied` is the logarithm of the middle's depth, frame by frame. None
+    /// where that is known in too few frames.
+    pub fn supplied(shape: &Shape, supplied: &[Option<f64>]) -> Option<Distance> {
+        let n = shape.frames.len();
+        let offsets: Vec<f64> = supplied
+            .iter()
+            .zip(&shape.frames)
+            .filter_map(|(supplied, frame)| Some((*supplied)? - frame.depth.ln()))
+            .collect();
+        if offsets.is_empty() || (offsets.len() as f64) < SUPPLIED.1 * n as f64 {
+            return None;
+        }
+        let deviation = SUPPLIED.0 / (offsets.len() as f64).sqrt();
+        let offset = quantile(offsets, 0.5);
+        let path: Vec<f64> = shape.frames.iter().map(|f| f.depth.ln() + offset).collect();
+        let target = |s: &Option<f64>| Some(Estimate { value: (*s)?, deviation: SUPPLIED.0 });
+        let targets: Vec<Option<Estimate>> = supplied.iter().map(target).collect();
+        let steps = steps(shape);
+        let pull = Pull { first_width: SIZED_FIRST / SUPPLIED.0, power: 1 };
+        let path = bent(&path, &path, &targets, pull, &steps);
+        Some(Distance { path, scale: Scale::Known(Estimate { value: 0.0, deviation }) })
+    }
+
     /// Whether the object's own path tells how far it is.
     pub fn is_known(&self) -> bool {
         self.scale().1 == KNOWN
@@ -165,7 +193,7 @@ pub(super) fn distance(
     };
     let outlines: Vec<Option<Outline>> = frames.clone().map(outlined).collect();
     let outline_deviation = outline::deviation(&outlines);
-    let steps: Vec<f64> = shape.drift.iter().map(|drift| drift.max(LEAST_DRIFT)).collect();
+    let steps = steps(shape);
     let path = {
         let path: Vec<f64> = shape.frames.iter().map(|f| f.depth.ln()).collect();
         let sizes: Vec<Option<f64>> = outlines.iter().map(|o| Some((*o)?.depth.ln())).collect();
@@ -268,6 +296,11 @@ pub(super) fn distance(
     // A path that is smoothest far behind what the object hides is not the object's.
     let smooth = smooth.filter(|smooth| smooth.value - smooth.deviation < usual + BEFORE.1);
     Distance { path, scale: Scale::Bounded { before, smooth } }
+}
+
+/// Standard deviation of each step of an object's path, logarithm.
+fn steps(shape: &Shape) -> Vec<f64> {
+    shape.drift.iter().map(|drift| drift.max(LEAST_DRIFT)).collect()
 }
 
 /// The pixel of an object's middle, frame by frame: where its structure from motion does not hold,

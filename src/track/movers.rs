@@ -7,6 +7,7 @@ use rayon::prelude::*;
 
 use super::cameras::Cameras;
 use super::contour::Region;
+use super::depth::Layer;
 use super::distance::{Behind, Distance, distance};
 use super::masks::regions;
 use super::objects::{self, Object};
@@ -22,6 +23,9 @@ pub(super) const KNOWN: f32 = 0.4;
 pub(super) const BOUND: f32 = 0.2;
 /// Inverse depth of a thing of which only that is known what it hides, relative to what it hides.
 pub(super) const NEARER: f64 = 1.25;
+
+/// Supplied depth tells how far an object is from so many points or pixels.
+const LEAST_SUPPLIED: usize = 5;
 
 /// Objects hang together that are in one region of the masks for this share of the frames in which both
 /// are seen.
@@ -51,12 +55,13 @@ impl Lifted {
     }
 }
 
-/// Lifts all movers, before the static world.
+/// Lifts all movers, before the static world. `layers` hold supplied depth.
 pub(super) fn lift(
     frames: &[Image],
     cameras: &Cameras,
     flow: &NeighbourFlow,
     masks: &[Image],
+    layers: &[Layer],
     behind: &[Behind<'_>],
 ) -> Lifted {
     let mut objects = objects::find(frames, flow, masks);
@@ -77,7 +82,11 @@ pub(super) fn lift(
         .par_iter()
         .zip(&shapes)
         .enumerate()
-        .map(|(i, (object, shape))| distance(i, object, shape, cameras, &owners, behind))
+        .map(|(i, (object, shape))| {
+            let supplied = supplied(i as u16, object, shape, &owners, layers, flow.width);
+            Distance::supplied(shape, &supplied)
+                .unwrap_or_else(|| distance(i, object, shape, cameras, &owners, behind))
+        })
         .collect();
     hang_together(&objects, masks, &owners, &mut known);
     let mut scaled: Vec<(Vec<f64>, f32)> = known.iter().map(Distance::depths).collect();
@@ -113,6 +122,40 @@ pub(super) fn lift(
         .map(|(own, mask)| Image { pixels: own.iter().map(numbered).collect(), ..*mask })
         .collect();
     Lifted { pixels, movers, owners }
+}
+
+/// The logarithm of the depth of an object's middle, frame by frame, as supplied depth tells it: by the
+/// object's points, else by all its pixels; none in frames in which it has no supplied depth.
+fn supplied(
+    index: u16,
+    object: &Object,
+    shape: &Shape,
+    owners: &[Vec<Option<u16>>],
+    layers: &[Layer],
+    width: usize,
+) -> Vec<Option<f64>> {
+    let in_frame = |(k, frame): (usize, &Frame)| {
+        let f = object.first + k;
+        let (layer, owners) = (&layers[f], &owners[f]);
+        let depth = |i: usize| {
+            let told = layer.supplied[i] && owners[i] == Some(index);
+            told.then(|| -f64::from(layer.inverse[i]).ln())
+        };
+        let height = owners.len() / width;
+        let place = |p: DVec2| {
+            let x = (p.x.max(0.0) as usize).min(width - 1);
+            (p.y.max(0.0) as usize).min(height - 1) * width + x
+        };
+        let relative = object.tracks.iter().zip(&frame.relative);
+        let mut told: Vec<f64> = relative
+            .filter_map(|(track, relative)| Some(depth(place(track.at(f)?))? - (*relative)?.ln()))
+            .collect();
+        if told.len() < LEAST_SUPPLIED {
+            told = (0..owners.len()).filter_map(depth).collect();
+        }
+        (told.len() >= LEAST_SUPPLIED).then(|| quantile(told, 0.5))
+    };
+    shape.frames.iter().enumerate().map(in_frame).collect()
 }
 
 /// Objects that are connected in the masks in most frames are parts of one thing, or one holds the other.
@@ -381,7 +424,8 @@ mod tests {
         let (inverse, confidence) =
             (map(|_| (1.0 / WALL) as f32).pixels, vec![1.0; masks[0].pixels.len()]);
         let behind = vec![Behind { inverse: &inverse, confidence: &confidence }; FRAMES];
-        let lifted = lift(&frames, &sliding::cameras(STEP), &flow, &masks, &behind);
+        let layers = layers(&inverse, |_, _| None);
+        let lifted = lift(&frames, &sliding::cameras(STEP), &flow, &masks, &layers, &behind);
         assert_eq!(lifted.movers.len(), 2);
         for f in 0..FRAMES {
             let depth = |half: &dyn Fn(usize, DVec2) -> bool, owner: f32| {
@@ -418,7 +462,8 @@ mod tests {
         let inverse = map(|p| if p.x < 32.0 { 0.25 } else { 0.1 }).pixels;
         let confidence = vec![1.0; inverse.len()];
         let behind = vec![Behind { inverse: &inverse, confidence: &confidence }; FRAMES];
-        let lifted = lift(&sliding::frames(), &sliding::cameras(STEP), &flow, &masks, &behind);
+        let (cameras, layers) = (sliding::cameras(STEP), layers(&inverse, |_, _| None));
+        let lifted = lift(&sliding::frames(), &cameras, &flow, &masks, &layers, &behind);
         assert_eq!(lifted.movers.len(), 2);
         let depth = |owner: f32| {
             let pixels = lifted.pixels[2].iter().zip(&lifted.owners[2].pixels);
@@ -427,5 +472,59 @@ mod tests {
         };
         let ratio = depth(2.0) / depth(1.0);
         assert!((ratio.ln() + 0.05).abs() < 0.03, "{ratio}");
+    }
+
+    /// The static world, and the depth that is supplied of a frame's pixel.
+    fn layers(inverse: &[f32], supplied: impl Fn(usize, DVec2) -> Option<f64>) -> Vec<Layer> {
+        let layer = |f: usize| {
+            let told = (0..inverse.len()).map(|i| supplied(f, sliding::centre(i)));
+            let told: Vec<Option<f64>> = told.collect();
+            let depth =
+                |(known, own): (&Option<f64>, &f32)| known.map_or(*own, |z| (1.0 / z) as f32);
+            Layer {
+                inverse: told.iter().zip(inverse).map(depth).collect(),
+                confidence: vec![1.0; inverse.len()],
+                supplied: told.iter().map(Option::is_some).collect(),
+            }
+        };
+        (0..FRAMES).map(layer).collect()
+    }
+
+    #[test]
+    fn supplied_depth_tells_how_far_an_object_is() {
+        // Of its upper half only, and off by 4 % now to this side and now to that.
+        let inside = |frame: usize, p: DVec2| {
+            let y = 4.0 + 2.0 * frame as f64;
+            within(p, (14.0, y), (44.0, y + 24.0))
+        };
+        let flow = sliding::flow(|frame, p| match inside(frame, p) {
+            true => DVec2::new(0.0, 2.0),
+            false => sliding::wall(),
+        });
+        let mask = |f: usize| map(move |p| f32::from(u8::from(inside(f, p))));
+        let masks: Vec<Image> = (0..FRAMES).map(mask).collect();
+        let (inverse, confidence) =
+            (map(|_| (1.0 / WALL) as f32).pixels, vec![1.0; masks[0].pixels.len()]);
+        let behind = vec![Behind { inverse: &inverse, confidence: &confidence }; FRAMES];
+        let depth = 0.37 * WALL;
+        let off = |f: usize| 1.0 + 0.04 * [1.0, -1.0][f % 2];
+        let lifted = |supplied: &dyn Fn(usize, DVec2) -> Option<f64>| {
+            let (cameras, layers) = (sliding::cameras(STEP), layers(&inverse, supplied));
+            lift(&sliding::frames(), &cameras, &flow, &masks, &layers, &behind)
+        };
+        let upper = |f: usize, p: DVec2| inside(f, p) && p.y < 14.0 + 2.0 * f as f64;
+        let found = lifted(&|f, p| upper(f, p).then(|| depth * off(f)));
+        assert_eq!(found.movers.len(), 1);
+        let last = found.movers[0].world_from_object.len() - 1;
+        for f in 0..=last {
+            let own = found.pixels[f].iter().flatten().map(|(inverse, _)| f64::from(*inverse));
+            let far = quantile(own.collect(), 0.5).recip() / depth;
+            assert!((far - 1.0).abs() < 0.03, "frame {f}: {far}");
+            assert!(found.pixels[f].iter().flatten().all(|(_, confidence)| *confidence == KNOWN));
+        }
+        // Of one frame it says too little.
+        let one = lifted(&|f, p| (f == 0 && upper(f, p)).then_some(depth));
+        let none = lifted(&|_, _| None);
+        assert_eq!(one.pixels, none.pixels);
     }
 }
