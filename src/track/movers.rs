@@ -141,14 +141,11 @@ fn supplied(
             let told = layer.supplied[i] && owners[i] == Some(index);
             told.then(|| -f64::from(layer.inverse[i]).ln())
         };
-        let height = owners.len() / width;
-        let place = |p: DVec2| {
-            let x = (p.x.max(0.0) as usize).min(width - 1);
-            (p.y.max(0.0) as usize).min(height - 1) * width + x
-        };
         let relative = object.tracks.iter().zip(&frame.relative);
         let mut told: Vec<f64> = relative
-            .filter_map(|(track, relative)| Some(depth(place(track.at(f)?))? - (*relative)?.ln()))
+            .filter_map(|(track, relative)| {
+                Some(depth(nearest_pixel(track.at(f)?, width, owners.len()))? - (*relative)?.ln())
+            })
             .collect();
         if told.len() < LEAST_SUPPLIED {
             told = (0..owners.len()).filter_map(depth).collect();
@@ -271,11 +268,8 @@ fn owners(objects: &[Object], mask: &Image, frame: usize) -> Vec<Option<u16>> {
     for (region, _) in regions(&mask.pixels, w, true) {
         let own: Vec<&(u16, DVec2)> = {
             let inside: std::collections::HashSet<usize> = region.iter().copied().collect();
-            let place = |p: DVec2| {
-                let x = (p.x.max(0.0) as usize).min(w - 1);
-                (p.y.max(0.0) as usize).min(mask.height as usize - 1) * w + x
-            };
-            points.iter().filter(|(_, p)| inside.contains(&place(*p))).collect()
+            let pixel = |p: DVec2| nearest_pixel(p, w, out.len());
+            points.iter().filter(|(_, p)| inside.contains(&pixel(*p))).collect()
         };
         for i in region {
             let p = DVec2::new((i % w) as f64 + 0.5, (i / w) as f64 + 0.5);
@@ -284,6 +278,12 @@ fn owners(objects: &[Object], mask: &Image, frame: usize) -> Vec<Option<u16>> {
         }
     }
     out
+}
+
+/// The number of the pixel that a point lies in, or that of the nearest one in the picture.
+fn nearest_pixel(point: DVec2, width: usize, pixels: usize) -> usize {
+    let x = (point.x.max(0.0) as usize).min(width - 1);
+    (point.y.max(0.0) as usize).min(pixels / width - 1) * width + x
 }
 
 /// The followed points of a frame that go with their object.

@@ -26,6 +26,8 @@ const DETERMINED: f64 = 1e4;
 /// their median. `None` is a pose that the observations do not determine. Errors of observations are
 /// taken to be independent; as far as they are not, poses are known less well.
 ///
+/// The gauge couples all frames: time grows with the cube of their number, memory with its square.
+///
 /// [`adjust`]: super::adjust
 ///
 /// # Errors

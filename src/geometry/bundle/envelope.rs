@@ -1,10 +1,10 @@
 //! A symmetric matrix that is stored by rows, each from its first entry to the diagonal.
 //!
-//! Points are seen by frames near each other, so that a camera is coupled with those near it: filled in by
-//! its Cholesky factor, a row begins where the matrix's own does (George and Liu, *Computer Solution of
-//! Large Sparse Positive Definite Systems*, 1981, chapter 4). Memory and time grow linearly with the number
-//! of cameras where each is coupled with a given number of others. Unknowns that all rows are coupled with
-//! come last.
+//! Points are seen by frames near each other, so that a camera is coupled with those near it. The Cholesky
+//! factor of such a matrix has no entries before the first one of the matrix in the same row (George and
+//! Liu, *Computer Solution of Large Sparse Positive Definite Systems*, 1981, chapter 4): it needs the same
+//! room. Where each camera is coupled with a given number of others, memory and time grow linearly with the
+//! number of cameras. Unknowns that are coupled with all others belong in the last rows.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -124,7 +124,7 @@ impl Factor {
     }
 }
 
-/// The dot product, in eight sums: a compiler may not reorder a single one.
+/// The dot product, in eight partial sums, which can be vectorised; a single sum must keep its order.
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     const LANES: usize = 8;
     let (a, a_tail) = a.as_chunks::<LANES>();
