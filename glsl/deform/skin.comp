@@ -15,9 +15,11 @@ layout(std430, binding = 5) readonly buffer Evidence { float evidence[]; };
 layout(scalar, binding = 6) readonly buffer Nodes { vec3 nodes[]; };
 layout(std430, binding = 7) readonly buffer LogRadii { float log_radii[]; };
 layout(std430, binding = 8) readonly buffer Transforms { vec4 transforms[]; };
-layout(scalar, binding = 9) writeonly buffer MovedPositions { vec3 moved_positions[]; };
-layout(std430, binding = 10) writeonly buffer MovedRotations { vec4 moved_rotations[]; };
-layout(std430, binding = 11) writeonly buffer Rigidity { float rigidity[]; };
+layout(std430, binding = 9) readonly buffer OpacityLogits { float opacity_logits[]; };
+layout(scalar, binding = 10) writeonly buffer MovedPositions { vec3 moved_positions[]; };
+layout(std430, binding = 11) writeonly buffer MovedRotations { vec4 moved_rotations[]; };
+layout(std430, binding = 12) writeonly buffer MovedOpacityLogits { float moved_opacity_logits[]; };
+layout(std430, binding = 13) writeonly buffer Rigidity { float rigidity[]; };
 
 layout(push_constant) uniform Params {
     uint rows;
@@ -39,6 +41,7 @@ void main() {
     vec3 point = positions[j];
     vec4 q = rotations[j];
     float rigid = 0.0;
+    float fade = 0.0;
     Neighbour near[8];
     uint heaviest;
     if (load_neighbours(row, point, near, heaviest)) {
@@ -53,6 +56,10 @@ void main() {
             float side;
             unit_quaternion(soften(r, m, side), r, norm);
             rigid = (1.0 - evidence[j]) * dot(delta, delta);
+        } else {
+            for (uint s = 0u; s < K; s++) {
+                fade = s == heaviest ? near[s].fade : fade;
+            }
         }
         point += m * delta;
         vec4 u;
@@ -60,5 +67,7 @@ void main() {
     }
     moved_positions[j] = point;
     moved_rotations[j] = q;
+    // Interpolation overshoots, and what is not a number fades nothing.
+    moved_opacity_logits[j] = opacity_logits[j] + (fade < 0.0 ? fade : 0.0);
     rigidity[row] = rigid;
 }

@@ -15,6 +15,7 @@ struct Neighbour {
     float slope;        // d exponent / d ln radius, zero where it carries no gradient
     vec3 offset;        // the Gaussian's centre from the node
     vec3 moved;         // how far this node alone would move the centre
+    float fade;         // what it adds to the opacity's logit
     vec4 rotation;      // unit, in the hemisphere of the heaviest
 };
 
@@ -38,6 +39,7 @@ bool load_neighbours(uint row, vec3 point, out Neighbour near[8], out uint heavi
         near[s].slope = 0.0;
         near[s].offset = vec3(0.0);
         near[s].moved = vec3(0.0);
+        near[s].fade = 0.0;
         near[s].rotation = NO_ROTATION;
         exponents[s] = NEVER;
         inverse_squares[s] = 0.0;
@@ -54,8 +56,9 @@ bool load_neighbours(uint row, vec3 point, out Neighbour near[8], out uint heavi
             float norm;
             unit_quaternion(transforms[2u * (transforms_at + node) + 1u], near[s].rotation, norm);
             near[s].offset = offset;
-            near[s].moved = turn_offset(near[s].rotation, offset)
-                + transforms[2u * (transforms_at + node)].xyz;
+            vec4 shift = transforms[2u * (transforms_at + node)];
+            near[s].moved = turn_offset(near[s].rotation, offset) + shift.xyz;
+            near[s].fade = shift.w;
         }
         if (exponents[s] > largest) {
             largest = exponents[s];

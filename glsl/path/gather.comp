@@ -36,7 +36,7 @@ void main() {
             sum += weight * transform_gradients[time * 2u * node_count + column];
         }
     }
-    // The translation's padding carries nothing.
+    // When a control point is there is given, not learnt.
     sum.w = column % 2u == 0u ? 0.0 : sum.w;
     for (uint k = 0u; k < 4u; k++) {
         gradients[4u * i + k] = sum[k];

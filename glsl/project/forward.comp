@@ -25,16 +25,16 @@ layout(std430, binding = 12) writeonly buffer Rectangles { uvec2 rectangles[]; }
 layout(std430, binding = 13) writeonly buffer TileCounts { uint tile_counts[]; };
 layout(std430, binding = 14) writeonly buffer Visible { uint visible[]; };
 
-// What is kept as 16-bit floats, two to a word, the first in the low half: the spherical harmonics;
-// log scales and opacity logits; rotations.
+// What is kept as 16-bit floats, two to a word, the first in the low half.
 layout(constant_id = 0) const bool HALF_SH = false;
-layout(constant_id = 1) const bool HALF_SHAPES = false;
+layout(constant_id = 1) const bool HALF_SCALES = false;
 layout(constant_id = 2) const bool HALF_ROTATIONS = false;
+layout(constant_id = 3) const bool HALF_OPACITIES = false;
 // The bands of the spherical harmonics that are evaluated. Constants, since software devices walk
 // through the branches not taken, too.
-layout(constant_id = 3) const bool BAND1 = true;
-layout(constant_id = 4) const bool BAND2 = true;
-layout(constant_id = 5) const bool BAND3 = true;
+layout(constant_id = 4) const bool BAND1 = true;
+layout(constant_id = 5) const bool BAND2 = true;
+layout(constant_id = 6) const bool BAND3 = true;
 
 layout(push_constant) uniform Params {
     uint count;
@@ -63,7 +63,7 @@ layout(push_constant) uniform Params {
 #define SH_RGB(band, i) TRIPLE(HALF_SH, band, i)
 
 float opacity_logit_of(uint i) {
-    return HALF_SHAPES ? HALF_OF(opacity_logits[i >> 1], i) : uintBitsToFloat(opacity_logits[i]);
+    return HALF_OPACITIES ? HALF_OF(opacity_logits[i >> 1], i) : uintBitsToFloat(opacity_logits[i]);
 }
 
 // Two quaternions of halves share what one of floats takes.
@@ -117,7 +117,7 @@ vec3 colour_of(uint i, vec3 d, out float largest) {
 uint project(Camera c, uint i) {
     vec2 size = vec2(width, height);
     vec3 position = positions[i];
-    vec3 log_scale = TRIPLE(HALF_SHAPES, log_scales, i);
+    vec3 log_scale = TRIPLE(HALF_SCALES, log_scales, i);
     float logit = opacity_logit_of(i);
     vec4 unit;
     float ignored;

@@ -38,6 +38,7 @@ pub(super) fn cloud_at(scene: &Scene, time: f64) -> Cloud<f64> {
     let skinned = deform::forward(&deform::Skin {
         positions: &cloud.positions,
         rotations: &cloud.rotations,
+        opacity_logits: &cloud.opacity_logits,
         motion_logits: &unused,
         evidence: &unused,
         dynamic_ids: &ids,
@@ -49,6 +50,7 @@ pub(super) fn cloud_at(scene: &Scene, time: f64) -> Cloud<f64> {
         soft: false,
     });
     (cloud.positions, cloud.rotations) = (skinned.positions, skinned.rotations);
+    cloud.opacity_logits = skinned.opacity_logits;
     cloud
 }
 

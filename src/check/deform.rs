@@ -75,6 +75,7 @@ fn triple(values: &[f32], i: usize) -> [f32; 3] {
 struct Scene {
     positions: Vec<[f32; 3]>,
     rotations: Vec<[f32; 4]>,
+    opacity_logits: Vec<f32>,
     logits: Vec<f32>,
     evidence: Vec<f32>,
     ids: Vec<u32>,
@@ -97,6 +98,7 @@ struct Numbers<R> {
     neighbours: Vec<u32>,
     positions: Vec<[R; 3]>,
     rotations: Vec<[R; 4]>,
+    opacity_logits: Vec<R>,
     logits: Vec<R>,
     evidence: Vec<R>,
     nodes: Vec<[R; 3]>,
@@ -111,6 +113,7 @@ impl<R: Real> Numbers<R> {
         deform::Skin {
             positions: &self.positions,
             rotations: &self.rotations,
+            opacity_logits: &self.opacity_logits,
             motion_logits: &self.logits,
             evidence: &self.evidence,
             dynamic_ids: &scene.ids,
@@ -140,6 +143,7 @@ impl Scene {
         Scene {
             positions: (0..count).map(|_| random(h)).collect(),
             rotations: (0..count).map(|_| random(h)).collect(),
+            opacity_logits: (0..count).map(|_| 3.0 * random::<1>(h)[0]).collect(),
             logits: (0..count).map(|_| 3.0 * random::<1>(h)[0]).collect(),
             evidence: (0..count).map(|_| 0.5 + 0.5 * random::<1>(h)[0]).collect(),
             ids: (0..count as u32).filter(|i| i % 4 != 1).collect(),
@@ -174,6 +178,7 @@ impl Scene {
             neighbours: deform::nearest(&listed, &self.nodes, self.k),
             positions: rows(&self.positions),
             rotations: rows(&self.rotations),
+            opacity_logits: flat(&self.opacity_logits),
             logits: flat(&self.logits),
             evidence: flat(&self.evidence),
             nodes: rows(&self.nodes),
@@ -197,11 +202,12 @@ impl Scene {
     }
 
     /// What the device makes of it, in the order of [`run`](Self::run)'s comparisons.
-    fn device(&self, h: &mut Harness) -> Result<[Vec<f32>; 8]> {
+    fn device(&self, h: &mut Harness) -> Result<[Vec<f32>; 9]> {
         let (count, nodes) = (self.positions.len(), self.nodes.len());
         let device = h.device.clone();
         let positions = device.upload("positions", self.positions.as_flattened())?;
         let rotations = device.upload("rotations", &self.rotations)?;
+        let opacity_logits = device.upload("opacity logits", &self.opacity_logits)?;
         let logits = device.upload("motion logits", &self.logits)?;
         let evidence = device.upload("evidence", &self.evidence)?;
         let ids = device.upload("dynamic ids", &self.ids)?;
@@ -221,6 +227,7 @@ impl Scene {
 
         let mut moved = h.output::<f32>("moved positions", 3 * count)?;
         let mut turned = h.output::<[f32; 4]>("moved rotations", count)?;
+        let mut faded = h.output::<f32>("moved opacities", count)?;
         let mut rigidity = h.output::<f32>("rigidity", self.ids.len())?;
         let mut gradients = h.output::<f32>("position gradients", 3 * count)?;
         let mut rotation_gradients = h.output::<[f32; 4]>("rotation gradients", count)?;
@@ -235,6 +242,7 @@ impl Scene {
             dynamic_ids: ids.view(),
             positions: positions.view(),
             rotations: rotations.view(),
+            opacity_logits: opacity_logits.view(),
             nodes: node_buffer.view(),
             log_radii: log_radii.view(),
             transforms: transforms.view(),
@@ -249,6 +257,7 @@ impl Scene {
             Skinned {
                 positions: moved.view_mut(),
                 rotations: turned.view_mut(),
+                opacity_logits: faded.view_mut(),
                 rigidity: rigidity.view_mut(),
             },
         )?;
@@ -272,6 +281,7 @@ impl Scene {
         Ok([
             h.read(&moved)?,
             h.read(&turned)?.concat(),
+            h.read(&faded)?,
             h.read(&rigidity)?,
             h.read(&gradients)?,
             h.read(&rotation_gradients)?.concat(),
@@ -283,8 +293,18 @@ impl Scene {
 
     fn run(&self, h: &mut Harness, values: Bound, slopes: Bound) -> Result<()> {
         let nodes = self.nodes.len();
-        let [moved, turned, rigidity, by_position, by_rotation, by_logit, by_transform, by_radius] =
-            self.device(h)?;
+        let device = self.device(h)?;
+        let [
+            moved,
+            turned,
+            faded,
+            rigidity,
+            by_position,
+            by_rotation,
+            by_logit,
+            by_transform,
+            by_radius,
+        ] = device;
         let (truth, by_truth) = self.oracle::<f64>();
         let (twin, by_twin) = self.oracle::<f32>();
         let (t, w) = (truth.positions.as_flattened(), twin.positions.as_flattened());
@@ -293,6 +313,16 @@ impl Scene {
         let (t, w) = (truth.rotations.as_flattened(), twin.rotations.as_flattened());
         h.close("moved rotations", &turned, t, Some(w), values);
         h.holds("static rotations stay", self.statics_are(&turned, &self.rotations));
+        h.close(
+            "moved opacities",
+            &faded,
+            &truth.opacity_logits,
+            Some(&twin.opacity_logits),
+            values,
+        );
+        let given: Vec<[f32; 1]> = self.opacity_logits.iter().map(|&o| [o]).collect();
+        h.holds("static opacities stay", self.statics_are(&faded, &given));
+        h.holds("none becomes more opaque", faded.iter().zip(&given).all(|(now, o)| *now <= o[0]));
         h.close("rigidity", &rigidity, &truth.rigidity, Some(&twin.rigidity), values);
         h.holds("hard motion is not rigid", self.soft || rigidity.iter().all(|&r| r == 0.0));
 
@@ -450,8 +480,8 @@ fn still(h: &mut Harness) -> Result<()> {
 /// The same input twice gives the same bits, sums over thousands of Gaussians included.
 fn repeat(h: &mut Harness) -> Result<()> {
     let scene = Scene::new(h, 20_000, 7, 4, true);
-    let bits = |outputs: [Vec<f32>; 8]| outputs.map(|o| o.into_iter().map(f32::to_bits).collect());
-    let first: [Vec<u32>; 8] = bits(scene.device(h)?);
+    let bits = |outputs: [Vec<f32>; 9]| outputs.map(|o| o.into_iter().map(f32::to_bits).collect());
+    let first: [Vec<u32>; 9] = bits(scene.device(h)?);
     let second = bits(scene.device(h)?);
     for (first, second) in first.iter().zip(&second) {
         h.exact("bits of two runs", first, second);

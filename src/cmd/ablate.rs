@@ -31,6 +31,7 @@ Reconstructs the clip with everything, then with one component off at a time, po
   control-revision  no control points are added or removed in training
   blending          each Gaussian follows one control point
   arap              nothing keeps the control points' motion as rigid as possible
+  lifespans         what comes or goes is there in all frames
   aside             no pictures from aside in training
   movers-depth      the depth term leaves movers out
   depth             no depth term

@@ -25,7 +25,7 @@ pub enum Switch {
 use Switch::{Track, Train};
 
 /// All of them; those of training first, which share the full run's track.
-pub const COMPONENTS: [Component; 15] = [
+pub const COMPONENTS: [Component; 16] = [
     Component {
         name: "motion",
         without: "everything is static",
@@ -50,6 +50,11 @@ pub const COMPONENTS: [Component; 15] = [
         name: "arap",
         without: "nothing keeps the control points' motion as rigid as possible",
         switch: Train(|settings| settings.arap_weight = 0.0),
+    },
+    Component {
+        name: "lifespans",
+        without: "what comes or goes is there in all frames",
+        switch: Train(|settings| settings.lifespans = false),
     },
     Component {
         name: "aside",

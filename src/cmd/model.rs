@@ -5,7 +5,7 @@ use serde::Serialize;
 use splat4d::scene::Scene;
 use splat4d::track::{FocalSource, Track};
 use splat4d::train::SequenceSettings;
-use splat4d::types::Image;
+use splat4d::types::{ControlPoints, Image};
 
 use super::common::thousands;
 use super::info::dynamic_share;
@@ -178,7 +178,20 @@ fn motion(scene: &Scene, track: &Track, settings: &SequenceSettings) -> Vec<Choi
         }
         false => Choice::new("key times of a path", keys.to_string(), "one for each frame"),
     };
-    vec![motion, count, keys]
+    vec![motion, count, keys, lifespans(points)]
+}
+
+fn lifespans(points: &ControlPoints) -> Choice {
+    let fades = |point: usize| {
+        (0..points.keys()).any(|key| points.paths[key * points.len() + point][3] < 0.0)
+    };
+    let passing = (0..points.len()).filter(|point| fades(*point)).count();
+    let because = match passing {
+        0 => "all that moves is there in all frames",
+        _ => "what they move comes or goes during the clip",
+    };
+    let chosen = format!("of {passing} of {} control points", points.len());
+    Choice::new("lifespans", chosen, because)
 }
 
 /// A mover's depth of more confidence than this has a measured scale; see `Track::depth_confidence`.

@@ -91,10 +91,14 @@ kernel! {
         log_radii: Read<f32>,
         /// Their motions, two vectors each.
         transforms: Read<[f32; 4]>,
+        /// Canonical logits of the opacities.
+        opacity_logits: Read<f32>,
         /// Centres at the time.
         moved_positions: WriteThrees<f32>,
         /// Quaternions at the time.
         moved_rotations: Write<[f32; 4]>,
+        /// Logits of the opacities at the time.
+        moved_opacity_logits: Write<f32>,
         /// The rigidity term of each row.
         rigidity: Write<f32>,
     }

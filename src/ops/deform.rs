@@ -30,16 +30,20 @@ pub struct SkinArgs<'a> {
     pub positions: View<'a, f32>,
     /// Canonical quaternions (w, x, y, z) of all Gaussians, any norm.
     pub rotations: View<'a, [f32; 4]>,
+    /// Canonical logits of the opacities of all Gaussians.
+    pub opacity_logits: View<'a, f32>,
     /// Canonical positions of the control points, three values each.
     pub nodes: View<'a, f32>,
     /// Natural logarithms of their radii.
     pub log_radii: View<'a, f32>,
-    /// Their motions, time after time, two vectors each: translation and padding; rotation of any
-    /// norm. What [`Network::forward`](crate::ops::mlp::Network::forward) writes.
+    /// Their motions, time after time, two vectors each: translation, and what is added to the logit of
+    /// the opacity (0, or less where the control point is not there); rotation of any norm. What
+    /// [`path::evaluate`](crate::ops::path::evaluate) and
+    /// [`Network::forward`](crate::ops::mlp::Network::forward) write.
     pub transforms: View<'a, [f32; 4]>,
     /// Which of the times.
     pub time: usize,
-    /// `None`: every listed Gaussian moves fully.
+    /// `None`: every listed Gaussian moves fully. Else none fades.
     pub soft: Option<SoftMotion<'a>>,
 }
 
@@ -49,6 +53,9 @@ pub struct Skinned<'a> {
     pub positions: ViewMut<'a, f32>,
     /// Quaternions at the time, as long as the canonical ones.
     pub rotations: ViewMut<'a, [f32; 4]>,
+    /// Logits of the opacities at the time; of static Gaussians the same bits. The derivative by the
+    /// canonical ones is 1.
+    pub opacity_logits: ViewMut<'a, f32>,
     /// The rigidity term `(1 − m̂) ‖Δ‖²` of each listed Gaussian; zero unless soft.
     pub rigidity: ViewMut<'a, f32>,
 }
@@ -78,8 +85,8 @@ pub struct SkinGradients<'a> {
 /// use splat4d::ops::deform::{Skin, SkinArgs, Skinned};
 /// # fn skin(
 /// #     device: &Device, recorder: &mut Recorder, dynamic_ids: &Buffer<u32>, positions: &Buffer<f32>,
-/// #     rotations: &Buffer<[f32; 4]>, nodes: &Buffer<f32>, log_radii: &Buffer<f32>,
-/// #     transforms: &Buffer<[f32; 4]>,
+/// #     rotations: &Buffer<[f32; 4]>, opacity_logits: &Buffer<f32>, nodes: &Buffer<f32>,
+/// #     log_radii: &Buffer<f32>, transforms: &Buffer<[f32; 4]>,
 /// # ) -> splat4d::Result<()> {
 /// // Each dynamic Gaussian follows the 4 control points next to it.
 /// let mut skin = Skin::new(device, 4, dynamic_ids.len(), log_radii.len())?;
@@ -87,11 +94,13 @@ pub struct SkinGradients<'a> {
 ///
 /// let mut moved = device.buffer("moved positions", positions.len())?;
 /// let mut turned = device.buffer("moved rotations", rotations.len())?;
+/// let mut faded = device.buffer("faded opacities", opacity_logits.len())?;
 /// let mut rigidity = device.buffer("rigidity", dynamic_ids.len())?;
 /// let args = SkinArgs {
 ///     dynamic_ids: dynamic_ids.view(),
 ///     positions: positions.view(),
 ///     rotations: rotations.view(),
+///     opacity_logits: opacity_logits.view(),
 ///     nodes: nodes.view(),
 ///     log_radii: log_radii.view(),
 ///     transforms: transforms.view(),
@@ -101,6 +110,7 @@ pub struct SkinGradients<'a> {
 /// let out = Skinned {
 ///     positions: moved.view_mut(),
 ///     rotations: turned.view_mut(),
+///     opacity_logits: faded.view_mut(),
 ///     rigidity: rigidity.view_mut(),
 /// };
 /// skin.forward(recorder, args, out)?;
@@ -159,6 +169,7 @@ impl Skin {
         let (nodes, count) = (self.neighbours.node_count(), args.rotations.len());
         equal("dynamic_ids", self.neighbours.rows(), args.dynamic_ids.len())?;
         equal("positions", 3 * count, args.positions.len())?;
+        equal("opacity_logits", count, args.opacity_logits.len())?;
         equal("nodes", 3 * nodes, args.nodes.len())?;
         equal("log_radii", nodes, args.log_radii.len())?;
         if args.transforms.len() < 2 * nodes * (args.time + 1) {
@@ -173,7 +184,8 @@ impl Skin {
         Ok(())
     }
 
-    /// Records skinning: copies centres and quaternions, then moves the dynamic ones (`deform/skin`).
+    /// Records skinning: copies centres, quaternions and opacities, then moves the dynamic Gaussians
+    /// (`deform/skin`).
     ///
     /// # Errors
     /// [`Error::Shape`] where the lengths disagree with each other or with the last
@@ -187,9 +199,11 @@ impl Skin {
         self.check(&args)?;
         equal("moved positions", args.positions.len(), out.positions.len())?;
         equal("moved rotations", args.rotations.len(), out.rotations.len())?;
+        equal("moved opacities", args.opacity_logits.len(), out.opacity_logits.len())?;
         equal("rigidity", args.dynamic_ids.len(), out.rigidity.len())?;
         recorder.copy(args.positions, out.positions.reborrow());
         recorder.copy(args.rotations, out.rotations.reborrow());
+        recorder.copy(args.opacity_logits, out.opacity_logits.reborrow());
         let rows = self.neighbours.rows();
         // Bound, not read, where motion is not soft.
         let unused = args.log_radii;
@@ -211,8 +225,10 @@ impl Skin {
                 nodes: args.nodes,
                 log_radii: args.log_radii,
                 transforms: args.transforms,
+                opacity_logits: args.opacity_logits,
                 moved_positions: out.positions,
                 moved_rotations: out.rotations,
+                moved_opacity_logits: out.opacity_logits,
                 rigidity: out.rigidity,
             },
         )

@@ -30,8 +30,8 @@ pub struct GaussianBuffers {
     capacity: usize,
 }
 
-/// Gaussians as a dispatch reads them; deformed positions and rotations may stand in for a scene's
-/// own.
+/// Gaussians as a dispatch reads them; positions, rotations and opacities at a time may stand in for a
+/// scene's own.
 #[derive(Clone, Copy)]
 pub struct GaussianViews<'a> {
     /// Number of Gaussians.
@@ -50,10 +50,12 @@ pub struct GaussianViews<'a> {
     pub sh: [View<'a, f32>; 4],
     /// Whether `sh` holds 16-bit floats; see [`HalfHarmonics`](super::half::HalfHarmonics).
     pub half_sh: bool,
-    /// Whether `log_scales` and `opacity_logits` do; see [`HalfShapes`](super::half::HalfShapes).
-    pub half_shapes: bool,
+    /// Whether `log_scales` does; see [`HalfShapes`](super::half::HalfShapes).
+    pub half_scales: bool,
     /// Whether `rotations` does.
     pub half_rotations: bool,
+    /// Whether `opacity_logits` does.
+    pub half_opacities: bool,
 }
 
 impl GaussianBuffers {
@@ -269,16 +271,35 @@ impl GaussianBuffers {
             opacity_logits: self.opacity_logits.range(0..n),
             sh: [band(0), band(1), band(2), band(3)],
             half_sh: false,
-            half_shapes: false,
+            half_scales: false,
             half_rotations: false,
+            half_opacities: false,
         }
     }
 }
 
 impl<'a> GaussianViews<'a> {
-    /// The same Gaussians elsewhere: deformed positions and rotations.
-    pub fn moved(self, positions: View<'a, f32>, rotations: View<'a, [f32; 4]>) -> Self {
-        GaussianViews { positions, rotations, half_rotations: false, ..self }
+    /// The same Gaussians at a time: where they are then, and how opaque.
+    pub fn moved(
+        self,
+        positions: View<'a, f32>,
+        rotations: View<'a, [f32; 4]>,
+        opacity_logits: View<'a, f32>,
+    ) -> Self {
+        let (half_rotations, half_opacities) = (false, false);
+        GaussianViews {
+            positions,
+            rotations,
+            opacity_logits,
+            half_rotations,
+            half_opacities,
+            ..self
+        }
+    }
+
+    /// Whether anything is kept in 16 bits.
+    pub(super) fn is_half(&self) -> bool {
+        self.half_sh || self.half_scales || self.half_rotations || self.half_opacities
     }
 
     /// Evaluated at a lower degree.
@@ -302,9 +323,9 @@ impl<'a> GaussianViews<'a> {
             op,
             &[
                 ("positions", 3 * n, self.positions.len()),
-                ("log_scales", words(self.half_shapes, 3 * n), self.log_scales.len()),
+                ("log_scales", words(self.half_scales, 3 * n), self.log_scales.len()),
                 ("rotations", words(self.half_rotations, n), self.rotations.len()),
-                ("opacity_logits", words(self.half_shapes, n), self.opacity_logits.len()),
+                ("opacity_logits", words(self.half_opacities, n), self.opacity_logits.len()),
                 ("sh0", band(0), self.sh[0].len()),
                 ("sh1", band(1), self.sh[1].len()),
                 ("sh2", band(2), self.sh[2].len()),

@@ -123,8 +123,9 @@ impl HalfShapes {
             rotations: self.rotations.view(),
             opacity_logits: self.opacity_logits.view(),
             len: gaussians.len.min(self.len),
-            half_shapes: true,
+            half_scales: true,
             half_rotations: true,
+            half_opacities: true,
             ..gaussians
         }
     }

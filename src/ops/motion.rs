@@ -48,6 +48,7 @@ pub struct Motion {
     times: Buffer<f32>,
     positions: Buffer<f32>,
     rotations: Buffer<[f32; 4]>,
+    opacity_logits: Buffer<f32>,
     rigidity: Buffer<f32>,
 }
 
@@ -110,6 +111,7 @@ impl Motion {
             times: device.buffer("times", times)?,
             positions: device.buffer("moved positions", 3 * gaussians)?,
             rotations: device.buffer("moved rotations", gaussians)?,
+            opacity_logits: device.buffer("moved opacities", gaussians)?,
             rigidity: device.buffer("rigidity", gaussians)?,
         })
     }
@@ -129,6 +131,7 @@ impl Motion {
         self.dynamic = 0;
         self.positions = device.buffer("moved positions", 3 * gaussians)?;
         self.rotations = device.buffer("moved rotations", gaussians)?;
+        self.opacity_logits = device.buffer("moved opacities", gaussians)?;
         self.rigidity = device.buffer("rigidity", gaussians)?;
         Ok(())
     }
@@ -204,6 +207,7 @@ impl Motion {
             Skinned {
                 positions: self.positions.range_mut(0..3 * n),
                 rotations: self.rotations.range_mut(0..n),
+                opacity_logits: self.opacity_logits.range_mut(0..n),
                 rigidity: self.rigidity.range_mut(0..self.dynamic),
             },
         )
@@ -277,7 +281,11 @@ impl Motion {
     /// The Gaussians where the last [`forward`](Self::forward) put them.
     pub fn moved<'a>(&'a self, gaussians: GaussianViews<'a>) -> GaussianViews<'a> {
         let n = gaussians.len;
-        gaussians.moved(self.positions.range(0..3 * n), self.rotations.range(0..n))
+        gaussians.moved(
+            self.positions.range(0..3 * n),
+            self.rotations.range(0..n),
+            self.opacity_logits.range(0..n),
+        )
     }
 }
 
@@ -294,6 +302,7 @@ fn skin_args<'a>(
         dynamic_ids: dynamic_ids.range(0..dynamic),
         positions: gaussians.positions,
         rotations: gaussians.rotations,
+        opacity_logits: gaussians.opacity_logits,
         nodes: nodes.view(),
         log_radii: log_radii.view(),
         transforms: transforms.view(),

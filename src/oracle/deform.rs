@@ -7,12 +7,16 @@
 //! Δ  = Σ_k w_k (R_k(μ − p_k) + p_k + T_k) − μ
 //! μ' = μ + m Δ
 //! q' = r ⊗ q,   r = normalise(Σ_k w_k r_k), every r_k in the hemisphere of the heaviest one
+//! o' = o + min(f_h, 0),   h the heaviest one
 //! ```
 //!
-//! `m` is 1 (hard selection: the caller lists the dynamic Gaussians) or the sigmoid of the motion
+//! `o` is the logit of the opacity and `f_k` how far a control point has faded: 0 while it is there, and
+//! so low that nothing is seen of its followers while it is not. `f` is given and has no gradient; the
+//! one with respect to `o` passes as it is. `m` is 1 (hard selection: the caller lists the dynamic Gaussians) or the sigmoid of the motion
 //! logit (soft motion; the rotation is then blended towards none by `m`). The rigidity term is
 //! `Σ_j (1 − m̂_j) ‖Δ_j‖²` with `m̂` the image's evidence of motion, a constant; with hard selection
-//! `m̂ = 1` for every listed Gaussian, so that the term is zero.
+//! `m̂ = 1` for every listed Gaussian, so that the term is zero. While motion is soft nothing fades:
+//! whether a Gaussian moves is open.
 //!
 //! The derivative is the *detached* one: weights carry gradient to the radii only, never to μ or
 //! p, so `∂μ'/∂μ = I + m (Σ_k w_k R_k − I)`.
@@ -101,6 +105,8 @@ pub struct Skin<'a, R> {
     pub positions: &'a [[R; 3]],
     /// Their quaternions, any norm; one without a direction counts as no rotation.
     pub rotations: &'a [[R; 4]],
+    /// Logits of their opacities.
+    pub opacity_logits: &'a [R],
     /// Their motion logits; read only when `soft`.
     pub motion_logits: &'a [R],
     /// The evidence of motion `m̂` in [0, 1] of each Gaussian; read only when `soft`.
@@ -115,7 +121,8 @@ pub struct Skin<'a, R> {
     pub nodes: &'a [[R; 3]],
     /// Natural logarithms of their radii ρ.
     pub log_radii: &'a [R],
-    /// Their motions: translation (3), padding, rotation (w, x, y, z) of any norm.
+    /// Their motions: translation (3), what they add to the logit of the opacity, rotation (w, x, y, z)
+    /// of any norm.
     pub transforms: &'a [[R; 8]],
     /// Whether motion is weighted by the sigmoid of the motion logit.
     pub soft: bool,
@@ -128,6 +135,8 @@ pub struct Skinned<R> {
     pub positions: Vec<[R; 3]>,
     /// q' of every Gaussian; as long as q was.
     pub rotations: Vec<[R; 4]>,
+    /// o' of every Gaussian.
+    pub opacity_logits: Vec<R>,
     /// `(1 − m̂) ‖Δ‖²` for each entry of `dynamic_ids`; zero unless `soft`.
     pub rigidity: Vec<R>,
 }
@@ -141,7 +150,7 @@ pub struct SkinGradients<R> {
     pub rotations: Vec<[R; 4]>,
     /// By the motion logits; zero unless `soft`.
     pub motion_logits: Vec<R>,
-    /// By the control points' motions, laid out as these; zero in the padding.
+    /// By the control points' motions, laid out as these; zero for what they add to opacities.
     pub transforms: Vec<[R; 8]>,
     /// By the control points' log-radii.
     pub log_radii: Vec<R>,
@@ -151,6 +160,8 @@ pub struct SkinGradients<R> {
 struct Blend<R> {
     weights: Vec<R>,
     delta: [R; 3],
+    /// What is added to the logit of the opacity.
+    fade: R,
     /// Sum of the aligned rotations, before normalisation.
     sum: [R; 4],
     signs: Vec<R>,
@@ -179,6 +190,10 @@ fn blend<R: Real>(skin: &Skin<R>, point: [R; 3], neighbours: &[u32]) -> Blend<R>
     };
     let mut result = Blend {
         delta: [R::zero(); 3],
+        fade: match neighbours.get(heaviest) {
+            Some(&node) if node != NONE => skin.transforms[node as usize][3],
+            _ => R::zero(),
+        },
         sum: [R::zero(); 4],
         signs: vec![R::one(); neighbours.len()],
         heaviest_is_present: neighbours.first().is_some_and(|&node| node != NONE),
@@ -221,6 +236,7 @@ pub fn forward<R: Real>(skin: &Skin<R>) -> Skinned<R> {
     let mut out = Skinned {
         positions: skin.positions.to_vec(),
         rotations: skin.rotations.to_vec(),
+        opacity_logits: skin.opacity_logits.to_vec(),
         rigidity: vec![R::zero(); skin.dynamic_ids.len()],
     };
     for (row, &id) in skin.dynamic_ids.iter().enumerate() {
@@ -236,6 +252,8 @@ pub fn forward<R: Real>(skin: &Skin<R>) -> Skinned<R> {
             m = sigmoid(skin.motion_logits[j]);
             r = unit_or_identity(soften(r, m).1);
             out.rigidity[row] = (R::one() - skin.evidence[j]) * dot(blend.delta, blend.delta);
+        } else if blend.fade < R::zero() {
+            out.opacity_logits[j] += blend.fade;
         }
         out.positions[j] = add(skin.positions[j], scale(blend.delta, m));
         out.rotations[j] = match unit(skin.rotations[j]) {
@@ -365,6 +383,7 @@ mod tests {
     struct Scene {
         positions: Vec<[f64; 3]>,
         rotations: Vec<[f64; 4]>,
+        opacity_logits: Vec<f64>,
         logits: Vec<f64>,
         evidence: Vec<f64>,
         ids: Vec<u32>,
@@ -390,6 +409,7 @@ mod tests {
         let neighbours = nearest(&listed, &nodes, K);
         Scene {
             rotations: (0..12).map(|_| random(&mut rng)).collect(),
+            opacity_logits: (0..12).map(|_| 3.0 * random::<1>(&mut rng)[0]).collect(),
             logits: (0..12).map(|_| 3.0 * random::<1>(&mut rng)[0]).collect(),
             evidence: (0..12).map(|_| 0.5 + 0.5 * random::<1>(&mut rng)[0]).collect(),
             log_radii: (0..5).map(|_| -0.5 + 0.5 * random::<1>(&mut rng)[0]).collect(),
@@ -407,6 +427,7 @@ mod tests {
             Skin {
                 positions: &self.positions,
                 rotations: &self.rotations,
+                opacity_logits: &self.opacity_logits,
                 motion_logits: &self.logits,
                 evidence: &self.evidence,
                 dynamic_ids: &self.ids,
@@ -546,6 +567,33 @@ mod tests {
         let w = weights([1e15, 0.0, 0.0], &nodes, &[f32::NAN, f32::NAN], &[1, NONE]);
         assert_eq!(w, [1.0, 0.0]);
         assert_eq!(weights([f32::NAN; 3], &nodes, &[0.0; 2], &[NONE, NONE]), [0.0, 0.0]);
+    }
+
+    #[test]
+    fn what_follows_an_absent_control_point_is_not_seen() {
+        let mut s = scene(6, false);
+        let heaviest = |s: &Scene, row: usize| {
+            let near = &s.neighbours[row * K..(row + 1) * K];
+            let point = s.positions[s.ids[row] as usize];
+            let weights = weights(point, &s.nodes, &s.log_radii, near);
+            near[(0..K).max_by(|&a, &b| weights[a].total_cmp(&weights[b])).unwrap()] as usize
+        };
+        let gone = heaviest(&s, 0);
+        s.transforms.iter_mut().for_each(|t| t[3] = 0.4);
+        s.transforms[gone][3] = -20.0;
+        let out = forward(&s.skin());
+        let mut faded = 0;
+        for (row, &id) in s.ids.iter().enumerate() {
+            let (follows, j) = (heaviest(&s, row) == gone, id as usize);
+            faded += usize::from(follows);
+            let fade = if follows { -20.0 } else { 0.0 };
+            assert_eq!(out.opacity_logits[j], s.opacity_logits[j] + fade);
+        }
+        assert!(faded > 0 && faded < s.ids.len(), "{faded}");
+        // What is static stays, and so does all while it is open what moves.
+        assert_eq!(out.opacity_logits[1], s.opacity_logits[1]);
+        s.soft = true;
+        assert_eq!(forward(&s.skin()).opacity_logits, s.opacity_logits);
     }
 
     #[test]

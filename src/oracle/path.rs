@@ -29,7 +29,7 @@ pub fn keys<R: Real>(time: R, count: usize) -> [(usize, R); 4] {
 }
 
 /// The motions `[time][node]` of `nodes` control points by their paths `[key][node]`: translation,
-/// padding, rotation, of which the path holds the offset from `[1, 0, 0, 0]`.
+/// what is added to opacity logits, rotation, of which the path holds the offset from `[1, 0, 0, 0]`.
 pub fn evaluate<R: Real>(paths: &[[R; 8]], nodes: usize, times: &[R]) -> Vec<[R; 8]> {
     let mut out = Vec::with_capacity(nodes * times.len());
     for &time in times {
@@ -46,7 +46,7 @@ pub fn evaluate<R: Real>(paths: &[[R; 8]], nodes: usize, times: &[R]) -> Vec<[R;
 }
 
 /// The gradient with respect to the paths, for a loss whose gradient with respect to the motions is
-/// given; none for the padding of the translation.
+/// given; none for what is added to opacity logits, which is given.
 pub fn gather<R: Real>(
     gradients: &[[R; 8]],
     nodes: usize,

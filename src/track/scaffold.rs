@@ -15,7 +15,10 @@
 //! whose place there is known already.
 
 mod build;
+mod life;
 mod step;
+
+use std::ops::Range;
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use rayon::prelude::*;
@@ -64,6 +67,8 @@ pub struct Node {
     pub world_from_node: Vec<Pose>,
     /// The distance to its neighbours, about, in the world's unit.
     pub spacing: f64,
+    /// The frames in which it is there: not before its object comes, nor after it is gone.
+    pub alive: Range<usize>,
 }
 
 /// What is known of the movers' surfaces.
@@ -406,6 +411,26 @@ mod tests {
         // On an object of which no node is known it goes with the others.
         assert!(found.carry(7, point, 1, 5).is_some());
         assert!(Scaffold::default().carry(1, point, 0, 0).is_none());
+    }
+
+    #[test]
+    fn what_comes_and_goes_is_there_only_in_between() {
+        // It comes in the third frame, is hidden in the fourth, and is seen last in the fifth.
+        let came = clip(|x, y| block(x, y).then_some(0), |_| [3, 0], |f, _| ![2, 4].contains(&f));
+        let found = scaffold(&came);
+        assert!(found.nodes.len() > 60, "{}", found.nodes.len());
+        for node in &found.nodes {
+            assert_eq!(node.alive, 2..5);
+        }
+        // It leaves through the picture's border: where the picture ends it may still be.
+        let mut left = clip(|x, y| block(x, y).then_some(0), |_| [22, 0], |_, _| false);
+        let seen = (0..FRAMES).rev().find(|f| left.masks[*f].pixels.iter().any(|m| *m > 0.5));
+        let end = seen.unwrap() + 1;
+        assert!(end < FRAMES, "it leaves before the end");
+        left.movers[0].world_from_object.truncate(end);
+        for node in scaffold(&left).nodes {
+            assert!(node.alive.start == 0 && node.alive.end > end, "{:?}", node.alive);
+        }
     }
 
     #[test]

@@ -153,9 +153,8 @@ fn nodes(
 ) -> Option<Vec<Node>> {
     let frames = shadows.len();
     let on: Vec<&Node> = scaffold.nodes.iter().filter(|node| node.owner == caster).collect();
-    if on.is_empty() {
-        return None;
-    }
+    let first = on.iter().map(|node| node.alive.start).min()?;
+    let alive = first..on.iter().map(|node| node.alive.end).max()?;
     let middle = |frame: usize| {
         let sum: DVec3 = on.iter().map(|node| node.world_from_node[frame].translation).sum();
         sum / on.len() as f64
@@ -203,6 +202,7 @@ fn nodes(
             .map(|step| Pose { rotation: DQuat::IDENTITY, translation: place + *step })
             .collect(),
         spacing,
+        alive: alive.clone(),
     };
     Some(places.into_iter().map(node).collect())
 }
@@ -300,8 +300,12 @@ mod tests {
             movers: &movers,
         };
         let pose = |f| Pose { rotation: DQuat::IDENTITY, translation: DVec3::Z * 3.0 + step(f) };
-        let node =
-            Node { owner: 1, world_from_node: (0..FRAMES).map(pose).collect(), spacing: 0.1 };
+        let node = Node {
+            owner: 1,
+            world_from_node: (0..FRAMES).map(pose).collect(),
+            spacing: 0.1,
+            alive: 0..FRAMES,
+        };
         let frames = vec![picture(|p| if shadow(p) { 0.3 } else { 0.5 }); FRAMES];
         let plates = vec![plate(); FRAMES];
         let mut scaffold = Scaffold { canonical: 2, nodes: vec![node] };

@@ -68,6 +68,8 @@ pub struct SequenceSettings {
     /// Weight of the depth of movers' pixels in the depth term, in which static ones have at most 1; 0
     /// leaves it to the pictures how far movers are.
     pub movers_depth: f32,
+    /// Whether control points are there only in the frames in which what they move is; else always.
+    pub lifespans: bool,
     /// Pictures from aside to train on as well, drawn from the frames by their depth, per frame.
     pub aside: f64,
     /// Clips whose movers cover less of the pixels than this are static.
@@ -143,6 +145,7 @@ impl Default for SequenceSettings {
             grow: true,
             depth_scale: 0.1,
             movers_depth: 1.0,
+            lifespans: true,
             aside: 0.3,
             least_dynamic_share: 0.002,
             seed: 0,
@@ -463,8 +466,14 @@ fn control_points(sequence: Sequence<'_>, settings: &SequenceSettings) -> Result
     let count = count.min(canonical.len());
     let (mut points, chosen) = spread(&canonical, count, settings.seed)?;
     let keys = settings.keys(sequence.frames.len());
-    let paths: Vec<Vec<[f32; 8]>> =
-        chosen.iter().map(|&k| path(&scaffold.nodes[k], scaffold.canonical, keys)).collect();
+    let path = |&k: &usize| {
+        let mut node = scaffold.nodes[k].clone();
+        if !settings.lifespans {
+            node.alive = 0..sequence.frames.len();
+        }
+        path(&node, scaffold.canonical, keys)
+    };
+    let paths: Vec<Vec<[f32; 8]>> = chosen.iter().map(path).collect();
     points.paths = (0..keys).flat_map(|key| paths.iter().map(move |path| path[key])).collect();
     Ok(points)
 }

@@ -16,13 +16,17 @@ pub struct ControlPoints {
     /// Natural logarithms of the radius ρ of the Gaussian kernel `exp(−d²/2ρ²)`.
     pub log_radii: Vec<f32>,
     /// Their paths: motions at evenly spaced times, the first at 0 and the last at 1, key after key and
-    /// in each as many as there are points: translation (3), a zero, and the rotation's offset δ (4)
-    /// from `[1, 0, 0, 0]`. Between keys they are interpolated by Catmull and Rom's cubic. Empty
-    /// where the network moves them.
+    /// in each as many as there are points: translation (3), what is added to the logits of its
+    /// followers' opacities (0 while the point is there, [`ABSENT`](Self::ABSENT) while it is not), and
+    /// the rotation's offset δ (4) from `[1, 0, 0, 0]`. Between keys they are interpolated by Catmull
+    /// and Rom's cubic; more than 0 counts as 0. Empty where the network moves them.
     pub paths: Vec<[f32; 8]>,
 }
 
 impl ControlPoints {
+    /// Added to the logit of any opacity it leaves nothing to be seen.
+    pub const ABSENT: f32 = -20.0;
+
     /// That every number is in its range; see [`range`].
     ///
     /// # Errors

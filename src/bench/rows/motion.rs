@@ -50,6 +50,7 @@ pub(super) fn entries(quick: bool) -> Vec<Entry> {
 struct Scene {
     positions: Vec<[f32; 3]>,
     rotations: Vec<[f32; 4]>,
+    opacity_logits: Vec<f32>,
     nodes: Vec<[f32; 3]>,
     log_radii: Vec<f32>,
     transforms: Vec<[f32; 8]>,
@@ -58,6 +59,7 @@ struct Scene {
     rotation_buffer: Buffer<[f32; 4]>,
     node_buffer: Buffer<f32>,
     radius_buffer: Buffer<f32>,
+    opacity_buffer: Buffer<f32>,
     transform_buffer: Buffer<[f32; 4]>,
 }
 
@@ -79,11 +81,13 @@ impl Scene {
             ids: device.upload("dynamic ids", &(0..n as u32).collect::<Vec<_>>())?,
             position_buffer: device.upload("positions", gaussians.positions.as_flattened())?,
             rotation_buffer: device.upload("rotations", &gaussians.rotations)?,
+            opacity_buffer: device.upload("opacity logits", &gaussians.opacity_logits)?,
             node_buffer: device.upload("nodes", points.positions.as_flattened())?,
             radius_buffer: device.upload("log radii", &points.log_radii)?,
             transform_buffer: device.upload("transforms", &halves)?,
             positions: gaussians.positions,
             rotations: gaussians.rotations,
+            opacity_logits: gaussians.opacity_logits,
             nodes: points.positions,
             log_radii: points.log_radii,
             transforms,
@@ -95,6 +99,7 @@ impl Scene {
             dynamic_ids: self.ids.view(),
             positions: self.position_buffer.view(),
             rotations: self.rotation_buffer.view(),
+            opacity_logits: self.opacity_buffer.view(),
             nodes: self.node_buffer.view(),
             log_radii: self.radius_buffer.view(),
             transforms: self.transform_buffer.view(),
@@ -137,6 +142,7 @@ fn skin(device: &Device, seed: u64, n: usize, backward: bool) -> Result<Job> {
     let mut op = Skin::new(device, FOLLOWED, n, NODES)?;
     let mut moved = device.buffer::<f32>("moved positions", 3 * n)?;
     let mut turned = device.buffer::<[f32; 4]>("moved rotations", n)?;
+    let mut faded = device.buffer::<f32>("moved opacities", n)?;
     let mut rigidity = device.buffer::<f32>("rigidity", n)?;
     let mut position_gradients = device.upload("position gradients", &by_position)?;
     let mut rotation_gradients = device.upload("rotation gradients", &by_rotation)?;
@@ -148,6 +154,7 @@ fn skin(device: &Device, seed: u64, n: usize, backward: bool) -> Result<Job> {
             Skinned {
                 positions: moved.view_mut(),
                 rotations: turned.view_mut(),
+                opacity_logits: faded.view_mut(),
                 rigidity: rigidity.view_mut(),
             }
         };
@@ -178,12 +185,14 @@ fn skin(device: &Device, seed: u64, n: usize, backward: bool) -> Result<Job> {
     }
     let (positions, rotations) = (wide(&scene.positions), wide(&scene.rotations));
     let (nodes, transforms) = (wide(&scene.nodes), wide(&scene.transforms));
-    let log_radii: Vec<f64> = scene.log_radii.iter().map(|&r| f64::from(r)).collect();
+    let flat = |values: &[f32]| -> Vec<f64> { values.iter().map(|&v| f64::from(v)).collect() };
+    let (log_radii, opacity_logits) = (flat(&scene.log_radii), flat(&scene.opacity_logits));
     let neighbours = deform::nearest(&scene.positions, &scene.nodes, FOLLOWED);
     let (zeros, ids) = (vec![0.0f64; n], (0..n as u32).collect::<Vec<_>>());
     let truth = deform::Skin {
         positions: &positions,
         rotations: &rotations,
+        opacity_logits: &opacity_logits,
         motion_logits: &zeros,
         evidence: &zeros,
         dynamic_ids: &ids,
@@ -217,11 +226,14 @@ fn skin(device: &Device, seed: u64, n: usize, backward: bool) -> Result<Job> {
         check.close("moved positions", &got, exact.positions.as_flattened(), bound);
         let got = stream.download(&turned)?.into_flattened();
         check.close("moved rotations", &got, exact.rotations.as_flattened(), bound);
+        let got = stream.download(&faded)?;
+        check.close("moved opacities", &got, &exact.opacity_logits, bound);
     }
     let n = n as u64;
     let followed = n * FOLLOWED as u64;
-    // Positions and quaternions in and out, the lists; a turn, a shift and a weight per neighbour.
-    let mut work = Work { bytes: n * (28 + 28 + 28) + followed * 4, operations: followed * 90 };
+    // Positions, quaternions and opacities in and out, the lists; a turn, a shift and a weight per
+    // neighbour.
+    let mut work = Work { bytes: n * (32 + 32 + 28) + followed * 4, operations: followed * 90 };
     if backward {
         // Contributions of each neighbour are written and gathered.
         work = Work { bytes: n * 112 + followed * (4 + 64 + 4), operations: followed * 260 };

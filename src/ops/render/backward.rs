@@ -100,7 +100,7 @@ impl Render {
         with_pose: bool,
     ) -> Result<()> {
         gaussians.check("render backward")?;
-        if gaussians.half_sh || gaussians.half_shapes || gaussians.half_rotations {
+        if gaussians.is_half() {
             let what = "gradients need every attribute in f32; 16 bits are for rendering";
             return Err(Error::Input(what.into()));
         }

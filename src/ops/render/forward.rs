@@ -128,9 +128,10 @@ impl Render {
         recorder.update(s.camera.view_mut(), &device_camera(camera))?;
         let groups = Groups::linear(gaussians.len, 64, recorder.device().limits())?;
         let [band1, band2, band3] = gaussians.bands();
-        let GaussianViews { half_sh, half_shapes, half_rotations, .. } = gaussians;
+        let GaussianViews { half_sh, half_scales, half_rotations, half_opacities, .. } = gaussians;
         recorder.dispatch_specialised::<project::Forward>(
-            &[half_sh, half_shapes, half_rotations, band1, band2, band3].map(u32::from),
+            &[half_sh, half_scales, half_rotations, half_opacities, band1, band2, band3]
+                .map(u32::from),
             groups,
             project::ForwardParams {
                 count: gaussians.len as u32,

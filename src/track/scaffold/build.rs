@@ -3,11 +3,12 @@
 use glam::{DQuat, DVec2, DVec3};
 use rayon::prelude::*;
 
+use super::life;
 use super::step::{Bound, Match, Step, followed};
 use super::{
     ALWAYS, CONFIDENCE, EDGES, LEAST_MATCHES, Node, PLENTY, REACH, Scaffold, Surfaces, area,
 };
-use crate::track::quantile;
+use crate::track::{Mover, quantile};
 use crate::types::{Image, Pose};
 
 /// Nodes in the frame that the scaffold begins in, about.
@@ -69,8 +70,9 @@ pub(in crate::track) fn build(surfaces: &Surfaces<'_>) -> Scaffold {
         return Scaffold { canonical, nodes: Vec::new() };
     }
     let spacing = (most as f64 / NODES).sqrt().max(2.0);
-    let steps: Vec<Vec<Pose>> =
+    let mut steps: Vec<Vec<Pose>> =
         (0..frames - 1).into_par_iter().map(|frame| surfaces.object_steps(frame)).collect();
+    surfaces.movers.iter().enumerate().for_each(|(i, object)| go_on(&mut steps, i + 1, object));
     let objects = surfaces.movers.len() + 1;
     let mut builder = Builder {
         surfaces,
@@ -90,9 +92,27 @@ pub(in crate::track) fn build(surfaces: &Surfaces<'_>) -> Scaffold {
     }
     let nodes = builder.nodes.into_iter().filter_map(|node| {
         let world_from_node: Option<Vec<Pose>> = node.poses.into_iter().collect();
-        Some(Node { owner: node.owner, spacing: node.spacing, world_from_node: world_from_node? })
+        Some(Node {
+            owner: node.owner,
+            spacing: node.spacing,
+            world_from_node: world_from_node?,
+            alive: 0..frames,
+        })
     });
-    Scaffold { canonical, nodes: nodes.collect() }
+    let mut nodes: Vec<Node> = nodes.collect();
+    life::find(surfaces, &mut nodes);
+    Scaffold { canonical, nodes }
+}
+
+/// Before an object is first seen and after it is last seen it goes on as it did then.
+fn go_on(steps: &mut [Vec<Pose>], owner: usize, object: &Mover) {
+    let (first, end) = (object.first, object.first + object.world_from_object.len());
+    if end < first + 2 {
+        return;
+    }
+    let (earliest, last) = (steps[first][owner], steps[end - 2][owner]);
+    steps[..first].iter_mut().for_each(|step| step[owner] = earliest);
+    steps[end - 1..].iter_mut().for_each(|step| step[owner] = last);
 }
 
 /// Whether what an object's own motion leaves of its steps is hardly more than what the nodes' motions
