@@ -257,6 +257,7 @@ fn gradients_reach(start: &MotionStart) {
         let skinned = deform::forward(&deform::Skin {
             positions: &cloud.positions,
             rotations: &cloud.rotations,
+            opacity_logits: &cloud.opacity_logits,
             motion_logits: &[],
             evidence: &[],
             dynamic_ids: &dynamic,
@@ -269,11 +270,14 @@ fn gradients_reach(start: &MotionStart) {
         });
         let mut moved = cloud.clone();
         (moved.positions, moved.rotations) = (skinned.positions, skinned.rotations);
+        moved.opacity_logits = skinned.opacity_logits;
         moved.opacity_logits[2] += opacity;
         exact(&moved, &camera)
     };
     let mut pairs = Pairs::default();
-    for i in (0..parameters.len()).step_by(13) {
+    // When a control point on a path is there is given: it has no gradient.
+    let is_given = |i: &usize| start.network.is_none() && i % 8 == 3;
+    for i in (0..parameters.len()).step_by(13).filter(|i| !is_given(i)) {
         pairs.add(format!("parameter {i}"), model[i], |h| {
             let mut changed = parameters.clone();
             changed[i] += h;

@@ -56,10 +56,9 @@ void main() {
             float side;
             unit_quaternion(soften(r, m, side), r, norm);
             rigid = (1.0 - evidence[j]) * dot(delta, delta);
-        } else {
-            for (uint s = 0u; s < K; s++) {
-                fade = s == heaviest ? near[s].fade : fade;
-            }
+        }
+        for (uint s = 0u; s < K; s++) {
+            fade = s == heaviest ? m * near[s].fade : fade;
         }
         point += m * delta;
         vec4 u;

@@ -43,7 +43,7 @@ pub struct SkinArgs<'a> {
     pub transforms: View<'a, [f32; 4]>,
     /// Which of the times.
     pub time: usize,
-    /// `None`: every listed Gaussian moves fully. Else none fades.
+    /// `None`: every listed Gaussian moves fully.
     pub soft: Option<SoftMotion<'a>>,
 }
 

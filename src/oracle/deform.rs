@@ -7,16 +7,15 @@
 //! Δ  = Σ_k w_k (R_k(μ − p_k) + p_k + T_k) − μ
 //! μ' = μ + m Δ
 //! q' = r ⊗ q,   r = normalise(Σ_k w_k r_k), every r_k in the hemisphere of the heaviest one
-//! o' = o + min(f_h, 0),   h the heaviest one
+//! o' = o + m min(f_h, 0),   h the heaviest one
 //! ```
 //!
 //! `o` is the logit of the opacity and `f_k` how far a control point has faded: 0 while it is there, and
-//! so low that nothing is seen of its followers while it is not. `f` is given and has no gradient; the
-//! one with respect to `o` passes as it is. `m` is 1 (hard selection: the caller lists the dynamic Gaussians) or the sigmoid of the motion
+//! so low that nothing is seen of its followers while it is not. `f` is given and has no gradient, nor
+//! does `m` get one by it; the one with respect to `o` passes as it is. `m` is 1 (hard selection: the caller lists the dynamic Gaussians) or the sigmoid of the motion
 //! logit (soft motion; the rotation is then blended towards none by `m`). The rigidity term is
 //! `Σ_j (1 − m̂_j) ‖Δ_j‖²` with `m̂` the image's evidence of motion, a constant; with hard selection
-//! `m̂ = 1` for every listed Gaussian, so that the term is zero. While motion is soft nothing fades:
-//! whether a Gaussian moves is open.
+//! `m̂ = 1` for every listed Gaussian, so that the term is zero.
 //!
 //! The derivative is the *detached* one: weights carry gradient to the radii only, never to μ or
 //! p, so `∂μ'/∂μ = I + m (Σ_k w_k R_k − I)`.
@@ -252,8 +251,9 @@ pub fn forward<R: Real>(skin: &Skin<R>) -> Skinned<R> {
             m = sigmoid(skin.motion_logits[j]);
             r = unit_or_identity(soften(r, m).1);
             out.rigidity[row] = (R::one() - skin.evidence[j]) * dot(blend.delta, blend.delta);
-        } else if blend.fade < R::zero() {
-            out.opacity_logits[j] += blend.fade;
+        }
+        if blend.fade < R::zero() {
+            out.opacity_logits[j] += m * blend.fade;
         }
         out.positions[j] = add(skin.positions[j], scale(blend.delta, m));
         out.rotations[j] = match unit(skin.rotations[j]) {
@@ -590,10 +590,12 @@ mod tests {
             assert_eq!(out.opacity_logits[j], s.opacity_logits[j] + fade);
         }
         assert!(faded > 0 && faded < s.ids.len(), "{faded}");
-        // What is static stays, and so does all while it is open what moves.
+        // What is static stays; while it is open what moves, each fades as far as it moves.
         assert_eq!(out.opacity_logits[1], s.opacity_logits[1]);
         s.soft = true;
-        assert_eq!(forward(&s.skin()).opacity_logits, s.opacity_logits);
+        let j = s.ids[0] as usize;
+        let fade = forward(&s.skin()).opacity_logits[j] - s.opacity_logits[j];
+        assert!((fade + 20.0 * sigmoid(s.logits[j])).abs() < 1e-12, "{fade}");
     }
 
     #[test]
