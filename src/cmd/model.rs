@@ -229,7 +229,7 @@ fn gaussians(scene: &Scene, settings: &SequenceSettings) -> Choice {
 
 fn aside(frames: usize, settings: &SequenceSettings) -> Choice {
     let pictures = settings.pictures_aside(frames);
-    let because = format!("{:.1} for each frame", pictures as f64 / frames.max(1) as f64);
+    let because = format!("{} for each frame", settings.aside);
     Choice::new("pictures from aside", pictures.to_string(), because)
 }
 

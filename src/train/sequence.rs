@@ -70,8 +70,7 @@ pub struct SequenceSettings {
     pub movers_depth: f32,
     /// Whether control points are there only in the frames in which what they move is; else always.
     pub lifespans: bool,
-    /// Pictures from aside to train on as well, drawn from the frames by their depth, per frame; a training of
-    /// more than 550 steps takes more of them, with the root of its steps.
+    /// Pictures from aside to train on as well, drawn from the frames by their depth, per frame.
     pub aside: f64,
     /// Clips whose movers cover less of the pixels than this are static.
     pub least_dynamic_share: f64,
@@ -85,9 +84,6 @@ const SHADOWS: usize = 40;
 const MARGIN: usize = 2;
 /// Training steps for every key time of the control points' paths.
 const VISITS: usize = 20;
-/// A longer training than this sees more pictures from aside: what it sees as often it learns by heart, with
-/// Gaussians that stretch along the line of sight where no picture shows it.
-const ASIDE_STEPS: f64 = 550.0;
 /// With fewer key times than this a short training would not follow a clip's motion at all.
 const LEAST_KEYS: usize = 32;
 
@@ -119,8 +115,7 @@ impl SequenceSettings {
 
     /// How many pictures from aside so many frames give.
     pub fn pictures_aside(&self, frames: usize) -> usize {
-        let longer = (f64::from(self.steps) / ASIDE_STEPS).max(1.0).sqrt();
-        (frames as f64 * self.aside.max(0.0) * longer) as usize
+        (frames as f64 * self.aside.max(0.0)) as usize
     }
 
     /// The same with so many steps of all together; those before go in proportion.
