@@ -466,14 +466,11 @@ fn control_points(sequence: Sequence<'_>, settings: &SequenceSettings) -> Result
     let count = count.min(canonical.len());
     let (mut points, chosen) = spread(&canonical, count, settings.seed)?;
     let keys = settings.keys(sequence.frames.len());
-    let path = |&k: &usize| {
-        let mut node = scaffold.nodes[k].clone();
-        if !settings.lifespans {
-            node.alive = 0..sequence.frames.len();
-        }
-        path(&node, scaffold.canonical, keys)
-    };
-    let paths: Vec<Vec<[f32; 8]>> = chosen.iter().map(path).collect();
+    let mut paths: Vec<Vec<[f32; 8]>> =
+        chosen.iter().map(|&k| path(&scaffold.nodes[k], scaffold.canonical, keys)).collect();
+    if !settings.lifespans {
+        paths.iter_mut().flatten().for_each(|motion| motion[3] = 0.0);
+    }
     points.paths = (0..keys).flat_map(|key| paths.iter().map(move |path| path[key])).collect();
     Ok(points)
 }

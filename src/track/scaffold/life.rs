@@ -4,6 +4,9 @@
 //! between, or that a mask misses it, changes nothing. Before and after, it is not where it was seen last:
 //! where the picture shows that place, it would show the object. Only a node whose place the picture does
 //! not show can still be there, and is for some frames: a camera elsewhere sees an object leave later.
+//!
+//! A node that is on no known object is judged by itself: by the frames whose masks, around its place, show
+//! something that moves and belongs to no object.
 
 use std::ops::Range;
 
