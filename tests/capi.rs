@@ -117,7 +117,7 @@ fn expected(name: &str, size: Size) -> [String; 4] {
     }
     write("target.f32", &[&image.pixels]);
     let (weights, disparity, mask) = (None, None, None);
-    let view = TrainingView { camera, time: 0.0, image, weights, disparity, mask };
+    let view = TrainingView { camera, time: 0.0, image, weights, disparity, mask, every: 1 };
     let mut trainer = Trainer::new(&device, &[view], &start, None, settings.clone()).unwrap();
     (0..5).for_each(|_| trainer.step().unwrap());
     write("trained.f32", &floats(&trainer.gaussians().unwrap()));

@@ -342,6 +342,7 @@ fn steps_from_outside_are_the_trainers_own() {
         weights: None,
         disparity: None,
         mask: None,
+        every: 1,
     };
     let mut own = Trainer::new(&device, &[view], &scene, None, settings.clone()).unwrap();
     let mut outside = Trainer::without_pictures(&device, &scene, None, 1.0, settings).unwrap();

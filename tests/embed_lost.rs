@@ -259,6 +259,7 @@ fn a_trainer_says_so_from_then_on() {
         weights: None,
         disparity: None,
         mask: None,
+        every: 1,
     };
     let start = gaussians(50);
     let mut trainer = Trainer::new(&device, &[view], &start, None, settings.clone()).unwrap();

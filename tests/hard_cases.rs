@@ -180,6 +180,7 @@ fn posed_pictures_have_any_unit() {
             weights: None,
             disparity: None,
             mask: None,
+            every: 1,
         };
         let mut views: Vec<TrainingView> = (0..FRAMES).map(view).collect();
         let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();

@@ -60,6 +60,7 @@ fn views(count: usize, width: u32, height: u32, known: bool) -> Vec<TrainingView
         weights: None,
         disparity: known.then(|| Image::new(width, height, 2)),
         mask: known.then(|| Image::new(width, height, 1)),
+        every: 1,
     };
     vec![view; count]
 }
@@ -345,6 +346,8 @@ fn whole_runs_are_foreseen_at_their_largest() {
     // A photograph, disparity and mask: 4, 8 and 4 bytes a pixel. A key time of the paths: parameters,
     // gradients and two moments, at a revision those of the next ones too, and what is read back.
     let key = 9 * 32 * sequence.control_points as u64;
-    // Three of ten frames have a picture from aside, which has no mask.
-    assert_eq!(of(30) - of(20), 10 * (16 * 64 * 48 + key) + 3 * 12 * 64 * 48);
+    // Pictures from aside, which have no mask: twelve for ten frames, of which three are in a round.
+    assert_eq!(of(30) - of(20), 10 * (16 * 64 * 48 + key) + 12 * 12 * 64 * 48);
+    // Of a long clip all are in every round.
+    assert_eq!(of(210) - of(200), 10 * (16 * 64 * 48 + key) + 3 * 12 * 64 * 48);
 }

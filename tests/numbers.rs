@@ -812,6 +812,7 @@ fn renderer_and_trainer_refuse_wild_numbers() {
         weights: None,
         disparity: None,
         mask: None,
+        every: 1,
     };
     let train = |views: &[TrainingView], gaussians: &Gaussians| {
         Trainer::new(&device, views, gaussians, None, TrainSettings::of_steps(5)).map(drop)

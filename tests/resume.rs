@@ -78,6 +78,7 @@ fn posed(clip: &synth::Clip) -> Vec<TrainingView> {
             weights: None,
             disparity: None,
             mask: None,
+            every: 1,
         })
         .collect()
 }

@@ -31,6 +31,7 @@ fn views(dataset: &Dataset, indices: &[usize], size: Resize) -> Vec<TrainingView
             weights: view.valid,
             disparity: None,
             mask: None,
+            every: 1,
         })
         .collect()
 }
@@ -112,6 +113,7 @@ fn half_known_room() -> (Vec<TrainingView>, Vec<Point>) {
         weights: None,
         disparity: None,
         mask: None,
+        every: 1,
     });
     (views.collect(), points)
 }

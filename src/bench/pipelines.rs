@@ -140,6 +140,7 @@ pub(super) fn step(
         weights: None,
         disparity: None,
         mask: None,
+        every: 1,
     }];
     let settings = TrainSettings {
         steps: u32::MAX,

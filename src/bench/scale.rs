@@ -352,7 +352,15 @@ impl Plan {
         let mut image = Image::new(sizes.width, sizes.height, 3);
         image.pixels.iter_mut().for_each(|v| *v = f32::from(rng.random::<u8>()) / 255.0);
         let time = 0.25;
-        let view = TrainingView { camera, time, image, weights: None, disparity: None, mask: None };
+        let view = TrainingView {
+            camera,
+            time,
+            image,
+            weights: None,
+            disparity: None,
+            mask: None,
+            every: 1,
+        };
         let views = vec![view; sizes.frames];
         let settings = self.settings();
         let mut trainer = Trainer::new(device, &views, &gaussians, start.as_ref(), settings)?;

@@ -481,7 +481,15 @@ unsafe fn views_of(at: *const splat4d_view, count: usize) -> Outcome<Vec<Trainin
                     false => Some(image("views.weights", view.weights, 1)?),
                 };
                 let image = image("views.rgb", view.rgb, 3)?;
-                Ok(TrainingView { camera, time: 0.0, image, weights, disparity: None, mask: None })
+                Ok(TrainingView {
+                    camera,
+                    time: 0.0,
+                    image,
+                    weights,
+                    disparity: None,
+                    mask: None,
+                    every: 1,
+                })
             })
             .collect()
     }

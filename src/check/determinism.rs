@@ -76,6 +76,7 @@ fn views() -> Vec<TrainingView> {
             weights: None,
             disparity: None,
             mask: None,
+            every: 1,
         }
     };
     (0..4).map(view).collect()

@@ -40,7 +40,10 @@ const AGREES: f64 = 0.1;
 const TOUCHES: (f64, f64) = (0.25, 0.5);
 /// It does not if it is in the air in more than this share of those frames that tell.
 const IN_THE_AIR: f64 = 0.25;
-/// An object is as deep at its contact as the median of so many points next to it.
+/// An object is as deep at its contact as the median of the points within this share of half of its width, and
+/// of so many points next to it at least. The next ones alone may lie on the ground that is seen between
+/// its wheels.
+const BY_CONTACT: f64 = 0.3;
 const NEAR_CONTACT: usize = 5;
 /// Standard deviation across the line of sight of an object's middle, pixels: where it is known from
 /// structure from motion or from the whole outline, and where it is not.
@@ -258,7 +261,8 @@ pub(super) fn distance(
             let mut near: Vec<(f64, f64)> =
                 near.filter_map(|(t, r)| Some((t.at(f)?.distance(pixel), (*r)?))).collect();
             near.sort_by(|a, b| a.0.total_cmp(&b.0));
-            near.truncate(NEAR_CONTACT);
+            let within = near.partition_point(|(distance, _)| *distance < BY_CONTACT * half_width);
+            near.truncate(within.max(NEAR_CONTACT));
             let relative = near.iter().map(|n| n.1).collect::<Vec<_>>();
             let relative = if near.is_empty() { 1.0 } else { quantile(relative, 0.5) };
             let aside = (pixel.x - middles[k].x) / half_width;

@@ -153,7 +153,10 @@ mod tests {
             }
         }
         let (disparity, time) = (Some(disparity), 0.25);
-        (TrainingView { camera, time, image, weights: None, disparity, mask: None }, depth)
+        (
+            TrainingView { camera, time, image, weights: None, disparity, mask: None, every: 1 },
+            depth,
+        )
     }
 
     /// A camera so far to the right of the middle.

@@ -113,7 +113,15 @@ mod tests {
             view_from_world: Pose::IDENTITY,
         };
         let disparity = Some(disparity);
-        let view = TrainingView { camera, time: 0.0, image, weights: None, disparity, mask: None };
+        let view = TrainingView {
+            camera,
+            time: 0.0,
+            image,
+            weights: None,
+            disparity,
+            mask: None,
+            every: 1,
+        };
         let owners = Image::new(64, 48, 1);
         let grid = beyond(&Frame { view: &view, depth: &depth, mask: &mask, owners: &owners });
         let at = |x: i64, y: i64| grid.cells[grid.index((x, y)).unwrap()];

@@ -273,6 +273,7 @@ impl Canvas {
             weights: Some(self.weights),
             disparity: Some(disparity),
             mask: None,
+            every: 1,
         }
     }
 

@@ -16,6 +16,8 @@ pub(super) struct DeviceView {
     pub(super) photograph: Photograph,
     pub(super) disparity: Option<KnownDisparity>,
     pub(super) mask: Option<Buffer<f32>>,
+    /// It is shown in one of so many rounds.
+    pub(super) every: u32,
 }
 
 impl DeviceView {
@@ -64,6 +66,7 @@ impl DeviceView {
             photograph: Photograph::new(device, &view.image, view.weights.as_ref())?,
             disparity,
             mask,
+            every: view.every,
         })
     }
 }

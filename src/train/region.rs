@@ -150,7 +150,15 @@ mod tests {
                     }
                 }
                 let time = f64::from(i) / 11.0;
-                TrainingView { camera, time, image, weights: None, disparity: None, mask: None }
+                TrainingView {
+                    camera,
+                    time,
+                    image,
+                    weights: None,
+                    disparity: None,
+                    mask: None,
+                    every: 1,
+                }
             })
             .collect();
         let points = points_in_hull(&views, [1.0; 3], 200, 7);

@@ -67,6 +67,7 @@ impl PictureKind {
             weights: None,
             disparity: disparity.then(|| image(2)),
             mask: mask.then(|| image(1)),
+            every: 1,
         }
     }
 }

@@ -70,7 +70,8 @@ pub struct SequenceSettings {
     pub movers_depth: f32,
     /// Whether control points are there only in the frames in which what they move is; else always.
     pub lifespans: bool,
-    /// Pictures from aside to train on as well, drawn from the frames by their depth, per frame.
+    /// Pictures from aside to train on as well, drawn from the frames by their depth: so many in a round
+    /// through the frames, per frame.
     pub aside: f64,
     /// Clips whose movers cover less of the pixels than this are static.
     pub least_dynamic_share: f64,
@@ -80,6 +81,10 @@ pub struct SequenceSettings {
 
 /// Of so many Gaussians one may be seeded on a shadow: shadows are smooth.
 const SHADOWS: usize = 40;
+/// Pictures from aside there are about so many, as long as each is shown in one of so many rounds, at least: a
+/// long training learns a few of them by heart, and what looks wrong from anywhere else.
+const ASIDE_PICTURES: f64 = 36.0;
+const ASIDE_ROUNDS: f64 = 4.0;
 /// Pixels so near to a mover's may show it: the static world is not trained on them.
 const MARGIN: usize = 2;
 /// Training steps for every key time of the control points' paths.
@@ -115,7 +120,15 @@ impl SequenceSettings {
 
     /// How many pictures from aside so many frames give.
     pub fn pictures_aside(&self, frames: usize) -> usize {
-        (frames as f64 * self.aside.max(0.0)) as usize
+        let rounds = f64::from(self.rounds_of_aside(frames));
+        (frames as f64 * self.aside.max(0.0) * rounds) as usize
+    }
+
+    /// A picture from aside is shown in one of so many rounds: the fewer there are in a round, the more of
+    /// them take turns.
+    fn rounds_of_aside(&self, frames: usize) -> u32 {
+        let in_a_round = frames as f64 * self.aside.max(0.0);
+        (ASIDE_PICTURES / in_a_round).round().clamp(1.0, ASIDE_ROUNDS) as u32
     }
 
     /// The same with so many steps of all together; those before go in proportion.
@@ -407,6 +420,7 @@ fn views(
                 weights: Some(weights),
                 disparity: Some(disparity),
                 mask: Some(moving),
+                every: 1,
             }
         })
         .collect();
@@ -418,8 +432,10 @@ fn views(
             Frame { view, depth, mask, owners: &track.owners[frame] }
         })
         .collect();
-    let from_aside = aside(&frames, |frames| settings.pictures_aside(frames));
-    views.extend(from_aside);
+    let pictures = settings.pictures_aside(frames.len());
+    let from_aside = aside(&frames, |first| first * pictures / frames.len());
+    let every = settings.rounds_of_aside(frames.len());
+    views.extend(from_aside.into_iter().map(|view| TrainingView { every, ..view }));
     views
 }
 

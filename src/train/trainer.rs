@@ -8,7 +8,7 @@ use super::photographs::{DeviceView, Room, Studios};
 use super::rounds::ControlChanges;
 use super::selection::Selection;
 use super::settings::TrainSettings;
-use super::views::{TrainingView, extent, reach};
+use super::views::{TrainingView, due, extent, reach};
 use crate::gpu::{Device, Readback, Recorder, Stream, Ticket};
 use crate::ops::gaussians::GaussianBuffers;
 use crate::ops::loss::{LossSettings, LossValue};
@@ -16,8 +16,8 @@ use crate::ops::render::FrameCounts;
 use crate::types::range::{self, Check};
 use crate::types::{DeformNet, Gaussians};
 use crate::{Error, Result};
-use rand::SeedableRng;
 use rand::seq::SliceRandom;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;
 
@@ -340,7 +340,10 @@ impl Trainer {
 
     fn next_view(&mut self) -> usize {
         if self.round.is_empty() {
-            self.round = (0..self.views.len()).collect();
+            let every: Vec<u32> = self.views.iter().map(|view| view.every).collect();
+            let most = every.iter().copied().max().unwrap_or(1);
+            let turn = if most > 1 { self.rng.random_range(0..most) } else { 0 };
+            self.round = due(&every, turn);
             self.round.shuffle(&mut self.rng);
         }
         self.round.pop().expect("there is at least one view")

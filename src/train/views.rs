@@ -23,6 +23,8 @@ pub struct TrainingView {
     pub disparity: Option<Image>,
     /// Motion mask, one channel: 1 where something moves, else 0; `None` where unknown.
     pub mask: Option<Image>,
+    /// It is shown in one of so many rounds through the pictures; 1 for all.
+    pub every: u32,
 }
 
 impl TrainingView {
@@ -31,6 +33,7 @@ impl TrainingView {
     pub(super) fn check(&self) -> Check {
         self.camera.check()?;
         range::moment(self.time)?;
+        range::wanted(self.every > 0, || "a view is shown in one of 0 rounds".into())?;
         for (what, image) in [("disparity", &self.disparity), ("mask", &self.mask)] {
             let pixels = image.iter().flat_map(|image| &image.pixels);
             let mut wrong = pixels.filter(|v| !(0.0..=1e15).contains(*v));
@@ -48,8 +51,16 @@ impl TrainingView {
 impl From<View> for TrainingView {
     fn from(view: View) -> TrainingView {
         let View { camera, time, image, valid, .. } = view;
-        TrainingView { camera, time, image, weights: valid, disparity: None, mask: None }
+        TrainingView { camera, time, image, weights: valid, disparity: None, mask: None, every: 1 }
     }
+}
+
+/// The views that a round shows, of which each is shown in one of so many; all where that would be none.
+/// `turn` is the round's, drawn evenly: views side by side take turns.
+pub(super) fn due(every: &[u32], turn: u32) -> Vec<usize> {
+    let is_due = |i: &usize| (*i as u64 + u64::from(turn)).is_multiple_of(u64::from(every[*i]));
+    let due: Vec<usize> = (0..every.len()).filter(is_due).collect();
+    if due.is_empty() { (0..every.len()).collect() } else { due }
 }
 
 /// The extent of the cameras, or the median distance of the Gaussians from the cameras' middle where
@@ -71,4 +82,24 @@ pub(super) fn extent<'a>(cameras: impl Iterator<Item = &'a Camera> + Clone) -> f
     let mean = centres.iter().copied().sum::<glam::DVec3>() / centres.len().max(1) as f64;
     let largest = centres.iter().map(|c| c.distance(mean)).fold(0.0, f64::max);
     if largest > 1e-6 { 1.1 * largest } else { 1.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::due;
+
+    #[test]
+    fn views_take_turns() {
+        let every = [1, 1, 1, 4, 4, 4, 4, 4];
+        let mut shown = [0; 8];
+        for turn in 0..4 {
+            let round = due(&every, turn);
+            assert!((4..=5).contains(&round.len()), "{round:?}");
+            round.into_iter().for_each(|view| shown[view] += 1);
+        }
+        assert_eq!(shown, [4, 4, 4, 1, 1, 1, 1, 1]);
+        // No round is empty.
+        assert_eq!(due(&[1 << 31, u32::MAX], 7), [0, 1]);
+        assert_eq!(due(&[2], 1), [0]);
+    }
 }
