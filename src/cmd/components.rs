@@ -25,7 +25,7 @@ pub enum Switch {
 use Switch::{Track, Train};
 
 /// All of them; those of training first, which share the full run's track.
-pub const COMPONENTS: [Component; 16] = [
+pub const COMPONENTS: [Component; 17] = [
     Component {
         name: "motion",
         without: "everything is static",
@@ -60,6 +60,11 @@ pub const COMPONENTS: [Component; 16] = [
         name: "aside",
         without: "no pictures from aside in training",
         switch: Train(|settings| settings.aside = 0.0),
+    },
+    Component {
+        name: "flanks",
+        without: "pictures from aside show nothing of movers that their own frame does not",
+        switch: Train(|settings| settings.flanks = false),
     },
     Component {
         name: "movers-depth",

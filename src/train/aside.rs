@@ -168,7 +168,8 @@ mod tests {
     /// The first view from aside, with others to help.
     fn drawn(views: &[(TrainingView, Image)], number: usize) -> TrainingView {
         let still = Image::new(64, 48, 1);
-        let frame = |(view, depth)| Frame { view, depth, mask: &still, owners: &still };
+        let frame =
+            |(view, depth)| Frame { view, depth, mask: &still, owners: &still, flanks: &[] };
         let frames: Vec<Frame<'_>> =
             views.iter().map(|(view, depth)| frame((view, depth))).collect();
         let others: Vec<Other<'_>> = frames.iter().map(Other::of).collect();
@@ -240,7 +241,7 @@ mod tests {
         assert!(hidden.count() < 8, "the wall shows through the card");
         let (view, depth) = view(camera(0.0), |x, _| f32::from(u8::from(x < 4)));
         let still = Image::new(64, 48, 1);
-        let frame = Frame { view: &view, depth: &depth, mask: &still, owners: &still };
+        let frame = Frame { view: &view, depth: &depth, mask: &still, owners: &still, flanks: &[] };
         assert!(aside(&[frame], |frames| frames).is_empty());
     }
 }

@@ -123,7 +123,13 @@ mod tests {
             every: 1,
         };
         let owners = Image::new(64, 48, 1);
-        let grid = beyond(&Frame { view: &view, depth: &depth, mask: &mask, owners: &owners });
+        let grid = beyond(&Frame {
+            view: &view,
+            depth: &depth,
+            mask: &mask,
+            owners: &owners,
+            flanks: &[],
+        });
         let at = |x: i64, y: i64| grid.cells[grid.index((x, y)).unwrap()];
         // 5.1 pixels.
         let reach = (REACH * 64.0) as i64;

@@ -1,7 +1,9 @@
 //! Frames as meshes over their pixels, drawn before other cameras.
 //!
-//! A mesh is torn where depth jumps and where one thing ends.
+//! A mesh is torn where depth jumps and where one thing ends. Behind the outline of what moves its flank
+//! ([`flank`](super::flank)) is drawn there.
 
+use super::flank::Flank;
 use super::lifting::MOVING;
 use super::views::TrainingView;
 use crate::types::{Camera, Image};
@@ -17,6 +19,8 @@ const LARGEST: f64 = 3.0;
 const BEFORE: f64 = 0.06;
 /// Nearer than this share of a pixel's depth before the frame's camera, nothing is drawn.
 const NEAREST: f64 = 0.05;
+/// The weight of a flank, where what is seen has 1.
+const FLANK: f32 = 0.5;
 /// The surface of all that stands still.
 pub(super) const STILL: u32 = 0;
 
@@ -31,6 +35,8 @@ pub(super) struct Frame<'a> {
     pub mask: &'a Image,
     /// The number of the thing that moves.
     pub owners: &'a Image,
+    /// What goes on behind the pixels of outlines; may be empty.
+    pub flanks: &'a [Option<Flank>],
 }
 
 /// What a pixel shows.
@@ -43,6 +49,8 @@ pub(super) struct Cell {
     pub weight: f32,
     /// [`STILL`], or the thing that moves.
     pub surface: u32,
+    /// What goes on behind it if it is of an outline.
+    pub flank: Option<Flank>,
 }
 
 impl Frame<'_> {
@@ -54,14 +62,20 @@ impl Frame<'_> {
         let known = self.view.disparity.as_ref().map_or(0.0, |disparity| disparity.at(x, y)[1]);
         let shown = self.view.weights.as_ref().map_or(1.0, |weights| weights.at(x, y)[0]);
         let colour = self.view.image.at(x, y);
-        let owner = 2 * self.owners.at(x, y)[0] as u32;
+        let i = (y * self.depth.width + x) as usize;
         (depth > 0.0).then(|| Cell {
             inverse_depth: depth.recip(),
             colour: [colour[0], colour[1], colour[2]],
             weight: known.min(1.0) * shown,
-            surface: owner + u32::from(self.mask.at(x, y)[0] > MOVING),
+            surface: surface(self.mask.pixels[i], self.owners.pixels[i]),
+            flank: self.flanks.get(i).copied().flatten(),
         })
     }
+}
+
+/// The surface that a pixel shows, by its mask and its owner.
+pub(super) fn surface(mask: f32, owner: f32) -> u32 {
+    2 * owner as u32 + u32::from(mask > MOVING)
 }
 
 /// The cells of a frame's pixels, and of those around it.
@@ -198,8 +212,8 @@ impl Canvas {
         }
     }
 
-    /// Draws a triangle before what lies behind it; one that is torn or stretched hides and shows
-    /// nothing.
+    /// Draws a triangle before what lies behind it; one that is torn or stretched hides, and shows nothing
+    /// but the flank behind what moves.
     fn fill(&mut self, corners: [Corner; 3], whole: bool) {
         let [a, b, c] = corners.map(|corner| corner.pixel);
         let doubled = (b - a).perp_dot(c - a);
@@ -208,6 +222,7 @@ impl Canvas {
             return;
         }
         let shown = whole && area(&corners) < LARGEST;
+        let flank = if whole { None } else { flank(&corners) };
         let (low, high) = (a.min(b).min(c), a.max(b).max(c));
         let range = |low: f64, high: f64, end: u32| {
             let from = (low - 0.5).ceil().clamp(0.0, f64::from(end)) as u32;
@@ -232,6 +247,11 @@ impl Canvas {
                     continue;
                 }
                 self.inverse_depth[i] = inverse_depth;
+                if let Some(end) = flank.filter(|end| inverse_depth > end.inverse_depth) {
+                    self.weights.pixels[i] = end.cell.weight;
+                    self.image.at_mut(x, y).copy_from_slice(&end.cell.colour);
+                    continue;
+                }
                 let weight = if shown { mix(&|k| f64::from(k.cell.weight)) } else { 0.0 };
                 self.weights.pixels[i] = weight as f32;
                 for (k, value) in self.image.at_mut(x, y).iter_mut().enumerate() {
@@ -298,6 +318,15 @@ impl Canvas {
             }
         }
     }
+}
+
+/// Where the flank ends that goes on from the nearest corner of a torn triangle, and what it shows.
+fn flank(corners: &[Corner; 3]) -> Option<Corner> {
+    let nearest = corners.iter().max_by(|a, b| a.inverse_depth.total_cmp(&b.inverse_depth))?;
+    let Flank { depth, colour, .. } = nearest.cell.flank?;
+    let cell = Cell { colour, weight: FLANK * nearest.cell.weight, ..nearest.cell };
+    let inverse_depth = (nearest.inverse_depth.recip() + depth).recip();
+    Some(Corner { inverse_depth, cell, ..*nearest })
 }
 
 /// Of a triangle, as it is drawn, in pixels.

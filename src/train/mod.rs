@@ -7,10 +7,12 @@
 //! | [`region`] | points where there are none |
 //! | [`scale`] | what a training takes of a device's memory, before it begins |
 //! | [`sampling`] | farthest-point sampling, for control points |
+//! | `movers` | the first Gaussians on what moves |
 //! | `shadow` | Gaussians for the shadows of movers |
 //! | [`settings`] | every number that training depends on |
 //! | [`views`] | the pictures to train on |
 //! | `aside` | pictures from where no camera was, drawn from a tracked clip's frames by their depth |
+//! | `flank` | what of movers these show where no frame does |
 //! | `mesh` | frames as meshes over their pixels, drawn before other cameras |
 //! | `beyond` | what lies beyond the edges of what a frame shows: a guess |
 //! | [`photographs`] | the pictures on the device, and the renderer for each of their sizes |
@@ -34,12 +36,16 @@ mod aside;
 #[cfg(feature = "reconstruct")]
 mod beyond;
 pub mod control;
+#[cfg(feature = "reconstruct")]
+mod flank;
 pub mod growth;
 #[cfg(feature = "reconstruct")]
 mod lifting;
 #[cfg(feature = "reconstruct")]
 mod mesh;
 pub mod motion;
+#[cfg(feature = "reconstruct")]
+mod movers;
 #[cfg(feature = "reconstruct")]
 pub mod observer;
 pub mod optimiser;

@@ -13,9 +13,11 @@
 //! A clip in which nothing moves gets no control points.
 
 use super::aside::aside;
-use super::lifting::{MOVING, camera, path, value};
+use super::flank::{Flank, flanks};
+use super::lifting::{camera, path};
 use super::mesh::Frame;
 use super::motion::MotionStart;
+use super::movers::seed_movers;
 use super::observer::{Checkpoint, Observer, Phase, run};
 use super::sampling::farthest_point_sample;
 use super::scale::{PictureKind, TrainingScale};
@@ -24,7 +26,6 @@ use super::settings::{
     ControlSettings, GrowthSettings, McmcSettings, MotionSettings, Rates, SelectionSettings,
     TrainSettings,
 };
-use super::shadow::seed_shadows;
 use super::surface::{lay, normal};
 use super::trainer::Trainer;
 use super::views::TrainingView;
@@ -35,10 +36,8 @@ use crate::track::scaffold::Node;
 use crate::track::{StaticPoint, Track};
 use crate::types::{ControlPoints, Gaussians, Image, MotionScale, RenderSettings};
 use crate::{Error, Result};
-use glam::DVec2;
 use rayon::prelude::*;
 use serde_json::{Value, json};
-use std::collections::HashSet;
 
 /// How a clip is turned into a scene.
 #[derive(Clone, Debug)]
@@ -73,14 +72,14 @@ pub struct SequenceSettings {
     /// Pictures from aside to train on as well, drawn from the frames by their depth: so many in a round
     /// through the frames, per frame.
     pub aside: f64,
+    /// Whether these show the flanks of what moves, where no frame does: a guess by its width.
+    pub flanks: bool,
     /// Clips whose movers cover less of the pixels than this are static.
     pub least_dynamic_share: f64,
     /// Decides everything random.
     pub seed: u64,
 }
 
-/// Of so many Gaussians one may be seeded on a shadow: shadows are smooth.
-const SHADOWS: usize = 40;
 /// Pictures from aside there are about so many, as long as each is shown in one of so many rounds, at least: a
 /// long training learns a few of them by heart, and what looks wrong from anywhere else.
 const ASIDE_PICTURES: f64 = 36.0;
@@ -160,6 +159,7 @@ impl Default for SequenceSettings {
             movers_depth: 1.0,
             lifespans: true,
             aside: 0.3,
+            flanks: true,
             least_dynamic_share: 0.002,
             seed: 0,
         }
@@ -204,7 +204,7 @@ pub fn fit_sequence(
     let mut scene = match moves(track, settings) {
         true => fit_moving(device, sequence, &seeds, settings, resume, observer)?,
         false => {
-            let views = views(sequence, settings, |_| 1.0);
+            let views = views(sequence, settings, &[], |_| 1.0);
             let train = joint_settings(settings);
             let mut trainer = match resume {
                 Some(Checkpoint::Static(state)) => Trainer::resume(device, &views, state, train)?,
@@ -235,7 +235,8 @@ pub fn first_gaussians(sequence: Sequence<'_>, settings: &SequenceSettings) -> G
     let mut gaussians = seed_static(sequence.track, settings);
     if moves(sequence.track, settings) {
         gaussians.motion_logits = vec![-STRENGTH; gaussians.len()];
-        append(&mut gaussians, &seed_movers(sequence, settings));
+        let flanks = flanks_of(sequence, settings);
+        append(&mut gaussians, &seed_movers(sequence, &flanks, settings));
     }
     gaussians
 }
@@ -244,6 +245,15 @@ pub fn first_gaussians(sequence: Sequence<'_>, settings: &SequenceSettings) -> G
 fn moves(track: &Track, settings: &SequenceSettings) -> bool {
     let dynamic = track.quality.dynamic_share >= settings.least_dynamic_share;
     dynamic && !track.scaffold.nodes.is_empty()
+}
+
+/// The flanks in each frame; none where no picture would show them.
+fn flanks_of(sequence: Sequence<'_>, settings: &SequenceSettings) -> Vec<Vec<Option<Flank>>> {
+    if settings.flanks && settings.pictures_aside(sequence.frames.len()) > 0 {
+        flanks(sequence.track, sequence.frames)
+    } else {
+        Vec::new()
+    }
 }
 
 /// A trained scene, if it can be used.
@@ -288,13 +298,14 @@ fn fit_moving(
     observer: &mut dyn Observer,
 ) -> Result<Scene> {
     let train = joint_settings(settings);
+    let flanks = flanks_of(sequence, settings);
     // Not before they are needed: the static world is trained on views of its own.
-    let all = || views(sequence, settings, |_| 1.0);
+    let all = || views(sequence, settings, &flanks, |_| 1.0);
     let mut trainer = match resume {
         Some(Checkpoint::Joint(state)) => Trainer::resume(device, &all(), state, train)?,
         earlier => {
             let mut gaussians = static_world(device, sequence, seeds, settings, earlier, observer)?;
-            append(&mut gaussians, &seed_movers(sequence, settings));
+            append(&mut gaussians, &seed_movers(sequence, &flanks, settings));
             let points = control_points(sequence, settings)?;
             let start = MotionStart { points, network: None, neighbours: settings.neighbours };
             Trainer::new(device, &all(), &gaussians, Some(&start), train)?
@@ -319,7 +330,7 @@ fn static_world(
     resume: Option<Checkpoint>,
     observer: &mut dyn Observer,
 ) -> Result<Gaussians> {
-    let views = views(sequence, settings, |near_mover| if near_mover { 0.0 } else { 1.0 });
+    let views = views(sequence, settings, &[], |near_mover| if near_mover { 0.0 } else { 1.0 });
     let train = TrainSettings {
         steps: settings.static_steps,
         growth: None,
@@ -338,7 +349,7 @@ fn static_world(
 }
 
 /// Motion logits of what is seeded as static or dynamic.
-const STRENGTH: f32 = 4.0;
+pub(super) const STRENGTH: f32 = 4.0;
 
 /// The unit of the positions' learning rate, in that of the track (the median depth): the extent of a
 /// hand-held camera's path about a scene. That of the clip itself would hardly let them move where it is
@@ -378,10 +389,11 @@ fn joint_settings(settings: &SequenceSettings) -> TrainSettings {
 
 /// The frames as training views; `weight` gives a pixel's weight by whether it is on a mover or beside
 /// one. The depth that was measured on static pixels, and that of lifted movers, comes along. Then what
-/// they show from aside.
+/// they show from aside, with what flanks there are in each frame.
 fn views(
     sequence: Sequence<'_>,
     settings: &SequenceSettings,
+    flanks: &[Vec<Option<Flank>>],
     weight: impl Fn(bool) -> f32 + Sync,
 ) -> Vec<TrainingView> {
     let track = sequence.track;
@@ -428,8 +440,9 @@ fn views(
         .iter()
         .enumerate()
         .map(|(frame, view)| {
+            let flanks = flanks.get(frame).map_or(&[][..], Vec::as_slice);
             let (depth, mask) = (&track.depth[frame], &track.masks[frame]);
-            Frame { view, depth, mask, owners: &track.owners[frame] }
+            Frame { view, depth, mask, owners: &track.owners[frame], flanks }
         })
         .collect();
     let pictures = settings.pictures_aside(frames.len());
@@ -439,15 +452,8 @@ fn views(
     views
 }
 
-fn colour(image: &Image, pixel: DVec2) -> [f32; 3] {
-    let x = (pixel.x.max(0.0) as u32).min(image.width - 1);
-    let y = (pixel.y.max(0.0) as u32).min(image.height - 1);
-    let c = image.at(x, y);
-    [c[0], c[1], c[2]]
-}
-
 /// Every so-manieth, so that at most `most` stay.
-fn thinned<T>(points: Vec<T>, most: usize) -> Vec<T> {
+pub(super) fn thinned<T>(points: Vec<T>, most: usize) -> Vec<T> {
     let keep = points.len().div_ceil(most.max(1)).max(1);
     points.into_iter().step_by(keep).collect()
 }
@@ -506,77 +512,7 @@ pub(super) fn spread(
     Ok((ControlPoints { positions, log_radii, paths: Vec::new() }, chosen))
 }
 
-/// Gaussians on the movers, brought back to the canonical frame from several frames, one per cell of
-/// a grid.
-fn seed_movers(sequence: Sequence<'_>, settings: &SequenceSettings) -> Gaussians {
-    let track = sequence.track;
-    let count = sequence.frames.len();
-    let canonical = track.scaffold.canonical;
-    let order = seeding_frames(count, canonical);
-    // A cell is what two pixels cover at the movers' depth.
-    let spacing = {
-        let mask = &track.masks[canonical];
-        let depths: Vec<f32> = mask
-            .pixels
-            .iter()
-            .zip(&track.depth[canonical].pixels)
-            .filter(|(m, _)| **m > MOVING)
-            .map(|(_, z)| *z)
-            .collect();
-        let mean = depths.iter().sum::<f32>() / depths.len().max(1) as f32;
-        f64::from(mean) / track.intrinsics.fx * 2.0
-    };
-    let mut taken = HashSet::new();
-    let mut points = Vec::new();
-    for &frame in &order {
-        let mask = &track.masks[frame];
-        for y in 0..mask.height {
-            for x in 0..mask.width {
-                let pixel = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
-                if value(mask, pixel) <= MOVING {
-                    continue;
-                }
-                let here = track.lift(frame, pixel);
-                let owner = value(&track.owners[frame], pixel) as usize;
-                let there = track.scaffold.carry(owner, here, frame, canonical);
-                let Some((position, turned)) = there else { continue };
-                let cell = (position / spacing.max(1e-9)).floor().as_i64vec3();
-                if !position.is_finite() || !taken.insert(cell) {
-                    continue;
-                }
-                let canonical_from_view =
-                    turned * track.view_from_world[frame].rotation.conjugate();
-                let ray = canonical_from_view * track.intrinsics.ray(pixel);
-                let normal = normal(&track.depth[frame], &track.intrinsics, pixel);
-                let normal = normal.map(|normal| canonical_from_view * normal);
-                let colour = colour(&sequence.frames[frame], pixel);
-                let position = position.as_vec3().to_array();
-                points.push((Point { position, colour }, ray, normal));
-            }
-        }
-    }
-    let seeds = thinned(points, settings.max_gaussians / 3);
-    let points: Vec<Point> = seeds.iter().map(|(point, ..)| *point).collect();
-    let mut gaussians = seed_from_points(&points, settings.sh_degree);
-    for (i, (_, ray, normal)) in seeds.iter().enumerate() {
-        if let Some(normal) = normal {
-            lay(&mut gaussians, i, *ray, *normal);
-        }
-    }
-    let most = settings.max_gaussians / SHADOWS;
-    let shadows = seed_shadows(track, &order, settings.sh_degree, most);
-    append(&mut gaussians, &shadows);
-    gaussians.motion_logits = vec![STRENGTH; gaussians.len()];
-    gaussians
-}
-
-/// The frames that movers are seeded from: the canonical one, then some evenly.
-fn seeding_frames(count: usize, canonical: usize) -> Vec<usize> {
-    let every = count.div_ceil(8).max(1);
-    std::iter::once(canonical).chain((0..count).step_by(every)).collect()
-}
-
-fn append(to: &mut Gaussians, more: &Gaussians) {
+pub(super) fn append(to: &mut Gaussians, more: &Gaussians) {
     to.positions.extend_from_slice(&more.positions);
     to.log_scales.extend_from_slice(&more.log_scales);
     to.rotations.extend_from_slice(&more.rotations);
