@@ -7,6 +7,7 @@
 //! | [`region`] | points where there are none |
 //! | [`scale`] | what a training takes of a device's memory, before it begins |
 //! | [`sampling`] | farthest-point sampling, for control points |
+//! | `carried` | Gaussians seeded on what moves: points of a frame in the canonical one |
 //! | `movers` | the first Gaussians on what moves |
 //! | `shadow` | Gaussians for the shadows of movers |
 //! | [`settings`] | every number that training depends on |
@@ -35,6 +36,8 @@
 mod aside;
 #[cfg(feature = "reconstruct")]
 mod beyond;
+#[cfg(feature = "reconstruct")]
+mod carried;
 pub mod control;
 #[cfg(feature = "reconstruct")]
 mod flank;

@@ -4,12 +4,11 @@
 //! of the renderer and no file format has to know of shadows. It moves with the scaffold's nodes for
 //! shadows.
 
-use super::seed::seed_from_points;
-use super::surface::{lay, normal};
-use crate::data::Point;
+use super::carried::{Seed, gaussians};
+use super::sequence::thinned;
 use crate::track::Track;
 use crate::types::Gaussians;
-use glam::{DVec2, DVec3};
+use glam::DVec2;
 use std::collections::HashSet;
 
 /// A shadow's Gaussians lie before the ground by this share of the ground's distance.
@@ -26,47 +25,32 @@ pub(super) fn seed_shadows(
     sh_degree: u32,
     most: usize,
 ) -> Gaussians {
-    let canonical = track.scaffold.canonical;
     let mut taken = HashSet::new();
-    let mut seeds: Vec<(Point, f32, DVec3, Option<DVec3>)> = Vec::new();
+    let (mut seeds, mut shares) = (Vec::new(), Vec::new());
     for &frame in frames {
         let shadow = &track.shadows[frame];
-        let world_from_view = track.view_from_world[frame].inverse();
+        let view_from_world = track.view_from_world[frame];
+        let centre = view_from_world.inverse().translation;
         for (x, y) in (0..shadow.height).flat_map(|y| (0..shadow.width).map(move |x| (x, y))) {
-            let [share, owner] = shadow.at(x, y) else { continue };
-            if *share <= 0.0 {
+            let [share, owner] = *shadow.at(x, y) else { continue };
+            if share <= 0.0 {
                 continue;
             }
             let pixel = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
             let ground = track.lift(frame, pixel);
-            let here = ground + BEFORE * (world_from_view.translation - ground);
-            let there = track.scaffold.carry(*owner as usize, here, frame, canonical);
-            let Some((position, turned)) = there else { continue };
-            let depth = track.view_from_world[frame].apply(here).z;
-            let cell = position * track.intrinsics.fx / (SPACING * depth.max(1e-9));
-            if !position.is_finite() || !taken.insert(cell.floor().as_i64vec3()) {
-                continue;
+            let here = ground + BEFORE * (centre - ground);
+            let seed = Seed::new(track, frame, pixel, owner as usize, here, [0.0; 3]);
+            let size = SPACING * view_from_world.apply(here).z / track.intrinsics.fx;
+            if let Some(seed) = seed.filter(|seed| taken.insert(seed.cell(size))) {
+                seeds.push(seed.on_surface(track));
+                shares.push(share);
             }
-            let canonical_from_view = turned * world_from_view.rotation;
-            let normal = normal(&track.depth[frame], &track.intrinsics, pixel);
-            seeds.push((
-                Point { position: position.as_vec3().to_array(), colour: [0.0; 3] },
-                *share,
-                canonical_from_view * track.intrinsics.ray(pixel),
-                normal.map(|normal| canonical_from_view * normal),
-            ));
         }
     }
-    let keep = seeds.len().div_ceil(most.max(1)).max(1);
-    let seeds: Vec<_> = seeds.into_iter().step_by(keep).collect();
-    let points: Vec<Point> = seeds.iter().map(|seed| seed.0).collect();
-    let mut gaussians = seed_from_points(&points, sh_degree);
-    for (i, (_, share, ray, normal)) in seeds.iter().enumerate() {
-        let opacity = opacity(*share);
-        gaussians.opacity_logits[i] = (opacity / (1.0 - opacity)).ln();
-        if let Some(normal) = normal {
-            lay(&mut gaussians, i, *ray, *normal);
-        }
+    let mut gaussians = gaussians(track, &thinned(seeds, most), sh_degree);
+    for (logit, share) in gaussians.opacity_logits.iter_mut().zip(thinned(shares, most)) {
+        let opacity = opacity(share);
+        *logit = (opacity / (1.0 - opacity)).ln();
     }
     gaussians
 }
