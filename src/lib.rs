@@ -55,7 +55,8 @@
 //! | `bench` | `bench`, `report` |
 //! | `cli` (default) | the command line |
 //!
-//! Beside these, `capi` adds the C interface, on top of the engine alone or of `files`.
+//! Beside these, `onnx` (in `cli`, on top of `reconstruct`) runs networks through an ONNX Runtime, which is
+//! found when one is asked for, and `capi` adds the C interface, on top of the engine alone or of `files`.
 //!
 //! # Conventions
 //!

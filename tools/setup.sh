@@ -3,7 +3,7 @@
 #
 #   tools/setup.sh run    what building and running need: linker, Vulkan loader, lavapipe, ffmpeg
 #   tools/setup.sh test   and what the test suite needs: validation layer, SwiftShader, CMake, the evo
-#                         package …
+#                         and onnxruntime packages …
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -105,16 +105,24 @@ if [[ $mode == test ]]; then
         rustup component add "$component" || fail "rustup could not add $component"
     done
 fi
-# Tests compare errors of trajectories with those of the evo package. It lies beside the build, in an
-# environment of its own, so that the system's Python stays as it is.
+# Tests compare errors of trajectories with those of the evo package, and run networks through the ONNX
+# Runtime of the onnxruntime package. Each lies beside the build, in an environment of its own, so that
+# the system's Python stays as it is.
 if [[ $mode == test ]]; then
-    evo=${CARGO_TARGET_DIR:-target}/evo
-    if ! "$evo/bin/python" -c 'import evo.main_rpe' >/dev/null 2>&1; then
-        echo "setup: installing evo into $evo"
-        python3 -m venv --clear "$evo" || fail "python3 could not make an environment in $evo"
-        "$evo/bin/pip" install --quiet --disable-pip-version-check 'evo>=1.30,<2' ||
-            fail "pip could not install evo into $evo; is there a network?"
-        "$evo/bin/python" -c 'import evo.main_rpe' || fail "evo was installed into $evo and does not run"
-    fi
+    beside=${CARGO_TARGET_DIR:-target}
+    # python_package NAME PROBE PIP_ARGUMENTS …: unless the probe runs in NAME's environment.
+    python_package() {
+        local place=$beside/$1 probe=$2
+        "$place/bin/python" -c "$probe" >/dev/null 2>&1 && return
+        echo "setup: installing $1 into $place"
+        python3 -m venv --clear "$place" || fail "python3 could not make an environment in $place"
+        "$place/bin/pip" install --quiet --disable-pip-version-check "${@:3}" ||
+            fail "pip could not install $1 into $place; is there a network?"
+        "$place/bin/python" -c "$probe" || fail "$1 was installed into $place and does not run"
+    }
+    python_package evo 'import evo.main_rpe' 'evo>=1.30,<2'
+    # The library alone is used.
+    python_package onnxruntime 'import importlib.util as u; assert u.find_spec("onnxruntime")' \
+        --no-deps 'onnxruntime>=1.17,<2'
 fi
 echo "setup: everything for '$mode' is there (Rust $found)"

@@ -9,13 +9,15 @@ use serde_json::{Value, json};
 use splat4d::data::trajectory::{self, TimedPose};
 use splat4d::data::{Clip, Distortion, Lens, Resize, depth, flow, images, intrinsics};
 use splat4d::gpu::Device;
-use splat4d::observe::{EngineFlow, FlowSource, SuppliedFlow};
+use splat4d::observe::onnx::Models;
+use splat4d::observe::{EngineFlow, EstimatedDepth, EstimatedKind, FlowSource, SuppliedFlow};
 use splat4d::track::{FocalSource, Observer, Options, Quality, Refined, Track, track_observed};
 use splat4d::types::{Camera, FlowSettings, Image, Intrinsics};
 use splat4d::{Error, Result};
 
 use super::clip::ClipArgs;
 use super::common::notes;
+use super::networks::NetworkArgs;
 use super::outputs::{Folder, Inputs};
 use super::{supplied, values};
 
@@ -29,6 +31,20 @@ pub enum Refine {
     Poses,
     /// The focal length, where the clip shows it
     Focal,
+}
+
+/// What depth maps hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum DepthKind {
+    /// Depth z up to one scale for the whole clip; it is kept
+    Measured,
+    /// A network's depth z, up to a scale of each frame
+    Estimated,
+    /// A network's depth z, up to a scale and a shift of each frame
+    Shifted,
+    /// A network's inverse depth, up to a scale and a shift of each frame, as MiDaS and Depth Anything
+    /// write it
+    Inverse,
 }
 
 /// What is known of a clip.
@@ -58,13 +74,18 @@ pub struct KnownArgs {
     #[arg(long, value_name = "DIR")]
     masks: Option<PathBuf>,
     /// Depth maps: a folder of EXR, .npy or .npz files or of grey 16-bit PNGs (of MonST3R's folder
-    /// frame_*.npy), z up to one scale, 0 where unknown
+    /// frame_*.npy), z up to one scale, 0 where unknown;
+    /// --depth-kind says otherwise
     #[arg(long, value_name = "DIR")]
     depth: Option<PathBuf>,
     /// What a unit of length is in a PNG of depth
     #[arg(long, value_name = "VALUE", default_value_t = 1000.0, requires = "depth",
           value_parser = values::number(1e-6..=1e9))]
     pub depth_scale: f64,
+    /// What the maps of --depth hold. A network's fill in what the clip does not show, and tell the movers'
+    /// shapes and distances, once each frame is brought to the scale of what was triangulated
+    #[arg(long, value_name = "KIND", value_enum, default_value = "measured", requires = "depth")]
+    pub depth_kind: DepthKind,
     /// Optical flow: a folder with files of .flo, .npy or .npz (height × width × 2) or KITTI's PNG in
     /// flow_forward and flow_backward (or forward and backward); frames keep their own size then unless
     /// another is asked for
@@ -79,6 +100,8 @@ pub struct KnownArgs {
     #[arg(long = "static", value_name = "N", conflicts_with_all = ["poses", "masks"],
           value_parser = values::whole::<usize>(0..=Options::MOST_MOTIONS as u64 - 1))]
     pub static_motion: Option<usize>,
+    #[command(flatten)]
+    pub networks: NetworkArgs,
 }
 
 impl KnownArgs {
@@ -126,6 +149,17 @@ impl KnownArgs {
         notes(cameras.as_ref().map_or(&[], |cameras| &cameras.notes));
         let told = cameras.as_ref().and_then(|cameras| cameras.intrinsics);
         let depth = |path: &Path, clip: &Clip| supplied::depth(path, clip, self.depth_scale);
+        let depth = given(&self.depth, clip, depth)?;
+        let kind = match self.depth_kind {
+            DepthKind::Measured => None,
+            DepthKind::Estimated => Some(EstimatedKind::Depth),
+            DepthKind::Shifted => Some(EstimatedKind::ShiftedDepth),
+            DepthKind::Inverse => Some(EstimatedKind::ShiftedInverse),
+        };
+        let (depth, estimated_depth) = match (depth, kind) {
+            (Some(maps), Some(kind)) => (None, Some(EstimatedDepth { maps, kind })),
+            (depth, _) => (depth, None),
+        };
         Ok(Options {
             intrinsics: given(&self.intrinsics, clip, supplied::intrinsics)?
                 .or(told.filter(|_| self.focal.is_none())),
@@ -136,7 +170,8 @@ impl KnownArgs {
                 focal: self.refine.contains(&Refine::Focal),
             },
             masks: given(&self.masks, clip, supplied::masks)?,
-            depth: given(&self.depth, clip, depth)?,
+            depth,
+            estimated_depth,
             tracks: given(&self.tracks, clip, supplied::tracks)?,
             static_motion: self.static_motion,
             lens: !self.pinhole,
@@ -171,7 +206,8 @@ impl KnownArgs {
                 &flow::EXTENSIONS,
             ),
         ];
-        Inputs::new(files.into_iter().flatten().cloned(), folders.into_iter().flatten())
+        let files = files.into_iter().flatten().cloned().chain(self.networks.files());
+        Inputs::new(files, folders.into_iter().flatten())
     }
 }
 
@@ -190,21 +226,25 @@ pub fn observe(
     frames: &[Image],
     options: &Options,
     supplied: Option<SuppliedFlow>,
+    models: &mut Option<Models>,
     observer: &mut dyn Observer,
 ) -> Result<Track> {
-    let mut source = flow_source(device, frames, supplied)?;
+    let mut source = flow_source(device, frames, supplied, models)?;
     track_observed(frames, options, source.as_mut(), observer)
 }
 
-/// Flow that is known, else the engine's.
+/// Flow that is supplied, else a network's, else the engine's.
 pub fn flow_source<'a>(
     device: &Device,
     frames: &'a [Image],
     supplied: Option<SuppliedFlow>,
+    models: &'a mut Option<Models>,
 ) -> Result<Box<dyn FlowSource + 'a>> {
-    Ok(match supplied {
-        Some(flow) => Box::new(flow),
-        None => Box::new(EngineFlow::new(device, frames, &FlowSettings::default())?),
+    let network = models.as_mut().and_then(|models| models.flow.as_mut());
+    Ok(match (supplied, network) {
+        (Some(flow), _) => Box::new(flow),
+        (None, Some(network)) => Box::new(network.source(frames)),
+        (None, None) => Box::new(EngineFlow::new(device, frames, &FlowSettings::default())?),
     })
 }
 

@@ -25,6 +25,7 @@ mod interrupt;
 mod known;
 mod meter;
 mod model;
+mod networks;
 mod outputs;
 mod path;
 mod quality;

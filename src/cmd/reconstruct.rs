@@ -30,6 +30,7 @@ use super::info::dynamic_share;
 use super::known::{
     CAMERA_FILES, KnownArgs, focal_source, lens_json, observe, poses_json, write_cameras,
 };
+use super::networks::estimate_depth;
 use super::outputs::Outputs;
 use super::tracker::Tracker;
 use super::watcher::Watcher;
@@ -165,6 +166,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     let mut clock = Clock::start();
     // A missing file is told before a missing driver.
     std::fs::metadata(&args.clip).map_err(Error::io(&args.clip))?;
+    let mut models = args.known.networks.open()?;
     let device = common.open_device()?;
     let quality = Quality::from(args.quality);
     let preset = quality.preset(device.info().kind);
@@ -193,13 +195,16 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     let settings = settings(args, common, &preset, (width, height));
     let scale = settings.scale(frames.len(), (width, height));
     let mut predicted_bytes = foreseen(args, &device, &scale, (width, height))?;
-    let identity = identity(args, &frames, &options, flow.as_ref(), &settings);
+    let networks = args.known.networks.identity()?;
+    let identity = identity(args, &frames, &options, flow.as_ref(), &settings, &networks);
     let mut checkpoints = Checkpoints::new(&args.output, &args.checkpoints, identity);
     let track = match checkpoints.load("track")? {
         Some(track) => track,
         None => {
+            let mut options = options;
+            estimate_depth(&mut models, &frames, &mut options)?;
             let mut tracker = Tracker::new(&mut clock, Some(&mut checkpoints));
-            let found = observe(&device, &frames, &options, flow, &mut tracker)?;
+            let found = observe(&device, &frames, &options, flow, &mut models, &mut tracker)?;
             tracker.finish();
             checkpoints.tracked(&found);
             found
@@ -367,8 +372,10 @@ fn identity(
     options: &Options,
     flow: Option<&SuppliedFlow>,
     settings: &SequenceSettings,
+    networks: &str,
 ) -> Identity {
     let size = frames.first().map(|frame| format!("{}×{}", frame.width, frame.height));
+    let estimated = options.estimated_depth.as_ref().map(|told| &told.maps);
     checkpoints::identity([
         ("--quality", Quality::from(args.quality).name().to_owned()),
         ("--steps", settings.steps.to_string()),
@@ -383,14 +390,16 @@ fn identity(
         ("--focal", shown(args.known.focal)),
         ("--refine", format!("{:?}", args.known.refine)),
         ("--depth-scale", args.known.depth_scale.to_string()),
+        ("--depth-kind", format!("{:?}", args.known.depth_kind)),
         ("--static", shown(args.known.static_motion)),
         ("--pinhole", args.known.pinhole.to_string()),
         ("--intrinsics", summed(options.intrinsics.as_ref())),
         ("--poses", summed(options.poses.as_ref())),
         ("--masks", summed(options.masks.as_ref())),
-        ("--depth", summed(options.depth.as_ref())),
+        ("--depth", summed(options.depth.as_ref().or(estimated))),
         ("--tracks", summed(options.tracks.as_ref())),
         ("--flow", summed(flow)),
+        ("--models", networks.to_owned()),
         ("the frames", format!("{} with the checksum {}", frames.len(), checksum(frames))),
         // What no option says: the focal length in the pictures' EXIF, this version's settings.
         ("what is known beforehand", summed(Some(options))),
@@ -453,7 +462,8 @@ mod tests {
     fn a_checkpoint_names_every_option_that_matters() {
         names_every_option(
             &["reconstruct", "clip", "-o", "x"],
-            &["skip-bad"],
+            // The last three: by which library and how networks run.
+            &["skip-bad", "onnxruntime", "ep", "onnx-threads"],
             |command, common| {
                 let super::super::Command::Reconstruct(args) = command else {
                     panic!("no reconstruct")
@@ -464,6 +474,7 @@ mod tests {
                     &Options::default(),
                     None,
                     &settings(args, common, &preset(), (32, 18)),
+                    "none",
                 )
             },
         );
@@ -488,7 +499,7 @@ mod tests {
             field.pixels[5] = value;
             let flow = SuppliedFlow::new(vec![field.clone()], vec![field]).unwrap();
             let settings = settings(args, &cli.common, &preset(), (32, 18));
-            identity(args, &[], &Options::default(), Some(&flow), &settings)
+            identity(args, &[], &Options::default(), Some(&flow), &settings, "none")
         };
         assert_eq!(of(0.5), of(0.5));
         assert_ne!(of(0.5)["--flow"], of(0.25)["--flow"]);

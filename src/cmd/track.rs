@@ -20,6 +20,7 @@ use super::clock::Clock;
 use super::common::{Answer, Common, notes, path_text, say};
 use super::interrupt;
 use super::known::{KnownArgs, flow_source, focal_source, lens_json, poses_json, write_cameras};
+use super::networks::estimate_depth;
 use super::outputs::Outputs;
 use super::track_model;
 use super::track_page::Page;
@@ -111,11 +112,12 @@ pub fn run(args: &TrackArgs, common: &Common) -> Result<Answer> {
     args.known.check(&args.frames)?;
     let mut clock = Clock::start();
     std::fs::metadata(&args.clip).map_err(Error::io(&args.clip))?;
+    let mut models = args.known.networks.open()?;
     let device = common.open_device()?;
     let preset = Quality::Standard.preset(device.info().kind);
     let for_each = args.known.is_for_each_frame() || args.queries.is_some();
     let clip = args.frames.open(&args.clip, args.known.size(preset.longest_side), for_each)?;
-    let options = args.known.options(&clip, common.seed)?;
+    let mut options = args.known.options(&clip, common.seed)?;
     let flow = args.known.flow(&clip)?;
     let queries = args.queries.as_deref().map(|file| queries(file, &clip)).transpose()?;
     let times: Vec<f64> = clip.frames.iter().map(|frame| frame.time).collect();
@@ -125,8 +127,10 @@ pub fn run(args: &TrackArgs, common: &Common) -> Result<Answer> {
     say(&format!("{} frames of {}×{}", frames.len(), clip.width, clip.height));
     clock.lap("load");
 
+    estimate_depth(&mut models, &frames, &mut options)?;
     let mut tracker = Tracker::new(&mut clock, None);
-    let mut flow = Watched::new(flow_source(&device, &frames, flow)?, frames.len());
+    let source = flow_source(&device, &frames, flow, &mut models)?;
+    let mut flow = Watched::new(source, frames.len());
     let track = track_observed(&frames, &options, &mut flow, &mut tracker)?;
     tracker.finish();
     let found = &track.quality;

@@ -3,22 +3,28 @@
 //!
 //! | module | what it holds |
 //! |---|---|
+//! | [`depth`] | depth that a network has estimated |
 //! | [`engine`] | [`EngineFlow`]: flow that the engine computes |
 //! | [`exposure`] | how bright each frame is |
 //! | [`flow`] | [`FlowSource`] and flow that the user supplies; forward–backward confidence; chaining |
+//! | `onnx` | networks run through the ONNX Runtime (feature `onnx`) |
 //! | [`tracks`] | points followed over many frames |
 //! | [`mod@refine`] | tracks aligned with the pictures, so that they do not drift |
 //!
 //! Everything after this stage sees only [`NeighbourFlow`]: where a flow came from (the engine, a
 //! network, a file, a synthetic clip) makes no difference to it.
 
+pub mod depth;
 pub mod engine;
 pub mod exposure;
 pub mod flow;
 pub(crate) mod luminance;
+#[cfg(feature = "onnx")]
+pub mod onnx;
 pub mod refine;
 pub mod tracks;
 
+pub use depth::{EstimatedDepth, EstimatedKind};
 pub use engine::EngineFlow;
 pub use exposure::Exposure;
 pub use flow::{Chain, FlowPair, FlowSource, NeighbourFlow, SuppliedFlow, observe_flow};

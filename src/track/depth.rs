@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::cameras::Cameras;
 use super::distance::Behind;
+use super::estimated::aligned;
 use super::masks::regions;
 use super::movers::{self, BOUND, KNOWN, Lifted, NEARER};
 use super::observer::Work;
@@ -38,6 +39,8 @@ const FILLED: f32 = 0.3;
 pub(super) const MEASURED: f32 = 0.5;
 /// Weight of what other frames show behind a mover.
 const HIDDEN_WEIGHT: f32 = 1.0;
+/// Weight of what a network estimates where nothing was measured.
+const ESTIMATED_WEIGHT: f32 = 1.0;
 
 /// What [`super::Track`] holds of depth and movers.
 pub(super) struct Dense {
@@ -60,13 +63,15 @@ pub(super) fn layers(
     (part, shares): (&str, std::ops::Range<f64>),
 ) -> Result<Vec<Layer>> {
     let supplied = options.depth.as_deref();
+    let estimated = options.estimated_depth.as_ref().map(|told| aligned(told, seen, masks));
     let scale = supplied.map(|maps| scale_of(maps, seen, masks));
     let background = cameras.background();
     let made = |range: std::ops::Range<usize>| {
         let layer = |f: usize| {
             let known = supplied.zip(scale).map(|(maps, scale)| (&maps[f], scale));
             let hidden = plates.map(|plates| plates[f].hidden.as_slice());
-            static_layer(&frames[f], &masks[f], &seen[f], hidden, background.as_deref(), known)
+            let told = Told { exact: known, estimated: estimated.as_ref().map(|all| &all[f][..]) };
+            static_layer(&frames[f], &masks[f], &seen[f], hidden, background.as_deref(), told)
         };
         range.into_par_iter().map(layer).collect()
     };
@@ -112,7 +117,10 @@ pub(super) fn dense(
             if layer.supplied[i] {
                 continue;
             }
-            let unknown = || (smoothed(flow, &rest, f, i), confidence);
+            let unknown = || match layer.estimated.get(i) {
+                Some(told) if *told > 0.0 => (*told, confidence),
+                _ => (smoothed(flow, &rest, f, i), confidence),
+            };
             (layer.inverse[i], layer.confidence[i]) = lifted.pixels[f][i].unwrap_or_else(unknown);
         }
     }
@@ -155,6 +163,25 @@ pub(super) struct Layer {
     pub inverse: Vec<f32>,
     pub confidence: Vec<f32>,
     pub supplied: Vec<bool>,
+    /// What a network estimates, movers among it: inverse depth, 0 where unknown; empty without one.
+    pub estimated: Vec<f32>,
+}
+
+impl Layer {
+    /// The inverse depth that is told of a pixel, be it a mover's.
+    pub fn told(&self, i: usize) -> Option<f64> {
+        let told = if self.supplied[i] { Some(&self.inverse[i]) } else { self.estimated.get(i) };
+        told.map(|d| f64::from(*d)).filter(|d| *d > 0.0)
+    }
+}
+
+/// What is known of a frame's depth beforehand.
+#[derive(Clone, Copy, Default)]
+struct Told<'a> {
+    /// Depth that is kept, and what it is to be multiplied by.
+    exact: Option<(&'a Image, f32)>,
+    /// Inverse depth that fills in what was not measured, 0 where unknown.
+    estimated: Option<&'a [f32]>,
 }
 
 fn static_layer(
@@ -163,14 +190,19 @@ fn static_layer(
     seen: &Seen,
     hidden: Option<&[f32]>,
     background: Option<&[f32]>,
-    known: Option<(&Image, f32)>,
+    told: Told,
 ) -> Layer {
     let w = image.width as usize;
     let n = mask.pixels.len();
     let (mut value, mut weight) = (vec![0.0f32; n], vec![0.0f32; n]);
-    let mut layer =
-        Layer { inverse: vec![1.0; n], confidence: vec![FILLED; n], supplied: vec![false; n] };
-    if let Some(background) = background.filter(|_| known.is_none()) {
+    let Told { exact: known, estimated } = told;
+    let mut layer = Layer {
+        inverse: vec![1.0; n],
+        confidence: vec![FILLED; n],
+        supplied: vec![false; n],
+        estimated: estimated.map_or_else(Vec::new, <[f32]>::to_vec),
+    };
+    if let Some(background) = background.filter(|_| known.is_none() && estimated.is_none()) {
         return Layer { inverse: background.to_vec(), ..layer };
     }
     for i in 0..n {
@@ -189,16 +221,20 @@ fn static_layer(
             (value[i], weight[i]) = (behind, HIDDEN_WEIGHT);
             continue;
         }
-        if background.is_some() || moves || seen.support[i] < 0.5 || seen.score[i] > UNEXPLAINED {
+        if moves {
             continue;
         }
+        let measures =
+            background.is_none() && seen.support[i] >= 0.5 && seen.score[i] <= UNEXPLAINED;
         let (d, deviation) = (seen.inverse_depth[i], seen.deviation[i]);
         let doubt = deviation / (DOUBT.0 * d + DOUBT.1);
-        if doubt < 1.0 {
+        if measures && doubt < 1.0 {
             value[i] = d.clamp(FARTHEST.recip(), NEAREST.recip());
             // Relative to a jump of a tenth of the value between neighbours being usual.
             weight[i] = (0.1 * (d + 0.1) / deviation).powi(2).min(1e3);
             layer.confidence[i] = 0.5 + 0.5 * (1.0 - doubt);
+        } else if let Some(d) = estimated.map(|all| all[i]).filter(|d| *d > 0.0) {
+            (value[i], weight[i]) = (d.clamp(FARTHEST.recip(), NEAREST.recip()), ESTIMATED_WEIGHT);
         }
     }
     if weight.iter().all(|w| *w == 0.0) {
@@ -416,7 +452,7 @@ mod tests {
         let truth = |p: DVec2| if p.x < 32.0 { 0.5 } else { 0.125 };
         let seen = seen(truth, |p| (p.y as u32).is_multiple_of(8));
         let nothing = map(|_| 0.0);
-        let layer = static_layer(&halves(), &nothing, &seen, None, None, None);
+        let layer = static_layer(&halves(), &nothing, &seen, None, None, Told::default());
         for (i, d) in layer.inverse.iter().enumerate() {
             let p = centre(i);
             assert!((d / truth(p) - 1.0).abs() < 0.1, "{p}: {d}");
@@ -425,7 +461,7 @@ mod tests {
         }
         // A fixed camera has measured nothing: a wall at depth 1.
         let wall = vec![1.0; nothing.pixels.len()];
-        let layer = static_layer(&halves(), &nothing, &seen, None, Some(&wall), None);
+        let layer = static_layer(&halves(), &nothing, &seen, None, Some(&wall), Told::default());
         assert!(layer.inverse.iter().all(|d| *d == 1.0));
         assert!(layer.confidence.iter().all(|c| *c == FILLED));
     }
@@ -437,7 +473,7 @@ mod tests {
         let vague = (20 * WIDTH + 40) as usize;
         (seen.inverse_depth[moved], seen.score[moved]) = (2.0, 2.0 * UNEXPLAINED);
         (seen.inverse_depth[vague], seen.deviation[vague]) = (2.0, 1.0);
-        let layer = static_layer(&halves(), &map(|_| 0.0), &seen, None, None, None);
+        let layer = static_layer(&halves(), &map(|_| 0.0), &seen, None, None, Told::default());
         for i in [moved, vague] {
             assert!((layer.inverse[i] - 0.25).abs() < 0.01, "{}", layer.inverse[i]);
             assert_eq!(layer.confidence[i], FILLED);
@@ -453,7 +489,14 @@ mod tests {
         let (depth, mask) = ([depth], [mask]);
         let scale = scale_of(&depth, std::slice::from_ref(&seen), &mask);
         assert!((scale - 0.4).abs() < 1e-5, "{scale}");
-        let layer = static_layer(&halves(), &mask[0], &seen, None, None, Some((&depth[0], scale)));
+        let layer = static_layer(
+            &halves(),
+            &mask[0],
+            &seen,
+            None,
+            None,
+            Told { exact: Some((&depth[0], scale)), estimated: None },
+        );
         let known = (20 * WIDTH + 20) as usize;
         assert!(layer.supplied[known] && !layer.supplied[0]);
         assert_eq!((layer.inverse[known], layer.confidence[known]), (1.0 / (10.0 * scale), 1.0));
@@ -472,6 +515,7 @@ mod tests {
             inverse: map(world).pixels,
             confidence: vec![1.0; (WIDTH * HEIGHT) as usize],
             supplied: vec![false; (WIDTH * HEIGHT) as usize],
+            estimated: Vec::new(),
         };
         let standing = map(|p| f32::from(u8::from(within(p, (20.0, 8.0), (30.0, 28.0)))));
         let found = by_region(&layer, &standing);

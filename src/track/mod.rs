@@ -16,6 +16,7 @@
 //! | `relief` | the depth of an object's pixels relative to its middle's |
 //! | `shape` | each object's shape and path up to scale |
 //! | `movers` | depth of movers' pixels, from shapes and distances |
+//! | `estimated` | depth that a network has estimated, brought to the world's unit frame by frame |
 //! | `distance` | how far an object is: contact with the ground, its size, a smooth path |
 //! | `lower_end` | what an object stands on, or goes before |
 //! | `unfollowed` | parts of movers on which no point could be followed |
@@ -41,6 +42,7 @@ mod cameras;
 mod contour;
 mod depth;
 mod distance;
+mod estimated;
 mod landmarks;
 mod lower_end;
 mod masks;
@@ -300,7 +302,7 @@ pub fn track_observed(
     }
     let Known { frames, options, flow, tracks, supplied } = known;
     let SoFar { mut cameras, mut masks, mut weights, motions, .. } = so_far;
-    if tripod && options.depth.is_none() && share(&masks) < NOTHING_MOVES {
+    if tripod && !options.has_depth() && share(&masks) < NOTHING_MOVES {
         return Err(still::no_parallax("neither the camera nor anything before it moves"));
     }
     let part = "last";

@@ -95,7 +95,11 @@ pub(super) fn lift(
         .map(|f| reliefs(f, &objects, &shapes, &owners[f], behind[f].inverse, &cameras.intrinsics))
         .collect();
     let painted = |objects: &[Object], scaled: &[(Vec<f64>, f32)]| {
-        let paint = |f: usize| paint(f, objects, scaled, &owners[f], &reliefs[f]);
+        let paint = |f: usize| {
+            let mut pixels = paint(f, objects, scaled, &owners[f], &reliefs[f]);
+            shaped(&mut pixels, &owners[f], objects.len(), &layers[f]);
+            pixels
+        };
         (0..masks.len()).into_par_iter().map(paint).collect::<Vec<_>>()
     };
     let mut pixels = painted(&objects, &scaled);
@@ -124,6 +128,34 @@ pub(super) fn lift(
     Lifted { pixels, movers, owners }
 }
 
+/// Gives the pixels of movers the shape that a network has seen, at the distance that they have.
+fn shaped(
+    pixels: &mut [Option<(f32, f32)>],
+    owners: &[Option<u16>],
+    objects: usize,
+    layer: &Layer,
+) {
+    if layer.estimated.is_empty() {
+        return;
+    }
+    let mut farther: Vec<Vec<f64>> = vec![Vec::new(); objects];
+    let known = |i: usize| {
+        let told = f64::from(layer.estimated[i]);
+        owners[i].map(usize::from).filter(|own| told > 0.0 && *own < objects).map(|own| (own, told))
+    };
+    for (i, pixel) in pixels.iter().enumerate() {
+        if let Some(((own, told), (inverse, _))) = known(i).zip(*pixel) {
+            farther[own].push((f64::from(inverse) / told).ln());
+        }
+    }
+    let factors: Vec<f64> = farther.into_iter().map(|of| quantile(of, 0.5).exp()).collect();
+    for (i, pixel) in pixels.iter_mut().enumerate() {
+        if let (Some((own, told)), Some((inverse, _))) = (known(i), pixel) {
+            *inverse = (told * factors[own]) as f32;
+        }
+    }
+}
+
 /// The logarithm of the depth of an object's middle, frame by frame, as supplied depth tells it: by the
 /// object's points, else by all its pixels; none in frames in which it has no supplied depth.
 fn supplied(
@@ -138,8 +170,8 @@ fn supplied(
         let f = object.first + k;
         let (layer, owners) = (&layers[f], &owners[f]);
         let depth = |i: usize| {
-            let told = layer.supplied[i] && owners[i] == Some(index);
-            told.then(|| -f64::from(layer.inverse[i]).ln())
+            let told = layer.told(i).filter(|_| owners[i] == Some(index));
+            told.map(|inverse| -inverse.ln())
         };
         let relative = object.tracks.iter().zip(&frame.relative);
         let mut told: Vec<f64> = relative
@@ -482,6 +514,7 @@ mod tests {
             let depth =
                 |(known, own): (&Option<f64>, &f32)| known.map_or(*own, |z| (1.0 / z) as f32);
             Layer {
+                estimated: Vec::new(),
                 inverse: told.iter().zip(inverse).map(depth).collect(),
                 confidence: vec![1.0; inverse.len()],
                 supplied: told.iter().map(Option::is_some).collect(),

@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use crate::data::Clip;
+use crate::observe::EstimatedDepth;
 use crate::types::{Image, Intrinsics, Pose, Tracks};
 use crate::{Error, Result};
 
@@ -33,6 +34,10 @@ pub struct Options {
     /// Depth (z), one channel, up to one scale for the whole clip, 0 or not finite where unknown,
     /// where it is known: kept but for that scale.
     pub depth: Option<Vec<Image>>,
+    /// Depth that a network has estimated, where there is some: it fills in what the clip does not show, and tells
+    /// the movers' shapes and distances, once each frame is brought to the scale of what was
+    /// triangulated. Does not go with `depth`.
+    pub estimated_depth: Option<EstimatedDepth>,
     /// Points that are followed already, places at the size of the frames, where there are any: they are
     /// taken in besides the program's own.
     pub tracks: Option<Tracks>,
@@ -71,6 +76,7 @@ impl Default for Options {
             refined: Refined::default(),
             masks: None,
             depth: None,
+            estimated_depth: None,
             tracks: None,
             rounds: 2,
             static_motion: None,
@@ -88,6 +94,11 @@ impl Default for Options {
 impl Options {
     /// At most so many rigid motions of a clip are told apart.
     pub const MOST_MOTIONS: usize = 5;
+
+    /// Whether depth of the clip is known beforehand, be it from a network.
+    pub(super) fn has_depth(&self) -> bool {
+        self.depth.is_some() || self.estimated_depth.is_some()
+    }
 
     /// That frames can be tracked, and that what is supplied fits them.
     pub(super) fn check(&self, frames: &[Image]) -> Result<()> {
@@ -135,6 +146,7 @@ impl Options {
             ("poses", self.poses.as_ref().map(Vec::len)),
             ("masks", self.masks.as_ref().map(Vec::len)),
             ("depth maps", self.depth.as_ref().map(Vec::len)),
+            ("estimated depth maps", self.estimated_depth.as_ref().map(|told| told.maps.len())),
             (
                 "places of each point",
                 self.tracks.as_ref().filter(|t| !t.points.is_empty()).map(Tracks::frames),
@@ -147,8 +159,17 @@ impl Options {
                 )));
             }
         }
-        for (what, images) in [("mask", &self.masks), ("depth map", &self.depth)] {
-            for (i, image) in images.iter().flatten().enumerate() {
+        if self.depth.is_some() && self.estimated_depth.is_some() {
+            let what = "depth that is kept and depth that a network estimated are supplied; give one of them";
+            return Err(Error::Input(what.into()));
+        }
+        let estimated = self.estimated_depth.as_ref().map(|told| &told.maps);
+        for (what, images) in [
+            ("mask", self.masks.as_ref()),
+            ("depth map", self.depth.as_ref()),
+            ("estimated depth map", estimated),
+        ] {
+            for (i, image) in images.into_iter().flatten().enumerate() {
                 if (image.width, image.height, image.channels) != (first.width, first.height, 1) {
                     return Err(Error::Input(format!(
                         "supplied {what} {i} is {}×{} with {} channels, the frames are {}×{}; give one \

@@ -442,6 +442,7 @@ mod tests {
             let wall = (1.0 / WALL) as f32;
             let pixels = (WIDTH * HEIGHT) as usize;
             Layer {
+                estimated: Vec::new(),
                 inverse: by(2.0 * wall, wall),
                 confidence: by(0.0, 0.9),
                 supplied: vec![false; pixels],

@@ -6,7 +6,7 @@ use glam::DVec2;
 use super::cameras::Cameras;
 use super::{Known, Options, SoFar, binary};
 use crate::data::Lens;
-use crate::observe::{NeighbourFlow, PointTrack};
+use crate::observe::{EstimatedDepth, NeighbourFlow, PointTrack};
 use crate::types::{Image, Intrinsics};
 
 /// A clip without its lens's distortion.
@@ -54,6 +54,10 @@ impl Undistorted {
                 .depth
                 .as_ref()
                 .map(|maps| maps.iter().map(|map| nearest(map, lens, &pinhole)).collect()),
+            estimated_depth: options.estimated_depth.as_ref().map(|told| EstimatedDepth {
+                maps: told.maps.iter().map(|map| nearest(map, lens, &pinhole)).collect(),
+                ..*told
+            }),
             // They are taken in already, and undistorted with the others.
             tracks: None,
             ..options.clone()

@@ -1,0 +1,112 @@
+//! The user's networks: the options that say where they are, and what they tell of a clip.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use splat4d::observe::onnx::{Models, Provider, Runtime, RuntimeOptions};
+use splat4d::track::Options;
+use splat4d::types::Image;
+use splat4d::{Error, Result};
+
+use super::common::say;
+use super::interrupt;
+use super::meter::Meter;
+use super::values;
+
+/// [`Provider`] by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum ProviderName {
+    Cpu,
+    Cuda,
+    Rocm,
+    Coreml,
+    Directml,
+    Openvino,
+}
+
+/// Networks for depth and flow.
+#[derive(Args)]
+pub struct NetworkArgs {
+    /// Networks for depth and flow: a folder with ONNX models and models.toml, which says what each is for.
+    /// What --depth or --flow supplies is taken instead of theirs
+    #[arg(long, value_name = "DIR")]
+    models: Option<PathBuf>,
+    /// The ONNX Runtime's library [default: that of ORT_DYLIB_PATH, else that of the Python package
+    /// onnxruntime, else the system's]
+    #[arg(long, value_name = "FILE", requires = "models")]
+    onnxruntime: Option<PathBuf>,
+    /// What the ONNX Runtime runs networks on, where its library can
+    #[arg(
+        long = "ep",
+        value_name = "NAME",
+        value_enum,
+        default_value = "cpu",
+        requires = "models"
+    )]
+    provider: ProviderName,
+    /// Threads of a network; 0: as many as the ONNX Runtime thinks best
+    #[arg(long = "onnx-threads", value_name = "N", default_value_t = 0, requires = "models",
+          value_parser = values::whole::<usize>(0..=1024))]
+    threads: usize,
+}
+
+impl NetworkArgs {
+    /// Loads the runtime and the networks, where some are asked for.
+    pub fn open(&self) -> Result<Option<Models>> {
+        let Some(folder) = &self.models else { return Ok(None) };
+        // A missing list is told before a missing runtime.
+        Models::files(folder)?;
+        let provider = match self.provider {
+            ProviderName::Cpu => Provider::Cpu,
+            ProviderName::Cuda => Provider::Cuda,
+            ProviderName::Rocm => Provider::Rocm,
+            ProviderName::Coreml => Provider::CoreMl,
+            ProviderName::Directml => Provider::DirectMl,
+            ProviderName::Openvino => Provider::OpenVino,
+        };
+        let library = self.onnxruntime.clone();
+        let runtime = Runtime::load(&RuntimeOptions { library, provider, threads: self.threads })?;
+        let models = Models::open(&runtime, folder)?;
+        say(&format!("networks by the ONNX Runtime {}", runtime.library().display()));
+        Ok(Some(models))
+    }
+
+    /// All files that are read.
+    pub fn files(&self) -> Vec<PathBuf> {
+        let models = self.models.as_ref().and_then(|folder| Models::files(folder).ok());
+        models.into_iter().flatten().chain(self.onnxruntime.clone()).collect()
+    }
+
+    /// What the networks are, as an entry of a checkpoint's identity: the files' contents.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn identity(&self) -> Result<String> {
+        let Some(folder) = &self.models else { return Ok("none".into()) };
+        let sums = Models::files(folder)?.into_iter().map(|file| {
+            let bytes = std::fs::read(&file).map_err(Error::io(&file))?;
+            Ok(format!("{:08x}", crc32fast::hash(&bytes)))
+        });
+        Ok(format!("files with the checksums {}", sums.collect::<Result<Vec<_>>>()?.join(", ")))
+    }
+}
+
+/// Asks a network for the depth of the frames, where there is one and none is supplied.
+pub fn estimate_depth(
+    models: &mut Option<Models>,
+    frames: &[Image],
+    options: &mut Options,
+) -> Result<()> {
+    let network = models.as_mut().and_then(|models| models.depth.as_mut());
+    let Some(network) = network.filter(|_| options.depth.is_none()) else { return Ok(()) };
+    if options.estimated_depth.is_some() {
+        return Ok(());
+    }
+    let mut meter = Meter::new("depth by the network", "%", 100, 0);
+    options.estimated_depth = Some(network.clip(frames, &mut |share| {
+        interrupt::check()?;
+        meter.set((100.0 * share) as u64);
+        Ok(())
+    })?);
+    Ok(())
+}

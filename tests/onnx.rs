@@ -1,0 +1,184 @@
+//! Networks through the ONNX Runtime: small models whose answers are exact, and models and lists that are wrong.
+//!
+//! `tools/setup.sh test` installs the runtime beside the build; where it is absent the tests fail.
+
+mod support;
+
+use std::path::{Path, PathBuf};
+
+use splat4d::observe::onnx::{Models, Runtime, RuntimeOptions};
+use splat4d::observe::{EstimatedKind, FlowSource};
+use splat4d::types::Image;
+use support::{message, picture, says};
+
+/// The runtime that the setup installs, else the one that the library finds.
+fn runtime() -> Runtime {
+    let beside = Path::new(env!("CARGO_TARGET_TMPDIR")).parent().unwrap().join("onnxruntime");
+    let library = glob(&beside).or_else(|| std::env::var_os("ORT_DYLIB_PATH").map(PathBuf::from));
+    let options = RuntimeOptions { library, threads: 1, ..RuntimeOptions::default() };
+    Runtime::load(&options)
+        .unwrap_or_else(|error| panic!("{error}; tools/setup.sh test installs it"))
+}
+
+/// `lib/python*/site-packages/onnxruntime/capi/libonnxruntime.so*` in an environment.
+fn glob(environment: &Path) -> Option<PathBuf> {
+    let python = std::fs::read_dir(environment.join("lib")).ok()?.flatten().next()?.path();
+    let files = std::fs::read_dir(python.join("site-packages/onnxruntime/capi")).ok()?.flatten();
+    let library = |path: &PathBuf| path.to_string_lossy().contains("/libonnxruntime.so");
+    files.map(|entry| entry.path()).find(library)
+}
+
+/// A folder with the small models and a list.
+fn folder(list: &str) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/models");
+    for name in ["depth.onnx", "bare.onnx", "flow.onnx"] {
+        std::fs::copy(models.join(name), folder.path().join(name)).unwrap();
+    }
+    std::fs::write(folder.path().join("models.toml"), list).unwrap();
+    folder
+}
+
+const BOTH: &str = "[depth]\nfile = \"depth.onnx\"\n[flow]\nfile = \"flow.onnx\"\n";
+
+/// Landscape, portrait, square, odd, tiny.
+const SIZES: [(u32, u32); 5] = [(56, 28), (29, 51), (32, 32), (37, 23), (3, 2)];
+
+#[test]
+fn a_depth_network_is_asked_pixel_by_pixel() {
+    let folder = folder(BOTH);
+    let mut models = Models::open(&runtime(), folder.path()).unwrap();
+    let network = models.depth.as_mut().unwrap();
+    for (width, height) in SIZES {
+        let frames = [picture(width, height, 1), picture(width, height, 2)];
+        let mut shares = Vec::new();
+        let found = network.clip(&frames, &mut |share| {
+            shares.push(share);
+            Ok(())
+        });
+        let found = found.unwrap();
+        assert_eq!((found.kind, shares), (EstimatedKind::ShiftedInverse, vec![0.5, 1.0]));
+        for (map, frame) in found.maps.iter().zip(&frames) {
+            assert_eq!((map.width, map.height, map.channels), (width, height, 1));
+            for (told, colour) in map.pixels.iter().zip(frame.pixels.chunks_exact(3)) {
+                assert!((told - (0.5 + 2.0 * colour[0])).abs() < 1e-6, "{width}×{height}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_flow_network_is_asked_both_ways() {
+    let folder = folder(BOTH);
+    let mut models = Models::open(&runtime(), folder.path()).unwrap();
+    for (width, height) in SIZES {
+        let frames = [picture(width, height, 1), picture(width, height, 2)];
+        let network = models.flow.as_mut().unwrap();
+        let pair = network.source(&frames).pair(0).unwrap();
+        let [here, there] = &frames;
+        let confidence = pair.forward_confidence.unwrap();
+        for i in 0..here.pixels.len() / 3 {
+            for c in 0..2 {
+                let expected = 8.0 * (there.pixels[3 * i + c] - here.pixels[3 * i + c]);
+                let (forward, backward) =
+                    (pair.forward.pixels[2 * i + c], pair.backward.pixels[2 * i + c]);
+                assert!(
+                    (forward - expected).abs() < 1e-5,
+                    "{width}×{height}: {forward} {expected}"
+                );
+                assert!((backward + expected).abs() < 1e-5, "{width}×{height}: {backward}");
+            }
+            assert!((confidence.pixels[i] - here.pixels[3 * i + 2]).abs() < 1e-6);
+        }
+        let missing = network.source(&frames).pair(1);
+        says(&message(missing), &["flow from frame 1", "has 2 frames"]);
+    }
+}
+
+/// The contract of `bare.onnx`, for the list.
+fn contract(more: &str) -> String {
+    let contract = "[depth.contract]\nkind = \"depth\"\nversion = 1\ninput = \"image\"\n\
+                    output = \"inverse\"\nholds = \"depth\"\n";
+    format!("[depth]\nfile = \"bare.onnx\"\n{contract}{more}\n")
+}
+
+#[test]
+fn a_picture_is_made_by_the_contract() {
+    let rule = "picture = { multiple = 8, shorter = 16, white = 255.0, mean = [127.5, 0, 0], \
+                deviation = [127.5, 1, 1] }";
+    let folder = folder(&contract(rule));
+    let mut models = Models::open(&runtime(), folder.path()).unwrap();
+    let network = models.depth.as_mut().unwrap();
+    assert_eq!(network.contract().holds, EstimatedKind::Depth);
+    // Of one colour, so that scaling changes nothing; red 0.75 is 0.5 to the network.
+    let mut frame = Image::new(41, 30, 3);
+    frame.pixels.chunks_exact_mut(3).for_each(|colour| colour[0] = 0.75);
+    let map = network.depth(&frame).unwrap();
+    assert_eq!((map.width, map.height), (41, 30));
+    assert!(map.pixels.iter().all(|told| (told - 1.5).abs() < 1e-5), "{}", map.pixels[0]);
+}
+
+#[test]
+fn what_is_wrong_is_told() {
+    let runtime = runtime();
+    let cases: [(&str, &[&str]); 12] = [
+        ("", &["models.toml", "names no model"]),
+        ("[depth", &["models.toml"]),
+        ("[gaze]\nfile = \"depth.onnx\"", &["[gaze] is no purpose", "depth and flow"]),
+        ("[depth]\nfile = \"gone.onnx\"", &["gone.onnx"]),
+        ("[depth]\nfile = \"models.toml\"", &["models.toml", "the ONNX Runtime refuses it"]),
+        ("[depth]\nfile = \"bare.onnx\"", &["bare.onnx", "does not say what it is"]),
+        ("[depth]\nfile = \"flow.onnx\"", &["is listed for depth, and computes flow"]),
+        (&contract("more = 1"), &["models.toml", "more"]),
+        (&contract("").replace("version = 1", "version = 7"), &["version 7", "version 1"]),
+        (
+            &contract("").replace("\"image\"", "\"picture\""),
+            &["names an input `picture`", "1 × 3 × height × width", "has `image`"],
+        ),
+        (&contract("").replace("\"inverse\"", "\"depth\""), &["output `depth`", "has `inverse`"]),
+        (&contract("picture = { multiple = 0 }"), &["multiples of 0"]),
+    ];
+    for (list, parts) in cases {
+        let folder = folder(list);
+        says(&message(Models::open(&runtime, folder.path()).map(drop)), parts);
+    }
+    let nothing = tempfile::tempdir().unwrap();
+    says(&message(Models::open(&runtime, nothing.path()).map(drop)), &["models.toml"]);
+    // A flow model has another number of inputs and channels than its contract may say.
+    let list = contract("").replace("bare.onnx", "flow.onnx");
+    let folder = folder(&list);
+    // Its own contract wins over the list's.
+    says(
+        &message(Models::open(&runtime, folder.path()).map(drop)),
+        &["is listed for depth, and computes flow"],
+    );
+}
+
+#[test]
+fn frames_that_no_network_takes_are_refused() {
+    let folder = folder(BOTH);
+    let mut models = Models::open(&runtime(), folder.path()).unwrap();
+    let grey = Image::new(4, 4, 1);
+    let depth = models.depth.as_mut().unwrap();
+    says(&message(depth.depth(&grey).map(drop)), &["RGB", "1 channels"]);
+    let flow = models.flow.as_mut().unwrap();
+    let uneven = flow.flow(&Image::new(4, 4, 3), &Image::new(4, 5, 3));
+    says(&message(uneven.map(drop)), &["from 4×4 to 4×5"]);
+}
+
+#[test]
+fn a_file_that_is_no_runtime_is_refused() {
+    let folder = folder(BOTH);
+    let library = folder.path().join("libonnxruntime.so");
+    std::fs::write(&library, "no library").unwrap();
+    // In a process of its own, which loads no other one before.
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_splat4d"))
+        .args(["track", ".", "-o", "x", "--models", ".", "--onnxruntime"])
+        .arg(&library)
+        .current_dir(&folder)
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    let told = String::from_utf8_lossy(&output.stderr);
+    says(&told, &["no ONNX Runtime", "libonnxruntime.so", "pip install onnxruntime", "1.17"]);
+}
