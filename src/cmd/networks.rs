@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 use splat4d::observe::onnx::{Models, Provider, Runtime, RuntimeOptions};
 use splat4d::track::Options;
 use splat4d::types::Image;
-use splat4d::{Error, Result};
+use splat4d::{Result, io};
 
 use super::common::say;
 use super::interrupt;
@@ -44,10 +44,10 @@ pub struct NetworkArgs {
         requires = "models"
     )]
     provider: ProviderName,
-    /// Threads of a network; 0: as many as the ONNX Runtime thinks best
-    #[arg(long = "onnx-threads", value_name = "N", default_value_t = 0, requires = "models",
-          value_parser = values::whole::<usize>(0..=1024))]
-    threads: usize,
+    /// Threads of a network [default: as many as the ONNX Runtime thinks best]
+    #[arg(long = "onnx-threads", value_name = "N", requires = "models",
+          value_parser = values::whole::<usize>(1..=1024))]
+    threads: Option<usize>,
 }
 
 impl NetworkArgs {
@@ -65,7 +65,8 @@ impl NetworkArgs {
             ProviderName::Openvino => Provider::OpenVino,
         };
         let library = self.onnxruntime.clone();
-        let runtime = Runtime::load(&RuntimeOptions { library, provider, threads: self.threads })?;
+        let threads = self.threads.unwrap_or(0);
+        let runtime = Runtime::load(&RuntimeOptions { library, provider, threads })?;
         let models = Models::open(&runtime, folder)?;
         say(&format!("networks by the ONNX Runtime {}", runtime.library().display()));
         Ok(Some(models))
@@ -83,10 +84,9 @@ impl NetworkArgs {
     /// A file that cannot be read.
     pub fn identity(&self) -> Result<String> {
         let Some(folder) = &self.models else { return Ok("none".into()) };
-        let sums = Models::files(folder)?.into_iter().map(|file| {
-            let bytes = std::fs::read(&file).map_err(Error::io(&file))?;
-            Ok(format!("{:08x}", crc32fast::hash(&bytes)))
-        });
+        let sums = Models::files(folder)?
+            .into_iter()
+            .map(|file| Ok(format!("{:08x}", crc32fast::hash(&io::read(&file)?))));
         Ok(format!("files with the checksums {}", sums.collect::<Result<Vec<_>>>()?.join(", ")))
     }
 }

@@ -1,4 +1,5 @@
-//! Depth that a network has estimated from single frames, brought to the world's unit.
+//! Depth that a network has estimated from single frames, brought to the world's unit, and the shapes of movers
+//! that it shows.
 //!
 //! Such depth shows shapes and what is nearer than what, but leaves open a scale, and often a shift,
 //! which differ from frame to frame. Both are fitted to what was triangulated of the static world in the same
@@ -6,9 +7,13 @@
 //! first by the least median of residuals, so that neither what the network gets wrong nor what was
 //! triangulated wrongly pulls, then by what agrees with that.
 
+use glam::DVec2;
+use rayon::prelude::*;
+
+use super::depth::Layer;
 use super::quantile;
 use super::residual::Seen;
-use crate::observe::{EstimatedDepth, EstimatedKind};
+use crate::observe::{EstimatedDepth, EstimatedKind, NeighbourFlow};
 use crate::types::Image;
 
 /// A frame is aligned by so many pixels at least, of every so many.
@@ -17,12 +22,14 @@ const EVERY: usize = 5;
 /// What was triangulated is compared with where its relative deviation is less, and what it leaves
 /// unexplained, in deviations.
 const CERTAIN: (f32, f32) = (0.1, 4.0);
+/// Shapes are averaged over so many frames to each side.
+const AROUND: usize = 4;
 /// Lines that are tried to begin with, and a number without a common factor with that.
 const CANDIDATES: usize = 128;
 const STRIDE: usize = 37;
 /// Rounds of reweighting by Tukey's biweight, its width in median residuals, and that at least.
 const ROUNDS: usize = 10;
-const WIDTH: f64 = 6.0;
+const BIWEIGHT: f64 = 6.0;
 const ALIKE: f64 = 0.005;
 
 /// Inverse depth of each frame in the world's unit, 0 where unknown, also in all of a frame that cannot be
@@ -129,7 +136,7 @@ fn fit(kind: EstimatedKind, pairs: &[(f64, f64)]) -> Option<Line> {
         (0..CANDIDATES).filter_map(through).map(|line| (spread(&line), line)).collect();
     let mut line = lines.into_iter().min_by(|a, b| a.0.total_cmp(&b.0))?.1;
     for _ in 0..ROUNDS {
-        let width = (WIDTH * spread(&line)).max(ALIKE);
+        let width = (BIWEIGHT * spread(&line)).max(ALIKE);
         let mut sums = [0.0; 5];
         for row in &rows {
             let (a, b) = *row;
@@ -158,6 +165,124 @@ fn usual(estimated: &EstimatedDepth) -> Line {
     let x: Vec<f64> = all.filter_map(|told| known(estimated.kind, *told)).collect();
     let median = quantile(x, 0.5);
     Line { factor: if median > 0.0 { median.recip() } else { 1.0 }, shift: 0.0 }
+}
+
+/// Gives movers the shape that a network has seen, at the distance that they have: `pixels` are their
+/// inverse depths by frame, `owners` say which object each pixel is of, `open` which objects' shapes may change.
+///
+/// What differs from the shape so far is averaged over the frames around, along the flow. It is taken
+/// as far as it lasts there: how much of it is left by chance is told by how much it changes from
+/// frame to frame (shrinkage towards what is known, James and Stein 1961).
+pub(super) fn shape(
+    pixels: &mut [Vec<Option<(f32, f32)>>],
+    owners: &[Vec<Option<u16>>],
+    open: &[bool],
+    layers: &[Layer],
+    flow: &NeighbourFlow,
+) {
+    if layers.iter().all(|layer| layer.estimated.is_empty()) {
+        return;
+    }
+    let may = |f: usize, i: usize| {
+        owners[f][i].map(usize::from).filter(|own| open.get(*own).copied().unwrap_or(false))
+    };
+    // The logarithm by which the network's inverse depth is above the one so far, beyond its median
+    // over the object.
+    let beyond: Vec<Vec<Option<f64>>> = (0..pixels.len())
+        .into_par_iter()
+        .map(|f| {
+            let ratio = |i: usize| {
+                let told = f64::from(*layers[f].estimated.get(i)?);
+                let own = may(f, i).filter(|_| told > 0.0)?;
+                Some((own, (told / f64::from(pixels[f][i]?.0)).ln()))
+            };
+            let ratios: Vec<Option<(usize, f64)>> = (0..pixels[f].len()).map(ratio).collect();
+            let mut of: Vec<Vec<f64>> = vec![Vec::new(); open.len()];
+            ratios.iter().flatten().for_each(|(own, ratio)| of[*own].push(*ratio));
+            let medians: Vec<f64> = of.into_iter().map(|of| quantile(of, 0.5)).collect();
+            ratios.into_iter().map(|r| r.map(|(own, ratio)| ratio - medians[own])).collect()
+        })
+        .collect();
+    let averages: Vec<Vec<Option<Average>>> = (0..pixels.len())
+        .into_par_iter()
+        .map(|f| {
+            let average = |i: usize| {
+                let mut sums = Sums::default();
+                sums.add(1.0, beyond[f][i]?);
+                let own = owners[f][i];
+                let pixel =
+                    DVec2::new((i % flow.width) as f64 + 0.5, (i / flow.width) as f64 + 0.5);
+                flow.follow(f, pixel, AROUND, |other, chain| {
+                    let x = (chain.pixel.x as usize).min(flow.width - 1);
+                    let y = (chain.pixel.y as usize).min(flow.height - 1);
+                    let there = y * flow.width + x;
+                    if let Some(value) =
+                        beyond[other][there].filter(|_| owners[other][there] == own)
+                    {
+                        sums.add(f64::from(chain.confidence), value);
+                    }
+                });
+                Some(sums.average())
+            };
+            (0..pixels[f].len()).map(average).collect()
+        })
+        .collect();
+    // Of each object: the mean square of the averages, and of their errors.
+    let mut squares = vec![(0.0, 0.0); open.len()];
+    for (f, averages) in averages.iter().enumerate() {
+        for (i, average) in averages.iter().enumerate() {
+            if let Some((own, Average { mean, error: Some(error) })) = may(f, i).zip(*average) {
+                squares[own].0 += mean * mean;
+                squares[own].1 += error;
+            }
+        }
+    }
+    let lasts: Vec<f64> = squares
+        .iter()
+        .map(|(all, chance)| if *all > 0.0 { (1.0 - chance / all).max(0.0) } else { 0.0 })
+        .collect();
+    for (f, pixels) in pixels.iter_mut().enumerate() {
+        for (i, pixel) in pixels.iter_mut().enumerate() {
+            if let (Some(own), Some(average), Some((inverse, _))) =
+                (may(f, i), averages[f][i], pixel.as_mut())
+            {
+                *inverse = (f64::from(*inverse) * (lasts[own] * average.mean).exp()) as f32;
+            }
+        }
+    }
+}
+
+/// A weighted average, and the square of its standard error where more than one value tells it.
+#[derive(Clone, Copy)]
+struct Average {
+    mean: f64,
+    error: Option<f64>,
+}
+
+/// Sums of weights, of their squares, and of weighted values and squares.
+#[derive(Default)]
+struct Sums {
+    weight: f64,
+    weight_squared: f64,
+    value: f64,
+    value_squared: f64,
+}
+
+impl Sums {
+    fn add(&mut self, weight: f64, value: f64) {
+        self.weight += weight;
+        self.weight_squared += weight * weight;
+        self.value += weight * value;
+        self.value_squared += weight * value * value;
+    }
+
+    fn average(&self) -> Average {
+        let mean = self.value / self.weight;
+        let spread = (self.value_squared / self.weight - mean * mean).max(0.0);
+        // Values that count alike, as many as these weights amount to.
+        let count = self.weight * self.weight / self.weight_squared;
+        Average { mean, error: (count > 1.5).then(|| spread / (count - 1.0)) }
+    }
 }
 
 #[cfg(test)]
@@ -243,5 +368,62 @@ mod tests {
             let median = quantile(found[0].iter().map(|d| f64::from(*d)).collect(), 0.5);
             assert!((median - 1.0).abs() < 0.02, "{kind:?}: {median}");
         }
+    }
+
+    /// A mover that stands still in the picture, flat so far at a depth of 2; the network says of each
+    /// of its pixels what `told` says, times 3. Returns by how much its pixels became nearer.
+    fn shaped(open: bool, told: impl Fn(usize, DVec2) -> f64) -> Vec<f64> {
+        let inside = |p: DVec2| within(p, (14.0, 8.0), (44.0, 32.0));
+        let n = (WIDTH * HEIGHT) as usize;
+        let own: Vec<Option<u16>> = (0..n).map(|i| inside(centre(i)).then_some(0)).collect();
+        let mut pixels: Vec<Vec<Option<(f32, f32)>>> =
+            vec![own.iter().map(|own| own.map(|_| (0.5, 0.4))).collect(); FRAMES];
+        let layer = |f: usize| Layer {
+            inverse: vec![0.1; n],
+            confidence: vec![1.0; n],
+            supplied: vec![false; n],
+            estimated: (0..n).map(|i| (1.5 * told(f, centre(i)).exp()) as f32).collect(),
+        };
+        let layers: Vec<Layer> = (0..FRAMES).map(layer).collect();
+        let flow = flow(|_, _| DVec2::ZERO);
+        shape(&mut pixels, &vec![own; FRAMES], &[open], &layers, &flow);
+        let nearer =
+            pixels[2].iter().flatten().map(|(inverse, _)| (f64::from(*inverse) / 0.5).ln());
+        nearer.collect()
+    }
+
+    /// A bulge, 0 in the median.
+    fn bulge(p: DVec2) -> f64 {
+        0.2 * (0.3 * (p.x - 29.0)).sin()
+    }
+
+    /// Without a pattern, from frame to frame another one.
+    fn noise(f: usize, p: DVec2) -> f64 {
+        0.1 * (41.3 * p.x + 17.9 * p.y + 57.7 * (f as f64 + 1.3).powi(2)).sin()
+    }
+
+    fn root_mean_square(of: impl Iterator<Item = f64>) -> f64 {
+        let (sum, n) = of.fold((0.0, 0.0), |(sum, n), x| (sum + x * x, n + 1.0));
+        (sum / n).sqrt()
+    }
+
+    #[test]
+    fn a_shape_that_lasts_is_taken() {
+        let inside = |i: &usize| within(centre(*i), (14.0, 8.0), (44.0, 32.0));
+        let truth: Vec<f64> =
+            (0..(WIDTH * HEIGHT) as usize).filter(inside).map(|i| bulge(centre(i))).collect();
+        let found = shaped(true, |_, p| bulge(p));
+        let off = root_mean_square(found.iter().zip(&truth).map(|(a, b)| a - b));
+        assert!(off < 0.01, "{off}");
+        let found = shaped(true, |f, p| bulge(p) + noise(f, p));
+        let off = root_mean_square(found.iter().zip(&truth).map(|(a, b)| a - b));
+        assert!(off < 0.5 * root_mean_square((0..500).map(|i| noise(2, centre(i)))), "{off}");
+    }
+
+    #[test]
+    fn one_that_changes_from_frame_to_frame_is_not() {
+        let left = root_mean_square(shaped(true, noise).into_iter());
+        assert!(left < 0.015, "{left}");
+        assert!(shaped(false, |_, p| bulge(p)).iter().all(|nearer| nearer.abs() < 1e-6));
     }
 }

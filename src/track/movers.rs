@@ -13,7 +13,7 @@ use super::masks::regions;
 use super::objects::{self, Object};
 use super::relief::relief;
 use super::shape::{Frame, Shape, UPRIGHT_DRIFT, shape};
-use super::{Mover, quantile, unfollowed};
+use super::{Mover, estimated, quantile, unfollowed};
 use crate::geometry::sim3::Sim3;
 use crate::observe::NeighbourFlow;
 use crate::types::{Image, Intrinsics, Pose};
@@ -95,11 +95,7 @@ pub(super) fn lift(
         .map(|f| reliefs(f, &objects, &shapes, &owners[f], behind[f].inverse, &cameras.intrinsics))
         .collect();
     let painted = |objects: &[Object], scaled: &[(Vec<f64>, f32)]| {
-        let paint = |f: usize| {
-            let mut pixels = paint(f, objects, scaled, &owners[f], &reliefs[f]);
-            shaped(&mut pixels, &owners[f], objects.len(), &layers[f]);
-            pixels
-        };
+        let paint = |f: usize| paint(f, objects, scaled, &owners[f], &reliefs[f]);
         (0..masks.len()).into_par_iter().map(paint).collect::<Vec<_>>()
     };
     let mut pixels = painted(&objects, &scaled);
@@ -110,6 +106,9 @@ pub(super) fn lift(
         scaled.push((depths, BOUND));
         pixels = painted(&objects, &scaled);
     }
+    // What moves rigidly keeps the shape that its motion was found with.
+    let open: Vec<bool> = shapes.iter().map(|shape| !shape.rigid).collect();
+    estimated::shape(&mut pixels, &owners, &open, layers, flow);
     let movers = objects
         .iter()
         .zip(&shapes)
@@ -126,34 +125,6 @@ pub(super) fn lift(
         .map(|(own, mask)| Image { pixels: own.iter().map(numbered).collect(), ..*mask })
         .collect();
     Lifted { pixels, movers, owners }
-}
-
-/// Gives the pixels of movers the shape that a network has seen, at the distance that they have.
-fn shaped(
-    pixels: &mut [Option<(f32, f32)>],
-    owners: &[Option<u16>],
-    objects: usize,
-    layer: &Layer,
-) {
-    if layer.estimated.is_empty() {
-        return;
-    }
-    let mut farther: Vec<Vec<f64>> = vec![Vec::new(); objects];
-    let known = |i: usize| {
-        let told = f64::from(layer.estimated[i]);
-        owners[i].map(usize::from).filter(|own| told > 0.0 && *own < objects).map(|own| (own, told))
-    };
-    for (i, pixel) in pixels.iter().enumerate() {
-        if let Some(((own, told), (inverse, _))) = known(i).zip(*pixel) {
-            farther[own].push((f64::from(inverse) / told).ln());
-        }
-    }
-    let factors: Vec<f64> = farther.into_iter().map(|of| quantile(of, 0.5).exp()).collect();
-    for (i, pixel) in pixels.iter_mut().enumerate() {
-        if let (Some((own, told)), Some((inverse, _))) = (known(i), pixel) {
-            *inverse = (told * factors[own]) as f32;
-        }
-    }
 }
 
 /// The logarithm of the depth of an object's middle, frame by frame, as supplied depth tells it: by the

@@ -36,7 +36,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use crate::{Error, Result};
+use crate::{Error, Result, io};
 pub use contract::Contract;
 use networks::AnyNetwork;
 pub use networks::{DepthNetwork, FlowNetwork};
@@ -100,7 +100,7 @@ impl Models {
 /// What a folder's list says: for each purpose a file, and a contract where it holds one.
 fn listed(folder: &Path) -> Result<BTreeMap<String, (PathBuf, Option<Contract>)>> {
     let list = folder.join(LIST);
-    let text = std::fs::read_to_string(&list).map_err(Error::io(&list))?;
+    let text = io::read_text(&list)?;
     let entries: BTreeMap<String, Entry> =
         toml::from_str(&text).map_err(|error| Error::format(&list, error.to_string()))?;
     if entries.is_empty() {

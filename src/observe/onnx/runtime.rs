@@ -7,7 +7,7 @@ use std::sync::Mutex;
 use ort::ep;
 use ort::session::Session;
 
-use crate::{Error, Result};
+use crate::{Error, Result, io};
 
 /// What networks run on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -90,7 +90,7 @@ impl Runtime {
     /// Opens a network's file.
     pub(super) fn session(&self, file: &Path) -> Result<Session> {
         // The runtime's own message for a missing file says less.
-        std::fs::File::open(file).map_err(Error::io(file))?;
+        io::open(file)?;
         let failed =
             |what: String| Error::format(file, format!("the ONNX Runtime refuses it: {what}"));
         let mut builder = Session::builder().map_err(|error| failed(error.to_string()))?;
