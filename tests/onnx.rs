@@ -121,10 +121,12 @@ fn a_picture_is_made_by_the_contract() {
 #[test]
 fn what_is_wrong_is_told() {
     let runtime = runtime();
-    let cases: [(&str, &[&str]); 12] = [
+    let cases: [(&str, &[&str]); 14] = [
         ("", &["models.toml", "names no model"]),
         ("[depth", &["models.toml"]),
-        ("[gaze]\nfile = \"depth.onnx\"", &["[gaze] is no purpose", "depth and flow"]),
+        ("[gaze]\nfile = \"depth.onnx\"", &["models.toml", "`gaze`", "`depth` or `flow`"]),
+        ("[depth]\nfile = \"../depth.onnx\"", &["names ../depth.onnx", "not within its folder"]),
+        ("[depth]\nfile = \"/depth.onnx\"", &["names /depth.onnx", "not within its folder"]),
         ("[depth]\nfile = \"gone.onnx\"", &["gone.onnx"]),
         ("[depth]\nfile = \"models.toml\"", &["models.toml", "the ONNX Runtime refuses it"]),
         ("[depth]\nfile = \"bare.onnx\"", &["bare.onnx", "does not say what it is"]),

@@ -148,17 +148,20 @@ impl KnownArgs {
         let cameras = given(&self.poses, clip, supplied::cameras)?;
         notes(cameras.as_ref().map_or(&[], |cameras| &cameras.notes));
         let told = cameras.as_ref().and_then(|cameras| cameras.intrinsics);
-        let depth = |path: &Path, clip: &Clip| supplied::depth(path, clip, self.depth_scale);
-        let depth = given(&self.depth, clip, depth)?;
         let kind = match self.depth_kind {
             DepthKind::Measured => None,
             DepthKind::Estimated => Some(EstimatedKind::Depth),
             DepthKind::Shifted => Some(EstimatedKind::ShiftedDepth),
             DepthKind::Inverse => Some(EstimatedKind::ShiftedInverse),
         };
-        let (depth, estimated_depth) = match (depth, kind) {
-            (Some(maps), Some(kind)) => (None, Some(EstimatedDepth { maps, kind })),
-            (depth, _) => (depth, None),
+        let read = |file: &Path| match kind {
+            None => depth::read(file, self.depth_scale),
+            Some(_) => depth::read_stored(file, self.depth_scale),
+        };
+        let maps = given(&self.depth, clip, |path, clip| supplied::depth(path, clip, read))?;
+        let (depth, estimated_depth) = match kind {
+            None => (maps, None),
+            Some(kind) => (None, maps.map(|maps| EstimatedDepth { maps, kind })),
         };
         Ok(Options {
             intrinsics: given(&self.intrinsics, clip, supplied::intrinsics)?

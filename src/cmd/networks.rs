@@ -98,10 +98,8 @@ pub fn estimate_depth(
     options: &mut Options,
 ) -> Result<()> {
     let network = models.as_mut().and_then(|models| models.depth.as_mut());
-    let Some(network) = network.filter(|_| options.depth.is_none()) else { return Ok(()) };
-    if options.estimated_depth.is_some() {
-        return Ok(());
-    }
+    let supplied = options.depth.is_some() || options.estimated_depth.is_some();
+    let Some(network) = network.filter(|_| !supplied) else { return Ok(()) };
     let mut meter = Meter::new("depth by the network", "%", 100, 0);
     options.estimated_depth = Some(network.clip(frames, &mut |share| {
         interrupt::check()?;

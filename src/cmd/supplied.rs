@@ -279,14 +279,17 @@ pub fn masks(folder: &Path, clip: &Clip) -> Result<Vec<Image>> {
     of_folder(folder, files, clip, "masks", |file| read_mask(file))
 }
 
-/// Depth maps of a folder, one for each frame taken, at the size of the frames. `unit` of a PNG's numbers
-/// are a unit of length.
-pub fn depth(folder: &Path, clip: &Clip, unit: f64) -> Result<Vec<Image>> {
+/// Depth maps of a folder, one for each frame taken, at the size of the frames; `read` reads a file.
+pub fn depth(
+    folder: &Path,
+    clip: &Clip,
+    read: impl Fn(&Path) -> Result<Image>,
+) -> Result<Vec<Image>> {
     let files = match monst3r::is_output(folder) {
         true => monst3r::depth(folder)?,
         false => first_of(folder, &depth::EXTENSIONS)?,
     };
-    of_folder(folder, files, clip, "depth maps", |file| depth::read(file, unit))
+    of_folder(folder, files, clip, "depth maps", read)
 }
 
 /// Points followed through the clip, one place for each frame taken, at the size of the frames.

@@ -18,22 +18,29 @@ pub const EXTENSIONS: [&str; 4] = ["exr", "npy", "npz", "png"];
 /// # Errors
 /// [`Error::Io`]; [`Error::Format`] for what is no depth map.
 pub fn read(path: impl AsRef<Path>, unit: f64) -> Result<Image> {
+    let mut depth = read_stored(path, unit)?;
+    depth.pixels.iter_mut().for_each(|z| *z = clean(*z));
+    Ok(depth)
+}
+
+/// Reads a map as [`read`] does and leaves its numbers as they are: those of a network may be inverse
+/// depth, and below 0.
+///
+/// # Errors
+/// Those of [`read`].
+pub fn read_stored(path: impl AsRef<Path>, unit: f64) -> Result<Image> {
     let path = path.as_ref();
     let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
-    let mut depth = match extension.to_str() {
-        Some("npy") => of_array(path, npy::read(path)?)?,
-        Some("npz") => of_array(path, npy::read_only(path)?)?,
+    match extension.to_str() {
+        Some("npy") => of_array(path, npy::read(path)?),
+        Some("npz") => of_array(path, npy::read_only(path)?),
         Some("png") => {
             let mut depth = images::read_grey16(path)?;
             depth.pixels.iter_mut().for_each(|z| *z = (f64::from(*z) / unit) as f32);
-            depth
+            Ok(depth)
         }
-        _ => return exr::read_depth(path),
-    };
-    for z in &mut depth.pixels {
-        *z = clean(*z);
+        _ => exr::read_stored_depth(path),
     }
-    Ok(depth)
 }
 
 /// A depth as the crate keeps it.
@@ -86,6 +93,9 @@ mod tests {
             std::fs::write(at(name), npy(shape, &values)).unwrap();
             let depth = read(at(name), 1.0).unwrap();
             assert_eq!((depth.width, depth.height, depth.pixels), (3, 2, wanted.to_vec()));
+            let stored = read_stored(at(name), 1.0).unwrap().pixels;
+            assert!(stored[1].is_nan());
+            assert_eq!((stored[0], &stored[2..]), (1.5, &values[2..]));
         }
         let grey = image::ImageBuffer::<image::Luma<u16>, _>::from_raw(2, 1, vec![1500u16, 0]);
         grey.unwrap().save(at("d.png")).unwrap();

@@ -17,7 +17,13 @@ use crate::{Error, Result};
 /// Reads a depth map: the channel `Z`, else `depth`, `Y` or `R`, else the only one. What is no depth
 /// (NaN, not above 0, nearer than [`range::DEPTH`]) comes back as 0, what is farther as infinite.
 pub fn read_depth(path: impl AsRef<Path>) -> Result<Image> {
-    let path = path.as_ref();
+    let mut depth = read_stored_depth(path.as_ref())?;
+    depth.pixels.iter_mut().for_each(|z| *z = clean(*z));
+    Ok(depth)
+}
+
+/// Reads the channel of [`read_depth`] and leaves its numbers as they are.
+pub(super) fn read_stored_depth(path: &Path) -> Result<Image> {
     let mut planes = read_planes(path)?;
     let names: Vec<String> = planes.names.iter().map(|n| n.to_ascii_lowercase()).collect();
     let wanted = ["z", "depth", "depth.z", "y", "depth.v", "r"];
@@ -31,8 +37,7 @@ pub fn read_depth(path: impl AsRef<Path>) -> Result<Image> {
             return Err(Error::format(path, what));
         }
     };
-    let mut pixels = planes.values.swap_remove(index);
-    pixels.iter_mut().for_each(|z| *z = clean(*z));
+    let pixels = planes.values.swap_remove(index);
     Ok(Image { width: planes.width, height: planes.height, channels: 1, pixels })
 }
 

@@ -1,6 +1,6 @@
 //! Flow that the engine computes.
 
-use super::flow::{FlowPair, FlowSource};
+use super::flow::{FlowPair, FlowSource, neighbours};
 use crate::gpu::{Device, Footprint, Rehearsal};
 use crate::ops::flow::{FlowEngine, FlowImages};
 use crate::types::{FlowSettings, Image};
@@ -49,12 +49,7 @@ impl<'a> EngineFlow<'a> {
 
 impl FlowSource for EngineFlow<'_> {
     fn pair(&mut self, first: usize) -> Result<FlowPair> {
-        let (Some(image), Some(next)) = (self.frames.get(first), self.frames.get(first + 1)) else {
-            return Err(Error::Input(format!(
-                "flow from frame {first} to the next: the clip has {} frames",
-                self.frames.len()
-            )));
-        };
+        let (image, next) = neighbours(self.frames, first)?;
         let here = match self.ahead.take() {
             Some((frame, pyramid)) if frame == first => pyramid,
             _ => self.engine.frame(image)?,

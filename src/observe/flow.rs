@@ -43,6 +43,18 @@ pub trait FlowSource {
     fn known(&mut self, _first: usize, _pair: &FlowPair) {}
 }
 
+/// A frame and the next one.
+///
+/// # Errors
+/// The clip ends before.
+pub(super) fn neighbours(frames: &[Image], first: usize) -> Result<(&Image, &Image)> {
+    frames.get(first).zip(frames.get(first + 1)).ok_or_else(|| {
+        let what =
+            format!("flow from frame {first} to the next: the clip has {} frames", frames.len());
+        Error::Input(what)
+    })
+}
+
 /// Flow that is there already: from files, or exact from a synthetic clip.
 #[derive(Clone, Debug, Serialize)]
 pub struct SuppliedFlow {

@@ -14,7 +14,7 @@ use super::cameras::Cameras;
 use super::distance::Behind;
 use super::estimated::aligned;
 use super::masks::regions;
-use super::movers::{self, BOUND, KNOWN, Lifted, NEARER};
+use super::movers::{self, BOUND, KNOWN, Lifted, NEARER, nearest_pixel};
 use super::observer::Work;
 use super::plate::Evidence;
 use super::quantile;
@@ -33,6 +33,8 @@ const NEAREST: f32 = 0.02;
 const DOUBT: (f32, f32) = (0.35, 0.02);
 /// A static pixel that leaves more unexplained than this many deviations is not measured.
 const UNEXPLAINED: f32 = 4.0;
+/// Depth from elsewhere is compared with inverse depth whose relative deviation is less.
+const CERTAIN: f32 = 0.1;
 /// Confidence of depth that was filled in.
 const FILLED: f32 = 0.3;
 /// Confidence above which depth was measured.
@@ -136,14 +138,20 @@ pub(super) fn dense(
     Ok(Dense { depth, confidence, movers: lifted.movers, owners: lifted.owners })
 }
 
+/// Whether a pixel stands still and was triangulated well enough for depth to be compared with it.
+pub(super) fn is_certain(seen: &Seen, mask: &Image, i: usize) -> bool {
+    seen.deviation[i] < CERTAIN * seen.inverse_depth[i]
+        && seen.score[i] < UNEXPLAINED
+        && mask.pixels[i] <= 0.5
+}
+
 /// One factor for all supplied maps: the median ratio to what was triangulated.
 fn scale_of(maps: &[Image], seen: &[Seen], masks: &[Image]) -> f32 {
     let mut ratios = Vec::new();
     for ((map, seen), mask) in maps.iter().zip(seen).zip(masks) {
         for i in (0..map.pixels.len()).step_by(7) {
             let (z, d) = (map.pixels[i], seen.inverse_depth[i]);
-            let certain = seen.deviation[i] < 0.1 * d && seen.score[i] < UNEXPLAINED;
-            if certain && mask.pixels[i] <= 0.5 && z.is_finite() && z > 0.0 {
+            if is_certain(seen, mask, i) && z.is_finite() && z > 0.0 {
                 ratios.push(f64::from(1.0 / (d * z)));
             }
         }
@@ -202,7 +210,8 @@ fn static_layer(
         supplied: vec![false; n],
         estimated: estimated.map_or_else(Vec::new, <[f32]>::to_vec),
     };
-    if let Some(background) = background.filter(|_| known.is_none() && estimated.is_none()) {
+    let is_told = known.is_some() || estimated.is_some_and(|all| all.iter().any(|d| *d > 0.0));
+    if let Some(background) = background.filter(|_| !is_told) {
         return Layer { inverse: background.to_vec(), ..layer };
     }
     for i in 0..n {
@@ -413,9 +422,8 @@ fn smoothed(
     };
     add(movers[frame][i], 1.0);
     flow.follow(frame, pixel, 4, |other, chain| {
-        let x = (chain.pixel.x as usize).min(flow.width - 1);
-        let y = (chain.pixel.y as usize).min(flow.height - 1);
-        add(movers[other][y * flow.width + x], chain.confidence);
+        let there = nearest_pixel(chain.pixel, flow.width, movers[other].len());
+        add(movers[other][there], chain.confidence);
     });
     if total > 0.0 { (sum / total).exp() } else { 1.0 }
 }

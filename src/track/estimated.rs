@@ -10,7 +10,8 @@
 use glam::DVec2;
 use rayon::prelude::*;
 
-use super::depth::Layer;
+use super::depth::{Layer, is_certain};
+use super::movers::nearest_pixel;
 use super::quantile;
 use super::residual::Seen;
 use crate::observe::{EstimatedDepth, EstimatedKind, NeighbourFlow};
@@ -19,9 +20,8 @@ use crate::types::Image;
 /// A frame is aligned by so many pixels at least, of every so many.
 const LEAST: usize = 50;
 const EVERY: usize = 5;
-/// What was triangulated is compared with where its relative deviation is less, and what it leaves
-/// unexplained, in deviations.
-const CERTAIN: (f32, f32) = (0.1, 4.0);
+/// What rests on less support is not compared with.
+const SUPPORT: f32 = 0.5;
 /// Shapes are averaged over so many frames to each side.
 const AROUND: usize = 4;
 /// Lines that are tried to begin with, and a number without a common factor with that.
@@ -37,7 +37,7 @@ const ALIKE: f64 = 0.005;
 pub(super) fn aligned(estimated: &EstimatedDepth, seen: &[Seen], masks: &[Image]) -> Vec<Vec<f32>> {
     let EstimatedDepth { maps, kind } = estimated;
     let fits: Vec<Option<Line>> = maps
-        .iter()
+        .par_iter()
         .zip(seen)
         .zip(masks)
         .map(|((map, seen), mask)| fit(*kind, &pairs(*kind, map, seen, mask)))
@@ -88,18 +88,15 @@ fn known(kind: EstimatedKind, told: f32) -> Option<f64> {
 /// What the map says (x) and the inverse depth that was triangulated, of static pixels.
 fn pairs(kind: EstimatedKind, map: &Image, seen: &Seen, mask: &Image) -> Vec<(f64, f64)> {
     let pair = |i: usize| {
-        let d = seen.inverse_depth[i];
-        let certain = seen.support[i] >= 0.5
-            && seen.deviation[i] < CERTAIN.0 * d
-            && seen.score[i] < CERTAIN.1
-            && mask.pixels[i] <= 0.5;
-        certain.then(|| known(kind, map.pixels[i])).flatten().map(|x| (x, f64::from(d)))
+        let certain = seen.support[i] >= SUPPORT && is_certain(seen, mask, i);
+        let x = certain.then(|| known(kind, map.pixels[i])).flatten()?;
+        Some((x, f64::from(seen.inverse_depth[i])))
     };
     (0..map.pixels.len()).step_by(EVERY).filter_map(pair).collect()
 }
 
-/// The line that most pairs agree with; none through too few pairs, or where what
-/// is said to be farther is nearer.
+/// The line that most pairs agree with; none through too few pairs, through pairs of one depth, or where what is
+/// said to be farther is nearer.
 fn fit(kind: EstimatedKind, pairs: &[(f64, f64)]) -> Option<Line> {
     if pairs.len() < LEAST {
         return None;
@@ -119,7 +116,7 @@ fn fit(kind: EstimatedKind, pairs: &[(f64, f64)]) -> Option<Line> {
     let residual =
         |line: &Line, (a, b): &(f64, f64)| (line.factor * a + line.shift * b - 1.0).abs();
     let spread = |line: &Line| quantile(rows.iter().map(|row| residual(line, row)).collect(), 0.5);
-    // Lines through two, one near and one far, by the median of what they leave.
+    // Lines through two pairs of which the map says different things, by the median of their residuals.
     let mut by_told: Vec<usize> = (0..rows.len()).collect();
     by_told.sort_by(|i, j| pairs[*i].0.total_cmp(&pairs[*j].0));
     let third = rows.len() / 3;
@@ -213,9 +210,7 @@ pub(super) fn shape(
                 let pixel =
                     DVec2::new((i % flow.width) as f64 + 0.5, (i / flow.width) as f64 + 0.5);
                 flow.follow(f, pixel, AROUND, |other, chain| {
-                    let x = (chain.pixel.x as usize).min(flow.width - 1);
-                    let y = (chain.pixel.y as usize).min(flow.height - 1);
-                    let there = y * flow.width + x;
+                    let there = nearest_pixel(chain.pixel, flow.width, beyond[other].len());
                     if let Some(value) =
                         beyond[other][there].filter(|_| owners[other][there] == own)
                     {

@@ -284,7 +284,7 @@ fn owners(objects: &[Object], mask: &Image, frame: usize) -> Vec<Option<u16>> {
 }
 
 /// The number of the pixel that a point lies in, or that of the nearest one in the picture.
-fn nearest_pixel(point: DVec2, width: usize, pixels: usize) -> usize {
+pub(super) fn nearest_pixel(point: DVec2, width: usize, pixels: usize) -> usize {
     let x = (point.x.max(0.0) as usize).min(width - 1);
     (point.y.max(0.0) as usize).min(pixels / width - 1) * width + x
 }

@@ -139,7 +139,7 @@ impl Contract {
         Ok(contract)
     }
 
-    /// Its name in messages and in `models.toml`.
+    /// The name of what it computes.
     pub fn kind(&self) -> &'static str {
         match self {
             Contract::Depth(_) => "depth",

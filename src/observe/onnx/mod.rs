@@ -31,26 +31,58 @@ pub mod networks;
 mod picture;
 pub mod runtime;
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use serde::Deserialize;
 
 use crate::{Error, Result, io};
 pub use contract::Contract;
-use networks::AnyNetwork;
+use networks::Network;
 pub use networks::{DepthNetwork, FlowNetwork};
 pub use runtime::{Provider, Runtime, RuntimeOptions};
 
 /// The file in a folder of models that says what each is for.
 pub const LIST: &str = "models.toml";
 
-/// What [`LIST`] says of a model.
+/// What [`LIST`] says: a model for each purpose.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct List {
+    depth: Option<Entry>,
+    flow: Option<Entry>,
+}
+
+/// A model's file within the folder, and its contract where its metadata has none.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Entry {
     file: PathBuf,
     contract: Option<Contract>,
+}
+
+impl List {
+    /// Reads a folder's list.
+    fn read(folder: &Path) -> Result<List> {
+        let path = folder.join(LIST);
+        let list: List = toml::from_str(&io::read_text(&path)?)
+            .map_err(|error| Error::format(&path, error.to_string()))?;
+        let files: Vec<&Path> = list.entries().map(|entry| entry.file.as_path()).collect();
+        if files.is_empty() {
+            return Err(Error::format(&path, "names no model"));
+        }
+        let within = |file: &Path| file.components().all(|c| matches!(c, Component::Normal(_)));
+        match files.into_iter().find(|file| !within(file)) {
+            Some(file) => Err(Error::format(
+                &path,
+                format!("names {}, which is not within its folder; move it there", file.display()),
+            )),
+            None => Ok(list),
+        }
+    }
+
+    fn entries(&self) -> impl Iterator<Item = &Entry> {
+        [&self.depth, &self.flow].into_iter().flatten()
+    }
 }
 
 /// The networks of a folder, one for each purpose at most.
@@ -68,23 +100,14 @@ impl Models {
     /// No such file, one that is no list or names an unknown purpose or a file outside the folder, a model that
     /// does not load, one that is of another kind than it is listed for.
     pub fn open(runtime: &Runtime, folder: &Path) -> Result<Models> {
-        let mut models = Models { depth: None, flow: None };
-        for (purpose, (file, contract)) in listed(folder)? {
-            let network = AnyNetwork::open(runtime, &file, contract.as_ref())?;
-            let kind = match &network {
-                AnyNetwork::Depth(_) => "depth",
-                AnyNetwork::Flow(_) => "flow",
-            };
-            if kind != purpose {
-                let what = format!("is listed for {purpose}, and computes {kind}");
-                return Err(Error::format(file, what));
-            }
-            match network {
-                AnyNetwork::Depth(network) => models.depth = Some(network),
-                AnyNetwork::Flow(network) => models.flow = Some(network),
-            }
-        }
-        Ok(models)
+        let List { depth, flow } = List::read(folder)?;
+        let open = |Entry { file, contract }: Entry| {
+            Network::open(runtime, &folder.join(file), contract.as_ref())
+        };
+        Ok(Models {
+            depth: depth.map(|entry| open(entry).and_then(DepthNetwork::new)).transpose()?,
+            flow: flow.map(|entry| open(entry).and_then(FlowNetwork::new)).transpose()?,
+        })
     }
 
     /// The files that [`Models::open`] reads.
@@ -92,27 +115,8 @@ impl Models {
     /// # Errors
     /// As [`Models::open`] for the list itself.
     pub fn files(folder: &Path) -> Result<Vec<PathBuf>> {
-        let models = listed(folder)?.into_values().map(|(file, _)| file);
+        let list = List::read(folder)?;
+        let models = list.entries().map(|entry| folder.join(&entry.file));
         Ok(std::iter::once(folder.join(LIST)).chain(models).collect())
     }
-}
-
-/// What a folder's list says: for each purpose a file, and a contract where it holds one.
-fn listed(folder: &Path) -> Result<BTreeMap<String, (PathBuf, Option<Contract>)>> {
-    let list = folder.join(LIST);
-    let text = io::read_text(&list)?;
-    let entries: BTreeMap<String, Entry> =
-        toml::from_str(&text).map_err(|error| Error::format(&list, error.to_string()))?;
-    if entries.is_empty() {
-        return Err(Error::format(&list, "names no model"));
-    }
-    let mut out = BTreeMap::new();
-    for (purpose, Entry { file, contract }) in entries {
-        if !["depth", "flow"].contains(&purpose.as_str()) {
-            let what = format!("[{purpose}] is no purpose of a model; there are depth and flow");
-            return Err(Error::format(&list, what));
-        }
-        out.insert(purpose, (folder.join(file), contract));
-    }
-    Ok(out)
 }

@@ -8,12 +8,13 @@ use ort::value::TensorRef;
 use super::contract::{Contract, DepthContract, FlowContract};
 use super::picture::Layout;
 use super::runtime::Runtime;
+use crate::observe::flow::neighbours;
 use crate::observe::{EstimatedDepth, FlowPair, FlowSource};
 use crate::types::Image;
 use crate::{Error, Result};
 
 /// A loaded model.
-struct Network {
+pub(super) struct Network {
     session: Session,
     file: PathBuf,
 }
@@ -26,6 +27,20 @@ struct Planes {
 }
 
 impl Network {
+    /// Loads a model. `given` is its contract where its metadata has none.
+    ///
+    /// # Errors
+    /// A file that cannot be read or that is no model, a contract that is absent or does not hold.
+    pub fn open(
+        runtime: &Runtime,
+        file: &Path,
+        given: Option<&Contract>,
+    ) -> Result<(Network, Contract)> {
+        let session = runtime.session(file)?;
+        let contract = Contract::of(&session, file, given)?;
+        Ok((Network { session, file: file.to_owned() }, contract))
+    }
+
     /// Runs it on pictures of a size, by the names of its inputs, and returns the outputs of these names.
     fn run(
         &mut self,
@@ -78,6 +93,14 @@ pub struct DepthNetwork {
 }
 
 impl DepthNetwork {
+    /// A model whose contract is one for depth.
+    pub(super) fn new((network, contract): (Network, Contract)) -> Result<DepthNetwork> {
+        match contract {
+            Contract::Depth(contract) => Ok(DepthNetwork { network, contract }),
+            other => Err(listed_for("depth", &network, &other)),
+        }
+    }
+
     /// The depth of a frame, one channel at its size, as [`DepthNetwork::contract`] says what it holds.
     ///
     /// # Errors
@@ -124,6 +147,14 @@ pub struct FlowNetwork {
 }
 
 impl FlowNetwork {
+    /// A model whose contract is one for flow.
+    pub(super) fn new((network, contract): (Network, Contract)) -> Result<FlowNetwork> {
+        match contract {
+            Contract::Flow(contract) => Ok(FlowNetwork { network, contract }),
+            other => Err(listed_for("flow", &network, &other)),
+        }
+    }
+
     /// What the network says of itself.
     pub fn contract(&self) -> &FlowContract {
         &self.contract
@@ -184,38 +215,17 @@ struct NetworkFlow<'a> {
 
 impl FlowSource for NetworkFlow<'_> {
     fn pair(&mut self, first: usize) -> Result<FlowPair> {
-        let (Some(here), Some(next)) = (self.frames.get(first), self.frames.get(first + 1)) else {
-            return Err(Error::Input(format!(
-                "flow from frame {first} to the next: the clip has {} frames",
-                self.frames.len()
-            )));
-        };
+        let (here, next) = neighbours(self.frames, first)?;
         let (forward, forward_confidence) = self.network.flow(here, next)?;
         let (backward, backward_confidence) = self.network.flow(next, here)?;
         Ok(FlowPair { forward, backward, forward_confidence, backward_confidence })
     }
 }
 
-/// A network of the kind that its contract says.
-pub(super) enum AnyNetwork {
-    Depth(DepthNetwork),
-    Flow(FlowNetwork),
-}
-
-impl AnyNetwork {
-    /// Loads a model. `given` is its contract where its metadata has none.
-    ///
-    /// # Errors
-    /// A file that cannot be read or that is no model, a contract that is absent or does not hold.
-    pub fn open(runtime: &Runtime, file: &Path, given: Option<&Contract>) -> Result<AnyNetwork> {
-        let session = runtime.session(file)?;
-        let contract = Contract::of(&session, file, given)?;
-        let network = Network { session, file: file.to_owned() };
-        Ok(match contract {
-            Contract::Depth(contract) => AnyNetwork::Depth(DepthNetwork { network, contract }),
-            Contract::Flow(contract) => AnyNetwork::Flow(FlowNetwork { network, contract }),
-        })
-    }
+/// That a model is listed for what it does not compute.
+fn listed_for(purpose: &str, network: &Network, contract: &Contract) -> Error {
+    let what = format!("is listed for {purpose}, and computes {}", contract.kind());
+    Error::format(&network.file, what)
 }
 
 fn check_frame(frame: &Image) -> Result<()> {
