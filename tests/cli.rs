@@ -5,6 +5,8 @@
 mod common;
 #[path = "support/program.rs"]
 mod program;
+#[path = "support/runtime.rs"]
+mod runtime;
 mod support;
 
 use std::collections::BTreeSet;
@@ -191,6 +193,30 @@ fn info_counts() {
 }
 
 #[test]
+fn a_network_measures_beside_the_other_figures() {
+    let library = runtime::library().expect("an ONNX Runtime; tools/setup.sh test installs it");
+    let model = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/models/lpips.onnx");
+    let options = format!("--lpips {} --onnxruntime {}", model.display(), library.display());
+    // Held-out cameras of a clip, and the pictures of a dataset.
+    for reference in ["clip/truth", "clip/truth/transforms.json"] {
+        let found = json(trained(), &format!("eval scene.safetensors {reference} {options}"));
+        documented("eval", &found);
+        assert_eq!(found["lpips_net"], "squared difference");
+        let rows = found["per_frame"].as_array().unwrap();
+        let of = |row: &Value, key: &str| row[key].as_f64().unwrap();
+        for row in rows {
+            // This model is the mean square of differences of values from −1 to 1.
+            let expected = 4.0 * 10.0f64.powf(-of(row, "psnr") / 10.0);
+            assert!((of(row, "lpips") / expected - 1.0).abs() < 1e-4, "{row} {expected}");
+        }
+        let mean = rows.iter().map(|row| of(row, "lpips")).sum::<f64>() / rows.len() as f64;
+        assert!((of(&found, "lpips") - mean).abs() < 1e-9, "{found}");
+    }
+    let missing = fails(trained(), 2, "eval scene.safetensors clip/truth --onnxruntime x");
+    says(&missing, &["--lpips"]);
+}
+
+#[test]
 fn a_scene_is_measured_against_the_truth() {
     let found = json(trained(), "eval scene.safetensors clip/truth");
     documented("eval", &found);
@@ -207,7 +233,7 @@ fn a_scene_is_measured_against_the_truth() {
     assert!(found["psnr"].as_f64() > Some(15.7), "{found}");
     assert!(found["ssim"].as_f64() > Some(0.28), "{found}");
     assert_eq!(found["psnr"], found["psnr_own_focal"]);
-    assert_eq!(found["lpips"], Value::Null);
+    assert_eq!((&found["lpips"], &found["lpips_net"]), (&Value::Null, &Value::Null));
 
     // Cameras whose focal length is wrong: the true one measures the same scene as before, and only
     // the second figure is of a lens that fits the scene's cameras.

@@ -2,30 +2,23 @@
 //!
 //! `tools/setup.sh test` installs the runtime beside the build; where it is absent the tests fail.
 
+#[path = "support/runtime.rs"]
+mod runtime;
 mod support;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use splat4d::observe::onnx::{Models, Runtime, RuntimeOptions};
+use runtime::library;
+use splat4d::observe::onnx::{LpipsNetwork, Models, Runtime, RuntimeOptions};
 use splat4d::observe::{EstimatedKind, FlowSource};
 use splat4d::types::Image;
 use support::{message, picture, says};
 
 /// The runtime that the setup installs, else the one that the library finds.
 fn runtime() -> Runtime {
-    let beside = Path::new(env!("CARGO_TARGET_TMPDIR")).parent().unwrap().join("onnxruntime");
-    let library = glob(&beside).or_else(|| std::env::var_os("ORT_DYLIB_PATH").map(PathBuf::from));
-    let options = RuntimeOptions { library, threads: 1, ..RuntimeOptions::default() };
+    let options = RuntimeOptions { library: library(), threads: 1, ..RuntimeOptions::default() };
     Runtime::load(&options)
         .unwrap_or_else(|error| panic!("{error}; tools/setup.sh test installs it"))
-}
-
-/// `lib/python*/site-packages/onnxruntime/capi/libonnxruntime.so*` in an environment.
-fn glob(environment: &Path) -> Option<PathBuf> {
-    let python = std::fs::read_dir(environment.join("lib")).ok()?.flatten().next()?.path();
-    let files = std::fs::read_dir(python.join("site-packages/onnxruntime/capi")).ok()?.flatten();
-    let library = |path: &PathBuf| path.to_string_lossy().contains("/libonnxruntime.so");
-    files.map(|entry| entry.path()).find(library)
 }
 
 /// A folder with the small models and a list.
@@ -93,6 +86,34 @@ fn a_flow_network_is_asked_both_ways() {
         let missing = network.source(&frames).pair(1);
         says(&message(missing), &["flow from frame 1", "has 2 frames"]);
     }
+}
+
+#[test]
+fn pictures_are_held_against_each_other() {
+    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/models");
+    let runtime = runtime();
+    let mut network = LpipsNetwork::open(&runtime, &models.join("lpips.onnx")).unwrap();
+    assert_eq!(network.contract().net, "squared difference");
+    for (width, height) in SIZES {
+        let [mut first, second] = [1, 2].map(|seed| picture(width, height, seed));
+        assert_eq!(network.distance(&first, &first).unwrap(), 0.0);
+        // A render may leave the range that a picture has.
+        first.pixels[0] = 3.0;
+        let squared = first.pixels.iter().zip(&second.pixels).map(|(a, b)| {
+            let difference = f64::from(a.clamp(0.0, 1.0) - b);
+            4.0 * difference * difference
+        });
+        let expected = squared.sum::<f64>() / first.pixels.len() as f64;
+        let told = network.distance(&first, &second).unwrap();
+        assert!((told - expected).abs() < 1e-6 * expected, "{width}×{height}: {told} {expected}");
+    }
+    let uneven = network.distance(&Image::new(4, 4, 3), &Image::new(4, 5, 3));
+    says(&message(uneven), &["pictures of one size", "from 4×4 to 4×5"]);
+    let mut nothing = Image::new(4, 4, 3);
+    nothing.pixels[5] = f32::NAN;
+    says(&message(network.distance(&nothing, &Image::new(4, 4, 3))), &["`distance` is NaN"]);
+    let depth = LpipsNetwork::open(&runtime, &models.join("depth.onnx"));
+    says(&message(depth.map(drop)), &["is listed for lpips, and computes depth"]);
 }
 
 /// The contract of `bare.onnx`, for the list.

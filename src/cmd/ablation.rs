@@ -17,6 +17,7 @@ use splat4d::train::{Phase, Sequence, SequenceSettings, fit_sequence};
 use splat4d::types::{FlowSettings, Image};
 
 use super::common::notes;
+use super::eval_truth::Extras;
 use super::held_out::{self, Judge, Shot};
 use super::meter::Meter;
 use super::{eval_truth, interrupt};
@@ -139,7 +140,8 @@ impl<'a> Material<'a> {
         ]);
         figures.extend(self.on_input(&scene, &track.prepared(&self.frames))?);
         if let Some(truth) = self.truth {
-            let found = eval_truth::measure(self.device, &scene, truth, false, &|_, _| Ok(None))?;
+            let extras = Extras { fit_poses: false, shown: &|_, _| Ok(None), lpips: None };
+            let found = eval_truth::measure(self.device, &scene, truth, extras)?;
             self.distances.clear();
             for row in found["held_out"].as_array().into_iter().flatten() {
                 let distance = row["distance"].as_str().unwrap_or_default();
@@ -158,6 +160,7 @@ impl<'a> Material<'a> {
             background: scene.background,
             fit: false,
             comparisons: None,
+            lpips: None,
         };
         let mut meter = Meter::new("input", "pictures", self.frames.len() as u64, 0);
         let mut judged = Vec::with_capacity(self.frames.len());

@@ -12,14 +12,17 @@ use splat4d::eval::{
     Align, Comparison, Relative, Statistics, Step, TrajectoryErrors, compare_matrices,
     nearest_by_time,
 };
+use splat4d::observe::onnx::LpipsNetwork;
 use splat4d::renderer::Renderer;
 use splat4d::scene::{Opened, Scene};
 use splat4d::{Error, Result};
 
 use super::common::{Answer, Common, notes, say, thousands};
+use super::eval_truth::Extras;
 use super::held_out::{self, Comparisons};
 use super::interrupt;
 use super::meter::Meter;
+use super::networks::LpipsArgs;
 use super::outputs::Inputs;
 use super::quality::{self, Quality};
 use super::values;
@@ -51,8 +54,9 @@ Examples:
   splat4d eval tracked/poses.txt sintel/camdata_left/alley_1 --align sim3
   splat4d eval tracked/tracks.npz clip/truth/tracks.npz
 
-JSON: psnr, ssim, ms_ssim, lpips (always null: no network weights come along), per_frame [{name,
-psnr, ssim, ms_ssim}], ate_rmse, ate_relative (to the length of the camera's path),
+JSON: psnr, ssim, ms_ssim, lpips (by --lpips FILE, else null: no network weights come along), lpips_net (its
+features, as the file names them: figures of different nets do not compare), per_frame [{name, psnr, ssim,
+ms_ssim, lpips}], ate_rmse, ate_relative (to the length of the camera's path),
 rpe_trans_rmse, rpe_rot_deg_rmse, scale, poses, focal_error (relative), depth_rel_median, mask_iou;
 ape_trans, ape_rot_deg, rpe_trans, rpe_rot_deg: of a trajectory the errors of centres (in the reference's
 unit) and rotations (degrees), absolute and relative, each {rmse, mean, median, std, min, max, sse};
@@ -76,11 +80,12 @@ the static covisible pixels, or all where masks are missing. Poses fitted to tes
 What does not apply is null; so is an infinite PSNR.";
 
 /// Every key of the JSON, so that each is always there.
-const KEYS: [&str; 25] = [
+const KEYS: [&str; 26] = [
     "psnr",
     "ssim",
     "ms_ssim",
     "lpips",
+    "lpips_net",
     "per_frame",
     "held_out",
     "held_out_fitted",
@@ -169,6 +174,8 @@ pub struct EvalArgs {
     /// Leave out Gaussians that hold NaN, infinite or out-of-range values
     #[arg(long)]
     drop_bad: bool,
+    #[command(flatten)]
+    pub lpips: LpipsArgs,
 }
 
 impl EvalArgs {
@@ -180,7 +187,8 @@ impl EvalArgs {
     ) -> Result<Option<Comparisons>> {
         let Some(folder) = &self.pictures else { return Ok(None) };
         let read = folders.iter().map(|read| (read.clone(), &images::EXTENSIONS[..]));
-        let inputs = Inputs::new([self.estimate.clone()], read);
+        let files = self.lpips.files().chain([self.estimate.clone()]);
+        let inputs = Inputs::new(files, read);
         Comparisons::new(folder, names, &inputs).map(Some)
     }
 }
@@ -243,22 +251,30 @@ impl EvalArgs {
 
 /// Runs the command.
 pub fn run(args: &EvalArgs, common: &Common) -> Result<Answer> {
-    let found = match truth_folder(&args.reference)? {
+    let reference = truth_folder(&args.reference)?;
+    let mut lpips = args.lpips.open()?;
+    let net = lpips.as_ref().map(|network| network.contract().net.clone());
+    let found = match reference {
         Some(truth) => {
             let scene = open(args)?;
             let device = common.open_device()?;
             let shown = |names: &[String], folders: &[PathBuf]| args.comparisons(names, folders);
-            eval_truth::measure(&device, &scene, &truth, args.fit_poses, &shown)?
+            let lpips = lpips.as_mut();
+            let extras = Extras { fit_poses: args.fit_poses, shown: &shown, lpips };
+            eval_truth::measure(&device, &scene, &truth, extras)?
         }
-        None if eval_first::is_meant(args)? => eval_first::measure(&open(args)?, args, common)?,
+        None if eval_first::is_meant(args)? => {
+            eval_first::measure(&open(args)?, args, lpips.as_mut(), common)?
+        }
         None if args.reference.extension().is_some_and(|e| e == "npz") => {
             eval_tracks::measure(&args.estimate, &args.reference)?
         }
         None if is_trajectory(&args.reference)? => trajectories(args)?,
-        None => pictures(args, common)?,
+        None => pictures(args, lpips.as_mut(), common)?,
     };
     let mut whole: Map<String, Value> = KEYS.iter().map(|k| (k.to_string(), Value::Null)).collect();
     whole.extend(found);
+    whole.insert("lpips_net".into(), json!(net));
     let json = Value::Object(whole);
     Ok(Answer { text: text(&json), json })
 }
@@ -294,7 +310,11 @@ fn open(args: &EvalArgs) -> Result<Scene> {
     Ok(scene)
 }
 
-fn pictures(args: &EvalArgs, common: &Common) -> Result<Map<String, Value>> {
+fn pictures(
+    args: &EvalArgs,
+    mut lpips: Option<&mut LpipsNetwork>,
+    common: &Common,
+) -> Result<Map<String, Value>> {
     let scene = open(args)?;
     let set = Dataset::open(&args.reference)?;
     notes(&set.notes);
@@ -309,7 +329,8 @@ fn pictures(args: &EvalArgs, common: &Common) -> Result<Map<String, Value>> {
         interrupt::check()?;
         let view = set.frames[index].load(set.background, size)?;
         let picture = renderer.render(&view.camera, view.time)?.over(set.background);
-        per_frame.push(Quality::of(&view.name, &picture, &view.image, view.valid.as_ref())?);
+        let quality = Quality::of(&view.name, &picture, &view.image, view.valid.as_ref())?;
+        per_frame.push(quality.with_lpips(lpips.as_deref_mut(), &picture, &view.image)?);
         meter.advance();
     }
     Ok(picture_keys(&per_frame))
@@ -322,6 +343,7 @@ pub fn picture_keys(per_frame: &[Quality]) -> Map<String, Value> {
         ("psnr".into(), json!(quality::mean(per_frame.iter().map(|q| Some(q.psnr))))),
         ("ssim".into(), json!(quality::mean(per_frame.iter().map(|q| Some(q.ssim))))),
         ("ms_ssim".into(), json!(quality::mean(per_frame.iter().map(|q| q.ms_ssim)))),
+        ("lpips".into(), json!(quality::mean(per_frame.iter().map(|q| q.lpips)))),
         ("per_frame".into(), json!(rows)),
     ])
 }
@@ -452,6 +474,9 @@ fn text(found: &Value) -> String {
             }
             Value::Number(value) => {
                 let _ = writeln!(text, "{key:18} {:.6}", value.as_f64().unwrap_or(f64::NAN));
+            }
+            Value::String(value) => {
+                let _ = writeln!(text, "{key:18} {value}");
             }
             _ => {}
         }

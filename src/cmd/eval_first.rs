@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value};
 use splat4d::data::images::{Orientation, decode_rgb, dimensions, list};
+use splat4d::observe::onnx::LpipsNetwork;
 use splat4d::renderer::Renderer;
 use splat4d::scene::{Scene, SceneCamera};
 use splat4d::types::{Camera, Intrinsics};
@@ -38,7 +39,12 @@ pub fn is_meant(args: &EvalArgs) -> Result<bool> {
 }
 
 /// Measures them.
-pub fn measure(scene: &Scene, args: &EvalArgs, common: &Common) -> Result<Map<String, Value>> {
+pub fn measure(
+    scene: &Scene,
+    args: &EvalArgs,
+    lpips: Option<&mut LpipsNetwork>,
+    common: &Common,
+) -> Result<Map<String, Value>> {
     let folder = &args.reference;
     let pictures = pictures(scene, folder)?;
     let names: Vec<String> = pictures.iter().map(|(file, _)| name(file)).collect();
@@ -52,6 +58,7 @@ pub fn measure(scene: &Scene, args: &EvalArgs, common: &Common) -> Result<Map<St
         background: scene.background,
         fit: args.fit_poses,
         comparisons: comparisons.as_ref(),
+        lpips,
     };
     let mut meter = Meter::new("first camera", "pictures", pictures.len() as u64, 0);
     let mut judged = Vec::with_capacity(pictures.len());

@@ -16,6 +16,7 @@ use splat4d::data::{Dataset, Frame, Resize, exr, read_mask};
 use splat4d::eval::{Align, compare_trajectories, depth_relative_median, mask_iou, match_by_time};
 use splat4d::geometry::sim3::{Shape, Sim3, align_cameras};
 use splat4d::gpu::Device;
+use splat4d::observe::onnx::LpipsNetwork;
 use splat4d::renderer::Renderer;
 use splat4d::scene::{Scene, SceneCamera};
 use splat4d::types::{Camera, Image, Pose};
@@ -39,18 +40,26 @@ struct Pair<'a> {
 /// Where the held-out pictures of some names are shown, if anywhere; some folders are read.
 pub type Shown<'a> = &'a dyn Fn(&[String], &[PathBuf]) -> Result<Option<Comparisons>>;
 
-/// Measures everything that the truth allows; with `fit_poses`, held-out pictures from poses fitted to
-/// them as well.
+/// What is measured beyond what the truth tells.
+pub struct Extras<'a> {
+    /// Held-out pictures from poses fitted to them as well.
+    pub fit_poses: bool,
+    /// Where held-out pictures are shown.
+    pub shown: Shown<'a>,
+    /// Measures LPIPS.
+    pub lpips: Option<&'a mut LpipsNetwork>,
+}
+
+/// Measures everything that the truth allows.
 pub fn measure(
     device: &Device,
     scene: &Scene,
     truth: &Path,
-    fit_poses: bool,
-    shown: Shown<'_>,
+    extras: Extras<'_>,
 ) -> Result<Map<String, Value>> {
     let set = Dataset::open(truth.join("held_out/transforms.json"))?;
     let names: Vec<String> = set.frames.iter().map(|frame| frame.name.clone()).collect();
-    let comparisons = shown(&names, &read_folders(truth, &set))?;
+    let comparisons = (extras.shown)(&names, &read_folders(truth, &set))?;
     let cameras = transforms::read_cameras(&truth.join("transforms.json"))?;
     let pairs = pair(scene, &cameras)?;
     let poses = |of: &dyn Fn(&Pair) -> Camera| -> Vec<Pose> {
@@ -86,8 +95,9 @@ pub fn measure(
     let mut judge = Judge {
         renderer: &mut renderer,
         background: scene.background,
-        fit: fit_poses,
+        fit: extras.fit_poses,
         comparisons: comparisons.as_ref(),
+        lpips: extras.lpips,
     };
     let held_out = HeldOut { set, folder: truth.join("held_out"), pairs: &pairs };
     found.extend(held_out.judged(&mut judge, &truth_from_scene.inverse(), focal_ratio)?);

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use serde_json::{Map, Value, json};
 use splat4d::data::write_png;
 use splat4d::eval::{fit_pose, masked_mean, masked_psnr, ssim_map};
+use splat4d::observe::onnx::LpipsNetwork;
 use splat4d::renderer::Renderer;
 use splat4d::types::{Camera, Image};
 use splat4d::{Error, Result, io};
@@ -79,9 +80,13 @@ impl Scores {
     /// Compares a picture with the true one.
     ///
     /// # Errors
-    /// The picture or a mask has another size.
-    pub fn of(shot: &Shot, picture: &Image) -> Result<Scores> {
-        let whole = Quality::of(&shot.name, picture, &shot.truth, None)?;
+    /// The picture or a mask has another size; the network for LPIPS fails.
+    pub fn of(shot: &Shot, picture: &Image, lpips: Option<&mut LpipsNetwork>) -> Result<Scores> {
+        let whole = Quality::of(&shot.name, picture, &shot.truth, None)?.with_lpips(
+            lpips,
+            picture,
+            &shot.truth,
+        )?;
         let similarity = ssim_map(picture, &shot.truth)?;
         let mut regions = [None; 4];
         for (score, mask) in regions.iter_mut().zip(shot.regions()) {
@@ -120,6 +125,8 @@ pub struct Judge<'a> {
     pub fit: bool,
     /// Where the pictures to look at go.
     pub comparisons: Option<&'a Comparisons>,
+    /// Measures LPIPS.
+    pub lpips: Option<&'a mut LpipsNetwork>,
 }
 
 impl Judge<'_> {
@@ -127,7 +134,7 @@ impl Judge<'_> {
     pub fn judge(&mut self, index: usize, shot: &Shot) -> Result<Judged> {
         let rendered = self.renderer.render(&shot.camera, shot.time)?;
         let picture = eight_bits(rendered.over(self.background));
-        let aligned = Scores::of(shot, &picture)?;
+        let aligned = Scores::of(shot, &picture, self.lpips.as_deref_mut())?;
         if let Some(comparisons) = self.comparisons {
             comparisons.write(index, &shot.truth, &picture)?;
         }
@@ -144,7 +151,7 @@ impl Judge<'_> {
     fn fitted(&mut self, shot: &Shot, depth: f64) -> Result<Scores> {
         let [covisible, _, outside_movers, both] = shot.regions();
         let mask = both.or(covisible).or(outside_movers);
-        let Judge { renderer, background, .. } = self;
+        let Judge { renderer, background, lpips, .. } = self;
         let mut render = |camera: &Camera| -> Result<Image> {
             Ok(renderer.render(camera, shot.time)?.over(*background))
         };
@@ -153,7 +160,8 @@ impl Judge<'_> {
             let fit = fit_pose(&camera, depth, &shot.truth, mask.as_ref(), &mut render)?;
             camera.view_from_world = fit.view_from_world;
         }
-        Scores::of(shot, &eight_bits(render(&camera)?))
+        let picture = eight_bits(render(&camera)?);
+        Scores::of(shot, &picture, lpips.as_deref_mut())
     }
 }
 
@@ -182,6 +190,7 @@ pub fn keys(judged: &[Judged]) -> Map<String, Value> {
         ("psnr".into(), json!(whole(|q| Some(q.psnr)))),
         ("ssim".into(), json!(whole(|q| Some(q.ssim)))),
         ("ms_ssim".into(), json!(whole(|q| q.ms_ssim))),
+        ("lpips".into(), json!(whole(|q| q.lpips))),
         ("per_frame".into(), json!(per_frame)),
         ("held_out".into(), rows(&aligned)),
         (
@@ -209,6 +218,7 @@ fn rows(scores: &[&Scores]) -> Value {
             "psnr": whole(|q| Some(q.psnr)),
             "ssim": whole(|q| Some(q.ssim)),
             "ms_ssim": whole(|q| q.ms_ssim),
+            "lpips": whole(|q| q.lpips),
             "worst": worst,
             "worst_picture": worst_picture,
             "not_filmed_share": mean(of.iter().map(|s| s.not_filmed)),
@@ -264,12 +274,13 @@ pub fn table(found: &Value) -> String {
         let _ = writeln!(
             text,
             "{title}: PSNR in dB (of the worst picture)\n\
-             {:14}{:>8}{:>15}{:>8}{:>9}{:>16}{:>16}{:>16}{:>12}",
+             {:14}{:>8}{:>15}{:>8}{:>9}{:>8}{:>16}{:>16}{:>16}{:>12}",
             "distance",
             "pictures",
             "whole",
             "SSIM",
             "MS-SSIM",
+            "LPIPS",
             "movers",
             "outside",
             "static, filmed",
@@ -283,12 +294,13 @@ pub fn table(found: &Value) -> String {
             let figure = |of: &Value| of.as_f64().map_or("–".to_owned(), |v| format!("{v:.4}"));
             let _ = writeln!(
                 text,
-                "{:14}{:>8}{:>15}{:>8}{:>9}{:>16}{:>16}{:>16}{:>12}",
+                "{:14}{:>8}{:>15}{:>8}{:>9}{:>8}{:>16}{:>16}{:>16}{:>12}",
                 row["distance"].as_str().unwrap_or_default(),
                 row["pictures"].as_u64().unwrap_or_default(),
                 decibels(row),
                 figure(&row["ssim"]),
                 figure(&row["ms_ssim"]),
+                figure(&row["lpips"]),
                 decibels(&row["movers"]),
                 decibels(&row["outside_movers"]),
                 decibels(&row["static_covisible"]),

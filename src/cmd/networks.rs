@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use splat4d::observe::onnx::{Models, Provider, Runtime, RuntimeOptions};
+use splat4d::observe::onnx::{LpipsNetwork, Models, Provider, Runtime, RuntimeOptions};
 use splat4d::track::Options;
 use splat4d::types::Image;
 use splat4d::{Result, io};
@@ -24,16 +24,12 @@ enum ProviderName {
     Openvino,
 }
 
-/// Networks for depth and flow.
+/// How networks are run. The command has an option of the group `networks` that asks for one.
 #[derive(Args)]
-pub struct NetworkArgs {
-    /// Networks for depth and flow: a folder with ONNX models and models.toml, which says what each is for.
-    /// What --depth or --flow supplies is taken instead of theirs
-    #[arg(long, value_name = "DIR")]
-    models: Option<PathBuf>,
+pub struct RuntimeArgs {
     /// The ONNX Runtime's library [default: that of ORT_DYLIB_PATH, else that of the Python package
     /// onnxruntime, else the system's]
-    #[arg(long, value_name = "FILE", requires = "models")]
+    #[arg(long, value_name = "FILE", requires = "networks")]
     onnxruntime: Option<PathBuf>,
     /// What the ONNX Runtime runs networks on, where its library can
     #[arg(
@@ -41,21 +37,18 @@ pub struct NetworkArgs {
         value_name = "NAME",
         value_enum,
         default_value = "cpu",
-        requires = "models"
+        requires = "networks"
     )]
     provider: ProviderName,
     /// Threads of a network [default: as many as the ONNX Runtime thinks best]
-    #[arg(long = "onnx-threads", value_name = "N", requires = "models",
+    #[arg(long = "onnx-threads", value_name = "N", requires = "networks",
           value_parser = values::whole::<usize>(1..=1024))]
     threads: Option<usize>,
 }
 
-impl NetworkArgs {
-    /// Loads the runtime and the networks, where some are asked for.
-    pub fn open(&self) -> Result<Option<Models>> {
-        let Some(folder) = &self.models else { return Ok(None) };
-        // A missing list is told before a missing runtime.
-        Models::files(folder)?;
+impl RuntimeArgs {
+    /// Loads the runtime.
+    pub fn load(&self) -> Result<Runtime> {
         let provider = match self.provider {
             ProviderName::Cpu => Provider::Cpu,
             ProviderName::Cuda => Provider::Cuda,
@@ -67,15 +60,35 @@ impl NetworkArgs {
         let library = self.onnxruntime.clone();
         let threads = self.threads.unwrap_or(0);
         let runtime = Runtime::load(&RuntimeOptions { library, provider, threads })?;
-        let models = Models::open(&runtime, folder)?;
         say(&format!("networks by the ONNX Runtime {}", runtime.library().display()));
-        Ok(Some(models))
+        Ok(runtime)
+    }
+}
+
+/// Networks for depth and flow.
+#[derive(Args)]
+pub struct NetworkArgs {
+    /// Networks for depth and flow: a folder with ONNX models and models.toml, which says what each is for.
+    /// What --depth or --flow supplies is taken instead of theirs
+    #[arg(long, value_name = "DIR", group = "networks")]
+    models: Option<PathBuf>,
+    #[command(flatten)]
+    runtime: RuntimeArgs,
+}
+
+impl NetworkArgs {
+    /// Loads the runtime and the networks, where some are asked for.
+    pub fn open(&self) -> Result<Option<Models>> {
+        let Some(folder) = &self.models else { return Ok(None) };
+        // A missing list is told before a missing runtime.
+        Models::files(folder)?;
+        Models::open(&self.runtime.load()?, folder).map(Some)
     }
 
     /// All files that are read.
     pub fn files(&self) -> Vec<PathBuf> {
         let models = self.models.as_ref().and_then(|folder| Models::files(folder).ok());
-        models.into_iter().flatten().chain(self.onnxruntime.clone()).collect()
+        models.into_iter().flatten().chain(self.runtime.onnxruntime.clone()).collect()
     }
 
     /// What the networks are, as an entry of a checkpoint's identity: the files' contents.
@@ -107,4 +120,29 @@ pub fn estimate_depth(
         Ok(())
     })?);
     Ok(())
+}
+
+/// LPIPS beside the other figures of pictures.
+#[derive(Args)]
+pub struct LpipsArgs {
+    /// Measure LPIPS as well, by this ONNX model, whose metadata says which net's features it compares
+    #[arg(long, value_name = "FILE", group = "networks")]
+    lpips: Option<PathBuf>,
+    #[command(flatten)]
+    runtime: RuntimeArgs,
+}
+
+impl LpipsArgs {
+    /// Loads the runtime and the network, where it is asked for.
+    pub fn open(&self) -> Result<Option<LpipsNetwork>> {
+        let Some(file) = &self.lpips else { return Ok(None) };
+        // A missing model is told before a missing runtime.
+        io::open(file)?;
+        LpipsNetwork::open(&self.runtime.load()?, file).map(Some)
+    }
+
+    /// All files that are read.
+    pub fn files(&self) -> impl Iterator<Item = PathBuf> {
+        [&self.lpips, &self.runtime.onnxruntime].into_iter().flatten().cloned()
+    }
 }

@@ -4,6 +4,7 @@ use serde_json::{Value, json};
 use splat4d::Result;
 use splat4d::data::View;
 use splat4d::eval::{masked_psnr, ms_ssim, psnr, ssim};
+use splat4d::observe::onnx::LpipsNetwork;
 use splat4d::renderer::Renderer;
 use splat4d::scene::Scene;
 use splat4d::types::{Image, SH_C0};
@@ -25,6 +26,8 @@ pub struct Quality {
     pub ssim: f64,
     /// `None` for pictures that are too small.
     pub ms_ssim: Option<f64>,
+    /// `None` where no network measures it.
+    pub lpips: Option<f64>,
 }
 
 impl Quality {
@@ -44,13 +47,25 @@ impl Quality {
             },
             ssim: ssim(picture, truth)?,
             ms_ssim: if large { Some(ms_ssim(picture, truth)?) } else { None },
+            lpips: None,
         })
     }
 
-    /// `{name, psnr, ssim, ms_ssim}`.
+    /// With LPIPS, where there is a network for it; of all pixels.
+    pub fn with_lpips(
+        self,
+        network: Option<&mut LpipsNetwork>,
+        picture: &Image,
+        truth: &Image,
+    ) -> Result<Quality> {
+        let lpips = network.map(|network| network.distance(picture, truth)).transpose()?;
+        Ok(Quality { lpips, ..self })
+    }
+
+    /// `{name, psnr, ssim, ms_ssim, lpips}`.
     pub fn json(&self) -> Value {
-        let Quality { name, psnr, ssim, ms_ssim } = self;
-        json!({ "name": name, "psnr": psnr, "ssim": ssim, "ms_ssim": ms_ssim })
+        let Quality { name, psnr, ssim, ms_ssim, lpips } = self;
+        json!({ "name": name, "psnr": psnr, "ssim": ssim, "ms_ssim": ms_ssim, "lpips": lpips })
     }
 }
 

@@ -6,6 +6,7 @@
 depth.onnx   1 / z = 0.5 + 2 red, of one picture; its contract is in its metadata
 bare.onnx    the same without a contract
 flow.onnx    (u, v) = 8 (red, green of the second picture − those of the first); confidence: blue of the first
+lpips.onnx   the mean squared difference of two pictures with values from −1 to 1
 """
 
 import json
@@ -17,15 +18,15 @@ from onnx import TensorProto, helper
 FOLDER = Path(__file__).parents[2] / "tests" / "models"
 
 
-def model(name, nodes, inputs, outputs, constants, contract):
-    """A model of the oldest versions that the runtime's oldest supported release reads."""
+def model(name, nodes, inputs, outputs, constants, contract, sides=("height", "width")):
+    """A model of the oldest versions that the runtime's oldest supported release reads; outputs have these sides."""
     picture = [1, 3, "height", "width"]
     graph = helper.make_graph(
         nodes,
         name,
         [helper.make_tensor_value_info(i, TensorProto.FLOAT, picture) for i in inputs],
         [
-            helper.make_tensor_value_info(o, TensorProto.FLOAT, [1, channels, "height", "width"])
+            helper.make_tensor_value_info(o, TensorProto.FLOAT, [1, channels, *sides])
             for o, channels in outputs
         ],
         [
@@ -82,6 +83,23 @@ def flow():
     model("flow", nodes, ["here", "there"], [("flow", 2), ("confidence", 1)], constants, contract)
 
 
+def lpips():
+    nodes = [
+        helper.make_node("Sub", ["first", "second"], ["change"]),
+        helper.make_node("Mul", ["change", "change"], ["squared"]),
+        helper.make_node("ReduceMean", ["squared"], ["distance"], axes=[1, 2, 3]),
+    ]
+    contract = {
+        "kind": "lpips",
+        "version": 1,
+        "inputs": ["first", "second"],
+        "output": "distance",
+        "net": "squared difference",
+        "picture": {"mean": [0.5] * 3, "deviation": [0.5] * 3},
+    }
+    model("lpips", nodes, ["first", "second"], [("distance", 1)], {}, contract, sides=(1, 1))
+
+
 if __name__ == "__main__":
     FOLDER.mkdir(exist_ok=True)
     depth("depth", {
@@ -94,3 +112,4 @@ if __name__ == "__main__":
     })
     depth("bare", None)
     flow()
+    lpips()

@@ -25,6 +25,8 @@ pub enum Contract {
     Depth(DepthContract),
     /// Optical flow from one picture to another.
     Flow(FlowContract),
+    /// How different two pictures look.
+    Lpips(LpipsContract),
 }
 
 /// That of a network for depth.
@@ -61,6 +63,23 @@ pub struct FlowContract {
     /// Name of an output of the flow's confidence, 0 to 1, 1 × 1 × height × width, where there is one.
     #[serde(default)]
     pub confidence: Option<String>,
+}
+
+/// That of a network for LPIPS (Zhang et al. 2018), the learned perceptual distance of two pictures.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LpipsContract {
+    /// [`VERSION`].
+    pub version: u32,
+    /// Names of the inputs, each 1 × 3 × height × width.
+    pub inputs: [String; 2],
+    /// How the pictures are made; LPIPS takes values from −1 to 1.
+    #[serde(default)]
+    pub picture: PictureRule,
+    /// Name of the output, 1 × 1 × 1 × 1.
+    pub output: String,
+    /// The features that are compared, which figures are given with: `alex`, `vgg`, `squeeze`.
+    pub net: String,
 }
 
 /// How a picture is made for a network: scaled, brought to sides that it takes, normalised.
@@ -144,6 +163,7 @@ impl Contract {
         match self {
             Contract::Depth(_) => "depth",
             Contract::Flow(_) => "flow",
+            Contract::Lpips(_) => "lpips",
         }
     }
 
@@ -151,6 +171,7 @@ impl Contract {
         let (version, rule) = match self {
             Contract::Depth(c) => (c.version, &c.picture),
             Contract::Flow(c) => (c.version, &c.picture),
+            Contract::Lpips(c) => (c.version, &c.picture),
         };
         if version != VERSION {
             return Err(format!(
@@ -183,6 +204,9 @@ impl Contract {
                     .chain(c.confidence.as_deref().map(|name| (name, 1)))
                     .collect(),
             ),
+            Contract::Lpips(c) => {
+                (c.inputs.iter().map(String::as_str).collect(), vec![(&c.output, 1)])
+            }
         };
         for name in &inputs {
             has(session.inputs(), name, "input", &[Some(3)])?;

@@ -1,4 +1,5 @@
-//! Networks that the user has: depth and flow, run through the ONNX Runtime.
+//! Networks that the user has, run through the ONNX Runtime: for depth and flow, and for LPIPS, which measures
+//! pictures.
 //!
 //! A folder holds the models and `models.toml`, which says what each is for:
 //!
@@ -19,10 +20,12 @@
 //! file = "sea_raft_small.onnx"
 //! ```
 //!
+//! A network for LPIPS is no part of such a folder: [`LpipsNetwork::open`] takes its file.
+//!
 //! | module | what it holds |
 //! |---|---|
 //! | [`contract`] | what a model says of itself, held against what it is |
-//! | [`networks`] | networks for depth and flow |
+//! | [`networks`] | networks for depth, flow and LPIPS |
 //! | `picture` | a frame as a network takes it, and the way back |
 //! | [`runtime`] | the runtime's library, found and loaded |
 
@@ -38,7 +41,7 @@ use serde::Deserialize;
 use crate::{Error, Result, io};
 pub use contract::Contract;
 use networks::Network;
-pub use networks::{DepthNetwork, FlowNetwork};
+pub use networks::{DepthNetwork, FlowNetwork, LpipsNetwork};
 pub use runtime::{Provider, Runtime, RuntimeOptions};
 
 /// The file in a folder of models that says what each is for.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use ort::session::{Session, SessionInputValue};
 use ort::value::TensorRef;
 
-use super::contract::{Contract, DepthContract, FlowContract};
+use super::contract::{Contract, DepthContract, FlowContract, LpipsContract};
 use super::picture::Layout;
 use super::runtime::Runtime;
 use crate::observe::flow::neighbours;
@@ -167,14 +167,7 @@ impl FlowNetwork {
     /// Frames of different size or without three channels; the network fails, or says something else than
     /// its contract.
     pub fn flow(&mut self, from: &Image, to: &Image) -> Result<(Image, Option<Image>)> {
-        check_frame(from)?;
-        check_frame(to)?;
-        if (from.width, from.height) != (to.width, to.height) {
-            return Err(Error::Input(format!(
-                "flow leads between frames of one size, not from {}×{} to {}×{}",
-                from.width, from.height, to.width, to.height
-            )));
-        }
+        check_pair("flow leads between frames", from, to)?;
         let FlowContract { inputs, picture: rule, output, confidence, .. } = &self.contract;
         let layout = Layout::new(rule, (from.width, from.height));
         let pictures = [layout.picture(rule, from), layout.picture(rule, to)];
@@ -207,6 +200,59 @@ impl FlowNetwork {
     }
 }
 
+/// A network that tells how different two pictures look: LPIPS.
+pub struct LpipsNetwork {
+    network: Network,
+    contract: LpipsContract,
+}
+
+impl LpipsNetwork {
+    /// Opens a model's file, which belongs to no folder of models: it measures, and reconstructs nothing.
+    ///
+    /// # Errors
+    /// A model that does not load, or whose metadata holds no contract for LPIPS.
+    pub fn open(runtime: &Runtime, file: &Path) -> Result<LpipsNetwork> {
+        let (network, contract) = Network::open(runtime, file, None)?;
+        match contract {
+            Contract::Lpips(contract) => Ok(LpipsNetwork { network, contract }),
+            other => Err(listed_for("lpips", &network, &other)),
+        }
+    }
+
+    /// What the network says of itself.
+    pub fn contract(&self) -> &LpipsContract {
+        &self.contract
+    }
+
+    /// The distance of two pictures, RGB in [0, 1]; 0 for equal ones. What lies outside [0, 1] is clamped.
+    ///
+    /// # Errors
+    /// Pictures of different size or without three channels; the network fails, as it does on pictures that are
+    /// too small for its features, or says something else than its contract.
+    pub fn distance(&mut self, first: &Image, second: &Image) -> Result<f64> {
+        check_pair("a distance is that of pictures", first, second)?;
+        let LpipsContract { inputs, picture: rule, output, .. } = &self.contract;
+        let layout = Layout::new(rule, (first.width, first.height));
+        let pictures = [first, second].map(|picture| {
+            let pixels = picture.pixels.iter().map(|v| v.clamp(0.0, 1.0)).collect();
+            layout.picture(rule, &Image { pixels, ..*picture })
+        });
+        let given =
+            [(inputs[0].as_str(), &pictures[0][..]), (inputs[1].as_str(), &pictures[1][..])];
+        let found = self.network.run(&given, layout.picture, &[output.as_str()])?;
+        match found[0].values[..] {
+            [distance] if distance.is_finite() => Ok(f64::from(distance)),
+            ref values => {
+                let what = match values {
+                    [distance] => format!("its output `{output}` is {distance}"),
+                    _ => format!("its output `{output}` has {} values, not one", values.len()),
+                };
+                Err(Error::format(&self.network.file, what))
+            }
+        }
+    }
+}
+
 /// A network's flow between the frames of a clip.
 struct NetworkFlow<'a> {
     network: &'a mut FlowNetwork,
@@ -233,6 +279,19 @@ fn check_frame(frame: &Image) -> Result<()> {
         return Err(Error::Input(format!(
             "a network takes RGB frames, not one of {}×{} with {} channels",
             frame.width, frame.height, frame.channels
+        )));
+    }
+    Ok(())
+}
+
+/// That two pictures are ones that a network takes, and of one size; `what` is asked of such.
+fn check_pair(what: &str, from: &Image, to: &Image) -> Result<()> {
+    check_frame(from)?;
+    check_frame(to)?;
+    if (from.width, from.height) != (to.width, to.height) {
+        return Err(Error::Input(format!(
+            "{what} of one size, not from {}×{} to {}×{}",
+            from.width, from.height, to.width, to.height
         )));
     }
     Ok(())
