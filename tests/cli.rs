@@ -25,7 +25,7 @@ use splat4d::types::{Gaussians, Image};
 use support::{picture, says};
 use tempfile::TempDir;
 
-const COMMANDS: [&str; 11] = [
+const COMMANDS: [&str; 12] = [
     "reconstruct",
     "track",
     "train",
@@ -36,6 +36,7 @@ const COMMANDS: [&str; 11] = [
     "devices",
     "bench",
     "synth",
+    "table",
     "validate",
 ];
 

@@ -1,5 +1,6 @@
 //! What all commands share: their common flags, what they answer, words for people.
 
+use std::ffi::OsString;
 use std::io::Write;
 use std::path::Path;
 
@@ -42,6 +43,12 @@ pub struct Common {
 }
 
 impl Common {
+    /// The same flags for another command of this program.
+    pub fn arguments(&self) -> [OsString; 4] {
+        let (device, seed) = (self.device.clone().into(), self.seed.to_string().into());
+        ["--device".into(), device, "--seed".into(), seed]
+    }
+
     /// Opens the device; a software driver that was not asked for is pointed out.
     pub fn open_device(&self) -> Result<Device> {
         check_room_for_drivers()?;

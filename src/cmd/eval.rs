@@ -1,6 +1,7 @@
 //! `splat4d eval`: a scene against pictures, a scene against a synthetic clip's truth, a trajectory or
 //! tracks of points against others.
 
+use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -321,18 +322,26 @@ fn pictures(
     let (others, held) = set.split(args.eval_every);
     let chosen = if held.is_empty() { others } else { held };
     let size = args.size.map_or(Resize::Keep, Resize::Longest);
+    let names: Vec<String> = chosen.iter().map(|&i| set.frames[i].name.clone()).collect();
+    let folders = chosen.iter().filter_map(|&i| set.frames[i].path.parent());
+    let folders: BTreeSet<PathBuf> = folders.map(Path::to_path_buf).collect();
+    let comparisons = args.comparisons(&names, &Vec::from_iter(folders))?;
     let device = common.open_device()?;
     let mut renderer = Renderer::new(&device, &scene)?;
     let mut meter = Meter::new("measuring", "pictures", chosen.len() as u64, 0);
     let mut per_frame = Vec::with_capacity(chosen.len());
-    for index in chosen {
+    for (place, index) in chosen.into_iter().enumerate() {
         interrupt::check()?;
         let view = set.frames[index].load(set.background, size)?;
         let picture = renderer.render(&view.camera, view.time)?.over(set.background);
         let quality = Quality::of(&view.name, &picture, &view.image, view.valid.as_ref())?;
         per_frame.push(quality.with_lpips(lpips.as_deref_mut(), &picture, &view.image)?);
+        if let Some(comparisons) = &comparisons {
+            comparisons.write(place, &view.image, &picture)?;
+        }
         meter.advance();
     }
+    comparisons.map_or(Ok(()), Comparisons::finish)?;
     Ok(picture_keys(&per_frame))
 }
 

@@ -35,7 +35,7 @@ pub fn is_meant(args: &EvalArgs) -> Result<bool> {
         return Ok(false);
     }
     let names = list(&args.reference)?;
-    Ok(!names.is_empty() && names.iter().all(|file| view_and_frame(file).is_some()))
+    Ok(!names.is_empty() && names.iter().all(|file| is_named(file)))
 }
 
 /// Measures them.
@@ -157,6 +157,11 @@ fn stem(file: &Path) -> String {
 
 fn name(file: &Path) -> String {
     file.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// Whether a picture's name tells the camera and the frame.
+pub fn is_named(file: &Path) -> bool {
+    view_and_frame(file).is_some()
 }
 
 /// `(0, 3)` of `v000_t003.png`.

@@ -8,6 +8,7 @@ mod ablation;
 mod bench;
 mod charts;
 mod checkpoints;
+mod child;
 mod clip;
 mod clock;
 mod common;
@@ -28,6 +29,8 @@ mod model;
 mod networks;
 mod outputs;
 mod path;
+mod protocols;
+mod published;
 mod quality;
 mod reconstruct;
 mod render;
@@ -35,6 +38,7 @@ mod rows;
 mod sheet;
 mod supplied;
 mod synth;
+mod table;
 mod track;
 mod track_model;
 mod track_page;
@@ -46,6 +50,7 @@ mod validate;
 mod values;
 mod watcher;
 
+use std::ffi::OsString;
 use std::io::Write;
 use std::process::ExitCode;
 
@@ -85,6 +90,7 @@ enum Command {
     Devices(devices::DevicesArgs),
     Bench(bench::BenchArgs),
     Synth(synth::SynthArgs),
+    Table(table::TableArgs),
     Validate(validate::ValidateArgs),
 }
 
@@ -125,6 +131,12 @@ fn explain(error: &clap::Error) -> ExitCode {
     ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2))
 }
 
+/// Words after the program's name as a command; nothing is run.
+fn parsed(words: &[OsString]) -> std::result::Result<Cli, String> {
+    let whole = [OsString::from("splat4d")].into_iter().chain(words.iter().cloned());
+    Cli::try_parse_from(whole).map_err(|error| usage_error(&error))
+}
+
 /// What is wrong with the arguments, on one line, without the usage that follows.
 fn usage_error(error: &clap::Error) -> String {
     let text = error.render().to_string();
@@ -151,6 +163,7 @@ fn run(cli: &Cli) -> Result<(Answer, ExitCode)> {
         Command::Synth(args) => synth::run(args, &cli.common),
         // What these find out decides the exit code.
         Command::Bench(args) => return bench::run(args, &cli.common),
+        Command::Table(args) => return table::run(args, &cli.common),
         Command::Validate(args) => return validate::run(args, &cli.common),
     };
     Ok((answer?, ExitCode::SUCCESS))

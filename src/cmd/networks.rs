@@ -1,5 +1,6 @@
 //! The user's networks: the options that say where they are, and what they tell of a clip.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
@@ -62,6 +63,18 @@ impl RuntimeArgs {
         let runtime = Runtime::load(&RuntimeOptions { library, provider, threads })?;
         say(&format!("networks by the ONNX Runtime {}", runtime.library().display()));
         Ok(runtime)
+    }
+
+    fn arguments(&self) -> Vec<OsString> {
+        let named = self.provider.to_possible_value();
+        let provider = named.map(|value| value.get_name().to_owned().into());
+        let options = [
+            ("--onnxruntime", self.onnxruntime.clone().map(OsString::from)),
+            ("--ep", provider),
+            ("--onnx-threads", self.threads.map(|threads| threads.to_string().into())),
+        ];
+        let given = options.into_iter().filter_map(|(name, value)| Some([name.into(), value?]));
+        given.flatten().collect()
     }
 }
 
@@ -139,6 +152,14 @@ impl LpipsArgs {
         // A missing model is told before a missing runtime.
         io::open(file)?;
         LpipsNetwork::open(&self.runtime.load()?, file).map(Some)
+    }
+
+    /// The same options for another command of this program.
+    pub fn arguments(&self) -> Vec<OsString> {
+        let Some(file) = &self.lpips else { return Vec::new() };
+        let mut words: Vec<OsString> = vec!["--lpips".into(), file.into()];
+        words.extend(self.runtime.arguments());
+        words
     }
 
     /// All files that are read.

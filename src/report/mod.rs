@@ -3,7 +3,8 @@
 //! Times are nanoseconds, rates are per second. A row whose result misses its bound has an error and
 //! no time; [`Row::timed`] and [`Row::missed`] are the only ways to make one.
 //!
-//! [`Ablation`] is what the components of a reconstruction are worth.
+//! [`Ablation`] is what the components of a reconstruction are worth, [`ResultTable`] what a protocol finds on the
+//! scenes of a data set, beside published figures.
 
 mod ablation;
 mod ablation_page;
@@ -14,6 +15,9 @@ mod html;
 mod numbers;
 mod plot;
 mod spread;
+mod table;
+mod table_latex;
+mod table_page;
 
 use std::path::Path;
 
@@ -26,6 +30,7 @@ pub use curve::{Curve, CurvePoint, PowerLaw};
 pub use html::{escape, page};
 pub use numbers::{duration, rate, scientific};
 pub use spread::Spread;
+pub use table::{PublishedRow, ResultTable, SceneRow};
 
 use crate::{Error, Result, io};
 

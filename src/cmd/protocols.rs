@@ -1,0 +1,371 @@
+//! The protocols of published tables: which scenes a folder holds, which commands each takes, what is read off
+//! their answers.
+
+use std::collections::BTreeMap;
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+use clap::ValueEnum;
+use serde_json::Value;
+use splat4d::data::images;
+use splat4d::report::{Better, Figure, PublishedRow};
+use splat4d::{Error, Result};
+
+use super::{eval_first, published};
+
+/// A published table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Protocol {
+    /// NVIDIA Dynamic Scenes, 12 frames, frame t from camera t, poses unknown; test: camera 0 at the other
+    /// times. DIR is a scene, or a folder of scenes: each with its frames (images, images_2, input_images
+    /// or the like) and a folder of pictures v000_t001.png, … (gt)
+    Nvidia,
+    /// D-NeRF, poses given, its own test split. DIR is a scene with transforms_train.json, or a folder of
+    /// such
+    Dnerf,
+    /// MPI Sintel, cameras of 14 sequences of the final pass. DIR holds final and camdata_left, or is
+    /// the folder above (training)
+    SintelPose,
+}
+
+/// What is left open by a protocol and chosen here.
+pub struct Choices {
+    /// Longer side of the pictures.
+    pub size: Option<u32>,
+    /// Whether test pictures are measured from poses fitted to them as well.
+    pub fit_poses: bool,
+    /// Options of `eval` for LPIPS.
+    pub lpips: Vec<OsString>,
+    /// Further options of the command that makes the scene.
+    pub making: Vec<OsString>,
+}
+
+/// A scene's work: commands one after the other, whose outputs lie in `folder`.
+pub struct Work {
+    pub scene: String,
+    pub folder: PathBuf,
+    pub steps: Vec<Step>,
+}
+
+/// A command; its answer is kept under its name.
+pub struct Step {
+    pub name: &'static str,
+    pub arguments: Vec<OsString>,
+}
+
+/// The 14 sequences that tables of camera poses are of.
+const SINTEL: [&str; 14] = [
+    "alley_2",
+    "ambush_4",
+    "ambush_5",
+    "ambush_6",
+    "cave_2",
+    "cave_4",
+    "market_2",
+    "market_5",
+    "market_6",
+    "shaman_3",
+    "sleeping_1",
+    "sleeping_2",
+    "temple_2",
+    "temple_3",
+];
+
+impl Protocol {
+    /// What the table is called.
+    pub fn title(self) -> &'static str {
+        match self {
+            Protocol::Nvidia => "NVIDIA Dynamic Scenes, 12 frames, poses unknown",
+            Protocol::Dnerf => "D-NeRF, poses given",
+            Protocol::SintelPose => "MPI Sintel, camera poses",
+        }
+    }
+
+    /// The protocol in words, with what was chosen, for a number of scenes.
+    pub fn caption(self, choices: &Choices, scenes: usize) -> Vec<String> {
+        let size = match choices.size {
+            Some(size) => format!("Pictures have {size} pixels on their longer side."),
+            None => "Pictures are of the size that the quality preset or the set gives.".into(),
+        };
+        let rule = match self {
+            Protocol::Nvidia => {
+                "Trained on the frames of a moving camera; tested with what the first camera sees at \
+                 the other times, from that frame's own pose and focal length, nothing aligned or \
+                 fitted. PSNR, SSIM and MS-SSIM are means over the test pictures, of 8 bits."
+            }
+            Protocol::Dnerf => {
+                "Trained on the train split with the given poses; tested on the test split. PSNR, SSIM \
+                 and MS-SSIM are means over the test pictures."
+            }
+            Protocol::SintelPose => {
+                "Intrinsics and poses unknown, all frames of the final pass. ATE: root mean square of \
+                 the centres' distances after a similarity, in the set's unit. RPE: of all pairs of \
+                 neighbouring frames after the same similarity; rotations in degrees."
+            }
+        };
+        let mut lines = vec![rule.to_owned(), size];
+        if self == Protocol::SintelPose && scenes < SINTEL.len() {
+            lines.push(format!(
+                "{scenes} of the {} sequences that published means are over.",
+                SINTEL.len()
+            ));
+        }
+        if choices.fit_poses {
+            lines.push(
+                "The columns `fitted` are of test poses that were fitted to the test pictures."
+                    .into(),
+            );
+        }
+        if !choices.making.is_empty() {
+            let options: Vec<String> =
+                choices.making.iter().map(|word| word.to_string_lossy().into_owned()).collect();
+            lines.push(format!("Made with {}.", options.join(" ")));
+        }
+        lines
+    }
+
+    /// The columns.
+    pub fn figures(self, choices: &Choices) -> Vec<Figure> {
+        let of = |key: &str, title: &str, better| Figure {
+            key: key.into(),
+            title: title.into(),
+            better,
+        };
+        if self == Protocol::SintelPose {
+            return vec![
+                of("ate", "ATE", Better::Less),
+                of("rpe_trans", "RPE trans", Better::Less),
+                of("rpe_rot", "RPE rot, °", Better::Less),
+                of("pose_minutes", "poses, min", Better::Less),
+            ];
+        }
+        let mut figures = vec![
+            of("psnr", "PSNR, dB", Better::More),
+            of("ssim", "SSIM", Better::More),
+            of("ms_ssim", "MS-SSIM", Better::More),
+        ];
+        if !choices.lpips.is_empty() {
+            figures.push(of("lpips", "LPIPS", Better::Less));
+        }
+        if choices.fit_poses {
+            figures.push(of("fitted_psnr", "PSNR fitted, dB", Better::More));
+            figures.push(of("fitted_ssim", "SSIM fitted", Better::More));
+        }
+        if self != Protocol::Dnerf {
+            figures.push(of("pose_minutes", "poses, min", Better::Less));
+        }
+        figures.extend([
+            of("train_minutes", "training, min", Better::Less),
+            of("fps", "frames/s", Better::More),
+            of("storage_mb", "MB", Better::Less),
+        ]);
+        figures
+    }
+
+    /// What others have published.
+    pub fn published(self) -> Vec<PublishedRow> {
+        published::rows(match self {
+            Protocol::Nvidia => published::NVIDIA,
+            Protocol::Dnerf => published::DNERF,
+            Protocol::SintelPose => published::SINTEL,
+        })
+    }
+
+    /// The work of each scene in a folder, in the order of their names.
+    ///
+    /// # Errors
+    /// The folder cannot be read, or holds no scene of this protocol.
+    pub fn works(self, folder: &Path, output: &Path, choices: &Choices) -> Result<Vec<Work>> {
+        std::fs::metadata(folder).map_err(Error::io(folder))?;
+        let works: Vec<Work> = match self {
+            Protocol::Nvidia => scenes(folder, frames_and_test)?
+                .into_iter()
+                .map(|(scene, (frames, test))| {
+                    let eval = vec![test.into_os_string(), "--first-camera".into()];
+                    choices.scene_work(&output.join(&scene), scene, ("reconstruct", &frames), eval)
+                })
+                .collect(),
+            Protocol::Dnerf => scenes(folder, split)?
+                .into_iter()
+                .map(|(scene, set)| {
+                    let eval =
+                        [set.as_os_str().to_owned()].into_iter().chain(choices.sized()).collect();
+                    choices.scene_work(&output.join(&scene), scene, ("train", &set), eval)
+                })
+                .collect(),
+            Protocol::SintelPose => sequences(folder)?
+                .into_iter()
+                .map(|(scene, (frames, cameras))| {
+                    choices.pose_work(&output.join(&scene), scene, &frames, &cameras)
+                })
+                .collect(),
+        };
+        if works.is_empty() {
+            let what = format!("holds no scene of this table; looked for {}", self.needs());
+            return Err(Error::format(folder, what));
+        }
+        Ok(works)
+    }
+
+    /// What a scene's folder must hold.
+    fn needs(self) -> &'static str {
+        match self {
+            Protocol::Nvidia => "a folder of frames and one of pictures named v000_t001.png, …",
+            Protocol::Dnerf => "transforms_train.json and transforms_test.json",
+            Protocol::SintelPose => "final/alley_2, … and camdata_left/alley_2, …",
+        }
+    }
+}
+
+impl Choices {
+    fn sized(&self) -> Vec<OsString> {
+        self.size.map_or(Vec::new(), |size| vec!["--size".into(), size.to_string().into()])
+    }
+
+    /// The work of a scene that is made from an input by a command, measured by `eval` with these arguments, and
+    /// rendered from its input cameras.
+    fn scene_work(
+        &self,
+        folder: &Path,
+        scene: String,
+        (command, input): (&'static str, &Path),
+        eval: Vec<OsString>,
+    ) -> Work {
+        let file = folder.join("scene.safetensors");
+        let words = |command: &str, path: &Path| vec![OsString::from(command), path.into()];
+        let option = |name: &str, value: PathBuf| [OsString::from(name), value.into()];
+        let mut make = words(command, input);
+        make.extend(option("-o", file.clone()));
+        make.extend(option("--report", folder.join("report")));
+        make.push("--resume".into());
+        make.extend(self.sized());
+        make.extend(self.making.iter().cloned());
+        let mut measure = words("eval", &file);
+        measure.extend(eval);
+        measure.extend(option("--pictures", folder.join("pictures")));
+        measure.extend(self.lpips.iter().cloned());
+        if self.fit_poses {
+            measure.push("--fit-poses".into());
+        }
+        let mut render = words("render", &file);
+        render.extend(option("-o", folder.join("views")));
+        let steps = [(command, make), ("eval", measure), ("render", render)]
+            .map(|(name, arguments)| Step { name, arguments });
+        Work { scene, folder: folder.to_path_buf(), steps: steps.into() }
+    }
+
+    /// The work of a clip whose cameras alone are found.
+    fn pose_work(&self, folder: &Path, scene: String, frames: &Path, cameras: &Path) -> Work {
+        let tracked = folder.join("tracked");
+        let mut track: Vec<OsString> = vec!["track".into(), frames.into()];
+        track.extend(["-o".into(), tracked.clone().into()]);
+        track.extend(self.sized());
+        track.extend(self.making.iter().cloned());
+        let eval = ["eval".into(), tracked.join("poses.txt").into(), cameras.into()];
+        let eval =
+            eval.into_iter().chain(["--align", "sim3", "--rpe-all-pairs"].map(OsString::from));
+        let steps = [("track", track), ("eval", eval.collect())]
+            .map(|(name, arguments)| Step { name, arguments });
+        Work { scene, folder: folder.to_path_buf(), steps: steps.into() }
+    }
+}
+
+/// The figures in a scene's answers, by step; the scene's file lies in `folder`.
+pub fn figures(answers: &BTreeMap<&'static str, Value>, folder: &Path) -> BTreeMap<String, f64> {
+    let at = |step: &str, key: &str| answers.get(step).map_or(&Value::Null, |found| &found[key]);
+    let mut found = BTreeMap::new();
+    let mut add = |key: &str, value: Option<f64>| {
+        found.extend(value.map(|value| (key.to_owned(), value)));
+    };
+    let measured = [
+        ("psnr", "psnr"),
+        ("ssim", "ssim"),
+        ("ms_ssim", "ms_ssim"),
+        ("lpips", "lpips"),
+        ("ate", "ate_rmse"),
+        ("rpe_trans", "rpe_trans_rmse"),
+        ("rpe_rot", "rpe_rot_deg_rmse"),
+    ];
+    for (key, of) in measured {
+        add(key, at("eval", of).as_f64());
+    }
+    // The last row is over all pictures.
+    let fitted = at("eval", "held_out_fitted").as_array().and_then(|rows| rows.last());
+    for (key, of) in [("fitted_psnr", "psnr"), ("fitted_ssim", "ssim")] {
+        add(key, fitted.and_then(|row| row[of].as_f64()));
+    }
+    for step in ["reconstruct", "train", "track"] {
+        let minutes = |stages: &[&str]| {
+            let seconds = |stage: &&str| at(step, "seconds")[*stage].as_f64();
+            let known: Vec<f64> = stages.iter().filter_map(seconds).collect();
+            (!known.is_empty()).then(|| known.iter().sum::<f64>() / 60.0)
+        };
+        add("pose_minutes", minutes(&["flow", "cameras", "masks", "depth"]));
+        add("train_minutes", minutes(&["static", "joint", "train"]));
+    }
+    add("fps", at("render", "milliseconds_per_frame").as_f64().map(|ms| 1e3 / ms));
+    let size = std::fs::metadata(folder.join("scene.safetensors")).ok();
+    add("storage_mb", size.map(|file| file.len() as f64 / 1e6));
+    found
+}
+
+/// What `of` finds in a folder itself, or in those that it holds, by name in their order.
+fn scenes<T>(folder: &Path, of: impl Fn(&Path) -> Result<Option<T>>) -> Result<Vec<(String, T)>> {
+    if let Some(found) = of(folder)? {
+        let whole = std::fs::canonicalize(folder).map_err(Error::io(folder))?;
+        let name = whole.file_name().map_or("scene".into(), |name| name.to_string_lossy());
+        return Ok(vec![(name.into_owned(), found)]);
+    }
+    let mut found = Vec::new();
+    for path in folders(folder)? {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        found.extend(of(&path)?.map(|scene| (name, scene)));
+    }
+    Ok(found)
+}
+
+/// The folders in a folder, in the order of their names.
+fn folders(folder: &Path) -> Result<Vec<PathBuf>> {
+    let entries = std::fs::read_dir(folder).map_err(Error::io(folder))?;
+    let mut found: Vec<PathBuf> =
+        entries.flatten().map(|entry| entry.path()).filter(|path| path.is_dir()).collect();
+    found.sort();
+    Ok(found)
+}
+
+/// The frames of a scene of NVIDIA's, and its test pictures: folders in it, told by the names of what they hold.
+/// Of several folders of frames (`images`, `images_2`) the one with the largest pictures counts.
+fn frames_and_test(scene: &Path) -> Result<Option<(PathBuf, PathBuf)>> {
+    let (mut frames, mut test): (Vec<(u32, PathBuf)>, Option<PathBuf>) = (Vec::new(), None);
+    for folder in folders(scene)? {
+        let pictures = images::list(&folder)?;
+        let Some(first) = pictures.first() else { continue };
+        let width = images::dimensions(first, images::Orientation::Stored)?.0;
+        let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if pictures.iter().all(|picture| eval_first::is_named(picture)) {
+            test = Some(folder);
+        } else if name.contains("images") {
+            frames.push((width, folder));
+        }
+    }
+    let frames = frames.into_iter().max_by_key(|(width, _)| *width).map(|(_, folder)| folder);
+    Ok(frames.zip(test))
+}
+
+fn split(scene: &Path) -> Result<Option<PathBuf>> {
+    let is_there = |split: &str| scene.join(format!("transforms_{split}.json")).is_file();
+    Ok((is_there("train") && is_there("test")).then(|| scene.to_path_buf()))
+}
+
+/// The frames and cameras of those of [`SINTEL`] that are there.
+fn sequences(folder: &Path) -> Result<Vec<(String, (PathBuf, PathBuf))>> {
+    let roots = [folder.to_path_buf(), folder.join("training")];
+    let holds = |root: &&PathBuf| root.join("final").is_dir() && root.join("camdata_left").is_dir();
+    let Some(root) = roots.iter().find(holds) else { return Ok(Vec::new()) };
+    let places = |name: &str| (root.join("final").join(name), root.join("camdata_left").join(name));
+    let found = SINTEL.map(|name| (name.to_owned(), places(name)));
+    Ok(found
+        .into_iter()
+        .filter(|(_, (frames, cameras))| frames.is_dir() && cameras.is_dir())
+        .collect())
+}

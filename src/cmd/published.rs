@@ -1,0 +1,116 @@
+//! Figures that others have published of the protocols that `table` runs, with where they stand. They are facts
+//! of November 2026; a figure counts only beside one of the same protocol.
+
+use splat4d::report::PublishedRow;
+
+/// A method, what its figures are of, the figures by key, and where they stand.
+type Row = (&'static str, &'static str, &'static [(&'static str, f64)], &'static str);
+
+const PAPER_SINTEL: &str = "4D3R, table of MPI Sintel, 14 sequences";
+
+/// Balloon1 and the mean of seven scenes, 12 frames, camera 0 at the other times, LPIPS by AlexNet.
+pub const NVIDIA: &[Row] = &[
+    ("SplineGS", "Balloon1", &[("psnr", 24.43), ("lpips", 0.068)], "poses unknown, nothing fitted"),
+    (
+        "SplineGS",
+        "mean of 7",
+        &[("psnr", 27.21), ("lpips", 0.053)],
+        "poses unknown, nothing fitted",
+    ),
+    ("MoSca", "Balloon1", &[("psnr", 23.61), ("lpips", 0.098)], "poses unknown, test poses fitted"),
+    (
+        "MoSca",
+        "mean of 7",
+        &[("psnr", 26.60), ("lpips", 0.071)],
+        "poses unknown, test poses fitted",
+    ),
+    ("Casual-FVS", "Balloon1", &[("psnr", 23.76), ("lpips", 0.079)], "poses of the video"),
+    ("Casual-FVS", "mean of 7", &[("psnr", 24.57), ("lpips", 0.081)], "poses of the video"),
+    ("RoDynRF", "Balloon1", &[("psnr", 21.81), ("lpips", 0.122)], "poses unknown"),
+    ("RoDynRF", "mean of 7", &[("psnr", 25.38), ("lpips", 0.079)], "poses unknown"),
+    ("4DGS", "Balloon1", &[("psnr", 21.89)], "COLMAP's poses"),
+    ("4DGS", "mean of 7", &[("psnr", 23.64)], "COLMAP's poses"),
+    ("Deformable-3DGS", "Balloon1", &[("psnr", 21.22)], "COLMAP's poses"),
+    ("Deformable-3DGS", "mean of 7", &[("psnr", 23.02)], "COLMAP's poses"),
+    ("SC-GS", "Balloon1", &[("psnr", 20.17)], "COLMAP's poses"),
+    ("SC-GS", "mean of 7", &[("psnr", 19.74)], "COLMAP's poses"),
+];
+
+/// Figures at 400×400 and at 800×800 do not compare.
+pub const DNERF: &[Row] = &[
+    ("SC-GS", "hook", &[("psnr", 39.87)], "its repository, 400×400"),
+    ("SC-GS", "hellwarrior", &[("psnr", 42.93)], "its repository, 400×400"),
+    ("SC-GS", "jumpingjacks", &[("psnr", 41.13)], "its repository, 400×400"),
+    ("SC-GS", "standup", &[("psnr", 47.89)], "its repository, 400×400"),
+    ("SC-GS", "mean", &[("psnr", 43.31)], "its repository, 400×400"),
+    ("Deformable-3DGS", "hook", &[("psnr", 37.77)], "SC-GS's repository, 400×400"),
+    ("Deformable-3DGS", "hellwarrior", &[("psnr", 42.11)], "SC-GS's repository, 400×400"),
+    ("Deformable-3DGS", "jumpingjacks", &[("psnr", 39.10)], "SC-GS's repository, 400×400"),
+    ("Deformable-3DGS", "standup", &[("psnr", 45.38)], "SC-GS's repository, 400×400"),
+    ("Deformable-3DGS", "mean", &[("psnr", 41.14)], "SC-GS's repository, 400×400"),
+    ("4DGS", "mean", &[("psnr", 34.06)], "another paper's table, 800×800"),
+];
+
+/// ATE, RPE by frames in translation and rotation, after a similarity.
+pub const SINTEL: &[Row] = &[
+    (
+        "DROID-SLAM (intrinsics given)",
+        "mean of 14",
+        &[("ate", 0.175), ("rpe_trans", 0.084), ("rpe_rot", 1.912)],
+        PAPER_SINTEL,
+    ),
+    (
+        "DPVO (intrinsics given)",
+        "mean of 14",
+        &[("ate", 0.115), ("rpe_trans", 0.072), ("rpe_rot", 1.975)],
+        PAPER_SINTEL,
+    ),
+    (
+        "ParticleSFM",
+        "mean of 14",
+        &[("ate", 0.129), ("rpe_trans", 0.031), ("rpe_rot", 0.535)],
+        PAPER_SINTEL,
+    ),
+    (
+        "LEAP-VO (intrinsics given)",
+        "mean of 14",
+        &[("ate", 0.089), ("rpe_trans", 0.066), ("rpe_rot", 1.250)],
+        PAPER_SINTEL,
+    ),
+    (
+        "CasualSAM",
+        "mean of 14",
+        &[("ate", 0.141), ("rpe_trans", 0.035), ("rpe_rot", 0.615)],
+        PAPER_SINTEL,
+    ),
+    (
+        "MonST3R",
+        "mean of 14",
+        &[("ate", 0.108), ("rpe_trans", 0.042), ("rpe_rot", 0.732)],
+        PAPER_SINTEL,
+    ),
+    (
+        "RoDynRF",
+        "mean of 14",
+        &[("ate", 0.089), ("rpe_trans", 0.073), ("rpe_rot", 1.313)],
+        PAPER_SINTEL,
+    ),
+    (
+        "4D3R",
+        "mean of 14",
+        &[("ate", 0.086), ("rpe_trans", 0.035), ("rpe_rot", 0.639)],
+        PAPER_SINTEL,
+    ),
+];
+
+/// Rows as a table takes them.
+pub fn rows(of: &[Row]) -> Vec<PublishedRow> {
+    of.iter()
+        .map(|(method, of, figures, source)| PublishedRow {
+            method: (*method).into(),
+            of: (*of).into(),
+            figures: figures.iter().map(|(key, value)| ((*key).to_owned(), *value)).collect(),
+            source: (*source).into(),
+        })
+        .collect()
+}

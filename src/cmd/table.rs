@@ -1,0 +1,207 @@
+//! `splat4d table`: a published protocol on the scenes of a data set, beside the published figures.
+
+use std::collections::BTreeMap;
+use std::ffi::OsString;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use clap::Args;
+use serde_json::{Value, json};
+use splat4d::report::{ResultTable, SceneRow};
+use splat4d::{Error, Result, bench, io};
+
+use super::common::{Answer, Common, path_text, say};
+use super::networks::LpipsArgs;
+use super::outputs::Outputs;
+use super::protocols::{Choices, Protocol, Work, figures};
+use super::{child, interrupt, parsed, values};
+
+const AFTER_HELP: &str = "\
+Each scene is made, measured and rendered by commands of this program, one after the other. What is done is kept
+in OUT/SCENE (the answers as NAME.json, what was said as NAME.log, the scene, test pictures beside their
+truth): the same command again goes on where it was stopped, and does anew what other options change. A scene
+that fails is counted as failed, and then there is no mean: one over the others would flatter.
+
+OUT/index.html, OUT/table.tex and OUT/table.csv hold the table with published figures, their sources and in
+what their protocols differ. Times, frames a second and sizes are of this machine.
+
+Examples:
+  splat4d table nvidia nvidia_scenes -o out --size 480
+  splat4d table dnerf dnerf -o out --size 400 -- --steps 5000 --max-gaussians 20000
+  splat4d table sintel-pose MPI-Sintel -o out
+
+JSON: version, title, caption [], machine {device, driver, kind, software, subgroup_size, threads}, figures
+[{key, title, better (more, less)}], rows [{scene, figures {KEY: value}, failed (why, or null)}], published
+[{method, of, figures, source}], mean {KEY: value or null}, failed (scenes); output.
+Exit code 1 if a scene failed; the table is written all the same.";
+
+/// Run a published protocol on a data set and write its table
+#[derive(Args)]
+#[command(after_help = AFTER_HELP)]
+pub struct TableArgs {
+    /// The protocol
+    #[arg(value_enum)]
+    protocol: Protocol,
+    /// The data set
+    #[arg(value_name = "DIR")]
+    folder: PathBuf,
+    /// Where all of it goes
+    #[arg(short, long, value_name = "OUT")]
+    output: PathBuf,
+    /// Only these scenes
+    #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
+    scenes: Vec<String>,
+    /// Shrink pictures so that their longer side has at most so many pixels
+    #[arg(long, value_name = "LONGEST",
+          value_parser = values::whole::<u32>(1..=values::MOST_PIXELS))]
+    size: Option<u32>,
+    /// Measure a second time from test poses that are fitted to the test pictures
+    #[arg(long)]
+    fit_poses: bool,
+    #[command(flatten)]
+    lpips: LpipsArgs,
+    /// Further options of the command that makes the scene: reconstruct, train or track
+    #[arg(last = true, value_name = "OPTIONS")]
+    making: Vec<OsString>,
+}
+
+/// Runs the command.
+pub fn run(args: &TableArgs, common: &Common) -> Result<(Answer, ExitCode)> {
+    let choices = Choices {
+        size: args.size,
+        fit_poses: args.fit_poses,
+        lpips: args.lpips.arguments(),
+        making: args.making.clone(),
+    };
+    check_apart(&args.folder, &args.output)?;
+    let mut works = args.protocol.works(&args.folder, &args.output, &choices)?;
+    choose(&mut works, &args.scenes)?;
+    for work in &mut works {
+        for step in &mut work.steps {
+            step.arguments.extend(common.arguments());
+        }
+        check(work)?;
+    }
+    // A model that is none is told before the first scene.
+    let net = args.lpips.open()?.map(|network| network.contract().net.clone());
+    Outputs::default().folder(&args.output, &ResultTable::REPORT_FILES)?;
+    let device = common.open_device()?;
+    let machine = bench::machine(&device);
+    drop(device);
+
+    let mut caption = args.protocol.caption(&choices, works.len());
+    caption.extend(net.map(|net| format!("LPIPS compares the features of {net}.")));
+    let mut table = ResultTable {
+        version: env!("CARGO_PKG_VERSION").into(),
+        title: args.protocol.title().into(),
+        caption,
+        machine,
+        figures: args.protocol.figures(&choices),
+        rows: Vec::new(),
+        published: args.protocol.published(),
+    };
+    for (i, work) in works.iter().enumerate() {
+        say(&format!("{} ({} of {})", work.scene, i + 1, works.len()));
+        let row = match answers(work) {
+            Ok(answers) => {
+                let (figures, failed) = (figures(&answers, &work.folder), None);
+                SceneRow { scene: work.scene.clone(), figures, failed }
+            }
+            Err(error @ Error::Interrupted { .. }) => return Err(error),
+            Err(error) => {
+                say(&format!("note: {} failed: {error}", work.scene));
+                let failed = Some(error.to_string());
+                SceneRow { scene: work.scene.clone(), figures: BTreeMap::new(), failed }
+            }
+        };
+        table.rows.push(row);
+        // What is known so far, should the rest take days.
+        table.write_report(&args.output)?;
+    }
+    let mut json = table.json();
+    json["output"] = path_text(&args.output);
+    Ok((Answer { text: table.text(), json }, ExitCode::from(u8::from(table.failed() > 0))))
+}
+
+/// That nothing is written among what is read.
+fn check_apart(folder: &Path, output: &Path) -> Result<()> {
+    let set = std::fs::canonicalize(folder).map_err(Error::io(folder))?;
+    // What is to be made may not exist yet; its nearest ancestor that does tells where it lies.
+    let there = output.ancestors().find_map(|path| match path.as_os_str().is_empty() {
+        true => std::fs::canonicalize(".").ok(),
+        false => std::fs::canonicalize(path).ok(),
+    });
+    match there {
+        Some(there) if there.starts_with(&set) => {
+            let what = format!("lies in the data set {}; name a place outside", folder.display());
+            Err(Error::format(output, what))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Keeps the scenes of some names; of none: all.
+fn choose(works: &mut Vec<Work>, names: &[String]) -> Result<()> {
+    let all: Vec<&str> = works.iter().map(|work| work.scene.as_str()).collect();
+    if let Some(absent) = names.iter().find(|name| !all.contains(&name.as_str())) {
+        let what =
+            format!("--scenes {absent}: there is no such scene; there are {}", all.join(", "));
+        return Err(Error::Input(what));
+    }
+    works.retain(|work| names.is_empty() || names.contains(&work.scene));
+    Ok(())
+}
+
+/// That every step's words are a command of this program: what is wrong is told before the first one runs.
+fn check(work: &Work) -> Result<()> {
+    for step in &work.steps {
+        parsed(&step.arguments).map_err(|what| {
+            Error::Input(format!("options after --, for `{}`: {what}", step.name))
+        })?;
+    }
+    Ok(())
+}
+
+/// The answers of a scene's steps, by name: those that are kept, as long as the words are the same and nothing
+/// before was done anew, else by running them.
+fn answers(work: &Work) -> Result<BTreeMap<&'static str, Value>> {
+    std::fs::create_dir_all(&work.folder).map_err(Error::io(&work.folder))?;
+    let mut found = BTreeMap::new();
+    let mut anew = false;
+    for step in &work.steps {
+        interrupt::check()?;
+        let file = work.folder.join(format!("{}.json", step.name));
+        let words: Vec<String> =
+            step.arguments.iter().map(|word| word.to_string_lossy().into_owned()).collect();
+        let kept = if anew { None } else { kept(&file, &words)? };
+        let answer = match kept {
+            Some(answer) => answer,
+            None => {
+                anew = true;
+                say(&format!("  {}", step.name));
+                let log = work.folder.join(format!("{}.log", step.name));
+                let answer = child::run(&step.arguments, &log)?;
+                keep(&file, &json!({ "arguments": words, "answer": answer }))?;
+                answer
+            }
+        };
+        found.insert(step.name, answer);
+    }
+    Ok(found)
+}
+
+/// The answer in a file, where it is that of the same words.
+fn kept(file: &Path, words: &[String]) -> Result<Option<Value>> {
+    if !file.exists() {
+        return Ok(None);
+    }
+    let text = io::read_text(file)?;
+    let Ok(mut whole) = serde_json::from_str::<Value>(&text) else { return Ok(None) };
+    let same = whole["arguments"] == json!(words);
+    Ok(same.then(|| whole["answer"].take()))
+}
+
+fn keep(file: &Path, whole: &Value) -> Result<()> {
+    io::write_atomically(file, |sink| sink.write_all(whole.to_string().as_bytes()))
+}
