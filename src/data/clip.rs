@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::images::{self, Orientation, Resize};
 use super::shots::{self, Detector, Shot, ShotChoice};
 use super::video::GoOn;
-use super::{exif, video};
+use super::{Dataset, davis, exif, layout, video};
 use crate::io::check_memory;
 use crate::types::Image;
 use crate::{Error, Result};
@@ -86,7 +86,8 @@ impl Clip {
     pub const LEAST: usize = 3;
 
     /// Opens a video file (through `ffmpeg`), or a folder of images in natural order of their names;
-    /// a folder without images but with a folder `frames` or `images` in it stands for that one. All of
+    /// a folder without images but with a folder `frames` or `images` in it stands for that one, and a
+    /// dataset ([`layout`](super::layout)) or DAVIS's folder for the pictures to train on, by time. All of
     /// the clip is looked through for cuts first, in small pictures of which a few are kept.
     ///
     /// # Errors
@@ -233,13 +234,7 @@ fn assemble(
 }
 
 fn open_folder(folder: &Path, options: &ClipOptions, go_on: GoOn) -> Result<Clip> {
-    let mut files = images::list(folder)?;
-    for inner in ["frames", "images"] {
-        let inner = folder.join(inner);
-        if files.is_empty() && inner.is_dir() {
-            files = images::list(&inner)?;
-        }
-    }
+    let files = find_files(folder)?;
     if files.is_empty() {
         let known = images::EXTENSIONS.join(", ");
         return Err(Error::format(folder, format!("holds no images ({known})")));
@@ -324,6 +319,25 @@ fn open_folder(folder: &Path, options: &ClipOptions, go_on: GoOn) -> Result<Clip
         clip.focal = exif::focal(file, width, height).map(|focal| focal * scale);
     }
     Ok(clip)
+}
+
+/// The frames that a folder stands for: its pictures; else those of `frames` or `images` in it; else those of a dataset
+/// that it is, as far as one camera took them one after another.
+fn find_files(folder: &Path) -> Result<Vec<PathBuf>> {
+    let inner = ["frames", "images"].map(|inner| folder.join(inner));
+    for folder in [folder].into_iter().chain(inner.iter().map(PathBuf::as_path).filter(|f| f.is_dir())) {
+        let files = images::list(folder)?;
+        if !files.is_empty() {
+            return Ok(files);
+        }
+    }
+    if davis::is_root(folder) {
+        return images::list(&davis::only_clip(folder)?);
+    }
+    match layout::recognise(folder) {
+        Some(_) => Dataset::open(folder)?.as_clip().map_err(|what| Error::format(folder, what)),
+        None => Ok(Vec::new()),
+    }
 }
 
 /// The shots of a folder's pictures. What cannot be read is passed over: it is told if it is taken.

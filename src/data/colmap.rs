@@ -82,8 +82,8 @@ pub fn read(root: &Path, model: &Path) -> Result<Dataset> {
         let mut camera =
             Camera { intrinsics: lens.intrinsics, view_from_world: image.view_from_world };
         fit_to_image(&mut camera, &path)?;
-        let (name, distortion) = (image.name, lens.distortion);
-        set.frames.push(Frame { name, path, time: 0.0, camera, distortion });
+        let frame = Frame::of_image(image.name, path, 0.0, camera);
+        set.frames.push(Frame { distortion: lens.distortion, ..frame });
     }
     if set.frames.is_empty() {
         return Err(Error::format(

@@ -1,14 +1,14 @@
-//! Depth maps in the formats that they come in: EXR, `.npy`, `.npz`, 16-bit PNG.
+//! Depth maps in the formats that they come in: EXR, `.npy`, `.npz`, 16-bit PNG, Sintel's `.dpt`.
 
 use std::path::Path;
 
 use super::npy::{self, Array};
-use super::{exr, images};
+use super::{dpt, exr, images};
 use crate::types::{Image, range};
 use crate::{Error, Result};
 
 /// Extensions of the files that are read.
-pub const EXTENSIONS: [&str; 4] = ["exr", "npy", "npz", "png"];
+pub const EXTENSIONS: [&str; 5] = ["exr", "npy", "npz", "png", "dpt"];
 
 /// Reads a depth map (z), one channel. `.npy` and `.npz` hold one array, height × width; a grey PNG of
 /// 16 bits holds whole numbers, `unit` of them to a unit of length (1000: millimetres for metres). What
@@ -34,6 +34,7 @@ pub fn read_stored(path: impl AsRef<Path>, unit: f64) -> Result<Image> {
     match extension.to_str() {
         Some("npy") => of_array(path, npy::read(path)?),
         Some("npz") => of_array(path, npy::read_only(path)?),
+        Some("dpt") => dpt::read(path),
         Some("png") => {
             let mut depth = images::read_grey16(path)?;
             depth.pixels.iter_mut().for_each(|z| *z = (f64::from(*z) / unit) as f32);

@@ -14,30 +14,34 @@ const TAG: f32 = 202_021.25;
 /// Reads a flow field as an image of two channels (u, v), pixels. Vectors beyond [`range::FLOW`], by
 /// which the format marks what is unknown, and those that are not finite come back as NaN.
 pub fn read(path: impl AsRef<Path>) -> Result<Image> {
-    let path = path.as_ref();
+    let mut flow = tagged(path.as_ref(), ".flo", 2)?;
+    flow.pixels.chunks_exact_mut(2).for_each(clean);
+    Ok(flow)
+}
+
+/// Reads what Sintel's files of flow and depth share: tag, size, floats of each pixel. `kind` is the file's
+/// ending.
+pub(super) fn tagged(path: &Path, kind: &str, channels: u32) -> Result<Image> {
     let bytes = io::read(path)?;
     let mut from = Bytes::new(path, &bytes);
     if from.f32("the tag")? != TAG {
-        return Err(Error::format(path, "is not a .flo file (its tag is another)"));
+        return Err(Error::format(path, format!("is not a {kind} file (its tag is another)")));
     }
     let (width, height) = (from.i32("the width")?, from.i32("the height")?);
-    let (Ok(w), Ok(h)) = (u32::try_from(width), u32::try_from(height)) else {
+    let side = |side: i32| u32::try_from(side).ok().filter(|side| range::SIDE.contains(side));
+    let Some((w, h)) = side(width).zip(side(height)) else {
         return Err(Error::format(path, format!("a size of {width}×{height} makes no sense")));
     };
-    if !(range::SIDE.contains(&w) && range::SIDE.contains(&h)) {
-        return Err(Error::format(path, format!("a size of {w}×{h} makes no sense")));
-    }
-    let needed = 8 * u64::from(w) * u64::from(h);
+    let needed = 4 * u64::from(channels) * u64::from(w) * u64::from(h);
     if needed != from.left() as u64 {
         let left = from.left();
-        let what = format!("{w}×{h} vectors take {needed} bytes, {left} follow the header");
+        let what = format!("{w}×{h} pixels take {needed} bytes, {left} follow the header");
         return Err(Error::format(path, what));
     }
-    let data = from.take(needed as usize, "the vectors")?;
+    let data = from.take(needed as usize, "the pixels")?;
     let value = |b: &[u8]| f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
-    let mut pixels: Vec<f32> = data.chunks_exact(4).map(value).collect();
-    pixels.chunks_exact_mut(2).for_each(clean);
-    Ok(Image { width: w, height: h, channels: 2, pixels })
+    let pixels = data.chunks_exact(4).map(value).collect();
+    Ok(Image { width: w, height: h, channels, pixels })
 }
 
 /// Writes a flow field, an image of two channels, by rename.

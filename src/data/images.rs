@@ -100,6 +100,23 @@ pub fn decode_rgb(path: &Path, background: [f32; 3], orientation: Orientation) -
     rgb_over(decode(path, orientation)?, background)
 }
 
+/// Decodes an image file as it is stored: RGB in [0, 1], and a mask of one channel where there is an
+/// alpha channel, 1 where it is opaque, else 0.
+///
+/// # Errors
+/// Those of [`decode_rgb`].
+pub(super) fn decode_rgb_and_alpha(path: &Path) -> Result<(Image, Option<Image>)> {
+    let image = decode(path, Orientation::Stored)?;
+    let (width, height) = (image.width(), image.height());
+    let alpha = image.color().has_alpha().then(|| {
+        let rgba = image.to_rgba8();
+        let pixels = rgba.pixels().map(|p| f32::from(u8::from(p.0[3] == 255))).collect();
+        Image { width, height, channels: 1, pixels }
+    });
+    let pixels = image.into_rgb32f().into_raw();
+    Ok((Image { width, height, channels: 3, pixels }, alpha))
+}
+
 /// Bytes of memory for each pixel of a picture while it is read: as decoded, four channels of 8 bits,
 /// and as three floats.
 const READING_BYTES: u64 = 16;
@@ -250,11 +267,22 @@ pub fn write_png(path: impl AsRef<Path>, image: &Image) -> Result<()> {
     })
 }
 
-/// Reads a mask: one channel, 1 where the file's luminance is half or more, else 0.
+/// Reads a mask: one channel of 0 and 1. A grey file's is 1 where the file is half white or more; of
+/// one that holds 0 and 1 alone, where it is 1. A coloured file is a map of labels, as DAVIS 2017 keeps
+/// its objects: the mask is 1 where it is not black.
 pub fn read_mask(path: impl AsRef<Path>) -> Result<Image> {
-    let grey = decode(path.as_ref(), Orientation::Stored)?.into_luma8();
-    let (width, height) = grey.dimensions();
-    let pixels = grey.as_raw().iter().map(|&v| if v >= 128 { 1.0 } else { 0.0 }).collect();
+    let image = decode(path.as_ref(), Orientation::Stored)?;
+    let (width, height) = (image.width(), image.height());
+    // Compression tints grey a little.
+    const COLOURED: u8 = 32;
+    let coloured = image.color().has_color() && {
+        let span = |p: &image::Rgb<u8>| p.0.iter().max().zip(p.0.iter().min()).map(|(a, b)| a - b);
+        image.to_rgb8().pixels().any(|p| span(p) >= Some(COLOURED))
+    };
+    let grey = image.into_luma8();
+    let binary = grey.as_raw().iter().all(|v| *v <= 1);
+    let least = if coloured || binary { 1 } else { 128 };
+    let pixels = grey.as_raw().iter().map(|v| f32::from(u8::from(*v >= least))).collect();
     Ok(Image { width, height, channels: 1, pixels })
 }
 

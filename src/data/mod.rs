@@ -1,6 +1,6 @@
 //! Readers and writers of what comes from outside: datasets with known cameras
-//! ([`Dataset`]: COLMAP, nerfstudio / instant-ngp `transforms.json`, D-NeRF), clips without
-//! ([`Clip`]: a video or a folder of images), and the small files that go with them.
+//! ([`Dataset`]; [`layout`] tells the kinds apart), clips without ([`Clip`]: a video or a folder of
+//! images), and the small files that go with them.
 //!
 //! Cameras are the crate's own everywhere (OpenCV axes, `view_from_world`, pinhole); each reader
 //! converts on its way in.
@@ -8,19 +8,25 @@
 pub mod cam;
 pub mod clip;
 pub mod colmap;
+pub mod davis;
 pub mod depth;
 pub mod distortion;
+pub mod dpt;
 pub mod exif;
 pub mod exr;
 pub mod flo;
 pub mod flow;
 pub mod images;
 pub mod intrinsics;
+pub mod layout;
 pub mod lens;
 pub mod monst3r;
+pub mod nerfies;
 pub mod npy;
 pub mod points;
+pub mod poses_bounds;
 mod shots;
+pub mod sintel;
 pub mod synth;
 pub mod tracks;
 pub mod trajectory;
@@ -34,6 +40,7 @@ pub use lens::Lens;
 pub use points::Point;
 pub use shots::{Shot, ShotChoice};
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
@@ -42,19 +49,35 @@ use crate::error::excerpt;
 use crate::types::{Camera, Image};
 use crate::{Error, Result, io};
 
+/// What the alpha channel of a picture says, where it has one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Alpha {
+    /// How much of a pixel the subject covers: the picture is laid over the background.
+    #[default]
+    Cover,
+    /// Whether a pixel was measured: it is [`View::valid`] where it is opaque.
+    Valid,
+}
+
 /// One picture of a dataset, not decoded yet.
 #[derive(Clone, Debug)]
 pub struct Frame {
     /// Its name in the dataset: unique, and what messages call it.
     pub name: String,
-    /// Where the picture lies.
+    /// Where the picture lies: an image, or the video that it is a frame of.
     pub path: PathBuf,
+    /// Its number in the video, from 0; `None` where `path` is an image.
+    pub number: Option<usize>,
     /// In [0, 1].
     pub time: f64,
     /// The camera at the picture's own size; a pinhole once the distortion is removed.
     pub camera: Camera,
     /// What [`Frame::load`] removes.
     pub distortion: Distortion,
+    /// What the picture's alpha channel says.
+    pub alpha: Alpha,
+    /// The mask of the pixels that other frames saw as well, by which a test picture is scored.
+    pub covisible: Option<PathBuf>,
 }
 
 /// A picture with its camera, ready to train on.
@@ -68,16 +91,77 @@ pub struct View {
     pub camera: Camera,
     /// RGB in [0, 1].
     pub image: Image,
-    /// One channel, 1 where the picture is real and 0 where undistortion had nothing to put; `None`
-    /// where all of it is real.
+    /// One channel, 1 where the picture is real and 0 where undistortion had nothing to put or nothing
+    /// was measured ([`Alpha::Valid`]); `None` where all of it is real.
     pub valid: Option<Image>,
 }
 
 impl Frame {
-    /// Decodes the picture, lays it over the background where it has an alpha channel, removes the
-    /// distortion, then resizes; the camera follows.
+    /// A frame whose picture is an image file.
+    fn of_image(name: String, path: PathBuf, time: f64, camera: Camera) -> Frame {
+        Frame {
+            name,
+            path,
+            number: None,
+            time,
+            camera,
+            distortion: Distortion::default(),
+            alpha: Alpha::Cover,
+            covisible: None,
+        }
+    }
+
+    /// Decodes the picture, lays it over the background where it has an alpha channel that says so,
+    /// removes the distortion, then resizes; the camera follows. Of a video, all frames up to this one
+    /// are decoded: [`Dataset::load`] takes several at once.
     pub fn load(&self, background: [f32; 3], size: Resize) -> Result<View> {
-        let mut image = images::decode_rgb(&self.path, background, images::Orientation::Stored)?;
+        if let Some(number) = self.number {
+            let mut found = None;
+            video::frames(&self.path, &[number], &mut |_, image| {
+                found = Some(self.view(image, None, size)?);
+                Ok(())
+            })?;
+            return Ok(found.expect("a video gives every frame, or an error"));
+        }
+        let (image, valid) = match self.alpha {
+            Alpha::Cover => {
+                (images::decode_rgb(&self.path, background, images::Orientation::Stored)?, None)
+            }
+            Alpha::Valid => images::decode_rgb_and_alpha(&self.path)?,
+        };
+        self.view(image, valid, size)
+    }
+
+    /// Reads the mask of [`Frame::covisible`] as it is of the picture that [`Frame::load`] gives.
+    pub fn load_covisible(&self, size: Resize) -> Result<Option<Image>> {
+        let Some(path) = &self.covisible else { return Ok(None) };
+        let mask = read_mask(path)?;
+        let k = &self.camera.intrinsics;
+        if (mask.width, mask.height) != (k.width, k.height) {
+            let what = format!(
+                "is {}×{}, and the picture that it belongs to, {}, is {}×{}",
+                mask.width,
+                mask.height,
+                excerpt(&self.name),
+                k.width,
+                k.height
+            );
+            return Err(Error::format(path, what));
+        }
+        let mask = match self.distortion.is_none() {
+            true => mask,
+            false => self.lens().undistort(&mask, k).0,
+        };
+        let (width, height) = size.target(mask.width, mask.height);
+        Ok(Some(resized_mask(mask, width, height)))
+    }
+
+    fn lens(&self) -> Lens {
+        Lens { intrinsics: self.camera.intrinsics, distortion: self.distortion }
+    }
+
+    /// The view of the decoded picture, and of the mask of its pixels that were measured.
+    fn view(&self, mut image: Image, mut valid: Option<Image>, size: Resize) -> Result<View> {
         let mut camera = self.camera;
         let k = &camera.intrinsics;
         if (image.width, image.height) != (k.width, k.height) {
@@ -87,24 +171,30 @@ impl Frame {
             );
             return Err(Error::format(&self.path, what));
         }
-        let mut valid = None;
         if !self.distortion.is_none() {
-            let lens = Lens { intrinsics: camera.intrinsics, distortion: self.distortion };
-            (image, valid) = lens.undistort(&image, &camera.intrinsics);
+            let (pinhole, inside) = self.lens().undistort(&image, k);
+            image = pinhole;
+            valid = match valid {
+                // Zero as well where undistortion had nothing to put.
+                Some(valid) => Some(self.lens().undistort(&valid, k).0),
+                None => inside,
+            };
         }
         let (width, height) = size.target(image.width, image.height);
+        valid = valid.map(|valid| resized_mask(valid, width, height));
         if (width, height) != (image.width, image.height) {
             image = images::resize(&image, width, height);
-            // A shrunken pixel is real only where all that it averages is.
-            valid = valid.map(|v| {
-                let mut v = images::resize(&v, width, height);
-                v.pixels.iter_mut().for_each(|p| *p = if *p > 0.999 { 1.0 } else { 0.0 });
-                v
-            });
             camera.intrinsics = camera.intrinsics.resized(width, height);
         }
         Ok(View { name: self.name.clone(), time: self.time, camera, image, valid })
     }
+}
+
+/// A mask at another size: a pixel counts only where all that it averages does.
+fn resized_mask(mask: Image, width: u32, height: u32) -> Image {
+    let mut mask = images::resize(&mask, width, height);
+    mask.pixels.iter_mut().for_each(|p| *p = if *p > 0.999 { 1.0 } else { 0.0 });
+    mask
 }
 
 /// Pictures with known cameras.
@@ -132,39 +222,14 @@ pub struct Dataset {
 
 impl Dataset {
     /// Opens a dataset: a folder, or a `transforms*.json` itself. Which kind it is shows in the files:
-    /// `transforms.json`, or `transforms_train.json` (D-NeRF and its kin), or a COLMAP model
-    /// (`cameras.bin` or `.txt`) in `sparse/0`, `sparse`, `colmap/sparse/0` or the folder itself.
-    /// Only the pictures' headers are read here.
+    /// see [`layout`]. Only the pictures' headers are read here.
     ///
     /// # Errors
     /// The folder is missing or of no known kind, a file is damaged, or no picture exists.
     pub fn open(path: impl AsRef<Path>) -> Result<Dataset> {
-        let path = path.as_ref();
-        let found = std::fs::metadata(path).map_err(Error::io(path))?;
-        let mut set = if !found.is_dir() {
-            if path.extension().is_none_or(|e| e != "json") {
-                return Err(Error::format(
-                    path,
-                    "is not a dataset; give its folder or its transforms.json. \
-                     A video whose poses are unknown goes to `splat4d reconstruct`",
-                ));
-            }
-            transforms::read(path)?
-        } else if path.join("transforms.json").is_file() {
-            transforms::read(&path.join("transforms.json"))?
-        } else if path.join("transforms_train.json").is_file() {
-            transforms::read_split(path)?
-        } else if let Some(model) = colmap::find(path) {
-            colmap::read(path, &model)?
-        } else {
-            return Err(Error::format(
-                path,
-                "holds no transforms.json, transforms_train.json or COLMAP model \
-                 (sparse/0/cameras.bin). Images or a video whose poses are unknown go to \
-                 `splat4d reconstruct`",
-            ));
-        };
+        let mut set = layout::find(path.as_ref())?.read()?;
         if let Some(first) = set.frames.first()
+            && (first.alpha, first.number) == (Alpha::Cover, None)
             && images::has_alpha(&first.path)?
         {
             (set.background, set.alpha) = ([1.0; 3], true);
@@ -197,20 +262,75 @@ impl Dataset {
             let frame = &self.frames[i];
             let k = frame.camera.intrinsics;
             let (width, height) = size.target(k.width, k.height);
-            // Three floats a pixel, and one that tells where an undistorted picture is real.
-            let floats = if frame.distortion.is_none() { 3 } else { 4 };
+            // Three floats a pixel, and one that tells where the picture is real.
+            let whole = frame.distortion.is_none() && frame.alpha == Alpha::Cover;
+            let floats = if whole { 3 } else { 4 };
             4 * floats * u64::from(width) * u64::from(height)
         };
         let bytes = indices.iter().map(bytes).fold(0, u64::saturating_add);
         io::check_memory(bytes, &format!("loading {} pictures", indices.len()))?;
-        let at_a_time = images::at_a_time(largest(indices.iter().map(|&i| &self.frames[i])));
-        let load = |&i: &usize| self.frames[i].load(self.background, size);
-        let mut views = Vec::with_capacity(indices.len());
-        for indices in indices.chunks(at_a_time) {
-            let loaded: Result<Vec<View>> = indices.par_iter().map(load).collect();
-            views.extend(loaded?);
+        let (of_videos, images): (Vec<usize>, Vec<usize>) =
+            (0..indices.len()).partition(|&i| self.frames[indices[i]].number.is_some());
+        let mut views: Vec<Option<View>> = vec![None; indices.len()];
+        let at_a_time = images::at_a_time(largest(images.iter().map(|&i| &self.frames[indices[i]])));
+        let load = |&i: &usize| self.frames[indices[i]].load(self.background, size);
+        for places in images.chunks(at_a_time) {
+            let loaded: Vec<View> = places.par_iter().map(load).collect::<Result<_>>()?;
+            for (&place, view) in places.iter().zip(loaded) {
+                views[place] = Some(view);
+            }
         }
-        Ok(views)
+        self.load_of_videos(indices, &of_videos, size, &mut views)?;
+        Ok(views.into_iter().flatten().collect())
+    }
+
+    /// Loads those of the frames that lie in videos, at `places` among the indices; each video is decoded
+    /// once.
+    fn load_of_videos(
+        &self,
+        indices: &[usize],
+        places: &[usize],
+        size: Resize,
+        views: &mut [Option<View>],
+    ) -> Result<()> {
+        let mut videos: BTreeMap<&Path, BTreeMap<usize, Vec<usize>>> = BTreeMap::new();
+        for &place in places {
+            let frame = &self.frames[indices[place]];
+            let Some(number) = frame.number else { continue };
+            videos.entry(&frame.path).or_default().entry(number).or_default().push(place);
+        }
+        for (path, wanted) in videos {
+            let numbers: Vec<usize> = wanted.keys().copied().collect();
+            video::frames(path, &numbers, &mut |number, image| {
+                for &place in &wanted[&number] {
+                    let frame = &self.frames[indices[place]];
+                    views[place] = Some(frame.view(image.clone(), None, size)?);
+                }
+                Ok(())
+            })?;
+        }
+        Ok(())
+    }
+
+    /// The pictures to train on as one camera's clip: their places in `frames`, in the order of time.
+    ///
+    /// # Errors
+    /// In words: two of them are of one time, or they lie in a video.
+    fn as_clip(&self) -> std::result::Result<Vec<PathBuf>, String> {
+        let (mut train, _) = self.split(0);
+        train.sort_by(|&a, &b| self.frames[a].time.total_cmp(&self.frames[b].time));
+        if let Some(two) = train.windows(2).find(|w| self.frames[w[0]].time == self.frames[w[1]].time)
+        {
+            let [a, b] = [two[0], two[1]].map(|i| excerpt(&self.frames[i].name));
+            return Err(format!(
+                "{a} and {b} were taken at one time, by several cameras; name the folder or the \
+                 video of one camera"
+            ));
+        }
+        if let Some(&first) = train.iter().find(|&&i| self.frames[i].number.is_some()) {
+            return Err(format!("name the video itself ({})", self.frames[first].path.display()));
+        }
+        Ok(train.into_iter().map(|i| self.frames[i].path.clone()).collect())
     }
 }
 
@@ -224,7 +344,12 @@ fn largest<'a>(frames: impl IntoIterator<Item = &'a Frame>) -> (u32, u32) {
 /// Brings a camera to the size that its picture has: sets are often kept at a fraction of the size
 /// they were calibrated at.
 fn fit_to_image(camera: &mut Camera, path: &Path) -> Result<()> {
-    let (width, height) = images::dimensions(path, images::Orientation::Stored)?;
+    let size = images::dimensions(path, images::Orientation::Stored)?;
+    fit_to_size(camera, path, size)
+}
+
+/// As [`fit_to_image`], where the size is known.
+fn fit_to_size(camera: &mut Camera, path: &Path, (width, height): (u32, u32)) -> Result<()> {
     let k = camera.intrinsics;
     let (sx, sy) = (f64::from(width) / f64::from(k.width), f64::from(height) / f64::from(k.height));
     // Halving an odd side rounds: one pixel is allowed beyond equal proportions.

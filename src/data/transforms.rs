@@ -264,7 +264,8 @@ impl Listing {
                 let mut camera = Camera { intrinsics, view_from_world: entry.view_from_world };
                 fit_to_image(&mut camera, &path)?;
                 let time = normalised(span, entry.time).unwrap_or(0.0);
-                Ok(Ok(Frame { name: entry.file.clone(), path, time, camera, distortion }))
+                let frame = Frame::of_image(entry.file.clone(), path, time, camera);
+                Ok(Ok(Frame { distortion, ..frame }))
             })
             .collect::<Result<Vec<std::result::Result<Frame, &String>>>>()?;
         let mut missing = Vec::new();

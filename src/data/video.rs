@@ -65,9 +65,7 @@ pub fn decode_with(
     options: &ClipOptions,
     go_on: GoOn,
 ) -> Result<Decoded> {
-    // `file:` keeps a name such as `-x.mp4` or `concat:a` from being read as something else.
-    let mut input = OsString::from("file:");
-    input.push(path);
+    let input = input(path);
     let told = Told::by(ffprobe, &input);
     let most = options.max_frames.unwrap_or(usize::MAX);
     let source = Source { ffmpeg, input: &input, path, options, go_on };
@@ -167,6 +165,82 @@ pub fn decode_with(
     }
     decoded.frames = taken.frames;
     Ok(decoded)
+}
+
+/// A video's size and length, as `ffprobe` tells them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Extent {
+    /// Width and height, pixels.
+    pub size: (u32, u32),
+    /// Frames.
+    pub frames: usize,
+}
+
+/// How large and how long a video is; nothing is decoded.
+///
+/// # Errors
+/// [`Error::Format`] where `ffprobe` does not know, or is missing.
+pub fn extent(path: &Path) -> Result<Extent> {
+    // Only a regular file is an input.
+    crate::io::open(path)?;
+    let told = Told::by(OsStr::new("ffprobe"), &input(path));
+    match (told.size, told.packets) {
+        (Some(size), Some(frames)) => Ok(Extent { size, frames }),
+        _ => Err(Error::format(
+            path,
+            "ffprobe, which comes with ffmpeg, is missing or cannot read it as a video; install \
+             ffmpeg, or extract the frames into a folder of the video's name",
+        )),
+    }
+}
+
+/// Decodes some frames of a video, those of the given numbers, which ascend; each is handed over with
+/// its number. What lies before the last of them is decoded as well.
+///
+/// # Errors
+/// [`Error::Format`] where the video is damaged or has fewer frames; those of [`decode_with`] about the
+/// program; those of `each`.
+pub fn frames(
+    path: &Path,
+    numbers: &[usize],
+    each: &mut dyn FnMut(usize, Image) -> Result<()>,
+) -> Result<()> {
+    let (Some(&first), Some(&last)) = (numbers.first(), numbers.last()) else { return Ok(()) };
+    crate::io::open(path)?;
+    let input = input(path);
+    let options = ClipOptions::default();
+    let go_on = &|| Ok(());
+    let source = Source { ffmpeg: OsStr::new("ffmpeg"), input: &input, path, options: &options, go_on };
+    let filter = format!("select=between(n\\,{first}\\,{last})");
+    let mut next = 0;
+    let run = source.run(&filter, Some(last + 1 - first), &mut |place, image| {
+        if numbers.get(next) == Some(&(first + place)) {
+            next += 1;
+            each(first + place, image)?;
+        }
+        Ok(())
+    })?;
+    let told = Told::by(OsStr::new("ffprobe"), &input);
+    let complaint = run.said.lines().find_map(|line| told.complaint(line)).or(run.failed);
+    match (complaint, numbers.get(next)) {
+        (None, None) => Ok(()),
+        (None, Some(number)) => Err(Error::format(path, format!("has no frame {number}"))),
+        (Some(complaint), _) => Err(Error::format(
+            path,
+            format!(
+                "is damaged (ffmpeg: {complaint}); fetch it anew, or extract its frames into a folder \
+                 of the video's name"
+            ),
+        )),
+    }
+}
+
+/// A file's name for ffmpeg: `file:` keeps one such as `-x.mp4` or `concat:a` from being read as
+/// something else.
+fn input(path: &Path) -> OsString {
+    let mut input = OsString::from("file:");
+    input.push(path);
+    input
 }
 
 /// Why a damaged video is given up.

@@ -1,0 +1,16 @@
+//! Depth maps in Sintel's `.dpt`: the float 202021.25, width and height as `i32`, then depth (z) row by row as floats,
+//! all little-endian.
+
+use std::path::Path;
+
+use super::flo::tagged;
+use crate::Result;
+use crate::types::Image;
+
+/// Reads a depth map as it is stored: one channel, in the world's units.
+///
+/// # Errors
+/// [`Error::Io`](crate::Error::Io); [`Error::Format`](crate::Error::Format) for what is no such file.
+pub fn read(path: impl AsRef<Path>) -> Result<Image> {
+    tagged(path.as_ref(), ".dpt", 1)
+}
