@@ -13,7 +13,9 @@ use splat4d::Result;
 use splat4d::check::fuzz::{draw, file};
 use splat4d::data::trajectory::{self, TimedPose};
 use splat4d::data::transforms::{self, TimedCamera};
-use splat4d::data::{colmap, exr, flo, images, intrinsics, tracks, write_png};
+use splat4d::data::{
+    colmap, dpt, exr, flo, images, intrinsics, nerfies, poses_bounds, tracks, write_png,
+};
 use splat4d::io::{Identity, read_state, write_state};
 use splat4d::scene::{Scene, SceneCamera, ply};
 use splat4d::types::{
@@ -243,6 +245,53 @@ const READERS: &[Reader] = &[
         read: |path| images::decode_rgb(path, [0.0; 3], images::Orientation::Upright).map(drop),
         most: packed,
         prefixes_fail: false,
+    },
+    Reader {
+        name: "poses_bounds.npy",
+        write: |path| {
+            let row = [
+                [0.0, 1.0, 0.0, 0.5, 30.0],
+                [1.0, 0.0, 0.0, 1.5, 40.0],
+                [0.0, 0.0, -1.0, 2.5, 50.0],
+            ];
+            let row: Vec<f64> = row.concat().into_iter().chain([1.0, 9.0]).collect();
+            let header = "{'descr': '<f8', 'fortran_order': False, 'shape': (20, 17), }";
+            let mut bytes = b"\x93NUMPY\x01\x00\x76\x00".to_vec();
+            bytes.extend(format!("{header:<117}\n").bytes());
+            (0..20).for_each(|_| row.iter().for_each(|v| bytes.extend(v.to_le_bytes())));
+            fs::write(path, bytes).unwrap();
+        },
+        read: |path| poses_bounds::read_rows(path).map(drop),
+        most: plain,
+        prefixes_fail: true,
+    },
+    Reader {
+        name: "nerfies.json",
+        write: |path| {
+            let camera = r#"{"orientation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "position": [1.5, 2, 3],
+                "focal_length": 55.5, "principal_point": [20, 15], "image_size": [40, 30],
+                "radial_distortion": [0.01, 0, 0], "tangential": [0, 0.001]}"#;
+            fs::write(path, camera).unwrap();
+        },
+        read: |path| {
+            let (center, scale) = (DVec3::new(1.0, 2.0, 3.0), 0.1);
+            nerfies::read_camera(path, &nerfies::Scene { center, scale, near: 0.1, far: 1.0 })
+                .map(drop)
+        },
+        most: plain,
+        prefixes_fail: true,
+    },
+    Reader {
+        name: "depth.dpt",
+        write: |path| {
+            let mut bytes =
+                [202_021.25f32.to_le_bytes(), 9i32.to_le_bytes(), 7i32.to_le_bytes()].concat();
+            (0..63).for_each(|i| bytes.extend((i as f32).to_le_bytes()));
+            fs::write(path, bytes).unwrap();
+        },
+        read: |path| dpt::read(path).map(drop),
+        most: plain,
+        prefixes_fail: true,
     },
     Reader {
         name: "mask.png",

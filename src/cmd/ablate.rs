@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use clap::builder::PossibleValuesParser;
 use serde_json::{Value, json};
-use splat4d::data::{Resize, images};
+use splat4d::data::{Clip, Resize, images};
 use splat4d::gpu::Device;
 use splat4d::report::{Ablation, AblationRow, Figure};
 use splat4d::track::Options;
@@ -203,7 +203,9 @@ fn check_outputs(args: &AblateArgs) -> Result<()> {
     let outputs = Outputs::default().folder(folder, &Ablation::REPORT_FILES)?;
     let pictures = ["", "frames", "images", "truth/masks"];
     let read = pictures.map(|name| -> Folder { (args.clip.join(name), &images::EXTENSIONS) });
-    outputs.spare(&Inputs::new([args.clip.clone()], read))
+    let frames =
+        if args.clip.is_dir() { Clip::files(&args.clip).unwrap_or_default() } else { vec![] };
+    outputs.spare(&Inputs::new(frames.into_iter().chain([args.clip.clone()]), read))
 }
 
 fn check_memory(

@@ -8,14 +8,15 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde_json::{Map, Value, json};
 use splat4d::data::trajectory::{self, Format, QuaternionOrder, Trajectory};
-use splat4d::data::{Dataset, Resize, cam, images};
+use splat4d::data::{Dataset, Resize, View, cam, images};
 use splat4d::eval::{
-    Align, Comparison, Relative, Statistics, Step, TrajectoryErrors, compare_matrices,
-    nearest_by_time,
+    Align, Comparison, Relative, Statistics, Step, TrajectoryErrors, compare_matrices, masked_mean,
+    masked_psnr, nearest_by_time, ssim_map,
 };
 use splat4d::observe::onnx::LpipsNetwork;
 use splat4d::renderer::Renderer;
 use splat4d::scene::{Opened, Scene};
+use splat4d::types::Image;
 use splat4d::{Error, Result};
 
 use super::common::{Answer, Common, notes, say, thousands};
@@ -57,7 +58,8 @@ Examples:
 
 JSON: psnr, ssim, ms_ssim, lpips (by --lpips FILE, else null: no network weights come along), lpips_net (its
 features, as the file names them: figures of different nets do not compare), per_frame [{name, psnr, ssim,
-ms_ssim, lpips}], ate_rmse, ate_relative (to the length of the camera's path),
+ms_ssim, lpips}], psnr_covisible, ssim_covisible (of a dataset with masks of what the training
+pictures saw as well, DyCheck's: over those pixels, SSIM as the mean of its map there), ate_rmse, ate_relative (to the length of the camera's path),
 rpe_trans_rmse, rpe_rot_deg_rmse, scale, poses, focal_error (relative), depth_rel_median, mask_iou;
 ape_trans, ape_rot_deg, rpe_trans, rpe_rot_deg: of a trajectory the errors of centres (in the reference's
 unit) and rotations (degrees), absolute and relative, each {rmse, mean, median, std, min, max, sse};
@@ -80,11 +82,16 @@ held_out_fitted: the same with each pose fitted to its picture (--fit-poses): le
 the static covisible pixels, or all where masks are missing. Poses fitted to test pictures flatter.
 What does not apply is null; so is an infinite PSNR.";
 
+/// Pictures of a dataset that are in memory at a time.
+const AT_A_TIME: usize = 8;
+
 /// Every key of the JSON, so that each is always there.
-const KEYS: [&str; 26] = [
+const KEYS: [&str; 28] = [
     "psnr",
     "ssim",
     "ms_ssim",
+    "psnr_covisible",
+    "ssim_covisible",
     "lpips",
     "lpips_net",
     "per_frame",
@@ -329,20 +336,44 @@ fn pictures(
     let device = common.open_device()?;
     let mut renderer = Renderer::new(&device, &scene)?;
     let mut meter = Meter::new("measuring", "pictures", chosen.len() as u64, 0);
-    let mut per_frame = Vec::with_capacity(chosen.len());
-    for (place, index) in chosen.into_iter().enumerate() {
-        interrupt::check()?;
-        let view = set.frames[index].load(set.background, size)?;
-        let picture = renderer.render(&view.camera, view.time)?.over(set.background);
-        let quality = Quality::of(&view.name, &picture, &view.image, view.valid.as_ref())?;
-        per_frame.push(quality.with_lpips(lpips.as_deref_mut(), &picture, &view.image)?);
-        if let Some(comparisons) = &comparisons {
-            comparisons.write(place, &view.image, &picture)?;
+    let (mut per_frame, mut covisible) = (Vec::with_capacity(chosen.len()), Vec::new());
+    // Frames of a video are decoded together.
+    for indices in chosen.chunks(AT_A_TIME) {
+        let views = set.load(indices, size)?;
+        for (view, index) in views.iter().zip(indices) {
+            interrupt::check()?;
+            let picture = renderer.render(&view.camera, view.time)?.over(set.background);
+            if let Some(comparisons) = &comparisons {
+                comparisons.write(per_frame.len(), &view.image, &picture)?;
+            }
+            let quality = Quality::of(&view.name, &picture, &view.image, view.valid.as_ref())?;
+            per_frame.push(quality.with_lpips(lpips.as_deref_mut(), &picture, &view.image)?);
+            if let Some(mask) = set.frames[*index].load_covisible(size)? {
+                covisible.push(seen_as_well(view, &picture, mask)?);
+            }
+            meter.advance();
         }
-        meter.advance();
     }
     comparisons.map_or(Ok(()), Comparisons::finish)?;
-    Ok(picture_keys(&per_frame))
+    let mut keys = picture_keys(&per_frame);
+    // A mean over some of the pictures alone would be of another protocol.
+    if covisible.len() == per_frame.len() {
+        let mean = |figures: fn(&(f64, f64)) -> f64| {
+            quality::mean(covisible.iter().map(|found| Some(figures(found))))
+        };
+        keys.insert("psnr_covisible".into(), json!(mean(|found| found.0)));
+        keys.insert("ssim_covisible".into(), json!(mean(|found| found.1)));
+    }
+    Ok(keys)
+}
+
+/// PSNR and SSIM over the pixels that the training pictures saw as well.
+fn seen_as_well(view: &View, picture: &Image, mut mask: Image) -> Result<(f64, f64)> {
+    if let Some(valid) = &view.valid {
+        mask.pixels.iter_mut().zip(&valid.pixels).for_each(|(seen, valid)| *seen *= valid);
+    }
+    let similarity = ssim_map(picture, &view.image)?;
+    Ok((masked_psnr(picture, &view.image, &mask)?, masked_mean(&similarity, &mask)?))
 }
 
 /// The keys that speak of pictures.

@@ -59,7 +59,7 @@ pub struct KnownArgs {
     intrinsics: Option<PathBuf>,
     /// Camera poses in any unit, one per frame or named as the frames are: a file of TUM, KITTI or EuRoC
     /// (camera to world) or a transforms.json; a folder with one, with a COLMAP model, with Sintel's .cam
-    /// files, or written by MonST3R. Intrinsics told there are used unless given here
+    /// files, written by MonST3R, or a dataset that `train` takes. Intrinsics told there are used unless given here
     #[arg(long, value_name = "FILE|DIR")]
     poses: Option<PathBuf>,
     /// What of --poses and of the focal length is only where to begin, and is adjusted to the clip
@@ -68,12 +68,12 @@ pub struct KnownArgs {
     /// Take the frames for those of a pinhole: a lens's distortion is not looked for
     #[arg(long)]
     pub pinhole: bool,
-    /// Motion masks: a folder of images, white where something moves, one per frame or named as the
-    /// frames are (of MonST3R's folder dynamic_mask_*.png); those that flicker or slip are mended, and
+    /// Motion masks: a folder of images, white where something moves or with a colour for each object (DAVIS),
+    /// one per frame or named as the frames are (of MonST3R's folder dynamic_mask_*.png); those that flicker or slip are mended, and
     /// noted
     #[arg(long, value_name = "DIR")]
     masks: Option<PathBuf>,
-    /// Depth maps: a folder of EXR, .npy or .npz files or of grey 16-bit PNGs (of MonST3R's folder
+    /// Depth maps: a folder of EXR, .npy, .npz or Sintel's .dpt files or of grey 16-bit PNGs (of MonST3R's folder
     /// frame_*.npy), z up to one scale, 0 where unknown;
     /// --depth-kind says otherwise
     #[arg(long, value_name = "DIR")]
@@ -209,7 +209,9 @@ impl KnownArgs {
                 &flow::EXTENSIONS,
             ),
         ];
-        let files = files.into_iter().flatten().cloned().chain(self.networks.files());
+        // Which files a folder's frames are is not found out here where that is an error later.
+        let frames = if clip.is_dir() { Clip::files(clip).unwrap_or_default() } else { Vec::new() };
+        let files = files.into_iter().flatten().cloned().chain(self.networks.files()).chain(frames);
         Inputs::new(files, folders.into_iter().flatten())
     }
 }

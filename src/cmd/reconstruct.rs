@@ -43,8 +43,9 @@ const FRAME_BYTES: u64 = 12;
 const TRACK_BYTES: u64 = 72;
 
 const AFTER_HELP: &str = "\
-The clip is a moving camera's: a video file (read through ffmpeg) or a folder of frames in the
-order of their names. Of a clip with cuts one shot is taken, the longest unless --shot says another;
+The clip is a moving camera's: a video file (read through ffmpeg), a folder of frames in the order of
+their names, or a dataset as `train` takes it (its pictures to train on, by time) or of one clip of
+DAVIS. Of a clip with cuts one shot is taken, the longest unless --shot says another;
 --every and --max-frames count within it. A camera that stands still is recognised; then its pictures
 give no depth by themselves, and new views stay close to the old ones.
 

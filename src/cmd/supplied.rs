@@ -3,10 +3,11 @@
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
+use splat4d::data::layout::{self, Layout};
 use splat4d::data::trajectory::{Format, QuaternionOrder};
 use splat4d::data::{
-    Clip, cam, colmap, depth, flow, images, intrinsics, monst3r, read_mask, tracks, trajectory,
-    transforms,
+    Clip, Dataset, cam, colmap, depth, flow, images, intrinsics, monst3r, read_mask, tracks,
+    trajectory, transforms,
 };
 use splat4d::observe::SuppliedFlow;
 use splat4d::types::{Image, Intrinsics, Pose, Tracks};
@@ -106,7 +107,7 @@ struct Found {
 }
 
 /// Cameras of a trajectory (TUM, KITTI, EuRoC), a `transforms.json`, or a folder: a COLMAP model,
-/// Sintel's `.cam` files, what MonST3R wrote, or one with a `transforms.json`.
+/// Sintel's `.cam` files, what MonST3R wrote, one with a `transforms.json`, or a dataset that names its pictures.
 pub fn cameras(path: &Path, clip: &Clip) -> Result<Cameras> {
     let Found { poses, names, intrinsics, distorted, mut notes } = find(path, clip)?;
     let listed = Listed { path, what: "poses", count: poses.len(), names };
@@ -176,14 +177,37 @@ fn find(path: &Path, clip: &Clip) -> Result<Found> {
     if transforms.is_file() {
         return of_transforms(&transforms);
     }
-    match colmap::find(path) {
-        Some(model) => of_colmap(&model),
-        None => Err(Error::format(
-            path,
-            "holds no cameras: neither a COLMAP model (cameras.bin or .txt, also in sparse/0) nor \
-             transforms.json, .cam files or MonST3R's pred_traj.txt",
-        )),
+    if let Some(model) = colmap::find(path) {
+        return of_colmap(&model);
     }
+    if let Ok(Layout::Nerfies(..) | Layout::PosesBounds(..) | Layout::Sintel(..)) =
+        layout::find(path)
+    {
+        return of_dataset(path, clip);
+    }
+    Err(Error::format(
+        path,
+        "holds no cameras: neither a COLMAP model (cameras.bin or .txt, also in sparse/0) nor \
+         transforms.json, .cam files, MonST3R's pred_traj.txt, scene.json with dataset.json (Nerfies), \
+         poses_bounds.npy or a sequence of MPI Sintel",
+    ))
+}
+
+/// A dataset's cameras of the clip's frames, whose names its pictures have.
+fn of_dataset(path: &Path, clip: &Clip) -> Result<Found> {
+    let set = Dataset::open(path)?;
+    let names: HashSet<&str> = clip.frames.iter().map(|frame| frame.name.as_str()).collect();
+    let mut found = Found { notes: set.notes, ..Found::default() };
+    for frame in &set.frames {
+        let name = stem_of(&frame.path);
+        if names.contains(name.as_str()) {
+            found.poses.push(frame.camera.view_from_world);
+            found.intrinsics.push(frame.camera.intrinsics);
+            found.distorted |= !frame.distortion.is_none();
+            found.names.push(name);
+        }
+    }
+    Ok(found)
 }
 
 fn of_transforms(path: &Path) -> Result<Found> {

@@ -34,11 +34,13 @@ use super::watcher::Watcher;
 use super::{sheet, tuning, values};
 
 const AFTER_HELP: &str = "\
-Pictures that have times (`time` in transforms.json, D-NeRF) make a scene that moves; others, and
+Pictures that have times (`time` in transforms.json, D-NeRF, HyperNeRF) make a scene that moves; others, and
 with --static all, make a static one.
 
-DATASET is a folder with a COLMAP model (sparse/0, binary or text), a nerfstudio or instant-ngp
-transforms.json, or D-NeRF's transforms_train.json; or a transforms.json itself.
+DATASET is a folder, and what is in it tells its kind: transforms.json (nerfstudio, instant-ngp, or the
+file itself), transforms_train.json (D-NeRF), scene.json with dataset.json (Nerfies, HyperNeRF, DyCheck; or
+one of its rgb/Nx), poses_bounds.npy (LLFF, DyNeRF, NVIDIA dynamic scenes), a COLMAP model (sparse/0, binary
+or text), or the pictures of one sequence of MPI Sintel (training/final/NAME).
 
 Examples:
   splat4d train captures/fox -o fox.safetensors --steps 2000 --size 480

@@ -131,6 +131,30 @@ impl Clip {
         Ok(clip)
     }
 
+    /// The files of the frames that a folder stands for: its pictures; else those of `frames` or `images` in
+    /// it; else DAVIS's only clip; else a dataset's pictures to train on, by time. Empty where it holds none.
+    ///
+    /// # Errors
+    /// The folder cannot be read; it holds several clips; the dataset is damaged, or its pictures are not
+    /// those of one camera.
+    pub fn files(folder: &Path) -> Result<Vec<PathBuf>> {
+        let mut files = images::list(folder)?;
+        for inner in ["frames", "images"] {
+            let inner = folder.join(inner);
+            if files.is_empty() && inner.is_dir() {
+                files = images::list(&inner)?;
+            }
+        }
+        if files.is_empty() && davis::is_root(folder) {
+            return images::list(&davis::only_clip(folder)?);
+        }
+        if files.is_empty() && layout::recognise(folder).is_some() {
+            let set = Dataset::open(folder)?;
+            return set.as_clip().map_err(|what| Error::format(folder, what));
+        }
+        Ok(files)
+    }
+
     /// Tells the shots, where there are any.
     fn cut(
         &mut self,
@@ -234,7 +258,7 @@ fn assemble(
 }
 
 fn open_folder(folder: &Path, options: &ClipOptions, go_on: GoOn) -> Result<Clip> {
-    let files = find_files(folder)?;
+    let files = Clip::files(folder)?;
     if files.is_empty() {
         let known = images::EXTENSIONS.join(", ");
         return Err(Error::format(folder, format!("holds no images ({known})")));
@@ -319,25 +343,6 @@ fn open_folder(folder: &Path, options: &ClipOptions, go_on: GoOn) -> Result<Clip
         clip.focal = exif::focal(file, width, height).map(|focal| focal * scale);
     }
     Ok(clip)
-}
-
-/// The frames that a folder stands for: its pictures; else those of `frames` or `images` in it; else those of a dataset
-/// that it is, as far as one camera took them one after another.
-fn find_files(folder: &Path) -> Result<Vec<PathBuf>> {
-    let inner = ["frames", "images"].map(|inner| folder.join(inner));
-    for folder in [folder].into_iter().chain(inner.iter().map(PathBuf::as_path).filter(|f| f.is_dir())) {
-        let files = images::list(folder)?;
-        if !files.is_empty() {
-            return Ok(files);
-        }
-    }
-    if davis::is_root(folder) {
-        return images::list(&davis::only_clip(folder)?);
-    }
-    match layout::recognise(folder) {
-        Some(_) => Dataset::open(folder)?.as_clip().map_err(|what| Error::format(folder, what)),
-        None => Ok(Vec::new()),
-    }
 }
 
 /// The shots of a folder's pictures. What cannot be read is passed over: it is told if it is taken.

@@ -272,7 +272,8 @@ impl Dataset {
         let (of_videos, images): (Vec<usize>, Vec<usize>) =
             (0..indices.len()).partition(|&i| self.frames[indices[i]].number.is_some());
         let mut views: Vec<Option<View>> = vec![None; indices.len()];
-        let at_a_time = images::at_a_time(largest(images.iter().map(|&i| &self.frames[indices[i]])));
+        let at_a_time =
+            images::at_a_time(largest(images.iter().map(|&i| &self.frames[indices[i]])));
         let load = |&i: &usize| self.frames[indices[i]].load(self.background, size);
         for places in images.chunks(at_a_time) {
             let loaded: Vec<View> = places.par_iter().map(load).collect::<Result<_>>()?;
@@ -312,14 +313,15 @@ impl Dataset {
         Ok(())
     }
 
-    /// The pictures to train on as one camera's clip: their places in `frames`, in the order of time.
+    /// The files of the pictures to train on as one camera's clip, in the order of time.
     ///
     /// # Errors
     /// In words: two of them are of one time, or they lie in a video.
     fn as_clip(&self) -> std::result::Result<Vec<PathBuf>, String> {
         let (mut train, _) = self.split(0);
         train.sort_by(|&a, &b| self.frames[a].time.total_cmp(&self.frames[b].time));
-        if let Some(two) = train.windows(2).find(|w| self.frames[w[0]].time == self.frames[w[1]].time)
+        if let Some(two) =
+            train.windows(2).find(|w| self.frames[w[0]].time == self.frames[w[1]].time)
         {
             let [a, b] = [two[0], two[1]].map(|i| excerpt(&self.frames[i].name));
             return Err(format!(

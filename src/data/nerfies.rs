@@ -163,7 +163,10 @@ impl Listed {
             let number = entry.get("time_id").or_else(|| entry.get("warp_id"));
             let number = number.and_then(Value::as_u64).and_then(|n| u32::try_from(n).ok());
             number.map(Some).ok_or_else(|| {
-                json.bad(format!("{}: `time_id` or `warp_id`, a whole number, is missing", excerpt(id)))
+                json.bad(format!(
+                    "{}: `time_id` or `warp_id`, a whole number, is missing",
+                    excerpt(id)
+                ))
             })
         };
         set.sources.extend(known.iter().map(|json| json.path.clone()));
@@ -172,7 +175,9 @@ impl Listed {
         let splits = ["train", "val"].map(|name| root.join(format!("splits/{name}.json")));
         if splits[0].is_file() {
             let mut moments = Vec::new();
-            for (split, held_out) in splits.iter().filter(|split| split.is_file()).zip([false, true]) {
+            for (split, held_out) in
+                splits.iter().filter(|split| split.is_file()).zip([false, true])
+            {
                 let json = Json::read(split)?;
                 let ids = json.ids("frame_names")?;
                 let numbers = json.numbers("time_ids", ids.len())?;
@@ -325,7 +330,8 @@ pub fn read_camera(path: &Path, scene: &Scene) -> Result<(Lens, Pose)> {
     range::place(centre).map_err(|what| json.bad(format!("`position` {what}")))?;
     let [cx, cy] = json.vector("principal_point")?;
     let [w, h] = json.vector("image_size")?;
-    let size = images::sides(w as usize, h as usize).filter(|_| [w, h].iter().all(|s| s.fract() == 0.0));
+    let size =
+        images::sides(w as usize, h as usize).filter(|_| [w, h].iter().all(|s| s.fract() == 0.0));
     let Some((width, height)) = size else {
         return Err(json.bad(format!("`image_size` = [{w:?}, {h:?}] makes no sense")));
     };
@@ -333,7 +339,8 @@ pub fn read_camera(path: &Path, scene: &Scene) -> Result<(Lens, Pose)> {
     let fy = fx * json.number_or("pixel_aspect_ratio", 1.0)?;
     let skew = json.number_or("skew", 0.0)?;
     if skew.abs() > 1e-6 * fx.abs() {
-        let what = format!("`skew` = {skew:?}: skewed pixels are not supported; undistort the pictures");
+        let what =
+            format!("`skew` = {skew:?}: skewed pixels are not supported; undistort the pictures");
         return Err(json.bad(what));
     }
     let intrinsics = Intrinsics { fx, fy, cx, cy, width, height };
@@ -343,7 +350,10 @@ pub fn read_camera(path: &Path, scene: &Scene) -> Result<(Lens, Pose)> {
         None => json.vector_or_zero("tangential_distortion")?,
     };
     let distortion = Distortion { radial: [k1, k2, k3, 0.0], tangential };
-    intrinsics.check().and_then(|()| distortion.check(&intrinsics)).map_err(|what| json.bad(what))?;
+    intrinsics
+        .check()
+        .and_then(|()| distortion.check(&intrinsics))
+        .map_err(|what| json.bad(what))?;
     let pose = Pose::new(rotation, -(rotation * centre));
     Ok((Lens { intrinsics, distortion }, pose))
 }
@@ -410,7 +420,8 @@ impl Json {
 
     fn vector<const N: usize>(&self, key: &str) -> Result<[f64; N]> {
         let list = self.value.get(key).and_then(Value::as_array);
-        let numbers = list.and_then(|list| list.iter().map(Value::as_f64).collect::<Option<Vec<_>>>());
+        let numbers =
+            list.and_then(|list| list.iter().map(Value::as_f64).collect::<Option<Vec<_>>>());
         let numbers = numbers.and_then(|numbers| <[f64; N]>::try_from(numbers).ok());
         numbers.ok_or_else(|| self.bad(format!("`{key}` is not a list of {N} numbers")))
     }
@@ -434,8 +445,10 @@ impl Json {
     fn numbers(&self, key: &str, count: usize) -> Result<Option<Vec<u32>>> {
         let Some(list) = self.value.get(key) else { return Ok(None) };
         let number = |value: &Value| value.as_u64().and_then(|n| u32::try_from(n).ok());
-        let list = list.as_array().and_then(|list| list.iter().map(number).collect::<Option<Vec<_>>>());
+        let list =
+            list.as_array().and_then(|list| list.iter().map(number).collect::<Option<Vec<_>>>());
         let list = list.filter(|list| list.len() == count);
-        list.map(Some).ok_or_else(|| self.bad(format!("`{key}` is not a list of {count} whole numbers")))
+        list.map(Some)
+            .ok_or_else(|| self.bad(format!("`{key}` is not a list of {count} whole numbers")))
     }
 }

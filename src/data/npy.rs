@@ -72,15 +72,38 @@ pub(super) fn entry(
     packed: usize,
     name: &str,
 ) -> Result<Option<Array>> {
+    within(path, archive, name, |what, entry| parse(path, what, entry, packed))
+}
+
+/// The shape of an array of an archive, whose values are not read; none where it is not there.
+pub(super) fn shape(path: &Path, archive: &mut Archive, name: &str) -> Result<Option<Vec<usize>>> {
+    within(path, archive, name, |what, entry| {
+        let file = header(path, what, entry)?;
+        Ok(file.shape().iter().map(|side| *side as usize).collect())
+    })
+}
+
+/// Reads of an archive's array, which is named for messages.
+fn within<T>(
+    path: &Path,
+    archive: &mut Archive,
+    name: &str,
+    read: impl FnOnce(&str, &mut dyn Read) -> Result<T>,
+) -> Result<Option<T>> {
     let what = format!("its array {}", excerpt(name));
     match archive.by_name(&format!("{name}.npy")) {
-        Ok(entry) => parse(path, &what, entry, packed).map(Some),
+        Ok(mut entry) => read(&what, &mut entry).map(Some),
         Err(ZipError::FileNotFound) => Ok(None),
         Err(error) => Err(Error::format(path, format!("{what}: {}", excerpt(&error.to_string())))),
     }
 }
 
-fn parse(path: &Path, name: &str, mut from: impl Read, packed: usize) -> Result<Array> {
+/// Reads an array's header.
+fn header<'a>(
+    path: &Path,
+    name: &str,
+    mut from: impl Read + 'a,
+) -> Result<NpyFile<impl Read + 'a>> {
     let wrong = |what: String| Error::format(path, format!("{name}: {what}"));
     let damaged = |error: std::io::Error| wrong(excerpt(&error.to_string()));
     // Of a format newer than the first, the header's length has four bytes, and as much memory is asked for.
@@ -90,7 +113,13 @@ fn parse(path: &Path, name: &str, mut from: impl Read, packed: usize) -> Result<
     if start[6] > 1 && u32::from_le_bytes([a, b, c, d]) > MOST_HEADER {
         return Err(wrong("has a header of a length that makes no sense".into()));
     }
-    let file = NpyFile::new(start.chain(from)).map_err(damaged)?;
+    NpyFile::new(Cursor::new(start).chain(from)).map_err(damaged)
+}
+
+fn parse(path: &Path, name: &str, from: impl Read, packed: usize) -> Result<Array> {
+    let wrong = |what: String| Error::format(path, format!("{name}: {what}"));
+    let damaged = |error: std::io::Error| wrong(excerpt(&error.to_string()));
+    let file = header(path, name, from)?;
     let count = file.shape().iter().try_fold(1u64, |all, side| all.checked_mul(*side));
     let count = count.unwrap_or(u64::MAX);
     io::check_unpacked(path, count.saturating_mul(8), packed)?;

@@ -81,7 +81,8 @@ pub fn read_rows(path: &Path) -> Result<Vec<Row>> {
         range::place(centre).map_err(|what| bad(format!("a camera whose place {what}")))?;
         let [height, width, focal] = column(4).to_array();
         let whole = [height, width].iter().all(|side| side.fract() == 0.0);
-        let Some((width, height)) = images::sides(width as usize, height as usize).filter(|_| whole)
+        let Some((width, height)) =
+            images::sides(width as usize, height as usize).filter(|_| whole)
         else {
             return Err(bad(format!("a picture of {width:?}×{height:?} makes no sense")));
         };
@@ -94,7 +95,8 @@ pub fn read_rows(path: &Path) -> Result<Vec<Row>> {
         let view_from_world = Pose::new(rotation, centre).inverse();
         Ok(Row { camera: Camera { intrinsics, view_from_world }, bounds })
     };
-    let rows: Vec<Row> = array.values.chunks_exact(ROW).enumerate().map(row).collect::<Result<_>>()?;
+    let rows: Vec<Row> =
+        array.values.chunks_exact(ROW).enumerate().map(row).collect::<Result<_>>()?;
     if rows.is_empty() {
         return Err(Error::format(path, "holds no cameras"));
     }
@@ -241,7 +243,8 @@ fn moving(root: &Path, rows: &[Row], pictures: Option<&Path>) -> Result<Dataset>
         for i in 0..files.len() {
             other_cameras(&views, i, rows, i as f64 / last, &mut set.frames)?;
         }
-        set.test = Some((first..set.frames.len()).collect()).filter(|held: &Vec<usize>| !held.is_empty());
+        set.test =
+            Some((first..set.frames.len()).collect()).filter(|held: &Vec<usize>| !held.is_empty());
     }
     Ok(set)
 }

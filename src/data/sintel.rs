@@ -79,7 +79,8 @@ pub fn read(pictures: &Path, cameras: &Path) -> Result<Dataset> {
         let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let path = cameras.join(format!("{stem}.cam"));
         if !path.is_file() {
-            let what = format!("has no {stem}.cam, and {} is a picture of the sequence", file.display());
+            let what =
+                format!("has no {stem}.cam, and {} is a picture of the sequence", file.display());
             return Err(Error::format(cameras, what));
         }
         let found = cam::read(&path)?;

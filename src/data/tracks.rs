@@ -4,7 +4,12 @@
 //! `query_points` (points × 3: frame, y, x), in pixels with the corner of the picture at 0, and `size`
 //! (width, height), to which they belong. Read are also `occluded` instead of `visibles`, and what
 //! CoTracker gives: `pred_tracks` ([batch ×] frames × points × 2) and `pred_visibility`, whose pixel
-//! centres are at whole numbers.
+//! centres are at whole numbers; and an entry of TAP-Vid: `points` (points × frames × 2, in shares of width
+//! and height), `occluded`, `video` (frames × height × width × 3). TAP-Vid keeps its entries in one pickle,
+//! which can run any program and is not read; NumPy writes each as such an archive:
+//! `np.savez(name, **pickle.load(file)[name])`.
+//!
+//! Source: data/README.md of google-deepmind/tapnet.
 
 use std::io::{Cursor, Write};
 use std::path::Path;
@@ -13,6 +18,7 @@ use glam::DVec2;
 use npyz::WriterBuilder;
 use zip::write::{SimpleFileOptions, ZipWriter};
 
+use super::images;
 use super::npy::{self, Array};
 use crate::io;
 use crate::types::{PointPath, Tracks, range};
@@ -28,16 +34,28 @@ pub fn read(path: impl AsRef<Path>) -> Result<Tracks> {
     let bytes = io::read(path)?;
     let mut archive = npy::open(path, &bytes)?;
     let mut array = |name: &str| npy::entry(path, &mut archive, bytes.len(), name);
-    let (tracks, centre) = match array("tracks")? {
+    let mut of_video = None;
+    let (mut tracks, centre) = match array("tracks")? {
         Some(tracks) => (tracks, 0.0),
-        None => match array("pred_tracks")? {
-            Some(tracks) => (swapped(path, tracks, 2)?, 0.5),
-            None => {
-                let what = "holds neither `tracks` (points × frames × 2) nor `pred_tracks`";
+        None => match (array("pred_tracks")?, array("points")?) {
+            (Some(tracks), _) => (swapped(path, tracks, 2)?, 0.5),
+            (None, Some(points)) => {
+                let shape = npy::shape(path, &mut archive, "video")?;
+                of_video = Some(video_size(path, shape)?);
+                (points, 0.0)
+            }
+            (None, None) => {
+                let what = "holds neither `tracks` (points × frames × 2) nor `pred_tracks` nor TAP-Vid's \
+                            `points`";
                 return Err(Error::format(path, what));
             }
         },
     };
+    if let Some((width, height)) = of_video {
+        let sides = [f64::from(width), f64::from(height)];
+        tracks.values.iter_mut().zip(sides.iter().cycle()).for_each(|(value, side)| *value *= side);
+    }
+    let mut array = |name: &str| npy::entry(path, &mut archive, bytes.len(), name);
     let [points, frames, 2] = tracks.shape[..] else {
         let what = format!("its tracks are of shape {:?}, not points × frames × 2", tracks.shape);
         return Err(Error::format(path, what));
@@ -77,7 +95,7 @@ pub fn read(path: impl AsRef<Path>) -> Result<Tracks> {
                 || Error::format(path, format!("a size of {:?} makes no sense", size.values));
             Some(known.ok_or_else(refused)?)
         }
-        None => None,
+        None => of_video,
     };
     let point = |i: usize| {
         let at = |frame: usize| {
@@ -108,6 +126,19 @@ pub fn read(path: impl AsRef<Path>) -> Result<Tracks> {
         Ok(PointPath { query, pixels, seen })
     };
     Ok(Tracks { size, points: (0..points).map(point).collect::<Result<_>>()? })
+}
+
+/// Width and height of TAP-Vid's pictures, from the shape of its array `video`.
+fn video_size(path: &Path, shape: Option<Vec<usize>>) -> Result<(u32, u32)> {
+    let size = match shape.as_deref() {
+        Some(&[_, height, width, 3]) => images::sides(width, height),
+        _ => None,
+    };
+    size.ok_or_else(|| {
+        let what = "holds `points`, which are shares of a picture's sides, and no `video` (frames × height × \
+                    width × 3) that tells the sides";
+        Error::format(path, what)
+    })
 }
 
 /// From [batch ×] frames × points × … to points × frames × …, of so many values each (0: one, without

@@ -210,7 +210,8 @@ pub fn frames(
     let input = input(path);
     let options = ClipOptions::default();
     let go_on = &|| Ok(());
-    let source = Source { ffmpeg: OsStr::new("ffmpeg"), input: &input, path, options: &options, go_on };
+    let source =
+        Source { ffmpeg: OsStr::new("ffmpeg"), input: &input, path, options: &options, go_on };
     let filter = format!("select=between(n\\,{first}\\,{last})");
     let mut next = 0;
     let run = source.run(&filter, Some(last + 1 - first), &mut |place, image| {
