@@ -36,6 +36,7 @@ mod reconstruct;
 mod render;
 mod rows;
 mod sheet;
+mod staged;
 mod supplied;
 mod synth;
 mod table;

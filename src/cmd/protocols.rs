@@ -8,9 +8,11 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use serde_json::Value;
 use splat4d::data::images;
+use splat4d::data::layout::{self, Layout};
 use splat4d::report::{Better, Figure, PublishedRow};
 use splat4d::{Error, Result};
 
+use super::staged::Staged;
 use super::{eval_first, published};
 
 /// A published table.
@@ -23,6 +25,13 @@ pub enum Protocol {
     /// D-NeRF, poses given, its own test split. DIR is a scene with transforms_train.json, or a folder of
     /// such
     Dnerf,
+    /// HyperNeRF's scenes with a validation rig, poses unknown: trained on the training pictures of the set's
+    /// split, tested with the others. DIR is a scene with scene.json, dataset.json and camera, or a
+    /// folder of such
+    HypernerfVrig,
+    /// DyCheck's iPhone captures, poses unknown, measured where training pictures saw the same as well. DIR as
+    /// for HyperNeRF
+    Dycheck,
     /// MPI Sintel, cameras of 14 sequences of the final pass. DIR holds final and camdata_left, or is
     /// the folder above (training)
     SintelPose,
@@ -44,6 +53,8 @@ pub struct Choices {
 pub struct Work {
     pub scene: String,
     pub folder: PathBuf,
+    /// The dataset that is laid out as a clip and its truth first.
+    pub staged: Option<PathBuf>,
     pub steps: Vec<Step>,
 }
 
@@ -77,6 +88,8 @@ impl Protocol {
         match self {
             Protocol::Nvidia => "NVIDIA Dynamic Scenes, 12 frames, poses unknown",
             Protocol::Dnerf => "D-NeRF, poses given",
+            Protocol::HypernerfVrig => "HyperNeRF, validation rig, poses unknown",
+            Protocol::Dycheck => "DyCheck, iPhone captures, poses unknown",
             Protocol::SintelPose => "MPI Sintel, camera poses",
         }
     }
@@ -97,6 +110,12 @@ impl Protocol {
                 "Trained on the train split with the given poses; tested on the test split. PSNR, SSIM \
                  and MS-SSIM are means over the test pictures."
             }
+            Protocol::HypernerfVrig | Protocol::Dycheck => {
+                "Trained on the training pictures without their poses; tested with the set's test \
+                 pictures, from its cameras brought to the scene by a similarity: rotation from the \
+                 training cameras' orientations, scale and translation from their centres. PSNR, SSIM and \
+                 MS-SSIM are means over the test pictures, of 8 bits."
+            }
             Protocol::SintelPose => {
                 "Intrinsics and poses unknown, all frames of the final pass. ATE: root mean square of \
                  the centres' distances after a similarity, in the set's unit. RPE: of all pairs of \
@@ -109,6 +128,20 @@ impl Protocol {
                 "{scenes} of the {} sequences that published means are over.",
                 SINTEL.len()
             ));
+        }
+        if self == Protocol::HypernerfVrig {
+            lines.push(
+                "Published means are over broom2, vrig-3dprinter, vrig-chicken and vrig-peel-banana, at \
+                 960×540 as their papers say."
+                    .into(),
+            );
+        }
+        if self == Protocol::Dycheck {
+            lines.push(
+                "The columns `covisible` are of the pixels that training pictures saw as well, as the \
+                 set's masks say."
+                    .into(),
+            );
         }
         if choices.fit_poses {
             lines.push(
@@ -144,6 +177,10 @@ impl Protocol {
             of("ssim", "SSIM", Better::More),
             of("ms_ssim", "MS-SSIM", Better::More),
         ];
+        if self == Protocol::Dycheck {
+            figures.push(of("covisible_psnr", "PSNR covisible, dB", Better::More));
+            figures.push(of("covisible_ssim", "SSIM covisible", Better::More));
+        }
         if !choices.lpips.is_empty() {
             figures.push(of("lpips", "LPIPS", Better::Less));
         }
@@ -167,6 +204,9 @@ impl Protocol {
         published::rows(match self {
             Protocol::Nvidia => published::NVIDIA,
             Protocol::Dnerf => published::DNERF,
+            Protocol::HypernerfVrig => published::HYPERNERF,
+            // None was found of the same protocol, without given poses.
+            Protocol::Dycheck => &[],
             Protocol::SintelPose => published::SINTEL,
         })
     }
@@ -193,6 +233,10 @@ impl Protocol {
                     choices.scene_work(&output.join(&scene), scene, ("train", &set), eval)
                 })
                 .collect(),
+            Protocol::HypernerfVrig | Protocol::Dycheck => scenes(folder, nerfies)?
+                .into_iter()
+                .map(|(scene, set)| choices.staged_work(&output.join(&scene), scene, set))
+                .collect(),
             Protocol::SintelPose => sequences(folder)?
                 .into_iter()
                 .map(|(scene, (frames, cameras))| {
@@ -212,6 +256,7 @@ impl Protocol {
         match self {
             Protocol::Nvidia => "a folder of frames and one of pictures named v000_t001.png, …",
             Protocol::Dnerf => "transforms_train.json and transforms_test.json",
+            Protocol::HypernerfVrig | Protocol::Dycheck => "scene.json, dataset.json and camera/",
             Protocol::SintelPose => "final/alley_2, … and camdata_left/alley_2, …",
         }
     }
@@ -251,7 +296,15 @@ impl Choices {
         render.extend(option("-o", folder.join("views")));
         let steps = [(command, make), ("eval", measure), ("render", render)]
             .map(|(name, arguments)| Step { name, arguments });
-        Work { scene, folder: folder.to_path_buf(), steps: steps.into() }
+        Work { scene, folder: folder.to_path_buf(), staged: None, steps: steps.into() }
+    }
+
+    /// The work of a dataset whose poses are not to be known.
+    fn staged_work(&self, folder: &Path, scene: String, set: PathBuf) -> Work {
+        let staged = Staged::within(folder);
+        let eval = vec![staged.truth.into_os_string()];
+        let work = self.scene_work(folder, scene, ("reconstruct", &staged.frames), eval);
+        Work { staged: Some(set), ..work }
     }
 
     /// The work of a clip whose cameras alone are found.
@@ -266,7 +319,7 @@ impl Choices {
             eval.into_iter().chain(["--align", "sim3", "--rpe-all-pairs"].map(OsString::from));
         let steps = [("track", track), ("eval", eval.collect())]
             .map(|(name, arguments)| Step { name, arguments });
-        Work { scene, folder: folder.to_path_buf(), steps: steps.into() }
+        Work { scene, folder: folder.to_path_buf(), staged: None, steps: steps.into() }
     }
 }
 
@@ -290,9 +343,12 @@ pub fn figures(answers: &BTreeMap<&'static str, Value>, folder: &Path) -> BTreeM
         add(key, at("eval", of).as_f64());
     }
     // The last row is over all pictures.
-    let fitted = at("eval", "held_out_fitted").as_array().and_then(|rows| rows.last());
-    for (key, of) in [("fitted_psnr", "psnr"), ("fitted_ssim", "ssim")] {
-        add(key, fitted.and_then(|row| row[of].as_f64()));
+    let row = |key: &str| at("eval", key).as_array().and_then(|rows| rows.last());
+    let (held_out, fitted) = (row("held_out"), row("held_out_fitted"));
+    for of in ["psnr", "ssim"] {
+        add(&format!("fitted_{of}"), fitted.and_then(|row| row[of].as_f64()));
+        let covisible = held_out.and_then(|row| row["covisible"][of].as_f64());
+        add(&format!("covisible_{of}"), covisible);
     }
     for step in ["reconstruct", "train", "track"] {
         let minutes = |stages: &[&str]| {
@@ -355,6 +411,11 @@ fn frames_and_test(scene: &Path) -> Result<Option<(PathBuf, PathBuf)>> {
 fn split(scene: &Path) -> Result<Option<PathBuf>> {
     let is_there = |split: &str| scene.join(format!("transforms_{split}.json")).is_file();
     Ok((is_there("train") && is_there("test")).then(|| scene.to_path_buf()))
+}
+
+fn nerfies(scene: &Path) -> Result<Option<PathBuf>> {
+    let is_there = matches!(layout::find(scene), Ok(Layout::Nerfies(_, None)));
+    Ok(is_there.then(|| scene.to_path_buf()))
 }
 
 /// The frames and cameras of those of [`SINTEL`] that are there.

@@ -15,6 +15,7 @@ use super::common::{Answer, Common, path_text, say};
 use super::networks::LpipsArgs;
 use super::outputs::Outputs;
 use super::protocols::{Choices, Protocol, Work, figures};
+use super::staged::Staged;
 use super::{child, interrupt, parsed, values};
 
 const AFTER_HELP: &str = "\
@@ -29,6 +30,7 @@ what their protocols differ. Times, frames a second and sizes are of this machin
 Examples:
   splat4d table nvidia nvidia_scenes -o out --size 480
   splat4d table dnerf dnerf -o out --size 400 -- --steps 5000 --max-gaussians 20000
+  splat4d table hypernerf-vrig hypernerf -o out --size 960 --fit-poses
   splat4d table sintel-pose MPI-Sintel -o out
 
 JSON: version, title, caption [], machine {device, driver, kind, software, subgroup_size, threads}, figures
@@ -167,6 +169,9 @@ fn check(work: &Work) -> Result<()> {
 /// before was done anew, else by running them.
 fn answers(work: &Work) -> Result<BTreeMap<&'static str, Value>> {
     std::fs::create_dir_all(&work.folder).map_err(Error::io(&work.folder))?;
+    if let Some(set) = &work.staged {
+        Staged::within(&work.folder).lay_out(set)?;
+    }
     let mut found = BTreeMap::new();
     let mut anew = false;
     for step in &work.steps {
