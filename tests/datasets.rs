@@ -852,6 +852,8 @@ fn tap_vid_entries() {
     told("(2, 3, 2)", Some("(3, 4, 8)"), "no `video`");
     told("(12,)", Some("(3, 4, 8, 3)"), "[12]");
     told("(3, 2, 2)", Some("(3, 4, 8, 3)"), "visibilities");
+    write(&file, b"\x80\x04\x95");
+    says(&message(tracks::read(&file)), &["camel.npz", "is a pickle", "np.savez"]);
     tap_vid(&file, "(2, 3, 2)", Some("(3, 4, 8, 3)"));
     let good = fs::read(&file).unwrap();
     damage(&good, &file, true, |file| tracks::read(file).is_ok());

@@ -274,7 +274,7 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Answer> {
         None if eval_first::is_meant(args)? => {
             eval_first::measure(&open(args)?, args, lpips.as_mut(), common)?
         }
-        None if args.reference.extension().is_some_and(|e| e == "npz") => {
+        None if args.reference.extension().is_some_and(|e| e == "npz" || e == "pkl") => {
             eval_tracks::measure(&args.estimate, &args.reference)?
         }
         None if is_trajectory(&args.reference)? => trajectories(args)?,

@@ -68,8 +68,8 @@ pub struct KnownArgs {
     /// Take the frames for those of a pinhole: a lens's distortion is not looked for
     #[arg(long)]
     pub pinhole: bool,
-    /// Motion masks: a folder of images, white where something moves or with a colour for each object (DAVIS),
-    /// one per frame or named as the frames are (of MonST3R's folder dynamic_mask_*.png); those that flicker or slip are mended, and
+    /// Motion masks: a folder of images, white where something moves or with a colour for each object
+    /// (DAVIS), one per frame or named as the frames are (of MonST3R's folder dynamic_mask_*.png); those that flicker or slip are mended, and
     /// noted
     #[arg(long, value_name = "DIR")]
     masks: Option<PathBuf>,

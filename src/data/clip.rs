@@ -87,7 +87,7 @@ impl Clip {
 
     /// Opens a video file (through `ffmpeg`), or a folder of images in natural order of their names;
     /// a folder without images but with a folder `frames` or `images` in it stands for that one, and a
-    /// dataset ([`layout`](super::layout)) or DAVIS's folder for the pictures to train on, by time. All of
+    /// dataset ([`layout`]) or DAVIS's folder for the pictures to train on, by time. All of
     /// the clip is looked through for cuts first, in small pictures of which a few are kept.
     ///
     /// # Errors

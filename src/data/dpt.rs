@@ -1,5 +1,5 @@
-//! Depth maps in Sintel's `.dpt`: the float 202021.25, width and height as `i32`, then depth (z) row by row as floats,
-//! all little-endian.
+//! Depth maps in Sintel's `.dpt`: the float 202021.25, width and height as `i32`, then depth (z) row by
+//! row as floats, all little-endian.
 
 use std::path::Path;
 

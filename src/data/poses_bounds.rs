@@ -1,17 +1,18 @@
-//! `poses_bounds.npy`, the cameras of LLFF, of DyNeRF (Neural 3D Video) and of NVIDIA's dynamic scenes as NSFF and
-//! DynamicNeRF keep them.
+//! `poses_bounds.npy`, the cameras of LLFF, of DyNeRF (Neural 3D Video) and of NVIDIA's dynamic scenes as
+//! NSFF and DynamicNeRF keep them.
 //!
-//! An array of cameras × 17: of each a 3×5 matrix row by row, and the nearest and the farthest depth. The matrix is
-//! `world_from_view` with the axes down, right, backwards, its translation, and a column of height, width and
-//! focal length in pixels. Pixels are square, the principal point is the middle, there is no distortion.
+//! An array of cameras × 17: of each a 3×5 matrix row by row, and the nearest and the farthest depth. The
+//! matrix is `world_from_view` with the axes down, right, backwards, its translation, and a column of height,
+//! width and focal length in pixels. Pixels are square, the principal point is the middle, there is no
+//! distortion.
 //!
 //! Which pictures the rows are of shows in the folder:
 //!
-//! | beside the file | rows | pictures to train on | test |
+//! | beside the file | a row is of | trained on | test |
 //! |---|---|---|---|
-//! | `cam00.mp4`, `cam01.mp4`, … or `cam00/images/`, … | cameras that stand still | all but the first camera's | the first camera's |
-//! | `images/` and `mv_images/TTTTT/camCC.jpg` | frames | `images/`: frame t | `mv_images`: all cameras at time t but that of frame t |
-//! | `images/` | pictures | `images/` | every eighth, as the commands hold them out |
+//! | `cam00.mp4`, … or `cam00/images/`, … | a camera that stands still | the other cameras | the first camera |
+//! | `images/`, `mv_images/TTTTT/camCC.jpg` | frame t | `images/` | `mv_images`: time t, other cameras |
+//! | `images/` | a picture | `images/` | every eighth, held out by the commands |
 //!
 //! Source: the readme of Fyusion/LLFF; facebookresearch/Neural_3D_Video; `load_llff.py` and
 //! `evaluation.py` of zhengqili/Neural-Scene-Flow-Fields.

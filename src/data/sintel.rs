@@ -1,11 +1,12 @@
 //! Sequences of MPI Sintel.
 //!
-//! A pass (`clean`, `final`) holds a folder of pictures for each sequence, `frame_0001.png`, …; beside the passes lie
-//! `camdata_left` ([`cam`](super::cam)), `depth` ([`dpt`](super::dpt)) and `flow` ([`flo`](super::flo), one field fewer), each
-//! with a folder of the sequence's name and files of the pictures' names. Cameras differ from frame to frame in focal
-//! length, too; world units are Sintel's.
+//! A pass (`clean`, `final`) holds a folder of pictures for each sequence, `frame_0001.png`, …; beside the
+//! passes lie `camdata_left` ([`cam`]), `depth` ([`dpt`](super::dpt)) and `flow` ([`flo`](super::flo), one
+//! field fewer), each with a folder of the sequence's name and files of the pictures' names. Cameras differ
+//! from frame to frame in focal length, too; world units are Sintel's.
 //!
-//! Source: the readme of MPI-Sintel-depth-training; `eval_metadata.py` of junyi42/monst3r for the 14 sequences.
+//! Source: the readme of MPI-Sintel-depth-training; `eval_metadata.py` of junyi42/monst3r for the 14
+//! sequences.
 
 use std::path::{Path, PathBuf};
 

@@ -24,6 +24,9 @@ use crate::io;
 use crate::types::{PointPath, Tracks, range};
 use crate::{Error, Result};
 
+/// What a pickle begins with.
+const PICKLE: u8 = 0x80;
+
 /// Reads points.
 ///
 /// # Errors
@@ -32,6 +35,11 @@ use crate::{Error, Result};
 pub fn read(path: impl AsRef<Path>) -> Result<Tracks> {
     let path = path.as_ref();
     let bytes = io::read(path)?;
+    if bytes.first() == Some(&PICKLE) {
+        let what = "is a pickle, which can run any program and is not read; write each of its entries as \
+                    an .npz where you trust it: np.savez(name, **pickle.load(open(file, 'rb'))[name])";
+        return Err(Error::format(path, what));
+    }
     let mut archive = npy::open(path, &bytes)?;
     let mut array = |name: &str| npy::entry(path, &mut archive, bytes.len(), name);
     let mut of_video = None;
