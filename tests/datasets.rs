@@ -349,6 +349,38 @@ fn dycheck_iphone() {
     says(&message(set.frames[4].load_covisible(Resize::Keep)), &["40×30", "1_00001", "80×60"]);
 }
 
+/// What was not measured is bent by the lens as the picture is.
+#[test]
+fn transparent_pixels_are_undistorted() {
+    let root = tempfile::tempdir().unwrap();
+    let root = root.path();
+    vrig(root);
+    let path = root.join("rgb/1x/left1_000000.png");
+    let hole = nerfies_pixel(&Eye::new(0), BENT, POINTS[0]);
+    let mut holed = image::open(&path).unwrap().into_rgba8();
+    for (x, y, pixel) in holed.enumerate_pixels_mut() {
+        let here = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
+        pixel.0[3] = if here.distance(hole) < 5.0 { 0 } else { 255 };
+    }
+    holed.save(&path).unwrap();
+    let set = Dataset::open(root.join("rgb/1x")).unwrap();
+    let mut view = set.frames[0].load([0.0; 3], Resize::Keep).unwrap();
+    let valid = view.valid.take().unwrap();
+    let around = |pixel: DVec2| {
+        let (mut sum, mut count) = (DVec2::ZERO, 0.0);
+        for (i, _) in valid.pixels.iter().enumerate().filter(|(_, v)| **v == 0.0) {
+            let i = i as u32;
+            sum += DVec2::new(f64::from(i % valid.width), f64::from(i / valid.width)) + 0.5;
+            count += 1.0;
+        }
+        assert!(count > 60.0 && count < 200.0, "{count}");
+        pixel.distance(sum / count)
+    };
+    let point = view.camera.view_from_world.apply(in_scene()[0]);
+    let straight = view.camera.intrinsics.project(point);
+    assert!(around(straight) < 0.3 && around(hole) > 0.6);
+}
+
 /// The commands on such a capture: train and held-out pictures, and the score of what is covisible.
 #[cfg(feature = "cli")]
 #[test]

@@ -59,8 +59,9 @@ Examples:
 JSON: psnr, ssim, ms_ssim, lpips (by --lpips FILE, else null: no network weights come along), lpips_net (its
 features, as the file names them: figures of different nets do not compare), per_frame [{name, psnr, ssim,
 ms_ssim, lpips}], psnr_covisible, ssim_covisible (of a dataset with masks of what the training
-pictures saw as well, DyCheck's: over those pixels, SSIM as the mean of its map there), ate_rmse, ate_relative (to the length of the camera's path),
-rpe_trans_rmse, rpe_rot_deg_rmse, scale, poses, focal_error (relative), depth_rel_median, mask_iou;
+pictures saw as well, DyCheck's: over those pixels, SSIM as the mean of its map there), ate_rmse,
+ate_relative (to the length of the camera's path), rpe_trans_rmse, rpe_rot_deg_rmse, scale, poses,
+focal_error (relative), depth_rel_median, mask_iou;
 ape_trans, ape_rot_deg, rpe_trans, rpe_rot_deg: of a trajectory the errors of centres (in the reference's
 unit) and rotations (degrees), absolute and relative, each {rmse, mean, median, std, min, max, sse};
 rpe_pairs: the pairs of poses that the relative ones compare (--rpe-delta; they are null without any).

@@ -69,13 +69,12 @@ pub struct KnownArgs {
     #[arg(long)]
     pub pinhole: bool,
     /// Motion masks: a folder of images, white where something moves or with a colour for each object
-    /// (DAVIS), one per frame or named as the frames are (of MonST3R's folder dynamic_mask_*.png); those that flicker or slip are mended, and
-    /// noted
+    /// (DAVIS), one per frame or named as the frames are (of MonST3R's folder dynamic_mask_*.png); those that
+    /// flicker or slip are mended, and noted
     #[arg(long, value_name = "DIR")]
     masks: Option<PathBuf>,
-    /// Depth maps: a folder of EXR, .npy, .npz or Sintel's .dpt files or of grey 16-bit PNGs (of MonST3R's folder
-    /// frame_*.npy), z up to one scale, 0 where unknown;
-    /// --depth-kind says otherwise
+    /// Depth maps: a folder of EXR, .npy, .npz or Sintel's .dpt files or of grey 16-bit PNGs (of MonST3R's
+    /// folder frame_*.npy), z up to one scale, 0 where unknown; --depth-kind says otherwise
     #[arg(long, value_name = "DIR")]
     depth: Option<PathBuf>,
     /// What a unit of length is in a PNG of depth
