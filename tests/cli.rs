@@ -27,6 +27,7 @@ use tempfile::TempDir;
 
 const COMMANDS: [&str; 12] = [
     "reconstruct",
+    "batch",
     "track",
     "train",
     "render",

@@ -1,8 +1,9 @@
 //! Errors of trajectories against those that the `evo` package measures, on the same files.
 //!
-//! `tools/setup.sh test` installs evo beside the build. Where it is absent the test fails: a comparison
-//! that is passed over compares nothing.
+//! `tools/setup.sh test` installs evo beside the build.
 
+#[path = "support/python.rs"]
+mod python;
 mod support;
 
 use std::fs;
@@ -13,27 +14,12 @@ use std::process::{Command, Stdio};
 use glam::{DMat3, DQuat, DVec3};
 use serde_json::{Value, json};
 
+use python::python;
 use support::shared;
 
 /// Largest difference allowed, absolute or relative.
 const BOUND: f64 = 1e-9;
 const ERRORS: [&str; 4] = ["ape_trans", "ape_rot_deg", "rpe_trans", "rpe_rot_deg"];
-
-/// A Python that has evo: the one that the setup makes beside the build, else the user's.
-fn python() -> PathBuf {
-    let beside = Path::new(env!("CARGO_TARGET_TMPDIR")).parent().unwrap().join("evo/bin/python");
-    let has_evo = |python: &PathBuf| {
-        let mut command = Command::new(python);
-        command.args(["-c", "import evo.main_rpe"]).stdout(Stdio::null()).stderr(Stdio::null());
-        command.status().is_ok_and(|status| status.success())
-    };
-    [beside.clone(), "python3".into()].into_iter().find(has_evo).unwrap_or_else(|| {
-        panic!(
-            "the evo package is absent: neither {} nor python3 has it; tools/setup.sh test installs it",
-            beside.display()
-        )
-    })
-}
 
 /// What two files are and how they are compared; `fields` stand for those of the first line.
 fn case(name: &str, [estimate, reference]: &[Source; 2], fields: Value) -> Value {
@@ -93,7 +79,7 @@ fn written(folder: &Path, name: &str, poses: usize, wrong: f64) -> [Source; 3] {
 /// What evo measures, of all cases at once: its start takes longer than most of them.
 fn by_evo(cases: &[Value]) -> Vec<Value> {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/support/by_evo.py");
-    let mut evo = Command::new(python())
+    let mut evo = Command::new(python("evo", "import evo.main_rpe"))
         .arg(script)
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())

@@ -2,8 +2,8 @@
 # Installs what is missing, on Debian 12 or its like; does nothing when all is there.
 #
 #   tools/setup.sh run    what building and running need: linker, Vulkan loader, lavapipe, ffmpeg
-#   tools/setup.sh test   and what the test suite needs: validation layer, SwiftShader, CMake, the evo
-#                         and onnxruntime packages …
+#   tools/setup.sh test   and what the test suite needs: validation layer, SwiftShader, CMake, the evo,
+#                         onnxruntime, snakemake and kubernetes-validate packages …
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -105,8 +105,8 @@ if [[ $mode == test ]]; then
         rustup component add "$component" || fail "rustup could not add $component"
     done
 fi
-# Tests compare errors of trajectories with those of the evo package, and run networks through the ONNX
-# Runtime of the onnxruntime package. Each lies beside the build, in an environment of its own, so that
+# Tests compare errors of trajectories with those of the evo package, run networks through the ONNX
+# Runtime of the onnxruntime package, and jobs by Snakemake. Each lies beside the build, in an environment of its own, so that
 # the system's Python stays as it is.
 if [[ $mode == test ]]; then
     beside=${CARGO_TARGET_DIR:-target}
@@ -124,5 +124,8 @@ if [[ $mode == test ]]; then
     # The library alone is used.
     python_package onnxruntime 'import importlib.util as u; assert u.find_spec("onnxruntime")' \
         --no-deps 'onnxruntime>=1.17,<2'
+    # What `batch --emit` writes is run by the one and held against the schemas of the other.
+    python_package engines 'import snakemake, kubernetes_validate' \
+        'snakemake==9.27.1' 'kubernetes-validate==1.37.0'
 fi
 echo "setup: everything for '$mode' is there (Rust $found)"

@@ -66,7 +66,7 @@ others=()
 for file in tests/*.rs; do
     name=$(basename "$file" .rs)
     case $name in
-    end_to_end | cli | cli_* | track | synth | ablate) end_to_end+=(--test "$name") ;;
+    end_to_end | cli | cli_* | track | synth | ablate | batch) end_to_end+=(--test "$name") ;;
     *) if is_kernel_test "$file"; then kernel_tests+=(--test "$name"); else others+=(--test "$name"); fi ;;
     esac
 done

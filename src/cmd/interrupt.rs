@@ -1,6 +1,9 @@
 //! Ctrl-C: the work at hand is finished and put away; a second one ends at once.
 
 use std::path::PathBuf;
+use std::process::{Command, Output};
+#[cfg(unix)]
+use std::sync::atomic::AtomicU32;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde_json::json;
@@ -14,11 +17,15 @@ pub const EXIT_CODE: u8 = 130;
 static REQUESTED: AtomicBool = AtomicBool::new(false);
 /// Whether the answer is being printed, or the program ends without one.
 static ENDING: AtomicBool = AtomicBool::new(false);
+/// The process that is waited for, by its number; 0: none.
+#[cfg(unix)]
+static WAITED_FOR: AtomicU32 = AtomicU32::new(0);
 
 /// Begins to listen. Where the system does not allow it, Ctrl-C ends the program as usual. With `json`
 /// a program that is ended at once still gives its one object.
 pub fn watch(json: bool) {
     let installed = listen(move || {
+        pass_on();
         if !REQUESTED.swap(true, Ordering::SeqCst) {
             return say("stopping; once more to stop at once");
         }
@@ -58,9 +65,53 @@ fn listen(stop: impl Fn() + Send + 'static) -> std::io::Result<()> {
     std::thread::Builder::new().name("signals".into()).spawn(listen).map(drop)
 }
 
+/// Runs another process of this program. The system stops it as it stops this one.
+#[cfg(not(unix))]
+pub fn run(command: &mut Command) -> std::io::Result<Output> {
+    command.output()
+}
+
+#[cfg(not(unix))]
+fn pass_on() {}
+
 #[cfg(not(unix))]
 fn listen(stop: impl Fn() + Send + 'static) -> std::io::Result<()> {
     ctrlc::set_handler(stop).map_err(std::io::Error::other)
+}
+
+/// Runs another process of this program, and stops it as this one is stopped. It has a process group of
+/// its own: a terminal's Ctrl-C would reach it besides, and a second one ends it at once.
+#[cfg(unix)]
+pub fn run(command: &mut Command) -> std::io::Result<Output> {
+    use std::os::unix::process::CommandExt;
+    let child = command.process_group(0).spawn()?;
+    WAITED_FOR.store(child.id(), Ordering::SeqCst);
+    if requested() {
+        pass_on();
+    }
+    let output = child.wait_with_output();
+    WAITED_FOR.store(0, Ordering::SeqCst);
+    output
+}
+
+/// Sends Ctrl-C to the process that is waited for. By a shell: std has no way, and others need unsafe code.
+#[cfg(unix)]
+fn pass_on() {
+    let process = WAITED_FOR.load(Ordering::SeqCst);
+    if process != 0 {
+        // One that has ended cannot be told, and need not.
+        let _ = shell("kill -s INT \"$0\"").arg(process.to_string()).status();
+    }
+}
+
+/// A shell that is to run this, and says nothing.
+#[cfg(unix)]
+fn shell(script: &str) -> Command {
+    use std::process::Stdio;
+    let mut shell = Command::new("sh");
+    shell.args(["-c", script]);
+    shell.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    shell
 }
 
 /// Whether whoever started this program had it ignore hangups, as `nohup` does. A program that ignores a
@@ -68,11 +119,7 @@ fn listen(stop: impl Fn() + Send + 'static) -> std::io::Result<()> {
 /// has no other way that needs no unsafe code.
 #[cfg(unix)]
 fn hangups_are_ignored() -> bool {
-    use std::process::{Command, Stdio};
-    let mut shell = Command::new("sh");
-    shell.args(["-c", "kill -s HUP $$"]);
-    let ended = shell.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).status();
-    ended.is_ok_and(|status| status.success())
+    shell("kill -s HUP $$").status().is_ok_and(|status| status.success())
 }
 
 /// The work is done or has failed: from now on, stdout belongs to its answer.

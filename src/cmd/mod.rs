@@ -5,6 +5,9 @@
 
 mod ablate;
 mod ablation;
+mod batch;
+mod batch_emit;
+mod batch_list;
 mod bench;
 mod charts;
 mod checkpoints;
@@ -82,6 +85,7 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     Reconstruct(reconstruct::ReconstructArgs),
+    Batch(batch::BatchArgs),
     Track(track::TrackArgs),
     Train(train::TrainArgs),
     Render(render::RenderArgs),
@@ -163,6 +167,7 @@ fn run(cli: &Cli) -> Result<(Answer, ExitCode)> {
         Command::Devices(args) => devices::run(args),
         Command::Synth(args) => synth::run(args, &cli.common),
         // What these find out decides the exit code.
+        Command::Batch(args) => return batch::run(args, &cli.common),
         Command::Bench(args) => return bench::run(args, &cli.common),
         Command::Table(args) => return table::run(args, &cli.common),
         Command::Validate(args) => return validate::run(args, &cli.common),
@@ -241,7 +246,7 @@ mod tests {
     /// Whether an argument takes text rather than numbers: a path, one of a list of words, a name.
     fn takes_text(argument: &clap::Arg) -> bool {
         let is_path = argument.get_value_parser().type_id() == TypeId::of::<PathBuf>();
-        let words = ["device", "filter", "path"];
+        let words = ["device", "filter", "path", "image", "claim"];
         is_path
             || !argument.get_possible_values().is_empty()
             || words.contains(&argument.get_id().as_str())

@@ -2,10 +2,12 @@
 
 use std::collections::HashMap;
 use std::fs;
-use std::io::ErrorKind;
+use std::io::{ErrorKind, Read};
 use std::path::{Component, Path, PathBuf};
 
 use splat4d::{Error, Result, io};
+
+use super::interrupt;
 
 /// The files that a command will write.
 #[derive(Default)]
@@ -75,6 +77,35 @@ impl Inputs {
             inputs.folders.push((id, (folder, extensions)));
         }
         inputs
+    }
+
+    /// These and others.
+    pub fn and(mut self, others: Inputs) -> Inputs {
+        self.files.extend(others.files);
+        self.folders.extend(others.folders);
+        self
+    }
+
+    /// A checksum of all that is read: the files' names and what they hold.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn checksum(&self) -> Result<String> {
+        let mut files: Vec<&PathBuf> = self.files.values().collect();
+        files.sort();
+        let (mut sum, mut part) = (crc32fast::Hasher::new(), vec![0; 1 << 20]);
+        for path in files {
+            sum.update(path.file_name().unwrap_or_default().as_encoded_bytes());
+            let mut file = io::open(path)?;
+            loop {
+                interrupt::check()?;
+                match file.read(&mut part).map_err(Error::io(path))? {
+                    0 => break,
+                    count => sum.update(&part[..count]),
+                }
+            }
+        }
+        Ok(format!("{:08x}", sum.finalize()))
     }
 
     fn extend(&mut self, files: impl IntoIterator<Item = PathBuf>) {

@@ -31,7 +31,7 @@ use super::known::{
     CAMERA_FILES, KnownArgs, focal_source, lens_json, observe, poses_json, write_cameras,
 };
 use super::networks::estimate_depth;
-use super::outputs::Outputs;
+use super::outputs::{Inputs, Outputs};
 use super::tracker::Tracker;
 use super::watcher::Watcher;
 use super::{model, quality, sheet, values};
@@ -160,10 +160,32 @@ pub struct ReconstructArgs {
     checkpoints: CheckpointArgs,
 }
 
+impl ReconstructArgs {
+    /// That options go with each other.
+    pub fn check(&self) -> Result<()> {
+        self.known.check(&self.frames)
+    }
+
+    /// Tries where output goes.
+    pub fn outputs(&self) -> Result<Outputs> {
+        let mut outputs = Outputs::default().file(&self.output)?;
+        if let Some(folder) = &self.report {
+            outputs = outputs.folder(folder, &sheet::FILES)?.folder(folder, &CAMERA_FILES)?;
+        }
+        self.checkpoints.check(&self.output)?;
+        Ok(outputs)
+    }
+
+    /// All that is read.
+    pub fn inputs(&self) -> Inputs {
+        self.known.inputs(&self.clip)
+    }
+}
+
 /// Runs the command.
 pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
-    check_outputs(args)?;
-    args.known.check(&args.frames)?;
+    args.outputs()?.spare(&args.inputs())?;
+    args.check()?;
     let mut clock = Clock::start();
     // A missing file is told before a missing driver.
     std::fs::metadata(&args.clip).map_err(Error::io(&args.clip))?;
@@ -285,16 +307,6 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     }
     json["output"] = path_text(&args.output);
     Ok(Answer { text: text(&json, &clock), json })
-}
-
-/// Tries where output goes, and that it spares what is read.
-fn check_outputs(args: &ReconstructArgs) -> Result<()> {
-    let mut outputs = Outputs::default().file(&args.output)?;
-    if let Some(folder) = &args.report {
-        outputs = outputs.folder(folder, &sheet::FILES)?.folder(folder, &CAMERA_FILES)?;
-    }
-    args.checkpoints.check(&args.output)?;
-    outputs.spare(&args.known.inputs(&args.clip))
 }
 
 /// What the stages take of device memory at most; an error where one does not fit.

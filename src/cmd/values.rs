@@ -135,6 +135,29 @@ pub fn times(text: &str) -> Result<Times, String> {
     })
 }
 
+/// A container image's name, `registry/name:tag`.
+pub fn image(text: &str) -> Result<String, String> {
+    let fits = |c: char| c.is_ascii_alphanumeric() || "._-/:@".contains(c);
+    match !text.is_empty() && text.len() <= 500 && text.chars().all(fits) {
+        true => Ok(text.into()),
+        false => Err("an image is expected, for example registry/splat4d:1.0".into()),
+    }
+}
+
+/// The name of a claim: a DNS-1123 subdomain.
+pub fn claim(text: &str) -> Result<String, String> {
+    let fits = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit();
+    let part = |part: &str| {
+        part.starts_with(fits) && part.ends_with(fits) && part.chars().all(|c| fits(c) || c == '-')
+    };
+    match text.len() <= 253 && text.split('.').all(part) {
+        true => Ok(text.into()),
+        false => {
+            Err("lower-case letters, digits, `-` and `.` are expected, as Kubernetes has it".into())
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -188,6 +211,19 @@ mod tests {
         assert_eq!(values("0.25, 1"), [0.25, 1.0]);
         for bad in ["", "-1", "0,2", "x", "1.5", "0,,1", "nan", "1000001", "10000000000"] {
             assert!(times(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn images_and_claims() {
+        for good in ["splat4d", "registry:5000/a/splat4d@sha256:0f"] {
+            assert_eq!(image(good), Ok(good.into()));
+        }
+        for bad in ["", "a b", "a\nb"] {
+            assert!(image(bad).is_err(), "{bad}");
+        }
+        for bad in ["", "A", "a_b", "-a", "a-", "a..b"] {
+            assert!(claim(bad).is_err(), "{bad}");
         }
     }
 }

@@ -13,7 +13,7 @@ pub use bytes::Bytes;
 pub use folder::{check_new_folder, write_folder};
 pub(crate) use memory::gibibytes;
 pub use memory::{available_memory, check_limits, check_memory};
-pub use state::{Identity, checksum, read_state, write_state};
+pub use state::{Identity, checksum, difference, read_state, write_state};
 pub use write::{Sink, follow_links, write_atomically, write_json};
 
 use std::fs::File;

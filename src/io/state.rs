@@ -115,8 +115,8 @@ pub fn read_state<T: DeserializeOwned>(path: &Path, kind: &str, identity: &Ident
     }
 }
 
-/// The first thing in which two identities differ.
-fn difference(found: &Identity, wanted: &Identity) -> Option<String> {
+/// The first thing in which two identities differ, in words.
+pub fn difference(found: &Identity, wanted: &Identity) -> Option<String> {
     let none = String::from("none");
     let names = found.keys().chain(wanted.keys());
     names.into_iter().find_map(|name| {

@@ -165,8 +165,8 @@ fn line(table: &mut String, fields: [String; HEADER.len()]) {
     record(table, fields);
 }
 
-/// One line of a table.
-pub(super) fn record(table: &mut String, fields: impl IntoIterator<Item = String>) {
+/// Adds a line to a table.
+pub fn record(table: &mut String, fields: impl IntoIterator<Item = String>) {
     let quoted = |field: String| match field.contains([',', '"', '\n', '\r']) {
         true => format!("\"{}\"", field.replace('"', "\"\"")),
         false => field,

@@ -25,7 +25,7 @@ use serde::{Deserialize, Serialize};
 
 pub use ablation::{Ablation, AblationRow, Better, Figure, Summary};
 pub use compare::{Comparison, Verdict, compare};
-pub use csv::csv;
+pub use csv::{csv, record};
 pub use curve::{Curve, CurvePoint, PowerLaw};
 pub use html::{escape, page};
 pub use numbers::{duration, rate, scientific};

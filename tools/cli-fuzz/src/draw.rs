@@ -37,13 +37,16 @@ struct Base {
 
 /// Good commands, each with options that keep it short; `<kind>` stands for an input and `>name` for
 /// an output.
-const BASES: [&str; 24] = [
+const BASES: [&str; 27] = [
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150",
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150 \
      --control-points 6 --report >report",
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --poses <cameras> --masks <masks> \
      --intrinsics <intrinsics> --refine poses,focal --pinhole",
     "reconstruct <clip> -o >scene.safetensors --steps 3 --flow <flow> --depth <depth>",
+    "batch <list> -o >jobs",
+    "batch <list> -o >jobs --emit slurm --cpus 2 --memory 4 --gpus 1",
+    "batch <list> -o >jobs --emit k8s --mount / --claim data --image splat4d",
     "track <clip> -o >tracked --size 32 --shot 0",
     "track <clip> -o >tracked --tracks <tracks> --queries <tracks>",
     "train <dataset> -o >scene.safetensors --steps 3 --random-points 80 --sh-degree 0 --static",
@@ -68,8 +71,9 @@ const BASES: [&str; 24] = [
 ];
 
 /// Every command's name.
-pub const COMMANDS: [&str; 11] = [
+pub const COMMANDS: [&str; 12] = [
     "reconstruct",
+    "batch",
     "track",
     "train",
     "render",
@@ -362,6 +366,7 @@ impl Artist<'_> {
 fn kind_of(name: &str) -> Kind {
     match name {
         "clip" => Kind::Clip,
+        "list" => Kind::List,
         "dataset" => Kind::Dataset,
         "scene" => Kind::Scene,
         "cameras" => Kind::Cameras,

@@ -18,6 +18,8 @@ use splat4d::types::{Camera, Gaussians, Intrinsics, Pose};
 pub enum Kind {
     /// Pictures or a video, cameras unknown.
     Clip,
+    /// Jobs of `batch`.
+    List,
     /// Pictures with cameras.
     Dataset,
     /// A scene's file or a PLY.
@@ -52,6 +54,12 @@ pub struct Fixture {
     /// Its path below the fixtures' folder.
     pub path: PathBuf,
 }
+
+/// Jobs of `batch`, of clips beside it.
+const LIST: &str = "[defaults]\nsize = 32\nsteps = 3\nmax-gaussians = 150\n\n\
+    [[job]]\nname = \"a\"\ninput = \"clip/frames\"\nposes = \"clip/truth/poses.txt\"\n\
+    refine = [\"poses\"]\n\n\
+    [[job]]\nname = \"b\"\ninput = \"tripod/frames\"\ncontrol-points = 6\npinhole = true\n";
 
 /// Every file with its size and the time it was written.
 pub type State = Vec<(PathBuf, u64, Option<std::time::SystemTime>)>;
@@ -133,6 +141,8 @@ impl Fixtures {
         add(Kind::Case, "case.json");
         text("settings.json", "{\"sh_degree\": 1, \"alpha_cut\": 0.01}\n")?;
         add(Kind::Settings, "settings.json");
+        text("list.toml", LIST)?;
+        add(Kind::List, "list.toml");
         colmap(root).map_err(|e| format!("the COLMAP model: {e}"))?;
         add(Kind::Dataset, "colmap");
         add(Kind::Cameras, "colmap");

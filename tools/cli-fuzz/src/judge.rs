@@ -75,7 +75,9 @@ pub fn run(
     }
     if let Some(code) = code {
         faults.extend(words(code, drawn, &stdout, &text));
-        faults.extend(left(code, &before, &content(folder)));
+        // Those jobs of a batch that are done stay, whatever became of the others.
+        let partly = drawn.command == "batch" && has_judged(code, drawn, &stdout);
+        faults.extend(left(if partly { 0 } else { code }, &before, &content(folder)));
         if code == 0 {
             faults.extend(unreadable(program, folder));
         }
@@ -143,12 +145,16 @@ fn wait(child: &mut Child, most: Duration) -> std::io::Result<Option<ExitStatus>
     Ok(None)
 }
 
+/// Whether a command ended with 1 for what it found out.
+fn has_judged(code: i32, drawn: &Drawn, stdout: &[u8]) -> bool {
+    let judges = ["batch", "bench", "validate"].contains(&drawn.command.as_str());
+    judges && code == 1 && !stdout.is_empty()
+}
+
 /// The rules of what is printed.
 fn words(code: i32, drawn: &Drawn, stdout: &[u8], stderr: &str) -> Vec<String> {
     let mut faults = Vec::new();
-    // These end with 1 for what they found out, too.
-    let judges = ["bench", "validate"].contains(&drawn.command.as_str());
-    let failed = code != 0 && !(judges && code == 1 && !stdout.is_empty());
+    let failed = code != 0 && !has_judged(code, drawn, stdout);
     // After `--` it would be a name.
     let flags = drawn.words.iter().take_while(|word| *word != "--");
     let json = flags.into_iter().any(|word| word == "--json");

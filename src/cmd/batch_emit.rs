@@ -1,0 +1,325 @@
+//! The jobs of `splat4d batch` for engines that people run clusters with: Snakemake, Slurm, Kubernetes.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+use serde_json::{Value, json};
+use splat4d::{Error, Result, io};
+
+use super::batch_list::Job;
+use super::common::{Answer, path_text};
+use super::values;
+
+/// What runs the jobs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Engine {
+    /// A Snakefile
+    Snakemake,
+    /// An array job, and the file of its jobs
+    Slurm,
+    /// A Kubernetes Job for each
+    K8s,
+}
+
+impl Engine {
+    /// The files that are written for it.
+    pub fn files(self) -> &'static [&'static str] {
+        match self {
+            Engine::Snakemake => &["Snakefile"],
+            Engine::Slurm => &["jobs.sbatch", "jobs.tsv"],
+            Engine::K8s => &["jobs.yaml"],
+        }
+    }
+}
+
+/// The flags of jobs that another engine is to run.
+#[derive(Args)]
+pub struct EmitArgs {
+    /// Write the jobs for this engine into the output folder instead of running them
+    #[arg(long, value_name = "ENGINE", value_enum)]
+    emit: Option<Engine>,
+    /// Processors of a job
+    #[arg(long, value_name = "N", requires = "emit", value_parser = values::whole::<u32>(1..=4096))]
+    cpus: Option<u32>,
+    /// Memory of a job, GiB
+    #[arg(long, value_name = "GIB", requires = "emit",
+          value_parser = values::whole::<u32>(1..=65_536))]
+    memory: Option<u32>,
+    /// GPUs of a job [default: none]
+    #[arg(long, value_name = "N", requires = "emit", value_parser = values::whole::<u32>(1..=64))]
+    gpus: Option<u32>,
+    /// Kubernetes: the container image
+    #[arg(long, value_name = "NAME", requires = "mount", default_value = "splat4d",
+          value_parser = values::image)]
+    image: String,
+    /// Kubernetes: the folder that holds all inputs and the output, mounted at the same path in the
+    /// container; the nodes' own (hostPath), unless --claim is given
+    #[arg(long, value_name = "DIR", requires = "emit", required_if_eq("emit", "k8s"))]
+    mount: Option<PathBuf>,
+    /// Kubernetes: the persistent volume claim that holds what lies in --mount
+    #[arg(long, value_name = "NAME", requires = "mount", value_parser = values::claim)]
+    claim: Option<String>,
+}
+
+impl EmitArgs {
+    /// The engine, if one is asked for.
+    pub fn engine(&self) -> Result<Option<Engine>> {
+        if self.mount.is_some() && self.emit != Some(Engine::K8s) {
+            let what = "--mount, --image and --claim are of --emit k8s";
+            return Err(Error::Input(what.into()));
+        }
+        Ok(self.emit)
+    }
+}
+
+/// A job in text: what these files are made of.
+struct Emitted<'a> {
+    name: &'a str,
+    /// The words after the program's name.
+    words: Vec<String>,
+    /// What it reads.
+    reads: Vec<String>,
+}
+
+/// Writes the jobs for an engine into a folder.
+///
+/// # Errors
+/// A path that is not Unicode or holds control characters, one outside of what is to be mounted, a full
+/// disk.
+pub fn write(engine: Engine, args: &EmitArgs, jobs: &[Job], folder: &Path) -> Result<Answer> {
+    let text = plain(folder)?;
+    let jobs = jobs.iter().map(emitted).collect::<Result<Vec<_>>>()?;
+    let contents = match engine {
+        Engine::Snakemake => vec![snakefile(args, &jobs, &text)],
+        Engine::Slurm => vec![sbatch(args, &jobs, &text), table(&jobs)],
+        Engine::K8s => vec![manifests(args, &jobs, &text)?],
+    };
+    let files: Vec<PathBuf> = engine.files().iter().map(|name| folder.join(name)).collect();
+    for (file, content) in files.iter().zip(contents) {
+        io::write_atomically(file, |sink| std::io::Write::write_all(sink, content.as_bytes()))?;
+    }
+    let name = engine.to_possible_value().expect("none is hidden");
+    let json = json!({
+        "emit": name.get_name(),
+        "files": files.iter().map(|file| path_text(file)).collect::<Vec<_>>(),
+        "jobs": jobs.len(),
+        "output": path_text(folder),
+    });
+    let how = match engine {
+        Engine::Snakemake => "snakemake --keep-going --cores N --snakefile",
+        Engine::Slurm => "sbatch",
+        Engine::K8s => "kubectl create -f",
+    };
+    let text = format!(
+        "{} jobs; run them with: {how} {}\n",
+        jobs.len(),
+        quoted(&files[0].display().to_string())
+    );
+    Ok(Answer { json, text })
+}
+
+fn emitted(job: &Job) -> Result<Emitted<'_>> {
+    let words = job.words(&["--resume"]);
+    Ok(Emitted {
+        name: &job.name,
+        words: words.iter().map(|word| plain(Path::new(word))).collect::<Result<_>>()?,
+        reads: job.reads.iter().map(|path| plain(path)).collect::<Result<_>>()?,
+    })
+}
+
+/// A word as text that every one of these files can hold.
+fn plain(word: &Path) -> Result<String> {
+    let text = word.to_str().filter(|text| !text.chars().any(char::is_control));
+    text.map(str::to_owned).ok_or_else(|| {
+        let what = "a path with control characters, or that is not Unicode, cannot be written for \
+                    another engine; rename it";
+        Error::format(word, what)
+    })
+}
+
+/// One rule for all jobs. What a job reads is declared as far as it is there: of what is missing the job
+/// itself tells, and the others go on.
+fn snakefile(args: &EmitArgs, jobs: &[Emitted<'_>], folder: &str) -> String {
+    let all: BTreeMap<&str, Value> = jobs
+        .iter()
+        .map(|job| (job.name, json!({ "reads": job.reads, "words": job.words })))
+        .collect();
+    let mut resources = Vec::new();
+    resources.extend(args.memory.map(|gib| format!("mem_mb={}", u64::from(gib) * 1024)));
+    resources.extend(args.gpus.map(|gpus| format!("gpu={gpus}")));
+    let resources = match resources.is_empty() {
+        true => String::new(),
+        false => format!("    resources:\n        {},\n", resources.join(",\n        ")),
+    };
+    // Braces are wildcards in a pattern.
+    let pattern = |end: &str| {
+        let folder = folder.replace('{', "{{").replace('}', "}}");
+        json!(format!("{folder}/{{job}}{end}"))
+    };
+    format!(
+        "# Written by `splat4d batch --emit snakemake`. To run it, with splat4d in PATH:\n\
+         #   snakemake --snakefile FILE --cores N --keep-going\n\
+         # A job that was stopped goes on from its checkpoint.\n\
+         import os\n\n\
+         FOLDER = {folder}\n\
+         JOBS = {jobs:#}\n\n\
+         wildcard_constraints:\n    job=\"[^/]+\",\n\n\
+         rule all:\n    \
+             input:\n        \
+                 lambda wildcards: [f\"{{FOLDER}}/{{job}}.safetensors\" for job in JOBS],\n    \
+             localrule: True\n\n\
+         rule reconstruct:\n    \
+             input:\n        \
+                 # What is missing is told by the job itself, and the others go on.\n        \
+                 lambda wildcards: [path for path in JOBS[wildcards.job][\"reads\"] if os.path.exists(path)],\n    \
+             output:\n        scene={scene},\n        report={report},\n    \
+             log:\n        {log},\n    \
+             params:\n        words=lambda wildcards: JOBS[wildcards.job][\"words\"],\n    \
+             threads: {threads}\n{resources}    \
+             shell:\n        \"splat4d {{params.words:q}} > {{log:q}} 2>&1\"\n",
+        folder = json!(folder),
+        jobs = json!(all),
+        scene = pattern(".safetensors"),
+        report = pattern(".report/report.json"),
+        log = pattern(".log"),
+        threads = args.cpus.unwrap_or(1),
+    )
+}
+
+/// An array job. The program takes the shell's place, so that Slurm's signal reaches it: it puts its state
+/// away, and goes on when the array is submitted again.
+fn sbatch(args: &EmitArgs, jobs: &[Emitted<'_>], folder: &str) -> String {
+    let mut options = format!("#SBATCH --array=1-{}\n", jobs.len());
+    options.extend(args.cpus.map(|cpus| format!("#SBATCH --cpus-per-task={cpus}\n")));
+    options.extend(args.memory.map(|gib| format!("#SBATCH --mem={gib}G\n")));
+    options.extend(args.gpus.map(|gpus| format!("#SBATCH --gres=gpu:{gpus}\n")));
+    format!(
+        "#!/bin/bash\n\
+         # Written by `splat4d batch --emit slurm`: job N of the array is line N of jobs.tsv.\n\
+         # A job that was stopped goes on from its checkpoint when it is submitted again.\n\
+         #SBATCH --job-name=splat4d\n{options}\
+         # Before the time limit, so that the state can be put away.\n\
+         #SBATCH --signal=B:TERM@60\n\
+         set -euo pipefail\n\n\
+         folder={folder}\n\
+         line=$(sed -n \"${{SLURM_ARRAY_TASK_ID}}p\" \"$folder/jobs.tsv\")\n\
+         if [[ -z $line ]]; then\n    \
+             echo \"there is no job $SLURM_ARRAY_TASK_ID in $folder/jobs.tsv\" >&2\n    \
+             exit 2\n\
+         fi\n\
+         # The job's name, and the words of its command line.\n\
+         IFS=$'\\t' read -r -a words <<<\"$line\"\n\
+         exec splat4d \"${{words[@]:1}}\" >>\"$folder/${{words[0]}}.log\" 2>&1\n",
+        folder = quoted(folder),
+    )
+}
+
+/// A line for each job: its name and the words of its command line, with tabs between, which no word has
+/// in it.
+fn table(jobs: &[Emitted<'_>]) -> String {
+    let line = |job: &Emitted<'_>| format!("{}\t{}\n", job.name, job.words.join("\t"));
+    jobs.iter().map(line).collect()
+}
+
+/// A word for a shell.
+fn quoted(text: &str) -> String {
+    format!("'{}'", text.replace('\'', "'\\''"))
+}
+
+/// A document for each job. They are JSON, which YAML holds within it.
+fn manifests(args: &EmitArgs, jobs: &[Emitted<'_>], folder: &str) -> Result<String> {
+    let mount = std::path::absolute(args.mount.as_deref().unwrap_or(Path::new("/")))
+        .map_err(Error::io("--mount"))?;
+    let reads = jobs.iter().flat_map(|job| &job.reads).map(String::as_str);
+    let outside = reads.chain([folder]).map(Path::new).find(|path| !path.starts_with(&mount));
+    if let Some(path) = outside {
+        let what =
+            format!("does not lie in --mount {}, and no container would see it", mount.display());
+        return Err(Error::format(path, what));
+    }
+    let mount = plain(&mount)?;
+    let volume = match &args.claim {
+        Some(claim) => json!({ "name": "data", "persistentVolumeClaim": { "claimName": claim } }),
+        None => json!({ "name": "data", "hostPath": { "path": mount, "type": "Directory" } }),
+    };
+    let memory = args.memory.map(|gib| ("memory", json!(format!("{gib}Gi"))));
+    let cpus = args.cpus.map(|cpus| ("cpu", json!(cpus.to_string())));
+    let gpus = args.gpus.map(|gpus| ("nvidia.com/gpu", json!(gpus.to_string())));
+    let requests: BTreeMap<&str, Value> = cpus.into_iter().chain(memory.clone()).collect();
+    let limits: BTreeMap<&str, Value> = gpus.into_iter().chain(memory).collect();
+    let mut taken = BTreeSet::new();
+    let documents = jobs.iter().map(|job| {
+        // Kubernetes would put a variable's value in the place of $(NAME).
+        let words: Vec<String> = job.words.iter().map(|word| word.replace("$(", "$$(")).collect();
+        let document = json!({
+            "apiVersion": "batch/v1",
+            "kind": "Job",
+            "metadata": {
+                "name": dns_name(job.name, &mut taken),
+                "labels": { "app.kubernetes.io/name": "splat4d" },
+                "annotations": { "splat4d/job": job.name },
+            },
+            "spec": {
+                // What a node's end has stopped goes on from its checkpoint.
+                "backoffLimit": 2,
+                "template": {
+                    "metadata": { "labels": { "app.kubernetes.io/name": "splat4d" } },
+                    "spec": {
+                        "restartPolicy": "Never",
+                        "containers": [{
+                            "name": "splat4d",
+                            "image": args.image,
+                            "command": ["splat4d"],
+                            "args": words,
+                            "resources": { "requests": requests, "limits": limits },
+                            "volumeMounts": [{ "name": "data", "mountPath": mount }],
+                        }],
+                        "volumes": [volume],
+                    },
+                },
+            },
+        });
+        format!("---\n{document:#}\n")
+    });
+    Ok(documents.collect())
+}
+
+/// A name as Kubernetes has them (DNS-1123: 63 lower-case letters, digits and dashes) that is not yet
+/// taken.
+fn dns_name(name: &str, taken: &mut BTreeSet<String>) -> String {
+    let fit = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' };
+    let name: String = name.chars().map(fit).collect();
+    let numbered = |number: usize| {
+        let end = if number == 1 { String::new() } else { format!("-{number}") };
+        let room = 63 - "splat4d-".len() - end.len();
+        let kept = &name[..name.len().min(room)];
+        format!("splat4d-{}{end}", kept.trim_matches('-'))
+    };
+    let free =
+        (1..).map(numbered).find(|name| !taken.contains(name)).expect("there are more numbers");
+    taken.insert(free.clone());
+    free
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_for_kubernetes() {
+        let mut taken = BTreeSet::new();
+        let long = "Long_".repeat(20);
+        let names = ["Bear.1", "bear-1", "bear_1", "_x-", "___", &long, &long];
+        let made = names.map(|name| dns_name(name, &mut taken));
+        assert_eq!(
+            made[..4],
+            ["splat4d-bear-1", "splat4d-bear-1-2", "splat4d-bear-1-3", "splat4d-x"]
+        );
+        for name in &made {
+            let claim = values::claim(name);
+            assert!(name.len() <= 63 && !name.contains('.') && claim.is_ok(), "{name}: {claim:?}");
+        }
+        assert_eq!(taken.len(), names.len());
+    }
+}
