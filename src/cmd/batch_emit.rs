@@ -91,7 +91,7 @@ pub fn write(engine: Engine, args: &EmitArgs, jobs: &[Job], folder: &Path) -> Re
     let text = plain(folder)?;
     let jobs = jobs.iter().map(emitted).collect::<Result<Vec<_>>>()?;
     let contents = match engine {
-        Engine::Snakemake => vec![snakefile(args, &jobs, &text)],
+        Engine::Snakemake => vec![snakefile(args, &jobs, &text)?],
         Engine::Slurm => vec![sbatch(args, &jobs, &text), table(&jobs)],
         Engine::K8s => vec![manifests(args, &jobs, &text)?],
     };
@@ -140,11 +140,18 @@ fn plain(word: &Path) -> Result<String> {
 
 /// One rule for all jobs. What a job reads is declared as far as it is there: of what is missing the job
 /// itself tells, and the others go on.
-fn snakefile(args: &EmitArgs, jobs: &[Emitted<'_>], folder: &str) -> String {
-    let all: BTreeMap<&str, Value> = jobs
-        .iter()
-        .map(|job| (job.name, json!({ "reads": job.reads, "words": job.words })))
-        .collect();
+fn snakefile(args: &EmitArgs, jobs: &[Emitted<'_>], folder: &str) -> Result<String> {
+    // Snakemake takes what stands in braces for a wildcard, and has no way to say otherwise.
+    if folder.contains(['{', '}']) {
+        let what = "Snakemake takes the braces in its path for a wildcard; name another folder";
+        return Err(Error::format(folder, what));
+    }
+    let entry = |job: &Emitted<'_>| {
+        let reads: Vec<&String> =
+            job.reads.iter().filter(|path| !path.contains(['{', '}'])).collect();
+        (job.name.to_owned(), json!({ "reads": reads, "words": job.words }))
+    };
+    let all: BTreeMap<String, Value> = jobs.iter().map(entry).collect();
     let mut resources = Vec::new();
     resources.extend(args.memory.map(|gib| format!("mem_mb={}", u64::from(gib) * 1024)));
     resources.extend(args.gpus.map(|gpus| format!("gpu={gpus}")));
@@ -152,39 +159,47 @@ fn snakefile(args: &EmitArgs, jobs: &[Emitted<'_>], folder: &str) -> String {
         true => String::new(),
         false => format!("    resources:\n        {},\n", resources.join(",\n        ")),
     };
-    // Braces are wildcards in a pattern.
-    let pattern = |end: &str| {
-        let folder = folder.replace('{', "{{").replace('}', "}}");
-        json!(format!("{folder}/{{job}}{end}"))
-    };
-    format!(
-        "# Written by `splat4d batch --emit snakemake`. To run it, with splat4d in PATH:\n\
-         #   snakemake --snakefile FILE --cores N --keep-going\n\
-         # A job that was stopped goes on from its checkpoint.\n\
-         import os\n\n\
-         FOLDER = {folder}\n\
-         JOBS = {jobs:#}\n\n\
-         wildcard_constraints:\n    job=\"[^/]+\",\n\n\
-         rule all:\n    \
-             input:\n        \
-                 lambda wildcards: [f\"{{FOLDER}}/{{job}}.safetensors\" for job in JOBS],\n    \
-             localrule: True\n\n\
-         rule reconstruct:\n    \
-             input:\n        \
-                 # What is missing is told by the job itself, and the others go on.\n        \
-                 lambda wildcards: [path for path in JOBS[wildcards.job][\"reads\"] if os.path.exists(path)],\n    \
-             output:\n        scene={scene},\n        report={report},\n    \
-             log:\n        {log},\n    \
-             params:\n        words=lambda wildcards: JOBS[wildcards.job][\"words\"],\n    \
-             threads: {threads}\n{resources}    \
-             shell:\n        \"splat4d {{params.words:q}} > {{log:q}} 2>&1\"\n",
+    let pattern = |end: &str| json!(format!("{folder}/{{job}}{end}"));
+    Ok(format!(
+        r#"# Written by `splat4d batch --emit snakemake`. To run it, with splat4d in PATH:
+#   snakemake --snakefile FILE --cores N --keep-going
+# A job that was stopped goes on from its checkpoint.
+import os
+
+FOLDER = {folder}
+JOBS = {jobs:#}
+
+
+rule all:
+    localrule: True
+    input:
+        lambda wildcards: [f"{{FOLDER}}/{{job}}.safetensors" for job in JOBS],
+
+
+rule reconstruct:
+    input:
+        # What is missing is told by the job itself, and the others go on.
+        lambda wildcards: [path for path in JOBS[wildcards.job]["reads"] if os.path.exists(path)],
+    output:
+        scene={scene},
+        report={report},
+    log:
+        {log},
+    params:
+        words=lambda wildcards: JOBS[wildcards.job]["words"],
+    threads: {threads}
+{resources}    wildcard_constraints:
+        job="[^/]+",
+    shell:
+        "splat4d {{params.words:q}} > {{log:q}} 2>&1"
+"#,
         folder = json!(folder),
         jobs = json!(all),
         scene = pattern(".safetensors"),
         report = pattern(".report/report.json"),
         log = pattern(".log"),
         threads = args.cpus.unwrap_or(1),
-    )
+    ))
 }
 
 /// An array job. The program takes the shell's place, so that Slurm's signal reaches it: it puts its state
@@ -195,22 +210,24 @@ fn sbatch(args: &EmitArgs, jobs: &[Emitted<'_>], folder: &str) -> String {
     options.extend(args.memory.map(|gib| format!("#SBATCH --mem={gib}G\n")));
     options.extend(args.gpus.map(|gpus| format!("#SBATCH --gres=gpu:{gpus}\n")));
     format!(
-        "#!/bin/bash\n\
-         # Written by `splat4d batch --emit slurm`: job N of the array is line N of jobs.tsv.\n\
-         # A job that was stopped goes on from its checkpoint when it is submitted again.\n\
-         #SBATCH --job-name=splat4d\n{options}\
-         # Before the time limit, so that the state can be put away.\n\
-         #SBATCH --signal=B:TERM@60\n\
-         set -euo pipefail\n\n\
-         folder={folder}\n\
-         line=$(sed -n \"${{SLURM_ARRAY_TASK_ID}}p\" \"$folder/jobs.tsv\")\n\
-         if [[ -z $line ]]; then\n    \
-             echo \"there is no job $SLURM_ARRAY_TASK_ID in $folder/jobs.tsv\" >&2\n    \
-             exit 2\n\
-         fi\n\
-         # The job's name, and the words of its command line.\n\
-         IFS=$'\\t' read -r -a words <<<\"$line\"\n\
-         exec splat4d \"${{words[@]:1}}\" >>\"$folder/${{words[0]}}.log\" 2>&1\n",
+        r#"#!/bin/bash
+# Written by `splat4d batch --emit slurm`: job N of the array is line N of jobs.tsv.
+# A job that was stopped goes on from its checkpoint when it is submitted again.
+#SBATCH --job-name=splat4d
+{options}# Before the time limit, so that the state can be put away.
+#SBATCH --signal=B:TERM@60
+set -euo pipefail
+
+folder={folder}
+line=$(sed -n "${{SLURM_ARRAY_TASK_ID}}p" "$folder/jobs.tsv")
+if [[ -z $line ]]; then
+    echo "there is no job $SLURM_ARRAY_TASK_ID in $folder/jobs.tsv" >&2
+    exit 2
+fi
+# The job's name, and the words of its command line.
+IFS=$'\t' read -r -a words <<<"$line"
+exec splat4d "${{words[@]:1}}" >>"$folder/${{words[0]}}.log" 2>&1
+"#,
         folder = quoted(folder),
     )
 }
