@@ -310,8 +310,8 @@ fn dns_name(name: &str, taken: &mut BTreeSet<String>) -> String {
     let numbered = |number: usize| {
         let end = if number == 1 { String::new() } else { format!("-{number}") };
         let room = 63 - "splat4d-".len() - end.len();
-        let kept = &name[..name.len().min(room)];
-        format!("splat4d-{}{end}", kept.trim_matches('-'))
+        let kept = name[..name.len().min(room)].trim_matches('-');
+        format!("{}{end}", format!("splat4d-{kept}").trim_end_matches('-'))
     };
     let free =
         (1..).map(numbered).find(|name| !taken.contains(name)).expect("there are more numbers");
