@@ -259,6 +259,7 @@ impl Artist<'_> {
                 _ => [number(self), "0".into()].join(","),
             },
             "DEVICE" => self.pick(&["best", "software", "gpu", "0", "9", "llvm", "nothing"]).into(),
+            "ENGINE" => self.pick(&["snakemake", "slurm", "k8s", "nothing"]).into(),
             "TEXT" => self.pick(&["scan", "sort/", "nothing", ""]).into(),
             _ => number(self),
         };
