@@ -61,7 +61,7 @@ class Graph:
 # The command line
 
 
-def arguments(description, example, weights="the checkpoint", repo="the clone of the network's repository"):
+def arguments(description, example, repo, weights="the checkpoint", flag="--checkpoint"):
     """A parser with what all exporters take. An exporter adds its own options and calls `parse`."""
     parser = argparse.ArgumentParser(
         description=description,
@@ -71,15 +71,24 @@ def arguments(description, example, weights="the checkpoint", repo="the clone of
     )
     parser.add_argument("--repo", type=Path, metavar="DIR", help=repo)
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--checkpoint", type=Path, metavar="FILE", help=weights)
+    source.add_argument(flag, type=Path, metavar="FILE", help=weights)
     source.add_argument("--random-weights", action="store_true",
                         help="random weights of the real architecture, for tests")
     parser.add_argument("--seed", type=int, default=0, help="of random weights [default: 0]")
     parser.add_argument("--images", type=Path, metavar="DIR", required=True,
                         help="pictures on which ONNX Runtime and PyTorch are compared; at least two, for networks "
                         "of pairs in the order of a video")
-    parser.add_argument("--opset", type=int, default=17, help="the ONNX operator set [default: 17]")
+    parser.add_argument("--opset", type=int, choices=range(16, 21), default=17,
+                        help="the ONNX operator set, 16 to 20 [default: 17]", metavar="N")
     return parser
+
+
+def parse(parser):
+    """What the user gave."""
+    given = parser.parse_args()
+    # Some networks draw constants when they are made.
+    torch.manual_seed(given.seed)
+    return given
 
 
 def size(text):

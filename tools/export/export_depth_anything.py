@@ -70,7 +70,7 @@ def run():
                         help="the shorter side at which splat4d is to run it; 0: the frame's own [default: 518]")
     common.add_sizes(parser, PATCH)
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="the file to write")
-    given = parser.parse_args()
+    given = common.parse(parser)
     if given.metric is not None and not given.metric > 0:
         raise Mistake("--metric: a distance above 0 is needed")
     if not 0 <= given.shorter <= 8192:

@@ -82,7 +82,7 @@ def run():
                         "configurations for Spring do with their scale of -1")
     common.add_sizes(parser, STRIDE)
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="the file to write")
-    given = parser.parse_args()
+    given = common.parse(parser)
 
     common.enter(given.repo, "core/raft.py", inside="core")
     config = configuration(given.config or given.repo / "config/eval/spring-M.json")

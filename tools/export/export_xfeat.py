@@ -61,7 +61,7 @@ def run():
     )
     common.add_sizes(parser, RULE["multiple"])
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE")
-    given = parser.parse_args()
+    given = common.parse(parser)
 
     model = network(given.repo)().eval()
     if given.random_weights:
