@@ -135,12 +135,17 @@ def main(run):
 # The user's clone
 
 
-def enter(repo, *needed, inside="."):
-    """Makes a clone's modules importable; `needed` are files that tell it from any other folder."""
+def folder(repo):
+    """That a clone is given and there."""
     if repo is None:
         raise Mistake("--repo DIR is needed: a clone of the network's repository")
     if not repo.is_dir():
         raise Mistake(f"--repo {repo}: there is no such folder")
+
+
+def enter(repo, *needed, inside="."):
+    """Makes a clone's modules importable; `needed` are files that tell it from any other folder."""
+    folder(repo)
     for file in needed:
         if not (repo / file).is_file():
             raise Mistake(f"--repo {repo}: it has no {file}; a clone of the network's repository is needed")
@@ -194,8 +199,7 @@ def read_checkpoint(path, inner=()):
         with torch.serialization.safe_globals([argparse.Namespace]):
             state = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
-        first = (str(error).strip().splitlines() or [type(error).__name__])[0]
-        raise Mistake(f"{path} is no checkpoint of PyTorch that holds weights only: {first}") from error
+        raise Mistake(f"{path} is no checkpoint of PyTorch, or it holds more than weights and options") from error
     for key in inner:
         if isinstance(state, dict) and isinstance(state.get(key), dict):
             state = state[key]
@@ -260,14 +264,14 @@ def randomise(module, seed):
 # Pictures
 
 
-def files(folder, count):
+def files(images, count):
     """The first pictures of a folder, by name."""
-    if not folder.is_dir():
-        raise Mistake(f"--images {folder}: there is no such folder")
+    if not images.is_dir():
+        raise Mistake(f"--images {images}: there is no such folder")
     kinds = {".png", ".jpg", ".jpeg", ".webp", ".bmp"}
-    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in kinds)
+    found = sorted(path for path in images.iterdir() if path.suffix.lower() in kinds)
     if len(found) < count:
-        raise Mistake(f"--images {folder}: {count} pictures are needed, it has {len(found)}")
+        raise Mistake(f"--images {images}: {count} pictures are needed, it has {len(found)}")
     return found[:count]
 
 
@@ -342,10 +346,9 @@ def write(graphs, opset, *replacements):
     parts = []
     try:
         for graph in graphs:
-            folder = graph.path.parent
-            if not folder.is_dir():
-                raise Mistake(f"{folder}: there is no such folder")
-            part = folder / f".{graph.path.name}.part"
+            if not graph.path.parent.is_dir():
+                raise Mistake(f"{graph.path.parent}: there is no such folder")
+            part = graph.path.parent / f".{graph.path.name}.part"
             parts.append(part)
             with torch.no_grad(), replaced(*replacements):
                 torch.onnx.export(

