@@ -261,6 +261,23 @@ def randomise(module, seed):
                 value *= torch.exp(0.1 * noise(value))
 
 
+def settle(module, *inputs):
+    """Sets the statistics of a random network's normalisations by what they meet.
+
+    Else values grow from layer to layer, and so does their rounding, until nothing can be compared.
+    """
+    layers = [layer for layer in module.modules() if isinstance(layer, torch.nn.BatchNorm2d)]
+    momenta = [layer.momentum for layer in layers]
+    for layer in layers:
+        layer.train()
+        layer.momentum = 1.0
+    with torch.no_grad():
+        module(*inputs)
+    for layer, momentum in zip(layers, momenta):
+        layer.eval()
+        layer.momentum = momentum
+
+
 # Pictures
 
 

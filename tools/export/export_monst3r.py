@@ -113,9 +113,6 @@ def run():
     model = common.load("dust3r.model").AsymmetricCroCo3DStereo(**LARGE).eval()
     if given.random_weights:
         common.randomise(model, given.seed)
-        # The heads' outputs are exponents. So they stay of the order of 1.
-        for head in (model.downstream_head1, model.downstream_head2):
-            head.dpt.head[-1].weight.data *= 0.1
     else:
         state = common.read_checkpoint(given.checkpoint, ["model"])
         if not any(key.startswith("dec_blocks2.") for key in state):

@@ -112,7 +112,9 @@ def run():
         (common.label(both), tuple(common.picture(path, both, rule) for path in paths[i : i + 2]))
         for i, both in enumerate(sizes)
     ]
-    module = common.Wrapped(model, estimator(config, given.half))
+    module = common.Wrapped(model, estimator(config, given.half)).eval()
+    if given.random_weights:
+        common.settle(module, *samples[0][1])
     with torch.no_grad():
         truth = [common.arrays(module(*inputs)) for _, inputs in samples]
 
