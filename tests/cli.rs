@@ -25,7 +25,7 @@ use splat4d::types::{Gaussians, Image};
 use support::{picture, says};
 use tempfile::TempDir;
 
-const COMMANDS: [&str; 12] = [
+const COMMANDS: [&str; 13] = [
     "reconstruct",
     "batch",
     "track",

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode, Output, Stdio};
+use std::process::ExitCode;
 use std::time::Instant;
 
 use clap::Args;
@@ -16,8 +16,8 @@ use splat4d::{Error, Result};
 use super::batch_emit::{self, EmitArgs};
 use super::batch_list::{self, Job};
 use super::common::{Answer, Common, path_text, say, thousands};
-use super::interrupt;
 use super::outputs::{Inputs, Outputs};
+use super::{child, interrupt};
 
 const AFTER_HELP: &str = "\
 LIST is a TOML file. [defaults] holds options of reconstruct by their long names, each [[job]] a `name`
@@ -103,12 +103,11 @@ pub fn run(args: &BatchArgs, common: &Common) -> Result<(Answer, ExitCode)> {
     }
     let jobs = batch_list::read(list, output, common)?;
     check_outputs(list, &jobs, output, &[TABLE])?;
-    let program = std::env::current_exe().map_err(Error::io("splat4d"))?;
     let began = Instant::now();
     let mut ended = Vec::new();
     for (i, job) in jobs.iter().enumerate() {
         say(&format!("{} ({} of {})", job.name, i + 1, jobs.len()));
-        let end = attempt(&program, job);
+        let end = attempt(job);
         if let Err(error @ Error::Interrupted { .. }) = end {
             say(&format!("note: the same command goes on with {}", job.name));
             write_table(&output.join(TABLE), &ended)?;
@@ -224,7 +223,7 @@ impl End {
 }
 
 /// Runs a job unless it is done. An error is the job's, unless the user has asked to stop.
-fn attempt(program: &Path, job: &Job) -> Result<End> {
+fn attempt(job: &Job) -> Result<End> {
     interrupt::check()?;
     let identity = job.identity()?;
     let kept = [DONE, BEGUN].map(|end| job.file(end));
@@ -243,22 +242,20 @@ fn attempt(program: &Path, job: &Job) -> Result<End> {
     io::write_json(&kept[1], &json!(identity))?;
 
     let further: &[&str] = if resumes { &["--json", "--resume"] } else { &["--json"] };
-    let mut command = Command::new(program);
-    command.args(job.words(further)).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(log);
     let began = Instant::now();
-    let output = interrupt::run(&mut command).map_err(Error::io(program))?;
+    let answered = child::run(job.words(further), log);
     let seconds = began.elapsed().as_secs_f64();
-    match figures(&output) {
-        Ok(figures) => {
+    match answered {
+        Ok(answer) => {
+            let figures =
+                FIGURES.iter().map(|&key| (key.to_owned(), answer[key].clone())).collect();
             let finished = Finished { identity, seconds, figures };
             io::write_json(&kept[0], &json!(finished))?;
             remove(&kept[1])?;
             Ok(End::new(job, State::Done, finished))
         }
-        Err(error) => {
-            interrupt::check()?;
-            Ok(End::failed(job, seconds, error))
-        }
+        Err(error @ Error::Interrupted { .. }) => Err(error),
+        Err(error) => Ok(End::failed(job, seconds, error.to_string())),
     }
 }
 
@@ -296,21 +293,6 @@ fn open_log(path: &Path, resumes: bool) -> Result<File> {
         file.set_len(0).map_err(Error::io(path))?;
     }
     Ok(file)
-}
-
-/// The figures that a job's process has given, or why there are none.
-fn figures(output: &Output) -> std::result::Result<Map<String, Value>, String> {
-    let answer: Value = serde_json::from_slice(&output.stdout).unwrap_or_default();
-    if let Some(error) = answer["error"].as_str() {
-        return Err(error.to_owned());
-    }
-    if !output.status.success() || !answer.is_object() {
-        return Err(format!(
-            "its process ended without an answer ({}); see its log",
-            output.status
-        ));
-    }
-    Ok(FIGURES.iter().map(|&key| (key.to_owned(), answer[key].clone())).collect())
 }
 
 /// Writes the summary as a table.

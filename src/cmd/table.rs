@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
+use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -177,17 +178,19 @@ fn answers(work: &Work) -> Result<BTreeMap<&'static str, Value>> {
     for step in &work.steps {
         interrupt::check()?;
         let file = work.folder.join(format!("{}.json", step.name));
-        let words: Vec<String> =
+        let told: Vec<String> =
             step.arguments.iter().map(|word| word.to_string_lossy().into_owned()).collect();
-        let kept = if anew { None } else { kept(&file, &words)? };
+        let kept = if anew { None } else { kept(&file, &told)? };
         let answer = match kept {
             Some(answer) => answer,
             None => {
                 anew = true;
                 say(&format!("  {}", step.name));
                 let log = work.folder.join(format!("{}.log", step.name));
-                let answer = child::run(&step.arguments, &log)?;
-                keep(&file, &json!({ "arguments": words, "answer": answer }))?;
+                let said = File::create(&log).map_err(Error::io(&log))?;
+                let words = step.arguments.iter().cloned().chain(["--json".into()]);
+                let answer = child::run(words, said)?;
+                keep(&file, &json!({ "arguments": told, "answer": answer }))?;
                 answer
             }
         };
