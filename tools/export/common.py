@@ -346,13 +346,21 @@ def compare(graph, file):
 
 
 def describe(file, graph):
-    """Writes the contract into a file's metadata."""
+    """Writes the contract into a file's metadata, and the outputs' shapes as far as they are known."""
     model = onnx.load(file)
     model.producer_name = "splat4d tools/export"
     # Names of modules and code lines, which the exporter leaves behind, would name folders of this machine.
     model.doc_string = ""
     for node in model.graph.node:
         node.doc_string = ""
+    # Tracing leaves names for axes that have one size only.
+    for output, truth in zip(model.graph.output, graph.truth[0], strict=True):
+        free = graph.dynamic.get(output.name, {})
+        for axis, (dimension, side) in enumerate(zip(output.type.tensor_type.shape.dim, truth.shape, strict=True)):
+            if axis in free:
+                dimension.dim_param = free[axis]
+            else:
+                dimension.dim_value = side
     onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(graph.contract, sort_keys=True)})
     onnx.save(model, file)
     onnx.checker.check_model(str(file))

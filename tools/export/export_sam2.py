@@ -46,6 +46,16 @@ def decode(network, fine, middle, coarse, points, labels, mask=None, has_mask=No
     return masks, scores
 
 
+def position_embedding(self, sides):
+    """The encoder's embedding of positions, with sizes that are numbers: traced ones leave shapes that ONNX
+    Runtime warns of when it loads the file."""
+    rows, columns = (int(side) for side in sides)
+    windows = self.pos_embed_window
+    repeated = windows.repeat(1, 1, rows // int(windows.shape[2]), columns // int(windows.shape[3]))
+    coarse = torch.nn.functional.interpolate(self.pos_embed, size=(rows, columns), mode="bicubic")
+    return (coarse + repeated).permute(0, 2, 3, 1)
+
+
 def predicted(predictor, image):
     """What upstream's own predictor keeps of a picture, which is made already."""
     predictor._transforms = lambda _: image[0]
@@ -124,8 +134,13 @@ def run():
         [common.arrays(first), common.arrays(second)],
         {"point_coords": {1: "prompts"}, "point_labels": {1: "prompts"}},
     )
-    # Of one picture nothing is repeated; ONNX would count the repetitions when it runs.
-    common.write([encoder, decoder], given.opset, (torch, "repeat_interleave", lambda x, repeats, dim=None: x))
+    common.write(
+        [encoder, decoder],
+        given.opset,
+        (type(model.image_encoder.trunk), "_get_pos_embed", position_embedding),
+        # Of one picture nothing is repeated; ONNX would count the repetitions when it runs.
+        (torch, "repeat_interleave", lambda x, repeats, dim=None: x),
+    )
 
 
 if __name__ == "__main__":
