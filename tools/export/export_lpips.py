@@ -23,7 +23,8 @@ def run():
         flag="--backbone",
         repo="the clone of PerceptualSimilarity [default: the installed package lpips]",
     )
-    parser.add_argument("--net", choices=["alex", "vgg", "squeeze"], default="alex", help="the backbone [default: alex]")
+    parser.add_argument("--net", choices=["alex", "vgg", "squeeze"], default="alex",
+                        help="the backbone [default: alex]")
     parser.add_argument("--linear", type=Path, metavar="FILE",
                         help="weights of the layers on top [default: version 0.1, which the package has]")
     common.add_sizes(parser, 1)

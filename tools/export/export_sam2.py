@@ -105,13 +105,12 @@ def run():
 
     base = Path(given.output)
     paths_out = [base.with_name(f"{base.name}.{part}.onnx") for part in ("encoder", "decoder")]
-    common_part = {"version": common.VERSION}
     encoder = Graph(
         paths_out[0],
         common.Wrapped(model, encode),
         ["image"],
         FEATURES,
-        {"kind": "mask_encoder", **common_part, "input": "image", "picture": RULE, "outputs": FEATURES},
+        {"kind": "mask_encoder", "version": common.VERSION, "input": "image", "picture": RULE, "outputs": FEATURES},
         [(path.name, (picture,)) for path, picture in zip(paths, pictures)],
         [common.arrays(tensors) for tensors in features],
     )
@@ -122,7 +121,7 @@ def run():
         OUTPUTS,
         {
             "kind": "mask_decoder",
-            **common_part,
+            "version": common.VERSION,
             "features": FEATURES,
             **dict(zip(["points", "labels", "mask_input", "has_mask"], PROMPTS)),
             **{output: output for output in OUTPUTS},

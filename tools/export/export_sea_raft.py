@@ -13,7 +13,8 @@ from common import Graph, Mistake
 # Sides that are multiples of 8 need no padding within the graph.
 STRIDE = 8
 # Of a configuration, what the network is built by.
-NEEDED = ["use_var", "var_min", "var_max", "pretrain", "initial_dim", "block_dims", "radius", "dim", "num_blocks", "iters"]
+NEEDED = ["use_var", "var_min", "var_max", "pretrain", "initial_dim", "block_dims", "radius", "dim", "num_blocks",
+          "iters"]
 INPUTS = ["first", "second"]
 OUTPUTS = ["flow", "confidence"]
 
@@ -106,7 +107,8 @@ def run():
     for both in sizes:
         # At an eighth of a smaller one the coarsest correlation has a side of one value, and upstream divides by 0.
         if min(both) < 16 * multiple:
-            raise Mistake(f"--sizes: {common.label(both)} is too small for the network; {16 * multiple} is the least side")
+            raise Mistake(f"--sizes: {common.label(both)} is too small for the network; sides of {16 * multiple} at "
+                          "least are needed")
     paths = common.files(given.images, len(sizes) + 1)
     samples = [
         (common.label(both), tuple(common.picture(path, both, rule) for path in paths[i : i + 2]))

@@ -26,7 +26,8 @@ def network(repo):
             spec.loader.exec_module(module)
             if hasattr(module, "XFeatModel"):
                 return module.XFeatModel
-    raise Mistake(f"--repo {repo}: it has no modules/model.py with XFeatModel; a clone of accelerated_features is needed")
+    raise Mistake(f"--repo {repo}: it has no modules/model.py with XFeatModel; a clone of accelerated_features is "
+                  "needed")
 
 
 def cells(x, side):
