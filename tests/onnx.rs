@@ -187,6 +187,10 @@ fn frames_that_no_network_takes_are_refused() {
     let flow = models.flow.as_mut().unwrap();
     let uneven = flow.flow(&Image::new(4, 4, 3), &Image::new(4, 5, 3));
     says(&message(uneven.map(drop)), &["from 4×4 to 4×5"]);
+    let mut broken = Image::new(8, 8, 3);
+    broken.pixels[3] = f32::NAN;
+    let flow = flow.flow(&broken, &Image::new(8, 8, 3));
+    says(&message(flow.map(drop)), &["`flow` is not finite at 1 of 128 values", "8×8"]);
 }
 
 #[test]

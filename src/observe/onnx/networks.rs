@@ -164,8 +164,8 @@ impl FlowNetwork {
     /// tells one.
     ///
     /// # Errors
-    /// Frames of different size or without three channels; the network fails, or says something else than
-    /// its contract.
+    /// Frames of different size or without three channels; the network fails, says something else than its
+    /// contract, or gives flow that is not finite.
     pub fn flow(&mut self, from: &Image, to: &Image) -> Result<(Image, Option<Image>)> {
         check_pair("flow leads between frames", from, to)?;
         let FlowContract { inputs, picture: rule, output, confidence, .. } = &self.contract;
@@ -177,6 +177,16 @@ impl FlowNetwork {
             std::iter::once(output.as_str()).chain(confidence.as_deref()).collect();
         let found = self.network.run(&given, layout.picture, &outputs)?;
         check_channels(&found[0], 2, output, &self.network.file)?;
+        let unknown = found[0].values.iter().filter(|value| !value.is_finite()).count();
+        if unknown > 0 {
+            let (width, height) = layout.picture;
+            let what = format!(
+                "its output `{output}` is not finite at {unknown} of {} values; some networks take no picture \
+                 as small as {width}×{height}",
+                found[0].values.len()
+            );
+            return Err(Error::format(&self.network.file, what));
+        }
         let mut flow = layout.nearest(&found[0].values, found[0].size);
         let scale = layout.frame_from_picture();
         for vector in flow.pixels.chunks_exact_mut(2) {
