@@ -140,7 +140,7 @@ fn dnerf_from_both_splits_to_a_table() {
         let chosen: Vec<usize> = (0..8).filter(|i| i % 2 == parity).collect();
         let files: Vec<String> =
             chosen.iter().map(|i| format!("../../clip/frames/{i:04}.png")).collect();
-        let of: Vec<_> = chosen.iter().map(|&i| cameras[i].clone()).collect();
+        let of: Vec<_> = chosen.iter().map(|&i| cameras[i]).collect();
         let file = at("set/cup").join(format!("transforms_{split}.json"));
         transforms::write(file, &of, &files, None).unwrap();
     }

@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 use serde_json::Value;
-use splat4d::data::images;
 use splat4d::data::layout::{self, Layout};
+use splat4d::data::{images, sintel};
 use splat4d::report::{Better, Figure, PublishedRow};
 use splat4d::{Error, Result};
 
@@ -64,24 +64,6 @@ pub struct Step {
     pub arguments: Vec<OsString>,
 }
 
-/// The 14 sequences that tables of camera poses are of.
-const SINTEL: [&str; 14] = [
-    "alley_2",
-    "ambush_4",
-    "ambush_5",
-    "ambush_6",
-    "cave_2",
-    "cave_4",
-    "market_2",
-    "market_5",
-    "market_6",
-    "shaman_3",
-    "sleeping_1",
-    "sleeping_2",
-    "temple_2",
-    "temple_3",
-];
-
 impl Protocol {
     /// What the table is called.
     pub fn title(self) -> &'static str {
@@ -123,10 +105,10 @@ impl Protocol {
             }
         };
         let mut lines = vec![rule.to_owned(), size];
-        if self == Protocol::SintelPose && scenes < SINTEL.len() {
+        if self == Protocol::SintelPose && scenes < sintel::SEQUENCES.len() {
             lines.push(format!(
                 "{scenes} of the {} sequences that published means are over.",
-                SINTEL.len()
+                sintel::SEQUENCES.len()
             ));
         }
         if self == Protocol::HypernerfVrig {
@@ -418,13 +400,13 @@ fn nerfies(scene: &Path) -> Result<Option<PathBuf>> {
     Ok(is_there.then(|| scene.to_path_buf()))
 }
 
-/// The frames and cameras of those of [`SINTEL`] that are there.
+/// The frames and cameras of those of [`sintel::SEQUENCES`] that are there.
 fn sequences(folder: &Path) -> Result<Vec<(String, (PathBuf, PathBuf))>> {
     let roots = [folder.to_path_buf(), folder.join("training")];
     let holds = |root: &&PathBuf| root.join("final").is_dir() && root.join("camdata_left").is_dir();
     let Some(root) = roots.iter().find(holds) else { return Ok(Vec::new()) };
     let places = |name: &str| (root.join("final").join(name), root.join("camdata_left").join(name));
-    let found = SINTEL.map(|name| (name.to_owned(), places(name)));
+    let found = sintel::SEQUENCES.map(|name| (name.to_owned(), places(name)));
     Ok(found
         .into_iter()
         .filter(|(_, (frames, cameras))| frames.is_dir() && cameras.is_dir())
