@@ -10,7 +10,7 @@ import common
 from common import Graph, Mistake
 
 PATCH = 16
-RULE = {"multiple": PATCH, "mean": [0.5] * 3, "deviation": [0.5] * 3}
+RULE = {"fit": "crop", "mean": [0.5] * 3, "deviation": [0.5] * 3}
 TOKENS = ["tokens_1", "tokens_2"]
 POINTS = ["points_1", "points_2"]
 CONFIDENCE = ["confidence_1", "confidence_2"]
@@ -128,14 +128,19 @@ def run():
 
     base = Path(given.output)
     encoder_path, decoder_path = (base.with_name(f"{base.name}.{part}.onnx") for part in ("encoder", "decoder"))
-    both = {"version": common.VERSION, "picture": RULE, "size": [width, height]}
     tokens = [*pairs[0][1], pairs[1][1][1]]
     encoder = Graph(
         encoder_path,
         common.Wrapped(model, encode),
         ["image"],
         ["tokens"],
-        {"kind": "pointmap_encoder", **both, "input": "image", "output": "tokens"},
+        {
+            "kind": "pointmap_encoder",
+            "version": common.VERSION,
+            "input": "image",
+            "picture": {"size": [width, height], **RULE},
+            "output": "tokens",
+        },
         [(path.name, (picture,)) for path, picture in zip(paths, pictures)],
         [common.arrays([one]) for one in tokens],
     )
@@ -144,7 +149,7 @@ def run():
         common.Wrapped(model, decoder(height, width)),
         TOKENS,
         POINTS + CONFIDENCE,
-        {"kind": "pointmap_decoder", **both, "inputs": TOKENS, "points": POINTS, "confidence": CONFIDENCE},
+        {"kind": "pointmap_decoder", "version": common.VERSION, "inputs": TOKENS, "points": POINTS, "confidence": CONFIDENCE},
         [(f"{paths[i].name} and the next", tuple(tokens[i : i + 2])) for i in range(2)],
         [common.arrays(outputs) for outputs, _ in pairs],
     )

@@ -10,7 +10,7 @@ import common
 from common import Graph
 
 SIDE = 1024
-RULE = {"sides": SIDE, **common.IMAGENET}
+RULE = {"size": [SIDE, SIDE], **common.IMAGENET}
 FEATURES = ["high_res_0", "high_res_1", "embedding"]
 PROMPTS = ["point_coords", "point_labels", "mask_input", "has_mask_input"]
 OUTPUTS = ["masks", "scores"]

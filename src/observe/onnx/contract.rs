@@ -25,6 +25,16 @@ pub enum Contract {
     Depth(DepthContract),
     /// Optical flow from one picture to another.
     Flow(FlowContract),
+    /// What a pointmap decoder needs of a picture.
+    PointmapEncoder(PointmapEncoderContract),
+    /// The points that two pictures show, in the first's camera.
+    PointmapDecoder(PointmapDecoderContract),
+    /// What a mask decoder needs of a picture.
+    MaskEncoder(MaskEncoderContract),
+    /// Masks of what prompts point at.
+    MaskDecoder(MaskDecoderContract),
+    /// Keypoints of a picture and what describes them.
+    Features(FeaturesContract),
     /// How different two pictures look.
     Lpips(LpipsContract),
 }
@@ -65,6 +75,93 @@ pub struct FlowContract {
     pub confidence: Option<String>,
 }
 
+/// That of a pointmap network's encoder: each frame is encoded once.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PointmapEncoderContract {
+    /// [`VERSION`].
+    pub version: u32,
+    /// Name of the input, 1 × 3 × height × width. Where `picture` has a size that lies on its side, frames that
+    /// stand upright are transposed.
+    pub input: String,
+    /// How the picture is made.
+    #[serde(default)]
+    pub picture: PictureRule,
+    /// Name of the output, what the decoder takes, of any shape.
+    pub output: String,
+}
+
+/// That of a pointmap network's decoder, as DUSt3R's (Wang et al. 2024) and MonST3R's.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PointmapDecoderContract {
+    /// [`VERSION`].
+    pub version: u32,
+    /// Names of the inputs, the encoder's output for each of the two pictures.
+    pub inputs: [String; 2],
+    /// Names of the outputs of points, each 1 × height × width × 3: what each pixel of a picture shows, x right,
+    /// y down, z forward in the camera of the first, in a unit of the pair's own.
+    pub points: [String; 2],
+    /// Names of the outputs of how far each point is to be believed, each 1 × height × width, 1 or more.
+    pub confidence: [String; 2],
+}
+
+/// That of a mask network's encoder, as that of SAM 2 (Ravi et al. 2024): each frame is encoded once.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MaskEncoderContract {
+    /// [`VERSION`].
+    pub version: u32,
+    /// Name of the input, 1 × 3 × height × width.
+    pub input: String,
+    /// How the picture is made; it has a size.
+    pub picture: PictureRule,
+    /// Names of the outputs, what the decoder takes, of any shape.
+    pub outputs: Vec<String>,
+}
+
+/// That of a mask network's decoder.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MaskDecoderContract {
+    /// [`VERSION`].
+    pub version: u32,
+    /// Names of the inputs of what the encoder gives, in its outputs' order.
+    pub features: Vec<String>,
+    /// Name of the input of prompts, 1 × prompts × 2: x and y in pixels of the encoder's picture.
+    pub points: String,
+    /// Name of the input of what the prompts are, 1 × prompts: 1 a point of the thing, 0 one beside it, 2 and 3 the
+    /// first and the last corner of a box.
+    pub labels: String,
+    /// Name of the input of a mask to begin with, 1 × 1 × height × width, log odds.
+    pub mask_input: String,
+    /// Name of the input that says whether there is one, 1 value: 1 or 0.
+    pub has_mask: String,
+    /// Name of the output of masks, 1 × masks × height × width, log odds, of the size of `mask_input`.
+    pub masks: String,
+    /// Name of the output of how good each mask is, 1 × masks.
+    pub scores: String,
+}
+
+/// That of a network for features, as XFeat (Potje et al. 2024).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FeaturesContract {
+    /// [`VERSION`].
+    pub version: u32,
+    /// Name of the input, 1 × 3 × height × width.
+    pub input: String,
+    /// How the picture is made.
+    #[serde(default)]
+    pub picture: PictureRule,
+    /// Name of the output of descriptors, 1 × values × rows × columns, each of length 1.
+    pub descriptors: String,
+    /// Name of the output of how likely a pixel is a keypoint, 1 × 1 × height × width, 0 to 1.
+    pub keypoints: String,
+    /// Name of the output of how far descriptors are to be believed, 1 × 1 × rows × columns, 0 to 1.
+    pub reliability: String,
+}
+
 /// That of a network for LPIPS (Zhang et al. 2018), the learned perceptual distance of two pictures.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -90,7 +187,9 @@ pub struct PictureRule {
     pub multiple: u32,
     /// The shorter side is scaled to so many pixels; 0: it keeps its size.
     pub shorter: u32,
-    /// How sides become multiples.
+    /// Width and height of every picture, in place of `multiple` and `shorter`; 0: it is theirs to say.
+    pub size: [u32; 2],
+    /// How pictures come to these sides.
     pub fit: Fit,
     /// What white is, before `mean` and `deviation`: 1 or 255.
     pub white: f32,
@@ -100,15 +199,17 @@ pub struct PictureRule {
     pub deviation: [f32; 3],
 }
 
-/// How a picture's sides become multiples of a number.
+/// How a picture comes to sides that are told, or are multiples of a number.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Fit {
-    /// The picture is scaled to the nearest multiples.
+    /// It is scaled to them, to the nearest multiples.
     #[default]
     Stretch,
     /// Its last row and column are repeated to the right and below.
     Pad,
+    /// As much is cut off on both sides.
+    Crop,
 }
 
 impl Default for PictureRule {
@@ -116,6 +217,7 @@ impl Default for PictureRule {
         PictureRule {
             multiple: 1,
             shorter: 0,
+            size: [0; 2],
             fit: Fit::Stretch,
             white: 1.0,
             mean: [0.0; 3],
@@ -163,84 +265,170 @@ impl Contract {
         match self {
             Contract::Depth(_) => "depth",
             Contract::Flow(_) => "flow",
+            Contract::PointmapEncoder(_) => "pointmap_encoder",
+            Contract::PointmapDecoder(_) => "pointmap_decoder",
+            Contract::MaskEncoder(_) => "mask_encoder",
+            Contract::MaskDecoder(_) => "mask_decoder",
+            Contract::Features(_) => "features",
             Contract::Lpips(_) => "lpips",
         }
     }
 
     fn check(&self) -> std::result::Result<(), String> {
         let (version, rule) = match self {
-            Contract::Depth(c) => (c.version, &c.picture),
-            Contract::Flow(c) => (c.version, &c.picture),
-            Contract::Lpips(c) => (c.version, &c.picture),
+            Contract::Depth(c) => (c.version, Some(&c.picture)),
+            Contract::Flow(c) => (c.version, Some(&c.picture)),
+            Contract::PointmapEncoder(c) => (c.version, Some(&c.picture)),
+            Contract::PointmapDecoder(c) => (c.version, None),
+            Contract::MaskEncoder(c) => (c.version, Some(&c.picture)),
+            Contract::MaskDecoder(c) => (c.version, None),
+            Contract::Features(c) => (c.version, Some(&c.picture)),
+            Contract::Lpips(c) => (c.version, Some(&c.picture)),
         };
         if version != VERSION {
             return Err(format!(
                 "its contract is of version {version}, this program knows version {VERSION}"
             ));
         }
-        let range = 1..=LARGEST;
-        if !range.contains(&rule.multiple) || rule.shorter > LARGEST {
-            return Err(format!(
-                "its contract asks for sides that are multiples of {} and a shorter one of {}; 1 to \
-                 {LARGEST} make sense",
-                rule.multiple, rule.shorter
-            ));
+        rule.map_or(Ok(()), PictureRule::check)?;
+        match self {
+            Contract::MaskEncoder(c) if c.picture.size == [0; 2] => {
+                Err("its contract does not say which `size` its picture has".into())
+            }
+            _ => Ok(()),
         }
-        let numbers = rule.mean.iter().chain(&rule.deviation).chain([&rule.white]);
-        let positive = rule.deviation.iter().chain([&rule.white]).all(|x| *x > 0.0);
-        if !positive || !numbers.into_iter().all(|x| x.is_finite()) {
-            return Err("its contract's white and deviation are not all above 0".into());
-        }
-        Ok(())
     }
 
     /// That a model has the inputs and outputs of the contract, and no other inputs.
     fn check_model(&self, session: &Session) -> std::result::Result<(), String> {
-        let (inputs, outputs): (Vec<&str>, Vec<(&str, usize)>) = match self {
-            Contract::Depth(c) => (vec![&c.input], vec![(&c.output, 1)]),
-            Contract::Flow(c) => (
-                c.inputs.iter().map(String::as_str).collect(),
-                std::iter::once((c.output.as_str(), 2))
-                    .chain(c.confidence.as_deref().map(|name| (name, 1)))
-                    .collect(),
-            ),
+        let (inputs, outputs): (Vec<(&str, &[Shape])>, Vec<(&str, &[Shape])>) = match self {
+            Contract::Depth(c) => (vec![(&c.input, PICTURE)], vec![(&c.output, PLANE)]),
+            Contract::Flow(c) => {
+                let confidence = c.confidence.iter().map(|name| (name.as_str(), PLANE));
+                let outputs = std::iter::once((c.output.as_str(), VECTORS)).chain(confidence);
+                (c.inputs.iter().map(|name| (name.as_str(), PICTURE)).collect(), outputs.collect())
+            }
+            Contract::PointmapEncoder(c) => (vec![(&c.input, PICTURE)], vec![(&c.output, ANY)]),
+            Contract::PointmapDecoder(c) => {
+                let points = c.points.iter().map(|name| (name.as_str(), POINTS));
+                let confidence = c.confidence.iter().map(|name| (name.as_str(), PLANE_ALONE));
+                let inputs = c.inputs.iter().map(|name| (name.as_str(), ANY));
+                (inputs.collect(), points.chain(confidence).collect())
+            }
+            Contract::MaskEncoder(c) => {
+                let outputs = c.outputs.iter().map(|name| (name.as_str(), ANY));
+                (vec![(&c.input, PICTURE)], outputs.collect())
+            }
+            Contract::MaskDecoder(c) => {
+                let prompts: [(&str, &[Shape]); 4] = [
+                    (&c.points, PROMPTS),
+                    (&c.labels, LABELS),
+                    (&c.mask_input, PLANE_WITH_CHANNEL),
+                    (&c.has_mask, ONE),
+                ];
+                let features = c.features.iter().map(|name| (name.as_str(), ANY));
+                let outputs = vec![(c.masks.as_str(), MASKS), (c.scores.as_str(), LABELS)];
+                (features.chain(prompts).collect(), outputs)
+            }
+            Contract::Features(c) => {
+                let outputs: [(&str, &[Shape]); 3] = [
+                    (&c.descriptors, DESCRIPTORS),
+                    (&c.keypoints, PLANE_WITH_CHANNEL),
+                    (&c.reliability, PLANE_WITH_CHANNEL),
+                ];
+                (vec![(&c.input, PICTURE)], outputs.into())
+            }
             Contract::Lpips(c) => {
-                (c.inputs.iter().map(String::as_str).collect(), vec![(&c.output, 1)])
+                let inputs = c.inputs.iter().map(|name| (name.as_str(), PICTURE));
+                (inputs.collect(), vec![(&c.output, PLANE)])
             }
         };
-        for name in &inputs {
-            has(session.inputs(), name, "input", &[Some(3)])?;
+        for (name, shapes) in &inputs {
+            has(session.inputs(), name, "input", shapes)?;
         }
-        if let Some(more) = session.inputs().iter().find(|i| !inputs.contains(&i.name())) {
+        let named = |name: &str| inputs.iter().any(|(input, _)| *input == name);
+        if let Some(more) = session.inputs().iter().find(|input| !named(input.name())) {
             return Err(format!(
                 "it has an input `{}` that its contract does not name",
                 more.name()
             ));
         }
-        for (name, channels) in outputs {
-            // A single channel may have no axis of its own.
-            let ranks: &[Option<usize>] =
-                if channels == 1 { &[Some(1), None] } else { &[Some(channels)] };
-            has(session.outputs(), name, "output", ranks)?;
+        outputs
+            .into_iter()
+            .try_for_each(|(name, shapes)| has(session.outputs(), name, "output", shapes))
+    }
+}
+
+impl PictureRule {
+    fn check(&self) -> std::result::Result<(), String> {
+        let range = 1..=LARGEST;
+        if !range.contains(&self.multiple) || self.shorter > LARGEST {
+            return Err(format!(
+                "its contract asks for sides that are multiples of {} and a shorter one of {}; 1 to \
+                 {LARGEST} make sense",
+                self.multiple, self.shorter
+            ));
+        }
+        let [width, height] = self.size;
+        if self.size != [0; 2] && !(range.contains(&width) && range.contains(&height)) {
+            return Err(format!(
+                "its contract asks for pictures of {width}×{height}; 1 to {LARGEST} make sense"
+            ));
+        }
+        let numbers = self.mean.iter().chain(&self.deviation).chain([&self.white]);
+        let positive = self.deviation.iter().chain([&self.white]).all(|x| *x > 0.0);
+        if !positive || !numbers.into_iter().all(|x| x.is_finite()) {
+            return Err("its contract's white and deviation are not all above 0".into());
         }
         Ok(())
     }
 }
 
-/// That there is a tensor of this name, of floats, with as many channels as one of `channels` says; `None`:
-/// without an axis of channels.
+/// A tensor's axes: how long each is, or what it is called where that is known only when it runs.
+type Shape = &'static [Axis];
+
+/// An axis of a tensor.
+enum Axis {
+    Long(usize),
+    Called(&'static str),
+}
+
+use Axis::{Called, Long};
+
+const ROWS: Axis = Called("height");
+const COLUMNS: Axis = Called("width");
+const PICTURE: &[Shape] = &[&[Long(1), Long(3), ROWS, COLUMNS]];
+const VECTORS: &[Shape] = &[&[Long(1), Long(2), ROWS, COLUMNS]];
+const PLANE_ALONE: &[Shape] = &[&[Long(1), ROWS, COLUMNS]];
+const PLANE_WITH_CHANNEL: &[Shape] = &[&[Long(1), Long(1), ROWS, COLUMNS]];
+/// A single channel may have no axis of its own.
+const PLANE: &[Shape] = &[&[Long(1), Long(1), ROWS, COLUMNS], &[Long(1), ROWS, COLUMNS]];
+const POINTS: &[Shape] = &[&[Long(1), ROWS, COLUMNS, Long(3)]];
+const PROMPTS: &[Shape] = &[&[Long(1), Called("prompts"), Long(2)]];
+const LABELS: &[Shape] = &[&[Long(1), Called("one each")]];
+const MASKS: &[Shape] = &[&[Long(1), Called("masks"), ROWS, COLUMNS]];
+const DESCRIPTORS: &[Shape] = &[&[Long(1), Called("values"), Called("rows"), Called("columns")]];
+const ONE: &[Shape] = &[&[Long(1)]];
+/// What only another model reads.
+const ANY: &[Shape] = &[];
+
+/// That there is a tensor of this name, of floats, of one of the shapes.
 fn has(
     all: &[Outlet],
     name: &str,
     what: &str,
-    channels: &[Option<usize>],
+    shapes: &[Shape],
 ) -> std::result::Result<(), String> {
     let expected = || {
-        let shape = |c: &Option<usize>| match c {
-            Some(c) => format!("1 × {c} × height × width"),
-            None => "1 × height × width".to_owned(),
+        let axis = |axis: &Axis| match axis {
+            Long(length) => length.to_string(),
+            Called(name) => (*name).to_owned(),
         };
-        channels.iter().map(shape).collect::<Vec<_>>().join(" or ")
+        let shape = |shape: &Shape| shape.iter().map(axis).collect::<Vec<_>>().join(" × ");
+        match shapes {
+            [] => "any shape".to_owned(),
+            shapes => shapes.iter().map(shape).collect::<Vec<_>>().join(" or "),
+        }
     };
     let Some(found) = all.iter().find(|outlet| outlet.name() == name) else {
         let names: Vec<String> = all.iter().map(|o| format!("`{}`", o.name())).collect();
@@ -252,14 +440,16 @@ fn has(
     };
     let (shape, element) = (found.dtype().tensor_shape(), found.dtype().tensor_type());
     // −1: known when it runs.
-    let is = |known: i64, wanted: usize| known == -1 || known == wanted as i64;
-    let fits = |c: &Option<usize>| {
-        shape.is_some_and(|shape| match c {
-            Some(c) => shape.len() == 4 && is(shape[0], 1) && is(shape[1], *c),
-            None => shape.len() == 3 && is(shape[0], 1),
-        })
+    let is = |(known, axis): (&i64, &Axis)| match axis {
+        Long(wanted) => *known == -1 || *known == *wanted as i64,
+        Called(_) => true,
     };
-    if element != Some(TensorElementType::Float32) || !channels.iter().any(fits) {
+    let fits = |wanted: &Shape| {
+        shape.is_some_and(|shape| shape.len() == wanted.len() && shape.iter().zip(*wanted).all(is))
+    };
+    if element != Some(TensorElementType::Float32)
+        || !(shapes.is_empty() || shapes.iter().any(fits))
+    {
         let sides = shape.map_or(String::from("no tensor"), |shape| {
             let side = |s: &i64| if *s < 0 { "?".to_owned() } else { s.to_string() };
             shape.iter().map(side).collect::<Vec<_>>().join(" × ")

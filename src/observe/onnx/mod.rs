@@ -25,12 +25,16 @@
 //! | module | what it holds |
 //! |---|---|
 //! | [`contract`] | what a model says of itself, held against what it is |
-//! | [`networks`] | networks for depth, flow and LPIPS |
+//! | `depth`, `flow`, `lpips` | networks of each kind |
+//! | `network` | a loaded model: named tensors in, named tensors out |
 //! | `picture` | a frame as a network takes it, and the way back |
 //! | [`runtime`] | the runtime's library, found and loaded |
 
 pub mod contract;
-pub mod networks;
+mod depth;
+mod flow;
+mod lpips;
+mod network;
 mod picture;
 pub mod runtime;
 
@@ -40,8 +44,10 @@ use serde::Deserialize;
 
 use crate::{Error, Result, io};
 pub use contract::Contract;
-use networks::Network;
-pub use networks::{DepthNetwork, FlowNetwork, LpipsNetwork};
+pub use depth::DepthNetwork;
+pub use flow::FlowNetwork;
+pub use lpips::LpipsNetwork;
+use network::Network;
 pub use runtime::{Provider, Runtime, RuntimeOptions};
 
 /// The file in a folder of models that says what each is for.

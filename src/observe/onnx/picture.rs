@@ -9,32 +9,62 @@ use crate::types::Image;
 pub(super) struct Layout {
     /// The frame's size.
     frame: (u32, u32),
-    /// The size that the frame is scaled to; the picture begins with it.
+    /// The size that the frame is scaled to.
     scaled: (u32, u32),
+    /// Which of its pixels is the picture's first.
+    first: (u32, u32),
     /// The picture's size.
     pub picture: (u32, u32),
+}
+
+/// An axis of a picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Axis {
+    /// To the right.
+    X,
+    /// Down.
+    Y,
 }
 
 impl Layout {
     /// By a network's rule, for frames of a size.
     pub fn new(rule: &PictureRule, (width, height): (u32, u32)) -> Layout {
-        let factor = match rule.shorter {
-            0 => 1.0,
-            shorter => f64::from(shorter) / f64::from(width.min(height)),
+        let sides = [f64::from(width), f64::from(height)];
+        let told = (rule.size != [0; 2]).then_some(rule.size);
+        let ratios =
+            told.map(|told| [f64::from(told[0]) / sides[0], f64::from(told[1]) / sides[1]]);
+        let factor = match (ratios, rule.fit, rule.shorter) {
+            (Some([x, y]), Fit::Pad, _) => x.min(y),
+            (Some([x, y]), _, _) => x.max(y),
+            (None, _, 0) => 1.0,
+            (None, _, shorter) => f64::from(shorter) / sides[0].min(sides[1]),
         };
-        let near = |side: u32| (f64::from(side) * factor).round().max(1.0);
-        let whole = |side: f64, round: fn(f64) -> f64| {
-            (round(side / f64::from(rule.multiple)) as u32).max(1) * rule.multiple
+        let near = sides.map(|side| (side * factor).round().max(1.0));
+        let picture = told.unwrap_or_else(|| {
+            let round = match rule.fit {
+                Fit::Stretch => f64::round,
+                Fit::Pad => f64::ceil,
+                Fit::Crop => f64::floor,
+            };
+            let multiple = f64::from(rule.multiple);
+            near.map(|side| (round(side / multiple) as u32).max(1) * rule.multiple)
+        });
+        let scaled = match rule.fit {
+            Fit::Stretch => picture,
+            Fit::Pad => [0, 1].map(|k| (near[k] as u32).min(picture[k])),
+            // A frame that is smaller than one multiple is scaled up to it.
+            Fit::Crop => [0, 1].map(|k| (near[k] as u32).max(picture[k])),
         };
-        let sides = [near(width), near(height)];
-        let (scaled, picture) = match rule.fit {
-            Fit::Stretch => {
-                let sides = sides.map(|side| whole(side, f64::round));
-                (sides, sides)
-            }
-            Fit::Pad => (sides.map(|side| side as u32), sides.map(|side| whole(side, f64::ceil))),
+        let first = match rule.fit {
+            Fit::Crop => [0, 1].map(|k| (scaled[k] - picture[k]) / 2),
+            Fit::Stretch | Fit::Pad => [0; 2],
         };
-        Layout { frame: (width, height), scaled: scaled.into(), picture: picture.into() }
+        Layout {
+            frame: (width, height),
+            scaled: scaled.into(),
+            first: first.into(),
+            picture: picture.into(),
+        }
     }
 
     /// A frame's picture: red, then green, then blue, row by row.
@@ -45,7 +75,10 @@ impl Layout {
         for channel in 0..3 {
             for y in 0..height {
                 for x in 0..width {
-                    let at = scaled.at(x.min(self.scaled.0 - 1), y.min(self.scaled.1 - 1));
+                    let at = scaled.at(
+                        (x + self.first.0).min(self.scaled.0 - 1),
+                        (y + self.first.1).min(self.scaled.1 - 1),
+                    );
                     let value = rule.white * at[channel];
                     out.push((value - rule.mean[channel]) / rule.deviation[channel]);
                 }
@@ -55,28 +88,43 @@ impl Layout {
     }
 
     /// What a network says of each pixel of the frame, by the nearest of its own pixels: the values on both
-    /// sides of an edge have no meaningful mean. `planes` are channels of `size` one after the other.
+    /// sides of an edge have no meaningful mean. `planes` are channels of `size` one after the other. Beyond what
+    /// was cut off the edge's values are repeated.
     pub fn nearest(&self, planes: &[f32], size: (u32, u32)) -> Image {
         let (width, height) = self.frame;
         let plane = size.0 as usize * size.1 as usize;
         let channels = planes.len() / plane;
         let mut out = Image::new(width, height, channels as u32);
+        let along = |axis: Axis, sides: (u32, u32)| match axis {
+            Axis::X => sides.0,
+            Axis::Y => sides.1,
+        };
+        // The place in the picture, then in the output, which may be coarser.
+        let place = |axis: Axis, i: u32| {
+            let side = |sides| f64::from(along(axis, sides));
+            let at =
+                self.picture_from_frame(axis, f64::from(i) + 0.5) * side(size) / side(self.picture);
+            (at.max(0.0) as u32).min(along(axis, size) - 1) as usize
+        };
         for y in 0..height {
+            let row = place(Axis::Y, y) * size.0 as usize;
             for x in 0..width {
-                let place = |i: u32, frame: u32, scaled: u32, picture: u32, size: u32| {
-                    // Of the picture's pixels, then of the output's, which may be coarser.
-                    let at = (f64::from(i) + 0.5) * f64::from(scaled) / f64::from(frame);
-                    ((at * f64::from(size) / f64::from(picture)) as u32).min(size - 1) as usize
-                };
-                let column = place(x, width, self.scaled.0, self.picture.0, size.0);
-                let row = place(y, height, self.scaled.1, self.picture.1, size.1);
-                let from = row * size.0 as usize + column;
+                let from = row + place(Axis::X, x);
                 for (c, to) in out.at_mut(x, y).iter_mut().enumerate() {
                     *to = planes[c * plane + from];
                 }
             }
         }
         out
+    }
+
+    /// A place in the frame as one in the picture.
+    pub fn picture_from_frame(&self, axis: Axis, at: f64) -> f64 {
+        let (frame, scaled, first) = match axis {
+            Axis::X => (self.frame.0, self.scaled.0, self.first.0),
+            Axis::Y => (self.frame.1, self.scaled.1, self.first.1),
+        };
+        at * f64::from(scaled) / f64::from(frame) - f64::from(first)
     }
 
     /// Pixels of the frame in a pixel of the picture, along both axes.
@@ -103,6 +151,37 @@ mod tests {
         assert_eq!(picture(rule(14, 518, Fit::Stretch), (180, 320)), (518, 924));
         assert_eq!(picture(rule(8, 0, Fit::Pad), (321, 180)), (328, 184));
         assert_eq!(picture(rule(64, 0, Fit::Stretch), (5, 3)), (64, 64));
+        assert_eq!(picture(rule(16, 0, Fit::Crop), (161, 95)), (160, 80));
+        assert_eq!(picture(rule(16, 0, Fit::Crop), (5, 33)), (16, 32));
+    }
+
+    #[test]
+    fn a_picture_of_a_told_size_is_stretched_padded_or_cut() {
+        let layout = |fit, size| {
+            let rule = PictureRule { size: [64, 32], ..rule(1, 0, fit) };
+            Layout::new(&rule, size)
+        };
+        let told = |layout: Layout| (layout.scaled, layout.first, layout.picture);
+        assert_eq!(told(layout(Fit::Stretch, (100, 20))), ((64, 32), (0, 0), (64, 32)));
+        assert_eq!(told(layout(Fit::Pad, (100, 20))), ((64, 13), (0, 0), (64, 32)));
+        assert_eq!(told(layout(Fit::Crop, (100, 20))), ((160, 32), (48, 0), (64, 32)));
+        assert_eq!(told(layout(Fit::Crop, (64, 33))), ((64, 33), (0, 0), (64, 32)));
+    }
+
+    #[test]
+    fn what_is_cut_off_is_cut_off_on_both_sides() {
+        let rule = rule(4, 0, Fit::Crop);
+        let mut frame = Image::new(7, 4, 3);
+        for (i, c) in frame.pixels.chunks_exact_mut(3).enumerate() {
+            c[0] = (i % 7) as f32;
+        }
+        let layout = Layout::new(&rule, (7, 4));
+        let picture = layout.picture(&rule, &frame);
+        assert_eq!(picture[..4], [1.0, 2.0, 3.0, 4.0]);
+        // Beyond what was cut off the edge is repeated.
+        let back = layout.nearest(&picture[..16], layout.picture);
+        let row: Vec<f32> = (0..7).map(|x| back.at(x, 2)[0]).collect();
+        assert_eq!(row, [1.0, 1.0, 2.0, 3.0, 4.0, 4.0, 4.0]);
     }
 
     #[test]
