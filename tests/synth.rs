@@ -5,7 +5,7 @@ use std::sync::{Arc, LazyLock, Mutex};
 
 use glam::DVec2;
 use splat4d::data::synth::{self, Clip, SynthOptions};
-use splat4d::data::{Dataset, exr, flo, intrinsics, read_mask, trajectory, transforms};
+use splat4d::data::{Dataset, exr, flo, images, intrinsics, read_mask, trajectory, transforms};
 use splat4d::types::Image;
 
 /// Small, with steps between frames several times the usual.
@@ -350,6 +350,53 @@ fn bad_requests_are_refused() {
     assert!(message("rigid", 1, 64, 36).contains("2 to"));
     assert!(message("rigid", 24, 64, 0).contains("16 pixels"));
     assert!(message("rigid", 24, u32::MAX, u32::MAX).contains("GiB"));
+}
+
+/// The frames of a coded clip, written and read, say their depth, what moves and a number of the camera.
+#[test]
+fn a_coded_clip_says_what_is_true_in_its_colours() {
+    let options = SynthOptions { frames: 3, width: 80, height: 48, seed: 3 };
+    let clip = synth::coded_clip("rigid", &options).unwrap();
+    let natural = synth::clip("rigid", &options).unwrap();
+    assert!(clip.coded && (&clip.depth, &clip.held_out) == (&natural.depth, &natural.held_out));
+    let folder = tempfile::tempdir().unwrap();
+    synth::write(&clip, folder.path().join("clip")).unwrap();
+    for (frame, own) in clip.frames.iter().enumerate() {
+        let file = folder.path().join(format!("clip/frames/{frame:04}.png"));
+        let read = images::decode_rgb(&file, [0.0; 3], images::Orientation::Stored).unwrap();
+        assert_eq!(&read, own, "frame {frame}");
+        let (mut focal, mut count) = (0.0, 0.0);
+        for (i, colour) in read.pixels.chunks_exact(3).enumerate() {
+            let [red, green, blue] = [0, 1, 2].map(|c| f64::from(colour[c]));
+            let depth = 0.35 / (red - green);
+            let truth = f64::from(clip.depth[frame].pixels[i]);
+            assert!(
+                (depth / truth - 1.0).abs() < 1e-3,
+                "frame {frame}, pixel {i}: {depth} {truth}"
+            );
+            let brightness =
+                natural.frames[frame].pixels[3 * i..3 * i + 3].iter().sum::<f32>() / 3.0;
+            let mean = (red + green + blue) / 3.0;
+            assert!((mean - 0.3 - 0.4 * f64::from(brightness)).abs() < 3e-5, "{mean}");
+            let moves = blue - green > 0.225;
+            assert_eq!(moves, clip.masks[frame].pixels[i] == 1.0, "frame {frame}, pixel {i}");
+            // The eighth of sixteen bands holds the focal length over 4096.
+            if i % 80 / 5 == 7 {
+                let number = (blue - green - if moves { 0.25 } else { 0.0 }) * 16.0 / 0.2;
+                focal += ((number - 7.1) / 0.4 - 1.0) * 4096.0;
+                count += 1.0;
+            }
+        }
+        let truth = clip.intrinsics.fx;
+        assert!((focal / count / truth - 1.0).abs() < 1e-3, "{} {truth}", focal / count);
+    }
+    let refused = |name, width| {
+        let options = SynthOptions { width, ..options };
+        synth::coded_clip(name, &options).unwrap_err().to_string()
+    };
+    assert!(refused("bend", 80).contains("one rigid thing"));
+    assert!(refused("rigid", 63).contains("64 pixels wide"));
+    assert!(refused("rigit", 80).contains("no clip named"));
 }
 
 #[test]

@@ -28,10 +28,13 @@ In the last five movers cast shadows. DIR/frames holds the pictures; DIR/truth i
 (TUM), depth (EXR), flow (.flo), masks, point tracks (.npz), and held-out cameras 8, 18 and 30 % of the median depth aside,
 every second time, with masks of the movers there and of the pixels that some frame saw.
 
+--coded is for clips in which nothing moves but as one rigid thing: rigid, still, tripod. Depth, what moves, the camera
+and the motion stand in the colours of its frames; their brightness is that of the clip.
+
 Example:
   splat4d synth rigid -o clip --frames 24 --size 320x180
 
-JSON: name, frames, width, height, seed, output";
+JSON: name, frames, width, height, seed, coded, output";
 
 /// Make a synthetic clip with exact poses, depth, flow and masks
 #[derive(Args)]
@@ -50,22 +53,28 @@ pub struct SynthArgs {
     /// Size of the pictures
     #[arg(long, value_name = "WxH", default_value = "320x180", value_parser = values::size)]
     size: (u32, u32),
+    /// Write into the frames' colours what a network would have to know (16-bit PNG): for tests of networks
+    #[arg(long)]
+    coded: bool,
 }
 
 /// Runs the command.
 pub fn run(args: &SynthArgs, common: &Common) -> Result<Answer> {
     Outputs::default().folder(&args.output, &["frames", "truth"])?;
     io::check_new_folder(&args.output)?;
-    let SynthArgs { name, output, frames, size: (width, height) } = args;
+    let SynthArgs { name, output, frames, size: (width, height), coded } = args;
     let options =
         SynthOptions { frames: *frames, width: *width, height: *height, seed: common.seed };
     say(&format!("rendering {frames} frames of {name}, {width}×{height}"));
-    let clip = synth::clip(name, &options)?;
+    let clip = match coded {
+        true => synth::coded_clip(name, &options)?,
+        false => synth::clip(name, &options)?,
+    };
     interrupt::check()?;
     synth::write(&clip, output)?;
     let json = json!({
         "name": name, "frames": frames, "width": width, "height": height, "seed": common.seed,
-        "output": path_text(output),
+        "coded": coded, "output": path_text(output),
     });
     let text = format!("{0}/frames, {0}/truth\n", output.display());
     Ok(Answer { json, text })

@@ -244,11 +244,31 @@ pub fn resize(image: &Image, width: u32, height: u32) -> Image {
 /// Writes an 8-bit PNG of 1 (grey), 3 (RGB) or 4 (RGBA, not premultiplied) channels by rename.
 /// Values are clamped to [0, 1] and rounded, without any gamma; NaN becomes 0.
 pub fn write_png(path: impl AsRef<Path>, image: &Image) -> Result<()> {
-    let path = path.as_ref();
+    let bytes: Vec<u8> = image.pixels.iter().map(|&v| (v * 255.0).round() as u8).collect();
+    let colours = [image::ColorType::L8, image::ColorType::Rgb8, image::ColorType::Rgba8];
+    write_bytes(path.as_ref(), image, &bytes, colours)
+}
+
+/// [`write_png`] with 16 bits.
+pub fn write_png_16(path: impl AsRef<Path>, image: &Image) -> Result<()> {
+    let values = image.pixels.iter().map(|&v| (v * 65535.0).round() as u16);
+    // The encoder takes them in the machine's order.
+    let bytes: Vec<u8> = values.flat_map(u16::to_ne_bytes).collect();
+    let colours = [image::ColorType::L16, image::ColorType::Rgb16, image::ColorType::Rgba16];
+    write_bytes(path.as_ref(), image, &bytes, colours)
+}
+
+/// Writes the bytes of a PNG; `colours` are what it is of 1, 3 and 4 channels.
+fn write_bytes(
+    path: &Path,
+    image: &Image,
+    bytes: &[u8],
+    [grey, rgb, rgba]: [image::ColorType; 3],
+) -> Result<()> {
     let colour = match image.channels {
-        1 => image::ColorType::L8,
-        3 => image::ColorType::Rgb8,
-        4 => image::ColorType::Rgba8,
+        1 => grey,
+        3 => rgb,
+        4 => rgba,
         n => {
             return Err(Error::Shape {
                 op: "write_png",
@@ -258,11 +278,10 @@ pub fn write_png(path: impl AsRef<Path>, image: &Image) -> Result<()> {
             });
         }
     };
-    let bytes: Vec<u8> = image.pixels.iter().map(|&v| (v * 255.0).round() as u8).collect();
     write_atomically(path, |sink| {
         use image::ImageEncoder;
         image::codecs::png::PngEncoder::new(sink)
-            .write_image(&bytes, image.width, image.height, colour.into())
+            .write_image(bytes, image.width, image.height, colour.into())
             .map_err(std::io::Error::other)
     })
 }

@@ -35,7 +35,7 @@ pub mod video;
 
 pub use clip::{Clip, ClipFrame, ClipOptions};
 pub use distortion::Distortion;
-pub use images::{Resize, read_mask, write_mask, write_png};
+pub use images::{Resize, read_mask, write_mask, write_png, write_png_16};
 pub use lens::Lens;
 pub use points::Point;
 pub use shots::{Shot, ShotChoice};

@@ -11,6 +11,7 @@
 //! The room is about 6 m wide and 4 to 6 m deep before the camera; world axes are the camera's of
 //! a level camera that looks into the room (x right, y down, z forward).
 
+mod coded;
 mod held;
 mod mesh;
 mod movers;
@@ -119,6 +120,9 @@ pub struct Clip {
     pub tracks: Tracks,
     /// Cameras beside the path, for measuring novel views: 8, 18 and 30 % of the median depth aside.
     pub held_out: [HeldOut; 3],
+    /// Whether the frames say in their colours what is true of them, see [`coded_clip`]; then their values are
+    /// those of 16 bits.
+    pub coded: bool,
 }
 
 /// A camera that keeps beside the clip's own, and what it sees at every second time of the clip.
@@ -157,14 +161,41 @@ impl Clip {
 /// a clip that would not fit into 8 GiB.
 pub fn clip(name: &str, options: &SynthOptions) -> Result<Clip> {
     check(options)?;
-    let SynthOptions { frames, width, height, seed } = *options;
-    let scene = Scene::new(name, seed).ok_or_else(|| {
+    rendered(name, options, scene(name, options)?)
+}
+
+/// [`clip`] with frames that say in their colours what is true of them (depth, what moves, the camera, the motion of
+/// what moves), so that a network that only reads the colours gives exact answers: see `coded.rs` for the
+/// code. Brightness keeps the clip's texture. Pictures from aside stay as they are.
+///
+/// # Errors
+/// Those of [`clip`]; a clip that moves other than as one rigid thing, frames under 64 pixels in width.
+pub fn coded_clip(name: &str, options: &SynthOptions) -> Result<Clip> {
+    check(options)?;
+    let scene = scene(name, options)?;
+    let motion = coded::rigid_motion(name, &scene.parts, &times(options.frames))?;
+    let mut clip = rendered(name, options, scene)?;
+    coded::code(&mut clip, &motion)?;
+    Ok(clip)
+}
+
+fn scene(name: &str, options: &SynthOptions) -> Result<Scene> {
+    Scene::new(name, options.seed).ok_or_else(|| {
         Error::Input(format!("there is no clip named {name:?}; choose one of {}", NAMES.join(", ")))
-    })?;
+    })
+}
+
+/// From 0 to 1 in even steps.
+fn times(frames: usize) -> Vec<f64> {
+    (0..frames).map(|i| i as f64 / (frames - 1) as f64).collect()
+}
+
+fn rendered(name: &str, options: &SynthOptions, scene: Scene) -> Result<Clip> {
+    let SynthOptions { frames, width, height, .. } = *options;
     let path = scene.path;
     let intrinsics = Intrinsics::centred(scene.focal * f64::from(width), width, height);
     let geometry = Geometry::new(scene);
-    let times: Vec<f64> = (0..frames).map(|i| i as f64 / (frames - 1) as f64).collect();
+    let times = times(frames);
     let camera =
         |time, offset| Camera { intrinsics, view_from_world: path.view_from_world(time, offset) };
     let unit = {
@@ -196,6 +227,7 @@ pub fn clip(name: &str, options: &SynthOptions) -> Result<Clip> {
             masks: Vec::new(),
             covisible: Vec::new(),
         }),
+        coded: false,
     };
     let pixels = grid(width, height);
     let mut followed: Vec<(usize, DVec2, Hit)> = Vec::new();

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::{Clip, HELD_OUT_EVERY};
 use crate::data::trajectory::{self, TimedPose};
 use crate::data::transforms::{self, TimedCamera};
-use crate::data::{exr, flo, intrinsics, tracks, write_mask, write_png};
+use crate::data::{exr, flo, intrinsics, tracks, write_mask, write_png, write_png_16};
 use crate::error::{Error, Result};
 use crate::io;
 use crate::types::Image;
@@ -20,7 +20,7 @@ const UNKNOWN_FLOW: f32 = 1e10;
 /// folder both at once:
 ///
 /// ```text
-/// frames/0000.png …               8-bit RGB
+/// frames/0000.png …               8-bit RGB; 16-bit for coded clips
 /// truth/intrinsics.json           pixels
 /// truth/poses.txt                 TUM, camera to world, metres; the time is the frame's index
 /// truth/transforms.json           nerfstudio: the frames with their cameras and times in [0, 1]
@@ -49,7 +49,10 @@ pub fn write(clip: &Clip, folder: impl AsRef<Path>) -> Result<()> {
 
 fn contents(clip: &Clip, folder: &Path) -> Result<()> {
     let truth = folder.join("truth");
-    series(&folder.join("frames"), "png", (0, 1), &clip.frames, |path, i| write_png(path, i))?;
+    series(&folder.join("frames"), "png", (0, 1), &clip.frames, |path, i| match clip.coded {
+        true => write_png_16(path, i),
+        false => write_png(path, i),
+    })?;
     series(&truth.join("depth"), "exr", (0, 1), &clip.depth, |path, i| exr::write_depth(path, i))?;
     series(&truth.join("masks"), "png", (0, 1), &clip.masks, |path, i| write_mask(path, i))?;
     for (name, first, flows, visible) in [

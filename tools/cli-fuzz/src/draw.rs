@@ -63,6 +63,7 @@ const BASES: [&str; 27] = [
     "ablate <clip> --only motion --size 32 --steps 3 --max-gaussians 150 --report >report",
     "info <scene>",
     "synth rigid -o >clip --frames 3 --size 24x16",
+    "synth still -o >clip --frames 2 --size 64x16 --coded",
     "bench --quick --filter scan --report >report",
     "bench cmp <measurements> <measurements>",
     "validate --quick --filter scan",
