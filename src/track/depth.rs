@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::cameras::Cameras;
 use super::distance::Behind;
-use super::estimated::aligned;
+use super::estimated::{Estimate, aligned};
 use super::masks::regions;
 use super::movers::{self, BOUND, KNOWN, Lifted, NEARER, nearest_pixel};
 use super::observer::Work;
@@ -41,8 +41,8 @@ const FILLED: f32 = 0.3;
 pub(super) const MEASURED: f32 = 0.5;
 /// Weight of what other frames show behind a mover.
 const HIDDEN_WEIGHT: f32 = 1.0;
-/// Weight of what a network estimates where nothing was measured.
-const ESTIMATED_WEIGHT: f32 = 1.0;
+/// Two measurements agree within so many deviations of their difference.
+const AGREE: f32 = 3.0;
 
 /// What [`super::Track`] holds of depth and movers.
 pub(super) struct Dense {
@@ -72,7 +72,7 @@ pub(super) fn layers(
         let layer = |f: usize| {
             let known = supplied.zip(scale).map(|(maps, scale)| (&maps[f], scale));
             let hidden = plates.map(|plates| plates[f].hidden.as_slice());
-            let told = Told { exact: known, estimated: estimated.as_ref().map(|all| &all[f][..]) };
+            let told = Told { exact: known, estimated: estimated.as_ref().map(|all| &all[f]) };
             static_layer(&frames[f], &masks[f], &seen[f], hidden, background.as_deref(), told)
         };
         range.into_par_iter().map(layer).collect()
@@ -183,13 +183,53 @@ impl Layer {
     }
 }
 
+/// Inverse depth of a pixel and its standard deviation.
+#[derive(Clone, Copy)]
+struct Known {
+    inverse: f32,
+    deviation: f32,
+}
+
+impl Known {
+    /// What a network says. Where its deviation is not known, or large, it still counts as much as a neighbour of
+    /// the same colour.
+    fn estimated(inverse: f32, relative_deviation: f32) -> Known {
+        let deviation = (relative_deviation * inverse).min(Known::jump(inverse));
+        Known { inverse, deviation }
+    }
+
+    /// By how much neighbours' inverse depth usually differs: a tenth.
+    fn jump(inverse: f32) -> f32 {
+        0.1 * (inverse + 0.1)
+    }
+
+    /// How much it counts beside a neighbour of the same colour.
+    fn weight(self) -> f32 {
+        (Known::jump(self.inverse) / self.deviation).powi(2).min(1e3)
+    }
+
+    /// With another measurement of the same: both, each by its deviation, where they agree; else the finer one.
+    fn beside(self, other: Known) -> Known {
+        let apart = (self.inverse - other.inverse).abs();
+        if apart > AGREE * self.deviation.hypot(other.deviation) {
+            return if other.deviation < self.deviation { other } else { self };
+        }
+        let [a, b] = [self, other].map(|known| known.deviation.powi(-2));
+        let total = a + b;
+        Known {
+            inverse: (a * self.inverse + b * other.inverse) / total,
+            deviation: total.sqrt().recip(),
+        }
+    }
+}
+
 /// What is known of a frame's depth beforehand.
 #[derive(Clone, Copy, Default)]
 struct Told<'a> {
     /// Depth that is kept, and what it is to be multiplied by.
     exact: Option<(&'a Image, f32)>,
-    /// Inverse depth that fills in what was not measured, 0 where unknown.
-    estimated: Option<&'a [f32]>,
+    /// Inverse depth that a network tells.
+    estimated: Option<&'a Estimate>,
 }
 
 fn static_layer(
@@ -208,9 +248,10 @@ fn static_layer(
         inverse: vec![1.0; n],
         confidence: vec![FILLED; n],
         supplied: vec![false; n],
-        estimated: estimated.map_or_else(Vec::new, <[f32]>::to_vec),
+        estimated: estimated.map_or_else(Vec::new, |estimate| estimate.inverse.clone()),
     };
-    let is_told = known.is_some() || estimated.is_some_and(|all| all.iter().any(|d| *d > 0.0));
+    let is_estimated = |estimate: &Estimate| estimate.inverse.iter().any(|d| *d > 0.0);
+    let is_told = known.is_some() || estimated.is_some_and(is_estimated);
     if let Some(background) = background.filter(|_| !is_told) {
         return Layer { inverse: background.to_vec(), ..layer };
     }
@@ -237,14 +278,21 @@ fn static_layer(
             background.is_none() && seen.support[i] >= 0.5 && seen.score[i] <= UNEXPLAINED;
         let (d, deviation) = (seen.inverse_depth[i], seen.deviation[i]);
         let doubt = deviation / (DOUBT.0 * d + DOUBT.1);
-        if measures && doubt < 1.0 {
-            value[i] = d.clamp(FARTHEST.recip(), NEAREST.recip());
-            // Relative to a jump of a tenth of the value between neighbours being usual.
-            weight[i] = (0.1 * (d + 0.1) / deviation).powi(2).min(1e3);
+        let measured = (measures && doubt < 1.0).then_some(Known { inverse: d, deviation });
+        if measured.is_some() {
             layer.confidence[i] = 0.5 + 0.5 * (1.0 - doubt);
-        } else if let Some(d) = estimated.map(|all| all[i]).filter(|d| *d > 0.0) {
-            (value[i], weight[i]) = (d.clamp(FARTHEST.recip(), NEAREST.recip()), ESTIMATED_WEIGHT);
         }
+        let estimate = estimated.and_then(|estimate| {
+            let d = estimate.inverse[i];
+            (d > 0.0).then(|| Known::estimated(d, estimate.deviation))
+        });
+        let known = match (measured, estimate) {
+            (Some(measured), Some(estimate)) => measured.beside(estimate),
+            (Some(one), None) | (None, Some(one)) => one,
+            (None, None) => continue,
+        };
+        value[i] = known.inverse.clamp(FARTHEST.recip(), NEAREST.recip());
+        weight[i] = known.weight();
     }
     if weight.iter().all(|w| *w == 0.0) {
         return layer;

@@ -31,10 +31,24 @@ const STRIDE: usize = 37;
 const ROUNDS: usize = 10;
 const BIWEIGHT: f64 = 6.0;
 const ALIKE: f64 = 0.005;
+/// The median of a normal variable's magnitude, in its standard deviations.
+const NORMAL_MEDIAN: f64 = 0.6745;
+/// Estimates are never taken to be finer, relative.
+const FINEST: f64 = 0.002;
 
-/// Inverse depth of each frame in the world's unit, 0 where unknown, also in all of a frame that cannot be
-/// aligned. Without anything to compare with in any frame, the median depth of all is the unit.
-pub(super) fn aligned(estimated: &EstimatedDepth, seen: &[Seen], masks: &[Image]) -> Vec<Vec<f32>> {
+/// What a network says of a frame, in the world's unit.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Estimate {
+    /// Inverse depth of each pixel, 0 where unknown, also in all of a frame that cannot be aligned.
+    pub inverse: Vec<f32>,
+    /// Relative standard deviation of it, measured where the static world was triangulated; infinite where nothing
+    /// could be compared.
+    pub deviation: f32,
+}
+
+/// Each frame's estimate in the world's unit. Without anything to compare with in any frame, the median depth of all
+/// is the unit.
+pub(super) fn aligned(estimated: &EstimatedDepth, seen: &[Seen], masks: &[Image]) -> Vec<Estimate> {
     let EstimatedDepth { maps, kind } = estimated;
     let fits: Vec<Option<Line>> = maps
         .par_iter()
@@ -43,16 +57,45 @@ pub(super) fn aligned(estimated: &EstimatedDepth, seen: &[Seen], masks: &[Image]
         .map(|((map, seen), mask)| fit(*kind, &pairs(*kind, map, seen, mask)))
         .collect();
     let blind = fits.iter().all(Option::is_none).then(|| usual(estimated));
-    maps.iter()
+    maps.par_iter()
         .zip(fits)
-        .map(|(map, fit)| {
+        .zip(seen.par_iter().zip(masks))
+        .map(|((map, fit), (seen, mask))| {
             let line = fit.or(blind);
-            map.pixels
-                .iter()
-                .map(|told| line.map_or(0.0, |line| line.inverse(*kind, *told)))
-                .collect()
+            let inverse = |told: &f32| line.map_or(0.0, |line| line.inverse(*kind, *told));
+            let inverse: Vec<f32> = map.pixels.iter().map(inverse).collect();
+            let deviation = match fit {
+                Some(_) => deviation(&inverse, seen, mask),
+                None => f32::INFINITY,
+            };
+            Estimate { inverse, deviation }
         })
         .collect()
+}
+
+/// The relative deviation of an aligned estimate: what is left of its differences to what was triangulated, once
+/// the deviation of that is taken off. Half of the pixels decide, so that wrong ones on either side do not.
+fn deviation(inverse: &[f32], seen: &Seen, mask: &Image) -> f32 {
+    let compared = |i: &usize| inverse[*i] > 0.0 && is_comparable(seen, mask, *i);
+    let (differences, own): (Vec<f64>, Vec<f64>) = (0..inverse.len())
+        .step_by(EVERY)
+        .filter(compared)
+        .map(|i| {
+            let relative = |value: f32| f64::from(value / seen.inverse_depth[i]);
+            ((relative(inverse[i]) - 1.0).abs(), relative(seen.deviation[i]))
+        })
+        .unzip();
+    if differences.len() < LEAST {
+        return f32::INFINITY;
+    }
+    let spread = quantile(differences, 0.5) / NORMAL_MEDIAN;
+    let left = spread * spread - quantile(own, 0.5).powi(2);
+    left.max(FINEST * FINEST).sqrt() as f32
+}
+
+/// Whether the depth of a pixel can be compared with what a network says of it.
+fn is_comparable(seen: &Seen, mask: &Image, i: usize) -> bool {
+    seen.support[i] >= SUPPORT && is_certain(seen, mask, i)
 }
 
 /// What is fitted: `factor` x + `shift`, of inverse depth or of depth.
@@ -88,8 +131,7 @@ fn known(kind: EstimatedKind, told: f32) -> Option<f64> {
 /// What the map says (x) and the inverse depth that was triangulated, of static pixels.
 fn pairs(kind: EstimatedKind, map: &Image, seen: &Seen, mask: &Image) -> Vec<(f64, f64)> {
     let pair = |i: usize| {
-        let certain = seen.support[i] >= SUPPORT && is_certain(seen, mask, i);
-        let x = certain.then(|| known(kind, map.pixels[i])).flatten()?;
+        let x = is_comparable(seen, mask, i).then(|| known(kind, map.pixels[i])).flatten()?;
         Some((x, f64::from(seen.inverse_depth[i])))
     };
     (0..map.pixels.len()).step_by(EVERY).filter_map(pair).collect()
@@ -321,7 +363,9 @@ mod tests {
     fn a_frames_own_scale_and_shift_are_found() {
         for kind in KINDS {
             let found = aligned(&told(kind), &[seen()], &nothing_moves());
-            for (i, d) in found[0].iter().enumerate() {
+            // It is right, and a ninth of what it is compared with is not.
+            assert!(found[0].deviation < 0.003, "{kind:?}: {}", found[0].deviation);
+            for (i, d) in found[0].inverse.iter().enumerate() {
                 let expected = truth(centre(i));
                 assert!(
                     (d / expected - 1.0).abs() < 1e-3,
@@ -338,8 +382,8 @@ mod tests {
         // Not a number, and farther away than anything can be.
         (estimated.maps[0].pixels[7], estimated.maps[0].pixels[8]) = (f32::NAN, -1e3);
         let found = aligned(&estimated, &[seen()], &nothing_moves());
-        assert_eq!((found[0][7], found[0][8]), (0.0, 0.0));
-        assert!(found[0][9] > 0.0);
+        assert_eq!((found[0].inverse[7], found[0].inverse[8]), (0.0, 0.0));
+        assert!(found[0].inverse[9] > 0.0);
     }
 
     #[test]
@@ -351,8 +395,8 @@ mod tests {
         estimated.maps.extend(told(EstimatedKind::ShiftedInverse).maps);
         let masks = [nothing_moves(), nothing_moves()].concat();
         let found = aligned(&estimated, &[seen(), seen()], &masks);
-        assert!(found[0].iter().all(|d| *d == 0.0));
-        assert!(found[1].iter().all(|d| *d > 0.0));
+        assert!(found[0].inverse.iter().all(|d| *d == 0.0));
+        assert!(found[1].inverse.iter().all(|d| *d > 0.0));
     }
 
     #[test]
@@ -360,7 +404,7 @@ mod tests {
         let blind = Seen { deviation: vec![f32::INFINITY; seen().score.len()], ..seen() };
         for kind in [EstimatedKind::Depth, EstimatedKind::ShiftedInverse] {
             let found = aligned(&told(kind), std::slice::from_ref(&blind), &nothing_moves());
-            let median = quantile(found[0].iter().map(|d| f64::from(*d)).collect(), 0.5);
+            let median = quantile(found[0].inverse.iter().map(|d| f64::from(*d)).collect(), 0.5);
             assert!((median - 1.0).abs() < 0.02, "{kind:?}: {median}");
         }
     }

@@ -301,7 +301,7 @@ impl Contract {
 
     /// That a model has the inputs and outputs of the contract, and no other inputs.
     fn check_model(&self, session: &Session) -> std::result::Result<(), String> {
-        let (inputs, outputs): (Vec<(&str, &[Shape])>, Vec<(&str, &[Shape])>) = match self {
+        let (inputs, outputs): (Vec<Named>, Vec<Named>) = match self {
             Contract::Depth(c) => (vec![(&c.input, PICTURE)], vec![(&c.output, PLANE)]),
             Contract::Flow(c) => {
                 let confidence = c.confidence.iter().map(|name| (name.as_str(), PLANE));
@@ -320,7 +320,7 @@ impl Contract {
                 (vec![(&c.input, PICTURE)], outputs.collect())
             }
             Contract::MaskDecoder(c) => {
-                let prompts: [(&str, &[Shape]); 4] = [
+                let prompts: [Named; 4] = [
                     (&c.points, PROMPTS),
                     (&c.labels, LABELS),
                     (&c.mask_input, PLANE_WITH_CHANNEL),
@@ -331,7 +331,7 @@ impl Contract {
                 (features.chain(prompts).collect(), outputs)
             }
             Contract::Features(c) => {
-                let outputs: [(&str, &[Shape]); 3] = [
+                let outputs: [Named; 3] = [
                     (&c.descriptors, DESCRIPTORS),
                     (&c.keypoints, PLANE_WITH_CHANNEL),
                     (&c.reliability, PLANE_WITH_CHANNEL),
@@ -386,6 +386,9 @@ impl PictureRule {
 
 /// A tensor's axes: how long each is, or what it is called where that is known only when it runs.
 type Shape = &'static [Axis];
+
+/// A tensor's name and the shapes that it may have.
+type Named<'a> = (&'a str, &'static [Shape]);
 
 /// An axis of a tensor.
 enum Axis {
