@@ -62,6 +62,9 @@ ms_ssim, lpips}], psnr_covisible, ssim_covisible (of a dataset with masks of wha
 pictures saw as well, DyCheck's: over those pixels, SSIM as the mean of its map there), ate_rmse,
 ate_relative (to the length of the camera's path), rpe_trans_rmse, rpe_rot_deg_rmse, scale, poses,
 focal_error (relative), depth_rel_median, mask_iou;
+scale_by: what told the scale between a scene and its truth: centres (of the cameras), or of a camera that stood
+still depth (the truth's), or pictures (no depth is there: the scale, one number, from which the scene looks most
+like held-out pictures; these figures are flattered by as much);
 ape_trans, ape_rot_deg, rpe_trans, rpe_rot_deg: of a trajectory the errors of centres (in the reference's
 unit) and rotations (degrees), absolute and relative, each {rmse, mean, median, std, min, max, sse};
 rpe_pairs: the pairs of poses that the relative ones compare (--rpe-delta; they are null without any).
@@ -87,7 +90,7 @@ What does not apply is null; so is an infinite PSNR.";
 const AT_A_TIME: usize = 8;
 
 /// Every key of the JSON, so that each is always there.
-const KEYS: [&str; 28] = [
+const KEYS: [&str; 29] = [
     "psnr",
     "ssim",
     "ms_ssim",
@@ -108,6 +111,7 @@ const KEYS: [&str; 28] = [
     "rpe_rot_deg",
     "rpe_pairs",
     "scale",
+    "scale_by",
     "poses",
     "focal_error",
     "depth_rel_median",

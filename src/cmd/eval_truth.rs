@@ -2,7 +2,8 @@
 //!
 //! The scene's own cameras are aligned to the true ones by a similarity; through it the held-out
 //! cameras are carried into the scene's frame and rendered there, and the scene's depth becomes
-//! metres. Depth, motion masks and the regions of the held-out pictures are measured where the folder
+//! metres. A camera that stood still does not tell the similarity's scale; depth does, or else the
+//! held-out pictures ([`eval_scale`](super::eval_scale)). Depth, motion masks and the regions of the held-out pictures are measured where the folder
 //! has them. They keep their true focal length; beside that, marked as such, stands what the scene shows
 //! through a lens of its own: a scene built with a slightly long focal length is slightly deep, and
 //! right only through that lens.
@@ -23,6 +24,7 @@ use splat4d::types::{Camera, Image, Pose};
 use splat4d::{Error, Result};
 
 use super::eval::{picture_keys, trajectory_keys};
+use super::eval_scale::{Sight, by_pictures};
 use super::held_out::{self, Comparisons, Judge, Shot, eight_bits};
 use super::interrupt;
 use super::meter::Meter;
@@ -69,11 +71,24 @@ pub fn measure(
     let mut found = trajectory_keys(&compare_trajectories(&ours, &theirs, Align::Sim3)?);
 
     let looks = look(device, scene, &pairs, truth)?;
+    let mut renderer = Renderer::new(device, scene)?;
+    let held_out = HeldOut { set, folder: truth.join("held_out"), pairs: &pairs };
     let alignment = align_cameras(&ours, &theirs, true)?;
     let mut truth_from_scene = alignment.reference_from_estimate;
+    let mut scale_by = Some("centres");
     if alignment.shape == Shape::Point {
         // A camera that stood still says nothing about the scale; what it saw does.
-        truth_from_scene = scaled_by_depth(truth_from_scene, &looks, &ours, &theirs);
+        let middles = [middle(&ours), middle(&theirs)];
+        let scaled = |scale: f64| scaled(truth_from_scene, scale, middles);
+        let found = match scale_of_depth(&looks) {
+            Some(scale) => Some((scale, "depth")),
+            None => {
+                let sights = held_out.sights(middles[1])?;
+                by_pictures(&mut renderer, scene, &sights, &scaled)?.map(|s| (s, "pictures"))
+            }
+        };
+        truth_from_scene = scaled(found.map_or(truth_from_scene.scale, |(scale, _)| scale));
+        scale_by = found.map(|(_, by)| by);
     }
     let focal = |c: &Camera| c.intrinsics.fx / f64::from(c.intrinsics.width);
     let relative = pairs.iter().map(|p| focal(&p.ours.camera) / focal(&p.truth.camera));
@@ -89,9 +104,9 @@ pub fn measure(
         ("depth_rel_median".to_string(), json!(depth)),
         ("mask_iou".to_string(), json!(iou)),
         ("scale".to_string(), json!(truth_from_scene.scale)),
+        ("scale_by".to_string(), json!(scale_by)),
     ]);
 
-    let mut renderer = Renderer::new(device, scene)?;
     let mut judge = Judge {
         renderer: &mut renderer,
         background: scene.background,
@@ -99,7 +114,6 @@ pub fn measure(
         comparisons: comparisons.as_ref(),
         lpips: extras.lpips,
     };
-    let held_out = HeldOut { set, folder: truth.join("held_out"), pairs: &pairs };
     found.extend(held_out.judged(&mut judge, &truth_from_scene.inverse(), focal_ratio)?);
     comparisons.map_or(Ok(()), Comparisons::finish)?;
     Ok(found)
@@ -210,25 +224,28 @@ fn stack(images: &[Image]) -> Result<Image> {
     Ok(Image { width, height, channels: 1, pixels })
 }
 
-/// The alignment with the scale that brings the scene's depths to the true ones, the median over all
-/// pixels; the middles of both camera paths stay on each other.
-fn scaled_by_depth(sim: Sim3, looks: &Looks, ours: &[Pose], theirs: &[Pose]) -> Sim3 {
+/// The scale that brings the scene's depths to the true ones, the median over all pixels; `None` where depth is
+/// not known.
+fn scale_of_depth(looks: &Looks) -> Option<f64> {
     let good = |d: f32| d.is_finite() && d > 0.0;
-    let Some((depth, true_depth)) = &looks.depth else { return sim };
+    let (depth, true_depth) = looks.depth.as_ref()?;
     let pixels = depth.pixels.iter().zip(&true_depth.pixels);
     let mut ratios: Vec<f64> = pixels
         .filter(|(ours, truth)| good(**ours) && good(**truth))
         .map(|(ours, truth)| f64::from(*truth) / f64::from(*ours))
         .collect();
-    if ratios.is_empty() {
-        return sim;
-    }
     let middle = ratios.len() / 2;
-    let scale = *ratios.select_nth_unstable_by(middle, f64::total_cmp).1;
-    let mean =
-        |poses: &[Pose]| poses.iter().map(|p| p.translation).sum::<DVec3>() / poses.len() as f64;
-    let translation = mean(theirs) - scale * (sim.rotation * mean(ours));
-    Sim3 { scale, translation, ..sim }
+    (!ratios.is_empty()).then(|| *ratios.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+/// The middle of a camera's path.
+fn middle(poses: &[Pose]) -> DVec3 {
+    poses.iter().map(|pose| pose.translation).sum::<DVec3>() / poses.len() as f64
+}
+
+/// An alignment with another scale; the middles of both paths, ours and the true one, stay on each other.
+fn scaled(sim: Sim3, scale: f64, [ours, theirs]: [DVec3; 2]) -> Sim3 {
+    Sim3 { scale, translation: theirs - scale * (sim.rotation * ours), ..sim }
 }
 
 /// The held-out pictures of a clip.
@@ -269,6 +286,25 @@ impl HeldOut<'_> {
                 .map(|key| (format!("{key}_own_focal"), own_focal[key].clone())),
         );
         Ok(found)
+    }
+
+    /// Some of them, evenly taken, as [`by_pictures`] compares them.
+    fn sights(&self, true_middle: DVec3) -> Result<Vec<Sight>> {
+        let known: Vec<(&Frame, f64)> = self
+            .set
+            .frames
+            .iter()
+            .filter_map(|frame| Some((frame, scene_time(self.pairs, frame.time)?)))
+            .collect();
+        let count = known.len().min(Sight::MOST);
+        let chosen = (0..count).map(|k| known[k * known.len() / count]);
+        let sight = |(frame, time): (&Frame, f64)| {
+            interrupt::check()?;
+            let view = frame.load(self.set.background, Sight::SIZE)?;
+            let centre = view.camera.view_from_world.inverse().translation;
+            Ok(Sight { aside: (centre - true_middle).length(), time, view })
+        };
+        chosen.map(sight).collect()
     }
 
     fn shot(&self, frame: &Frame, time: f64, scene_from_truth: &Sim3) -> Result<Shot> {

@@ -20,6 +20,7 @@ mod devices;
 mod encode;
 mod eval;
 mod eval_first;
+mod eval_scale;
 mod eval_tracks;
 mod eval_truth;
 mod fuzz;
