@@ -8,11 +8,11 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use serde_json::Value;
 use splat4d::data::layout::{self, Layout};
-use splat4d::data::{images, sintel};
+use splat4d::data::{images, poses_bounds, sintel};
 use splat4d::report::{Better, Figure, PublishedRow};
 use splat4d::{Error, Result};
 
-use super::staged::Staged;
+use super::staged::{Cameras, Source, Staged};
 use super::{eval_first, published};
 
 /// A published table.
@@ -32,6 +32,10 @@ pub enum Protocol {
     /// DyCheck's iPhone captures, poses unknown, measured where training pictures saw the same as well. DIR as
     /// for HyperNeRF
     Dycheck,
+    /// DyNeRF (Neural 3D Video), poses unknown: trained on the video of one camera, which stands still, tested
+    /// with other cameras. DIR is a scene with poses_bounds.npy and cam00.mp4, … or cam00/images, …, or a folder
+    /// of such
+    DynerfMono,
     /// MPI Sintel, cameras of 14 sequences of the final pass. DIR holds final and camdata_left, or is
     /// the folder above (training)
     SintelPose,
@@ -43,6 +47,8 @@ pub struct Choices {
     pub size: Option<u32>,
     /// Whether test pictures are measured from poses fitted to them as well.
     pub fit_poses: bool,
+    /// Who is trained on and tested with, of cameras that stand still.
+    pub cameras: Cameras,
     /// Options of `eval` for LPIPS.
     pub lpips: Vec<OsString>,
     /// Further options of the command that makes the scene.
@@ -53,8 +59,8 @@ pub struct Choices {
 pub struct Work {
     pub scene: String,
     pub folder: PathBuf,
-    /// The dataset that is laid out as a clip and its truth first.
-    pub staged: Option<PathBuf>,
+    /// What is laid out as a clip and its truth first.
+    pub staged: Option<Source>,
     pub steps: Vec<Step>,
 }
 
@@ -72,6 +78,7 @@ impl Protocol {
             Protocol::Dnerf => "D-NeRF, poses given",
             Protocol::HypernerfVrig => "HyperNeRF, validation rig, poses unknown",
             Protocol::Dycheck => "DyCheck, iPhone captures, poses unknown",
+            Protocol::DynerfMono => "DyNeRF, one camera, poses unknown",
             Protocol::SintelPose => "MPI Sintel, camera poses",
         }
     }
@@ -90,13 +97,19 @@ impl Protocol {
             }
             Protocol::Dnerf => {
                 "Trained on the train split with the given poses; tested on the test split. PSNR, SSIM \
-                 and MS-SSIM are means over the test pictures."
+                 and MS-SSIM are means over the test pictures, unrounded."
             }
             Protocol::HypernerfVrig | Protocol::Dycheck => {
                 "Trained on the training pictures without their poses; tested with the set's test \
                  pictures, from its cameras brought to the scene by a similarity: rotation from the \
                  training cameras' orientations, scale and translation from their centres. PSNR, SSIM and \
                  MS-SSIM are means over the test pictures, of 8 bits."
+            }
+            Protocol::DynerfMono => {
+                "Trained on one camera's video without its pose; tested with what other cameras saw at \
+                 the same times, from their calibrated places beside it. A camera that stands still does not \
+                 tell the scale: that one number is fitted to test pictures of each scene, nothing else. \
+                 PSNR, SSIM and MS-SSIM are means over the test pictures, of 8 bits."
             }
             Protocol::SintelPose => {
                 "Intrinsics and poses unknown, all frames of the final pass. ATE: root mean square of \
@@ -116,6 +129,14 @@ impl Protocol {
                 "Published means are over broom2, vrig-3dprinter, vrig-chicken and vrig-peel-banana, at \
                  960×540 as their papers say."
                     .into(),
+            );
+        }
+        if self == Protocol::DynerfMono {
+            let Cameras { train, test } = &choices.cameras;
+            let test: Vec<&str> = test.iter().map(String::as_str).collect();
+            lines.push(format!("Trained on {train}, tested with {}.", test.join(", ")));
+            lines.push(
+                "Published figures do not say which cameras, scenes and size they are of.".into(),
             );
         }
         if self == Protocol::Dycheck {
@@ -170,14 +191,16 @@ impl Protocol {
             figures.push(of("fitted_psnr", "PSNR fitted, dB", Better::More));
             figures.push(of("fitted_ssim", "SSIM fitted", Better::More));
         }
-        if self != Protocol::Dnerf {
-            figures.push(of("pose_minutes", "poses, min", Better::Less));
+        if self == Protocol::Dnerf {
+            figures.push(of("train_minutes", "training, min", Better::Less));
+        } else {
+            figures.extend([
+                of("pose_minutes", "poses, min", Better::Less),
+                of("train_minutes", "training, min", Better::Less),
+                of("minutes", "both, min", Better::Less),
+            ]);
         }
-        figures.extend([
-            of("train_minutes", "training, min", Better::Less),
-            of("fps", "frames/s", Better::More),
-            of("storage_mb", "MB", Better::Less),
-        ]);
+        figures.extend([of("fps", "frames/s", Better::More), of("storage_mb", "MB", Better::Less)]);
         figures
     }
 
@@ -189,6 +212,7 @@ impl Protocol {
             Protocol::HypernerfVrig => published::HYPERNERF,
             // None was found of the same protocol, without given poses.
             Protocol::Dycheck => &[],
+            Protocol::DynerfMono => published::DYNERF,
             Protocol::SintelPose => published::SINTEL,
         })
     }
@@ -217,8 +241,15 @@ impl Protocol {
                 .collect(),
             Protocol::HypernerfVrig | Protocol::Dycheck => scenes(folder, nerfies)?
                 .into_iter()
-                .map(|(scene, set)| choices.staged_work(&output.join(&scene), scene, set))
+                .map(|(scene, set)| choices.staged_work(&output.join(&scene), scene, set, None))
                 .collect(),
+            Protocol::DynerfMono => scenes(folder, standing)?
+                .into_iter()
+                .map(|(scene, (set, names))| {
+                    let cameras = Some(choices.of_these(&set, &names)?);
+                    Ok(choices.staged_work(&output.join(&scene), scene, set, cameras))
+                })
+                .collect::<Result<_>>()?,
             Protocol::SintelPose => sequences(folder)?
                 .into_iter()
                 .map(|(scene, (frames, cameras))| {
@@ -239,6 +270,7 @@ impl Protocol {
             Protocol::Nvidia => "a folder of frames and one of pictures named v000_t001.png, …",
             Protocol::Dnerf => "transforms_train.json and transforms_test.json",
             Protocol::HypernerfVrig | Protocol::Dycheck => "scene.json, dataset.json and camera/",
+            Protocol::DynerfMono => "poses_bounds.npy and cam00.mp4, … or cam00/images, …",
             Protocol::SintelPose => "final/alley_2, … and camdata_left/alley_2, …",
         }
     }
@@ -281,12 +313,32 @@ impl Choices {
         Work { scene, folder: folder.to_path_buf(), staged: None, steps: steps.into() }
     }
 
-    /// The work of a dataset whose poses are not to be known.
-    fn staged_work(&self, folder: &Path, scene: String, set: PathBuf) -> Work {
+    /// The work of a dataset whose poses are not to be known; without cameras it has a split of its own.
+    fn staged_work(
+        &self,
+        folder: &Path,
+        scene: String,
+        dataset: PathBuf,
+        cameras: Option<Cameras>,
+    ) -> Work {
         let staged = Staged::within(folder);
         let eval = vec![staged.truth.into_os_string()];
         let work = self.scene_work(folder, scene, ("reconstruct", &staged.frames), eval);
-        Work { staged: Some(set), ..work }
+        Work { staged: Some(Source { dataset, size: self.size, cameras }), ..work }
+    }
+
+    /// The chosen cameras, which are among those of a set.
+    fn of_these(&self, set: &Path, names: &[String]) -> Result<Cameras> {
+        let Cameras { train, test } = &self.cameras;
+        let chosen = [("--train-camera", train)].into_iter();
+        let chosen = chosen.chain(test.iter().map(|name| ("--test-cameras", name)));
+        for (option, name) in chosen {
+            if !names.contains(name) {
+                let what = format!("has no {name} ({option}); there are {}", names.join(", "));
+                return Err(Error::format(set, what));
+            }
+        }
+        Ok(self.cameras.clone())
     }
 
     /// The work of a clip whose cameras alone are found.
@@ -338,8 +390,11 @@ pub fn figures(answers: &BTreeMap<&'static str, Value>, folder: &Path) -> BTreeM
             let known: Vec<f64> = stages.iter().filter_map(seconds).collect();
             (!known.is_empty()).then(|| known.iter().sum::<f64>() / 60.0)
         };
-        add("pose_minutes", minutes(&["flow", "cameras", "masks", "depth"]));
-        add("train_minutes", minutes(&["static", "joint", "train"]));
+        let poses = minutes(&["flow", "cameras", "masks", "depth"]);
+        let training = minutes(&["static", "joint", "train"]);
+        add("pose_minutes", poses);
+        add("train_minutes", training);
+        add("minutes", poses.zip(training).map(|(poses, training)| poses + training));
     }
     add("fps", at("render", "milliseconds_per_frame").as_f64().map(|ms| 1e3 / ms));
     let size = std::fs::metadata(folder.join("scene.safetensors")).ok();
@@ -398,6 +453,12 @@ fn split(scene: &Path) -> Result<Option<PathBuf>> {
 fn nerfies(scene: &Path) -> Result<Option<PathBuf>> {
     let is_there = matches!(layout::find(scene), Ok(Layout::Nerfies(_, None)));
     Ok(is_there.then(|| scene.to_path_buf()))
+}
+
+/// A set of cameras that stand still, and their names.
+fn standing(scene: &Path) -> Result<Option<(PathBuf, Vec<String>)>> {
+    let names = poses_bounds::camera_names(scene)?;
+    Ok((!names.is_empty()).then(|| (scene.to_path_buf(), names)))
 }
 
 /// The frames and cameras of those of [`sintel::SEQUENCES`] that are there.

@@ -1,18 +1,43 @@
-//! A dataset with cameras and a split of its own, laid out as a clip without poses and the truth that `eval` holds
-//! the result against: how scenes whose poses are unknown are measured from test cameras that were calibrated
-//! together with the input's.
+//! A dataset with cameras and a split, its own or by cameras, laid out as a clip without poses and the truth that
+//! `eval` holds the result against: how scenes whose poses are unknown are measured from test cameras that were
+//! calibrated together with the input's.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use serde_json::{Value, json};
 use splat4d::data::transforms::{self, TimedCamera};
-use splat4d::data::{Dataset, Frame, Resize, write_mask, write_png};
-use splat4d::{Error, Result};
+use splat4d::data::{Dataset, Resize, View, write_mask, write_png};
+use splat4d::types::Camera;
+use splat4d::{Error, Result, io};
 
 use super::interrupt;
 
+/// The file that tells what a clip was laid out of.
+const MARKER: &str = "source.json";
+/// Pictures that are in memory at a time. A video is decoded from its beginning for each such group.
+const AT_A_TIME: usize = 32;
+
+/// What is laid out.
+pub struct Source {
+    pub dataset: PathBuf,
+    /// Longer side of test pictures and of training pictures that lie in a video, where they are shrunk.
+    pub size: Option<u32>,
+    /// Who is trained on and tested with; `None`: the set has a split of its own.
+    pub cameras: Option<Cameras>,
+}
+
+/// Cameras of a set in which several stand still, by their names.
+#[derive(Clone)]
+pub struct Cameras {
+    pub train: String,
+    pub test: BTreeSet<String>,
+}
+
 /// Where the parts of a staged dataset lie.
 pub struct Staged {
+    clip: PathBuf,
     /// The training pictures, in the order of time.
     pub frames: PathBuf,
     /// Their cameras, the test pictures with theirs, and what the training pictures saw of these.
@@ -22,82 +47,172 @@ pub struct Staged {
 impl Staged {
     /// In a folder, which need not exist yet.
     pub fn within(folder: &Path) -> Staged {
-        Staged { frames: folder.join("clip/frames"), truth: folder.join("clip/truth") }
+        let clip = folder.join("clip");
+        Staged { frames: clip.join("frames"), truth: clip.join("truth"), clip }
     }
 
-    /// Lays a dataset out, unless it lies there already. Training pictures stay as they are, with their lens's
-    /// distortion; test pictures are undistorted, at their own size.
+    /// Lays a dataset out, unless it lies there already; gives whether it did. Training pictures that are files
+    /// stay as they are, with their lens's distortion; test pictures are undistorted.
     ///
     /// # Errors
-    /// The dataset cannot be read, has no split, has training pictures of one time or in a video; the folder
-    /// cannot be written.
-    pub fn lay_out(&self, dataset: &Path) -> Result<()> {
-        // It is written last.
-        let last = self.truth.join("held_out/transforms.json");
-        if last.is_file() {
-            return Ok(());
+    /// The dataset cannot be read, has no split, has training pictures of one time; the folder cannot be written,
+    /// or holds something else.
+    pub fn lay_out(&self, source: &Source) -> Result<bool> {
+        let marker = self.clip.join(MARKER);
+        let told = source.json();
+        if marker.is_file() {
+            if io::read_json(&marker)? == told {
+                return Ok(false);
+            }
+            // The marker says that it is of this command, of another set or other options.
+            fs::remove_dir_all(&self.clip).map_err(Error::io(&self.clip))?;
         }
-        let set = Dataset::open(dataset)?;
-        let (mut train, test) = set.split(0);
+        io::write_folder(&self.clip, &["frames", "truth", MARKER], |clip| {
+            source.write(clip)?;
+            io::write_json(clip.join(MARKER), &told)
+        })?;
+        Ok(true)
+    }
+}
+
+impl Source {
+    fn json(&self) -> Value {
+        let Source { dataset, size, cameras } = self;
+        let [train, test] = match cameras {
+            Some(Cameras { train, test }) => [json!(train), json!(test)],
+            None => [Value::Null, Value::Null],
+        };
+        json!({ "dataset": dataset.to_string_lossy(), "size": size, "train": train, "test": test })
+    }
+
+    fn write(&self, clip: &Path) -> Result<()> {
+        let set = Dataset::open(&self.dataset)?;
+        let (train, test) = self.split(&set)?;
+        let laid = self.train(&set, &train, &clip.join("frames"))?;
+        let held_out = clip.join("truth/held_out");
+        let tests = self.test(&set, &test, &held_out)?;
+        laid.write(&clip.join("truth"))?;
+        tests.write(&held_out)
+    }
+
+    /// What is trained on, in the order of time, and what is tested with.
+    fn split(&self, set: &Dataset) -> Result<(Vec<usize>, Vec<usize>)> {
+        let (mut train, test) = match &self.cameras {
+            None => set.split(0),
+            Some(cameras) => {
+                let of = |is: &dyn Fn(&str) -> bool| -> Vec<usize> {
+                    let frames = set.frames.iter().enumerate();
+                    frames.filter(|(_, frame)| is(camera(&frame.name))).map(|(i, _)| i).collect()
+                };
+                (of(&|name| name == cameras.train), of(&|name| cameras.test.contains(name)))
+            }
+        };
         train.sort_by(|&a, &b| set.frames[a].time.total_cmp(&set.frames[b].time));
-        check(dataset, &set, &train, &test)?;
-        let held_out = self.truth.join("held_out");
-        for folder in [&self.frames, &held_out.join("test"), &held_out.join("covisible/test")] {
-            fs::create_dir_all(folder).map_err(Error::io(folder))?;
+        let bad = |what: String| Err(Error::format(&self.dataset, what));
+        if train.len() < 2 || test.is_empty() {
+            let what =
+                "has no split into training and test pictures, or fewer than two to train on";
+            return bad(what.into());
         }
-        let (mut cameras, mut files) = (Vec::new(), Vec::new());
-        for (i, frame) in train.iter().map(|&i| &set.frames[i]).enumerate() {
+        let frames = |pair: &[usize]| [pair[0], pair[1]].map(|i| &set.frames[i]);
+        match train.windows(2).map(frames).find(|[a, b]| a.time == b.time) {
+            Some([a, b]) => bad(format!(
+                "{} and {} were taken at one time; a clip is of one camera",
+                a.name, b.name
+            )),
+            None => Ok((train, test)),
+        }
+    }
+
+    fn train(&self, set: &Dataset, train: &[usize], folder: &Path) -> Result<Listing> {
+        fs::create_dir_all(folder).map_err(Error::io(folder))?;
+        let mut listing = Listing::default();
+        if train.iter().any(|&i| set.frames[i].number.is_some()) {
+            self.each(set, train, |place, _, view| {
+                let name = format!("{place:04}.png");
+                write_png(folder.join(&name), &view.image)?;
+                listing.add(view.time, view.camera, format!("../frames/{name}"));
+                Ok(())
+            })?;
+            return Ok(listing);
+        }
+        for (place, frame) in train.iter().map(|&i| &set.frames[i]).enumerate() {
             interrupt::check()?;
             let extension = frame.path.extension().unwrap_or_default().to_string_lossy();
-            let name = format!("{i:04}.{extension}");
-            link(&frame.path, &self.frames.join(&name))?;
-            cameras.push(timed(frame));
-            files.push(format!("../frames/{name}"));
+            let name = format!("{place:04}.{extension}");
+            link(&frame.path, &folder.join(&name))?;
+            listing.add(frame.time, frame.camera, format!("../frames/{name}"));
         }
-        transforms::write(self.truth.join("transforms.json"), &cameras, &files, None)?;
-        let (mut cameras, mut files) = (Vec::new(), Vec::new());
-        for (i, frame) in test.iter().map(|&i| &set.frames[i]).enumerate() {
-            interrupt::check()?;
-            let file = format!("test/{i:04}.png");
-            write_png(held_out.join(&file), &frame.load(set.background, Resize::Keep)?.image)?;
-            if let Some(mask) = frame.load_covisible(Resize::Keep)? {
-                write_mask(held_out.join("covisible").join(&file), &mask)?;
+        Ok(listing)
+    }
+
+    fn test(&self, set: &Dataset, test: &[usize], folder: &Path) -> Result<Listing> {
+        let mut listing = Listing::default();
+        self.each(set, test, |place, index, view| {
+            // One folder for each camera: what `eval` counts together.
+            let of = if self.cameras.is_some() { camera(&view.name) } else { "test" };
+            let file = format!("{of}/{place:04}.png");
+            let path = folder.join(&file);
+            fs::create_dir_all(folder.join(of)).map_err(Error::io(&path))?;
+            write_png(path, &view.image)?;
+            if let Some(mask) = set.frames[index].load_covisible(self.resize())? {
+                let path = folder.join("covisible").join(&file);
+                fs::create_dir_all(folder.join("covisible").join(of)).map_err(Error::io(&path))?;
+                write_mask(path, &mask)?;
             }
-            cameras.push(timed(frame));
-            files.push(file);
+            listing.add(view.time, view.camera, file);
+            Ok(())
+        })?;
+        Ok(listing)
+    }
+
+    /// Hands over some frames of the set one by one, decoded: the place among the indices, the index, the view.
+    fn each(
+        &self,
+        set: &Dataset,
+        indices: &[usize],
+        mut of: impl FnMut(usize, usize, &View) -> Result<()>,
+    ) -> Result<()> {
+        for (group, indices) in indices.chunks(AT_A_TIME).enumerate() {
+            interrupt::check()?;
+            let views = set.load(indices, self.resize())?;
+            for (i, (view, index)) in views.iter().zip(indices).enumerate() {
+                of(group * AT_A_TIME + i, *index, view)?;
+            }
         }
-        transforms::write(last, &cameras, &files, None)
+        Ok(())
+    }
+
+    fn resize(&self) -> Resize {
+        self.size.map_or(Resize::Keep, Resize::Longest)
     }
 }
 
-/// That it has what is trained on and what is tested with, and one camera's clip in it.
-fn check(path: &Path, set: &Dataset, train: &[usize], test: &[usize]) -> Result<()> {
-    let bad = |what: String| Err(Error::format(path, what));
-    if train.len() < 2 || test.is_empty() {
-        let what = "has no split into training and test pictures, or fewer than two to train on";
-        return bad(what.into());
+/// Cameras and the files of their pictures.
+#[derive(Default)]
+struct Listing {
+    cameras: Vec<TimedCamera>,
+    files: Vec<String>,
+}
+
+impl Listing {
+    fn add(&mut self, time: f64, camera: Camera, file: String) {
+        self.cameras.push(TimedCamera { time, camera });
+        self.files.push(file);
     }
-    let frames = |pair: &[usize]| [pair[0], pair[1]].map(|i| &set.frames[i]);
-    if let Some([a, b]) = train.windows(2).map(frames).find(|[a, b]| a.time == b.time) {
-        return bad(format!(
-            "{} and {} were taken at one time; a clip is of one camera",
-            a.name, b.name
-        ));
-    }
-    match train.iter().map(|&i| &set.frames[i]).find(|frame| frame.number.is_some()) {
-        Some(frame) => bad(format!("{} lies in a video; extract its frames first", frame.name)),
-        None => Ok(()),
+
+    fn write(&self, folder: &Path) -> Result<()> {
+        fs::create_dir_all(folder).map_err(Error::io(folder))?;
+        transforms::write(folder.join("transforms.json"), &self.cameras, &self.files, None)
     }
 }
 
-fn timed(frame: &Frame) -> TimedCamera {
-    TimedCamera { time: frame.time, camera: frame.camera }
+/// The camera that a frame is of: `cam05` of `cam05/0003`.
+fn camera(frame: &str) -> &str {
+    frame.split_once('/').map_or(frame, |(camera, _)| camera)
 }
 
 /// The same file under another name, without a copy where the file system allows it.
 fn link(from: &Path, to: &Path) -> Result<()> {
-    if to.exists() {
-        return Ok(());
-    }
     fs::hard_link(from, to).or_else(|_| fs::copy(from, to).map(drop)).map_err(Error::io(to))
 }

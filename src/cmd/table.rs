@@ -16,7 +16,7 @@ use super::common::{Answer, Common, path_text, say};
 use super::networks::LpipsArgs;
 use super::outputs::Outputs;
 use super::protocols::{Choices, Protocol, Work, figures};
-use super::staged::Staged;
+use super::staged::{Cameras, Staged};
 use super::{child, interrupt, parsed, values};
 
 const AFTER_HELP: &str = "\
@@ -32,6 +32,7 @@ Examples:
   splat4d table nvidia nvidia_scenes -o out --size 480
   splat4d table dnerf dnerf -o out --size 400 -- --steps 5000 --max-gaussians 20000
   splat4d table hypernerf-vrig hypernerf -o out --size 960 --fit-poses
+  splat4d table dynerf-mono dynerf -o out --size 1352 -- --models models
   splat4d table sintel-pose MPI-Sintel -o out
 
 JSON: version, title, caption [], machine {device, driver, kind, software, subgroup_size, threads}, figures
@@ -59,6 +60,12 @@ pub struct TableArgs {
     #[arg(long, value_name = "LONGEST",
           value_parser = values::whole::<u32>(1..=values::MOST_PIXELS))]
     size: Option<u32>,
+    /// dynerf-mono: the camera whose video is trained on [default: cam00]
+    #[arg(long, value_name = "NAME")]
+    train_camera: Option<String>,
+    /// dynerf-mono: the cameras whose videos are tested with [default: cam05,cam06]
+    #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
+    test_cameras: Vec<String>,
     /// Measure a second time from test poses that are fitted to the test pictures
     #[arg(long)]
     fit_poses: bool,
@@ -74,6 +81,7 @@ pub fn run(args: &TableArgs, common: &Common) -> Result<(Answer, ExitCode)> {
     let choices = Choices {
         size: args.size,
         fit_poses: args.fit_poses,
+        cameras: args.cameras()?,
         lpips: args.lpips.arguments(),
         making: args.making.clone(),
     };
@@ -127,6 +135,30 @@ pub fn run(args: &TableArgs, common: &Common) -> Result<(Answer, ExitCode)> {
     Ok((Answer { text: table.text(), json }, ExitCode::from(u8::from(table.failed() > 0))))
 }
 
+impl TableArgs {
+    /// Who is trained on and tested with where the protocol leaves that open.
+    fn cameras(&self) -> Result<Cameras> {
+        let TableArgs { protocol, train_camera, test_cameras, .. } = self;
+        if *protocol != Protocol::DynerfMono && (train_camera.is_some() || !test_cameras.is_empty())
+        {
+            let what = "--train-camera and --test-cameras are of dynerf-mono alone; the other protocols say \
+                        themselves what is trained on and tested with";
+            return Err(Error::Input(what.into()));
+        }
+        let train = train_camera.clone().unwrap_or_else(|| "cam00".into());
+        let test = match &test_cameras[..] {
+            [] => ["cam05", "cam06"].map(str::to_owned).into(),
+            named => named.iter().cloned().collect(),
+        };
+        let cameras = Cameras { train, test };
+        if cameras.test.contains(&cameras.train) {
+            let what = format!("{} is trained on; --test-cameras takes others", cameras.train);
+            return Err(Error::Input(what));
+        }
+        Ok(cameras)
+    }
+}
+
 /// That nothing is written among what is read.
 fn check_apart(folder: &Path, output: &Path) -> Result<()> {
     let set = std::fs::canonicalize(folder).map_err(Error::io(folder))?;
@@ -170,11 +202,11 @@ fn check(work: &Work) -> Result<()> {
 /// before was done anew, else by running them.
 fn answers(work: &Work) -> Result<BTreeMap<&'static str, Value>> {
     std::fs::create_dir_all(&work.folder).map_err(Error::io(&work.folder))?;
-    if let Some(set) = &work.staged {
-        Staged::within(&work.folder).lay_out(set)?;
-    }
     let mut found = BTreeMap::new();
-    let mut anew = false;
+    let mut anew = match &work.staged {
+        Some(source) => Staged::within(&work.folder).lay_out(source)?,
+        None => false,
+    };
     for step in &work.steps {
         interrupt::check()?;
         let file = work.folder.join(format!("{}.json", step.name));

@@ -121,6 +121,18 @@ pub fn read(root: &Path, pictures: Option<&Path>) -> Result<Dataset> {
     Ok(set)
 }
 
+/// The names of the cameras that stand still beside a file, `cam00`, …, in their order; none where it is of one
+/// camera that moves, or where there is no such file.
+///
+/// # Errors
+/// [`Error::Io`]: the folder cannot be read.
+pub fn camera_names(root: &Path) -> Result<Vec<String>> {
+    match is_root(root) {
+        true => Ok(cameras(root)?.into_iter().map(|taken| taken.name).collect()),
+        false => Ok(Vec::new()),
+    }
+}
+
 /// What a camera that stands still took: a video, or a folder of its frames.
 #[derive(Clone, Debug)]
 struct Taken {
