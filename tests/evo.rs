@@ -7,14 +7,13 @@ mod python;
 mod support;
 
 use std::fs;
-use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 use glam::{DMat3, DQuat, DVec3};
 use serde_json::{Value, json};
 
-use python::python;
+use python::answer;
 use support::shared;
 
 /// Largest difference allowed, absolute or relative.
@@ -74,21 +73,6 @@ fn written(folder: &Path, name: &str, poses: usize, wrong: f64) -> [Source; 3] {
         Source { path, format }
     });
     files.collect::<Vec<Source>>().try_into().ok().unwrap()
-}
-
-/// What evo measures, of all cases at once: its start takes longer than most of them.
-fn by_evo(cases: &[Value]) -> Vec<Value> {
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/support/by_evo.py");
-    let mut evo = Command::new(python("evo", "import evo.main_rpe"))
-        .arg(script)
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .spawn()
-        .unwrap();
-    evo.stdin.take().unwrap().write_all(json!(cases).to_string().as_bytes()).unwrap();
-    let output = evo.wait_with_output().unwrap();
-    assert!(output.status.success(), "evo failed");
-    serde_json::from_slice(&output.stdout).unwrap()
 }
 
 fn by_us(case: &Value) -> Value {
@@ -189,9 +173,11 @@ fn errors_of_trajectories_equal_evos() {
             cases.extend(["none", "se3", "sim3"].map(case));
         }
     }
-    let theirs = by_evo(&cases);
+    // All cases at once: evo's start takes longer than most of them.
+    let theirs = answer("evo", "import evo.main_rpe", "by_evo.py", &json!(cases));
+    let theirs = theirs.as_array().unwrap();
     assert_eq!(theirs.len(), cases.len());
-    for (case, theirs) in cases.iter().zip(&theirs) {
+    for (case, theirs) in cases.iter().zip(theirs) {
         let ours = by_us(case);
         same(case, &ours, theirs);
         let published = match case["name"].as_str().unwrap() {

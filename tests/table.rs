@@ -2,20 +2,26 @@
 
 #![cfg(feature = "cli")]
 
+mod common;
 #[path = "support/program.rs"]
 mod program;
+#[path = "support/python.rs"]
+mod python;
 #[path = "support/runtime.rs"]
 mod runtime;
 mod support;
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
+use glam::DVec3;
 use program::{fails, json, run, stderr};
 use serde_json::{Value, json as object};
-use splat4d::data::images::{Orientation, decode_rgb};
-use splat4d::data::{Dataset, transforms};
-use splat4d::types::{Camera, Image};
+use splat4d::data::{Dataset, Resize, images, transforms};
+use splat4d::renderer::Renderer;
+use splat4d::scene::Scene;
+use splat4d::types::Camera;
 use support::says;
 use tempfile::TempDir;
 
@@ -32,27 +38,39 @@ fn clip(folder: &Path, frames: usize) {
     json(folder, &format!("synth rigid -o clip --frames {frames} --size 96x54 --seed 1"));
 }
 
-/// PSNR over the pictures that `eval` shows, truth and render side by side, each of them by itself.
-fn psnr_of_pictures(folder: &Path) -> f64 {
-    let mut files: Vec<_> = fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()).collect();
-    files.sort();
-    let of = |file: &PathBuf| {
-        let sheet: Image = decode_rgb(file, [0.0; 3], Orientation::Stored).unwrap();
-        let third = sheet.width / 3;
-        let (mut sum, mut count) = (0.0, 0.0);
-        for y in 0..sheet.height {
-            for x in 0..third {
-                for c in 0..3 {
-                    let [a, b] = [x, x + third].map(|x| f64::from(sheet.at(x, y)[c]));
-                    sum += (a - b) * (a - b);
-                    count += 1.0;
-                }
-            }
-        }
-        -10.0 * f64::log10(sum / count)
-    };
-    files.iter().map(of).sum::<f64>() / files.len() as f64
+/// What scikit-image measures, in the mean over some cases: those of `tests/support/by_skimage.py`.
+fn by_skimage(cases: Vec<Value>) -> impl Fn(&str) -> f64 {
+    let probe = "import skimage.metrics";
+    let found = python::answer("evo", probe, "by_skimage.py", &object!(cases));
+    let found = found.as_array().unwrap().clone();
+    assert!(!cases.is_empty() && found.len() == cases.len());
+    move |key| found.iter().map(|of| of[key].as_f64().unwrap()).sum::<f64>() / found.len() as f64
 }
+
+/// Cases of the pictures that `eval` has shown; with masks, which are of the same order.
+fn sheets(pictures: &Path, masks: Option<&Path>) -> Vec<Value> {
+    let files = |folder: &Path| images::list(folder).unwrap();
+    let mut cases: Vec<Value> =
+        files(pictures).into_iter().map(|file| object!({ "sheet": file })).collect();
+    if let Some(masks) = masks.map(files) {
+        assert_eq!(masks.len(), cases.len());
+        cases.iter_mut().zip(masks).for_each(|(case, mask)| case["mask"] = object!(mask));
+    }
+    cases
+}
+
+/// That figures of a table's row equal others within 1e-4.
+#[track_caller]
+fn equal(row: &Value, theirs: impl Fn(&str) -> f64, keys: &[(&str, &str)]) {
+    for (key, of) in keys {
+        let ours = row["figures"][key].as_f64().unwrap_or_else(|| panic!("{key}: {row}"));
+        let theirs = theirs(of);
+        println!("{key}: {ours}, scikit-image has {theirs}");
+        assert!((ours - theirs).abs() < 1e-4, "{key}: {ours}, scikit-image has {theirs}");
+    }
+}
+
+const OF_PICTURES: [(&str, &str); 2] = [("psnr", "psnr"), ("ssim", "ssim")];
 
 /// The value of a line of `table.csv` that begins with this.
 fn line(csv: &str, start: &str) -> f64 {
@@ -96,18 +114,18 @@ fn nvidia_from_frames_to_a_table() {
     assert!(found["rows"][1]["failed"].is_string(), "{found}");
     assert!(found["published"].as_array().unwrap().len() > 10);
 
-    // The figures are those of the pictures, counted here by themselves: frame 0 is an input.
+    // The figures are those of the pictures: frame 0 is an input.
     let row = &found["rows"][0];
     assert_eq!((row["scene"].as_str(), &row["failed"]), (Some("Balloon9"), &Value::Null));
     let figure = |key: &str| row["figures"][key].as_f64().unwrap_or_else(|| panic!("{key}: {row}"));
     let pictures = at("out/Balloon9/pictures");
     assert_eq!(fs::read_dir(&pictures).unwrap().count(), 5);
-    let expected = psnr_of_pictures(&pictures);
-    assert!((figure("psnr") - expected).abs() < 1e-4, "{} {expected}", figure("psnr"));
+    equal(row, by_skimage(sheets(&pictures, None)), &OF_PICTURES);
     let csv = fs::read_to_string(at("out/table.csv")).unwrap();
     assert_eq!(line(&csv, "scene,splat4d,Balloon9,psnr,"), figure("psnr"));
     assert!((0.0..4.0).contains(&figure("lpips")) && figure("fps") > 0.0);
     assert!(figure("pose_minutes") > 0.0 && figure("train_minutes") > 0.0);
+    assert_eq!(figure("minutes"), figure("pose_minutes") + figure("train_minutes"));
     let bytes = fs::metadata(at("out/Balloon9/scene.safetensors")).unwrap().len();
     assert_eq!(figure("storage_mb"), bytes as f64 / 1e6);
     let page = fs::read_to_string(at("out/index.html")).unwrap();
@@ -157,6 +175,23 @@ fn dnerf_from_both_splits_to_a_table() {
     assert_eq!(eval["answer"]["per_frame"].as_array().unwrap().len(), 4, "the test split");
     assert_eq!(eval["answer"]["psnr"], psnr);
     assert_eq!(fs::read_dir(at("out/cup/pictures")).unwrap().count(), 4);
+    // These figures are of pictures that are not rounded to 8 bits; files hold those that are.
+    let device = common::device();
+    let scene = Scene::open(at("out/cup/scene.safetensors"), false).unwrap().scene;
+    let set = Dataset::open(at("set/cup")).unwrap();
+    let mut renderer = Renderer::new(&device, &scene).unwrap();
+    let mut cases = Vec::new();
+    for (i, view) in set.load(&set.split(0).1, Resize::Longest(48)).unwrap().iter().enumerate() {
+        let picture = renderer.render(&view.camera, view.time).unwrap().over(set.background);
+        let files = ["truth", "picture"].map(|name| at(&format!("{name}{i}")));
+        for (file, image) in files.iter().zip([&view.image, &picture]) {
+            let bytes: Vec<u8> = image.pixels.iter().flat_map(|v| v.to_le_bytes()).collect();
+            fs::write(file, bytes).unwrap();
+        }
+        let shape = [picture.height, picture.width, 3];
+        cases.push(object!({ "truth": files[0], "picture": files[1], "shape": shape }));
+    }
+    equal(row, by_skimage(cases), &OF_PICTURES);
     assert_eq!(found["mean"]["psnr"], psnr);
     assert_eq!(row["figures"]["pose_minutes"], Value::Null, "poses are given");
     let caption = found["caption"].to_string();
@@ -212,17 +247,23 @@ fn sintel_poses_to_a_table() {
     let rows = found["rows"].as_array().unwrap();
     assert_eq!(rows.len(), 1);
     assert_eq!(rows[0]["scene"], "alley_2");
-    let figures = &rows[0]["figures"];
-    let reference = "set/training/camdata_left/alley_2";
-    let eval = json(
-        folder.path(),
-        &format!("eval out/alley_2/tracked/poses.txt {reference} --align sim3 --rpe-all-pairs"),
-    );
-    for (key, of) in
-        [("ate", "ate_rmse"), ("rpe_trans", "rpe_trans_rmse"), ("rpe_rot", "rpe_rot_deg_rmse")]
+    // The same by evo, which reads the trajectory that was left and the set's own cameras.
+    let at = |name: &str| folder.path().join(name);
+    let case = object!({
+        "name": "alley_2", "timed": false, "align": "sim3", "align_first": 0,
+        "estimate": at("out/alley_2/tracked/poses.txt"), "estimate_format": "tum",
+        "reference": at("set/training/camdata_left/alley_2"), "reference_format": "sintel",
+        "rpe_delta": 1.0, "rpe_unit": "frames", "rpe_tolerance": 0.1, "rpe_all_pairs": true,
+        "rpe_along_reference": false,
+    });
+    let theirs = python::answer("evo", "import evo.main_rpe", "by_evo.py", &object!([case]));
+    assert_eq!(theirs[0]["poses"], 8);
+    for (key, of) in [("ate", "ape_trans"), ("rpe_trans", "rpe_trans"), ("rpe_rot", "rpe_rot_deg")]
     {
-        assert!(figures[key].is_number(), "{key}: {found}");
-        assert_eq!(figures[key], eval[of], "{key}");
+        let ours = rows[0]["figures"][key].as_f64().unwrap_or_else(|| panic!("{key}: {found}"));
+        let theirs = theirs[0][of]["rmse"].as_f64().unwrap();
+        println!("{key}: {ours}, evo has {theirs}");
+        assert!((ours - theirs).abs() < 1e-9 && theirs > 0.0, "{key}: {ours}, evo has {theirs}");
     }
     says(&found["caption"].to_string(), &["1 of the 14 sequences"]);
 }
@@ -235,6 +276,7 @@ fn what_is_no_data_set_or_option_is_told() {
     for (protocol, needed) in [
         ("nvidia", "v000_t001.png"),
         ("dnerf", "transforms_test.json"),
+        ("dynerf-mono", "poses_bounds.npy"),
         ("sintel-pose", "camdata_left/alley_2"),
     ] {
         let said = fails(folder.path(), 1, &format!("table {protocol} set -o out"));
@@ -296,7 +338,7 @@ impl Rig {
 fn rig(folder: &Path) {
     clip(folder, 8);
     let root = folder.join("set/broom9");
-    for part in ["camera", "rgb/1x"] {
+    for part in ["camera", "rgb/1x", "covisible/1x/val"] {
         fs::create_dir_all(root.join(part)).unwrap();
     }
     let mut rig = Rig { root, metadata: object!({}), train: vec![], test: vec![] };
@@ -309,7 +351,12 @@ fn rig(folder: &Path) {
     let held_out = Dataset::open(truth.join("held_out/transforms.json")).unwrap();
     for (i, frame) in held_out.frames.iter().enumerate() {
         let moment = (frame.time * 7.0).round() as usize;
-        rig.add(&format!("right_{i:06}"), moment, &frame.camera, &frame.path, false);
+        let id = format!("right_{i:06}");
+        rig.add(&id, moment, &frame.camera, &frame.path, false);
+        // What DyCheck tells besides: `held_out/covisible/K/0000.png` belongs to `held_out/K/0000.png`.
+        let below = frame.path.strip_prefix(truth.join("held_out")).unwrap();
+        let mask = truth.join("held_out/covisible").join(below);
+        fs::copy(mask, rig.root.join(format!("covisible/1x/val/{id}.png"))).unwrap();
     }
     let Rig { root, metadata, train, test } = rig;
     let ids: Vec<&String> = train.iter().chain(&test).collect();
@@ -339,4 +386,153 @@ fn hypernerf_without_its_poses_to_a_table() {
     }
     assert!(figures["pose_minutes"].is_number() && found["mean"]["psnr"] == figures["psnr"]);
     says(&found["caption"].to_string(), &["without their poses", "similarity", "broom2"]);
+    let at = |name: &str| folder.path().join("out/broom9").join(name);
+    let masks = at("clip/truth/held_out/covisible/test");
+    let theirs = by_skimage(sheets(&at("pictures"), Some(&masks)));
+    equal(&found["rows"][0], &theirs, &OF_PICTURES);
+
+    // As DyCheck's the same scene is measured where training pictures saw the same as well. What is done is kept.
+    let made = fs::metadata(at("scene.safetensors")).unwrap().modified().unwrap();
+    let found = table(folder.path(), "dycheck set -o out", making);
+    assert_eq!(fs::metadata(at("scene.safetensors")).unwrap().modified().unwrap(), made);
+    equal(&found["rows"][0], &theirs, &OF_PICTURES);
+    let masked = [("covisible_psnr", "masked_psnr"), ("covisible_ssim", "masked_ssim")];
+    equal(&found["rows"][0], &theirs, &masked);
+    says(&found["caption"].to_string(), &["`covisible`", "saw as well"]);
+}
+
+/// A row of `poses_bounds.npy`: the axes down, right, backwards, the place, height, width and focal length; bounds.
+fn bounds_row(camera: &Camera) -> Vec<f64> {
+    let world_from_view = camera.view_from_world.inverse();
+    let axes = world_from_view.rotation_matrix();
+    let k = &camera.intrinsics;
+    let last = DVec3::new(f64::from(k.height), f64::from(k.width), k.fx);
+    let columns = [axes.y_axis, axes.x_axis, -axes.z_axis, world_from_view.translation, last];
+    (0..3).flat_map(|r| columns.map(|column| column[r])).chain([0.5, 20.0]).collect()
+}
+
+/// A video as DyNeRF has them: H.264, 30 frames a second.
+fn film(video: &Path, frames: &[PathBuf]) {
+    let folder = tempfile::tempdir().unwrap();
+    for (i, frame) in frames.iter().enumerate() {
+        fs::copy(frame, folder.path().join(format!("{i:03}.png"))).unwrap();
+    }
+    let status = Command::new("ffmpeg")
+        .args(["-nostdin", "-v", "error", "-framerate", "30", "-i"])
+        .arg(folder.path().join("%03d.png"))
+        .args(["-c:v", "libx264", "-crf", "4", "-pix_fmt", "yuv420p"])
+        .arg(video)
+        .status()
+        .expect("ffmpeg; tools/setup.sh installs it");
+    assert!(status.success());
+}
+
+/// A clip of a fixed camera and of those beside it at the same times as a scene of DyNeRF; the first camera's depth
+/// as `depth`. Gives the focal length.
+fn standing(folder: &Path) -> f64 {
+    json(folder, "synth tripod -o clip --frames 15 --size 96x54 --seed 1");
+    let truth = folder.join("clip/truth");
+    let root = folder.join("set/steak");
+    for part in [&root, &folder.join("depth")] {
+        fs::create_dir_all(part).unwrap();
+    }
+    // Other cameras take every second frame.
+    let frames = |of: &Path| -> Vec<PathBuf> {
+        (0..15).step_by(2).map(|i| of.join(format!("{i:04}.png"))).collect()
+    };
+    for i in 0..8 {
+        let from = truth.join(format!("depth/{:04}.exr", 2 * i));
+        fs::copy(from, folder.join(format!("depth/{i:04}.exr"))).unwrap();
+    }
+    let first = transforms::read_cameras(&truth.join("transforms.json")).unwrap()[0].camera;
+    let mut values = bounds_row(&first);
+    film(&root.join("cam00.mp4"), &frames(&folder.join("clip/frames")));
+    let held_out = Dataset::open(truth.join("held_out/transforms.json")).unwrap();
+    for (k, name) in [(1, "cam01"), (2, "cam05"), (3, "cam06")] {
+        let pictures = truth.join(format!("held_out/{k}"));
+        let seen = held_out.frames.iter().find(|frame| frame.path.starts_with(&pictures)).unwrap();
+        values.extend(bounds_row(&seen.camera));
+        match name {
+            // One whose frames were extracted.
+            "cam06" => {
+                fs::create_dir_all(root.join("cam06/images")).unwrap();
+                for (i, frame) in frames(&pictures).iter().enumerate() {
+                    fs::copy(frame, root.join(format!("cam06/images/{i:04}.png"))).unwrap();
+                }
+            }
+            _ => film(&root.join(name).with_extension("mp4"), &frames(&pictures)),
+        }
+    }
+    let mut head = String::from("{'descr': '<f8', 'fortran_order': False, 'shape': (4, 17), }");
+    // Magic, version and length take ten bytes of a multiple of 64.
+    head += &" ".repeat(64 * (head.len() + 11).div_ceil(64) - 11 - head.len());
+    head.push('\n');
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((head.len() as u16).to_le_bytes());
+    bytes.extend(head.bytes());
+    values.iter().for_each(|value| bytes.extend(value.to_le_bytes()));
+    fs::write(root.join("poses_bounds.npy"), bytes).unwrap();
+    first.intrinsics.fx
+}
+
+#[test]
+fn dynerf_by_one_camera_to_a_table() {
+    let folder = tempfile::tempdir().unwrap();
+    let focal = standing(folder.path());
+    let at = |name: &str| folder.path().join("out/steak").join(name);
+    // Pictures of a camera that stands still tell no depth.
+    let making = format!("--steps 60 --max-gaussians 1500 --depth depth --focal {focal}");
+    let found = table(folder.path(), "dynerf-mono set -o out", &making);
+    let row = &found["rows"][0];
+    assert_eq!(row["scene"], "steak", "{found}");
+    equal(row, by_skimage(sheets(&at("pictures"), None)), &OF_PICTURES);
+    assert_eq!(row["figures"]["minutes"].as_f64().map(|minutes| minutes > 0.0), Some(true));
+    let caption = found["caption"].to_string();
+    says(&caption, &["Trained on cam00, tested with cam05, cam06.", "fitted to test pictures"]);
+    let published = found["published"].as_array().unwrap();
+    assert!(published.iter().any(|row| row["figures"]["psnr"] == 19.6));
+    let kept: Value = serde_json::from_str(&fs::read_to_string(at("eval.json")).unwrap()).unwrap();
+    let eval = &kept["answer"];
+    let rows = eval["held_out"].as_array().unwrap().iter();
+    let rows: Vec<_> = rows.map(|row| (&row["distance"], &row["pictures"])).collect();
+    let cameras =
+        [("cam05", 8), ("cam06", 8), ("all", 16)].map(|(of, count)| (object!(of), object!(count)));
+    assert!(rows.iter().map(|(a, b)| (*a, *b)).eq(cameras.iter().map(|(a, b)| (a, b))), "{rows:?}");
+
+    // The scale that the test pictures tell is that of true depth.
+    fs::create_dir(at("clip/truth/depth")).unwrap();
+    for entry in fs::read_dir(folder.path().join("depth")).unwrap() {
+        let entry = entry.unwrap();
+        fs::copy(entry.path(), at("clip/truth/depth").join(entry.file_name())).unwrap();
+    }
+    let told = json(folder.path(), "eval out/steak/scene.safetensors out/steak/clip/truth");
+    assert_eq!((&eval["scale_by"], &told["scale_by"]), (&object!("pictures"), &object!("depth")));
+    let ratio = eval["scale"].as_f64().unwrap() / told["scale"].as_f64().unwrap();
+    assert!((ratio - 1.0).abs() < 0.02, "{ratio}");
+
+    // Other cameras and another size are laid out anew, and nothing of the old ones is left.
+    let options =
+        "dynerf-mono set/steak -o out --train-camera cam06 --test-cameras cam01 --size 64";
+    let found = table(folder.path(), options, "--steps 5 --max-gaussians 600");
+    says(&found["caption"].to_string(), &["Trained on cam06, tested with cam01.", "64 pixels"]);
+    let tests = Dataset::open(at("clip/truth/held_out/transforms.json")).unwrap();
+    assert_eq!((tests.frames.len(), tests.frames[0].camera.intrinsics.width), (8, 64));
+    assert!(!at("clip/truth/depth").exists() && !at("clip/truth/held_out/cam05").exists());
+    assert_eq!(images::list(&at("clip/frames")).unwrap().len(), 8);
+
+    // What the set does not have or the protocol leaves no choice of.
+    for (options, said) in [
+        ("dynerf-mono set -o out --test-cameras cam07", ["cam07 (--test-cameras)", "cam00, cam01"]),
+        ("dynerf-mono set -o out --train-camera cam7", ["cam7 (--train-camera)", "cam05, cam06"]),
+        ("dynerf-mono set -o out --train-camera cam05", ["cam05 is trained on", "takes others"]),
+        ("dycheck set -o out --train-camera cam05", ["--train-camera", "dynerf-mono alone"]),
+    ] {
+        says(&fails(folder.path(), 1, &format!("table {options}")), &said);
+    }
+    // A folder of another's is not written over.
+    let marker = at("clip/source.json");
+    fs::remove_file(&marker).unwrap();
+    let output = run(folder.path(), "table dynerf-mono set -o out --device software");
+    assert_eq!(output.status.code(), Some(1));
+    says(&stderr(&output), &["steak/clip is not empty"]);
 }

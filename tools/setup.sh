@@ -3,7 +3,7 @@
 #
 #   tools/setup.sh run    what building and running need: linker, Vulkan loader, lavapipe, ffmpeg
 #   tools/setup.sh test   and what the test suite needs: validation layer, SwiftShader, CMake, the evo,
-#                         onnxruntime, snakemake and kubernetes-validate packages …
+#                         scikit-image, onnxruntime, snakemake and kubernetes-validate packages …
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -105,9 +105,9 @@ if [[ $mode == test ]]; then
         rustup component add "$component" || fail "rustup could not add $component"
     done
 fi
-# Tests compare errors of trajectories with those of the evo package, run networks through the ONNX
-# Runtime of the onnxruntime package, and jobs by Snakemake. Each lies beside the build, in an environment of its own, so that
-# the system's Python stays as it is.
+# Tests compare errors of trajectories with those of the evo package and pictures with those of scikit-image,
+# run networks through the ONNX Runtime of the onnxruntime package, and jobs by Snakemake. They lie beside the
+# build, in environments of their own, so that the system's Python stays as it is.
 if [[ $mode == test ]]; then
     beside=${CARGO_TARGET_DIR:-target}
     # python_package NAME PROBE PIP_ARGUMENTS …: unless the probe runs in NAME's environment.
@@ -120,7 +120,7 @@ if [[ $mode == test ]]; then
             fail "pip could not install $1 into $place; is there a network?"
         "$place/bin/python" -c "$probe" || fail "$1 was installed into $place and does not run"
     }
-    python_package evo 'import evo.main_rpe' 'evo>=1.30,<2'
+    python_package evo 'import evo.main_rpe, skimage.metrics' 'evo>=1.30,<2' 'scikit-image>=0.22,<1'
     # The library alone is used.
     python_package onnxruntime 'import importlib.util as u; assert u.find_spec("onnxruntime")' \
         --no-deps 'onnxruntime>=1.17,<2'

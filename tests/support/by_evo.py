@@ -1,4 +1,4 @@
-"""What the evo package measures, for tests/evo.rs.
+"""What the evo package measures, for tests/evo.rs and tests/table.rs.
 
 Reads a JSON list of cases on standard input and writes one of results, in the same order: for each of the
 four errors its statistics, or null where evo measures none.
@@ -7,18 +7,34 @@ four errors its statistics, or null where evo measures none.
 import copy
 import json
 import sys
+from pathlib import Path
 
+import numpy as np
 from evo import EvoException
 from evo.core import metrics, sync
+from evo.core.trajectory import PosePath3D
 from evo.core.units import Unit
 from evo.main_ape import ape
 from evo.main_rpe import rpe
 from evo.tools import file_interface
 
+
+
+def read_sintel(folder):
+    """The .cam files of a folder in the order of their names: a tag, K and the world-to-camera matrix, row by row."""
+    poses = []
+    for path in sorted(Path(folder).glob("*.cam")):
+        view_from_world = np.eye(4)
+        view_from_world[:3] = np.frombuffer(path.read_bytes(), "<f8", 12, 4 + 9 * 8).reshape(3, 4)
+        poses.append(np.linalg.inv(view_from_world))
+    return PosePath3D(poses_se3=poses)
+
+
 READERS = {
     "tum": file_interface.read_tum_trajectory_file,
     "kitti": file_interface.read_kitti_poses_file,
     "euroc": file_interface.read_euroc_csv_trajectory,
+    "sintel": read_sintel,
 }
 UNITS = {"frames": Unit.frames, "metres": Unit.meters, "degrees": Unit.degrees}
 TRANSLATION = metrics.PoseRelation.translation_part

@@ -1,7 +1,26 @@
 //! Python packages that `tools/setup.sh test` installs beside the build.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+
+use serde_json::Value;
+
+/// What a script of `tests/support` answers on its standard output to JSON on its standard input.
+#[allow(dead_code, reason = "each test binary uses its own part")]
+pub fn answer(environment: &str, probe: &str, script: &str, asked: &Value) -> Value {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/support").join(script);
+    let mut child = Command::new(python(environment, probe))
+        .arg(&script)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    child.stdin.take().unwrap().write_all(asked.to_string().as_bytes()).unwrap();
+    let output = child.wait_with_output().unwrap();
+    assert!(output.status.success(), "{} failed", script.display());
+    serde_json::from_slice(&output.stdout).unwrap()
+}
 
 /// A Python that runs `probe`: that of an environment of the setup's, else the user's. Where there is none
 /// the test fails: a comparison that is passed over compares nothing.
