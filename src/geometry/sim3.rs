@@ -308,11 +308,12 @@ impl Moments {
             spread += w * da.length_squared();
             spread_reference += w * db.length_squared();
         }
-        let far = ma.length_squared();
         // Positions that differ by rounding alone are one place.
-        if spread <= (far + spread) * 1e-28 {
-            spread = 0.0;
-            covariance = DMat3::ZERO;
+        for (spread, mean) in [(&mut spread, ma), (&mut spread_reference, mb)] {
+            if *spread <= (mean.length_squared() + *spread) * 1e-28 {
+                *spread = 0.0;
+                covariance = DMat3::ZERO;
+            }
         }
         Ok(Moments { mean_estimate: ma, mean_reference: mb, covariance, spread, spread_reference })
     }
@@ -362,6 +363,18 @@ impl Moments {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A reference at one place whose mean rounding moves: ten times 0.1 makes 0.9999999999999999.
+    #[test]
+    fn a_reference_that_stands_still_is_a_point() {
+        let pose = |x: f64| Pose::new(DQuat::IDENTITY, DVec3::new(x, 0.7 * x, 0.1));
+        let estimate: Vec<Pose> = (0..10).map(|i| pose(f64::from(i * i))).collect();
+        let reference = vec![pose(0.1); 10];
+        let sum = reference.iter().map(|pose| pose.translation.x).sum::<f64>();
+        assert_ne!(sum / 10.0, 0.1, "the mean is not exact");
+        let found = align_cameras(&estimate, &reference, true).unwrap();
+        assert_eq!((found.shape, found.reference_from_estimate.scale), (Shape::Point, 1.0));
+    }
     use crate::geometry::se3::angle_between;
 
     fn rotation_error(a: &Sim3, b: &Sim3) -> f64 {
