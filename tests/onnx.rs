@@ -8,9 +8,10 @@ mod support;
 
 use std::path::Path;
 
+use glam::DVec2;
 use runtime::library;
 use splat4d::observe::onnx::{LpipsNetwork, Models, Runtime, RuntimeOptions};
-use splat4d::observe::{EstimatedKind, FlowSource};
+use splat4d::observe::{EstimatedKind, FlowSource, MaskQuery, Prompt};
 use splat4d::types::Image;
 use support::{message, picture, says};
 
@@ -25,8 +26,9 @@ fn runtime() -> Runtime {
 fn folder(list: &str) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/models");
-    for name in ["depth.onnx", "bare.onnx", "flow.onnx"] {
-        std::fs::copy(models.join(name), folder.path().join(name)).unwrap();
+    for name in ["depth", "bare", "flow", "mask_encoder", "mask_decoder", "mask_decoder_small"] {
+        let name = format!("{name}.onnx");
+        std::fs::copy(models.join(&name), folder.path().join(&name)).unwrap();
     }
     std::fs::write(folder.path().join("models.toml"), list).unwrap();
     folder
@@ -145,7 +147,7 @@ fn what_is_wrong_is_told() {
     let cases: [(&str, &[&str]); 14] = [
         ("", &["models.toml", "names no model"]),
         ("[depth", &["models.toml"]),
-        ("[gaze]\nfile = \"depth.onnx\"", &["models.toml", "`gaze`", "`depth` or `flow`"]),
+        ("[gaze]\nfile = \"depth.onnx\"", &["models.toml", "`gaze`", "`depth`, `flow`"]),
         ("[depth]\nfile = \"../depth.onnx\"", &["names ../depth.onnx", "not within its folder"]),
         ("[depth]\nfile = \"/depth.onnx\"", &["names /depth.onnx", "not within its folder"]),
         ("[depth]\nfile = \"gone.onnx\"", &["gone.onnx"]),
@@ -175,6 +177,154 @@ fn what_is_wrong_is_told() {
         &message(Models::open(&runtime, folder.path()).map(drop)),
         &["is listed for depth, and computes flow"],
     );
+}
+
+/// A list of an encoder of masks for pictures of a size, and of a decoder.
+fn masks_of((width, height): (u32, u32), decoder: &str) -> String {
+    format!(
+        "[mask_encoder]\nfile = \"mask_encoder.onnx\"\n[mask_encoder.contract]\nkind = \"mask_encoder\"\n\
+         version = 1\ninput = \"image\"\noutputs = [\"features\"]\npicture.size = [{width}, {height}]\n\
+         [mask_decoder]\nfile = \"{decoder}.onnx\"\n[mask_decoder.contract]\nkind = \"mask_decoder\"\n\
+         version = 1\nfeatures = [\"features\"]\npoints = \"points\"\nlabels = \"labels\"\n\
+         mask_input = \"mask_input\"\nhas_mask = \"has_mask\"\nmasks = \"masks\"\nscores = \"scores\"\n"
+    )
+}
+
+/// Two points on a thing and one beside it, without a mask to begin with.
+fn query() -> MaskQuery {
+    let prompts = [(0.5, 1.25, true), (2.0, 0.5, true), (1.5, 1.5, false)];
+    let prompt = |(x, y, inside)| Prompt { pixel: DVec2::new(x, y), inside };
+    MaskQuery { prompts: prompts.map(prompt).into(), before: None }
+}
+
+#[test]
+fn a_mask_network_is_asked_pixel_by_pixel() {
+    let runtime = runtime();
+    for (width, height) in SIZES {
+        let folder = folder(&masks_of((width, height), "mask_decoder"));
+        let mut models = Models::open(&runtime, folder.path()).unwrap();
+        let network = models.masks.as_mut().unwrap();
+        let frame = picture(width, height, 1);
+        let red = || frame.pixels.chunks_exact(3).map(|colour| colour[0]);
+        let mut before = Image::new(width, height, 1);
+        before.pixels = red().map(|red| 4.0 - 6.0 * red).collect();
+        let begun = MaskQuery { before: Some(before.clone()), ..query() };
+        let found = network.ask(&frame, &[query(), begun]).unwrap();
+        assert_eq!(found.len(), 2);
+        for (k, masks) in found.iter().enumerate() {
+            // By the points' coordinates; whether there was a mask to begin with.
+            let scores: Vec<f32> = masks.iter().map(|mask| mask.score).collect();
+            assert_eq!(scores, [2.5, 1.75, k as f32], "{width}×{height}");
+            for mask in masks {
+                assert_eq!(
+                    (mask.odds.width, mask.odds.height, mask.odds.channels),
+                    (width, height, 1)
+                );
+            }
+            for (i, red) in red().enumerate() {
+                let odds = 20.0 * (red - 0.5);
+                let third = if k == 1 { before.pixels[i] - 3.0 } else { -3.0 };
+                for (mask, expected) in masks.iter().zip([odds, -odds, third]) {
+                    let told = mask.odds.pixels[i];
+                    assert!((told - expected).abs() < 1e-4, "{width}×{height}: {told} {expected}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_mask_network_has_pictures_and_masks_of_sizes_of_its_own() {
+    let folder = folder(&masks_of((64, 40), "mask_decoder_small"));
+    let mut models = Models::open(&runtime(), folder.path()).unwrap();
+    let network = models.masks.as_mut().unwrap();
+    // Of one colour, so that scaling changes nothing; the mask to begin with rises from row to row.
+    let (width, height) = (32, 60);
+    let mut frame = Image::new(width, height, 3);
+    frame.pixels.chunks_exact_mut(3).for_each(|colour| colour[0] = 0.75);
+    let mut before = Image::new(width, height, 1);
+    for y in 0..height {
+        (0..width).for_each(|x| before.at_mut(x, y)[0] = y as f32 + 0.5);
+    }
+    let begun = MaskQuery { before: Some(before), ..query() };
+    let found = network.ask(&frame, &[begun]).unwrap();
+    let [first, against, level] = &found[0][..] else { panic!("{} masks", found[0].len()) };
+    // Points are in pixels of the picture, which is twice as wide and two thirds as high.
+    assert!((first.score - 5.0).abs() < 1e-5 && (against.score - 1.75 * 2.0 / 3.0).abs() < 1e-5);
+    for y in 0..height {
+        // A row of the mask is 7.5 rows of the frame; beyond the middle of the outermost it is level.
+        let row = (y as f32 + 0.5).clamp(3.75, 56.25);
+        for (mask, expected) in [(first, 5.0 + row), (against, -5.0 - row), (level, row - 3.0)] {
+            let told = mask.odds.at(width / 2, y)[0];
+            assert!((told - expected).abs() < 1e-3, "{y}: {told} {expected}");
+        }
+    }
+}
+
+#[test]
+fn what_is_wrong_about_a_mask_network_is_told() {
+    let runtime = runtime();
+    let both = masks_of((8, 8), "mask_decoder");
+    let (encoder, decoder) = both.split_at(both.find("[mask_decoder]").unwrap());
+    let named = |from: &str, to: &str| both.replace(from, to);
+    let cases: [(String, &[&str]); 9] = [
+        (encoder.into(), &["models.toml", "has `mask_encoder` without `mask_decoder`"]),
+        (decoder.into(), &["models.toml", "has `mask_decoder` without `mask_encoder`"]),
+        (named("picture.size = [8, 8]", ""), &["mask_encoder.onnx", "which `size`"]),
+        (named("[8, 8]", "[8, 0]"), &["mask_encoder.onnx", "pictures of 8×0"]),
+        (
+            format!("[mask_encoder]\nfile = \"flow.onnx\"\n{decoder}"),
+            &["flow.onnx", "is listed for mask_encoder, and computes flow"],
+        ),
+        (
+            format!("{encoder}[mask_decoder]\nfile = \"depth.onnx\"\n"),
+            &["depth.onnx", "is listed for mask_decoder, and computes depth"],
+        ),
+        (
+            named("outputs = [\"features\"]", "outputs = [\"features\", \"features\"]"),
+            &["mask_decoder.onnx", "takes 1 features", "gives 2", "export both together"],
+        ),
+        (
+            named("points = \"points\"", "points = \"labels\""),
+            &["input `labels` is 1 × ?", "1 × prompts × 2"],
+        ),
+        (
+            named("masks = \"masks\"", "masks = \"scores\""),
+            &["output `scores` is 1 × 3", "1 × masks × height × width"],
+        ),
+    ];
+    for (list, parts) in cases {
+        let folder = folder(&list);
+        says(&message(Models::open(&runtime, folder.path()).map(drop)), parts);
+    }
+    let ask = |list: &str, frame: &Image, query: MaskQuery| {
+        let folder = folder(list);
+        let mut models = Models::open(&runtime, folder.path()).unwrap();
+        message(models.masks.as_mut().unwrap().ask(frame, &[query]))
+    };
+    let frame = picture(8, 8, 1);
+    let small = masks_of((8, 8), "mask_decoder_small");
+    let as_masks =
+        |output: &str| small.replace("masks = \"masks\"", &format!("masks = \"{output}\""));
+    says(
+        &ask(&as_masks("coarse"), &frame, query()),
+        &["mask_decoder_small.onnx", "`coarse` came out as [1, 1, 1, 1]", "16×8"],
+    );
+    says(&ask(&as_masks("first"), &frame, query()), &["`scores` came out as [1, 3], for 1 masks"]);
+    let mut broken = frame.clone();
+    broken.pixels[4] = f32::NAN;
+    says(
+        &ask(&both, &broken, query()),
+        &["mask_encoder.onnx", "`features` is not finite at 1 of 192"],
+    );
+    let unknown = Image { pixels: vec![f32::INFINITY; 64], ..Image::new(8, 8, 1) };
+    let begun = MaskQuery { before: Some(unknown), ..query() };
+    says(&ask(&both, &frame, begun), &["mask_decoder.onnx", "`masks` is not finite at 64 of 192"]);
+    let uneven = MaskQuery { before: Some(Image::new(8, 7, 1)), ..query() };
+    says(&ask(&both, &frame, uneven), &["to begin with is 8×7", "the frame is 8×8"]);
+    let nothing = MaskQuery { prompts: Vec::new(), before: None };
+    says(&ask(&both, &frame, nothing), &["without points"]);
+    says(&ask(&both, &Image::new(8, 8, 1), query()), &["RGB", "1 channels"]);
 }
 
 #[test]

@@ -7,6 +7,7 @@
 //! | [`engine`] | [`EngineFlow`]: flow that the engine computes |
 //! | [`exposure`] | how bright each frame is |
 //! | [`flow`] | [`FlowSource`] and flow that the user supplies; forward–backward confidence; chaining |
+//! | [`masks`] | [`MaskSource`]: masks of what points tell |
 //! | `onnx` | networks run through the ONNX Runtime (feature `onnx`) |
 //! | [`tracks`] | points followed over many frames |
 //! | [`mod@refine`] | tracks aligned with the pictures, so that they do not drift |
@@ -19,6 +20,7 @@ pub mod engine;
 pub mod exposure;
 pub mod flow;
 pub(crate) mod luminance;
+pub mod masks;
 #[cfg(feature = "onnx")]
 pub mod onnx;
 pub mod refine;
@@ -28,6 +30,7 @@ pub use depth::{EstimatedDepth, EstimatedKind};
 pub use engine::EngineFlow;
 pub use exposure::Exposure;
 pub use flow::{Chain, FlowPair, FlowSource, NeighbourFlow, SuppliedFlow, observe_flow};
+pub use masks::{FoundMask, MaskQuery, MaskSource, Prompt};
 pub use refine::refine;
 pub(crate) use tracks::supplied_tracks;
 pub use tracks::{PointTrack, TrackOptions, follow};

@@ -38,6 +38,24 @@ impl Image {
         &mut self.pixels[start..start + c]
     }
 
+    /// Of an image of one channel: the value at a place between the pixels' centres, which are at 0.5;
+    /// beyond the outermost ones theirs.
+    #[cfg(feature = "reconstruct")]
+    pub(crate) fn between(&self, x: f64, y: f64) -> f32 {
+        let along = |at: f64, side: u32| {
+            let at = (at - 0.5).clamp(0.0, f64::from(side - 1));
+            let first = (at as u32).min(side.saturating_sub(2));
+            (first, (first + 1).min(side - 1), (at - f64::from(first)) as f32)
+        };
+        let ((x0, x1, fx), (y0, y1, fy)) = (along(x, self.width), along(y, self.height));
+        let row = |y: u32| {
+            let (a, b) = (self.at(x0, y)[0], self.at(x1, y)[0]);
+            a + (b - a) * fx
+        };
+        let (top, bottom) = (row(y0), row(y1));
+        top + (bottom - top) * fy
+    }
+
     /// Of a mask (one channel): whether a value above one half is within so many pixels of each, across
     /// and down.
     #[cfg(feature = "reconstruct")]
@@ -62,6 +80,26 @@ impl Image {
 #[cfg(all(test, feature = "reconstruct"))]
 mod tests {
     use super::*;
+
+    #[test]
+    fn between_centres_values_are_bilinear_and_beyond_them_level() {
+        let image =
+            Image { width: 3, height: 2, channels: 1, pixels: vec![0., 1., 2., 4., 5., 6.] };
+        let cases = [
+            ((0.5, 0.5), 0.0),
+            ((2.5, 1.5), 6.0),
+            ((1.0, 0.5), 0.5),
+            ((1.5, 1.0), 3.0),
+            ((2.25, 0.75), 2.75),
+            ((-3.0, 9.0), 4.0),
+            ((9.0, 0.0), 2.0),
+        ];
+        for ((x, y), expected) in cases {
+            assert_eq!(image.between(x, y), expected, "{x} {y}");
+        }
+        let single = Image { width: 1, height: 1, channels: 1, pixels: vec![7.0] };
+        assert_eq!(single.between(0.2, 0.9), 7.0);
+    }
 
     #[test]
     fn what_is_near_a_mask_is_a_square_about_each_of_its_pixels() {

@@ -7,6 +7,11 @@ depth.onnx   1 / z = 0.5 + 2 red, of one picture; its contract is in its metadat
 bare.onnx    the same without a contract
 flow.onnx    (u, v) = 8 (red, green of the second picture − those of the first); confidence: blue of the first
 lpips.onnx   the mean squared difference of two pictures with values from −1 to 1
+mask_encoder.onnx        features: the picture; without a contract, as all for masks
+mask_decoder.onnx        masks 20 (red − 0.5), its negative, and −3 + the mask to begin with, if there is one; scores
+                         Σ label · x, Σ label · y, and whether there is a mask to begin with
+mask_decoder_small.onnx  of 8 × 16: 20 (mean red − 0.5) + the mask to begin with; the same scores; for what is wrong
+                         `first`, a single mask, and `coarse`, a mask of one pixel
 """
 
 import json
@@ -19,16 +24,16 @@ FOLDER = Path(__file__).parents[2] / "tests" / "models"
 
 
 def model(name, nodes, inputs, outputs, constants, contract, sides=("height", "width")):
-    """A model of the oldest versions that the runtime's oldest supported release reads; outputs have these sides."""
+    """A model of the oldest versions that the runtime's oldest supported release reads. An input by name is a picture,
+    others have their shape; an output with a number has so many channels of these sides, others have their shape."""
     picture = [1, 3, "height", "width"]
+    inputs = [one if isinstance(one, tuple) else (one, picture) for one in inputs]
+    outputs = [(o, [1, shape, *sides] if isinstance(shape, int) else shape) for o, shape in outputs]
     graph = helper.make_graph(
         nodes,
         name,
-        [helper.make_tensor_value_info(i, TensorProto.FLOAT, picture) for i in inputs],
-        [
-            helper.make_tensor_value_info(o, TensorProto.FLOAT, [1, channels, *sides])
-            for o, channels in outputs
-        ],
+        [helper.make_tensor_value_info(i, TensorProto.FLOAT, shape) for i, shape in inputs],
+        [helper.make_tensor_value_info(o, TensorProto.FLOAT, shape) for o, shape in outputs],
         [
             helper.make_tensor(key, TensorProto.INT64 if isinstance(values[0], int) else TensorProto.FLOAT,
                                [len(values)] if isinstance(values[0], int) else [], values)
@@ -100,6 +105,63 @@ def lpips():
     model("lpips", nodes, ["first", "second"], [("distance", 1)], {}, contract, sides=(1, 1))
 
 
+def mask_encoder():
+    nodes = [helper.make_node("Identity", ["image"], ["features"])]
+    model("mask_encoder", nodes, ["image"], [("features", 3)], {}, None)
+
+
+def mask_prompts(rows, columns):
+    """The inputs of a decoder of masks with these sides, and what its scores are made by."""
+    inputs = [
+        "features",
+        ("points", [1, "prompts", 2]),
+        ("labels", [1, "prompts"]),
+        ("mask_input", [1, 1, rows, columns]),
+        ("has_mask", [1]),
+    ]
+    nodes = [
+        helper.make_node("Unsqueeze", ["labels", "last"], ["label"]),
+        helper.make_node("Mul", ["points", "label"], ["counted"]),
+        helper.make_node("ReduceSum", ["counted", "axis"], ["sums"], keepdims=0),
+        helper.make_node("Unsqueeze", ["has_mask", "axis"], ["begun"]),
+        helper.make_node("Concat", ["sums", "begun"], ["scores"], axis=1),
+        helper.make_node("Mul", ["mask_input", "has_mask"], ["before"]),
+    ]
+    return inputs, nodes, {"axis": [1], "last": [2], "half": [0.5], "twenty": [20.0], "three": [3.0]}
+
+
+def mask_decoder():
+    inputs, nodes, constants = mask_prompts("height", "width")
+    red, take, more = channels("features", 0, 1)
+    nodes += [
+        take,
+        helper.make_node("Sub", [red, "half"], ["beyond"]),
+        helper.make_node("Mul", ["beyond", "twenty"], ["odds"]),
+        helper.make_node("Neg", ["odds"], ["against"]),
+        helper.make_node("Sub", ["before", "three"], ["level"]),
+        helper.make_node("Concat", ["odds", "against", "level"], ["masks"], axis=1),
+    ]
+    outputs = [("masks", 3), ("scores", [1, 3])]
+    model("mask_decoder", nodes, inputs, outputs, constants | more, None)
+
+
+def mask_decoder_small():
+    inputs, nodes, constants = mask_prompts(8, 16)
+    red, take, more = channels("features", 0, 1)
+    nodes += [
+        take,
+        helper.make_node("Sub", [red, "half"], ["beyond"]),
+        helper.make_node("Mul", ["beyond", "twenty"], ["odds"]),
+        helper.make_node("ReduceMean", ["odds"], ["coarse"], axes=[2, 3]),
+        helper.make_node("Add", ["coarse", "before"], ["first"]),
+        helper.make_node("Neg", ["first"], ["against"]),
+        helper.make_node("Sub", ["before", "three"], ["level"]),
+        helper.make_node("Concat", ["first", "against", "level"], ["masks"], axis=1),
+    ]
+    outputs = [("masks", 3), ("first", 1), ("coarse", [1, 1, 1, 1]), ("scores", [1, 3])]
+    model("mask_decoder_small", nodes, inputs, outputs, constants | more, None, sides=(8, 16))
+
+
 if __name__ == "__main__":
     FOLDER.mkdir(exist_ok=True)
     depth("depth", {
@@ -113,3 +175,6 @@ if __name__ == "__main__":
     depth("bare", None)
     flow()
     lpips()
+    mask_encoder()
+    mask_decoder()
+    mask_decoder_small()

@@ -1,5 +1,5 @@
-//! Networks that the user has, run through the ONNX Runtime: for depth and flow, and for LPIPS, which measures
-//! pictures.
+//! Networks that the user has, run through the ONNX Runtime: for depth, flow and masks, and for LPIPS, which
+//! measures pictures.
 //!
 //! A folder holds the models and `models.toml`, which says what each is for:
 //!
@@ -18,6 +18,13 @@
 //!
 //! [flow]
 //! file = "sea_raft_small.onnx"
+//!
+//! # Both, or none.
+//! [mask_encoder]
+//! file = "sam2_small.encoder.onnx"
+//!
+//! [mask_decoder]
+//! file = "sam2_small.decoder.onnx"
 //! ```
 //!
 //! A network for LPIPS is no part of such a folder: [`LpipsNetwork::open`] takes its file.
@@ -25,7 +32,7 @@
 //! | module | what it holds |
 //! |---|---|
 //! | [`contract`] | what a model says of itself, held against what it is |
-//! | `depth`, `flow`, `lpips` | networks of each kind |
+//! | `depth`, `flow`, `lpips`, `mask` | networks of each kind |
 //! | `network` | a loaded model: named tensors in, named tensors out |
 //! | `picture` | a frame as a network takes it, and the way back |
 //! | [`runtime`] | the runtime's library, found and loaded |
@@ -34,6 +41,7 @@ pub mod contract;
 mod depth;
 mod flow;
 mod lpips;
+mod mask;
 mod network;
 mod picture;
 pub mod runtime;
@@ -47,6 +55,7 @@ pub use contract::Contract;
 pub use depth::DepthNetwork;
 pub use flow::FlowNetwork;
 pub use lpips::LpipsNetwork;
+pub use mask::MaskNetwork;
 use network::Network;
 pub use runtime::{Provider, Runtime, RuntimeOptions};
 
@@ -59,6 +68,8 @@ pub const LIST: &str = "models.toml";
 struct List {
     depth: Option<Entry>,
     flow: Option<Entry>,
+    mask_encoder: Option<Entry>,
+    mask_decoder: Option<Entry>,
 }
 
 /// A model's file within the folder, and its contract where its metadata has none.
@@ -90,7 +101,7 @@ impl List {
     }
 
     fn entries(&self) -> impl Iterator<Item = &Entry> {
-        [&self.depth, &self.flow].into_iter().flatten()
+        [&self.depth, &self.flow, &self.mask_encoder, &self.mask_decoder].into_iter().flatten()
     }
 }
 
@@ -100,6 +111,8 @@ pub struct Models {
     pub depth: Option<DepthNetwork>,
     /// Estimates flow.
     pub flow: Option<FlowNetwork>,
+    /// Draws masks.
+    pub masks: Option<MaskNetwork>,
 }
 
 impl Models {
@@ -107,13 +120,19 @@ impl Models {
     ///
     /// # Errors
     /// No such file, one that is no list or names an unknown purpose or a file outside the folder, a model that
-    /// does not load, one that is of another kind than it is listed for.
+    /// does not load, one that is of another kind than it is listed for, one of an encoder and a decoder.
     pub fn open(runtime: &Runtime, folder: &Path) -> Result<Models> {
-        let List { depth, flow } = List::read(folder)?;
+        let List { depth, flow, mask_encoder, mask_decoder } = List::read(folder)?;
         let open = |Entry { file, contract }: Entry| {
             Network::open(runtime, &folder.join(file), contract.as_ref())
         };
+        let masks = both(folder, "mask", mask_encoder, mask_decoder)?;
+        let masks = masks.map(|(encoder, decoder)| {
+            let encoder = open(encoder)?;
+            MaskNetwork::new(encoder, open(decoder)?)
+        });
         Ok(Models {
+            masks: masks.transpose()?,
             depth: depth.map(|entry| open(entry).and_then(DepthNetwork::new)).transpose()?,
             flow: flow.map(|entry| open(entry).and_then(FlowNetwork::new)).transpose()?,
         })
@@ -127,5 +146,24 @@ impl Models {
         let list = List::read(folder)?;
         let models = list.entries().map(|entry| folder.join(&entry.file));
         Ok(std::iter::once(folder.join(LIST)).chain(models).collect())
+    }
+}
+
+/// An encoder and its decoder, of which neither goes without the other.
+fn both(
+    folder: &Path,
+    what: &str,
+    encoder: Option<Entry>,
+    decoder: Option<Entry>,
+) -> Result<Option<(Entry, Entry)>> {
+    let lacks = |has: &str, lacks: &str| {
+        let what = format!("has `{what}_{has}` without `{what}_{lacks}`; list both, or none");
+        Err(Error::format(folder.join(LIST), what))
+    };
+    match (encoder, decoder) {
+        (Some(encoder), Some(decoder)) => Ok(Some((encoder, decoder))),
+        (None, None) => Ok(None),
+        (Some(_), None) => lacks("encoder", "decoder"),
+        (None, Some(_)) => lacks("decoder", "encoder"),
     }
 }

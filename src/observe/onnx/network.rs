@@ -121,6 +121,23 @@ impl Network {
         Ok(())
     }
 
+    /// That an output has no value that is infinite or no number.
+    pub fn check_finite(&self, tensor: &Tensor, name: &str) -> Result<()> {
+        let unknown = tensor.values.iter().filter(|value| !value.is_finite()).count();
+        if unknown > 0 {
+            let n = tensor.values.len();
+            return Err(self.wrong(name, &format!("is not finite at {unknown} of {n} values")));
+        }
+        Ok(())
+    }
+
+    /// Sides of an input as the model tells them, −1 where they are known only when it runs.
+    pub fn input_shape(&self, name: &str) -> Vec<i64> {
+        let input = self.session.inputs().iter().find(|input| input.name() == name);
+        let shape = input.and_then(|input| input.dtype().tensor_shape());
+        shape.map_or(Vec::new(), |shape| shape.iter().copied().collect())
+    }
+
     /// That an output is not what its contract says.
     pub fn wrong(&self, output: &str, what: &str) -> Error {
         Error::format(&self.file, format!("its output `{output}` {what}"))

@@ -118,6 +118,38 @@ impl Layout {
         out
     }
 
+    /// One channel of what a network says, `size` large, brought to the pixels of the frame, bilinear: for what
+    /// is smooth over the picture, as log odds are.
+    pub fn smooth(&self, plane: &[f32], size: (u32, u32)) -> Image {
+        let plane = Image { width: size.0, height: size.1, channels: 1, pixels: plane.to_vec() };
+        let place = |axis: Axis, i: u32, side: u32, picture: u32| {
+            let at = self.picture_from_frame(axis, f64::from(i) + 0.5);
+            at * f64::from(side) / f64::from(picture)
+        };
+        let (width, height) = self.frame;
+        let mut out = Image::new(width, height, 1);
+        for y in 0..height {
+            let v = place(Axis::Y, y, size.1, self.picture.1);
+            for x in 0..width {
+                out.at_mut(x, y)[0] = plane.between(place(Axis::X, x, size.0, self.picture.0), v);
+            }
+        }
+        out
+    }
+
+    /// The way back: one channel of the frame, bilinear, at the pixels of a plane of `size` that covers the
+    /// picture. Beyond the frame its edge is repeated, as in the picture.
+    pub fn to_picture(&self, image: &Image, size: (u32, u32)) -> Vec<f32> {
+        let place = |i: u32, side: u32, picture: u32, frame: u32, scaled: u32, first: u32| {
+            let at = (f64::from(i) + 0.5) * f64::from(picture) / f64::from(side);
+            (at + f64::from(first)) * f64::from(frame) / f64::from(scaled)
+        };
+        let x = |i| place(i, size.0, self.picture.0, self.frame.0, self.scaled.0, self.first.0);
+        let y = |i| place(i, size.1, self.picture.1, self.frame.1, self.scaled.1, self.first.1);
+        let row = |j| (0..size.0).map(move |i| image.between(x(i), y(j)));
+        (0..size.1).flat_map(row).collect()
+    }
+
     /// A place in the frame as one in the picture.
     pub fn picture_from_frame(&self, axis: Axis, at: f64) -> f64 {
         let (frame, scaled, first) = match axis {
@@ -226,6 +258,57 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn smooth_channels_come_to_the_frame_and_back() {
+        let ramp = |width: u32, height: u32, by: [f32; 2]| {
+            let mut out = Image::new(width, height, 1);
+            for (i, value) in out.pixels.iter_mut().enumerate() {
+                let (x, y) = (i as u32 % width, i as u32 / width);
+                *value = by[0] * (x as f32 + 0.5) + by[1] * (y as f32 + 0.5);
+            }
+            out
+        };
+        // The frame lies in 64 × 32: stretched; 40 × 32 of it, with its edge repeated; 24 rows of 56 cut off.
+        for (fit, frame) in [(Fit::Stretch, (24, 30)), (Fit::Pad, (20, 16)), (Fit::Crop, (32, 44))]
+        {
+            let layout = Layout::new(&PictureRule { size: [64, 32], ..rule(1, 0, fit) }, frame);
+            // A plane four times as coarse as the picture.
+            let size = (16, 8);
+            let image = ramp(frame.0, frame.1, [1.0, 0.5]);
+            let plane = layout.to_picture(&image, size);
+            let back = layout.smooth(&plane, size);
+            let mut known = 0;
+            for y in 0..frame.1 {
+                for x in 0..frame.0 {
+                    let at = |axis, i: u32| layout.picture_from_frame(axis, f64::from(i) + 0.5);
+                    let (u, v) = (at(Axis::X, x), at(Axis::Y, y));
+                    // Edges are level by half of a coarse pixel, and by one more where the edge is repeated.
+                    let inner = |at: f64, side: f64| at >= 2.0 && at <= side;
+                    let sides = [0, 1].map(|k| {
+                        let (scaled, picture) = (layout.scaled, layout.picture);
+                        let [s, p] = [[scaled.0, scaled.1][k], [picture.0, picture.1][k]];
+                        f64::from(s.min(p)) - 6.0
+                    });
+                    if inner(u, sides[0]) && inner(v, sides[1]) {
+                        known += 1;
+                        let expected = image.at(x, y)[0];
+                        let told = back.at(x, y)[0];
+                        assert!(
+                            (told - expected).abs() < 1e-4,
+                            "{fit:?} {x} {y}: {told} {expected}"
+                        );
+                    }
+                }
+            }
+            assert!(known > 80, "{fit:?}: {known}");
+        }
+        // At its own size nothing is interpolated.
+        let layout = Layout::new(&PictureRule { size: [7, 5], ..rule(1, 0, Fit::Stretch) }, (7, 5));
+        let image = ramp(7, 5, [0.3, -2.0]);
+        assert_eq!(layout.to_picture(&image, (7, 5)), image.pixels);
+        assert_eq!(layout.smooth(&image.pixels, (7, 5)), image);
     }
 
     #[test]
