@@ -8,7 +8,7 @@ use splat4d::gpu::Device;
 use splat4d::io::{Identity, checksum, read_state, write_state};
 use splat4d::observe::EngineFlow;
 use splat4d::scene::Scene;
-use splat4d::track::{self, Options, Stage, track, track_observed};
+use splat4d::track::{self, Options, Sources, Stage, track, track_observed};
 use splat4d::train::{
     AdaptiveSettings, Checkpoint, GrowthSettings, McmcSettings, Observer, Phase, PosedMotion,
     Sequence, SequenceSettings, TrainSettings, Trainer, TrainingView, fit_posed, fit_sequence,
@@ -210,7 +210,8 @@ fn a_tracking_interrupted_again_and_again() {
         let mut stages = Vec::new();
         let found = loop {
             let mut parts = Parts { kept, left: 5 };
-            match track_observed(&clip.frames, &options, &mut source(), &mut parts) {
+            let sources = Sources { flow: &mut source(), masks: None };
+            match track_observed(&clip.frames, &options, sources, &mut parts) {
                 Ok(found) => break found,
                 Err(Error::Interrupted { .. }) => kept = parts.kept,
                 Err(error) => panic!("{name}: {error}"),

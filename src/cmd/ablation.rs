@@ -12,7 +12,7 @@ use splat4d::observe::EngineFlow;
 use splat4d::renderer::Renderer;
 use splat4d::report::{Better, Figure};
 use splat4d::scene::Scene;
-use splat4d::track::{Observer, Options, Stage, Track, track_observed};
+use splat4d::track::{Observer, Options, Sources, Stage, Track, track_observed};
 use splat4d::train::{Phase, Sequence, SequenceSettings, fit_sequence};
 use splat4d::types::{FlowSettings, Image};
 
@@ -79,7 +79,8 @@ impl<'a> Material<'a> {
             seconds_flow: 0.0,
             under_way: None,
         };
-        let track = track_observed(&self.frames, options, &mut source, &mut follower)?;
+        let sources = Sources { flow: &mut source, masks: None };
+        let track = track_observed(&self.frames, options, sources, &mut follower)?;
         let seconds = follower.began.elapsed().as_secs_f64() - follower.seconds_flow;
         if first {
             self.seconds_flow = follower.seconds_flow;

@@ -9,15 +9,19 @@ use serde_json::{Value, json};
 use splat4d::data::trajectory::{self, TimedPose};
 use splat4d::data::{Clip, Distortion, Lens, Resize, depth, flow, images, intrinsics};
 use splat4d::gpu::Device;
-use splat4d::observe::onnx::Models;
-use splat4d::observe::{EngineFlow, EstimatedDepth, EstimatedKind, FlowSource, SuppliedFlow};
-use splat4d::track::{FocalSource, Observer, Options, Quality, Refined, Track, track_observed};
+use splat4d::observe::onnx::{FlowNetwork, Models};
+use splat4d::observe::{
+    EngineFlow, EstimatedDepth, EstimatedKind, FlowSource, MaskSource, SuppliedFlow,
+};
+use splat4d::track::{
+    FocalSource, Observer, Options, Quality, Refined, Sources, Track, track_observed,
+};
 use splat4d::types::{Camera, FlowSettings, Image, Intrinsics};
 use splat4d::{Error, Result};
 
 use super::clip::ClipArgs;
 use super::common::notes;
-use super::networks::NetworkArgs;
+use super::networks::{NetworkArgs, track_networks};
 use super::outputs::{Folder, Inputs};
 use super::{supplied, values};
 
@@ -233,8 +237,10 @@ pub fn observe(
     models: &mut Option<Models>,
     observer: &mut dyn Observer,
 ) -> Result<Track> {
-    let mut source = flow_source(device, frames, supplied, models)?;
-    track_observed(frames, options, source.as_mut(), observer)
+    let (network, masks) = track_networks(models);
+    let mut flow = flow_source(device, frames, supplied, network)?;
+    let masks = masks.map(|network| network as &mut dyn MaskSource);
+    track_observed(frames, options, Sources { flow: flow.as_mut(), masks }, observer)
 }
 
 /// Flow that is supplied, else a network's, else the engine's.
@@ -242,9 +248,8 @@ pub fn flow_source<'a>(
     device: &Device,
     frames: &'a [Image],
     supplied: Option<SuppliedFlow>,
-    models: &'a mut Option<Models>,
+    network: Option<&'a mut FlowNetwork>,
 ) -> Result<Box<dyn FlowSource + 'a>> {
-    let network = models.as_mut().and_then(|models| models.flow.as_mut());
     Ok(match (supplied, network) {
         (Some(flow), _) => Box::new(flow),
         (None, Some(network)) => Box::new(network.source(frames)),

@@ -4,7 +4,9 @@ use std::ffi::OsString;
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use splat4d::observe::onnx::{LpipsNetwork, Models, Provider, Runtime, RuntimeOptions};
+use splat4d::observe::onnx::{
+    FlowNetwork, LpipsNetwork, MaskNetwork, Models, Provider, Runtime, RuntimeOptions,
+};
 use splat4d::track::Options;
 use splat4d::types::Image;
 use splat4d::{Result, io};
@@ -78,11 +80,11 @@ impl RuntimeArgs {
     }
 }
 
-/// Networks for depth and flow.
+/// Networks for depth, flow and masks.
 #[derive(Args)]
 pub struct NetworkArgs {
-    /// Networks for depth and flow: a folder with ONNX models and models.toml, which says what each is for.
-    /// What --depth or --flow supplies is taken instead of theirs
+    /// Networks for depth, flow and masks: a folder with ONNX models and models.toml, which says what each is
+    /// for. What --depth, --flow or --masks supplies is taken instead of theirs
     #[arg(long, value_name = "DIR", group = "networks")]
     models: Option<PathBuf>,
     #[command(flatten)]
@@ -133,6 +135,16 @@ pub fn estimate_depth(
         Ok(())
     })?);
     Ok(())
+}
+
+/// The networks that are asked while a clip is tracked, where there are: for flow, and for masks.
+pub fn track_networks(
+    models: &mut Option<Models>,
+) -> (Option<&mut FlowNetwork>, Option<&mut MaskNetwork>) {
+    match models {
+        Some(Models { flow, masks, .. }) => (flow.as_mut(), masks.as_mut()),
+        None => (None, None),
+    }
 }
 
 /// LPIPS beside the other figures of pictures.

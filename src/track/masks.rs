@@ -92,32 +92,81 @@ pub(super) fn segment(
     part: &str,
     shares: std::ops::Range<f64>,
 ) -> Result<Vec<Image>> {
-    let Observed { frames, flow, seen, .. } = observed;
-    // Plates come once depth is known.
-    let stage = if plates.is_some() { Stage::Depth } else { Stage::Masks };
     let middle = 0.5 * (shares.start + shares.end);
-    let mut odds = all_odds(observed, work, part, stage, shares.start..middle)?;
-    let mut support = observed.support();
-    for (frame, plate) in plates.unwrap_or_default().iter().enumerate() {
-        for (i, said) in plate.odds.iter().enumerate().filter(|(_, said)| !said.is_nan()) {
-            odds[frame][i] += said;
-            support[frame][i] = CERTAIN;
-        }
-    }
-    let (width, height) = super::intrinsics_size(flow);
-    let segmented = |range: std::ops::Range<usize>| {
-        let segment = |frame: usize| {
-            let mut gathered = gather(flow, &odds, &support, frame);
-            if let Some(plate) = plates.and_then(|plates| plates.get(frame)) {
-                beside_plate(&mut gathered, plate, &seen[frame].support);
+    let judged = Judged::new(observed, plates, work, part, shares.start..middle)?;
+    judged.segment(None, work, part, middle..shares.end)
+}
+
+/// What each pixel says of motion by itself.
+pub(super) struct Judged<'a> {
+    pub observed: Observed<'a>,
+    plates: Option<&'a [Evidence]>,
+    /// By frame: log odds.
+    odds: Vec<Vec<f32>>,
+    /// By frame: how well each pixel is known.
+    support: Vec<Vec<f32>>,
+}
+
+impl<'a> Judged<'a> {
+    /// Judges all pixels.
+    pub fn new(
+        observed: Observed<'a>,
+        plates: Option<&'a [Evidence]>,
+        work: &mut Work,
+        part: &str,
+        shares: std::ops::Range<f64>,
+    ) -> Result<Judged<'a>> {
+        let mut odds = all_odds(observed, work, part, stage(plates), shares)?;
+        let mut support = observed.support();
+        for (frame, plate) in plates.unwrap_or_default().iter().enumerate() {
+            for (i, said) in plate.odds.iter().enumerate().filter(|(_, said)| !said.is_nan()) {
+                odds[frame][i] += said;
+                support[frame][i] = CERTAIN;
             }
-            let mut u = relax(&gathered, &edges(&frames[frame], flow, frame), flow.width);
-            clean(&mut u, flow.width);
-            Image { width, height, channels: 1, pixels: u }
+        }
+        Ok(Judged { observed, plates, odds, support })
+    }
+
+    /// Log odds of a frame's pixels, with those of the same points in the frames around.
+    pub fn gathered(&self, frame: usize) -> Vec<f32> {
+        let Observed { flow, seen, .. } = self.observed;
+        let mut gathered = gather(flow, &self.odds, &self.support, frame);
+        if let Some(plate) = self.plates.and_then(|plates| plates.get(frame)) {
+            beside_plate(&mut gathered, plate, &seen[frame].support);
+        }
+        gathered
+    }
+
+    /// A motion mask per frame, one channel in [0, 1]. `more` are log odds that are added to each frame's.
+    pub fn segment(
+        &self,
+        more: Option<&[Vec<f32>]>,
+        work: &mut Work,
+        part: &str,
+        shares: std::ops::Range<f64>,
+    ) -> Result<Vec<Image>> {
+        let Observed { frames, flow, .. } = self.observed;
+        let (width, height) = super::intrinsics_size(flow);
+        let segmented = |range: std::ops::Range<usize>| {
+            let segment = |frame: usize| {
+                let mut odds = self.gathered(frame);
+                if let Some(more) = more {
+                    odds.iter_mut().zip(&more[frame]).for_each(|(odds, more)| *odds += more);
+                }
+                let mut u = relax(&odds, &edges(&frames[frame], flow, frame), flow.width);
+                clean(&mut u, flow.width);
+                Image { width, height, channels: 1, pixels: u }
+            };
+            range.into_par_iter().map(segment).collect()
         };
-        range.into_par_iter().map(segment).collect()
-    };
-    work.frames(&format!("{part}/masks"), frames.len(), segmented, stage, middle..shares.end)
+        let part = format!("{part}/masks");
+        work.frames(&part, frames.len(), segmented, stage(self.plates), shares)
+    }
+}
+
+/// Plates come once depth is known.
+fn stage(plates: Option<&[Evidence]>) -> Stage {
+    if plates.is_some() { Stage::Depth } else { Stage::Masks }
 }
 
 impl Observed<'_> {

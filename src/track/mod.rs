@@ -9,6 +9,7 @@
 //! | `photometric` | does the picture itself say that a pixel moved? |
 //! | `plate` | what each frame would show if nothing moved |
 //! | `masks` | from what is unexplained to a dense motion mask that keeps to the picture's edges |
+//! | `prompted` | masks that a network draws of what moves, asked for by points |
 //! | `mended` | supplied masks that flicker or slip, by those around and by what moves |
 //! | `stereo` | static depth from the pictures of the whole clip |
 //! | `depth` | depth of all pixels, measured where it can be, inferred and marked so where not |
@@ -56,6 +57,7 @@ mod photometric;
 mod places;
 mod plate;
 mod points;
+mod prompted;
 mod quality;
 mod relief;
 mod residual;
@@ -78,7 +80,8 @@ use serde::{Deserialize, Serialize};
 use crate::data::Lens;
 use crate::geometry::sim3::Sim3;
 use crate::observe::{
-    Exposure, FlowSource, NeighbourFlow, PointTrack, TrackOptions, follow, refine, supplied_tracks,
+    Exposure, FlowSource, MaskSource, NeighbourFlow, PointTrack, TrackOptions, follow, refine,
+    supplied_tracks,
 };
 use crate::types::{Image, Intrinsics, Pose};
 use crate::{Error, Result};
@@ -228,11 +231,20 @@ pub fn track(
     source: &mut dyn FlowSource,
     progress: &mut dyn FnMut(Stage, f64) -> Result<()>,
 ) -> Result<Track> {
-    track_observed(frames, options, source, &mut Progress(progress))
+    let sources = Sources { flow: source, masks: None };
+    track_observed(frames, options, sources, &mut Progress(progress))
 }
 
-/// [`track`] with an observer that may keep finished parts, and give those that an earlier run on the
-/// same frames, options and flow has kept: then the result has the same bits as that of a run that
+/// What is asked about the frames while they are tracked.
+pub struct Sources<'a> {
+    /// The flow between neighbouring frames.
+    pub flow: &'a mut dyn FlowSource,
+    /// Masks of what moves, where something draws them; it is not asked where masks are supplied.
+    pub masks: Option<&'a mut dyn MaskSource>,
+}
+
+/// [`track`] with more sources than that of flow, and an observer that may keep finished parts, and give those that an earlier run on the
+/// same frames, options and sources has kept: then the result has the same bits as that of a run that
 /// was never interrupted.
 ///
 /// # Errors
@@ -240,12 +252,12 @@ pub fn track(
 pub fn track_observed(
     frames: &[Image],
     options: &Options,
-    source: &mut dyn FlowSource,
+    sources: Sources<'_>,
     observer: &mut dyn Observer,
 ) -> Result<Track> {
     options.check(frames)?;
     let mut work = Work::new(observer);
-    let flow = observe(frames, source, &mut work)?;
+    let flow = observe(frames, sources.flow, &mut work)?;
     let mut tracks = follow(&flow, &TrackOptions::for_size(flow.width, flow.height));
     let size = DVec2::new(flow.width as f64, flow.height as f64);
     tracks.extend(options.tracks.iter().flat_map(|tracks| supplied_tracks(tracks, size)));
@@ -330,16 +342,22 @@ pub fn track_observed(
     let plates = |layers: &[depth::Layer], masks: &[Image], work: &mut Work, part, shares| {
         plate::evidence(frames, &cameras, layers, masks, work, part, shares)
     };
+    let mut masks_note = None;
     if supplied.is_none() {
         let static_world = layers(&seen, &masks, None, &mut work, "last/layers", 0.0..0.1)?;
         let plates = plates(&static_world, &masks, &mut work, "last/plates", 0.1..0.2)?;
-        masks = masks::segment(
-            masks::Observed { frames, cameras: &cameras, flow, seen: &seen },
-            Some(&plates),
-            &mut work,
-            "last/masks",
-            0.2..0.3,
-        )?;
+        let observed = masks::Observed { frames, cameras: &cameras, flow, seen: &seen };
+        let part = "last/masks";
+        let judged = masks::Judged::new(observed, Some(&plates), &mut work, part, 0.2..0.25)?;
+        masks = judged.segment(None, &mut work, part, 0.25..0.3)?;
+        if let Some(source) = sources.masks {
+            let said = prompted::ask(&judged, &masks, source, &mut work, part)?;
+            let part = "last/fused";
+            masks = judged.segment(Some(&said.odds), &mut work, part, 0.3..0.3)?;
+            masks_note = Some(quality::masks_note(said.accepted, frames.len()));
+        }
+    } else if sources.masks.is_some() {
+        masks_note = Some("masks: the supplied ones; the network was not asked".to_owned());
     }
     if cameras.have_parallax() && options.stereo && options.depth.is_none() {
         let shares = 0.3..0.7;
@@ -369,6 +387,7 @@ pub fn track_observed(
     if !mended.is_empty() {
         quality.notes.push(quality::mended_note(&mended));
     }
+    quality.notes.extend(masks_note);
     work.progress(Stage::Depth, 1.0)?;
     Ok(Track {
         intrinsics: cameras.intrinsics,

@@ -139,3 +139,8 @@ pub(super) fn mended_note(frames: &[usize]) -> String {
         named.join(", ")
     )
 }
+
+/// Whose masks were taken, where a network was asked.
+pub(super) fn masks_note(accepted: usize, frames: usize) -> String {
+    format!("masks: the network's accepted in {accepted} of {frames} frames")
+}
