@@ -18,7 +18,6 @@
 //! anchors it, is held by keeping the median inverse depth what it was on entry.
 
 mod deviation;
-mod envelope;
 mod normal;
 mod residual;
 

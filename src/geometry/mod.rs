@@ -14,6 +14,7 @@
 //! random takes a seed and gives the same bits for the same seed, whatever the number of threads.
 
 pub mod bundle;
+pub(crate) mod envelope;
 pub mod epipolar;
 pub mod five_point;
 pub mod focal;

@@ -1,6 +1,6 @@
 //! The normal equations, reduced to the cameras.
 
-use super::envelope::Envelope;
+use super::super::envelope::Envelope;
 use super::residual::{focal_prior, kernel, project_through, relative};
 use super::{Options, Problem, counts};
 use crate::geometry::se3::{Twist, retract};

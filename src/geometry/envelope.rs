@@ -10,7 +10,7 @@ use nalgebra::{DMatrix, DVector};
 
 /// The lower triangle of a symmetric matrix.
 #[derive(Clone, Debug)]
-pub(super) struct Envelope {
+pub(crate) struct Envelope {
     /// By row, its first column.
     first: Vec<usize>,
     /// By row, where it begins in `values`; one more for the end.
@@ -20,7 +20,7 @@ pub(super) struct Envelope {
 
 impl Envelope {
     /// A matrix of zeros; row r has columns `first[r]..=r`.
-    pub(super) fn zeros(first: Vec<usize>) -> Envelope {
+    pub(crate) fn zeros(first: Vec<usize>) -> Envelope {
         let mut start = Vec::with_capacity(first.len() + 1);
         start.push(0);
         for (row, first) in first.iter().enumerate() {
@@ -31,12 +31,12 @@ impl Envelope {
     }
 
     /// Number of rows.
-    pub(super) fn size(&self) -> usize {
+    pub(crate) fn size(&self) -> usize {
         self.first.len()
     }
 
     /// The entries of a row from column `from`, at or after its first one, to the diagonal.
-    pub(super) fn row_mut(&mut self, row: usize, from: usize) -> &mut [f64] {
+    pub(crate) fn row_mut(&mut self, row: usize, from: usize) -> &mut [f64] {
         let skipped = from - self.first[row];
         &mut self.values[self.start[row] + skipped..self.start[row + 1]]
     }
@@ -46,27 +46,27 @@ impl Envelope {
     }
 
     /// The entry of the diagonal.
-    pub(super) fn diagonal(&self, row: usize) -> f64 {
+    pub(crate) fn diagonal(&self, row: usize) -> f64 {
         self.values[self.start[row + 1] - 1]
     }
 
-    pub(super) fn diagonal_mut(&mut self, row: usize) -> &mut f64 {
+    pub(crate) fn diagonal_mut(&mut self, row: usize) -> &mut f64 {
         &mut self.values[self.start[row + 1] - 1]
     }
 
     /// The largest entry of the diagonal; 0 of an empty matrix.
-    pub(super) fn largest_diagonal(&self) -> f64 {
+    pub(crate) fn largest_diagonal(&self) -> f64 {
         (0..self.size()).map(|row| self.diagonal(row)).fold(0.0, f64::max)
     }
 
     /// Adds `factor` times a matrix of the same shape.
-    pub(super) fn add(&mut self, factor: f64, other: &Envelope) {
+    pub(crate) fn add(&mut self, factor: f64, other: &Envelope) {
         debug_assert_eq!(self.first, other.first);
         self.values.iter_mut().zip(&other.values).for_each(|(a, b)| *a += factor * b);
     }
 
     /// Both triangles.
-    pub(super) fn to_dense(&self) -> DMatrix<f64> {
+    pub(crate) fn to_dense(&self) -> DMatrix<f64> {
         let mut dense = DMatrix::zeros(self.size(), self.size());
         for row in 0..self.size() {
             for (column, value) in (self.first[row]..).zip(self.row(row, self.first[row])) {
@@ -77,7 +77,7 @@ impl Envelope {
     }
 
     /// The Cholesky factor, in the same shape; none unless the matrix is positive definite.
-    pub(super) fn cholesky(mut self) -> Option<Factor> {
+    pub(crate) fn cholesky(mut self) -> Option<Factor> {
         for row in 0..self.size() {
             let first = self.first[row];
             let (above, own) = self.values.split_at_mut(self.start[row]);
@@ -100,11 +100,11 @@ impl Envelope {
 }
 
 /// L of L Lᵀ.
-pub(super) struct Factor(Envelope);
+pub(crate) struct Factor(Envelope);
 
 impl Factor {
     /// x of L Lᵀ x = `right`.
-    pub(super) fn solve(&self, right: &DVector<f64>) -> DVector<f64> {
+    pub(crate) fn solve(&self, right: &DVector<f64>) -> DVector<f64> {
         let lower = &self.0;
         let mut x = right.clone();
         let values = x.as_mut_slice();
