@@ -3,18 +3,21 @@
 //!
 //! | module | what it holds |
 //! |---|---|
+//! | [`alignment`] | cameras and depth from pointmaps |
 //! | [`depth`] | depth that a network has estimated |
 //! | [`engine`] | [`EngineFlow`]: flow that the engine computes |
 //! | [`exposure`] | how bright each frame is |
 //! | [`flow`] | [`FlowSource`] and flow that the user supplies; forward–backward confidence; chaining |
 //! | [`masks`] | [`MaskSource`]: masks of what points tell |
 //! | `onnx` | networks run through the ONNX Runtime (feature `onnx`) |
+//! | [`pointmaps`] | points that pairs of frames show, gathered over a clip |
 //! | [`tracks`] | points followed over many frames |
 //! | [`mod@refine`] | tracks aligned with the pictures, so that they do not drift |
 //!
 //! Everything after this stage sees only [`NeighbourFlow`]: where a flow came from (the engine, a
 //! network, a file, a synthetic clip) makes no difference to it.
 
+pub mod alignment;
 pub mod depth;
 pub mod engine;
 pub mod exposure;
@@ -23,6 +26,7 @@ pub(crate) mod luminance;
 pub mod masks;
 #[cfg(feature = "onnx")]
 pub mod onnx;
+pub mod pointmaps;
 pub mod refine;
 pub mod tracks;
 
