@@ -147,7 +147,10 @@ fn what_is_wrong_is_told() {
     let cases: [(&str, &[&str]); 14] = [
         ("", &["models.toml", "names no model"]),
         ("[depth", &["models.toml"]),
-        ("[gaze]\nfile = \"depth.onnx\"", &["models.toml", "`gaze`", "`depth`, `flow`"]),
+        (
+            "[gaze]\nfile = \"depth.onnx\"",
+            &["models.toml", "`gaze`", "expected one of `depth`, `flow`"],
+        ),
         ("[depth]\nfile = \"../depth.onnx\"", &["names ../depth.onnx", "not within its folder"]),
         ("[depth]\nfile = \"/depth.onnx\"", &["names /depth.onnx", "not within its folder"]),
         ("[depth]\nfile = \"gone.onnx\"", &["gone.onnx"]),

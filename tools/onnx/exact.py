@@ -12,6 +12,10 @@ mask_decoder.onnx        masks 20 (red − 0.5), its negative, and −3 + the ma
                          Σ label · x, Σ label · y, and whether there is a mask to begin with
 mask_decoder_small.onnx  of 8 × 16: 20 (mean red − 0.5) + the mask to begin with; the same scores; for what is wrong
                          `first`, a single mask, and `coarse`, a mask of one pixel
+pointmap_encoder.onnx  that of a pointmap network without a contract: the picture itself
+pointmap_decoder.onnx  its decoder: the first picture's points (red, green, 1 + blue), confidence 1 + red; the
+             second one's are of the sum of both colours, confidence 1 + blue
+pointmap_uneven.onnx   the same with every other column of points left out
 """
 
 import json
@@ -40,12 +44,7 @@ def model(name, nodes, inputs, outputs, constants, contract, sides=("height", "w
             for key, values in constants.items()
         ],
     )
-    made = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
-    made.producer_name = "splat4d"
-    if contract:
-        helper.set_model_props(made, {"splat4d": json.dumps(contract, sort_keys=True)})
-    onnx.checker.check_model(made, full_check=True)
-    onnx.save(made, FOLDER / f"{name}.onnx")
+    save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8), contract)
 
 
 def channels(source, first, last):
@@ -160,6 +159,59 @@ def mask_decoder_small():
     ]
     outputs = [("masks", 3), ("first", 1), ("coarse", [1, 1, 1, 1]), ("scores", [1, 3])]
     model("mask_decoder_small", nodes, inputs, outputs, constants | more, None, sides=(8, 16))
+def save(made, contract):
+    made.producer_name = "splat4d"
+    if contract:
+        helper.set_model_props(made, {"splat4d": json.dumps(contract, sort_keys=True)})
+    onnx.checker.check_model(made, full_check=True)
+    onnx.save(made, FOLDER / f"{made.graph.name}.onnx")
+
+
+def pointmap_encoder():
+    picture = [1, 3, "height", "width"]
+    graph = helper.make_graph(
+        [helper.make_node("Identity", ["image"], ["tokens"])],
+        "pointmap_encoder",
+        [helper.make_tensor_value_info("image", TensorProto.FLOAT, picture)],
+        [helper.make_tensor_value_info("tokens", TensorProto.FLOAT, picture)],
+    )
+    save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8), None)
+
+
+def pointmap_decoder(name, step):
+    nodes = [helper.make_node("Add", ["first", "second"], ["sum"])]
+    sources = [("first", "first", 0), ("sum", "second", 2)]
+    for k, (points, confidence, channel) in enumerate(sources):
+        nodes += [
+            helper.make_node("Slice", [points, "none", "all", "columns", step], [f"cut{k}"]),
+            helper.make_node("Transpose", [f"cut{k}"], [f"last{k}"], perm=[0, 2, 3, 1]),
+            helper.make_node("Add", [f"last{k}", "ahead"], [f"points{k}"]),
+            helper.make_node("Slice", [confidence, f"c{channel}", f"c{channel + 1}", "channels"], [f"one{k}"]),
+            helper.make_node("Squeeze", [f"one{k}", "channels"], [f"plane{k}"]),
+            helper.make_node("Add", [f"plane{k}", "unit"], [f"confidence{k}"]),
+        ]
+    whole = {"none": [0], "all": [1 << 30], "columns": [3], "channels": [1], step: [int(step[-1])]}
+    whole |= {f"c{c}": [c] for c in range(4)}
+    constants = [helper.make_tensor(key, TensorProto.INT64, [1], value) for key, value in whole.items()]
+    constants.append(helper.make_tensor("ahead", TensorProto.FLOAT, [3], [0.0, 0.0, 1.0]))
+    constants.append(helper.make_tensor("unit", TensorProto.FLOAT, [], [1.0]))
+    value = helper.make_tensor_value_info
+    graph = helper.make_graph(
+        nodes,
+        name,
+        [value(i, TensorProto.FLOAT, [1, 3, "height", "width"]) for i in ("first", "second")],
+        [value(f"points{k}", TensorProto.FLOAT, [1, "rows", "columns", 3]) for k in range(2)]
+        + [value(f"confidence{k}", TensorProto.FLOAT, [1, "height", "width"]) for k in range(2)],
+        constants,
+    )
+    contract = {
+        "kind": "pointmap_decoder",
+        "version": 1,
+        "inputs": ["first", "second"],
+        "points": ["points0", "points1"],
+        "confidence": ["confidence0", "confidence1"],
+    }
+    save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8), contract)
 
 
 if __name__ == "__main__":
@@ -178,3 +230,6 @@ if __name__ == "__main__":
     mask_encoder()
     mask_decoder()
     mask_decoder_small()
+    pointmap_encoder()
+    pointmap_decoder("pointmap_decoder", "by1")
+    pointmap_decoder("pointmap_uneven", "by2")

@@ -1,5 +1,5 @@
-//! Networks that the user has, run through the ONNX Runtime: for depth, flow and masks, and for LPIPS, which
-//! measures pictures.
+//! Networks that the user has, run through the ONNX Runtime: for depth, flow, masks and pointmaps, and for LPIPS,
+//! which measures pictures.
 //!
 //! A folder holds the models and `models.toml`, which says what each is for:
 //!
@@ -19,12 +19,19 @@
 //! [flow]
 //! file = "sea_raft_small.onnx"
 //!
-//! # Both, or none.
+//! # SAM 2: both, or none.
 //! [mask_encoder]
 //! file = "sam2_small.encoder.onnx"
 //!
 //! [mask_decoder]
 //! file = "sam2_small.decoder.onnx"
+//!
+//! # MonST3R or DUSt3R: both, or none.
+//! [pointmap_encoder]
+//! file = "monst3r_encoder.onnx"
+//!
+//! [pointmap_decoder]
+//! file = "monst3r_decoder.onnx"
 //! ```
 //!
 //! A network for LPIPS is no part of such a folder: [`LpipsNetwork::open`] takes its file.
@@ -32,7 +39,7 @@
 //! | module | what it holds |
 //! |---|---|
 //! | [`contract`] | what a model says of itself, held against what it is |
-//! | `depth`, `flow`, `lpips`, `mask` | networks of each kind |
+//! | `depth`, `flow`, `mask`, `pointmap`, `lpips` | networks of each kind |
 //! | `network` | a loaded model: named tensors in, named tensors out |
 //! | `picture` | a frame as a network takes it, and the way back |
 //! | [`runtime`] | the runtime's library, found and loaded |
@@ -44,6 +51,7 @@ mod lpips;
 mod mask;
 mod network;
 mod picture;
+mod pointmap;
 pub mod runtime;
 
 use std::path::{Component, Path, PathBuf};
@@ -57,6 +65,7 @@ pub use flow::FlowNetwork;
 pub use lpips::LpipsNetwork;
 pub use mask::MaskNetwork;
 use network::Network;
+pub use pointmap::PointmapNetwork;
 pub use runtime::{Provider, Runtime, RuntimeOptions};
 
 /// The file in a folder of models that says what each is for.
@@ -70,6 +79,8 @@ struct List {
     flow: Option<Entry>,
     mask_encoder: Option<Entry>,
     mask_decoder: Option<Entry>,
+    pointmap_encoder: Option<Entry>,
+    pointmap_decoder: Option<Entry>,
 }
 
 /// A model's file within the folder, and its contract where its metadata has none.
@@ -101,7 +112,10 @@ impl List {
     }
 
     fn entries(&self) -> impl Iterator<Item = &Entry> {
-        [&self.depth, &self.flow, &self.mask_encoder, &self.mask_decoder].into_iter().flatten()
+        let masks = [&self.mask_encoder, &self.mask_decoder];
+        let pointmaps = [&self.pointmap_encoder, &self.pointmap_decoder];
+        let all = [&self.depth, &self.flow].into_iter().chain(masks).chain(pointmaps);
+        all.flatten()
     }
 }
 
@@ -113,6 +127,8 @@ pub struct Models {
     pub flow: Option<FlowNetwork>,
     /// Draws masks.
     pub masks: Option<MaskNetwork>,
+    /// Tells the points that pairs of pictures show.
+    pub pointmaps: Option<PointmapNetwork>,
 }
 
 impl Models {
@@ -122,19 +138,20 @@ impl Models {
     /// No such file, one that is no list or names an unknown purpose or a file outside the folder, a model that
     /// does not load, one that is of another kind than it is listed for, one of an encoder and a decoder.
     pub fn open(runtime: &Runtime, folder: &Path) -> Result<Models> {
-        let List { depth, flow, mask_encoder, mask_decoder } = List::read(folder)?;
+        let list = List::read(folder)?;
         let open = |Entry { file, contract }: Entry| {
             Network::open(runtime, &folder.join(file), contract.as_ref())
         };
-        let masks = both(folder, "mask", mask_encoder, mask_decoder)?;
-        let masks = masks.map(|(encoder, decoder)| {
-            let encoder = open(encoder)?;
-            MaskNetwork::new(encoder, open(decoder)?)
-        });
+        let masks = both(folder, "mask", list.mask_encoder, list.mask_decoder)?;
+        let points = both(folder, "pointmap", list.pointmap_encoder, list.pointmap_decoder)?;
+        let masks = masks.map(|(encoder, decoder)| MaskNetwork::new(open(encoder)?, open(decoder)?));
+        let pointmaps =
+            points.map(|(encoder, decoder)| PointmapNetwork::new(open(encoder)?, open(decoder)?));
         Ok(Models {
+            depth: list.depth.map(|entry| open(entry).and_then(DepthNetwork::new)).transpose()?,
+            flow: list.flow.map(|entry| open(entry).and_then(FlowNetwork::new)).transpose()?,
             masks: masks.transpose()?,
-            depth: depth.map(|entry| open(entry).and_then(DepthNetwork::new)).transpose()?,
-            flow: flow.map(|entry| open(entry).and_then(FlowNetwork::new)).transpose()?,
+            pointmaps: pointmaps.transpose()?,
         })
     }
 

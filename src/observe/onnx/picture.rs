@@ -1,7 +1,10 @@
 //! A frame as a network takes it, and what the network says brought back to the frame.
 
+use glam::DVec2;
+
 use super::contract::{Fit, PictureRule};
 use crate::data::images;
+use crate::observe::pointmaps::Placement;
 use crate::types::Image;
 
 /// How a frame lies in a network's picture.
@@ -157,6 +160,18 @@ impl Layout {
             Axis::Y => (self.frame.1, self.scaled.1, self.first.1),
         };
         at * f64::from(scaled) / f64::from(frame) - f64::from(first)
+    }
+
+    /// How the picture lies in the frame.
+    pub fn placement(&self) -> Placement {
+        let pair = |(x, y): (u32, u32)| DVec2::new(x.into(), y.into());
+        let scale = pair(self.frame) / pair(self.scaled);
+        Placement {
+            frame: self.frame,
+            picture: self.picture,
+            scale,
+            corner: scale * pair(self.first),
+        }
     }
 
     /// Pixels of the frame in a pixel of the picture, along both axes.
