@@ -4,10 +4,13 @@ use std::ffi::OsString;
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use splat4d::data::Clip;
+use splat4d::observe::alignment::align;
 use splat4d::observe::onnx::{
     FlowNetwork, LpipsNetwork, MaskNetwork, Models, Provider, Runtime, RuntimeOptions,
 };
-use splat4d::track::Options;
+use splat4d::observe::pointmaps::Pointmaps;
+use splat4d::track::{Guess, Options};
 use splat4d::types::Image;
 use splat4d::{Result, io};
 
@@ -80,11 +83,12 @@ impl RuntimeArgs {
     }
 }
 
-/// Networks for depth, flow and masks.
+/// Networks that tell of a clip.
 #[derive(Args)]
 pub struct NetworkArgs {
-    /// Networks for depth, flow and masks: a folder with ONNX models and models.toml, which says what each is
-    /// for. What --depth, --flow or --masks supplies is taken instead of theirs
+    /// Networks for depth, flow, masks and pointmaps: a folder with ONNX models and models.toml, which says what
+    /// each is for. Pointmaps (MonST3R, DUSt3R) give cameras to begin with, and depth where no other network does.
+    /// What --poses, --depth, --flow or --masks supplies is taken instead of theirs
     #[arg(long, value_name = "DIR", group = "networks")]
     models: Option<PathBuf>,
     #[command(flatten)]
@@ -145,6 +149,51 @@ pub fn track_networks(
         Some(Models { flow, masks, .. }) => (flow.as_mut(), masks.as_mut()),
         None => (None, None),
     }
+}
+
+/// Asks a network for pointmaps, where there is one and something that they tell is not supplied: cameras to begin with,
+/// depth. What is to be said of them beside what the track says.
+pub fn estimate_pointmaps(
+    models: &mut Option<Models>,
+    frames: &[Image],
+    options: &mut Options,
+) -> Result<Option<String>> {
+    let network = models.as_mut().and_then(|models| models.pointmaps.as_mut());
+    let cameras = options.poses.is_none() && options.static_motion.is_none();
+    let depth = options.depth.is_none() && options.estimated_depth.is_none();
+    let asked = (cameras || depth) && frames.len() >= Clip::LEAST;
+    let Some(network) = network.filter(|_| asked) else { return Ok(None) };
+    let name = network.file().file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let mut meter = Meter::new("pointmaps by the network", "%", 100, 0);
+    let maps = Pointmaps::gather(&mut network.source(frames)?, frames.len(), &mut |share| {
+        interrupt::check()?;
+        meter.set((100.0 * share) as u64);
+        Ok(())
+    })?;
+    let given = options.intrinsics.map(|k| 0.5 * (k.fx + k.fy)).or(options.focal);
+    let found = match align(&maps, given.filter(|_| !options.refined.focal)) {
+        Ok(found) => found,
+        // The video is tracked without them, as it is without a network.
+        Err(error) => return Ok(Some(format!("the pointmaps of {name} are not used: {error}"))),
+    };
+    let factors = &found.depth_factors;
+    if depth {
+        options.estimated_depth = Some(maps.into_depth(factors));
+    }
+    if !cameras {
+        return Ok(Some(format!("estimated depth is that of the pointmaps of {name}")));
+    }
+    let whose = if depth { "estimated depth is theirs, too" } else { "depth is not theirs" };
+    options.guess = Some(Guess {
+        from: format!(
+            "the pointmaps of {name} (half of their points agree within {:.1} %; {whose})",
+            100.0 * found.off
+        ),
+        poses: found.view_from_world,
+        focal: found.focal,
+        focal_deviation: found.focal_deviation,
+    });
+    Ok(None)
 }
 
 /// LPIPS beside the other figures of pictures.

@@ -30,7 +30,7 @@ use super::info::dynamic_share;
 use super::known::{
     CAMERA_FILES, KnownArgs, focal_source, lens_json, observe, poses_json, write_cameras,
 };
-use super::networks::estimate_depth;
+use super::networks::{estimate_depth, estimate_pointmaps};
 use super::outputs::{Inputs, Outputs};
 use super::tracker::Tracker;
 use super::watcher::Watcher;
@@ -226,8 +226,10 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
         None => {
             let mut options = options;
             estimate_depth(&mut models, &frames, &mut options)?;
+            let of_pointmaps = estimate_pointmaps(&mut models, &frames, &mut options)?;
             let mut tracker = Tracker::new(&mut clock, Some(&mut checkpoints));
-            let found = observe(&device, &frames, &options, flow, &mut models, &mut tracker)?;
+            let mut found = observe(&device, &frames, &options, flow, &mut models, &mut tracker)?;
+            found.quality.notes.extend(of_pointmaps);
             tracker.finish();
             checkpoints.tracked(&found);
             found

@@ -21,7 +21,7 @@ use super::clock::Clock;
 use super::common::{Answer, Common, notes, path_text, say};
 use super::interrupt;
 use super::known::{KnownArgs, flow_source, focal_source, lens_json, poses_json, write_cameras};
-use super::networks::{estimate_depth, track_networks};
+use super::networks::{estimate_depth, estimate_pointmaps, track_networks};
 use super::outputs::Outputs;
 use super::track_model;
 use super::track_page::Page;
@@ -129,13 +129,15 @@ pub fn run(args: &TrackArgs, common: &Common) -> Result<Answer> {
     clock.lap("load");
 
     estimate_depth(&mut models, &frames, &mut options)?;
+    let of_pointmaps = estimate_pointmaps(&mut models, &frames, &mut options)?;
     let mut tracker = Tracker::new(&mut clock, None);
     let (network, masks) = track_networks(&mut models);
     let source = flow_source(&device, &frames, flow, network)?;
     let mut flow = Watched::new(source, frames.len());
     let masks = masks.map(|network| network as &mut dyn MaskSource);
     let sources = Sources { flow: &mut flow, masks };
-    let track = track_observed(&frames, &options, sources, &mut tracker)?;
+    let mut track = track_observed(&frames, &options, sources, &mut tracker)?;
+    track.quality.notes.extend(of_pointmaps);
     tracker.finish();
     let found = &track.quality;
     notes(&found.notes);

@@ -92,7 +92,7 @@ use undistorted::Undistorted;
 pub use cameras::RigidMotion;
 pub use landmarks::{FrameQuality, Landmark};
 pub use observer::Observer;
-pub use options::{Options, Refined};
+pub use options::{Guess, Options, Refined};
 pub use quality::Quality;
 pub use scaffold::Scaffold;
 
@@ -313,7 +313,7 @@ pub fn track_observed(
         so_far = once(known, so_far, round, &mut work)?;
     }
     let Known { frames, options, flow, tracks, supplied } = known;
-    let SoFar { mut cameras, mut masks, mut weights, motions, .. } = so_far;
+    let SoFar { mut cameras, mut masks, mut weights, motions, guess, .. } = so_far;
     if tripod && !options.has_depth() && share(&masks) < NOTHING_MOVES {
         return Err(still::no_parallax("neither the camera nor anything before it moves"));
     }
@@ -384,6 +384,9 @@ pub fn track_observed(
     let shadows = shade::shadows(&surfaces, frames, &plates, &mut scaffold);
     let mut quality = quality::of(&cameras, tracks, &weights, &masks, motions);
     quality.notes.extend(lens.as_ref().map(quality::lens_note));
+    if let Some(told) = &options.guess {
+        quality.notes.push(quality::guess_note(&told.from, guess));
+    }
     if !mended.is_empty() {
         quality.notes.push(quality::mended_note(&mended));
     }
@@ -459,6 +462,22 @@ struct SoFar {
     weights: Vec<f64>,
     /// The rigid motions that the static world was chosen from, where it was in doubt.
     motions: Option<Motions>,
+    /// What became of the cameras that a network tells, where it does.
+    guess: Option<Guessed>,
+}
+
+/// Which share of what is seen two cameras explain: those that began with a network's, and those from the video alone.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+struct Guessed {
+    begun: f64,
+    alone: f64,
+}
+
+impl Guessed {
+    /// The former are kept: where both explain alike, the network has seen more than the tracks tell.
+    fn is_kept(&self) -> bool {
+        self.begun >= ALIKE * self.alone
+    }
 }
 
 impl Known<'_> {
@@ -486,7 +505,7 @@ impl Known<'_> {
         let tripod = found && still::is_fixed(tracks, &weights, flow);
         let usual = Strictness::Usual;
         let mut focal = Focal::choose(options, size, flow.frames, tracks, &weights, usual);
-        let mut searched = None;
+        let (mut searched, mut guessed) = (None, None);
         let cameras = if tripod {
             Cameras::fixed(&focal, flow, tracks.len())
         } else if let Some(poses) = &options.poses {
@@ -503,6 +522,25 @@ impl Known<'_> {
                 first => first,
             };
             let explained = |cameras: &Cameras| cameras.explained(tracks, &weights);
+            let begun = options.guess.as_ref().filter(|_| found).and_then(|guess| {
+                let focal = Focal::of_guess(options, guess, size);
+                let cameras = Cameras::begun(&guess.poses, &focal, tracks, &weights).ok()?;
+                Some((focal, cameras))
+            });
+            let first = match begun {
+                Some((of_guess, begun)) => {
+                    let alone = first.as_ref().map_or(0.0, explained);
+                    let shares = Guessed { begun: explained(&begun), alone };
+                    guessed = Some(shares);
+                    if shares.is_kept() {
+                        focal = of_guess;
+                        Ok(begun)
+                    } else {
+                        first
+                    }
+                }
+                None => first,
+            };
             let moving = first.as_ref().map_or(0.0, explained);
             let turning = found
                 .then(|| Cameras::turning(tracks, &weights, &focal, n, options.seed).ok())
@@ -523,7 +561,9 @@ impl Known<'_> {
             }
         };
         let masks = supplied.map(<[Image]>::to_vec).unwrap_or_default();
-        Ok(SoFar { focal, cameras, masks, weights, motions: searched })
+        let plain = cameras.standpoint == Standpoint::Moves && searched.is_none();
+        let guess = guessed.filter(|_| plain);
+        Ok(SoFar { focal, cameras, masks, weights, motions: searched, guess })
     }
 
     /// Supplied masks without those that slip or flicker, and which those are.
@@ -548,7 +588,7 @@ impl Known<'_> {
         shares: std::ops::Range<f64>,
     ) -> Result<SoFar> {
         let Known { frames, options, flow, tracks, supplied } = self;
-        let SoFar { mut focal, mut cameras, mut masks, mut weights, motions } = so_far;
+        let SoFar { mut focal, mut cameras, mut masks, mut weights, motions, mut guess } = so_far;
         if supplied.is_none() {
             let middle = 0.5 * (shares.start + shares.end);
             let first = shares.start..middle;
@@ -576,7 +616,9 @@ impl Known<'_> {
                 // Masks leave in what agrees with the cameras that they were made by.
                 let judges = motions.as_ref().map_or(&weights, |motions| &motions.weights);
                 let explained = |cameras: &Cameras| cameras.explained(tracks, judges);
-                let crowded = share(&masks) >= CROWDED && motions.is_none();
+                // A network's do not come from a compromise.
+                let told = guess.as_ref().is_some_and(Guessed::is_kept);
+                let crowded = share(&masks) >= CROWDED && motions.is_none() && !told;
                 let kept = match (kept, before) {
                     (Ok(kept), Some(before)) if explained(&before) > explained(&kept) => Ok(before),
                     (kept, _) => kept,
@@ -590,6 +632,7 @@ impl Known<'_> {
                     }
                     (_, Ok(afresh)) => {
                         focal = chosen;
+                        guess = guess.filter(|shares| !shares.is_kept());
                         afresh
                     }
                     (kept, Err(_)) => kept?,
@@ -599,7 +642,7 @@ impl Known<'_> {
             };
             work.progress(Stage::Cameras, 1.0)?;
         }
-        Ok(SoFar { focal, cameras, masks, weights, motions })
+        Ok(SoFar { focal, cameras, masks, weights, motions, guess })
     }
 }
 
@@ -611,6 +654,8 @@ const PLAIN: f64 = 0.45;
 /// does, which has a depth for each point to fit noise and movers with. Of clips with parallax a turn
 /// explains half as much at the most.
 const TURNS: f64 = 0.85;
+/// Of two cameras that explain as much but for this, neither is better.
+const ALIKE: f64 = 0.99;
 /// With more of the pixels moving than this, the first cameras are never kept: masks that were made by
 /// them leave in what agrees with the compromise.
 const CROWDED: f64 = 0.3;

@@ -16,6 +16,19 @@ pub struct Refined {
     pub focal: bool,
 }
 
+/// Cameras that a network tells. They are where the search begins, beside what the video alone tells.
+#[derive(Clone, Debug, Serialize)]
+pub struct Guess {
+    /// `view_from_world` per frame, in any unit.
+    pub poses: Vec<Pose>,
+    /// Focal length in pixels of the frames.
+    pub focal: f64,
+    /// Its relative standard deviation.
+    pub focal_deviation: f64,
+    /// What they are called in notes.
+    pub from: String,
+}
+
 /// What is known beforehand, and how hard to try.
 #[derive(Clone, Debug, Serialize)]
 pub struct Options {
@@ -28,6 +41,9 @@ pub struct Options {
     pub poses: Option<Vec<Pose>>,
     /// Which of these are adjusted.
     pub refined: Refined,
+    /// Where cameras may begin that are adjusted to what the clip shows. They are kept if they then explain more of
+    /// it than those from the video alone; `poses` win over them, and so does a `focal` that is given.
+    pub guess: Option<Guess>,
     /// Motion masks, one channel, 1 where something moves, where they are known: kept, but for frames
     /// whose mask is contradicted by those of the frames around and by what moves, which are noted.
     pub masks: Option<Vec<Image>>,
@@ -74,6 +90,7 @@ impl Default for Options {
             focal: None,
             poses: None,
             refined: Refined::default(),
+            guess: None,
             masks: None,
             depth: None,
             estimated_depth: None,
@@ -144,6 +161,7 @@ impl Options {
         }
         let lists = [
             ("poses", self.poses.as_ref().map(Vec::len)),
+            ("guessed poses", self.guess.as_ref().map(|guess| guess.poses.len())),
             ("masks", self.masks.as_ref().map(Vec::len)),
             ("depth maps", self.depth.as_ref().map(Vec::len)),
             ("estimated depth maps", self.estimated_depth.as_ref().map(|told| told.maps.len())),
@@ -179,10 +197,14 @@ impl Options {
                 }
             }
         }
+        let guess = self.guess.as_ref();
+        for (i, pose) in guess.iter().flat_map(|guess| &guess.poses).enumerate() {
+            pose.check().map_err(|what| Error::Input(format!("guessed pose {i}: {what}")))?;
+        }
         for (i, pose) in self.poses.iter().flatten().enumerate() {
             pose.check().map_err(|what| Error::Input(format!("supplied pose {i}: {what}")))?;
         }
-        if let Some(focal) = self.focal {
+        if let Some(focal) = self.focal.or(guess.map(|guess| guess.focal)) {
             let checked = Intrinsics::centred(focal, first.width, first.height).check();
             let refused = |what| format!("a focal length of {focal:?} px makes no sense: {what}");
             checked.map_err(|what| Error::Input(refused(what)))?;

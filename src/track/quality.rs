@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::cameras::{Cameras, Motions, RigidMotion, Standpoint};
 use super::landmarks::{self, FrameQuality};
-use super::{FocalSource, share};
+use super::{FocalSource, Guessed, share};
 use crate::data::Lens;
 use crate::observe::PointTrack;
 use crate::types::Image;
@@ -126,6 +126,27 @@ pub(super) fn lens_note(lens: &Lens) -> String {
         "the lens distorts the picture (k1 {:+.4}); all that is found is of undistorted frames",
         lens.distortion.radial[0]
     )
+}
+
+/// What became of cameras that a network tells.
+pub(super) fn guess_note(from: &str, guessed: Option<Guessed>) -> String {
+    match guessed {
+        Some(shares) if shares.is_kept() => format!(
+            "cameras begin with {from}, adjusted to the video: they explain {:.0} % of what is seen, cameras from \
+             the video alone {:.0} %",
+            100.0 * shares.begun,
+            100.0 * shares.alone
+        ),
+        Some(shares) => format!(
+            "cameras are from the video alone and explain {:.0} % of what is seen; those that begin with {from} \
+             explain {:.0} % and are not taken",
+            100.0 * shares.alone,
+            100.0 * shares.begun
+        ),
+        None => format!(
+            "cameras are not those that begin with {from}: the video alone tells them better, or they are given"
+        ),
+    }
 }
 
 /// That supplied masks were not kept.

@@ -39,7 +39,7 @@ impl Undistorted {
             .filter_map(|(i, track)| Some((i, left(track)?)))
             .collect();
         cameras.keep(&kept);
-        let SoFar { mut focal, masks, weights, motions, .. } = so_far;
+        let SoFar { mut focal, masks, weights, motions, guess, .. } = so_far;
         let zoom = pinhole.fx / lens.intrinsics.fx;
         if focal.held {
             focal.intrinsics = zoomed(&focal.intrinsics, zoom);
@@ -68,6 +68,7 @@ impl Undistorted {
             masks: masks.iter().map(undistorted).collect(),
             weights: kept.iter().map(|(i, _)| weights[*i]).collect(),
             motions,
+            guess,
         };
         let supplied = known
             .supplied

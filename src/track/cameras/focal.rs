@@ -10,7 +10,7 @@ use crate::geometry::ransac::RansacOptions;
 use crate::geometry::two_view::fundamental_ransac;
 use crate::observe::PointTrack;
 use crate::track::still::shared;
-use crate::track::{FocalSource, Options};
+use crate::track::{FocalSource, Guess, Options};
 use crate::types::Intrinsics;
 
 /// The focal length to begin with, and what may be done with it.
@@ -36,6 +36,27 @@ impl Focal {
         if self.held { FocalMode::Fixed } else { FocalMode::Gated(MEASURABLE) }
     }
 
+    /// What was given; else what a network tells.
+    pub fn of_guess(options: &Options, guess: &Guess, (width, height): (usize, usize)) -> Focal {
+        let (w, h) = (width as u32, height as u32);
+        Focal::given(options, (w, h)).unwrap_or(Focal {
+            intrinsics: Intrinsics::centred(guess.focal, w, h),
+            source: FocalSource::Measured,
+            deviation: guess.focal_deviation,
+            held: false,
+        })
+    }
+
+    /// What was given.
+    fn given(options: &Options, (w, h): (u32, u32)) -> Option<Focal> {
+        let given = options.intrinsics.or(options.focal.map(|f| Intrinsics::centred(f, w, h)));
+        given.map(|intrinsics| {
+            let held = !options.refined.focal;
+            let deviation = if held { 0.0 } else { f64::INFINITY };
+            Focal { intrinsics, source: FocalSource::Given, deviation, held }
+        })
+    }
+
     /// What was given; else what image pairs tell; else a common value. `strictness` scales the threshold
     /// of outliers.
     pub fn choose(
@@ -47,11 +68,8 @@ impl Focal {
         strictness: Strictness,
     ) -> Focal {
         let (w, h) = (width as u32, height as u32);
-        let given = options.intrinsics.or(options.focal.map(|f| Intrinsics::centred(f, w, h)));
-        if let Some(intrinsics) = given {
-            let held = !options.refined.focal;
-            let deviation = if held { 0.0 } else { f64::INFINITY };
-            return Focal { intrinsics, source: FocalSource::Given, deviation, held };
+        if let Some(given) = Focal::given(options, (w, h)) {
+            return given;
         }
         let n = frames;
         let gaps = [n / 8, n / 5, n / 3].map(|g| g.clamp(1, n - 1));

@@ -33,6 +33,9 @@ const SCALE_FLOOR: f64 = 0.1;
 /// A residual of this square, in deviations, is explained by half.
 const EXPLAINS: f64 = 9.0;
 
+/// A frame of whose points a smaller share is explained has a doubtful pose.
+const DOUBTFUL: f64 = 0.25;
+
 /// A track that weighs no more does not count.
 const COUNTS: f64 = 0.05;
 
@@ -99,6 +102,23 @@ impl Cameras {
     /// better one explains more.
     pub fn explained(&self, tracks: &[PointTrack], weights: &[f64]) -> f64 {
         explained_by(tracks, weights, &self.shares(tracks, weights))
+    }
+
+    /// Frames in which less than a quarter of what is seen of the static tracks is explained.
+    pub(super) fn frames_in_doubt(&self, tracks: &[PointTrack], weights: &[f64]) -> Vec<usize> {
+        let mut sums = vec![(0.0, 0.0); self.poses.len()];
+        for (i, track) in tracks.iter().enumerate().filter(|(i, _)| weights[*i] > COUNTS) {
+            let Some(frame) = self.anchors[i].map(|anchor| anchor.frame) else { continue };
+            let others = (track.first..track.end()).filter(|f| *f != frame);
+            for (f, view) in others.zip(self.reprojected(tracks, i).into_iter().flatten()) {
+                let near =
+                    |view: View| 1.0 / (1.0 + view.known * view.off.length_squared() / EXPLAINS);
+                sums[f].0 += weights[i] * view.map_or(0.0, near);
+                sums[f].1 += weights[i];
+            }
+        }
+        let doubtful = |(_, (explained, seen)): &(usize, (f64, f64))| *explained < DOUBTFUL * seen;
+        sums.into_iter().enumerate().filter(doubtful).map(|(f, _)| f).collect()
     }
 
     /// By track, the share of what is seen of it that the cameras explain; 0 of those that do not count.

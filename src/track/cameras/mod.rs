@@ -165,6 +165,28 @@ impl Cameras {
         Ok(cameras)
     }
 
+    /// Cameras that a network tells, adjusted to the static tracks.
+    ///
+    /// # Errors
+    /// Those of the adjustment.
+    pub fn begun(
+        poses: &[Pose],
+        focal: &Focal,
+        tracks: &[PointTrack],
+        weights: &[f64],
+    ) -> Result<Cameras> {
+        let first = poses[0].inverse();
+        let poses = poses.iter().map(|pose| *pose * first).collect();
+        let mut cameras = Cameras { poses, ..Cameras::new(focal, 0, tracks.len()) };
+        let spread = spread(&cameras.poses);
+        if spread > 0.0 {
+            cameras.rescale(spread / USUAL_SPREAD);
+        }
+        cameras.adjust(tracks, weights, focal)?;
+        cameras.doubtful = cameras.frames_in_doubt(tracks, weights);
+        Ok(cameras)
+    }
+
     /// Do static points have depths?
     pub fn have_parallax(&self) -> bool {
         self.standpoint == Standpoint::Moves
