@@ -60,7 +60,7 @@ impl Placement {
     }
 
     /// A map of the picture, one channel, at the size of the frame; not a number beyond the picture.
-    fn to_frame(&self, map: &[f32]) -> Image {
+    fn at_frame_size(&self, map: &[f32]) -> Image {
         let mut out = Image::new(self.frame.0, self.frame.1, 1);
         let (columns, rows) = self.picture;
         for y in 0..self.frame.1 {
@@ -314,7 +314,7 @@ impl Fused {
             if *weight > 0.0 { (sum / weight).exp() } else { f32::NAN }
         };
         let map: Vec<f32> = self.0.iter().map(depth).collect();
-        placement.to_frame(&map)
+        placement.at_frame_size(&map)
     }
 }
 

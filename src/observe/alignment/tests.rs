@@ -218,7 +218,7 @@ fn noise_outliers_and_what_is_known_to_be_wrong_are_averaged_out() {
     within(world, EXACT);
     let mut world = World::walk(32, 56, 20);
     (world.noise, world.outliers, world.doubtful) = (0.02, 0.15, 0.2);
-    within(world, Error { turn: 0.5, place: 0.06, focal: 3e-3, depth: 0.1 });
+    within(world, Error { turn: 1.0, place: 0.08, focal: 5e-3, depth: 0.15 });
 }
 
 #[test]
