@@ -10,9 +10,9 @@
 //!
 //! DUSt3R gives each pair a pose of its own and descends along the gradient for 300 steps over whole maps. A pair's points are
 //! in the camera of its first frame by the network's definition, so here they keep it, and depths are eliminated
-//! (Schur complement), so that Gauss–Newton, reweighted, needs a few steps ([`solve`]). The start is closed: focal
+//! (Schur complement), so that Gauss–Newton, reweighted, needs a few steps (`solve`). The start is closed: focal
 //! lengths by Weiszfeld's iterations, similarities of pairs by their common pixels, joined along the
-//! maximum spanning tree ([`start`]). Time is linear in the number of pairs.
+//! maximum spanning tree (`start`). Time is linear in the number of pairs.
 
 mod solve;
 mod start;
