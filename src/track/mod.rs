@@ -322,14 +322,23 @@ pub fn track_observed(
     if tripod {
         weights = masks::static_weights(tracks, &masks);
         cameras.measure_fixed(tracks, &weights);
-    } else if supplied.is_none() {
-        masks = masks::segment(
-            masks::Observed { frames, cameras: &cameras, flow, seen: &seen },
-            None,
-            &mut work,
-            part,
-            0.5..1.0,
-        )?;
+    }
+    let (mut drawn, mut notes) = (None, Vec::new());
+    if supplied.is_none() && (!tripod || sources.masks.is_some()) {
+        let observed = masks::Observed { frames, cameras: &cameras, flow, seen: &seen };
+        let judged = masks::Judged::new(observed, None, &mut work, part, 0.5..0.75)?;
+        if !tripod {
+            masks = judged.segment(None, &mut work, part, 0.75..1.0)?;
+        }
+        // Before the plates, which are the better the better it is known what moves.
+        if let Some(source) = sources.masks {
+            let found = prompted::ask(&judged, &masks, source, &mut work, part)?;
+            masks = judged.segment(Some(&found.odds), &mut work, "last/fused", 1.0..1.0)?;
+            notes.push(quality::masks_note(found.accepted, frames.len()));
+            drawn = Some(found.odds);
+        }
+    } else if sources.masks.is_some() {
+        notes.push("masks: the supplied ones; the network was not asked".to_owned());
     }
     if cameras.have_parallax() {
         cameras.normalise(tracks, &weights, &mut seen);
@@ -342,22 +351,13 @@ pub fn track_observed(
     let plates = |layers: &[depth::Layer], masks: &[Image], work: &mut Work, part, shares| {
         plate::evidence(frames, &cameras, layers, masks, work, part, shares)
     };
-    let mut masks_note = None;
     if supplied.is_none() {
         let static_world = layers(&seen, &masks, None, &mut work, "last/layers", 0.0..0.1)?;
         let plates = plates(&static_world, &masks, &mut work, "last/plates", 0.1..0.2)?;
         let observed = masks::Observed { frames, cameras: &cameras, flow, seen: &seen };
         let part = "last/masks";
         let judged = masks::Judged::new(observed, Some(&plates), &mut work, part, 0.2..0.25)?;
-        masks = judged.segment(None, &mut work, part, 0.25..0.3)?;
-        if let Some(source) = sources.masks {
-            let said = prompted::ask(&judged, &masks, source, &mut work, part)?;
-            let part = "last/fused";
-            masks = judged.segment(Some(&said.odds), &mut work, part, 0.3..0.3)?;
-            masks_note = Some(quality::masks_note(said.accepted, frames.len()));
-        }
-    } else if sources.masks.is_some() {
-        masks_note = Some("masks: the supplied ones; the network was not asked".to_owned());
+        masks = judged.segment(drawn.as_deref(), &mut work, part, 0.25..0.3)?;
     }
     if cameras.have_parallax() && options.stereo && options.depth.is_none() {
         let shares = 0.3..0.7;
@@ -390,7 +390,7 @@ pub fn track_observed(
     if !mended.is_empty() {
         quality.notes.push(quality::mended_note(&mended));
     }
-    quality.notes.extend(masks_note);
+    quality.notes.extend(notes);
     work.progress(Stage::Depth, 1.0)?;
     Ok(Track {
         intrinsics: cameras.intrinsics,

@@ -101,7 +101,7 @@ impl MaskNetwork {
         let labels = Tensor { shape: vec![1, n], values: label.collect() };
         let size = self.mask;
         let begun = match before {
-            Some(mask) => layout.to_picture(mask, size),
+            Some(mask) => layout.in_picture(mask, size),
             None => vec![0.0; size.0 as usize * size.1 as usize],
         };
         let begun = Tensor { shape: vec![1, 1, size.1 as usize, size.0 as usize], values: begun };

@@ -142,7 +142,7 @@ impl Layout {
 
     /// The way back: one channel of the frame, bilinear, at the pixels of a plane of `size` that covers the
     /// picture. Beyond the frame its edge is repeated, as in the picture.
-    pub fn to_picture(&self, image: &Image, size: (u32, u32)) -> Vec<f32> {
+    pub fn in_picture(&self, image: &Image, size: (u32, u32)) -> Vec<f32> {
         let place = |i: u32, side: u32, picture: u32, frame: u32, scaled: u32, first: u32| {
             let at = (f64::from(i) + 0.5) * f64::from(picture) / f64::from(side);
             (at + f64::from(first)) * f64::from(frame) / f64::from(scaled)
@@ -292,7 +292,7 @@ mod tests {
             // A plane four times as coarse as the picture.
             let size = (16, 8);
             let image = ramp(frame.0, frame.1, [1.0, 0.5]);
-            let plane = layout.to_picture(&image, size);
+            let plane = layout.in_picture(&image, size);
             let back = layout.smooth(&plane, size);
             let mut known = 0;
             for y in 0..frame.1 {
@@ -322,7 +322,7 @@ mod tests {
         // At its own size nothing is interpolated.
         let layout = Layout::new(&PictureRule { size: [7, 5], ..rule(1, 0, Fit::Stretch) }, (7, 5));
         let image = ramp(7, 5, [0.3, -2.0]);
-        assert_eq!(layout.to_picture(&image, (7, 5)), image.pixels);
+        assert_eq!(layout.in_picture(&image, (7, 5)), image.pixels);
         assert_eq!(layout.smooth(&image.pixels, (7, 5)), image);
     }
 
