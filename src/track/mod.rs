@@ -619,6 +619,7 @@ impl Known<'_> {
                 // A network's do not come from a compromise.
                 let told = guess.as_ref().is_some_and(Guessed::is_kept);
                 let crowded = share(&masks) >= CROWDED && motions.is_none() && !told;
+                let factor = if told { ALIKE } else { 1.0 };
                 let kept = match (kept, before) {
                     (Ok(kept), Some(before)) if explained(&before) > explained(&kept) => Ok(before),
                     (kept, _) => kept,
@@ -626,7 +627,7 @@ impl Known<'_> {
                 match (kept, afresh) {
                     (_, Err(error)) if work.ended => return Err(error),
                     (Ok(kept), Ok(afresh))
-                        if !crowded && explained(&kept) >= explained(&afresh) =>
+                        if !crowded && explained(&kept) >= factor * explained(&afresh) =>
                     {
                         kept
                     }

@@ -1,0 +1,108 @@
+//! `track --models` with networks whose answers are exact, on the frames of `synth --coded`, whose colours say what is
+//! true: the whole way from frames through networks to cameras, depth and masks, held against the truth.
+//!
+//! `tools/setup.sh test` installs the runtime beside the build; where it is absent the tests fail.
+
+#[path = "support/runtime.rs"]
+mod runtime;
+mod support;
+
+use std::path::Path;
+
+use splat4d::data::{exr, images, read_mask, trajectory};
+use splat4d::eval::{Align, compare_trajectories};
+use splat4d::geometry::sim3::align_poses;
+use splat4d::types::Pose;
+use support::json;
+
+const FRAMES: usize = 12;
+/// Landscape, portrait, square, odd.
+const SIZES: [&str; 4] = ["160x96", "96x160", "128x128", "161x95"];
+/// Networks by the sections of `models.toml`.
+const ALL: [&str; 6] =
+    ["depth", "flow", "mask_encoder", "mask_decoder", "pointmap_encoder", "pointmap_decoder"];
+
+/// How far what was found is from the truth.
+#[derive(Debug)]
+struct Errors {
+    /// Root mean square distance of the cameras' centres after alignment over the length of their path.
+    path: f64,
+    /// Median relative error of depth, of what stands still and of what moves.
+    still: f64,
+    moves: f64,
+    /// Intersection over union of the masks of all frames.
+    masks: f64,
+    notes: String,
+}
+
+/// Tracks a coded clip of a size with some of the networks.
+fn tracked(size: &str, networks: &[&str]) -> Errors {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let models = at("models");
+    std::fs::create_dir(&models).unwrap();
+    let mut list = String::new();
+    for name in networks {
+        let file = format!("coded_{name}.onnx");
+        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/models").join(&file);
+        std::fs::copy(source, models.join(&file)).unwrap();
+        list += &format!("[{name}]\nfile = \"{file}\"\n");
+    }
+    std::fs::write(models.join("models.toml"), list).unwrap();
+    let synth = format!("synth rigid -o clip --coded --frames {FRAMES} --size {size} --seed 3");
+    json(folder.path(), &synth);
+    let library = runtime::library().map(|file| format!(" --onnxruntime {}", file.display()));
+    let track = format!("track clip/frames -o out --models models{}", library.unwrap_or_default());
+    let report = json(folder.path(), &track);
+    let poses = |file: &str| -> Vec<Pose> {
+        trajectory::read(at(file)).unwrap().iter().map(|timed| timed.world_from_view).collect()
+    };
+    let (found, truth) = (poses("out/poses.txt"), poses("clip/truth/poses.txt"));
+    let scale = align_poses(&found, &truth, true).unwrap().reference_from_estimate.scale;
+    let (mut depth, mut both, mut either) = ([Vec::new(), Vec::new()], 0, 0);
+    for frame in 0..FRAMES {
+        let map = |kind: &str| exr::read_depth(at(kind).join(format!("{frame:04}.exr"))).unwrap();
+        let mask = |kind: &str| read_mask(at(kind).join(format!("{frame:04}.png"))).unwrap();
+        let (told, true_depth) = (map("out/depth"), map("clip/truth/depth"));
+        let (masked, moving) = (mask("out/masks"), mask("clip/truth/masks"));
+        for i in 0..told.pixels.len() {
+            let (masked, moves) = (masked.pixels[i] > 0.5, moving.pixels[i] > 0.5);
+            both += usize::from(moves && masked);
+            either += usize::from(moves || masked);
+            let z = scale * f64::from(told.pixels[i]);
+            depth[usize::from(moves)].push((z / f64::from(true_depth.pixels[i]) - 1.0).abs());
+        }
+    }
+    let [still, moves] = depth.map(|mut errors| {
+        errors.sort_by(f64::total_cmp);
+        errors[errors.len() / 2]
+    });
+    Errors {
+        path: compare_trajectories(&found, &truth, Align::Sim3).unwrap().ate_relative,
+        still,
+        moves,
+        masks: f64::from(both) / f64::from(either),
+        notes: report["notes"].to_string(),
+    }
+}
+
+#[test]
+fn networks_that_are_right_give_what_is_right() {
+    for size in SIZES {
+        let found = tracked(size, &ALL);
+        println!("{size}: {found:?}");
+        assert!(found.path <= 0.002, "{size}: {found:?}");
+        assert!(found.still <= 0.005 && found.moves <= 0.005, "{size}: {found:?}");
+        assert!(found.masks >= 0.95, "{size}: {found:?}");
+    }
+}
+
+#[test]
+fn each_network_is_taken_by_itself() {
+    for networks in [&ALL[..1], &ALL[1..2], &ALL[2..4], &ALL[4..]] {
+        let found = tracked("160x96", networks);
+        println!("{networks:?}: {found:?}");
+        assert!(found.path <= 0.01, "{networks:?}: {found:?}");
+        assert!(found.masks >= 0.85, "{networks:?}: {found:?}");
+    }
+}
