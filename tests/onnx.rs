@@ -273,7 +273,10 @@ fn what_is_wrong_about_a_mask_network_is_told() {
     let cases: [(String, &[&str]); 9] = [
         (encoder.into(), &["models.toml", "has `mask_encoder` without `mask_decoder`"]),
         (decoder.into(), &["models.toml", "has `mask_decoder` without `mask_encoder`"]),
-        (named("picture.size = [8, 8]", ""), &["mask_encoder.onnx", "which `size`"]),
+        (
+            named("picture.size = [8, 8]", "picture.multiple = 1"),
+            &["mask_encoder.onnx", "which `size`"],
+        ),
         (named("[8, 8]", "[8, 0]"), &["mask_encoder.onnx", "pictures of 8×0"]),
         (
             format!("[mask_encoder]\nfile = \"flow.onnx\"\n{decoder}"),
