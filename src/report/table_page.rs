@@ -36,7 +36,9 @@ pub(super) fn page(table: &ResultTable) -> String {
         for cell in &row.cells {
             let _ = write!(body, "<td>{cell}</td>");
         }
-        let _ = write!(body, "<td>{}</td></tr>", escape(&row.remark));
+        // Sources are sentences: they break into lines instead of leaving the page.
+        let remark = escape(&row.remark);
+        let _ = write!(body, "<td style=\"text-align:left;white-space:normal\">{remark}</td></tr>");
     }
     body.push_str("</tbody></table></div>\n");
     format!(
