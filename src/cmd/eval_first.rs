@@ -72,9 +72,10 @@ pub fn measure(
             camera: Camera { intrinsics, ..first },
             time: at.time,
             truth: match &lens {
-                Some(lens) => {
-                    lens.resized(truth.width, truth.height).undistort(&truth, &intrinsics).0
-                }
+                // As it is shown and as the rendered picture is judged: with eight bits.
+                Some(lens) => held_out::eight_bits(
+                    lens.resized(truth.width, truth.height).undistort(&truth, &intrinsics).0,
+                ),
                 None => truth,
             },
             movers: None,

@@ -274,6 +274,7 @@ fn piece(
         source: FocalSource::Given,
         deviation: 0.0,
         held: true,
+        prior: None,
     };
     let mut nothing = |_: Stage, _: f64| Ok(());
     let mut progress = Progress(&mut nothing);

@@ -18,7 +18,7 @@
 //! focal length, in 4096 pixels of the frame; the quaternion and the place of what moves, by which its points at rest
 //! are carried, in 4 m; 0.
 //!
-//! Rounding to 16 bits is diffused from pixel to pixel of a band, so that its mean is far more exact than one pixel.
+//! Rounding to 16 bits is diffused from pixel to pixel within a band, so that its mean is far more exact than one pixel.
 
 use glam::DVec3;
 
@@ -131,11 +131,12 @@ fn numbers(world_from_view: &Pose, focal: f64, world_from_rest: &Pose) -> [f64; 
 fn coded(frame: &Image, depth: &Image, mask: &Image, numbers: &[f64; BANDS]) -> Image {
     let width = frame.width as usize;
     let mut out = Image::new(frame.width, frame.height, 3);
+    let band_of = |x: usize| x * BANDS / width;
     let mut error = [0.0; BANDS];
     for (i, to) in out.pixels.chunks_exact_mut(3).enumerate() {
         let own = &frame.pixels[3 * i..3 * i + 3];
         let brightness = own.iter().map(|c| f64::from(c.clamp(0.0, 1.0))).sum::<f64>() / 3.0;
-        let band = i % width * BANDS / width;
+        let (x, band) = (i % width, band_of(i % width));
         let number = (band as f64 + 0.1 + 0.4 * (numbers[band] + 1.0)) / BANDS as f64;
         let moves = if mask.pixels[i] > 0.5 { MOVES } else { 0.0 };
         let (nearness, told) =
@@ -144,7 +145,10 @@ fn coded(frame: &Image, depth: &Image, mask: &Image, numbers: &[f64; BANDS]) -> 
         let green = ((mean - (nearness + told) / 3.0) * WHITE).round();
         let red = green + nearness * WHITE;
         let blue = green + told * WHITE + error[band];
-        error[band] = blue - blue.round();
+        // Who reads the numbers leaves out what lies at a band's edge.
+        if band_of(x.saturating_sub(1)) == band && band_of((x + 1).min(width - 1)) == band {
+            error[band] = blue - blue.round();
+        }
         for (to, value) in to.iter_mut().zip([red, green, blue]) {
             *to = (value.round() / WHITE) as f32;
         }

@@ -32,7 +32,8 @@ pub struct Aligned {
     pub view_from_world: Vec<Pose>,
     /// In pixels of the frames.
     pub focal: f64,
-    /// Relative standard deviation of the focal length from frame to frame; 0 where it was known.
+    /// Relative standard deviation of the focal length, by how much frames differ in it and by `off`; 0 where it was
+    /// known.
     pub focal_deviation: f64,
     /// By what the depth of each frame ([`Pointmaps::into_depth`]) is to be multiplied to be in the world's unit.
     pub depth_factors: Vec<f64>,
@@ -118,7 +119,7 @@ pub fn align(maps: &Pointmaps, focal: Option<f64>) -> Result<Aligned> {
             "the pointmaps are not believed by their own network: hardly a point has a confidence above 1.1".into(),
         ));
     }
-    let (told, focal_deviation) = match focal {
+    let (told, spread) = match focal {
         Some(focal) => (focal, 0.0),
         None => start::focal(&problem).ok_or_else(|| {
             Error::Failed("the pointmaps tell no focal length: all points lie on one ray".into())
@@ -151,6 +152,8 @@ pub fn align(maps: &Pointmaps, focal: Option<f64>) -> Result<Aligned> {
         if ratios.is_empty() { 1.0 } else { quantile(ratios, 0.5) }
     };
     let depth_factors = state.inverse.iter().zip(&maps.depth).map(factor).collect();
+    // All frames may be wrong alike; only points that are right agree between pairs, too.
+    let focal_deviation = if focal.is_some() { 0.0 } else { spread.hypot(off) };
     let State { poses, focal, .. } = state;
     Ok(Aligned { view_from_world: poses, focal, focal_deviation, depth_factors, off })
 }

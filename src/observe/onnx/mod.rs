@@ -144,7 +144,8 @@ impl Models {
         };
         let masks = both(folder, "mask", list.mask_encoder, list.mask_decoder)?;
         let points = both(folder, "pointmap", list.pointmap_encoder, list.pointmap_decoder)?;
-        let masks = masks.map(|(encoder, decoder)| MaskNetwork::new(open(encoder)?, open(decoder)?));
+        let masks =
+            masks.map(|(encoder, decoder)| MaskNetwork::new(open(encoder)?, open(decoder)?));
         let pointmaps =
             points.map(|(encoder, decoder)| PointmapNetwork::new(open(encoder)?, open(decoder)?));
         Ok(Models {

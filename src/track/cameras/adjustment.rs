@@ -180,8 +180,10 @@ impl Cameras {
         bundle::Options {
             focal,
             depths: self.have_parallax(),
-            focal_prior: (self.focal_source == FocalSource::Assumed)
-                .then_some((ASSUMED * side, ASSUMED_DEVIATION)),
+            focal_prior: match self.focal_source {
+                FocalSource::Assumed => Some((ASSUMED * side, ASSUMED_DEVIATION)),
+                _ => self.focal_prior,
+            },
             scale_floor: DEVIATION_FLOOR,
             rounds,
             ..Default::default()

@@ -21,12 +21,16 @@ pub(in crate::track) struct Focal {
     pub deviation: f64,
     /// It was given and is not to be adjusted.
     pub held: bool,
+    /// What the adjustment weighs beside the tracks: a focal length and its relative standard deviation.
+    pub prior: Option<(f64, f64)>,
 }
 
 /// A focal length that nobody tells, as a multiple of the longer side: phones film at 0.75 to 1.1,
 /// and video stabilisation crops.
 pub(super) const ASSUMED: f64 = 1.0;
 
+/// What a network tells of the focal length is never taken to be finer, relative.
+const FINEST: f64 = 0.001;
 /// The adjustment measures the focal length if it can to this relative standard deviation.
 const MEASURABLE: f64 = 0.05;
 
@@ -44,6 +48,7 @@ impl Focal {
             source: FocalSource::Measured,
             deviation: guess.focal_deviation,
             held: false,
+            prior: Some((guess.focal, guess.focal_deviation.max(FINEST))),
         })
     }
 
@@ -53,7 +58,7 @@ impl Focal {
         given.map(|intrinsics| {
             let held = !options.refined.focal;
             let deviation = if held { 0.0 } else { f64::INFINITY };
-            Focal { intrinsics, source: FocalSource::Given, deviation, held }
+            Focal { intrinsics, source: FocalSource::Given, deviation, held, prior: None }
         })
     }
 
@@ -98,12 +103,14 @@ impl Focal {
                 source: FocalSource::Measured,
                 deviation: e.relative_std,
                 held: false,
+                prior: None,
             },
             None => Focal {
                 intrinsics: Intrinsics::centred(ASSUMED * side, w, h),
                 source: FocalSource::Assumed,
                 deviation: f64::INFINITY,
                 held: false,
+                prior: None,
             },
         }
     }

@@ -36,6 +36,8 @@ pub(super) struct Cameras {
     k1: f64,
     pub focal_source: FocalSource,
     pub focal_std: f64,
+    /// What is weighed beside the tracks: see [`Focal::prior`].
+    focal_prior: Option<(f64, f64)>,
     /// `view_from_world`.
     pub poses: Vec<Pose>,
     /// Per track: a frame that it lives in, and 1 / z there.
@@ -113,7 +115,13 @@ impl Cameras {
     /// Cameras that a unit test knows.
     #[cfg(test)]
     pub fn known(intrinsics: Intrinsics, poses: Vec<Pose>) -> Cameras {
-        let focal = Focal { intrinsics, source: FocalSource::Given, deviation: 0.0, held: true };
+        let focal = Focal {
+            intrinsics,
+            source: FocalSource::Given,
+            deviation: 0.0,
+            held: true,
+            prior: None,
+        };
         Cameras { poses, ..Cameras::new(&focal, 0, 0) }
     }
 
@@ -123,6 +131,7 @@ impl Cameras {
             k1: 0.0,
             focal_source: focal.source,
             focal_std: focal.deviation,
+            focal_prior: focal.prior,
             poses: vec![Pose::IDENTITY; frames],
             anchors: vec![None; tracks],
             doubtful: Vec::new(),

@@ -55,6 +55,7 @@ impl Cameras {
             source: FocalSource::Assumed,
             deviation: f64::INFINITY,
             held: false,
+            prior: None,
         };
         let best = STARTS
             .iter()
