@@ -124,8 +124,8 @@ fn what_is_wrong_is_told() {
     let depth = "[pointmap_encoder]\nfile = \"depth.onnx\"\n";
     let named = good.replace("\"tokens\"", "\"features\"");
     let cases: [(&str, &[&str]); 6] = [
-        (encoder, &["models.toml", "`pointmap_encoder` and no `pointmap_decoder`", "need both"]),
-        (decoder, &["models.toml", "`pointmap_decoder` and no `pointmap_encoder`", "need both"]),
+        (encoder, &["models.toml", "has `pointmap_encoder` without `pointmap_decoder`"]),
+        (decoder, &["models.toml", "has `pointmap_decoder` without `pointmap_encoder`"]),
         (
             &list(CUT, "depth.onnx"),
             &["depth.onnx", "is listed for pointmap_decoder, and computes depth"],

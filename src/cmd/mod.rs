@@ -248,9 +248,11 @@ mod tests {
     fn takes_text(argument: &clap::Arg) -> bool {
         let is_path = argument.get_value_parser().type_id() == TypeId::of::<PathBuf>();
         let words = ["device", "filter", "path", "image", "claim"];
+        let names = ["scenes", "train_camera", "test_cameras"];
         is_path
             || !argument.get_possible_values().is_empty()
-            || words.contains(&argument.get_id().as_str())
+            || argument.is_last_set()
+            || words.iter().chain(&names).any(|name| argument.get_id() == *name)
     }
 
     /// Whether a command accepts the value, whatever else it misses.

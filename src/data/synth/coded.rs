@@ -20,12 +20,11 @@
 //!
 //! Rounding to 16 bits is diffused from pixel to pixel within a band, so that its mean is far more exact than one pixel.
 
-use glam::DVec3;
+use glam::{DMat3, DQuat, DVec3};
 
 use super::Clip;
-use super::scene::Part;
+use super::scene::{Motion, Part};
 use crate::error::{Error, Result};
-use crate::geometry::sim3::align_points;
 use crate::types::{Image, Pose};
 
 /// Bands in a frame.
@@ -56,25 +55,29 @@ const WHITE: f64 = 65535.0;
 /// # Errors
 /// [`Error::Input`] where it does not move as one rigid thing.
 pub(super) fn rigid_motion(name: &str, parts: &[Part], times: &[f64]) -> Result<Vec<Pose>> {
-    let moving = || parts.iter().filter_map(|part| Some((part.motion.as_ref()?, &part.mesh)));
-    let rest: Vec<DVec3> =
-        moving().flat_map(|(_, mesh)| mesh.vertices.iter().map(|vertex| vertex.position)).collect();
-    if rest.is_empty() {
+    let moving: Vec<_> =
+        parts.iter().filter_map(|part| Some((part.motion.as_ref()?, &part.mesh))).collect();
+    let Some((first, _)) = moving.first() else {
         return Ok(vec![Pose::IDENTITY; times.len()]);
-    }
+    };
     let at = |time: &f64| {
-        let carried: Vec<DVec3> = moving()
-            .flat_map(|(motion, mesh)| mesh.vertices.iter().map(|v| motion(v.position, *time)))
-            .collect();
-        let found = align_points(&rest, &carried, None, false)?.reference_from_estimate;
-        let off = rest.iter().zip(&carried).map(|(p, to)| found.apply(*p).distance(*to));
-        if off.fold(0.0, f64::max) > RIGID {
+        // A rigid motion is told by where it carries the origin and the axes.
+        let origin = first(DVec3::ZERO, *time);
+        let axes = DVec3::AXES.map(|axis| first(axis, *time) - origin);
+        let rotation = DQuat::from_mat3(&DMat3::from_cols(axes[0], axes[1], axes[2])).normalize();
+        let carried = Pose::new(rotation, origin);
+        let is_off =
+            |motion: &Motion, p: DVec3| carried.apply(p).distance(motion(p, *time)) > RIGID;
+        let bends = moving
+            .iter()
+            .any(|(motion, mesh)| mesh.vertices.iter().any(|v| is_off(motion, v.position)));
+        if bends {
             return Err(Error::Input(format!(
                 "what moves in {name} does not move as one rigid thing, which colours could code; code \
                  rigid, still or tripod"
             )));
         }
-        Ok(Pose::new(found.rotation, found.translation))
+        Ok(carried)
     };
     times.iter().map(at).collect()
 }
