@@ -41,8 +41,6 @@ const FILLED: f32 = 0.3;
 pub(super) const MEASURED: f32 = 0.5;
 /// Weight of what other frames show behind a mover.
 const HIDDEN_WEIGHT: f32 = 1.0;
-/// Two measurements agree within so many deviations of their difference.
-const AGREE: f32 = 3.0;
 
 /// What [`super::Track`] holds of depth and movers.
 pub(super) struct Dense {
@@ -208,18 +206,10 @@ impl Known {
         (Known::jump(self.inverse) / self.deviation).powi(2).min(1e3)
     }
 
-    /// With another measurement of the same: both, each by its deviation, where they agree; else the finer one.
-    fn beside(self, other: Known) -> Known {
-        let apart = (self.inverse - other.inverse).abs();
-        if apart > AGREE * self.deviation.hypot(other.deviation) {
-            return if other.deviation < self.deviation { other } else { self };
-        }
-        let [a, b] = [self, other].map(|known| known.deviation.powi(-2));
-        let total = a + b;
-        Known {
-            inverse: (a * self.inverse + b * other.inverse) / total,
-            deviation: total.sqrt().recip(),
-        }
+    /// The finer one of two. They are not averaged: a network's errors are alike over a neighbourhood, those of a
+    /// triangulation are smoothed away in it.
+    fn or(self, other: Known) -> Known {
+        if other.deviation < self.deviation { other } else { self }
     }
 }
 
@@ -287,7 +277,7 @@ fn static_layer(
             (d > 0.0).then(|| Known::estimated(d, estimate.deviation))
         });
         let known = match (measured, estimate) {
-            (Some(measured), Some(estimate)) => measured.beside(estimate),
+            (Some(measured), Some(estimate)) => measured.or(estimate),
             (Some(one), None) | (None, Some(one)) => one,
             (None, None) => continue,
         };
