@@ -35,6 +35,8 @@ const DOUBT: (f32, f32) = (0.35, 0.02);
 const UNEXPLAINED: f32 = 4.0;
 /// Depth from elsewhere is compared with inverse depth whose relative deviation is less.
 const CERTAIN: f32 = 0.1;
+/// A network's depth is taken for what was triangulated where its deviation is so many times smaller.
+const CLEARLY: f32 = 2.0;
 /// Confidence of depth that was filled in.
 const FILLED: f32 = 0.3;
 /// Confidence above which depth was measured.
@@ -206,10 +208,11 @@ impl Known {
         (Known::jump(self.inverse) / self.deviation).powi(2).min(1e3)
     }
 
-    /// The finer one of two. They are not averaged: a network's errors are alike over a neighbourhood, those of a
-    /// triangulation are smoothed away in it.
-    fn or(self, other: Known) -> Known {
-        if other.deviation < self.deviation { other } else { self }
+    /// What was triangulated, or what a network says where that is clearly finer. They are not averaged: a network's
+    /// errors are alike over a neighbourhood, those of a triangulation are smoothed away in it, so that
+    /// its deviation says too much.
+    fn or(self, estimate: Known) -> Known {
+        if CLEARLY * estimate.deviation < self.deviation { estimate } else { self }
     }
 }
 

@@ -73,24 +73,19 @@ pub(super) fn aligned(estimated: &EstimatedDepth, seen: &[Seen], masks: &[Image]
         .collect()
 }
 
-/// The relative deviation of an aligned estimate: what is left of its differences to what was triangulated, once
-/// the deviation of that is taken off. Half of the pixels decide, so that wrong ones on either side do not.
+/// The relative deviation of an aligned estimate: how far it is from what was triangulated, the deviation of which
+/// is counted with it. Half of the pixels decide, so that wrong ones on either side do not.
 fn deviation(inverse: &[f32], seen: &Seen, mask: &Image) -> f32 {
     let compared = |i: &usize| inverse[*i] > 0.0 && is_comparable(seen, mask, *i);
-    let (differences, own): (Vec<f64>, Vec<f64>) = (0..inverse.len())
+    let differences: Vec<f64> = (0..inverse.len())
         .step_by(EVERY)
         .filter(compared)
-        .map(|i| {
-            let relative = |value: f32| f64::from(value / seen.inverse_depth[i]);
-            ((relative(inverse[i]) - 1.0).abs(), relative(seen.deviation[i]))
-        })
-        .unzip();
-    if differences.len() < LEAST {
-        return f32::INFINITY;
+        .map(|i| f64::from(inverse[i] / seen.inverse_depth[i] - 1.0).abs())
+        .collect();
+    match differences.len() < LEAST {
+        true => f32::INFINITY,
+        false => (quantile(differences, 0.5) / NORMAL_MEDIAN).max(FINEST) as f32,
     }
-    let spread = quantile(differences, 0.5) / NORMAL_MEDIAN;
-    let left = spread * spread - quantile(own, 0.5).powi(2);
-    left.max(FINEST * FINEST).sqrt() as f32
 }
 
 /// Whether the depth of a pixel can be compared with what a network says of it.
