@@ -46,16 +46,7 @@ impl FlowNetwork {
             std::iter::once(output.as_str()).chain(confidence.as_deref()).collect();
         let found = self.network.run_pictures(given, layout.picture, &outputs)?;
         self.network.check_channels(&found[0], 2, output)?;
-        let unknown = found[0].values.iter().filter(|value| !value.is_finite()).count();
-        if unknown > 0 {
-            let (width, height) = layout.picture;
-            let what = format!(
-                "is not finite at {unknown} of {} values; some networks take no picture as small as \
-                 {width}×{height}",
-                found[0].values.len()
-            );
-            return Err(self.network.wrong(output, &what));
-        }
+        self.network.check_finite(&found[0].values, output, layout.picture)?;
         let mut flow = layout.nearest(&found[0].values, found[0].size);
         let scale = layout.frame_from_picture();
         for vector in flow.pixels.chunks_exact_mut(2) {

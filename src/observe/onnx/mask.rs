@@ -78,7 +78,7 @@ impl MaskNetwork {
         let what = format!("{}×{} pixels", layout.picture.0, layout.picture.1);
         let features = self.encoder.run(&[(input.as_str(), &picture)], &what, &outputs)?;
         for (feature, name) in features.iter().zip(&outputs) {
-            self.encoder.check_finite(feature, name)?;
+            self.encoder.check_finite(&feature.values, name, layout.picture)?;
         }
         asked.iter().map(|query| self.decode(&layout, &features, query)).collect()
     }
@@ -141,8 +141,8 @@ impl MaskNetwork {
             let what = format!("came out as {:?}, for {n} masks", scores.shape);
             return Err(self.decoder.wrong(&names.scores, &what));
         }
-        self.decoder.check_finite(masks, &names.masks)?;
-        self.decoder.check_finite(scores, &names.scores)?;
+        self.decoder.check_finite(&masks.values, &names.masks, layout.picture)?;
+        self.decoder.check_finite(&scores.values, &names.scores, layout.picture)?;
         let planes = masks.values.chunks_exact(sides[0] * sides[1]);
         let found = |(plane, score): (&[f32], &f32)| FoundMask {
             odds: layout.smooth(plane, self.mask),

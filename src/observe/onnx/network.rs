@@ -121,12 +121,21 @@ impl Network {
         Ok(())
     }
 
-    /// That an output has no value that is infinite or no number.
-    pub fn check_finite(&self, tensor: &Tensor, name: &str) -> Result<()> {
-        let unknown = tensor.values.iter().filter(|value| !value.is_finite()).count();
+    /// That an output of pictures of a size has no value that is infinite or no number.
+    pub fn check_finite(
+        &self,
+        values: &[f32],
+        name: &str,
+        (width, height): (u32, u32),
+    ) -> Result<()> {
+        let unknown = values.iter().filter(|value| !value.is_finite()).count();
         if unknown > 0 {
-            let n = tensor.values.len();
-            return Err(self.wrong(name, &format!("is not finite at {unknown} of {n} values")));
+            let what = format!(
+                "is not finite at {unknown} of {} values; some networks take no picture as small as \
+                 {width}×{height}",
+                values.len()
+            );
+            return Err(self.wrong(name, &what));
         }
         Ok(())
     }

@@ -110,11 +110,7 @@ impl PointmapNetwork {
             );
             return Err(self.decoder.wrong(name, &what));
         }
-        let unknown = values.iter().filter(|value| !value.is_finite()).count();
-        if unknown > 0 {
-            let what = format!("is not finite at {unknown} of {} values", values.len());
-            return Err(self.decoder.wrong(name, &what));
-        }
+        self.decoder.check_finite(&values, name, (width, height))?;
         Ok(Image { width, height, channels, pixels: values })
     }
 }
