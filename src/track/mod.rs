@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `still` | is the camera fixed, does it only zoom? |
 //! | `cameras` | focal length, two-view start, PnP frame by frame, bundle adjustment; cameras that only turn |
+//! | `rounds` | cameras and masks by turns |
 //! | `undistorted` | the clip without the distortion of its lens |
 //! | `residual` | per pixel: the inverse depth that a static world would need, and what it leaves unexplained |
 //! | `photometric` | does the picture itself say that a pixel moved? |
@@ -61,6 +62,7 @@ mod prompted;
 mod quality;
 mod relief;
 mod residual;
+mod rounds;
 pub mod scaffold;
 mod shade;
 mod shape;
@@ -85,8 +87,9 @@ use crate::observe::{
 };
 use crate::types::{Image, Intrinsics, Pose};
 use crate::{Error, Result};
-use cameras::{Cameras, Focal, Motions, Standpoint, Strictness};
+use cameras::Standpoint;
 use observer::{Progress, Work, numbered};
+use rounds::{Known, SoFar};
 use undistorted::Undistorted;
 
 pub use cameras::RigidMotion;
@@ -441,247 +444,14 @@ fn observe(
     Ok(flow)
 }
 
-/// What cameras and masks are found from.
-#[derive(Clone, Copy)]
-struct Known<'a> {
-    frames: &'a [Image],
-    options: &'a Options,
-    flow: &'a NeighbourFlow,
-    tracks: &'a [PointTrack],
-    /// Masks that are known.
-    supplied: Option<&'a [Image]>,
-}
-
-/// What a round of masks and cameras begins with and ends with.
-#[derive(Clone, Serialize, Deserialize)]
-struct SoFar {
-    focal: Focal,
-    cameras: Cameras,
-    masks: Vec<Image>,
-    /// How much each track counts as static.
-    weights: Vec<f64>,
-    /// The rigid motions that the static world was chosen from, where it was in doubt.
-    motions: Option<Motions>,
-    /// What became of the cameras that a network tells, where it does.
-    guess: Option<Guessed>,
-}
-
-/// Which share of what is seen two cameras explain: those that began with a network's, and those from the video alone.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-struct Guessed {
-    begun: f64,
-    alone: f64,
-}
-
-impl Guessed {
-    /// The former are kept: where both explain alike, the network has seen more than the tracks tell.
-    fn is_kept(&self) -> bool {
-        self.begun >= ALIKE * self.alone
-    }
-}
-
-impl Known<'_> {
-    /// The lens, where the clip shows that it is no pinhole, and the cameras with it.
-    fn lens(self, so_far: &SoFar) -> Result<Option<(Lens, Cameras)>> {
-        let SoFar { cameras, weights, focal, motions, .. } = so_far;
-        match self.options.lens && motions.is_none() {
-            true => cameras.lens(self.tracks, weights, focal),
-            false => Ok(None),
-        }
-    }
-
-    /// Cameras before masks are known.
-    fn first_cameras(self, work: &mut Work) -> Result<SoFar> {
-        let Known { options, flow, tracks, supplied, .. } = self;
-        let size = (flow.width, flow.height);
-        let weights: Vec<f64> = match supplied {
-            Some(masks) => masks::static_weights(tracks, masks),
-            None => tracks.iter().map(|t| still::border_prior(t, size)).collect(),
-        };
-        if let Some(masks) = supplied {
-            demand_static(masks, &weights)?;
-        }
-        let found = options.poses.is_none() && options.static_motion.is_none();
-        let tripod = found && still::is_fixed(tracks, &weights, flow);
-        let usual = Strictness::Usual;
-        let mut focal = Focal::choose(options, size, flow.frames, tracks, &weights, usual);
-        let (mut searched, mut guessed) = (None, None);
-        let cameras = if tripod {
-            Cameras::fixed(&focal, flow, tracks.len())
-        } else if let Some(poses) = &options.poses {
-            Cameras::supplied(poses, options.refined.poses, &focal, tracks, &weights)?
-        } else {
-            let (n, part) = (flow.frames, "cameras/posing");
-            if found {
-                still::refuse_zoom(tracks, &weights, flow)?;
-            }
-            let first =
-                cameras::reconstruct(tracks, &weights, &focal, n, options.seed, usual, work, part);
-            let first = match first {
-                Err(error) if work.ended => return Err(error),
-                first => first,
-            };
-            let explained = |cameras: &Cameras| cameras.explained(tracks, &weights);
-            let begun = options.guess.as_ref().filter(|_| found).and_then(|guess| {
-                let focal = Focal::of_guess(options, guess, size);
-                let cameras = Cameras::begun(&guess.poses, &focal, tracks, &weights).ok()?;
-                Some((focal, cameras))
-            });
-            let first = match begun {
-                Some((of_guess, begun)) => {
-                    let alone = first.as_ref().map_or(0.0, explained);
-                    let shares = Guessed { begun: explained(&begun), alone };
-                    guessed = Some(shares);
-                    if shares.is_kept() {
-                        focal = of_guess;
-                        Ok(begun)
-                    } else {
-                        first
-                    }
-                }
-                None => first,
-            };
-            let moving = first.as_ref().map_or(0.0, explained);
-            let turning = found
-                .then(|| Cameras::turning(tracks, &weights, &focal, n, options.seed).ok())
-                .flatten();
-            match (first, turning) {
-                (_, Some(turning)) if explained(&turning) > TURNS * moving.max(PLAIN) => turning,
-                (first, _) if supplied.is_some() => first?,
-                (Ok(first), _) if found && moving > PLAIN => first,
-                (first, _) => {
-                    let first = first.ok().map(|cameras| (focal.clone(), cameras));
-                    let search =
-                        cameras::Search { tracks, prior: &weights, options, size, frames: n };
-                    let (solution, motions) = search.static_world(first, work)?;
-                    searched = Some(motions);
-                    focal = solution.0;
-                    solution.1
-                }
-            }
-        };
-        let masks = supplied.map(<[Image]>::to_vec).unwrap_or_default();
-        let plain = cameras.standpoint == Standpoint::Moves && searched.is_none();
-        let guess = guessed.filter(|_| plain);
-        Ok(SoFar { focal, cameras, masks, weights, motions: searched, guess })
-    }
-
-    /// Supplied masks without those that slip or flicker, and which those are.
-    fn mend(
-        self,
-        masks: &[Image],
-        cameras: &Cameras,
-        work: &mut Work,
-    ) -> Result<(Vec<Image>, Vec<usize>)> {
-        let Known { frames, flow, .. } = self;
-        let seen = residual::triangulate_frames(cameras, flow, work, "mended", 0.0..0.2)?;
-        let observed = masks::Observed { frames, cameras, flow, seen: &seen };
-        mended::mended(masks, observed, work, "mended", 0.2..0.4)
-    }
-
-    /// Masks by the cameras, then cameras by the masks.
-    fn round(
-        self,
-        so_far: SoFar,
-        work: &mut Work,
-        part: &str,
-        shares: std::ops::Range<f64>,
-    ) -> Result<SoFar> {
-        let Known { frames, options, flow, tracks, supplied } = self;
-        let SoFar { mut focal, mut cameras, mut masks, mut weights, motions, mut guess } = so_far;
-        if supplied.is_none() {
-            let middle = 0.5 * (shares.start + shares.end);
-            let first = shares.start..middle;
-            let seen = residual::triangulate_frames(&cameras, flow, work, part, first)?;
-            let second = middle..shares.end;
-            let observed = masks::Observed { frames, cameras: &cameras, flow, seen: &seen };
-            masks = masks::segment(observed, None, work, part, second)?;
-        }
-        work.progress(Stage::Masks, shares.end)?;
-        if cameras.standpoint != Standpoint::Fixed {
-            weights = masks::static_weights(tracks, &masks);
-            // Where much moves, the masks may be worse than the cameras.
-            let before = motions.is_some().then(|| cameras.clone());
-            let parallax = cameras.have_parallax();
-            let kept = cameras.adjust(tracks, &weights, &focal).map(|()| cameras);
-            // The first cameras may have settled on a compromise with what moves, which adjustment does
-            // not leave: they are found anew from what stands still.
-            cameras = if parallax && options.poses.is_none() && supplied.is_none() {
-                let part = format!("{part}/posing");
-                let (seed, n, usual) = (options.seed, flow.frames, Strictness::Usual);
-                let size = (flow.width, flow.height);
-                let chosen = Focal::choose(options, size, n, tracks, &weights, usual);
-                let afresh =
-                    cameras::reconstruct(tracks, &weights, &chosen, n, seed, usual, work, &part);
-                // Masks leave in what agrees with the cameras that they were made by.
-                let judges = motions.as_ref().map_or(&weights, |motions| &motions.weights);
-                let explained = |cameras: &Cameras| cameras.explained(tracks, judges);
-                // A network's do not come from a compromise.
-                let told = guess.as_ref().is_some_and(Guessed::is_kept);
-                let crowded = share(&masks) >= CROWDED && motions.is_none() && !told;
-                let factor = if told { ALIKE } else { 1.0 };
-                let kept = match (kept, before) {
-                    (Ok(kept), Some(before)) if explained(&before) > explained(&kept) => Ok(before),
-                    (kept, _) => kept,
-                };
-                match (kept, afresh) {
-                    (_, Err(error)) if work.ended => return Err(error),
-                    (Ok(kept), Ok(afresh))
-                        if !crowded && explained(&kept) >= factor * explained(&afresh) =>
-                    {
-                        kept
-                    }
-                    (_, Ok(afresh)) => {
-                        focal = chosen;
-                        guess = guess.filter(|shares| !shares.is_kept());
-                        afresh
-                    }
-                    (kept, Err(_)) => kept?,
-                }
-            } else {
-                kept?
-            };
-            work.progress(Stage::Cameras, 1.0)?;
-        }
-        Ok(SoFar { focal, cameras, masks, weights, motions, guess })
-    }
-}
-
-/// Cameras that explain more of what is seen, weighed by the prior, are those of the static world. Right
-/// ones explain 0.27 to 0.39 where walkers fill three quarters of the picture, and 0.54 or more of
-/// handheld clips with a mover or two.
-const PLAIN: f64 = 0.45;
-/// A camera that turns in place explains a clip if it explains more than this share of what one that moves
-/// does, which has a depth for each point to fit noise and movers with. Of clips with parallax a turn
-/// explains half as much at the most.
-const TURNS: f64 = 0.85;
-/// Of two cameras that explain as much but for this, neither is better.
-const ALIKE: f64 = 0.99;
-/// With more of the pixels moving than this, the first cameras are never kept: masks that were made by
-/// them leave in what agrees with the compromise.
-const CROWDED: f64 = 0.3;
 /// A fixed camera that sees less than this share of the pixels move shows one picture, not a scene.
 const NOTHING_MOVES: f64 = 1e-3;
+
 /// Share of the pixels that move.
 fn share(masks: &[Image]) -> f64 {
     let moving: usize = masks.iter().flat_map(|m| &m.pixels).filter(|p| **p > 0.5).count();
     let pixels: usize = masks.iter().map(|m| m.pixels.len()).sum();
     moving as f64 / pixels.max(1) as f64
-}
-
-/// That supplied masks leave points to find cameras by.
-fn demand_static(masks: &[Image], weights: &[f64]) -> Result<()> {
-    // Two views need eight points.
-    let stay = weights.iter().filter(|weight| **weight > 0.05).count();
-    if stay >= 8 {
-        return Ok(());
-    }
-    Err(Error::Input(format!(
-        "the masks leave nothing static to find cameras by: they say that {:.1} % of the pixels \
-         move, and {stay} of {} points that were followed stand still; white is what moves",
-        100.0 * share(masks),
-        weights.len()
-    )))
 }
 
 fn binary(mask: &Image) -> Image {

@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use super::cameras::{Cameras, Motions, RigidMotion, Standpoint};
 use super::landmarks::{self, FrameQuality};
-use super::{FocalSource, Guessed, share};
+use super::rounds::Guessed;
+use super::{FocalSource, share};
 use crate::data::Lens;
 use crate::observe::PointTrack;
 use crate::types::Image;

@@ -4,7 +4,8 @@
 use glam::DVec2;
 
 use super::cameras::Cameras;
-use super::{Known, Options, SoFar, binary};
+use super::rounds::{Known, SoFar};
+use super::{Options, binary};
 use crate::data::Lens;
 use crate::observe::{EstimatedDepth, NeighbourFlow, PointTrack};
 use crate::types::{Image, Intrinsics};
