@@ -105,19 +105,19 @@ struct Comparison {
 
 /// The colours of a point, frame by frame.
 struct Colours {
-    first: usize,
+    frames: Vec<usize>,
     mean: Vec<Option<[f32; 3]>>,
 }
 
 impl Colours {
     fn of(frames: &[Image], track: &PointTrack) -> Colours {
-        let pixels = track.pixels.iter().zip(&frames[track.first..]);
-        let mean = pixels.map(|(at, frame)| mean(frame, *at)).collect();
-        Colours { first: track.first, mean }
+        let seen = track.frames.iter().zip(&track.pixels);
+        let mean = seen.map(|(frame, at)| mean(&frames[*frame], *at)).collect();
+        Colours { frames: track.frames.clone(), mean }
     }
 
     fn at(&self, frame: usize) -> Option<[f32; 3]> {
-        frame.checked_sub(self.first).and_then(|k| self.mean.get(k)).copied().flatten()
+        self.frames.binary_search(&frame).ok().and_then(|k| self.mean[k])
     }
 }
 
@@ -246,11 +246,7 @@ mod tests {
         let tracks = (0..15 * 11)
             .map(|i| {
                 let pixel = DVec2::new((i % 15) as f64 + 0.9, (i / 15) as f64 + 0.9) * 4.0;
-                PointTrack {
-                    first: 0,
-                    pixels: vec![pixel; gains.len()],
-                    deviation: vec![0.1; gains.len()],
-                }
+                PointTrack::followed(0, vec![pixel; gains.len()], vec![0.1; gains.len()])
             })
             .collect();
         (scene, frames, tracks)

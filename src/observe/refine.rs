@@ -62,24 +62,28 @@ pub fn refine(frames: &[Image], flow: &NeighbourFlow, tracks: &mut [PointTrack])
 
 fn refine_track(frames: &[Luminance], flow: &NeighbourFlow, track: &mut PointTrack) {
     let chain = track.clone();
-    let Some(mut patch) = Patch::at(&frames[track.first], chain.pixels[0]) else { return };
+    let Some(mut patch) = Patch::at(&frames[track.first()], chain.pixels[0]) else { return };
     let mut look = Look::START;
     // The place of the patch in the track, and the deviation there.
     let (mut anchor, mut base) = (0, 0.0f32);
     let mut held = true;
     let apart = |a: f32, b: f32| (a * a - b * b).max(0.0).sqrt();
     for k in 1..chain.pixels.len() {
-        let frame = &frames[track.first + k];
+        let frame = &frames[chain.frames[k]];
         let (before, known) = (track.pixels[k - 1], track.deviation[k - 1]);
         let start = before + (chain.pixels[k] - chain.pixels[k - 1]);
         let step = apart(chain.deviation[k], chain.deviation[k - 1]);
-        let turn = turn(flow, track.first + k - 1, before);
+        let followed = chain.frames[k - 1] + 1 == chain.frames[k];
+        let turn = match followed {
+            true => turn(flow, chain.frames[k - 1], before),
+            false => DMat2::IDENTITY,
+        };
         look.shape = turn * look.shape;
         let prior = |since: f32| Prior { pixel: start, deviation: f64::from(since.hypot(step)) };
         let mut found = patch.find(frame, prior(apart(known, base)), &look);
         if found.is_none() && anchor != k - 1 {
             // What it looked like last may be nearer to what it looks like now.
-            if let Some(last) = Patch::at(&frames[track.first + k - 1], before) {
+            if let Some(last) = Patch::at(&frames[chain.frames[k - 1]], before) {
                 (patch, anchor, base) = (last, k - 1, known);
                 look = Look { shape: turn, ..Look::START };
                 found = patch.find(frame, prior(0.0), &look);
@@ -110,6 +114,7 @@ fn refine_track(frames: &[Luminance], flow: &NeighbourFlow, track: &mut PointTra
             return;
         }
         look = found.look;
+        track.frames.push(frame + 1);
         track.pixels.push(found.pixel);
         track.deviation.push(deviation);
     }
@@ -313,9 +318,10 @@ mod tests {
 
     /// The track of a pixel by flow alone.
     fn chained(flow: &NeighbourFlow, pixel: DVec2) -> PointTrack {
-        let mut track = PointTrack { first: 0, pixels: vec![pixel], deviation: vec![0.0] };
+        let mut track = PointTrack::followed(0, vec![pixel], vec![0.0]);
         for k in 1..FRAMES {
             let next = flow.step(k - 1, true, track.pixels[k - 1]).unwrap();
+            track.frames.push(k);
             track.pixels.push(next.pixel);
             track.deviation.push(0.2 * (k as f32).sqrt());
         }
@@ -342,7 +348,7 @@ mod tests {
         let frames = pictures();
         let flow = flow(&frames, DVec2::ZERO);
         let first = DVec2::new(28.3, 21.6);
-        let mut tracks = vec![chained(&flow, first).part(0..4)];
+        let mut tracks = vec![chained(&flow, first).places(0..4)];
         refine(&frames, &flow, &mut tracks);
         assert_eq!(tracks[0].end(), FRAMES);
         for (frame, pixel) in tracks[0].pixels.iter().enumerate() {
@@ -351,7 +357,7 @@ mod tests {
         // It ends where the pictures no longer show the point.
         let mut ended = frames.clone();
         ended[6] = Image::new(SIZE.0, SIZE.1, 3);
-        let mut tracks = vec![chained(&flow, first).part(0..4)];
+        let mut tracks = vec![chained(&flow, first).places(0..4)];
         refine(&ended, &flow, &mut tracks);
         assert_eq!(tracks[0].end(), 6);
     }

@@ -6,47 +6,95 @@ use serde::{Deserialize, Serialize};
 use super::flow::NeighbourFlow;
 use crate::types::Tracks;
 
-/// A point followed from frame to frame without a gap.
+/// A point and the frames that see it, at least one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PointTrack {
-    /// The frame it begins in.
-    pub first: usize,
-    /// Its pixel in that frame and in those that follow.
+    /// The frames that see it, in rising order; where it is hidden or was not found, frames are left out.
+    pub frames: Vec<usize>,
+    /// Its pixel in each of these frames.
     pub pixels: Vec<DVec2>,
-    /// Standard deviation of each pixel along each axis, the first taken as exact, pixels.
+    /// Standard deviation of each pixel along each axis, the first taken as exact, pixels: what adds up as a
+    /// point is followed.
     pub deviation: Vec<f32>,
+    /// Standard deviation of each pixel along each axis by itself, which does not add up: of points that are
+    /// found in each picture anew; pixels.
+    pub noise: f32,
 }
 
 /// A step of flow is off by so many pixels along each axis, where it is surely believed.
 pub(super) const STEP_DEVIATION: f32 = 0.2;
 
 impl PointTrack {
-    /// The pixel in a frame; none outside of the track's life.
+    /// A point that is followed from a frame on without a gap.
+    pub fn followed(first: usize, pixels: Vec<DVec2>, deviation: Vec<f32>) -> PointTrack {
+        PointTrack {
+            frames: (first..first + pixels.len()).collect(),
+            pixels,
+            deviation,
+            noise: 0.0,
+        }
+    }
+
+    /// The first frame that sees it.
+    pub fn first(&self) -> usize {
+        self.frames[0]
+    }
+
+    /// One past the last frame that sees it.
+    pub fn end(&self) -> usize {
+        self.frames[self.frames.len() - 1] + 1
+    }
+
+    /// The place of a frame among those that see it.
+    pub fn place(&self, frame: usize) -> Option<usize> {
+        // Without a gap before it, it is where it would be without any.
+        let k = frame.checked_sub(self.first())?;
+        match self.frames.get(k) == Some(&frame) {
+            true => Some(k),
+            false => self.frames.binary_search(&frame).ok(),
+        }
+    }
+
+    /// The pixel in a frame; none where it is not seen.
     pub fn at(&self, frame: usize) -> Option<DVec2> {
-        frame.checked_sub(self.first).and_then(|k| self.pixels.get(k)).copied()
+        self.place(frame).map(|k| self.pixels[k])
+    }
+
+    /// Standard deviation of a pixel where the first is taken as exact, by its place in the track.
+    pub(crate) fn deviation_at(&self, k: usize) -> f32 {
+        self.deviation[k].hypot(std::f32::consts::SQRT_2 * self.noise)
     }
 
     /// Standard deviation of a pixel of the track where another is taken as exact, both by their place
     /// in the track.
     pub(crate) fn deviation_between(&self, exact: usize, k: usize) -> f32 {
         let [exact, other] = [exact, k].map(|k| self.deviation[k]);
-        (other * other - exact * exact).abs().sqrt()
+        let added = (other * other - exact * exact).abs().sqrt();
+        added.hypot(std::f32::consts::SQRT_2 * self.noise)
     }
 
-    /// Its part within a range of frames, the first pixel there taken as exact.
-    pub fn part(&self, frames: std::ops::Range<usize>) -> PointTrack {
-        let (first, end) = (self.first.max(frames.start), self.end().min(frames.end));
-        let part = first - self.first..end.max(first) - self.first;
+    /// Its part from one place in it to before another, the first pixel there taken as exact.
+    pub fn places(&self, places: std::ops::Range<usize>) -> PointTrack {
+        // What each pixel is off by itself is no part of what adds up.
+        let added = |k: usize| {
+            let [exact, other] = [places.start, k].map(|k| self.deviation[k]);
+            (other * other - exact * exact).abs().sqrt()
+        };
         PointTrack {
-            first,
-            pixels: self.pixels[part.clone()].to_vec(),
-            deviation: part.clone().map(|k| self.deviation_between(part.start, k)).collect(),
+            frames: self.frames[places.clone()].to_vec(),
+            pixels: self.pixels[places.clone()].to_vec(),
+            deviation: places.clone().map(added).collect(),
+            noise: self.noise,
         }
     }
 
-    /// One past the last frame it lives in.
-    pub fn end(&self) -> usize {
-        self.first + self.pixels.len()
+    /// Its parts without a gap, as places in it.
+    pub fn runs(&self) -> impl Iterator<Item = std::ops::Range<usize>> {
+        let mut start = 0;
+        self.frames.chunk_by(|a, b| a + 1 == *b).map(move |run| {
+            start += run.len();
+            start - run.len()..start
+        })
     }
 }
 
@@ -98,7 +146,7 @@ pub fn follow(flow: &NeighbourFlow, options: &TrackOptions) -> Vec<PointTrack> {
             let corner = DVec2::new((c % columns) as f64, (c / columns) as f64);
             let pixel = (corner + 0.5) * spacing as f64;
             if pixel.x < flow.width as f64 && pixel.y < flow.height as f64 {
-                alive.push(PointTrack { first: frame, pixels: vec![pixel], deviation: vec![0.0] });
+                alive.push(PointTrack::followed(frame, vec![pixel], vec![0.0]));
             }
         }
         let mut going = Vec::with_capacity(alive.len());
@@ -106,6 +154,7 @@ pub fn follow(flow: &NeighbourFlow, options: &TrackOptions) -> Vec<PointTrack> {
             let here = track.pixels[track.pixels.len() - 1];
             match flow.step(frame, true, here) {
                 Some(next) if next.confidence >= options.confidence => {
+                    track.frames.push(frame + 1);
                     track.pixels.push(next.pixel);
                     let before = track.deviation[track.deviation.len() - 1];
                     track.deviation.push(before.hypot(STEP_DEVIATION / next.confidence));
@@ -119,34 +168,26 @@ pub fn follow(flow: &NeighbourFlow, options: &TrackOptions) -> Vec<PointTrack> {
     done.extend(alive);
     done.retain(|t| t.pixels.len() > 1);
     done.sort_by(|a, b| {
-        let key = |t: &PointTrack| (t.first, t.pixels[0].y, t.pixels[0].x);
+        let key = |t: &PointTrack| (t.first(), t.pixels[0].y, t.pixels[0].x);
         let (a, b) = (key(a), key(b));
         a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.total_cmp(&b.2))
     });
     done
 }
 
-/// What is seen of points that others have followed, each time from where it appears to where it
-/// disappears, within pictures of a size. What they are off by is taken to grow as in a chain of flow.
+/// What is seen of points that others have followed, within pictures of a size: those that two frames see.
+/// What they are off by is taken to grow as in a chain of flow.
 pub(crate) fn supplied_tracks(tracks: &Tracks, size: DVec2) -> Vec<PointTrack> {
     let inside = |at: DVec2| at.cmpge(DVec2::ZERO).all() && at.cmplt(size).all();
-    let mut found = Vec::new();
-    for point in &tracks.points {
-        let places = point.pixels.iter().zip(&point.seen);
-        let places: Vec<Option<DVec2>> =
-            places.map(|(pixel, seen)| Some(*pixel).filter(|at| *seen && inside(*at))).collect();
-        let mut first = 0;
-        for run in places.split(Option::is_none) {
-            let pixels: Vec<DVec2> = run.iter().copied().flatten().collect();
-            if pixels.len() > 1 {
-                let deviation = |k: usize| STEP_DEVIATION * (k as f32).sqrt();
-                let deviation = (0..pixels.len()).map(deviation).collect();
-                found.push(PointTrack { first, pixels, deviation });
-            }
-            first += run.len() + 1;
-        }
-    }
-    found
+    let whole = tracks.points.iter().map(|point| {
+        let places = point.pixels.iter().zip(&point.seen).enumerate();
+        let seen = places.filter(|(_, (pixel, seen))| **seen && inside(**pixel));
+        let (frames, pixels): (Vec<usize>, Vec<DVec2>) = seen.map(|(f, (p, _))| (f, *p)).unzip();
+        let since = |frame: &usize| STEP_DEVIATION * ((frame - frames[0]) as f32).sqrt();
+        let deviation = frames.iter().map(since).collect();
+        PointTrack { frames, pixels, deviation, noise: 0.0 }
+    });
+    whole.filter(|track| track.frames.len() > 1).collect()
 }
 
 #[cfg(test)]
@@ -158,20 +199,28 @@ mod tests {
     const SIZE: (u32, u32) = (40, 20);
 
     #[test]
-    fn supplied_points_are_taken_from_where_they_appear_to_where_they_disappear() {
+    fn supplied_points_are_taken_where_they_are_seen() {
         let x = [3.0, 5.0, 7.0, 9.0, f64::NAN, 13.0, 60.0, 17.0, 19.0];
         let point = PointPath {
             query: (0, DVec2::new(3.0, 4.0)),
             pixels: x.map(|x| DVec2::new(x, 4.0)).to_vec(),
             seen: vec![true, true, true, false, true, true, true, true, true],
         };
-        let tracks = Tracks { size: Some(SIZE), points: vec![point] };
+        let once = PointPath { seen: (0..9).map(|f| f == 7).collect(), ..point.clone() };
+        let tracks = Tracks { size: Some(SIZE), points: vec![point, once] };
         let found = supplied_tracks(&tracks, DVec2::new(40.0, 20.0));
-        let told: Vec<(usize, Vec<f64>)> =
-            found.iter().map(|t| (t.first, t.pixels.iter().map(|p| p.x).collect())).collect();
-        assert_eq!(told, [(0, vec![3.0, 5.0, 7.0]), (7, vec![17.0, 19.0])]);
-        assert_eq!(found[0].deviation[0], 0.0);
-        assert!(found[0].deviation[2] > found[0].deviation[1]);
+        let [track] = &found[..] else { panic!("one is seen in two frames: {found:?}") };
+        assert_eq!(track.frames, [0, 1, 2, 5, 7, 8]);
+        let x: Vec<f64> = track.pixels.iter().map(|p| p.x).collect();
+        assert_eq!(x, [3.0, 5.0, 7.0, 13.0, 17.0, 19.0]);
+        assert_eq!((track.first(), track.end()), (0, 9));
+        for (frame, x) in [(1, Some(5.0)), (3, None), (5, Some(13.0)), (8, Some(19.0)), (9, None)] {
+            assert_eq!(track.at(frame).map(|p| p.x), x, "{frame}");
+        }
+        assert_eq!(track.runs().collect::<Vec<_>>(), [0..3, 3..4, 4..6]);
+        assert!(track.deviation.is_sorted() && track.deviation[0] == 0.0);
+        let part = track.places(2..5);
+        assert_eq!((&part.frames[..], part.deviation[0]), (&[2, 5, 7][..], 0.0));
     }
 
     /// Four frames in which everything goes by (4, 1), but for one vector.
@@ -204,12 +253,12 @@ mod tests {
         }
         // The first frame's grid has ten by five points; the last column leaves in the first step
         // and is not followed, all others are: those in the lowest row stay inside for one step.
-        let begin = |frame: usize| tracks.iter().filter(|t| t.first == frame).count();
+        let begin = |frame: usize| tracks.iter().filter(|t| t.first() == frame).count();
         assert_eq!(begin(0), 9 * 5);
         // What the flow leaves bare on the left is filled by new points, in the first column.
-        let fresh: Vec<_> = tracks.iter().filter(|t| t.first == 1).collect();
+        let fresh: Vec<_> = tracks.iter().filter(|t| t.first() == 1).collect();
         assert!(fresh.iter().filter(|t| t.pixels[0].x == 2.0).count() >= 4, "{fresh:?}");
-        let whole = tracks.iter().filter(|t| t.first == 0 && t.end() == 4).count();
+        let whole = tracks.iter().filter(|t| t.first() == 0 && t.end() == 4).count();
         // Three steps: 7 columns of 10 stay inside; of the rows at 2, 6, 10, 14 and 18 all but the
         // last.
         assert_eq!(whole, 7 * 4);
@@ -224,14 +273,14 @@ mod tests {
         let life = |flow: &NeighbourFlow| {
             let start = DVec2::new(6.0, 6.0);
             let tracks = follow(flow, &spacing);
-            tracks.iter().find(|t| t.first == 0 && t.pixels[0] == start).unwrap().pixels.len()
+            tracks.iter().find(|t| t.first() == 0 && t.pixels[0] == start).unwrap().pixels.len()
         };
         assert_eq!(life(&flow(None)), 4);
         // One wrong vector of four: the confidence falls to three quarters of one, which is enough.
         assert!(life(&flow(Some((at(6, 9), [-9.0, 0.0])))) > 2);
         let strict = TrackOptions { confidence: 0.9, ..spacing };
         let tracks = follow(&flow(Some((at(6, 9), [-9.0, 0.0]))), &strict);
-        let ended = tracks.iter().find(|t| t.first == 0 && t.pixels[0] == DVec2::new(6.0, 6.0));
+        let ended = tracks.iter().find(|t| t.first() == 0 && t.pixels[0] == DVec2::new(6.0, 6.0));
         assert_eq!(ended.unwrap().pixels.len(), 2);
     }
 }

@@ -80,10 +80,10 @@ fn fits(
         .filter(|&i| weights[i] > STATIC && tracks[i].pixels.len() >= LEAST)
         .map(|i| {
             let track = &tracks[i];
-            let reference = poses[track.first].inverse();
-            let relative = |k: usize| poses[track.first + k] * reference;
+            let reference = poses[track.first()].inverse();
+            let relative = |k: usize| poses[track.frames[k]] * reference;
             let views: Vec<(Pose, DVec2, f64)> = (1..track.pixels.len())
-                .map(|k| (relative(k), track.pixels[k], information(track.deviation[k])))
+                .map(|k| (relative(k), track.pixels[k], information(track.deviation_at(k))))
                 .collect();
             let found = inverse_depth(intrinsics, track.pixels[0], &views, huber);
             let d = found.map_or(0.0, |found| found.value);
@@ -94,7 +94,7 @@ fn fits(
                 }
                 project(intrinsics, pose, track.pixels[0], d).map_or(behind, |(seen, _)| {
                     let length = seen.distance(*pixel);
-                    (length, length / DEVIATION.hypot(f64::from(track.deviation[k + 1])))
+                    (length, length / DEVIATION.hypot(f64::from(track.deviation_at(k + 1))))
                 })
             };
             Fit {
@@ -132,17 +132,17 @@ pub(super) fn by_frame(
         .collect();
     let mut sums = vec![(0.0, 0usize); found.len()];
     for fit in &fits {
-        let first = tracks[fit.track].first;
+        let frames = &tracks[fit.track].frames;
         let agrees = |off: &(f64, f64)| off.1 <= limit;
         let agreeing = fit.off[1..].iter().filter(|off| agrees(off)).count();
         for (k, off) in fit.off.iter().enumerate() {
-            let frame = &mut found[first + k];
+            let frame = &mut found[frames[k]];
             frame.observations += 1;
             // The point lies on its first pixel, which so agrees if most others do.
             let inlier = if k > 0 { agrees(off) } else { 2 * agreeing >= fit.off.len() - 1 };
             frame.inliers += usize::from(inlier);
             if inlier && k > 0 {
-                let (sum, count) = &mut sums[first + k];
+                let (sum, count) = &mut sums[frames[k]];
                 *sum += off.0 * off.0;
                 *count += 1;
             }
@@ -175,11 +175,12 @@ fn landmarks(
         let known = fit.inverse_depth > 0.0 && fit.deviation < MOST_UNCERTAIN;
         let kept: Vec<usize> = (0..fit.off.len()).filter(|&k| fit.off[k].1 <= limit).collect();
         let error = kept.iter().map(|&k| fit.off[k].0).sum::<f64>() / kept.len() as f64;
-        let position =
-            poses[track.first].inverse().apply(intrinsics.ray(track.pixels[0]) / fit.inverse_depth);
+        let position = poses[track.first()]
+            .inverse()
+            .apply(intrinsics.ray(track.pixels[0]) / fit.inverse_depth);
         (known && kept.len() >= LEAST && position.is_finite()).then(|| Landmark {
             position,
-            observations: kept.iter().map(|&k| (track.first + k, track.pixels[k])).collect(),
+            observations: kept.iter().map(|&k| (track.frames[k], track.pixels[k])).collect(),
             error,
         })
     };
@@ -195,10 +196,9 @@ mod tests {
     /// Points of the wall, followed from the first frame to the last.
     fn wall_tracks() -> Vec<PointTrack> {
         let at = |i: usize| DVec2::new(14.0 + 2.0 * i as f64, 6.0 + i as f64);
-        let track = |i: usize| PointTrack {
-            first: 0,
-            pixels: (0..FRAMES).map(|f| at(i) + wall() * f as f64).collect(),
-            deviation: vec![0.1; FRAMES],
+        let track = |i: usize| {
+            let pixels = (0..FRAMES).map(|f| at(i) + wall() * f as f64).collect();
+            PointTrack::followed(0, pixels, vec![0.1; FRAMES])
         };
         (0..24).map(track).collect()
     }
@@ -210,7 +210,7 @@ mod tests {
         // One slips in a frame, one goes down, one is too short, one is said to move.
         tracks[0].pixels[3].y += 2.0;
         tracks[1].pixels.iter_mut().enumerate().for_each(|(f, pixel)| pixel.y += 1.5 * f as f64);
-        tracks[2].pixels.truncate(2);
+        tracks[2] = tracks[2].places(0..2);
         let mut weights = vec![1.0; tracks.len()];
         weights[3] = 0.2;
         let found = landmarks(&cameras.intrinsics, &cameras.poses, &tracks, &weights);
@@ -245,10 +245,9 @@ mod tests {
     fn a_fixed_camera_sees_no_landmarks_but_what_stays() {
         let mut cameras = cameras(0.0);
         cameras.standpoint = Standpoint::Fixed;
-        let still = |i: usize| PointTrack {
-            first: 0,
-            pixels: vec![DVec2::new(9.0 + i as f64, 9.0); FRAMES],
-            deviation: vec![0.1; FRAMES],
+        let still = |i: usize| {
+            let pixels = vec![DVec2::new(9.0 + i as f64, 9.0); FRAMES];
+            PointTrack::followed(0, pixels, vec![0.1; FRAMES])
         };
         let tracks: Vec<PointTrack> = (0..9).map(still).collect();
         let weights = vec![1.0; tracks.len()];

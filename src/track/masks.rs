@@ -50,13 +50,10 @@ pub(super) fn static_weights(tracks: &[PointTrack], masks: &[Image]) -> Vec<f64>
     tracks
         .par_iter()
         .map(|track| {
-            let mut moving: Vec<f64> = track
-                .pixels
-                .iter()
-                .enumerate()
-                .filter(|(k, _)| trusted[track.first + k])
-                .map(|(k, pixel)| {
-                    let mask = &masks[track.first + k];
+            let mut moving: Vec<f64> = (track.frames.iter().zip(&track.pixels))
+                .filter(|(frame, _)| trusted[**frame])
+                .map(|(frame, pixel)| {
+                    let mask = &masks[*frame];
                     let x = (pixel.x as u32).min(mask.width - 1);
                     let y = (pixel.y as u32).min(mask.height - 1);
                     f64::from(mask.at(x, y)[0])
@@ -434,10 +431,9 @@ mod tests {
         let masks: Vec<Image> = (0..FRAMES)
             .map(|_| map(|p| if within(p, (30.0, 10.0), (50.0, 30.0)) { 0.9 } else { 0.0 }))
             .collect();
-        let track = |x: [f64; 3]| PointTrack {
-            first: 1,
-            pixels: x.iter().map(|x| DVec2::new(*x, 20.0)).collect(),
-            deviation: vec![0.1; 3],
+        let track = |x: [f64; 3]| {
+            let pixels = x.iter().map(|x| DVec2::new(*x, 20.0)).collect();
+            PointTrack::followed(1, pixels, vec![0.1; 3])
         };
         let tracks = [track([5.0, 6.0, 7.0]), track([28.0, 29.0, 31.0]), track([35.0, 36.0, 37.0])];
         let weights = static_weights(&tracks, &masks);

@@ -75,36 +75,34 @@ pub(super) fn find(frames: &[Image], flow: &NeighbourFlow, masks: &[Image]) -> V
     groups
         .into_iter()
         .map(|tracks| Object {
-            first: tracks.iter().map(|t| t.first).min().unwrap_or(0),
+            first: tracks.iter().map(|t| t.first()).min().unwrap_or(0),
             end: tracks.iter().map(PointTrack::end).max().unwrap_or(0),
             tracks,
         })
         .collect()
 }
 
-/// The longest part of a track that lies on movers, if it has so many frames.
+/// The longest part of a track that lies on movers without a gap, if it has so many frames.
 fn on_movers(track: &PointTrack, masks: &[Image], least: usize) -> Option<PointTrack> {
     let on = |k: usize| {
-        let (mask, p) = (&masks[track.first + k], track.pixels[k]);
+        let (mask, p) = (&masks[track.frames[k]], track.pixels[k]);
         let x = (p.x.max(0.0) as u32).min(mask.width - 1);
         let y = (p.y.max(0.0) as u32).min(mask.height - 1);
         mask.at(x, y)[0] > 0.5
     };
-    let (mut best, mut start) = (0..0, None);
-    for k in 0..=track.pixels.len() {
-        match (k < track.pixels.len() && on(k), start) {
-            (true, None) => start = Some(k),
-            (false, Some(from)) => {
-                if k - from > best.len() {
-                    best = from..k;
+    let mut best = 0..0;
+    for run in track.runs() {
+        let mut start = run.start;
+        for k in run.start..=run.end {
+            if k == run.end || !on(k) {
+                if k - start > best.len() {
+                    best = start..k;
                 }
-                start = None;
+                start = k + 1;
             }
-            _ => {}
         }
     }
-    let frames = track.first + best.start..track.first + best.end;
-    (best.len() >= least).then(|| track.part(frames))
+    (best.len() >= least).then(|| track.places(best))
 }
 
 /// By track, a number that tracks of one object share.
@@ -223,11 +221,12 @@ fn alike(a: &[bool], b: &[bool], width: usize) -> bool {
 
 /// Whether two tracks go together wherever both live.
 fn as_one(a: &PointTrack, b: &PointTrack) -> bool {
-    let (first, end) = (a.first.max(b.first), a.end().min(b.end()));
+    let (first, end) = (a.first().max(b.first()), a.end().min(b.end()));
     if end < first + WINDOW {
         return false;
     }
-    let offset = |frame: usize| b.pixels[frame - b.first] - a.pixels[frame - a.first];
+    // Points on movers have no gaps: see [`on_movers`].
+    let offset = |frame: usize| b.pixels[frame - b.first()] - a.pixels[frame - a.first()];
     (first..=end - WINDOW).all(|frame| {
         let (before, after) = (offset(frame), offset(frame + WINDOW - 1));
         let length = before.length().min(after.length());
@@ -285,7 +284,7 @@ mod tests {
             let track = |k: usize| {
                 let at = |f: usize| DVec2::new(left(f) + x + 4.0 * k as f64, 20.0);
                 let pixels: Vec<DVec2> = frames.clone().map(at).collect();
-                PointTrack { first: frames.start, deviation: vec![0.1; pixels.len()], pixels }
+                PointTrack::followed(frames.start, pixels.clone(), vec![0.1; pixels.len()])
             };
             (0..4).map(track).collect()
         };

@@ -248,7 +248,7 @@ fn shared(own: &[Option<DVec3>], other: &[Option<DVec3>]) -> Option<Sim3> {
 /// depths that its size in the picture tells.
 fn pieces(object: &Object, sizes: &[f64], cameras: &Cameras) -> Vec<Piece> {
     let mut tracks = object.tracks.clone();
-    tracks.iter_mut().for_each(|track| track.first -= object.first);
+    tracks.iter_mut().flat_map(|t| &mut t.frames).for_each(|frame| *frame -= object.first);
     let mut open = Vec::new();
     open.push(0..object.end - object.first);
     let mut found = Vec::new();
@@ -497,10 +497,11 @@ fn longest(
 
 /// A track's part within a run of frames, which becomes the whole clip.
 fn clipped(track: &PointTrack, run: &Range<usize>) -> Option<PointTrack> {
-    let (first, end) = (track.first.max(run.start), track.end().min(run.end));
-    (end >= first + 2).then(|| {
-        let part = track.part(first..end);
-        PointTrack { first: first - run.start, ..part }
+    let [start, end] = [run.start, run.end].map(|at| track.frames.partition_point(|f| *f < at));
+    (end >= start + 2).then(|| {
+        let mut part = track.places(start..end);
+        part.frames.iter_mut().for_each(|frame| *frame -= run.start);
+        part
     })
 }
 
@@ -557,15 +558,10 @@ mod tests {
     #[test]
     fn what_grows_comes_nearer() {
         // Twelve points that spread by 2 % a frame and go to the right.
-        let track = |i: usize| PointTrack {
-            first: 3,
-            deviation: vec![0.1; 6],
-            pixels: (0..6)
-                .map(|k| {
-                    let at = DVec2::new(10.0 * (i % 4) as f64, 10.0 * (i / 4) as f64);
-                    at * 1.02f64.powi(k) + DVec2::new(f64::from(k), 0.0)
-                })
-                .collect(),
+        let track = |i: usize| {
+            let at = DVec2::new(10.0 * (i % 4) as f64, 10.0 * (i / 4) as f64);
+            let pixels = (0..6).map(|k| at * 1.02f64.powi(k) + DVec2::new(f64::from(k), 0.0));
+            PointTrack::followed(3, pixels.collect(), vec![0.1; 6])
         };
         let object = Object { tracks: (0..12).map(track).collect(), first: 3, end: 9 };
         let shape = upright(&object);
@@ -589,7 +585,7 @@ mod tests {
                 let middle = DVec3::new(0.05 * k as f64 - 0.3 + sway, 0.0, 2.5);
                 intrinsics.project(middle + turned)
             };
-            PointTrack { first: 0, pixels: (0..12).map(at).collect(), deviation: vec![0.1; 12] }
+            PointTrack::followed(0, (0..12).map(at).collect(), vec![0.1; 12])
         };
         let shape_of = |sways: bool| {
             let tracks = (0..105).map(|i| track(i, sways)).collect();
@@ -621,7 +617,7 @@ mod tests {
                 let turned = DQuat::from_rotation_y(0.04 * (first + k) as f64 - 0.46) * point;
                 intrinsics.project(DVec3::new(0.02 * (first + k) as f64 - 0.2, 0.0, 2.5) + turned)
             };
-            PointTrack { first, pixels: (0..12).map(at).collect(), deviation: vec![0.1; 12] }
+            PointTrack::followed(first, (0..12).map(at).collect(), vec![0.1; 12])
         };
         let tracks = (0..100).flat_map(|i| [track(i, 0), track(i, 12)]).collect();
         let found = shape(&Object { tracks, first: 0, end: 24 }, &cameras);

@@ -122,7 +122,7 @@ fn in_pinhole(
     if longest.len() < 2 {
         return None;
     }
-    let part = track.part(track.first + longest.start..track.first + longest.end);
+    let part = track.places(longest.clone());
     Some(PointTrack { pixels: pixels[longest].iter().flatten().copied().collect(), ..part })
 }
 

@@ -66,22 +66,23 @@ impl Cameras {
                 if weights[i] <= 0.05 || (known.is_some() && !afresh) {
                     return known;
                 }
-                let seen: Vec<usize> = (track.first..track.end()).filter(|&f| posed[f]).collect();
+                let seen: Vec<usize> =
+                    (0..track.frames.len()).filter(|&k| posed[track.frames[k]]).collect();
                 if seen.len() < 3 {
                     return known;
                 }
-                let frame = known.map_or(seen[0], |a| a.frame);
+                let frame = known.map_or(track.frames[seen[0]], |a| a.frame);
+                let pixel = track.at(frame)?;
                 let reference = self.poses[frame].inverse();
                 let views: Vec<_> = seen
                     .iter()
-                    .filter(|&&f| f != frame)
-                    .map(|&f| {
-                        let k = f - track.first;
-                        let weight = information(track.deviation[k]);
+                    .map(|&k| (track.frames[k], k))
+                    .filter(|(f, _)| *f != frame)
+                    .map(|(f, k)| {
+                        let weight = information(track.deviation_at(k));
                         (self.poses[f] * reference, track.pixels[k], weight)
                     })
                     .collect();
-                let pixel = track.pixels[frame - track.first];
                 let d = inverse_depth(&self.intrinsics, pixel, &views, tolerance)?;
                 // Without parallax a depth is noise that would pull at the next pose.
                 let certain = d.deviation < 0.5 * d.value.max(1e-9) || d.deviation < 1e-3;
@@ -150,17 +151,17 @@ impl Cameras {
         for &i in &chosen {
             let track = &tracks[i];
             let Some(Anchor { frame, inverse_depth }) = self.anchors[i] else { continue };
+            let Some(anchored) = track.place(frame) else { continue };
             let point = problem.points.len();
             problem.points.push(Point {
                 frame: place_of[frame],
-                pixel: track.pixels[frame - track.first],
+                pixel: track.pixels[anchored],
                 inverse_depth,
                 prior: None,
             });
-            for f in track.first..track.end() {
-                let k = f - track.first;
+            for (k, &f) in track.frames.iter().enumerate() {
                 if posed[f] && f != frame {
-                    let since = track.deviation_between(frame - track.first, k);
+                    let since = track.deviation_between(anchored, k);
                     problem.observations.push(Observation {
                         point,
                         frame: place_of[f],
@@ -224,7 +225,7 @@ impl Cameras {
             let y = (p.y / h * ROWS as f64).clamp(0.0, ROWS as f64 - 1.0) as usize;
             y * COLUMNS + x
         };
-        let views = |t: &PointTrack| (t.first..t.end()).filter(|&f| posed[f]).count() - 1;
+        let views = |t: &PointTrack| t.frames.iter().filter(|f| posed[**f]).count() - 1;
         let mut order: Vec<(usize, usize)> = (0..tracks.len())
             .filter(|&i| weights[i] > 0.05 && self.anchors[i].is_some_and(|a| posed[a.frame]))
             .map(|i| (views(&tracks[i]), i))
@@ -239,9 +240,9 @@ impl Cameras {
         let mut chosen = Vec::new();
         for (views, i) in order {
             let track = &tracks[i];
-            let cells: Vec<_> = (track.first..track.end())
-                .filter(|&f| posed[f])
-                .map(|f| (f, cell(track.pixels[f - track.first])))
+            let cells: Vec<_> = (track.frames.iter().zip(&track.pixels))
+                .filter(|(f, _)| posed[**f])
+                .map(|(f, pixel)| (*f, cell(*pixel)))
                 .collect();
             let open =
                 cells.iter().filter(|c| (counts.get(c).copied().unwrap_or(0) as f64) < share);
@@ -267,7 +268,7 @@ mod tests {
     use crate::observe::PointTrack;
 
     fn track(pixels: Vec<DVec2>) -> PointTrack {
-        PointTrack { first: 0, deviation: vec![0.1; pixels.len()], pixels }
+        PointTrack::followed(0, pixels.clone(), vec![0.1; pixels.len()])
     }
 
     #[test]

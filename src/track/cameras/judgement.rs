@@ -62,9 +62,9 @@ impl Cameras {
             .zip(weights)
             .filter(|(_, weight)| **weight > COUNTS)
             .flat_map(|(track, weight)| {
-                let observed = track.pixels.iter().zip(&track.deviation).skip(1);
-                observed.map(move |(pixel, deviation)| {
-                    (*pixel - track.pixels[0], weight * information(*deviation))
+                (1..track.pixels.len()).map(move |k| {
+                    let known = information(track.deviation_at(k));
+                    (track.pixels[k] - track.pixels[0], weight * known)
                 })
             })
             .collect();
@@ -109,7 +109,7 @@ impl Cameras {
         let mut sums = vec![(0.0, 0.0); self.poses.len()];
         for (i, track) in tracks.iter().enumerate().filter(|(i, _)| weights[*i] > COUNTS) {
             let Some(frame) = self.anchors[i].map(|anchor| anchor.frame) else { continue };
-            let others = (track.first..track.end()).filter(|f| *f != frame);
+            let others = track.frames.iter().copied().filter(|f| *f != frame);
             for (f, view) in others.zip(self.reprojected(tracks, i).into_iter().flatten()) {
                 let near =
                     |view: View| 1.0 / (1.0 + view.known * view.off.length_squared() / EXPLAINS);
@@ -145,15 +145,15 @@ impl Cameras {
         let near = |anchor: &Anchor| anchor.inverse_depth > 1e-9 || !self.have_parallax();
         let Anchor { frame, inverse_depth } = self.anchors[i].filter(near)?;
         let track = &tracks[i];
-        let pixel = track.at(frame)?;
+        let anchored = track.place(frame)?;
+        let pixel = track.pixels[anchored];
         let anchor_from_world = self.poses[frame].inverse();
-        let others = (track.first..track.end()).filter(move |f| *f != frame);
-        Some(others.map(move |f| {
-            let k = f - track.first;
+        let others = track.frames.iter().enumerate().filter(move |(_, f)| **f != frame);
+        Some(others.map(move |(k, &f)| {
             let relative = self.poses[f] * anchor_from_world;
             let found = bundle::project(&self.intrinsics, &relative, pixel, inverse_depth);
             let (seen, jacobian) = found?;
-            let since = track.deviation_between(frame - track.first, k);
+            let since = track.deviation_between(anchored, k);
             Some(View {
                 known: DEVIATION.hypot(f64::from(since)).powi(-2),
                 off: seen - track.pixels[k],
@@ -172,7 +172,7 @@ mod tests {
     use crate::observe::PointTrack;
 
     fn track(pixels: Vec<DVec2>) -> PointTrack {
-        PointTrack { first: 0, deviation: vec![0.1; pixels.len()], pixels }
+        PointTrack::followed(0, pixels.clone(), vec![0.1; pixels.len()])
     }
 
     #[test]

@@ -58,7 +58,7 @@ impl Cameras {
                 .iter()
                 .zip(weights)
                 .map(|(track, weight)| {
-                    let mean = (track.first + track.end()) / 2;
+                    let mean = (track.first() + track.end()) / 2;
                     if (mean <= middle) == early { *weight } else { 0.0 }
                 })
                 .collect();

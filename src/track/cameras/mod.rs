@@ -256,7 +256,7 @@ impl Cameras {
         let mut depths = Vec::new();
         for i in (0..tracks.len()).filter(|&i| weights[i] > 0.5) {
             let Some(point) = self.point(tracks, i) else { continue };
-            for f in tracks[i].first..tracks[i].end() {
+            for &f in &tracks[i].frames {
                 depths.push(self.poses[f].apply(point).z);
             }
         }
@@ -280,7 +280,7 @@ impl Cameras {
             .filter_map(|i| {
                 let point = self.point(tracks, i)?;
                 let to = |f: usize| (point - self.poses[f].inverse().translation).normalize();
-                let (first, last) = (tracks[i].first, tracks[i].end() - 1);
+                let (first, last) = (tracks[i].first(), tracks[i].end() - 1);
                 let middle = (first + last) / 2;
                 let angle = |a: DVec3, b: DVec3| a.angle_between(b);
                 Some(

@@ -283,9 +283,9 @@ impl Ends {
         };
         let mut of_cell: Vec<Vec<Vec<usize>>> = vec![vec![Vec::new(); columns * rows]; frames];
         for (i, track) in tracks.iter().enumerate() {
-            for (k, pixel) in track.pixels.iter().enumerate() {
+            for (frame, pixel) in track.frames.iter().zip(&track.pixels) {
                 let (x, y) = cell(*pixel);
-                of_cell[track.first + k][y * columns + x].push(i);
+                of_cell[*frame][y * columns + x].push(i);
             }
         }
         let (right, lower) = (width as f64 - MARGIN, height as f64 - MARGIN);
@@ -307,9 +307,11 @@ impl Ends {
                 let pixels = &tracks[i].pixels;
                 let beyond = |last: usize, before: usize| 2.0 * pixels[last] - pixels[before];
                 let n = pixels.len();
-                let long = n > 2;
-                let after = long.then(|| (tracks[i].end(), beyond(n - 1, n - 2)));
-                let earlier = tracks[i].first.checked_sub(1).filter(|_| long);
+                let seen = &tracks[i].frames;
+                // Where it would be is known only beside a frame that sees it, too.
+                let goes_on = |k: usize| n > 2 && seen[k] + 1 == seen[k + 1];
+                let after = goes_on(n - 2).then(|| (tracks[i].end(), beyond(n - 1, n - 2)));
+                let earlier = tracks[i].first().checked_sub(1).filter(|_| goes_on(0));
                 let ends = after.into_iter().chain(earlier.map(|frame| (frame, beyond(0, 1))));
                 ends.filter(|(frame, place)| *frame < frames && inside(*place))
                     .filter_map(|(frame, place)| Some((i, nearest(frame, place)?.1)))
@@ -342,7 +344,8 @@ mod tests {
         let (mut tracks, mut motions) = (Vec::new(), Vec::new());
         let mut add = |first: usize, pixels: Vec<DVec2>, motion: usize| {
             if pixels.len() > 1 {
-                tracks.push(PointTrack { first, deviation: vec![0.1; pixels.len()], pixels });
+                let deviation = vec![0.1; pixels.len()];
+                tracks.push(PointTrack::followed(first, pixels, deviation));
                 motions.push(Some(motion));
             }
         };

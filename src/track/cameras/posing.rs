@@ -223,7 +223,7 @@ fn pose_frame(
     let visible: Vec<_> = visible.into_iter().step_by(stride).collect();
     let points: Vec<DVec3> = visible.iter().map(|v| v.1).collect();
     let pixels: Vec<DVec2> = visible.iter().map(|v| v.2).collect();
-    let views = |i: usize| (tracks[i].first..tracks[i].end()).filter(|&f| posed[f]).count();
+    let views = |i: usize| tracks[i].frames.iter().filter(|f| posed[**f]).count();
     let weight = |i: usize| match cameras.strictness {
         Strictness::Usual => weights[i],
         Strictness::Strict => weights[i] * seniority(views(i)),
@@ -265,7 +265,7 @@ fn pose_frame(
 fn next_frame(tracks: &[PointTrack], posed: &[bool], anchors: &[Option<Anchor>]) -> Option<usize> {
     let mut counts = vec![0usize; posed.len()];
     for (track, _) in tracks.iter().zip(anchors).filter(|(_, anchor)| anchor.is_some()) {
-        for f in track.first..track.end() {
+        for &f in &track.frames {
             counts[f] += usize::from(!posed[f]);
         }
     }

@@ -75,7 +75,7 @@ impl Cameras {
     /// Puts all tracks that count at infinity.
     pub(super) fn put_far(&mut self, tracks: &[PointTrack], weights: &[f64]) {
         let far = |(track, weight): (&PointTrack, &f64)| {
-            (*weight > 0.05).then_some(Anchor { frame: track.first, inverse_depth: 0.0 })
+            (*weight > 0.05).then_some(Anchor { frame: track.first(), inverse_depth: 0.0 })
         };
         self.anchors = tracks.iter().zip(weights).map(far).collect();
     }
