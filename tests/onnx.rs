@@ -26,7 +26,9 @@ fn runtime() -> Runtime {
 fn folder(list: &str) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/models");
-    for name in ["depth", "bare", "flow", "mask_encoder", "mask_decoder", "mask_decoder_small"] {
+    for name in
+        ["depth", "bare", "flow", "features", "mask_encoder", "mask_decoder", "mask_decoder_small"]
+    {
         let name = format!("{name}.onnx");
         std::fs::copy(models.join(&name), folder.path().join(&name)).unwrap();
     }
@@ -38,6 +40,66 @@ const BOTH: &str = "[depth]\nfile = \"depth.onnx\"\n[flow]\nfile = \"flow.onnx\"
 
 /// Landscape, portrait, square, odd, tiny.
 const SIZES: [(u32, u32); 5] = [(56, 28), (29, 51), (32, 32), (37, 23), (3, 2)];
+
+/// The model's keypoints are the red channel, its descriptors the mean colours of cells of 4×4 pixels.
+#[test]
+fn a_network_for_features_tells_points_and_what_describes_them() {
+    let folder = folder("[features]\nfile = \"features.onnx\"\n");
+    let mut models = Models::open(&runtime(), folder.path()).unwrap();
+    let network = models.features.as_mut().unwrap();
+    let points = [(9, 5, 0.9), (21, 6, 0.5), (13, 17, 0.7), (27, 2, 0.04)];
+    let mut drawn = picture(40, 24, 3);
+    for pixel in drawn.pixels.chunks_exact_mut(3) {
+        pixel.copy_from_slice(&[0.0, 0.2 * pixel[1], 0.3 + 0.2 * pixel[2]]);
+    }
+    for (x, y, likely) in points {
+        drawn.at_mut(x, y)[0] = likely;
+    }
+    // A point between two pixels: the parabola through 0, 0.7 and 0.35 has its peak a sixth of a pixel on.
+    drawn.at_mut(14, 17)[0] = 0.35;
+    for (width, height) in [(40, 24), (37, 23)] {
+        let mut frame = Image::new(width, height, 3);
+        for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
+            frame.at_mut(x, y).copy_from_slice(drawn.at(x, y));
+        }
+        let found = network.features(&frame).unwrap();
+        let sixth = 1.0 / 6.0;
+        let mut places = [(9.5, 5.5), (13.5 + sixth, 17.5), (21.5, 6.5)].map(DVec2::from).to_vec();
+        // The likeliest come first, weighed by what says how far each is to be believed.
+        let mut seen = found.pixels.clone();
+        [&mut places, &mut seen]
+            .into_iter()
+            .for_each(|all| all.sort_by(|a, b| a.x.total_cmp(&b.x)));
+        assert_eq!(seen.len(), places.len(), "what is hardly likely is no point: {seen:?}");
+        for (told, place) in seen.iter().zip(&places) {
+            assert!(told.distance(*place) < 1e-6, "{width}×{height}: {told} for {place}");
+        }
+        assert_eq!(found.descriptors.len(), 3 * found.pixels.len());
+        let cell = |column: u32, row: u32, channel: usize| {
+            let within = (0..4).flat_map(|y| (0..4).map(move |x| (4 * column + x, 4 * row + y)));
+            let at = |(x, y): (u32, u32)| frame.at(x.min(width - 1), y.min(height - 1))[channel];
+            within.map(at).sum::<f32>() / 16.0
+        };
+        for (pixel, told) in found.pixels.iter().zip(found.descriptors.chunks_exact(3)) {
+            let at = *pixel / 4.0 - 0.5;
+            let (column, row) = (at.x.floor(), at.y.floor());
+            let (u, v) = ((at.x - column) as f32, (at.y - row) as f32);
+            let (column, row) = (column as u32, row as u32);
+            let mean = |c: usize| {
+                let upper = (1.0 - u) * cell(column, row, c) + u * cell(column + 1, row, c);
+                let lower = (1.0 - u) * cell(column, row + 1, c) + u * cell(column + 1, row + 1, c);
+                (1.0 - v) * upper + v * lower
+            };
+            let values = [0, 1, 2].map(mean);
+            let length = values.iter().map(|v| v * v).sum::<f32>().sqrt();
+            for (told, value) in told.iter().zip(values) {
+                assert!((told - value / length).abs() < 1e-5, "{width}×{height} at {pixel}");
+            }
+        }
+    }
+    let error = network.features(&Image::new(8, 8, 1)).unwrap_err();
+    says(&error.to_string(), &["RGB"]);
+}
 
 #[test]
 fn a_depth_network_is_asked_pixel_by_pixel() {

@@ -210,7 +210,7 @@ fn a_tracking_interrupted_again_and_again() {
         let mut stages = Vec::new();
         let found = loop {
             let mut parts = Parts { kept, left: 5 };
-            let sources = Sources { flow: &mut source(), masks: None };
+            let sources = Sources { flow: &mut source(), masks: None, features: None };
             match track_observed(&clip.frames, &options, sources, &mut parts) {
                 Ok(found) => break found,
                 Err(Error::Interrupted { .. }) => kept = parts.kept,

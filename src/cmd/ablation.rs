@@ -79,7 +79,7 @@ impl<'a> Material<'a> {
             seconds_flow: 0.0,
             under_way: None,
         };
-        let sources = Sources { flow: &mut source, masks: None };
+        let sources = Sources { flow: &mut source, masks: None, features: None };
         let track = track_observed(&self.frames, options, sources, &mut follower)?;
         let seconds = follower.began.elapsed().as_secs_f64() - follower.seconds_flow;
         if first {

@@ -11,7 +11,7 @@ use splat4d::data::{Clip, Distortion, Lens, Resize, depth, flow, images, intrins
 use splat4d::gpu::Device;
 use splat4d::observe::onnx::{FlowNetwork, Models};
 use splat4d::observe::{
-    EngineFlow, EstimatedDepth, EstimatedKind, FlowSource, MaskSource, SuppliedFlow,
+    EngineFlow, EstimatedDepth, EstimatedKind, FeatureSource, FlowSource, MaskSource, SuppliedFlow,
 };
 use splat4d::track::{
     FocalSource, Observer, Options, Quality, Refined, Sources, Track, track_observed,
@@ -21,7 +21,7 @@ use splat4d::{Error, Result};
 
 use super::clip::ClipArgs;
 use super::common::notes;
-use super::networks::{NetworkArgs, track_networks};
+use super::networks::{NetworkArgs, TrackNetworks};
 use super::outputs::{Folder, Inputs};
 use super::{supplied, values};
 
@@ -237,10 +237,14 @@ pub fn observe(
     models: &mut Option<Models>,
     observer: &mut dyn Observer,
 ) -> Result<Track> {
-    let (network, masks) = track_networks(models);
-    let mut flow = flow_source(device, frames, supplied, network)?;
-    let masks = masks.map(|network| network as &mut dyn MaskSource);
-    track_observed(frames, options, Sources { flow: flow.as_mut(), masks }, observer)
+    let TrackNetworks { flow, masks, features } = TrackNetworks::of(models);
+    let mut flow = flow_source(device, frames, supplied, flow)?;
+    let sources = Sources {
+        flow: flow.as_mut(),
+        masks: masks.map(|network| network as &mut dyn MaskSource),
+        features: features.map(|network| network as &mut dyn FeatureSource),
+    };
+    track_observed(frames, options, sources, observer)
 }
 
 /// Flow that is supplied, else a network's, else the engine's.

@@ -7,7 +7,8 @@ use clap::{Args, ValueEnum};
 use splat4d::data::Clip;
 use splat4d::observe::alignment::align;
 use splat4d::observe::onnx::{
-    FlowNetwork, LpipsNetwork, MaskNetwork, Models, Provider, Runtime, RuntimeOptions,
+    FeaturesNetwork, FlowNetwork, LpipsNetwork, MaskNetwork, Models, Provider, Runtime,
+    RuntimeOptions,
 };
 use splat4d::observe::pointmaps::Pointmaps;
 use splat4d::track::{Guess, Options};
@@ -86,8 +87,9 @@ impl RuntimeArgs {
 /// Networks that tell of a clip.
 #[derive(Args)]
 pub struct NetworkArgs {
-    /// Networks for depth, flow, masks and pointmaps: a folder with ONNX models and models.toml, which says what
-    /// each is for. Pointmaps (MonST3R, DUSt3R) give cameras to begin with, and depth where no other network does.
+    /// Networks for depth, flow, masks, pointmaps and features: a folder with ONNX models and models.toml, which says
+    /// what each is for. Pointmaps (MonST3R, DUSt3R) give cameras to begin with, and depth where no other network does.
+    /// Features (XFeat) link frames that flow does not: where the camera comes round, and where flow is lost.
     /// What --poses, --depth, --flow or --masks supplies is taken instead of theirs
     #[arg(long, value_name = "DIR", group = "networks")]
     models: Option<PathBuf>,
@@ -141,13 +143,21 @@ pub fn estimate_depth(
     Ok(())
 }
 
-/// The networks that are asked while a clip is tracked, where there are: for flow, and for masks.
-pub fn track_networks(
-    models: &mut Option<Models>,
-) -> (Option<&mut FlowNetwork>, Option<&mut MaskNetwork>) {
-    match models {
-        Some(Models { flow, masks, .. }) => (flow.as_mut(), masks.as_mut()),
-        None => (None, None),
+/// The networks that are asked while a clip is tracked, where there are.
+#[derive(Default)]
+pub struct TrackNetworks<'a> {
+    pub flow: Option<&'a mut FlowNetwork>,
+    pub masks: Option<&'a mut MaskNetwork>,
+    pub features: Option<&'a mut FeaturesNetwork>,
+}
+
+impl<'a> TrackNetworks<'a> {
+    /// Those of a folder of models.
+    pub fn of(models: &'a mut Option<Models>) -> TrackNetworks<'a> {
+        let Some(Models { flow, masks, features, .. }) = models else {
+            return TrackNetworks::default();
+        };
+        TrackNetworks { flow: flow.as_mut(), masks: masks.as_mut(), features: features.as_mut() }
     }
 }
 

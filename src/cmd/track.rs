@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 use splat4d::data::transforms::{self, TimedCamera};
 use splat4d::data::{Point, exr, intrinsics, points, tracks, write_mask, write_png};
-use splat4d::observe::MaskSource;
+use splat4d::observe::{FeatureSource, MaskSource};
 use splat4d::track::{Landmark, Sources, Track, track_observed};
 use splat4d::train::Quality;
 use splat4d::types::{Camera, Image, Pose, Tracks};
@@ -21,7 +21,7 @@ use super::clock::Clock;
 use super::common::{Answer, Common, notes, path_text, say};
 use super::interrupt;
 use super::known::{KnownArgs, flow_source, focal_source, lens_json, poses_json, write_cameras};
-use super::networks::{estimate_depth, estimate_pointmaps, track_networks};
+use super::networks::{TrackNetworks, estimate_depth, estimate_pointmaps};
 use super::outputs::Outputs;
 use super::track_model;
 use super::track_page::Page;
@@ -131,11 +131,14 @@ pub fn run(args: &TrackArgs, common: &Common) -> Result<Answer> {
     estimate_depth(&mut models, &frames, &mut options)?;
     let of_pointmaps = estimate_pointmaps(&mut models, &frames, &mut options)?;
     let mut tracker = Tracker::new(&mut clock, None);
-    let (network, masks) = track_networks(&mut models);
-    let source = flow_source(&device, &frames, flow, network)?;
+    let networks = TrackNetworks::of(&mut models);
+    let source = flow_source(&device, &frames, flow, networks.flow)?;
     let mut flow = Watched::new(source, frames.len());
-    let masks = masks.map(|network| network as &mut dyn MaskSource);
-    let sources = Sources { flow: &mut flow, masks };
+    let sources = Sources {
+        flow: &mut flow,
+        masks: networks.masks.map(|network| network as &mut dyn MaskSource),
+        features: networks.features.map(|network| network as &mut dyn FeatureSource),
+    };
     let mut track = track_observed(&frames, &options, sources, &mut tracker)?;
     track.quality.notes.extend(of_pointmaps);
     tracker.finish();

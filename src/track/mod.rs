@@ -82,8 +82,8 @@ use serde::{Deserialize, Serialize};
 use crate::data::Lens;
 use crate::geometry::sim3::Sim3;
 use crate::observe::{
-    Exposure, FlowSource, MaskSource, NeighbourFlow, PointTrack, TrackOptions, follow, refine,
-    supplied_tracks,
+    Exposure, FeatureSource, Features, FlowSource, MaskSource, NeighbourFlow, PointTrack, Sift,
+    TrackOptions, features, follow, refine, supplied_tracks,
 };
 use crate::types::{Image, Intrinsics, Pose};
 use crate::{Error, Result};
@@ -234,7 +234,7 @@ pub fn track(
     source: &mut dyn FlowSource,
     progress: &mut dyn FnMut(Stage, f64) -> Result<()>,
 ) -> Result<Track> {
-    let sources = Sources { flow: source, masks: None };
+    let sources = Sources { flow: source, masks: None, features: None };
     track_observed(frames, options, sources, &mut Progress(progress))
 }
 
@@ -244,6 +244,9 @@ pub struct Sources<'a> {
     pub flow: &'a mut dyn FlowSource,
     /// Masks of what moves, where something draws them; it is not asked where masks are supplied.
     pub masks: Option<&'a mut dyn MaskSource>,
+    /// Points told apart by descriptors, which link frames that flow does not; [`Sift`] where there is no other source.
+    /// It is not asked where flow links all.
+    pub features: Option<&'a mut dyn FeatureSource>,
 }
 
 /// [`track`] with more sources than that of flow, and an observer that may keep finished parts, and give those that an earlier run on the
@@ -274,6 +277,13 @@ pub fn track_observed(
     let even = exposure.even_all(frames);
     let frames = &*even;
     work.progress(Stage::Cameras, 0.0)?;
+    let mut notes = Vec::new();
+    let mut own = Sift;
+    let source = sources.features.unwrap_or(&mut own);
+    let found =
+        work.part("features", |work| found_again(frames, options, source, &tracks, work))?;
+    notes.extend((!found.is_empty()).then(|| quality::features_note(found.len())));
+    tracks.extend(found);
     if tracks.len() < 50 {
         return Err(Error::Failed(format!(
             "the flow follows only {} points from frame to frame; the frames may be blank, too \
@@ -326,7 +336,7 @@ pub fn track_observed(
         weights = masks::static_weights(tracks, &masks);
         cameras.measure_fixed(tracks, &weights);
     }
-    let (mut drawn, mut notes) = (None, Vec::new());
+    let mut drawn = None;
     if supplied.is_none() && (!tripod || sources.masks.is_some()) {
         let observed = masks::Observed { frames, cameras: &cameras, flow, seen: &seen };
         let judged = masks::Judged::new(observed, None, &mut work, part, 0.5..0.75)?;
@@ -452,6 +462,25 @@ fn share(masks: &[Image]) -> f64 {
     let moving: usize = masks.iter().flat_map(|m| &m.pixels).filter(|p| **p > 0.5).count();
     let pixels: usize = masks.iter().map(|m| m.pixels.len()).sum();
     moving as f64 / pixels.max(1) as f64
+}
+
+/// Tracks of points that link frames which `tracks` do not.
+fn found_again(
+    frames: &[Image],
+    options: &Options,
+    source: &mut dyn FeatureSource,
+    tracks: &[PointTrack],
+    work: &mut Work,
+) -> Result<Vec<PointTrack>> {
+    let pairs = features::unlinked(tracks, frames.len());
+    let mut found = vec![Features::default(); frames.len()];
+    for (number, frame) in frames.iter().enumerate() {
+        if pairs.iter().any(|(a, b)| *a == number || *b == number) {
+            found[number] = source.features(number, frame)?;
+            work.progress(Stage::Cameras, 0.0)?;
+        }
+    }
+    Ok(features::linked(&found, &pairs, options.seed))
 }
 
 fn binary(mask: &Image) -> Image {

@@ -600,7 +600,8 @@ mod tests {
                 ..Options::default()
             };
             let mut source = Standin::new(&clip.masks, Draws::Nearly);
-            let sources = Sources { flow: &mut flow.clone(), masks: Some(&mut source) };
+            let sources =
+                Sources { flow: &mut flow.clone(), masks: Some(&mut source), features: None };
             let mut observer = Keeps { parts: BTreeMap::new(), left: usize::MAX };
             let track = track_observed(&clip.frames, &options, sources, &mut observer).unwrap();
             let note = track.quality.notes.into_iter().find(|note| note.starts_with("masks: "));

@@ -163,6 +163,10 @@ pub(super) fn mended_note(frames: &[usize]) -> String {
 }
 
 /// Whose masks were taken, where a network was asked.
+pub(super) fn features_note(found: usize) -> String {
+    format!("features: {found} points link frames that flow does not")
+}
+
 pub(super) fn masks_note(accepted: usize, frames: usize) -> String {
     format!("masks: the network's accepted in {accepted} of {frames} frames")
 }

@@ -102,6 +102,24 @@ def size(text):
     return width, height
 
 
+def shorter_side(text):
+    """Reads the shorter side of a picture."""
+    try:
+        pixels = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"`{text}` is no number of pixels") from None
+    if not 0 <= pixels <= 8192:
+        raise argparse.ArgumentTypeError("0 to 8192 make sense")
+    return pixels
+
+
+def add_shorter(parser, default):
+    """The option for the size at which a network for pictures of any size is run."""
+    parser.add_argument("--shorter", type=shorter_side, default=default, metavar="PIXELS",
+                        help="the shorter side at which splat4d is to run it; 0: the frame's own "
+                        f"[default: {default}]")
+
+
 def add_sizes(parser, multiple):
     """The option for the sizes at which a network for pictures of any size is compared."""
     parser.add_argument("--sizes", type=size, nargs="+", default=[(512, 288), (384, 256)], metavar="WxH",

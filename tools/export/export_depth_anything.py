@@ -66,15 +66,12 @@ def run():
     parser.add_argument("--variant", choices=VARIANTS, default="vits", help="the encoder [default: vits]")
     parser.add_argument("--metric", type=float, metavar="FARTHEST",
                         help="the checkpoint is one for metric depth up to so many metres (20 indoors, 80 outdoors)")
-    parser.add_argument("--shorter", type=int, default=RULE["shorter"], metavar="PIXELS",
-                        help="the shorter side at which splat4d is to run it; 0: the frame's own [default: 518]")
+    common.add_shorter(parser, RULE["shorter"])
     common.add_sizes(parser, PATCH)
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="the file to write")
     given = common.parse(parser)
     if given.metric is not None and not given.metric > 0:
         raise Mistake("--metric: a distance above 0 is needed")
-    if not 0 <= given.shorter <= 8192:
-        raise Mistake("--shorter: 0 to 8192 make sense")
 
     inside = "metric_depth" if given.metric else "."
     common.enter(given.repo, f"{inside}/depth_anything_v2/dpt.py", inside=inside)

@@ -12,6 +12,7 @@ mask_decoder.onnx        masks 20 (red − 0.5), its negative, and −3 + the ma
                          Σ label · x, Σ label · y, and whether there is a mask to begin with
 mask_decoder_small.onnx  of 8 × 16: 20 (mean red − 0.5) + the mask to begin with; the same scores; for what is wrong
                          `first`, a single mask, and `coarse`, a mask of one pixel
+features.onnx  keypoints: red; descriptors: the mean colour of cells of 4 × 4 pixels; reliability: their mean blue
 pointmap_encoder.onnx  that of a pointmap network without a contract: the picture itself
 pointmap_decoder.onnx  its decoder: the first picture's points (red, green, 1 + blue), confidence 1 + red; the
              second one's are of the sum of both colours, confidence 1 + blue
@@ -159,6 +160,32 @@ def mask_decoder_small():
     ]
     outputs = [("masks", 3), ("first", 1), ("coarse", [1, 1, 1, 1]), ("scores", [1, 3])]
     model("mask_decoder_small", nodes, inputs, outputs, constants | more, None, sides=(8, 16))
+
+
+def features():
+    red, take, constants = channels("image", 0, 1)
+    blue, take_blue, more = channels("descriptors", 2, 3)
+    nodes = [
+        take,
+        helper.make_node("Identity", [red], ["keypoints"]),
+        helper.make_node("AveragePool", ["image"], ["descriptors"], kernel_shape=[4, 4], strides=[4, 4]),
+        take_blue,
+        helper.make_node("Identity", [blue], ["reliability"]),
+    ]
+    contract = {
+        "kind": "features",
+        "version": 1,
+        "input": "image",
+        "descriptors": "descriptors",
+        "keypoints": "keypoints",
+        "reliability": "reliability",
+        "picture": {"multiple": 4, "fit": "pad"},
+    }
+    cells = ["rows", "columns"]
+    outputs = [("keypoints", 1), ("descriptors", [1, 3, *cells]), ("reliability", [1, 1, *cells])]
+    model("features", nodes, ["image"], outputs, constants | more | {"axis": [1]}, contract)
+
+
 def save(made, contract):
     made.producer_name = "splat4d"
     if contract:
@@ -230,6 +257,7 @@ if __name__ == "__main__":
     mask_encoder()
     mask_decoder()
     mask_decoder_small()
+    features()
     pointmap_encoder()
     pointmap_decoder("pointmap_decoder", "by1")
     pointmap_decoder("pointmap_uneven", "by2")

@@ -1,5 +1,5 @@
-//! Networks that the user has, run through the ONNX Runtime: for depth, flow, masks and pointmaps, and for LPIPS,
-//! which measures pictures.
+//! Networks that the user has, run through the ONNX Runtime: for depth, flow, masks, pointmaps and features, and for
+//! LPIPS, which measures pictures.
 //!
 //! A folder holds the models and `models.toml`, which says what each is for:
 //!
@@ -32,6 +32,9 @@
 //!
 //! [pointmap_decoder]
 //! file = "monst3r_decoder.onnx"
+//!
+//! [features]
+//! file = "xfeat.onnx"
 //! ```
 //!
 //! A network for LPIPS is no part of such a folder: [`LpipsNetwork::open`] takes its file.
@@ -39,13 +42,14 @@
 //! | module | what it holds |
 //! |---|---|
 //! | [`contract`] | what a model says of itself, held against what it is |
-//! | `depth`, `flow`, `mask`, `pointmap`, `lpips` | networks of each kind |
+//! | `depth`, `features`, `flow`, `mask`, `pointmap`, `lpips` | networks of each kind |
 //! | `network` | a loaded model: named tensors in, named tensors out |
 //! | `picture` | a frame as a network takes it, and the way back |
 //! | [`runtime`] | the runtime's library, found and loaded |
 
 pub mod contract;
 mod depth;
+mod features;
 mod flow;
 mod lpips;
 mod mask;
@@ -61,6 +65,7 @@ use serde::Deserialize;
 use crate::{Error, Result, io};
 pub use contract::Contract;
 pub use depth::DepthNetwork;
+pub use features::FeaturesNetwork;
 pub use flow::FlowNetwork;
 pub use lpips::LpipsNetwork;
 pub use mask::MaskNetwork;
@@ -81,6 +86,7 @@ struct List {
     mask_decoder: Option<Entry>,
     pointmap_encoder: Option<Entry>,
     pointmap_decoder: Option<Entry>,
+    features: Option<Entry>,
 }
 
 /// A model's file within the folder, and its contract where its metadata has none.
@@ -114,8 +120,8 @@ impl List {
     fn entries(&self) -> impl Iterator<Item = &Entry> {
         let masks = [&self.mask_encoder, &self.mask_decoder];
         let pointmaps = [&self.pointmap_encoder, &self.pointmap_decoder];
-        let all = [&self.depth, &self.flow].into_iter().chain(masks).chain(pointmaps);
-        all.flatten()
+        let alone = [&self.depth, &self.flow, &self.features];
+        alone.into_iter().chain(masks).chain(pointmaps).flatten()
     }
 }
 
@@ -129,6 +135,8 @@ pub struct Models {
     pub masks: Option<MaskNetwork>,
     /// Tells the points that pairs of pictures show.
     pub pointmaps: Option<PointmapNetwork>,
+    /// Finds points in a picture and describes them.
+    pub features: Option<FeaturesNetwork>,
 }
 
 impl Models {
@@ -153,6 +161,10 @@ impl Models {
             flow: list.flow.map(|entry| open(entry).and_then(FlowNetwork::new)).transpose()?,
             masks: masks.transpose()?,
             pointmaps: pointmaps.transpose()?,
+            features: list
+                .features
+                .map(|entry| open(entry).and_then(FeaturesNetwork::new))
+                .transpose()?,
         })
     }
 

@@ -1,0 +1,356 @@
+//! Points that are found in each picture by itself and told apart by descriptors, and tracks of those that are found
+//! again: what links frames that no chain of flow leads to.
+//!
+//! Flow follows a point from frame to frame until it is hidden or leaves; when it comes back it is another point, and so
+//! cameras drift where a video comes round to where it began, and are lost where flow fails. Descriptors of neighbouring
+//! frames add nothing to good flow, which is ten times as exact: only frames are matched that share few points.
+
+use glam::DVec2;
+use rayon::prelude::*;
+
+use super::PointTrack;
+use crate::Result;
+use crate::geometry::ransac::RansacOptions;
+use crate::geometry::two_view::fundamental_ransac;
+use crate::types::Image;
+
+/// When two points that are each other's most alike are the same.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Rule {
+    /// The inner product of their descriptors is no smaller: of networks that were trained for it.
+    Product(f32),
+    /// The angle between their descriptors is so much smaller than that to the next best (Lowe 2004).
+    Ratio(f32),
+}
+
+impl Rule {
+    /// So many matches of pictures that show different things may agree with one epipolar geometry: of photographs of
+    /// different sides of a thing 36 of 112 did by the first rule, and 13 of 83 by the second.
+    fn chance(self) -> usize {
+        match self {
+            Rule::Product(_) => 45,
+            Rule::Ratio(_) => 20,
+        }
+    }
+}
+
+/// Points of a picture with their descriptors.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Features {
+    /// Pixels of the frame; the first pixel's centre is at 0.5.
+    pub pixels: Vec<DVec2>,
+    /// Standard deviation of each pixel along each axis, pixels.
+    pub noise: f32,
+    /// Of each point as many values, one point after the other, of length 1: the more alike two points look, the larger
+    /// the inner product.
+    pub descriptors: Vec<f32>,
+    /// When two of them are the same.
+    pub rule: Rule,
+}
+
+impl Default for Features {
+    /// No points.
+    fn default() -> Features {
+        let (pixels, descriptors) = (Vec::new(), Vec::new());
+        Features { pixels, noise: 0.0, descriptors, rule: Rule::Product(1.0) }
+    }
+}
+
+/// Something that finds such points.
+pub trait FeatureSource {
+    /// Those of frame `number`, whose picture is `frame`.
+    ///
+    /// # Errors
+    /// Whatever keeps the source from answering.
+    fn features(&mut self, number: usize, frame: &Image) -> Result<Features>;
+}
+
+/// Frames share enough where a share of the points that the poorer of them sees is seen by both, and so many are.
+const SHARED: f64 = 0.1;
+const ENOUGH: usize = 60;
+/// Most frames of which all pairs are compared; of more, every so manieth.
+const FRAMES: usize = 40;
+/// A smaller share of the matches that agrees with one epipolar geometry is chance.
+const AGREE_SHARE: f64 = 0.33;
+/// Within so many deviations.
+const DEVIATIONS: f64 = 2.5;
+
+/// The pairs of frames that share few of the points that are followed, `first < second`.
+pub fn unlinked(tracks: &[PointTrack], frames: usize) -> Vec<(usize, usize)> {
+    let mut shared = vec![0u32; frames * frames];
+    for track in tracks {
+        for (k, &a) in track.frames.iter().enumerate() {
+            for &b in &track.frames[k..] {
+                shared[a * frames + b] += 1;
+            }
+        }
+    }
+    let seen = |f: usize| shared[f * frames + f];
+    let linked = |a: usize, b: usize| {
+        let both = shared[a * frames + b];
+        both as usize >= ENOUGH && f64::from(both) >= SHARED * f64::from(seen(a).min(seen(b)))
+    };
+    let stride = frames.div_ceil(FRAMES);
+    let key = |f: usize| f.is_multiple_of(stride);
+    let pairs = (0..frames).flat_map(|a| (a + 1..frames).map(move |b| (a, b)));
+    // Where flow fails, the frames on both sides of it are compared, too.
+    let asked = |(a, b): &(usize, usize)| (key(*a) && key(*b)) || b - a <= 2;
+    pairs.filter(|(a, b)| asked(&(*a, *b)) && !linked(*a, *b)).collect()
+}
+
+/// Tracks of the points that are found again in frames of `pairs`: in three frames at least. `features` are those of all
+/// frames; of frames in no pair they may be empty. The result depends on nothing but what is given.
+pub fn linked(features: &[Features], pairs: &[(usize, usize)], seed: u64) -> Vec<PointTrack> {
+    let found: Vec<Vec<(usize, usize)>> =
+        pairs.par_iter().map(|&(a, b)| verified(&features[a], &features[b], seed)).collect();
+    let first: Vec<usize> = features
+        .iter()
+        .scan(0, |sum, of| {
+            *sum += of.pixels.len();
+            Some(*sum - of.pixels.len())
+        })
+        .collect();
+    let count = features.iter().map(|of| of.pixels.len()).sum();
+    let mut groups = Groups::new(count);
+    // Pairs that agree on more come first: where two matches contradict each other, theirs stands.
+    let mut order: Vec<usize> = (0..pairs.len()).collect();
+    order.sort_by_key(|p| (std::cmp::Reverse(found[*p].len()), *p));
+    let frame_of: Vec<usize> =
+        features.iter().enumerate().flat_map(|(f, of)| of.pixels.iter().map(move |_| f)).collect();
+    for p in order {
+        let (a, b) = pairs[p];
+        for &(i, j) in &found[p] {
+            groups.join(first[a] + i, first[b] + j, &frame_of);
+        }
+    }
+    groups
+        .members
+        .into_iter()
+        .filter(|members| members.len() > 2)
+        .map(|members| {
+            let of = |node: &usize| (frame_of[*node], node - first[frame_of[*node]]);
+            let pixels = members.iter().map(of).map(|(f, i)| features[f].pixels[i]).collect();
+            let noise = members.iter().map(of).map(|(f, _)| features[f].noise);
+            PointTrack {
+                frames: members.iter().map(|node| frame_of[*node]).collect(),
+                pixels,
+                deviation: vec![0.0; members.len()],
+                noise: noise.fold(0.0, f32::max),
+            }
+        })
+        .collect()
+}
+
+/// Points that are the same, of each frame one at most.
+struct Groups {
+    group_of: Vec<usize>,
+    /// By group, in the order of their frames; empty where it was taken into another.
+    members: Vec<Vec<usize>>,
+}
+
+impl Groups {
+    fn new(count: usize) -> Groups {
+        Groups { group_of: (0..count).collect(), members: (0..count).map(|i| vec![i]).collect() }
+    }
+
+    /// Makes one of the groups of two points, unless a frame would see it twice.
+    fn join(&mut self, a: usize, b: usize, frame_of: &[usize]) {
+        let [a, b] = [self.group_of[a], self.group_of[b]];
+        if a == b {
+            return;
+        }
+        let [mut joined, other] = [a, b].map(|group| self.members[group].clone());
+        joined.extend(other);
+        joined.sort_by_key(|node| frame_of[*node]);
+        if joined.windows(2).any(|two| frame_of[two[0]] == frame_of[two[1]]) {
+            return;
+        }
+        joined.iter().for_each(|node| self.group_of[*node] = a);
+        (self.members[a], self.members[b]) = (joined, Vec::new());
+    }
+}
+
+/// The points of two frames that are each other's most alike, and agree with one epipolar geometry.
+fn verified(a: &Features, b: &Features, seed: u64) -> Vec<(usize, usize)> {
+    let matches = mutual(a, b);
+    let pixels: Vec<(DVec2, DVec2)> =
+        matches.iter().map(|&(i, j)| (a.pixels[i], b.pixels[j])).collect();
+    let threshold = DEVIATIONS * f64::from(a.noise.hypot(b.noise));
+    let options = RansacOptions { threshold, seed, ..Default::default() };
+    let Some(found) = fundamental_ransac(&pixels, &options) else { return Vec::new() };
+    let agree = found.inliers.len();
+    if agree < a.rule.chance() || (agree as f64) < AGREE_SHARE * matches.len() as f64 {
+        return Vec::new();
+    }
+    found.inliers.iter().map(|&i| matches[i]).collect()
+}
+
+/// The points of two frames that are each other's most alike, and alike enough by the first one's rule.
+pub fn mutual(a: &Features, b: &Features) -> Vec<(usize, usize)> {
+    let length = a.descriptors.len() / a.pixels.len().max(1);
+    if length == 0 || b.descriptors.len() != length * b.pixels.len() {
+        return Vec::new();
+    }
+    let mut backward = vec![(0, f32::NEG_INFINITY); b.pixels.len()];
+    let mut forward = Vec::with_capacity(a.pixels.len());
+    for (i, of) in a.descriptors.chunks_exact(length).enumerate() {
+        let (mut best, mut second) = ((0, f32::NEG_INFINITY), f32::NEG_INFINITY);
+        for (j, other) in b.descriptors.chunks_exact(length).enumerate() {
+            let alike = product(of, other);
+            if alike > best.1 {
+                (best, second) = ((j, alike), best.1);
+            } else if alike > second {
+                second = alike;
+            }
+            if alike > backward[j].1 {
+                backward[j] = (i, alike);
+            }
+        }
+        forward.push((best, second));
+    }
+    let angle = |product: f32| product.clamp(-1.0, 1.0).acos();
+    let same = |best: f32, second: f32| match a.rule {
+        Rule::Product(least) => best >= least,
+        Rule::Ratio(most) => angle(best) < most * angle(second),
+    };
+    let returns = |(i, ((j, best), second)): (usize, ((usize, f32), f32))| {
+        (backward[j].0 == i && same(best, second)).then_some((i, j))
+    };
+    forward.into_iter().enumerate().filter_map(returns).collect()
+}
+
+/// An inner product, in lanes that a processor adds at once.
+fn product(a: &[f32], b: &[f32]) -> f32 {
+    const LANES: usize = 8;
+    let mut sums = [0.0f32; LANES];
+    let (whole_a, rest_a) = a.as_chunks::<LANES>();
+    let (whole_b, rest_b) = b.as_chunks::<LANES>();
+    for (a, b) in whole_a.iter().zip(whole_b) {
+        for lane in 0..LANES {
+            sums[lane] += a[lane] * b[lane];
+        }
+    }
+    let rest: f32 = rest_a.iter().zip(rest_b).map(|(a, b)| a * b).sum();
+    sums.iter().sum::<f32>() + rest
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DQuat, DVec3};
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::types::{Intrinsics, Pose};
+
+    const POINTS: usize = 120;
+    const LENGTH: usize = 16;
+
+    fn descriptor(rng: &mut ChaCha8Rng) -> Vec<f32> {
+        let values: Vec<f32> = (0..LENGTH).map(|_| rng.random_range(-1.0..1.0)).collect();
+        let length = values.iter().map(|v| v * v).sum::<f32>().sqrt();
+        values.iter().map(|v| v / length).collect()
+    }
+
+    /// What frames see of points in space, each in an order of its own, beside as many points that no other frame
+    /// sees; and the number of each point.
+    fn seen(frames: usize) -> (Vec<Features>, Vec<Vec<usize>>) {
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        let k = Intrinsics::centred(300.0, 320, 180);
+        let mut side = |most: f64| rng.random_range(-most..most);
+        let points: Vec<DVec3> =
+            (0..POINTS).map(|_| DVec3::new(side(0.8), side(0.4), 3.0 + side(0.8))).collect();
+        let known: Vec<Vec<f32>> = (0..POINTS).map(|_| descriptor(&mut rng)).collect();
+        (0..frames)
+            .map(|f| {
+                let turn = DQuat::from_rotation_y(0.02 * f as f64);
+                let pose =
+                    Pose { rotation: turn, translation: DVec3::new(0.1 * f as f64, 0.0, 0.0) };
+                let rule = Rule::Product(0.82);
+                let mut found = Features { noise: 0.3, rule, ..Features::default() };
+                let numbers: Vec<usize> =
+                    (0..2 * POINTS).map(|i| (i * 7 + 3 * f) % (2 * POINTS)).collect();
+                for &number in &numbers {
+                    let (pixel, described) = match points.get(number) {
+                        Some(point) => (k.project(pose.apply(*point)), known[number].clone()),
+                        None => {
+                            let [x, y] = [320.0, 180.0].map(|side| rng.random_range(0.0..side));
+                            (DVec2::new(x, y), descriptor(&mut rng))
+                        }
+                    };
+                    found.pixels.push(pixel);
+                    found.descriptors.extend(described);
+                }
+                (found, numbers)
+            })
+            .unzip()
+    }
+
+    #[test]
+    fn points_are_linked_over_frames_that_flow_does_not() {
+        let (features, numbers) = seen(5);
+        // Nothing is compared with frame 2 itself, and yet it is no other point there.
+        let pairs = [(0, 1), (0, 3), (1, 3), (0, 4), (3, 4)];
+        let tracks = linked(&features, &pairs, 0);
+        assert_eq!(tracks.len(), POINTS);
+        for track in &tracks {
+            assert_eq!(track.frames, [0, 1, 3, 4]);
+            assert_eq!((track.noise, &track.deviation[..]), (0.3, &[0.0; 4][..]));
+            let number = |f: usize| {
+                let at = track.at(f).unwrap();
+                numbers[f][features[f].pixels.iter().position(|pixel| *pixel == at).unwrap()]
+            };
+            assert!(number(0) < POINTS && [1, 3, 4].iter().all(|f| number(*f) == number(0)));
+        }
+        assert!(
+            linked(&features, &[(0, 1)], 0).is_empty(),
+            "two frames tell no more than flow does"
+        );
+        assert_eq!(linked(&features, &pairs, 0), tracks);
+    }
+
+    #[test]
+    fn what_only_looks_alike_is_no_link() {
+        let (mut features, _) = seen(3);
+        // The same descriptors, at places that no camera explains.
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        for pixel in &mut features[1].pixels {
+            *pixel = DVec2::new(rng.random_range(0.0..320.0), rng.random_range(0.0..180.0));
+        }
+        assert!(mutual(&features[0], &features[1]).len() >= POINTS);
+        assert!(verified(&features[0], &features[1], 0).is_empty());
+        assert!(verified(&features[0], &features[2], 0).len() >= POINTS);
+        assert!(mutual(&features[0], &Features::default()).is_empty());
+    }
+
+    #[test]
+    fn a_frame_sees_a_point_once() {
+        // Points 0 and 1 of frame 0, one of frame 1, one of frame 2.
+        let frame_of = [0, 0, 1, 2];
+        let mut groups = Groups::new(4);
+        groups.join(0, 2, &frame_of);
+        groups.join(1, 3, &frame_of);
+        groups.join(2, 3, &frame_of);
+        groups.members.retain(|members| !members.is_empty());
+        assert_eq!(groups.members, [[0, 2], [1, 3]]);
+    }
+
+    #[test]
+    fn frames_that_flow_links_are_not_compared() {
+        let track = |first: usize, end: usize| {
+            let n = end - first;
+            PointTrack::followed(first, vec![DVec2::ONE; n], vec![0.1; n])
+        };
+        // Many points through frames 0 to 2, as many from 3 on, a few through all.
+        let mut tracks = vec![track(0, 3); 200];
+        tracks.extend(vec![track(3, 5); 200]);
+        tracks.extend(vec![track(0, 5); 9]);
+        let across = [(0, 3), (0, 4), (1, 3), (1, 4), (2, 3), (2, 4)];
+        assert_eq!(unlinked(&tracks, 5), across);
+        assert!(unlinked(&vec![track(0, 90); 100], 90).is_empty());
+        // Of many frames, those are compared that are a few apart, or next to each other.
+        let pairs = unlinked(&[], 130);
+        assert!(pairs.contains(&(1, 2)) && pairs.contains(&(0, 129)) && !pairs.contains(&(1, 7)));
+        assert!(pairs.len() < 1500, "{}", pairs.len());
+    }
+}

@@ -1,0 +1,156 @@
+//! Networks that find points in a picture and describe them, as XFeat (Potje et al. 2024).
+
+use glam::DVec2;
+
+use super::contract::{Contract, FeaturesContract};
+use super::network::{Network, Planes, check_frame};
+use super::picture::Layout;
+use crate::Result;
+use crate::observe::features::{FeatureSource, Features, Rule};
+use crate::types::Image;
+
+/// A point is the most likely one so many pixels to each side.
+const APART: usize = 2;
+/// Less likely points are none.
+const LIKELY: f32 = 0.05;
+/// Most points of a frame.
+const POINTS: usize = 2000;
+/// Points whose descriptors have a smaller inner product are not the same: XFeat's authors take it.
+const ALIKE: f32 = 0.82;
+/// A point is off by so many pixels of the network's picture along each axis.
+const NOISE: f32 = 1.0;
+
+/// A network that finds points in a picture and describes them.
+pub struct FeaturesNetwork {
+    network: Network,
+    contract: FeaturesContract,
+}
+
+impl FeaturesNetwork {
+    /// A model whose contract is one for features.
+    pub(super) fn new((network, contract): (Network, Contract)) -> Result<FeaturesNetwork> {
+        match contract {
+            Contract::Features(contract) => Ok(FeaturesNetwork { network, contract }),
+            other => Err(network.listed_for("features", &other)),
+        }
+    }
+
+    /// What the network says of itself.
+    pub fn contract(&self) -> &FeaturesContract {
+        &self.contract
+    }
+
+    /// The points of a frame that are most likely found again.
+    ///
+    /// # Errors
+    /// A frame without three channels; the network fails, says something else than its contract, or gives what is not
+    /// finite.
+    pub fn features(&mut self, frame: &Image) -> Result<Features> {
+        check_frame(frame)?;
+        let FeaturesContract { input, picture: rule, descriptors, keypoints, reliability, .. } =
+            &self.contract;
+        let layout = Layout::new(rule, (frame.width, frame.height));
+        let given = vec![(input.as_str(), layout.picture(rule, frame))];
+        let names = [descriptors.as_str(), keypoints, reliability];
+        let found = self.network.run_pictures(given, layout.picture, &names)?;
+        for (planes, name) in found.iter().zip(names) {
+            self.network.check_finite(&planes.values, name, layout.picture)?;
+        }
+        let [described, likely, reliable] = &found[..] else {
+            return Err(self.network.wrong(descriptors, "has not come out"));
+        };
+        self.network.check_channels(likely, 1, keypoints)?;
+        self.network.check_channels(reliable, 1, reliability)?;
+        let scale = layout.frame_from_picture().map(f64::from);
+        let placement = layout.placement();
+        let (mut pixels, mut descriptors) = (Vec::new(), Vec::new());
+        for at in peaks(likely, reliable) {
+            // Both are sampled where the point lies in the picture, whatever the size of their own cells.
+            let share = at / DVec2::new(f64::from(likely.size.0), f64::from(likely.size.1));
+            let picture = DVec2::new(f64::from(layout.picture.0), f64::from(layout.picture.1));
+            let pixel = placement.corner + placement.scale * share * picture;
+            let inside = pixel.cmpge(DVec2::ZERO).all()
+                && pixel.x < f64::from(frame.width)
+                && pixel.y < f64::from(frame.height);
+            if inside {
+                pixels.push(pixel);
+                descriptors.extend(described_at(described, share));
+            }
+        }
+        let noise = NOISE * scale[0].hypot(scale[1]) as f32 * std::f32::consts::FRAC_1_SQRT_2;
+        Ok(Features { pixels, noise, descriptors, rule: Rule::Product(ALIKE) })
+    }
+}
+
+impl FeatureSource for FeaturesNetwork {
+    fn features(&mut self, _number: usize, frame: &Image) -> Result<Features> {
+        FeaturesNetwork::features(self, frame)
+    }
+}
+
+/// The places of the most likely points in the plane of likelihoods, the best ones first.
+fn peaks(likely: &Planes, reliable: &Planes) -> Vec<DVec2> {
+    let (width, height) = (likely.size.0 as usize, likely.size.1 as usize);
+    let at = |x: usize, y: usize| likely.values[y * width + x];
+    let mut found = Vec::new();
+    for y in 0..height {
+        for x in 0..width {
+            let value = at(x, y);
+            if value < LIKELY {
+                continue;
+            }
+            let xs = x.saturating_sub(APART)..(x + APART + 1).min(width);
+            let ys = y.saturating_sub(APART)..(y + APART + 1).min(height);
+            // Of equal neighbours the first one counts.
+            let beaten = ys
+                .flat_map(|v| xs.clone().map(move |u| (u, v)))
+                .any(|(u, v)| at(u, v) > value || (at(u, v) == value && (v, u) < (y, x)));
+            if !beaten {
+                let middle = DVec2::new(x as f64, y as f64) + 0.5;
+                let share = middle / DVec2::new(width as f64, height as f64);
+                let score = value * sampled(reliable, 0, share);
+                found.push((score, middle + within(likely, x, y)));
+            }
+        }
+    }
+    found.sort_by(|a, b| b.0.total_cmp(&a.0));
+    found.into_iter().take(POINTS).map(|(_, at)| at).collect()
+}
+
+/// Where the peak of a parabola through a pixel and its neighbours lies, beside the pixel's centre.
+fn within(likely: &Planes, x: usize, y: usize) -> DVec2 {
+    let (width, height) = (likely.size.0 as usize, likely.size.1 as usize);
+    if x == 0 || y == 0 || x + 1 == width || y + 1 == height {
+        return DVec2::ZERO;
+    }
+    let at = |x: usize, y: usize| f64::from(likely.values[y * width + x]);
+    let offset = |before: f64, here: f64, after: f64| {
+        let bend = before - 2.0 * here + after;
+        if bend < 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 }
+    };
+    DVec2::new(
+        offset(at(x - 1, y), at(x, y), at(x + 1, y)),
+        offset(at(x, y - 1), at(x, y), at(x, y + 1)),
+    )
+}
+
+/// A channel at a place that is a share of its sides, bilinear between the centres of its cells.
+fn sampled(planes: &Planes, channel: usize, share: DVec2) -> f32 {
+    let (width, height) = (planes.size.0 as usize, planes.size.1 as usize);
+    let plane = &planes.values[channel * width * height..][..width * height];
+    let most = DVec2::new((width - 1) as f64, (height - 1) as f64);
+    let at = (share * DVec2::new(width as f64, height as f64) - 0.5).clamp(DVec2::ZERO, most);
+    let (x, y) = (at.x as usize, at.y as usize);
+    let (right, below) = ((x + 1).min(width - 1), (y + 1).min(height - 1));
+    let (u, v) = ((at.x - x as f64) as f32, (at.y - y as f64) as f32);
+    let row = |y: usize| (1.0 - u) * plane[y * width + x] + u * plane[y * width + right];
+    (1.0 - v) * row(y) + v * row(below)
+}
+
+/// What describes a place, of length 1.
+fn described_at(planes: &Planes, share: DVec2) -> Vec<f32> {
+    let mut values: Vec<f32> = (0..planes.channels).map(|c| sampled(planes, c, share)).collect();
+    let length = values.iter().map(|v| v * v).sum::<f32>().sqrt().max(f32::MIN_POSITIVE);
+    values.iter_mut().for_each(|value| *value /= length);
+    values
+}
