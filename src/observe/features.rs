@@ -66,8 +66,8 @@ pub trait FeatureSource {
 }
 
 /// Frames share enough where a share of the points that the poorer of them sees is seen by both, and so many are.
-const SHARED: f64 = 0.1;
-const ENOUGH: usize = 60;
+const SHARED: f64 = 0.03;
+const ENOUGH: usize = 30;
 /// Most frames of which all pairs are compared; of more, every so manieth.
 const FRAMES: usize = 40;
 /// A smaller share of the matches that agrees with one epipolar geometry is chance.

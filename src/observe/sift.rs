@@ -66,7 +66,7 @@ pub fn sift(frame: &Image) -> Features {
     }
     let scale = if small { 0.5 } else { 1.0 };
     let mut points: Vec<(f32, DVec2, Vec<f32>)> = Vec::new();
-    let mut octave_scale = scale;
+    let mut octave_scale: f64 = scale;
     picture = picture.blurred((FIRST * FIRST - blur * blur).sqrt());
     while picture.width.min(picture.height) >= LEAST_SIDE {
         let octave = Octave::new(picture);
@@ -75,7 +75,7 @@ pub fn sift(frame: &Image) -> Features {
             for direction in level.directions(&point) {
                 let at = DVec2::new(f64::from(point.x), f64::from(point.y)) + 0.5;
                 let described = level.descriptor(&point, direction);
-                points.push((point.contrast, at * f64::from(octave_scale), described));
+                points.push((point.contrast, at * octave_scale, described));
             }
         }
         picture = octave.levels[SCALES].halved();
