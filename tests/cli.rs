@@ -25,7 +25,7 @@ use splat4d::types::{Gaussians, Image};
 use support::{picture, says};
 use tempfile::TempDir;
 
-const COMMANDS: [&str; 13] = [
+const COMMANDS: [&str; 15] = [
     "reconstruct",
     "batch",
     "track",
@@ -39,6 +39,8 @@ const COMMANDS: [&str; 13] = [
     "synth",
     "table",
     "validate",
+    "completions",
+    "man",
 ];
 
 /// The same within so many MiB of address space and a minute: what takes memory or time without
@@ -96,6 +98,52 @@ fn help_has_an_example_of_every_command() {
         says(&help, &["Example", &format!("  splat4d {command}"), "JSON"]);
         says(&help, &["Common options", "--json", "--device", "--seed"]);
     }
+}
+
+#[test]
+fn shells_complete_what_the_program_takes() {
+    let folder = tempfile::tempdir().unwrap();
+    for shell in ["bash", "zsh", "fish", "powershell"] {
+        let found = json(folder.path(), &format!("completions {shell}"));
+        assert_eq!(found["shell"], shell);
+        documented("completions", &found);
+        let script = found["script"].as_str().unwrap();
+        for command in COMMANDS {
+            says(script, &[command]);
+        }
+        says(script, &["max-gaussians", "background"]);
+        let printed = run(folder.path(), &format!("completions {shell}")).stdout;
+        assert_eq!(String::from_utf8(printed).unwrap(), script);
+    }
+    // bash is everywhere, and asks its script itself.
+    let script = json(folder.path(), "completions bash")["script"].as_str().unwrap().to_owned();
+    fs::write(folder.path().join("script"), script).unwrap();
+    let ask = "source ./script; COMP_WORDS=(splat4d render scene --backg); COMP_CWORD=3; \
+               _splat4d splat4d --backg scene; echo \"${COMPREPLY[@]}\"";
+    let asked = Command::new("bash").current_dir(folder.path()).args(["-c", ask]).output().unwrap();
+    assert_eq!(String::from_utf8(asked.stdout).unwrap().trim(), "--background");
+    fails(folder.path(), 2, "completions csh");
+}
+
+#[test]
+fn every_command_has_a_manual_page() {
+    let folder = tempfile::tempdir().unwrap();
+    let found = json(folder.path(), "man new/man1");
+    documented("man", &found);
+    let pages: BTreeSet<&str> =
+        found["pages"].as_array().unwrap().iter().map(|p| p.as_str().unwrap()).collect();
+    let there = fs::read_dir(folder.path().join("new/man1")).unwrap().count();
+    assert_eq!(there, pages.len());
+    let page = |name: &str| fs::read_to_string(folder.path().join("new/man1").join(name)).unwrap();
+    says(&page("splat4d.1"), &[".TH splat4d 1", "splat4d\\-render(1)"]);
+    for command in COMMANDS {
+        let name = format!("splat4d-{command}.1");
+        assert!(pages.contains(name.as_str()), "{name} of {pages:?}");
+        says(&page(&name), &[&format!(".TH splat4d-{command} 1"), "Example", "\\-\\-device"]);
+    }
+    assert!(pages.contains("splat4d-bench-cmp.1"));
+    fs::write(folder.path().join("file"), "").unwrap();
+    says(&fails(folder.path(), 1, "man file"), &["is a file"]);
 }
 
 /// That a command's help names every key that it gave.

@@ -15,6 +15,7 @@ mod child;
 mod clip;
 mod clock;
 mod common;
+mod completions;
 mod components;
 mod devices;
 mod encode;
@@ -28,6 +29,7 @@ mod held_out;
 mod info;
 mod interrupt;
 mod known;
+mod man;
 mod meter;
 mod model;
 mod networks;
@@ -98,6 +100,8 @@ enum Command {
     Synth(synth::SynthArgs),
     Table(table::TableArgs),
     Validate(validate::ValidateArgs),
+    Completions(completions::CompletionsArgs),
+    Man(man::ManArgs),
 }
 
 /// Runs the command that the process was given.
@@ -167,6 +171,8 @@ fn run(cli: &Cli) -> Result<(Answer, ExitCode)> {
         Command::Info(args) => info::run(args),
         Command::Devices(args) => devices::run(args),
         Command::Synth(args) => synth::run(args, &cli.common),
+        Command::Completions(args) => completions::run(args),
+        Command::Man(args) => man::run(args),
         // What these find out decides the exit code.
         Command::Batch(args) => return batch::run(args, &cli.common),
         Command::Bench(args) => return bench::run(args, &cli.common),

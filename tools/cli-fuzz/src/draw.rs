@@ -37,7 +37,7 @@ struct Base {
 
 /// Good commands, each with options that keep it short; `<kind>` stands for an input and `>name` for
 /// an output.
-const BASES: [&str; 28] = [
+const BASES: [&str; 30] = [
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150",
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150 \
      --control-points 6 --report >report",
@@ -69,10 +69,12 @@ const BASES: [&str; 28] = [
     "validate --quick --filter scan",
     "validate --fuzz 2",
     "validate --case <case>",
+    "completions zsh",
+    "man >pages",
 ];
 
 /// Every command's name.
-pub const COMMANDS: [&str; 12] = [
+pub const COMMANDS: [&str; 14] = [
     "reconstruct",
     "batch",
     "track",
@@ -85,6 +87,8 @@ pub const COMMANDS: [&str; 12] = [
     "bench",
     "synth",
     "validate",
+    "completions",
+    "man",
 ];
 
 /// A command to run, with the files it needs in its folder.
