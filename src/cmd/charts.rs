@@ -15,6 +15,8 @@ const TOP: f64 = 30.0;
 const BOTTOM: f64 = 36.0;
 /// Lines of more points than this have no dots.
 const DOTTED: usize = 64;
+/// A frustum's depth.
+const FRUSTUM: f64 = 15.0;
 /// A digit's width.
 const DIGIT: f64 = 6.8;
 
@@ -25,7 +27,7 @@ svg{display:block;width:100%;height:auto;font:12px system-ui,sans-serif;fill:var
 .a,.b{fill:none;stroke-width:1.8;stroke-linejoin:round}.a{stroke:var(--one)}\
 .b{stroke:var(--two);stroke-dasharray:5 3}.da{fill:var(--one)}.db{fill:var(--two)}\
 .cloud{stroke:var(--dim);stroke-width:1.6;stroke-linecap:round;fill:none;opacity:.55}\
-.view{stroke:var(--two);stroke-width:1.2;fill:none}\
+.view{stroke:var(--two);stroke-width:1;stroke-linejoin:round;fill:var(--two);fill-opacity:.08}\
 .bad{fill:var(--bad);opacity:.22}.cross{stroke:var(--bad);stroke-width:2;fill:none}";
 
 /// Values by frame; none is a gap.
@@ -100,6 +102,8 @@ pub struct Placed {
     pub at: [f64; 2],
     /// Where it looks, of length 1 at most.
     pub looks: [f64; 2],
+    /// Half of what it sees, seen from this side, over how far that is away.
+    pub spread: f64,
     pub doubtful: bool,
 }
 
@@ -153,12 +157,27 @@ pub fn map(map: &Map) -> String {
         let _ = write!(cloud, "M{:.1} {:.1}h0", x(point[0]), y(point[1]));
     }
     let _ = write!(svg, "<path class=\"cloud\" d=\"{cloud}\"/>");
-    // Directions of some of the cameras: of all, a long clip's would run together.
+    // Frusta of some of the cameras: of all, a long clip's would run together.
     let every = map.cameras.len().div_ceil(24).max(1);
     let mut views = String::new();
     for camera in map.cameras.iter().step_by(every) {
-        let (dx, dy) = (18.0 * camera.looks[0], -18.0 * camera.looks[1]);
-        let _ = write!(views, "M{:.1} {:.1}l{dx:.1} {dy:.1}", x(camera.at[0]), y(camera.at[1]));
+        let [dx, dy] = camera.looks.map(|v| FRUSTUM * v);
+        // Where it looks up or down at us it is as wide, if less deep.
+        let length = dx.hypot(dy).max(1e-9);
+        let (px, py) = (-dy / length, dx / length);
+        let half = FRUSTUM * camera.spread.min(1.5);
+        let corner = |side: f64| (dx + side * half * px, -(dy + side * half * py));
+        let (left, right) = (corner(1.0), corner(-1.0));
+        let _ = write!(
+            views,
+            "M{:.1} {:.1}l{:.1} {:.1}l{:.1} {:.1}z",
+            x(camera.at[0]),
+            y(camera.at[1]),
+            left.0,
+            left.1,
+            right.0 - left.0,
+            right.1 - left.1
+        );
     }
     let _ = write!(svg, "<path class=\"view\" d=\"{views}\"/>");
     let mut path = String::new();
@@ -304,12 +323,13 @@ mod tests {
 
     #[test]
     fn maps_of_one_place_have_a_size() {
-        let camera = Placed { at: [1.0, 2.0], looks: [0.0, 1.0], doubtful: true };
+        let camera = Placed { at: [1.0, 2.0], looks: [0.0, 1.0], spread: 0.5, doubtful: true };
         for points in [&[][..], &[[0.0, 5.0]][..]] {
             let cameras = [camera; 3];
             let svg = map(&Map { title: "t", axes: ["x", "y"], cameras: &cameras, points });
             assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
             assert_eq!(svg.matches("class=\"cross\"").count(), 3);
+            assert!(svg.contains("l-7.5 -15.0l15.0 0.0z"), "a frustum opens upward: {svg}");
         }
         let empty = map(&Map { title: "t", axes: ["x", "y"], cameras: &[], points: &[] });
         assert!(!empty.contains("NaN"));

@@ -4,13 +4,14 @@
 use std::path::Path;
 
 use serde_json::Value;
-use splat4d::data::{View, images, write_png};
+use splat4d::data::{View, write_png};
 use splat4d::gpu::Device;
 use splat4d::renderer::Renderer;
 use splat4d::scene::Scene;
 use splat4d::types::Image;
 use splat4d::{Result, io};
 
+use super::pictures::{DepthScale, shrunk};
 use super::quality::motion_only;
 
 /// What [`write`] writes into the folder.
@@ -43,38 +44,14 @@ pub fn write(
     for view in views {
         let rendered = colours.render(&view.camera, view.time)?;
         let moving = motion.render(&view.camera, view.time)?.over([0.0; 3]);
-        let row = [
-            view.image.clone(),
-            rendered.over(scene.background),
-            moving,
-            shade_depth(&rendered.mean_depth()),
-        ];
-        rows.push(row.map(|image| {
-            let width = image.width.min(WIDEST);
-            let height = (image.height * width / image.width.max(1)).max(1);
-            images::resize(&image, width, height)
-        }));
+        let depth = rendered.mean_depth();
+        let black = || Image::new(depth.width, depth.height, 3);
+        let shaded = DepthScale::of([&depth]).map_or_else(black, |scale| scale.shade(&depth));
+        let row = [view.image.clone(), rendered.over(scene.background), moving, shaded];
+        rows.push(row.map(|image| shrunk(&image, WIDEST)));
     }
     write_png(folder.join("sheet.png"), &tile(&rows))?;
     io::write_json(folder.join("report.json"), report)
-}
-
-/// Near is bright, far is dark, nothing is black: inverse depth, stretched between its 2nd and 98th
-/// hundredth.
-fn shade_depth(depth: &Image) -> Image {
-    let mut inverse: Vec<f32> =
-        depth.pixels.iter().filter(|d| **d > 0.0).map(|d| 1.0 / d).collect();
-    inverse.sort_by(f32::total_cmp);
-    let at = |hundredth: usize| inverse.get(inverse.len() * hundredth / 100).copied();
-    let (low, high) = (at(2).unwrap_or(0.0), at(98).unwrap_or(1.0));
-    let mut image = Image::new(depth.width, depth.height, 3);
-    for (out, depth) in image.pixels.chunks_exact_mut(3).zip(&depth.pixels) {
-        if *depth > 0.0 {
-            let share = (1.0 / depth - low) / (high - low).max(f32::MIN_POSITIVE);
-            out.fill(0.1 + 0.9 * share.clamp(0.0, 1.0));
-        }
-    }
-    image
 }
 
 /// Rows of RGB pictures on white, one below the other.
@@ -112,14 +89,5 @@ mod tests {
         assert_eq!((sheet.width, sheet.height), (4 * 3 + 3 * GAP, 2 * 2 + GAP));
         assert_eq!(sheet.at(3 + GAP, 2 + GAP), [0.2; 3]);
         assert_eq!(sheet.at(3, 0), [1.0; 3], "between pictures it is white");
-    }
-
-    #[test]
-    fn nearer_is_brighter() {
-        let depth = Image { width: 4, height: 1, channels: 1, pixels: vec![0.0, 1.0, 2.0, 4.0] };
-        let shaded = shade_depth(&depth);
-        let values: Vec<f32> = shaded.pixels.iter().step_by(3).copied().collect();
-        assert!(values[0] == 0.0 && values[1] > values[2] && values[2] > values[3]);
-        assert!(values[3] > 0.0);
     }
 }

@@ -3,28 +3,22 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-use base64::Engine;
-use base64::engine::general_purpose::STANDARD;
 use glam::DVec2;
-use image::codecs::jpeg::JpegEncoder;
-use image::{ExtendedColorType, ImageEncoder};
 use rayon::prelude::*;
+use splat4d::Result;
 use splat4d::data::images;
 use splat4d::observe::{FlowPair, FlowSource};
 use splat4d::track::Track;
 use splat4d::types::Image;
-use splat4d::{Error, Result};
+
+use super::pictures::{address, brightest, heat, shrunk};
 
 /// At most so many frames are shown.
 const MOST: usize = 12;
 /// A picture on the page is at most so wide.
 const WIDEST: u32 = 400;
-/// Of JPEG.
-const QUALITY: u8 = 82;
 /// Flow that is believed less is not shown.
 const BELIEVED: f32 = 0.3;
-/// Where flow is not believed.
-const UNKNOWN: [f32; 3] = [0.5; 3];
 
 /// Frames to show, evenly spread over a clip.
 pub fn shown(frames: usize) -> Vec<usize> {
@@ -91,14 +85,14 @@ pub fn draw(
 ) -> Result<(Vec<Pictures>, f64)> {
     let residuals: Vec<(usize, Image)> =
         flow.par_iter().map(|(frame, field)| (*frame, residual(track, *frame, field))).collect();
-    let most = brightest(residuals.iter().map(|(_, image)| image));
+    let most = brightest(residuals.iter().map(|(_, image)| image), 1.0);
     let pictures = residuals.par_iter().map(|(frame, residual)| {
-        let small = shrunk(&frames[*frame]);
+        let small = shrunk(&frames[*frame], WIDEST);
         let mask = images::resize(&track.masks[*frame], small.width, small.height);
         Ok(Pictures {
             frame: *frame,
             outlined: address(&outlined(&small, &mask))?,
-            residual: address(&shrunk(&heat(residual, most)))?,
+            residual: address(&shrunk(&heat(residual, most), WIDEST))?,
         })
     });
     Ok((pictures.collect::<Result<Vec<Pictures>>>()?, most))
@@ -135,48 +129,6 @@ fn residual(track: &Track, frame: usize, filmed: &(Image, Option<Image>)) -> Ima
     out
 }
 
-/// A round number that nearly all residuals lie below, 1 px at least.
-fn brightest<'a>(residuals: impl Iterator<Item = &'a Image>) -> f64 {
-    let mut all: Vec<f32> = residuals
-        .flat_map(|image| image.pixels.iter().copied().step_by(7).filter(|v| v.is_finite()))
-        .collect();
-    let at = all.len().saturating_sub(1) * 99 / 100;
-    let most = match all.is_empty() {
-        true => 1.0,
-        false => f64::from(*all.select_nth_unstable_by(at, f32::total_cmp).1).max(1.0),
-    };
-    let power = 10f64.powf(most.log10().floor());
-    [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|m| *m >= most).unwrap_or(most)
-}
-
-/// The colours of a residual from none to the brightest: ever lighter, so that no colour need be told
-/// from another.
-pub const HEAT: [[f32; 3]; 6] = [
-    [0.0, 0.0, 0.05],
-    [0.26, 0.04, 0.41],
-    [0.58, 0.15, 0.40],
-    [0.87, 0.32, 0.23],
-    [0.99, 0.65, 0.04],
-    [0.99, 1.0, 0.64],
-];
-
-fn heat(residual: &Image, most: f64) -> Image {
-    let mut out = Image::new(residual.width, residual.height, 3);
-    for (to, value) in out.pixels.chunks_exact_mut(3).zip(&residual.pixels) {
-        if value.is_nan() {
-            to.copy_from_slice(&UNKNOWN);
-            continue;
-        }
-        let at = (value / most as f32).clamp(0.0, 1.0) * (HEAT.len() - 1) as f32;
-        let low = (at as usize).min(HEAT.len() - 2);
-        let share = at - low as f32;
-        for c in 0..3 {
-            to[c] = HEAT[low][c] * (1.0 - share) + HEAT[low + 1][c] * share;
-        }
-    }
-    out
-}
-
 /// What moves gets a light edge inside and a dark one outside: one of them shows on any picture.
 fn outlined(image: &Image, mask: &Image) -> Image {
     let moves = |x: i64, y: i64| {
@@ -198,24 +150,6 @@ fn outlined(image: &Image, mask: &Image) -> Image {
     out
 }
 
-fn shrunk(image: &Image) -> Image {
-    let width = image.width.min(WIDEST);
-    let height =
-        (u64::from(image.height) * u64::from(width) / u64::from(image.width.max(1))).max(1);
-    images::resize(image, width, height as u32)
-}
-
-/// A picture as a `data:` address.
-fn address(image: &Image) -> Result<String> {
-    let bytes: Vec<u8> =
-        image.pixels.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8).collect();
-    let mut jpeg = Vec::new();
-    JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
-        .write_image(&bytes, image.width, image.height, ExtendedColorType::Rgb8)
-        .map_err(|error| Error::Failed(format!("a picture could not be encoded: {error}")))?;
-    Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg)))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -235,18 +169,5 @@ mod tests {
         assert_eq!(found.at(0, 0), [0.5; 3]);
         assert_eq!(found.at(1, 0), [0.0; 3]);
         assert!(found.at(2, 0)[0] == 1.0 && found.at(3, 0)[0] == 1.0, "the picture ends there");
-    }
-
-    #[test]
-    fn more_residual_is_lighter() {
-        let residual =
-            Image { width: 5, height: 1, channels: 1, pixels: vec![0.0, 1.0, 3.0, 9.0, f32::NAN] };
-        let drawn = heat(&residual, 5.0);
-        let light = |x: u32| drawn.at(x, 0).iter().sum::<f32>();
-        assert!(light(0) < light(1) && light(1) < light(2) && light(2) < light(3));
-        assert_eq!(drawn.at(4, 0), UNKNOWN);
-        let even = Image { width: 70, height: 1, channels: 1, pixels: vec![3.7; 70] };
-        assert_eq!(brightest([&even].into_iter()), 5.0);
-        assert_eq!(brightest(std::iter::empty()), 1.0);
     }
 }

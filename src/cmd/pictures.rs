@@ -1,0 +1,215 @@
+//! Maps as pictures for people: depth, flow, normals, heat; and pictures within a page.
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use image::codecs::jpeg::JpegEncoder;
+use image::{ExtendedColorType, ImageEncoder};
+use splat4d::data::images;
+use splat4d::types::Image;
+use splat4d::{Error, Result};
+
+/// Of JPEG.
+const QUALITY: u8 = 82;
+/// Where a value is not known.
+pub const UNKNOWN: [f32; 3] = [0.5; 3];
+
+/// Inverse depths between which pictures of depth go from dark to bright.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DepthScale {
+    low: f32,
+    high: f32,
+}
+
+impl DepthScale {
+    /// From the 2nd to the 98th hundredth of some maps; none where they show nothing.
+    pub fn of<'a>(maps: impl IntoIterator<Item = &'a Image>) -> Option<DepthScale> {
+        let depths = maps.into_iter().flat_map(|map| &map.pixels);
+        let mut inverse: Vec<f32> = depths.filter(|d| **d > 0.0).map(|d| 1.0 / d).collect();
+        inverse.sort_by(f32::total_cmp);
+        let at = |hundredth: usize| inverse.get(inverse.len() * hundredth / 100).copied();
+        at(2).zip(at(98)).map(|(low, high)| DepthScale { low, high })
+    }
+
+    /// Near is bright, far is dark, nothing is black.
+    pub fn shade(&self, depth: &Image) -> Image {
+        let mut image = Image::new(depth.width, depth.height, 3);
+        for (out, depth) in image.pixels.chunks_exact_mut(3).zip(&depth.pixels) {
+            if *depth > 0.0 {
+                let share =
+                    (1.0 / depth - self.low) / (self.high - self.low).max(f32::MIN_POSITIVE);
+                out.fill(0.1 + 0.9 * share.clamp(0.0, 1.0));
+            }
+        }
+        image
+    }
+}
+
+/// One channel as grey.
+pub fn grey(map: &Image) -> Image {
+    let pixels = map.pixels.iter().flat_map(|v| [*v; 3]).collect();
+    Image { channels: 3, pixels, ..*map }
+}
+
+/// Normals as colours: right is red, down is green, away is blue, from -1 to 1; nothing is black.
+pub fn normals(map: &Image) -> Image {
+    let mut image = map.clone();
+    for normal in image.pixels.chunks_exact_mut(3).filter(|n| n.iter().any(|v| *v != 0.0)) {
+        normal.iter_mut().for_each(|v| *v = 0.5 + 0.5 * *v);
+    }
+    image
+}
+
+/// Flow as colours: the direction as hue (right is red), the length as saturation, up to `most` pixels;
+/// what does not move is white, what is not known grey.
+pub fn flow(map: &Image, most: f64) -> Image {
+    let mut image = Image::new(map.width, map.height, 3);
+    for (out, v) in image.pixels.chunks_exact_mut(3).zip(map.pixels.chunks_exact(2)) {
+        let length = v[0].hypot(v[1]);
+        if length.is_nan() {
+            out.copy_from_slice(&UNKNOWN);
+            continue;
+        }
+        let turn = v[1].atan2(v[0]) / std::f32::consts::TAU;
+        let share = (length / most as f32).min(1.0);
+        for (out, shift) in out.iter_mut().zip([0.0, 4.0, 2.0]) {
+            let hue = ((6.0 * turn + shift).rem_euclid(6.0) - 3.0).abs() - 1.0;
+            *out = 1.0 - share * (1.0 - hue.clamp(0.0, 1.0));
+        }
+    }
+    image
+}
+
+/// Lengths of flow.
+pub fn lengths(flow: &Image) -> Image {
+    let pixels = flow.pixels.chunks_exact(2).map(|v| v[0].hypot(v[1])).collect();
+    Image { channels: 1, pixels, ..*flow }
+}
+
+/// A round number that nearly all values lie below, `least` at least.
+pub fn brightest<'a>(maps: impl Iterator<Item = &'a Image>, least: f64) -> f64 {
+    let mut all: Vec<f32> = maps
+        .flat_map(|image| image.pixels.iter().copied().step_by(7).filter(|v| v.is_finite()))
+        .collect();
+    let at = all.len().saturating_sub(1) * 99 / 100;
+    let most = match all.is_empty() {
+        true => least,
+        false => f64::from(*all.select_nth_unstable_by(at, f32::total_cmp).1).max(least),
+    };
+    let power = 10f64.powf(most.log10().floor());
+    [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|m| *m >= most).unwrap_or(most)
+}
+
+/// The colours of heat from none to the most: ever lighter, so that no colour need be told from another.
+pub const HEAT: [[f32; 3]; 6] = [
+    [0.0, 0.0, 0.05],
+    [0.26, 0.04, 0.41],
+    [0.58, 0.15, 0.40],
+    [0.87, 0.32, 0.23],
+    [0.99, 0.65, 0.04],
+    [0.99, 1.0, 0.64],
+];
+
+/// Values from 0 to `most` as heat; what is not a number is grey.
+pub fn heat(map: &Image, most: f64) -> Image {
+    let mut out = Image::new(map.width, map.height, 3);
+    for (to, value) in out.pixels.chunks_exact_mut(3).zip(&map.pixels) {
+        if value.is_nan() {
+            to.copy_from_slice(&UNKNOWN);
+            continue;
+        }
+        let at = (value / most as f32).clamp(0.0, 1.0) * (HEAT.len() - 1) as f32;
+        let low = (at as usize).min(HEAT.len() - 2);
+        let share = at - low as f32;
+        for c in 0..3 {
+            to[c] = HEAT[low][c] * (1.0 - share) + HEAT[low + 1][c] * share;
+        }
+    }
+    out
+}
+
+/// The key to heat: from 0 to the most, in a unit.
+pub fn heat_key(most: f64, unit: &str) -> String {
+    let colours: Vec<String> = HEAT
+        .iter()
+        .map(|colour| {
+            let [r, g, b] = colour.map(|v| (v * 255.0).round());
+            format!("rgb({r},{g},{b})")
+        })
+        .collect();
+    format!(
+        "<span>0{unit}</span><i style=\"background:linear-gradient(90deg,{})\"></i>\
+         <span>{most}{unit} and more</span>",
+        colours.join(",")
+    )
+}
+
+/// A picture of at most so many pixels' width.
+pub fn shrunk(image: &Image, widest: u32) -> Image {
+    let width = image.width.min(widest);
+    let height =
+        (u64::from(image.height) * u64::from(width) / u64::from(image.width.max(1))).max(1);
+    images::resize(image, width, height as u32)
+}
+
+/// A picture of three channels as a `data:` address.
+pub fn address(image: &Image) -> Result<String> {
+    let bytes: Vec<u8> =
+        image.pixels.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8).collect();
+    let mut jpeg = Vec::new();
+    JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
+        .write_image(&bytes, image.width, image.height, ExtendedColorType::Rgb8)
+        .map_err(|error| Error::Failed(format!("a picture could not be encoded: {error}")))?;
+    Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nearer_is_brighter() {
+        let depth = Image { width: 4, height: 1, channels: 1, pixels: vec![0.0, 1.0, 2.0, 4.0] };
+        let shaded = DepthScale::of([&depth]).unwrap().shade(&depth);
+        let values: Vec<f32> = shaded.pixels.iter().step_by(3).copied().collect();
+        assert!(values[0] == 0.0 && values[1] > values[2] && values[2] > values[3]);
+        assert!(values[3] > 0.0);
+        assert_eq!(DepthScale::of([&Image::new(3, 2, 1)]), None);
+    }
+
+    #[test]
+    fn more_is_lighter() {
+        let residual =
+            Image { width: 5, height: 1, channels: 1, pixels: vec![0.0, 1.0, 3.0, 9.0, f32::NAN] };
+        let drawn = heat(&residual, 5.0);
+        let light = |x: u32| drawn.at(x, 0).iter().sum::<f32>();
+        assert!(light(0) < light(1) && light(1) < light(2) && light(2) < light(3));
+        assert_eq!(drawn.at(4, 0), UNKNOWN);
+        let even = Image { width: 70, height: 1, channels: 1, pixels: vec![3.7; 70] };
+        assert_eq!(brightest([&even].into_iter(), 1.0), 5.0);
+        assert_eq!(brightest(std::iter::empty(), 1.0), 1.0);
+    }
+
+    #[test]
+    fn flow_has_the_colour_of_its_direction() {
+        let pixels = vec![0.0, 0.0, 4.0, 0.0, -9.0, 0.0, f32::NAN, 1.0, 0.0, 2.0];
+        let drawn = flow(&Image { width: 5, height: 1, channels: 2, pixels }, 4.0);
+        assert_eq!(drawn.at(0, 0), [1.0; 3]);
+        assert_eq!(drawn.at(1, 0), [1.0, 0.0, 0.0]);
+        assert_eq!(drawn.at(2, 0), [0.0, 1.0, 1.0]);
+        assert_eq!(drawn.at(3, 0), UNKNOWN);
+        // Down, half as far as shown at most.
+        let down = drawn.at(4, 0);
+        assert!(down[1] == 1.0 && down[0] > 0.5 && down[0] < 1.0 && down[2] == 0.5, "{down:?}");
+    }
+
+    #[test]
+    fn normals_are_coloured_where_there_are_any() {
+        let map =
+            Image { width: 2, height: 1, channels: 3, pixels: vec![0.0, 0.0, -1.0, 0.0, 0.0, 0.0] };
+        assert_eq!(normals(&map).pixels, [0.5, 0.5, 0.0, 0.0, 0.0, 0.0]);
+        assert_eq!(
+            grey(&Image { width: 1, height: 1, channels: 1, pixels: vec![0.3] }).pixels,
+            [0.3; 3]
+        );
+    }
+}
