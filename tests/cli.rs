@@ -603,7 +603,7 @@ fn rendering_writes_what_the_renderer_gives() {
     ply::write(folder.path().join("blobs.ply"), &blobs()).unwrap();
     let found = json(
         folder.path(),
-        "render blobs.ply -o out/views --path path.json --exr --depth --background 0.2,0.4,0.6",
+        "render blobs.ply -o out/views --path path.json --what colour,depth --exr --background 0.2,0.4,0.6",
     );
     documented("render", &found);
     assert_eq!((&found["frames"], &found["gaussians"]), (&3.into(), &9.into()));
@@ -624,7 +624,76 @@ fn rendering_writes_what_the_renderer_gives() {
         let clamped: Vec<f32> = over.pixels.iter().map(|v| v.clamp(0.0, 1.0)).collect();
         assert!(apart(&png.pixels, &clamped) < 0.6 / 255.0 + 1e-4);
     }
-    assert_eq!(content(&folder.path().join("out/views")).len(), 9);
+    assert_eq!(content(&folder.path().join("out/views")).len(), 12);
+}
+
+#[test]
+fn every_layer_is_written_as_a_picture_and_in_floats() {
+    let folder = tempfile::tempdir().unwrap();
+    ply::write(folder.path().join("blobs.ply"), &blobs()).unwrap();
+    let all = "colour,depth,alpha,motion,flow,normal";
+    let render = "render blobs.ply --path spiral --frames 3 --size 48x32 --background white";
+    let found = json(folder.path(), &format!("{render} -o all --what {all} --exr"));
+    documented("render", &found);
+    // Of the last picture there is no flow, in either form.
+    assert_eq!(content(&folder.path().join("all")).len(), 2 * (6 * 3 - 1));
+    let file = |name: &str| folder.path().join("all").join(name);
+    let colour = exr::read_rgba(file("0001.exr")).unwrap();
+    let normal = exr::read_rgba(file("0001_normal.exr")).unwrap();
+    let flow = splat4d::data::flo::read(file("0001_flow.flo")).unwrap();
+    let seen = |i: usize| colour.pixels[4 * i + 3] > 1e-3;
+    let (mut shown, mut moved) = (0, 0.0f32);
+    for i in 0..48 * 32 {
+        let n = &normal.pixels[3 * i..3 * i + 3];
+        let length = n.iter().map(|v| v * v).sum::<f32>().sqrt();
+        assert!((length - f32::from(u8::from(seen(i)))).abs() < 1e-4, "{n:?}");
+        assert_eq!(flow.pixels[2 * i].is_nan(), !seen(i));
+        if seen(i) {
+            shown += 1;
+            moved = moved.max(flow.pixels[2 * i].hypot(flow.pixels[2 * i + 1]));
+        }
+    }
+    assert!(shown > 100 && moved > 0.5 && moved < 48.0, "{shown} {moved}");
+    // One layer is one folder of pictures, or a video.
+    json(folder.path(), &format!("{render} -o depth --what depth"));
+    assert!(content(&folder.path().join("depth")).iter().all(|p| p.ends_with("0000_depth.png")
+        || p.ends_with("0001_depth.png")
+        || p.ends_with("0002_depth.png")));
+    json(folder.path(), &format!("{render} -o flow.mp4 --what flow"));
+    says(
+        &fails(folder.path(), 1, &format!("{render} -o x.mp4 --what depth,flow")),
+        &["a video", "--what"],
+    );
+    let one = "render blobs.ply -o x --path dolly --frames 1 --what flow";
+    says(&fails(folder.path(), 1, one), &["--what flow", "--frames"]);
+    says(&fails(folder.path(), 2, &format!("{render} -o x --what colours")), &["normal"]);
+}
+
+#[test]
+fn frames_a_second_come_with_their_error() {
+    let folder = tempfile::tempdir().unwrap();
+    ply::write(folder.path().join("blobs.ply"), &blobs()).unwrap();
+    let bench = "render blobs.ply --bench --size 48x32 --frames 4";
+    let best = json(folder.path(), bench);
+    documented("render", &best);
+    fs::write(folder.path().join("fast.json"), r#"{"alpha_cut": 0.2}"#).unwrap();
+    let fast = json(folder.path(), &format!("{bench} --settings fast.json"));
+    let number = |of: &Value, path: &str| of.pointer(path).and_then(Value::as_f64).unwrap();
+    for found in [&best, &fast] {
+        let rate = number(found, "/frames_per_second/median");
+        let [low, high] =
+            [0, 1].map(|i| number(found, &format!("/frames_per_second/quartiles/{i}")));
+        assert!(low > 0.0 && low <= rate && rate <= high, "{found}");
+        assert!((1e3 / rate / number(found, "/milliseconds/median") - 1.0).abs() < 0.5, "{found}");
+        assert_eq!((&found["views"], &found["gaussians"]), (&3.into(), &9.into()));
+    }
+    assert!(number(&best, "/error/psnr") > 90.0, "{best}");
+    assert!(number(&fast, "/error/psnr") < 60.0, "what is left out shows: {fast}");
+    assert_eq!(number(&fast, "/settings/alpha_cut") as f32, 0.2);
+    let text = run(folder.path(), &format!("{bench} --device software")).stdout;
+    says(&String::from_utf8(text).unwrap(), &["frames a second", "error against the oracle"]);
+    says(&fails(folder.path(), 2, &format!("{bench} -o x")), &["--output"]);
+    says(&fails(folder.path(), 2, "render blobs.ply"), &["--output"]);
 }
 
 #[test]

@@ -311,7 +311,7 @@ fn names_need_not_be_unicode() {
     transforms::write(of(&[b"path", NAME, b".json"]), &cameras(2), &names, None).unwrap();
     fs::write(of(&[b"fast", NAME, b".json"]), "{}").unwrap();
     let render = "render blobsNAME.ply --path pathNAME.json --settings fastNAME.json --size 16x16";
-    shown(&run(&format!("{render} -o viewsNAME --exr --depth")), "");
+    shown(&run(&format!("{render} -o viewsNAME --what colour,depth --exr")), "");
     assert!(of(&[b"views", NAME, b"/0001_depth.exr"]).is_file());
     shown(&run(&format!("{render} -o videoNAME/xNAME.mp4")), ".mp4");
     let clip = run("reconstruct clipNAME -o xNAME.st --steps 4 --max-gaussians 300 --size 64");

@@ -22,7 +22,9 @@ mod verify;
 pub use job::{Entry, Job, Pace, measure};
 pub use profile::{KernelShare, Profile, profile};
 pub use scale::curves;
-pub use speed::{Budget, ErrorMeasure, Shot, choose, still_scene, sweep, sweep_motion};
+pub use speed::{
+    Budget, ErrorMeasure, Shot, choose, measure_settings, still_scene, sweep, sweep_motion,
+};
 
 use crate::Result;
 use crate::gpu::{Device, DeviceKind};

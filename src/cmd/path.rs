@@ -12,6 +12,10 @@ const DEFAULT_SIZE: (u32, u32) = (960, 540);
 /// Amplitudes of the orbit around an input camera, in units of the distance to what it looks at:
 /// sideways and upward. Wider, and the camera sees what the input never showed.
 const SWAY: [f64; 2] = [0.1, 0.05];
+/// How far a spiral nears and draws back, in the same unit.
+const SPIRAL_REACH: f64 = 0.1;
+/// Where a dolly begins and ends along the line of sight, likewise.
+const DOLLY: [f64; 2] = [-0.1, 0.3];
 /// An input trajectory is followed where its median step stays below this share of the distance to
 /// what it looks at; else the cameras are photographs from all around, and one of them is taken.
 const FOLLOWED_STEP: f64 = 0.15;
@@ -30,12 +34,30 @@ pub fn input(scene: &Scene) -> Result<Vec<TimedCamera>> {
     Ok(scene.cameras.iter().map(|c| TimedCamera { time: c.time, camera: c.camera }).collect())
 }
 
-/// A gentle path through views that the input did not have, its times from 0 to 1.
+/// How a camera flies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Flight {
+    /// Once along a gentle ellipse.
+    Orbit,
+    /// Twice around, each turn wider than the one before, while it nears and draws back.
+    Spiral,
+    /// Ahead, along the line of sight.
+    Dolly,
+    /// Along the ellipse of an orbit, while time stands.
+    Bullet,
+}
+
+/// Time at which a bullet's flight stands, unless another is asked for.
+const BULLET_TIME: f64 = 0.5;
+
+/// A path through views that the input did not have, its times from 0 to 1, or one time of a
+/// [`Flight::Bullet`].
 ///
-/// Where the input is a continuous shot, the camera follows it and sways around it on an ellipse,
-/// always looking at what the input looks at; where it is photographs from all around, it sways
-/// around the one nearest to their middle. A scene without cameras is circled once.
+/// Where the input is a continuous shot, the camera follows it and moves around it, always looking at
+/// what the input looks at; where it is photographs from all around, it moves around the one nearest to
+/// their middle. A scene without cameras is circled once; a dolly comes nearer to it from one side.
 pub struct Orbit<'a> {
+    flight: Flight,
     frames: usize,
     around: Around<'a>,
 }
@@ -51,8 +73,13 @@ enum Around<'a> {
 }
 
 impl Orbit<'_> {
-    /// A path of so many views.
+    /// An orbit of so many views.
     pub fn new(scene: &Scene, frames: usize) -> Orbit<'_> {
+        Orbit::by(Flight::Orbit, scene, frames)
+    }
+
+    /// A flight of so many views.
+    pub fn by(flight: Flight, scene: &Scene, frames: usize) -> Orbit<'_> {
         let around = match middle_camera(scene) {
             None => Around::Whole(Circle::around(scene)),
             Some(middle) => {
@@ -63,7 +90,7 @@ impl Orbit<'_> {
                 }
             }
         };
-        Orbit { frames, around }
+        Orbit { flight, frames, around }
     }
 
     /// How many views there are.
@@ -71,25 +98,53 @@ impl Orbit<'_> {
         self.frames
     }
 
-    /// One of the views.
+    /// Whether time stands while the camera moves.
+    pub fn stands(&self) -> bool {
+        self.flight == Flight::Bullet
+    }
+
+    /// One of the views, at its own time.
     pub fn at(&self, index: usize) -> TimedCamera {
-        let time = index as f64 / self.frames.max(2).saturating_sub(1) as f64;
+        let way = index as f64 / self.frames.max(2).saturating_sub(1) as f64;
+        self.at_time(index, if self.stands() { BULLET_TIME } else { way })
+    }
+
+    /// One of the views, from where the input's camera was at a time.
+    pub fn at_time(&self, index: usize, time: f64) -> TimedCamera {
+        let way = index as f64 / self.frames.max(2).saturating_sub(1) as f64;
         let (base, distance) = match &self.around {
             Around::Shot(scene, distance) => (between(scene, time), distance),
             Around::Photograph(camera, distance) => (*camera, distance),
             Around::Whole(circle) => {
                 // A full circle ends one step before its beginning.
-                let angle = index as f64 / self.frames as f64 * std::f64::consts::TAU;
-                return TimedCamera { time, camera: circle.at(angle) };
+                let turn = index as f64 / self.frames as f64 * std::f64::consts::TAU;
+                let camera = match self.flight {
+                    Flight::Orbit | Flight::Bullet => circle.at(turn, 1.0),
+                    Flight::Spiral => circle.at(2.0 * turn, 1.0 - 0.3 * way),
+                    Flight::Dolly => circle.at(0.0, 1.0 - 0.5 * way),
+                };
+                return TimedCamera { time, camera };
             }
         };
-        let (sin, cos) = (time * std::f64::consts::TAU).sin_cos();
-        let sway = DVec3::new(SWAY[0] * cos, SWAY[1] * sin, 0.0) * *distance;
+        let turn = way * std::f64::consts::TAU;
+        let aside = match self.flight {
+            Flight::Orbit | Flight::Bullet => {
+                DVec3::new(SWAY[0] * turn.cos(), SWAY[1] * turn.sin(), 0.0)
+            }
+            Flight::Spiral => {
+                let (sin, cos) = (2.0 * turn).sin_cos();
+                DVec3::new(SWAY[0] * way * cos, SWAY[1] * way * sin, SPIRAL_REACH * turn.sin())
+            }
+            Flight::Dolly => DVec3::Z * (DOLLY[0] + way * (DOLLY[1] - DOLLY[0])),
+        };
         let world_from_view = base.view_from_world.inverse();
         let target = world_from_view.apply(DVec3::Z * *distance);
         let up = world_from_view.rotation * DVec3::NEG_Y;
-        let view_from_world = look_at(world_from_view.apply(sway), target, up);
-        TimedCamera { time, camera: Camera { view_from_world, ..base } }
+        let centre = world_from_view.apply(aside * *distance);
+        TimedCamera {
+            time,
+            camera: Camera { view_from_world: look_at(centre, target, up), ..base },
+        }
     }
 }
 
@@ -198,14 +253,14 @@ impl Circle {
         Circle { target, distance, focal, up }
     }
 
-    /// The camera at an angle.
-    fn at(&self, angle: f64) -> Camera {
+    /// The camera at an angle, at a share of the distance from which all is seen.
+    fn at(&self, angle: f64, share: f64) -> Camera {
         let Circle { target, distance, focal, up } = *self;
         let (width, height) = DEFAULT_SIZE;
         let side = up.any_orthonormal_vector();
         let (sin, cos) = angle.sin_cos();
         let outward = (side * cos + up.cross(side) * sin) * ELEVATION.cos() + up * ELEVATION.sin();
-        let centre = target + outward * distance;
+        let centre = target + outward * distance * share;
         Camera {
             intrinsics: Intrinsics::centred(focal, width, height),
             view_from_world: look_at(centre, target, up),
@@ -290,6 +345,43 @@ mod tests {
             assert!((0.19..0.41).contains(&away), "{i}: {away}");
             let target = shot.camera.view_from_world.apply(base + DVec3::Z * 4.0);
             assert!(target.truncate().length() < 1e-9, "{i}: {target}");
+        }
+    }
+
+    #[test]
+    fn flights_differ_in_where_they_lead() {
+        let centres: Vec<DVec3> = (0..9).map(|i| DVec3::X * (0.1 * f64::from(i) - 0.4)).collect();
+        let scene = with_cameras(wall(4.0), &centres);
+        let base = |time: f64| DVec3::X * (0.8 * time - 0.4);
+        let way = |flight| {
+            let orbit = Orbit::by(flight, &scene, 9);
+            let shots: Vec<TimedCamera> = (0..orbit.len()).map(|i| orbit.at(i)).collect();
+            for shot in &shots {
+                let target = shot.camera.view_from_world.apply(base(shot.time) + DVec3::Z * 4.0);
+                assert!(target.truncate().length() < 1e-9, "{flight:?}: {target}");
+            }
+            let aside = |shot: &TimedCamera| shot.camera.centre() - base(shot.time);
+            (shots.iter().map(aside).collect::<Vec<_>>(), shots)
+        };
+        let (dolly, _) = way(Flight::Dolly);
+        assert!(dolly.windows(2).all(|w| w[1].z > w[0].z && w[1].truncate().length() < 1e-9));
+        assert!((dolly[0].z + 0.4).abs() < 1e-9 && (dolly[8].z - 1.2).abs() < 1e-9, "{dolly:?}");
+        let (spiral, _) = way(Flight::Spiral);
+        assert!(spiral[0].length() < 1e-9 && (spiral[8].x - 0.4).abs() < 1e-9, "{spiral:?}");
+        assert!(spiral[2].z > 0.3 && spiral[6].z < -0.3, "it nears and draws back: {spiral:?}");
+        let (_, bullet) = way(Flight::Bullet);
+        assert!(bullet.iter().all(|shot| shot.time == 0.5));
+        assert!(bullet[0].camera.centre().distance(bullet[4].camera.centre()) > 0.7);
+        let early = Orbit::by(Flight::Bullet, &scene, 9).at_time(4, 0.0);
+        assert!(early.time == 0.0 && early.camera.centre().x < -0.7, "{:?}", early.camera);
+        // Of a scene without cameras too.
+        for flight in [Flight::Spiral, Flight::Dolly, Flight::Bullet] {
+            let whole = wall(4.0);
+            let orbit = Orbit::by(flight, &whole, 5);
+            let away = |i: usize| orbit.at(i).camera.centre().distance(DVec3::Z * 4.0);
+            let nearer = flight != Flight::Bullet;
+            assert_eq!(away(4) < 0.9 * away(0), nearer, "{flight:?}");
+            assert_eq!(orbit.stands(), orbit.at(0).time == orbit.at(4).time);
         }
     }
 

@@ -1,53 +1,71 @@
 //! `splat4d render`.
 
-use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use clap::builder::{OsStringValueParser, TypedValueParser};
 use serde_json::json;
-use splat4d::data::transforms::{self, TimedCamera};
-use splat4d::data::{exr, write_png};
 use splat4d::gpu::Device;
-use splat4d::renderer::{RenderScale, Rendered, Renderer};
+use splat4d::renderer::{RenderScale, Renderer};
 use splat4d::scene::{Opened, Scene};
-use splat4d::types::{Intrinsics, Tuning};
+use splat4d::types::Tuning;
 use splat4d::{Error, Result, io::check_memory};
 
 use super::common::{Answer, Common, foresee, most_pairs, path_text, say, thousands};
-use super::encode;
+use super::layers::{self, Layer, Picture, Writer};
 use super::meter::Meter;
 use super::outputs::{Inputs, Outputs};
-use super::path::{self, Orbit};
-use super::values::{self, MOST_PICTURES, Times};
-use super::{interrupt, tuning};
+use super::shots::{ShotArgs, Shots};
+use super::{encode, interrupt, render_bench, tuning, values};
 
-/// Host memory of a picture and all that is made of it, a pixel.
-const BYTES_A_PIXEL: u64 = 64;
-/// Length of an orbit.
-const ORBIT_FRAMES: usize = 60;
+/// Host memory of a picture and all that is made of it, a pixel: as it was blended and downloaded, and one
+/// layer at a time in floats, colours and bytes.
+const BYTES_A_PIXEL: u64 = 96;
 
 const AFTER_HELP: &str = "\
 Paths:
   input            the cameras of the input, at their times (the default where there are any)
   orbit            views that the input did not have: a gentle ellipse around the input's camera,
                    or once around a scene without cameras; time runs from 0 to 1
+  spiral           twice around, each turn wider, while the camera nears and draws back
+  dolly            ahead, along the line of sight
+  bullet           time stands, at --times or in the middle, and the camera goes round as in an orbit
   transforms.json  any nerfstudio file with camera sizes (w, h); its `time` per frame is honoured
 
 --times replaces the path's times: as many as the path has cameras go to one camera each; a path
-of one camera stands still while time runs; else the whole path is rendered at each time in turn.
+of one camera stands still while time runs; else, and always of bullet, the whole path is rendered at
+each time in turn.
 
-DIR/0000.png … hold 8-bit RGB over the background. --exr adds 0000.exr …: RGBA, 32-bit float,
-linear as blended, colour premultiplied, no background. --depth adds 0000_depth.exr …: the mean
-depth along z as channel Z, 0 where nothing is.
+--what chooses what DIR/0000.png …, 8-bit RGB, show; several, separated by commas:
+  colour   over the background                                       0000.png
+  depth    near is bright, far is dark, nothing is black             0000_depth.png
+  alpha    how opaque a pixel is                                     0000_alpha.png
+  motion   how much of a pixel comes from what moves                 0000_motion.png
+  flow     where each pixel goes until the next picture of the path, as
+           hue and saturation, grey where nothing is; none of the last  0000_flow.png
+  normal   Gaussians' shortest axes, toward the camera, as colours   0000_normal.png
+The first picture decides how depth and flow are shaded in all. A video shows one of them.
+
+--exr adds 32-bit floats: 0000.exr, RGBA, linear as blended, colour premultiplied, no background;
+0000_depth.exr, the mean depth along z as channel Z, 0 where nothing is; 0000_alpha.exr and
+0000_motion.exr as channel Y; 0000_normal.exr, x right, y down, z ahead as RGB, 0 where nothing is;
+and 0000_flow.flo, pixels, 1e10 where nothing is. Flow takes what a pixel shows to lie at its mean
+depth and to move as the Gaussians that it shows do in the mean.
+
+--bench writes nothing: it measures frames a second on three views of the path, in turns with the most
+accurate settings, and the error against what the oracle renders in f64.
 
 Examples:
   splat4d render scene.safetensors -o views --path orbit
   splat4d render scene.safetensors -o orbit.mp4 --path orbit --frames 120
-  splat4d render scene.safetensors -o views --path cameras.json --times 0.5 --exr
+  splat4d render scene.safetensors -o frozen.mp4 --path bullet --times 0.3
+  splat4d render scene.safetensors -o views --path cameras.json --times 0.5 --what colour,depth --exr
+  splat4d render scene.safetensors --bench --settings fast.json --size 1280x720
 
 JSON: frames, width, height (of the first frame), gaussians, dropped, device, predicted_bytes (of
-device memory, before it began), peak_bytes, milliseconds_per_frame, output";
+device memory, before it began), peak_bytes, milliseconds_per_frame, output. With --bench: frames_per_second
+{median, quartiles}, milliseconds {median, quartiles} (of a frame), ratio {median, quartiles} (to the time
+of the most accurate settings), clock (Device or Host), error {max, rmse, psnr}, settings, views, rounds, software
+(whether the device is), and width, height, gaussians, dropped, device, predicted_bytes, peak_bytes";
 
 /// Render a scene's file or a 3DGS PLY to pictures
 #[derive(Args)]
@@ -57,37 +75,26 @@ pub struct RenderArgs {
     #[arg(value_name = "SCENE|PLY")]
     scene: PathBuf,
     /// The folder for the pictures, or a video to write through ffmpeg
-    #[arg(short, long, value_name = "DIR|FILE.mp4")]
-    output: PathBuf,
+    #[arg(short, long, value_name = "DIR|FILE.mp4", required_unless_present = "bench")]
+    output: Option<PathBuf>,
     /// Pictures a second of a video
     #[arg(long, value_name = "RATE", default_value_t = 24.0,
           value_parser = values::number(0.01..=1000.0))]
     rate: f64,
-    /// The cameras
-    #[arg(long, value_name = "input|orbit|FILE", value_parser = OsStringValueParser::new().map(ViewPath::from))]
-    path: Option<ViewPath>,
-    /// Times in [0, 1], as 0,0.5,1; or a whole number above 1 for so many, spread evenly
-    #[arg(long, value_name = "TIMES", value_parser = values::times)]
-    times: Option<Times>,
-    /// Length of an orbit [default: 60, or the number of times]
-    #[arg(long, value_name = "N", value_parser = values::whole::<usize>(1..=values::MOST_PICTURES))]
-    frames: Option<usize>,
-    /// Size of the pictures; all that the camera shows stays in them
-    #[arg(long, value_name = "WxH", value_parser = values::size)]
-    size: Option<(u32, u32)>,
-    /// Focal length in pixels of the rendered size, instead of the camera's
-    #[arg(long, value_name = "PIXELS",
-          value_parser = values::number(1.0..=values::MOST_FOCAL))]
-    focal: Option<f64>,
+    #[command(flatten)]
+    shots: ShotArgs,
     /// What lies behind everything, instead of the scene's own: R,G,B in [0, 1], black or white
     #[arg(long, value_name = "R,G,B", value_parser = values::colour)]
     background: Option<[f32; 3]>,
+    /// What to write of each picture
+    #[arg(long, value_name = "LAYERS", value_delimiter = ',', default_value = "colour")]
+    what: Vec<Layer>,
     /// Write float images too
     #[arg(long)]
     exr: bool,
-    /// Write depth maps too
-    #[arg(long)]
-    depth: bool,
+    /// Measure frames a second, and the error, instead of writing pictures
+    #[arg(long, conflicts_with_all = ["output", "rate", "what", "exr", "background"])]
+    bench: bool,
     /// Leave out Gaussians that hold NaN, infinite or out-of-range values
     #[arg(long)]
     drop_bad: bool,
@@ -96,35 +103,10 @@ pub struct RenderArgs {
     settings: Option<PathBuf>,
 }
 
-#[derive(Clone, Debug, PartialEq)]
-enum ViewPath {
-    Input,
-    Orbit,
-    File(PathBuf),
-}
-
-impl From<OsString> for ViewPath {
-    fn from(text: OsString) -> ViewPath {
-        match text.to_str() {
-            Some("input") => ViewPath::Input,
-            Some("orbit") => ViewPath::Orbit,
-            _ => ViewPath::File(text.into()),
-        }
-    }
-}
-
 /// Runs the command.
 pub fn run(args: &RenderArgs, common: &Common) -> Result<Answer> {
-    let video = encode::is_video(&args.output);
-    if video {
-        Outputs::default().file(&args.output)?;
-        encode::check(&args.output)?;
-        if args.exr || args.depth {
-            let what = "--exr and --depth need a folder to write into, not a video";
-            return Err(Error::Input(what.into()));
-        }
-    } else {
-        Outputs::default().folder(&args.output, &[&file_name(0, ".png")])?;
+    if let Some(output) = &args.output {
+        try_output(args, output)?;
     }
     let tuning = tuning::read(args.settings.as_deref())?;
     let Opened { scene, dropped } = Scene::open(&args.scene, args.drop_bad)?;
@@ -134,48 +116,97 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Answer> {
             thousands(dropped)
         ));
     }
-    let shots = Shots::of(args, &scene)?;
-    spare_inputs(args, if video { 0 } else { shots.len() })?;
+    let shots = Shots::of(&args.shots, &scene)?;
+    let mut json = match &args.output {
+        Some(output) => pictures(args, common, (&scene, &tuning), &shots, output)?,
+        None => {
+            let device = common.open_device()?;
+            let (predicted, renderer) = foreseen(&device, &scene, &shots, &tuning, false)?;
+            drop(renderer);
+            let measured = render_bench::measure(&device, &scene, &tuning, &shots)?;
+            let mut json = measured.json;
+            json["predicted_bytes"] = json!(predicted);
+            json["peak_bytes"] = json!(device.memory().1);
+            json["dropped"] = json!(dropped);
+            return Ok(Answer { json, text: measured.text });
+        }
+    };
+    json["dropped"] = json!(dropped);
+    let text =
+        format!("{} pictures in {}\n", shots.len(), json["output"].as_str().unwrap_or_default());
+    Ok(Answer { json, text })
+}
+
+/// Tries where pictures or a video are to be written.
+fn try_output(args: &RenderArgs, output: &Path) -> Result<()> {
+    if !encode::is_video(output) {
+        Outputs::default().folder(output, &[&file_name(0, ".png")])?;
+        return Ok(());
+    }
+    Outputs::default().file(output)?;
+    encode::check(output)?;
+    match (args.exr, args.what.len()) {
+        (true, _) => Err(Error::Input("--exr needs a folder to write into, not a video".into())),
+        (_, 1) => Ok(()),
+        _ => {
+            let what = "a video shows one thing; give one for --what, or a folder to write into";
+            Err(Error::Input(what.into()))
+        }
+    }
+}
+
+/// Renders and writes all pictures.
+fn pictures(
+    args: &RenderArgs,
+    common: &Common,
+    (scene, tuning): (&Scene, &Tuning),
+    shots: &Shots,
+    output: &Path,
+) -> Result<serde_json::Value> {
+    let video = encode::is_video(output);
+    layers::check(&args.what, shots.len())?;
+    spare_inputs(args, output, if video { 0 } else { shots.len() })?;
     let device = common.open_device()?;
-    let (predicted_bytes, mut renderer) = foreseen(&device, &scene, &shots, &tuning)?;
+    let repainted = args.what.iter().any(|layer| layer.is_repainted());
+    let (predicted_bytes, mut renderer) = foreseen(&device, scene, shots, tuning, repainted)?;
     let background = args.background.unwrap_or(scene.background);
     // A video's pictures lie beside it until it is whole, so that it can be renamed into place.
-    let pictures = if video { Some(beside(&args.output)?) } else { None };
-    let folder = pictures.as_ref().map_or(args.output.as_path(), |pictures| pictures.path());
+    let pictures = if video { Some(beside(output)?) } else { None };
+    let folder = pictures.as_ref().map_or(output, |pictures| pictures.path());
+    let mut writer = Writer::new(&args.what, args.exr, video, background);
     let mut meter = Meter::new("rendering", "pictures", shots.len() as u64, 0);
     let mut seconds = 0.0;
-    for i in 0..shots.len() {
+    for index in 0..shots.len() {
         interrupt::check()?;
-        let shot = shots.at(i);
+        let shot = shots.at(index);
+        let next = (index + 1 < shots.len()).then(|| shots.at(index + 1));
         let begun = std::time::Instant::now();
         let rendered = renderer.render(&shot.camera, shot.time)?;
         seconds += begun.elapsed().as_secs_f64();
-        write(args, folder, i, &rendered, background).map_err(|error| match error {
+        let picture = Picture { index, shot, next, rendered: &rendered };
+        writer.write(folder, &mut renderer, &picture).map_err(|error| match error {
             // The pictures of a video are nothing that the user has named.
-            Error::Io { source, .. } if video => Error::io(&args.output)(source),
+            Error::Io { source, .. } if video => Error::io(output)(source),
             other => other,
         })?;
         meter.advance();
     }
     drop(meter);
     if video {
-        encode::encode(folder, args.rate, &args.output)?;
+        encode::encode(folder, args.rate, output)?;
     }
     let size = (shots.len() > 0).then(|| shots.at(0).camera.intrinsics);
-    let json = json!({
+    Ok(json!({
         "frames": shots.len(),
         "width": size.map(|k| k.width),
         "height": size.map(|k| k.height),
         "gaussians": scene.gaussians.len(),
-        "dropped": dropped,
         "device": device.info().name,
         "predicted_bytes": predicted_bytes,
         "peak_bytes": device.memory().1,
         "milliseconds_per_frame": 1e3 * seconds / shots.len().max(1) as f64,
-        "output": path_text(&args.output),
-    });
-    let text = format!("{} pictures in {}\n", shots.len(), args.output.display());
-    Ok(Answer { json, text })
+        "output": path_text(output),
+    }))
 }
 
 /// What rendering takes of device memory at most, and a renderer with room for all of it; an error where
@@ -185,6 +216,7 @@ fn foreseen(
     scene: &Scene,
     shots: &Shots,
     tuning: &Tuning,
+    repainted: bool,
 ) -> Result<(u64, Renderer)> {
     let k = shots.largest();
     let (width, height) = k.map_or((1, 1), |k| (k.width, k.height));
@@ -192,7 +224,8 @@ fn foreseen(
         u64::from(width) * u64::from(height) * BYTES_A_PIXEL,
         &format!("a picture of {width}×{height}"),
     )?;
-    let mut scale = RenderScale::new(scene, (width, height), tuning);
+    let usual = RenderScale::new(scene, (width, height), tuning);
+    let mut scale = RenderScale { repainted, ..usual };
     let foresee = |scale: &RenderScale| {
         let mut what = format!("rendering {} Gaussians", thousands(scale.gaussians));
         if scale.is_dense() {
@@ -239,17 +272,11 @@ fn file_name(index: usize, ending: &str) -> String {
 }
 
 /// That the video, or so many pictures, can be written without losing what is read.
-fn spare_inputs(args: &RenderArgs, pictures: usize) -> Result<()> {
-    let path = match &args.path {
-        Some(ViewPath::File(file)) => Some(file),
-        _ => None,
-    };
-    let read = [Some(&args.scene), path, args.settings.as_ref()];
+fn spare_inputs(args: &RenderArgs, output: &Path, pictures: usize) -> Result<()> {
+    let read = [Some(&args.scene), args.shots.file(), args.settings.as_ref()];
     let inputs = Inputs::new(read.into_iter().flatten().cloned(), []);
-    inputs.spared_by(&args.output)?;
-    let mut endings = vec![".png"];
-    endings.extend(args.exr.then_some(".exr"));
-    endings.extend(args.depth.then_some("_depth.exr"));
+    inputs.spared_by(output)?;
+    let endings = Writer::endings(&args.what, args.exr);
     let is_written = |name: &str| {
         let index = |ending: &str| name.strip_suffix(ending)?.parse::<usize>().ok();
         endings.iter().any(|ending| {
@@ -257,7 +284,7 @@ fn spare_inputs(args: &RenderArgs, pictures: usize) -> Result<()> {
         })
     };
     // What is there are few, where pictures may be many; a folder that is not there holds none.
-    for entry in std::fs::read_dir(&args.output).into_iter().flatten().flatten() {
+    for entry in std::fs::read_dir(output).into_iter().flatten().flatten() {
         if !entry.file_name().to_str().is_some_and(is_written) {
             continue;
         }
@@ -268,148 +295,4 @@ fn spare_inputs(args: &RenderArgs, pictures: usize) -> Result<()> {
         inputs.spared_by(&picture)?;
     }
     Ok(())
-}
-
-fn write(
-    args: &RenderArgs,
-    folder: &Path,
-    index: usize,
-    rendered: &Rendered,
-    background: [f32; 3],
-) -> Result<()> {
-    let file = |ending: &str| folder.join(file_name(index, ending));
-    write_png(file(".png"), &rendered.over(background))?;
-    if args.exr {
-        exr::write_rgba(file(".exr"), &rendered.rgba)?;
-    }
-    if args.depth {
-        exr::write_depth(file("_depth.exr"), &rendered.mean_depth())?;
-    }
-    Ok(())
-}
-
-/// What to render, in order. Only the cameras of a file are kept: there may be many shots.
-struct Shots<'a> {
-    cameras: Cameras<'a>,
-    times: Option<Times>,
-    size: Option<(u32, u32)>,
-    focal: Option<f64>,
-}
-
-enum Cameras<'a> {
-    Listed(Vec<TimedCamera>),
-    Orbit(Orbit<'a>),
-}
-
-impl Cameras<'_> {
-    fn len(&self) -> usize {
-        match self {
-            Cameras::Listed(cameras) => cameras.len(),
-            Cameras::Orbit(orbit) => orbit.len(),
-        }
-    }
-}
-
-impl<'a> Shots<'a> {
-    fn of(args: &RenderArgs, scene: &'a Scene) -> Result<Shots<'a>> {
-        let orbit_frames = match (args.frames, &args.times) {
-            (Some(frames), _) => frames,
-            (None, Some(times)) if times.len() > 1 => times.len(),
-            _ => ORBIT_FRAMES,
-        };
-        let default = if scene.cameras.is_empty() { ViewPath::Orbit } else { ViewPath::Input };
-        let cameras = match args.path.as_ref().unwrap_or(&default) {
-            ViewPath::Input => Cameras::Listed(path::input(scene)?),
-            ViewPath::Orbit => Cameras::Orbit(Orbit::new(scene, orbit_frames)),
-            ViewPath::File(file) => Cameras::Listed(transforms::read_cameras(file)?),
-        };
-        let shots =
-            Shots { cameras, times: args.times.clone(), size: args.size, focal: args.focal };
-        for i in 0..shots.cameras.len() {
-            shots.at(i).camera.check().map_err(|what| {
-                Error::Input(format!("camera {i} of the path cannot be rendered from: {what}"))
-            })?;
-        }
-        match shots.len() as u64 {
-            0..=MOST_PICTURES => Ok(shots),
-            count => Err(Error::Input(format!(
-                "{} cameras, each at {} times, are {} pictures; at most {} are rendered at once: \
-                 give fewer --times or --frames",
-                thousands(shots.cameras.len()),
-                thousands(shots.times.as_ref().map_or(1, Times::len)),
-                thousands(count as usize),
-                thousands(MOST_PICTURES as usize)
-            ))),
-        }
-    }
-
-    fn len(&self) -> usize {
-        let cameras = self.cameras.len();
-        match self.times.as_ref().map(Times::len) {
-            // As many times as cameras: one of each.
-            Some(times) if times != cameras => cameras.saturating_mul(times),
-            _ => cameras,
-        }
-    }
-
-    /// One of them; see the command's help.
-    fn at(&self, index: usize) -> TimedCamera {
-        let camera = index % self.cameras.len();
-        let mut shot = match &self.cameras {
-            Cameras::Listed(cameras) => cameras[camera],
-            Cameras::Orbit(orbit) => orbit.at(camera),
-        };
-        if let Some(times) = &self.times {
-            let one_each = times.len() == self.cameras.len();
-            shot.time = times.at(if one_each { index } else { index / self.cameras.len() });
-        }
-        let k = &mut shot.camera.intrinsics;
-        if let Some((width, height)) = self.size {
-            *k = path::resized(k, width, height);
-        }
-        if let Some(focal) = self.focal {
-            (k.fx, k.fy) = (focal, focal);
-        }
-        shot
-    }
-
-    /// The intrinsics of the largest picture.
-    fn largest(&self) -> Option<Intrinsics> {
-        let sizes = (0..self.cameras.len()).map(|i| self.at(i).camera.intrinsics);
-        sizes.max_by_key(|k| u64::from(k.width) * u64::from(k.height))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use splat4d::types::Pose;
-
-    #[test]
-    fn times_replace_those_of_the_path() {
-        let camera = |i: u32| TimedCamera {
-            time: 0.9,
-            camera: splat4d::types::Camera {
-                intrinsics: Intrinsics::centred(10.0 + f64::from(i), 8, 8),
-                view_from_world: Pose::IDENTITY,
-            },
-        };
-        let path = [camera(0), camera(1)];
-        let found = |times: &[f64], path: &[TimedCamera]| -> Vec<(u32, f64)> {
-            let shots = Shots {
-                cameras: Cameras::Listed(path.to_vec()),
-                times: Some(Times::List(times.to_vec())),
-                size: None,
-                focal: None,
-            };
-            let shots = (0..shots.len()).map(|i| shots.at(i));
-            shots.map(|s| (s.camera.intrinsics.fx as u32 - 10, s.time)).collect()
-        };
-        assert_eq!(found(&[0.0, 1.0], &path), [(0, 0.0), (1, 1.0)]);
-        assert_eq!(found(&[0.5], &path), [(0, 0.5), (1, 0.5)]);
-        assert_eq!(found(&[0.0, 0.5, 1.0], &path[1..]), [(1, 0.0), (1, 0.5), (1, 1.0)]);
-        let each = [(0, 0.0), (1, 0.0), (0, 0.5), (1, 0.5), (0, 1.0), (1, 1.0)];
-        assert_eq!(found(&[0.0, 0.5, 1.0], &path), each);
-        assert_eq!(found(&[0.5], &[]), []);
-    }
 }

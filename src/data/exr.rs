@@ -63,6 +63,11 @@ pub fn write_depth(path: impl AsRef<Path>, depth: &Image) -> Result<()> {
     write_planes(path.as_ref(), depth, &["Z"])
 }
 
+/// Writes an image of one channel as `Y`, 32-bit float, by rename.
+pub fn write_grey(path: impl AsRef<Path>, image: &Image) -> Result<()> {
+    write_planes(path.as_ref(), image, &["Y"])
+}
+
 /// Writes an image of three or four channels as R, G, B (and A), 32-bit float, by rename.
 pub fn write_rgba(path: impl AsRef<Path>, image: &Image) -> Result<()> {
     match image.channels {

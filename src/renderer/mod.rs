@@ -34,10 +34,12 @@
 //! ```
 
 mod edit;
+mod layers;
 mod query;
 mod rendered;
 mod scale;
 
+pub use layers::Posed;
 pub use query::Hit;
 pub use rendered::Rendered;
 pub use scale::RenderScale;
@@ -110,6 +112,8 @@ struct Studio {
     pixels: PixelBuffers,
     /// Colours that tell what moves, and the picture of them.
     moving: Option<(Buffer<[f32; 4]>, PixelBuffers)>,
+    /// Values of the Gaussians in place of their colours, and the picture of them.
+    painted: Option<(Buffer<[f32; 4]>, PixelBuffers)>,
 }
 
 /// Where a frame goes: parts of buffers of the device, a host's too. What is `None` stays in the
@@ -306,7 +310,8 @@ impl Renderer {
             None => self.device.readback(2)?,
         };
         let Renderer { gaussians, motion, half, tuning, studio, identity, .. } = self;
-        let Studio { render, scratch, pixels, moving } = studio.as_mut().expect("planned above");
+        let Studio { render, scratch, pixels, moving, .. } =
+            studio.as_mut().expect("planned above");
         let views = moved(gaussians, half, motion.as_mut(), tuning, recorder, time)?;
         let mut own = pixels.views_mut();
         if let Some(rgba) = target.rgba {
@@ -409,6 +414,7 @@ impl Renderer {
             scratch: render.scratch(device)?,
             pixels: render.pixels(device)?,
             moving: None,
+            painted: None,
             render,
         })
     }

@@ -25,6 +25,8 @@ pub struct RenderScale {
     pub intersections: usize,
     /// Accuracy given up for speed.
     pub tuning: Tuning,
+    /// Whether pictures are painted anew ([`Renderer::repaint`]), as motion, normals and flow are.
+    pub repainted: bool,
 }
 
 impl RenderScale {
@@ -42,6 +44,7 @@ impl RenderScale {
             size,
             intersections: 0,
             tuning: *tuning,
+            repainted: false,
         }
     }
 
@@ -72,7 +75,11 @@ impl RenderScale {
                 motion.refresh(&mut recorder, renderer.gaussians.views().positions)?;
                 renderer.stream.submit(recorder)?;
             }
-            renderer.render(&camera, 0.0).map(drop)
+            renderer.render(&camera, 0.0)?;
+            if self.repainted {
+                renderer.repaint(&vec![[0.0; 3]; renderer.gaussians.len])?;
+            }
+            Ok(())
         })
     }
 

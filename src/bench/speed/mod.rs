@@ -173,6 +173,40 @@ fn settings(tuning: &Tuning) -> serde_json::Value {
     serde_json::to_value(tuning).unwrap_or_default()
 }
 
+/// Time of a frame and error of a scene as some settings render it, both on the same shots: the time
+/// taken in turns with that of the best settings, the error against the image of the oracle in f64.
+/// The point is of no knob.
+///
+/// # Errors
+/// As for [`sweep`].
+pub fn measure_settings(
+    device: &Device,
+    scene: &Scene,
+    tuning: &Tuning,
+    shots: &[Shot],
+    pace: Pace,
+) -> Result<(Point, Clock)> {
+    if shots.is_empty() {
+        return Err(Error::Input("there is no view to measure on".into()));
+    }
+    let truths: Vec<Vec<f64>> = shots.iter().map(|shot| truth::image(scene, shot)).collect();
+    point(device, scene, tuning, (shots, &truths), pace)
+}
+
+fn point(
+    device: &Device,
+    scene: &Scene,
+    tuning: &Tuning,
+    (shots, truths): (&[Shot], &[Vec<f64>]),
+    pace: Pace,
+) -> Result<(Point, Clock)> {
+    let error = error(device, scene, tuning, (shots, truths))?;
+    let turns = [(scene, &Tuning::default()), (scene, tuning)];
+    let Race { time, ratio, clock } = race(device, turns, shots, pace)?;
+    let settings = settings(tuning);
+    Ok((Point { knob: String::new(), value: String::new(), settings, time, ratio, error }, clock))
+}
+
 /// Turns every knob on a scene, one after the other, the others at their best. `each` hears of every
 /// point.
 ///
@@ -199,11 +233,8 @@ pub fn sweep(
     };
     let best = Tuning::default();
     let mut add = |knob: &str, value: &str, tuning: &Tuning, sweep: &mut Sweep| {
-        let error = error(device, scene, tuning, (shots, &truths))?;
-        let raced = race(device, [(scene, &best), (scene, tuning)], shots, pace)?;
-        let Race { time, ratio, clock } = raced;
-        let (knob, value) = (knob.to_owned(), value.to_owned());
-        let point = Point { knob, value, settings: settings(tuning), time, ratio, error };
+        let (point, clock) = point(device, scene, tuning, (shots, &truths), pace)?;
+        let point = Point { knob: knob.to_owned(), value: value.to_owned(), ..point };
         each(&point)?;
         sweep.clock = clock;
         sweep.points.push(point);

@@ -37,7 +37,7 @@ struct Base {
 
 /// Good commands, each with options that keep it short; `<kind>` stands for an input and `>name` for
 /// an output.
-const BASES: [&str; 30] = [
+const BASES: [&str; 31] = [
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150",
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150 \
      --control-points 6 --report >report",
@@ -53,7 +53,8 @@ const BASES: [&str; 30] = [
     "train <dataset> -o >scene.safetensors --steps 3 --random-points 80 --max-gaussians 120 \
      --density adaptive --report >report --settings <settings>",
     "render <scene> -o >views --frames 2 --size 24x16",
-    "render <scene> -o >views --path <cameras> --size 24x16 --exr --depth",
+    "render <scene> -o >views --path <cameras> --size 24x16 --exr --what colour,depth,alpha,motion,flow,normal",
+    "render <scene> --bench --size 24x16 --path bullet --frames 2",
     "render <scene> -o >views.mp4 --frames 2 --size 24x16",
     "eval <scene> <dataset>",
     "eval <scene> <truth>",

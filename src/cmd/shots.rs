@@ -1,0 +1,227 @@
+//! What `render` renders: cameras and times, in order.
+
+use std::ffi::OsString;
+use std::path::PathBuf;
+
+use clap::Args;
+use clap::builder::{OsStringValueParser, TypedValueParser};
+use splat4d::data::transforms::{self, TimedCamera};
+use splat4d::scene::Scene;
+use splat4d::types::Intrinsics;
+use splat4d::{Error, Result};
+
+use super::common::thousands;
+use super::path::{self, Flight, Orbit};
+use super::values::{self, MOST_PICTURES, Times};
+
+/// Length of a path.
+const FLIGHT_FRAMES: usize = 60;
+
+/// Where the cameras come from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum ViewPath {
+    Input,
+    Flight(Flight),
+    File(PathBuf),
+}
+
+impl From<OsString> for ViewPath {
+    fn from(text: OsString) -> ViewPath {
+        match text.to_str() {
+            Some("input") => ViewPath::Input,
+            Some("orbit") => ViewPath::Flight(Flight::Orbit),
+            Some("spiral") => ViewPath::Flight(Flight::Spiral),
+            Some("dolly") => ViewPath::Flight(Flight::Dolly),
+            Some("bullet") => ViewPath::Flight(Flight::Bullet),
+            _ => ViewPath::File(text.into()),
+        }
+    }
+}
+
+/// The options that say what to render from where.
+#[derive(Args)]
+pub struct ShotArgs {
+    /// The cameras
+    #[arg(long, value_name = "input|orbit|spiral|dolly|bullet|FILE",
+          value_parser = OsStringValueParser::new().map(ViewPath::from))]
+    path: Option<ViewPath>,
+    /// Times in [0, 1], as 0,0.5,1; or a whole number above 1 for so many, spread evenly
+    #[arg(long, value_name = "TIMES", value_parser = values::times)]
+    times: Option<Times>,
+    /// Length of a path other than the input's or a file's [default: 60, or the number of times]
+    #[arg(long, value_name = "N", value_parser = values::whole::<usize>(1..=values::MOST_PICTURES))]
+    frames: Option<usize>,
+    /// Size of the pictures; all that the camera shows stays in them
+    #[arg(long, value_name = "WxH", value_parser = values::size)]
+    size: Option<(u32, u32)>,
+    /// Focal length in pixels of the rendered size, instead of the camera's
+    #[arg(long, value_name = "PIXELS",
+          value_parser = values::number(1.0..=values::MOST_FOCAL))]
+    focal: Option<f64>,
+}
+
+impl ShotArgs {
+    /// The file that the cameras are read from.
+    pub fn file(&self) -> Option<&PathBuf> {
+        match &self.path {
+            Some(ViewPath::File(file)) => Some(file),
+            _ => None,
+        }
+    }
+}
+
+/// What to render, in order. Only the cameras of a file are kept: there may be many shots.
+pub struct Shots<'a> {
+    cameras: Cameras<'a>,
+    times: Option<Times>,
+    size: Option<(u32, u32)>,
+    focal: Option<f64>,
+}
+
+enum Cameras<'a> {
+    Listed(Vec<TimedCamera>),
+    Orbit(Orbit<'a>),
+}
+
+impl Cameras<'_> {
+    fn len(&self) -> usize {
+        match self {
+            Cameras::Listed(cameras) => cameras.len(),
+            Cameras::Orbit(orbit) => orbit.len(),
+        }
+    }
+}
+
+impl<'a> Shots<'a> {
+    /// Those that the options ask for.
+    pub fn of(args: &ShotArgs, scene: &'a Scene) -> Result<Shots<'a>> {
+        let frames = |flight: Flight| match (args.frames, &args.times) {
+            (Some(frames), _) => frames,
+            (None, Some(times)) if times.len() > 1 && flight != Flight::Bullet => times.len(),
+            _ => FLIGHT_FRAMES,
+        };
+        let default = match scene.cameras.is_empty() {
+            true => ViewPath::Flight(Flight::Orbit),
+            false => ViewPath::Input,
+        };
+        let cameras = match args.path.as_ref().unwrap_or(&default) {
+            ViewPath::Input => Cameras::Listed(path::input(scene)?),
+            ViewPath::Flight(flight) => Cameras::Orbit(Orbit::by(*flight, scene, frames(*flight))),
+            ViewPath::File(file) => Cameras::Listed(transforms::read_cameras(file)?),
+        };
+        let shots =
+            Shots { cameras, times: args.times.clone(), size: args.size, focal: args.focal };
+        for i in 0..shots.cameras.len() {
+            shots.at(i).camera.check().map_err(|what| {
+                Error::Input(format!("camera {i} of the path cannot be rendered from: {what}"))
+            })?;
+        }
+        match shots.len() as u64 {
+            0..=MOST_PICTURES => Ok(shots),
+            count => Err(Error::Input(format!(
+                "{} cameras, each at {} times, are {} pictures; at most {} are rendered at once: \
+                 give fewer --times or --frames",
+                thousands(shots.cameras.len()),
+                thousands(shots.times.as_ref().map_or(1, Times::len)),
+                thousands(count as usize),
+                thousands(MOST_PICTURES as usize)
+            ))),
+        }
+    }
+
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        let cameras = self.cameras.len();
+        match self.times.as_ref().map(Times::len) {
+            // As many times as cameras: one of each.
+            Some(times) if times != cameras || self.stands() => cameras.saturating_mul(times),
+            _ => cameras,
+        }
+    }
+
+    /// Whether all of a path is seen at one time.
+    fn stands(&self) -> bool {
+        matches!(&self.cameras, Cameras::Orbit(orbit) if orbit.stands())
+    }
+
+    /// One of them; see the command's help.
+    pub fn at(&self, index: usize) -> TimedCamera {
+        let camera = index % self.cameras.len();
+        let mut shot = match &self.cameras {
+            Cameras::Listed(cameras) => cameras[camera],
+            Cameras::Orbit(orbit) => orbit.at(camera),
+        };
+        if let Some(times) = &self.times {
+            let one_each = times.len() == self.cameras.len() && !self.stands();
+            let time = times.at(if one_each { index } else { index / self.cameras.len() });
+            shot.time = time;
+            if let Cameras::Orbit(orbit) = &self.cameras
+                && self.stands()
+            {
+                shot = orbit.at_time(camera, time);
+            }
+        }
+        let k = &mut shot.camera.intrinsics;
+        if let Some((width, height)) = self.size {
+            *k = path::resized(k, width, height);
+        }
+        if let Some(focal) = self.focal {
+            (k.fx, k.fy) = (focal, focal);
+        }
+        shot
+    }
+
+    /// The intrinsics of the largest picture.
+    pub fn largest(&self) -> Option<Intrinsics> {
+        let sizes = (0..self.cameras.len()).map(|i| self.at(i).camera.intrinsics);
+        sizes.max_by_key(|k| u64::from(k.width) * u64::from(k.height))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use splat4d::types::Pose;
+
+    #[test]
+    fn times_replace_those_of_the_path() {
+        let camera = |i: u32| TimedCamera {
+            time: 0.9,
+            camera: splat4d::types::Camera {
+                intrinsics: Intrinsics::centred(10.0 + f64::from(i), 8, 8),
+                view_from_world: Pose::IDENTITY,
+            },
+        };
+        let path = [camera(0), camera(1)];
+        let found = |times: &[f64], path: &[TimedCamera]| -> Vec<(u32, f64)> {
+            let shots = Shots {
+                cameras: Cameras::Listed(path.to_vec()),
+                times: Some(Times::List(times.to_vec())),
+                size: None,
+                focal: None,
+            };
+            let shots = (0..shots.len()).map(|i| shots.at(i));
+            shots.map(|s| (s.camera.intrinsics.fx as u32 - 10, s.time)).collect()
+        };
+        assert_eq!(found(&[0.0, 1.0], &path), [(0, 0.0), (1, 1.0)]);
+        assert_eq!(found(&[0.5], &path), [(0, 0.5), (1, 0.5)]);
+        assert_eq!(found(&[0.0, 0.5, 1.0], &path[1..]), [(1, 0.0), (1, 0.5), (1, 1.0)]);
+        let each = [(0, 0.0), (1, 0.0), (0, 0.5), (1, 0.5), (0, 1.0), (1, 1.0)];
+        assert_eq!(found(&[0.0, 0.5, 1.0], &path), each);
+        assert_eq!(found(&[0.5], &[]), []);
+    }
+
+    #[test]
+    fn a_bullet_stands_at_each_time() {
+        let scene = Scene::default();
+        let found = |times: Option<Times>| -> Vec<f64> {
+            let orbit = Orbit::by(Flight::Bullet, &scene, 2);
+            let cameras = Cameras::Orbit(orbit);
+            let shots = Shots { cameras, times, size: None, focal: None };
+            (0..shots.len()).map(|i| shots.at(i).time).collect()
+        };
+        assert_eq!(found(None), [0.5, 0.5]);
+        assert_eq!(found(Some(Times::List(vec![0.2]))), [0.2, 0.2]);
+        assert_eq!(found(Some(Times::Evenly(2))), [0.0, 0.0, 1.0, 1.0]);
+    }
+}

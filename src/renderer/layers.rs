@@ -1,0 +1,206 @@
+//! What a picture shows besides colour: how much of a pixel moves, normals, motion to the next picture.
+//!
+//! Each is a value per Gaussian, blended as the colours of the picture were.
+
+use glam::{DQuat, DVec2, DVec3};
+
+use super::{Renderer, Studio, moved};
+use crate::types::{Camera, Image, range};
+use crate::{Error, Result};
+
+/// Pixels less opaque than this show nothing that a value could be told of; as for
+/// [`Rendered::mean_depth`](super::Rendered::mean_depth).
+const LEAST_ALPHA: f32 = 1e-3;
+
+/// Where the Gaussians of a scene are at a time.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Posed {
+    /// Centres in the world.
+    pub positions: Vec<[f32; 3]>,
+    /// World from Gaussian: w, x, y, z; need not be normalised.
+    pub rotations: Vec<[f32; 4]>,
+}
+
+impl Renderer {
+    /// Where every Gaussian is at `time` in [0, 1], and how it is turned. Waits.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for a time out of [range]; [`Error::OutOfMemory`], or a failed submission.
+    pub fn posed(&mut self, time: f64) -> Result<Posed> {
+        range::moment(time).map_err(Error::Input)?;
+        let n = self.gaussians.len;
+        let mut positions = self.device.readback::<f32>(3 * n)?;
+        let mut rotations = self.device.readback::<[f32; 4]>(n)?;
+        let mut recorder = self.stream.record()?;
+        let Renderer { gaussians, motion, half, tuning, .. } = self;
+        let canonical = gaussians.views().rotations;
+        let is_moved = motion.is_some();
+        let views = moved(gaussians, half, motion.as_mut(), tuning, &mut recorder, time)?;
+        // What the tuning keeps in 16 bits is kept in 32 beside it.
+        let turned = if is_moved { views.rotations } else { canonical.range(0..n) };
+        recorder.read_back(views.positions.range(0..3 * n), &positions);
+        recorder.read_back(turned, &rotations);
+        let ticket = self.stream.submit(recorder)?;
+        self.stream.wait(ticket)?;
+        let positions = positions.read()?;
+        Ok(Posed {
+            positions: positions.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect(),
+            rotations: rotations.read()?.to_vec(),
+        })
+    }
+
+    /// The picture that [`render`](Self::render) gave last, with a value of each Gaussian in place of
+    /// its colour: Σ α · T · value, and alpha. Values may be any finite numbers. Costs a pass of blending.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for another number of values than Gaussians; [`Error::Input`] before the first
+    /// picture; [`Error::OutOfMemory`], or a failed submission.
+    pub fn repaint(&mut self, values: &[[f32; 3]]) -> Result<Image> {
+        let n = self.gaussians.len;
+        if values.len() != n {
+            let expected = n.to_string();
+            return Err(Error::Shape {
+                op: "repaint",
+                arg: "values",
+                expected,
+                actual: values.len(),
+            });
+        }
+        let capacity = self.gaussians.capacity();
+        let Some(Studio { render, scratch, painted, .. }) = &mut self.studio else {
+            return Err(Error::Input("nothing was rendered that could be painted anew".into()));
+        };
+        if painted.is_none() {
+            let colours = self.device.buffer("values to paint", capacity)?;
+            *painted = Some((colours, render.pixels(&self.device)?));
+        }
+        let (colours, pixels) = painted.as_mut().expect("made above");
+        let mut rows: Vec<[f32; 4]> = values.iter().map(|&[x, y, z]| [x, y, z, 0.0]).collect();
+        rows.resize(capacity, [0.0; 4]);
+        self.stream.upload(colours, &rows)?;
+        let mut recorder = self.stream.record()?;
+        render.blend(&mut recorder, colours.view(), scratch, pixels)?;
+        self.stream.submit(recorder)?;
+        let (width, height) = (pixels.width, pixels.height);
+        let rgba = self.stream.download(&pixels.rgba)?.into_flattened();
+        Ok(Image { width, height, channels: 4, pixels: rgba })
+    }
+
+    /// How much of each pixel of the last picture comes from Gaussians that move, 0 to its alpha; one
+    /// channel.
+    ///
+    /// # Errors
+    /// As for [`repaint`](Self::repaint).
+    pub fn moving(&mut self) -> Result<Image> {
+        let moves = |i: usize| self.motion_logits.get(i).is_some_and(|logit| *logit > 0.0);
+        let values: Vec<[f32; 3]> =
+            (0..self.gaussians.len).map(|i| [f32::from(u8::from(moves(i))), 0.0, 0.0]).collect();
+        let painted = self.repaint(&values)?;
+        let pixels = painted.pixels.chunks_exact(4).map(|p| p[0]).collect();
+        Ok(Image { channels: 1, pixels, ..painted })
+    }
+
+    /// Normals of the last picture, which `camera` saw at `time`: unit vectors in the camera's axes (x
+    /// right, y down, z forward), that point toward it; 0 where nothing is. Three channels. A
+    /// Gaussian's normal is its shortest axis; those of a pixel are blended and made a unit again.
+    ///
+    /// # Errors
+    /// As for [`repaint`](Self::repaint) and [`posed`](Self::posed).
+    pub fn normals(&mut self, camera: &Camera, time: f64) -> Result<Image> {
+        let posed = self.posed(time)?;
+        let scales = self.stream.download(&self.gaussians.log_scales)?;
+        let view_from_world = camera.view_from_world;
+        let values: Vec<[f32; 3]> = (posed.positions.iter().zip(&posed.rotations))
+            .zip(scales.chunks_exact(3))
+            .map(|((position, rotation), scales)| {
+                let axis = shortest_axis(scales);
+                let [w, x, y, z] = rotation.map(f64::from);
+                let turn = DQuat::from_xyzw(x, y, z, w);
+                if !(turn.length_squared().is_finite() && turn.length_squared() > 0.0) {
+                    return [0.0; 3];
+                }
+                let normal = view_from_world.rotation * (turn.normalize() * axis);
+                let place = view_from_world.apply(wide(*position));
+                let normal = if normal.dot(place) > 0.0 { -normal } else { normal };
+                finite(normal)
+            })
+            .collect();
+        let painted = self.repaint(&values)?;
+        let mut out = Image::new(painted.width, painted.height, 3);
+        for (out, p) in out.pixels.chunks_exact_mut(3).zip(painted.pixels.chunks_exact(4)) {
+            if p[3] > LEAST_ALPHA {
+                let sum = wide([p[0], p[1], p[2]]);
+                out.copy_from_slice(&finite(sum.normalize_or_zero()));
+            }
+        }
+        Ok(out)
+    }
+
+    /// Flow from the last picture, which is `seen` as `from` saw it at a time, to what another camera
+    /// sees at another: by how many pixels what a pixel shows is displaced, two channels; NaN where
+    /// nothing is, and where it comes to lie behind the other camera.
+    ///
+    /// What a pixel shows lies at its mean depth, and moves by the mean of the motions of the
+    /// Gaussians that it shows. Whether the other picture shows it too is not asked.
+    ///
+    /// # Errors
+    /// As for [`repaint`](Self::repaint) and [`posed`](Self::posed); [`Error::Shape`] where `seen` is
+    /// of another size.
+    pub fn flow(
+        &mut self,
+        seen: &super::Rendered,
+        (camera, time): (&Camera, f64),
+        (to_camera, to_time): (&Camera, f64),
+    ) -> Result<Image> {
+        let values: Vec<[f32; 3]> = match self.motion.is_some() && time != to_time {
+            true => {
+                let (here, there) = (self.posed(time)?, self.posed(to_time)?);
+                let pairs = here.positions.iter().zip(&there.positions);
+                pairs.map(|(a, b)| finite(wide(*b) - wide(*a))).collect()
+            }
+            false => vec![[0.0; 3]; self.gaussians.len],
+        };
+        let painted = self.repaint(&values)?;
+        let (width, height) = (painted.width, painted.height);
+        if seen.depth.pixels.len() != width as usize * height as usize {
+            let (expected, actual) = (format!("{width}×{height}"), seen.depth.pixels.len());
+            return Err(Error::Shape { op: "flow", arg: "seen", expected, actual });
+        }
+        let world_from_view = camera.view_from_world.inverse();
+        let mut flow = Image::new(width, height, 2);
+        flow.pixels.fill(f32::NAN);
+        let pixels = flow.pixels.chunks_exact_mut(2).zip(painted.pixels.chunks_exact(4));
+        for (i, (out, p)) in pixels.enumerate() {
+            let alpha = p[3];
+            if alpha <= LEAST_ALPHA {
+                continue;
+            }
+            let (x, y) = (i % width as usize, i / width as usize);
+            let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+            let depth = f64::from(seen.depth.pixels[i] / alpha);
+            let motion = wide([p[0], p[1], p[2]]) / f64::from(alpha);
+            let here = world_from_view.apply(camera.intrinsics.ray(pixel) * depth);
+            let there = to_camera.view_from_world.apply(here + motion);
+            if there.z > 0.0 {
+                let displaced = to_camera.intrinsics.project(there) - pixel;
+                (out[0], out[1]) = (displaced.x as f32, displaced.y as f32);
+            }
+        }
+        Ok(flow)
+    }
+}
+
+fn wide(v: [f32; 3]) -> DVec3 {
+    DVec3::from_array(v.map(f64::from))
+}
+
+/// As floats; what is not finite would spoil every pixel that it reaches.
+fn finite(v: DVec3) -> [f32; 3] {
+    if v.is_finite() { v.to_array().map(|v| v as f32) } else { [0.0; 3] }
+}
+
+/// The axis along which a Gaussian is thinnest.
+fn shortest_axis(log_scales: &[f32]) -> DVec3 {
+    let axes = [DVec3::X, DVec3::Y, DVec3::Z].into_iter().zip(log_scales);
+    axes.min_by(|a, b| a.1.total_cmp(b.1)).map_or(DVec3::Z, |(axis, _)| axis)
+}
