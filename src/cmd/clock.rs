@@ -31,6 +31,11 @@ impl Clock {
         self.stages.iter().find(|(name, _)| name == stage).map_or(0.0, |(_, seconds)| *seconds)
     }
 
+    /// All stages with their seconds.
+    pub fn stages(&self) -> &[(String, f64)] {
+        &self.stages
+    }
+
     /// `{stage: seconds}`.
     pub fn json(&self) -> Value {
         self.stages.iter().map(|(stage, seconds)| (stage.clone(), json!(seconds))).collect()

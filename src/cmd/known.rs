@@ -126,6 +126,11 @@ impl KnownArgs {
         self.flow.is_some()
     }
 
+    /// Whether there are poses to begin with.
+    pub fn supplies_poses(&self) -> bool {
+        self.poses.is_some()
+    }
+
     /// Whether there is something for each frame, so that the user knows which these are.
     pub fn is_for_each_frame(&self) -> bool {
         let given = [&self.poses, &self.masks, &self.depth, &self.flow, &self.tracks];

@@ -1,13 +1,15 @@
 //! `splat4d reconstruct`: the main job.
 
+use std::ffi::OsString;
 use std::fmt::Write;
-use std::path::PathBuf;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
 use splat4d::data::{View, intrinsics};
 use splat4d::gpu::{Device, DeviceKind};
-use splat4d::io::{Identity, check_memory, checksum};
+use splat4d::io::{Identity, check_memory, checksum, write_atomically};
 use splat4d::observe::{EngineFlow, SuppliedFlow};
 use splat4d::renderer::Renderer;
 use splat4d::scene::Scene;
@@ -32,15 +34,19 @@ use super::known::{
 };
 use super::networks::{estimate_depth, estimate_pointmaps};
 use super::outputs::{Inputs, Outputs};
+use super::reconstruct_page::Page;
 use super::tracker::Tracker;
-use super::watcher::Watcher;
-use super::{model, quality, sheet, values};
+use super::watcher::{Watched, Watcher};
+use super::{model, quality, reconstruct_pictures, sheet, values};
 
 /// Bytes for each pixel of each frame: of the frames themselves, and of what tracking makes of them,
 /// which is flow and confidence both ways, masks, depth and its confidence, and frames and flow once more
 /// where the lens's distortion is taken off.
 const FRAME_BYTES: u64 = 12;
 const TRACK_BYTES: u64 = 72;
+
+/// The page's file.
+const PAGE: &str = "report.html";
 
 const AFTER_HELP: &str = "\
 The clip is a moving camera's: a video file (read through ffmpeg), a folder of frames in the order of
@@ -66,7 +72,9 @@ red, green and blue were multiplied, 0.055 added to the encoded values; null whe
 change), frames, frame_names, shot (the one taken, or null), shots ([first, last] frame of each,
 in the whole clip; empty where no cut was found), quality, model [{what, chosen, because, saves}] (each choice, the measurement that decided and what it saves), notes, device, predicted_bytes (of device
 memory, before it began), all also kept in the scene; and, in report.json too, peak_bytes,
-milliseconds_per_step, seconds {load, flow, cameras, masks, depth, static, joint, evaluate}; output";
+milliseconds_per_step, seconds {load, flow, cameras, masks, depth, static, joint, evaluate}; output. report.json
+alone has training [{phase (static, joint), step, gaussians, l1, ssim, psnr (dB, or null)}], measured on one
+picture each";
 
 const QUALITY: &str = "longest side of the frames, steps, most Gaussians (or one for so many
 pixels of a frame, where that is more), most control points, degree of the spherical harmonics.";
@@ -152,8 +160,8 @@ pub struct ReconstructArgs {
     sh_degree: Option<u32>,
     #[command(flatten)]
     known: KnownArgs,
-    /// Write report.json, sheet.png (input, render, motion mask, depth), poses.txt (TUM) and
-    /// intrinsics.json into this folder
+    /// Write report.html (a page that shows all of it), report.json, sheet.png (input, render, motion
+    /// mask, depth), poses.txt (TUM) and intrinsics.json into this folder
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
     #[command(flatten)]
@@ -171,6 +179,7 @@ impl ReconstructArgs {
         let mut outputs = Outputs::default().file(&self.output)?;
         if let Some(folder) = &self.report {
             outputs = outputs.folder(folder, &sheet::FILES)?.folder(folder, &CAMERA_FILES)?;
+            outputs = outputs.folder(folder, &[PAGE])?;
         }
         self.checkpoints.check(&self.output)?;
         Ok(outputs)
@@ -212,7 +221,9 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
         bytes(FRAME_BYTES * host)
     ));
     let what = format!("tracking {} frames of {width}×{height}", frames.len());
-    check_memory(TRACK_BYTES * host, &what)?;
+    let shown = reconstruct_pictures::bytes(frames.len(), (width, height));
+    let of_page = if args.report.is_some() { shown } else { 0 };
+    check_memory((TRACK_BYTES * host).max(FRAME_BYTES * host + of_page), &what)?;
     clock.lap("load");
 
     let settings = settings(args, common, &preset, (width, height));
@@ -253,9 +264,10 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
         predicted_bytes = predicted_bytes.max(foreseen_training(&device, &scale)?);
     }
     let resume: Option<Checkpoint> = checkpoints.load("training")?;
-    let mut watcher = Watcher::new(&mut clock, &mut checkpoints, &phase_names);
+    let mut watcher =
+        Watcher::new(&mut clock, &mut checkpoints, &phase_names).measuring(args.report.is_some());
     let mut scene = fit_sequence(&device, sequence, &settings, resume, &mut watcher)?;
-    let milliseconds_per_step = watcher.finish();
+    let Watched { milliseconds_per_step, history } = watcher.finish();
     let model = model::of_clip(&scene, &track, &settings);
     say(&model::lines(&model));
 
@@ -304,11 +316,41 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     json["milliseconds_per_step"] = json!(milliseconds_per_step);
     json["seconds"] = clock.json();
     if let Some(folder) = &args.report {
-        sheet::write(folder, &device, &scene, &sheet::spread(&views), &json)?;
+        let pictures = reconstruct_pictures::draw(&device, &scene, &views)?;
+        let page = Page {
+            clip: &clip_name(&args.clip),
+            names: &names,
+            track: &track,
+            supplied: args.known.supplies_poses(),
+            scene: &scene,
+            quality: &measured,
+            pictures: &pictures,
+            history: &history,
+            model: &model,
+            clock: &clock,
+            report: &json,
+            command: &command(),
+        }
+        .html()?;
+        write_atomically(folder.join(PAGE), |sink| sink.write_all(page.as_bytes()))?;
+        let mut whole = json.clone();
+        whole["training"] = json!(history);
+        sheet::write(folder, &device, &scene, &sheet::spread(&views), &whole)?;
         write_cameras(folder, scene.cameras.iter().map(|known| known.camera))?;
     }
     json["output"] = path_text(&args.output);
     Ok(Answer { text: text(&json, &clock), json })
+}
+
+/// What the clip is called, without the folder where it lies.
+fn clip_name(clip: &Path) -> String {
+    clip.file_name().unwrap_or(clip.as_os_str()).to_string_lossy().into_owned()
+}
+
+/// The words of the command, its name without the folder where it lies.
+fn command() -> Vec<OsString> {
+    let words = std::env::args_os().skip(1);
+    std::iter::once("splat4d".into()).chain(words).collect()
 }
 
 /// What the stages take of device memory at most; an error where one does not fit.

@@ -228,7 +228,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     let mut watcher = Watcher::new(&mut clock, &mut checkpoints, &names);
     let mut scene =
         fit_posed(&device, &mut views, &seeded, motion.as_ref(), &settings, resume, &mut watcher)?;
-    let milliseconds_per_step = watcher.finish();
+    let milliseconds_per_step = watcher.finish().milliseconds_per_step;
     let train: Vec<View> = called.into_iter().zip(views).map(picture).collect();
     scene.cameras = trajectory(train.iter().chain(&test));
     scene.background = set.background;

@@ -2,7 +2,7 @@
 
 use splat4d::Result;
 use splat4d::ops::loss::LossValue;
-use splat4d::train::{Checkpoint, Observer, Phase};
+use splat4d::train::{Checkpoint, Measured, Observer, Phase};
 
 use super::checkpoints::Checkpoints;
 use super::clock::Clock;
@@ -17,6 +17,17 @@ pub struct Watcher<'a> {
     under_way: Option<(Phase, Meter)>,
     /// Steps done here, without those of the run that this one resumes.
     steps: u32,
+    /// What was measured on the way, where it is asked for.
+    history: Option<Vec<Measured>>,
+}
+
+/// What a training leaves to tell.
+pub struct Watched {
+    /// Mean of a step of the last stage.
+    pub milliseconds_per_step: f64,
+    /// What was measured on the way; empty unless it was asked for. A run that resumes another has
+    /// its own part.
+    pub history: Vec<Measured>,
 }
 
 impl<'a> Watcher<'a> {
@@ -26,15 +37,23 @@ impl<'a> Watcher<'a> {
         checkpoints: &'a mut Checkpoints,
         names: &'a dyn Fn(Phase) -> (&'static str, &'static str),
     ) -> Watcher<'a> {
-        Watcher { clock, checkpoints, names, under_way: None, steps: 0 }
+        Watcher { clock, checkpoints, names, under_way: None, steps: 0, history: None }
     }
 
-    /// Ends the last stage, and gives its mean milliseconds a step.
-    pub fn finish(mut self) -> f64 {
+    /// Measures on the way, too.
+    pub fn measuring(self, measuring: bool) -> Watcher<'a> {
+        Watcher { history: measuring.then(Vec::new), ..self }
+    }
+
+    /// Ends the last stage.
+    pub fn finish(mut self) -> Watched {
         let stage = self.under_way.as_ref().map(|(phase, _)| (self.names)(*phase).1);
         self.end_stage();
         let seconds = stage.map_or(0.0, |stage| self.clock.seconds(stage));
-        1e3 * seconds / f64::from(self.steps.max(1))
+        Watched {
+            milliseconds_per_step: 1e3 * seconds / f64::from(self.steps.max(1)),
+            history: self.history.unwrap_or_default(),
+        }
     }
 
     fn end_stage(&mut self) {
@@ -67,6 +86,16 @@ impl Observer for Watcher<'_> {
     fn loss(&mut self, loss: LossValue) {
         if let Some((_, meter)) = &mut self.under_way {
             meter.message(format!("(L1 {:.4}, SSIM {:.3})", loss.l1, loss.ssim));
+        }
+    }
+
+    fn measures(&self) -> bool {
+        self.history.is_some()
+    }
+
+    fn measured(&mut self, measured: &Measured) {
+        if let Some(history) = &mut self.history {
+            history.push(*measured);
         }
     }
 

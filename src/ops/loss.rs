@@ -73,6 +73,36 @@ impl Photograph {
         let pixels = device.upload("photograph", &packed)?;
         Ok(Photograph { pixels, width: image.width, height: image.height, weight })
     }
+
+    /// PSNR in dB of a picture (premultiplied, 4 channels) over a background against this photograph,
+    /// every pixel by its weight; infinite for equal pictures, `None` where all weights are 0. Waits.
+    ///
+    /// # Errors
+    /// A picture of another size, or a failed submission.
+    pub fn psnr(
+        &self,
+        stream: &mut Stream,
+        picture: &PixelBuffers,
+        background: [f32; 3],
+    ) -> Result<Option<f64>> {
+        let (photograph, picture) =
+            (stream.download(&self.pixels)?, stream.download(&picture.rgba)?);
+        if photograph.len() != picture.len() {
+            let (expected, actual) = (photograph.len().to_string(), picture.len());
+            return Err(Error::Shape { op: "PSNR", arg: "picture", expected, actual });
+        }
+        let (mut sum, mut weights) = (0.0f64, 0.0f64);
+        for (packed, rgba) in photograph.iter().zip(&picture) {
+            let [r, g, b, weight] = packed.to_le_bytes().map(|byte| f64::from(byte) / 255.0);
+            for (c, truth) in [r, g, b].into_iter().enumerate() {
+                let shown =
+                    f64::from(rgba[c]) + (1.0 - f64::from(rgba[3])) * f64::from(background[c]);
+                sum += weight * (shown.clamp(0.0, 1.0) - truth).powi(2);
+            }
+            weights += 3.0 * weight;
+        }
+        Ok((weights > 0.0).then(|| -10.0 * (sum / weights).log10()))
+    }
 }
 
 impl KnownDisparity {

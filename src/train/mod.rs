@@ -80,7 +80,7 @@ pub mod views;
 
 pub use motion::MotionStart;
 #[cfg(feature = "reconstruct")]
-pub use observer::{Checkpoint, Observer, Phase};
+pub use observer::{Checkpoint, Measured, Observer, Phase};
 #[cfg(feature = "reconstruct")]
 pub use posed::{PosedMotion, fit_posed, posed_scale, posed_unit};
 #[cfg(feature = "reconstruct")]

@@ -8,7 +8,8 @@ use crate::ops::loss::LossValue;
 use crate::{Error, Result};
 
 /// What is being trained.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Phase {
     /// The static world.
     Static,
@@ -44,6 +45,26 @@ impl Checkpoint {
     }
 }
 
+/// How far a training has come, as measured on the picture of a step before what it changes.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Measured {
+    /// What is being trained.
+    pub phase: Phase,
+    /// Steps done in it.
+    pub step: u32,
+    /// Number of Gaussians.
+    pub gaussians: usize,
+    /// Weighted mean of the absolute differences.
+    pub l1: f64,
+    /// Weighted mean of SSIM.
+    pub ssim: f64,
+    /// dB; `None` where [`Trainer::psnr`] gives none.
+    pub psnr: Option<f64>,
+}
+
+/// So many times is a phase measured, at least, where its steps suffice.
+const MEASUREMENTS: u32 = 60;
+
 /// Looks on while a scene is trained. A closure that takes phase, steps done and steps in all is one
 /// that wants no checkpoints.
 pub trait Observer {
@@ -52,6 +73,16 @@ pub trait Observer {
 
     /// The loss of the last step, every [`SYNC_INTERVAL`] steps.
     fn loss(&mut self, _loss: LossValue) {}
+
+    /// Whether [`measured`](Self::measured) is of use. Measuring waits for the device and downloads a
+    /// picture.
+    fn measures(&self) -> bool {
+        false
+    }
+
+    /// How far the training is, some 60 times in a phase or every [`SYNC_INTERVAL`] steps, and after its
+    /// last step.
+    fn measured(&mut self, _measured: &Measured) {}
 
     /// Whether the state should be put away now; asked after every step. Reading the state waits for
     /// the device.
@@ -88,6 +119,17 @@ pub(super) fn run(
             && let Some(loss) = trainer.loss()?
         {
             observer.loss(loss);
+        }
+        let every = (now.steps / MEASUREMENTS).clamp(1, SYNC_INTERVAL);
+        if observer.measures()
+            && (now.step.is_multiple_of(every) || now.step == now.steps)
+            && let Some(LossValue { l1, ssim, .. }) = trainer.loss()?
+            // Of a picture that counts nowhere there is none.
+            && l1 > 0.0
+        {
+            let psnr = trainer.psnr()?.filter(|psnr| psnr.is_finite());
+            let (step, gaussians) = (now.step, now.gaussians);
+            observer.measured(&Measured { phase, step, gaussians, l1, ssim, psnr });
         }
         if observer.wants_checkpoint() {
             observer.checkpoint(&wrap(trainer.state()?))?;

@@ -172,6 +172,13 @@ impl Selection {
         })
     }
 
+    /// Whether [`train`](Self::train) leaves the picture of what moves in place of the step's own.
+    pub(super) fn repaints(&self, mask: Option<&Buffer<f32>>, step: u32, steps: u32) -> bool {
+        let every = self.training.as_ref().map(|training| training.settings.mask_every.max(1));
+        let due = every.is_some_and(|every| step.is_multiple_of(every));
+        due && mask.is_some() && self.is_soft(step, steps)
+    }
+
     /// Records the mask loss of the picture that has just been rendered and differentiated, in the
     /// steps that have one, and the update of the logits.
     pub(super) fn train(

@@ -283,6 +283,24 @@ impl Trainer {
         value.map(Some)
     }
 
+    /// Waits, and measures the PSNR in dB of the last step's picture, as it was before the step, against
+    /// the photograph; none where [`loss`](Self::loss) gives none, where the photograph counts nowhere, and
+    /// after the few steps whose picture gave way to one of what moves. Downloads both.
+    ///
+    /// # Errors
+    /// As for [`step`](Self::step).
+    pub fn psnr(&mut self) -> Result<Option<f64>> {
+        let Some(view) = self.last_view else { return Ok(None) };
+        let (view, last) = (&self.views[view], self.step.saturating_sub(1));
+        let repaints = |s: &Selection| s.repaints(view.mask.as_ref(), last, self.settings.steps);
+        if self.selection.as_ref().is_some_and(repaints) {
+            return Ok(None);
+        }
+        let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
+        let studio = self.studios.for_size(&self.device, size)?;
+        view.photograph.psnr(&mut self.stream, &studio.pixels, self.settings.background)
+    }
+
     /// Waits and reads the Gaussians.
     ///
     /// # Errors

@@ -1,0 +1,117 @@
+//! The page of `reconstruct --report`, in a browser.
+
+#![cfg(feature = "cli")]
+
+#[path = "support/browser.rs"]
+mod browser;
+#[path = "support/program.rs"]
+mod program;
+mod support;
+
+use std::fs;
+
+use program::json;
+use serde_json::Value;
+use support::says;
+
+/// Attributes of a kind, in order.
+fn attributes<'a>(page: &'a str, name: &str) -> Vec<&'a str> {
+    let begin = format!("{name}=\"");
+    page.split(begin.as_str()).skip(1).filter_map(|rest| rest.split('"').next()).collect()
+}
+
+#[test]
+fn a_reconstruction_is_told_on_a_page() {
+    let folder = tempfile::tempdir().unwrap();
+    json(folder.path(), "synth rigid -o clip --frames 8 --size 96x54 --seed 3");
+    let arguments = "reconstruct clip/frames -o scene.safetensors --steps 90 --max-gaussians 900 \
+                     --control-points 12 --report report";
+    let report = json(folder.path(), arguments);
+    let file = folder.path().join("report/report.html");
+    let page = fs::read_to_string(&file).unwrap();
+
+    // Nothing is loaded from elsewhere, and nothing on it is not a number.
+    for address in attributes(&page, " src").into_iter().chain(attributes(&page, " href")) {
+        assert!(address.starts_with("data:"), "{}", &address[..address.len().min(80)]);
+    }
+    assert!(!page.contains("@import") && !page.contains("url("));
+    // Any letters may follow each other in a picture.
+    let words: String = page
+        .split("src=\"")
+        .map(|part| part.split_once('"').map_or(part, |(_, text)| text))
+        .collect();
+    assert!(words.len() < page.len() / 2 && words.contains("dB"));
+    assert!(!words.contains("NaN") && !words.contains(">inf"), "something is no number");
+    assert!(page.len() < 4 << 20, "{} bytes", page.len());
+
+    // All that was found.
+    let psnr = format!("{:.2} dB", report["psnr_input"].as_f64().unwrap());
+    says(&page, &["8 frames of 96×54", &psnr, "Input", "Render", "Error", "What moves", "Depth"]);
+    says(&page, &["From aside", "From above, with static points", "Doubtful frames"]);
+    says(&page, &["What was modelled, and what was left out", "Time and memory", "The command"]);
+    says(&page, &["splat4d reconstruct clip/frames -o scene.safetensors --steps 90"]);
+    for choice in report["model"].as_array().unwrap() {
+        let text = choice["because"].as_str().unwrap().replace('\'', "&#39;");
+        says(&page, &[choice["what"].as_str().unwrap(), &text]);
+    }
+    for stage in report["seconds"].as_object().unwrap().keys() {
+        says(&page, &[&format!("<th>{stage}</th>")]);
+    }
+    // Five lanes of eight frames, and an orbit.
+    assert_eq!(page.matches("<img ").count(), 5 * 8 + 24);
+    // Loss, PSNR and number of Gaussians are drawn, and kept as numbers.
+    assert_eq!(page.matches("<svg width").count(), 3);
+    let written: Value =
+        serde_json::from_slice(&fs::read(folder.path().join("report/report.json")).unwrap())
+            .unwrap();
+    let training = written["training"].as_array().unwrap();
+    assert!(training.len() >= 60 && report.get("training").is_none(), "{}", training.len());
+    let (first, last) = (&training[0], &training[training.len() - 1]);
+    let number = |of: &Value, key: &str| of[key].as_f64().unwrap();
+    assert!(number(last, "psnr") > number(first, "psnr") + 1.0, "{first} {last}");
+    assert!(number(last, "l1") < number(first, "l1"), "{first} {last}");
+    assert_eq!((last["phase"].as_str(), &last["gaussians"]), (Some("joint"), &report["gaussians"]));
+    assert!((number(last, "psnr") - report["psnr_input"].as_f64().unwrap()).abs() < 6.0, "{last}");
+
+    // A browser has nothing to say against it, and plays it.
+    let opened = browser::open(&file, 4000, &["--window-size=1280,900"]);
+    assert!(opened.console.is_empty(), "{:?}", opened.console);
+    let at: Vec<u32> =
+        attributes(&opened.dom, "data-at").iter().map(|v| v.parse().unwrap()).collect();
+    assert!(at.len() == 2 && at.iter().any(|at| *at > 0), "both players run: {at:?}");
+    let seen = opened.dom.matches("<img ").count() - opened.dom.matches("hidden=\"\">").count();
+    assert_eq!(seen, 5 + 1, "one picture of each lane is seen");
+    let still = browser::open(&file, 4000, &["--force-prefers-reduced-motion"]);
+    assert_eq!(attributes(&still.dom, "data-at"), ["0", "0"], "who wants less motion gets it");
+    for width in [320, 360, 768, 1280] {
+        assert_eq!(browser::overflow(&file, width), 0, "at {width} pixels");
+    }
+}
+
+#[test]
+fn a_console_message_would_be_seen() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("bad.html");
+    fs::write(&file, "<body><div style=\"width:900px\">x</div><script>nothing()</script></body>")
+        .unwrap();
+    let opened = browser::open(&file, 1000, &[]);
+    assert!(
+        opened.console.len() == 1 && opened.console[0].contains("nothing"),
+        "{:?}",
+        opened.console
+    );
+    assert!(browser::overflow(&file, 360) > 500);
+}
+
+#[test]
+fn the_tracks_page_has_nothing_to_say_either() {
+    let folder = tempfile::tempdir().unwrap();
+    json(folder.path(), "synth rigid -o clip --frames 6 --size 96x54 --seed 4");
+    json(folder.path(), "track clip/frames -o tracked");
+    let file = folder.path().join("tracked/report.html");
+    let opened = browser::open(&file, 1000, &[]);
+    assert!(opened.console.is_empty(), "{:?}", opened.console);
+    for width in [360, 1280] {
+        assert_eq!(browser::overflow(&file, width), 0, "at {width} pixels");
+    }
+}
