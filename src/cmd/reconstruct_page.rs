@@ -270,7 +270,7 @@ impl Page<'_> {
     }
 
     fn command(&self, body: &mut String) {
-        let words: Vec<String> = self.command.iter().map(|word| quoted(word)).collect();
+        let words: Vec<String> = self.command.iter().map(quoted).collect();
         let _ = writeln!(
             body,
             "<h2>The command</h2>\n<pre>{}</pre>\n<p>splat4d {}</p>",

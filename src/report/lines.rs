@@ -7,7 +7,7 @@ use plotters::prelude::*;
 /// Small enough that text of a phone's page stays legible.
 const SIZE: (u32, u32) = (420, 240);
 /// Of text.
-const FONT: (&str, u32) = ("sans-serif", 13);
+const FONT: (&str, u32) = ("sans-serif", 15);
 /// Of lines in the order of their series; a page's style may replace them, as it may black, grey and
 /// the grid's colour.
 pub const LINE_COLOURS: [RGBColor; 2] = [RGBColor(0, 99, 173), RGBColor(168, 82, 0)];
