@@ -35,6 +35,7 @@
 //! | [`eval`] | PSNR, SSIM, MS-SSIM, ATE, RPE | types, io, geometry |
 //! | [`train`] | seeding, the training step, schedules | all of the above but vk, kernels, oracle |
 //! | [`renderer`] | a scene on a device, rendered from any camera at any time | gpu, ops, scene |
+//! | [`view`] | a scene in the browser: the page and what serves it (feature `view`) | types, io, gpu, data, scene, renderer |
 //! | `capi` | the engine in C, `include/splat4d.h` (feature `capi`) | gpu, embed, ops, scene, renderer, train |
 //! | [`check`] | cases: every kernel against its oracle, pose estimation on its hard cases, training twice | all of the above but vk |
 //! | `report` | measurements: JSON, CSV, plots, a page, comparisons (feature `bench`) | io |
@@ -56,7 +57,7 @@
 //! | `cli` (default) | the command line |
 //!
 //! Beside these, `onnx` (in `cli`, on top of `reconstruct`) runs networks through an ONNX Runtime, which is
-//! found when one is asked for, and `capi` adds the C interface, on top of the engine alone or of `files`.
+//! found when one is asked for, `view` (in `cli`, on top of `files`) shows scenes in a browser, and `capi` adds the C interface, on top of the engine alone or of `files`.
 //!
 //! # Conventions
 //!
@@ -112,6 +113,8 @@ pub mod scene;
 pub mod track;
 pub mod train;
 pub mod types;
+#[cfg(feature = "view")]
+pub mod view;
 pub mod vk;
 
 pub use error::{Error, Result};

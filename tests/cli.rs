@@ -25,7 +25,7 @@ use splat4d::types::{Gaussians, Image};
 use support::{picture, says};
 use tempfile::TempDir;
 
-const COMMANDS: [&str; 15] = [
+const COMMANDS: [&str; 16] = [
     "reconstruct",
     "batch",
     "track",
@@ -41,6 +41,7 @@ const COMMANDS: [&str; 15] = [
     "validate",
     "completions",
     "man",
+    "view",
 ];
 
 /// The same within so many MiB of address space and a minute: what takes memory or time without

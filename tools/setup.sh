@@ -56,6 +56,8 @@ if [[ $mode == test ]]; then
         'has_validation|vulkan-validationlayers'
         # Debian ships SwiftShader inside of its browser only.
         'has_swiftshader|chromium'
+        # The viewer's page is tested in it.
+        'has_command chromium|chromium'
     )
 fi
 

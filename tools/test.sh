@@ -98,7 +98,7 @@ validate_modules() {
 # profile, for it does not optimise procedural macros.
 check_features() {
     local features status=0
-    for features in '' files reconstruct check bench onnx cli capi capi,files; do
+    for features in '' files reconstruct check bench onnx view cli capi capi,files; do
         echo "features: ${features:-none}"
         RUSTFLAGS="${RUSTFLAGS:-} -D warnings" CARGO_TARGET_DIR=$target/features \
             cargo check --release --lib --no-default-features --features "$features" || status=1

@@ -3,6 +3,7 @@
 use std::ffi::OsString;
 use std::io::Write;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::Args;
 use serde_json::Value;
@@ -91,8 +92,15 @@ pub struct Answer {
     pub text: String,
 }
 
-/// A machine's one object on stdout.
+/// Whether a machine has its object.
+static ANSWERED: AtomicBool = AtomicBool::new(false);
+
+/// A machine's one object on stdout: the first. What serves gives it when it begins to, and what is wrong
+/// later stands on stderr alone.
 pub fn print_json(value: &Value) -> std::io::Result<()> {
+    if ANSWERED.swap(true, Ordering::SeqCst) {
+        return Ok(());
+    }
     let mut stdout = std::io::stdout().lock();
     writeln!(stdout, "{value}")?;
     stdout.flush()

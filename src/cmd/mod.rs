@@ -64,6 +64,7 @@ mod train;
 mod tuning;
 mod validate;
 mod values;
+mod view;
 mod watcher;
 
 use std::ffi::OsString;
@@ -111,6 +112,7 @@ enum Command {
     Validate(validate::ValidateArgs),
     Completions(completions::CompletionsArgs),
     Man(man::ManArgs),
+    View(view::ViewArgs),
 }
 
 /// Runs the command that the process was given.
@@ -182,6 +184,7 @@ fn run(cli: &Cli) -> Result<(Answer, ExitCode)> {
         Command::Synth(args) => synth::run(args, &cli.common),
         Command::Completions(args) => completions::run(args),
         Command::Man(args) => man::run(args),
+        Command::View(args) => view::run(args, &cli.common),
         // What these find out decides the exit code.
         Command::Batch(args) => return batch::run(args, &cli.common),
         Command::Bench(args) => return bench::run(args, &cli.common),
@@ -262,7 +265,7 @@ mod tests {
     /// Whether an argument takes text rather than numbers: a path, one of a list of words, a name.
     fn takes_text(argument: &clap::Arg) -> bool {
         let is_path = argument.get_value_parser().type_id() == TypeId::of::<PathBuf>();
-        let words = ["device", "filter", "path", "image", "claim"];
+        let words = ["device", "filter", "path", "image", "claim", "host"];
         let names = ["scenes", "train_camera", "test_cameras"];
         is_path
             || !argument.get_possible_values().is_empty()

@@ -148,6 +148,18 @@ impl Orbit<'_> {
     }
 }
 
+/// Where a viewer begins, and how far it is from there to what it looks at: the input's first camera, or one
+/// that sees all of a scene without cameras.
+pub fn start(scene: &Scene) -> (Camera, f64) {
+    match scene.cameras.first() {
+        Some(first) => (first.camera, typical_depth(scene, &first.camera)),
+        None => {
+            let circle = Circle::around(scene);
+            (circle.at(0.0), circle.distance)
+        }
+    }
+}
+
 /// The input camera nearest to the mean of their centres.
 fn middle_camera(scene: &Scene) -> Option<Camera> {
     let centres = scene.cameras.iter().map(|c| c.camera.centre());
@@ -421,6 +433,9 @@ mod tests {
                 assert!(log_scale < -13.0 || (20.0..200.0).contains(&sigma), "{sigma}");
             }
         }
+        let (first, distance) = start(&wall(4.0));
+        assert_eq!(first, orbit(&wall(4.0), 12)[0].camera);
+        assert!((first.centre().distance(DVec3::Z * 4.0) - distance).abs() < 1e-9);
         let empty = orbit(&Scene::of(Gaussians::default()), 3);
         assert!(empty.iter().all(|shot| shot.camera.centre().is_finite()));
     }
@@ -430,6 +445,8 @@ mod tests {
         let path = orbit(&with_cameras(wall(2.0), &[DVec3::ZERO]), 5);
         assert!(path.iter().all(|shot| shot.camera.centre().length() < 0.3));
         assert_eq!(orbit(&wall(2.0), 1).len(), 1);
+        let known = with_cameras(wall(2.0), &[DVec3::ZERO]);
+        assert_eq!(start(&known), (known.cameras[0].camera, 2.0));
         assert!(input(&wall(2.0)).is_err());
     }
 

@@ -1,5 +1,6 @@
 //! Values of flags: what parses them, and the range of every number. A new flag takes a parser of these.
 
+use std::net::{IpAddr, Ipv4Addr};
 use std::ops::RangeInclusive;
 
 use super::common::thousands;
@@ -66,6 +67,18 @@ pub fn size(text: &str) -> Result<(u32, u32), String> {
                 thousands(most as usize)
             )
         })
+}
+
+/// An address to listen on: a number, or `localhost`.
+pub fn host(text: &str) -> Result<IpAddr, String> {
+    let number = text.trim_start_matches('[').trim_end_matches(']');
+    match text.eq_ignore_ascii_case("localhost") {
+        true => Ok(Ipv4Addr::LOCALHOST.into()),
+        false => number.parse().map_err(|_| {
+            "an address of this machine is expected, for example 127.0.0.1, or 0.0.0.0 for all of them"
+                .into()
+        }),
+    }
 }
 
 /// `r,g,b` in [0, 1], `black` or `white`.
@@ -167,6 +180,18 @@ mod tests {
         assert_eq!(size("320x180"), Ok((320, 180)));
         for bad in ["320", "0x5", "x", "-3x4", "3x4x5", "1e3x5", "99999x2"] {
             assert!(size(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn hosts() {
+        for (text, expected) in
+            [("127.0.0.1", "127.0.0.1"), ("localhost", "127.0.0.1"), ("[::1]", "::1"), ("::", "::")]
+        {
+            assert_eq!(host(text), Ok(expected.parse().unwrap()), "{text}");
+        }
+        for bad in ["", "127.0.0", "example.com", "127.0.0.1:80", "127.0.0.256"] {
+            assert!(host(bad).is_err(), "{bad}");
         }
     }
 

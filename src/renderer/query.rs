@@ -3,7 +3,7 @@
 use super::{Renderer, moved};
 use crate::gpu::View;
 use crate::ops::render::{RenderScratch, TILE};
-use crate::types::{Camera, range};
+use crate::types::{Camera, ControlPoints, range};
 use crate::{Error, Result};
 use bytemuck::Pod;
 use glam::{DVec2, DVec3};
@@ -111,6 +111,31 @@ impl Renderer {
         }
         self.stream.submit(recorder)?;
         self.stream.download(&gathered)
+    }
+
+    /// Where the control points are at `time` in [0, 1], in the order of the scene's; `None` for one that is
+    /// not there ([`ControlPoints::ABSENT`] and what is nearer to it than to 0). Empty where nothing moves.
+    /// Waits.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for a time out of [range]; [`Error::OutOfMemory`], or a
+    /// failed submission.
+    pub fn control_points(&mut self, time: f64) -> Result<Vec<Option<DVec3>>> {
+        range::moment(time).map_err(Error::Input)?;
+        let Renderer { stream, gaussians, motion: Some(motion), .. } = self else {
+            return Ok(Vec::new());
+        };
+        let mut recorder = stream.record()?;
+        motion.forward(&mut recorder, &gaussians.views(), &[time as f32], None)?;
+        stream.submit(recorder)?;
+        let transforms = stream.download(&motion.transforms)?;
+        let nodes = stream.download(&motion.nodes)?;
+        let place = |(node, transform): (&[f32], &[[f32; 4]])| {
+            let [x, y, z, added] = transform[0];
+            let at = |k: usize, moved: f32| f64::from(node[k]) + f64::from(moved);
+            (added > 0.5 * ControlPoints::ABSENT).then(|| DVec3::new(at(0, x), at(1, y), at(2, z)))
+        };
+        Ok(nodes.chunks_exact(3).zip(transforms.chunks_exact(2)).map(place).collect())
     }
 
     /// The box around every Gaussian at `time` in [0, 1]: lower and upper corner of the centres,

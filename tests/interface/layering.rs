@@ -23,6 +23,8 @@ pub const MAY_SEE: &[(&str, &[&str])] = &[
     ("eval", &["error", "types", "io", "geometry"]),
     // A scene's frames by the ops, for training and for users.
     ("renderer", &["error", "types", "gpu", "ops", "scene"]),
+    // Pictures of a renderer, and the input's beside them, for a browser.
+    ("view", &["error", "types", "io", "gpu", "data", "scene", "renderer"]),
     ("report", &["error", "types", "io"]),
     ("observe", &["error", "types", "io", "gpu", "ops", "geometry", "data"]),
     ("track", &["error", "types", "io", "gpu", "ops", "geometry", "data", "observe"]),

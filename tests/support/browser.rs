@@ -1,56 +1,205 @@
-//! A headless Chromium that opens a page by itself. Its absence fails.
+//! Chromium without a window, over its DevTools protocol. A missing Chromium fails.
 
 // Each test binary uses its own part.
 #![allow(dead_code)]
 
-use std::fs;
-use std::path::Path;
-use std::process::{Command, Stdio};
+use std::net::TcpStream;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
 
-/// What a browser made of a page.
-pub struct Opened {
-    /// The document after its scripts have run for a while.
-    pub dom: String,
-    /// What the page said on the console, line by line.
-    pub console: Vec<String>,
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use serde_json::{Value, json};
+use tempfile::TempDir;
+use tungstenite::{Message, WebSocket};
+
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// A page in a browser of its own.
+pub struct Browser {
+    child: Child,
+    socket: WebSocket<TcpStream>,
+    session: Option<String>,
+    calls: u64,
+    /// What the page wrote to its console, and what went wrong on it.
+    pub said: Vec<String>,
+    _profile: TempDir,
 }
 
-/// Opens a file of a folder, lets virtual milliseconds pass, and gives what became of it.
-#[track_caller]
-pub fn open(file: &Path, milliseconds: u32, options: &[&str]) -> Opened {
-    let home = tempfile::tempdir().unwrap();
-    let output = Command::new("chromium")
-        .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"])
-        .args(["--no-first-run", "--enable-logging=stderr", "--dump-dom"])
-        .arg(format!("--user-data-dir={}", home.path().display()))
-        .arg(format!("--virtual-time-budget={milliseconds}"))
-        .args(options)
-        .arg(format!("file://{}", fs::canonicalize(file).unwrap().display()))
-        .stdin(Stdio::null())
-        .output()
-        .expect("chromium is needed: apt-get install chromium");
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "chromium failed: {said}");
-    let console = said.lines().filter(|line| line.contains("CONSOLE")).map(str::to_owned);
-    Opened { dom: String::from_utf8(output.stdout).unwrap(), console: console.collect() }
+impl Browser {
+    /// Opens a page in a window of a size, at one device pixel for each CSS pixel.
+    pub fn open(url: &str, width: u32, height: u32) -> Browser {
+        let profile = tempfile::tempdir().unwrap();
+        let program = std::env::var("SPLAT4D_CHROMIUM").unwrap_or("chromium".into());
+        let child = Command::new(&program)
+            .args(["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"])
+            .args([
+                "--no-first-run",
+                "--disable-background-networking",
+                "--remote-debugging-port=0",
+            ])
+            .arg(format!("--user-data-dir={}", profile.path().display()))
+            .arg("about:blank")
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap_or_else(|e| {
+                panic!("the tests of the viewer need {program} (Debian: chromium): {e}")
+            });
+        let told = profile.path().join("DevToolsActivePort");
+        let address = until("Chromium's port", || {
+            let text = std::fs::read_to_string(&told).ok()?;
+            let (port, path) = text.split_once('\n')?;
+            (!path.is_empty()).then(|| (port.to_owned(), path.trim().to_owned()))
+        });
+        let stream = TcpStream::connect(format!("127.0.0.1:{}", address.0)).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        let url_of_tools = format!("ws://127.0.0.1:{}{}", address.0, address.1);
+        let (socket, _) = tungstenite::client(url_of_tools, stream).unwrap();
+        let said = Vec::new();
+        let mut browser =
+            Browser { child, socket, session: None, calls: 0, said, _profile: profile };
+        let target = browser.call("Target.createTarget", json!({ "url": "about:blank" }));
+        let attach = json!({ "targetId": target["targetId"], "flatten": true });
+        let attached = browser.call("Target.attachToTarget", attach);
+        browser.session = Some(attached["sessionId"].as_str().unwrap().to_owned());
+        for domain in ["Page", "Runtime", "Log", "Network"] {
+            browser.call(&format!("{domain}.enable"), json!({}));
+        }
+        browser.resize(width, height);
+        browser.call("Page.navigate", json!({ "url": url }));
+        browser.wait_for("location.href !== 'about:blank' && document.readyState === 'complete'");
+        browser
+    }
+
+    pub fn resize(&mut self, width: u32, height: u32) {
+        let metrics = json!({
+            "width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600,
+        });
+        self.call("Emulation.setDeviceMetricsOverride", metrics);
+    }
+
+    /// Calls a method of the protocol.
+    #[track_caller]
+    pub fn call(&mut self, method: &str, parameters: Value) -> Value {
+        self.calls += 1;
+        let mut message = json!({ "id": self.calls, "method": method, "params": parameters });
+        if let Some(session) = &self.session {
+            message["sessionId"] = json!(session);
+        }
+        self.socket.send(Message::text(message.to_string())).unwrap();
+        loop {
+            let Message::Text(text) = self.socket.read().unwrap() else { continue };
+            let mut answer: Value = serde_json::from_str(&text).unwrap();
+            if answer["id"] == json!(self.calls) {
+                assert!(answer.get("error").is_none(), "{method}: {}", answer["error"]);
+                return answer["result"].take();
+            }
+            self.listen(&answer);
+        }
+    }
+
+    fn listen(&mut self, event: &Value) {
+        let loud = ["Runtime.consoleAPICalled", "Runtime.exceptionThrown", "Log.entryAdded"];
+        if event["method"].as_str().is_some_and(|method| loud.contains(&method)) {
+            self.said.push(event["params"].to_string());
+        }
+        // Nothing comes from elsewhere.
+        let url = event["params"]["request"]["url"].as_str().unwrap_or_default();
+        if event["method"] == "Network.requestWillBeSent"
+            && !["http://127.0.0.1:", "data:", "blob:", "about:"]
+                .iter()
+                .any(|own| url.starts_with(own))
+        {
+            self.said.push(format!("asks for {url}"));
+        }
+    }
+
+    /// The value of an expression, which may be a promise.
+    #[track_caller]
+    pub fn evaluate(&mut self, expression: &str) -> Value {
+        let call = json!({
+            "expression": expression, "awaitPromise": true, "returnByValue": true,
+        });
+        let mut answer = self.call("Runtime.evaluate", call);
+        assert!(answer.get("exceptionDetails").is_none(), "{expression}: {answer}");
+        answer["result"]["value"].take()
+    }
+
+    /// Waits until an expression is true.
+    #[track_caller]
+    pub fn wait_for(&mut self, expression: &str) {
+        let begun = Instant::now();
+        while self.evaluate(&format!("Boolean({expression})")) != json!(true) {
+            assert!(
+                begun.elapsed() < PATIENCE,
+                "{expression} does not become true: {:?}",
+                self.said
+            );
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    pub fn mouse(&mut self, kind: &str, x: f64, y: f64, button: &str) {
+        let buttons = if kind == "mouseReleased" { 0 } else { 1 };
+        let event = json!({
+            "type": kind, "x": x, "y": y, "button": button, "buttons": buttons, "clickCount": 1,
+        });
+        self.call("Input.dispatchMouseEvent", event);
+    }
+
+    /// Drags with the left button, in steps.
+    pub fn drag(&mut self, from: [f64; 2], to: [f64; 2]) {
+        self.mouse("mousePressed", from[0], from[1], "left");
+        for step in 1..=4 {
+            let share = f64::from(step) / 4.0;
+            let at = [0, 1].map(|k| from[k] + (to[k] - from[k]) * share);
+            self.mouse("mouseMoved", at[0], at[1], "left");
+        }
+        self.mouse("mouseReleased", to[0], to[1], "left");
+    }
+
+    /// Presses a key and lets it go after some time; `text` is what it writes.
+    pub fn key(&mut self, key: &str, code: u32, text: &str, milliseconds: u64) {
+        let event = |kind: &str| json!({ "type": kind, "key": key, "windowsVirtualKeyCode": code, "text": text });
+        self.call(
+            "Input.dispatchKeyEvent",
+            event(if text.is_empty() { "rawKeyDown" } else { "keyDown" }),
+        );
+        std::thread::sleep(Duration::from_millis(milliseconds));
+        self.call("Input.dispatchKeyEvent", event("keyUp"));
+    }
+
+    /// The page as it looks, as PNG.
+    pub fn screenshot(&mut self) -> Vec<u8> {
+        let shot = self.call("Page.captureScreenshot", json!({ "format": "png" }));
+        STANDARD.decode(shot["data"].as_str().unwrap()).unwrap()
+    }
 }
 
-/// By how many pixels a page is wider than a window of some width.
-#[track_caller]
-pub fn overflow(file: &Path, width: u32) -> i64 {
-    let folder = tempfile::tempdir().unwrap();
-    let tell = "<script>addEventListener('load',()=>parent.postMessage(\
-                document.documentElement.scrollWidth-document.documentElement.clientWidth,'*'))</script>";
-    let page = fs::read_to_string(file).unwrap().replace("</body>", &format!("{tell}</body>"));
-    fs::write(folder.path().join("page.html"), page).unwrap();
-    // A window has a least width; a frame has none.
-    let frame = format!(
-        "<!doctype html><body><script>onmessage=e=>document.body.dataset.over=e.data</script>\
-         <iframe style=\"width:{width}px;height:700px;border:0\" src=\"page.html\"></iframe></body>"
-    );
-    let wrapper = folder.path().join("wrapper.html");
-    fs::write(&wrapper, frame).unwrap();
-    let dom = open(&wrapper, 3000, &[]).dom;
-    let told = dom.split("data-over=\"").nth(1).and_then(|rest| rest.split('"').next());
-    told.and_then(|told| told.parse().ok()).unwrap_or_else(|| panic!("no width was told: {dom}"))
+impl Drop for Browser {
+    fn drop(&mut self) {
+        // Asked to, it ends its own processes too.
+        let close = json!({ "id": 0, "method": "Browser.close" }).to_string();
+        let _ = self.socket.send(Message::text(close));
+        let begun = Instant::now();
+        while begun.elapsed() < Duration::from_secs(5) && matches!(self.child.try_wait(), Ok(None))
+        {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn until<T>(what: &str, mut found: impl FnMut() -> Option<T>) -> T {
+    let begun = Instant::now();
+    loop {
+        if let Some(found) = found() {
+            return found;
+        }
+        assert!(begun.elapsed() < PATIENCE, "{what} does not come");
+        std::thread::sleep(Duration::from_millis(20));
+    }
 }

@@ -37,7 +37,7 @@ struct Base {
 
 /// Good commands, each with options that keep it short; `<kind>` stands for an input and `>name` for
 /// an output.
-const BASES: [&str; 31] = [
+const BASES: [&str; 32] = [
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150",
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150 \
      --control-points 6 --report >report",
@@ -72,10 +72,11 @@ const BASES: [&str; 31] = [
     "validate --case <case>",
     "completions zsh",
     "man >pages",
+    "view <scene> --frames <clip> --seconds 0.2",
 ];
 
 /// Every command's name.
-pub const COMMANDS: [&str; 14] = [
+pub const COMMANDS: [&str; 15] = [
     "reconstruct",
     "batch",
     "track",
@@ -90,6 +91,7 @@ pub const COMMANDS: [&str; 14] = [
     "validate",
     "completions",
     "man",
+    "view",
 ];
 
 /// A command to run, with the files it needs in its folder.

@@ -1,0 +1,154 @@
+//! `splat4d view`.
+
+use std::net::{IpAddr, Ipv4Addr};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use clap::Args;
+use serde_json::json;
+use splat4d::Result;
+use splat4d::data::{Clip, images};
+use splat4d::io::check_memory;
+use splat4d::renderer::RenderScale;
+use splat4d::scene::{Opened, Scene};
+use splat4d::types::Tuning;
+use splat4d::view::{Options, Pictures, Server, Show};
+
+use super::common::{Answer, Common, foresee, print_json, say, thousands};
+use super::{interrupt, path, tuning, values};
+
+/// The picture that memory is foreseen for: what a page asks for on most screens.
+const USUAL_SIZE: (u32, u32) = (1920, 1080);
+/// Host memory of a picture and all that is made of it, a pixel.
+const BYTES_A_PIXEL: u64 = 64;
+/// How often Ctrl-C is looked for.
+const LOOK: Duration = Duration::from_millis(50);
+
+const AFTER_HELP: &str = "\
+Open the address that it prints in a browser. Drag to orbit, with the right button or Shift to pan, turn
+the wheel to come closer; W A S D Q E fly. `?` on the page lists the keys. Ctrl-C ends it.
+
+Only this machine reaches it. With --host the machines that reach that address do, too, and the page's
+address then holds a random token; what is sent is not encrypted.
+
+--frames shows the input beside the scene. Where there are as many pictures as the scene has cameras,
+each belongs to one; else their times run evenly from 0 to 1.
+
+Example:
+  splat4d view scene.safetensors
+  splat4d view scene.safetensors --frames video_frames --port 9000
+
+JSON, once it serves: url, port, host, gaussians, dropped, cameras, frames, device, predicted_bytes (of
+device memory). What goes wrong later stands on stderr.";
+
+/// Show a scene's file or a 3DGS PLY in the browser
+#[derive(Args)]
+#[command(after_help = AFTER_HELP)]
+pub struct ViewArgs {
+    /// A scene's file or a 3DGS PLY
+    #[arg(value_name = "SCENE|PLY")]
+    scene: PathBuf,
+    /// The port to listen on; where it is in use, the next free one
+    #[arg(long, value_name = "N", default_value_t = 8090,
+          value_parser = values::whole::<u16>(1..=65_535))]
+    port: u16,
+    /// The address to listen on
+    #[arg(long, value_name = "ADDRESS", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST),
+          value_parser = values::host)]
+    host: IpAddr,
+    /// A folder of the input's pictures, to show beside the scene
+    #[arg(long, value_name = "DIR")]
+    frames: Option<PathBuf>,
+    /// End by itself after so many seconds
+    #[arg(long, value_name = "SECONDS", value_parser = values::number(0.01..=values::MOST_SECONDS))]
+    seconds: Option<f64>,
+    /// Leave out Gaussians that hold NaN, infinite or out-of-range values
+    #[arg(long)]
+    drop_bad: bool,
+    /// Settings that trade accuracy for speed, as `bench --error-budget` writes them
+    #[arg(long, value_name = "FILE")]
+    settings: Option<PathBuf>,
+}
+
+/// Runs the command.
+pub fn run(args: &ViewArgs, common: &Common) -> Result<Answer> {
+    let tuning = tuning::read(args.settings.as_deref())?;
+    let pictures = args.frames.as_deref().map(pictures).transpose()?;
+    let Opened { scene, dropped } = Scene::open(&args.scene, args.drop_bad)?;
+    if dropped > 0 {
+        say(&format!(
+            "note: left out {} Gaussians that are not finite or out of range",
+            thousands(dropped)
+        ));
+    }
+    let device = common.open_device()?;
+    let predicted_bytes = foreseen(&device, &scene, &tuning)?;
+    let (gaussians, cameras) = (scene.gaussians.len(), scene.cameras.len());
+    let count = pictures.as_ref().map_or(0, |pictures| pictures.0.len());
+    let (start, distance) = path::start(&scene);
+    let name = args.scene.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let show = Show { name, scene, tuning, start, distance, pictures };
+    interrupt::check()?;
+    let server = Server::start(&device, show, &Options { host: args.host, port: args.port })?;
+    if server.port() != args.port {
+        say(&format!("note: port {} is in use, {} is taken", args.port, server.port()));
+    }
+    if !args.host.is_loopback() {
+        say("note: other machines reach this; whoever has the address sees the scene");
+    }
+    let json = json!({
+        "url": server.url(),
+        "port": server.port(),
+        "host": args.host.to_string(),
+        "gaussians": gaussians,
+        "dropped": dropped,
+        "cameras": cameras,
+        "frames": count,
+        "device": device.info().name,
+        "predicted_bytes": predicted_bytes,
+    });
+    if common.json {
+        // Who reads it waits for the address; that nobody does is no reason to end.
+        let _ = print_json(&json);
+    } else {
+        say(&format!("{} Gaussians at {}", thousands(gaussians), server.url()));
+    }
+    let begun = Instant::now();
+    let is_over = || args.seconds.is_some_and(|most| begun.elapsed().as_secs_f64() >= most);
+    while server.is_serving() && !interrupt::requested() && !is_over() {
+        std::thread::sleep(LOOK);
+    }
+    server.stop()?;
+    Ok(Answer { json, text: String::new() })
+}
+
+/// The pictures that a folder stands for. Each is looked at, so that what is no picture is told now.
+fn pictures(folder: &Path) -> Result<Pictures> {
+    let files = Clip::files(folder)?;
+    if files.is_empty() {
+        let what = "holds no pictures; --frames takes a folder of the input's frames";
+        return Err(splat4d::Error::format(folder, what));
+    }
+    for file in &files {
+        interrupt::check()?;
+        images::dimensions(file, images::Orientation::Upright)?;
+    }
+    Ok(Pictures(files))
+}
+
+/// What it takes of device memory; an error where the scene does not fit.
+fn foreseen(device: &splat4d::gpu::Device, scene: &Scene, tuning: &Tuning) -> Result<u64> {
+    let (width, height) = USUAL_SIZE;
+    check_memory(
+        u64::from(width) * u64::from(height) * BYTES_A_PIXEL,
+        &format!("a picture of {width}×{height}"),
+    )?;
+    let scale = RenderScale::new(scene, USUAL_SIZE, tuning);
+    foresee(
+        device,
+        &format!("showing {} Gaussians", thousands(scale.gaussians)),
+        scale.footprint(device),
+        || scale.most_gaussians(device),
+        "leave Gaussians out",
+    )
+}

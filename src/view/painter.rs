@@ -1,0 +1,207 @@
+//! Pictures for the page.
+
+use std::io::Cursor;
+use std::time::Instant;
+
+use image::codecs::jpeg::JpegEncoder;
+use image::codecs::png::PngEncoder;
+use image::{ExtendedColorType, ImageEncoder};
+
+use super::protocol::{Format, Header, Layer, Request};
+use crate::gpu::{Buffer, Device, Stream};
+use crate::io::check_memory;
+use crate::renderer::{Renderer, Target};
+use crate::types::{Camera, Image};
+use crate::{Error, Result};
+
+/// Host memory of a picture and all that is made of it, a pixel.
+const BYTES_A_PIXEL: u64 = 64;
+/// Depths beyond this share of the pixels at either end do not stretch the range that is shown.
+const OUTLIERS: f64 = 0.02;
+
+/// Renders what is asked for, and packs it.
+pub struct Painter {
+    renderer: Renderer,
+    background: [f32; 3],
+    stream: Stream,
+    mask: Option<Buffer<[f32; 4]>>,
+}
+
+impl Painter {
+    /// Of a renderer; `background` lies behind its colours.
+    ///
+    /// # Errors
+    /// [`Error::OutOfMemory`].
+    pub fn new(renderer: Renderer, background: [f32; 3]) -> Result<Painter> {
+        let stream = renderer.device().stream()?;
+        Ok(Painter { renderer, background, stream, mask: None })
+    }
+
+    /// The answer to a request: see [`super::protocol`].
+    ///
+    /// # Errors
+    /// [`Error::Input`] for what may not be asked for; as for [`Renderer::render`].
+    pub fn paint(&mut self, request: &Request) -> Result<Vec<u8>> {
+        let (camera, time) = request.checked().map_err(Error::Input)?;
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let pixels = u64::from(width) * u64::from(height);
+        check_memory(pixels * BYTES_A_PIXEL, &format!("a picture of {width}×{height}"))?;
+        let begun = Instant::now();
+        let (picture, range) = self.picture(request.layer, &camera, time)?;
+        let points = match request.points {
+            true => self.renderer.control_points(time)?,
+            false => Vec::new(),
+        };
+        let header = Header {
+            id: request.id,
+            width,
+            height,
+            time,
+            layer: request.layer,
+            format: request.format,
+            milliseconds: 1e3 * begun.elapsed().as_secs_f64(),
+            gaussians: self.renderer.len(),
+            range,
+            points: points.len(),
+        };
+        let json = serde_json::to_vec(&header).map_err(|e| Error::Failed(e.to_string()))?;
+        let mut message = (json.len() as u32).to_le_bytes().to_vec();
+        message.extend(json);
+        for point in points {
+            let at = point.unwrap_or_default().as_vec3();
+            let row = [at.x, at.y, at.z, if point.is_some() { 1.0 } else { 0.0 }];
+            message.extend(row.into_iter().flat_map(f32::to_le_bytes));
+        }
+        pack(&picture, request.format, request.quality, &mut message)?;
+        Ok(message)
+    }
+
+    /// The picture of a layer, of 1 or 3 channels; of depth what range it shows.
+    fn picture(
+        &mut self,
+        layer: Layer,
+        camera: &Camera,
+        time: f64,
+    ) -> Result<(Image, Option<[f32; 2]>)> {
+        let of = |pixels: Vec<f32>| {
+            let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+            Image { width, height, channels: 1, pixels }
+        };
+        Ok(match layer {
+            Layer::Colour => {
+                let rendered = self.renderer.render(camera, time)?;
+                (rendered.over(self.background), None)
+            }
+            Layer::Alpha => {
+                let rgba = self.renderer.render(camera, time)?.rgba;
+                (of(rgba.pixels.chunks_exact(4).map(|p| p[3]).collect()), None)
+            }
+            Layer::Depth => {
+                let depth = self.renderer.render(camera, time)?.mean_depth();
+                let (pixels, range) = by_nearness(&depth.pixels);
+                (of(pixels), range)
+            }
+            Layer::Motion => (of(self.moving(camera, time)?), None),
+        })
+    }
+
+    /// How much of each pixel comes from what moves.
+    fn moving(&mut self, camera: &Camera, time: f64) -> Result<Vec<f32>> {
+        let pixels = camera.intrinsics.width as usize * camera.intrinsics.height as usize;
+        if self.mask.as_ref().is_none_or(|mask| mask.len() != pixels) {
+            let device: &Device = self.renderer.device();
+            self.mask = None;
+            self.mask = Some(device.buffer("motion mask", pixels)?);
+        }
+        let Painter { renderer, stream, mask, .. } = self;
+        let mask = mask.as_mut().expect("made above");
+        loop {
+            let mut recorder = stream.record()?;
+            let target = Target { mask: Some(mask.view_mut()), ..Target::default() };
+            let frame = renderer.record(&mut recorder, camera, time, target)?;
+            let ticket = stream.submit(recorder)?;
+            stream.wait(ticket)?;
+            if renderer.retire(frame)?.is_whole() {
+                return Ok(stream.download(mask)?.into_iter().map(|rgba| rgba[0]).collect());
+            }
+        }
+    }
+}
+
+/// Inverse depths from 0 to 1 over their range in the picture, and the depths of 1 and of 0; a depth of 0 is
+/// none.
+fn by_nearness(depths: &[f32]) -> (Vec<f32>, Option<[f32; 2]>) {
+    let mut known: Vec<f32> =
+        depths.iter().filter(|d| **d > 0.0 && d.is_finite()).map(|d| 1.0 / d).collect();
+    if known.is_empty() {
+        return (vec![0.0; depths.len()], None);
+    }
+    let mut at = |share: f64| {
+        let place = (share * (known.len() - 1) as f64).round() as usize;
+        *known.select_nth_unstable_by(place, f32::total_cmp).1
+    };
+    let (low, high) = (at(OUTLIERS), at(1.0 - OUTLIERS));
+    let span = (high - low).max(1e-6 * high);
+    // What is farthest is still told from nothing.
+    let shade = |d: &f32| match *d > 0.0 && d.is_finite() {
+        true => 0.1 + 0.9 * ((1.0 / d - low) / span).clamp(0.0, 1.0),
+        false => 0.0,
+    };
+    (depths.iter().map(shade).collect(), Some([1.0 / high, 1.0 / low]))
+}
+
+/// Appends a picture of 1 or 3 channels as a file.
+pub fn pack(picture: &Image, format: Format, quality: u8, into: &mut Vec<u8>) -> Result<()> {
+    // `as` takes values to [0, 255], and NaN to 0.
+    let bytes: Vec<u8> = picture.pixels.iter().map(|v| (v * 255.0).round() as u8).collect();
+    let colour =
+        if picture.channels == 1 { ExtendedColorType::L8 } else { ExtendedColorType::Rgb8 };
+    let end = into.len() as u64;
+    let mut sink = Cursor::new(into);
+    sink.set_position(end);
+    let packed = match format {
+        Format::Jpeg => JpegEncoder::new_with_quality(&mut sink, quality).write_image(
+            &bytes,
+            picture.width,
+            picture.height,
+            colour,
+        ),
+        Format::Png => {
+            PngEncoder::new(&mut sink).write_image(&bytes, picture.width, picture.height, colour)
+        }
+    };
+    packed.map_err(|error| Error::Failed(format!("a picture cannot be packed: {error}")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nearness_is_white_and_nothing_is_black() {
+        let (shades, range) = by_nearness(&[0.0, 1.0, 2.0, 4.0, f32::INFINITY]);
+        assert_eq!(range, Some([1.0, 4.0]));
+        assert_eq!((shades[0], shades[4]), (0.0, 0.0));
+        for (shade, expected) in shades[1..4].iter().zip([1.0, 0.4, 0.1]) {
+            assert!((shade - expected).abs() < 1e-6, "{shades:?}");
+        }
+        assert_eq!(by_nearness(&[0.0; 3]), (vec![0.0; 3], None));
+        let (flat, range) = by_nearness(&[3.0; 4]);
+        assert!(flat.iter().all(|s| (0.1..=1.0).contains(s)) && range.is_some());
+    }
+
+    #[test]
+    fn a_png_holds_the_picture_and_what_was_before_it_stays() {
+        let picture = Image {
+            width: 2,
+            height: 1,
+            channels: 3,
+            pixels: vec![0.0, 0.5, 1.0, 2.0, -1.0, f32::NAN],
+        };
+        let mut message = b"head".to_vec();
+        pack(&picture, Format::Png, 90, &mut message).unwrap();
+        assert!(message.starts_with(b"head"));
+        let back = image::load_from_memory(&message[4..]).unwrap().into_rgb8();
+        assert_eq!(back.into_raw(), [0, 128, 255, 255, 0, 0]);
+    }
+}

@@ -1,0 +1,318 @@
+//! The server: threads, connections, and where each request goes.
+
+use std::net::{IpAddr, Ipv4Addr};
+use std::sync::Arc;
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use axum::Router;
+use axum::extract::ws::WebSocketUpgrade;
+use axum::extract::{FromRequestParts, Request, State};
+use axum::http::header::CONTENT_TYPE;
+use axum::http::{Method, StatusCode};
+use axum::response::{IntoResponse, Response};
+use hyper::server::conn::http1;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
+use tokio::net::TcpListener;
+use tokio::sync::{Semaphore, watch};
+use tokio::time::{sleep, timeout};
+
+use super::guard::Guard;
+use super::painter::Painter;
+use super::protocol::{Description, Refusal};
+use super::turns::{Answer, Turns};
+use super::{
+    MOST_CLIENTS, MOST_CONNECTIONS, MOST_MESSAGE, MOST_PIXELS, MOST_SIDE, Pictures, Show, page,
+    port, socket,
+};
+use crate::gpu::Device;
+use crate::renderer::Renderer;
+use crate::{Error, Result};
+
+/// A connection asks once, within this time; a socket goes on.
+const MOST_ASKING: Duration = Duration::from_secs(30);
+/// A request's head arrives within this time.
+const MOST_HEAD: Duration = Duration::from_secs(10);
+/// Bytes of a request's head.
+const MOST_HEAD_BYTES: usize = 16 << 10;
+/// Ending waits so long for what is being sent.
+const FAREWELL: Duration = Duration::from_millis(500);
+
+/// Where to serve.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The address to listen on; on one that is no loopback, the page's address holds a token.
+    pub host: IpAddr,
+    /// The port, or where it is in use the next that is free; 0 stands for any.
+    pub port: u16,
+}
+
+impl Default for Options {
+    fn default() -> Options {
+        Options { host: Ipv4Addr::LOCALHOST.into(), port: 8090 }
+    }
+}
+
+/// Serves a scene until it is dropped.
+pub struct Server {
+    url: String,
+    port: u16,
+    turns: Arc<Turns>,
+    stop: watch::Sender<bool>,
+    network: Option<JoinHandle<()>>,
+    painting: Option<JoinHandle<Result<()>>>,
+}
+
+/// What requests are answered from.
+struct Desk {
+    guard: Guard,
+    description: String,
+    pictures: Pictures,
+    turns: Arc<Turns>,
+    clients: Arc<Semaphore>,
+    /// One picture of the input is decoded at a time, so that memory stays bounded.
+    decoding: Arc<Semaphore>,
+}
+
+impl Server {
+    /// Puts the scene on the device and begins to serve.
+    ///
+    /// # Errors
+    /// [`Error::Input`] where it cannot listen; as for [`Renderer::tuned`]; no more threads.
+    pub fn start(device: &Device, show: Show, options: &Options) -> Result<Server> {
+        let listener = port::listen(options.host, options.port)?;
+        let address = listener.local_addr().map_err(Error::io("the socket"))?;
+        let guard = Guard::new(address)?;
+        let url = guard.url();
+        let description = serde_json::to_string(&description(device, &show))
+            .map_err(|error| Error::Failed(error.to_string()))?;
+        let renderer = Renderer::tuned(device, &show.scene, &show.tuning)?;
+        let painter = Painter::new(renderer, show.scene.background)?;
+        let turns = Arc::new(Turns::default());
+        let desk = Arc::new(Desk {
+            guard,
+            description,
+            pictures: show.pictures.unwrap_or_default(),
+            turns: turns.clone(),
+            clients: Arc::new(Semaphore::new(MOST_CLIENTS)),
+            decoding: Arc::new(Semaphore::new(1)),
+        });
+        let network = || -> std::io::Result<_> {
+            listener.set_nonblocking(true)?;
+            let runtime = tokio::runtime::Builder::new_current_thread()
+                .enable_all()
+                .max_blocking_threads(1)
+                .build()?;
+            let listener = {
+                let _inside = runtime.enter();
+                TcpListener::from_std(listener)?
+            };
+            Ok((runtime, listener))
+        };
+        let (runtime, listener) = network().map_err(Error::io("the network"))?;
+        let (stop, stopped) = watch::channel(false);
+        let thread = |name: &str| std::thread::Builder::new().name(name.into());
+        let painting = {
+            let turns = turns.clone();
+            thread("view: pictures").spawn(move || paint(painter, &turns))
+        };
+        let mut server =
+            Server { url, port: address.port(), turns, stop, network: None, painting: None };
+        // Dropping it ends the thread that is there already.
+        server.painting = Some(painting.map_err(Error::io("a thread"))?);
+        let network = thread("view: network").spawn(move || {
+            runtime.block_on(accept(listener, desk, stopped));
+            runtime.shutdown_timeout(FAREWELL);
+        });
+        server.network = Some(network.map_err(Error::io("a thread"))?);
+        Ok(server)
+    }
+
+    /// The page's address, with its token where it has one.
+    pub fn url(&self) -> &str {
+        &self.url
+    }
+
+    /// The port that it listens on.
+    pub fn port(&self) -> u16 {
+        self.port
+    }
+
+    /// How many pages are open.
+    pub fn clients(&self) -> usize {
+        self.turns.clients()
+    }
+
+    /// Whether it still makes pictures; if not, [`stop`](Self::stop) tells why.
+    pub fn is_serving(&self) -> bool {
+        self.painting.as_ref().is_some_and(|thread| !thread.is_finished())
+    }
+
+    /// Ends it.
+    ///
+    /// # Errors
+    /// Why it ended before: the device was lost.
+    pub fn stop(mut self) -> Result<()> {
+        self.end()
+    }
+
+    fn end(&mut self) -> Result<()> {
+        self.turns.close();
+        let _ = self.stop.send(true);
+        if let Some(network) = self.network.take() {
+            let _ = network.join();
+        }
+        match self.painting.take().map(JoinHandle::join) {
+            Some(Ok(done)) => done,
+            Some(Err(_)) => Err(Error::Failed("the thread that makes pictures panicked".into())),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        let _ = self.end();
+    }
+}
+
+/// Makes pictures until the turns are closed. What one request meets is told to its client; what all would
+/// meet ends it.
+fn paint(mut painter: Painter, turns: &Turns) -> Result<()> {
+    while let Some((client, request)) = turns.next() {
+        let answer = match painter.paint(&request) {
+            Ok(picture) => Answer::Picture(picture),
+            Err(error @ (Error::Vulkan { .. } | Error::DeviceLost { .. })) => {
+                turns.close();
+                return Err(error);
+            }
+            Err(error) => {
+                Answer::Refused(Refusal { id: Some(request.id), error: error.to_string() })
+            }
+        };
+        turns.answer(client, answer);
+    }
+    Ok(())
+}
+
+fn description(device: &Device, show: &Show) -> Description {
+    let scene = &show.scene;
+    Description {
+        name: show.name.clone(),
+        device: device.info().name.clone(),
+        gaussians: scene.gaussians.len(),
+        moves: scene.moves(),
+        control_points: if scene.moves() { scene.control_points.len() } else { 0 },
+        up: scene.up,
+        start: show.start.into(),
+        distance: show.distance,
+        cameras: scene.cameras.iter().map(Into::into).collect(),
+        pictures: show.pictures.as_ref().map_or(0, |pictures| pictures.0.len()),
+        most_side: MOST_SIDE,
+        most_pixels: MOST_PIXELS,
+    }
+}
+
+/// Accepts connections until it is to stop. Each asks once: sockets that were closed or never used
+/// hold no place.
+async fn accept(listener: TcpListener, desk: Arc<Desk>, mut stopped: watch::Receiver<bool>) {
+    let places = Arc::new(Semaphore::new(MOST_CONNECTIONS));
+    let router = Router::new().fallback(answer).with_state(desk);
+    loop {
+        let place = places.clone().acquire_owned().await.expect("never closed");
+        let accepted = tokio::select! {
+            accepted = listener.accept() => accepted,
+            _ = stopped.changed() => break,
+        };
+        let Ok((stream, _)) = accepted else {
+            // Out of file descriptors, or the client has gone.
+            sleep(Duration::from_millis(50)).await;
+            continue;
+        };
+        let _ = stream.set_nodelay(true);
+        let service = TowerToHyperService::new(router.clone());
+        let connection = http1::Builder::new()
+            .timer(TokioTimer::new())
+            .header_read_timeout(MOST_HEAD)
+            .max_buf_size(MOST_HEAD_BYTES)
+            .serve_connection(TokioIo::new(stream), service)
+            .with_upgrades();
+        tokio::spawn(async move {
+            // What a client does wrong is its own affair.
+            let _ = timeout(MOST_ASKING, connection).await;
+            drop(place);
+        });
+    }
+    // The sockets say goodbye.
+    sleep(FAREWELL / 5).await;
+}
+
+/// Answers one request.
+async fn answer(State(desk): State<Arc<Desk>>, request: Request) -> Response {
+    page::guarded(desk.answer(request).await)
+}
+
+impl Desk {
+    async fn answer(&self, request: Request) -> Response {
+        let (mut parts, _) = request.into_parts();
+        let path = parts.uri.path().to_owned();
+        let path = match self.guard.admit(&path, &parts.headers) {
+            Ok(path) => path,
+            Err(refused) => return refused.into_response(),
+        };
+        if parts.method != Method::GET {
+            return StatusCode::METHOD_NOT_ALLOWED.into_response();
+        }
+        if let Some(file) = page::file(path) {
+            return file;
+        }
+        if path == "scene.json" {
+            let kind = [(CONTENT_TYPE, "application/json")];
+            return (kind, self.description.clone()).into_response();
+        }
+        if path == "socket" {
+            return match WebSocketUpgrade::from_request_parts(&mut parts, &()).await {
+                Ok(upgrade) => self.open(upgrade),
+                Err(rejected) => rejected.into_response(),
+            };
+        }
+        let number = path.strip_prefix("pictures/").and_then(|number| number.parse().ok());
+        match number {
+            Some(number) => self.picture(number).await,
+            None => StatusCode::NOT_FOUND.into_response(),
+        }
+    }
+
+    /// A socket, where there is a place.
+    fn open(&self, upgrade: WebSocketUpgrade) -> Response {
+        let upgrade = upgrade.max_message_size(MOST_MESSAGE).max_frame_size(MOST_MESSAGE);
+        let turns = self.turns.clone();
+        match self.clients.clone().try_acquire_owned() {
+            Ok(place) => upgrade.on_upgrade(|socket| async move {
+                socket::serve(socket, turns).await;
+                drop(place);
+            }),
+            Err(_) => upgrade.on_upgrade(socket::turn_away),
+        }
+    }
+
+    async fn picture(&self, number: usize) -> Response {
+        let turn = self.decoding.clone().acquire_owned().await.expect("never closed");
+        let pictures = self.pictures.clone();
+        // Whoever asks may go meanwhile; the turn ends with the work.
+        let decode = move || {
+            let decoded = pictures.jpeg(number);
+            drop(turn);
+            decoded
+        };
+        match tokio::task::spawn_blocking(decode).await {
+            Ok(Ok(Some(bytes))) => ([(CONTENT_TYPE, "image/jpeg")], bytes).into_response(),
+            Ok(Ok(None)) => StatusCode::NOT_FOUND.into_response(),
+            // Messages name the file, and paths of this machine are told to nobody.
+            Ok(Err(_)) | Err(_) => {
+                (StatusCode::INTERNAL_SERVER_ERROR, "the picture cannot be read").into_response()
+            }
+        }
+    }
+}

@@ -1,0 +1,126 @@
+//! A client's socket.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::extract::ws::{CloseFrame, Message, WebSocket};
+use futures_util::stream::{SplitSink, SplitStream};
+use futures_util::{SinkExt, StreamExt};
+use tokio::sync::mpsc::{self, Receiver, Sender};
+use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until, timeout};
+
+use super::MOST_MESSAGES_A_SECOND;
+use super::protocol::{Refusal, Request};
+use super::turns::{Answer, Turns};
+
+/// A client that takes longer for one answer is let go.
+const MOST_SENDING: Duration = Duration::from_secs(20);
+/// A client is asked so often whether it is there; browsers answer by themselves.
+const PING: Duration = Duration::from_secs(15);
+/// A client that says nothing for so long is let go.
+const MOST_SILENCE: Duration = Duration::from_secs(60);
+/// Messages one after the other that are no request, after which a client is let go.
+const MOST_RUBBISH: u32 = 20;
+/// Codes of closing, as RFC 6455 numbers them.
+const GOING_AWAY: u16 = 1001;
+const POLICY: u16 = 1008;
+
+/// Serves a client until it goes, misbehaves, or the server ends.
+pub async fn serve(socket: WebSocket, turns: Arc<Turns>) {
+    let Some((client, answers)) = turns.join() else { return };
+    let (sink, stream) = socket.split();
+    let (refusals, refused) = mpsc::channel(1);
+    tokio::select! {
+        () = write(sink, answers, refused, &turns) => {}
+        () = read(stream, client, &turns, refusals) => {}
+    }
+    turns.leave(client);
+}
+
+/// Reads requests, no faster than is allowed.
+async fn read(
+    mut stream: SplitStream<WebSocket>,
+    client: u64,
+    turns: &Turns,
+    refusals: Sender<Refusal>,
+) {
+    let each = Duration::from_secs(1) / MOST_MESSAGES_A_SECOND;
+    let burst = Duration::from_secs(1);
+    // When all that was read would have been due.
+    let mut due = Instant::now();
+    let mut rubbish = 0;
+    while let Ok(Some(Ok(message))) = timeout(MOST_SILENCE, stream.next()).await {
+        due = due.max(Instant::now() - burst) + each;
+        sleep_until(due).await;
+        let text = match message {
+            Message::Text(text) => Ok(text),
+            Message::Binary(_) => Err("a text message was expected".to_owned()),
+            Message::Ping(_) | Message::Pong(_) => continue,
+            Message::Close(_) => return,
+        };
+        let parsed = text.and_then(|text| {
+            serde_json::from_str::<Request>(&text).map_err(|e| format!("is no request: {e}"))
+        });
+        match parsed {
+            Ok(request) => match request.checked() {
+                Ok(_) => {
+                    rubbish = 0;
+                    turns.ask(client, request);
+                }
+                Err(error) => refuse(&refusals, Some(request.id), error),
+            },
+            Err(error) => {
+                rubbish += 1;
+                refuse(&refusals, None, error);
+                if rubbish == MOST_RUBBISH {
+                    return;
+                }
+            }
+        }
+    }
+}
+
+/// Where the last refusal has not been sent yet, this one is not told.
+fn refuse(refusals: &Sender<Refusal>, id: Option<u64>, error: String) {
+    let _ = refusals.try_send(Refusal { id, error });
+}
+
+/// Sends answers one after the other.
+async fn write(
+    mut sink: SplitSink<WebSocket, Message>,
+    mut answers: Receiver<Answer>,
+    mut refused: Receiver<Refusal>,
+    turns: &Turns,
+) {
+    let mut pings = interval(PING);
+    pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        let message = tokio::select! {
+            answer = answers.recv() => match answer {
+                Some(Answer::Picture(bytes)) => Message::Binary(bytes.into()),
+                Some(Answer::Refused(refusal)) => text(&refusal),
+                None => break,
+            },
+            Some(refusal) = refused.recv() => text(&refusal),
+            _ = pings.tick() => Message::Ping(Default::default()),
+        };
+        let sent = timeout(MOST_SENDING, sink.send(message)).await;
+        turns.taken();
+        if !matches!(sent, Ok(Ok(()))) {
+            return;
+        }
+    }
+    let farewell = CloseFrame { code: GOING_AWAY, reason: "the server ends".into() };
+    let _ = timeout(PING / 10, sink.send(Message::Close(Some(farewell)))).await;
+}
+
+fn text(refusal: &Refusal) -> Message {
+    Message::Text(serde_json::to_string(refusal).expect("plain data").into())
+}
+
+/// Turns a client away.
+pub async fn turn_away(mut socket: WebSocket) {
+    let reason = "too many pages show this scene; close one";
+    let farewell = CloseFrame { code: POLICY, reason: reason.into() };
+    let _ = timeout(PING / 10, socket.send(Message::Close(Some(farewell)))).await;
+}
