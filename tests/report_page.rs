@@ -10,8 +10,8 @@ mod support;
 
 use std::fs;
 
-use program::json;
-use serde_json::Value;
+use browser::Browser;
+use serde_json::{Value, json};
 use support::says;
 
 /// Attributes of a kind, in order.
@@ -23,10 +23,10 @@ fn attributes<'a>(page: &'a str, name: &str) -> Vec<&'a str> {
 #[test]
 fn a_reconstruction_is_told_on_a_page() {
     let folder = tempfile::tempdir().unwrap();
-    json(folder.path(), "synth rigid -o clip --frames 8 --size 96x54 --seed 3");
+    program::json(folder.path(), "synth rigid -o clip --frames 8 --size 96x54 --seed 3");
     let arguments = "reconstruct clip/frames -o scene.safetensors --steps 90 --max-gaussians 900 \
                      --control-points 12 --report report";
-    let report = json(folder.path(), arguments);
+    let report = program::json(folder.path(), arguments);
     let file = folder.path().join("report/report.html");
     let page = fs::read_to_string(&file).unwrap();
 
@@ -74,18 +74,24 @@ fn a_reconstruction_is_told_on_a_page() {
     assert!((number(last, "psnr") - report["psnr_input"].as_f64().unwrap()).abs() < 6.0, "{last}");
 
     // A browser has nothing to say against it, and plays it.
-    let opened = browser::open(&file, 4000, &["--window-size=1280,900"]);
-    assert!(opened.console.is_empty(), "{:?}", opened.console);
-    let at: Vec<u32> =
-        attributes(&opened.dom, "data-at").iter().map(|v| v.parse().unwrap()).collect();
-    assert!(at.len() == 2 && at.iter().any(|at| *at > 0), "both players run: {at:?}");
-    let seen = opened.dom.matches("<img ").count() - opened.dom.matches("hidden=\"\">").count();
-    assert_eq!(seen, 5 + 1, "one picture of each lane is seen");
-    let still = browser::open(&file, 4000, &["--force-prefers-reduced-motion"]);
-    assert_eq!(attributes(&still.dom, "data-at"), ["0", "0"], "who wants less motion gets it");
-    for width in [320, 360, 768, 1280] {
-        assert_eq!(browser::overflow(&file, width), 0, "at {width} pixels");
+    let mut opened = Browser::open_file(&file, 1280, 900);
+    let players = "[...document.querySelectorAll('[data-at]')].map(player => +player.dataset.at)";
+    assert_eq!(opened.evaluate(players).as_array().unwrap().len(), 2);
+    for player in 0..2 {
+        // It may have come round to its first picture.
+        opened.wait_for(&format!("{players}[{player}] > 0"));
     }
+    let seen = "[...document.images].filter(picture => picture.offsetParent).length";
+    assert_eq!(opened.evaluate(seen), json!(5 + 1), "one picture of each lane is seen");
+    for width in [320, 360, 768, 1280] {
+        assert_eq!(opened.overflow(width), 0, "at {width} pixels");
+    }
+    let less = json!({ "features": [{ "name": "prefers-reduced-motion", "value": "reduce" }] });
+    opened.call("Emulation.setEmulatedMedia", less);
+    opened.call("Page.reload", json!({}));
+    std::thread::sleep(std::time::Duration::from_secs(3));
+    assert_eq!(opened.evaluate(players), json!([0, 0]), "who wants less motion gets it");
+    assert!(opened.said.is_empty(), "{:?}", opened.said);
 }
 
 #[test]
@@ -94,24 +100,20 @@ fn a_console_message_would_be_seen() {
     let file = folder.path().join("bad.html");
     fs::write(&file, "<body><div style=\"width:900px\">x</div><script>nothing()</script></body>")
         .unwrap();
-    let opened = browser::open(&file, 1000, &[]);
-    assert!(
-        opened.console.len() == 1 && opened.console[0].contains("nothing"),
-        "{:?}",
-        opened.console
-    );
-    assert!(browser::overflow(&file, 360) > 500);
+    let mut opened = Browser::open_file(&file, 360, 700);
+    assert!(opened.overflow(360) > 500);
+    assert!(opened.said.len() == 1 && opened.said[0].contains("nothing"), "{:?}", opened.said);
 }
 
 #[test]
 fn the_tracks_page_has_nothing_to_say_either() {
     let folder = tempfile::tempdir().unwrap();
-    json(folder.path(), "synth rigid -o clip --frames 6 --size 96x54 --seed 4");
-    json(folder.path(), "track clip/frames -o tracked");
+    program::json(folder.path(), "synth rigid -o clip --frames 6 --size 96x54 --seed 4");
+    program::json(folder.path(), "track clip/frames -o tracked");
     let file = folder.path().join("tracked/report.html");
-    let opened = browser::open(&file, 1000, &[]);
-    assert!(opened.console.is_empty(), "{:?}", opened.console);
+    let mut opened = Browser::open_file(&file, 1280, 900);
     for width in [360, 1280] {
-        assert_eq!(browser::overflow(&file, width), 0, "at {width} pixels");
+        assert_eq!(opened.overflow(width), 0, "at {width} pixels");
     }
+    assert!(opened.said.is_empty(), "{:?}", opened.said);
 }

@@ -4,6 +4,7 @@
 #![allow(dead_code)]
 
 use std::net::TcpStream;
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -44,9 +45,7 @@ impl Browser {
             .stdout(Stdio::null())
             .stderr(Stdio::null())
             .spawn()
-            .unwrap_or_else(|e| {
-                panic!("the tests of the viewer need {program} (Debian: chromium): {e}")
-            });
+            .unwrap_or_else(|e| panic!("tests of pages need {program} (Debian: chromium): {e}"));
         let told = profile.path().join("DevToolsActivePort");
         let address = until("Chromium's port", || {
             let text = std::fs::read_to_string(&told).ok()?;
@@ -71,6 +70,19 @@ impl Browser {
         browser.call("Page.navigate", json!({ "url": url }));
         browser.wait_for("location.href !== 'about:blank' && document.readyState === 'complete'");
         browser
+    }
+
+    /// Opens a file in a window of a size.
+    pub fn open_file(file: &Path, width: u32, height: u32) -> Browser {
+        Browser::open(&format!("file://{}", file.canonicalize().unwrap().display()), width, height)
+    }
+
+    /// By how many pixels the page is wider than a window of some width.
+    #[track_caller]
+    pub fn overflow(&mut self, width: u32) -> i64 {
+        self.resize(width, 700);
+        let root = "document.documentElement";
+        self.evaluate(&format!("{root}.scrollWidth - {root}.clientWidth")).as_i64().unwrap()
     }
 
     pub fn resize(&mut self, width: u32, height: u32) {
@@ -108,7 +120,7 @@ impl Browser {
         // Nothing comes from elsewhere.
         let url = event["params"]["request"]["url"].as_str().unwrap_or_default();
         if event["method"] == "Network.requestWillBeSent"
-            && !["http://127.0.0.1:", "data:", "blob:", "about:"]
+            && !["http://127.0.0.1:", "file:", "data:", "blob:", "about:"]
                 .iter()
                 .any(|own| url.starts_with(own))
         {
