@@ -155,7 +155,7 @@ pub fn start(scene: &Scene) -> (Camera, f64) {
         Some(first) => (first.camera, typical_depth(scene, &first.camera)),
         None => {
             let circle = Circle::around(scene);
-            (circle.at(0.0), circle.distance)
+            (circle.at(0.0, 1.0), circle.distance)
         }
     }
 }
