@@ -25,12 +25,13 @@ use splat4d::types::{Gaussians, Image};
 use support::{picture, says};
 use tempfile::TempDir;
 
-const COMMANDS: [&str; 16] = [
+const COMMANDS: [&str; 17] = [
     "reconstruct",
     "batch",
     "track",
     "train",
     "render",
+    "export",
     "eval",
     "ablate",
     "info",

@@ -25,6 +25,7 @@ mod eval_first;
 mod eval_scale;
 mod eval_tracks;
 mod eval_truth;
+mod export;
 mod fuzz;
 mod held_out;
 mod info;
@@ -102,6 +103,7 @@ enum Command {
     Track(track::TrackArgs),
     Train(train::TrainArgs),
     Render(render::RenderArgs),
+    Export(export::ExportArgs),
     Eval(eval::EvalArgs),
     Ablate(ablate::AblateArgs),
     Info(info::InfoArgs),
@@ -177,6 +179,7 @@ fn run(cli: &Cli) -> Result<(Answer, ExitCode)> {
         Command::Track(args) => track::run(args, &cli.common),
         Command::Train(args) => train::run(args, &cli.common),
         Command::Render(args) => render::run(args, &cli.common),
+        Command::Export(args) => export::run(args, &cli.common),
         Command::Eval(args) => eval::run(args, &cli.common),
         Command::Ablate(args) => ablate::run(args, &cli.common),
         Command::Info(args) => info::run(args),
@@ -257,6 +260,7 @@ mod tests {
             "max_gaussians" | "eval_every" | "sh_degree" | "checkpoint_every" | "max_time_diff"
             | "align_first" | "rpe_tolerance" | "static_motion" | "shot" | "times" => &["0"],
             "time_offset" => &["-1", "0"],
+            "time" => &["0"],
             "background" => &["0,0,0"],
             _ => &[],
         }

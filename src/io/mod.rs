@@ -1,7 +1,8 @@
 //! What every reader and writer of files needs: whole-file reads with the path in the error, writes
-//! by rename, a bounds-checked cursor over bytes, the PLY container, files of state, and how much
+//! by rename, a bounds-checked cursor over bytes, the PLY container, zip archives, files of state, and how much
 //! memory there is.
 
+mod archive;
 mod bytes;
 mod folder;
 mod memory;
@@ -9,6 +10,7 @@ pub mod ply;
 mod state;
 mod write;
 
+pub use archive::Archive;
 pub use bytes::Bytes;
 pub use folder::{check_new_folder, write_folder};
 pub(crate) use memory::gibibytes;

@@ -5,7 +5,7 @@ use super::gaussians::{GaussianBuffers, GaussianViews};
 use super::mlp::{Network, NetworkScratch};
 use super::path;
 use crate::gpu::{Buffer, Device, Recorder, Stream, View, ViewMut};
-use crate::types::{ControlPoints, DeformNet};
+use crate::types::{ControlPoints, DeformNet, Gaussians};
 use crate::{Error, Result};
 
 /// What the derivative of soft motion takes and gives.
@@ -276,6 +276,19 @@ impl Motion {
                 plan.backward(recorder, parameters, transform_gradients, gradients, false, scratch)
             }
         }
+    }
+
+    /// Puts downloaded Gaussians where the last [`forward`](Self::forward) moved them.
+    ///
+    /// # Errors
+    /// A failed submission.
+    pub(crate) fn download_moved(&self, stream: &mut Stream, into: &mut Gaussians) -> Result<()> {
+        let n = into.len();
+        let positions = stream.download(&self.positions)?;
+        into.positions.copy_from_slice(&bytemuck::cast_slice(&positions)[..n]);
+        into.rotations.copy_from_slice(&stream.download(&self.rotations)?[..n]);
+        into.opacity_logits.copy_from_slice(&stream.download(&self.opacity_logits)?[..n]);
+        Ok(())
     }
 
     /// The Gaussians where the last [`forward`](Self::forward) put them.

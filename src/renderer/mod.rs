@@ -383,6 +383,23 @@ impl Renderer {
         Ok(counts[..len].iter().map(|&count| u64::from(count)).sum())
     }
 
+    /// The Gaussians as they are at `time` in [0, 1]: those that move in their places, turned, and as
+    /// opaque as they are then. Nothing of motion is left in them.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for a time out of [range]; a failed submission.
+    pub fn posed(&mut self, time: f64) -> Result<Gaussians> {
+        range::moment(time).map_err(Error::Input)?;
+        let mut posed = self.gaussians.download(&mut self.stream)?;
+        if let Some(motion) = &mut self.motion {
+            let mut recorder = self.stream.record()?;
+            motion.forward(&mut recorder, &self.gaussians.views(), &[time as f32], None)?;
+            self.stream.submit(recorder)?;
+            motion.download_moved(&mut self.stream, &mut posed)?;
+        }
+        Ok(posed)
+    }
+
     /// Whether there is a studio for pictures of a camera's size.
     fn has_studio(&self, camera: &Camera) -> bool {
         let k = camera.intrinsics;

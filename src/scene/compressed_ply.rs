@@ -6,10 +6,12 @@
 //! 10 bits each between ±1/√2; `packed_color` red, green, blue and opacity in 8 bits. An element `sh`
 //! may follow: a byte per further coefficient, between ±4, channel-major.
 
+use std::io::Write;
 use std::path::Path;
 
+use super::packing;
 use crate::io::ply::{Element, Kind, Ply, Scalar};
-use crate::types::{Gaussians, SH_C0, sh_coefficients};
+use crate::types::{Gaussians, sh_coefficients};
 use crate::{Error, Result};
 
 /// Gaussians of a chunk.
@@ -31,9 +33,11 @@ const BOUNDS: [&str; 12] = [
 ];
 /// Bounds of colours, in newer files; else 0 and 1.
 const COLOURS: [&str; 6] = ["min_r", "min_g", "min_b", "max_r", "max_g", "max_b"];
-/// A byte of 0 or 255 stands for all that rounds to it: its opacity is taken a quarter of a step
-/// inside, so that the logit is finite.
-const INSIDE: f32 = 0.25 / 255.0;
+/// The words of a Gaussian.
+const PACKED: [&str; 4] = ["packed_position", "packed_rotation", "packed_scale", "packed_color"];
+/// Logarithms of scales are kept within ± this: beyond, nothing is seen, and one would spoil its
+/// chunk's steps.
+const FARTHEST_LOG_SCALE: f32 = 20.0;
 
 /// Reads the Gaussians of a file whose vertices have a `packed_position`.
 pub(super) fn gaussians(path: &Path, ply: &Ply<'_>) -> Result<Gaussians> {
@@ -55,8 +59,7 @@ pub(super) fn gaussians(path: &Path, ply: &Ply<'_>) -> Result<Gaussians> {
     let names: Vec<&str> =
         BOUNDS.into_iter().chain(COLOURS.into_iter().filter(|_| coloured)).collect();
     let bounds = ply.rows("chunk", &columns(chunk, &names)?)?;
-    let packed = ["packed_position", "packed_rotation", "packed_scale", "packed_color"];
-    let packed = columns(vertex, &packed)?;
+    let packed = columns(vertex, &PACKED)?;
     if packed.iter().any(|&c| vertex.properties[c].kind != Kind::Scalar(Scalar::U32)) {
         return Err(bad("the compressed PLY's `packed_*` are of another type than uint".into()));
     }
@@ -81,9 +84,8 @@ pub(super) fn gaussians(path: &Path, ply: &Ply<'_>) -> Result<Gaussians> {
         let byte = |shift: u32| (word[3] >> shift & 0xff) as f32 / 255.0;
         let rgb = [byte(24), byte(16), byte(8)];
         let rgb: [f32; 3] = if coloured { between(rgb, 12) } else { rgb };
-        out.sh.push(rgb.map(|c| (c - 0.5) / SH_C0));
-        let opacity = byte(0).clamp(INSIDE, 1.0 - INSIDE);
-        out.opacity_logits.push((opacity / (1.0 - opacity)).ln());
+        out.sh.push(packing::harmonic(rgb));
+        out.opacity_logits.push(packing::logit(word[3] as u8));
     }
     if let Some(sh) = ply.element("sh") {
         further_harmonics(path, ply, sh, &mut out)?;
@@ -120,6 +122,108 @@ fn rotation(word: u32) -> [f32; 4] {
     });
     q[largest] = (1.0 - squares).max(0.0).sqrt();
     q
+}
+
+/// Writes Gaussians, in the order of a Morton curve, so that a chunk is small. Motion logits are not
+/// written.
+pub(super) fn encode(gaussians: &Gaussians, sink: &mut dyn Write) -> std::io::Result<()> {
+    let ordered = packing::picked(gaussians, &packing::morton_order(&gaussians.positions));
+    let (g, n) = (&ordered, gaussians.len());
+    let bands = sh_coefficients(g.sh_degree);
+    writeln!(sink, "ply\nformat binary_little_endian 1.0\ncomment splat4d")?;
+    writeln!(sink, "element chunk {}", n.div_ceil(CHUNK))?;
+    for name in BOUNDS.iter().chain(&COLOURS) {
+        writeln!(sink, "property float {name}")?;
+    }
+    writeln!(sink, "element vertex {n}")?;
+    for name in PACKED {
+        writeln!(sink, "property uint {name}")?;
+    }
+    if bands > 1 {
+        writeln!(sink, "element sh {n}")?;
+        for i in 0..3 * (bands - 1) {
+            writeln!(sink, "property uchar f_rest_{i}")?;
+        }
+    }
+    writeln!(sink, "end_header")?;
+    let scales: Vec<[f32; 3]> = (g.log_scales.iter())
+        .map(|s| s.map(|v| v.clamp(-FARTHEST_LOG_SCALE, FARTHEST_LOG_SCALE)))
+        .collect();
+    let colours: Vec<[f32; 3]> = g.sh.iter().step_by(bands).map(|&h| packing::colour(h)).collect();
+    let arrays = [&g.positions, &scales, &colours];
+    let bounds: Vec<[Range; 3]> = (0..n.div_ceil(CHUNK))
+        .map(|chunk| arrays.map(|rows| Range::of(part(rows, chunk))))
+        .collect();
+    for bounds in &bounds {
+        for value in bounds.iter().flat_map(|range| range.low.iter().chain(&range.high)) {
+            sink.write_all(&value.to_le_bytes())?;
+        }
+    }
+    for i in 0..n {
+        let [position, scale, colour] = &bounds[i / CHUNK];
+        let colour = colour.shares(colours[i]).map(packing::byte);
+        let opacity = packing::byte(packing::opacity(g.opacity_logits[i]));
+        let words = [
+            packed_three(position.shares(g.positions[i])),
+            packed_rotation(g.rotations[i]),
+            packed_three(scale.shares(scales[i])),
+            u32::from_be_bytes([colour[0], colour[1], colour[2], opacity]),
+        ];
+        for word in words {
+            sink.write_all(&word.to_le_bytes())?;
+        }
+    }
+    for rows in g.sh.chunks_exact(bands) {
+        for channel in 0..3 {
+            let byte =
+                |row: &[f32; 3]| ((row[channel] / 8.0 + 0.5) * 256.0).clamp(0.0, 255.0) as u8;
+            sink.write_all(&rows[1..].iter().map(byte).collect::<Vec<u8>>())?;
+        }
+    }
+    Ok(())
+}
+
+/// The rows of a chunk.
+fn part(rows: &[[f32; 3]], chunk: usize) -> &[[f32; 3]] {
+    &rows[chunk * CHUNK..rows.len().min((chunk + 1) * CHUNK)]
+}
+
+/// The least and the largest values of a chunk.
+struct Range {
+    low: [f32; 3],
+    high: [f32; 3],
+}
+
+impl Range {
+    fn of(rows: &[[f32; 3]]) -> Range {
+        let fold = |least: f32, with: fn(f32, f32) -> f32| {
+            std::array::from_fn(|c| rows.iter().map(|row| row[c]).fold(least, with))
+        };
+        Range { low: fold(f32::INFINITY, f32::min), high: fold(f32::NEG_INFINITY, f32::max) }
+    }
+
+    /// Values as shares of the range.
+    fn shares(&self, values: [f32; 3]) -> [f32; 3] {
+        std::array::from_fn(|c| {
+            let size = self.high[c] - self.low[c];
+            if size > 0.0 { (values[c] - self.low[c]) / size } else { 0.0 }
+        })
+    }
+}
+
+/// Shares in 11, 10 and 11 bits.
+fn packed_three(shares: [f32; 3]) -> u32 {
+    let [x, y, z] = shares;
+    packing::steps(x, 2047) << 21 | packing::steps(y, 1023) << 11 | packing::steps(z, 2047)
+}
+
+/// The inverse of [`rotation`].
+fn packed_rotation(q: [f32; 4]) -> u32 {
+    let (largest, q) = packing::largest(packing::unit(q));
+    let others = (0..4).filter(|&c| c != largest);
+    others.fold(largest as u32, |word, c| {
+        word << 10 | packing::steps(q[c] / std::f32::consts::SQRT_2 + 0.5, 1023)
+    })
 }
 
 /// The coefficients above the constant, behind each Gaussian's own.

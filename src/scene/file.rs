@@ -80,10 +80,21 @@ impl Tensor<'_> {
 /// Arrays of the scene do not belong together ([`Error::Shape`]), or the file cannot be written.
 pub fn write(path: &Path, scene: &Scene) -> Result<()> {
     let tensors = tensors(scene)?;
+    io::write_atomically(path, |sink| put(scene, &tensors, sink))
+}
+
+/// [`write`]'s bytes.
+pub(super) fn encoded(scene: &Scene) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    put(scene, &tensors(scene)?, &mut bytes).map_err(|e| Error::Failed(e.to_string()))?;
+    Ok(bytes)
+}
+
+fn put(scene: &Scene, tensors: &[Tensor<'_>], sink: &mut dyn Write) -> std::io::Result<()> {
     let mut header = Map::new();
     header.insert("__metadata__".into(), metadata(scene));
     let mut at = 0;
-    for tensor in &tensors {
+    for tensor in tensors {
         let end = at + tensor.bytes();
         let dtype = if matches!(tensor.values, Values::F32(_)) { "F32" } else { "F64" };
         header.insert(
@@ -95,17 +106,15 @@ pub fn write(path: &Path, scene: &Scene) -> Result<()> {
     let mut header = Value::Object(header).to_string().into_bytes();
     // Readers that map the file expect the tensors to begin at a multiple of 8.
     header.resize(header.len().next_multiple_of(8), b' ');
-    io::write_atomically(path, |sink| {
-        sink.write_all(&(header.len() as u64).to_le_bytes())?;
-        sink.write_all(&header)?;
-        for tensor in &tensors {
-            match &tensor.values {
-                Values::F32(v) => v.iter().try_for_each(|v| sink.write_all(&v.to_le_bytes()))?,
-                Values::F64(v) => v.iter().try_for_each(|v| sink.write_all(&v.to_le_bytes()))?,
-            }
+    sink.write_all(&(header.len() as u64).to_le_bytes())?;
+    sink.write_all(&header)?;
+    for tensor in tensors {
+        match &tensor.values {
+            Values::F32(v) => v.iter().try_for_each(|v| sink.write_all(&v.to_le_bytes()))?,
+            Values::F64(v) => v.iter().try_for_each(|v| sink.write_all(&v.to_le_bytes()))?,
         }
-        Ok(())
-    })
+    }
+    Ok(())
 }
 
 fn metadata(scene: &Scene) -> Value {
@@ -286,7 +295,7 @@ pub fn parse(path: &Path, bytes: &[u8], drop_bad: bool) -> Result<Opened> {
 /// Format and version, before anything that a newer version may have changed.
 fn check_header(path: &Path, bytes: &[u8]) -> Result<()> {
     let bad = |what: String| Error::format(path, what);
-    let unknown = || bad("is neither a splat4d scene (safetensors) nor a PLY file".into());
+    let unknown = || bad("is neither a splat4d scene (safetensors) nor a PLY file, nor SPZ".into());
     let length = match bytes.first_chunk::<8>() {
         Some(length) => u64::from_le_bytes(*length),
         None => return Err(bad(format!("is cut off: {} bytes are no scene", bytes.len()))),

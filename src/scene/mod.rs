@@ -1,16 +1,28 @@
 //! The 4D scene and its files.
 //!
-//! The scene's own file is safetensors ([`mod@file`]); static scenes exchange as 3DGS PLY ([`ply`]).
+//! The scene's own file is safetensors ([`mod@file`]). What others write and read: 3DGS PLY, plain and
+//! compressed ([`ply`]), SPZ ([`spz`]), which holds the motion too, and [`splat`]; [`Format`] tells them
+//! apart by name.
 
 #[cfg(feature = "files")]
 mod compressed_ply;
 #[cfg(feature = "files")]
 pub mod file;
 #[cfg(feature = "files")]
+mod format;
+#[cfg(feature = "files")]
 mod open;
 #[cfg(feature = "files")]
+mod packing;
+#[cfg(feature = "files")]
 pub mod ply;
+#[cfg(feature = "files")]
+pub mod splat;
+#[cfg(feature = "files")]
+pub mod spz;
 
+#[cfg(feature = "files")]
+pub use format::Format;
 #[cfg(feature = "files")]
 pub use open::Opened;
 #[cfg(feature = "files")]

@@ -1,6 +1,6 @@
 //! Opening and saving a scene, whatever the format.
 
-use super::{Scene, file, ply};
+use super::{Format, Scene, file, ply, splat, spz};
 use crate::types::Gaussians;
 use crate::{Error, Result};
 use std::path::Path;
@@ -16,17 +16,24 @@ pub struct Opened {
 }
 
 impl Scene {
-    /// Opens a scene's file or a 3DGS PLY; which of the two shows in the bytes. With `drop_bad`,
+    /// Opens a scene's file or Gaussians of another format: 3DGS PLY, plain or compressed, SPZ, `.splat`.
+    /// Which one shows in the bytes; that of `.splat`, which has no header, in the name. With `drop_bad`,
     /// Gaussians that hold NaN, infinite or out-of-range values ([`Gaussians::check`]) are left out and
     /// counted; else they are an error that counts them.
     pub fn open(path: impl AsRef<Path>, drop_bad: bool) -> Result<Opened> {
         let path = path.as_ref();
         let bytes = crate::io::read(path)?;
-        if !crate::io::ply::is_ply(&bytes) {
-            return file::parse(path, &bytes, drop_bad);
+        let still = |(gaussians, dropped)| Opened { scene: Scene::of(gaussians), dropped };
+        if crate::io::ply::is_ply(&bytes) {
+            return ply::parse(path, &bytes, drop_bad).map(still);
         }
-        let (gaussians, dropped) = ply::parse(path, &bytes, drop_bad)?;
-        Ok(Opened { scene: Scene::of(gaussians), dropped })
+        if spz::is_spz(&bytes) {
+            return spz::parse(path, &bytes, drop_bad);
+        }
+        if Format::of(path) == Some(Format::Splat) {
+            return splat::parse(path, &bytes, drop_bad).map(still);
+        }
+        file::parse(path, &bytes, drop_bad)
     }
 
     /// Writes the scene's file by rename; see [`mod@file`].

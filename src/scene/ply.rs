@@ -83,39 +83,41 @@ pub(super) fn parse(path: &Path, bytes: &[u8], drop_bad: bool) -> Result<(Gaussi
 
 /// Writes Gaussians, binary little-endian, by rename. Motion logits are not written.
 pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians) -> Result<()> {
-    let bands = sh_coefficients(gaussians.sh_degree);
     super::file::check_lengths(gaussians)?;
-    io::write_atomically(path, |sink| {
-        writeln!(sink, "ply\nformat binary_little_endian 1.0")?;
-        writeln!(sink, "comment splat4d\nelement vertex {}", gaussians.len())?;
-        let numbered = |stem: &'static str, n: usize| (0..n).map(move |i| format!("{stem}_{i}"));
-        let names = ["x", "y", "z", "nx", "ny", "nz"].map(String::from).into_iter();
-        let names = names
-            .chain(numbered("f_dc", 3))
-            .chain(numbered("f_rest", 3 * (bands - 1)))
-            .chain(["opacity".to_string()])
-            .chain(numbered("scale", 3))
-            .chain(numbered("rot", 4));
-        for name in names {
-            writeln!(sink, "property float {name}")?;
-        }
-        writeln!(sink, "end_header")?;
-        let mut put =
-            |values: &[f32]| values.iter().try_for_each(|v| sink.write_all(&v.to_le_bytes()));
-        for i in 0..gaussians.len() {
-            let sh = &gaussians.sh[i * bands..(i + 1) * bands];
-            put(&gaussians.positions[i])?;
-            put(&[0.0; 3])?;
-            put(&sh[0])?;
-            for channel in 0..3 {
-                for row in &sh[1..] {
-                    put(&row[channel..=channel])?;
-                }
+    io::write_atomically(path, |sink| encode(gaussians, sink))
+}
+
+/// [`write`]'s bytes.
+pub(super) fn encode(gaussians: &Gaussians, sink: &mut dyn Write) -> std::io::Result<()> {
+    let bands = sh_coefficients(gaussians.sh_degree);
+    writeln!(sink, "ply\nformat binary_little_endian 1.0")?;
+    writeln!(sink, "comment splat4d\nelement vertex {}", gaussians.len())?;
+    let numbered = |stem: &'static str, n: usize| (0..n).map(move |i| format!("{stem}_{i}"));
+    let names = ["x", "y", "z", "nx", "ny", "nz"].map(String::from).into_iter();
+    let names = names
+        .chain(numbered("f_dc", 3))
+        .chain(numbered("f_rest", 3 * (bands - 1)))
+        .chain(["opacity".to_string()])
+        .chain(numbered("scale", 3))
+        .chain(numbered("rot", 4));
+    for name in names {
+        writeln!(sink, "property float {name}")?;
+    }
+    writeln!(sink, "end_header")?;
+    let mut put = |values: &[f32]| values.iter().try_for_each(|v| sink.write_all(&v.to_le_bytes()));
+    for i in 0..gaussians.len() {
+        let sh = &gaussians.sh[i * bands..(i + 1) * bands];
+        put(&gaussians.positions[i])?;
+        put(&[0.0; 3])?;
+        put(&sh[0])?;
+        for channel in 0..3 {
+            for row in &sh[1..] {
+                put(&row[channel..=channel])?;
             }
-            put(&[gaussians.opacity_logits[i]])?;
-            put(&gaussians.log_scales[i])?;
-            put(&gaussians.rotations[i])?;
         }
-        Ok(())
-    })
+        put(&[gaussians.opacity_logits[i]])?;
+        put(&gaussians.log_scales[i])?;
+        put(&gaussians.rotations[i])?;
+    }
+    Ok(())
 }

@@ -79,4 +79,26 @@ impl Gaussians {
     pub fn is_dynamic(&self) -> bool {
         self.motion_logits.iter().any(|&m| m > 0.0)
     }
+
+    /// Leaves out the harmonics above a degree; a lower one stays as it is.
+    pub fn at_degree(mut self, degree: u32) -> Gaussians {
+        if degree < self.sh_degree {
+            let (bands, kept) = (sh_coefficients(self.sh_degree), sh_coefficients(degree));
+            self.sh = self.sh.chunks_exact(bands).flat_map(|rows| rows[..kept].to_vec()).collect();
+            self.sh_degree = degree;
+        }
+        self
+    }
+
+    /// The highest degree that any of them makes use of.
+    pub fn used_sh_degree(&self) -> u32 {
+        let bands = sh_coefficients(self.sh_degree);
+        let is_used = |degree: &u32| {
+            let band = sh_coefficients(degree - 1)..sh_coefficients(*degree);
+            self.sh
+                .chunks_exact(bands)
+                .any(|rows| rows[band.clone()].as_flattened().iter().any(|&h| h != 0.0))
+        };
+        (1..=self.sh_degree).rev().find(is_used).unwrap_or(0)
+    }
 }

@@ -37,7 +37,7 @@ struct Base {
 
 /// Good commands, each with options that keep it short; `<kind>` stands for an input and `>name` for
 /// an output.
-const BASES: [&str; 32] = [
+const BASES: [&str; 35] = [
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150",
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150 \
      --control-points 6 --report >report",
@@ -56,6 +56,9 @@ const BASES: [&str; 32] = [
     "render <scene> -o >views --path <cameras> --size 24x16 --exr --what colour,depth,alpha,motion,flow,normal",
     "render <scene> --bench --size 24x16 --path bullet --frames 2",
     "render <scene> -o >views.mp4 --frames 2 --size 24x16",
+    "export <scene> -o >moment.ply --time 0.5",
+    "export <scene> -o >scene.spz --drop bands",
+    "export <scene> -o >frames.zip --sequence --frames 2 --as splat --drop bands",
     "eval <scene> <dataset>",
     "eval <scene> <truth>",
     "eval <cameras> <cameras>",
@@ -76,12 +79,13 @@ const BASES: [&str; 32] = [
 ];
 
 /// Every command's name.
-pub const COMMANDS: [&str; 15] = [
+pub const COMMANDS: [&str; 16] = [
     "reconstruct",
     "batch",
     "track",
     "train",
     "render",
+    "export",
     "eval",
     "ablate",
     "info",

@@ -1,0 +1,91 @@
+//! Formats of Gaussians that stand still, by name, and what each can hold.
+
+use std::io::Write;
+use std::path::Path;
+
+use super::{compressed_ply, ply, splat, spz};
+use crate::types::Gaussians;
+use crate::{Result, io};
+
+/// A format of Gaussians at one moment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// 3DGS PLY: f32, nothing lost.
+    Ply,
+    /// Compressed PLY, as PlayCanvas' tools have it: 16 bytes a Gaussian, and one for each further
+    /// coefficient of a channel.
+    CompressedPly,
+    /// `.splat`: 32 bytes a Gaussian, no harmonics above the constant.
+    Splat,
+    /// SPZ.
+    Spz(spz::Version),
+}
+
+impl Format {
+    /// That of a file's name; SPZ is of version 4.
+    pub fn of(path: &Path) -> Option<Format> {
+        let name = path.file_name()?.to_str()?.to_ascii_lowercase();
+        let ends = [
+            (".compressed.ply", Format::CompressedPly),
+            (".ply", Format::Ply),
+            (".splat", Format::Splat),
+            (".spz", Format::Spz(spz::Version::V4)),
+        ];
+        ends.into_iter().find(|(end, _)| name.ends_with(end)).map(|(_, format)| format)
+    }
+
+    /// The end of its files' names.
+    pub fn extension(self) -> &'static str {
+        match self {
+            Format::Ply => ".ply",
+            Format::CompressedPly => ".compressed.ply",
+            Format::Splat => ".splat",
+            Format::Spz(_) => ".spz",
+        }
+    }
+
+    /// The highest degree of spherical harmonics that it holds.
+    pub fn most_sh_degree(self) -> u32 {
+        if self == Format::Splat { 0 } else { 3 }
+    }
+
+    /// Writes Gaussians by rename, without what the format does not hold: harmonics above
+    /// [`most_sh_degree`](Self::most_sh_degree), motion. Says how many were written: SPZ leaves out
+    /// what lies too far out for it.
+    ///
+    /// # Errors
+    /// [`Error::Shape`](crate::Error::Shape) where arrays differ in length;
+    /// [`Error::Input`](crate::Error::Input) where SPZ is to hold no Gaussians;
+    /// [`Error::Io`](crate::Error::Io).
+    pub fn write(self, path: impl AsRef<Path>, gaussians: &Gaussians) -> Result<usize> {
+        super::file::check_lengths(gaussians)?;
+        if let Format::Spz(version) = self {
+            return spz::write(path, gaussians, version);
+        }
+        io::write_atomically(path, |sink| self.plain(gaussians, sink))?;
+        Ok(gaussians.len())
+    }
+
+    /// The bytes that [`write`](Self::write) writes, and how many Gaussians they hold.
+    ///
+    /// # Errors
+    /// As for [`write`](Self::write).
+    pub fn encode(self, gaussians: &Gaussians) -> Result<(Vec<u8>, usize)> {
+        super::file::check_lengths(gaussians)?;
+        if let Format::Spz(version) = self {
+            return spz::encoded(gaussians, version, &[]);
+        }
+        let mut bytes = Vec::new();
+        self.plain(gaussians, &mut bytes).map_err(crate::Error::io(""))?;
+        Ok((bytes, gaussians.len()))
+    }
+
+    /// A format that needs no memory of its own.
+    fn plain(self, gaussians: &Gaussians, sink: &mut dyn Write) -> std::io::Result<()> {
+        match self {
+            Format::CompressedPly => compressed_ply::encode(gaussians, sink),
+            Format::Splat => splat::encode(gaussians, sink),
+            Format::Ply | Format::Spz(_) => ply::encode(gaussians, sink),
+        }
+    }
+}

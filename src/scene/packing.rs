@@ -1,0 +1,166 @@
+//! What the compact formats of Gaussians share: numbers in few bits, and an order in which neighbours
+//! lie close to each other.
+
+use crate::types::{Gaussians, SH_C0, sh_coefficients};
+use crate::{Error, Result};
+use std::path::Path;
+
+/// A byte of 0 or 255 stands for all that rounds to it: its opacity is taken a quarter of a step
+/// inside, so that the logit is finite.
+const INSIDE: f32 = 0.25 / 255.0;
+
+/// The opacity of a logit.
+pub(super) fn opacity(logit: f32) -> f32 {
+    1.0 / (1.0 + (-logit).exp())
+}
+
+/// The logit of an opacity of 8 bits.
+pub(super) fn logit(byte: u8) -> f32 {
+    let opacity = (f32::from(byte) / 255.0).clamp(INSIDE, 1.0 - INSIDE);
+    (opacity / (1.0 - opacity)).ln()
+}
+
+/// A share of [0, 1] in so many steps; what lies outside is the nearest end.
+pub(super) fn steps(share: f32, most: u32) -> u32 {
+    (share.clamp(0.0, 1.0) * most as f32).round() as u32
+}
+
+/// A share of [0, 1] in 8 bits.
+pub(super) fn byte(share: f32) -> u8 {
+    steps(share, 255) as u8
+}
+
+/// The colour that the constant harmonic makes.
+pub(super) fn colour(harmonic: [f32; 3]) -> [f32; 3] {
+    harmonic.map(|h| 0.5 + SH_C0 * h)
+}
+
+/// The constant harmonic of a colour.
+pub(super) fn harmonic(colour: [f32; 3]) -> [f32; 3] {
+    colour.map(|c| (c - 0.5) / SH_C0)
+}
+
+/// A quaternion of unit length; one without a direction counts as no rotation.
+pub(super) fn unit(q: [f32; 4]) -> [f32; 4] {
+    let length = q.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
+    match length > 1e-10 && length.is_finite() {
+        true => q.map(|v| (f64::from(v) / length) as f32),
+        false => [1.0, 0.0, 0.0, 0.0],
+    }
+}
+
+/// The place of a unit quaternion's largest part, and the quaternion with that part positive: the same
+/// rotation, which its three other parts tell.
+pub(super) fn largest(q: [f32; 4]) -> (usize, [f32; 4]) {
+    let mut largest = 0;
+    for i in 1..4 {
+        if q[i].abs() > q[largest].abs() {
+            largest = i;
+        }
+    }
+    (largest, if q[largest] < 0.0 { q.map(|v| -v) } else { q })
+}
+
+/// The part of a unit quaternion that the three others leave.
+pub(super) fn rest(parts: [f32; 4]) -> f32 {
+    (1.0 - parts.iter().map(|v| v * v).sum::<f32>()).max(0.0).sqrt()
+}
+
+/// Indices of points along a curve of Morton's: 10 bits of each axis, interleaved.
+pub(super) fn morton_order(positions: &[[f32; 3]]) -> Vec<u32> {
+    let mut low = [f32::INFINITY; 3];
+    let mut high = [f32::NEG_INFINITY; 3];
+    for p in positions {
+        for c in 0..3 {
+            (low[c], high[c]) = (low[c].min(p[c]), high[c].max(p[c]));
+        }
+    }
+    let spread = |mut v: u32| {
+        v = (v | v << 16) & 0x0300_00ff;
+        v = (v | v << 8) & 0x0300_f00f;
+        v = (v | v << 4) & 0x030c_30c3;
+        (v | v << 2) & 0x0924_9249
+    };
+    let key = |p: &[f32; 3]| {
+        let axis = |c: usize| {
+            let size = high[c] - low[c];
+            spread(if size > 0.0 { steps((p[c] - low[c]) / size, 1023) } else { 0 })
+        };
+        axis(0) << 2 | axis(1) << 1 | axis(2)
+    };
+    let keys: Vec<u32> = positions.iter().map(key).collect();
+    let mut order: Vec<u32> = (0..positions.len() as u32).collect();
+    order.sort_by_key(|&i| (keys[i as usize], i));
+    order
+}
+
+/// The Gaussians of some indices, in their order.
+pub(super) fn picked(g: &Gaussians, order: &[u32]) -> Gaussians {
+    fn rows<T: Copy>(of: &[T], order: &[u32], per: usize) -> Vec<T> {
+        let row = |&i: &u32| of[i as usize * per..(i as usize + 1) * per].iter().copied();
+        order.iter().flat_map(row).collect()
+    }
+    Gaussians {
+        positions: rows(&g.positions, order, 1),
+        log_scales: rows(&g.log_scales, order, 1),
+        rotations: rows(&g.rotations, order, 1),
+        opacity_logits: rows(&g.opacity_logits, order, 1),
+        sh_degree: g.sh_degree,
+        sh: rows(&g.sh, order, sh_coefficients(g.sh_degree)),
+        motion_logits: match g.motion_logits.is_empty() {
+            true => Vec::new(),
+            false => rows(&g.motion_logits, order, 1),
+        },
+    }
+}
+
+/// That a file of so many bytes may unpack to `unpacked` bytes of Gaussians, and that there is memory
+/// for it.
+pub(super) fn check_room(path: &Path, unpacked: u64, packed: usize) -> Result<()> {
+    crate::io::check_unpacked(path, unpacked, packed)?;
+    crate::io::check_memory(unpacked.saturating_mul(8), &format!("reading {}", path.display()))
+}
+
+/// An error of a reader that unpacks, told of the file.
+pub(super) fn unpacking(path: &Path, what: &str, error: &std::io::Error) -> Error {
+    Error::format(
+        path,
+        format!("{what} cannot be unpacked: {error}; the file is damaged or cut off"),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn neighbours_lie_together() {
+        let grid = |i: usize| [(i % 8) as f32, (i / 8 % 8) as f32, (i / 64) as f32];
+        let positions: Vec<[f32; 3]> = (0..512).map(grid).collect();
+        let order = morton_order(&positions);
+        let mut sorted = order.clone();
+        sorted.sort_unstable();
+        assert_eq!(sorted, (0..512).collect::<Vec<u32>>());
+        // Each 64 in a row fill a cube of 4.
+        for part in order.chunks_exact(64) {
+            let corner = |p: [f32; 3]| p.map(|v| (v / 4.0) as u32);
+            let first = corner(positions[part[0] as usize]);
+            assert!(part.iter().all(|&i| corner(positions[i as usize]) == first));
+        }
+        assert_eq!(morton_order(&[[1.0; 3]; 3]), [0, 1, 2], "points in one place");
+        assert_eq!(morton_order(&[]), []);
+    }
+
+    #[test]
+    fn opacities_and_quaternions_come_back() {
+        for byte in 0..=255u8 {
+            assert_eq!(steps(opacity(logit(byte)), 255), u32::from(byte));
+        }
+        assert_eq!(unit([0.0; 4]), [1.0, 0.0, 0.0, 0.0]);
+        let (at, q) = largest(unit([0.1, 0.2, -3.0, 0.4]));
+        assert_eq!(at, 2);
+        let mut others = q;
+        others[2] = 0.0;
+        assert!(q[2] > 0.0 && (rest(others) - q[2]).abs() < 1e-6);
+    }
+}
