@@ -5,9 +5,10 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
-use serde_json::json;
+use serde_json::{Value, json};
 use splat4d::io::{write_atomically, write_folder};
 use splat4d::renderer::Renderer;
+use splat4d::scene::splatv::{self, Fit};
 use splat4d::scene::{Format, Opened, Scene, spz};
 use splat4d::types::Gaussians;
 use splat4d::{Error, Result};
@@ -25,6 +26,11 @@ Formats, by the name of FILE:
   .splat           32 bytes a Gaussian, one colour each (antimatter15)
   .spz             about a tenth of a PLY; version 4 holds the motion in an extension that other
                    readers skip: they see the moment --time
+  .glb             glTF with KHR_gaussian_splatting
+  .splatv          what splaTV's players show: motion as a cubic of time for each Gaussian, one
+                   colour each; how well the cubics fit is said
+  .safetensors     the scene's own; with --compact in few bits, as a rule a fifth of it or less, and the
+                   PSNR against the scene as it was is said, over the scene's cameras
 
 What a format cannot hold is an error that says so. --time asks for one moment, so that motion is
 left out; --drop names what else may be left out: `motion`, `bands` (the harmonics above the
@@ -36,12 +42,17 @@ SuperSplat plays such a folder, brush such a zip. --as names the format of the f
 Examples:
   splat4d export scene.safetensors -o moment.ply --time 0.5
   splat4d export scene.safetensors -o scene.spz
+  splat4d export scene.safetensors -o small.safetensors --compact
   splat4d export scene.safetensors -o frames --sequence --frames 60 --as compressed.ply
   splat4d export scene.safetensors -o moment.splat --time 0 --drop bands
 
 JSON: format, gaussians (written, of the last file), dropped (not finite or out of range), far (out
 of the format's reach), sh_degree, frames, times ([first, last]), left_out (of motion, bands), bytes
-(of the scene's file), written_bytes, seconds, output";
+(of the scene's file), written_bytes, seconds, output; fit (of .splatv: moving, position_rmse,
+position_worst, position_spread, rotation_mean in degrees; else null); compact (of --compact:
+plain_bytes, share, baked (whether paths took the network's place), psnr (against the scene, mean over
+views, null without cameras), psnr_worst, psnr_lost (of the report's psnr_input, by that; else null),
+views; else null)";
 
 /// Write a scene in a format that other programs open
 #[derive(Args)]
@@ -73,6 +84,9 @@ pub struct ExportArgs {
     /// Version of SPZ
     #[arg(long, value_name = "VERSION", default_value = "4")]
     spz_version: SpzVersion,
+    /// The scene's own format in few bits
+    #[arg(long, conflicts_with = "sequence")]
+    compact: bool,
     /// Leave out Gaussians that hold NaN, infinite or out-of-range values
     #[arg(long)]
     drop_bad: bool,
@@ -104,6 +118,13 @@ impl Droppable {
             Droppable::Bands => "bands",
         }
     }
+
+    fn why(self, target: Target) -> String {
+        match self {
+            Droppable::Motion if target.holds_motion() => "one moment was asked for".into(),
+            _ => format!("{} holds none", target.extension()),
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -114,19 +135,51 @@ enum SpzVersion {
     V4,
 }
 
+/// What a file is to be.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Target {
+    Still(Format),
+    SplatV,
+    Scene,
+}
+
+impl Target {
+    fn extension(self) -> &'static str {
+        match self {
+            Target::Still(format) => format.extension(),
+            Target::SplatV => ".splatv",
+            Target::Scene => ".safetensors",
+        }
+    }
+
+    fn holds_motion(self) -> bool {
+        !matches!(self, Target::Still(format) if format != Format::Spz(spz::Version::V4))
+    }
+
+    fn most_sh_degree(self) -> u32 {
+        match self {
+            Target::Still(format) => format.most_sh_degree(),
+            Target::SplatV => 0,
+            Target::Scene => 3,
+        }
+    }
+}
+
 /// What was written.
+#[derive(Default)]
 struct Written {
     gaussians: usize,
     far: usize,
     bytes: u64,
+    fit: Option<Fit>,
+    compact: Option<Value>,
 }
 
 /// Runs the command.
 pub fn run(args: &ExportArgs, common: &Common) -> Result<Answer> {
     let begun = std::time::Instant::now();
-    let format = format(args)?;
-    let zip = is_zip(&args.output);
-    if args.sequence && !zip {
+    let target = target(args)?;
+    if args.sequence && !is_zip(&args.output) {
         Outputs::default().folder(&args.output, &["frame0000.ply"])?;
         splat4d::io::check_new_folder(&args.output)?;
     } else {
@@ -138,47 +191,26 @@ pub fn run(args: &ExportArgs, common: &Common) -> Result<Answer> {
         let count = thousands(dropped);
         say(&format!("note: left out {count} Gaussians that are not finite or out of range"));
     }
-    let left_out = left_out(args, format, &scene)?;
-    notes(
-        &left_out
-            .iter()
-            .map(|what| format!("{} left out: {} holds none", what.name(), format.extension()))
-            .collect::<Vec<_>>(),
-    );
-    scene.gaussians = std::mem::take(&mut scene.gaussians).at_degree(format.most_sh_degree());
-    let times = times(args, &scene)?;
-    let moves = scene.moves();
-    let mut renderer = match moves {
-        true => Some(Renderer::new(&common.open_device()?, &scene)?),
-        false => None,
-    };
-    let mut posed = |time: f64| match &mut renderer {
-        Some(renderer) => renderer.posed(time),
-        None => Ok(Gaussians { motion_logits: Vec::new(), ..scene.gaussians.clone() }),
-    };
-    let written = if args.sequence {
-        sequence(args, format, zip, &times, &mut posed)?
-    } else if moves
-        && holds_motion(format)
-        && args.time.is_none()
-        && !args.drop.contains(&Droppable::Motion)
-    {
-        let gaussians = spz::write_moving(&args.output, &scene, &posed(times[0])?)?;
-        Written { gaussians, far: 0, bytes: size(&args.output)? }
-    } else {
-        let gaussians = posed(times[0])?;
-        let count = format.write(&args.output, &gaussians)?;
-        Written { gaussians: count, far: gaussians.len() - count, bytes: size(&args.output)? }
-    };
+    let left_out = left_out(args, target, &scene)?;
+    let of = |what: &Droppable| format!("{} left out: {}", what.name(), what.why(target));
+    notes(&left_out.iter().map(of).collect::<Vec<String>>());
+    scene.gaussians = std::mem::take(&mut scene.gaussians).at_degree(target.most_sh_degree());
+    let times = times(args, target, &scene)?;
+    let mut poser = Poser::new(common, &scene)?;
+    if left_out.contains(&Droppable::Motion) {
+        // From here on it stands still.
+        scene.gaussians = poser.at(times[0])?;
+        scene = Scene { control_points: Default::default(), network: None, ..scene };
+        poser = Poser::new(common, &scene)?;
+    }
+    let written = write(args, common, target, &scene, &times, &mut poser)?;
     if written.far > 0 {
         let far = thousands(written.far);
-        say(&format!(
-            "note: left out {far} Gaussians that lie too far out for {}",
-            format.extension()
-        ));
+        say(&format!("note: left out {far} Gaussians, too far out for {}", target.extension()));
     }
+    let read = size(&args.scene)?;
     let json = json!({
-        "format": format.extension().trim_start_matches('.'),
+        "format": target.extension().trim_start_matches('.'),
         "gaussians": written.gaussians,
         "dropped": dropped,
         "far": written.far,
@@ -186,20 +218,103 @@ pub fn run(args: &ExportArgs, common: &Common) -> Result<Answer> {
         "frames": times.len(),
         "times": [times[0], times[times.len() - 1]],
         "left_out": left_out.iter().map(|what| what.name()).collect::<Vec<_>>(),
-        "bytes": size(&args.scene)?,
+        "bytes": read,
         "written_bytes": written.bytes,
         "seconds": begun.elapsed().as_secs_f64(),
         "output": path_text(&args.output),
+        "fit": written.fit.map(|fit| json!({
+            "moving": fit.moving,
+            "position_rmse": fit.position_rmse,
+            "position_worst": fit.position_worst,
+            "position_spread": fit.position_spread,
+            "rotation_mean": fit.rotation_mean,
+        })),
+        "compact": written.compact,
     });
-    let text = format!(
-        "{} Gaussians at {} in {}, {} (the scene's file has {})\n",
+    let mut text = format!(
+        "{} Gaussians in {}, {} ({} read)\n",
         thousands(written.gaussians),
-        if times.len() == 1 { "one time".into() } else { format!("{} times", times.len()) },
         args.output.display(),
         bytes(written.bytes),
-        bytes(size(&args.scene)?),
+        bytes(read),
     );
+    if let Some(fit) = written.fit.filter(|fit| fit.moving > 0) {
+        text += &format!(
+            "cubics of {} that move: off by {:.2e} in the mean square, by {:.2e} at worst, where they \
+             move by {:.2e}; rotations by {:.1}°\n",
+            thousands(fit.moving),
+            fit.position_rmse,
+            fit.position_worst,
+            fit.position_spread,
+            fit.rotation_mean,
+        );
+    }
+    if let Some(compact) = &written.compact {
+        text += &super::compact::told(compact);
+    }
     Ok(Answer { json, text })
+}
+
+/// Where a scene's Gaussians are at a time; a device is taken only where something moves.
+enum Poser {
+    Still(Gaussians),
+    Moving(Box<Renderer>),
+}
+
+impl Poser {
+    fn new(common: &Common, scene: &Scene) -> Result<Poser> {
+        if scene.moves() {
+            return Ok(Poser::Moving(Renderer::new(&common.open_device()?, scene)?.into()));
+        }
+        Ok(Poser::Still(Gaussians { motion_logits: Vec::new(), ..scene.gaussians.clone() }))
+    }
+
+    fn at(&mut self, time: f64) -> Result<Gaussians> {
+        match self {
+            Poser::Still(gaussians) => Ok(gaussians.clone()),
+            Poser::Moving(renderer) => renderer.posed(time),
+        }
+    }
+}
+
+fn write(
+    args: &ExportArgs,
+    common: &Common,
+    target: Target,
+    scene: &Scene,
+    times: &[f64],
+    poser: &mut Poser,
+) -> Result<Written> {
+    let output = &args.output;
+    let whole = |gaussians: usize| -> Result<Written> {
+        Ok(Written { gaussians, bytes: size(output)?, ..Written::default() })
+    };
+    match target {
+        Target::Still(format) if args.sequence => sequence(args, format, times, poser),
+        Target::Still(_) if target.holds_motion() && scene.moves() => {
+            whole(spz::write_moving(output, scene, &poser.at(times[0])?)?)
+        }
+        Target::Still(format) => {
+            let gaussians = poser.at(times[0])?;
+            let count = format.write(output, &gaussians)?;
+            Ok(Written { far: gaussians.len() - count, ..whole(count)? })
+        }
+        Target::SplatV => {
+            let fit = splatv::write(output, scene, times, |time| {
+                interrupt::check()?;
+                poser.at(time)
+            })?;
+            Ok(Written { fit: Some(fit), ..whole(scene.gaussians.len())? })
+        }
+        Target::Scene if args.compact => {
+            let compact = super::compact::write(output, scene, common)?;
+            Ok(Written { compact: Some(compact), ..whole(scene.gaussians.len())? })
+        }
+        Target::Scene => {
+            scene.save(output)?;
+            whole(scene.gaussians.len())
+        }
+    }
 }
 
 fn size(path: &Path) -> Result<u64> {
@@ -210,56 +325,65 @@ fn is_zip(path: &Path) -> bool {
     path.extension().is_some_and(|end| end.eq_ignore_ascii_case("zip"))
 }
 
-/// The format of the file, or of the sequence's files.
-fn format(args: &ExportArgs) -> Result<Format> {
+/// What the file is to be, or the sequence's files.
+fn target(args: &ExportArgs) -> Result<Target> {
     let version = match args.spz_version {
         SpzVersion::V3 => spz::Version::V3,
         SpzVersion::V4 => spz::Version::V4,
     };
+    let named = |end: &str| args.output.extension().is_some_and(|e| e.eq_ignore_ascii_case(end));
+    let bad = |what: &str| Err(Error::format(&args.output, what));
+    let found = match Format::of(&args.output) {
+        Some(Format::Spz(_)) => Some(Target::Still(Format::Spz(version))),
+        Some(format) => Some(Target::Still(format)),
+        None if named("splatv") => Some(Target::SplatV),
+        None if named("safetensors") => Some(Target::Scene),
+        None => None,
+    };
     if args.sequence {
-        if Format::of(&args.output).is_some() {
-            let what = "names one file; --sequence writes many: name a folder or a .zip, and their \
-                        format with --as";
-            return Err(Error::format(&args.output, what));
+        if found.is_some() {
+            return bad(
+                "names one file; --sequence writes many: name a folder or a .zip, and their format \
+                 with --as",
+            );
         }
-        return Ok(match args.format {
+        return Ok(Target::Still(match args.format {
             Member::Ply => Format::Ply,
             Member::CompressedPly => Format::CompressedPly,
             Member::Splat => Format::Splat,
             Member::Spz => Format::Spz(version),
-        });
+        }));
     }
-    match Format::of(&args.output) {
-        Some(Format::Spz(_)) => Ok(Format::Spz(version)),
-        Some(format) => Ok(format),
-        None if is_zip(&args.output) => {
-            Err(Error::format(&args.output, "a .zip holds a sequence: give --sequence"))
+    match found {
+        Some(target) if args.compact && target != Target::Scene => {
+            bad("is not the scene's own format, which --compact writes: name a .safetensors")
         }
-        None => Err(Error::format(
-            &args.output,
-            "has no ending of a format that is written: .ply, .compressed.ply, .splat, .spz",
-        )),
+        Some(target) => Ok(target),
+        None if is_zip(&args.output) => bad("is a .zip, which holds a sequence: give --sequence"),
+        None => bad(
+            "has no ending of a format that is written: .ply, .compressed.ply, .splat, .spz, .glb, \
+             .splatv, .safetensors",
+        ),
     }
 }
 
-fn holds_motion(format: Format) -> bool {
-    format == Format::Spz(spz::Version::V4)
-}
-
-/// What the format does not hold and the scene has; an error where that was not asked for.
-fn left_out(args: &ExportArgs, format: Format, scene: &Scene) -> Result<Vec<Droppable>> {
+/// What the format does not hold and the scene has, and what was asked to be left out; an error where it
+/// was not asked for.
+fn left_out(args: &ExportArgs, target: Target, scene: &Scene) -> Result<Vec<Droppable>> {
     let (mut left_out, mut refused) = (Vec::new(), Vec::new());
-    let still = args.time.is_some() || args.drop.contains(&Droppable::Motion);
-    if scene.moves() && !args.sequence && (still || !holds_motion(format)) {
+    // In an SPZ, `--time` is the moment that others see.
+    let shown = args.time.is_some() && !matches!(target, Target::Still(_) if target.holds_motion());
+    let still = shown || args.drop.contains(&Droppable::Motion);
+    if scene.moves() && !args.sequence && (still || !target.holds_motion()) {
         left_out.push(Droppable::Motion);
         if !still {
             refused.push(
                 "the scene's motion: give --time for one moment, --sequence for a file for each time, or \
-                 name an .spz, which holds it",
+                 name an .spz of version 4 or a .splatv, which hold it",
             );
         }
     }
-    if scene.gaussians.used_sh_degree() > format.most_sh_degree() {
+    if scene.gaussians.used_sh_degree() > target.most_sh_degree() {
         left_out.push(Droppable::Bands);
         if !args.drop.contains(&Droppable::Bands) {
             refused.push(
@@ -272,19 +396,29 @@ fn left_out(args: &ExportArgs, format: Format, scene: &Scene) -> Result<Vec<Drop
         [] => Ok(left_out),
         _ => Err(Error::Input(format!(
             "{} does not hold {}",
-            format.extension(),
+            target.extension(),
             refused.join("; nor ")
         ))),
     }
 }
 
-/// The times to write.
-fn times(args: &ExportArgs, scene: &Scene) -> Result<Vec<f64>> {
+/// Times at which motion is fitted.
+const FITTED: usize = 48;
+
+/// The times to write, or to fit motion at.
+fn times(args: &ExportArgs, target: Target, scene: &Scene) -> Result<Vec<f64>> {
+    let evenly = |count: usize| -> Vec<f64> {
+        (0..count).map(|i| i as f64 / (count - 1).max(1) as f64).collect()
+    };
+    if let Some(time) = args.time {
+        return Ok(vec![time]);
+    }
     if !args.sequence {
-        return Ok(vec![args.time.unwrap_or(0.0)]);
+        let fitted = target == Target::SplatV && !args.drop.contains(&Droppable::Motion);
+        return Ok(if fitted { evenly(FITTED) } else { vec![0.0] });
     }
     if let Some(frames) = args.frames {
-        return Ok((0..frames).map(|i| i as f64 / (frames - 1).max(1) as f64).collect());
+        return Ok(evenly(frames));
     }
     let mut times: Vec<f64> = scene.cameras.iter().map(|camera| camera.time).collect();
     times.sort_by(f64::total_cmp);
@@ -300,18 +434,17 @@ fn times(args: &ExportArgs, scene: &Scene) -> Result<Vec<f64>> {
 fn sequence(
     args: &ExportArgs,
     format: Format,
-    zip: bool,
     times: &[f64],
-    posed: &mut dyn FnMut(f64) -> Result<Gaussians>,
+    poser: &mut Poser,
 ) -> Result<Written> {
     let mut meter = Meter::new("exporting", "files", times.len() as u64, 0);
     let digits = (times.len() - 1).to_string().len().max(4);
     let names: Vec<String> =
         (0..times.len()).map(|i| format!("frame{i:0digits$}{}", format.extension())).collect();
-    let mut written = Written { gaussians: 0, far: 0, bytes: 0 };
+    let mut written = Written::default();
     let mut next = |time: f64| -> Result<Vec<u8>> {
         interrupt::check()?;
-        let gaussians = posed(time)?;
+        let gaussians = poser.at(time)?;
         let (bytes, count) = format.encode(&gaussians)?;
         written.gaussians = count;
         written.far = written.far.max(gaussians.len() - count);
@@ -319,7 +452,7 @@ fn sequence(
         meter.advance();
         Ok(bytes)
     };
-    if zip {
+    if is_zip(&args.output) {
         let mut failed = None;
         let done = write_atomically(&args.output, |sink| {
             let mut archive = splat4d::io::Archive::new(sink);

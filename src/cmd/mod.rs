@@ -17,6 +17,7 @@ mod clip;
 mod clock;
 mod common;
 mod completions;
+mod compact;
 mod components;
 mod devices;
 mod encode;

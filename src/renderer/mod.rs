@@ -400,6 +400,25 @@ impl Renderer {
         Ok(posed)
     }
 
+    /// The motions of the control points at `time` in [0, 1], as
+    /// [`ControlPoints::paths`](crate::types::ControlPoints::paths) holds them; none
+    /// where nothing moves.
+    ///
+    /// # Errors
+    /// As for [`posed`](Self::posed).
+    pub fn motions(&mut self, time: f64) -> Result<Vec<[f32; 8]>> {
+        range::moment(time).map_err(Error::Input)?;
+        let Some(motion) = &mut self.motion else { return Ok(Vec::new()) };
+        let mut recorder = self.stream.record()?;
+        motion.forward(&mut recorder, &self.gaussians.views(), &[time as f32], None)?;
+        self.stream.submit(recorder)?;
+        let halves = self.stream.download(&motion.transforms)?;
+        let rows = halves.as_flattened().as_chunks::<8>().0.iter();
+        Ok(rows
+            .map(|row| std::array::from_fn(|c| if c == 4 { row[c] - 1.0 } else { row[c] }))
+            .collect())
+    }
+
     /// Whether there is a studio for pictures of a camera's size.
     fn has_studio(&self, camera: &Camera) -> bool {
         let k = camera.intrinsics;

@@ -35,7 +35,7 @@ use glam::{DQuat, DVec3};
 use safetensors::{Dtype, SafeTensorError, SafeTensors};
 use serde_json::{Map, Value, json};
 
-use super::{Opened, Scene, SceneCamera, TWICE_MOVED, without_bad};
+use super::{Opened, Scene, SceneCamera, TWICE_MOVED, compact, packing, without_bad};
 use crate::error::excerpt;
 use crate::io;
 use crate::types::{
@@ -47,22 +47,27 @@ use crate::{Error, Result};
 /// A network's lowest frequency is 2 to the power of no more than this, or one over that.
 const MOST_OCTAVES: u32 = 100;
 
-/// The newest version of the format that this crate reads, and the one that it writes.
+/// The version of the format that this crate writes. It reads up to that of the compact form
+/// ([`mod@super::compact`]), 3.
 pub const VERSION: u32 = 2;
+
+/// The newest version that is read.
+const NEWEST: u32 = compact::VERSION;
 
 /// Most control points that a Gaussian follows; 0 in a static scene.
 const MOST_NEIGHBOURS: u32 = 16;
 
 /// Values of a tensor to write.
-enum Values<'a> {
+pub(super) enum Values<'a> {
     F32(&'a [f32]),
     F64(Vec<f64>),
+    Bytes(Vec<u8>),
 }
 
-struct Tensor<'a> {
-    name: String,
-    shape: Vec<usize>,
-    values: Values<'a>,
+pub(super) struct Tensor<'a> {
+    pub name: String,
+    pub shape: Vec<usize>,
+    pub values: Values<'a>,
 }
 
 impl Tensor<'_> {
@@ -70,6 +75,7 @@ impl Tensor<'_> {
         match &self.values {
             Values::F32(values) => 4 * values.len(),
             Values::F64(values) => 8 * values.len(),
+            Values::Bytes(values) => values.len(),
         }
     }
 }
@@ -80,23 +86,32 @@ impl Tensor<'_> {
 /// Arrays of the scene do not belong together ([`Error::Shape`]), or the file cannot be written.
 pub fn write(path: &Path, scene: &Scene) -> Result<()> {
     let tensors = tensors(scene)?;
-    io::write_atomically(path, |sink| put(scene, &tensors, sink))
+    io::write_atomically(path, |sink| put(metadata(scene), &tensors, sink))
 }
 
 /// [`write`]'s bytes.
 pub(super) fn encoded(scene: &Scene) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    put(scene, &tensors(scene)?, &mut bytes).map_err(|e| Error::Failed(e.to_string()))?;
+    put(metadata(scene), &tensors(scene)?, &mut bytes).map_err(|e| Error::Failed(e.to_string()))?;
     Ok(bytes)
 }
 
-fn put(scene: &Scene, tensors: &[Tensor<'_>], sink: &mut dyn Write) -> std::io::Result<()> {
+/// Writes metadata and tensors.
+pub(super) fn put(
+    metadata: Value,
+    tensors: &[Tensor<'_>],
+    sink: &mut dyn Write,
+) -> std::io::Result<()> {
     let mut header = Map::new();
-    header.insert("__metadata__".into(), metadata(scene));
+    header.insert("__metadata__".into(), metadata);
     let mut at = 0;
     for tensor in tensors {
         let end = at + tensor.bytes();
-        let dtype = if matches!(tensor.values, Values::F32(_)) { "F32" } else { "F64" };
+        let dtype = match tensor.values {
+            Values::F32(_) => "F32",
+            Values::F64(_) => "F64",
+            Values::Bytes(_) => "U8",
+        };
         header.insert(
             tensor.name.clone(),
             json!({ "dtype": dtype, "shape": tensor.shape, "data_offsets": [at, end] }),
@@ -112,12 +127,13 @@ fn put(scene: &Scene, tensors: &[Tensor<'_>], sink: &mut dyn Write) -> std::io::
         match &tensor.values {
             Values::F32(v) => v.iter().try_for_each(|v| sink.write_all(&v.to_le_bytes()))?,
             Values::F64(v) => v.iter().try_for_each(|v| sink.write_all(&v.to_le_bytes()))?,
+            Values::Bytes(v) => sink.write_all(v)?,
         }
     }
     Ok(())
 }
 
-fn metadata(scene: &Scene) -> Value {
+pub(super) fn metadata(scene: &Scene) -> Value {
     let RenderSettings { near, dilation, alpha_cut, alpha_cap, transmittance_stop, tangent_clamp } =
         scene.settings;
     let settings = json!({
@@ -175,7 +191,7 @@ fn check_length(arg: &'static str, actual: usize, expected: usize) -> Result<()>
     }
 }
 
-fn tensors(scene: &Scene) -> Result<Vec<Tensor<'_>>> {
+pub(super) fn tensors(scene: &Scene) -> Result<Vec<Tensor<'_>>> {
     let (g, c) = (&scene.gaussians, &scene.control_points);
     check_lengths(g)?;
     check_length("control_points.log_radii", c.log_radii.len(), c.len())?;
@@ -244,7 +260,11 @@ pub fn parse(path: &Path, bytes: &[u8], drop_bad: bool) -> Result<Opened> {
     let bad = |what: String| Error::format(path, what);
     let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| damaged(path, bytes, &e))?;
     let tensors = SafeTensors::deserialize(bytes).map_err(|e| damaged(path, bytes, &e))?;
-    let file = File { path, metadata: header.metadata().clone().unwrap_or_default(), tensors };
+    let metadata = header.metadata().clone().unwrap_or_default();
+    let mut file = File { path, metadata, tensors, packed: Value::Null, size: bytes.len() };
+    if file.metadata.contains_key("packed") {
+        file.packed = file.json("packed")?;
+    }
 
     let position = file.f32("gaussians.position")?;
     let n = position.rows(3)?;
@@ -261,7 +281,7 @@ pub fn parse(path: &Path, bytes: &[u8], drop_bad: bool) -> Result<Opened> {
         positions: arrays(&position.exactly(&[n, 3])?),
         log_scales: arrays(&file.f32("gaussians.log_scale")?.exactly(&[n, 3])?),
         rotations: arrays(&file.f32("gaussians.rotation")?.exactly(&[n, 4])?),
-        opacity_logits: file.f32("gaussians.opacity_logit")?.exactly(&[n])?,
+        opacity_logits: file.opacity_logits(n)?,
         sh_degree,
         sh: arrays(&sh.exactly(&[n, k, 3])?),
         motion_logits,
@@ -318,9 +338,9 @@ fn check_header(path: &Path, bytes: &[u8]) -> Result<()> {
     let version = metadata["version"].as_str().and_then(|v| v.parse::<u32>().ok());
     match version {
         None | Some(0) => Err(bad("is damaged: its header has no version".into())),
-        Some(version) if version > VERSION => Err(bad(format!(
+        Some(version) if version > NEWEST => Err(bad(format!(
             "was written by a newer splat4d (format version {version}); this one reads up to \
-             version {VERSION}. Update splat4d"
+             version {NEWEST}. Update splat4d"
         ))),
         Some(_) => Ok(()),
     }
@@ -342,6 +362,10 @@ struct File<'a> {
     path: &'a Path,
     metadata: HashMap<String, String>,
     tensors: SafeTensors<'a>,
+    /// How packed tensors are packed, in the compact form.
+    packed: Value,
+    /// Bytes of the file.
+    size: usize,
 }
 
 /// A tensor read.
@@ -395,9 +419,23 @@ impl<'a> File<'a> {
     }
 
     fn f32<'b>(&'b self, name: &'b str) -> Result<Read<'b, f32>> {
+        if let Some(entry) = self.packed.get(name) {
+            let (_, data) = self.tensor(name, Dtype::U8)?;
+            let (shape, values) = compact::unpacked(self.path, name, entry, data, self.size)?;
+            return Ok(Read { path: self.path, name, shape, values });
+        }
         let (shape, data) = self.tensor(name, Dtype::F32)?;
         let values = data.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
         Ok(Read { path: self.path, name, shape, values })
+    }
+
+    /// The compact form has opacities instead.
+    fn opacity_logits(&self, n: usize) -> Result<Vec<f32>> {
+        if !self.has("gaussians.opacity") {
+            return self.f32("gaussians.opacity_logit")?.exactly(&[n]);
+        }
+        let opacities = self.f32("gaussians.opacity")?.exactly(&[n])?;
+        Ok(opacities.into_iter().map(packing::logit_of).collect())
     }
 
     /// A tensor none of whose values may be other than finite.

@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::Path;
 
-use super::{compressed_ply, ply, splat, spz};
+use super::{compressed_ply, glb, ply, splat, spz};
 use crate::types::Gaussians;
 use crate::{Result, io};
 
@@ -19,6 +19,8 @@ pub enum Format {
     Splat,
     /// SPZ.
     Spz(spz::Version),
+    /// Binary glTF with `KHR_gaussian_splatting`: f32; written only.
+    Glb,
 }
 
 impl Format {
@@ -30,6 +32,7 @@ impl Format {
             (".ply", Format::Ply),
             (".splat", Format::Splat),
             (".spz", Format::Spz(spz::Version::V4)),
+            (".glb", Format::Glb),
         ];
         ends.into_iter().find(|(end, _)| name.ends_with(end)).map(|(_, format)| format)
     }
@@ -41,6 +44,7 @@ impl Format {
             Format::CompressedPly => ".compressed.ply",
             Format::Splat => ".splat",
             Format::Spz(_) => ".spz",
+            Format::Glb => ".glb",
         }
     }
 
@@ -55,10 +59,11 @@ impl Format {
     ///
     /// # Errors
     /// [`Error::Shape`](crate::Error::Shape) where arrays differ in length;
-    /// [`Error::Input`](crate::Error::Input) where SPZ is to hold no Gaussians;
+    /// [`Error::Input`](crate::Error::Input) where SPZ or glTF is to hold no
+    /// Gaussians, or glTF more than 4 GiB;
     /// [`Error::Io`](crate::Error::Io).
     pub fn write(self, path: impl AsRef<Path>, gaussians: &Gaussians) -> Result<usize> {
-        super::file::check_lengths(gaussians)?;
+        self.check(gaussians)?;
         if let Format::Spz(version) = self {
             return spz::write(path, gaussians, version);
         }
@@ -71,7 +76,7 @@ impl Format {
     /// # Errors
     /// As for [`write`](Self::write).
     pub fn encode(self, gaussians: &Gaussians) -> Result<(Vec<u8>, usize)> {
-        super::file::check_lengths(gaussians)?;
+        self.check(gaussians)?;
         if let Format::Spz(version) = self {
             return spz::encoded(gaussians, version, &[]);
         }
@@ -80,11 +85,17 @@ impl Format {
         Ok((bytes, gaussians.len()))
     }
 
+    fn check(self, gaussians: &Gaussians) -> Result<()> {
+        super::file::check_lengths(gaussians)?;
+        if self == Format::Glb { glb::check(gaussians) } else { Ok(()) }
+    }
+
     /// A format that needs no memory of its own.
     fn plain(self, gaussians: &Gaussians, sink: &mut dyn Write) -> std::io::Result<()> {
         match self {
             Format::CompressedPly => compressed_ply::encode(gaussians, sink),
             Format::Splat => splat::encode(gaussians, sink),
+            Format::Glb => glb::encode(gaussians, sink),
             Format::Ply | Format::Spz(_) => ply::encode(gaussians, sink),
         }
     }

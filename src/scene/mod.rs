@@ -1,15 +1,21 @@
 //! The 4D scene and its files.
 //!
-//! The scene's own file is safetensors ([`mod@file`]). What others write and read: 3DGS PLY, plain and
-//! compressed ([`ply`]), SPZ ([`spz`]), which holds the motion too, and [`splat`]; [`Format`] tells them
-//! apart by name.
+//! The scene's own file is safetensors ([`mod@file`]), plain or [`compact`]. What others write and read: 3DGS PLY, plain and
+//! compressed ([`ply`]), SPZ ([`spz`]), which holds the motion too, and [`splat`]; glTF ([`glb`])
+//! and [`splatv`], whose motion is a fit, are written only. [`Format`] tells them apart by name.
 
+#[cfg(feature = "files")]
+mod axes;
+#[cfg(feature = "files")]
+pub mod compact;
 #[cfg(feature = "files")]
 mod compressed_ply;
 #[cfg(feature = "files")]
 pub mod file;
 #[cfg(feature = "files")]
 mod format;
+#[cfg(feature = "files")]
+pub mod glb;
 #[cfg(feature = "files")]
 mod open;
 #[cfg(feature = "files")]
@@ -18,6 +24,8 @@ mod packing;
 pub mod ply;
 #[cfg(feature = "files")]
 pub mod splat;
+#[cfg(feature = "files")]
+pub mod splatv;
 #[cfg(feature = "files")]
 pub mod spz;
 

@@ -16,7 +16,12 @@ pub(super) fn opacity(logit: f32) -> f32 {
 
 /// The logit of an opacity of 8 bits.
 pub(super) fn logit(byte: u8) -> f32 {
-    let opacity = (f32::from(byte) / 255.0).clamp(INSIDE, 1.0 - INSIDE);
+    logit_of(f32::from(byte) / 255.0)
+}
+
+/// The logit of an opacity that was told in 8 bits.
+pub(super) fn logit_of(opacity: f32) -> f32 {
+    let opacity = opacity.clamp(INSIDE, 1.0 - INSIDE);
     (opacity / (1.0 - opacity)).ln()
 }
 

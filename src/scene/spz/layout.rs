@@ -1,7 +1,7 @@
 //! The arrays of a file, and Gaussians of them.
 
-use super::axes::Axes;
 use super::further;
+use crate::scene::axes::Axes;
 use crate::scene::packing;
 use crate::types::{Gaussians, sh_coefficients};
 

@@ -14,7 +14,6 @@
 //!
 //! Source: github.com/nianticlabs/spz, its README and its extensions/README.md of July 2026.
 
-mod axes;
 mod layout;
 mod motion;
 
@@ -25,11 +24,11 @@ use flate2::Compression;
 use flate2::bufread::GzDecoder;
 use flate2::write::GzEncoder;
 
+use super::axes::Axes;
 use super::{Opened, Scene, packing, without_bad};
 use crate::io::{self, Bytes};
 use crate::types::{Gaussians, sh_coefficients};
 use crate::{Error, Result};
-use axes::Axes;
 use layout::Arrays;
 
 pub use motion::MOTION;

@@ -1,4 +1,4 @@
-//! The axes of a file against those of this crate.
+//! The axes of a file against those of this crate, which are right, down, front.
 
 use std::path::Path;
 

@@ -1,0 +1,208 @@
+//! Gaussians as binary glTF 2.0 with `KHR_gaussian_splatting`, written only.
+//!
+//! One primitive of points with an accessor for each attribute: `POSITION`, `COLOR_0` (for programs that
+//! show points: the constant harmonic's colour, linear, and the opacity, in 8 bits) and those of the
+//! extension: `ROTATION` (x, y, z, w, of unit length), `SCALE` (standard deviations), `OPACITY` in [0, 1],
+//! `SH_DEGREE_l_COEF_n`. All but `COLOR_0` are f32. glTF's axes are right-handed with y up: y and z of
+//! this crate's change their signs.
+//!
+//! Source: KhronosGroup/glTF, extensions/2.0/Khronos/KHR_gaussian_splatting, the release candidate as of
+//! July 2026.
+
+use std::io::Write;
+use std::path::Path;
+
+use serde_json::{Map, Value, json};
+
+use super::axes::Axes;
+use super::packing;
+use crate::types::{Gaussians, sh_coefficients};
+use crate::{Error, Result, io};
+
+/// glTF's numbers for a byte and a float.
+const BYTE: u32 = 5121;
+const FLOAT: u32 = 5126;
+/// glTF's number for vertex attributes.
+const ARRAY: u32 = 34962;
+/// The extension.
+const NAME: &str = "KHR_gaussian_splatting";
+
+/// An attribute: its name, how many values it has, whether these are bytes, and what gives them.
+struct Attribute<'a> {
+    name: String,
+    parts: usize,
+    values: Values<'a>,
+}
+
+enum Values<'a> {
+    Float(Box<dyn Fn(usize) -> [f32; 4] + 'a>),
+    Byte(Box<dyn Fn(usize) -> [u8; 4] + 'a>),
+}
+
+/// Writes Gaussians by rename. Motion logits are not written.
+///
+/// # Errors
+/// [`Error::Shape`] where arrays differ in length; [`Error::Input`] without Gaussians, which glTF does
+/// not hold, or for more than its 4 GiB; [`Error::Io`].
+pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians) -> Result<()> {
+    super::file::check_lengths(gaussians)?;
+    check(gaussians)?;
+    io::write_atomically(path, |sink| encode(gaussians, sink))
+}
+
+/// That glTF holds these Gaussians.
+pub(super) fn check(g: &Gaussians) -> Result<()> {
+    if g.is_empty() {
+        return Err(Error::Input("glTF does not hold a scene without Gaussians".into()));
+    }
+    let size = g.len() as u64 * (48 + 12 * sh_coefficients(g.sh_degree) as u64);
+    match size < u64::from(u32::MAX) - (1 << 20) {
+        true => Ok(()),
+        false => {
+            let what =
+                "the scene is larger than the 4 GiB of a .glb; export fewer Gaussians or bands";
+            Err(Error::Input(what.into()))
+        }
+    }
+}
+
+/// [`write`]'s bytes, for what [`check`] has passed.
+pub(super) fn encode(g: &Gaussians, sink: &mut dyn Write) -> std::io::Result<()> {
+    let attributes = attributes(g);
+    let json = header(g, &attributes).to_string();
+    let json = format!("{json:<width$}", width = json.len().next_multiple_of(4));
+    let size: usize = attributes.iter().map(|a| a.size() * g.len()).sum();
+    let mut word = |value: usize| sink.write_all(&(value as u32).to_le_bytes());
+    word(0x4654_6c67)?;
+    word(2)?;
+    word(12 + 8 + json.len() + 8 + size)?;
+    word(json.len())?;
+    word(0x4e4f_534a)?;
+    sink.write_all(json.as_bytes())?;
+    let mut word = |value: usize| sink.write_all(&(value as u32).to_le_bytes());
+    word(size)?;
+    word(0x004e_4942)?;
+    for attribute in &attributes {
+        for i in 0..g.len() {
+            match &attribute.values {
+                Values::Byte(of) => sink.write_all(&of(i)[..attribute.parts])?,
+                Values::Float(of) => {
+                    for value in &of(i)[..attribute.parts] {
+                        sink.write_all(&value.to_le_bytes())?;
+                    }
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+impl Attribute<'_> {
+    /// Bytes of a Gaussian.
+    fn size(&self) -> usize {
+        self.parts * if matches!(self.values, Values::Byte(_)) { 1 } else { 4 }
+    }
+}
+
+fn float<'a>(name: String, parts: usize, of: Box<dyn Fn(usize) -> [f32; 4] + 'a>) -> Attribute<'a> {
+    Attribute { name, parts, values: Values::Float(of) }
+}
+
+fn attributes(g: &Gaussians) -> Vec<Attribute<'_>> {
+    let (axes, bands) = (Axes::default(), sh_coefficients(g.sh_degree));
+    let three = |[x, y, z]: [f32; 3]| [x, y, z, 0.0];
+    let colour = move |i: usize| {
+        let [red, green, blue] =
+            packing::colour(g.sh[i * bands]).map(|c| packing::byte(linear(c.clamp(0.0, 1.0))));
+        [red, green, blue, packing::byte(packing::opacity(g.opacity_logits[i]))]
+    };
+    let mut all = vec![
+        float("POSITION".into(), 3, Box::new(move |i| three(axes.place(g.positions[i])))),
+        Attribute { name: "COLOR_0".into(), parts: 4, values: Values::Byte(Box::new(colour)) },
+        float(
+            format!("{NAME}:ROTATION"),
+            4,
+            Box::new(move |i| {
+                let [w, x, y, z] = axes.turn(packing::unit(g.rotations[i]));
+                [x, y, z, w]
+            }),
+        ),
+        float(format!("{NAME}:SCALE"), 3, Box::new(move |i| three(g.log_scales[i].map(f32::exp)))),
+        float(
+            format!("{NAME}:OPACITY"),
+            1,
+            Box::new(move |i| [packing::opacity(g.opacity_logits[i]), 0.0, 0.0, 0.0]),
+        ),
+    ];
+    for degree in 0..=g.sh_degree {
+        let first = (degree * degree) as usize;
+        for n in 0..2 * degree as usize + 1 {
+            let k = first + n;
+            let sign = if k == 0 { 1.0 } else { axes.harmonic(k - 1) };
+            all.push(float(
+                format!("{NAME}:SH_DEGREE_{degree}_COEF_{n}"),
+                3,
+                Box::new(move |i| three(g.sh[i * bands + k].map(|h| sign * h))),
+            ));
+        }
+    }
+    all
+}
+
+/// What sRGB's transfer function makes linear.
+fn linear(value: f32) -> f32 {
+    if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
+}
+
+fn header(g: &Gaussians, attributes: &[Attribute<'_>]) -> Value {
+    let mut at = 0;
+    let (mut views, mut accessors, mut names) = (Vec::new(), Vec::new(), Map::new());
+    for (index, attribute) in attributes.iter().enumerate() {
+        let size = attribute.size() * g.len();
+        views.push(json!({ "buffer": 0, "byteOffset": at, "byteLength": size, "target": ARRAY }));
+        let is_byte = matches!(attribute.values, Values::Byte(_));
+        let kind = ["SCALAR", "VEC2", "VEC3", "VEC4"][attribute.parts - 1];
+        let mut accessor = json!({
+            "bufferView": index,
+            "componentType": if is_byte { BYTE } else { FLOAT },
+            "count": g.len(),
+            "type": kind,
+        });
+        if is_byte {
+            accessor["normalized"] = json!(true);
+        }
+        // The bounds of positions are asked for.
+        if let (0, Values::Float(of)) = (index, &attribute.values) {
+            let fold = |start: f32, with: fn(f32, f32) -> f32| -> [f32; 3] {
+                (0..g.len())
+                    .fold([start; 3], |bound, i| std::array::from_fn(|c| with(bound[c], of(i)[c])))
+            };
+            accessor["min"] = json!(fold(f32::INFINITY, f32::min));
+            accessor["max"] = json!(fold(f32::NEG_INFINITY, f32::max));
+        }
+        accessors.push(accessor);
+        names.insert(attribute.name.clone(), json!(index));
+        at += size;
+    }
+    let splatting = json!({
+        "kernel": "ellipse",
+        "colorSpace": "srgb_rec709_display",
+        "projection": "perspective",
+        "sortingMethod": "cameraDistance",
+    });
+    json!({
+        "asset": { "version": "2.0", "generator": concat!("splat4d ", env!("CARGO_PKG_VERSION")) },
+        "extensionsUsed": [NAME],
+        "scene": 0,
+        "scenes": [{ "nodes": [0] }],
+        "nodes": [{ "mesh": 0 }],
+        "meshes": [{ "primitives": [{
+            "attributes": names,
+            "mode": 0,
+            "extensions": { NAME: splatting },
+        }] }],
+        "buffers": [{ "byteLength": at }],
+        "bufferViews": views,
+        "accessors": accessors,
+    })
+}
