@@ -17,7 +17,7 @@ use splat4d::data::{
     colmap, dpt, exr, flo, images, intrinsics, nerfies, poses_bounds, tracks, write_png,
 };
 use splat4d::io::{Identity, read_state, write_state};
-use splat4d::scene::{Scene, SceneCamera, ply};
+use splat4d::scene::{Format, Scene, SceneCamera, compact, ply, sog, splat, spz};
 use splat4d::types::{
     ControlPoints, DeformNet, Gaussians, Image, NetShape, PointPath, Pose, Tracks,
 };
@@ -145,6 +145,45 @@ fn ramp(width: u32, height: u32, channels: u32) -> Image {
     image
 }
 
+/// A SOG of 60 Gaussians with harmonics of the first degree.
+fn bundle() -> Vec<u8> {
+    let book: Vec<f32> = (0..256).map(|i| -5.0 + 0.02 * i as f32).collect();
+    let part = |files: &[&str]| serde_json::json!({ "codebook": book, "files": files });
+    let mut harmonics = part(&["shN_centroids.webp", "shN_labels.webp"]);
+    (harmonics["count"], harmonics["bands"]) = (70.into(), 1.into());
+    let meta = serde_json::json!({
+        "version": 2,
+        "count": 60,
+        "means": { "mins": [-1, -1, 0], "maxs": [1, 1, 2], "files": ["means_l.webp", "means_u.webp"] },
+        "scales": part(&["scales.webp"]),
+        "quats": { "files": ["quats.webp"] },
+        "sh0": part(&["sh0.webp"]),
+        "shN": harmonics,
+    });
+    let mut archive = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    let mut add = |name: &str, bytes: &[u8]| {
+        archive.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
+        std::io::Write::write_all(&mut archive, bytes).unwrap();
+    };
+    add("meta.json", meta.to_string().as_bytes());
+    for name in ["means_l", "means_u", "scales", "quats", "sh0", "shN_centroids", "shN_labels"] {
+        let (width, height) = if name == "shN_centroids" { (64 * 3, 2) } else { (8, 8) };
+        let mut picture = image::RgbaImage::new(width, height);
+        for (i, pixel) in picture.pixels_mut().enumerate() {
+            let i = i as u8;
+            pixel.0 = match name {
+                "shN_labels" => [i % 64, 0, 0, 255],
+                "quats" => [i, i.wrapping_mul(3), 128, 252 + i % 4],
+                _ => [i.wrapping_mul(37), i.wrapping_mul(11), i, 200],
+            };
+        }
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        picture.write_to(&mut bytes, image::ImageFormat::WebP).unwrap();
+        add(&format!("{name}.webp"), bytes.get_ref());
+    }
+    archive.finish().unwrap().into_inner()
+}
+
 const READERS: &[Reader] = &[
     Reader {
         name: "scene.safetensors",
@@ -168,6 +207,51 @@ const READERS: &[Reader] = &[
         },
         read: |path| ply::read(path, true).map(drop),
         most: plain,
+        prefixes_fail: true,
+    },
+    Reader {
+        name: "compact.safetensors",
+        write: |path| compact::write(path, &scene()).unwrap(),
+        read: |path| Scene::open(path, false).map(drop),
+        most: packed,
+        prefixes_fail: true,
+    },
+    Reader {
+        name: "splats.splat",
+        write: |path| assert_eq!(Format::Splat.write(path, &gaussians(0)).unwrap(), 40),
+        read: |path| splat::read(path, false).map(drop),
+        most: plain,
+        prefixes_fail: false,
+    },
+    Reader {
+        name: "old.spz",
+        write: |path| assert_eq!(spz::write(path, &gaussians(2), spz::Version::V3).unwrap(), 40),
+        read: |path| Scene::open(path, true).map(drop),
+        most: packed,
+        prefixes_fail: true,
+    },
+    Reader {
+        name: "splats.spz",
+        write: |path| assert_eq!(spz::write(path, &gaussians(3), spz::Version::V4).unwrap(), 40),
+        read: |path| Scene::open(path, true).map(drop),
+        most: packed,
+        prefixes_fail: true,
+    },
+    Reader {
+        name: "moving.spz",
+        write: |path| {
+            let scene = scene();
+            assert_eq!(spz::write_moving(path, &scene, &scene.gaussians).unwrap(), 40);
+        },
+        read: |path| Scene::open(path, true).map(drop),
+        most: packed,
+        prefixes_fail: true,
+    },
+    Reader {
+        name: "splats.sog",
+        write: |path| fs::write(path, bundle()).unwrap(),
+        read: |path| sog::read(path, true).map(drop),
+        most: packed,
         prefixes_fail: true,
     },
     Reader {

@@ -3,7 +3,8 @@
 #
 #   tools/setup.sh run    what building and running need: linker, Vulkan loader, lavapipe, ffmpeg
 #   tools/setup.sh test   and what the test suite needs: validation layer, SwiftShader, CMake, the evo,
-#                         scikit-image, onnxruntime, snakemake and kubernetes-validate packages …
+#                         scikit-image, onnxruntime, snakemake and kubernetes-validate packages, and
+#                         Node.js with PlayCanvas' splat-transform …
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -52,6 +53,8 @@ if [[ $mode == test ]]; then
         # Where it is absent, no environment of its own can be made.
         'has_module ensurepip|python3-venv'
         'has_command git|git'
+        'has_command node|nodejs'
+        'has_command npm|npm'
         'has_command spirv-val|spirv-tools'
         'has_validation|vulkan-validationlayers'
         # Debian ships SwiftShader inside of its browser only.
@@ -129,5 +132,15 @@ if [[ $mode == test ]]; then
     # What `batch --emit` writes is run by the one and held against the schemas of the other.
     python_package engines 'import snakemake, kubernetes_validate' \
         'snakemake==9.27.1' 'kubernetes-validate==1.37.0'
+    # What `export` writes is read by another program of the formats, and what that writes is read here.
+    splats=$beside/splats package=@playcanvas/splat-transform version=2.7.1
+    node -e "process.exit(Number(process.versions.node.split('.')[0]) < 18)" ||
+        fail "node $(node --version) is too old for $package, 18 is needed; see https://nodejs.org"
+    if ! grep -qs "\"version\": \"$version\"" "$splats/node_modules/$package/package.json"; then
+        echo "setup: installing $package into $splats"
+        mkdir -p "$splats"
+        npm install --silent --no-audit --no-fund --prefix "$splats" "$package@$version" ||
+            fail "npm could not install $package into $splats; is there a network?"
+    fi
 fi
 echo "setup: everything for '$mode' is there (Rust $found)"

@@ -83,7 +83,7 @@ fn tempfile_beside(output: &Path) -> Result<tempfile::TempDir> {
 }
 
 /// The scene with paths in the network's place, where these are smaller.
-fn baked(scene: &Scene, common: &Common) -> Result<Option<Scene>> {
+pub fn baked(scene: &Scene, common: &Common) -> Result<Option<Scene>> {
     let Some(network) = scene.network.as_ref().filter(|_| scene.moves()) else { return Ok(None) };
     let mut times: Vec<f64> = scene.cameras.iter().map(|camera| camera.time).collect();
     times.sort_by(f64::total_cmp);

@@ -58,7 +58,7 @@ views; else null)";
 #[derive(Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct ExportArgs {
-    /// A scene's file, or Gaussians as PLY, SPZ or .splat
+    /// A scene's file, or Gaussians as PLY, SPZ, SOG or .splat
     #[arg(value_name = "SCENE|PLY")]
     scene: PathBuf,
     /// The file to write; its name tells the format. With --sequence, a folder or FILE.zip
@@ -292,7 +292,9 @@ fn write(
     match target {
         Target::Still(format) if args.sequence => sequence(args, format, times, poser),
         Target::Still(_) if target.holds_motion() && scene.moves() => {
-            whole(spz::write_moving(output, scene, &poser.at(times[0])?)?)
+            let baked = super::compact::baked(scene, common)?;
+            let moving = baked.as_ref().unwrap_or(scene);
+            whole(spz::write_moving(output, moving, &poser.at(times[0])?)?)
         }
         Target::Still(format) => {
             let gaussians = poser.at(times[0])?;

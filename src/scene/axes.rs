@@ -16,6 +16,9 @@ impl Default for Axes {
 }
 
 impl Axes {
+    /// Left, up, front: those that glTF's splats have.
+    pub const GLTF: Axes = Axes([-1.0, -1.0, 1.0]);
+
     /// Those of a number in Adobe's extension.
     pub fn named(path: &Path, number: u32) -> Result<Axes> {
         match number {

@@ -10,16 +10,17 @@
 //! | name | step |
 //! |---|---|
 //! | `gaussians.position` | a share of the smaller Gaussians' size |
-//! | `gaussians.log_scale` | 1/24 |
+//! | `gaussians.log_scale` | 1/32 |
 //! | `gaussians.rotation` | 1/127 |
 //! | `gaussians.opacity` | 1/255 |
-//! | `gaussians.sh` | one level of an 8-bit colour for the constant, 1/24 for the rest |
+//! | `gaussians.sh` | one level of an 8-bit colour for the constant, 1/64 for the rest |
 //! | `gaussians.motion_logit` | what moves alone: −10 or 10 |
 //! | `control_points.path`, `network.*` | halves |
 //!
 //! Harmonics of bands that are 0 throughout are left out, and the Gaussians lie along a Morton curve.
 
 use std::borrow::Cow;
+use std::io::Write;
 use std::path::Path;
 
 use half::f16;
@@ -33,13 +34,13 @@ use crate::{Error, Result, io};
 /// The version of the format that has packed tensors.
 pub(super) const VERSION: u32 = 3;
 /// Steps of a position in a Gaussian.
-const STEPS: f32 = 32.0;
+const STEPS: f32 = 64.0;
 /// Of log scales.
-const SCALE_STEP: f32 = 1.0 / 24.0;
+const SCALE_STEP: f32 = 1.0 / 32.0;
 /// Of the parts of a unit quaternion.
 const ROTATION_STEP: f32 = 1.0 / 127.0;
 /// Of harmonics above the constant.
-const HARMONIC_STEP: f32 = 1.0 / 24.0;
+const HARMONIC_STEP: f32 = 1.0 / 64.0;
 /// Of the constant harmonic: a level of an 8-bit colour.
 const CONSTANT_STEP: f32 = 1.0 / 255.0 / SH_C0;
 /// The motion logits of what stands still and of what moves.
@@ -52,6 +53,12 @@ const EFFORT: i32 = 19;
 /// # Errors
 /// Arrays of the scene do not belong together ([`Error::Shape`]), or the file cannot be written.
 pub fn write(path: impl AsRef<Path>, scene: &Scene) -> Result<()> {
+    let bytes = encoded(scene)?;
+    io::write_atomically(path, |sink| sink.write_all(&bytes))
+}
+
+/// [`write`]'s bytes.
+pub(super) fn encoded(scene: &Scene) -> Result<Vec<u8>> {
     file::check_lengths(&scene.gaussians)?;
     let scene = Scene { gaussians: reduced(&scene.gaussians), ..scene.clone() };
     let mut packed = Map::new();
@@ -65,11 +72,12 @@ pub fn write(path: impl AsRef<Path>, scene: &Scene) -> Result<()> {
     let mut metadata = file::metadata(&scene);
     metadata["version"] = json!(VERSION.to_string());
     metadata["packed"] = json!(Value::Object(packed).to_string());
-    io::write_atomically(path, |sink| file::put(metadata, &tensors, sink))
+    let mut bytes = Vec::new();
+    file::put(metadata, &tensors, &mut bytes).map_err(|e| Error::Failed(e.to_string()))?;
+    Ok(bytes)
 }
 
-/// The Gaussians in the order of a Morton curve, what moves set apart from what does not, without bands
-/// that no step is left of.
+/// The Gaussians in the order of a Morton curve, without bands that no step is left of.
 fn reduced(g: &Gaussians) -> Gaussians {
     let mut out = packing::picked(g, &packing::morton_order(&g.positions));
     out.rotations.iter_mut().for_each(|q| *q = packing::largest(packing::unit(*q)).1);

@@ -89,13 +89,6 @@ pub fn write(path: &Path, scene: &Scene) -> Result<()> {
     io::write_atomically(path, |sink| put(metadata(scene), &tensors, sink))
 }
 
-/// [`write`]'s bytes.
-pub(super) fn encoded(scene: &Scene) -> Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    put(metadata(scene), &tensors(scene)?, &mut bytes).map_err(|e| Error::Failed(e.to_string()))?;
-    Ok(bytes)
-}
-
 /// Writes metadata and tensors.
 pub(super) fn put(
     metadata: Value,

@@ -3,7 +3,7 @@
 //! One primitive of points with an accessor for each attribute: `POSITION`, `COLOR_0` (for programs that
 //! show points: the constant harmonic's colour, linear, and the opacity, in 8 bits) and those of the
 //! extension: `ROTATION` (x, y, z, w, of unit length), `SCALE` (standard deviations), `OPACITY` in [0, 1],
-//! `SH_DEGREE_l_COEF_n`. All but `COLOR_0` are f32. glTF's axes are right-handed with y up: y and z of
+//! `SH_DEGREE_l_COEF_n`. All but `COLOR_0` are f32. glTF's axes are left, up and front: x and y of
 //! this crate's change their signs.
 //!
 //! Source: KhronosGroup/glTF, extensions/2.0/Khronos/KHR_gaussian_splatting, the release candidate as of
@@ -109,7 +109,7 @@ fn float<'a>(name: String, parts: usize, of: Box<dyn Fn(usize) -> [f32; 4] + 'a>
 }
 
 fn attributes(g: &Gaussians) -> Vec<Attribute<'_>> {
-    let (axes, bands) = (Axes::default(), sh_coefficients(g.sh_degree));
+    let (axes, bands) = (Axes::GLTF, sh_coefficients(g.sh_degree));
     let three = |[x, y, z]: [f32; 3]| [x, y, z, 0.0];
     let colour = move |i: usize| {
         let [red, green, blue] =

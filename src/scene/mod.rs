@@ -2,7 +2,7 @@
 //!
 //! The scene's own file is safetensors ([`mod@file`]), plain or [`compact`]. What others write and read: 3DGS PLY, plain and
 //! compressed ([`ply`]), SPZ ([`spz`]), which holds the motion too, and [`splat`]; glTF ([`glb`])
-//! and [`splatv`], whose motion is a fit, are written only. [`Format`] tells them apart by name.
+//! and [`splatv`], whose motion is a fit, are written only, [`sog`] is read only. [`Format`] tells them apart by name.
 
 #[cfg(feature = "files")]
 mod axes;
@@ -22,6 +22,8 @@ mod open;
 mod packing;
 #[cfg(feature = "files")]
 pub mod ply;
+#[cfg(feature = "files")]
+pub mod sog;
 #[cfg(feature = "files")]
 pub mod splat;
 #[cfg(feature = "files")]

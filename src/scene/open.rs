@@ -1,6 +1,6 @@
 //! Opening and saving a scene, whatever the format.
 
-use super::{Format, Scene, file, ply, splat, spz};
+use super::{Format, Scene, file, ply, sog, splat, spz};
 use crate::types::Gaussians;
 use crate::{Error, Result};
 use std::path::Path;
@@ -16,8 +16,9 @@ pub struct Opened {
 }
 
 impl Scene {
-    /// Opens a scene's file or Gaussians of another format: 3DGS PLY, plain or compressed, SPZ, `.splat`.
-    /// Which one shows in the bytes; that of `.splat`, which has no header, in the name. With `drop_bad`,
+    /// Opens a scene's file or Gaussians of another format: 3DGS PLY, plain or compressed, SPZ, SOG
+    /// (a `.sog` or a folder's `meta.json`), `.splat`. Which one shows in the bytes; `.splat`, which has no
+    /// header, and `meta.json` are told by their names. With `drop_bad`,
     /// Gaussians that hold NaN, infinite or out-of-range values ([`Gaussians::check`]) are left out and
     /// counted; else they are an error that counts them.
     pub fn open(path: impl AsRef<Path>, drop_bad: bool) -> Result<Opened> {
@@ -29,6 +30,10 @@ impl Scene {
         }
         if spz::is_spz(&bytes) {
             return spz::parse(path, &bytes, drop_bad);
+        }
+        let is_meta = path.file_name().is_some_and(|name| name == "meta.json");
+        if sog::is_archive(&bytes) || is_meta {
+            return sog::parse(path, &bytes, drop_bad).map(still);
         }
         if Format::of(path) == Some(Format::Splat) {
             return splat::parse(path, &bytes, drop_bad).map(still);

@@ -2,15 +2,15 @@
 //!
 //! Its payload: a `u32` of its own version, 1; a `u32`, how many of the file's last Gaussians move; a
 //! `u64`, a number of bytes; and a zstd stream that unpacks to them. They are a scene's own file
-//! ([`mod@crate::scene::file`]): its Gaussians are those that move, in the same order, in the canonical
-//! frame, of which position, rotation, opacity and motion count; control points, their paths or the network,
-//! cameras and settings are the scene's.
+//! ([`mod@crate::scene::file`]) in its compact form: its Gaussians are those that move, in the same order,
+//! in the canonical frame, of which position, rotation, opacity and motion count; control points, their
+//! paths or the network, cameras and settings are the scene's.
 
 use std::path::Path;
 
 use super::EFFORT;
 use crate::io::Bytes;
-use crate::scene::{Opened, Scene, file, packing, without_bad};
+use crate::scene::{Opened, Scene, compact, file, packing, without_bad};
 use crate::types::Gaussians;
 use crate::{Error, Result};
 
@@ -31,13 +31,16 @@ pub(super) fn split(scene: &Scene, posed: &Gaussians) -> Result<(Gaussians, Vec<
     }
     let moves = |i: &u32| g.motion_logits.get(*i as usize).is_some_and(|m| *m > 0.0);
     let (movers, still): (Vec<u32>, Vec<u32>) = (0..n as u32).partition(moves);
+    // The order that the compact form has.
+    let places: Vec<[f32; 3]> = movers.iter().map(|&i| g.positions[i as usize]).collect();
+    let along = packing::morton_order(&places);
+    let movers: Vec<u32> = along.into_iter().map(|k| movers[k as usize]).collect();
     let mut moving = packing::picked(g, &movers);
-    // These are in the file already.
-    moving.log_scales.iter_mut().for_each(|s| *s = [0.0; 3]);
+    // Colours are in the file already.
     moving.sh_degree = 0;
     moving.sh = vec![[0.0; 3]; movers.len()];
     let motion = Scene { gaussians: moving, ..scene.clone() };
-    let bytes = file::encoded(&motion)?;
+    let bytes = compact::encoded(&motion)?;
     let packed = zstd::bulk::compress(&bytes, EFFORT)
         .map_err(|e| Error::Failed(format!("compressing failed: {e}")))?;
     let too_large =
