@@ -207,8 +207,8 @@ fn other_versions_and_other_files_are_told() {
         with_header(&path, change);
         message(Scene::open(&path, true))
     };
-    let newer = changed(&|h| h["__metadata__"]["version"] = json!("3"));
-    says(&newer, &["a.safetensors", "newer splat4d (format version 3)", "up to version 2"]);
+    let newer = changed(&|h| h["__metadata__"]["version"] = json!("4"));
+    says(&newer, &["a.safetensors", "newer splat4d (format version 4)", "up to version 3"]);
     // A newer version may have changed everything else.
     let newer = changed(&|h| {
         h["__metadata__"]["version"] = json!("7");

@@ -4,7 +4,7 @@ use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use serde_json::{Value, json};
 use splat4d::io::{write_atomically, write_folder};
 use splat4d::renderer::Renderer;
@@ -14,6 +14,7 @@ use splat4d::types::Gaussians;
 use splat4d::{Error, Result};
 
 use super::common::{Answer, Common, bytes, notes, path_text, say, thousands};
+use super::export_target::{Droppable, Member, SpzVersion, Target, is_zip, left_out, target};
 use super::interrupt;
 use super::meter::Meter;
 use super::outputs::{Inputs, Outputs};
@@ -60,109 +61,36 @@ views; else null)";
 pub struct ExportArgs {
     /// A scene's file, or Gaussians as PLY, SPZ, SOG or .splat
     #[arg(value_name = "SCENE|PLY")]
-    scene: PathBuf,
+    pub scene: PathBuf,
     /// The file to write; its name tells the format. With --sequence, a folder or FILE.zip
     #[arg(short, long, value_name = "FILE")]
-    output: PathBuf,
+    pub output: PathBuf,
     /// The moment, in [0, 1], where one is to be written
     #[arg(long, value_name = "TIME", value_parser = values::number(0.0..=1.0),
           conflicts_with = "sequence")]
-    time: Option<f64>,
+    pub time: Option<f64>,
     /// Write a file for each time
     #[arg(long)]
-    sequence: bool,
+    pub sequence: bool,
     /// Number of files of a sequence, spread evenly over time [default: the times of the input]
     #[arg(long, value_name = "N", requires = "sequence",
           value_parser = values::whole::<usize>(1..=values::MOST_PICTURES))]
-    frames: Option<usize>,
+    pub frames: Option<usize>,
     /// Format of the files of a sequence
     #[arg(long = "as", value_name = "FORMAT", requires = "sequence", default_value = "ply")]
-    format: Member,
+    pub format: Member,
     /// What may be left out where the format does not hold it
     #[arg(long, value_name = "WHAT", value_delimiter = ',')]
-    drop: Vec<Droppable>,
+    pub drop: Vec<Droppable>,
     /// Version of SPZ
     #[arg(long, value_name = "VERSION", default_value = "4")]
-    spz_version: SpzVersion,
+    pub spz_version: SpzVersion,
     /// The scene's own format in few bits
     #[arg(long, conflicts_with = "sequence")]
-    compact: bool,
+    pub compact: bool,
     /// Leave out Gaussians that hold NaN, infinite or out-of-range values
     #[arg(long)]
-    drop_bad: bool,
-}
-
-/// Formats of a sequence's files.
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum Member {
-    #[value(name = "ply")]
-    Ply,
-    #[value(name = "compressed.ply")]
-    CompressedPly,
-    #[value(name = "splat")]
-    Splat,
-    #[value(name = "spz")]
-    Spz,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
-enum Droppable {
-    Motion,
-    Bands,
-}
-
-impl Droppable {
-    fn name(self) -> &'static str {
-        match self {
-            Droppable::Motion => "motion",
-            Droppable::Bands => "bands",
-        }
-    }
-
-    fn why(self, target: Target) -> String {
-        match self {
-            Droppable::Motion if target.holds_motion() => "one moment was asked for".into(),
-            _ => format!("{} holds none", target.extension()),
-        }
-    }
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum SpzVersion {
-    #[value(name = "3")]
-    V3,
-    #[value(name = "4")]
-    V4,
-}
-
-/// What a file is to be.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Target {
-    Still(Format),
-    SplatV,
-    Scene,
-}
-
-impl Target {
-    fn extension(self) -> &'static str {
-        match self {
-            Target::Still(format) => format.extension(),
-            Target::SplatV => ".splatv",
-            Target::Scene => ".safetensors",
-        }
-    }
-
-    fn holds_motion(self) -> bool {
-        !matches!(self, Target::Still(format) if format != Format::Spz(spz::Version::V4))
-    }
-
-    fn most_sh_degree(self) -> u32 {
-        match self {
-            Target::Still(format) => format.most_sh_degree(),
-            Target::SplatV => 0,
-            Target::Scene => 3,
-        }
-    }
+    pub drop_bad: bool,
 }
 
 /// What was written.
@@ -321,87 +249,6 @@ fn write(
 
 fn size(path: &Path) -> Result<u64> {
     Ok(fs::metadata(path).map_err(Error::io(path))?.len())
-}
-
-fn is_zip(path: &Path) -> bool {
-    path.extension().is_some_and(|end| end.eq_ignore_ascii_case("zip"))
-}
-
-/// What the file is to be, or the sequence's files.
-fn target(args: &ExportArgs) -> Result<Target> {
-    let version = match args.spz_version {
-        SpzVersion::V3 => spz::Version::V3,
-        SpzVersion::V4 => spz::Version::V4,
-    };
-    let named = |end: &str| args.output.extension().is_some_and(|e| e.eq_ignore_ascii_case(end));
-    let bad = |what: &str| Err(Error::format(&args.output, what));
-    let found = match Format::of(&args.output) {
-        Some(Format::Spz(_)) => Some(Target::Still(Format::Spz(version))),
-        Some(format) => Some(Target::Still(format)),
-        None if named("splatv") => Some(Target::SplatV),
-        None if named("safetensors") => Some(Target::Scene),
-        None => None,
-    };
-    if args.sequence {
-        if found.is_some() {
-            return bad(
-                "names one file; --sequence writes many: name a folder or a .zip, and their format \
-                 with --as",
-            );
-        }
-        return Ok(Target::Still(match args.format {
-            Member::Ply => Format::Ply,
-            Member::CompressedPly => Format::CompressedPly,
-            Member::Splat => Format::Splat,
-            Member::Spz => Format::Spz(version),
-        }));
-    }
-    match found {
-        Some(target) if args.compact && target != Target::Scene => {
-            bad("is not the scene's own format, which --compact writes: name a .safetensors")
-        }
-        Some(target) => Ok(target),
-        None if is_zip(&args.output) => bad("is a .zip, which holds a sequence: give --sequence"),
-        None => bad(
-            "has no ending of a format that is written: .ply, .compressed.ply, .splat, .spz, .glb, \
-             .splatv, .safetensors",
-        ),
-    }
-}
-
-/// What the format does not hold and the scene has, and what was asked to be left out; an error where it
-/// was not asked for.
-fn left_out(args: &ExportArgs, target: Target, scene: &Scene) -> Result<Vec<Droppable>> {
-    let (mut left_out, mut refused) = (Vec::new(), Vec::new());
-    // In an SPZ, `--time` is the moment that others see.
-    let shown = args.time.is_some() && !matches!(target, Target::Still(_) if target.holds_motion());
-    let still = shown || args.drop.contains(&Droppable::Motion);
-    if scene.moves() && !args.sequence && (still || !target.holds_motion()) {
-        left_out.push(Droppable::Motion);
-        if !still {
-            refused.push(
-                "the scene's motion: give --time for one moment, --sequence for a file for each time, or \
-                 name an .spz of version 4 or a .splatv, which hold it",
-            );
-        }
-    }
-    if scene.gaussians.used_sh_degree() > target.most_sh_degree() {
-        left_out.push(Droppable::Bands);
-        if !args.drop.contains(&Droppable::Bands) {
-            refused.push(
-                "colours that change with the direction (harmonics above the constant): --drop bands \
-                 leaves them out",
-            );
-        }
-    }
-    match &refused[..] {
-        [] => Ok(left_out),
-        _ => Err(Error::Input(format!(
-            "{} does not hold {}",
-            target.extension(),
-            refused.join("; nor ")
-        ))),
-    }
 }
 
 /// Times at which motion is fitted.

@@ -27,6 +27,7 @@ mod eval_scale;
 mod eval_tracks;
 mod eval_truth;
 mod export;
+mod export_target;
 mod fuzz;
 mod held_out;
 mod info;
