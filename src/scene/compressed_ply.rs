@@ -130,8 +130,8 @@ pub(super) fn encode(gaussians: &Gaussians, sink: &mut dyn Write) -> std::io::Re
     let ordered = packing::picked(gaussians, &packing::morton_order(&gaussians.positions));
     let (g, n) = (&ordered, gaussians.len());
     let bands = sh_coefficients(g.sh_degree);
-    writeln!(sink, "ply\nformat binary_little_endian 1.0\ncomment splat4d")?;
-    writeln!(sink, "element chunk {}", n.div_ceil(CHUNK))?;
+    writeln!(sink, "ply\nformat binary_little_endian 1.0")?;
+    writeln!(sink, "comment splat4d\nelement chunk {}", n.div_ceil(CHUNK))?;
     for name in BOUNDS.iter().chain(&COLOURS) {
         writeln!(sink, "property float {name}")?;
     }
