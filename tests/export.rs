@@ -378,7 +378,8 @@ fn linear(value: f32) -> f32 {
 /// How far two quaternions (x, y, z, w) are from the same ellipsoid: one whose axes are turned about any of
 /// them by half a turn is the same.
 fn turned(a: &[f32], b: &[f32]) -> f32 {
-    let quaternion = |q: &[f32]| glam::Quat::from_slice(q);
+    // The other program leaves quaternions as long as they were.
+    let quaternion = |q: &[f32]| glam::Quat::from_slice(q).normalize();
     let halves =
         [[0.0, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
     let dot = |half: &[f32; 4]| quaternion(a).dot(quaternion(b) * quaternion(half)).abs();
