@@ -4,51 +4,15 @@
 
 use glam::{DQuat, DVec2, DVec3};
 
-use super::{Renderer, Studio, moved};
-use crate::types::{Camera, Image, range};
+use super::{Renderer, Studio};
+use crate::types::{Camera, Image};
 use crate::{Error, Result};
 
 /// Pixels less opaque than this show nothing that a value could be told of; as for
 /// [`Rendered::mean_depth`](super::Rendered::mean_depth).
 const LEAST_ALPHA: f32 = 1e-3;
 
-/// Where the Gaussians of a scene are at a time.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Posed {
-    /// Centres in the world.
-    pub positions: Vec<[f32; 3]>,
-    /// World from Gaussian: w, x, y, z; need not be normalised.
-    pub rotations: Vec<[f32; 4]>,
-}
-
 impl Renderer {
-    /// Where every Gaussian is at `time` in [0, 1], and how it is turned. Waits.
-    ///
-    /// # Errors
-    /// [`Error::Input`] for a time out of [range]; [`Error::OutOfMemory`], or a failed submission.
-    pub fn posed(&mut self, time: f64) -> Result<Posed> {
-        range::moment(time).map_err(Error::Input)?;
-        let n = self.gaussians.len;
-        let mut positions = self.device.readback::<f32>(3 * n)?;
-        let mut rotations = self.device.readback::<[f32; 4]>(n)?;
-        let mut recorder = self.stream.record()?;
-        let Renderer { gaussians, motion, half, tuning, .. } = self;
-        let canonical = gaussians.views().rotations;
-        let is_moved = motion.is_some();
-        let views = moved(gaussians, half, motion.as_mut(), tuning, &mut recorder, time)?;
-        // What the tuning keeps in 16 bits is kept in 32 beside it.
-        let turned = if is_moved { views.rotations } else { canonical.range(0..n) };
-        recorder.read_back(views.positions.range(0..3 * n), &positions);
-        recorder.read_back(turned, &rotations);
-        let ticket = self.stream.submit(recorder)?;
-        self.stream.wait(ticket)?;
-        let positions = positions.read()?;
-        Ok(Posed {
-            positions: positions.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect(),
-            rotations: rotations.read()?.to_vec(),
-        })
-    }
-
     /// The picture that [`render`](Self::render) gave last, with a value of each Gaussian in place of
     /// its colour: Σ α · T · value, and alpha. Values may be any finite numbers. Costs a pass of blending.
     ///
@@ -108,10 +72,9 @@ impl Renderer {
     /// As for [`repaint`](Self::repaint) and [`posed`](Self::posed).
     pub fn normals(&mut self, camera: &Camera, time: f64) -> Result<Image> {
         let posed = self.posed(time)?;
-        let scales = self.stream.download(&self.gaussians.log_scales)?;
         let view_from_world = camera.view_from_world;
         let values: Vec<[f32; 3]> = (posed.positions.iter().zip(&posed.rotations))
-            .zip(scales.chunks_exact(3))
+            .zip(&posed.log_scales)
             .map(|((position, rotation), scales)| {
                 let axis = shortest_axis(scales);
                 let [w, x, y, z] = rotation.map(f64::from);

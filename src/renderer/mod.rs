@@ -39,7 +39,6 @@ mod query;
 mod rendered;
 mod scale;
 
-pub use layers::Posed;
 pub use query::Hit;
 pub use rendered::Rendered;
 pub use scale::RenderScale;
