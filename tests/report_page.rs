@@ -98,8 +98,9 @@ fn a_reconstruction_is_told_on_a_page() {
 fn a_console_message_would_be_seen() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("bad.html");
-    fs::write(&file, "<body><div style=\"width:900px\">x</div><script>nothing()</script></body>")
-        .unwrap();
+    let page = "<meta name=\"viewport\" content=\"width=device-width\">\
+                <body><div style=\"width:900px\">x</div><script>nothing()</script></body>";
+    fs::write(&file, page).unwrap();
     let mut opened = Browser::open_file(&file, 360, 700);
     assert!(opened.overflow(360) > 500);
     assert!(opened.said.len() == 1 && opened.said[0].contains("nothing"), "{:?}", opened.said);

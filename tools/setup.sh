@@ -134,7 +134,7 @@ if [[ $mode == test ]]; then
         'snakemake==9.27.1' 'kubernetes-validate==1.37.0'
     # What `export` writes is read by another program of the formats, and what that writes is read here.
     splats=$beside/splats package=@playcanvas/splat-transform version=2.7.1
-    node -e "process.exit(Number(process.versions.node.split('.')[0]) < 18)" ||
+    node -e "process.exit(Number(process.versions.node.split('.')[0]) < 18 ? 1 : 0)" ||
         fail "node $(node --version) is too old for $package, 18 is needed; see https://nodejs.org"
     if ! grep -qs "\"version\": \"$version\"" "$splats/node_modules/$package/package.json"; then
         echo "setup: installing $package into $splats"
