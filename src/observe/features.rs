@@ -70,32 +70,43 @@ const SHARED: f64 = 0.03;
 const ENOUGH: usize = 30;
 /// Most frames of which all pairs are compared; of more, every so manieth.
 const FRAMES: usize = 40;
+/// Frames that are no farther apart are compared in any case: those on both sides of where flow fails.
+const NEIGHBOURS: usize = 2;
 /// A smaller share of the matches that agrees with one epipolar geometry is chance.
 const AGREE_SHARE: f64 = 0.33;
 /// Within so many deviations.
 const DEVIATIONS: f64 = 2.5;
 
-/// The pairs of frames that share few of the points that are followed, `first < second`.
+/// The pairs of frames that share few of the points that are followed, `first < second`: of all frames, or of every so
+/// manieth of many; and of neighbours.
 pub fn unlinked(tracks: &[PointTrack], frames: usize) -> Vec<(usize, usize)> {
-    let mut shared = vec![0u32; frames * frames];
+    let stride = frames.div_ceil(FRAMES).max(1);
+    let keys = frames.div_ceil(stride);
+    let (mut seen, mut near) = (vec![0usize; frames], vec![[0usize; NEIGHBOURS]; frames]);
+    let mut far = vec![0usize; keys * keys];
     for track in tracks {
         for (k, &a) in track.frames.iter().enumerate() {
-            for &b in &track.frames[k..] {
-                shared[a * frames + b] += 1;
-            }
+            seen[a] += 1;
+            let next = track.frames[k + 1..].iter().map(|b| b - a);
+            next.take_while(|gap| *gap <= NEIGHBOURS).for_each(|gap| near[a][gap - 1] += 1);
+        }
+        let at: Vec<usize> =
+            track.frames.iter().filter(|f| f.is_multiple_of(stride)).map(|f| f / stride).collect();
+        for (k, a) in at.iter().enumerate() {
+            at[k + 1..].iter().for_each(|b| far[a * keys + b] += 1);
         }
     }
-    let seen = |f: usize| shared[f * frames + f];
-    let linked = |a: usize, b: usize| {
-        let both = shared[a * frames + b];
-        both as usize >= ENOUGH && f64::from(both) >= SHARED * f64::from(seen(a).min(seen(b)))
+    let key = |f: usize| f.is_multiple_of(stride).then_some(f / stride);
+    let shared = |a: usize, b: usize| match (b - a <= NEIGHBOURS, key(a).zip(key(b))) {
+        (true, _) => Some(near[a][b - a - 1]),
+        (false, Some((i, j))) => Some(far[i * keys + j]),
+        (false, None) => None,
     };
-    let stride = frames.div_ceil(FRAMES);
-    let key = |f: usize| f.is_multiple_of(stride);
+    let linked = |a: usize, b: usize, both: usize| {
+        both >= ENOUGH && both as f64 >= SHARED * seen[a].min(seen[b]) as f64
+    };
     let pairs = (0..frames).flat_map(|a| (a + 1..frames).map(move |b| (a, b)));
-    // Where flow fails, the frames on both sides of it are compared, too.
-    let asked = |(a, b): &(usize, usize)| (key(*a) && key(*b)) || b - a <= 2;
-    pairs.filter(|(a, b)| asked(&(*a, *b)) && !linked(*a, *b)).collect()
+    pairs.filter(|&(a, b)| shared(a, b).is_some_and(|both| !linked(a, b, both))).collect()
 }
 
 /// Tracks of the points that are found again in frames of `pairs`: in three frames at least. `features` are those of all
