@@ -406,26 +406,27 @@ mod tests {
     use super::*;
     use crate::observe::features::mutual;
     use glam::DMat2;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
 
-    /// Blobs of all sizes.
-    fn painted(at: DVec2) -> f32 {
-        let mut sum = 0.5;
-        for k in 0..220u32 {
-            let unit = |n: u32| {
-                f64::from((k * 7919 + n * 104_729).wrapping_mul(2_654_435_761) >> 8)
-                    / f64::from(1 << 24)
-            };
-            let middle = DVec2::new(420.0 * unit(1) - 60.0, 340.0 * unit(2) - 60.0);
-            let (size, light) = (3.0 + 14.0 * unit(3), unit(4) - 0.5);
-            sum += light * (-0.5 * (at - middle).length_squared() / (size * size)).exp();
-        }
-        sum.clamp(0.0, 1.0) as f32
-    }
-
+    /// Blobs of all sizes, seen in a picture whose pixels lie at `place` of them.
     fn picture(place: impl Fn(DVec2) -> DVec2) -> Image {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let blobs: Vec<(DVec2, f64, f64)> = (0..700)
+            .map(|_| {
+                let middle = [420.0, 340.0].map(|side| rng.random_range(-60.0..side - 60.0));
+                (middle.into(), rng.random_range(2.0..8.0), rng.random_range(-0.4..0.4))
+            })
+            .collect();
+        let light = |at: DVec2| {
+            let of = |(middle, size, light): &(DVec2, f64, f64)| {
+                light * (-0.5 * (at - *middle).length_squared() / (size * size)).exp()
+            };
+            (0.5 + blobs.iter().map(of).sum::<f64>()).clamp(0.0, 1.0) as f32
+        };
         let (width, height) = (300, 220);
         let at = |i: u32| DVec2::new(f64::from(i % width), f64::from(i / width)) + 0.5;
-        let pixels = (0..width * height).map(|i| painted(place(at(i)))).collect();
+        let pixels = (0..width * height).map(|i| light(place(at(i)))).collect();
         Image { width, height, channels: 1, pixels }
     }
 
