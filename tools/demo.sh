@@ -53,8 +53,9 @@ the scene          $out/scene.safetensors
 novel views        $out/novel/*.png
 the input's views  $out/input/*.png
 side by side       $out/report/sheet.png   (input, render, motion mask, depth)
-the report         $out/report
+the report         $out/report/report.html
 
-more views:  $splat4d render $out/scene.safetensors -o DIR --path orbit
+in the browser:    $splat4d view $out/scene.safetensors
+more views:        $splat4d render $out/scene.safetensors -o DIR --path orbit
 took $((SECONDS / 60)) min $((SECONDS % 60)) s
 END
