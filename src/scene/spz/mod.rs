@@ -236,7 +236,7 @@ pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians, version: Version) ->
 /// some moment, is what other readers see; the scene's motion goes into an extension.
 ///
 /// # Errors
-/// As for [`write`]; [`Error::Shape`] where `posed` is not of as many Gaussians as the scene.
+/// As for [`write()`]; [`Error::Shape`] where `posed` is not of as many Gaussians as the scene.
 pub fn write_moving(path: impl AsRef<Path>, scene: &Scene, posed: &Gaussians) -> Result<usize> {
     let (gaussians, extension) = motion::split(scene, posed)?;
     let (bytes, count) = encoded(&gaussians, Version::V4, &extension)?;
