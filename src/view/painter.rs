@@ -8,9 +8,8 @@ use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 
 use super::protocol::{Format, Header, Layer, Request};
-use crate::gpu::{Buffer, Device, Stream};
 use crate::io::check_memory;
-use crate::renderer::{Renderer, Target};
+use crate::renderer::Renderer;
 use crate::types::{Camera, Image};
 use crate::{Error, Result};
 
@@ -23,18 +22,12 @@ const OUTLIERS: f64 = 0.02;
 pub struct Painter {
     renderer: Renderer,
     background: [f32; 3],
-    stream: Stream,
-    mask: Option<Buffer<[f32; 4]>>,
 }
 
 impl Painter {
     /// Of a renderer; `background` lies behind its colours.
-    ///
-    /// # Errors
-    /// [`Error::OutOfMemory`].
-    pub fn new(renderer: Renderer, background: [f32; 3]) -> Result<Painter> {
-        let stream = renderer.device().stream()?;
-        Ok(Painter { renderer, background, stream, mask: None })
+    pub fn new(renderer: Renderer, background: [f32; 3]) -> Painter {
+        Painter { renderer, background }
     }
 
     /// The answer to a request: see [`super::protocol`].
@@ -101,30 +94,11 @@ impl Painter {
                 let (pixels, range) = by_nearness(&depth.pixels);
                 (of(pixels), range)
             }
-            Layer::Motion => (of(self.moving(camera, time)?), None),
-        })
-    }
-
-    /// How much of each pixel comes from what moves.
-    fn moving(&mut self, camera: &Camera, time: f64) -> Result<Vec<f32>> {
-        let pixels = camera.intrinsics.width as usize * camera.intrinsics.height as usize;
-        if self.mask.as_ref().is_none_or(|mask| mask.len() != pixels) {
-            let device: &Device = self.renderer.device();
-            self.mask = None;
-            self.mask = Some(device.buffer("motion mask", pixels)?);
-        }
-        let Painter { renderer, stream, mask, .. } = self;
-        let mask = mask.as_mut().expect("made above");
-        loop {
-            let mut recorder = stream.record()?;
-            let target = Target { mask: Some(mask.view_mut()), ..Target::default() };
-            let frame = renderer.record(&mut recorder, camera, time, target)?;
-            let ticket = stream.submit(recorder)?;
-            stream.wait(ticket)?;
-            if renderer.retire(frame)?.is_whole() {
-                return Ok(stream.download(mask)?.into_iter().map(|rgba| rgba[0]).collect());
+            Layer::Motion => {
+                self.renderer.render(camera, time)?;
+                (self.renderer.moving()?, None)
             }
-        }
+        })
     }
 }
 

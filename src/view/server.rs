@@ -88,7 +88,7 @@ impl Server {
         let description = serde_json::to_string(&description(device, &show))
             .map_err(|error| Error::Failed(error.to_string()))?;
         let renderer = Renderer::tuned(device, &show.scene, &show.tuning)?;
-        let painter = Painter::new(renderer, show.scene.background)?;
+        let painter = Painter::new(renderer, show.scene.background);
         let turns = Arc::new(Turns::default());
         let desk = Arc::new(Desk {
             guard,

@@ -1,5 +1,7 @@
 //! Networks that find points in a picture and describe them, as XFeat (Potje et al. 2024).
 
+use std::f64::consts::FRAC_1_SQRT_2;
+
 use glam::DVec2;
 
 use super::contract::{Contract, FeaturesContract};
@@ -61,10 +63,10 @@ impl FeaturesNetwork {
         };
         self.network.check_channels(likely, 1, keypoints)?;
         self.network.check_channels(reliable, 1, reliability)?;
-        let scale = layout.frame_from_picture().map(f64::from);
         let placement = layout.placement();
+        let described = channels(described);
         let (mut pixels, mut descriptors) = (Vec::new(), Vec::new());
-        for at in peaks(likely, reliable) {
+        for at in peaks(likely, &channels(reliable)[0]) {
             // Both are sampled where the point lies in the picture, whatever the size of their own cells.
             let share = at / DVec2::new(f64::from(likely.size.0), f64::from(likely.size.1));
             let picture = DVec2::new(f64::from(layout.picture.0), f64::from(layout.picture.1));
@@ -74,10 +76,10 @@ impl FeaturesNetwork {
                 && pixel.y < f64::from(frame.height);
             if inside {
                 pixels.push(pixel);
-                descriptors.extend(described_at(described, share));
+                descriptors.extend(described_at(&described, share));
             }
         }
-        let noise = NOISE * scale[0].hypot(scale[1]) as f32 * std::f32::consts::FRAC_1_SQRT_2;
+        let noise = NOISE * (placement.scale.length() * FRAC_1_SQRT_2) as f32;
         Ok(Features { pixels, noise, descriptors, rule: Rule::Product(ALIKE) })
     }
 }
@@ -89,7 +91,7 @@ impl FeatureSource for FeaturesNetwork {
 }
 
 /// The places of the most likely points in the plane of likelihoods, the best ones first.
-fn peaks(likely: &Planes, reliable: &Planes) -> Vec<DVec2> {
+fn peaks(likely: &Planes, reliable: &Image) -> Vec<DVec2> {
     let (width, height) = (likely.size.0 as usize, likely.size.1 as usize);
     let at = |x: usize, y: usize| likely.values[y * width + x];
     let mut found = Vec::new();
@@ -108,7 +110,7 @@ fn peaks(likely: &Planes, reliable: &Planes) -> Vec<DVec2> {
             if !beaten {
                 let middle = DVec2::new(x as f64, y as f64) + 0.5;
                 let share = middle / DVec2::new(width as f64, height as f64);
-                let score = value * sampled(reliable, 0, share);
+                let score = value * sampled(reliable, share);
                 found.push((score, middle + within(likely, x, y)));
             }
         }
@@ -134,22 +136,21 @@ fn within(likely: &Planes, x: usize, y: usize) -> DVec2 {
     )
 }
 
-/// A channel at a place that is a share of its sides, bilinear between the centres of its cells.
-fn sampled(planes: &Planes, channel: usize, share: DVec2) -> f32 {
-    let (width, height) = (planes.size.0 as usize, planes.size.1 as usize);
-    let plane = &planes.values[channel * width * height..][..width * height];
-    let most = DVec2::new((width - 1) as f64, (height - 1) as f64);
-    let at = (share * DVec2::new(width as f64, height as f64) - 0.5).clamp(DVec2::ZERO, most);
-    let (x, y) = (at.x as usize, at.y as usize);
-    let (right, below) = ((x + 1).min(width - 1), (y + 1).min(height - 1));
-    let (u, v) = ((at.x - x as f64) as f32, (at.y - y as f64) as f32);
-    let row = |y: usize| (1.0 - u) * plane[y * width + x] + u * plane[y * width + right];
-    (1.0 - v) * row(y) + v * row(below)
+/// The channels of an output, each by itself.
+fn channels(planes: &Planes) -> Vec<Image> {
+    let (width, height) = planes.size;
+    let one = |plane: &[f32]| Image { width, height, channels: 1, pixels: plane.to_vec() };
+    planes.values.chunks_exact(width as usize * height as usize).map(one).collect()
+}
+
+/// A channel at a place that is a share of its sides.
+fn sampled(channel: &Image, share: DVec2) -> f32 {
+    channel.between(share.x * f64::from(channel.width), share.y * f64::from(channel.height))
 }
 
 /// What describes a place, of length 1.
-fn described_at(planes: &Planes, share: DVec2) -> Vec<f32> {
-    let mut values: Vec<f32> = (0..planes.channels).map(|c| sampled(planes, c, share)).collect();
+fn described_at(channels: &[Image], share: DVec2) -> Vec<f32> {
+    let mut values: Vec<f32> = channels.iter().map(|channel| sampled(channel, share)).collect();
     let length = values.iter().map(|v| v * v).sum::<f32>().sqrt().max(f32::MIN_POSITIVE);
     values.iter_mut().for_each(|value| *value /= length);
     values
