@@ -4,7 +4,7 @@
 #   tools/setup.sh run    what building and running need: linker, Vulkan loader, lavapipe, ffmpeg
 #   tools/setup.sh test   and what the test suite needs: validation layer, SwiftShader, CMake, the evo,
 #                         scikit-image, onnxruntime, snakemake and kubernetes-validate packages, and
-#                         Node.js with PlayCanvas' splat-transform …
+#                         Node.js with PlayCanvas' splat-transform and the packages of the page's player …
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -141,6 +141,18 @@ if [[ $mode == test ]]; then
         mkdir -p "$splats"
         npm install --silent --no-audit --no-fund --prefix "$splats" "$package@$version" ||
             fail "npm could not install $package into $splats; is there a network?"
+    fi
+    # The player inside of exported pages is built anew, of the packages in its lock file. No script of a package
+    # runs.
+    player=$beside/player
+    if ! cmp -s tools/player/package-lock.json "$player/package-lock.json" || [[ ! -d $player/node_modules ]]; then
+        echo "setup: installing the player's packages into $player"
+        rm -rf "$player"
+        mkdir -p "$player.part"
+        cp tools/player/package.json tools/player/package-lock.json "$player.part"
+        npm ci --silent --ignore-scripts --no-audit --no-fund --prefix "$player.part" ||
+            fail "npm could not install the player's packages; is there a network?"
+        mv "$player.part" "$player"
     fi
 fi
 echo "setup: everything for '$mode' is there (Rust $found)"

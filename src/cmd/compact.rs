@@ -5,6 +5,7 @@ use std::path::Path;
 use serde_json::{Value, json};
 use splat4d::eval::psnr;
 use splat4d::renderer::Renderer;
+use splat4d::scene::html::{self, Opening};
 use splat4d::scene::{Scene, compact};
 use splat4d::types::ControlPoints;
 use splat4d::{Error, Result};
@@ -17,29 +18,61 @@ use super::meter::Meter;
 const VIEWS: usize = 12;
 /// Most key times of paths that take a network's place.
 const MOST_KEYS: usize = 120;
-/// Bytes of a number of a path, packed, before they are compressed.
-const HALF: usize = 2;
+
+/// When paths take a network's place.
+#[derive(Clone, Copy, PartialEq)]
+pub enum Paths {
+    WhereSmaller,
+    Always,
+}
 
 /// Writes a scene in the compact form, and says what it costs: `export --help` names the keys.
 pub fn write(output: &Path, scene: &Scene, common: &Common) -> Result<Value> {
-    let baked = baked(scene, common)?;
+    let baked = baked(scene, common, Paths::WhereSmaller)?;
+    compact::write(output, baked.as_ref().unwrap_or(scene))?;
+    let folder = tempfile_beside(output)?;
+    measured(output, folder.path(), scene, baked.is_some(), common)
+}
+
+/// Writes a page that plays a scene, and says what the compact scene in it costs.
+pub fn write_page(
+    output: &Path,
+    scene: &Scene,
+    common: &Common,
+    opening: &Opening,
+) -> Result<Value> {
+    let baked = baked(scene, common, Paths::Always)?;
     let small = baked.as_ref().unwrap_or(scene);
-    compact::write(output, small)?;
+    html::write(output, small, opening)?;
+    let folder = tempfile_beside(output)?;
+    let packed = folder.path().join("packed.safetensors");
+    compact::write(&packed, &Scene { report: Value::Null, ..small.clone() })?;
+    measured(&packed, folder.path(), scene, baked.is_some(), common)
+}
+
+/// What a compact scene costs against the one that it was made of.
+fn measured(
+    packed: &Path,
+    folder: &Path,
+    scene: &Scene,
+    baked: bool,
+    common: &Common,
+) -> Result<Value> {
     let written =
         |path: &Path| Ok::<u64, Error>(std::fs::metadata(path).map_err(Error::io(path))?.len());
     // The plain form's size is that of a file: the one that was read may be of another format.
-    let folder = tempfile_beside(output)?;
-    let plain = folder.path().join("plain.safetensors");
+    let plain = folder.join("plain.safetensors");
     scene.save(&plain)?;
-    let (plain, small_bytes) = (written(&plain)?, written(output)?);
-    let views = compared(scene, &Scene::open(output, false)?.scene, common)?;
+    let (plain, small) = (written(&plain)?, written(packed)?);
+    let views = compared(scene, &Scene::open(packed, false)?.scene, common)?;
     let mean = views.iter().sum::<f64>() / views.len().max(1) as f64;
     let input = scene.report["psnr_input"].as_f64();
     let some = |value: f64| (!views.is_empty()).then_some(value);
     Ok(json!({
         "plain_bytes": plain,
-        "share": small_bytes as f64 / plain as f64,
-        "baked": baked.is_some(),
+        "scene_bytes": small,
+        "share": small as f64 / plain as f64,
+        "baked": baked,
         "psnr": some(mean),
         "psnr_worst": some(views.iter().copied().fold(f64::INFINITY, f64::min)),
         "psnr_lost": input.filter(|_| !views.is_empty()).map(|input| lost(input, mean)),
@@ -51,7 +84,9 @@ pub fn write(output: &Path, scene: &Scene, common: &Common) -> Result<Value> {
 pub fn told(compact: &Value) -> String {
     let plain = bytes(compact["plain_bytes"].as_u64().unwrap_or(0));
     let share = 100.0 * compact["share"].as_f64().unwrap_or(0.0);
-    let mut text = format!("{share:.1} % of the plain form's {plain}\n");
+    let small = bytes(compact["scene_bytes"].as_u64().unwrap_or(0));
+    let mut text =
+        format!("the compact scene: {small}, {share:.1} % of the plain form's {plain}\n");
     match (compact["psnr"].as_f64(), compact["psnr_worst"].as_f64()) {
         (Some(mean), Some(worst)) => {
             let views = &compact["views"];
@@ -82,23 +117,25 @@ fn tempfile_beside(output: &Path) -> Result<tempfile::TempDir> {
     tempfile::Builder::new().prefix(".splat4d-").tempdir_in(parent).map_err(Error::io(parent))
 }
 
-/// The scene with paths in the network's place, where these are smaller.
-pub fn baked(scene: &Scene, common: &Common) -> Result<Option<Scene>> {
+/// The scene with paths in the network's place; none where it has no network, or where the paths are
+/// larger and only smaller ones are asked for.
+pub fn baked(scene: &Scene, common: &Common, paths: Paths) -> Result<Option<Scene>> {
     let Some(network) = scene.network.as_ref().filter(|_| scene.moves()) else { return Ok(None) };
     let mut times: Vec<f64> = scene.cameras.iter().map(|camera| camera.time).collect();
     times.sort_by(f64::total_cmp);
     times.dedup();
     let keys = times.len().clamp(2, MOST_KEYS);
-    if keys * scene.control_points.len() * 8 * HALF >= network.parameters.len() * HALF {
+    let larger = keys * scene.control_points.len() * 8 >= network.parameters.len();
+    if larger && paths == Paths::WhereSmaller {
         return Ok(None);
     }
     let mut renderer = Renderer::new(&common.open_device()?, scene)?;
-    let mut paths = Vec::new();
+    let mut motions = Vec::new();
     for key in 0..keys {
         interrupt::check()?;
-        paths.extend(renderer.motions(key as f64 / (keys - 1) as f64)?);
+        motions.extend(renderer.motions(key as f64 / (keys - 1) as f64)?);
     }
-    let control_points = ControlPoints { paths, ..scene.control_points.clone() };
+    let control_points = ControlPoints { paths: motions, ..scene.control_points.clone() };
     Ok(Some(Scene { control_points, network: None, ..scene.clone() }))
 }
 

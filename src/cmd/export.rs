@@ -8,16 +8,19 @@ use clap::Args;
 use serde_json::{Value, json};
 use splat4d::io::{write_atomically, write_folder};
 use splat4d::renderer::Renderer;
+use splat4d::scene::html::Opening;
 use splat4d::scene::splatv::{self, Fit};
 use splat4d::scene::{Format, Opened, Scene, spz};
 use splat4d::types::Gaussians;
 use splat4d::{Error, Result};
 
 use super::common::{Answer, Common, bytes, notes, path_text, say, thousands};
+use super::compact::Paths;
 use super::export_target::{Droppable, Member, SpzVersion, Target, is_zip, left_out, target};
 use super::interrupt;
 use super::meter::Meter;
 use super::outputs::{Inputs, Outputs};
+use super::path;
 use super::values::{self, MOST_PICTURES};
 
 const AFTER_HELP: &str = "\
@@ -30,6 +33,9 @@ Formats, by the name of FILE:
   .glb             glTF with KHR_gaussian_splatting
   .splatv          what splaTV's players show: motion as a cubic of time for each Gaussian, one
                    colour each; how well the cubics fit is said
+  .html            one page that plays the scene in a browser, with nothing from elsewhere: the compact
+                   scene, and the player; the same is said of it as of --compact. For programs, the
+                   page has `splat4d.shot(camera, time, width, height)`; see its source
   .safetensors     the scene's own; with --compact in few bits, as a rule a fifth of it or less, and the
                    PSNR against the scene as it was is said, over the scene's cameras
 
@@ -43,6 +49,7 @@ SuperSplat plays such a folder, brush such a zip. --as names the format of the f
 Examples:
   splat4d export scene.safetensors -o moment.ply --time 0.5
   splat4d export scene.safetensors -o scene.spz
+  splat4d export scene.safetensors -o scene.html
   splat4d export scene.safetensors -o small.safetensors --compact
   splat4d export scene.safetensors -o frames --sequence --frames 60 --as compressed.ply
   splat4d export scene.safetensors -o moment.splat --time 0 --drop bands
@@ -50,10 +57,10 @@ Examples:
 JSON: format, gaussians (written, of the last file), dropped (not finite or out of range), far (out
 of the format's reach), sh_degree, frames, times ([first, last]), left_out (of motion, bands), bytes
 (of the scene's file), written_bytes, seconds, output; fit (of .splatv: moving, position_rmse,
-position_worst, position_spread, rotation_mean in degrees; else null); compact (of --compact:
-plain_bytes, share, baked (whether paths took the network's place), psnr (against the scene, mean over
-views, null without cameras), psnr_worst, psnr_lost (of the report's psnr_input, by that; else null),
-views; else null)";
+position_worst, position_spread, rotation_mean in degrees; else null); compact (of --compact
+and .html: plain_bytes, scene_bytes (of the compact scene), share (of plain_bytes), baked (whether paths
+took the network's place), psnr (against the scene, mean over views, null without cameras), psnr_worst,
+psnr_lost (of the report's psnr_input, by that; else null), views; else null)";
 
 /// Write a scene in a format that other programs open
 #[derive(Args)]
@@ -220,7 +227,7 @@ fn write(
     match target {
         Target::Still(format) if args.sequence => sequence(args, format, times, poser),
         Target::Still(_) if target.holds_motion() && scene.moves() => {
-            let baked = super::compact::baked(scene, common)?;
+            let baked = super::compact::baked(scene, common, Paths::WhereSmaller)?;
             let moving = baked.as_ref().unwrap_or(scene);
             whole(spz::write_moving(output, moving, &poser.at(times[0])?)?)
         }
@@ -236,6 +243,10 @@ fn write(
             })?;
             Ok(Written { fit: Some(fit), ..whole(scene.gaussians.len())? })
         }
+        Target::Page => {
+            let compact = super::compact::write_page(output, scene, common, &opening(args, scene))?;
+            Ok(Written { compact: Some(compact), ..whole(scene.gaussians.len())? })
+        }
         Target::Scene if args.compact => {
             let compact = super::compact::write(output, scene, common)?;
             Ok(Written { compact: Some(compact), ..whole(scene.gaussians.len())? })
@@ -245,6 +256,14 @@ fn write(
             whole(scene.gaussians.len())
         }
     }
+}
+
+/// A page begins at the input's first camera, at its time.
+fn opening(args: &ExportArgs, scene: &Scene) -> Opening {
+    let (start, distance) = path::start(scene);
+    let title = args.scene.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let time = scene.cameras.first().map_or(0.0, |camera| camera.time);
+    Opening { title, start, distance, time }
 }
 
 fn size(path: &Path) -> Result<u64> {

@@ -59,6 +59,7 @@ pub enum SpzVersion {
 pub enum Target {
     Still(Format),
     SplatV,
+    Page,
     Scene,
 }
 
@@ -67,6 +68,7 @@ impl Target {
         match self {
             Target::Still(format) => format.extension(),
             Target::SplatV => ".splatv",
+            Target::Page => ".html",
             Target::Scene => ".safetensors",
         }
     }
@@ -79,7 +81,7 @@ impl Target {
         match self {
             Target::Still(format) => format.most_sh_degree(),
             Target::SplatV => 0,
-            Target::Scene => 3,
+            Target::Page | Target::Scene => 3,
         }
     }
 }
@@ -101,6 +103,7 @@ pub fn target(args: &ExportArgs) -> Result<Target> {
         Some(Format::Spz(_)) => Some(Target::Still(Format::Spz(version))),
         Some(format) => Some(Target::Still(format)),
         None if named("splatv") => Some(Target::SplatV),
+        None if named("html") => Some(Target::Page),
         None if named("safetensors") => Some(Target::Scene),
         None => None,
     };
@@ -126,7 +129,7 @@ pub fn target(args: &ExportArgs) -> Result<Target> {
         None if is_zip(&args.output) => bad("is a .zip, which holds a sequence: give --sequence"),
         None => bad(
             "has no ending of a format that is written: .ply, .compressed.ply, .splat, .spz, .glb, \
-             .splatv, .safetensors",
+             .splatv, .html, .safetensors",
         ),
     }
 }

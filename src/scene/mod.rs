@@ -2,7 +2,8 @@
 //!
 //! The scene's own file is safetensors ([`mod@file`]), plain or [`compact`]. What others write and read: 3DGS PLY, plain and
 //! compressed ([`ply`]), SPZ ([`spz`]), which holds the motion too, and [`splat`]; glTF ([`glb`])
-//! and [`splatv`], whose motion is a fit, are written only, [`sog`] is read only. [`Format`] tells them apart by name.
+//! and [`splatv`], whose motion is a fit, are written only, as is [`html`], a page that plays the scene; [`sog`] is read
+//! only. [`Format`] tells them apart by name.
 
 #[cfg(feature = "files")]
 mod axes;
@@ -16,6 +17,8 @@ pub mod file;
 mod format;
 #[cfg(feature = "files")]
 pub mod glb;
+#[cfg(feature = "files")]
+pub mod html;
 #[cfg(feature = "files")]
 mod open;
 #[cfg(feature = "files")]

@@ -30,10 +30,23 @@ pub struct Browser {
 impl Browser {
     /// Opens a page in a window of a size, at one device pixel for each CSS pixel.
     pub fn open(url: &str, width: u32, height: u32) -> Browser {
+        Browser::launch(url, width, height, &["--disable-gpu"])
+    }
+
+    /// Opens a file that draws with WebGL, on the SwiftShader inside of Chromium.
+    pub fn open_drawing(file: &Path, width: u32, height: u32) -> Browser {
+        let flags = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"];
+        Browser::launch(&address(file), width, height, &flags)
+    }
+
+    fn launch(url: &str, width: u32, height: u32, flags: &[&str]) -> Browser {
         let profile = tempfile::tempdir().unwrap();
         let program = std::env::var("SPLAT4D_CHROMIUM").unwrap_or("chromium".into());
         let child = Command::new(&program)
-            .args(["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"])
+            .args(["--headless=new", "--no-sandbox", "--disable-dev-shm-usage"])
+            .args(flags)
+            // The driver that is chosen for the tests is not for the browser, which has its own.
+            .env_remove("VK_DRIVER_FILES")
             .args([
                 "--no-first-run",
                 "--disable-background-networking",
@@ -74,7 +87,7 @@ impl Browser {
 
     /// Opens a file in a window of a size.
     pub fn open_file(file: &Path, width: u32, height: u32) -> Browser {
-        Browser::open(&format!("file://{}", file.canonicalize().unwrap().display()), width, height)
+        Browser::open(&address(file), width, height)
     }
 
     /// By how many pixels the page is wider than a window of some width.
@@ -203,6 +216,11 @@ impl Drop for Browser {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
+}
+
+/// The address of a file.
+fn address(file: &Path) -> String {
+    format!("file://{}", file.canonicalize().unwrap().display())
 }
 
 fn until<T>(what: &str, mut found: impl FnMut() -> Option<T>) -> T {

@@ -2,6 +2,9 @@
 //! splat-transform, which `tools/setup.sh test` installs beside the build. Its SPZ is that of the format's
 //! own library.
 
+// Each test binary uses its own part.
+#![allow(dead_code)]
+
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
