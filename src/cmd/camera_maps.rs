@@ -4,15 +4,29 @@ use std::fmt::Write;
 
 use glam::DVec3;
 use splat4d::track::Track;
-use splat4d::types::Pose;
+use splat4d::types::{Intrinsics, Pose};
 
 use super::charts::{self, Map, Placed};
 
 /// Static points on a map, at most.
 const CLOUD: usize = 1500;
 
-/// The section of a page. `poses` are world to camera, in a `unit` of which one of the track's is
-/// `track.unit`.
+/// Cameras to draw, and what they see.
+pub struct Cameras<'a> {
+    /// World to camera.
+    pub poses: &'a [Pose],
+    /// Of one of them.
+    pub intrinsics: &'a Intrinsics,
+    /// Points of the world.
+    pub points: Vec<DVec3>,
+    /// Which are not well known.
+    pub doubtful: &'a [usize],
+    /// Whether they have more than one place.
+    pub travels: bool,
+}
+
+/// The section of a page about a tracked clip. `poses` are world to camera, in a `unit` of which one of the
+/// track's is `track.unit`.
 pub fn section(body: &mut String, track: &Track, poses: &[Pose], unit: &str) {
     body.push_str("<h2>Where the camera went</h2>\n");
     if track.quality.tripod {
@@ -21,16 +35,35 @@ pub fn section(body: &mut String, track: &Track, poses: &[Pose], unit: &str) {
     if track.quality.turns {
         body.push_str("<p>The camera turns in place: it has one place.</p>\n");
     }
+    let points = track.points.iter().map(|point| track.unit * point.position);
+    let cameras = Cameras {
+        poses,
+        intrinsics: &track.intrinsics,
+        points: thinned(points),
+        doubtful: &track.quality.doubtful_frames,
+        travels: !track.quality.tripod && !track.quality.turns,
+    };
+    maps(body, &cameras, unit, "with static points");
+    body.push_str(
+        "<p>The line is the camera's path from its first frame (disc) to its last (square); \
+         triangles are what it sees from some of them. Up is the mean upward direction of the pictures. Of \
+         the points, those within the middle nine tenths along each axis are shown.</p>\n",
+    );
+}
+
+/// As many of the points as a map shows.
+pub fn thinned(points: impl ExactSizeIterator<Item = DVec3>) -> Vec<DVec3> {
+    let every = points.len().div_ceil(CLOUD).max(1);
+    points.step_by(every).collect()
+}
+
+/// Maps from above and from the side, `with` points, and of the path alone.
+pub fn maps(body: &mut String, shown: &Cameras, unit: &str, with: &str) {
+    let Cameras { poses, intrinsics: k, doubtful, travels, .. } = shown;
     let axes = Axes::of(poses);
     let [right, ahead, up] =
         ["right", "ahead", "up"].map(|direction| format!("{direction} ({unit})"));
-    let every = track.points.len().div_ceil(CLOUD).max(1);
-    let points: Vec<DVec3> = track
-        .points
-        .iter()
-        .step_by(every)
-        .map(|point| axes.of_world(track.unit * point.position))
-        .collect();
+    let points: Vec<DVec3> = shown.points.iter().map(|point| axes.of_world(*point)).collect();
     let cameras: Vec<(DVec3, DVec3)> = poses
         .iter()
         .map(|pose| {
@@ -41,7 +74,6 @@ pub fn section(body: &mut String, track: &Track, poses: &[Pose], unit: &str) {
             )
         })
         .collect();
-    let k = &track.intrinsics;
     let across = 0.5 * f64::from(k.width) / k.fx;
     let along = 0.5 * f64::from(k.height) / k.fy;
     let above = |v: DVec3| [v.x, v.z];
@@ -50,31 +82,27 @@ pub fn section(body: &mut String, track: &Track, poses: &[Pose], unit: &str) {
     let mut map = |title: &str,
                    axes: [&str; 2],
                    spread: f64,
-                   with: bool,
+                   is_full: bool,
                    flat: &dyn Fn(DVec3) -> [f64; 2]| {
         let placed = |(i, (at, looks)): (usize, &(DVec3, DVec3))| Placed {
             at: flat(*at),
             looks: flat(*looks),
             spread,
-            doubtful: track.quality.doubtful_frames.contains(&i),
+            doubtful: doubtful.contains(&i),
         };
         let placed: Vec<Placed> = cameras.iter().enumerate().map(placed).collect();
         let flat_points = || inner(points.iter().map(|p| flat(*p)).collect());
-        let points = if with { flat_points() } else { Vec::new() };
+        let points = if is_full { flat_points() } else { Vec::new() };
         let drawn = charts::map(&Map { title, axes, cameras: &placed, points: &points });
         let _ = write!(body, "<figure><h3>{title}</h3>{drawn}</figure>");
     };
-    map("From above, with static points", [&right, &ahead], across, true, &above);
-    map("From the side, with static points", [&ahead, &up], along, true, &side);
-    if !track.quality.tripod && !track.quality.turns {
+    map(&format!("From above, {with}"), [&right, &ahead], across, true, &above);
+    map(&format!("From the side, {with}"), [&ahead, &up], along, true, &side);
+    if *travels {
         map("The path alone, from above", [&right, &ahead], across, false, &above);
         map("The path alone, from the side", [&ahead, &up], along, false, &side);
     }
-    body.push_str(
-        "</div>\n<p>The line is the camera's path from its first frame (disc) to its last (square); \
-         triangles are what it sees from some of them. Up is the mean upward direction of the pictures. Of \
-         the points, those within the middle nine tenths along each axis are shown.</p>\n",
-    );
+    body.push_str("</div>\n");
 }
 
 /// Axes of a map: right, up and ahead as the cameras see them on average.

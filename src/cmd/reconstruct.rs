@@ -1,9 +1,8 @@
 //! `splat4d reconstruct`: the main job.
 
-use std::ffi::OsString;
 use std::fmt::Write;
 use std::io::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
@@ -15,10 +14,10 @@ use splat4d::renderer::Renderer;
 use splat4d::scene::Scene;
 use splat4d::track::Options;
 use splat4d::train::{
-    Checkpoint, Phase, Preset, Quality, Sequence, SequenceSettings, TrainingScale, first_gaussians,
+    Phase, Preset, Quality, Sequence, SequenceSettings, TrainingScale, first_gaussians,
     fit_sequence,
 };
-use splat4d::types::{Camera, FlowSettings, Image};
+use splat4d::types::{Camera, FlowSettings, Image, Tuning};
 use splat4d::{Error, Result};
 
 use super::checkpoints::{self, CheckpointArgs, Checkpoints, shown, summed};
@@ -32,21 +31,19 @@ use super::info::dynamic_share;
 use super::known::{
     CAMERA_FILES, KnownArgs, focal_source, lens_json, observe, poses_json, write_cameras,
 };
+use super::live::{LiveArgs, name_of};
 use super::networks::{estimate_depth, estimate_pointmaps};
 use super::outputs::{Inputs, Outputs};
 use super::reconstruct_page::Page;
 use super::tracker::Tracker;
-use super::watcher::{Watched, Watcher};
-use super::{model, quality, reconstruct_pictures, sheet, values};
+use super::watcher::{Kept, Watched, Watcher};
+use super::{model, quality, reconstruct_pictures, run_page, sheet, values};
 
 /// Bytes for each pixel of each frame: of the frames themselves, and of what tracking makes of them,
 /// which is flow and confidence both ways, masks, depth and its confidence, and frames and flow once more
 /// where the lens's distortion is taken off.
 const FRAME_BYTES: u64 = 12;
 const TRACK_BYTES: u64 = 72;
-
-/// The page's file.
-const PAGE: &str = "report.html";
 
 const AFTER_HELP: &str = "\
 The clip is a moving camera's: a video file (read through ffmpeg), a folder of frames in the order of
@@ -165,6 +162,8 @@ pub struct ReconstructArgs {
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
     #[command(flatten)]
+    live: LiveArgs,
+    #[command(flatten)]
     checkpoints: CheckpointArgs,
 }
 
@@ -179,7 +178,7 @@ impl ReconstructArgs {
         let mut outputs = Outputs::default().file(&self.output)?;
         if let Some(folder) = &self.report {
             outputs = outputs.folder(folder, &sheet::FILES)?.folder(folder, &CAMERA_FILES)?;
-            outputs = outputs.folder(folder, &[PAGE])?;
+            outputs = outputs.folder(folder, &[run_page::FILE])?;
         }
         self.checkpoints.check(&self.output)?;
         Ok(outputs)
@@ -200,6 +199,10 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     std::fs::metadata(&args.clip).map_err(Error::io(&args.clip))?;
     let mut models = args.known.networks.open()?;
     let device = common.open_device()?;
+    let live = args.live.start(&device, &name_of(&args.clip), Tuning::default())?;
+    if let Some(live) = &live {
+        live.progress("reading the clip", 0, 0);
+    }
     let quality = Quality::from(args.quality);
     let preset = quality.preset(device.info().kind);
     let usual = args.known.size(preset.longest_side);
@@ -238,7 +241,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
             let mut options = options;
             estimate_depth(&mut models, &frames, &mut options)?;
             let of_pointmaps = estimate_pointmaps(&mut models, &frames, &mut options)?;
-            let mut tracker = Tracker::new(&mut clock, Some(&mut checkpoints));
+            let mut tracker = Tracker::new(&mut clock, Some(&mut checkpoints)).shown(live.as_ref());
             let mut found = observe(&device, &frames, &options, flow, &mut models, &mut tracker)?;
             found.quality.notes.extend(of_pointmaps);
             tracker.finish();
@@ -263,13 +266,19 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     if scale.is_dense() {
         predicted_bytes = predicted_bytes.max(foreseen_training(&device, &scale)?);
     }
-    let resume: Option<Checkpoint> = checkpoints.load("training")?;
-    let mut watcher =
-        Watcher::new(&mut clock, &mut checkpoints, &phase_names).measuring(args.report.is_some());
+    let (resume, history) = checkpoints.load::<Kept>("training")?.unzip();
+    let mut watcher = Watcher::new(&mut clock, &mut checkpoints, &phase_names)
+        .measuring(args.report.is_some())
+        .shown(live.as_ref())
+        .after(history.unwrap_or_default());
     let mut scene = fit_sequence(&device, sequence, &settings, resume, &mut watcher)?;
     let Watched { milliseconds_per_step, history } = watcher.finish();
     let model = model::of_clip(&scene, &track, &settings);
     say(&model::lines(&model));
+    if let Some(live) = &live {
+        live.finished_scene(&scene);
+        live.progress("evaluating", 0, 0);
+    }
 
     let frames = track.prepared(&frames).into_owned();
     let views = views(frames, &names, &scene);
@@ -318,7 +327,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     if let Some(folder) = &args.report {
         let pictures = reconstruct_pictures::draw(&device, &scene, &views)?;
         let page = Page {
-            clip: &clip_name(&args.clip),
+            clip: &name_of(&args.clip),
             names: &names,
             track: &track,
             supplied: args.known.supplies_poses(),
@@ -329,28 +338,20 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
             model: &model,
             clock: &clock,
             report: &json,
-            command: &command(),
+            command: &run_page::words(),
         }
         .html()?;
-        write_atomically(folder.join(PAGE), |sink| sink.write_all(page.as_bytes()))?;
+        write_atomically(folder.join(run_page::FILE), |sink| sink.write_all(page.as_bytes()))?;
         let mut whole = json.clone();
         whole["training"] = json!(history);
         sheet::write(folder, &device, &scene, &sheet::spread(&views), &whole)?;
         write_cameras(folder, scene.cameras.iter().map(|known| known.camera))?;
     }
     json["output"] = path_text(&args.output);
+    if let Some(live) = live {
+        live.finish();
+    }
     Ok(Answer { text: text(&json, &clock), json })
-}
-
-/// What the clip is called, without the folder where it lies.
-fn clip_name(clip: &Path) -> String {
-    clip.file_name().unwrap_or(clip.as_os_str()).to_string_lossy().into_owned()
-}
-
-/// The words of the command, its name without the folder where it lies.
-fn command() -> Vec<OsString> {
-    let words = std::env::args_os().skip(1);
-    std::iter::once("splat4d".into()).chain(words).collect()
 }
 
 /// What the stages take of device memory at most; an error where one does not fit.
@@ -519,8 +520,8 @@ mod tests {
     fn a_checkpoint_names_every_option_that_matters() {
         names_every_option(
             &["reconstruct", "clip", "-o", "x"],
-            // The last three: by which library and how networks run.
-            &["skip-bad", "onnxruntime", "ep", "onnx-threads"],
+            // Those from the second on: by which library and how networks run, and who looks on.
+            &["skip-bad", "onnxruntime", "ep", "onnx-threads", "view", "host"],
             |command, common| {
                 let super::super::Command::Reconstruct(args) = command else {
                     panic!("no reconstruct")

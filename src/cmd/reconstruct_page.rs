@@ -5,36 +5,27 @@ use std::fmt::Write;
 
 use serde_json::Value;
 use splat4d::Result;
-use splat4d::report::{Line, LinePlot, escape};
+use splat4d::report::escape;
 use splat4d::scene::Scene;
 use splat4d::track::Track;
-use splat4d::train::{Measured, Phase};
+use splat4d::train::Measured;
 use splat4d::types::Pose;
 
 use super::clock::Clock;
-use super::common::{bytes, thousands};
+use super::common::thousands;
 use super::info::dynamic_share;
 use super::known::focal_source;
 use super::model::Choice;
 use super::pictures::heat_key;
 use super::quality::Quality;
 use super::reconstruct_pictures::Pictures;
-use super::{camera_maps, page, player};
+use super::{camera_maps, page, player, run_page};
 
-/// Beside that of all pages. A plot's own colours are those of light paper.
-const STYLE: &str = "\
-.lead{font-size:1.1rem}.plots{grid-template-columns:repeat(auto-fit,minmax(min(20rem,100%),1fr))}\
-.plots svg{font-family:system-ui,sans-serif}\
-.plots [fill=\"#000000\"]{fill:var(--ink)}.plots [stroke=\"#000000\"]{stroke:var(--dim)}\
-.plots [stroke=\"#E2E4E7\"]{stroke:var(--faint)}\
-.plots [stroke=\"#0063AD\"]{stroke:var(--one)}.plots [stroke=\"#A85200\"]{stroke:var(--two)}\
-.model{width:100%}.model th,.model td{white-space:normal;text-align:left;vertical-align:top}\
-.bar{display:inline-block;height:.7rem;background:var(--one);vertical-align:-1px}\
-.stages td:nth-child(3){text-align:left;width:45%}.stages td:nth-child(2){text-align:right}\
-pre{background:var(--faint);padding:.6rem .8rem;white-space:pre-wrap;border-radius:4px}\
-@media(max-width:34rem){.model thead{display:none}.model tr{display:block;padding:.4rem 0;\
-border-bottom:1px solid var(--faint)}.model td{display:block;border:0;padding:.05rem 0}\
-.model td:first-child{font-weight:600}.model td:empty{display:none}}";
+/// Of the curves.
+const BETWEEN: &str =
+    "Up to the upright line the static world is trained alone, from there on all.";
+const ABOUT: &str = "Each point is of one picture, of the input or from aside, so that points scatter as \
+                     pictures differ.";
 
 /// What the page is made of.
 pub struct Page<'a> {
@@ -70,7 +61,7 @@ impl Page<'_> {
         let notes: Vec<String> = notes.filter_map(|n| n.as_str().map(str::to_owned)).collect();
         page::notes(&mut body, &notes);
         self.strip(&mut body);
-        self.orbit(&mut body);
+        run_page::orbit(&mut body, &self.pictures.orbit);
         let shown = "marked in the strip and crossed on the maps";
         page::doubtful(&mut body, self.track, self.names, shown);
         let poses: Vec<Pose> = (self.track.view_from_world.iter())
@@ -78,12 +69,12 @@ impl Page<'_> {
             .collect();
         let unit = if self.supplied { "unit of the given poses" } else { "median depths" };
         camera_maps::section(&mut body, self.track, &poses, unit);
-        self.training(&mut body)?;
-        self.model(&mut body);
-        self.stages(&mut body);
-        self.command(&mut body);
+        run_page::training(&mut body, self.history, BETWEEN, ABOUT)?;
+        run_page::model(&mut body, self.model);
+        run_page::stages(&mut body, self.clock, self.report);
+        run_page::command(&mut body, self.command);
         body += &player::script();
-        let style = format!("{STYLE}{}", player::STYLE);
+        let style = format!("{}{}", run_page::STYLE, player::STYLE);
         Ok(page::document(&format!("splat4d reconstruct: {}", self.clip), &style, &body))
     }
 
@@ -163,140 +154,5 @@ impl Page<'_> {
             heat_key(self.pictures.most_error, "")
         );
         player::draw(body, "frame", &self.pictures.lanes, &names);
-    }
-
-    fn orbit(&self, body: &mut String) {
-        let orbit = &self.pictures.orbit;
-        let count = orbit.pictures.len();
-        let names: Vec<String> = (1..=count).map(|i| format!("{i} of {count}")).collect();
-        body.push_str(
-            "<h2>From aside</h2>\n<p>The camera leaves its path on a gentle ellipse while time runs, as by \
-             <code>splat4d render --path orbit</code>.</p>\n",
-        );
-        player::draw(body, "view", std::slice::from_ref(orbit), &names);
-    }
-
-    fn training(&self, body: &mut String) -> Result<()> {
-        body.push_str("<h2>Training</h2>\n");
-        let still = self.history.iter().filter(|m| m.phase == Phase::Static).map(|m| m.step).max();
-        let before = still.unwrap_or(0);
-        let step = |m: &Measured| {
-            f64::from(m.step) + f64::from(if m.phase == Phase::Joint { before } else { 0 })
-        };
-        let line = |name: &str, value: &dyn Fn(&Measured) -> Option<f64>| Line {
-            name: name.into(),
-            points: self.history.iter().filter_map(|m| Some((step(m), value(m)?))).collect(),
-        };
-        let joint = self.history.iter().any(|m| m.phase == Phase::Joint);
-        let marks = if joint && before > 0 { vec![f64::from(before)] } else { Vec::new() };
-        let plots = [
-            (
-                "Loss",
-                "each picture's, before its step",
-                true,
-                vec![line("L1", &|m| Some(m.l1)), line("1 − SSIM", &|m| Some(1.0 - m.ssim))],
-            ),
-            ("PSNR", "dB", false, vec![line("PSNR", &|m| m.psnr)]),
-            ("Gaussians", "number", false, vec![line("Gaussians", &|m| Some(m.gaussians as f64))]),
-        ];
-        let mut drawn = String::new();
-        for (title, y, logarithmic, lines) in plots {
-            let (x, y) = ("step".into(), y.into());
-            let plot =
-                LinePlot { title: title.into(), x, y, logarithmic, lines, marks: marks.clone() };
-            if let Some(svg) = plot.svg()? {
-                let _ = write!(drawn, "<figure><h3>{title}</h3>{svg}</figure>");
-            }
-        }
-        if drawn.is_empty() {
-            body.push_str("<p>Too few steps were measured for a curve.</p>\n");
-            return Ok(());
-        }
-        let _ = writeln!(body, "<div class=\"grid-of plots\">{drawn}</div>");
-        body.push_str(
-            "<p>Each point is of one picture, of the input or from aside, so that points scatter as pictures \
-             differ.",
-        );
-        if !marks.is_empty() {
-            body.push_str(
-                " Up to the upright line the static world is trained alone, from there on all.",
-            );
-        }
-        if self.history.first().is_some_and(|m| m.step > 100) {
-            body.push_str(" The run went on from a checkpoint; what lay before it is not shown.");
-        }
-        body.push_str("</p>\n");
-        Ok(())
-    }
-
-    fn model(&self, body: &mut String) {
-        body.push_str(
-            "<h2>What was modelled, and what was left out</h2>\n<table class=\"model\"><thead><tr><th>what</th>\
-             <th>chosen</th><th>because</th><th>saves</th></tr></thead><tbody>",
-        );
-        for Choice { what, chosen, because, saves } in self.model {
-            let saves = saves.as_ref().map_or(String::new(), |saves| format!("saves {saves}"));
-            let _ = write!(body, "<tr><td>{}</td>", escape(what));
-            for cell in [chosen, because, &saves] {
-                let _ = write!(body, "<td>{}</td>", escape(cell));
-            }
-            body.push_str("</tr>");
-        }
-        body.push_str("</tbody></table>\n");
-    }
-
-    fn stages(&self, body: &mut String) {
-        let stages = self.clock.stages();
-        let all: f64 = stages.iter().map(|(_, seconds)| seconds).sum();
-        let most = stages.iter().map(|(_, seconds)| *seconds).fold(1e-9, f64::max);
-        body.push_str("<h2>Time and memory</h2>\n<table class=\"stages\"><tbody>");
-        for (stage, seconds) in stages {
-            let _ = write!(
-                body,
-                "<tr><th>{}</th><td>{seconds:.1} s</td><td><i class=\"bar\" style=\"width:{:.1}%\"></i></td></tr>",
-                escape(stage),
-                100.0 * seconds / most
-            );
-        }
-        let whole = |key: &str| self.report[key].as_u64().unwrap_or(0);
-        let _ = writeln!(
-            body,
-            "</tbody></table>\n<p>{all:.1} s before this page; {:.1} ms for a step of the last stage. Device memory: \
-             {} at most, {} were foreseen.</p>",
-            self.number("milliseconds_per_step"),
-            bytes(whole("peak_bytes")),
-            bytes(whole("predicted_bytes"))
-        );
-    }
-
-    fn command(&self, body: &mut String) {
-        let words: Vec<String> = self.command.iter().map(quoted).collect();
-        let _ = writeln!(
-            body,
-            "<h2>The command</h2>\n<pre>{}</pre>\n<p>splat4d {}</p>",
-            escape(&words.join(" ")),
-            env!("CARGO_PKG_VERSION")
-        );
-    }
-}
-
-/// A word as a shell takes it.
-fn quoted(word: &OsString) -> String {
-    let text = word.to_string_lossy();
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,:=@%+".contains(c);
-    match !text.is_empty() && text.chars().all(plain) {
-        true => text.into_owned(),
-        false => format!("'{}'", text.replace('\'', r"'\''")),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn words_are_quoted_where_a_shell_would_take_them_apart() {
-        let found = ["clip.mp4", "--size", "a b", "it's", "", "$x"].map(|w| quoted(&w.into()));
-        assert_eq!(found, ["clip.mp4", "--size", "'a b'", r"'it'\''s'", "''", "'$x'"]);
     }
 }

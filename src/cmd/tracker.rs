@@ -6,6 +6,7 @@ use splat4d::track::{Observer, Stage};
 use super::checkpoints::Checkpoints;
 use super::clock::Clock;
 use super::interrupt;
+use super::live::Live;
 use super::meter::Meter;
 
 /// The observer of `reconstruct` until cameras, masks and depth are there, and of `track`.
@@ -13,12 +14,18 @@ pub struct Tracker<'a> {
     clock: &'a mut Clock,
     checkpoints: Option<&'a mut Checkpoints>,
     under_way: Option<(Stage, Meter)>,
+    live: Option<&'a Live>,
 }
 
 impl<'a> Tracker<'a> {
     /// Begins to look; parts are put away where there are checkpoints.
     pub fn new(clock: &'a mut Clock, checkpoints: Option<&'a mut Checkpoints>) -> Tracker<'a> {
-        Tracker { clock, checkpoints, under_way: None }
+        Tracker { clock, checkpoints, under_way: None, live: None }
+    }
+
+    /// Shows it on a page, too.
+    pub fn shown(self, live: Option<&'a Live>) -> Tracker<'a> {
+        Tracker { live, ..self }
     }
 
     /// Ends the last stage.
@@ -55,6 +62,9 @@ impl Observer for Tracker<'_> {
         }
         if let Some((_, meter)) = &mut self.under_way {
             meter.set((100.0 * share) as u64);
+        }
+        if let Some(live) = self.live {
+            live.progress(&format!("tracking: {}", name(stage)), (100.0 * share) as u64, 100);
         }
         Ok(())
     }

@@ -1,5 +1,6 @@
 //! `splat4d train`.
 
+use std::io::Write as _;
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
@@ -9,11 +10,11 @@ use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use splat4d::data::{Dataset, Point, Resize, View};
 use splat4d::gpu::Device;
-use splat4d::io::{Identity, check_memory, checksum};
+use splat4d::io::{Identity, check_memory, checksum, write_atomically};
 use splat4d::renderer::Renderer;
 use splat4d::scene::{Scene, SceneCamera};
 use splat4d::train::{
-    AdaptiveSettings, Checkpoint, GrowthSettings, McmcSettings, Phase, PosedMotion, TrainSettings,
+    AdaptiveSettings, GrowthSettings, McmcSettings, Phase, PosedMotion, TrainSettings,
     TrainingScale, TrainingView, fit_posed, points_in_hull, posed_scale, posed_unit, random_points,
     seed_from_points,
 };
@@ -27,11 +28,13 @@ use super::common::{
     training,
 };
 use super::info::dynamic_share;
+use super::live::{LiveArgs, name_of};
 use super::model::{self, Choice};
 use super::outputs::{Inputs, Outputs};
 use super::quality::{self, Quality};
-use super::watcher::Watcher;
-use super::{sheet, tuning, values};
+use super::train_page::Page;
+use super::watcher::{Kept, Watched, Watcher};
+use super::{reconstruct_pictures, run_page, sheet, tuning, values};
 
 const AFTER_HELP: &str = "\
 Pictures that have times (`time` in transforms.json, D-NeRF, HyperNeRF) make a scene that moves; others, and
@@ -52,7 +55,8 @@ broken_gradients (values that were not a number or infinite and were left out),
 dynamic_share, model [{what, chosen, because, saves}], density (null where their number is kept),
 steps, images, held_out, device, predicted_bytes (of device memory, before it began), all also kept
 in the scene; and, in report.json too, peak_bytes, milliseconds_per_step,
-seconds {load, train, evaluate}; output";
+seconds {load, train, evaluate}; output. report.json alone has training [{phase (static, joint), step,
+gaussians, l1, ssim, psnr (dB, or null)}], measured on one picture each";
 
 /// Host memory of a Gaussian from its point to the device: the point, the tree of its neighbours, all
 /// its values twice.
@@ -118,9 +122,12 @@ pub struct TrainArgs {
     /// which the scene then keeps, depth bits, highest SH degree, neighbours; SH stay f32
     #[arg(long, value_name = "FILE")]
     settings: Option<PathBuf>,
-    /// Write report.json and sheet.png (input, render, motion mask, depth) into this folder
+    /// Write report.html (a page that shows all of it), report.json and sheet.png (input, render, motion
+    /// mask, depth) into this folder
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
+    #[command(flatten)]
+    live: LiveArgs,
     #[command(flatten)]
     checkpoints: CheckpointArgs,
 }
@@ -129,7 +136,7 @@ pub struct TrainArgs {
 pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     let mut outputs = Outputs::default().file(&args.output)?;
     if let Some(folder) = &args.report {
-        outputs = outputs.folder(folder, &sheet::FILES)?;
+        outputs = outputs.folder(folder, &sheet::FILES)?.folder(folder, &[run_page::FILE])?;
     }
     args.checkpoints.check(&args.output)?;
     let tuning = tuning::read(args.settings.as_deref())?;
@@ -152,6 +159,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         return Err(Error::Input(what.into()));
     }
     let device = common.open_device()?;
+    let mut live = args.live.start(&device, &name_of(&args.dataset), tuning)?;
     let size = args.size.map_or(Resize::Keep, Resize::Longest);
     let (train, test) = (set.load(&train, size)?, set.load(&test, size)?);
     let first = first_gaussians(args, &set);
@@ -220,19 +228,29 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     }
     let identity = identity(args, &views, &seeded, &tuning, &settings, motion.as_ref());
     let mut checkpoints = Checkpoints::new(&args.output, &args.checkpoints, identity);
-    let resume: Option<Checkpoint> = checkpoints.load("training")?;
+    let (resume, history) = checkpoints.load::<Kept>("training")?.unzip();
     let names = |phase: Phase| match (phase, moving) {
         (Phase::Static, true) => ("warm-up", "train"),
         _ => ("training", "train"),
     };
-    let mut watcher = Watcher::new(&mut clock, &mut checkpoints, &names);
+    if let Some(live) = &mut live {
+        live.set_cameras(in_time(views.iter().map(|view| (view.time, view.camera))));
+    }
+    let mut watcher = Watcher::new(&mut clock, &mut checkpoints, &names)
+        .measuring(args.report.is_some())
+        .shown(live.as_ref())
+        .after(history.unwrap_or_default());
     let mut scene =
         fit_posed(&device, &mut views, &seeded, motion.as_ref(), &settings, resume, &mut watcher)?;
-    let milliseconds_per_step = watcher.finish().milliseconds_per_step;
+    let Watched { milliseconds_per_step, history } = watcher.finish();
     let train: Vec<View> = called.into_iter().zip(views).map(picture).collect();
-    scene.cameras = trajectory(train.iter().chain(&test));
+    scene.cameras = in_time(train.iter().chain(&test).map(|view| (view.time, view.camera)));
     scene.background = set.background;
     scene.set_up_from_cameras();
+    if let Some(live) = &live {
+        live.finished_scene(&scene);
+        live.progress("evaluating", 0, 0);
+    }
     let mut renderer = Renderer::new(&device, &scene)?;
     let on_input = quality::measure(&mut renderer, &train, set.background, "PSNR, input")?;
     let on_test = quality::measure(&mut renderer, &test, set.background, "PSNR, test")?;
@@ -240,8 +258,10 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
 
     let psnr = |of: &[Quality]| quality::mean(of.iter().map(|q| Some(q.psnr)));
     let trained = scene.report.take();
+    let mut all_notes = std::mem::take(&mut set.notes);
     if let Some(note) = broken_gradients(&trained) {
-        notes(&[note]);
+        notes(std::slice::from_ref(&note));
+        all_notes.push(note);
     }
     scene.report = json!({
         "psnr_input": psnr(&on_input),
@@ -272,10 +292,33 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     json["milliseconds_per_step"] = json!(milliseconds_per_step);
     json["seconds"] = clock.json();
     if let Some(folder) = &args.report {
-        let shown = sheet::spread(if test.is_empty() { &train } else { &test });
-        sheet::write(folder, &device, &scene, &shown, &json)?;
+        let (views, quality) =
+            if test.is_empty() { (&train, &on_input) } else { (&test, &on_test) };
+        let pictures = reconstruct_pictures::draw(&device, &scene, views)?;
+        let page = Page {
+            dataset: &name_of(&args.dataset),
+            scene: &scene,
+            points: &set.points,
+            views,
+            quality,
+            pictures: &pictures,
+            history: &history,
+            model: &model,
+            clock: &clock,
+            notes: &all_notes,
+            report: &json,
+            command: &run_page::words(),
+        }
+        .html()?;
+        write_atomically(folder.join(run_page::FILE), |sink| sink.write_all(page.as_bytes()))?;
+        let mut whole = json.clone();
+        whole["training"] = json!(history);
+        sheet::write(folder, &device, &scene, &sheet::spread(views), &whole)?;
     }
     json["output"] = path_text(&args.output);
+    if let Some(live) = live {
+        live.finish();
+    }
     Ok(Answer { text: text(&json, &clock), json })
 }
 
@@ -380,9 +423,9 @@ fn identity(
 }
 
 /// Cameras in the order of their times.
-fn trajectory<'a>(views: impl Iterator<Item = &'a View>) -> Vec<SceneCamera> {
+fn in_time(cameras: impl Iterator<Item = (f64, Camera)>) -> Vec<SceneCamera> {
     let mut cameras: Vec<SceneCamera> =
-        views.map(|view| SceneCamera { time: view.time, camera: view.camera }).collect();
+        cameras.map(|(time, camera)| SceneCamera { time, camera }).collect();
     cameras.sort_by(|a, b| a.time.total_cmp(&b.time));
     cameras
 }
@@ -411,7 +454,7 @@ mod tests {
 
     #[test]
     fn a_checkpoint_names_every_option_that_matters() {
-        names_every_option(&["train", "set", "-o", "x"], &[], |command, _| {
+        names_every_option(&["train", "set", "-o", "x"], &["view", "host"], |command, _| {
             let super::super::Command::Train(args) = command else { panic!("no train") };
             let none = Gaussians::default();
             identity(args, &[], &none, &Tuning::default(), &TrainSettings::default(), None)

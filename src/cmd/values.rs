@@ -69,6 +69,13 @@ pub fn size(text: &str) -> Result<(u32, u32), String> {
         })
 }
 
+/// A port to listen on. What follows `--view` is read as one, whatever it was meant as.
+pub fn port(text: &str) -> Result<u16, String> {
+    whole::<u16>(1..=65_535)(text).map_err(|expected| {
+        format!("as a port {expected}; without one put `--view` after the other words")
+    })
+}
+
 /// An address to listen on: a number, or `localhost`.
 pub fn host(text: &str) -> Result<IpAddr, String> {
     let number = text.trim_start_matches('[').trim_end_matches(']');

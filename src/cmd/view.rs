@@ -6,13 +6,13 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use serde_json::json;
-use splat4d::Result;
-use splat4d::data::{Clip, images};
+use splat4d::data::{Clip, images, video};
 use splat4d::io::check_memory;
 use splat4d::renderer::RenderScale;
 use splat4d::scene::{Opened, Scene};
 use splat4d::types::Tuning;
 use splat4d::view::{Options, Pictures, Server, Show};
+use splat4d::{Error, Result};
 
 use super::common::{Answer, Common, foresee, print_json, say, thousands};
 use super::{interrupt, path, tuning, values};
@@ -21,6 +21,8 @@ use super::{interrupt, path, tuning, values};
 const USUAL_SIZE: (u32, u32) = (1920, 1080);
 /// Host memory of a picture and all that is made of it, a pixel.
 const BYTES_A_PIXEL: u64 = 64;
+/// Frames of a video beside a scene that does not tell of which it was made.
+const MOST_FRAMES: usize = 600;
 /// How often Ctrl-C is looked for.
 const LOOK: Duration = Duration::from_millis(50);
 
@@ -31,12 +33,13 @@ the wheel to come closer; W A S D Q E fly. `?` on the page lists the keys. Ctrl-
 Only this machine reaches it. With --host the machines that reach that address do, too, and the page's
 address then holds a random token; what is sent is not encrypted.
 
---frames shows the input beside the scene. Where there are as many pictures as the scene has cameras,
-each belongs to one; else their times run evenly from 0 to 1.
+--frames shows the input beside the scene: of a video (read through ffmpeg) the frames that the scene was
+made of, of a folder all pictures. Where there are as many as the scene has cameras, each belongs to one;
+else their times run evenly from 0 to 1. Of a video that the scene does not tell of, at most 600 are taken.
 
 Example:
   splat4d view scene.safetensors
-  splat4d view scene.safetensors --frames video_frames --port 9000
+  splat4d view scene.safetensors --frames video.mp4 --port 9000
 
 JSON, once it serves: url, port, host, gaussians, dropped, cameras, frames, device, predicted_bytes (of
 device memory). What goes wrong later stands on stderr.";
@@ -56,8 +59,8 @@ pub struct ViewArgs {
     #[arg(long, value_name = "ADDRESS", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST),
           value_parser = values::host)]
     host: IpAddr,
-    /// A folder of the input's pictures, to show beside the scene
-    #[arg(long, value_name = "DIR")]
+    /// The input's video or a folder of its pictures, to show beside the scene
+    #[arg(long, value_name = "VIDEO|DIR")]
     frames: Option<PathBuf>,
     /// End by itself after so many seconds
     #[arg(long, value_name = "SECONDS", value_parser = values::number(0.01..=values::MOST_SECONDS))]
@@ -73,7 +76,6 @@ pub struct ViewArgs {
 /// Runs the command.
 pub fn run(args: &ViewArgs, common: &Common) -> Result<Answer> {
     let tuning = tuning::read(args.settings.as_deref())?;
-    let pictures = args.frames.as_deref().map(pictures).transpose()?;
     let Opened { scene, dropped } = Scene::open(&args.scene, args.drop_bad)?;
     if dropped > 0 {
         say(&format!(
@@ -81,10 +83,11 @@ pub fn run(args: &ViewArgs, common: &Common) -> Result<Answer> {
             thousands(dropped)
         ));
     }
+    let pictures = args.frames.as_deref().map(|input| pictures(input, &scene)).transpose()?;
     let device = common.open_device()?;
     let predicted_bytes = foreseen(&device, &scene, &tuning)?;
     let (gaussians, cameras) = (scene.gaussians.len(), scene.cameras.len());
-    let count = pictures.as_ref().map_or(0, |pictures| pictures.0.len());
+    let count = pictures.as_ref().map_or(0, Pictures::len);
     let (start, distance) = path::start(&scene);
     let name = args.scene.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let show = Show { name, scene, tuning, start, distance, pictures };
@@ -122,18 +125,44 @@ pub fn run(args: &ViewArgs, common: &Common) -> Result<Answer> {
     Ok(Answer { json, text: String::new() })
 }
 
-/// The pictures that a folder stands for. Each is looked at, so that what is no picture is told now.
-fn pictures(folder: &Path) -> Result<Pictures> {
-    let files = Clip::files(folder)?;
+/// The pictures that a video or a folder stands for. Each file is looked at, so that what is no picture is told
+/// now.
+fn pictures(input: &Path, scene: &Scene) -> Result<Pictures> {
+    if std::fs::metadata(input).map_err(Error::io(input))?.is_file() {
+        if images::has_image_extension(input) {
+            let what = "is one picture; --frames takes the video, or a folder of its frames";
+            return Err(Error::format(input, what));
+        }
+        let total = video::extent(input)?.frames;
+        say(&format!("reading {}", input.display()));
+        return Pictures::of_video(input, &numbers(scene, total), &interrupt::check);
+    }
+    let files = Clip::files(input)?;
     if files.is_empty() {
-        let what = "holds no pictures; --frames takes a folder of the input's frames";
-        return Err(splat4d::Error::format(folder, what));
+        let what = "holds no pictures; --frames takes the video, or a folder of its frames";
+        return Err(Error::format(input, what));
     }
     for file in &files {
         interrupt::check()?;
         images::dimensions(file, images::Orientation::Upright)?;
     }
-    Ok(Pictures(files))
+    Ok(Pictures::files(files))
+}
+
+/// Which frames of a video of so many belong beside a scene: those that it was made of, as its report calls
+/// them, one for each of its cameras; else some, evenly spread.
+fn numbers(scene: &Scene, total: usize) -> Vec<usize> {
+    let names = scene.report["frame_names"].as_array().into_iter().flatten();
+    let own: Option<Vec<usize>> = names.map(|name| name.as_str()?.parse().ok()).collect();
+    let fits = |own: &Vec<usize>| {
+        own.len() == scene.cameras.len()
+            && own.is_sorted_by(|a, b| a < b)
+            && own.last().is_some_and(|last| *last < total)
+    };
+    own.filter(fits).unwrap_or_else(|| {
+        let count = total.min(MOST_FRAMES);
+        (0..count).map(|i| i * total.saturating_sub(1) / (count - 1).max(1)).collect()
+    })
 }
 
 /// What it takes of device memory; an error where the scene does not fit.
@@ -151,4 +180,32 @@ fn foreseen(device: &splat4d::gpu::Device, scene: &Scene, tuning: &Tuning) -> Re
         || scale.most_gaussians(device),
         "leave Gaussians out",
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use splat4d::scene::SceneCamera;
+    use splat4d::types::{Camera, Gaussians, Intrinsics, Pose};
+
+    #[test]
+    fn a_videos_frames_are_those_that_the_scene_was_made_of() {
+        let intrinsics = Intrinsics::centred(8.0, 8, 8);
+        let camera = Camera { intrinsics, view_from_world: Pose::IDENTITY };
+        let scene = |names: serde_json::Value| Scene {
+            cameras: vec![SceneCamera { time: 0.0, camera }; 3],
+            report: json!({ "frame_names": names }),
+            ..Scene::of(Gaussians::default())
+        };
+        assert_eq!(numbers(&scene(json!(["00002", "00004", "00006"])), 9), [2, 4, 6]);
+        let all: Vec<usize> = (0..6).collect();
+        for other in [json!(["00002", "00004", "00006"]), json!(["a", "b", "c"]), json!(["00001"])]
+        {
+            assert_eq!(numbers(&scene(other), 6), all);
+        }
+        let some = numbers(&Scene::of(Gaussians::default()), 100_000);
+        assert_eq!((some.len(), some[0], some[599]), (MOST_FRAMES, 0, 99_999));
+        assert!(some.is_sorted_by(|a, b| a < b));
+        assert_eq!(numbers(&scene(json!([])), 1), [0]);
+    }
 }

@@ -1,12 +1,23 @@
 //! Looks on while a scene is trained: progress, time by stage, checkpoints, Ctrl-C.
 
+use std::time::{Duration, Instant};
+
 use splat4d::Result;
 use splat4d::ops::loss::LossValue;
+use splat4d::scene::Scene;
 use splat4d::train::{Checkpoint, Measured, Observer, Phase};
+use splat4d::view::protocol::Progressed;
 
 use super::checkpoints::Checkpoints;
 use super::clock::Clock;
+use super::live::Live;
 use super::meter::Meter;
+
+/// What is put away of a training: its state, and what was measured before.
+pub type Kept = (Checkpoint, Vec<Measured>);
+
+/// Measuring for a page alone takes no more than one part in so many of the time.
+const SHARE: u32 = 100;
 
 /// The observer of `train` and `reconstruct`.
 pub struct Watcher<'a> {
@@ -17,17 +28,28 @@ pub struct Watcher<'a> {
     under_way: Option<(Phase, Meter)>,
     /// Steps done here, without those of the run that this one resumes.
     steps: u32,
-    /// What was measured on the way, where it is asked for.
-    history: Option<Vec<Measured>>,
+    /// What was measured on the way.
+    history: Vec<Measured>,
+    /// Whether all is to be measured.
+    measuring: bool,
+    live: Option<&'a Live>,
+    /// When measuring for the page began last, and when it may begin again.
+    measured: Option<Instant>,
+    due: Instant,
 }
 
 /// What a training leaves to tell.
 pub struct Watched {
     /// Mean of a step of the last stage.
     pub milliseconds_per_step: f64,
-    /// What was measured on the way; empty unless it was asked for. A run that resumes another has
-    /// its own part.
+    /// What was measured on the way, in the run that this one resumes, too.
     pub history: Vec<Measured>,
+}
+
+/// Steps of the stages before the one that something was measured in.
+pub fn steps_before(history: &[Measured], phase: Phase) -> u32 {
+    let still = history.iter().filter(|m| m.phase == Phase::Static).map(|m| m.step).max();
+    if phase == Phase::Joint { still.unwrap_or(0) } else { 0 }
 }
 
 impl<'a> Watcher<'a> {
@@ -37,12 +59,43 @@ impl<'a> Watcher<'a> {
         checkpoints: &'a mut Checkpoints,
         names: &'a dyn Fn(Phase) -> (&'static str, &'static str),
     ) -> Watcher<'a> {
-        Watcher { clock, checkpoints, names, under_way: None, steps: 0, history: None }
+        let due = Instant::now();
+        Watcher {
+            clock,
+            checkpoints,
+            names,
+            under_way: None,
+            steps: 0,
+            history: Vec::new(),
+            measuring: false,
+            live: None,
+            measured: None,
+            due,
+        }
     }
 
     /// Measures on the way, too.
     pub fn measuring(self, measuring: bool) -> Watcher<'a> {
-        Watcher { history: measuring.then(Vec::new), ..self }
+        Watcher { measuring, ..self }
+    }
+
+    /// Goes on from what was measured before.
+    pub fn after(self, history: Vec<Measured>) -> Watcher<'a> {
+        history.iter().for_each(|measured| self.draw(&history, measured));
+        Watcher { history, ..self }
+    }
+
+    /// Shows it on a page, too; to be called before [`after`](Self::after).
+    pub fn shown(self, live: Option<&'a Live>) -> Watcher<'a> {
+        Watcher { live, ..self }
+    }
+
+    /// A point of the page's curves.
+    fn draw(&self, history: &[Measured], measured: &Measured) {
+        let Some(live) = self.live else { return };
+        let Measured { phase, step, gaussians, l1, ssim, psnr } = *measured;
+        let step = steps_before(history, phase) + step;
+        live.measured(Progressed { step, gaussians, l1, ssim, psnr });
     }
 
     /// Ends the last stage.
@@ -52,7 +105,7 @@ impl<'a> Watcher<'a> {
         let seconds = stage.map_or(0.0, |stage| self.clock.seconds(stage));
         Watched {
             milliseconds_per_step: 1e3 * seconds / f64::from(self.steps.max(1)),
-            history: self.history.unwrap_or_default(),
+            history: self.history,
         }
     }
 
@@ -80,6 +133,9 @@ impl Observer for Watcher<'_> {
         if let Some((_, meter)) = &mut self.under_way {
             meter.set(step.into());
         }
+        if let Some(live) = self.live {
+            live.progress((self.names)(phase).0, step.into(), steps.into());
+        }
         Ok(())
     }
 
@@ -89,13 +145,29 @@ impl Observer for Watcher<'_> {
         }
     }
 
-    fn measures(&self) -> bool {
-        self.history.is_some()
+    fn measures(&mut self) -> bool {
+        let now = Instant::now();
+        let drawn = self.live.is_some() && now >= self.due;
+        self.measured = drawn.then_some(now);
+        self.measuring || drawn
     }
 
     fn measured(&mut self, measured: &Measured) {
-        if let Some(history) = &mut self.history {
-            history.push(*measured);
+        if let Some(begun) = self.measured.take() {
+            let took: Duration = begun.elapsed();
+            self.due = Instant::now() + took * SHARE;
+        }
+        self.draw(&self.history, measured);
+        self.history.push(*measured);
+    }
+
+    fn wants_scene(&mut self) -> bool {
+        self.live.is_some_and(Live::wants_scene)
+    }
+
+    fn scene(&mut self, scene: Scene) {
+        if let Some(live) = self.live {
+            live.scene(scene);
         }
     }
 
@@ -104,7 +176,7 @@ impl Observer for Watcher<'_> {
     }
 
     fn checkpoint(&mut self, checkpoint: &Checkpoint) -> Result<()> {
-        self.checkpoints.save("training", checkpoint);
+        self.checkpoints.save("training", &(checkpoint, &self.history));
         Ok(())
     }
 }

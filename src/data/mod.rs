@@ -25,6 +25,7 @@ pub mod nerfies;
 pub mod npy;
 pub mod points;
 pub mod poses_bounds;
+pub mod shades;
 mod shots;
 pub mod sintel;
 pub mod synth;

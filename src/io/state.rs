@@ -16,7 +16,7 @@ use super::{read, write_atomically};
 use crate::{Error, Result};
 
 /// Raised whenever a value written before would be misread.
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
 
 /// What a value belongs to, by name: a reader with another identity has no use for it.
 pub type Identity = BTreeMap<String, String>;

@@ -28,6 +28,7 @@
 //! | [`preset`] | sizes, steps and caps by quality and device |
 //! | [`sequence`] | from a tracked clip to a scene |
 //! | [`observer`] | who looks on: progress, checkpoints |
+//! | `glimpse` | the scene as it is while it is trained |
 //! | [`state`] | a trainer's state, to put away and resume from |
 //! | [`rounds`] | what happens between some steps: growth, control points, who moves |
 //! | [`trainer`] | the step: deform, render, compare, differentiate, update |
@@ -41,6 +42,8 @@ mod carried;
 pub mod control;
 #[cfg(feature = "reconstruct")]
 mod flank;
+#[cfg(feature = "reconstruct")]
+mod glimpse;
 pub mod growth;
 #[cfg(feature = "reconstruct")]
 mod lifting;

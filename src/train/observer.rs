@@ -5,10 +5,11 @@ use serde::{Deserialize, Serialize};
 use super::state::TrainerState;
 use super::trainer::{SYNC_INTERVAL, Trainer};
 use crate::ops::loss::LossValue;
+use crate::scene::Scene;
 use crate::{Error, Result};
 
 /// What is being trained.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Phase {
     /// The static world.
@@ -46,7 +47,7 @@ impl Checkpoint {
 }
 
 /// How far a training has come, as measured on the picture of a step before what it changes.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Measured {
     /// What is being trained.
     pub phase: Phase,
@@ -74,15 +75,24 @@ pub trait Observer {
     /// The loss of the last step, every [`SYNC_INTERVAL`] steps.
     fn loss(&mut self, _loss: LossValue) {}
 
-    /// Whether [`measured`](Self::measured) is of use. Measuring waits for the device and downloads a
-    /// picture.
-    fn measures(&self) -> bool {
+    /// Whether [`measured`](Self::measured) is of use now; asked each time that it could be told. Measuring
+    /// waits for the device and downloads a picture.
+    fn measures(&mut self) -> bool {
         false
     }
 
     /// How far the training is, some 60 times in a phase or every [`SYNC_INTERVAL`] steps, and after its
     /// last step.
     fn measured(&mut self, _measured: &Measured) {}
+
+    /// Whether the scene as it is would be of use now; asked after every step. Copying it waits for the
+    /// device.
+    fn wants_scene(&mut self) -> bool {
+        false
+    }
+
+    /// The scene as it is, after it was wanted. One whose cameras are not the trainer's to know has none.
+    fn scene(&mut self, _scene: Scene) {}
 
     /// Whether the state should be put away now; asked after every step. Reading the state waits for
     /// the device.
@@ -121,8 +131,8 @@ pub(super) fn run(
             observer.loss(loss);
         }
         let every = (now.steps / MEASUREMENTS).clamp(1, SYNC_INTERVAL);
-        if observer.measures()
-            && (now.step.is_multiple_of(every) || now.step == now.steps)
+        if (now.step.is_multiple_of(every) || now.step == now.steps)
+            && observer.measures()
             && let Some(LossValue { l1, ssim, .. }) = trainer.loss()?
             // Of a picture that counts nowhere there is none.
             && l1 > 0.0
@@ -130,6 +140,9 @@ pub(super) fn run(
             let psnr = trainer.psnr()?.filter(|psnr| psnr.is_finite());
             let (step, gaussians) = (now.step, now.gaussians);
             observer.measured(&Measured { phase, step, gaussians, l1, ssim, psnr });
+        }
+        if observer.wants_scene() {
+            observer.scene(trainer.glimpse()?);
         }
         if observer.wants_checkpoint() {
             observer.checkpoint(&wrap(trainer.state()?))?;

@@ -5,6 +5,7 @@
 //! spread over them by farthest-point sampling, as Sparse-Controlled Gaussian Splatting (Huang et
 //! al., CVPR 2024) begins, and all is trained together.
 
+use super::glimpse::Placed;
 use super::motion::MotionStart;
 use super::observer::{Checkpoint, Observer, Phase, run};
 use super::scale::TrainingScale;
@@ -79,12 +80,16 @@ pub fn fit_posed(
     let mut first = Scene::of(seeds.clone());
     first.enlarge(1.0 / unit);
     enlarge(views, 1.0 / unit);
-    let fitted = fit(device, views, first.gaussians, motion, settings, resume, observer);
+    let place = |scene: &mut Scene| {
+        scene.settings = settings.render;
+        scene.enlarge(unit);
+    };
+    let mut observer = Placed { inner: observer, place: &place };
+    let fitted = fit(device, views, first.gaussians, motion, settings, resume, &mut observer);
     // A power of two leaves no trace.
     enlarge(views, unit);
     let mut scene = fitted?;
-    scene.settings = settings.render;
-    scene.enlarge(unit);
+    place(&mut scene);
     sequence::sound(scene)
 }
 

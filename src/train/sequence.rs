@@ -14,6 +14,7 @@
 
 use super::aside::aside;
 use super::flank::{Flank, flanks};
+use super::glimpse::Placed;
 use super::lifting::{camera, path};
 use super::mesh::Frame;
 use super::motion::MotionStart;
@@ -200,6 +201,19 @@ pub fn fit_sequence(
             "no static point was found to begin with: the clip shows no static surroundings".into(),
         ));
     }
+    let cameras: Vec<SceneCamera> = sequence
+        .times
+        .iter()
+        .enumerate()
+        .map(|(frame, &time)| SceneCamera { time, camera: camera(track, frame) })
+        .collect();
+    let place = |scene: &mut Scene| {
+        scene.settings = RenderSettings::default();
+        scene.cameras.clone_from(&cameras);
+        scene.set_up_from_cameras();
+        scene.enlarge(track.unit);
+    };
+    let observer = &mut Placed { inner: observer, place: &place };
     let seeds = seed_static(track, settings);
     let mut scene = match moves(track, settings) {
         true => fit_moving(device, sequence, &seeds, settings, resume, observer)?,
@@ -216,15 +230,7 @@ pub fn fit_sequence(
             Scene { report: report(&mut trainer)?, ..scene }
         }
     };
-    scene.settings = RenderSettings::default();
-    scene.cameras = sequence
-        .times
-        .iter()
-        .enumerate()
-        .map(|(frame, &time)| SceneCamera { time, camera: camera(track, frame) })
-        .collect();
-    scene.set_up_from_cameras();
-    scene.enlarge(track.unit);
+    place(&mut scene);
     sound(scene)
 }
 

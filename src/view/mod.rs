@@ -5,6 +5,9 @@
 //! at most one request waits, the newest, and no picture is made while the one before has not been taken:
 //! nothing queues, however slow a reader is. [`protocol`] describes the messages.
 //!
+//! [`Server::live`] serves a scene that is being trained, as [`Live`] hands it over, and tells how far the
+//! training is. Making pictures takes at most half of the time then, whatever clients ask for.
+//!
 //! What may be asked is bounded: sides and pixels of a picture, the length of a message, messages a
 //! second, clients and connections at a time. Beside the page, the scene's description and the input's
 //! pictures, nothing is served, and these by number: no request names a path of the machine. A request must
@@ -12,7 +15,9 @@
 //! other page in the browser can reach it, whatever its name resolves to. On an address that others
 //! reach, the page's address holds a random token, without which nothing is served.
 
+mod described;
 mod guard;
+mod live;
 mod page;
 mod painter;
 mod pictures;
@@ -22,6 +27,7 @@ mod server;
 mod socket;
 mod turns;
 
+pub use live::Live;
 pub use pictures::Pictures;
 pub use server::{Options, Server};
 
@@ -36,6 +42,8 @@ pub const MOST_CONNECTIONS: usize = 32;
 pub const MOST_SIDE: u32 = 4096;
 /// Most pixels of a picture.
 pub const MOST_PIXELS: u64 = 3840 * 2160;
+/// Most pixels of a picture of a training under way, which is not to wait for it long.
+pub const MOST_LIVE_PIXELS: u64 = 1280 * 720;
 /// Bytes of the longest message that a client may send.
 pub const MOST_MESSAGE: usize = 4096;
 /// Messages of a client that are read in a second; more wait in the network.

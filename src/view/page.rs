@@ -12,7 +12,7 @@ const CSS: &str = "text/css; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// The page's files: path, kind, content.
-const FILES: [(&str, &str, &str); 9] = [
+const FILES: [(&str, &str, &str); 10] = [
     ("", HTML, include_str!("page/index.html")),
     ("style.css", CSS, include_str!("page/style.css")),
     ("main.js", SCRIPT, include_str!("page/main.js")),
@@ -21,6 +21,7 @@ const FILES: [(&str, &str, &str); 9] = [
     ("link.js", SCRIPT, include_str!("page/link.js")),
     ("overlay.js", SCRIPT, include_str!("page/overlay.js")),
     ("pointer.js", SCRIPT, include_str!("page/pointer.js")),
+    ("training.js", SCRIPT, include_str!("page/training.js")),
     ("timeline.js", SCRIPT, include_str!("page/timeline.js")),
 ];
 

@@ -7,7 +7,10 @@ use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 
+use super::Show;
 use super::protocol::{Format, Header, Layer, Request};
+use crate::data::shades;
+use crate::gpu::Device;
 use crate::io::check_memory;
 use crate::renderer::Renderer;
 use crate::types::{Camera, Image};
@@ -17,17 +20,34 @@ use crate::{Error, Result};
 const BYTES_A_PIXEL: u64 = 64;
 /// Depths beyond this share of the pixels at either end do not stretch the range that is shown.
 const OUTLIERS: f64 = 0.02;
+/// Flow reaches full colour at so many pixels at least.
+const LEAST_FLOW: f64 = 1.0;
+/// Frames of a scene whose cameras tell no time between them.
+const USUAL_FRAMES: f64 = 30.0;
 
 /// Renders what is asked for, and packs it.
 pub struct Painter {
     renderer: Renderer,
     background: [f32; 3],
+    /// From one input frame to the next.
+    frame_time: f64,
 }
 
 impl Painter {
-    /// Of a renderer; `background` lies behind its colours.
-    pub fn new(renderer: Renderer, background: [f32; 3]) -> Painter {
-        Painter { renderer, background }
+    /// Puts what is shown on a device.
+    ///
+    /// # Errors
+    /// As for [`Renderer::tuned`].
+    pub fn new(device: &Device, show: &Show) -> Result<Painter> {
+        let cameras = &show.scene.cameras;
+        let mut times: Vec<f64> = cameras.iter().map(|known| known.time).collect();
+        times.dedup();
+        let frame_time = match times.len() {
+            0 | 1 => 1.0 / USUAL_FRAMES,
+            n => 1.0 / (n - 1) as f64,
+        };
+        let renderer = Renderer::tuned(device, &show.scene, &show.tuning)?;
+        Ok(Painter { renderer, background: show.scene.background, frame_time })
     }
 
     /// The answer to a request: see [`super::protocol`].
@@ -69,7 +89,7 @@ impl Painter {
         Ok(message)
     }
 
-    /// The picture of a layer, of 1 or 3 channels; of depth what range it shows.
+    /// The picture of a layer, of 1 or 3 channels; of depth and flow what range it shows.
     fn picture(
         &mut self,
         layer: Layer,
@@ -97,6 +117,21 @@ impl Painter {
             Layer::Motion => {
                 self.renderer.render(camera, time)?;
                 (self.renderer.moving()?, None)
+            }
+            Layer::Flow => {
+                let seen = self.renderer.render(camera, time)?;
+                let later = time + self.frame_time;
+                let (to, sign) =
+                    if later <= 1.0 { (later, 1.0) } else { (time - self.frame_time, -1.0) };
+                let mut flow =
+                    self.renderer.flow(&seen, (camera, time), (camera, to.clamp(0.0, 1.0)))?;
+                flow.pixels.iter_mut().for_each(|v| *v *= sign);
+                let most = shades::brightest([&shades::lengths(&flow)].into_iter(), LEAST_FLOW);
+                (shades::flow(&flow, most), Some([0.0, most as f32]))
+            }
+            Layer::Normal => {
+                self.renderer.render(camera, time)?;
+                (shades::normals(&self.renderer.normals(camera, time)?), None)
             }
         })
     }

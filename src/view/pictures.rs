@@ -1,36 +1,104 @@
 //! The input's pictures, beside the scene.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use super::painter::pack;
 use super::protocol::Format;
 use crate::Result;
 use crate::data::Resize;
 use crate::data::images::{Orientation, decode_rgb, resize};
+use crate::data::video::{self, GoOn};
+use crate::io::check_memory;
+use crate::types::Image;
 
 /// Longest side of a picture as it is shown.
 const LONGEST: u32 = 1280;
 /// A JPEG's quality.
 const QUALITY: u8 = 90;
+/// Bytes of a pixel in a JPEG of this quality, at most in practice.
+const JPEG_BYTES: f64 = 0.6;
 
-/// Image files in the order of their times. The page asks for them by number.
+/// Pictures in the order of their times. The page asks for them by number.
 ///
 /// Where there are as many as the scene has cameras, each belongs to one of them; else their times run
 /// evenly from 0 to 1.
-#[derive(Clone, Debug, Default)]
-pub struct Pictures(pub Vec<PathBuf>);
+#[derive(Clone, Debug)]
+pub struct Pictures(Kept);
+
+#[derive(Clone, Debug)]
+enum Kept {
+    /// Image files, decoded when asked for.
+    Files(Vec<PathBuf>),
+    /// As they are sent.
+    Packed(Arc<Vec<Vec<u8>>>),
+}
+
+impl Default for Pictures {
+    fn default() -> Pictures {
+        Pictures::files(Vec::new())
+    }
+}
 
 impl Pictures {
+    /// Image files.
+    pub fn files(files: Vec<PathBuf>) -> Pictures {
+        Pictures(Kept::Files(files))
+    }
+
+    /// Frames of a video, those of the given numbers, which ascend. All are decoded now, by `ffmpeg`, and
+    /// kept as they are sent: to go to one frame of a video takes long. `go_on` is asked at each; its error
+    /// ends the work.
+    ///
+    /// # Errors
+    /// As for [`video::extent`] and [`video::frames`]; [`Error::OutOfMemory`](crate::Error::OutOfMemory)
+    /// where the host has no room for them.
+    pub fn of_video(path: &Path, numbers: &[usize], go_on: GoOn) -> Result<Pictures> {
+        let (width, height) = video::extent(path)?.size;
+        let (width, height) = Resize::Longest(LONGEST).target(width, height);
+        let bytes = f64::from(width) * f64::from(height) * JPEG_BYTES;
+        let what = format!("{} pictures of {width}×{height} beside the scene", numbers.len());
+        check_memory((numbers.len() as f64 * bytes) as u64, &what)?;
+        let mut packed = Vec::with_capacity(numbers.len());
+        video::frames(path, numbers, &mut |_, picture| {
+            packed.push(jpeg(&picture)?);
+            go_on()
+        })?;
+        Ok(Pictures(Kept::Packed(Arc::new(packed))))
+    }
+
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        match &self.0 {
+            Kept::Files(files) => files.len(),
+            Kept::Packed(pictures) => pictures.len(),
+        }
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
     /// One of them as a JPEG of at most 1280 pixels a side; `None` beyond the last.
     ///
     /// # Errors
     /// As for [`decode_rgb`].
     pub fn jpeg(&self, index: usize) -> Result<Option<Vec<u8>>> {
-        let Some(path) = self.0.get(index) else { return Ok(None) };
-        let picture = decode_rgb(path, [0.0; 3], Orientation::Upright)?;
-        let (width, height) = Resize::Longest(LONGEST).target(picture.width, picture.height);
-        let mut bytes = Vec::new();
-        pack(&resize(&picture, width, height), Format::Jpeg, QUALITY, &mut bytes)?;
-        Ok(Some(bytes))
+        match &self.0 {
+            Kept::Packed(pictures) => Ok(pictures.get(index).cloned()),
+            Kept::Files(files) => {
+                let Some(path) = files.get(index) else { return Ok(None) };
+                jpeg(&decode_rgb(path, [0.0; 3], Orientation::Upright)?).map(Some)
+            }
+        }
     }
+}
+
+/// A picture as it is sent.
+fn jpeg(picture: &Image) -> Result<Vec<u8>> {
+    let (width, height) = Resize::Longest(LONGEST).target(picture.width, picture.height);
+    let mut bytes = Vec::new();
+    pack(&resize(picture, width, height), Format::Jpeg, QUALITY, &mut bytes)?;
+    Ok(bytes)
 }

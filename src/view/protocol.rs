@@ -10,7 +10,8 @@
 //! | … | the picture, a JPEG or PNG file |
 //!
 //! A request that is refused is answered by a text message, [`Refusal`] as JSON. A request that a newer one
-//! of the same client overtakes is not answered.
+//! of the same client overtakes is not answered. Of a training under way text messages tell, too, how far it
+//! is, unasked: [`Told`] as JSON, the newest a few times a second.
 
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
@@ -31,6 +32,13 @@ pub enum Layer {
     Alpha,
     /// The share that comes from what moves: white where it is 1.
     Motion,
+    /// Motion within a fixed picture until one input frame later (at the end: since one before), in pixels: the
+    /// direction as hue, the length as saturation, which is full at the far end of [`Header::range`]; white
+    /// where nothing moves, grey where nothing is.
+    Flow,
+    /// Normals in the camera's axes: right is red, down is green, away is blue, from -1 to 1; black where
+    /// nothing is.
+    Normal,
 }
 
 /// How a picture is packed.
@@ -158,7 +166,8 @@ pub struct Header {
     pub milliseconds: f64,
     /// How many Gaussians the scene has.
     pub gaussians: usize,
-    /// Depths of white and of black, where depth is shown and something is there.
+    /// Depths of white and of black, where depth is shown and something is there; of flow, the lengths of
+    /// white and of full colour, pixels.
     pub range: Option<[f32; 2]>,
     /// How many control points follow.
     pub points: usize,
@@ -171,6 +180,47 @@ pub struct Refusal {
     pub id: Option<u64>,
     /// In words.
     pub error: String,
+}
+
+/// A text message that tells how far a training is.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Told {
+    /// How far it is.
+    pub status: Status,
+}
+
+/// How far the work is that makes the scene.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Status {
+    /// What is being done, in a word or two.
+    pub stage: String,
+    /// So many of its steps are done.
+    pub done: u64,
+    /// So many there are.
+    pub of: u64,
+    /// How many Gaussians the scene has, once there is one.
+    pub gaussians: Option<usize>,
+    /// So many scenes have been handed over: with each, `scene.json` and the pictures are new.
+    pub scenes: u64,
+    /// What was measured on the way, thinned.
+    pub curves: Vec<Progressed>,
+    /// How the work ended, where it has.
+    pub end: Option<String>,
+}
+
+/// A point of the curves of a training.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Progressed {
+    /// Steps done, of all stages.
+    pub step: u32,
+    /// Number of Gaussians.
+    pub gaussians: usize,
+    /// Weighted mean of the absolute differences of one picture.
+    pub l1: f64,
+    /// Its weighted mean of SSIM.
+    pub ssim: f64,
+    /// Its PSNR, dB, where it is known.
+    pub psnr: Option<f64>,
 }
 
 /// What the page is told of the scene before the first picture: `scene.json`.
@@ -198,8 +248,10 @@ pub struct Description {
     pub pictures: usize,
     /// [`MOST_SIDE`].
     pub most_side: u32,
-    /// [`MOST_PIXELS`].
+    /// [`MOST_PIXELS`], or of a training under way [`MOST_LIVE_PIXELS`](super::MOST_LIVE_PIXELS).
     pub most_pixels: u64,
+    /// Whether the scene is being trained; then it is there once [`Status::scenes`] is not 0.
+    pub live: bool,
 }
 
 /// An input camera.

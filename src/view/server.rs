@@ -3,7 +3,7 @@
 use std::net::{IpAddr, Ipv4Addr};
 use std::sync::Arc;
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use axum::Router;
 use axum::extract::ws::WebSocketUpgrade;
@@ -18,16 +18,17 @@ use tokio::net::TcpListener;
 use tokio::sync::{Semaphore, watch};
 use tokio::time::{sleep, timeout};
 
+use super::described::{self, Described};
 use super::guard::Guard;
+use super::live::Live;
 use super::painter::Painter;
-use super::protocol::{Description, Refusal};
+use super::protocol::{Refusal, Request as Asked};
 use super::turns::{Answer, Turns};
 use super::{
-    MOST_CLIENTS, MOST_CONNECTIONS, MOST_MESSAGE, MOST_PIXELS, MOST_SIDE, Pictures, Show, page,
-    port, socket,
+    MOST_CLIENTS, MOST_CONNECTIONS, MOST_LIVE_PIXELS, MOST_MESSAGE, Pictures, Show, page, port,
+    socket,
 };
 use crate::gpu::Device;
-use crate::renderer::Renderer;
 use crate::{Error, Result};
 
 /// A connection asks once, within this time; a socket goes on.
@@ -67,9 +68,10 @@ pub struct Server {
 /// What requests are answered from.
 struct Desk {
     guard: Guard,
-    description: String,
+    description: Described,
     pictures: Pictures,
     turns: Arc<Turns>,
+    live: Option<Live>,
     clients: Arc<Semaphore>,
     /// One picture of the input is decoded at a time, so that memory stays bounded.
     decoding: Arc<Semaphore>,
@@ -79,22 +81,52 @@ impl Server {
     /// Puts the scene on the device and begins to serve.
     ///
     /// # Errors
-    /// [`Error::Input`] where it cannot listen; as for [`Renderer::tuned`]; no more threads.
+    /// [`Error::Input`] where it cannot listen; as for
+    /// [`Renderer::tuned`](crate::renderer::Renderer::tuned); no more threads.
     pub fn start(device: &Device, show: Show, options: &Options) -> Result<Server> {
         let listener = port::listen(options.host, options.port)?;
+        let description = described::of(&device.info().name, &show, false);
+        let turns = Arc::new(Turns::default());
+        let easel = Easel {
+            device: device.clone(),
+            painter: Some(Painter::new(device, &show)?),
+            description: Described::new(&description)?,
+            live: None,
+        };
+        Server::serve(listener, easel, show.pictures.unwrap_or_default(), turns)
+    }
+
+    /// Begins to serve a scene that is being trained on the device, called `name`: what is served is what the
+    /// [`Live`] is told and handed.
+    ///
+    /// # Errors
+    /// [`Error::Input`] where it cannot listen; no more threads.
+    pub fn live(device: &Device, name: &str, options: &Options) -> Result<(Server, Live)> {
+        let listener = port::listen(options.host, options.port)?;
+        let turns = Arc::new(Turns::default());
+        let nothing = described::nothing(&device.info().name, name);
+        let description = Described::new(&nothing)?;
+        let live = Live::new(turns.clone(), &device.info().name, description.clone());
+        let easel =
+            Easel { device: device.clone(), painter: None, description, live: Some(live.clone()) };
+        Ok((Server::serve(listener, easel, Pictures::default(), turns)?, live))
+    }
+
+    fn serve(
+        listener: std::net::TcpListener,
+        easel: Easel,
+        pictures: Pictures,
+        turns: Arc<Turns>,
+    ) -> Result<Server> {
         let address = listener.local_addr().map_err(Error::io("the socket"))?;
         let guard = Guard::new(address)?;
         let url = guard.url();
-        let description = serde_json::to_string(&description(device, &show))
-            .map_err(|error| Error::Failed(error.to_string()))?;
-        let renderer = Renderer::tuned(device, &show.scene, &show.tuning)?;
-        let painter = Painter::new(renderer, show.scene.background);
-        let turns = Arc::new(Turns::default());
         let desk = Arc::new(Desk {
             guard,
-            description,
-            pictures: show.pictures.unwrap_or_default(),
+            description: easel.description.clone(),
+            pictures,
             turns: turns.clone(),
+            live: easel.live.clone(),
             clients: Arc::new(Semaphore::new(MOST_CLIENTS)),
             decoding: Arc::new(Semaphore::new(1)),
         });
@@ -115,7 +147,7 @@ impl Server {
         let thread = |name: &str| std::thread::Builder::new().name(name.into());
         let painting = {
             let turns = turns.clone();
-            thread("view: pictures").spawn(move || paint(painter, &turns))
+            thread("view: pictures").spawn(move || easel.paint(&turns))
         };
         let mut server =
             Server { url, port: address.port(), turns, stop, network: None, painting: None };
@@ -177,40 +209,61 @@ impl Drop for Server {
     }
 }
 
-/// Makes pictures until the turns are closed. What one request meets is told to its client; what all would
-/// meet ends it.
-fn paint(mut painter: Painter, turns: &Turns) -> Result<()> {
-    while let Some((client, request)) = turns.next() {
-        let answer = match painter.paint(&request) {
-            Ok(picture) => Answer::Picture(picture),
-            Err(error @ (Error::Vulkan { .. } | Error::DeviceLost { .. })) => {
-                turns.close();
-                return Err(error);
-            }
-            Err(error) => {
-                Answer::Refused(Refusal { id: Some(request.id), error: error.to_string() })
-            }
-        };
-        turns.answer(client, answer);
-    }
-    Ok(())
+/// What pictures are made with.
+struct Easel {
+    device: Device,
+    /// None before there is a scene.
+    painter: Option<Painter>,
+    description: Described,
+    live: Option<Live>,
 }
 
-fn description(device: &Device, show: &Show) -> Description {
-    let scene = &show.scene;
-    Description {
-        name: show.name.clone(),
-        device: device.info().name.clone(),
-        gaussians: scene.gaussians.len(),
-        moves: scene.moves(),
-        control_points: if scene.moves() { scene.control_points.len() } else { 0 },
-        up: scene.up,
-        start: show.start.into(),
-        distance: show.distance,
-        cameras: scene.cameras.iter().map(Into::into).collect(),
-        pictures: show.pictures.as_ref().map_or(0, |pictures| pictures.0.len()),
-        most_side: MOST_SIDE,
-        most_pixels: MOST_PIXELS,
+impl Easel {
+    /// Makes pictures until the turns are closed. What one request meets is told to its client; what all
+    /// would meet ends it. While a training goes on, making a picture is followed by as long a rest: what
+    /// clients ask for takes no more than half of the device's time.
+    fn paint(mut self, turns: &Turns) -> Result<()> {
+        while let Some((client, request)) = turns.next() {
+            let begun = Instant::now();
+            let answer = match self.picture(&request) {
+                Ok(picture) => Answer::Picture(picture),
+                Err(error @ (Error::Vulkan { .. } | Error::DeviceLost { .. })) => {
+                    turns.close();
+                    return Err(error);
+                }
+                Err(error) => {
+                    Answer::Refused(Refusal { id: Some(request.id), error: error.to_string() })
+                }
+            };
+            turns.answer(client, answer);
+            if let Some(live) = &self.live {
+                live.set_shown();
+                if live.is_under_way() {
+                    turns.rest(begun.elapsed());
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The answer to a request, of the newest scene.
+    fn picture(&mut self, request: &Asked) -> Result<Vec<u8>> {
+        if let Some(live) = &self.live {
+            let pixels = u64::from(request.camera.width) * u64::from(request.camera.height);
+            if pixels > MOST_LIVE_PIXELS {
+                return Err(Error::Input(format!(
+                    "a picture of {}×{} was asked for; at most {MOST_LIVE_PIXELS} pixels are made                      while a scene is trained",
+                    request.camera.width, request.camera.height
+                )));
+            }
+            if let Some(show) = live.take() {
+                // Before the new one is there, so that the device need not hold both.
+                self.painter = None;
+                self.painter = Some(Painter::new(&self.device, &show)?);
+            }
+        }
+        let painter = self.painter.as_mut();
+        painter.ok_or_else(|| Error::Input("there is no scene yet".into()))?.paint(request)
     }
 }
 
@@ -269,7 +322,7 @@ impl Desk {
         }
         if path == "scene.json" {
             let kind = [(CONTENT_TYPE, "application/json")];
-            return (kind, self.description.clone()).into_response();
+            return (kind, self.description.text().to_string()).into_response();
         }
         if path == "socket" {
             return match WebSocketUpgrade::from_request_parts(&mut parts, &()).await {
@@ -288,9 +341,10 @@ impl Desk {
     fn open(&self, upgrade: WebSocketUpgrade) -> Response {
         let upgrade = upgrade.max_message_size(MOST_MESSAGE).max_frame_size(MOST_MESSAGE);
         let turns = self.turns.clone();
+        let told = self.live.as_ref().map(Live::listen);
         match self.clients.clone().try_acquire_owned() {
             Ok(place) => upgrade.on_upgrade(|socket| async move {
-                socket::serve(socket, turns).await;
+                socket::serve(socket, turns, told).await;
                 drop(place);
             }),
             Err(_) => upgrade.on_upgrade(socket::turn_away),

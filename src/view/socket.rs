@@ -1,16 +1,19 @@
 //! A client's socket.
 
+use std::future::pending;
 use std::sync::Arc;
 use std::time::Duration;
 
 use axum::extract::ws::{CloseFrame, Message, WebSocket};
 use futures_util::stream::{SplitSink, SplitStream};
 use futures_util::{SinkExt, StreamExt};
+use serde::Serialize;
 use tokio::sync::mpsc::{self, Receiver, Sender};
+use tokio::sync::watch;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until, timeout};
 
 use super::MOST_MESSAGES_A_SECOND;
-use super::protocol::{Refusal, Request};
+use super::protocol::{Refusal, Request, Status, Told};
 use super::turns::{Answer, Turns};
 
 /// A client that takes longer for one answer is let go.
@@ -19,19 +22,21 @@ const MOST_SENDING: Duration = Duration::from_secs(20);
 const PING: Duration = Duration::from_secs(15);
 /// A client that says nothing for so long is let go.
 const MOST_SILENCE: Duration = Duration::from_secs(60);
+/// Between two messages that tell how far a training is, at least.
+const NEWS: Duration = Duration::from_millis(250);
 /// Messages one after the other that are no request, after which a client is let go.
 const MOST_RUBBISH: u32 = 20;
 /// Codes of closing, as RFC 6455 numbers them.
 const GOING_AWAY: u16 = 1001;
 const POLICY: u16 = 1008;
 
-/// Serves a client until it goes, misbehaves, or the server ends.
-pub async fn serve(socket: WebSocket, turns: Arc<Turns>) {
+/// Serves a client until it goes, misbehaves, or the server ends; `told` of a training.
+pub async fn serve(socket: WebSocket, turns: Arc<Turns>, told: Option<watch::Receiver<Status>>) {
     let Some((client, answers)) = turns.join() else { return };
     let (sink, stream) = socket.split();
     let (refusals, refused) = mpsc::channel(1);
     tokio::select! {
-        () = write(sink, answers, refused, &turns) => {}
+        () = write(sink, answers, refused, told, &turns) => {}
         () = read(stream, client, &turns, refusals) => {}
     }
     turns.leave(client);
@@ -90,8 +95,10 @@ async fn write(
     mut sink: SplitSink<WebSocket, Message>,
     mut answers: Receiver<Answer>,
     mut refused: Receiver<Refusal>,
+    mut told: Option<watch::Receiver<Status>>,
     turns: &Turns,
 ) {
+    let mut due = Instant::now();
     let mut pings = interval(PING);
     pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
@@ -102,6 +109,10 @@ async fn write(
                 None => break,
             },
             Some(refusal) = refused.recv() => text(&refusal),
+            status = news(&mut told, due) => {
+                due = Instant::now() + NEWS;
+                text(&Told { status })
+            }
             _ = pings.tick() => Message::Ping(Default::default()),
         };
         let sent = timeout(MOST_SENDING, sink.send(message)).await;
@@ -110,12 +121,26 @@ async fn write(
             return;
         }
     }
+    if let Some(told) = told {
+        let status = told.borrow().clone();
+        let _ = timeout(PING / 10, sink.send(text(&Told { status }))).await;
+    }
     let farewell = CloseFrame { code: GOING_AWAY, reason: "the server ends".into() };
     let _ = timeout(PING / 10, sink.send(Message::Close(Some(farewell)))).await;
 }
 
-fn text(refusal: &Refusal) -> Message {
-    Message::Text(serde_json::to_string(refusal).expect("plain data").into())
+/// The newest status, when it is due and is another than before; never where none is told.
+async fn news(told: &mut Option<watch::Receiver<Status>>, due: Instant) -> Status {
+    let Some(told) = told else { return pending().await };
+    sleep_until(due).await;
+    match told.changed().await {
+        Ok(()) => told.borrow_and_update().clone(),
+        Err(_) => pending().await,
+    }
+}
+
+fn text(message: &impl Serialize) -> Message {
+    Message::Text(serde_json::to_string(message).expect("plain data").into())
 }
 
 /// Turns a client away.

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use tokio::sync::mpsc::{Receiver, Sender, channel};
 
@@ -86,6 +87,13 @@ impl Turns {
             }
             state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
+    }
+
+    /// Waits for so long, or until it is closed.
+    pub fn rest(&self, long: Duration) {
+        let state = self.lock();
+        let open = |state: &mut State| !state.closed;
+        drop(self.changed.wait_timeout_while(state, long, open));
     }
 
     /// Answers a client, where it is still there.

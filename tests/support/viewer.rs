@@ -228,7 +228,7 @@ pub fn inputs(folder: &Path, count: usize) -> Pictures {
         write_png(&path, &picture).unwrap();
         path
     };
-    Pictures((0..count).map(file).collect())
+    Pictures::files((0..count).map(file).collect())
 }
 
 pub fn of_one_channel(image: &Image, value: impl Fn(&[f32]) -> f32) -> Image {

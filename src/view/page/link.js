@@ -6,7 +6,7 @@ const LONGEST_RETRY = 8000;
 const TURNED_AWAY = 1008;
 
 export class Link {
-  // on.picture(header, points, blob, request), on.refusal(text), on.state(text)
+  // on.picture(header, points, blob, request), on.refusal(text), on.state(text), on.status(status)
   constructor(on) {
     this.on = on;
     this.sent = new Map();
@@ -35,6 +35,8 @@ export class Link {
     const newest = [...this.sent.values()].pop();
     this.sent.clear();
     this.waiting ??= newest ?? this.shown ?? null;
+    // What it showed has ended: there is nothing to come back to.
+    if (this.ended) return;
     if (code === TURNED_AWAY) {
       this.on.state(`Not connected: ${reason}`);
       return;
@@ -69,7 +71,12 @@ export class Link {
 
   take(data) {
     if (typeof data === "string") {
-      const { id, error } = JSON.parse(data);
+      const { id, error, status } = JSON.parse(data);
+      if (status) {
+        this.ended = status.end !== null;
+        this.on.status(status);
+        return;
+      }
       this.settle(id ?? this.number);
       this.on.refusal(error);
     } else {

@@ -6,6 +6,7 @@ import { Link } from "./link.js";
 import { Overlay, nearestIn } from "./overlay.js";
 import { apply, listen } from "./pointer.js";
 import { TimeLine } from "./timeline.js";
+import { Training } from "./training.js";
 
 const STILL_AFTER = 160;
 const STILL_QUALITY = 92;
@@ -25,13 +26,17 @@ const KEY_FLY = 0.5;
 
 const element = (id) => document.getElementById(id);
 const picture = element("picture");
-const layers = ["colour", "depth", "alpha", "motion"];
+const layers = ["colour", "depth", "alpha", "motion", "flow", "normal"];
 
 const answer = await fetch("scene.json");
 if (!answer.ok) element("message").textContent = "The scene cannot be loaded; is the server running?";
-const scene = await answer.json();
-const viewer = new Viewer(scene.start, scene.distance, scene.up);
-const overlay = new Overlay(element("overlay"), scene.cameras, 0.05 * scene.distance);
+let scene = await answer.json();
+let viewer = new Viewer(scene.start, scene.distance, scene.up);
+let overlay;
+// Of a training the scene comes later, and again and again.
+let isThere = !scene.live;
+let scenes = 0;
+let loads = false;
 const keyframes = new Keyframes();
 let scale = 1;
 let stillTimer;
@@ -41,10 +46,16 @@ let pathPlays = false;
 let whole = null;
 let shownPoints = new Float32Array();
 
-const link = new Link({ picture: show, refusal: say, state: say });
+const curve = (name) => ({ svg: element(`${name}-curve`), text: element(`${name}-text`) });
+const training = new Training(element("work"), element("work-stage"), element("work-bar"), {
+  loss: curve("loss"),
+  psnr: curve("psnr"),
+  count: curve("count"),
+});
+const link = new Link({ picture: show, refusal: say, state: say, status: told });
 const timeLine = new TimeLine(
   { slider: element("time"), text: element("time-text"), button: element("play"), loop: element("loop"), speed: element("speed") },
-  scene.cameras.length > 1 ? scene.cameras.length / INPUT_RATE : SECONDS_WITHOUT_INPUT,
+  SECONDS_WITHOUT_INPUT,
   { time: timeChanged },
 );
 
@@ -76,6 +87,7 @@ function request(still) {
 
 // Something has changed: a quick picture now, a whole one when it is still.
 function changed() {
+  if (!isThere) return;
   picture.setAttribute("aria-busy", "true");
   whole = null;
   link.ask(request(false));
@@ -84,6 +96,7 @@ function changed() {
 }
 
 function settle() {
+  if (!isThere) return;
   whole = request(true);
   link.ask(whole);
 }
@@ -107,7 +120,7 @@ async function show(header, points, blob, asked) {
   element("size").textContent = `${header.width}×${header.height}`;
   const range = element("range");
   range.hidden = header.range === null;
-  if (header.range) range.textContent = `white ${header.range[0].toPrecision(3)}, dark ${header.range[1].toPrecision(3)}`;
+  if (header.range) range.textContent = legend(header);
   if (asked?.quality === MOVING_QUALITY) {
     if (header.milliseconds > SLOW) scale = Math.max(LEAST_SCALE, scale / Math.SQRT2);
     else if (header.milliseconds < FAST) scale = Math.min(1, scale * Math.SQRT2);
@@ -118,6 +131,11 @@ async function show(header, points, blob, asked) {
     wantsScreenshot = false;
     save(blob, "splat4d.png");
   }
+}
+
+function legend({ layer, range: [first, last] }) {
+  if (layer === "flow") return `white ${first} px, full colour ${last} px until the next input frame`;
+  return `white ${first.toPrecision(3)}, dark ${last.toPrecision(3)}`;
 }
 
 function drawOverlay() {
@@ -367,17 +385,52 @@ on("help", "click", () => element("keys-help").showModal());
 new ResizeObserver(changed).observe(picture);
 
 // What the scene does not have is not offered.
-document.title = `${scene.name} – splat4d`;
-element("name").textContent = scene.name;
-element("name").title = scene.device;
-const cameraOptions = scene.cameras.map((c, i) => new Option(`${i + 1}: time ${c.time.toFixed(3)}`, String(i)));
-element("cameras").replaceChildren(...(cameraOptions.length ? cameraOptions : [new Option("no input cameras", "")]));
-for (const id of ["show-cameras", "cameras", "previous", "next", "follow"]) element(id).disabled = scene.cameras.length === 0;
-element("show-points").disabled = scene.control_points === 0;
-element("layer").querySelector("[value=motion]").disabled = !scene.moves;
-const side = element("show-input");
-side.disabled = scene.pictures === 0;
-side.closest("label").title = side.disabled
-  ? "Start splat4d view with --frames DIR to see the input beside the scene"
-  : "The input beside the scene";
+function adopt(described) {
+  scene = described;
+  overlay = new Overlay(element("overlay"), scene.cameras, 0.05 * scene.distance);
+  timeLine.seconds = scene.cameras.length > 1 ? scene.cameras.length / INPUT_RATE : SECONDS_WITHOUT_INPUT;
+  document.title = `${scene.name} – splat4d`;
+  element("name").textContent = scene.name;
+  element("name").title = scene.device;
+  const list = element("cameras");
+  if (list.dataset.count !== String(scene.cameras.length)) listCameras(list);
+  for (const id of ["show-cameras", "cameras", "previous", "next", "follow"]) element(id).disabled = scene.cameras.length === 0;
+  element("show-points").disabled = scene.control_points === 0;
+  for (const layer of ["motion", "flow"]) element("layer").querySelector(`[value=${layer}]`).disabled = !scene.moves;
+  const side = element("show-input");
+  side.disabled = scene.pictures === 0;
+  side.closest("label").title = side.disabled
+    ? "Start splat4d view with --frames to see the input beside the scene"
+    : "The input beside the scene";
+}
+
+function listCameras(list) {
+  const options = scene.cameras.map((c, i) => new Option(`${i + 1}: time ${c.time.toFixed(3)}`, String(i)));
+  list.replaceChildren(...(options.length ? options : [new Option("no input cameras", "")]));
+  list.dataset.count = String(scene.cameras.length);
+}
+
+// A training tells how far it is; a new scene is fetched and shown from where the viewer is.
+async function told(status) {
+  training.show(status);
+  if (!isThere && status.scenes === 0) say("There is no scene yet");
+  if (loads || status.scenes === scenes) return;
+  loads = true;
+  const loaded = await fetch("scene.json").catch(() => null);
+  loads = false;
+  if (!loaded?.ok) return;
+  scenes = status.scenes;
+  adopt(await loaded.json());
+  if (isThere) {
+    picture.setAttribute("aria-busy", "true");
+    settle();
+    return;
+  }
+  isThere = true;
+  say("");
+  viewer = new Viewer(scene.start, scene.distance, scene.up);
+  timeLine.set(scene.cameras[0]?.time ?? 0);
+}
+
+adopt(scene);
 timeLine.set(scene.cameras[0]?.time ?? 0);

@@ -1,0 +1,163 @@
+//! What `train` made of a dataset as one page that needs nothing but itself.
+
+use std::ffi::OsString;
+
+use glam::DVec3;
+use serde_json::Value;
+use splat4d::Result;
+use splat4d::data::{Point, View};
+use splat4d::report::escape;
+use splat4d::scene::Scene;
+use splat4d::train::Measured;
+use splat4d::types::Pose;
+
+use super::camera_maps::{self, Cameras};
+use super::clock::Clock;
+use super::common::thousands;
+use super::info::dynamic_share;
+use super::model::Choice;
+use super::pictures::heat_key;
+use super::quality::Quality;
+use super::reconstruct_pictures::Pictures;
+use super::{page, player, run_page};
+
+/// Of the curves.
+const BETWEEN: &str =
+    "Up to the upright line all stands still (the warm-up), from there on it moves.";
+const ABOUT: &str = "Each point is of one picture, so that points scatter as pictures differ.";
+
+/// What the page is made of.
+pub struct Page<'a> {
+    /// What the dataset is called.
+    pub dataset: &'a str,
+    pub scene: &'a Scene,
+    /// Points of the dataset.
+    pub points: &'a [Point],
+    /// Those that are shown: held out, or where none are, trained on.
+    pub views: &'a [View],
+    /// How close the scene comes to each of them.
+    pub quality: &'a [Quality],
+    pub pictures: &'a Pictures,
+    pub history: &'a [Measured],
+    pub model: &'a [Choice],
+    pub clock: &'a Clock,
+    pub notes: &'a [String],
+    /// As `report.json` holds it.
+    pub report: &'a Value,
+    /// The words of the command that made it, the program's name first.
+    pub command: &'a [OsString],
+}
+
+impl Page<'_> {
+    /// The page.
+    ///
+    /// # Errors
+    /// A plot cannot be drawn.
+    pub fn html(&self) -> Result<String> {
+        let mut body = format!("<p class=\"lead\">{}</p>\n", escape(&self.sentence()));
+        self.facts(&mut body);
+        page::notes(&mut body, self.notes);
+        self.strip(&mut body);
+        run_page::orbit(&mut body, &self.pictures.orbit);
+        self.cameras(&mut body);
+        run_page::training(&mut body, self.history, BETWEEN, ABOUT)?;
+        run_page::model(&mut body, self.model);
+        run_page::stages(&mut body, self.clock, self.report);
+        run_page::command(&mut body, self.command);
+        body += &player::script();
+        let style = format!("{}{}", run_page::STYLE, player::STYLE);
+        Ok(page::document(&format!("splat4d train: {}", self.dataset), &style, &body))
+    }
+
+    fn held_out(&self) -> u64 {
+        self.report["held_out"].as_u64().unwrap_or(0)
+    }
+
+    fn decibels(&self, key: &str) -> String {
+        self.report[key].as_f64().map_or("none".into(), |value| format!("{value:.2} dB"))
+    }
+
+    /// What was found, in a sentence.
+    fn sentence(&self) -> String {
+        let scene = self.scene;
+        let gaussians = thousands(scene.gaussians.len());
+        let made = match scene.moves() {
+            true => format!(
+                "{gaussians} Gaussians, {:.1} % of which follow {} control points,",
+                100.0 * dynamic_share(scene),
+                scene.control_points.len()
+            ),
+            false => format!("{gaussians} Gaussians, none of which moves,"),
+        };
+        let test = match self.held_out() {
+            0 => ".".to_owned(),
+            n => format!(", and {n} that were held out at {}.", self.decibels("psnr_test")),
+        };
+        format!(
+            "{made} show the {} pictures that they were trained on at {} (PSNR){test}",
+            self.report["images"],
+            self.decibels("psnr_input")
+        )
+    }
+
+    fn facts(&self, body: &mut String) {
+        let text = |key: &str| self.report[key].as_str().map_or("none".into(), str::to_owned);
+        let ssim = self.report["ssim_test"].as_f64();
+        page::facts(
+            body,
+            &[
+                ("PSNR, trained on", self.decibels("psnr_input")),
+                ("PSNR, held out", self.decibels("psnr_test")),
+                ("SSIM, held out", ssim.map_or("none".into(), |value| format!("{value:.4}"))),
+                ("Gaussians", thousands(self.scene.gaussians.len())),
+                ("Control points", self.scene.control_points.len().to_string()),
+                ("Density control", text("density")),
+                ("Steps", self.report["steps"].to_string()),
+                ("Device", text("device")),
+            ],
+        );
+    }
+
+    fn strip(&self, body: &mut String) {
+        let name = |&frame: &usize| {
+            let psnr = self.quality.get(frame).map_or(f64::NAN, |quality| quality.psnr);
+            format!("{} · {psnr:.2} dB", self.views[frame].name)
+        };
+        let names: Vec<String> = self.pictures.frames.iter().map(name).collect();
+        let shown = match self.held_out() {
+            0 => "Pictures that the scene was trained on",
+            _ => "Pictures that were held out",
+        };
+        *body += &format!(
+            "<h2>Pictures and render</h2>\n<p>{shown}, and what the scene shows from the same cameras. The \
+             error is the mean over the channels, which go from 0 to 1.</p>\n<div \
+             class=\"scale\">{}</div>\n",
+            heat_key(self.pictures.most_error, "")
+        );
+        player::draw(body, "picture", &self.pictures.lanes, &names);
+    }
+
+    fn cameras(&self, body: &mut String) {
+        let Some(first) = self.scene.cameras.first() else { return };
+        let poses: Vec<Pose> =
+            self.scene.cameras.iter().map(|known| known.camera.view_from_world).collect();
+        let place = |p: &Point| DVec3::from_array(p.position.map(f64::from));
+        let centre = |i: usize| poses[i].inverse().translation;
+        let cameras = Cameras {
+            poses: &poses,
+            intrinsics: &first.camera.intrinsics,
+            points: camera_maps::thinned(self.points.iter().map(place)),
+            doubtful: &[],
+            travels: (1..poses.len()).any(|i| centre(i) != centre(0)),
+        };
+        body.push_str("<h2>Where the cameras are</h2>\n");
+        let with = if self.points.is_empty() { "the cameras" } else { "with the dataset's points" };
+        camera_maps::maps(body, &cameras, "unit of the dataset", with);
+        body.push_str(
+            "<p>The line goes through the pictures, trained on and held out, in the order of their times, from \
+             the first (disc) to the last (square); triangles are what some of them see. Up is the mean \
+             upward direction of the pictures. Of the points, those within the middle nine tenths along \
+             each axis are shown.</p>\n",
+        );
+    }
+}

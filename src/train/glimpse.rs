@@ -1,0 +1,69 @@
+//! The scene as it is while it is trained, for who looks on.
+
+use super::observer::{Checkpoint, Measured, Observer, Phase};
+use super::trainer::Trainer;
+use crate::Result;
+use crate::ops::loss::LossValue;
+use crate::scene::Scene;
+
+impl Trainer {
+    /// Waits and copies the scene as it is, in the unit of training. Training goes the same way whether it was
+    /// copied or not.
+    ///
+    /// # Errors
+    /// As for [`step`](Self::step).
+    pub(super) fn glimpse(&mut self) -> Result<Scene> {
+        self.settle()?;
+        let mut scene = Scene::of(self.download_gaussians()?);
+        if let Some((points, network)) = self.download_motion()? {
+            (scene.control_points, scene.network) = (points, network);
+            let motion = self.motion.as_ref().expect("it gave its parameters");
+            scene.neighbours = motion.motion.skin.neighbours().k() as u32;
+        }
+        scene.settings = self.settings.render;
+        scene.background = self.settings.background;
+        Ok(scene)
+    }
+}
+
+/// An observer to whom scenes are shown as `place` leaves them: in the unit and with the cameras of the
+/// finished one.
+pub struct Placed<'a> {
+    pub inner: &'a mut dyn Observer,
+    pub place: &'a dyn Fn(&mut Scene),
+}
+
+impl Observer for Placed<'_> {
+    fn progress(&mut self, phase: Phase, step: u32, steps: u32) -> Result<()> {
+        self.inner.progress(phase, step, steps)
+    }
+
+    fn loss(&mut self, loss: LossValue) {
+        self.inner.loss(loss);
+    }
+
+    fn measures(&mut self) -> bool {
+        self.inner.measures()
+    }
+
+    fn measured(&mut self, measured: &Measured) {
+        self.inner.measured(measured);
+    }
+
+    fn wants_scene(&mut self) -> bool {
+        self.inner.wants_scene()
+    }
+
+    fn scene(&mut self, mut scene: Scene) {
+        (self.place)(&mut scene);
+        self.inner.scene(scene);
+    }
+
+    fn wants_checkpoint(&mut self) -> bool {
+        self.inner.wants_checkpoint()
+    }
+
+    fn checkpoint(&mut self, checkpoint: &Checkpoint) -> Result<()> {
+        self.inner.checkpoint(checkpoint)
+    }
+}

@@ -1,0 +1,81 @@
+//! `scene.json`: what the page is told of the scene.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use super::protocol::Description;
+use super::{MOST_LIVE_PIXELS, MOST_PIXELS, MOST_SIDE, Show};
+use crate::types::{Camera, Intrinsics, Pose};
+use crate::{Error, Result};
+
+/// The text that is served; another once a training hands a scene over.
+#[derive(Clone)]
+pub struct Described(Arc<Mutex<Arc<str>>>);
+
+impl Described {
+    /// Serves a description.
+    ///
+    /// # Errors
+    /// A number that JSON has no form for.
+    pub fn new(description: &Description) -> Result<Described> {
+        Ok(Described(Arc::new(Mutex::new(text(description)?))))
+    }
+
+    /// Serves another one from now on.
+    ///
+    /// # Errors
+    /// As for [`new`](Self::new).
+    pub fn set(&self, description: &Description) -> Result<()> {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = text(description)?;
+        Ok(())
+    }
+
+    /// What is served now.
+    pub fn text(&self) -> Arc<str> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+fn text(description: &Description) -> Result<Arc<str>> {
+    let text = serde_json::to_string(description);
+    text.map(Arc::from).map_err(|error| Error::Failed(error.to_string()))
+}
+
+/// Of a scene; `live` while it is trained.
+pub fn of(device: &str, show: &Show, live: bool) -> Description {
+    let scene = &show.scene;
+    Description {
+        name: show.name.clone(),
+        device: device.to_owned(),
+        gaussians: scene.gaussians.len(),
+        moves: scene.moves(),
+        control_points: if scene.moves() { scene.control_points.len() } else { 0 },
+        up: scene.up,
+        start: show.start.into(),
+        distance: show.distance,
+        cameras: scene.cameras.iter().map(Into::into).collect(),
+        pictures: show.pictures.as_ref().map_or(0, |pictures| pictures.len()),
+        most_side: MOST_SIDE,
+        most_pixels: if live { MOST_LIVE_PIXELS } else { MOST_PIXELS },
+        live,
+    }
+}
+
+/// Of what is trained, before there is a scene.
+pub fn nothing(device: &str, name: &str) -> Description {
+    let intrinsics = Intrinsics::centred(1.0, 1, 1);
+    Description {
+        name: name.to_owned(),
+        device: device.to_owned(),
+        gaussians: 0,
+        moves: false,
+        control_points: 0,
+        up: [0.0, -1.0, 0.0],
+        start: Camera { intrinsics, view_from_world: Pose::IDENTITY }.into(),
+        distance: 1.0,
+        cameras: Vec::new(),
+        pictures: 0,
+        most_side: MOST_SIDE,
+        most_pixels: MOST_LIVE_PIXELS,
+        live: true,
+    }
+}
