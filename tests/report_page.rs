@@ -1,4 +1,4 @@
-//! The page of `reconstruct --report`, in a browser.
+//! The pages of `--report`, in a browser.
 
 #![cfg(feature = "cli")]
 
@@ -9,6 +9,9 @@ mod program;
 mod support;
 
 use std::fs;
+use std::io::{BufRead, BufReader};
+use std::process::{Command, Stdio};
+use std::time::Duration;
 
 use browser::Browser;
 use serde_json::{Value, json};
@@ -91,6 +94,72 @@ fn a_reconstruction_is_told_on_a_page() {
     opened.call("Page.reload", json!({}));
     std::thread::sleep(std::time::Duration::from_secs(3));
     assert_eq!(opened.evaluate(players), json!([0, 0]), "who wants less motion gets it");
+    assert!(opened.said.is_empty(), "{:?}", opened.said);
+}
+
+#[test]
+fn a_training_is_told_on_a_page_from_its_first_step_though_it_was_resumed() {
+    let folder = tempfile::tempdir().unwrap();
+    program::json(folder.path(), "synth rigid -o clip --frames 8 --size 96x54 --seed 3");
+    let arguments = "train clip/truth -o scene.safetensors --steps 300 --random-points 400 \
+                     --control-points 12 --eval-every 4 --report report";
+    // Ctrl-C as soon as there is a checkpoint of the second stage.
+    let kept = folder.path().join("scene.safetensors.checkpoint/training");
+    let mut child = program::program()
+        .current_dir(folder.path())
+        .args(arguments.split_whitespace())
+        .args(["--checkpoint-every", "1e-9", "--device", "software"])
+        .stderr(Stdio::piped())
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+    while !kept.exists() {
+        assert!(child.try_wait().unwrap().is_none(), "it ended without a checkpoint");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    std::thread::sleep(Duration::from_millis(1500));
+    let pid = child.id().to_string();
+    assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+    lines.by_ref().for_each(drop);
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+
+    let report = program::json(folder.path(), &format!("{arguments} --resume"));
+    let file = folder.path().join("report/report.html");
+    let page = fs::read_to_string(&file).unwrap();
+    let psnr = format!("{:.2} dB", report["psnr_test"].as_f64().unwrap());
+    says(&page, &["splat4d train: truth", &psnr, "2 that were held out", "400 Gaussians"]);
+    says(&page, &["Pictures that were held out", "From aside", "Where the cameras are"]);
+    says(&page, &["What was modelled, and what was left out", "Time and memory", "--resume"]);
+    assert!(!page.contains("what lay before it is not shown"), "the whole curve is there");
+    let words: String = page
+        .split("src=\"")
+        .map(|part| part.split_once('"').map_or(part, |(_, text)| text))
+        .collect();
+    assert!(!words.contains("NaN") && !words.contains(">inf"), "something is no number");
+    assert_eq!(page.matches("<svg width").count(), 3, "loss, PSNR, Gaussians");
+    let written: Value =
+        serde_json::from_slice(&fs::read(folder.path().join("report/report.json")).unwrap())
+            .unwrap();
+    let training = written["training"].as_array().unwrap();
+    // A tenth of the steps stands still.
+    let steps: Vec<(&str, u64)> = training
+        .iter()
+        .map(|m| (m["phase"].as_str().unwrap(), m["step"].as_u64().unwrap()))
+        .collect();
+    let expected: Vec<(&str, u64)> = (1..=30)
+        .map(|step| ("static", step))
+        .chain((1..=67).map(|i| ("joint", 4 * i)))
+        .chain([("joint", 270)])
+        .collect();
+    assert_eq!(steps, expected);
+
+    let mut opened = Browser::open_file(&file, 1280, 900);
+    for width in [320, 360, 768, 1280] {
+        assert_eq!(opened.overflow(width), 0, "at {width} pixels");
+    }
+    let seen = "[...document.images].filter(picture => picture.offsetParent).length";
+    assert_eq!(opened.evaluate(seen), json!(5 + 1), "one picture of each lane is seen");
     assert!(opened.said.is_empty(), "{:?}", opened.said);
 }
 

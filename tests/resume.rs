@@ -18,20 +18,32 @@ use splat4d::types::{Camera, FlowSettings};
 use splat4d::{Error, Result};
 use std::collections::BTreeMap;
 
-/// Keeps checkpoints as they come back from their files: those after some steps of the whole training.
+/// Keeps checkpoints as they come back from their files: those after some steps of the whole training. Looks
+/// at the scene now and then, too, and after each last step.
 struct Keeper<'a> {
     after: &'a [u32],
     steps: u32,
     kept: Vec<Checkpoint>,
+    is_last: bool,
+    seen: Vec<Scene>,
 }
 
 impl Observer for Keeper<'_> {
-    fn progress(&mut self, _: Phase, _: u32, _: u32) -> Result<()> {
+    fn progress(&mut self, _: Phase, step: u32, steps: u32) -> Result<()> {
+        self.steps += 1;
+        self.is_last = step == steps;
         Ok(())
     }
 
+    fn wants_scene(&mut self) -> bool {
+        self.is_last || self.steps.is_multiple_of(37)
+    }
+
+    fn scene(&mut self, scene: Scene) {
+        self.seen.push(scene);
+    }
+
     fn wants_checkpoint(&mut self) -> bool {
-        self.steps += 1;
         self.after.contains(&self.steps)
     }
 
@@ -53,8 +65,13 @@ fn resumes(
 ) -> Vec<(Phase, u32)> {
     let quiet = || |_: Phase, _: u32, _: u32| Ok(());
     let whole = train(None, &mut quiet()).unwrap();
-    let mut keeper = Keeper { after, steps: 0, kept: Vec::new() };
+    let mut keeper = Keeper { after, steps: 0, kept: Vec::new(), is_last: false, seen: Vec::new() };
     assert!(train(None, &mut keeper).unwrap() == whole, "keeping checkpoints changes the result");
+    // What is seen last is what comes out.
+    let last = keeper.seen.pop().unwrap();
+    assert!(keeper.seen.len() > 3 && keeper.seen.iter().all(|scene| scene.check().is_ok()));
+    assert!(Scene { report: whole.report.clone(), ..last } == whole, "another scene is seen");
+    assert!(keeper.seen[0].gaussians != whole.gaussians, "it has changed on the way");
     let places: Vec<_> = keeper.kept.iter().map(Checkpoint::place).collect();
     for checkpoint in keeper.kept {
         let place = checkpoint.place();

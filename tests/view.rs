@@ -12,9 +12,10 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
+use splat4d::data::shades;
 use splat4d::renderer::Renderer;
 use splat4d::view::protocol::{Format, Layer, Request};
-use splat4d::view::{MOST_CLIENTS, Options, Server};
+use splat4d::view::{MOST_CLIENTS, Options, Pictures, Server};
 use viewer::{
     Client, JPEG_PSNR, Sent, camera, get, http, inputs, of_one_channel, psnr, request, rounded,
     scene, serve, show,
@@ -113,6 +114,40 @@ fn what_moves_is_white_and_control_points_are_told() {
     client.ask(&asked);
     let (header, _, mask) = client.picture();
     assert!(header.points == 0 && mask.pixels.iter().all(|v| *v == 0.0));
+    common::assert_valid(&device);
+}
+
+#[test]
+fn flow_and_normals_are_those_of_the_renderer() {
+    let device = common::device();
+    let scene = scene(400);
+    let server = serve(&device, scene.clone(), None);
+    let mut client = Client::new(&server);
+    let mut truth = Renderer::new(&device, &scene).unwrap();
+    let view = camera(80, 50, 0.1);
+    // Six input frames: the next is a fifth later, and after the last there is none.
+    for (id, time, to, sign) in [(1, 0.3, 0.3 + 0.2, 1.0), (2, 1.0, 1.0 - 0.2, -1.0)] {
+        client.ask(&Request { layer: Layer::Flow, ..request(id, view, time) });
+        let (header, _, shown) = client.picture();
+        let [none, most] = header.range.unwrap();
+        let seen = truth.render(&view, time).unwrap();
+        let mut flow = truth.flow(&seen, (&view, time), (&view, to)).unwrap();
+        flow.pixels.iter_mut().for_each(|v| *v *= sign);
+        let longest = shades::lengths(&flow).pixels.into_iter().filter(|v| v.is_finite());
+        let longest = longest.fold(0.0, f32::max);
+        assert!(none == 0.0 && (most / 2.5..most * 4.0).contains(&longest), "{most} {longest}");
+        assert_eq!(shown, rounded(&shades::flow(&flow, most.into())));
+        // It goes to the right and a little up: more red than any other colour.
+        let sums = (0..3).map(|c| shown.pixels.iter().skip(c).step_by(3).sum::<f32>());
+        let [red, green, blue]: [f32; 3] = sums.collect::<Vec<_>>().try_into().unwrap();
+        assert!(red > green + 1.0 && red > blue + 1.0, "{red} {green} {blue}");
+        client.ask(&Request { layer: Layer::Normal, ..request(id, view, time) });
+        let (header, _, shown) = client.picture();
+        truth.render(&view, time).unwrap();
+        let normals = truth.normals(&view, time).unwrap();
+        assert_eq!((header.range, &shown), (None, &rounded(&shades::normals(&normals))));
+        assert!(shown.pixels.iter().any(|v| *v > 0.9), "something is seen");
+    }
     common::assert_valid(&device);
 }
 
@@ -335,10 +370,10 @@ fn every_client_is_served_with_its_own_picture_and_one_too_many_is_not() {
 fn the_input_is_shown_by_number() {
     let device = common::device();
     let folder = tempfile::tempdir().unwrap();
-    let mut pictures = inputs(folder.path(), 3);
+    inputs(folder.path(), 3);
     std::fs::write(folder.path().join("broken.png"), "nothing").unwrap();
-    pictures.0.push(folder.path().join("broken.png"));
-    let server = serve(&device, scene(30), Some(pictures));
+    let files = ["0.png", "1.png", "2.png", "broken.png"].map(|name| folder.path().join(name));
+    let server = serve(&device, scene(30), Some(Pictures::files(files.into())));
     let description: Value = {
         let (_, text) = get(server.port(), "/scene.json");
         serde_json::from_str(text.split_once("\r\n\r\n").unwrap().1).unwrap()
@@ -410,4 +445,66 @@ fn the_command_tells_its_address_takes_the_next_port_and_ends_by_ctrl_c() {
         Command::new(env!("CARGO_BIN_EXE_splat4d")).args(["view", "--help"]).output().unwrap();
     let help = String::from_utf8(help.stdout).unwrap();
     told.as_object().unwrap().keys().for_each(|key| assert!(help.contains(key.as_str()), "{key}"));
+}
+
+/// A video of six frames, each redder than the one before; needs ffmpeg.
+fn video(folder: &std::path::Path) -> std::path::PathBuf {
+    inputs(folder, 6);
+    let file = folder.join("input.mp4");
+    let made = Command::new("ffmpeg")
+        .args(["-nostdin", "-v", "error", "-i"])
+        .arg(folder.join("%d.png"))
+        .args(["-c:v", "libx264", "-pix_fmt", "yuv444p", "-qp", "4"])
+        .arg(&file)
+        .status();
+    assert!(made.expect("this test needs ffmpeg (Debian: ffmpeg)").success());
+    file
+}
+
+#[test]
+fn the_input_is_shown_from_its_video() {
+    let device = common::device();
+    let folder = tempfile::tempdir().unwrap();
+    let file = video(folder.path());
+    let pictures = Pictures::of_video(&file, &[1, 3, 4], &|| Ok(())).unwrap();
+    assert_eq!(pictures.len(), 3);
+    for (i, number) in [1, 3, 4].into_iter().enumerate() {
+        let jpeg = pictures.jpeg(i).unwrap().unwrap();
+        let picture = image::load_from_memory(&jpeg).unwrap().into_rgb8();
+        assert_eq!(picture.dimensions(), (96, 54));
+        let [red, green, _] = picture.get_pixel(48, 27).0.map(f64::from);
+        assert!(
+            (red - 255.0 * f64::from(number) / 6.0).abs() < 6.0 && green < 8.0,
+            "{red} {green}"
+        );
+    }
+    assert!(pictures.jpeg(3).unwrap().is_none());
+    let server = serve(&device, scene(30), Some(pictures));
+    assert_eq!(get(server.port(), "/pictures/2").0, 200);
+    assert_eq!(get(server.port(), "/pictures/3").0, 404);
+    // By the program, of a scene that was made of every other frame, and of one that does not tell.
+    let mut made = scene(30);
+    made.cameras.truncate(3);
+    made.report = json!({ "frame_names": ["00000", "00002", "00004"] });
+    for (scene, count) in [(made, 3), (scene(30), 6)] {
+        scene.save(folder.path().join("scene.safetensors")).unwrap();
+        let output = Command::new(env!("CARGO_BIN_EXE_splat4d"))
+            .current_dir(folder.path())
+            .args(["view", "scene.safetensors", "--frames", "input.mp4", "--seconds", "0.1"])
+            .args(["--json", "--device", "software"])
+            .output()
+            .unwrap();
+        let told: Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(told["frames"], count, "{}", String::from_utf8_lossy(&output.stderr));
+    }
+    // What is no video is told.
+    for (name, what) in [("0.png", "one picture"), ("scene.safetensors", "video")] {
+        let output = Command::new(env!("CARGO_BIN_EXE_splat4d"))
+            .current_dir(folder.path())
+            .args(["view", "scene.safetensors", "--frames", name, "--device", "software"])
+            .output()
+            .unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(1) && said.contains(what), "{said}");
+    }
 }

@@ -85,6 +85,11 @@ impl Live {
         self.live.measured(point);
     }
 
+    /// Whether a page is open.
+    pub fn is_seen(&self) -> bool {
+        self.live.has_clients()
+    }
+
     /// Whether the scene is to be shown now.
     pub fn wants_scene(&self) -> bool {
         self.live.wants_scene()
@@ -107,7 +112,7 @@ impl Live {
 
     /// Shows the finished scene to the pages that are open.
     pub fn finished_scene(&self, scene: &Scene) {
-        if self.live.has_clients() {
+        if self.is_seen() {
             self.scene(scene.clone());
         }
     }

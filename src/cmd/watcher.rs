@@ -16,8 +16,10 @@ use super::meter::Meter;
 /// What is put away of a training: its state, and what was measured before.
 pub type Kept = (Checkpoint, Vec<Measured>);
 
-/// Measuring for a page alone takes no more than one part in so many of the time.
-const SHARE: u32 = 100;
+/// Measuring for a page alone takes no more than one part in so many of the time, while nobody looks and while
+/// somebody does. What is counted holds the wait for steps under way, which is not lost.
+const SHARE: u32 = 60;
+const SHARE_SEEN: u32 = 10;
 
 /// The observer of `train` and `reconstruct`.
 pub struct Watcher<'a> {
@@ -33,9 +35,10 @@ pub struct Watcher<'a> {
     /// Whether all is to be measured.
     measuring: bool,
     live: Option<&'a Live>,
-    /// When measuring for the page began last, and when it may begin again.
-    measured: Option<Instant>,
-    due: Instant,
+    /// When measuring for the page began that is under way.
+    begun: Option<Instant>,
+    /// When it ended last, and how long it took.
+    last: Option<(Instant, Duration)>,
 }
 
 /// What a training leaves to tell.
@@ -59,7 +62,6 @@ impl<'a> Watcher<'a> {
         checkpoints: &'a mut Checkpoints,
         names: &'a dyn Fn(Phase) -> (&'static str, &'static str),
     ) -> Watcher<'a> {
-        let due = Instant::now();
         Watcher {
             clock,
             checkpoints,
@@ -69,8 +71,8 @@ impl<'a> Watcher<'a> {
             history: Vec::new(),
             measuring: false,
             live: None,
-            measured: None,
-            due,
+            begun: None,
+            last: None,
         }
     }
 
@@ -146,16 +148,18 @@ impl Observer for Watcher<'_> {
     }
 
     fn measures(&mut self) -> bool {
-        let now = Instant::now();
-        let drawn = self.live.is_some() && now >= self.due;
-        self.measured = drawn.then_some(now);
+        let is_due = |live: &Live| {
+            let share = if live.is_seen() { SHARE_SEEN } else { SHARE };
+            self.last.is_none_or(|(ended, took)| ended.elapsed() >= took * share)
+        };
+        let drawn = self.live.is_some_and(is_due);
+        self.begun = drawn.then(Instant::now);
         self.measuring || drawn
     }
 
     fn measured(&mut self, measured: &Measured) {
-        if let Some(begun) = self.measured.take() {
-            let took: Duration = begun.elapsed();
-            self.due = Instant::now() + took * SHARE;
+        if let Some(begun) = self.begun.take() {
+            self.last = Some((Instant::now(), begun.elapsed()));
         }
         self.draw(&self.history, measured);
         self.history.push(*measured);

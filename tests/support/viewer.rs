@@ -13,7 +13,7 @@ use splat4d::data::write_png;
 use splat4d::gpu::Device;
 use splat4d::scene::{Scene, SceneCamera};
 use splat4d::types::{Camera, ControlPoints, Gaussians, Image, Intrinsics, Pose, Tuning};
-use splat4d::view::protocol::{Format, Header, Layer, Refusal, Request};
+use splat4d::view::protocol::{Format, Header, Layer, Refusal, Request, Status, Told};
 use splat4d::view::{Options, Pictures, Server, Show};
 use tungstenite::{Message, WebSocket};
 
@@ -106,6 +106,7 @@ pub fn request(id: u64, camera: Camera, time: f64) -> Request {
 pub enum Sent {
     Picture(Header, Vec<[f32; 4]>, Image),
     Refused(Refusal),
+    Told(Status),
     Closed(u16),
 }
 
@@ -140,7 +141,10 @@ impl Client {
             match self.0.read() {
                 Ok(Message::Binary(bytes)) => return unpacked(&bytes),
                 Ok(Message::Text(text)) => {
-                    return Sent::Refused(serde_json::from_str(&text).unwrap());
+                    return match serde_json::from_str::<Told>(&text) {
+                        Ok(told) => Sent::Told(told.status),
+                        Err(_) => Sent::Refused(serde_json::from_str(&text).unwrap()),
+                    };
                 }
                 Ok(Message::Close(frame)) => {
                     return Sent::Closed(frame.map_or(1005, |frame| frame.code.into()));

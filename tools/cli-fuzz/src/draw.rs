@@ -52,6 +52,7 @@ const BASES: [&str; 36] = [
     "train <dataset> -o >scene.safetensors --steps 3 --random-points 80 --sh-degree 0 --static",
     "train <dataset> -o >scene.safetensors --steps 3 --random-points 80 --max-gaussians 120 \
      --density adaptive --report >report --settings <settings>",
+    "train <dataset> -o >scene.safetensors --steps 3 --random-points 80 --view 8090 --host 127.0.0.1",
     "render <scene> -o >views --frames 2 --size 24x16",
     "render <scene> -o >views --path <cameras> --size 24x16 --exr --what colour,depth,alpha,motion,flow,normal",
     "render <scene> --bench --size 24x16 --path bullet --frames 2",
