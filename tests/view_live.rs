@@ -119,7 +119,7 @@ fn the_page_follows_a_training_and_changes_nothing_of_it() {
     let mut work = Work::begin(folder.path(), &arguments);
     let mut page = Browser::open(&work.url(), 1280, 800);
     page.wait_for("!document.getElementById('work').hidden");
-    page.wait_for(&format!("/^(warm-up|training): \\d+ of \\d+/.test({STAGE})"));
+    page.wait_for(&format!("/^training(, warm-up)?: \\d+ of \\d+ steps/.test({STAGE})"));
     page.wait_for(&format!("{PICTURE}.shown"));
     let stage = page.evaluate(STAGE);
     let first = sum(&mut page);
@@ -209,7 +209,7 @@ fn a_reconstruction_tells_its_stages() {
     }
     assert_eq!(refused, 1);
     assert!(pictures >= 1, "of the finished scene at least");
-    for stage in ["tracking: cameras", "static", "joint", "evaluating"] {
+    for stage in ["tracking, cameras", "training, static", "training, joint", "evaluating"] {
         assert!(stages.contains(stage), "{stages:?}");
     }
     assert!(last.end.unwrap().starts_with("The work is done"));

@@ -43,7 +43,7 @@ pub fn section(body: &mut String, track: &Track, poses: &[Pose], unit: &str) {
         doubtful: &track.quality.doubtful_frames,
         travels: !track.quality.tripod && !track.quality.turns,
     };
-    maps(body, &cameras, unit, "with static points");
+    maps(body, &cameras, unit, "static points");
     body.push_str(
         "<p>The line is the camera's path from its first frame (disc) to its last (square); \
          triangles are what it sees from some of them. Up is the mean upward direction of the pictures. Of \
@@ -57,7 +57,8 @@ pub fn thinned(points: impl ExactSizeIterator<Item = DVec3>) -> Vec<DVec3> {
     points.step_by(every).collect()
 }
 
-/// Maps from above and from the side, `with` points, and of the path alone.
+/// Maps from above and from the side, with points as `with` calls them; where there are some, maps of the
+/// path alone, too.
 pub fn maps(body: &mut String, shown: &Cameras, unit: &str, with: &str) {
     let Cameras { poses, intrinsics: k, doubtful, travels, .. } = shown;
     let axes = Axes::of(poses);
@@ -96,9 +97,10 @@ pub fn maps(body: &mut String, shown: &Cameras, unit: &str, with: &str) {
         let drawn = charts::map(&Map { title, axes, cameras: &placed, points: &points });
         let _ = write!(body, "<figure><h3>{title}</h3>{drawn}</figure>");
     };
-    map(&format!("From above, {with}"), [&right, &ahead], across, true, &above);
-    map(&format!("From the side, {with}"), [&ahead, &up], along, true, &side);
-    if *travels {
+    let with = if points.is_empty() { String::new() } else { format!(", with {with}") };
+    map(&format!("From above{with}"), [&right, &ahead], across, true, &above);
+    map(&format!("From the side{with}"), [&ahead, &up], along, true, &side);
+    if *travels && !points.is_empty() {
         map("The path alone, from above", [&right, &ahead], across, false, &above);
         map("The path alone, from the side", [&ahead, &up], along, false, &side);
     }

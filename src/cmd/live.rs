@@ -75,9 +75,19 @@ impl Live {
         self.cameras = cameras;
     }
 
-    /// How far a stage is.
-    pub fn progress(&self, stage: &str, done: u64, of: u64) {
-        self.live.progress(stage, done, of);
+    /// A stage begins of which it is not known how far it is.
+    pub fn stage(&self, stage: &str) {
+        self.live.progress(stage, 0, 0, "");
+    }
+
+    /// So much of a stage is done, in hundredths.
+    pub fn percent(&self, stage: &str, done: u64) {
+        self.live.progress(stage, done, 100, "%");
+    }
+
+    /// So many of a stage's steps are done.
+    pub fn steps(&self, stage: &str, done: u32, of: u32) {
+        self.live.progress(stage, done.into(), of.into(), "steps");
     }
 
     /// A point of the curves.

@@ -56,6 +56,10 @@ Examples:
   splat4d reconstruct video.mp4 -o scene.safetensors
   splat4d reconstruct video.mp4 -o look.safetensors --quality draft
   splat4d reconstruct frames/ -o scene.safetensors --every 2 --size 320 --report report
+  splat4d reconstruct video.mp4 -o scene.safetensors --view
+
+With --view only this machine reaches the page; with --host the machines that reach that address do, too, and
+the page's address then holds a random token. The page changes nothing of the scene that comes out.
 
 JSON: psnr_input, ssim_input, gaussians, control_points,
 control_points_added and control_points_removed (in training), broken_gradients (values that were not
@@ -201,7 +205,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     let device = common.open_device()?;
     let live = args.live.start(&device, &name_of(&args.clip), Tuning::default())?;
     if let Some(live) = &live {
-        live.progress("reading the clip", 0, 0);
+        live.stage("reading the clip");
     }
     let quality = Quality::from(args.quality);
     let preset = quality.preset(device.info().kind);
@@ -277,7 +281,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     say(&model::lines(&model));
     if let Some(live) = &live {
         live.finished_scene(&scene);
-        live.progress("evaluating", 0, 0);
+        live.stage("evaluating");
     }
 
     let frames = track.prepared(&frames).into_owned();

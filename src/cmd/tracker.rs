@@ -64,7 +64,7 @@ impl Observer for Tracker<'_> {
             meter.set((100.0 * share) as u64);
         }
         if let Some(live) = self.live {
-            live.progress(&format!("tracking: {}", name(stage)), (100.0 * share) as u64, 100);
+            live.percent(&format!("tracking, {}", name(stage)), (100.0 * share) as u64);
         }
         Ok(())
     }

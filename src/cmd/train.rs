@@ -48,6 +48,10 @@ or text), or the pictures of one sequence of MPI Sintel (training/final/NAME).
 Examples:
   splat4d train captures/fox -o fox.safetensors --steps 2000 --size 480
   splat4d train captures/fox -o fox.safetensors --max-gaussians 50000 --density adaptive
+  splat4d train captures/fox -o fox.safetensors --view
+
+With --view only this machine reaches the page; with --host the machines that reach that address do, too, and
+the page's address then holds a random token. The page changes nothing of the scene that comes out.
 
 JSON: psnr_input, psnr_test (null where nothing is held out), ssim_test,
 gaussians, control_points, control_points_added, control_points_removed (null where nothing moves),
@@ -249,7 +253,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     scene.set_up_from_cameras();
     if let Some(live) = &live {
         live.finished_scene(&scene);
-        live.progress("evaluating", 0, 0);
+        live.stage("evaluating");
     }
     let mut renderer = Renderer::new(&device, &scene)?;
     let on_input = quality::measure(&mut renderer, &train, set.background, "PSNR, input")?;

@@ -151,13 +151,17 @@ impl Page<'_> {
             travels: (1..poses.len()).any(|i| centre(i) != centre(0)),
         };
         body.push_str("<h2>Where the cameras are</h2>\n");
-        let with = if self.points.is_empty() { "the cameras" } else { "with the dataset's points" };
-        camera_maps::maps(body, &cameras, "unit of the dataset", with);
+        camera_maps::maps(body, &cameras, "unit of the dataset", "the dataset's points");
         body.push_str(
             "<p>The line goes through the pictures, trained on and held out, in the order of their times, from \
              the first (disc) to the last (square); triangles are what some of them see. Up is the mean \
-             upward direction of the pictures. Of the points, those within the middle nine tenths along \
-             each axis are shown.</p>\n",
+             upward direction of the pictures.",
         );
+        if !self.points.is_empty() {
+            body.push_str(
+                " Of the points, those within the middle nine tenths along each axis are shown.",
+            );
+        }
+        body.push_str("</p>\n");
     }
 }

@@ -1,5 +1,6 @@
 //! Looks on while a scene is trained: progress, time by stage, checkpoints, Ctrl-C.
 
+use std::borrow::Cow;
 use std::time::{Duration, Instant};
 
 use splat4d::Result;
@@ -47,6 +48,14 @@ pub struct Watched {
     pub milliseconds_per_step: f64,
     /// What was measured on the way, in the run that this one resumes, too.
     pub history: Vec<Measured>,
+}
+
+/// What the page calls a phase that the bar calls so.
+fn stage(name: &'static str) -> Cow<'static, str> {
+    match name {
+        "training" => name.into(),
+        part => format!("training, {part}").into(),
+    }
 }
 
 /// Steps of the stages before the one that something was measured in.
@@ -136,7 +145,7 @@ impl Observer for Watcher<'_> {
             meter.set(step.into());
         }
         if let Some(live) = self.live {
-            live.progress((self.names)(phase).0, step.into(), steps.into());
+            live.steps(&stage((self.names)(phase).0), step, steps);
         }
         Ok(())
     }

@@ -72,7 +72,10 @@ impl LinePlot {
                 self.draw(&mut svg, &lines, x, axis, (y.0 / 1.1, y.1 * 1.1)).map_err(failed)?;
             }
             false => {
-                let room = (0.05 * (y.1 - y.0)).max(1e-9 * y.1.abs()).max(f64::MIN_POSITIVE);
+                // Values that are all the same are told apart from those around them.
+                let flat = y.1 - y.0 <= 1e-9 * y.1.abs();
+                let span = if flat { y.1.abs() } else { y.1 - y.0 };
+                let room = (0.05 * span).max(f64::MIN_POSITIVE);
                 let (low, high) = (y.0 - room, y.1 + room);
                 let axis = plotters::coord::types::RangedCoordf64::from(low..high);
                 self.draw(&mut svg, &lines, x, axis, (low, high)).map_err(failed)?;

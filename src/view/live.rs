@@ -54,11 +54,11 @@ impl Live {
         Live(Arc::new(Shared { status, scene, turns, device, description }))
     }
 
-    /// How far a stage is.
-    pub fn progress(&self, stage: &str, done: u64, of: u64) {
+    /// How far a stage is: so many of so many units.
+    pub fn progress(&self, stage: &str, done: u64, of: u64, unit: &str) {
         self.0.status.send_modify(|status| {
-            if status.stage != stage {
-                status.stage = stage.to_owned();
+            if status.stage != stage || status.unit != unit {
+                (status.stage, status.unit) = (stage.to_owned(), unit.to_owned());
             }
             (status.done, status.of) = (done, of);
         });

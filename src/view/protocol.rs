@@ -194,10 +194,12 @@ pub struct Told {
 pub struct Status {
     /// What is being done, in a word or two.
     pub stage: String,
-    /// So many of its steps are done.
+    /// So much of it is done.
     pub done: u64,
-    /// So many there are.
+    /// Of so much; 0 where that is not known.
     pub of: u64,
+    /// Of what: `steps`, `%`.
+    pub unit: String,
     /// How many Gaussians the scene has, once there is one.
     pub gaussians: Option<usize>,
     /// So many scenes have been handed over: with each, `scene.json` and the pictures are new.

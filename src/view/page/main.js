@@ -413,7 +413,7 @@ function listCameras(list) {
 // A training tells how far it is; a new scene is fetched and shown from where the viewer is.
 async function told(status) {
   training.show(status);
-  if (!isThere && status.scenes === 0) say("There is no scene yet");
+  if (!isThere && status.scenes === 0) say("There is no scene yet: it comes with the first step of training");
   if (loads || status.scenes === scenes) return;
   loads = true;
   const loaded = await fetch("scene.json").catch(() => null);

@@ -18,8 +18,7 @@ export class Training {
   show(status) {
     this.section.hidden = false;
     const known = status.of > 0;
-    const share = known ? `: ${status.done.toLocaleString("en")} of ${status.of.toLocaleString("en")}` : "";
-    this.stage.textContent = status.end ?? (status.stage ? `${status.stage}${share}` : "beginning");
+    this.stage.textContent = status.end ?? (status.stage ? `${status.stage}${known ? share(status) : ""}` : "beginning");
     this.bar.hidden = status.end !== null;
     if (known) {
       this.bar.max = status.of;
@@ -29,6 +28,11 @@ export class Training {
     }
     for (const [name, { svg, text }] of Object.entries(this.curves)) draw(svg, text, lines[name], status.curves);
   }
+}
+
+function share({ done, of, unit }) {
+  if (unit === "%") return `: ${done} %`;
+  return `: ${done.toLocaleString("en")} of ${of.toLocaleString("en")} ${unit}`;
 }
 
 // Lines over the steps, from 0 or the least value to the most.
