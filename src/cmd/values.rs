@@ -203,6 +203,15 @@ mod tests {
     }
 
     #[test]
+    fn ports() {
+        assert_eq!((port("1"), port("65535")), (Ok(1), Ok(65_535)));
+        for bad in ["0", "65536", "-1", "captures/fox", ""] {
+            let message = port(bad).unwrap_err();
+            assert!(message.contains("from 1 to 65,535") && message.contains("after"), "{message}");
+        }
+    }
+
+    #[test]
     fn colours() {
         assert_eq!(colour("0,0.5,1"), Ok([0.0, 0.5, 1.0]));
         assert_eq!(colour("white"), Ok([1.0; 3]));

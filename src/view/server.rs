@@ -252,7 +252,8 @@ impl Easel {
             let pixels = u64::from(request.camera.width) * u64::from(request.camera.height);
             if pixels > MOST_LIVE_PIXELS {
                 return Err(Error::Input(format!(
-                    "a picture of {}×{} was asked for; at most {MOST_LIVE_PIXELS} pixels are made                      while a scene is trained",
+                    "a picture of {}×{} was asked for; at most {MOST_LIVE_PIXELS} pixels are made \
+                     while a scene is trained",
                     request.camera.width, request.camera.height
                 )));
             }
