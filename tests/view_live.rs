@@ -12,7 +12,7 @@ mod viewer;
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read};
 use std::net::TcpListener;
 use std::path::Path;
 use std::process::{Child, Stdio};
@@ -42,7 +42,7 @@ struct Work {
 impl Work {
     /// Begins it, and waits for the address.
     fn begin(folder: &Path, arguments: &str) -> Work {
-        let mut child = program::program()
+        let child = program::program()
             .current_dir(folder)
             .args(arguments.split_whitespace())
             .args(["--json", "--device", "software"])
@@ -51,24 +51,24 @@ impl Work {
             .stderr(Stdio::piped())
             .spawn()
             .unwrap();
-        let stderr = child.stderr.take().unwrap();
         let (sender, lines) = channel();
+        let mut work = Work { child, port: 0, lines, said: Vec::new() };
+        let stderr = work.child.stderr.take().unwrap();
         // All is read, so that the program never waits for its reader.
         std::thread::spawn(move || {
             BufReader::new(stderr).lines().map_while(Result::ok).for_each(|line| {
                 let _ = sender.send(line);
             });
         });
-        let mut said = Vec::new();
-        loop {
-            let line = lines.recv_timeout(Duration::from_secs(60)).expect("an address is said");
-            let port = line.split_once("http://127.0.0.1:").map(|(_, rest)| rest.to_owned());
-            said.push(line);
-            if let Some(port) = port {
-                let port = port.trim_end_matches('/').parse().unwrap();
-                return Work { child, port, lines, said };
+        while work.port == 0 {
+            let line =
+                work.lines.recv_timeout(Duration::from_secs(60)).expect("an address is said");
+            if let Some((_, port)) = line.split_once("http://127.0.0.1:") {
+                work.port = port.trim_end_matches('/').parse().unwrap();
             }
+            work.said.push(line);
         }
+        work
     }
 
     fn url(&self) -> String {
@@ -81,11 +81,21 @@ impl Work {
 
     /// Waits for its end, which must be a good one; gives its JSON.
     #[track_caller]
-    fn end(self) -> Value {
-        let output = self.child.wait_with_output().unwrap();
+    fn end(mut self) -> Value {
+        let mut told = String::new();
+        self.child.stdout.take().unwrap().read_to_string(&mut told).unwrap();
+        let status = self.child.wait().unwrap();
         let said: Vec<String> = self.lines.iter().collect();
-        assert_eq!(output.status.code(), Some(0), "{said:?}");
-        serde_json::from_slice(&output.stdout).unwrap()
+        assert_eq!(status.code(), Some(0), "{said:?}");
+        serde_json::from_str(&told).unwrap()
+    }
+}
+
+impl Drop for Work {
+    fn drop(&mut self) {
+        // It has ended unless the test has failed.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
     }
 }
 
