@@ -21,8 +21,8 @@ pub struct PointTrack {
     pub noise: f32,
 }
 
-/// A step of flow is off by so many pixels along each axis, where it is surely believed.
-pub(super) const STEP_DEVIATION: f32 = 0.2;
+/// A step of tracks that others have followed is off by so many pixels along each axis.
+const STEP_DEVIATION: f32 = 0.2;
 
 impl PointTrack {
     /// A point that is followed from a frame on without a gap.
@@ -157,7 +157,7 @@ pub fn follow(flow: &NeighbourFlow, options: &TrackOptions) -> Vec<PointTrack> {
                     track.frames.push(frame + 1);
                     track.pixels.push(next.pixel);
                     let before = track.deviation[track.deviation.len() - 1];
-                    track.deviation.push(before.hypot(STEP_DEVIATION / next.confidence));
+                    track.deviation.push(before.hypot(flow.deviation(frame) / next.confidence));
                     going.push(track);
                 }
                 _ => done.push(track),
