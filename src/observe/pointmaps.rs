@@ -163,6 +163,8 @@ pub struct Pointmaps {
     pub(super) pairs: Vec<Pair>,
     /// Per frame, at its size: z up to a factor of the frame's own, not a number where it is unknown.
     pub(super) depth: Vec<Image>,
+    /// Per frame, at its size: how far that is to be believed, 0 where it is unknown.
+    pub(super) confidence: Vec<Image>,
 }
 
 impl Pointmaps {
@@ -189,10 +191,13 @@ impl Pointmaps {
         let count = self::pairs(frames).count();
         let (mut pairs, mut fused) = (Vec::new(), vec![Fused::default(); frames]);
         let mut depth = Vec::with_capacity(frames);
+        let mut confidence = Vec::with_capacity(frames);
         for (first, second) in self::pairs(frames) {
             // What no later frame is paired with is done.
             while depth.len() + reach < second {
-                depth.push(std::mem::take(&mut fused[depth.len()]).map(&placement));
+                let done = std::mem::take(&mut fused[depth.len()]);
+                confidence.push(done.confidence(&placement));
+                depth.push(done.map(&placement));
                 source.forget(depth.len());
             }
             for frames in [[first, second], [second, first]] {
@@ -209,8 +214,11 @@ impl Pointmaps {
             }
             progress(pairs.len() as f64 / (2 * count) as f64)?;
         }
-        depth.extend(fused.drain(depth.len()..).map(|fused| fused.map(&placement)));
-        Ok(Pointmaps { placement, frames, pixels, pairs, depth })
+        for fused in fused.drain(depth.len()..) {
+            confidence.push(fused.confidence(&placement));
+            depth.push(fused.map(&placement));
+        }
+        Ok(Pointmaps { placement, frames, pixels, pairs, depth, confidence })
     }
 
     /// The depth of the frames, each times a factor of its own.
@@ -220,7 +228,7 @@ impl Pointmaps {
             map
         };
         let maps = self.depth.into_iter().zip(factors).map(scaled).collect();
-        EstimatedDepth { maps, kind: EstimatedKind::Depth }
+        EstimatedDepth { maps, kind: EstimatedKind::Depth, confidence: Some(self.confidence) }
     }
 }
 
@@ -280,15 +288,16 @@ fn view(
     View { points, weights }
 }
 
-/// The depth maps of a frame's pairs, averaged: per pixel, the sum of weights and of weighted logarithms of depth.
+/// The depth maps of a frame's pairs, averaged: per pixel, the sum of weights, which are logarithms of confidence, and
+/// of weighted logarithms of depth, and how many there are.
 #[derive(Clone, Debug, Default)]
-struct Fused(Vec<(f32, f32)>);
+struct Fused(Vec<(f32, f32, u16)>);
 
 impl Fused {
     /// Takes in another map, in a unit of its own.
     fn add(&mut self, points: &Image, confidence: &Image) {
         let count = confidence.pixels.len();
-        self.0.resize(count, (0.0, 0.0));
+        self.0.resize(count, (0.0, 0.0, 0));
         let logarithm = |i: usize| {
             let z = points.pixels[3 * i + 2];
             (z > 0.0 && confidence.pixels[i] >= BELIEVED).then(|| z.ln())
@@ -296,21 +305,33 @@ impl Fused {
         // The factor that most pixels of what is known already agree with.
         let stride = (count / SAMPLES).max(1);
         let offset = |i: usize| {
-            let (weight, sum) = self.0[i];
+            let (weight, sum, _) = self.0[i];
             logarithm(i).filter(|_| weight > 0.0).map(|log| f64::from(sum / weight - log))
         };
         let offset = quantile((0..count).step_by(stride).filter_map(offset).collect(), 0.5) as f32;
-        for (i, (total, sum)) in self.0.iter_mut().enumerate() {
+        for (i, (total, sum, maps)) in self.0.iter_mut().enumerate() {
             let Some(log) = logarithm(i) else { continue };
             let weight = confidence.pixels[i].ln();
             *total += weight;
             *sum += weight * (log + offset);
+            *maps += 1;
         }
+    }
+
+    /// How far the map is to be believed at the size of the frame: the geometric mean of the confidences.
+    fn confidence(&self, placement: &Placement) -> Image {
+        let mean = |(weight, _, maps): &(f32, f32, u16)| {
+            if *maps > 0 { (weight / f32::from(*maps)).exp() } else { 0.0 }
+        };
+        let map: Vec<f32> = self.0.iter().map(mean).collect();
+        let mut out = placement.at_frame_size(&map);
+        out.pixels.iter_mut().filter(|c| c.is_nan()).for_each(|c| *c = 0.0);
+        out
     }
 
     /// The map at the size of the frame.
     fn map(self, placement: &Placement) -> Image {
-        let depth = |(weight, sum): &(f32, f32)| {
+        let depth = |(weight, sum, _): &(f32, f32, u16)| {
             if *weight > 0.0 { (sum / weight).exp() } else { f32::NAN }
         };
         let map: Vec<f32> = self.0.iter().map(depth).collect();

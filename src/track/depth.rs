@@ -277,7 +277,7 @@ fn static_layer(
         }
         let estimate = estimated.and_then(|estimate| {
             let d = estimate.inverse[i];
-            (d > 0.0).then(|| Known::estimated(d, estimate.deviation))
+            (d > 0.0).then(|| Known::estimated(d, estimate.deviation(i)))
         });
         let known = match (measured, estimate) {
             (Some(measured), Some(estimate)) => measured.or(estimate),

@@ -43,13 +43,22 @@ pub(super) struct Estimate {
     pub inverse: Vec<f32>,
     /// Relative standard deviation of it, measured where the static world was triangulated; infinite where nothing
     /// could be compared.
-    pub deviation: f32,
+    deviation: f32,
+    /// How many times that of each pixel is, where the network tells confidence; else empty.
+    doubt: Vec<f32>,
+}
+
+impl Estimate {
+    /// Relative standard deviation of a pixel's inverse depth.
+    pub fn deviation(&self, i: usize) -> f32 {
+        self.deviation * self.doubt.get(i).copied().unwrap_or(1.0)
+    }
 }
 
 /// Each frame's estimate in the world's unit. Without anything to compare with in any frame, the median depth of all
 /// is the unit.
 pub(super) fn aligned(estimated: &EstimatedDepth, seen: &[Seen], masks: &[Image]) -> Vec<Estimate> {
-    let EstimatedDepth { maps, kind } = estimated;
+    let EstimatedDepth { maps, kind, confidence } = estimated;
     let fits: Vec<Option<Line>> = maps
         .par_iter()
         .zip(seen)
@@ -58,29 +67,42 @@ pub(super) fn aligned(estimated: &EstimatedDepth, seen: &[Seen], masks: &[Image]
         .collect();
     let blind = fits.iter().all(Option::is_none).then(|| usual(estimated));
     maps.par_iter()
+        .enumerate()
         .zip(fits)
         .zip(seen.par_iter().zip(masks))
-        .map(|((map, fit), (seen, mask))| {
+        .map(|(((frame, map), fit), (seen, mask))| {
+            let doubt = confidence.as_ref().map_or_else(Vec::new, |all| doubt(&all[frame]));
             let line = fit.or(blind);
             let inverse = |told: &f32| line.map_or(0.0, |line| line.inverse(*kind, *told));
             let inverse: Vec<f32> = map.pixels.iter().map(inverse).collect();
             let deviation = match fit {
-                Some(_) => deviation(&inverse, seen, mask),
+                Some(_) => deviation(&inverse, &doubt, seen, mask),
                 None => f32::INFINITY,
             };
-            Estimate { inverse, deviation }
+            Estimate { inverse, deviation, doubt }
         })
         .collect()
 }
 
+/// The deviation of each pixel beside that of one of the median confidence; 1 where confidence is unknown.
+fn doubt(confidence: &Image) -> Vec<f32> {
+    let told = confidence.pixels.iter().filter(|c| **c > 0.0);
+    let median = quantile(told.map(|c| f64::from(*c)).collect(), 0.5) as f32;
+    confidence.pixels.iter().map(|c| if *c > 0.0 { median / c } else { 1.0 }).collect()
+}
+
 /// The relative deviation of an aligned estimate: how far it is from what was triangulated, the deviation of which
-/// is counted with it. Half of the pixels decide, so that wrong ones on either side do not.
-fn deviation(inverse: &[f32], seen: &Seen, mask: &Image) -> f32 {
+/// is counted with it. Half of the pixels decide, so that wrong ones on either side do not. `doubt` is of each pixel
+/// beside the others, or empty.
+fn deviation(inverse: &[f32], doubt: &[f32], seen: &Seen, mask: &Image) -> f32 {
     let compared = |i: &usize| inverse[*i] > 0.0 && is_comparable(seen, mask, *i);
     let differences: Vec<f64> = (0..inverse.len())
         .step_by(EVERY)
         .filter(compared)
-        .map(|i| f64::from(inverse[i] / seen.inverse_depth[i] - 1.0).abs())
+        .map(|i| {
+            let off = f64::from(inverse[i] / seen.inverse_depth[i] - 1.0).abs();
+            off / f64::from(doubt.get(i).copied().unwrap_or(1.0))
+        })
         .collect();
     match differences.len() < LEAST {
         true => f32::INFINITY,
@@ -348,7 +370,7 @@ mod tests {
             EstimatedKind::ShiftedDepth => 3.0 / truth(p) - 2.0,
             EstimatedKind::ShiftedInverse => 40.0 * truth(p) - 5.0,
         };
-        EstimatedDepth { maps: vec![map(value)], kind }
+        EstimatedDepth { maps: vec![map(value)], kind, confidence: None }
     }
 
     const KINDS: [EstimatedKind; 3] =
@@ -359,7 +381,7 @@ mod tests {
         for kind in KINDS {
             let found = aligned(&told(kind), &[seen()], &nothing_moves());
             // It is right, and a ninth of what it is compared with is not.
-            assert!(found[0].deviation < 0.003, "{kind:?}: {}", found[0].deviation);
+            assert!(found[0].deviation(0) < 0.003, "{kind:?}: {}", found[0].deviation(0));
             for (i, d) in found[0].inverse.iter().enumerate() {
                 let expected = truth(centre(i));
                 assert!(
@@ -369,6 +391,25 @@ mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn confidence_says_where_deviations_are_larger() {
+        // On the right it is off by 2 %, on the left by 1 %, to both sides.
+        let left = |p: DVec2| p.x < 0.5 * f64::from(WIDTH);
+        let off = |p: DVec2| {
+            let by = if left(p) { 0.01 } else { 0.02 };
+            if (p.x as u32 / 3 + p.y as u32).is_multiple_of(2) { 1.0 + by } else { 1.0 - by }
+        };
+        let mut estimated = told(EstimatedKind::Depth);
+        estimated.maps[0] = map(|p| 3.0 / truth(p) * off(p) as f32);
+        estimated.confidence = Some(vec![map(|p| if left(p) { 8.0 } else { 4.0 })]);
+        let found = aligned(&estimated, &[seen()], &nothing_moves());
+        let last = found[0].inverse.len() - 1;
+        let [left, right] = [0, last].map(|i| f64::from(found[0].deviation(i)));
+        let expected = 0.01 / NORMAL_MEDIAN;
+        assert!((right / left - 2.0).abs() < 1e-5, "{left} {right}");
+        assert!((left / expected - 1.0).abs() < 0.1, "{left} {expected}");
     }
 
     #[test]

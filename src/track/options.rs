@@ -159,12 +159,14 @@ impl Options {
         if self.refined.focal && self.focal.is_none() && self.intrinsics.is_none() {
             return nothing("the focal length is");
         }
+        let confidence = self.estimated_depth.as_ref().and_then(|told| told.confidence.as_ref());
         let lists = [
             ("poses", self.poses.as_ref().map(Vec::len)),
             ("guessed poses", self.guess.as_ref().map(|guess| guess.poses.len())),
             ("masks", self.masks.as_ref().map(Vec::len)),
             ("depth maps", self.depth.as_ref().map(Vec::len)),
             ("estimated depth maps", self.estimated_depth.as_ref().map(|told| told.maps.len())),
+            ("confidences of estimated depth", confidence.map(Vec::len)),
             (
                 "places of each point",
                 self.tracks.as_ref().filter(|t| !t.points.is_empty()).map(Tracks::frames),
@@ -186,6 +188,7 @@ impl Options {
             ("mask", self.masks.as_ref()),
             ("depth map", self.depth.as_ref()),
             ("estimated depth map", estimated),
+            ("confidence of estimated depth", confidence),
         ] {
             for (i, image) in images.into_iter().flatten().enumerate() {
                 if (image.width, image.height, image.channels) != (first.width, first.height, 1) {

@@ -57,7 +57,11 @@ impl Undistorted {
                 .map(|maps| maps.iter().map(|map| nearest(map, lens, &pinhole)).collect()),
             estimated_depth: options.estimated_depth.as_ref().map(|told| EstimatedDepth {
                 maps: told.maps.iter().map(|map| nearest(map, lens, &pinhole)).collect(),
-                ..*told
+                kind: told.kind,
+                confidence: told
+                    .confidence
+                    .as_ref()
+                    .map(|maps| maps.iter().map(|map| nearest(map, lens, &pinhole)).collect()),
             }),
             // They are taken in already, and undistorted with the others.
             tracks: None,
