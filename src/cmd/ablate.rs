@@ -18,6 +18,8 @@ use super::clip::ClipArgs;
 use super::common::{Answer, Common, foresee, path_text, say, training};
 use super::components::{COMPONENTS, Component, Switch};
 use super::eval::truth_folder;
+use super::networks::NetworkArgs;
+use super::origins::{self, Given, Networks};
 use super::outputs::{Folder, Inputs, Outputs};
 use super::values;
 
@@ -43,7 +45,8 @@ Reconstructs the clip with everything, then with one component off at a time, po
   track-refinement  tracks are chained flow
   exposure          all frames are taken to be equally exposed
   rounds            masks and cameras are found once, not in turns
-The last five track the clip anew; flow is computed once, and left out of the times.
+The last five track the clip anew; flow is computed once, and left out of the times, as are depth and pointmaps
+of --models. Its networks for masks and features are asked in every run.
 
 Every run is measured on the clip's frames, whole and inside the movers: those of CLIP/truth/masks, else
 of the full run's masks. Where CLIP has a `truth` folder, as `synth` writes it, the held-out cameras are
@@ -58,7 +61,8 @@ JSON: version, clip, frames, size, steps, seeds, machine {device, driver, kind, 
 subgroup_size, threads}, seconds_flow, figures [{key, title, better (more, less)}], rows [{component
 (the first is `full`), without, runs (by seed: figures by their keys), failed (why, or null), summary
 (by figure: {median, worst, change}; change is the median difference from the full run of the same
-seed)}]. Figures: input_psnr, input_ssim, input_movers_psnr, input_movers_ssim; per distance K
+seed)}], networks (checksums of the files of --models, or `none`), sources (of the full run, as `track` tells
+them). Figures: input_psnr, input_ssim, input_movers_psnr, input_movers_ssim; per distance K
 held_out_K_psnr, held_out_K_ssim, held_out_K_movers_psnr, held_out_K_static_psnr (filmed pixels);
 gaussians, control_points, seconds_track, seconds_train, peak_bytes (of device memory in training).";
 
@@ -71,6 +75,8 @@ pub struct AblateArgs {
     clip: PathBuf,
     #[command(flatten)]
     frames: ClipArgs,
+    #[command(flatten)]
+    networks: NetworkArgs,
     /// Leave out only these components, one at a time
     #[arg(long, value_name = "NAME,…", value_delimiter = ',',
           value_parser = PossibleValuesParser::new(COMPONENTS.map(|component| component.name)))]
@@ -96,6 +102,8 @@ pub fn run(args: &AblateArgs, common: &Common) -> Result<Answer> {
     check_outputs(args)?;
     std::fs::metadata(&args.clip).map_err(Error::io(&args.clip))?;
     let truth = truth_folder(&args.clip)?;
+    let mut models = args.networks.open()?;
+    let networks = args.networks.identity()?;
     let device = common.open_device()?;
     let preset = Quality::Standard.preset(device.info().kind);
     let longest = Resize::Longest(preset.longest_side);
@@ -107,9 +115,11 @@ pub fn run(args: &AblateArgs, common: &Common) -> Result<Answer> {
     check_memory(&device, &settings, clip.frames.len(), size)?;
     let seeds: Vec<u64> = (0..args.seeds).map(|i| common.seed.wrapping_add(i)).collect();
     let scale = f64::from(clip.width) / f64::from(clip.original.0);
-    let known = Options { focal: clip.focal.map(|focal| focal * scale), ..Options::default() };
+    let mut known = Options { focal: clip.focal.map(|focal| focal * scale), ..Options::default() };
 
     let mut material = Material::new(&device, clip, truth.as_deref());
+    material.estimate(&mut models, &mut known)?;
+    let mut sources = Value::Null;
     let chosen: Vec<&Component> = COMPONENTS
         .iter()
         .filter(|c| args.only.is_empty() || args.only.iter().any(|name| name == c.name))
@@ -124,7 +134,15 @@ pub fn run(args: &AblateArgs, common: &Common) -> Result<Answer> {
         let options = Options { seed, ..known.clone() };
         let settings = SequenceSettings { seed, ..settings.clone() };
         say(&format!("full run{of_seed}"));
-        let full = material.track(&options)?;
+        let full = material.track(&options, &mut models)?;
+        if number == 0 {
+            let told = &full.track.quality.told;
+            sources = origins::to_json(&origins::of(
+                Given::default(),
+                &Networks::of(models.as_ref()),
+                told,
+            ));
+        }
         material.keep_masks(&full.track);
         if number == 0 {
             // A device compiles what it is to do the first time: no run is to pay for that.
@@ -146,7 +164,7 @@ pub fn run(args: &AblateArgs, common: &Common) -> Result<Answer> {
                 Switch::Track(off) => {
                     let mut options = options.clone();
                     off(&mut options);
-                    let tracked = material.track(&options);
+                    let tracked = material.track(&options, &mut models);
                     tracked.and_then(|tracked| material.train(&tracked, &settings))
                 }
             };
@@ -166,6 +184,8 @@ pub fn run(args: &AblateArgs, common: &Common) -> Result<Answer> {
     };
     let mut json = found.json();
     json["seconds_flow"] = json!(material.seconds_flow);
+    json["networks"] = json!(networks);
+    json["sources"] = sources;
     if let Some(folder) = &args.report {
         found.write_report(folder)?;
         json["report"] = path_text(folder);
@@ -205,7 +225,10 @@ fn check_outputs(args: &AblateArgs) -> Result<()> {
     let read = pictures.map(|name| -> Folder { (args.clip.join(name), &images::EXTENSIONS) });
     let frames =
         if args.clip.is_dir() { Clip::files(&args.clip).unwrap_or_default() } else { vec![] };
-    outputs.spare(&Inputs::new(frames.into_iter().chain([args.clip.clone()]), read))
+    outputs.spare(&Inputs::new(
+        frames.into_iter().chain([args.clip.clone()]).chain(args.networks.files()),
+        read,
+    ))
 }
 
 fn check_memory(

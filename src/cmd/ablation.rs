@@ -8,18 +8,21 @@ use serde_json::{Value, json};
 use splat4d::Result;
 use splat4d::data::{Clip, read_mask};
 use splat4d::gpu::Device;
-use splat4d::observe::EngineFlow;
+use splat4d::observe::onnx::Models;
+use splat4d::observe::{FeatureSource, MaskSource};
 use splat4d::renderer::Renderer;
 use splat4d::report::{Better, Figure};
 use splat4d::scene::Scene;
 use splat4d::track::{Observer, Options, Sources, Stage, Track, track_observed};
 use splat4d::train::{Phase, Sequence, SequenceSettings, fit_sequence};
-use splat4d::types::{FlowSettings, Image};
+use splat4d::types::Image;
 
 use super::common::notes;
 use super::eval_truth::Extras;
 use super::held_out::{self, Judge, Shot};
+use super::known::flow_source;
 use super::meter::Meter;
+use super::networks::{TrackNetworks, estimate_depth, estimate_pointmaps};
 use super::{eval_truth, interrupt};
 
 /// What all runs share.
@@ -69,9 +72,18 @@ impl<'a> Material<'a> {
         }
     }
 
+    /// What networks tell of depth and cameras, for all runs.
+    pub fn estimate(&self, models: &mut Option<Models>, options: &mut Options) -> Result<()> {
+        estimate_depth(models, &self.frames, options)?;
+        let said = estimate_pointmaps(models, &self.frames, options)?;
+        notes(said.as_slice());
+        Ok(())
+    }
+
     /// Tracks the clip; the flow is computed the first time.
-    pub fn track(&mut self, options: &Options) -> Result<Tracked> {
-        let mut source = EngineFlow::new(self.device, &self.frames, &FlowSettings::default())?;
+    pub fn track(&mut self, options: &Options, models: &mut Option<Models>) -> Result<Tracked> {
+        let TrackNetworks { flow, masks, features } = TrackNetworks::of(models);
+        let mut source = flow_source(self.device, &self.frames, None, flow)?;
         let first = self.flow.is_empty();
         let mut follower = Follower {
             flow: &mut self.flow,
@@ -79,7 +91,11 @@ impl<'a> Material<'a> {
             seconds_flow: 0.0,
             under_way: None,
         };
-        let sources = Sources { flow: &mut source, masks: None, features: None };
+        let sources = Sources {
+            flow: source.as_mut(),
+            masks: masks.map(|network| network as &mut dyn MaskSource),
+            features: features.map(|network| network as &mut dyn FeatureSource),
+        };
         let track = track_observed(&self.frames, options, sources, &mut follower)?;
         let seconds = follower.began.elapsed().as_secs_f64() - follower.seconds_flow;
         if first {

@@ -22,6 +22,7 @@ use splat4d::{Error, Result};
 use super::clip::ClipArgs;
 use super::common::notes;
 use super::networks::{NetworkArgs, TrackNetworks};
+use super::origins::Given;
 use super::outputs::{Folder, Inputs};
 use super::{supplied, values};
 
@@ -131,6 +132,17 @@ impl KnownArgs {
         self.poses.is_some()
     }
 
+    /// What is supplied.
+    pub fn given(&self) -> Given {
+        Given {
+            poses: self.poses.is_some(),
+            flow: self.flow.is_some(),
+            depth: self.depth.is_some(),
+            masks: self.masks.is_some(),
+            tracks: self.tracks.is_some(),
+        }
+    }
+
     /// Whether there is something for each frame, so that the user knows which these are.
     pub fn is_for_each_frame(&self) -> bool {
         let given = [&self.poses, &self.masks, &self.depth, &self.flow, &self.tracks];
@@ -169,7 +181,7 @@ impl KnownArgs {
         let maps = given(&self.depth, clip, |path, clip| supplied::depth(path, clip, read))?;
         let (depth, estimated_depth) = match kind {
             None => (maps, None),
-            Some(kind) => (None, maps.map(|maps| EstimatedDepth { maps, kind })),
+            Some(kind) => (None, maps.map(|maps| EstimatedDepth { maps, kind, confidence: None })),
         };
         Ok(Options {
             intrinsics: given(&self.intrinsics, clip, supplied::intrinsics)?

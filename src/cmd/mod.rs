@@ -39,6 +39,7 @@ mod man;
 mod meter;
 mod model;
 mod networks;
+mod origins;
 mod outputs;
 mod page;
 mod path;

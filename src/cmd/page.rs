@@ -7,6 +7,7 @@ use splat4d::report::escape;
 use splat4d::track::{FrameQuality, Track};
 
 use super::charts;
+use super::origins::{self, Origin};
 
 const STYLE: &str = "\
 :root{color-scheme:light dark;--paper:#fff;--ink:#1c1e21;--dim:#6b7076;--faint:#e2e4e7;--one:#0063ad;\
@@ -53,6 +54,12 @@ pub fn facts(body: &mut String, facts: &[(&str, String)]) {
         let _ = write!(body, "<div><dt>{}</dt><dd>{}</dd></div>", escape(name), escape(value));
     }
     body.push_str("</dl>\n");
+}
+
+/// What each quantity is from.
+pub fn origins(body: &mut String, origins: &[Origin]) {
+    body.push_str("<h2>Where it is from</h2>\n");
+    facts(body, &origins::facts(origins));
 }
 
 /// What the run had to say.

@@ -33,6 +33,7 @@ use super::known::{
 };
 use super::live::{LiveArgs, name_of};
 use super::networks::{estimate_depth, estimate_pointmaps};
+use super::origins::{self, Networks};
 use super::outputs::{Inputs, Outputs};
 use super::reconstruct_page::Page;
 use super::tracker::Tracker;
@@ -71,7 +72,9 @@ doubtful_frames, tracks, motions (that the static world was chosen from, where t
 [{explained, hidden, hides}]), static_motion (the one taken, or null)}, exposure (per frame, by what
 red, green and blue were multiplied, 0.055 added to the encoded values; null where it does not
 change), frames, frame_names, shot (the one taken, or null), shots ([first, last] frame of each,
-in the whole clip; empty where no cut was found), quality, model [{what, chosen, because, saves}] (each choice, the measurement that decided and what it saves), notes, device, predicted_bytes (of device
+in the whole clip; empty where no cut was found), quality, model [{what, chosen, because, saves}] (each choice, the measurement that decided and what it saves),
+sources (of cameras, flow, depth, masks, pointmaps, features and tracks: {source (built_in, network, supplied,
+none), from (the network's file or the option), how}), notes, device, predicted_bytes (of device
 memory, before it began), all also kept in the scene; and, in report.json too, peak_bytes,
 milliseconds_per_step, seconds {load, flow, cameras, masks, depth, static, joint, evaluate}; output. report.json
 alone has training [{phase (static, joint), step, gaussians, l1, ssim, psnr (dB, or null)}], measured on one
@@ -290,6 +293,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     let measured = quality::measure(&mut renderer, &views, scene.background, "PSNR, input")?;
     clock.lap("evaluate");
 
+    let origins = origins::of(args.known.given(), &Networks::of(models.as_ref()), &found.told);
     let mut known_intrinsics = intrinsics::to_json(&track.intrinsics);
     known_intrinsics["source"] = json!(focal_source(found.focal_source));
     let trained = scene.report.take();
@@ -317,6 +321,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
         "shots": shots_json(&shots),
         "quality": quality.name(),
         "model": model,
+        "sources": origins::to_json(&origins),
         "notes": all_notes,
         "device": device.info().name,
         "predicted_bytes": predicted_bytes,
@@ -340,6 +345,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
             pictures: &pictures,
             history: &history,
             model: &model,
+            origins: &origins,
             clock: &clock,
             report: &json,
             command: &run_page::words(),

@@ -16,6 +16,7 @@ use super::common::thousands;
 use super::info::dynamic_share;
 use super::known::focal_source;
 use super::model::Choice;
+use super::origins::Origin;
 use super::pictures::heat_key;
 use super::quality::Quality;
 use super::reconstruct_pictures::Pictures;
@@ -42,6 +43,7 @@ pub struct Page<'a> {
     pub pictures: &'a Pictures,
     pub history: &'a [Measured],
     pub model: &'a [Choice],
+    pub origins: &'a [Origin],
     pub clock: &'a Clock,
     /// As `report.json` holds it.
     pub report: &'a Value,
@@ -71,6 +73,7 @@ impl Page<'_> {
         camera_maps::section(&mut body, self.track, &poses, unit);
         run_page::training(&mut body, self.history, BETWEEN, ABOUT)?;
         run_page::model(&mut body, self.model);
+        page::origins(&mut body, self.origins);
         run_page::stages(&mut body, self.clock, self.report);
         run_page::command(&mut body, self.command);
         body += &player::script();

@@ -22,6 +22,7 @@ use super::common::{Answer, Common, notes, path_text, say};
 use super::interrupt;
 use super::known::{KnownArgs, flow_source, focal_source, lens_json, poses_json, write_cameras};
 use super::networks::{TrackNetworks, estimate_depth, estimate_pointmaps};
+use super::origins::{self, Networks};
 use super::outputs::Outputs;
 use super::track_model;
 use super::track_page::Page;
@@ -64,7 +65,8 @@ poses {tripod, turns, inlier_share, reprojection_rms, parallax_deg, focal_std, d
 motions (that the static world was chosen from, where that was in doubt: [{explained, hidden, hides}]),
 static_motion (the one taken, or null)},
 exposure (per frame, by what red, green and blue were multiplied, 0.055 added to the encoded values;
-null where it does not change), per_frame [{observations (of static points), inliers (that agree),
+null where it does not change), sources (of cameras, flow, depth, masks, pointmaps, features and tracks: {source
+(built_in, network, supplied, none), from (the network's file or the option), how}), per_frame [{observations (of static points), inliers (that agree),
 rms (of those, pixels), rotation_std_deg, position_std (unit of the poses; both from the first frame, null
 of a fixed camera, of given poses and where nothing tells)}], dynamic_share (of the pixels),
 movers (objects), points, landmarks (points triangulated), tracks, notes, device, seconds {load, flow, cameras, masks, depth, page}, output";
@@ -128,6 +130,7 @@ pub fn run(args: &TrackArgs, common: &Common) -> Result<Answer> {
     say(&format!("{} frames of {}×{}", frames.len(), clip.width, clip.height));
     clock.lap("load");
 
+    let opened = Networks::of(models.as_ref());
     estimate_depth(&mut models, &frames, &mut options)?;
     let of_pointmaps = estimate_pointmaps(&mut models, &frames, &mut options)?;
     let mut tracker = Tracker::new(&mut clock, None);
@@ -154,6 +157,7 @@ pub fn run(args: &TrackArgs, common: &Common) -> Result<Answer> {
     let landmarks = track.landmarks();
     let poses: Vec<Pose> =
         track.view_from_world.iter().map(|pose| scaled(pose, track.unit)).collect();
+    let origins = origins::of(args.known.given(), &opened, &found.told);
     let page = Page {
         clip: &args.clip.display().to_string(),
         names: &names,
@@ -163,6 +167,7 @@ pub fn run(args: &TrackArgs, common: &Common) -> Result<Answer> {
         supplied: options.poses.is_some(),
         landmarks: landmarks.len(),
         flow: &flow.kept,
+        origins: &origins,
         notes: &all_notes,
     }
     .html()?;
@@ -179,6 +184,7 @@ pub fn run(args: &TrackArgs, common: &Common) -> Result<Answer> {
         "lens": lens_json(track.lens.as_ref()),
         "poses": poses_json(found),
         "exposure": (!track.exposure.is_constant()).then_some(&track.exposure.gains),
+        "sources": origins::to_json(&origins),
         "per_frame": found.per_frame,
         "dynamic_share": found.dynamic_share,
         "movers": track.movers.len(),

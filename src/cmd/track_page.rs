@@ -13,6 +13,7 @@ use splat4d::types::{Image, Pose};
 use super::camera_maps;
 use super::charts::{self, Series};
 use super::known::focal_source;
+use super::origins::Origin;
 use super::page;
 use super::pictures::heat_key;
 use super::track_pictures::{self, Pictures};
@@ -32,6 +33,7 @@ pub struct Page<'a> {
     pub landmarks: usize,
     /// Flow from the frames that are shown, as kept on the way.
     pub flow: &'a BTreeMap<usize, (Image, Option<Image>)>,
+    pub origins: &'a [Origin],
     pub notes: &'a [String],
 }
 
@@ -44,6 +46,7 @@ impl Page<'_> {
         let (pictures, brightest) = track_pictures::draw(self.frames, self.track, self.flow)?;
         let mut body = String::new();
         self.facts(&mut body);
+        page::origins(&mut body, self.origins);
         page::notes(&mut body, self.notes);
         let shown = "shaded in the charts and crossed on the maps";
         page::doubtful(&mut body, self.track, self.names, shown);

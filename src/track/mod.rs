@@ -96,7 +96,7 @@ pub use cameras::RigidMotion;
 pub use landmarks::{FrameQuality, Landmark};
 pub use observer::Observer;
 pub use options::{Guess, Options, Refined};
-pub use quality::Quality;
+pub use quality::{Quality, Told};
 pub use scaffold::Scaffold;
 
 /// What is being worked on, for progress.
@@ -283,6 +283,11 @@ pub fn track_observed(
     let found =
         work.part("features", |work| found_again(frames, options, source, &tracks, work))?;
     notes.extend((!found.is_empty()).then(|| quality::features_note(found.len())));
+    let mut told = Told {
+        estimated_depth: options.estimated_depth.is_some(),
+        linked: found.len(),
+        ..Told::default()
+    };
     tracks.extend(found);
     if tracks.len() < 50 {
         return Err(Error::Failed(format!(
@@ -345,9 +350,17 @@ pub fn track_observed(
         }
         // Before the plates, which are the better the better it is known what moves.
         if let Some(source) = sources.masks {
-            let found = prompted::ask(&judged, &masks, source, &mut work, part)?;
+            let found = prompted::ask(
+                &judged,
+                &masks,
+                options.estimated_depth.as_ref(),
+                source,
+                &mut work,
+                part,
+            )?;
             masks = judged.segment(Some(&found.odds), &mut work, "last/fused", 1.0..1.0)?;
             notes.push(quality::masks_note(found.accepted, frames.len()));
+            told.masks = Some(found.accepted);
             drawn = Some(found.odds);
         }
     } else if sources.masks.is_some() {
@@ -397,13 +410,15 @@ pub fn track_observed(
     let shadows = shade::shadows(&surfaces, frames, &plates, &mut scaffold);
     let mut quality = quality::of(&cameras, tracks, &weights, &masks, motions);
     quality.notes.extend(lens.as_ref().map(quality::lens_note));
-    if let Some(told) = &options.guess {
-        quality.notes.push(quality::guess_note(&told.from, guess));
+    if let Some(guessed) = &options.guess {
+        quality.notes.push(quality::guess_note(&guessed.from, guess));
+        told.guess = Some(guess.is_some_and(|shares| shares.is_kept()));
     }
     if !mended.is_empty() {
         quality.notes.push(quality::mended_note(&mended));
     }
     quality.notes.extend(notes);
+    quality.told = told;
     work.progress(Stage::Depth, 1.0)?;
     Ok(Track {
         intrinsics: cameras.intrinsics,

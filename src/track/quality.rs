@@ -41,8 +41,23 @@ pub struct Quality {
     pub motions: Vec<RigidMotion>,
     /// Which of them was taken.
     pub static_motion: Option<usize>,
+    /// What was taken of that which others told.
+    pub told: Told,
     /// Lines to show.
     pub notes: Vec<String>,
+}
+
+/// What was taken of that which other sources than the flow told.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Told {
+    /// Whether cameras begin with those that were guessed; none where none were.
+    pub guess: Option<bool>,
+    /// Whether there was estimated depth.
+    pub estimated_depth: bool,
+    /// Frames in which a drawn mask was accepted; none where none were asked for.
+    pub masks: Option<usize>,
+    /// Points that descriptors found in frames which flow does not link.
+    pub linked: usize,
 }
 
 /// A note names no more frames than these.
@@ -117,6 +132,7 @@ pub(super) fn of(
         tracks: tracks.len(),
         static_motion: motions.as_ref().map(|motions| motions.chosen),
         motions: motions.map_or(Vec::new(), |motions| motions.found),
+        told: Told::default(),
         notes,
     }
 }

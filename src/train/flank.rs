@@ -264,7 +264,7 @@ mod tests {
     use super::*;
     use crate::observe::Exposure;
     use crate::track::scaffold::{Node, Scaffold};
-    use crate::track::{FocalSource, Quality};
+    use crate::track::{FocalSource, Quality, Told};
     use crate::train::mesh::{Canvas, Frame, Grid};
     use crate::train::views::TrainingView;
     use crate::types::{Camera, Intrinsics, Pose};
@@ -462,6 +462,7 @@ mod tests {
                 tracks: 0,
                 motions: Vec::new(),
                 static_motion: None,
+                told: Told::default(),
                 notes: Vec::new(),
             },
             masks,

@@ -1,5 +1,7 @@
 //! Networks that estimate depth from one picture.
 
+use std::path::Path;
+
 use super::contract::{Contract, DepthContract};
 use super::network::{Network, check_frame};
 use super::picture::Layout;
@@ -52,7 +54,12 @@ impl DepthNetwork {
             maps.push(self.depth(frame)?);
             progress(maps.len() as f64 / frames.len() as f64)?;
         }
-        Ok(EstimatedDepth { maps, kind: self.contract.holds })
+        Ok(EstimatedDepth { maps, kind: self.contract.holds, confidence: None })
+    }
+
+    /// The file of the network.
+    pub fn file(&self) -> &Path {
+        &self.network.file
     }
 
     /// What the network says of itself.

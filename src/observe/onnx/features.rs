@@ -1,5 +1,7 @@
 //! Networks that find points in a picture and describe them, as XFeat (Potje et al. 2024).
 
+use std::path::Path;
+
 use std::f64::consts::FRAC_1_SQRT_2;
 
 use glam::DVec2;
@@ -35,6 +37,11 @@ impl FeaturesNetwork {
             Contract::Features(contract) => Ok(FeaturesNetwork { network, contract }),
             other => Err(network.listed_for("features", &other)),
         }
+    }
+
+    /// The file of the network.
+    pub fn file(&self) -> &Path {
+        &self.network.file
     }
 
     /// What the network says of itself.

@@ -1,5 +1,7 @@
 //! Networks that estimate flow from one picture to another.
 
+use std::path::Path;
+
 use super::contract::{Contract, FlowContract};
 use super::network::{Network, check_pair};
 use super::picture::Layout;
@@ -21,6 +23,11 @@ impl FlowNetwork {
             Contract::Flow(contract) => Ok(FlowNetwork { network, contract }),
             other => Err(network.listed_for("flow", &other)),
         }
+    }
+
+    /// The file of the network.
+    pub fn file(&self) -> &Path {
+        &self.network.file
     }
 
     /// What the network says of itself.

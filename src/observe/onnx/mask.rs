@@ -1,5 +1,7 @@
 //! Networks that draw masks of what points tell, as SAM 2: an encoder of the picture and a decoder.
 
+use std::path::Path;
+
 use super::contract::{Contract, MaskDecoderContract, MaskEncoderContract};
 use super::network::{Network, Tensor, check_frame};
 use super::picture::{Axis, Layout};
@@ -51,6 +53,11 @@ impl MaskNetwork {
         };
         let mask = (side(3, width), side(2, height));
         Ok(MaskNetwork { encoder, decoder, encoding, decoding, mask })
+    }
+
+    /// The decoder's file.
+    pub fn file(&self) -> &Path {
+        &self.decoder.file
     }
 
     /// What the encoder says of itself.
