@@ -10,7 +10,9 @@ use std::path::Path;
 
 use glam::DVec2;
 use runtime::library;
+use splat4d::data::{Clip, ClipOptions, Resize};
 use splat4d::observe::onnx::{LpipsNetwork, Models, Runtime, RuntimeOptions};
+use splat4d::observe::pointmaps::PointmapSource;
 use splat4d::observe::{EstimatedKind, FlowSource, MaskQuery, Prompt};
 use splat4d::types::Image;
 use support::{message, picture, says};
@@ -426,4 +428,97 @@ fn a_file_that_is_no_runtime_is_refused() {
     assert_eq!(output.status.code(), Some(1));
     let told = String::from_utf8_lossy(&output.stderr);
     says(&told, &["no ONNX Runtime", "libonnxruntime.so", "pip install onnxruntime", "1.17"]);
+}
+
+/// The most memory that this process has had, MiB.
+fn peak() -> f64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    let kib = line.and_then(|line| line.split_whitespace().next()?.parse::<f64>().ok());
+    kib.map_or(f64::NAN, |kib| kib / 1024.0)
+}
+
+/// Runs a few times; the median without the first, seconds by the clock, and the last answer.
+fn timed<T>(mut run: impl FnMut(usize) -> T) -> (f64, T) {
+    let mut last = run(0);
+    let mut seconds: Vec<f64> = (1..4)
+        .map(|k| {
+            let began = std::time::Instant::now();
+            last = run(k);
+            began.elapsed().as_secs_f64()
+        })
+        .collect();
+    seconds.sort_by(f64::total_cmp);
+    (seconds[1], last)
+}
+
+/// Seconds and memory of the user's own networks. What they say of the first frames is written as raw f32 beside the
+/// frames, so that it can be compared with what the upstream code says.
+#[test]
+#[ignore = "measures the networks of the folder SPLAT4D_MODELS on the pictures of the folder SPLAT4D_FRAMES, five or more"]
+fn networks_of_a_folder_are_measured() {
+    let [models, folder] =
+        ["SPLAT4D_MODELS", "SPLAT4D_FRAMES"].map(|name| std::env::var(name).expect(name));
+    let options = RuntimeOptions { library: library(), threads: 2, ..RuntimeOptions::default() };
+    let runtime = Runtime::load(&options).unwrap();
+    let options = ClipOptions { size: Resize::Keep, ..ClipOptions::default() };
+    let clip = Clip::open(&folder, &options).unwrap();
+    let frames: Vec<Image> = clip.frames.into_iter().map(|frame| frame.image).collect();
+    let write = |name: &str, image: &Image| {
+        let bytes: Vec<u8> = image.pixels.iter().flat_map(|v| v.to_le_bytes()).collect();
+        std::fs::write(Path::new(&folder).join(format!("{name}.f32")), bytes).unwrap();
+    };
+    let told = |what: &str, seconds: f64| {
+        println!(
+            "{what}, {}×{}: {seconds:.2} s, {:.0} MiB at most",
+            clip.width,
+            clip.height,
+            peak()
+        );
+    };
+    let before = peak();
+    let mut models = Models::open(&runtime, Path::new(&models)).unwrap();
+    println!(
+        "{} frames; {before:.0} MiB before the networks, {:.0} with them",
+        frames.len(),
+        peak()
+    );
+    if let Some(network) = &mut models.depth {
+        let (seconds, map) = timed(|_| network.depth(&frames[0]).unwrap());
+        told("depth of a frame", seconds);
+        write("depth", &map);
+    }
+    if let Some(network) = &mut models.flow {
+        let (seconds, (flow, _)) = timed(|_| network.flow(&frames[0], &frames[1]).unwrap());
+        told("flow of a pair, one way", seconds);
+        write("flow", &flow);
+    }
+    if let Some(network) = &mut models.features {
+        let (seconds, _) = timed(|_| network.features(&frames[0]).unwrap());
+        told("features of a frame", seconds);
+    }
+    if let Some(network) = &mut models.masks {
+        let middle = DVec2::new(0.4 * f64::from(clip.width), 0.5 * f64::from(clip.height));
+        let prompts = vec![Prompt { pixel: middle, inside: true }];
+        let query = MaskQuery { prompts, before: None };
+        let (seconds, masks) =
+            timed(|_| network.ask(&frames[0], std::slice::from_ref(&query)).unwrap());
+        told("masks of a frame, one thing", seconds);
+        masks[0].iter().enumerate().for_each(|(k, mask)| write(&format!("mask_{k}"), &mask.odds));
+        let eight = vec![query; 8];
+        let (seconds, _) = timed(|_| network.ask(&frames[0], &eight).unwrap());
+        told("masks of a frame, eight things", seconds);
+    }
+    if let Some(network) = &mut models.pointmaps {
+        let mut source = network.source(&frames).unwrap();
+        // Each pair brings a frame that is not encoded yet.
+        let (seconds, _) = timed(|k| source.pair(k, k + 1).unwrap());
+        told("pointmaps of a pair, with one frame encoded", seconds);
+        let (seconds, maps) = timed(|_| source.pair(0, 1).unwrap());
+        told("pointmaps of a pair, both encoded before", seconds);
+        for k in 0..2 {
+            write(&format!("points_{k}"), &maps.points[k]);
+            write(&format!("confidence_{k}"), &maps.confidence[k]);
+        }
+    }
 }

@@ -132,7 +132,9 @@ if ((${#end_to_end[@]})); then
     step "end to end" env VK_DRIVER_FILES="$lavapipe" "${test[@]}" "${end_to_end[@]}" "${show[@]}"
 fi
 
-step "command line fuzz" env VK_DRIVER_FILES="$lavapipe" "$target/release/cli-fuzz" \
+# The ONNX Runtime that the setup installs.
+runtime=$(compgen -G "$target/onnxruntime/lib/python*/site-packages/onnxruntime/capi/libonnxruntime.so*" | head -n 1)
+step "command line fuzz" env VK_DRIVER_FILES="$lavapipe" ORT_DYLIB_PATH="$runtime" "$target/release/cli-fuzz" \
     --program "$target/release/splat4d" --commands 250 --keep "$logs/cli-fuzz"
 
 passed=$(cat "$logs"/*.log | awk '/^test result:/ { sum += $4 } END { print sum + 0 }')

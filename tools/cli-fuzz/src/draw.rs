@@ -37,7 +37,7 @@ struct Base {
 
 /// Good commands, each with options that keep it short; `<kind>` stands for an input and `>name` for
 /// an output.
-const BASES: [&str; 36] = [
+const BASES: [&str; 42] = [
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150",
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150 \
      --control-points 6 --report >report",
@@ -66,6 +66,12 @@ const BASES: [&str; 36] = [
     "eval <cameras> <cameras>",
     "eval <cameras> <cameras> --align scale --rpe-delta 0.1 --rpe-unit metres --rpe-all-pairs",
     "eval <tracks> <tracks>",
+    "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150 --models <models> \
+     --onnx-threads 1",
+    "track <clip> -o >tracked --models <models> --onnx-threads 1",
+    "ablate <clip> --only motion --size 32 --steps 3 --max-gaussians 150 --models <models> --onnx-threads 1",
+    "eval <scene> <dataset> --lpips <lpips> --onnx-threads 1",
+    "table dnerf <scenes> -o >table --size 32 -- --steps 3 --max-gaussians 150",
     "ablate <clip> --only motion --size 32 --steps 3 --max-gaussians 150 --report >report",
     "info <scene>",
     "synth rigid -o >clip --frames 3 --size 24x16",
@@ -81,7 +87,7 @@ const BASES: [&str; 36] = [
 ];
 
 /// Every command's name.
-pub const COMMANDS: [&str; 16] = [
+pub const COMMANDS: [&str; 17] = [
     "reconstruct",
     "batch",
     "track",
@@ -94,6 +100,7 @@ pub const COMMANDS: [&str; 16] = [
     "devices",
     "bench",
     "synth",
+    "table",
     "validate",
     "completions",
     "man",
@@ -245,6 +252,8 @@ impl Artist<'_> {
             "--flow" => Kind::Flow,
             "--tracks" | "--queries" => Kind::Tracks,
             "--settings" => Kind::Settings,
+            "--models" => Kind::Models,
+            "--lpips" => Kind::Lpips,
             "--case" => Kind::Case,
             _ => {
                 let all: Vec<Kind> = self.fixtures.all.iter().map(|f| f.kind).collect();
@@ -394,6 +403,9 @@ fn kind_of(name: &str) -> Kind {
         "measurements" => Kind::Measurements,
         "case" => Kind::Case,
         "truth" => Kind::Truth,
+        "models" => Kind::Models,
+        "lpips" => Kind::Lpips,
+        "scenes" => Kind::Scenes,
         other => unreachable!("a good command names the input `{other}`"),
     }
 }

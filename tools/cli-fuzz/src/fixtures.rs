@@ -44,6 +44,12 @@ pub enum Kind {
     Truth,
     /// Points through a clip.
     Tracks,
+    /// A folder of networks with models.toml.
+    Models,
+    /// A network for LPIPS.
+    Lpips,
+    /// A data set of `table`.
+    Scenes,
 }
 
 /// A good input.
@@ -60,6 +66,17 @@ const LIST: &str = "[defaults]\nsize = 32\nsteps = 3\nmax-gaussians = 150\n\n\
     [[job]]\nname = \"a\"\ninput = \"clip/frames\"\nposes = \"clip/truth/poses.txt\"\n\
     refine = [\"poses\"]\n\n\
     [[job]]\nname = \"b\"\ninput = \"tripod/frames\"\ncontrol-points = 6\npinhole = true\n";
+
+/// The networks of `models/all`, by their files.
+const NETWORKS: [(&str, &str); 7] = [
+    ("depth", "coded_depth"),
+    ("flow", "coded_flow"),
+    ("mask_encoder", "coded_mask_encoder"),
+    ("mask_decoder", "coded_mask_decoder"),
+    ("pointmap_encoder", "coded_pointmap_encoder"),
+    ("pointmap_decoder", "coded_pointmap_decoder"),
+    ("features", "features"),
+];
 
 /// Every file with its size and the time it was written.
 pub type State = Vec<(PathBuf, u64, Option<std::time::SystemTime>)>;
@@ -85,6 +102,7 @@ impl Fixtures {
         fs::create_dir_all(root).map_err(|e| format!("{}: {e}", root.display()))?;
         let run = |arguments: &str| run(program, root, arguments);
         run("synth rigid -o clip --frames 5 --size 40x24 --seed 3")?;
+        run("synth still -o coded --coded --frames 4 --size 40x24 --seed 5")?;
         run("synth tripod -o tripod --frames 4 --size 40x24 --seed 4")?;
         run(
             "train clip/truth -o scene.safetensors --steps 4 --random-points 60 --sh-degree 1 --static",
@@ -98,6 +116,7 @@ impl Fixtures {
         let mut add = |kind, path: &str| all.push(Fixture { kind, path: path.into() });
         add(Kind::Clip, "clip/frames");
         add(Kind::Clip, "tripod/frames");
+        add(Kind::Clip, "coded/frames");
         add(Kind::Truth, "clip/truth");
         add(Kind::Dataset, "clip/truth");
         add(Kind::Dataset, "clip/truth/transforms.json");
@@ -144,6 +163,12 @@ impl Fixtures {
         text("list.toml", LIST)?;
         add(Kind::List, "list.toml");
         colmap(root).map_err(|e| format!("the COLMAP model: {e}"))?;
+        networks(root).map_err(|e| format!("the networks: {e}"))?;
+        add(Kind::Models, "models/all");
+        add(Kind::Models, "models/flow");
+        add(Kind::Lpips, "models/lpips.onnx");
+        scenes(root).map_err(|e| format!("the data set of a table: {e}"))?;
+        add(Kind::Scenes, "scenes");
         add(Kind::Dataset, "colmap");
         add(Kind::Cameras, "colmap");
         if video(root) {
@@ -247,6 +272,42 @@ fn colmap(root: &Path) -> std::io::Result<()> {
         .map(|i| format!("{i} {} {} 4 200 100 50 0.5 1 2\n", i % 6 - 3, i / 6 - 2))
         .collect();
     fs::write(folder.join("sparse/0/points3D.txt"), points)
+}
+
+/// Folders of networks whose answers are exact: all of them, and flow alone.
+fn networks(root: &Path) -> std::io::Result<()> {
+    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/models");
+    let all: Vec<_> = NETWORKS.into_iter().collect();
+    let flow = vec![("flow", "flow")];
+    for (folder, networks) in [("models/all", all), ("models/flow", flow)] {
+        let folder = root.join(folder);
+        fs::create_dir_all(&folder)?;
+        let mut list = String::new();
+        for (name, file) in networks {
+            let file = format!("{file}.onnx");
+            fs::copy(models.join(&file), folder.join(&file))?;
+            list += &format!("[{name}]\nfile = \"{file}\"\n");
+        }
+        fs::write(folder.join("models.toml"), list)?;
+    }
+    fs::copy(models.join("lpips.onnx"), root.join("models/lpips.onnx")).map(drop)
+}
+
+/// Two scenes as D-NeRF has them, each of the clip's frames in two splits.
+fn scenes(root: &Path) -> splat4d::Result<()> {
+    let cameras = transforms::read_cameras(&root.join("clip/truth/transforms.json"))?;
+    for scene in ["cup", "jug"] {
+        let folder = root.join("scenes").join(scene);
+        fs::create_dir_all(&folder).map_err(splat4d::Error::io(&folder))?;
+        for (split, parity) in [("train", 0), ("test", 1)] {
+            let chosen: Vec<usize> = (0..cameras.len()).filter(|i| i % 2 == parity).collect();
+            let files: Vec<String> =
+                chosen.iter().map(|i| format!("../../clip/frames/{i:04}.png")).collect();
+            let of: Vec<TimedCamera> = chosen.iter().map(|i| cameras[*i]).collect();
+            transforms::write(folder.join(format!("transforms_{split}.json")), &of, &files, None)?;
+        }
+    }
+    Ok(())
 }
 
 /// The clip as a video, where ffmpeg is there.
