@@ -71,8 +71,7 @@ def decoder(height, width):
         layers = network._decoder(first, None, second, None)
         heads = (network.downstream_head1, network.downstream_head2)
         given = [head(list(tokens), (height, width)) for head, tokens in zip(heads, layers)]
-        points = [one["pts3d"].permute(0, 3, 1, 2) for one in given]
-        return (*points, *(one["conf"][:, None] for one in given))
+        return (*(one["pts3d"] for one in given), *(one["conf"] for one in given))
 
     return decode
 
@@ -84,7 +83,7 @@ def upstream(network, first, second):
     one, two = network(*views)
     points = [one["pts3d"], two["pts3d_in_other_view"]]
     tokens = [network._encode_image(picture, shape)[0] for picture in (first, second)]
-    return (*(p.permute(0, 3, 1, 2) for p in points), *(v["conf"][:, None] for v in (one, two))), tokens
+    return (*points, *(v["conf"] for v in (one, two))), tokens
 
 
 def run():
