@@ -37,7 +37,7 @@ struct Base {
 
 /// Good commands, each with options that keep it short; `<kind>` stands for an input and `>name` for
 /// an output.
-const BASES: [&str; 42] = [
+const BASES: [&str; 41] = [
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150",
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150 \
      --control-points 6 --report >report",
@@ -71,7 +71,6 @@ const BASES: [&str; 42] = [
     "track <clip> -o >tracked --models <models> --onnx-threads 1",
     "ablate <clip> --only motion --size 32 --steps 3 --max-gaussians 150 --models <models> --onnx-threads 1",
     "eval <scene> <dataset> --lpips <lpips> --onnx-threads 1",
-    "table dnerf <scenes> -o >table --size 32 -- --steps 3 --max-gaussians 150",
     "ablate <clip> --only motion --size 32 --steps 3 --max-gaussians 150 --report >report",
     "info <scene>",
     "synth rigid -o >clip --frames 3 --size 24x16",
@@ -405,7 +404,6 @@ fn kind_of(name: &str) -> Kind {
         "truth" => Kind::Truth,
         "models" => Kind::Models,
         "lpips" => Kind::Lpips,
-        "scenes" => Kind::Scenes,
         other => unreachable!("a good command names the input `{other}`"),
     }
 }

@@ -48,8 +48,6 @@ pub enum Kind {
     Models,
     /// A network for LPIPS.
     Lpips,
-    /// A data set of `table`.
-    Scenes,
 }
 
 /// A good input.
@@ -102,7 +100,7 @@ impl Fixtures {
         fs::create_dir_all(root).map_err(|e| format!("{}: {e}", root.display()))?;
         let run = |arguments: &str| run(program, root, arguments);
         run("synth rigid -o clip --frames 5 --size 40x24 --seed 3")?;
-        run("synth still -o coded --coded --frames 4 --size 40x24 --seed 5")?;
+        run("synth still -o coded --coded --frames 4 --size 64x36 --seed 5")?;
         run("synth tripod -o tripod --frames 4 --size 40x24 --seed 4")?;
         run(
             "train clip/truth -o scene.safetensors --steps 4 --random-points 60 --sh-degree 1 --static",
@@ -167,8 +165,6 @@ impl Fixtures {
         add(Kind::Models, "models/all");
         add(Kind::Models, "models/flow");
         add(Kind::Lpips, "models/lpips.onnx");
-        scenes(root).map_err(|e| format!("the data set of a table: {e}"))?;
-        add(Kind::Scenes, "scenes");
         add(Kind::Dataset, "colmap");
         add(Kind::Cameras, "colmap");
         if video(root) {
@@ -291,23 +287,6 @@ fn networks(root: &Path) -> std::io::Result<()> {
         fs::write(folder.join("models.toml"), list)?;
     }
     fs::copy(models.join("lpips.onnx"), root.join("models/lpips.onnx")).map(drop)
-}
-
-/// Two scenes as D-NeRF has them, each of the clip's frames in two splits.
-fn scenes(root: &Path) -> splat4d::Result<()> {
-    let cameras = transforms::read_cameras(&root.join("clip/truth/transforms.json"))?;
-    for scene in ["cup", "jug"] {
-        let folder = root.join("scenes").join(scene);
-        fs::create_dir_all(&folder).map_err(splat4d::Error::io(&folder))?;
-        for (split, parity) in [("train", 0), ("test", 1)] {
-            let chosen: Vec<usize> = (0..cameras.len()).filter(|i| i % 2 == parity).collect();
-            let files: Vec<String> =
-                chosen.iter().map(|i| format!("../../clip/frames/{i:04}.png")).collect();
-            let of: Vec<TimedCamera> = chosen.iter().map(|i| cameras[*i]).collect();
-            transforms::write(folder.join(format!("transforms_{split}.json")), &of, &files, None)?;
-        }
-    }
-    Ok(())
 }
 
 /// The clip as a video, where ffmpeg is there.
