@@ -58,6 +58,9 @@ pub fn facts(body: &mut String, facts: &[(&str, String)]) {
 
 /// What each quantity is from.
 pub fn origins(body: &mut String, origins: &[Origin]) {
+    if origins.is_empty() {
+        return;
+    }
     body.push_str("<h2>Where it is from</h2>\n");
     facts(body, &origins::facts(origins));
 }

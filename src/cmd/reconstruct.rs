@@ -1,14 +1,13 @@
 //! `splat4d reconstruct`: the main job.
 
 use std::fmt::Write;
-use std::io::Write as _;
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
 use splat4d::data::{View, intrinsics};
 use splat4d::gpu::{Device, DeviceKind};
-use splat4d::io::{Identity, check_memory, checksum, write_atomically};
+use splat4d::io::{Identity, check_memory, checksum};
 use splat4d::observe::{EngineFlow, SuppliedFlow};
 use splat4d::renderer::Renderer;
 use splat4d::scene::Scene;
@@ -36,9 +35,10 @@ use super::networks::{estimate_depth, estimate_pointmaps};
 use super::origins::{self, Networks};
 use super::outputs::{Inputs, Outputs};
 use super::reconstruct_page::Page;
+use super::run_page::{self, Run};
 use super::tracker::Tracker;
 use super::watcher::{Kept, Watched, Watcher};
-use super::{model, quality, reconstruct_pictures, run_page, sheet, values};
+use super::{model, quality, reconstruct_pictures, sheet, values};
 
 /// Bytes for each pixel of each frame: of the frames themselves, and of what tracking makes of them,
 /// which is flow and confidence both ways, masks, depth and its confidence, and frames and flow once more
@@ -335,26 +335,24 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     json["seconds"] = clock.json();
     if let Some(folder) = &args.report {
         let pictures = reconstruct_pictures::draw(&device, &scene, &views)?;
-        let page = Page {
-            clip: &name_of(&args.clip),
-            names: &names,
-            track: &track,
-            supplied: args.known.supplies_poses(),
+        let run = Run {
             scene: &scene,
             quality: &measured,
             pictures: &pictures,
             history: &history,
             model: &model,
-            origins: &origins,
             clock: &clock,
             report: &json,
-            command: &run_page::words(),
-        }
-        .html()?;
-        write_atomically(folder.join(run_page::FILE), |sink| sink.write_all(page.as_bytes()))?;
-        let mut whole = json.clone();
-        whole["training"] = json!(history);
-        sheet::write(folder, &device, &scene, &sheet::spread(&views), &whole)?;
+        };
+        let page = Page {
+            clip: &name_of(&args.clip),
+            names: &names,
+            track: &track,
+            supplied: args.known.supplies_poses(),
+            origins: &origins,
+            run,
+        };
+        page.run.save(folder, &page.html()?, &device, &views)?;
         write_cameras(folder, scene.cameras.iter().map(|known| known.camera))?;
     }
     json["output"] = path_text(&args.output);

@@ -1,32 +1,24 @@
 //! What `reconstruct` made of a clip as one page that needs nothing but itself.
 
-use std::ffi::OsString;
 use std::fmt::Write;
 
-use serde_json::Value;
 use splat4d::Result;
 use splat4d::report::escape;
-use splat4d::scene::Scene;
 use splat4d::track::Track;
-use splat4d::train::Measured;
 use splat4d::types::Pose;
 
-use super::clock::Clock;
 use super::common::thousands;
 use super::info::dynamic_share;
 use super::known::focal_source;
-use super::model::Choice;
 use super::origins::Origin;
 use super::pictures::heat_key;
-use super::quality::Quality;
-use super::reconstruct_pictures::Pictures;
-use super::{camera_maps, page, player, run_page};
+use super::run_page::{self, Curves, Run};
+use super::{camera_maps, page, player};
 
-/// Of the curves.
-const BETWEEN: &str =
-    "Up to the upright line the static world is trained alone, from there on all.";
-const ABOUT: &str = "Each point is of one picture, of the input or from aside, so that points scatter as \
-                     pictures differ.";
+const CURVES: Curves = Curves {
+    between: "Up to the upright line the static world is trained alone, from there on all.",
+    about: "Each point is of one picture, of the input or from aside, so that points scatter as pictures differ.",
+};
 
 /// What the page is made of.
 pub struct Page<'a> {
@@ -37,18 +29,8 @@ pub struct Page<'a> {
     pub track: &'a Track,
     /// Were poses supplied? Else their unit is the median depth.
     pub supplied: bool,
-    pub scene: &'a Scene,
-    /// How close the scene comes to each frame.
-    pub quality: &'a [Quality],
-    pub pictures: &'a Pictures,
-    pub history: &'a [Measured],
-    pub model: &'a [Choice],
     pub origins: &'a [Origin],
-    pub clock: &'a Clock,
-    /// As `report.json` holds it.
-    pub report: &'a Value,
-    /// The words of the command that made it, the program's name first.
-    pub command: &'a [OsString],
+    pub run: Run<'a>,
 }
 
 impl Page<'_> {
@@ -59,11 +41,11 @@ impl Page<'_> {
     pub fn html(&self) -> Result<String> {
         let mut body = format!("<p class=\"lead\">{}</p>\n", escape(&self.sentence()));
         self.facts(&mut body);
-        let notes = self.report["notes"].as_array().into_iter().flatten();
+        let notes = self.run.report["notes"].as_array().into_iter().flatten();
         let notes: Vec<String> = notes.filter_map(|n| n.as_str().map(str::to_owned)).collect();
         page::notes(&mut body, &notes);
         self.strip(&mut body);
-        run_page::orbit(&mut body, &self.pictures.orbit);
+        run_page::orbit(&mut body, &self.run.pictures.orbit);
         let shown = "marked in the strip and crossed on the maps";
         page::doubtful(&mut body, self.track, self.names, shown);
         let poses: Vec<Pose> = (self.track.view_from_world.iter())
@@ -71,23 +53,17 @@ impl Page<'_> {
             .collect();
         let unit = if self.supplied { "unit of the given poses" } else { "median depths" };
         camera_maps::section(&mut body, self.track, &poses, unit);
-        run_page::training(&mut body, self.history, BETWEEN, ABOUT)?;
-        run_page::model(&mut body, self.model);
-        page::origins(&mut body, self.origins);
-        run_page::stages(&mut body, self.clock, self.report);
-        run_page::command(&mut body, self.command);
-        body += &player::script();
-        let style = format!("{}{}", run_page::STYLE, player::STYLE);
-        Ok(page::document(&format!("splat4d reconstruct: {}", self.clip), &style, &body))
+        let title = format!("splat4d reconstruct: {}", self.clip);
+        self.run.document(&title, body, &CURVES, self.origins)
     }
 
     fn number(&self, key: &str) -> f64 {
-        self.report[key].as_f64().unwrap_or(f64::NAN)
+        self.run.report[key].as_f64().unwrap_or(f64::NAN)
     }
 
     /// What was found, in a sentence.
     fn sentence(&self) -> String {
-        let (found, scene) = (&self.track.quality, self.scene);
+        let (found, scene) = (&self.track.quality, self.run.scene);
         let k = &self.track.intrinsics;
         let camera = match (found.tripod, self.supplied) {
             (true, _) => "a camera that stands still".to_owned(),
@@ -123,7 +99,7 @@ impl Page<'_> {
             _ => " ± unknown".into(),
         };
         let source = focal_source(found.focal_source);
-        let text = |key: &str| self.report[key].as_str().unwrap_or_default().to_owned();
+        let text = |key: &str| self.run.report[key].as_str().unwrap_or_default().to_owned();
         page::facts(
             body,
             &[
@@ -145,17 +121,17 @@ impl Page<'_> {
         let doubtful = &self.track.quality.doubtful_frames;
         let name = |&frame: &usize| {
             let doubt = if doubtful.contains(&frame) { " · doubtful" } else { "" };
-            let psnr = self.quality.get(frame).map_or(f64::NAN, |quality| quality.psnr);
+            let psnr = self.run.quality.get(frame).map_or(f64::NAN, |quality| quality.psnr);
             format!("frame {frame} · {} · {psnr:.2} dB{doubt}", self.names[frame])
         };
-        let names: Vec<String> = self.pictures.frames.iter().map(name).collect();
+        let names: Vec<String> = self.run.pictures.frames.iter().map(name).collect();
         let _ = writeln!(
             body,
             "<h2>Input and render</h2>\n<p>The input as it was trained on, undistorted and of one \
              exposure, and what the scene shows from the same cameras. The error is the mean over the \
              channels, which go from 0 to 1.</p>\n<div class=\"scale\">{}</div>",
-            heat_key(self.pictures.most_error, "")
+            heat_key(self.run.pictures.most_error, "")
         );
-        player::draw(body, "frame", &self.pictures.lanes, &names);
+        player::draw(body, "frame", &self.run.pictures.lanes, &names);
     }
 }

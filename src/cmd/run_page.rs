@@ -3,22 +3,32 @@
 
 use std::ffi::OsString;
 use std::fmt::Write;
+use std::io::Write as _;
+use std::path::Path;
 
-use serde_json::Value;
+use serde_json::{Value, json};
 use splat4d::Result;
+use splat4d::data::View;
+use splat4d::gpu::Device;
+use splat4d::io::write_atomically;
 use splat4d::report::{Line, LinePlot, escape};
+use splat4d::scene::Scene;
 use splat4d::train::{Measured, Phase};
 
 use super::clock::Clock;
 use super::common::bytes;
 use super::model::Choice;
+use super::origins::Origin;
 use super::player::{self, Lane};
+use super::quality::Quality;
+use super::reconstruct_pictures::Pictures;
 use super::watcher::steps_before;
+use super::{page, sheet};
 
 /// The page's file.
 pub const FILE: &str = "report.html";
 /// Beside that of all pages. A plot's own colours are those of light paper.
-pub const STYLE: &str = "\
+const STYLE: &str = "\
 .lead{font-size:1.1rem}.plots{grid-template-columns:repeat(auto-fit,minmax(min(20rem,100%),1fr))}\
 .plots svg{font-family:system-ui,sans-serif}\
 .plots [fill=\"#000000\"]{fill:var(--ink)}.plots [stroke=\"#000000\"]{stroke:var(--dim)}\
@@ -32,6 +42,60 @@ pre{background:var(--faint);padding:.6rem .8rem;white-space:pre-wrap;border-radi
 border-bottom:1px solid var(--faint)}.model td{display:block;border:0;padding:.05rem 0}\
 .model td:first-child{font-weight:600}.model td:empty{display:none}}";
 
+/// What a training leaves to be told, whatever it was trained on.
+pub struct Run<'a> {
+    pub scene: &'a Scene,
+    /// How close the scene comes to each picture that is shown.
+    pub quality: &'a [Quality],
+    pub pictures: &'a Pictures,
+    pub history: &'a [Measured],
+    pub model: &'a [Choice],
+    pub clock: &'a Clock,
+    /// As `report.json` holds it.
+    pub report: &'a Value,
+}
+
+/// What a page says of its curves.
+pub struct Curves {
+    /// What the upright line between the stages stands for.
+    pub between: &'static str,
+    /// What each point is of.
+    pub about: &'static str,
+}
+
+impl Run<'_> {
+    /// The page: what is in `body`, and what all runs end with.
+    ///
+    /// # Errors
+    /// A plot cannot be drawn.
+    pub fn document(
+        &self,
+        title: &str,
+        mut body: String,
+        curves: &Curves,
+        origins: &[Origin],
+    ) -> Result<String> {
+        training(&mut body, self.history, curves)?;
+        model(&mut body, self.model);
+        page::origins(&mut body, origins);
+        stages(&mut body, self.clock, self.report);
+        command(&mut body, &words());
+        body += &player::script();
+        Ok(page::document(title, &format!("{STYLE}{}", player::STYLE), &body))
+    }
+
+    /// Writes a page into a folder, and report.json and sheet.png beside it.
+    ///
+    /// # Errors
+    /// A file cannot be written; a picture cannot be rendered.
+    pub fn save(&self, folder: &Path, page: &str, device: &Device, views: &[View]) -> Result<()> {
+        write_atomically(folder.join(FILE), |sink| sink.write_all(page.as_bytes()))?;
+        let mut report = self.report.clone();
+        report["training"] = json!(self.history);
+        sheet::write(folder, device, self.scene, &sheet::spread(views), &report)
+    }
+}
+
 /// Views that the input did not have.
 pub fn orbit(body: &mut String, orbit: &Lane) {
     let count = orbit.pictures.len();
@@ -43,12 +107,8 @@ pub fn orbit(body: &mut String, orbit: &Lane) {
     player::draw(body, "view", std::slice::from_ref(orbit), &names);
 }
 
-/// The curves of a training; `between` says what the upright line between its stages stands for, and `about`
-/// of what each point is.
-///
-/// # Errors
-/// A plot cannot be drawn.
-pub fn training(body: &mut String, history: &[Measured], between: &str, about: &str) -> Result<()> {
+/// The curves of a training.
+fn training(body: &mut String, history: &[Measured], curves: &Curves) -> Result<()> {
     body.push_str("<h2>Training</h2>\n");
     let before = steps_before(history, Phase::Joint);
     let step = |m: &Measured| f64::from(m.step + if m.phase == Phase::Joint { before } else { 0 });
@@ -81,9 +141,9 @@ pub fn training(body: &mut String, history: &[Measured], between: &str, about: &
         return Ok(());
     }
     let _ = writeln!(body, "<div class=\"grid-of plots\">{drawn}</div>");
-    let _ = write!(body, "<p>{}", escape(about));
+    let _ = write!(body, "<p>{}", escape(curves.about));
     if !marks.is_empty() {
-        let _ = write!(body, " {}", escape(between));
+        let _ = write!(body, " {}", escape(curves.between));
     }
     if history.first().is_some_and(|m| m.step > 100) {
         body.push_str(" The run went on from a checkpoint of one that measured nothing: what lay before it is not shown.");
@@ -93,7 +153,7 @@ pub fn training(body: &mut String, history: &[Measured], between: &str, about: &
 }
 
 /// The model report.
-pub fn model(body: &mut String, model: &[Choice]) {
+fn model(body: &mut String, model: &[Choice]) {
     body.push_str(
         "<h2>What was modelled, and what was left out</h2>\n<table class=\"model\"><thead><tr><th>what</th>\
          <th>chosen</th><th>because</th><th>saves</th></tr></thead><tbody>",
@@ -110,7 +170,7 @@ pub fn model(body: &mut String, model: &[Choice]) {
 }
 
 /// Stages and memory; `report` as `report.json` holds it.
-pub fn stages(body: &mut String, clock: &Clock, report: &Value) {
+fn stages(body: &mut String, clock: &Clock, report: &Value) {
     let stages = clock.stages();
     let all: f64 = stages.iter().map(|(_, seconds)| seconds).sum();
     let most = stages.iter().map(|(_, seconds)| *seconds).fold(1e-9, f64::max);
@@ -135,7 +195,7 @@ pub fn stages(body: &mut String, clock: &Clock, report: &Value) {
 }
 
 /// The command that made the page, and the program's version.
-pub fn command(body: &mut String, words: &[OsString]) {
+fn command(body: &mut String, words: &[OsString]) {
     let words: Vec<String> = words.iter().map(quoted).collect();
     let _ = writeln!(
         body,
@@ -146,7 +206,7 @@ pub fn command(body: &mut String, words: &[OsString]) {
 }
 
 /// The words of the command at hand, its name without the folder where it lies.
-pub fn words() -> Vec<OsString> {
+fn words() -> Vec<OsString> {
     let words = std::env::args_os().skip(1);
     std::iter::once("splat4d".into()).chain(words).collect()
 }

@@ -1,6 +1,5 @@
 //! `splat4d train`.
 
-use std::io::Write as _;
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
@@ -10,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use splat4d::data::{Dataset, Point, Resize, View};
 use splat4d::gpu::Device;
-use splat4d::io::{Identity, check_memory, checksum, write_atomically};
+use splat4d::io::{Identity, check_memory, checksum};
 use splat4d::renderer::Renderer;
 use splat4d::scene::{Scene, SceneCamera};
 use splat4d::train::{
@@ -32,9 +31,10 @@ use super::live::{LiveArgs, name_of};
 use super::model::{self, Choice};
 use super::outputs::{Inputs, Outputs};
 use super::quality::{self, Quality};
+use super::run_page::{self, Run};
 use super::train_page::Page;
 use super::watcher::{Kept, Watched, Watcher};
-use super::{reconstruct_pictures, run_page, sheet, tuning, values};
+use super::{reconstruct_pictures, sheet, tuning, values};
 
 const AFTER_HELP: &str = "\
 Pictures that have times (`time` in transforms.json, D-NeRF, HyperNeRF) make a scene that moves; others, and
@@ -299,25 +299,18 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         let (views, quality) =
             if test.is_empty() { (&train, &on_input) } else { (&test, &on_test) };
         let pictures = reconstruct_pictures::draw(&device, &scene, views)?;
-        let page = Page {
-            dataset: &name_of(&args.dataset),
+        let run = Run {
             scene: &scene,
-            points: &set.points,
-            views,
             quality,
             pictures: &pictures,
             history: &history,
             model: &model,
             clock: &clock,
-            notes: &all_notes,
             report: &json,
-            command: &run_page::words(),
-        }
-        .html()?;
-        write_atomically(folder.join(run_page::FILE), |sink| sink.write_all(page.as_bytes()))?;
-        let mut whole = json.clone();
-        whole["training"] = json!(history);
-        sheet::write(folder, &device, &scene, &sheet::spread(views), &whole)?;
+        };
+        let (dataset, points) = (&name_of(&args.dataset)[..], &set.points[..]);
+        let page = Page { dataset, points, views, notes: &all_notes, run };
+        page.run.save(folder, &page.html()?, &device, views)?;
     }
     json["output"] = path_text(&args.output);
     if let Some(live) = live {

@@ -1,51 +1,33 @@
 //! What `train` made of a dataset as one page that needs nothing but itself.
 
-use std::ffi::OsString;
-
 use glam::DVec3;
-use serde_json::Value;
 use splat4d::Result;
 use splat4d::data::{Point, View};
 use splat4d::report::escape;
-use splat4d::scene::Scene;
-use splat4d::train::Measured;
 use splat4d::types::Pose;
 
 use super::camera_maps::{self, Cameras};
-use super::clock::Clock;
 use super::common::thousands;
 use super::info::dynamic_share;
-use super::model::Choice;
 use super::pictures::heat_key;
-use super::quality::Quality;
-use super::reconstruct_pictures::Pictures;
-use super::{page, player, run_page};
+use super::run_page::{self, Curves, Run};
+use super::{page, player};
 
-/// Of the curves.
-const BETWEEN: &str =
-    "Up to the upright line all stands still (the warm-up), from there on it moves.";
-const ABOUT: &str = "Each point is of one picture, so that points scatter as pictures differ.";
+const CURVES: Curves = Curves {
+    between: "Up to the upright line all stands still (the warm-up), from there on it moves.",
+    about: "Each point is of one picture, so that points scatter as pictures differ.",
+};
 
 /// What the page is made of.
 pub struct Page<'a> {
     /// What the dataset is called.
     pub dataset: &'a str,
-    pub scene: &'a Scene,
     /// Points of the dataset.
     pub points: &'a [Point],
     /// Those that are shown: held out, or where none are, trained on.
     pub views: &'a [View],
-    /// How close the scene comes to each of them.
-    pub quality: &'a [Quality],
-    pub pictures: &'a Pictures,
-    pub history: &'a [Measured],
-    pub model: &'a [Choice],
-    pub clock: &'a Clock,
     pub notes: &'a [String],
-    /// As `report.json` holds it.
-    pub report: &'a Value,
-    /// The words of the command that made it, the program's name first.
-    pub command: &'a [OsString],
+    pub run: Run<'a>,
 }
 
 impl Page<'_> {
@@ -58,28 +40,22 @@ impl Page<'_> {
         self.facts(&mut body);
         page::notes(&mut body, self.notes);
         self.strip(&mut body);
-        run_page::orbit(&mut body, &self.pictures.orbit);
+        run_page::orbit(&mut body, &self.run.pictures.orbit);
         self.cameras(&mut body);
-        run_page::training(&mut body, self.history, BETWEEN, ABOUT)?;
-        run_page::model(&mut body, self.model);
-        run_page::stages(&mut body, self.clock, self.report);
-        run_page::command(&mut body, self.command);
-        body += &player::script();
-        let style = format!("{}{}", run_page::STYLE, player::STYLE);
-        Ok(page::document(&format!("splat4d train: {}", self.dataset), &style, &body))
+        self.run.document(&format!("splat4d train: {}", self.dataset), body, &CURVES, &[])
     }
 
     fn held_out(&self) -> u64 {
-        self.report["held_out"].as_u64().unwrap_or(0)
+        self.run.report["held_out"].as_u64().unwrap_or(0)
     }
 
     fn decibels(&self, key: &str) -> String {
-        self.report[key].as_f64().map_or("none".into(), |value| format!("{value:.2} dB"))
+        self.run.report[key].as_f64().map_or("none".into(), |value| format!("{value:.2} dB"))
     }
 
     /// What was found, in a sentence.
     fn sentence(&self) -> String {
-        let scene = self.scene;
+        let scene = self.run.scene;
         let gaussians = thousands(scene.gaussians.len());
         let made = match scene.moves() {
             true => format!(
@@ -95,24 +71,24 @@ impl Page<'_> {
         };
         format!(
             "{made} show the {} pictures that they were trained on at {} (PSNR){test}",
-            self.report["images"],
+            self.run.report["images"],
             self.decibels("psnr_input")
         )
     }
 
     fn facts(&self, body: &mut String) {
-        let text = |key: &str| self.report[key].as_str().map_or("none".into(), str::to_owned);
-        let ssim = self.report["ssim_test"].as_f64();
+        let text = |key: &str| self.run.report[key].as_str().map_or("none".into(), str::to_owned);
+        let ssim = self.run.report["ssim_test"].as_f64();
         page::facts(
             body,
             &[
                 ("PSNR, trained on", self.decibels("psnr_input")),
                 ("PSNR, held out", self.decibels("psnr_test")),
                 ("SSIM, held out", ssim.map_or("none".into(), |value| format!("{value:.4}"))),
-                ("Gaussians", thousands(self.scene.gaussians.len())),
-                ("Control points", self.scene.control_points.len().to_string()),
+                ("Gaussians", thousands(self.run.scene.gaussians.len())),
+                ("Control points", self.run.scene.control_points.len().to_string()),
                 ("Density control", text("density")),
-                ("Steps", self.report["steps"].to_string()),
+                ("Steps", self.run.report["steps"].to_string()),
                 ("Device", text("device")),
             ],
         );
@@ -120,10 +96,10 @@ impl Page<'_> {
 
     fn strip(&self, body: &mut String) {
         let name = |&frame: &usize| {
-            let psnr = self.quality.get(frame).map_or(f64::NAN, |quality| quality.psnr);
+            let psnr = self.run.quality.get(frame).map_or(f64::NAN, |quality| quality.psnr);
             format!("{} · {psnr:.2} dB", self.views[frame].name)
         };
-        let names: Vec<String> = self.pictures.frames.iter().map(name).collect();
+        let names: Vec<String> = self.run.pictures.frames.iter().map(name).collect();
         let shown = match self.held_out() {
             0 => "Pictures that the scene was trained on",
             _ => "Pictures that were held out",
@@ -132,15 +108,15 @@ impl Page<'_> {
             "<h2>Pictures and render</h2>\n<p>{shown}, and what the scene shows from the same cameras. The \
              error is the mean over the channels, which go from 0 to 1.</p>\n<div \
              class=\"scale\">{}</div>\n",
-            heat_key(self.pictures.most_error, "")
+            heat_key(self.run.pictures.most_error, "")
         );
-        player::draw(body, "picture", &self.pictures.lanes, &names);
+        player::draw(body, "picture", &self.run.pictures.lanes, &names);
     }
 
     fn cameras(&self, body: &mut String) {
-        let Some(first) = self.scene.cameras.first() else { return };
+        let Some(first) = self.run.scene.cameras.first() else { return };
         let poses: Vec<Pose> =
-            self.scene.cameras.iter().map(|known| known.camera.view_from_world).collect();
+            self.run.scene.cameras.iter().map(|known| known.camera.view_from_world).collect();
         let place = |p: &Point| DVec3::from_array(p.position.map(f64::from));
         let centre = |i: usize| poses[i].inverse().translation;
         let cameras = Cameras {

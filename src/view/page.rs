@@ -12,12 +12,14 @@ const CSS: &str = "text/css; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// The page's files: path, kind, content.
-const FILES: [(&str, &str, &str); 10] = [
+const FILES: [(&str, &str, &str); 12] = [
     ("", HTML, include_str!("page/index.html")),
+    ("base.css", CSS, include_str!("page/base.css")),
     ("style.css", CSS, include_str!("page/style.css")),
     ("main.js", SCRIPT, include_str!("page/main.js")),
     ("camera.js", SCRIPT, include_str!("page/camera.js")),
     ("keyframes.js", SCRIPT, include_str!("page/keyframes.js")),
+    ("keys.js", SCRIPT, include_str!("page/keys.js")),
     ("link.js", SCRIPT, include_str!("page/link.js")),
     ("overlay.js", SCRIPT, include_str!("page/overlay.js")),
     ("pointer.js", SCRIPT, include_str!("page/pointer.js")),

@@ -17,7 +17,8 @@ use crate::types::Camera;
 use crate::{Error, Result, io};
 
 const PAGE: &str = include_str!("page.html");
-const STYLE: &str = include_str!("style.css");
+/// What it shares with the viewer's page first.
+const STYLE: &str = concat!(include_str!("../../view/page/base.css"), include_str!("style.css"));
 const UNPACK: &str = include_str!("unpack.js");
 /// What the player is made of, by others.
 const LICENCES: &str = include_str!("licences.txt");

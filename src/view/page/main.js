@@ -2,6 +2,7 @@
 
 import { Viewer } from "./camera.js";
 import { Keyframes } from "./keyframes.js";
+import { listenToKeys } from "./keys.js";
 import { Link } from "./link.js";
 import { Overlay, nearestIn } from "./overlay.js";
 import { apply, listen } from "./pointer.js";
@@ -19,10 +20,6 @@ const MOST_PIXELS_SHOWN = 1920 * 1080;
 const PATH_RATE = 24;
 const INPUT_RATE = 24;
 const SECONDS_WITHOUT_INPUT = 4;
-// Keys: shares of the picture's width a second, factors a second, distances a second.
-const KEY_TURN = 0.35;
-const KEY_DOLLY = 2;
-const KEY_FLY = 0.5;
 
 const element = (id) => document.getElementById(id);
 const picture = element("picture");
@@ -270,21 +267,32 @@ function screenshot() {
 
 // Keys on the picture.
 
-const held = new Set();
-const flights = { w: [0, 0, 1], s: [0, 0, -1], a: [-1, 0, 0], d: [1, 0, 0], q: [0, 1, 0], e: [0, -1, 0] };
-const arrows = { arrowleft: [-1, 0], arrowright: [1, 0], arrowup: [0, -1], arrowdown: [0, 1] };
-const dollies = { "+": -1, "=": -1, "-": 1, "_": 1 };
-const strokes = {
-  " ": () => timeLine.toggle(),
-  ",": () => timeLine.step(-0.01),
-  ".": () => timeLine.step(0.01),
-  "[": () => step(-1),
-  "]": () => step(1),
-  "?": () => element("keys-help").showModal(),
-  home: reset,
-  k: addKey,
-  p: screenshot,
-};
+listenToKeys(picture, {
+  turn: (kind, right, down) => {
+    apply(viewer, kind, right, down, stageSize());
+    changed();
+  },
+  dolly: (factor) => {
+    viewer.dolly(factor);
+    changed();
+  },
+  fly: (steps) => {
+    viewer.fly(...steps.map((step) => step * viewer.distance));
+    changed();
+  },
+  strokes: {
+    " ": () => timeLine.toggle(),
+    ",": () => timeLine.step(-0.01),
+    ".": () => timeLine.step(0.01),
+    "[": () => step(-1),
+    "]": () => step(1),
+    "?": () => element("keys-help").showModal(),
+    home: reset,
+    k: addKey,
+    p: screenshot,
+    ...Object.fromEntries(layers.map((layer, i) => [i + 1, () => setLayer(layer)])),
+  },
+});
 
 function reset() {
   viewer.reset();
@@ -292,51 +300,9 @@ function reset() {
 }
 
 function setLayer(layer) {
+  if (element("layer").querySelector(`[value=${layer}]`).disabled) return;
   element("layer").value = layer;
   changed();
-}
-
-let modifiers = {};
-picture.addEventListener("keydown", (event) => {
-  const key = event.key.toLowerCase();
-  modifiers = event;
-  const digit = layers[Number(key) - 1];
-  const isMotion = key in flights || key in arrows || key in dollies;
-  if (event.altKey || ((event.ctrlKey || event.metaKey) && !(key in arrows))) return;
-  if (isMotion) {
-    if (held.size === 0) requestAnimationFrame((now) => move(now, now - 16));
-    held.add(key);
-  } else if (key in strokes) {
-    strokes[key]();
-  } else if (digit && !element("layer").querySelector(`[value=${digit}]`).disabled) {
-    setLayer(digit);
-  } else {
-    return;
-  }
-  event.preventDefault();
-});
-picture.addEventListener("keyup", (event) => {
-  modifiers = event;
-  held.delete(event.key.toLowerCase());
-});
-picture.addEventListener("blur", () => held.clear());
-
-function move(now, before) {
-  if (held.size === 0) return;
-  const seconds = Math.min(now - before, 100) / 1000;
-  const kind = modifiers.shiftKey ? "pan" : modifiers.ctrlKey || modifiers.metaKey ? "look" : "orbit";
-  for (const key of held) {
-    if (key in arrows) {
-      const [right, down] = arrows[key].map((v) => v * KEY_TURN * seconds);
-      apply(viewer, kind, right, down, stageSize());
-    } else if (key in dollies) {
-      viewer.dolly(KEY_DOLLY ** (dollies[key] * seconds));
-    } else {
-      viewer.fly(...flights[key].map((v) => v * KEY_FLY * viewer.distance * seconds));
-    }
-  }
-  changed();
-  requestAnimationFrame((next) => move(next, now));
 }
 
 function stageSize() {

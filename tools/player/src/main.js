@@ -1,4 +1,4 @@
-// The page: what its elements do. `stage.js` draws; the camera, the pointer and the time line are those of
+// The page: what its elements do. `stage.js` draws; camera, pointer, keys and time line are those of
 // the viewer (`splat4d view`).
 //
 // The page's own script sets `globalThis.splat4d` before this one runs:
@@ -11,9 +11,9 @@
 //   frames                              how many pictures the page has drawn
 
 import { Viewer, resized } from "../../../src/view/page/camera.js";
+import { listenToKeys } from "../../../src/view/page/keys.js";
 import { apply, listen } from "../../../src/view/page/pointer.js";
 import { TimeLine } from "../../../src/view/page/timeline.js";
-import { keep } from "./keys.js";
 import { parse } from "./scene.js";
 import { Stage } from "./stage.js";
 
@@ -108,7 +108,7 @@ async function start() {
     dolly: (factor) => act(() => viewer.dolly(factor)),
     click() {},
   });
-  keep(picture, {
+  listenToKeys(picture, {
     turn: (kind, right, down) => act(() => apply(viewer, kind, right, down, size())),
     dolly: (factor) => act(() => viewer.dolly(factor)),
     fly: (steps) => act(() => viewer.fly(...steps.map((step) => step * viewer.distance))),

@@ -11,7 +11,7 @@ const arrows = { arrowleft: [-1, 0], arrowright: [1, 0], arrowup: [0, -1], arrow
 const dollies = { "+": -1, "=": -1, "-": 1, _: 1 };
 
 // on.turn(kind, right, down), on.dolly(factor), on.fly([right, down, forward]), on.strokes: key to action
-export function keep(canvas, on) {
+export function listenToKeys(canvas, on) {
   const held = new Set();
   let modifiers = {};
 
