@@ -60,17 +60,17 @@ impl Revision {
     }
 }
 
-/// The motion of what is fixed to a control point of some motion, at an offset from it.
+/// The motion of what is fixed to a control point of some motion, at an offset from it, and there when it is.
 fn fixed_to(motion: [f32; 8], offset: DVec3) -> [f32; 8] {
-    let [x, y, z, _, w, i, j, k] = motion.map(f64::from);
+    let [x, y, z, .., w, i, j, k] = motion.map(f64::from);
     let rotation = DQuat::from_xyzw(i, j, k, 1.0 + w);
     let turned = match rotation.length() > 0.0 {
         true => rotation.normalize() * offset,
         false => offset,
     };
     let moved = (DVec3::new(x, y, z) + turned - offset).as_vec3();
-    let [.., w, i, j, k] = motion;
-    [moved.x, moved.y, moved.z, 0.0, w, i, j, k]
+    let [.., fade, w, i, j, k] = motion;
+    [moved.x, moved.y, moved.z, fade, w, i, j, k]
 }
 
 /// Decides a round. At least as many as a Gaussian follows are kept.
@@ -184,6 +184,26 @@ mod tests {
         let [(4, place)] = found.added[..] else { panic!("{found:?}") };
         assert!((4.2..4.5).contains(&place.x) && place.y == 0.0, "{place}");
         assert_eq!(found, revise(&points, &followers, &SETTINGS));
+    }
+
+    #[test]
+    fn new_ones_go_with_their_parents_and_are_there_when_these_are() {
+        // A quarter turn about z at the second key, and absent there.
+        let half = std::f32::consts::FRAC_1_SQRT_2;
+        let turned = [5.0, 0.0, 0.0, ControlPoints::ABSENT, half - 1.0, 0.0, 0.0, half];
+        let points = ControlPoints {
+            positions: vec![[1.0, 0.0, 0.0]],
+            log_radii: vec![-1.0],
+            paths: vec![[0.0; 8], turned],
+        };
+        let added = vec![(0, DVec3::new(1.5, 0.0, 0.0))];
+        let after = Revision { kept: vec![0], added }.apply(&points);
+        assert_eq!((after.positions[1], after.log_radii[1]), ([1.5, 0.0, 0.0], -1.0));
+        assert_eq!(after.paths[1], [0.0; 8]);
+        let [x, y, rest @ ..] = after.paths[3];
+        // It was half a unit along x from its parent, and is half a unit along y from it then.
+        assert!((x - 4.5).abs() < 1e-6 && (y - 0.5).abs() < 1e-6, "{x}, {y}");
+        assert_eq!(rest, turned[2..]);
     }
 
     #[test]
