@@ -60,7 +60,8 @@ impl Revision {
     }
 }
 
-/// The motion of what is fixed to a control point of some motion, at an offset from it, and there when it is.
+/// The motion of a control point that is fixed to another of some motion, at an offset from it, and that is
+/// absent when the other is.
 fn fixed_to(motion: [f32; 8], offset: DVec3) -> [f32; 8] {
     let [x, y, z, .., w, i, j, k] = motion.map(f64::from);
     let rotation = DQuat::from_xyzw(i, j, k, 1.0 + w);
@@ -187,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn new_ones_go_with_their_parents_and_are_there_when_these_are() {
+    fn added_points_move_with_their_parents_and_are_absent_with_them() {
         // A quarter turn about z at the second key, and absent there.
         let half = std::f32::consts::FRAC_1_SQRT_2;
         let turned = [5.0, 0.0, 0.0, ControlPoints::ABSENT, half - 1.0, 0.0, 0.0, half];
