@@ -11,8 +11,10 @@
 //! | `semi_global` | the inverse depth of each, so that neighbours agree up to edges of colour |
 //! | `refine` | fractions of a level |
 //! | `agree` | what several frames say of one point; what they contradict is not believed |
+//! | `ground` | the plane that most of the ground lies on |
 
 mod agree;
+mod ground;
 mod patch;
 mod refine;
 mod semi_global;
@@ -29,6 +31,7 @@ use crate::Result;
 use crate::observe::luminance::Luminance;
 use crate::types::Image;
 use agree::Maps;
+use ground::Ground;
 use views::View;
 
 /// Pixels so near to a mover are taken for its own.
@@ -90,7 +93,11 @@ pub(super) fn measure(
     let refined: Vec<Seen> = work.frames(&name, n, refine, Stage::Depth, middle..shares.end)?;
 
     let maps = Maps { cameras, seen: &refined, covered: &covered, views: &views, levels: &levels };
-    Ok((0..n).map(|f| believed(&maps, &swept[f], &flow[f], f)).collect())
+    let mut seen: Vec<Seen> = (0..n).map(|f| believed(&maps, &swept[f], &flow[f], f)).collect();
+    if let Some(ground) = Ground::find(cameras, &covered, &seen) {
+        ground.settle(cameras, &covered, &mut seen);
+    }
+    Ok(seen)
 }
 
 /// What a sweep needs.

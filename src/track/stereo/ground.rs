@@ -1,0 +1,344 @@
+//! The ground: one plane for the whole clip.
+//!
+//! Ground is seen at a grazing angle and often shows little texture. A frame alone tells its depth badly
+//! then: what is not distinct takes the depth of its surroundings, and the ground becomes a few wide steps.
+//! What stands and moves on it is at the wrong distance. All frames together tell the plane that the ground
+//! lies on, and how even it is. Where a pixel's own measurement is no better than that, the plane
+//! counts.
+//!
+//! The plane is found by random samples of three points (RANSAC: Fischler and Bolles 1981) and fitted by
+//! iteratively reweighted least squares.
+
+use glam::{DMat3, DVec2, DVec3};
+use nalgebra::{Matrix3, SymmetricEigen};
+use rand::SeedableRng;
+use rand::seq::index::sample;
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use super::super::cameras::Cameras;
+use super::super::quantile;
+use super::super::residual::Seen;
+use crate::types::Intrinsics;
+
+/// At most so many points of all frames tell the plane.
+const POINTS: usize = 20_000;
+/// Planes that are tried, and points that each is judged by.
+const TRIES: usize = 800;
+const JUDGES: usize = 2000;
+/// Cosine of the angle from the ground's normal to the cameras' upward axes, at least.
+const UPRIGHT: f64 = 0.8;
+/// Points lie on the plane to this difference of the logarithm of their depth; they shape it and tell how even
+/// it is up to so many times that.
+const ON_PLANE: f64 = 0.03;
+const SHAPES: f64 = 3.0;
+/// Rounds of fitting.
+const ROUNDS: usize = 10;
+/// Of all points this share lies on the plane, at least. Behind it, by more than the second number as a
+/// logarithm, lie at most so many as the first number times those on it: a table is no ground.
+const LEAST_SHARE: f64 = 0.1;
+const BEHIND: (f64, f64) = (0.5, 0.1);
+/// How even grounds are: none is more even than the first number, and one that is less even than the second
+/// tells nothing.
+const EVEN: (f64, f64) = (0.003, 0.05);
+/// A pixel may lie on the ground if its own depth says so to this difference of the logarithm.
+const NEAR: f64 = 0.15;
+/// What was not measured is known so many times worse than what was.
+const UNSEEN: f64 = 3.0;
+
+/// A plane in the world.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Ground {
+    /// Its unit normal, upwards.
+    normal: DVec3,
+    /// The product of the normal with every point of the plane.
+    level: f64,
+    /// How even it is: the standard deviation of the logarithm of its points' depth.
+    deviation: f64,
+}
+
+/// A point of the static world, and the camera that saw it.
+#[derive(Clone, Copy)]
+struct Sight {
+    centre: DVec3,
+    point: DVec3,
+}
+
+impl Ground {
+    /// The plane that most of what was measured lies on, of those that the cameras stand over upright; `None`
+    /// where it is no ground: too little lies on it, too much behind it, or it is not even. `covered`
+    /// says of each frame's pixels which are a mover's.
+    pub fn find(cameras: &Cameras, covered: &[Vec<bool>], seen: &[Seen]) -> Option<Ground> {
+        let sights = sights(cameras, covered, seen);
+        if sights.len() < 3 {
+            return None;
+        }
+        let up = cameras.poses.iter().map(|pose| pose.rotation.conjugate() * DVec3::NEG_Y);
+        let up = up.sum::<DVec3>().try_normalize()?;
+        let mut rng = ChaCha8Rng::seed_from_u64(0);
+        let mut through_three = || {
+            let chosen = sample(&mut rng, sights.len(), 3);
+            let [a, b, c] = [0, 1, 2].map(|k| sights[chosen.index(k)].point);
+            let normal = (b - a).cross(c - a).try_normalize()?;
+            let normal = normal * normal.dot(up).signum();
+            let plane = Ground { normal, level: normal.dot(a), deviation: ON_PLANE };
+            (normal.dot(up) > UPRIGHT).then_some(plane)
+        };
+        let planes: Vec<Ground> = (0..TRIES).filter_map(|_| through_three()).collect();
+        let judges: Vec<Sight> =
+            sights.iter().step_by(sights.len().div_ceil(JUDGES)).copied().collect();
+        let counts: Vec<usize> = planes.par_iter().map(|plane| plane.on(&judges)).collect();
+        let best = (0..planes.len()).max_by_key(|k| counts[*k])?;
+        let plane = planes[best].fitted(&sights)?;
+        plane.is_ground(&sights).then_some(plane)
+    }
+
+    /// How many points lie on it.
+    fn on(&self, sights: &[Sight]) -> usize {
+        let offs = sights.iter().filter_map(|sight| self.off(sight));
+        offs.filter(|off| off.abs() < ON_PLANE).count()
+    }
+
+    /// The logarithm of the plane's depth along the line to a point over the point's own; `None` where the camera is
+    /// not above the plane, or the line does not meet it.
+    fn off(&self, sight: &Sight) -> Option<f64> {
+        let height = self.normal.dot(sight.centre) - self.level;
+        let down = self.normal.dot(sight.centre - sight.point);
+        (height > 0.0 && down > 0.0).then(|| (height / down).ln())
+    }
+
+    /// The plane that fits the points near to this one best, and how even it is. `None` where they lie on no
+    /// plane.
+    fn fitted(self, sights: &[Sight]) -> Option<Ground> {
+        let mut plane = self;
+        for _ in 0..ROUNDS {
+            // A depth that is off by some share is off the plane by that share of the camera's height.
+            let weight = |sight: &Sight| {
+                let height = plane.normal.dot(sight.centre) - plane.level;
+                let off = plane.off(sight).filter(|off| off.abs() < SHAPES * ON_PLANE)?;
+                Some(kernel(off / plane.deviation) / height.powi(2))
+            };
+            let weights: Vec<f64> = sights.iter().map(|s| weight(s).unwrap_or(0.0)).collect();
+            let total: f64 = weights.iter().sum();
+            let weighted = || sights.iter().zip(&weights);
+            let middle = weighted().map(|(s, w)| s.point * *w).sum::<DVec3>() / total;
+            let mut spread = DMat3::ZERO;
+            for (sight, weight) in weighted() {
+                let off = sight.point - middle;
+                spread += DMat3::from_cols(off * off.x, off * off.y, off * off.z) * *weight;
+            }
+            if !(middle.is_finite() && spread.is_finite()) {
+                return None;
+            }
+            let normal = least(spread);
+            let normal = normal * normal.dot(plane.normal).signum();
+            plane = Ground { normal, level: normal.dot(middle), ..plane };
+            let offs = sights.iter().filter_map(|sight| plane.off(sight)).map(f64::abs);
+            let near = offs.filter(|off| *off < SHAPES * ON_PLANE).collect();
+            // Of a normal distribution's median absolute deviation.
+            plane.deviation = (1.48 * quantile(near, 0.5)).max(EVEN.0);
+        }
+        Some(plane)
+    }
+
+    fn is_ground(&self, sights: &[Sight]) -> bool {
+        let on = self.on(sights) as f64;
+        let offs = sights.iter().filter_map(|sight| self.off(sight));
+        let behind = offs.filter(|off| *off < -BEHIND.1).count() as f64;
+        on > LEAST_SHARE * sights.len() as f64 && behind < BEHIND.0 * on && self.deviation < EVEN.1
+    }
+
+    /// Brings the inverse depths of what lies on the ground to it, as far as they are not known better by
+    /// themselves.
+    pub fn settle(&self, cameras: &Cameras, covered: &[Vec<bool>], seen: &mut [Seen]) {
+        let k = &cameras.intrinsics;
+        seen.par_iter_mut().zip(covered).zip(&cameras.poses).for_each(|((seen, covered), pose)| {
+            let height = self.normal.dot(pose.inverse().translation) - self.level;
+            if height <= 0.0 {
+                return;
+            }
+            let down = pose.rotation * -self.normal / height;
+            for i in (0..covered.len()).filter(|i| !covered[*i]) {
+                let ground = down.dot(k.ray(middle_of(i, k)));
+                let own = f64::from(seen.inverse_depth[i]);
+                let off = (own / ground).ln();
+                // Also false where either is not positive.
+                if off.abs() < NEAR {
+                    self.settle_pixel(seen, i, ground, off);
+                }
+            }
+        });
+    }
+
+    /// The same of a pixel, where the ground's inverse depth is known, and by how much the pixel's own differs,
+    /// as a logarithm.
+    fn settle_pixel(&self, seen: &mut Seen, i: usize, ground: f64, off: f64) {
+        if seen.support[i] < 0.5 {
+            seen.inverse_depth[i] = ground as f32;
+            seen.deviation[i] = (UNSEEN * self.deviation * ground) as f32;
+            (seen.support[i], seen.score[i]) = (1.0, 0.0);
+            return;
+        }
+        let own = f64::from(seen.inverse_depth[i]);
+        let of_own = (own / f64::from(seen.deviation[i])).powi(2);
+        let of_ground = kernel(off / (SHAPES * self.deviation)) / self.deviation.powi(2);
+        let value = (of_own * own + of_ground * ground) / (of_own + of_ground);
+        if value.is_finite() {
+            seen.inverse_depth[i] = value as f32;
+            seen.deviation[i] = (value / (of_own + of_ground).sqrt()) as f32;
+        }
+    }
+}
+
+/// Weight of what is off by so many widths of Geman and McClure's kernel.
+fn kernel(off: f64) -> f64 {
+    (1.0 + off * off).powi(-2)
+}
+
+fn middle_of(i: usize, k: &Intrinsics) -> DVec2 {
+    let width = k.width as usize;
+    DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5)
+}
+
+/// What is measured, evenly over all frames.
+fn sights(cameras: &Cameras, covered: &[Vec<bool>], seen: &[Seen]) -> Vec<Sight> {
+    let k = &cameras.intrinsics;
+    let per_frame = (POINTS / seen.len().max(1)).max(100);
+    let of_frame = |frame: usize| {
+        let (covered, seen) = (&covered[frame], &seen[frame]);
+        let world_from_view = cameras.poses[frame].inverse();
+        let is_known =
+            |i: &usize| !covered[*i] && seen.support[*i] >= 0.5 && seen.inverse_depth[*i] > 0.0;
+        let known: Vec<usize> = (0..covered.len()).filter(is_known).collect();
+        let every = known.len().div_ceil(per_frame).max(1);
+        let sight = |i: &usize| {
+            let view = k.ray(middle_of(*i, k)) / f64::from(seen.inverse_depth[*i]);
+            Sight { centre: world_from_view.translation, point: world_from_view.apply(view) }
+        };
+        known.iter().step_by(every).map(sight).collect::<Vec<_>>()
+    };
+    let frames: Vec<Vec<Sight>> = (0..seen.len()).into_par_iter().map(of_frame).collect();
+    frames.into_iter().flatten().collect()
+}
+
+/// The direction in which a spread is least.
+fn least(spread: DMat3) -> DVec3 {
+    let eigen = SymmetricEigen::new(Matrix3::from_column_slice(&spread.to_cols_array()));
+    let v = eigen.eigenvectors.column(eigen.eigenvalues.imin());
+    DVec3::new(v[0], v[1], v[2])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::sliding::{FRAMES, HEIGHT, STEP, WIDTH, cameras};
+    use super::*;
+
+    /// So far the cameras are above the ground.
+    const ABOVE: f64 = 0.5;
+    const BACK: f64 = 6.0;
+    const PIXELS: usize = (WIDTH * HEIGHT) as usize;
+
+    /// A pixel's true inverse depth: the ground up to a wall at the back; a box stands on the left. And whether
+    /// it is the ground's.
+    fn truth(i: usize, k: &Intrinsics, slope: f64) -> (f64, bool) {
+        let ray = k.ray(middle_of(i, k));
+        // y points down; the ground rises to the right.
+        let ground = (ray.y - slope * ray.x) / ABOVE;
+        let box_ = if ray.x < -0.2 && ray.y < 0.3 { 1.0 / 2.5 } else { 0.0 };
+        let before = (1.0 / BACK).max(box_);
+        (ground.max(before), ground > before)
+    }
+
+    /// What frames measured: two of three pixels of the ground badly, in wide steps; some nowhere.
+    fn seen(slope: f64) -> Vec<Seen> {
+        let k = cameras(STEP).intrinsics;
+        let mut seen = Seen {
+            inverse_depth: vec![0.0; PIXELS],
+            deviation: vec![0.0; PIXELS],
+            score: vec![0.0; PIXELS],
+            support: vec![1.0; PIXELS],
+        };
+        for i in 0..PIXELS {
+            let (d, ground) = truth(i, &k, slope);
+            let step = 0.12 * (d.ln() / 0.12).round();
+            let bad = ground && i % 3 > 0;
+            let deviation = if bad { 0.2 } else { 0.002 };
+            seen.inverse_depth[i] = if bad { step.exp() } else { d } as f32;
+            seen.deviation[i] = deviation * seen.inverse_depth[i];
+            if i % 11 == 0 {
+                seen.support[i] = 0.0;
+                seen.inverse_depth[i] = 1.1 * d as f32;
+            }
+        }
+        vec![seen; FRAMES]
+    }
+
+    fn nothing_moves() -> Vec<Vec<bool>> {
+        vec![vec![false; PIXELS]; FRAMES]
+    }
+
+    #[test]
+    fn ground_is_found_and_what_is_badly_measured_settles_on_it() {
+        // Cameras that slide along the slope stay as high above it.
+        let (cameras, covered) = (cameras(0.0), nothing_moves());
+        for slope in [0.0, 0.2] {
+            let mut seen = seen(slope);
+            let ground = Ground::find(&cameras, &covered, &seen).unwrap();
+            let expected = DVec3::new(slope, -1.0, 0.0);
+            assert!(ground.normal.dot(expected.normalize()) > 0.9999, "{ground:?}");
+            let level = -ABOVE / expected.length();
+            assert!((ground.level / level - 1.0).abs() < 0.02, "{ground:?}, {level}");
+            let before = seen[2].clone();
+            ground.settle(&cameras, &covered, &mut seen);
+            let off = |seen: &Seen, i: usize| {
+                let (d, _) = truth(i, &cameras.intrinsics, slope);
+                (f64::from(seen.inverse_depth[i]) / d).ln().abs()
+            };
+            let (mut bad, mut better) = (0.0, 0.0);
+            for i in 0..PIXELS {
+                let (d, on_ground) = truth(i, &cameras.intrinsics, slope);
+                match (on_ground, i % 11 == 0) {
+                    (true, true) => {
+                        assert!(off(&seen[2], i) < 0.03 && seen[2].support[i] > 0.0);
+                    }
+                    (true, false) if i % 3 > 0 => {
+                        bad += off(&before, i);
+                        better += off(&seen[2], i);
+                    }
+                    // What is known well stays, be it on the ground or not.
+                    (_, false) => assert!(off(&seen[2], i) < 0.004, "{i}: {d}"),
+                    (false, true) => {}
+                }
+            }
+            assert!(better < 0.35 * bad, "{better}, before {bad}");
+        }
+    }
+
+    #[test]
+    fn a_wall_a_table_and_a_mover_are_no_ground() {
+        let (cameras, mut covered) = (cameras(STEP), nothing_moves());
+        let of = |d: &dyn Fn(usize) -> f64| {
+            let mut all = seen(0.0);
+            for seen in &mut all {
+                seen.support.fill(1.0);
+                for i in 0..PIXELS {
+                    seen.inverse_depth[i] = d(i) as f32;
+                }
+            }
+            all
+        };
+        let k = cameras.intrinsics;
+        let wall = of(&|_| 0.25);
+        assert!(Ground::find(&cameras, &covered, &wall).is_none(), "a wall");
+        // Beside the table one sees the wall behind and below it.
+        let table = |i: usize| {
+            let ray = k.ray(middle_of(i, &k));
+            if ray.x.abs() < 0.12 && ray.y > 0.0 { ray.y / ABOVE } else { 1.0 / BACK }
+        };
+        assert!(Ground::find(&cameras, &covered, &of(&table)).is_none(), "a table");
+        assert!(Ground::find(&cameras, &covered, &seen(0.0)).is_some());
+        covered.iter_mut().for_each(|covered| covered.fill(true));
+        assert!(Ground::find(&cameras, &covered, &seen(0.0)).is_none(), "a mover");
+        assert!(Ground::find(&cameras, &nothing_moves(), &of(&|_| 0.0)).is_none(), "nothing");
+    }
+}
