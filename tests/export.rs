@@ -510,6 +510,17 @@ fn the_compact_scene_is_small_and_looks_the_same() {
         let info = json(folder.path(), "info small.safetensors");
         assert_eq!((&info["gaussians"], &info["path_keys"]), (&700.into(), &6.into()));
     }
+    // The canonical places of what moves may lie far off.
+    let mut far = moving(1);
+    far.control_points.positions.iter_mut().for_each(|place| place[0] += 100.0);
+    far.control_points.paths.iter_mut().for_each(|motion| motion[0] -= 100.0);
+    let g = &mut far.gaussians;
+    let moves = g.motion_logits.iter().map(|logit| *logit > 0.0);
+    g.positions.iter_mut().zip(moves).filter(|(_, m)| *m).for_each(|(place, _)| place[0] += 100.0);
+    far.save(at("far.safetensors")).unwrap();
+    let answer = json(folder.path(), "export far.safetensors -o small.safetensors --compact");
+    println!("far: {}", answer["compact"]);
+    assert!(answer["compact"]["psnr"].as_f64() > Some(45.0));
     // Bands that nothing is in are left out, whatever the plain form has.
     let mut g = cloud(2);
     g.sh.chunks_exact_mut(9).for_each(|rows| rows[1..].fill([0.0; 3]));

@@ -29,7 +29,7 @@ const WARM_UP: u32 = 5;
 const AFTER_HELP: &str = "\
 Reconstructs the clip with everything, then with one component off at a time, poses unknown each time:
   motion            everything is static
-  selection         the masks decide beforehand which Gaussians move
+  windows           what moves has one set of Gaussians for the whole clip, however its look changes
   control-revision  no control points are added or removed in training
   blending          each Gaussian follows one control point
   arap              nothing keeps the control points' motion as rigid as possible

@@ -32,9 +32,9 @@ pub const COMPONENTS: [Component; 17] = [
         switch: Train(|settings| settings.least_dynamic_share = f64::INFINITY),
     },
     Component {
-        name: "selection",
-        without: "the masks decide beforehand which Gaussians move",
-        switch: Train(|settings| settings.train_selection = false),
+        name: "windows",
+        without: "what moves has one set of Gaussians for the whole clip, however its look changes",
+        switch: Train(|settings| settings.windows = false),
     },
     Component {
         name: "control-revision",

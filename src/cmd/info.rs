@@ -5,8 +5,9 @@ use std::path::PathBuf;
 
 use clap::Args;
 use serde_json::{Value, json};
+use splat4d::Result;
 use splat4d::scene::{Opened, Scene};
-use splat4d::{Result, types::NetShape};
+use splat4d::types::{Gaussians, NetShape};
 
 use super::common::{Answer, thousands};
 
@@ -42,7 +43,7 @@ pub fn dynamic_share(scene: &Scene) -> f64 {
 pub fn run(args: &InfoArgs) -> Result<Answer> {
     let Opened { scene, dropped } = Scene::open(&args.scene, args.drop_bad)?;
     let g = &scene.gaussians;
-    let bounds = bounding_box(&g.positions);
+    let bounds = bounding_box(g);
     let network = scene.network.as_ref().map(|network| {
         let NetShape { depth, width, skip, .. } = network.shape;
         let NetShape { position_frequencies, time_frequencies, position_octave, .. } =
@@ -114,9 +115,15 @@ pub fn run(args: &InfoArgs) -> Result<Answer> {
     Ok(Answer { json, text })
 }
 
-fn bounding_box(positions: &[[f32; 3]]) -> Option<[[f32; 3]; 2]> {
-    let first = *positions.first()?;
-    Some(positions.iter().fold([first, first], |[low, high], p| {
+/// Of what stands still, or of all where nothing does: the canonical places of what moves may be anywhere.
+fn bounding_box(g: &Gaussians) -> Option<[[f32; 3]; 2]> {
+    let moves = |i: &usize| g.motion_logits.get(*i).is_some_and(|logit| *logit > 0.0);
+    let mut chosen: Vec<usize> = (0..g.len()).filter(|i| !moves(i)).collect();
+    if chosen.is_empty() {
+        chosen = (0..g.len()).collect();
+    }
+    let first = g.positions[*chosen.first()?];
+    Some(chosen.iter().map(|i| g.positions[*i]).fold([first, first], |[low, high], p| {
         [std::array::from_fn(|k| low[k].min(p[k])), std::array::from_fn(|k| high[k].max(p[k]))]
     }))
 }

@@ -178,7 +178,25 @@ fn motion(scene: &Scene, track: &Track, settings: &SequenceSettings) -> Vec<Choi
         }
         false => Choice::new("key times of a path", keys.to_string(), "one for each frame"),
     };
-    vec![motion, count, keys, lifespans(points)]
+    let windows = scene.report["windows"].as_u64().unwrap_or(1);
+    match windows {
+        1 => vec![motion, windows_of(windows, frames), count, keys, lifespans(points)],
+        // All that moves comes and goes, with its window.
+        _ => vec![motion, windows_of(windows, frames), count, keys],
+    }
+}
+
+/// Into how many stretches of frames a clip was cut, in which what moves has Gaussians of its own.
+fn windows_of(windows: u64, frames: usize) -> Choice {
+    match windows {
+        1 => Choice::new("windows", "one", "what moves looks alike throughout, or nearly so")
+            .saving("Gaussians of its own for each stretch of the clip"),
+        _ => Choice::new(
+            "windows",
+            format!("{windows}, of {} frames each", frames as u64 / windows),
+            "the look of what moves changes within a few frames",
+        ),
+    }
 }
 
 fn lifespans(points: &ControlPoints) -> Choice {

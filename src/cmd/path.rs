@@ -4,7 +4,7 @@ use glam::{DVec3, Vec3};
 use splat4d::data::transforms::TimedCamera;
 use splat4d::geometry::look_at;
 use splat4d::scene::Scene;
-use splat4d::types::{Camera, Intrinsics};
+use splat4d::types::{Camera, Gaussians, Intrinsics};
 use splat4d::{Error, Result};
 
 /// Size of pictures of a scene without cameras.
@@ -169,13 +169,18 @@ fn middle_camera(scene: &Scene) -> Option<Camera> {
     cameras.min_by(|a, b| distance(a).total_cmp(&distance(b)))
 }
 
-/// Median depth of the opaque Gaussians that a camera sees; 1 where it sees none.
+/// Whether a Gaussian stands still: the canonical places of those that move may be anywhere.
+fn stands_still(g: &Gaussians, i: usize) -> bool {
+    g.motion_logits.get(i).is_none_or(|logit| *logit <= 0.0)
+}
+
+/// Median depth of the opaque Gaussians that a camera sees, of those that stand still; 1 where it sees none.
 fn typical_depth(scene: &Scene, camera: &Camera) -> f64 {
     let k = &camera.intrinsics;
     let g = &scene.gaussians;
     let near = f64::from(scene.settings.near);
     let mut depths: Vec<f64> = (0..g.len())
-        .filter(|&i| g.opacity_logits[i] > 0.0)
+        .filter(|&i| g.opacity_logits[i] > 0.0 && stands_still(g, i))
         .map(|i| camera.view_from_world.apply(Vec3::from_array(g.positions[i]).as_dvec3()))
         .filter(|p| {
             let pixel = k.project(*p);
@@ -231,7 +236,7 @@ struct Circle {
 impl Circle {
     fn around(scene: &Scene) -> Circle {
         let g = &scene.gaussians;
-        let solid = |i: &usize| g.opacity_logits[*i] > 0.0;
+        let solid = |i: &usize| g.opacity_logits[*i] > 0.0 && stands_still(g, *i);
         let mut chosen: Vec<usize> = (0..g.len()).filter(solid).collect();
         if chosen.is_empty() {
             chosen = (0..g.len()).collect();
@@ -306,7 +311,7 @@ pub fn resized(k: &Intrinsics, width: u32, height: u32) -> Intrinsics {
 mod tests {
     use super::*;
     use splat4d::scene::SceneCamera;
-    use splat4d::types::{Gaussians, Pose};
+    use splat4d::types::Pose;
 
     fn wall(depth: f32) -> Scene {
         let positions: Vec<[f32; 3]> = (0..121)

@@ -63,7 +63,8 @@ With --view only this machine reaches the page; with --host the machines that re
 the page's address then holds a random token. The page changes nothing of the scene that comes out.
 
 JSON: psnr_input, ssim_input, gaussians, control_points,
-control_points_added and control_points_removed (in training), broken_gradients (values that were not
+control_points_added and control_points_removed (in training), windows (into which the clip was cut, so that
+what moves has Gaussians of its own in each; null where nothing moves), broken_gradients (values that were not
 a number or infinite and were left out), dynamic_share (of the pixels),
 dynamic_gaussians (share), intrinsics {fx, fy, cx, cy, width, height, source (given,
 measured, assumed)}, lens (by which the frames were undistorted: {k1, fx, fy, cx, cy, width, height};
@@ -308,6 +309,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
         "control_points": scene.control_points.len(),
         "control_points_added": trained["control_points_added"],
         "control_points_removed": trained["control_points_removed"],
+        "windows": trained["windows"],
         "broken_gradients": trained["broken_gradients"],
         "dynamic_share": found.dynamic_share,
         "dynamic_gaussians": dynamic_share(&scene),

@@ -15,7 +15,8 @@
 //! | `gaussians.opacity` | 1/255 |
 //! | `gaussians.sh` | one level of an 8-bit colour for the constant, 1/64 for the rest |
 //! | `gaussians.motion_logit` | what moves alone: −10 or 10 |
-//! | `control_points.path`, `network.*` | halves |
+//! | `control_points.path` | halves, or floats where a half would be off by a quarter of such a size |
+//! | `network.*` | halves |
 //!
 //! Harmonics of bands that are 0 throughout are left out, and the Gaussians lie along a Morton curve.
 
@@ -35,6 +36,8 @@ use crate::{Error, Result, io};
 pub(super) const VERSION: u32 = 3;
 /// Steps of a position in a Gaussian.
 const STEPS: f32 = 64.0;
+/// Motions may be off by so many of these.
+const MOTION_STEPS: f32 = 16.0;
 /// Of log scales.
 const SCALE_STEP: f32 = 1.0 / 32.0;
 /// Of the parts of a unit quaternion.
@@ -117,10 +120,18 @@ fn steps(tensor: &Tensor<'_>, g: &Gaussians) -> Option<Rule> {
             let step = |c: usize| if c < 3 { CONSTANT_STEP } else { HARMONIC_STEP };
             Rule::Steps((0..columns).map(step).collect())
         }
-        "control_points.path" => Rule::Half,
+        // Halves are too coarse for what is far from its canonical place.
+        "control_points.path" if half_error(tensor) <= MOTION_STEPS * place_step(g) => Rule::Half,
         name if name.starts_with("network.") => Rule::Half,
         _ => return None,
     })
+}
+
+/// By how much the largest value of a tensor may be off as a half.
+fn half_error(tensor: &Tensor<'_>) -> f32 {
+    let Values::F32(values) = &tensor.values else { return 0.0 };
+    let translations = values.chunks_exact(8).flat_map(|motion| &motion[..3]);
+    translations.fold(0.0f32, |far, v| far.max(v.abs())) / 2048.0
 }
 
 /// A share of the size of the smaller Gaussians, one of ten of which is smaller; no less than what 32

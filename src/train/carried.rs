@@ -2,6 +2,7 @@
 
 use super::seed::seed_from_points;
 use super::surface::{lay, normal};
+use super::windows::Window;
 use crate::data::Point;
 use crate::track::Track;
 use crate::types::Gaussians;
@@ -9,7 +10,7 @@ use glam::{DQuat, DVec2, DVec3};
 
 /// A Gaussian to be.
 pub(super) struct Seed {
-    /// In the canonical frame.
+    /// At its canonical place.
     point: Point,
     /// Where it was seen.
     frame: usize,
@@ -20,18 +21,19 @@ pub(super) struct Seed {
 }
 
 impl Seed {
-    /// A point in the world, of the object with number `owner`, that a frame shows in a pixel; `None`
-    /// where nothing carries it to the canonical frame.
+    /// A point in the world, of the object with number `owner`, that a frame shows in a pixel, in a
+    /// window; `None` where nothing carries it to the window's canonical frame.
     pub fn new(
         track: &Track,
+        window: &Window,
         frame: usize,
         pixel: DVec2,
         owner: usize,
         point: DVec3,
         colour: [f32; 3],
     ) -> Option<Seed> {
-        let canonical = track.scaffold.canonical;
-        let (position, turned) = track.scaffold.carry(owner, point, frame, canonical)?;
+        let (place, turned) = track.scaffold.carry(owner, point, frame, window.canonical)?;
+        let position = place + window.offset;
         position.is_finite().then(|| Seed {
             point: Point { position: position.as_vec3().to_array(), colour },
             frame,

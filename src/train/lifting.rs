@@ -1,5 +1,6 @@
 //! Where the nodes of a tracked clip's scaffold are at every frame: what control points start from.
 
+use super::windows::Window;
 use crate::track::Track;
 use crate::track::scaffold::Node;
 pub(super) use crate::track::scaffold::value;
@@ -13,25 +14,29 @@ pub(super) fn camera(track: &Track, frame: usize) -> Camera {
     Camera { intrinsics: track.intrinsics, view_from_world: track.view_from_world[frame] }
 }
 
-/// A node's motions from the canonical frame at so many even times over the frames, as
-/// [`ControlPoints::paths`] has them.
-pub(super) fn path(node: &Node, canonical: usize, keys: usize) -> Vec<[f32; 8]> {
+/// A node's motions from its canonical place in a window at so many even times over the frames, as
+/// [`ControlPoints::paths`] has them: absent outside the window's frames and, with `lifespans`, when the
+/// node is.
+pub(super) fn path(node: &Node, window: &Window, keys: usize, lifespans: bool) -> Vec<[f32; 8]> {
     let poses = &node.world_from_node;
-    let (last, origin) = (poses.len() - 1, poses[canonical]);
+    let (last, origin) = (poses.len() - 1, poses[window.canonical]);
+    let place = window.place(node);
+    let is_there =
+        |frame| window.frames.contains(&frame) && (!lifespans || node.alive.contains(&frame));
     let mut before = glam::DQuat::IDENTITY;
     (0..keys)
         .map(|key| {
-            let place = last as f64 * key as f64 / (keys.max(2) - 1) as f64;
-            let frame = (place as usize).min(last);
+            let moment = last as f64 * key as f64 / (keys.max(2) - 1) as f64;
+            let frame = (moment as usize).min(last);
             let next = (frame + 1).min(last);
-            let u = place - frame as f64;
-            let t = poses[frame].translation.lerp(poses[next].translation, u) - origin.translation;
+            let u = moment - frame as f64;
+            let t = poses[frame].translation.lerp(poses[next].translation, u) - place;
             let turned = poses[frame].rotation.slerp(poses[next].rotation, u);
             let q = turned * origin.rotation.conjugate();
             // Of the two quaternions of a rotation the one on the side of the key before.
             let q = if q.dot(before) < 0.0 { -q } else { q };
             before = q;
-            let alive = node.alive.contains(&frame) || (u > 0.0 && node.alive.contains(&next));
+            let alive = is_there(frame) || (u > 0.0 && is_there(next));
             let fade = if alive { 0.0 } else { f64::from(ControlPoints::ABSENT) };
             let motion = [t.x, t.y, t.z, fade, q.w - 1.0, q.x, q.y, q.z];
             motion.map(|v| v as f32)
@@ -41,6 +46,7 @@ pub(super) fn path(node: &Node, canonical: usize, keys: usize) -> Vec<[f32; 8]> 
 
 #[cfg(test)]
 mod tests {
+    use super::super::windows::Holds;
     use super::*;
     use crate::types::Pose;
     use glam::{DQuat, DVec3};
@@ -54,14 +60,25 @@ mod tests {
             spacing: 0.1,
             alive: 3..6,
         };
-        let fades = |keys: usize| -> Vec<f32> {
-            let path = path(&node, 4, keys);
+        let window = |frames| Window {
+            frames,
+            canonical: 4,
+            offset: DVec3::new(7.0, 0.0, 0.0),
+            holds: Holds::All,
+        };
+        let fades = |frames, keys: usize, lifespans| -> Vec<f32> {
+            let path = path(&node, &window(frames), keys, lifespans);
             path.iter().for_each(|key| assert!(key[0].is_finite() && key[1] == 0.0));
+            // From its canonical place, 7 to the right of where it is in frame 4.
+            assert_eq!((path[0][0], path[keys - 1][0]), (-11.0, -3.0));
             path.iter().map(|key| key[3]).collect()
         };
         let gone = ControlPoints::ABSENT;
-        assert_eq!(fades(9), [gone, gone, gone, 0.0, 0.0, 0.0, gone, gone, gone]);
+        assert_eq!(fades(0..9, 9, true), [gone, gone, gone, 0.0, 0.0, 0.0, gone, gone, gone]);
         // A key between a frame in which it is there and one in which it is not.
-        assert_eq!(fades(4), [gone, 0.0, 0.0, gone]);
+        assert_eq!(fades(0..9, 4, true), [gone, 0.0, 0.0, gone]);
+        // Nor outside its window.
+        assert_eq!(fades(4..9, 9, true)[..5], [gone, gone, gone, gone, 0.0]);
+        assert_eq!(fades(4..9, 9, false), [gone, gone, gone, gone, 0.0, 0.0, 0.0, 0.0, 0.0]);
     }
 }

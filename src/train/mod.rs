@@ -7,6 +7,7 @@
 //! | [`region`] | points where there are none |
 //! | [`scale`] | what a training takes of a device's memory, before it begins |
 //! | [`sampling`] | farthest-point sampling, for control points |
+//! | `windows` | stretches of a clip in which what moves has Gaussians and control points of its own |
 //! | `carried` | Gaussians seeded on what moves: points of a frame in the canonical one |
 //! | `movers` | the first Gaussians on what moves |
 //! | `shadow` | Gaussians for the shadows of movers |
@@ -80,6 +81,8 @@ pub mod state;
 mod surface;
 pub mod trainer;
 pub mod views;
+#[cfg(feature = "reconstruct")]
+mod windows;
 
 pub use motion::MotionStart;
 #[cfg(feature = "reconstruct")]

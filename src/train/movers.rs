@@ -1,10 +1,11 @@
 //! The first Gaussians on what moves.
 
-use super::carried::{Seed, gaussians};
+use super::carried::{self, Seed};
 use super::flank::{self, Flank, FlankPoint};
 use super::lifting::{MOVING, value};
 use super::sequence::{STRENGTH, Sequence, SequenceSettings, append, thinned};
 use super::shadow::seed_shadows;
+use super::windows::Window;
 use crate::track::Track;
 use crate::types::{Gaussians, Image};
 use glam::DVec2;
@@ -17,61 +18,92 @@ const FLANK_SPACING: f64 = 3.0;
 /// Of so many Gaussians one may be seeded on a shadow: shadows are smooth.
 const SHADOWS: usize = 40;
 
-/// Gaussians on the movers, brought back to the canonical frame from several frames, one per cell of
-/// a grid: on what the frames show, then on the flanks behind its outlines (for each frame, or none);
-/// and on shadows.
+/// Gaussians on the movers and on their shadows, in each of a clip's windows; with the flanks in each
+/// frame, or none.
 pub(super) fn seed_movers(
     sequence: Sequence<'_>,
+    windows: &[Window],
     flanks: &[Vec<Option<Flank>>],
     settings: &SequenceSettings,
 ) -> Gaussians {
+    let track = sequence.track;
+    // Where a window has no node nothing would carry what is seeded in it.
+    let is_carried = |window: &&Window| window.nodes(track).next().is_some();
+    let windows = || windows.iter().filter(is_carried);
+    let of_movers = windows().filter(|window| window.holds_movers());
+    let most = settings.max_gaussians / 3 / of_movers.clone().count().max(1);
+    let mut gaussians = Gaussians { sh_degree: settings.sh_degree, ..Gaussians::default() };
+    for window in of_movers {
+        let seeds = thinned(seeds(sequence, window, flanks), most);
+        append(&mut gaussians, &carried::gaussians(track, &seeds, settings.sh_degree));
+    }
+    for window in windows().filter(|window| window.holds_shadows()) {
+        let order = seeding_frames(window);
+        let most = settings.max_gaussians / SHADOWS;
+        let shadows = seed_shadows(track, window, &order, settings.sh_degree, most);
+        append(&mut gaussians, &shadows);
+    }
+    gaussians.motion_logits = vec![STRENGTH; gaussians.len()];
+    gaussians
+}
+
+/// Seeds on the movers, brought back to a window's canonical frame from several of its frames, one per
+/// cell of a grid: on what the frames show, then on the flanks behind its outlines.
+fn seeds(sequence: Sequence<'_>, window: &Window, flanks: &[Vec<Option<Flank>>]) -> Vec<Seed> {
     let (track, frames) = (sequence.track, sequence.frames);
-    let order = seeding_frames(frames.len(), track.scaffold.canonical);
+    let order = seeding_frames(window);
     let pixel_size = depth_of_movers(track) / track.intrinsics.fx;
     let cell = |seed: &Seed| seed.cell(SPACING * pixel_size);
     let flank_cell = |seed: &Seed| seed.cell(FLANK_SPACING * pixel_size);
     let (mut taken, mut taken_by_flanks) = (HashSet::new(), HashSet::new());
     let mut seeds = Vec::new();
     for &frame in &order {
-        let free = fronts(track, frame, &frames[frame]).filter(|seed| taken.insert(cell(seed)));
+        let fronts = fronts(track, window, frame, &frames[frame]);
+        let free = fronts.filter(|seed| taken.insert(cell(seed)));
         seeds.extend(free.map(|seed| seed.on_surface(track)));
     }
     for &frame in order.iter().filter(|frame| **frame < flanks.len()) {
         let flanks = flank::points(track, frame, &flanks[frame], FLANK_SPACING).into_iter();
         let flanks = flanks.filter_map(|FlankPoint { pixel, depth, colour, normal }| {
-            Some(seed(track, frame, pixel, depth, colour)?.facing(normal))
+            Some(seed(track, window, frame, pixel, depth, colour)?.facing(normal))
         });
         let free =
             |seed: &Seed| !taken.contains(&cell(seed)) && taken_by_flanks.insert(flank_cell(seed));
         seeds.extend(flanks.filter(free));
     }
-    let seeds = thinned(seeds, settings.max_gaussians / 3);
-    let mut gaussians = gaussians(track, &seeds, settings.sh_degree);
-    let most = settings.max_gaussians / SHADOWS;
-    let shadows = seed_shadows(track, &order, settings.sh_degree, most);
-    append(&mut gaussians, &shadows);
-    gaussians.motion_logits = vec![STRENGTH; gaussians.len()];
-    gaussians
+    seeds
 }
 
 /// What a frame shows of the movers.
-fn fronts<'a>(track: &'a Track, frame: usize, image: &'a Image) -> impl Iterator<Item = Seed> + 'a {
+fn fronts<'a>(
+    track: &'a Track,
+    window: &'a Window,
+    frame: usize,
+    image: &'a Image,
+) -> impl Iterator<Item = Seed> + 'a {
     let (mask, depth) = (&track.masks[frame], &track.depth[frame]);
     let pixels = (0..mask.height).flat_map(|y| (0..mask.width).map(move |x| (x, y)));
     let moving = pixels.filter(|(x, y)| mask.at(*x, *y)[0] > MOVING);
     moving.filter_map(move |(x, y)| {
         let pixel = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
         let c = image.at(x, y);
-        seed(track, frame, pixel, f64::from(depth.at(x, y)[0]), [c[0], c[1], c[2]])
+        seed(track, window, frame, pixel, f64::from(depth.at(x, y)[0]), [c[0], c[1], c[2]])
     })
 }
 
 /// A point of the mover that a pixel shows, at a depth.
-fn seed(track: &Track, frame: usize, pixel: DVec2, depth: f64, colour: [f32; 3]) -> Option<Seed> {
+fn seed(
+    track: &Track,
+    window: &Window,
+    frame: usize,
+    pixel: DVec2,
+    depth: f64,
+    colour: [f32; 3],
+) -> Option<Seed> {
     let world_from_view = track.view_from_world[frame].inverse();
     let point = world_from_view.apply(track.intrinsics.ray(pixel) * depth);
     let owner = value(&track.owners[frame], pixel) as usize;
-    Seed::new(track, frame, pixel, owner, point, colour)
+    Seed::new(track, window, frame, pixel, owner, point, colour)
 }
 
 /// The mean depth of what moves in the canonical frame.
@@ -82,8 +114,8 @@ fn depth_of_movers(track: &Track) -> f64 {
     f64::from(depths.iter().sum::<f32>() / depths.len().max(1) as f32)
 }
 
-/// The frames that movers are seeded from: the canonical one, then some evenly.
-fn seeding_frames(count: usize, canonical: usize) -> Vec<usize> {
-    let every = count.div_ceil(8).max(1);
-    std::iter::once(canonical).chain((0..count).step_by(every)).collect()
+/// The frames of a window that it is seeded from: the canonical one, then some evenly.
+fn seeding_frames(window: &Window) -> Vec<usize> {
+    let every = window.frames.len().div_ceil(8).max(1);
+    std::iter::once(window.canonical).chain(window.frames.clone().step_by(every)).collect()
 }

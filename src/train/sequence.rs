@@ -29,7 +29,8 @@ use super::settings::{
 };
 use super::surface::{lay, normal};
 use super::trainer::Trainer;
-use super::views::TrainingView;
+use super::views::{TrainingView, reach};
+use super::windows::{Window, windows};
 use crate::data::Point;
 use crate::gpu::Device;
 use crate::scene::{Scene, SceneCamera};
@@ -55,8 +56,12 @@ pub struct SequenceSettings {
     pub neighbours: usize,
     /// Highest degree of the spherical harmonics.
     pub sh_degree: u32,
-    /// Whether it is trained which Gaussians move; else the masks decide once, beforehand.
+    /// Whether it is trained which Gaussians move, where a clip is one window; else the masks decide
+    /// once, beforehand.
     pub train_selection: bool,
+    /// Whether a clip in which the look of movers changes much is cut into windows, in each of which what
+    /// moves has Gaussians and control points of its own.
+    pub windows: bool,
     /// Whether control points are added and removed in training; else it begins with all of them.
     pub revise_control: bool,
     /// Weight of the as-rigid-as-possible energy of the control points; 0 leaves it out.
@@ -152,7 +157,8 @@ impl Default for SequenceSettings {
             control_points: 256,
             neighbours: 4,
             sh_degree: 1,
-            train_selection: true,
+            train_selection: false,
+            windows: true,
             revise_control: true,
             arap_weight: MotionSettings::default().arap_weight,
             grow: true,
@@ -181,7 +187,7 @@ pub struct Sequence<'a> {
 /// Trains a scene on a tracked clip, from the beginning or from a checkpoint of the same clip and
 /// settings. The scene is in the unit of the supplied poses, where there are any ([`Track::unit`]). The scene's report says how many control points were added and removed in the last phase,
 /// `control_points_added` and `control_points_removed`, and how many of its gradients were not finite and
-/// so left out, `broken_gradients`.
+/// so left out, `broken_gradients`; where something moves also into how many windows the clip was cut, `windows`.
 ///
 /// # Errors
 /// [`Error::Input`] when the clip has no static point to begin with, or the checkpoint is of another
@@ -242,7 +248,8 @@ pub fn first_gaussians(sequence: Sequence<'_>, settings: &SequenceSettings) -> G
     if moves(sequence.track, settings) {
         gaussians.motion_logits = vec![-STRENGTH; gaussians.len()];
         let flanks = flanks_of(sequence, settings);
-        append(&mut gaussians, &seed_movers(sequence, &flanks, settings));
+        let windows = windows(sequence, settings);
+        append(&mut gaussians, &seed_movers(sequence, &windows, &flanks, settings));
     }
     gaussians
 }
@@ -303,7 +310,12 @@ fn fit_moving(
     resume: Option<Checkpoint>,
     observer: &mut dyn Observer,
 ) -> Result<Scene> {
-    let train = joint_settings(settings);
+    let windows = windows(sequence, settings);
+    let mut train = joint_settings(settings);
+    if windows.len() > 1 {
+        // What was seeded in a window does not stand still at its canonical place.
+        train.motion.selection = None;
+    }
     let flanks = flanks_of(sequence, settings);
     // Not before they are needed: the static world is trained on views of its own.
     let all = || views(sequence, settings, &flanks, |_| 1.0);
@@ -311,10 +323,12 @@ fn fit_moving(
         Some(Checkpoint::Joint(state)) => Trainer::resume(device, &all(), state, train)?,
         earlier => {
             let mut gaussians = static_world(device, sequence, seeds, settings, earlier, observer)?;
-            append(&mut gaussians, &seed_movers(sequence, &flanks, settings));
-            let points = control_points(sequence, settings)?;
+            let views = all();
+            let reach = reach(&views, &gaussians);
+            append(&mut gaussians, &seed_movers(sequence, &windows, &flanks, settings));
+            let points = control_points(sequence, &windows, settings)?;
             let start = MotionStart { points, network: None, neighbours: settings.neighbours };
-            Trainer::new(device, &all(), &gaussians, Some(&start), train)?
+            Trainer::with_reach(device, &views, &gaussians, Some(&start), train, reach)?
         }
     };
     run(&mut trainer, Phase::Joint, observer, Checkpoint::Joint)?;
@@ -324,6 +338,7 @@ fn fit_moving(
     }
     scene.neighbours = settings.neighbours.min(scene.control_points.len()) as u32;
     scene.report = report(&mut trainer)?;
+    scene.report["windows"] = json!(windows.iter().filter(|w| w.holds_movers()).count());
     Ok(scene)
 }
 
@@ -483,21 +498,30 @@ pub(super) fn report(trainer: &mut Trainer) -> Result<Value> {
     }))
 }
 
-/// Control points spread over the nodes of the scaffold, with these nodes' paths.
-fn control_points(sequence: Sequence<'_>, settings: &SequenceSettings) -> Result<ControlPoints> {
-    let scaffold = &sequence.track.scaffold;
-    let place = |node: &Node| node.world_from_node[scaffold.canonical].translation;
-    let canonical: Vec<[f32; 3]> =
-        scaffold.nodes.iter().map(|node| place(node).as_vec3().to_array()).collect();
+/// Control points spread over the nodes of the scaffold in each window, with these nodes' paths.
+fn control_points(
+    sequence: Sequence<'_>,
+    windows: &[Window],
+    settings: &SequenceSettings,
+) -> Result<ControlPoints> {
+    let track = sequence.track;
+    let keys = settings.keys(sequence.frames.len());
     let most = settings.control_points;
     let count = if settings.revise_control { first_control_points(most) } else { most };
-    let count = count.min(canonical.len());
-    let (mut points, chosen) = spread(&canonical, count, settings.seed)?;
-    let keys = settings.keys(sequence.frames.len());
-    let mut paths: Vec<Vec<[f32; 8]>> =
-        chosen.iter().map(|&k| path(&scaffold.nodes[k], scaffold.canonical, keys)).collect();
-    if !settings.lifespans {
-        paths.iter_mut().flatten().for_each(|motion| motion[3] = 0.0);
+    let taken: Vec<Vec<&Node>> =
+        windows.iter().map(|window| window.nodes(track).collect()).collect();
+    let all: usize = taken.iter().map(Vec::len).sum();
+    let mut points = ControlPoints::default();
+    let mut paths: Vec<Vec<[f32; 8]>> = Vec::new();
+    for (window, nodes) in windows.iter().zip(&taken) {
+        let places: Vec<[f32; 3]> =
+            nodes.iter().map(|node| window.place(node).as_vec3().to_array()).collect();
+        // As many as its share of all nodes; what is seeded in a window follows one at least.
+        let count = (count * nodes.len() / all.max(1)).max(1).min(nodes.len());
+        let (own, chosen) = spread(&places, count, settings.seed)?;
+        points.positions.extend(own.positions);
+        points.log_radii.extend(own.log_radii);
+        paths.extend(chosen.iter().map(|&k| path(nodes[k], window, keys, settings.lifespans)));
     }
     points.paths = (0..keys).flat_map(|key| paths.iter().map(move |path| path[key])).collect();
     Ok(points)

@@ -6,6 +6,7 @@
 
 use super::carried::{Seed, gaussians};
 use super::sequence::thinned;
+use super::windows::Window;
 use crate::track::Track;
 use crate::types::Gaussians;
 use glam::DVec2;
@@ -18,9 +19,11 @@ const SPACING: f64 = 5.0;
 /// The weights of Gaussians that are as wide as far from each other add up to 2π.
 const OVERLAP: f32 = std::f32::consts::TAU;
 
-/// Gaussians on the shadows, brought back to the canonical frame from some frames, at most `most`.
+/// Gaussians on the shadows in a window, brought back to its canonical frame from some frames, at most
+/// `most`.
 pub(super) fn seed_shadows(
     track: &Track,
+    window: &Window,
     frames: &[usize],
     sh_degree: u32,
     most: usize,
@@ -39,7 +42,7 @@ pub(super) fn seed_shadows(
             let pixel = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
             let ground = track.lift(frame, pixel);
             let here = ground + BEFORE * (centre - ground);
-            let seed = Seed::new(track, frame, pixel, owner as usize, here, [0.0; 3]);
+            let seed = Seed::new(track, window, frame, pixel, owner as usize, here, [0.0; 3]);
             let size = SPACING * view_from_world.apply(here).z / track.intrinsics.fx;
             if let Some(seed) = seed.filter(|seed| taken.insert(seed.cell(size))) {
                 seeds.push(seed.on_surface(track));
