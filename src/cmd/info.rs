@@ -10,6 +10,7 @@ use splat4d::scene::{Opened, Scene};
 use splat4d::types::{Gaussians, NetShape};
 
 use super::common::{Answer, thousands};
+use super::path::stands_still;
 
 const AFTER_HELP: &str = "\
 Example:
@@ -117,8 +118,7 @@ pub fn run(args: &InfoArgs) -> Result<Answer> {
 
 /// Of what stands still, or of all where nothing does: the canonical places of what moves may be anywhere.
 fn bounding_box(g: &Gaussians) -> Option<[[f32; 3]; 2]> {
-    let moves = |i: &usize| g.motion_logits.get(*i).is_some_and(|logit| *logit > 0.0);
-    let mut chosen: Vec<usize> = (0..g.len()).filter(|i| !moves(i)).collect();
+    let mut chosen: Vec<usize> = (0..g.len()).filter(|i| stands_still(g, *i)).collect();
     if chosen.is_empty() {
         chosen = (0..g.len()).collect();
     }

@@ -170,7 +170,7 @@ fn middle_camera(scene: &Scene) -> Option<Camera> {
 }
 
 /// Whether a Gaussian stands still: the canonical places of those that move may be anywhere.
-fn stands_still(g: &Gaussians, i: usize) -> bool {
+pub fn stands_still(g: &Gaussians, i: usize) -> bool {
     g.motion_logits.get(i).is_none_or(|logit| *logit <= 0.0)
 }
 

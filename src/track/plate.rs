@@ -388,7 +388,8 @@ const SHADE: (f32, f32) = (0.25, 0.93);
 /// Log odds of a shadow against nothing.
 const SHADE_COST: f32 = 0.5;
 
-fn centre(i: usize, w: usize) -> DVec2 {
+/// The centre of a pixel of a picture that is so wide.
+pub(super) fn centre(i: usize, w: usize) -> DVec2 {
     DVec2::new((i % w) as f64 + 0.5, (i / w) as f64 + 0.5)
 }
 

@@ -5,7 +5,7 @@
 //! takes the same steps as what casts it. So a shadow gets nodes of its own in the scaffold, on the ground
 //! that it falls on.
 
-use glam::{DQuat, DVec2, DVec3};
+use glam::{DMat3, DQuat, DVec2, DVec3};
 use nalgebra::{Matrix3, SymmetricEigen};
 use rayon::prelude::*;
 
@@ -211,14 +211,17 @@ fn nodes(
 fn normal(points: impl Iterator<Item = DVec3> + Clone) -> DVec3 {
     let count = points.clone().count().max(1) as f64;
     let mean = points.clone().sum::<DVec3>() / count;
-    let mut spread = Matrix3::<f64>::zeros();
+    let mut spread = DMat3::ZERO;
     for off in points.map(|point| point - mean) {
-        let off = nalgebra::Vector3::new(off.x, off.y, off.z);
-        spread += off * off.transpose();
+        spread += DMat3::from_cols(off * off.x, off * off.y, off * off.z);
     }
-    let eigen = SymmetricEigen::new(spread);
-    let least = eigen.eigenvalues.imin();
-    let v = eigen.eigenvectors.column(least);
+    least(spread)
+}
+
+/// The unit vector along which a spread, a symmetric matrix, is least.
+pub(super) fn least(spread: DMat3) -> DVec3 {
+    let eigen = SymmetricEigen::new(Matrix3::from_column_slice(&spread.to_cols_array()));
+    let v = eigen.eigenvectors.column(eigen.eigenvalues.imin());
     DVec3::new(v[0], v[1], v[2])
 }
 

@@ -244,6 +244,8 @@ pub fn fit_sequence(
 /// many tiles they reach tells what memory the training of dense ones takes
 /// ([`TrainingScale::intersections`]).
 pub fn first_gaussians(sequence: Sequence<'_>, settings: &SequenceSettings) -> Gaussians {
+    let frames = sequence.track.prepared(sequence.frames);
+    let sequence = Sequence { frames: &frames, ..sequence };
     let mut gaussians = seed_static(sequence.track, settings);
     if moves(sequence.track, settings) {
         gaussians.motion_logits = vec![-STRENGTH; gaussians.len()];

@@ -85,11 +85,7 @@ pub(super) fn windows(sequence: Sequence<'_>, settings: &SequenceSettings) -> Ve
     let (track, frames) = (sequence.track, sequence.frames.len());
     let count =
         (frames / LENGTH).min(first_control_points(settings.control_points) / LEAST_CONTROL_POINTS);
-    if settings.windows
-        && std::env::var("NOWIN").is_err()
-        && count > 1
-        && change_of_look(sequence) > CHANGE
-    {
+    if settings.windows && count > 1 && change_of_look(sequence) > CHANGE {
         cut(&track.scaffold, frames, count)
     } else {
         vec![Window {
@@ -146,9 +142,7 @@ fn change_of_look(sequence: Sequence<'_>) -> f64 {
                     continue;
                 }
                 let pixel = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
-                let depth = f64::from(track.depth[from].at(x, y)[0]);
-                let point = track.intrinsics.ray(pixel) * depth;
-                let point = track.view_from_world[from].inverse().apply(point);
+                let point = track.lift(from, pixel);
                 let owner = owners.at(x, y)[0] as usize;
                 let Some((point, _)) = track.scaffold.carry(owner, point, from, to) else {
                     continue;

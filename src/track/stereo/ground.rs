@@ -9,17 +9,17 @@
 //! The plane is found by random samples of three points (RANSAC: Fischler and Bolles 1981) and fitted by
 //! iteratively reweighted least squares.
 
-use glam::{DMat3, DVec2, DVec3};
-use nalgebra::{Matrix3, SymmetricEigen};
+use glam::{DMat3, DVec3};
 use rand::SeedableRng;
 use rand::seq::index::sample;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use super::super::cameras::Cameras;
+use super::super::plate::centre;
 use super::super::quantile;
 use super::super::residual::Seen;
-use crate::types::Intrinsics;
+use super::super::shade::least;
 
 /// At most so many points of all frames tell the plane.
 const POINTS: usize = 20_000;
@@ -152,6 +152,7 @@ impl Ground {
     /// themselves.
     pub fn settle(&self, cameras: &Cameras, covered: &[Vec<bool>], seen: &mut [Seen]) {
         let k = &cameras.intrinsics;
+        let width = k.width as usize;
         seen.par_iter_mut().zip(covered).zip(&cameras.poses).for_each(|((seen, covered), pose)| {
             let height = self.normal.dot(pose.inverse().translation) - self.level;
             if height <= 0.0 {
@@ -159,7 +160,7 @@ impl Ground {
             }
             let down = pose.rotation * -self.normal / height;
             for i in (0..covered.len()).filter(|i| !covered[*i]) {
-                let ground = down.dot(k.ray(middle_of(i, k)));
+                let ground = down.dot(k.ray(centre(i, width)));
                 let own = f64::from(seen.inverse_depth[i]);
                 let off = (own / ground).ln();
                 // Also false where either is not positive.
@@ -195,14 +196,10 @@ fn kernel(off: f64) -> f64 {
     (1.0 + off * off).powi(-2)
 }
 
-fn middle_of(i: usize, k: &Intrinsics) -> DVec2 {
-    let width = k.width as usize;
-    DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5)
-}
-
 /// What is measured, evenly over all frames.
 fn sights(cameras: &Cameras, covered: &[Vec<bool>], seen: &[Seen]) -> Vec<Sight> {
     let k = &cameras.intrinsics;
+    let width = k.width as usize;
     let per_frame = (POINTS / seen.len().max(1)).max(100);
     let of_frame = |frame: usize| {
         let (covered, seen) = (&covered[frame], &seen[frame]);
@@ -212,7 +209,7 @@ fn sights(cameras: &Cameras, covered: &[Vec<bool>], seen: &[Seen]) -> Vec<Sight>
         let known: Vec<usize> = (0..covered.len()).filter(is_known).collect();
         let every = known.len().div_ceil(per_frame).max(1);
         let sight = |i: &usize| {
-            let view = k.ray(middle_of(*i, k)) / f64::from(seen.inverse_depth[*i]);
+            let view = k.ray(centre(*i, width)) / f64::from(seen.inverse_depth[*i]);
             Sight { centre: world_from_view.translation, point: world_from_view.apply(view) }
         };
         known.iter().step_by(every).map(sight).collect::<Vec<_>>()
@@ -221,17 +218,11 @@ fn sights(cameras: &Cameras, covered: &[Vec<bool>], seen: &[Seen]) -> Vec<Sight>
     frames.into_iter().flatten().collect()
 }
 
-/// The direction in which a spread is least.
-fn least(spread: DMat3) -> DVec3 {
-    let eigen = SymmetricEigen::new(Matrix3::from_column_slice(&spread.to_cols_array()));
-    let v = eigen.eigenvectors.column(eigen.eigenvalues.imin());
-    DVec3::new(v[0], v[1], v[2])
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::super::sliding::{FRAMES, HEIGHT, STEP, WIDTH, cameras};
     use super::*;
+    use crate::types::Intrinsics;
 
     /// So far the cameras are above the ground.
     const ABOVE: f64 = 0.5;
@@ -241,7 +232,7 @@ mod tests {
     /// A pixel's true inverse depth: the ground up to a wall at the back; a box stands on the left. And whether
     /// it is the ground's.
     fn truth(i: usize, k: &Intrinsics, slope: f64) -> (f64, bool) {
-        let ray = k.ray(middle_of(i, k));
+        let ray = k.ray(centre(i, WIDTH as usize));
         // y points down; the ground rises to the right.
         let ground = (ray.y - slope * ray.x) / ABOVE;
         let box_ = if ray.x < -0.2 && ray.y < 0.3 { 1.0 / 2.5 } else { 0.0 };
@@ -332,7 +323,7 @@ mod tests {
         assert!(Ground::find(&cameras, &covered, &wall).is_none(), "a wall");
         // Beside the table one sees the wall behind and below it.
         let table = |i: usize| {
-            let ray = k.ray(middle_of(i, &k));
+            let ray = k.ray(centre(i, WIDTH as usize));
             if ray.x.abs() < 0.12 && ray.y > 0.0 { ray.y / ABOVE } else { 1.0 / BACK }
         };
         assert!(Ground::find(&cameras, &covered, &of(&table)).is_none(), "a table");
