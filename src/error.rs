@@ -110,7 +110,7 @@ pub enum Error {
     #[error("{0}")]
     Failed(String),
     /// The user asked to stop; the last checkpoint stays usable.
-    #[error("interrupted{}", .checkpoint.as_ref().map(|p| format!("; resume with --resume, the checkpoint is {}", shown(p))).unwrap_or_default())]
+    #[error("interrupted{}", .checkpoint.as_ref().map(|p| format!("; the run can be resumed from the checkpoint {}", shown(p))).unwrap_or_default())]
     Interrupted {
         /// The checkpoint to resume from, where one was written.
         checkpoint: Option<PathBuf>,

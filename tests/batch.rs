@@ -188,7 +188,7 @@ fn what_was_stopped_goes_on() {
     let said = stderr(&output);
     assert_eq!(output.status.code(), Some(130), "{said}");
     says(&said, &["stopping", "the same command goes on with one", "error: interrupted"]);
-    says(&log(), &["interrupted; resume with --resume"]);
+    says(&log(), &["interrupted; the run can be resumed", "give --resume"]);
     assert!(!at("out/one.done.json").exists() && at("out/batch.csv").is_file());
 
     // With other options the checkpoint is of no use, and does not stand in the way.

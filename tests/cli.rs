@@ -1146,7 +1146,7 @@ fn a_clip_with_cuts_is_no_error() {
     assert_eq!((&report["shot"], &report["frames"]), (&1.into(), &8.into()));
     assert_eq!(report["frame_names"][0], "05");
     let note = report["notes"][0].as_str().unwrap();
-    says(note, &["2 shots", "0 (frames 0 to 4)", "shot 1, the longest", "--shot N"]);
+    says(note, &["2 shots", "0 (frames 0 to 4)", "shot 1, the longest", "by its number"]);
     let said = fails(folder.path(), 1, "reconstruct cut -o x --shot 2");
     says(&said, &["no shot 2", "1 (frames 5 to 12)"]);
     let said = fails(folder.path(), 1, "track cut -o x --shot 0 --poses a/truth/poses.txt");

@@ -104,7 +104,7 @@ fn clip_of_a_folder() {
     assert!(Clip::open(&frames, &ClipOptions { every: 0, ..options }).is_err());
 
     fs::write(frames.join("f3.png"), b"\x89PNG\r\n\x1a\nbroken").unwrap();
-    says(&message(Clip::open(&frames, &options)), &["f3.png", "--skip-bad"]);
+    says(&message(Clip::open(&frames, &options)), &["f3.png", "skip_bad"]);
     let clip = Clip::open(&frames, &ClipOptions { skip_bad: true, ..options }).unwrap();
     assert_eq!(clip.frames.len(), 5);
     assert_eq!(clip.frames.iter().map(|f| f.number).collect::<Vec<_>>(), [0, 2, 3, 4, 5]);
@@ -126,7 +126,7 @@ fn bad_frames_of_a_folder_are_named() {
     let options = ClipOptions::default();
     let skip = ClipOptions { skip_bad: true, ..options };
     let refused = |name: &str| {
-        says(&message(Clip::open(folder.path(), &options)), &[name, "--skip-bad"]);
+        says(&message(Clip::open(folder.path(), &options)), &[name, "skip_bad"]);
         let clip = Clip::open(folder.path(), &skip).unwrap();
         assert_eq!(clip.frames.iter().map(|f| f.number).collect::<Vec<_>>(), [0, 1, 3, 4]);
         says(&clip.notes[0], &["skipped 1 of 5", name]);
@@ -212,7 +212,7 @@ fn damaged_videos_are_told() {
         bad[middle..middle + 40].iter_mut().for_each(|b| *b ^= 0x55);
         fs::write(&path, &bad).unwrap();
         let said = message(Clip::open(&path, &options));
-        says(&said, &[name, "of 48 frames are damaged or lost", "--skip-bad"]);
+        says(&said, &[name, "of 48 frames are damaged or lost", "skip_bad"]);
         let clip = Clip::open(&path, &skip).unwrap();
         assert!(clip.skipped > 0 && clip.frames.len() + clip.skipped == 48, "{name}");
         says(&clip.notes[0], &["of 48 frames are damaged", "left out"]);
@@ -225,7 +225,7 @@ fn damaged_videos_are_told() {
 
         // The end is missing.
         fs::write(&path, &bytes[..middle]).unwrap();
-        says(&message(Clip::open(&path, &options)), &[name, "damaged", "--skip-bad"]);
+        says(&message(Clip::open(&path, &options)), &[name, "damaged", "skip_bad"]);
         let clip = Clip::open(&path, &skip).unwrap();
         assert!((10..40).contains(&clip.frames.len()) && clip.total != Some(clip.frames.len()));
         assert!(!clip.notes.is_empty());
@@ -237,7 +237,7 @@ fn damaged_videos_are_told() {
         let mut bad = bytes.clone();
         bad[middle..middle * 6 / 5].fill(0);
         fs::write(&path, &bad).unwrap();
-        says(&message(Clip::open(&path, &options)), &[name, "damaged", "--skip-bad"]);
+        says(&message(Clip::open(&path, &options)), &[name, "damaged", "skip_bad"]);
         assert!(Clip::open(&path, &skip).unwrap().frames.len() < 48);
     }
 }
@@ -274,7 +274,10 @@ fn a_clip_with_cuts_has_shots() {
         assert_eq!((longest.shot, longest.total), (Some(1), Some(20)));
         assert_eq!(numbers(&longest), (8..20).collect::<Vec<_>>());
         assert_eq!((longest.frames[0].name.as_str(), longest.frames[11].time), ("00008", 1.0));
-        says(&longest.notes[0], &["2 shots", "frames 8 to 19", "shot 1", "longest", "--shot"]);
+        says(
+            &longest.notes[0],
+            &["2 shots", "frames 8 to 19", "shot 1", "longest", "by its number"],
+        );
         let whole = open(ShotChoice::Whole, 1, None).unwrap();
         assert_eq!((whole.frames.len(), whole.shot, whole.shots.len()), (20, None, 2));
         for frame in &longest.frames {

@@ -269,6 +269,18 @@ fn messages_have_no_gaps() {
 }
 
 #[test]
+fn library_messages_name_no_options() {
+    let options = messages::options(&root().join("src"));
+    assert!(options.is_empty(), "\n{}", options.join("\n"));
+    for text in ["give --focal", "(--focal gives it)", "choose another `--port`"] {
+        assert!(messages::names_option(text), "{text}");
+    }
+    for text in ["--always", "a -- b", "one--two", "-x", "give the focal length"] {
+        assert!(!messages::names_option(text), "{text}");
+    }
+}
+
+#[test]
 fn gaps_are_noticed_where_text_is_not_laid_out() {
     let lines = |source: &str, laid_out: bool| -> Vec<usize> {
         messages::gaps_of(source, laid_out).into_iter().map(|(line, _)| line).collect()

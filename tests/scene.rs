@@ -262,7 +262,7 @@ fn not_a_number_in_a_scene() {
     scene.gaussians.sh[9 * 4 + 8][2] = f32::INFINITY;
     scene.gaussians.motion_logits[4] = f32::NAN;
     scene.save(&path).unwrap();
-    says(&message(Scene::open(&path, false)), &["2 of 7", "NaN", "--drop-bad"]);
+    says(&message(Scene::open(&path, false)), &["2 of 7", "NaN", "drop_bad"]);
     let opened = Scene::open(&path, true).unwrap();
     assert_eq!((opened.dropped, opened.scene.gaussians.len()), (2, 5));
     let (left, all) = (&opened.scene.gaussians, &scene.gaussians);
@@ -599,7 +599,7 @@ fn not_a_number_in_a_ply() {
     g.opacity_logits[1] = f32::NAN;
     g.sh[4 * 5 + 3][0] = f32::NEG_INFINITY;
     ply::write(&path, &g).unwrap();
-    says(&message(Scene::open(&path, false)), &["a.ply", "2 of 6", "NaN", "--drop-bad"]);
+    says(&message(Scene::open(&path, false)), &["a.ply", "2 of 6", "NaN", "drop_bad"]);
     let opened = Scene::open(&path, true).unwrap();
     assert_eq!((opened.dropped, opened.scene.gaussians.len()), (2, 4));
     assert_eq!(opened.scene.gaussians.positions[1], g.positions[2]);

@@ -30,8 +30,8 @@ impl splat4d_device {
 pub struct splat4d_request {
     /// sizeof(splat4d_request).
     pub struct_size: usize,
-    /// A number is an index; "best", "gpu", "integrated" and "software" are kinds; anything else is part
-    /// of a name. Null for "best".
+    /// A number is an index; "best", "gpu", "discrete", "integrated", "virtual" and "software" are kinds;
+    /// anything else is part of a name. Null for "best".
     pub selector: *const c_char,
     /// Not 0 turns the Khronos validation layer on, with synchronization validation.
     pub validation: u32,

@@ -22,7 +22,8 @@ pub struct Common {
     /// Print exactly one JSON object on stdout, everything else on stderr
     #[arg(long, global = true, help_heading = "Common options")]
     pub json: bool,
-    /// The Vulkan device: its index, a part of its name, or a kind: best, gpu, integrated, software
+    /// The Vulkan device: its index, a part of its name, or a kind: best, gpu, discrete, integrated,
+    /// virtual, software
     #[arg(
         long,
         global = true,

@@ -135,17 +135,26 @@ pub fn main() -> ExitCode {
     match done.and_then(|(answer, code)| print(&answer, json).map(|()| code)) {
         Ok(code) => code,
         Err(error) => {
-            common::say(&format!("error: {error}"));
+            let what = in_full(&error);
+            common::say(&format!("error: {what}"));
             if json {
                 // A machine that reads stdout gets its one object here too; where even that cannot
                 // be written, stderr and the exit code have said it.
-                let _ = common::print_json(&json!({ "error": error.to_string() }));
+                let _ = common::print_json(&json!({ "error": what }));
             }
             ExitCode::from(match error {
                 Error::Interrupted { .. } => interrupt::EXIT_CODE,
                 _ => 1,
             })
         }
+    }
+}
+
+/// An error in words, with the option of the command line that goes on after it.
+fn in_full(error: &Error) -> String {
+    match error {
+        Error::Interrupted { checkpoint: Some(_) } => format!("{error}: give --resume"),
+        _ => error.to_string(),
     }
 }
 

@@ -215,7 +215,7 @@ pub(super) fn room_for(path: &Path, frames: usize, size: (u32, u32)) -> Result<(
 fn hint_less(error: Error) -> Error {
     match error {
         Error::Input(what) => Error::Input(format!(
-            "{what}: --every takes fewer frames, --max-frames the first of them, --size smaller ones"
+            "{what}: take every n-th frame, only the first ones (max_frames), or smaller ones (size)"
         )),
         other => other,
     }
@@ -369,7 +369,7 @@ fn find_shots(files: &[PathBuf], go_on: GoOn) -> Result<Vec<Shot>> {
 
 /// Says how to go on where a frame is damaged.
 pub(super) fn hint_skip(error: Error) -> Error {
-    let hint = "--skip-bad leaves such frames out";
+    let hint = "skip_bad leaves such frames out";
     match error {
         Error::Format { path, what } => Error::Format { path, what: format!("{what}; {hint}") },
         Error::Io { path, source } => {
@@ -391,7 +391,7 @@ mod tests {
         let path = Path::new("long.mp4");
         assert!(foresee(path, 3, (64, 64)).is_ok() && room_for(path, 7, (64, 64)).is_ok());
         let text = foresee(path, 12_000_000, (3840, 2160)).unwrap_err().to_string();
-        for part in ["long.mp4", "12000000 frames of 3840×2160", "1112365.7 GiB", "--max-frames"] {
+        for part in ["long.mp4", "12000000 frames of 3840×2160", "1112365.7 GiB", "max_frames"] {
             assert!(text.contains(part), "{part} is not in: {text}");
         }
         assert!(room_for(path, 7, (u32::MAX, u32::MAX)).is_err());

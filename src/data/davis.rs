@@ -73,7 +73,7 @@ pub(super) fn only_clip(root: &Path) -> Result<PathBuf> {
 /// What to say of DAVIS's folder where cameras are wanted.
 pub(super) fn without_cameras(folder: &Path) -> Option<String> {
     is_root(folder).then(|| {
-        "holds clips of DAVIS, which have no cameras: they go to `splat4d reconstruct`, their masks to its --masks"
+        "holds clips of DAVIS, which have no cameras: reconstruct one of them, with its masks as motion masks"
             .to_owned()
     })
 }

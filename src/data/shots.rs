@@ -100,11 +100,11 @@ impl ShotChoice {
         match (shot, self) {
             (None, _) => format!(
                 "the clip seems to have {count} shots: {list}; all frames are taken as one shot, \
-                 --shot N takes one"
+                 unless one is chosen by its number"
             ),
             (Some(shot), ShotChoice::Longest) => format!(
-                "the clip has {count} shots: {list}; shot {shot}, the longest, is taken, --shot N \
-                 takes another"
+                "the clip has {count} shots: {list}; shot {shot}, the longest, is taken; \
+                 another can be chosen by its number"
             ),
             (Some(shot), _) => format!("the clip has {count} shots: {list}; shot {shot} is taken"),
         }

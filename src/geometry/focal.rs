@@ -95,7 +95,8 @@ pub fn estimate_focal(
     }
     if usable.is_empty() {
         return Err(Error::Failed(
-            "focal length: no image pair with at least 8 matched pixels; give --focal".into(),
+            "focal length: no image pair with at least 8 matched pixels; give the focal length"
+                .into(),
         ));
     }
     let side = f64::from(width.max(height));

@@ -17,9 +17,11 @@ use std::sync::{Arc, Mutex, MutexGuard};
 /// Which device to open.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Selector {
-    /// The best real GPU, else a software driver.
+    /// The best GPU, else a software driver.
     #[default]
     Best,
+    /// The best GPU: a discrete one before an integrated one before a virtual one.
+    Gpu,
     /// By its place in [`vk::enumerate`](crate::vk::enumerate)'s list.
     Index(usize),
     /// The first whose name holds this, whatever the case.
@@ -28,13 +30,16 @@ pub enum Selector {
     Kind(DeviceKind),
 }
 
-/// A number is an index, `gpu`, `software` and `best` are kinds, anything else is part of a name.
+/// A number is an index; `best`, `gpu`, `discrete`, `integrated`, `virtual` and `software` (or `cpu`) are kinds;
+/// anything else is part of a name.
 impl From<&str> for Selector {
     fn from(text: &str) -> Selector {
         match text {
             "best" => Selector::Best,
-            "gpu" | "discrete" => Selector::Kind(DeviceKind::Discrete),
+            "gpu" => Selector::Gpu,
+            "discrete" => Selector::Kind(DeviceKind::Discrete),
             "integrated" => Selector::Kind(DeviceKind::Integrated),
+            "virtual" => Selector::Kind(DeviceKind::Virtual),
             "software" | "cpu" => Selector::Kind(DeviceKind::Software),
             _ => match text.parse() {
                 Ok(index) => Selector::Index(index),
@@ -319,8 +324,14 @@ fn choose(infos: &[DeviceInfo], selector: &Selector) -> Result<usize> {
         DeviceKind::Other => 3,
         DeviceKind::Software => 4,
     };
+    let all = 0..infos.len();
+    let is_gpu = |i: &usize| {
+        use DeviceKind::{Discrete, Integrated, Virtual};
+        matches!(infos[*i].kind, Discrete | Integrated | Virtual)
+    };
     let found = match selector {
-        Selector::Best => (0..infos.len()).min_by_key(|&i| rank(&infos[i])),
+        Selector::Best => all.min_by_key(|&i| rank(&infos[i])),
+        Selector::Gpu => all.filter(is_gpu).min_by_key(|&i| rank(&infos[i])),
         Selector::Index(index) => (*index < infos.len()).then_some(*index),
         Selector::Name(part) => {
             let part = part.to_lowercase();
@@ -333,4 +344,46 @@ fn choose(infos: &[DeviceInfo], selector: &Selector) -> Result<usize> {
             infos.iter().map(|info| format!("{} {}", info.index, info.name)).collect();
         Error::NoDevice(format!("no device fits {selector:?}; there are: {}", names.join(", ")))
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn selectors_name_a_device_by_kind_index_or_name() {
+        let info = |(index, kind): (usize, DeviceKind)| DeviceInfo {
+            index,
+            name: format!("Card {index}"),
+            kind,
+            driver: String::new(),
+            api_version: 0,
+            subgroup_size: 32,
+            memory_bytes: 0,
+        };
+        let list = |kinds: &[DeviceKind]| -> Vec<DeviceInfo> {
+            kinds.iter().copied().enumerate().map(info).collect()
+        };
+        use DeviceKind::{Discrete, Integrated, Other, Software, Virtual};
+        let all = list(&[Software, Virtual, Other, Integrated, Discrete, Discrete]);
+        let chosen = |infos: &[DeviceInfo], text: &str| choose(infos, &text.into()).ok();
+        for (text, expected) in [
+            ("best", 4),
+            ("gpu", 4),
+            ("discrete", 4),
+            ("integrated", 3),
+            ("virtual", 1),
+            ("software", 0),
+            ("cpu", 0),
+            ("5", 5),
+            ("card 2", 2),
+        ] {
+            assert_eq!(chosen(&all, text), Some(expected), "{text}");
+        }
+        // An integrated GPU is a GPU, but not a discrete one; a software driver is neither.
+        let laptop = list(&[Software, Integrated]);
+        assert_eq!((chosen(&laptop, "gpu"), chosen(&laptop, "discrete")), (Some(1), None));
+        let server = list(&[Software]);
+        assert_eq!((chosen(&server, "gpu"), chosen(&server, "best")), (None, Some(0)));
+    }
 }

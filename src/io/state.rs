@@ -85,8 +85,8 @@ pub fn read_state<T: DeserializeOwned>(path: &Path, kind: &str, identity: &Ident
     let heading = heading(kind);
     let Some(rest) = bytes.strip_prefix(heading.as_bytes()) else {
         return Err(bad(format!(
-            "is no {kind} of this version of splat4d (it does not begin with `{}`); begin anew, \
-             without --resume",
+            "is no {kind} of this version of splat4d (it does not begin with `{}`); start again \
+             without resuming",
             heading.trim_end()
         )));
     };
@@ -95,8 +95,8 @@ pub fn read_state<T: DeserializeOwned>(path: &Path, kind: &str, identity: &Ident
         .filter(|(_, sum)| crc32fast::hash(&bytes[..bytes.len() - 4]) == u32::from_le_bytes(**sum));
     let Some((body, _)) = intact else {
         return Err(bad(format!(
-            "is damaged or cut off: the checksum of its {} bytes does not fit; begin anew, without \
-             --resume",
+            "is damaged or cut off: the checksum of its {} bytes does not fit; start again without \
+             resuming",
             bytes.len()
         )));
     };
@@ -104,8 +104,8 @@ pub fn read_state<T: DeserializeOwned>(path: &Path, kind: &str, identity: &Ident
     let (found, rest) = postcard::take_from_bytes::<Identity>(body).map_err(undecoded)?;
     if let Some(difference) = difference(&found, identity) {
         return Err(bad(format!(
-            "belongs to other input or options: {difference}; give the same ones, or begin anew, \
-             without --resume"
+            "belongs to other input or options: {difference}; give the same ones, or start again \
+             without resuming"
         )));
     }
     match postcard::take_from_bytes(rest) {

@@ -63,7 +63,7 @@ pub(super) fn without_bad(path: &Path, gaussians: &mut Gaussians, drop_bad: bool
             path,
             format!(
                 "{bad} of {} Gaussians hold NaN, infinite or out-of-range values (the first is \
-                 number {first}: {what}); --drop-bad leaves them out",
+                 number {first}: {what}); drop_bad leaves them out",
                 good.len()
             ),
         ));

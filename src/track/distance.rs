@@ -3,8 +3,9 @@
 //! - Its outline: a thing keeps its size, so the drift of its structure from motion shows as a change
 //!   of size ([`super::outline`]).
 //! - Contact: where it touches static ground, in most frames, it is as far as the ground.
-//! - Smoothness: what moves by itself moves smoothly and a camera in a hand does not
-//!   ([`super::smooth`]).
+//! - Smoothness: what moves by itself moves smoothly and a camera in a hand does not; where the ground tells
+//!   which way is up, what flies falls ([`super::smooth`]). Such a path also tells the depth in frames that show
+//!   the object only in part.
 //! - It is nearer than what it hides, and where the picture cuts off its lower end a little nearer than the
 //!   ground there.
 //!
@@ -55,6 +56,8 @@ const ALONG: (f64, f64) = (0.005, 0.1);
 const OFF_CENTRE: f64 = 0.3;
 /// An object whose middle is not known for more frames than these may have been thrown back meanwhile.
 const GAP: usize = 2;
+/// Beyond this relative deviation of a path's unit its logarithm has no normal distribution, and it says little.
+const LINEAR: f64 = 0.3;
 /// A scale is known that has less than this relative deviation.
 const DECIDED: f64 = 0.2;
 /// How much nearer than what it hides a thing is that touches nothing: mean and deviation of the
@@ -229,11 +232,16 @@ pub(super) fn distance(
                 depth: path[k],
                 middle: middles[k],
                 known: known[k],
+                radius,
                 view_from_object: turned * radius,
             }
         })
         .collect();
-    let smooth = smoothness(&seen, cameras, object.first);
+    let (smooth, farther) = smoothness(&seen, cameras, object.first).unzip();
+    let path: Vec<f64> = match farther {
+        Some(farther) => path.iter().zip(farther).map(|(path, by)| path + by).collect(),
+        None => path,
+    };
     let lower_ends: Vec<Option<LowerEnd>> =
         frames.clone().map(|f| lower_end(index, &owners[f], behind[f], width)).collect();
     let wall = |end: &Option<LowerEnd>| match end {
@@ -330,44 +338,56 @@ struct Seen {
     middle: DVec2,
     /// Standard deviation of the depth where the middle is known.
     known: Option<f64>,
+    /// Its radius, in the unit of its depth.
+    radius: f64,
     /// How it is turned, times its radius; zero where that is not known.
     view_from_object: DMat3,
 }
 
-/// The scale that makes a path smoothest.
-fn smoothness(path: &[Seen], cameras: &Cameras, first: usize) -> Option<Estimate> {
+/// The scale that makes a path smoothest, and by how much its depths are then larger, as logarithms.
+fn smoothness(path: &[Seen], cameras: &Cameras, first: usize) -> Option<(Estimate, Vec<f64>)> {
+    let known: Vec<Option<f64>> = path.iter().map(|seen| seen.known).collect();
+    let begins = known.iter().position(Option::is_some)?;
+    let ends = known.iter().rposition(Option::is_some)?;
     let place = |(k, seen): (usize, &Seen)| {
         let world_from_view = cameras.poses[first + k].inverse();
         let depth = seen.depth.exp();
         let relative = cameras.intrinsics.ray(seen.middle) * depth;
         let rotation = DMat3::from_quat(world_from_view.rotation);
+        let pixels = |pixels: f64| pixels * depth / cameras.intrinsics.fx;
+        // What comes into the picture or leaves it is seen in part: its path goes on as it is elsewhere.
+        let (across, along) = match seen.known {
+            Some(along) => (pixels(MIDDLE.0), along),
+            None if (begins..ends).contains(&k) => (pixels(MIDDLE.1), ALONG.1),
+            None => (seen.radius, 1.0),
+        };
         Place {
             relative: rotation * relative,
             centre: world_from_view.translation,
-            across: seen.known.map_or(MIDDLE.1, |_| MIDDLE.0) * depth / cameras.intrinsics.fx,
-            along: seen.known.unwrap_or(ALONG.1) * depth,
+            across,
+            along: along * depth,
             off_centre: rotation * seen.view_from_object * OFF_CENTRE,
         }
     };
     let places: Vec<Place> = path.iter().enumerate().map(place).collect();
-    let known: Vec<Option<f64>> = path.iter().map(|seen| seen.known).collect();
     // Where the middle is not known for some frames a path of its own begins.
-    let mut runs: Vec<Vec<Place>> = vec![Vec::new()];
-    for (place, unknown) in places.into_iter().zip(unknown_for(&known)) {
-        if unknown > GAP {
-            runs.push(Vec::new());
-        } else {
-            runs.last_mut().expect("never empty").push(place);
+    let unknown = unknown_for(&known);
+    let frames: Vec<usize> =
+        (0..places.len()).filter(|k| unknown[*k] <= GAP || !(begins..ends).contains(k)).collect();
+    let (mut sum, mut information) = (0.0, 0.0);
+    let mut farther = vec![0.0; places.len()];
+    for run in frames.chunk_by(|a, b| a + 1 == *b) {
+        let run = run[0]..run[0] + run.len();
+        let Some(found) = smooth::smoothest(&places[run.clone()], cameras.up) else { continue };
+        let weight = found.unit.deviation.powi(-2);
+        (sum, information) = (sum + weight * found.unit.inverse, information + weight);
+        if let Some(by) = found.farther {
+            farther[run].copy_from_slice(&by);
         }
     }
-    let (mut sum, mut information) = (0.0, 0.0);
-    for unit in runs.iter().filter_map(|run| smooth::unit(run)) {
-        let weight = unit.deviation.powi(-2);
-        (sum, information) = (sum + weight * unit.inverse, information + weight);
-    }
     let (inverse, deviation) = (sum / information, information.powf(-0.5));
-    (inverse > 0.0 && deviation < inverse)
-        .then(|| Estimate { value: -inverse.ln(), deviation: deviation / inverse })
+    let scale = Estimate { value: -inverse.ln(), deviation: deviation / inverse };
+    (inverse > 0.0 && scale.deviation < LINEAR).then_some((scale, farther))
 }
 
 /// How many frames long the gap is that a frame lies in in which the middle is not known.

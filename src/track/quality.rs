@@ -90,7 +90,7 @@ pub(super) fn of(
     }
     if cameras.focal_source == FocalSource::Assumed {
         notes.push(format!(
-            "the clip does not show its focal length; {:.0} px is assumed (--focal gives it)",
+            "the clip does not show its focal length; {:.0} px is assumed (a known one can be given)",
             cameras.intrinsics.fx
         ));
     }

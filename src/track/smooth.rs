@@ -8,8 +8,11 @@
 //!
 //! What is smooth depends on the mover. What travels has little jerk: then gravity costs nothing. What
 //! stays about a place, a person who stands and gestures say, has little velocity, which ties it to its
-//! place where a jerk would let it drift along with the camera. The evidence of the path (its marginal
-//! likelihood under a Gaussian model of the velocities, accelerations or jerks) decides between them.
+//! place where a jerk would let it drift along with the camera. Where it is known which way is up, what flies, rolls
+//! or drives has little acceleration but for one that is constant and points down: that says more than
+//! little jerk does, for nothing that curves to the side is taken for the mover's own path. The
+//! evidence of the path (its marginal likelihood under a Gaussian model of the velocities, accelerations
+//! or jerks) decides between them.
 
 use glam::{DMat3, DVec3};
 use nalgebra::{Cholesky, DMatrix, DVector};
@@ -41,6 +44,16 @@ pub(super) struct Unit {
     pub deviation: f64,
 }
 
+/// A path as it is smoothest.
+#[derive(Clone, Debug)]
+pub(super) struct Smoothest {
+    /// The unit in which it is.
+    pub unit: Unit,
+    /// By place, the logarithm of the smooth path's distance over that which was seen; none where the path may
+    /// follow whatever moves it.
+    pub farther: Option<Vec<f64>>,
+}
+
 /// Frames that a path is thinned to: the work grows with their cube.
 const MOST: usize = 60;
 /// Degrees of freedom of the differences' distribution: things do bounce.
@@ -53,31 +66,53 @@ const VELOCITY: usize = 1;
 const ACCELERATION: usize = 2;
 const JERK: usize = 3;
 
+/// Before anything is known, a fall in half of the path's time is about so many times as long as the mover is
+/// far away: one standard deviation.
+const FALL: f64 = 2.0;
+
 /// Half powers of ten of the information of differences, in units of what observation noise alone
 /// would make: of any path, and of one whose jerks tell the unit. The jerks are not far above the noise;
 /// where they were free to be, a soft path would follow the camera's shake.
 const ANY: Range<i32> = -16..10;
 const STIFF: Range<i32> = -2..10;
 
-/// The unit in which a path is smoothest. The places are in order, at equal distances in time.
-/// `None` for fewer than eight places, or where nothing decides.
-pub(super) fn unit(places: &[Place]) -> Option<Unit> {
-    let places: Vec<Place> =
-        places.iter().copied().step_by(places.len().div_ceil(MOST).max(1)).collect();
+/// A path in the unit in which it is smoothest. The places are in order, at equal distances in time; `up` is the
+/// direction in the world that things fall from, where it is known. `None` for fewer than eight places, or
+/// where nothing decides.
+pub(super) fn smoothest(all: &[Place], up: Option<DVec3>) -> Option<Smoothest> {
+    let step = all.len().div_ceil(MOST).max(1);
+    let places: Vec<Place> = all.iter().copied().step_by(step).collect();
     if places.len() < 8 {
         return None;
     }
     let path = Path::new(&places);
     let [stays, steady, travels] =
-        [VELOCITY, ACCELERATION, JERK].map(|order| path.robust(order, ANY));
+        [VELOCITY, ACCELERATION, JERK].map(|order| path.robust(order, ANY, None));
+    let flies = up.and_then(|up| path.robust(ACCELERATION, ANY, Some(&path.fall(up))));
     let cost = |fit: &Option<Fit>| fit.as_ref().map_or(f64::INFINITY, |fit| fit.evidence);
-    // Accelerations compete but never give the unit: those of a thrown thing are gravity's.
-    let chosen = if cost(&stays) < cost(&steady).min(cost(&travels)) {
+    // Accelerations compete but never give the unit by themselves: those of a thrown thing are gravity's.
+    let moves = cost(&steady).min(cost(&travels));
+    let chosen = if cost(&stays) < moves.min(cost(&flies)) {
         stays
+    } else if cost(&steady).min(cost(&flies)) < cost(&travels) && flies.is_some() {
+        flies
     } else {
-        path.robust(JERK, STIFF)
+        path.robust(JERK, STIFF, None)
     };
-    chosen.map(|fit| fit.unit).filter(|unit| unit.inverse.is_finite() && unit.deviation.is_finite())
+    let Fit { unit, seen, .. } = chosen?;
+    let farther = seen.map(|seen| {
+        let at = |k: usize| {
+            let relative = places[k].relative;
+            let along = seen[k].dot(relative) / relative.length_squared();
+            if along > 0.0 { along.ln() } else { 0.0 }
+        };
+        let between = |k: usize| {
+            let (k, part) = (k / step, (k % step) as f64 / step as f64);
+            at(k) + part * (at((k + 1).min(places.len() - 1)) - at(k))
+        };
+        (0..all.len()).map(between).collect()
+    });
+    (unit.inverse.is_finite() && unit.deviation.is_finite()).then_some(Smoothest { unit, farther })
 }
 
 /// The equations of a path.
@@ -100,7 +135,10 @@ struct Fit {
     unit: Unit,
     /// Minus twice the logarithm of the marginal likelihood, up to a constant that all models share.
     evidence: f64,
+    /// But for the fall.
     path: DVector<f64>,
+    /// The path relative to the camera, where a fall is part of it.
+    seen: Option<Vec<DVec3>>,
 }
 
 impl Path {
@@ -142,19 +180,31 @@ impl Path {
         }
     }
 
+    /// The path of what falls from rest in the middle of the path's time, by one unit of acceleration.
+    fn fall(&self, up: DVec3) -> DVector<f64> {
+        let middle = 0.5 * (self.frames - 1) as f64;
+        let fallen = |t: usize| -0.5 * (t as f64 - middle).powi(2);
+        DVector::from_fn(3 * self.frames, |i, _| up[i % 3] * fallen(i / 3))
+    }
+
     /// Differences of an order that are all alike.
     fn even(&self, order: usize) -> Vec<f64> {
         vec![1.0; self.frames - order]
     }
 
-    /// The fit under which the differences of an order have heavy tails: what bounces travels all the
-    /// same.
-    fn robust(&self, order: usize, stiffnesses: Range<i32>) -> Option<Fit> {
+    /// The fit under which the differences of an order, but for those of a `fall`, have heavy tails: what
+    /// bounces travels all the same.
+    fn robust(
+        &self,
+        order: usize,
+        stiffnesses: Range<i32>,
+        fall: Option<&DVector<f64>>,
+    ) -> Option<Fit> {
         let row = binomials(order);
         let mut scales = self.even(order);
         let mut best = None;
         for _ in 0..ROUNDS {
-            let mut fit = self.fit(order, &scales, stiffnesses.clone())?;
+            let mut fit = self.fit(order, &scales, stiffnesses.clone(), fall)?;
             // Student's distribution as a mixture: each difference's own scale, and what it costs.
             let mixture = scales.iter().map(|s| (TAIL - 2.0) * -s.ln() + TAIL * (s - 1.0));
             fit.evidence += mixture.sum::<f64>();
@@ -175,8 +225,15 @@ impl Path {
     }
 
     /// The most likely unit, differences of an order being Gaussian with a variance that the path
-    /// itself tells, each divided by its own of `scales`.
-    fn fit(&self, order: usize, scales: &[f64], stiffnesses: Range<i32>) -> Option<Fit> {
+    /// itself tells, each divided by its own of `scales`. Those of a multiple of `fall`, as large as fits best, cost
+    /// nothing.
+    fn fit(
+        &self,
+        order: usize,
+        scales: &[f64],
+        stiffnesses: Range<i32>,
+        fall: Option<&DVector<f64>>,
+    ) -> Option<Fit> {
         let n = 3 * self.frames;
         let row = binomials(order);
         let mut penalty = DMatrix::<f64>::zeros(n, n);
@@ -195,9 +252,10 @@ impl Path {
         let free_of_differences = 6.0 * order as f64 * width.ln();
         let differences = 3.0 * log_determinant_of_differences(self.frames, order)
             + 3.0 * scales.iter().map(|scale| scale.ln()).sum::<f64>();
-        // κ and the variance are free as well as what the differences leave free.
+        // κ, the fall and the variance are free as well as what the differences leave free.
         let rank = (n - 3 * order) as f64;
-        let free = rank - 1.0;
+        let free = rank - 1.0 - f64::from(u8::from(fall.is_some()));
+        let widest_fall = FALL * self.distance / (0.5 * self.frames as f64).powi(2);
         let mut best: Option<Fit> = None;
         for exponent in stiffnesses {
             let stiffness = self.noise * 10f64.powf(0.5 * f64::from(exponent));
@@ -209,21 +267,43 @@ impl Path {
                 let x = factor.solve(&weighted);
                 (weighted.clone() - &self.weights * &x, x)
             };
-            let ((sy, xy), (sc, xc)) = (explained(&self.relative), explained(&self.camera));
+            let ((mut sy, mut xy), (mut sc, mut xc)) =
+                (explained(&self.relative), explained(&self.camera));
+            // How far the fall is known. What it explains of both is taken out of them.
+            let fallen = fall.map(|fall| {
+                let (sf, xf) = explained(fall);
+                let information = fall.dot(&sf);
+                let shares = [(&mut sy, &mut xy), (&mut sc, &mut xc)].map(|(s, x)| {
+                    let share = fall.dot(s) / information;
+                    s.axpy(-share, &sf, 1.0);
+                    x.axpy(-share, &xf, 1.0);
+                    share
+                });
+                (fall, information, shares)
+            });
             let information = self.camera.dot(&sc);
-            if information <= 0.0 {
+            if information <= 0.0 || fallen.is_some_and(|(_, known, _)| known <= 0.0) {
                 continue;
             }
             let inverse = -self.camera.dot(&sy) / information;
             let rest = (self.relative.dot(&sy) - inverse * inverse * information).max(1e-12);
             let log_determinant = factor.ln_determinant();
-            let evidence =
-                free * (rest / free).ln() + log_determinant - rank * stiffness.ln() - differences
-                    + free_of_differences;
+            let cost_of_fall = fallen.map_or(0.0, |(_, information, _)| {
+                (widest_fall.powi(2) * information * free / rest).ln_1p()
+            });
+            let evidence = free * (rest / free).ln() + log_determinant + cost_of_fall
+                - rank * stiffness.ln()
+                - differences
+                + free_of_differences;
             if best.as_ref().is_none_or(|b| evidence < b.evidence) {
                 let deviation = (rest / free / information).sqrt();
                 let path = xy + inverse * xc;
-                best = Some(Fit { unit: Unit { inverse, deviation }, evidence, path });
+                let seen = fallen.map(|(fall, _, [own, camera])| {
+                    let fell = fall * (own + inverse * camera);
+                    let seen = &path + fell - inverse * &self.camera;
+                    seen.as_slice().chunks_exact(3).map(DVec3::from_slice).collect()
+                });
+                best = Some(Fit { unit: Unit { inverse, deviation }, evidence, path, seen });
             }
         }
         best
@@ -261,6 +341,12 @@ fn log_determinant_of_differences(numbers: usize, order: usize) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    fn unit(places: &[Place], up: Option<DVec3>) -> Option<Unit> {
+        smoothest(places, up).map(|found| found.unit)
+    }
 
     /// A ball in flight, seen from a hand.
     fn places(shake: f64, noise: f64) -> Vec<Place> {
@@ -285,7 +371,7 @@ mod tests {
 
     #[test]
     fn a_shaking_hand_shows_how_far_a_ball_is() {
-        let found = unit(&places(0.02, 0.0005)).unwrap();
+        let found = unit(&places(0.02, 0.0005), None).unwrap();
         assert!((found.inverse / 0.5 - 1.0).abs() < 0.03, "{found:?}");
         assert!(found.deviation < 0.03, "{found:?}");
     }
@@ -304,7 +390,7 @@ mod tests {
             places(0.006, 0.0005).into_iter().enumerate().map(turned).collect()
         };
         let off = |known: f64| {
-            unit(&spun(known)).map_or(f64::INFINITY, |u| (u.inverse / truth - 1.0).abs())
+            unit(&spun(known), None).map_or(f64::INFINITY, |u| (u.inverse / truth - 1.0).abs())
         };
         assert!(off(0.1) < 0.01, "{}", off(0.1));
         assert!(off(0.0) > 0.03, "{} {}", off(0.0), off(0.1));
@@ -312,9 +398,40 @@ mod tests {
 
     #[test]
     fn a_camera_as_smooth_as_the_ball_does_not() {
-        let found = unit(&places(0.0, 0.0005));
+        let found = unit(&places(0.0, 0.0005), None);
         assert!(found.is_none_or(|f| f.deviation > 0.2 * f.inverse.abs()), "{found:?}");
-        assert!(unit(&places(0.02, 0.001)[..7]).is_none());
+        assert!(unit(&places(0.02, 0.001)[..7], None).is_none());
+    }
+
+    #[test]
+    fn what_falls_tells_its_distance_where_up_is_known() {
+        // The camera sways slowly; y points down. The ball is seen with white noise.
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let deviation = 0.001;
+        let mut noise = || {
+            let normal = (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;
+            deviation * normal
+        };
+        let place = |(t, place): (usize, Place)| {
+            let sway = |k: f64, phase: f64| 0.05 * (k * t as f64 + phase).sin();
+            let centre = place.centre + DVec3::new(sway(0.12, 0.3), 0.0, sway(0.1, 2.0));
+            let seen = DVec3::new(noise(), noise(), noise());
+            let relative = place.relative - 0.5 * (centre - place.centre) + seen;
+            Place { centre, relative, across: deviation, along: deviation, ..place }
+        };
+        let places: Vec<Place> = places(0.0, 0.0).into_iter().enumerate().map(place).collect();
+        let off = |found: Option<Unit>| {
+            found.map_or(f64::INFINITY, |found| (found.inverse / 0.5 - 1.0).abs())
+        };
+        let (by_jerk, found) = (unit(&places, None), unit(&places, Some(DVec3::NEG_Y)));
+        assert!(off(found) < 0.05, "{found:?} {by_jerk:?}");
+        let deviation = by_jerk.map_or(f64::INFINITY, |unit| unit.deviation);
+        assert!(2.0 * found.unwrap().deviation < deviation, "{found:?} {by_jerk:?}");
+        // It falls by 0.008 a frame and frame, in a unit of two.
+        let path = Path::new(&places);
+        let down = path.robust(ACCELERATION, ANY, Some(&path.fall(DVec3::NEG_Y))).unwrap();
+        let aside = path.robust(ACCELERATION, ANY, Some(&path.fall(DVec3::X))).unwrap();
+        assert!(down.evidence < aside.evidence, "{} {}", down.evidence, aside.evidence);
     }
 
     #[test]
@@ -345,8 +462,9 @@ mod tests {
     fn who_stands_and_gestures_is_held_by_the_place() {
         let places = standing();
         let path = Path::new(&places);
-        let (found, by_jerk) = (unit(&places).unwrap(), path.robust(JERK, STIFF).unwrap().unit);
-        assert_eq!(found.inverse, path.robust(VELOCITY, ANY).unwrap().unit.inverse);
+        let (found, by_jerk) =
+            (unit(&places, None).unwrap(), path.robust(JERK, STIFF, None).unwrap().unit);
+        assert_eq!(found.inverse, path.robust(VELOCITY, ANY, None).unwrap().unit.inverse);
         assert!((found.inverse - 2.0).abs() < 2.0 * found.deviation, "{found:?}");
         assert!(found.deviation < 0.6 * by_jerk.deviation, "{found:?} {by_jerk:?}");
         assert!(found.deviation < 0.03 * found.inverse, "{found:?}");
@@ -360,7 +478,7 @@ mod tests {
             place.relative.y -= 0.5 * 0.12 * (t as f64 - 15.0).abs();
         }
         let path = Path::new(&places);
-        let [stays, travels] = [VELOCITY, JERK].map(|order| path.robust(order, ANY).unwrap());
+        let [stays, travels] = [VELOCITY, JERK].map(|order| path.robust(order, ANY, None).unwrap());
         assert!(travels.evidence < stays.evidence, "{} {}", travels.evidence, stays.evidence);
     }
 
@@ -370,8 +488,8 @@ mod tests {
         let places = places(0.02, 0.0005);
         let path = Path::new(&places);
         let (chosen, by_velocity) =
-            (unit(&places).unwrap(), path.robust(VELOCITY, ANY).map(|fit| fit.unit));
-        assert_eq!(chosen.inverse, path.robust(JERK, STIFF).unwrap().unit.inverse);
+            (unit(&places, None).unwrap(), path.robust(VELOCITY, ANY, None).map(|fit| fit.unit));
+        assert_eq!(chosen.inverse, path.robust(JERK, STIFF, None).unwrap().unit.inverse);
         let off = by_velocity.map_or(f64::INFINITY, |u| (u.inverse / 0.5 - 1.0).abs());
         assert!(off > 0.1, "{by_velocity:?}");
     }

@@ -20,14 +20,14 @@ pub fn listen(host: IpAddr, port: u16) -> Result<TcpListener> {
             Err(error) if error.kind() == ErrorKind::AddrInUse => {}
             Err(error) => {
                 return Err(Error::Input(format!(
-                    "{} cannot be listened on: {error}; choose another --port or --host",
+                    "{} cannot be listened on: {error}; choose another port or host",
                     SocketAddr::new(host, port)
                 )));
             }
         }
     }
     Err(Error::Input(format!(
-        "all ports from {port} to {last} of {host} are in use; choose another --port"
+        "all ports from {port} to {last} of {host} are in use; choose another port"
     )))
 }
 
@@ -52,6 +52,9 @@ mod tests {
     fn an_address_of_another_machine_is_named() {
         // From the block that documentation has: no machine's.
         let error = listen([192, 0, 2, 1].into(), 8090).unwrap_err().to_string();
-        assert!(error.contains("192.0.2.1:8090") && error.contains("--host"), "{error}");
+        assert!(
+            error.contains("192.0.2.1:8090") && error.contains("another port or host"),
+            "{error}"
+        );
     }
 }

@@ -9,6 +9,9 @@ use std::path::Path;
 /// Where text is laid out, in columns or over several lines: only errors are looked at there.
 const LAID_OUT: &[&str] = &["cmd", "report", "scene/ply.rs", "scene/compressed_ply.rs"];
 
+/// Parts that may name options of the command line.
+const OF_THE_COMMAND_LINE: &[&str] = &["cmd", "main.rs"];
+
 /// Every text with a gap in a source tree, as `file:line: text`.
 pub fn gaps(src: &Path) -> Vec<String> {
     let mut found = Vec::new();
@@ -28,11 +31,17 @@ pub fn gaps(src: &Path) -> Vec<String> {
 pub fn gaps_of(source: &str, laid_out: bool) -> Vec<(usize, String)> {
     let mut found = Vec::new();
     let tokens: TokenStream = source.parse().expect("a source file parses");
-    walk(tokens, !laid_out, &mut found);
+    walk(tokens, !laid_out, &has_gap, &mut found);
     found
 }
 
-fn walk(tokens: TokenStream, all: bool, found: &mut Vec<(usize, String)>) {
+/// Collects the texts for which `is_wrong`, each with its line; of `all` texts or only those of errors.
+fn walk(
+    tokens: TokenStream,
+    all: bool,
+    is_wrong: &impl Fn(&str) -> bool,
+    found: &mut Vec<(usize, String)>,
+) {
     // Whether what comes next documents an item (`#[doc = "…"]`, which is what `///` and `//!` are,
     // too), is a test or an error.
     let (mut documents, mut is_test, mut is_error) = (false, false, false);
@@ -51,7 +60,7 @@ fn walk(tokens: TokenStream, all: bool, found: &mut Vec<(usize, String)>) {
             TokenTree::Group(group) => {
                 let text = group.stream().to_string();
                 if !is_test {
-                    walk(group.stream(), all || is_error, found);
+                    walk(group.stream(), all || is_error, is_wrong, found);
                 }
                 is_test = text == "cfg (test)" || text == "cfg(test)";
                 (documents, is_error) = (false, false);
@@ -59,7 +68,7 @@ fn walk(tokens: TokenStream, all: bool, found: &mut Vec<(usize, String)>) {
             TokenTree::Literal(literal) => {
                 let line = literal.span().start().line;
                 if let (true, syn::Lit::Str(text)) = (all && !documents, syn::Lit::new(literal))
-                    && has_gap(&text.value())
+                    && is_wrong(&text.value())
                 {
                     found.push((line, text.value()));
                 }
@@ -67,6 +76,37 @@ fn walk(tokens: TokenStream, all: bool, found: &mut Vec<(usize, String)>) {
             }
         }
     }
+}
+
+/// Every text of the library that names an option of the command line, as `file:line: text`: those who embed
+/// the library have no such options.
+pub fn options(src: &Path) -> Vec<String> {
+    let mut found = Vec::new();
+    for path in super::files(src, "rs") {
+        let inner = path.strip_prefix(src).expect("below src").to_owned();
+        if OF_THE_COMMAND_LINE.iter().any(|part| inner.starts_with(part)) {
+            continue;
+        }
+        let source = fs::read_to_string(&path).expect("a readable source file");
+        let tokens: TokenStream = source.parse().expect("a source file parses");
+        let mut texts = Vec::new();
+        walk(tokens, true, &names_option, &mut texts);
+        found.extend(
+            texts.iter().map(|(line, text)| format!("{}:{line}: {text:?}", inner.display())),
+        );
+    }
+    found
+}
+
+/// Whether a text names an option of a command line; one that is an option itself is given to another
+/// program.
+pub fn names_option(text: &str) -> bool {
+    let is_option = |word: &str| {
+        let name = word.trim_start_matches(|c: char| !c.is_alphanumeric() && c != '-');
+        let name = name.strip_prefix("--");
+        name.is_some_and(|name| name.starts_with(|c: char| c.is_ascii_lowercase()))
+    };
+    !text.starts_with("--") && text.split_whitespace().any(is_option)
 }
 
 /// Whether words are more than one space apart.

@@ -54,6 +54,9 @@ pub(super) struct Cameras {
     held: bool,
     /// One of the world's units in that of the supplied poses; 1 without.
     pub unit: f64,
+    /// Upwards in the world, where the ground that is seen tells. It is found anew in a run that is resumed.
+    #[serde(skip)]
+    pub up: Option<DVec3>,
 }
 
 /// What the camera does.
@@ -142,6 +145,7 @@ impl Cameras {
             supplied: false,
             held: false,
             unit: 1.0,
+            up: None,
         }
     }
 

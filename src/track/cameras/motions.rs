@@ -88,8 +88,8 @@ impl Motions {
         let next = others.max_by(|&a, &b| scores[a].total_cmp(&scores[b]));
         match next {
             Some(next) if scores[next] + NEAR > scores[self.chosen] => format!(
-                "{chosen}; number {next} is nearly as likely, so the cameras are doubtful: --static \
-                 {next} takes it"
+                "{chosen}; number {next} is nearly as likely, so the cameras are doubtful: it can be \
+                 taken as the static one"
             ),
             _ => chosen,
         }
@@ -394,6 +394,6 @@ mod tests {
         // Where nothing hides anything, only what is explained tells.
         let alike = |explained| RigidMotion { explained, hidden: 0, hides: 0 };
         let doubtful = note(vec![alike(0.21), alike(0.22)]);
-        assert!(doubtful.contains("--static 0"), "{doubtful}");
+        assert!(doubtful.contains("number 0 is nearly as likely"), "{doubtful}");
     }
 }

@@ -151,7 +151,7 @@ impl Posing {
             return Err(Error::Failed(format!(
                 "the cameras were lost at frame {lost}: too few points are followed from the \
                  frames before it; the video may have a cut there that was not found: give the frames \
-                 up to it, or from it on, by themselves (--max-frames, or a folder of them)"
+                 up to it, or from it on, by themselves"
             )));
         }
         cameras.adjust(tracks, weights, focal)?;

@@ -93,6 +93,11 @@ impl Ground {
         plane.is_ground(&sights).then_some(plane)
     }
 
+    /// Its unit normal, upwards.
+    pub fn normal(&self) -> DVec3 {
+        self.normal
+    }
+
     /// How many points lie on it.
     fn on(&self, sights: &[Sight]) -> usize {
         let offs = sights.iter().filter_map(|sight| self.off(sight));

@@ -21,6 +21,7 @@ mod semi_global;
 mod sweep;
 mod views;
 
+use glam::DVec3;
 use rayon::prelude::*;
 
 use super::Stage;
@@ -60,7 +61,7 @@ pub(super) fn measure(
     work: &mut Work,
     part: &str,
     shares: std::ops::Range<f64>,
-) -> Result<Vec<Seen>> {
+) -> Result<Measured> {
     let covered: Vec<Vec<bool>> = masks.par_iter().map(|mask| mask.near(MARGIN)).collect();
     let pictures: Vec<Vec<f32>> =
         frames.iter().zip(&covered).map(|(frame, mask)| sweep::luminance(frame, mask)).collect();
@@ -94,10 +95,19 @@ pub(super) fn measure(
 
     let maps = Maps { cameras, seen: &refined, covered: &covered, views: &views, levels: &levels };
     let mut seen: Vec<Seen> = (0..n).map(|f| believed(&maps, &swept[f], &flow[f], f)).collect();
-    if let Some(ground) = Ground::find(cameras, &covered, &seen) {
+    let ground = Ground::find(cameras, &covered, &seen);
+    if let Some(ground) = &ground {
         ground.settle(cameras, &covered, &mut seen);
     }
-    Ok(seen)
+    Ok(Measured { seen, up: ground.map(|ground| ground.normal()) })
+}
+
+/// What was measured.
+pub(super) struct Measured {
+    /// The static world, frame by frame.
+    pub seen: Vec<Seen>,
+    /// Upwards in the world, where ground was found.
+    pub up: Option<DVec3>,
 }
 
 /// What a sweep needs.
@@ -193,7 +203,7 @@ mod tests {
     fn measured(frames: &[Image], masks: &[Image], flow: &[Seen]) -> Seen {
         let cameras = cameras(STEP);
         let found = working(|work| measure(frames, &cameras, masks, flow, work, "test", 0.0..1.0));
-        found.unwrap().swap_remove(2)
+        found.unwrap().seen.swap_remove(2)
     }
 
     fn still() -> Vec<Image> {
@@ -276,6 +286,6 @@ mod tests {
         let (frames, cameras) = (painted(), cameras(0.0));
         let found =
             working(|work| measure(&frames, &cameras, &still(), &wrong(), work, "test", 0.0..1.0));
-        assert_eq!(found.unwrap()[2].inverse_depth, wrong()[2].inverse_depth);
+        assert_eq!(found.unwrap().seen[2].inverse_depth, wrong()[2].inverse_depth);
     }
 }

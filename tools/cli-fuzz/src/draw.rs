@@ -280,7 +280,9 @@ impl Artist<'_> {
                 0 => number(self),
                 _ => [number(self), "0".into()].join(","),
             },
-            "DEVICE" => self.pick(&["best", "software", "gpu", "0", "9", "llvm", "nothing"]).into(),
+            "DEVICE" => self
+                .pick(&["best", "software", "gpu", "discrete", "0", "9", "llvm", "nothing"])
+                .into(),
             "ENGINE" => self.pick(&["snakemake", "slurm", "k8s", "nothing"]).into(),
             "TEXT" => self.pick(&["scan", "sort/", "nothing", ""]).into(),
             _ => number(self),
