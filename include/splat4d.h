@@ -187,8 +187,8 @@ typedef struct splat4d_trainer splat4d_trainer;
 typedef struct splat4d_request {
     // sizeof(splat4d_request).
     size_t struct_size;
-    // A number is an index; "best", "gpu", "integrated" and "software" are kinds; anything else is part
-    // of a name. Null for "best".
+    // A number is an index; "best", "gpu", "discrete", "integrated", "virtual" and "software" are kinds;
+    // anything else is part of a name. Null for "best".
     const char *selector;
     // Not 0 turns the Khronos validation layer on, with synchronization validation.
     uint32_t validation;
