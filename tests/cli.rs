@@ -1211,7 +1211,7 @@ fn bad_clips_are_named() {
     says(&reconstruct("empty"), &["empty", "no images"]);
     says(&reconstruct("one"), &["one frame only"]);
     says(&reconstruct("odd"), &["2.png", "50×32", "one size"]);
-    says(&reconstruct("broken"), &["2.png", "--skip-bad"]);
+    says(&reconstruct("broken"), &["2.png", "skip_bad"]);
     reconstruct("noise.mp4");
     // What is supplied has to fit.
     clip("fine", &[(48, 32); 4]);
@@ -1426,7 +1426,7 @@ fn gaussians_that_are_not_finite_are_counted() {
     bad.opacity_logits[5] = f32::INFINITY;
     ply::write(folder.path().join("bad.ply"), &bad).unwrap();
     for command in ["info bad.ply", "render bad.ply -o x"] {
-        says(&fails(folder.path(), 1, command), &["2 of 9", "--drop-bad"]);
+        says(&fails(folder.path(), 1, command), &["2 of 9", "drop_bad"]);
     }
     let found = json(folder.path(), "info bad.ply --drop-bad");
     assert_eq!((&found["gaussians"], &found["dropped"]), (&7.into(), &2.into()));
@@ -1542,7 +1542,7 @@ fn what_was_interrupted_is_resumed() {
         // Another command has no use for it, and damage is found; neither touches it.
         let other = command.replace("--steps ", "--steps 1");
         let said = fails(folder.path(), 1, &format!("{other} -o part --resume --device software"));
-        says(&said, &["part.checkpoint", "--steps was", "without --resume"]);
+        says(&said, &["part.checkpoint", "--steps was", "without resuming"]);
         let message = said.lines().last().unwrap();
         assert!(message.len() < 200, "only what has changed: {message}");
         let other = format!("{command} -o part --resume --device software --seed 7");

@@ -822,7 +822,7 @@ fn davis_clips() {
     assert_eq!(davis::names(root).unwrap(), ["camel"]);
     let clip = Clip::open(root, &ClipOptions::default()).unwrap();
     assert_eq!(files_of(&clip), ["00000", "00001", "00002"]);
-    says(&message(Dataset::open(root)), &["DAVIS", "no cameras", "--masks"]);
+    says(&message(Dataset::open(root)), &["DAVIS", "no cameras", "as motion masks"]);
     fs::create_dir(root.join("JPEGImages/480p/bear")).unwrap();
     let said = message(Clip::open(root, &ClipOptions::default()));
     says(&said, &["2 clips of DAVIS", "480p/bear"]);

@@ -349,17 +349,19 @@ fn smoothness(path: &[Seen], cameras: &Cameras, first: usize) -> Option<(Estimat
     let known: Vec<Option<f64>> = path.iter().map(|seen| seen.known).collect();
     let begins = known.iter().position(Option::is_some)?;
     let ends = known.iter().rposition(Option::is_some)?;
+    // What comes into the picture or leaves it is seen in part: where gravity is known its path goes on as it
+    // is elsewhere.
+    let goes_on = |k: usize| cameras.up.is_some() && !(begins..=ends).contains(&k);
     let place = |(k, seen): (usize, &Seen)| {
         let world_from_view = cameras.poses[first + k].inverse();
         let depth = seen.depth.exp();
         let relative = cameras.intrinsics.ray(seen.middle) * depth;
         let rotation = DMat3::from_quat(world_from_view.rotation);
         let pixels = |pixels: f64| pixels * depth / cameras.intrinsics.fx;
-        // What comes into the picture or leaves it is seen in part: its path goes on as it is elsewhere.
         let (across, along) = match seen.known {
             Some(along) => (pixels(MIDDLE.0), along),
-            None if (begins..ends).contains(&k) => (pixels(MIDDLE.1), ALONG.1),
-            None => (seen.radius, 1.0),
+            None if goes_on(k) => (seen.radius, 1.0),
+            None => (pixels(MIDDLE.1), ALONG.1),
         };
         Place {
             relative: rotation * relative,
@@ -373,7 +375,7 @@ fn smoothness(path: &[Seen], cameras: &Cameras, first: usize) -> Option<(Estimat
     // Where the middle is not known for some frames a path of its own begins.
     let unknown = unknown_for(&known);
     let frames: Vec<usize> =
-        (0..places.len()).filter(|k| unknown[*k] <= GAP || !(begins..ends).contains(k)).collect();
+        (0..places.len()).filter(|k| unknown[*k] <= GAP || goes_on(*k)).collect();
     let (mut sum, mut information) = (0.0, 0.0);
     let mut farther = vec![0.0; places.len()];
     for run in frames.chunk_by(|a, b| a + 1 == *b) {
