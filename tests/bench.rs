@@ -41,9 +41,9 @@ fn every_row_verifies_and_has_a_time() {
         }
     }
     assert!(failures.is_empty(), "{failures:#?}");
-    let ceilings = bench::ceilings(&rows);
+    let peaks = bench::peaks(&rows);
     assert!(
-        ceilings.bytes.is_some_and(|b| b > 0.0) && ceilings.operations.is_some_and(|o| o > 0.0)
+        peaks.bytes.is_some_and(|b| b > 0.0) && peaks.operations.is_some_and(|o| o > 0.0)
     );
     common::assert_valid(&device);
 }
@@ -60,7 +60,7 @@ fn full_rows_have_names_of_their_own() {
     }
     let families = [
         "scan", "sort", "project", "bin", "raster", "loss", "deform", "mlp", "arap", "adam",
-        "density", "pipeline", "ceiling", "render",
+        "density", "pipeline", "roofline", "render",
     ];
     for family in families {
         let sizes = bench::entries(false).iter().filter(|e| e.id.starts_with(family)).count();
@@ -134,8 +134,8 @@ fn a_run_compares_with_itself() {
     let mut measured = Measurements::new(bench::machine(&device), bench::commit());
     measured.rows = bench::run(&device, &entries, Some("sort/"), PACE, 0, |_| Ok(())).unwrap();
     let names: Vec<&str> = measured.rows.iter().map(|row| row.id.as_str()).collect();
-    let sorts = ["ceiling/copy", "ceiling/fma", "sort/pairs", "sort/radsort", "sort/sort_unstable"];
-    assert_eq!(names, sorts, "what was asked for, and the ceilings");
+    let sorts = ["roofline/copy", "roofline/fma", "sort/pairs", "sort/radsort", "sort/sort_unstable"];
+    assert_eq!(names, sorts, "what was asked for, and the peaks");
     let folder = tempfile::tempdir().unwrap();
     measured.write_report(folder.path()).unwrap();
     let read = Measurements::open(folder.path().join("bench.json")).unwrap();

@@ -10,7 +10,7 @@ use splat4d::embed::{
 };
 use splat4d::gpu::{Buffer, Device, Recorder, Stream, Ticket};
 use splat4d::ops::gaussians::GaussianBuffers;
-use splat4d::ops::loss::{Loss, LossSettings, Photograph};
+use splat4d::ops::loss::{Loss, LossSettings, Reference};
 use splat4d::ops::render::{Render, RenderScratch};
 use splat4d::ops::texel::{self, Packing};
 use splat4d::oracle::texel as oracle;
@@ -773,13 +773,13 @@ fn dispatches_come_in_the_documented_order() -> Result<()> {
     render.backward(&mut recorder, views, &scratch, &pixels, by, into, out, true)?;
     let ticket = stream.submit(recorder)?;
     let found: Vec<_> = stream.times(ticket)?.into_iter().map(|time| time.kernel).collect();
-    let photograph = Photograph::new(&device, &Image::new(70, 50, 3), None)?;
+    let reference = Reference::new(&device, &Image::new(70, 50, 3), None)?;
     let loss = Loss::plan(70, 50);
     let (mut scratch, mut by) = (loss.scratch(&device)?, render.pixel_gradients(&device)?);
     let how = LossSettings::default();
     let mut recorder = stream.record()?;
     recorder.profile()?;
-    loss.record(&mut recorder, &how, &pixels, &photograph, None, &mut by, &mut scratch)?;
+    loss.record(&mut recorder, &how, &pixels, &reference, None, &mut by, &mut scratch)?;
     let ticket = stream.submit(recorder)?;
     let losses: Vec<_> = stream.times(ticket)?.into_iter().map(|time| time.kernel).collect();
     let expected = ["columns", "ssim", "ssim", "ssim", "total", "gradient", "total"];

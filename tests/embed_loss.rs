@@ -5,7 +5,7 @@ mod host;
 
 use host::{Host, camera, gaussians};
 use splat4d::gpu::{Buffer, Device, Recorder, Stream};
-use splat4d::ops::loss::{Loss, LossSettings, Photograph};
+use splat4d::ops::loss::{Loss, LossSettings, Reference};
 use splat4d::oracle::view::{Cloud, View, perturbed};
 use splat4d::oracle::{deform, mlp, path, render};
 use splat4d::train::own_loss::OwnGradients;
@@ -309,7 +309,7 @@ fn step(
     device: &Device,
     stream: &mut Stream,
     trainer: &mut Trainer,
-    photograph: &Photograph,
+    reference: &Reference,
 ) -> bool {
     let loss = Loss::plan(SIZE.0, SIZE.1);
     let mut scratch = loss.scratch(device).unwrap();
@@ -319,7 +319,7 @@ fn step(
     let mut recorder = stream.record().unwrap();
     trainer.forward(&mut recorder, &camera(SIZE.0, SIZE.1), 0.0).unwrap();
     let pixels = trainer.pixels().unwrap();
-    loss.record(&mut recorder, &how, pixels, photograph, None, &mut gradients, &mut scratch)
+    loss.record(&mut recorder, &how, pixels, reference, None, &mut gradients, &mut scratch)
         .unwrap();
     let by = OwnGradients { rgba: gradients.rgba.view(), depth: Some(gradients.depth.view()) };
     trainer.backward(&mut recorder, by).unwrap();
@@ -346,10 +346,10 @@ fn steps_from_outside_are_the_trainers_own() {
     };
     let mut own = Trainer::new(&device, &[view], &scene, None, settings.clone()).unwrap();
     let mut outside = Trainer::without_pictures(&device, &scene, None, 1.0, settings).unwrap();
-    let photograph = Photograph::new(&device, &target(), None).unwrap();
+    let reference = Reference::new(&device, &target(), None).unwrap();
     for _ in 0..5 {
         own.step().unwrap();
-        assert!(step(&device, &mut stream, &mut outside, &photograph));
+        assert!(step(&device, &mut stream, &mut outside, &reference));
     }
     assert_eq!(outside.progress().step, 5);
     let trained = outside.gaussians().unwrap();
@@ -364,17 +364,17 @@ fn steps_from_outside_resume() {
     let mut stream = device.stream().unwrap();
     let scene = gaussians(20);
     let settings = TrainSettings { steps: 200, ..settings() };
-    let photograph = Photograph::new(&device, &target(), None).unwrap();
+    let reference = Reference::new(&device, &target(), None).unwrap();
     let mut trainer =
         Trainer::without_pictures(&device, &scene, None, 1.0, settings.clone()).unwrap();
     for _ in 0..SYNC_INTERVAL {
-        assert!(step(&device, &mut stream, &mut trainer, &photograph));
+        assert!(step(&device, &mut stream, &mut trainer, &reference));
     }
     let state = trainer.state().unwrap();
     let mut resumed = Trainer::resume(&device, &[], state, settings).unwrap();
     for _ in 0..3 {
-        assert!(step(&device, &mut stream, &mut trainer, &photograph));
-        assert!(step(&device, &mut stream, &mut resumed, &photograph));
+        assert!(step(&device, &mut stream, &mut trainer, &reference));
+        assert!(step(&device, &mut stream, &mut resumed, &reference));
     }
     assert_eq!(resumed.progress().step, SYNC_INTERVAL + 3);
     assert_eq!(resumed.gaussians().unwrap(), trainer.gaussians().unwrap());

@@ -2,7 +2,7 @@
 
 mod common;
 
-use splat4d::ops::loss::{KnownDisparity, Loss, LossSettings, Photograph};
+use splat4d::ops::loss::{KnownDisparity, Loss, LossSettings, Reference};
 use splat4d::ops::render::Render;
 use splat4d::types::{Image, RenderSettings};
 
@@ -28,7 +28,7 @@ fn sizes_that_differ_are_named() {
     let op = Loss::plan(8, 4);
     let mut scratch = op.scratch(&device).unwrap();
     let mut error = |size: (u32, u32), known: usize| {
-        let photo = Photograph::new(&device, &Image::new(size.0, size.1, 3), None).unwrap();
+        let photo = Reference::new(&device, &Image::new(size.0, size.1, 3), None).unwrap();
         let known = KnownDisparity::new(&device, &vec![[1.0, 1.0]; known]).unwrap();
         op.record(
             &mut stream.record().unwrap(),
@@ -51,6 +51,6 @@ fn sizes_that_differ_are_named() {
         "loss: known disparities has 31 elements, expected at least 32"
     );
     let weights = Image::new(8, 3, 1);
-    let error = Photograph::new(&device, &Image::new(8, 4, 3), Some(&weights)).err().unwrap();
+    let error = Reference::new(&device, &Image::new(8, 4, 3), Some(&weights)).err().unwrap();
     assert_eq!(error.to_string(), "photograph: weights has 24 elements, expected 32");
 }

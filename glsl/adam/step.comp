@@ -63,10 +63,10 @@ bvec4 visible_from(uint base) {
 
 void main() {
     uint i = group_index() * 64u + gl_LocalInvocationIndex;
-    uint fours = count / 4u;
-    bool whole = i < fours;
-    // What is left of a four comes one by one.
-    uint base = whole ? 4u * i : i + 3u * fours;
+    uint vectors = count / 4u;
+    bool whole = i < vectors;
+    // The scalar tail: one value for each of the last invocations.
+    uint base = whole ? 4u * i : i + 3u * vectors;
     if (base >= count) {
         return;
     }

@@ -23,7 +23,7 @@ const float TAPS[WINDOW] =
         sums[WINDOW - 1] = TAPS[WINDOW - 1] * (value);                                             \
     }
 
-// Channel `channel` of a photograph's packed pixel; the fourth byte is the pixel's weight.
+// Channel `channel` of a reference image's packed pixel; the fourth byte is the pixel's weight.
 float unpack(uint packed_pixel, uint channel) {
     return float((packed_pixel >> (8u * channel)) & 0xffu) / 255.0;
 }

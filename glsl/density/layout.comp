@@ -1,5 +1,5 @@
 #version 460
-// The rows of the new arrays: survivors in order, then what is added, as far as there is room. A row
+// The rows of the new arrays: survivors in order, then what is added, as far as the capacity allows. A row
 // is its source and, in the two upper bits, its origin: 0 kept, 1 copied, 2 drawn from a split one.
 #extension GL_GOOGLE_include_directive : require
 
@@ -22,14 +22,14 @@ layout(push_constant) uniform Params {
 void main() {
     uint j = group_index() * 64u + gl_LocalInvocationIndex;
     uint survivors = totals[0];
-    uint room = capacity - min(capacity, survivors);
+    uint free = capacity - min(capacity, survivors);
     if (j == 0u) {
-        totals[2] = survivors + min(room, totals[1]);
+        totals[2] = survivors + min(free, totals[1]);
     }
     if (j >= count || actions[j] == 0u) {
         return;
     }
-    bool grows = actions[j] >= 2u && added_prefix[j] < room;
+    bool grows = actions[j] >= 2u && added_prefix[j] < free;
     uint origin = actions[j] == 3u ? 2u : 1u;
     if (grows) {
         rows[survivors + added_prefix[j]] = j | origin << 30u;

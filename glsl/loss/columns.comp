@@ -1,13 +1,13 @@
 #version 460
 // First pass of SSIM: the window along columns over x, y, x² + y² and x·y of every channel, x the
-// rendered image over its background and y the photograph.
+// rendered image over its background and y the reference image.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_control_flow_attributes : require
 
 layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer Rgba { vec4 rgba[]; };
-layout(std430, binding = 1) readonly buffer Photograph { uint photograph[]; };
+layout(std430, binding = 1) readonly buffer Reference { uint reference[]; };
 // Each channel in memory of its own: all in one would be more than a binding may hold on some
 // devices, for images well within their reach.
 layout(std430, binding = 2) writeonly buffer WindowedReds { vec4 windowed_reds[]; };
@@ -43,7 +43,7 @@ void main() {
         vec3 rendered = vec3(0.0), photo = vec3(0.0);
         if (y >= 0 && y < height) {
             vec4 value = rgba[y * width + x];
-            uint packed_pixel = photograph[y * width + x];
+            uint packed_pixel = reference[y * width + x];
             rendered = value.rgb + (1.0 - value.a) * background;
             photo = vec3(unpack(packed_pixel, 0u), unpack(packed_pixel, 1u),
                          unpack(packed_pixel, 2u));

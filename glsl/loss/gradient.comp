@@ -9,7 +9,7 @@
 layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer Rgba { vec4 rgba[]; };
-layout(std430, binding = 1) readonly buffer Photograph { uint photograph[]; };
+layout(std430, binding = 1) readonly buffer Reference { uint reference[]; };
 // By x, x² and x·y, windowed along rows, of each channel.
 layout(scalar, binding = 2) readonly buffer ByReds { vec3 by_reds[]; };
 layout(scalar, binding = 3) readonly buffer ByGreens { vec3 by_greens[]; };
@@ -58,7 +58,7 @@ float walk(int x, int first) {
         if (done >= first) {
             int pixel = done * width + x;
             vec4 value = rgba[pixel];
-            uint packed_pixel = photograph[pixel];
+            uint packed_pixel = reference[pixel];
             float weight = unpack(packed_pixel, 3u);
             vec3 rendered = value.rgb + (1.0 - value.a) * background;
             vec3 photo = vec3(unpack(packed_pixel, 0u), unpack(packed_pixel, 1u),

@@ -10,7 +10,7 @@
 layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer Windowed { vec4 windowed[]; };
-layout(std430, binding = 1) readonly buffer Photograph { uint photograph[]; };
+layout(std430, binding = 1) readonly buffer Reference { uint reference[]; };
 layout(scalar, binding = 2) writeonly buffer Derivatives { vec3 derivatives[]; };
 layout(std430, binding = 3) writeonly buffer Partials { float partials[]; };
 
@@ -61,7 +61,7 @@ float walk(int row, int first) {
         int centre = x - HALF;
         vec3 by = vec3(0.0);
         if (centre >= 0 && centre < width) {
-            float weight = unpack(photograph[row + centre], 3u);
+            float weight = unpack(reference[row + centre], 3u);
             float map = map_of(means[0], by);
             by *= weight;
             total += centre >= first && centre < end ? weight * map : 0.0;

@@ -18,11 +18,11 @@ layout(push_constant) uniform Params {
 
 #include "common/grid.glsl"
 #include "common/workgroup_sum.glsl"
-#include "scan/fours.glsl"
+#include "scan/vec4.glsl"
 #include "scan/prefix.glsl"
 
 const uint BLOCK = 4096u;
-const uint FOURS = 4u;
+const uint VECTORS = 4u;
 
 void main() {
     uint block = group_index();
@@ -32,27 +32,27 @@ void main() {
     if (block >= blocks) {
         return;
     }
-    uint begin = min(block * BLOCK + 4u * FOURS * sum_index(), n);
-    uint end = min(begin + 4u * FOURS, n);
-    uint rest = max(begin, end - end % 4u);
-    uvec4 own[FOURS];
+    uint begin = min(block * BLOCK + 4u * VECTORS * sum_index(), n);
+    uint end = min(begin + 4u * VECTORS, n);
+    uint tail = max(begin, end - end % 4u);
+    uvec4 own[VECTORS];
     uint sum = 0u;
-    [[unroll]] for (uint k = 0u; k < FOURS; k++) {
+    [[unroll]] for (uint k = 0u; k < VECTORS; k++) {
         own[k] = uvec4(0u);
-        if (begin + 4u * k < rest) {
+        if (begin + 4u * k < tail) {
             own[k] = values[begin / 4u + k];
         }
         sum += sum_of(own[k]);
     }
-    for (uint at = rest; at < end; at++) {
+    for (uint at = tail; at < end; at++) {
         sum += value(at);
     }
     uint total;
     uint running = sums[block] + exclusive_sum(sum, total);
-    [[unroll]] for (uint k = 0u; k < FOURS; k++) {
-        if (begin + 4u * k < rest) {
-            write_four(begin + 4u * k, own[k], running);
+    [[unroll]] for (uint k = 0u; k < VECTORS; k++) {
+        if (begin + 4u * k < tail) {
+            write_vec4(begin + 4u * k, own[k], running);
         }
     }
-    write_rest(rest, end, running);
+    write_tail(tail, end, running);
 }

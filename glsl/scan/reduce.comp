@@ -17,7 +17,7 @@ layout(push_constant) uniform Params {
 
 #include "common/grid.glsl"
 #include "common/workgroup_sum.glsl"
-#include "scan/fours.glsl"
+#include "scan/vec4.glsl"
 
 const uint BLOCK = 4096u;
 

@@ -18,7 +18,7 @@ layout(push_constant) uniform Params {
 };
 
 #include "common/workgroup_sum.glsl"
-#include "scan/fours.glsl"
+#include "scan/vec4.glsl"
 #include "scan/prefix.glsl"
 
 void main() {
@@ -26,20 +26,20 @@ void main() {
     uint own = 4u * (n / 1024u + (n % 1024u == 0u ? 0u : 1u));
     uint begin = min(own * sum_index(), n);
     uint end = min(begin + own, n);
-    uint rest = max(begin, end - end % 4u);
+    uint tail = max(begin, end - end % 4u);
     uint sum = 0u;
-    for (uint at = begin; at < rest; at += 4u) {
+    for (uint at = begin; at < tail; at += 4u) {
         sum += sum_of(values[at / 4u]);
     }
-    for (uint at = rest; at < end; at++) {
+    for (uint at = tail; at < end; at++) {
         sum += value(at);
     }
     uint all;
     uint running = exclusive_sum(sum, all);
-    for (uint at = begin; at < rest; at += 4u) {
-        write_four(at, values[at / 4u], running);
+    for (uint at = begin; at < tail; at += 4u) {
+        write_vec4(at, values[at / 4u], running);
     }
-    write_rest(rest, end, running);
+    write_tail(tail, end, running);
     if (sum_index() == 0u) {
         total[total_at] = all;
     }

@@ -24,7 +24,7 @@ uint divided_up(uint a, uint b) {
 
 void main() {
     uint n = min(count[count_at], capacity);
-    // In fours, as they are read.
+    // Groups of four keys: the load is a uvec4.
     uint run = 4u * divided_up(max(divided_up(n, max_runs), min_run), 4u);
     uint runs = divided_up(n, run);
     uint groups = divided_up(runs, RUNS_PER_GROUP);

@@ -50,16 +50,16 @@ impl Frame {
         let mut stream = device.stream()?;
         let gaussians = GaussianBuffers::from_host(&mut stream, scene)?;
         let (n, k) = (scene.len(), camera.intrinsics);
-        let mut room = 4 * n + 1024;
+        let mut capacity = 4 * n + 1024;
         loop {
-            let render = Render::plan(device, n, room, k.width, k.height, settings)?;
+            let render = Render::plan(device, n, capacity, k.width, k.height, settings)?;
             let (mut scratch, mut pixels) = (render.scratch(device)?, render.pixels(device)?);
             let mut recorder = stream.record()?;
             let views = gaussians.views();
             render.forward(&mut recorder, camera, views, &mut scratch, &mut pixels)?;
             stream.submit(recorder)?;
             let counts = scratch.counts(&mut stream)?;
-            if counts.intersections <= room {
+            if counts.intersections <= capacity {
                 let (camera, backward) = (*camera, None);
                 return Ok(Frame {
                     render,
@@ -72,7 +72,7 @@ impl Frame {
                     backward,
                 });
             }
-            room = counts.intersections;
+            capacity = counts.intersections;
         }
     }
 

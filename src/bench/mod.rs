@@ -28,7 +28,7 @@ pub use speed::{
 
 use crate::Result;
 use crate::gpu::{Device, DeviceKind};
-use crate::report::{Ceilings, Machine, Row};
+use crate::report::{Peaks, Machine, Row};
 
 /// Every row, in the order of a report. `quick`: the small sizes only.
 pub fn entries(quick: bool) -> Vec<Entry> {
@@ -52,13 +52,13 @@ pub fn machine(device: &Device) -> Machine {
 }
 
 /// The most that a device copies and calculates, from the rows that measure it.
-pub fn ceilings(rows: &[Row]) -> Ceilings {
+pub fn peaks(rows: &[Row]) -> Peaks {
     let most = |id: &str, rate: fn(&Row) -> Option<f64>| {
         rows.iter().filter(|row| row.id == id).filter_map(rate).reduce(f64::max)
     };
-    Ceilings {
-        bytes: most("ceiling/copy", Row::bandwidth),
-        operations: most("ceiling/fma", Row::throughput),
+    Peaks {
+        bytes: most("roofline/copy", Row::bandwidth),
+        operations: most("roofline/fma", Row::throughput),
     }
 }
 
@@ -78,7 +78,7 @@ pub fn commit() -> Option<String> {
     (output.status.success() && !text.is_empty()).then(|| text.to_owned())
 }
 
-/// Measures the entries whose name holds `filter`, and the device's ceilings in any case, one after
+/// Measures the entries whose name holds `filter`, and the device's peaks in any case, one after
 /// the other; `each` hears of every row.
 ///
 /// # Errors
@@ -92,7 +92,7 @@ pub fn run(
     mut each: impl FnMut(&Row) -> Result<()>,
 ) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
-    let wanted = |entry: &&Entry| entry.matches(filter) || entry.id.starts_with("ceiling/");
+    let wanted = |entry: &&Entry| entry.matches(filter) || entry.id.starts_with("roofline/");
     for entry in entries.iter().filter(wanted) {
         let row = measure(device, entry, pace, seed)?;
         each(&row)?;

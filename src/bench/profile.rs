@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::job::{Entry, Pace};
 use crate::gpu::{Detail, Device};
 use crate::kernels;
-use crate::report::{Ceilings, Place, Spread, Work};
+use crate::report::{Peaks, Place, Spread, Work};
 use crate::{Error, Result};
 
 /// What a row's executions are made of. Times are medians over the executions, in nanoseconds.
@@ -51,11 +51,11 @@ pub struct KernelShare {
 impl Profile {
     /// Bytes and operations a second over what the device does at most; `None` where they are not
     /// counted.
-    pub fn shares(&self, ceilings: &Ceilings) -> [Option<f64>; 2] {
+    pub fn shares(&self, peaks: &Peaks) -> [Option<f64>; 2] {
         let share = |count: u64, most: Option<f64>| {
             (count > 0).then_some(count as f64 / self.device * 1e9 / most?)
         };
-        [share(self.work.bytes, ceilings.bytes), share(self.work.operations, ceilings.operations)]
+        [share(self.work.bytes, peaks.bytes), share(self.work.operations, peaks.operations)]
     }
 }
 

@@ -3,7 +3,7 @@
 use super::{Bound, Case, Harness};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Recorder, Stream};
-use crate::ops::loss::{KnownDisparity, Loss, LossSettings, LossValue, Photograph};
+use crate::ops::loss::{KnownDisparity, Loss, LossSettings, LossValue, Reference};
 use crate::ops::render::{PixelBuffers, PixelGradients};
 use crate::oracle::Real;
 use crate::oracle::loss::{self, DepthKind, DepthTerm, Target};
@@ -158,7 +158,7 @@ fn run(harness: &mut Harness, input: &Input) -> Result<Answer> {
         depth: device.upload("rendered depth", &input.rendered.depth)?,
         last: device.buffer("last intersections", 0)?,
     };
-    let photograph = Photograph::new(device, &input.photo, input.weights.as_ref())?;
+    let reference = Reference::new(device, &input.photo, input.weights.as_ref())?;
     let known = input.known.as_ref().map(|v| KnownDisparity::new(device, v)).transpose()?;
     let mut gradients = PixelGradients {
         rgba: device.buffer("rgba gradient", area + SLACK)?,
@@ -178,7 +178,7 @@ fn run(harness: &mut Harness, input: &Input) -> Result<Answer> {
         &mut recorder,
         &input.settings,
         &pixels,
-        &photograph,
+        &reference,
         known.as_ref(),
         &mut gradients,
         &mut scratch,
@@ -189,7 +189,7 @@ fn run(harness: &mut Harness, input: &Input) -> Result<Answer> {
         read(stream, derivatives, area)?;
     }
     Ok(Answer {
-        value: op.value(stream, &photograph, known.as_ref(), &scratch)?,
+        value: op.value(stream, &reference, known.as_ref(), &scratch)?,
         rgba: read(stream, &gradients.rgba, area)?,
         depth: stream.download(&gradients.depth)?,
     })

@@ -13,7 +13,7 @@
 pub mod adam;
 pub mod arap;
 pub mod bin;
-pub mod ceiling;
+pub mod roofline;
 mod contract;
 pub mod deform;
 pub mod density;
@@ -62,7 +62,7 @@ pub const ALL: &[&[Case]] = &[
     adam::CASES,
     arap::CASES,
     bin::CASES,
-    ceiling::CASES,
+    roofline::CASES,
     deform::CASES,
     density::CASES,
     flow::CASES,

@@ -11,7 +11,7 @@ use splat4d::bench::{self, Budget, ErrorMeasure, Pace, Profile, Shot};
 use splat4d::gpu::Device;
 use splat4d::renderer::RenderScale;
 use splat4d::report::{
-    Ceilings, Curve, CurvePoint, Machine, Measurements, Place, Point, PowerLaw, Row, Verdict,
+    Peaks, Curve, CurvePoint, Machine, Measurements, Place, Point, PowerLaw, Row, Verdict,
     compare, duration, rate, scientific,
 };
 use splat4d::scene::{Opened, Scene};
@@ -35,11 +35,11 @@ error and no speed. Times are the device's own timestamps, without uploads and d
 Exit code 1 when a row misses its bound, or the settings found miss the budget on that view.
 
 Parts, for --filter: scan, sort, project, bin, raster, loss, deform, mlp, arap, adam, density,
-ceiling, render, pipeline, and the sweeps of speed against error: sweep/still, sweep/motion,
+roofline, render, pipeline, and the sweeps of speed against error: sweep/still, sweep/motion,
 sweep/scene (with --scene).
 
 With --profile rows are taken apart instead: the time of each kernel of an execution, its share, what
-the host adds, and what of the device's ceilings the row's counted bytes and operations reach. Without a filter, of the pipelines.
+the host adds, and what of the device's peaks the row's counted bytes and operations reach. Without a filter, of the pipelines.
 
 With --scale nothing is measured but how time and memory grow: of a render and of training steps,
 against Gaussians (10 k to 5 M; 480×270 on a software driver, else 1920×1080), pixels (0.1 to 8 MP),
@@ -61,13 +61,13 @@ Examples:
   splat4d bench cmp before/bench.json after/bench.json
 
 JSON: format, version, commit, unix_seconds, machine {device, driver, kind, software, subgroup_size,
-threads}, ceilings {bytes, operations} (per second), rows [{id, size, place, clock, accuracy
+threads}, peaks {bytes, operations} (per second), rows [{id, size, place, clock, accuracy
 {of_bound, error, output}, work {bytes, operations}, time (nanoseconds, or null)}], sweeps [{scene,
 gaussians, size, clock, points [{knob, value, settings, time, ratio (to the best
 settings' time, in turns), error {max, rmse, psnr}}]}], choice
 {scene, budget, measure, settings, time_ratio, error, met, views} or null, curves [{pipeline, axis,
 held, clock, accuracy, points [{size, time, foreseen, taken (bytes of device memory), left_out (why,
-or null), kernels [[name, nanoseconds]]}]}] (with --scale), missed (rows without speed), seconds. With --profile: machine, ceilings, profiles [{id, size, executions, device, wall (nanoseconds),
+or null), kernels [[name, nanoseconds]]}]}] (with --scale), missed (rows without speed), seconds. With --profile: machine, peaks, profiles [{id, size, executions, device, wall (nanoseconds),
 host_share, work {bytes, operations}, subgroup_size, kernels [{kernel, workgroup, dispatches, time, share}]}]. Of cmp: rows [{name, ratio, interval, verdict}], faster, slower, noise,
 incomparable";
 
@@ -240,7 +240,7 @@ fn measure(
         say(&row_text(row, machine.software));
         Ok(())
     })?;
-    measured.ceilings = bench::ceilings(&measured.rows);
+    measured.peaks = bench::peaks(&measured.rows);
     let mut each = |point: &Point| {
         interrupt::check()?;
         say(&point_text(point));
@@ -277,12 +277,12 @@ fn profiles(
     let filter = args.filter.as_deref().unwrap_or("pipeline/");
     let (mut profiles, mut text) = (Vec::new(), String::new());
     let all = bench::entries(true);
-    let most = bench::run(device, &all, Some("ceiling/"), pace, common.seed, |_| Ok(()))?;
-    let ceilings = bench::ceilings(&most);
+    let most = bench::run(device, &all, Some("roofline/"), pace, common.seed, |_| Ok(()))?;
+    let peaks = bench::peaks(&most);
     for entry in bench::entries(args.quick).iter().filter(|entry| entry.matches(Some(filter))) {
         interrupt::check()?;
         if let Some(profile) = bench::profile(device, entry, pace, common.seed)? {
-            text += &profile_text(&profile, &ceilings);
+            text += &profile_text(&profile, &peaks);
             profiles.push(profile);
         }
     }
@@ -291,11 +291,11 @@ fn profiles(
             "no row's name holds `{filter}` and runs on the device; --help lists the parts"
         )));
     }
-    let json = json!({ "machine": machine, "ceilings": ceilings, "profiles": profiles });
+    let json = json!({ "machine": machine, "peaks": peaks, "profiles": profiles });
     Ok(Answer { json, text })
 }
 
-fn profile_text(profile: &Profile, ceilings: &Ceilings) -> String {
+fn profile_text(profile: &Profile, peaks: &Peaks) -> String {
     let Profile { id, size, executions, device, wall, kernels, .. } = profile;
     let mut text = format!(
         "{id}, {size}: {} on the device, {} in all, {:.1} % of it the host's (medians of \
@@ -305,7 +305,7 @@ fn profile_text(profile: &Profile, ceilings: &Ceilings) -> String {
         100.0 * profile.host_share,
         profile.subgroup_size
     );
-    let shares = profile.shares(ceilings).into_iter().zip(["bytes", "operations"]);
+    let shares = profile.shares(peaks).into_iter().zip(["bytes", "operations"]);
     for (share, what) in shares.filter_map(|(share, what)| Some((share?, what))) {
         let _ = writeln!(text, "  {what}: {:.1} % of what the device does at most", 100.0 * share);
     }
@@ -432,15 +432,15 @@ fn text(measured: &Measurements, missed: usize) -> String {
     let mut text = String::new();
     let machine = &measured.machine;
     let _ = writeln!(text, "{} ({})", machine.device, machine.driver);
-    let ceilings = [
-        ("copies at most", measured.ceilings.bytes.map(|r| rate(r, "B"))),
-        ("calculates at most", measured.ceilings.operations.map(|r| rate(r, "flop"))),
+    let peaks = [
+        ("copies at most", measured.peaks.bytes.map(|r| rate(r, "B"))),
+        ("calculates at most", measured.peaks.operations.map(|r| rate(r, "flop"))),
     ];
-    for (what, value) in ceilings {
+    for (what, value) in peaks {
         let _ = value.map(|value| writeln!(text, "{what} {value}"));
     }
     for row in &measured.rows {
-        let share = row.share(&measured.ceilings).map(|s| format!(", {:.1} %", 100.0 * s));
+        let share = row.share(&measured.peaks).map(|s| format!(", {:.1} %", 100.0 * s));
         let line = row_text(row, machine.software);
         let _ = writeln!(text, "{line}{}", share.unwrap_or_default());
     }

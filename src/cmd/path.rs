@@ -67,7 +67,7 @@ enum Around<'a> {
     /// The input's camera at each time, at a distance from what it looks at.
     Shot(&'a Scene, f64),
     /// One camera of the input, likewise.
-    Photograph(Camera, f64),
+    Reference(Camera, f64),
     /// All of a scene without cameras.
     Whole(Circle),
 }
@@ -86,7 +86,7 @@ impl Orbit<'_> {
                 let distance = typical_depth(scene, &middle);
                 match is_shot(scene, distance) {
                     true => Around::Shot(scene, distance),
-                    false => Around::Photograph(middle, distance),
+                    false => Around::Reference(middle, distance),
                 }
             }
         };
@@ -114,7 +114,7 @@ impl Orbit<'_> {
         let way = index as f64 / self.frames.max(2).saturating_sub(1) as f64;
         let (base, distance) = match &self.around {
             Around::Shot(scene, distance) => (between(scene, time), distance),
-            Around::Photograph(camera, distance) => (*camera, distance),
+            Around::Reference(camera, distance) => (*camera, distance),
             Around::Whole(circle) => {
                 // A full circle ends one step before its beginning.
                 let turn = index as f64 / self.frames as f64 * std::f64::consts::TAU;

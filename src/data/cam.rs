@@ -1,5 +1,5 @@
-//! A camera in Sintel's `.cam`: the float 202021.25, a 3×3 matrix of intrinsics and a 3×4 matrix of
-//! extrinsics (world to camera), doubles row by row, all little-endian. A folder holds one for each
+//! Cameras in Sintel's `.cam` format: the float 202021.25, a 3×3 matrix of intrinsics and a 3×4 matrix of
+//! extrinsics (world to camera), doubles in row-major order, all little-endian. A folder holds one file per
 //! frame: `frame_0001.cam`, …
 
 use std::io::Read;
@@ -12,29 +12,29 @@ use crate::io::{self, Bytes};
 use crate::types::{Intrinsics, Pose, range};
 use crate::{Error, Result};
 
-/// What begins a file, as a `.flo` does too.
+/// Tag at the start of the file, the same as in `.flo`.
 const TAG: f32 = 202_021.25;
-/// Bytes of a file: tag, intrinsics, extrinsics.
+/// File size in bytes: tag, intrinsics, extrinsics.
 const LENGTH: usize = 4 + 8 * 9 + 8 * 12;
 
-/// A camera as its file holds it.
+/// A camera as stored in its file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cam {
     /// Focal length along x and y, pixels.
     pub focal: [f64; 2],
     /// Principal point, where the first pixel's centre is 0.5 (the file counts it as 0).
     pub principal: [f64; 2],
-    /// World to camera, the matrix as it is written.
+    /// World to camera, the matrix as stored.
     pub view_from_world: DAffine3,
-    /// The same as a pose.
+    /// The same transform as a pose.
     pub pose: Pose,
 }
 
 impl Cam {
-    /// The intrinsics, of an image of this size: the file does not say one.
+    /// The intrinsics for an image of this size; the file does not contain a size.
     ///
     /// # Errors
-    /// In words: no pinhole camera of that size has these numbers.
+    /// A message: the numbers are not valid for a pinhole camera of this size.
     pub fn intrinsics(&self, width: u32, height: u32) -> std::result::Result<Intrinsics, String> {
         let ([fx, fy], [cx, cy]) = (self.focal, self.principal);
         let k = Intrinsics { fx, fy, cx, cy, width, height };
@@ -42,7 +42,7 @@ impl Cam {
     }
 }
 
-/// Whether a file begins as a camera does.
+/// Whether a file begins with the tag of a camera file.
 pub fn is_cam(path: &Path) -> Result<bool> {
     let mut start = [0; 4];
     match io::open(path)?.read_exact(&mut start) {
@@ -55,7 +55,7 @@ pub fn is_cam(path: &Path) -> Result<bool> {
 /// Reads a camera.
 ///
 /// # Errors
-/// [`Error::Io`]; [`Error::Format`] for what is no camera, or holds matrices that are none of a
+/// [`Error::Io`]; [`Error::Format`] for a file that is not a camera, or whose matrices are not those of a
 /// pinhole camera.
 pub fn read(path: impl AsRef<Path>) -> Result<Cam> {
     let path = path.as_ref();
@@ -85,7 +85,7 @@ pub fn read(path: impl AsRef<Path>) -> Result<Cam> {
     let (rotation, _) = range::rotation_and_scale(view_from_world.matrix3).map_err(bad)?;
     let pose = Pose::new(rotation, view_from_world.translation);
     pose.check().map_err(bad)?;
-    // Sintel's pixel centres are whole numbers: 511.5 is the middle of 1024 pixels.
+    // Sintel's pixel centres are at integers: 511.5 is the centre of 1024 pixels.
     let principal = [cx + 0.5, cy + 0.5];
     if !(fx > 0.0 && fy > 0.0 && principal.iter().all(|c| c.is_finite())) {
         return Err(bad(format!("its intrinsics {k:?} make no sense")));
@@ -93,10 +93,10 @@ pub fn read(path: impl AsRef<Path>) -> Result<Cam> {
     Ok(Cam { focal: [fx, fy], principal, view_from_world, pose })
 }
 
-/// The transform of the 12 numbers of a 3×4 matrix, row by row.
+/// Converts the 12 numbers of a row-major 3×4 matrix to a rigid transform.
 ///
 /// # Errors
-/// In words: the matrix shears, mirrors or scales.
+/// A message: the matrix shears, mirrors or scales.
 pub(super) fn rigid(rows: &[f64; 12]) -> std::result::Result<DAffine3, String> {
     let column = |c: usize| DVec3::new(rows[c], rows[4 + c], rows[8 + c]);
     let matrix = DMat3::from_cols(column(0), column(1), column(2));
@@ -108,7 +108,7 @@ pub(super) fn rigid(rows: &[f64; 12]) -> std::result::Result<DAffine3, String> {
     Ok(DAffine3 { matrix3: matrix, translation: column(3) })
 }
 
-/// The cameras of a folder, in the natural order of their names; empty where it holds none.
+/// The camera files of a folder, in the natural order of their names; empty where there are none.
 pub fn list(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(Error::io(folder))? {

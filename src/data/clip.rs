@@ -1,4 +1,4 @@
-//! A clip: the frames of one video, in order, cameras unknown.
+//! A clip: the frames of one video in order, with unknown cameras.
 
 use std::path::{Path, PathBuf};
 
@@ -12,16 +12,16 @@ use crate::io::check_memory;
 use crate::types::Image;
 use crate::{Error, Result};
 
-/// What to take of a clip.
+/// Which part of a clip to read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ClipOptions {
     /// Which shot, where the clip has cuts.
     pub shot: ShotChoice,
-    /// Every so-manieth frame, beginning with the shot's first; 1 takes all.
+    /// Stride of the frames, beginning with the shot's first; 1 takes all.
     pub every: usize,
-    /// At most so many frames of the shot, after `every`.
+    /// Maximum number of frames of the shot, after `every`.
     pub max_frames: Option<usize>,
-    /// The size to bring the frames to.
+    /// The size that frames are resized to.
     pub size: Resize,
     /// Leave out frames that are damaged or lost, with a note, instead of failing.
     pub skip_bad: bool,
@@ -39,67 +39,69 @@ impl Default for ClipOptions {
     }
 }
 
-/// One frame.
+/// One frame of a clip.
 #[derive(Clone, Debug)]
 pub struct ClipFrame {
     /// The file's name without extension, or the frame's number in the video.
     pub name: String,
-    /// Its place, from 0, in the whole clip: among all files of the folder or all frames of the
-    /// video, those that were not taken and those that cannot be read among them.
+    /// Index in the whole clip, from 0: among all files of the folder or all frames of the video, including
+    /// those that were not taken or are unreadable.
     pub number: usize,
-    /// In [0, 1]: the first frame 0, the last 1, the others by their numbers.
+    /// Time in [0, 1] in proportion to `number`: the first frame is at 0, the last at 1.
     pub time: f64,
     /// RGB in [0, 1].
     pub image: Image,
 }
 
-/// At least [`Clip::LEAST`] frames of one size and, unless all are asked for, of one shot.
+/// The frames of a clip: at least [`Clip::LEAST`], all of one size and, unless the whole clip was
+/// requested, of one shot.
 #[derive(Clone, Debug)]
 pub struct Clip {
-    /// In order.
+    /// The frames in order.
     pub frames: Vec<ClipFrame>,
-    /// Frames of the whole clip, as [`ClipFrame::number`] counts them; `None` where frames of a
-    /// damaged video are missing without a trace.
+    /// Number of frames of the whole clip, as [`ClipFrame::number`] counts them; `None` where an unknown
+    /// number of frames of a damaged video is missing.
     pub total: Option<usize>,
     /// Frames that were left out because they are damaged or lost.
     pub skipped: usize,
-    /// The shots of the whole clip, of three frames or more; empty where no cut was found.
+    /// Shots of the whole clip with at least three frames; empty where no cut was found.
     pub shots: Vec<Shot>,
-    /// Which of them the frames were taken from; `None` where they were taken from the whole clip.
+    /// Index of the shot that the frames were taken from; `None` for the whole clip.
     pub shot: Option<usize>,
     /// Width of every frame.
     pub width: u32,
     /// Height of every frame.
     pub height: u32,
-    /// Width and height that the frames had before they were brought to this size.
+    /// Width and height of the frames before resizing.
     pub original: (u32, u32),
-    /// Frames a second of what was taken, where the file says.
+    /// Frame rate of the frames that were taken, in frames per second, where the file gives it.
     pub rate: Option<f64>,
-    /// Focal length in pixels of the frames as taken, where EXIF says.
+    /// Focal length in pixels of the resized frames, where EXIF data gives it.
     pub focal: Option<f64>,
-    /// Lines to show.
+    /// Notes for the user.
     pub notes: Vec<String>,
 }
 
 impl Clip {
-    /// Fewest frames that cameras can be found from: a point counts once three frames agree on it.
+    /// Minimum number of frames for camera estimation: a point counts once three frames agree on it.
     pub const LEAST: usize = 3;
 
-    /// Opens a video file (through `ffmpeg`), or a folder of images in natural order of their names;
-    /// a folder without images but with a folder `frames` or `images` in it stands for that one, and a
-    /// dataset ([`layout`]) or DAVIS's folder for the pictures to train on, by time. All of
-    /// the clip is looked through for cuts first, in small pictures of which a few are kept.
+    /// Opens a video file (through `ffmpeg`), or a folder of images in natural order of their names. A
+    /// folder without images but with a subfolder `frames` or `images` stands for that subfolder; a dataset
+    /// ([`layout`]) stands for its training images in the order of their times; a DAVIS folder stands for
+    /// its only clip. The whole clip is searched for cuts first, on small images of which only a few are
+    /// kept.
     ///
     /// # Errors
-    /// No such file, or what is neither a file nor a folder; a folder without images; fewer than
-    /// [`Clip::LEAST`] frames; no such shot; frames of different sizes; a frame that is damaged or lost (unless
-    /// `skip_bad`); more than there is memory for; no `ffmpeg`. Each names the file and says what to
-    /// do.
+    /// The path does not exist, or is neither a file nor a folder; a folder without images; fewer than
+    /// [`Clip::LEAST`] frames; no such shot; frames of different sizes; a frame that is damaged or lost
+    /// (unless `skip_bad`); insufficient memory; no `ffmpeg`. Each message names the file and a remedy.
     pub fn open(path: impl AsRef<Path>, options: &ClipOptions) -> Result<Clip> {
         Clip::open_while(path, options, &|| Ok(()))
     }
 
-    /// As [`Clip::open`]; `go_on` is asked several times a second, and its error ends the work.
+    /// [`Clip::open`] with cancellation: `go_on` is called several times a second, and its error ends the
+    /// work.
     pub fn open_while(path: impl AsRef<Path>, options: &ClipOptions, go_on: GoOn) -> Result<Clip> {
         let path = path.as_ref();
         if options.every == 0 || options.max_frames.is_some_and(|most| most < Clip::LEAST) {
@@ -112,7 +114,7 @@ impl Clip {
             return open_folder(path, options, go_on);
         }
         if !found.is_file() {
-            // Opening a pipe waits for someone to write into it.
+            // Opening a pipe would block until a writer appears.
             let what = "is neither a file nor a folder; give a video file or a folder of images";
             return Err(Error::format(path, what));
         }
@@ -131,11 +133,12 @@ impl Clip {
         Ok(clip)
     }
 
-    /// The files of the frames that a folder stands for: its pictures; else those of `frames` or `images` in
-    /// it; else DAVIS's only clip; else a dataset's pictures to train on, by time. Empty where it holds none.
+    /// The image files that a folder stands for: its own images; else those of its subfolder `frames` or
+    /// `images`; else DAVIS's only clip; else a dataset's training images in the order of their times.
+    /// Empty where it holds none.
     ///
     /// # Errors
-    /// The folder cannot be read; it holds several clips; the dataset is damaged, or its pictures are not
+    /// The folder cannot be read; it holds several clips; the dataset is damaged, or its images are not
     /// those of one camera.
     pub fn files(folder: &Path) -> Result<Vec<PathBuf>> {
         let mut files = images::list(folder)?;
@@ -155,7 +158,7 @@ impl Clip {
         Ok(files)
     }
 
-    /// Tells the shots, where there are any.
+    /// Stores the shots, and adds a note where there are any.
     fn cut(
         &mut self,
         shots: Vec<Shot>,
@@ -192,26 +195,26 @@ fn too_few(path: &Path, frames: usize, options: &ClipOptions, skipped: usize) ->
     )
 }
 
-/// Bytes of a frame in memory.
+/// Size of a frame in memory, bytes.
 fn frame_bytes((width, height): (u32, u32)) -> u64 {
     (u64::from(width) * u64::from(height)).saturating_mul(12)
 }
 
-/// That so many frames of a size find room in memory.
+/// Checks that a number of frames fits in memory.
 pub(super) fn foresee(path: &Path, frames: usize, size: (u32, u32)) -> Result<()> {
     let what = format!("{}: a clip of {frames} frames of {}×{}", path.display(), size.0, size.1);
     check_memory((frames as u64).saturating_mul(frame_bytes(size)), &what).map_err(hint_less)
 }
 
-/// That one more frame finds room, beside what all else that runs may want meanwhile: for clips
-/// whose length only reading tells.
+/// Checks that one more frame fits in memory, with a reserve for other concurrent work; used for clips
+/// whose length is only known after reading.
 pub(super) fn room_for(path: &Path, frames: usize, size: (u32, u32)) -> Result<()> {
     const SPARE: u64 = 64 << 20;
     let what = format!("{}: frame {frames} of {}×{}", path.display(), size.0, size.1);
     check_memory(frame_bytes(size).saturating_add(SPARE), &what).map_err(hint_less)
 }
 
-/// Says how to go on where a clip is too large.
+/// Adds a remedy to the error about a clip that is too large.
 fn hint_less(error: Error) -> Error {
     match error {
         Error::Input(what) => Error::Input(format!(
@@ -270,7 +273,7 @@ fn open_folder(folder: &Path, options: &ClipOptions, go_on: GoOn) -> Result<Clip
     let shots = find_shots(&files, go_on)?;
     let shot = options.shot.among(folder, &shots, None)?;
     let range = shot.map_or(Shot { first: 0, last: total - 1 }, |shot| shots[shot]);
-    // Bad files are looked for among the frames that are taken: what lies between is of no concern.
+    // Only the frames that are taken are checked for damage.
     let files: Vec<_> = files
         .into_iter()
         .enumerate()
@@ -319,7 +322,7 @@ fn open_folder(folder: &Path, options: &ClipOptions, go_on: GoOn) -> Result<Clip
                 let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
                 frames.push((stem, *number, image));
             }
-            // Only what is wrong with the file itself may be passed over.
+            // Only errors of the file itself may be skipped.
             Err(error @ (Error::Io { .. } | Error::Format { .. })) if !options.skip_bad => {
                 return Err(hint_skip(error));
             }
@@ -345,7 +348,7 @@ fn open_folder(folder: &Path, options: &ClipOptions, go_on: GoOn) -> Result<Clip
     Ok(clip)
 }
 
-/// The shots of a folder's pictures. What cannot be read is passed over: it is told if it is taken.
+/// The shots of a folder's images. Unreadable files are ignored here; they are reported if they are taken.
 fn find_shots(files: &[PathBuf], go_on: GoOn) -> Result<Vec<Shot>> {
     let header = |file: &PathBuf| images::dimensions(file, Orientation::Upright).ok();
     let at_a_time = images::at_a_time(files.iter().find_map(header).unwrap_or_default());
@@ -367,7 +370,7 @@ fn find_shots(files: &[PathBuf], go_on: GoOn) -> Result<Vec<Shot>> {
     Ok(detector.finish())
 }
 
-/// Says how to go on where a frame is damaged.
+/// Adds a remedy to the error about a damaged frame.
 pub(super) fn hint_skip(error: Error) -> Error {
     let hint = "skip_bad leaves such frames out";
     match error {

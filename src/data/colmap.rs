@@ -1,4 +1,4 @@
-//! COLMAP models: binary and text are read, binary is written.
+//! COLMAP models: reads binary and text models, writes binary ones.
 //!
 //! Format: COLMAP's documentation, "Output Format". Poses are `view_from_world` with OpenCV axes and
 //! quaternions (w, x, y, z); pixel centres lie at +0.5. Both are the crate's own conventions.
@@ -22,7 +22,7 @@ pub use write::{TrackedPoint, write_model};
 /// A registered image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Registered {
-    /// Its path below the image folder.
+    /// Path relative to the image folder.
     pub name: String,
     /// The key into [`Model::lenses`].
     pub camera: u32,
@@ -37,8 +37,7 @@ pub struct Model {
     pub lenses: HashMap<u32, Lens>,
     /// Images in file order.
     pub images: Vec<Registered>,
-    /// Triangulated points, without those that are not finite or out of reach
-    /// ([`range::CAMERA_REACH`]).
+    /// Triangulated points, without those that are not finite or outside [`range::CAMERA_REACH`].
     pub points: Vec<Point>,
     /// Number of points left out.
     pub left_out: usize,
@@ -52,9 +51,8 @@ pub fn find(root: &Path) -> Option<PathBuf> {
         .find(|folder| folder.join("cameras.bin").is_file() || folder.join("cameras.txt").is_file())
 }
 
-/// Reads a dataset: the model in `model`, the pictures in `root/images`, `root/input` or `root`.
-/// Frames come in the natural order of their names; pictures that do not exist are skipped and
-/// counted in a note.
+/// Reads a dataset: the model in `model`, the images in `root/images`, `root/input` or `root`. Frames are
+/// in the natural order of their names; missing images are skipped and counted in a note.
 pub fn read(root: &Path, model: &Path) -> Result<Dataset> {
     let Model { lenses, mut images, points, left_out } = read_model(model)?;
     let notes = Vec::from_iter(points::left_out_note(left_out, points.len()));
@@ -95,8 +93,7 @@ pub fn read(root: &Path, model: &Path) -> Result<Dataset> {
     Ok(set)
 }
 
-/// Reads the three files of a model; binary is preferred where both kinds are there. `points3D` may
-/// be absent.
+/// Reads the three files of a model; binary is preferred where both kinds exist. `points3D` may be absent.
 pub fn read_model(folder: &Path) -> Result<Model> {
     let binary = folder.join("cameras.bin").is_file();
     let file = |stem: &str| folder.join(format!("{stem}.{}", if binary { "bin" } else { "txt" }));
@@ -141,7 +138,7 @@ const MODELS: [(&str, usize); 11] = [
     ("THIN_PRISM_FISHEYE", 12),
 ];
 
-/// The lens of a model's parameters.
+/// Converts a camera model's parameters to a lens.
 fn lens(path: &Path, id: u32, model: &str, size: (u64, u64), p: &[f64]) -> Result<Lens> {
     let bad = |what: String| Error::format(path, format!("camera {id}: {what}"));
     let side = |side: u64| match u32::try_from(side) {
@@ -170,7 +167,7 @@ fn lens(path: &Path, id: u32, model: &str, size: (u64, u64), p: &[f64]) -> Resul
     Ok(Lens { intrinsics, distortion })
 }
 
-/// The pose of a quaternion (w, x, y, z) and a translation.
+/// Converts a quaternion (w, x, y, z) and a translation to a pose.
 fn pose(path: &Path, name: &str, q: [f64; 4], t: [f64; 3]) -> Result<Pose> {
     let rotation = DQuat::from_xyzw(q[1], q[2], q[3], q[0]);
     let bad = |what: String| Error::format(path, format!("image {}: {what}", excerpt(name)));
@@ -225,7 +222,7 @@ fn binary_images(path: &Path, bytes: &[u8]) -> Result<Vec<Registered>> {
     Ok(images)
 }
 
-/// The points; none in the place of one that cannot be used.
+/// The points; `None` for each one that is unusable.
 fn binary_points(path: &Path, bytes: &[u8]) -> Result<Vec<Option<Point>>> {
     let mut from = Bytes::new(path, bytes);
     let count = from.count(51, "points")?;
@@ -245,7 +242,7 @@ fn binary_points(path: &Path, bytes: &[u8]) -> Result<Vec<Option<Point>>> {
     Ok(points)
 }
 
-/// The words of one line of a text file, read one after another.
+/// The words of one line of a text file, read in order.
 struct Line<'a> {
     path: &'a Path,
     number: usize,
@@ -260,7 +257,7 @@ impl<'a> Line<'a> {
     }
 }
 
-/// The lines that hold data, without comments; the caller decides what an empty one means.
+/// The lines that hold data, without comments; empty lines are included, and the caller interprets them.
 fn lines<'a>(path: &'a Path, text: &'a str) -> impl Iterator<Item = (&'a str, Line<'a>)> {
     text.lines().enumerate().filter(|(_, line)| !line.trim_start().starts_with('#')).map(
         move |(i, line)| (line, Line { path, number: i + 1, words: line.split_ascii_whitespace() }),
@@ -298,22 +295,22 @@ fn text_images(path: &Path, text: &str) -> Result<Vec<Registered>> {
             *value = words.next("a number of the pose")?;
         }
         let camera = words.next("a camera's id")?;
-        // The name is the rest of the line: it may hold spaces.
+        // The name is the rest of the line, because it may contain spaces.
         let name = words.words.by_ref().collect::<Vec<_>>().join(" ");
         if name.is_empty() {
             return Err(Error::format(path, format!("line {}: a name expected", words.number)));
         }
         let view_from_world = pose(path, &name, q, t)?;
         images.push(Registered { name, camera, view_from_world });
-        // The image's observations follow on a line of their own, which is empty where there are
-        // none. Some writers leave it out then: the next image follows at once.
+        // The image's observations follow on a separate line, which is empty where there are none. Some
+        // writers omit the empty line, so that the next image follows directly.
         lines.next_if(|(line, _)| is_observations(line));
     }
     Ok(images)
 }
 
-/// Whether a line holds `x y id` any number of times. An image's line does not: it has a name, and
-/// ten words at least.
+/// Whether a line consists of any number of `x y id` triples. An image's line does not: it has a name, and
+/// at least ten words.
 fn is_observations(line: &str) -> bool {
     let words = || line.split_ascii_whitespace();
     words().count().is_multiple_of(3) && words().all(|word| word.parse::<f64>().is_ok())

@@ -1,4 +1,4 @@
-//! DAVIS: clips with a mask of each frame, cameras unknown.
+//! DAVIS: clips with a mask per frame, without cameras.
 //!
 //! `JPEGImages/480p/NAME/00000.jpg`, … are the frames, `Annotations/480p/NAME/00000.png`, … the masks
 //! ([`read_mask`](super::read_mask)): white on black in DAVIS 2016, a colour for each object in DAVIS 2017.
@@ -9,18 +9,18 @@ use std::path::{Path, PathBuf};
 
 use crate::{Error, Result};
 
-/// Sizes that clips come in, the one that is scored first.
+/// Resolutions of the clips; the one that is scored comes first.
 const SIZES: [&str; 3] = ["480p", "1080p", "Full-Resolution"];
 
-/// Whether a folder is DAVIS's.
+/// Whether a folder is a DAVIS dataset.
 pub(super) fn is_root(folder: &Path) -> bool {
     ["JPEGImages", "Annotations"].iter().all(|name| folder.join(name).is_dir())
 }
 
-/// The names of a folder's clips.
+/// The names of the clips in a folder.
 ///
 /// # Errors
-/// [`Error::Io`]; [`Error::Format`] where there is none.
+/// [`Error::Io`]; [`Error::Format`] where there are no clips.
 pub fn names(root: &Path) -> Result<Vec<String>> {
     let all = clips(root, "JPEGImages");
     let mut names = Vec::new();
@@ -56,7 +56,7 @@ fn clips(root: &Path, what: &str) -> PathBuf {
 /// The frames of the only clip that a folder holds.
 ///
 /// # Errors
-/// Those of [`names`]; [`Error::Format`] where there are several.
+/// Those of [`names`]; [`Error::Format`] where there are several clips.
 pub(super) fn only_clip(root: &Path) -> Result<PathBuf> {
     let names = names(root)?;
     if let [first, _, ..] = &names[..] {
@@ -70,7 +70,7 @@ pub(super) fn only_clip(root: &Path) -> Result<PathBuf> {
     Ok(frames(root, &names[0]))
 }
 
-/// What to say of DAVIS's folder where cameras are wanted.
+/// The message about a DAVIS folder where cameras are required.
 pub(super) fn without_cameras(folder: &Path) -> Option<String> {
     is_root(folder).then(|| {
         "holds clips of DAVIS, which have no cameras: reconstruct one of them, with its masks as motion masks"

@@ -1,4 +1,4 @@
-//! Depth maps in the formats that they come in: EXR, `.npy`, `.npz`, 16-bit PNG, Sintel's `.dpt`.
+//! Depth maps: EXR, `.npy`, `.npz`, 16-bit PNG, Sintel's `.dpt`.
 
 use std::path::Path;
 
@@ -7,24 +7,24 @@ use super::{dpt, exr, images};
 use crate::types::{Image, range};
 use crate::{Error, Result};
 
-/// Extensions of the files that are read.
+/// Supported file extensions.
 pub const EXTENSIONS: [&str; 5] = ["exr", "npy", "npz", "png", "dpt"];
 
-/// Reads a depth map (z), one channel. `.npy` and `.npz` hold one array, height × width; a grey PNG of
-/// 16 bits holds whole numbers, `unit` of them to a unit of length (1000: millimetres for metres). What
-/// is no depth (NaN, not above 0, nearer than [`range::DEPTH`]) comes back as 0, what is farther as
+/// Reads a depth map (z), one channel. `.npy` and `.npz` files hold one array, height × width; a 16-bit
+/// grey PNG holds integers, with `unit` of them per unit of length (1000: millimetres for metres). Values
+/// that are not depths (NaN, not above 0, nearer than [`range::DEPTH`]) are returned as 0, those farther as
 /// infinite.
 ///
 /// # Errors
-/// [`Error::Io`]; [`Error::Format`] for what is no depth map.
+/// [`Error::Io`]; [`Error::Format`] for a file that is not a depth map.
 pub fn read(path: impl AsRef<Path>, unit: f64) -> Result<Image> {
     let mut depth = read_stored(path, unit)?;
     depth.pixels.iter_mut().for_each(|z| *z = clean(*z));
     Ok(depth)
 }
 
-/// Reads a map as [`read`] does and leaves its numbers as they are: those of a network may be inverse
-/// depth, and below 0.
+/// Reads a map like [`read`] with its stored values unchanged; a network's values may be inverse depth, or
+/// negative.
 ///
 /// # Errors
 /// Those of [`read`].
@@ -44,7 +44,7 @@ pub fn read_stored(path: impl AsRef<Path>, unit: f64) -> Result<Image> {
     }
 }
 
-/// A depth as the crate keeps it.
+/// Converts a stored depth to the crate's convention, see [`read`].
 pub(super) fn clean(z: f32) -> f32 {
     match z {
         z if range::DEPTH.contains(&z) => z,
@@ -53,7 +53,7 @@ pub(super) fn clean(z: f32) -> f32 {
     }
 }
 
-/// The one channel of an array of height × width, beside which there may be axes of length 1.
+/// The channel of an array of height × width, with possible further axes of length 1.
 fn of_array(path: &Path, Array { shape, values }: Array) -> Result<Image> {
     let sides: Vec<usize> = match shape[..] {
         [height, width] => vec![height, width],

@@ -1,4 +1,4 @@
-//! Lens distortion: what a lens does to the directions that a pinhole would see.
+//! Lens distortion: the mapping from ideal pinhole directions to those of a lens.
 
 use glam::{DMat2, DVec2};
 use serde::{Deserialize, Serialize};
@@ -11,24 +11,24 @@ use crate::types::range::{self, Check};
 /// tangential.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Distortion {
-    /// k1 … k4.
+    /// Radial coefficients k1 … k4.
     pub radial: [f64; 4],
-    /// p1, p2.
+    /// Tangential coefficients p1, p2.
     pub tangential: [f64; 2],
 }
 
-/// Least share of a picture that undistortion must leave.
+/// Minimum share of an image that must remain after undistortion.
 const LEAST_LEFT: f64 = 0.1;
-/// Places along each side of a picture at which [`Distortion::check`] looks.
+/// Number of sample positions along each side of an image for [`Distortion::check`].
 const CHECKED: u32 = 33;
 
 impl Distortion {
-    /// That this is a lens's distortion of a picture with these intrinsics: no two directions share
-    /// a pixel that [`Lens::undistort`](super::Lens::undistort) takes, and it finds a source for a tenth of the
-    /// pixels at least.
+    /// Checks that the distortion is valid for an image with these intrinsics: no two directions share a
+    /// pixel that [`Lens::undistort`](super::Lens::undistort) samples, and it finds a source for at least a
+    /// tenth of the pixels.
     ///
     /// # Errors
-    /// What is wrong, in words.
+    /// A message that says what is wrong.
     pub fn check(&self, intrinsics: &Intrinsics) -> Check {
         if self.is_none() {
             return Ok(());
@@ -57,12 +57,12 @@ impl Distortion {
         })
     }
 
-    /// The determinant of [`distort`](Self::distort)'s derivative: below zero it mirrors.
+    /// The determinant of [`distort`](Self::distort)'s Jacobian; negative where the mapping is mirrored.
     fn turns_over(&self, p: DVec2) -> f64 {
         self.slopes(p).determinant()
     }
 
-    /// The derivative of [`distort`](Self::distort).
+    /// The Jacobian of [`distort`](Self::distort).
     fn slopes(&self, p: DVec2) -> DMat2 {
         let [k1, k2, k3, k4] = self.radial;
         let [p1, p2] = self.tangential;
@@ -80,7 +80,7 @@ impl Distortion {
         self.radial == [0.0; 4] && self.tangential == [0.0; 2]
     }
 
-    /// Where the lens puts the point that a pinhole puts at `p`, both in the plane of unit depth.
+    /// Maps an ideal pinhole position `p` to its distorted position, both in the plane of unit depth.
     pub fn distort(&self, p: DVec2) -> DVec2 {
         let [k1, k2, k3, k4] = self.radial;
         let [p1, p2] = self.tangential;
@@ -93,8 +93,8 @@ impl Distortion {
         p * factor + tangential
     }
 
-    /// The squared radius from which on the polynomial folds back: beyond it, it no longer describes
-    /// the lens, and two directions share a pixel. At most `limit`.
+    /// Squared radius at which the radial polynomial stops increasing; beyond it, two directions share a
+    /// pixel and the polynomial no longer describes the lens. At most `limit`.
     pub(super) fn fold(&self, limit: f64) -> f64 {
         let [k1, k2, k3, k4] = self.radial;
         let rising = |r2: f64| {
@@ -107,9 +107,9 @@ impl Distortion {
             .unwrap_or(limit)
     }
 
-    /// Where a pinhole puts the point that the lens puts at `m`, both in the plane of unit depth: the inverse
-    /// of [`distort`](Self::distort), by Newton's method. None where the lens shows nothing there, or folds
-    /// the picture over.
+    /// Maps a distorted position `m` to its ideal pinhole position, both in the plane of unit depth: the
+    /// inverse of [`distort`](Self::distort), by Newton's method. `None` where the lens has no image or
+    /// where the mapping folds over.
     pub fn undistort(&self, m: DVec2) -> Option<DVec2> {
         let mut p = m;
         for _ in 0..30 {
@@ -130,7 +130,7 @@ impl Distortion {
     }
 }
 
-/// The largest squared radius, in the plane of unit depth, of a pinhole's picture of some size.
+/// Largest squared radius, in the plane of unit depth, of a pinhole image of some size.
 pub(super) fn reach(intrinsics: &Intrinsics, size: DVec2) -> f64 {
     [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)]
         .map(|(x, y)| DVec2::new(x, y) * size)

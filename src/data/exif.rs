@@ -1,15 +1,15 @@
-//! The focal length that a camera wrote into its picture.
+//! Focal length from an image's EXIF data.
 
 use std::path::Path;
 
 use exif::{Exif, In, Reader, Tag, Value};
 
-/// Diagonal of a 36 mm × 24 mm frame: what "35 mm equivalent" is measured by (CIPA DCG-001).
+/// Diagonal of a 36 mm × 24 mm frame, the reference of the "35 mm equivalent" (CIPA DCG-001), mm.
 const FULL_FRAME_DIAGONAL_MM: f64 = 43.266_615_305_567_87;
 
-/// Focal length in pixels of a picture of `width` × `height`, from its EXIF data: the 35 mm
-/// equivalent, or the true focal length and the sensor's pixel density. `None` where neither is
-/// there or they make no sense (a missing hint is no error).
+/// Focal length in pixels of an image of `width` × `height`, from its EXIF data: from the 35 mm equivalent,
+/// or from the true focal length and the sensor's pixel density. `None` where both are absent or
+/// implausible (a missing hint is not an error).
 pub fn focal(path: &Path, width: u32, height: u32) -> Option<f64> {
     let file = crate::io::open(path).ok()?;
     let exif = Reader::new().read_from_container(&mut std::io::BufReader::new(file)).ok()?;
@@ -18,7 +18,7 @@ pub fn focal(path: &Path, width: u32, height: u32) -> Option<f64> {
 
 fn from_exif(exif: &Exif, width: f64, height: f64) -> Option<f64> {
     let plausible = |focal: f64| {
-        // A field of view between 170° and 1°: beyond, the entry is a default or a mistake.
+        // A field of view between 170° and 1°; other values are defaults or mistakes.
         let half_side = width.max(height) / 2.0;
         (focal.is_finite() && (half_side / 12.0..half_side * 115.0).contains(&focal))
             .then_some(focal)
@@ -36,7 +36,7 @@ fn from_exif(exif: &Exif, width: f64, height: f64) -> Option<f64> {
         _ => return None,
     };
     let per_mm = number(exif, Tag::FocalPlaneXResolution)? / unit_mm;
-    // The density is of the picture as taken, which may have been shrunk since.
+    // The density refers to the image as taken, which may have been downscaled since.
     let taken = number(exif, Tag::PixelXDimension).filter(|&w| w > 0.0).unwrap_or(width);
     let shrunk = width.max(height) / taken.max(number(exif, Tag::PixelYDimension).unwrap_or(0.0));
     plausible(mm * per_mm * shrunk.min(1.0))

@@ -11,42 +11,42 @@ use crate::io::{
 use crate::types::{Image, range};
 use crate::{Error, Result};
 
-/// Extensions of the image files that are read, in the order in which a missing extension is
-/// guessed.
+/// Supported image file extensions, in the order in which a missing extension is guessed.
 pub const EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "webp", "bmp", "tif", "tiff"];
 
-/// Whether the name's ending is one of [`EXTENSIONS`], in any case.
+/// Whether the file name has one of [`EXTENSIONS`], in upper or lower case.
 pub fn has_image_extension(path: &Path) -> bool {
     path.extension()
         .and_then(|e| e.to_str())
         .is_some_and(|e| EXTENSIONS.contains(&e.to_ascii_lowercase().as_str()))
 }
 
-/// Whether to turn an image as its EXIF orientation says.
+/// Whether to apply an image's EXIF orientation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Orientation {
-    /// Upright, as a viewer shows it: for pictures whose cameras are not known yet.
+    /// Upright, as a viewer shows it: for images whose cameras are unknown.
     Upright,
-    /// As stored: COLMAP's and nerfstudio's cameras are of the pixels as they lie in the file.
+    /// As stored: COLMAP's and nerfstudio's cameras refer to the pixels as they lie in the file.
     Stored,
 }
 
-/// The size an image is brought to.
+/// Target size of an image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Resize {
-    /// As it is.
+    /// The original size.
     #[default]
     Keep,
     /// Exactly this width and height.
     To(u32, u32),
-    /// At most this width; the height keeps the proportions, a narrower image is left alone.
+    /// At most this width; the proportions are kept, and a narrower image is unchanged.
     Width(u32),
-    /// The longer side has at most so many pixels; a smaller image is left alone.
+    /// At most this many pixels on the longer side; the proportions are kept, and a smaller image is
+    /// unchanged.
     Longest(u32),
 }
 
 impl Resize {
-    /// The size that an image of `width` × `height` is brought to, at least 1×1.
+    /// Resulting size of an image of `width` × `height` pixels, at least 1×1.
     pub fn target(self, width: u32, height: u32) -> (u32, u32) {
         let scaled = |side: u32, to: u32, from: u32| {
             ((f64::from(side) * f64::from(to) / f64::from(from.max(1))).round() as u32).max(1)
@@ -91,17 +91,17 @@ fn turns(decoder: &mut impl ImageDecoder) -> bool {
     matches!(decoder.orientation(), Ok(Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH))
 }
 
-/// Decodes an image file to RGB in [0, 1], the file's encoded values untouched (no gamma). Where
-/// there is an alpha channel, the colour is laid over `background`. Grey becomes RGB.
+/// Decodes an image file to RGB in [0, 1]; the encoded values are kept (no gamma conversion). An image with
+/// an alpha channel is composited over `background`. Grey becomes RGB.
 ///
 /// # Errors
-/// [`Error::Io`] where the file cannot be read, [`Error::Format`] where it is no image.
+/// [`Error::Io`] where the file cannot be read, [`Error::Format`] where it is not an image.
 pub fn decode_rgb(path: &Path, background: [f32; 3], orientation: Orientation) -> Result<Image> {
     rgb_over(decode(path, orientation)?, background)
 }
 
-/// Decodes an image file as it is stored: RGB in [0, 1], and a mask of one channel where there is an
-/// alpha channel, 1 where it is opaque, else 0.
+/// Decodes an image file as stored: RGB in [0, 1], and, where there is an alpha channel, a one-channel mask
+/// that is 1 where it is opaque, else 0.
 ///
 /// # Errors
 /// Those of [`decode_rgb`].
@@ -117,23 +117,22 @@ pub(super) fn decode_rgb_and_alpha(path: &Path) -> Result<(Image, Option<Image>)
     Ok((Image { width, height, channels: 3, pixels }, alpha))
 }
 
-/// Bytes of memory for each pixel of a picture while it is read: as decoded, four channels of 8 bits,
-/// and as three floats.
+/// Memory per pixel while an image is read, bytes: decoded with four 8-bit channels, and as three floats.
 const READING_BYTES: u64 = 16;
 
-/// Bytes of memory that a picture takes while it is read, before it is brought to its size.
+/// Memory that an image needs while it is read, before it is resized, bytes.
 fn reading_bytes((width, height): (u32, u32)) -> u64 {
     (u64::from(width) * u64::from(height)).saturating_mul(READING_BYTES)
 }
 
-/// How many pictures of a size to read at a time: one on each core, fewer where memory is short.
+/// Number of images of a size to read concurrently: one per core, fewer where memory is short.
 pub(super) fn at_a_time(size: (u32, u32)) -> usize {
     let cores = rayon::current_num_threads();
     let room = available_memory().map_or(u64::MAX, |bytes| bytes / reading_bytes(size).max(1));
     usize::try_from(room).unwrap_or(usize::MAX).clamp(1, cores)
 }
 
-/// A line about pictures that take much memory while they are read, however small their files are.
+/// A note about images that need much memory while they are read, even if their files are small.
 pub(super) fn large_note(size: (u32, u32)) -> Option<String> {
     const MUCH: u64 = 1 << 30;
     let bytes = Some(reading_bytes(size)).filter(|bytes| *bytes >= MUCH)?;
@@ -145,7 +144,7 @@ pub(super) fn large_note(size: (u32, u32)) -> Option<String> {
     ))
 }
 
-/// Decodes a file. Half a file is an error, also where a decoder would fill in the rest.
+/// Decodes a file. A truncated file is an error, even where a decoder would fill in the rest.
 fn decode(path: &Path, orientation: Orientation) -> Result<DynamicImage> {
     let bytes = read(path)?;
     if bytes.starts_with(&[0xff, 0xd8]) && !jpeg_ends(&bytes) {
@@ -157,7 +156,7 @@ fn decode(path: &Path, orientation: Orientation) -> Result<DynamicImage> {
     check_unpacked(path, decoder.total_bytes(), bytes.len())?;
     let (width, height) = decoder.dimensions();
     let what = format!("{}: a picture of {width}×{height}", path.display());
-    // As decoded, and as floats.
+    // The decoded image, and the floats.
     let floats = (u64::from(width) * u64::from(height)).saturating_mul(12);
     check_memory(decoder.total_bytes().saturating_add(floats), &what)?;
     let turn = decoder.orientation();
@@ -168,20 +167,20 @@ fn decode(path: &Path, orientation: Orientation) -> Result<DynamicImage> {
     Ok(image)
 }
 
-/// Whether a JPEG file holds its picture to the end. Decoders fill in what is missing with grey.
+/// Whether a JPEG file contains its image to the end. Decoders fill in missing data with grey.
 fn jpeg_ends(bytes: &[u8]) -> bool {
     let mut at = 2;
     while let Some(&marker) = bytes.get(at + 1).filter(|_| bytes[at] == 0xff) {
         match marker {
             0xd9 => return true,
-            // Fill bytes and markers that stand alone.
+            // Fill bytes and markers without a length.
             0xff => at += 1,
             0x01 | 0xd0..=0xd8 => at += 2,
             _ => {
                 let Some(&[high, low]) = bytes.get(at + 2..at + 4) else { return false };
                 at += 2 + usize::from(u16::from_be_bytes([high, low]));
                 if marker == 0xda {
-                    // Compressed data, up to a marker that is no restart and no stuffed 0xff.
+                    // Compressed data, up to a marker that is neither a restart nor a stuffed 0xff.
                     let pairs = bytes.get(at..).unwrap_or_default().windows(2);
                     let ends = |p: &[u8]| p[0] == 0xff && !matches!(p[1], 0 | 0xd0..=0xd7 | 0xff);
                     match pairs.into_iter().position(ends) {
@@ -192,7 +191,7 @@ fn jpeg_ends(bytes: &[u8]) -> bool {
             }
         }
     }
-    // What is no marker where one belongs is for the decoder to judge.
+    // Data that is not a marker where one is expected is left to the decoder.
     at < bytes.len()
 }
 
@@ -214,8 +213,8 @@ fn rgb_over(image: DynamicImage, background: [f32; 3]) -> Result<Image> {
     Ok(Image { width, height, channels: 3, pixels })
 }
 
-/// Brings an image of 1 or 3 channels to a size: an antialiased cubic filter (Catmull-Rom, its
-/// support widened when shrinking), result clamped to [0, 1].
+/// Resizes an image of 1 or 3 channels with an antialiased Catmull–Rom filter, whose support is widened
+/// when shrinking; the result is clamped to [0, 1].
 pub fn resize(image: &Image, width: u32, height: u32) -> Image {
     use image::{ImageBuffer, Luma, Rgb, imageops};
     if (image.width, image.height) == (width, height) {
@@ -249,16 +248,16 @@ pub fn write_png(path: impl AsRef<Path>, image: &Image) -> Result<()> {
     write_bytes(path.as_ref(), image, &bytes, colours)
 }
 
-/// [`write_png`] with 16 bits.
+/// Writes a 16-bit PNG, otherwise like [`write_png`].
 pub fn write_png_16(path: impl AsRef<Path>, image: &Image) -> Result<()> {
     let values = image.pixels.iter().map(|&v| (v * 65535.0).round() as u16);
-    // The encoder takes them in the machine's order.
+    // The encoder takes values in native byte order.
     let bytes: Vec<u8> = values.flat_map(u16::to_ne_bytes).collect();
     let colours = [image::ColorType::L16, image::ColorType::Rgb16, image::ColorType::Rgba16];
     write_bytes(path.as_ref(), image, &bytes, colours)
 }
 
-/// Writes the bytes of a PNG; `colours` are what it is of 1, 3 and 4 channels.
+/// Writes encoded pixels as a PNG; `colours` are the colour types for 1, 3 and 4 channels.
 fn write_bytes(
     path: &Path,
     image: &Image,
@@ -286,13 +285,13 @@ fn write_bytes(
     })
 }
 
-/// Reads a mask: one channel of 0 and 1. A grey file's is 1 where the file is half white or more; of
-/// one that holds 0 and 1 alone, where it is 1. A coloured file is a map of labels, as DAVIS 2017 keeps
-/// its objects: the mask is 1 where it is not black.
+/// Reads a mask: one channel of 0 and 1. For a grey file, the mask is 1 at values of at least half of
+/// white; for a file that holds only the values 0 and 1, where the value is 1. A coloured file is a label
+/// map, as in DAVIS 2017: the mask is 1 where it is not black.
 pub fn read_mask(path: impl AsRef<Path>) -> Result<Image> {
     let image = decode(path.as_ref(), Orientation::Stored)?;
     let (width, height) = (image.width(), image.height());
-    // Compression tints grey a little.
+    // Compression adds a slight tint to grey.
     const COLOURED: u8 = 32;
     let coloured = image.color().has_color() && {
         let span = |p: &image::Rgb<u8>| p.0.iter().max().zip(p.0.iter().min()).map(|(a, b)| a - b);
@@ -305,7 +304,7 @@ pub fn read_mask(path: impl AsRef<Path>) -> Result<Image> {
     Ok(Image { width, height, channels: 1, pixels })
 }
 
-/// Reads a grey image of 16 bits: one channel, the values as they are stored.
+/// Reads a 16-bit grey image: one channel, with the stored values.
 pub(super) fn read_grey16(path: &Path) -> Result<Image> {
     match decode(path, Orientation::Stored)? {
         DynamicImage::ImageLuma16(grey) => Ok(Image {
@@ -318,7 +317,7 @@ pub(super) fn read_grey16(path: &Path) -> Result<Image> {
     }
 }
 
-/// Reads a colour image of 16 bits: width, height and the values as they are stored.
+/// Reads a 16-bit colour image: width, height and the stored values.
 pub(super) fn read_rgb16(path: &Path) -> Result<(u32, u32, Vec<u16>)> {
     match decode(path, Orientation::Stored)? {
         DynamicImage::ImageRgb16(rgb) => Ok((rgb.width(), rgb.height(), rgb.into_raw())),
@@ -331,7 +330,7 @@ fn not_of_16_bits(path: &Path, wanted: &str, found: &DynamicImage) -> Error {
     Error::format(path, format!("{wanted} picture of 16 bits was expected, this one is {found:?}"))
 }
 
-/// Width and height of an array, where an image can have them.
+/// Width and height of an array, if an image can have them.
 pub(super) fn sides(width: usize, height: usize) -> Option<(u32, u32)> {
     let side = |side: usize| u32::try_from(side).ok().filter(|side| range::SIDE.contains(side));
     side(width).zip(side(height))
@@ -343,8 +342,8 @@ pub fn write_mask(path: impl AsRef<Path>, mask: &Image) -> Result<()> {
     write_png(path, &Image { pixels, ..*mask })
 }
 
-/// Image files directly in a folder, in natural order (2 before 10); hidden ones are left out. A link
-/// that leads nowhere is listed, for a file that is missing is not to pass unnoticed.
+/// Image files directly in a folder, in natural order (2 before 10); hidden files are left out. A dangling
+/// link is listed, so that a missing file is noticed.
 pub fn list(folder: &Path) -> Result<Vec<std::path::PathBuf>> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(Error::io(folder))? {
@@ -354,7 +353,7 @@ pub fn list(folder: &Path) -> Result<Vec<std::path::PathBuf>> {
             found.push(path);
         }
     }
-    // Names that are not UTF-8 may look the same as text.
+    // Names that are not UTF-8 may be equal after conversion to text.
     found.sort_by(|a, b| natural(&a.to_string_lossy(), &b.to_string_lossy()).then(a.cmp(b)));
     Ok(found)
 }
@@ -374,11 +373,11 @@ pub fn natural(a: &str, b: &str) -> std::cmp::Ordering {
             return order;
         }
     }
-    // Names equal but for leading zeros still need one order.
+    // Names that are equal but for leading zeros still need a defined order.
     x.len().cmp(&y.len()).then_with(|| a.cmp(b))
 }
 
-/// Cuts the run of digits off the front and gives it without leading zeros.
+/// Removes the run of digits from the front and returns it without leading zeros.
 fn number<'a>(text: &mut &'a [u8]) -> &'a [u8] {
     let length = text.iter().position(|b| !b.is_ascii_digit()).unwrap_or(text.len());
     let (digits, rest) = text.split_at(length);

@@ -1,4 +1,4 @@
-//! Intrinsics as a small JSON file: `{"fx", "fy", "cx", "cy", "width", "height"}`.
+//! Camera intrinsics as a small JSON file: `{"fx", "fy", "cx", "cy", "width", "height"}`.
 
 use std::path::Path;
 
@@ -8,8 +8,8 @@ use crate::io;
 use crate::types::Intrinsics;
 use crate::{Error, Result};
 
-/// Reads intrinsics. nerfstudio's names (`fl_x`, `fl_y`, `w`, `h`) do as well; `focal` stands for
-/// both focal lengths; without a principal point it is the middle.
+/// Reads intrinsics. nerfstudio's names (`fl_x`, `fl_y`, `w`, `h`) are accepted as well; `focal` sets both
+/// focal lengths; a missing principal point is the image centre.
 pub fn read(path: impl AsRef<Path>) -> Result<Intrinsics> {
     let path = path.as_ref();
     let value = io::read_json(path)?;
@@ -44,8 +44,7 @@ pub fn read(path: impl AsRef<Path>) -> Result<Intrinsics> {
     Ok(intrinsics)
 }
 
-/// Which of the numbers of a lens's distortion (`k1` …, `p1` …) such a file holds besides, other than 0.
-/// [`read`] passes over them.
+/// Names of the non-zero distortion coefficients (`k1` …, `p1` …) in such a file. [`read`] ignores them.
 pub fn distorted_by(path: impl AsRef<Path>) -> Result<Vec<String>> {
     let value = io::read_json(path.as_ref())?;
     let bends = |key: &&&str| value.get(**key).and_then(Value::as_f64).is_some_and(|v| v != 0.0);

@@ -1,41 +1,42 @@
-//! What kind of dataset a folder is: told by the files in it, here and nowhere else.
+//! Recognition of a dataset's kind from the files in its folder.
 //!
-//! | kind | told by |
+//! | kind | recognised by |
 //! |---|---|
 //! | nerfstudio, instant-ngp | `transforms.json` |
 //! | D-NeRF, NeRF-synthetic | `transforms_train.json` |
-//! | Nerfies, HyperNeRF, DyCheck | `scene.json`, `dataset.json` and `camera/`; or one of its `rgb/Nx` |
+//! | Nerfies, HyperNeRF, DyCheck | `scene.json`, `dataset.json` and `camera/`; or one of its image folders `rgb/Nx` |
 //! | DyNeRF, NVIDIA dynamic scenes | `poses_bounds.npy` with `cam*.mp4`, `cam*/images` or `mv_images/` |
 //! | COLMAP | `cameras.bin` or `.txt` in `sparse/0`, `sparse`, `colmap/sparse/0` or the folder itself |
-//! | LLFF | `poses_bounds.npy` with `images/`; or another folder of its pictures (`images_4`) |
-//! | MPI Sintel | a sequence's pictures (`final/alley_2`), its cameras in `camdata_left/alley_2` beside |
+//! | LLFF | `poses_bounds.npy` with `images/`; or another folder of its images (`images_4`) |
+//! | MPI Sintel | a sequence's images (`final/alley_2`), with its cameras in the sibling `camdata_left/alley_2` |
 //!
-//! Where a folder is of several kinds, the first in this table counts: what says more comes first.
+//! A folder that matches several kinds is of the first one in this table; the kinds with more information
+//! come first.
 
 use std::path::{Path, PathBuf};
 
 use super::{Dataset, colmap, davis, nerfies, poses_bounds, sintel, transforms};
 use crate::{Error, Result};
 
-/// A dataset that was recognised, and where its parts lie.
+/// A recognised dataset, with the location of its parts.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Layout {
     /// One `transforms.json`.
     Transforms(PathBuf),
     /// A folder with `transforms_train.json`.
     Split(PathBuf),
-    /// The folder with `scene.json`, and that of the pictures where one was named.
+    /// The folder with `scene.json`, and the image folder where one was named.
     Nerfies(PathBuf, Option<PathBuf>),
-    /// The folder with `poses_bounds.npy`, and that of the pictures where one was named.
+    /// The folder with `poses_bounds.npy`, and the image folder where one was named.
     PosesBounds(PathBuf, Option<PathBuf>),
-    /// A folder, and that of its COLMAP model.
+    /// A folder, and the folder of its COLMAP model.
     Colmap(PathBuf, PathBuf),
-    /// A sequence's pictures, and its cameras.
+    /// The image folder of a sequence, and its camera folder.
     Sintel(PathBuf, PathBuf),
 }
 
 impl Layout {
-    /// Reads the dataset. Times are as the set gives them; [`Dataset::open`] fills in others.
+    /// Reads the dataset. Times are those of the dataset; [`Dataset::open`] fills in missing ones.
     pub(super) fn read(&self) -> Result<Dataset> {
         match self {
             Layout::Transforms(file) => transforms::read(file),
@@ -48,11 +49,11 @@ impl Layout {
     }
 }
 
-/// Recognises a dataset by a folder's files, or a `transforms*.json` by its name.
+/// Recognises a dataset from a folder's files, or a `transforms*.json` from its name.
 ///
 /// # Errors
-/// [`Error::Io`] where there is nothing; [`Error::Format`] for what is of no known kind, with what was
-/// looked for.
+/// [`Error::Io`] where the path does not exist; [`Error::Format`] for an unknown kind, with a list of what
+/// was looked for.
 pub fn find(path: &Path) -> Result<Layout> {
     let found = std::fs::metadata(path).map_err(Error::io(path))?;
     if !found.is_dir() {
@@ -80,7 +81,7 @@ pub fn find(path: &Path) -> Result<Layout> {
     ))
 }
 
-/// The kind of a folder, in the order of the table above.
+/// Recognises a folder, in the order of the table above.
 pub(super) fn recognise(folder: &Path) -> Option<Layout> {
     let root = || folder.to_path_buf();
     let pictures = Some(root());

@@ -1,9 +1,8 @@
-//! Readers and writers of what comes from outside: datasets with known cameras
-//! ([`Dataset`]; [`layout`] tells the kinds apart), clips without ([`Clip`]: a video or a folder of
-//! images), and the small files that go with them.
+//! Readers and writers of external data: datasets with known cameras ([`Dataset`]; [`layout`] recognises
+//! their kind), clips without cameras ([`Clip`]: a video or a folder of images), and the small files that
+//! accompany them.
 //!
-//! Cameras are the crate's own everywhere (OpenCV axes, `view_from_world`, pinhole); each reader
-//! converts on its way in.
+//! All readers convert cameras to the crate's convention (OpenCV axes, `view_from_world`, pinhole).
 
 pub mod cam;
 pub mod clip;
@@ -50,38 +49,38 @@ use crate::error::excerpt;
 use crate::types::{Camera, Image};
 use crate::{Error, Result, io};
 
-/// What the alpha channel of a picture says, where it has one.
+/// Meaning of an image's alpha channel, where it has one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Alpha {
-    /// How much of a pixel the subject covers: the picture is laid over the background.
+    /// Coverage of the pixel by the subject: the image is composited over the background.
     #[default]
     Cover,
-    /// Whether a pixel was measured: it is [`View::valid`] where it is opaque.
+    /// Whether the pixel was measured: [`View::valid`] is 1 where alpha is opaque.
     Valid,
 }
 
-/// One picture of a dataset, not decoded yet.
+/// One image of a dataset, not decoded yet.
 #[derive(Clone, Debug)]
 pub struct Frame {
     /// Its name in the dataset: unique, and what messages call it.
     pub name: String,
-    /// Where the picture lies: an image, or the video that it is a frame of.
+    /// The image file, or the video that the frame belongs to.
     pub path: PathBuf,
-    /// Its number in the video, from 0; `None` where `path` is an image.
+    /// Frame number in the video, from 0; `None` where `path` is an image.
     pub number: Option<usize>,
-    /// In [0, 1].
+    /// Time in [0, 1].
     pub time: f64,
-    /// The camera at the picture's own size; a pinhole once the distortion is removed.
+    /// Camera at the original size of the image; a pinhole camera once the distortion is removed.
     pub camera: Camera,
-    /// What [`Frame::load`] removes.
+    /// Lens distortion, which [`Frame::load`] removes.
     pub distortion: Distortion,
-    /// What the picture's alpha channel says.
+    /// Meaning of the image's alpha channel.
     pub alpha: Alpha,
-    /// The mask of the pixels that other frames saw as well, by which a test picture is scored.
+    /// Mask file of the pixels that other frames also saw; test images are scored on these pixels.
     pub covisible: Option<PathBuf>,
 }
 
-/// A picture with its camera, ready to train on.
+/// A decoded image with its camera, ready for training.
 #[derive(Clone, Debug)]
 pub struct View {
     /// As [`Frame::name`].
@@ -92,13 +91,13 @@ pub struct View {
     pub camera: Camera,
     /// RGB in [0, 1].
     pub image: Image,
-    /// One channel, 1 where the picture is real and 0 where undistortion had nothing to put or nothing
-    /// was measured ([`Alpha::Valid`]); `None` where all of it is real.
+    /// One channel: 1 where the pixel is valid, 0 where undistortion had no source or nothing was measured
+    /// ([`Alpha::Valid`]); `None` where all pixels are valid.
     pub valid: Option<Image>,
 }
 
 impl Frame {
-    /// A frame whose picture is an image file.
+    /// A frame whose image is a file of its own.
     fn of_image(name: String, path: PathBuf, time: f64, camera: Camera) -> Frame {
         Frame {
             name,
@@ -112,9 +111,9 @@ impl Frame {
         }
     }
 
-    /// Decodes the picture, lays it over the background where it has an alpha channel that says so,
-    /// removes the distortion, then resizes; the camera follows. Of a video, all frames up to this one
-    /// are decoded: [`Dataset::load`] takes several at once.
+    /// Decodes the image, composites it over the background where its alpha channel is coverage, removes
+    /// the distortion, then resizes; the camera is adapted. For a video, all frames up to this one are
+    /// decoded; [`Dataset::load`] decodes several frames in one pass.
     pub fn load(&self, background: [f32; 3], size: Resize) -> Result<View> {
         if let Some(number) = self.number {
             let mut found = None;
@@ -133,7 +132,7 @@ impl Frame {
         self.view(image, valid, size)
     }
 
-    /// Reads the mask of [`Frame::covisible`] as it is of the picture that [`Frame::load`] gives.
+    /// Reads the mask of [`Frame::covisible`], undistorted and resized like the image of [`Frame::load`].
     pub fn load_covisible(&self, size: Resize) -> Result<Option<Image>> {
         let Some(path) = &self.covisible else { return Ok(None) };
         let mask = read_mask(path)?;
@@ -161,7 +160,7 @@ impl Frame {
         Lens { intrinsics: self.camera.intrinsics, distortion: self.distortion }
     }
 
-    /// The view of the decoded picture, and of the mask of its pixels that were measured.
+    /// Makes the view from the decoded image and the mask of its measured pixels.
     fn view(&self, mut image: Image, mut valid: Option<Image>, size: Resize) -> Result<View> {
         let mut camera = self.camera;
         let k = &camera.intrinsics;
@@ -176,7 +175,7 @@ impl Frame {
             let (pinhole, inside) = self.lens().undistort(&image, k);
             image = pinhole;
             valid = match valid {
-                // Zero as well where undistortion had nothing to put.
+                // 0 as well where undistortion had no source.
                 Some(valid) => Some(self.lens().undistort(&valid, k).0),
                 None => inside,
             };
@@ -191,42 +190,42 @@ impl Frame {
     }
 }
 
-/// A mask at another size: a pixel counts only where all that it averages does.
+/// Resizes a mask: a pixel is 1 only where all source pixels are 1.
 fn resized_mask(mask: Image, width: u32, height: u32) -> Image {
     let mut mask = images::resize(&mask, width, height);
     mask.pixels.iter_mut().for_each(|p| *p = if *p > 0.999 { 1.0 } else { 0.0 });
     mask
 }
 
-/// Pictures with known cameras.
+/// Images with known cameras.
 #[derive(Clone, Debug, Default)]
 pub struct Dataset {
-    /// All frames, training and test: of a split set the training frames first, each part in the
-    /// order of its file or of its names.
+    /// All training and test frames. Of a dataset with a split, the training frames come first; each part
+    /// is in the order of its file or of its names.
     pub frames: Vec<Frame>,
-    /// The coloured points that came along; empty where there are none.
+    /// Coloured points of the dataset; may be empty.
     pub points: Vec<Point>,
-    /// What the set's own split holds out, as indices into `frames`; `None` where it has no split.
+    /// Test frames of the dataset's own split, as indices into `frames`; `None` where it has no split.
     pub test: Option<Vec<usize>>,
-    /// Whether the set gave times; if not, they run from 0 to 1 in the order of the frames.
+    /// Whether the dataset gave times. If not, they run from 0 to 1 in the order of the frames.
     pub timed: bool,
-    /// What lies behind everything: white where the pictures have an alpha channel, as D-NeRF and
-    /// NeRF-synthetic have it, else black.
+    /// Background colour: white where the images have an alpha channel, as in D-NeRF and NeRF-synthetic,
+    /// else black.
     pub background: [f32; 3],
-    /// Whether the pictures have an alpha channel, as far as the first of them tells.
+    /// Whether the images have an alpha channel, judged by the first one.
     pub alpha: bool,
-    /// Lines to show: what was skipped or assumed.
+    /// Notes for the user: what was skipped or assumed.
     pub notes: Vec<String>,
-    /// The files that were read beside the pictures.
+    /// The files that were read besides the images.
     pub sources: Vec<PathBuf>,
 }
 
 impl Dataset {
-    /// Opens a dataset: a folder, or a `transforms*.json` itself. Which kind it is shows in the files:
-    /// see [`layout`]. Only the pictures' headers are read here.
+    /// Opens a dataset: a folder, or a `transforms*.json` itself. Its kind is determined from the files,
+    /// see [`layout`]. Only the headers of the images are read.
     ///
     /// # Errors
-    /// The folder is missing or of no known kind, a file is damaged, or no picture exists.
+    /// The folder is missing or of no known kind, a file is damaged, or no image exists.
     pub fn open(path: impl AsRef<Path>) -> Result<Dataset> {
         let mut set = layout::find(path.as_ref())?.read()?;
         if let Some(first) = set.frames.first()
@@ -245,8 +244,8 @@ impl Dataset {
         Ok(set)
     }
 
-    /// Which frames to train on and which to hold out, in that order: the set's own split where it
-    /// has one, else every `every`-th frame is held out, beginning with the first; 0 holds out none.
+    /// Training and test frames, in that order, as indices: those of the dataset's own split where it has
+    /// one, else every `every`-th frame is a test frame, beginning with the first; 0 holds out none.
     pub fn split(&self, every: usize) -> (Vec<usize>, Vec<usize>) {
         let held = |i: &usize| match &self.test {
             Some(test) => test.contains(i),
@@ -256,14 +255,14 @@ impl Dataset {
         (train, test)
     }
 
-    /// Loads frames, decoding on all cores; the order is that of `indices`. That there is memory for
-    /// all of them is checked first.
+    /// Loads frames on all cores, in the order of `indices`. Checks first that memory suffices for all of
+    /// them.
     pub fn load(&self, indices: &[usize], size: Resize) -> Result<Vec<View>> {
         let bytes = |&i: &usize| {
             let frame = &self.frames[i];
             let k = frame.camera.intrinsics;
             let (width, height) = size.target(k.width, k.height);
-            // Three floats a pixel, and one that tells where the picture is real.
+            // Three floats per pixel, and one for the mask of valid pixels.
             let whole = frame.distortion.is_none() && frame.alpha == Alpha::Cover;
             let floats = if whole { 3 } else { 4 };
             4 * floats * u64::from(width) * u64::from(height)
@@ -286,8 +285,7 @@ impl Dataset {
         Ok(views.into_iter().flatten().collect())
     }
 
-    /// Loads those of the frames that lie in videos, at `places` among the indices; each video is decoded
-    /// once.
+    /// Loads the frames that belong to videos, at `places` among the indices; each video is decoded once.
     fn load_of_videos(
         &self,
         indices: &[usize],
@@ -314,10 +312,10 @@ impl Dataset {
         Ok(())
     }
 
-    /// The files of the pictures to train on as one camera's clip, in the order of time.
+    /// The training images as the clip of one camera, ordered by time.
     ///
     /// # Errors
-    /// In words: two of them are of one time, or they lie in a video.
+    /// A message: two images have the same time, or they belong to a video.
     fn as_clip(&self) -> std::result::Result<Vec<PathBuf>, String> {
         let (mut train, _) = self.split(0);
         train.sort_by(|&a, &b| self.frames[a].time.total_cmp(&self.frames[b].time));
@@ -337,25 +335,25 @@ impl Dataset {
     }
 }
 
-/// Width and height of the picture with the most pixels; zeros of none.
+/// Width and height of the image with the most pixels; zeros without images.
 fn largest<'a>(frames: impl IntoIterator<Item = &'a Frame>) -> (u32, u32) {
     let size = |frame: &Frame| (frame.camera.intrinsics.width, frame.camera.intrinsics.height);
     let sizes = frames.into_iter().map(size);
     sizes.max_by_key(|&(w, h)| u64::from(w) * u64::from(h)).unwrap_or_default()
 }
 
-/// Brings a camera to the size that its picture has: sets are often kept at a fraction of the size
-/// they were calibrated at.
+/// Scales a camera to the size of its image, because datasets are often stored at a fraction of the
+/// calibrated size.
 fn fit_to_image(camera: &mut Camera, path: &Path) -> Result<()> {
     let size = images::dimensions(path, images::Orientation::Stored)?;
     fit_to_size(camera, path, size)
 }
 
-/// As [`fit_to_image`], where the size is known.
+/// [`fit_to_image`] for a known size.
 fn fit_to_size(camera: &mut Camera, path: &Path, (width, height): (u32, u32)) -> Result<()> {
     let k = camera.intrinsics;
     let (sx, sy) = (f64::from(width) / f64::from(k.width), f64::from(height) / f64::from(k.height));
-    // Halving an odd side rounds: one pixel is allowed beyond equal proportions.
+    // Halving an odd side rounds, so one pixel of difference in proportion is allowed.
     let off = (sx / sy - 1.0).abs() - 1.0 / f64::from(width.min(height));
     if off > 0.01 {
         return Err(Error::format(
@@ -370,7 +368,7 @@ fn fit_to_size(camera: &mut Camera, path: &Path, (width, height): (u32, u32)) ->
     Ok(())
 }
 
-/// The one line about pictures that a set lists and does not have.
+/// The note about images that a dataset lists but does not contain.
 fn missing_note(missing: &[String], listed: usize) -> Option<String> {
     let first = missing.first()?;
     Some(format!(

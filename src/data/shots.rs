@@ -1,12 +1,12 @@
-//! Shots: where a clip is cut.
+//! Shot detection: where a clip is cut.
 //!
-//! Small grey pictures of the frames are compared by what of one is found again in the other
-//! (`likeness`), wherever it has moved to and however bright it is. A cut is where nothing of the three
-//! frames before is found in the three after, while on both sides much of each frame is still found two
-//! or three frames later. So a flash, a black frame or a damaged one is no cut, for the frames around it
-//! are alike; nor is a fast pan or a folder of photos taken from place to place, for there frames a few
-//! apart are unlike everywhere. Frames that show nothing, as between two shots that fade through black,
-//! and frames that repeat the one before are passed over.
+//! Frames are compared as small grey images by the share of blocks that are found again (`likeness`),
+//! independent of motion and brightness. A cut is a place where nothing of the three frames before is found
+//! in the three after, while on both sides a large part of each frame is still found two or three frames
+//! later. A flash, a black frame or a damaged frame is therefore no cut, because the frames around it are
+//! alike. Neither is a fast pan or a folder of photographs from different places, because frames a few
+//! apart are unlike everywhere. Frames without texture, as in a fade through black, and frames that repeat
+//! the previous one are ignored.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -18,24 +18,24 @@ use crate::{Error, Result};
 
 mod likeness;
 
-/// Longer side of the pictures that are compared.
+/// Longer side of the compared images, pixels.
 pub(super) const LONGEST: u32 = 96;
-/// Frames on either side of a cut that are looked at.
+/// Number of frames examined on either side of a cut.
 const REACH: usize = 4;
-/// Of these, how many are compared across the cut.
+/// Number of these that are compared across the cut.
 const ACROSS: usize = 3;
-/// A shot's frames two or three apart are at least so much alike, and by a factor more than those
-/// across its end.
+/// Minimum likeness of frames two or three apart within a shot, and `FACTOR`, by which it must exceed the
+/// likeness across the shot's end.
 const FLUENT: f32 = 0.4;
 const FACTOR: f32 = 4.0;
-/// Where a side has too few frames to tell: those across its end are less alike than this.
+/// Maximum likeness across a cut when a side has too few frames to measure its own.
 const UNLIKE: f32 = 0.12;
-/// So many repeated frames are passed over; where more are, nothing moves.
+/// Maximum number of consecutive repeated frames that are ignored; in a longer run the scene is static.
 const REPEATS: usize = 12;
-/// Frames of the shortest shot.
+/// Minimum length of a shot, frames.
 const SHORTEST: usize = 3;
 
-/// Frames that follow each other without a cut, by their numbers in the whole clip.
+/// A run of frames without a cut, by their indices in the whole clip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shot {
     /// The first frame.
@@ -45,16 +45,16 @@ pub struct Shot {
 }
 
 impl Shot {
-    /// How many frames lie in it.
+    /// Number of frames in the shot.
     pub fn frames(&self) -> usize {
         self.last - self.first + 1
     }
 }
 
-/// What to take of a clip that has cuts.
+/// Which shot of a clip to use.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ShotChoice {
-    /// The longest shot, the first of those where there are several.
+    /// The longest shot; the first one of several.
     #[default]
     Longest,
     /// The shot of this number, from 0.
@@ -64,10 +64,10 @@ pub enum ShotChoice {
 }
 
 impl ShotChoice {
-    /// The one to take of a clip's shots, `None` for all of it; `rate` in frames a second.
+    /// Index of the chosen shot, `None` for the whole clip; `rate` in frames per second.
     ///
     /// # Errors
-    /// No shot has the number.
+    /// No shot has the index.
     pub(super) fn among(
         self,
         path: &Path,
@@ -93,7 +93,7 @@ impl ShotChoice {
         }
     }
 
-    /// The line about a clip that has cuts, of which `shot` was taken.
+    /// The note about a clip with cuts, of which `shot` was taken.
     pub(super) fn note(self, shots: &[Shot], shot: Option<usize>, rate: Option<f64>) -> String {
         let list = list(shots, rate);
         let count = shots.len();
@@ -111,12 +111,12 @@ impl ShotChoice {
     }
 }
 
-/// Shots in words, not too many of them.
+/// A list of shots for a message, of limited length.
 fn list(shots: &[Shot], rate: Option<f64>) -> String {
     const MOST: usize = 40;
     let one = |(i, shot): (usize, &Shot)| {
         let times = rate.map_or(String::new(), |rate| {
-            // A frame is shown until the next.
+            // A frame is shown until the next one.
             let (from, to) = (shot.first as f64 / rate, (shot.last + 1) as f64 / rate);
             format!(", {from:.2} to {to:.2} s")
         });
@@ -130,35 +130,35 @@ fn list(shots: &[Shot], rate: Option<f64>) -> String {
     shown.join(", ") + &more
 }
 
-/// The small grey picture that a [`Detector`] takes, of an RGB image that is as small.
+/// Converts a small RGB image to the grey image that a [`Detector`] takes.
 pub(super) fn grey(image: &Image) -> Image {
     let luminance = |rgb: &[f32]| 0.299 * rgb[0] + 0.587 * rgb[1] + 0.114 * rgb[2];
     let pixels = image.pixels.chunks_exact(3).map(luminance).collect();
     Image { width: image.width, height: image.height, channels: 1, pixels }
 }
 
-/// A frame that shows something, and those after it that repeat it.
+/// A frame with texture, and the frames after it that repeat it.
 struct Telling {
     first: usize,
     last: usize,
     picture: Picture,
-    /// How much of the frame before is found in it.
+    /// Share of the previous frame that is found in it.
     follows: f32,
 }
 
-/// Looks for cuts in frames that come one by one; a few are kept.
+/// Streaming cut detector; it keeps a few frames.
 #[derive(Default)]
 pub(super) struct Detector {
     frames: usize,
     recent: VecDeque<Telling>,
-    /// The place, among the recent ones, of the frame after the last cut that was looked at.
+    /// Index, among the recent frames, of the frame after the last examined place.
     next: usize,
-    /// The last frame before a cut and the first after it.
+    /// The last frame before each cut and the first after it.
     cuts: Vec<(usize, usize)>,
 }
 
 impl Detector {
-    /// Takes the next frame's small grey picture; `None` of a frame that cannot be read.
+    /// Takes the next frame's small grey image; `None` for an unreadable frame.
     pub(super) fn push(&mut self, picture: Option<&Image>) {
         let number = self.frames;
         self.frames += 1;
@@ -177,7 +177,7 @@ impl Detector {
         }
     }
 
-    /// All shots, in order; none where no cut was found.
+    /// All shots in order; empty where no cut was found.
     pub(super) fn finish(mut self) -> Vec<Shot> {
         while self.next + 1 < self.recent.len() {
             self.look();
@@ -191,7 +191,7 @@ impl Detector {
         shots.filter(|shot| shot.frames() >= SHORTEST).collect()
     }
 
-    /// Looks at the next place where a cut can be.
+    /// Examines the next possible cut.
     fn look(&mut self) {
         let at = self.next;
         let is_cut = self.is_cut(at);
@@ -204,9 +204,9 @@ impl Detector {
         self.next -= gone;
     }
 
-    /// Whether the clip is cut after a frame, of the recent ones.
+    /// Whether the clip is cut after one of the recent frames.
     fn is_cut(&self, at: usize) -> bool {
-        // Nothing is more than wholly alike.
+        // The likeness is at most 1.
         if FACTOR * self.recent[at + 1].follows > 1.0 {
             return false;
         }
@@ -229,7 +229,7 @@ impl Detector {
     }
 }
 
-/// How much is alike in frames two or more apart; in fewer than three, in those that there are.
+/// Likeness of frames two or more apart; with fewer than three frames, of those available.
 fn fluency(frames: &[&Picture]) -> f32 {
     let apart = 2.min(frames.len() - 1);
     let later = |i: usize| frames[i + apart..].iter().map(move |b| likeness(frames[i], b));
@@ -240,7 +240,7 @@ fn fluency(frames: &[&Picture]) -> f32 {
 mod tests {
     use super::*;
 
-    /// A part of an endless wall with patches of some 6 and 12 pixels, seen from `left`.
+    /// A part of an endless wall with patches of about 6 and 12 pixels, seen from `left`.
     fn view(wall: u32, left: f32) -> Image {
         let (width, height) = (96, 54);
         let patch = |x: i32, y: i32, of: u32| {
@@ -268,7 +268,7 @@ mod tests {
         image
     }
 
-    /// A shot along a wall, by so many pixels a frame.
+    /// A shot along a wall, at `speed` pixels per frame.
     fn shot(wall: u32, frames: usize, speed: f32) -> Vec<Image> {
         (0..frames).map(|i| view(wall, speed * i as f32)).collect()
     }
@@ -289,16 +289,16 @@ mod tests {
         let (a, b, c) = (shot(1, 9, 2.0), shot(2, 6, -3.0), shot(3, 7, 0.0));
         let together = [a.clone(), b, c].concat();
         assert_eq!(found(&together), [(0, 8), (9, 14), (15, 21)]);
-        // The light goes out, and on in another shot.
+        // The light fades out, and in again in another shot.
         let dark = |(i, frame): (usize, &Image)| lit(frame, 1.0 - i as f32 / 8.0);
         let out: Vec<Image> = a.iter().enumerate().map(dark).collect();
         let on: Vec<Image> = shot(2, 9, 2.0).iter().rev().enumerate().map(dark).rev().collect();
         let shots = found(&[out, vec![lit(&a[0], 0.0); 5], on].concat());
         assert!(shots.len() == 2 && shots[0].1 <= 8 && shots[1].0 >= 14, "{shots:?}");
-        // Frames that are repeated are one.
+        // Repeated frames count once.
         let held: Vec<Image> = together.iter().flat_map(|f| [f.clone(), f.clone()]).collect();
         assert_eq!(found(&held), [(0, 17), (18, 29), (30, 43)]);
-        // Too short to be taken.
+        // A shot that is too short is dropped.
         let end = [shot(1, 9, 2.0), shot(2, 2, 2.0), shot(3, 9, 2.0)].concat();
         assert!(found(&end).iter().all(|shot| *shot == (0, 8) || *shot == (11, 19)));
     }
@@ -312,18 +312,18 @@ mod tests {
             assert_eq!(found(&frames), []);
         };
         with(&|_| ());
-        // A flash, black frames, a foreign one, a gap.
+        // A flash, black frames, an unrelated frame, a gap.
         with(&|frames| frames[7] = lit(&frames[7], 3.0));
         with(&|frames| frames[7..9].iter_mut().for_each(|frame| *frame = lit(frame, 0.0)));
         with(&|frames| frames[4..12].iter_mut().for_each(|frame| *frame = lit(frame, 0.0)));
         with(&|frames| frames[7] = view(2, 0.0));
         with(&|frames| drop(frames.drain(6..9)));
         with(&|frames| frames[7..].iter_mut().for_each(|frame| *frame = lit(frame, 0.7)));
-        // A camera that suddenly turns fast, or always does.
+        // A camera that suddenly turns fast, and one that always does.
         let turn = |i: usize| if i < 6 { 0.0 } else { 40.0 * (i - 5).min(6) as f32 };
         assert_eq!(found(&(0..18).map(|i| view(1, turn(i))).collect::<Vec<_>>()), []);
         assert_eq!(found(&shot(1, 12, 30.0)), []);
-        // Places with nothing in common, one after the other: nothing goes on that could be cut.
+        // A sequence of unrelated places: there is no continuous shot that could be cut.
         assert_eq!(found(&(0..12).map(|i| view(i, 0.0)).collect::<Vec<_>>()), []);
         assert_eq!(found(&[]), []);
         assert_eq!(found(&vec![Image::new(96, 54, 1); 9]), []);

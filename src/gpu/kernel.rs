@@ -84,17 +84,17 @@ pub struct ReadWrite;
 /// left.
 pub struct Several<A, const N: usize>(PhantomData<A>);
 /// Reads in threes: vectors that lie packed.
-pub type ReadThrees = Several<Read, 3>;
+pub type ReadVec3 = Several<Read, 3>;
 /// Writes in threes.
-pub type WriteThrees = Several<Write, 3>;
+pub type WriteVec3 = Several<Write, 3>;
 /// Reads and writes in threes.
-pub type ReadWriteThrees = Several<ReadWrite, 3>;
+pub type ReadWriteVec3 = Several<ReadWrite, 3>;
 /// Reads in fours.
-pub type ReadFours = Several<Read, 4>;
+pub type ReadVec4 = Several<Read, 4>;
 /// Writes in fours.
-pub type WriteFours = Several<Write, 4>;
+pub type WriteVec4 = Several<Write, 4>;
 /// Reads and writes in fours.
-pub type ReadWriteFours = Several<ReadWrite, 4>;
+pub type ReadWriteVec4 = Several<ReadWrite, 4>;
 
 /// What the access markers mean for the Rust side of a binding.
 pub trait Argument {

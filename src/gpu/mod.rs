@@ -26,8 +26,8 @@ mod stream;
 pub use buffer::{Buffer, Readback, View, ViewMut};
 pub use device::{Device, Request, Selector};
 pub use kernel::{
-    Access, Argument, Binding, Groups, Kernel, KernelInfo, ParamInfo, Read, ReadFours, ReadThrees,
-    ReadWrite, ReadWriteFours, ReadWriteThrees, Several, Write, WriteFours, WriteThrees,
+    Access, Argument, Binding, Groups, Kernel, KernelInfo, ParamInfo, Read, ReadVec4, ReadVec3,
+    ReadWrite, ReadWriteVec4, ReadWriteVec3, Several, Write, WriteVec4, WriteVec3,
 };
 pub(crate) use kernel::{field_infos, kernel};
 pub use meter::{Detail, Meter};

@@ -33,13 +33,13 @@ kernel! {
         /// One word a row.
         visible: Read<u32>,
         /// Gradients.
-        gradients: ReadFours<f32>,
+        gradients: ReadVec4<f32>,
         /// Parameters.
-        parameters: ReadWriteFours<f32>,
+        parameters: ReadWriteVec4<f32>,
         /// First moments.
-        first: ReadWriteFours<f32>,
+        first: ReadWriteVec4<f32>,
         /// Second moments.
-        second: ReadWriteFours<f32>,
+        second: ReadWriteVec4<f32>,
         /// One word, to which the number of gradients is added that would count but are not finite.
         broken: ReadWrite<u32>,
     }

@@ -23,7 +23,7 @@ kernel! {
     },
     args: FitArgs {
         /// Canonical positions.
-        nodes: ReadThrees<f32>,
+        nodes: ReadVec3<f32>,
         /// Logarithms of the radii.
         log_radii: Read<f32>,
         /// Nearest control points, most rows with the control point itself.

@@ -17,9 +17,9 @@ kernel! {
         /// Rows of `positions`.
         ids: Read<u32>,
         /// Three values a point.
-        positions: ReadThrees<f32>,
+        positions: ReadVec3<f32>,
         /// Three values a node.
-        nodes: ReadThrees<f32>,
+        nodes: ReadVec3<f32>,
         /// Nodes of each row, nearest first.
         neighbours: Write<u32>,
     }
@@ -78,7 +78,7 @@ kernel! {
         /// Their control points.
         neighbours: Read<u32>,
         /// Canonical centres.
-        positions: ReadThrees<f32>,
+        positions: ReadVec3<f32>,
         /// Canonical quaternions.
         rotations: Read<[f32; 4]>,
         /// Motion logits; not read unless soft.
@@ -86,7 +86,7 @@ kernel! {
         /// Evidence of motion; not read unless soft.
         evidence: Read<f32>,
         /// Canonical positions of the control points.
-        nodes: ReadThrees<f32>,
+        nodes: ReadVec3<f32>,
         /// Logarithms of their radii.
         log_radii: Read<f32>,
         /// Their motions, two vectors each.
@@ -94,7 +94,7 @@ kernel! {
         /// Canonical logits of the opacities.
         opacity_logits: Read<f32>,
         /// Centres at the time.
-        moved_positions: WriteThrees<f32>,
+        moved_positions: WriteVec3<f32>,
         /// Quaternions at the time.
         moved_rotations: Write<[f32; 4]>,
         /// Logits of the opacities at the time.
@@ -123,7 +123,7 @@ kernel! {
         /// Their control points.
         neighbours: Read<u32>,
         /// Canonical centres.
-        positions: ReadThrees<f32>,
+        positions: ReadVec3<f32>,
         /// Canonical quaternions.
         rotations: Read<[f32; 4]>,
         /// Motion logits; not read unless soft.
@@ -131,13 +131,13 @@ kernel! {
         /// Evidence of motion; not read unless soft.
         evidence: Read<f32>,
         /// Canonical positions of the control points.
-        nodes: ReadThrees<f32>,
+        nodes: ReadVec3<f32>,
         /// Logarithms of their radii.
         log_radii: Read<f32>,
         /// Their motions, two vectors each.
         transforms: Read<[f32; 4]>,
         /// Gradient by the moved centres; becomes that by the canonical ones.
-        position_gradients: ReadWriteThrees<f32>,
+        position_gradients: ReadWriteVec3<f32>,
         /// Likewise for the quaternions.
         rotation_gradients: ReadWrite<[f32; 4]>,
         /// Added to where soft.

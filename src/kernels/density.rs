@@ -92,7 +92,7 @@ kernel! {
         /// Opacity logits.
         opacity_logits: ReadWrite<f32>,
         /// Log-scales.
-        log_scales: ReadWriteThrees<f32>,
+        log_scales: ReadWriteVec3<f32>,
     }
 }
 
@@ -147,13 +147,13 @@ kernel! {
     },
     args: JitterArgs {
         /// Log-scales.
-        log_scales: ReadThrees<f32>,
+        log_scales: ReadVec3<f32>,
         /// Quaternions.
         rotations: Read<[f32; 4]>,
         /// Opacity logits.
         opacity_logits: Read<f32>,
         /// Centres.
-        positions: ReadWriteThrees<f32>,
+        positions: ReadWriteVec3<f32>,
     }
 }
 
@@ -178,7 +178,7 @@ kernel! {
         /// Opacity logits.
         opacity_logits: Read<f32>,
         /// Log-scales.
-        log_scales: ReadThrees<f32>,
+        log_scales: ReadVec3<f32>,
         /// 0 prune, 1 keep, 2 clone, 3 split.
         actions: Write<u32>,
         /// 1 for survivors.
@@ -251,9 +251,9 @@ kernel! {
         /// Quaternions, in the new order.
         rotations: Read<[f32; 4]>,
         /// Centres, in the new order.
-        positions: ReadWriteThrees<f32>,
+        positions: ReadWriteVec3<f32>,
         /// Log-scales, in the new order.
-        log_scales: ReadWriteThrees<f32>,
+        log_scales: ReadWriteVec3<f32>,
     }
 }
 
@@ -310,10 +310,10 @@ kernel! {
         /// 1 per Gaussian.
         opacity_logits: Read<f32>,
         /// 3 per Gaussian.
-        log_scales: ReadThrees<f32>,
+        log_scales: ReadVec3<f32>,
         /// Added to.
         opacity_gradients: ReadWrite<f32>,
         /// Added to.
-        log_scale_gradients: ReadWriteThrees<f32>,
+        log_scale_gradients: ReadWriteVec3<f32>,
     }
 }

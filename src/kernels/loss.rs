@@ -23,7 +23,7 @@ kernel! {
         /// The rendered image.
         rgba: Read<[f32; 4]>,
         /// Packed 8-bit red, green, blue, weight.
-        photograph: Read<u32>,
+        reference: Read<u32>,
         /// x, y, x² + y², x·y of the first channel.
         windowed_reds: Write<[f32; 4]>,
         /// Of the second.
@@ -51,7 +51,7 @@ kernel! {
         /// x, y, x² + y², x·y, windowed along columns.
         windowed: Read<[f32; 4]>,
         /// Packed 8-bit red, green, blue, weight.
-        photograph: Read<u32>,
+        reference: Read<u32>,
         /// By the windowed x, x², x·y.
         derivatives: Write<[f32; 3]>,
         /// Weighted sum of the map per workgroup.
@@ -84,7 +84,7 @@ kernel! {
         /// The rendered image.
         rgba: Read<[f32; 4]>,
         /// Packed 8-bit red, green, blue, weight.
-        photograph: Read<u32>,
+        reference: Read<u32>,
         /// Derivatives of the first channel by x, x², x·y, windowed along rows.
         by_reds: Read<[f32; 3]>,
         /// Of the second.

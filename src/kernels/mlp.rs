@@ -25,7 +25,7 @@ kernel! {
     },
     args: EncodeArgs {
         /// Canonical positions, three values each.
-        nodes: ReadThrees<f32>,
+        nodes: ReadVec3<f32>,
         /// Times.
         times: Read<f32>,
         /// Gets the encodings in its first planes.

@@ -6,7 +6,7 @@
 pub mod adam;
 pub mod arap;
 pub mod bin;
-pub mod ceiling;
+pub mod roofline;
 pub mod deform;
 pub mod density;
 pub mod flow;
@@ -29,8 +29,8 @@ pub const ALL: &[KernelInfo] = &[
     arap::Fit::INFO,
     arap::Gather::INFO,
     adam::Gate::INFO,
-    ceiling::Copy::INFO,
-    ceiling::Fma::INFO,
+    roofline::Copy::INFO,
+    roofline::Fma::INFO,
     deform::Nearest::INFO,
     deform::Keys::INFO,
     deform::Starts::INFO,

@@ -27,21 +27,21 @@ kernel! {
         /// The camera, 20 floats.
         camera: Read<f32>,
         /// 3 per Gaussian.
-        positions: ReadThrees<f32>,
+        positions: ReadVec3<f32>,
         /// 3 per Gaussian.
-        log_scales: ReadThrees<f32>,
+        log_scales: ReadVec3<f32>,
         /// w, x, y, z.
         rotations: Read<[f32; 4]>,
         /// 1 per Gaussian.
         opacity_logits: Read<f32>,
         /// 3 per Gaussian.
-        sh0: ReadThrees<f32>,
+        sh0: ReadVec3<f32>,
         /// 9 per Gaussian; read with band 1.
-        sh1: ReadThrees<f32>,
+        sh1: ReadVec3<f32>,
         /// 15 per Gaussian; read with band 2.
-        sh2: ReadThrees<f32>,
+        sh2: ReadVec3<f32>,
         /// 21 per Gaussian; read with band 3.
-        sh3: ReadThrees<f32>,
+        sh3: ReadVec3<f32>,
         /// Mean x, mean y, depth, opacity.
         means: Write<[f32; 4]>,
         /// The conic factored (a, b, e), and the power at which α falls to the cut.
@@ -79,17 +79,17 @@ kernel! {
         /// The camera, 20 floats.
         camera: Read<f32>,
         /// 3 per Gaussian.
-        positions: ReadThrees<f32>,
+        positions: ReadVec3<f32>,
         /// 3 per Gaussian.
-        log_scales: ReadThrees<f32>,
+        log_scales: ReadVec3<f32>,
         /// w, x, y, z.
         rotations: Read<[f32; 4]>,
         /// 9 per Gaussian.
-        sh1: ReadThrees<f32>,
+        sh1: ReadVec3<f32>,
         /// 15 per Gaussian.
-        sh2: ReadThrees<f32>,
+        sh2: ReadVec3<f32>,
         /// 21 per Gaussian.
-        sh3: ReadThrees<f32>,
+        sh3: ReadVec3<f32>,
         /// From the forward pass.
         visible: Read<u32>,
         /// 1 per Gaussian.
@@ -103,21 +103,21 @@ kernel! {
         /// By red, green, blue.
         colour_gradients: Read<[f32; 4]>,
         /// 3 per Gaussian.
-        position_gradients: WriteThrees<f32>,
+        position_gradients: WriteVec3<f32>,
         /// 3 per Gaussian.
-        log_scale_gradients: WriteThrees<f32>,
+        log_scale_gradients: WriteVec3<f32>,
         /// By the raw quaternion.
         rotation_gradients: Write<[f32; 4]>,
         /// 1 per Gaussian.
         opacity_gradients: Write<f32>,
         /// 3 per Gaussian.
-        sh0_gradients: WriteThrees<f32>,
+        sh0_gradients: WriteVec3<f32>,
         /// 9 per Gaussian.
-        sh1_gradients: WriteThrees<f32>,
+        sh1_gradients: WriteVec3<f32>,
         /// 15 per Gaussian.
-        sh2_gradients: WriteThrees<f32>,
+        sh2_gradients: WriteVec3<f32>,
         /// 21 per Gaussian.
-        sh3_gradients: WriteThrees<f32>,
+        sh3_gradients: WriteVec3<f32>,
         /// 8 per workgroup, 6 used: translation, rotation.
         pose_partials: Write<f32>,
     }

@@ -20,9 +20,9 @@ kernel! {
         /// Holds the number of values.
         count: Read<u32>,
         /// The values.
-        values: ReadFours<u32>,
+        values: ReadVec4<u32>,
         /// Gets the sum of all values before each value.
-        prefix: WriteFours<u32>,
+        prefix: WriteVec4<u32>,
         /// Gets the sum of all values.
         total: Write<u32>,
     }
@@ -41,7 +41,7 @@ kernel! {
         /// Holds the number of values.
         count: Read<u32>,
         /// The values.
-        values: ReadFours<u32>,
+        values: ReadVec4<u32>,
         /// Gets the sum of each block.
         sums: Write<u32>,
     }
@@ -81,10 +81,10 @@ kernel! {
         /// Holds the number of values.
         count: Read<u32>,
         /// The values.
-        values: ReadFours<u32>,
+        values: ReadVec4<u32>,
         /// The sum of all values before each block.
         sums: Read<u32>,
         /// Gets the sum of all values before each value.
-        prefix: WriteFours<u32>,
+        prefix: WriteVec4<u32>,
     }
 }

@@ -59,7 +59,7 @@ kernel! {
         /// What [`Plan`] wrote.
         plan: Read<u32>,
         /// The keys.
-        keys: ReadFours<u32>,
+        keys: ReadVec4<u32>,
         /// Gets the counts, `[digit][run]`.
         table: Write<u32>,
     }
@@ -82,9 +82,9 @@ kernel! {
         /// Exclusive prefix sums of the table.
         offsets: Read<u32>,
         /// The keys.
-        keys: ReadFours<u32>,
+        keys: ReadVec4<u32>,
         /// What goes with them.
-        payload: ReadFours<u32>,
+        payload: ReadVec4<u32>,
         /// Gets the keys, sorted by the digit.
         sorted_keys: Write<u32>,
         /// Gets what goes with them.

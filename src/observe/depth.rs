@@ -1,4 +1,4 @@
-//! Depth that a network has estimated from single frames.
+//! Depth that a network has estimated from single images.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,42 +9,44 @@ use crate::types::Image;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EstimatedKind {
-    /// Depth (z) up to a factor of each frame; not above 0 where unknown.
+    /// Depth (z) up to a scale factor per frame; 0 or less where unknown.
     Depth,
-    /// Depth (z) up to a factor and a shift of each frame; 0 where unknown.
+    /// Depth (z) up to a scale factor and a shift per frame; 0 where unknown.
     ShiftedDepth,
-    /// Inverse depth up to a factor and a shift of each frame, as MiDaS and Depth Anything give it.
+    /// Inverse depth up to a scale factor and a shift per frame, as MiDaS and Depth Anything give it.
     ShiftedInverse,
 }
 
-/// A network's depth of a clip.
+/// Depth maps of a clip that a network has estimated.
 #[derive(Clone, Debug, Serialize)]
 pub struct EstimatedDepth {
     /// One channel for each frame, at the size of the frames; not finite where unknown.
     pub maps: Vec<Image>,
-    /// What they hold.
+    /// What the maps hold.
     pub kind: EstimatedKind,
-    /// One channel for each frame: how far each pixel is to be believed, where the network tells; 0 where unknown.
-    /// Relative deviations within a frame go with 1 / confidence, as a loss of confidence × error − α ln confidence
-    /// makes them (Wang et al., "DUSt3R", CVPR 2024).
+    /// Confidence of each pixel, one channel per frame, where the network gives it; 0 where unknown. Within
+    /// a frame, relative deviations are proportional to 1 / confidence, which follows from the loss
+    /// confidence × error − α ln confidence (Wang et al., "DUSt3R", CVPR 2024).
     pub confidence: Option<Vec<Image>>,
 }
 
-/// Pixels are confident from the median of their frame on, within these bounds.
+/// Bounds of the threshold above which a pixel is confident; the threshold is the median confidence of its
+/// frame.
 const CONFIDENT: (f64, f64) = (1.1, 3.0);
-/// The share of the confident depths that is near.
+/// Share of the confident depths that counts as near.
 const NEAR: f64 = 0.95;
 
 impl EstimatedDepth {
-    /// Whether each pixel of a frame is confident and near, where the network tells confidence. Confidence that half
-    /// of the pixels reach is enough, 1.1 is needed and 3 suffices; near are the nearest 95 % of the confident ones.
+    /// Whether each pixel of a frame is confident and near; `None` where the network gives no confidence.
+    /// The confidence threshold is the frame's median, clamped to [1.1, 3]. The nearest 95 % of the
+    /// confident pixels are near.
     pub(crate) fn sure(&self, frame: usize) -> Option<Vec<bool>> {
         let confidence = &self.confidence.as_ref()?[frame].pixels;
         let depth = |i: usize| -> Option<f64> {
             let told = f64::from(self.maps[frame].pixels[i]);
             let z = match self.kind {
                 EstimatedKind::Depth | EstimatedKind::ShiftedDepth => told,
-                // What is far is small, and sorted the other way.
+                // Inverse depth is smaller for farther points, so the order is reversed.
                 EstimatedKind::ShiftedInverse => -told,
             };
             z.is_finite().then_some(z)
@@ -64,7 +66,7 @@ mod tests {
 
     #[test]
     fn what_is_confident_and_near_is_sure() {
-        // 100 pixels at depths of 1 to 100; every fourth hardly believed, one unknown.
+        // 100 pixels at depths of 1 to 100; every fourth has low confidence, one has unknown depth.
         let row = |of: &dyn Fn(usize) -> f32| Image {
             width: 100,
             height: 1,
@@ -81,7 +83,7 @@ mod tests {
         let sure = told.sure(0).unwrap();
         assert!(!sure[8] && !sure[7] && sure[9] && !sure[99] && sure[90], "{sure:?}");
         assert_eq!(sure.iter().filter(|sure| **sure).count(), 70, "95 % of 74");
-        // Of inverse depth the smallest is the farthest.
+        // The smallest inverse depth is the farthest.
         told.kind = EstimatedKind::ShiftedInverse;
         let sure = told.sure(0).unwrap();
         assert!(!sure[1] && sure[99]);

@@ -1,4 +1,4 @@
-//! Flow that the engine computes.
+//! Optical flow computed by the engine.
 
 use super::flow::{FlowPair, FlowSource, neighbours};
 use crate::gpu::{Device, Footprint, Rehearsal};
@@ -6,21 +6,21 @@ use crate::ops::flow::{FlowEngine, FlowImages};
 use crate::types::{FlowSettings, Image};
 use crate::{Error, Result};
 
-/// The engine's own flow between the frames of a clip: [`crate::ops::flow`], with the pair before
-/// as a guess, since motion goes on.
+/// Flow that the engine computes between neighbouring frames of a clip, see [`crate::ops::flow`]. The flow
+/// of the previous pair is the initial guess, because motion tends to continue.
 pub struct EngineFlow<'a> {
     frames: &'a [Image],
     engine: FlowEngine,
-    /// The pyramid of the frame that the next pair begins with.
+    /// Image pyramid of the first frame of the next pair, kept from the last pair.
     ahead: Option<(usize, crate::ops::flow::FlowFrame)>,
     last: Option<(usize, FlowImages)>,
 }
 
 impl<'a> EngineFlow<'a> {
-    /// For frames of one size.
+    /// Plans flow for `frames`, which must all have the same size.
     ///
     /// # Errors
-    /// No frames, frames that flow cannot be planned for, a failed allocation.
+    /// No frames, frame sizes that flow cannot be planned for, a failed allocation.
     pub fn new(device: &Device, frames: &'a [Image], settings: &FlowSettings) -> Result<Self> {
         let Some(first) = frames.first() else {
             return Err(Error::Input("a clip without frames has no flow".into()));
@@ -29,11 +29,12 @@ impl<'a> EngineFlow<'a> {
         Ok(EngineFlow { frames, engine, ahead: None, last: None })
     }
 
-    /// What the flow between frames of a size takes of a device's memory at most, before it begins.
+    /// Upper bound of the device memory that the flow between frames of one size needs, determined before
+    /// any work is done.
     ///
     /// # Errors
-    /// [`Error::RangeLimit`] for a buffer larger than one binding of the device may be; frames that
-    /// flow cannot be planned for.
+    /// [`Error::RangeLimit`] if a buffer would exceed the device's largest binding; frame sizes that flow
+    /// cannot be planned for.
     pub fn footprint(
         device: &Device,
         (width, height): (u32, u32),
@@ -69,7 +70,7 @@ impl FlowSource for EngineFlow<'_> {
     }
 
     fn known(&mut self, first: usize, pair: &FlowPair) {
-        // The next pair's guess; confidences are not used there.
+        // Kept as the next pair's initial guess, which does not use confidences.
         let (forward, backward) = (pair.forward.clone(), pair.backward.clone());
         let unused = |image: &Image| Image::new(image.width, image.height, 1);
         let (forward_confidence, backward_confidence) = (unused(&forward), unused(&backward));

@@ -1,10 +1,9 @@
-//! How bright each frame is: automatic exposure and white balance change while a clip is filmed.
+//! Exposure of each frame: automatic exposure and white balance change while a clip is filmed.
 //!
-//! A point that is followed keeps its colour, so what the colours of all points change by from one
-//! frame to another together is the camera's doing. In linear light that is one gain per channel. The
-//! ratios of many pairs of frames, near and far ones, are solved for together, so that small errors do
-//! not add up along the clip. Movers turn into and out of the light and pass through shadows; the
-//! median over the points leaves them out.
+//! A tracked point keeps its colour, so a colour change that all points share between two frames is caused
+//! by the camera. In linear light this is one gain per channel. The ratios of many pairs of frames, near
+//! and far apart, are solved for jointly, so that small errors do not accumulate along the clip. Movers
+//! pass through light and shadow; the median over the points rejects them.
 
 use std::borrow::Cow;
 
@@ -15,32 +14,32 @@ use serde::{Deserialize, Serialize};
 use super::PointTrack;
 use crate::types::Image;
 
-/// Of an encoded value of sRGB this much more goes in proportion to a power of linear light, but for
-/// the darkest.
+/// Offset of the sRGB encoding: an encoded value plus this offset is proportional to a power of linear
+/// light, except for the darkest values.
 const TOE: f32 = 0.055;
-/// Encoded values outside of this are clipped or noise.
+/// Range of usable encoded values; values outside are clipped or noise.
 const USABLE: (f32, f32) = (0.08, 0.95);
-/// Frames that far apart are compared.
+/// Frame distances at which pairs are compared.
 const APART: [usize; 5] = [1, 2, 4, 8, 16];
-/// At least so many points tell how two frames compare.
+/// Minimum number of common points for comparing two frames.
 const LEAST_POINTS: usize = 30;
-/// Gains that stay this near to one (of the encoded values) are not modelled: less is within what
-/// changes with the direction of view.
+/// Deviation of a gain from 1, in encoded values, below which the gain is not modelled. Smaller changes are
+/// within view-dependent appearance.
 const SIGNIFICANT: f32 = 0.02;
-/// Neighbouring frames that no points compare are as bright to this standard deviation, in logarithms.
+/// Prior standard deviation of the log gain between neighbouring frames, for frames without common points.
 const STEADY: f64 = 0.1;
 
-/// The exposure of each frame of a clip against that of the clip as a whole.
+/// The exposure of each frame of a clip relative to the whole clip.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Exposure {
-    /// Per frame: what the encoded RGB values, 0.055 added, have been multiplied by. Their median over
-    /// the frames is 1. Empty where the exposure does not change.
+    /// Per frame: the factor on each encoded RGB value after 0.055 is added to it. The median over the
+    /// frames is 1. Empty where the exposure does not change.
     pub gains: Vec<[f32; 3]>,
 }
 
 impl Exposure {
-    /// Measures the exposure of `frames` (RGB, encoded values in [0, 1]) by points followed through
-    /// them. What changes by less than 2 % is taken not to change.
+    /// Measures the exposure of `frames` (RGB, encoded values in [0, 1]) from points tracked through them.
+    /// Changes of less than 2 % are treated as constant exposure.
     pub fn measure(frames: &[Image], tracks: &[PointTrack]) -> Exposure {
         if frames.is_empty() {
             return Exposure::default();
@@ -68,12 +67,12 @@ impl Exposure {
         if changes { Exposure { gains } } else { Exposure::default() }
     }
 
-    /// Whether all frames have the same.
+    /// Whether all frames have the same exposure.
     pub fn is_constant(&self) -> bool {
         self.gains.is_empty()
     }
 
-    /// A frame's picture (RGB) as it would be at the exposure of the clip as a whole.
+    /// The image of a frame (RGB), corrected to the exposure of the whole clip.
     pub fn even<'a>(&self, frame: usize, image: &'a Image) -> Cow<'a, Image> {
         let Some(gain) = self.gains.get(frame) else { return Cow::Borrowed(image) };
         let mut even = image.clone();
@@ -85,7 +84,7 @@ impl Exposure {
         Cow::Owned(even)
     }
 
-    /// [`even`](Exposure::even) for all frames.
+    /// Applies [`even`](Exposure::even) to all frames.
     pub fn even_all<'a>(&self, frames: &'a [Image]) -> Cow<'a, [Image]> {
         if self.is_constant() {
             return Cow::Borrowed(frames);
@@ -95,15 +94,15 @@ impl Exposure {
     }
 }
 
-/// How much brighter one frame is than another.
+/// Brightness ratio between two frames.
 struct Comparison {
     first: usize,
     second: usize,
-    /// Median of the logarithm of the ratio, by channel, and its standard deviation.
+    /// Median of the log ratio and its standard deviation, per channel.
     log_ratio: [(f64, f64); 3],
 }
 
-/// The colours of a point, frame by frame.
+/// The colours of a point in each frame.
 struct Colours {
     frames: Vec<usize>,
     mean: Vec<Option<[f32; 3]>>,
@@ -140,7 +139,7 @@ fn compare(colours: &[Colours], first: usize, second: usize) -> Option<Compariso
         }
         let middle = median(ratios);
         ratios.iter_mut().for_each(|ratio| *ratio = (*ratio - middle).abs());
-        // Of a normal distribution, from the median absolute difference; that of its median.
+        // Standard deviation of the median, from the median absolute deviation of a normal distribution.
         let deviation = 1.48 * 1.25 * median(ratios) / (n as f64).sqrt();
         *found = (middle, deviation.max(1e-4));
     }
@@ -151,7 +150,7 @@ fn compare(colours: &[Colours], first: usize, second: usize) -> Option<Compariso
     })
 }
 
-/// The mean colour of three by three pixels; none at the edge.
+/// Mean colour of 3 × 3 pixels; `None` at the image border.
 fn mean(image: &Image, at: glam::DVec2) -> Option<[f32; 3]> {
     let (x, y) = (at.x.floor(), at.y.floor());
     let within = |v: f64, size: u32| v >= 1.0 && v + 2.0 <= f64::from(size);
@@ -168,7 +167,7 @@ fn mean(image: &Image, at: glam::DVec2) -> Option<[f32; 3]> {
     Some(sum)
 }
 
-/// The logarithms of all frames' gains, of which the median is zero.
+/// Log gains of all frames, shifted so that their median is zero.
 fn solve(frames: usize, compared: &[Comparison], channel: usize) -> Option<Vec<f64>> {
     let mut normal = DMatrix::<f64>::zeros(frames, frames);
     let mut right = DVector::<f64>::zeros(frames);
@@ -187,7 +186,7 @@ fn solve(frames: usize, compared: &[Comparison], channel: usize) -> Option<Vec<f
     for found in compared {
         add(found.first, found.second, found.log_ratio[channel]);
     }
-    // Only differences are measured: the first frame is held, then the median is taken off.
+    // Only differences are measured, so the first frame is fixed and the median subtracted afterwards.
     normal[(0, 0)] += STEADY.powi(-2);
     let mut logs = normal.cholesky()?.solve(&right).data.as_vec().clone();
     let middle = median(&mut logs.clone());
@@ -195,7 +194,7 @@ fn solve(frames: usize, compared: &[Comparison], channel: usize) -> Option<Vec<f
     Some(logs)
 }
 
-/// The middle value; of at least one.
+/// The median of at least one value.
 fn median(values: &mut [f64]) -> f64 {
     let middle = values.len() / 2;
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
@@ -219,8 +218,8 @@ mod tests {
         if light <= 0.003_130_8 { light * 12.92 } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 }
     }
 
-    /// Frames of one picture at some gains of linear light, with noise; in a part of it the light
-    /// changes of itself, as on what moves.
+    /// Frames of one image at the given gains in linear light, with noise. In one region the light changes
+    /// independently, as on a mover.
     fn filmed(gains: &[[f64; 3]]) -> (Image, Vec<Image>, Vec<PointTrack>) {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         let mut scene = Image::new(SIZE.0, SIZE.1, 3);
@@ -254,7 +253,7 @@ mod tests {
 
     #[test]
     fn a_drift_of_exposure_and_white_balance_is_measured_and_taken_off() {
-        // Brighter by 30 %, and warmer by 10 %.
+        // 30 % brighter and 10 % warmer.
         let gains: Vec<[f64; 3]> = (0..21)
             .map(|frame| {
                 let t = frame as f64 / 20.0 - 0.5;
@@ -294,7 +293,7 @@ mod tests {
         assert!(Exposure::measure(&black, &tracks).is_constant());
         assert!(Exposure::measure(&frames, &[]).is_constant());
         assert!(Exposure::measure(&[], &[]).is_constant());
-        // A black frame among others says nothing of itself, and spoils nothing.
+        // A black frame among others gives no measurement and does not affect the others.
         let mut one = frames;
         one[2] = black[0].clone();
         let found = Exposure::measure(&one, &tracks);

@@ -1,9 +1,10 @@
-//! Points that are found in each picture by itself and told apart by descriptors, and tracks of those that are found
-//! again: what links frames that no chain of flow leads to.
+//! Keypoints that are detected in each image independently and described by descriptors, and tracks of
+//! keypoints that are matched across frames. They link frames that no chain of flow connects.
 //!
-//! Flow follows a point from frame to frame until it is hidden or leaves; when it comes back it is another point, and so
-//! cameras drift where a video comes round to where it began, and are lost where flow fails. Descriptors of neighbouring
-//! frames add nothing to good flow, which is ten times as exact: only frames are matched that share few points.
+//! Flow follows a point until it is occluded or leaves the image; when the point reappears, a new track
+//! begins. Cameras therefore drift where a video returns to where it began, and tracking is lost where flow
+//! fails. Between neighbouring frames, descriptors add nothing to good flow, which is ten times as
+//! accurate, so that only frames with few points in common are matched.
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -14,18 +15,20 @@ use crate::geometry::ransac::RansacOptions;
 use crate::geometry::two_view::fundamental_ransac;
 use crate::types::Image;
 
-/// When two points that are each other's most alike are the same.
+/// Acceptance rule for mutual nearest neighbours.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Rule {
-    /// The inner product of their descriptors is no smaller: of networks that were trained for it.
+    /// The inner product of the descriptors is at least this value; for networks that were trained with it.
     Product(f32),
-    /// The angle between their descriptors is so much smaller than that to the next best (Lowe 2004).
+    /// The angle between the descriptors is at most this share of the angle to the second-best match (Lowe
+    /// 2004).
     Ratio(f32),
 }
 
 impl Rule {
-    /// So many matches of pictures that show different things may agree with one epipolar geometry: of photographs of
-    /// different sides of a thing 36 of 112 did by the first rule, and 13 of 83 by the second.
+    /// Number of matches between images of different content that may agree with one epipolar geometry by
+    /// chance. Between images of different sides of an object, 36 of 112 agreed by the first rule and 13 of
+    /// 83 by the second.
     fn chance(self) -> usize {
         match self {
             Rule::Product(_) => 45,
@@ -34,51 +37,52 @@ impl Rule {
     }
 }
 
-/// Points of a picture with their descriptors.
+/// Keypoints of an image with their descriptors.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Features {
-    /// Pixels of the frame; the first pixel's centre is at 0.5.
+    /// Positions in pixels of the frame; the centre of the first pixel is at 0.5.
     pub pixels: Vec<DVec2>,
     /// Standard deviation of each pixel along each axis, pixels.
     pub noise: f32,
-    /// Of each point as many values, one point after the other, of length 1: the more alike two points look, the larger
-    /// the inner product.
+    /// Descriptors of unit length, all with the same number of values, concatenated in the order of the
+    /// points. The inner product of two descriptors is larger the more similar the points look.
     pub descriptors: Vec<f32>,
-    /// When two of them are the same.
+    /// Rule by which two descriptors match.
     pub rule: Rule,
 }
 
 impl Default for Features {
-    /// No points.
+    /// No keypoints.
     fn default() -> Features {
         let (pixels, descriptors) = (Vec::new(), Vec::new());
         Features { pixels, noise: 0.0, descriptors, rule: Rule::Product(1.0) }
     }
 }
 
-/// Something that finds such points.
+/// A source of keypoints.
 pub trait FeatureSource {
-    /// Those of frame `number`, whose picture is `frame`.
+    /// Returns the keypoints of frame `number`, whose image is `frame`.
     ///
     /// # Errors
     /// Whatever keeps the source from answering.
     fn features(&mut self, number: usize, frame: &Image) -> Result<Features>;
 }
 
-/// Frames share enough where a share of the points that the poorer of them sees is seen by both, and so many are.
+/// Two frames share enough points if they have at least `ENOUGH` in common and at least this share of the
+/// points of the frame with fewer.
 const SHARED: f64 = 0.03;
 const ENOUGH: usize = 30;
-/// Most frames of which all pairs are compared; of more, every so manieth.
+/// Maximum number of frames of which all pairs are compared; longer clips are sampled at a stride.
 const FRAMES: usize = 40;
-/// Frames that are no farther apart are compared in any case: those on both sides of where flow fails.
+/// Frames at most this far apart are always compared, to bridge the places where flow fails.
 const NEIGHBOURS: usize = 2;
-/// A smaller share of the matches that agrees with one epipolar geometry is chance.
+/// Minimum share of the matches that must agree with one epipolar geometry; a smaller share is chance.
 const AGREE_SHARE: f64 = 0.33;
-/// Within so many deviations.
+/// Inlier threshold of the epipolar geometry, in standard deviations.
 const DEVIATIONS: f64 = 2.5;
 
-/// The pairs of frames that share few of the points that are followed, `first < second`: of all frames, or of every so
-/// manieth of many; and of neighbours.
+/// Pairs of frames, `first < second`, that share few tracked points. In long clips, only frames at a stride
+/// are paired, and near neighbours.
 pub fn unlinked(tracks: &[PointTrack], frames: usize) -> Vec<(usize, usize)> {
     let stride = frames.div_ceil(FRAMES).max(1);
     let keys = frames.div_ceil(stride);
@@ -109,8 +113,9 @@ pub fn unlinked(tracks: &[PointTrack], frames: usize) -> Vec<(usize, usize)> {
     pairs.filter(|&(a, b)| shared(a, b).is_some_and(|both| !linked(a, b, both))).collect()
 }
 
-/// Tracks of the points that are found again in frames of `pairs`: in three frames at least. `features` are those of all
-/// frames; of frames in no pair they may be empty. The result depends on nothing but what is given.
+/// Tracks of keypoints that are matched across the frames of `pairs`, in at least three frames each.
+/// `features` holds those of all frames; it may be empty for frames in no pair. The result is a
+/// deterministic function of the arguments.
 pub fn linked(features: &[Features], pairs: &[(usize, usize)], seed: u64) -> Vec<PointTrack> {
     let found: Vec<Vec<(usize, usize)>> =
         pairs.par_iter().map(|&(a, b)| verified(&features[a], &features[b], seed)).collect();
@@ -123,7 +128,7 @@ pub fn linked(features: &[Features], pairs: &[(usize, usize)], seed: u64) -> Vec
         .collect();
     let count = features.iter().map(|of| of.pixels.len()).sum();
     let mut groups = Groups::new(count);
-    // Pairs that agree on more come first: where two matches contradict each other, theirs stands.
+    // Pairs with more agreeing matches come first, so that they win where two matches contradict each other.
     let mut order: Vec<usize> = (0..pairs.len()).collect();
     order.sort_by_key(|p| (std::cmp::Reverse(found[*p].len()), *p));
     let frame_of: Vec<usize> =
@@ -152,10 +157,10 @@ pub fn linked(features: &[Features], pairs: &[(usize, usize)], seed: u64) -> Vec
         .collect()
 }
 
-/// Points that are the same, of each frame one at most.
+/// Groups of points that are the same, with at most one point per frame.
 struct Groups {
     group_of: Vec<usize>,
-    /// By group, in the order of their frames; empty where it was taken into another.
+    /// Members of each group, in the order of their frames; empty for a group that was merged into another.
     members: Vec<Vec<usize>>,
 }
 
@@ -164,7 +169,7 @@ impl Groups {
         Groups { group_of: (0..count).collect(), members: (0..count).map(|i| vec![i]).collect() }
     }
 
-    /// Makes one of the groups of two points, unless a frame would see it twice.
+    /// Merges the groups of two points, unless a frame would then see the point twice.
     fn join(&mut self, a: usize, b: usize, frame_of: &[usize]) {
         let [a, b] = [self.group_of[a], self.group_of[b]];
         if a == b {
@@ -181,7 +186,7 @@ impl Groups {
     }
 }
 
-/// The points of two frames that are each other's most alike, and agree with one epipolar geometry.
+/// Mutual nearest neighbours of two frames that agree with one epipolar geometry.
 fn verified(a: &Features, b: &Features, seed: u64) -> Vec<(usize, usize)> {
     let matches = mutual(a, b);
     let pixels: Vec<(DVec2, DVec2)> =
@@ -196,7 +201,7 @@ fn verified(a: &Features, b: &Features, seed: u64) -> Vec<(usize, usize)> {
     found.inliers.iter().map(|&i| matches[i]).collect()
 }
 
-/// The points of two frames that are each other's most alike, and alike enough by the first one's rule.
+/// Mutual nearest neighbours of two frames that pass the acceptance rule of the first one.
 pub fn mutual(a: &Features, b: &Features) -> Vec<(usize, usize)> {
     let length = a.descriptors.len() / a.pixels.len().max(1);
     if length == 0 || b.pixels.is_empty() || b.descriptors.len() != length * b.pixels.len() {
@@ -230,7 +235,7 @@ pub fn mutual(a: &Features, b: &Features) -> Vec<(usize, usize)> {
     forward.into_iter().enumerate().filter_map(returns).collect()
 }
 
-/// An inner product, in lanes that a processor adds at once.
+/// Inner product, written in lanes so that it vectorises.
 fn product(a: &[f32], b: &[f32]) -> f32 {
     const LANES: usize = 8;
     let mut sums = [0.0f32; LANES];
@@ -263,7 +268,7 @@ mod tests {
         values.iter().map(|v| v / length).collect()
     }
 
-    /// What frames see of points in space, each in an order of its own, beside as many points that no other frame
+    /// Frames' views of points in space, each in a different order, with as many points that no other frame
     /// sees; and the number of each point.
     fn seen(frames: usize) -> (Vec<Features>, Vec<Vec<usize>>) {
         let mut rng = ChaCha8Rng::seed_from_u64(7);
@@ -300,7 +305,7 @@ mod tests {
     #[test]
     fn points_are_linked_over_frames_that_flow_does_not() {
         let (features, numbers) = seen(5);
-        // Nothing is compared with frame 2 itself, and yet it is no other point there.
+        // Frame 2 is in no pair and must not affect the tracks.
         let pairs = [(0, 1), (0, 3), (1, 3), (0, 4), (3, 4)];
         let tracks = linked(&features, &pairs, 0);
         assert_eq!(tracks.len(), POINTS);
@@ -323,7 +328,7 @@ mod tests {
     #[test]
     fn what_only_looks_alike_is_no_link() {
         let (mut features, _) = seen(3);
-        // The same descriptors, at places that no camera explains.
+        // The same descriptors, at positions that no epipolar geometry explains.
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         for pixel in &mut features[1].pixels {
             *pixel = DVec2::new(rng.random_range(0.0..320.0), rng.random_range(0.0..180.0));
@@ -359,7 +364,7 @@ mod tests {
         let across = [(0, 3), (0, 4), (1, 3), (1, 4), (2, 3), (2, 4)];
         assert_eq!(unlinked(&tracks, 5), across);
         assert!(unlinked(&vec![track(0, 90); 100], 90).is_empty());
-        // Of many frames, those are compared that are a few apart, or next to each other.
+        // In a long clip, frames are compared if they are at the stride, or next to each other.
         let pairs = unlinked(&[], 130);
         assert!(pairs.contains(&(1, 2)) && pairs.contains(&(0, 128)) && !pairs.contains(&(1, 7)));
         assert!(pairs.len() < 1500, "{}", pairs.len());

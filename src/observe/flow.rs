@@ -1,4 +1,4 @@
-//! Dense optical flow of a clip, from whatever source, with a confidence per pixel.
+//! Dense optical flow of a clip from any source, with a confidence per pixel.
 
 use std::path::{Path, PathBuf};
 
@@ -19,13 +19,13 @@ pub struct FlowPair {
     pub forward: Image,
     /// From the second frame to the first.
     pub backward: Image,
-    /// The source's own belief in `forward`, where it has one.
+    /// The source's own confidence in `forward`, where it gives one.
     pub forward_confidence: Option<Image>,
-    /// The source's own belief in `backward`, where it has one.
+    /// The source's own confidence in `backward`, where it gives one.
     pub backward_confidence: Option<Image>,
 }
 
-/// Something that knows the flow between neighbouring frames of a clip.
+/// A source of optical flow between neighbouring frames of a clip.
 pub trait FlowSource {
     /// The flow between frame `first` and frame `first + 1`.
     ///
@@ -33,20 +33,20 @@ pub trait FlowSource {
     /// Whatever keeps the source from answering.
     fn pair(&mut self, first: usize) -> Result<FlowPair>;
 
-    /// Whether a pair takes long enough to be put away for a run that resumes this one.
+    /// Whether a pair takes long enough to compute that it is checkpointed for a run that resumes this one.
     fn is_costly(&self) -> bool {
         true
     }
 
-    /// Told instead of being asked for a pair that an earlier run has put away; the next pair must
-    /// be as if this source had computed it.
+    /// Called in place of [`pair`](FlowSource::pair) for a pair that an earlier run has checkpointed. The
+    /// result of the next pair must be the same as if this source had computed this one.
     fn known(&mut self, _first: usize, _pair: &FlowPair) {}
 }
 
 /// A frame and the next one.
 ///
 /// # Errors
-/// The clip ends before.
+/// The clip ends before the second frame.
 pub(super) fn neighbours(frames: &[Image], first: usize) -> Result<(&Image, &Image)> {
     frames.get(first).zip(frames.get(first + 1)).ok_or_else(|| {
         let what =
@@ -55,7 +55,7 @@ pub(super) fn neighbours(frames: &[Image], first: usize) -> Result<(&Image, &Ima
     })
 }
 
-/// Flow that is there already: from files, or exact from a synthetic clip.
+/// Flow from files, or exact flow of a synthetic clip.
 #[derive(Clone, Debug, Serialize)]
 pub struct SuppliedFlow {
     forward: Vec<Image>,
@@ -63,11 +63,11 @@ pub struct SuppliedFlow {
 }
 
 impl SuppliedFlow {
-    /// From fields in memory: `forward[i]` leads from frame i to i + 1, `backward[i]` from i + 1 to
-    /// i; both hold one field less than there are frames.
+    /// Flow from images in memory: `forward[i]` leads from frame i to i + 1, `backward[i]` from i + 1 to i.
+    /// Both lists hold one image less than there are frames.
     ///
     /// # Errors
-    /// Lists of different length, or a field that has not two channels.
+    /// Lists of different length, or an image that does not have two channels.
     pub fn new(forward: Vec<Image>, backward: Vec<Image>) -> Result<SuppliedFlow> {
         if forward.len() != backward.len() {
             return Err(Error::Shape {
@@ -88,12 +88,12 @@ impl SuppliedFlow {
         Ok(SuppliedFlow { forward, backward })
     }
 
-    /// Fields each way: one less than the frames that they lead through.
+    /// Number of pairs: one less than the number of frames.
     pub fn pairs(&self) -> usize {
         self.forward.len()
     }
 
-    /// The flow from a frame on, which becomes the first.
+    /// The flow from a frame on, which becomes frame 0.
     pub fn from_frame(mut self, first: usize) -> SuppliedFlow {
         for fields in [&mut self.forward, &mut self.backward] {
             fields.drain(..first.min(fields.len()));
@@ -101,9 +101,9 @@ impl SuppliedFlow {
         self
     }
 
-    /// From a folder of flow files ([`flow::EXTENSIONS`]; all of the first of these kinds that is
-    /// there): those whose name begins with `forward` and with `backward`, or those in folders
-    /// `forward` and `backward`, in the natural order of their names.
+    /// Opens a folder of flow files. All files have the first of the [`flow::EXTENSIONS`] that occurs. The
+    /// forward and backward files are those whose names begin with `forward` and `backward`, or those in
+    /// folders of these names, in natural order.
     ///
     /// # Errors
     /// A folder that cannot be read, no such files, numbers of files that differ, a damaged file.
@@ -126,7 +126,7 @@ impl SuppliedFlow {
             };
             let mut files =
                 flow::EXTENSIONS.iter().map(of).find(|files| !files.is_empty()).unwrap_or_default();
-            // By the numbers in the name, then by the name: 10 follows 9.
+            // Sorted by the digits of the name, then by the name, so that 10 follows 9.
             files.sort_by_cached_key(|path| {
                 let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
                 let digits: String = name.chars().filter(char::is_ascii_digit).collect();
@@ -174,8 +174,8 @@ impl FlowSource for SuppliedFlow {
     }
 }
 
-/// The flow of a whole clip between neighbouring frames, with a confidence per pixel that holds
-/// the forward–backward check.
+/// The flow between all neighbouring frames of a clip, with a confidence per pixel that includes the
+/// forward–backward check.
 #[derive(Clone, Debug)]
 pub struct NeighbourFlow {
     /// Width of the frames.
@@ -186,7 +186,7 @@ pub struct NeighbourFlow {
     pub frames: usize,
     forward: Vec<Field>,
     backward: Vec<Field>,
-    /// The standard deviation along each axis of what is surely believed, by pair, pixels.
+    /// Per pair, standard deviation of confident flow along each axis, pixels.
     deviation: Vec<f32>,
 }
 
@@ -194,19 +194,20 @@ pub struct NeighbourFlow {
 #[derive(Clone, Debug)]
 struct Field(Vec<[f32; 3]>);
 
-/// A pair of flows may disagree by this many pixels plus a share of their length before half of the
-/// confidence is gone.
+/// Forward–backward disagreement at which the confidence is halved: this many pixels plus a share of the
+/// vector's length.
 const DISAGREEMENT: (f32, f32) = (0.5, 0.02);
 
-/// Flow that is surely believed is off by so many pixels along each axis, at the least and at the most.
+/// Lower and upper bound of the standard deviation of confident flow along each axis, pixels.
 const DEVIATION: (f32, f32) = (0.01, 0.2);
-/// It is off by at most so many times the median disagreement of both directions. The engine's own flow disagrees by
-/// 0.045 px and more in the median, and is off by about 0.2 px; only flow that agrees far better is believed further.
+/// Upper bound of that deviation, as a multiple of the median disagreement of both directions. The engine's
+/// own flow has a median disagreement of at least 0.045 px and an error of about 0.2 px; a smaller
+/// deviation is used only for flow with a far smaller disagreement.
 const OFF_BY_DISAGREEMENT: f32 = 10.0;
-/// Less confident flow tells nothing about the rest.
+/// Flow with less confidence is not used to estimate the deviation.
 const CONFIDENT: f32 = 0.3;
 
-/// Asks a source for the flow of all neighbouring pairs of a clip.
+/// Computes the flow of all neighbouring pairs of a clip from a source.
 ///
 /// # Errors
 /// Those of the source, of `progress` (called with the share done), or flow of another size than
@@ -225,7 +226,7 @@ pub fn observe_flow(
 }
 
 impl NeighbourFlow {
-    /// The flow of a clip of which no pair is known yet.
+    /// An empty flow for a clip, to which pairs are added.
     pub(crate) fn begin(frames: &[Image]) -> Result<NeighbourFlow> {
         let Some(first) = frames.first() else {
             return Err(Error::Input("a clip without frames has no flow".into()));
@@ -240,7 +241,7 @@ impl NeighbourFlow {
         })
     }
 
-    /// Takes the next pair.
+    /// Appends the next pair.
     pub(crate) fn push(&mut self, pair: &FlowPair) -> Result<()> {
         let (i, width, height) = (self.forward.len(), self.width as u32, self.height as u32);
         for (field, channels) in [(Some(&pair.forward), 2), (Some(&pair.backward), 2)]
@@ -268,7 +269,7 @@ impl NeighbourFlow {
         Ok(())
     }
 
-    /// The flow between the pictures of a pinhole that sees what the lens saw.
+    /// The flow between undistorted images: those of a pinhole camera in place of the lens.
     pub(crate) fn undistorted(&self, lens: &Lens, pinhole: &Intrinsics) -> NeighbourFlow {
         let (width, height) = (self.width as u32, self.height as u32);
         let undistorted = |Field(values): &Field| {
@@ -284,8 +285,8 @@ impl NeighbourFlow {
     }
 }
 
-/// A field with its confidence: where it leads back to is where it came from. And how far from there it leads back to,
-/// pixels; infinity where that is not known.
+/// A flow field with its forward–backward confidence, and the distance in pixels between each pixel and
+/// where the two directions lead back to; infinite where that is unknown.
 fn checked(there: &Image, back: &Image, own: Option<&Image>) -> (Field, Vec<f32>) {
     let (w, h) = (there.width as usize, there.height as usize);
     let back: Vec<[f32; 3]> = back.pixels.chunks_exact(2).map(|v| [v[0], v[1], 1.0]).collect();
@@ -313,7 +314,7 @@ fn checked(there: &Image, back: &Image, own: Option<&Image>) -> (Field, Vec<f32>
     (Field(values), off)
 }
 
-/// The standard deviation of a pair's flow where it is surely believed, by how far its directions disagree.
+/// Standard deviation of a pair's confident flow, estimated from the disagreement of its directions.
 fn deviation(Field(values): &Field, off: &[f32]) -> f32 {
     let believed = values.iter().zip(off).filter(|(v, _)| v[2] >= CONFIDENT);
     let mut off: Vec<f32> = believed.map(|(_, off)| *off).collect();
@@ -325,7 +326,7 @@ fn deviation(Field(values): &Field, off: &[f32]) -> f32 {
     (OFF_BY_DISAGREEMENT * *median).clamp(DEVIATION.0, DEVIATION.1)
 }
 
-/// Bilinear; none beyond the centres of the outermost pixels by more than half a pixel.
+/// Bilinear sample; `None` more than half a pixel beyond the centres of the outermost pixels.
 fn sample(field: &[[f32; 3]], w: usize, h: usize, at: DVec2) -> Option<[f32; 3]> {
     if !(at.x >= 0.0 && at.y >= 0.0 && at.x <= w as f64 && at.y <= h as f64) {
         return None;
@@ -344,18 +345,18 @@ fn sample(field: &[[f32; 3]], w: usize, h: usize, at: DVec2) -> Option<[f32; 3]>
     }))
 }
 
-/// Where a pixel of a frame is in another, and how sure that is.
+/// Position of a pixel of one frame in another, with its confidence.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Chain {
     /// Pixel in the other frame.
     pub pixel: DVec2,
-    /// Product of the confidences along the way, in (0, 1].
+    /// Product of the confidences along the chain, in (0, 1].
     pub confidence: f32,
 }
 
 impl NeighbourFlow {
-    /// Follows a pixel of frame `from` to its neighbour, the next frame or the one before; none
-    /// where it leaves the image or the flow is not to be believed.
+    /// Follows a pixel of frame `from` to the next frame or the previous one; `None` where it leaves the
+    /// image or the flow has no confidence.
     ///
     /// # Panics
     /// When there is no such frame or neighbour.
@@ -370,8 +371,8 @@ impl NeighbourFlow {
         (inside && confidence > 0.0).then_some(Chain { pixel, confidence })
     }
 
-    /// Follows a pixel of frame `from` through up to `reach` frames in each direction and calls
-    /// `seen` with the frame and the place in each.
+    /// Follows a pixel of frame `from` through up to `reach` frames in each direction and calls `seen` with
+    /// each frame and position.
     pub fn follow(
         &self,
         from: usize,
@@ -397,8 +398,7 @@ impl NeighbourFlow {
         }
     }
 
-    /// The standard deviation along each axis of the steps from a frame to the next where they are surely believed,
-    /// pixels.
+    /// Standard deviation of confident flow along each axis from a frame to the next, pixels.
     pub(super) fn deviation(&self, from: usize) -> f32 {
         self.deviation[from]
     }
@@ -419,7 +419,7 @@ mod tests {
 
     #[test]
     fn confidence_falls_with_disagreement() {
-        // Everything goes 1 px to the right; four of the eight say something else on the way back.
+        // Everything moves 1 px to the right; four of the eight pixels have a different backward flow.
         let there = field([1.0, 0.0].repeat(8));
         let mut back = field([-1.0, 0.0].repeat(8));
         let tolerance = DISAGREEMENT.0 + DISAGREEMENT.1;
@@ -428,7 +428,7 @@ mod tests {
         back.pixels[2 * 4] = f32::NAN;
         let (Field(values), _) = checked(&there, &back, None);
         let confidence: Vec<f32> = values.iter().map(|v| v[2]).collect();
-        // The vector at pixel i is held against the one at i + 1.
+        // The vector at pixel i is compared with the one at i + 1.
         assert_eq!(confidence[0], 1.0);
         assert!((confidence[1] - 0.5).abs() < 1e-5, "half at the tolerance: {confidence:?}");
         assert_eq!(confidence[2], 0.0, "2⁻⁹ counts as none");

@@ -1,10 +1,10 @@
-//! A picture's brightness as a smooth surface, to be aligned with others at fractions of a pixel.
+//! Image luminance as a smooth surface, for sub-pixel alignment.
 
 use glam::DVec2;
 
 use crate::types::Image;
 
-/// The mean of a picture's channels, smoothed by a binomial of five by five.
+/// The mean of an image's channels, smoothed with a 5 × 5 binomial filter.
 #[derive(Debug)]
 pub(crate) struct Luminance {
     width: usize,
@@ -13,7 +13,7 @@ pub(crate) struct Luminance {
 }
 
 impl Luminance {
-    /// The luminance of a picture.
+    /// The luminance of an image.
     pub fn of(image: &Image) -> Luminance {
         let (width, height) = (image.width as usize, image.height as usize);
         let luminance: Vec<f32> = image
@@ -39,8 +39,8 @@ impl Luminance {
         Luminance { width, height, values }
     }
 
-    /// Value and gradient (per pixel) of the Catmull–Rom surface through the pixels at a position; none
-    /// within two pixels of the edge.
+    /// Value and gradient (per pixel) at a position of the Catmull–Rom surface through the pixels; `None`
+    /// within two pixels of the border.
     pub fn sample(&self, at: DVec2) -> Option<(f64, DVec2)> {
         let (x, y) = (at.x - 0.5, at.y - 0.5);
         let (x0, y0) = (x.floor(), y.floor());
@@ -67,7 +67,7 @@ impl Luminance {
     }
 }
 
-/// Weights of four neighbours by the Catmull–Rom spline, and their derivatives.
+/// Catmull–Rom weights of four neighbours, and their derivatives.
 fn cubic(t: f64) -> ([f64; 4], [f64; 4]) {
     let (t2, t3) = (t * t, t * t * t);
     (

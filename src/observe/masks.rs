@@ -1,41 +1,41 @@
-//! Masks of things that points of a frame tell: what is asked for, and who answers.
+//! Segmentation masks from point prompts: the query, the result and the source.
 
 use glam::DVec2;
 
 use crate::Result;
 use crate::types::Image;
 
-/// A point of a frame that tells which thing is meant.
+/// A point of a frame that marks an object or its background.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prompt {
-    /// Pixels of the frame; the first pixel's centre is at 0.5.
+    /// Position in pixels of the frame; the centre of the first pixel is at 0.5.
     pub pixel: DVec2,
-    /// Whether it is on the thing; else it is beside it.
+    /// Whether the point is on the object; otherwise it is on the background.
     pub inside: bool,
 }
 
-/// A thing that is asked for.
+/// A query for the mask of one object.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MaskQuery {
-    /// Points on it and beside it, one on it at least.
+    /// Points on the object and on the background; at least one is on the object.
     pub prompts: Vec<Prompt>,
-    /// A mask to begin with: log odds, one channel at the size of the frame.
+    /// An initial mask: log odds, one channel at the size of the frame.
     pub before: Option<Image>,
 }
 
-/// A mask of what was asked for.
+/// A mask that answers a query.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FoundMask {
-    /// Log odds that a pixel shows the thing, one channel at the size of the frame.
+    /// Log odds that a pixel shows the object, one channel at the size of the frame.
     pub odds: Image,
-    /// How good the source thinks that it is.
+    /// The source's own estimate of the mask's quality.
     pub score: f32,
 }
 
-/// Something that draws masks by points: a network that segments whatever it is pointed at.
+/// A source of masks from point prompts, such as a promptable segmentation network.
 pub trait MaskSource {
-    /// For each thing that is asked for in frame `number`, one or more masks. `frame` is its picture as it is
-    /// tracked: without the lens's distortion, of even exposure.
+    /// Returns one or more masks for each queried object in frame `number`. `frame` is the image as it is
+    /// tracked: undistorted and with even exposure.
     ///
     /// # Errors
     /// Whatever keeps the source from answering.

@@ -1,23 +1,23 @@
-//! What a video shows before any geometry: dense optical flow between neighbouring frames, how far
-//! it is to be believed, and point tracks chained through it.
+//! Image observations that precede any geometry: dense optical flow between neighbouring frames, its
+//! confidence, and point tracks chained through it.
 //!
 //! | module | what it holds |
 //! |---|---|
 //! | [`alignment`] | cameras and depth from pointmaps |
 //! | [`depth`] | depth that a network has estimated |
-//! | [`engine`] | [`EngineFlow`]: flow that the engine computes |
-//! | [`exposure`] | how bright each frame is |
-//! | [`features`] | [`FeatureSource`]: points told apart by descriptors, and tracks of those that are found again |
-//! | [`flow`] | [`FlowSource`] and flow that the user supplies; forward–backward confidence; chaining |
-//! | [`masks`] | [`MaskSource`]: masks of what points tell |
+//! | [`engine`] | [`EngineFlow`]: flow that the engine computes on the GPU |
+//! | [`exposure`] | exposure of each frame relative to the clip |
+//! | [`features`] | [`FeatureSource`]: keypoints with descriptors, and tracks of keypoints that are matched across frames |
+//! | [`flow`] | [`FlowSource`] and user-supplied flow; forward–backward confidence; chaining |
+//! | [`masks`] | [`MaskSource`]: segmentation masks from point prompts |
 //! | `onnx` | networks run through the ONNX Runtime (feature `onnx`) |
-//! | [`pointmaps`] | points that pairs of frames show, gathered over a clip |
+//! | [`pointmaps`] | pointmaps of pairs of frames, gathered over a clip |
 //! | [`sift`] | the engine's own [`FeatureSource`] |
 //! | [`tracks`] | points followed over many frames |
-//! | [`mod@refine`] | tracks aligned with the pictures, so that they do not drift |
+//! | [`mod@refine`] | tracks re-aligned to the images, which removes drift |
 //!
-//! Everything after this stage sees only [`NeighbourFlow`]: where a flow came from (the engine, a
-//! network, a file, a synthetic clip) makes no difference to it.
+//! Later stages see only [`NeighbourFlow`], so the source of the flow (the engine, a network, a file, a
+//! synthetic clip) makes no difference to them.
 
 pub mod alignment;
 pub mod depth;

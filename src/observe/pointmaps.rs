@@ -1,10 +1,11 @@
-//! Pointmaps: what each pixel of two frames shows, as points in the camera of the first (Wang et al., "DUSt3R",
-//! CVPR 2024), gathered over a clip.
+//! Pointmaps: the 3D point at each pixel of two frames, in the camera frame of the first (Wang et al.,
+//! "DUSt3R", CVPR 2024), gathered over a clip.
 //!
-//! Frames are paired with neighbours at odd distances ([`pairs`], the graph that MonST3R calls `swinstride`), each pair
-//! both ways. Of each map a grid of points is kept for the alignment ([`super::alignment`]); depth is kept whole, one
-//! map a frame: those of a frame's pairs differ by a factor each, which is taken off, and are averaged by their
-//! confidence. So memory is that of a window of frames and of one depth map each.
+//! Frames are paired with neighbours at odd distances ([`pairs`], the graph that MonST3R calls
+//! `swinstride`), each pair in both directions. A grid of points of each map is kept for the alignment
+//! ([`super::alignment`]). Depth is kept as one full map per frame: the depth maps of a frame's pairs
+//! differ by a factor each, which is removed before they are averaged by confidence. Memory therefore holds
+//! a window of frames and one depth map per frame.
 
 use glam::{DVec2, DVec3};
 
@@ -12,37 +13,37 @@ use super::{EstimatedDepth, EstimatedKind};
 use crate::types::Image;
 use crate::{Error, Result};
 
-/// How the pixels of a network's picture lie in a frame.
+/// Position of a network's input image within a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
     /// Width and height of the frame.
     pub frame: (u32, u32),
-    /// Width and height of the picture.
+    /// Width and height of the network's input image.
     pub picture: (u32, u32),
-    /// Pixels of the frame in a pixel of the picture.
+    /// Frame pixels per pixel of the input image, along x and y.
     pub scale: DVec2,
-    /// Where in the frame the picture's corner lies.
+    /// Position of the input image's corner in the frame, pixels.
     pub corner: DVec2,
 }
 
 impl Placement {
-    /// A picture that is the frame itself.
+    /// Placement of an input image that is the frame itself.
     pub fn whole(width: u32, height: u32) -> Placement {
         let frame = (width, height);
         Placement { frame, picture: frame, scale: DVec2::ONE, corner: DVec2::ZERO }
     }
 
-    /// A place in the picture as one in the frame.
+    /// Converts a position in the input image to one in the frame.
     pub fn frame_from_picture(&self, at: DVec2) -> DVec2 {
         self.scale * at + self.corner
     }
 
-    /// A place in the frame as one in the picture.
+    /// Converts a position in the frame to one in the input image.
     pub fn picture_from_frame(&self, at: DVec2) -> DVec2 {
         (at - self.corner) / self.scale
     }
 
-    /// That of frame and picture with x and y exchanged.
+    /// The placement with x and y exchanged.
     pub fn transposed(&self) -> Placement {
         let swapped = |(a, b): (u32, u32)| (b, a);
         Placement {
@@ -53,13 +54,13 @@ impl Placement {
         }
     }
 
-    /// The middle of the picture, which networks take for the principal point, in the frame.
+    /// The centre of the input image, which networks take for the principal point, in pixels of the frame.
     pub fn middle(&self) -> DVec2 {
         let (width, height) = self.picture;
         self.frame_from_picture(0.5 * DVec2::new(width.into(), height.into()))
     }
 
-    /// A map of the picture, one channel, at the size of the frame; not a number beyond the picture.
+    /// Resamples a one-channel map of the input image to the size of the frame; NaN outside the input image.
     fn at_frame_size(&self, map: &[f32]) -> Image {
         let mut out = Image::new(self.frame.0, self.frame.1, 1);
         let (columns, rows) = self.picture;
@@ -77,51 +78,51 @@ impl Placement {
     }
 }
 
-/// What a pair of frames shows, in pixels of the network's picture.
+/// Pointmaps of a pair of frames, in pixels of the network's input image.
 #[derive(Clone, Debug)]
 pub struct PairMaps {
-    /// Three channels: of each pixel of the first and of the second picture, the point that it shows, in the camera of
-    /// the first, in a unit of the pair's own.
+    /// Three channels per frame: the point that each pixel shows, in the camera frame of the first, in a
+    /// unit specific to the pair.
     pub points: [Image; 2],
-    /// One channel: how far each is to be believed, 1 or more, 1 not at all.
+    /// One channel per frame: confidence of each point, 1 (none) or more.
     pub confidence: [Image; 2],
 }
 
-/// Something that knows the pointmaps of a clip.
+/// A source of pointmaps for a clip.
 pub trait PointmapSource {
-    /// How all pictures lie in their frames.
+    /// Position of all input images within their frames.
     fn placement(&self) -> Placement;
 
-    /// What two frames show, in the camera of the first.
+    /// Pointmaps of two frames, in the camera frame of the first.
     ///
     /// # Errors
     /// Whatever keeps the source from answering.
     fn pair(&mut self, first: usize, second: usize) -> Result<PairMaps>;
 
-    /// Told that no frame before this one is asked for any more.
+    /// Called when no frame before this one will be requested any more.
     fn forget(&mut self, _before: usize) {}
 }
 
-/// Frames are paired with at most so many of those before.
+/// Maximum number of preceding frames that a frame is paired with.
 const WINDOW: usize = 5;
-/// Points along the longer side of a picture that are aligned.
+/// Number of grid points for the alignment along the longer side of an image.
 const GRID: u32 = 28;
-/// Depth of less confidence is unknown.
+/// Depth with less confidence is unknown.
 const BELIEVED: f32 = 1.1;
-/// Two depth maps are compared at so many pixels, or twice that.
+/// Two depth maps are compared at this many pixels, or up to twice as many.
 const SAMPLES: usize = 4096;
-/// Points for the alignment are of the confidence that half of a map reach, but for these bounds.
+/// Bounds of the confidence threshold for alignment points; the threshold is the median of the map.
 const CONFIDENT: [f64; 2] = [1.1, 3.0];
-/// The share of a map's depths that is near.
+/// Share of a map's depths that counts as near.
 const NEAR: f64 = 0.95;
 
-/// Distances of the frames that are paired: odd ones, fewer in a short clip.
+/// Distances of paired frames: odd ones, fewer in a short clip.
 pub fn distances(frames: usize) -> Vec<usize> {
     let window = WINDOW.min(frames.saturating_sub(1).div_ceil(2));
     (0..window).map(|k| 2 * k + 1).collect()
 }
 
-/// Frames that are paired, the earlier one first, by the later one.
+/// Pairs of frames, the earlier one first, ordered by the later one.
 pub fn pairs(frames: usize) -> impl Iterator<Item = (usize, usize)> {
     let distances = distances(frames);
     (0..frames).flat_map(move |later| {
@@ -130,21 +131,22 @@ pub fn pairs(frames: usize) -> impl Iterator<Item = (usize, usize)> {
     })
 }
 
-/// Points of one picture of a pair at the places of the grid.
+/// Points of one image of a pair at the grid points.
 #[derive(Clone, Debug)]
 pub(super) struct View {
-    /// In the camera of the pair's first frame.
+    /// In the camera frame of the pair's first frame.
     pub points: Vec<DVec3>,
-    /// The logarithm of the confidence; 0 of what is not used: far, of little confidence, beside the frame.
+    /// Logarithm of the confidence; 0 for points that are not used: far ones, those with little confidence,
+    /// and those outside the frame.
     pub weights: Vec<f64>,
 }
 
-/// A pair of frames, one way.
+/// A pair of frames in one direction.
 #[derive(Clone, Debug)]
 pub(super) struct Pair {
-    /// The frame whose camera it is, and the other one.
+    /// The frame whose camera the points are in, and the other one.
     pub frames: [usize; 2],
-    /// What each shows.
+    /// The points of each frame.
     pub views: [View; 2],
     /// Product of the mean confidences.
     pub score: f64,
@@ -153,25 +155,26 @@ pub(super) struct Pair {
 /// The pointmaps of a clip.
 #[derive(Clone, Debug)]
 pub struct Pointmaps {
-    /// How the pictures lie in the frames.
+    /// Position of the input images within the frames.
     pub(super) placement: Placement,
     /// Number of frames.
     pub(super) frames: usize,
-    /// Places of the grid, in pixels of the frames.
+    /// Grid points, in pixels of the frames.
     pub(super) pixels: Vec<DVec2>,
-    /// A pair one way, then the other way.
+    /// Each pair in one direction, then in the other.
     pub(super) pairs: Vec<Pair>,
-    /// Per frame, at its size: z up to a factor of the frame's own, not a number where it is unknown.
+    /// Per frame, at its size: z up to a factor per frame, NaN where unknown.
     pub(super) depth: Vec<Image>,
-    /// Per frame, at its size: how far that is to be believed, 0 where it is unknown.
+    /// Per frame, at its size: confidence of that depth, 0 where unknown.
     pub(super) confidence: Vec<Image>,
 }
 
 impl Pointmaps {
-    /// Asks a source for all pairs of a clip; `progress` is called with the share done.
+    /// Gathers all pairs of a clip from a source; `progress` is called with the share done.
     ///
     /// # Errors
-    /// Fewer than two frames; maps of another size than the picture; those of the source and of `progress`.
+    /// Fewer than two frames; maps that do not have the size of the input image; errors of the source and
+    /// of `progress`.
     pub fn gather(
         source: &mut dyn PointmapSource,
         frames: usize,
@@ -193,7 +196,7 @@ impl Pointmaps {
         let mut depth = Vec::with_capacity(frames);
         let mut confidence = Vec::with_capacity(frames);
         for (first, second) in self::pairs(frames) {
-            // What no later frame is paired with is done.
+            // Frames that no later frame is paired with are finished.
             while depth.len() + reach < second {
                 let done = std::mem::take(&mut fused[depth.len()]);
                 confidence.push(done.confidence(&placement));
@@ -221,7 +224,7 @@ impl Pointmaps {
         Ok(Pointmaps { placement, frames, pixels, pairs, depth, confidence })
     }
 
-    /// The depth of the frames, each times a factor of its own.
+    /// The depth of the frames, each multiplied by its factor.
     pub fn into_depth(self, factors: &[f64]) -> EstimatedDepth {
         let scaled = |(mut map, factor): (Image, &f64)| {
             map.pixels.iter_mut().for_each(|z| *z *= *factor as f32);
@@ -232,7 +235,7 @@ impl Pointmaps {
     }
 }
 
-/// Pixels of the picture on a grid.
+/// Grid points in pixels of the input image.
 fn places((width, height): (u32, u32)) -> Vec<(u32, u32)> {
     let spacing = (f64::from(width.max(height)) / f64::from(GRID)).max(1.0);
     let along = |side: u32| {
@@ -242,7 +245,7 @@ fn places((width, height): (u32, u32)) -> Vec<(u32, u32)> {
     along(height).flat_map(|y| along(width).map(move |x| (x, y))).collect()
 }
 
-/// That maps are of the picture's size.
+/// Checks that maps have the size of the input image.
 fn check(maps: &PairMaps, (width, height): (u32, u32)) -> Result<()> {
     let all = maps.points.iter().map(|m| (m, 3)).chain(maps.confidence.iter().map(|m| (m, 1)));
     for (map, channels) in all {
@@ -257,7 +260,7 @@ fn check(maps: &PairMaps, (width, height): (u32, u32)) -> Result<()> {
     Ok(())
 }
 
-/// The points of one picture for the alignment: confident and near ones.
+/// The confident and near points of one image, for the alignment.
 fn view(
     maps: &PairMaps,
     k: usize,
@@ -279,7 +282,7 @@ fn view(
     let end = DVec2::new(frame.0.into(), frame.1.into());
     let weight = |i: usize| {
         let inside = pixels[i].cmpge(DVec2::ZERO).all() && pixels[i].cmplt(end).all();
-        // What the camera itself sees lies before it; the other one may stand beside what it sees.
+        // The camera's own points lie in front of it; the second camera may see points behind the first.
         let before = points[i].z > 0.0 || k == 1;
         let used = inside && before && confident(&i) && points[i].z <= far;
         if used { confidence[i].ln() } else { 0.0 }
@@ -288,13 +291,13 @@ fn view(
     View { points, weights }
 }
 
-/// The depth maps of a frame's pairs, averaged: per pixel, the sum of weights, which are logarithms of confidence, and
-/// of weighted logarithms of depth, and how many there are.
+/// The average of the depth maps of a frame's pairs: per pixel, the sum of the weights (logarithms of
+/// confidence), the weighted sum of log depths, and their number.
 #[derive(Clone, Debug, Default)]
 struct Fused(Vec<(f32, f32, u16)>);
 
 impl Fused {
-    /// Takes in another map, in a unit of its own.
+    /// Adds another map, which has its own unit.
     fn add(&mut self, points: &Image, confidence: &Image) {
         let count = confidence.pixels.len();
         self.0.resize(count, (0.0, 0.0, 0));
@@ -302,7 +305,7 @@ impl Fused {
             let z = points.pixels[3 * i + 2];
             (z > 0.0 && confidence.pixels[i] >= BELIEVED).then(|| z.ln())
         };
-        // The factor that most pixels of what is known already agree with.
+        // The scale factor relative to the depth so far, as a median.
         let stride = (count / SAMPLES).max(1);
         let offset = |i: usize| {
             let (weight, sum, _) = self.0[i];
@@ -318,7 +321,7 @@ impl Fused {
         }
     }
 
-    /// How far the map is to be believed at the size of the frame: the geometric mean of the confidences.
+    /// Confidence of the map at the size of the frame: the geometric mean of the confidences.
     fn confidence(&self, placement: &Placement) -> Image {
         let mean = |(weight, _, maps): &(f32, f32, u16)| {
             if *maps > 0 { (weight / f32::from(*maps)).exp() } else { 0.0 }
@@ -329,7 +332,7 @@ impl Fused {
         out
     }
 
-    /// The map at the size of the frame.
+    /// The depth map at the size of the frame.
     fn map(self, placement: &Placement) -> Image {
         let depth = |(weight, sum, _): &(f32, f32, u16)| {
             if *weight > 0.0 { (sum / weight).exp() } else { f32::NAN }
@@ -339,7 +342,7 @@ impl Fused {
     }
 }
 
-/// The value that `share` of the values lie below; 0 of none.
+/// The quantile `share` of the values; 0 without values.
 pub(super) fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
     if values.is_empty() {
         return 0.0;

@@ -1,13 +1,13 @@
-//! Tracks that do not drift: their points are found again in the pictures themselves.
+//! Drift correction for tracks: their points are located again in the images.
 //!
-//! A chain of flow adds up the errors of its steps: at 320×180 it is some 0.2 pixels off after one
-//! step and one pixel after thirty. Here each point of a track is aligned with the patch about the
-//! track's first point, by the method of Lucas and Kanade with an affine warp, a gain and an offset
-//! (Baker and Matthews 2004), under a robust kernel. The chain's own step is the start and the prior:
-//! along an edge and where nothing is to be seen, the point goes as the chain says.
+//! A chain of flow accumulates the errors of its steps: at 320×180 it is about 0.2 pixels off after one
+//! step and one pixel after thirty. Here, each point of a track is aligned with the patch around the
+//! track's first point, by the method of Lucas and Kanade with an affine warp, a gain and an offset (Baker
+//! and Matthews 2004) under a robust kernel. The step of the chain is the initial value and the prior, so
+//! that along an edge and in areas without texture the point follows the chain.
 //!
-//! Where the patch cannot be found any more, the last one that was found takes its place; where that
-//! fails too, the chain is followed.
+//! Where the patch is no longer found, the last patch that was found replaces it. Where that fails too, the
+//! track follows the chain.
 
 use glam::{DMat2, DVec2};
 use nalgebra::{SMatrix, SVector};
@@ -17,44 +17,44 @@ use super::luminance::Luminance;
 use super::{NeighbourFlow, PointTrack};
 use crate::types::Image;
 
-/// A patch reaches so many pixels to each side. Larger ones hold surfaces at several depths, which part
-/// as the camera moves: on rendered clips, cameras from patches of 13 pixels were three times as far
-/// off as from patches of 7.
+/// Half side of a patch, pixels. Larger patches contain surfaces at several depths, which move apart with
+/// the camera: on rendered clips, cameras from 13-pixel patches had three times the error of those from
+/// 7-pixel patches.
 const RADIUS: i32 = 3;
 const SIDE: usize = 2 * RADIUS as usize + 1;
-/// Steps of the alignment, at most, and the change in pixels that ends it.
+/// Maximum number of alignment steps, and the change in pixels that ends them.
 const STEPS: usize = 10;
 const SETTLED: f64 = 0.01;
-/// Standard deviations of what changes from frame to frame: shape of the patch, gain, offset.
+/// Prior standard deviations of the changes from frame to frame: patch shape, gain, offset.
 const SHAPE: f64 = 0.03;
 const GAIN: f64 = 0.05;
 const OFFSET: f64 = 0.03;
-/// Flow tells how a patch turns and stretches, by what it does so many pixels to each side. Less than
-/// the first of these is its noise, more than the second is an edge of what moves.
+/// The deformation of a patch is measured as the difference of the flow this many pixels to each side. Less
+/// than the first value of `TURN` is noise of the flow, more than the second is the edge of a mover.
 const TURN_REACH: f64 = 6.0;
 const TURN: (f64, f64) = (0.08, 0.5);
-/// Flow with less confidence is not used for that.
+/// Flow with less confidence is not used for the deformation.
 const CONFIDENCE: f32 = 0.3;
-/// Noise of a pixel's luminance is not taken to be less.
+/// Lower bound of a pixel's luminance noise.
 const NOISE: f64 = 0.005;
-/// Neighbouring pixels of the smoothed picture hold so much less than if they were independent.
+/// Information of neighbouring pixels of the smoothed image, relative to independent pixels.
 const INDEPENDENT: f64 = 0.3;
-/// An alignment that leaves the chain's step by more than so many deviations, or pixels, has found
-/// something else.
+/// An alignment that deviates from the chain's step by more than this many standard deviations, or pixels,
+/// has found a different point.
 const FARTHEST: (f64, f64) = (4.0, 2.0);
-/// The share of the patch's variance that may be left unexplained.
+/// Share of the patch's variance that may remain unexplained.
 const UNEXPLAINED: f64 = 0.05;
-/// A step to where the patch is not found again is as uncertain as so many.
+/// Factor on the uncertainty of a step at which the patch was not found.
 const LOST: f32 = 3.0;
 
-/// Where flow is not to be believed, it is off by so many pixels; a point that is found again to less
-/// than the second is found.
+/// Standard deviation of a step with unreliable flow, and the deviation below which a point counts as found
+/// again, pixels.
 const ASTRAY: f64 = 1.0;
 const SURE: f32 = 0.2;
 
-/// Aligns the points of tracks with the pictures that the flow was found in; their deviations become
-/// what the pictures leave. A track goes on past its end as long as its point is found. Where pictures
-/// have no content, points stay where they are.
+/// Aligns the points of tracks with the images that the flow was computed from; their deviations become
+/// those of the alignment. A track is extended past its end as long as its point is found. Where the images
+/// have no texture, points stay where they are.
 pub fn refine(frames: &[Image], flow: &NeighbourFlow, tracks: &mut [PointTrack]) {
     let frames: Vec<Luminance> = frames.par_iter().map(Luminance::of).collect();
     tracks.par_iter_mut().for_each(|track| refine_track(&frames, flow, track));
@@ -64,7 +64,7 @@ fn refine_track(frames: &[Luminance], flow: &NeighbourFlow, track: &mut PointTra
     let chain = track.clone();
     let Some(mut patch) = Patch::at(&frames[track.first()], chain.pixels[0]) else { return };
     let mut look = Look::START;
-    // The place of the patch in the track, and the deviation there.
+    // Index of the patch within the track, and the accumulated deviation there.
     let (mut anchor, mut base) = (0, 0.0f32);
     let mut held = true;
     let apart = |a: f32, b: f32| (a * a - b * b).max(0.0).sqrt();
@@ -82,7 +82,7 @@ fn refine_track(frames: &[Luminance], flow: &NeighbourFlow, track: &mut PointTra
         let prior = |since: f32| Prior { pixel: start, deviation: f64::from(since.hypot(step)) };
         let mut found = patch.find(frame, prior(apart(known, base)), &look);
         if found.is_none() && anchor != k - 1 {
-            // What it looked like last may be nearer to what it looks like now.
+            // The latest appearance may be closer to the current one.
             if let Some(last) = Patch::at(&frames[chain.frames[k - 1]], before) {
                 (patch, anchor, base) = (last, k - 1, known);
                 look = Look { shape: turn, ..Look::START };
@@ -101,7 +101,7 @@ fn refine_track(frames: &[Luminance], flow: &NeighbourFlow, track: &mut PointTra
             }
         }
     }
-    // The chain ends where flow is in doubt: the pictures may show the point nevertheless.
+    // The chain ends where the flow is unreliable; the images may still show the point.
     while held && track.end() < frames.len() {
         let frame = track.end() - 1;
         let [.., earlier, before] = track.pixels[..] else { return };
@@ -120,7 +120,7 @@ fn refine_track(frames: &[Luminance], flow: &NeighbourFlow, track: &mut PointTra
     }
 }
 
-/// How the surroundings of a pixel turn and stretch to the next frame, by the flow.
+/// Deformation of a pixel's neighbourhood to the next frame, from the flow.
 fn turn(flow: &NeighbourFlow, frame: usize, pixel: DVec2) -> DMat2 {
     let to = |by: DVec2| flow.step(frame, true, pixel + by).filter(|s| s.confidence > CONFIDENCE);
     let along = |axis: DVec2| Some((to(axis)?.pixel - to(-axis)?.pixel) * (0.5 / TURN_REACH));
@@ -134,7 +134,7 @@ fn turn(flow: &NeighbourFlow, frame: usize, pixel: DVec2) -> DMat2 {
     DMat2::IDENTITY + change * ((size - TURN.0) / size)
 }
 
-/// How a patch looks in a picture: `picture(pixel + shape · x) = gain · patch(x) + offset`.
+/// Appearance of a patch in an image: `image(pixel + shape · x) = gain · patch(x) + offset`.
 #[derive(Clone, Copy)]
 struct Look {
     shape: DMat2,
@@ -146,35 +146,35 @@ impl Look {
     const START: Look = Look { shape: DMat2::IDENTITY, gain: 1.0, offset: 0.0 };
 }
 
-/// Where a patch should be, and to which standard deviation along each axis, pixels.
+/// Expected position of a patch, and its standard deviation along each axis, pixels.
 #[derive(Clone, Copy)]
 struct Prior {
     pixel: DVec2,
     deviation: f64,
 }
 
-/// Where a patch was found.
+/// Result of locating a patch.
 struct Found {
     pixel: DVec2,
     look: Look,
     deviation: f64,
 }
 
-/// What surrounds a point.
+/// The neighbourhood of a point.
 struct Patch {
     /// Value and gradient, row by row.
     values: Vec<(f64, DVec2)>,
     variance: f64,
 }
 
-/// The places of a patch's pixels about its middle.
+/// Offsets of a patch's pixels from its centre.
 fn places() -> impl Iterator<Item = DVec2> {
     let at = |k: usize| f64::from(k as i32 - RADIUS);
     (0..SIDE * SIDE).map(move |i| DVec2::new(at(i % SIDE), at(i / SIDE)))
 }
 
 impl Patch {
-    /// None where it leaves the picture.
+    /// Takes a patch; `None` where it leaves the image.
     fn at(frame: &Luminance, pixel: DVec2) -> Option<Patch> {
         let values: Vec<_> =
             places().map(|x| frame.sample(pixel + x)).collect::<Option<Vec<_>>>()?;
@@ -184,11 +184,11 @@ impl Patch {
         Some(Patch { values, variance })
     }
 
-    /// Where a picture shows it; none where it does not show it near there.
+    /// Locates the patch in an image; `None` where it is not found near the expected position.
     fn find(&self, frame: &Luminance, prior: Prior, before: &Look) -> Option<Found> {
         let farthest = (FARTHEST.0 * prior.deviation).min(FARTHEST.1);
         let (mut pixel, mut look) = (prior.pixel, *before);
-        // Generous at first: what is far off must not be taken for something else.
+        // Starts with a large noise level, so that a large initial error is not rejected as an outlier.
         let mut noise = 4.0 * NOISE;
         for _ in 0..STEPS {
             let inverse = look.shape.inverse();
@@ -203,7 +203,7 @@ impl Patch {
                 squares += residual * residual;
                 trusted += weight * residual * residual;
                 trust += weight;
-                // The gradient of the picture, by that of the patch.
+                // The image gradient, from the gradient of the patch.
                 let g = inverse.transpose() * *slope * look.gain;
                 let row = SVector::<f64, 8>::from([
                     g.x,
@@ -269,8 +269,7 @@ mod tests {
     const SIZE: (u32, u32) = (64, 48);
     const FRAMES: usize = 8;
 
-    /// A pattern that turns about the middle of the picture and goes along, from frame to frame, and
-    /// grows brighter.
+    /// A pattern that rotates about the centre of the image, translates and brightens from frame to frame.
     fn place(frame: usize, first: DVec2) -> DVec2 {
         let middle = DVec2::new(32.0, 24.0);
         let turn = DMat2::from_angle(0.03 * frame as f64);
@@ -295,7 +294,7 @@ mod tests {
         (0..FRAMES).map(picture).collect()
     }
 
-    /// Flow that is off by the same amount everywhere.
+    /// Flow with the same error everywhere.
     fn flow(frames: &[Image], off: DVec2) -> NeighbourFlow {
         let field = |from: usize, to: usize, sign: f64| {
             let mut image = Image::new(SIZE.0, SIZE.1, 2);
@@ -316,7 +315,7 @@ mod tests {
         observe_flow(frames, &mut source, &mut |_| Ok(())).unwrap()
     }
 
-    /// The track of a pixel by flow alone.
+    /// The track of a pixel from flow alone.
     fn chained(flow: &NeighbourFlow, pixel: DVec2) -> PointTrack {
         let mut track = PointTrack::followed(0, vec![pixel], vec![0.0]);
         for k in 1..FRAMES {
@@ -354,7 +353,7 @@ mod tests {
         for (frame, pixel) in tracks[0].pixels.iter().enumerate() {
             assert!(pixel.distance(place(frame, first)) < 0.05, "{frame}: {pixel}");
         }
-        // It ends where the pictures no longer show the point.
+        // The track ends where the images no longer show the point.
         let mut ended = frames.clone();
         ended[6] = Image::new(SIZE.0, SIZE.1, 3);
         let mut tracks = vec![chained(&flow, first).places(0..4)];
@@ -373,7 +372,8 @@ mod tests {
         for (a, b) in tracks[0].pixels.iter().zip(&chain.pixels) {
             assert!(a.distance(*b) < 1e-6, "{a} {b}");
         }
-        // What is seen once only cannot be found again: no more is known than from flow, but less.
+        // A patch seen in one frame only cannot be found again: the track stays on the flow, with a larger
+        // deviation.
         blank[0] = frames[0].clone();
         let mut tracks = vec![chain.clone()];
         refine(&blank, &flow, &mut tracks);

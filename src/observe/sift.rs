@@ -1,9 +1,9 @@
-//! Points told apart by what surrounds them, found by the engine's own means: the scale-invariant feature transform
-//! (Lowe 2004), descriptors compared by Hellinger's distance (Arandjelović and Zisserman 2012).
+//! The engine's own keypoints and descriptors: the scale-invariant feature transform (Lowe 2004), with
+//! descriptors compared by the Hellinger distance (RootSIFT, Arandjelović and Zisserman 2012).
 //!
-//! Extrema of the difference of Gaussians over place and scale, refined by a quadric, each with the directions that most
-//! gradients about it have, and histograms of the gradients of 4 × 4 cells. Frames are small as a rule: they are doubled
-//! first, which finds three times as many points.
+//! Keypoints are extrema of the difference of Gaussians over position and scale, refined by a quadric. Each
+//! has one or more dominant gradient directions, and a descriptor made of gradient histograms of 4 × 4
+//! cells. Small frames are doubled first, which finds three times as many points.
 
 use std::f32::consts::TAU;
 
@@ -13,37 +13,38 @@ use super::features::{FeatureSource, Features, Rule};
 use crate::Result;
 use crate::types::Image;
 
-/// Frames whose longer side has no more pixels are doubled.
+/// Frames whose longer side has at most this many pixels are doubled.
 const SMALL: u32 = 800;
-/// Scales in an octave.
+/// Scales per octave.
 const SCALES: usize = 3;
-/// Blur of an octave's first picture, and of a frame as it is filmed, pixels.
+/// Blur of an octave's first image, and assumed blur of a frame as filmed, pixels.
 const FIRST: f32 = 1.6;
 const FILMED: f32 = 0.5;
-/// Octaves end where a side would be shorter.
+/// Minimum side of an octave.
 const LEAST_SIDE: usize = 16;
-/// Extrema of less contrast are noise: of the difference of two scales, values in [0, 1].
+/// Minimum contrast of an extremum, as a difference of two scales with values in [0, 1].
 const CONTRAST: f32 = 0.02 / SCALES as f32;
-/// The ratio of curvatures above which a point lies on an edge.
+/// Ratio of curvatures above which a point lies on an edge.
 const EDGE: f32 = 12.0;
-/// Steps of the refinement at most.
+/// Maximum number of refinement steps.
 const STEPS: usize = 5;
-/// Directions of a histogram, its reach in scales, and the share of the highest peak that is one, too.
+/// Bins of a direction histogram, its radius in scales, and the share of the highest peak above which
+/// another peak also counts.
 const DIRECTIONS: usize = 36;
 const DIRECTION_REACH: f32 = 1.5;
 const PEAK: f32 = 0.8;
-/// Cells along a side of the window, directions of each, scales in a cell.
+/// Cells along a side of the window, direction bins of each, and cell size in scales.
 const CELLS: usize = 4;
 const BINS: usize = 8;
 const CELL: f32 = 3.0;
-/// No gradient counts for more of a descriptor.
+/// Upper bound of one bin's contribution to a descriptor.
 const MOST: f32 = 0.2;
-/// Most points of a frame, those of most contrast.
+/// Maximum number of points per frame; those with the most contrast are kept.
 const POINTS: usize = 1200;
-/// A point is off by so many pixels along each axis: half of those of photographs 42° apart lay within 0.12 pixels of
-/// their epipolar lines.
+/// Standard deviation of a point along each axis, pixels. Between images 42° apart, half of the points lay
+/// within 0.12 pixels of their epipolar lines.
 const NOISE: f32 = 0.3;
-/// The angle between matched descriptors is so much smaller than that to the next best.
+/// Ratio test: largest ratio of the angle to the best match and the angle to the second-best.
 const RATIO: f32 = 0.85;
 
 /// The engine's own source of features; it needs no device.
@@ -56,7 +57,8 @@ impl FeatureSource for Sift {
     }
 }
 
-/// The points of a frame of one or three channels; none where it is smaller than 16 pixels or has no content.
+/// Keypoints of a frame with one or three channels; empty where it is smaller than 16 pixels or has no
+/// content.
 pub fn sift(frame: &Image) -> Features {
     let mut found = Features { noise: NOISE, rule: Rule::Ratio(RATIO), ..Features::default() };
     let small = frame.width.max(frame.height) <= SMALL;
@@ -81,7 +83,7 @@ pub fn sift(frame: &Image) -> Features {
         picture = octave.levels[SCALES].halved();
         octave_scale *= 2.0;
     }
-    // Sorting is stable: of equal ones those found first come first.
+    // The sort is stable: equal points keep their order.
     points.sort_by(|a, b| b.0.total_cmp(&a.0));
     for (_, pixel, described) in points.into_iter().take(POINTS) {
         found.pixels.push(pixel);
@@ -90,7 +92,7 @@ pub fn sift(frame: &Image) -> Features {
     found
 }
 
-/// A picture of one channel.
+/// A one-channel image.
 #[derive(Clone)]
 struct Plane {
     width: usize,
@@ -98,11 +100,11 @@ struct Plane {
     values: Vec<f32>,
 }
 
-/// An extremum over place and scale.
+/// An extremum over position and scale.
 struct Point {
-    /// The octave's picture whose blur is nearest.
+    /// Index of the octave's image with the nearest blur.
     level: usize,
-    /// Place in the octave's pixels, the first pixel's centre at 0.
+    /// Position in the octave's pixels, with the first pixel's centre at 0.
     x: f32,
     y: f32,
     /// Blur in the octave's pixels.
@@ -118,7 +120,7 @@ impl Plane {
             _ => pixel[0],
         };
         let values = frame.pixels.chunks_exact(channels.max(1)).map(value);
-        // What is no number is no content.
+        // Values that are not finite count as no content.
         let values = values.map(|v| if v.is_finite() { v } else { 0.0 }).collect();
         Plane { width: frame.width as usize, height: frame.height as usize, values }
     }
@@ -127,7 +129,7 @@ impl Plane {
         self.values[y * self.width + x]
     }
 
-    /// Twice as large, bilinear, pixel centres where they were.
+    /// Doubles the size bilinearly, keeping pixel centres in place.
     fn doubled(&self) -> Plane {
         let (width, height) = (2 * self.width, 2 * self.height);
         let place = |i: usize, side: usize| {
@@ -147,7 +149,7 @@ impl Plane {
         Plane { width, height, values }
     }
 
-    /// Every second pixel, each the mean of four, so that pixel centres stay where they were.
+    /// Halves the size with the mean of four pixels, which keeps pixel centres in place.
     fn halved(&self) -> Plane {
         let (width, height) = (self.width / 2, self.height / 2);
         let mean = |x: usize, y: usize| {
@@ -158,7 +160,7 @@ impl Plane {
         Plane { width, height, values }
     }
 
-    /// Under a Gaussian; beyond the border its values are repeated.
+    /// Gaussian blur; border values are repeated outside.
     fn blurred(&self, deviation: f32) -> Plane {
         let radius = (4.0 * deviation).ceil() as usize;
         let weight = |i: usize| (-0.5 * (i as f32 / deviation).powi(2)).exp();
@@ -198,7 +200,7 @@ impl Plane {
         (self.at(x + 1, y) - self.at(x - 1, y), self.at(x, y + 1) - self.at(x, y - 1))
     }
 
-    /// The pixels about a point within a radius that have neighbours on all sides.
+    /// The pixels within a radius of a point that have neighbours on all sides.
     fn about(&self, point: &Point, radius: f32) -> impl Iterator<Item = (usize, usize)> + use<> {
         let range = |at: f32, side: usize| {
             let low = (at - radius).round().max(1.0) as usize;
@@ -208,7 +210,7 @@ impl Plane {
         ys.flat_map(move |y| xs.clone().map(move |x| (x, y)))
     }
 
-    /// The directions that most gradients about a point have, radians.
+    /// Dominant gradient directions around a point, radians.
     fn directions(&self, point: &Point) -> Vec<f32> {
         let deviation = DIRECTION_REACH * point.blur;
         let mut histogram = [0.0f32; DIRECTIONS];
@@ -238,7 +240,7 @@ impl Plane {
         (0..DIRECTIONS).filter_map(peak).collect()
     }
 
-    /// Square roots of the shares that each direction of each cell about a point has of its gradients.
+    /// Square roots of the normalised gradient histograms of the cells around a point.
     fn descriptor(&self, point: &Point, direction: f32) -> Vec<f32> {
         let cell = CELL * point.blur;
         let (sin, cos) = direction.sin_cos();
@@ -247,7 +249,7 @@ impl Plane {
         let mut cells = [[[0.0f32; BINS]; CELLS]; CELLS];
         for (x, y) in self.about(point, radius) {
             let (dx, dy) = (x as f32 - point.x, y as f32 - point.y);
-            // In cells, along the point's own axes, from the window's middle.
+            // In cells, along the point's own axes, from the centre of the window.
             let u = (cos * dx + sin * dy) / cell;
             let v = (cos * dy - sin * dx) / cell;
             let (column, row) = (u + half - 0.5, v + half - 0.5);
@@ -259,7 +261,7 @@ impl Plane {
             let near = (-0.5 * (u * u + v * v) / (half * half)).exp();
             let bin = (gy.atan2(gx) - direction).rem_euclid(TAU) / TAU * BINS as f32;
             let strength = near * gx.hypot(gy);
-            // Shared out between the cells and directions on both sides.
+            // Trilinear distribution over adjacent cells and directions.
             let [(c, cu), (r, rv), (b, bw)] = [column, row, bin].map(|at| {
                 let low = at.floor();
                 (low as i32, at - low)
@@ -286,14 +288,14 @@ impl Plane {
     }
 }
 
-/// Pictures of one size, ever more blurred, and the differences of neighbouring ones.
+/// Images of one size with increasing blur, and the differences of neighbouring ones.
 struct Octave {
     levels: Vec<Plane>,
     differences: Vec<Plane>,
 }
 
 impl Octave {
-    /// From a picture of the first blur.
+    /// Builds the octave from an image with the first blur.
     fn new(first: Plane) -> Octave {
         let factor = 2f32.powf(1.0 / SCALES as f32);
         let mut levels = vec![first];
@@ -317,7 +319,7 @@ impl Octave {
             for y in 1..height - 1 {
                 for x in 1..width - 1 {
                     let value = self.differences[level].at(x, y);
-                    // Refining may still raise it.
+                    // Refinement may still raise the value.
                     if value.abs() > 0.8 * CONTRAST && self.is_extreme(level, x, y) {
                         found.extend(self.refined(level, x, y));
                     }
@@ -340,8 +342,8 @@ impl Octave {
         }
     }
 
-    /// The extremum of the quadric through an extreme pixel's neighbours; none where it has too little contrast, lies
-    /// on an edge, or moves away.
+    /// Extremum of the quadric through an extremal pixel's neighbours; `None` where it has too little
+    /// contrast, lies on an edge, or moves away.
     fn refined(&self, mut level: usize, mut x: usize, mut y: usize) -> Option<Point> {
         let (width, height) = (self.levels[0].width, self.levels[0].height);
         for _ in 0..STEPS {
@@ -409,7 +411,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    /// Blobs of all sizes, seen in a picture whose pixels lie at `place` of them.
+    /// Blobs of all sizes, seen in an image whose pixels are mapped to them by `place`.
     fn picture(place: impl Fn(DVec2) -> DVec2) -> Image {
         let mut rng = ChaCha8Rng::seed_from_u64(5);
         let blobs: Vec<(DVec2, f64, f64)> = (0..700)

@@ -1,4 +1,4 @@
-//! Points followed over many frames by chaining the flow of neighbouring ones.
+//! Point tracks, made by chaining the flow of neighbouring frames.
 
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
@@ -6,26 +6,27 @@ use serde::{Deserialize, Serialize};
 use super::flow::NeighbourFlow;
 use crate::types::Tracks;
 
-/// A point and the frames that see it, at least one.
+/// A point and the frames that see it; at least one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PointTrack {
-    /// The frames that see it, in rising order; where it is hidden or was not found, frames are left out.
+    /// The frames that see the point, ascending. Frames in which it is occluded or was not found are left
+    /// out.
     pub frames: Vec<usize>,
-    /// Its pixel in each of these frames.
+    /// Its position in each of these frames, pixels.
     pub pixels: Vec<DVec2>,
-    /// Standard deviation of each pixel along each axis, the first taken as exact, pixels: what adds up as a
-    /// point is followed.
+    /// Accumulated standard deviation of each position along each axis relative to the first, which counts
+    /// as exact, pixels. It grows as the point is followed.
     pub deviation: Vec<f32>,
-    /// Standard deviation of each pixel along each axis by itself, which does not add up: of points that are
-    /// found in each picture anew; pixels.
+    /// Independent standard deviation of each position along each axis, pixels. It does not accumulate; set
+    /// for points that are detected in each image anew.
     pub noise: f32,
 }
 
-/// A step of tracks that others have followed is off by so many pixels along each axis.
+/// Standard deviation of one step of externally supplied tracks along each axis, pixels.
 const STEP_DEVIATION: f32 = 0.2;
 
 impl PointTrack {
-    /// A point that is followed from a frame on without a gap.
+    /// A track without gaps that begins at frame `first`.
     pub fn followed(first: usize, pixels: Vec<DVec2>, deviation: Vec<f32>) -> PointTrack {
         PointTrack {
             frames: (first..first + pixels.len()).collect(),
@@ -45,9 +46,9 @@ impl PointTrack {
         self.frames[self.frames.len() - 1] + 1
     }
 
-    /// The place of a frame among those that see it.
+    /// Index of a frame within the track.
     pub fn place(&self, frame: usize) -> Option<usize> {
-        // Without a gap before it, it is where it would be without any.
+        // Without a gap before it, the index follows from the frame number.
         let k = frame.checked_sub(self.first())?;
         match self.frames.get(k) == Some(&frame) {
             true => Some(k),
@@ -55,27 +56,26 @@ impl PointTrack {
         }
     }
 
-    /// The pixel in a frame; none where it is not seen.
+    /// The position in a frame, pixels; `None` where the point is not seen.
     pub fn at(&self, frame: usize) -> Option<DVec2> {
         self.place(frame).map(|k| self.pixels[k])
     }
 
-    /// Standard deviation of a pixel where the first is taken as exact, by its place in the track.
+    /// Standard deviation of the position at index `k` of the track relative to the first.
     pub(crate) fn deviation_at(&self, k: usize) -> f32 {
         self.deviation[k].hypot(std::f32::consts::SQRT_2 * self.noise)
     }
 
-    /// Standard deviation of a pixel of the track where another is taken as exact, both by their place
-    /// in the track.
+    /// Standard deviation of the position at index `k` relative to the one at index `exact`.
     pub(crate) fn deviation_between(&self, exact: usize, k: usize) -> f32 {
         let [exact, other] = [exact, k].map(|k| self.deviation[k]);
         let added = (other * other - exact * exact).abs().sqrt();
         added.hypot(std::f32::consts::SQRT_2 * self.noise)
     }
 
-    /// Its part from one place in it to before another, the first pixel there taken as exact.
+    /// The sub-track of a range of indices; its first position counts as exact.
     pub fn places(&self, places: std::ops::Range<usize>) -> PointTrack {
-        // What each pixel is off by itself is no part of what adds up.
+        // Independent noise is not part of the accumulated deviation.
         let added = |k: usize| {
             let [exact, other] = [places.start, k].map(|k| self.deviation[k]);
             (other * other - exact * exact).abs().sqrt()
@@ -88,7 +88,7 @@ impl PointTrack {
         }
     }
 
-    /// Its parts without a gap, as places in it.
+    /// The runs without a gap, as ranges of indices.
     pub fn runs(&self) -> impl Iterator<Item = std::ops::Range<usize>> {
         let mut start = 0;
         self.frames.chunk_by(|a, b| a + 1 == *b).map(move |run| {
@@ -98,12 +98,12 @@ impl PointTrack {
     }
 }
 
-/// How densely points are followed.
+/// Density of point tracks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackOptions {
-    /// Distance of the points when they start, pixels.
+    /// Distance between new points, pixels.
     pub spacing: usize,
-    /// A step with less confidence ends a track.
+    /// Minimum confidence of a step; a less confident step ends the track.
     pub confidence: f32,
 }
 
@@ -115,9 +115,8 @@ impl TrackOptions {
     }
 }
 
-/// Follows a grid of points through a clip. Where a track has ended or left, a new one starts, so
-/// that every frame is covered as far as its flow is to be believed. Tracks of a single frame are
-/// left out.
+/// Tracks a grid of points through a clip. Where tracks have ended or left the image, new ones start, so
+/// that every frame is covered where its flow has confidence. Tracks of a single frame are left out.
 pub fn follow(flow: &NeighbourFlow, options: &TrackOptions) -> Vec<PointTrack> {
     let spacing = options.spacing.max(1);
     let (columns, rows) = (flow.width.div_ceil(spacing), flow.height.div_ceil(spacing));
@@ -129,7 +128,7 @@ pub fn follow(flow: &NeighbourFlow, options: &TrackOptions) -> Vec<PointTrack> {
     let mut alive: Vec<PointTrack> = Vec::new();
     for frame in 0..flow.frames {
         let mut taken = vec![false; columns * rows];
-        // The older of two tracks in one cell goes on: it sees more of the motion.
+        // Of two tracks in one cell the older one is kept, because it sees more of the motion.
         let (mut kept, mut crowded) = (Vec::new(), Vec::new());
         for track in alive {
             let c = cell(track.pixels[track.pixels.len() - 1]);
@@ -175,8 +174,8 @@ pub fn follow(flow: &NeighbourFlow, options: &TrackOptions) -> Vec<PointTrack> {
     done
 }
 
-/// What is seen of points that others have followed, within pictures of a size: those that two frames see.
-/// What they are off by is taken to grow as in a chain of flow.
+/// Tracks from externally supplied points within images of a size; points seen in fewer than two frames are
+/// left out. Their deviation is assumed to grow as in a chain of flow.
 pub(crate) fn supplied_tracks(tracks: &Tracks, size: DVec2) -> Vec<PointTrack> {
     let inside = |at: DVec2| at.cmpge(DVec2::ZERO).all() && at.cmplt(size).all();
     let whole = tracks.points.iter().map(|point| {
@@ -223,7 +222,7 @@ mod tests {
         assert_eq!((&part.frames[..], part.deviation[0]), (&[2, 5, 7][..], 0.0));
     }
 
-    /// Four frames in which everything goes by (4, 1), but for one vector.
+    /// Four frames in which everything moves by (4, 1), except for one vector.
     fn flow(odd: Option<(usize, [f32; 2])>) -> NeighbourFlow {
         let field = |v: [f32; 2]| {
             let pixels = (0..SIZE.0 * SIZE.1).flat_map(|_| v).collect();
@@ -251,23 +250,22 @@ mod tests {
             assert!(track.deviation.windows(2).all(|d| d[0] < d[1]) && track.deviation[0] == 0.0);
             assert_eq!(track.at(track.end()), None);
         }
-        // The first frame's grid has ten by five points; the last column leaves in the first step
-        // and is not followed, all others are: those in the lowest row stay inside for one step.
+        // The grid of the first frame has ten by five points. The last column leaves in the first step and
+        // is not tracked, all others are: those in the lowest row stay inside for one step.
         let begin = |frame: usize| tracks.iter().filter(|t| t.first() == frame).count();
         assert_eq!(begin(0), 9 * 5);
-        // What the flow leaves bare on the left is filled by new points, in the first column.
+        // The area that the flow uncovers on the left is filled with new points, in the first column.
         let fresh: Vec<_> = tracks.iter().filter(|t| t.first() == 1).collect();
         assert!(fresh.iter().filter(|t| t.pixels[0].x == 2.0).count() >= 4, "{fresh:?}");
         let whole = tracks.iter().filter(|t| t.first() == 0 && t.end() == 4).count();
-        // Three steps: 7 columns of 10 stay inside; of the rows at 2, 6, 10, 14 and 18 all but the
-        // last.
+        // In three steps, 7 columns of 10 stay inside, and all rows at 2, 6, 10, 14 and 18 but the last.
         assert_eq!(whole, 7 * 4);
     }
 
     #[test]
     fn a_step_that_cannot_be_believed_ends_a_track() {
-        // The point (6, 6) of the first frame is at (10, 7) in the second, between the pixels of rows
-        // 6 and 7 and columns 9 and 10: all four would have to go wrong.
+        // The point (6, 6) of the first frame is at (10, 7) in the second, between the pixels of rows 6 and
+        // 7 and columns 9 and 10: all four would have to be wrong.
         let spacing = TrackOptions { spacing: 4, confidence: 0.3 };
         let at = |y: usize, x: usize| y * SIZE.0 as usize + x;
         let life = |flow: &NeighbourFlow| {
@@ -276,7 +274,7 @@ mod tests {
             tracks.iter().find(|t| t.first() == 0 && t.pixels[0] == start).unwrap().pixels.len()
         };
         assert_eq!(life(&flow(None)), 4);
-        // One wrong vector of four: the confidence falls to three quarters of one, which is enough.
+        // One wrong vector of four lowers the confidence to three quarters, which is enough.
         assert!(life(&flow(Some((at(6, 9), [-9.0, 0.0])))) > 2);
         let strict = TrackOptions { confidence: 0.9, ..spacing };
         let tracks = follow(&flow(Some((at(6, 9), [-9.0, 0.0]))), &strict);

@@ -23,7 +23,7 @@ const FULL: [usize; 2] = [1 << 10, 1 << 16];
 const LEAST_ALPHA: f32 = 0.5;
 
 /// A photograph on the device: packed red, green, blue and weight.
-pub struct Photograph {
+pub struct Reference {
     pixels: Buffer<u32>,
     width: u32,
     height: u32,
@@ -36,13 +36,13 @@ pub struct KnownDisparity {
     weight: f64,
 }
 
-impl Photograph {
+impl Reference {
     /// Uploads an RGB image with values in [0, 1], and a weight per pixel in [0, 1] (1 everywhere
     /// without one). Both are rounded to 8 bits.
     ///
     /// # Errors
     /// [`Error::Shape`] when the sizes differ, or a failed upload.
-    pub fn new(device: &Device, image: &Image, weights: Option<&Image>) -> Result<Photograph> {
+    pub fn new(device: &Device, image: &Image, weights: Option<&Image>) -> Result<Reference> {
         let count = image.width as usize * image.height as usize;
         let shape = |arg, expected: usize, actual| Error::Shape {
             op: "photograph",
@@ -71,7 +71,7 @@ impl Photograph {
             })
             .collect();
         let pixels = device.upload("photograph", &packed)?;
-        Ok(Photograph { pixels, width: image.width, height: image.height, weight })
+        Ok(Reference { pixels, width: image.width, height: image.height, weight })
     }
 
     /// PSNR in dB of a picture (premultiplied, 4 channels) over a background against this photograph,
@@ -85,14 +85,14 @@ impl Photograph {
         picture: &PixelBuffers,
         background: [f32; 3],
     ) -> Result<Option<f64>> {
-        let (photograph, picture) =
+        let (reference, picture) =
             (stream.download(&self.pixels)?, stream.download(&picture.rgba)?);
-        if photograph.len() != picture.len() {
-            let (expected, actual) = (photograph.len().to_string(), picture.len());
+        if reference.len() != picture.len() {
+            let (expected, actual) = (reference.len().to_string(), picture.len());
             return Err(Error::Shape { op: "PSNR", arg: "picture", expected, actual });
         }
         let (mut sum, mut weights) = (0.0f64, 0.0f64);
-        for (packed, rgba) in photograph.iter().zip(&picture) {
+        for (packed, rgba) in reference.iter().zip(&picture) {
             let [r, g, b, weight] = packed.to_le_bytes().map(|byte| f64::from(byte) / 255.0);
             for (c, truth) in [r, g, b].into_iter().enumerate() {
                 let shown =
@@ -228,7 +228,7 @@ impl Loss {
         (run, lines * length.div_ceil(run))
     }
 
-    /// Records the loss of `rendered` against `photograph`, and its gradient by the image. Without
+    /// Records the loss of `rendered` against `reference`, and its gradient by the image. Without
     /// `disparity` the gradient by depth is zero. `loss/columns`, `loss/ssim` for each channel,
     /// `loss/total`, `loss/gradient`, `loss/total`; with a disparity `loss/depth`, `loss/total`.
     ///
@@ -239,14 +239,14 @@ impl Loss {
         recorder: &mut Recorder,
         settings: &LossSettings,
         rendered: &PixelBuffers,
-        photograph: &Photograph,
+        reference: &Reference,
         disparity: Option<&KnownDisparity>,
         gradients: &mut PixelGradients,
         scratch: &mut LossScratch,
     ) -> Result<()> {
         for (arg, size) in [
             ("rendered", (rendered.width, rendered.height)),
-            ("photograph", (photograph.width, photograph.height)),
+            ("photograph", (reference.width, reference.height)),
         ] {
             if size != (self.width, self.height) {
                 return Err(Error::Shape {
@@ -286,7 +286,7 @@ impl Loss {
             },
             ColumnsArgs {
                 rgba: rendered.rgba.view(),
-                photograph: photograph.pixels.view(),
+                reference: reference.pixels.view(),
                 windowed_reds: reds.view_mut(),
                 windowed_greens: greens.view_mut(),
                 windowed_blues: blues.view_mut(),
@@ -305,14 +305,14 @@ impl Loss {
                 },
                 SsimArgs {
                     windowed: windowed.view(),
-                    photograph: photograph.pixels.view(),
+                    reference: reference.pixels.view(),
                     derivatives: derivatives.view_mut(),
                     partials: partials.view_mut(),
                 },
             )?;
         }
         total(recorder, partials, 3 * row_groups, totals, 1)?;
-        let per_weight = share_of(3.0 * photograph.weight);
+        let per_weight = share_of(3.0 * reference.weight);
         let share = f64::from(settings.ssim_share);
         recorder.dispatch::<Gradient>(
             Groups::linear(by_columns, 64, &limits)?,
@@ -328,7 +328,7 @@ impl Loss {
             },
             GradientArgs {
                 rgba: rendered.rgba.view(),
-                photograph: photograph.pixels.view(),
+                reference: reference.pixels.view(),
                 by_reds: derivatives[0].view(),
                 by_greens: derivatives[1].view(),
                 by_blues: derivatives[2].view(),
@@ -369,15 +369,15 @@ impl Loss {
     pub fn value(
         &self,
         stream: &mut Stream,
-        photograph: &Photograph,
+        reference: &Reference,
         disparity: Option<&KnownDisparity>,
         scratch: &LossScratch,
     ) -> Result<LossValue> {
         let totals = stream.download(&scratch.totals)?;
         let mean = |total: f32, weight: f64| f64::from(total) * share_of(weight);
         Ok(LossValue {
-            l1: mean(totals[0], 3.0 * photograph.weight),
-            ssim: mean(totals[1], 3.0 * photograph.weight),
+            l1: mean(totals[0], 3.0 * reference.weight),
+            ssim: mean(totals[1], 3.0 * reference.weight),
             disparity: disparity.map_or(0.0, |known| mean(totals[2], known.weight)),
         })
     }

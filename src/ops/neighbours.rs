@@ -85,15 +85,15 @@ impl Neighbours {
     ) -> Result<()> {
         let rows = ids.map_or(positions.len() / 3, |ids| ids.len());
         let node_count = nodes.len() / 3;
-        let room = |arg, actual: usize, most: usize| match actual <= most {
+        let fits = |arg, actual: usize, most: usize| match actual <= most {
             true => Ok(()),
             false => {
                 let expected = format!("at most {most}");
                 Err(Error::Shape { op: "neighbours", arg, expected, actual })
             }
         };
-        room("points", rows, self.capacity)?;
-        room("nodes", node_count, self.node_capacity)?;
+        fits("points", rows, self.capacity)?;
+        fits("nodes", node_count, self.node_capacity)?;
         (self.rows, self.node_count) = (rows, node_count);
         let limits = *recorder.device().limits();
         recorder.dispatch_specialised::<Nearest>(

@@ -268,16 +268,16 @@ pub enum Origin {
 /// second part does not fit stays whole.
 pub fn layout(actions: &[Action], capacity: usize) -> Vec<(u32, Origin)> {
     let survivors = actions.iter().filter(|&&a| a != Action::Prune).count();
-    let mut room = capacity.saturating_sub(survivors);
+    let mut free = capacity.saturating_sub(survivors);
     let (mut kept, mut added) = (Vec::new(), Vec::new());
     for (source, &action) in (0u32..).zip(actions) {
         if action == Action::Prune {
             continue;
         }
-        let grows = matches!(action, Action::Clone | Action::Split) && room > 0;
+        let grows = matches!(action, Action::Clone | Action::Split) && free > 0;
         let part = if action == Action::Split { Origin::Drawn } else { Origin::Copied };
         if grows {
-            room -= 1;
+            free -= 1;
             added.push((source, part));
         }
         kept.push((source, if grows && part == Origin::Drawn { part } else { Origin::Kept }));

@@ -7,7 +7,7 @@
 pub mod adam;
 pub mod arap;
 pub mod bin;
-pub mod ceiling;
+pub mod roofline;
 pub mod deform;
 pub mod density;
 pub mod flow;

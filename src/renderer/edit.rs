@@ -21,7 +21,7 @@ impl Renderer {
         if end > self.gaussians.capacity() {
             let capacity = end.max(2 * self.gaussians.capacity());
             self.gaussians.reserve(&mut self.stream, capacity)?;
-            self.studio = None;
+            self.resources = None;
         }
         self.gaussians.upload_at(&mut self.stream, first, gaussians)?;
         self.gaussians.len = end;
@@ -103,8 +103,8 @@ impl Renderer {
             let gaussians = self.gaussians.download(&mut self.stream)?;
             self.half = Half::new(&self.device, &gaussians, &self.tuning)?;
         }
-        if let Some(studio) = &mut self.studio {
-            studio.moving = None;
+        if let Some(resources) = &mut self.resources {
+            resources.moving = None;
         }
         Ok(())
     }

@@ -4,7 +4,7 @@
 
 use glam::{DQuat, DVec2, DVec3};
 
-use super::{Renderer, Studio};
+use super::{Renderer, FrameResources};
 use crate::types::{Camera, Image};
 use crate::{Error, Result};
 
@@ -31,7 +31,7 @@ impl Renderer {
             });
         }
         let capacity = self.gaussians.capacity();
-        let Some(Studio { render, scratch, painted, .. }) = &mut self.studio else {
+        let Some(FrameResources { render, scratch, painted, .. }) = &mut self.resources else {
             return Err(Error::Input("nothing was rendered that could be painted anew".into()));
         };
         if painted.is_none() {

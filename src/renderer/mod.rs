@@ -64,9 +64,9 @@ pub struct Renderer {
     settings: RenderSettings,
     tuning: Tuning,
     half: Half,
-    studio: Option<Studio>,
+    resources: Option<FrameResources>,
     /// Intersections that the next studio has room for at least.
-    room: usize,
+    capacity: usize,
     /// Counts that no frame waits for.
     idle: Vec<Readback<u32>>,
     /// Tells its frames from those of others.
@@ -81,7 +81,7 @@ struct Half {
 
 impl Half {
     /// Room for so many Gaussians.
-    fn room(device: &Device, count: usize, sh_degree: u32, tuning: &Tuning) -> Result<Half> {
+    fn capacity(device: &Device, count: usize, sh_degree: u32, tuning: &Tuning) -> Result<Half> {
         let harmonics = || HalfHarmonics::new(device, count, sh_degree);
         let shapes = || HalfShapes::new(device, count);
         Ok(Half {
@@ -105,7 +105,7 @@ impl Half {
 }
 
 /// What pictures of one size need.
-struct Studio {
+struct FrameResources {
     render: Render,
     scratch: RenderScratch,
     pixels: PixelBuffers,
@@ -132,7 +132,7 @@ pub struct Target<'a> {
 #[must_use = "`retire` tells whether all of it was drawn"]
 pub struct Frame {
     counts: Readback<u32>,
-    room: usize,
+    capacity: usize,
     of: Arc<()>,
 }
 
@@ -142,13 +142,13 @@ pub struct Drawn {
     /// What it held.
     pub counts: FrameCounts,
     /// (splat, tile) pairs that there was room for.
-    pub room: usize,
+    pub capacity: usize,
 }
 
 impl Drawn {
     /// Whether every splat was drawn; else the farthest were left out.
     pub fn is_whole(&self) -> bool {
-        self.counts.intersections <= self.room
+        self.counts.intersections <= self.capacity
     }
 }
 
@@ -168,14 +168,14 @@ impl Renderer {
     /// # Errors
     /// As for [`new`](Self::new); [`Error::Input`] for settings out of range.
     pub fn tuned(device: &Device, scene: &Scene, tuning: &Tuning) -> Result<Renderer> {
-        let mut renderer = Renderer::with_room(device, scene, tuning, scene.gaussians.len())?;
+        let mut renderer = Renderer::with_capacity(device, scene, tuning, scene.gaussians.len())?;
         renderer.half = Half::new(device, &scene.gaussians, tuning)?;
         Ok(renderer)
     }
 
     /// With room for so many Gaussians, not all of which need be there, and none of them in 16 bits
     /// yet.
-    fn with_room(device: &Device, scene: &Scene, tuning: &Tuning, room: usize) -> Result<Renderer> {
+    fn with_capacity(device: &Device, scene: &Scene, tuning: &Tuning, capacity: usize) -> Result<Renderer> {
         tuning.check()?;
         let network = scene.network.as_ref();
         (scene.settings.check())
@@ -183,14 +183,14 @@ impl Renderer {
             .and_then(|()| network.map_or(Ok(()), DeformNet::check))
             .map_err(|what| Error::Input(format!("the scene cannot be rendered: {what}")))?;
         let mut stream = device.stream()?;
-        let mut gaussians = GaussianBuffers::new(device, room, scene.gaussians.sh_degree)?;
+        let mut gaussians = GaussianBuffers::new(device, capacity, scene.gaussians.sh_degree)?;
         gaussians.upload(&mut stream, &scene.gaussians)?;
         let motion = match scene.moves() {
             true => {
                 let points = &scene.control_points;
                 let most = tuning.neighbours.unwrap_or(scene.neighbours).min(scene.neighbours);
                 let k = (most as usize).min(points.len());
-                let mut motion = Motion::new(&mut stream, points, network, k, room, 1)?;
+                let mut motion = Motion::new(&mut stream, points, network, k, capacity, 1)?;
                 motion.set_dynamic(&mut stream, &scene.gaussians.motion_logits, 0.0)?;
                 let mut recorder = stream.record()?;
                 motion.refresh(&mut recorder, gaussians.views().positions)?;
@@ -214,8 +214,8 @@ impl Renderer {
             settings: tuning.apply(scene.settings),
             tuning: *tuning,
             half,
-            studio: None,
-            room: 0,
+            resources: None,
+            capacity: 0,
             idle: Vec::new(),
             identity: Arc::new(()),
         })
@@ -239,7 +239,7 @@ impl Renderer {
     /// The picture of the last frame as far as it did not go into a [`Target`]; none before the
     /// first. Keep clones of nothing: the next frame writes it anew.
     pub fn pixels(&self) -> Option<&PixelBuffers> {
-        self.studio.as_ref().map(|studio| &studio.pixels)
+        self.resources.as_ref().map(|resources| &resources.pixels)
     }
 
     /// Renders the scene as `camera` sees it at `time` in [0, 1], and waits for it.
@@ -251,9 +251,9 @@ impl Renderer {
     pub fn render(&mut self, camera: &Camera, time: f64) -> Result<Rendered> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         self.draw(camera, time)?;
-        let studio = self.studio.as_ref().expect("just drawn");
-        let rgba = self.stream.download(&studio.pixels.rgba)?.into_flattened();
-        let depth = self.stream.download(&studio.pixels.depth)?;
+        let resources = self.resources.as_ref().expect("just drawn");
+        let rgba = self.stream.download(&resources.pixels.rgba)?.into_flattened();
+        let depth = self.stream.download(&resources.pixels.depth)?;
         Ok(Rendered {
             rgba: Image { width, height, channels: 4, pixels: rgba },
             depth: Image { width, height, channels: 1, pixels: depth },
@@ -263,7 +263,7 @@ impl Renderer {
     /// Renders into the renderer's own pixels and waits, with as much room as it takes. The pairs of
     /// the first picture of a size are counted before any room is made.
     fn draw(&mut self, camera: &Camera, time: f64) -> Result<()> {
-        if !self.has_studio(camera) {
+        if !self.has_resources(camera) {
             let pairs = self.count(camera, time)?;
             self.reserve(usize::try_from(pairs).unwrap_or(usize::MAX));
         }
@@ -297,9 +297,9 @@ impl Renderer {
         target: Target<'_>,
     ) -> Result<Frame> {
         camera.check().and_then(|()| range::moment(time)).map_err(Error::Input)?;
-        let has_room = |studio: &Studio| studio.render.intersection_capacity() >= self.room;
-        if !self.has_studio(camera) || !self.studio.as_ref().is_some_and(has_room) {
-            self.make_studio(camera)?;
+        let is_large_enough = |resources: &FrameResources| resources.render.intersection_capacity() >= self.capacity;
+        if !self.has_resources(camera) || !self.resources.as_ref().is_some_and(is_large_enough) {
+            self.make_resources(camera)?;
         }
         if target.mask.is_some() {
             self.plan_mask()?;
@@ -308,9 +308,9 @@ impl Renderer {
             Some(readback) => readback,
             None => self.device.readback(2)?,
         };
-        let Renderer { gaussians, motion, half, tuning, studio, identity, .. } = self;
-        let Studio { render, scratch, pixels, moving, .. } =
-            studio.as_mut().expect("planned above");
+        let Renderer { gaussians, motion, half, tuning, resources, identity, .. } = self;
+        let FrameResources { render, scratch, pixels, moving, .. } =
+            resources.as_mut().expect("planned above");
         let views = moved(gaussians, half, motion.as_mut(), tuning, recorder, time)?;
         let mut own = pixels.views_mut();
         if let Some(rgba) = target.rgba {
@@ -325,7 +325,7 @@ impl Renderer {
             render.blend_into(recorder, colours.view(), scratch, pixels)?;
         }
         recorder.read_back(scratch.device_counts(), &counts);
-        Ok(Frame { counts, room: render.intersection_capacity(), of: identity.clone() })
+        Ok(Frame { counts, capacity: render.intersection_capacity(), of: identity.clone() })
     }
 
     /// Takes back a frame with which the device is known to be done: after
@@ -336,13 +336,13 @@ impl Renderer {
     /// [`Error::Input`] for a frame of another renderer, and earlier than that; [`Error::Failed`] for one
     /// that was never submitted, where its counts tell.
     pub fn retire(&mut self, frame: Frame) -> Result<Drawn> {
-        let Frame { mut counts, room, of } = frame;
+        let Frame { mut counts, capacity, of } = frame;
         if !Arc::ptr_eq(&self.identity, &of) {
             return Err(Error::Input("the frame is of another renderer".into()));
         }
         let mut words = [0; 2];
         counts.read_into(&mut words)?;
-        let drawn = Drawn { counts: FrameCounts::from_device(words), room };
+        let drawn = Drawn { counts: FrameCounts::from_device(words), capacity };
         self.idle.push(counts);
         if drawn.counts.visible > self.gaussians.capacity() {
             let what = "a frame was retired that the device has not drawn: its recording was not submitted";
@@ -350,7 +350,7 @@ impl Renderer {
         }
         if !drawn.is_whole() {
             let needed = drawn.counts.intersections;
-            self.room = self.room.max(needed + needed / 4);
+            self.capacity = self.capacity.max(needed + needed / 4);
         }
         Ok(drawn)
     }
@@ -358,7 +358,7 @@ impl Renderer {
     /// Makes room for so many (splat, tile) pairs at the next picture, so that none of at most as many
     /// has to be drawn again.
     pub fn reserve(&mut self, intersections: usize) {
-        self.room = self.room.max(intersections);
+        self.capacity = self.capacity.max(intersections);
     }
 
     /// How many (splat, tile) pairs the picture of `camera` at `time` has. Takes the projection of the
@@ -368,12 +368,12 @@ impl Renderer {
     /// As for [`render`](Self::render).
     pub fn count(&mut self, camera: &Camera, time: f64) -> Result<u64> {
         camera.check().and_then(|()| range::moment(time)).map_err(Error::Input)?;
-        if !self.has_studio(camera) {
-            self.make_studio(camera)?;
+        if !self.has_resources(camera) {
+            self.make_resources(camera)?;
         }
         let mut recorder = self.stream.record()?;
-        let Renderer { stream, gaussians, motion, half, tuning, studio, .. } = self;
-        let Studio { render, scratch, .. } = studio.as_mut().expect("made above");
+        let Renderer { stream, gaussians, motion, half, tuning, resources, .. } = self;
+        let FrameResources { render, scratch, .. } = resources.as_mut().expect("made above");
         let views = moved(gaussians, half, motion.as_mut(), tuning, &mut recorder, time)?;
         let len = views.len;
         render.project(&mut recorder, camera, views, scratch)?;
@@ -419,33 +419,33 @@ impl Renderer {
     }
 
     /// Whether there is a studio for pictures of a camera's size.
-    fn has_studio(&self, camera: &Camera) -> bool {
+    fn has_resources(&self, camera: &Camera) -> bool {
         let k = camera.intrinsics;
         self.pixels().is_some_and(|pixels| (pixels.width, pixels.height) == (k.width, k.height))
     }
 
     /// Makes what pictures of a camera's size need. Room for more pairs than usual is asked for only where there
     /// is memory for it: systems promise more than they have.
-    fn make_studio(&mut self, camera: &Camera) -> Result<()> {
+    fn make_resources(&mut self, camera: &Camera) -> Result<()> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-        self.studio = None;
-        if self.room > 0 && !self.device.is_rehearsing() {
+        self.resources = None;
+        if self.capacity > 0 && !self.device.is_rehearsing() {
             let foreseen = Rehearsal::of(&self.device, |rehearsal| {
                 self.plan(rehearsal.device(), width, height).map(drop)
             });
             foreseen?.fits(&self.device)?;
         }
-        self.studio = Some(self.plan(&self.device, width, height)?);
+        self.resources = Some(self.plan(&self.device, width, height)?);
         Ok(())
     }
 
-    fn plan(&self, device: &Device, width: u32, height: u32) -> Result<Studio> {
+    fn plan(&self, device: &Device, width: u32, height: u32) -> Result<FrameResources> {
         let gaussians = self.gaussians.capacity();
-        let room = usual_room(self.gaussians.len).max(self.room);
-        let render = Render::plan(device, gaussians, room, width, height, self.settings)?
+        let capacity = usual_capacity(self.gaussians.len).max(self.capacity);
+        let render = Render::plan(device, gaussians, capacity, width, height, self.settings)?
             .with_depth_bits(device, self.tuning.depth_bits)?
             .with_raster(self.tuning.raster);
-        Ok(Studio {
+        Ok(FrameResources {
             scratch: render.scratch(device)?,
             pixels: render.pixels(device)?,
             moving: None,
@@ -456,21 +456,21 @@ impl Renderer {
 
     /// Makes what a mask needs, where it is not there.
     fn plan_mask(&mut self) -> Result<()> {
-        let studio = self.studio.as_mut().expect("planned before");
-        if studio.moving.is_some() {
+        let resources = self.resources.as_mut().expect("planned before");
+        if resources.moving.is_some() {
             return Ok(());
         }
         let red = |logit: &f32| [if *logit > 0.0 { 1.0 } else { 0.0 }, 0.0, 0.0, 0.0];
         let mut colours: Vec<[f32; 4]> = self.motion_logits.iter().map(red).collect();
         colours.resize(self.gaussians.capacity(), [0.0; 4]);
         let colours = self.device.upload("what moves", &colours)?;
-        studio.moving = Some((colours, studio.render.pixels(&self.device)?));
+        resources.moving = Some((colours, resources.render.pixels(&self.device)?));
         Ok(())
     }
 }
 
 /// (splat, tile) pairs that there is room for at first.
-fn usual_room(gaussians: usize) -> usize {
+fn usual_capacity(gaussians: usize) -> usize {
     gaussians.saturating_mul(4).max(1 << 14)
 }
 

@@ -102,10 +102,10 @@ impl Renderer {
         array: impl Fn(&RenderScratch) -> View<'_, T>,
         rows: &[usize],
     ) -> Result<Vec<T>> {
-        let studio = self.studio.as_ref().expect("a frame was drawn");
+        let resources = self.resources.as_ref().expect("a frame was drawn");
         let mut gathered = self.device.buffer::<T>("rows asked for", rows.len())?;
         let mut recorder = self.stream.record()?;
-        let all = array(&studio.scratch);
+        let all = array(&resources.scratch);
         for (to, &from) in rows.iter().enumerate() {
             recorder.copy(all.range(from..from + 1), gathered.range_mut(to..to + 1));
         }

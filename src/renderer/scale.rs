@@ -50,7 +50,7 @@ impl RenderScale {
 
     /// Whether its pictures need more room for (splat, tile) pairs than there is at first.
     pub fn is_dense(&self) -> bool {
-        self.intersections > super::usual_room(self.gaussians)
+        self.intersections > super::usual_capacity(self.gaussians)
     }
 
     /// What it takes of a device's memory at most.
@@ -65,10 +65,10 @@ impl RenderScale {
         let camera = Camera { intrinsics, view_from_world: Pose::IDENTITY };
         Rehearsal::of(device, |rehearsal| {
             let (device, count) = (rehearsal.device(), self.gaussians);
-            let mut renderer = Renderer::with_room(device, &scene, &self.tuning, count.max(1))?;
-            renderer.half = Half::room(device, count, self.sh_degree, &self.tuning)?;
+            let mut renderer = Renderer::with_capacity(device, &scene, &self.tuning, count.max(1))?;
+            renderer.half = Half::capacity(device, count, self.sh_degree, &self.tuning)?;
             renderer.gaussians.len = count;
-            renderer.room = self.intersections;
+            renderer.capacity = self.intersections;
             if let Some(motion) = &mut renderer.motion {
                 motion.dynamic = count;
                 let mut recorder = renderer.stream.record()?;

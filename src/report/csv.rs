@@ -19,7 +19,7 @@ const HEADER: [&str; 21] = [
     "over_best_settings",
     "bytes",
     "operations",
-    "share_of_ceiling",
+    "share_of_peak",
     "error",
     "error_of_bound",
     "rmse",
@@ -51,7 +51,7 @@ pub fn csv(measured: &Measurements) -> String {
         };
         let [clock, device, driver, software, commit] = about(row.clock);
         let [median, low, high, samples] = times(row.time());
-        let share = row.share(&measured.ceilings).map_or(String::new(), |s| s.to_string());
+        let share = row.share(&measured.peaks).map_or(String::new(), |s| s.to_string());
         let (work, accuracy) = (row.work, &row.accuracy);
         line(
             &mut table,

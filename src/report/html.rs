@@ -62,7 +62,7 @@ pub fn escape(text: &str) -> String {
 fn about(body: &mut String, measured: &Measurements) {
     let Machine { device, driver, kind, software, subgroup_size, threads } = &measured.machine;
     let tag = if *software { " <span class=\"tag\">software driver</span>" } else { "" };
-    let ceiling = |value: Option<f64>, unit: &str| {
+    let peak = |value: Option<f64>, unit: &str| {
         value.map_or("not measured".to_owned(), |value| rate(value, unit))
     };
     let facts = [
@@ -73,8 +73,8 @@ fn about(body: &mut String, measured: &Measurements) {
         ("splat4d", escape(&measured.version)),
         ("Commit", escape(measured.commit.as_deref().unwrap_or("not known"))),
         ("Measured", date(measured.unix_seconds)),
-        ("Most that it copies", ceiling(measured.ceilings.bytes, "B")),
-        ("Most that it calculates", ceiling(measured.ceilings.operations, "flop")),
+        ("Most that it copies", peak(measured.peaks.bytes, "B")),
+        ("Most that it calculates", peak(measured.peaks.operations, "flop")),
     ];
     body.push_str("<h1>splat4d bench</h1>\n<table>");
     for (name, value) in facts {
@@ -242,7 +242,7 @@ fn rows(body: &mut String, measured: &Measurements) {
          timed; one that misses its bound has no speed. Bytes and operations are counted from the \
          row's own data: every input and output of a dispatch once.</p>\n\
          <div class=\"wide\"><table><thead><tr><th>row</th><th>size</th><th>median</th>\
-         <th>quartiles</th><th>bandwidth</th><th>operations</th><th>share of ceiling</th>\
+         <th>quartiles</th><th>bandwidth</th><th>operations</th><th>share of peak</th>\
          <th>largest error</th><th>of its bound</th><th>clock</th></tr></thead><tbody>",
     );
     for row in &measured.rows {
@@ -268,7 +268,7 @@ fn one_row(body: &mut String, row: &Row, measured: &Measurements) {
         times(row.time()),
         show(row.bandwidth().map(|r| rate(r, "B"))),
         show(row.throughput().map(|r| rate(r, "op"))),
-        show(row.share(&measured.ceilings).map(|s| format!("{:.1} %", 100.0 * s))),
+        show(row.share(&measured.peaks).map(|s| format!("{:.1} %", 100.0 * s))),
         scientific(row.accuracy.error),
         match row.accuracy.passed() {
             true => format!("{:.2}", row.accuracy.of_bound),

@@ -75,8 +75,8 @@ impl LinePlot {
                 // Values that are all the same are told apart from those around them.
                 let flat = y.1 - y.0 <= 1e-9 * y.1.abs();
                 let span = if flat { y.1.abs() } else { y.1 - y.0 };
-                let room = (0.05 * span).max(f64::MIN_POSITIVE);
-                let (low, high) = (y.0 - room, y.1 + room);
+                let margin = (0.05 * span).max(f64::MIN_POSITIVE);
+                let (low, high) = (y.0 - margin, y.1 + margin);
                 let axis = plotters::coord::types::RangedCoordf64::from(low..high);
                 self.draw(&mut svg, &lines, x, axis, (low, high)).map_err(failed)?;
             }

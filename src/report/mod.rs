@@ -53,7 +53,8 @@ pub struct Measurements {
     /// What it ran on.
     pub machine: Machine,
     /// What that can do at most.
-    pub ceilings: Ceilings,
+    #[serde(alias = "ceilings")]
+    pub peaks: Peaks,
     /// One per op or pipeline and size.
     pub rows: Vec<Row>,
     /// Speed against error.
@@ -84,7 +85,7 @@ pub struct Machine {
 
 /// The most that a device was seen to do, by kernels that do nothing else.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Ceilings {
+pub struct Peaks {
     /// Bytes read and written by a copy, a second.
     pub bytes: Option<f64>,
     /// Operations of multiply-adds in f32, a second.
@@ -215,15 +216,15 @@ impl Row {
         (count > 0 && time > 0.0).then(|| count as f64 / time * 1e9)
     }
 
-    /// The larger of the shares of the device's two ceilings that the row reaches; `None` for work
+    /// The larger of the shares of the device's two peaks that the row reaches; `None` for work
     /// on the processor.
-    pub fn share(&self, ceilings: &Ceilings) -> Option<f64> {
+    pub fn share(&self, peaks: &Peaks) -> Option<f64> {
         if self.place == Place::Processor {
             return None;
         }
         let of = |rate: Option<f64>, most: Option<f64>| Some(rate? / most?);
         let (bytes, operations) =
-            (of(self.bandwidth(), ceilings.bytes), of(self.throughput(), ceilings.operations));
+            (of(self.bandwidth(), peaks.bytes), of(self.throughput(), peaks.operations));
         [bytes, operations].into_iter().flatten().reduce(f64::max)
     }
 }
@@ -321,7 +322,7 @@ impl Measurements {
             commit,
             unix_seconds: 0,
             machine,
-            ceilings: Ceilings::default(),
+            peaks: Peaks::default(),
             rows: Vec::new(),
             sweeps: Vec::new(),
             choice: None,

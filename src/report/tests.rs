@@ -26,7 +26,7 @@ fn measured() -> Measurements {
     };
     let mut out = Measurements::new(machine, Some("0123abc".into()));
     out.unix_seconds = 1_000_000_000;
-    out.ceilings = Ceilings { bytes: Some(2e9), operations: Some(1e9) };
+    out.peaks = Peaks { bytes: Some(2e9), operations: Some(1e9) };
     out.rows = vec![
         row("sort/pairs", 1000.0),
         Row::missed("scan/broken", "7", Place::Device, accuracy(f64::INFINITY)),
@@ -115,7 +115,7 @@ fn a_row_that_missed_its_bound_has_no_speed() {
     );
     assert_eq!(missed.time(), None);
     assert_eq!((missed.bandwidth(), missed.throughput()), (None, None));
-    assert_eq!(missed.share(&Ceilings { bytes: Some(1.0), operations: Some(1.0) }), None);
+    assert_eq!(missed.share(&Peaks { bytes: Some(1.0), operations: Some(1.0) }), None);
     // Nor does one smuggled in by a file.
     let mut json = serde_json::to_value(row("x", 5.0)).unwrap();
     json["accuracy"]["of_bound"] = serde_json::json!(2.0);
@@ -128,8 +128,8 @@ fn rates_are_work_over_the_median() {
     let row = row("x", 1000.0);
     assert_eq!(row.bandwidth(), Some(1e9));
     assert_eq!(row.throughput(), Some(0.5e9));
-    let ceilings = Ceilings { bytes: Some(2e9), operations: Some(4e9) };
-    assert_eq!(row.share(&ceilings), Some(0.5));
+    let peaks = Peaks { bytes: Some(2e9), operations: Some(4e9) };
+    assert_eq!(row.share(&peaks), Some(0.5));
 }
 
 #[test]

@@ -1,19 +1,19 @@
-//! How far a mover is: one scale for its path, and corrections of the path, from four sources.
+//! The distance of a mover: one scale for its path, and corrections of the path, from four sources.
 //!
-//! - Its outline: a thing keeps its size, so the drift of its structure from motion shows as a change
-//!   of size ([`super::outline`]).
-//! - Contact: where it touches static ground, in most frames, it is as far as the ground.
-//! - Smoothness: what moves by itself moves smoothly and a camera in a hand does not; where the ground tells
-//!   which way is up, what flies falls ([`super::smooth`]). Such a path also tells the depth in frames that show
-//!   the object only in part.
-//! - It is nearer than what it hides, and where the picture cuts off its lower end a little nearer than the
-//!   ground there.
+//! - Outline: an object keeps its size, so drift of its structure from motion shows as a change of size
+//!   ([`super::outline`]).
+//! - Contact: an object that touches static ground in most frames is as far away as the ground there.
+//! - Smoothness: an object moves smoothly by itself and a hand-held camera does not. If the ground gives the
+//!   vertical direction, a flying object falls under gravity ([`super::smooth`]). A smooth path also gives
+//!   the depth in frames that show the object only in part.
+//! - Occlusion: an object is nearer than what it hides. If the image border cuts off its lower end, it is a
+//!   little nearer than the ground at that border.
 //!
-//! Supplied depth, where there is some on the object, takes the place of all of these.
+//! If supplied depth covers the object, it replaces all of these.
 //!
-//! Contact and smoothness each come with a standard deviation and are averaged by it. The bound takes
-//! the place of contact where there is none, and the depth of an object that this one is connected with
-//! takes the place of the bound.
+//! Contact and smoothness each have a standard deviation and are averaged with inverse-variance weights.
+//! Without contact, the bound from occlusion takes its place. If the object is connected with another object,
+//! the depth of that object replaces the bound.
 
 use glam::{DMat3, DVec2};
 
@@ -27,63 +27,68 @@ use super::quantile;
 use super::shape::Shape;
 use super::smooth::{self, Place};
 
-/// Width at first of the robust kernel that outlines pull with, logarithm.
+/// Initial width of the robust kernel of the outline residuals, as a logarithm of depth.
 const SIZED_FIRST: f64 = 1.6;
-/// Standard deviation of a contact's depth at least, logarithm.
+/// Minimum standard deviation of a contact's depth, as a logarithm.
 const CONTACT: f64 = 0.03;
-/// The same of a contact at the object's end, half of its width from its middle, whose depth relative to
-/// the middle's is only known to this.
+/// The same for a contact at the object's end, half of the object's width away from its middle. There the
+/// depth relative to the middle is known only to this accuracy.
 const CONTACT_ASIDE: f64 = 0.1;
-/// A contact agrees with the path within this relative difference.
+/// Relative difference in depth within which a contact agrees with the path.
 const AGREES: f64 = 0.1;
-/// An object touches the ground if it has contacts in this share of its frames, and this share of
-/// them agrees, three at least.
+/// An object touches the ground if it has contacts in the first share of its frames (three at least) and the
+/// second share of them agree with the path.
 const TOUCHES: (f64, f64) = (0.25, 0.5);
-/// It does not if it is in the air in more than this share of those frames that tell.
+/// Share of the conclusive frames in which an object may be in the air and still count as touching the
+/// ground.
 const IN_THE_AIR: f64 = 0.25;
-/// An object is as deep at its contact as the median of the points within this share of half of its width, and
-/// of so many points next to it at least. The next ones alone may lie on the ground that is seen between
-/// its wheels.
+/// The object's depth at its contact is the median depth of the tracked points within `BY_CONTACT` times half
+/// of the object's width, and of `NEAR_CONTACT` nearest points at least. Fewer points may lie on the ground
+/// that is visible between its wheels.
 const BY_CONTACT: f64 = 0.3;
 const NEAR_CONTACT: usize = 5;
-/// Standard deviation across the line of sight of an object's middle, pixels: where it is known from
-/// structure from motion or from the whole outline, and where it is not.
+/// Standard deviation of an object's middle across the line of sight, pixels: first where the middle is known
+/// from structure from motion or from the whole outline, then where it is not.
 const MIDDLE: (f64, f64) = (0.1, 2.0);
-/// Along it, relative to its depth, where the object is rigid, and where not even its outline is known.
+/// Standard deviation along the line of sight, relative to the depth: first for a rigid object, then where
+/// not even the outline is known.
 const ALONG: (f64, f64) = (0.005, 0.1);
-/// Standard deviation of where an object's centre of mass is from the middle of the points that are seen on
-/// it, over its radius, along each axis.
+/// Standard deviation of the offset between an object's centre of mass and the middle of the points observed
+/// on it, as a multiple of its radius, along each axis.
 const OFF_CENTRE: f64 = 0.3;
-/// An object whose middle is not known for more frames than these may have been thrown back meanwhile.
+/// Maximum number of frames with an unknown middle across which a path is continuous. Over a longer gap the
+/// object may have reversed its direction.
 const GAP: usize = 2;
-/// Beyond this relative deviation of a path's unit its logarithm has no normal distribution, and it says little.
+/// Relative standard deviation of a path's unit above which it is not used: its logarithm is no longer
+/// normally distributed, and it gives little information.
 const LINEAR: f64 = 0.3;
-/// A scale is known that has less than this relative deviation.
+/// Standard deviation of the logarithm of a scale below which the scale counts as known.
 const DECIDED: f64 = 0.2;
-/// How much nearer than what it hides a thing is that touches nothing: mean and deviation of the
-/// logarithm. Few things fly right before a wall or right before the camera.
+/// How much nearer an object without contact is than what it hides: mean and standard deviation of the
+/// logarithm. Few objects fly directly in front of a wall or of the camera.
 const BEFORE: (f64, f64) = (0.4, 0.3);
-/// How much nearer than the ground at the picture's lower edge a thing is, where it is nearest to being as far,
-/// that this edge cuts off: mean and deviation of the logarithm. It stands on ground below the picture.
+/// How much nearer an object that the lower image border cuts off is than the ground at that border, in the
+/// frame where the two are closest: mean and standard deviation of the logarithm. The object stands on ground
+/// below the image.
 const CUT_OFF: (f64, f64) = (0.1, 0.15);
-/// The same of an object that is connected with another one, relative to that.
+/// The same for an object that is connected with another one, relative to that object.
 const BESIDE: (f64, f64) = (0.05, 0.12);
-/// Standard deviation of supplied depth in one frame, logarithm, and the share of its frames in which an
-/// object has some, at least.
+/// Standard deviation of the logarithm of supplied depth in one frame, and the minimum share of an object's
+/// frames that must have supplied depth.
 const SUPPLIED: (f64, f64) = (0.05, 0.5);
-/// Least deviation of a step of a path, logarithm.
+/// Minimum standard deviation of a step of a path, as a logarithm of depth.
 const LEAST_DRIFT: f64 = 0.002;
 
-/// The static world as a frame sees it, behind the movers too.
+/// The static world from the camera of one frame, including the parts that movers hide.
 #[derive(Clone, Copy)]
 pub(super) struct Behind<'a> {
     /// Inverse depth.
     pub inverse: &'a [f32],
-    /// How far it is measured; see [`super::Track::depth_confidence`].
+    /// The confidence of the inverse depth; see [`super::Track::depth_confidence`].
     pub confidence: &'a [f32],
 }
 
-/// A logarithm and its standard deviation.
+/// The logarithm of a quantity and its standard deviation.
 #[derive(Clone, Copy, Debug)]
 struct Estimate {
     value: f64,
@@ -100,25 +105,25 @@ impl Estimate {
     }
 }
 
-/// What is known of how far an object is.
+/// The estimated distance of an object.
 pub(super) struct Distance {
-    /// Logarithm of the depth of its middle, frame by frame, up to one number.
+    /// Logarithm of the depth of the object's middle, frame by frame, up to an additive constant.
     path: Vec<f64>,
-    /// That number.
+    /// That constant.
     scale: Scale,
 }
 
-/// How the scale of a path is known.
+/// The source of the scale of a path.
 enum Scale {
-    /// The object touches what stands still.
+    /// The scale is known from contact with the static world or from supplied depth.
     Known(Estimate),
-    /// It is somewhere before what it hides.
+    /// The object is at an unknown distance in front of what it hides.
     Bounded { before: Estimate, smooth: Option<Estimate> },
 }
 
 impl Distance {
-    /// What supplied depth tells: `supplied` is the logarithm of the middle's depth, frame by frame. None
-    /// where that is known in too few frames.
+    /// The distance from supplied depth. `supplied` is the logarithm of the middle's depth, frame by frame.
+    /// Returns `None` if it is known in too few frames.
     pub fn supplied(shape: &Shape, supplied: &[Option<f64>]) -> Option<Distance> {
         let n = shape.frames.len();
         let offsets: Vec<f64> = supplied
@@ -140,7 +145,7 @@ impl Distance {
         Some(Distance { path, scale: Scale::Known(Estimate { value: 0.0, deviation }) })
     }
 
-    /// Whether the object's own path tells how far it is.
+    /// Whether the distance is known well enough for the confidence [`KNOWN`].
     pub fn is_known(&self) -> bool {
         self.scale().1 == KNOWN
     }
@@ -161,8 +166,9 @@ impl Distance {
         }
     }
 
-    /// Takes the object to be about as deep as another that it is connected with; this takes the place of
-    /// the bound. `first` and `other_first` are the frames in which the two are first seen.
+    /// Assumes that the object is about as deep as another object that it is connected with; this replaces
+    /// the bound from occlusion. `first` and `other_first` are the frames in which the two objects are first
+    /// seen.
     pub fn hang_on(&mut self, first: usize, (other, other_first): (&Distance, usize)) {
         let (scale, _) = other.scale();
         let off: Vec<f64> = self
@@ -181,7 +187,8 @@ impl Distance {
     }
 }
 
-/// How far an object is, by itself. `owners` and `behind` are of all frames of the clip.
+/// Estimates the distance of an object without regard to connected objects. `owners` and `behind` hold one
+/// entry per frame of the clip.
 pub(super) fn distance(
     index: usize,
     object: &Object,
@@ -283,7 +290,7 @@ pub(super) fn distance(
         let scale = Estimate { value: both.value - touching.value, ..both };
         return Distance { path: bent, scale: Scale::Known(scale) };
     }
-    // Nearer than what it hides, in nearly every frame.
+    // The object is nearer than what it hides in nearly every frame.
     let bounds = frames
         .zip(&path)
         .filter_map(|(f, depth)| {
@@ -305,7 +312,7 @@ pub(super) fn distance(
         true => Estimate { value: below - CUT_OFF.0, deviation: CUT_OFF.1 },
         false => Estimate { value: bound - BEFORE.0, deviation: BEFORE.1 },
     };
-    // A path that is smoothest far behind what the object hides is not the object's.
+    // A scale that puts the path far behind what the object hides is wrong.
     let smooth = smooth.filter(|smooth| smooth.value - smooth.deviation < usual + BEFORE.1);
     Distance { path, scale: Scale::Bounded { before, smooth } }
 }
@@ -315,8 +322,9 @@ fn steps(shape: &Shape) -> Vec<f64> {
     shape.drift.iter().map(|drift| drift.max(LEAST_DRIFT)).collect()
 }
 
-/// The pixel of an object's middle, frame by frame: where its structure from motion does not hold,
-/// the middle of its outline, which is as far from the object's as in the nearest frame that has both.
+/// The pixel of an object's middle, frame by frame. In frames where its structure from motion does not hold,
+/// this is the middle of its outline, corrected by the offset between the two middles in the nearest frame
+/// that has both.
 fn middles(shape: &Shape, outlines: &[Option<Outline>]) -> Vec<DVec2> {
     let n = outlines.len();
     let structured = |k: usize| shape.frames[k].view_from_object.is_some();
@@ -331,26 +339,27 @@ fn middles(shape: &Shape, outlines: &[Option<Outline>]) -> Vec<DVec2> {
     (0..n).map(place).collect()
 }
 
-/// An object in a frame, up to scale.
+/// The state of an object in one frame, up to scale.
 struct Seen {
-    /// Logarithm of its depth.
+    /// Logarithm of the object's depth.
     depth: f64,
     middle: DVec2,
-    /// Standard deviation of the depth where the middle is known.
+    /// Standard deviation of the depth as a logarithm, in frames where the middle is known.
     known: Option<f64>,
-    /// Its radius, in the unit of its depth.
+    /// The object's radius, in the unit of its depth.
     radius: f64,
-    /// How it is turned, times its radius; zero where that is not known.
+    /// The rotation from the object's frame to the camera frame times the radius; zero where the rotation is
+    /// unknown.
     view_from_object: DMat3,
 }
 
-/// The scale that makes a path smoothest, and by how much its depths are then larger, as logarithms.
+/// The scale that makes a path smoothest, and the change of the logarithm of depth along it, frame by frame.
 fn smoothness(path: &[Seen], cameras: &Cameras, first: usize) -> Option<(Estimate, Vec<f64>)> {
     let known: Vec<Option<f64>> = path.iter().map(|seen| seen.known).collect();
     let begins = known.iter().position(Option::is_some)?;
     let ends = known.iter().rposition(Option::is_some)?;
-    // What comes into the picture or leaves it is seen in part: where gravity is known its path goes on as it
-    // is elsewhere.
+    // An object that enters or leaves the image is seen only in part. If the direction of gravity is known,
+    // its path is extrapolated through these frames.
     let goes_on = |k: usize| cameras.up.is_some() && !(begins..=ends).contains(&k);
     let place = |(k, seen): (usize, &Seen)| {
         let world_from_view = cameras.poses[first + k].inverse();
@@ -372,7 +381,7 @@ fn smoothness(path: &[Seen], cameras: &Cameras, first: usize) -> Option<(Estimat
         }
     };
     let places: Vec<Place> = path.iter().enumerate().map(place).collect();
-    // Where the middle is not known for some frames a path of its own begins.
+    // A longer gap in which the middle is unknown splits the path into separate paths.
     let unknown = unknown_for(&known);
     let frames: Vec<usize> =
         (0..places.len()).filter(|k| unknown[*k] <= GAP || goes_on(*k)).collect();
@@ -392,7 +401,8 @@ fn smoothness(path: &[Seen], cameras: &Cameras, first: usize) -> Option<(Estimat
     (inverse > 0.0 && scale.deviation < LINEAR).then_some((scale, farther))
 }
 
-/// How many frames long the gap is that a frame lies in in which the middle is not known.
+/// For each frame in which the middle is unknown, the length in frames of the gap that contains it; 0
+/// elsewhere.
 fn unknown_for(known: &[Option<f64>]) -> Vec<usize> {
     let mut out = vec![0; known.len()];
     let mut start = 0;
@@ -405,7 +415,7 @@ fn unknown_for(known: &[Option<f64>]) -> Vec<usize> {
     out
 }
 
-/// The path, bent to what the sizes of the outlines say, up to one factor.
+/// The path corrected by the depths that follow from the outlines' sizes, which are known up to one factor.
 fn sized(path: Vec<f64>, sizes: &[Option<f64>], deviation: f64, steps: &[f64]) -> Vec<f64> {
     let off: Vec<f64> = sizes.iter().zip(&path).filter_map(|(s, p)| Some((*s)? - p)).collect();
     if off.len() < 3 {
@@ -418,9 +428,10 @@ fn sized(path: Vec<f64>, sizes: &[Option<f64>], deviation: f64, steps: &[f64]) -
     bent(&path, &path, &targets, pull, steps)
 }
 
-/// The path, scaled and bent so that it meets its contacts, and how well they tell the scale; `None`
-/// where they do not agree, or where the object is in the air too often. `walls` are logarithms of the
-/// depths of the walls that it goes before; in `cut_off` frames its lower end is not in the picture.
+/// The path scaled and corrected so that it agrees with its contacts, and the resulting scale with its
+/// standard deviation. Returns `None` if the contacts do not agree, or if the object is in the air too often.
+/// `walls` are the logarithms of the depths of the walls that the object passes in front of. `cut_off` is the
+/// number of frames in which the object's lower end is outside the image.
 fn touched(
     path: &[f64],
     contacts: &[Option<Estimate>],
@@ -436,7 +447,7 @@ fn touched(
     if (offsets.len() as f64) < (TOUCHES.0 * (path.len() - cut_off) as f64).max(3.0) {
         return None;
     }
-    // From the offset that most agree with, those counting most that are best known.
+    // The start is the offset that most contacts agree with, weighted by their information.
     let agreeing = |o: &Estimate| {
         let near = offsets.iter().filter(|p| (p.value - o.value).abs() < 0.5 * AGREES);
         near.map(|p| p.deviation.powi(-2)).sum::<f64>()
@@ -447,7 +458,8 @@ fn touched(
     let off = |(c, b): (&Option<Estimate>, &f64)| Some(((*c)?.value - b, (*c)?.deviation));
     let off: Vec<(f64, f64)> = contacts.iter().zip(&bent).filter_map(off).collect();
     let agree = off.iter().filter(|(off, _)| off.abs() < AGREES).count();
-    // What is in the air is nearer than the ground that is seen below it, and goes before walls.
+    // An object in the air is nearer than the ground that is visible below it, and it passes in front of
+    // walls.
     let nearer = off.iter().filter(|(off, _)| *off <= -AGREES).count();
     let before = walls.iter().zip(&bent).filter(|(wall, b)| wall.is_some_and(|w| w > **b)).count();
     let all = offsets.len() as f64;
@@ -455,23 +467,23 @@ fn touched(
         && agree as f64 >= TOUCHES.1 * all
         && (nearer + before) as f64 <= IN_THE_AIR * (all + before as f64);
     let moved = bent.iter().zip(path).map(|(b, p)| b - p).sum::<f64>() / path.len() as f64;
-    // What puts one contact off puts off its neighbours: they are not averaged.
+    // Errors of neighbouring contacts are correlated, so averaging does not reduce the deviation.
     let of_deviation = off.iter().map(|(off, deviation)| off.abs() / deviation).collect();
     let deviation = CONTACT * (1.5 * quantile(of_deviation, 0.5)).max(1.0);
     touches.then_some((bent, Estimate { value: moved, deviation }))
 }
 
-/// How targets pull at a path.
+/// The robust kernel of the targets of a path.
 struct Pull {
-    /// Width of the robust kernel at first, in the target's deviations; it ends at one.
+    /// Initial width of the robust kernel, in standard deviations of the target; the final width is one.
     first_width: f64,
-    /// Of the kernel: 1 is Cauchy's, which holds on to targets that are far off; 2 is Geman and
-    /// McClure's, which lets go of them.
+    /// Exponent of the kernel's weight: 1 gives Cauchy's kernel, which still weights distant targets; 2 gives
+    /// Geman and McClure's kernel, which ignores them.
     power: i32,
 }
 
-/// A path that keeps the steps of `path`, each to its standard deviation, and meets what targets
-/// there are, from `first` on.
+/// The least-squares path that keeps the steps of `path`, within each step's standard deviation, and
+/// approaches the targets, iterated from `first` with robust weights.
 fn bent(
     path: &[f64],
     first: &[f64],
@@ -482,9 +494,9 @@ fn bent(
     let n = path.len();
     let mut bent = first.to_vec();
     for round in 0..10 {
-        // From a wide kernel to its own width.
+        // The kernel narrows from its initial width to one deviation.
         let width = f64::max(1.0, first_width * 0.5f64.powi(round));
-        // Tridiagonal.
+        // The normal equations are tridiagonal.
         let (mut diagonal, mut right) = (vec![1e-9; n], vec![0.0; n]);
         for (k, target) in targets.iter().enumerate() {
             let Some(Estimate { value, deviation }) = target else { continue };
@@ -527,7 +539,7 @@ mod tests {
 
     #[test]
     fn contacts_that_agree_bend_the_path_to_them() {
-        // Up to scale the path is right; three contacts of ten are of something else.
+        // The path is correct up to scale; three contacts of ten belong to something else.
         let path: Vec<f64> = (0..10).map(|k| (1.0 + 0.02 * f64::from(k)).ln()).collect();
         let sure = |value: f64| Some(Estimate { value, deviation: CONTACT });
         let contacts: Vec<Option<Estimate>> = (0..10)
@@ -543,17 +555,17 @@ mod tests {
             assert!((logarithm - p - 3f64.ln()).abs() < 0.01, "{logarithm}");
         }
         assert!((scale.value - 3f64.ln()).abs() < 0.01 && scale.deviation == CONTACT, "{scale:?}");
-        // Contacts that come from what happens to lie below do not agree.
+        // Contacts with whatever happens to lie below the object do not agree.
         let below = |k: usize| sure((2.0 + k as f64).ln());
         assert!(
             touched(&path, &(0..10).map(below).collect::<Vec<_>>(), &[None; 10], 0, &steps)
                 .is_none()
         );
         assert!(touched(&path, &[None; 10], &[None; 10], 0, &steps).is_none());
-        // Two of ten are too few to be more than chance.
+        // Two contacts of ten can be chance.
         let few: Vec<_> = (0..10).map(|k| if k < 2 { contacts[k] } else { None }).collect();
         assert!(touched(&path, &few, &[None; 10], 0, &steps).is_none());
-        // Of two groups the smaller one is believed that is near the object's middle.
+        // Of two groups of contacts, the smaller one near the object's middle wins.
         let contacts: Vec<Option<Estimate>> = (0..10)
             .map(|k| match k {
                 0..4 => sure(path[k] + 3f64.ln()),
@@ -566,8 +578,8 @@ mod tests {
 
     #[test]
     fn a_drifting_path_keeps_the_size() {
-        // It drifts by 0.25 in the 5 steps that are little known; the outlines tremble, and one is
-        // wrong.
+        // The path drifts by 0.25 in the 5 steps with a large deviation; the outlines' sizes are noisy, and
+        // one is wrong.
         let truth = |k: usize| 0.02 * k as f64;
         let drift = |k: usize| 0.05 * k.clamp(8, 13) as f64;
         let path: Vec<f64> = (0..20).map(|k| truth(k) + drift(k)).collect();
@@ -583,7 +595,8 @@ mod tests {
         let found = sized(path.clone(), &sizes, 0.1, &steps);
         let change = |p: &[f64]| (p[19] - p[0] - truth(19)).abs();
         assert!(change(&path) > 0.24 && change(&found) < 0.06, "{}", change(&found));
-        // Without outlines it stays, and what does not drift is not moved by their trembling.
+        // Without outlines the path does not change. A path without drift is not changed by the noise of the
+        // outlines.
         assert_eq!(sized(path.clone(), &[None; 20], 0.1, &steps), path);
         let steady: Vec<f64> = (0..20).map(truth).collect();
         let found = sized(steady.clone(), &sizes, 0.1, &[0.002; 19]);
@@ -592,21 +605,22 @@ mod tests {
 
     #[test]
     fn what_is_in_the_air_touches_nothing() {
-        // The ground that is seen below it is as far as a path would be that touched it, by chance.
+        // By chance, the ground that is visible below the object is as far away as a path that touches it
+        // would be.
         let path = [0.0; 12];
         let steps = [0.002; 11];
         let at = |value: f64| Some(Estimate { value, deviation: CONTACT });
         let mut contacts = [None; 12];
         contacts[..6].fill(at(1.0));
         assert!(touched(&path, &contacts, &[None; 12], 0, &steps).is_some());
-        // In as many frames it goes before a wall that is farther.
+        // In as many frames the object passes in front of a farther wall.
         let mut walls = [None; 12];
         walls[6..].fill(Some(1.3));
         assert!(touched(&path, &contacts, &walls, 0, &steps).is_none());
-        // A nearer one hides it.
+        // A nearer wall hides the object.
         walls[6..].fill(Some(0.7));
         assert!(touched(&path, &contacts, &walls, 0, &steps).is_some());
-        // It is seen before ground that is nearer.
+        // The object is seen in front of ground that is nearer.
         contacts[6..10].fill(at(0.7));
         assert!(touched(&path, &contacts, &[None; 12], 0, &steps).is_none());
     }
@@ -629,13 +643,14 @@ mod tests {
         };
         let known = bounded(1.0, Some(1.5));
         assert!(known.is_known() && !bounded(1.0, None).is_known());
-        // Its second frame is the other's first.
+        // The object's second frame is the other object's first.
         let mut own = bounded(-2.0, None);
         own.hang_on(4, (&known, 5));
         assert!(own.is_known());
         let (depths, (there, _)) = (own.depths().0, known.depths());
         assert!((depths[1] / there[0]).ln().abs() < 0.11 && depths[1] < there[1], "{depths:?}");
-        // What is only bounded makes nothing known; one never seen with it says nothing.
+        // A bounded object does not make another one known; an object never seen at the same time has no
+        // effect.
         let mut own = bounded(-2.0, None);
         own.hang_on(4, (&bounded(1.0, None), 5));
         assert!(!own.is_known() && own.depths().0[0] > 2.0);

@@ -1,43 +1,43 @@
-//! Motion-aware bundle adjustment: from frames and flow to cameras, motion masks and depth.
+//! Motion-aware bundle adjustment: estimates cameras, motion masks and depth from frames and optical flow.
 //!
 //! | module | what it does |
 //! |---|---|
-//! | `still` | is the camera fixed, does it only zoom? |
-//! | `cameras` | focal length, two-view start, PnP frame by frame, bundle adjustment; cameras that only turn |
-//! | `rounds` | cameras and masks by turns |
-//! | `undistorted` | the clip without the distortion of its lens |
+//! | `still` | detects a camera that is fixed or that only zooms |
+//! | `cameras` | focal length, two-view start, PnP per frame, bundle adjustment; cameras that only rotate |
+//! | `rounds` | alternates between estimating cameras and masks |
+//! | `undistorted` | the clip with the lens distortion removed |
 //! | `residual` | per pixel: the inverse depth that a static world would need, and what it leaves unexplained |
-//! | `photometric` | does the picture itself say that a pixel moved? |
-//! | `plate` | what each frame would show if nothing moved |
-//! | `masks` | from what is unexplained to a dense motion mask that keeps to the picture's edges |
-//! | `prompted` | masks that a network draws of what moves, asked for by points |
-//! | `mended` | supplied masks that flicker or slip, by those around and by what moves |
-//! | `stereo` | static depth from the pictures of the whole clip |
-//! | `depth` | depth of all pixels, measured where it can be, inferred and marked so where not |
-//! | `objects` | what moves, as objects: points on it that belong together |
-//! | `relief` | the depth of an object's pixels relative to its middle's |
+//! | `photometric` | photometric evidence that a pixel moved |
+//! | `plate` | the background plate: what each frame would show if nothing moved |
+//! | `masks` | dense motion masks that follow image edges, from the residuals |
+//! | `prompted` | masks of movers that a segmentation network draws at prompted points |
+//! | `mended` | repairs supplied masks that flicker or slip, from neighbouring frames and measured motion |
+//! | `stereo` | static depth from the frames of the whole clip |
+//! | `depth` | depth of all pixels: measured where possible, otherwise inferred and marked as such |
+//! | `objects` | groups moving points that belong together into objects |
+//! | `relief` | the depth of an object's pixels relative to the depth of its middle |
 //! | `shape` | each object's shape and path up to scale |
 //! | `movers` | depth of movers' pixels, from shapes and distances |
-//! | `estimated` | depth that a network has estimated, brought to the world's unit frame by frame |
-//! | `distance` | how far an object is: contact with the ground, its size, a smooth path |
-//! | `lower_end` | what an object stands on, or goes before |
-//! | `unfollowed` | parts of movers on which no point could be followed |
+//! | `estimated` | depth that a network has estimated, scaled frame by frame to the world's unit |
+//! | `distance` | the distance of an object, from ground contact, its size and a smooth path |
+//! | `lower_end` | what an object stands on or passes in front of |
+//! | `unfollowed` | parts of movers on which no point could be tracked |
 //! | `contour` | an object's pixels in a frame, and what its contour borders on |
-//! | `outline` | what an object's outline tells of its place and size |
-//! | `shade` | the shadows of movers, and the nodes that carry them |
-//! | [`scaffold`] | nodes on what moves, each carried through the whole clip |
-//! | `smooth` | the scale of a path, from how smoothly things move |
-//! | `options` | what is known beforehand, and how hard to try |
-//! | `observer` | who looks on: progress, and finished parts put away |
+//! | `outline` | an object's position and size, from its outline |
+//! | `shade` | the shadows of movers, and the control points that carry them |
+//! | [`scaffold`] | control points on movers, each tracked through the whole clip |
+//! | `smooth` | the scale of a path, from the assumption that objects move smoothly |
+//! | `options` | prior knowledge and settings |
+//! | `observer` | progress reports, and saving of finished parts |
 //! | `places` | where a point of the scene is in every frame |
 //! | `points` | static points to seed Gaussians with |
-//! | `quality` | how well all this is known, and what is said about it |
-//! | `landmarks` | what the frames saw of static points, and how far that agrees with the cameras |
+//! | `quality` | the uncertainty of the result, and the notes about it |
+//! | `landmarks` | observations of static points, and how well they agree with the cameras |
 //!
-//! Cameras and masks need each other: points on movers spoil poses, and what moves can be told only
-//! against known cameras. They are alternated ([`Options::rounds`]): robust estimation starts with
-//! hardly any mask, then each round weighs the tracks by the masks of the one before. Where movers fill
-//! most of the picture, the static world is first chosen from several rigid motions
+//! Cameras and masks depend on each other: points on movers bias the poses, and movers can be detected only
+//! against known cameras. The two are alternated ([`Options::rounds`]): robust estimation starts with an
+//! almost empty mask, then each round weights the tracks by the masks of the previous round. Where movers
+//! fill most of the image, the static world is first chosen from several rigid motions
 //! ([`Quality::motions`]).
 
 mod cameras;
@@ -99,12 +99,12 @@ pub use options::{Guess, Options, Refined};
 pub use quality::{Quality, Told};
 pub use scaffold::Scaffold;
 
-/// What is being worked on, for progress.
+/// The stage of tracking that a progress report refers to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
     /// Optical flow between neighbouring frames.
     Flow,
-    /// Focal length, start, poses, bundle adjustment.
+    /// Focal length, two-view start, poses, bundle adjustment.
     Cameras,
     /// Motion masks.
     Masks,
@@ -113,51 +113,52 @@ pub enum Stage {
 }
 
 /// Cameras, motion and depth of a clip. The world's unit is the median depth of the static points in the
-/// cameras that see them, whatever that of supplied poses is; see `unit`. The world's place and axes are
-/// the first camera's, or those of the supplied poses.
+/// cameras that see them, regardless of the unit of supplied poses; see `unit`. The world's origin and axes
+/// are the first camera's, or those of the supplied poses.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Track {
-    /// Of all frames.
+    /// Intrinsics of all frames.
     pub intrinsics: Intrinsics,
-    /// World to camera, per frame.
+    /// Transforms from the world to the camera, one per frame.
     pub view_from_world: Vec<Pose>,
-    /// Per frame, one channel: the probability that the pixel shows something that moves.
+    /// Motion masks, one per frame, one channel: the probability that the pixel shows something that moves.
     pub masks: Vec<Image>,
-    /// Per frame, one channel: z in the camera, positive everywhere; see `depth_confidence`.
+    /// Depth maps, one per frame, one channel: z in the camera frame, in the world's unit, positive
+    /// everywhere; see `depth_confidence`.
     pub depth: Vec<Image>,
-    /// Per frame, one channel, in [0, 1]: how far the depth is measured. Above 0.5 it was
-    /// triangulated or supplied, at or below it was filled in from the surroundings or, on movers,
-    /// solved for object by object: up to 0.4 where the object's scale is known, 0.2 where only a
-    /// bound is.
+    /// Confidence of the depth, one map per frame, one channel, in [0, 1]. Above 0.5 the depth was
+    /// triangulated or supplied. At or below 0.5 it was filled in from the surroundings or, on movers, solved
+    /// for object by object: up to 0.4 where the object's scale is known, 0.2 where only a bound on it is
+    /// known.
     pub depth_confidence: Vec<Image>,
-    /// What moves, object by object.
+    /// The moving objects.
     pub movers: Vec<Mover>,
-    /// Per frame, one channel: one more than the number in `movers` of the object that the pixel
-    /// shows; 0 where none is known.
+    /// Object maps, one per frame, one channel: the index into `movers` of the object that the pixel shows,
+    /// plus one; 0 where no object is known.
     pub owners: Vec<Image>,
-    /// Per frame, two channels: the share of the light that the shadow of a mover takes away from what
-    /// stands still, 0 where there is none; and the number by which the nodes of `scaffold` that carry
-    /// this shadow name their owner, larger than those of all objects.
+    /// Shadow maps, one per frame, two channels. The first is the share of the light that the shadow of a
+    /// mover removes from the static scene, 0 without a shadow. The second is the owner number of the control
+    /// points of `scaffold` that carry this shadow; it is larger than the numbers of all objects.
     pub shadows: Vec<Image>,
-    /// Nodes on what moves, shadows too.
+    /// Control points on the movers and on their shadows.
     pub scaffold: Scaffold,
-    /// How bright each frame is; colours in `points` are at the exposure of the clip as a whole.
+    /// The exposure of each frame. The colours in `points` are at the exposure of the whole clip.
     pub exposure: Exposure,
     /// Static points.
     pub points: Vec<StaticPoint>,
-    /// Points followed through the pictures, static and moving ones.
+    /// Tracks of static and moving points through the frames.
     pub tracks: Vec<PointTrack>,
-    /// The lens that the clip was found to be filmed with, where that is no pinhole. All else is of the
-    /// pictures that a pinhole of `intrinsics` would have taken: see [`undistorted`](Track::undistorted).
+    /// The estimated lens of the clip; none if it is a pinhole. Everything else here refers to the images
+    /// that a pinhole with `intrinsics` would have taken: see [`undistorted`](Track::undistorted).
     pub lens: Option<Lens>,
-    /// One of the world's units in that of the supplied poses; 1 where none were supplied.
+    /// The length of one world unit in the unit of the supplied poses; 1 if none were supplied.
     pub unit: f64,
-    /// How well all this is known.
+    /// The uncertainty of the result.
     pub quality: Quality,
 }
 
 impl Track {
-    /// The clip's frames as a scene is trained on them: undistorted, and of one exposure.
+    /// The training frames: undistorted, and at one common exposure.
     pub fn prepared<'a>(&self, frames: &'a [Image]) -> Cow<'a, [Image]> {
         match self.exposure.even_all(frames) {
             Cow::Borrowed(frames) => self.undistorted(frames),
@@ -165,7 +166,7 @@ impl Track {
         }
     }
 
-    /// The frames as all that was found speaks of them: without the lens's distortion.
+    /// The frames without the lens distortion; all other fields of the track refer to these.
     pub fn undistorted<'a>(&self, frames: &'a [Image]) -> Cow<'a, [Image]> {
         match &self.lens {
             None => Cow::Borrowed(frames),
@@ -180,15 +181,16 @@ impl Track {
 /// An object that moves.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Mover {
-    /// The frame in which it is first seen.
+    /// The frame in which the object is first seen.
     pub first: usize,
-    /// From that frame to the last in which it is seen: from a frame of its own, in which a rigid
-    /// object stands still.
+    /// Transforms from the object's own coordinate frame to the world, one per frame from `first` to the last
+    /// frame in which the object is seen. A rigid object is at rest in its own coordinate frame.
     pub world_from_object: Vec<Sim3>,
 }
 
 impl Mover {
-    /// Where it is in any frame; before it is first seen and after it is last seen it stays.
+    /// The object's transform in any frame of the clip. Before the object is first seen and after it is last
+    /// seen, this is the nearest known transform.
     pub fn world_from_object(&self, frame: usize) -> Sim3 {
         let last = self.world_from_object.len().saturating_sub(1);
         let k = frame.saturating_sub(self.first).min(last);
@@ -199,35 +201,35 @@ impl Mover {
 /// A point of the static world.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StaticPoint {
-    /// In the world.
+    /// Position in the world.
     pub position: DVec3,
     /// RGB, encoded values in [0, 1].
     pub colour: [f32; 3],
-    /// The frame it was taken from.
+    /// The frame that the point was taken from.
     pub frame: usize,
-    /// Relative standard deviation of its depth.
+    /// Relative standard deviation of the point's depth.
     pub deviation: f32,
 }
 
-/// How the focal length was come by.
+/// The source of the focal length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum FocalSource {
-    /// Given.
+    /// The caller supplied it.
     Given,
-    /// Measured in the clip.
+    /// It was estimated from the clip.
     Measured,
-    /// A common value: the clip does not show it.
+    /// A common default value is used because the clip does not determine it.
     Assumed,
 }
 
-/// Finds cameras, motion masks and depth of a clip.
+/// Estimates cameras, motion masks and depth of a clip.
 ///
-/// `progress` is told the stage and the share of it that is done; an error from it ends the work.
+/// `progress` receives the stage and the completed share of that stage; an error from it ends the work.
 ///
 /// # Errors
-/// Fewer than [`Clip::LEAST`](crate::data::Clip::LEAST) frames, frames or supplied images of differing
-/// sizes, supplied lists of the wrong length, masks that leave nothing static, a clip without parallax
-/// ([`Error::Input`] says what to do), flow that follows nothing.
+/// Returns an error for fewer than [`Clip::LEAST`](crate::data::Clip::LEAST) frames, frames or supplied
+/// images of differing sizes, supplied lists of the wrong length, masks that leave nothing static, a clip
+/// without parallax ([`Error::Input`] says what to do), and flow that tracks too few points.
 pub fn track(
     frames: &[Image],
     options: &Options,
@@ -238,23 +240,23 @@ pub fn track(
     track_observed(frames, options, sources, &mut Progress(progress))
 }
 
-/// What is asked about the frames while they are tracked.
+/// The sources of observations that tracking queries.
 pub struct Sources<'a> {
-    /// The flow between neighbouring frames.
+    /// Optical flow between neighbouring frames.
     pub flow: &'a mut dyn FlowSource,
-    /// Masks of what moves, where something draws them; it is not asked where masks are supplied.
+    /// Masks of movers, if a network provides them. This source is not queried if masks are supplied.
     pub masks: Option<&'a mut dyn MaskSource>,
-    /// Points told apart by descriptors, which link frames that flow does not; [`Sift`] where there is no other source.
-    /// It is not asked where flow links all.
+    /// Descriptor features that link frames which flow does not link; [`Sift`] if none is given. This source
+    /// is not queried if flow links all frames.
     pub features: Option<&'a mut dyn FeatureSource>,
 }
 
-/// [`track`] with more sources than that of flow, and an observer that may keep finished parts, and give those that an earlier run on the
-/// same frames, options and sources has kept: then the result has the same bits as that of a run that
-/// was never interrupted.
+/// [`track`] with additional sources and an observer that can save finished parts. If the observer returns
+/// parts that an earlier run on the same frames, options and sources has saved, then the result has the same
+/// bits as that of a run that was never interrupted.
 ///
 /// # Errors
-/// As for [`track`]; whatever `observer` returns.
+/// As for [`track`], and whatever `observer` returns.
 pub fn track_observed(
     frames: &[Image],
     options: &Options,
@@ -311,7 +313,7 @@ pub fn track_observed(
     }
     let supplied = (!so_far.masks.is_empty()).then(|| so_far.masks.clone());
     known.supplied = supplied.as_deref();
-    // A fixed camera's masks change nothing that they depend on.
+    // The masks of a fixed camera do not change any input of a further round.
     let rounds = if tripod { 1 } else { options.rounds.max(1) };
     let once = |known: Known, so_far: SoFar, round: usize, work: &mut Work| {
         let part = format!("round-{round}");
@@ -319,7 +321,7 @@ pub fn track_observed(
         work.part(&part, |work| known.round(so_far, work, &part, shares[0]..shares[1]))
     };
     so_far = once(known, so_far, 0, &mut work)?;
-    // The lens is looked for once it is roughly known what moves, and taken off for good.
+    // The lens is estimated once the movers are roughly known; the distortion is then removed for good.
     let found = work.part("lens", |_| known.lens(&so_far))?;
     let lens = found.as_ref().map(|(lens, _)| *lens);
     let undistorted;
@@ -348,7 +350,7 @@ pub fn track_observed(
         if !tripod {
             masks = judged.segment(None, &mut work, part, 0.75..1.0)?;
         }
-        // Before the plates, which are the better the better it is known what moves.
+        // The network is asked before the plates are computed because better masks give better plates.
         if let Some(source) = sources.masks {
             let found = prompted::ask(
                 &judged,
@@ -443,7 +445,7 @@ pub fn track_observed(
     })
 }
 
-/// The flow of all pairs, each put away where computing it again would take long.
+/// Computes the flow of all pairs of neighbouring frames. Each pair is saved if the flow source is costly.
 fn observe(
     frames: &[Image],
     source: &mut dyn FlowSource,
@@ -473,17 +475,17 @@ fn observe(
     Ok(flow)
 }
 
-/// A fixed camera that sees less than this share of the pixels move shows one picture, not a scene.
+/// Share of moving pixels below which the clip of a fixed camera shows a still image and not a scene.
 const NOTHING_MOVES: f64 = 1e-3;
 
-/// Share of the pixels that move.
+/// The share of the pixels that move, over all frames.
 fn share(masks: &[Image]) -> f64 {
     let moving: usize = masks.iter().flat_map(|m| &m.pixels).filter(|p| **p > 0.5).count();
     let pixels: usize = masks.iter().map(|m| m.pixels.len()).sum();
     moving as f64 / pixels.max(1) as f64
 }
 
-/// Tracks of points that link frames which `tracks` do not.
+/// Tracks of feature points that link the frames which `tracks` do not link.
 fn found_again(
     frames: &[Image],
     options: &Options,
@@ -507,7 +509,7 @@ fn binary(mask: &Image) -> Image {
     Image { pixels, ..*mask }
 }
 
-/// The value that `share` of the values lie below; 0 of none.
+/// The quantile of the values at `share`; 0 for an empty list.
 fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
     if values.is_empty() {
         return 0.0;
@@ -516,7 +518,7 @@ fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
     *values.select_nth_unstable_by(place, f64::total_cmp).1
 }
 
-/// Pixels and dimensions that a flow speaks of.
+/// Width and height of the frames that a flow belongs to, in pixels.
 fn intrinsics_size(flow: &NeighbourFlow) -> (u32, u32) {
     (flow.width as u32, flow.height as u32)
 }

@@ -1,4 +1,4 @@
-//! What is known of a clip beforehand, and how hard to try.
+//! Prior knowledge about a clip, and settings of tracking.
 
 use serde::Serialize;
 
@@ -7,79 +7,83 @@ use crate::observe::EstimatedDepth;
 use crate::types::{Image, Intrinsics, Pose, Tracks};
 use crate::{Error, Result};
 
-/// What is supplied and yet adjusted to what the clip shows.
+/// Which supplied camera parameters are refined to fit the clip.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Refined {
-    /// Poses begin as they are supplied; the first one and the scale are kept.
+    /// The supplied poses are initial values; the first pose and the scale are kept.
     pub poses: bool,
-    /// The focal length begins as it is given, and stays so where the clip does not show it.
+    /// The given focal length is the initial value; it is kept where the clip does not determine it.
     pub focal: bool,
 }
 
-/// Cameras that a network tells. They are where the search begins, beside what the video alone tells.
+/// Cameras that a network estimated. They are a second starting point beside the cameras found from the video
+/// alone.
 #[derive(Clone, Debug, Serialize)]
 pub struct Guess {
     /// `view_from_world` per frame, in any unit.
     pub poses: Vec<Pose>,
     /// Focal length in pixels of the frames.
     pub focal: f64,
-    /// Its relative standard deviation.
+    /// Relative standard deviation of the focal length.
     pub focal_deviation: f64,
-    /// What they are called in notes.
+    /// The name of their source in notes.
     pub from: String,
 }
 
-/// What is known beforehand, and how hard to try.
+/// Prior knowledge about a clip, and settings of tracking.
 #[derive(Clone, Debug, Serialize)]
 pub struct Options {
-    /// The camera's inner geometry, where it is known; wins over `focal`.
+    /// The camera's intrinsics, if known; they take precedence over `focal`.
     pub intrinsics: Option<Intrinsics>,
-    /// Focal length in pixels of the frames, where it is known.
+    /// Focal length in pixels of the frames, if known.
     pub focal: Option<f64>,
-    /// `view_from_world` per frame, where it is known, in any unit: kept but for that, see
-    /// [`Track::unit`](super::Track::unit), unless it is to be refined.
+    /// `view_from_world` per frame, in any unit, if known. Poses are kept except for their unit, see
+    /// [`Track::unit`](super::Track::unit), unless they are to be refined.
     pub poses: Option<Vec<Pose>>,
-    /// Which of these are adjusted.
+    /// Which of these are refined.
     pub refined: Refined,
-    /// Where cameras may begin that are adjusted to what the clip shows. They are kept if they then explain more of
-    /// it than those from the video alone; `poses` win over them, and so does a `focal` that is given.
+    /// An initial guess of the cameras, which is adjusted to the clip. The result is kept if it then explains
+    /// more of the observations than the cameras found from the video alone. `poses` take precedence over the
+    /// guessed poses, and a given `focal` over the guessed focal length.
     pub guess: Option<Guess>,
-    /// Motion masks, one channel, 1 where something moves, where they are known: kept, but for frames
-    /// whose mask is contradicted by those of the frames around and by what moves, which are noted.
+    /// Motion masks, one channel, 1 where something moves, if known. They are kept, except in frames whose
+    /// mask contradicts the masks of neighbouring frames and the measured motion; those frames are listed in
+    /// a note.
     pub masks: Option<Vec<Image>>,
-    /// Depth (z), one channel, up to one scale for the whole clip, 0 or not finite where unknown,
-    /// where it is known: kept but for that scale.
+    /// Depth maps (z), one channel, if known, up to one scale for the whole clip; 0 or not finite where
+    /// unknown. They are kept except for that scale.
     pub depth: Option<Vec<Image>>,
-    /// Depth that a network has estimated, where there is some: it fills in what the clip does not show, and tells
-    /// the movers' shapes and distances, once each frame is brought to the scale of what was
-    /// triangulated. Does not go with `depth`.
+    /// Depth that a network has estimated, if any. Each frame is first scaled to the triangulated depth. The
+    /// estimate then fills in what the clip does not determine, and gives the movers' shapes and distances.
+    /// It cannot be combined with `depth`.
     pub estimated_depth: Option<EstimatedDepth>,
-    /// Points that are followed already, places at the size of the frames, where there are any: they are
-    /// taken in besides the program's own.
+    /// Supplied point tracks, if any, with positions in pixels at the size of the frames. They are used in
+    /// addition to the program's own tracks.
     pub tracks: Option<Tracks>,
-    /// How many times masks and poses are alternated; at least 1.
+    /// The number of rounds in which masks and poses are alternated; at least 1.
     pub rounds: usize,
-    /// Which of the rigid motions that the clip shows is the static world's, as
-    /// [`Quality::motions`](super::Quality::motions) counts them; found if not given. Does not go with
-    /// poses or masks, which say it already.
+    /// The index into [`Quality::motions`](super::Quality::motions) of the static world's rigid motion;
+    /// chosen automatically if not given. It cannot be combined with poses or masks, which determine the
+    /// static world already.
     pub static_motion: Option<usize>,
-    /// Whether each track's point is found again in the pictures; else it keeps the places that chained
-    /// flow gives, which drift.
+    /// Whether each track's point is located again in the images. Otherwise tracks keep the positions from
+    /// chained flow, which drift.
     pub refine_tracks: bool,
-    /// Whether the lens's distortion is looked for and taken off; else the frames are a pinhole's.
+    /// Whether the lens distortion is estimated and removed. Otherwise the frames are taken as those of a
+    /// pinhole.
     pub lens: bool,
-    /// Whether the exposure of each frame is measured, and frames that differ are made equal before
-    /// their colours are compared.
+    /// Whether the exposure of each frame is measured. Frames that differ are then brought to one exposure
+    /// before their colours are compared.
     pub exposure: bool,
-    /// Whether static depth is measured in the pictures of the whole clip by multi-view stereo; else it is
-    /// that of the flow between neighbouring frames alone.
+    /// Whether static depth is measured by multi-view stereo over the whole clip. Otherwise it comes only
+    /// from the flow between neighbouring frames.
     pub stereo: bool,
-    /// Whether movers are lifted as objects, each with a shape, a path and a distance; else each has one
-    /// depth per region of the mask and frame.
+    /// Whether movers are lifted as objects, each with a shape, a path and a distance. Otherwise each mask
+    /// region of a frame has one depth.
     pub lift: bool,
-    /// Most static points to return.
+    /// The maximum number of static points to return.
     pub max_points: usize,
-    /// The same seed gives the same result.
+    /// Seed of the random numbers; the same seed gives the same result.
     pub seed: u64,
 }
 
@@ -109,15 +113,15 @@ impl Default for Options {
 }
 
 impl Options {
-    /// At most so many rigid motions of a clip are told apart.
+    /// The maximum number of rigid motions that are distinguished in a clip.
     pub const MOST_MOTIONS: usize = 5;
 
-    /// Whether depth of the clip is known beforehand, be it from a network.
+    /// Whether depth of the clip is given, either supplied or estimated by a network.
     pub(super) fn has_depth(&self) -> bool {
         self.depth.is_some() || self.estimated_depth.is_some()
     }
 
-    /// That frames can be tracked, and that what is supplied fits them.
+    /// Checks that the frames can be tracked and that the supplied data fit them.
     pub(super) fn check(&self, frames: &[Image]) -> Result<()> {
         let n = frames.len();
         let least = Clip::LEAST;

@@ -1,27 +1,27 @@
-//! How far a mover is, from where it goes.
+//! The distance of a mover, from the smoothness of its path.
 //!
-//! One camera sees a mover's path up to one scale: with y(t) the path relative to the camera in a
-//! unit of its own, and c(t) the camera's centre in the world, the mover is at c(t) + y(t) / κ. What
-//! moves by itself moves smoothly, and a camera in a hand does not: κ is what makes y + κ c smoothest
-//! (trajectory triangulation, Park et al., ECCV 2010). The equations are linear in κ, so its standard
-//! deviation comes along; where the camera's own path is as smooth as the mover's, it is large.
+//! One camera observes a mover's path up to one scale: with y(t) the path relative to the camera in an
+//! arbitrary unit, and c(t) the camera's centre in the world, the mover is at c(t) + y(t) / κ. A mover moves
+//! smoothly by itself and a hand-held camera does not, so κ is the value that makes y + κ c smoothest
+//! (trajectory triangulation, Park et al., ECCV 2010). The equations are linear in κ and also give its
+//! standard deviation; that is large if the camera's own path is as smooth as the mover's.
 //!
-//! What is smooth depends on the mover. What travels has little jerk: then gravity costs nothing. What
-//! stays about a place, a person who stands and gestures say, has little velocity, which ties it to its
-//! place where a jerk would let it drift along with the camera. Where it is known which way is up, what flies, rolls
-//! or drives has little acceleration but for one that is constant and points down: that says more than
-//! little jerk does, for nothing that curves to the side is taken for the mover's own path. The
-//! evidence of the path (its marginal likelihood under a Gaussian model of the velocities, accelerations
-//! or jerks) decides between them.
+//! The measure of smoothness depends on the mover. A travelling object has small jerk; gravity then has no
+//! cost. An object that stays in one place, such as a person who stands and gestures, has small velocity. A
+//! penalty on velocity ties it to that place; under a penalty on jerk it could drift along with the camera.
+//! If the vertical direction is known, an object that flies, rolls or drives has small acceleration except
+//! for a constant downward one. This is a stronger constraint than small jerk, because no sideways curve is
+//! attributed to the mover's own path. The evidence of the path (its marginal likelihood under a Gaussian
+//! model of the velocities, accelerations or jerks) selects the model.
 
 use glam::{DMat3, DVec3};
 use nalgebra::{Cholesky, DMatrix, DVector};
 use std::ops::Range;
 
-/// One frame of a path.
+/// A mover in one frame of its path.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Place {
-    /// The mover relative to the camera, in the world's axes and a unit of its own.
+    /// Position of the mover relative to the camera, along the world's axes, in an arbitrary unit.
     pub relative: DVec3,
     /// The camera's centre in the world.
     pub centre: DVec3,
@@ -29,56 +29,57 @@ pub(super) struct Place {
     pub across: f64,
     /// Standard deviation along the line of sight, in the unit of `relative`.
     pub along: f64,
-    /// What travels smoothly is the mover's centre of mass, which is this far off, in the unit of
-    /// `relative` along each of the mover's own axes: one standard deviation, times the rotation from
-    /// there to the world. Zero where the mover's turning is not known.
+    /// The mover's centre of mass moves smoothly, and it is offset from the observed middle. These columns
+    /// are one standard deviation of that offset along each of the mover's own axes, in the unit of
+    /// `relative`, rotated to the world. Zero if the mover's rotation is unknown.
     pub off_centre: DMat3,
 }
 
-/// The unit of a path's `relative`, in the world's.
+/// The unit of a path's `relative`, in world units.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Unit {
     /// One over the unit: κ.
     pub inverse: f64,
-    /// Its standard deviation.
+    /// Standard deviation of `inverse`.
     pub deviation: f64,
 }
 
-/// A path as it is smoothest.
+/// The smoothest path.
 #[derive(Clone, Debug)]
 pub(super) struct Smoothest {
-    /// The unit in which it is.
+    /// The unit of `relative` that makes the path smoothest.
     pub unit: Unit,
-    /// By place, the logarithm of the smooth path's distance over that which was seen; none where the path may
-    /// follow whatever moves it.
+    /// Per place, the logarithm of the ratio of the smooth path's distance to the observed distance. `None`
+    /// unless the model with a fall was chosen.
     pub farther: Option<Vec<f64>>,
 }
 
-/// Frames that a path is thinned to: the work grows with their cube.
+/// Maximum number of frames that a path is subsampled to; the cost grows with the cube of this number.
 const MOST: usize = 60;
-/// Degrees of freedom of the differences' distribution: things do bounce.
+/// Degrees of freedom of Student's distribution of the differences; heavy tails admit bounces.
 const TAIL: f64 = 3.0;
-/// Rounds of weights for that distribution.
+/// Number of reweighting rounds for that distribution.
 const ROUNDS: usize = 4;
 
-/// Orders of the differences of a path that are small: velocities, accelerations, jerks.
+/// Orders of the differences of a path that are penalised: velocities, accelerations, jerks.
 const VELOCITY: usize = 1;
 const ACCELERATION: usize = 2;
 const JERK: usize = 3;
 
-/// Before anything is known, a fall in half of the path's time is about so many times as long as the mover is
-/// far away: one standard deviation.
+/// Prior standard deviation of the length of a fall during half of the path's duration, as a multiple of the
+/// mover's distance.
 const FALL: f64 = 2.0;
 
-/// Half powers of ten of the information of differences, in units of what observation noise alone
-/// would make: of any path, and of one whose jerks tell the unit. The jerks are not far above the noise;
-/// where they were free to be, a soft path would follow the camera's shake.
+/// Ranges of the information of the differences, as exponents of √10 relative to the information that
+/// observation noise alone would give: for any path (`ANY`), and for a path whose jerks determine the unit
+/// (`STIFF`). In the second case the jerks must not exceed the noise by much; otherwise a flexible path would
+/// follow the camera's shake.
 const ANY: Range<i32> = -16..10;
 const STIFF: Range<i32> = -2..10;
 
-/// A path in the unit in which it is smoothest. The places are in order, at equal distances in time; `up` is the
-/// direction in the world that things fall from, where it is known. `None` for fewer than eight places, or
-/// where nothing decides.
+/// Finds the unit in which a path is smoothest. The places are in order, at equal time steps. `up` is the
+/// upward direction in the world, if known. Returns `None` for fewer than eight places, or if the data do not
+/// determine the unit.
 pub(super) fn smoothest(all: &[Place], up: Option<DVec3>) -> Option<Smoothest> {
     let step = all.len().div_ceil(MOST).max(1);
     let places: Vec<Place> = all.iter().copied().step_by(step).collect();
@@ -90,7 +91,8 @@ pub(super) fn smoothest(all: &[Place], up: Option<DVec3>) -> Option<Smoothest> {
         [VELOCITY, ACCELERATION, JERK].map(|order| path.robust(order, ANY, None));
     let flies = up.and_then(|up| path.robust(ACCELERATION, ANY, Some(&path.fall(up))));
     let cost = |fit: &Option<Fit>| fit.as_ref().map_or(f64::INFINITY, |fit| fit.evidence);
-    // Accelerations compete but never give the unit by themselves: those of a thrown thing are gravity's.
+    // The model of accelerations without a fall is compared but never gives the unit: the acceleration of a
+    // thrown object is due to gravity.
     let moves = cost(&steady).min(cost(&travels));
     let chosen = if cost(&stays) < moves.min(cost(&flies)) {
         stays
@@ -118,15 +120,15 @@ pub(super) fn smoothest(all: &[Place], up: Option<DVec3>) -> Option<Smoothest> {
 /// The equations of a path.
 struct Path {
     frames: usize,
-    /// Information of the observations, three rows a frame.
+    /// Information matrix of the observations, three rows per frame.
     weights: DMatrix<f64>,
-    /// The mover relative to the camera.
+    /// Positions of the mover relative to the camera.
     relative: DVector<f64>,
-    /// The camera about the middle of its path.
+    /// Positions of the camera relative to the mean of its path.
     camera: DVector<f64>,
-    /// The information of differences that observation noise alone would make.
+    /// The information that the differences would have from observation noise alone.
     noise: f64,
-    /// The usual distance from the camera.
+    /// The median distance from the camera.
     distance: f64,
 }
 
@@ -135,9 +137,9 @@ struct Fit {
     unit: Unit,
     /// Minus twice the logarithm of the marginal likelihood, up to a constant that all models share.
     evidence: f64,
-    /// But for the fall.
+    /// The path without the fall.
     path: DVector<f64>,
-    /// The path relative to the camera, where a fall is part of it.
+    /// The path relative to the camera; set if the model has a fall.
     seen: Option<Vec<DVec3>>,
 }
 
@@ -180,20 +182,21 @@ impl Path {
         }
     }
 
-    /// The path of what falls from rest in the middle of the path's time, by one unit of acceleration.
+    /// The path of an object under unit downward acceleration that is at rest at the middle of the path's
+    /// duration.
     fn fall(&self, up: DVec3) -> DVector<f64> {
         let middle = 0.5 * (self.frames - 1) as f64;
         let fallen = |t: usize| -0.5 * (t as f64 - middle).powi(2);
         DVector::from_fn(3 * self.frames, |i, _| up[i % 3] * fallen(i / 3))
     }
 
-    /// Differences of an order that are all alike.
+    /// Equal scales for all differences of an order.
     fn even(&self, order: usize) -> Vec<f64> {
         vec![1.0; self.frames - order]
     }
 
-    /// The fit under which the differences of an order, but for those of a `fall`, have heavy tails: what
-    /// bounces travels all the same.
+    /// Fits a path whose differences of an order, after subtraction of a `fall`, have heavy tails, so that a
+    /// bouncing object still counts as travelling.
     fn robust(
         &self,
         order: usize,
@@ -205,7 +208,7 @@ impl Path {
         let mut best = None;
         for _ in 0..ROUNDS {
             let mut fit = self.fit(order, &scales, stiffnesses.clone(), fall)?;
-            // Student's distribution as a mixture: each difference's own scale, and what it costs.
+            // Student's distribution as a scale mixture: each difference has its own scale, with its cost.
             let mixture = scales.iter().map(|s| (TAIL - 2.0) * -s.ln() + TAIL * (s - 1.0));
             fit.evidence += mixture.sum::<f64>();
             let squared: Vec<f64> = (0..self.frames - order)
@@ -224,9 +227,9 @@ impl Path {
         best
     }
 
-    /// The most likely unit, differences of an order being Gaussian with a variance that the path
-    /// itself tells, each divided by its own of `scales`. Those of a multiple of `fall`, as large as fits best, cost
-    /// nothing.
+    /// Finds the most likely unit if the differences of an order are Gaussian. Their variance is estimated
+    /// from the path and divided by each difference's entry of `scales`. The best-fitting multiple of `fall`
+    /// has no smoothness cost.
     fn fit(
         &self,
         order: usize,
@@ -246,13 +249,14 @@ impl Path {
                 }
             }
         }
-        // What the differences leave free, a place, a velocity, an acceleration on each axis, is spread
-        // about as widely as the mover is far away.
+        // The degrees of freedom that the differences do not constrain (a position, a velocity and an
+        // acceleration on each axis, depending on the order) have a prior about as wide as the mover's
+        // distance.
         let width = self.distance * (self.frames as f64).sqrt();
         let free_of_differences = 6.0 * order as f64 * width.ln();
         let differences = 3.0 * log_determinant_of_differences(self.frames, order)
             + 3.0 * scales.iter().map(|scale| scale.ln()).sum::<f64>();
-        // κ, the fall and the variance are free as well as what the differences leave free.
+        // κ, the fall and the variance are free parameters, in addition to what the differences leave free.
         let rank = (n - 3 * order) as f64;
         let free = rank - 1.0 - f64::from(u8::from(fall.is_some()));
         let widest_fall = FALL * self.distance / (0.5 * self.frames as f64).powi(2);
@@ -269,7 +273,7 @@ impl Path {
             };
             let ((mut sy, mut xy), (mut sc, mut xc)) =
                 (explained(&self.relative), explained(&self.camera));
-            // How far the fall is known. What it explains of both is taken out of them.
+            // The information about the fall. What the fall explains is projected out of both vectors.
             let fallen = fall.map(|fall| {
                 let (sf, xf) = explained(fall);
                 let information = fall.dot(&sf);
@@ -311,13 +315,13 @@ impl Path {
 }
 
 impl Fit {
-    /// A difference of the path along an axis, by its factors.
+    /// A difference of the path along an axis, with the given coefficients.
     fn difference(&self, row: &[f64], t: usize, axis: usize) -> f64 {
         row.iter().enumerate().map(|(a, p)| p * self.path[3 * (t + a) + axis]).sum()
     }
 }
 
-/// The factors of a difference of an order: −1, 1; 1, −2, 1; −1, 3, −3, 1.
+/// The coefficients of the difference of an order: −1, 1; 1, −2, 1; −1, 3, −3, 1.
 fn binomials(order: usize) -> Vec<f64> {
     let mut row = vec![1.0];
     for _ in 0..order {
@@ -327,14 +331,15 @@ fn binomials(order: usize) -> Vec<f64> {
     row
 }
 
-/// Logarithm of the determinant of D Dᵀ, with D x the differences of an order of so many numbers.
+/// Logarithm of the determinant of D Dᵀ, where D x are the differences of an order of a vector x with
+/// `numbers` entries.
 fn log_determinant_of_differences(numbers: usize, order: usize) -> f64 {
     let row = binomials(order);
     let differences = DMatrix::from_fn(numbers - order, numbers, |t, k| {
         k.checked_sub(t).and_then(|a| row.get(a)).copied().unwrap_or(0.0)
     });
     let squared = &differences * differences.transpose();
-    // Of full rank: each difference has a number that no earlier one has.
+    // D has full rank: each difference involves an entry that no earlier one does.
     Cholesky::new(squared).map_or(0.0, |factor| factor.ln_determinant())
 }
 
@@ -348,7 +353,7 @@ mod tests {
         smoothest(places, up).map(|found| found.unit)
     }
 
-    /// A ball in flight, seen from a hand.
+    /// A ball in flight, seen by a hand-held camera.
     fn places(shake: f64, noise: f64) -> Vec<Place> {
         (0..30)
             .map(|t| {
@@ -378,7 +383,7 @@ mod tests {
 
     #[test]
     fn a_ball_that_spins_about_another_point_than_its_middle_travels_smoothly() {
-        // The middle of what is seen of it is 6 % of its distance off the centre of mass.
+        // The observed middle is 6 % of the ball's distance away from its centre of mass.
         let truth = 0.5;
         let spun = |known: f64| -> Vec<Place> {
             let turned = |(t, place): (usize, Place)| {
@@ -427,7 +432,7 @@ mod tests {
         assert!(off(found) < 0.05, "{found:?} {by_jerk:?}");
         let deviation = by_jerk.map_or(f64::INFINITY, |unit| unit.deviation);
         assert!(2.0 * found.unwrap().deviation < deviation, "{found:?} {by_jerk:?}");
-        // It falls by 0.008 a frame and frame, in a unit of two.
+        // It accelerates downwards by 0.008 per frame², in a unit of two.
         let path = Path::new(&places);
         let down = path.robust(ACCELERATION, ANY, Some(&path.fall(DVec3::NEG_Y))).unwrap();
         let aside = path.robust(ACCELERATION, ANY, Some(&path.fall(DVec3::X))).unwrap();
@@ -438,18 +443,18 @@ mod tests {
     fn differences_are_of_their_order() {
         assert_eq!(binomials(1), [-1.0, 1.0]);
         assert_eq!(binomials(3), [-1.0, 3.0, -3.0, 1.0]);
-        // Of five numbers there are four velocities; D Dᵀ is tridiagonal 2, −1, its determinant 5.
+        // Five numbers have four first differences; D Dᵀ is tridiagonal with 2 and −1, its determinant is 5.
         assert!((log_determinant_of_differences(5, 1) - 5f64.ln()).abs() < 1e-12);
     }
 
-    /// Somebody who stands and gestures, seen from a camera that goes there, steps up and goes back.
+    /// A person who stands and gestures, seen from a camera that moves sideways, steps up and returns.
     fn standing() -> Vec<Place> {
         (0..12)
             .map(|t| {
                 let (k, t) = (t as f64, t as usize);
                 let aside = if t < 6 { 0.05 * k } else { 0.05 * (10.5 - k) };
                 let centre = DVec3::new(aside, if t < 6 { 0.0 } else { 0.05 }, 0.01 * k);
-                // To and fro about a place, by a tenth of the camera's step.
+                // The gesture oscillates about one place, by a tenth of the camera's step.
                 let gesture = [0.0, 0.8, -0.4, 0.3, 1.0, -0.7, -0.2, 0.6, -1.0, 0.1, -0.5, 0.4][t];
                 let at = DVec3::new(0.1 + 0.005 * gesture, 0.01 * gesture * gesture, 0.85);
                 let relative = (at - centre) * 2.0;
@@ -484,7 +489,7 @@ mod tests {
 
     #[test]
     fn what_travels_is_held_by_its_jerks() {
-        // As before, for its velocities would tie the ball to the camera.
+        // Jerks are used because a penalty on velocities would tie the ball to the camera.
         let places = places(0.02, 0.0005);
         let path = Path::new(&places);
         let (chosen, by_velocity) =

@@ -17,7 +17,7 @@
 //! | `flank` | what of movers these show where no frame does |
 //! | `mesh` | frames as meshes over their pixels, drawn before other cameras |
 //! | `beyond` | what lies beyond the edges of what a frame shows: a guess |
-//! | [`photographs`] | the pictures on the device, and the renderer for each of their sizes |
+//! | [`frame_pool`] | the pictures on the device, and the renderer for each of their sizes |
 //! | [`optimiser`] | Adam over the Gaussians' parameter groups |
 //! | [`own_loss`] | a step with the caller's own loss |
 //! | [`growth`] | density control: MCMC, or clone, split and prune |
@@ -57,7 +57,7 @@ mod movers;
 pub mod observer;
 pub mod optimiser;
 pub mod own_loss;
-pub mod photographs;
+pub mod frame_pool;
 #[cfg(feature = "reconstruct")]
 pub mod posed;
 #[cfg(feature = "reconstruct")]

@@ -34,7 +34,7 @@
 //! ```
 
 use super::motion::MotionStart;
-use super::photographs::Room;
+use super::frame_pool::Capacity;
 use super::settings::TrainSettings;
 use super::trainer::Trainer;
 use crate::gpu::{Buffer, Device, Readback, Recorder, View};
@@ -90,8 +90,8 @@ impl Trainer {
                 format!("a scene of extent {extent:?}: it must be positive, at most {most:e}");
             return Err(Error::Input(what));
         }
-        let room = Room::of(&settings, gaussians.len());
-        Trainer::build(device, &[], gaussians, motion, settings, (extent, extent), room)
+        let capacity = Capacity::of(&settings, gaussians.len());
+        Trainer::build(device, &[], gaussians, motion, settings, (extent, extent), capacity)
     }
 
     /// Records the picture that `camera` sees at `time`. The dispatches are those of
@@ -107,7 +107,7 @@ impl Trainer {
         camera.check().and_then(|()| range::moment(time)).map_err(Error::Input)?;
         self.finish()?;
         let size = (camera.intrinsics.width, camera.intrinsics.height);
-        let studio = self.studios.for_size(&self.device, size)?;
+        let resources = self.frame_pool.for_size(&self.device, size)?;
         let (step, steps) = (self.step, self.settings.steps);
         let canonical = self.gaussians.views().at_degree(self.settings.sh_degree_at(step));
         let scene = match &mut self.motion {
@@ -118,13 +118,13 @@ impl Trainer {
             }
             None => canonical,
         };
-        let (scratch, pixels) = (&mut studio.scratch, &mut studio.pixels);
-        studio.render.forward(recorder, camera, scene, scratch, pixels)?;
+        let (scratch, pixels) = (&mut resources.scratch, &mut resources.pixels);
+        resources.render.forward(recorder, camera, scene, scratch, pixels)?;
         let counts = match self.idle.pop() {
             Some(readback) => readback,
             None => self.device.readback(2)?,
         };
-        recorder.read_back(studio.scratch.device_counts(), &counts);
+        recorder.read_back(resources.scratch.device_counts(), &counts);
         self.own = Some(OwnStep { size, counts, stage: Stage::Forward });
         Ok(())
     }
@@ -135,7 +135,7 @@ impl Trainer {
     /// [`Error::Input`] outside of a step.
     pub fn pixels(&mut self) -> Result<&PixelBuffers> {
         let size = self.under_way("pixels", &[Stage::Forward, Stage::Backward, Stage::Update])?;
-        Ok(&self.studios.for_size(&self.device, size)?.pixels)
+        Ok(&self.frame_pool.for_size(&self.device, size)?.pixels)
     }
 
     /// Records the gradients by every parameter and by the camera's pose, given those by the picture.
@@ -147,23 +147,23 @@ impl Trainer {
     /// gradients that are too short; else as for [`Recorder::dispatch`].
     pub fn backward(&mut self, recorder: &mut Recorder, by: OwnGradients<'_>) -> Result<()> {
         let size = self.under_way("backward", &[Stage::Forward])?;
-        let studio = self.studios.for_size(&self.device, size)?;
+        let resources = self.frame_pool.for_size(&self.device, size)?;
         let canonical = self.gaussians.views().at_degree(self.settings.sh_degree_at(self.step));
         let scene = match &self.motion {
             Some(motion) => motion.motion.moved(canonical),
             None => canonical,
         };
         if by.depth.is_none() {
-            recorder.fill(studio.pixel_gradients.depth.view_mut(), 0);
+            recorder.fill(resources.pixel_gradients.depth.view_mut(), 0);
         }
-        let depth = by.depth.unwrap_or(studio.pixel_gradients.depth.view());
-        studio.render.backward_from(
+        let depth = by.depth.unwrap_or(resources.pixel_gradients.depth.view());
+        resources.render.backward_from(
             recorder,
             scene,
-            &studio.scratch,
-            &studio.pixels,
+            &resources.scratch,
+            &resources.pixels,
             PixelGradientViews { rgba: by.rgba, depth },
-            &mut studio.backward,
+            &mut resources.backward,
             &mut self.gradients,
             true,
         )?;
@@ -184,7 +184,7 @@ impl Trainer {
     /// [`Error::Input`] outside of a step.
     pub fn pose_gradient(&mut self) -> Result<&Buffer<f32>> {
         let size = self.under_way("pose gradient", &[Stage::Backward, Stage::Update])?;
-        Ok(self.studios.for_size(&self.device, size)?.backward.pose())
+        Ok(self.frame_pool.for_size(&self.device, size)?.backward.pose())
     }
 
     /// Those by the network's parameters and by the logarithms of the control points' radii, where
@@ -227,9 +227,9 @@ impl Trainer {
         let OwnStep { size, counts, stage } = own;
         self.idle.push(counts);
         let counts = FrameCounts::from_device(words);
-        let studio = self.studios.for_size(&self.device, size)?;
-        if counts.intersections > studio.render.intersection_capacity() {
-            self.studios.grow(&self.device, size, counts.intersections)?;
+        let resources = self.frame_pool.for_size(&self.device, size)?;
+        if counts.intersections > resources.render.intersection_capacity() {
+            self.frame_pool.grow(&self.device, size, counts.intersections)?;
             return Ok(false);
         }
         if stage == Stage::Update {

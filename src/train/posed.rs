@@ -15,7 +15,7 @@ use super::settings::{
     ControlSettings, GrowthSettings, McmcSettings, MotionSettings, Rates, TrainSettings,
 };
 use super::trainer::Trainer;
-use super::views::{TrainingView, reach};
+use super::views::{TrainingView, scene_radius};
 use crate::Result;
 use crate::gpu::Device;
 use crate::scene::Scene;
@@ -96,12 +96,12 @@ pub fn fit_posed(
 /// The unit in which [`fit_posed`] works: the power of two in which the scene reaches about as far as that
 /// of a camera on a sphere of radius 4 about it, for which rates and frequencies were chosen.
 pub fn posed_unit(views: &[TrainingView], seeds: &Gaussians) -> f64 {
-    let octaves = (reach(views, seeds) / USUAL_REACH).log2().round();
+    let octaves = (scene_radius(views, seeds) / USUAL_SCENE_RADIUS).log2().round();
     if octaves.abs() <= MOST_OCTAVES { octaves.exp2() } else { 1.0 }
 }
 
 /// How far the scene reaches in the unit of training.
-const USUAL_REACH: f64 = 4.0;
+const USUAL_SCENE_RADIUS: f64 = 4.0;
 /// Units are 2 to the power of no more than this, or one over that: what lies beyond has a number out of
 /// its range.
 const MOST_OCTAVES: f64 = 40.0;

@@ -7,7 +7,7 @@
 //! memory for it.
 
 use super::motion::MotionStart;
-use super::photographs::{DeviceView, Room};
+use super::frame_pool::{DeviceView, Capacity};
 use super::settings::TrainSettings;
 use super::trainer::Trainer;
 use super::views::TrainingView;
@@ -92,7 +92,7 @@ impl TrainingScale {
 
     /// Whether its pictures need more room for (splat, tile) pairs than there is at first.
     pub fn is_dense(&self) -> bool {
-        !Room::of(&self.settings, self.gaussians).holds(self.intersections)
+        !Capacity::of(&self.settings, self.gaussians).holds(self.intersections)
     }
 
     /// What it takes of a device's memory at most.
@@ -101,8 +101,8 @@ impl TrainingScale {
     /// [`Error::RangeLimit`](crate::Error::RangeLimit) for a buffer larger than one binding of the
     /// device may be; [`Error::Input`](crate::Error::Input) as for [`Trainer::new`].
     pub fn footprint(&self, device: &Device) -> Result<Footprint> {
-        let first_room = Room::of(&self.settings, self.gaussians);
-        let room = first_room.after(self.intersections);
+        let first_capacity = Capacity::of(&self.settings, self.gaussians);
+        let capacity = first_capacity.after(self.intersections);
         let first = Gaussians::one(self.settings.sh_degree);
         let start = self.motion.map(|scale| {
             let (points, network) = scale.sketch();
@@ -116,15 +116,15 @@ impl TrainingScale {
                 start.as_ref(),
                 self.settings.clone(),
                 (1.0, 1.0),
-                room,
+                capacity,
             )?;
             for (kind, &count) in &self.pictures {
                 let view =
                     rehearsal.repeat(count, |device| DeviceView::new(device, &kind.blank()))?;
                 trainer.views.push(view);
             }
-            trainer.rehearse(room.gaussians, start.as_ref())?;
-            trainer.studios.rehearse_growth(rehearsal.device(), first_room)
+            trainer.rehearse(capacity.gaussians, start.as_ref())?;
+            trainer.frame_pool.rehearse_growth(rehearsal.device(), first_capacity)
         })
     }
 

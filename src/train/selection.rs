@@ -6,7 +6,7 @@
 //! is kept from moving by L_rigid. Then the choice is made, each moves fully or not at all, as
 //! rendering has it, and the rest of the training is spent on what was chosen.
 
-use super::photographs::Studio;
+use super::frame_pool::FrameResources;
 use super::settings::{SelectionSettings, exponential};
 use crate::Result;
 use crate::gpu::{Buffer, Recorder, Stream, View, ViewMut};
@@ -184,7 +184,7 @@ impl Selection {
     pub(super) fn train(
         &mut self,
         recorder: &mut Recorder,
-        studio: &mut Studio,
+        resources: &mut FrameResources,
         mask: Option<&Buffer<f32>>,
         count: usize,
         step: u32,
@@ -203,7 +203,7 @@ impl Selection {
             let weight = exponential(settings.mask_weight, settings.mask_weight_last, step, last);
             // What comes in few steps counts for all.
             let weight = weight * f64::from(settings.mask_every.max(1));
-            let Studio { render, scratch, backward, pixels, pixel_gradients, .. } = studio;
+            let FrameResources { render, scratch, backward, pixels, pixel_gradients, .. } = resources;
             mask::paint(recorder, logits.range(0..count), training.colours.view_mut())?;
             let colours = training.colours.view();
             render.blend(recorder, colours, scratch, pixels)?;
@@ -239,7 +239,7 @@ impl Selection {
                 first: training.first.range_mut(0..count),
                 second: training.second.range_mut(0..count),
                 // One row holds everything: a frame that did not fit changes nothing.
-                visible: Some((count, studio.scratch.fits())),
+                visible: Some((count, resources.scratch.fits())),
             },
         )
     }

@@ -29,7 +29,7 @@ use super::settings::{
 };
 use super::surface::{lay, normal};
 use super::trainer::Trainer;
-use super::views::{TrainingView, reach};
+use super::views::{TrainingView, scene_radius};
 use super::windows::{Window, windows};
 use crate::data::Point;
 use crate::gpu::Device;
@@ -326,11 +326,11 @@ fn fit_moving(
         earlier => {
             let mut gaussians = static_world(device, sequence, seeds, settings, earlier, observer)?;
             let views = all();
-            let reach = reach(&views, &gaussians);
+            let scene_radius = scene_radius(&views, &gaussians);
             append(&mut gaussians, &seed_movers(sequence, &windows, &flanks, settings));
             let points = control_points(sequence, &windows, settings)?;
             let start = MotionStart { points, network: None, neighbours: settings.neighbours };
-            Trainer::with_reach(device, &views, &gaussians, Some(&start), train, reach)?
+            Trainer::with_scene_radius(device, &views, &gaussians, Some(&start), train, scene_radius)?
         }
     };
     run(&mut trainer, Phase::Joint, observer, Checkpoint::Joint)?;

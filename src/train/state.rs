@@ -5,7 +5,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 use super::motion::{Following, MotionMoments, MotionStart};
-use super::photographs::Room;
+use super::frame_pool::Capacity;
 use super::rounds::ControlChanges;
 use super::selection::SelectionState;
 use super::settings::TrainSettings;
@@ -31,11 +31,11 @@ pub struct TrainerState {
     statistics: Option<Vec<f32>>,
     control_changes: ControlChanges,
     broken_gradients: u64,
-    reach: f64,
+    scene_radius: f64,
     rng: ChaCha8Rng,
     round: Vec<usize>,
     /// Room for intersections by size of picture: how often a step has to be done again depends on it.
-    rooms: Vec<((u32, u32), usize)>,
+    capacities: Vec<((u32, u32), usize)>,
     /// Steps whose counts have not been looked at: picture and counts.
     pending: Vec<(usize, [u32; 2])>,
 }
@@ -84,10 +84,10 @@ impl Trainer {
             },
             control_changes: self.control_changes,
             broken_gradients: self.broken_gradients()?,
-            reach: self.reach,
+            scene_radius: self.scene_radius,
             rng: self.rng.clone(),
             round: self.round.clone(),
-            rooms: self.studios.rooms(),
+            capacities: self.frame_pool.capacities(),
             pending,
         })
     }
@@ -103,19 +103,19 @@ impl Trainer {
         state: TrainerState,
         settings: TrainSettings,
     ) -> Result<Trainer> {
-        let TrainerState { step, gaussians, moments, trainable, rng, round, rooms, .. } = state;
+        let TrainerState { step, gaussians, moments, trainable, rng, round, capacities, .. } = state;
         let mut pictures = round.iter().chain(state.pending.iter().map(|(view, _)| view));
         if pictures.any(|&view| view >= views.len()) {
             return Err(Error::Input("the state to resume from is of other pictures".into()));
         }
         let start = state.motion.as_ref().map(|(start, ..)| start);
-        let reach = state.reach;
+        let scene_radius = state.scene_radius;
         let mut trainer = match views.is_empty() {
             true => {
-                let room = Room::of(&settings, gaussians.len());
-                Trainer::build(device, &[], &gaussians, start, settings, (reach, reach), room)?
+                let capacity = Capacity::of(&settings, gaussians.len());
+                Trainer::build(device, &[], &gaussians, start, settings, (scene_radius, scene_radius), capacity)?
             }
-            false => Trainer::with_reach(device, views, &gaussians, start, settings, reach)?,
+            false => Trainer::with_scene_radius(device, views, &gaussians, start, settings, scene_radius)?,
         };
         trainer.optimiser.set_moments(&mut trainer.stream, &moments)?;
         let words: Vec<u32> = trainable.into_iter().map(u32::from).collect();
@@ -133,8 +133,8 @@ impl Trainer {
         }
         trainer.control_changes = state.control_changes;
         trainer.broken_before = state.broken_gradients;
-        for (size, room) in rooms {
-            trainer.studios.reserve(device, size, room)?;
+        for (size, capacity) in capacities {
+            trainer.frame_pool.reserve(device, size, capacity)?;
         }
         (trainer.step, trainer.rng, trainer.round) = (step, rng, round);
         trainer.set_settled(state.pending);

@@ -4,11 +4,11 @@ use super::growth::{Growth, Statistics};
 use super::motion::{MotionNow, MotionStart, MotionTrainer};
 use super::optimiser::GaussianOptimiser;
 use super::own_loss::OwnStep;
-use super::photographs::{DeviceView, Room, Studios};
+use super::frame_pool::{DeviceView, Capacity, FramePool};
 use super::rounds::ControlChanges;
 use super::selection::Selection;
 use super::settings::TrainSettings;
-use super::views::{TrainingView, due, extent, reach};
+use super::views::{TrainingView, due, extent, scene_radius};
 use crate::gpu::{Device, Readback, Recorder, Stream, Ticket};
 use crate::ops::gaussians::GaussianBuffers;
 use crate::ops::loss::{LossSettings, LossValue};
@@ -77,7 +77,7 @@ pub struct Trainer {
     pub(super) stream: Stream,
     pub(super) settings: TrainSettings,
     pub(super) views: Vec<DeviceView>,
-    pub(super) studios: Studios,
+    pub(super) frame_pool: FramePool,
     pub(super) gaussians: GaussianBuffers,
     pub(super) gradients: GaussianBuffers,
     pub(super) optimiser: GaussianOptimiser,
@@ -94,7 +94,7 @@ pub struct Trainer {
     /// A step with the caller's own loss, while it is under way.
     pub(super) own: Option<OwnStep>,
     /// Of the first Gaussians; what density control measures scales by.
-    pub(super) reach: f64,
+    pub(super) scene_radius: f64,
     pub(super) step: u32,
     pub(super) rng: ChaCha8Rng,
     /// Views still to come in this round, last first.
@@ -120,26 +120,26 @@ impl Trainer {
         motion: Option<&MotionStart>,
         settings: TrainSettings,
     ) -> Result<Trainer> {
-        let reach = reach(views, gaussians);
-        Trainer::with_reach(device, views, gaussians, motion, settings, reach)
+        let scene_radius = scene_radius(views, gaussians);
+        Trainer::with_scene_radius(device, views, gaussians, motion, settings, scene_radius)
     }
 
     /// As [`new`](Self::new), in a scene whose reach is known.
-    pub(super) fn with_reach(
+    pub(super) fn with_scene_radius(
         device: &Device,
         views: &[TrainingView],
         gaussians: &Gaussians,
         motion: Option<&MotionStart>,
         settings: TrainSettings,
-        reach: f64,
+        scene_radius: f64,
     ) -> Result<Trainer> {
         if views.is_empty() {
             return Err(Error::Input("training needs at least one picture".into()));
         }
         let cameras = views.iter().map(|view| &view.camera);
         let extent = settings.position_unit.unwrap_or_else(|| extent(cameras));
-        let room = Room::of(&settings, gaussians.len());
-        Trainer::build(device, views, gaussians, motion, settings, (reach, extent), room)
+        let capacity = Capacity::of(&settings, gaussians.len());
+        Trainer::build(device, views, gaussians, motion, settings, (scene_radius, extent), capacity)
     }
 
     /// With pictures or without, in a scene whose reach and extent are known, with this much room.
@@ -149,35 +149,35 @@ impl Trainer {
         gaussians: &Gaussians,
         motion: Option<&MotionStart>,
         settings: TrainSettings,
-        (reach, extent): (f64, f64),
-        room: Room,
+        (scene_radius, extent): (f64, f64),
+        capacity: Capacity,
     ) -> Result<Trainer> {
         if gaussians.is_empty() {
             return Err(Error::Input("training needs at least one Gaussian".into()));
         }
         check(views, motion, &settings).map_err(Error::Input)?;
         let mut stream = device.stream()?;
-        let capacity = room.gaussians;
+        let gaussian_capacity = capacity.gaussians;
         let degree = settings.sh_degree;
-        let mut buffers = GaussianBuffers::new(device, capacity, degree)?;
+        let mut buffers = GaussianBuffers::new(device, gaussian_capacity, degree)?;
         buffers.upload(&mut stream, gaussians)?;
         for i in 0..gaussians.len() {
             gaussians.check(i).map_err(|what| Error::Input(format!("Gaussian {i}: {what}")))?;
         }
         let (mut motion_trainer, mut selection) = (None, None);
         if let Some(start) = motion {
-            let mut trainer = MotionTrainer::new(&mut stream, start, settings.motion, capacity)?;
+            let mut trainer = MotionTrainer::new(&mut stream, start, settings.motion, gaussian_capacity)?;
             let mut logits = gaussians.motion_logits.clone();
             logits.resize(gaussians.len(), -1.0);
-            let chosen = Selection::new(&mut stream, &logits, capacity, settings.motion.selection)?;
+            let chosen = Selection::new(&mut stream, &logits, gaussian_capacity, settings.motion.selection)?;
             let least = chosen.least(0, settings.steps);
             trainer.set_dynamic(&mut stream, &logits, least, &buffers)?;
             (motion_trainer, selection) = (Some(trainer), Some(chosen));
         }
-        let growth = Growth::new(&mut stream, &settings, capacity, reach, selection.as_ref())?;
+        let growth = Growth::new(&mut stream, &settings, gaussian_capacity, scene_radius, selection.as_ref())?;
         let revised = motion.is_some() && settings.motion.control.is_some();
         let statistics = match revised || growth.as_ref().is_some_and(Growth::wants_statistics) {
-            true => Some(Statistics::new(&mut stream, capacity)?),
+            true => Some(Statistics::new(&mut stream, gaussian_capacity)?),
             false => None,
         };
         let device_views =
@@ -185,17 +185,17 @@ impl Trainer {
         Ok(Trainer {
             device: device.clone(),
             views: device_views,
-            studios: Studios::new(room, &settings),
+            frame_pool: FramePool::new(capacity, &settings),
             gaussians: buffers,
-            gradients: GaussianBuffers::new(device, capacity, degree)?,
-            optimiser: GaussianOptimiser::new(&mut stream, capacity, degree)?,
+            gradients: GaussianBuffers::new(device, gaussian_capacity, degree)?,
+            optimiser: GaussianOptimiser::new(&mut stream, gaussian_capacity, degree)?,
             growth,
             statistics,
             motion: motion_trainer,
             selection,
             control_changes: ControlChanges::default(),
             broken_before: 0,
-            reach,
+            scene_radius,
             extent,
             own: None,
             step: 0,
@@ -273,12 +273,12 @@ impl Trainer {
         let Some(view) = self.last_view else { return Ok(None) };
         let view = &self.views[view];
         let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
-        let studio = self.studios.for_size(&self.device, size)?;
-        let value = studio.loss.value(
+        let resources = self.frame_pool.for_size(&self.device, size)?;
+        let value = resources.loss.value(
             &mut self.stream,
-            &view.photograph,
+            &view.reference,
             view.disparity.as_ref(),
-            &studio.loss_scratch,
+            &resources.loss_scratch,
         );
         value.map(Some)
     }
@@ -297,8 +297,8 @@ impl Trainer {
             return Ok(None);
         }
         let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
-        let studio = self.studios.for_size(&self.device, size)?;
-        view.photograph.psnr(&mut self.stream, &studio.pixels, self.settings.background)
+        let resources = self.frame_pool.for_size(&self.device, size)?;
+        view.reference.psnr(&mut self.stream, &resources.pixels, self.settings.background)
     }
 
     /// Waits and reads the Gaussians.
@@ -370,7 +370,7 @@ impl Trainer {
     pub(super) fn submit(&mut self, index: usize) -> Result<()> {
         let view = &self.views[index];
         let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
-        let studio = self.studios.for_size(&self.device, size)?;
+        let resources = self.frame_pool.for_size(&self.device, size)?;
         let (step, steps) = (self.step, self.settings.steps);
         let degree = self.settings.sh_degree_at(step);
         let loss = LossSettings {
@@ -392,36 +392,36 @@ impl Trainer {
             }
             None => canonical,
         };
-        studio.render.forward(
+        resources.render.forward(
             &mut recorder,
             &view.camera,
             scene,
-            &mut studio.scratch,
-            &mut studio.pixels,
+            &mut resources.scratch,
+            &mut resources.pixels,
         )?;
-        studio.loss.record(
+        resources.loss.record(
             &mut recorder,
             &loss,
-            &studio.pixels,
-            &view.photograph,
+            &resources.pixels,
+            &view.reference,
             view.disparity.as_ref(),
-            &mut studio.pixel_gradients,
-            &mut studio.loss_scratch,
+            &mut resources.pixel_gradients,
+            &mut resources.loss_scratch,
         )?;
-        studio.render.backward(
+        resources.render.backward(
             &mut recorder,
             scene,
-            &studio.scratch,
-            &studio.pixels,
-            &studio.pixel_gradients,
-            &mut studio.backward,
+            &resources.scratch,
+            &resources.pixels,
+            &resources.pixel_gradients,
+            &mut resources.backward,
             &mut self.gradients,
             false,
         )?;
         self.gather(&mut recorder, size)?;
         self.learn(&mut recorder, size, Some(index))?;
-        let studio = self.studios.for_size(&self.device, size)?;
-        recorder.read_back(studio.scratch.device_counts(), &counts);
+        let resources = self.frame_pool.for_size(&self.device, size)?;
+        recorder.read_back(resources.scratch.device_counts(), &counts);
         let ticket = self.stream.submit(recorder)?;
         self.pending.push_back(Pending { view: index, counts: Counts::UnderWay(ticket, counts) });
         Ok(())
@@ -430,11 +430,11 @@ impl Trainer {
     /// Records what follows the picture's backward pass: density control's statistics, and the
     /// gradients by the motion.
     pub(super) fn gather(&mut self, recorder: &mut Recorder, size: (u32, u32)) -> Result<()> {
-        let studio = self.studios.for_size(&self.device, size)?;
+        let resources = self.frame_pool.for_size(&self.device, size)?;
         let (step, steps) = (self.step, self.settings.steps);
         let canonical = self.gaussians.views().at_degree(self.settings.sh_degree_at(step));
         if let Some(statistics) = &mut self.statistics {
-            let (scratch, backward) = (&studio.scratch, &studio.backward);
+            let (scratch, backward) = (&resources.scratch, &resources.backward);
             statistics.add(recorder, canonical.len, scratch, backward, size)?;
         }
         if let (Some(motion), Some(selection)) = (&mut self.motion, &mut self.selection) {
@@ -453,12 +453,12 @@ impl Trainer {
         size: (u32, u32),
         view: Option<usize>,
     ) -> Result<()> {
-        let studio = self.studios.for_size(&self.device, size)?;
+        let resources = self.frame_pool.for_size(&self.device, size)?;
         let (step, steps) = (self.step, self.settings.steps);
         if let (Some(motion), Some(selection)) = (&mut self.motion, &mut self.selection) {
-            motion.update(recorder, step, steps, studio.scratch.fits())?;
+            motion.update(recorder, step, steps, resources.scratch.fits())?;
             let mask = view.and_then(|view| self.views[view].mask.as_ref());
-            selection.train(recorder, studio, mask, self.gaussians.len, step, steps)?;
+            selection.train(recorder, resources, mask, self.gaussians.len, step, steps)?;
         }
         if let Some(growth) = &self.growth {
             growth.regularise(recorder, &self.gaussians, &mut self.gradients)?;
@@ -469,7 +469,7 @@ impl Trainer {
             step,
             self.extent,
             self.settings.sh_degree_at(step),
-            studio.scratch.fits(),
+            resources.scratch.fits(),
             &mut self.gaussians,
             &self.gradients,
         )?;
@@ -517,10 +517,10 @@ impl Trainer {
         let counts = FrameCounts::from_device(self.words(pending.counts)?);
         let k = self.views[pending.view].camera.intrinsics;
         let size = (k.width, k.height);
-        let studio = self.studios.for_size(&self.device, size)?;
-        if counts.intersections > studio.render.intersection_capacity() {
+        let resources = self.frame_pool.for_size(&self.device, size)?;
+        if counts.intersections > resources.render.intersection_capacity() {
             // The device has left the parameters alone; the picture comes again.
-            self.studios.grow(&self.device, size, counts.intersections)?;
+            self.frame_pool.grow(&self.device, size, counts.intersections)?;
             self.round.push(pending.view);
             self.last_view = None;
         }

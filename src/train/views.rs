@@ -65,7 +65,7 @@ pub(super) fn due(every: &[u32], turn: u32) -> Vec<usize> {
 
 /// The extent of the cameras, or the median distance of the Gaussians from the cameras' middle where
 /// that is more.
-pub(super) fn reach(views: &[TrainingView], gaussians: &Gaussians) -> f64 {
+pub(super) fn scene_radius(views: &[TrainingView], gaussians: &Gaussians) -> f64 {
     let cameras = views.iter().map(|view| &view.camera);
     let sum: glam::DVec3 = cameras.clone().map(Camera::centre).sum();
     let middle = sum / views.len().max(1) as f64;

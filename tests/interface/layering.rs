@@ -102,14 +102,14 @@ pub fn breaches_of(
         Err(error) => return vec![format!("{}: {error}", inner.display())],
     };
     let module = module_of(inner);
-    let room = match module.first().map(String::as_str) {
+    let part = match module.first().map(String::as_str) {
         None if inner == Path::new("main.rs") => "cmd".to_owned(),
         None => "lib".to_owned(),
-        Some(room) => room.to_owned(),
+        Some(part) => part.to_owned(),
     };
-    let mut scan = Scan { room, module, reexports, test: is_test, found: Vec::new() };
-    if scan.room != "lib" && !MAY_SEE.iter().any(|(name, _)| *name == scan.room) {
-        scan.found.push((1, format!("{} has no place in the layering table", scan.room)));
+    let mut scan = Scan { part, module, reexports, test: is_test, found: Vec::new() };
+    if scan.part != "lib" && !MAY_SEE.iter().any(|(name, _)| *name == scan.part) {
+        scan.found.push((1, format!("{} has no place in the layering table", scan.part)));
     }
     scan.walk(tokens);
     scan.found.iter().map(|(line, what)| format!("{}:{line}: {what}", inner.display())).collect()
@@ -162,10 +162,10 @@ fn reexports(lib: &str) -> BTreeMap<String, String> {
         {
             path = &path[3..];
         }
-        let [TokenTree::Ident(room), ..] = path else { continue };
+        let [TokenTree::Ident(part), ..] = path else { continue };
         for token in path.iter().skip(1).take_while(|token| !is_punct(token, ';')) {
             for name in idents(token) {
-                names.insert(name, room.to_string());
+                names.insert(name, part.to_string());
             }
         }
     }
@@ -181,7 +181,7 @@ fn idents(token: &TokenTree) -> Vec<String> {
 }
 
 struct Scan<'a> {
-    room: String,
+    part: String,
     module: Vec<String>,
     reexports: &'a BTreeMap<String, String>,
     test: bool,
@@ -191,7 +191,7 @@ struct Scan<'a> {
 impl Scan<'_> {
     /// Whether the part may name Vulkan's handles and be `unsafe`.
     fn is_unsafe(&self) -> bool {
-        UNSAFE.contains(&self.room.as_str())
+        UNSAFE.contains(&self.part.as_str())
     }
 
     fn walk(&mut self, tokens: TokenStream) {
@@ -272,7 +272,7 @@ impl Scan<'_> {
                 let name = name.to_string();
                 let part = self.reexports.get(&name).unwrap_or(&name).clone();
                 if !self.may_see(&part) {
-                    let what = format!("{} may not see {part}", self.room);
+                    let what = format!("{} may not see {part}", self.part);
                     self.report(target, what);
                 }
             }
@@ -293,16 +293,16 @@ impl Scan<'_> {
 
     fn may_see(&self, part: &str) -> bool {
         // `src/lib.rs` puts the parts together.
-        if self.room == "lib" || part == self.room || part == "self" {
+        if self.part == "lib" || part == self.part || part == "self" {
             return true;
         }
         let sees = MAY_SEE
             .iter()
-            .find(|(room, _)| *room == self.room)
+            .find(|(part, _)| *part == self.part)
             .is_some_and(|(_, seen)| seen.contains(&part));
         let test = self.test
             && TESTS_MAY_SEE.contains(&part)
-            && !CLOSED_TO_TESTS.contains(&self.room.as_str());
+            && !CLOSED_TO_TESTS.contains(&self.part.as_str());
         sees || test
     }
 

@@ -1,4 +1,4 @@
-//! The ceilings, and the ops that work on plain arrays: scan, sort, Adam.
+//! The measured peaks, and the ops that work on plain arrays: scan, sort, Adam.
 
 use super::{sizes, thousands};
 use crate::Result;
@@ -7,7 +7,7 @@ use crate::bench::scenes::rng;
 use crate::bench::verify::Check;
 use crate::check::Bound;
 use crate::gpu::{Device, Groups};
-use crate::kernels::ceiling::{
+use crate::kernels::roofline::{
     COPY_PER_GROUP, Copy, CopyArgs, CopyParams, FMA_OPERATIONS, Fma, FmaArgs, FmaParams,
 };
 use crate::ops::adam::{Adam, AdamArgs};
@@ -22,11 +22,11 @@ pub(super) fn entries(quick: bool) -> Vec<Entry> {
     let mut all = Vec::new();
     for bytes in sizes(quick, &[1usize << 22, 1 << 25]) {
         let size = format!("{} MiB each way", bytes >> 20);
-        all.push(Entry::new("ceiling/copy", size, move |d, seed| copy(d, seed, bytes / 16)));
+        all.push(Entry::new("roofline/copy", size, move |d, seed| copy(d, seed, bytes / 16)));
     }
     for rounds in if quick { vec![250] } else { vec![1000, 5000] } {
         let size = format!("16,384 × 16 chains × {}", 4 * rounds);
-        all.push(Entry::new("ceiling/fma", size, move |d, seed| fma(d, seed, 1 << 14, rounds)));
+        all.push(Entry::new("roofline/fma", size, move |d, seed| fma(d, seed, 1 << 14, rounds)));
     }
     for n in sizes(quick, &[1usize << 14, 1 << 17, 1 << 20]) {
         let size = format!("{} words", thousands(n));
@@ -81,9 +81,9 @@ fn fma(device: &Device, seed: u64, count: usize, rounds: u32) -> Result<Job> {
     stream.submit(recorder)?;
     // The chains have settled after a hundred rounds; the oracle need not run them all.
     let wide: Vec<f64> = values.iter().map(|&v| f64::from(v)).collect();
-    let truth = oracle::ceiling::fma(&wide, rounds.min(100));
+    let truth = oracle::roofline::fma(&wide, rounds.min(100));
     let mut check = Check::new();
-    // As the case `ceiling/fma`.
+    // As the case `roofline/fma`.
     let bound = Bound { absolute: 0.0, relative: 1e-6 };
     check.close("sums", &stream.download(&sums)?, &truth, bound);
     let work = Work {

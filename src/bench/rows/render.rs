@@ -10,7 +10,7 @@ use crate::bench::verify::Check;
 use crate::check::Bound;
 use crate::gpu::Device;
 use crate::ops::gaussians::SH_BAND;
-use crate::ops::loss::{Loss, LossSettings, Photograph};
+use crate::ops::loss::{Loss, LossSettings, Reference};
 use crate::oracle::loss::{self, Target};
 use crate::oracle::project::{Splat, project};
 use crate::oracle::raster::{self, Pixels};
@@ -298,7 +298,7 @@ fn photometric(device: &Device, seed: u64, width: u32, height: u32) -> Result<Jo
         depth: device.upload("rendered depth", &vec![1.0f32; count])?,
         last: device.buffer("last intersections", 0)?,
     };
-    let photograph = Photograph::new(device, &photo, None)?;
+    let reference = Reference::new(device, &photo, None)?;
     let mut by_pixel = crate::ops::render::PixelGradients {
         rgba: device.buffer("rgba gradient", count)?,
         depth: device.buffer("depth gradient", count)?,
@@ -308,10 +308,10 @@ fn photometric(device: &Device, seed: u64, width: u32, height: u32) -> Result<Jo
     let mut stream = device.stream()?;
     let mut recorder = stream.record()?;
     let (known, s) = (None, &mut scratch);
-    op.record(&mut recorder, &settings, &frame, &photograph, known, &mut by_pixel, s)?;
+    op.record(&mut recorder, &settings, &frame, &reference, known, &mut by_pixel, s)?;
     stream.submit(recorder)?;
     let got = stream.download(&by_pixel.rgba)?;
-    let value = op.value(&mut stream, &photograph, None, &scratch)?;
+    let value = op.value(&mut stream, &reference, None, &scratch)?;
 
     let wide = f64::from;
     let rgb: Vec<[f64; 3]> =
@@ -349,6 +349,6 @@ fn photometric(device: &Device, seed: u64, width: u32, height: u32) -> Result<Jo
     let work = Work { bytes, operations: values * (4 + 3) * 2 * 2 * 11 };
     Job::recorded(device, check.accuracy(), work, move |recorder| {
         let s = &mut scratch;
-        op.record(recorder, &settings, &frame, &photograph, None, &mut by_pixel, s)
+        op.record(recorder, &settings, &frame, &reference, None, &mut by_pixel, s)
     })
 }

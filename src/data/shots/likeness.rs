@@ -1,50 +1,51 @@
-//! How much of one picture is found again in another, however far it has moved.
+//! Likeness of two images: the share of one that is found in the other, independent of motion.
 
 use rayon::prelude::*;
 
 use crate::types::Image;
 
-/// Side of a block, in pixels.
+/// Side of a block, pixels.
 const BLOCK: usize = 16;
-/// From one block to the next.
+/// Distance between adjacent blocks, pixels.
 const STEP: usize = 8;
-/// Deviations of the blurs whose difference is compared: noise is below, what light does is above.
+/// Standard deviations of the two blurs of the difference-of-Gaussians filter, which removes noise (finer)
+/// and illumination (coarser), pixels.
 const FINE: f32 = 0.8;
 const COARSE: f32 = 5.0;
-/// Deviation within a block below which there is nothing to find again.
+/// Standard deviation within a block below which it counts as textureless.
 const PLAIN: f32 = 0.005;
-/// Fewest blocks with something to find again.
+/// Minimum number of textured blocks.
 const LEAST_BLOCKS: usize = 8;
-/// How far a block moves between the frames of a calm video.
+/// Search radius of a block near its own position, which covers the motion of a calm video, pixels.
 const NEAR: usize = 3;
-/// Correlation of a block that is found at once, near its place.
+/// Correlation above which a block counts as found near its position.
 const SURE: f32 = 0.7;
-/// Correlation of a block that is found anywhere.
+/// Correlation above which a block counts as found anywhere.
 const FOUND: f32 = 0.5;
-/// By how much neighbouring blocks may move differently.
+/// Maximum difference of the motions of neighbouring blocks, pixels.
 const APART: usize = 3;
-/// Blocks around one that must move with it.
+/// Minimum number of neighbouring blocks that must move with a block.
 const COMPANY: usize = 2;
-/// Mean difference of two pictures of which one repeats the other.
+/// Mean difference below which one image repeats the other.
 const SAME: f32 = 0.0015;
 
-/// A small grey picture, made ready for comparisons.
+/// A small grey image, prepared for comparisons.
 pub(super) struct Picture {
     width: usize,
     height: usize,
     grey: Vec<f32>,
-    /// The details, without noise and light.
+    /// Band-pass filtered values, without noise and illumination.
     details: Vec<f32>,
-    /// By the upper left corner of a block: the root of the sum of squares about the block's mean.
+    /// By upper left corner of a block: root of the sum of squares about the block's mean.
     norms: Vec<f32>,
-    /// Upper left corners of the blocks with something to find again, by their place in the grid.
+    /// Upper left corners of the textured blocks, by grid position.
     blocks: Vec<Option<(usize, usize)>>,
-    /// Blocks in a row of the grid.
+    /// Number of blocks in a row of the grid.
     row: usize,
 }
 
 impl Picture {
-    /// Of a grey image.
+    /// Prepares a grey image.
     pub(super) fn of(image: &Image) -> Picture {
         let (width, height) = (image.width as usize, image.height as usize);
         let grey = image.pixels.clone();
@@ -66,12 +67,12 @@ impl Picture {
         picture
     }
 
-    /// Whether there is enough in it to find again.
+    /// Whether it has enough texture for comparisons.
     pub(super) fn is_telling(&self) -> bool {
         self.blocks.iter().flatten().count() >= LEAST_BLOCKS
     }
 
-    /// Whether it shows what the other shows, at the same place.
+    /// Whether it shows the same content as the other image at the same position.
     pub(super) fn repeats(&self, other: &Picture) -> bool {
         let difference: f32 = self.grey.iter().zip(&other.grey).map(|(a, b)| (a - b).abs()).sum();
         self.has_size_of(other) && difference <= SAME * self.grey.len() as f32
@@ -81,7 +82,7 @@ impl Picture {
         (self.width, self.height) == (other.width, other.height)
     }
 
-    /// Places that a block can have along a row.
+    /// Number of positions of a block along a row.
     fn places(&self) -> usize {
         self.width - BLOCK + 1
     }
@@ -90,7 +91,7 @@ impl Picture {
         self.norms[y * self.places() + x]
     }
 
-    /// The block at a corner, without its mean and of unit length.
+    /// The block at a corner, without its mean and scaled to unit length.
     fn block(&self, (left, top): (usize, usize)) -> [[f32; BLOCK]; BLOCK] {
         let mut block: [[f32; BLOCK]; BLOCK] = std::array::from_fn(|y| {
             let start = (top + y) * self.width + left;
@@ -102,7 +103,7 @@ impl Picture {
         block
     }
 
-    /// The correlation of a block with what lies at a corner.
+    /// Correlation of a block with the one at a corner.
     fn correlation(&self, block: &[[f32; BLOCK]; BLOCK], at: (usize, usize)) -> f32 {
         let norm = self.norm(at);
         if norm < plain() {
@@ -119,7 +120,7 @@ impl Picture {
         sums.iter().sum::<f32>() / norm
     }
 
-    /// Where a block correlates best, within a distance of a corner.
+    /// Position with the best correlation of a block within a distance of a corner.
     fn best(
         &self,
         block: &[[f32; BLOCK]; BLOCK],
@@ -139,14 +140,14 @@ impl Picture {
     }
 }
 
-/// The norm of a plain block.
+/// Norm of a textureless block.
 fn plain() -> f32 {
     PLAIN * BLOCK as f32
 }
 
-/// The share, in 0 to 1, of the blocks of `a` that are found in `b`: near their places, or anywhere if
-/// they are found back from there and the blocks around them move with them. Brightness and contrast do
-/// not count. Pictures of nothing in common have less than 0.1. Zero where the sizes differ.
+/// Share in [0, 1] of the blocks of `a` that are found in `b`: near their positions, or anywhere if the
+/// reverse search returns to the block and the blocks around it move with it. Independent of brightness and
+/// contrast. Unrelated images have less than 0.1. Zero where the sizes differ.
 pub(super) fn likeness(a: &Picture, b: &Picture) -> f32 {
     let blocks = a.blocks.iter().flatten().count();
     if blocks == 0 || !a.has_size_of(b) {
@@ -174,7 +175,7 @@ pub(super) fn likeness(a: &Picture, b: &Picture) -> f32 {
     near.max(share((0..moved.len()).filter(in_company).count()))
 }
 
-/// By how much a block of `a` has moved in `b`, if it is found there and from there found back.
+/// Displacement of a block of `a` in `b`, if it is found there and the reverse search confirms it.
 fn shift(a: &Picture, b: &Picture, at: (usize, usize)) -> Option<(isize, isize)> {
     let (correlation, to) = b.best(&a.block(at), at, usize::MAX);
     if correlation < FOUND {
@@ -185,9 +186,9 @@ fn shift(a: &Picture, b: &Picture, at: (usize, usize)) -> Option<(isize, isize)>
     found_back.then(|| (to.0 as isize - at.0 as isize, to.1 as isize - at.1 as isize))
 }
 
-/// By the upper left corner of a block: the root of the sum of squares about the block's mean.
+/// By upper left corner of a block: root of the sum of squares about the block's mean.
 fn norms(values: &[f32], width: usize, height: usize) -> Vec<f32> {
-    // Sums over all that lies above and to the left.
+    // Summed-area table.
     let mut sums = vec![(0.0f64, 0.0f64); (width + 1) * (height + 1)];
     for y in 0..height {
         let mut row = (0.0, 0.0);
@@ -211,7 +212,7 @@ fn norms(values: &[f32], width: usize, height: usize) -> Vec<f32> {
     (0..=height - BLOCK).flat_map(|y| (0..=width - BLOCK).map(move |x| norm(x, y))).collect()
 }
 
-/// A Gaussian blur; the border's values go on beyond it.
+/// A Gaussian blur; border values are repeated outside.
 fn blur(values: &[f32], width: usize, height: usize, deviation: f32) -> Vec<f32> {
     let radius = (3.0 * deviation).ceil() as isize;
     let mut weights: Vec<f32> =

@@ -1,18 +1,20 @@
 //! Cameras and depth of a clip from the pointmaps of its pairs of frames: the global alignment of DUSt3R (Wang et al.,
 //! CVPR 2024, section 3.3).
 //!
-//! Unknown are each frame's pose and its depth at the places of a grid, one focal length, and a factor for each pair,
-//! whose points are in the camera of its first frame. Each map asks that its points, times the pair's factor and
-//! seen from the frame whose pixels they belong to, lie at that frame's depth on the pixels' rays. By how much they
-//! are off relative to that depth counts by the logarithm of the confidence, and not squared, so that what is wrong
-//! in a part of the maps does not pull. Being relative, it does not fall by making everything small, which DUSt3R
-//! excludes by a condition on the factors.
+//! The unknowns are the pose of each frame, its depth at the points of a grid, one focal length, and a
+//! scale factor per pair. The points of a pair are in the camera frame of its first frame. For each map,
+//! its points, multiplied by the pair's factor and transformed into the frame whose pixels they belong to,
+//! should lie at that frame's depth on the rays of the pixels. The residual is the deviation relative to
+//! that depth. Its cost is weighted by the logarithm of the confidence and grows linearly instead of
+//! quadratically, so that wrong parts of the maps have bounded influence. Because the residual is relative,
+//! shrinking everything does not lower the cost; DUSt3R excludes this with a constraint on the factors.
 //!
-//! DUSt3R gives each pair a pose of its own and descends along the gradient for 300 steps over whole maps. A pair's points are
-//! in the camera of its first frame by the network's definition, so here they keep it, and depths are eliminated
-//! (Schur complement), so that Gauss–Newton, reweighted, needs a few steps (`solve`). The start is closed: focal
-//! lengths by Weiszfeld's iterations, similarities of pairs by their common pixels, joined along the
-//! maximum spanning tree (`start`). Time is linear in the number of pairs.
+//! DUSt3R gives each pair a pose of its own and runs 300 steps of gradient descent over whole maps. By
+//! definition of the network, the points of a pair are in the camera frame of its first frame, so this
+//! implementation uses that frame's pose. It eliminates the depths with a Schur complement, so that
+//! iteratively reweighted Gauss–Newton needs a few steps (`solve`). The initial estimate has closed forms
+//! (`start`): focal lengths from Weiszfeld's iterations, and similarities of pairs from their common
+//! pixels, joined along the maximum spanning tree. Time is linear in the number of pairs.
 
 mod solve;
 mod start;
@@ -25,59 +27,61 @@ use super::pointmaps::{Pair, Pointmaps, quantile};
 use crate::types::{Image, Intrinsics, Pose};
 use crate::{Error, Result};
 
-/// Cameras that pointmaps tell.
+/// Cameras and depth scales that were estimated from pointmaps.
 #[derive(Clone, Debug)]
 pub struct Aligned {
-    /// World to camera, per frame. The first camera is the world, the median depth its unit.
+    /// World-to-camera pose per frame. The first camera is the world frame, and the median depth is the
+    /// unit of length.
     pub view_from_world: Vec<Pose>,
-    /// In pixels of the frames.
+    /// Focal length in pixels of the frames.
     pub focal: f64,
-    /// Relative standard deviation of the focal length, by how much frames differ in it and by `off`; 0 where it was
-    /// known.
+    /// Relative standard deviation of the focal length, from its variation between frames and from `off`; 0
+    /// where the focal length was known.
     pub focal_deviation: f64,
-    /// By what the depth of each frame ([`Pointmaps::into_depth`]) is to be multiplied to be in the world's unit.
+    /// Factor per frame that converts its depth ([`Pointmaps::into_depth`]) to the world's unit.
     pub depth_factors: Vec<f64>,
-    /// By how much half of the points are off at least, relative to their depth.
+    /// Median deviation of the points, relative to their depth.
     pub off: f64,
 }
 
-/// A pair with fewer points in common is not used.
+/// Pairs with fewer points in common than this are not used.
 const LEAST: usize = 12;
-/// What is off by less than half of the points are counts squared, within these bounds.
+/// Bounds of the robust cost's threshold; the threshold is the median relative deviation, below which the
+/// cost is quadratic.
 const CLOSE: [f64; 2] = [1e-3, 0.1];
 
-/// What is being looked for.
+/// The unknowns of the alignment.
 #[derive(Clone, Debug)]
 struct State {
-    /// World to camera.
+    /// World to camera, per frame.
     poses: Vec<Pose>,
     focal: f64,
-    /// Of each pair: the logarithm of its factor.
+    /// Logarithm of each pair's scale factor.
     scales: Vec<f64>,
-    /// Inverse depth per frame and place of the grid; 0 where nothing is known.
+    /// Inverse depth per frame and grid point; 0 where unknown.
     inverse: Vec<Vec<f64>>,
-    /// What is off by less than this, relative to its depth, counts squared.
+    /// Relative deviation below which the cost is quadratic.
     close: f64,
 }
 
-/// What a frame's depth is told by: pairs, and which of their two views the frame is.
+/// The maps that constrain a frame's depth: index of the pair, and which of its two views the frame is.
 type Told = Vec<(usize, usize)>;
 
-/// The pairs that are used, and what does not change.
+/// The pairs that are used, and the quantities that stay constant.
 struct Problem<'a> {
     pairs: Vec<&'a Pair>,
-    /// Of the grid's places, from the middle of the picture.
+    /// Pixel offsets of the grid points from the image centre.
     offsets: Vec<DVec2>,
-    /// Per frame.
+    /// The maps of each frame.
     told: Vec<Told>,
-    /// The focal length is kept.
+    /// Whether the focal length is fixed.
     held: bool,
 }
 
 impl<'a> Problem<'a> {
-    /// Of the pairs that have enough points.
+    /// Builds the problem from the pairs that have enough points.
     fn new(maps: &'a Pointmaps, held: bool) -> Problem<'a> {
-        // Both ways or none.
+        // A pair is used in both directions or not at all.
         let used = maps.pairs.chunks_exact(2).filter(|both| {
             both.iter().all(|pair| {
                 pair.views.iter().all(|v| v.weights.iter().filter(|w| **w > 0.0).count() >= LEAST)
@@ -93,12 +97,12 @@ impl<'a> Problem<'a> {
         Problem { pairs, offsets, told, held }
     }
 
-    /// The point at depth 1 on the ray of a place of the grid.
+    /// The point at depth 1 on the ray of a grid point.
     fn ray(&self, place: usize, focal: f64) -> DVec3 {
         (self.offsets[place] / focal).extend(1.0)
     }
 
-    /// What a pair's points are mapped by into the camera of one of its frames, but for their factor.
+    /// Transform of a pair's points, after scaling by their factor, into the camera of one of its frames.
     fn view_from_pair(&self, state: &State, (e, k): (usize, usize)) -> Pose {
         let [first, second] = self.pairs[e].frames;
         match k {
@@ -108,10 +112,10 @@ impl<'a> Problem<'a> {
     }
 }
 
-/// Aligns the pointmaps of a clip. `focal` is kept where it is known, pixels of the frames.
+/// Aligns the pointmaps of a clip. A known `focal` length, in pixels of the frames, is kept fixed.
 ///
 /// # Errors
-/// Points that are believed lead to no focal length, or not from each frame to each other one.
+/// The confident points determine no focal length, or do not connect every frame to every other one.
 pub fn align(maps: &Pointmaps, focal: Option<f64>) -> Result<Aligned> {
     let problem = Problem::new(maps, focal.is_some());
     if problem.pairs.is_empty() {
@@ -152,7 +156,7 @@ pub fn align(maps: &Pointmaps, focal: Option<f64>) -> Result<Aligned> {
         if ratios.is_empty() { 1.0 } else { quantile(ratios, 0.5) }
     };
     let depth_factors = state.inverse.iter().zip(&maps.depth).map(factor).collect();
-    // All frames may be wrong alike; only points that are right agree between pairs, too.
+    // A bias common to all frames does not show in their spread, so the disagreement between pairs is added.
     let focal_deviation = if focal.is_some() { 0.0 } else { spread.hypot(off) };
     let State { poses, focal, .. } = state;
     Ok(Aligned { view_from_world: poses, focal, focal_deviation, depth_factors, off })

@@ -1,4 +1,5 @@
-//! All poses, factors, depths and the focal length at once: Gauss–Newton, reweighted.
+//! Joint optimisation of all poses, scale factors, depths and the focal length by iteratively reweighted
+//! Gauss–Newton.
 
 use glam::DVec3;
 use nalgebra::{DMatrix, DVector};
@@ -10,30 +11,33 @@ use crate::geometry::se3::{self, Twist, skew};
 use crate::observe::pointmaps::quantile;
 use crate::types::Pose;
 
-/// Steps at most.
+/// Maximum number of steps.
 const STEPS: usize = 60;
-/// The cost falls by less than this share: the end.
+/// Relative decrease of the cost below which the optimisation ends.
 const SETTLED: f64 = 1e-6;
-/// Where half of the points are off by less than this share of what they were, the width of squares follows, so often.
+/// The threshold of the robust cost is lowered again, at most `NARROWINGS` times, while the median
+/// deviation falls below this share of its former value.
 const NARROWER: f64 = 0.8;
 const NARROWINGS: usize = 8;
-/// Rounds of reweighting of a depth.
+/// Rounds of reweighting for each depth.
 const ROUNDS: usize = 5;
-/// Holds what nothing tells: the unit.
+/// Damping that fixes the unobservable global scale.
 const DAMPING: f64 = 1e-8;
-/// A step that does not lower the cost is halved so often at most: it takes arcs for their tangents.
+/// Maximum number of times that a step is halved when it does not lower the cost, because a linearised step
+/// overshoots on rotations.
 const HALVINGS: usize = 8;
 
-/// A matrix of a frame's unknowns, lower triangle; their numbers ascend.
+/// A matrix over a frame's unknowns, lower triangle; the indices of the unknowns ascend.
 struct Local {
     unknowns: Vec<usize>,
     matrix: DMatrix<f64>,
     right: DVector<f64>,
 }
 
-/// Which unknown is where: frame by frame its pose and the factors of the pairs that it ends; last the focal length.
+/// Index of each unknown: for each frame its pose and the factors of the pairs that end at it, and last the
+/// focal length.
 struct Places {
-    /// First of six; none of the first frame, which is held.
+    /// First of six indices per frame; `None` for the first frame, which is fixed.
     poses: Vec<Option<usize>>,
     scales: Vec<usize>,
     focal: Option<usize>,
@@ -66,7 +70,7 @@ impl Places {
         places
     }
 
-    /// All unknowns that a frame's maps depend on.
+    /// All unknowns that the residuals of a frame's maps depend on.
     fn of_frame(&self, problem: &Problem, frame: usize) -> Vec<usize> {
         let mut unknowns: Vec<usize> = self.focal.into_iter().collect();
         for (e, k) in &problem.told[frame] {
@@ -82,11 +86,11 @@ impl Places {
     }
 }
 
-/// A map's point at a place of the grid, times the pair's factor.
+/// A map's point at a grid point, multiplied by the pair's factor.
 struct Seen {
-    /// In the camera of the pair.
+    /// In the camera frame of the pair.
     in_pair: DVec3,
-    /// In the camera of the frame.
+    /// In the camera frame of the frame.
     point: DVec3,
     /// Logarithm of the confidence.
     confidence: f64,
@@ -94,14 +98,15 @@ struct Seen {
     weight: f64,
 }
 
-/// What is off by this relative to its depth costs so much, and weighs so much squared (Huber 1964, but for a factor).
+/// Huber's cost (1964, up to a factor) of a relative deviation, and the weight of the corresponding squared
+/// residual.
 fn robust(off: f64, close: f64) -> (f64, f64) {
     let cost = if off < close { 0.5 * off * off / close } else { off - 0.5 * close };
     (cost, 1.0 / off.max(close))
 }
 
-/// The points of all maps at a place of a frame's grid, weighed by how they agree with an inverse depth, and that which
-/// they then ask for; 0 where none is asked for.
+/// Collects in `seen` the points of all maps at one grid point of a frame, with robust weights for the
+/// given inverse depth, and returns the weighted least-squares inverse depth; 0 where there is none.
 fn weighed(
     problem: &Problem,
     state: &State,
@@ -132,12 +137,13 @@ fn weighed(
     if inverse > 0.0 && inverse.is_finite() { inverse } else { 0.0 }
 }
 
-/// Poses that take the maps of a frame into its camera.
+/// The transforms of a frame's maps into its camera.
 fn views(problem: &Problem, state: &State, frame: usize) -> Vec<Pose> {
     problem.told[frame].iter().map(|view| problem.view_from_pair(state, *view)).collect()
 }
 
-/// Brings all depths to what the maps then ask for; returns the cost, and by how much points are off.
+/// Sets all depths to their optimum for the current cameras and factors; returns the cost and the points'
+/// deviations.
 fn settle(problem: &Problem, state: &mut State) -> (f64, Vec<f64>) {
     let settled: Vec<(Vec<f64>, f64, Vec<f64>)> = (0..problem.told.len())
         .into_par_iter()
@@ -170,7 +176,7 @@ fn settle(problem: &Problem, state: &mut State) -> (f64, Vec<f64>) {
     (total, all)
 }
 
-/// The normal equations of a frame's maps, its depths eliminated.
+/// The normal equations of a frame's maps with its depths eliminated.
 fn local(problem: &Problem, state: &State, places: &Places, frame: usize) -> Local {
     let unknowns = places.of_frame(problem, frame);
     let n = unknowns.len();
@@ -179,7 +185,7 @@ fn local(problem: &Problem, state: &State, places: &Places, frame: usize) -> Loc
     let views = views(problem, state, frame);
     let focal = places.focal.map(at);
     let frame_from_world = state.poses[frame].rotation_matrix();
-    // Of each view, where its unknowns are in the matrix: the frame's pose, the pair's pose, the factor.
+    // Per view, the matrix columns of its unknowns: the frame's pose, the pair's pose, the factor.
     let columns: Vec<[Option<usize>; 3]> = told
         .iter()
         .map(|(e, k)| {
@@ -205,7 +211,8 @@ fn local(problem: &Problem, state: &State, places: &Places, frame: usize) -> Loc
             let turned = pose.rotation_matrix();
             let world_from_pair = state.poses[problem.pairs[*e].frames[0]].inverse();
             let [frames, pairs, scale] = *columns;
-            // What moves one camera in the world moves it against the other one.
+            // A motion of one camera in the world has the opposite effect on the point as the same motion
+            // of the other camera.
             let in_world = world_from_pair.apply(*in_pair);
             let turn = frame_from_world * -skew(in_world);
             for (first, sign) in [(frames, -1.0), (pairs, 1.0)] {
@@ -231,22 +238,22 @@ fn local(problem: &Problem, state: &State, places: &Places, frame: usize) -> Loc
     Local { unknowns, matrix, right }
 }
 
-/// Takes an unknown out of the lower triangle, which is coupled with the others and has this entry of its own. Its own
-/// right side is 0: an inverse depth is where the cost is least.
+/// Eliminates an unknown from the lower triangle, given its coupling with the others and its diagonal
+/// entry. Its right-hand side is 0, because an inverse depth is at the minimum of the cost.
 fn eliminate(matrix: &mut DMatrix<f64>, coupled: &[f64], own: f64) {
     let n = coupled.len();
     let values = matrix.as_mut_slice();
     for column in 0..n {
         let factor = coupled[column] / own;
         if factor != 0.0 {
-            // Columns lie one after the other.
+            // Columns are contiguous.
             let rows = &mut values[column * n + column..(column + 1) * n];
             rows.iter_mut().zip(&coupled[column..]).for_each(|(v, c)| *v -= factor * c);
         }
     }
 }
 
-/// The equations of all frames.
+/// The normal equations of all frames.
 fn normal_equations(problem: &Problem, state: &State, places: &Places) -> (Envelope, DVector<f64>) {
     let locals: Vec<Local> = (0..problem.told.len())
         .into_par_iter()
@@ -272,13 +279,14 @@ fn normal_equations(problem: &Problem, state: &State, places: &Places) -> (Envel
     (all, right)
 }
 
-/// A state from a step.
+/// The state after a step.
 fn moved(state: &State, places: &Places, step: &DVector<f64>) -> State {
     let mut moved = state.clone();
     for (pose, first) in moved.poses.iter_mut().zip(&places.poses) {
         if let Some(first) = first {
             let twist = Twist::from_iterator((0..6).map(|c| step[first + c]));
-            // Cameras are moved in the world: where many turn together, against each other they stay.
+            // Poses are updated in the world, so that a rotation common to many cameras leaves their
+            // relative poses unchanged.
             *pose = se3::retract(&pose.inverse(), &twist).inverse();
         }
     }
@@ -289,13 +297,13 @@ fn moved(state: &State, places: &Places, step: &DVector<f64>) -> State {
     moved
 }
 
-/// Brings a start to the least cost; returns by how much half of the points are off at most, relative to their depth.
+/// Optimises an initial state; returns the median deviation of the points, relative to their depth.
 pub(super) fn solve(problem: &Problem, state: &mut State) -> f64 {
     let places = Places::new(problem);
     let (_, offs) = settle(problem, state);
     let mut off = quantile(offs, 0.5);
     for _ in 0..NARROWINGS {
-        // Squares where noise is, so that steps go far; distances beyond.
+        // The cost is quadratic within the noise, so that steps are long, and linear beyond.
         state.close = off.clamp(CLOSE[0], CLOSE[1]);
         let found = descend(problem, state, &places);
         let narrower = found < NARROWER * off && found > CLOSE[0];
@@ -307,7 +315,7 @@ pub(super) fn solve(problem: &Problem, state: &mut State) -> f64 {
     off
 }
 
-/// Steps until the cost falls no more; returns by how much half of the points are off at most.
+/// Takes steps until the cost no longer falls; returns the median deviation of the points.
 fn descend(problem: &Problem, state: &mut State, places: &Places) -> f64 {
     let (mut cost, mut offs) = settle(problem, state);
     for _ in 0..STEPS {

@@ -1,4 +1,4 @@
-//! Where the alignment begins: closed forms, pair by pair, joined along a tree.
+//! Initial estimate of the alignment: closed-form similarities per pair, joined along a tree.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -14,11 +14,13 @@ use crate::{Error, Result};
 
 /// Rounds of reweighting.
 const ROUNDS: usize = 15;
-/// Pixels below which residuals weigh alike, and distances relative to the usual depth.
+/// Lower bound of a residual in the reweighting: in pixels for the focal length, relative to the usual
+/// depth for distances.
 const LEAST_PIXELS: f64 = 1e-8;
 const LEAST_DISTANCE: f64 = 1e-6;
 
-/// The focal length, the median over the frames, and how it differs between them; none where no frame tells one.
+/// The focal length as the median over the frames, and its deviation between them; `None` where no frame
+/// determines one.
 pub(super) fn focal(problem: &Problem) -> Option<(f64, f64)> {
     let focals: Vec<f64> = problem
         .told
@@ -42,8 +44,8 @@ pub(super) fn focal(problem: &Problem) -> Option<(f64, f64)> {
     Some((focal, 1.4826 * spread / focal))
 }
 
-/// The focal length of the least weighted sum of distances |pixel − f · slope|: a weighted mean, reweighted
-/// (Weiszfeld 1937).
+/// The focal length with the least weighted sum of distances |pixel − f · slope|, by an iteratively
+/// reweighted mean (Weiszfeld 1937).
 fn weiszfeld(seen: &[(DVec2, DVec2, f64)]) -> Option<f64> {
     let mut focal = None;
     for _ in 0..=ROUNDS {
@@ -60,8 +62,8 @@ fn weiszfeld(seen: &[(DVec2, DVec2, f64)]) -> Option<f64> {
     focal
 }
 
-/// The similarity that maps the points of a pair's way back to those of its way there, by the pixels of both frames;
-/// none where too few are believed both ways.
+/// The similarity that maps the points of a pair's backward map to those of its forward map, from the
+/// pixels of both frames; `None` where too few points are confident in both.
 fn there_from_back(there: &Pair, back: &Pair) -> Option<Sim3> {
     let (mut from, mut to, mut weights) = (Vec::new(), Vec::new(), Vec::new());
     for k in 0..2 {
@@ -84,7 +86,7 @@ fn there_from_back(there: &Pair, back: &Pair) -> Option<Sim3> {
     for _ in 0..ROUNDS {
         let aligned = align_points(&from, &to, Some(&reweighted), true).ok()?;
         found = aligned.reference_from_estimate;
-        // Cauchy's weights, as wide as half of the points are off: of what is wrong hardly anything is left.
+        // Cauchy weights with the median deviation as their width, which gives outliers almost no weight.
         let offs: Vec<f64> =
             from.iter().zip(&to).map(|(x, y)| found.apply(*x).distance(*y)).collect();
         let width = quantile(offs.clone(), 0.5).max(least);
@@ -95,7 +97,7 @@ fn there_from_back(there: &Pair, back: &Pair) -> Option<Sim3> {
     (found.scale > 0.0 && found.scale.is_finite()).then_some(found)
 }
 
-/// The logarithm of the factor that brings a pair's own depths to known ones.
+/// Logarithm of the factor that scales a pair's own depths to known ones.
 fn scale(depths: &[f64], pair: &Pair) -> Option<f64> {
     let view = &pair.views[0];
     let ratio = |i: usize| {
@@ -106,25 +108,25 @@ fn scale(depths: &[f64], pair: &Pair) -> Option<f64> {
     (ratios.len() >= LEAST).then(|| quantile(ratios, 0.5))
 }
 
-/// What a pair says of the depths of its first frame.
+/// The depths of its first frame that a pair gives.
 fn own_depths(pair: &Pair, factor: f64) -> Vec<f64> {
     let view = &pair.views[0];
     let depth = |(x, weight): (&DVec3, &f64)| if *weight > 0.0 { factor * x.z } else { 0.0 };
     view.points.iter().zip(&view.weights).map(depth).collect()
 }
 
-/// Poses, factors and depths along the tree of the pairs that believe most in themselves.
+/// Poses, factors and depths along the maximum spanning tree of the pairs' confidence scores.
 ///
 /// # Errors
-/// No pairs lead to a frame.
+/// A frame is connected to no other one.
 pub(super) fn start(problem: &Problem, focal: f64) -> Result<State> {
     let Problem { pairs, told, .. } = problem;
     let frames = told.len();
-    // Of two ways the first one is named.
+    // A link is numbered by the first of the two directions.
     let links: Vec<Option<Sim3>> =
         pairs.par_chunks_exact(2).map(|both| there_from_back(both[0], both[1])).collect();
     let score = |link: usize| pairs[2 * link].score + pairs[2 * link + 1].score;
-    // Scores are above 0, where floats order as their bits do.
+    // Scores are positive, and positive floats order like their bits.
     let entry = |link: usize| (score(link).to_bits(), Reverse(link));
     let usable = |link: &usize| links[*link].is_some();
     let root = (0..links.len()).filter(usable).max_by_key(|link| entry(*link));
@@ -134,14 +136,14 @@ pub(super) fn start(problem: &Problem, focal: f64) -> Result<State> {
     poses[root] = Some(Pose::IDENTITY);
     let from_root = told[root].iter().find(|(_, k)| *k == 0);
     depths[root] = from_root.map_or(Vec::new(), |(e, _)| own_depths(pairs[*e], 1.0));
-    // Prim 1957.
+    // Prim's algorithm (1957).
     let links_of = |frame: usize| told[frame].iter().map(|(e, _)| e / 2).filter(usable).map(entry);
     let mut open: BinaryHeap<(u64, Reverse<usize>)> = links_of(root).collect();
     while let Some((_, Reverse(link))) = open.pop() {
         if pairs[2 * link].frames.iter().all(|f| poses[*f].is_some()) {
             continue;
         }
-        // From the frame that is known to the new one.
+        // From the known frame to the new one.
         let (there, back) = (pairs[2 * link], pairs[2 * link + 1]);
         let similarity = links[link].unwrap_or(Sim3::IDENTITY);
         let (here, there, known_from_new) = match poses[there.frames[0]] {
@@ -169,7 +171,7 @@ pub(super) fn start(problem: &Problem, focal: f64) -> Result<State> {
     Ok(state)
 }
 
-/// The median of what the maps say of each inverse depth; 0 where they say nothing.
+/// Median over the maps of each inverse depth; 0 where no map gives one.
 fn medians(problem: &Problem, state: &State) -> Vec<Vec<f64>> {
     let of_frame = |told: &super::Told| {
         let views: Vec<Pose> =

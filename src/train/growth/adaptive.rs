@@ -12,7 +12,7 @@ use crate::{Error, Result};
 pub(in crate::train) struct Adaptive {
     adaptation: Adaptation,
     settings: AdaptiveSettings,
-    reach: f64,
+    scene_radius: f64,
     last: u32,
     seed: u32,
     /// Arrays are gathered into these, then take their place.
@@ -26,7 +26,7 @@ impl Adaptive {
         stream: &mut Stream,
         settings: AdaptiveSettings,
         capacity: usize,
-        reach: f64,
+        scene_radius: f64,
         train: &TrainSettings,
         selection: Option<&Selection>,
     ) -> Result<Adaptive> {
@@ -34,7 +34,7 @@ impl Adaptive {
         Ok(Adaptive {
             adaptation: Adaptation::new(device, capacity)?,
             settings,
-            reach,
+            scene_radius,
             last: (f64::from(train.steps) * settings.until) as u32,
             seed: train.seed as u32,
             spare: GaussianBuffers::new(device, capacity, train.sh_degree)?,
@@ -96,9 +96,9 @@ impl Adaptive {
         let settled = reset_every > 0 && step > reset_every;
         let settings = AdaptSettings {
             gradient,
-            small: small * self.reach,
+            small: small * self.scene_radius,
             opacity,
-            large: if settled { large * self.reach } else { f64::INFINITY },
+            large: if settled { large * self.scene_radius } else { f64::INFINITY },
         };
         let mut recorder = stream.record()?;
         let gaussians = &mut *population.gaussians;

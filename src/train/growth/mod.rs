@@ -40,7 +40,7 @@ impl Growth {
         stream: &mut Stream,
         settings: &TrainSettings,
         capacity: usize,
-        reach: f64,
+        scene_radius: f64,
         selection: Option<&Selection>,
     ) -> Result<Option<Growth>> {
         Ok(match settings.growth {
@@ -51,7 +51,7 @@ impl Growth {
             }
             Some(GrowthSettings::Adaptive(adaptive)) => {
                 let adaptive =
-                    Adaptive::new(stream, adaptive, capacity, reach, settings, selection)?;
+                    Adaptive::new(stream, adaptive, capacity, scene_radius, settings, selection)?;
                 Some(Growth::Adaptive(Box::new(adaptive)))
             }
         })

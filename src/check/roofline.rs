@@ -1,18 +1,18 @@
-//! The kernels that measure a device's ceilings, against what they must compute.
+//! The kernels that measure a peak bandwidth and arithmetic, against what they must compute.
 
 use super::{Bound, Case, Harness};
 use crate::error::Result;
 use crate::gpu::Groups;
-use crate::kernels::ceiling::{
+use crate::kernels::roofline::{
     COPY_PER_GROUP, Copy, CopyArgs, CopyParams, Fma, FmaArgs, FmaParams,
 };
-use crate::oracle::ceiling;
+use crate::oracle::roofline;
 use rand::RngExt;
 
 /// The family's cases.
 pub const CASES: &[Case] = &[
-    Case { id: "ceiling/copy", kernels: &["ceiling/copy"], run: copy },
-    Case { id: "ceiling/fma", kernels: &["ceiling/fma"], run: fma },
+    Case { id: "roofline/copy", kernels: &["roofline/copy"], run: copy },
+    Case { id: "roofline/fma", kernels: &["roofline/fma"], run: fma },
 ];
 
 fn copy(harness: &mut Harness) -> Result<()> {
@@ -48,8 +48,8 @@ fn fma(harness: &mut Harness) -> Result<()> {
         harness.stream.submit(recorder)?;
         let got = harness.read(&sums)?;
         let wide: Vec<f64> = seeds.iter().map(|&s| f64::from(s)).collect();
-        let truth = ceiling::fma(&wide, rounds);
-        let twin = ceiling::fma(&seeds, rounds);
+        let truth = roofline::fma(&wide, rounds);
+        let twin = roofline::fma(&seeds, rounds);
         // A chain forgets old roundings by a quarter a round; the sum adds 16 values of one sign.
         let bound = Bound { absolute: 0.0, relative: 1e-6 };
         let what = format!("{count} seeds, {rounds} rounds");

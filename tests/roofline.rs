@@ -4,5 +4,5 @@ mod common;
 
 #[test]
 fn cases() {
-    common::run("ceiling");
+    common::run("roofline");
 }

@@ -10,7 +10,7 @@ pub const FMA_OPERATIONS: u64 = 4 * 32;
 
 kernel! {
     /// Copies vectors.
-    pub struct Copy("ceiling/copy"), workgroup: [64, 1, 1],
+    pub struct Copy("roofline/copy"), workgroup: [64, 1, 1],
     params: CopyParams {
         /// Number of vectors.
         count: u32,
@@ -25,7 +25,7 @@ kernel! {
 
 kernel! {
     /// Chains of multiply-adds.
-    pub struct Fma("ceiling/fma"), workgroup: [64, 1, 1],
+    pub struct Fma("roofline/fma"), workgroup: [64, 1, 1],
     params: FmaParams {
         /// Number of seeds.
         count: u32,

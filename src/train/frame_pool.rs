@@ -3,7 +3,7 @@
 use super::settings::TrainSettings;
 use super::views::TrainingView;
 use crate::gpu::{Buffer, Device, Rehearsal};
-use crate::ops::loss::{KnownDisparity, Loss, LossScratch, Photograph};
+use crate::ops::loss::{KnownDisparity, Loss, LossScratch, Reference};
 use crate::ops::render::{BackwardScratch, PixelBuffers, PixelGradients, Render, RenderScratch};
 use crate::types::{Camera, RasterKind, RenderSettings};
 use crate::{Error, Result};
@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 pub(super) struct DeviceView {
     pub(super) camera: Camera,
     pub(super) time: f64,
-    pub(super) photograph: Photograph,
+    pub(super) reference: Reference,
     pub(super) disparity: Option<KnownDisparity>,
     pub(super) mask: Option<Buffer<f32>>,
     /// It is shown in one of so many rounds.
@@ -63,7 +63,7 @@ impl DeviceView {
         Ok(DeviceView {
             camera: view.camera,
             time: view.time,
-            photograph: Photograph::new(device, &view.image, view.weights.as_ref())?,
+            reference: Reference::new(device, &view.image, view.weights.as_ref())?,
             disparity,
             mask,
             every: view.every,
@@ -72,7 +72,7 @@ impl DeviceView {
 }
 
 /// Everything that rendering and comparing pictures of one size needs.
-pub(super) struct Studio {
+pub(super) struct FrameResources {
     pub(super) render: Render,
     pub(super) scratch: RenderScratch,
     pub(super) backward: BackwardScratch,
@@ -82,19 +82,19 @@ pub(super) struct Studio {
     pub(super) loss_scratch: LossScratch,
 }
 
-impl Studio {
+impl FrameResources {
     fn new(
         device: &Device,
         gaussians: usize,
         intersections: usize,
         size: (u32, u32),
         (settings, depth_bits, raster): How,
-    ) -> Result<Studio> {
+    ) -> Result<FrameResources> {
         let render = Render::plan(device, gaussians, intersections, size.0, size.1, settings)?
             .with_depth_bits(device, depth_bits)?
             .with_raster(raster);
         let loss = Loss::plan(size.0, size.1);
-        Ok(Studio {
+        Ok(FrameResources {
             scratch: render.scratch(device)?,
             backward: render.backward_scratch(device)?,
             pixels: render.pixels(device)?,
@@ -107,27 +107,27 @@ impl Studio {
 }
 
 /// The studios by size of picture.
-pub(super) struct Studios {
-    by_size: BTreeMap<(u32, u32), Studio>,
-    room: Room,
+pub(super) struct FramePool {
+    by_size: BTreeMap<(u32, u32), FrameResources>,
+    capacity: Capacity,
     how: How,
 }
 
 /// What a trainer has room for.
 #[derive(Clone, Copy)]
-pub(super) struct Room {
+pub(super) struct Capacity {
     pub(super) gaussians: usize,
     /// (splat, tile) pairs of a picture, at first.
     intersections: usize,
 }
 
-impl Room {
+impl Capacity {
     /// For a training that begins with so many Gaussians. A few pairs for each that there may be:
     /// which pictures come again depends on it, so it does not follow how far growth gets.
-    pub(super) fn of(settings: &TrainSettings, first: usize) -> Room {
+    pub(super) fn of(settings: &TrainSettings, first: usize) -> Capacity {
         let most = settings.max_gaussians.max(first);
         let intersections = most.saturating_mul(4).max(1 << 14);
-        Room { gaussians: settings.reachable(first), intersections }
+        Capacity { gaussians: settings.reachable(first), intersections }
     }
 
     /// Whether a picture may have so many (splat, tile) pairs.
@@ -136,10 +136,10 @@ impl Room {
     }
 
     /// The same, once a picture had so many (splat, tile) pairs.
-    pub(super) fn after(self, intersections: usize) -> Room {
+    pub(super) fn after(self, intersections: usize) -> Capacity {
         match self.holds(intersections) {
             true => self,
-            false => Room { intersections: grown(intersections), ..self },
+            false => Capacity { intersections: grown(intersections), ..self },
         }
     }
 }
@@ -152,60 +152,60 @@ fn grown(needed: usize) -> usize {
 /// Constants of blending, bits of depth that decide the order, how an image is blended.
 type How = (RenderSettings, u32, RasterKind);
 
-impl Studios {
-    pub(super) fn new(room: Room, settings: &TrainSettings) -> Studios {
+impl FramePool {
+    pub(super) fn new(capacity: Capacity, settings: &TrainSettings) -> FramePool {
         let how = (settings.render, settings.depth_bits, settings.raster);
-        Studios { by_size: BTreeMap::new(), room, how }
+        FramePool { by_size: BTreeMap::new(), capacity, how }
     }
 
     /// The studio for a size; made at first use, with room for a few intersections per Gaussian.
-    pub(super) fn for_size(&mut self, device: &Device, size: (u32, u32)) -> Result<&mut Studio> {
+    pub(super) fn for_size(&mut self, device: &Device, size: (u32, u32)) -> Result<&mut FrameResources> {
         if !self.by_size.contains_key(&size) {
-            self.insert(device, size, self.room.intersections)?;
+            self.insert(device, size, self.capacity.intersections)?;
         }
         Ok(self.by_size.get_mut(&size).expect("made above"))
     }
 
     /// Room for intersections by size of picture.
-    pub(super) fn rooms(&self) -> Vec<((u32, u32), usize)> {
-        let room = |studio: &Studio| studio.render.intersection_capacity();
-        self.by_size.iter().map(|(&size, studio)| (size, room(studio))).collect()
+    pub(super) fn capacities(&self) -> Vec<((u32, u32), usize)> {
+        let capacity = |resources: &FrameResources| resources.render.intersection_capacity();
+        self.by_size.iter().map(|(&size, resources)| (size, capacity(resources))).collect()
     }
 
     /// Makes the studio for a size, with this much room for intersections.
-    pub(super) fn reserve(&mut self, device: &Device, size: (u32, u32), room: usize) -> Result<()> {
-        self.insert(device, size, room)
+    pub(super) fn reserve(&mut self, device: &Device, size: (u32, u32), capacity: usize) -> Result<()> {
+        self.insert(device, size, capacity)
     }
 
     /// Makes a studio anew with more room for intersections, where there is memory for it. What the old
     /// one holds lives on until the device is done with it.
     pub(super) fn grow(&mut self, device: &Device, size: (u32, u32), needed: usize) -> Result<()> {
         self.by_size.remove(&size);
-        let room = grown(needed);
+        let capacity = grown(needed);
         // Systems promise more memory than they have.
         Rehearsal::of(device, |rehearsal| {
-            Studio::new(rehearsal.device(), self.room.gaussians, room, size, self.how).map(drop)
+            FrameResources::new(rehearsal.device(), self.capacity.gaussians, capacity, size, self.how).map(drop)
         })?
         .fits(device)?;
-        self.insert(device, size, room)
+        self.insert(device, size, capacity)
     }
 
     /// Does, in a rehearsal, what growing from another room does: for a moment both are there.
-    pub(super) fn rehearse_growth(&self, device: &Device, first: Room) -> Result<()> {
+    pub(super) fn rehearse_growth(&self, device: &Device, first: Capacity) -> Result<()> {
         let sizes = self.by_size.keys();
         let largest = sizes.max_by_key(|(width, height)| u64::from(*width) * u64::from(*height));
         match largest {
-            Some(&size) if first.intersections < self.room.intersections => {
-                let Room { gaussians, intersections } = first;
-                Studio::new(device, gaussians, intersections, size, self.how).map(drop)
+            Some(&size) if first.intersections < self.capacity.intersections => {
+                let Capacity { gaussians, intersections } = first;
+                FrameResources::new(device, gaussians, intersections, size, self.how).map(drop)
             }
             _ => Ok(()),
         }
     }
 
-    fn insert(&mut self, device: &Device, size: (u32, u32), room: usize) -> Result<()> {
-        let studio = Studio::new(device, self.room.gaussians, room, size, self.how)?;
-        self.by_size.insert(size, studio);
+    fn insert(&mut self, device: &Device, size: (u32, u32), capacity: usize) -> Result<()> {
+        let resources = FrameResources::new(device, self.capacity.gaussians, capacity, size, self.how)?;
+        self.by_size.insert(size, resources);
         Ok(())
     }
 }

@@ -1,4 +1,4 @@
-//! The arithmetic that the ceiling of a device is measured with.
+//! The arithmetic with which the peak rate of a device is measured.
 
 use super::Real;
 
