@@ -1,13 +1,13 @@
-//! The one error of the crate.
+//! The error type of the crate.
 //!
-//! A message says what was wrong, where, and what to do about it. A panic is a bug of ours.
+//! A message states what was wrong, where, and how to fix it. A panic is a bug of the crate.
 
 use std::path::{Path, PathBuf};
 
-/// What every fallible function of the crate returns.
+/// The result type of every fallible function of the crate.
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// Everything that can go wrong.
+/// All errors of the crate.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -24,10 +24,10 @@ pub enum Error {
     /// The Vulkan loader or a driver is missing, or no device fits the request.
     #[error("{0}")]
     NoDevice(String),
-    /// The device was lost under way.
+    /// The device was lost.
     #[error("the device was lost; the last kernel begun was {last_kernel}")]
     DeviceLost {
-        /// The kernel that the device had begun when it was lost.
+        /// The last kernel of the oldest unfinished submission when the device was lost.
         last_kernel: String,
     },
     /// Device memory ran out.
@@ -40,19 +40,19 @@ pub enum Error {
         /// How much was asked for.
         bytes: u64,
     },
-    /// What is about to be done would take more device memory than there is.
+    /// The requested work needs more device memory than is free.
     #[error(
         "{bytes} bytes of device memory are needed ({largest} alone takes {largest_bytes}), {free} are \
          free; use fewer Gaussians or smaller images"
     )]
     TooLarge {
-        /// What would be needed.
+        /// Bytes needed.
         bytes: u64,
-        /// What the device has left.
+        /// Free bytes on the device.
         free: u64,
-        /// The largest buffer.
+        /// Label of the largest buffer.
         largest: String,
-        /// Its bytes.
+        /// Bytes of the largest buffer.
         largest_bytes: u64,
     },
     /// A buffer is larger than one binding of this device may be.
@@ -95,7 +95,7 @@ pub enum Error {
         /// The system's error.
         source: std::io::Error,
     },
-    /// A file holds something else than its format says.
+    /// The content of a file violates its format.
     #[error("{}: {what}", shown(path))]
     Format {
         /// The file.
@@ -103,13 +103,13 @@ pub enum Error {
         /// What is wrong, with the offset or the field.
         what: String,
     },
-    /// The input cannot be worked with, and what to do instead.
+    /// The input is invalid; the message states what to do instead.
     #[error("{0}")]
     Input(String),
-    /// The method could not reach a result on this input.
+    /// The method did not find a result for this input.
     #[error("{0}")]
     Failed(String),
-    /// The user asked to stop; the last checkpoint stays usable.
+    /// The user interrupted the run; the last checkpoint stays usable.
     #[error("interrupted{}", .checkpoint.as_ref().map(|p| format!("; the run can be resumed from the checkpoint {}", shown(p))).unwrap_or_default())]
     Interrupted {
         /// The checkpoint to resume from, where one was written.
@@ -118,26 +118,26 @@ pub enum Error {
 }
 
 impl Error {
-    /// A closure for `map_err` that names the path at which the system failed.
+    /// A closure for `map_err` that adds the path of the failed operation.
     pub fn io(path: impl AsRef<Path>) -> impl FnOnce(std::io::Error) -> Error {
         let path = path.as_ref().to_path_buf();
         move |source| Error::Io { path, source }
     }
 
-    /// A file holds something else than its format says.
+    /// An [`Error::Format`] for this file.
     pub fn format(path: impl AsRef<Path>, what: impl Into<String>) -> Error {
         Error::Format { path: path.as_ref().to_path_buf(), what: what.into() }
     }
 }
 
-/// Text from a file, to be quoted in a message: its first 80 characters on one line, and `…` where
+/// Text from a file, for quoting in a message: its first 80 characters on one line, and `…` if
 /// there are more. Control characters are escaped, so that no file can write to the terminal.
 pub fn excerpt(text: &str) -> String {
     printable(text.trim(), 80)
 }
 
-/// A path for a message: whole, unless no system would take it, and printable as it is in
-/// [`excerpt`]; files can hold names of other files.
+/// A path for a message: up to 4096 characters, with control characters escaped as in [`excerpt`],
+/// since paths can come from other files.
 fn shown(path: &Path) -> String {
     printable(&path.to_string_lossy(), 4096)
 }
@@ -157,7 +157,8 @@ fn printable(text: &str, most: usize) -> String {
     out
 }
 
-/// Neither a control character nor one that reverses or hides what stands beside it.
+/// Whether the character is neither a control character nor one that reverses or hides its
+/// neighbours.
 fn is_harmless(c: char) -> bool {
     !c.is_control()
         && !matches!(c, '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{feff}')

@@ -94,7 +94,7 @@ fn the_package_holds_what_it_needs_and_nothing_more() {
     for file in ["Cargo.toml", "README.md", "CHANGELOG.md", "LICENSE-MIT", "LICENSE-APACHE"] {
         assert!(listed.contains(file), "{file} is missing");
     }
-    for folder in ["src", "spirv", "glsl", "include"] {
+    for folder in ["src", "spirv", "glsl", "include", "examples/custom_kernel"] {
         for path in files(&root().join(folder)) {
             let inner = path.strip_prefix(root()).unwrap().to_string_lossy().into_owned();
             assert!(listed.contains(inner.as_str()), "{inner} is missing");
@@ -104,11 +104,14 @@ fn the_package_holds_what_it_needs_and_nothing_more() {
     let beside: Vec<_> = listed
         .iter()
         .filter(|file| {
-            !["src/", "spirv/", "glsl/", "include/"].iter().any(|folder| file.starts_with(folder))
+            let folders = ["src/", "spirv/", "glsl/", "include/", "examples/"];
+            !folders.iter().any(|folder| file.starts_with(folder))
         })
         .filter(|file| !generated.contains(file))
         .collect();
     assert_eq!(beside.len(), 5, "{beside:?}");
+    // Packages of their own, which depend on this one.
+    assert!(!listed.iter().any(|file| file.starts_with("examples/wgpu-host")));
 }
 
 fn root() -> PathBuf {

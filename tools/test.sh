@@ -106,6 +106,16 @@ check_features() {
     return $status
 }
 
+# The examples, as built above: each exits with an error where its result is wrong.
+run_examples() {
+    local folder=$target/examples-out
+    rm -rf "$folder" && mkdir -p "$folder" &&
+        "$target/release/examples/own_loss" "$folder/fitted.png" "$folder/fitted.ply" &&
+        "$target/release/examples/render_ply" "$folder/fitted.ply" "$folder/view.png" &&
+        "$target/release/examples/custom_kernel" "$folder/fog.png" &&
+        "$target/release/examples/adopt_device" "$folder/adopted.png"
+}
+
 test=(cargo test "${release[@]}" --no-fail-fast)
 show=(-- --show-output)
 
@@ -124,6 +134,7 @@ step "C header" "$target/release/header" check
 step "unit tests" on "$lavapipe" "${test[@]}" --lib --bins "${others[@]}" "${show[@]}"
 step "wgpu host" on "$lavapipe" "$target/release/wgpu-host" --validation
 step "wgpu host on SwiftShader" on "$swiftshader" "$target/release/wgpu-host" --validation --frames 20
+step "examples" on "$lavapipe" run_examples
 step "doc tests" on "$lavapipe" "${test[@]}" --doc
 step "kernels on lavapipe" on "$lavapipe" "${test[@]}" "${kernel_tests[@]}" "${show[@]}"
 step "kernels on SwiftShader" on "$swiftshader" "${test[@]}" "${kernel_tests[@]}" "${show[@]}"

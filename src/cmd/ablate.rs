@@ -1,4 +1,4 @@
-//! `splat4d ablate`: what each component of a reconstruction is worth on one clip.
+//! `splat4d ablate`: contribution of each component of a reconstruction on one clip.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -23,7 +23,7 @@ use super::origins::{self, Given, Networks};
 use super::outputs::{Folder, Inputs, Outputs};
 use super::values;
 
-/// Training steps before the first run that counts.
+/// Number of training steps before the first run that counts.
 const WARM_UP: u32 = 5;
 
 const AFTER_HELP: &str = "\
@@ -66,33 +66,33 @@ them). Figures: input_psnr, input_ssim, input_movers_psnr, input_movers_ssim; pe
 held_out_K_psnr, held_out_K_ssim, held_out_K_movers_psnr, held_out_K_static_psnr (filmed pixels);
 gaussians, control_points, seconds_track, seconds_train, peak_bytes (of device memory in training).";
 
-/// Measure what each component of a reconstruction is worth, by leaving it out
+/// Measure the contribution of each component of a reconstruction by disabling it
 #[derive(Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct AblateArgs {
-    /// A video file, or a folder of its frames; beside these may lie `truth`
+    /// A video file, or a folder of its frames; ground truth is read from a folder `truth` beside them
     #[arg(value_name = "CLIP")]
     clip: PathBuf,
     #[command(flatten)]
     frames: ClipArgs,
     #[command(flatten)]
     networks: NetworkArgs,
-    /// Leave out only these components, one at a time
+    /// Disable only these components, one at a time
     #[arg(long, value_name = "NAME,…", value_delimiter = ',',
           value_parser = PossibleValuesParser::new(COMPONENTS.map(|component| component.name)))]
     only: Vec<String>,
-    /// Steps of the last and longest stage; the stages before it go in proportion
+    /// Steps of the last and longest stage; earlier stages scale in proportion
     #[arg(long, value_name = "N", default_value_t = SequenceSettings::default().steps,
           value_parser = values::whole::<u32>(1..=values::MOST_STEPS))]
     steps: u32,
-    /// Most Gaussians [default: 40,000, or one for every three pixels of a frame]
+    /// Maximum number of Gaussians [default: 40,000, or one for every three pixels of a frame]
     #[arg(long, value_name = "N",
           value_parser = values::whole::<usize>(16..=values::MOST_GAUSSIANS))]
     max_gaussians: Option<usize>,
-    /// Make every run with so many seeds
+    /// Repeat every run with this many seeds
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = values::whole::<u64>(1..=100))]
     seeds: u64,
-    /// Write ablation.csv and index.html into this folder
+    /// Write ablation.csv and index.html to this folder
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
 }
@@ -145,7 +145,7 @@ pub fn run(args: &AblateArgs, common: &Common) -> Result<Answer> {
         }
         material.keep_masks(&full.track);
         if number == 0 {
-            // A device compiles what it is to do the first time: no run is to pay for that.
+            // A device compiles its pipelines on first use, which should not count for any run.
             material.train(&full, &settings.clone().of_steps(args.steps.min(WARM_UP)))?;
         }
         rows[0].runs.push(material.train(&full, &settings)?);
@@ -202,8 +202,8 @@ fn empty(component: &str, without: &str) -> AblationRow {
     }
 }
 
-/// Adds a run to its row. That a clip cannot be reconstructed without a component is a finding; what has
-/// nothing to do with it ends the command.
+/// Adds a run to its row. A clip that cannot be reconstructed without a component is a result; unrelated
+/// errors end the command.
 fn note(row: &mut AblationRow, made: Result<Figures>) -> Result<()> {
     match made {
         Ok(figures) => row.runs.push(figures),
@@ -217,7 +217,7 @@ fn note(row: &mut AblationRow, made: Result<Figures>) -> Result<()> {
     Ok(())
 }
 
-/// Tries where the report goes, and that it spares what is read.
+/// Checks that the report can be written and does not overwrite inputs.
 fn check_outputs(args: &AblateArgs) -> Result<()> {
     let Some(folder) = &args.report else { return Ok(()) };
     let outputs = Outputs::default().folder(folder, &Ablation::REPORT_FILES)?;
@@ -244,10 +244,10 @@ fn check_memory(
     Ok(())
 }
 
-/// A column of the table: its heading, what its figure is divided by, digits.
+/// A column of the table: heading, divisor of the values, digits.
 type Column<'a> = (&'a Figure, String, f64, usize);
 
-/// The column of a figure that the table shows.
+/// The column of a metric, if the table shows it.
 fn column(figure: &Figure) -> Option<Column<'_>> {
     let mebi = f64::from(1 << 20);
     let (heading, unit, digits) = match figure.key.as_str() {
@@ -259,7 +259,7 @@ fn column(figure: &Figure) -> Option<Column<'_>> {
         "peak_bytes" => ("MiB".to_owned(), mebi, 1),
         key => {
             let place = key.strip_prefix("held_out_")?.strip_suffix("_psnr")?;
-            // The mean over all distances says little.
+            // The mean over all distances is not informative.
             let heading = place.replace('_', " ");
             (Some(heading).filter(|heading| !heading.starts_with("all"))?, 1.0, 2)
         }

@@ -1,4 +1,4 @@
-//! One run of an ablation: a clip tracked, trained, measured.
+//! One run of an ablation: tracking, training and evaluation of a clip.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -25,36 +25,36 @@ use super::meter::Meter;
 use super::networks::{TrackNetworks, estimate_depth, estimate_pointmaps};
 use super::{eval_truth, interrupt};
 
-/// What all runs share.
+/// Data shared by all runs.
 pub struct Material<'a> {
     device: &'a Device,
     /// The clip's frames.
     pub frames: Vec<Image>,
     names: Vec<String>,
     times: Vec<f64>,
-    /// The clip's truth, where it has one.
+    /// Folder of the clip's ground truth, if there is one.
     truth: Option<&'a Path>,
-    /// By frame, 1 where something moves.
+    /// Per frame, 1 on movers.
     movers: Vec<Image>,
     /// Parts of the tracking that are the same in every run: the flow.
     flow: BTreeMap<String, Vec<u8>>,
-    /// How long these took.
+    /// Time for computing these parts, seconds.
     pub seconds_flow: f64,
-    /// The distances of the held-out cameras, as the last run was measured.
+    /// Distances of the held-out cameras, from the last evaluated run.
     pub distances: Vec<String>,
 }
 
-/// A tracked clip, and how long that took without the flow.
+/// A tracked clip, with the time for tracking without the flow.
 pub struct Tracked {
     pub track: Track,
     seconds: f64,
 }
 
-/// What was measured of a run: figures by their keys.
+/// Metrics of a run, by key.
 pub type Figures = BTreeMap<String, f64>;
 
 impl<'a> Material<'a> {
-    /// Of a clip, and its truth.
+    /// Material of a clip and its ground truth.
     pub fn new(device: &'a Device, clip: Clip, truth: Option<&'a Path>) -> Material<'a> {
         let names = clip.frames.iter().map(|frame| frame.name.clone()).collect();
         let times = clip.frames.iter().map(|frame| frame.time).collect();
@@ -72,7 +72,7 @@ impl<'a> Material<'a> {
         }
     }
 
-    /// What networks tell of depth and cameras, for all runs.
+    /// Estimates depth and cameras with the networks, for all runs.
     pub fn estimate(&self, models: &mut Option<Models>, options: &mut Options) -> Result<()> {
         estimate_depth(models, &self.frames, options)?;
         let said = estimate_pointmaps(models, &self.frames, options)?;
@@ -105,7 +105,7 @@ impl<'a> Material<'a> {
         Ok(Tracked { track, seconds })
     }
 
-    /// Keeps what moves in each frame, by the truth where it has masks, else by the full run's.
+    /// Stores each frame's mover mask, from the ground truth where it has masks, else from the full run.
     pub fn keep_masks(&mut self, full: &Track) {
         let true_mask = |frame: usize| -> Option<Image> {
             let number: usize = self.names[frame].parse().ok()?;
@@ -121,7 +121,7 @@ impl<'a> Material<'a> {
         self.movers = (0..self.frames.len()).map(of).collect();
     }
 
-    /// Trains on a track and measures the scene.
+    /// Trains on a track and evaluates the scene.
     pub fn train(&mut self, tracked: &Tracked, settings: &SequenceSettings) -> Result<Figures> {
         let Tracked { track, seconds } = tracked;
         self.device.restart_memory_peak();
@@ -169,7 +169,7 @@ impl<'a> Material<'a> {
         Ok(figures)
     }
 
-    /// Against the frames as they were trained on.
+    /// Evaluates a scene on the training frames.
     fn on_input(&self, scene: &Scene, frames: &[Image]) -> Result<Figures> {
         let mut renderer = Renderer::new(self.device, scene)?;
         let mut judge = Judge {
@@ -199,7 +199,7 @@ impl<'a> Material<'a> {
     }
 }
 
-/// A mask at the size of a picture, by the nearest pixel.
+/// A mask at the size of an image, by nearest neighbour.
 fn sampled(mask: &Image, like: &Image) -> Image {
     let mut out = Image::new(like.width, like.height, 1);
     for y in 0..out.height {
@@ -214,7 +214,7 @@ fn sampled(mask: &Image, like: &Image) -> Image {
     out
 }
 
-/// The figures of a row of [`held_out::keys`], under keys that begin with `prefix`.
+/// The metrics of a row of [`held_out::keys`], with a prefix on their keys.
 fn of_row(prefix: &str, row: &Value) -> Figures {
     let still = [&row["static_covisible"], &row["outside_movers"]];
     let still = still.into_iter().find(|region| !region.is_null()).unwrap_or(&Value::Null);
@@ -230,7 +230,7 @@ fn of_row(prefix: &str, row: &Value) -> Figures {
         .collect()
 }
 
-/// What is measured of each run, where the held-out cameras have these distances.
+/// The metrics of each run, given the distances of the held-out cameras.
 pub fn figures(distances: &[String]) -> Vec<Figure> {
     let figure = |key: String, title: String, better| Figure { key, title, better };
     let mut all = Vec::new();
@@ -260,7 +260,7 @@ pub fn figures(distances: &[String]) -> Vec<Figure> {
     all
 }
 
-/// Looks on while the clip is tracked, and keeps its flow for the next run.
+/// Tracking observer that keeps the flow for the next run.
 struct Follower<'a> {
     flow: &'a mut BTreeMap<String, Vec<u8>>,
     began: Instant,

@@ -60,7 +60,7 @@ JSON: jobs [{name, state (done, failed, skipped), seconds, psnr_input, ssim_inpu
 control_points, dynamic_share, peak_bytes, error (or null), log}], done, failed, skipped, seconds,
 output. With --emit: emit, files, jobs, output";
 
-/// Figures of a reconstruction that stand in the summary.
+/// Metrics of a reconstruction in the summary.
 const FIGURES: [&str; 7] = [
     "psnr_input",
     "ssim_input",
@@ -70,9 +70,9 @@ const FIGURES: [&str; 7] = [
     "dynamic_share",
     "peak_bytes",
 ];
-/// The summary as a table.
+/// File name of the summary table.
 const TABLE: &str = "batch.csv";
-/// What a job writes besides its scene and its report, by the end of its name.
+/// Suffixes of the files that a job writes besides its scene and its report.
 const LOG: &str = ".log";
 const DONE: &str = ".done.json";
 const BEGUN: &str = ".begun.json";
@@ -84,18 +84,18 @@ pub struct BatchArgs {
     /// The list of jobs, a TOML file
     #[arg(value_name = "LIST")]
     list: PathBuf,
-    /// The folder for all that the jobs write
+    /// The folder for all output of the jobs
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     #[command(flatten)]
     emit: EmitArgs,
 }
 
-/// Runs the command. The exit code says whether every job is done.
+/// Runs the command. The exit code indicates whether every job is done.
 pub fn run(args: &BatchArgs, common: &Common) -> Result<(Answer, ExitCode)> {
     let BatchArgs { list, output, emit } = args;
     if let Some(engine) = emit.engine()? {
-        // It may work elsewhere.
+        // The other engine may run in another working directory.
         let [list, output] = [absolute(list)?, absolute(output)?];
         let jobs = batch_list::read(&list, &output, common)?;
         check_outputs(&list, &jobs, &output, engine.files())?;
@@ -136,7 +136,7 @@ fn absolute(path: &Path) -> Result<PathBuf> {
     std::path::absolute(path).map_err(Error::io(path))
 }
 
-/// Tries where the jobs' files and some `further` ones go, and that they spare what any job reads.
+/// Checks that the jobs' files and the `further` ones can be written and do not overwrite any job's inputs.
 fn check_outputs(list: &Path, jobs: &[Job], folder: &Path, further: &[&str]) -> Result<()> {
     let all = Inputs::new([list.to_path_buf()], []);
     let all = jobs.iter().fold(all, |all, job| all.and(job.args.inputs()));
@@ -154,11 +154,11 @@ fn check_outputs(list: &Path, jobs: &[Job], folder: &Path, further: &[&str]) -> 
 enum State {
     Done,
     Failed,
-    /// Done by an earlier run.
+    /// Completed by an earlier run.
     Skipped,
 }
 
-/// How a job ended.
+/// Result of a job.
 struct End {
     name: String,
     state: State,
@@ -168,7 +168,7 @@ struct End {
     log: PathBuf,
 }
 
-/// What is kept of a job that is done.
+/// Record of a completed job.
 #[derive(Serialize, Deserialize)]
 struct Finished {
     identity: Identity,
@@ -195,7 +195,7 @@ impl End {
         }
     }
 
-    /// A figure, null where there is none.
+    /// A metric, null where it is absent.
     fn figure(&self, key: &str) -> Value {
         self.figures.get(key).cloned().unwrap_or_default()
     }
@@ -212,7 +212,7 @@ impl End {
         json
     }
 
-    /// For people, as soon as it is known.
+    /// A line for people, printed as soon as the job ends.
     fn line(&self) -> String {
         match (&self.error, self.state) {
             (Some(error), _) => format!("{}: failed: {error}", self.name),
@@ -222,7 +222,7 @@ impl End {
     }
 }
 
-/// Runs a job unless it is done. An error is the job's, unless the user has asked to stop.
+/// Runs a job unless it is done. An error belongs to the job, unless the user has requested a stop.
 fn attempt(job: &Job) -> Result<End> {
     interrupt::check()?;
     let identity = job.identity()?;
@@ -235,7 +235,7 @@ fn attempt(job: &Job) -> Result<End> {
             Some(what) => say(&format!("{}: anew: {what}", job.name)),
         }
     }
-    // The checkpoint of other input or options would be refused.
+    // The checkpoint of other input or options would be rejected.
     let resumes = read_kept::<Identity>(&kept[1]).is_some_and(|begun| begun == identity);
     let log = open_log(&job.file(LOG), resumes)?;
     remove(&kept[0])?;
@@ -259,7 +259,7 @@ fn attempt(job: &Job) -> Result<End> {
     }
 }
 
-/// What an earlier run has kept; a file that is damaged is told and counts for nothing.
+/// The record of an earlier run; a damaged file is reported and ignored.
 fn read_kept<T: for<'a> Deserialize<'a>>(path: &Path) -> Option<T> {
     if !path.exists() {
         return None;
@@ -277,14 +277,14 @@ fn remove(path: &Path) -> Result<()> {
     }
 }
 
-/// Opens a job's log to write on. A lock on it lasts as long as the job's process, which outlives a
-/// `batch` that is killed: two that write one checkpoint would spoil it.
+/// Opens a job's log for appending. It is locked for the lifetime of the job's process, which outlives a
+/// `batch` that is killed: two processes that write one checkpoint would corrupt it.
 fn open_log(path: &Path, resumes: bool) -> Result<File> {
     if let Some(folder) = path.parent() {
         fs::create_dir_all(folder).map_err(Error::io(folder))?;
     }
     let file = File::options().append(true).create(true).open(path).map_err(Error::io(path))?;
-    // Not every file system has locks, and where they bind other processes they would keep the job out.
+    // Not every file system supports locks, and mandatory locks would exclude the job's own process.
     if cfg!(unix) && matches!(file.try_lock(), Err(fs::TryLockError::WouldBlock)) {
         let what = "is being written: another run is at this job; wait for its end, or stop it";
         return Err(Error::format(path, what));
@@ -295,7 +295,7 @@ fn open_log(path: &Path, resumes: bool) -> Result<File> {
     Ok(file)
 }
 
-/// Writes the summary as a table.
+/// Writes the summary table.
 fn write_table(path: &Path, ended: &[End]) -> Result<()> {
     let mut table = String::new();
     let heading = ["name", "state", "seconds"].iter().chain(&FIGURES).chain(&["error"]);

@@ -1,4 +1,4 @@
-//! The jobs of `splat4d batch` for engines that people run clusters with: Snakemake, Slurm, Kubernetes.
+//! Output of the jobs of `splat4d batch` for workflow engines: Snakemake, Slurm, Kubernetes.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -11,19 +11,19 @@ use super::batch_list::Job;
 use super::common::{Answer, path_text};
 use super::values;
 
-/// What runs the jobs.
+/// The engine that runs the jobs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Engine {
     /// A Snakefile
     Snakemake,
-    /// An array job, and the file of its jobs
+    /// An array job, with a file that lists its jobs
     Slurm,
-    /// A Kubernetes Job for each
+    /// A Kubernetes Job per job
     K8s,
 }
 
 impl Engine {
-    /// The files that are written for it.
+    /// The files that are written for the engine.
     pub fn files(self) -> &'static [&'static str] {
         match self {
             Engine::Snakemake => &["Snakefile"],
@@ -33,37 +33,37 @@ impl Engine {
     }
 }
 
-/// The flags of jobs that another engine is to run.
+/// Options for jobs that another engine runs.
 #[derive(Args)]
 pub struct EmitArgs {
-    /// Write the jobs for this engine into the output folder instead of running them
+    /// Write the jobs for this engine to the output folder instead of running them
     #[arg(long, value_name = "ENGINE", value_enum)]
     emit: Option<Engine>,
-    /// Processors of a job
+    /// CPU cores per job
     #[arg(long, value_name = "N", requires = "emit", value_parser = values::whole::<u32>(1..=4096))]
     cpus: Option<u32>,
-    /// Memory of a job, GiB
+    /// Memory per job, GiB
     #[arg(long, value_name = "GIB", requires = "emit",
           value_parser = values::whole::<u32>(1..=65_536))]
     memory: Option<u32>,
-    /// GPUs of a job [default: none]
+    /// GPUs per job [default: none]
     #[arg(long, value_name = "N", requires = "emit", value_parser = values::whole::<u32>(1..=64))]
     gpus: Option<u32>,
     /// Kubernetes: the container image
     #[arg(long, value_name = "NAME", requires = "mount", default_value = "splat4d",
           value_parser = values::image)]
     image: String,
-    /// Kubernetes: the folder that holds all inputs and the output, mounted at the same path in the
-    /// container; the nodes' own (hostPath), unless --claim is given
+    /// Kubernetes: the folder that contains all inputs and the output, mounted at the same path in the
+    /// container; a folder of the nodes (hostPath), unless --claim is given
     #[arg(long, value_name = "DIR", requires = "emit", required_if_eq("emit", "k8s"))]
     mount: Option<PathBuf>,
-    /// Kubernetes: the persistent volume claim that holds what lies in --mount
+    /// Kubernetes: the persistent volume claim with the contents of --mount
     #[arg(long, value_name = "NAME", requires = "mount", value_parser = values::claim)]
     claim: Option<String>,
 }
 
 impl EmitArgs {
-    /// The engine, if one is asked for.
+    /// The engine, if one is requested.
     pub fn engine(&self) -> Result<Option<Engine>> {
         if self.mount.is_some() && self.emit != Some(Engine::K8s) {
             let what = "--mount, --image and --claim are of --emit k8s";
@@ -73,19 +73,19 @@ impl EmitArgs {
     }
 }
 
-/// A job in text: what these files are made of.
+/// A job as text, from which these files are made.
 struct Emitted<'a> {
     name: &'a str,
     /// The words after the program's name.
     words: Vec<String>,
-    /// What it reads.
+    /// The files that it reads.
     reads: Vec<String>,
 }
 
-/// Writes the jobs for an engine into a folder.
+/// Writes the jobs for an engine to a folder.
 ///
 /// # Errors
-/// A path that is not Unicode or holds control characters, one outside of what is to be mounted, a full
+/// A path that is not Unicode or contains control characters, or lies outside of the mounted folder; a full
 /// disk.
 pub fn write(engine: Engine, args: &EmitArgs, jobs: &[Job], folder: &Path) -> Result<Answer> {
     let text = plain(folder)?;
@@ -128,7 +128,7 @@ fn emitted(job: &Job) -> Result<Emitted<'_>> {
     })
 }
 
-/// A word as text that every one of these files can hold.
+/// A word as text that all of these file formats can represent.
 fn plain(word: &Path) -> Result<String> {
     let text = word.to_str().filter(|text| !text.chars().any(char::is_control));
     text.map(str::to_owned).ok_or_else(|| {
@@ -138,10 +138,10 @@ fn plain(word: &Path) -> Result<String> {
     })
 }
 
-/// One rule for all jobs. What a job reads is declared as far as it is there: of what is missing the job
-/// itself tells, and the others go on.
+/// One rule for all jobs. The inputs of a job are declared if they exist: the job itself reports missing
+/// ones, and the other jobs continue.
 fn snakefile(args: &EmitArgs, jobs: &[Emitted<'_>], folder: &str) -> Result<String> {
-    // Snakemake takes what stands in braces for a wildcard, and has no way to say otherwise.
+    // Snakemake interprets braces as wildcards, and they cannot be escaped here.
     if folder.contains(['{', '}']) {
         let what = "Snakemake takes the braces in its path for a wildcard; name another folder";
         return Err(Error::format(folder, what));
@@ -202,8 +202,8 @@ rule reconstruct:
     ))
 }
 
-/// An array job. The program takes the shell's place, so that Slurm's signal reaches it: it puts its state
-/// away, and goes on when the array is submitted again.
+/// An array job. The program replaces the shell, so that it receives Slurm's signal: it then writes a
+/// checkpoint, and resumes when the array is submitted again.
 fn sbatch(args: &EmitArgs, jobs: &[Emitted<'_>], folder: &str) -> String {
     let mut options = format!("#SBATCH --array=1-{}\n", jobs.len());
     options.extend(args.cpus.map(|cpus| format!("#SBATCH --cpus-per-task={cpus}\n")));
@@ -232,19 +232,19 @@ exec splat4d "${{words[@]:1}}" >>"$folder/${{words[0]}}.log" 2>&1
     )
 }
 
-/// A line for each job: its name and the words of its command line, with tabs between, which no word has
-/// in it.
+/// A line for each job: its name and the words of its command line, separated by tabs, which no word
+/// contains.
 fn table(jobs: &[Emitted<'_>]) -> String {
     let line = |job: &Emitted<'_>| format!("{}\t{}\n", job.name, job.words.join("\t"));
     jobs.iter().map(line).collect()
 }
 
-/// A word for a shell.
+/// Quotes a word for a shell.
 fn quoted(text: &str) -> String {
     format!("'{}'", text.replace('\'', "'\\''"))
 }
 
-/// A document for each job. They are JSON, which YAML holds within it.
+/// A document for each job, in JSON, which is a subset of YAML.
 fn manifests(args: &EmitArgs, jobs: &[Emitted<'_>], folder: &str) -> Result<String> {
     let mount = std::path::absolute(args.mount.as_deref().unwrap_or(Path::new("/")))
         .map_err(Error::io("--mount"))?;
@@ -267,7 +267,7 @@ fn manifests(args: &EmitArgs, jobs: &[Emitted<'_>], folder: &str) -> Result<Stri
     let limits: BTreeMap<&str, Value> = gpus.into_iter().chain(memory).collect();
     let mut taken = BTreeSet::new();
     let documents = jobs.iter().map(|job| {
-        // Kubernetes would put a variable's value in the place of $(NAME).
+        // Kubernetes would substitute a variable for $(NAME).
         let words: Vec<String> = job.words.iter().map(|word| word.replace("$(", "$$(")).collect();
         let document = json!({
             "apiVersion": "batch/v1",
@@ -278,7 +278,7 @@ fn manifests(args: &EmitArgs, jobs: &[Emitted<'_>], folder: &str) -> Result<Stri
                 "annotations": { "splat4d/job": job.name },
             },
             "spec": {
-                // What a node's end has stopped goes on from its checkpoint.
+                // A job that a node failure has stopped resumes from its checkpoint.
                 "backoffLimit": 2,
                 "template": {
                     "metadata": { "labels": { "app.kubernetes.io/name": "splat4d" } },
@@ -302,8 +302,7 @@ fn manifests(args: &EmitArgs, jobs: &[Emitted<'_>], folder: &str) -> Result<Stri
     Ok(documents.collect())
 }
 
-/// A name as Kubernetes has them (DNS-1123: 63 lower-case letters, digits and dashes) that is not yet
-/// taken.
+/// A unique Kubernetes name (DNS-1123: at most 63 lower-case letters, digits and dashes).
 fn dns_name(name: &str, taken: &mut BTreeSet<String>) -> String {
     let fit = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' };
     let name: String = name.chars().map(fit).collect();

@@ -17,15 +17,15 @@ use super::common::Common;
 use super::reconstruct::ReconstructArgs;
 use super::{Cli, Command, usage_error};
 
-/// What may be wrong with a job, in words; the caller says of which.
+/// Result with an error message about a job; the caller adds which one.
 type Told<T> = std::result::Result<T, String>;
 
-/// What a job's command line has from `batch` alone.
+/// Options that only `batch` sets.
 const SET_HERE: [&str; 6] = ["output", "report", "resume", "json", "help", "version"];
-/// Characters of a job's name, which begins file names.
+/// Maximum length of a job's name, which is a prefix of file names.
 const MOST_NAME: usize = 100;
 
-/// The file.
+/// The parsed list file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct List {
@@ -37,35 +37,35 @@ struct List {
 
 /// One reconstruction.
 pub struct Job {
-    /// Begins the names of all that it writes.
+    /// Name and prefix of all its output files.
     pub name: String,
-    /// What its command line says.
+    /// Parsed options of the job.
     pub args: ReconstructArgs,
-    /// The files and folders that its command line names to be read, the clip last.
+    /// The input files and folders of its command line, the clip last.
     pub reads: Vec<PathBuf>,
     output: PathBuf,
     options: Vec<OsString>,
-    /// The clip and the options as the list has them.
+    /// The clip and the options as listed.
     listed: Identity,
 }
 
 impl Job {
-    /// What it writes beside others into the batch's folder, by the end of its name.
+    /// Path of an additional output file in the batch's folder, by its suffix.
     pub fn file(&self, end: &str) -> PathBuf {
         self.output.join(format!("{}{end}", self.name))
     }
 
-    /// Its scene's file.
+    /// Path of its scene file.
     pub fn scene(&self) -> PathBuf {
         self.file(".safetensors")
     }
 
-    /// The words after the program's name, some `further` options among them.
+    /// The words after the program's name, including some `further` options.
     pub fn words(&self, further: &[&str]) -> Vec<OsString> {
         words(&self.options, further, self.reads.last().expect("the clip"))
     }
 
-    /// What its result depends on: the options as they are listed, and what all files that it reads hold.
+    /// Everything that its result depends on: the listed options, and the contents of all input files.
     ///
     /// # Errors
     /// A file that cannot be read.
@@ -84,12 +84,11 @@ fn words(options: &[OsString], further: &[&str], clip: &Path) -> Vec<OsString> {
     words
 }
 
-/// Reads the jobs of a list, which write into the folder `output`. The device and the seed are `common`'s
-/// where the list does not say.
+/// Reads the jobs of a list, which write to the folder `output`. The device and the seed are `common`'s
+/// where the list does not set them.
 ///
 /// # Errors
-/// The file cannot be read or is no list; a job without name or input, or whose command line would be
-/// refused.
+/// The file cannot be read or is not a list; a job without a name or input, or with an invalid command line.
 pub fn read(path: &Path, output: &Path, common: &Common) -> Result<Vec<Job>> {
     let text = io::read_text(path)?;
     let list: List = toml::from_str(&text).map_err(|error| {
@@ -101,19 +100,19 @@ pub fn read(path: &Path, output: &Path, common: &Common) -> Result<Vec<Job>> {
         return Err(Error::format(path, "lists no job; add a [[job]] with `name` and `input`"));
     }
     let mut cli = Cli::command();
-    // Only then a command has the options that all share.
+    // A command has the global options only after this call.
     cli.build();
     let declared: Vec<&Arg> =
         cli.find_subcommand("reconstruct").expect("a command").get_arguments().collect();
     let base = path.parent().unwrap_or(Path::new(""));
     let drafter = Drafter { declared, base, output };
     let mut usual = Table::new();
-    // A TOML number has 63 bits.
+    // TOML integers have 63 bits.
     usual.insert("seed".into(), common.seed.to_string().into());
     usual.insert("device".into(), common.device.clone().into());
     usual.extend(list.defaults);
     let mut jobs = Vec::new();
-    // By name, in which upper and lower case do not tell files apart everywhere.
+    // By name, because not all file systems distinguish upper and lower case.
     let mut numbers: BTreeMap<String, usize> = BTreeMap::new();
     for (i, table) in list.job.into_iter().enumerate() {
         let number = i + 1;
@@ -132,7 +131,7 @@ pub fn read(path: &Path, output: &Path, common: &Common) -> Result<Vec<Job>> {
     Ok(jobs)
 }
 
-/// A job's name, which is fit to begin a file's name anywhere.
+/// A job's name, which must be valid as a prefix of file names on all systems.
 fn name(table: &Table) -> Told<String> {
     let Some(name) = table.get("name") else {
         return Err("it has no `name`, by which its files are called".into());
@@ -152,17 +151,17 @@ fn name(table: &Table) -> Told<String> {
     })
 }
 
-/// Makes command lines of what stands in the list.
+/// Converts list entries to command lines.
 struct Drafter<'a> {
     /// The arguments of `reconstruct`.
     declared: Vec<&'a Arg>,
-    /// What paths in the list are relative to.
+    /// Base folder of relative paths in the list.
     base: &'a Path,
     output: &'a Path,
 }
 
 impl Drafter<'_> {
-    /// A job of a name, with its own options over the `usual` ones.
+    /// A job with the given name; its own options override the `usual` ones.
     fn job(&self, name: String, usual: Table, mut own: Table) -> Told<Job> {
         own.remove("name");
         let clip = own.remove("input").ok_or("it has no `input`, the clip to reconstruct")?;
@@ -218,7 +217,7 @@ impl Drafter<'_> {
         Ok(Job { name, args, reads, output: self.output.to_path_buf(), options, listed })
     }
 
-    /// A path of the list; none stays none, for the parser to refuse.
+    /// A path of the list; an empty one stays empty, so that the parser rejects it.
     fn path(&self, text: &str) -> PathBuf {
         if text.is_empty() { PathBuf::new() } else { self.base.join(text) }
     }
@@ -228,7 +227,7 @@ fn takes_path(argument: &Arg) -> bool {
     argument.get_value_parser().type_id() == TypeId::of::<PathBuf>()
 }
 
-/// A value as it stands on a command line; a list's with commas between.
+/// A value in command-line form; lists are comma-separated.
 fn text(value: &Value) -> Told<String> {
     let text = match value {
         Value::Array(values) if !values.iter().any(Value::is_array) => {
@@ -243,7 +242,7 @@ fn text(value: &Value) -> Told<String> {
     }
 }
 
-/// A value without the quotes of a text.
+/// A value without the quotes of a string.
 fn shown(value: &Value) -> String {
     value.as_str().map_or_else(|| value.to_string(), str::to_owned)
 }

@@ -23,9 +23,9 @@ use super::outputs::{Inputs, Outputs};
 use super::path::{self, Orbit};
 use super::{interrupt, tuning, values};
 
-/// Views that a sweep of a scene renders.
+/// Number of views that a sweep of a scene renders.
 const SWEEP_VIEWS: usize = 2;
-/// Views that a budget is searched on and, one more, tested on.
+/// Number of views for a budget: the search uses all but one, which tests the result.
 const BUDGET_VIEWS: usize = 3;
 
 const AFTER_HELP: &str = "\
@@ -71,69 +71,69 @@ or null), kernels [[name, nanoseconds]]}]}] (with --scale), missed (rows without
 host_share, work {bytes, operations}, subgroup_size, kernels [{kernel, workgroup, dispatches, time, share}]}]. Of cmp: rows [{name, ratio, interval, verdict}], faster, slower, noise,
 incomparable";
 
-/// Measure every op and pipeline, and what each speed-up costs in accuracy
+/// Measure every operation and pipeline, and the accuracy cost of each speed-up
 #[derive(Args)]
 #[command(after_help = AFTER_HELP, args_conflicts_with_subcommands = true)]
 pub struct BenchArgs {
     #[command(subcommand)]
     command: Option<BenchCommand>,
-    /// Only rows and sweeps whose name holds this
+    /// Only rows and sweeps whose name contains this text
     #[arg(long, value_name = "TEXT")]
     filter: Option<String>,
-    /// Small sizes and few samples: a glance, not a measurement
+    /// Small sizes and few samples: a rough indication, not a measurement
     #[arg(long)]
     quick: bool,
-    /// Sweep speed against error on this scene too: a scene's file or a PLY
+    /// Also sweep speed against error on this scene: a scene file or a PLY
     #[arg(long, value_name = "FILE")]
     scene: Option<PathBuf>,
-    /// Size of the scene's images
+    /// Size of the rendered images
     #[arg(long, value_name = "WxH", value_parser = values::size, default_value = "480x270")]
     size: (u32, u32),
-    /// Write index.html, bench.json and bench.csv into this folder
+    /// Write index.html, bench.json and bench.csv to this folder
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
-    /// Print where the time of each row goes, kernel by kernel
+    /// Print the time of each row by kernel
     #[arg(long, conflicts_with_all = ["scene", "report", "error_budget"])]
     profile: bool,
     /// Measure time and memory against number of Gaussians, pixels, control points and frames
     #[arg(long, conflicts_with_all = ["scene", "error_budget", "profile", "filter"])]
     scale: bool,
-    /// Time that --scale may take, about; what would take longer is left out, and said
+    /// Approximate time limit of --scale; measurements that would take longer are left out, with a note
     #[arg(long, value_name = "SECONDS", default_value_t = 480.0,
           requires = "scale", value_parser = values::number(0.001..=values::MOST_SECONDS))]
     seconds: f64,
-    /// Choose the fastest settings whose image error stays within this; colours are in [0, 1]
+    /// Choose the fastest settings whose image error is at most this; colours are in [0, 1]
     #[arg(long, value_name = "ERROR", requires = "scene",
           value_parser = values::number(1e-30..=1.0))]
     error_budget: Option<f64>,
-    /// What of the error is budgeted
+    /// Error measure of the budget
     #[arg(long, value_name = "MEASURE", default_value = "rmse", requires = "error_budget")]
     error_measure: Measure,
-    /// Write the chosen settings here; `render` and `train` take them with --settings
+    /// Write the chosen settings to this file; `render` and `train` read them with --settings
     #[arg(long, value_name = "FILE", requires = "error_budget")]
     settings: Option<PathBuf>,
 }
 
 #[derive(Subcommand)]
 enum BenchCommand {
-    /// Compare two results row by row; says when the noise forbids a verdict
+    /// Compare two results row by row; gives no verdict where the noise is too large
     Cmp {
         /// A bench.json
         a: PathBuf,
-        /// Another one
+        /// The bench.json to compare with it
         b: PathBuf,
     },
 }
 
 #[derive(Clone, Copy, ValueEnum)]
 enum Measure {
-    /// Root of the mean square over pixels and channels
+    /// Root mean square over pixels and channels
     Rmse,
-    /// Largest difference of a channel
+    /// Largest difference of any channel
     Max,
 }
 
-/// Runs the command. The exit code says whether every row kept its bound and the budget was met.
+/// Runs the command. The exit code indicates whether every row kept its error bound and the budget was met.
 pub fn run(args: &BenchArgs, common: &Common) -> Result<(Answer, ExitCode)> {
     if let Some(BenchCommand::Cmp { a, b }) = &args.command {
         return Ok((cmp(a, b)?, ExitCode::SUCCESS));
@@ -215,7 +215,7 @@ fn open_scene(path: &Path) -> Result<(String, Scene)> {
     Ok((name, scene))
 }
 
-/// Rows first, then sweeps, as far as the filter lets them.
+/// Measures rows first, then sweeps, as selected by the filter.
 fn measure(
     args: &BenchArgs,
     common: &Common,
@@ -266,7 +266,7 @@ fn measure(
     Ok(())
 }
 
-/// Takes the rows apart that the filter lets through; the pipelines without one.
+/// Profiles the rows that the filter selects; without a filter, the pipelines.
 fn profiles(
     args: &BenchArgs,
     common: &Common,
@@ -324,7 +324,7 @@ fn profile_text(profile: &Profile, peaks: &Peaks) -> String {
     text
 }
 
-/// Views spread over the scene's own cameras, or around it where it has none.
+/// Views spread over the scene's own cameras, or around a scene without cameras.
 fn shots(scene: &Scene, (width, height): (u32, u32), count: usize) -> Vec<Shot> {
     let cameras: Vec<_> = match path::input(scene) {
         Ok(cameras) if cameras.len() >= count => {
@@ -400,7 +400,7 @@ fn curve_point_text(curve: &Curve, point: &CurvePoint) -> String {
     }
 }
 
-/// Kernels that grow faster than this are named: what lies closer to linear is noise.
+/// Exponent above which a kernel is reported as growing faster than linearly; smaller excesses are noise.
 const STEEP: f64 = 1.1;
 
 fn curve_text(curve: &Curve) -> String {

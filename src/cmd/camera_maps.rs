@@ -1,4 +1,4 @@
-//! Where the camera went, on maps from above and from the side.
+//! The camera path on maps from above and from the side.
 
 use std::fmt::Write;
 
@@ -8,25 +8,25 @@ use splat4d::types::{Intrinsics, Pose};
 
 use super::charts::{self, Map, Placed};
 
-/// Static points on a map, at most.
+/// Maximum number of static points on a map.
 const CLOUD: usize = 1500;
 
-/// Cameras to draw, and what they see.
+/// The cameras of a map, and the points that they see.
 pub struct Cameras<'a> {
     /// World to camera.
     pub poses: &'a [Pose],
-    /// Of one of them.
+    /// Intrinsics of one of them.
     pub intrinsics: &'a Intrinsics,
-    /// Points of the world.
+    /// Points in the world.
     pub points: Vec<DVec3>,
-    /// Which are not well known.
+    /// Indices of cameras with a large uncertainty.
     pub doubtful: &'a [usize],
-    /// Whether they have more than one place.
+    /// Whether the cameras have more than one position.
     pub travels: bool,
 }
 
-/// The section of a page about a tracked clip. `poses` are world to camera, in a `unit` of which one of the
-/// track's is `track.unit`.
+/// Adds the section about the cameras of a tracked clip to a page. `poses` are world to camera; their
+/// `unit` corresponds to `track.unit` units of the track.
 pub fn section(body: &mut String, track: &Track, poses: &[Pose], unit: &str) {
     body.push_str("<h2>Where the camera went</h2>\n");
     if track.quality.tripod {
@@ -51,14 +51,14 @@ pub fn section(body: &mut String, track: &Track, poses: &[Pose], unit: &str) {
     );
 }
 
-/// As many of the points as a map shows.
+/// A subset of the points for a map.
 pub fn thinned(points: impl ExactSizeIterator<Item = DVec3>) -> Vec<DVec3> {
     let every = points.len().div_ceil(CLOUD).max(1);
     points.step_by(every).collect()
 }
 
-/// Maps from above and from the side, with points as `with` calls them; where there are some, maps of the
-/// path alone, too.
+/// Maps from above and from the side, with points that the caption calls `with`; if there are points, also
+/// maps of the path alone.
 pub fn maps(body: &mut String, shown: &Cameras, unit: &str, with: &str) {
     let Cameras { poses, intrinsics: k, doubtful, travels, .. } = shown;
     let axes = Axes::of(poses);
@@ -107,7 +107,7 @@ pub fn maps(body: &mut String, shown: &Cameras, unit: &str, with: &str) {
     body.push_str("</div>\n");
 }
 
-/// Axes of a map: right, up and ahead as the cameras see them on average.
+/// Axes of a map: the cameras' mean right, up and forward directions.
 struct Axes {
     right: DVec3,
     up: DVec3,
@@ -119,7 +119,7 @@ impl Axes {
         let mean =
             |axis: DVec3| poses.iter().map(|pose| pose.inverse().rotation * axis).sum::<DVec3>();
         let up = (-mean(DVec3::Y)).try_normalize().unwrap_or(DVec3::NEG_Y);
-        // Cameras that look all ways have no direction in common: the first one's will do.
+        // Cameras that look in all directions have no common one; the first camera's is used.
         let first = poses.first().map_or(DVec3::Z, |pose| pose.inverse().rotation * DVec3::Z);
         let ahead = [mean(DVec3::Z), first]
             .into_iter()
@@ -128,13 +128,14 @@ impl Axes {
         Axes { right: ahead.cross(up), up, ahead }
     }
 
-    /// A place or a direction as (right, up, ahead).
+    /// A position or a direction as (right, up, ahead).
     fn of_world(&self, v: DVec3) -> DVec3 {
         DVec3::new(v.dot(self.right), v.dot(self.up), v.dot(self.ahead))
     }
 }
 
-/// Points within the middle nine tenths along both axes: a few far ones would leave the map empty.
+/// Points within the middle nine tenths along both axes, because a few distant ones would leave the map
+/// nearly empty.
 fn inner(points: Vec<[f64; 2]>) -> Vec<[f64; 2]> {
     let limits = [0, 1].map(|axis| {
         let mut values: Vec<f64> = points.iter().map(|p| p[axis]).collect();
@@ -161,7 +162,7 @@ mod tests {
         let at = axes.of_world(poses[1].inverse().translation);
         assert!(at.abs_diff_eq(DVec3::new(1.0, 0.0, 2.0), 1e-12), "{at}");
         assert!(axes.of_world(DVec3::Y).abs_diff_eq(DVec3::NEG_Y, 1e-12));
-        // Of cameras that look to opposite sides, the first one tells.
+        // For cameras that look in opposite directions, the first one determines the axes.
         let turned = Pose::new(DQuat::from_rotation_y(std::f64::consts::PI), DVec3::ZERO);
         let axes = Axes::of(&[Pose::IDENTITY, turned]);
         assert!(axes.ahead.is_finite() && axes.up.abs_diff_eq(DVec3::NEG_Y, 1e-9));

@@ -1,26 +1,26 @@
-//! Charts for a page, as inline SVG that takes its colours from the page's style: they follow light and
-//! dark, and shrink with the page without becoming illegible.
+//! Charts for a page, as inline SVG with colours from the page's style: they follow the light or dark
+//! scheme, and scale with the page while staying legible.
 
 use std::fmt::Write;
 
 use splat4d::report::escape;
 
-/// A chart's own size; text is of 12 of these units.
+/// Size of a chart; text has a size of 12 of these units.
 const WIDTH: f64 = 400.0;
 const HEIGHT: f64 = 210.0;
-/// Room for the axes.
+/// Margins for the axes.
 const LEFT: f64 = 52.0;
 const RIGHT: f64 = 12.0;
 const TOP: f64 = 30.0;
 const BOTTOM: f64 = 36.0;
-/// Lines of more points than this have no dots.
+/// Maximum number of points of a line with dots.
 const DOTTED: usize = 64;
-/// A frustum's depth.
+/// Depth of a drawn frustum.
 const FRUSTUM: f64 = 15.0;
-/// A digit's width.
+/// Width of a digit.
 const DIGIT: f64 = 6.8;
 
-/// What the style of a page with charts must hold.
+/// CSS rules that a page with charts needs.
 pub const STYLE: &str = "\
 svg{display:block;width:100%;height:auto;font:12px system-ui,sans-serif;fill:var(--ink)}\
 .grid{stroke:var(--faint);stroke-width:1;fill:none}.axis{stroke:var(--dim);stroke-width:1;fill:none}\
@@ -30,14 +30,14 @@ svg{display:block;width:100%;height:auto;font:12px system-ui,sans-serif;fill:var
 .view{stroke:var(--two);stroke-width:1;stroke-linejoin:round;fill:var(--two);fill-opacity:.08}\
 .bad{fill:var(--bad);opacity:.22}.cross{stroke:var(--bad);stroke-width:2;fill:none}";
 
-/// Values by frame; none is a gap.
+/// Values by frame; `None` is a gap.
 pub struct Series<'a> {
     pub name: &'a str,
     pub values: Vec<Option<f64>>,
 }
 
-/// A chart over the frames of a clip, of one or two series that begin at 0. `unit` is what the values are
-/// measured in; bands mark `doubtful` frames.
+/// A chart over the frames of a clip, with one or two series on an axis from 0. `unit` is that of the
+/// values; bands mark `doubtful` frames.
 pub fn over_frames(title: &str, unit: &str, series: &[Series], doubtful: &[usize]) -> String {
     let frames = series.iter().map(|s| s.values.len()).max().unwrap_or(0);
     let all = series.iter().flat_map(|s| s.values.iter().flatten());
@@ -98,16 +98,16 @@ pub fn over_frames(title: &str, unit: &str, series: &[Series], doubtful: &[usize
 /// A camera on a map.
 #[derive(Clone, Copy)]
 pub struct Placed {
-    /// Right, and up, on the map.
+    /// Position on the map: right, and up.
     pub at: [f64; 2],
-    /// Where it looks, of length 1 at most.
+    /// Viewing direction on the map, of length at most 1.
     pub looks: [f64; 2],
-    /// Half of what it sees, seen from this side, over how far that is away.
+    /// Half of the visible extent, projected to the map, over its distance.
     pub spread: f64,
     pub doubtful: bool,
 }
 
-/// What a map shows: `axes` name what goes to the right and what goes up, with their unit.
+/// Contents of a map: `axes` name the horizontal and the vertical axis, with their unit.
 pub struct Map<'a> {
     pub title: &'a str,
     pub axes: [&'a str; 2],
@@ -115,7 +115,7 @@ pub struct Map<'a> {
     pub points: &'a [[f64; 2]],
 }
 
-/// Cameras and points on a plane, both axes at one scale.
+/// A map of cameras and points on a plane, with the same scale on both axes.
 pub fn map(map: &Map) -> String {
     const SIDE: f64 = 340.0;
     let plot = (LEFT, TOP, WIDTH - RIGHT, SIDE - BOTTOM);
@@ -130,7 +130,7 @@ pub fn map(map: &Map) -> String {
     let (wide, high) = (plot.2 - plot.0, plot.3 - plot.1);
     let room = 1.15;
     let scale = (wide / (across.1 - across.0).max(1e-9)).min(high / (up.1 - up.0).max(1e-9)) / room;
-    // Cameras in one place, to rounding, have a map of some size all the same.
+    // Cameras that coincide up to rounding still get a map of finite extent.
     let scale = scale.min(wide / (1e-6 * (1.0 + across.1.abs() + up.1.abs())));
     let middle = |(low, high): (f64, f64)| 0.5 * (low + high);
     let x = |v: f64| 0.5 * (plot.0 + plot.2) + scale * (v - middle(across));
@@ -157,12 +157,12 @@ pub fn map(map: &Map) -> String {
         let _ = write!(cloud, "M{:.1} {:.1}h0", x(point[0]), y(point[1]));
     }
     let _ = write!(svg, "<path class=\"cloud\" d=\"{cloud}\"/>");
-    // Frusta of some of the cameras: of all, a long clip's would run together.
+    // Frusta of a subset of the cameras, because those of a long clip would overlap.
     let every = map.cameras.len().div_ceil(24).max(1);
     let mut views = String::new();
     for camera in map.cameras.iter().step_by(every) {
         let [dx, dy] = camera.looks.map(|v| FRUSTUM * v);
-        // Where it looks up or down at us it is as wide, if less deep.
+        // A camera that looks up or down on the map is drawn with its full width but less depth.
         let length = dx.hypot(dy).max(1e-9);
         let (px, py) = (-dy / length, dx / length);
         let half = FRUSTUM * camera.spread.min(1.5);
@@ -196,7 +196,7 @@ pub fn map(map: &Map) -> String {
         );
     }
     if let (Some(first), Some(last)) = (map.cameras.first(), map.cameras.last()) {
-        // Beside the places, each to its own side: the two may be close.
+        // The labels are on opposite sides, because the two positions may be close.
         let ends = [(first, "a", "first", "end", -7.0), (last, "b", "last", "start", 7.0)];
         for (camera, class, name, anchor, aside) in ends {
             let at = (x(camera.at[0]), y(camera.at[1]));
@@ -242,7 +242,7 @@ fn mark(svg: &mut String, class: &str, (x, y): (f64, f64)) {
     };
 }
 
-/// Names of two series, at the top right.
+/// Legend of two series, at the top right.
 fn legend(svg: &mut String, series: &[Series]) {
     if series.len() < 2 {
         return;
@@ -257,7 +257,7 @@ fn legend(svg: &mut String, series: &[Series]) {
     }
 }
 
-/// Round numbers from at or below `low` to at or above `high`, some `count` steps.
+/// Round numbers from at or below `low` to at or above `high`, in about `count` steps.
 fn ticks(low: f64, high: f64, count: usize) -> Vec<f64> {
     let raw = (high - low) / count as f64;
     let power = 10f64.powf(raw.log10().floor());
@@ -267,7 +267,7 @@ fn ticks(low: f64, high: f64, count: usize) -> Vec<f64> {
     (first..=last.max(first + 1)).map(|i| i as f64 * step).collect()
 }
 
-/// Some frames to name on an axis.
+/// Frames that are labelled on an axis.
 fn frame_ticks(frames: usize) -> Vec<usize> {
     let last = frames.saturating_sub(1);
     let steps = [1, 2, 5].into_iter().cycle().zip([1, 1, 1, 10, 10, 10, 100, 100, 100, 1000]);
@@ -275,7 +275,7 @@ fn frame_ticks(frames: usize) -> Vec<usize> {
     (0..=last).step_by(step.unwrap_or(last.max(1))).collect()
 }
 
-/// A tick's number, with digits for a span of values.
+/// The label of a tick, with digits appropriate for the span of values.
 fn number(value: f64, span: f64) -> String {
     let value = if value.abs() < 1e-9 * span { 0.0 } else { value };
     let text = match span {

@@ -13,20 +13,21 @@ use splat4d::{Error, Result};
 use super::common::say;
 use super::{interrupt, values};
 
-/// The flags of commands that can be resumed.
+/// Options of commands that can be resumed.
 #[derive(Args)]
 pub struct CheckpointArgs {
-    /// Go on from the last checkpoint of the same command, where there is one
+    /// Resume from the last checkpoint of the same command, if there is one
     #[arg(long)]
     resume: bool,
-    /// Seconds between checkpoints, which lie in OUTPUT.checkpoint until the work is done; 0: none
+    /// Seconds between checkpoints, which are kept in OUTPUT.checkpoint until the work is done; 0: no
+    /// checkpoints
     #[arg(long, value_name = "SECONDS", default_value_t = 60.0,
           value_parser = values::number(0.0..=values::MOST_SECONDS))]
     checkpoint_every: f64,
 }
 
-/// What a command's work depends on: each of its options under the option's name, so that a run that
-/// resumes another can be told in these words what has changed.
+/// Everything that a command's result depends on: each of its options under the option's name, so that a
+/// run that resumes another can report what has changed.
 pub fn identity<const N: usize>(entries: [(&str, String); N]) -> Identity {
     entries.map(|(name, value)| (name.to_owned(), value)).into()
 }
@@ -36,13 +37,13 @@ pub fn shown(value: Option<impl ToString>) -> String {
     value.map_or_else(|| "none".into(), |value| value.to_string())
 }
 
-/// What an option's files hold, as an entry of an identity.
+/// Checksum of an option's file contents, as an entry of an identity.
 pub fn summed(value: Option<&(impl Serialize + ?Sized)>) -> String {
     shown(value.map(|value| format!("a file or folder with the checksum {}", checksum(value))))
 }
 
 impl CheckpointArgs {
-    /// That checkpoints can lie where they would, before long work begins.
+    /// Checks that checkpoints can be written, before long work begins.
     pub fn check(&self, output: &Path) -> Result<()> {
         let folder = folder(output);
         if (self.resume || self.checkpoint_every > 0.0)
@@ -57,37 +58,37 @@ impl CheckpointArgs {
     }
 }
 
-/// Where the checkpoints of the command lie that writes `output`.
+/// The checkpoint folder of the command that writes `output`.
 fn folder(output: &Path) -> PathBuf {
     let mut folder = output.as_os_str().to_owned();
     folder.push(".checkpoint");
     folder.into()
 }
 
-/// What is put away of a command's work, and when.
+/// Writes and reads the checkpoints of a command.
 pub struct Checkpoints {
     folder: PathBuf,
     identity: Identity,
     resume: bool,
     every: Duration,
     saved: Instant,
-    /// Whether something to resume from is there.
+    /// Whether there is a checkpoint to resume from.
     usable: bool,
-    /// Whether what an earlier run has left is still to be replaced.
+    /// Whether the checkpoint of an earlier run still has to be replaced.
     stale: bool,
-    /// Parts of the tracking that the next checkpoint puts away.
+    /// Parts of the tracking for the next checkpoint.
     waiting: BTreeMap<String, Vec<u8>>,
 }
 
-/// What may lie in the folder.
+/// Possible files in the folder.
 const PARTS: [&str; 2] = ["track", "training"];
-/// A folder in it: the parts of a tracking under way, a file each.
+/// Subfolder for the parts of an unfinished tracking, one file each.
 const TRACKING: &str = "tracking";
-/// Parts of the tracking wait for a checkpoint until they are so many bytes.
+/// Size of the waiting parts above which a checkpoint is written, bytes.
 const MOST_WAITING: usize = 256 << 20;
 
 impl Checkpoints {
-    /// For the command that writes `output`; only checkpoints of the same identity are of use to it.
+    /// Checkpoints of the command that writes `output`; only those with the same identity can be resumed.
     pub fn new(output: &Path, args: &CheckpointArgs, identity: Identity) -> Checkpoints {
         let folder = folder(output);
         let found = PARTS.iter().chain([&TRACKING]).any(|part| folder.join(part).exists());
@@ -113,7 +114,7 @@ impl Checkpoints {
         }
     }
 
-    /// What an earlier run has put away, if this one resumes it.
+    /// Loads a part that an earlier run has written, if this run resumes it.
     pub fn load<T: DeserializeOwned>(&self, part: &'static str) -> Result<Option<T>> {
         let path = self.folder.join(part);
         if !self.resume || !path.exists() {
@@ -122,13 +123,13 @@ impl Checkpoints {
         read_state(&path, part, &self.identity).map(Some)
     }
 
-    /// Whether it is time for a checkpoint.
+    /// Whether the next checkpoint is due.
     pub fn due(&self) -> bool {
         !self.every.is_zero() && self.saved.elapsed() >= self.every
     }
 
-    /// Puts a part of the work away, unless checkpoints are off. Where that fails (a full disk), the
-    /// work goes on: it is worth more than its checkpoint, and the one before is still there.
+    /// Writes a part of the work, unless checkpoints are off. If writing fails (for example on a full
+    /// disk), the work continues, and the previous checkpoint remains.
     pub fn save<T: Serialize>(&mut self, part: &'static str, value: &T) {
         debug_assert!(PARTS.contains(&part));
         if self.every.is_zero() {
@@ -143,8 +144,8 @@ impl Checkpoints {
         !self.every.is_zero()
     }
 
-    /// Takes a part of the tracking, to be put away with the next checkpoint. It takes the place of
-    /// those within it, whose names begin with its own and a `/`.
+    /// Adds a part of the tracking to the next checkpoint. It replaces the parts below it, whose names
+    /// begin with its name and a `/`.
     pub fn keep(&mut self, part: &str, value: Vec<u8>) {
         let within = format!("{part}/");
         self.waiting.retain(|name, _| !name.starts_with(&within));
@@ -154,7 +155,7 @@ impl Checkpoints {
         }
     }
 
-    /// A part of the tracking that an earlier run has put away, if this one resumes it.
+    /// Loads a part of the tracking that an earlier run has written, if this run resumes it.
     pub fn kept(&self, part: &str) -> Result<Option<Vec<u8>>> {
         let path = self.tracking_file(part);
         if !self.resume || !path.exists() {
@@ -163,7 +164,7 @@ impl Checkpoints {
         read_state(&path, TRACKING, &self.identity).map(Some)
     }
 
-    /// The whole tracking is done: its parts are of no use any more.
+    /// Writes the completed tracking, which makes its parts obsolete.
     pub fn tracked<T: Serialize>(&mut self, track: &T) {
         self.waiting.clear();
         self.save("track", track);
@@ -197,12 +198,12 @@ impl Checkpoints {
         self.concluded(written);
     }
 
-    /// After a checkpoint was written or could not be.
+    /// Called after a checkpoint was written or failed.
     fn concluded(&mut self, written: Result<()>) {
         match written {
             Ok(()) => self.usable = true,
             Err(error) => {
-                // Unless an earlier checkpoint lies there, the folder is empty.
+                // The folder is empty unless it contains an earlier checkpoint.
                 let _ = std::fs::remove_dir(self.folder.join(TRACKING));
                 let _ = std::fs::remove_dir(&self.folder);
                 say(&format!("note: no checkpoint could be written: {error}; going on"));
@@ -211,20 +212,20 @@ impl Checkpoints {
         self.saved = Instant::now();
     }
 
-    /// Before the first checkpoint of a run that begins anew.
+    /// Called before the first checkpoint of a run that does not resume.
     fn replace_stale(&mut self) {
         if std::mem::take(&mut self.stale) {
             self.remove_all();
         }
     }
 
-    /// Fails once the user has asked to stop, naming what to resume from.
+    /// Returns an error once the user has requested a stop; it names the checkpoint.
     pub fn interrupt(&self) -> Result<()> {
         interrupt::stopped(self.usable.then(|| self.folder.clone()))
     }
 
-    /// Takes the checkpoints away: the work is done, and one that stays does not undo it. A folder that
-    /// holds anything else stays.
+    /// Removes the checkpoints after the work is done; errors are not fatal. A folder with other contents
+    /// is kept.
     pub fn remove(self) {
         self.remove_all();
     }
@@ -232,7 +233,7 @@ impl Checkpoints {
     fn remove_all(&self) {
         PARTS.iter().for_each(|part| remove_file(&self.folder.join(part)));
         self.remove_tracking();
-        // A run that was killed while it wrote leaves the half of a file.
+        // A run that was killed while writing leaves a partial file.
         for file in std::fs::read_dir(&self.folder).into_iter().flatten().flatten() {
             let name = file.file_name().to_string_lossy().into_owned();
             if name.starts_with(".splat4d-") && name.ends_with(".part") {
@@ -251,7 +252,7 @@ impl Checkpoints {
     }
 }
 
-/// Removes a file, if it is there; one that stays is told.
+/// Removes a file if it exists; a failure is reported.
 fn remove_file(path: &Path) {
     match std::fs::remove_file(path) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
@@ -267,10 +268,10 @@ pub mod tests {
     use super::*;
     use clap::{CommandFactory, Parser};
 
-    /// Options that decide where something is written, and when, but not what.
+    /// Options that affect where and when something is written, but not the result.
     const WITHOUT_EFFECT: [&str; 4] = ["output", "report", "resume", "checkpoint-every"];
 
-    /// That a command's identity has an entry for each of its options.
+    /// Asserts that a command's identity has an entry for each of its options.
     pub fn names_every_option(
         arguments: &[&str],
         without_effect: &[&str],

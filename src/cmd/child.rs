@@ -1,4 +1,5 @@
-//! This program run by itself: a job's crash or memory does not take the others with it.
+//! Runs this program as a child process, so that a crash or memory exhaustion of one job does not affect
+//! the others.
 
 use std::ffi::OsString;
 use std::fs::File;
@@ -9,11 +10,11 @@ use splat4d::{Error, Result};
 
 use super::interrupt;
 
-/// Runs a command of this program whose words ask for JSON, and gives its answer; what it says goes to `log`.
+/// Runs a command of this program with JSON output and returns its answer; its messages go to `log`.
 ///
 /// # Errors
-/// The command failed, with the reason that it gave; it cannot be started; the user has asked to stop, which
-/// has stopped it as well.
+/// The command failed, with its reason; it cannot be started; the user has requested a stop, which has
+/// stopped the child as well.
 pub fn run(words: impl IntoIterator<Item = OsString>, log: File) -> Result<Value> {
     let program = std::env::current_exe().map_err(Error::io("splat4d"))?;
     let mut command = Command::new(&program);

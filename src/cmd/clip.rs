@@ -1,4 +1,4 @@
-//! The frames of a clip that a command takes, and their size.
+//! Options for the frames of a clip, and their size.
 
 use std::path::Path;
 
@@ -10,39 +10,39 @@ use splat4d::data::{Clip, ClipOptions, Resize, Shot, ShotChoice};
 use super::common::notes;
 use super::{interrupt, values};
 
-/// The flags of commands that take a clip.
+/// Options of commands that take a clip.
 #[derive(Args)]
 pub struct ClipArgs {
-    /// Take this shot of a clip with cuts, counted from 0 as the notes count them [default: the
-    /// longest; all of the clip where something is given for each of its frames]
+    /// Use this shot of a clip with cuts, numbered from 0 as in the notes [default: the longest; the whole
+    /// clip if data is supplied for each of its frames]
     #[arg(long, value_name = "N",
           value_parser = values::whole::<usize>(0..=values::MOST_PICTURES))]
     pub shot: Option<usize>,
-    /// Take every N-th frame of the shot
+    /// Use every N-th frame of the shot
     #[arg(long, value_name = "N", default_value_t = 1,
           value_parser = values::whole::<usize>(1..=values::MOST_PICTURES))]
     pub every: usize,
-    /// Take at most so many frames of the shot
+    /// Use at most this many frames of the shot
     #[arg(long, value_name = "N",
           value_parser = values::whole::<usize>(Clip::LEAST as u64..=values::MOST_PICTURES))]
     pub max_frames: Option<usize>,
-    /// Shrink frames so that their longer side has at most so many pixels [default: by
-    /// device and quality; standard 640, on a software driver 320]
+    /// Downscale frames so that their longer side has at most this many pixels [default: by device and
+    /// quality; standard 640, on a software driver 320]
     #[arg(long, value_name = "LONGEST",
           value_parser = values::whole::<u32>(16..=values::MOST_PIXELS))]
     size: Option<u32>,
-    /// Shrink frames to this width instead; narrower ones stay as they are
+    /// Downscale frames to this width instead; narrower ones are unchanged
     #[arg(long, value_name = "PIXELS", conflicts_with = "size",
           value_parser = values::whole::<u32>(16..=values::MOST_PIXELS))]
     width: Option<u32>,
-    /// Leave out frames that are damaged or lost, with a note
+    /// Skip frames that are damaged or lost, with a note
     #[arg(long)]
     skip_bad: bool,
 }
 
 impl ClipArgs {
-    /// Reads the frames of one shot, of the `usual` size unless another is asked for. Where the user has
-    /// something `for_each` of the frames, these are all that there are unless a shot is asked for.
+    /// Reads the frames of one shot, at the `usual` size unless another is requested. If the user supplies
+    /// data `for_each` frame, the whole clip is read unless a shot is requested.
     pub fn open(&self, path: &Path, usual: Resize, for_each: bool) -> Result<Clip> {
         let size = match (self.width, self.size) {
             (Some(width), _) => Resize::Width(width),
@@ -67,7 +67,7 @@ impl ClipArgs {
     }
 }
 
-/// Shots for reports: the first and the last frame of each.
+/// JSON of shots for reports: the first and the last frame of each.
 pub fn shots_json(shots: &[Shot]) -> Value {
     shots.iter().map(|shot| json!([shot.first, shot.last])).collect()
 }

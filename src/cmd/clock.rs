@@ -1,22 +1,22 @@
-//! Time by stage.
+//! Elapsed time by stage.
 
 use std::time::Instant;
 
 use serde_json::{Value, json};
 
-/// Seconds by stage, in the order in which the stages began.
+/// Seconds by stage, in the order of their first occurrence.
 pub struct Clock {
     begun: Instant,
     stages: Vec<(String, f64)>,
 }
 
 impl Clock {
-    /// Begins the first stage.
+    /// Starts the clock with the first stage.
     pub fn start() -> Clock {
         Clock { begun: Instant::now(), stages: Vec::new() }
     }
 
-    /// The stage that ends here; of one that comes several times, the sum counts.
+    /// Ends the current stage; times of repeated stages are summed.
     pub fn lap(&mut self, stage: &str) {
         let seconds = self.begun.elapsed().as_secs_f64();
         match self.stages.iter_mut().find(|(name, _)| name == stage) {
@@ -26,7 +26,7 @@ impl Clock {
         self.begun = Instant::now();
     }
 
-    /// How long a stage took; 0 for one that there was not.
+    /// Duration of a stage in seconds; 0 for an unknown stage.
     pub fn seconds(&self, stage: &str) -> f64 {
         self.stages.iter().find(|(name, _)| name == stage).map_or(0.0, |(_, seconds)| *seconds)
     }

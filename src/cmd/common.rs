@@ -1,4 +1,4 @@
-//! What all commands share: their common flags, what they answer, words for people.
+//! Common code of all commands: shared options, answers, text formatting.
 
 use std::ffi::OsString;
 use std::io::Write;
@@ -16,10 +16,10 @@ use splat4d::{Error, Result};
 
 use super::{interrupt, values};
 
-/// The flags that every command takes.
+/// Options of every command.
 #[derive(Args)]
 pub struct Common {
-    /// Print exactly one JSON object on stdout, everything else on stderr
+    /// Print exactly one JSON object on stdout, and everything else on stderr
     #[arg(long, global = true, help_heading = "Common options")]
     pub json: bool,
     /// The Vulkan device: its index, a part of its name, or a kind: best, gpu, discrete, integrated,
@@ -32,7 +32,7 @@ pub struct Common {
         default_value = "best"
     )]
     pub device: String,
-    /// Decides everything random; the same seed on the same device gives the same result
+    /// Random seed; the same seed on the same device gives the same result
     #[arg(
         long,
         global = true,
@@ -45,13 +45,13 @@ pub struct Common {
 }
 
 impl Common {
-    /// The same flags for another command of this program.
+    /// The same options for another command of this program.
     pub fn arguments(&self) -> [OsString; 4] {
         let (device, seed) = (self.device.clone().into(), self.seed.to_string().into());
         ["--device".into(), device, "--seed".into(), seed]
     }
 
-    /// Opens the device; a software driver that was not asked for is pointed out.
+    /// Opens the device; prints a note about a software driver that was not requested.
     pub fn open_device(&self) -> Result<Device> {
         check_room_for_drivers()?;
         let selector = Selector::from(self.device.as_str());
@@ -68,36 +68,36 @@ impl Common {
     }
 }
 
-/// Number of processors, as far as the system tells.
+/// Number of processors, as reported by the system.
 fn processors() -> u64 {
     std::thread::available_parallelism().map_or(1, |count| count.get() as u64)
 }
 
-/// That there is room for the program itself and a thread for each processor. Rust ends a program that
-/// cannot have a few bytes, so that what is far too little is told first.
+/// Checks that memory suffices for the program itself and a thread for each processor. Rust aborts when a
+/// small allocation fails, so a far too small limit is reported first.
 pub fn check_room() -> Result<()> {
     check_limits((64 << 20) + (4 << 20) * processors(), "splat4d")
 }
 
-/// That there is address space for Vulkan drivers. Of what they cannot have some make faults instead of
-/// errors: a software driver maps a compiler, and a stack and a heap for each of up to 32 threads.
+/// Checks that address space suffices for Vulkan drivers. Some drivers crash instead of returning an error:
+/// a software driver maps a compiler, and a stack and a heap for each of up to 32 threads.
 pub fn check_room_for_drivers() -> Result<()> {
     check_limits((1 << 30) + (72 << 20) * processors().min(32), "opening a Vulkan device")
 }
 
-/// What a command found out: for machines, and for people.
+/// Result of a command, for machines and for people.
 pub struct Answer {
-    /// One object.
+    /// One JSON object.
     pub json: Value,
-    /// Whole lines.
+    /// Complete lines of text.
     pub text: String,
 }
 
-/// Whether a machine has its object.
+/// Whether the JSON object has been printed.
 static ANSWERED: AtomicBool = AtomicBool::new(false);
 
-/// A machine's one object on stdout: the first. What serves gives it when it begins to, and what is wrong
-/// later stands on stderr alone.
+/// Prints the one JSON object on stdout; only the first call prints. A server prints it when it starts, and
+/// reports later errors on stderr only.
 pub fn print_json(value: &Value) -> std::io::Result<()> {
     if ANSWERED.swap(true, Ordering::SeqCst) {
         return Ok(());
@@ -107,17 +107,17 @@ pub fn print_json(value: &Value) -> std::io::Result<()> {
     stdout.flush()
 }
 
-/// A line on stderr. Nobody listening is no error.
+/// Prints a line on stderr. Write errors are ignored.
 pub fn say(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }
 
-/// Lines on stderr, each as a note.
+/// Prints lines on stderr, each as a note.
 pub fn notes(lines: &[String]) {
     lines.iter().for_each(|line| say(&format!("note: {line}")));
 }
 
-/// What is to be said where a training had gradients that were not finite.
+/// The note about a training with non-finite gradients.
 pub fn broken_gradients(trained: &Value) -> Option<String> {
     let count = trained["broken_gradients"].as_u64().filter(|count| *count > 0)?;
     Some(format!(
@@ -126,15 +126,16 @@ pub fn broken_gradients(trained: &Value) -> Option<String> {
     ))
 }
 
-/// A path as JSON holds it: as text, in which what is not Unicode is replaced.
+/// A path as a JSON string; invalid Unicode is replaced.
 pub fn path_text(path: &Path) -> Value {
     path.to_string_lossy().into()
 }
 
-/// Pictures whose (splat, tile) pairs are counted beforehand, at most.
+/// Maximum number of images whose (splat, tile) pairs are counted in advance.
 const MOST_COUNTED: usize = 64;
 
-/// The most (splat, tile) pairs of some pictures, which `at` gives; of many, those of an even choice.
+/// The maximum number of (splat, tile) pairs over some images, given by `at`; of many images, an even
+/// selection is counted.
 pub fn most_pairs(
     renderer: &mut Renderer,
     pictures: usize,
@@ -148,13 +149,13 @@ pub fn most_pairs(
         most = most.max(renderer.count(&camera, time)?);
     }
     if counted < pictures {
-        // Those between may have some more.
+        // The images in between may have slightly more.
         most = most.saturating_add(most / 4);
     }
     Ok(usize::try_from(most).unwrap_or(usize::MAX))
 }
 
-/// A training in words, for [`foresee`]: growth may not reach the most that there is room for.
+/// A training in words, for [`foresee`]; growth may stay below the maximum for which memory is reserved.
 pub fn training(scale: &TrainingScale) -> String {
     let (reached, most) = (scale.reached(), scale.settings.max_gaussians);
     let text = format!("training up to {} Gaussians", thousands(reached));
@@ -164,8 +165,8 @@ pub fn training(scale: &TrainingScale) -> String {
     }
 }
 
-/// Says how much device memory some work will take, and gives it; an error where it does not fit, with
-/// the most Gaussians that would, where there are any, and what to turn.
+/// Prints and returns the predicted device memory of some work; an error where it does not fit, with the
+/// largest number of Gaussians that would, if any, and the option to change.
 pub fn foresee(
     device: &Device,
     what: &str,
@@ -177,7 +178,7 @@ pub fn foresee(
     match footprint.and_then(|taken| taken.fits(device).map(|()| taken)) {
         Ok(taken) => {
             if device.info().kind == DeviceKind::Software {
-                // Its memory is the machine's.
+                // A software device uses the machine's memory.
                 check_memory(taken.bytes, what)?;
             }
             let free = bytes(device.free_memory());
@@ -208,7 +209,7 @@ pub fn thousands(number: usize) -> String {
     text
 }
 
-/// Bytes in the largest unit that leaves a number above 1.
+/// A byte count in the largest unit that gives a number above 1.
 pub fn bytes(count: u64) -> String {
     let units = ["B", "KiB", "MiB", "GiB", "TiB"];
     let mut value = count as f64;

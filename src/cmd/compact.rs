@@ -1,4 +1,4 @@
-//! `export --compact`: the scene in few bits, and what that costs in pictures.
+//! `export --compact`: the scene in reduced precision, and the resulting image error.
 
 use std::path::Path;
 
@@ -14,19 +14,19 @@ use super::common::{Common, bytes};
 use super::interrupt;
 use super::meter::Meter;
 
-/// Views that are compared.
+/// Number of compared views.
 const VIEWS: usize = 12;
-/// Most key times of paths that take a network's place.
+/// Maximum number of key times of paths that replace a network.
 const MOST_KEYS: usize = 120;
 
-/// When paths take a network's place.
+/// When paths replace a network.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Paths {
     WhereSmaller,
     Always,
 }
 
-/// Writes a scene in the compact form, and says what it costs: `export --help` names the keys.
+/// Writes a scene in compact form, and returns its size and error: `export --help` lists the keys.
 pub fn write(output: &Path, scene: &Scene, common: &Common) -> Result<Value> {
     let baked = baked(scene, common, Paths::WhereSmaller)?;
     compact::write(output, baked.as_ref().unwrap_or(scene))?;
@@ -34,7 +34,7 @@ pub fn write(output: &Path, scene: &Scene, common: &Common) -> Result<Value> {
     measured(output, folder.path(), scene, baked.is_some(), common)
 }
 
-/// Writes a page that plays a scene, and says what the compact scene in it costs.
+/// Writes a page that plays a scene, and returns the size and error of its compact scene.
 pub fn write_page(
     output: &Path,
     scene: &Scene,
@@ -50,7 +50,7 @@ pub fn write_page(
     measured(&packed, folder.path(), scene, baked.is_some(), common)
 }
 
-/// What a compact scene costs against the one that it was made of.
+/// Size and error of a compact scene relative to its source.
 fn measured(
     packed: &Path,
     folder: &Path,
@@ -60,7 +60,7 @@ fn measured(
 ) -> Result<Value> {
     let written =
         |path: &Path| Ok::<u64, Error>(std::fs::metadata(path).map_err(Error::io(path))?.len());
-    // The plain form's size is that of a file: the one that was read may be of another format.
+    // The plain size is that of a new file, because the input may have another format.
     let plain = folder.join("plain.safetensors");
     scene.save(&plain)?;
     let (plain, small) = (written(&plain)?, written(packed)?);
@@ -80,7 +80,7 @@ fn measured(
     }))
 }
 
-/// What is printed of it.
+/// The text output.
 pub fn told(compact: &Value) -> String {
     let plain = bytes(compact["plain_bytes"].as_u64().unwrap_or(0));
     let share = 100.0 * compact["share"].as_f64().unwrap_or(0.0);
@@ -104,7 +104,7 @@ pub fn told(compact: &Value) -> String {
     text
 }
 
-/// What a PSNR loses where an error of another PSNR is added that has nothing to do with the first.
+/// Decrease of a PSNR when an independent error with another PSNR is added.
 fn lost(psnr: f64, added: f64) -> f64 {
     10.0 * (1.0 + 10f64.powf((psnr - added) / 10.0)).log10()
 }
@@ -117,8 +117,8 @@ fn tempfile_beside(output: &Path) -> Result<tempfile::TempDir> {
     tempfile::Builder::new().prefix(".splat4d-").tempdir_in(parent).map_err(Error::io(parent))
 }
 
-/// The scene with paths in the network's place; none where it has no network, or where the paths are
-/// larger and only smaller ones are asked for.
+/// The scene with paths in place of its network; `None` where it has no network, or where the paths are
+/// larger and only smaller ones are requested.
 pub fn baked(scene: &Scene, common: &Common, paths: Paths) -> Result<Option<Scene>> {
     let Some(network) = scene.network.as_ref().filter(|_| scene.moves()) else { return Ok(None) };
     let mut times: Vec<f64> = scene.cameras.iter().map(|camera| camera.time).collect();
@@ -139,7 +139,7 @@ pub fn baked(scene: &Scene, common: &Common, paths: Paths) -> Result<Option<Scen
     Ok(Some(Scene { control_points, network: None, ..scene.clone() }))
 }
 
-/// PSNR of some views of the scene in its compact form against those of the plain one.
+/// PSNR of some views of the compact scene relative to the plain one.
 fn compared(plain: &Scene, small: &Scene, common: &Common) -> Result<Vec<f64>> {
     let count = plain.cameras.len().min(VIEWS);
     if count == 0 {

@@ -21,7 +21,7 @@ Examples:
 
 JSON: shell, script";
 
-/// Print the script by which a shell completes commands and options
+/// Print a shell script that completes commands and options
 #[derive(Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct CompletionsArgs {

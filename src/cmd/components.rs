@@ -1,30 +1,30 @@
-//! The components of a reconstruction that can be left out, each by a setting of the library.
+//! The components of a reconstruction that can be disabled, each by a setting of the library.
 
 use splat4d::track::Options;
 use splat4d::train::SequenceSettings;
 
-/// A component.
+/// A component of a reconstruction.
 pub struct Component {
-    /// What options and reports call it.
+    /// Name in options and reports.
     pub name: &'static str,
-    /// What is so without it.
+    /// Effect of disabling it, in words.
     pub without: &'static str,
-    /// The setting that leaves it out.
+    /// The setting that disables it.
     pub switch: Switch,
 }
 
-/// What leaves a component out.
+/// How a component is disabled.
 #[derive(Clone, Copy)]
 pub enum Switch {
-    /// Of tracking: the clip is tracked anew.
+    /// By a tracking option: the clip is tracked anew.
     Track(fn(&mut Options)),
-    /// Of training: the track stays the same.
+    /// By a training setting: the track stays the same.
     Train(fn(&mut SequenceSettings)),
 }
 
 use Switch::{Track, Train};
 
-/// All of them; those of training first, which share the full run's track.
+/// All components; those of training come first, because they share the full run's track.
 pub const COMPONENTS: [Component; 17] = [
     Component {
         name: "motion",

@@ -14,9 +14,9 @@ use splat4d::vk::{self, DeviceKind};
 
 use super::common::{Answer, bytes, check_room_for_drivers, thousands};
 
-/// Pictures of what the largest scenes are foreseen for.
+/// Image size that the largest scenes are predicted for.
 const SIZE: (u32, u32) = (1920, 1080);
-/// How many there are to train on.
+/// Number of training images that they are predicted for.
 const PICTURES: usize = 100;
 
 const AFTER_HELP: &str = "\
@@ -30,7 +30,7 @@ Example:
 JSON: devices: [{index, name, kind, driver, vulkan, subgroup_size, memory_bytes, free_bytes,
 binding_bytes, most_gaussians {render, train}, unfit (why it cannot run, or null)}]";
 
-/// List the Vulkan devices that --device can name
+/// List the Vulkan devices that --device can select
 #[derive(Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct DevicesArgs {}
@@ -96,7 +96,7 @@ pub fn run(_: &DevicesArgs) -> Result<Answer> {
     Ok(Answer { json: json!({ "devices": list }), text })
 }
 
-/// The largest scenes that a device has room for, to render and to train.
+/// The largest numbers of Gaussians that fit on a device for rendering and for training.
 fn most_gaussians(device: &Device) -> (usize, usize) {
     let scene = Scene::of(Gaussians { sh_degree: 3, ..Gaussians::default() });
     let render = RenderScale::new(&scene, SIZE, &Tuning::default());

@@ -1,4 +1,4 @@
-//! Pictures to a video, through ffmpeg.
+//! Encodes images to a video, through ffmpeg.
 
 use std::io::{ErrorKind, Read};
 use std::path::Path;
@@ -10,12 +10,12 @@ use splat4d::{Error, Result, io};
 
 use super::interrupt;
 
-/// Whether an output is to be a video.
+/// Whether an output path is a video.
 pub fn is_video(path: &Path) -> bool {
     path.extension().is_some_and(|e| e.eq_ignore_ascii_case("mp4"))
 }
 
-/// That ffmpeg is there and runs, before long work begins.
+/// Checks that ffmpeg is available and runs, before long work begins.
 pub fn check(path: &Path) -> Result<()> {
     run(Command::new("ffmpeg").arg("-version"), path)
 }
@@ -26,10 +26,10 @@ pub fn encode(folder: &Path, rate: f64, output: &Path) -> Result<()> {
     let mut command = Command::new("ffmpeg");
     command
         .args(["-nostdin", "-v", "error", "-y", "-framerate", &rate.to_string(), "-i"])
-        // In the folder: in its name a % would be taken for a part of the pattern.
+        // Run in the folder, because a % in its name would be interpreted as part of the pattern.
         .arg("%04d.png")
         .current_dir(folder)
-        // Players want even sides and subsampled colour.
+        // Most players require even sides and chroma subsampling.
         .args(["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p"])
         .args(["-c:v", "libx264", "-crf", "18", "-movflags", "+faststart"])
         .arg(PARTIAL);
@@ -38,10 +38,10 @@ pub fn encode(folder: &Path, rate: f64, output: &Path) -> Result<()> {
     io::write_atomically(output, |sink| std::io::copy(&mut whole, sink).map(drop))
 }
 
-/// Runs ffmpeg until it is done, or until the user asks to stop.
+/// Runs ffmpeg until it ends, or until the user requests a stop.
 fn run(command: &mut Command, output: &Path) -> Result<()> {
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
-    // A Ctrl-C in the terminal is for this program, which then ends its own.
+    // A Ctrl-C in the terminal should reach only this program, which then ends the child.
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(command, 0);
     let mut child = command.spawn().map_err(|error| match error.kind() {
@@ -53,10 +53,10 @@ fn run(command: &mut Command, output: &Path) -> Result<()> {
         _ => Error::Failed(format!("{}: ffmpeg cannot be started: {error}", output.display())),
     })?;
     let mut stderr = child.stderr.take().expect("stderr is piped");
-    // Read beside the waiting: a full pipe of messages would stop ffmpeg.
+    // Read in a thread, because a full pipe would block ffmpeg.
     let said = std::thread::spawn(move || {
         let mut said = Vec::new();
-        // What cannot be read here only shortens a message.
+        // A read error here only shortens a message.
         let _ = stderr.read_to_end(&mut said);
         String::from_utf8_lossy(&said).into_owned()
     });
@@ -66,7 +66,7 @@ fn run(command: &mut Command, output: &Path) -> Result<()> {
             None => std::thread::sleep(Duration::from_millis(20)),
         }
         if let Err(interrupted) = interrupt::check() {
-            // It may be gone already.
+            // It may have ended already.
             let _ = child.kill();
             let _ = child.wait();
             return Err(interrupted);

@@ -1,5 +1,5 @@
-//! `splat4d eval`: a scene against pictures, a scene against a synthetic clip's truth, a trajectory or
-//! tracks of points against others.
+//! `splat4d eval`: evaluates a scene on images or on a synthetic clip's ground truth, or a trajectory or
+//! point tracks against a reference.
 
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -86,10 +86,10 @@ held_out_fitted: the same with each pose fitted to its picture (--fit-poses): le
 the static covisible pixels, or all where masks are missing. Poses fitted to test pictures flatter.
 What does not apply is null; so is an infinite PSNR.";
 
-/// Pictures of a dataset that are in memory at a time.
+/// Number of a dataset's images in memory at a time.
 const AT_A_TIME: usize = 8;
 
-/// Every key of the JSON, so that each is always there.
+/// All keys of the JSON, which are always present.
 const KEYS: [&str; 29] = [
     "psnr",
     "ssim",
@@ -122,69 +122,68 @@ const KEYS: [&str; 29] = [
     "ms_ssim_own_focal",
 ];
 
-/// Measure a scene against pictures or truth, a trajectory or point tracks against others
+/// Evaluate a scene on images or ground truth, or a trajectory or point tracks against a reference
 #[derive(Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct EvalArgs {
-    /// A scene's file, a 3DGS PLY, a trajectory (TUM, KITTI, EuRoC, .cam), or point tracks (.npz)
+    /// A scene file, a 3DGS PLY, a trajectory (TUM, KITTI, EuRoC, .cam), or point tracks (.npz)
     #[arg(value_name = "SCENE|TRAJECTORY|TRACKS")]
     pub estimate: PathBuf,
-    /// A dataset, a clip's truth folder, pictures of the first camera, a trajectory (TUM, KITTI, EuRoC,
+    /// A dataset, a clip's truth folder, images of the first camera, a trajectory (TUM, KITTI, EuRoC,
     /// .cam), or point tracks (.npz)
     pub reference: PathBuf,
-    /// REFERENCE holds what the scene's first camera sees at the times of other frames; the last number
-    /// in a picture's name is the frame's. Names of the form v000_t003.png say so themselves
+    /// REFERENCE contains views of the scene's first camera at the times of other frames; the last number
+    /// in an image's name is the frame. Not needed for names of the form v000_t003.png
     #[arg(long)]
     pub first_camera: bool,
-    /// Measure held-out pictures a second time, from the pose that fits each best; takes a hundred
-    /// renders a picture
+    /// Also evaluate held-out images from the pose fitted to each; takes about a hundred renders per image
     #[arg(long)]
     pub fit_poses: bool,
-    /// Write truth, render and absolute error of each held-out picture side by side, as PNG
+    /// Write ground truth, render and absolute error of each held-out image side by side, as PNG
     #[arg(long, value_name = "DIR")]
     pub pictures: Option<PathBuf>,
-    /// Shrink the dataset's pictures so that their longer side has at most so many pixels
+    /// Downscale the dataset's images so that their longer side has at most this many pixels
     #[arg(long, value_name = "LONGEST",
           value_parser = values::whole::<u32>(1..=values::MOST_PIXELS))]
     size: Option<u32>,
-    /// Measure every N-th picture of the dataset, as `train` holds them out; 0: all, or those of its
-    /// own test split
+    /// Evaluate every N-th image of the dataset, as `train` holds them out; 0: all, or those of its own
+    /// test split
     #[arg(long, value_name = "N", default_value_t = 0,
           value_parser = values::whole::<usize>(0..=values::MOST_PICTURES))]
     eval_every: usize,
-    /// What aligning a trajectory may change
+    /// Degrees of freedom of the trajectory's alignment
     #[arg(long, value_enum, default_value = "sim3")]
     align: AlignBy,
-    /// Find the alignment from the first N poses alone; 0: from all
+    /// Determine the alignment from the first N poses only; 0: from all
     #[arg(long, value_name = "N", default_value_t = 0,
           value_parser = values::whole::<usize>(0..=values::MOST_PICTURES))]
     align_first: usize,
-    /// Poses pair when their timestamps differ by at most so many seconds
+    /// Maximum difference of the time stamps of paired poses, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 0.01, alias = "max-difference",
           value_parser = values::number(0.0..=values::MOST_SECONDS))]
     max_time_diff: f64,
-    /// Add so many seconds to the estimate's timestamps before they are paired
+    /// Seconds to add to the estimate's time stamps before pairing
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_negative_numbers = true,
           value_parser = values::number(-values::MOST_SECONDS..=values::MOST_SECONDS))]
     time_offset: f64,
-    /// Distance between the two poses of a relative error
+    /// Distance between the two poses of a relative error, in --rpe-unit
     #[arg(long, value_name = "DISTANCE", default_value_t = 1.0,
           value_parser = values::number(1e-9..=1e9))]
     rpe_delta: f64,
-    /// What --rpe-delta counts: poses, the path between them, or how far it turns
+    /// Unit of --rpe-delta: number of poses, path length, or rotation
     #[arg(long, value_enum, default_value = "frames")]
     rpe_unit: Unit,
-    /// Compare all pairs of poses that lie --rpe-delta apart, not only such as follow each other
+    /// Compare all pairs of poses that are --rpe-delta apart, not only consecutive ones
     #[arg(long)]
     rpe_all_pairs: bool,
-    /// With --rpe-all-pairs: how far off a pair's metres or degrees may be, as a share of --rpe-delta
+    /// With --rpe-all-pairs: tolerance of a pair's metres or degrees, as a share of --rpe-delta
     #[arg(long, value_name = "SHARE", default_value_t = 0.1, requires = "rpe_all_pairs",
           value_parser = values::number(0.0..=1.0))]
     rpe_tolerance: f64,
-    /// Count --rpe-delta's metres or degrees on the reference instead of the aligned estimate
+    /// Measure --rpe-delta's metres or degrees along the reference instead of the aligned estimate
     #[arg(long)]
     rpe_along_reference: bool,
-    /// Leave out Gaussians that hold NaN, infinite or out-of-range values
+    /// Skip Gaussians with NaN, infinite or out-of-range values
     #[arg(long)]
     drop_bad: bool,
     #[command(flatten)]
@@ -192,7 +191,7 @@ pub struct EvalArgs {
 }
 
 impl EvalArgs {
-    /// Where the held-out pictures of some names go, where they are asked for; `folders` are read.
+    /// Output of side-by-side comparisons of the named held-out images, if requested; `folders` are read.
     pub fn comparisons(
         &self,
         names: &[String],
@@ -208,11 +207,11 @@ impl EvalArgs {
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum AlignBy {
-    /// Nothing
+    /// No alignment
     None,
-    /// Rotation and translation, by the first pose alone
+    /// Rotation and translation, from the first pose only
     Origin,
-    /// Scale alone
+    /// Scale only
     Scale,
     /// Rotation and translation
     Se3,
@@ -224,14 +223,14 @@ enum AlignBy {
 enum Unit {
     /// Poses
     Frames,
-    /// Length of the path, in the reference's unit
+    /// Path length, in the reference's unit
     Metres,
-    /// Angle turned
+    /// Rotation angle
     Degrees,
 }
 
 impl EvalArgs {
-    /// How trajectories are compared.
+    /// The settings of a trajectory comparison.
     fn comparison(&self) -> Result<Comparison> {
         if matches!(self.rpe_unit, Unit::Frames) && self.rpe_delta.fract() != 0.0 {
             let delta = self.rpe_delta;
@@ -292,7 +291,7 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Answer> {
     Ok(Answer { text: text(&json), json })
 }
 
-/// The folder that holds `transforms.json` and `held_out`: the reference itself, or the `truth` in it.
+/// The folder with `transforms.json` and `held_out`: the reference itself, or its subfolder `truth`.
 pub fn truth_folder(reference: &Path) -> Result<Option<PathBuf>> {
     std::fs::metadata(reference).map_err(Error::io(reference))?;
     let candidates = [reference.to_path_buf(), reference.join("truth")];
@@ -302,7 +301,7 @@ pub fn truth_folder(reference: &Path) -> Result<Option<PathBuf>> {
     Ok(candidates.into_iter().find(is_truth))
 }
 
-/// Whether the reference is something else than a dataset: a folder of `.cam` files, or a file that is no
+/// Whether the reference is not a dataset: a folder of `.cam` files, or a file that is not a
 /// `transforms.json`.
 fn is_trajectory(reference: &Path) -> Result<bool> {
     let found = std::fs::metadata(reference).map_err(Error::io(reference))?;
@@ -361,7 +360,7 @@ fn pictures(
     }
     comparisons.map_or(Ok(()), Comparisons::finish)?;
     let mut keys = picture_keys(&per_frame);
-    // A mean over some of the pictures alone would be of another protocol.
+    // A mean over only some of the images would follow another protocol.
     if covisible.len() == per_frame.len() {
         let mean = |figures: fn(&(f64, f64)) -> f64| {
             quality::mean(covisible.iter().map(|found| Some(figures(found))))
@@ -372,7 +371,7 @@ fn pictures(
     Ok(keys)
 }
 
-/// PSNR and SSIM over the pixels that the training pictures saw as well.
+/// PSNR and SSIM over the pixels that the training images also saw.
 fn seen_as_well(view: &View, picture: &Image, mut mask: Image) -> Result<(f64, f64)> {
     if let Some(valid) = &view.valid {
         mask.pixels.iter_mut().zip(&valid.pixels).for_each(|(seen, valid)| *seen *= valid);
@@ -381,7 +380,7 @@ fn seen_as_well(view: &View, picture: &Image, mut mask: Image) -> Result<(f64, f
     Ok((masked_psnr(picture, &view.image, &mask)?, masked_mean(&similarity, &mask)?))
 }
 
-/// The keys that speak of pictures.
+/// The keys about images.
 pub fn picture_keys(per_frame: &[Quality]) -> Map<String, Value> {
     let rows: Vec<Value> = per_frame.iter().map(Quality::json).collect();
     Map::from_iter([
@@ -395,7 +394,7 @@ pub fn picture_keys(per_frame: &[Quality]) -> Map<String, Value> {
 
 fn trajectories(args: &EvalArgs) -> Result<Map<String, Value>> {
     let how = args.comparison()?;
-    // The reference decides what is measured, so that it is judged first.
+    // The reference determines what is measured, so it is checked first.
     let reference = trajectory::open(&args.reference, None).map_err(|error| match error {
         Error::Format { path, what } => {
             let hint = "a reference is a dataset, a clip's truth folder or a trajectory (TUM, KITTI, \
@@ -426,8 +425,8 @@ fn trajectories(args: &EvalArgs) -> Result<Map<String, Value>> {
     Ok(trajectory_keys(&errors))
 }
 
-/// Which poses belong together: in order where neither has timestamps, or only one and both are as long;
-/// else by time, places in a file counting as times.
+/// Pairs poses: in order where neither trajectory has time stamps, or only one and both have the same
+/// length; else by time, with indices in a file as times.
 fn pair(
     args: &EvalArgs,
     estimate: &Trajectory,
@@ -465,8 +464,8 @@ fn pair(
     Ok(pairs)
 }
 
-/// The keys that speak of trajectories. A camera that stands still has no path to relate errors to,
-/// and no motion to err in.
+/// The keys about trajectories. For a static camera, relative errors are undefined: its path has no length
+/// and no motion.
 pub fn trajectory_keys(errors: &TrajectoryErrors) -> Map<String, Value> {
     let moving = |value: f64| (errors.path_length > 0.0 && errors.rpe_pairs > 0).then_some(value);
     let relative = |found: &Statistics| (errors.rpe_pairs > 0).then(|| statistics(found));
@@ -485,7 +484,7 @@ pub fn trajectory_keys(errors: &TrajectoryErrors) -> Map<String, Value> {
     ])
 }
 
-/// The names under which [`statistics`] gives what a list of errors comes to.
+/// Names of the values that [`statistics`] gives for a list of errors.
 const STATISTICS: [&str; 7] = ["rmse", "mean", "median", "std", "min", "max", "sse"];
 
 fn statistics(of: &Statistics) -> Value {
@@ -534,7 +533,7 @@ fn text(found: &Value) -> String {
     }
     for row in found["per_frame"].as_array().into_iter().flatten() {
         let name = row["name"].as_str().unwrap_or_default();
-        // JSON has no infinity: equal pictures.
+        // JSON has no infinity, which is the PSNR of equal images.
         let psnr = row["psnr"].as_f64().unwrap_or(f64::INFINITY);
         let ssim = row["ssim"].as_f64().unwrap_or(f64::NAN);
         let _ = writeln!(text, "  {name:24} {psnr:7.3} dB  SSIM {ssim:.4}");

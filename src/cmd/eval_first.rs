@@ -1,6 +1,6 @@
-//! A scene against what its first camera saw at the times of other frames: the test of clips that a row
-//! of cameras filmed, each frame from another one, where nothing but the first camera's own pose is
-//! known of the test's cameras. Nothing is aligned or fitted.
+//! Evaluates a scene on views of its first camera at the times of other frames. This is the test of clips
+//! recorded by a row of cameras, each frame from another camera, where the first camera's own pose is the
+//! only known test pose. Nothing is aligned or fitted.
 
 use std::path::{Path, PathBuf};
 
@@ -20,13 +20,13 @@ use super::known::lens_of;
 use super::meter::Meter;
 use super::path;
 
-/// What the rows of these pictures are named.
+/// Name of the result rows for these images.
 const DISTANCE: &str = "first_camera";
 
-/// Proportions of two pictures may differ by so much: a side is rounded to whole pixels.
+/// Maximum relative difference of two images' proportions, because sides are rounded to whole pixels.
 const PROPORTIONS: f64 = 0.02;
 
-/// Whether the reference is a folder of such pictures: it was said, or the names say so.
+/// Whether the reference is a folder of such images, by option or by their names.
 pub fn is_meant(args: &EvalArgs) -> Result<bool> {
     if args.first_camera {
         return Ok(true);
@@ -38,7 +38,7 @@ pub fn is_meant(args: &EvalArgs) -> Result<bool> {
     Ok(!names.is_empty() && names.iter().all(|file| is_named(file)))
 }
 
-/// Measures them.
+/// Evaluates them.
 pub fn measure(
     scene: &Scene,
     args: &EvalArgs,
@@ -72,7 +72,7 @@ pub fn measure(
             camera: Camera { intrinsics, ..first },
             time: at.time,
             truth: match &lens {
-                // As it is shown and as the rendered picture is judged: with eight bits.
+                // With 8 bits, like the rendered image that it is compared with.
                 Some(lens) => held_out::eight_bits(
                     lens.resized(truth.width, truth.height).undistort(&truth, &intrinsics).0,
                 ),
@@ -88,8 +88,8 @@ pub fn measure(
     Ok(held_out::keys(&judged))
 }
 
-/// The pictures of a folder and the scene's cameras at their frames. The first camera's own frame is an
-/// input and does not count.
+/// The images of a folder with the scene's cameras at their frames. The first camera's own frame is an
+/// input and is excluded.
 fn pictures<'a>(scene: &'a Scene, folder: &Path) -> Result<Vec<(PathBuf, &'a SceneCamera)>> {
     if scene.cameras.is_empty() {
         let what = "the scene knows no input cameras; its first one is what is measured from here";
@@ -100,7 +100,7 @@ fn pictures<'a>(scene: &'a Scene, folder: &Path) -> Result<Vec<(PathBuf, &'a Sce
     for file in list(folder)? {
         let frame = match view_and_frame(&file) {
             Some((0, frame)) => Some(frame),
-            // What another camera saw.
+            // An image of another camera.
             Some(_) => continue,
             None => last_number(&stem(&file)),
         };
@@ -125,7 +125,7 @@ fn pictures<'a>(scene: &'a Scene, folder: &Path) -> Result<Vec<(PathBuf, &'a Sce
     Ok(found)
 }
 
-/// The number of each of the scene's frames: the last one in its name, or its place.
+/// The number of each of the scene's frames: the last one in its name, or its index.
 fn frame_numbers(scene: &Scene) -> Vec<u64> {
     let named: Option<Vec<u64>> = scene.report["frame_names"]
         .as_array()
@@ -136,7 +136,7 @@ fn frame_numbers(scene: &Scene) -> Vec<u64> {
     }
 }
 
-/// The camera as it sees a picture of another size.
+/// The camera at the size of another image.
 fn seen_as(k: &Intrinsics, file: &Path) -> Result<Intrinsics> {
     let (width, height) = dimensions(file, Orientation::Stored)?;
     let (ours, theirs) =
@@ -160,7 +160,7 @@ fn name(file: &Path) -> String {
     file.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Whether a picture's name tells the camera and the frame.
+/// Whether an image's name contains the camera and the frame.
 pub fn is_named(file: &Path) -> bool {
     view_and_frame(file).is_some()
 }
@@ -180,7 +180,7 @@ fn view_and_frame(file: &Path) -> Option<(u64, u64)> {
 fn last_number(name: &str) -> Option<u64> {
     let end = name.rfind(|c: char| c.is_ascii_digit())? + 1;
     let start = name[..end].rfind(|c: char| !c.is_ascii_digit());
-    // A character before the digits may take several bytes.
+    // The character before the digits may have several bytes.
     let start = start.map_or(0, |at| at + name[at..].chars().next().map_or(1, char::len_utf8));
     name[start..end].parse().ok()
 }

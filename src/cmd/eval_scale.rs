@@ -1,5 +1,5 @@
-//! The scale of a scene whose camera stood still. Its poses do not tell it, and where no depth is known, pictures
-//! of other cameras do: how far these see things shifted is their distance over the depth.
+//! The scale of a scene with a static camera. Its poses do not determine the scale. Where no depth is
+//! known, images of other cameras do: the parallax in them is their distance over the depth.
 
 use splat4d::Result;
 use splat4d::data::{Resize, View};
@@ -11,34 +11,35 @@ use splat4d::types::{Camera, Image};
 use super::common::say;
 use super::interrupt;
 
-/// Distances of other cameras over the depth of what they see, between which a scale is looked for: below, nothing
-/// is seen to shift; beyond, little of the same is seen.
+/// Range of the searched ratio of another camera's distance to the scene depth: below it, parallax is
+/// invisible; above it, the views hardly overlap.
 const RATIOS: (f64, f64) = (0.003, 3.0);
-/// Ratios of the first round: neighbours differ by a fifth.
+/// Number of ratios in the first round; neighbours differ by a fifth.
 const GRID: usize = 38;
-/// Halvings, about, of the interval between neighbours: a scale within a thousandth.
+/// Number of golden-section refinements of the interval between neighbours: to a relative precision of
+/// about a thousandth.
 const REFINEMENTS: usize = 12;
 
-/// A picture of another camera.
+/// An image of another camera.
 pub struct Sight {
-    /// The picture, small, with its camera in the truth's frame.
+    /// The downscaled image, with its camera in the ground truth's frame.
     pub view: View,
-    /// The scene's time.
+    /// Time in the scene.
     pub time: f64,
-    /// The camera's distance from the one that stood still, in the truth's unit.
+    /// Distance of the camera from the static one, in the ground truth's unit.
     pub aside: f64,
 }
 
 impl Sight {
-    /// Pictures are compared at most at this size: one number needs no fine detail, and coarse pictures lead to it
-    /// from farther away.
+    /// Maximum size of the compared images: one parameter needs no fine detail, and coarse images have a
+    /// wider basin of convergence.
     pub const SIZE: Resize = Resize::Longest(320);
-    /// As many are enough for one number.
+    /// Maximum number of images; more are not needed for one parameter.
     pub const MOST: usize = 12;
 }
 
-/// The scale of the least squared error over all pictures, `scaled` being the alignment of a scale; `None` where
-/// nothing tells it: no other camera stands aside, or the scene shows nothing.
+/// The scale with the least squared error over all images; `scaled` gives the alignment at a scale. `None`
+/// where it is undetermined: no other camera has an offset, or the scene is empty.
 pub fn by_pictures(
     renderer: &mut Renderer,
     scene: &Scene,
@@ -82,8 +83,8 @@ fn squared_error(a: &Image, b: &Image) -> f64 {
     sum / a.pixels.len() as f64
 }
 
-/// Where a function of a positive number is least between two: the best of a logarithmic grid, refined by the
-/// golden section between its neighbours.
+/// Minimises a function of a positive number between two bounds: the best point of a logarithmic grid,
+/// refined by golden-section search between its neighbours.
 fn least(
     (low, high): (f64, f64),
     grid: usize,
@@ -122,12 +123,12 @@ mod tests {
 
     #[test]
     fn the_least_of_several_valleys_is_found() {
-        // A shallow valley at 0.01, a deep one at 0.5.
+        // A shallow minimum at 0.01, a deep one at 0.5.
         let valley = |x: f64, at: f64, depth: f64| -depth * (-(x / at).ln().powi(2) / 0.1).exp();
         let of = |x: f64| Ok(valley(x, 0.01, 1.0) + valley(x, 0.5, 2.0));
         let found = least(RATIOS, GRID, of).unwrap();
         assert!((found / 0.5 - 1.0).abs() < 1e-3, "{found}");
-        // At an end, too.
+        // A minimum at a bound.
         let end = least(RATIOS, GRID, Ok).unwrap();
         assert!((end / RATIOS.0 - 1.0).abs() < 1e-2, "{end}");
         assert!(least(RATIOS, GRID, |_| Err(splat4d::Error::Failed("no".into()))).is_err());

@@ -1,4 +1,4 @@
-//! Point tracks against true ones of the same points, as TAP-Vid measures them.
+//! Evaluates point tracks against true tracks of the same points, with the metrics of TAP-Vid.
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
@@ -11,7 +11,7 @@ use splat4d::data::{read_mask, tracks};
 use splat4d::eval::score_tracks;
 use splat4d::types::Image;
 
-/// The keys that speak of point tracks.
+/// The keys about point tracks.
 pub fn measure(estimate: &Path, reference: &Path) -> Result<Map<String, Value>> {
     let (found, truth) = (tracks::read(estimate)?, tracks::read(reference)?);
     let found = match truth.size {
@@ -54,7 +54,7 @@ pub fn measure(estimate: &Path, reference: &Path) -> Result<Map<String, Value>> 
     Ok(Map::from_iter([("tracks".to_owned(), rows)]))
 }
 
-/// The scores as lines to read.
+/// The scores as text.
 pub fn table(found: &Value) -> String {
     let mut text = String::new();
     for (name, row) in found.as_object().into_iter().flatten().filter(|(_, row)| !row.is_null()) {

@@ -1,12 +1,12 @@
-//! A scene against the truth of a clip.
+//! Evaluates a scene against the ground truth of a clip.
 //!
-//! The scene's own cameras are aligned to the true ones by a similarity; through it the held-out
-//! cameras are carried into the scene's frame and rendered there, and the scene's depth becomes
-//! metres. A camera that stood still does not tell the similarity's scale; depth does, or else the
-//! held-out pictures ([`eval_scale`](super::eval_scale)). Depth, motion masks and the regions of the held-out pictures are measured where the folder
-//! has them. They keep their true focal length; beside that, marked as such, stands what the scene shows
-//! through a lens of its own: a scene built with a slightly long focal length is slightly deep, and
-//! right only through that lens.
+//! The scene's own cameras are aligned to the true ones by a similarity. It maps the held-out cameras into
+//! the scene's frame, where they are rendered, and converts the scene's depth to metres. A static camera
+//! does not determine the similarity's scale; depth does, or else the held-out images
+//! ([`eval_scale`](super::eval_scale)). Depth, motion masks and the regions of the held-out images are
+//! evaluated where the folder has them. The held-out cameras keep their true focal length. In addition,
+//! marked as such, results are given with the scene's own focal length: a scene that was reconstructed with
+//! too long a focal length is stretched in depth, and looks right only with that focal length.
 
 use std::path::{Path, PathBuf};
 
@@ -35,24 +35,24 @@ use super::quality::{Quality, motion_only};
 struct Pair<'a> {
     ours: &'a SceneCamera,
     truth: TimedCamera,
-    /// The frame's number in the clip.
+    /// Frame number in the clip.
     frame: usize,
 }
 
-/// Where the held-out pictures of some names are shown, if anywhere; some folders are read.
+/// Output of side-by-side comparisons of the named held-out images, if requested; some folders are read.
 pub type Shown<'a> = &'a dyn Fn(&[String], &[PathBuf]) -> Result<Option<Comparisons>>;
 
-/// What is measured beyond what the truth tells.
+/// Additional evaluations.
 pub struct Extras<'a> {
-    /// Held-out pictures from poses fitted to them as well.
+    /// Also evaluate held-out images from poses fitted to them.
     pub fit_poses: bool,
-    /// Where held-out pictures are shown.
+    /// Output of the side-by-side comparisons.
     pub shown: Shown<'a>,
-    /// Measures LPIPS.
+    /// Network for LPIPS.
     pub lpips: Option<&'a mut LpipsNetwork>,
 }
 
-/// Measures everything that the truth allows.
+/// Evaluates everything for which there is ground truth.
 pub fn measure(
     device: &Device,
     scene: &Scene,
@@ -77,7 +77,7 @@ pub fn measure(
     let mut truth_from_scene = alignment.reference_from_estimate;
     let mut scale_by = Some("centres");
     if alignment.shape == Shape::Point {
-        // A camera that stood still says nothing about the scale; what it saw does.
+        // The pose of a static camera does not determine the scale; its depth does.
         let middles = [middle(&ours), middle(&theirs)];
         let scaled = |scale: f64| scaled(truth_from_scene, scale, middles);
         let found = match scale_of_depth(&looks) {
@@ -119,7 +119,7 @@ pub fn measure(
     Ok(found)
 }
 
-/// The folders of the pictures and masks that are read.
+/// The folders of the images and masks that are read.
 fn read_folders(truth: &Path, set: &Dataset) -> Vec<PathBuf> {
     let held_out = truth.join("held_out");
     let mut folders = vec![truth.join("masks")];
@@ -134,8 +134,8 @@ fn read_folders(truth: &Path, set: &Dataset) -> Vec<PathBuf> {
     folders
 }
 
-/// Pairs the scene's cameras with the clip's frames: by the numbers of the frames where the scene's
-/// report lists them, else one by one where there are as many, else by time.
+/// Pairs the scene's cameras with the clip's frames: by the frame numbers in the scene's report, else in
+/// order where there are equally many, else by time.
 fn pair<'a>(scene: &'a Scene, truth: &[TimedCamera]) -> Result<Vec<Pair<'a>>> {
     let ours = &scene.cameras;
     let listed: Option<Vec<usize>> = scene.report["frame_names"].as_array().and_then(|names| {
@@ -162,8 +162,8 @@ fn pair<'a>(scene: &'a Scene, truth: &[TimedCamera]) -> Result<Vec<Pair<'a>>> {
         .collect())
 }
 
-/// What the scene shows from its own cameras and what is true there, all frames one below the other;
-/// `None` where the truth has no such pictures.
+/// The scene's renders from its own cameras and the corresponding ground truth, with all frames stacked
+/// vertically; `None` where there is no ground truth.
 struct Looks {
     depth: Option<(Image, Image)>,
     masks: Option<(Image, Image)>,
@@ -210,7 +210,7 @@ fn first_channel(image: &Image) -> Image {
     Image { pixels, channels: 1, ..*image }
 }
 
-/// Images of one channel and one width, one below the other.
+/// Stacks one-channel images of the same width vertically.
 fn stack(images: &[Image]) -> Result<Image> {
     let width = images[0].width;
     if let Some(odd) = images.iter().find(|i| (i.width, i.channels) != (width, 1)) {
@@ -224,8 +224,8 @@ fn stack(images: &[Image]) -> Result<Image> {
     Ok(Image { width, height, channels: 1, pixels })
 }
 
-/// The scale that brings the scene's depths to the true ones, the median over all pixels; `None` where depth is
-/// not known.
+/// Scale that converts the scene's depths to the true ones: the median ratio over all pixels; `None` where
+/// depth is unknown.
 fn scale_of_depth(looks: &Looks) -> Option<f64> {
     let good = |d: f32| d.is_finite() && d > 0.0;
     let (depth, true_depth) = looks.depth.as_ref()?;
@@ -238,17 +238,17 @@ fn scale_of_depth(looks: &Looks) -> Option<f64> {
     (!ratios.is_empty()).then(|| *ratios.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// The middle of a camera's path.
+/// The centre of a camera's path.
 fn middle(poses: &[Pose]) -> DVec3 {
     poses.iter().map(|pose| pose.translation).sum::<DVec3>() / poses.len() as f64
 }
 
-/// An alignment with another scale; the middles of both paths, ours and the true one, stay on each other.
+/// An alignment with another scale; the centres of both paths, ours and the true one, stay aligned.
 fn scaled(sim: Sim3, scale: f64, [ours, theirs]: [DVec3; 2]) -> Sim3 {
     Sim3 { scale, translation: theirs - scale * (sim.rotation * ours), ..sim }
 }
 
-/// The held-out pictures of a clip.
+/// The held-out images of a clip.
 struct HeldOut<'a> {
     set: Dataset,
     folder: PathBuf,
@@ -256,8 +256,7 @@ struct HeldOut<'a> {
 }
 
 impl HeldOut<'_> {
-    /// The keys that speak of them: through the true lens, and through one whose focal length is longer
-    /// by `focal_ratio`.
+    /// The keys about them: with the true focal length, and with one longer by `focal_ratio`.
     fn judged(
         &self,
         judge: &mut Judge,
@@ -269,7 +268,7 @@ impl HeldOut<'_> {
         for (index, frame) in self.set.frames.iter().enumerate() {
             interrupt::check()?;
             meter.advance();
-            // The scene may have been made of a part of the clip; it is not asked beyond that.
+            // The scene may cover only part of the clip; times outside of it are skipped.
             let Some(time) = scene_time(self.pairs, frame.time) else { continue };
             let shot = self.shot(frame, time, scene_from_truth)?;
             judged.push(judge.judge(index, &shot)?);
@@ -288,7 +287,7 @@ impl HeldOut<'_> {
         Ok(found)
     }
 
-    /// Some of them, evenly taken, as [`by_pictures`] compares them.
+    /// An even selection of the images, as [`by_pictures`] compares them.
     fn sights(&self, true_middle: DVec3) -> Result<Vec<Sight>> {
         let known: Vec<(&Frame, f64)> = self
             .set
@@ -309,7 +308,7 @@ impl HeldOut<'_> {
 
     fn shot(&self, frame: &Frame, time: f64, scene_from_truth: &Sim3) -> Result<Shot> {
         let view = frame.load(self.set.background, Resize::Keep)?;
-        // "K/0000.png" in the folder: camera K.
+        // The path "K/0000.png" in the folder belongs to camera K.
         let below = frame.path.strip_prefix(&self.folder).unwrap_or(&frame.path);
         let distance = below.parent().map_or(String::new(), |p| p.display().to_string());
         let mask = |kind: &str| -> Result<Option<Image>> {

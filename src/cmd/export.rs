@@ -62,45 +62,45 @@ and .html: plain_bytes, scene_bytes (of the compact scene), share (of plain_byte
 took the network's place), psnr (against the scene, mean over views, null without cameras), psnr_worst,
 psnr_lost (of the report's psnr_input, by that; else null), views; else null)";
 
-/// Write a scene in a format that other programs open
+/// Write a scene in a format that other programs read
 #[derive(Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct ExportArgs {
-    /// A scene's file, or Gaussians as PLY, SPZ, SOG or .splat
+    /// A scene file, or Gaussians as PLY, SPZ, SOG or .splat
     #[arg(value_name = "SCENE|PLY")]
     pub scene: PathBuf,
-    /// The file to write; its name tells the format. With --sequence, a folder or FILE.zip
+    /// The output file; its extension selects the format. With --sequence, a folder or FILE.zip
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,
-    /// The moment, in [0, 1], where one is to be written
+    /// The time of a single moment to write, in [0, 1]
     #[arg(long, value_name = "TIME", value_parser = values::number(0.0..=1.0),
           conflicts_with = "sequence")]
     pub time: Option<f64>,
-    /// Write a file for each time
+    /// Write a file per time
     #[arg(long)]
     pub sequence: bool,
-    /// Number of files of a sequence, spread evenly over time [default: the times of the input]
+    /// Number of files of a sequence, evenly spaced in time [default: the times of the input]
     #[arg(long, value_name = "N", requires = "sequence",
           value_parser = values::whole::<usize>(1..=values::MOST_PICTURES))]
     pub frames: Option<usize>,
-    /// Format of the files of a sequence
+    /// Format of a sequence's files
     #[arg(long = "as", value_name = "FORMAT", requires = "sequence", default_value = "ply")]
     pub format: Member,
-    /// What may be left out where the format does not hold it
+    /// Features to omit if the format does not support them
     #[arg(long, value_name = "WHAT", value_delimiter = ',')]
     pub drop: Vec<Droppable>,
     /// Version of SPZ
     #[arg(long, value_name = "VERSION", default_value = "4")]
     pub spz_version: SpzVersion,
-    /// The scene's own format in few bits
+    /// Use the compact form of the scene format, with reduced precision
     #[arg(long, conflicts_with = "sequence")]
     pub compact: bool,
-    /// Leave out Gaussians that hold NaN, infinite or out-of-range values
+    /// Skip Gaussians with NaN, infinite or out-of-range values
     #[arg(long)]
     pub drop_bad: bool,
 }
 
-/// What was written.
+/// Result of writing.
 #[derive(Default)]
 struct Written {
     gaussians: usize,
@@ -133,7 +133,7 @@ pub fn run(args: &ExportArgs, common: &Common) -> Result<Answer> {
     let times = times(args, target, &scene)?;
     let mut poser = Poser::new(common, &scene)?;
     if left_out.contains(&Droppable::Motion) {
-        // From here on it stands still.
+        // From here on, the scene is static.
         scene.gaussians = poser.at(times[0])?;
         scene = Scene { control_points: Default::default(), network: None, ..scene };
         poser = Poser::new(common, &scene)?;
@@ -190,7 +190,7 @@ pub fn run(args: &ExportArgs, common: &Common) -> Result<Answer> {
     Ok(Answer { json, text })
 }
 
-/// Where a scene's Gaussians are at a time; a device is taken only where something moves.
+/// The scene's Gaussians at a time; a device is used only for a dynamic scene.
 enum Poser {
     Still(Gaussians),
     Moving(Box<Renderer>),
@@ -258,7 +258,7 @@ fn write(
     }
 }
 
-/// A page begins at the input's first camera, at its time.
+/// Initial view of a page: the input's first camera, at its time.
 fn opening(args: &ExportArgs, scene: &Scene) -> Opening {
     let (start, distance) = path::start(scene);
     let title = args.scene.file_stem().unwrap_or_default().to_string_lossy().into_owned();
@@ -270,7 +270,7 @@ fn size(path: &Path) -> Result<u64> {
     Ok(fs::metadata(path).map_err(Error::io(path))?.len())
 }
 
-/// Times at which motion is fitted.
+/// Number of times at which motion is fitted.
 const FITTED: usize = 48;
 
 /// The times to write, or to fit motion at.
@@ -298,7 +298,7 @@ fn times(args: &ExportArgs, target: Target, scene: &Scene) -> Result<Vec<f64>> {
     }
 }
 
-/// Writes a file for each time into a folder or an archive.
+/// Writes a file for each time to a folder or an archive.
 fn sequence(
     args: &ExportArgs,
     format: Format,

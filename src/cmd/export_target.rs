@@ -1,4 +1,4 @@
-//! What `export` is to write, and what a format cannot hold of a scene.
+//! Output formats of `export`, and the features of a scene that they cannot represent.
 
 use std::path::Path;
 
@@ -21,7 +21,7 @@ pub enum Member {
     Spz,
 }
 
-/// What a format may not hold.
+/// Features that a format may not support.
 #[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
 pub enum Droppable {
     Motion,
@@ -36,7 +36,7 @@ impl Droppable {
         }
     }
 
-    /// Why it is left out.
+    /// Reason why it is omitted.
     pub fn why(self, target: Target) -> String {
         match self {
             Droppable::Motion if target.holds_motion() => "one moment was asked for".into(),
@@ -54,7 +54,7 @@ pub enum SpzVersion {
     V4,
 }
 
-/// What a file is to be.
+/// Kind of an output file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Target {
     Still(Format),
@@ -86,12 +86,12 @@ impl Target {
     }
 }
 
-/// Whether a path names a zip archive.
+/// Whether a path has the extension of a zip archive.
 pub fn is_zip(path: &Path) -> bool {
     path.extension().is_some_and(|end| end.eq_ignore_ascii_case("zip"))
 }
 
-/// What the file is to be, or the sequence's files.
+/// The output format, or the format of the sequence's files.
 pub fn target(args: &ExportArgs) -> Result<Target> {
     let version = match args.spz_version {
         SpzVersion::V3 => spz::Version::V3,
@@ -134,11 +134,11 @@ pub fn target(args: &ExportArgs) -> Result<Target> {
     }
 }
 
-/// What the format does not hold and the scene has, and what was asked to be left out; an error where it
-/// was not asked for.
+/// The scene's features that the format does not support or that the user asked to omit; an error where an
+/// unsupported feature was not listed in `--drop`.
 pub fn left_out(args: &ExportArgs, target: Target, scene: &Scene) -> Result<Vec<Droppable>> {
     let (mut left_out, mut refused) = (Vec::new(), Vec::new());
-    // In an SPZ, `--time` is the moment that others see.
+    // In an SPZ, `--time` is the moment that other programs show.
     let shown = args.time.is_some() && !matches!(target, Target::Still(_) if target.holds_motion());
     let still = shown || args.drop.contains(&Droppable::Motion);
     if scene.moves() && !args.sequence && (still || !target.holds_motion()) {

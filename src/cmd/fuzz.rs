@@ -1,4 +1,4 @@
-//! `splat4d validate --fuzz` and `--case`: scenes at random, and one of them again.
+//! `splat4d validate --fuzz` and `--case`: random scenes, and repetition of one of them.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -17,10 +17,10 @@ use super::meter::Meter;
 use super::outputs::Outputs;
 use super::rows::devices_json;
 
-/// Failures after which a device has shown enough.
+/// Number of failures after which testing of a device ends.
 const ENOUGH: usize = 10;
 
-/// Judges `count` scenes on every device; failures are shrunk and written into the working folder.
+/// Tests `count` scenes on every device; failures are minimised and written to the working folder.
 pub fn run(devices: &[(DeviceInfo, Device)], count: u64, seed: u64) -> Result<(Answer, ExitCode)> {
     let case = |scene: u64| PathBuf::from(format!("fuzz-{seed}-{scene}.json"));
     Outputs::default().file(&case(count))?;
@@ -85,20 +85,20 @@ pub fn run(devices: &[(DeviceInfo, Device)], count: u64, seed: u64) -> Result<(A
     Ok((Answer { json, text }, ExitCode::from(u8::from(failed > 0))))
 }
 
-/// A scene's file.
+/// The file of a failed scene.
 pub struct FuzzCase {
     path: PathBuf,
     scene: FuzzScene,
 }
 
 impl FuzzCase {
-    /// Reads it.
+    /// Reads the file.
     pub fn read(path: &Path) -> Result<FuzzCase> {
         Ok(FuzzCase { path: path.to_owned(), scene: fuzz::file::read(path)? })
     }
 }
 
-/// Judges one scene's file on every device.
+/// Tests the scene of a file on every device.
 pub fn repeat(devices: &[(DeviceInfo, Device)], case: &FuzzCase) -> Result<(Answer, ExitCode)> {
     let started = Instant::now();
     let FuzzCase { path, scene } = case;

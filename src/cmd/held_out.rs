@@ -1,5 +1,5 @@
-//! A scene against pictures that it was not made of: scored whole and by region, as a table, as
-//! pictures to look at.
+//! Evaluates a scene on held-out images, whole and by region, and writes a table and side-by-side
+//! comparisons.
 
 use std::collections::HashSet;
 use std::fmt::Write;
@@ -18,33 +18,33 @@ use tempfile::TempDir;
 use super::outputs::{Inputs, Outputs};
 use super::quality::{Quality, mean};
 
-/// A region of a picture is scored where it holds at least this share of the pixels: the PSNR of a few
-/// pixels says nothing, and would count in the mean as much as any.
+/// Minimum share of an image's pixels for a region to be scored: the PSNR of a few pixels is not
+/// meaningful, and would weigh as much in the mean as any other.
 const LEAST_SHARE: f64 = 1e-3;
 
-/// The regions, as the JSON names them.
+/// The regions, by their names in the JSON.
 const REGIONS: [&str; 4] = ["covisible", "movers", "outside_movers", "static_covisible"];
 
-/// A picture that the scene was not made of.
+/// A held-out image.
 pub struct Shot {
-    /// What messages call it.
+    /// Name in messages.
     pub name: String,
-    /// What it is counted with: a held-out camera's distance.
+    /// Group that it is averaged with: a held-out camera's distance.
     pub distance: String,
-    /// In the scene's frame, of the picture's size.
+    /// Camera in the scene's frame, with the image's size.
     pub camera: Camera,
-    /// The scene's time.
+    /// Time in the scene.
     pub time: f64,
-    /// The picture.
+    /// The ground-truth image.
     pub truth: Image,
-    /// 1 where something moves; `None` where that is not known.
+    /// 1 on movers; `None` where unknown.
     pub movers: Option<Image>,
-    /// 1 where some input frame saw the static point behind the pixel, movers included.
+    /// 1 where some input frame saw the static point behind the pixel, and on movers.
     pub covisible: Option<Image>,
 }
 
 impl Shot {
-    /// The pixels of each of [`REGIONS`], as far as they are known.
+    /// The masks of [`REGIONS`], as far as they are known.
     fn regions(&self) -> [Option<Image>; 4] {
         let movers = self.movers.as_ref();
         let static_here = movers.map(inverse);
@@ -60,27 +60,27 @@ fn inverse(mask: &Image) -> Image {
     Image { pixels: mask.pixels.iter().map(|v| 1.0 - v).collect(), ..*mask }
 }
 
-/// Share of pixels that a mask chooses.
+/// Share of the pixels that a mask selects.
 fn share(mask: &Image) -> f64 {
     mask.pixels.iter().filter(|v| **v > 0.5).count() as f64 / mask.pixels.len() as f64
 }
 
-/// How close one picture comes.
+/// Scores of one image.
 #[derive(Clone)]
 pub struct Scores {
     distance: String,
     whole: Quality,
-    /// PSNR and SSIM of each of [`REGIONS`]; `None` where it is not known or too small.
+    /// PSNR and SSIM of each of [`REGIONS`]; `None` where a region is unknown or too small.
     regions: [Option<(f64, f64)>; 4],
     /// Share of the pixels that no input frame saw.
     not_filmed: Option<f64>,
 }
 
 impl Scores {
-    /// Compares a picture with the true one.
+    /// Compares a rendered image with the true one.
     ///
     /// # Errors
-    /// The picture or a mask has another size; the network for LPIPS fails.
+    /// The image or a mask has another size; the network for LPIPS fails.
     pub fn of(shot: &Shot, picture: &Image, lpips: Option<&mut LpipsNetwork>) -> Result<Scores> {
         let whole = Quality::of(&shot.name, picture, &shot.truth, None)?.with_lpips(
             lpips,
@@ -109,28 +109,28 @@ impl Scores {
     }
 }
 
-/// A picture's scores from the pose that the alignment gives, and from the pose fitted to it.
+/// Scores of an image from the aligned pose, and from the pose fitted to it.
 pub struct Judged {
     aligned: Scores,
     fitted: Option<Scores>,
 }
 
-/// Renders a scene for pictures and scores it.
+/// Renders a scene for held-out images and scores it.
 pub struct Judge<'a> {
-    /// The scene on its device.
+    /// Renderer with the scene loaded.
     pub renderer: &'a mut Renderer,
-    /// What lies behind it.
+    /// Background colour.
     pub background: [f32; 3],
-    /// Whether each pose is fitted to its picture as well.
+    /// Whether each pose is also fitted to its image.
     pub fit: bool,
-    /// Where the pictures to look at go.
+    /// Output of the side-by-side comparisons.
     pub comparisons: Option<&'a Comparisons>,
-    /// Measures LPIPS.
+    /// Network for LPIPS.
     pub lpips: Option<&'a mut LpipsNetwork>,
 }
 
 impl Judge<'_> {
-    /// Judges one picture, the `index`-th of all.
+    /// Scores one image, the `index`-th of all.
     pub fn judge(&mut self, index: usize, shot: &Shot) -> Result<Judged> {
         let rendered = self.renderer.render(&shot.camera, shot.time)?;
         let picture = eight_bits(rendered.over(self.background));
@@ -141,13 +141,13 @@ impl Judge<'_> {
         let fitted = match (self.fit, median_depth(&rendered.mean_depth())) {
             (false, _) => None,
             (true, Some(depth)) => Some(self.fitted(shot, depth)?),
-            // Nothing is seen that could be fitted.
+            // Nothing is visible, so no pose can be fitted.
             (true, None) => Some(aligned.clone()),
         };
         Ok(Judged { aligned, fitted })
     }
 
-    /// The same picture from the pose that fits best what stands still and was filmed.
+    /// Scores from the pose that best fits the static pixels seen by the input.
     fn fitted(&mut self, shot: &Shot, depth: f64) -> Result<Scores> {
         let [covisible, _, outside_movers, both] = shot.regions();
         let mask = both.or(covisible).or(outside_movers);
@@ -165,20 +165,20 @@ impl Judge<'_> {
     }
 }
 
-/// The picture as a file of 8 bits holds it, which is what others' figures are of.
+/// The image quantised to 8 bits, as in published evaluations.
 pub fn eight_bits(mut picture: Image) -> Image {
     picture.pixels.iter_mut().for_each(|v| *v = (v.clamp(0.0, 1.0) * 255.0).round() / 255.0);
     picture
 }
 
-/// The median depth of what a picture shows; `None` where it shows nothing.
+/// The median depth of a rendered image; `None` where it is empty.
 fn median_depth(depth: &Image) -> Option<f64> {
     let mut known: Vec<f32> = depth.pixels.iter().copied().filter(|d| *d > 0.0).collect();
     let middle = known.len() / 2;
     (!known.is_empty()).then(|| f64::from(*known.select_nth_unstable_by(middle, f32::total_cmp).1))
 }
 
-/// The keys that speak of held-out pictures.
+/// The keys about held-out images.
 pub fn keys(judged: &[Judged]) -> Map<String, Value> {
     let aligned: Vec<&Scores> = judged.iter().map(|j| &j.aligned).collect();
     let fitted: Option<Vec<&Scores>> = judged.iter().map(|j| j.fitted.as_ref()).collect();
@@ -200,7 +200,7 @@ pub fn keys(judged: &[Judged]) -> Map<String, Value> {
     ])
 }
 
-/// A row for each distance, in the order of the pictures, and where there are several one over all.
+/// A row for each distance, in the order of the images, and, if there are several, one over all.
 fn rows(scores: &[&Scores]) -> Value {
     let mut distances: Vec<&str> = Vec::new();
     for Scores { distance, .. } in scores {
@@ -239,7 +239,7 @@ fn rows(scores: &[&Scores]) -> Value {
     Value::Array(rows)
 }
 
-/// Means over the pictures in which a region is known and large enough.
+/// Means over the images in which a region is known and large enough.
 fn region(of: &[&Scores], k: usize) -> Value {
     let known: Vec<(&str, f64, f64)> = of
         .iter()
@@ -259,7 +259,7 @@ fn region(of: &[&Scores], k: usize) -> Value {
     })
 }
 
-/// The least PSNR and the picture that has it.
+/// The lowest PSNR and its image.
 fn worst(of: impl Iterator<Item = (String, f64)>) -> (Option<f64>, Option<String>) {
     of.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(name, psnr)| (psnr, name)).unzip()
 }
@@ -313,15 +313,16 @@ pub fn table(found: &Value) -> String {
     text
 }
 
-/// Files that show the truth, the picture and their difference side by side. They lie elsewhere until
-/// all are there: a command that fails leaves none.
+/// Files with the true image, the rendered one and their difference side by side. They are written to a
+/// temporary place until all exist, so that a command that fails leaves none.
 pub struct Comparisons {
     files: Vec<PathBuf>,
     until_all_are_there: TempDir,
 }
 
 impl Comparisons {
-    /// One file in a folder for each name; all can be written, and none is read by the command.
+    /// One file per name in a folder; checks that all can be written and that none is an input of the
+    /// command.
     ///
     /// # Errors
     /// Those of [`Outputs::folder`] and [`Inputs::spared_by`].
@@ -349,12 +350,12 @@ impl Comparisons {
         Ok(Comparisons { files, until_all_are_there: elsewhere })
     }
 
-    /// Where the file of the `index`-th name lies until all are there.
+    /// Temporary path of the file for the `index`-th name.
     fn elsewhere(&self, index: usize) -> PathBuf {
         self.until_all_are_there.path().join(format!("{index}.png"))
     }
 
-    /// Draws the file of the `index`-th name.
+    /// Writes the file for the `index`-th name.
     pub fn write(&self, index: usize, truth: &Image, picture: &Image) -> Result<()> {
         let (width, height) = (truth.width, truth.height);
         let mut sheet = Image::new(3 * width, height, 3);
@@ -371,7 +372,7 @@ impl Comparisons {
         write_png(self.elsewhere(index), &sheet)
     }
 
-    /// Puts the files that were drawn where they belong.
+    /// Moves the files to their final place.
     pub fn finish(self) -> Result<()> {
         for (index, file) in self.files.iter().enumerate() {
             let drawn = self.elsewhere(index);
@@ -384,7 +385,7 @@ impl Comparisons {
     }
 }
 
-/// A picture's name as that of a file in one folder, without its extension.
+/// An image's name as a file name in one folder, without its extension.
 fn plain(name: &str) -> String {
     let stem = Path::new(name).with_extension("");
     let text = stem.to_string_lossy();

@@ -22,19 +22,19 @@ time_frequencies, position_octave, parameters} or null), cameras, times ([first,
 last] or null), width, height, focal (of the first camera, or null), bounding_box ([[x, y, z],
 [x, y, z]] or null), background, up, report";
 
-/// Show what a scene's file or a 3DGS PLY holds
+/// Show the contents of a scene file or a 3DGS PLY
 #[derive(Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct InfoArgs {
-    /// A scene's file or a 3DGS PLY
+    /// A scene file or a 3DGS PLY
     #[arg(value_name = "SCENE|PLY")]
     scene: PathBuf,
-    /// Leave out Gaussians that hold NaN, infinite or out-of-range values
+    /// Skip Gaussians with NaN, infinite or out-of-range values
     #[arg(long)]
     drop_bad: bool,
 }
 
-/// Share of the Gaussians that follow the control points.
+/// Share of the Gaussians that are bound to control points.
 pub fn dynamic_share(scene: &Scene) -> f64 {
     let moving = scene.gaussians.motion_logits.iter().filter(|&&m| m > 0.0).count();
     moving as f64 / scene.gaussians.len().max(1) as f64
@@ -116,7 +116,8 @@ pub fn run(args: &InfoArgs) -> Result<Answer> {
     Ok(Answer { json, text })
 }
 
-/// Of what stands still, or of all where nothing does: the canonical places of what moves may be anywhere.
+/// Bounding box of the static Gaussians, or of all where there are none: the canonical positions of dynamic
+/// ones are arbitrary.
 fn bounding_box(g: &Gaussians) -> Option<[[f32; 3]; 2]> {
     let mut chosen: Vec<usize> = (0..g.len()).filter(|i| stands_still(g, *i)).collect();
     if chosen.is_empty() {

@@ -1,4 +1,4 @@
-//! Ctrl-C: the work at hand is finished and put away; a second one ends at once.
+//! Ctrl-C handling: the current work is completed and checkpointed; a second Ctrl-C exits at once.
 
 use std::path::PathBuf;
 use std::process::{Command, Output};
@@ -11,18 +11,18 @@ use serde_json::json;
 use super::common::{print_json, say};
 use splat4d::{Error, Result};
 
-/// What shells report for a program that SIGINT ended.
+/// Exit code that shells report for a program ended by SIGINT.
 pub const EXIT_CODE: u8 = 130;
 
 static REQUESTED: AtomicBool = AtomicBool::new(false);
-/// Whether the answer is being printed, or the program ends without one.
+/// Whether the answer is being printed, or the program exits without one.
 static ENDING: AtomicBool = AtomicBool::new(false);
-/// The process that is waited for, by its number; 0: none.
+/// Process id of the awaited child; 0 for none.
 #[cfg(unix)]
 static WAITED_FOR: AtomicU32 = AtomicU32::new(0);
 
-/// Begins to listen. Where the system does not allow it, Ctrl-C ends the program as usual. With `json`
-/// a program that is ended at once still gives its one object.
+/// Installs the handlers. Where the system does not allow it, Ctrl-C ends the program as usual. With
+/// `json`, a program that exits at once still prints its one object.
 pub fn watch(json: bool) {
     let installed = listen(move || {
         pass_on();
@@ -30,7 +30,7 @@ pub fn watch(json: bool) {
             return say("stopping; once more to stop at once");
         }
         if !ENDING.swap(true, Ordering::SeqCst) && json {
-            // Whether or not anyone reads it, this is the end.
+            // The program exits whether or not the output is read.
             let _ = print_json(&json!({ "error": "stopped at once" }));
         }
         exit_at_once();
@@ -40,8 +40,8 @@ pub fn watch(json: bool) {
     }
 }
 
-/// Ends the program while other threads work: what drivers run at an ordinary exit would take their
-/// memory from under them.
+/// Exits while other threads are working. The exit handlers of drivers would free memory that those threads
+/// use, so they must not run.
 #[cfg(unix)]
 fn exit_at_once() -> ! {
     signal_hook::low_level::exit(EXIT_CODE.into())
@@ -52,8 +52,8 @@ fn exit_at_once() -> ! {
     std::process::exit(EXIT_CODE.into())
 }
 
-/// Calls `stop` on Ctrl-C, SIGTERM and SIGHUP. A file that grows beyond `ulimit -f` is an error of its
-/// writer and no longer ends the program.
+/// Calls `stop` on Ctrl-C, SIGTERM and SIGHUP. A file that grows beyond `ulimit -f` becomes a write error
+/// and no longer ends the program.
 #[cfg(unix)]
 fn listen(stop: impl Fn() + Send + 'static) -> std::io::Result<()> {
     use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
@@ -65,7 +65,7 @@ fn listen(stop: impl Fn() + Send + 'static) -> std::io::Result<()> {
     std::thread::Builder::new().name("signals".into()).spawn(listen).map(drop)
 }
 
-/// Runs another process of this program. The system stops it as it stops this one.
+/// Runs another process of this program. The system stops it together with this one.
 #[cfg(not(unix))]
 pub fn run(command: &mut Command) -> std::io::Result<Output> {
     command.output()
@@ -79,8 +79,9 @@ fn listen(stop: impl Fn() + Send + 'static) -> std::io::Result<()> {
     ctrlc::set_handler(stop).map_err(std::io::Error::other)
 }
 
-/// Runs another process of this program, and stops it as this one is stopped. It has a process group of
-/// its own: a terminal's Ctrl-C would reach it besides, and a second one ends it at once.
+/// Runs another process of this program, and stops it when this one is stopped. It has its own process
+/// group, because otherwise a terminal's Ctrl-C would reach it as well, and a second signal ends it at
+/// once.
 #[cfg(unix)]
 pub fn run(command: &mut Command) -> std::io::Result<Output> {
     use std::os::unix::process::CommandExt;
@@ -94,17 +95,17 @@ pub fn run(command: &mut Command) -> std::io::Result<Output> {
     output
 }
 
-/// Sends Ctrl-C to the process that is waited for. By a shell: std has no way, and others need unsafe code.
+/// Sends SIGINT to the awaited child, through a shell, because std has no way and others need unsafe code.
 #[cfg(unix)]
 fn pass_on() {
     let process = WAITED_FOR.load(Ordering::SeqCst);
     if process != 0 {
-        // One that has ended cannot be told, and need not.
+        // A child that has ended cannot receive the signal.
         let _ = shell("kill -s INT \"$0\"").arg(process.to_string()).status();
     }
 }
 
-/// A shell that is to run this, and says nothing.
+/// A shell command without output.
 #[cfg(unix)]
 fn shell(script: &str) -> Command {
     use std::process::Stdio;
@@ -114,35 +115,35 @@ fn shell(script: &str) -> Command {
     shell
 }
 
-/// Whether whoever started this program had it ignore hangups, as `nohup` does. A program that ignores a
-/// signal hands that on to those that it starts, so that a shell that sends itself one is asked: POSIX
-/// has no other way that needs no unsafe code.
+/// Whether the program was started with hangups ignored, as by `nohup`. Child processes inherit ignored
+/// signals, so a shell that sends itself one is used as a probe: POSIX has no other way without unsafe
+/// code.
 #[cfg(unix)]
 fn hangups_are_ignored() -> bool {
     shell("kill -s HUP $$").status().is_ok_and(|status| status.success())
 }
 
-/// The work is done or has failed: from now on, stdout belongs to its answer.
+/// Called when the work is done or has failed: from now on, stdout belongs to the answer.
 pub fn end() {
     if ENDING.swap(true, Ordering::SeqCst) {
-        // The program is being ended at once.
+        // The program is exiting at once.
         loop {
             std::thread::park();
         }
     }
 }
 
-/// Whether the user has asked to stop.
+/// Whether the user has requested a stop.
 pub fn requested() -> bool {
     REQUESTED.load(Ordering::SeqCst)
 }
 
-/// Fails once the user has asked to stop.
+/// Returns an error once the user has requested a stop.
 pub fn check() -> Result<()> {
     stopped(None)
 }
 
-/// Fails once the user has asked to stop, naming what to resume from.
+/// Returns an error once the user has requested a stop; it names the checkpoint.
 pub fn stopped(checkpoint: Option<PathBuf>) -> Result<()> {
     if requested() { Err(Error::Interrupted { checkpoint }) } else { Ok(()) }
 }

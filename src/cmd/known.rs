@@ -1,5 +1,4 @@
-//! What the user knows of a clip before it is tracked, and the tracking itself: what `reconstruct` and
-//! `track` share.
+//! User-supplied knowledge about a clip and the tracking itself, which `reconstruct` and `track` share.
 
 use std::path::{Path, PathBuf};
 
@@ -26,81 +25,80 @@ use super::origins::Given;
 use super::outputs::{Folder, Inputs};
 use super::{supplied, values};
 
-/// Extensions of files of cameras in a folder.
+/// Extensions of camera files in a folder.
 const CAMERAS: [&str; 4] = ["cam", "bin", "txt", "json"];
 
 /// What is supplied and adjusted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Refine {
-    /// Poses; the first one and the scale are kept
+    /// Poses, except for the first one and the scale
     Poses,
-    /// The focal length, where the clip shows it
+    /// The focal length, where the clip determines it
     Focal,
 }
 
 /// What depth maps hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum DepthKind {
-    /// Depth z up to one scale for the whole clip; it is kept
+    /// Depth z up to one scale for the whole clip, which is kept
     Measured,
-    /// A network's depth z, up to a scale of each frame
+    /// A network's depth z, up to a scale per frame
     Estimated,
-    /// A network's depth z, up to a scale and a shift of each frame
+    /// A network's depth z, up to a scale and a shift per frame
     Shifted,
-    /// A network's inverse depth, up to a scale and a shift of each frame, as MiDaS and Depth Anything
-    /// write it
+    /// A network's inverse depth, up to a scale and a shift per frame, as MiDaS and Depth Anything write it
     Inverse,
 }
 
 /// What is known of a clip.
 #[derive(Args)]
 pub struct KnownArgs {
-    /// Focal length, in pixels of the clip's own size
+    /// Focal length, in pixels of the clip's original size
     #[arg(long, value_name = "PIXELS",
           value_parser = values::number(1.0..=values::MOST_FOCAL))]
     pub focal: Option<f64>,
     /// Intrinsics: JSON with fx, fy, cx, cy, width, height
     #[arg(long, value_name = "FILE", conflicts_with = "focal")]
     intrinsics: Option<PathBuf>,
-    /// Camera poses in any unit, one per frame or named as the frames are: a file of TUM, KITTI or EuRoC
-    /// (camera to world) or a transforms.json; a folder with one, with a COLMAP model, with Sintel's .cam
-    /// files, written by MonST3R, or a dataset that `train` takes. Intrinsics told there are used unless given here
+    /// Camera poses in any unit, one per frame or named like the frames: a TUM, KITTI or EuRoC file (camera
+    /// to world) or a transforms.json; a folder with a transforms.json, a COLMAP model, Sintel's .cam files
+    /// or MonST3R's output; or a dataset that `train` reads. Its intrinsics are used unless others are
+    /// given
     #[arg(long, value_name = "FILE|DIR")]
     poses: Option<PathBuf>,
-    /// What of --poses and of the focal length is only where to begin, and is adjusted to the clip
+    /// Which of --poses and the focal length are only initial values and are adjusted to the clip
     #[arg(long, value_name = "WHAT", value_enum, value_delimiter = ',')]
     pub refine: Vec<Refine>,
-    /// Take the frames for those of a pinhole: a lens's distortion is not looked for
+    /// Assume a pinhole camera: do not estimate lens distortion
     #[arg(long)]
     pub pinhole: bool,
-    /// Motion masks: a folder of images, white where something moves or with a colour for each object
-    /// (DAVIS), one per frame or named as the frames are (of MonST3R's folder dynamic_mask_*.png); those that
-    /// flicker or slip are mended, and noted
+    /// Motion masks: a folder of images, white on movers or with a colour per object (DAVIS), one per frame
+    /// or named like the frames (dynamic_mask_*.png in MonST3R's folder); masks that flicker or slip are
+    /// repaired, with a note
     #[arg(long, value_name = "DIR")]
     masks: Option<PathBuf>,
-    /// Depth maps: a folder of EXR, .npy, .npz or Sintel's .dpt files or of grey 16-bit PNGs (of MonST3R's
-    /// folder frame_*.npy), z up to one scale, 0 where unknown; --depth-kind says otherwise
+    /// Depth maps: a folder of EXR, .npy, .npz or Sintel's .dpt files or of grey 16-bit PNGs (frame_*.npy
+    /// in MonST3R's folder), z up to one scale, 0 where unknown; see --depth-kind for other contents
     #[arg(long, value_name = "DIR")]
     depth: Option<PathBuf>,
-    /// What a unit of length is in a PNG of depth
+    /// Number of PNG depth values per unit of length
     #[arg(long, value_name = "VALUE", default_value_t = 1000.0, requires = "depth",
           value_parser = values::number(1e-6..=1e9))]
     pub depth_scale: f64,
-    /// What the maps of --depth hold. A network's fill in what the clip does not show, and tell the movers'
-    /// shapes and distances, once each frame is brought to the scale of what was triangulated
+    /// What the maps of --depth contain. A network's maps fill in what the clip does not show, and give the
+    /// movers' shapes and distances, after each frame is scaled to the triangulated points
     #[arg(long, value_name = "KIND", value_enum, default_value = "measured", requires = "depth")]
     pub depth_kind: DepthKind,
-    /// Optical flow: a folder with files of .flo, .npy or .npz (height × width × 2) or KITTI's PNG in
-    /// flow_forward and flow_backward (or forward and backward); frames keep their own size then unless
-    /// another is asked for
+    /// Optical flow: a folder with .flo, .npy or .npz files (height × width × 2) or KITTI's PNGs in
+    /// flow_forward and flow_backward (or forward and backward); frames then keep their original size
+    /// unless another is requested
     #[arg(long, value_name = "DIR")]
     flow: Option<PathBuf>,
-    /// Points followed through the clip, besides those that the program follows: an .npz as TAPIR
-    /// (tracks, visibles) or CoTracker (pred_tracks, pred_visibility) write it, one place for each frame
+    /// Additional point tracks: an .npz in the format of TAPIR (tracks, visibles) or CoTracker
+    /// (pred_tracks, pred_visibility), with one position per frame
     #[arg(long, value_name = "FILE")]
     tracks: Option<PathBuf>,
-    /// Take this rigid motion for that of the static world, counted from 0 as the notes of an earlier run
-    /// count them
+    /// Take this rigid motion as that of the static world, numbered from 0 as in the notes of an earlier run
     #[arg(long = "static", value_name = "N", conflicts_with_all = ["poses", "masks"],
           value_parser = values::whole::<usize>(0..=Options::MOST_MOTIONS as u64 - 1))]
     pub static_motion: Option<usize>,
@@ -109,7 +107,7 @@ pub struct KnownArgs {
 }
 
 impl KnownArgs {
-    /// That options go with each other.
+    /// Checks that the options are compatible.
     pub fn check(&self, frames: &ClipArgs) -> Result<()> {
         if self.flow.is_some() && frames.every > 1 {
             let what = "--flow leads from each frame to the next; it does not go with --every";
@@ -122,12 +120,12 @@ impl KnownArgs {
         Ok(())
     }
 
-    /// Whether flow need not be computed.
+    /// Whether flow is supplied and need not be computed.
     pub fn supplies_flow(&self) -> bool {
         self.flow.is_some()
     }
 
-    /// Whether there are poses to begin with.
+    /// Whether initial poses are supplied.
     pub fn supplies_poses(&self) -> bool {
         self.poses.is_some()
     }
@@ -143,22 +141,22 @@ impl KnownArgs {
         }
     }
 
-    /// Whether there is something for each frame, so that the user knows which these are.
+    /// Whether data is supplied for each frame, so that the user knows which frames these are.
     pub fn is_for_each_frame(&self) -> bool {
         let given = [&self.poses, &self.masks, &self.depth, &self.flow, &self.tracks];
         given.iter().any(|path| path.is_some())
     }
 
-    /// The size of the frames where no option says it.
+    /// Default size of the frames.
     pub fn size(&self, longest_side: u32) -> Resize {
         match self.flow {
-            // Flow is of its frames' own size.
+            // Flow has the size of its frames.
             Some(_) => Resize::Keep,
             None => Resize::Longest(longest_side),
         }
     }
 
-    /// What is known beforehand.
+    /// The tracking options from the supplied data.
     pub fn options(&self, clip: &Clip, seed: u64) -> Result<Options> {
         let scale = f64::from(clip.width) / f64::from(clip.original.0);
         if let Some(focal) = self.focal {
@@ -203,16 +201,16 @@ impl KnownArgs {
         })
     }
 
-    /// The flow that is known.
+    /// The supplied flow.
     pub fn flow(&self, clip: &Clip) -> Result<Option<SuppliedFlow>> {
         given(&self.flow, clip, supplied::flow)
     }
 
-    /// All files that are read, those of the clip among them.
+    /// All input files, including those of the clip.
     pub fn inputs(&self, clip: &PathBuf) -> Inputs {
         let files =
             [Some(clip), self.intrinsics.as_ref(), self.poses.as_ref(), self.tracks.as_ref()];
-        // A clip's or a flow's files may lie one folder deeper.
+        // A clip's or a flow's files may be one folder deeper.
         let below = |folder: Option<&PathBuf>, names: &[&str], extensions| -> Vec<Folder> {
             let inner =
                 folder.map(|folder| names.iter().map(move |name| (folder.join(name), extensions)));
@@ -229,14 +227,14 @@ impl KnownArgs {
                 &flow::EXTENSIONS,
             ),
         ];
-        // Which files a folder's frames are is not found out here where that is an error later.
+        // Errors of the clip's folder are reported later.
         let frames = if clip.is_dir() { Clip::files(clip).unwrap_or_default() } else { Vec::new() };
         let files = files.into_iter().flatten().cloned().chain(self.networks.files()).chain(frames);
         Inputs::new(files, folders.into_iter().flatten())
     }
 }
 
-/// What a file or folder holds for the clip's frames.
+/// Data of a file or folder for the clip's frames.
 fn given<T>(
     path: &Option<PathBuf>,
     clip: &Clip,
@@ -245,7 +243,7 @@ fn given<T>(
     path.as_deref().map(|path| read(path, clip)).transpose()
 }
 
-/// Flow, cameras, masks, depth.
+/// Estimates flow, cameras, masks and depth.
 pub fn observe(
     device: &Device,
     frames: &[Image],
@@ -264,7 +262,7 @@ pub fn observe(
     track_observed(frames, options, sources, observer)
 }
 
-/// Flow that is supplied, else a network's, else the engine's.
+/// The supplied flow, else a network's, else the engine's.
 pub fn flow_source<'a>(
     device: &Device,
     frames: &'a [Image],
@@ -278,7 +276,7 @@ pub fn flow_source<'a>(
     })
 }
 
-/// How a focal length was come by, in reports.
+/// Source of the focal length, for reports.
 pub fn focal_source(source: FocalSource) -> &'static str {
     match source {
         FocalSource::Given => "given",
@@ -287,7 +285,7 @@ pub fn focal_source(source: FocalSource) -> &'static str {
     }
 }
 
-/// How well cameras are known, for reports.
+/// Uncertainty of the cameras, for reports.
 pub fn poses_json(found: &Quality) -> Value {
     json!({
         "tripod": found.tripod,
@@ -303,7 +301,7 @@ pub fn poses_json(found: &Quality) -> Value {
     })
 }
 
-/// The lens that frames were undistorted by, for reports.
+/// The lens that frames were undistorted with, for reports.
 pub fn lens_json(lens: Option<&Lens>) -> Value {
     lens.map_or(Value::Null, |lens| {
         let mut json = intrinsics::to_json(&lens.intrinsics);
@@ -312,10 +310,10 @@ pub fn lens_json(lens: Option<&Lens>) -> Value {
     })
 }
 
-/// The lens that a scene's report tells of: what [`lens_json`] wrote there.
+/// The lens in a scene's report, as [`lens_json`] writes it.
 ///
 /// # Errors
-/// Something else there.
+/// The entry is malformed.
 pub fn lens_of(report: &Value) -> Result<Option<Lens>> {
     let told = &report["lens"];
     if told.is_null() {
@@ -330,11 +328,11 @@ pub fn lens_of(report: &Value) -> Result<Option<Lens>> {
     Ok(Some(Lens { intrinsics, distortion }))
 }
 
-/// What [`write_cameras`] writes.
+/// The files that [`write_cameras`] writes.
 pub const CAMERA_FILES: [&str; 2] = ["poses.txt", "intrinsics.json"];
 
-/// Writes the cameras of a clip's frames: poses as TUM, camera to world, the time being the frame's index,
-/// and the intrinsics of the first.
+/// Writes the cameras of a clip's frames: poses in TUM format, camera to world, with the frame's index as
+/// the time, and the intrinsics of the first.
 pub fn write_cameras(folder: &Path, cameras: impl Iterator<Item = Camera>) -> Result<()> {
     let cameras: Vec<Camera> = cameras.collect();
     let pose = |(i, camera): (usize, &Camera)| TimedPose {

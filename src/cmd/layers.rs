@@ -1,4 +1,4 @@
-//! What `render` writes of each picture.
+//! The layers that `render` writes of each image.
 
 use std::path::Path;
 
@@ -11,9 +11,9 @@ use splat4d::{Error, Result};
 
 use super::pictures::{self, DepthScale};
 
-/// By which `.flo` marks what is not known.
+/// Flow value that marks unknown pixels in `.flo` files.
 const UNKNOWN_FLOW: f32 = 1e10;
-/// Shades of flow reach to so many pixels at least.
+/// Minimum flow length that is shown at full saturation, pixels.
 const LEAST_FLOW: f64 = 1.0;
 
 /// One of the things that a picture shows.
@@ -24,18 +24,18 @@ pub enum Layer {
     Colour,
     /// Mean depth along z
     Depth,
-    /// How opaque each pixel is
+    /// Opacity of each pixel
     Alpha,
-    /// How much of each pixel comes from what moves
+    /// Share of each pixel that comes from movers
     Motion,
-    /// Motion to the next picture of the path, in pixels
+    /// Motion to the next image of the path, in pixels
     Flow,
-    /// Normals in the camera's axes
+    /// Normals in the camera frame
     Normal,
 }
 
 impl Layer {
-    /// What its files' names hold after the number.
+    /// Suffix of the layer's files after the number.
     fn mark(self) -> &'static str {
         match self {
             Layer::Colour => "",
@@ -47,26 +47,25 @@ impl Layer {
         }
     }
 
-    /// Whether the picture is blended once more for it.
+    /// Whether the layer needs an additional rendering pass.
     pub fn is_repainted(self) -> bool {
         matches!(self, Layer::Motion | Layer::Flow | Layer::Normal)
     }
 }
 
-/// Writes pictures, one after the other. What the first one tells decides how depth and flow are shaded
-/// in all.
+/// Writes images in order. The first image determines the shading ranges of depth and flow for all.
 pub struct Writer<'a> {
     what: &'a [Layer],
-    /// Float images too.
+    /// Whether float images are written as well.
     float: bool,
-    /// The names have numbers alone.
+    /// Whether file names are only numbers.
     plain: bool,
     background: [f32; 3],
     depths: Option<DepthScale>,
     most_flow: Option<f64>,
 }
 
-/// One picture of a path.
+/// One image of a path.
 pub struct Picture<'a> {
     pub index: usize,
     pub shot: TimedCamera,
@@ -75,12 +74,12 @@ pub struct Picture<'a> {
 }
 
 impl<'a> Writer<'a> {
-    /// A writer of these; `plain`: of one, under plain numbers.
+    /// A writer of these layers; `plain` for a single layer with plain numbers as file names.
     pub fn new(what: &'a [Layer], float: bool, plain: bool, background: [f32; 3]) -> Writer<'a> {
         Writer { what, float, plain, background, depths: None, most_flow: None }
     }
 
-    /// What the names of all files end with.
+    /// File name suffixes of all layers.
     pub fn endings(what: &[Layer], float: bool) -> Vec<String> {
         let of = |layer: &Layer| {
             let float = float.then_some(if *layer == Layer::Flow { ".flo" } else { ".exr" });
@@ -90,7 +89,7 @@ impl<'a> Writer<'a> {
         what.iter().flat_map(of).collect()
     }
 
-    /// Writes all of one picture, which `renderer` has just rendered.
+    /// Writes all layers of one image, which `renderer` has just rendered.
     pub fn write(
         &mut self,
         folder: &Path,
@@ -114,7 +113,7 @@ impl<'a> Writer<'a> {
         Ok(())
     }
 
-    /// As people see it, and as it is; nothing where there is no next picture for flow.
+    /// The layer for display, and its values; `None` for flow without a next image.
     fn drawn(
         &mut self,
         layer: Layer,
@@ -156,13 +155,13 @@ impl<'a> Writer<'a> {
     }
 }
 
-/// Flow as its files hold it.
+/// Flow values as stored in files.
 fn known(mut flow: Image) -> Image {
     flow.pixels.iter_mut().filter(|v| !v.is_finite()).for_each(|v| *v = UNKNOWN_FLOW);
     flow
 }
 
-/// That a path has a picture for every layer.
+/// Checks that a path has enough images for every layer.
 pub fn check(what: &[Layer], pictures: usize) -> Result<()> {
     if what.contains(&Layer::Flow) && pictures < 2 {
         let text = "--what flow is the motion to the next picture, and the path has only one; give more \

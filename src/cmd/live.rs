@@ -1,4 +1,4 @@
-//! `--view` of commands that train: the page in the browser while they work.
+//! `--view` of commands that train: a page in the browser that shows the training while it runs.
 
 use std::net::{IpAddr, Ipv4Addr};
 use std::path::Path;
@@ -15,18 +15,18 @@ use splat4d::view::{self, Options, Server, Show};
 use super::common::say;
 use super::{path, values};
 
-/// What `--view` alone stands for.
+/// Port of `--view` without a value.
 const USUAL_PORT: &str = "8090";
-/// Pages that are open at the end get a picture of the finished scene, within this time.
+/// Maximum time at the end for sending an image of the finished scene to open pages.
 const FAREWELL: Duration = Duration::from_millis(1500);
-/// How often it is looked whether they have it.
+/// Interval at which this is checked.
 const LOOK: Duration = Duration::from_millis(20);
 
-/// The flags of commands that show their work.
+/// Options of commands with a live view.
 #[derive(Args)]
 pub struct LiveArgs {
-    /// Show the work in the browser while it runs, at the address that is said: its stage, the curves and
-    /// the scene as it grows; on a port [default: 8090], or where that is in use the next free one
+    /// Show the work in the browser while it runs, at the printed address: its stage, the curves and the
+    /// growing scene; on this port [default: 8090], or the next free one
     #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = USUAL_PORT,
           value_parser = values::port)]
     view: Option<u16>,
@@ -36,7 +36,7 @@ pub struct LiveArgs {
 }
 
 impl LiveArgs {
-    /// Begins to show work on a device, where that is asked for; `name` is what the page calls it.
+    /// Starts the live view on a device, if it is requested; `name` is shown on the page.
     pub fn start(&self, device: &Device, name: &str, tuning: Tuning) -> Result<Option<Live>> {
         let Some(port) = self.view else { return Ok(None) };
         let host = self.host.unwrap_or(Ipv4Addr::LOCALHOST.into());
@@ -58,39 +58,39 @@ impl LiveArgs {
     }
 }
 
-/// The page of the work at hand. Dropped before it is [finished](Self::finish), it says that the work was
-/// stopped.
+/// The live view of a training. If it is dropped before [`finish`](Self::finish), the page reports that the
+/// work was stopped.
 pub struct Live {
     server: Option<Server>,
     live: view::Live,
     name: String,
     tuning: Tuning,
-    /// Of scenes that come without.
+    /// Cameras for scenes without cameras.
     cameras: Vec<SceneCamera>,
 }
 
 impl Live {
-    /// Gives the cameras of scenes that come without.
+    /// Sets the cameras for scenes without cameras.
     pub fn set_cameras(&mut self, cameras: Vec<SceneCamera>) {
         self.cameras = cameras;
     }
 
-    /// A stage begins of which it is not known how far it is.
+    /// Reports a stage without known progress.
     pub fn stage(&self, stage: &str) {
         self.live.progress(stage, 0, 0, "");
     }
 
-    /// So much of a stage is done, in hundredths.
+    /// Reports the progress of a stage in percent.
     pub fn percent(&self, stage: &str, done: u64) {
         self.live.progress(stage, done, 100, "%");
     }
 
-    /// So many of a stage's steps are done.
+    /// Reports the progress of a stage in steps.
     pub fn steps(&self, stage: &str, done: u32, of: u32) {
         self.live.progress(stage, done.into(), of.into(), "steps");
     }
 
-    /// A point of the curves.
+    /// Reports a point of the curves.
     pub fn measured(&self, point: Progressed) {
         self.live.measured(point);
     }
@@ -105,7 +105,7 @@ impl Live {
         self.live.wants_scene()
     }
 
-    /// Shows the scene as it is.
+    /// Shows a copy of the current scene.
     pub fn scene(&self, mut scene: Scene) {
         if scene.cameras.is_empty() {
             scene.cameras.clone_from(&self.cameras);
@@ -114,20 +114,20 @@ impl Live {
         let (start, distance) = path::start(&scene);
         let (name, tuning) = (self.name.clone(), self.tuning);
         let show = Show { name, scene, tuning, start, distance, pictures: None };
-        // The work is worth more than its page.
+        // An error of the page must not end the work.
         if let Err(error) = self.live.hand_over(show) {
             say(&format!("note: the page shows no scene: {error}"));
         }
     }
 
-    /// Shows the finished scene to the pages that are open.
+    /// Shows the finished scene on the open pages.
     pub fn finished_scene(&self, scene: &Scene) {
         if self.is_seen() {
             self.scene(scene.clone());
         }
     }
 
-    /// The work is done: the page says so and keeps its picture.
+    /// Reports that the work is done; the page keeps its last image.
     pub fn finish(mut self) {
         self.live.end("The work is done; the scene is in its file.");
         let begun = Instant::now();
@@ -138,7 +138,7 @@ impl Live {
     }
 
     fn stop(&mut self) {
-        // Why pictures could not be made is nothing that the work depends on.
+        // Errors of the page do not affect the work.
         if let Some(Err(error)) = self.server.take().map(Server::stop) {
             say(&format!("note: the page ended before the work: {error}"));
         }
@@ -154,7 +154,7 @@ impl Drop for Live {
     }
 }
 
-/// What the input at a path is called, without the folder where it lies.
+/// Name of the input at a path, without its folder.
 pub fn name_of(input: &Path) -> String {
     input.file_name().unwrap_or(input.as_os_str()).to_string_lossy().into_owned()
 }

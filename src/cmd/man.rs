@@ -26,7 +26,7 @@ JSON: pages (names of the files), output";
 #[derive(Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct ManArgs {
-    /// The folder to write them into
+    /// The output folder
     #[arg(value_name = "DIR")]
     folder: PathBuf,
 }
@@ -47,7 +47,7 @@ pub fn run(args: &ManArgs) -> Result<Answer> {
     Ok(Answer { json, text })
 }
 
-/// The page of a command, and those of the commands below it.
+/// Adds the manual pages of a command and of its subcommands.
 fn add(command: &Command, pages: &mut Vec<(String, Vec<u8>)>) -> Result<()> {
     let man = Man::new(command.clone());
     let mut page = Vec::new();

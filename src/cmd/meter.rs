@@ -1,4 +1,4 @@
-//! Progress on stderr, with rate and time left: a bar on a terminal, else a line now and then.
+//! Progress on stderr, with rate and remaining time: a bar on a terminal, else an occasional line.
 
 use std::time::{Duration, Instant};
 
@@ -6,10 +6,10 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::common::say;
 
-/// Between lines where stderr is no terminal.
+/// Interval between lines where stderr is not a terminal.
 const LINE_INTERVAL: Duration = Duration::from_secs(10);
 
-/// How far some work is.
+/// Progress of some work.
 pub struct Meter {
     bar: ProgressBar,
     what: &'static str,
@@ -23,7 +23,7 @@ pub struct Meter {
 }
 
 impl Meter {
-    /// Work of `total` units of which `first` are done already.
+    /// Progress of work with `total` units, `first` of which are done already.
     pub fn new(what: &'static str, unit: &'static str, total: u64, first: u64) -> Meter {
         let bar = ProgressBar::new(total).with_position(first).with_prefix(what);
         let template = "{prefix} [{bar:30}] {pos}/{len} {per_sec}, {eta} left {msg}";
@@ -36,7 +36,7 @@ impl Meter {
         Meter { bar, what, unit, total, first, done: first, message, started: now, said: now }
     }
 
-    /// So many units are done.
+    /// Sets the number of completed units.
     pub fn set(&mut self, done: u64) {
         self.done = done;
         self.bar.set_position(done);
@@ -46,12 +46,12 @@ impl Meter {
         }
     }
 
-    /// One more unit is done.
+    /// Adds one completed unit.
     pub fn advance(&mut self) {
         self.set(self.done + 1);
     }
 
-    /// What stands beside the numbers.
+    /// Sets the message beside the numbers.
     pub fn message(&mut self, message: String) {
         self.bar.set_message(message.clone());
         self.message = message;

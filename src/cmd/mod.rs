@@ -1,4 +1,5 @@
-//! The commands, one file each. They see the crate as any other user does.
+//! The commands of the `splat4d` program, and the modules that they share (options, progress, checkpoints,
+//! report pages, output checks). They use only the crate's public API.
 //!
 //! A command returns an [`Answer`]; [`main`] prints it, as text or as JSON, and turns errors into
 //! exit codes: 0 done, 1 the job failed, 2 wrong usage, 130 stopped by Ctrl-C.
@@ -123,7 +124,7 @@ enum Command {
     View(view::ViewArgs),
 }
 
-/// Runs the command that the process was given.
+/// Runs the command on the process's command line.
 pub fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
@@ -138,8 +139,8 @@ pub fn main() -> ExitCode {
             let what = in_full(&error);
             common::say(&format!("error: {what}"));
             if json {
-                // A machine that reads stdout gets its one object here too; where even that cannot
-                // be written, stderr and the exit code have said it.
+                // With --json, errors are reported as the one object on stdout too. If even that cannot be
+                // written, stderr and the exit code have reported the error.
                 let _ = common::print_json(&json!({ "error": what }));
             }
             ExitCode::from(match error {
@@ -150,7 +151,7 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// An error in words, with the option of the command line that goes on after it.
+/// An error message, with the command-line option that remedies it.
 fn in_full(error: &Error) -> String {
     match error {
         Error::Interrupted { checkpoint: Some(_) } => format!("{error}: give --resume"),
@@ -158,8 +159,7 @@ fn in_full(error: &Error) -> String {
     }
 }
 
-/// Prints what there is instead of a command to run: help or the version where they were asked for,
-/// else what is wrong with the arguments.
+/// Prints help or the version where they were requested, else the error in the arguments.
 fn explain(error: &clap::Error) -> ExitCode {
     let _ = error.print();
     let json = std::env::args_os().take_while(|argument| argument != "--");
@@ -169,13 +169,13 @@ fn explain(error: &clap::Error) -> ExitCode {
     ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2))
 }
 
-/// Words after the program's name as a command; nothing is run.
+/// Parses words after the program's name as a command, without running it.
 fn parsed(words: &[OsString]) -> std::result::Result<Cli, String> {
     let whole = [OsString::from("splat4d")].into_iter().chain(words.iter().cloned());
     Cli::try_parse_from(whole).map_err(|error| usage_error(&error))
 }
 
-/// What is wrong with the arguments, on one line, without the usage that follows.
+/// The error in the arguments on one line, without the usage that follows.
 fn usage_error(error: &clap::Error) -> String {
     let text = error.render().to_string();
     let what = ["\n\nUsage:", "\n\nFor more information"]
@@ -203,7 +203,7 @@ fn run(cli: &Cli) -> Result<(Answer, ExitCode)> {
         Command::Completions(args) => completions::run(args),
         Command::Man(args) => man::run(args),
         Command::View(args) => view::run(args, &cli.common),
-        // What these find out decides the exit code.
+        // The results of these commands determine the exit code.
         Command::Batch(args) => return batch::run(args, &cli.common),
         Command::Bench(args) => return bench::run(args, &cli.common),
         Command::Table(args) => return table::run(args, &cli.common),
@@ -212,8 +212,8 @@ fn run(cli: &Cli) -> Result<(Answer, ExitCode)> {
     Ok((answer?, ExitCode::SUCCESS))
 }
 
-/// Starts the threads that all parallel work shares. Started by the first such work instead, what
-/// cannot be started would be a panic.
+/// Starts the threads that all parallel work shares. If they were started by the first such work instead, a
+/// failure would be a panic.
 fn start_threads() -> Result<()> {
     rayon::ThreadPoolBuilder::new().build_global().map_err(|error| {
         Error::Failed(format!(
@@ -223,7 +223,7 @@ fn start_threads() -> Result<()> {
     })
 }
 
-/// Prints an answer on stdout. A reader that has seen enough and closed the pipe is no error.
+/// Prints an answer on stdout. A closed pipe is not an error.
 fn print(answer: &Answer, json: bool) -> Result<()> {
     let printed = match json {
         true => common::print_json(&answer.json),
@@ -253,7 +253,7 @@ mod tests {
         Cli::command().debug_assert();
     }
 
-    /// What an option might be given that no job can mean.
+    /// Option values that are invalid for every command.
     const HOSTILE: [&str; 11] = [
         "-1",
         "0",
@@ -268,7 +268,7 @@ mod tests {
         "",
     ];
 
-    /// Those of them that lie in an option's range.
+    /// Those of them that are within an option's range.
     fn in_range(option: &str) -> &'static [&'static str] {
         match option {
             "seed" => &["0", "4294967295", "4294967296", "18446744073709551615"],
@@ -281,7 +281,7 @@ mod tests {
         }
     }
 
-    /// Whether an argument takes text rather than numbers: a path, one of a list of words, a name.
+    /// Whether an argument takes text (a path, one of a list of words, a name) and not numbers.
     fn takes_text(argument: &clap::Arg) -> bool {
         let is_path = argument.get_value_parser().type_id() == TypeId::of::<PathBuf>();
         let words = ["device", "filter", "path", "image", "claim", "host"];
@@ -292,7 +292,7 @@ mod tests {
             || words.iter().chain(&names).any(|name| argument.get_id() == *name)
     }
 
-    /// Whether a command accepts the value, whatever else it misses.
+    /// Whether a command accepts the value, regardless of other missing arguments.
     fn accepts(way: &[String], argument: &clap::Arg, value: &str) -> bool {
         let long = argument.get_long().expect("a number has a name");
         let line = [way, &[format!("--{long}={value}")]].concat();
@@ -319,7 +319,7 @@ mod tests {
                     ];
                     for value in several {
                         let option = argument.get_id().as_str();
-                        // A list is in range where each of its numbers is.
+                        // A list is in range if each of its numbers is.
                         let fine = in_range(option).contains(&value.as_str())
                             || option == "times" && value.split(',').all(|v| v == "0" || v == "1");
                         assert!(

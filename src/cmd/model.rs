@@ -1,5 +1,4 @@
-//! The model report: what of a scene was modelled and what was left out, the measurement that each choice
-//! rests on, and what it saves.
+//! The model report: the modelling choices of a scene, the measurement behind each, and what it saves.
 
 use serde::Serialize;
 use splat4d::scene::Scene;
@@ -10,21 +9,21 @@ use splat4d::types::{ControlPoints, Image};
 use super::common::thousands;
 use super::info::dynamic_share;
 
-/// One choice.
+/// One modelling choice.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Choice {
-    /// What is chosen about.
+    /// Subject of the choice.
     pub what: &'static str,
     /// What was chosen.
     pub chosen: String,
-    /// The measurement or the setting that decided.
+    /// The measurement or the setting that determined it.
     pub because: String,
-    /// What is spared by it; `None` where the choice is the costly one.
+    /// Saving; `None` where the more expensive alternative was chosen.
     pub saves: Option<String>,
 }
 
 impl Choice {
-    /// A choice that saves nothing.
+    /// A choice without a saving.
     pub fn new(
         what: &'static str,
         chosen: impl Into<String>,
@@ -38,7 +37,7 @@ impl Choice {
     }
 }
 
-/// The choices as lines to read.
+/// The choices as text lines.
 pub fn lines(choices: &[Choice]) -> String {
     let line = |choice: &Choice| {
         let Choice { what, chosen, because, saves } = choice;
@@ -49,7 +48,7 @@ pub fn lines(choices: &[Choice]) -> String {
     format!("model:\n{}", lines.join("\n"))
 }
 
-/// The choices of a reconstruction; `scene.report` is what training has left.
+/// The choices of a reconstruction; `scene.report` is the report of the training.
 pub fn of_clip(scene: &Scene, track: &Track, settings: &SequenceSettings) -> Vec<Choice> {
     let mut choices = vec![poses(track), focal_length(track), lens(track), exposure(track)];
     choices.extend(motion(scene, track, settings));
@@ -181,12 +180,12 @@ fn motion(scene: &Scene, track: &Track, settings: &SequenceSettings) -> Vec<Choi
     let windows = scene.report["windows"].as_u64().unwrap_or(1);
     match windows {
         1 => vec![motion, windows_of(windows, frames), count, keys, lifespans(points)],
-        // All that moves comes and goes, with its window.
+        // All movers appear and disappear with their window.
         _ => vec![motion, windows_of(windows, frames), count, keys],
     }
 }
 
-/// Into how many stretches of frames a clip was cut, in which what moves has Gaussians of its own.
+/// The choice of the number of frame windows; each window has separate dynamic Gaussians.
 fn windows_of(windows: u64, frames: usize) -> Choice {
     match windows {
         1 => Choice::new("windows", "one", "what moves looks alike throughout, or nearly so")
@@ -212,7 +211,7 @@ fn lifespans(points: &ControlPoints) -> Choice {
     Choice::new("lifespans", chosen, because)
 }
 
-/// A mover's depth of more confidence than this has a measured scale; see `Track::depth_confidence`.
+/// Depth confidence above which a mover's depth has a measured scale; see `Track::depth_confidence`.
 const KNOWN_SCALE: f32 = 0.3;
 
 fn movers_distance(track: &Track) -> Choice {

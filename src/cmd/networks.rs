@@ -1,4 +1,4 @@
-//! The user's networks: the options that say where they are, and what they tell of a clip.
+//! Options for user-supplied networks, and what they estimate for a clip.
 
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -31,14 +31,14 @@ enum ProviderName {
     Openvino,
 }
 
-/// How networks are run. The command has an option of the group `networks` that asks for one.
+/// Options for running networks. The command has an option of the group `networks` that requests one.
 #[derive(Args)]
 pub struct RuntimeArgs {
     /// The ONNX Runtime's library [default: that of ORT_DYLIB_PATH, else that of the Python package
     /// onnxruntime, else the system's]
     #[arg(long, value_name = "FILE", requires = "networks")]
     onnxruntime: Option<PathBuf>,
-    /// What the ONNX Runtime runs networks on, where its library can
+    /// Execution provider of the ONNX Runtime, if its library supports it
     #[arg(
         long = "ep",
         value_name = "NAME",
@@ -47,7 +47,7 @@ pub struct RuntimeArgs {
         requires = "networks"
     )]
     provider: ProviderName,
-    /// Threads of a network [default: as many as the ONNX Runtime thinks best]
+    /// Threads per network [default: chosen by the ONNX Runtime]
     #[arg(long = "onnx-threads", value_name = "N", requires = "networks",
           value_parser = values::whole::<usize>(1..=1024))]
     threads: Option<usize>,
@@ -84,13 +84,13 @@ impl RuntimeArgs {
     }
 }
 
-/// Networks that tell of a clip.
+/// Networks that estimate properties of a clip.
 #[derive(Args)]
 pub struct NetworkArgs {
-    /// Networks for depth, flow, masks, pointmaps and features: a folder with ONNX models and models.toml, which says
-    /// what each is for. Pointmaps (MonST3R, DUSt3R) give cameras to begin with, and depth where no other network does.
-    /// Features (XFeat) link frames that flow does not: where the camera comes round, and where flow is lost.
-    /// What --poses, --depth, --flow or --masks supplies is taken instead of theirs
+    /// Networks for depth, flow, masks, pointmaps and features: a folder with ONNX models and a models.toml
+    /// that lists the purpose of each. Pointmaps (MonST3R, DUSt3R) give initial cameras, and depth if no
+    /// other network does. Features (XFeat) link frames that flow does not: where the camera returns, and
+    /// where flow is lost. Data from --poses, --depth, --flow or --masks replaces that of the networks
     #[arg(long, value_name = "DIR", group = "networks")]
     models: Option<PathBuf>,
     #[command(flatten)]
@@ -98,10 +98,10 @@ pub struct NetworkArgs {
 }
 
 impl NetworkArgs {
-    /// Loads the runtime and the networks, where some are asked for.
+    /// Loads the runtime and the networks, if any are requested.
     pub fn open(&self) -> Result<Option<Models>> {
         let Some(folder) = &self.models else { return Ok(None) };
-        // A missing list is told before a missing runtime.
+        // A missing list is reported before a missing runtime.
         Models::files(folder)?;
         Models::open(&self.runtime.load()?, folder).map(Some)
     }
@@ -112,7 +112,7 @@ impl NetworkArgs {
         models.into_iter().flatten().chain(self.runtime.onnxruntime.clone()).collect()
     }
 
-    /// What the networks are, as an entry of a checkpoint's identity: the files' contents.
+    /// The networks as an entry of a checkpoint's identity: the checksum of the files' contents.
     ///
     /// # Errors
     /// A file that cannot be read.
@@ -125,7 +125,7 @@ impl NetworkArgs {
     }
 }
 
-/// Asks a network for the depth of the frames, where there is one and none is supplied.
+/// Estimates the depth of the frames with a network, if there is one and no depth is supplied.
 pub fn estimate_depth(
     models: &mut Option<Models>,
     frames: &[Image],
@@ -143,7 +143,7 @@ pub fn estimate_depth(
     Ok(())
 }
 
-/// The networks that are asked while a clip is tracked, where there are.
+/// The networks that tracking uses, if present.
 #[derive(Default)]
 pub struct TrackNetworks<'a> {
     pub flow: Option<&'a mut FlowNetwork>,
@@ -152,7 +152,7 @@ pub struct TrackNetworks<'a> {
 }
 
 impl<'a> TrackNetworks<'a> {
-    /// Those of a folder of models.
+    /// The networks of a model folder.
     pub fn of(models: &'a mut Option<Models>) -> TrackNetworks<'a> {
         let Some(Models { flow, masks, features, .. }) = models else {
             return TrackNetworks::default();
@@ -161,8 +161,8 @@ impl<'a> TrackNetworks<'a> {
     }
 }
 
-/// Asks a network for pointmaps, where there is one and something that they tell is not supplied: cameras to begin with,
-/// depth. What is to be said of them beside what the track says.
+/// Estimates pointmaps with a network, if there is one and the initial cameras or the depth that they give
+/// are not supplied. Returns a note in addition to the track's own.
 pub fn estimate_pointmaps(
     models: &mut Option<Models>,
     frames: &[Image],
@@ -183,7 +183,7 @@ pub fn estimate_pointmaps(
     let given = options.intrinsics.map(|k| 0.5 * (k.fx + k.fy)).or(options.focal);
     let found = match align(&maps, given.filter(|_| !options.refined.focal)) {
         Ok(found) => found,
-        // The video is tracked without them, as it is without a network.
+        // The video is tracked without them, as without a network.
         Err(error) => return Ok(Some(format!("the pointmaps of {name} are not used: {error}"))),
     };
     let factors = &found.depth_factors;
@@ -206,10 +206,10 @@ pub fn estimate_pointmaps(
     Ok(None)
 }
 
-/// LPIPS beside the other figures of pictures.
+/// Option for LPIPS in addition to the other image metrics.
 #[derive(Args)]
 pub struct LpipsArgs {
-    /// Measure LPIPS as well, by this ONNX model, whose metadata says which net's features it compares
+    /// Also measure LPIPS, with this ONNX model, whose metadata names the feature network
     #[arg(long, value_name = "FILE", group = "networks")]
     lpips: Option<PathBuf>,
     #[command(flatten)]
@@ -217,10 +217,10 @@ pub struct LpipsArgs {
 }
 
 impl LpipsArgs {
-    /// Loads the runtime and the network, where it is asked for.
+    /// Loads the runtime and the network, if it is requested.
     pub fn open(&self) -> Result<Option<LpipsNetwork>> {
         let Some(file) = &self.lpips else { return Ok(None) };
-        // A missing model is told before a missing runtime.
+        // A missing model is reported before a missing runtime.
         io::open(file)?;
         LpipsNetwork::open(&self.runtime.load()?, file).map(Some)
     }

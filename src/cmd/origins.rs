@@ -1,4 +1,4 @@
-//! Which source told what of a clip: the program itself, a network, or what the user supplies.
+//! The source of each quantity of a clip: the program itself, a network, or the user.
 
 use std::path::{Path, PathBuf};
 
@@ -6,18 +6,18 @@ use serde_json::{Map, Value, json};
 use splat4d::observe::onnx::Models;
 use splat4d::track::Told;
 
-/// A kind of source.
+/// Kind of a source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Source {
     BuiltIn,
     Network,
     Supplied,
-    /// Nothing was told.
+    /// The quantity is absent.
     None,
 }
 
 impl Source {
-    /// In JSON.
+    /// Name in JSON.
     fn key(self) -> &'static str {
         match self {
             Source::BuiltIn => "built_in",
@@ -28,14 +28,14 @@ impl Source {
     }
 }
 
-/// What one quantity is from.
+/// Source of one quantity.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Origin {
     what: &'static str,
     source: Source,
-    /// The network's file, or the option that supplies it.
+    /// The network's file, or the option that supplied it.
     from: Option<String>,
-    /// How it was come by.
+    /// The method by which it was determined.
     how: String,
 }
 
@@ -58,7 +58,7 @@ impl Origin {
     }
 }
 
-/// What the user supplies.
+/// The quantities that the user supplied.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Given {
     pub poses: bool,
@@ -68,7 +68,7 @@ pub struct Given {
     pub tracks: bool,
 }
 
-/// The files of the networks that were opened.
+/// The files of the opened networks.
 #[derive(Clone, Debug, Default)]
 pub struct Networks {
     pub depth: Option<PathBuf>,
@@ -79,7 +79,7 @@ pub struct Networks {
 }
 
 impl Networks {
-    /// Those of a folder of models.
+    /// The networks of a model folder.
     pub fn of(models: Option<&Models>) -> Networks {
         let Some(models) = models else { return Networks::default() };
         Networks {
@@ -92,7 +92,7 @@ impl Networks {
     }
 }
 
-/// What each quantity of a tracked clip is from.
+/// The source of each quantity of a tracked clip.
 pub fn of(given: Given, networks: &Networks, told: &Told) -> Vec<Origin> {
     let depth = depth(given, networks, told);
     let cameras = cameras(given, networks, told);
@@ -189,7 +189,7 @@ fn tracks(given: Given) -> Origin {
     }
 }
 
-/// For reports: by quantity, the kind of source, what it is from, and how.
+/// JSON for reports: per quantity the kind of source, the source, and the method.
 pub fn to_json(origins: &[Origin]) -> Value {
     let entry = |o: &Origin| {
         (o.what.to_owned(), json!({ "source": o.source.key(), "from": o.from, "how": o.how }))
@@ -197,7 +197,7 @@ pub fn to_json(origins: &[Origin]) -> Value {
     Value::Object(origins.iter().map(entry).collect::<Map<_, _>>())
 }
 
-/// For pages: names and values.
+/// Names and values for pages.
 pub fn facts(origins: &[Origin]) -> Vec<(&'static str, String)> {
     let words = |o: &Origin| {
         let source = match (o.source, &o.from) {
@@ -216,7 +216,7 @@ pub fn facts(origins: &[Origin]) -> Vec<(&'static str, String)> {
 mod tests {
     use super::*;
 
-    /// Kind of source and what it is from, by quantity.
+    /// Kind of source and source, per quantity.
     fn told(given: Given, networks: &Networks, told: &Told) -> Vec<String> {
         let found = to_json(&of(given, networks, told));
         let entry = |what: &str| {
@@ -286,12 +286,12 @@ mod tests {
             found[2..6],
             ["depth built_in -", "masks built_in -", "pointmaps none -", "features none -"]
         );
-        // Depth alone is the pointmaps'.
+        // Only depth is from the pointmaps.
         let depth = Told { estimated_depth: true, ..vain };
         let found = told(Given::default(), &networks([false, false, false, true, false]), &depth);
         assert_eq!(found[2], "depth network points.onnx");
         assert_eq!(found[4], "pointmaps network points.onnx");
-        // With a network for depth, pointmaps are used for cameras at most.
+        // With a depth network, pointmaps are used at most for cameras.
         let found = told(Given::default(), &networks([true, false, false, true, false]), &depth);
         assert_eq!((&*found[2], &*found[4]), ("depth network depth.onnx", "pointmaps none -"));
     }

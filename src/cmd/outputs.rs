@@ -1,4 +1,4 @@
-//! Where output goes, tried before long work begins; nothing is left behind.
+//! Checks of output paths before long work begins; they leave nothing behind.
 
 use std::collections::HashMap;
 use std::fs;
@@ -14,17 +14,17 @@ use super::interrupt;
 pub struct Outputs(Vec<Output>);
 
 struct Output {
-    /// As the user names it.
+    /// The path as given by the user.
     path: PathBuf,
-    /// Where it comes to lie: absolute, links followed.
+    /// Final location: absolute, with links resolved.
     place: PathBuf,
 }
 
 impl Outputs {
-    /// One more file, which can be written there.
+    /// Adds a file after checking that it can be written.
     ///
     /// # Errors
-    /// It is a folder, it cannot be written, or it lies where another output is to lie.
+    /// The path is a folder, cannot be written, or is the location of another output.
     pub fn file(mut self, path: &Path) -> Result<Outputs> {
         let place = try_file(path)?;
         let taken =
@@ -37,7 +37,7 @@ impl Outputs {
         Ok(self)
     }
 
-    /// The same for files of some names in a folder, which may not exist yet.
+    /// Adds files of some names in a folder, which need not exist yet.
     pub fn folder(self, folder: &Path, names: &[&str]) -> Result<Outputs> {
         if fs::metadata(folder).is_ok_and(|found| !found.is_dir()) {
             return Err(Error::format(folder, "is a file; name a folder to write into"));
@@ -45,24 +45,24 @@ impl Outputs {
         names.iter().try_fold(self, |outputs, name| outputs.file(&folder.join(name)))
     }
 
-    /// That none of these files lies on what the command reads.
+    /// Checks that none of these files overwrites an input of the command.
     pub fn spare(&self, inputs: &Inputs) -> Result<()> {
         self.0.iter().try_for_each(|output| inputs.spared_by(&output.path))
     }
 }
 
-/// What a command reads.
+/// The inputs of a command.
 #[derive(Default)]
 pub struct Inputs {
     files: HashMap<FileId, PathBuf>,
     folders: Vec<(FileId, Folder)>,
 }
 
-/// A folder, and the extensions of the files in it that are all read.
+/// A folder, and the extensions of the files in it that are read.
 pub type Folder = (PathBuf, &'static [&'static str]);
 
 impl Inputs {
-    /// These files, and those of these folders; what does not exist is read by nobody.
+    /// Inputs from files and folders; missing ones are ignored.
     pub fn new(
         files: impl IntoIterator<Item = PathBuf>,
         folders: impl IntoIterator<Item = Folder>,
@@ -79,14 +79,14 @@ impl Inputs {
         inputs
     }
 
-    /// These and others.
+    /// These inputs and others.
     pub fn and(mut self, others: Inputs) -> Inputs {
         self.files.extend(others.files);
         self.folders.extend(others.folders);
         self
     }
 
-    /// A checksum of all that is read: the files' names and what they hold.
+    /// A checksum of all inputs: the files' names and contents.
     ///
     /// # Errors
     /// A file that cannot be read.
@@ -113,8 +113,8 @@ impl Inputs {
         self.files.extend(known.filter(|(_, path)| !path.is_dir()));
     }
 
-    /// That a file can be written without losing or changing what the command reads, whatever links
-    /// lead there.
+    /// Checks that a file can be written without overwriting an input of the command, including through
+    /// links.
     pub fn spared_by(&self, output: &Path) -> Result<()> {
         if let Some(input) = file_id(output).and_then(|id| self.files.get(&id)) {
             let what = match input == output {
@@ -155,7 +155,7 @@ fn has_extension(path: &Path, extensions: &[&str]) -> bool {
     extensions.iter().any(|extension| found.eq_ignore_ascii_case(extension))
 }
 
-/// What tells a file from every other, whatever its path.
+/// Identity of a file, independent of its path.
 #[cfg(unix)]
 type FileId = (u64, u64);
 #[cfg(not(unix))]
@@ -173,7 +173,7 @@ fn file_id(path: &Path) -> Option<FileId> {
     fs::canonicalize(path).ok()
 }
 
-/// Tries a file, and gives its place.
+/// Checks that a file can be written, and returns its location.
 fn try_file(path: &Path) -> Result<PathBuf> {
     let named = path.as_os_str().as_encoded_bytes();
     let ends = |end: &str| named.ends_with(end.as_bytes());
@@ -185,7 +185,8 @@ fn try_file(path: &Path) -> Result<PathBuf> {
         Ok(found) if found.is_dir() => {
             return Err(Error::format(path, "is a folder; name the file to write"));
         }
-        // These are written in place. A pipe is not opened: its reader would take that for the end.
+        // Pipes and devices are written in place. A pipe is not opened here, because its reader would
+        // interpret the close as the end.
         Ok(found) if is_pipe(&found) => return Ok(path.to_path_buf()),
         Ok(found) if !found.is_file() => {
             let device = fs::File::options().write(true).open(path);
@@ -207,8 +208,8 @@ fn is_pipe(_: &fs::Metadata) -> bool {
     false
 }
 
-/// Makes the file, and the folders above it that are missing, in a temporary folder beside the place
-/// where they are to lie: what forbids the one forbids the other. Gives that place.
+/// Creates the file, and its missing parent folders, in a temporary folder beside their final location,
+/// because the same conditions prevent both. Returns the final location.
 fn try_beside(output: &Path, target: &Path) -> Result<PathBuf> {
     let mut folder = target.parent().unwrap_or(Path::new(""));
     let folder = loop {
@@ -235,7 +236,7 @@ fn try_beside(output: &Path, target: &Path) -> Result<PathBuf> {
     };
     let missing = target.strip_prefix(folder).unwrap_or(target);
     let trial = tempfile::Builder::new().prefix(".splat4d-").tempdir_in(folder).map_err(refused)?;
-    // A way that leads up again would lead out of the temporary folder.
+    // A path with `..` would lead out of the temporary folder.
     if !missing.components().any(|part| part == Component::ParentDir) {
         let file = trial.path().join(missing);
         let made = file.parent().map_or(Ok(()), fs::create_dir_all);

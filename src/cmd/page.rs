@@ -1,5 +1,5 @@
-//! A page that needs nothing but itself: no font, no picture, no script from elsewhere. Light and dark,
-//! and as narrow as a phone.
+//! A self-contained HTML page: no fonts, images or scripts from elsewhere. It supports light and dark
+//! schemes, and narrow screens.
 
 use std::fmt::Write;
 
@@ -35,7 +35,7 @@ th,td{padding:.2rem .7rem;text-align:right;border-bottom:1px solid var(--faint);
 th:nth-child(2),td:nth-child(2){text-align:left}summary{cursor:pointer;margin:1rem 0}\
 .doubt{color:var(--bad);font-weight:600}";
 
-/// A whole page; `style` is added to that of all pages.
+/// A complete page; `style` is appended to the common style.
 pub fn document(title: &str, style: &str, body: &str) -> String {
     let title = escape(title);
     format!(
@@ -47,7 +47,7 @@ pub fn document(title: &str, style: &str, body: &str) -> String {
     )
 }
 
-/// Names and values.
+/// Adds a list of names and values.
 pub fn facts(body: &mut String, facts: &[(&str, String)]) {
     body.push_str("<dl class=\"facts\">");
     for (name, value) in facts {
@@ -56,7 +56,7 @@ pub fn facts(body: &mut String, facts: &[(&str, String)]) {
     body.push_str("</dl>\n");
 }
 
-/// What each quantity is from.
+/// Adds the source of each quantity.
 pub fn origins(body: &mut String, origins: &[Origin]) {
     if origins.is_empty() {
         return;
@@ -65,7 +65,7 @@ pub fn origins(body: &mut String, origins: &[Origin]) {
     facts(body, &origins::facts(origins));
 }
 
-/// What the run had to say.
+/// Adds the notes of the run.
 pub fn notes(body: &mut String, notes: &[String]) {
     if notes.is_empty() {
         return;
@@ -77,7 +77,8 @@ pub fn notes(body: &mut String, notes: &[String]) {
     body.push_str("</ul>\n");
 }
 
-/// Frames whose camera is not well known, and why; `shown` says where else on the page they are marked.
+/// Adds the frames with an uncertain camera, with the reasons; `shown` says where else on the page they are
+/// marked.
 pub fn doubtful(body: &mut String, track: &Track, names: &[String], shown: &str) {
     body.push_str("<h2>Doubtful frames</h2>\n");
     let doubtful = &track.quality.doubtful_frames;

@@ -1,4 +1,4 @@
-//! Paths to render along.
+//! Camera paths for rendering.
 
 use glam::{DVec3, Vec3};
 use splat4d::data::transforms::TimedCamera;
@@ -7,22 +7,22 @@ use splat4d::scene::Scene;
 use splat4d::types::{Camera, Gaussians, Intrinsics};
 use splat4d::{Error, Result};
 
-/// Size of pictures of a scene without cameras.
+/// Default image size for a scene without cameras.
 const DEFAULT_SIZE: (u32, u32) = (960, 540);
-/// Amplitudes of the orbit around an input camera, in units of the distance to what it looks at:
-/// sideways and upward. Wider, and the camera sees what the input never showed.
+/// Amplitudes of the orbit around an input camera, sideways and upward, in units of the distance to the
+/// point that it looks at. With larger ones, the camera sees areas that the input never showed.
 const SWAY: [f64; 2] = [0.1, 0.05];
-/// How far a spiral nears and draws back, in the same unit.
+/// Amplitude of a spiral's motion along the line of sight, in the same unit.
 const SPIRAL_REACH: f64 = 0.1;
-/// Where a dolly begins and ends along the line of sight, likewise.
+/// Start and end of a dolly along the line of sight, in the same unit.
 const DOLLY: [f64; 2] = [-0.1, 0.3];
-/// An input trajectory is followed where its median step stays below this share of the distance to
-/// what it looks at; else the cameras are photographs from all around, and one of them is taken.
+/// Maximum median step of an input trajectory that is followed, as a share of the distance to the point
+/// that it looks at. With larger steps, the cameras are separate photographs, and one of them is used.
 const FOLLOWED_STEP: f64 = 0.15;
 /// Elevation of the orbit around a scene without cameras, radians.
 const ELEVATION: f64 = 0.25;
 
-/// The input's cameras at their times.
+/// The input's cameras with their times.
 pub fn input(scene: &Scene) -> Result<Vec<TimedCamera>> {
     if scene.cameras.is_empty() {
         return Err(Error::Input(
@@ -34,51 +34,50 @@ pub fn input(scene: &Scene) -> Result<Vec<TimedCamera>> {
     Ok(scene.cameras.iter().map(|c| TimedCamera { time: c.time, camera: c.camera }).collect())
 }
 
-/// How a camera flies.
+/// Shape of a camera path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Flight {
-    /// Once along a gentle ellipse.
+    /// One turn along a small ellipse.
     Orbit,
-    /// Twice around, each turn wider than the one before, while it nears and draws back.
+    /// Two turns of increasing width, while the camera moves forward and back.
     Spiral,
-    /// Ahead, along the line of sight.
+    /// Forward along the line of sight.
     Dolly,
-    /// Along the ellipse of an orbit, while time stands.
+    /// The ellipse of an orbit at a fixed time.
     Bullet,
 }
 
-/// Time at which a bullet's flight stands, unless another is asked for.
+/// Default time of a bullet-time path.
 const BULLET_TIME: f64 = 0.5;
 
-/// A path through views that the input did not have, its times from 0 to 1, or one time of a
-/// [`Flight::Bullet`].
+/// A path through novel views, with times from 0 to 1, or one fixed time for a [`Flight::Bullet`].
 ///
-/// Where the input is a continuous shot, the camera follows it and moves around it, always looking at
-/// what the input looks at; where it is photographs from all around, it moves around the one nearest to
-/// their middle. A scene without cameras is circled once; a dolly comes nearer to it from one side.
+/// If the input is a continuous shot, the camera follows it and moves around it, always looking at the
+/// point that the input looks at. If it is a set of photographs, the camera moves around the one nearest to
+/// their mean position. A scene without cameras is circled once; a dolly approaches it from one side.
 pub struct Orbit<'a> {
     flight: Flight,
     frames: usize,
     around: Around<'a>,
 }
 
-/// What an orbit goes around.
+/// Reference of an orbit.
 enum Around<'a> {
-    /// The input's camera at each time, at a distance from what it looks at.
+    /// The input's camera at each time, with the distance to the point that it looks at.
     Shot(&'a Scene, f64),
-    /// One camera of the input, likewise.
+    /// One camera of the input, with the same distance.
     Reference(Camera, f64),
-    /// All of a scene without cameras.
+    /// The whole extent of a scene without cameras.
     Whole(Circle),
 }
 
 impl Orbit<'_> {
-    /// An orbit of so many views.
+    /// An orbit with a number of views.
     pub fn new(scene: &Scene, frames: usize) -> Orbit<'_> {
         Orbit::by(Flight::Orbit, scene, frames)
     }
 
-    /// A flight of so many views.
+    /// A path of the given shape with a number of views.
     pub fn by(flight: Flight, scene: &Scene, frames: usize) -> Orbit<'_> {
         let around = match middle_camera(scene) {
             None => Around::Whole(Circle::around(scene)),
@@ -93,23 +92,23 @@ impl Orbit<'_> {
         Orbit { flight, frames, around }
     }
 
-    /// How many views there are.
+    /// Number of views.
     pub fn len(&self) -> usize {
         self.frames
     }
 
-    /// Whether time stands while the camera moves.
+    /// Whether time is fixed while the camera moves.
     pub fn stands(&self) -> bool {
         self.flight == Flight::Bullet
     }
 
-    /// One of the views, at its own time.
+    /// A view at its own time.
     pub fn at(&self, index: usize) -> TimedCamera {
         let way = index as f64 / self.frames.max(2).saturating_sub(1) as f64;
         self.at_time(index, if self.stands() { BULLET_TIME } else { way })
     }
 
-    /// One of the views, from where the input's camera was at a time.
+    /// A view relative to the input's camera at a given time.
     pub fn at_time(&self, index: usize, time: f64) -> TimedCamera {
         let way = index as f64 / self.frames.max(2).saturating_sub(1) as f64;
         let (base, distance) = match &self.around {
@@ -148,8 +147,8 @@ impl Orbit<'_> {
     }
 }
 
-/// Where a viewer begins, and how far it is from there to what it looks at: the input's first camera, or one
-/// that sees all of a scene without cameras.
+/// Initial camera of a viewer, and its distance to the point that it looks at: the input's first camera, or
+/// one that sees the whole of a scene without cameras.
 pub fn start(scene: &Scene) -> (Camera, f64) {
     match scene.cameras.first() {
         Some(first) => (first.camera, typical_depth(scene, &first.camera)),
@@ -169,12 +168,12 @@ fn middle_camera(scene: &Scene) -> Option<Camera> {
     cameras.min_by(|a, b| distance(a).total_cmp(&distance(b)))
 }
 
-/// Whether a Gaussian stands still: the canonical places of those that move may be anywhere.
+/// Whether a Gaussian is static; the canonical positions of dynamic ones are arbitrary.
 pub fn stands_still(g: &Gaussians, i: usize) -> bool {
     g.motion_logits.get(i).is_none_or(|logit| *logit <= 0.0)
 }
 
-/// Median depth of the opaque Gaussians that a camera sees, of those that stand still; 1 where it sees none.
+/// Median depth of the opaque static Gaussians that a camera sees; 1 where it sees none.
 fn typical_depth(scene: &Scene, camera: &Camera) -> f64 {
     let k = &camera.intrinsics;
     let g = &scene.gaussians;
@@ -200,14 +199,14 @@ fn median(values: &mut [f64]) -> Option<f64> {
     Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// Whether the cameras, in the order of their times, are steps of one motion.
+/// Whether the cameras, in the order of their times, form one continuous motion.
 fn is_shot(scene: &Scene, distance: f64) -> bool {
     let centres = scene.cameras.iter().map(|c| c.camera.centre()).collect::<Vec<_>>();
     let mut steps: Vec<f64> = centres.windows(2).map(|c| c[0].distance(c[1])).collect();
     median(&mut steps).is_none_or(|step| step < FOLLOWED_STEP * distance)
 }
 
-/// The input's camera at a time, between its frames.
+/// The input's camera at a time, interpolated between its frames.
 fn between(scene: &Scene, time: f64) -> Camera {
     let cameras = &scene.cameras;
     let after = cameras.partition_point(|c| c.time < time).clamp(1, cameras.len().max(2) - 1);
@@ -223,12 +222,12 @@ fn between(scene: &Scene, time: f64) -> Camera {
     Camera { view_from_world: world_from_view.inverse(), ..first.camera }
 }
 
-/// The circle around a scene without cameras.
+/// A circle around a scene without cameras.
 struct Circle {
     target: DVec3,
-    /// From the cameras to the target.
+    /// Distance of the cameras from the target.
     distance: f64,
-    /// Of the cameras, pixels.
+    /// Focal length of the cameras, pixels.
     focal: f64,
     up: DVec3,
 }
@@ -241,7 +240,7 @@ impl Circle {
         if chosen.is_empty() {
             chosen = (0..g.len()).collect();
         }
-        // Without the outermost twentieth on every side: floaters would push the camera away.
+        // Without the outermost twentieth on every side, because floaters would push the camera away.
         let (mut low, mut high) = (DVec3::ZERO, DVec3::ZERO);
         for axis in 0..3 {
             let mut values: Vec<f64> =
@@ -253,14 +252,15 @@ impl Circle {
         }
         let target = 0.5 * (low + high);
         let near = f64::from(scene.settings.near);
-        // Where the centres have no extent, as in a scene of one Gaussian, its own size is the scene's.
+        // If the centres have no extent, as for a single Gaussian, its own size is used.
         let mut sizes: Vec<f64> = chosen.iter().map(|&i| deviation(g.log_scales[i])).collect();
         let spread = 0.5 * (high - low).length();
         let radius = spread.max(3.0 * median(&mut sizes).unwrap_or(0.0)).max(1e-6);
         let (width, height) = DEFAULT_SIZE;
         let mut half_view = (f64::from(height) / 2.0 / (f64::from(width) * 0.8)).atan();
         let mut distance = radius / half_view.sin();
-        // What is nearer than `near` is not drawn: tiny scenes are seen from further away, enlarged.
+        // Content nearer than `near` is not drawn, so a tiny scene is viewed from farther away with a
+        // longer focal length.
         if distance - radius < 2.0 * near {
             distance = radius + 2.0 * near;
             half_view = (radius / distance).asin();
@@ -270,7 +270,7 @@ impl Circle {
         Circle { target, distance, focal, up }
     }
 
-    /// The camera at an angle, at a share of the distance from which all is seen.
+    /// The camera at an angle, at a share of the distance from which all is visible.
     fn at(&self, angle: f64, share: f64) -> Camera {
         let Circle { target, distance, focal, up } = *self;
         let (width, height) = DEFAULT_SIZE;
@@ -290,8 +290,8 @@ fn deviation(log_scales: [f32; 3]) -> f64 {
     f64::from(log_scales.into_iter().fold(f32::NEG_INFINITY, f32::max)).exp()
 }
 
-/// The camera's picture at another size: all that it showed stays in the picture, pixels stay
-/// square where they were.
+/// Intrinsics for another image size: the whole field of view stays in the image, and pixels stay square if
+/// they were.
 pub fn resized(k: &Intrinsics, width: u32, height: u32) -> Intrinsics {
     let scale =
         (f64::from(width) / f64::from(k.width)).min(f64::from(height) / f64::from(k.height));
@@ -391,7 +391,7 @@ mod tests {
         assert!(bullet[0].camera.centre().distance(bullet[4].camera.centre()) > 0.7);
         let early = Orbit::by(Flight::Bullet, &scene, 9).at_time(4, 0.0);
         assert!(early.time == 0.0 && early.camera.centre().x < -0.7, "{:?}", early.camera);
-        // Of a scene without cameras too.
+        // Also for a scene without cameras.
         for flight in [Flight::Spiral, Flight::Dolly, Flight::Bullet] {
             let whole = wall(4.0);
             let orbit = Orbit::by(flight, &whole, 5);
@@ -422,7 +422,7 @@ mod tests {
                 }
             }
         }
-        // One Gaussian of any size, and scenes nearer to each other than the renderer draws.
+        // One Gaussian of any size, and scenes nearer than the renderer's near plane.
         for (log_scale, depth) in [(-3.0, 4.0), (-12.0, 0.0), (5.0, 1e6), (-40.0, 1.0)] {
             let mut scene = wall(depth);
             let g = &mut scene.gaussians;

@@ -1,4 +1,4 @@
-//! Maps as pictures for people: depth and heat; and pictures within a page.
+//! Colour maps for depth and scalar values, and images embedded in a page.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -9,10 +9,10 @@ pub use splat4d::data::shades::{UNKNOWN, brightest, flow, lengths, normals};
 use splat4d::types::Image;
 use splat4d::{Error, Result};
 
-/// Of JPEG.
+/// JPEG quality.
 const QUALITY: u8 = 82;
 
-/// Inverse depths between which pictures of depth go from dark to bright.
+/// Range of inverse depths that depth images map from dark to bright.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthScale {
     low: f32,
@@ -20,7 +20,7 @@ pub struct DepthScale {
 }
 
 impl DepthScale {
-    /// From the 2nd to the 98th hundredth of some maps; none where they show nothing.
+    /// From the 2nd to the 98th percentile of some maps; `None` where they are empty.
     pub fn of<'a>(maps: impl IntoIterator<Item = &'a Image>) -> Option<DepthScale> {
         let depths = maps.into_iter().flat_map(|map| &map.pixels);
         let mut inverse: Vec<f32> = depths.filter(|d| **d > 0.0).map(|d| 1.0 / d).collect();
@@ -29,7 +29,7 @@ impl DepthScale {
         at(2).zip(at(98)).map(|(low, high)| DepthScale { low, high })
     }
 
-    /// Near is bright, far is dark, nothing is black.
+    /// Near is bright, far is dark, empty pixels are black.
     pub fn shade(&self, depth: &Image) -> Image {
         let mut image = Image::new(depth.width, depth.height, 3);
         for (out, depth) in image.pixels.chunks_exact_mut(3).zip(&depth.pixels) {
@@ -43,13 +43,14 @@ impl DepthScale {
     }
 }
 
-/// One channel as grey.
+/// Converts one channel to a grey image.
 pub fn grey(map: &Image) -> Image {
     let pixels = map.pixels.iter().flat_map(|v| [*v; 3]).collect();
     Image { channels: 3, pixels, ..*map }
 }
 
-/// The colours of heat from none to the most: ever lighter, so that no colour need be told from another.
+/// The colours of the heat map in ascending order: of increasing lightness, so that they are
+/// distinguishable without hue.
 pub const HEAT: [[f32; 3]; 6] = [
     [0.0, 0.0, 0.05],
     [0.26, 0.04, 0.41],
@@ -59,7 +60,7 @@ pub const HEAT: [[f32; 3]; 6] = [
     [0.99, 1.0, 0.64],
 ];
 
-/// Values from 0 to `most` as heat; what is not a number is grey.
+/// A heat map of values from 0 to `most`; NaN is grey.
 pub fn heat(map: &Image, most: f64) -> Image {
     let mut out = Image::new(map.width, map.height, 3);
     for (to, value) in out.pixels.chunks_exact_mut(3).zip(&map.pixels) {
@@ -77,7 +78,7 @@ pub fn heat(map: &Image, most: f64) -> Image {
     out
 }
 
-/// The key to heat: from 0 to the most, in a unit.
+/// The legend of a heat map: from 0 to the maximum, with a unit.
 pub fn heat_key(most: f64, unit: &str) -> String {
     let colours: Vec<String> = HEAT
         .iter()
@@ -93,7 +94,7 @@ pub fn heat_key(most: f64, unit: &str) -> String {
     )
 }
 
-/// A picture of at most so many pixels' width.
+/// An image downscaled to a maximum width.
 pub fn shrunk(image: &Image, widest: u32) -> Image {
     let width = image.width.min(widest);
     let height =
@@ -101,7 +102,7 @@ pub fn shrunk(image: &Image, widest: u32) -> Image {
     images::resize(image, width, height as u32)
 }
 
-/// A picture of three channels as a `data:` address.
+/// A three-channel image as a `data:` URL.
 pub fn address(image: &Image) -> Result<String> {
     let bytes: Vec<u8> =
         image.pixels.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8).collect();

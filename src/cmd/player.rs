@@ -1,13 +1,13 @@
-//! Pictures on a page that play: one lane or several, side by side, in step.
+//! Image sequences that play on a page: one lane or several synchronised lanes side by side.
 
 use std::fmt::Write;
 
 use splat4d::report::escape;
 
-/// Milliseconds that a picture is shown.
+/// Duration of an image, milliseconds.
 const EACH: u32 = 140;
 
-/// What the style of a page with players must hold.
+/// CSS rules that a page with players needs.
 pub const STYLE: &str = "\
 .lanes{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(9.5rem,100%),1fr));gap:.5rem}\
 .lanes.one{max-width:40rem;grid-template-columns:1fr}\
@@ -19,8 +19,8 @@ pub const STYLE: &str = "\
 border:1px solid var(--dim);border-radius:4px;cursor:pointer}\
 .controls output{color:var(--dim);font-size:13px;font-variant-numeric:tabular-nums}";
 
-/// What makes them play; to stand after them. Without it the first pictures are seen. Who asked the
-/// system for less motion starts them.
+/// Script that plays them, to be placed after them. Without it, the first images are shown. If the system
+/// requests reduced motion, they start paused.
 pub fn script() -> String {
     format!("<script>{}</script>\n", SCRIPT.replace("EACH", &EACH.to_string()))
 }
@@ -38,13 +38,13 @@ button.onclick=()=>play(!timer);slider.oninput=()=>{play(false);show(+slider.val
 player.querySelector('.controls').hidden=false;show(0);\
 play(!matchMedia('(prefers-reduced-motion: reduce)').matches)}";
 
-/// Pictures of one kind, as addresses.
+/// Images of one kind, as URLs.
 pub struct Lane {
     pub title: String,
     pub pictures: Vec<String>,
 }
 
-/// Lanes of as many pictures each as there are names.
+/// Adds lanes; each has as many images as there are names.
 pub fn draw(body: &mut String, what: &str, lanes: &[Lane], names: &[String]) {
     let Some(last) = names.len().checked_sub(1) else { return };
     let one = if lanes.len() == 1 { " one" } else { "" };

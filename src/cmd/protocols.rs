@@ -1,4 +1,4 @@
-//! The protocols of published tables: which scenes a folder holds, which commands each takes, what is read off
+//! The protocols of published tables: the scenes in a folder, the commands for each, and the metrics in
 //! their answers.
 
 use std::collections::BTreeMap;
@@ -20,58 +20,58 @@ use super::{eval_first, published};
 pub enum Protocol {
     /// NVIDIA Dynamic Scenes, 12 frames, frame t from camera t, poses unknown; test: camera 0 at the other
     /// times. DIR is a scene, or a folder of scenes: each with its frames (images, images_2, input_images
-    /// or the like) and a folder of pictures v000_t001.png, … (gt)
+    /// or similar) and a folder of images v000_t001.png, … (gt)
     Nvidia,
     /// D-NeRF, poses given, its own test split. DIR is a scene with transforms_train.json, or a folder of
-    /// such
+    /// such scenes
     Dnerf,
-    /// HyperNeRF's scenes with a validation rig, poses unknown: trained on the training pictures of the set's
-    /// split, tested with the others. DIR is a scene with scene.json, dataset.json and camera, or a
-    /// folder of such
+    /// HyperNeRF's scenes with a validation rig, poses unknown: trained on the training images of the
+    /// dataset's split, tested on the others. DIR is a scene with scene.json, dataset.json and camera, or a
+    /// folder of such scenes
     HypernerfVrig,
-    /// DyCheck's iPhone captures, poses unknown, measured where training pictures saw the same as well. DIR as
+    /// DyCheck's iPhone captures, poses unknown, evaluated on pixels that training images also saw. DIR as
     /// for HyperNeRF
     Dycheck,
-    /// DyNeRF (Neural 3D Video), poses unknown: trained on the video of one camera, which stands still, tested
-    /// with other cameras. DIR is a scene with poses_bounds.npy and cam00.mp4, … or cam00/images, …, or a folder
-    /// of such
+    /// DyNeRF (Neural 3D Video), poses unknown: trained on the video of one static camera, tested on other
+    /// cameras. DIR is a scene with poses_bounds.npy and cam00.mp4, … or cam00/images, …, or a folder of
+    /// such scenes
     DynerfMono,
-    /// MPI Sintel, cameras of 14 sequences of the final pass. DIR holds final and camdata_left, or is
+    /// MPI Sintel, cameras of 14 sequences of the final pass. DIR contains final and camdata_left, or is
     /// the folder above (training)
     SintelPose,
 }
 
-/// What is left open by a protocol and chosen here.
+/// Choices that a protocol leaves open.
 pub struct Choices {
-    /// Longer side of the pictures.
+    /// Maximum length of the longer side of the images.
     pub size: Option<u32>,
-    /// Whether test pictures are measured from poses fitted to them as well.
+    /// Whether test images are also evaluated from poses fitted to them.
     pub fit_poses: bool,
-    /// Who is trained on and tested with, of cameras that stand still.
+    /// Training and test cameras of a set of static cameras.
     pub cameras: Cameras,
     /// Options of `eval` for LPIPS.
     pub lpips: Vec<OsString>,
-    /// Further options of the command that makes the scene.
+    /// Further options of the command that reconstructs the scene.
     pub making: Vec<OsString>,
 }
 
-/// A scene's work: commands one after the other, whose outputs lie in `folder`.
+/// Processing of one scene: commands in order, whose outputs are in `folder`.
 pub struct Work {
     pub scene: String,
     pub folder: PathBuf,
-    /// What is laid out as a clip and its truth first.
+    /// The dataset that is first laid out as a clip with ground truth.
     pub staged: Option<Source>,
     pub steps: Vec<Step>,
 }
 
-/// A command; its answer is kept under its name.
+/// A command; its answer is stored under its name.
 pub struct Step {
     pub name: &'static str,
     pub arguments: Vec<OsString>,
 }
 
 impl Protocol {
-    /// What the table is called.
+    /// Title of the table.
     pub fn title(self) -> &'static str {
         match self {
             Protocol::Nvidia => "NVIDIA Dynamic Scenes, 12 frames, poses unknown",
@@ -83,7 +83,7 @@ impl Protocol {
         }
     }
 
-    /// The protocol in words, with what was chosen, for a number of scenes.
+    /// The protocol in words, with the choices, for a number of scenes.
     pub fn caption(self, choices: &Choices, scenes: usize) -> Vec<String> {
         let size = match choices.size {
             Some(size) => format!("Pictures have {size} pixels on their longer side."),
@@ -160,7 +160,7 @@ impl Protocol {
         lines
     }
 
-    /// The columns.
+    /// The columns of the table.
     pub fn figures(self, choices: &Choices) -> Vec<Figure> {
         let of = |key: &str, title: &str, better| Figure {
             key: key.into(),
@@ -204,23 +204,23 @@ impl Protocol {
         figures
     }
 
-    /// What others have published.
+    /// Published results.
     pub fn published(self) -> Vec<PublishedRow> {
         published::rows(match self {
             Protocol::Nvidia => published::NVIDIA,
             Protocol::Dnerf => published::DNERF,
             Protocol::HypernerfVrig => published::HYPERNERF,
-            // None was found of the same protocol, without given poses.
+            // No results were found for the same protocol, without given poses.
             Protocol::Dycheck => &[],
             Protocol::DynerfMono => published::DYNERF,
             Protocol::SintelPose => published::SINTEL,
         })
     }
 
-    /// The work of each scene in a folder, in the order of their names.
+    /// The processing of each scene in a folder, in the order of their names.
     ///
     /// # Errors
-    /// The folder cannot be read, or holds no scene of this protocol.
+    /// The folder cannot be read, or contains no scene of this protocol.
     pub fn works(self, folder: &Path, output: &Path, choices: &Choices) -> Result<Vec<Work>> {
         std::fs::metadata(folder).map_err(Error::io(folder))?;
         let works: Vec<Work> = match self {
@@ -264,7 +264,7 @@ impl Protocol {
         Ok(works)
     }
 
-    /// What a scene's folder must hold.
+    /// Required contents of a scene's folder.
     fn needs(self) -> &'static str {
         match self {
             Protocol::Nvidia => "a folder of frames and one of pictures named v000_t001.png, …",
@@ -281,8 +281,8 @@ impl Choices {
         self.size.map_or(Vec::new(), |size| vec!["--size".into(), size.to_string().into()])
     }
 
-    /// The work of a scene that is made from an input by a command, measured by `eval` with these arguments, and
-    /// rendered from its input cameras.
+    /// Processing of a scene that a command reconstructs from an input, `eval` evaluates with these
+    /// arguments, and `render` renders from its input cameras.
     fn scene_work(
         &self,
         folder: &Path,
@@ -313,7 +313,7 @@ impl Choices {
         Work { scene, folder: folder.to_path_buf(), staged: None, steps: steps.into() }
     }
 
-    /// The work of a dataset whose poses are not to be known; without cameras it has a split of its own.
+    /// Processing of a dataset whose poses are withheld; without `cameras` it must have its own split.
     fn staged_work(
         &self,
         folder: &Path,
@@ -327,7 +327,7 @@ impl Choices {
         Work { staged: Some(Source { dataset, size: self.size, cameras }), ..work }
     }
 
-    /// The chosen cameras, which are among those of a set.
+    /// The chosen cameras, which must belong to a dataset.
     fn of_these(&self, set: &Path, names: &[String]) -> Result<Cameras> {
         let Cameras { train, test } = &self.cameras;
         let chosen = [("--train-camera", train)].into_iter();
@@ -341,7 +341,7 @@ impl Choices {
         Ok(self.cameras.clone())
     }
 
-    /// The work of a clip whose cameras alone are found.
+    /// Processing of a clip for which only the cameras are estimated.
     fn pose_work(&self, folder: &Path, scene: String, frames: &Path, cameras: &Path) -> Work {
         let tracked = folder.join("tracked");
         let mut track: Vec<OsString> = vec!["track".into(), frames.into()];
@@ -357,7 +357,7 @@ impl Choices {
     }
 }
 
-/// The figures in a scene's answers, by step; the scene's file lies in `folder`.
+/// The metrics in a scene's answers, by step; the scene's file is in `folder`.
 pub fn figures(answers: &BTreeMap<&'static str, Value>, folder: &Path) -> BTreeMap<String, f64> {
     let at = |step: &str, key: &str| answers.get(step).map_or(&Value::Null, |found| &found[key]);
     let mut found = BTreeMap::new();
@@ -376,7 +376,7 @@ pub fn figures(answers: &BTreeMap<&'static str, Value>, folder: &Path) -> BTreeM
     for (key, of) in measured {
         add(key, at("eval", of).as_f64());
     }
-    // The last row is over all pictures.
+    // The last row is over all images.
     let row = |key: &str| at("eval", key).as_array().and_then(|rows| rows.last());
     let (held_out, fitted) = (row("held_out"), row("held_out_fitted"));
     for of in ["psnr", "ssim"] {
@@ -402,7 +402,7 @@ pub fn figures(answers: &BTreeMap<&'static str, Value>, folder: &Path) -> BTreeM
     found
 }
 
-/// What `of` finds in a folder itself, or in those that it holds, by name in their order.
+/// The result of `of` for a folder itself, or for its subfolders, by name in order.
 fn scenes<T>(folder: &Path, of: impl Fn(&Path) -> Result<Option<T>>) -> Result<Vec<(String, T)>> {
     if let Some(found) = of(folder)? {
         let whole = std::fs::canonicalize(folder).map_err(Error::io(folder))?;
@@ -417,7 +417,7 @@ fn scenes<T>(folder: &Path, of: impl Fn(&Path) -> Result<Option<T>>) -> Result<V
     Ok(found)
 }
 
-/// The folders in a folder, in the order of their names.
+/// The subfolders of a folder, in the order of their names.
 fn folders(folder: &Path) -> Result<Vec<PathBuf>> {
     let entries = std::fs::read_dir(folder).map_err(Error::io(folder))?;
     let mut found: Vec<PathBuf> =
@@ -426,8 +426,8 @@ fn folders(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// The frames of a scene of NVIDIA's, and its test pictures: folders in it, told by the names of what they hold.
-/// Of several folders of frames (`images`, `images_2`) the one with the largest pictures counts.
+/// The frames and the test images of an NVIDIA scene: subfolders, recognised by the names of their files.
+/// Of several folders of frames (`images`, `images_2`), the one with the largest images is used.
 fn frames_and_test(scene: &Path) -> Result<Option<(PathBuf, PathBuf)>> {
     let (mut frames, mut test): (Vec<(u32, PathBuf)>, Option<PathBuf>) = (Vec::new(), None);
     for folder in folders(scene)? {
@@ -455,13 +455,13 @@ fn nerfies(scene: &Path) -> Result<Option<PathBuf>> {
     Ok(is_there.then(|| scene.to_path_buf()))
 }
 
-/// A set of cameras that stand still, and their names.
+/// A set of static cameras, with their names.
 fn standing(scene: &Path) -> Result<Option<(PathBuf, Vec<String>)>> {
     let names = poses_bounds::camera_names(scene)?;
     Ok((!names.is_empty()).then(|| (scene.to_path_buf(), names)))
 }
 
-/// The frames and cameras of those of [`sintel::SEQUENCES`] that are there.
+/// The frames and cameras of the existing [`sintel::SEQUENCES`].
 fn sequences(folder: &Path) -> Result<Vec<(String, (PathBuf, PathBuf))>> {
     let roots = [folder.to_path_buf(), folder.join("training")];
     let holds = |root: &&PathBuf| root.join("final").is_dir() && root.join("camdata_left").is_dir();

@@ -1,16 +1,16 @@
-//! Figures that others have published of the protocols that `table` runs, with where they stand. They are facts
-//! of November 2026; a figure counts only beside one of the same protocol.
+//! Published results for the protocols of `table`, with their sources, as of November 2026. Results are
+//! only comparable within one protocol.
 
 use splat4d::report::PublishedRow;
 
-/// A method, what its figures are of, the figures by key, and where they stand.
+/// A method, what its values refer to, the values by key, and their source.
 type Row = (&'static str, &'static str, &'static [(&'static str, f64)], &'static str);
 
 const PAPER_HYPERNERF: &str = "4D3R, table of HyperNeRF; COLMAP's poses where not said";
 const PAPER_DYNERF: &str = "4D3R, table of DyNeRF, one camera; COLMAP's poses where not said";
 const PAPER_SINTEL: &str = "4D3R, table of MPI Sintel, 14 sequences";
 
-/// Balloon1 and the mean of seven scenes, 12 frames, camera 0 at the other times, LPIPS by AlexNet.
+/// Balloon1 and the mean of seven scenes, 12 frames, camera 0 at the other times, LPIPS with AlexNet.
 pub const NVIDIA: &[Row] = &[
     ("SplineGS", "Balloon1", &[("psnr", 24.43), ("lpips", 0.068)], "poses unknown, nothing fitted"),
     (
@@ -38,7 +38,7 @@ pub const NVIDIA: &[Row] = &[
     ("SC-GS", "mean of 7", &[("psnr", 19.74)], "COLMAP's poses"),
 ];
 
-/// Figures at 400×400 and at 800×800 do not compare.
+/// Values at 400×400 and at 800×800 are not comparable.
 pub const DNERF: &[Row] = &[
     ("SC-GS", "hook", &[("psnr", 39.87)], "its repository, 400×400"),
     ("SC-GS", "hellwarrior", &[("psnr", 42.93)], "its repository, 400×400"),
@@ -53,7 +53,7 @@ pub const DNERF: &[Row] = &[
     ("4DGS", "mean", &[("psnr", 34.06)], "another paper's table, 800×800"),
 ];
 
-/// ATE, RPE by frames in translation and rotation, after a similarity.
+/// ATE, and RPE per frame in translation and rotation, after alignment by a similarity.
 pub const SINTEL: &[Row] = &[
     (
         "DROID-SLAM (intrinsics given)",
@@ -105,7 +105,7 @@ pub const SINTEL: &[Row] = &[
     ),
 ];
 
-/// The four scenes with a validation rig; minutes are of poses and training together.
+/// The four scenes with a validation rig; minutes include poses and training.
 pub const HYPERNERF: &[Row] = &[
     ("Nerfies", "mean of 4", &[("psnr", 22.2), ("ms_ssim", 0.803)], PAPER_HYPERNERF),
     (
@@ -194,8 +194,8 @@ pub const HYPERNERF: &[Row] = &[
     ),
 ];
 
-/// Trained on one camera; minutes are of poses and training together. The paper does not say which scenes,
-/// cameras and size, and its text has an MS-SSIM of 0.775 where its table has 0.755.
+/// Trained on one camera; minutes include poses and training. The paper does not specify the scenes,
+/// cameras and size, and its text gives an MS-SSIM of 0.775 where its table gives 0.755.
 pub const DYNERF: &[Row] = &[
     ("HyperNeRF", "mean", &[("psnr", 16.9), ("ms_ssim", 0.638), ("minutes", 1920.0)], PAPER_DYNERF),
     (
@@ -278,7 +278,7 @@ pub const DYNERF: &[Row] = &[
     ),
 ];
 
-/// Rows as a table takes them.
+/// Converts rows to table rows.
 pub fn rows(of: &[Row]) -> Vec<PublishedRow> {
     of.iter()
         .map(|(method, of, figures, source)| PublishedRow {

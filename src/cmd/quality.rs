@@ -1,4 +1,4 @@
-//! How close pictures come to others.
+//! Image quality of a scene relative to reference images.
 
 use serde_json::{Value, json};
 use splat4d::Result;
@@ -12,26 +12,26 @@ use splat4d::types::{Image, SH_C0};
 use super::interrupt;
 use super::meter::Meter;
 
-/// The smaller side needs more than this for MS-SSIM's five scales.
+/// The smaller side must exceed this for the five scales of MS-SSIM, pixels.
 const MS_SSIM_SIDE: u32 = 160;
 
-/// How close one picture comes to another.
+/// Quality of one image relative to another.
 #[derive(Clone)]
 pub struct Quality {
-    /// What messages call it.
+    /// Name in messages.
     pub name: String,
-    /// dB; infinite for equal pictures.
+    /// PSNR in dB; infinite for equal images.
     pub psnr: f64,
-    /// As the 3DGS family reports it.
+    /// SSIM as 3DGS and related work report it.
     pub ssim: f64,
-    /// `None` for pictures that are too small.
+    /// MS-SSIM; `None` for images that are too small.
     pub ms_ssim: Option<f64>,
-    /// `None` where no network measures it.
+    /// LPIPS; `None` without a network.
     pub lpips: Option<f64>,
 }
 
 impl Quality {
-    /// Compares a picture with the true one; PSNR over the pixels where `valid` is 1.
+    /// Compares an image with the true one; PSNR is over the pixels where `valid` is 1.
     pub fn of(
         name: &str,
         picture: &Image,
@@ -51,7 +51,7 @@ impl Quality {
         })
     }
 
-    /// With LPIPS, where there is a network for it; of all pixels.
+    /// Adds LPIPS over all pixels, if there is a network.
     pub fn with_lpips(
         self,
         network: Option<&mut LpipsNetwork>,
@@ -69,7 +69,7 @@ impl Quality {
     }
 }
 
-/// Renders a scene from the cameras of some pictures and compares.
+/// Renders a scene from the cameras of some images and compares.
 pub fn measure(
     renderer: &mut Renderer,
     views: &[View],
@@ -87,15 +87,15 @@ pub fn measure(
     Ok(found)
 }
 
-/// Mean of a figure over some pictures; `None` without pictures, or where one lacks the figure.
+/// Mean of a metric over some images; `None` without images, or where it is missing for one.
 pub fn mean(figures: impl Iterator<Item = Option<f64>>) -> Option<f64> {
     let values: Option<Vec<f64>> = figures.collect();
     let values = values.filter(|values| !values.is_empty())?;
     Some(values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// The scene with its dynamic Gaussians white and all others black: over black, it renders as the
-/// share of each pixel that moves.
+/// The scene with white dynamic and black static Gaussians: over a black background, it renders as the
+/// movers' share of each pixel.
 pub fn motion_only(scene: &Scene) -> Scene {
     let mut scene = scene.clone();
     let g = &mut scene.gaussians;

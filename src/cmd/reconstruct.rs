@@ -1,4 +1,4 @@
-//! `splat4d reconstruct`: the main job.
+//! `splat4d reconstruct`: reconstructs a 4D scene from a video.
 
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -40,9 +40,9 @@ use super::tracker::Tracker;
 use super::watcher::{Kept, Watched, Watcher};
 use super::{model, quality, reconstruct_pictures, sheet, values};
 
-/// Bytes for each pixel of each frame: of the frames themselves, and of what tracking makes of them,
-/// which is flow and confidence both ways, masks, depth and its confidence, and frames and flow once more
-/// where the lens's distortion is taken off.
+/// Host memory per pixel and frame, bytes: of the frames themselves, and of the results of tracking, which
+/// are flow and confidence in both directions, masks, depth and its confidence, and undistorted copies of
+/// frames and flow.
 const FRAME_BYTES: u64 = 12;
 const TRACK_BYTES: u64 = 72;
 
@@ -115,11 +115,11 @@ fn after_help() -> String {
 /// [`Quality`] by name.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum QualityName {
-    /// A first look
+    /// A quick preview
     Draft,
-    /// The usual one
+    /// The default
     Standard,
-    /// Larger frames, more of all, and an hour's training on a software driver
+    /// Larger frames, more of everything, and an hour's training on a software driver
     Best,
 }
 
@@ -133,40 +133,40 @@ impl From<QualityName> for Quality {
     }
 }
 
-/// Turn a video whose camera poses are unknown into a 4D scene
+/// Reconstruct a 4D scene from a video whose camera poses are unknown
 #[derive(Args)]
 #[command(after_help = after_help())]
 pub struct ReconstructArgs {
     /// A video file, or a folder of its frames
     #[arg(value_name = "VIDEO|DIR")]
     clip: PathBuf,
-    /// The scene's file to write
+    /// The output scene file
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
     frames: ClipArgs,
-    /// How good the scene is to be for its time: sizes, steps and caps, each of which its own option
-    /// overrides
+    /// Trade-off between quality and time: sizes, steps and limits, each of which its own option overrides
     #[arg(long, value_enum, default_value = "standard")]
     quality: QualityName,
-    /// Steps of the last and longest stage; the stages before it go in proportion [default: by quality]
+    /// Steps of the last and longest stage; earlier stages scale in proportion [default: by quality]
     #[arg(long, value_name = "N", value_parser = values::whole::<u32>(1..=values::MOST_STEPS))]
     steps: Option<u32>,
-    /// Most Gaussians [default: by quality; standard 40,000, or one for every three pixels of a frame]
+    /// Maximum number of Gaussians [default: by quality; standard 40,000, or one for every three pixels of
+    /// a frame]
     #[arg(long, value_name = "N",
           value_parser = values::whole::<usize>(16..=values::MOST_GAUSSIANS))]
     max_gaussians: Option<usize>,
-    /// Most control points [default: by quality; standard 256]
+    /// Maximum number of control points [default: by quality; standard 256]
     #[arg(long, value_name = "N",
           value_parser = values::whole::<usize>(1..=values::MOST_CONTROL_POINTS))]
     control_points: Option<usize>,
-    /// Highest degree of the spherical harmonics [default: by quality; standard 1]
+    /// Maximum degree of the spherical harmonics [default: by quality; standard 1]
     #[arg(long, value_name = "0..3", value_parser = values::whole::<u32>(0..=3))]
     sh_degree: Option<u32>,
     #[command(flatten)]
     known: KnownArgs,
-    /// Write report.html (a page that shows all of it), report.json, sheet.png (input, render, motion
-    /// mask, depth), poses.txt (TUM) and intrinsics.json into this folder
+    /// Write report.html (a page with all results), report.json, sheet.png (input, render, motion mask,
+    /// depth), poses.txt (TUM) and intrinsics.json to this folder
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
     #[command(flatten)]
@@ -176,12 +176,12 @@ pub struct ReconstructArgs {
 }
 
 impl ReconstructArgs {
-    /// That options go with each other.
+    /// Checks that the options are compatible.
     pub fn check(&self) -> Result<()> {
         self.known.check(&self.frames)
     }
 
-    /// Tries where output goes.
+    /// Checks the output paths.
     pub fn outputs(&self) -> Result<Outputs> {
         let mut outputs = Outputs::default().file(&self.output)?;
         if let Some(folder) = &self.report {
@@ -192,7 +192,7 @@ impl ReconstructArgs {
         Ok(outputs)
     }
 
-    /// All that is read.
+    /// All inputs.
     pub fn inputs(&self) -> Inputs {
         self.known.inputs(&self.clip)
     }
@@ -203,7 +203,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     args.outputs()?.spare(&args.inputs())?;
     args.check()?;
     let mut clock = Clock::start();
-    // A missing file is told before a missing driver.
+    // A missing file is reported before a missing driver.
     std::fs::metadata(&args.clip).map_err(Error::io(&args.clip))?;
     let mut models = args.known.networks.open()?;
     let device = common.open_device()?;
@@ -268,7 +268,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     ));
 
     let sequence = Sequence { frames: &frames, times: &times, track: &track };
-    // The first Gaussians may be large: what is near fills many tiles.
+    // The initial Gaussians may be large: near ones cover many tiles.
     let intersections = first_pairs(&device, sequence, &settings)?;
     let scale = TrainingScale { intersections, ..scale };
     if scale.is_dense() {
@@ -330,7 +330,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     });
     scene.save(&args.output)?;
     checkpoints.remove();
-    // What differs from run to run is not the scene's: equal runs leave equal files.
+    // Values that vary between runs are not stored in the scene, so that identical runs give identical files.
     let mut json = scene.report.clone();
     json["peak_bytes"] = json!(device.memory().1);
     json["milliseconds_per_step"] = json!(milliseconds_per_step);
@@ -364,7 +364,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     Ok(Answer { text: text(&json, &clock), json })
 }
 
-/// What the stages take of device memory at most; an error where one does not fit.
+/// Peak device memory of the stages; an error where one does not fit.
 fn foreseen(
     args: &ReconstructArgs,
     device: &Device,
@@ -390,7 +390,7 @@ fn foreseen_training(device: &Device, scale: &TrainingScale) -> Result<u64> {
     )
 }
 
-/// The most (splat, tile) pairs that the first Gaussians make of a frame.
+/// The maximum number of (splat, tile) pairs of the initial Gaussians in a frame.
 fn first_pairs(
     device: &Device,
     sequence: Sequence<'_>,
@@ -424,7 +424,7 @@ fn settings(
     }
 }
 
-/// What a phase is called, on the bar and in the report.
+/// Names of a phase, on the progress bar and in the report.
 fn phase_names(phase: Phase) -> (&'static str, &'static str) {
     let name = match phase {
         Phase::Static => "static",
@@ -433,7 +433,7 @@ fn phase_names(phase: Phase) -> (&'static str, &'static str) {
     (name, name)
 }
 
-/// The clip, and all that its reconstruction depends on.
+/// The clip, and everything that its reconstruction depends on.
 fn identity(
     args: &ReconstructArgs,
     frames: &[Image],
@@ -469,13 +469,14 @@ fn identity(
         ("--flow", summed(flow)),
         ("--models", networks.to_owned()),
         ("the frames", format!("{} with the checksum {}", frames.len(), checksum(frames))),
-        // What no option says: the focal length in the pictures' EXIF, this version's settings.
+        // Inputs that no option specifies: the focal length in the images' EXIF data, and the settings of
+        // this version.
         ("what is known beforehand", summed(Some(options))),
         ("the program's settings", summed(Some(&format!("{settings:?}")))),
     ])
 }
 
-/// The frames as they were trained on, with the scene's cameras.
+/// The training frames with the scene's cameras.
 fn views(frames: Vec<Image>, names: &[String], scene: &Scene) -> Vec<View> {
     frames
         .into_iter()
@@ -530,7 +531,7 @@ mod tests {
     fn a_checkpoint_names_every_option_that_matters() {
         names_every_option(
             &["reconstruct", "clip", "-o", "x"],
-            // Those from the second on: by which library and how networks run, and who looks on.
+            // From the second on: how networks are run, and the live view.
             &["skip-bad", "onnxruntime", "ep", "onnx-threads", "view", "host"],
             |command, common| {
                 let super::super::Command::Reconstruct(args) = command else {

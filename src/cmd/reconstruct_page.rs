@@ -1,4 +1,4 @@
-//! What `reconstruct` made of a clip as one page that needs nothing but itself.
+//! The result of `reconstruct` as one self-contained page.
 
 use std::fmt::Write;
 
@@ -20,21 +20,21 @@ const CURVES: Curves = Curves {
     about: "Each point is of one picture, of the input or from aside, so that points scatter as pictures differ.",
 };
 
-/// What the page is made of.
+/// Contents of the page.
 pub struct Page<'a> {
-    /// What the clip is called.
+    /// Name of the clip.
     pub clip: &'a str,
-    /// By frame.
+    /// Name of each frame.
     pub names: &'a [String],
     pub track: &'a Track,
-    /// Were poses supplied? Else their unit is the median depth.
+    /// Whether poses were supplied; else their unit is the median depth.
     pub supplied: bool,
     pub origins: &'a [Origin],
     pub run: Run<'a>,
 }
 
 impl Page<'_> {
-    /// The page.
+    /// The HTML page.
     ///
     /// # Errors
     /// A plot cannot be drawn.
@@ -61,7 +61,7 @@ impl Page<'_> {
         self.run.report[key].as_f64().unwrap_or(f64::NAN)
     }
 
-    /// What was found, in a sentence.
+    /// A one-sentence summary.
     fn sentence(&self) -> String {
         let (found, scene) = (&self.track.quality, self.run.scene);
         let k = &self.track.intrinsics;

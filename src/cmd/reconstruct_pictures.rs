@@ -1,4 +1,4 @@
-//! Pictures for the page of `reconstruct`: frames beside what the scene makes of them, and an orbit.
+//! Images for the page of `reconstruct`: frames beside the scene's renders, and an orbit.
 
 use rayon::prelude::*;
 use splat4d::Result;
@@ -13,31 +13,31 @@ use super::path::{self, Orbit};
 use super::pictures::{DepthScale, address, brightest, grey, heat, shrunk};
 use super::player::Lane;
 
-/// At most so many frames are shown.
+/// Maximum number of frames shown.
 const MOST: usize = 24;
-/// Pictures of an orbit.
+/// Number of images of an orbit.
 const ORBIT: usize = 24;
-/// A picture of the strip is at most so wide.
+/// Maximum width of an image of the strip, pixels.
 const WIDEST: u32 = 320;
-/// One of the orbit.
+/// Maximum width of an image of the orbit, pixels.
 const ORBIT_WIDEST: u32 = 480;
 
-/// What the page shows.
+/// Images on the page.
 pub struct Pictures {
-    /// Which frames.
+    /// Indices of the frames.
     pub frames: Vec<usize>,
-    /// Input, render, error, what moves, depth; one picture for each of the frames.
+    /// Input, render, error, movers, depth; each lane has one image per frame.
     pub lanes: Vec<Lane>,
     /// The error that is shown brightest.
     pub most_error: f64,
-    /// Views that the input did not have.
+    /// Novel views.
     pub orbit: Lane,
 }
 
-/// Renders and encodes all of them.
+/// Renders and encodes all images.
 ///
 /// # Errors
-/// A failed submission; a picture cannot be encoded.
+/// A failed submission; an image cannot be encoded.
 pub fn draw(device: &Device, scene: &Scene, views: &[View]) -> Result<Pictures> {
     let count = views.len().min(MOST);
     let mut frames: Vec<usize> =
@@ -96,7 +96,7 @@ fn lane(title: &str, pictures: &[Image]) -> Result<Lane> {
     Ok(Lane { title: title.into(), pictures })
 }
 
-/// Mean absolute difference of the channels, by pixel.
+/// Mean absolute difference of the channels, per pixel.
 fn difference(a: &Image, b: &Image) -> Image {
     let pairs = a.pixels.chunks_exact(3).zip(b.pixels.chunks_exact(3));
     let mean = |(a, b): (&[f32], &[f32])| {
@@ -105,13 +105,13 @@ fn difference(a: &Image, b: &Image) -> Image {
     Image { width: a.width, height: a.height, channels: 1, pixels: pairs.map(mean).collect() }
 }
 
-/// Bytes that the page's pictures take of host memory while it is made, for a clip of frames of a size.
+/// Peak host memory of the page's images for a clip of frames of a size, bytes.
 pub fn bytes(frames: usize, (width, height): (u32, u32)) -> u64 {
     let shown = |widest: u32| {
         let w = u64::from(width.min(widest));
         w * (u64::from(height) * w / u64::from(width.max(1)))
     };
-    // Five lanes of three floats a pixel and one; and text of a picture is less than that.
+    // Five lanes with three floats per pixel, and one with one; the encoded text of an image is smaller.
     frames.min(MOST) as u64 * shown(WIDEST) * 80 + ORBIT as u64 * shown(ORBIT_WIDEST) * 16
 }
 

@@ -17,8 +17,8 @@ use super::outputs::{Inputs, Outputs};
 use super::shots::{ShotArgs, Shots};
 use super::{encode, interrupt, render_bench, tuning, values};
 
-/// Host memory of a picture and all that is made of it, a pixel: as it was blended and downloaded, and one
-/// layer at a time in floats, colours and bytes.
+/// Host memory per pixel of an image and its intermediate data, bytes: the blended image as downloaded, and
+/// one layer at a time as floats, colours and bytes.
 const BYTES_A_PIXEL: u64 = 96;
 
 const AFTER_HELP: &str = "\
@@ -67,35 +67,35 @@ device memory, before it began), peak_bytes, milliseconds_per_frame, output. Wit
 of the most accurate settings), clock (Device or Host), error {max, rmse, psnr}, settings, views, rounds, software
 (whether the device is), and width, height, gaussians, dropped, device, predicted_bytes, peak_bytes";
 
-/// Render a scene's file or a 3DGS PLY to pictures
+/// Render a scene file or a 3DGS PLY to images
 #[derive(Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct RenderArgs {
-    /// A scene's file or a 3DGS PLY
+    /// A scene file or a 3DGS PLY
     #[arg(value_name = "SCENE|PLY")]
     scene: PathBuf,
-    /// The folder for the pictures, or a video to write through ffmpeg
+    /// The output folder for images, or a video file to encode with ffmpeg
     #[arg(short, long, value_name = "DIR|FILE.mp4", required_unless_present = "bench")]
     output: Option<PathBuf>,
-    /// Pictures a second of a video
+    /// Frame rate of a video, frames per second
     #[arg(long, value_name = "RATE", default_value_t = 24.0,
           value_parser = values::number(0.01..=1000.0))]
     rate: f64,
     #[command(flatten)]
     shots: ShotArgs,
-    /// What lies behind everything, instead of the scene's own: R,G,B in [0, 1], black or white
+    /// Background colour instead of the scene's own: R,G,B in [0, 1], black or white
     #[arg(long, value_name = "R,G,B", value_parser = values::colour)]
     background: Option<[f32; 3]>,
-    /// What to write of each picture
+    /// Layers to write of each image
     #[arg(long, value_name = "LAYERS", value_delimiter = ',', default_value = "colour")]
     what: Vec<Layer>,
-    /// Write float images too
+    /// Also write float images
     #[arg(long)]
     exr: bool,
-    /// Measure frames a second, and the error, instead of writing pictures
+    /// Measure frames per second and the error, instead of writing images
     #[arg(long, conflicts_with_all = ["output", "rate", "what", "exr", "background"])]
     bench: bool,
-    /// Leave out Gaussians that hold NaN, infinite or out-of-range values
+    /// Skip Gaussians with NaN, infinite or out-of-range values
     #[arg(long)]
     drop_bad: bool,
     /// Settings that trade accuracy for speed, as `bench --error-budget` writes them
@@ -137,7 +137,7 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Answer> {
     Ok(Answer { json, text })
 }
 
-/// Tries where pictures or a video are to be written.
+/// Checks that the images or the video can be written.
 fn try_output(args: &RenderArgs, output: &Path) -> Result<()> {
     if !encode::is_video(output) {
         Outputs::default().folder(output, &[&file_name(0, ".png")])?;
@@ -155,7 +155,7 @@ fn try_output(args: &RenderArgs, output: &Path) -> Result<()> {
     }
 }
 
-/// Renders and writes all pictures.
+/// Renders and writes all images.
 fn pictures(
     args: &RenderArgs,
     common: &Common,
@@ -170,7 +170,7 @@ fn pictures(
     let repainted = args.what.iter().any(|layer| layer.is_repainted());
     let (predicted_bytes, mut renderer) = foreseen(&device, scene, shots, tuning, repainted)?;
     let background = args.background.unwrap_or(scene.background);
-    // A video's pictures lie beside it until it is whole, so that it can be renamed into place.
+    // The images of a video are written beside it until it is complete, so that it can be renamed into place.
     let pictures = if video { Some(beside(output)?) } else { None };
     let folder = pictures.as_ref().map_or(output, |pictures| pictures.path());
     let mut writer = Writer::new(&args.what, args.exr, video, background);
@@ -185,7 +185,7 @@ fn pictures(
         seconds += begun.elapsed().as_secs_f64();
         let picture = Picture { index, shot, next, rendered: &rendered };
         writer.write(folder, &mut renderer, &picture).map_err(|error| match error {
-            // The pictures of a video are nothing that the user has named.
+            // The user has not named the images of a video, so the error names the video.
             Error::Io { source, .. } if video => Error::io(output)(source),
             other => other,
         })?;
@@ -209,8 +209,8 @@ fn pictures(
     }))
 }
 
-/// What rendering takes of device memory at most, and a renderer with room for all of it; an error where
-/// it does not fit.
+/// Predicts the peak device memory of rendering, and makes a renderer with sufficient capacity; an error
+/// where it does not fit.
 fn foreseen(
     device: &Device,
     scene: &Scene,
@@ -249,7 +249,7 @@ fn foreseen(
     if !scale.is_dense() {
         return Ok((predicted, renderer));
     }
-    // What it holds must not count as taken.
+    // Memory that this renderer holds must not count as used.
     drop(renderer);
     let predicted = foresee(&scale)?;
     let mut renderer = Renderer::tuned(device, scene, tuning)?;
@@ -257,7 +257,7 @@ fn foreseen(
     Ok((predicted, renderer))
 }
 
-/// A temporary folder next to a file; the file's folder is made where it is missing.
+/// A temporary folder next to a file; the file's folder is created if it is missing.
 fn beside(output: &Path) -> Result<tempfile::TempDir> {
     let parent = match output.parent() {
         Some(parent) if parent != Path::new("") => parent,
@@ -271,7 +271,7 @@ fn file_name(index: usize, ending: &str) -> String {
     format!("{index:04}{ending}")
 }
 
-/// That the video, or so many pictures, can be written without losing what is read.
+/// Checks that the video, or the number of images, can be written without overwriting inputs.
 fn spare_inputs(args: &RenderArgs, output: &Path, pictures: usize) -> Result<()> {
     let read = [Some(&args.scene), args.shots.file(), args.settings.as_ref()];
     let inputs = Inputs::new(read.into_iter().flatten().cloned(), []);
@@ -283,7 +283,8 @@ fn spare_inputs(args: &RenderArgs, output: &Path, pictures: usize) -> Result<()>
             index(ending).is_some_and(|i| i < pictures && file_name(i, ending) == name)
         })
     };
-    // What is there are few, where pictures may be many; a folder that is not there holds none.
+    // Iterates over existing files, which are few, and not over the images, which may be many; a missing
+    // folder contains none.
     for entry in std::fs::read_dir(output).into_iter().flatten().flatten() {
         if !entry.file_name().to_str().is_some_and(is_written) {
             continue;

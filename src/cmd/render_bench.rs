@@ -1,4 +1,4 @@
-//! How fast a scene is rendered with some settings, and how far from the truth.
+//! Rendering speed of a scene with some settings, and its error relative to the oracle.
 
 use serde_json::{Value, json};
 use splat4d::bench::{Pace, Shot, machine, measure_settings};
@@ -11,7 +11,7 @@ use splat4d::{Error, Result};
 use super::common::{Answer, say, thousands};
 use super::shots::Shots;
 
-/// Views that are measured: the oracle takes its time for each.
+/// Number of measured views; the oracle is slow for each.
 const VIEWS: usize = 3;
 
 /// Measures on views spread over the path.

@@ -1,4 +1,4 @@
-//! What `validate` found out about a case on a device: for machines, and for people.
+//! Results of `validate` for a case on a device, for machines and for people.
 
 use std::fmt::Write;
 
@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use splat4d::check::{Expect, Finding, Outcome, Verdict, verdict};
 use splat4d::vk::DeviceInfo;
 
-/// One case on one device.
+/// Result of one case on one device.
 pub struct Row {
     device: usize,
     outcome: Outcome,
@@ -15,11 +15,11 @@ pub struct Row {
     seconds: f64,
 }
 
-/// Failed comparisons that are printed for a case; the JSON has all.
+/// Maximum number of failed comparisons printed per case; the JSON contains all.
 const SHOWN: usize = 5;
 
 impl Row {
-    /// Judges an outcome.
+    /// Makes a row from an outcome.
     pub fn new(
         info: &DeviceInfo,
         outcome: Outcome,
@@ -31,7 +31,7 @@ impl Row {
         Row { device: info.index, outcome, messages, verdict, seconds }
     }
 
-    /// Whether validation may go green with it.
+    /// Whether validation may pass with it.
     pub fn is_fine(&self) -> bool {
         self.verdict.is_fine()
     }
@@ -45,7 +45,7 @@ impl Row {
         }
     }
 
-    /// The comparison nearest to its bound, or farthest beyond it.
+    /// The comparison closest to its bound, or farthest beyond it.
     fn worst(&self) -> Option<&Finding> {
         let findings = self.outcome.findings.iter().filter(|f| f.bound.is_some() || !f.passed);
         findings.max_by(|a, b| a.worst_of_bound.total_cmp(&b.worst_of_bound))
@@ -55,7 +55,7 @@ impl Row {
         self.outcome.findings.iter().filter(|finding| !finding.passed)
     }
 
-    /// For machines.
+    /// JSON for machines.
     pub fn json(&self) -> Value {
         let (result, reason) = self.result();
         json!({
@@ -73,7 +73,7 @@ impl Row {
         })
     }
 
-    /// For people: a line, and what failed below it.
+    /// Text for people: a line, with the failures below it.
     fn text(&self) -> String {
         let (result, reason) = self.result();
         let mut text = format!("  {:<44} {result:<11} {:>6.1} s", self.outcome.id, self.seconds);
@@ -108,7 +108,7 @@ impl Row {
     }
 }
 
-/// What is wrong with an output, and who is to blame.
+/// The deviation of an output from the oracle, and whether plain f32 arithmetic stays within the bound.
 fn blame(f: &Finding) -> String {
     let Some(bound) = f.bound else {
         return format!("{}: differs at {} of {}", f.output, f.worst_at, f.count);
@@ -148,7 +148,7 @@ fn finding_json(f: &Finding) -> Value {
     })
 }
 
-/// All rows, device by device.
+/// All rows, grouped by device.
 pub fn table(devices: &[DeviceInfo], rows: &[Row]) -> String {
     let mut text = String::new();
     for info in devices {
@@ -163,7 +163,7 @@ pub fn table(devices: &[DeviceInfo], rows: &[Row]) -> String {
     text
 }
 
-/// The devices, for machines.
+/// The devices as JSON.
 pub fn devices_json(devices: &[DeviceInfo]) -> Value {
     let one = |info: &DeviceInfo| json!({ "index": info.index, "name": info.name, "driver": info.driver });
     devices.iter().map(one).collect()

@@ -1,4 +1,4 @@
-//! What the pages of `reconstruct` and `train` have in common: the curves, the model, time and memory, the
+//! Common parts of the pages of `reconstruct` and `train`: the curves, the model, time and memory, the
 //! command.
 
 use std::ffi::OsString;
@@ -25,9 +25,9 @@ use super::reconstruct_pictures::Pictures;
 use super::watcher::steps_before;
 use super::{page, sheet};
 
-/// The page's file.
+/// File name of the page.
 pub const FILE: &str = "report.html";
-/// Beside that of all pages. A plot's own colours are those of light paper.
+/// Style in addition to the common one. The plots' own colours are for a light background.
 const STYLE: &str = "\
 .lead{font-size:1.1rem}.plots{grid-template-columns:repeat(auto-fit,minmax(min(20rem,100%),1fr))}\
 .plots svg{font-family:system-ui,sans-serif}\
@@ -42,29 +42,29 @@ pre{background:var(--faint);padding:.6rem .8rem;white-space:pre-wrap;border-radi
 border-bottom:1px solid var(--faint)}.model td{display:block;border:0;padding:.05rem 0}\
 .model td:first-child{font-weight:600}.model td:empty{display:none}}";
 
-/// What a training leaves to be told, whatever it was trained on.
+/// Results of a training, independent of its input.
 pub struct Run<'a> {
     pub scene: &'a Scene,
-    /// How close the scene comes to each picture that is shown.
+    /// Quality of the scene for each displayed image.
     pub quality: &'a [Quality],
     pub pictures: &'a Pictures,
     pub history: &'a [Measured],
     pub model: &'a [Choice],
     pub clock: &'a Clock,
-    /// As `report.json` holds it.
+    /// Contents of `report.json`.
     pub report: &'a Value,
 }
 
-/// What a page says of its curves.
+/// Captions of the curves.
 pub struct Curves {
-    /// What the upright line between the stages stands for.
+    /// Meaning of the vertical line between the stages.
     pub between: &'static str,
-    /// What each point is of.
+    /// Meaning of each point.
     pub about: &'static str,
 }
 
 impl Run<'_> {
-    /// The page: what is in `body`, and what all runs end with.
+    /// The complete page: `body`, followed by the common sections.
     ///
     /// # Errors
     /// A plot cannot be drawn.
@@ -84,10 +84,10 @@ impl Run<'_> {
         Ok(page::document(title, &format!("{STYLE}{}", player::STYLE), &body))
     }
 
-    /// Writes a page into a folder, and report.json and sheet.png beside it.
+    /// Writes a page to a folder, with report.json and sheet.png beside it.
     ///
     /// # Errors
-    /// A file cannot be written; a picture cannot be rendered.
+    /// A file cannot be written; an image cannot be rendered.
     pub fn save(&self, folder: &Path, page: &str, device: &Device, views: &[View]) -> Result<()> {
         write_atomically(folder.join(FILE), |sink| sink.write_all(page.as_bytes()))?;
         let mut report = self.report.clone();
@@ -96,7 +96,7 @@ impl Run<'_> {
     }
 }
 
-/// Views that the input did not have.
+/// Adds novel views.
 pub fn orbit(body: &mut String, orbit: &Lane) {
     let count = orbit.pictures.len();
     let names: Vec<String> = (1..=count).map(|i| format!("{i} of {count}")).collect();
@@ -107,7 +107,7 @@ pub fn orbit(body: &mut String, orbit: &Lane) {
     player::draw(body, "view", std::slice::from_ref(orbit), &names);
 }
 
-/// The curves of a training.
+/// Adds the curves of a training.
 fn training(body: &mut String, history: &[Measured], curves: &Curves) -> Result<()> {
     body.push_str("<h2>Training</h2>\n");
     let before = steps_before(history, Phase::Joint);
@@ -152,7 +152,7 @@ fn training(body: &mut String, history: &[Measured], curves: &Curves) -> Result<
     Ok(())
 }
 
-/// The model report.
+/// Adds the model report.
 fn model(body: &mut String, model: &[Choice]) {
     body.push_str(
         "<h2>What was modelled, and what was left out</h2>\n<table class=\"model\"><thead><tr><th>what</th>\
@@ -169,7 +169,7 @@ fn model(body: &mut String, model: &[Choice]) {
     body.push_str("</tbody></table>\n");
 }
 
-/// Stages and memory; `report` as `report.json` holds it.
+/// Adds stages and memory; `report` has the contents of `report.json`.
 fn stages(body: &mut String, clock: &Clock, report: &Value) {
     let stages = clock.stages();
     let all: f64 = stages.iter().map(|(_, seconds)| seconds).sum();
@@ -194,7 +194,7 @@ fn stages(body: &mut String, clock: &Clock, report: &Value) {
     );
 }
 
-/// The command that made the page, and the program's version.
+/// Adds the command that made the page, and the program's version.
 fn command(body: &mut String, words: &[OsString]) {
     let words: Vec<String> = words.iter().map(quoted).collect();
     let _ = writeln!(
@@ -205,13 +205,13 @@ fn command(body: &mut String, words: &[OsString]) {
     );
 }
 
-/// The words of the command at hand, its name without the folder where it lies.
+/// The words of the current command, with its name without the folder.
 fn words() -> Vec<OsString> {
     let words = std::env::args_os().skip(1);
     std::iter::once("splat4d".into()).chain(words).collect()
 }
 
-/// A word as a shell takes it.
+/// Quotes a word for a shell.
 fn quoted(word: &OsString) -> String {
     let text = word.to_string_lossy();
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,:=@%+".contains(c);

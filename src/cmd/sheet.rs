@@ -1,5 +1,4 @@
-//! The report's folder: `report.json`, and a sheet that shows input, render, motion mask and depth
-//! side by side.
+//! The report's folder: `report.json`, and a sheet with input, render, motion mask and depth side by side.
 
 use std::path::Path;
 
@@ -14,17 +13,17 @@ use splat4d::{Result, io};
 use super::pictures::{DepthScale, shrunk};
 use super::quality::motion_only;
 
-/// What [`write`] writes into the folder.
+/// The files that [`write`] writes to the folder.
 pub const FILES: [&str; 2] = ["report.json", "sheet.png"];
 
-/// Rows of the sheet.
+/// Number of rows of the sheet.
 const ROWS: usize = 5;
-/// A picture on the sheet is at most so wide.
+/// Maximum width of an image on the sheet, pixels.
 const WIDEST: u32 = 320;
-/// Pixels between pictures.
+/// Gap between images, pixels.
 const GAP: u32 = 4;
 
-/// Some of the views, evenly spread.
+/// An evenly spread selection of the views.
 pub fn spread(views: &[View]) -> Vec<&View> {
     let count = views.len().min(ROWS);
     (0..count).map(|i| &views[i * (views.len() - 1) / (count - 1).max(1)]).collect()
@@ -54,7 +53,7 @@ pub fn write(
     io::write_json(folder.join("report.json"), report)
 }
 
-/// Rows of RGB pictures on white, one below the other.
+/// Rows of RGB images on white, stacked vertically.
 fn tile(rows: &[[Image; 4]]) -> Image {
     let row_width = |row: &[Image; 4]| row.iter().map(|i| i.width + GAP).sum::<u32>() - GAP;
     let width = rows.iter().map(row_width).max().unwrap_or(1);

@@ -1,4 +1,4 @@
-//! What `render` renders: cameras and times, in order.
+//! The views that `render` renders: cameras and times, in order.
 
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -14,10 +14,10 @@ use super::common::thousands;
 use super::path::{self, Flight, Orbit};
 use super::values::{self, MOST_PICTURES, Times};
 
-/// Length of a path.
+/// Default number of views of a path.
 const FLIGHT_FRAMES: usize = 60;
 
-/// Where the cameras come from.
+/// Source of the cameras.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ViewPath {
     Input,
@@ -38,20 +38,20 @@ impl From<OsString> for ViewPath {
     }
 }
 
-/// The options that say what to render from where.
+/// Options that select cameras and times.
 #[derive(Args)]
 pub struct ShotArgs {
-    /// The cameras
+    /// The camera path
     #[arg(long, value_name = "input|orbit|spiral|dolly|bullet|FILE",
           value_parser = OsStringValueParser::new().map(ViewPath::from))]
     path: Option<ViewPath>,
-    /// Times in [0, 1], as 0,0.5,1; or a whole number above 1 for so many, spread evenly
+    /// Times in [0, 1], such as 0,0.5,1; or an integer above 1 for that many evenly spaced times
     #[arg(long, value_name = "TIMES", value_parser = values::times)]
     times: Option<Times>,
-    /// Length of a path other than the input's or a file's [default: 60, or the number of times]
+    /// Number of views of a path other than the input's or a file's [default: 60, or the number of times]
     #[arg(long, value_name = "N", value_parser = values::whole::<usize>(1..=values::MOST_PICTURES))]
     frames: Option<usize>,
-    /// Size of the pictures; all that the camera shows stays in them
+    /// Size of the images; the camera's whole field of view stays visible
     #[arg(long, value_name = "WxH", value_parser = values::size)]
     size: Option<(u32, u32)>,
     /// Focal length in pixels of the rendered size, instead of the camera's
@@ -70,7 +70,7 @@ impl ShotArgs {
     }
 }
 
-/// What to render, in order. Only the cameras of a file are kept: there may be many shots.
+/// The views to render, in order. Only the cameras of a file are stored, because there may be many views.
 pub struct Shots<'a> {
     cameras: Cameras<'a>,
     times: Option<Times>,
@@ -93,7 +93,7 @@ impl Cameras<'_> {
 }
 
 impl<'a> Shots<'a> {
-    /// Those that the options ask for.
+    /// The views that the options select.
     pub fn of(args: &ShotArgs, scene: &'a Scene) -> Result<Shots<'a>> {
         let frames = |flight: Flight| match (args.frames, &args.times) {
             (Some(frames), _) => frames,
@@ -129,22 +129,22 @@ impl<'a> Shots<'a> {
         }
     }
 
-    /// How many there are.
+    /// Number of views.
     pub fn len(&self) -> usize {
         let cameras = self.cameras.len();
         match self.times.as_ref().map(Times::len) {
-            // As many times as cameras: one of each.
+            // With as many times as cameras, one time per camera.
             Some(times) if times != cameras || self.stands() => cameras.saturating_mul(times),
             _ => cameras,
         }
     }
 
-    /// Whether all of a path is seen at one time.
+    /// Whether a whole path is rendered at one time.
     fn stands(&self) -> bool {
         matches!(&self.cameras, Cameras::Orbit(orbit) if orbit.stands())
     }
 
-    /// One of them; see the command's help.
+    /// A view; see the command's help.
     pub fn at(&self, index: usize) -> TimedCamera {
         let camera = index % self.cameras.len();
         let mut shot = match &self.cameras {
@@ -171,7 +171,7 @@ impl<'a> Shots<'a> {
         shot
     }
 
-    /// The intrinsics of the largest picture.
+    /// The intrinsics of the largest image.
     pub fn largest(&self) -> Option<Intrinsics> {
         let sizes = (0..self.cameras.len()).map(|i| self.at(i).camera.intrinsics);
         sizes.max_by_key(|k| u64::from(k.width) * u64::from(k.height))

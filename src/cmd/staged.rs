@@ -1,5 +1,5 @@
-//! A dataset with cameras and a split, its own or by cameras, laid out as a clip without poses and the truth that
-//! `eval` holds the result against: how scenes whose poses are unknown are measured from test cameras that were
+//! Lays out a dataset with cameras and a split (its own, or by cameras) as a clip without poses and the
+//! ground truth for `eval`. With it, scenes are evaluated with unknown poses, from test cameras that were
 //! calibrated together with the input's.
 
 use std::collections::BTreeSet;
@@ -14,49 +14,49 @@ use splat4d::{Error, Result, io};
 
 use super::interrupt;
 
-/// The file that tells what a clip was laid out of.
+/// The file that records the source of a clip.
 const MARKER: &str = "source.json";
-/// Pictures that are in memory at a time. A video is decoded from its beginning for each such group.
+/// Number of images in memory at a time. A video is decoded from its beginning for each such group.
 const AT_A_TIME: usize = 32;
 
-/// What is laid out.
+/// The dataset to lay out.
 pub struct Source {
     pub dataset: PathBuf,
-    /// Longer side of test pictures and of training pictures that lie in a video, where they are shrunk.
+    /// Maximum length of the longer side of test images, and of training images from a video.
     pub size: Option<u32>,
-    /// Who is trained on and tested with; `None`: the set has a split of its own.
+    /// Training and test cameras; `None` if the dataset has its own split.
     pub cameras: Option<Cameras>,
 }
 
-/// Cameras of a set in which several stand still, by their names.
+/// Names of the cameras of a dataset with several static ones.
 #[derive(Clone)]
 pub struct Cameras {
     pub train: String,
     pub test: BTreeSet<String>,
 }
 
-/// Where the parts of a staged dataset lie.
+/// Locations of the parts of a staged dataset.
 pub struct Staged {
     clip: PathBuf,
-    /// The training pictures, in the order of time.
+    /// The training images, in the order of time.
     pub frames: PathBuf,
-    /// Their cameras, the test pictures with theirs, and what the training pictures saw of these.
+    /// Their cameras, the test images with theirs, and the covisibility masks of the test images.
     pub truth: PathBuf,
 }
 
 impl Staged {
-    /// In a folder, which need not exist yet.
+    /// Locations in a folder, which need not exist yet.
     pub fn within(folder: &Path) -> Staged {
         let clip = folder.join("clip");
         Staged { frames: clip.join("frames"), truth: clip.join("truth"), clip }
     }
 
-    /// Lays a dataset out, unless it lies there already; gives whether it did. Training pictures that are files
-    /// stay as they are, with their lens's distortion; test pictures are undistorted.
+    /// Lays out a dataset, unless this has been done already; returns whether it was done. Training images
+    /// that are files are kept unchanged, including lens distortion; test images are undistorted.
     ///
     /// # Errors
-    /// The dataset cannot be read, has no split, has training pictures of one time; the folder cannot be written,
-    /// or holds something else.
+    /// The dataset cannot be read, has no split, or has training images with equal times; the folder cannot
+    /// be written, or has other contents.
     pub fn lay_out(&self, source: &Source) -> Result<bool> {
         let marker = self.clip.join(MARKER);
         let told = source.json();
@@ -64,7 +64,8 @@ impl Staged {
             if io::read_json(&marker)? == told {
                 return Ok(false);
             }
-            // The marker says that it is of this command, of another set or other options.
+            // The marker shows that the folder was written by this command, for another dataset or other
+            // options.
             fs::remove_dir_all(&self.clip).map_err(Error::io(&self.clip))?;
         }
         io::write_folder(&self.clip, &["frames", "truth", MARKER], |clip| {
@@ -95,7 +96,7 @@ impl Source {
         tests.write(&held_out)
     }
 
-    /// What is trained on, in the order of time, and what is tested with.
+    /// Training frames in the order of time, and test frames.
     fn split(&self, set: &Dataset) -> Result<(Vec<usize>, Vec<usize>)> {
         let (mut train, test) = match &self.cameras {
             None => set.split(0),
@@ -149,7 +150,7 @@ impl Source {
     fn test(&self, set: &Dataset, test: &[usize], folder: &Path) -> Result<Listing> {
         let mut listing = Listing::default();
         self.each(set, test, |place, index, view| {
-            // One folder for each camera: what `eval` counts together.
+            // One folder per camera, which `eval` averages over.
             let of = if self.cameras.is_some() { camera(&view.name) } else { "test" };
             let file = format!("{of}/{place:04}.png");
             let path = folder.join(&file);
@@ -166,7 +167,8 @@ impl Source {
         Ok(listing)
     }
 
-    /// Hands over some frames of the set one by one, decoded: the place among the indices, the index, the view.
+    /// Passes some frames of the dataset one by one, decoded: the position among the indices, the index,
+    /// the view.
     fn each(
         &self,
         set: &Dataset,
@@ -188,7 +190,7 @@ impl Source {
     }
 }
 
-/// Cameras and the files of their pictures.
+/// Cameras with the files of their images.
 #[derive(Default)]
 struct Listing {
     cameras: Vec<TimedCamera>,
@@ -207,12 +209,12 @@ impl Listing {
     }
 }
 
-/// The camera that a frame is of: `cam05` of `cam05/0003`.
+/// The camera of a frame: `cam05` for `cam05/0003`.
 fn camera(frame: &str) -> &str {
     frame.split_once('/').map_or(frame, |(camera, _)| camera)
 }
 
-/// The same file under another name, without a copy where the file system allows it.
+/// Links a file under another name, without a copy where the file system supports it.
 fn link(from: &Path, to: &Path) -> Result<()> {
     fs::hard_link(from, to).or_else(|_| fs::copy(from, to).map(drop)).map_err(Error::io(to))
 }

@@ -1,4 +1,4 @@
-//! What the user already has of a clip: poses, masks, depth, flow, brought to the frames taken.
+//! User-supplied data of a clip (poses, masks, depth, flow), assigned to the selected frames.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -15,20 +15,20 @@ use splat4d::{Error, Result};
 
 use super::common::say;
 
-/// Things that are supplied for a clip's frames: a list in the order of the frames, with the names
-/// that say which frame each belongs to, where they have names.
+/// Items that are supplied for a clip's frames: a list in the order of the frames, with names that identify
+/// the frames, if there are any.
 struct Listed<'a> {
     path: &'a Path,
-    /// What they are, for messages.
+    /// Kind of the items, for messages.
     what: &'static str,
     count: usize,
     names: Vec<String>,
 }
 
 impl Listed<'_> {
-    /// For each frame taken, the place of what belongs to it: by name, if every frame finds its own;
-    /// else by number, if there is one for each frame of the whole clip; else one by one, if there
-    /// is one for each frame taken and none of those was left out.
+    /// Index of the item for each selected frame: by name, if every frame has a match; else by number, if
+    /// there is one for each frame of the whole clip; else in order, if there is one for each selected
+    /// frame and none of those was skipped.
     fn pair(&self, clip: &Clip) -> Result<Vec<usize>> {
         let (count, taken) = (self.count, clip.frames.len());
         let by_name: HashMap<&str, usize> =
@@ -78,7 +78,7 @@ impl Listed<'_> {
     }
 }
 
-/// Which shot of a clip with cuts the frames are of, in words.
+/// The shot of a clip with cuts that the frames belong to, in words.
 fn of_shot(clip: &Clip) -> String {
     clip.shot.map_or(String::new(), |number| {
         let shot = clip.shots[number];
@@ -86,17 +86,17 @@ fn of_shot(clip: &Clip) -> String {
     })
 }
 
-/// What a file or a folder of cameras holds for the frames taken.
+/// The cameras of a file or folder for the selected frames.
 pub struct Cameras {
     /// `view_from_world` of each frame.
     pub poses: Vec<Pose>,
-    /// Those of all frames, at their size, where the file tells them.
+    /// Common intrinsics of all frames at their size, if the file has them.
     pub intrinsics: Option<Intrinsics>,
-    /// Lines to show.
+    /// Notes for the user.
     pub notes: Vec<String>,
 }
 
-/// Cameras as they are listed, each with its inner geometry where that is told.
+/// Cameras as listed, each with its intrinsics if present.
 #[derive(Default)]
 struct Found {
     poses: Vec<Pose>,
@@ -106,8 +106,9 @@ struct Found {
     notes: Vec<String>,
 }
 
-/// Cameras of a trajectory (TUM, KITTI, EuRoC), a `transforms.json`, or a folder: a COLMAP model,
-/// Sintel's `.cam` files, what MonST3R wrote, one with a `transforms.json`, or a dataset that names its pictures.
+/// Reads cameras from a trajectory (TUM, KITTI, EuRoC), a `transforms.json`, or a folder: a COLMAP model,
+/// Sintel's `.cam` files, MonST3R's output, a folder with a `transforms.json`, or a dataset with named
+/// images.
 pub fn cameras(path: &Path, clip: &Clip) -> Result<Cameras> {
     let Found { poses, names, intrinsics, distorted, mut notes } = find(path, clip)?;
     let listed = Listed { path, what: "poses", count: poses.len(), names };
@@ -193,7 +194,7 @@ fn find(path: &Path, clip: &Clip) -> Result<Found> {
     ))
 }
 
-/// A dataset's cameras of the clip's frames, whose names its pictures have.
+/// A dataset's cameras of the clip's frames, matched by image names.
 fn of_dataset(path: &Path, clip: &Clip) -> Result<Found> {
     let set = Dataset::open(path)?;
     let names: HashSet<&str> = clip.frames.iter().map(|frame| frame.name.as_str()).collect();
@@ -239,7 +240,7 @@ fn of_colmap(folder: &Path) -> Result<Found> {
     Ok(found)
 }
 
-/// Whether two cameras are one but for what estimating each on its own leaves.
+/// Whether two cameras are the same up to the variation of separate estimates.
 fn same(a: &Intrinsics, b: &Intrinsics) -> bool {
     let near = |a: f64, b: f64, of: f64| (a - b).abs() <= 1e-3 * of;
     let (w, h) = (f64::from(b.width), f64::from(b.height));
@@ -250,7 +251,7 @@ fn same(a: &Intrinsics, b: &Intrinsics) -> bool {
         && near(a.cy, b.cy, h)
 }
 
-/// Whether intrinsics are of an image of the frames' proportions; a resized one's sides are whole pixels.
+/// Whether intrinsics are for an image of the frames' proportions, up to rounding of the sides.
 fn fits(given: &Intrinsics, clip: &Clip) -> bool {
     let aspect = |width: u32, height: u32| f64::from(width) / f64::from(height);
     let ratio = aspect(given.width, given.height) / aspect(clip.width, clip.height);
@@ -258,7 +259,7 @@ fn fits(given: &Intrinsics, clip: &Clip) -> bool {
     (ratio - 1.0).abs() <= 2.0 / f64::from(least)
 }
 
-/// A file's name without its extension. `a.b` alone has none that a picture could have.
+/// A file's name without its image extension; other extensions, as in `a.b`, are kept.
 fn stem(file: &Path) -> String {
     let name = if images::has_image_extension(file) { file.file_stem() } else { file.file_name() };
     name.unwrap_or_default().to_string_lossy().into_owned()
@@ -269,7 +270,7 @@ fn stem_of(file: &Path) -> String {
     file.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Intrinsics of a file, at the size of the frames.
+/// Reads intrinsics from a file and scales them to the size of the frames.
 pub fn intrinsics(path: &Path, clip: &Clip) -> Result<Intrinsics> {
     let given = intrinsics::read(path)?;
     let bent = intrinsics::distorted_by(path)?;
@@ -293,8 +294,8 @@ pub fn intrinsics(path: &Path, clip: &Clip) -> Result<Intrinsics> {
     Ok(given.resized(clip.width, clip.height))
 }
 
-/// Motion masks of a folder of images or of MonST3R's folder, one for each frame taken, at the size of
-/// the frames.
+/// Reads motion masks from a folder of images or MonST3R's folder, one for each selected frame, at the size
+/// of the frames.
 pub fn masks(folder: &Path, clip: &Clip) -> Result<Vec<Image>> {
     let files = match monst3r::is_output(folder) {
         true => monst3r::masks(folder)?,
@@ -303,7 +304,8 @@ pub fn masks(folder: &Path, clip: &Clip) -> Result<Vec<Image>> {
     of_folder(folder, files, clip, "masks", |file| read_mask(file))
 }
 
-/// Depth maps of a folder, one for each frame taken, at the size of the frames; `read` reads a file.
+/// Reads depth maps from a folder, one for each selected frame, at the size of the frames; `read` reads one
+/// file.
 pub fn depth(
     folder: &Path,
     clip: &Clip,
@@ -316,7 +318,7 @@ pub fn depth(
     of_folder(folder, files, clip, "depth maps", read)
 }
 
-/// Points followed through the clip, one place for each frame taken, at the size of the frames.
+/// Reads point tracks with one position for each selected frame, at the size of the frames.
 pub fn tracks(path: &Path, clip: &Clip) -> Result<Tracks> {
     let found = tracks::read(path)?;
     let listed =
@@ -334,7 +336,7 @@ pub fn tracks(path: &Path, clip: &Clip) -> Result<Tracks> {
     Ok(taken)
 }
 
-/// Reads, of a folder's files, those of the frames taken.
+/// Reads the files of a folder that belong to the selected frames.
 fn of_folder(
     folder: &Path,
     files: Vec<PathBuf>,
@@ -348,8 +350,8 @@ fn of_folder(
     listed.pair(clip)?.into_iter().map(read).collect()
 }
 
-/// Optical flow of a folder, as `synth` lays it out or as [`SuppliedFlow::open`] reads it, through
-/// the frames taken.
+/// Reads optical flow through the selected frames from a folder, in the layout of `synth` or of
+/// [`SuppliedFlow::open`].
 pub fn flow(folder: &Path, clip: &Clip) -> Result<SuppliedFlow> {
     let taken = clip.frames.len();
     if clip.skipped > 0 {
@@ -399,7 +401,7 @@ pub fn flow(folder: &Path, clip: &Clip) -> Result<SuppliedFlow> {
     ))
 }
 
-/// The files with the first of these extensions that there are files of.
+/// The files with the first of these extensions that occurs.
 fn first_of(folder: &Path, extensions: &[&str]) -> Result<Vec<PathBuf>> {
     for extension in extensions {
         let found = files(folder, extension)?;
@@ -423,7 +425,7 @@ fn files(folder: &Path, extension: &str) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// Another size without mixing values: depths on both sides of an edge have no meaningful mean.
+/// Resizes by nearest neighbour: depths on both sides of an edge have no meaningful mean.
 fn nearest(image: &Image, width: u32, height: u32) -> Image {
     if (image.width, image.height) == (width, height) {
         return image.clone();
@@ -447,7 +449,7 @@ mod tests {
     use glam::{DQuat, DVec3};
     use splat4d::data::{ClipFrame, Shot};
 
-    /// A clip of so many frames, those of these numbers taken.
+    /// A clip with the given total, of which the frames with these numbers are selected.
     fn clip(total: Option<usize>, numbers: &[usize], skipped: usize) -> Clip {
         let frame = |&number: &usize| ClipFrame {
             name: format!("f{number}"),
@@ -487,7 +489,7 @@ mod tests {
             let both = [format!("holds {count} poses"), "4 frames of the clip's 10".into()];
             assert!(both.iter().all(|part| message.contains(part)), "{message}");
         }
-        // After a gap, only the whole clip's numbers are certain, or names.
+        // After a gap, only numbers of the whole clip or names are reliable.
         let gap = clip(Some(5), &[0, 1, 3, 4], 1);
         assert_eq!(pair(5, &[], &gap).unwrap(), [0, 1, 3, 4]);
         let message = pair(4, &[], &gap).unwrap_err().to_string();
@@ -496,9 +498,9 @@ mod tests {
         assert_eq!(pair(5, &["f4", "f3", "f2", "f1", "f0"], &gap).unwrap(), [4, 3, 1, 0]);
         assert_eq!(pair(5, &["a", "b", "c", "d", "e"], &gap).unwrap(), [0, 1, 3, 4]);
         assert!(pair(4, &["f0", "f0", "f3", "f4"], &gap).is_err());
-        // More than the clip has, whatever they are called.
+        // More items than the clip has frames, whatever their names.
         assert!(pair(6, &["f0", "f1", "f2", "f3", "f4", "f5"], &gap).is_err());
-        // Of a shot: by the whole clip's numbers, or one by one.
+        // For a shot: by the whole clip's numbers, or in order.
         let mut shot = clip(Some(9), &[5, 6, 7, 8], 0);
         (shot.shots, shot.shot) =
             (vec![Shot { first: 0, last: 4 }, Shot { first: 5, last: 8 }], Some(1));
@@ -559,15 +561,14 @@ mod tests {
         assert_eq!(nearest(&image, 1, 1).pixels.len(), 1);
     }
 
-    /// A clip of four frames of 64×48, half as large as they were.
+    /// A clip of four frames of 64×48, half of their original size.
     fn four() -> Clip {
         let mut four = clip(Some(4), &[0, 1, 2, 3], 0);
         (four.width, four.height, four.original) = (64, 48, (128, 96));
         four
     }
 
-    /// The camera of a frame, as it is written into each kind of file: at (n, 2, 0), turned by half a
-    /// turn about x.
+    /// The camera of a frame, as written to each kind of file: at (n, 2, 0), rotated by half a turn about x.
     fn camera(n: usize) -> Pose {
         let turn = DQuat::from_xyzw(1.0, 0.0, 0.0, 0.0);
         Pose::new(turn, DVec3::new(n as f64, 2.0, 0.0)).inverse()
@@ -622,7 +623,7 @@ mod tests {
         let said = cameras(&at("colmap"), &four()).err().unwrap().to_string();
         assert!(said.contains("3 poses") && said.contains("none is named f2"), "{said}");
 
-        // MonST3R, at half of the frames' first size.
+        // MonST3R, at half of the frames' original size.
         std::fs::create_dir(at("monst3r")).unwrap();
         write("monst3r/pred_traj.txt", each(&|n| format!("{n}.0 {n} 2 0 0 1 0 0\n")));
         found(&at("monst3r"), None);

@@ -40,20 +40,20 @@ JSON: name, frames, width, height, seed, coded, output";
 #[derive(Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct SynthArgs {
-    /// Which clip
+    /// Name of the clip
     #[arg(value_parser = PossibleValuesParser::new(synth::NAMES))]
     name: String,
-    /// The folder to make; it must not hold anything yet
+    /// The output folder, which must be new or empty
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Number of frames
     #[arg(long, value_name = "N", default_value_t = SynthOptions::default().frames,
           value_parser = values::whole::<usize>(2..=10_000))]
     frames: usize,
-    /// Size of the pictures
+    /// Size of the images
     #[arg(long, value_name = "WxH", default_value = "320x180", value_parser = values::size)]
     size: (u32, u32),
-    /// Write into the frames' colours what a network would have to know (16-bit PNG): for tests of networks
+    /// Encode ground truth in the frames' colours (16-bit PNG), for tests of networks
     #[arg(long)]
     coded: bool,
 }

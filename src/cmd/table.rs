@@ -40,38 +40,38 @@ JSON: version, title, caption [], machine {device, driver, kind, software, subgr
 [{method, of, figures, source}], mean {KEY: value or null}, failed (scenes); output.
 Exit code 1 if a scene failed; the table is written all the same.";
 
-/// Run a published protocol on a data set and write its table
+/// Run a published protocol on a dataset and write its table
 #[derive(Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct TableArgs {
     /// The protocol
     #[arg(value_enum)]
     protocol: Protocol,
-    /// The data set
+    /// The dataset
     #[arg(value_name = "DIR")]
     folder: PathBuf,
-    /// Where all of it goes
+    /// The output folder
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// Only these scenes
     #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
     scenes: Vec<String>,
-    /// Shrink pictures so that their longer side has at most so many pixels
+    /// Downscale images so that their longer side has at most this many pixels
     #[arg(long, value_name = "LONGEST",
           value_parser = values::whole::<u32>(1..=values::MOST_PIXELS))]
     size: Option<u32>,
-    /// dynerf-mono: the camera whose video is trained on [default: cam00]
+    /// dynerf-mono: the camera whose video is the training input [default: cam00]
     #[arg(long, value_name = "NAME")]
     train_camera: Option<String>,
-    /// dynerf-mono: the cameras whose videos are tested with [default: cam05,cam06]
+    /// dynerf-mono: the cameras whose videos are the test [default: cam05,cam06]
     #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
     test_cameras: Vec<String>,
-    /// Measure a second time from test poses that are fitted to the test pictures
+    /// Also evaluate from test poses that are fitted to the test images
     #[arg(long)]
     fit_poses: bool,
     #[command(flatten)]
     lpips: LpipsArgs,
-    /// Further options of the command that makes the scene: reconstruct, train or track
+    /// Further options of the command that reconstructs the scene: reconstruct, train or track
     #[arg(last = true, value_name = "OPTIONS")]
     making: Vec<OsString>,
 }
@@ -94,7 +94,7 @@ pub fn run(args: &TableArgs, common: &Common) -> Result<(Answer, ExitCode)> {
         }
         check(work)?;
     }
-    // A model that is none is told before the first scene.
+    // An invalid model is reported before the first scene.
     let net = args.lpips.open()?.map(|network| network.contract().net.clone());
     Outputs::default().folder(&args.output, &ResultTable::REPORT_FILES)?;
     let device = common.open_device()?;
@@ -127,7 +127,7 @@ pub fn run(args: &TableArgs, common: &Common) -> Result<(Answer, ExitCode)> {
             }
         };
         table.rows.push(row);
-        // What is known so far, should the rest take days.
+        // Written after every scene, because the rest may take days.
         table.write_report(&args.output)?;
     }
     let mut json = table.json();
@@ -136,7 +136,7 @@ pub fn run(args: &TableArgs, common: &Common) -> Result<(Answer, ExitCode)> {
 }
 
 impl TableArgs {
-    /// Who is trained on and tested with where the protocol leaves that open.
+    /// Training and test cameras where the protocol leaves them open.
     fn cameras(&self) -> Result<Cameras> {
         let TableArgs { protocol, train_camera, test_cameras, .. } = self;
         if *protocol != Protocol::DynerfMono && (train_camera.is_some() || !test_cameras.is_empty())
@@ -159,10 +159,10 @@ impl TableArgs {
     }
 }
 
-/// That nothing is written among what is read.
+/// Checks that outputs and inputs are in separate folders.
 fn check_apart(folder: &Path, output: &Path) -> Result<()> {
     let set = std::fs::canonicalize(folder).map_err(Error::io(folder))?;
-    // What is to be made may not exist yet; its nearest ancestor that does tells where it lies.
+    // The output may not exist yet; its nearest existing ancestor determines its location.
     let there = output.ancestors().find_map(|path| match path.as_os_str().is_empty() {
         true => std::fs::canonicalize(".").ok(),
         false => std::fs::canonicalize(path).ok(),
@@ -176,7 +176,7 @@ fn check_apart(folder: &Path, output: &Path) -> Result<()> {
     }
 }
 
-/// Keeps the scenes of some names; of none: all.
+/// Keeps the scenes with these names; without names, all.
 fn choose(works: &mut Vec<Work>, names: &[String]) -> Result<()> {
     let all: Vec<&str> = works.iter().map(|work| work.scene.as_str()).collect();
     if let Some(absent) = names.iter().find(|name| !all.contains(&name.as_str())) {
@@ -188,7 +188,7 @@ fn choose(works: &mut Vec<Work>, names: &[String]) -> Result<()> {
     Ok(())
 }
 
-/// That every step's words are a command of this program: what is wrong is told before the first one runs.
+/// Checks that every step is a valid command of this program before the first one runs.
 fn check(work: &Work) -> Result<()> {
     for step in &work.steps {
         parsed(&step.arguments).map_err(|what| {
@@ -198,8 +198,8 @@ fn check(work: &Work) -> Result<()> {
     Ok(())
 }
 
-/// The answers of a scene's steps, by name: those that are kept, as long as the words are the same and nothing
-/// before was done anew, else by running them.
+/// The answers of a scene's steps, by name: a stored one is used if its command is unchanged and no earlier
+/// step was run again, else the step is run.
 fn answers(work: &Work) -> Result<BTreeMap<&'static str, Value>> {
     std::fs::create_dir_all(&work.folder).map_err(Error::io(&work.folder))?;
     let mut found = BTreeMap::new();
@@ -231,7 +231,7 @@ fn answers(work: &Work) -> Result<BTreeMap<&'static str, Value>> {
     Ok(found)
 }
 
-/// The answer in a file, where it is that of the same words.
+/// The stored answer in a file, if it is for the same command.
 fn kept(file: &Path, words: &[String]) -> Result<Option<Value>> {
     if !file.exists() {
         return Ok(None);

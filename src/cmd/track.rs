@@ -1,4 +1,4 @@
-//! `splat4d track`: cameras, motion masks, depth and point tracks of a clip, for other programs.
+//! `splat4d track`: estimates cameras, motion masks, depth and point tracks of a clip, for other programs.
 
 use std::fs;
 use std::io::Write;
@@ -71,7 +71,7 @@ rms (of those, pixels), rotation_std_deg, position_std (unit of the poses; both 
 of a fixed camera, of given poses and where nothing tells)}], dynamic_share (of the pixels),
 movers (objects), points, landmarks (points triangulated), tracks, notes, device, seconds {load, flow, cameras, masks, depth, page}, output";
 
-/// What the command writes into its folder.
+/// Contents of the output folder.
 const CONTENTS: [&str; 11] = [
     "images",
     "masks",
@@ -85,24 +85,24 @@ const CONTENTS: [&str; 11] = [
     "report.html",
     "report.json",
 ];
-/// Points of the grid along a frame's longer side.
+/// Number of grid points along a frame's longer side.
 const GRID: f64 = 48.0;
 
-/// Find cameras, masks, depth and point tracks of a video
+/// Estimate cameras, masks, depth and point tracks of a video
 #[derive(Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct TrackArgs {
     /// A video file, or a folder of its frames
     #[arg(value_name = "VIDEO|DIR")]
     clip: PathBuf,
-    /// The folder to make; it must not hold anything yet
+    /// The output folder, which must be new or empty
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     #[command(flatten)]
     frames: ClipArgs,
     #[command(flatten)]
     known: KnownArgs,
-    /// Follow the points of this .npz: its query_points, or where its tracks first appear
+    /// Track the points of this .npz: its query_points, or the first positions of its tracks
     #[arg(long, value_name = "FILE")]
     queries: Option<PathBuf>,
 }
@@ -205,7 +205,7 @@ pub fn run(args: &TrackArgs, common: &Common) -> Result<Answer> {
     Ok(Answer { text: text(&json, &clock), json })
 }
 
-/// The points that a file asks for, at the size of the frames.
+/// The query points of a file, at the size of the frames.
 fn queries(file: &Path, clip: &splat4d::data::Clip) -> Result<Vec<(usize, DVec2)>> {
     let asked = super::supplied::tracks(file, clip)?;
     let size = DVec2::new(clip.width.into(), clip.height.into());
@@ -220,13 +220,13 @@ fn queries(file: &Path, clip: &splat4d::data::Clip) -> Result<Vec<(usize, DVec2)
     }
 }
 
-/// Points of the clip's frames, in undistorted ones.
+/// Maps points of the clip's frames to the undistorted frames.
 fn undistorted(mut asked: Vec<(usize, DVec2)>, track: &Track) -> Vec<(usize, DVec2)> {
     if let Some(lens) = &track.lens {
         let k = &track.intrinsics;
         let size = DVec2::new(k.width.into(), k.height.into());
         for (_, pixel) in &mut asked {
-            // What lies beyond the undistorted frame's edge is followed from there.
+            // A point outside of the undistorted frame is tracked from its border.
             *pixel =
                 lens.undistort_pixel(k, *pixel).unwrap_or(*pixel).clamp(DVec2::ZERO, size - 1e-3);
         }
@@ -249,7 +249,7 @@ fn grid(frames: usize, (width, height): (u32, u32)) -> Vec<(usize, DVec2)> {
     chosen.into_iter().flat_map(frame).collect()
 }
 
-/// Writes all but the report.
+/// Writes all outputs except the report.
 fn write(
     folder: &Path,
     frames: &[Image],
@@ -296,7 +296,7 @@ fn write(
     tracks::write(folder.join("tracks.npz"), followed)
 }
 
-/// A pose in another unit, of which one of the world's has so many.
+/// A pose in another unit, with `unit` of them per world unit.
 fn scaled(view_from_world: &Pose, unit: f64) -> Pose {
     Pose { translation: unit * view_from_world.translation, ..*view_from_world }
 }

@@ -1,4 +1,4 @@
-//! What `track` found as a COLMAP model.
+//! The result of `track` as a COLMAP model.
 
 use std::path::Path;
 
@@ -9,12 +9,12 @@ use splat4d::data::{Distortion, Lens};
 use splat4d::track::{Landmark, StaticPoint, Track};
 use splat4d::types::{Image, Pose};
 
-/// Programs that begin with the points of a model need some: with fewer landmarks than this, static points
-/// that no image is said to have seen stand beside them.
+/// Programs that initialise from the points of a model need a sufficient number: with fewer landmarks than
+/// this, static points without observations are added.
 const FEW: usize = 200;
 
-/// Writes the model; image `i` is called `names[i]`. Positions are in the unit of the poses that were
-/// supplied, else in the world's.
+/// Writes the model; image `i` is named `names[i]`. Positions are in the unit of the supplied poses, else
+/// in world units.
 pub fn write(
     folder: &Path,
     names: &[String],
@@ -49,7 +49,7 @@ pub fn write(
     write_model(folder, &[(1, lens)], &images, &points)
 }
 
-/// The mean of what the frames show of a point.
+/// Mean colour of a point over the frames that see it.
 fn colour(landmark: &Landmark, frames: &[Image]) -> [f32; 3] {
     let mut mean = [0.0; 3];
     for (frame, pixel) in &landmark.observations {

@@ -1,5 +1,5 @@
-//! What `track` found as one page that needs nothing but itself: where the camera went, what moves, what
-//! the motion leaves unexplained, and how well each frame is known.
+//! The result of `track` as one self-contained page: the camera path, the movers, the residual flow, and
+//! the uncertainty of each frame.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -18,30 +18,30 @@ use super::page;
 use super::pictures::heat_key;
 use super::track_pictures::{self, Pictures};
 
-/// What the page is made of.
+/// Contents of the page.
 pub struct Page<'a> {
-    /// What the clip is called.
+    /// Name of the clip.
     pub clip: &'a str,
-    /// By frame.
+    /// Name of each frame.
     pub names: &'a [String],
     pub frames: &'a [Image],
     pub track: &'a Track,
-    /// World to camera, in the unit of what is written.
+    /// World to camera, in the unit of the output.
     pub poses: &'a [Pose],
-    /// Were poses supplied? Else their unit is the median depth.
+    /// Whether poses were supplied; else their unit is the median depth.
     pub supplied: bool,
     pub landmarks: usize,
-    /// Flow from the frames that are shown, as kept on the way.
+    /// Flow from the displayed frames, kept during tracking.
     pub flow: &'a BTreeMap<usize, (Image, Option<Image>)>,
     pub origins: &'a [Origin],
     pub notes: &'a [String],
 }
 
 impl Page<'_> {
-    /// The page.
+    /// The HTML page.
     ///
     /// # Errors
-    /// A picture cannot be encoded.
+    /// An image cannot be encoded.
     pub fn html(&self) -> Result<String> {
         let (pictures, brightest) = track_pictures::draw(self.frames, self.track, self.flow)?;
         let mut body = String::new();
@@ -57,7 +57,7 @@ impl Page<'_> {
         Ok(page::document(&format!("splat4d track: {}", self.clip), "", &body))
     }
 
-    /// What lengths are measured in.
+    /// Unit of lengths.
     fn unit(&self) -> &'static str {
         if self.supplied { "unit of the given poses" } else { "median depths" }
     }
@@ -155,8 +155,8 @@ impl Page<'_> {
         });
     }
 
-    /// By frame from the second on: how far the camera went since the one before, and by how many degrees
-    /// it turned.
+    /// Per frame from the second on: the camera's translation since the previous frame, and its rotation in
+    /// degrees.
     fn steps(&self) -> Vec<(f64, f64)> {
         let step = |pair: &[Pose]| {
             let [before, here] = [pair[0], pair[1]].map(|pose| pose.inverse().translation);
@@ -235,12 +235,12 @@ fn small(value: Option<f64>) -> String {
     value.map_or("–".to_owned(), |value| format!("{value:.5}"))
 }
 
-/// Share of a frame's observations that agree.
+/// Share of a frame's observations that are inliers.
 fn share(frame: &FrameQuality) -> Option<f64> {
     (frame.observations > 0).then(|| frame.inliers as f64 / frame.observations as f64)
 }
 
-/// Share of a frame's pixels that move.
+/// Share of a frame's pixels on movers.
 fn moving(mask: &Image) -> f64 {
     let moving = mask.pixels.iter().filter(|p| **p > 0.5).count();
     moving as f64 / mask.pixels.len().max(1) as f64

@@ -1,4 +1,4 @@
-//! Pictures for the page of `track`: frames with the outlines of what moves, and residual flow.
+//! Images for the page of `track`: frames with the outlines of movers, and residual flow.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -13,11 +13,11 @@ use splat4d::types::Image;
 
 use super::pictures::{address, brightest, heat, shrunk};
 
-/// At most so many frames are shown.
+/// Maximum number of frames shown.
 const MOST: usize = 12;
-/// A picture on the page is at most so wide.
+/// Maximum width of an image on the page, pixels.
 const WIDEST: u32 = 400;
-/// Flow that is believed less is not shown.
+/// Minimum confidence of displayed flow.
 const BELIEVED: f32 = 0.3;
 
 /// Frames to show, evenly spread over a clip.
@@ -28,18 +28,18 @@ pub fn shown(frames: usize) -> Vec<usize> {
     all
 }
 
-/// A source of flow that keeps what leads from the frames that are shown to the next, from the last frame
-/// to the one before.
+/// A flow source that keeps the flow from the displayed frames to the next one, and from the last frame to
+/// the previous one.
 pub struct Watched<'a> {
     source: Box<dyn FlowSource + 'a>,
     shown: Vec<usize>,
     last: usize,
-    /// By frame: where its pixels go, two channels, and how far that is believed.
+    /// Per frame: flow (two channels) and its confidence.
     pub kept: BTreeMap<usize, (Image, Option<Image>)>,
 }
 
 impl<'a> Watched<'a> {
-    /// Of a clip of so many frames.
+    /// Wraps the flow source of a clip with a number of frames.
     pub fn new(source: Box<dyn FlowSource + 'a>, frames: usize) -> Watched<'a> {
         let last = frames.saturating_sub(1);
         Watched { source, shown: shown(frames), last, kept: BTreeMap::new() }
@@ -69,15 +69,14 @@ impl FlowSource for Watched<'_> {
     }
 }
 
-/// A frame as the page shows it: with outlines, and its residual flow, each as the address of a JPEG.
+/// A frame on the page: with outlines, and its residual flow, each as the URL of a JPEG.
 pub struct Pictures {
     pub frame: usize,
     pub outlined: String,
     pub residual: String,
 }
 
-/// The pictures of all frames that are shown, and the residual, in pixels, that the brightest colour
-/// stands for.
+/// The images of all displayed frames, and the residual in pixels of the brightest colour.
 pub fn draw(
     frames: &[Image],
     track: &Track,
@@ -98,8 +97,8 @@ pub fn draw(
     Ok((pictures.collect::<Result<Vec<Pictures>>>()?, most))
 }
 
-/// By pixel, how far flow is from that of a world that stands still, by depth and cameras; not a number where
-/// either is not known.
+/// Per pixel, difference between the flow and that of a static world, from depth and cameras; NaN where
+/// either is unknown.
 fn residual(track: &Track, frame: usize, filmed: &(Image, Option<Image>)) -> Image {
     let (flow, believed) = match &track.lens {
         None => (Cow::Borrowed(&filmed.0), Cow::Borrowed(&filmed.1)),
@@ -129,7 +128,7 @@ fn residual(track: &Track, frame: usize, filmed: &(Image, Option<Image>)) -> Ima
     out
 }
 
-/// What moves gets a light edge inside and a dark one outside: one of them shows on any picture.
+/// Draws movers with a light edge inside and a dark one outside, so that one of them is visible on any image.
 fn outlined(image: &Image, mask: &Image) -> Image {
     let moves = |x: i64, y: i64| {
         let inside = x >= 0 && y >= 0 && x < i64::from(mask.width) && y < i64::from(mask.height);

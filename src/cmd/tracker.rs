@@ -1,4 +1,4 @@
-//! Looks on while a clip is tracked: progress, time by stage, checkpoints, Ctrl-C.
+//! Tracking observer: progress, time by stage, checkpoints, Ctrl-C.
 
 use splat4d::Result;
 use splat4d::track::{Observer, Stage};
@@ -9,7 +9,7 @@ use super::interrupt;
 use super::live::Live;
 use super::meter::Meter;
 
-/// The observer of `reconstruct` until cameras, masks and depth are there, and of `track`.
+/// The observer of `reconstruct` during tracking, and of `track`.
 pub struct Tracker<'a> {
     clock: &'a mut Clock,
     checkpoints: Option<&'a mut Checkpoints>,
@@ -18,12 +18,12 @@ pub struct Tracker<'a> {
 }
 
 impl<'a> Tracker<'a> {
-    /// Begins to look; parts are put away where there are checkpoints.
+    /// Starts observing; parts are checkpointed if there are checkpoints.
     pub fn new(clock: &'a mut Clock, checkpoints: Option<&'a mut Checkpoints>) -> Tracker<'a> {
         Tracker { clock, checkpoints, under_way: None, live: None }
     }
 
-    /// Shows it on a page, too.
+    /// Also reports to a live view.
     pub fn shown(self, live: Option<&'a Live>) -> Tracker<'a> {
         Tracker { live, ..self }
     }
@@ -40,7 +40,7 @@ impl<'a> Tracker<'a> {
     }
 }
 
-/// What a stage is called, on the bar and in the report.
+/// Name of a stage, on the progress bar and in the report.
 fn name(stage: Stage) -> &'static str {
     match stage {
         Stage::Flow => "flow",

@@ -1,4 +1,4 @@
-//! `splat4d train`.
+//! `splat4d train`: trains a scene on images with known cameras.
 
 use std::path::PathBuf;
 
@@ -62,72 +62,72 @@ in the scene; and, in report.json too, peak_bytes, milliseconds_per_step,
 seconds {load, train, evaluate}; output. report.json alone has training [{phase (static, joint), step,
 gaussians, l1, ssim, psnr (dB, or null)}], measured on one picture each";
 
-/// Host memory of a Gaussian from its point to the device: the point, the tree of its neighbours, all
-/// its values twice.
+/// Host memory per Gaussian during initialisation, bytes: the point, the neighbour tree, and all its values
+/// twice.
 const BYTES_A_SEED: u64 = 1024;
 
 /// How Gaussians are added and removed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Density {
-    /// 3DGS-MCMC: the number grows evenly to the cap, faint ones move to where the opaque ones are
+    /// 3DGS-MCMC: the number grows evenly to the maximum, faint Gaussians move to opaque ones
     Mcmc,
-    /// 3D Gaussian Splatting: clone and split where the pictures ask for more, prune the faint
+    /// 3D Gaussian Splatting: clone and split by image gradients, prune faint Gaussians
     Adaptive,
 }
 
-/// Train a scene on pictures whose cameras are known
+/// Train a scene on images with known cameras
 #[derive(Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct TrainArgs {
     /// The dataset
     dataset: PathBuf,
-    /// The scene's file to write
+    /// The output scene file
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Number of steps, one picture each
+    /// Number of steps, with one image each
     #[arg(long, value_name = "N", default_value_t = 7000,
           value_parser = values::whole::<u32>(1..=values::MOST_STEPS))]
     steps: u32,
-    /// Most Gaussians; 0 keeps the number that the points give
+    /// Maximum number of Gaussians; 0 keeps the number of initial points
     #[arg(long, value_name = "N", default_value_t = 0,
           value_parser = values::whole::<usize>(0..=values::MOST_GAUSSIANS))]
     max_gaussians: usize,
-    /// How Gaussians are added and removed, where --max-gaussians leaves room
+    /// How Gaussians are added and removed, up to --max-gaussians
     #[arg(long, value_enum, default_value_t = Density::Mcmc, requires = "max_gaussians")]
     density: Density,
-    /// Shrink pictures so that their longer side has at most so many pixels
+    /// Downscale images so that their longer side has at most this many pixels
     #[arg(long, value_name = "LONGEST",
           value_parser = values::whole::<u32>(1..=values::MOST_PIXELS))]
     size: Option<u32>,
-    /// Hold out every N-th picture for the test, unless the dataset has its own split; 0: none
+    /// Hold out every N-th image for the test, unless the dataset has its own split; 0: none
     #[arg(long, value_name = "N", default_value_t = 8,
           value_parser = values::whole::<usize>(0..=values::MOST_PICTURES))]
     eval_every: usize,
-    /// Highest degree of the spherical harmonics
+    /// Maximum degree of the spherical harmonics
     #[arg(long, value_name = "0..3", default_value_t = 3,
           value_parser = values::whole::<u32>(0..=3))]
     sh_degree: u32,
-    /// Nothing moves, although the pictures have times
+    /// Train a static scene, although the images have times
     #[arg(long = "static")]
     still: bool,
-    /// Most control points of a scene that moves
+    /// Maximum number of control points of a dynamic scene
     #[arg(long, value_name = "N", default_value_t = PosedMotion::default().control_points,
           value_parser = values::whole::<usize>(1..=values::MOST_CONTROL_POINTS))]
     control_points: usize,
-    /// Points to begin with where the dataset has none, spread over what the alpha channels of the
-    /// pictures show, or over what the cameras look at
+    /// Number of initial points if the dataset has none, spread over the visual hull of the alpha channels,
+    /// or over what the cameras look at
     #[arg(long, value_name = "N", default_value_t = 20_000,
           value_parser = values::whole::<usize>(1..=values::MOST_POINTS))]
     random_points: usize,
-    /// What lies behind everything; default: white for pictures with an alpha channel, else black
+    /// Background colour; default: white for images with an alpha channel, else black
     #[arg(long, value_name = "R,G,B", value_parser = values::colour)]
     background: Option<[f32; 3]>,
     /// Settings that trade accuracy for speed, as `bench --error-budget` writes them: α cut and T stop,
-    /// which the scene then keeps, depth bits, highest SH degree, neighbours; SH stay f32
+    /// which the scene then keeps, depth bits, maximum SH degree, neighbours; SH stay f32
     #[arg(long, value_name = "FILE")]
     settings: Option<PathBuf>,
-    /// Write report.html (a page that shows all of it), report.json and sheet.png (input, render, motion
-    /// mask, depth) into this folder
+    /// Write report.html (a page with all results), report.json and sheet.png (input, render, motion mask,
+    /// depth) to this folder
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
     #[command(flatten)]
@@ -181,7 +181,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         depth_bits: tuning.depth_bits,
         raster: tuning.raster,
         background: set.background,
-        // A hull is larger than the subject: the faint move to where it is.
+        // A visual hull is larger than the subject: faint Gaussians are moved to where it is.
         growth: (args.max_gaussians > 0 || begins_in_hull(&set)).then(|| growth(args)),
         seed: common.seed,
         ..TrainSettings::of_steps(args.steps)
@@ -203,7 +203,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         let most = tuning.neighbours.map_or(motion.neighbours, |k| k as usize);
         PosedMotion { neighbours: motion.neighbours.min(most), ..motion }
     });
-    // The pictures are many: they move, and come back when training is done.
+    // The images are large, so they are moved and returned after training.
     let (called, mut views): (Vec<String>, Vec<TrainingView>) =
         train.into_iter().map(|view| (view.name.clone(), view.into())).unzip();
     let mut scale = posed_scale(&views, first, motion.as_ref(), &settings);
@@ -223,7 +223,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     )?;
     let seeded = seed_from_points(&points(common, &set, &views, first), sh_degree);
     clock.lap("load");
-    // The first Gaussians may be large: few points are far apart.
+    // The initial Gaussians may be large: sparse points are far apart.
     let near = settings.render.near * posed_unit(&views, &seeded) as f32;
     let render = RenderSettings { near, ..settings.render };
     scale.intersections = pairs_of(&device, &seeded, render, &views)?;
@@ -290,7 +290,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     });
     scene.save(&args.output)?;
     checkpoints.remove();
-    // What differs from run to run is not the scene's: equal runs leave equal files.
+    // Values that vary between runs are not stored in the scene, so that identical runs give identical files.
     let mut json = scene.report.clone();
     json["peak_bytes"] = json!(device.memory().1);
     json["milliseconds_per_step"] = json!(milliseconds_per_step);
@@ -319,7 +319,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     Ok(Answer { text: text(&json, &clock), json })
 }
 
-/// A training picture as it was loaded.
+/// A training image as it was loaded.
 fn picture((name, view): (String, TrainingView)) -> View {
     let TrainingView { camera, time, image, weights, .. } = view;
     View { name, time, camera, image, valid: weights }
@@ -332,19 +332,19 @@ fn growth(args: &TrainArgs) -> GrowthSettings {
     }
 }
 
-/// How many Gaussians there are to begin with: one for each point, at most as many as there may be.
+/// Initial number of Gaussians: one per point, up to the maximum.
 fn first_gaussians(args: &TrainArgs, set: &Dataset) -> usize {
     let most = if args.max_gaussians == 0 { usize::MAX } else { args.max_gaussians };
     let points = if set.points.is_empty() { args.random_points } else { set.points.len() };
     points.min(most)
 }
 
-/// Whether the first Gaussians are random ones within the visual hull.
+/// Whether the initial Gaussians are random points in the visual hull.
 fn begins_in_hull(set: &Dataset) -> bool {
     set.points.is_empty() && set.alpha
 }
 
-/// What makes a training smaller.
+/// The options that make a training smaller.
 fn turn(args: &TrainArgs, set: &Dataset) -> &'static str {
     match (args.max_gaussians, set.points.is_empty()) {
         (0, true) => "lower --random-points, --control-points or --size",
@@ -352,7 +352,7 @@ fn turn(args: &TrainArgs, set: &Dataset) -> &'static str {
     }
 }
 
-/// The most (splat, tile) pairs that the first Gaussians make of a picture.
+/// The maximum number of (splat, tile) pairs of the initial Gaussians in an image.
 fn pairs_of(
     device: &Device,
     seeded: &Gaussians,
@@ -364,7 +364,7 @@ fn pairs_of(
     most_pairs(&mut renderer, views.len(), |i| (views[i].camera, views[i].time))
 }
 
-/// So many of the dataset's points; random ones where it has none.
+/// A number of the dataset's points; random ones where it has none.
 fn points(common: &Common, set: &Dataset, views: &[TrainingView], count: usize) -> Vec<Point> {
     if set.points.is_empty() {
         let within = if begins_in_hull(set) { " within what the alpha channels show" } else { "" };
@@ -385,7 +385,7 @@ fn points(common: &Common, set: &Dataset, views: &[TrainingView], count: usize) 
     points
 }
 
-/// The pictures, and all that the training of them depends on.
+/// The images, and everything that the training on them depends on.
 fn identity(
     args: &TrainArgs,
     views: &[TrainingView],

@@ -1,4 +1,4 @@
-//! What `train` made of a dataset as one page that needs nothing but itself.
+//! The result of `train` as one self-contained page.
 
 use glam::DVec3;
 use splat4d::Result;
@@ -18,20 +18,20 @@ const CURVES: Curves = Curves {
     about: "Each point is of one picture, so that points scatter as pictures differ.",
 };
 
-/// What the page is made of.
+/// Contents of the page.
 pub struct Page<'a> {
-    /// What the dataset is called.
+    /// Name of the dataset.
     pub dataset: &'a str,
     /// Points of the dataset.
     pub points: &'a [Point],
-    /// Those that are shown: held out, or where none are, trained on.
+    /// The displayed views: held-out ones, or, without any, training views.
     pub views: &'a [View],
     pub notes: &'a [String],
     pub run: Run<'a>,
 }
 
 impl Page<'_> {
-    /// The page.
+    /// The HTML page.
     ///
     /// # Errors
     /// A plot cannot be drawn.
@@ -53,7 +53,7 @@ impl Page<'_> {
         self.run.report[key].as_f64().map_or("none".into(), |value| format!("{value:.2} dB"))
     }
 
-    /// What was found, in a sentence.
+    /// A one-sentence summary.
     fn sentence(&self) -> String {
         let scene = self.run.scene;
         let gaussians = thousands(scene.gaussians.len());

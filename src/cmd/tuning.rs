@@ -1,5 +1,4 @@
-//! Files of settings that trade accuracy for speed: `bench` writes them, `render` and `train` read
-//! them.
+//! Settings files that trade accuracy for speed: `bench` writes them, `render` and `train` read them.
 
 use std::path::Path;
 
@@ -7,14 +6,14 @@ use splat4d::error::excerpt;
 use splat4d::types::Tuning;
 use splat4d::{Error, Result, io};
 
-/// Writes one, by rename.
+/// Writes settings, by rename.
 pub fn write(path: &Path, tuning: &Tuning) -> Result<()> {
     io::write_atomically(path, |sink| {
         serde_json::to_writer_pretty(sink, tuning).map_err(std::io::Error::other)
     })
 }
 
-/// Reads one, or the most accurate settings where there is none.
+/// Reads settings; without a file, the most accurate ones.
 pub fn read(path: Option<&Path>) -> Result<Tuning> {
     let Some(path) = path else { return Ok(Tuning::default()) };
     let tuning: Tuning = serde_json::from_value(io::read_json(path)?).map_err(|e| {

@@ -43,29 +43,29 @@ judged), failed, seconds, devices, and rows: {device, what, file} and with --fuz
 #[derive(Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct ValidateArgs {
-    /// Only a quick case or two for every kernel: under a minute on a software driver
+    /// Only one or two quick cases per kernel: under a minute on a software driver
     #[arg(long)]
     quick: bool,
-    /// Only cases whose name holds this; several add up
+    /// Only cases whose name contains this text; may be repeated
     #[arg(long, value_name = "TEXT")]
     filter: Vec<String>,
-    /// Turn the Khronos validation layer on, with synchronization validation; any message fails
+    /// Enable the Khronos validation layer with synchronization validation; any message is a failure
     #[arg(long)]
     validation: bool,
-    /// Judge so many small scenes of ordinary and poisoned values instead; --seed chooses them. One
-    /// that fails is shrunk and written to fuzz-SEED-SCENE.json
+    /// Test this many small scenes of ordinary and invalid values instead; --seed selects them. A failing
+    /// scene is minimised and written to fuzz-SEED-SCENE.json
     #[arg(long, value_name = "N", conflicts_with_all = ["quick", "filter"],
           value_parser = values::whole::<u64>(1..=1_000_000_000))]
     fuzz: Option<u64>,
-    /// Judge the scene of such a file again instead
+    /// Test the scene of such a file again instead
     #[arg(long, value_name = "FILE", conflicts_with_all = ["quick", "filter", "fuzz"])]
     case: Option<PathBuf>,
 }
 
-/// Runs the command. The exit code says whether all is well; an error, that it could not be found
-/// out.
+/// Runs the command. The exit code indicates whether all cases passed; an error means that this could not
+/// be determined.
 pub fn run(args: &ValidateArgs, common: &Common) -> Result<(Answer, ExitCode)> {
-    // Before a device is looked for: it is no use where there is no such file.
+    // Read before opening devices, so that a missing file is reported first.
     let case = args.case.as_deref().map(FuzzCase::read).transpose()?;
     check_room_for_drivers()?;
     let infos = devices(common)?;
@@ -129,7 +129,7 @@ fn chosen(args: &ValidateArgs) -> Result<Vec<&'static Case>> {
     Ok(cases)
 }
 
-/// The devices that `--device` means: `all` is every one that the loader shows.
+/// The devices that `--device` selects; `all` selects every one that the loader reports.
 fn devices(common: &Common) -> Result<Vec<DeviceInfo>> {
     if common.device == "all" {
         return vk::enumerate();
@@ -147,7 +147,7 @@ fn open(info: &DeviceInfo, validation: bool) -> Result<Device> {
     Device::open(&Request { selector: Selector::Index(info.index), validation, limits: None })
 }
 
-/// A device under test; opened anew where a case has lost it.
+/// A device under test; it is reopened after a case has lost it.
 struct Bench<'a> {
     info: &'a DeviceInfo,
     validation: bool,

@@ -1,28 +1,30 @@
-//! Values of flags: what parses them, and the range of every number. A new flag takes a parser of these.
+//! Parsers of option values, and the range of every number. A new option uses one of these parsers.
 
 use std::net::{IpAddr, Ipv4Addr};
 use std::ops::RangeInclusive;
 
 use super::common::thousands;
 
-/// Pixels along a side of a picture: PNG and EXR hold more, but 16 bits address all of these.
+/// Maximum side of an image, pixels: PNG and EXR support more, but 16 bits address all of these.
 pub const MOST_PIXELS: u64 = 65_535;
-/// Pictures of a clip, a dataset or a folder: nine hours of video.
+/// Maximum number of images of a clip, a dataset or a folder: nine hours of video.
 pub const MOST_PICTURES: u64 = 1_000_000;
-/// Training steps: three hundred times what papers take. Schedules walk over all of them beforehand.
+/// Maximum number of training steps: three hundred times that of papers. Schedules iterate over all of them
+/// in advance.
 pub const MOST_STEPS: u64 = 10_000_000;
-/// Gaussians: four (splat, tile) pairs of each still have indices of 32 bits.
+/// Maximum number of Gaussians: with four (splat, tile) pairs each, indices still fit into 32 bits.
 pub const MOST_GAUSSIANS: u64 = 1_000_000_000;
-/// Points to begin with: each needs about a kilobyte of host memory.
+/// Maximum number of initial points: each needs about a kilobyte of host memory.
 pub const MOST_POINTS: u64 = 100_000_000;
-/// Control points: as many as a small scene has Gaussians, a thousand times the default.
+/// Maximum number of control points: as many as a small scene has Gaussians, and a thousand times the
+/// default.
 pub const MOST_CONTROL_POINTS: u64 = 1_000_000;
-/// Pixels of a focal length: beyond, a float does not tell neighbouring pixels apart.
+/// Maximum focal length, pixels: beyond, f32 cannot distinguish adjacent pixels.
 pub const MOST_FOCAL: f64 = 16_777_216.0;
-/// Seconds of anything: thirty years.
+/// Maximum of any duration, seconds: about thirty years.
 pub const MOST_SECONDS: f64 = 1e9;
 
-/// A parser of whole numbers within a range; its message names the range.
+/// A parser of integers within a range; its message names the range.
 pub fn whole<T: TryFrom<u64>>(
     range: RangeInclusive<u64>,
 ) -> impl Fn(&str) -> Result<T, String> + Clone + Send + Sync + 'static {
@@ -40,7 +42,7 @@ pub fn number(
     range: RangeInclusive<f64>,
 ) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
     move |text| {
-        // NaN lies in no range.
+        // NaN is in no range.
         let value = text.parse().ok().filter(|value| range.contains(value));
         value.ok_or_else(|| {
             let [least, most] = [range.start(), range.end()].map(|end| short(*end));
@@ -49,13 +51,13 @@ pub fn number(
     }
 }
 
-/// A number without rows of zeros.
+/// A number without long runs of zeros.
 fn short(number: f64) -> String {
     let plain = number == 0.0 || (1e-4..1e9).contains(&number);
     if plain { format!("{number}") } else { format!("{number:e}") }
 }
 
-/// `320x180`.
+/// Parses a size such as `320x180`.
 pub fn size(text: &str) -> Result<(u32, u32), String> {
     let most = MOST_PIXELS as u32;
     let side = |text: &str| text.trim().parse().ok().filter(|side| (1..=most).contains(side));
@@ -69,14 +71,14 @@ pub fn size(text: &str) -> Result<(u32, u32), String> {
         })
 }
 
-/// A port to listen on. What follows `--view` is read as one, whatever it was meant as.
+/// Parses a port to listen on. Any word after `--view` is parsed as one.
 pub fn port(text: &str) -> Result<u16, String> {
     whole::<u16>(1..=65_535)(text).map_err(|expected| {
         format!("as a port {expected}; without one put `--view` after the other words")
     })
 }
 
-/// An address to listen on: a number, or `localhost`.
+/// Parses an address to listen on: numeric, or `localhost`.
 pub fn host(text: &str) -> Result<IpAddr, String> {
     let number = text.trim_start_matches('[').trim_end_matches(']');
     match text.eq_ignore_ascii_case("localhost") {
@@ -88,7 +90,7 @@ pub fn host(text: &str) -> Result<IpAddr, String> {
     }
 }
 
-/// `r,g,b` in [0, 1], `black` or `white`.
+/// Parses `r,g,b` in [0, 1], `black` or `white`.
 pub fn colour(text: &str) -> Result<[f32; 3], String> {
     match text {
         "black" => return Ok([0.0; 3]),
@@ -108,14 +110,14 @@ pub fn colour(text: &str) -> Result<[f32; 3], String> {
 /// Times to render.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Times {
-    /// So many, evenly from 0 to 1.
+    /// A number of times, evenly from 0 to 1.
     Evenly(usize),
-    /// These.
+    /// A list of times.
     List(Vec<f64>),
 }
 
 impl Times {
-    /// How many there are.
+    /// Number of times.
     pub fn len(&self) -> usize {
         match self {
             Times::Evenly(count) => *count,
@@ -123,10 +125,10 @@ impl Times {
         }
     }
 
-    /// One of them.
+    /// The time at an index.
     ///
     /// # Panics
-    /// When a list has none of this index.
+    /// If a list has no such index.
     pub fn at(&self, index: usize) -> f64 {
         match self {
             Times::Evenly(count) => index as f64 / (*count - 1).max(1) as f64,
@@ -135,7 +137,7 @@ impl Times {
     }
 }
 
-/// `0,0.25,1`, or a whole number above 1: so many times, evenly.
+/// Parses `0,0.25,1`, or an integer above 1 for that many evenly spaced times.
 pub fn times(text: &str) -> Result<Times, String> {
     if let Ok(count) = text.parse::<u64>()
         && (2..=MOST_PICTURES).contains(&count)
@@ -155,7 +157,7 @@ pub fn times(text: &str) -> Result<Times, String> {
     })
 }
 
-/// A container image's name, `registry/name:tag`.
+/// Parses a container image's name, `registry/name:tag`.
 pub fn image(text: &str) -> Result<String, String> {
     let fits = |c: char| c.is_ascii_alphanumeric() || "._-/:@".contains(c);
     match !text.is_empty() && text.len() <= 500 && text.chars().all(fits) {
@@ -164,7 +166,7 @@ pub fn image(text: &str) -> Result<String, String> {
     }
 }
 
-/// The name of a claim: a DNS-1123 subdomain.
+/// Parses the name of a claim: a DNS-1123 subdomain.
 pub fn claim(text: &str) -> Result<String, String> {
     let fits = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit();
     let part = |part: &str| {

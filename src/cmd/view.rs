@@ -1,4 +1,4 @@
-//! `splat4d view`.
+//! `splat4d view`: shows a scene in the browser.
 
 use std::net::{IpAddr, Ipv4Addr};
 use std::path::{Path, PathBuf};
@@ -17,13 +17,13 @@ use splat4d::{Error, Result};
 use super::common::{Answer, Common, foresee, print_json, say, thousands};
 use super::{interrupt, path, tuning, values};
 
-/// The picture that memory is foreseen for: what a page asks for on most screens.
+/// The image size that memory is predicted for: the usual one on most screens.
 const USUAL_SIZE: (u32, u32) = (1920, 1080);
-/// Host memory of a picture and all that is made of it, a pixel.
+/// Host memory per pixel of an image and its intermediate data, bytes.
 const BYTES_A_PIXEL: u64 = 64;
-/// Frames of a video beside a scene that does not tell of which it was made.
+/// Maximum number of video frames beside a scene whose report does not list its frames.
 const MOST_FRAMES: usize = 600;
-/// How often Ctrl-C is looked for.
+/// Polling interval for Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
 
 const AFTER_HELP: &str = "\
@@ -44,14 +44,14 @@ Example:
 JSON, once it serves: url, port, host, gaussians, dropped, cameras, frames, device, predicted_bytes (of
 device memory). What goes wrong later stands on stderr.";
 
-/// Show a scene's file or a 3DGS PLY in the browser
+/// Show a scene file or a 3DGS PLY in the browser
 #[derive(Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct ViewArgs {
-    /// A scene's file or a 3DGS PLY
+    /// A scene file or a 3DGS PLY
     #[arg(value_name = "SCENE|PLY")]
     scene: PathBuf,
-    /// The port to listen on; where it is in use, the next free one
+    /// The port to listen on, or the next free one if it is in use
     #[arg(long, value_name = "N", default_value_t = 8090,
           value_parser = values::whole::<u16>(1..=65_535))]
     port: u16,
@@ -59,13 +59,13 @@ pub struct ViewArgs {
     #[arg(long, value_name = "ADDRESS", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST),
           value_parser = values::host)]
     host: IpAddr,
-    /// The input's video or a folder of its pictures, to show beside the scene
+    /// The input's video or a folder of its images, to show beside the scene
     #[arg(long, value_name = "VIDEO|DIR")]
     frames: Option<PathBuf>,
-    /// End by itself after so many seconds
+    /// Exit after this many seconds
     #[arg(long, value_name = "SECONDS", value_parser = values::number(0.01..=values::MOST_SECONDS))]
     seconds: Option<f64>,
-    /// Leave out Gaussians that hold NaN, infinite or out-of-range values
+    /// Skip Gaussians with NaN, infinite or out-of-range values
     #[arg(long)]
     drop_bad: bool,
     /// Settings that trade accuracy for speed, as `bench --error-budget` writes them
@@ -111,7 +111,7 @@ pub fn run(args: &ViewArgs, common: &Common) -> Result<Answer> {
         "predicted_bytes": predicted_bytes,
     });
     if common.json {
-        // Who reads it waits for the address; that nobody does is no reason to end.
+        // The reader waits for the URL; a missing reader does not end the server.
         let _ = print_json(&json);
     } else {
         say(&format!("{} Gaussians at {}", thousands(gaussians), server.url()));
@@ -125,8 +125,7 @@ pub fn run(args: &ViewArgs, common: &Common) -> Result<Answer> {
     Ok(Answer { json, text: String::new() })
 }
 
-/// The pictures that a video or a folder stands for. Each file is looked at, so that what is no picture is told
-/// now.
+/// The images of a video or a folder. Each file is checked, so that invalid images are reported now.
 fn pictures(input: &Path, scene: &Scene) -> Result<Pictures> {
     if std::fs::metadata(input).map_err(Error::io(input))?.is_file() {
         if images::has_image_extension(input) {
@@ -149,8 +148,8 @@ fn pictures(input: &Path, scene: &Scene) -> Result<Pictures> {
     Ok(Pictures::files(files))
 }
 
-/// Which frames of a video of so many belong beside a scene: those that it was made of, as its report calls
-/// them, one for each of its cameras; else some, evenly spread.
+/// Numbers of the video frames that belong beside a scene: those that it was made of, by its report, one
+/// for each of its cameras; else an even selection.
 fn numbers(scene: &Scene, total: usize) -> Vec<usize> {
     let names = scene.report["frame_names"].as_array().into_iter().flatten();
     let own: Option<Vec<usize>> = names.map(|name| name.as_str()?.parse().ok()).collect();
@@ -165,7 +164,7 @@ fn numbers(scene: &Scene, total: usize) -> Vec<usize> {
     })
 }
 
-/// What it takes of device memory; an error where the scene does not fit.
+/// Predicted device memory; an error where the scene does not fit.
 fn foreseen(device: &splat4d::gpu::Device, scene: &Scene, tuning: &Tuning) -> Result<u64> {
     let (width, height) = USUAL_SIZE;
     check_memory(

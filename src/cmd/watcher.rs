@@ -1,4 +1,4 @@
-//! Looks on while a scene is trained: progress, time by stage, checkpoints, Ctrl-C.
+//! Training observer: progress, time by stage, checkpoints, Ctrl-C.
 
 use std::borrow::Cow;
 use std::time::{Duration, Instant};
@@ -14,11 +14,11 @@ use super::clock::Clock;
 use super::live::Live;
 use super::meter::Meter;
 
-/// What is put away of a training: its state, and what was measured before.
+/// Checkpoint of a training: its state, and the measurements so far.
 pub type Kept = (Checkpoint, Vec<Measured>);
 
-/// Measuring for a page alone takes no more than one part in so many of the time, while nobody looks and while
-/// somebody does. What is counted holds the wait for steps under way, which is not lost.
+/// Inverse of the maximum share of time spent on measuring only for a page, with or without viewers. The
+/// measured time includes waiting for steps in flight, which is not lost.
 const SHARE: u32 = 60;
 const SHARE_SEEN: u32 = 10;
 
@@ -26,31 +26,31 @@ const SHARE_SEEN: u32 = 10;
 pub struct Watcher<'a> {
     clock: &'a mut Clock,
     checkpoints: &'a mut Checkpoints,
-    /// What a phase is called, on the bar and in the report.
+    /// Gives the names of a phase, on the progress bar and in the report.
     names: &'a dyn Fn(Phase) -> (&'static str, &'static str),
     under_way: Option<(Phase, Meter)>,
-    /// Steps done here, without those of the run that this one resumes.
+    /// Steps done in this run, without those of the run that it resumes.
     steps: u32,
-    /// What was measured on the way.
+    /// Measurements during the training.
     history: Vec<Measured>,
-    /// Whether all is to be measured.
+    /// Whether everything is to be measured.
     measuring: bool,
     live: Option<&'a Live>,
-    /// When measuring for the page began that is under way.
+    /// Start of the current measurement for the page.
     begun: Option<Instant>,
-    /// When it ended last, and how long it took.
+    /// End of the last one, and its duration.
     last: Option<(Instant, Duration)>,
 }
 
-/// What a training leaves to tell.
+/// Results of a training's observation.
 pub struct Watched {
-    /// Mean of a step of the last stage.
+    /// Mean duration of a step of the last stage, milliseconds.
     pub milliseconds_per_step: f64,
-    /// What was measured on the way, in the run that this one resumes, too.
+    /// Measurements during the training, including those of the run that this one resumes.
     pub history: Vec<Measured>,
 }
 
-/// What the page calls a phase that the bar calls so.
+/// Name on the page for a phase's name on the progress bar.
 fn stage(name: &'static str) -> Cow<'static, str> {
     match name {
         "training" => name.into(),
@@ -58,14 +58,14 @@ fn stage(name: &'static str) -> Cow<'static, str> {
     }
 }
 
-/// Steps of the stages before the one that something was measured in.
+/// Number of steps of the stages before the one of a measurement.
 pub fn steps_before(history: &[Measured], phase: Phase) -> u32 {
     let still = history.iter().filter(|m| m.phase == Phase::Static).map(|m| m.step).max();
     if phase == Phase::Joint { still.unwrap_or(0) } else { 0 }
 }
 
 impl<'a> Watcher<'a> {
-    /// Begins to look; `names` gives what a phase is called on the bar and in the report.
+    /// Starts observing; `names` gives the names of a phase on the progress bar and in the report.
     pub fn new(
         clock: &'a mut Clock,
         checkpoints: &'a mut Checkpoints,
@@ -85,23 +85,23 @@ impl<'a> Watcher<'a> {
         }
     }
 
-    /// Measures on the way, too.
+    /// Also measures during the training.
     pub fn measuring(self, measuring: bool) -> Watcher<'a> {
         Watcher { measuring, ..self }
     }
 
-    /// Goes on from what was measured before.
+    /// Continues from earlier measurements.
     pub fn after(self, history: Vec<Measured>) -> Watcher<'a> {
         history.iter().for_each(|measured| self.draw(&history, measured));
         Watcher { history, ..self }
     }
 
-    /// Shows it on a page, too; to be called before [`after`](Self::after).
+    /// Also reports to a live view; to be called before [`after`](Self::after).
     pub fn shown(self, live: Option<&'a Live>) -> Watcher<'a> {
         Watcher { live, ..self }
     }
 
-    /// A point of the page's curves.
+    /// Adds a point to the page's curves.
     fn draw(&self, history: &[Measured], measured: &Measured) {
         let Some(live) = self.live else { return };
         let Measured { phase, step, gaussians, l1, ssim, psnr } = *measured;

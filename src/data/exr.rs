@@ -1,4 +1,4 @@
-//! Float images as OpenEXR: depth (one channel) and RGBA (linear as stored, premultiplied).
+//! Float images as OpenEXR: depth (one channel) and RGBA (linear values as stored, premultiplied).
 
 use std::io::Cursor;
 use std::path::Path;
@@ -14,15 +14,15 @@ use crate::io;
 use crate::types::{Image, range};
 use crate::{Error, Result};
 
-/// Reads a depth map: the channel `Z`, else `depth`, `Y` or `R`, else the only one. What is no depth
-/// (NaN, not above 0, nearer than [`range::DEPTH`]) comes back as 0, what is farther as infinite.
+/// Reads a depth map: the channel `Z`, else `depth`, `Y` or `R`, else the only one. Invalid values (NaN,
+/// not above 0, nearer than [`range::DEPTH`]) are returned as 0, those farther as infinite.
 pub fn read_depth(path: impl AsRef<Path>) -> Result<Image> {
     let mut depth = read_stored_depth(path.as_ref())?;
     depth.pixels.iter_mut().for_each(|z| *z = clean(*z));
     Ok(depth)
 }
 
-/// Reads the channel of [`read_depth`] and leaves its numbers as they are.
+/// Reads the channel of [`read_depth`] with its stored values.
 pub(super) fn read_stored_depth(path: &Path) -> Result<Image> {
     let mut planes = read_planes(path)?;
     let names: Vec<String> = planes.names.iter().map(|n| n.to_ascii_lowercase()).collect();
@@ -41,7 +41,7 @@ pub(super) fn read_stored_depth(path: &Path) -> Result<Image> {
     Ok(Image { width: planes.width, height: planes.height, channels: 1, pixels })
 }
 
-/// Reads colour: R, G, B and, where it is there, A; three or four channels.
+/// Reads colour: R, G, B and, if present, A; three or four channels.
 pub fn read_rgba(path: impl AsRef<Path>) -> Result<Image> {
     let path = path.as_ref();
     let planes = read_planes(path)?;
@@ -116,7 +116,7 @@ fn read_planes(path: &Path) -> Result<Planes> {
     let mut planes = Planes { width, height, names: Vec::new(), values: Vec::new() };
     for channel in layer.channel_data.list {
         let values: Vec<f32> = channel.sample_data.values_as_f32().collect();
-        // Subsampled chroma planes are smaller than the picture; none of ours is.
+        // Subsampled chroma planes are smaller than the image and are ignored.
         if values.len() == count {
             planes.names.push(channel.name.to_string());
             planes.values.push(values);

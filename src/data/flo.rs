@@ -1,4 +1,4 @@
-//! Optical flow in Middlebury's `.flo`: the float 202021.25, width and height as `i32`, then u and v
+//! Optical flow in Middlebury's `.flo` format: the float 202021.25, width and height as `i32`, then u and v
 //! interleaved, row by row, all little-endian.
 
 use std::io::Write;
@@ -11,16 +11,16 @@ use crate::{Error, Result};
 
 const TAG: f32 = 202_021.25;
 
-/// Reads a flow field as an image of two channels (u, v), pixels. Vectors beyond [`range::FLOW`], by
-/// which the format marks what is unknown, and those that are not finite come back as NaN.
+/// Reads a flow field as an image of two channels (u, v), pixels. Vectors beyond [`range::FLOW`], which
+/// mark unknown values in this format, and those that are not finite are returned as NaN.
 pub fn read(path: impl AsRef<Path>) -> Result<Image> {
     let mut flow = tagged(path.as_ref(), ".flo", 2)?;
     flow.pixels.chunks_exact_mut(2).for_each(clean);
     Ok(flow)
 }
 
-/// Reads what Sintel's files of flow and depth share: tag, size, floats of each pixel. `kind` is the file's
-/// ending.
+/// Reads the common structure of Sintel's flow and depth files: tag, size, floats per pixel. `kind` is the
+/// file extension.
 pub(super) fn tagged(path: &Path, kind: &str, channels: u32) -> Result<Image> {
     let bytes = io::read(path)?;
     let mut from = Bytes::new(path, &bytes);

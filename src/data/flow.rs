@@ -1,4 +1,4 @@
-//! Optical flow in the formats that it comes in: `.flo`, `.npy`, `.npz`, KITTI's 16-bit PNG.
+//! Optical flow files: `.flo`, `.npy`, `.npz`, KITTI's 16-bit PNG.
 
 use std::path::Path;
 
@@ -7,15 +7,15 @@ use super::{flo, images};
 use crate::types::{Image, range};
 use crate::{Error, Result};
 
-/// Extensions of the files that are read.
+/// Supported file extensions.
 pub const EXTENSIONS: [&str; 4] = ["flo", "npy", "npz", "png"];
 
-/// Reads a flow field as an image of two channels (u, v), pixels; unknown vectors come back as NaN, as of
-/// [`flo::read`]. `.npy` and `.npz` hold one array, height × width × 2 or 2 × height × width. KITTI's PNG
-/// holds 64 u + 2¹⁵, 64 v + 2¹⁵ and whether the vector is known, 16 bits each.
+/// Reads a flow field as an image of two channels (u, v), pixels; unknown vectors are returned as NaN, as
+/// by [`flo::read`]. `.npy` and `.npz` hold one array, height × width × 2 or 2 × height × width. KITTI's
+/// PNG holds 64 u + 2¹⁵, 64 v + 2¹⁵ and a validity flag, 16 bits each.
 ///
 /// # Errors
-/// [`Error::Io`]; [`Error::Format`] for what is no flow field.
+/// [`Error::Io`]; [`Error::Format`] for a file that is not a flow field.
 pub fn read(path: impl AsRef<Path>) -> Result<Image> {
     let path = path.as_ref();
     let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
@@ -29,7 +29,7 @@ pub fn read(path: impl AsRef<Path>) -> Result<Image> {
     Ok(flow)
 }
 
-/// Marks a vector that is not known.
+/// Sets an unknown vector to NaN.
 pub(super) fn clean(vector: &mut [f32]) {
     if !vector.iter().all(|v| v.abs() <= range::FLOW) {
         vector.fill(f32::NAN);
@@ -73,7 +73,7 @@ mod tests {
     fn flow_of_kitti_and_of_arrays() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.png");
-        // (1.5, -2) and one unknown.
+        // (1.5, -2) and one unknown vector.
         let rgb = vec![32_864u16, 32_640, 1, 32_768, 32_768, 0];
         let png = image::ImageBuffer::<image::Rgb<u16>, _>::from_raw(2, 1, rgb).unwrap();
         png.save(&path).unwrap();

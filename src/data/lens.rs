@@ -1,7 +1,7 @@
-//! Lenses, and pictures as a pinhole would have taken them.
+//! Lenses, and undistortion of images to a pinhole camera.
 //!
-//! Distortion is removed once, when a picture is loaded or its lens is found; everything after that works on
-//! pinhole pictures.
+//! Distortion is removed once, when an image is loaded or its lens is estimated; all later stages work on
+//! pinhole images.
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -11,35 +11,35 @@ use super::Distortion;
 use super::distortion::reach;
 use crate::types::{Image, Intrinsics};
 
-/// A camera's inner geometry with its lens.
+/// Intrinsics of a camera with its lens distortion.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Lens {
-    /// Focal lengths, principal point, size.
+    /// Focal lengths, principal point, image size.
     pub intrinsics: Intrinsics,
-    /// The distortion.
+    /// The lens distortion.
     pub distortion: Distortion,
 }
 
-/// A pinhole's picture shows this many times less than the lens's at the most.
+/// Maximum factor by which the pinhole image may be cropped relative to the lens's image.
 const MOST_CROPPED: f64 = 4.0;
-/// Places along each side of a picture that are looked at.
+/// Number of sample positions along each side of an image.
 const ALONG: u32 = 64;
 
 impl Lens {
-    /// Where the lens shows what a pinhole shows at a pixel.
+    /// Maps a pixel of a pinhole image to the lens's image.
     pub fn distort_pixel(&self, pinhole: &Intrinsics, pixel: DVec2) -> DVec2 {
         let plane = pinhole.ray(pixel).truncate();
         self.intrinsics.project(self.distortion.distort(plane).extend(1.0))
     }
 
-    /// Where a pinhole shows what the lens shows at a pixel; none where the lens folds the picture over.
+    /// Maps a pixel of the lens's image to a pinhole image; `None` where the distortion folds over.
     pub fn undistort_pixel(&self, pinhole: &Intrinsics, pixel: DVec2) -> Option<DVec2> {
         let plane = self.distortion.undistort(self.intrinsics.ray(pixel).truncate())?;
         Some(pinhole.project(plane.extend(1.0)))
     }
 
-    /// The pinhole of the same size and principal point whose picture the lens's fills, with the shortest
-    /// focal length that is not below the lens's.
+    /// The pinhole camera of the same size and principal point whose image is fully covered by the lens's,
+    /// with the shortest focal length that is not below the lens's.
     pub fn full_pinhole(&self) -> Intrinsics {
         let k = self.intrinsics;
         let size = DVec2::new(f64::from(k.width), f64::from(k.height));
@@ -69,14 +69,14 @@ impl Lens {
         zoomed(high)
     }
 
-    /// The lens as it is of pictures of another size.
+    /// The lens for images of another size.
     pub fn resized(&self, width: u32, height: u32) -> Lens {
         Lens { intrinsics: self.intrinsics.resized(width, height), ..*self }
     }
 
-    /// Resamples what the lens saw to what a pinhole sees, bilinearly, at the picture's size. The second
-    /// image (one channel) is 1 where a pixel's source lies inside the picture and 0 elsewhere; `None` where
-    /// that is everywhere.
+    /// Resamples an image of the lens to a pinhole image of the same size, bilinearly. The second image
+    /// (one channel) is 1 where a pixel's source lies inside the image and 0 elsewhere; `None` where all
+    /// sources are inside.
     pub fn undistort(&self, image: &Image, pinhole: &Intrinsics) -> (Image, Option<Image>) {
         let (width, height) = (image.width as usize, image.height as usize);
         let channels = image.channels as usize;
@@ -107,8 +107,8 @@ impl Lens {
 }
 
 impl Lens {
-    /// The flow between the pictures of a pinhole, from that between the lens's: the first two channels are
-    /// vectors in pixels; others go along. Not a number where the lens's flow leads nowhere.
+    /// Converts flow between images of the lens to flow between pinhole images: the first two channels are
+    /// vectors in pixels; further channels are resampled along. NaN where the lens's flow has no target.
     pub fn undistort_flow(&self, flow: &Image, pinhole: &Intrinsics) -> Image {
         let (width, channels) = (flow.width as usize, flow.channels as usize);
         let mut out = Image::new(flow.width, flow.height, flow.channels);
@@ -131,8 +131,8 @@ impl Lens {
     }
 }
 
-/// Samples bilinearly at a pixel position (centres at +0.5); the outermost half pixel repeats the
-/// edge. False, with nothing written, where the position lies outside the picture.
+/// Samples bilinearly at a pixel position (centres at +0.5); in the outermost half pixel the edge value is
+/// repeated. Returns false and writes nothing where the position lies outside the image.
 fn sample(image: &Image, at: DVec2, out: &mut [f32]) -> bool {
     let (width, height) = (image.width as f64, image.height as f64);
     if !(at.x >= 0.0 && at.y >= 0.0 && at.x <= width && at.y <= height) {
@@ -165,7 +165,7 @@ mod tests {
 
     #[test]
     fn a_pinholes_picture_is_full_pinhole() {
-        // Barrel distortion brings the surroundings in: all of the pinhole's picture is there.
+        // Barrel distortion adds surroundings, so that the full pinhole image is covered.
         assert_eq!(lens(-0.1).full_pinhole(), lens(-0.1).intrinsics);
         let distorted = lens(0.1);
         let pinhole = distorted.full_pinhole();
@@ -179,7 +179,7 @@ mod tests {
 
     #[test]
     fn flow_is_undistorted() {
-        // A pinhole's flow that is the same everywhere, as the lens sees it.
+        // A constant pinhole flow, as the lens sees it.
         let lens = lens(-0.15);
         let pinhole = lens.full_pinhole();
         let by = DVec2::new(6.0, -3.0);
@@ -212,7 +212,7 @@ mod tests {
                 assert!(back.distance(pixel) < 1e-9, "{pixel} {back}");
             }
         }
-        // At k1 = −2 the picture folds over at 0.41 in the plane of unit depth, which it shows at 0.27.
+        // At k1 = −2 the mapping folds over at 0.41 in the plane of unit depth, which maps to 0.27.
         let k = Intrinsics::centred(150.0, 160, 120);
         assert!(lens(-2.0).undistort_pixel(&k, DVec2::new(80.0 + 0.4 * 150.0, 60.0)).is_none());
         assert!(lens(-2.0).undistort_pixel(&k, DVec2::new(80.0 + 0.2 * 150.0, 60.0)).is_some());

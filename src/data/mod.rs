@@ -62,7 +62,7 @@ pub enum Alpha {
 /// One image of a dataset, not decoded yet.
 #[derive(Clone, Debug)]
 pub struct Frame {
-    /// Its name in the dataset: unique, and what messages call it.
+    /// Unique name in the dataset, used in messages.
     pub name: String,
     /// The image file, or the video that the frame belongs to.
     pub path: PathBuf,
@@ -83,11 +83,11 @@ pub struct Frame {
 /// A decoded image with its camera, ready for training.
 #[derive(Clone, Debug)]
 pub struct View {
-    /// As [`Frame::name`].
+    /// The frame's name, as [`Frame::name`].
     pub name: String,
-    /// In [0, 1].
+    /// Time in [0, 1].
     pub time: f64,
-    /// A pinhole; its size is the picture's.
+    /// Pinhole camera of the image's size.
     pub camera: Camera,
     /// RGB in [0, 1].
     pub image: Image,

@@ -1,7 +1,6 @@
-//! The folder that MonST3R writes: `pred_traj.txt` (time, translation, quaternion in the order w, x, y,
-//! z; camera to world), `pred_intrinsics.txt` (the nine numbers of each frame's matrix, in pixels of
-//! the size that it worked at), `frame_0000.npy`, … (depth), `dynamic_mask_0.png`, … (white where
-//! something moves).
+//! MonST3R's output folder: `pred_traj.txt` (time, translation, quaternion in the order w, x, y, z; camera
+//! to world), `pred_intrinsics.txt` (the nine numbers of each frame's matrix, in pixels of the network's
+//! working size), `frame_0000.npy`, … (depth), `dynamic_mask_0.png`, … (white on movers).
 
 use std::path::{Path, PathBuf};
 
@@ -11,21 +10,21 @@ use crate::io;
 use crate::types::Intrinsics;
 use crate::{Error, Result};
 
-/// The file by which such a folder is told.
+/// The file that identifies such a folder.
 const POSES: &str = "pred_traj.txt";
 
-/// Whether a folder is one of MonST3R's.
+/// Whether a folder is an output folder of MonST3R.
 pub fn is_output(folder: &Path) -> bool {
     folder.join(POSES).is_file()
 }
 
-/// The cameras' poses, one for each frame.
+/// The camera poses, one per frame.
 pub fn poses(folder: &Path) -> Result<Vec<TimedPose>> {
     trajectory::read(folder.join(POSES), Some(QuaternionOrder::Wxyz))
 }
 
-/// The intrinsics of each frame; none where there is no such file. The size of the image is twice the
-/// principal point, which lies in the middle.
+/// Intrinsics per frame; `None` where the file is missing. The image size is twice the principal point,
+/// which is the image centre.
 ///
 /// # Errors
 /// [`Error::Io`]; [`Error::Format`] with the line.
@@ -53,12 +52,12 @@ pub fn intrinsics(folder: &Path) -> Result<Option<Vec<Intrinsics>>> {
     Ok(Some(found))
 }
 
-/// The depth maps (`.npy`), in the order of the frames.
+/// The depth maps (`.npy`), in frame order.
 pub fn depth(folder: &Path) -> Result<Vec<PathBuf>> {
     list(folder, "frame_", "npy")
 }
 
-/// The motion masks, in the order of the frames.
+/// The motion masks, in frame order.
 pub fn masks(folder: &Path) -> Result<Vec<PathBuf>> {
     list(folder, "dynamic_mask_", "png")
 }

@@ -1,15 +1,15 @@
-//! The layout of Nerfies, which HyperNeRF and DyCheck's iPhone captures share.
+//! The dataset layout of Nerfies, HyperNeRF and DyCheck's iPhone captures.
 //!
 //! | file | what |
 //! |---|---|
 //! | `scene.json` | `scale`, `center` (world), `near`, `far` (scaled): X′ = (X − center) · scale |
 //! | `dataset.json` | `ids`, `train_ids`, `val_ids` |
-//! | `metadata.json` | of each id `time_id`, or in older sets `warp_id`: the number of its moment |
+//! | `metadata.json` | per id `time_id`, or in older datasets `warp_id`: the number of its moment |
 //! | `camera/ID.json` | the camera at the size of `rgb/1x` |
-//! | `rgb/Nx/ID.png` | the picture at 1/N of that size |
+//! | `rgb/Nx/ID.png` | the image at 1/N of that size |
 //! | `points.npy` | N×3, world, without colours |
-//! | `splits/train.json`, `val.json` | DyCheck: `frame_names`, `time_ids`; they go before `dataset.json` |
-//! | `covisible/Nx/val/ID.png` | DyCheck: the pixels that the training pictures saw as well |
+//! | `splits/train.json`, `val.json` | DyCheck: `frame_names`, `time_ids`; they take precedence over `dataset.json` |
+//! | `covisible/Nx/val/ID.png` | DyCheck: the pixels that the training images saw as well |
 //! | `depth/Nx/ID.npy` | DyCheck: z in world units, 0 where not measured |
 //! | `extra.json` | DyCheck: `factor`, the N that is scored |
 //!
@@ -35,33 +35,33 @@ use crate::io;
 use crate::types::{Camera, Image, Intrinsics, Pose, range};
 use crate::{Error, Result};
 
-/// The frame that a set's world is brought to.
+/// The transform from a dataset's world to its normalised scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scene {
-    /// The world's point that becomes the origin.
+    /// World point that becomes the origin.
     pub center: DVec3,
-    /// Lengths of the scene in units of the world's.
+    /// Scene units per world unit.
     pub scale: f64,
-    /// Depth at which the scene begins, in the scene's units.
+    /// Near bound of the scene's depth, in scene units.
     pub near: f64,
-    /// Depth at which it ends, in the scene's units.
+    /// Far bound of the scene's depth, in scene units.
     pub far: f64,
 }
 
 impl Scene {
-    /// A world's point in the scene.
+    /// Transforms a world point to the scene.
     pub fn scene_from_world(&self, point: DVec3) -> DVec3 {
         (point - self.center) * self.scale
     }
 }
 
-/// Whether a folder is such a set's.
+/// Whether a folder contains such a dataset.
 pub(super) fn is_root(folder: &Path) -> bool {
     ["scene.json", "dataset.json"].iter().all(|name| folder.join(name).is_file())
         && folder.join("camera").is_dir()
 }
 
-/// The set that a folder of pictures (`rgb/2x`) belongs to.
+/// The dataset that an image folder (`rgb/2x`) belongs to.
 pub(super) fn root_of(pictures: &Path) -> Option<PathBuf> {
     factor_of(pictures)?;
     let rgb = pictures.parent().filter(|rgb| rgb.file_name().is_some_and(|name| name == "rgb"))?;
@@ -74,15 +74,15 @@ fn factor_of(folder: &Path) -> Option<u32> {
     digits.parse().ok().filter(|factor| *factor > 0)
 }
 
-/// Reads a set. Its pictures are those of `pictures`, a folder `rgb/Nx`; or else those that published
-/// figures are of: N of `extra.json`, else 2, else the finest that there is. Pictures that are listed and
-/// do not exist are skipped and counted in a note.
+/// Reads a dataset. Its images are those of `pictures`, a folder `rgb/Nx`, or else those that published
+/// results use: N of `extra.json`, else 2, else the finest that exists. Images that are listed but missing
+/// are skipped and counted in a note.
 ///
-/// Training and test pictures are those of `splits/`, else of `dataset.json`. Where no test pictures are
-/// listed, the set is HyperNeRF's for interpolation: every fourth picture is trained on, the one midway
-/// between two of these is a test, the others are left out.
+/// Training and test images are those of `splits/`, else of `dataset.json`. Where no test images are
+/// listed, the dataset is one of HyperNeRF's for interpolation: every fourth image is a training image, the
+/// one midway between two of these is a test image, the others are left out.
 ///
-/// Transparent pixels of pictures (DyCheck's, where the depth camera measured nothing) do not count.
+/// Transparent pixels (DyCheck's, where the depth camera measured nothing) are invalid.
 ///
 /// # Errors
 /// [`Error::Io`]; [`Error::Format`] with the file and the entry.
@@ -141,7 +141,7 @@ pub fn read(root: &Path, pictures: Option<&Path>) -> Result<Dataset> {
     Ok(set)
 }
 
-/// The pictures that are listed: training before test.
+/// The listed images, training before test.
 struct Listed {
     /// Id, number of its moment (0 where `timed` is false), whether it is held out.
     frames: Vec<(String, u32, bool)>,
@@ -224,7 +224,7 @@ impl Listed {
     }
 }
 
-/// HyperNeRF's split where no test pictures are listed.
+/// HyperNeRF's split for datasets without listed test images.
 fn interpolation(json: &Json, notes: &mut Vec<String>) -> Result<(Vec<String>, Vec<String>)> {
     let ids = json.ids("ids")?;
     let count = ids.len();
@@ -245,7 +245,7 @@ fn interpolation(json: &Json, notes: &mut Vec<String>) -> Result<(Vec<String>, V
     Ok((train, test))
 }
 
-/// The folder of the pictures that published figures are of.
+/// The image folder that published results use.
 fn folder_of_pictures(root: &Path, set: &mut Dataset) -> Result<PathBuf> {
     let rgb = root.join("rgb");
     let mut factors = Vec::new();
@@ -311,8 +311,8 @@ pub fn read_scene(path: &Path) -> Result<Scene> {
 /// Reads a camera: its lens at the size of `rgb/1x`, and `view_from_scene`.
 ///
 /// # Errors
-/// [`Error::Io`]; [`Error::Format`] with the field: one is missing or makes no sense, pixels are skewed,
-/// the orientation is no rotation.
+/// [`Error::Io`]; [`Error::Format`] with the field: it is missing or invalid, pixels are skewed, or the
+/// orientation is not a rotation.
 pub fn read_camera(path: &Path, scene: &Scene) -> Result<(Lens, Pose)> {
     let json = Json::read(path)?;
     let rows = json.value.get("orientation").and_then(Value::as_array);
@@ -358,7 +358,7 @@ pub fn read_camera(path: &Path, scene: &Scene) -> Result<(Lens, Pose)> {
     Ok((Lens { intrinsics, distortion }, pose))
 }
 
-/// Reads DyCheck's depth of a picture (`depth/Nx/ID.npy`): z in the scene's units, 0 where it is not known.
+/// Reads a DyCheck depth map (`depth/Nx/ID.npy`): z in scene units, 0 where unknown.
 ///
 /// # Errors
 /// Those of [`depth::read`].
@@ -368,7 +368,7 @@ pub fn read_depth(path: &Path, scene: &Scene) -> Result<Image> {
     Ok(depth)
 }
 
-/// Reads `points.npy`, which has no colours: grey points of the scene, and how many were left out.
+/// Reads `points.npy`, which has no colours: grey points in the scene, and the number of points left out.
 fn read_points(path: &Path, scene: &Scene) -> Result<(Vec<Point>, usize)> {
     let array = npy::read(path)?;
     let [count, 3] = array.shape[..] else {
@@ -390,7 +390,7 @@ fn triple(value: &Value) -> Option<[f64; 3]> {
     numbers.try_into().ok()
 }
 
-/// A JSON file and what is asked of it.
+/// A parsed JSON file with typed access to its fields.
 struct Json {
     path: PathBuf,
     value: Value,
@@ -430,7 +430,7 @@ impl Json {
         if self.value.get(key).is_some() { self.vector(key) } else { Ok([0.0; N]) }
     }
 
-    /// A list of ids, which are names or numbers.
+    /// A list of ids, which are strings or numbers.
     fn ids(&self, key: &str) -> Result<Vec<String>> {
         let bad = || self.bad(format!("`{key}` is not a list of pictures' names"));
         let id = |value: &Value| match value {
@@ -441,7 +441,7 @@ impl Json {
         self.value.get(key).and_then(Value::as_array).ok_or_else(bad)?.iter().map(id).collect()
     }
 
-    /// A list of `count` whole numbers; none where it is absent.
+    /// A list of `count` integers; `None` where it is absent.
     fn numbers(&self, key: &str, count: usize) -> Result<Option<Vec<u32>>> {
         let Some(list) = self.value.get(key) else { return Ok(None) };
         let number = |value: &Value| value.as_u64().and_then(|n| u32::try_from(n).ok());

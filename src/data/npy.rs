@@ -1,4 +1,4 @@
-//! Arrays of NumPy: a `.npy` file, or one array of an `.npz` archive.
+//! NumPy arrays: a `.npy` file, or one array of an `.npz` archive.
 
 use std::io::{Cursor, Read};
 use std::path::Path;
@@ -11,31 +11,31 @@ use crate::error::excerpt;
 use crate::io;
 use crate::{Error, Result};
 
-/// Bytes of an array's header, at most.
+/// Maximum size of an array's header, bytes.
 const MOST_HEADER: u32 = 1 << 16;
 
-/// Numbers of an array with its shape.
+/// An array's values with its shape.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Array {
-    /// Lengths of its axes, the slowest first.
+    /// Lengths of the axes, the slowest first.
     pub shape: Vec<usize>,
-    /// Row by row.
+    /// The values in row-major order.
     pub values: Vec<f64>,
 }
 
-/// Reads a `.npy` file of real numbers or booleans, stored row by row.
+/// Reads a `.npy` file of real numbers or booleans in row-major order.
 ///
 /// # Errors
-/// [`Error::Io`]; [`Error::Format`] for what is no such file.
+/// [`Error::Io`]; [`Error::Format`] for a file of another format.
 pub fn read(path: &Path) -> Result<Array> {
     let bytes = io::read(path)?;
     parse(path, "its array", &bytes[..], bytes.len())
 }
 
-/// Reads the array of an `.npz` archive that holds one only.
+/// Reads the array of an `.npz` archive that holds exactly one.
 ///
 /// # Errors
-/// As [`read`]; an archive of none or of several.
+/// Those of [`read`]; an archive with no array or several.
 pub fn read_only(path: &Path) -> Result<Array> {
     let bytes = io::read(path)?;
     let mut archive = open(path, &bytes)?;
@@ -65,7 +65,7 @@ pub(super) fn open<'a>(path: &Path, bytes: &'a Vec<u8>) -> Result<Archive<'a>> {
     ZipArchive::new(Cursor::new(bytes)).map_err(damaged)
 }
 
-/// An array of an archive of so many bytes; none where it is not there.
+/// Reads an array of an archive, given the archive's size in bytes; `None` where it is absent.
 pub(super) fn entry(
     path: &Path,
     archive: &mut Archive,
@@ -75,7 +75,7 @@ pub(super) fn entry(
     within(path, archive, name, |what, entry| parse(path, what, entry, packed))
 }
 
-/// The shape of an array of an archive, whose values are not read; none where it is not there.
+/// Reads only the shape of an array of an archive; `None` where it is absent.
 pub(super) fn shape(path: &Path, archive: &mut Archive, name: &str) -> Result<Option<Vec<usize>>> {
     within(path, archive, name, |what, entry| {
         let file = header(path, what, entry)?;
@@ -83,7 +83,7 @@ pub(super) fn shape(path: &Path, archive: &mut Archive, name: &str) -> Result<Op
     })
 }
 
-/// Reads of an archive's array, which is named for messages.
+/// Reads from an archive's array, and names the array in messages.
 fn within<T>(
     path: &Path,
     archive: &mut Archive,
@@ -106,7 +106,8 @@ fn header<'a>(
 ) -> Result<NpyFile<impl Read + 'a>> {
     let wrong = |what: String| Error::format(path, format!("{name}: {what}"));
     let damaged = |error: std::io::Error| wrong(excerpt(&error.to_string()));
-    // Of a format newer than the first, the header's length has four bytes, and as much memory is asked for.
+    // In formats newer than the first, the header's length has four bytes, and that much memory would be
+    // allocated.
     let mut start = [0; 12];
     from.read_exact(&mut start).map_err(damaged)?;
     let [.., a, b, c, d] = start;

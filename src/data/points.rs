@@ -12,18 +12,18 @@ use crate::{Error, Result};
 /// A coloured point in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
-    /// In the world.
+    /// Position in the world.
     pub position: [f32; 3],
     /// RGB in [0, 1].
     pub colour: [f32; 3],
 }
 
-/// Reads a point cloud from a PLY file: `x y z` and, where present, `red green blue` (grey
-/// otherwise). Points that are not finite or out of reach ([`range::CAMERA_REACH`]) are left out; the
-/// second value counts them.
+/// Reads a point cloud from a PLY file: `x y z` and, where present, `red green blue` (grey otherwise).
+/// Points that are not finite or outside [`range::CAMERA_REACH`] are left out; the second value is their
+/// number.
 ///
 /// # Errors
-/// The file is no PLY of points, is cut off, or has colours outside of [0, 1] (the message names the
+/// The file is not a PLY of points, is truncated, or has colours outside of [0, 1] (the message names the
 /// first such vertex).
 pub fn read_ply(path: &Path) -> Result<(Vec<Point>, usize)> {
     let bytes = io::read(path)?;
@@ -93,14 +93,14 @@ pub fn write_ply(path: impl AsRef<Path>, points: &[Point]) -> Result<()> {
 }
 
 impl Point {
-    /// Whether its numbers are finite and its place within reach.
+    /// Whether its values are finite and its position within [`range::CAMERA_REACH`].
     pub(super) fn is_usable(&self) -> bool {
         range::place(Vec3::from(self.position).as_dvec3()).is_ok()
             && self.colour.iter().all(|c| c.is_finite())
     }
 }
 
-/// The one line about points that were left out.
+/// The note about points that were left out.
 pub(super) fn left_out_note(left_out: usize, kept: usize) -> Option<String> {
     let all = left_out + kept;
     (left_out > 0).then(|| {

@@ -1,18 +1,18 @@
-//! `poses_bounds.npy`, the cameras of LLFF, of DyNeRF (Neural 3D Video) and of NVIDIA's dynamic scenes as
-//! NSFF and DynamicNeRF keep them.
+//! `poses_bounds.npy`: the cameras of LLFF, of DyNeRF (Neural 3D Video) and of NVIDIA's dynamic scenes as
+//! NSFF and DynamicNeRF store them.
 //!
-//! An array of cameras × 17: of each a 3×5 matrix row by row, and the nearest and the farthest depth. The
-//! matrix is `world_from_view` with the axes down, right, backwards, its translation, and a column of height,
-//! width and focal length in pixels. Pixels are square, the principal point is the middle, there is no
-//! distortion.
+//! An array of cameras × 17: for each camera a row-major 3×5 matrix, and the nearest and the farthest
+//! depth. The matrix consists of `world_from_view` with the axes down, right, backwards, its translation,
+//! and a column of height, width and focal length in pixels. Pixels are square, the principal point is the
+//! image centre, and there is no distortion.
 //!
-//! Which pictures the rows are of shows in the folder:
+//! The folder determines which images the rows describe:
 //!
-//! | beside the file | a row is of | trained on | test |
+//! | beside the file | a row describes | trained on | test |
 //! |---|---|---|---|
-//! | `cam00.mp4`, … or `cam00/images/`, … | a camera that stands still | the other cameras | the first camera |
+//! | `cam00.mp4`, … or `cam00/images/`, … | a static camera | the other cameras | the first camera |
 //! | `images/`, `mv_images/TTTTT/camCC.jpg` | frame t | `images/` | `mv_images`: time t, other cameras |
-//! | `images/` | a picture | `images/` | every eighth, held out by the commands |
+//! | `images/` | an image | `images/` | every eighth, held out by the commands |
 //!
 //! Source: the readme of Fyusion/LLFF; facebookresearch/Neural_3D_Video; `load_llff.py` and
 //! `evaluation.py` of zhengqili/Neural-Scene-Flow-Fields.
@@ -25,35 +25,35 @@ use super::{Dataset, Frame, fit_to_image, fit_to_size, images, npy, video};
 use crate::types::{Camera, Intrinsics, Pose, range};
 use crate::{Error, Result};
 
-/// The file.
+/// The file's name.
 const NAME: &str = "poses_bounds.npy";
-/// Numbers of a row.
+/// Numbers per row.
 const ROW: usize = 17;
 
-/// Folders beside the file that only a video's frames have: masks and flow of what moves.
+/// Sibling folders that only a video's frames have: masks and flow of the movers.
 const OF_VIDEO: [&str; 5] = ["mv_images", "motion_masks", "background_mask", "flow", "flow_i1"];
 
 /// A camera of the file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Row {
-    /// At the size that it was calibrated at.
+    /// The camera at its calibrated size.
     pub camera: Camera,
-    /// Depth of the nearest and the farthest that it sees, in the world's units.
+    /// Depth of the nearest and the farthest visible point, in world units.
     pub bounds: [f64; 2],
 }
 
-/// Whether a folder holds the file.
+/// Whether a folder contains the file.
 pub(super) fn is_root(folder: &Path) -> bool {
     folder.join(NAME).is_file()
 }
 
-/// Whether a folder's file is of several cameras with several pictures each.
+/// Whether a folder's file describes several cameras with several images each.
 pub(super) fn of_several_cameras(folder: &Path) -> bool {
     let any = || cameras(folder).is_ok_and(|found| !found.is_empty());
     is_root(folder) && (folder.join("mv_images").is_dir() || any())
 }
 
-/// The folder that a folder of pictures (`images_4`) belongs to.
+/// The dataset that an image folder (`images_4`) belongs to.
 pub(super) fn root_of(pictures: &Path) -> Option<PathBuf> {
     let root = pictures.parent().filter(|root| is_root(root))?;
     let named = pictures.file_name()?.to_str()?.starts_with("images");
@@ -63,7 +63,8 @@ pub(super) fn root_of(pictures: &Path) -> Option<PathBuf> {
 /// Reads the file.
 ///
 /// # Errors
-/// [`Error::Io`]; [`Error::Format`] with the row: the array has another shape, a matrix is none of a camera.
+/// [`Error::Io`]; [`Error::Format`] with the row: the array has another shape, or a matrix is not that of a
+/// camera.
 pub fn read_rows(path: &Path) -> Result<Vec<Row>> {
     let array = npy::read(path)?;
     let [_, ROW] = array.shape[..] else {
@@ -104,11 +105,11 @@ pub fn read_rows(path: &Path) -> Result<Vec<Row>> {
     Ok(rows)
 }
 
-/// Reads a dataset: `pictures` in the place of `images/` where it is given.
+/// Reads a dataset, with `pictures` in place of `images/` where it is given.
 ///
 /// # Errors
-/// [`Error::Io`]; [`Error::Format`]: there are not as many pictures or videos as rows, or one has other
-/// proportions than its camera.
+/// [`Error::Io`]; [`Error::Format`]: the number of images or videos differs from the number of rows, or the
+/// proportions of one differ from its camera's.
 pub fn read(root: &Path, pictures: Option<&Path>) -> Result<Dataset> {
     let file = root.join(NAME);
     let rows = read_rows(&file)?;
@@ -121,8 +122,8 @@ pub fn read(root: &Path, pictures: Option<&Path>) -> Result<Dataset> {
     Ok(set)
 }
 
-/// The names of the cameras that stand still beside a file, `cam00`, …, in their order; none where it is of one
-/// camera that moves, or where there is no such file.
+/// Names of the static cameras beside a file, `cam00`, …, in order; empty where the file describes a single
+/// moving camera, or where there is no such file.
 ///
 /// # Errors
 /// [`Error::Io`]: the folder cannot be read.
@@ -133,17 +134,17 @@ pub fn camera_names(root: &Path) -> Result<Vec<String>> {
     }
 }
 
-/// What a camera that stands still took: a video, or a folder of its frames.
+/// Recording of a static camera: a video, or a folder of its frames.
 #[derive(Clone, Debug)]
 struct Taken {
-    /// `cam00`.
+    /// Name of the camera, such as `cam00`.
     name: String,
     path: PathBuf,
     is_video: bool,
 }
 
-/// Files `camNN.mp4` and folders `camNN` of a folder, in the natural order of their names; a folder of a video's
-/// name goes before the video.
+/// Files `camNN.mp4` and folders `camNN` of a folder, in the natural order of their names; a folder takes
+/// precedence over a video of the same name.
 fn cameras(root: &Path) -> Result<Vec<Taken>> {
     let mut found: Vec<Taken> = Vec::new();
     for entry in std::fs::read_dir(root).map_err(Error::io(root))? {
@@ -167,7 +168,7 @@ fn cameras(root: &Path) -> Result<Vec<Taken>> {
     Ok(found)
 }
 
-/// Cameras that stand still, each with its frames. The first is the test.
+/// Static cameras, each with its frames. The first is the test camera.
 fn standing(file: &Path, rows: &[Row], cameras: &[Taken]) -> Result<Dataset> {
     if cameras.len() != rows.len() {
         let what = format!(
@@ -182,7 +183,7 @@ fn standing(file: &Path, rows: &[Row], cameras: &[Taken]) -> Result<Dataset> {
     for (row, taken) in rows.iter().zip(cameras) {
         of_cameras.push(frames_of(row, taken)?);
     }
-    // All begin together; one may have stopped earlier.
+    // All cameras begin together; one may have stopped earlier.
     let last = of_cameras.iter().map(Vec::len).max().unwrap_or(0).saturating_sub(1).max(1);
     for frames in &mut of_cameras {
         for (i, frame) in frames.iter_mut().enumerate() {
@@ -199,7 +200,7 @@ fn standing(file: &Path, rows: &[Row], cameras: &[Taken]) -> Result<Dataset> {
     Ok(set)
 }
 
-/// The frames of a camera that stands still.
+/// The frames of a static camera.
 fn frames_of(row: &Row, taken: &Taken) -> Result<Vec<Frame>> {
     let Taken { name, path, is_video } = taken;
     if *is_video {
@@ -216,7 +217,8 @@ fn frames_of(row: &Row, taken: &Taken) -> Result<Vec<Frame>> {
     let Some(first) = files.first() else {
         return Err(Error::format(path, "holds no pictures of its camera"));
     };
-    // One camera's pictures have one size; which another has is told when it is loaded.
+    // All images of a camera have one size, so only the first is read here; a deviating size is reported
+    // when the image is loaded.
     let mut camera = row.camera;
     fit_to_image(&mut camera, first)?;
     let frame = |file: &PathBuf| {
@@ -226,7 +228,7 @@ fn frames_of(row: &Row, taken: &Taken) -> Result<Vec<Frame>> {
     Ok(files.iter().map(frame).collect())
 }
 
-/// A picture of each row, and what the same cameras saw at other times where that is there.
+/// One image per row, and views of the same cameras at other times where they exist.
 fn moving(root: &Path, rows: &[Row], pictures: Option<&Path>) -> Result<Dataset> {
     let folder = pictures.map_or_else(|| root.join("images"), Path::to_path_buf);
     let files = images::list(&folder)?;
@@ -262,8 +264,8 @@ fn moving(root: &Path, rows: &[Row], pictures: Option<&Path>) -> Result<Dataset>
     Ok(set)
 }
 
-/// What the cameras of a row saw at the time of frame `i`, but for the one that took the frame: the cameras took
-/// the frames in turn, so that frame c is camera c's, whose place its row tells.
+/// Views at the time of frame `i` from the cameras of all rows except the one that recorded the frame. The
+/// cameras recorded the frames in turn, so that frame c belongs to camera c, whose pose is in its row.
 fn other_cameras(
     views: &Path,
     i: usize,

@@ -1,11 +1,12 @@
-//! Maps as pictures for people: flow and normals.
+//! Colour-coded flow and normals for display.
 
 use crate::types::Image;
 
-/// Where a value is not known.
+/// Colour of unknown values.
 pub const UNKNOWN: [f32; 3] = [0.5; 3];
 
-/// Normals as colours: right is red, down is green, away is blue, from -1 to 1; nothing is black.
+/// Normals as colours: right is red, down is green, away from the camera is blue, each from -1 to 1;
+/// unknown normals are black.
 pub fn normals(map: &Image) -> Image {
     let mut image = map.clone();
     for normal in image.pixels.chunks_exact_mut(3).filter(|n| n.iter().any(|v| *v != 0.0)) {
@@ -14,8 +15,8 @@ pub fn normals(map: &Image) -> Image {
     image
 }
 
-/// Flow as colours: the direction as hue (right is red), the length as saturation, up to `most` pixels;
-/// what does not move is white, what is not known grey.
+/// Flow as colours: the direction as hue (right is red), the length as saturation up to `most` pixels;
+/// static pixels are white, unknown ones grey.
 pub fn flow(map: &Image, most: f64) -> Image {
     let mut image = Image::new(map.width, map.height, 3);
     for (out, v) in image.pixels.chunks_exact_mut(3).zip(map.pixels.chunks_exact(2)) {
@@ -34,13 +35,13 @@ pub fn flow(map: &Image, most: f64) -> Image {
     image
 }
 
-/// Lengths of flow, one channel.
+/// Lengths of flow vectors, one channel.
 pub fn lengths(flow: &Image) -> Image {
     let pixels = flow.pixels.chunks_exact(2).map(|v| v[0].hypot(v[1])).collect();
     Image { channels: 1, pixels, ..*flow }
 }
 
-/// A round number that nearly all values lie below, `least` at least.
+/// A round number above nearly all values, at least `least`.
 pub fn brightest<'a>(maps: impl Iterator<Item = &'a Image>, least: f64) -> f64 {
     let mut all: Vec<f32> = maps
         .flat_map(|image| image.pixels.iter().copied().step_by(7).filter(|v| v.is_finite()))
@@ -66,7 +67,7 @@ mod tests {
         assert_eq!(drawn.at(1, 0), [1.0, 0.0, 0.0]);
         assert_eq!(drawn.at(2, 0), [0.0, 1.0, 1.0]);
         assert_eq!(drawn.at(3, 0), UNKNOWN);
-        // Down, half as far as shown at most.
+        // Downwards, half of the largest displayed length.
         let down = drawn.at(4, 0);
         assert!(down[1] == 1.0 && down[0] > 0.5 && down[0] < 1.0 && down[2] == 0.5, "{down:?}");
     }

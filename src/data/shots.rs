@@ -57,9 +57,9 @@ pub enum ShotChoice {
     /// The longest shot; the first one of several.
     #[default]
     Longest,
-    /// The shot of this number, from 0.
+    /// The shot with this index, from 0.
     Number(usize),
-    /// All, cuts or not.
+    /// The whole clip, with its cuts.
     Whole,
 }
 

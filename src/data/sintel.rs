@@ -1,9 +1,9 @@
 //! Sequences of MPI Sintel.
 //!
-//! A pass (`clean`, `final`) holds a folder of pictures for each sequence, `frame_0001.png`, …; beside the
-//! passes lie `camdata_left` ([`cam`]), `depth` ([`dpt`](super::dpt)) and `flow` ([`flo`](super::flo), one
-//! field fewer), each with a folder of the sequence's name and files of the pictures' names. Cameras differ
-//! from frame to frame in focal length, too; world units are Sintel's.
+//! A pass (`clean`, `final`) holds an image folder for each sequence, `frame_0001.png`, …; beside the
+//! passes are `camdata_left` ([`cam`]), `depth` ([`dpt`](super::dpt)) and `flow` ([`flo`](super::flo), one
+//! field fewer), each with a folder of the sequence's name and files of the images' names. The focal length
+//! also varies between frames; world units are Sintel's.
 //!
 //! Source: the readme of MPI-Sintel-depth-training; `eval_metadata.py` of junyi42/monst3r for the 14
 //! sequences.
@@ -14,7 +14,7 @@ use super::{Dataset, Frame, cam, images};
 use crate::types::Camera;
 use crate::{Error, Result};
 
-/// The sequences on which camera poses are scored by the field, of pass `final`.
+/// The sequences of pass `final` that are commonly used to evaluate camera poses.
 pub const SEQUENCES: [&str; 14] = [
     "alley_2",
     "ambush_4",
@@ -35,17 +35,17 @@ pub const SEQUENCES: [&str; 14] = [
 /// The folder of cameras beside the passes.
 const CAMERAS: &str = "camdata_left";
 
-/// The folder of a sequence's cameras, from that of its pictures.
+/// The camera folder of a sequence, from its image folder.
 pub fn cameras_of(pictures: &Path) -> Option<PathBuf> {
     beside(pictures, CAMERAS)
 }
 
-/// The folder of a sequence's depth maps, from that of its pictures.
+/// The depth folder of a sequence, from its image folder.
 pub fn depth_of(pictures: &Path) -> Option<PathBuf> {
     beside(pictures, "depth")
 }
 
-/// The folder of a sequence's flow, from that of its pictures.
+/// The flow folder of a sequence, from its image folder.
 pub fn flow_of(pictures: &Path) -> Option<PathBuf> {
     beside(pictures, "flow")
 }
@@ -55,7 +55,7 @@ fn beside(pictures: &Path, what: &str) -> Option<PathBuf> {
     Some(root.join(what).join(pictures.file_name()?)).filter(|folder| folder.is_dir())
 }
 
-/// What to say of a folder that holds passes or sequences, and is none itself.
+/// The message about a folder that contains passes or sequences but is not a sequence itself.
 pub(super) fn root(folder: &Path) -> Option<String> {
     let root = [folder.to_path_buf(), folder.join("training"), folder.join("..")];
     let root = root.into_iter().find(|root| root.join(CAMERAS).is_dir())?;
@@ -65,10 +65,11 @@ pub(super) fn root(folder: &Path) -> Option<String> {
     ))
 }
 
-/// Reads a sequence: its pictures, and the cameras of the same names. Times run from 0 to 1.
+/// Reads a sequence: its images, and the cameras of the same names. Times run from 0 to 1.
 ///
 /// # Errors
-/// [`Error::Io`]; [`Error::Format`]: there are no pictures, one has no camera, or a camera is none of its size.
+/// [`Error::Io`]; [`Error::Format`]: there are no images, one has no camera, or a camera does not fit its
+/// size.
 pub fn read(pictures: &Path, cameras: &Path) -> Result<Dataset> {
     let files = images::list(pictures)?;
     if files.is_empty() {

@@ -1,13 +1,13 @@
-//! Points through a clip as an `.npz`: where each of them is in every frame, and where it is seen.
+//! Point tracks as `.npz`: each point's position in every frame, and its visibility.
 //!
-//! Written as TAPIR does: `tracks` (points × frames × 2, x and y), `visibles` (points × frames) and
-//! `query_points` (points × 3: frame, y, x), in pixels with the corner of the picture at 0, and `size`
-//! (width, height), to which they belong. Read are also `occluded` instead of `visibles`, and what
-//! CoTracker gives: `pred_tracks` ([batch ×] frames × points × 2) and `pred_visibility`, whose pixel
-//! centres are at whole numbers; and an entry of TAP-Vid: `points` (points × frames × 2, in shares of width
-//! and height), `occluded`, `video` (frames × height × width × 3). TAP-Vid keeps its entries in one pickle,
-//! which can run any program and is not read; NumPy writes each as such an archive:
-//! `np.savez(name, **pickle.load(file)[name])`.
+//! The format written is TAPIR's: `tracks` (points × frames × 2, x and y), `visibles` (points × frames) and
+//! `query_points` (points × 3: frame, y, x), in pixels with the corner of the image at 0, and `size`
+//! (width, height), to which they refer. Also read are `occluded` in place of `visibles`; CoTracker's
+//! `pred_tracks` ([batch ×] frames × points × 2) and `pred_visibility`, whose pixel centres are at
+//! integers; and an entry of TAP-Vid: `points` (points × frames × 2, as shares of width and height),
+//! `occluded`, `video` (frames × height × width × 3). TAP-Vid stores its entries in one pickle, which can
+//! execute arbitrary code and is not read; NumPy converts each to such an archive: `np.savez(name,
+//! **pickle.load(file)[name])`.
 //!
 //! Source: data/README.md of google-deepmind/tapnet.
 
@@ -24,14 +24,14 @@ use crate::io;
 use crate::types::{PointPath, Tracks, range};
 use crate::{Error, Result};
 
-/// What a pickle begins with.
+/// First byte of a pickle.
 const PICKLE: u8 = 0x80;
 
-/// Reads points.
+/// Reads point tracks.
 ///
 /// # Errors
-/// [`Error::Io`]; [`Error::Format`] for what is no `.npz`, lacks an array, or holds shapes that do not
-/// fit each other.
+/// [`Error::Io`]; [`Error::Format`] for a file that is not an `.npz`, lacks an array, or has arrays with
+/// inconsistent shapes.
 pub fn read(path: impl AsRef<Path>) -> Result<Tracks> {
     let path = path.as_ref();
     let bytes = io::read(path)?;
@@ -136,7 +136,7 @@ pub fn read(path: impl AsRef<Path>) -> Result<Tracks> {
     Ok(Tracks { size, points: (0..points).map(point).collect::<Result<_>>()? })
 }
 
-/// Width and height of TAP-Vid's pictures, from the shape of its array `video`.
+/// Width and height of TAP-Vid's frames, from the shape of its array `video`.
 fn video_size(path: &Path, shape: Option<Vec<usize>>) -> Result<(u32, u32)> {
     let size = match shape.as_deref() {
         Some(&[_, height, width, 3]) => images::sides(width, height),
@@ -149,8 +149,8 @@ fn video_size(path: &Path, shape: Option<Vec<usize>>) -> Result<(u32, u32)> {
     })
 }
 
-/// From [batch ×] frames × points × … to points × frames × …, of so many values each (0: one, without
-/// an axis of its own).
+/// Transposes [batch ×] frames × points × … to points × frames × …, with `each` values per entry (0: one
+/// value without an axis).
 fn swapped(path: &Path, array: Array, each: usize) -> Result<Array> {
     let Array { mut shape, values } = array;
     let axes = if each == 0 { 2 } else { 3 };
@@ -173,7 +173,7 @@ fn swapped(path: &Path, array: Array, each: usize) -> Result<Array> {
     Ok(Array { shape, values: out })
 }
 
-/// Writes points, by rename.
+/// Writes point tracks, by rename.
 ///
 /// # Errors
 /// [`Error::Io`]; [`Error::Shape`] where points differ in the number of their frames.
@@ -216,7 +216,7 @@ fn entry<T: npyz::AutoSerialize>(
     shape: &[u64],
     values: Vec<T>,
 ) -> std::io::Result<()> {
-    // The same bytes whenever they are written.
+    // A fixed time makes the file's bytes reproducible.
     let options = SimpleFileOptions::default().last_modified_time(zip::DateTime::default());
     archive.start_file(format!("{name}.npy"), options)?;
     let options = npyz::WriteOptions::new().default_dtype();
@@ -276,7 +276,7 @@ mod tests {
         assert_eq!(found.size, None);
         for (found, truth) in found.points.iter().zip(&truth.points) {
             assert_eq!((&found.pixels, &found.seen), (&truth.pixels, &truth.seen));
-            // The first frame in which it is seen.
+            // The first frame in which the point is visible.
             assert!(found.seen[found.query.0] && !found.seen[..found.query.0].contains(&true));
         }
     }

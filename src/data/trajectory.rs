@@ -1,5 +1,5 @@
-//! Trajectories: TUM's `timestamp tx ty tz qx qy qz qw` and what goes by that name elsewhere, KITTI's
-//! pose files, EuRoC's ground truth, Sintel's cameras.
+//! Trajectory files: TUM's `timestamp tx ty tz qx qy qz qw` and its variants, KITTI's pose files, EuRoC's
+//! ground truth, Sintel's cameras.
 
 use std::io::Write;
 use std::path::Path;
@@ -11,61 +11,61 @@ use crate::io;
 use crate::types::{Pose, range};
 use crate::{Error, Result};
 
-/// A camera's pose at a time.
+/// Camera pose with a time stamp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimedPose {
-    /// The file's timestamp, in its own unit; of EuRoC's in seconds.
+    /// The file's time stamp, in the file's unit; for EuRoC in seconds.
     pub time: f64,
     /// Camera to world.
     pub world_from_view: Pose,
 }
 
-/// The order of a quaternion's components in a file.
+/// Order of a quaternion's components in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum QuaternionOrder {
-    /// (x, y, z, w), as TUM's.
+    /// (x, y, z, w), as in TUM's format.
     Xyzw,
     /// (w, x, y, z), as MonST3R writes under the same name.
     Wxyz,
 }
 
-/// The formats that are told apart, by what a file holds.
+/// The supported formats, distinguished by a file's contents.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
-    /// Lines of 8 numbers: a timestamp, a translation, a quaternion.
+    /// Lines of 8 numbers: time stamp, translation, quaternion.
     Tum,
-    /// Lines of 7 numbers: the same without timestamps.
+    /// Lines of 7 numbers: translation, quaternion.
     Poses,
     /// Lines of 12 numbers: the rows of a 3×4 matrix.
     Kitti,
-    /// Lines of 8 numbers or more with commas between: a timestamp in nanoseconds, a position, a
-    /// quaternion (w, x, y, z), and what is passed over.
+    /// Comma-separated lines of at least 8 numbers: a time stamp in nanoseconds, a position, a quaternion
+    /// (w, x, y, z), and further columns that are ignored.
     Euroc,
-    /// Sintel's `.cam`: a file, or a folder of them.
+    /// Sintel's `.cam`: one file, or a folder of them.
     Cam,
 }
 
-/// A trajectory as it is written.
+/// A trajectory as stored.
 #[derive(Clone, Debug)]
 pub struct Trajectory {
-    /// What it is written as.
+    /// The file's format.
     pub format: Format,
-    /// One for each pose: the file's timestamp, in its own unit, of EuRoC's in seconds. Places in the
-    /// file, from 0, where the format has no timestamps.
+    /// One per pose: the file's time stamp, in the file's unit, for EuRoC in seconds. Where the format has
+    /// no time stamps, the index from 0.
     pub times: Vec<f64>,
-    /// Camera to world, matrices as written: rounding may leave them a little off a rotation.
+    /// Camera to world, matrices as stored: rounding may leave them slightly off a rotation.
     pub world_from_view: Vec<DAffine3>,
-    /// The order in which quaternions were read; none where the format has none.
+    /// The order in which quaternions were read; `None` where the format has none.
     pub order: Option<QuaternionOrder>,
 }
 
 impl Trajectory {
-    /// Whether the format has timestamps.
+    /// Whether the format has time stamps.
     pub fn is_timed(&self) -> bool {
         matches!(self.format, Format::Tum | Format::Euroc)
     }
 
-    /// The poses, their rotations made such.
+    /// The poses, with their matrices projected to rotations.
     pub fn poses(&self) -> Vec<TimedPose> {
         let timed = |(&time, rigid): (&f64, &DAffine3)| {
             let rotation = DQuat::from_mat3(&rigid.matrix3);
@@ -80,19 +80,20 @@ pub fn read(path: impl AsRef<Path>, order: Option<QuaternionOrder>) -> Result<Ve
     Ok(open(path, order)?.poses())
 }
 
-/// Reads a trajectory: a text file whose lines hold 8 numbers (TUM), 7 (the same without a timestamp),
-/// 12 (KITTI) or EuRoC's, or Sintel's `.cam` (world to camera there), a file or a folder of them in the
-/// natural order of their names. What is read shows in the file. Lines that begin with `#` are comments.
+/// Reads a trajectory: a text file whose lines hold 8 numbers (TUM), 7 (without a time stamp), 12 (KITTI)
+/// or EuRoC's columns, or Sintel's `.cam` (which stores world to camera), a file or a folder of them in the
+/// natural order of their names. The format is determined from the contents. Lines that begin with `#` are
+/// comments.
 ///
-/// A line with commas is EuRoC's where a comment says `[ns]`, or where the first number is too large
+/// A comma-separated line is EuRoC's where a comment says `[ns]`, or where the first number is too large
 /// for seconds.
 ///
-/// With `order` `None` the order of quaternions is found out: a comment that names `qw` before `qx`
-/// decides; EuRoC's is (w, x, y, z); else, where the first pose is the identity in one of the two
-/// readings, it is that one (files written as (w, x, y, z) usually begin so); else TUM's (x, y, z, w).
+/// With `order` `None` the order of the quaternion is determined: by a comment that names `qw` before `qx`;
+/// for EuRoC it is (w, x, y, z); else, where the first pose is the identity in one of the two orders, by
+/// that (files in the order (w, x, y, z) usually begin with it); else it is TUM's (x, y, z, w).
 ///
 /// # Errors
-/// [`Error::Io`]; [`Error::Format`] for what is no trajectory, with the line.
+/// [`Error::Io`]; [`Error::Format`] for a file that is not a trajectory, with the line.
 pub fn open(path: impl AsRef<Path>, order: Option<QuaternionOrder>) -> Result<Trajectory> {
     let path = path.as_ref();
     if path.is_dir() {
@@ -112,7 +113,8 @@ fn cams(cams: Vec<cam::Cam>) -> Result<Trajectory> {
     Ok(Trajectory {
         format: Format::Cam,
         times: (0..cams.len()).map(|i| i as f64).collect(),
-        // The transpose as the inverse: it leaves the matrix as far off a rotation as it was.
+        // The transpose is used as the inverse, which leaves the matrix exactly as far off a rotation as it
+        // was.
         world_from_view: cams
             .iter()
             .map(|cam| {
@@ -125,7 +127,7 @@ fn cams(cams: Vec<cam::Cam>) -> Result<Trajectory> {
     })
 }
 
-/// A line's place and its numbers.
+/// A line's number and its values.
 struct Row {
     line: usize,
     numbers: Vec<f64>,
@@ -162,7 +164,8 @@ fn text(path: &Path, order: Option<QuaternionOrder>) -> Result<Trajectory> {
         rows.push(Row { line: i + 1, numbers });
     }
     let Some(first) = rows.first() else { return Err(Error::format(path, "holds no poses")) };
-    /// Seconds beyond this lie 30 million years from 1970; nanoseconds, eleven days.
+    /// Values beyond this would be 30 million years after 1970 in seconds; in nanoseconds they are eleven
+    /// days.
     const NANOSECONDS: f64 = 1e15;
     nanoseconds = commas && (nanoseconds || first.numbers[0].abs() >= NANOSECONDS);
     let format = match first.numbers.len() {
@@ -225,7 +228,7 @@ fn quaternion_pose(row: &[f64], order: QuaternionOrder) -> std::result::Result<D
     Ok(DAffine3::from_rotation_translation(rotation.normalize(), translation))
 }
 
-/// Writes TUM's format (x, y, z, w), with as many digits as bring the same numbers back.
+/// Writes TUM's format (x, y, z, w) with enough digits to read back the same numbers.
 pub fn write(path: impl AsRef<Path>, poses: &[TimedPose]) -> Result<()> {
     io::write_atomically(path, |sink| {
         writeln!(sink, "# timestamp tx ty tz qx qy qz qw (camera to world)")?;

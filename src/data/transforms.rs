@@ -1,8 +1,8 @@
-//! nerfstudio's and instant-ngp's `transforms.json`, and the same split over `transforms_train.json`
-//! and `transforms_test.json` as D-NeRF has it.
+//! `transforms.json` of nerfstudio and instant-ngp, and D-NeRF's split into `transforms_train.json` and
+//! `transforms_test.json`.
 //!
-//! `transform_matrix` is `world_from_view` with OpenGL's camera axes (y up, z backward). Intrinsics
-//! stand at the top or at a frame, which wins. A frame's `time` lies in [0, 1].
+//! `transform_matrix` is `world_from_view` with OpenGL's camera axes (y up, z backward). Intrinsics are
+//! given for the file or for a frame; the frame's take precedence. A frame's `time` is in [0, 1].
 
 use std::path::{Path, PathBuf};
 
@@ -16,10 +16,10 @@ use crate::io;
 use crate::types::{Camera, Intrinsics, Pose, range};
 use crate::{Error, Result};
 
-/// A camera of a path or a trajectory.
+/// A camera of a path or a trajectory, with its time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimedCamera {
-    /// In [0, 1].
+    /// Time in [0, 1].
     pub time: f64,
     /// The camera.
     pub camera: Camera,
@@ -30,7 +30,7 @@ struct Entry {
     file: String,
     time: Option<f64>,
     view_from_world: Pose,
-    /// The frame's own fields, over the file's.
+    /// The frame's own fields, which override the file's.
     fields: Map<String, Value>,
 }
 
@@ -41,8 +41,7 @@ struct Listing {
     entries: Vec<Entry>,
 }
 
-/// Reads a dataset of one file. Pictures that it lists and that do not exist are skipped and counted
-/// in a note.
+/// Reads a dataset of one file. Listed images that are missing are skipped and counted in a note.
 pub fn read(path: &Path) -> Result<Dataset> {
     let listing = Listing::read(path)?;
     let mut set = Dataset::default();
@@ -69,9 +68,9 @@ pub fn read(path: &Path) -> Result<Dataset> {
     Ok(set)
 }
 
-/// Reads a set that is split over `transforms_train.json` and `transforms_test.json` in a folder.
-/// Test frames that are training frames too are left out of the test split, with a note;
-/// `transforms_val.json` is not read.
+/// Reads a dataset that is split into `transforms_train.json` and `transforms_test.json` in a folder. Test
+/// frames that are also training frames are left out of the test split, with a note; `transforms_val.json`
+/// is not read.
 pub fn read_split(folder: &Path) -> Result<Dataset> {
     let train = Listing::read(&folder.join("transforms_train.json"))?;
     let test = folder.join("transforms_test.json");
@@ -107,8 +106,8 @@ pub fn read_split(folder: &Path) -> Result<Dataset> {
     Ok(set)
 }
 
-/// Reads cameras alone, as a path to render along; pictures need not exist, but each camera needs
-/// its size (`w`, `h`), at the top or at the frame. Where times are absent, they run from 0 to 1.
+/// Reads only the cameras, as a path to render along; images need not exist, but each camera needs its size
+/// (`w`, `h`), in the file's or the frame's fields. Where times are absent, they run from 0 to 1.
 pub fn read_cameras(path: &Path) -> Result<Vec<TimedCamera>> {
     let listing = Listing::read(path)?;
     if listing.entries.is_empty() {
@@ -136,8 +135,8 @@ pub fn distortions(path: &Path) -> Result<Vec<Distortion>> {
     listing.entries.iter().map(|entry| Ok(listing.lens(entry, None)?.1)).collect()
 }
 
-/// Writes cameras as nerfstudio reads them, each with its `time`; `files` names a picture for each
-/// camera, relative to the file; `cloud` a PLY of points to begin with, where there is one.
+/// Writes cameras in nerfstudio's format, each with its `time`; `files` names an image for each camera,
+/// relative to the file; `cloud` names a PLY file of initial points, if there is one.
 pub fn write(
     path: impl AsRef<Path>,
     cameras: &[TimedCamera],
@@ -164,7 +163,7 @@ pub fn write(
     let frames: Vec<Value> = cameras.iter().zip(files).map(frame).collect();
     let mut top = json!({ "camera_model": "PINHOLE", "frames": frames });
     if let Some(first) = cameras.first() {
-        // Readers that know only one camera for all frames find it at the top.
+        // Readers that support only one camera for all frames find it in the file's fields.
         let k = &first.camera.intrinsics;
         for (key, value) in [("fl_x", k.fx), ("fl_y", k.fy), ("cx", k.cx), ("cy", k.cy)] {
             top[key] = json!(value);
@@ -178,7 +177,7 @@ pub fn write(
     io::write_json(path, &top)
 }
 
-/// Turns OpenCV's camera axes into OpenGL's and back: y and z change sign.
+/// Converts OpenCV's camera axes to OpenGL's and back: y and z change sign.
 const GL_FLIP: DVec3 = DVec3::new(1.0, -1.0, -1.0);
 
 /// The rows of `world_from_view` with OpenGL's axes.
@@ -190,7 +189,7 @@ fn matrix(view_from_world: &Pose) -> [[f64; 4]; 4] {
     whole.transpose().to_cols_array_2d()
 }
 
-/// How given times become times in [0, 1]: first and length; `None` where no frame has one.
+/// How the given times are mapped to [0, 1]: first time and duration; `None` where no frame has a time.
 fn span(path: &Path, times: &[Option<f64>], notes: &mut Vec<String>) -> Result<Option<(f64, f64)>> {
     let given: Vec<f64> = times.iter().flatten().copied().collect();
     if given.is_empty() {
@@ -252,7 +251,7 @@ impl Listing {
         self.path.parent().unwrap_or(Path::new("."))
     }
 
-    /// Adds the frames whose pictures exist, and a note about the others.
+    /// Adds the frames whose images exist, and a note about the others.
     fn frames(&self, span: Option<(f64, f64)>, set: &mut Dataset) -> Result<()> {
         let frames = self
             .entries
@@ -279,7 +278,7 @@ impl Listing {
         Ok(())
     }
 
-    /// The picture of a `file_path`, whose extension may be left out.
+    /// The image file of a `file_path`, whose extension may be omitted.
     fn image(&self, file: &str) -> Option<PathBuf> {
         let exact = self.folder().join(file);
         if exact.is_file() {
@@ -289,7 +288,7 @@ impl Listing {
         images::EXTENSIONS.iter().map(with).find(|path| path.is_file())
     }
 
-    /// Intrinsics and distortion of a frame; `size` is the picture's, for files that do not say.
+    /// Intrinsics and distortion of a frame; `size` is the image's, for files without a size.
     fn lens(&self, entry: &Entry, size: Option<(u32, u32)>) -> Result<(Intrinsics, Distortion)> {
         let bad = |what: String| {
             Error::format(&self.path, format!("the camera of {}: {what}", excerpt(&entry.file)))
@@ -325,7 +324,7 @@ impl Listing {
             Some(angle) => Err(bad(format!("`{key}` = {angle:?} is not between 0 and π radians"))),
             None => Ok(None),
         };
-        // Angles beside focal lengths are not read: some exporters leave them at 0.
+        // Angles beside focal lengths are ignored, because some exporters leave them at 0.
         let given = number("fl_x")?;
         let x = given.map_or_else(|| of_angle("camera_angle_x", w), |fx| Ok(Some(fx)))?;
         let y = number("fl_y")?.or(given);
@@ -351,8 +350,8 @@ impl Listing {
     }
 }
 
-/// `view_from_world` (OpenCV) of a 3×4 or 4×4 `world_from_view` (OpenGL). A uniform scale on the
-/// rotation, which some exporters leave there, is taken off.
+/// `view_from_world` (OpenCV) of a 3×4 or 4×4 `world_from_view` (OpenGL). A uniform scale of the rotation,
+/// which some exporters leave in, is removed.
 fn pose(value: Option<&Value>) -> std::result::Result<Pose, String> {
     let value = value.ok_or("is missing")?;
     let number = |row: usize, column: usize| {

@@ -1,11 +1,11 @@
 //! Video files, through the `ffmpeg` program.
 //!
-//! ffmpeg writes the frames as PPM pictures into a pipe: each carries its own size, so that rotated
-//! phone videos need no case of their own, and nothing touches the disk.
+//! ffmpeg writes the frames as PPM images to a pipe: each image carries its size, so that rotated phone
+//! videos need no special case, and nothing is written to disk.
 //!
-//! ffmpeg goes on where a video is damaged: it conceals what it cannot decode, leaves frames out and
-//! ends as if all were well. What it says of that on stderr is read, and then the video is looked
-//! through frame by frame (`damage`).
+//! ffmpeg continues where a video is damaged: it conceals undecodable data, drops frames and exits with
+//! success. Its messages on stderr are therefore parsed, and after a message about damage the video is
+//! examined frame by frame (`damage`).
 
 use std::ffi::{OsStr, OsString};
 use std::io::{BufRead, BufReader, Read};
@@ -24,40 +24,40 @@ use crate::{Error, Result};
 
 mod damage;
 
-/// The frames of a video.
+/// The decoded frames of a video.
 pub struct Decoded {
-    /// Number in the whole video, and picture.
+    /// Frame number in the whole video, and image.
     pub frames: Vec<(usize, Image)>,
-    /// Width and height of the frames before they were resized.
+    /// Width and height of the frames before resizing.
     pub original: (u32, u32),
-    /// Frames a second of the file, where `ffprobe` tells.
+    /// Frame rate of the file in frames per second, where `ffprobe` gives it.
     pub rate: Option<f64>,
-    /// Frames of the whole video; `None` where that is not known.
+    /// Number of frames of the whole video; `None` where it is unknown.
     pub total: Option<usize>,
     /// Frames left out because they are damaged or lost.
     pub skipped: usize,
-    /// The shots of the video, by the numbers of their frames; empty where no cut was found.
+    /// The shots of the video, by frame numbers; empty where no cut was found.
     pub shots: Vec<Shot>,
-    /// Which of them the frames were taken from; `None` where it was all of the video.
+    /// Index of the shot that the frames were taken from; `None` for the whole video.
     pub shot: Option<usize>,
-    /// Lines to show.
+    /// Notes for the user.
     pub notes: Vec<String>,
 }
 
-/// Decodes a video with the `ffmpeg` that the system finds; see [`decode_with`].
+/// Decodes a video with the `ffmpeg` on the path; see [`decode_with`].
 pub fn decode(path: &Path, options: &ClipOptions, go_on: GoOn) -> Result<Decoded> {
     decode_with(OsStr::new("ffmpeg"), OsStr::new("ffprobe"), path, options, go_on)
 }
 
-/// Asked several times a second whether to go on; its error ends the work and is passed on.
+/// Cancellation callback, called several times a second; its error ends the work and is returned.
 pub type GoOn<'a> = &'a (dyn Fn() -> Result<()> + Sync);
 
 /// Decodes a video with the given programs.
 ///
 /// # Errors
-/// The program is missing (the message says how to install it or do without) or cannot be started,
-/// it cannot read the file (the message is its own), no such shot, frames are damaged or lost
-/// (unless `skip_bad`), more frames than there is memory for; those of `go_on`.
+/// The program is missing (the message gives remedies) or cannot be started, it cannot read the file (the
+/// message is ffmpeg's), there is no such shot, frames are damaged or lost (unless `skip_bad`), memory is
+/// insufficient; errors of `go_on`.
 pub fn decode_with(
     ffmpeg: &OsStr,
     ffprobe: &OsStr,
@@ -78,7 +78,7 @@ pub fn decode_with(
         foresee(path, taken, options.size.target(width, height))?;
     }
     let select = Select { first: range.first, every: options.every };
-    // All of a video is read to its end: what is damaged there is told.
+    // A video that is used whole is read to its end, so that damage there is reported.
     let count = shot.map(|_| range.frames().div_ceil(options.every).min(most));
     let number = &mut |i: usize| Some(range.first + i * options.every);
     let mut taken = source.take(&select, count.or(options.max_frames), number)?;
@@ -100,7 +100,7 @@ pub fn decode_with(
         decoded.total = seen.as_ref().and_then(|seen| seen.total);
         let mut range = all;
         if let Some(seen) = &seen {
-            // Frames are missing between others, so that shots have other numbers.
+            // Missing frames shift the frame numbers of the shots.
             if scan.decoded != seen.decoded.len() && shot.is_some() {
                 return Err(Error::format(path, UNTELLABLE));
             }
@@ -148,7 +148,7 @@ pub fn decode_with(
         }
         decoded.skipped = bad.len();
         if let Some(seen) = seen.filter(|seen| seen.whole.contains(&false)) {
-            // Frames are missing between others, so that counting gives wrong numbers.
+            // Missing frames shift the frame numbers, so that counting gives wrong ones.
             drop(taken.frames);
             let keep = &mut |i: usize| {
                 let number = *seen.decoded.get(i)?;
@@ -167,21 +167,21 @@ pub fn decode_with(
     Ok(decoded)
 }
 
-/// A video's size and length, as `ffprobe` tells them.
+/// Size and length of a video, from `ffprobe`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Extent {
     /// Width and height, pixels.
     pub size: (u32, u32),
-    /// Frames.
+    /// Number of frames.
     pub frames: usize,
 }
 
-/// How large and how long a video is; nothing is decoded.
+/// Size and length of a video, without decoding.
 ///
 /// # Errors
-/// [`Error::Format`] where `ffprobe` does not know, or is missing.
+/// [`Error::Format`] where `ffprobe` does not give them, or is missing.
 pub fn extent(path: &Path) -> Result<Extent> {
-    // Only a regular file is an input.
+    // Only regular files are accepted.
     crate::io::open(path)?;
     let told = Told::by(OsStr::new("ffprobe"), &input(path));
     match (told.size, told.packets) {
@@ -194,12 +194,12 @@ pub fn extent(path: &Path) -> Result<Extent> {
     }
 }
 
-/// Decodes some frames of a video, those of the given numbers, which ascend; each is handed over with
-/// its number. What lies before the last of them is decoded as well.
+/// Decodes the frames of a video with the given ascending numbers, and passes each to `each` with its
+/// number. All frames up to the last of them are decoded.
 ///
 /// # Errors
-/// [`Error::Format`] where the video is damaged or has fewer frames; those of [`decode_with`] about the
-/// program; those of `each`.
+/// [`Error::Format`] where the video is damaged or has fewer frames; the errors of [`decode_with`] about
+/// the program; errors of `each`.
 pub fn frames(
     path: &Path,
     numbers: &[usize],
@@ -236,31 +236,31 @@ pub fn frames(
     }
 }
 
-/// A file's name for ffmpeg: `file:` keeps one such as `-x.mp4` or `concat:a` from being read as
-/// something else.
+/// A file name for ffmpeg: the prefix `file:` keeps names such as `-x.mp4` or `concat:a` from being
+/// interpreted as options or protocols.
 fn input(path: &Path) -> OsString {
     let mut input = OsString::from("file:");
     input.push(path);
     input
 }
 
-/// Why a damaged video is given up.
+/// The message when a damaged video is rejected.
 const UNTELLABLE: &str = "is so damaged that its frames cannot be told apart; extract them elsewhere \
                           and give the folder of images";
 
-/// A process of ours that ends with what waits for it.
+/// A child process that is killed when its handle is dropped.
 struct Running(Child);
 
 impl Drop for Running {
     fn drop(&mut self) {
-        // It may be gone already; a child that is not waited for would stay in the process table.
+        // The process may have ended already; it must be waited for to be removed from the process table.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
 }
 
-/// Starts a program that is not hit by a Ctrl-C in the terminal: this process hears that and says
-/// what becomes of its own.
+/// Starts a program in its own process group, so that a Ctrl-C in the terminal reaches only this process,
+/// which then ends the child.
 fn start(command: &mut Command, path: &Path) -> Result<Running> {
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(command, 0);
@@ -278,15 +278,15 @@ fn start(command: &mut Command, path: &Path) -> Result<Running> {
     })
 }
 
-/// How much of what a program says is kept.
+/// Maximum size of the messages that are kept, bytes.
 const SAID: u64 = 1 << 20;
 
-/// Reads what a program says beside its output: a full pipe of messages would stop it.
+/// Reads a program's messages in a thread; a full pipe would block the program.
 fn listen(from: impl Read + Send + 'static) -> JoinHandle<String> {
     spawn(move || {
         let mut text = Vec::new();
         let mut from = from;
-        // What cannot be read here only shortens a message.
+        // A read error here only shortens a message.
         let _ = from.by_ref().take(SAID).read_to_end(&mut text);
         let _ = std::io::copy(&mut from, &mut std::io::sink());
         String::from_utf8_lossy(&text).into_owned()
@@ -302,35 +302,35 @@ struct Source<'a> {
     go_on: GoOn<'a>,
 }
 
-/// The frames of a video that are asked for: every so-manieth, from one on.
+/// Selection of a video's frames: a first frame and a stride.
 struct Select {
     first: usize,
     every: usize,
 }
 
-/// Frames that were kept with their numbers, the size that they had, and the run that gave them.
+/// Frames that were kept with their numbers, their original size, and the run that produced them.
 struct Taken {
     frames: Vec<(usize, Image)>,
     original: (u32, u32),
     run: Run,
 }
 
-/// What one run of ffmpeg came to.
+/// Result of one run of ffmpeg.
 struct Run {
-    /// Frames that ffmpeg wrote.
+    /// Number of frames that ffmpeg wrote.
     decoded: usize,
-    /// On stderr, each line with its level.
+    /// The messages on stderr, each line with its level.
     said: String,
-    /// Why it ended early, if it did.
+    /// Reason for a failure, if any.
     failed: Option<String>,
 }
 
-/// Gets each picture that ffmpeg writes, with its place among them.
+/// Callback for each image that ffmpeg writes, with its index.
 type Each<'a> = &'a mut dyn FnMut(usize, Image) -> Result<()>;
 
 impl Source<'_> {
-    /// The shots of the whole video, by the places of their frames among those that ffmpeg writes;
-    /// empty where no cut was found. Only small pictures are read, and a few kept.
+    /// The shots of the whole video, by indices of the frames that ffmpeg writes; empty where no cut was
+    /// found. Only small images are read, and a few kept.
     fn shots(&self) -> Result<(Vec<Shot>, Run)> {
         let filter = format!(
             "scale=w=min({LONGEST}\\,iw):h=min({LONGEST}\\,ih):\
@@ -344,8 +344,8 @@ impl Source<'_> {
         Ok((detector.finish(), run))
     }
 
-    /// Takes at most so many frames, those that `keep` gives a number to, asked with their places among
-    /// those that ffmpeg writes.
+    /// Takes a limited number of frames: those for which `keep` returns a number, given the index of the
+    /// frame that ffmpeg writes.
     fn take(
         &self,
         select: &Select,
@@ -371,10 +371,10 @@ impl Source<'_> {
         Ok(Taken { frames, original: original.unwrap_or_default(), run })
     }
 
-    /// Runs ffmpeg and hands over the pictures that come through its filter, at most so many.
+    /// Runs ffmpeg with a filter and passes on at most `most` images.
     fn run(&self, filter: &str, most: Option<usize>, each: Each) -> Result<Run> {
-        // Frames are to come out as they went in. The option for that changed its name with ffmpeg
-        // 5.1, and each name is unknown to some version in use.
+        // Frames must come out as they are stored. The option for this was renamed in ffmpeg 5.1, and each
+        // name is unknown to some version in use.
         match self.run_timed(filter, most, each, ["-fps_mode", "passthrough"]) {
             Err(Error::Format { what, .. }) if what.contains("'fps_mode'") => {
                 self.run_timed(filter, most, each, ["-vsync", "0"])
@@ -392,7 +392,7 @@ impl Source<'_> {
     ) -> Result<Run> {
         let mut command = Command::new(self.ffmpeg);
         command.args(["-nostdin", "-v", "level+warning"]);
-        // Several threads race for what they say of damage; one always says the same.
+        // With one thread the messages about damage are deterministic.
         command.args(["-threads", "1", "-i"]).arg(self.input);
         command.args(["-map", "0:v:0", "-vf", filter]);
         command.args(timing);
@@ -404,11 +404,11 @@ impl Source<'_> {
         let mut child = start(&mut command, self.path)?;
         let said = listen(child.0.stderr.take().expect("stderr is piped"));
         let stdout = child.0.stdout.take().expect("stdout is piped");
-        // Few at a time, so that what is read does not lie in memory twice.
+        // A short queue, so that images are not held in memory twice.
         let (sender, pictures) = sync_channel(2);
         let reader = spawn(move || {
             let mut from = BufReader::with_capacity(1 << 20, stdout);
-            // Nobody receives any more once the work has been given up.
+            // The receiver is gone once the work has been cancelled.
             while let Some(picture) = read_ppm(&mut from).transpose() {
                 let failed = picture.is_err();
                 if sender.send(picture).is_err() || failed {
@@ -419,7 +419,7 @@ impl Source<'_> {
         let decoded = self.receive(&pictures, each);
         drop(pictures);
         if decoded.is_err() {
-            // It would wait for ever for someone to read on; it may also be gone already.
+            // Otherwise it would block on the full pipe; it may also have ended already.
             let _ = child.0.kill();
         }
         let status = child.0.wait().map_err(Error::io(self.path))?;
@@ -437,7 +437,7 @@ impl Source<'_> {
         }
     }
 
-    /// Hands over the pictures as they come, and counts them.
+    /// Passes on the images as they arrive, and counts them.
     fn receive(&self, pictures: &Receiver<std::io::Result<Image>>, each: Each) -> Result<usize> {
         let mut decoded = 0;
         loop {
@@ -454,7 +454,7 @@ impl Source<'_> {
     }
 }
 
-/// Why ffmpeg failed: the last that it said of errors.
+/// The reason for ffmpeg's failure: its last error message.
 fn reason(said: &str) -> String {
     let lines: Vec<&str> = said
         .lines()
@@ -469,7 +469,7 @@ fn reason(said: &str) -> String {
     message.replace("[error] ", "").replace("[fatal] ", "")
 }
 
-/// Reads a binary PPM of 8 bits as ffmpeg writes it; `None` at the end.
+/// Reads an 8-bit binary PPM as ffmpeg writes it; `None` at the end.
 fn read_ppm(from: &mut impl BufRead) -> std::io::Result<Option<Image>> {
     if from.fill_buf()?.is_empty() {
         return Ok(None);
@@ -496,22 +496,22 @@ fn read_ppm(from: &mut impl BufRead) -> std::io::Result<Option<Image>> {
     }
 }
 
-/// What `ffprobe` tells of a video; nothing where it is missing or does not know.
+/// Properties of a video from `ffprobe`; empty where it is missing or fails.
 #[derive(Debug, Default)]
 struct Told {
-    /// Frames a second.
+    /// Frames per second.
     rate: Option<f64>,
-    /// Width and height, not turned.
+    /// Width and height before rotation.
     size: Option<(u32, u32)>,
-    /// Pictures that the file holds, compressed; as a rule one for each frame.
+    /// Number of compressed packets in the file, usually one per frame.
     packets: Option<usize>,
-    /// Frames that the file says it has.
+    /// Number of frames that the file declares.
     announced: Option<usize>,
-    /// The video's number among the streams.
+    /// Index of the video stream.
     index: usize,
-    /// Codecs of the streams that are no video.
+    /// Codecs of the other streams.
     others: Vec<String>,
-    /// The container, by ffmpeg's name.
+    /// The container format, by ffmpeg's name.
     container: String,
 }
 
@@ -546,19 +546,19 @@ impl Told {
         told
     }
 
-    /// Whether a line of ffmpeg's says that the container is damaged, not a picture in it: frames
-    /// may then be missing without a trace.
+    /// Whether a message of ffmpeg reports a damaged container instead of a damaged frame; an unknown
+    /// number of frames may then be missing.
     fn of_container(&self, line: &str) -> bool {
         let at = line.strip_prefix('[').and_then(|line| line.split_once(" @ "));
         at.is_some_and(|(name, _)| name == self.container) && self.complaint(line).is_some()
     }
 
-    /// A line of ffmpeg's that speaks of damage to the video, without what differs from run to run.
+    /// A message of ffmpeg about damage to the video, without the parts that differ between runs.
     fn complaint(&self, line: &str) -> Option<String> {
         let grave = ["[error]", "[fatal]", "[panic]"].iter().any(|level| line.contains(level));
-        // That a picture is corrupt is only a warning to ffmpeg.
+        // ffmpeg reports a corrupt frame only as a warning.
         let corrupt = line.contains("[warning]") && line.to_ascii_lowercase().contains("corrupt");
-        // Damage to what a camera writes beside the picture; some cameras always do.
+        // Damage to metadata that cameras write next to the frame; some cameras always cause it.
         let beside = ["APP fields", "SEI type"].iter().any(|what| line.contains(what));
         let (context, text) = match line.strip_prefix('[').and_then(|l| l.split_once("] ")) {
             Some((context, text)) if context.contains(" @ ") => (context, text),
@@ -571,7 +571,7 @@ impl Told {
     }
 }
 
-/// The stream that a line of ffmpeg's speaks of.
+/// The stream that a message of ffmpeg refers to.
 fn stream(line: &str) -> Option<usize> {
     let after = line.split("stream").nth(1)?.trim_start_matches([' ', '=', '#']);
     let after = after.strip_prefix("0:").unwrap_or(after);
@@ -579,7 +579,7 @@ fn stream(line: &str) -> Option<usize> {
     digits.parse().ok()
 }
 
-/// Asks `ffprobe` for JSON.
+/// Runs `ffprobe` with JSON output.
 fn probe(ffprobe: &OsStr, input: &OsStr, arguments: &[&str]) -> Option<serde_json::Value> {
     let mut command = Command::new(ffprobe);
     command.args(["-v", "error"]).args(arguments).arg(input);

@@ -1,4 +1,4 @@
-//! The host's memory.
+//! Buffers, memory and images of the host.
 
 use crate::gpu::{Buffer, Device, Recorder, View};
 #[cfg(unix)]
@@ -9,22 +9,24 @@ use ash::vk;
 use bytemuck::Pod;
 
 impl<T: Pod> Buffer<T> {
-    /// A part of a host's buffer, as many elements as fit. It stays the host's; `on_drop` is called
-    /// when nothing of the engine's uses it any more, also where this fails.
+    /// A typed buffer over a part of a host's buffer; its length is the size of the part in
+    /// elements. The host keeps the ownership. `on_drop` is called when no object of the engine
+    /// uses the buffer any more, and also if this function fails.
     ///
     /// # Errors
-    /// [`Error::Input`] for a null handle, a part that reaches past the end as far as Vulkan tells,
-    /// an offset that the device does not bind
-    /// ([`Limits::storage_alignment`](crate::gpu::Limits::storage_alignment)), or a usage without
-    /// storage and transfers.
+    /// [`Error::Input`] for a null handle, a part that ends beyond the buffer's memory requirement,
+    /// an offset that violates
+    /// ([`Limits::storage_alignment`](crate::gpu::Limits::storage_alignment)), a size that is no
+    /// multiple of the element size, or a usage without storage and transfers.
     ///
     /// # Safety
-    /// - The buffer is of this device, as long and made for what `host` says, and bound to memory.
-    /// - It belongs to the family of the device's queue, or is shared concurrently.
-    /// - It stays alive and bound until `on_drop` is called, or without it until the `Buffer` is
-    ///   dropped and everything recorded with it is done.
-    /// - Others read and write it only in order with the engine's work: in the same queue before or
-    ///   after a recording, or behind a semaphore.
+    /// - The buffer belongs to this device, has the size and the usage that `host` states, and is
+    ///   bound to memory.
+    /// - The queue family of the device owns it, or its sharing mode is concurrent.
+    /// - It stays alive and bound until `on_drop` is called. Without `on_drop`, it stays so until
+    ///   the `Buffer` is dropped and all recorded work that uses it is done.
+    /// - Other code accesses it only in order with the engine's work: on the same queue before or
+    ///   after a recording, or synchronised by a semaphore.
     pub unsafe fn adopt(
         device: &Device,
         label: &str,
@@ -37,16 +39,17 @@ impl<T: Pod> Buffer<T> {
         Ok(Buffer::of_raw(raw, len))
     }
 
-    /// `len` elements in memory that another device, process or API has exported.
+    /// A buffer of `len` elements in memory that another device, process or API has exported.
     ///
     /// # Errors
-    /// [`Error::Unsupported`] without `VK_KHR_external_memory_fd`; [`Error::Input`] for a part that
-    /// the allocation does not hold, or a memory type without buffers; a failed Vulkan call.
+    /// [`Error::Unsupported`] without `VK_KHR_external_memory_fd`; [`Error::Input`] for a part
+    /// outside the allocation, or a memory type that cannot hold the buffer; or a failed Vulkan
+    /// call.
     ///
     /// # Safety
-    /// - The descriptor is that of an opaque export of such an allocation, not dedicated to one
-    ///   buffer or image, from the same physical device and driver.
-    /// - Others read and write the memory only in order with the engine's work.
+    /// - The descriptor is an opaque export of the described allocation, which is not dedicated to
+    ///   one buffer or image and comes from the same physical device and driver.
+    /// - Other code accesses the memory only in order with the engine's work.
     #[cfg(unix)]
     pub unsafe fn import_fd(
         device: &Device,
@@ -60,8 +63,8 @@ impl<T: Pod> Buffer<T> {
         Ok(Buffer::of_raw(raw, len))
     }
 
-    /// Where it lies, for a host's own commands. Keep the `Buffer` until these are done, and order
-    /// them with the engine's work.
+    /// The Vulkan handle, offset and size, for a host's own commands. Keep the `Buffer` alive until
+    /// these are done, and order them with the engine's work.
     pub fn handle(&self) -> HostBuffer {
         let raw = self.raw();
         HostBuffer {
@@ -73,7 +76,7 @@ impl<T: Pod> Buffer<T> {
     }
 }
 
-/// Elements of whole words in so many bytes.
+/// The number of elements in `bytes` bytes; elements must consist of whole 32-bit words.
 fn element_count<T>(label: &str, bytes: u64) -> Result<usize> {
     let element = size_of::<T>();
     if element == 0 || !element.is_multiple_of(4) || !bytes.is_multiple_of(element as u64) {
@@ -86,17 +89,20 @@ fn element_count<T>(label: &str, bytes: u64) -> Result<usize> {
 }
 
 impl Recorder {
-    /// Copies a picture of `width` × `height`, row by row, into a part of a host's image.
+    /// Copies `width` × `height` texels, row-major without padding, into a rectangle of a host's
+    /// image.
     ///
     /// # Errors
     /// [`Error::Shape`] where the view is too short; [`Error::Input`] for a null handle or a layout
-    /// that no copy writes.
+    /// that a copy cannot write.
     ///
     /// # Safety
-    /// - The image is of this device, in the layout that `image` says when the commands run, large
-    ///   enough, with a texel as large as an element, and made with `TRANSFER_DST`.
+    /// - The image belongs to this device and was created with `TRANSFER_DST`. It contains the
+    ///   rectangle, its texel is as large as an element `T`, and it is in the layout of `image`
+    ///   when the commands run.
     /// - It stays alive until the commands are done.
-    /// - In a recording of its own stream, the host orders other uses of the image by semaphores.
+    /// - If a [`Stream`](crate::gpu::Stream) submits the recording, semaphores order the host's
+    ///   other uses of the image.
     pub unsafe fn copy_to_image<T: Pod>(
         &mut self,
         from: View<'_, T>,

@@ -1,4 +1,4 @@
-//! The host's device.
+//! The device of the host.
 
 use crate::Result;
 use crate::gpu::Device;
@@ -7,38 +7,43 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 impl Device {
-    /// Works on a device that a host has made. What [`Requirements`](super::Requirements) lists must
-    /// be there and enabled. Nothing is written to disk: compiled pipelines last as long as the
-    /// device. Messages of a validation layer go to the host.
+    /// Wraps a Vulkan device that a host has created. Everything that
+    /// [`Requirements`](super::Requirements) lists must be supported and enabled. Nothing is
+    /// written to disk: compiled pipelines last as long as the device. Messages of a validation
+    /// layer go to the host.
     ///
     /// # Errors
     /// [`Error::Input`](crate::Error::Input) for a null handle or a queue family that does not exist;
-    /// [`Error::Unsupported`](crate::Error::Unsupported) for a family without compute, a feature
-    /// that the device was made without, and what the physical device lacks. `on_drop` is called
-    /// then too.
+    /// [`Error::Unsupported`](crate::Error::Unsupported) for a family without compute, a required
+    /// feature that was not enabled, and a requirement that the physical device lacks. `on_drop` is
+    /// called in these cases too.
     ///
     /// # Safety
     /// - The handles belong together: the instance is of that loader, the physical device of that
     ///   instance, the device of that physical device, the queue of that device and family.
-    /// - Instance and device were made for Vulkan 1.3 or newer, and the device with every feature
-    ///   that `features` claims, and with the extension where `external_memory_fd` claims it.
-    /// - The loader stays loaded, and instance and device alive, until `on_drop` is called, or
-    ///   without it until everything made from the device and every clone of it is dropped.
-    /// - Nobody uses the queue while the engine does: either it is the engine's alone, or every other
-    ///   use takes the lock that `queue_lock` takes. `vkDeviceWaitIdle` uses all queues.
+    /// - Instance and device were created for Vulkan 1.3 or newer. The device was created with
+    ///   every feature that `features` claims, and with the extension if `external_memory_fd` is
+    ///   set.
+    /// - The loader stays loaded, and instance and device stay alive, until `on_drop` is called.
+    ///   Without `on_drop`, they do so until every clone of the device and every object created
+    ///   from it is dropped.
+    /// - No other code uses the queue while the engine does: either only the engine uses the queue,
+    ///   or every other use takes the same lock as `queue_lock`. `vkDeviceWaitIdle` uses all
+    ///   queues.
     pub unsafe fn adopt(host: HostDevice) -> Result<Device> {
-        // SAFETY: by the caller's promise.
+        // SAFETY: the caller guarantees it.
         let context = Arc::new(unsafe { Context::adopt(host) }?);
         let limits = context.limits;
         Ok(Device::over(context, limits, HashMap::new()))
     }
 
     /// The same device with another SPIR-V module for one kernel (`family/stem`); for tests that a
-    /// fault in it is noticed.
+    /// fault in a kernel is detected.
     ///
     /// # Safety
-    /// The module is valid SPIR-V for what the device offers, has the kernel's bindings, push
-    /// constants and workgroup, and touches nothing outside of what is bound, whatever it is given.
+    /// The module is valid SPIR-V for the features of the device. It has the kernel's bindings,
+    /// push constants and workgroup size, and accesses no memory outside its bindings for any
+    /// input.
     pub unsafe fn with_module(&self, kernel: &'static str, spirv: Vec<u8>) -> Device {
         self.replacing(kernel, spirv)
     }

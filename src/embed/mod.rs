@@ -1,6 +1,7 @@
-//! Inside of another program: on its device, in its command buffers, with its buffers.
+//! Integration into a host program: on its Vulkan device, in its command buffers, with its buffers.
 //!
-//! Three depths, each of which goes with every op and with the renderer and the trainer:
+//! There are three levels of integration. Every op, the renderer and the trainer support each of
+//! them:
 //!
 //! | | device | commands | memory |
 //! |---|---|---|---|
@@ -8,55 +9,59 @@
 //! | 2 | the host's: [`Device::adopt`](crate::gpu::Device::adopt) | ours, between its semaphores: [`Stream::submit_between`](crate::gpu::Stream::submit_between) | the host's: [`Buffer::adopt`](crate::gpu::Buffer::adopt), [`Buffer::import_fd`](crate::gpu::Buffer::import_fd) |
 //! | 3 | the host's | the host's: [`Recorder::over`](crate::gpu::Recorder::over) | the host's |
 //!
-//! Everything `unsafe` that a host calls is here, and what it must promise stands under *Safety*.
-//! Handles are those of [`ash`], which is exported so that a host has the same version; hosts with
-//! another binding make them from raw handles (`ash::vk::Handle::from_raw`).
+//! This module defines every `unsafe` function that a host calls; the *Safety* sections state what
+//! the host must guarantee. Handles are those of [`ash`], which is re-exported so that a host can
+//! use the same version. Hosts with another Vulkan binding convert raw handles with
+//! `ash::vk::Handle::from_raw`.
 //!
 //! # Barriers
 //!
-//! One contract for every op. Within a [`Recorder`](crate::gpu::Recorder) conflicting work is
-//! ordered by itself, on the host's buffers too. A recording into a host's command buffer begins
-//! with a barrier from everything that the queue was given before, and
-//! [`finish`](crate::gpu::Recorder::finish) ends it with one to everything after (all stages, memory
-//! reads and writes, the host's reads): the host adds none for buffers. Layouts of images are the
-//! host's. Between queues it takes semaphores. It follows that scratch memory may be used again by
-//! the next recording while the last one is still in flight, as long as both go to one queue in the
-//! order of recording.
+//! The same contract holds for every op. A [`Recorder`](crate::gpu::Recorder) orders conflicting
+//! work automatically, on the host's buffers too. A recording into a host's command buffer begins
+//! with a barrier after all earlier commands of the queue, and
+//! [`finish`](crate::gpu::Recorder::finish) ends it with a barrier before all later commands (all
+//! stages, memory reads and writes, host reads). The host therefore needs no buffer barriers of its
+//! own. The host manages image layouts. Work on different queues needs semaphores. Scratch memory
+//! may be reused by the next recording while the previous one is still in flight, if both are
+//! submitted to one queue in the order of recording.
 //!
 //! # Timestamps
 //!
-//! [`Recorder::profile`](crate::gpu::Recorder::profile) writes slot 0 where it is called and slot
-//! *i* + 1 after the *i*-th dispatch that follows; the kernels' names come with the times
-//! ([`Stream::times`](crate::gpu::Stream::times), [`Guard::times`]). Ops document their dispatches in
-//! order. A host may write timestamps of its own around whatever it records.
+//! [`Recorder::profile`](crate::gpu::Recorder::profile) writes timestamp 0 at the call and
+//! timestamp *i* + 1 after the *i*-th following dispatch.
+//! [`Stream::times`](crate::gpu::Stream::times) and [`Guard::times`] return the times with the
+//! kernels' names. The documentation of an op lists its dispatches in order. A host may write its
+//! own timestamps around a recording.
 //!
 //! # Threads
 //!
-//! Nothing is global. Devices, buffers, plans and scratch may go to other threads and be shared;
-//! recorders, streams, renderers and trainers may go to other threads. Any number of threads record
-//! at once, on one device or several; submissions to one queue take turns.
+//! The engine has no global state. Devices, buffers, plans and scratch are `Send` and `Sync`;
+//! recorders, streams, renderers and trainers are `Send`. Any number of threads may record at once,
+//! on one or several devices. Submissions to one queue are serialised.
 //!
 //! # Memory
 //!
-//! A recording allocates nothing once one like it has been made and its guard dropped (or, on a
-//! stream, its ticket passed): descriptor pools, lists of what is kept alive and all else are used
-//! again. [`Device::allocations`](crate::gpu::Device::allocations) counts what is made on the device.
+//! A recording allocates nothing if an equal one was made before and its guard was dropped (or, on
+//! a stream, its ticket has passed): descriptor pools and the lists of referenced resources are
+//! reused. [`Device::allocations`](crate::gpu::Device::allocations) counts the allocations on the
+//! device.
 //!
 //! # A lost device
 //!
-//! From then on whatever submits, waits or reads is [`Error::DeviceLost`](crate::Error::DeviceLost),
-//! with the kernel that was under way where it is known; recording may still succeed. Dropping is all
-//! that is left, in any order: it neither waits for ever nor panics. What was recorded into a host's
-//! command buffer fails where the host submits it.
+//! After the device is lost, every call that submits, waits or reads returns
+//! [`Error::DeviceLost`](crate::Error::DeviceLost), with the name of the running kernel if it is
+//! known. Recording may still succeed. The program can then only drop its objects, in any order;
+//! dropping neither blocks forever nor panics. Commands recorded into a host's command buffer fail
+//! when the host submits them.
 //!
 //! # On wgpu
 //!
-//! A host on wgpu makes its device with the engine's features in wgpu's own chain
-//! ([`Features::enable_in`]), lends the handles, and has the engine record in a command encoder that
-//! wgpu records nothing into. An image that the engine writes leaves the encoder before in the state
-//! of a copy's destination, and wgpu must have seen it written once, or it clears it. wgpu and the
-//! engine share a queue: both take the turn of [`HostDevice::queue_lock`]. `tools/wgpu-host` in the
-//! repository is such a host.
+//! A host on wgpu enables the engine's features in wgpu's `VkDeviceCreateInfo` chain
+//! ([`Features::enable_in`]), passes the handles to the engine, and lets the engine record into a
+//! command encoder that wgpu does not record into. The preceding encoder must leave an image that
+//! the engine writes in the state of a copy destination. wgpu must have recorded a write to that
+//! image once, or else it clears it. wgpu and the engine share a queue, so both must take
+//! [`HostDevice::queue_lock`]. `examples/wgpu-host` in the repository is such a host.
 
 #![allow(unsafe_code, reason = "what a host promises, it promises here")]
 

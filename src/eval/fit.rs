@@ -1,4 +1,4 @@
-//! The pose from which a scene looks most like a picture.
+//! Fits a camera pose so that a scene's rendered image matches a given image.
 
 use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
@@ -7,47 +7,47 @@ use crate::geometry::se3::{Twist, retract};
 use crate::types::{Camera, Image, Pose};
 use crate::{Error, Result};
 
-/// The smaller side of the coarsest image, pixels, at least.
+/// Minimum length of the smaller side of the coarsest image, pixels.
 const COARSEST_SIDE: u32 = 48;
-/// The coarsest image has pixels of 2 to this.
+/// Upper bound of the coarsest level; its pixels are 2 to this wide.
 const MOST_LEVELS: u32 = 3;
-/// Steps on each level, at most.
+/// Maximum number of steps per level.
 const STEPS: usize = 6;
-/// Trials of a step, each damped more than the one before.
+/// Trials of a step, with increasing damping.
 const TRIALS: usize = 3;
-/// Derivatives are differences over so many pixels of the level.
+/// Step of the finite differences, pixels of the level.
 const DIFFERENCE: f64 = 0.5;
-/// Steps are cut to so many pixels of the level: beyond, the derivatives say nothing.
+/// Maximum length of a step, beyond which the derivatives are invalid, pixels of the level.
 const LONGEST: f64 = 2.0;
-/// Steps of fewer pixels of the level end it.
+/// Step length below which a level ends, pixels of the level.
 const SHORTEST: f64 = 0.02;
 
 type Vector6 = SVector<f64, 6>;
 
-/// What [`fit_pose`] found.
+/// Result of [`fit_pose`].
 #[derive(Clone, Copy, Debug)]
 pub struct PoseFit {
-    /// The fitted pose, or the first one where nothing better was found.
+    /// The fitted pose, world to camera, or the initial one where no better pose was found.
     pub view_from_world: Pose,
-    /// Mean squared error of the first pose's image.
+    /// Mean squared error at the initial pose.
     pub before: f64,
-    /// The same of the fitted one; never more.
+    /// Mean squared error at the fitted pose; never larger than `before`.
     pub after: f64,
-    /// Images that it took.
+    /// Number of rendered images.
     pub renders: usize,
 }
 
-/// Fits a camera's pose to a picture: the pose around `start` whose image, as `render` gives it, has the
-/// least squared error against `truth` over the pixels where `mask` (one channel; none: all) is above
-/// one half.
+/// Fits a camera pose to an image: finds the pose near `start` whose rendered image, as `render` gives it,
+/// has the least squared error against `truth` over the pixels where `mask` (one channel; `None`: all
+/// pixels) is above one half.
 ///
-/// Levenberg–Marquardt over the six parameters of the pose, the image's derivatives taken as
-/// differences, first on coarse images (means of 8×8 pixels or fewer), then on finer ones; a step is
-/// taken only where the error falls. `depth` is a typical depth of what the camera sees: it says how
-/// far a movement shifts the image.
+/// Uses Levenberg–Marquardt over the six parameters of the pose with finite-difference derivatives of the
+/// image, first on coarse images (means of at most 8×8 pixels), then on finer ones; a step is taken only
+/// where the error decreases. `depth` is a typical depth of the view, which relates camera motion to image
+/// motion.
 ///
 /// # Errors
-/// Images of differing sizes, a depth that is not positive, an empty mask, what `render` gives.
+/// Images of differing sizes, a depth that is not positive, an empty mask, errors of `render`.
 pub fn fit_pose(
     start: &Camera,
     depth: f64,
@@ -74,7 +74,7 @@ pub fn fit_pose(
     for level in (1..=coarsest.unwrap_or(0)).rev() {
         pose = fit.on_level(level, pose)?.0;
     }
-    // What is better on coarse images need not be on the picture itself.
+    // A pose that is better on coarse images may be worse at full resolution.
     let before = fit.residuals(0, &first)?.cost();
     if pose != first && fit.residuals(0, &pose)?.cost() > before {
         pose = first;
@@ -93,7 +93,7 @@ struct Fit<'a, R> {
 }
 
 impl<R: FnMut(&Camera) -> Result<Image>> Fit<'_, R> {
-    /// The best pose near one on images whose pixels are 2^`level` wide, and its cost.
+    /// The best pose near `from` on images whose pixels are 2^`level` wide, and its cost.
     fn on_level(&mut self, level: u32, from: Pose) -> Result<(Pose, f64)> {
         let pixel = f64::from(1u32 << level);
         let mut pose = from;
@@ -134,8 +134,8 @@ impl<R: FnMut(&Camera) -> Result<Image>> Fit<'_, R> {
         Ok((pose, cost))
     }
 
-    /// A pose moved by parameters in pixels: how far each shifts the image of what lies at the typical
-    /// depth, in the middle, or at the side for those that shift nothing in the middle.
+    /// Moves a pose by parameters in pixels: each is the image displacement of a point at the typical depth
+    /// in the image centre, or at the border for parameters without displacement in the centre.
     fn moved(&self, pose: &Pose, pixels: &Vector6) -> Pose {
         let k = &self.start.intrinsics;
         let half_side = 0.5 * f64::from(k.width.min(k.height));
@@ -165,11 +165,11 @@ impl<R: FnMut(&Camera) -> Result<Image>> Fit<'_, R> {
     }
 }
 
-/// Differences to the truth, means over blocks of pixels.
+/// Differences to the ground truth, averaged over blocks of pixels.
 struct Residuals {
     /// All channels of a block, one block after the other.
     values: Vec<f64>,
-    /// Number of chosen pixels of each block.
+    /// Number of selected pixels of each block.
     weights: Vec<f64>,
     channels: usize,
 }
@@ -214,7 +214,7 @@ impl Residuals {
     }
 }
 
-/// JᵀWJ and JᵀWr, the columns of J being differences over `step`.
+/// JᵀWJ and JᵀWr, with the columns of J as finite differences over `step`.
 fn normal_equations(
     here: &Residuals,
     columns: &[Residuals],
@@ -237,7 +237,7 @@ mod tests {
     use crate::types::Intrinsics;
     use glam::DVec3;
 
-    /// What a camera sees of a wavy, coloured relief around z = 4.
+    /// A camera's view of a wavy, coloured relief around z = 4.
     fn relief(camera: &Camera) -> Image {
         let k = camera.intrinsics;
         let mut image = Image::new(k.width, k.height, 3);
@@ -253,7 +253,7 @@ mod tests {
                     depth = (height(origin + ray * depth) - origin.z) / ray.z;
                 }
                 let p = origin + ray * depth;
-                // Coarse and fine, as photographs are: fine waves alone repeat within a few pixels.
+                // Coarse and fine waves, as in natural images: fine waves alone repeat within a few pixels.
                 let wave = |a: f64, b: f64| {
                     let along = a * p.x + b * p.y;
                     (0.5 + 0.3 * along.sin() + 0.1 * (4.3 * along).sin()) as f32
@@ -277,7 +277,7 @@ mod tests {
         let found = fit_pose(&start, 4.0, &truth, None, |c| Ok(relief(c))).unwrap();
         let found_from_true = found.view_from_world;
         assert!(found.after < 1e-3 * found.before, "{found:?}");
-        // Over a shallow relief a shift up and a turn down nearly cancel: 0.3 pixels of each.
+        // On a shallow relief an upward shift and a downward rotation nearly cancel: 0.3 pixels of each.
         assert!(found_from_true.translation.length() < 2e-2, "{found:?}");
         let angle = crate::geometry::se3::log_so3(found_from_true.rotation).length();
         assert!(angle < 5e-3, "{angle} rad");

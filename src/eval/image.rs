@@ -1,5 +1,5 @@
-//! Image metrics. Values are clamped to [0, 1] before they are compared, sums are in f64, and
-//! images have any number of channels, which count alike.
+//! Image metrics. Values are clamped to [0, 1] before comparison and sums are in f64. Images may have any
+//! number of channels, which are weighted equally.
 
 use rayon::prelude::*;
 
@@ -44,7 +44,7 @@ pub fn psnr(a: &Image, b: &Image) -> Result<f64> {
 /// PSNR over the pixels where `mask` (one channel) is above one half.
 ///
 /// # Errors
-/// The mask has another size or chooses no pixel.
+/// The mask has another size or selects no pixel.
 pub fn masked_psnr(a: &Image, b: &Image, mask: &Image) -> Result<f64> {
     check("PSNR", a, b)?;
     check_mask(a, mask)?;
@@ -61,11 +61,11 @@ pub fn masked_psnr(a: &Image, b: &Image, mask: &Image) -> Result<f64> {
     Ok(-10.0 * (sum / count as f64).log10())
 }
 
-/// Mean over the pixels where `mask` (one channel) is above one half, and over all channels; of a map
-/// such as [`ssim_map`] gives.
+/// Mean of a map, such as that of [`ssim_map`], over the pixels where `mask` (one channel) is above one
+/// half, and over all channels.
 ///
 /// # Errors
-/// The mask has another size or chooses no pixel.
+/// The mask has another size or selects no pixel.
 pub fn masked_mean(map: &Image, mask: &Image) -> Result<f64> {
     check_mask(map, mask)?;
     let pixels = map.pixels.chunks_exact(map.channels as usize).zip(&mask.pixels);
@@ -90,8 +90,8 @@ fn check_mask(a: &Image, mask: &Image) -> Result<()> {
     )))
 }
 
-/// Structural similarity as the 3DGS family reports it: Gaussian window 11, σ 1.5, zeros beyond the
-/// border (as the training loss), mean over all pixels and channels.
+/// Structural similarity as 3DGS and related work report it: Gaussian window 11, σ 1.5, zeros beyond the
+/// border (like the training loss), mean over all pixels and channels.
 pub fn ssim(a: &Image, b: &Image) -> Result<f64> {
     Ok(mean(&ssim_map(a, b)?.pixels))
 }
@@ -110,8 +110,8 @@ pub fn ssim_map(a: &Image, b: &Image) -> Result<Image> {
     Ok(map)
 }
 
-/// Structural similarity over the pixels whose whole window lies inside the image, as
-/// pytorch-msssim and Wang et al. (2004) have it. Both sides need 11 pixels.
+/// Structural similarity over the pixels whose whole window lies inside the image, as in pytorch-msssim and
+/// Wang et al. (2004). Both sides need at least 11 pixels.
 pub fn ssim_valid(a: &Image, b: &Image) -> Result<f64> {
     check("SSIM", a, b)?;
     need_side("SSIM without padding", a, WINDOW as u32)?;
@@ -122,9 +122,9 @@ pub fn ssim_valid(a: &Image, b: &Image) -> Result<f64> {
     Ok(sum / channels as f64)
 }
 
-/// Multi-scale SSIM over five scales as pytorch-msssim computes it: valid windows, 2×2 means between
-/// scales (odd sides padded by zeros), negative terms cut at 0, the product for each channel, then
-/// the channels' mean. The smaller side needs more than 160 pixels.
+/// Multi-scale SSIM over five scales as pytorch-msssim computes it: valid windows, 2×2 means between scales
+/// (odd sides padded by zeros), negative terms clamped to 0, the product per channel, then the mean over
+/// the channels. The smaller side needs more than 160 pixels.
 pub fn ms_ssim(a: &Image, b: &Image) -> Result<f64> {
     check("MS-SSIM", a, b)?;
     need_side("MS-SSIM over five scales", a, 161)?;
@@ -159,8 +159,8 @@ fn need_side(what: &str, image: &Image, least: u32) -> Result<()> {
     )))
 }
 
-/// Median of |estimate·scale − truth| / truth over the pixels where both depths are finite and
-/// positive; `scale` brings the estimate into the truth's unit. `None` where there is no such pixel.
+/// Median of |estimate·scale − truth| / truth over the pixels where both depths are finite and positive;
+/// `scale` converts the estimate to the truth's unit. `None` where there is no such pixel.
 ///
 /// # Errors
 /// The maps have different sizes or more than one channel.
@@ -224,8 +224,8 @@ impl Plane {
         }
     }
 
-    /// Means of 2×2 pixels; an odd side gets a zero before and after it, as average pooling with
-    /// padding has it.
+    /// Means of 2×2 pixels; an odd side is padded with a zero on both ends, as in average pooling with
+    /// padding.
     fn halved(&self) -> Plane {
         let (px, py) = (self.width % 2, self.height % 2);
         let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
@@ -247,7 +247,7 @@ impl Plane {
         Plane { values, ..*self }
     }
 
-    /// Means under the Gaussian window, rows first.
+    /// Gaussian-window means, rows first.
     fn blurred(&self, border: Border, window: &[f64; WINDOW]) -> Plane {
         let (pad, width, height) = match border {
             Border::Zero => (WINDOW / 2, self.width, self.height),
@@ -279,16 +279,16 @@ impl Plane {
     }
 }
 
-/// What the window sees beyond the image.
+/// Border handling of the window.
 #[derive(Clone, Copy)]
 enum Border {
     /// Zeros; the result has the image's size.
     Zero,
-    /// Nothing: only windows inside the image count.
+    /// Only windows inside the image are used.
     Valid,
 }
 
-/// SSIM at every pixel, and its contrast-structure factor alone.
+/// SSIM at every pixel, and its contrast–structure factor.
 struct Similarity {
     whole: Vec<f64>,
     contrast: Vec<f64>,
@@ -381,7 +381,7 @@ mod tests {
         assert!(masked_mean(&map, &Image::new(39, 16, 1)).is_err());
     }
 
-    /// SSIM at one pixel straight from its definition, with a two-dimensional window.
+    /// SSIM at one pixel directly from its definition, with a two-dimensional window.
     fn direct(a: &Image, b: &Image, cx: i64, cy: i64, channel: usize) -> f64 {
         let (mut weights, mut sums) = (0.0, [0.0; 5]);
         for dy in -5..=5i64 {
@@ -432,8 +432,8 @@ mod tests {
 
     #[test]
     fn ms_ssim_of_flat_images_is_the_luminance_term() {
-        // No structure anywhere: every contrast factor is 1, and only the coarsest scale's luminance
-        // is left, to its weight. 176 halves evenly four times.
+        // No structure: every contrast factor is 1, and only the weighted luminance term of the coarsest
+        // scale remains. 176 is divisible by 2 four times.
         let value = ms_ssim(&flat(176, 176, 0.4), &flat(176, 176, 0.6)).unwrap();
         let luminance: f64 = (2.0 * 0.24 + 1e-4) / (0.16 + 0.36 + 1e-4);
         assert!((value - luminance.powf(0.1333)).abs() < 1e-6, "{value}");

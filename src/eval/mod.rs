@@ -1,5 +1,4 @@
-//! How good a result is: images and masks, camera trajectories and tracks of points against a
-//! reference.
+//! Evaluation metrics of images, masks, camera trajectories and point tracks against a reference.
 
 mod fit;
 mod image;

@@ -1,14 +1,14 @@
-//! Which poses of two trajectories belong together, by their time stamps.
+//! Association of the poses of two trajectories by time stamp.
 
 use std::cmp::{Ordering, Reverse};
 use std::collections::{BinaryHeap, VecDeque};
 
-/// Pairs (estimate, reference) of time stamps that lie closest to each other, at most
-/// `max_difference` (seconds) apart, each used once, in the order of the estimate.
+/// Pairs (estimate, reference) of closest time stamps, at most `max_difference` (seconds) apart, each used
+/// once, in the order of the estimate.
 ///
-/// Close pairs are served first, as TUM's evaluation does; of pairs that are equally close, the one
-/// with the lower indices. Time stamps need not be sorted; those that are not finite are never
-/// matched. Takes O(n log n) time and linear memory, however many time stamps are equal.
+/// The closest pairs are matched first, as in TUM's evaluation; of equally close pairs, the one with the
+/// lower indices. Time stamps need not be sorted; non-finite ones are never matched. Takes O(n log n) time
+/// and linear memory, however many time stamps are equal.
 pub fn match_by_time(
     estimate: &[f64],
     reference: &[f64],
@@ -23,13 +23,13 @@ pub fn match_by_time(
     pairs
 }
 
-/// Pairs (estimate, reference), in the order of the shorter list, each time stamp of which takes the
-/// one nearest to it of the longer list, the earlier of two equally near, where it lies at most
-/// `max_difference` (seconds) away once `offset` is added to the estimate's.
+/// Pairs (estimate, reference) in the order of the shorter list. Each of its time stamps is paired with the
+/// nearest one of the longer list, the earlier of two equally near, if it is at most `max_difference`
+/// (seconds) away after `offset` is added to the estimate's.
 ///
-/// This is how the `evo` package pairs poses. Of lists equally long the estimate counts as the shorter
-/// one. One time stamp of the longer list may serve several of the shorter; [`match_by_time`] uses each
-/// once. Lists of the same time stamps pair in order, however many are equal. Those that are not finite
+/// This is how the `evo` package pairs poses. Of lists of equal length the estimate counts as the shorter
+/// one. One time stamp of the longer list may be paired with several of the shorter; [`match_by_time`] uses
+/// each once. Lists of identical time stamps pair in order, however many are equal. Non-finite time stamps
 /// are never matched. Takes O(n log n) time.
 pub fn nearest_by_time(
     estimate: &[f64],
@@ -37,7 +37,7 @@ pub fn nearest_by_time(
     max_difference: f64,
     offset: f64,
 ) -> Vec<(usize, usize)> {
-    // Added to the longer list, whichever it is: so the sums round alike.
+    // The offset is added to the longer list in both cases, so that sums round alike.
     let swapped = estimate.len() > reference.len();
     let (short, long, offset) =
         if swapped { (reference, estimate, offset) } else { (estimate, reference, -offset) };
@@ -55,7 +55,7 @@ pub fn nearest_by_time(
     let rises = long.windows(2).all(|pair| pair[0] + offset <= pair[1] + offset);
     let nearest = |time: f64| {
         let above = sorted.partition_point(|(other, _)| *other <= time);
-        // Of equal times the one nearest in the list, in a list out of order the first.
+        // Of equal times, the one at the nearest index; in an unsorted list, the first.
         let below = above.checked_sub(1).map(|last| match rises {
             true => last,
             false => sorted.partition_point(|(other, _)| *other < sorted[last].0),
@@ -75,20 +75,20 @@ pub fn nearest_by_time(
     pairs.collect()
 }
 
-/// Indices of one list that share a time.
+/// Indices of one list that share a time stamp.
 struct Moment {
     time: f64,
     of_estimate: bool,
-    /// Those not paired yet, ascending.
+    /// Indices not paired yet, ascending.
     left: VecDeque<usize>,
     before: Option<usize>,
     after: Option<usize>,
 }
 
-/// Two neighbouring moments, one of each list, that could be paired next.
+/// Two adjacent moments, one of each list, that could be paired next.
 struct Candidate {
     difference: f64,
-    /// The first of the indices left.
+    /// First of the remaining indices.
     estimate: usize,
     reference: usize,
     /// The earlier moment and the later one.
@@ -116,8 +116,8 @@ impl PartialEq for Candidate {
 
 impl Eq for Candidate {}
 
-/// The moments in the order of time. The closest pair of all lies in neighbouring moments: one
-/// between them would be closer still.
+/// The moments in the order of time. The closest pair of all is always in adjacent moments, because one
+/// between them would be closer.
 struct TimeLine {
     moments: Vec<Moment>,
     candidates: BinaryHeap<Reverse<Candidate>>,
@@ -125,7 +125,7 @@ struct TimeLine {
 }
 
 impl TimeLine {
-    /// Equal times are paired at once; no pair is closer.
+    /// Pairs equal times at once, because no pair is closer.
     fn new(
         estimate: &[f64],
         reference: &[f64],
@@ -134,7 +134,7 @@ impl TimeLine {
     ) -> TimeLine {
         let stamps = |times: &[f64], of_estimate: bool| {
             let finite = times.iter().copied().enumerate().filter(|(_, time)| time.is_finite());
-            // Zero without its sign: both zeros are one moment.
+            // Normalises −0 to 0, so that both are one moment.
             finite.map(|(i, time)| (time + 0.0, of_estimate, i)).collect::<Vec<_>>()
         };
         let mut stamps = [stamps(estimate, true), stamps(reference, false)].concat();
@@ -164,7 +164,7 @@ impl TimeLine {
         line
     }
 
-    /// Makes neighbouring moments a candidate, where they are one of each list and close enough.
+    /// Adds adjacent moments as a candidate, if they belong to different lists and are close enough.
     fn offer(&mut self, earlier: Option<usize>, later: Option<usize>) {
         let (Some(earlier), Some(later)) = (earlier, later) else { return };
         let (a, b) = (&self.moments[earlier], &self.moments[later]);
@@ -187,7 +187,7 @@ impl TimeLine {
         }
     }
 
-    /// Pairs a candidate, unless one of its two was paired before.
+    /// Pairs a candidate, unless one of its members was paired before.
     fn serve(&mut self, next: &Candidate, pairs: &mut Vec<(usize, usize)>) {
         let (earlier, later) = next.moments;
         let (ours, theirs) = match self.moments[earlier].of_estimate {
@@ -211,7 +211,7 @@ impl TimeLine {
                 }
             }
         }
-        // Who is next at these places now.
+        // Updates the candidates at these positions.
         let is_left = |moment: usize| !self.moments[moment].left.is_empty();
         match (is_left(earlier), is_left(later)) {
             (true, true) => {
@@ -243,7 +243,7 @@ mod tests {
         assert!(match_by_time(&[], &[1.0], 1.0).is_empty());
     }
 
-    /// The definition: every pair near enough, closest first. Takes quadratic memory.
+    /// The definition: all pairs that are near enough, closest first. Takes quadratic memory.
     fn match_by_definition(ours: &[f64], theirs: &[f64], reach: f64) -> Vec<(usize, usize)> {
         let near = |a: f64, b: f64| b >= a - reach && b <= a + reach;
         let mut all = Vec::new();
@@ -269,7 +269,8 @@ mod tests {
         use rand::{RngExt, SeedableRng};
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(5);
         for round in 0..3000 {
-            // Quarters: equal times and equal differences, both exact. Else hardly any.
+            // Multiples of a quarter give equal times and equal differences, both exact. Other values give
+            // hardly any.
             let coarse = round % 2 == 0;
             let mut list = || -> Vec<f64> {
                 let len = random.random_range(0..24);
@@ -300,15 +301,15 @@ mod tests {
     #[test]
     fn the_shorter_list_takes_the_nearest_of_the_longer() {
         let near = |a: &[f64], b: &[f64], offset| nearest_by_time(a, b, 0.25, offset);
-        // Once too far; two serve themselves from one; ties take the earlier.
+        // One is too far; two share one; ties take the earlier.
         assert_eq!(near(&[0.0, 1.0, 2.0], &[0.25, 0.75, 1.25, 3.0], 0.0), [(0, 0), (1, 1)]);
         assert_eq!(near(&[0.0, 0.125, 9.0, 9.5, 9.75], &[0.0, 9.25], 0.0), [(0, 0), (2, 1)]);
         assert_eq!(near(&[0.0, 0.125], &[0.0, 9.25], 0.0), [(0, 0), (1, 0)]);
-        // The offset is the estimate's, whichever is longer.
+        // The offset is the estimate's, whichever list is longer.
         assert_eq!(near(&[5.0, 6.0], &[0.0, 1.0, 2.0], -5.0), [(0, 0), (1, 1)]);
         assert_eq!(near(&[5.0, 6.0, 7.0], &[0.0, 1.0], -5.0), [(0, 0), (1, 1)]);
         assert_eq!(near(&[5.0, 5.0, 6.0], &[5.0, 5.0, 6.0], 0.0), [(0, 0), (1, 1), (2, 2)]);
-        // Out of order, and what is no time.
+        // Unsorted and non-finite time stamps.
         assert_eq!(near(&[1.0, f64::NAN], &[3.0, 1.25, f64::NAN, 0.75], 0.0), [(0, 1)]);
         assert!(near(&[], &[1.0], 0.0).is_empty() && near(&[1.0], &[], 0.0).is_empty());
     }

@@ -1,27 +1,26 @@
-//! How well points are followed, as TAP-Vid measures it (Doersch et al. 2022).
+//! Point-track metrics as in TAP-Vid (Doersch et al. 2022).
 
 use glam::DVec2;
 
 use crate::types::Tracks;
 use crate::{Error, Result};
 
-/// Distances within which a point counts as found, in pixels of pictures of [`SIDE`] by [`SIDE`].
+/// Distance thresholds, in pixels of frames scaled to [`SIDE`] × [`SIDE`].
 pub const WITHIN: [f64; 5] = [1.0, 2.0, 4.0, 8.0, 16.0];
-/// Pictures are taken to be so large along both axes.
+/// Side length that frames are scaled to for the thresholds, along both axes.
 pub const SIDE: f64 = 256.0;
 
-/// How well points are followed; all are shares, 1 is the best. The frame in which a point was asked for
-/// does not count.
+/// Point-track scores; all are shares, and 1 is the best. The query frame of a point is excluded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackScores {
-    /// Average Jaccard: true positives over true positives, false positives and false negatives, mean over
-    /// the distances. Place and visibility both have to be right.
+    /// Average Jaccard: true positives over true positives, false positives and false negatives, averaged
+    /// over the thresholds. Both position and visibility have to be right.
     pub average_jaccard: f64,
-    /// Of the points that are seen, those found within each distance.
+    /// Share of the visible points that are found within each threshold.
     pub within: [f64; WITHIN.len()],
-    /// Of all points, those of which it is told rightly whether they are seen.
+    /// Share of all points whose visibility is predicted correctly.
     pub occlusion_accuracy: f64,
-    /// How many points there are.
+    /// Number of points.
     pub points: usize,
 }
 
@@ -32,12 +31,12 @@ impl TrackScores {
     }
 }
 
-/// Scores tracks of the same points against the truth; of those points that `counts` picks by their number.
-/// `None` where nothing is left to count.
+/// Scores tracks of the same points against the ground truth, for the points whose index passes `counts`.
+/// `None` where none are left.
 ///
 /// # Errors
-/// [`Error::Input`] where points or frames differ in number, or the truth does not say how large its frames
-/// are.
+/// [`Error::Input`] where points or frames differ in number, or the ground truth lacks the size of its
+/// frames.
 pub fn score_tracks(
     found: &Tracks,
     truth: &Tracks,
@@ -81,7 +80,7 @@ pub fn score_tracks(
     if seen == 0 {
         return Ok(None);
     }
-    // Every claim that is no hit is a false positive; every seen point counts once below.
+    // Every claim that is not a hit is a false positive; every visible point counts once below.
     let jaccard = hits.map(|hits| hits as f64 / (seen + claimed - hits) as f64);
     Ok(Some(TrackScores {
         average_jaccard: jaccard.iter().sum::<f64>() / WITHIN.len() as f64,
@@ -96,7 +95,7 @@ mod tests {
     use super::*;
     use crate::types::PointPath;
 
-    /// Two points in four frames of 512×256; the second is hidden in the last.
+    /// Two points in four frames of 512×256; the second is occluded in the last.
     fn truth() -> Tracks {
         let point = |i: usize| PointPath {
             query: (0, DVec2::new(10.0, 10.0)),
@@ -121,13 +120,13 @@ mod tests {
         let mut found = truth();
         // Six pixels of 512 along x are three of 256: not within 1 or 2.
         found.points[0].pixels[1].x += 6.0;
-        // Seen, but said to be hidden; and hidden, but said to be seen.
+        // A visible point predicted as occluded, and the reverse.
         found.points[0].seen[2] = false;
         found.points[1].seen[3] = true;
-        // The query's own frame does not count.
+        // The query frame does not count.
         found.points[1].pixels[0].x += 100.0;
         let scores = score_tracks(&found, &truth(), |_| true).unwrap().unwrap();
-        // Five are seen, five are claimed.
+        // Five are visible, five are claimed.
         assert_eq!(scores.within, [0.8, 0.8, 1.0, 1.0, 1.0]);
         assert_eq!(scores.occlusion_accuracy, 4.0 / 6.0);
         // Three hits of five and five; four within 4 and more.
@@ -145,7 +144,7 @@ mod tests {
         assert!(score_tracks(&short, &truth(), |_| true).is_err());
         assert!(score_tracks(&truth(), &unsized_, |_| true).is_err());
         assert_eq!(score_tracks(&truth(), &truth(), |_| false).unwrap(), None);
-        // A place that is not known is not found.
+        // An unknown position is not found.
         let mut lost = truth();
         lost.points[0].pixels[1] = DVec2::NAN;
         let scores = score_tracks(&lost, &truth(), |_| true).unwrap().unwrap();

@@ -1,12 +1,13 @@
 //! Absolute and relative errors of a camera trajectory.
 //!
-//! The field's definitions (Sturm et al., IROS 2012; Zhang, Scaramuzza, IROS 2018; the evaluation of
-//! MonST3R, Sintel and TUM), and the numbers that the `evo` package gives. The absolute error (ATE,
-//! or APE) compares each pose after one global alignment. The relative one (RPE) compares the motion
-//! from one pose to a later one, after the same alignment, so in the reference's scale.
+//! The definitions are those of Sturm et al. (IROS 2012), Zhang and Scaramuzza (IROS 2018) and the
+//! evaluation of MonST3R, Sintel and TUM; the values agree with the `evo` package. The absolute trajectory
+//! error (ATE, or APE) compares each pose after one global alignment. The relative pose error (RPE)
+//! compares the motion from one pose to a later one after the same alignment, hence in the reference's
+//! scale.
 //!
-//! Rotation matrices of a file are compared as they are written: rounding leaves them a little off
-//! the rotations, and a relative translation sees that.
+//! Rotation matrices of a file are compared as stored: rounding leaves them slightly off a rotation, which
+//! affects a relative translation.
 
 use glam::DAffine3;
 
@@ -15,14 +16,14 @@ use crate::geometry::se3::{log_so3, matrix3};
 use crate::geometry::sim3::{Alignment, Shape, Sim3, align_poses, nearest_rotation};
 use crate::types::Pose;
 
-/// What the global alignment may change.
+/// Degrees of freedom of the global alignment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Align {
-    /// Nothing: both trajectories are in one frame already.
+    /// No alignment: both trajectories are already in one frame.
     None,
-    /// Rotation and translation, so that the first poses agree.
+    /// Rotation and translation that make the first poses agree.
     Origin,
-    /// Scale alone.
+    /// Scale only.
     Scale,
     /// Rotation and translation.
     Se3,
@@ -30,30 +31,29 @@ pub enum Align {
     Sim3,
 }
 
-/// What the distance between two poses of a relative error is counted in.
+/// Unit of the distance between the two poses of a relative error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// Poses.
+    /// Number of poses.
     Frames,
     /// Length of the path between them, in the reference's units.
     Metres,
-    /// Degrees turned: summed along the path, or between the two poses where all pairs are taken.
+    /// Rotation in degrees: summed along the path, or between the two poses where all pairs are used.
     Degrees,
 }
 
-/// Which pairs of poses relative errors compare.
+/// Selection of the pose pairs for relative errors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Relative {
-    /// How far the two poses of a pair lie apart; a whole number of frames.
+    /// Distance between the two poses of a pair; an integer for frames.
     pub delta: f64,
-    /// What that is counted in.
+    /// Unit of the distance.
     pub step: Step,
-    /// Where all pairs are taken by metres or degrees: how far off a pair may be, as a share of
-    /// `delta`.
+    /// Tolerance of the distance, as a share of `delta`, where all pairs are selected by metres or degrees.
     pub tolerance: f64,
-    /// Every pair that far apart, instead of pairs that begin where the one before ends.
+    /// Use every pair at that distance, instead of consecutive pairs that begin where the previous one ends.
     pub all_pairs: bool,
-    /// Count metres and degrees on the reference instead of the estimate.
+    /// Measure metres and degrees along the reference instead of the estimate.
     pub along_reference: bool,
 }
 
@@ -70,14 +70,14 @@ impl Default for Relative {
     }
 }
 
-/// How two trajectories are compared.
+/// Settings of a trajectory comparison.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Comparison {
-    /// What the alignment may change.
+    /// Degrees of freedom of the alignment.
     pub align: Align,
-    /// How many poses, from the first, the alignment is found from; all where `None`.
+    /// Number of poses, from the first, that determine the alignment; `None` for all.
     pub align_first: Option<usize>,
-    /// Which pairs the relative errors compare.
+    /// The pairs for relative errors.
     pub relative: Relative,
 }
 
@@ -96,7 +96,7 @@ pub struct Statistics {
     pub mean: f64,
     /// Median; the mean of the middle two where the count is even.
     pub median: f64,
-    /// Standard deviation, of the list itself: divided by its length.
+    /// Population standard deviation (divided by the number of values).
     pub std: f64,
     /// Smallest.
     pub min: f64,
@@ -107,7 +107,7 @@ pub struct Statistics {
 }
 
 impl Statistics {
-    /// Of a list; all zero for an empty one.
+    /// Statistics of a list; all zero for an empty one.
     fn of(mut values: Vec<f64>) -> Statistics {
         let n = values.len();
         if n == 0 {
@@ -133,35 +133,34 @@ impl Statistics {
 /// Errors of an estimated trajectory.
 #[derive(Clone, Debug)]
 pub struct TrajectoryErrors {
-    /// Distance of the aligned camera centres, in the reference's units.
+    /// Distance between the aligned camera centres, in the reference's units.
     pub ate: Statistics,
     /// Angle between the aligned cameras, degrees.
     pub ate_rot_deg: Statistics,
-    /// `ate.rmse` over the length of the reference's path; infinite for a path of length 0 with
-    /// errors, 0 without.
+    /// `ate.rmse` over the length of the reference's path; for a path of length 0 it is infinite with
+    /// errors and 0 without.
     pub ate_relative: f64,
-    /// Translation error of the motion from the first pose of each pair to the second, in the
-    /// reference's units.
+    /// Translation error of the relative motion between the poses of each pair, in the reference's units.
     pub rpe_trans: Statistics,
-    /// Rotation error of the same, degrees.
+    /// Rotation error of the same motion, degrees.
     pub rpe_rot_deg: Statistics,
-    /// Pairs of poses that the relative errors compare.
+    /// Number of pose pairs for the relative errors.
     pub rpe_pairs: usize,
-    /// What aligned the estimate; the identity for [`Align::None`].
+    /// Alignment of the estimate; the identity for [`Align::None`].
     pub reference_from_estimate: Sim3,
-    /// What the reference's centres determined of the rotation; see [`Shape`].
+    /// Degrees of freedom of the rotation that the reference's centres determine; see [`Shape`].
     pub shape: Shape,
     /// Length of the reference's path over the paired poses.
     pub path_length: f64,
-    /// Paired poses.
+    /// Number of paired poses.
     pub poses: usize,
 }
 
-/// Compares two trajectories (`world_from_view` each, paired by index), with the relative errors from
-/// each frame to the next.
+/// Compares two trajectories (`world_from_view` each, paired by index), with the relative errors from each
+/// frame to the next.
 ///
-/// A single pose has no motion: its RPE is 0. Centres on one line, or at one place, are aligned as
-/// [`align_poses`] says.
+/// A single pose has no motion, so its RPE is 0. Collinear or coincident centres are aligned as described
+/// for [`align_poses`].
 ///
 /// # Errors
 /// Lists of differing length, empty ones, poses that are not finite.
@@ -178,11 +177,11 @@ pub fn compare_trajectories(
     compare_matrices(&estimate, &reference, &align.into())
 }
 
-/// As [`compare_trajectories`], of `world_from_view` as files write it: matrices that are rotations but
-/// for rounding.
+/// [`compare_trajectories`] for `world_from_view` matrices as files contain them: rotations up to rounding.
 ///
 /// # Errors
-/// As [`compare_trajectories`]; a `delta` that is not above 0, or not whole where it counts frames.
+/// Those of [`compare_trajectories`]; a `delta` that is not above 0, or not an integer where it counts
+/// frames.
 pub fn compare_matrices(
     estimate: &[DAffine3],
     reference: &[DAffine3],
@@ -239,11 +238,11 @@ pub fn compare_matrices(
     })
 }
 
-/// What aligns the estimate with the reference.
+/// Alignment of the estimate with the reference.
 struct Aligning {
-    /// As it is told.
+    /// As reported.
     transform: Sim3,
-    /// As it is applied: centres are scaled first.
+    /// As applied: centres are scaled first.
     scale: f64,
     rigid: DAffine3,
     shape: Shape,
@@ -252,7 +251,7 @@ struct Aligning {
 impl Aligning {
     fn of(estimate: &[DAffine3], reference: &[DAffine3], how: &Comparison) -> Result<Aligning> {
         let first = how.align_first.unwrap_or(usize::MAX).max(1);
-        // Lists of differing length are for the alignment to refuse.
+        // Lists of differing length are rejected by the alignment.
         let same = estimate.len() == reference.len();
         let part = |poses: &[DAffine3]| -> Vec<Pose> {
             let count = if same { first.min(poses.len()) } else { poses.len() };
@@ -280,13 +279,13 @@ impl Aligning {
     }
 }
 
-/// The pose whose rotation is nearest to a matrix.
+/// The pose with the nearest rotation to a matrix.
 fn nearest_pose(rigid: &DAffine3) -> Pose {
     let (rotation, _) = nearest_rotation(&matrix3(&rigid.matrix3));
     Pose::new(rotation, rigid.translation)
 }
 
-/// The inverse of a rigid transform: the transpose, whether or not rounding left it one.
+/// The inverse of a rigid transform by its transpose, even where rounding left it slightly non-rigid.
 fn rigid_inverse(a: &DAffine3) -> DAffine3 {
     let inverse = a.matrix3.transpose();
     DAffine3 { matrix3: inverse, translation: -(inverse * a.translation) }
@@ -302,7 +301,7 @@ fn angle(rigid: &DAffine3) -> f64 {
     log_so3(nearest_pose(rigid).rotation).length()
 }
 
-/// The length of the path from the first pose to each.
+/// Path length from the first pose to each pose.
 fn lengths(poses: &[DAffine3]) -> Vec<f64> {
     let mut lengths = Vec::with_capacity(poses.len());
     let mut length = 0.0;
@@ -315,7 +314,7 @@ fn lengths(poses: &[DAffine3]) -> Vec<f64> {
     lengths
 }
 
-/// The pairs of poses that relative errors compare.
+/// The pose pairs for relative errors.
 fn pairs(poses: &[DAffine3], relative: &Relative) -> Vec<(usize, usize)> {
     let Relative { delta, step, all_pairs, .. } = *relative;
     let off = delta * relative.tolerance;
@@ -352,8 +351,8 @@ fn pairs(poses: &[DAffine3], relative: &Relative) -> Vec<(usize, usize)> {
     }
 }
 
-/// Pairs that begin where the one before ends, each as soon as the sum of `away` between neighbours
-/// reaches `delta`.
+/// Consecutive pairs, each of which begins where the previous one ends and ends as soon as the sum of
+/// `away` between neighbours reaches `delta`.
 fn one_after_another(
     poses: &[DAffine3],
     delta: f64,
@@ -370,10 +369,10 @@ fn one_after_another(
     pairs
 }
 
-/// The pose after the `i`-th whose way from it is nearest to `delta`, the first of those equally near,
-/// if it is no more than `off` from it.
+/// The pose after the `i`-th whose path length from it is nearest to `delta`, the first of equally near
+/// ones, if it deviates by at most `off`.
 fn nearest_length(lengths: &[f64], i: usize, delta: f64, off: f64) -> Option<(usize, usize)> {
-    // Lengths rise, so that the nearest is one of the two about `delta`.
+    // Lengths are monotonic, so the nearest is one of the two around `delta`.
     let after = &lengths[i + 1..];
     let way = |k: usize| after[k] - lengths[i];
     let above = after.partition_point(|length| length - lengths[i] < delta);
@@ -470,11 +469,11 @@ mod tests {
         assert!(rmse(&turned, Align::Origin) < 1e-6 && rmse(&turned, Align::Se3) < 1e-6);
         assert!(rmse(&turned, Align::Scale) > 1.0 && rmse(&doubled, Align::Origin) > 0.1);
         assert!(rmse(&doubled, Align::Sim3) < 1e-6);
-        // The factor is the one that fits once all is aligned.
+        // The scale is the one that fits after full alignment.
         let scale = compare_trajectories(&doubled, &reference, Align::Scale).unwrap();
         assert!((scale.reference_from_estimate.scale - 0.5).abs() < 1e-12);
         assert!(scale.ate.rmse < 1e-12);
-        // Found from the first poses alone, of a path that bends off later.
+        // Alignment from the first poses only, on a path that deviates later.
         let mut bent = turned;
         bent[20..].iter_mut().for_each(|p| p.translation.x += 3.0);
         let how = Comparison { align_first: Some(10), ..Align::Se3.into() };

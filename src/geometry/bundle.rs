@@ -1,21 +1,21 @@
 //! Bundle adjustment: camera poses, one shared focal length and radial distortion, and an inverse depth
 //! per point.
 //!
-//! A point is a pixel of its reference frame r and an inverse depth d along that pixel's ray. With
-//! `G = view_from_world` and `t_from_r = G_t G_r⁻¹`, it is seen in frame t at
-//! `Π(R ray + d t)`, which stays defined at d = 0, a point at infinity. This is the parametrisation
-//! of dense bundle adjustment (DROID-SLAM, Teed and Deng 2021), here over sparse observations with
-//! a robust kernel, since flow brings no learned weights.
+//! A point is a pixel of its reference frame r and an inverse depth d along that pixel's ray. With `G =
+//! view_from_world` and `t_from_r = G_t G_r⁻¹ = (R, t)`, frame t sees it at `Π(R ray + d t)`, which is
+//! defined even at d = 0, a point at infinity. This is the parametrisation of dense bundle adjustment
+//! (DROID-SLAM, Teed and Deng 2021), here over sparse observations with a robust kernel, because flow has
+//! no learned weights.
 //!
-//! The normal equations are reduced to the cameras by the Schur complement over the inverse depths
-//! (one scalar a point), and solved by Cholesky inside Levenberg–Marquardt. A camera is coupled with
-//! those that see the same points: where points are followed for a given number of frames, time and
-//! memory grow linearly with the number of frames. The focal length is one more camera column, as
-//! log f; it is released only when the data determine it ([`FocalMode::Gated`], MegaSaM's Hessian
-//! gate put as a standard deviation).
+//! The normal equations are reduced to the cameras by the Schur complement over the inverse depths (one
+//! scalar per point), and solved by Cholesky decomposition within Levenberg–Marquardt. A camera is coupled
+//! with those that see the same points: where points are tracked over a bounded number of frames, time and
+//! memory grow linearly with the number of frames. The focal length is one more column of the camera block,
+//! as log f; it is released only when the data determine it ([`FocalMode::Gated`], MegaSaM's Hessian gate
+//! expressed as a standard deviation).
 //!
-//! Gauge: the first frame is held when none is marked fixed; the overall scale, where nothing
-//! anchors it, is held by keeping the median inverse depth what it was on entry.
+//! Gauge: the first frame is fixed when none is marked fixed. The overall scale, where nothing anchors it,
+//! is fixed by preserving the median inverse depth of the input.
 
 mod deviation;
 mod normal;
@@ -28,17 +28,17 @@ use glam::DVec2;
 use normal::{Layout, NormalEquations};
 pub use residual::{Jacobian, project};
 
-/// A point: a pixel of a frame, and how far along its ray the point lies.
+/// A point: a pixel of its reference frame, and its inverse depth along the pixel's ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
     /// Index of the frame that the pixel belongs to.
     pub frame: usize,
-    /// Pixel in that frame; taken as exact (a grid pixel of dense flow is; a noisy detection biases
+    /// Pixel in that frame; treated as exact (as a grid pixel of dense flow is; a noisy detection biases
     /// its whole track).
     pub pixel: DVec2,
     /// 1 / depth (z) in that frame, in 1 / world units; 0 for a point at infinity.
     pub inverse_depth: f64,
-    /// What is known about it beforehand.
+    /// Prior on the inverse depth.
     pub prior: Option<DepthPrior>,
 }
 
@@ -51,32 +51,32 @@ pub struct DepthPrior {
     pub weight: f64,
 }
 
-/// A point seen in another frame.
+/// Observation of a point in another frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
     /// Index of the point.
     pub point: usize,
     /// Index of the frame that saw it; observations in the point's own frame are ignored.
     pub frame: usize,
-    /// Pixel in that frame.
+    /// Pixel in that frame, pixels.
     pub pixel: DVec2,
-    /// How much it counts: 1 − P(dynamic) and the like; 0 is ignored.
+    /// Weight, such as 1 − P(dynamic); 0 disables the observation.
     pub weight: f64,
-    /// Standard deviation of the pixel along each axis, pixels, or in proportion to it.
+    /// Standard deviation of the pixel along each axis, pixels, or a value proportional to it.
     pub deviation: f64,
 }
 
-/// What is adjusted, in place.
+/// A bundle adjustment problem, which [`adjust`] changes in place.
 #[derive(Clone, Debug)]
 pub struct Problem {
-    /// Shared by all frames; only its focal length is ever changed, fx and fy by one factor.
+    /// Intrinsics shared by all frames; only the focal length is ever changed, fx and fy by one factor.
     pub intrinsics: Intrinsics,
-    /// Radial distortion of the lens, shared by all frames: what a pinhole sees at p in the plane of unit
-    /// depth is at p (1 + k1 |p|²). 0 for a pinhole.
+    /// Radial distortion of the lens, shared by all frames: the ideal position p in the plane of unit depth
+    /// is imaged at p (1 + k1 |p|²). 0 for a pinhole camera.
     pub k1: f64,
     /// `view_from_world` per frame.
     pub poses: Vec<Pose>,
-    /// Per frame: held as it is. When none is, the first frame is held.
+    /// Per frame: whether its pose is fixed. When none is, the first frame is fixed.
     pub fixed: Vec<bool>,
     /// The points.
     pub points: Vec<Point>,
@@ -84,49 +84,49 @@ pub struct Problem {
     pub observations: Vec<Observation>,
 }
 
-/// The robust kernel; its width is [`Options::kernel_width`] times the residuals' scale.
+/// The robust kernel; its width c is [`Options::kernel_width`] times the scale of the residuals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kernel {
-    /// ρ = r². No protection.
+    /// ρ = r². Not robust.
     None,
-    /// ρ = c² ln(1 + r²/c²). Outliers keep a small pull.
+    /// ρ = c² ln(1 + r²/c²). Outliers keep a small influence.
     Cauchy,
-    /// ρ = r² c² / (c² + r²). Outliers lose their pull.
+    /// ρ = r² c² / (c² + r²). The influence of outliers vanishes.
     GemanMcClure,
 }
 
-/// What happens to the focal length.
+/// Treatment of the focal length.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FocalMode {
     /// Kept.
     Fixed,
-    /// Adjusted if its relative standard deviation would be at most this; else kept.
+    /// Adjusted if its relative standard deviation would be at most this value; else kept.
     Gated(f64),
-    /// Adjusted in any case.
+    /// Always adjusted.
     Free,
 }
 
-/// How to adjust.
+/// Options of a bundle adjustment.
 #[derive(Clone, Copy, Debug)]
 pub struct Options {
-    /// The focal length's part.
+    /// Treatment of the focal length.
     pub focal: FocalMode,
-    /// Prior focal length (pixels, fx) and its relative standard deviation.
+    /// Prior focal length (fx, pixels) and its relative standard deviation.
     pub focal_prior: Option<(f64, f64)>,
-    /// Is the lens's distortion adjusted?
+    /// Whether the lens distortion is adjusted.
     pub distortion: bool,
-    /// Are inverse depths adjusted?
+    /// Whether the inverse depths are adjusted.
     pub depths: bool,
     /// Robust kernel.
     pub kernel: Kernel,
-    /// Kernel width in units of the scale (1.4826 · median absolute residual coordinate, each divided
-    /// by its observation's deviation).
+    /// Kernel width in units of the scale (1.4826 · median absolute residual coordinate, each divided by
+    /// its observation's deviation).
     pub kernel_width: f64,
-    /// The scale is not taken below this, deviations.
+    /// Lower bound of the scale, in standard deviations of the observations.
     pub scale_floor: f64,
-    /// The scale is estimated anew this many times.
+    /// Number of rounds, each of which estimates the scale anew.
     pub rounds: usize,
-    /// Steps of Levenberg–Marquardt in each round.
+    /// Maximum number of Levenberg–Marquardt steps per round.
     pub steps: usize,
 }
 
@@ -146,58 +146,59 @@ impl Default for Options {
     }
 }
 
-/// What an adjustment did.
+/// Result of a bundle adjustment.
 #[derive(Clone, Debug)]
 pub struct Report {
-    /// Σ w r² / σ² before, without kernel, over the observations in front of their cameras.
+    /// Σ w r² / σ² before, without a kernel, over the observations in front of their cameras.
     pub initial_squared: f64,
-    /// The same afterwards.
+    /// The same sum afterwards.
     pub final_squared: f64,
     /// Robust cost at the first round's scale, before.
     pub initial_cost: f64,
     /// Robust cost at the first round's scale, afterwards.
     pub final_cost: f64,
-    /// Weighted root mean square residual of the inliers (within the kernel's width), pixels.
+    /// Weighted root mean square residual of the inliers (within the kernel width), pixels.
     pub inlier_rmse: f64,
-    /// Inliers among the observations used.
+    /// Share of inliers among the observations used.
     pub inlier_ratio: f64,
-    /// Robust scale of a residual's coordinate at the end, deviations, floored.
+    /// Final robust scale of a residual coordinate, in standard deviations, after the lower bound.
     pub scale: f64,
-    /// Steps tried.
+    /// Number of steps tried.
     pub steps: usize,
-    /// Did the last round end by convergence rather than by its limit of steps?
+    /// Whether the last round converged before its maximum number of steps.
     pub converged: bool,
-    /// Was the focal length adjusted?
+    /// Whether the focal length was adjusted.
     pub focal_released: bool,
-    /// Relative standard deviation of the focal length, all else free; infinite if unobservable.
+    /// Relative standard deviation of the focal length, with all other unknowns free; infinite if
+    /// unobservable.
     pub focal_std: f64,
-    /// Standard deviation of k1, all else free, where it was adjusted; infinite if unobservable, 0 where it
-    /// was kept.
+    /// Standard deviation of k1, with all other unknowns free; infinite if unobservable, 0 where it was kept.
     pub k1_std: f64,
-    /// Median over the points of the relative standard deviation of the inverse depth, σ_d / d with
-    /// poses held. Well-posed clips lie below 0.1; above 0.3 there is no parallax to speak of.
+    /// Median over the points of the relative standard deviation of the inverse depth, σ_d / d, with poses
+    /// fixed. Well-posed clips are below 0.1; above 0.3 there is practically no parallax.
     pub depth_std: f64,
-    /// More unknowns than residuals: the answer is one of many.
+    /// Whether there are more unknowns than residuals, so that the solution is not unique.
     pub underdetermined: bool,
-    /// Per observation given: the residual at the end, pixels; infinite behind the camera.
+    /// Per observation: final residual, pixels; infinite behind the camera.
     pub residuals: Vec<f64>,
 }
 
-/// Where residuals are less than this, deviations, in their root mean square, steps follow rounding errors.
+/// Root mean square residual, in standard deviations, below which steps only follow rounding errors.
 const EXACT: f64 = 1e-10;
 
-/// A focal length may leave its start by this factor, not more: beyond it runs off, not converges.
+/// Maximum factor by which the focal length may leave its initial value; beyond, it diverges.
 const FOCAL_RANGE: f64 = 8.0;
 
-/// Adjusts poses, inverse depths and, as asked, the focal length and the distortion of a problem in place.
+/// Adjusts the poses, inverse depths and, as requested, the focal length and the distortion of a problem in
+/// place.
 ///
-/// Pure rotation, no parallax and points at infinity leave directions free that damping then
-/// holds: the result is finite and the report says how little was known (`depth_std`,
-/// `focal_std`, `underdetermined`). On an error the problem is untouched.
+/// Pure rotation, no parallax and points at infinity leave directions undetermined, which damping then
+/// holds: the result is finite and the report gives its uncertainty (`depth_std`, `focal_std`,
+/// `underdetermined`). On an error the problem is unchanged.
 ///
 /// # Errors
-/// Lengths or indices that do not fit, anything not finite, a negative weight or inverse depth, no
-/// frames, no observation that counts.
+/// Inconsistent lengths or indices, non-finite values, a negative weight or inverse depth, no frames, no
+/// observation with weight.
 pub fn adjust(problem: &mut Problem, options: &Options) -> Result<Report> {
     check(problem, options)?;
     let original = problem.clone();
@@ -222,7 +223,7 @@ pub fn adjust(problem: &mut Problem, options: &Options) -> Result<Report> {
         let second = solve(problem, options, true);
         let std = focal_deviation(problem, options);
         let ratio = problem.intrinsics.fx / held.intrinsics.fx;
-        // Released on the promise of its information; taken back if that did not hold.
+        // Released on its predicted information; reverted if the actual one is insufficient.
         if std <= limit && (1.0 / FOCAL_RANGE..FOCAL_RANGE).contains(&ratio) {
             work = Work { steps: work.steps + second.steps, ..second };
             (focal_released, focal_std) = (true, std);
@@ -266,8 +267,8 @@ pub fn adjust(problem: &mut Problem, options: &Options) -> Result<Report> {
     })
 }
 
-/// Scales the world about the first held camera's centre so that inverse depths are multiplied by
-/// `1 / factor`: depths and baselines grow by `factor`, no residual changes.
+/// Scales the world about the centre of the first fixed camera so that inverse depths are multiplied by `1
+/// / factor`: depths and baselines grow by `factor`, residuals are unchanged.
 pub fn rescale(problem: &mut Problem, factor: f64) {
     if !(factor.is_finite() && factor > 0.0) || factor == 1.0 || problem.poses.is_empty() {
         return;
@@ -289,7 +290,7 @@ pub fn rescale(problem: &mut Problem, factor: f64) {
     }
 }
 
-/// The median inverse depth of the points that are not at infinity; none without such points.
+/// The median inverse depth of the points that are not at infinity; `None` without such points.
 pub fn median_inverse_depth(problem: &Problem) -> Option<f64> {
     let mut d: Vec<f64> =
         problem.points.iter().map(|p| p.inverse_depth).filter(|d| *d > 0.0).collect();
@@ -297,13 +298,13 @@ pub fn median_inverse_depth(problem: &Problem) -> Option<f64> {
     (!d.is_empty()).then(|| *d.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// How one run of the rounds went.
+/// Result of the rounds.
 struct Work {
     steps: usize,
     converged: bool,
 }
 
-/// All rounds of IRLS: a scale, then Levenberg–Marquardt on the cost that it defines.
+/// All rounds of IRLS: a scale estimate, then Levenberg–Marquardt on the cost that it defines.
 fn solve(problem: &mut Problem, options: &Options, focal: bool) -> Work {
     let layout = Layout::new(problem, options, focal);
     let mut work = Work { steps: 0, converged: true };
@@ -312,7 +313,7 @@ fn solve(problem: &mut Problem, options: &Options, focal: bool) -> Work {
         let (steps, converged) = levenberg_marquardt(problem, options, &layout, scale);
         work.steps += steps;
         work.converged = converged;
-        // Without a kernel the cost does not depend on the scale: one round says it all.
+        // Without a kernel the cost does not depend on the scale, so one round suffices.
         if options.kernel == Kernel::None && converged {
             break;
         }
@@ -320,7 +321,7 @@ fn solve(problem: &mut Problem, options: &Options, focal: bool) -> Work {
     work
 }
 
-/// What a step changes.
+/// Which unknowns are adjusted.
 struct Unknowns {
     intrinsics: Intrinsics,
     k1: f64,
@@ -373,7 +374,8 @@ fn levenberg_marquardt(
             let decrease = cost - next_cost;
             let converged = decrease <= 1e-9 * cost || next_cost <= exact;
             cost = next_cost;
-            // Nielsen's rule: trust grows with how well the quadratic model foretold the decrease.
+            // Nielsen's rule: the damping decreases with the agreement between the quadratic model and the
+            // actual decrease.
             let gain = if predicted > 0.0 { decrease / predicted } else { 1.0 };
             damping *= (1.0 - (2.0 * gain - 1.0).powi(3)).clamp(1.0 / 3.0, 2.0);
             damping = damping.max(1e-10);
@@ -397,7 +399,7 @@ fn levenberg_marquardt(
     (options.steps, false)
 }
 
-/// The relative standard deviation of the focal length with everything else free.
+/// Relative standard deviation of the focal length with all other unknowns free.
 fn focal_deviation(problem: &Problem, options: &Options) -> f64 {
     let scale = residual::robust_scale(problem, options);
     let layout = Layout::new(problem, options, true);
@@ -406,7 +408,7 @@ fn focal_deviation(problem: &Problem, options: &Options) -> f64 {
     information.map_or(f64::INFINITY, |i| scale / i.sqrt())
 }
 
-/// The standard deviation of k1 with everything else free; 0 where it is kept.
+/// Standard deviation of k1 with all other unknowns free; 0 where it is kept.
 fn distortion_deviation(problem: &Problem, options: &Options, focal: bool) -> f64 {
     let layout = Layout::new(problem, options, focal);
     let Some(column) = layout.distortion() else { return 0.0 };
@@ -415,7 +417,8 @@ fn distortion_deviation(problem: &Problem, options: &Options, focal: bool) -> f6
     equations.information(&layout, column).map_or(f64::INFINITY, |i| scale / i.sqrt())
 }
 
-/// Is the scale of the world held by fixed cameras apart from each other, or by depth priors?
+/// Whether the scale of the world is determined by several fixed cameras at different positions, or by
+/// depth priors.
 fn scale_is_anchored(problem: &Problem) -> bool {
     let mut centres = problem
         .poses
@@ -429,7 +432,7 @@ fn scale_is_anchored(problem: &Problem) -> bool {
     apart || problem.points.iter().any(|p| p.prior.is_some_and(|prior| prior.weight > 0.0))
 }
 
-/// Does an observation take part?
+/// Whether an observation is used.
 fn counts(problem: &Problem, o: &Observation) -> bool {
     o.weight > 0.0 && problem.points[o.point].frame != o.frame
 }

@@ -1,25 +1,25 @@
-//! A symmetric matrix that is stored by rows, each from its first entry to the diagonal.
+//! A symmetric matrix in envelope (skyline) storage: each row from its first non-zero entry to the diagonal.
 //!
-//! Points are seen by frames near each other, so that a camera is coupled with those near it. The Cholesky
-//! factor of such a matrix has no entries before the first one of the matrix in the same row (George and
-//! Liu, *Computer Solution of Large Sparse Positive Definite Systems*, 1981, chapter 4): it needs the same
-//! room. Where each camera is coupled with a given number of others, memory and time grow linearly with the
-//! number of cameras. Unknowns that are coupled with all others belong in the last rows.
+//! Points are seen by nearby frames, so a camera is coupled with nearby cameras. The Cholesky factor of
+//! such a matrix has no entries before the matrix's first one in the same row (George and Liu, *Computer
+//! Solution of Large Sparse Positive Definite Systems*, 1981, chapter 4), so that it fits into the same
+//! storage. Where each camera is coupled with a bounded number of others, memory and time grow linearly
+//! with the number of cameras. Unknowns that are coupled with all others belong in the last rows.
 
 use nalgebra::{DMatrix, DVector};
 
 /// The lower triangle of a symmetric matrix.
 #[derive(Clone, Debug)]
 pub(crate) struct Envelope {
-    /// By row, its first column.
+    /// First column of each row.
     first: Vec<usize>,
-    /// By row, where it begins in `values`; one more for the end.
+    /// Offset of each row in `values`, and the end offset.
     start: Vec<usize>,
     values: Vec<f64>,
 }
 
 impl Envelope {
-    /// A matrix of zeros; row r has columns `first[r]..=r`.
+    /// A zero matrix; row r has columns `first[r]..=r`.
     pub(crate) fn zeros(first: Vec<usize>) -> Envelope {
         let mut start = Vec::with_capacity(first.len() + 1);
         start.push(0);
@@ -35,7 +35,7 @@ impl Envelope {
         self.first.len()
     }
 
-    /// The entries of a row from column `from`, at or after its first one, to the diagonal.
+    /// The entries of a row from column `from` (at or after its first one) to the diagonal.
     pub(crate) fn row_mut(&mut self, row: usize, from: usize) -> &mut [f64] {
         let skipped = from - self.first[row];
         &mut self.values[self.start[row] + skipped..self.start[row + 1]]
@@ -45,7 +45,7 @@ impl Envelope {
         &self.values[self.start[row] + from - self.first[row]..self.start[row + 1]]
     }
 
-    /// The entry of the diagonal.
+    /// A diagonal entry.
     pub(crate) fn diagonal(&self, row: usize) -> f64 {
         self.values[self.start[row + 1] - 1]
     }
@@ -54,18 +54,18 @@ impl Envelope {
         &mut self.values[self.start[row + 1] - 1]
     }
 
-    /// The largest entry of the diagonal; 0 of an empty matrix.
+    /// The largest diagonal entry; 0 for an empty matrix.
     pub(crate) fn largest_diagonal(&self) -> f64 {
         (0..self.size()).map(|row| self.diagonal(row)).fold(0.0, f64::max)
     }
 
-    /// Adds `factor` times a matrix of the same shape.
+    /// Adds `factor` times a matrix with the same envelope.
     pub(crate) fn add(&mut self, factor: f64, other: &Envelope) {
         debug_assert_eq!(self.first, other.first);
         self.values.iter_mut().zip(&other.values).for_each(|(a, b)| *a += factor * b);
     }
 
-    /// Both triangles.
+    /// The dense matrix, with both triangles.
     pub(crate) fn to_dense(&self) -> DMatrix<f64> {
         let mut dense = DMatrix::zeros(self.size(), self.size());
         for row in 0..self.size() {
@@ -76,7 +76,7 @@ impl Envelope {
         dense
     }
 
-    /// The Cholesky factor, in the same shape; none unless the matrix is positive definite.
+    /// The Cholesky factor, with the same envelope; `None` unless the matrix is positive definite.
     pub(crate) fn cholesky(mut self) -> Option<Factor> {
         for row in 0..self.size() {
             let first = self.first[row];
@@ -99,11 +99,11 @@ impl Envelope {
     }
 }
 
-/// L of L Lᵀ.
+/// The factor L of L Lᵀ.
 pub(crate) struct Factor(Envelope);
 
 impl Factor {
-    /// x of L Lᵀ x = `right`.
+    /// Solves L Lᵀ x = `right`.
     pub(crate) fn solve(&self, right: &DVector<f64>) -> DVector<f64> {
         let lower = &self.0;
         let mut x = right.clone();
@@ -124,7 +124,7 @@ impl Factor {
     }
 }
 
-/// The dot product, in eight partial sums, which can be vectorised; a single sum must keep its order.
+/// Dot product in eight partial sums, which vectorises; a single sum would fix the order.
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     const LANES: usize = 8;
     let (a, a_tail) = a.as_chunks::<LANES>();
@@ -147,7 +147,7 @@ mod tests {
 
     use super::*;
 
-    /// A band with ragged rows, one row that all are coupled with, and a diagonal that dominates.
+    /// A band matrix with ragged rows, one row coupled with all, and a dominant diagonal.
     fn ragged() -> Envelope {
         let mut random = ChaCha8Rng::seed_from_u64(3);
         let first = (0..60).map(|row: usize| match row {

@@ -1,15 +1,15 @@
 //! Fundamental and essential matrices.
 //!
-//! Both relate pixel pairs by x_bᵀ F x_a = 0; the essential matrix does so for rays of calibrated
-//! cameras, and `E = [t]× R` with `b_from_a = (R, t)`.
+//! Both matrices relate pixel pairs by x_bᵀ F x_a = 0; the essential matrix relates rays of calibrated
+//! cameras, with `E = [t]× R` for `b_from_a = (R, t)`.
 
 use super::se3::matrix3;
 use crate::types::{Intrinsics, Pose};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use nalgebra::SMatrix;
 
-/// Pixels shifted and scaled so that they surround the origin at distance √2 on average (Hartley,
-/// PAMI 1997), and the matrix that did it.
+/// Normalises pixels so that their centroid is the origin and their mean distance from it √2 (Hartley, PAMI
+/// 1997); also returns the transform.
 pub(crate) fn normalised(pixels: impl Iterator<Item = DVec2> + Clone) -> (Vec<DVec2>, DMat3) {
     let count = pixels.clone().count().max(1) as f64;
     let mean = pixels.clone().sum::<DVec2>() / count;
@@ -23,8 +23,8 @@ pub(crate) fn normalised(pixels: impl Iterator<Item = DVec2> + Clone) -> (Vec<DV
     (pixels.map(|p| (p - mean) * scale).collect(), matrix)
 }
 
-/// The unit vector that a sum of outer products (the normal matrix of a homogeneous system) maps
-/// closest to zero, and how unique it is: the second smallest eigenvalue over the largest.
+/// The unit vector that a sum of outer products (the normal matrix of a homogeneous system) maps closest to
+/// zero, and a measure of its uniqueness: the second smallest eigenvalue over the largest.
 pub(crate) fn null_vector<const N: usize>(normal: SMatrix<f64, N, N>) -> Option<([f64; N], f64)> {
     if normal.iter().any(|v| !v.is_finite()) {
         return None;
@@ -43,7 +43,7 @@ fn row_major(v: &[f64]) -> DMat3 {
     )
 }
 
-/// A matrix with its singular values replaced by what `change` makes of them.
+/// A matrix with its singular values replaced by those that `change` returns.
 fn with_singular_values(m: &DMat3, change: impl Fn(f64, f64, f64) -> [f64; 3]) -> Option<DMat3> {
     if !m.is_finite() {
         return None;
@@ -55,10 +55,10 @@ fn with_singular_values(m: &DMat3, change: impl Fn(f64, f64, f64) -> [f64; 3]) -
     Some(DMat3::from_cols_slice(fixed.as_slice()))
 }
 
-/// The fundamental matrix of eight or more pixel pairs: normalised eight-point algorithm, rank 2
+/// The fundamental matrix of at least eight pixel pairs: normalised eight-point algorithm with rank 2
 /// enforced, Frobenius norm 1. `weights` are per pair.
 ///
-/// None for fewer than eight pairs, or where something is not finite.
+/// `None` for fewer than eight pairs, or for non-finite values.
 pub fn eight_point(pairs: &[(DVec2, DVec2)], weights: Option<&[f64]>) -> Option<DMat3> {
     if pairs.len() < 8 || weights.is_some_and(|w| w.len() != pairs.len()) {
         return None;
@@ -87,8 +87,8 @@ pub fn eight_point(pairs: &[(DVec2, DVec2)], weights: Option<&[f64]>) -> Option<
     (norm > 0.0 && norm.is_finite()).then(|| f * (1.0 / norm))
 }
 
-/// The squared Sampson distance of a pixel pair to a fundamental matrix, pixels²: the first-order
-/// squared distance in the four-dimensional space of both pixels.
+/// The squared Sampson distance of a pixel pair to a fundamental matrix, pixels²: first-order squared
+/// distance in the four-dimensional space of both pixels.
 pub fn sampson_squared(f: &DMat3, a: DVec2, b: DVec2) -> f64 {
     let (xa, xb) = (a.extend(1.0), b.extend(1.0));
     let (lb, la) = (*f * xa, f.transpose() * xb);
@@ -102,7 +102,7 @@ pub fn essential_from_pose(b_from_a: &Pose) -> DMat3 {
     super::se3::skew(b_from_a.translation) * b_from_a.rotation_matrix()
 }
 
-/// F = K_b⁻ᵀ E K_a⁻¹: pixels in place of rays.
+/// F = K_b⁻ᵀ E K_a⁻¹, which relates pixels instead of rays.
 pub fn fundamental_from_essential(e: &DMat3, ka: &Intrinsics, kb: &Intrinsics) -> DMat3 {
     inverse_matrix(kb).transpose() * *e * inverse_matrix(ka)
 }
@@ -120,8 +120,8 @@ fn inverse_matrix(k: &Intrinsics) -> DMat3 {
     )
 }
 
-/// The four poses `b_from_a` (unit translation) that an essential matrix stands for; a matrix that
-/// is only nearly essential is projected to the nearest one. Empty where it is zero or not finite.
+/// The four poses `b_from_a` (unit translation) of an essential matrix; a matrix that is only approximately
+/// essential is projected to the nearest one. Empty where it is zero or not finite.
 pub fn decompose_essential(e: &DMat3) -> Vec<Pose> {
     if !e.is_finite() {
         return Vec::new();
@@ -134,7 +134,7 @@ pub fn decompose_essential(e: &DMat3) -> Vec<Pose> {
     let column = |k: usize| DVec3::new(u[(0, k)], u[(1, k)], u[(2, k)]);
     let row = |k: usize| DVec3::new(vt[(k, 0)], vt[(k, 1)], vt[(k, 2)]);
     let (u0, u1, v0, v1) = (column(0), column(1), row(0), row(1));
-    // Right-handed bases on both sides, whatever signs the SVD chose.
+    // Right-handed bases on both sides, whatever the signs of the SVD.
     let (u2, v2) = (u0.cross(u1), v0.cross(v1));
     let right = DMat3::from_cols(v0, v1, v2).transpose();
     let mut poses = Vec::with_capacity(4);
@@ -148,8 +148,8 @@ pub fn decompose_essential(e: &DMat3) -> Vec<Pose> {
     poses
 }
 
-/// The pose among the four of an essential matrix that puts most ray pairs in front of both
-/// cameras, and how many those are. Rays that are all but parallel say nothing and do not count.
+/// The pose of an essential matrix that puts most ray pairs in front of both cameras, and the number of
+/// those pairs. Nearly parallel rays are undetermined and do not count.
 pub fn cheiral_pose(e: &DMat3, rays: &[(DVec3, DVec3)]) -> Option<(Pose, usize)> {
     decompose_essential(e)
         .into_iter()
@@ -160,9 +160,9 @@ pub fn cheiral_pose(e: &DMat3, rays: &[(DVec3, DVec3)]) -> Option<(Pose, usize)>
         .max_by_key(|(_, count)| *count)
 }
 
-/// Do two rays meet (nearly) in front of both cameras?
+/// Whether two rays meet (nearly) in front of both cameras.
 pub fn in_front(b_from_a: &Pose, ray_a: DVec3, ray_b: DVec3) -> bool {
-    // λ_b ray_b = λ_a R ray_a + t in the least squares sense.
+    // λ_b ray_b = λ_a R ray_a + t in the least-squares sense.
     let turned = b_from_a.rotation * ray_a;
     let cross = ray_b.cross(turned);
     let squared = cross.length_squared();
@@ -218,8 +218,8 @@ mod tests {
 
     #[test]
     fn sampson_distance_is_the_pixel_distance_to_first_order() {
-        // A camera that slides sideways: epipolar lines are rows, so the row difference d is
-        // shared by both pixels and the squared distance is d²/2.
+        // A camera that moves sideways: epipolar lines are rows, so the row difference d is shared by both
+        // pixels and the squared distance is d²/2.
         let k = Intrinsics::centred(400.0, 640, 480);
         let slide = Pose::new(DQuat::IDENTITY, DVec3::X);
         let f = fundamental_from_essential(&essential_from_pose(&slide), &k, &k);

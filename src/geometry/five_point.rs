@@ -4,8 +4,8 @@ use super::polynomial::{evaluate, real_roots};
 use glam::{DMat3, DVec3};
 use nalgebra::{DMatrix, SMatrix};
 
-/// Exponents of x, y, z in the order that elimination wants: the first ten monomials are solved
-/// for, the last ten hold x, y and 1 times powers of z.
+/// Exponents of x, y, z in elimination order: the first ten monomials are solved for, the last ten hold x,
+/// y and 1 times powers of z.
 const MONOMIALS: [[u8; 3]; 20] = [
     [3, 0, 0],
     [0, 3, 0],
@@ -36,7 +36,7 @@ const Y: usize = 15;
 const Z: usize = 18;
 const ONE: usize = 19;
 
-/// Where the product of two monomials stands; 255 where its degree exceeds 3.
+/// Index of the product of two monomials; 255 where its degree exceeds 3.
 const PRODUCT: [[u8; 20]; 20] = {
     let mut table = [[255u8; 20]; 20];
     let mut i = 0;
@@ -58,7 +58,7 @@ const PRODUCT: [[u8; 20]; 20] = {
     table
 };
 
-/// sum += factor · a · b, the terms of degree at most 3.
+/// sum += factor · a · b, for the terms of degree at most 3.
 fn multiply_add(sum: &mut Cubic, a: &Cubic, b: &Cubic, factor: f64) {
     for (i, x) in a.iter().enumerate().filter(|(_, x)| **x != 0.0) {
         for (j, y) in b.iter().enumerate() {
@@ -76,12 +76,12 @@ fn product(a: &Cubic, b: &Cubic) -> Cubic {
     out
 }
 
-/// All essential matrices (at most ten, Frobenius norm 1) that five ray pairs agree with; with more
-/// pairs, those nearest to agreeing with all in the algebraic sense.
+/// All essential matrices (at most ten, Frobenius norm 1) that satisfy five ray pairs; with more pairs,
+/// those that satisfy all best in the algebraic sense.
 ///
-/// Nistér, PAMI 2004: E lies in the four-dimensional null space of the epipolar constraints; the
-/// ten cubic constraints on an essential matrix are eliminated to a polynomial of degree ten.
-/// Fewer than five pairs, or something that is not finite, give none.
+/// Nistér, PAMI 2004: E lies in the four-dimensional null space of the epipolar constraints; the ten cubic
+/// constraints on an essential matrix are eliminated to a polynomial of degree ten. Empty for fewer than
+/// five pairs and for non-finite values.
 pub fn five_point(rays: &[(DVec3, DVec3)]) -> Vec<DMat3> {
     if rays.len() < 5 || rays.iter().any(|(a, b)| !(a.is_finite() && b.is_finite())) {
         return Vec::new();
@@ -117,7 +117,7 @@ pub fn five_point(rays: &[(DVec3, DVec3)]) -> Vec<DMat3> {
         let at: [DVec3; 3] = std::array::from_fn(|k| {
             DVec3::from_array(std::array::from_fn(|c| evaluate(&rows[k][c], z)))
         });
-        // (x, y, 1) is orthogonal to all three rows; the clearest cross product says it best.
+        // (x, y, 1) is orthogonal to all three rows; the largest cross product is the most accurate one.
         let best = [(0, 1), (0, 2), (1, 2)]
             .map(|(i, j)| at[i].normalize_or_zero().cross(at[j].normalize_or_zero()))
             .into_iter()
@@ -138,7 +138,7 @@ pub fn five_point(rays: &[(DVec3, DVec3)]) -> Vec<DMat3> {
     found
 }
 
-/// Four row-major matrices that span what the epipolar constraints leave.
+/// Four row-major matrices that span the null space of the epipolar constraints.
 fn null_space(rays: &[(DVec3, DVec3)]) -> Option<[[f64; 9]; 4]> {
     let mut rows = DMatrix::<f64>::zeros(rays.len().max(9), 9);
     for (i, (a, b)) in rays.iter().enumerate() {
@@ -186,7 +186,7 @@ fn constraints(e: &[[Cubic; 3]; 3]) -> [Cubic; 10] {
     out
 }
 
-/// Gauss–Jordan on the first ten columns: row k then starts with monomial k alone.
+/// Gauss–Jordan elimination on the first ten columns, so that row k then starts with monomial k alone.
 fn eliminated(rows: &[Cubic; 10]) -> Option<[Cubic; 10]> {
     let left = SMatrix::<f64, 10, 10>::from_fn(|r, c| rows[r][c]);
     let right = SMatrix::<f64, 10, 10>::from_fn(|r, c| rows[r][10 + c]);
@@ -201,8 +201,8 @@ fn eliminated(rows: &[Cubic; 10]) -> Option<[Cubic; 10]> {
     }))
 }
 
-/// `e − z f`, where the leading monomials of the two rows differ by the factor z: polynomials in z
-/// before x, y and 1.
+/// `e − z f`, where the leading monomials of the two rows differ by the factor z: the polynomials in z that
+/// multiply x, y and 1.
 fn difference(e: &Cubic, f: &Cubic) -> [Vec<f64>; 3] {
     let linear = |at: usize| vec![e[at + 2], e[at + 1] - f[at + 2], e[at] - f[at + 1], -f[at]];
     let constant = vec![e[19], e[18] - f[19], e[17] - f[18], e[16] - f[17], -f[16]];
@@ -228,7 +228,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    /// How far a matrix is from another of the same norm, either sign.
+    /// Distance between two matrices of the same norm, up to sign.
     fn apart(a: &DMat3, b: &DMat3) -> f64 {
         let norm = |m: DMat3| m.to_cols_array().iter().map(|v| v * v).sum::<f64>().sqrt();
         norm(*a - *b).min(norm(*a + *b))
@@ -244,7 +244,7 @@ mod tests {
         for trial in 0..trials {
             let t = random(&mut rng).normalize();
             let pose = Pose::new(exp_so3(random(&mut rng) * 0.5), t);
-            // Every other scene is a plane, on which five points still work.
+            // Every other scene is a plane, for which five points still suffice.
             let rays: Vec<_> = (0..5)
                 .map(|_| {
                     let mut p = random(&mut rng) * 2.0;

@@ -1,12 +1,12 @@
-//! The focal length that a set of image pairs speaks for.
+//! Focal length estimation from a set of image pairs.
 //!
-//! A fundamental matrix is an essential matrix only under the right focal length: with
-//! E = Kᵀ F K, two singular values must agree (Kruppa's equations for square pixels and a known
-//! principal point). Equality of singular values alone has no scale of "how wrong", so each
-//! candidate focal length is judged by what it costs in pixels: the nearest essential matrix to
-//! Kᵀ F K is refined on the pairs' Sampson distances, and the squared distances that remain are
-//! summed over all image pairs. The sum is a χ² whose width tells how well the focal length is
-//! known. Pairs that say nothing (planes, turns, parallel axes) add a constant and do no harm.
+//! A fundamental matrix becomes an essential matrix only under the right focal length: two singular values
+//! of E = Kᵀ F K must be equal (Kruppa's equations for square pixels and a known principal point). The
+//! equality of singular values has no error scale, so each candidate focal length is judged by its cost in
+//! pixels: the nearest essential matrix to Kᵀ F K is refined on the pairs' Sampson distances, and the
+//! remaining squared distances are summed over all image pairs. The sum is a χ² whose width gives the
+//! uncertainty of the focal length. Uninformative pairs (planes, rotations, parallel axes) add a constant
+//! and do no harm.
 
 use super::epipolar::{cheiral_pose, essential_from_fundamental};
 use super::relative::refine_relative;
@@ -24,16 +24,16 @@ pub struct FocalPair {
     pub pixels: Vec<(DVec2, DVec2)>,
 }
 
-/// What is searched, and what counts as known.
+/// Options of the focal length search.
 #[derive(Clone, Copy, Debug)]
 pub struct FocalOptions {
-    /// Candidates lie between these multiples of the longer side of the image.
+    /// Range of the candidates, as multiples of the longer side of the image.
     pub range: (f64, f64),
     /// Number of candidates, evenly spaced in their logarithm.
     pub candidates: usize,
-    /// A relative standard deviation up to this counts as observed.
+    /// Maximum relative standard deviation of an observable focal length.
     pub observable: f64,
-    /// Noise of the pixels is not taken to be less, pixels.
+    /// Lower bound of the pixels' noise, pixels.
     pub noise_floor: f64,
 }
 
@@ -43,31 +43,31 @@ impl Default for FocalOptions {
     }
 }
 
-/// A focal length, and how loudly the pairs speak for it.
+/// An estimated focal length with its uncertainty.
 #[derive(Clone, Debug)]
 pub struct FocalEstimate {
     /// Best focal length, pixels.
     pub focal: f64,
-    /// Relative standard deviation: the width of the cost's valley and, by the jackknife, how much
-    /// the image pairs disagree. Infinite where the valley is open on a side of the range. What all
-    /// pairs have in common, lens distortion above all, does not show in it.
+    /// Relative standard deviation: the width of the cost's minimum and, by the jackknife, the disagreement
+    /// between the image pairs. Infinite where the minimum is open on a side of the range. Errors that all
+    /// pairs share, mainly lens distortion, are not included.
     pub relative_std: f64,
-    /// Is the deviation small enough to rely on it? If not, use a prior.
+    /// Whether the deviation is small enough to rely on the estimate. If not, use a prior.
     pub observable: bool,
     /// (focal length, cost in pixels²) of all candidates, ascending.
     pub curve: Vec<(f64, f64)>,
 }
 
-/// Pixel pairs used of each image pair: more adds time, not independence.
+/// Maximum number of pixel pairs used per image pair: more would add time, but no independent data.
 const PAIRS_CAP: usize = 250;
-/// Width of Cauchy's kernel on Sampson distances, pixels.
+/// Width of the Cauchy kernel on Sampson distances, pixels.
 const KERNEL: f64 = 1.0;
 
-/// Scores candidate focal lengths on image pairs of one camera with square pixels and its
-/// principal point in the middle.
+/// Estimates the focal length from image pairs of one camera with square pixels and its principal point in
+/// the image centre.
 ///
 /// # Errors
-/// No pair with at least eight pixels, an image without pixels, a range that is not one.
+/// No pair with at least eight pixels, an image without pixels, an invalid range.
 pub fn estimate_focal(
     pairs: &[FocalPair],
     width: u32,
@@ -126,14 +126,14 @@ pub fn estimate_focal(
     Ok(FocalEstimate { focal, relative_std, observable, curve })
 }
 
-/// Standard deviation of an estimate from the estimates that each leave one of the data out.
+/// Standard deviation of an estimate by the jackknife, from the leave-one-out estimates.
 fn jackknife(estimates: &[f64]) -> f64 {
     let n = estimates.len() as f64;
     let mean = estimates.iter().sum::<f64>() / n;
     ((n - 1.0) / n * estimates.iter().map(|e| (e - mean).powi(2)).sum::<f64>()).sqrt()
 }
 
-/// Cost of every candidate on one image pair.
+/// Cost of every candidate for one image pair.
 fn curve_of(pair: &FocalPair, candidates: &[f64], width: u32, height: u32) -> Vec<f64> {
     let fit = |focal: f64, neighbour: Option<&Pose>| -> Option<(Pose, f64)> {
         let k = Intrinsics::centred(focal, width, height);
@@ -145,7 +145,7 @@ fn curve_of(pair: &FocalPair, candidates: &[f64], width: u32, height: u32) -> Ve
             .map(|start| refine_relative(&start, &k, &k, &pair.pixels, None, KERNEL, 12))
             .min_by(|a, b| a.1.total_cmp(&b.1))
     };
-    // Up and down the range: each candidate also starts where its neighbour ended.
+    // In both directions of the range: each candidate also starts from its neighbour's result.
     let mut best: Vec<Option<(Pose, f64)>> = vec![None; candidates.len()];
     for reverse in [false, true] {
         let mut neighbour: Option<Pose> = None;
@@ -160,11 +160,11 @@ fn curve_of(pair: &FocalPair, candidates: &[f64], width: u32, height: u32) -> Ve
             }
         }
     }
-    // A pair that no candidate fits says nothing.
+    // A pair that no candidate fits is uninformative.
     best.iter().map(|b| b.map_or(0.0, |b| b.1)).collect()
 }
 
-/// Where a curve of evenly spaced costs is lowest, in steps, by a parabola through three of them.
+/// Position of the minimum of evenly spaced costs, in steps, by a parabola through three of them.
 fn minimum(costs: &[f64]) -> f64 {
     let lowest = index_of_lowest(costs);
     if lowest == 0 || lowest + 1 == costs.len() {
@@ -180,12 +180,12 @@ fn index_of_lowest(costs: &[f64]) -> usize {
     (0..costs.len()).min_by(|&a, &b| costs[a].total_cmp(&costs[b])).unwrap_or(0)
 }
 
-/// Relative standard deviation from the width of the curve's valley.
+/// Relative standard deviation from the width of the curve's minimum.
 fn valley(curve: &[(f64, f64)], freedom: f64, options: &FocalOptions) -> f64 {
     let costs: Vec<f64> = curve.iter().map(|c| c.1).collect();
     let (lowest, last) = (index_of_lowest(&costs), curve.len() - 1);
     let variance = (costs[lowest] / freedom).max(options.noise_floor.powi(2));
-    // Where the cost has risen by nine variances, three standard deviations away.
+    // The cost rises by nine variances at three standard deviations.
     let limit = costs[lowest] + 9.0 * variance;
     let crossing = |indices: &mut dyn Iterator<Item = usize>| -> Option<f64> {
         let mut before = lowest;
@@ -237,7 +237,7 @@ mod tests {
         FocalPair { fundamental: found.model, pixels }
     }
 
-    /// A camera that walks around a subject: axes converge from differing distances.
+    /// A camera that moves around a subject: its axes converge from different distances.
     fn walk(focal: f64, sigma: f64) -> Vec<FocalPair> {
         (0..6)
             .map(|i| {

@@ -1,13 +1,13 @@
-//! Homographies: planes, and cameras that only turn.
+//! Homographies of planes and of rotating cameras.
 
 use super::epipolar::{normalised, null_vector};
 use glam::{DMat3, DVec2};
 use nalgebra::SMatrix;
 
-/// The homography x_b ~ H x_a of four or more pixel pairs: normalised direct linear transform,
-/// scaled to determinant ±1 where that is defined. `weights` are per pair.
+/// The homography x_b ~ H x_a of at least four pixel pairs: normalised direct linear transform, scaled to
+/// determinant ±1 where that is defined. `weights` are per pair.
 ///
-/// None for fewer than four pairs, a degenerate set, or something not finite.
+/// `None` for fewer than four pairs, a degenerate set, or non-finite values.
 pub fn homography(pairs: &[(DVec2, DVec2)], weights: Option<&[f64]>) -> Option<DMat3> {
     if pairs.len() < 4 || weights.is_some_and(|w| w.len() != pairs.len()) {
         return None;
@@ -27,8 +27,8 @@ pub fn homography(pairs: &[(DVec2, DVec2)], weights: Option<&[f64]>) -> Option<D
         }
     }
     let (vector, gap) = null_vector(normal)?;
-    // Three of four on a line, or fewer than four places: a family of homographies fits. The bound
-    // is what rounding leaves of a zero eigenvalue.
+    // With three of four points collinear, or fewer than four distinct points, a family of homographies
+    // fits. The bound covers the rounding error of a zero eigenvalue.
     if gap.is_nan() || gap < 1e-13 {
         return None;
     }
@@ -41,8 +41,8 @@ pub fn homography(pairs: &[(DVec2, DVec2)], weights: Option<&[f64]>) -> Option<D
     Some(h * determinant.abs().cbrt().recip())
 }
 
-/// The mean of the squared transfer errors in both images, pixels²; infinite where the homography
-/// sends a pixel to infinity.
+/// The mean of the squared transfer errors in both images, pixels²; infinite where the homography maps a
+/// pixel to infinity.
 pub fn transfer_squared(h: &DMat3, inverse: &DMat3, a: DVec2, b: DVec2) -> f64 {
     let there = *h * a.extend(1.0);
     let back = *inverse * b.extend(1.0);

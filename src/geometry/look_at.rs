@@ -1,13 +1,13 @@
-//! Where cameras look, and cameras that look somewhere.
+//! The point that cameras look at, and cameras that look at a point.
 
 use glam::{DMat3, DQuat, DVec3};
 
 use crate::types::{Camera, Pose};
 
-/// The point that lies nearest to all cameras' optical axes, in the least-squares sense.
+/// The point nearest to all cameras' optical axes, in the least-squares sense, in world units.
 ///
-/// `None` where there are fewer than two cameras, where their axes are so nearly parallel that the
-/// point is not determined, or where it does not lie before most of them.
+/// `None` where there are fewer than two cameras, where their axes are so nearly parallel that the point is
+/// undetermined, or where it is not in front of most of them.
 pub fn look_at_point(cameras: &[Camera]) -> Option<DVec3> {
     // The squared distance of p to an axis with direction d through c is |(I − d dᵀ)(p − c)|².
     let (mut normal, mut right) = (DMat3::ZERO, DVec3::ZERO);
@@ -17,8 +17,7 @@ pub fn look_at_point(cameras: &[Camera]) -> Option<DVec3> {
         normal += across;
         right += across * camera.centre();
     }
-    // Parallel axes leave the determinant at zero; for n axes that spread by an angle a it is about
-    // n³ sin² a.
+    // The determinant is zero for parallel axes; for n axes that spread by an angle a it is about n³ sin² a.
     let spread = normal.determinant() / (cameras.len() as f64).powi(3);
     if cameras.len() < 2 || !spread.is_finite() || spread < 1e-4 {
         return None;
@@ -28,8 +27,8 @@ pub fn look_at_point(cameras: &[Camera]) -> Option<DVec3> {
     (2 * before > cameras.len()).then_some(point)
 }
 
-/// `view_from_world` of a camera at `centre` that looks at `target` with `up` pointing up in its
-/// picture. Where `up` lies along the line of sight, another direction takes its place.
+/// `view_from_world` of a camera at `centre` that looks at `target`, with `up` pointing up in its image.
+/// Where `up` is parallel to the line of sight, another direction replaces it.
 pub fn look_at(centre: DVec3, target: DVec3, up: DVec3) -> Pose {
     let forward = (target - centre).try_normalize().unwrap_or(DVec3::Z);
     let right = forward.cross(up).try_normalize().filter(|r| r.is_finite());
@@ -62,7 +61,7 @@ mod tests {
         assert!((seen.z - (target - centre).length()).abs() < 1e-12);
         let above = camera.view_from_world.apply(target + DVec3::NEG_Y);
         assert!(above.y < 0.0 && above.x.abs() < 1e-12, "up is up: {above}");
-        // Straight up, up means nothing, and the answer is still a rotation.
+        // Along the up direction, up is undefined, and the result is still a rotation.
         let pose = look_at(DVec3::ZERO, DVec3::NEG_Y, DVec3::NEG_Y);
         assert!((pose.apply(DVec3::NEG_Y) - DVec3::Z).length() < 1e-12);
     }

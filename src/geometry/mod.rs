@@ -1,17 +1,17 @@
 //! SE(3), Sim(3), PnP, RANSAC, two-view geometry and bundle adjustment, in f64.
 //!
-//! | module | what it answers |
+//! | module | contents |
 //! |---|---|
-//! | [`se3`], [`sim3`] | how to perturb a pose; how two point sets or two trajectories lie to each other |
-//! | [`epipolar`], [`five_point`], [`relative`], [`homography`], [`two_view`] | how two images lie to each other, from pixel pairs alone |
-//! | [`focal`] | which focal length a set of fundamental matrices speaks for, and how loudly |
-//! | [`triangulate`] | where a point lies that known cameras saw |
-//! | [`p3p`], [`pnp`], [`sampling`] | where a camera lies that saw known points |
-//! | [`mod@look_at`] | where cameras look, and cameras that look somewhere |
-//! | [`bundle`] | all poses, one focal length and all inverse depths at once |
+//! | [`se3`], [`sim3`] | perturbation of poses; alignment of point sets and trajectories |
+//! | [`epipolar`], [`five_point`], [`relative`], [`homography`], [`two_view`] | relative geometry of two images from pixel pairs |
+//! | [`focal`] | focal length of a set of fundamental matrices, and its uncertainty |
+//! | [`triangulate`] | points seen by known cameras |
+//! | [`p3p`], [`pnp`], [`sampling`] | pose of a camera that sees known points |
+//! | [`mod@look_at`] | the point that cameras look at, and cameras that look at a point |
+//! | [`bundle`] | bundle adjustment of all poses, one focal length and all inverse depths |
 //!
-//! Perturbations are left-multiplied, `exp(ξ) · pose`, with ξ = (translation, rotation). Everything
-//! random takes a seed and gives the same bits for the same seed, whatever the number of threads.
+//! Perturbations are left-multiplied, `exp(ξ) · pose`, with ξ = (translation, rotation). All randomised
+//! functions take a seed and give bit-identical results for the same seed, whatever the number of threads.
 
 pub mod bundle;
 pub(crate) mod envelope;

@@ -4,19 +4,19 @@ use super::polynomial::real_roots;
 use crate::types::Pose;
 use glam::{DMat3, DQuat, DVec3};
 
-/// Sine of the smallest angle of a point or bearing triple that still counts as a triangle.
+/// Sine of the smallest angle at which three points or rays are not considered collinear.
 const COLLINEAR: f64 = 1e-7;
 
-/// All poses `view_from_world` (at most four) that put three points of the world on three rays of
-/// the camera's frame, in front of the camera.
+/// All poses `view_from_world` (at most four) that map three world points to three rays of the camera
+/// frame, in front of the camera.
 ///
-/// The three distances λ satisfy λ_i² + λ_j² − 2 λ_i λ_j cos θ_ij = |X_i − X_j|²: three quadrics.
-/// As in Lambda Twist (Persson and Nordberg, ECCV 2018) one degenerate member of the pencil of two
-/// homogeneous combinations is found from a cubic and splits into two planes; on each plane a
-/// quadratic is left. The distances are then polished by Newton's method on the quadrics.
+/// The three distances λ satisfy λ_i² + λ_j² − 2 λ_i λ_j cos θ_ij = |X_i − X_j|²: three quadrics. As in
+/// Lambda Twist (Persson and Nordberg, ECCV 2018), a cubic gives one degenerate member of the pencil of two
+/// homogeneous combinations, which splits into two planes; on each plane a quadratic remains. Newton's
+/// method on the quadrics then refines the distances.
 ///
-/// `rays` need not be normalised. Collinear points, coincident rays and non-finite input give no
-/// solution.
+/// `rays` need not be normalised. The result is empty for collinear points, coincident rays and non-finite
+/// input.
 pub fn p3p(rays: &[DVec3; 3], points: &[DVec3; 3]) -> Vec<Pose> {
     let y = rays.map(|r| r.normalize_or_zero());
     let (d12, d13, d23) = (points[1] - points[0], points[2] - points[0], points[2] - points[1]);
@@ -29,7 +29,7 @@ pub fn p3p(rays: &[DVec3; 3], points: &[DVec3; 3]) -> Vec<Pose> {
     if [(0, 1), (0, 2), (1, 2)].iter().any(|&(i, j)| y[i].cross(y[j]).length() < COLLINEAR) {
         return Vec::new();
     }
-    // In units of the longest side every threshold below is scale free.
+    // In units of the longest side, all thresholds below are scale-free.
     let unit = longest2.sqrt();
     let quadrics = Quadrics {
         cosine: [y[0].dot(y[1]), y[0].dot(y[2]), y[1].dot(y[2])],
@@ -79,13 +79,13 @@ impl Quadrics {
     fn distances(&self) -> Vec<DVec3> {
         let (m12, m13, m23) = (self.matrix(0), self.matrix(1), self.matrix(2));
         let [a12, a13, a23] = self.side2;
-        // Homogeneous: both vanish on every solution.
+        // Homogeneous combinations, which vanish at every solution.
         let d1 = m12 * a23 - m23 * a12;
         let d2 = m13 * a23 - m23 * a13;
         let mut out = Vec::with_capacity(4);
-        // det(d1 + γ d2) by its values: exact for a cubic.
+        // det(d1 + γ d2) by interpolation, which is exact for a cubic.
         let roots = real_roots(&cubic_of_pencil(&d1, &d2));
-        // Any real root gives all solutions; the one whose member splits most clearly is taken.
+        // Any real root gives all solutions; the one whose member splits best is used.
         let split = roots
             .iter()
             .filter_map(|&g| Planes::of(&(d1 + d2 * g)))
@@ -93,8 +93,8 @@ impl Quadrics {
         let Some(planes) = split else { return out };
         for normal in planes.normals {
             let (u, v) = normal.any_orthonormal_pair();
-            // On the plane λ = α u + β v the whole pencil is one binary form; the larger member
-            // is the better conditioned one.
+            // On the plane λ = α u + β v the whole pencil is one binary form; the larger member is better
+            // conditioned.
             let form = |d: &DMat3| [u.dot(*d * u), u.dot(*d * v), v.dot(*d * v)];
             let (f1, f2) = (form(&d1), form(&d2));
             let size = |f: &[f64; 3]| f.iter().fold(0.0f64, |m, x| m.max(x.abs()));
@@ -126,7 +126,7 @@ impl Quadrics {
         DVec3::new(value(0), value(1), value(2))
     }
 
-    /// Newton's method; none where it does not end on the quadrics with positive distances.
+    /// Refines by Newton's method; `None` where it does not converge to the quadrics with positive distances.
     fn polish(&self, mut l: DVec3) -> Option<DVec3> {
         let mut r = self.residual(l);
         for _ in 0..8 {
@@ -139,7 +139,7 @@ impl Quadrics {
                 jacobian.col_mut(i)[k] = 2.0 * (l[i] - self.cosine[k] * l[j]);
                 jacobian.col_mut(j)[k] = 2.0 * (l[j] - self.cosine[k] * l[i]);
             }
-            // Singular on the danger cylinder, where two solutions meet: keep what there is.
+            // Singular on the danger cylinder, where two solutions coincide: keeps the current value.
             let step = jacobian.inverse() * r;
             if !step.is_finite() {
                 break;
@@ -163,7 +163,7 @@ struct Planes {
 }
 
 impl Planes {
-    /// Splits λᵀ D λ = 0; none where D has no real planes.
+    /// Splits λᵀ D λ = 0; `None` where D has no real planes.
     fn of(d: &DMat3) -> Option<Planes> {
         let eigen = super::se3::matrix3(d).symmetric_eigen();
         let mut order = [0, 1, 2];
@@ -202,7 +202,7 @@ fn binary_roots(a: f64, b: f64, c: f64) -> Vec<(f64, f64)> {
         return Vec::new();
     }
     let discriminant = b * b - a * c;
-    // Slightly negative is a double root seen through rounding.
+    // A slightly negative discriminant is a double root with rounding error.
     if discriminant < -1e-10 * size * size {
         return Vec::new();
     }
@@ -213,7 +213,7 @@ fn binary_roots(a: f64, b: f64, c: f64) -> Vec<(f64, f64)> {
     vec![(q, a), (c, q)]
 }
 
-/// The rigid motion that takes three points to three others of the same triangle.
+/// The rigid motion that maps three points to three others of a congruent triangle.
 fn absolute(world: &[DVec3; 3], view: &[DVec3; 3]) -> Option<Pose> {
     let frame = |p: &[DVec3; 3]| {
         let x = (p[1] - p[0]).try_normalize()?;
@@ -222,7 +222,7 @@ fn absolute(world: &[DVec3; 3], view: &[DVec3; 3]) -> Option<Pose> {
     };
     let rotation = frame(view)? * frame(world)?.transpose();
     let rotation = DQuat::from_mat3(&rotation).normalize();
-    // From the centroid, so that no one point's error weighs more.
+    // From the centroid, so that the points' errors have equal weight.
     let mean = |p: &[DVec3; 3]| (p[0] + p[1] + p[2]) / 3.0;
     let translation = mean(view) - rotation * mean(world);
     (rotation.is_finite() && translation.is_finite()).then_some(Pose { rotation, translation })
@@ -263,7 +263,7 @@ mod tests {
             });
             missed += usize::from(!hit);
         }
-        // Near-degenerate random triples may merge two roots; they are rare.
+        // Near-degenerate random triples may merge two roots, which is rare.
         assert!(missed <= trials / 2000, "missed {missed} of {trials}");
     }
 

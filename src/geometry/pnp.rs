@@ -1,4 +1,4 @@
-//! The pose of a camera from points of the world and their pixels, under outliers.
+//! Robust estimation of a camera's pose from world points and their pixels.
 
 use super::p3p::p3p;
 use super::ransac::{Estimator, RansacOptions, ransac};
@@ -8,25 +8,25 @@ use crate::types::{Intrinsics, Pose};
 use glam::{DVec2, DVec3};
 use nalgebra::{Matrix2x6, Matrix6, Vector6};
 
-/// How a pose is searched for and refined.
+/// Options of the pose estimation.
 #[derive(Clone, Copy, Debug)]
 pub struct PnpOptions {
-    /// Largest reprojection error of an inlier, pixels.
+    /// Maximum reprojection error of an inlier, pixels.
     pub threshold: f64,
-    /// Huber's kernel turns linear here, pixels.
+    /// Threshold of the Huber kernel, pixels.
     pub huber: f64,
-    /// Wanted probability that one sample was free of outliers.
+    /// Required probability that at least one sample is free of outliers.
     pub confidence: f64,
-    /// At least so many samples.
+    /// Minimum number of samples.
     pub min_iterations: usize,
-    /// At most so many samples.
+    /// Maximum number of samples.
     pub max_iterations: usize,
-    /// A consensus of a smaller share is no result. It also bounds the search: 0.15 asks for some
-    /// 2,700 samples at the most, 0.05 for 74,000.
+    /// Minimum share of inliers of a valid result. It also bounds the search: 0.15 needs at most about
+    /// 2,700 samples, 0.05 about 74,000.
     pub min_inlier_ratio: f64,
-    /// A consensus of fewer points is no result; never less than 4.
+    /// Minimum number of inliers of a valid result; never less than 4.
     pub min_inliers: usize,
-    /// The same seed gives the same result, bit for bit.
+    /// Random seed; the same seed gives the same result, bit for bit.
     pub seed: u64,
 }
 
@@ -52,34 +52,34 @@ impl Default for PnpOptions {
     }
 }
 
-/// A pose, and how well it is known.
+/// An estimated pose with its uncertainty.
 #[derive(Clone, Debug)]
 pub struct PnpResult {
     /// World to camera.
     pub view_from_world: Pose,
-    /// Per correspondence given: within the threshold and in front of the camera.
+    /// Per correspondence: whether it is within the threshold and in front of the camera.
     pub inliers: Vec<bool>,
-    /// Inliers among the correspondences that could be used.
+    /// Share of inliers among the usable correspondences.
     pub inlier_ratio: f64,
     /// Root mean square reprojection error of the inliers, pixels.
     pub rmse: f64,
-    /// Covariance of the left twist (translation, rotation) of the pose, from the inliers' spread
-    /// (floored at 0.1 px). A direction that the points do not constrain has a variance of 1e12.
+    /// Covariance of the left twist (translation, rotation) of the pose, from the inliers' residuals (with
+    /// a noise of at least 0.1 px). Unconstrained directions have a variance of 1e12.
     pub covariance: Matrix6<f64>,
-    /// Samples drawn.
+    /// Number of samples drawn.
     pub iterations: usize,
 }
 
-/// Finds a camera's pose from points of the world and the pixels they were seen at.
+/// Estimates a camera's pose from world points and the pixels at which they were seen.
 ///
-/// P3P inside RANSAC (MSAC, local optimisation by Gauss–Newton on 14 points), then
-/// Levenberg–Marquardt with Huber's kernel on the inliers. `weights` (1 each without) scale each
-/// point's cost; points with a weight of 0, or with anything not finite, are left out. `prediction`
-/// (a constant-velocity guess, say) competes with the samples.
+/// P3P within RANSAC (MSAC, local optimisation by Gauss–Newton on 14 points), then Levenberg–Marquardt with
+/// a Huber kernel on the inliers. `weights` (1 if absent) scale each point's cost; points with a weight of
+/// 0 or non-finite values are left out. `prediction` (for example a constant-velocity guess) competes with
+/// the samples.
 ///
 /// # Errors
-/// Differing lengths; fewer usable points than `min_inliers`; no pose that enough points agree
-/// with. The caller then keeps its prediction and marks the frame.
+/// Differing lengths; fewer usable points than `min_inliers`; no pose with enough inliers. The caller then
+/// keeps its prediction and marks the frame.
 pub fn pnp_ransac(
     points: &[DVec3],
     pixels: &[DVec2],
@@ -137,7 +137,7 @@ pub fn pnp_ransac(
     let consensus = ransac(&data, &search, &guesses).ok_or_else(|| failed(0))?;
     let mut pose = consensus.model;
     let mut inliers = consensus.inliers;
-    // The refined pose may gain or lose inliers; a few rounds settle it.
+    // The refined pose may gain or lose inliers; a few rounds suffice to converge.
     for _ in 0..4 {
         if inliers.len() < fewest {
             break;
@@ -155,7 +155,7 @@ pub fn pnp_ransac(
     }
     let squared: f64 = inliers.iter().map(|&i| data.squared_error(&pose, i)).sum();
     let rmse = (squared / inliers.len() as f64).sqrt();
-    // Two residuals a point, six of them spent on the pose.
+    // Two residuals per point, minus the six degrees of freedom of the pose.
     let freedom = (2 * inliers.len()).saturating_sub(6).max(1) as f64;
     let variance = (squared / freedom).max(0.01);
     let (hessian, _, _) = data.normal_equations(&pose, &inliers);
@@ -171,11 +171,11 @@ pub fn pnp_ransac(
     })
 }
 
-/// A pose improved on given correspondences (all of them, Huber's kernel, at most 20 steps of
-/// Levenberg–Marquardt), with the cost before and after: Σ w ρ(|r|), pixels².
+/// Refines a pose on all given correspondences (Huber kernel, at most 20 steps of Levenberg–Marquardt);
+/// also returns the cost before and after, Σ w ρ(|r|), pixels².
 ///
 /// # Errors
-/// Differing lengths, an unusable focal length.
+/// Differing lengths, an invalid focal length.
 pub fn refine_pose(
     points: &[DVec3],
     pixels: &[DVec2],
@@ -200,7 +200,7 @@ pub fn refine_pose(
     Ok((pose, before, after))
 }
 
-/// Rejects intrinsics that no ray can be formed with.
+/// Rejects intrinsics for which rays are undefined.
 pub(crate) fn check_intrinsics(k: &Intrinsics) -> Result<()> {
     let finite = [k.fx, k.fy, k.cx, k.cy].iter().all(|v| v.is_finite());
     if !finite || k.fx <= 0.0 || k.fy <= 0.0 {
@@ -213,8 +213,8 @@ pub(crate) fn check_intrinsics(k: &Intrinsics) -> Result<()> {
     Ok(())
 }
 
-/// The pixel of a point in the camera's frame and its derivative by the left twist (translation,
-/// rotation) of the pose that put it there; none for a point that is not in front.
+/// The pixel of a point in the camera frame and its derivative with respect to the left twist (translation,
+/// rotation) of the pose that mapped it there; `None` for a point that is not in front.
 pub fn project_with_jacobian(k: &Intrinsics, p: DVec3) -> Option<(DVec2, Matrix2x6<f64>)> {
     if p.z.is_nan() || p.z <= 1e-9 * p.abs().max_element() {
         return None;
@@ -228,7 +228,7 @@ pub fn project_with_jacobian(k: &Intrinsics, p: DVec3) -> Option<(DVec2, Matrix2
     Some((DVec2::new(k.fx * x + k.cx, k.fy * y + k.cy), jacobian))
 }
 
-/// The inverse of a positive semidefinite matrix; directions without information get 1e12.
+/// The inverse of a positive semidefinite matrix; directions without information have a variance of 1e12.
 fn bounded_inverse(hessian: &Matrix6<f64>) -> Matrix6<f64> {
     let eigen = hessian.symmetric_eigen();
     let largest = eigen.eigenvalues.max();
@@ -250,7 +250,7 @@ impl Correspondences {
         (0..self.items.len()).filter(|&i| self.squared_error(pose, i) < t2).collect()
     }
 
-    /// Σ w ρ(|r|), infinite where a point falls behind the camera.
+    /// Σ w ρ(|r|), infinite where a point is behind the camera.
     fn cost(&self, pose: &Pose, subset: &[usize]) -> f64 {
         subset
             .iter()
@@ -263,7 +263,7 @@ impl Correspondences {
             .sum()
     }
 
-    /// Hessian, gradient (of half the squared cost) and the count of points in front.
+    /// Hessian, gradient (of half the squared cost) and number of points in front.
     fn normal_equations(
         &self,
         pose: &Pose,

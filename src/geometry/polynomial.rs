@@ -1,16 +1,16 @@
 //! Real roots of polynomials of small degree.
 
-/// The value at x of the polynomial with `coefficients[k]` before x^k.
+/// The value at x of the polynomial with coefficient `coefficients[k]` of x^k.
 pub fn evaluate(coefficients: &[f64], x: f64) -> f64 {
     coefficients.iter().rev().fold(0.0, |sum, &c| sum * x + c)
 }
 
-/// All real roots in ascending order, of a polynomial with `coefficients[k]` before x^k.
+/// All real roots in ascending order of a polynomial with coefficient `coefficients[k]` of x^k.
 ///
-/// Between two neighbouring roots of the derivative a polynomial is monotonic, so each sign change
-/// brackets exactly one root; the derivative's roots are found the same way. Nothing can diverge. A
-/// double root (value at an extremum within rounding of zero) is reported once. Non-finite
-/// coefficients and the zero polynomial have no roots here.
+/// Between adjacent roots of the derivative a polynomial is monotonic, so each sign change brackets exactly
+/// one root; the derivative's roots are found recursively. The method cannot diverge. A double root (a
+/// value at an extremum within rounding of zero) is reported once. Non-finite coefficients and the zero
+/// polynomial give no roots.
 pub fn real_roots(coefficients: &[f64]) -> Vec<f64> {
     if coefficients.iter().any(|c| !c.is_finite()) {
         return Vec::new();
@@ -20,7 +20,7 @@ pub fn real_roots(coefficients: &[f64]) -> Vec<f64> {
         return Vec::new();
     }
     let scaled: Vec<f64> = coefficients.iter().map(|c| c / largest).collect();
-    // A leading coefficient below rounding would only put a root where nothing is meant.
+    // A leading coefficient below rounding would only add a spurious root.
     let degree = scaled.iter().rposition(|c| c.abs() > 1e-14).unwrap_or(0);
     roots_of(&scaled[..=degree])
 }
@@ -59,7 +59,7 @@ fn roots_of(p: &[f64]) -> Vec<f64> {
     roots
 }
 
-/// Newton's method, kept inside a bracket that bisection shrinks.
+/// Newton's method, safeguarded by a bracket that bisection shrinks.
 fn bracketed(p: &[f64], derivative: &[f64], mut a: f64, mut b: f64, rising: bool) -> f64 {
     let mut x = 0.5 * (a + b);
     for _ in 0..200 {

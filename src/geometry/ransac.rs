@@ -1,23 +1,22 @@
-//! Random sample consensus with MSAC scores, adaptive length, early rejection and local
-//! optimisation.
+//! Random sample consensus with MSAC scoring, adaptive termination, early rejection and local optimisation.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// When to stop, and what counts as an inlier.
+/// Termination and inlier criteria.
 #[derive(Clone, Copy, Debug)]
 pub struct RansacOptions {
-    /// Largest error of an inlier, in the estimator's units (pixels for all of this crate).
+    /// Maximum error of an inlier, in the estimator's units (pixels throughout this crate).
     pub threshold: f64,
-    /// Wanted probability that one sample was free of outliers.
+    /// Required probability that at least one sample is free of outliers.
     pub confidence: f64,
-    /// At least so many samples.
+    /// Minimum number of samples.
     pub min_iterations: usize,
-    /// At most so many samples.
+    /// Maximum number of samples.
     pub max_iterations: usize,
-    /// The search is long enough to find a consensus of this share of the data, not longer.
+    /// The number of samples is bounded by what this share of inliers requires.
     pub min_inlier_ratio: f64,
-    /// The same seed gives the same result, bit for bit.
+    /// Random seed; the same seed gives the same result, bit for bit.
     pub seed: u64,
 }
 
@@ -34,9 +33,9 @@ impl Default for RansacOptions {
     }
 }
 
-/// What RANSAC needs to know of a model.
+/// The model-specific functions that RANSAC needs.
 pub trait Estimator {
-    /// What is fitted.
+    /// The fitted model.
     type Model: Clone;
     /// Size of a minimal sample.
     const SAMPLE: usize;
@@ -45,46 +44,46 @@ pub trait Estimator {
 
     /// Number of data.
     fn len(&self) -> usize;
-    /// No data at all?
+    /// Whether there are no data.
     fn is_empty(&self) -> bool {
         self.len() == 0
     }
-    /// All models through a minimal sample, appended to `out`.
+    /// Appends all models through a minimal sample to `out`.
     fn minimal(&self, sample: &[usize], out: &mut Vec<Self::Model>);
     /// Squared error of a datum; infinite where it contradicts the model.
     fn squared_error(&self, model: &Self::Model, index: usize) -> f64;
-    /// A better model from a larger sample, starting at one that fits it roughly.
+    /// A refined model from a larger sample, starting from an approximate one.
     fn refine(&self, model: &Self::Model, sample: &[usize]) -> Option<Self::Model>;
-    /// How much a datum counts, in (0, 1].
+    /// Weight of a datum, in (0, 1].
     fn weight(&self, _index: usize) -> f64 {
         1.0
     }
 }
 
-/// The best model, and the data that agree with it.
+/// The best model with its inliers.
 #[derive(Clone, Debug)]
 pub struct Consensus<M> {
     /// The model.
     pub model: M,
     /// Indices of the inliers, ascending.
     pub inliers: Vec<usize>,
-    /// MSAC: Σ weight · min(error², threshold²).
+    /// MSAC cost: Σ weight · min(error², threshold²).
     pub cost: f64,
-    /// Samples drawn.
+    /// Number of samples drawn.
     pub iterations: usize,
 }
 
-/// A model needs this many data before a rejection from a part of them means anything.
+/// Number of data that a model is scored on before it may be rejected early.
 const PROBE: usize = 256;
-/// Local optimisations from random subsets of the inliers, each time the best model improves.
+/// Number of local optimisations from random subsets of the inliers, each time the best model improves.
 const LOCAL_ROUNDS: usize = 6;
-/// A local fit to all inliers looks at no more than so many, evenly taken.
+/// Maximum number of inliers, evenly sampled, in a local fit to all inliers.
 const LOCAL_CAP: usize = 400;
 
-/// Fits a model to data with outliers; `guesses` (a prediction, say) compete with the samples.
+/// Fits a model to data with outliers; `guesses` (for example a prediction) compete with the samples.
 ///
-/// MSAC (Torr and Zisserman 2000), inner local optimisation (Chum, Matas and Kittler 2003). None
-/// when there are fewer data than a minimal sample or no sample gave a model.
+/// MSAC (Torr and Zisserman 2000), inner local optimisation (Chum, Matas and Kittler 2003). `None` when
+/// there are fewer data than a minimal sample or no sample gave a model.
 pub fn ransac<E: Estimator>(
     estimator: &E,
     options: &RansacOptions,
@@ -128,7 +127,7 @@ pub fn ransac<E: Estimator>(
     Some(Consensus { iterations, ..best })
 }
 
-/// log(1 − p) / log(1 − w^s), within `cap`.
+/// log(1 − p) / log(1 − w^s), at most `cap`.
 fn samples_needed(ratio: f64, size: usize, confidence: f64, cap: usize) -> usize {
     let clean = ratio.clamp(0.0, 1.0).powi(size as i32);
     if clean >= 1.0 {
@@ -141,18 +140,18 @@ fn samples_needed(ratio: f64, size: usize, confidence: f64, cap: usize) -> usize
 struct Search<'a, E: Estimator> {
     estimator: &'a E,
     threshold2: f64,
-    /// A random order to score in, so that the first data are a fair probe.
+    /// A random scoring order, so that the first data are an unbiased sample.
     order: Vec<usize>,
     best: Option<Consensus<E::Model>>,
 }
 
 impl<E: Estimator> Search<'_, E> {
-    /// Takes a model if it is the best so far, after local optimisation.
+    /// Locally optimises a model and keeps it if it is the best so far.
     fn offer(&mut self, model: E::Model, rng: &mut ChaCha8Rng) {
         let Some(mut better) = self.score(model) else { return };
         let mut subset = vec![0usize; E::LOCAL_SAMPLE];
         for round in 0..=LOCAL_ROUNDS {
-            // Random subsets first, all inliers at the end.
+            // Random subsets first, all inliers last.
             let inliers = &better.inliers;
             if inliers.len() <= E::SAMPLE {
                 break;
@@ -174,12 +173,13 @@ impl<E: Estimator> Search<'_, E> {
         self.best = Some(better);
     }
 
-    /// The score of a model; none if it is no better than the best.
+    /// The score of a model; `None` if it is not better than the best.
     fn score(&self, model: E::Model) -> Option<Consensus<E::Model>> {
         let limit = self.best.as_ref().map_or(f64::INFINITY, |b| b.cost);
         let n = self.order.len();
         let expected = self.best.as_ref().map_or(0.0, |b| b.inliers.len() as f64 / n as f64);
-        // Four standard deviations below the best model's share, in the first data: hopeless.
+        // Rejects a model whose inliers among the first data are four standard deviations below the best
+        // model's share.
         let mean = expected * PROBE as f64;
         let fewest = (mean - 4.0 * mean.sqrt()).max(1.0) as usize;
         let mut inliers = Vec::new();
@@ -202,7 +202,7 @@ impl<E: Estimator> Search<'_, E> {
     }
 }
 
-/// Distinct random indices below n; `sample` is not longer than n.
+/// Distinct random indices below n; `sample` must not be longer than n.
 fn draw(n: usize, sample: &mut [usize], rng: &mut ChaCha8Rng) {
     for k in 0..sample.len() {
         sample[k] = loop {

@@ -1,4 +1,4 @@
-//! Refinement of a relative pose on pixel pairs, without points.
+//! Refinement of a relative pose on pixel pairs, without 3D points.
 
 use super::epipolar::{essential_from_pose, fundamental_from_essential};
 use super::se3::exp_so3;
@@ -6,11 +6,11 @@ use crate::types::{Intrinsics, Pose};
 use glam::{DMat3, DVec2, DVec3};
 use nalgebra::{SMatrix, SVector};
 
-/// The signed Sampson distance of a pixel pair, pixels, and its derivative by the left rotation
-/// (three) and the translation `δ` (three, unconstrained) of `b_from_a`.
+/// The signed Sampson distance of a pixel pair, pixels, and its derivative with respect to the left
+/// rotation (three) and the translation `δ` (three, unconstrained) of `b_from_a`.
 ///
-/// With rays a, b and y = R a: n = b·(t × y), the epipolar lines are t × y in b and −Rᵀ(t × b) in
-/// a; the distance is n over the length of the lines' first two components in pixels.
+/// With rays a, b and y = R a: n = b·(t × y), and the epipolar lines are t × y in b and −Rᵀ(t × b) in a.
+/// The distance is n over the norm of the lines' first two components in pixels.
 pub fn sampson_with_jacobian(
     b_from_a: &Pose,
     ka: &Intrinsics,
@@ -59,11 +59,11 @@ fn distance(
     Some((n * inverse, jacobian))
 }
 
-/// Improves a relative pose (translation of length 1) by Levenberg–Marquardt on the Sampson
-/// distances of pixel pairs, Cauchy's kernel of width `width` px; also returns Σ w ρ, pixels².
+/// Refines a relative pose (translation of length 1) by Levenberg–Marquardt on the Sampson distances of
+/// pixel pairs with a Cauchy kernel of `width` px; also returns Σ w ρ, pixels².
 ///
-/// The translation moves on the unit sphere, so there are five unknowns. The result is never worse
-/// than the start.
+/// The translation stays on the unit sphere, so there are five unknowns. The result is never worse than the
+/// initial pose.
 pub fn refine_relative(
     b_from_a: &Pose,
     ka: &Intrinsics,
@@ -126,7 +126,7 @@ fn relative_cost(
     let f = fundamental_from_essential(&essential_from_pose(pose), ka, kb);
     let width2 = width * width;
     let rho = |(i, &(a, b)): (usize, &(DVec2, DVec2))| {
-        // Pixels at both epipoles have no distance; they say nothing.
+        // A pair at both epipoles has no defined distance and is uninformative.
         let s2 = super::epipolar::sampson_squared(&f, a, b);
         let s2 = if s2.is_finite() { s2 } else { 0.0 };
         weights.map_or(1.0, |w| w[i]) * width2 * (s2 / width2).ln_1p()

@@ -1,18 +1,18 @@
-//! A part of many correspondences that still covers the image and all depths.
+//! A subset of correspondences that covers the image and all depths.
 
 use glam::DVec2;
 
-/// Cells along the longer side of the image.
+/// Number of cells along the longer side of the image.
 const CELLS: usize = 16;
-/// Depth layers with equally many correspondences each.
+/// Number of depth layers, with equally many correspondences each.
 const LAYERS: usize = 4;
 
-/// At most `cap` indices, ascending, taken in turn from the cells of a spatial grid times four
-/// layers of depth; within a cell the heaviest come first, so that neither a textured corner nor
-/// one depth decides a pose alone.
+/// At most `cap` indices in ascending order, taken in turn from the cells of a spatial grid times four
+/// layers of depth; within a cell, those with the largest weights come first. Neither a textured corner nor
+/// a single depth then dominates a pose.
 ///
-/// `depths` and `weights` are per pixel (weights of 0 and anything not finite are never taken). The
-/// lists are read up to the shortest of the three.
+/// `depths` and `weights` are per pixel (entries with a weight of 0 or non-finite values are never taken).
+/// The lists are read up to the shortest of the three.
 pub fn spread_subset(pixels: &[DVec2], depths: &[f64], weights: &[f64], cap: usize) -> Vec<usize> {
     let count = pixels.len().min(depths.len()).min(weights.len());
     let usable: Vec<usize> = (0..count)
@@ -60,7 +60,7 @@ mod tests {
 
     #[test]
     fn covers_the_image_and_the_depths_and_prefers_weight() {
-        // 3,900 crowd into one corner at one depth, 100 lie elsewhere.
+        // 3,900 points in one corner at one depth, 100 elsewhere.
         let pixels: Vec<DVec2> = (0..4000)
             .map(|i| {
                 let t = f64::from(i % 63) / 63.0;

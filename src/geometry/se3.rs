@@ -7,10 +7,10 @@ use crate::types::Pose;
 use glam::{DMat3, DQuat, DVec3};
 use nalgebra::{Matrix3, Matrix6, Vector6};
 
-/// (translation, rotation), in the frame that the pose maps to.
+/// Twist (translation, rotation), in the frame that the pose maps to.
 pub type Twist = Vector6<f64>;
 
-/// Below this angle (radians) closed forms lose digits to cancellation and series take over.
+/// Angle in radians below which series replace closed forms, which would lose digits to cancellation.
 const SMALL_ANGLE: f64 = 1e-4;
 
 /// The skew-symmetric matrix with `skew(a) b = a × b`.
@@ -34,7 +34,7 @@ pub fn exp_so3(omega: DVec3) -> DQuat {
 
 /// The rotation vector of a unit quaternion, |ω| ≤ π.
 pub fn log_so3(rotation: DQuat) -> DVec3 {
-    // The same rotation on the hemisphere w ≥ 0, so that the angle is the short way round.
+    // The equivalent quaternion with w ≥ 0, which gives the shorter rotation.
     let q = if rotation.w < 0.0 { -rotation } else { rotation };
     let v = DVec3::new(q.x, q.y, q.z);
     let sine = v.length();
@@ -46,7 +46,7 @@ pub fn log_so3(rotation: DQuat) -> DVec3 {
     v * factor
 }
 
-/// The left Jacobian of SO(3): `exp(ω + δ) ≈ exp(J δ) exp(ω)`; also maps ρ to the translation.
+/// The left Jacobian of SO(3): `exp(ω + δ) ≈ exp(J δ) exp(ω)`; it also maps ρ to the translation.
 pub fn left_jacobian_so3(omega: DVec3) -> DMat3 {
     let angle2 = omega.length_squared();
     let angle = angle2.sqrt();
@@ -59,20 +59,20 @@ pub fn left_jacobian_so3(omega: DVec3) -> DMat3 {
     DMat3::IDENTITY + w * b + w * w * c
 }
 
-/// The pose that a twist leads to.
+/// The pose of a twist (exponential map).
 pub fn exp(twist: &Twist) -> Pose {
     let (rho, omega) = parts(twist);
     Pose { rotation: exp_so3(omega), translation: left_jacobian_so3(omega) * rho }
 }
 
-/// The twist that leads to a pose.
+/// The twist of a pose (logarithmic map).
 pub fn log(pose: &Pose) -> Twist {
     let omega = log_so3(pose.rotation);
     let rho = left_jacobian_so3(omega).inverse() * pose.translation;
     Twist::new(rho.x, rho.y, rho.z, omega.x, omega.y, omega.z)
 }
 
-/// `exp(ξ) · pose`, the left perturbation that every Jacobian of this crate refers to.
+/// `exp(ξ) · pose`, the left perturbation that all Jacobians of this crate refer to.
 pub fn retract(pose: &Pose, twist: &Twist) -> Pose {
     exp(twist) * *pose
 }

@@ -10,25 +10,25 @@ use serde::{Deserialize, Serialize};
 /// A similarity, named `a_from_b`: `x_a = scale · rotation · x_b + translation`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Sim3 {
-    /// Units of a per unit of b, positive.
+    /// Scale: units of a per unit of b, positive.
     pub scale: f64,
-    /// Unit quaternion.
+    /// Rotation, a unit quaternion.
     pub rotation: DQuat,
-    /// In units of a.
+    /// Translation, in units of a.
     pub translation: DVec3,
 }
 
 impl Sim3 {
-    /// Maps every point to itself.
+    /// The identity transform.
     pub const IDENTITY: Sim3 =
         Sim3 { scale: 1.0, rotation: DQuat::IDENTITY, translation: DVec3::ZERO };
 
-    /// Where a point of b lies in a.
+    /// Maps a point from b to a.
     pub fn apply(&self, point: DVec3) -> DVec3 {
         self.scale * (self.rotation * point) + self.translation
     }
 
-    /// `a_from_view` of a `b_from_view`: the camera's centre is mapped, its axes turned.
+    /// `a_from_view` of a `b_from_view`: the camera's centre is transformed and its axes are rotated.
     pub fn apply_pose(&self, b_from_view: &Pose) -> Pose {
         Pose::new(self.rotation * b_from_view.rotation, self.apply(b_from_view.translation))
     }
@@ -53,39 +53,39 @@ impl std::ops::Mul for Sim3 {
     }
 }
 
-/// How much of the rotation the points themselves determine.
+/// Degrees of freedom of the rotation that the points determine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Shape {
     /// Planar or spatial: the rotation is unique.
     General,
-    /// On one line: the rotation about it is free. The smallest one is taken, or the one that the
-    /// cameras' axes ask for where poses are aligned.
+    /// Collinear points: the rotation about the line is free. The smallest rotation is used, or, where
+    /// poses are aligned, the one that the cameras' axes determine.
     Line,
-    /// All at one place: rotation and scale are free. Identity and 1 are taken, or what the
-    /// cameras' axes ask for where poses are aligned.
+    /// Coincident points: rotation and scale are free. Identity and 1 are used, or, where poses are
+    /// aligned, the rotation that the cameras' axes determine.
     Point,
 }
 
-/// What an alignment found.
+/// Result of an alignment.
 #[derive(Clone, Copy, Debug)]
 pub struct Alignment {
     /// Maps the estimate to the reference.
     pub reference_from_estimate: Sim3,
-    /// How much of it was determined by the points.
+    /// What the points determine of the rotation.
     pub shape: Shape,
-    /// Weighted root mean square distance after aligning, in the reference's units.
+    /// Weighted root mean square distance after alignment, in the reference's units.
     pub rmse: f64,
 }
 
-/// Ratio of singular values below which a direction counts as absent: what f64 rounding leaves of
-/// coordinates that lie a thousand extents from the origin.
+/// Ratio of singular values below which a direction counts as absent: the f64 rounding error of coordinates
+/// that are a thousand extents away from the origin.
 const RANK_TOLERANCE: f64 = 1e-9;
 
 /// Least-squares similarity (or rigid transform, without `with_scale`) between paired points.
 ///
-/// Umeyama, PAMI 1991: rotation from the SVD of the covariance with reflections excluded. `weights`
-/// are per pair and not negative; none means 1 each. Points on one line or at one place get the
-/// documented answer of [`Shape`].
+/// Umeyama, PAMI 1991: rotation from the SVD of the covariance with reflections excluded. `weights` are per
+/// pair and not negative; `None` means 1 each. Collinear or coincident points give the result documented at
+/// [`Shape`].
 ///
 /// # Errors
 /// Differing lengths, no pairs, a non-finite coordinate, no positive weight.
@@ -100,15 +100,15 @@ pub fn align_points(
     Ok(moments.finish(rotation, shape, with_scale, estimate, reference, weights))
 }
 
-/// Least-squares alignment of two trajectories (`world_from_view` each, paired by index) by their
-/// camera centres, as [`align_points`] does.
+/// Least-squares alignment of two trajectories (`world_from_view` each, paired by index) by their camera
+/// centres, as in [`align_points`].
 ///
-/// Where the centres lie on one line (or at one place), what they leave open of the rotation is
-/// taken from the cameras' axes (chordal mean), so that novel views can be mapped too; the fit of
-/// the centres is not touched by it.
+/// Where the centres are collinear (or coincident), the undetermined part of the rotation is taken from the
+/// cameras' axes (chordal mean), so that novel views can be mapped too; it does not affect the fit of the
+/// centres.
 ///
 /// # Errors
-/// As [`align_points`].
+/// Those of [`align_points`].
 pub fn align_poses(estimate: &[Pose], reference: &[Pose], with_scale: bool) -> Result<Alignment> {
     let a: Vec<DVec3> = estimate.iter().map(|p| p.translation).collect();
     let b: Vec<DVec3> = reference.iter().map(|p| p.translation).collect();
@@ -131,16 +131,16 @@ pub fn align_poses(estimate: &[Pose], reference: &[Pose], with_scale: bool) -> R
     Ok(moments.finish(rotation, shape, with_scale, &a, &b, None))
 }
 
-/// The similarity that maps whole cameras (`world_from_view` each, paired by index), for carrying
-/// novel views from one world into the other.
+/// The similarity that maps whole cameras (`world_from_view` each, paired by index), for transforming novel
+/// views from one world to the other.
 ///
-/// The rotation is the median of those that map one camera's axes to the other's; scale and
-/// translation fit the centres under it. [`align_poses`] looks at centres alone, as the ATE is defined;
-/// on a short path the turn then hangs on millimetres of wobble, and already a share of the centres
-/// in it does harm: rotations are known more exactly than the direction from one centre to the next.
+/// The rotation is the median of those that map one camera's axes to the other's; scale and translation fit
+/// the centres under it. [`align_poses`] uses only the centres, as the ATE is defined. On a short path its
+/// rotation then depends on millimetres of noise, and even a partial weight of the centres degrades it,
+/// because rotations are known more accurately than the direction from one centre to the next.
 ///
 /// # Errors
-/// As [`align_points`].
+/// Those of [`align_points`].
 pub fn align_cameras(estimate: &[Pose], reference: &[Pose], with_scale: bool) -> Result<Alignment> {
     let a: Vec<DVec3> = estimate.iter().map(|p| p.translation).collect();
     let b: Vec<DVec3> = reference.iter().map(|p| p.translation).collect();
@@ -153,7 +153,7 @@ pub fn align_cameras(estimate: &[Pose], reference: &[Pose], with_scale: bool) ->
 /// The rotation of the least summed angle to all R_ref R_estᵀ: Weiszfeld's iterations in the tangent
 /// space (Hartley, Aftab, Trumpf, CVPR 2011), from the chordal mean.
 fn median_turn(estimate: &[Pose], reference: &[Pose]) -> DQuat {
-    /// Angles below this count as this, so that a rotation that is met exactly does not rule.
+    /// Lower bound of the angles, so that an exactly matched rotation does not dominate.
     const LEAST: f64 = 1e-9;
     const ITERATIONS: usize = 100;
     let (mut median, _) = nearest_rotation(&matrix3(&sum_of_turns(estimate, reference)));
@@ -174,13 +174,14 @@ fn median_turn(estimate: &[Pose], reference: &[Pose]) -> DQuat {
     median
 }
 
-/// Σ R_ref R_estᵀ: the trace of (candidate)ᵀ times it is what the axes ask to be largest.
+/// Σ R_ref R_estᵀ: the axes' agreement with a candidate rotation is the trace of (candidate)ᵀ times this
+/// matrix.
 fn sum_of_turns(estimate: &[Pose], reference: &[Pose]) -> DMat3 {
     let turn = |(e, r): (&Pose, &Pose)| DMat3::from_quat(r.rotation * e.rotation.conjugate());
     estimate.iter().zip(reference).map(turn).fold(DMat3::ZERO, |sum, m| sum + m)
 }
 
-/// The turn about `axis` that brings `rotation` closest to the summed rotations `target`.
+/// The rotation about `axis` that brings `rotation` closest to the summed rotations `target`.
 fn best_turn(axis: DVec3, rotation: DQuat, target: DMat3) -> DQuat {
     let m = target * DMat3::from_quat(rotation.conjugate());
     // tr(Rot(θ)ᵀ M) = const + cos θ (tr M − aᵀMa) + sin θ · a·vee(M − Mᵀ).
@@ -193,7 +194,7 @@ fn best_turn(axis: DVec3, rotation: DQuat, target: DMat3) -> DQuat {
     DQuat::from_axis_angle(axis, sine.atan2(cosine))
 }
 
-/// The rotation R that maximises tr(RᵀM), reflections excluded, and how far M determines it.
+/// The rotation R that maximises tr(RᵀM), reflections excluded, and the degrees of freedom that M determines.
 pub(crate) fn nearest_rotation(m: &Matrix3<f64>) -> (DQuat, Shape) {
     let (right, images) = singular_columns(m);
     let size = images.map(DVec3::length);
@@ -206,18 +207,18 @@ pub(crate) fn nearest_rotation(m: &Matrix3<f64>) -> (DQuat, Shape) {
         return (DQuat::from_rotation_arc(right[0], u0).normalize(), Shape::Line);
     }
     let u1 = u0.cross(images[1].cross(u0)).normalize();
-    // The third column is completed to a right-handed basis on both sides, which is the
-    // reflection-free optimum and does not depend on the null space's arbitrary signs.
+    // The third column completes a right-handed basis on both sides. This is the optimum without reflection
+    // and does not depend on the arbitrary signs of the null space.
     let left = DMat3::from_cols(u0, u1, u0.cross(u1));
     let right = DMat3::from_cols(right[0], right[1], right[0].cross(right[1]));
     (DQuat::from_mat3(&(left * right.transpose())).normalize(), Shape::General)
 }
 
-/// The right singular vectors of a matrix and what it makes of them: its left singular vectors times
-/// its singular values, the largest first.
+/// The right singular vectors of a matrix and their images: its left singular vectors times its singular
+/// values, the largest first.
 ///
-/// One-sided Jacobi: the small singular values' directions are as exact as the large ones'. By way of
-/// MᵀM, a path that is nearly a line would lose half of its digits.
+/// One-sided Jacobi: the directions of the small singular values are as accurate as those of the large
+/// ones. Via MᵀM, a nearly straight path would lose half of its digits.
 fn singular_columns(m: &Matrix3<f64>) -> ([DVec3; 3], [DVec3; 3]) {
     const MOST_SWEEPS: usize = 30;
     let mut images = [0, 1, 2].map(|c| DVec3::new(m[(0, c)], m[(1, c)], m[(2, c)]));
@@ -308,7 +309,7 @@ impl Moments {
             spread += w * da.length_squared();
             spread_reference += w * db.length_squared();
         }
-        // Positions that differ by rounding alone are one place.
+        // Positions that differ only by rounding count as coincident.
         for (spread, mean) in [(&mut spread, ma), (&mut spread_reference, mb)] {
             if *spread <= (mean.length_squared() + *spread) * 1e-28 {
                 *spread = 0.0;
@@ -320,7 +321,7 @@ impl Moments {
 
     fn rotation(&self) -> (DQuat, Shape) {
         let size = (self.spread * self.spread_reference).sqrt();
-        // Covariance is normalised so that tiny and huge scenes meet the same thresholds.
+        // The covariance is normalised so that thresholds are independent of the scene's scale.
         if size.is_nan() || size <= 0.0 {
             return (DQuat::IDENTITY, Shape::Point);
         }
@@ -343,10 +344,11 @@ impl Moments {
         weights: Option<&[f64]>,
     ) -> Alignment {
         let turned = DMat3::from_quat(rotation);
-        // tr(Rᵀ C) / spread is Umeyama's tr(DS)/σ² for any R, so it also fits a partly free one.
+        // tr(Rᵀ C) / spread is Umeyama's tr(DS)/σ² for any R, so it also applies to a partly undetermined
+        // rotation.
         let trace = (0..3).map(|k| turned.col(k).dot(self.covariance.col(k))).sum::<f64>();
         let scale = if with_scale && self.spread > 0.0 { trace / self.spread } else { 1.0 };
-        // A reference that stands still while the estimate moves would ask for scale 0.
+        // A static reference with a moving estimate would give scale 0.
         let scale = if scale.is_finite() && scale > 0.0 { scale } else { 1.0 };
         let translation = self.mean_reference - scale * (rotation * self.mean_estimate);
         let transform = Sim3 { scale, rotation, translation };
@@ -364,7 +366,7 @@ impl Moments {
 mod tests {
     use super::*;
 
-    /// A reference at one place whose mean rounding moves: ten times 0.1 makes 0.9999999999999999.
+    /// A coincident reference whose mean is affected by rounding: ten times 0.1 makes 0.9999999999999999.
     #[test]
     fn a_reference_that_stands_still_is_a_point() {
         let pose = |x: f64| Pose::new(DQuat::IDENTITY, DVec3::new(x, 0.7 * x, 0.1));
@@ -439,7 +441,7 @@ mod tests {
         let r = DMat3::from_quat(found.reference_from_estimate.rotation);
         assert!((r.determinant() - 1.0).abs() < 1e-12);
         assert!(found.rmse > 0.1, "a reflection cannot be fitted");
-        // No small turn or change of scale does better: it is a minimum, not just a rotation.
+        // No small rotation or change of scale is better, so this is a minimum.
         let cost = |s: &Sim3| -> f64 {
             a.iter().zip(&b).map(|(&p, &q)| (s.apply(p) - q).length_squared()).sum()
         };
@@ -496,7 +498,7 @@ mod tests {
             };
             (0..20).map(|i| at(f64::from(i))).collect()
         };
-        // Different in the two worlds.
+        // Noise that differs between the two worlds.
         let estimate = line(&|t| DVec3::new(0.0, (7.0 * t).sin(), (3.0 * t).cos()));
         let reference: Vec<Pose> = line(&|t| DVec3::new(0.0, (5.0 * t).cos(), (2.2 * t).sin()))
             .iter()
@@ -507,7 +509,7 @@ mod tests {
         assert!(rotation_error(&cameras.reference_from_estimate, &truth()) < 0.01);
         assert!(rotation_error(&centres.reference_from_estimate, &truth()) > 0.1);
         assert!(cameras.rmse < 0.1, "no more than the wobble itself: {}", cameras.rmse);
-        // Where all agrees, so do both.
+        // Where all cameras agree exactly, both methods agree.
         let exact: Vec<Pose> = estimate.iter().map(|p| truth().apply_pose(p)).collect();
         let found = align_cameras(&estimate, &exact, true).unwrap();
         assert!(found.rmse < 1e-12 && (found.reference_from_estimate.scale - 2.5).abs() < 1e-12);
@@ -515,8 +517,8 @@ mod tests {
         assert!(align_cameras(&[], &[], true).is_err());
     }
 
-    /// A short path of a camera that looks about, its centres off by a few per cent of its length across
-    /// it and its rotations by 0.05°.
+    /// A short path of a camera that rotates, with errors of the centres by a few per cent of its length
+    /// across it, and of the rotations by 0.05°.
     #[test]
     fn a_short_noisy_path_is_turned_by_its_axes_alone() {
         let wave = |i: usize, k: f64| (k * i as f64 + k * k).sin();
@@ -531,7 +533,7 @@ mod tests {
         let reference: Vec<Pose> = (0..30)
             .map(|i| {
                 let mut pose = estimate[i];
-                // Bent as a wrong focal length bends a path: not by noise that averages out.
+                // A bend as caused by a wrong focal length, which does not average out.
                 pose.translation.y += 0.04 * (i as f64 / 29.0 - 0.5) + 0.002 * wave(i, 2.3);
                 pose.rotation = exp_so3(noise(i, 0.9) * 0.05f64.to_radians()) * pose.rotation;
                 truth().apply_pose(&pose)

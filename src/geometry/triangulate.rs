@@ -1,26 +1,26 @@
-//! Points from rays of known cameras.
+//! Triangulation of points from rays of known cameras.
 
 use super::se3::matrix3;
 use crate::types::{Intrinsics, Pose};
 use glam::{DMat3, DVec2, DVec3};
 use nalgebra::Vector3;
 
-/// A triangulated point, and how far it can be trusted.
+/// A triangulated point with its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Triangulated {
-    /// In the world.
+    /// Position in the world.
     pub point: DVec3,
-    /// The widest angle between two of the rays, radians: small is uncertain.
+    /// The largest angle between two of the rays, radians; a small value means a large uncertainty.
     pub parallax: f64,
-    /// Root mean square angle between the rays given and the directions to the point, radians.
+    /// Root mean square angle between the given rays and the directions to the point, radians.
     pub angular_rmse: f64,
 }
 
-/// The point that minimises the angles to rays of two or more cameras: midpoint method, reweighted
-/// by inverse squared distance, which turns distances to rays into sines of angles.
+/// Triangulates the point that minimises the angles to rays of at least two cameras: midpoint method,
+/// reweighted by inverse squared distance, which converts distances to sines of angles.
 ///
-/// A view is (`view_from_world`, ray in the camera's frame, z > 0). None for fewer than two views,
-/// rays that are parallel to rounding, or a point behind any of the cameras.
+/// A view is (`view_from_world`, ray in the camera frame, z > 0). `None` for fewer than two views, rays
+/// that are parallel to rounding, or a point behind any of the cameras.
 pub fn triangulate(views: &[(Pose, DVec3)]) -> Option<Triangulated> {
     if views.len() < 2 {
         return None;
@@ -41,7 +41,7 @@ pub fn triangulate(views: &[(Pose, DVec3)]) -> Option<Triangulated> {
     if parallax.is_nan() || parallax < 1e-9 {
         return None;
     }
-    // Relative to the first camera, so that a world far from its origin loses no digits.
+    // Relative to the first camera, so that a world far from its origin loses no precision.
     let origin = rays[0].0;
     let mut weights = vec![1.0; rays.len()];
     let mut point = DVec3::ZERO;
@@ -74,23 +74,23 @@ pub fn triangulate(views: &[(Pose, DVec3)]) -> Option<Triangulated> {
     })
 }
 
-/// An inverse depth, and how far it can be trusted.
+/// An inverse depth with its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct InverseDepth {
-    /// 1 / z in the reference camera; 0 where the pixels ask for infinity or beyond.
+    /// 1 / z in the reference camera; 0 where the pixels indicate a point at infinity or beyond.
     pub value: f64,
-    /// Standard deviation for pixels that are off by 1 px each; infinite without parallax.
+    /// Standard deviation for pixel errors of 1 px; infinite without parallax.
     pub deviation: f64,
     /// Root mean square reprojection error, pixels.
     pub rmse: f64,
 }
 
-/// The inverse depth of a reference pixel that explains best where other frames saw it: the start
-/// that bundle adjustment asks for.
+/// The inverse depth of a reference pixel that best explains its observations in other frames: the initial
+/// value for bundle adjustment.
 ///
-/// A view is (`target_from_reference`, pixel, weight). Linear start, then Gauss–Newton on the
-/// pixels with Huber's kernel at `huber` px. None without a view of positive weight, or where the
-/// point falls behind a target on the way.
+/// A view is (`target_from_reference`, pixel, weight). Linear estimate, then Gauss–Newton on the pixels
+/// with a Huber kernel of `huber` px. `None` without a view of positive weight, or where the point moves
+/// behind a target during the iteration.
 pub fn inverse_depth(
     intrinsics: &Intrinsics,
     pixel: DVec2,
@@ -98,7 +98,7 @@ pub fn inverse_depth(
     huber: f64,
 ) -> Option<InverseDepth> {
     let ray = intrinsics.ray(pixel);
-    // x × (R ray + d t) = 0 for the seen ray x.
+    // x × (R ray + d t) = 0 for the observed ray x.
     let (mut upper, mut lower) = (0.0, 0.0);
     for (pose, seen, weight) in views {
         let x = intrinsics.ray(*seen).normalize_or_zero();

@@ -1,4 +1,4 @@
-//! How two images lie to each other: the start of a reconstruction, and the choice of keyframes.
+//! Relative pose of two images, for initialising a reconstruction and selecting keyframes.
 
 use super::epipolar::{
     cheiral_pose, eight_point, essential_from_pose, fundamental_from_essential, in_front,
@@ -15,30 +15,29 @@ use crate::error::{Error, Result};
 use crate::types::{Intrinsics, Pose};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
-/// What kind of motion two images show.
+/// Kind of motion between two images.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Motion {
-    /// The pixels stand still: the camera did.
+    /// The pixels do not move, so the camera is static.
     Static,
-    /// A turn explains the pixels: depth cannot be seen, the translation is reported as zero.
+    /// A rotation explains the pixels: depth is unobservable, and the translation is reported as zero.
     PureRotation,
-    /// One plane explains the pixels at this baseline; the pose stands, a fundamental matrix would
-    /// not.
+    /// One plane explains the pixels at this baseline; the pose is valid, a fundamental matrix would not be.
     Planar,
-    /// A scene with depth, seen from two places.
+    /// A scene with depth, seen from two positions.
     General,
 }
 
-/// How two images are compared.
+/// Options for comparing two images.
 #[derive(Clone, Copy, Debug)]
 pub struct TwoViewOptions {
     /// The robust search; its threshold is in pixels of Sampson or transfer distance.
     pub ransac: RansacOptions,
-    /// Below this median displacement (pixels) the camera stood still.
+    /// Median displacement (pixels) below which the camera is static.
     pub static_px: f64,
-    /// Below this median residual (pixels) after the best turn, it only turned.
+    /// Median residual (pixels) after the best rotation below which the motion is a pure rotation.
     pub parallax_px: f64,
-    /// A homography that holds for this share of the epipolar inliers makes a plane.
+    /// Minimum share of the epipolar inliers that fit one homography for a planar scene.
     pub planar_ratio: f64,
 }
 
@@ -53,44 +52,44 @@ impl Default for TwoViewOptions {
     }
 }
 
-/// How image b lies to image a.
+/// Relative pose of image b to image a.
 #[derive(Clone, Debug)]
 pub struct TwoView {
-    /// Frame a to frame b; the translation has length 1, or 0 for [`Motion::Static`] and
+    /// Pose of frame b from frame a; the translation has length 1, or 0 for [`Motion::Static`] and
     /// [`Motion::PureRotation`].
     pub b_from_a: Pose,
-    /// What the pixels show.
+    /// Kind of motion.
     pub motion: Motion,
-    /// Per pair given: agrees with the pose (and meets in front of both cameras, where there is a
-    /// translation).
+    /// Per pair: whether it agrees with the pose (and its rays meet in front of both cameras, where there
+    /// is a translation).
     pub inliers: Vec<bool>,
-    /// Inliers among the pairs that could be used.
+    /// Share of inliers among the usable pairs.
     pub inlier_ratio: f64,
     /// Root mean square Sampson distance of the inliers (transfer distance where there is no
     /// translation), pixels.
     pub rmse: f64,
-    /// Median displacement of the pixels.
+    /// Median displacement of the pixels, pixels.
     pub displacement_px: f64,
-    /// Median residual of the inliers after the best turn, pixels: what depth is read from.
+    /// Median residual of the inliers after the best rotation, pixels: the parallax that determines depth.
     pub parallax_px: f64,
     /// Median angle between the inliers' rays, degrees; 0 where there is no translation.
     pub parallax_deg: f64,
-    /// Share of the epipolar inliers that one homography explains.
+    /// Share of the epipolar inliers that fit one homography.
     pub homography_ratio: f64,
 }
 
-/// Fewest pairs that the relative pose is asked from: five make it, three more vouch for it.
+/// Minimum number of pairs for a relative pose: five determine it, three more verify it.
 const FEWEST: usize = 8;
 
-/// Finds how image b lies to image a from pixel pairs, under outliers.
+/// Estimates the relative pose of two images from pixel pairs with outliers.
 ///
-/// Five-point algorithm inside RANSAC (MSAC, locally optimised on Sampson distances), compared
-/// with a pure rotation and with a homography. `weights` (1 each without) scale each pair's cost;
-/// pairs with a weight of 0, or with anything not finite, are left out.
+/// Five-point algorithm within RANSAC (MSAC, locally optimised on Sampson distances), compared with a pure
+/// rotation and with a homography. `weights` (1 if absent) scale each pair's cost; pairs with a weight of 0
+/// or non-finite values are left out.
 ///
 /// # Errors
-/// Differing lengths, unusable intrinsics, fewer than 8 usable pairs, no consensus of at least 8
-/// pairs and of `ransac.min_inlier_ratio`.
+/// Differing lengths, invalid intrinsics, fewer than 8 usable pairs, no consensus of at least 8 pairs and a
+/// share of `ransac.min_inlier_ratio`.
 pub fn two_view(
     pixels_a: &[DVec2],
     pixels_b: &[DVec2],
@@ -148,7 +147,7 @@ pub fn two_view(
     let turn = ransac(&Turn(&pairs), &options.ransac, &[]);
     let epipolar =
         ransac(&Epipolar(&pairs), &options.ransac, &[]).map(|c| settle(&pairs, c, options));
-    // The turn is judged on what the pose explains, so that a mover does not make parallax.
+    // The rotation is judged on the pairs that the pose explains, so that a mover does not add parallax.
     let explained = match &epipolar {
         Some(e) if enough(e.1.len()) => &e.1,
         _ => &all,
@@ -206,9 +205,9 @@ pub fn two_view(
     })
 }
 
-/// The fundamental matrix of pixel pairs under outliers: eight points inside RANSAC, Sampson
-/// distance in pixels. Inliers are indices into `pairs`. None for fewer than eight pairs or where
-/// no sample gave a matrix.
+/// The fundamental matrix of pixel pairs with outliers: eight-point algorithm within RANSAC, Sampson
+/// distance in pixels. Inliers are indices into `pairs`. `None` for fewer than eight pairs or where no
+/// sample gave a matrix.
 pub fn fundamental_ransac(
     pairs: &[(DVec2, DVec2)],
     options: &RansacOptions,
@@ -216,9 +215,9 @@ pub fn fundamental_ransac(
     ransac(&Fundamental(pairs), options, &[])
 }
 
-/// The turn of a camera in place that takes pixels of one image to those of another, under outliers: two
-/// pairs inside RANSAC, distances in image b, pixels. Inliers are indices into `pixels_a`, all of whose
-/// pairs count by their weights. None for fewer than two pairs or where no sample gave a turn.
+/// The rotation of a camera that maps pixels of one image to those of another, with outliers: two-pair
+/// RANSAC, distances in image b, pixels. Inliers are indices into `pixels_a`; each pair is weighted. `None`
+/// for fewer than two pairs or where no sample gave a rotation.
 pub fn turn_ransac(
     pixels_a: &[DVec2],
     pixels_b: &[DVec2],
@@ -232,8 +231,8 @@ pub fn turn_ransac(
     Some(Consensus { inliers, ..found })
 }
 
-/// The last refinement: the pose on all its inliers until they settle, with the one of its four
-/// interpretations that most of them are in front of.
+/// Final refinement: the pose on all its inliers until they no longer change, with the one of its four
+/// decompositions that has most of them in front.
 fn settle(
     pairs: &Pairs,
     consensus: Consensus<Relative>,
@@ -266,7 +265,7 @@ fn settle(
     (pose, inliers)
 }
 
-/// The pairs that can be used.
+/// The usable pairs.
 struct Pairs {
     pixels: Vec<(DVec2, DVec2)>,
     rays: Vec<(DVec3, DVec3)>,
@@ -310,14 +309,14 @@ impl Pairs {
         mask
     }
 
-    /// Distance in image b between a pixel and where a turn takes its partner, pixels.
+    /// Distance in image b between a pixel and its partner after a rotation, pixels.
     fn turned(&self, b_from_a: DQuat, i: usize) -> f64 {
         let p = b_from_a * self.rays[i].0;
         if p.z > 1e-9 { (self.kb.project(p) - self.pixels[i].1).length() } else { f64::INFINITY }
     }
 
-    /// Do a pair's rays meet in front of both cameras? Rays that noise alone may have made diverge
-    /// are taken to meet at infinity.
+    /// Whether a pair's rays meet in front of both cameras. Rays whose divergence noise can explain count
+    /// as meeting at infinity.
     fn meets(&self, pose: &Pose, i: usize) -> bool {
         let (a, b) = self.rays[i];
         in_front(pose, a, b) || self.turned(pose.rotation, i) < 1.0
@@ -347,7 +346,7 @@ impl Pairs {
     }
 }
 
-/// The middle value; 0 of none.
+/// The median; 0 without values.
 fn median(mut values: Vec<f64>) -> f64 {
     if values.is_empty() {
         return 0.0;
@@ -356,7 +355,7 @@ fn median(mut values: Vec<f64>) -> f64 {
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-/// A relative pose with the matrix that its distances are taken from.
+/// A relative pose with the matrix of its Sampson distances.
 #[derive(Clone)]
 struct Relative {
     pose: Pose,
@@ -384,7 +383,8 @@ impl Estimator for Epipolar<'_> {
     fn minimal(&self, sample: &[usize], out: &mut Vec<Relative>) {
         let rays: Vec<_> = sample.iter().map(|&i| self.0.rays[i]).collect();
         for e in five_point(&rays) {
-            // A sample free of outliers lies in front of both cameras; one point may be far away.
+            // The rays of an outlier-free sample meet in front of both cameras, except possibly for one
+            // distant point.
             if let Some((pose, count)) = cheiral_pose(&e, &rays)
                 && count + 1 >= sample.len()
             {
@@ -415,7 +415,7 @@ struct Turn<'a>(&'a Pairs);
 impl Turn<'_> {
     fn fit(&self, sample: &[usize]) -> Option<DQuat> {
         let unit = |pick: fn(&(DVec3, DVec3)) -> DVec3| -> Vec<DVec3> {
-            // With the origin as one more point of great weight, Umeyama's rotation is Kabsch's.
+            // With the origin as an additional point of large weight, Umeyama's rotation is Kabsch's.
             sample
                 .iter()
                 .flat_map(|&i| {

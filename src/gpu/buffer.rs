@@ -1,4 +1,4 @@
-//! Typed buffers on the device, and views of them.
+//! Typed device buffers and views of them.
 
 use super::device::Device;
 use crate::error::{Error, Result};
@@ -15,7 +15,7 @@ pub struct Buffer<T> {
     element: PhantomData<T>,
 }
 
-/// A part of a buffer for kernels to read.
+/// A read-only view of a part of a buffer.
 #[derive(Clone, Copy)]
 pub struct View<'a, T> {
     raw: &'a Arc<RawBuffer>,
@@ -24,8 +24,8 @@ pub struct View<'a, T> {
     element: PhantomData<T>,
 }
 
-/// A part of a buffer for kernels to write. It borrows the buffer exclusively, so that one dispatch
-/// cannot bind the same memory twice where one of them writes.
+/// A writable view of a part of a buffer. It borrows the buffer exclusively, so that a dispatch
+/// cannot bind memory that it writes a second time.
 pub struct ViewMut<'a, T> {
     raw: &'a Arc<RawBuffer>,
     start: usize,
@@ -40,7 +40,7 @@ impl<T: Pod> Buffer<T> {
         Ok(Buffer { raw: Arc::new(raw), len, element: PhantomData })
     }
 
-    /// Elements in a buffer or memory of a host's.
+    /// A typed buffer over a host's buffer or imported memory.
     pub(crate) fn of_raw(raw: RawBuffer, len: usize) -> Buffer<T> {
         Buffer { raw: Arc::new(raw), len, element: PhantomData }
     }
@@ -59,29 +59,29 @@ impl<T: Pod> Buffer<T> {
         self.len == 0
     }
 
-    /// The name it was made with.
+    /// The label given at creation.
     pub fn label(&self) -> &str {
         &self.raw.label
     }
 
-    /// All of it, to read.
+    /// The whole buffer, to read.
     pub fn view(&self) -> View<'_, T> {
         View { raw: &self.raw, start: 0, len: self.len, element: PhantomData }
     }
 
-    /// All of it, to write.
+    /// The whole buffer, to write.
     pub fn view_mut(&mut self) -> ViewMut<'_, T> {
         ViewMut { raw: &self.raw, start: 0, len: self.len, element: PhantomData }
     }
 
-    /// All of it as elements of another kind, as many as fit, to read.
+    /// The whole buffer reinterpreted as elements of type `U` (as many as fit), to read.
     #[cfg(feature = "capi")]
     pub(crate) fn view_as<U: Pod>(&self) -> View<'_, U> {
         let len = self.len * size_of::<T>() / size_of::<U>();
         View { raw: &self.raw, start: 0, len, element: PhantomData }
     }
 
-    /// The same, to write.
+    /// The whole buffer reinterpreted as elements of type `U` (as many as fit), to write.
     #[cfg(feature = "capi")]
     pub(crate) fn view_mut_as<U: Pod>(&mut self) -> ViewMut<'_, U> {
         let len = self.len * size_of::<T>() / size_of::<U>();
@@ -107,9 +107,9 @@ impl<T: Pod> Buffer<T> {
     }
 }
 
-/// Memory that the device copies into and the host reads, for results that are fetched without
-/// stopping the stream: [`Recorder::read_back`](super::Recorder::read_back) into it, wait for the
-/// ticket, then [`read`](Self::read).
+/// Memory that the device copies into and the host reads, to fetch results without stalling the
+/// stream: record [`Recorder::read_back`](super::Recorder::read_back), wait for the ticket, then
+/// [`read`](Self::read).
 ///
 /// A recording shares this memory until the device is known to be done with it: until
 /// [`Stream::wait`](super::Stream::wait) for its submission or a later one, or until the guard of a
@@ -127,17 +127,17 @@ impl<T: Pod> Readback<T> {
         Ok(Readback { raw: Arc::new(raw), len, element: PhantomData })
     }
 
-    /// What the device has copied; where nothing has been copied yet, anything.
+    /// The data that the device has copied; undefined before the first copy.
     ///
     /// # Errors
-    /// [`Error::Input`] while a recording holds it.
+    /// [`Error::Input`] while a recording still references this memory.
     pub fn read(&mut self) -> Result<Vec<T>> {
         let mut data = vec![T::zeroed(); self.len];
         self.read_into(&mut data)?;
         Ok(data)
     }
 
-    /// The same, into memory that is there.
+    /// [`read`](Self::read) into an existing slice.
     ///
     /// # Errors
     /// As for [`read`](Self::read); [`Error::Shape`] where the lengths differ.
@@ -146,7 +146,7 @@ impl<T: Pod> Readback<T> {
             let (expected, actual) = (self.len.to_string(), data.len());
             return Err(Error::Shape { op: "readback", arg: "data", expected, actual });
         }
-        // The memory is this readback's alone: no recording that could write it is left.
+        // No recording references the memory any more, so nothing can write it.
         let Some(raw) = Arc::get_mut(&mut self.raw) else {
             let what = "a readback was read before the device was known to be done with it: wait for \
                         its submission, or drop the guard of the host's recording, first";
@@ -187,7 +187,8 @@ impl<'a, const N: usize> ViewMut<'a, [f32; N]> {
 
 fn bound<T>(raw: &Arc<RawBuffer>, start: usize, len: usize) -> BoundRange {
     let element = size_of::<T>() as u64;
-    // A binding of zero bytes is illegal, and may not begin at the end; every buffer has a few.
+    // Vulkan forbids bindings of zero bytes and offsets at the end of the buffer. Every buffer has
+    // at least 4 bytes.
     let (offset, bytes) = match len {
         0 => (0, 4),
         _ => (start as u64 * element, (len as u64 * element).max(4)),
@@ -231,7 +232,7 @@ impl<'a, T> ViewMut<'a, T> {
         self.len == 0
     }
 
-    /// The same part again, for a shorter time.
+    /// The same view with a shorter lifetime.
     pub fn reborrow(&mut self) -> ViewMut<'_, T> {
         ViewMut { raw: self.raw, start: self.start, len: self.len, element: PhantomData }
     }

@@ -1,4 +1,4 @@
-//! Opening a device and making things from it.
+//! Opens a Vulkan device and creates buffers, streams and pipelines on it.
 
 use super::buffer::{Buffer, Readback};
 use super::kernel::Kernel;
@@ -17,16 +17,16 @@ use std::sync::{Arc, Mutex, MutexGuard};
 /// Which device to open.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Selector {
-    /// The best GPU, else a software driver.
+    /// The best GPU, or a software driver if there is no GPU.
     #[default]
     Best,
-    /// The best GPU: a discrete one before an integrated one before a virtual one.
+    /// The best GPU, in the order discrete, integrated, virtual. A software driver does not match.
     Gpu,
-    /// By its place in [`vk::enumerate`](crate::vk::enumerate)'s list.
+    /// The device at this index in the list of [`vk::enumerate`](crate::vk::enumerate).
     Index(usize),
-    /// The first whose name holds this, whatever the case.
+    /// The first device whose name contains this text; case is ignored.
     Name(String),
-    /// The first of a kind.
+    /// The first device of this kind.
     Kind(DeviceKind),
 }
 
@@ -49,21 +49,21 @@ impl From<&str> for Selector {
     }
 }
 
-/// What to open a device with.
+/// The options for opening a device.
 #[derive(Clone, Debug, Default)]
 pub struct Request {
     /// Which device.
     pub selector: Selector,
-    /// Turn the Khronos validation layer on, with synchronization validation. Under it no thread
-    /// may make or drop a device while another uses one: the layer (seen with 1.3.239) keeps its
-    /// devices in a table without a lock, and crashes.
+    /// Enables the Khronos validation layer with synchronization validation. With it, no thread may
+    /// create or drop a device while another thread uses one: the layer (seen with 1.3.239) keeps
+    /// its devices in a table without a lock, and crashes.
     pub validation: bool,
-    /// Stay below these limits instead of the device's own; for tests of boundaries.
+    /// Limits to use instead of the device's own; for tests of boundary cases.
     pub limits: Option<Limits>,
 }
 
 impl Request {
-    /// The first software driver.
+    /// A request for the first software driver.
     pub fn software() -> Request {
         Request { selector: Selector::Kind(DeviceKind::Software), ..Request::default() }
     }
@@ -78,12 +78,13 @@ pub struct Device {
 pub(crate) struct DeviceInner {
     pub(crate) context: Arc<Context>,
     pub(crate) limits: Limits,
-    /// Where its buffers are counted: the context's, but in a rehearsal.
+    /// Counts the bytes of the buffers. It is the context's ledger, except in a rehearsal, which
+    /// has its own.
     pub(crate) ledger: Arc<Ledger>,
-    /// Modules that stand in for the crate's own, by kernel.
+    /// SPIR-V modules that replace the crate's own, by kernel name.
     modules: HashMap<&'static str, Vec<u8>>,
     pipelines: Mutex<HashMap<&'static str, Vec<Variant>>>,
-    /// What recordings into a host's command buffers left, to record with again.
+    /// Recording resources of finished recordings into a host's command buffers, kept for reuse.
     spare: Mutex<Vec<Work>>,
     /// `None` while the meter is off.
     meter: Mutex<Option<Meter>>,
@@ -120,82 +121,85 @@ impl Device {
         Device { inner: Arc::new(inner) }
     }
 
-    /// The same device, its work kept within other limits than its own; for tests of boundaries.
-    /// Its streams and buffers go with those of the original.
+    /// The same device with different limits; for tests of boundary cases. Streams and buffers of
+    /// both can be used together.
     pub fn with_limits(&self, limits: Limits) -> Device {
         Device::over(self.inner.context.clone(), limits, self.inner.modules.clone())
     }
 
-    /// The same device with another SPIR-V module for one kernel; see `embed` for what must hold.
+    /// The same device with another SPIR-V module for one kernel. `Device::with_module` in `embed`
+    /// states what the module must satisfy.
     pub(crate) fn replacing(&self, kernel: &'static str, spirv: Vec<u8>) -> Device {
         let mut modules = self.inner.modules.clone();
         modules.insert(kernel, spirv);
         Device::over(self.inner.context.clone(), self.inner.limits, modules)
     }
 
-    /// What the device is.
+    /// The driver's description of the device.
     pub fn info(&self) -> &DeviceInfo {
         &self.inner.context.info
     }
 
-    /// What kernels have to stay within.
+    /// The limits that kernels and ops must respect.
     pub fn limits(&self) -> &Limits {
         &self.inner.limits
     }
 
-    /// How many buffers, command pools, descriptor pools and query pools were made so far: in steady
-    /// work it stands still.
+    /// The number of buffers, command pools, descriptor pools and query pools created so far. It
+    /// stays constant in steady-state work.
     pub fn allocations(&self) -> u64 {
         self.inner.context.allocations()
     }
 
-    /// How many pipelines were compiled so far. A kernel has one for each set of its specialisation
-    /// constants, and keeps it as long as the device lives.
+    /// The number of pipelines compiled so far. A kernel has one pipeline for each set of its
+    /// specialisation constants; it lives as long as the device.
     pub fn pipelines(&self) -> usize {
         let pipelines = self.inner.pipelines.lock().expect("no holder panics");
         pipelines.values().map(Vec::len).sum()
     }
 
-    /// Whether the device is a host's.
+    /// Whether the device was created by a host and adopted.
     pub fn is_adopted(&self) -> bool {
         self.inner.context.is_adopted()
     }
 
-    /// Whether memory was made on it.
+    /// Whether the buffer was created on this device.
     pub(crate) fn owns(&self, buffer: &RawBuffer) -> bool {
         Arc::ptr_eq(buffer.ledger(), &self.inner.ledger)
     }
 
-    /// Something to record into a host's command buffer with.
+    /// Takes recording resources for a host's command buffer, reusing returned ones if there are
+    /// any.
     pub(crate) fn take_spare(&self) -> Work {
         let spare = self.inner.spare.lock().expect("no holder panics").pop();
         spare.unwrap_or_else(|| Work::new(CommandSlot::without_buffer(&self.inner.context)))
     }
 
-    /// Takes it back, with which the device is done.
+    /// Returns recording resources that the device no longer uses.
     pub(crate) fn give_spare(&self, mut work: Work) {
         work.clear();
         self.inner.spare.lock().expect("no holder panics").push(work);
     }
 
-    /// Bytes of buffers alive now, and the most there ever were.
+    /// Bytes of all live buffers now, and their peak so far.
     pub fn memory(&self) -> (u64, u64) {
         self.inner.ledger.bytes()
     }
 
-    /// Begins anew with the most there ever were, and gives the bytes alive now.
+    /// Resets the peak memory statistic and returns the bytes of all live buffers.
     pub fn restart_memory_peak(&self) -> u64 {
         self.inner.ledger.restart_peak()
     }
 
-    /// Bytes of the device's own memory that are left for buffers: of what the system grants this
-    /// process, where the driver tells, else of the largest heap.
+    /// Bytes of device-local memory left for buffers: measured against the budget that the driver
+    /// reports for this process, or against the size of the largest heap if the driver reports
+    /// none.
     pub fn free_memory(&self) -> u64 {
         self.inner.context.free_memory()
     }
 
-    /// The same device to rehearse on: buffers are counted and have no memory, dispatches are checked
-    /// and not recorded, downloads give zeros.
+    /// The same device for a rehearsal: buffers are counted but get no memory, dispatches are
+    /// checked but not recorded, and downloads return zeros.
     pub(super) fn rehearsing(&self) -> Device {
         let DeviceInner { context, limits, .. } = &*self.inner;
         let (pipelines, spare, meter, ledger, modules) = Default::default();
@@ -204,12 +208,12 @@ impl Device {
         Device { inner: Arc::new(inner) }
     }
 
-    /// Whether it is one to rehearse on.
+    /// Whether this device is a rehearsal device.
     pub(crate) fn is_rehearsing(&self) -> bool {
         !Arc::ptr_eq(&self.inner.ledger, &self.inner.context.ledger)
     }
 
-    /// Memory for a buffer.
+    /// Allocates a buffer; in a rehearsal it is only counted.
     pub(super) fn raw_buffer(
         &self,
         bytes: u64,
@@ -223,17 +227,17 @@ impl Device {
         }
     }
 
-    /// Starts adding up how long the device works on the submissions of all its streams, by
-    /// timestamps at the begin and the end of each; uploads and downloads do not count. False, and
-    /// nothing is added up, where the device has no timestamps.
+    /// Starts summing the device time of the submissions of all its streams, from timestamps at the
+    /// start and the end of each submission. Uploads and downloads are not counted. Returns false,
+    /// and measures nothing, if the device has no timestamps.
     pub fn start_meter(&self, detail: Detail) -> bool {
         let on = self.limits().timestamp_period > 0.0;
         *self.meter() = on.then(|| Meter::new(detail));
         on
     }
 
-    /// Stops adding up and gives what there was; `None` where the meter was not on. Counts what was
-    /// recorded since the start and waited for by now.
+    /// Stops the meter and returns its result; `None` if the meter was off. The result covers the
+    /// recordings that were started after the meter was and whose submissions have been waited for.
     pub fn stop_meter(&self) -> Option<Meter> {
         self.meter().take()
     }
@@ -253,7 +257,7 @@ impl Device {
         }
     }
 
-    /// What the validation layer has said since the last call; always empty without it.
+    /// The messages of the validation layer since the last call; always empty without the layer.
     pub fn take_validation_messages(&self) -> Vec<String> {
         self.inner.context.take_messages()
     }
@@ -266,8 +270,8 @@ impl Device {
         Buffer::new(self, label, len)
     }
 
-    /// A buffer with the given content. Waits until it is there; steady-state work writes into
-    /// existing buffers with [`Recorder::update`](super::Recorder::update) instead.
+    /// A buffer with the given content. Waits until the upload has finished. Steady-state work
+    /// writes into existing buffers with [`Recorder::update`](super::Recorder::update) instead.
     ///
     /// # Errors
     /// [`Error::OutOfMemory`], or a failed submission.
@@ -277,7 +281,7 @@ impl Device {
         Ok(buffer)
     }
 
-    /// Host memory for `len` elements that the device copies into.
+    /// Host-visible memory for `len` elements, as the target of device copies.
     ///
     /// # Errors
     /// [`Error::OutOfMemory`].
@@ -293,7 +297,7 @@ impl Device {
         Stream::new(self)
     }
 
-    /// The pipeline of a kernel, compiled at its first use.
+    /// The pipeline of a kernel for these specialisation constants; compiled at its first use.
     pub(crate) fn pipeline<K: Kernel>(&self, specialisation: &[u32]) -> Result<Arc<Pipeline>> {
         let mut pipelines = self.inner.pipelines.lock().expect("no holder panics");
         let variants = pipelines.entry(K::NAME).or_default();

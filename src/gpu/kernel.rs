@@ -1,4 +1,4 @@
-//! How a kernel is declared: one `kernel!` per shader.
+//! Declarations of compute kernels: one `kernel!` per shader.
 
 use super::buffer::{View, ViewMut};
 use crate::error::{Error, Result};
@@ -6,7 +6,7 @@ use crate::vk::{BoundRange, Limits};
 use bytemuck::Pod;
 use std::marker::PhantomData;
 
-/// What a kernel does with a binding.
+/// How a kernel accesses a binding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Access {
     /// Reads only (`readonly` in the shader).
@@ -22,7 +22,7 @@ pub enum Access {
 pub struct Binding {
     /// The field's name in the Rust declaration.
     pub name: &'static str,
-    /// What the kernel does with it.
+    /// How the kernel accesses it.
     pub access: Access,
     /// Size of one of the shader's elements in bytes.
     pub stride: usize,
@@ -80,29 +80,29 @@ pub struct Read;
 pub struct Write;
 /// Marks a binding that the kernel reads and writes.
 pub struct ReadWrite;
-/// Marks a binding that the kernel works on `N` elements at a time, at the end on as many as are
-/// left.
+/// Marks a binding whose shader element is a vector of `N` elements of the Rust side; the shader
+/// handles a remainder of fewer than `N` elements itself.
 pub struct Several<A, const N: usize>(PhantomData<A>);
-/// Reads in threes: vectors that lie packed.
+/// Reads vectors of three, tightly packed.
 pub type ReadVec3 = Several<Read, 3>;
-/// Writes in threes.
+/// Writes vectors of three, tightly packed.
 pub type WriteVec3 = Several<Write, 3>;
-/// Reads and writes in threes.
+/// Reads and writes vectors of three, tightly packed.
 pub type ReadWriteVec3 = Several<ReadWrite, 3>;
-/// Reads in fours.
+/// Reads vec4s.
 pub type ReadVec4 = Several<Read, 4>;
-/// Writes in fours.
+/// Writes vec4s.
 pub type WriteVec4 = Several<Write, 4>;
-/// Reads and writes in fours.
+/// Reads and writes vec4s.
 pub type ReadWriteVec4 = Several<ReadWrite, 4>;
 
-/// What the access markers mean for the Rust side of a binding.
+/// The Rust side of an access marker: which view a dispatch takes for the binding.
 pub trait Argument {
     /// The view that a dispatch takes.
     type Handle<'a, T: 'a>;
     /// The access as data.
     const ACCESS: Access;
-    /// Elements of the Rust side in one of the shader's.
+    /// Number of Rust elements in one element of the shader.
     const AT_ONCE: usize = 1;
     /// The bound memory.
     fn bound<T>(handle: &Self::Handle<'_, T>) -> BoundRange;
@@ -146,10 +146,10 @@ impl Argument for ReadWrite {
 pub struct Groups(pub [u32; 3]);
 
 impl Groups {
-    /// Enough workgroups for `items` at `per_group` each, folded into a second axis past the
-    /// device's limit. The shader computes its group as
-    /// `gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x` and returns where it has no work,
-    /// since the last row may be padded.
+    /// Enough workgroups for `items` at `per_group` each, folded into a second axis beyond the
+    /// device's limit. The shader computes its group index as `gl_WorkGroupID.y *
+    /// gl_NumWorkGroups.x + gl_WorkGroupID.x` and returns if the index is out of range, since the
+    /// last row may be padded.
     ///
     /// # Errors
     /// [`Error::Input`] when even the folded grid is too small.
@@ -173,27 +173,39 @@ impl Groups {
         Groups([width.div_ceil(tile[0]), height.div_ceil(tile[1]), 1])
     }
 
-    /// Whether there is nothing to do.
+    /// Whether the grid has no workgroups.
     pub fn is_empty(&self) -> bool {
         self.0.contains(&0)
     }
 }
 
-/// Names, offsets and sizes of a `repr(C)` struct's fields.
-macro_rules! field_infos {
-    ($type:ident { $($field:ident : $field_type:ty),* }) => {
-        &[$($crate::gpu::ParamInfo {
-            name: stringify!($field),
-            offset: std::mem::offset_of!($type, $field),
-            size: size_of::<$field_type>(),
-        }),*]
-    };
-}
-pub(crate) use field_infos;
-
-/// Declares a kernel: its place, workgroup, push constants and bindings. The binding number is the
-/// field's place. `tests/interface.rs` holds the declaration against the compiled module. A variant
-/// of another kernel, `like` it, has its push constants and bindings.
+/// Declares a compute kernel: a type that implements [`Kernel`], its push constants and its buffers.
+///
+/// The n-th field of `args` is binding n of set 0; `params` has the layout of the shader's push constants
+/// (`repr(C)`, 4-byte scalars). The engine's own kernels name a module below `spirv/`, and `tests/interface.rs`
+/// holds each declaration against its module. A kernel of another crate gives its module after `from`, and
+/// must match it; that crate needs `bytemuck` with the feature `derive`. A kernel `like` another one has the
+/// push constants and the bindings of that one.
+///
+/// ```ignore
+/// splat4d::kernel! {
+///     /// Multiplies all values by a factor.
+///     pub struct Scale("mine/scale") from include_bytes!("scale.spv"), workgroup: [64, 1, 1],
+///     params: ScaleParams {
+///         /// Number of values.
+///         count: u32,
+///         /// The factor.
+///         factor: f32,
+///     },
+///     args: ScaleArgs {
+///         /// The values.
+///         values: ReadWrite<f32>,
+///     }
+/// }
+/// ```
+///
+/// The repository's `examples/custom_kernel` is a whole program.
+#[macro_export]
 macro_rules! kernel {
     (
         $(#[$doc:meta])*
@@ -224,7 +236,18 @@ macro_rules! kernel {
     };
     (
         $(#[$doc:meta])*
-        pub struct $name:ident($path:literal), workgroup: $workgroup:expr,
+        pub struct $name:ident($path:literal), workgroup: $($rest:tt)*
+    ) => {
+        $crate::kernel! {
+            $(#[$doc])*
+            pub struct $name($path)
+                from include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/spirv/", $path, ".spv")),
+            workgroup: $($rest)*
+        }
+    };
+    (
+        $(#[$doc:meta])*
+        pub struct $name:ident($path:literal) from $spirv:expr, workgroup: $workgroup:expr,
         params: $params:ident { $( $(#[$param_doc:meta])* $param:ident : $param_type:ty ),* $(,)? },
         args: $args:ident { $( $(#[$arg_doc:meta])* $arg:ident : $access:ident<$element:ty> ),* $(,)? }
     ) => {
@@ -243,8 +266,7 @@ macro_rules! kernel {
 
         impl $crate::gpu::Kernel for $name {
             const NAME: &'static str = $path;
-            const SPIRV: &'static [u8] =
-                include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/spirv/", $path, ".spv"));
+            const SPIRV: &'static [u8] = $spirv;
             const WORKGROUP: [u32; 3] = $workgroup;
             const BINDINGS: &'static [$crate::gpu::Binding] = &[$($crate::gpu::Binding {
                 name: stringify!($arg),
@@ -257,7 +279,11 @@ macro_rules! kernel {
                 spirv: Self::SPIRV,
                 workgroup: Self::WORKGROUP,
                 bindings: Self::BINDINGS,
-                params: $crate::gpu::field_infos!($params { $($param: $param_type),* }),
+                params: &[$($crate::gpu::ParamInfo {
+                    name: stringify!($param),
+                    offset: std::mem::offset_of!($params, $param),
+                    size: size_of::<$param_type>(),
+                }),*],
             };
             type Params = $params;
             type Args<'a> = $args<'a>;

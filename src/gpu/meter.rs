@@ -1,23 +1,23 @@
-//! How long a device works.
+//! Measures how long a device works.
 
 use super::stream::KernelTime;
 
-/// What a meter takes the time of.
+/// What a meter times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Detail {
     /// Whole submissions.
     Submissions,
-    /// Each dispatch besides, which costs some time of its own.
+    /// Whole submissions and each dispatch; the extra timestamps cost some device time.
     Dispatches,
 }
 
-/// What a meter has seen.
+/// The measurements of a meter.
 #[derive(Clone, Debug)]
 pub struct Meter {
     pub(super) detail: Detail,
-    /// From the begin to the end of each submission, added up.
+    /// Sum over the submissions of the time from start to end, ns.
     pub nanoseconds: f64,
-    /// Dispatch by dispatch, in order; empty where only submissions were asked for.
+    /// The time of each dispatch, in order; empty with [`Detail::Submissions`].
     pub kernels: Vec<KernelTime>,
 }
 

@@ -1,8 +1,10 @@
 //! The safe layer over Vulkan: devices, typed buffers, kernels, recorder, stream.
 //!
 //! A [`Device`] makes [`Buffer`]s and a [`Stream`]. Work is recorded with a [`Recorder`], which
-//! inserts barriers where one dispatch touches what another has written, and submitted on the
-//! stream, whose timeline tells when it is done. What a submission uses is kept alive until then.
+//! inserts a barrier where a dispatch conflicts with an earlier one (read after write, write after
+//! read, write after write). The stream submits the recording, and its timeline semaphore shows
+//! when the submission has finished. The stream keeps every resource that a submission uses alive
+//! until then.
 //!
 //! ```no_run
 //! use splat4d::gpu::{Device, Request};
@@ -29,7 +31,7 @@ pub use kernel::{
     Access, Argument, Binding, Groups, Kernel, KernelInfo, ParamInfo, Read, ReadVec4, ReadVec3,
     ReadWrite, ReadWriteVec4, ReadWriteVec3, Several, Write, WriteVec4, WriteVec3,
 };
-pub(crate) use kernel::{field_infos, kernel};
+pub(crate) use kernel::kernel;
 pub use meter::{Detail, Meter};
 pub use recorder::Recorder;
 pub(crate) use recorder::Work;

@@ -1,4 +1,4 @@
-//! Recording work, with barriers where they are needed.
+//! Records dispatches and copies and inserts the memory barriers between them.
 
 use super::buffer::{Buffer, Readback, View, ViewMut};
 use super::device::Device;
@@ -10,28 +10,29 @@ use std::sync::Arc;
 
 /// Records dispatches and copies into one command buffer.
 ///
-/// The recorder knows which ranges were read and written since the last barrier; work that touches
-/// what another has written, or writes what another has read, gets one global memory barrier first.
+/// The recorder tracks the ranges that were read and written since the last barrier. It inserts one
+/// global memory barrier before work that reads or writes a written range, or writes a range that
+/// was read.
 pub struct Recorder {
     pub(super) device: Device,
     pub(super) work: Work,
-    /// Kernels between the timestamps, when profiling.
+    /// Names of the kernels between the timestamps; `None` unless profiling.
     pub(super) profile: Option<Vec<&'static str>>,
-    /// Whether the device's meter counts it.
+    /// Whether the device's meter counts this recording.
     pub(super) metered: bool,
-    /// What went wrong where nothing could be returned; submitting fails with it.
+    /// The first error of a method that returns no `Result`; submitting returns it.
     pub(super) failed: Option<Error>,
 }
 
-/// A command buffer, what keeps alive what it uses, and memory to record with: recycled when the
-/// device is done, so that recording allocates nothing once it has been done before.
+/// A command buffer, references that keep the resources it uses alive, and scratch lists for
+/// recording. It is recycled when the device is done, so that repeated recordings allocate nothing.
 pub(crate) struct Work {
     pub(crate) slot: CommandSlot,
     buffers: Vec<Arc<RawBuffer>>,
     pipelines: Vec<Arc<Pipeline>>,
-    /// Since the last barrier.
+    /// Ranges accessed since the last barrier.
     touched: Vec<Touched>,
-    /// Of the dispatch under way.
+    /// Bound ranges of the dispatch being recorded.
     ranges: Vec<BoundRange>,
 }
 
@@ -41,7 +42,7 @@ impl Work {
         Work { slot, buffers, pipelines, touched, ranges }
     }
 
-    /// Lets go of what the recording used; the device must be done with it.
+    /// Drops the references to the resources of the recording; the device must be done with it.
     pub(crate) fn clear(&mut self) {
         self.buffers.clear();
         self.pipelines.clear();
@@ -74,12 +75,13 @@ impl Recorder {
         Ok(Recorder::of(device, work, metered))
     }
 
-    /// Into a command buffer that has been begun.
+    /// A recorder for a command buffer that is already in the recording state.
     pub(crate) fn of(device: &Device, work: Work, metered: bool) -> Recorder {
         Recorder { device: device.clone(), work, profile: None, metered, failed: None }
     }
 
-    /// What is left of a recording into a host's command buffer.
+    /// The parts of a finished recording into a host's command buffer, or the error of the
+    /// recording.
     pub(crate) fn into_parts(self) -> Result<(Device, Work, Option<Vec<&'static str>>)> {
         match self.failed {
             Some(error) => Err(error),
@@ -87,7 +89,7 @@ impl Recorder {
         }
     }
 
-    /// Whether some memory is of this device; where not, the recording has failed.
+    /// Whether the range belongs to this device; if not, marks the recording as failed.
     fn owns(&mut self, range: &BoundRange, op: &'static str) -> bool {
         let owned = self.device.owns(&range.buffer);
         if !owned && self.failed.is_none() {
@@ -101,7 +103,8 @@ impl Recorder {
         &self.device
     }
 
-    /// Takes a timestamp around every dispatch from here on; the ticket gives the times.
+    /// Writes a timestamp around every dispatch from here on;
+    /// [`Stream::times`](super::Stream::times) returns the times.
     ///
     /// # Errors
     /// A failed Vulkan call.
@@ -210,15 +213,15 @@ impl Recorder {
         self.work.buffers.push(range.buffer);
     }
 
-    /// Copies between buffers. Where the lengths differ the recording has failed, and submitting it
-    /// gives [`Error::Shape`].
+    /// Copies between buffers. If the lengths differ, the recording has failed and submitting it
+    /// returns [`Error::Shape`].
     pub fn copy<T: Pod>(&mut self, from: View<'_, T>, to: ViewMut<'_, T>) {
         if self.is_of_one_length("copy", from.len(), to.len()) {
             self.copy_ranges(&from.bound(), &to.bound());
         }
     }
 
-    /// Copies to host memory. Where the lengths differ the recording has failed, as for
+    /// Copies to host memory. If the lengths differ, the recording has failed, as for
     /// [`copy`](Self::copy).
     pub fn read_back<T: Pod>(&mut self, from: View<'_, T>, to: &Readback<T>) {
         if self.is_of_one_length("read back", from.len(), to.len()) {
@@ -226,8 +229,7 @@ impl Recorder {
         }
     }
 
-    /// Whether there is something to copy, and as much room for it; where the lengths differ, the
-    /// recording has failed.
+    /// Whether both lengths are equal and not zero; if they differ, marks the recording as failed.
     fn is_of_one_length(&mut self, op: &'static str, from: usize, to: usize) -> bool {
         if from != to && self.failed.is_none() {
             let expected = format!("{from}, as many as are copied");
@@ -255,8 +257,8 @@ impl Recorder {
         self.work.buffers.push(from.buffer.clone());
     }
 
-    /// Writes a little data (64 KiB at most) from the host, in order with the rest of the
-    /// recording; larger data goes through [`Stream::upload`](super::Stream::upload).
+    /// Writes data of at most 64 KiB from the host, in order with the rest of the recording. Larger
+    /// data needs [`Stream::upload`](super::Stream::upload).
     ///
     /// # Errors
     /// [`Error::Shape`] when it is too long for `to` or for a command buffer.
@@ -286,7 +288,7 @@ impl Recorder {
         Ok(())
     }
 
-    /// Checks the bindings and binds them. False in a rehearsal, where there is nothing to dispatch.
+    /// Checks the bindings and binds them. Returns false in a rehearsal, which dispatches nothing.
     fn prepare<K: Kernel>(
         &mut self,
         specialisation: &[u32],
@@ -345,18 +347,18 @@ impl Recorder {
         Ok(())
     }
 
-    /// Notes the use of one range or two.
+    /// Tracks the access to one or two ranges; `true` means written.
     pub(super) fn touch<const N: usize>(&mut self, touches: [(&BoundRange, bool); N]) {
         touch(&mut self.work.touched, &mut self.work.slot, touches.into_iter());
     }
 }
 
-/// Memory of one device in the work of another.
+/// The error for a buffer of one device in a recording of another.
 fn strange(op: &'static str, label: &str) -> Error {
     Error::Input(format!("{op}: {label} was made on another device than the recording is for"))
 }
 
-/// Notes what comes next, with a barrier first where it conflicts with what came before.
+/// Tracks the accesses of the next command, after a barrier if they conflict with earlier ones.
 fn touch<'a>(
     touched: &mut Vec<Touched>,
     slot: &mut CommandSlot,

@@ -1,24 +1,24 @@
-//! Work tried out without memory, to know what it will take before it begins.
+//! Rehearsals: work run without memory, to measure its memory footprint before it begins.
 //!
-//! A rehearsal runs the very code that makes the buffers and records the dispatches, on a device whose
-//! buffers have no memory: nothing about sizes is written down twice.
+//! A rehearsal runs the same code that creates the buffers and records the dispatches, on a device
+//! whose buffers have no memory. No buffer size is therefore computed in a second place.
 
 use super::device::Device;
 use crate::{Error, Result};
 
-/// What some work takes of a device's memory.
+/// The device memory that some work needs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Footprint {
-    /// Bytes of all buffers alive at one time, at most, those for transfers among them.
+    /// Peak of the bytes of all live buffers, transfer buffers included.
     pub bytes: u64,
-    /// The largest buffer.
+    /// Label of the largest buffer.
     pub largest: String,
-    /// Its bytes.
+    /// Bytes of the largest buffer.
     pub largest_bytes: u64,
 }
 
 impl Footprint {
-    /// That the device has so much memory left.
+    /// Checks that the device has this much memory left.
     ///
     /// # Errors
     /// [`Error::TooLarge`].
@@ -36,13 +36,13 @@ impl Footprint {
     }
 }
 
-/// A device on which nothing is done but counting.
+/// A device that only counts buffers.
 pub(crate) struct Rehearsal {
     device: Device,
 }
 
 impl Rehearsal {
-    /// Runs some work on a device that only counts, and gives what it would have taken.
+    /// Runs `work` on a device that only counts, and returns the memory that the work would need.
     ///
     /// # Errors
     /// [`Error::RangeLimit`] for a binding larger than the device allows, and whatever `work` returns.
@@ -57,12 +57,12 @@ impl Rehearsal {
         Ok(Footprint { bytes: ledger.bytes().1, largest, largest_bytes })
     }
 
-    /// The device to work on.
+    /// The device that only counts.
     pub(crate) fn device(&self) -> &Device {
         &self.device
     }
 
-    /// Runs something once whose buffers stay, and counts them `times` times.
+    /// Runs `work` once and counts the buffers that it leaves alive `times` times.
     pub(crate) fn repeat<T>(
         &self,
         times: usize,
@@ -77,8 +77,8 @@ impl Rehearsal {
     }
 }
 
-/// The largest size whose footprint fits on a device; 0 where not even 1 does. `footprint` must grow
-/// with the size.
+/// The largest size whose footprint fits on a device; 0 if not even size 1 fits. `footprint` must
+/// grow with the size.
 pub fn most_that_fits(device: &Device, footprint: impl Fn(usize) -> Result<Footprint>) -> usize {
     let fits = |size: usize| footprint(size).is_ok_and(|taken| taken.fits(device).is_ok());
     if !fits(1) {
@@ -91,7 +91,7 @@ pub fn most_that_fits(device: &Device, footprint: impl Fn(usize) -> Result<Footp
             return fitting;
         }
     }
-    // To a thousandth: what else runs on the device moves the limit by more.
+    // A precision of 1/1000 is enough: other programs on the device change the limit by more.
     while beyond - fitting > 1 + fitting / 1000 {
         let middle = fitting + (beyond - fitting) / 2;
         match fits(middle) {

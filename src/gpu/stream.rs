@@ -1,4 +1,4 @@
-//! Submissions in order, and what becomes of them.
+//! Ordered submissions, waiting for them, and transfers between host and device.
 
 use super::buffer::{Buffer, ViewMut};
 use super::device::Device;
@@ -10,7 +10,7 @@ use bytemuck::Pod;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// Submissions to the device's queue, one after the other, counted by a timeline semaphore.
+/// An ordered sequence of submissions to the device's queue, counted by a timeline semaphore.
 ///
 /// Dropping a stream waits for what it has submitted.
 pub struct Stream {
@@ -19,7 +19,7 @@ pub struct Stream {
     submitted: u64,
     in_flight: VecDeque<InFlight>,
     idle: Vec<Work>,
-    /// Reused for downloads, grown as needed.
+    /// Readback memory for downloads; reused, and replaced by a larger one when needed.
     readback: Option<Arc<RawBuffer>>,
 }
 
@@ -30,28 +30,29 @@ struct InFlight {
     metered: bool,
 }
 
-/// A submission, to wait for.
+/// A handle of a submission, to wait for it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Ticket(u64);
 
 impl Ticket {
-    /// The value of the stream's timeline semaphore that tells that it is done.
+    /// The value that the stream's timeline semaphore reaches when the submission is done.
     pub fn value(&self) -> u64 {
         self.0
     }
 }
 
-/// How long a dispatch took on the device.
+/// The device time of a dispatch.
 #[derive(Clone, Copy, Debug)]
 pub struct KernelTime {
     /// The kernel.
     pub kernel: &'static str,
-    /// Nanoseconds from the end of what came before to its own end.
+    /// Nanoseconds from the end of the preceding work to the end of this dispatch.
     pub nanoseconds: f64,
 }
 
 impl KernelTime {
-    /// From the timestamps before, between and after some dispatches.
+    /// The times of dispatches, from the timestamps before, between and after them; `period` is
+    /// nanoseconds per tick.
     pub(crate) fn between(names: &[&'static str], ticks: &[u64], period: f32) -> Vec<KernelTime> {
         let time = |(kernel, pair): (&&'static str, &[u64])| KernelTime {
             kernel,
@@ -100,7 +101,7 @@ impl Stream {
         Recorder::new(&self.device, work, metered)
     }
 
-    /// Submits a recording; it runs after everything submitted before on this stream.
+    /// Submits a recording. It runs after all earlier submissions of this stream.
     ///
     /// # Errors
     /// [`Error::Input`] for a recording of another device or of a host's command buffer, and where a
@@ -110,7 +111,7 @@ impl Stream {
         self.submit_with(recorder, &[], &[])
     }
 
-    /// The same, between waits and signals of a host's semaphores.
+    /// [`submit`](Self::submit) with a host's semaphores to wait for before and to signal after.
     pub(crate) fn submit_with(
         &mut self,
         mut recorder: Recorder,
@@ -131,7 +132,8 @@ impl Stream {
                         submits it";
             return Err(Error::Input(what.into()));
         }
-        // Submissions of one queue may overlap: this orders them, and lets the host read.
+        // Submissions to one queue may overlap: this barrier orders them and makes writes visible
+        // to the host.
         slot.barrier();
         if recorder.metered {
             slot.span(1)?;
@@ -161,12 +163,12 @@ impl Stream {
         self.timeline.wait(ticket.0).map_err(|error| name_lost(error, self.first_in_flight()))
     }
 
-    /// The last kernel of what the device is at.
+    /// The last kernel of the oldest submission that is still in flight.
     fn first_in_flight(&self) -> Option<&'static str> {
         self.in_flight.front().and_then(|flight| flight.work.last_kernel())
     }
 
-    /// Waits for a profiled submission and gives the time of each of its dispatches, in order.
+    /// Waits for a profiled submission and returns the time of each of its dispatches, in order.
     ///
     /// # Errors
     /// As for [`wait`](Self::wait); [`Error::Input`] when the submission was not profiled or has
@@ -186,10 +188,10 @@ impl Stream {
         Ok(times)
     }
 
-    /// Writes a buffer from its start. Waits until the host's memory is free again.
+    /// Writes `data` to the start of a buffer. Waits until the transfer has finished.
     ///
     /// # Errors
-    /// [`Error::Shape`] when there is more data than room, [`Error::OutOfMemory`], or a failed
+    /// [`Error::Shape`] when `data` is longer than the buffer, [`Error::OutOfMemory`], or a failed
     /// submission.
     pub fn upload<T: Pod>(&mut self, buffer: &mut Buffer<T>, data: &[T]) -> Result<()> {
         if data.len() > buffer.len() {
@@ -203,7 +205,7 @@ impl Stream {
         self.upload_to(buffer.view_mut(), data)
     }
 
-    /// Writes a part of a buffer from its start. Waits until the host's memory is free again.
+    /// Writes `data` to the start of a part of a buffer. Waits until the transfer has finished.
     ///
     /// # Errors
     /// As for [`upload`](Self::upload).
@@ -247,7 +249,7 @@ impl Stream {
         Ok(data)
     }
 
-    /// Memory to read so many bytes back into. A smaller one that there was goes first.
+    /// Readback memory of at least `bytes` bytes. A smaller one from before is dropped first.
     fn readback_of(&mut self, bytes: u64) -> Result<Arc<RawBuffer>> {
         match self.readback.take().filter(|readback| readback.bytes >= bytes) {
             Some(readback) => Ok(readback),
@@ -255,13 +257,13 @@ impl Stream {
         }
     }
 
-    /// Makes what a download of a buffer needs, and keeps it.
+    /// Allocates the readback memory that a download of the buffer needs, and keeps it.
     pub(crate) fn prepare_download<T: Pod>(&mut self, buffer: &Buffer<T>) -> Result<()> {
         self.readback = Some(self.readback_of(buffer.view().bound().bytes)?);
         Ok(())
     }
 
-    /// Lets go of what finished submissions held.
+    /// Releases the resources of finished submissions and adds their times to the meter.
     fn collect(&mut self) -> Result<()> {
         let kernel = self.first_in_flight();
         let reached = self.timeline.reached().map_err(|error| name_lost(error, kernel))?;
@@ -283,13 +285,13 @@ impl Stream {
         Ok(())
     }
 
-    /// The submission of a value of [`Ticket::value`], where there was one.
+    /// The submission with this [`Ticket::value`]; `None` if no such submission was made.
     #[cfg(feature = "capi")]
     pub(crate) fn ticket(&self, value: u64) -> Option<Ticket> {
         (1..=self.submitted).contains(&value).then_some(Ticket(value))
     }
 
-    /// Its semaphore.
+    /// The timeline semaphore of the stream.
     pub(crate) fn timeline(&self) -> &Timeline {
         &self.timeline
     }
@@ -302,7 +304,7 @@ impl Drop for Stream {
     }
 }
 
-/// Puts the kernel's name into a device-lost error.
+/// Adds the kernel's name to a device-lost error.
 fn name_lost(error: Error, kernel: Option<&'static str>) -> Error {
     match error {
         Error::DeviceLost { .. } => {

@@ -1,4 +1,4 @@
-//! Zip archives, written.
+//! Writing of zip archives.
 
 use std::io::Write;
 
@@ -6,11 +6,11 @@ use zip::write::{SimpleFileOptions, ZipWriter};
 
 use super::Sink;
 
-/// Writes an archive, file after file. The same files give the same bytes.
+/// A writer of a zip archive, file by file. The output is deterministic.
 pub struct Archive<'a, 'b>(ZipWriter<&'a mut Sink<'b>>);
 
 impl<'a, 'b> Archive<'a, 'b> {
-    /// Begins an archive.
+    /// Starts an archive.
     pub fn new(sink: &'a mut Sink<'b>) -> Archive<'a, 'b> {
         Archive(ZipWriter::new(sink))
     }
@@ -18,7 +18,7 @@ impl<'a, 'b> Archive<'a, 'b> {
     /// Adds a file.
     ///
     /// # Errors
-    /// The disk refuses.
+    /// A failed write.
     pub fn file(&mut self, name: &str, bytes: &[u8]) -> std::io::Result<()> {
         let options = SimpleFileOptions::default()
             .last_modified_time(zip::DateTime::default())
@@ -27,10 +27,10 @@ impl<'a, 'b> Archive<'a, 'b> {
         self.0.write_all(bytes)
     }
 
-    /// Ends the archive.
+    /// Finishes the archive.
     ///
     /// # Errors
-    /// The disk refuses.
+    /// A failed write.
     pub fn finish(self) -> std::io::Result<()> {
         self.0.finish().map(drop).map_err(std::io::Error::from)
     }

@@ -1,11 +1,11 @@
-//! A cursor over bytes that cannot run past the end.
+//! A bounds-checked cursor over bytes.
 
 use std::path::Path;
 
 use crate::{Error, Result};
 
-/// Reads little-endian values one after another; running out of bytes is an error that names the
-/// file, the offset and what was being read.
+/// A reader of consecutive little-endian values. At the end of the bytes it returns an error that
+/// names the file, the offset and the value.
 pub struct Bytes<'a> {
     path: &'a Path,
     bytes: &'a [u8],
@@ -13,17 +13,17 @@ pub struct Bytes<'a> {
 }
 
 impl<'a> Bytes<'a> {
-    /// Begins at the first byte; `path` is for the messages.
+    /// A cursor at the first byte; `path` is used in error messages.
     pub fn new(path: &'a Path, bytes: &'a [u8]) -> Bytes<'a> {
         Bytes { path, bytes, at: 0 }
     }
 
-    /// Bytes not read yet.
+    /// Number of bytes not read yet.
     pub fn left(&self) -> usize {
         self.bytes.len() - self.at
     }
 
-    /// The next `n` bytes; `what` names them for the message.
+    /// The next `n` bytes; `what` names them in the error message.
     pub fn take(&mut self, n: usize, what: &str) -> Result<&'a [u8]> {
         if n > self.left() {
             return Err(Error::format(
@@ -46,33 +46,33 @@ impl<'a> Bytes<'a> {
         Ok(array)
     }
 
-    /// A `u32`.
+    /// Reads a `u32`.
     pub fn u32(&mut self, what: &str) -> Result<u32> {
         Ok(u32::from_le_bytes(self.array(what)?))
     }
 
-    /// An `i32`.
+    /// Reads an `i32`.
     pub fn i32(&mut self, what: &str) -> Result<i32> {
         Ok(i32::from_le_bytes(self.array(what)?))
     }
 
-    /// A `u64`.
+    /// Reads a `u64`.
     pub fn u64(&mut self, what: &str) -> Result<u64> {
         Ok(u64::from_le_bytes(self.array(what)?))
     }
 
-    /// An `f32`.
+    /// Reads an `f32`.
     pub fn f32(&mut self, what: &str) -> Result<f32> {
         Ok(f32::from_le_bytes(self.array(what)?))
     }
 
-    /// An `f64`.
+    /// Reads an `f64`.
     pub fn f64(&mut self, what: &str) -> Result<f64> {
         Ok(f64::from_le_bytes(self.array(what)?))
     }
 
-    /// A count of records that take at least `size` bytes each: a count that the rest of the file
-    /// cannot hold is an error here, before anything is allocated for it.
+    /// Reads a count of records of at least `size` bytes each. A count that exceeds the rest of the
+    /// file is an error, so that nothing is allocated for it.
     pub fn count(&mut self, size: usize, what: &str) -> Result<usize> {
         let at = self.at;
         let count = self.u64(what)?;
@@ -86,7 +86,7 @@ impl<'a> Bytes<'a> {
         Ok(count as usize)
     }
 
-    /// A text that ends with a zero byte.
+    /// Reads a zero-terminated text.
     pub fn text(&mut self, what: &str) -> Result<String> {
         let rest = &self.bytes[self.at..];
         let length = rest.iter().position(|&b| b == 0).ok_or_else(|| {

@@ -1,11 +1,11 @@
-//! Folders of which a reader sees the whole or nothing.
+//! Atomic writing of folders: a reader sees the complete folder or nothing.
 
 use std::fs;
 use std::path::Path;
 
 use crate::{Error, Result};
 
-/// That `folder` can be written by [`write_folder`]: it does not exist yet, or is empty.
+/// Checks that [`write_folder`] can write `folder`: it does not exist yet, or is empty.
 ///
 /// # Errors
 /// [`Error::Input`] when it is not empty; [`Error::Io`] when it cannot be read or is no folder.
@@ -24,20 +24,20 @@ pub fn check_new_folder(folder: impl AsRef<Path>) -> Result<()> {
     }
 }
 
-/// Makes a new folder, or fills an empty one, with what `fill` writes into the folder that it is given.
-/// A new folder appears by rename, whole. In one that is there, `names`, all that `fill` writes, appear
-/// by rename one after the other.
+/// Creates a folder, or fills an empty one, with the files that `fill` writes into the temporary
+/// folder that it is given. A new folder appears complete, by one rename. In an existing folder,
+/// the entries `names` (everything that `fill` writes) appear by rename one after the other.
 ///
 /// # Errors
-/// Those of [`check_new_folder`] and of `fill`; [`Error::Io`] when the disk refuses. Then nothing is left
-/// behind.
+/// Those of [`check_new_folder`] and of `fill`; [`Error::Io`] when a write fails. On an error
+/// nothing is left behind.
 pub fn write_folder(
     folder: &Path,
     names: &[&str],
     fill: impl FnOnce(&Path) -> Result<()>,
 ) -> Result<()> {
     check_new_folder(folder)?;
-    // A folder that is there stays the same one: it may be a link, or where a disk is mounted.
+    // An existing folder is not replaced: it may be a link or a mount point.
     let new = !folder.exists();
     let parent = match folder.parent() {
         _ if !new => folder,
@@ -49,7 +49,8 @@ pub fn write_folder(
         .prefix(".splat4d-")
         .tempdir_in(parent)
         .map_err(Error::io(parent))?;
-    // Nested, since a temporary folder is its owner's alone and its mode would come along.
+    // A nested folder is renamed, since a temporary folder is accessible to its owner only and
+    // would keep that mode.
     let whole = partial.path().join("whole");
     fill(&whole).map_err(|error| moved(error, &whole, folder))?;
     if new {
@@ -61,7 +62,7 @@ pub fn write_folder(
         .map_err(Error::io(folder))
 }
 
-/// An error of writing below one folder, told of the folder that is to take its place.
+/// Replaces the temporary folder in an error's path by the final folder.
 fn moved(error: Error, from: &Path, to: &Path) -> Error {
     match error {
         Error::Io { path, source } => {

@@ -1,16 +1,16 @@
-//! How much memory the machine has left, asked before much of it is taken.
+//! Checks of the available host memory before large allocations.
 //!
-//! A system that promises more memory than it has ends a program that takes it without an error.
-//! So large sizes are checked first.
+//! A system that overcommits memory kills a program that uses too much, without an error. Large
+//! sizes are therefore checked first.
 
 use std::fs;
 use std::path::Path;
 
 use crate::{Error, Result};
 
-/// Bytes of memory that this process can still take: the least of what the machine has, what the
-/// control groups it runs in allow, and what its own limits (`ulimit -v`, `ulimit -d`) leave. `None`
-/// where the system does not tell.
+/// Bytes of memory that this process can still allocate: the minimum of the machine's available
+/// memory, the remainder of its control groups' limits, and the remainder of its own limits
+/// (`ulimit -v`, `ulimit -d`). `None` if the system does not report it.
 pub fn available_memory() -> Option<u64> {
     let machine = text("/proc/meminfo").and_then(|text| machine(&text));
     let limits = address_space();
@@ -18,8 +18,8 @@ pub fn available_memory() -> Option<u64> {
     [machine, limits, groups].into_iter().flatten().min()
 }
 
-/// That `bytes` of memory can be had for `what`, which begins the message: `reading a.mp4 needs …`.
-/// Where the system does not tell what it has, everything can.
+/// Checks that `bytes` of memory are available for `what`, which begins the message: `reading a.mp4
+/// needs …`. The check passes if the system does not report its memory.
 ///
 /// # Errors
 /// [`Error::Input`] with both numbers.
@@ -34,15 +34,14 @@ pub fn check_memory(bytes: u64, what: &str) -> Result<()> {
     }
 }
 
-/// Bytes that this process's own limits (`ulimit -v`, `ulimit -d`) leave; `None` where it has none.
+/// Bytes left under this process's own limits (`ulimit -v`, `ulimit -d`); `None` without limits.
 fn address_space() -> Option<u64> {
     let (limits, status) = text("/proc/self/limits").zip(text("/proc/self/status"))?;
     limited(&limits, &status)
 }
 
-/// That this process's own limits leave `bytes` for `what`, which begins the message. Unlike
-/// [`check_memory`] this also suits what is reserved and mostly never used, such as the stacks of
-/// threads.
+/// Checks that this process's own limits leave `bytes` for `what`, which begins the message. Unlike
+/// [`check_memory`] it also suits memory that is reserved and mostly unused, such as thread stacks.
 ///
 /// # Errors
 /// [`Error::Input`] with both numbers.
@@ -58,7 +57,7 @@ pub fn check_limits(bytes: u64, what: &str) -> Result<()> {
     }
 }
 
-/// Bytes in words, for messages.
+/// A number of bytes as text, for messages.
 pub(crate) fn gibibytes(bytes: u64) -> String {
     const MEBI: f64 = (1 << 20) as f64;
     let mebi = bytes as f64 / MEBI;
@@ -69,23 +68,23 @@ fn text(path: impl AsRef<Path>) -> Option<String> {
     fs::read_to_string(path).ok()
 }
 
-/// The number after `key` in lines of `key number …`.
+/// The number after `key` in a text of lines `key number …`.
 fn field(text: &str, key: &str) -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix(key))?;
     line.split_ascii_whitespace().next()?.parse().ok()
 }
 
-/// What `/proc/meminfo` leaves. Free swap counts: only beyond it does memory run out.
+/// Available bytes by `/proc/meminfo`, free swap included.
 fn machine(meminfo: &str) -> Option<u64> {
     let available = field(meminfo, "MemAvailable:")?;
     let swap = field(meminfo, "SwapFree:").unwrap_or(0);
     Some(available.saturating_add(swap).saturating_mul(1024))
 }
 
-/// What `/proc/self/limits` leaves to a process of `/proc/self/status`.
+/// Bytes left under the limits of `/proc/self/limits`, given the usage in `/proc/self/status`.
 fn limited(limits: &str, status: &str) -> Option<u64> {
     let left = |limit: &str, used: &str| {
-        // "unlimited" is no number.
+        // "unlimited" does not parse as a number.
         let limit = field(limits, limit)?;
         Some(limit.saturating_sub(field(status, used)?.saturating_mul(1024)))
     };
@@ -93,7 +92,7 @@ fn limited(limits: &str, status: &str) -> Option<u64> {
     left.into_iter().flatten().min()
 }
 
-/// What the groups of `/proc/self/cgroup` leave, those of version 1 and 2.
+/// Bytes left in the control groups of `/proc/self/cgroup`, of version 1 and 2.
 fn grouped(groups: &str) -> Option<u64> {
     let of_line = |line: &str| {
         let mut parts = line.splitn(3, ':').skip(1);
@@ -118,8 +117,8 @@ fn grouped(groups: &str) -> Option<u64> {
         } else {
             "/sys/fs/cgroup/memory"
         });
-        // Every group above has a limit of its own. Inside a container the path may be one that
-        // only the host sees; its own group then is the root.
+        // Every parent group has its own limit. Inside a container the path may be visible to the
+        // host only; the container's group is the root then.
         let inner = root.join(path.trim_start_matches('/'));
         inner
             .ancestors()
@@ -130,7 +129,7 @@ fn grouped(groups: &str) -> Option<u64> {
     groups.lines().filter_map(of_line).min()
 }
 
-/// What a version of control groups calls its files and fields.
+/// The file and field names of one version of control groups.
 struct Names {
     limit: &'static str,
     used: &'static str,
@@ -138,11 +137,11 @@ struct Names {
 }
 
 impl Names {
-    /// What one group leaves; `None` where it sets no limit.
+    /// Bytes left in one group; `None` if it sets no limit.
     fn left(&self, group: &Path) -> Option<u64> {
         let number = |name: &str| text(group.join(name))?.trim().parse::<u64>().ok();
         let (limit, used) = (number(self.limit)?, number(self.used)?);
-        // Cached files count as used, and are given up when memory is wanted.
+        // The page cache counts as used, but the kernel reclaims it on demand.
         let stat = text(group.join("memory.stat")).unwrap_or_default();
         let cache: u64 = self.cache.iter().filter_map(|key| field(&stat, key)).sum();
         Some(limit.saturating_sub(used.saturating_sub(cache)))

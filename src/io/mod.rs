@@ -1,6 +1,6 @@
-//! What every reader and writer of files needs: whole-file reads with the path in the error, writes
-//! by rename, a bounds-checked cursor over bytes, the PLY container, zip archives, files of state, and how much
-//! memory there is.
+//! File input and output shared by all readers and writers: whole-file reads with the path in the
+//! error, writes by rename, a bounds-checked cursor over bytes, the PLY container, zip archives,
+//! state files, and checks of available memory.
 
 mod archive;
 mod bytes;
@@ -25,20 +25,21 @@ use std::path::Path;
 use crate::error::excerpt;
 use crate::{Error, Result};
 
-/// Bytes that are there without asking.
+/// Size in bytes up to which memory is not checked.
 const SMALL: u64 = 16 << 20;
-/// Bytes of the largest JSON file that is read: the cameras of some 300,000 pictures.
+/// Largest JSON file that is read, bytes: the cameras of about 300,000 images.
 const MOST_JSON: u64 = 256 << 20;
-/// Memory that JSON takes when it is read, in units of its size.
+/// Memory needed to parse JSON, in units of the file's size.
 const JSON_SHARE: u64 = 12;
-/// Bytes of the largest text file that is read: COLMAP lists every observation of a point.
+/// Largest text file that is read, bytes. It is large because COLMAP lists every observation of a
+/// point.
 const MOST_TEXT: u64 = 4 << 30;
 
-/// Opens an input file. Only a regular file is one: a pipe may never be written to, a device may
+/// Opens an input file. It must be a regular file, since reading a pipe may block and a device may
 /// never end. Every input of the crate is opened here.
 ///
 /// # Errors
-/// [`Error::Io`] where it cannot be opened, [`Error::Format`] where it is no regular file.
+/// [`Error::Io`] if it cannot be opened, [`Error::Format`] if it is not a regular file.
 pub fn open(path: &Path) -> Result<File> {
     let check = |found: &std::fs::Metadata| {
         if found.is_dir() {
@@ -51,19 +52,19 @@ pub fn open(path: &Path) -> Result<File> {
         }
         Ok(())
     };
-    // Opening a pipe waits already.
+    // Checked before opening, since opening a pipe can block.
     check(&std::fs::metadata(path).map_err(Error::io(path))?)?;
     let file = File::open(path).map_err(Error::io(path))?;
     check(&file.metadata().map_err(Error::io(path))?)?;
     Ok(file)
 }
 
-/// Reads a whole file, as large as there is memory for; the error names it.
+/// Reads a whole file, if memory suffices; the error names the file.
 pub fn read(path: &Path) -> Result<Vec<u8>> {
     read_at_most(path, u64::MAX, 1)
 }
 
-/// Reads a file of at most so many bytes, each of which takes `share` bytes of memory in the end.
+/// Reads a file of at most `most` bytes, each of which takes `share` bytes of memory after parsing.
 fn read_at_most(path: &Path, most: u64, share: u64) -> Result<Vec<u8>> {
     let file = open(path)?;
     let size = file.metadata().map_err(Error::io(path))?.len();
@@ -80,7 +81,7 @@ fn read_at_most(path: &Path, most: u64, share: u64) -> Result<Vec<u8>> {
     if !reserved {
         return Err(Error::io(path)(std::io::ErrorKind::OutOfMemory.into()));
     }
-    // Some files of the system announce nothing and give much.
+    // Some system files report a size of zero but have content.
     let most = size.max(SMALL);
     file.take(most + 1).read_to_end(&mut bytes).map_err(Error::io(path))?;
     if bytes.len() as u64 > most {
@@ -90,13 +91,13 @@ fn read_at_most(path: &Path, most: u64, share: u64) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Bytes that a compressed file may unpack to whatever its own size.
+/// Unpacked size in bytes that is accepted for a compressed file of any size.
 const UNPACKED: u64 = 64 << 20;
-/// Times its size that a larger one may unpack to: beyond deflate's best, 1032.
+/// Maximum ratio of unpacked to packed size above that; deflate's maximum is 1032.
 const UNPACKED_SHARE: u64 = 1100;
 
-/// That a file of `packed` bytes may hold what its header announces, before memory is asked for:
-/// damage must not ask for the machine's.
+/// Checks that a file of `packed` bytes can unpack to the size in its header, before memory is
+/// allocated, so that a damaged header cannot exhaust the memory.
 pub fn check_unpacked(path: &Path, unpacked: u64, packed: usize) -> Result<()> {
     if unpacked <= UNPACKED.max(UNPACKED_SHARE.saturating_mul(packed as u64)) {
         return Ok(());

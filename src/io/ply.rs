@@ -1,7 +1,7 @@
 //! The PLY container: any element, any property order, ASCII and both byte orders.
 //!
-//! What the properties mean is for the reader of the format: [`crate::scene::ply`] for 3D Gaussians,
-//! the dataset readers for point clouds.
+//! The readers of the formats interpret the properties: [`crate::scene::ply`] for 3D Gaussians, the
+//! dataset readers for point clouds.
 
 use std::path::Path;
 
@@ -53,7 +53,7 @@ impl Scalar {
         }
     }
 
-    /// The value in the first [`Self::size`] bytes.
+    /// Decodes the value in the first [`Self::size`] bytes.
     fn decode(self, bytes: &[u8], order: Order) -> f64 {
         let mut raw = [0u8; 8];
         let size = self.size();
@@ -75,7 +75,7 @@ impl Scalar {
     }
 }
 
-/// What a property holds.
+/// The type of a property.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// One value.
@@ -134,7 +134,7 @@ pub fn is_ply(bytes: &[u8]) -> bool {
 }
 
 impl<'a> Ply<'a> {
-    /// Parses the header; `path` is for the messages.
+    /// Parses the header; `path` is used in error messages.
     pub fn parse(path: &'a Path, bytes: &'a [u8]) -> Result<Ply<'a>> {
         let bad = |what: String| Error::format(path, what);
         if !is_ply(bytes) {
@@ -188,18 +188,18 @@ impl<'a> Ply<'a> {
         Ok(Ply { path, bytes, order, body: at, elements })
     }
 
-    /// The element of a name.
+    /// The element with this name.
     pub fn element(&self, name: &str) -> Option<&Element> {
         self.elements.iter().find(|e| e.name == name)
     }
 
-    /// Reads columns of one element: row after row, each with the columns in the order asked for.
-    /// Memory stays within a small multiple of the file's size, whatever the header announces.
+    /// Reads columns of one element, row-major, with the columns in the requested order. Memory
+    /// stays within a small multiple of the file's size, whatever count the header announces.
     pub fn rows(&self, element: &str, columns: &[usize]) -> Result<Vec<f32>> {
         self.values(element, columns, |value| value as f32)
     }
 
-    /// The same for whole numbers that need all of 32 bits; what lies outside is cut to the range.
+    /// [`rows`](Self::rows) for integers that need all 32 bits; values out of range are clamped.
     pub fn words(&self, element: &str, columns: &[usize]) -> Result<Vec<u32>> {
         self.values(element, columns, |value| value as u32)
     }
@@ -269,17 +269,17 @@ fn body_end(path: &Path, table: &Element, row: u64, size: usize) -> Error {
     )
 }
 
-/// A place in the values after the header.
+/// A read position in the values after the header.
 struct Body<'a> {
     ply: &'a Ply<'a>,
     at: usize,
 }
 
 impl Body<'_> {
-    /// That the rest of the file can hold as many rows as the header announces.
+    /// Checks that the rest of the file can hold the number of rows that the header announces.
     fn check_room(&self, table: &Element) -> Result<()> {
         let least: usize = match self.ply.order {
-            // A digit and a separator for each value.
+            // At least a digit and a separator per value.
             Order::Ascii => 2 * table.properties.len(),
             _ => table
                 .properties
@@ -298,7 +298,7 @@ impl Body<'_> {
         Ok(())
     }
 
-    /// The next value; `Err(None)` where the file ends.
+    /// The next value; `Err(None)` at the end of the file.
     fn value(&mut self, kind: Scalar) -> std::result::Result<f64, Option<Error>> {
         let rest = &self.ply.bytes[self.at..];
         if self.ply.order != Order::Ascii {

@@ -1,9 +1,9 @@
-//! Files that only this program reads: a value, what it belongs to, and a checksum.
+//! State files of this program: a value, the identity of its inputs, and a checksum.
 //!
-//! A line that names the format, its version and the kind of content; then, in
-//! [postcard](https://docs.rs/postcard), the identity (what the value belongs to: input and options)
-//! and the value; last the CRC-32 of all before, little endian. Damage is found before anything is
-//! decoded, so that no number of a damaged file is believed.
+//! A file consists of a line with the format, its version and the kind of content; then, in
+//! [postcard](https://docs.rs/postcard) encoding, the identity (the input and options that the
+//! value belongs to) and the value; last the CRC-32 of all preceding bytes, little-endian. The
+//! checksum is verified before anything is decoded.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -15,13 +15,14 @@ use serde::de::DeserializeOwned;
 use super::{read, write_atomically};
 use crate::{Error, Result};
 
-/// Raised whenever a value written before would be misread.
+/// Format version; increased whenever an older file would be misread.
 const VERSION: u32 = 4;
 
-/// What a value belongs to, by name: a reader with another identity has no use for it.
+/// The input and options that a value belongs to, by name; a value can only be reused under an
+/// equal identity.
 pub type Identity = BTreeMap<String, String>;
 
-/// A checksum of anything that can be written, to tell inputs apart.
+/// A checksum of any serialisable value, to distinguish inputs.
 pub fn checksum<T: Serialize + ?Sized>(value: &T) -> String {
     let sum = postcard::serialize_with_flavor(value, Checksum(crc32fast::Hasher::new()));
     format!("{:08x}", sum.expect("a checksum takes any number of bytes"))
@@ -50,7 +51,7 @@ fn heading(kind: &str) -> String {
     format!("splat4d {kind} {VERSION}\n")
 }
 
-/// Writes a value by rename.
+/// Writes a value with its identity, atomically by rename.
 ///
 /// # Errors
 /// The file cannot be written.
@@ -74,11 +75,11 @@ pub fn write_state<T: Serialize>(
     })
 }
 
-/// Reads a value that belongs to `identity`.
+/// Reads a value that was written with the same `kind` and `identity`.
 ///
 /// # Errors
-/// The file cannot be read, is of another kind or version, is damaged, or belongs to something else;
-/// then the error names what differs.
+/// The file cannot be read, is of another kind or version, is damaged, or has another identity; in
+/// the last case the error names the difference.
 pub fn read_state<T: DeserializeOwned>(path: &Path, kind: &str, identity: &Identity) -> Result<T> {
     let bad = |what: String| Error::format(path, what);
     let bytes = read(path)?;
@@ -115,7 +116,7 @@ pub fn read_state<T: DeserializeOwned>(path: &Path, kind: &str, identity: &Ident
     }
 }
 
-/// The first thing in which two identities differ, in words.
+/// A description of the first difference of two identities.
 pub fn difference(found: &Identity, wanted: &Identity) -> Option<String> {
     let none = String::from("none");
     let names = found.keys().chain(wanted.keys());

@@ -1,4 +1,4 @@
-//! Writes of which a reader sees the whole or nothing.
+//! Atomic writing of files: a reader sees the complete file or nothing.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -6,19 +6,19 @@ use std::path::{Path, PathBuf};
 
 use crate::{Error, Result};
 
-/// What a writer of [`write_atomically`] writes to: buffered, and able to seek.
+/// The output of [`write_atomically`]: buffered and seekable.
 pub type Sink<'a> = BufWriter<&'a File>;
 
-/// Links that lead from one to the next before they count as a circle; Linux's own number.
+/// Maximum length of a chain of symbolic links before it counts as a cycle; the limit of Linux.
 const MOST_LINKS: usize = 40;
 
-/// Writes a file so that a reader sees the old content or the whole new one, never a part: `write`
-/// fills a temporary file in the same folder, which is flushed to the disk and then renamed. Folders
-/// that are missing are made. On any error, a full disk among them, nothing is left behind.
+/// Writes a file atomically: a reader sees the old content or the complete new content. `write`
+/// fills a temporary file in the same folder, which is flushed to disk and then renamed. Missing
+/// folders are created. On any error, a full disk included, nothing is left behind.
 ///
-/// Where `path` is a symbolic link, the file that it leads to is written, and the link stays. A path
-/// that exists and is no regular file (a pipe, a device) is written in place: renaming over it would
-/// replace the device itself.
+/// If `path` is a symbolic link, its target is written and the link stays. An existing path that is
+/// not a regular file (a pipe, a device) is written in place, since a rename would replace the
+/// device itself.
 pub fn write_atomically(
     path: impl AsRef<Path>,
     write: impl FnOnce(&mut Sink) -> std::io::Result<()>,
@@ -49,7 +49,7 @@ pub fn write_atomically(
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt;
-        // As for any new file: the process's umask has the last word.
+        // The default mode of new files, before the process's umask.
         builder.permissions(std::fs::Permissions::from_mode(0o666));
     }
     let temporary = builder.tempfile_in(folder).map_err(Error::io(path))?;
@@ -61,11 +61,11 @@ pub fn write_atomically(
     Ok(())
 }
 
-/// Where a file written at `path` comes to lie: `path` itself, or where its chain of symbolic links
-/// ends, whether something lies there or not.
+/// The final path of a file written at `path`: `path` itself, or the end of its chain of symbolic
+/// links, which need not exist.
 ///
 /// # Errors
-/// The links form a circle, or one cannot be read.
+/// The links form a cycle, or a link cannot be read.
 pub fn follow_links(path: &Path) -> std::io::Result<PathBuf> {
     let mut target = path.to_path_buf();
     for _ in 0..MOST_LINKS {
@@ -80,7 +80,7 @@ pub fn follow_links(path: &Path) -> std::io::Result<PathBuf> {
     Err(std::io::Error::other("its symbolic links lead in a circle"))
 }
 
-/// Writes JSON, indented, by rename.
+/// Writes indented JSON, atomically by rename.
 pub fn write_json(path: impl AsRef<Path>, value: &serde_json::Value) -> Result<()> {
     write_atomically(path, |sink| {
         serde_json::to_writer_pretty(&mut *sink, value)?;

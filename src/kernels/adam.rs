@@ -1,14 +1,14 @@
-//! The optimiser.
+//! The Adam optimiser.
 
 use crate::gpu::kernel;
 
 kernel! {
-    /// One step of Adam over a flat array. Specialisation constants: 0 whether rows whose entry in
-    /// `visible` is 0 stay as they are, 1 the values of a row, 2 whether those are fewer than three, 3
-    /// whether `row` tells them instead.
+    /// One step of Adam over a flat array. Specialisation constants: 0, whether rows whose entry in
+    /// `visible` is 0 stay unchanged; 1, number of values in a row; 2, whether a row has fewer than
+    /// three values; 3, whether `row` replaces constant 1.
     pub struct Step("adam/step"), workgroup: [64, 1, 1],
     params: StepParams {
-        /// Values.
+        /// Number of values.
         count: u32,
         /// Learning rate.
         rate: f32,
@@ -24,13 +24,13 @@ kernel! {
         unbias1: f32,
         /// 1 / (1 − β₂ᵗ).
         unbias2: f32,
-        /// Added to the root of the second moment.
+        /// Added to the square root of the second moment.
         epsilon: f32,
-        /// Values of a row, where constant 3 is set.
+        /// Number of values in a row, if constant 3 is set.
         row: u32,
     },
     args: StepArgs {
-        /// One word a row.
+        /// One word a row; 0 leaves the row unchanged.
         visible: Read<u32>,
         /// Gradients.
         gradients: ReadVec4<f32>,
@@ -40,13 +40,13 @@ kernel! {
         first: ReadWriteVec4<f32>,
         /// Second moments.
         second: ReadWriteVec4<f32>,
-        /// One word, to which the number of gradients is added that would count but are not finite.
+        /// One word, to which the number of non-finite gradients in rows that are not masked is added.
         broken: ReadWrite<u32>,
     }
 }
 
 kernel! {
-    /// Which Gaussians a step may change.
+    /// Writes which Gaussians a step may change.
     pub struct Gate("adam/gate"), workgroup: [64, 1, 1],
     params: GateParams {
         /// Number of Gaussians.
@@ -55,9 +55,9 @@ kernel! {
     args: GateArgs {
         /// 1 where the frame fitted, else 0.
         fits: Read<u32>,
-        /// 1 for each Gaussian that trains.
+        /// 1 for each Gaussian that is trained, else 0.
         trainable: Read<u32>,
-        /// 1 for each Gaussian that the step may change.
+        /// 1 for each Gaussian that the step may change, else 0.
         gate: Write<u32>,
     }
 }

@@ -1,22 +1,22 @@
-//! As-rigid-as-possible motion of control points.
+//! The as-rigid-as-possible energy of control points.
 
 use crate::gpu::kernel;
 
 kernel! {
-    /// Rotation, energy and edge gradients of every control point.
+    /// Computes the best-fitting rotation, the energy and the edge gradients of every control point.
     pub struct Fit("arap/fit"), workgroup: [64, 1, 1],
     params: FitParams {
-        /// Control points.
+        /// Number of control points.
         node_count: u32,
-        /// Places per control point.
+        /// Number of places per control point.
         k: u32,
         /// First row of `transforms` at the first time.
         first_at: u32,
         /// First row of `transforms` at the second time.
         second_at: u32,
-        /// So many neighbours count at any distance.
+        /// Number of nearest neighbours that count at any distance.
         always: u32,
-        /// The others count only when nearer than this.
+        /// Further neighbours count only when they are nearer than this, world units.
         reach: f32,
         /// Weight of the energy divided by the number of control points.
         scale: f32,
@@ -26,38 +26,38 @@ kernel! {
         nodes: ReadVec3<f32>,
         /// Logarithms of the radii.
         log_radii: Read<f32>,
-        /// Nearest control points, most rows with the control point itself.
+        /// Nearest control points of each control point; most rows include the control point itself.
         neighbours: Read<u32>,
         /// Motions at the two times.
         transforms: Read<[f32; 4]>,
-        /// One for each control point.
+        /// The energy of each control point.
         energies: Write<f32>,
-        /// Two vectors a place.
+        /// Gradients of the edges, two vectors a place.
         edge_gradients: Write<[f32; 4]>,
     }
 }
 
 kernel! {
-    /// Adds the edges' gradients at both ends.
+    /// Sums the edges' gradients at both of their ends.
     pub struct Gather("arap/gather"), workgroup: [64, 1, 1],
     params: GatherParams {
-        /// Control points.
+        /// Number of control points.
         node_count: u32,
-        /// Places per control point.
+        /// Number of places per control point.
         k: u32,
-        /// First row at the first time.
+        /// First row of `transforms` at the first time.
         first_at: u32,
-        /// First row at the second time.
+        /// First row of `transforms` at the second time.
         second_at: u32,
     },
     args: GatherArgs {
-        /// Where each control point's places begin.
+        /// Begin of each control point's range in `places`, and the end of the last.
         starts: Read<u32>,
-        /// Places in the order of their control points.
+        /// Places, ordered by control point.
         places: Read<u32>,
         /// As [`Fit`] writes them.
         edge_gradients: Read<[f32; 4]>,
-        /// Added to, translations only.
+        /// Gradient with respect to the motions; the translations' part is accumulated.
         transform_gradients: ReadWrite<[f32; 4]>,
     }
 }

@@ -1,22 +1,22 @@
-//! Binning: visible splats by depth, intersections by tile.
+//! Binning: lists of the visible splats by depth and of the intersections by tile.
 
 use crate::gpu::kernel;
 
 kernel! {
-    /// Lists the visible splats with their depth as a key.
+    /// Lists the visible splats with their depth as sort key.
     pub struct Compact("bin/compact"), workgroup: [64, 1, 1],
     params: CompactParams {
         /// Number of Gaussians.
         count: u32,
     },
     args: CompactArgs {
-        /// 1 for visible.
+        /// 1 for a visible Gaussian, else 0.
         visible: Read<u32>,
         /// Exclusive sums of `visible`.
         offsets: Read<u32>,
-        /// Depth in z.
+        /// Splat means; z is the depth.
         means: Read<[f32; 4]>,
-        /// Bits of the depth.
+        /// The bits of the depth as an unsigned integer.
         keys: Write<u32>,
         /// Index of the Gaussian.
         splats: Write<u32>,
@@ -24,32 +24,32 @@ kernel! {
 }
 
 kernel! {
-    /// Tiles of each visible splat in order of depth.
+    /// Orders the tile counts of the visible splats by depth.
     pub struct Counts("bin/counts"), workgroup: [64, 1, 1],
     params: CountsParams {
         /// Number of Gaussians.
         count: u32,
     },
     args: CountsArgs {
-        /// How many are visible.
+        /// Number of visible Gaussians.
         visible_count: Read<u32>,
-        /// Gaussians by depth.
+        /// Visible Gaussians, sorted by depth.
         order: Read<u32>,
-        /// Tiles by Gaussian.
+        /// Number of tiles of each Gaussian.
         tile_counts: Read<u32>,
-        /// Tiles by rank, 0 past the last.
+        /// Number of tiles of each Gaussian, by depth rank; 0 past the last.
         counts: Write<u32>,
     }
 }
 
 kernel! {
-    /// Emits a (tile, intersection) pair per tile reached. Specialisation constant 0: whether costly
-    /// workgroups are spread over all.
+    /// Emits a (tile, intersection) pair for each tile that a splat overlaps. Specialisation constant 0:
+    /// whether workgroups are interleaved so that costly ones are distributed over all cores.
     pub struct Emit("bin/emit"), workgroup: [64, 1, 1],
     params: EmitParams {
         /// Number of Gaussians.
         count: u32,
-        /// Intersections that the buffers hold.
+        /// Capacity of the buffers, intersections.
         capacity: u32,
         /// Image width, pixels.
         width: u32,
@@ -57,36 +57,37 @@ kernel! {
         height: u32,
     },
     args: EmitArgs {
-        /// How many are visible.
+        /// Number of visible Gaussians.
         visible_count: Read<u32>,
-        /// Gaussians by depth.
+        /// Visible Gaussians, sorted by depth.
         order: Read<u32>,
-        /// Tiles by rank.
+        /// Number of tiles of each Gaussian, by depth rank.
         counts: Read<u32>,
         /// Exclusive sums of `counts`.
         offsets: Read<u32>,
-        /// From projection.
+        /// From `project/forward`.
         rectangles: Read<[u32; 2]>,
-        /// From projection.
+        /// From `project/forward`.
         means: Read<[f32; 4]>,
-        /// From projection.
+        /// From `project/forward`.
         conics: Read<[f32; 4]>,
         /// Tile of each intersection.
         tiles: Write<u32>,
-        /// The intersection's own number.
+        /// The index of the intersection in emission order.
         intersections: Write<u32>,
         /// Gaussian of each intersection.
         splats: Write<u32>,
-        /// Number of intersections: the sum of `counts`, which wraps; becomes 2³² − 1 where it did.
+        /// Number of intersections. On input, the sum of `counts` modulo 2³²; set to 2³² − 1 where the
+        /// sum overflowed.
         total: ReadWrite<u32>,
     }
 }
 
 kernel! {
-    /// Where each tile's intersections begin and end.
+    /// Finds the range of each tile in the sorted intersections.
     pub struct Ranges("bin/ranges"), workgroup: [64, 1, 1],
     params: RangesParams {
-        /// Intersections that the buffers hold.
+        /// Capacity of the buffers, intersections.
         capacity: u32,
         /// Number of tiles.
         tile_count: u32,
@@ -96,24 +97,24 @@ kernel! {
         total: Read<u32>,
         /// Sorted tiles.
         tiles: Read<u32>,
-        /// Begin and end by tile; zeroed before.
+        /// Begin and end of each tile; must be zero before.
         ranges: ReadWrite<[u32; 2]>,
     }
 }
 
 kernel! {
-    /// What a frame held, and whether it fitted.
+    /// Writes a frame's counts, and whether its intersections fitted.
     pub struct Fits("bin/fits"), workgroup: [1, 1, 1],
     params: FitsParams {
-        /// Intersections that the buffers hold.
+        /// Capacity of the buffers, intersections.
         capacity: u32,
     },
     args: FitsArgs {
-        /// How many splats are visible.
+        /// Number of visible splats.
         visible_count: Read<u32>,
         /// Number of intersections.
         total: Read<u32>,
-        /// Both.
+        /// Both counts: visible splats, intersections.
         counts: Write<u32>,
         /// 1 where all intersections fitted, else 0.
         fits: Write<u32>,

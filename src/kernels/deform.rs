@@ -1,71 +1,73 @@
-//! Nearest control points, skinning and its derivative.
+//! Search for the nearest control points, skinning and its gradient.
 
 use crate::gpu::kernel;
 
 kernel! {
-    /// The nearest nodes of every listed point. Specialisation constant 0: how many, 1 to 16.
+    /// Finds the nearest control points of every listed point. Specialisation constant 0: how many, 1 to
+    /// 16.
     pub struct Nearest("deform/nearest"), workgroup: [64, 1, 1],
     params: NearestParams {
-        /// Points.
+        /// Number of points.
         rows: u32,
-        /// Nodes.
+        /// Number of control points.
         node_count: u32,
-        /// Whether `ids` name the points.
+        /// Whether `ids` lists the points; else all rows of `positions` are points.
         listed: u32,
     },
     args: NearestArgs {
-        /// Rows of `positions`.
+        /// Rows of `positions` of the listed points.
         ids: Read<u32>,
-        /// Three values a point.
+        /// Positions of the points, three values each.
         positions: ReadVec3<f32>,
-        /// Three values a node.
+        /// Positions of the control points, three values each.
         nodes: ReadVec3<f32>,
-        /// Nodes of each row, nearest first.
+        /// Control points of each row, nearest first.
         neighbours: Write<u32>,
     }
 }
 
 kernel! {
-    /// Sort keys that order places by their nodes.
+    /// Writes sort keys that order places by their control points.
     pub struct Keys("deform/keys"), workgroup: [64, 1, 1],
     params: KeysParams {
-        /// Places.
+        /// Number of places.
         count: u32,
-        /// Nodes.
+        /// Number of control points.
         node_count: u32,
     },
     args: KeysArgs {
-        /// Nodes of the places.
+        /// Control points of the places.
         neighbours: Read<u32>,
-        /// Gets the node, or the number of nodes for an empty place.
+        /// Receives the control point, or the number of control points for an empty place.
         keys: Write<u32>,
-        /// Gets the place itself.
+        /// Receives the index of the place.
         places: Write<u32>,
     }
 }
 
 kernel! {
-    /// Where each node's places begin.
+    /// Finds the begin of each control point's range of places.
     pub struct Starts("deform/starts"), workgroup: [64, 1, 1],
     params: StartsParams {
-        /// Places.
+        /// Number of places.
         count: u32,
-        /// Nodes.
+        /// Number of control points.
         node_count: u32,
     },
     args: StartsArgs {
         /// Sorted keys.
         keys: Read<u32>,
-        /// One more than there are nodes.
+        /// Begin of each range, and the end of the last: one value more than there are control points.
         starts: Write<u32>,
     }
 }
 
 kernel! {
-    /// Moves the dynamic Gaussians. Specialisation constant 0: neighbours, 1 to 8.
+    /// Moves the dynamic Gaussians by linear blend skinning. Specialisation constant 0: neighbours, 1 to
+    /// 8.
     pub struct Skin("deform/skin"), workgroup: [64, 1, 1],
     params: SkinParams {
-        /// Dynamic Gaussians.
+        /// Number of dynamic Gaussians.
         rows: u32,
         /// First row of `transforms`.
         transforms_at: u32,
@@ -73,7 +75,7 @@ kernel! {
         soft: u32,
     },
     args: SkinArgs {
-        /// Which Gaussians move.
+        /// Indices of the dynamic Gaussians.
         dynamic_ids: Read<u32>,
         /// Their control points.
         neighbours: Read<u32>,
@@ -105,10 +107,10 @@ kernel! {
 }
 
 kernel! {
-    /// The derivative of [`Skin`]. Specialisation constant 0: neighbours, 1 to 8.
+    /// Computes the gradients of [`Skin`]. Specialisation constant 0: neighbours, 1 to 8.
     pub struct SkinBackward("deform/skin_backward"), workgroup: [64, 1, 1],
     params: SkinBackwardParams {
-        /// Dynamic Gaussians.
+        /// Number of dynamic Gaussians.
         rows: u32,
         /// First row of `transforms`.
         transforms_at: u32,
@@ -118,7 +120,7 @@ kernel! {
         rigid_scale: f32,
     },
     args: SkinBackwardArgs {
-        /// Which Gaussians move.
+        /// Indices of the dynamic Gaussians.
         dynamic_ids: Read<u32>,
         /// Their control points.
         neighbours: Read<u32>,
@@ -136,40 +138,40 @@ kernel! {
         log_radii: Read<f32>,
         /// Their motions, two vectors each.
         transforms: Read<[f32; 4]>,
-        /// Gradient by the moved centres; becomes that by the canonical ones.
+        /// In: gradient with respect to the moved centres. Out: with respect to the canonical ones.
         position_gradients: ReadWriteVec3<f32>,
-        /// Likewise for the quaternions.
+        /// In: gradient with respect to the moved quaternions. Out: with respect to the canonical ones.
         rotation_gradients: ReadWrite<[f32; 4]>,
-        /// Added to where soft.
+        /// Gradient with respect to the motion logits; accumulated where motion is soft.
         motion_gradients: ReadWrite<f32>,
-        /// What each place hands to its control point: two vectors.
+        /// Contribution of each place to the gradient of its control point: two vectors.
         contributions: Write<[f32; 4]>,
     }
 }
 
 kernel! {
-    /// Adds up contributions by control point.
+    /// Sums the contributions to each control point.
     pub struct Gather("deform/gather"), workgroup: [64, 1, 1],
     params: GatherParams {
-        /// Control points.
+        /// Number of control points.
         node_count: u32,
         /// First row of `transforms`.
         transforms_at: u32,
-        /// Whether to add to what is there.
+        /// Whether to add to the gradients instead of overwriting them.
         accumulate: u32,
     },
     args: GatherArgs {
-        /// Where each control point's places begin.
+        /// Begin of each control point's range in `places`, and the end of the last.
         starts: Read<u32>,
-        /// Places in the order of their control points.
+        /// Places, ordered by control point.
         places: Read<u32>,
         /// As [`SkinBackward`] writes them.
         contributions: Read<[f32; 4]>,
         /// Motions of the control points.
         transforms: Read<[f32; 4]>,
-        /// Gradients by these.
+        /// Gradients with respect to the motions.
         transform_gradients: ReadWrite<[f32; 4]>,
-        /// Gradients by the logarithms of the radii.
+        /// Gradients with respect to the logarithms of the radii.
         radius_gradients: ReadWrite<f32>,
     }
 }

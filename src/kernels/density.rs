@@ -1,49 +1,49 @@
-//! Density control.
+//! Density control: MCMC relocation, and clone, split, prune.
 
 use crate::gpu::kernel;
 
 kernel! {
-    /// Weights of the draw by opacity, and who is dead.
+    /// Computes the weights of the draw from the opacities, and marks the dead Gaussians.
     pub struct Weigh("density/weigh"), workgroup: [64, 1, 1],
     params: WeighParams {
-        /// Gaussians.
+        /// Number of Gaussians.
         count: u32,
         /// 0 for all, 1 for static ones, 2 for dynamic ones.
         motion_class: u32,
-        /// Whether there are motion logits.
+        /// Whether `motion_logits` holds motion logits.
         has_motion: u32,
         /// Weight of an opaque Gaussian.
         largest: u32,
-        /// Opacity logit up to which one is dead.
+        /// Opacity logit up to which a Gaussian is dead.
         dead_logit: f32,
     },
     args: WeighArgs {
         /// Opacity logits.
         opacity_logits: Read<f32>,
-        /// Motion logits, where there are any.
+        /// Motion logits; not read unless `has_motion` is set.
         motion_logits: Read<f32>,
-        /// Weights.
+        /// Weights of the draw.
         weights: Write<u32>,
-        /// 1 for the dead.
+        /// 1 for a dead Gaussian, else 0.
         dead: Write<u32>,
     }
 }
 
 kernel! {
-    /// The rows that get new Gaussians.
+    /// Lists the slots: the rows that receive Gaussians.
     pub struct Slots("density/slots"), workgroup: [64, 1, 1],
     params: SlotsParams {
-        /// Gaussians.
+        /// Number of Gaussians.
         count: u32,
-        /// So many rows behind the last, or 0 for the dead ones.
+        /// Number of rows after the last that become slots; 0 makes the dead Gaussians the slots.
         grown: u32,
     },
     args: SlotsArgs {
-        /// 1 for the dead.
+        /// 1 for a dead Gaussian, else 0.
         dead: Read<u32>,
-        /// Their prefix sums.
+        /// Exclusive prefix sums of `dead`.
         dead_prefix: Read<u32>,
-        /// Rows.
+        /// The slots.
         slots: Write<u32>,
     }
 }
@@ -52,11 +52,11 @@ kernel! {
     /// Draws a target for every slot.
     pub struct Draw("density/draw"), workgroup: [64, 1, 1],
     params: DrawParams {
-        /// Gaussians.
+        /// Number of Gaussians.
         count: u32,
-        /// Not 0 when slots lie behind the last Gaussian.
+        /// Not 0 when the slots are rows after the last Gaussian.
         grown: u32,
-        /// Seed.
+        /// Seed of the random numbers.
         seed: u32,
         /// Step, a part of the random numbers' counter.
         step_number: u32,
@@ -68,22 +68,22 @@ kernel! {
         totals: Read<u32>,
         /// Rows to fill.
         slots: Read<u32>,
-        /// Row that each slot copies, or `u32::MAX`.
+        /// Row that each slot copies, or `u32::MAX` for none.
         targets: Write<u32>,
-        /// How often each Gaussian was drawn; zero before.
+        /// How often each Gaussian was drawn; must be zero before.
         drawn: ReadWrite<u32>,
-        /// 1 for what was drawn or replaced.
+        /// 1 for a Gaussian that was drawn or replaced; must be zero before.
         touched: Write<u32>,
     }
 }
 
 kernel! {
-    /// Opacity and scale of what was drawn.
+    /// Updates opacity and scale of the Gaussians that were drawn.
     pub struct Shrink("density/shrink"), workgroup: [64, 1, 1],
     params: ShrinkParams {
-        /// Gaussians.
+        /// Number of Gaussians.
         count: u32,
-        /// No opacity logit comes out below this.
+        /// Lower limit of the new opacity logits.
         dead_logit: f32,
     },
     args: ShrinkArgs {
@@ -100,7 +100,7 @@ kernel! {
     /// Copies rows from targets to slots.
     pub struct Copy("density/copy"), workgroup: [64, 1, 1],
     params: CopyParams {
-        /// Values of a row.
+        /// Number of values in a row.
         width: u32,
     },
     args: CopyArgs {
@@ -116,16 +116,16 @@ kernel! {
 }
 
 kernel! {
-    /// Zeros the moments of what was drawn or replaced.
+    /// Zeroes the moments of Gaussians that were drawn or replaced.
     pub struct Zero("density/zero"), workgroup: [64, 1, 1],
     params: ZeroParams {
-        /// Rows.
+        /// Number of rows.
         count: u32,
-        /// Values of a row.
+        /// Number of values in a row.
         width: u32,
     },
     args: ZeroArgs {
-        /// 1 where to zero.
+        /// 1 for a row to zero.
         touched: Read<u32>,
         /// The array.
         values: Write<f32>,
@@ -133,16 +133,16 @@ kernel! {
 }
 
 kernel! {
-    /// Noise on the centres.
+    /// Adds noise to the centres.
     pub struct Jitter("density/jitter"), workgroup: [64, 1, 1],
     params: JitterParams {
-        /// Gaussians.
+        /// Number of Gaussians.
         count: u32,
-        /// Seed.
+        /// Seed of the random numbers.
         seed: u32,
-        /// Step.
+        /// Step, a part of the random numbers' counter.
         step_number: u32,
-        /// Size of the noise.
+        /// Factor of the noise.
         size: f32,
     },
     args: JitterArgs {
@@ -158,22 +158,22 @@ kernel! {
 }
 
 kernel! {
-    /// What adaptive control does with every Gaussian.
+    /// Decides what adaptive control does with every Gaussian.
     pub struct Decide("density/decide"), workgroup: [64, 1, 1],
     params: DecideParams {
-        /// Gaussians.
+        /// Number of Gaussians.
         count: u32,
-        /// Mean gradient norm above which one grows.
+        /// Mean gradient norm above which a Gaussian is cloned or split.
         gradient: f32,
         /// Logarithm of the largest scale that is cloned, not split.
         log_small: f32,
-        /// Logarithm of the scale beyond which one is pruned.
+        /// Logarithm of the scale above which a Gaussian is pruned.
         log_large: f32,
-        /// Opacity logit below which one is pruned.
+        /// Opacity logit below which a Gaussian is pruned.
         prune_logit: f32,
     },
     args: DecideArgs {
-        /// Two values each.
+        /// Sum of gradient norms and number of views of each Gaussian.
         statistics: Read<f32>,
         /// Opacity logits.
         opacity_logits: Read<f32>,
@@ -181,43 +181,43 @@ kernel! {
         log_scales: ReadVec3<f32>,
         /// 0 prune, 1 keep, 2 clone, 3 split.
         actions: Write<u32>,
-        /// 1 for survivors.
+        /// 1 for a survivor, else 0.
         kept: Write<u32>,
-        /// 1 for what would add one.
+        /// 1 for a Gaussian that would add a row, else 0.
         added: Write<u32>,
     }
 }
 
 kernel! {
-    /// The rows of the new arrays.
+    /// Lays out the rows of the new arrays.
     pub struct Layout("density/layout"), workgroup: [64, 1, 1],
     params: LayoutParams {
-        /// Gaussians.
+        /// Number of Gaussians.
         count: u32,
-        /// Rows that there is room for.
+        /// Capacity of the arrays, rows.
         capacity: u32,
     },
     args: LayoutArgs {
         /// As [`Decide`] writes them.
         actions: Read<u32>,
-        /// Prefix sums of the survivors.
+        /// Exclusive prefix sums of the survivors.
         kept_prefix: Read<u32>,
-        /// Prefix sums of the added.
+        /// Exclusive prefix sums of the added rows.
         added_prefix: Read<u32>,
-        /// Survivors; candidates to add; gets the rows in the end.
+        /// Survivors; candidates to add; receives the final number of rows.
         totals: ReadWrite<u32>,
-        /// Source, and origin in the two upper bits.
+        /// Source row, and in the two upper bits 0 for a survivor, 1 for a copy, 2 for a part.
         rows: Write<u32>,
     }
 }
 
 kernel! {
-    /// Brings an array into the new order.
+    /// Copies an array into the new order.
     pub struct Gather("density/gather"), workgroup: [64, 1, 1],
     params: GatherParams {
-        /// Values of a row.
+        /// Number of values in a row.
         width: u32,
-        /// Whether only kept rows carry values.
+        /// Whether rows that do not belong to a survivor become zero.
         fresh_zero: u32,
     },
     args: GatherArgs {
@@ -227,18 +227,18 @@ kernel! {
         rows: Read<u32>,
         /// The old array.
         values: Read<f32>,
-        /// The new one.
+        /// The new array.
         gathered: Write<f32>,
     }
 }
 
 kernel! {
-    /// Draws the parts of split Gaussians.
+    /// Draws centres and scales of the parts of split Gaussians.
     pub struct Parts("density/parts"), workgroup: [64, 1, 1],
     params: PartsParams {
-        /// Seed.
+        /// Seed of the random numbers.
         seed: u32,
-        /// Step.
+        /// Step, a part of the random numbers' counter.
         step_number: u32,
         /// Logarithm of the factor by which parts are smaller.
         log_shrink: f32,
@@ -261,32 +261,32 @@ kernel! {
     /// Adds a view's screen-space gradients to the statistics.
     pub struct Accumulate("density/accumulate"), workgroup: [64, 1, 1],
     params: AccumulateParams {
-        /// Gaussians.
+        /// Number of Gaussians.
         count: u32,
-        /// Half the image's width in pixels.
+        /// Half the image's width, pixels.
         half_width: f32,
-        /// Half its height.
+        /// Half the image's height, pixels.
         half_height: f32,
     },
     args: AccumulateArgs {
-        /// By mean x, mean y (pixels), depth and opacity.
+        /// Gradients with respect to mean x, mean y (pixels), depth and opacity.
         mean_gradients: Read<[f32; 4]>,
-        /// Not 0 for what the view shows.
+        /// Not 0 for a Gaussian that is visible in the view.
         visible: Read<u32>,
-        /// 0 where the view's intersections did not all fit: nothing is added then.
+        /// 0 where the view's intersections did not all fit; nothing is added then.
         fits: Read<u32>,
-        /// Sum of norms; number of views.
+        /// Sum of gradient norms and number of views of each Gaussian; accumulated.
         statistics: ReadWrite<f32>,
     }
 }
 
 kernel! {
-    /// Opacity reset.
+    /// Resets opacities.
     pub struct Reset("density/reset"), workgroup: [64, 1, 1],
     params: ResetParams {
-        /// Gaussians.
+        /// Number of Gaussians.
         count: u32,
-        /// No logit stays above it.
+        /// Upper limit of the logits.
         limit: f32,
     },
     args: ResetArgs {
@@ -296,14 +296,14 @@ kernel! {
 }
 
 kernel! {
-    /// Adds the regularisers' gradients.
+    /// Adds the gradients of the opacity and scale regularisers.
     pub struct Regularise("density/regularise"), workgroup: [64, 1, 1],
     params: RegulariseParams {
         /// Number of Gaussians.
         count: u32,
-        /// Weight of the mean opacity over the number of Gaussians.
+        /// Weight of the mean opacity, divided by the number of Gaussians.
         opacity_factor: f32,
-        /// Weight of the mean scale over the number of scales.
+        /// Weight of the mean scale, divided by the number of scales.
         scale_factor: f32,
     },
     args: RegulariseArgs {
@@ -311,9 +311,9 @@ kernel! {
         opacity_logits: Read<f32>,
         /// 3 per Gaussian.
         log_scales: ReadVec3<f32>,
-        /// Added to.
+        /// Gradients with respect to the opacity logits; accumulated.
         opacity_gradients: ReadWrite<f32>,
-        /// Added to.
+        /// Gradients with respect to the log-scales; accumulated.
         log_scale_gradients: ReadWriteVec3<f32>,
     }
 }

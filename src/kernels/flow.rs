@@ -4,12 +4,12 @@
 use crate::gpu::kernel;
 
 kernel! {
-    /// Luma of encoded colours.
+    /// Computes the luma of encoded colours.
     pub struct Luma("flow/luma"), workgroup: [64, 1, 1],
     params: LumaParams {
-        /// Pixels.
+        /// Number of pixels.
         count: u32,
-        /// Values per pixel.
+        /// Number of values per pixel.
         channels: u32,
     },
     args: LumaArgs {
@@ -21,7 +21,7 @@ kernel! {
 }
 
 kernel! {
-    /// The next level of a pyramid.
+    /// Computes the next level of a pyramid.
     pub struct Halve("flow/halve"), workgroup: [16, 4, 1],
     params: HalveParams {
         /// Width of the level, pixels.
@@ -30,15 +30,15 @@ kernel! {
         height: i32,
     },
     args: HalveArgs {
-        /// A level.
+        /// Luma of the level.
         luma: Read<f32>,
-        /// The next, half as wide and high, rounded up.
+        /// Luma of the next level, half as wide and high, rounded up.
         halved: Write<f32>,
     }
 }
 
 kernel! {
-    /// First and second derivatives of the luminance.
+    /// Computes the first and second derivatives of the luminance.
     pub struct Derivatives("flow/derivatives"), workgroup: [16, 4, 1],
     params: DerivativesParams {
         /// Width of the level, pixels.
@@ -47,7 +47,7 @@ kernel! {
         height: i32,
     },
     args: DerivativesArgs {
-        /// A level.
+        /// Luma of the level.
         luma: Read<f32>,
         /// ∂x, ∂y, ∂xx, ∂xy, ∂yy of each pixel.
         derivatives: Write<f32>,
@@ -55,7 +55,7 @@ kernel! {
 }
 
 kernel! {
-    /// Which of the 24 neighbours of a pixel are brighter.
+    /// The census transform: which of the 24 neighbours of a pixel are brighter.
     pub struct Census("flow/census"), workgroup: [16, 4, 1],
     params: CensusParams {
         /// Width of the level, pixels.
@@ -64,7 +64,7 @@ kernel! {
         height: i32,
     },
     args: CensusArgs {
-        /// A level.
+        /// Luma of the level.
         luma: Read<f32>,
         /// 24 bits per pixel.
         census: Write<u32>,
@@ -72,20 +72,21 @@ kernel! {
 }
 
 kernel! {
-    /// Semi-global matching along one direction; a workgroup per row or column.
+    /// Semi-global matching along one direction, with a workgroup per row or column.
     pub struct Path("flow/path"), workgroup: [32, 1, 1],
     params: PathParams {
         /// Width of the level, pixels.
         width: i32,
         /// Height of the level, pixels.
         height: i32,
-        /// Displacements reach this far along each axis.
+        /// Largest displacement along each axis, pixels.
         radius: i32,
-        /// From the left, the right, above, below: 0 to 3. 0 goes first: it overwrites the volume.
+        /// Direction of the path: 0 from the left, 1 from the right, 2 from above, 3 from below. Path 0
+        /// must come first, since it overwrites the volume.
         path: u32,
-        /// Cost of a step of one.
+        /// Cost of a change of the displacement by one.
         small_step: u32,
-        /// Cost of any greater step.
+        /// Cost of a larger change.
         large_step: u32,
     },
     args: PathArgs {
@@ -99,24 +100,24 @@ kernel! {
 }
 
 kernel! {
-    /// The cheapest displacement of each pixel.
+    /// Selects the cheapest displacement of each pixel.
     pub struct Cheapest("flow/cheapest"), workgroup: [64, 1, 1],
     params: CheapestParams {
-        /// Pixels.
+        /// Number of pixels.
         count: u32,
-        /// Displacements reach this far along each axis.
+        /// Largest displacement along each axis, pixels.
         radius: i32,
     },
     args: CheapestArgs {
         /// Costs per pixel and displacement.
         volume: Read<u32>,
-        /// Displacements.
+        /// Displacements, pixels.
         flow: Write<[f32; 2]>,
     }
 }
 
 kernel! {
-    /// A flow brought to the next finer level.
+    /// Upsamples a flow to the next finer level.
     pub struct Upsample("flow/upsample"), workgroup: [16, 4, 1],
     params: UpsampleParams {
         /// Width of the coarser level, pixels.
@@ -131,28 +132,28 @@ kernel! {
     args: UpsampleArgs {
         /// The coarser level's flow.
         coarse: Read<[f32; 2]>,
-        /// This level's.
+        /// This level's flow.
         flow: Write<[f32; 2]>,
     }
 }
 
 kernel! {
-    /// Patches find their displacements.
+    /// Inverse search: each patch finds its displacement.
     pub struct Search("flow/search"), workgroup: [8, 4, 1],
     params: SearchParams {
         /// Width of the level, pixels.
         width: i32,
         /// Height of the level, pixels.
         height: i32,
-        /// Gauss–Newton steps.
+        /// Number of Gauss–Newton steps.
         search_steps: u32,
-        /// Gradients below this are noise.
+        /// Gradients below this count as noise.
         noise: f32,
-        /// Width of the guess; 0 where there is none.
+        /// Width of the guess, pixels; 0 without a guess.
         guess_width: i32,
-        /// Height of the guess.
+        /// Height of the guess, pixels.
         guess_height: i32,
-        /// Pixels of the guess to one of this level.
+        /// Number of pixels of the guess per pixel of this level.
         guess_scale: f32,
     },
     args: SearchArgs {
@@ -164,7 +165,7 @@ kernel! {
         derivatives_a: Read<f32>,
         /// A flow to start from.
         start: Read<[f32; 2]>,
-        /// A flow of the full image.
+        /// A guess of the flow at full resolution.
         guess: Read<[f32; 2]>,
         /// Two per patch: flow, shift, cost; slope.
         patches: Write<[f32; 4]>,
@@ -172,18 +173,18 @@ kernel! {
 }
 
 kernel! {
-    /// Patches try their neighbours' displacements.
+    /// Each patch tries the displacements of its neighbours.
     pub struct Propagate("flow/propagate"), workgroup: [8, 4, 1],
     params: PropagateParams {
         /// Width of the level, pixels.
         width: i32,
         /// Height of the level, pixels.
         height: i32,
-        /// Gauss–Newton steps.
+        /// Number of Gauss–Newton steps.
         search_steps: u32,
-        /// Gradients below this are noise.
+        /// Gradients below this count as noise.
         noise: f32,
-        /// How many patches away the neighbours are.
+        /// Distance of the neighbours, in patches.
         reach: i32,
     },
     args: PropagateArgs {
@@ -201,7 +202,7 @@ kernel! {
 }
 
 kernel! {
-    /// Blends patches into a flow per pixel.
+    /// Blends the patches into a dense flow.
     pub struct Densify("flow/densify"), workgroup: [16, 4, 1],
     params: DensifyParams {
         /// Width of the level, pixels.
@@ -216,13 +217,13 @@ kernel! {
         luma_b: Read<f32>,
         /// Patches as [`Search`] writes them.
         patches: Read<[f32; 4]>,
-        /// Displacements.
+        /// Displacements, pixels.
         flow: Write<[f32; 2]>,
     }
 }
 
 kernel! {
-    /// How far data terms are trusted, by forward–backward agreement.
+    /// Weights the data terms by forward–backward agreement.
     pub struct Trust("flow/trust"), workgroup: [16, 4, 1],
     params: TrustParams {
         /// Width of the level, pixels.
@@ -231,17 +232,17 @@ kernel! {
         height: i32,
     },
     args: TrustArgs {
-        /// The flow that is judged.
+        /// The flow to judge.
         forward: Read<[f32; 2]>,
-        /// The other direction's.
+        /// The flow in the other direction.
         backward: Read<[f32; 2]>,
-        /// In (0, 1].
+        /// Weight of the data terms, in (0, 1].
         trust: Write<f32>,
     }
 }
 
 kernel! {
-    /// The equations of variational refinement.
+    /// Sets up the linear equations of variational refinement.
     pub struct Linearise("flow/linearise"), workgroup: [16, 4, 1],
     params: LineariseParams {
         /// Width of the level, pixels.
@@ -254,11 +255,11 @@ kernel! {
         gradient: f32,
         /// Weight of smoothness.
         smoothness: f32,
-        /// Gradient at which smoothness has fallen to 1/e.
+        /// Gradient at which the weight of smoothness has fallen to 1/e.
         edge: f32,
-        /// Gradients below this are noise.
+        /// Gradients below this count as noise.
         noise: f32,
-        /// Where the penalties turn quadratic, pixels.
+        /// Residual below which the penalties are approximately quadratic, pixels.
         kink: f32,
     },
     args: LineariseArgs {
@@ -274,24 +275,24 @@ kernel! {
         flow: Read<[f32; 2]>,
         /// Weight of the data terms.
         trust: Read<f32>,
-        /// a, b, c and the smoothness.
+        /// For each pixel the matrix entries a, b, c and the smoothness weight.
         matrices: Write<[f32; 4]>,
-        /// Right-hand sides.
+        /// Right-hand sides of the equations.
         sides: Write<[f32; 2]>,
     }
 }
 
 kernel! {
-    /// Half a red–black sweep.
+    /// Half a red–black sweep of successive over-relaxation.
     pub struct Relax("flow/relax"), workgroup: [16, 4, 1],
     params: RelaxParams {
         /// Width of the level, pixels.
         width: i32,
         /// Height of the level, pixels.
         height: i32,
-        /// (x + y) mod 2 of the pixels solved.
+        /// The pixels to update: those with (x + y) mod 2 equal to this.
         colour: u32,
-        /// Over-relaxation, in (0, 2).
+        /// Over-relaxation factor, in (0, 2).
         relaxation: f32,
     },
     args: RelaxArgs {
@@ -305,7 +306,7 @@ kernel! {
 }
 
 kernel! {
-    /// The 3×3 median of a flow.
+    /// Computes the 3×3 median of a flow.
     pub struct Median("flow/median"), workgroup: [16, 4, 1],
     params: MedianParams {
         /// Width of the level, pixels.
@@ -322,7 +323,7 @@ kernel! {
 }
 
 kernel! {
-    /// How far a flow is to be believed.
+    /// Computes the confidence of a flow.
     pub struct Confidence("flow/confidence"), workgroup: [16, 4, 1],
     params: ConfidenceParams {
         /// Width of the level, pixels.
@@ -335,11 +336,11 @@ kernel! {
         luma_a: Read<f32>,
         /// Luminance of the second image.
         luma_b: Read<f32>,
-        /// The flow that is judged.
+        /// The flow to judge.
         forward: Read<[f32; 2]>,
-        /// The other direction's.
+        /// The flow in the other direction.
         backward: Read<[f32; 2]>,
-        /// In [0, 1].
+        /// The confidence, in [0, 1].
         confidence: Write<f32>,
     }
 }

@@ -1,4 +1,4 @@
-//! Grids from counts that only the device knows.
+//! Dispatch grids computed from counts in device buffers.
 
 use crate::gpu::{Recorder, View, ViewMut, kernel};
 use crate::{Result, gpu::Groups};
@@ -7,27 +7,27 @@ kernel! {
     /// Turns a count on the device into the grid of a dispatch over that many items.
     pub struct Arguments("indirect/arguments"), workgroup: [1, 1, 1],
     params: ArgumentsParams {
-        /// Where the count lies.
+        /// Index of the count in `count`.
         count_at: u32,
-        /// The count is capped here.
+        /// Capacity; the count is clamped to it.
         capacity: u32,
-        /// Items of one workgroup.
+        /// Number of items per workgroup.
         per_group: u32,
-        /// Workgroups along one axis; beyond it the grid is folded.
+        /// Largest number of workgroups along one axis; a larger grid is folded.
         group_limit: u32,
-        /// Where the three words go.
+        /// Index in `arguments` of the first of the three words.
         arguments_at: u32,
     },
     args: ArgumentsArgs {
         /// Holds the count.
         count: Read<u32>,
-        /// Gets the grid.
+        /// Receives the grid.
         arguments: Write<u32>,
     }
 }
 
-/// Records the kernel: the grid for `count[count_at]` items (at most `capacity`), `per_group` a
-/// workgroup, goes to `arguments[arguments_at..]`.
+/// Records [`Arguments`]: writes the grid for `count[count_at]` items (at most `capacity`), `per_group`
+/// per workgroup, to `arguments[arguments_at..]`.
 ///
 /// # Errors
 /// As for [`Recorder::dispatch`].

@@ -1,22 +1,22 @@
-//! The photometric loss and its gradient to the rendered image.
+//! The photometric loss and its gradient with respect to the rendered image.
 
 use crate::gpu::kernel;
 
 kernel! {
-    /// SSIM's window along columns.
+    /// Applies SSIM's window along columns.
     pub struct Columns("loss/columns"), workgroup: [64, 1, 1],
     params: ColumnsParams {
         /// Image width, pixels.
         width: i32,
         /// Image height, pixels.
         height: i32,
-        /// Pixels that an invocation walks over.
+        /// Number of pixels in an invocation's run.
         run: i32,
-        /// Background.
+        /// Red of the background.
         background_red: f32,
-        /// Background.
+        /// Green of the background.
         background_green: f32,
-        /// Background.
+        /// Blue of the background.
         background_blue: f32,
     },
     args: ColumnsArgs {
@@ -24,27 +24,27 @@ kernel! {
         rgba: Read<[f32; 4]>,
         /// Packed 8-bit red, green, blue, weight.
         reference: Read<u32>,
-        /// x, y, x² + y², x·y of the first channel.
+        /// Windowed x, y, x² + y², x·y of red (x: rendered, y: reference).
         windowed_reds: Write<[f32; 4]>,
-        /// Of the second.
+        /// The same of green.
         windowed_greens: Write<[f32; 4]>,
-        /// Of the third.
+        /// The same of blue.
         windowed_blues: Write<[f32; 4]>,
     }
 }
 
 kernel! {
-    /// SSIM's window along rows, the map's sum, and its derivatives windowed along rows, of one
-    /// channel.
+    /// For one channel: applies SSIM's window along rows, sums the SSIM map, and applies the window
+    /// along rows to the map's derivatives.
     pub struct Ssim("loss/ssim"), workgroup: [64, 1, 1],
     params: SsimParams {
         /// Image width, pixels.
         width: i32,
         /// Image height, pixels.
         height: i32,
-        /// Pixels that an invocation walks over.
+        /// Number of pixels in an invocation's run.
         run: i32,
-        /// Where the workgroups' sums go.
+        /// Index in `partials` of the first workgroup's sum.
         partials_at: i32,
     },
     args: SsimArgs {
@@ -52,32 +52,32 @@ kernel! {
         windowed: Read<[f32; 4]>,
         /// Packed 8-bit red, green, blue, weight.
         reference: Read<u32>,
-        /// By the windowed x, x², x·y.
+        /// Derivatives with respect to the windowed x, x², x·y.
         derivatives: Write<[f32; 3]>,
-        /// Weighted sum of the map per workgroup.
+        /// Weighted sum of the SSIM map per workgroup.
         partials: Write<f32>,
     }
 }
 
 kernel! {
-    /// The derivatives' window along columns, and the gradient of L1 + D-SSIM.
+    /// Applies the window along columns to the derivatives, and computes the gradient of L1 + D-SSIM.
     pub struct Gradient("loss/gradient"), workgroup: [64, 1, 1],
     params: GradientParams {
         /// Image width, pixels.
         width: i32,
         /// Image height, pixels.
         height: i32,
-        /// Pixels that an invocation walks over.
+        /// Number of pixels in an invocation's run.
         run: i32,
-        /// Background.
+        /// Red of the background.
         background_red: f32,
-        /// Background.
+        /// Green of the background.
         background_green: f32,
-        /// Background.
+        /// Blue of the background.
         background_blue: f32,
-        /// Share of L1 over 3 · sum of weights.
+        /// Share of L1, divided by 3 · sum of weights.
         l1_factor: f32,
-        /// Share of D-SSIM over 3 · sum of weights.
+        /// Share of D-SSIM, divided by 3 · sum of weights.
         ssim_factor: f32,
     },
     args: GradientArgs {
@@ -85,13 +85,13 @@ kernel! {
         rgba: Read<[f32; 4]>,
         /// Packed 8-bit red, green, blue, weight.
         reference: Read<u32>,
-        /// Derivatives of the first channel by x, x², x·y, windowed along rows.
+        /// Derivatives of red with respect to x, x², x·y, windowed along rows.
         by_reds: Read<[f32; 3]>,
-        /// Of the second.
+        /// The same of green.
         by_greens: Read<[f32; 3]>,
-        /// Of the third.
+        /// The same of blue.
         by_blues: Read<[f32; 3]>,
-        /// By colour and alpha.
+        /// Gradient with respect to premultiplied colour and alpha.
         rgba_gradient: Write<[f32; 4]>,
         /// Weighted sum of the absolute differences per workgroup.
         partials: Write<f32>,
@@ -99,14 +99,14 @@ kernel! {
 }
 
 kernel! {
-    /// The depth term.
+    /// Computes the depth term and its gradient.
     pub struct Depth("loss/depth"), workgroup: [64, 1, 1],
     params: DepthParams {
         /// Number of pixels.
         pixels: u32,
-        /// The term's factor over the sum of weights.
+        /// The term's factor, divided by the sum of weights.
         factor: f32,
-        /// Pixels less opaque than this are left out.
+        /// Pixels with a smaller alpha are left out.
         least_alpha: f32,
     },
     args: DepthArgs {
@@ -116,28 +116,28 @@ kernel! {
         depth: Read<f32>,
         /// Known disparity and weight.
         known: Read<[f32; 2]>,
-        /// Alpha's is added to.
+        /// Gradient with respect to the image; the part of alpha is accumulated.
         rgba_gradient: ReadWrite<[f32; 4]>,
-        /// By depth.
+        /// Gradient with respect to depth.
         depth_gradient: Write<f32>,
-        /// Weighted sum per workgroup.
+        /// Weighted sum of the absolute differences per workgroup.
         partials: Write<f32>,
     }
 }
 
 kernel! {
-    /// Adds up the workgroups' sums of one term.
+    /// Sums the workgroups' sums of one term.
     pub struct Total("loss/total"), workgroup: [64, 1, 1],
     params: TotalParams {
         /// Number of partial sums.
         count: u32,
-        /// Where the total goes.
+        /// Index in `totals`.
         slot: u32,
     },
     args: TotalArgs {
-        /// One per workgroup.
+        /// The workgroups' sums.
         partials: Read<f32>,
-        /// One per term.
+        /// One total per term.
         totals: ReadWrite<f32>,
     }
 }

@@ -1,55 +1,56 @@
-//! The deformation network.
+//! The deformation network, forward and backward.
 //!
-//! Activations and gradients are *planes*: one feature of all rows, `stride4` vectors of four rows.
-//! Rows are (control point, time) pairs, padded to a multiple of eight at least. With specialisation
-//! constant 0 set, the invocations of a subgroup load for each other what all of them need.
+//! Activations and gradients are stored as *planes*: a plane is one feature of all rows, as `stride4`
+//! vectors of four rows each. Rows are (control point, time) pairs, padded to a multiple of eight at
+//! least. With specialisation constant 0 set, the invocations of a subgroup share loads of values that
+//! all of them need.
 
 use crate::gpu::kernel;
 
 kernel! {
-    /// Positional encodings.
+    /// Computes the positional encodings of position and time.
     pub struct Encode("mlp/encode"), workgroup: [64, 1, 1],
     params: EncodeParams {
-        /// Control points.
+        /// Number of control points.
         node_count: u32,
-        /// Control points times times.
+        /// Number of rows: control points × times.
         rows: u32,
-        /// Rows with padding.
+        /// Number of rows with padding.
         stride: u32,
-        /// Octaves of the position.
+        /// Number of octaves of the position's encoding.
         position_frequencies: u32,
-        /// Octaves of the time.
+        /// Number of octaves of the time's encoding.
         time_frequencies: u32,
-        /// The position's lowest frequency.
+        /// Lowest frequency of the position's encoding.
         position_lowest: f32,
     },
     args: EncodeArgs {
         /// Canonical positions, three values each.
         nodes: ReadVec3<f32>,
-        /// Times.
+        /// Times in [0, 1].
         times: Read<f32>,
-        /// Gets the encodings in its first planes.
+        /// Receives the encodings in its first planes.
         activations: Write<[f32; 4]>,
     }
 }
 
 kernel! {
-    /// One layer forward.
+    /// Evaluates one layer.
     pub struct Forward("mlp/forward"), workgroup: [64, 1, 1],
     params: ForwardParams {
-        /// Vectors of rows.
+        /// Number of vectors of four rows.
         stride4: u32,
-        /// Inputs of the layer.
+        /// Number of inputs of the layer.
         inputs: u32,
-        /// Its outputs.
+        /// Number of outputs of the layer.
         outputs: u32,
-        /// Leading inputs that are encodings, from plane 0 on.
+        /// Number of leading inputs that are encodings, from plane 0 on.
         encoded: u32,
         /// First plane of the other inputs.
         source: u32,
         /// First plane of the outputs.
         target: u32,
-        /// Where the layer's parameters begin.
+        /// Index of the layer's first parameter.
         weights_at: u32,
         /// Whether a ReLU follows.
         relu: u32,
@@ -63,14 +64,14 @@ kernel! {
 }
 
 kernel! {
-    /// The head's values as motions of control points.
+    /// Converts the outputs of the last layer to motions of control points.
     pub struct Transforms("mlp/transforms"), workgroup: [64, 1, 1],
     params: TransformsParams {
-        /// Rows without padding.
+        /// Number of rows without padding.
         rows: u32,
-        /// Rows with padding.
+        /// Number of rows with padding.
         stride: u32,
-        /// First plane of the head.
+        /// First plane of the last layer's outputs.
         head: u32,
     },
     args: TransformsArgs {
@@ -82,35 +83,36 @@ kernel! {
 }
 
 kernel! {
-    /// The gradients of motions as the head's gradient.
+    /// Converts the gradient with respect to the motions to the gradient with respect to the last
+    /// layer's outputs.
     pub struct Seed("mlp/seed"), workgroup: [64, 1, 1],
     params: SeedParams {
-        /// Rows without padding.
+        /// Number of rows without padding.
         rows: u32,
-        /// Rows with padding.
+        /// Number of rows with padding.
         stride: u32,
         /// First plane to write.
         target: u32,
     },
     args: SeedArgs {
-        /// Two vectors a row.
+        /// Gradient with respect to the motions, two vectors a row.
         transform_gradients: Read<[f32; 4]>,
-        /// Gets seven planes.
+        /// Receives seven planes.
         deltas: Write<[f32; 4]>,
     }
 }
 
 kernel! {
-    /// One layer backward, to the layer below.
+    /// Propagates the gradient of one layer to the layer below.
     pub struct Backward("mlp/backward"), workgroup: [64, 1, 1],
     params: BackwardParams {
-        /// Vectors of rows.
+        /// Number of vectors of four rows.
         stride4: u32,
-        /// Inputs of the layer.
+        /// Number of inputs of the layer.
         inputs: u32,
-        /// Its outputs.
+        /// Number of outputs of the layer.
         outputs: u32,
-        /// Leading inputs that no gradient reaches.
+        /// Number of leading inputs that are encodings and get no gradient.
         encoded: u32,
         /// First plane of the layer below.
         activated: u32,
@@ -118,7 +120,7 @@ kernel! {
         source: u32,
         /// First plane of the layer below's gradient.
         target: u32,
-        /// Where the layer's parameters begin.
+        /// Index of the layer's first parameter.
         weights_at: u32,
     },
     args: BackwardArgs {
@@ -132,22 +134,22 @@ kernel! {
 }
 
 kernel! {
-    /// Gradients of one layer's parameters, by segments of the rows.
+    /// Computes the gradients of one layer's parameters for each segment of the rows.
     pub struct Weights("mlp/weights"), workgroup: [64, 1, 1],
     params: WeightsParams {
-        /// Vectors of rows.
+        /// Number of vectors of four rows.
         stride4: u32,
-        /// Inputs of the layer.
+        /// Number of inputs of the layer.
         inputs: u32,
-        /// Its outputs.
+        /// Number of outputs of the layer.
         outputs: u32,
-        /// Leading inputs that are encodings.
+        /// Number of leading inputs that are encodings.
         encoded: u32,
         /// First plane of the other inputs.
         source: u32,
         /// First plane of the layer's gradient.
         delta: u32,
-        /// Vectors of rows in a segment.
+        /// Number of vectors of four rows in a segment.
         segment4: u32,
     },
     args: WeightsArgs {
@@ -155,28 +157,28 @@ kernel! {
         activations: Read<[f32; 4]>,
         /// Planes of gradients.
         deltas: Read<[f32; 4]>,
-        /// Segment by segment `[outputs][inputs + 1]`.
+        /// Gradients of each segment, `[outputs][inputs + 1]`.
         partials: Write<f32>,
     }
 }
 
 kernel! {
-    /// Adds the segments.
+    /// Sums the gradients over the segments.
     pub struct Reduce("mlp/reduce"), workgroup: [64, 1, 1],
     params: ReduceParams {
-        /// Inputs of the layer.
+        /// Number of inputs of the layer.
         inputs: u32,
-        /// Its outputs.
+        /// Number of outputs of the layer.
         outputs: u32,
-        /// Segments.
+        /// Number of segments.
         segments: u32,
-        /// Where the layer's parameters begin.
+        /// Index of the layer's first parameter.
         weights_at: u32,
-        /// Whether to add to what is there.
+        /// Whether to add to the gradients instead of overwriting them.
         accumulate: u32,
     },
     args: ReduceArgs {
-        /// As [`Weights`] writes them.
+        /// The gradients of the segments, as [`Weights`] writes them.
         partials: Read<f32>,
         /// Laid out as the parameters.
         gradients: ReadWrite<f32>,

@@ -1,7 +1,7 @@
-//! The kernels' declarations, one file per family, and the list of all of them.
+//! Declarations of the kernels, one file per family, and the list of all kernels.
 //!
-//! One stem names a kernel everywhere: `glsl/sort/upsweep.comp`, `spirv/sort/upsweep.spv`,
-//! `kernels::sort::Upsweep`, `oracle::sort`, `check::sort`, `tests/sort.rs`.
+//! One stem names a kernel everywhere: `glsl/sort/scatter.comp`, `spirv/sort/scatter.spv`,
+//! `kernels::sort::Scatter`, `oracle::sort`, `check::sort`, `tests/sort.rs`.
 
 pub mod adam;
 pub mod arap;

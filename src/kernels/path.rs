@@ -1,45 +1,45 @@
-//! Paths of control points: their motions at evenly spaced key times, interpolated between.
+//! Paths of control points: motions at evenly spaced key times, with interpolation between them.
 
 use crate::gpu::kernel;
 
 kernel! {
-    /// The motions by the paths.
+    /// Evaluates the motions of control points from their paths.
     pub struct Evaluate("path/evaluate"), workgroup: [64, 1, 1],
     params: EvaluateParams {
-        /// Control points.
+        /// Number of control points.
         node_count: u32,
-        /// Key times.
+        /// Number of key times.
         key_count: u32,
-        /// Control points times times.
+        /// Number of rows: control points × times.
         rows: u32,
     },
     args: EvaluateArgs {
-        /// Eight values for each control point, key after key.
+        /// The paths: eight values for each control point, key after key.
         paths: Read<f32>,
         /// Times in [0, 1].
         times: Read<f32>,
-        /// Two vectors a row, time after time: translation and padding; rotation.
+        /// Two vectors a row, for one time after the other: translation and padding; rotation.
         transforms: Write<[f32; 4]>,
     }
 }
 
 kernel! {
-    /// The gradient with respect to the paths.
+    /// Computes the gradient with respect to the paths.
     pub struct Gather("path/gather"), workgroup: [64, 1, 1],
     params: GatherParams {
-        /// Control points.
+        /// Number of control points.
         node_count: u32,
-        /// Key times.
+        /// Number of key times.
         key_count: u32,
-        /// Times.
+        /// Number of times.
         time_count: u32,
     },
     args: GatherArgs {
         /// Times in [0, 1].
         times: Read<f32>,
-        /// Laid out as the motions.
+        /// Gradient with respect to the motions, in their layout.
         transform_gradients: Read<[f32; 4]>,
-        /// Laid out as the paths.
+        /// Gradient with respect to the paths, in their layout.
         gradients: Write<f32>,
     }
 }

@@ -3,9 +3,9 @@
 use crate::gpu::kernel;
 
 kernel! {
-    /// Culls and projects every Gaussian. Specialisation constants, 1 for what is kept as 16-bit
-    /// floats, two to a word: 0 the spherical harmonics, 1 log scales and opacity logits, 2 rotations;
-    /// 3, 4, 5: whether the harmonics have the bands 1, 2, 3.
+    /// Culls and projects every Gaussian. Specialisation constants: 0 to 3, whether the spherical
+    /// harmonics, the log scales, the rotations and the opacity logits are stored as 16-bit floats, two
+    /// to a word; 4 to 6, whether bands 1, 2, 3 of the harmonics are evaluated.
     pub struct Forward("project/forward"), workgroup: [64, 1, 1],
     params: ForwardParams {
         /// Number of Gaussians.
@@ -14,17 +14,18 @@ kernel! {
         width: u32,
         /// Image height, pixels.
         height: u32,
-        /// Near plane.
+        /// Near plane, depth in world units.
         near: f32,
         /// Dilation of the 2D covariance, pixels².
         dilation: f32,
-        /// Least α that counts.
+        /// Smallest α that is blended.
         alpha_cut: f32,
-        /// Clamp of the Jacobian's tangents, half fields of view.
+        /// Clamp of the tangents in the projection's Jacobian: they may exceed those of the image's
+        /// edges by (`tangent_clamp` − 1) times those of half the image.
         tangent_clamp: f32,
     },
     args: ForwardArgs {
-        /// The camera, 20 floats.
+        /// The camera, 20 floats; see [`device_camera`](crate::ops::render::device_camera).
         camera: Read<f32>,
         /// 3 per Gaussian.
         positions: ReadVec3<f32>,
@@ -44,22 +45,25 @@ kernel! {
         sh3: ReadVec3<f32>,
         /// Mean x, mean y, depth, opacity.
         means: Write<[f32; 4]>,
-        /// The conic factored (a, b, e), and the power at which α falls to the cut.
+        /// The factored conic (a, b, e), and the exponent's magnitude at which α falls to `alpha_cut`.
         conics: Write<[f32; 4]>,
         /// Red, green, blue.
         colours: Write<[f32; 4]>,
-        /// First and last + 1 tile, x in the low half.
+        /// The rectangle of tiles: the first and one past the last, x in the low half of a word, y in
+        /// the high half.
         rectangles: Write<[u32; 2]>,
-        /// Tiles reached; 0 for culled ones, whose other outputs stay as they were.
+        /// Number of tiles that the splat overlaps; 0 for culled Gaussians, whose other outputs are not
+        /// written.
         tile_counts: Write<u32>,
-        /// 1 for what is not culled.
+        /// 1 for a Gaussian that is not culled, else 0.
         visible: Write<u32>,
     }
 }
 
 kernel! {
-    /// Gradients to every parameter and to the camera's pose. Specialisation constants: 0, 1, 2 whether
-    /// the harmonics have the bands 1, 2, 3; 3 whether the pose's gradient is wanted.
+    /// Gradients with respect to every parameter and to the camera's pose. Specialisation constants: 0,
+    /// 1, 2 whether bands 1, 2, 3 of the harmonics are evaluated; 3 whether the pose's gradient is
+    /// computed.
     pub struct Backward("project/backward"), workgroup: [64, 1, 1],
     params: BackwardParams {
         /// Number of Gaussians.
@@ -68,15 +72,16 @@ kernel! {
         width: u32,
         /// Image height, pixels.
         height: u32,
-        /// Near plane.
+        /// Near plane, depth in world units.
         near: f32,
         /// Dilation of the 2D covariance, pixels².
         dilation: f32,
-        /// Clamp of the Jacobian's tangents, half fields of view.
+        /// Clamp of the tangents in the projection's Jacobian: they may exceed those of the image's
+        /// edges by (`tangent_clamp` − 1) times those of half the image.
         tangent_clamp: f32,
     },
     args: BackwardArgs {
-        /// The camera, 20 floats.
+        /// The camera, 20 floats; see [`device_camera`](crate::ops::render::device_camera).
         camera: Read<f32>,
         /// 3 per Gaussian.
         positions: ReadVec3<f32>,
@@ -90,23 +95,23 @@ kernel! {
         sh2: ReadVec3<f32>,
         /// 21 per Gaussian.
         sh3: ReadVec3<f32>,
-        /// From the forward pass.
+        /// 1 for a Gaussian that is not culled; from `project/forward`.
         visible: Read<u32>,
         /// 1 per Gaussian.
         opacity_logits: Read<f32>,
-        /// From the forward pass.
+        /// From `project/forward`.
         colours: Read<[f32; 4]>,
-        /// By mean x, mean y, depth, opacity.
+        /// Gradients with respect to mean x, mean y (pixels), depth, opacity.
         mean_gradients: Read<[f32; 4]>,
-        /// By the whitened covariance: xx, xy, yy.
+        /// Gradients with respect to the whitened covariance: xx, xy, yy.
         covariance_gradients: Read<[f32; 4]>,
-        /// By red, green, blue.
+        /// Gradients with respect to red, green, blue.
         colour_gradients: Read<[f32; 4]>,
         /// 3 per Gaussian.
         position_gradients: WriteVec3<f32>,
         /// 3 per Gaussian.
         log_scale_gradients: WriteVec3<f32>,
-        /// By the raw quaternion.
+        /// Gradients with respect to the quaternion before normalisation.
         rotation_gradients: Write<[f32; 4]>,
         /// 1 per Gaussian.
         opacity_gradients: Write<f32>,
@@ -118,22 +123,22 @@ kernel! {
         sh2_gradients: WriteVec3<f32>,
         /// 21 per Gaussian.
         sh3_gradients: WriteVec3<f32>,
-        /// 8 per workgroup, 6 used: translation, rotation.
+        /// 8 values per workgroup, of which 6 are used: translation, rotation.
         pose_partials: Write<f32>,
     }
 }
 
 kernel! {
-    /// Adds up the pose's gradient.
+    /// Sums the workgroups' contributions to the pose's gradient.
     pub struct Pose("project/pose"), workgroup: [64, 1, 1],
     params: PoseParams {
-        /// Workgroups of the backward pass.
+        /// Number of workgroups of the backward pass.
         groups: u32,
     },
     args: PoseArgs {
-        /// 8 per workgroup.
+        /// 8 values per workgroup.
         pose_partials: Read<f32>,
-        /// 6: translation, rotation.
+        /// 6 values: translation, rotation.
         pose: Write<f32>,
     }
 }

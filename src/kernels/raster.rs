@@ -3,15 +3,16 @@
 use crate::gpu::kernel;
 
 kernel! {
-    /// Blends front to back. Specialisation constants, both for software devices: 0, whether lanes
-    /// exchange values by shuffles; 1, whether costly workgroups are spread over all.
+    /// Blends the splats of a tile front to back. Specialisation constants, both for software devices:
+    /// 0, whether lanes exchange values by shuffles; 1, whether workgroups are interleaved so that
+    /// costly ones are distributed over all cores.
     pub struct Forward("raster/forward"), workgroup: [32, 1, 1],
     params: ForwardParams {
         /// Image width, pixels.
         width: u32,
         /// Image height, pixels.
         height: u32,
-        /// Least α that counts.
+        /// Smallest α that is blended.
         alpha_cut: f32,
         /// Largest α.
         alpha_cap: f32,
@@ -19,23 +20,23 @@ kernel! {
         transmittance_stop: f32,
     },
     args: ForwardArgs {
-        /// Begin and end of each tile.
+        /// Begin and end of each tile's range in `intersections`.
         ranges: Read<[u32; 2]>,
-        /// Intersections by tile.
+        /// Intersections, sorted by tile.
         intersections: Read<u32>,
         /// Gaussian of each intersection.
         splats: Read<u32>,
-        /// From projection.
+        /// From `project/forward`.
         means: Read<[f32; 4]>,
-        /// From projection.
+        /// From `project/forward`.
         conics: Read<[f32; 4]>,
-        /// From projection.
+        /// From `project/forward`.
         colours: Read<[f32; 4]>,
         /// Premultiplied colour without background, and alpha.
         rgba: Write<[f32; 4]>,
-        /// Sum of α · T · z.
+        /// Sum of α · T · z (T: transmittance, z: depth).
         depth: Write<f32>,
-        /// One past the last intersection blended, from the tile's first.
+        /// One past the last intersection blended, counted from the tile's first.
         last: Write<u32>,
     }
 }
@@ -46,44 +47,46 @@ kernel! {
 }
 
 kernel! {
-    /// Partial sums of gradients per (splat, tile).
+    /// Computes partial sums of the gradients, one slot per (splat, tile). With v = α · ∂L/∂α and
+    /// whitened offsets (h, k) from the mean, a slot holds the moments of v over the tile, then the
+    /// gradients with respect to colour and depth.
     pub struct Backward("raster/backward"), workgroup: [32, 1, 1],
     params: BackwardParams {
         /// Image width, pixels.
         width: u32,
         /// Image height, pixels.
         height: u32,
-        /// Least α that counts.
+        /// Smallest α that is blended.
         alpha_cut: f32,
         /// Largest α.
         alpha_cap: f32,
     },
     args: BackwardArgs {
-        /// Begin and end of each tile.
+        /// Begin and end of each tile's range in `intersections`.
         ranges: Read<[u32; 2]>,
-        /// Intersections by tile.
+        /// Intersections, sorted by tile.
         intersections: Read<u32>,
         /// Gaussian of each intersection.
         splats: Read<u32>,
-        /// From projection.
+        /// From `project/forward`.
         means: Read<[f32; 4]>,
-        /// From projection.
+        /// From `project/forward`.
         conics: Read<[f32; 4]>,
-        /// From projection.
+        /// From `project/forward`.
         colours: Read<[f32; 4]>,
-        /// From the forward pass.
+        /// From `raster/forward`.
         rgba: Read<[f32; 4]>,
-        /// From the forward pass.
+        /// From `raster/forward`.
         depth: Read<f32>,
-        /// From the forward pass.
+        /// From `raster/forward`.
         last: Read<u32>,
-        /// Of the loss, by colour and alpha.
+        /// Gradient of the loss with respect to premultiplied colour and alpha.
         rgba_gradient: Read<[f32; 4]>,
-        /// Of the loss, by depth.
+        /// Gradient of the loss with respect to depth.
         depth_gradient: Read<f32>,
-        /// v, v·dx, v·dy, v·dx².
+        /// v, v·h, v·k, v·h².
         slots_a: Write<[f32; 4]>,
-        /// v·dx·dy, v·dy², red, green.
+        /// v·h·k, v·k², red, green.
         slots_b: Write<[f32; 4]>,
         /// Blue, depth.
         slots_c: Write<[f32; 2]>,
@@ -92,45 +95,45 @@ kernel! {
 
 kernel! {
     /// [`Backward`](struct@Backward) with 8 invocations a tile, for narrow subgroups. Specialisation
-    /// constants: 0 and 2 as 0 and 1 of [`Forward`](struct@Forward); 1, whether the subgroups are
-    /// smaller, so that sums of several meet in shared memory.
+    /// constants: 0 and 2 as 0 and 1 of [`Forward`](struct@Forward); 1, whether a workgroup has several
+    /// subgroups, whose sums are combined in shared memory.
     pub struct BackwardNarrow("raster/backward_narrow") like Backward, workgroup: [8, 1, 1]
 }
 
 kernel! {
-    /// Sums each visible splat's slots. Specialisation constant 0: whether costly workgroups are spread
-    /// over all.
+    /// Sums each visible splat's slots and turns the moments into gradients. Specialisation constant 0:
+    /// whether workgroups are interleaved so that costly ones are distributed over all cores.
     pub struct Gather("raster/gather"), workgroup: [64, 1, 1],
     params: GatherParams {
         /// Number of Gaussians.
         count: u32,
-        /// Intersections that the buffers hold.
+        /// Capacity of the buffers, intersections.
         capacity: u32,
     },
     args: GatherArgs {
-        /// How many are visible.
+        /// Number of visible Gaussians.
         visible_count: Read<u32>,
-        /// Gaussians by depth.
+        /// Visible Gaussians, sorted by depth.
         order: Read<u32>,
-        /// Tiles by rank.
+        /// Number of tiles of each Gaussian, by depth rank.
         counts: Read<u32>,
         /// Exclusive sums of `counts`.
         offsets: Read<u32>,
-        /// From the backward pass.
+        /// From `raster/backward`.
         slots_a: Read<[f32; 4]>,
-        /// From the backward pass.
+        /// From `raster/backward`.
         slots_b: Read<[f32; 4]>,
-        /// From the backward pass.
+        /// From `raster/backward`.
         slots_c: Read<[f32; 2]>,
-        /// From projection.
+        /// From `project/forward`.
         means: Read<[f32; 4]>,
-        /// From projection.
+        /// From `project/forward`.
         conics: Read<[f32; 4]>,
-        /// By mean x, mean y, depth, opacity.
+        /// Gradients with respect to mean x, mean y (pixels), depth, opacity.
         mean_gradients: Write<[f32; 4]>,
-        /// By the whitened covariance: xx, xy, yy.
+        /// Gradients with respect to the whitened covariance: xx, xy, yy.
         covariance_gradients: Write<[f32; 4]>,
-        /// By red, green, blue.
+        /// Gradients with respect to red, green, blue.
         colour_gradients: Write<[f32; 4]>,
     }
 }

@@ -1,11 +1,11 @@
-//! What a device can do at most: plain copying and plain arithmetic, for other kernels to be
-//! measured against.
+//! Microbenchmarks of a device's peak bandwidth and peak arithmetic, the reference for the roofline of
+//! other kernels.
 
 use crate::gpu::kernel;
 
-/// Vectors that a workgroup of [`Copy`](struct@Copy) moves.
+/// Number of vectors that a workgroup of [`Copy`](struct@Copy) copies.
 pub const COPY_PER_GROUP: u32 = 512;
-/// Floating-point operations of an invocation of [`Fma`](struct@Fma) in one round.
+/// Number of floating-point operations of an invocation of [`Fma`](struct@Fma) in one round.
 pub const FMA_OPERATIONS: u64 = 4 * 32;
 
 kernel! {
@@ -16,24 +16,24 @@ kernel! {
         count: u32,
     },
     args: CopyArgs {
-        /// From here.
+        /// The vectors to copy.
         source: Read<[f32; 4]>,
-        /// To here.
+        /// The copies.
         target: Write<[f32; 4]>,
     }
 }
 
 kernel! {
-    /// Chains of multiply-adds.
+    /// Evaluates chains of multiply-adds.
     pub struct Fma("roofline/fma"), workgroup: [64, 1, 1],
     params: FmaParams {
         /// Number of seeds.
         count: u32,
-        /// Each chain takes four multiply-adds a round.
+        /// Number of rounds; each chain does four multiply-adds a round.
         rounds: u32,
     },
     args: FmaArgs {
-        /// What the chains start from.
+        /// Initial values of the chains.
         seeds: Read<f32>,
         /// The sum of each seed's sixteen chains.
         sums: Write<f32>,

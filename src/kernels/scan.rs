@@ -1,19 +1,20 @@
-//! Prefix sums by reduce-then-scan: no workgroup waits for another. Few values take one workgroup.
+//! Prefix sums by reduce-then-scan: no workgroup waits for another. A small number of values takes one
+//! workgroup.
 
 use crate::gpu::kernel;
 
-/// Values that one workgroup handles.
+/// Number of values that one workgroup handles.
 pub const BLOCK: u32 = 4096;
 
 kernel! {
-    /// Writes the exclusive prefix sums of few values; a single workgroup.
+    /// Writes the exclusive prefix sums of a small number of values with a single workgroup.
     pub struct Single("scan/single"), workgroup: [256, 1, 1],
     params: SingleParams {
-        /// Where the number of values lies in `count`.
+        /// Index of the number of values in `count`.
         count_at: u32,
-        /// The number is capped here.
+        /// Capacity; the number is clamped to it.
         capacity: u32,
-        /// Where the sum of all values goes in `total`.
+        /// Index in `total` that receives the sum of all values.
         total_at: u32,
     },
     args: SingleArgs {
@@ -21,9 +22,9 @@ kernel! {
         count: Read<u32>,
         /// The values.
         values: ReadVec4<u32>,
-        /// Gets the sum of all values before each value.
+        /// Receives the sum of all values before each value.
         prefix: WriteVec4<u32>,
-        /// Gets the sum of all values.
+        /// Receives the sum of all values.
         total: Write<u32>,
     }
 }
@@ -32,9 +33,9 @@ kernel! {
     /// Sums each block of [`BLOCK`] values.
     pub struct Reduce("scan/reduce"), workgroup: [256, 1, 1],
     params: ReduceParams {
-        /// Where the number of values lies in `count`.
+        /// Index of the number of values in `count`.
         count_at: u32,
-        /// The number is capped here.
+        /// Capacity; the number is clamped to it.
         capacity: u32,
     },
     args: ReduceArgs {
@@ -42,7 +43,7 @@ kernel! {
         count: Read<u32>,
         /// The values.
         values: ReadVec4<u32>,
-        /// Gets the sum of each block.
+        /// Receives the sum of each block.
         sums: Write<u32>,
     }
 }
@@ -51,11 +52,11 @@ kernel! {
     /// Replaces the blocks' sums by their exclusive prefix sums; a single workgroup.
     pub struct Spine("scan/spine"), workgroup: [256, 1, 1],
     params: SpineParams {
-        /// Where the number of values (not blocks) lies in `count`.
+        /// Index of the number of values (not blocks) in `count`.
         count_at: u32,
-        /// The number is capped here.
+        /// Capacity; the number is clamped to it.
         capacity: u32,
-        /// Where the sum of all values goes in `total`.
+        /// Index in `total` that receives the sum of all values.
         total_at: u32,
     },
     args: SpineArgs {
@@ -63,7 +64,7 @@ kernel! {
         count: Read<u32>,
         /// The blocks' sums.
         sums: ReadWrite<u32>,
-        /// Gets the sum of all values.
+        /// Receives the sum of all values.
         total: Write<u32>,
     }
 }
@@ -72,9 +73,9 @@ kernel! {
     /// Writes the exclusive prefix sums of each block.
     pub struct Downsweep("scan/downsweep"), workgroup: [256, 1, 1],
     params: DownsweepParams {
-        /// Where the number of values lies in `count`.
+        /// Index of the number of values in `count`.
         count_at: u32,
-        /// The number is capped here.
+        /// Capacity; the number is clamped to it.
         capacity: u32,
     },
     args: DownsweepArgs {
@@ -84,7 +85,7 @@ kernel! {
         values: ReadVec4<u32>,
         /// The sum of all values before each block.
         sums: Read<u32>,
-        /// Gets the sum of all values before each value.
+        /// Receives the sum of all values before each value.
         prefix: WriteVec4<u32>,
     }
 }

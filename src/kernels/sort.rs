@@ -1,45 +1,46 @@
 //! Stable least-significant-digit radix sort, counting and scattering by runs.
 //!
-//! Every invocation owns a run of consecutive keys and a counter per digit, and walks its run in
-//! order: stable by construction, whatever the subgroup size. The counters lie in shared memory; with
-//! specialisation constant 0 set, which pays on software devices, in an array of the invocation's own.
+//! Every invocation processes a run of consecutive keys in order and keeps one counter per digit, so the
+//! sort is stable whatever the subgroup size. The counters are in shared memory. With specialisation
+//! constant 0 set, which is faster on software devices, they are in a private array of the invocation.
 
 use crate::gpu::kernel;
 
-/// Runs that one workgroup handles; their counters fill 32 KiB of shared memory.
+/// Number of runs that one workgroup handles; their counters fill 32 KiB of shared memory.
 pub const RUNS_PER_GROUP: u32 = 32;
-/// Most bits of a digit whose counters are shared memory.
+/// Largest width in bits of a digit whose counters are in shared memory.
 pub const SHARED_DIGIT_BITS: u32 = 8;
-/// Most bits of a digit whose counters are an invocation's own.
+/// Largest width in bits of a digit whose counters are private to an invocation.
 pub const OWN_DIGIT_BITS: u32 = 9;
-/// Words that [`Plan`] writes.
+/// Number of words that [`Plan`] writes.
 pub const PLAN_WORDS: usize = 7;
-/// Where [`Plan`] writes the number of the table's entries.
+/// Index at which [`Plan`] writes the number of the table's entries.
 pub const PLAN_TABLE_AT: usize = 3;
-/// Where [`Plan`] writes the grid over the runs.
+/// Index at which [`Plan`] writes the grid over the runs.
 pub const PLAN_GRID_AT: usize = 4;
 
 kernel! {
-    /// Cuts the keys into runs.
+    /// Divides the keys into runs.
     pub struct Plan("sort/plan"), workgroup: [1, 1, 1],
     params: PlanParams {
-        /// Where the number of keys lies in `count`.
+        /// Index of the number of keys in `count`.
         count_at: u32,
-        /// The number is capped here.
+        /// Capacity; the number is clamped to it.
         capacity: u32,
-        /// Digits that a pass tells apart.
+        /// Number of digit values of a pass.
         bins: u32,
-        /// Runs are no shorter, but for the last; all but the last are whole fours.
+        /// Length of the shortest run, except the last; all runs but the last are multiples of four
+        /// keys.
         min_run: u32,
-        /// There are no more runs.
+        /// Largest number of runs.
         max_runs: u32,
-        /// Workgroups along one axis; beyond it the grid is folded.
+        /// Largest number of workgroups along one axis; a larger grid is folded.
         group_limit: u32,
     },
     args: PlanArgs {
         /// Holds the number of keys.
         count: Read<u32>,
-        /// Gets [`PLAN_WORDS`] words: keys, keys in a run, runs, entries of the table, grid.
+        /// Receives [`PLAN_WORDS`] words: keys, keys in a run, runs, entries of the table, grid.
         plan: Write<u32>,
     }
 }
@@ -52,15 +53,15 @@ kernel! {
         shift: u32,
         /// The digit's mask after the shift.
         mask: u32,
-        /// Digits that a pass tells apart.
+        /// Number of digit values of a pass.
         bins: u32,
     },
     args: CountArgs {
-        /// What [`Plan`] wrote.
+        /// The words that [`Plan`] wrote.
         plan: Read<u32>,
         /// The keys.
         keys: ReadVec4<u32>,
-        /// Gets the counts, `[digit][run]`.
+        /// Receives the counts, `[digit][run]`.
         table: Write<u32>,
     }
 }
@@ -73,21 +74,21 @@ kernel! {
         shift: u32,
         /// The digit's mask after the shift.
         mask: u32,
-        /// Digits that a pass tells apart.
+        /// Number of digit values of a pass.
         bins: u32,
     },
     args: ScatterArgs {
-        /// What [`Plan`] wrote.
+        /// The words that [`Plan`] wrote.
         plan: Read<u32>,
         /// Exclusive prefix sums of the table.
         offsets: Read<u32>,
         /// The keys.
         keys: ReadVec4<u32>,
-        /// What goes with them.
+        /// The payload of each key.
         payload: ReadVec4<u32>,
-        /// Gets the keys, sorted by the digit.
+        /// Receives the keys, sorted by the digit.
         sorted_keys: Write<u32>,
-        /// Gets what goes with them.
+        /// Receives the payloads in the same order.
         sorted_payload: Write<u32>,
     }
 }

@@ -1,51 +1,51 @@
-//! Pictures in the formats of textures.
+//! Conversion of rendered images to texture formats.
 
 use crate::gpu::kernel;
 
 kernel! {
-    /// Eight bits a channel.
+    /// Converts to eight bits a channel.
     pub struct Unorm8("texel/unorm8"), workgroup: [64, 1, 1],
     params: Unorm8Params {
-        /// Pixels.
+        /// Number of pixels.
         pixels: u32,
-        /// Not 0 for blue, green, red, alpha.
+        /// Not 0 for the channel order blue, green, red, alpha.
         blue_first: u32,
-        /// Of what lies behind, premultiplied.
+        /// Red of the background, premultiplied.
         red: f32,
-        /// As red.
+        /// Green of the background, premultiplied.
         green: f32,
-        /// As red.
+        /// Blue of the background, premultiplied.
         blue: f32,
-        /// As red.
+        /// Alpha of the background.
         alpha: f32,
     },
     args: Unorm8Args {
-        /// Premultiplied.
+        /// The rendered image, premultiplied.
         rgba: Read<[f32; 4]>,
-        /// A byte for each channel, the first the lowest.
+        /// One word per pixel, a byte for each channel, the first channel in the lowest byte.
         texels: Write<u32>,
     }
 }
 
 kernel! {
-    /// 16-bit floats.
+    /// Converts to 16-bit floats.
     pub struct Half("texel/half"), workgroup: [64, 1, 1],
     params: HalfParams {
-        /// Pixels.
+        /// Number of pixels.
         pixels: u32,
-        /// Of what lies behind, premultiplied.
+        /// Red of the background, premultiplied.
         red: f32,
-        /// As red.
+        /// Green of the background, premultiplied.
         green: f32,
-        /// As red.
+        /// Blue of the background, premultiplied.
         blue: f32,
-        /// As red.
+        /// Alpha of the background.
         alpha: f32,
     },
     args: HalfArgs {
-        /// Premultiplied.
+        /// The rendered image, premultiplied.
         rgba: Read<[f32; 4]>,
-        /// Red and green, blue and alpha; the first of each in the lower half.
+        /// Two words per pixel: red and green, blue and alpha; the first of each pair in the lower half.
         texels: Write<[u32; 2]>,
     }
 }

@@ -1,19 +1,19 @@
-//! Adam on the device.
+//! The Adam optimiser on the device.
 
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Device, Groups, Recorder, Stream, View, ViewMut};
 use crate::kernels::adam::{Gate, GateArgs, GateParams, Step, StepArgs, StepParams};
 use crate::types::AdamSettings;
 
-/// Rows with a pipeline of their own, whose length it knows: those of a Gaussian's parameters. Every other
-/// length is told at the dispatch, or each would have a pipeline compiled, and kept.
+/// Row lengths with a specialised pipeline: those of a Gaussian's parameters. Every other length is a
+/// run-time parameter; otherwise each would compile and keep a pipeline.
 const ROWS: [usize; 6] = [1, 3, 4, 9, 15, 21];
 
-/// The specialisation constants for rows of a length.
+/// The specialisation constants for rows of `row` values.
 fn constants(row: usize, rows: Option<usize>) -> [u32; 4] {
     let (masked, length, any) = match rows {
         None => (0, 1, 0),
-        // Every value lies in the first of rows this long, and no device divides to find out.
+        // With rows this long every value lies in the first row, and the kernel needs no division.
         Some(1) => (1, u32::MAX, 0),
         Some(_) if ROWS.contains(&row) => (1, row as u32, 0),
         Some(_) => (1, 1, 1),
@@ -22,18 +22,18 @@ fn constants(row: usize, rows: Option<usize>) -> [u32; 4] {
     [masked, length, u32::from(short), any]
 }
 
-/// One group of parameters with its moments, all of one length.
+/// One group of parameters with its moments; all arrays have the same length.
 pub struct AdamArgs<'a> {
-    /// Gradients. What is not a number or infinite leaves its parameter and moments as they are;
-    /// magnitudes count as 1e18 at most.
+    /// Gradients. A value that is not finite leaves its parameter and moments unchanged; magnitudes are
+    /// clamped to 1e18.
     pub gradients: View<'a, f32>,
-    /// Changed in place.
+    /// Parameters; updated in place.
     pub parameters: ViewMut<'a, f32>,
     /// First moments; zero before the first step.
     pub first: ViewMut<'a, f32>,
     /// Second moments; zero before the first step.
     pub second: ViewMut<'a, f32>,
-    /// Values of a row, and one word for each row: where it is 0 the row stays as it is.
+    /// Number of values in a row, and one word for each row: a row whose word is 0 does not change.
     pub visible: Option<(usize, View<'a, u32>)>,
 }
 
@@ -70,7 +70,7 @@ pub struct AdamArgs<'a> {
 /// # }
 /// ```
 pub struct Adam {
-    /// Bound where there is no visibility.
+    /// A placeholder that is bound where no visibility is given.
     nothing: Buffer<u32>,
     /// Counts of broken gradients, one every [`STRIDE`] words.
     broken: Buffer<u32>,
@@ -78,13 +78,13 @@ pub struct Adam {
     next: usize,
 }
 
-/// Steps that may run side by side, each with a count of its own.
+/// Number of steps that may run concurrently, each with its own count.
 const COUNTS: usize = 16;
-/// Words from count to count: as far as any device's storage offsets are aligned (256 bytes).
+/// Words from one count to the next: 256 bytes, the largest alignment of storage offsets on any device.
 const STRIDE: usize = 64;
 
 impl Adam {
-    /// The optimiser on a device.
+    /// Allocates the optimiser's buffers on a device.
     ///
     /// # Errors
     /// [`Error::OutOfMemory`].
@@ -154,7 +154,7 @@ impl Adam {
         )
     }
 
-    /// Waits, and counts the gradients that were not a number or infinite, of rows that steps changed.
+    /// Waits, and counts the non-finite gradients so far, in rows that steps changed.
     ///
     /// # Errors
     /// As for [`Stream::download`].
@@ -164,7 +164,7 @@ impl Adam {
     }
 }
 
-/// Records which rows a step may change: those that train, and none where `fits` holds 0.
+/// Records which rows a step may change: the trainable ones, or none where `fits` holds 0.
 ///
 /// # Errors
 /// [`Error::Shape`] where the lengths disagree.

@@ -1,19 +1,20 @@
 //! The as-rigid-as-possible energy of control points between two times, on the device.
 //!
-//! `oracle::arap` has the formula: the weighted mean, over each control point's edges, of what its
-//! best rotation leaves, averaged over the control points.
+//! `oracle::arap` has the formula. For each control point, the energy is the weighted mean over its
+//! edges of the squared residual after the best-fitting rotation; the result is the mean over the
+//! control points.
 
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Device, Groups, Recorder, View, ViewMut};
 use crate::kernels::arap as kernels;
 use crate::ops::neighbours::Neighbours;
 
-/// Which edges count, and how much the energy does.
+/// Selection of the edges, and the weight of the energy.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArapSettings {
-    /// So many nearest neighbours count at any distance.
+    /// Number of nearest neighbours that count at any distance.
     pub always: u32,
-    /// The others count only when nearer than this in the canonical frame.
+    /// Further neighbours count only when they are nearer than this in the canonical frame, world units.
     pub reach: f32,
     /// The energy's weight in the loss.
     pub weight: f32,
@@ -26,23 +27,23 @@ impl Default for ArapSettings {
     }
 }
 
-/// What the energy reads and writes.
+/// Inputs and outputs of the energy.
 pub struct ArapArgs<'a> {
     /// Canonical positions of the control points of the last refresh, three values each.
     pub nodes: View<'a, f32>,
     /// Natural logarithms of their radii.
     pub log_radii: View<'a, f32>,
-    /// Their motions, time after time, two vectors each.
+    /// Their motions, for one time after the other, two vectors each.
     pub transforms: View<'a, [f32; 4]>,
-    /// The two times; they must differ.
+    /// Indices of the two times in `transforms`; they must differ.
     pub times: [usize; 2],
-    /// Gets each control point's share of the weighted energy: the loss is their sum.
+    /// Receives each control point's share of the weighted energy; the loss is their sum.
     pub energies: ViewMut<'a, f32>,
-    /// The gradient by the translations at both times is added to it.
+    /// The gradient with respect to the translations at both times is added to this.
     pub transform_gradients: ViewMut<'a, [f32; 4]>,
 }
 
-/// The energy over up to a number of control points.
+/// The energy of control points, up to a fixed capacity.
 ///
 /// ```no_run
 /// use splat4d::gpu::{Buffer, Device, Recorder};
@@ -72,12 +73,12 @@ pub struct Arap {
 }
 
 impl Arap {
-    /// Room for `node_capacity` control points with `k` edges each (SC-GS: 10).
+    /// Allocates for `node_capacity` control points with `k` edges each (SC-GS: 10).
     ///
     /// # Errors
     /// [`Error::Input`] for `k` of 0 or beyond 15; [`Error::OutOfMemory`].
     pub fn new(device: &Device, k: usize, node_capacity: usize) -> Result<Arap> {
-        // A control point is its own nearest.
+        // Each control point is its own nearest neighbour.
         let places = k + 1;
         if k == 0 {
             return Err(Error::Input("arap: each control point needs an edge".into()));
@@ -88,20 +89,20 @@ impl Arap {
         })
     }
 
-    /// Records the search for each control point's edges; needed when control points are added,
+    /// Records the search for each control point's edges. Repeat it when control points are added,
     /// removed or moved in the canonical frame.
     ///
     /// # Errors
-    /// [`Error::Shape`] for more control points than there is room for.
+    /// [`Error::Shape`] where the control points exceed the capacity.
     pub fn refresh(&mut self, recorder: &mut Recorder, nodes: View<'_, f32>) -> Result<()> {
         self.neighbours.refresh(recorder, None, nodes, nodes)
     }
 
-    /// Records energy and gradient: `arap/fit`, `arap/gather`.
+    /// Records the energy and its gradient: `arap/fit`, `arap/gather`.
     ///
     /// # Errors
-    /// [`Error::Shape`] where lengths disagree with each other or the last refresh;
-    /// [`Error::Input`] when both times are one.
+    /// [`Error::Shape`] where lengths disagree with each other or the last refresh; [`Error::Input`]
+    /// when both times are the same.
     pub fn record(
         &mut self,
         recorder: &mut Recorder,

@@ -1,7 +1,6 @@
-//! Skinning on the device: dynamic Gaussians follow their nearest control points.
+//! Linear blend skinning on the device: dynamic Gaussians follow their nearest control points.
 //!
-//! `oracle::deform` has the formulae. Only the Gaussians that are listed as dynamic cost anything
-//! beyond a copy.
+//! `oracle::deform` has the formulae. Gaussians that are not listed as dynamic are only copied.
 
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Device, Groups, Recorder, View, ViewMut};
@@ -11,22 +10,22 @@ use crate::ops::neighbours::Neighbours;
 /// The largest number of control points that a Gaussian follows.
 pub const MOST_FOLLOWED: usize = 8;
 
-/// Soft motion: every listed Gaussian moves by the sigmoid of its motion logit.
+/// Soft motion: the motion of every listed Gaussian is weighted by the sigmoid of its motion logit.
 #[derive(Clone, Copy)]
 pub struct SoftMotion<'a> {
     /// Motion logits of all Gaussians.
     pub logits: View<'a, f32>,
-    /// The image's evidence of motion of all Gaussians, in [0, 1]; weighs the rigidity term and
-    /// gets no gradient.
+    /// The evidence of motion of all Gaussians from the motion masks, in [0, 1]. It weights the rigidity
+    /// term and gets no gradient.
     pub evidence: View<'a, f32>,
 }
 
-/// What skinning reads.
+/// The inputs of skinning.
 #[derive(Clone, Copy)]
 pub struct SkinArgs<'a> {
-    /// The Gaussians that move, as many as [`Skin::refresh`] was given.
+    /// Indices of the dynamic Gaussians, as many as [`Skin::refresh`] was given.
     pub dynamic_ids: View<'a, u32>,
-    /// Canonical centres of all Gaussians, three values each.
+    /// Canonical centres of all Gaussians, three values each, world frame.
     pub positions: View<'a, f32>,
     /// Canonical quaternions (w, x, y, z) of all Gaussians, any norm.
     pub rotations: View<'a, [f32; 4]>,
@@ -36,49 +35,49 @@ pub struct SkinArgs<'a> {
     pub nodes: View<'a, f32>,
     /// Natural logarithms of their radii.
     pub log_radii: View<'a, f32>,
-    /// Their motions, time after time, two vectors each: translation, and what is added to the logit of
-    /// the opacity (0, or less where the control point is not there); rotation of any norm. What
-    /// [`path::evaluate`](crate::ops::path::evaluate) and
-    /// [`Network::forward`](crate::ops::mlp::Network::forward) write.
+    /// Their motions, for one time after the other, two vectors each. The first holds the translation
+    /// and a value that is added to the opacity logit: 0, or less where the control point is absent. The
+    /// second holds a rotation quaternion of any norm. [`path::evaluate`](crate::ops::path::evaluate)
+    /// and [`Network::forward`](crate::ops::mlp::Network::forward) write this layout.
     pub transforms: View<'a, [f32; 4]>,
-    /// Which of the times.
+    /// Index of the time in `transforms`.
     pub time: usize,
     /// `None`: every listed Gaussian moves fully.
     pub soft: Option<SoftMotion<'a>>,
 }
 
-/// What skinning writes, for all Gaussians.
+/// The outputs of skinning, for all Gaussians.
 pub struct Skinned<'a> {
-    /// Centres at the time; of static Gaussians the same bits.
+    /// Centres at the time; static Gaussians keep the same bits.
     pub positions: ViewMut<'a, f32>,
-    /// Quaternions at the time, as long as the canonical ones.
+    /// Quaternions at the time, with the norms of the canonical ones.
     pub rotations: ViewMut<'a, [f32; 4]>,
-    /// Logits of the opacities at the time; of static Gaussians the same bits. The derivative by the
-    /// canonical ones is 1.
+    /// Logits of the opacities at the time; static Gaussians keep the same bits. The derivative with
+    /// respect to the canonical logits is 1.
     pub opacity_logits: ViewMut<'a, f32>,
     /// The rigidity term `(1 − m̂) ‖Δ‖²` of each listed Gaussian; zero unless soft.
     pub rigidity: ViewMut<'a, f32>,
 }
 
-/// The gradients that the derivative takes and gives.
+/// The gradients that the backward pass reads and writes.
 pub struct SkinGradients<'a> {
-    /// In: by the centres at the time. Out: by the canonical ones.
+    /// In: with respect to the centres at the time. Out: with respect to the canonical centres.
     pub positions: ViewMut<'a, f32>,
-    /// In: by the quaternions at the time. Out: by the canonical ones.
+    /// In: with respect to the quaternions at the time. Out: with respect to the canonical quaternions.
     pub rotations: ViewMut<'a, [f32; 4]>,
-    /// By the motion logits: added to where soft, else untouched.
+    /// With respect to the motion logits: accumulated with soft motion, else untouched.
     pub motion_logits: ViewMut<'a, f32>,
-    /// By the motions, laid out as these; only the rows of the time change.
+    /// With respect to the motions, in their layout; only the rows of the time change.
     pub transforms: ViewMut<'a, [f32; 4]>,
-    /// By the logarithms of the radii.
+    /// With respect to the logarithms of the radii.
     pub log_radii: ViewMut<'a, f32>,
-    /// Whether `transforms` and `log_radii` are added to rather than written.
+    /// Whether the gradients are added to `transforms` and `log_radii` instead of overwriting them.
     pub accumulate: bool,
     /// Weight of the summed rigidity terms in the loss.
     pub rigid_scale: f32,
 }
 
-/// Skinning of up to a number of dynamic Gaussians.
+/// Skinning of dynamic Gaussians, up to a fixed capacity.
 ///
 /// ```no_run
 /// use splat4d::gpu::{Buffer, Device, Recorder};
@@ -123,8 +122,8 @@ pub struct Skin {
 }
 
 impl Skin {
-    /// Room for `capacity` dynamic Gaussians that follow `k` control points each, of at most
-    /// `node_capacity`.
+    /// Allocates for `capacity` dynamic Gaussians that follow `k` control points each, and for up to
+    /// `node_capacity` control points.
     ///
     /// # Errors
     /// [`Error::Input`] for `k` of 0 or beyond [`MOST_FOLLOWED`]; [`Error::OutOfMemory`].
@@ -140,11 +139,12 @@ impl Skin {
         })
     }
 
-    /// Records the search for the control points that each dynamic Gaussian follows; needed when the
-    /// list, the control points or the Gaussians have changed enough to matter.
+    /// Records the search for the control points that each dynamic Gaussian follows. Repeat it when the
+    /// list of dynamic Gaussians changes, and when control points or Gaussians have moved far in the
+    /// canonical frame.
     ///
     /// # Errors
-    /// [`Error::Shape`] for more Gaussians or control points than there is room for.
+    /// [`Error::Shape`] where Gaussians or control points exceed the capacity.
     pub fn refresh(
         &mut self,
         recorder: &mut Recorder,
@@ -155,12 +155,12 @@ impl Skin {
         self.neighbours.refresh(recorder, Some(dynamic_ids), positions, nodes)
     }
 
-    /// What each dynamic Gaussian follows, to be put back.
+    /// The neighbour lists of the dynamic Gaussians, for restoring a saved state.
     pub(crate) fn neighbours_mut(&mut self) -> &mut Neighbours {
         &mut self.neighbours
     }
 
-    /// What each dynamic Gaussian follows.
+    /// The control points that each dynamic Gaussian follows.
     pub fn neighbours(&self) -> &Neighbours {
         &self.neighbours
     }
@@ -205,7 +205,7 @@ impl Skin {
         recorder.copy(args.rotations, out.rotations.reborrow());
         recorder.copy(args.opacity_logits, out.opacity_logits.reborrow());
         let rows = self.neighbours.rows();
-        // Bound, not read, where motion is not soft.
+        // A placeholder that is bound but not read without soft motion.
         let unused = args.log_radii;
         recorder.dispatch_specialised::<kernels::Skin>(
             &[self.neighbours.k() as u32],
@@ -234,8 +234,8 @@ impl Skin {
         )
     }
 
-    /// Records the derivative: `deform/skin_backward`, `deform/gather`. Static Gaussians' gradients stay as they are: their centre at the
-    /// time is the canonical one.
+    /// Records the backward pass: `deform/skin_backward`, `deform/gather`. The gradients of static
+    /// Gaussians do not change, since their moved centre is the canonical one.
     ///
     /// # Errors
     /// [`Error::Shape`] where the lengths disagree with each other or with the last

@@ -1,4 +1,4 @@
-//! Gaussians on the device.
+//! The parameters of Gaussians in device buffers.
 
 use crate::gpu::{Buffer, Device, Stream, View, ViewMut};
 use crate::types::{Gaussians, sh_coefficients};
@@ -8,10 +8,10 @@ use std::ops::Range;
 /// Floats per Gaussian in each band of the spherical harmonics.
 pub const SH_BAND: [usize; 4] = [3, 9, 15, 21];
 
-/// The parameters of Gaussians on the device, one buffer per parameter and band; also the container
-/// of their gradients.
+/// The parameters of Gaussians on the device, one buffer per parameter and per band of the spherical
+/// harmonics. The gradients of Gaussians use the same container.
 ///
-/// Buffers have room for `capacity` Gaussians; the first `len` are there.
+/// The buffers hold up to `capacity` Gaussians; the first `len` rows are in use.
 pub struct GaussianBuffers {
     /// Number of Gaussians.
     pub len: usize,
@@ -25,13 +25,13 @@ pub struct GaussianBuffers {
     pub rotations: Buffer<[f32; 4]>,
     /// 1 per Gaussian.
     pub opacity_logits: Buffer<f32>,
-    /// By band; bands above the degree are empty.
+    /// One buffer per band, [`SH_BAND`] floats per Gaussian; bands above the degree are empty.
     pub sh: [Buffer<f32>; 4],
     capacity: usize,
 }
 
-/// Gaussians as a dispatch reads them; positions, rotations and opacities at a time may stand in for a
-/// scene's own.
+/// Views of Gaussians for a dispatch to read. Positions, rotations and opacities may be those at another
+/// time ([`moved`](Self::moved)).
 #[derive(Clone, Copy)]
 pub struct GaussianViews<'a> {
     /// Number of Gaussians.
@@ -46,20 +46,20 @@ pub struct GaussianViews<'a> {
     pub rotations: View<'a, [f32; 4]>,
     /// 1 per Gaussian.
     pub opacity_logits: View<'a, f32>,
-    /// By band.
+    /// One view per band.
     pub sh: [View<'a, f32>; 4],
     /// Whether `sh` holds 16-bit floats; see [`HalfHarmonics`](super::half::HalfHarmonics).
     pub half_sh: bool,
-    /// Whether `log_scales` does; see [`HalfShapes`](super::half::HalfShapes).
+    /// Whether `log_scales` holds 16-bit floats; see [`HalfShapes`](super::half::HalfShapes).
     pub half_scales: bool,
-    /// Whether `rotations` does.
+    /// Whether `rotations` holds 16-bit floats.
     pub half_rotations: bool,
-    /// Whether `opacity_logits` does.
+    /// Whether `opacity_logits` holds 16-bit floats.
     pub half_opacities: bool,
 }
 
 impl GaussianBuffers {
-    /// Room for `capacity` Gaussians, none there yet.
+    /// Allocates buffers for `capacity` Gaussians; `len` is 0.
     ///
     /// # Errors
     /// [`Error::OutOfMemory`]; [`Error::RangeLimit`] for 2³² or more.
@@ -81,7 +81,7 @@ impl GaussianBuffers {
         })
     }
 
-    /// Room for a scene, filled with it.
+    /// Allocates buffers for a scene and uploads it.
     ///
     /// # Errors
     /// [`Error::OutOfMemory`], or a failed submission.
@@ -92,22 +92,23 @@ impl GaussianBuffers {
         Ok(buffers)
     }
 
-    /// Number of Gaussians that there is room for.
+    /// The largest number of Gaussians that the buffers hold.
     pub fn capacity(&self) -> usize {
         self.capacity
     }
 
-    /// Replaces the Gaussians. A lower degree than the buffers' is filled with zeros.
+    /// Replaces the Gaussians. Where their spherical harmonics have a lower degree than the buffers, the
+    /// remaining bands are zero.
     ///
     /// # Errors
-    /// [`Error::Shape`] when there are more than there is room for or the arrays' lengths differ.
+    /// [`Error::Shape`] when the Gaussians exceed the capacity or the lengths of their arrays differ.
     pub fn upload(&mut self, stream: &mut Stream, gaussians: &Gaussians) -> Result<()> {
         self.upload_at(stream, 0, gaussians)?;
         self.len = gaussians.len();
         Ok(())
     }
 
-    /// Writes Gaussians from row `first` on; how many there are stays.
+    /// Writes Gaussians from row `first` on; `len` does not change.
     ///
     /// # Errors
     /// As for [`upload`](Self::upload).
@@ -164,7 +165,7 @@ impl GaussianBuffers {
         Ok(())
     }
 
-    /// Makes room for `capacity` Gaussians; those that are there stay.
+    /// Grows the capacity to at least `capacity` Gaussians and keeps the present ones.
     ///
     /// # Errors
     /// [`Error::OutOfMemory`], or a failed submission.
@@ -176,11 +177,11 @@ impl GaussianBuffers {
         self.remake(stream, capacity, none)
     }
 
-    /// Takes a range of Gaussians out; those behind it move up.
+    /// Removes a range of Gaussians; the rows after it move up.
     ///
     /// # Errors
-    /// [`Error::Shape`] for a range that is not there; [`Error::OutOfMemory`], since rows move into
-    /// other buffers; or a failed submission.
+    /// [`Error::Shape`] for a range that is out of bounds; [`Error::OutOfMemory`], since the rows move
+    /// into new buffers; or a failed submission.
     pub fn remove(&mut self, stream: &mut Stream, range: Range<usize>) -> Result<()> {
         if range.start > range.end || range.end > self.len {
             let (expected, actual) = (format!("a range within {}", self.len), range.end);
@@ -189,7 +190,7 @@ impl GaussianBuffers {
         self.remake(stream, self.capacity, range)
     }
 
-    /// Moves into new buffers, without some rows, and waits.
+    /// Copies all rows except `out` into new buffers, and waits.
     fn remake(&mut self, stream: &mut Stream, capacity: usize, out: Range<usize>) -> Result<()> {
         let device = stream.device().clone();
         let mut fresh = GaussianBuffers::new(&device, capacity, self.sh_degree)?;
@@ -214,7 +215,7 @@ impl GaussianBuffers {
         Ok(())
     }
 
-    /// Reads the Gaussians back; motion is not theirs to know.
+    /// Reads the Gaussians back. `motion_logits` is empty, since these buffers do not hold them.
     ///
     /// # Errors
     /// A failed submission.
@@ -222,7 +223,7 @@ impl GaussianBuffers {
         self.download_first(stream, self.len)
     }
 
-    /// Reads the first rows back, whatever is in them: gradients have no length of their own.
+    /// Reads the first `len` rows back, whatever `self.len` is: buffers of gradients need not set it.
     pub(crate) fn download_first(&self, stream: &mut Stream, len: usize) -> Result<Gaussians> {
         let rows3 = |mut flat: Vec<f32>| -> Vec<[f32; 3]> {
             flat.truncate(3 * len);
@@ -255,7 +256,7 @@ impl GaussianBuffers {
         })
     }
 
-    /// The Gaussians that are there, for a dispatch to read.
+    /// Views of the first `len` Gaussians, for a dispatch to read.
     pub fn views(&self) -> GaussianViews<'_> {
         let n = self.len;
         let band = |k: usize| {
@@ -279,7 +280,7 @@ impl GaussianBuffers {
 }
 
 impl<'a> GaussianViews<'a> {
-    /// The same Gaussians at a time: where they are then, and how opaque.
+    /// The same Gaussians with their positions, rotations and opacities at another time.
     pub fn moved(
         self,
         positions: View<'a, f32>,
@@ -297,12 +298,12 @@ impl<'a> GaussianViews<'a> {
         }
     }
 
-    /// Whether anything is kept in 16 bits.
+    /// Whether any parameter is stored as 16-bit floats.
     pub(super) fn is_half(&self) -> bool {
         self.half_sh || self.half_scales || self.half_rotations || self.half_opacities
     }
 
-    /// Evaluated at a lower degree.
+    /// The same Gaussians with spherical harmonics of at most this degree.
     pub fn at_degree(self, sh_degree: u32) -> Self {
         GaussianViews { sh_degree: sh_degree.min(self.sh_degree), ..self }
     }

@@ -1,20 +1,20 @@
-//! Attributes of Gaussians as 16-bit floats, two to a word: half the memory to read for every splat,
-//! rounded to 11 bits. For rendering only: gradients need f32.
+//! Parameters of Gaussians as 16-bit floats, two to a word. They halve the memory to read for every
+//! splat and are rounded to 11 significant bits. They serve rendering only: gradients need f32.
 
 use super::gaussians::{GaussianViews, SH_BAND};
 use crate::Result;
 use crate::gpu::{Buffer, Device};
 use crate::types::{Gaussians, sh_coefficients};
 
-/// Spherical harmonics in 16 bits, by band.
+/// Spherical harmonics as 16-bit floats, one buffer per band.
 pub struct HalfHarmonics {
     sh: [Buffer<f32>; 4],
     sh_degree: u32,
     len: usize,
 }
 
-/// Log scales, opacity logits and rotations in 16 bits. Positions stay in f32: 11 bits of a position
-/// are pixels of the image.
+/// Log scales, opacity logits and rotations as 16-bit floats. Positions stay in f32, since rounding them
+/// to 11 bits would move splats by whole pixels.
 pub struct HalfShapes {
     log_scales: Buffer<f32>,
     rotations: Buffer<[f32; 4]>,
@@ -22,7 +22,7 @@ pub struct HalfShapes {
     len: usize,
 }
 
-/// Two values to a word, the first in the low half, rounded to the nearest.
+/// Packs two values to a word, the first in the low half, rounded to nearest.
 fn pack(values: &[f32]) -> Vec<f32> {
     let bits = |value: f32| u32::from(half::f16::from_f32(value).to_bits());
     values
@@ -31,16 +31,17 @@ fn pack(values: &[f32]) -> Vec<f32> {
         .collect()
 }
 
-/// Quaternions may have any length, 16-bit floats not; what has none stays without.
+/// Normalises a quaternion, since its norm may exceed the range of 16-bit floats; a zero quaternion
+/// stays zero.
 fn unit(rotation: [f32; 4]) -> [f32; 4] {
     let wide = rotation.map(f64::from);
     let length = wide.iter().map(|x| x * x).sum::<f64>().sqrt();
-    // The kernels take shorter ones for zero.
+    // The kernels treat shorter quaternions as zero.
     if length >= 1e-10 { wide.map(|x| (x / length) as f32) } else { [0.0; 4] }
 }
 
 impl HalfHarmonics {
-    /// Room for those of `len` Gaussians.
+    /// Allocates the harmonics of `len` Gaussians.
     ///
     /// # Errors
     /// [`Error::OutOfMemory`](crate::Error::OutOfMemory).
@@ -52,7 +53,7 @@ impl HalfHarmonics {
         Ok(HalfHarmonics { sh: [band(0)?, band(1)?, band(2)?, band(3)?], sh_degree, len })
     }
 
-    /// Those of a scene.
+    /// Uploads the harmonics of a scene.
     ///
     /// # Errors
     /// [`Error::OutOfMemory`](crate::Error::OutOfMemory), or a failed submission.
@@ -86,21 +87,21 @@ impl HalfHarmonics {
 }
 
 impl HalfShapes {
-    /// Room for those of `len` Gaussians.
+    /// Allocates the shapes of `len` Gaussians.
     ///
     /// # Errors
     /// [`Error::OutOfMemory`](crate::Error::OutOfMemory).
     pub fn new(device: &Device, len: usize) -> Result<HalfShapes> {
         Ok(HalfShapes {
             log_scales: device.buffer("log scales", (3 * len).div_ceil(2))?,
-            // Two words each, and four words to an element.
+            // Two words per quaternion, and four words per element.
             rotations: device.buffer("rotations", len.div_ceil(2))?,
             opacity_logits: device.buffer("opacity logits", len.div_ceil(2))?,
             len,
         })
     }
 
-    /// Those of a scene.
+    /// Uploads the shapes of a scene.
     ///
     /// # Errors
     /// [`Error::OutOfMemory`](crate::Error::OutOfMemory), or a failed submission.

@@ -1,9 +1,9 @@
 //! The photometric loss of a rendered image and its gradient.
 //!
-//! `(1 − λ) · mean |x − y| + λ · mean (1 − SSIM(x, y))`, x the rendered image over its background
-//! and y the photograph, every mean weighted by the photograph's fourth byte; and, where a disparity
-//! is known, `scale · mean |alpha / depth − disparity|`. Photographs stay on the device as packed
-//! bytes.
+//! The loss is `(1 − λ) · mean |x − y| + λ · mean (1 − SSIM(x, y))`, where x is the rendered image over
+//! its background and y the reference image. Every mean is weighted by the reference's fourth byte.
+//! Where a disparity is known, `scale · mean |alpha / depth − disparity|` is added. References stay on
+//! the device as packed bytes.
 
 use super::render::{PixelBuffers, PixelGradients};
 use crate::gpu::{Buffer, Device, DeviceKind, Groups, Recorder, Stream};
@@ -14,15 +14,15 @@ use crate::kernels::loss::{
 use crate::types::Image;
 use crate::{Error, Result};
 
-/// The shortest run that an invocation walks over: beside its own pixels it loads 10 to 20 around
-/// them, so longer runs load less, and shorter ones fill a device.
+/// The shortest run of pixels that one invocation processes. Beside its own pixels it loads 10 to 20
+/// around them; longer runs load less in total, shorter ones occupy the device better.
 const LEAST_RUN: usize = 16;
-/// Invocations that fill a software device, and any other.
+/// Number of invocations that occupy a software device, and any other device.
 const FULL: [usize; 2] = [1 << 10, 1 << 16];
-/// Pixels less opaque than this have no depth worth comparing.
+/// Alpha below which a pixel has no depth to compare.
 const LEAST_ALPHA: f32 = 0.5;
 
-/// A photograph on the device: packed red, green, blue and weight.
+/// A reference image on the device: packed red, green, blue and weight, one byte each.
 pub struct Reference {
     pixels: Buffer<u32>,
     width: u32,
@@ -74,11 +74,12 @@ impl Reference {
         Ok(Reference { pixels, width: image.width, height: image.height, weight })
     }
 
-    /// PSNR in dB of a picture (premultiplied, 4 channels) over a background against this photograph,
-    /// every pixel by its weight; infinite for equal pictures, `None` where all weights are 0. Waits.
+    /// The PSNR in dB of a rendered image (premultiplied, 4 channels) over a background against this
+    /// reference, with every pixel weighted. Infinite for equal images, `None` where all weights are 0.
+    /// Waits for the device.
     ///
     /// # Errors
-    /// A picture of another size, or a failed submission.
+    /// [`Error::Shape`] for a rendered image of another size, or a failed submission.
     pub fn psnr(
         &self,
         stream: &mut Stream,
@@ -116,12 +117,12 @@ impl KnownDisparity {
     }
 }
 
-/// What a loss is made of.
+/// The weights of the loss terms, and the background.
 #[derive(Clone, Copy, Debug)]
 pub struct LossSettings {
     /// λ, the share of D-SSIM.
     pub ssim_share: f32,
-    /// What shines through the rendered image.
+    /// Background colour behind the rendered image.
     pub background: [f32; 3],
     /// Factor of the depth term.
     pub depth_scale: f32,
@@ -137,18 +138,18 @@ impl Default for LossSettings {
 ///
 /// ```no_run
 /// use splat4d::gpu::{Device, Recorder};
-/// use splat4d::ops::loss::{Loss, LossSettings, Photograph};
+/// use splat4d::ops::loss::{Loss, LossSettings, Reference};
 /// use splat4d::ops::render::{PixelBuffers, PixelGradients};
 /// use splat4d::types::Image;
 /// # fn compare(
 /// #     device: &Device, recorder: &mut Recorder, image: &Image, rendered: &PixelBuffers,
 /// #     gradients: &mut PixelGradients,
 /// # ) -> splat4d::Result<()> {
-/// let photograph = Photograph::new(device, image, None)?;
+/// let reference = Reference::new(device, image, None)?;
 /// let loss = Loss::plan(image.width, image.height);
 /// let mut scratch = loss.scratch(device)?;
 /// let settings = LossSettings::default();
-/// loss.record(recorder, &settings, rendered, &photograph, None, gradients, &mut scratch)?;
+/// loss.record(recorder, &settings, rendered, &reference, None, gradients, &mut scratch)?;
 /// # Ok(())
 /// # }
 /// ```
@@ -158,17 +159,17 @@ pub struct Loss {
     height: u32,
 }
 
-/// What a loss works in between its dispatches.
+/// Intermediate buffers of a loss.
 pub struct LossScratch {
-    /// Of each channel.
+    /// One buffer per channel: x, y, x² + y², x·y, windowed along columns.
     pub(crate) windowed: [Buffer<[f32; 4]>; 3],
-    /// Likewise.
+    /// One buffer per channel: derivatives with respect to the windowed x, x², x·y.
     pub(crate) derivatives: [Buffer<[f32; 3]>; 3],
     pub(crate) partials: Buffer<f32>,
     pub(crate) totals: Buffer<f32>,
 }
 
-/// A loss, term by term, and what it was weighted with.
+/// The values of the loss terms, before their factors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LossValue {
     /// Weighted mean of the absolute differences.
@@ -180,7 +181,7 @@ pub struct LossValue {
 }
 
 impl Loss {
-    /// A loss for images of this size.
+    /// Plans a loss for images of this size, pixels.
     pub fn plan(width: u32, height: u32) -> Loss {
         Loss { width, height }
     }
@@ -189,7 +190,7 @@ impl Loss {
         self.width as usize * self.height as usize
     }
 
-    /// What [`record`](Self::record) works in.
+    /// Allocates the intermediate buffers of [`record`](Self::record).
     ///
     /// # Errors
     /// [`Error::OutOfMemory`].
@@ -206,31 +207,32 @@ impl Loss {
         })
     }
 
-    /// Pixels that an invocation walks over where `lines` lines of `length` pixels are to be walked:
-    /// each line is cut evenly, into as many runs as fill the device.
+    /// Number of pixels per run where `lines` lines of `length` pixels are processed. Each line is cut
+    /// evenly into as many runs as occupy the device.
     fn run(device: &Device, lines: usize, length: usize) -> usize {
         let software = device.info().kind == DeviceKind::Software;
         let runs = FULL[usize::from(!software)].div_ceil(lines.max(1));
         length.div_ceil(runs.min(length.div_ceil(LEAST_RUN)).max(1)).max(1)
     }
 
-    /// Along rows, one channel each: pixels of a run, and runs of a channel.
+    /// Runs along rows, for one channel: pixels in a run, and number of runs.
     fn by_rows(&self, device: &Device) -> (usize, usize) {
         let (rows, length) = (self.height as usize, self.width as usize);
         let run = Self::run(device, 3 * rows, length);
         (run, rows * length.div_ceil(run))
     }
 
-    /// Along columns, with all channels: pixels of a run, and runs.
+    /// Runs along columns, for all channels together: pixels in a run, and number of runs.
     fn by_columns(&self, device: &Device) -> (usize, usize) {
         let (lines, length) = (self.width as usize, self.height as usize);
         let run = Self::run(device, lines, length);
         (run, lines * length.div_ceil(run))
     }
 
-    /// Records the loss of `rendered` against `reference`, and its gradient by the image. Without
-    /// `disparity` the gradient by depth is zero. `loss/columns`, `loss/ssim` for each channel,
-    /// `loss/total`, `loss/gradient`, `loss/total`; with a disparity `loss/depth`, `loss/total`.
+    /// Records the loss of `rendered` against `reference`, and its gradient with respect to the image.
+    /// Without `disparity`, the gradient with respect to depth is zero. Dispatches: `loss/columns`,
+    /// `loss/ssim` for each channel, `loss/total`, `loss/gradient`, `loss/total`; with a disparity
+    /// `loss/depth`, `loss/total`.
     ///
     /// # Errors
     /// [`Error::Shape`] when the images' sizes differ; else as for [`Recorder::dispatch`].
@@ -362,7 +364,7 @@ impl Loss {
         total(recorder, partials, pixels.div_ceil(64), totals, 2)
     }
 
-    /// Waits for what was submitted and gives the last loss recorded with this scratch.
+    /// Waits for the submitted work and reads the last loss recorded with this scratch.
     ///
     /// # Errors
     /// A failed submission.
@@ -383,12 +385,12 @@ impl Loss {
     }
 }
 
-/// What a weight of 1 counts for in a mean; nothing where all weights are 0.
+/// The factor of a weight of 1 in a mean; 0 where all weights are 0.
 fn share_of(weight: f64) -> f64 {
     if weight > 0.0 { 1.0 / weight } else { 0.0 }
 }
 
-/// Adds up the partial sums of so many workgroups.
+/// Records the sum of the partial sums of `groups` workgroups.
 fn total(
     recorder: &mut Recorder,
     partials: &Buffer<f32>,

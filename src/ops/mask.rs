@@ -1,8 +1,9 @@
-//! Rendered motion against motion masks, on the device.
+//! The mask loss on the device: rendered probabilities of motion are compared with motion masks.
 //!
-//! `oracle::mask` has the formulae. The Gaussians' probabilities of motion ([`paint`]) are blended
-//! by [`Render::blend`], compared ([`compare`]), and what [`Render::blend_backward`] gathers is handed
-//! out ([`vote`]): one more blending pass forward and one backward, without projection and sorting.
+//! `oracle::mask` has the formulae. [`paint`] turns the Gaussians' probabilities of motion into colours,
+//! [`Render::blend`] blends these, [`compare`] compares the result with the mask, and [`vote`]
+//! distributes what [`Render::blend_backward`] gathers over the Gaussians. This costs one more blending
+//! pass forward and one backward, without projection and sorting.
 //!
 //! [`Render::blend`]: super::render::Render::blend
 //! [`Render::blend_backward`]: super::render::Render::blend_backward
@@ -15,7 +16,7 @@ use crate::kernels::mask as kernels;
 
 const WORKGROUP: u32 = 64;
 
-/// Records the painting, `mask/paint`: the probability of motion of each logit as the red of a colour.
+/// Records `mask/paint`: the probability of motion of each logit becomes the red channel of a colour.
 ///
 /// # Errors
 /// [`Error::Shape`](crate::Error::Shape) for fewer colours than logits.
@@ -33,9 +34,10 @@ pub fn paint(
     )
 }
 
-/// Records the comparison, `mask/compare`, of a rendered picture's red with a mask (1 where something
-/// moves), whose mean absolute difference has a weight in the loss. The gradient by depth is not written: colours
-/// do not depend on it.
+/// Records `mask/compare`: the mean absolute difference between a rendered image's red channel and a
+/// mask (1 where something moves), with a weight in the loss. It writes the gradient with respect to the
+/// image's colours; the gradient with respect to depth is not written, since colours do not depend on
+/// it.
 ///
 /// # Errors
 /// [`Error::Shape`](crate::Error::Shape) where the sizes differ.
@@ -62,26 +64,26 @@ pub fn compare(
     )
 }
 
-/// What a vote reads and writes, for as many Gaussians as there are logits; other arrays may be
+/// Inputs and outputs of a vote, for as many Gaussians as there are logits; the other arrays may be
 /// longer.
 pub struct VoteArgs<'a> {
-    /// The gradients by the Gaussians' colours.
+    /// The gradients with respect to the Gaussians' colours.
     pub colour_gradients: View<'a, [f32; 4]>,
-    /// Not 0 for what the picture shows.
+    /// One word for each Gaussian, not 0 where it is visible in the image.
     pub visible: View<'a, u32>,
-    /// Where 0, nothing changes.
+    /// Where this holds 0, the vote changes nothing.
     pub fits: View<'a, u32>,
     /// Motion logits.
     pub motion_logits: View<'a, f32>,
-    /// By these; added to.
+    /// The gradient with respect to the motion logits; accumulated.
     pub motion_gradients: ViewMut<'a, f32>,
-    /// Two values each, votes for motion and votes; added to.
+    /// Two values for each Gaussian, votes for motion and all votes; accumulated.
     pub votes: ViewMut<'a, f32>,
-    /// Their quotient, in [0, 1]; stays where there is no vote.
+    /// Votes for motion divided by all votes, in [0, 1]; unchanged where there is no vote.
     pub evidence: ViewMut<'a, f32>,
 }
 
-/// Records the handing out, `mask/vote`.
+/// Records `mask/vote`.
 ///
 /// # Errors
 /// [`Error::Shape`](crate::Error::Shape) where an array is too short.

@@ -1,5 +1,5 @@
-//! The deformation network on the device: motions of control points, and the gradient of its
-//! parameters.
+//! The deformation network on the device: evaluation of the control points' motions, and the gradient
+//! with respect to the parameters.
 
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Device, DeviceKind, Groups, Recorder, View, ViewMut};
@@ -10,13 +10,14 @@ use crate::kernels::mlp::{
 };
 use crate::types::NetShape;
 
-/// Rows in one segment of the parameters' gradients; the segments are added in order.
+/// Rows in one segment of the sum over rows for the parameters' gradients; the segments are added in
+/// order.
 const SEGMENT: usize = 64;
-/// Features and rows that one invocation computes.
+/// Numbers of features and rows that one invocation computes.
 const TILE: usize = 8;
 const WORKGROUP: u32 = 64;
 
-/// Where a layer reads and writes.
+/// The planes that a layer reads and writes.
 #[derive(Clone, Copy, Debug)]
 struct Layer {
     inputs: usize,
@@ -59,11 +60,11 @@ pub struct Network {
     /// Number of parameters.
     parameters: usize,
     planes: usize,
-    /// Whether software devices load as GPUs do.
+    /// Whether software devices use the load pattern of GPUs instead of sharing loads within a subgroup.
     gpu_loads: bool,
 }
 
-/// What a [`Network`] works in; keeps the activations between forward and backward.
+/// Intermediate buffers of a [`Network`]; they keep the activations between forward and backward pass.
 pub struct NetworkScratch {
     rows: usize,
     activations: Buffer<[f32; 4]>,
@@ -72,7 +73,7 @@ pub struct NetworkScratch {
 }
 
 impl Network {
-    /// The plan for a shape.
+    /// Plans a network of a shape.
     ///
     /// # Errors
     /// [`Error::Input`] for a width that is no multiple of 16, no layers, or more than 24 octaves.
@@ -107,7 +108,8 @@ impl Network {
         })
     }
 
-    /// The same in the way of GPUs, so that it can be held against the oracle on any device.
+    /// The same network with the load pattern of GPUs, so that it can be compared with the oracle on any
+    /// device.
     #[cfg(feature = "check")]
     pub(crate) fn with_gpu_loads(self) -> Network {
         Network { gpu_loads: true, ..self }
@@ -118,7 +120,7 @@ impl Network {
         &self.shape
     }
 
-    /// What `rows` (control points times times) need to work in.
+    /// Allocates the intermediate buffers for `rows` rows (number of control points × number of times).
     ///
     /// # Errors
     /// [`Error::OutOfMemory`].
@@ -136,9 +138,8 @@ impl Network {
     }
 
     /// Records the motions of every control point at every time: `mlp/encode`, `mlp/forward` for each
-    /// layer, `mlp/transforms`. Row `time · nodes + node` of
-    /// `transforms` (two vectors) gets translation and padding, then the rotation
-    /// `[1, 0, 0, 0] + δ`, not normalised.
+    /// layer, `mlp/transforms`. Row `time · nodes + node` of `transforms` (two vectors) receives the
+    /// translation and padding, then the rotation `[1, 0, 0, 0] + δ`, not normalised.
     ///
     /// `nodes` holds three values for each control point.
     ///
@@ -204,10 +205,10 @@ impl Network {
         )
     }
 
-    /// Records the gradient by the parameters, after [`forward`](Self::forward) with the same
-    /// scratch: `mlp/seed`; for each layer from the last `mlp/weights`, `mlp/reduce` and, but for the
-    /// first, `mlp/backward`. `gradients` is laid out as the parameters; with `accumulate` it is added to, else
-    /// written.
+    /// Records the gradient with respect to the parameters, after [`forward`](Self::forward) with the
+    /// same scratch: `mlp/seed`; for each layer from the last `mlp/weights`, `mlp/reduce` and, except
+    /// for the first layer, `mlp/backward`. `gradients` is laid out as the parameters. With `accumulate`
+    /// the gradient is added to it, else it is overwritten.
     ///
     /// # Errors
     /// [`Error::Shape`] where the lengths disagree with each other or with the scratch.
@@ -227,7 +228,8 @@ impl Network {
         let limits = *recorder.device().limits();
         let stride = self.stride(recorder.device(), rows);
         let widest = (self.shape.width as usize).max(NetShape::OUTPUTS);
-        // Two layers' gradients live at a time; the deltas alternate between two places.
+        // The gradients of two layers are live at the same time; the deltas alternate between two
+        // places.
         let (mut here, mut below) = (0, widest);
         recorder.dispatch::<Seed>(
             Groups::linear(stride, WORKGROUP, &limits)?,
@@ -298,7 +300,7 @@ impl Network {
         Ok(())
     }
 
-    /// The size of the subgroups whose invocations load for each other.
+    /// The size of the subgroups whose invocations share their loads; `None` without sharing.
     fn sharing(&self, device: &Device) -> Option<usize> {
         let info = device.info();
         let subgroup = info.subgroup_size as usize;
@@ -306,12 +308,13 @@ impl Network {
         (pays && (4..=WORKGROUP as usize).contains(&subgroup)).then_some(subgroup)
     }
 
-    /// Rows with padding: whole tiles, as many as whole subgroups work on where those share.
+    /// Number of rows with padding: whole tiles, and with sharing as many as fill whole subgroups.
     fn stride(&self, device: &Device, rows: usize) -> usize {
         rows.next_multiple_of(TILE * self.sharing(device).unwrap_or(1))
     }
 
-    /// Whether a subgroup may share where every `tiles` invocations need the same.
+    /// Whether a subgroup may share loads where every `tiles` consecutive invocations need the same
+    /// values.
     fn shared(&self, device: &Device, tiles: usize) -> u32 {
         u32::from(self.sharing(device).is_some_and(|subgroup| tiles.is_multiple_of(subgroup)))
     }

@@ -1,8 +1,8 @@
-//! Algorithms of several dispatches.
+//! Operations: algorithms that consist of several kernel dispatches.
 //!
-//! Each op has three steps: `plan` fixes the sizes, `scratch` allocates what lies between the
-//! dispatches, `record` records them. No op allocates, submits or waits in `record`. The documentation
-//! of `record` lists the dispatches in order: a profiled recording has a time for each.
+//! Each op has three steps: `plan` fixes the sizes, `scratch` allocates the intermediate buffers,
+//! `record` records the dispatches. `record` never allocates, submits or waits. The documentation of
+//! `record` lists the dispatches in order; a profiled recording reports one time for each.
 
 pub mod adam;
 pub mod arap;
@@ -35,7 +35,8 @@ fn countable(device: &Device, label: &str, len: usize, size: u64) -> Result<()> 
     Err(Error::RangeLimit { label: label.into(), bytes, limit })
 }
 
-/// Checks that every argument, given as name, elements needed and elements there, is long enough.
+/// Checks that every argument is long enough; each is given as (name, elements needed, elements
+/// present).
 fn at_least(op: &'static str, shapes: &[(&'static str, usize, usize)]) -> Result<()> {
     match shapes.iter().find(|(_, needed, actual)| actual < needed) {
         None => Ok(()),

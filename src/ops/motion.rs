@@ -1,4 +1,4 @@
-//! Control points, what moves them and skinning together: where a scene's Gaussians are at a time.
+//! The motion model on the device: control points, the paths or network that move them, and skinning.
 
 use super::deform::{Skin, SkinArgs, SkinGradients, Skinned, SoftMotion};
 use super::gaussians::{GaussianBuffers, GaussianViews};
@@ -8,30 +8,30 @@ use crate::gpu::{Buffer, Device, Recorder, Stream, View, ViewMut};
 use crate::types::{ControlPoints, DeformNet, Gaussians};
 use crate::{Error, Result};
 
-/// What the derivative of soft motion takes and gives.
+/// Inputs and outputs of the backward pass of soft motion.
 pub struct SoftGradients<'a> {
-    /// What the forward pass had.
+    /// The same as in the forward pass.
     pub soft: SoftMotion<'a>,
-    /// By the motion logits of all Gaussians; added to.
+    /// Gradient with respect to the motion logits of all Gaussians; accumulated.
     pub logits: ViewMut<'a, f32>,
     /// Weight of the summed rigidity terms in the loss.
     pub rigid_scale: f32,
 }
 
-/// What moves control points.
+/// The model that moves the control points.
 pub enum Model {
-    /// Their paths.
+    /// Paths: motions at evenly spaced key times, interpolated.
     Paths,
-    /// The deformation network: its plan, and its activations at the times of the last forward pass.
+    /// A deformation network: its plan, and its activations of the last forward pass.
     Network(Network, NetworkScratch),
 }
 
-/// What moves a scene's dynamic Gaussians, on the device.
+/// The motion model of a scene's dynamic Gaussians, on the device.
 pub struct Motion {
-    /// What moves the control points.
+    /// The model that moves the control points.
     pub model: Model,
-    /// Its parameters: the paths, laid out as [`ControlPoints::paths`], or the network's, laid out as
-    /// [`DeformNet::parameters`].
+    /// The model's parameters: the paths, laid out as [`ControlPoints::paths`], or the network's, laid
+    /// out as [`DeformNet::parameters`].
     pub parameters: Buffer<f32>,
     /// Canonical positions of the control points, three values each.
     pub nodes: Buffer<f32>,
@@ -41,9 +41,9 @@ pub struct Motion {
     pub transforms: Buffer<[f32; 4]>,
     /// Skinning.
     pub skin: Skin,
-    /// The Gaussians that move.
+    /// Indices of the dynamic Gaussians.
     pub dynamic_ids: Buffer<u32>,
-    /// How many of `dynamic_ids` there are.
+    /// Number of entries of `dynamic_ids` in use.
     pub dynamic: usize,
     times: Buffer<f32>,
     positions: Buffer<f32>,
@@ -53,14 +53,14 @@ pub struct Motion {
 }
 
 impl Motion {
-    /// Control points and what moves them on the device, with room for `gaussians` Gaussians, each
-    /// dynamic one following `neighbours` control points, evaluated at `times` times at once.
-    /// [`set_dynamic`](Self::set_dynamic) says which ones move.
+    /// Uploads control points and the model that moves them. Buffers hold up to `gaussians` Gaussians,
+    /// of which each dynamic one follows `neighbours` control points; the model is evaluated at `times`
+    /// times at once. [`set_dynamic`](Self::set_dynamic) selects the dynamic Gaussians.
     ///
     /// # Errors
-    /// [`Error::Input`] without control points, with both paths and a network or with neither, for as
-    /// many motions as do not fit the control points, or a network that does not fit its shape;
-    /// [`Error::OutOfMemory`]; or a failed upload.
+    /// [`Error::Input`] without control points, with both paths and a network or with neither, for paths
+    /// whose length does not match the control points, or for network parameters that do not match the
+    /// network's shape; [`Error::OutOfMemory`]; or a failed upload.
     pub fn new(
         stream: &mut Stream,
         points: &ControlPoints,
@@ -116,8 +116,8 @@ impl Motion {
         })
     }
 
-    /// Makes room for `gaussians` Gaussians; after that
-    /// [`set_dynamic`](Self::set_dynamic) and [`refresh`](Self::refresh) are needed.
+    /// Grows the capacity to at least `gaussians` Gaussians. Call [`set_dynamic`](Self::set_dynamic) and
+    /// [`refresh`](Self::refresh) afterwards.
     ///
     /// # Errors
     /// [`Error::OutOfMemory`].
@@ -136,11 +136,11 @@ impl Motion {
         Ok(())
     }
 
-    /// Sets which Gaussians move: those whose motion logit is above `least`, which is 0 unless
+    /// Selects the dynamic Gaussians: those whose motion logit is above `least`, which is 0 unless
     /// motion is soft.
     ///
     /// # Errors
-    /// [`Error::Shape`] for more Gaussians than there is room for, or a failed upload.
+    /// [`Error::Shape`] where the Gaussians exceed the capacity, or a failed upload.
     pub fn set_dynamic(
         &mut self,
         stream: &mut Stream,
@@ -165,10 +165,10 @@ impl Motion {
         self.skin.refresh(recorder, ids, positions, self.nodes.view())
     }
 
-    /// Records where the Gaussians are at the first of some times in [0, 1]
-    /// ([`moved`](Self::moved) gives them), and the control points' motions at all of them. Without
-    /// `soft` every listed Gaussian moves fully. The dispatches of [`path::evaluate`] or of the
-    /// network's forward pass, then of [`Skin::forward`](super::deform::Skin::forward).
+    /// Records the Gaussians' positions, rotations and opacities at the first of some times in [0, 1]
+    /// ([`moved`](Self::moved) gives them), and the control points' motions at all of these times.
+    /// Without `soft`, every listed Gaussian moves fully. The dispatches are those of [`path::evaluate`]
+    /// or of the network's forward pass, then those of [`Skin::forward`](super::deform::Skin::forward).
     ///
     /// # Errors
     /// [`Error::Shape`] for another number of times than planned; else as for
@@ -213,9 +213,10 @@ impl Motion {
         )
     }
 
-    /// Records the derivative of the last [`forward`](Self::forward)'s skinning: `gradients`, by the
-    /// moved Gaussians, become those by the canonical ones, and those by the motions at the first
-    /// time and by the radii are written. `soft` must agree with the forward pass.
+    /// Records the backward pass of the last [`forward`](Self::forward)'s skinning. On input,
+    /// `gradients` holds the gradients with respect to the moved Gaussians; on output, those with
+    /// respect to the canonical ones. The gradients with respect to the motions at the first time and to
+    /// the radii are overwritten. `soft` must agree with the forward pass.
     ///
     /// # Errors
     /// As for [`Skin::backward`].
@@ -238,7 +239,7 @@ impl Motion {
             gaussians,
             soft.as_ref().map(|soft| soft.soft),
         );
-        // Motion gradients are not touched where motion is not soft.
+        // Without soft motion, the kernel does not touch the motion gradients.
         let (motion_logits, rigid_scale) = match soft {
             Some(soft) => (soft.logits, soft.rigid_scale),
             None => (self.rigidity.view_mut(), 0.0),
@@ -255,8 +256,8 @@ impl Motion {
         self.skin.backward(recorder, args, gradients)
     }
 
-    /// Records the gradient by the parameters of what moves the control points, from that by their
-    /// motions at all times of the last [`forward`](Self::forward).
+    /// Records the gradient with respect to the model's parameters, from the gradient with respect to
+    /// the control points' motions at all times of the last [`forward`](Self::forward).
     ///
     /// # Errors
     /// As for [`path::gather`] and [`Network::backward`].
@@ -278,7 +279,8 @@ impl Motion {
         }
     }
 
-    /// Puts downloaded Gaussians where the last [`forward`](Self::forward) moved them.
+    /// Replaces positions, rotations and opacities of downloaded Gaussians by those of the last
+    /// [`forward`](Self::forward).
     ///
     /// # Errors
     /// A failed submission.
@@ -291,7 +293,7 @@ impl Motion {
         Ok(())
     }
 
-    /// The Gaussians where the last [`forward`](Self::forward) put them.
+    /// The Gaussians as the last [`forward`](Self::forward) moved them.
     pub fn moved<'a>(&'a self, gaussians: GaussianViews<'a>) -> GaussianViews<'a> {
         let n = gaussians.len;
         gaussians.moved(

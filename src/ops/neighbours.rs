@@ -1,4 +1,4 @@
-//! Lists of nearest control points, and the same lists by control point.
+//! Lists of the nearest control points of points, and the inverse lists by control point.
 
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Device, Groups, Recorder, Stream, View};
@@ -8,14 +8,14 @@ use crate::kernels::deform::{
 };
 use crate::ops::sort::{RadixSort, SortArgs, SortScratch};
 
-/// The largest number of neighbours.
+/// The largest number of neighbours of a point.
 pub const MOST_NEIGHBOURS: usize = 16;
 
-/// The `k` nearest control points of a set of points, refreshed rarely and read at every step.
+/// The `k` nearest control points of each point. They are refreshed rarely and read at every step.
 ///
-/// Row `r`, place `s` is `neighbours[r·k + s]`, nearest first, `u32::MAX` where there is no further
-/// control point. The places that name control point `n` are `places[starts[n]..starts[n+1]]`, in
-/// ascending order, so that sums over them have one order.
+/// The neighbours of point `r` are `neighbours[r·k + s]`, nearest first; `u32::MAX` fills the places
+/// without a further control point. The places that name control point `n` are
+/// `places[starts[n]..starts[n+1]]`, in ascending order, so that sums over them have a fixed order.
 pub struct Neighbours {
     k: usize,
     capacity: usize,
@@ -34,7 +34,7 @@ pub struct Neighbours {
 }
 
 impl Neighbours {
-    /// Room for `capacity` points and `node_capacity` control points, `k` for each point.
+    /// Allocates for `capacity` points with `k` neighbours each, and for `node_capacity` control points.
     ///
     /// # Errors
     /// [`Error::Input`] for `k` of 0 or beyond [`MOST_NEIGHBOURS`]; [`Error::OutOfMemory`].
@@ -70,12 +70,12 @@ impl Neighbours {
         })
     }
 
-    /// Records the search (`deform/nearest`, `deform/keys`, those of
-    /// [`RadixSort::record`], `deform/starts`): for the points that `ids` names (else for all of `positions`), among
-    /// `nodes`; both hold three values a point.
+    /// Records the search: `deform/nearest`, `deform/keys`, those of [`RadixSort::record`],
+    /// `deform/starts`. It covers the points that `ids` names, or all of `positions` without `ids`, and
+    /// searches among `nodes`; both hold three values a point.
     ///
     /// # Errors
-    /// [`Error::Shape`] for more points or control points than there is room for.
+    /// [`Error::Shape`] where points or control points exceed the capacity.
     pub fn refresh(
         &mut self,
         recorder: &mut Recorder,
@@ -121,10 +121,10 @@ impl Neighbours {
         Ok(lists)
     }
 
-    /// Puts lists of `node_count` control points back, as a refresh would have found them.
+    /// Restores saved lists over `node_count` control points, as a refresh would have found them.
     ///
     /// # Errors
-    /// [`Error::Shape`] for more than there is room for; a failed upload.
+    /// [`Error::Shape`] where the lists exceed the capacity; a failed upload.
     pub(crate) fn restore(
         &mut self,
         stream: &mut Stream,
@@ -148,7 +148,7 @@ impl Neighbours {
         Ok(())
     }
 
-    /// Records the lists by control point.
+    /// Records the inverse lists by control point.
     fn index(&mut self, recorder: &mut Recorder) -> Result<()> {
         let limits = *recorder.device().limits();
         let (node_count, places) = (self.node_count, self.rows * self.k);
@@ -181,17 +181,17 @@ impl Neighbours {
         )
     }
 
-    /// Neighbours of each point.
+    /// Number of neighbours of each point.
     pub fn k(&self) -> usize {
         self.k
     }
 
-    /// Points of the last refresh.
+    /// Number of points of the last refresh.
     pub fn rows(&self) -> usize {
         self.rows
     }
 
-    /// Control points of the last refresh.
+    /// Number of control points of the last refresh.
     pub fn node_count(&self) -> usize {
         self.node_count
     }
@@ -201,12 +201,12 @@ impl Neighbours {
         self.neighbours.range(0..self.rows * self.k)
     }
 
-    /// Where each control point's places begin.
+    /// The begin of each control point's range in [`places`](Self::places), and the end of the last.
     pub fn starts(&self) -> View<'_, u32> {
         self.starts.range(0..self.node_count + 1)
     }
 
-    /// Places in the order of their control points; those without one come last.
+    /// Places ordered by control point; empty places come last.
     pub fn places(&self) -> View<'_, u32> {
         self.places.range(0..self.rows * self.k)
     }

@@ -1,4 +1,4 @@
-//! Paths of control points on the device: the motions by them, and their gradient.
+//! Paths of control points on the device: evaluation of their motions, and the gradient.
 
 use crate::error::{Error, Result};
 use crate::gpu::{Groups, Recorder, View, ViewMut};
@@ -7,12 +7,12 @@ use crate::kernels::path::{
 };
 
 const WORKGROUP: u32 = 64;
-/// Values of a control point at a key time.
+/// Number of values of a control point at a key time.
 pub const VALUES: usize = 8;
 
 /// Records `path/evaluate`: the motions of `nodes` control points at some times in [0, 1], two vectors
-/// each, time after time, by their paths: [`VALUES`] for each of them, key after key, as
-/// [`ControlPoints::paths`](crate::types::ControlPoints::paths) has them. Never allocates.
+/// each, for one time after the other. `paths` holds [`VALUES`] values for each control point, key after
+/// key, as [`ControlPoints::paths`](crate::types::ControlPoints::paths). Never allocates.
 ///
 /// ```no_run
 /// use splat4d::gpu::{Buffer, Recorder};
@@ -45,8 +45,8 @@ pub fn evaluate(
     )
 }
 
-/// Records `path/gather`: the gradient with respect to the paths, from that with respect to the
-/// motions, both laid out as in [`evaluate`].
+/// Records `path/gather`: the gradient with respect to the paths, from the gradient with respect to the
+/// motions. Both are laid out as in [`evaluate`].
 ///
 /// # Errors
 /// [`Error::Shape`] where the lengths disagree.
@@ -71,7 +71,7 @@ pub fn gather(
     )
 }
 
-/// How many keys so many values are.
+/// The number of keys that `values` values make.
 fn keys(arg: &'static str, values: usize, nodes: usize) -> Result<usize> {
     let row = VALUES * nodes;
     if values > 0 && values.is_multiple_of(row.max(1)) {

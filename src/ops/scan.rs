@@ -1,4 +1,4 @@
-//! Exclusive prefix sums of a number of values that the device knows.
+//! Exclusive prefix sums of values whose number is read from a device buffer.
 
 use crate::gpu::{Buffer, Device, DeviceKind, Groups, Recorder, View, ViewMut};
 use crate::kernels::indirect;
@@ -8,9 +8,9 @@ use crate::kernels::scan::{
 };
 use crate::{Error, Result};
 
-/// Up to so many values a single workgroup is faster than four dispatches, on a GPU …
+/// Largest capacity at which a single workgroup is faster than four dispatches, on a GPU.
 const FEW: usize = 8192;
-/// … and on a software driver, where a dispatch costs as much as thousands of values.
+/// The same on a software driver, where a dispatch costs as much as thousands of values.
 const FEW_SOFTWARE: usize = 131_072;
 
 /// Exclusive prefix sums (modulo 2³²) of at most `capacity` values.
@@ -42,7 +42,7 @@ pub struct Scan {
     capacity: usize,
 }
 
-/// What a scan works in between its dispatches.
+/// Intermediate buffers of a scan.
 pub struct ScanScratch {
     sums: Buffer<u32>,
     grid: Buffer<u32>,
@@ -50,22 +50,23 @@ pub struct ScanScratch {
 
 /// The buffers of one scan.
 pub struct ScanArgs<'a> {
-    /// Holds the number of values; what exceeds the capacity is left out.
+    /// Holds the number of values; it is clamped to the capacity.
     pub count: View<'a, u32>,
-    /// Where it lies.
+    /// Index of that number in `count`.
     pub count_at: usize,
-    /// The values; as long as the capacity.
+    /// The values; at least as many elements as the capacity.
     pub values: View<'a, u32>,
-    /// Gets `prefix[i] = values[0] + … + values[i − 1]`; untouched from the number of values on.
+    /// Receives `prefix[i] = values[0] + … + values[i − 1]`; elements from the number of values on do
+    /// not change.
     pub prefix: ViewMut<'a, u32>,
-    /// Gets the sum of all values.
+    /// Receives the sum of all values.
     pub total: ViewMut<'a, u32>,
-    /// Where it goes.
+    /// Index in `total` that receives the sum.
     pub total_at: usize,
 }
 
 impl Scan {
-    /// A scan of at most `capacity` values.
+    /// Plans a scan of at most `capacity` values.
     ///
     /// # Errors
     /// [`Error::Input`] beyond 2³² − 1 values.
@@ -76,7 +77,7 @@ impl Scan {
         Ok(Scan { capacity })
     }
 
-    /// What [`record`](Self::record) works in.
+    /// Allocates the intermediate buffers of [`record`](Self::record).
     ///
     /// # Errors
     /// [`Error::OutOfMemory`].
@@ -88,7 +89,7 @@ impl Scan {
         })
     }
 
-    /// Whether one workgroup does it all.
+    /// Whether a single workgroup scans all values.
     fn is_single(&self, device: &Device) -> bool {
         let few = match device.info().kind {
             DeviceKind::Software => FEW_SOFTWARE,

@@ -1,4 +1,4 @@
-//! Stable radix sort of key–payload pairs whose number the device knows.
+//! Stable radix sort of key–payload pairs whose number is read from a device buffer.
 
 use crate::gpu::{Buffer, Device, DeviceKind, Groups, Recorder, View, ViewMut};
 use crate::kernels::sort::{
@@ -9,34 +9,34 @@ use crate::ops::scan::{Scan, ScanArgs, ScanScratch};
 use crate::{Error, Result};
 use std::ops::Range;
 
-/// How the keys are cut into runs, each walked by one invocation.
+/// How the keys are divided into runs of consecutive keys, each processed by one invocation.
 #[derive(Clone, Copy, Debug)]
 struct Runs {
-    /// Shorter ones would spend more on counters than on keys.
+    /// Shortest run. Shorter ones would spend more time on counters than on keys.
     least: usize,
-    /// More would not fill the device any better.
+    /// Largest number of runs. More would not occupy the device better.
     most: usize,
-    /// Whether counters are an invocation's own.
+    /// Whether each invocation keeps its counters in a private array instead of shared memory.
     own_counters: bool,
 }
 
-/// Enough runs for the cores. The lanes of a subgroup write to neighbouring places, and the shorter
-/// their runs, the more of those share a line of the cache; more runs than these make a table of
+/// Enough runs to occupy the cores. The lanes of a subgroup write to neighbouring places; the shorter
+/// their runs, the more of these places share a cache line. More runs than these make a table of
 /// counters that costs more than that gains.
 const SOFTWARE: Runs = Runs { least: 1024, most: 512, own_counters: true };
-/// Enough runs to fill a large GPU.
+/// Enough runs to occupy a large GPU.
 const GPU: Runs = Runs { least: 256, most: 16_384, own_counters: false };
 
 impl Runs {
-    /// Of so many keys.
+    /// Number of runs for `keys` keys.
     fn of(&self, keys: usize) -> usize {
         keys.div_ceil(self.least).min(self.most)
     }
 
-    /// Passes over `width` bits. Wide digits save passes and cost counters: each is set, written,
-    /// summed and read once a pass, which takes one and a half times what a key takes. Weighed for the
-    /// shortest runs, so that it is the same for every number of keys: a larger sort's scratch serves a
-    /// smaller one.
+    /// Number of passes over `width` bits. Wide digits save passes and cost counters: each counter is
+    /// set, written, summed and read once a pass, which costs one and a half times as much as a key. The
+    /// cost is weighed for the shortest runs, so that the result does not depend on the number of keys
+    /// and a larger sort's scratch serves a smaller one.
     fn passes(&self, width: u32) -> u32 {
         let usual = width.div_ceil(SHARED_DIGIT_BITS);
         let fewest = if self.own_counters { width.div_ceil(OWN_DIGIT_BITS) } else { usual };
@@ -44,7 +44,8 @@ impl Runs {
             let counters = 1usize << width.div_ceil(passes.max(1));
             passes as usize * (2 * self.least + 3 * counters)
         };
-        // No bits are a pass over a digit of none, since only the device knows how many pairs to copy.
+        // Zero bits still take one pass, over a digit of width 0, since only the device knows how many
+        // pairs to copy.
         (fewest..=usual).min_by_key(|&passes| cost(passes)).unwrap_or(usual).max(1)
     }
 }
@@ -89,37 +90,37 @@ pub struct RadixSort {
     runs: Runs,
 }
 
-/// What a sort works in between its dispatches.
+/// Intermediate buffers of a sort.
 pub struct SortScratch {
     plan: Buffer<u32>,
     table: Buffer<u32>,
     offsets: Buffer<u32>,
     total: Buffer<u32>,
     scan: ScanScratch,
-    /// Where pairs wait between passes; empty where one pass is enough.
+    /// Pairs between two passes; empty where one pass is enough.
     keys: Buffer<u32>,
     payload: Buffer<u32>,
 }
 
-/// The buffers of one sort. The input is left as it is.
+/// The buffers of one sort. The input does not change.
 pub struct SortArgs<'a> {
-    /// Holds the number of pairs; what exceeds the capacity is left out.
+    /// Holds the number of pairs; it is clamped to the capacity.
     pub count: View<'a, u32>,
-    /// Where it lies.
+    /// Index of that number in `count`.
     pub count_at: usize,
-    /// The keys; as long as the capacity.
+    /// The keys; at least as many elements as the capacity.
     pub keys: View<'a, u32>,
-    /// What goes with them; likewise.
+    /// The payload of each key; at least as many elements as the capacity.
     pub payload: View<'a, u32>,
-    /// Gets the sorted keys; untouched from the number of pairs on.
+    /// Receives the sorted keys; elements from the number of pairs on do not change.
     pub sorted_keys: ViewMut<'a, u32>,
-    /// Gets what goes with them.
+    /// Receives the payloads in the order of the sorted keys.
     pub sorted_payload: ViewMut<'a, u32>,
 }
 
 impl RadixSort {
-    /// A sort of at most `capacity` pairs by the bits `bits` of their keys, counted from the lowest.
-    /// Bits outside do not count; pairs whose bits are equal keep their order.
+    /// Plans a sort of at most `capacity` pairs by the bits `bits` of their keys, counted from the
+    /// lowest. Other bits are ignored; pairs whose bits are equal keep their order.
     ///
     /// # Errors
     /// [`Error::Input`] for bits beyond 32 or more than 2³² − 1 pairs.
@@ -139,7 +140,7 @@ impl RadixSort {
 
     fn in_runs(runs: Runs, capacity: usize, bits: Range<u32>) -> RadixSort {
         let width = bits.end - bits.start;
-        // Keys must not be shifted by all of their bits.
+        // A shift by all 32 bits of a key is undefined.
         let bits = if width == 0 { 0..0 } else { bits };
         let passes = runs.passes(width);
         RadixSort {
@@ -152,7 +153,7 @@ impl RadixSort {
         }
     }
 
-    /// The same in the way of GPUs, so that it can be held against the oracle on any device.
+    /// The same sort with the runs of GPUs, so that it can be compared with the oracle on any device.
     #[cfg(feature = "check")]
     pub(crate) fn with_gpu_runs(self) -> RadixSort {
         RadixSort::in_runs(GPU, self.capacity, self.bits)
@@ -166,7 +167,7 @@ impl RadixSort {
         self.bins() * self.runs.of(self.capacity)
     }
 
-    /// What [`record`](Self::record) works in.
+    /// Allocates the intermediate buffers of [`record`](Self::record).
     ///
     /// # Errors
     /// [`Error::OutOfMemory`].
@@ -184,9 +185,8 @@ impl RadixSort {
         })
     }
 
-    /// Records the sort: `sort/plan`; for each pass of up to 8 bits (on
-    /// software devices 9) `sort/count`, those of
-    /// [`Scan::record`], `sort/scatter`.
+    /// Records the sort: `sort/plan`; for each pass of up to 8 bits (9 on software devices)
+    /// `sort/count`, those of [`Scan::record`], `sort/scatter`.
     ///
     /// # Errors
     /// [`Error::Shape`] for a buffer that is too short; else as for [`Recorder::dispatch`].
@@ -221,7 +221,8 @@ impl RadixSort {
             let shift = self.bits.start + pass * self.digit_bits;
             let width = self.digit_bits.min(self.bits.end - shift);
             let digit = (shift, (1u32 << width) - 1);
-            // The last pass must end in the output: its neighbours alternate from there.
+            // The last pass must end in the output, so the passes before it alternate between the two
+            // targets from there.
             let to_output = (self.passes - 1 - pass).is_multiple_of(2);
             let (between, out) = (
                 (scratch.keys.view_mut(), scratch.payload.view_mut()),

@@ -1,7 +1,7 @@
-//! Pictures in the formats of textures, to be copied into a host's image.
+//! Conversion of rendered images to texture formats, to be copied into an image of a host application.
 //!
-//! The values stay what they are, the encoded ones of the pictures that the scene was trained with: an
-//! image of 8-bit sRGB takes these bytes as an image of plain 8-bit values does.
+//! The values are not converted: they are encoded colours, as in the images that the scene was trained
+//! on. An image of 8-bit sRGB takes these bytes just as an image of plain 8-bit values does.
 //!
 //! ```no_run
 //! use splat4d::embed::HostImage;
@@ -33,17 +33,17 @@ use crate::kernels::texel as kernels;
 
 const WORKGROUP: u32 = 64;
 
-/// How a picture is packed into eight bits a channel.
+/// How a rendered image is packed into eight bits a channel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Packing {
-    /// Premultiplied, behind the picture; all 0 leaves it as it is.
+    /// Background colour, premultiplied; all 0 leaves the image as it is.
     pub background: [f32; 4],
-    /// Blue, green, red, alpha, as the images of many windows have it.
+    /// Whether the channel order is blue, green, red, alpha, as in the images of many windows.
     pub blue_first: bool,
 }
 
-/// Records `texel/unorm8`: a premultiplied picture into eight bits a channel, the first the lowest
-/// byte, the nearest of 255 steps. What is not finite counts as 0.
+/// Records `texel/unorm8`: converts a premultiplied image into eight bits a channel, the first channel
+/// in the lowest byte, rounded to the nearest of the 255 steps. Values that are not finite become 0.
 ///
 /// # Errors
 /// [`Error::Shape`](crate::Error::Shape) for fewer texels than pixels.
@@ -70,9 +70,9 @@ pub fn unorm8(
     )
 }
 
-/// Records `texel/half`: a premultiplied picture over a premultiplied background into 16-bit
-/// floats, the nearest, ties to even, and the largest where it is out of range. What is not finite
-/// counts as 0.
+/// Records `texel/half`: composites a premultiplied image over a premultiplied background and converts
+/// it to 16-bit floats. Values are rounded to nearest, ties to even, and clamped to the largest where
+/// they are out of range. Values that are not finite become 0.
 ///
 /// # Errors
 /// [`Error::Shape`](crate::Error::Shape) for fewer texels than pixels.

@@ -1,20 +1,20 @@
-//! Scenes edited where they lie.
+//! Editing of scenes in device memory.
 
 use super::{Half, Renderer};
 use crate::types::Gaussians;
 use crate::{Error, Result};
 use std::ops::Range;
 
-/// Edits go through the renderer's own stream and wait until they are done. Frames recorded before
-/// an edit and submitted after it show the scene as it was or as it is, Gaussian by Gaussian.
+/// Edits run on the renderer's own stream and wait until they are done. In a frame that is recorded
+/// before an edit and submitted after it, each Gaussian may be in its old or its new state.
 impl Renderer {
-    /// Adds Gaussians at the end, and says where they are. Without room the buffers grow to twice
-    /// their length at least. In a static scene motion logits are left out; in a moving one, Gaussians
-    /// without them stand still.
+    /// Appends Gaussians and returns their index range. If the capacity is exceeded, the buffers
+    /// grow to at least twice their length. In a static scene motion logits are ignored; in a
+    /// moving scene, Gaussians without motion logits are static.
     ///
     /// # Errors
-    /// [`Error::Shape`] where arrays differ in length, or for harmonics of a higher degree than the
-    /// scene's; [`Error::OutOfMemory`]; a failed submission.
+    /// [`Error::Shape`] if arrays differ in length, or if the degree of the spherical harmonics
+    /// exceeds the scene's; [`Error::OutOfMemory`]; a failed submission.
     pub fn append(&mut self, gaussians: &Gaussians) -> Result<Range<usize>> {
         let (first, end) = (self.len(), self.len() + gaussians.len());
         self.check_logits(gaussians)?;
@@ -29,10 +29,10 @@ impl Renderer {
         Ok(first..end)
     }
 
-    /// Puts other Gaussians in the place of those from `first` on.
+    /// Replaces the Gaussians from index `first` on.
     ///
     /// # Errors
-    /// [`Error::Shape`] where they reach past the end; else as for [`append`](Self::append).
+    /// [`Error::Shape`] if the range exceeds the end; else as for [`append`](Self::append).
     pub fn replace(&mut self, first: usize, gaussians: &Gaussians) -> Result<()> {
         self.check_logits(gaussians)?;
         if first + gaussians.len() > self.len() {
@@ -47,10 +47,11 @@ impl Renderer {
         self.revise(first, gaussians)
     }
 
-    /// Takes a range of Gaussians out; those behind it move up and keep their order.
+    /// Removes a range of Gaussians. The later ones move down by the length of the range and keep
+    /// their order.
     ///
     /// # Errors
-    /// [`Error::Shape`] for a range that is not there; [`Error::OutOfMemory`]; a failed submission.
+    /// [`Error::Shape`] for a range out of bounds; [`Error::OutOfMemory`]; a failed submission.
     pub fn remove(&mut self, range: Range<usize>) -> Result<()> {
         if range.start > range.end || range.end > self.len() {
             return Err(Error::Shape {
@@ -76,7 +77,7 @@ impl Renderer {
         Ok(())
     }
 
-    /// Takes over the motion logits of what lies from `first` on.
+    /// Stores the motion logits of the Gaussians from index `first` on.
     fn revise(&mut self, first: usize, gaussians: &Gaussians) -> Result<()> {
         if self.motion.is_some() {
             self.motion_logits.resize(self.gaussians.len, f32::NEG_INFINITY);
@@ -89,7 +90,7 @@ impl Renderer {
         self.list_dynamic()
     }
 
-    /// Everything that follows from which Gaussians there are.
+    /// Updates the data that is derived from the set of Gaussians.
     fn list_dynamic(&mut self) -> Result<()> {
         if let Some(motion) = &mut self.motion {
             motion.reserve(&self.device, self.gaussians.capacity())?;

@@ -1,6 +1,6 @@
-//! What a picture shows besides colour: how much of a pixel moves, normals, motion to the next picture.
+//! Per-pixel layers besides colour: the motion mask, normals, and optical flow to another frame.
 //!
-//! Each is a value per Gaussian, blended as the colours of the picture were.
+//! Each is a value per Gaussian, blended with the weights of the last rendered image.
 
 use glam::{DQuat, DVec2, DVec3};
 
@@ -8,17 +8,19 @@ use super::{Renderer, FrameResources};
 use crate::types::{Camera, Image};
 use crate::{Error, Result};
 
-/// Pixels less opaque than this show nothing that a value could be told of; as for
+/// Pixels with a smaller alpha have no value in a layer; the same threshold as for
 /// [`Rendered::mean_depth`](super::Rendered::mean_depth).
 const LEAST_ALPHA: f32 = 1e-3;
 
 impl Renderer {
-    /// The picture that [`render`](Self::render) gave last, with a value of each Gaussian in place of
-    /// its colour: Σ α · T · value, and alpha. Values may be any finite numbers. Costs a pass of blending.
+    /// The last image of [`render`](Self::render) with a value per Gaussian in place of its colour:
+    /// Σ α · T · value (three channels), and alpha. Values may be any finite numbers. It costs one
+    /// blending pass.
     ///
     /// # Errors
-    /// [`Error::Shape`] for another number of values than Gaussians; [`Error::Input`] before the first
-    /// picture; [`Error::OutOfMemory`], or a failed submission.
+    /// [`Error::Shape`] if the number of values differs from the number of Gaussians;
+    /// [`Error::Input`] before the first rendered image; [`Error::OutOfMemory`], or a failed
+    /// submission.
     pub fn repaint(&mut self, values: &[[f32; 3]]) -> Result<Image> {
         let n = self.gaussians.len;
         if values.len() != n {
@@ -50,8 +52,8 @@ impl Renderer {
         Ok(Image { width, height, channels: 4, pixels: rgba })
     }
 
-    /// How much of each pixel of the last picture comes from Gaussians that move, 0 to its alpha; one
-    /// channel.
+    /// The part of each pixel's alpha in the last rendered image that comes from dynamic Gaussians,
+    /// between 0 and alpha; one channel.
     ///
     /// # Errors
     /// As for [`repaint`](Self::repaint).
@@ -64,9 +66,10 @@ impl Renderer {
         Ok(Image { channels: 1, pixels, ..painted })
     }
 
-    /// Normals of the last picture, which `camera` saw at `time`: unit vectors in the camera's axes (x
-    /// right, y down, z forward), that point toward it; 0 where nothing is. Three channels. A
-    /// Gaussian's normal is its shortest axis; those of a pixel are blended and made a unit again.
+    /// Normals of the last rendered image, of `camera` at `time`: unit vectors in the camera's
+    /// frame (x right, y down, z forward) that point toward the camera; 0 in empty pixels. Three
+    /// channels. A Gaussian's normal is its shortest axis; a pixel's normal is the normalised blend
+    /// of these.
     ///
     /// # Errors
     /// As for [`repaint`](Self::repaint) and [`posed`](Self::posed).
@@ -99,16 +102,16 @@ impl Renderer {
         Ok(out)
     }
 
-    /// Flow from the last picture, which is `seen` as `from` saw it at a time, to what another camera
-    /// sees at another: by how many pixels what a pixel shows is displaced, two channels; NaN where
-    /// nothing is, and where it comes to lie behind the other camera.
+    /// Optical flow from the last rendered image (`seen`, of camera and time `from`) to another
+    /// camera at another time: the displacement of each pixel in pixels, x right and y down, two
+    /// channels. It is NaN in empty pixels, and where the point lies behind the other camera.
     ///
-    /// What a pixel shows lies at its mean depth, and moves by the mean of the motions of the
-    /// Gaussians that it shows. Whether the other picture shows it too is not asked.
+    /// A pixel's surface point is taken at the mean depth, and moves by the blended motion of the
+    /// pixel's Gaussians. Occlusion in the other image is not tested.
     ///
     /// # Errors
-    /// As for [`repaint`](Self::repaint) and [`posed`](Self::posed); [`Error::Shape`] where `seen` is
-    /// of another size.
+    /// As for [`repaint`](Self::repaint) and [`posed`](Self::posed); [`Error::Shape`] if the size
+    /// of `seen` differs.
     pub fn flow(
         &mut self,
         seen: &super::Rendered,
@@ -157,7 +160,8 @@ fn wide(v: [f32; 3]) -> DVec3 {
     DVec3::from_array(v.map(f64::from))
 }
 
-/// As floats; what is not finite would spoil every pixel that it reaches.
+/// The vector as f32, zero if it is not finite: one such value would spread to every pixel of the
+/// splat.
 fn finite(v: DVec3) -> [f32; 3] {
     if v.is_finite() { v.to_array().map(|v| v as f32) } else { [0.0; 3] }
 }

@@ -1,7 +1,7 @@
-//! A scene on the device, rendered from any camera at any time.
+//! Renders a scene on the device from any camera at any time.
 //!
-//! [`Renderer::render`] does all of it and gives the picture. A host that draws records instead, into
-//! its own command buffer and its own buffers:
+//! [`Renderer::render`] renders a frame, waits for it and returns the image. A host with its own
+//! frame loop calls [`Renderer::record`] to render into its own command buffer and buffers:
 //!
 //! ```no_run
 //! use splat4d::embed::ash::vk;
@@ -24,10 +24,11 @@
 //!     let target = Target { rgba: Some(picture.view_mut()), ..Target::default() };
 //!     let frame = renderer.record(&mut recorder, camera, 0.5, target)?;
 //!     let guard = recorder.finish()?;
-//!     // … the host records on, submits, goes on with other frames; when the device is done:
+//!     // … the host records more, submits, and continues with other frames. When the device is
+//!     done:
 //!     drop(guard);
 //!     if !renderer.retire(frame)?.is_whole() {
-//!         // The farthest splats of that frame had no room; the next record makes it.
+//!         // The farthest splats of that frame were left out; the next `record` allocates more.
 //!     }
 //!     Ok(())
 //! }
@@ -53,34 +54,34 @@ use crate::types::{Camera, DeformNet, Gaussians, Image, RenderSettings, Tuning, 
 use crate::{Error, Result};
 use std::sync::Arc;
 
-/// Renders one scene. Images of one size after the other cost no allocation.
+/// A renderer of one scene. Successive images of the same size cost no allocation.
 pub struct Renderer {
     device: Device,
     stream: Stream,
     gaussians: GaussianBuffers,
     motion: Option<Motion>,
-    /// One for each Gaussian where the scene moves, else empty.
+    /// Motion logits, one per Gaussian; empty in a static scene.
     motion_logits: Vec<f32>,
     settings: RenderSettings,
     tuning: Tuning,
     half: Half,
     resources: Option<FrameResources>,
-    /// Intersections that the next studio has room for at least.
+    /// Minimum capacity, in (splat, tile) pairs, of the next frame resources.
     capacity: usize,
-    /// Counts that no frame waits for.
+    /// Readback buffers for frame counts that no frame uses at present.
     idle: Vec<Readback<u32>>,
-    /// Tells its frames from those of others.
+    /// Identifies the frames of this renderer.
     identity: Arc<()>,
 }
 
-/// Attributes in 16 bits, where the tuning asks for them.
+/// 16-bit copies of the attributes, if the tuning asks for them.
 struct Half {
     harmonics: Option<HalfHarmonics>,
     shapes: Option<HalfShapes>,
 }
 
 impl Half {
-    /// Room for so many Gaussians.
+    /// Allocates capacity for `count` Gaussians.
     fn capacity(device: &Device, count: usize, sh_degree: u32, tuning: &Tuning) -> Result<Half> {
         let harmonics = || HalfHarmonics::new(device, count, sh_degree);
         let shapes = || HalfShapes::new(device, count);
@@ -104,31 +105,32 @@ impl Half {
     }
 }
 
-/// What pictures of one size need.
+/// The frame resources: buffers and plans for images of one size.
 struct FrameResources {
     render: Render,
     scratch: RenderScratch,
     pixels: PixelBuffers,
-    /// Colours that tell what moves, and the picture of them.
+    /// Per-Gaussian colours that mark the dynamic Gaussians, and the image blended from them.
     moving: Option<(Buffer<[f32; 4]>, PixelBuffers)>,
-    /// Values of the Gaussians in place of their colours, and the picture of them.
+    /// Per-Gaussian values in place of colours, and the image blended from them.
     painted: Option<(Buffer<[f32; 4]>, PixelBuffers)>,
 }
 
-/// Where a frame goes: parts of buffers of the device, a host's too. What is `None` stays in the
-/// renderer's own [`pixels`](Renderer::pixels).
+/// The output buffers of a frame: views of buffers of the device, the host's included, one element
+/// per pixel, row-major. An output that is `None` goes to the renderer's own
+/// [`pixels`](Renderer::pixels).
 #[derive(Default)]
 pub struct Target<'a> {
-    /// Premultiplied colour without background, and alpha.
+    /// Premultiplied RGB without background, and alpha.
     pub rgba: Option<ViewMut<'a, [f32; 4]>>,
-    /// Σ α · T · z: divide by alpha for the mean depth.
+    /// Σ α · T · z; the mean depth is this divided by alpha.
     pub depth: Option<ViewMut<'a, f32>>,
-    /// In red, how much of alpha comes from what moves; green and blue are 0; alpha as in `rgba`.
-    /// Costs another pass of blending.
+    /// The motion mask. Red is the part of alpha that comes from dynamic Gaussians; green and blue
+    /// are 0; alpha equals that of `rgba`. It costs a second blending pass.
     pub mask: Option<ViewMut<'a, [f32; 4]>>,
 }
 
-/// A recorded frame, to be [retired](Renderer::retire) when the device is done with it.
+/// A recorded frame. [Retire](Renderer::retire) it when the device is done with it.
 #[must_use = "`retire` tells whether all of it was drawn"]
 pub struct Frame {
     counts: Readback<u32>,
@@ -136,34 +138,34 @@ pub struct Frame {
     of: Arc<()>,
 }
 
-/// What became of a frame.
+/// The result of a frame that the device has rendered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Drawn {
-    /// What it held.
+    /// Numbers of visible splats and of intersections.
     pub counts: FrameCounts,
-    /// (splat, tile) pairs that there was room for.
+    /// Capacity for (splat, tile) pairs when the frame was recorded.
     pub capacity: usize,
 }
 
 impl Drawn {
-    /// Whether every splat was drawn; else the farthest were left out.
+    /// Whether every splat was rendered; if not, the farthest ones were left out.
     pub fn is_whole(&self) -> bool {
         self.counts.intersections <= self.capacity
     }
 }
 
 impl Renderer {
-    /// Puts a scene on a device.
+    /// Uploads a scene to a device.
     ///
     /// # Errors
-    /// [`Error::OutOfMemory`], a scene whose arrays do not fit together, or [`Error::Input`] for
-    /// settings, control points or a network out of [range]. Gaussians that are
-    /// not finite are not drawn.
+    /// [`Error::OutOfMemory`]; [`Error::Shape`] for a scene whose arrays differ in length;
+    /// [`Error::Input`] for settings, control points or a network out of [range]. Gaussians that
+    /// are not finite are not rendered.
     pub fn new(device: &Device, scene: &Scene) -> Result<Renderer> {
         Renderer::tuned(device, scene, &Tuning::default())
     }
 
-    /// Puts a scene on a device, to be rendered with some accuracy given up for speed.
+    /// Uploads a scene to a device, to be rendered with the given trade-offs of accuracy for speed.
     ///
     /// # Errors
     /// As for [`new`](Self::new); [`Error::Input`] for settings out of range.
@@ -173,8 +175,8 @@ impl Renderer {
         Ok(renderer)
     }
 
-    /// With room for so many Gaussians, not all of which need be there, and none of them in 16 bits
-    /// yet.
+    /// A renderer with capacity for `capacity` Gaussians, of which the scene may hold fewer. 16-bit
+    /// copies are not made yet.
     fn with_capacity(device: &Device, scene: &Scene, tuning: &Tuning, capacity: usize) -> Result<Renderer> {
         tuning.check()?;
         let network = scene.network.as_ref();
@@ -236,8 +238,9 @@ impl Renderer {
         self.gaussians.len == 0
     }
 
-    /// The picture of the last frame as far as it did not go into a [`Target`]; none before the
-    /// first. Keep clones of nothing: the next frame writes it anew.
+    /// The pixel buffers of the last frame; outputs that went into a [`Target`] are not in them.
+    /// `None` before the first frame. Do not keep references to their content: the next frame
+    /// overwrites it.
     pub fn pixels(&self) -> Option<&PixelBuffers> {
         self.resources.as_ref().map(|resources| &resources.pixels)
     }
@@ -260,8 +263,9 @@ impl Renderer {
         })
     }
 
-    /// Renders into the renderer's own pixels and waits, with as much room as it takes. The pairs of
-    /// the first picture of a size are counted before any room is made.
+    /// Renders into the renderer's own pixels and waits, with enough capacity for all (splat, tile)
+    /// pairs. The pairs of the first image of a size are counted before its frame resources are
+    /// allocated.
     fn draw(&mut self, camera: &Camera, time: f64) -> Result<()> {
         if !self.has_resources(camera) {
             let pairs = self.count(camera, time)?;
@@ -278,16 +282,17 @@ impl Renderer {
         }
     }
 
-    /// Records the scene as `camera` sees it at `time` in [0, 1]. Frames of one size after the other
-    /// allocate nothing, as long as each is [retired](Self::retire).
+    /// Records the rendering of the scene as `camera` sees it at `time` in [0, 1]. Successive
+    /// frames of the same size allocate nothing, if each is [retired](Self::retire).
     ///
-    /// The dispatches, in order: where the scene moves those of
+    /// The dispatches, in order: in a moving scene those of
     /// [`Motion::forward`](crate::ops::motion::Motion::forward); those of
-    /// [`Render::forward`](crate::ops::render::Render::forward); for a mask one of blending more.
+    /// [`Render::forward`](crate::ops::render::Render::forward); with a mask one more blending
+    /// dispatch.
     ///
     /// # Errors
     /// [`Error::OutOfMemory`]; [`Error::RangeLimit`] for more intersections than a binding holds;
-    /// [`Error::Shape`] where a part of the target is too short; [`Error::Input`] for a recorder of
+    /// [`Error::Shape`] if a view of the target is too short; [`Error::Input`] for a recorder of
     /// another device, or a camera or a time out of [range].
     pub fn record(
         &mut self,
@@ -328,13 +333,13 @@ impl Renderer {
         Ok(Frame { counts, capacity: render.intersection_capacity(), of: identity.clone() })
     }
 
-    /// Takes back a frame with which the device is known to be done: after
-    /// [`Stream::wait`] for its submission, or when the guard of the host's recording is dropped. Makes
-    /// more room where it did not fit: the next [`record`](Self::record) allocates then.
+    /// Retires a frame that the device is known to be done with: after [`Stream::wait`] for its
+    /// submission, or after the guard of the host's recording is dropped. If the (splat, tile)
+    /// pairs of the frame exceeded the capacity, the next [`record`](Self::record) allocates more.
     ///
     /// # Errors
-    /// [`Error::Input`] for a frame of another renderer, and earlier than that; [`Error::Failed`] for one
-    /// that was never submitted, where its counts tell.
+    /// [`Error::Input`] for a frame of another renderer, and if the frame is not done yet;
+    /// [`Error::Failed`] for a frame that was never submitted, if its counts reveal that.
     pub fn retire(&mut self, frame: Frame) -> Result<Drawn> {
         let Frame { mut counts, capacity, of } = frame;
         if !Arc::ptr_eq(&self.identity, &of) {
@@ -355,14 +360,14 @@ impl Renderer {
         Ok(drawn)
     }
 
-    /// Makes room for so many (splat, tile) pairs at the next picture, so that none of at most as many
-    /// has to be drawn again.
+    /// Requests capacity for `intersections` (splat, tile) pairs from the next frame on, so that no
+    /// frame with at most that many pairs has to be rendered again.
     pub fn reserve(&mut self, intersections: usize) {
         self.capacity = self.capacity.max(intersections);
     }
 
-    /// How many (splat, tile) pairs the picture of `camera` at `time` has. Takes the projection of the
-    /// Gaussians, not the picture, and no room for the pairs.
+    /// The number of (splat, tile) pairs in the image of `camera` at `time`. Projects the Gaussians
+    /// but does not blend, and needs no memory for the pairs.
     ///
     /// # Errors
     /// As for [`render`](Self::render).
@@ -382,8 +387,8 @@ impl Renderer {
         Ok(counts[..len].iter().map(|&count| u64::from(count)).sum())
     }
 
-    /// The Gaussians as they are at `time` in [0, 1]: those that move in their places, turned, and as
-    /// opaque as they are then. Nothing of motion is left in them.
+    /// The Gaussians at `time` in [0, 1], with the motion applied to position, rotation and
+    /// opacity. The result is static: it has no motion logits.
     ///
     /// # Errors
     /// [`Error::Input`] for a time out of [range]; a failed submission.
@@ -399,9 +404,8 @@ impl Renderer {
         Ok(posed)
     }
 
-    /// The motions of the control points at `time` in [0, 1], as
-    /// [`ControlPoints::paths`](crate::types::ControlPoints::paths) holds them; none
-    /// where nothing moves.
+    /// The motions of the control points at `time` in [0, 1], in the layout of
+    /// [`ControlPoints::paths`](crate::types::ControlPoints::paths); empty in a static scene.
     ///
     /// # Errors
     /// As for [`posed`](Self::posed).
@@ -418,14 +422,14 @@ impl Renderer {
             .collect())
     }
 
-    /// Whether there is a studio for pictures of a camera's size.
+    /// Whether frame resources of sufficient capacity exist for the camera's image size.
     fn has_resources(&self, camera: &Camera) -> bool {
         let k = camera.intrinsics;
         self.pixels().is_some_and(|pixels| (pixels.width, pixels.height) == (k.width, k.height))
     }
 
-    /// Makes what pictures of a camera's size need. Room for more pairs than usual is asked for only where there
-    /// is memory for it: systems promise more than they have.
+    /// Allocates the frame resources for a camera's image size. Free memory is checked first if the
+    /// capacity is larger than usual, since systems can promise more memory than they have.
     fn make_resources(&mut self, camera: &Camera) -> Result<()> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         self.resources = None;
@@ -454,7 +458,7 @@ impl Renderer {
         })
     }
 
-    /// Makes what a mask needs, where it is not there.
+    /// Allocates the buffers for a mask, if they do not exist.
     fn plan_mask(&mut self) -> Result<()> {
         let resources = self.resources.as_mut().expect("planned before");
         if resources.moving.is_some() {
@@ -469,12 +473,12 @@ impl Renderer {
     }
 }
 
-/// (splat, tile) pairs that there is room for at first.
+/// The initial capacity for (splat, tile) pairs.
 fn usual_capacity(gaussians: usize) -> usize {
     gaussians.saturating_mul(4).max(1 << 14)
 }
 
-/// Records where the Gaussians are at a time, and gives them.
+/// Records the motion of the Gaussians to `time`, and returns views of the result.
 fn moved<'a>(
     gaussians: &'a GaussianBuffers,
     half: &'a Half,

@@ -1,4 +1,4 @@
-//! Questions about a scene: what lies at a pixel, and how far it reaches.
+//! Queries of a scene: the surface at a pixel, the control points and the bounding box.
 
 use super::{Renderer, moved};
 use crate::gpu::View;
@@ -8,37 +8,37 @@ use crate::{Error, Result};
 use bytemuck::Pod;
 use glam::{DVec2, DVec3};
 
-/// What a pixel shows.
+/// The surface that a pixel shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
-    /// The Gaussian with which the pixel becomes more opaque than half of its alpha: the surface, where
-    /// there is one.
+    /// Index of the Gaussian with which the accumulated opacity, front to back, exceeds half of the
+    /// pixel's alpha.
     pub gaussian: usize,
-    /// Depth of that Gaussian's centre.
+    /// Depth (camera z) of that Gaussian's centre.
     pub depth: f64,
-    /// The place of that depth behind the pixel, in the world.
+    /// The point at that depth on the ray through the pixel's centre, world frame.
     pub point: DVec3,
-    /// The Gaussian's share of the pixel: α · T.
+    /// The Gaussian's blending weight in the pixel: α · T.
     pub weight: f64,
     /// The pixel's alpha.
     pub alpha: f64,
 }
 
-/// A splat as it was projected.
+/// A projected splat.
 struct Splat {
     gaussian: usize,
     /// Mean x, mean y, depth, opacity.
     mean: [f32; 4],
-    /// The conic's factor (a, b, e), and something else.
+    /// The conic's triangular factor (a, b, e); the fourth value is not used here.
     conic: [f32; 4],
 }
 
 impl Renderer {
-    /// What `camera` sees at a pixel at `time`; nothing where alpha is 0. Renders a frame, then asks
-    /// for the splats of one tile, and waits.
+    /// The surface that `camera` sees at a pixel at `time`; `None` where alpha is 0. Renders a
+    /// frame, reads back the splats of one tile, and waits.
     ///
     /// # Errors
-    /// [`Error::Input`] for a pixel outside of the picture; else as for [`render`](Self::render).
+    /// [`Error::Input`] for a pixel outside the image; else as for [`render`](Self::render).
     pub fn hit(&mut self, camera: &Camera, time: f64, pixel: [u32; 2]) -> Result<Option<Hit>> {
         let k = camera.intrinsics;
         let [x, y] = pixel;
@@ -58,7 +58,7 @@ impl Renderer {
             let (dx, dy) = (centre[0] - mx, centre[1] - my);
             let power = (a * dx + b * dy).powi(2) + (e * dy).powi(2);
             let alpha = (opacity * (-power).exp()).min(f64::from(settings.alpha_cap));
-            // What the kernel passes over: NaN, and the faint.
+            // The blending kernel also skips NaN and alphas below the cut.
             if power.is_nan() || alpha < f64::from(settings.alpha_cut) {
                 continue;
             }
@@ -96,7 +96,7 @@ impl Renderer {
         Ok(rows.map(|((gaussian, mean), conic)| Splat { gaussian, mean, conic }).collect())
     }
 
-    /// Some rows of an array of the last frame.
+    /// Reads the rows with these indices of an array of the last frame.
     fn read_rows<T: Pod>(
         &mut self,
         array: impl Fn(&RenderScratch) -> View<'_, T>,
@@ -113,9 +113,9 @@ impl Renderer {
         self.stream.download(&gathered)
     }
 
-    /// Where the control points are at `time` in [0, 1], in the order of the scene's; `None` for one that is
-    /// not there ([`ControlPoints::ABSENT`] and what is nearer to it than to 0). Empty where nothing moves.
-    /// Waits.
+    /// World positions of the control points at `time` in [0, 1], in the scene's order. `None` for
+    /// an absent one, whose added opacity logit is nearer to [`ControlPoints::ABSENT`] than to 0.
+    /// Empty in a static scene. Waits.
     ///
     /// # Errors
     /// [`Error::Input`] for a time out of [range]; [`Error::OutOfMemory`], or a
@@ -138,9 +138,10 @@ impl Renderer {
         Ok(nodes.chunks_exact(3).zip(transforms.chunks_exact(2)).map(place).collect())
     }
 
-    /// The box around every Gaussian at `time` in [0, 1]: lower and upper corner of the centres,
-    /// each widened by `sigmas` of its largest standard deviation; `None` in an empty scene. Gaussians
-    /// that are not finite do not count. Waits.
+    /// The axis-aligned bounding box of all Gaussians at `time` in [0, 1], as lower and upper
+    /// corner in the world frame: each centre is extended by `sigmas` times the Gaussian's largest
+    /// standard deviation. `None` in an empty scene. Gaussians that are not finite are ignored.
+    /// Waits.
     ///
     /// # Errors
     /// [`Error::Input`] for a time out of [range]; [`Error::OutOfMemory`], or a

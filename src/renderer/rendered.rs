@@ -1,18 +1,18 @@
-//! Pictures on the host.
+//! Rendered images on the host.
 
 use crate::types::Image;
 
-/// An image as the device blended it.
+/// A rendered image, as blended on the device.
 #[derive(Clone, Debug)]
 pub struct Rendered {
-    /// Premultiplied colour without background, and alpha: 4 channels.
+    /// Premultiplied RGB without background, and alpha: 4 channels.
     pub rgba: Image,
-    /// Σ α · T · z: divide by alpha for the mean depth.
+    /// Σ α · T · z, 1 channel; the mean depth is this divided by alpha.
     pub depth: Image,
 }
 
 impl Rendered {
-    /// Colour over a background: 3 channels.
+    /// The colour composited over a background: 3 channels.
     pub fn over(&self, background: [f32; 3]) -> Image {
         let mut image = Image::new(self.rgba.width, self.rgba.height, 3);
         let pixels = self.rgba.pixels.chunks_exact(4);
@@ -24,7 +24,7 @@ impl Rendered {
         image
     }
 
-    /// Mean depth where something is there, 0 elsewhere.
+    /// Mean depth, 1 channel; 0 where alpha is 1e-3 or less.
     pub fn mean_depth(&self) -> Image {
         let mut image = self.depth.clone();
         for (depth, rgba) in image.pixels.iter_mut().zip(self.rgba.pixels.chunks_exact(4)) {

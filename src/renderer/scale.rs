@@ -1,4 +1,4 @@
-//! What rendering takes of a device's memory, before it begins.
+//! Estimates the device memory of rendering before it begins.
 
 use super::{Half, Renderer};
 use crate::Result;
@@ -6,31 +6,32 @@ use crate::gpu::{Device, Footprint, Rehearsal, most_that_fits};
 use crate::scene::Scene;
 use crate::types::{Camera, Gaussians, Intrinsics, MotionScale, Pose, Tuning};
 
-/// How large a scene and its pictures are.
+/// The sizes of a scene and its images that determine the memory of rendering.
 ///
-/// [`footprint`](Self::footprint) makes a renderer and lets it draw where buffers have no memory: what it
-/// counts is what a real one allocates. How many tiles the splats of a picture will reach depends on the
-/// cameras: [`Renderer::count`] counts them.
+/// [`footprint`](Self::footprint) creates a renderer and renders in a rehearsal, in which buffers
+/// have no memory; it counts the bytes that a real renderer allocates. The number of (splat, tile)
+/// pairs depends on the cameras: [`Renderer::count`] counts them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderScale {
-    /// Gaussians.
+    /// Number of Gaussians.
     pub gaussians: usize,
     /// Degree of their spherical harmonics.
     pub sh_degree: u32,
-    /// What moves; `None` where nothing does.
+    /// Size of the motion model; `None` in a static scene.
     pub motion: Option<MotionScale>,
-    /// Width and height of the largest picture, pixels.
+    /// Width and height of the largest image, pixels.
     pub size: (u32, u32),
-    /// (splat, tile) pairs of the fullest picture; there is room for four per Gaussian in any case.
+    /// (splat, tile) pairs of the image that has the most; the capacity is at least four per
+    /// Gaussian.
     pub intersections: usize,
-    /// Accuracy given up for speed.
+    /// Trade-offs of accuracy for speed.
     pub tuning: Tuning,
-    /// Whether pictures are painted anew ([`Renderer::repaint`]), as motion, normals and flow are.
+    /// Whether [`Renderer::repaint`] is used, as motion masks, normals and flow do.
     pub repainted: bool,
 }
 
 impl RenderScale {
-    /// Of a scene, in pictures of a size.
+    /// The sizes of a scene that is rendered to images of `size`.
     pub fn new(scene: &Scene, size: (u32, u32), tuning: &Tuning) -> RenderScale {
         RenderScale {
             gaussians: scene.gaussians.len(),
@@ -48,12 +49,12 @@ impl RenderScale {
         }
     }
 
-    /// Whether its pictures need more room for (splat, tile) pairs than there is at first.
+    /// Whether the images need more than the initial capacity for (splat, tile) pairs.
     pub fn is_dense(&self) -> bool {
         self.intersections > super::usual_capacity(self.gaussians)
     }
 
-    /// What it takes of a device's memory at most.
+    /// The peak device memory of rendering.
     ///
     /// # Errors
     /// [`Error::RangeLimit`](crate::Error::RangeLimit) for a buffer larger than one binding of the
@@ -83,8 +84,8 @@ impl RenderScale {
         })
     }
 
-    /// The most Gaussians, each of which reaches as many tiles, with which such a scene fits on a
-    /// device; 0 where the picture alone does not fit.
+    /// The largest number of Gaussians with which such a scene fits on a device, at the same number
+    /// of tiles per Gaussian; 0 if the image alone does not fit.
     pub fn most_gaussians(&self, device: &Device) -> usize {
         let each = self.intersections as f64 / self.gaussians.max(1) as f64;
         most_that_fits(device, |gaussians| {
@@ -93,7 +94,7 @@ impl RenderScale {
         })
     }
 
-    /// A scene of one Gaussian, and all else as it is.
+    /// A scene of one Gaussian with the motion model of this scale.
     fn sketch(&self) -> Scene {
         let scene = Scene::of(Gaussians::one(self.sh_degree));
         let Some(motion) = self.motion else { return scene };

@@ -1,4 +1,5 @@
-//! What each component of a reconstruction is worth: runs with one of them off, against the full run.
+//! Contribution of each component of a reconstruction: runs with one component disabled, compared with the
+//! full run.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -11,79 +12,79 @@ use super::ablation_page::page;
 use super::csv::record;
 use crate::{Result, io};
 
-/// An ablation of one clip.
+/// The ablation of one clip.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Ablation {
     /// Version of the crate.
     pub version: String,
-    /// What the clip is called.
+    /// Name of the clip.
     pub clip: String,
-    /// Its frames.
+    /// Number of frames.
     pub frames: usize,
-    /// Their width and height.
+    /// Width and height of the frames, pixels.
     pub size: [u32; 2],
     /// Training steps of the last stage.
     pub steps: u32,
-    /// Each row was run once with each of these.
+    /// Random seeds; each row was run once with each of them.
     pub seeds: Vec<u64>,
-    /// What it ran on.
+    /// The machine that it ran on.
     pub machine: Machine,
-    /// What was measured of each run.
+    /// The metrics of each run.
     pub figures: Vec<Figure>,
-    /// The full run, then those with one component off.
+    /// The full run, then the runs with one component disabled.
     pub rows: Vec<AblationRow>,
 }
 
-/// A figure that is measured of every run.
+/// A metric that is measured for every run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Figure {
-    /// What machines call it.
+    /// Machine-readable key.
     pub key: String,
-    /// What people call it, with its unit.
+    /// Human-readable title, with its unit.
     pub title: String,
-    /// Which way it is better.
+    /// Which direction is better.
     pub better: Better,
 }
 
-/// Which way a figure is better.
+/// The direction in which a metric improves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Better {
-    /// The more the better: PSNR, SSIM.
+    /// Larger is better, as for PSNR and SSIM.
     More,
-    /// The less the better: seconds, bytes.
+    /// Smaller is better, as for seconds and bytes.
     Less,
 }
 
-/// The runs without one component, one for each seed.
+/// The runs without one component, one per seed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct AblationRow {
-    /// The component; `full` for the run with all of them.
+    /// The disabled component; `full` for the run with all of them.
     pub component: String,
-    /// What is so without it.
+    /// Effect of disabling the component, in words.
     pub without: String,
-    /// By seed, figures by their keys; a run lacks what could not be measured.
+    /// Per seed, metrics by key; a metric that could not be measured is absent.
     pub runs: Vec<BTreeMap<String, f64>>,
-    /// Why a run came to nothing, where one did: then there are no figures.
+    /// Reason of a failure, if a run failed; then there are no metrics.
     pub failed: Option<String>,
 }
 
-/// A figure over the seeds.
+/// A metric summarised over the seeds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Summary {
-    /// The median.
+    /// Median over the seeds.
     pub median: f64,
-    /// The worst.
+    /// Worst value over the seeds.
     pub worst: f64,
-    /// The median, over the seeds, of the difference from the full run of the same seed.
+    /// Median over the seeds of the difference from the full run with the same seed.
     pub change: Option<f64>,
 }
 
 impl Ablation {
-    /// What [`Ablation::write_report`] writes into its folder.
+    /// The files that [`Ablation::write_report`] writes to its folder.
     pub const REPORT_FILES: [&str; 2] = ["ablation.csv", "index.html"];
 
-    /// A figure of a row over the seeds; `None` where it is not known of every run.
+    /// A metric of a row, summarised over the seeds; `None` where it is missing for a run.
     pub fn summary(&self, row: &AblationRow, figure: &Figure) -> Option<Summary> {
         let of = |row: &AblationRow| -> Option<Vec<f64>> {
             let values: Option<Vec<f64>> =
@@ -101,7 +102,7 @@ impl Ablation {
         Some(Summary { median: median(values), worst, change })
     }
 
-    /// All of it, with each row's `summary` by figure.
+    /// The ablation as JSON, with each row's `summary` by metric.
     pub fn json(&self) -> Value {
         let mut json = json!(self);
         for (i, row) in self.rows.iter().enumerate() {
@@ -112,7 +113,7 @@ impl Ablation {
         json
     }
 
-    /// A line for each row, figure and seed (RFC 4180).
+    /// CSV with a line for each row, metric and seed (RFC 4180).
     pub fn csv(&self) -> String {
         let mut table = String::new();
         record(&mut table, ["component", "without", "figure", "seed", "value"].map(str::to_owned));
@@ -130,7 +131,7 @@ impl Ablation {
         table
     }
 
-    /// Writes `ablation.csv` and `index.html` into a folder, by rename.
+    /// Writes `ablation.csv` and `index.html` to a folder, by rename.
     ///
     /// # Errors
     /// The folder cannot be written, or a plot could not be drawn.
@@ -143,7 +144,7 @@ impl Ablation {
     }
 }
 
-/// The middle value, or the mean of the two in the middle; there is at least one.
+/// The median; there is at least one value.
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     let half = values.len() / 2;

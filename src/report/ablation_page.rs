@@ -1,4 +1,4 @@
-//! An ablation as one page that needs nothing but itself.
+//! An ablation as one self-contained HTML page.
 
 use std::fmt::Write;
 
@@ -10,10 +10,10 @@ use super::{Ablation, AblationRow, Better, Figure};
 use crate::{Error, Result};
 
 const WIDTH: u32 = 820;
-/// For the axis, and for each row.
+/// Heights of the axis and of each row, pixels.
 const HEIGHTS: (u32, u32) = (90, 26);
 
-/// The page.
+/// The HTML page.
 ///
 /// # Errors
 /// The plot could not be drawn.
@@ -77,7 +77,7 @@ fn cell(body: &mut String, found: &Ablation, row: &AblationRow, figure: &Figure)
         body.push_str("<td>–</td>");
         return;
     };
-    // Shares of one need more digits than decibels.
+    // SSIM values need more digits than decibels.
     let digits = if figure.title.starts_with("SSIM") { 4 } else { 2 };
     let _ = write!(body, "<td>{:.digits$}", summary.median);
     let is_full = found.rows.first().is_some_and(|full| full.component == row.component);
@@ -100,7 +100,7 @@ fn legend(body: &mut String, drawn: &[&Figure]) {
     body.push_str("</p>\n");
 }
 
-/// The change of each figure without each component, as dots beside the full run's line.
+/// A plot of the change of each metric without each component, as dots beside the full run's line.
 fn changes(found: &Ablation, drawn: &[&Figure]) -> Result<String> {
     let mut svg = String::new();
     draw(&mut svg, found, drawn)
@@ -116,7 +116,7 @@ fn draw(
     let rows = &found.rows[1..];
     let change = |row: &AblationRow, figure: &Figure| {
         let change = found.summary(row, figure)?.change.filter(|change| change.is_finite())?;
-        // To the right is better.
+        // Improvements are drawn to the right.
         Some(if figure.better == Better::More { change } else { -change })
     };
     let all = || rows.iter().flat_map(|row| drawn.iter().filter_map(|f| change(row, f)));

@@ -1,4 +1,4 @@
-//! Two runs against each other.
+//! Comparison of two benchmark runs.
 
 use super::spread::quantile;
 use super::{Measurements, Spread};
@@ -6,14 +6,14 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
-/// Fewer samples on either side forbid a verdict.
+/// Minimum number of samples on each side for a verdict.
 const LEAST_SAMPLES: usize = 5;
-/// Resamplings of the bootstrap.
+/// Number of bootstrap resamplings.
 const RESAMPLINGS: usize = 2000;
-/// The interval of the ratio holds this share of them.
+/// Confidence level of the ratio's interval.
 const SHARE: f64 = 0.95;
 
-/// What the samples allow to say of B against A.
+/// Verdict on B relative to A.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
@@ -21,26 +21,26 @@ pub enum Verdict {
     Faster,
     /// B takes more time.
     Slower,
-    /// The ratio's interval holds 1, or there are too few samples.
+    /// The ratio's interval contains 1, or there are too few samples.
     Noise,
-    /// Only one side has a time: the row is new, gone, or missed its bound.
+    /// Only one side has a time: the row is new, was removed, or missed its error bound.
     Incomparable,
 }
 
-/// One row of A against the same row of B.
+/// Comparison of one row of A with the same row of B.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
-    /// Which row, or which point of a sweep.
+    /// Name of the row, or of the point of a sweep.
     pub name: String,
     /// B's median over A's.
     pub ratio: Option<f64>,
-    /// Where 95 of 100 resamplings of both put that ratio.
+    /// 95 % bootstrap interval of that ratio.
     pub interval: Option<[f64; 2]>,
-    /// What follows.
+    /// The resulting verdict.
     pub verdict: Verdict,
 }
 
-/// Compares two runs row by row and point by point, in A's order, then what only B has.
+/// Compares two runs row by row and point by point, in the order of A, followed by entries that only B has.
 pub fn compare(a: &Measurements, b: &Measurements) -> Vec<Comparison> {
     let (first, second) = (named(a), named(b));
     let mut out: Vec<Comparison> = first
@@ -87,7 +87,7 @@ fn judge(name: &str, a: Option<&Spread>, b: Option<&Spread>) -> Comparison {
     Comparison { name, ratio: Some(ratio), interval: Some(interval), verdict }
 }
 
-/// The interval of the ratio of medians over resamplings of both sides; the same for the same
+/// Bootstrap interval of the ratio of medians, with resampling of both sides; deterministic for the same
 /// samples.
 fn bootstrap(a: &[f64], b: &[f64]) -> [f64; 2] {
     let mut rng = ChaCha8Rng::seed_from_u64(0);

@@ -1,4 +1,4 @@
-//! Rows and points as one table of comma-separated values (RFC 4180).
+//! Rows and points as one CSV table (RFC 4180).
 
 use super::{Clock, Measurements, Place, Spread};
 
@@ -26,8 +26,8 @@ const HEADER: [&str; 21] = [
     "psnr_db",
 ];
 
-/// One line per row and per point of a sweep or a curve. A row that missed its bound has no times; a
-/// curve's bytes are those of the device memory.
+/// CSV with one line per row and per point of a sweep or a curve. A row that missed its error bound has no
+/// times; for a curve, bytes are those of the device memory.
 pub fn csv(measured: &Measurements) -> String {
     let mut table = String::new();
     line(&mut table, HEADER.map(str::to_owned));
@@ -165,7 +165,7 @@ fn line(table: &mut String, fields: [String; HEADER.len()]) {
     record(table, fields);
 }
 
-/// Adds a line to a table.
+/// Appends a record to a table.
 pub fn record(table: &mut String, fields: impl IntoIterator<Item = String>) {
     let quoted = |field: String| match field.contains([',', '"', '\n', '\r']) {
         true => format!("\"{}\"", field.replace('"', "\"\"")),

@@ -1,45 +1,45 @@
-//! Time and memory as one size grows.
+//! Scaling of time and memory with one size.
 
 use serde::{Deserialize, Serialize};
 
 use super::{Accuracy, Clock, Spread};
 
-/// One pipeline, measured at several sizes.
+/// Scaling measurements of one pipeline.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Curve {
-    /// What runs.
+    /// Name of the pipeline.
     pub pipeline: String,
-    /// What grows.
+    /// The quantity that is varied.
     pub axis: String,
-    /// What does not, in words.
+    /// The quantities that are constant, in words.
     pub held: String,
-    /// What the times were read from.
+    /// Clock of the times.
     pub clock: Clock,
-    /// How far the pipeline lies from the oracle at the smallest size; one that misses its bound has no
-    /// times.
+    /// Error of the pipeline relative to the oracle at the smallest size; a pipeline that misses its bound
+    /// has no times.
     pub accuracy: Accuracy,
-    /// By size, ascending.
+    /// Points in ascending order of size.
     pub points: Vec<CurvePoint>,
 }
 
-/// One size.
+/// Measurements at one size.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CurvePoint {
-    /// The size.
+    /// Value of the varied quantity.
     pub size: u64,
     /// Time of an execution; `None` where it was not attempted.
     pub time: Option<Spread>,
-    /// Device memory as foreseen, bytes; `None` where a binding would be too large.
+    /// Predicted device memory, bytes; `None` where a binding would be too large.
     pub foreseen: Option<u64>,
-    /// Device memory as taken at most, bytes.
+    /// Measured peak of the device memory, bytes.
     pub taken: Option<u64>,
-    /// Why it was not attempted.
+    /// Reason why it was not attempted.
     pub left_out: Option<String>,
-    /// Nanoseconds of each kernel in one execution, the dearest first.
+    /// Time of each kernel in one execution, nanoseconds, in descending order.
     pub kernels: Vec<(String, f64)>,
 }
 
-/// `factor · size ^ exponent`, through points by least squares of the logarithms.
+/// A power law `factor · size ^ exponent`, fitted to points by least squares in logarithms.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PowerLaw {
     /// The exponent: 1 for linear.
@@ -48,12 +48,12 @@ pub struct PowerLaw {
     pub factor: f64,
     /// Smallest and largest size.
     pub range: [u64; 2],
-    /// Largest ratio of a point and the law, above 1.
+    /// Largest ratio between a point and the law, at least 1.
     pub off: f64,
 }
 
 impl PowerLaw {
-    /// Through some points with positive sizes and values; `None` for fewer than two sizes.
+    /// Fits points with positive sizes and values; `None` for fewer than two sizes.
     pub fn fit(points: &[(u64, f64)]) -> Option<PowerLaw> {
         let logs: Vec<(f64, f64)> =
             points.iter().map(|&(size, value)| ((size as f64).ln(), value.ln())).collect();
@@ -79,43 +79,43 @@ impl PowerLaw {
         })
     }
 
-    /// Its value at a size.
+    /// Value of the law at a size.
     pub fn at(&self, size: f64) -> f64 {
         self.factor * size.powf(self.exponent)
     }
 }
 
 impl Curve {
-    /// Sizes and median times, nanoseconds.
+    /// Sizes and median times in nanoseconds.
     pub fn times(&self) -> Vec<(u64, f64)> {
         let timed = |p: &CurvePoint| Some((p.size, p.time.as_ref()?.median()));
         self.points.iter().filter_map(timed).collect()
     }
 
-    /// Sizes and bytes: taken where it was measured, else foreseen.
+    /// Sizes and device memory in bytes: measured where available, else predicted.
     pub fn bytes(&self) -> Vec<(u64, f64)> {
         let known = |p: &CurvePoint| Some((p.size, p.taken.or(p.foreseen)? as f64));
         self.points.iter().filter_map(known).collect()
     }
 
-    /// The law of the times.
+    /// Power law of the times.
     pub fn time_law(&self) -> Option<PowerLaw> {
         PowerLaw::fit(&self.times())
     }
 
-    /// The law of the bytes.
+    /// Power law of the device memory.
     pub fn memory_law(&self) -> Option<PowerLaw> {
         PowerLaw::fit(&self.bytes())
     }
 
-    /// The law between the two largest sizes that were timed, where constant costs weigh least.
+    /// Power law between the two largest measured sizes, where constant costs weigh least.
     pub fn last_law(&self) -> Option<PowerLaw> {
         let times = self.times();
         PowerLaw::fit(&times[times.len().checked_sub(2)?..])
     }
 
-    /// Kernels that take more than a twentieth of the largest size's time and grow faster than
-    /// `exponent` between the two largest sizes: each with that exponent and its share.
+    /// Kernels that take more than a twentieth of the time at the largest size and whose exponent between
+    /// the two largest sizes exceeds `exponent`: each with that exponent and its share of the time.
     pub fn steeper_than(&self, exponent: f64) -> Vec<(&str, f64, f64)> {
         let timed: Vec<&CurvePoint> =
             self.points.iter().filter(|p| p.time.is_some() && !p.kernels.is_empty()).collect();

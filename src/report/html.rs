@@ -1,4 +1,4 @@
-//! One page that needs nothing but itself: no script, no font, no picture from elsewhere.
+//! The benchmark report as one self-contained page, without scripts, fonts or images from elsewhere.
 
 use std::fmt::Write;
 
@@ -18,7 +18,7 @@ th:first-child,td:first-child{text-align:left}thead th{border-bottom:2px solid #
 .wide{overflow-x:auto}figure{display:inline-block;margin:0 1rem 1rem 0}svg{max-width:100%}\
 code{background:#f3f3f3;padding:0 .2em}";
 
-/// The report as one page of HTML.
+/// The report as an HTML page.
 ///
 /// # Errors
 /// A plot could not be drawn.
@@ -43,7 +43,7 @@ pub fn page(measured: &Measurements) -> Result<String> {
     ))
 }
 
-/// Text as HTML shows it, in elements and in attributes.
+/// Escapes text for HTML elements and attributes.
 pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
@@ -89,11 +89,11 @@ fn about(body: &mut String, measured: &Measurements) {
     }
 }
 
-/// As RFC 3339 has it, UTC.
+/// Time in RFC 3339 format, UTC.
 fn date(unix_seconds: u64) -> String {
     let since = std::time::Duration::from_secs(unix_seconds);
     match std::time::UNIX_EPOCH.checked_add(since) {
-        // Beyond the year 9999 there is no such form.
+        // The format does not exist beyond the year 9999.
         Some(time) if unix_seconds < 253_402_300_800 => {
             humantime::format_rfc3339_seconds(time).to_string()
         }
@@ -167,7 +167,7 @@ fn chosen(body: &mut String, choice: &Choice) {
     );
 }
 
-/// Bytes of a mebibyte.
+/// Bytes per mebibyte.
 const MEBI: f64 = 1_048_576.0;
 
 fn scale(body: &mut String, curves: &[Curve]) -> Result<()> {
@@ -282,7 +282,7 @@ fn one_row(body: &mut String, row: &Row, measured: &Measurements) {
     );
 }
 
-/// Median and quartiles as two cells.
+/// Median and quartiles as two table cells.
 fn times(spread: Option<&Spread>) -> String {
     let Some(spread) = spread else { return "<td>no speed</td><td></td>".into() };
     let [low, high] = spread.quartiles();

@@ -1,50 +1,50 @@
-//! Values over something that grows, drawn as SVG for a page whose style sets the colours.
+//! Line plots as SVG; the page's style sets the colours.
 
 use crate::{Error, Result};
 use plotters::coord::ranged1d::{Ranged, ValueFormatter};
 use plotters::prelude::*;
 
-/// Small enough that text of a phone's page stays legible.
+/// Size of a plot, small enough that its text stays legible on a phone.
 const SIZE: (u32, u32) = (420, 240);
-/// Of text.
+/// Font of the text.
 const FONT: (&str, u32) = ("sans-serif", 15);
-/// Of lines in the order of their series; a page's style may replace them, as it may black, grey and
-/// the grid's colour.
+/// Colours of the lines in the order of their series. The page's style may override them, as well as black,
+/// grey and the grid's colour.
 pub const LINE_COLOURS: [RGBColor; 2] = [RGBColor(0, 99, 173), RGBColor(168, 82, 0)];
-/// Of the grid.
+/// Colour of the grid.
 const GRID: RGBColor = RGBColor(226, 228, 231);
 
 /// A line of a plot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Line {
-    /// What the legend calls it; a plot of one line has no legend.
+    /// Name in the legend; a plot of one line has no legend.
     pub name: String,
-    /// In the order of x; those that are not finite are left out.
+    /// Points in the order of x; non-finite ones are left out.
     pub points: Vec<(f64, f64)>,
 }
 
-/// One or two lines over the same axis.
+/// A plot of one or two lines over the same axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinePlot {
-    /// What it is called where errors name it.
+    /// Name of the plot in error messages.
     pub title: String,
-    /// Under the horizontal axis.
+    /// Label of the horizontal axis.
     pub x: String,
-    /// Over the vertical one.
+    /// Label of the vertical axis.
     pub y: String,
-    /// Whether the vertical axis is logarithmic; then only values above 0 are drawn.
+    /// Whether the vertical axis is logarithmic; then only positive values are drawn.
     pub logarithmic: bool,
     /// The lines.
     pub lines: Vec<Line>,
-    /// Where something else begins, on the horizontal axis.
+    /// Positions of markers on the horizontal axis, where a new section begins.
     pub marks: Vec<f64>,
 }
 
 impl LinePlot {
-    /// The plot; `None` where there are fewer than two points to join.
+    /// Renders the plot as SVG; `None` with fewer than two points.
     ///
     /// # Errors
-    /// [`Error::Failed`] where it cannot be drawn.
+    /// [`Error::Failed`] where drawing fails.
     pub fn svg(&self) -> Result<Option<String>> {
         let drawn = |(x, y): &&(f64, f64)| {
             x.is_finite() && y.is_finite() && (!self.logarithmic || *y > 0.0)
@@ -72,7 +72,7 @@ impl LinePlot {
                 self.draw(&mut svg, &lines, x, axis, (y.0 / 1.1, y.1 * 1.1)).map_err(failed)?;
             }
             false => {
-                // Values that are all the same are told apart from those around them.
+                // A constant series gets a span around its value.
                 let flat = y.1 - y.0 <= 1e-9 * y.1.abs();
                 let span = if flat { y.1.abs() } else { y.1 - y.0 };
                 let margin = (0.05 * span).max(f64::MIN_POSITIVE);
@@ -139,7 +139,7 @@ impl LinePlot {
     }
 }
 
-/// A tick's number, short.
+/// A short label for a tick.
 fn number(value: f64) -> String {
     match value.abs() {
         0.0 => "0".into(),
@@ -150,7 +150,7 @@ fn number(value: f64) -> String {
     }
 }
 
-/// Three digits after the point at most, none of them an idle 0.
+/// At most three decimals, without trailing zeros.
 fn trimmed(value: f64) -> String {
     let text = format!("{value:.3}");
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
@@ -176,7 +176,7 @@ mod tests {
             assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
             assert_eq!(svg.matches("#0063AD").count(), 2, "the line, and in the legend: {svg}");
         }
-        // Constant ones, and those that a logarithm does not know.
+        // Constant series, and values without a logarithm.
         assert!(plot(vec![(1.0, 7.0), (2.0, 7.0)], false).is_some());
         assert!(plot(vec![(1.0, 0.0), (2.0, 0.0)], false).is_some());
         assert_eq!(plot(vec![(1.0, 0.0), (2.0, 0.0)], true), None);

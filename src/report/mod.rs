@@ -1,10 +1,10 @@
-//! Measurements as data, and what is made of them: JSON, CSV, plots, one page, comparisons.
+//! Benchmark measurements as data, and their output as JSON, CSV, plots, an HTML page and comparisons.
 //!
-//! Times are nanoseconds, rates are per second. A row whose result misses its bound has an error and
+//! Times are in nanoseconds, rates per second. A row whose result misses its error bound has an error and
 //! no time; [`Row::timed`] and [`Row::missed`] are the only ways to make one.
 //!
-//! [`Ablation`] is what the components of a reconstruction are worth, [`ResultTable`] what a protocol finds on the
-//! scenes of a data set, beside published figures.
+//! [`Ablation`] reports the contribution of each component of a reconstruction. [`ResultTable`] reports the
+//! results of a protocol on the scenes of a dataset, beside published ones.
 
 mod ablation;
 mod ablation_page;
@@ -36,106 +36,106 @@ pub use table::{PublishedRow, ResultTable, SceneRow};
 
 use crate::{Error, Result, io};
 
-/// What [`Measurements::format`] says of files written by this version.
+/// Value of [`Measurements::format`] in files written by this version.
 const FORMAT: u32 = 2;
 
-/// Everything that one run of the benchmark measured.
+/// All measurements of one benchmark run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Measurements {
-    /// Version of this layout.
+    /// Version of this file format.
     pub format: u32,
     /// Version of the crate.
     pub version: String,
-    /// The source's commit, where it is known.
+    /// Commit of the source, where it is known.
     pub commit: Option<String>,
-    /// When it ended, in seconds since 1970.
+    /// End of the run, seconds since 1970.
     pub unix_seconds: u64,
-    /// What it ran on.
+    /// The machine that it ran on.
     pub machine: Machine,
-    /// What that can do at most.
+    /// Measured peak rates of the device.
     #[serde(alias = "ceilings")]
     pub peaks: Peaks,
-    /// One per op or pipeline and size.
+    /// One row per operation or pipeline and size.
     pub rows: Vec<Row>,
-    /// Speed against error.
+    /// Speed against error, by setting.
     pub sweeps: Vec<Sweep>,
-    /// What was chosen for an error budget, where one was given.
+    /// Settings chosen for an error budget, where one was given.
     pub choice: Option<Choice>,
-    /// Time and memory against size, where these were asked for.
+    /// Scaling of time and memory with size, where it was requested.
     #[serde(default)]
     pub curves: Vec<Curve>,
 }
 
-/// What measurements were made on.
+/// The machine that measurements were made on.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Machine {
-    /// The Vulkan device.
+    /// Name of the Vulkan device.
     pub device: String,
-    /// Its driver.
+    /// Name of its driver.
     pub driver: String,
     /// `Discrete`, `Integrated`, `Software`, …
     pub kind: String,
-    /// Whether the processor does the device's work: its times say nothing of a GPU.
+    /// Whether the device is a software implementation on the CPU; its times do not indicate those of a GPU.
     pub software: bool,
-    /// Lanes of a subgroup.
+    /// Number of invocations in a subgroup.
     pub subgroup_size: u32,
-    /// Threads of the processor.
+    /// Number of hardware threads of the CPU.
     pub threads: usize,
 }
 
-/// The most that a device was seen to do, by kernels that do nothing else.
+/// Peak rates of a device, measured with kernels that do nothing else.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Peaks {
-    /// Bytes read and written by a copy, a second.
+    /// Memory bandwidth of a copy, bytes read and written per second.
     pub bytes: Option<f64>,
-    /// Operations of multiply-adds in f32, a second.
+    /// Arithmetic rate of f32 multiply-adds, operations per second.
     pub operations: Option<f64>,
 }
 
-/// Where a row's work was done.
+/// Where a row's work was executed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Place {
     /// On the Vulkan device.
     Device,
-    /// By plain code on the processor.
+    /// By scalar code on the CPU.
     Processor,
 }
 
-/// What a time was read from.
+/// Clock that a time was measured with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Clock {
-    /// Timestamps on the device around the work alone.
+    /// Timestamp queries on the device around the measured work only.
     Device,
-    /// The host's clock, from submission to the end.
+    /// The host's clock, from submission to completion.
     Host,
 }
 
-/// How far a result lies from the oracle in f64, and how far it may.
+/// Error of a result relative to the f64 oracle, and its bound.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Accuracy {
-    /// Largest difference over all that was compared, as a share of the bound: above 1 fails.
-    /// Infinite where the result is not finite, or an integer differs.
+    /// Largest error of all compared values, as a share of the bound; above 1 fails. Infinite where the
+    /// result is not finite, or an integer differs.
     #[serde(with = "numbers::maybe_infinite")]
     pub of_bound: f64,
-    /// Largest difference, in the output's unit.
+    /// Largest error, in the output's unit.
     #[serde(with = "numbers::maybe_infinite")]
     pub error: f64,
-    /// The output in which the largest share lies.
+    /// Name of the output with the largest share.
     pub output: String,
 }
 
 impl Accuracy {
-    /// Whether all is within its bound.
+    /// Whether all errors are within the bound.
     pub fn passed(&self) -> bool {
         self.of_bound <= 1.0
     }
 }
 
-/// What one execution moves and calculates, counted from the data it ran on: every input once,
-/// every output once, per dispatch; an addition, a multiplication or a transcendental is one
-/// operation. For integer work such as a sort, an operation is one on a key.
+/// Data volume and arithmetic of one execution, counted from the actual data: every input and every output
+/// of a dispatch once; an addition, a multiplication or a transcendental is one operation. In integer work
+/// such as a sort, an operation is one step on one key.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Work {
     /// Bytes read and written.
@@ -147,23 +147,23 @@ pub struct Work {
 /// One measurement.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    /// `family/what`.
+    /// Identifier, `family/what`.
     pub id: String,
-    /// The size of the input, in words.
+    /// Size of the input, in words.
     pub size: String,
-    /// Where the work was done.
+    /// Where the work was executed.
     pub place: Place,
-    /// What the time was read from.
+    /// Clock of the time.
     pub clock: Clock,
-    /// The result against the oracle.
+    /// Error relative to the oracle.
     pub accuracy: Accuracy,
-    /// What one execution does.
+    /// Data volume and arithmetic of one execution.
     pub work: Work,
     time: Option<Spread>,
 }
 
 impl Row {
-    /// A row that passed, with its time. One that did not pass keeps its error and loses its time.
+    /// Makes a row with a time. If the accuracy fails, the row keeps its error and drops the time.
     pub fn timed(
         id: impl Into<String>,
         size: impl Into<String>,
@@ -176,7 +176,7 @@ impl Row {
         Row { id: id.into(), size: size.into(), place, clock, accuracy, work, time }
     }
 
-    /// A row that missed its bound: it has no time.
+    /// Makes a row that missed its error bound; it has no time.
     pub fn missed(
         id: impl Into<String>,
         size: impl Into<String>,
@@ -187,12 +187,12 @@ impl Row {
         Row { id: id.into(), size: size.into(), place, clock, accuracy, work, time: None }
     }
 
-    /// How long it took; `None` where the result missed its bound.
+    /// Time of an execution; `None` where the result missed its bound.
     pub fn time(&self) -> Option<&Spread> {
         self.time.as_ref().filter(|_| self.accuracy.passed())
     }
 
-    /// What tells rows apart.
+    /// Unique name of the row.
     pub fn name(&self) -> String {
         let place = match self.place {
             Place::Device => "",
@@ -201,12 +201,12 @@ impl Row {
         format!("{}{place}, {}", self.id, self.size)
     }
 
-    /// Bytes a second.
+    /// Achieved bandwidth, bytes per second.
     pub fn bandwidth(&self) -> Option<f64> {
         self.per_second(self.work.bytes)
     }
 
-    /// Operations a second.
+    /// Achieved arithmetic rate, operations per second.
     pub fn throughput(&self) -> Option<f64> {
         self.per_second(self.work.operations)
     }
@@ -216,8 +216,7 @@ impl Row {
         (count > 0 && time > 0.0).then(|| count as f64 / time * 1e9)
     }
 
-    /// The larger of the shares of the device's two peaks that the row reaches; `None` for work
-    /// on the processor.
+    /// The larger of the row's shares of the device's two peak rates; `None` for work on the CPU.
     pub fn share(&self, peaks: &Peaks) -> Option<f64> {
         if self.place == Place::Processor {
             return None;
@@ -229,52 +228,52 @@ impl Row {
     }
 }
 
-/// How far an image lies from the oracle's in f64 at the best settings.
+/// Error of an image relative to the f64 oracle's at the best settings.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ImageError {
-    /// Largest difference of a channel.
+    /// Largest difference of any channel.
     pub max: f64,
     /// Root of the mean square.
     pub rmse: f64,
-    /// Decibels against 1; capped at 200, where the images are equal.
+    /// PSNR in dB with a peak of 1; capped at 200, also for equal images.
     pub psnr: f64,
 }
 
-/// One setting of the knobs.
+/// Measurements at one setting of the tuning parameters.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Point {
-    /// The knob that was turned; empty for all at their best.
+    /// The parameter that was changed; empty for the best settings.
     pub knob: String,
-    /// What it was turned to.
+    /// Its value.
     pub value: String,
-    /// All knobs, as `--settings` reads them.
+    /// All parameters, in the format of `--settings`.
     pub settings: serde_json::Value,
-    /// Time of a frame.
+    /// Time per frame.
     pub time: Spread,
-    /// Time of a frame over that with all knobs at their best, sample by sample in turns, so that
-    /// whatever else the machine does weighs on both.
+    /// Time per frame relative to the best settings, from samples taken in alternation, so that other load
+    /// affects both alike.
     pub ratio: Spread,
-    /// What the image lost.
+    /// Error of the image.
     pub error: ImageError,
 }
 
-/// Knobs turned one after the other on one scene.
+/// Measurements with the tuning parameters changed one after the other on one scene.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Sweep {
-    /// The scene.
+    /// Name of the scene.
     pub scene: String,
-    /// Its number of Gaussians.
+    /// Number of Gaussians.
     pub gaussians: usize,
-    /// Width and height of the images.
+    /// Width and height of the images, pixels.
     pub size: [u32; 2],
-    /// What the time was read from.
+    /// Clock of the times.
     pub clock: Clock,
     /// The points.
     pub points: Vec<Point>,
 }
 
 impl Sweep {
-    /// Indices of the points that no other beats in both time and error, by time.
+    /// Indices of the Pareto-optimal points in time and error, in the order of time.
     pub fn front(&self, error: impl Fn(&ImageError) -> f64) -> Vec<usize> {
         let mut order: Vec<usize> = (0..self.points.len()).collect();
         let key = |i: usize| (self.points[i].ratio.median(), error(&self.points[i].error));
@@ -292,29 +291,30 @@ impl Sweep {
 /// The settings chosen for an error budget.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Choice {
-    /// The scene.
+    /// Name of the scene.
     pub scene: String,
-    /// The error that was allowed.
+    /// The error budget.
     pub budget: f64,
-    /// `max` or `rmse`.
+    /// Error measure: `max` or `rmse`.
     pub measure: String,
-    /// The settings, as `--settings` reads them.
+    /// The settings, in the format of `--settings`.
     pub settings: serde_json::Value,
-    /// Time of a frame with them over that without, on the view that the search did not use.
+    /// Time per frame with these settings over that with the best ones, on the view that the search did not
+    /// use.
     pub time_ratio: f64,
     /// The error on that view.
     pub error: ImageError,
-    /// Whether it is within the budget there.
+    /// Whether the budget is met on that view.
     pub met: bool,
-    /// Views that the search used.
+    /// Number of views that the search used.
     pub views: usize,
 }
 
 impl Measurements {
-    /// What [`Measurements::write_report`] writes into its folder.
+    /// The files that [`Measurements::write_report`] writes to its folder.
     pub const REPORT_FILES: [&str; 3] = ["bench.json", "bench.csv", "index.html"];
 
-    /// Nothing measured yet.
+    /// Empty measurements.
     pub fn new(machine: Machine, commit: Option<String>) -> Measurements {
         Measurements {
             format: FORMAT,
@@ -330,10 +330,10 @@ impl Measurements {
         }
     }
 
-    /// Reads a file that [`save`](Self::save) wrote.
+    /// Reads a file written by [`save`](Self::save).
     ///
     /// # Errors
-    /// A file that is missing, is no such JSON, or is of another version's layout.
+    /// The file is missing, is not such JSON, or has another format version.
     pub fn open(path: impl AsRef<Path>) -> Result<Measurements> {
         let path = path.as_ref();
         let value = io::read_json(path)?;
@@ -349,7 +349,7 @@ impl Measurements {
             .map_err(|e| Error::format(path, format!("is no result of `splat4d bench`: {e}")))
     }
 
-    /// Writes JSON, by rename.
+    /// Writes the measurements as JSON, by rename.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -359,7 +359,7 @@ impl Measurements {
         })
     }
 
-    /// Writes `bench.json`, `bench.csv` and `index.html` into a folder.
+    /// Writes `bench.json`, `bench.csv` and `index.html` to a folder.
     ///
     /// # Errors
     /// The folder cannot be written, or a plot could not be drawn.

@@ -1,13 +1,13 @@
-//! Numbers for people, and numbers that JSON has no word for.
+//! Number formatting for people, and non-finite numbers in JSON.
 
-/// Nanoseconds in the largest unit that leaves a number above 1, with three digits.
+/// A duration in the largest unit that gives a number above 1, with three significant digits.
 pub fn duration(nanoseconds: f64) -> String {
     let units = [(1e9, "s"), (1e6, "ms"), (1e3, "µs"), (1.0, "ns")];
     let (size, unit) = units.into_iter().find(|(size, _)| nanoseconds >= *size).unwrap_or(units[3]);
     format!("{} {unit}", digits(nanoseconds / size))
 }
 
-/// A number a second with a decimal prefix: `12.3 GB/s` for a unit of `B`.
+/// A rate with a decimal prefix: `12.3 GB/s` for a unit of `B`.
 pub fn rate(per_second: f64, unit: &str) -> String {
     let prefixes = [(1e12, "T"), (1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, "")];
     let (size, prefix) =
@@ -15,7 +15,7 @@ pub fn rate(per_second: f64, unit: &str) -> String {
     format!("{} {prefix}{unit}/s", digits(per_second / size))
 }
 
-/// Three digits.
+/// Three significant digits.
 fn digits(value: f64) -> String {
     match value {
         v if v >= 99.95 => format!("{v:.0}"),
@@ -24,7 +24,7 @@ fn digits(value: f64) -> String {
     }
 }
 
-/// An error: 0, or two digits and a power of ten; `∞` where nothing sensible came.
+/// An error: 0, or two digits and a power of ten; `∞` for a non-finite value.
 pub fn scientific(value: f64) -> String {
     match value {
         0.0 => "0".into(),
@@ -33,7 +33,7 @@ pub fn scientific(value: f64) -> String {
     }
 }
 
-/// JSON has no infinity: `null` stands for one.
+/// JSON has no infinity, so it is written as `null`.
 pub(super) mod maybe_infinite {
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
 

@@ -1,4 +1,4 @@
-//! Speed against error, and growth with size, drawn as SVG.
+//! Plots of speed against error, and of scaling with size, as SVG.
 
 use super::{Curve, ImageError, PowerLaw, Sweep};
 use crate::{Error, Result};
@@ -6,11 +6,11 @@ use plotters::coord::combinators::WithKeyPoints;
 use plotters::prelude::*;
 
 const SIZE: (u32, u32) = (820, 460);
-/// Of that, for the names of the knobs.
+/// Width of the legend with the parameter names, pixels.
 const LEGEND: u32 = 150;
-/// Errors below this are drawn here: the axis is logarithmic, and an error may be 0.
+/// Lower end of the logarithmic error axis; smaller errors, including 0, are drawn here.
 const FLOOR: f64 = 1e-9;
-/// Distinct for most eyes (Okabe and Ito's, and three more), one per knob.
+/// One colour per parameter, distinguishable for most people (Okabe and Ito's, and three more).
 pub(super) const COLOURS: [RGBColor; 10] = [
     RGBColor(0, 0, 0),
     RGBColor(230, 159, 0),
@@ -24,8 +24,8 @@ pub(super) const COLOURS: [RGBColor; 10] = [
     RGBColor(140, 20, 40),
 ];
 
-/// Time of a frame over that of the best settings against `error`, both logarithmic; the line joins the points that no other beats
-/// in both.
+/// Time per frame relative to the best settings against `error`, both logarithmic; the line joins the
+/// Pareto-optimal points.
 pub(super) fn pareto(
     sweep: &Sweep,
     title: &str,
@@ -87,7 +87,7 @@ fn draw(
     Ok(())
 }
 
-/// Values of curves against what they grow with, both logarithmic, each with its law.
+/// Values of curves against their size, both logarithmic, each with its power law.
 pub(super) fn growth(
     curves: &[&Curve],
     title: &str,
@@ -149,8 +149,7 @@ fn draw_growth(
     Ok(())
 }
 
-/// A logarithmic axis of ratios with ticks where readers look for them: powers of ten are too far
-/// apart.
+/// A logarithmic axis of ratios with closer ticks than powers of ten.
 fn ticked((low, high): (f64, f64)) -> WithKeyPoints<LogCoord<f64>> {
     let ticks = [0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.5];
     let more = [2.0, 3.0, 5.0, 7.0, 10.0, 20.0, 50.0, 100.0];
@@ -158,7 +157,7 @@ fn ticked((low, high): (f64, f64)) -> WithKeyPoints<LogCoord<f64>> {
     LogCoord::from((low..high).log_scale()).with_key_points(within)
 }
 
-/// The values' range with some room around them, never empty.
+/// The range of the values with a margin, never empty.
 fn range(values: impl Iterator<Item = f64>, room: f64) -> (f64, f64) {
     let (mut low, mut high) = (f64::INFINITY, 0.0f64);
     for value in values.filter(|v| v.is_finite() && *v > 0.0) {

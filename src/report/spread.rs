@@ -1,8 +1,8 @@
-//! Repeated times, and what they say.
+//! Repeated timings and their statistics.
 
 use serde::{Deserialize, Serialize};
 
-/// Times of the same work, in nanoseconds, ascending; never none.
+/// Repeated timings of the same work, in nanoseconds, ascending; at least one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Vec<f64>", into = "Vec<f64>")]
 pub struct Spread {
@@ -10,8 +10,7 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// From samples in any order; `None` without any, or with one that is not a finite number of
-    /// nanoseconds.
+    /// Makes the statistics from samples in any order; `None` without samples, or if one is not finite.
     pub fn new(mut samples: Vec<f64>) -> Option<Spread> {
         if samples.is_empty() || samples.iter().any(|s| !s.is_finite() || *s < 0.0) {
             return None;
@@ -20,28 +19,28 @@ impl Spread {
         Some(Spread { samples })
     }
 
-    /// Ascending.
+    /// The samples in ascending order, nanoseconds.
     pub fn samples(&self) -> &[f64] {
         &self.samples
     }
 
-    /// The value below which a share of the samples lies, between neighbours linearly.
+    /// The quantile at `share`, with linear interpolation between neighbouring samples.
     pub fn quantile(&self, share: f64) -> f64 {
         quantile(&self.samples, share)
     }
 
-    /// The middle.
+    /// The median.
     pub fn median(&self) -> f64 {
         self.quantile(0.5)
     }
 
-    /// The quartiles below and above the median.
+    /// The lower and the upper quartile.
     pub fn quartiles(&self) -> [f64; 2] {
         [self.quantile(0.25), self.quantile(0.75)]
     }
 }
 
-/// As [`Spread::quantile`], of ascending samples; at least one.
+/// [`Spread::quantile`] of ascending samples; at least one.
 pub(super) fn quantile(ascending: &[f64], share: f64) -> f64 {
     let at = share.clamp(0.0, 1.0) * (ascending.len() - 1) as f64;
     let (low, high) = (ascending[at.floor() as usize], ascending[at.ceil() as usize]);

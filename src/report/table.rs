@@ -1,4 +1,4 @@
-//! Scenes of a data set under one protocol, beside what others have published of it.
+//! Results on the scenes of a dataset under one protocol, beside published results.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -10,60 +10,60 @@ use super::csv::record;
 use super::{Figure, Machine, table_latex, table_page};
 use crate::{Result, io};
 
-/// A protocol's table.
+/// The result table of a protocol.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ResultTable {
-    /// The version that it was made with.
+    /// Version of the crate.
     pub version: String,
-    /// What it is a table of.
+    /// Title of the table.
     pub title: String,
-    /// The protocol, and what was chosen where it leaves something open; a sentence each.
+    /// The protocol, and the choices where it is ambiguous; one sentence each.
     pub caption: Vec<String>,
-    /// What it ran on.
+    /// The machine that it ran on.
     pub machine: Machine,
     /// The columns.
     pub figures: Vec<Figure>,
-    /// A row for each scene.
+    /// One row per scene.
     pub rows: Vec<SceneRow>,
-    /// What others have published.
+    /// Published results.
     pub published: Vec<PublishedRow>,
 }
 
-/// One scene's figures.
+/// Results of one scene.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SceneRow {
-    /// Its name.
+    /// Name of the scene.
     pub scene: String,
-    /// By [`Figure::key`]; what does not apply is absent.
+    /// Values by [`Figure::key`]; metrics that do not apply are absent.
     pub figures: BTreeMap<String, f64>,
-    /// Why there are none, where the scene failed.
+    /// Reason of a failure, if the scene failed; then there are no values.
     pub failed: Option<String>,
 }
 
-/// A method's figures as published.
+/// Published results of a method.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PublishedRow {
-    /// The method.
+    /// Name of the method.
     pub method: String,
-    /// What the figures are of: a scene, or a mean.
+    /// What the values refer to: a scene, or a mean.
     pub of: String,
-    /// By [`Figure::key`].
+    /// Values by [`Figure::key`].
     pub figures: BTreeMap<String, f64>,
-    /// Where the figures stand, and in what their protocol differs.
+    /// Source of the values, and differences in the protocol.
     pub source: String,
 }
 
 impl ResultTable {
-    /// What [`ResultTable::write_report`] writes.
+    /// The files that [`ResultTable::write_report`] writes.
     pub const REPORT_FILES: [&'static str; 3] = ["table.csv", "table.tex", "index.html"];
 
-    /// How many scenes failed.
+    /// Number of failed scenes.
     pub fn failed(&self) -> usize {
         self.rows.iter().filter(|row| row.failed.is_some()).count()
     }
 
-    /// The mean of a figure over the scenes; `None` where a scene failed or lacks it, for a mean over some scenes
-    /// does not compare with one over all.
+    /// Mean of a metric over the scenes; `None` where a scene failed or lacks it, because a mean over some
+    /// scenes is not comparable with one over all.
     pub fn mean(&self, figure: &Figure) -> Option<f64> {
         let values: Option<Vec<f64>> =
             self.rows.iter().map(|row| row.figures.get(&figure.key).copied()).collect();
@@ -71,7 +71,7 @@ impl ResultTable {
         Some(values.iter().sum::<f64>() / values.len() as f64)
     }
 
-    /// All of it, with `failed` and `mean` by figure.
+    /// The table as JSON, with `failed` and `mean` by metric.
     pub fn json(&self) -> Value {
         let mut json = json!(self);
         let means: BTreeMap<&str, Option<f64>> =
@@ -81,7 +81,7 @@ impl ResultTable {
         json
     }
 
-    /// A line for each figure of a scene, of the mean and of what was published (RFC 4180).
+    /// CSV with a line for each metric of a scene, of the mean and of the published results (RFC 4180).
     pub fn csv(&self) -> String {
         let mut table = String::new();
         record(&mut table, ["kind", "name", "of", "figure", "value", "remark"].map(str::to_owned));
@@ -110,8 +110,8 @@ impl ResultTable {
         table
     }
 
-    /// The rows as they are printed: a name, what the figures are of, a cell for each figure, and whether the
-    /// row is of a scene that failed.
+    /// The printed rows: name, what the values refer to, one cell per metric, and whether the row is a
+    /// failed scene.
     pub(super) fn cells(&self) -> Vec<Cells> {
         let of = |figures: &BTreeMap<String, f64>| -> Vec<String> {
             let cell = |figure: &Figure| {
@@ -149,7 +149,7 @@ impl ResultTable {
         published.chain(scenes).chain(all).collect()
     }
 
-    /// The table in plain text, without what was published.
+    /// The table as plain text, without the published results.
     pub fn text(&self) -> String {
         use std::fmt::Write;
         let mut text = format!("{}\n", self.title);
@@ -171,7 +171,7 @@ impl ResultTable {
         text
     }
 
-    /// Writes `table.csv`, `table.tex` and `index.html` into a folder, by rename.
+    /// Writes `table.csv`, `table.tex` and `index.html` to a folder, by rename.
     ///
     /// # Errors
     /// The folder cannot be written.
@@ -185,7 +185,7 @@ impl ResultTable {
     }
 }
 
-/// A row as it is printed.
+/// A printed row.
 pub(super) struct Cells {
     pub name: String,
     pub of: String,
@@ -194,7 +194,7 @@ pub(super) struct Cells {
     pub failed: bool,
 }
 
-/// A figure with as many digits as say something.
+/// A value with its meaningful digits.
 fn shown(figure: &Figure, value: f64) -> String {
     let digits = match figure.key.as_str() {
         key if key.contains("psnr") => 2,

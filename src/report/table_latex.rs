@@ -1,10 +1,10 @@
-//! A table of results for a paper: a `tabular` that needs no package.
+//! A result table for a paper: a `tabular` that needs no packages.
 
 use std::fmt::Write;
 
 use super::{Better, ResultTable};
 
-/// The table in its `table` environment.
+/// The table in a `table` environment.
 pub(super) fn latex(table: &ResultTable) -> String {
     let columns = "r".repeat(table.figures.len());
     let caption: Vec<String> =
@@ -30,7 +30,7 @@ pub(super) fn latex(table: &ResultTable) -> String {
         }
         if row.failed {
             let _ = write!(text, " % {}", row.remark.replace('\n', " "));
-            // A comment hides what follows it on its line.
+            // A comment hides the rest of its line.
             text.push('\n');
         }
         text.push_str(" \\\\\n");
@@ -39,7 +39,7 @@ pub(super) fn latex(table: &ResultTable) -> String {
     text
 }
 
-/// Text with LaTeX's own signs as they are to be printed.
+/// Escapes LaTeX's special characters.
 fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {

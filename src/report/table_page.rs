@@ -1,11 +1,11 @@
-//! A table of results as one page that needs nothing but itself.
+//! A result table as one self-contained HTML page.
 
 use std::fmt::Write;
 
 use super::html::{STYLE, escape};
 use super::{Better, ResultTable};
 
-/// The page.
+/// The HTML page.
 pub(super) fn page(table: &ResultTable) -> String {
     let title = escape(&table.title);
     let mut body = format!("<h1>{title}</h1>\n<p>");
@@ -36,7 +36,7 @@ pub(super) fn page(table: &ResultTable) -> String {
         for cell in &row.cells {
             let _ = write!(body, "<td>{cell}</td>");
         }
-        // Sources are sentences: they break into lines instead of leaving the page.
+        // Sources are sentences, which may wrap.
         let remark = escape(&row.remark);
         let _ = write!(body, "<td style=\"text-align:left;white-space:normal\">{remark}</td></tr>");
     }

@@ -14,7 +14,7 @@ fn row(id: &str, time: f64) -> Row {
     Row::timed(id, "1,000 keys", on, accuracy(0.5), work, spread(time))
 }
 
-/// A run whose texts try to break out of every format.
+/// A run whose strings try to escape from every format.
 fn measured() -> Measurements {
     let machine = Machine {
         device: "<script>alert(1)</script> & \"card\"".into(),
@@ -116,7 +116,7 @@ fn a_row_that_missed_its_bound_has_no_speed() {
     assert_eq!(missed.time(), None);
     assert_eq!((missed.bandwidth(), missed.throughput()), (None, None));
     assert_eq!(missed.share(&Peaks { bytes: Some(1.0), operations: Some(1.0) }), None);
-    // Nor does one smuggled in by a file.
+    // Nor does one that a file declares.
     let mut json = serde_json::to_value(row("x", 5.0)).unwrap();
     json["accuracy"]["of_bound"] = serde_json::json!(2.0);
     let read: Row = serde_json::from_value(json).unwrap();
@@ -202,7 +202,7 @@ fn the_page_escapes_everything_and_needs_nothing() {
     assert_well_formed(&page);
 }
 
-/// That every element which must be closed is, in order.
+/// Asserts that all elements are closed in order.
 fn assert_well_formed(page: &str) {
     let mut open: Vec<&str> = Vec::new();
     let mut rest = page;

@@ -1,25 +1,25 @@
-//! The axes of a file against those of this crate, which are right, down, front.
+//! Conversion between the axes of a file and those of this crate, which are right, down, front.
 
 use std::path::Path;
 
 use crate::{Error, Result};
 
-/// Signs that take a file's x, y and z to right, down and front.
+/// The signs that convert a file's x, y and z to right, down and front.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Axes(pub [f32; 3]);
 
 impl Default for Axes {
-    /// Right, up, back: SPZ's own.
+    /// The axes right, up, back: SPZ's default.
     fn default() -> Axes {
         Axes([1.0, -1.0, -1.0])
     }
 }
 
 impl Axes {
-    /// Left, up, front: those that glTF's splats have.
+    /// The axes left, up, front: those of glTF splats.
     pub const GLTF: Axes = Axes([-1.0, -1.0, 1.0]);
 
-    /// Those of a number in Adobe's extension.
+    /// The axes with this number in Adobe's SPZ extension.
     pub fn named(path: &Path, number: u32) -> Result<Axes> {
         match number {
             0 => Ok(Axes::default()),
@@ -39,12 +39,13 @@ impl Axes {
         }
     }
 
-    /// A position or a direction.
+    /// Converts a position or a direction.
     pub fn place(self, p: [f32; 3]) -> [f32; 3] {
         std::array::from_fn(|c| self.0[c] * p[c])
     }
 
-    /// A quaternion (w, x, y, z): that of F R F for F the mirrors.
+    /// Converts a quaternion (w, x, y, z): the rotation R becomes F R F, with F the diagonal matrix
+    /// of the signs.
     pub fn turn(self, q: [f32; 4]) -> [f32; 4] {
         let [x, y, z] = self.0;
         [q[0], y * z * q[1], x * z * q[2], x * y * q[3]]

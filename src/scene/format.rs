@@ -1,4 +1,4 @@
-//! Formats of Gaussians that stand still, by name, and what each can hold.
+//! File formats of static Gaussians and their capabilities.
 
 use std::io::Write;
 use std::path::Path;
@@ -7,15 +7,15 @@ use super::{compressed_ply, glb, ply, splat, spz};
 use crate::types::Gaussians;
 use crate::{Result, io};
 
-/// A format of Gaussians at one moment.
+/// A file format of static Gaussians.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
-    /// 3DGS PLY: f32, nothing lost.
+    /// 3DGS PLY: f32, lossless.
     Ply,
-    /// Compressed PLY, as PlayCanvas' tools have it: 16 bytes a Gaussian, and one for each further
-    /// coefficient of a channel.
+    /// Compressed PLY of PlayCanvas: 16 bytes per Gaussian, plus one byte per channel of each
+    /// coefficient above the constant.
     CompressedPly,
-    /// `.splat`: 32 bytes a Gaussian, no harmonics above the constant.
+    /// `.splat`: 32 bytes per Gaussian, only the constant spherical harmonic.
     Splat,
     /// SPZ.
     Spz(spz::Version),
@@ -24,7 +24,7 @@ pub enum Format {
 }
 
 impl Format {
-    /// That of a file's name; SPZ is of version 4.
+    /// The format of a file name; version 4 for SPZ.
     pub fn of(path: &Path) -> Option<Format> {
         let name = path.file_name()?.to_str()?.to_ascii_lowercase();
         let ends = [
@@ -37,7 +37,7 @@ impl Format {
         ends.into_iter().find(|(end, _)| name.ends_with(end)).map(|(_, format)| format)
     }
 
-    /// The end of its files' names.
+    /// The file name extension.
     pub fn extension(self) -> &'static str {
         match self {
             Format::Ply => ".ply",
@@ -48,19 +48,19 @@ impl Format {
         }
     }
 
-    /// The highest degree of spherical harmonics that it holds.
+    /// The highest degree of spherical harmonics that the format holds.
     pub fn most_sh_degree(self) -> u32 {
         if self == Format::Splat { 0 } else { 3 }
     }
 
-    /// Writes Gaussians by rename, without what the format does not hold: harmonics above
-    /// [`most_sh_degree`](Self::most_sh_degree), motion. Says how many were written: SPZ leaves out
-    /// what lies too far out for it.
+    /// Writes Gaussians, atomically by rename. Motion, and harmonics above
+    /// [`most_sh_degree`](Self::most_sh_degree), are left out. Returns the number of Gaussians
+    /// written: SPZ leaves out Gaussians beyond its coordinate range.
     ///
     /// # Errors
-    /// [`Error::Shape`](crate::Error::Shape) where arrays differ in length;
-    /// [`Error::Input`](crate::Error::Input) where SPZ or glTF is to hold no
-    /// Gaussians, or glTF more than 4 GiB;
+    /// [`Error::Shape`](crate::Error::Shape) if arrays differ in length;
+    /// [`Error::Input`](crate::Error::Input) for SPZ or glTF without Gaussians, or glTF of more
+    /// than 4 GiB;
     /// [`Error::Io`](crate::Error::Io).
     pub fn write(self, path: impl AsRef<Path>, gaussians: &Gaussians) -> Result<usize> {
         self.check(gaussians)?;
@@ -90,7 +90,7 @@ impl Format {
         if self == Format::Glb { glb::check(gaussians) } else { Ok(()) }
     }
 
-    /// A format that needs no memory of its own.
+    /// Writes a format that needs no further memory.
     fn plain(self, gaussians: &Gaussians, sink: &mut dyn Write) -> std::io::Result<()> {
         match self {
             Format::CompressedPly => compressed_ply::encode(gaussians, sink),

@@ -1,9 +1,10 @@
 //! The 4D scene and its files.
 //!
-//! The scene's own file is safetensors ([`mod@file`]), plain or [`compact`]. What others write and read: 3DGS PLY, plain and
-//! compressed ([`ply`]), SPZ ([`spz`]), which holds the motion too, and [`splat`]; glTF ([`glb`])
-//! and [`splatv`], whose motion is a fit, are written only, as is [`html`], a page that plays the scene; [`sog`] is read
-//! only. [`Format`] tells them apart by name.
+//! The scene's own file is safetensors ([`mod@file`]), plain or [`compact`]. Exchange formats: 3DGS
+//! PLY, plain and compressed ([`ply`]), SPZ ([`spz`]), which can hold the motion too, and [`splat`]
+//! are read and written. glTF ([`glb`]), [`splatv`], whose motion is a fit, and [`html`], a web
+//! page that plays the scene, are written only. [`sog`] is read only. [`Format`] determines the
+//! format from a file name.
 
 #[cfg(feature = "files")]
 mod axes;
@@ -44,40 +45,40 @@ use open::without_bad;
 use crate::types::range::{self, Check};
 use crate::types::{Camera, ControlPoints, DeformNet, Gaussians, RenderSettings};
 
-/// A camera of the input at its time.
+/// An input camera and its time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SceneCamera {
-    /// In [0, 1].
+    /// Time in [0, 1].
     pub time: f64,
     /// The camera.
     pub camera: Camera,
 }
 
-/// Why a scene with paths and a network is refused.
+/// The error for a scene with both paths and a network.
 const TWICE_MOVED: &str = "control points are moved by their paths or by a network, not by both";
 
-/// A scene: everything that rendering it at any time needs.
+/// A 4D scene: all data needed to render it at any time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
     /// The Gaussians in the canonical frame.
     pub gaussians: Gaussians,
-    /// What moves the dynamic ones; empty in a static scene.
+    /// The control points that dynamic Gaussians follow; empty in a static scene.
     pub control_points: ControlPoints,
-    /// What moves control points without paths; `None` in a static scene and where they have paths.
+    /// The deformation network that moves control points without paths; `None` in a static scene
+    /// and if the control points have paths.
     pub network: Option<DeformNet>,
-    /// The constants that the scene was trained with.
+    /// The constants of projection and blending that the scene was trained with.
     pub settings: RenderSettings,
     /// Number of control points that a dynamic Gaussian follows.
     pub neighbours: u32,
-    /// The input's trajectory, in order of time; empty where none is known.
+    /// The trajectory of the input cameras, in order of time; empty if unknown.
     pub cameras: Vec<SceneCamera>,
-    /// RGB behind everything.
+    /// Background colour, RGB in [0, 1].
     pub background: [f32; 3],
-    /// The world's direction that is up in the pictures, of unit length; where no camera is known,
-    /// −y.
+    /// The up direction in the world frame, of unit length; −y if no camera is known.
     pub up: [f32; 3],
-    /// How the scene came to be: the run's report, any JSON. (Feature `files`: where a scene is
-    /// written out field by field, end with `..Scene::default()`.)
+    /// The report of the run that made the scene, as JSON. It exists only with the feature `files`,
+    /// so struct literals should end with `..Scene::default()`.
     #[cfg(feature = "files")]
     pub report: serde_json::Value,
 }
@@ -105,7 +106,7 @@ impl Scene {
         Scene { gaussians, ..Scene::default() }
     }
 
-    /// Makes everything so many times as large, cameras and their distances too, so that the pictures stay
+    /// Scales the whole scene, camera positions included, by `factor`, so that rendered images stay
     /// the same.
     ///
     /// # Panics
@@ -132,17 +133,17 @@ impl Scene {
         self.settings.near *= by;
     }
 
-    /// Whether something moves.
+    /// Whether the scene is dynamic.
     pub fn moves(&self) -> bool {
         let moved = self.network.is_some() || !self.control_points.paths.is_empty();
         moved && self.gaussians.is_dynamic()
     }
 
-    /// That every number is in its range, so that a reader of the scene's file takes it; see
-    /// [`crate::types::range`]. Arrays must be as long as they should be.
+    /// Checks that every number is in its range, so that readers accept the scene's file; see
+    /// [`crate::types::range`]. The arrays must have consistent lengths.
     ///
     /// # Errors
-    /// What is wrong, in words.
+    /// A description of the violation.
     pub fn check(&self) -> Check {
         for i in 0..self.gaussians.len() {
             self.gaussians.check(i).map_err(|what| format!("Gaussian {i}: {what}"))?;
@@ -160,8 +161,8 @@ impl Scene {
         Ok(())
     }
 
-    /// Sets [`Self::up`] from the cameras: the mean of their upward axes. Without cameras, or where
-    /// these cancel out, it stays.
+    /// Sets [`Self::up`] to the normalised mean of the cameras' up axes. Without cameras, or if the
+    /// axes cancel out, it stays unchanged.
     pub fn set_up_from_cameras(&mut self) {
         let mean: glam::DVec3 = self
             .cameras
@@ -178,7 +179,7 @@ impl Scene {
 mod tests {
     use super::*;
 
-    /// The pictures stay the same: what is rendered depends on nothing else.
+    /// Projected splats stay the same, so rendered images do too.
     #[cfg(feature = "reconstruct")]
     #[test]
     fn an_enlarged_scene_is_larger_in_all_its_lengths() {

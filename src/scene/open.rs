@@ -1,11 +1,11 @@
-//! Opening and saving a scene, whatever the format.
+//! Opening a scene of any readable format, and saving a scene.
 
 use super::{Format, Scene, file, ply, sog, splat, spz};
 use crate::types::Gaussians;
 use crate::{Error, Result};
 use std::path::Path;
 
-/// A scene as read, and what was left out.
+/// A scene read from a file, and the number of Gaussians left out.
 #[derive(Clone, Debug)]
 pub struct Opened {
     /// The scene.
@@ -16,11 +16,11 @@ pub struct Opened {
 }
 
 impl Scene {
-    /// Opens a scene's file or Gaussians of another format: 3DGS PLY, plain or compressed, SPZ, SOG
-    /// (a `.sog` or a folder's `meta.json`), `.splat`. Which one shows in the bytes; `.splat`, which has no
-    /// header, and `meta.json` are told by their names. With `drop_bad`,
-    /// Gaussians that hold NaN, infinite or out-of-range values ([`Gaussians::check`]) are left out and
-    /// counted; else they are an error that counts them.
+    /// Opens a scene file, or Gaussians of another format: 3DGS PLY, plain or compressed, SPZ, SOG
+    /// (a `.sog` or a folder's `meta.json`), `.splat`. The format is detected from the content;
+    /// `.splat`, which has no header, and `meta.json` are recognised by their names. With
+    /// `drop_bad`, Gaussians with NaN, infinite or out-of-range values ([`Gaussians::check`]) are
+    /// left out and counted; without it, they are an error that states their number.
     pub fn open(path: impl AsRef<Path>, drop_bad: bool) -> Result<Opened> {
         let path = path.as_ref();
         let bytes = crate::io::read(path)?;
@@ -41,14 +41,13 @@ impl Scene {
         file::parse(path, &bytes, drop_bad)
     }
 
-    /// Writes the scene's file by rename; see [`mod@file`].
+    /// Writes the scene file, atomically by rename; see [`mod@file`].
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         file::write(path.as_ref(), self)
     }
 }
 
-/// Leaves out the Gaussians with a value that is not finite or out of range, or fails with their
-/// count.
+/// Removes the Gaussians with non-finite or out-of-range values, or fails with their number.
 pub(super) fn without_bad(path: &Path, gaussians: &mut Gaussians, drop_bad: bool) -> Result<usize> {
     let per = gaussians.sh.len() / gaussians.len().max(1);
     let good: Vec<bool> = (0..gaussians.len()).map(|i| gaussians.check(i).is_ok()).collect();

@@ -1,12 +1,12 @@
-//! What the compact formats of Gaussians share: numbers in few bits, and an order in which neighbours
-//! lie close to each other.
+//! Shared parts of the compact Gaussian formats: quantisation, and a spatially coherent (Morton)
+//! order.
 
 use crate::types::{Gaussians, SH_C0, sh_coefficients};
 use crate::{Error, Result};
 use std::path::Path;
 
-/// A byte of 0 or 255 stands for all that rounds to it: its opacity is taken a quarter of a step
-/// inside, so that the logit is finite.
+/// Opacities of the bytes 0 and 255 are moved inwards by a quarter of a quantisation step, so that
+/// the logit is finite.
 const INSIDE: f32 = 0.25 / 255.0;
 
 /// The opacity of a logit.
@@ -19,33 +19,33 @@ pub(super) fn logit(byte: u8) -> f32 {
     logit_of(f32::from(byte) / 255.0)
 }
 
-/// The logit of an opacity that was told in 8 bits.
+/// The logit of an opacity that was quantised to 8 bits.
 pub(super) fn logit_of(opacity: f32) -> f32 {
     let opacity = opacity.clamp(INSIDE, 1.0 - INSIDE);
     (opacity / (1.0 - opacity)).ln()
 }
 
-/// A share of [0, 1] in so many steps; what lies outside is the nearest end.
+/// Quantises a value in [0, 1] to `most` steps; values outside are clamped.
 pub(super) fn steps(share: f32, most: u32) -> u32 {
     (share.clamp(0.0, 1.0) * most as f32).round() as u32
 }
 
-/// A share of [0, 1] in 8 bits.
+/// Quantises a value in [0, 1] to 8 bits.
 pub(super) fn byte(share: f32) -> u8 {
     steps(share, 255) as u8
 }
 
-/// The colour that the constant harmonic makes.
+/// The colour of a coefficient of the constant harmonic.
 pub(super) fn colour(harmonic: [f32; 3]) -> [f32; 3] {
     harmonic.map(|h| 0.5 + SH_C0 * h)
 }
 
-/// The constant harmonic of a colour.
+/// The coefficient of the constant harmonic for a colour.
 pub(super) fn harmonic(colour: [f32; 3]) -> [f32; 3] {
     colour.map(|c| (c - 0.5) / SH_C0)
 }
 
-/// A quaternion of unit length; one without a direction counts as no rotation.
+/// The normalised quaternion; one without a direction becomes the identity.
 pub(super) fn unit(q: [f32; 4]) -> [f32; 4] {
     let length = q.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
     match length > 1e-10 && length.is_finite() {
@@ -54,8 +54,8 @@ pub(super) fn unit(q: [f32; 4]) -> [f32; 4] {
     }
 }
 
-/// The place of a unit quaternion's largest part, and the quaternion with that part positive: the same
-/// rotation, which its three other parts tell.
+/// The index of a unit quaternion's largest component, and the quaternion with the sign that makes
+/// this component positive. The other three components then determine the rotation.
 pub(super) fn largest(q: [f32; 4]) -> (usize, [f32; 4]) {
     let mut largest = 0;
     for i in 1..4 {
@@ -66,12 +66,12 @@ pub(super) fn largest(q: [f32; 4]) -> (usize, [f32; 4]) {
     (largest, if q[largest] < 0.0 { q.map(|v| -v) } else { q })
 }
 
-/// The part of a unit quaternion that the three others leave.
+/// The component of a unit quaternion that follows from the other three.
 pub(super) fn rest(parts: [f32; 4]) -> f32 {
     (1.0 - parts.iter().map(|v| v * v).sum::<f32>()).max(0.0).sqrt()
 }
 
-/// Indices of points along a curve of Morton's: 10 bits of each axis, interleaved.
+/// Point indices in Morton order: 10 bits per axis, interleaved.
 pub(super) fn morton_order(positions: &[[f32; 3]]) -> Vec<u32> {
     let mut low = [f32::INFINITY; 3];
     let mut high = [f32::NEG_INFINITY; 3];
@@ -99,7 +99,7 @@ pub(super) fn morton_order(positions: &[[f32; 3]]) -> Vec<u32> {
     order
 }
 
-/// The Gaussians of some indices, in their order.
+/// The Gaussians with these indices, in this order.
 pub(super) fn picked(g: &Gaussians, order: &[u32]) -> Gaussians {
     fn rows<T: Copy>(of: &[T], order: &[u32], per: usize) -> Vec<T> {
         let row = |&i: &u32| of[i as usize * per..(i as usize + 1) * per].iter().copied();
@@ -119,14 +119,14 @@ pub(super) fn picked(g: &Gaussians, order: &[u32]) -> Gaussians {
     }
 }
 
-/// That a file of so many bytes may unpack to `unpacked` bytes of Gaussians, and that there is memory
-/// for it.
+/// Checks that a file of `packed` bytes can unpack to `unpacked` bytes of Gaussians, and that
+/// memory suffices.
 pub(super) fn check_room(path: &Path, unpacked: u64, packed: usize) -> Result<()> {
     crate::io::check_unpacked(path, unpacked, packed)?;
     crate::io::check_memory(unpacked.saturating_mul(8), &format!("reading {}", path.display()))
 }
 
-/// An error of a reader that unpacks, told of the file.
+/// The error of a decompressor, with the file's path.
 pub(super) fn unpacking(path: &Path, what: &str, error: &std::io::Error) -> Error {
     Error::format(
         path,
@@ -146,7 +146,7 @@ mod tests {
         let mut sorted = order.clone();
         sorted.sort_unstable();
         assert_eq!(sorted, (0..512).collect::<Vec<u32>>());
-        // Each 64 in a row fill a cube of 4.
+        // Each run of 64 fills a cube of side 4.
         for part in order.chunks_exact(64) {
             let corner = |p: [f32; 3]| p.map(|v| (v / 4.0) as u32);
             let first = corner(positions[part[0] as usize]);

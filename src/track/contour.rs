@@ -2,30 +2,31 @@
 
 use glam::DVec2;
 
-/// Static things next to a mover that are nearer than what it hides, by this share of the inverse depth,
-/// hide a part of it.
+/// Ratio of inverse depths above which a static object next to a mover, compared with what the mover hides,
+/// counts as hiding a part of the mover.
 const NEARER: f32 = 1.15;
-/// So far to each side of a contour that is compared, pixels: edges of the depth are good to about that.
+/// Distance to each side of a contour at which depths are compared, pixels. It is about the accuracy of depth
+/// edges.
 const BESIDE: i32 = 2;
 
-/// What lies next to a pixel of an object.
+/// The neighbour of a pixel of an object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Side {
-    /// Another pixel of the object, by its place in the list.
+    /// Another pixel of the object, by its index in the list.
     Own(usize),
-    /// What the object hides: its outline.
+    /// Something that the object hides: this side is on the object's outline.
     Hidden,
-    /// The border of the picture, or what hides the object: it goes on there.
+    /// The image border, or something that hides the object: the object continues there.
     Open,
 }
 
-/// The pixels of an object in a picture, each with its four neighbours.
+/// The pixels of an object in an image, each with its four neighbours.
 pub(super) struct Region {
-    /// Numbers of the pixels in the picture, in order.
+    /// Indices of the pixels in the image, in increasing order.
     pub pixels: Vec<usize>,
     /// Their centres.
     pub centres: Vec<DVec2>,
-    /// What lies to their left, right, above and below.
+    /// Their left, right, upper and lower neighbours.
     pub sides: Vec<[Side; 4]>,
 }
 
@@ -47,7 +48,7 @@ impl Region {
         Region { centres: pixels.iter().map(centre).collect(), pixels, sides }
     }
 
-    /// The pixel that a point lies in, or the nearest, by its place in the list.
+    /// The index in the list of the pixel that contains a point, or of the nearest pixel.
     pub fn place(&self, point: DVec2, width: usize) -> usize {
         let (x, y) = (point.x.max(0.0) as usize, point.y.max(0.0) as usize);
         let off = |p: &DVec2| p.distance_squared(point);
@@ -61,15 +62,15 @@ impl Region {
 /// Steps to the four neighbours of a pixel.
 const NEXT: [(i32, i32); 4] = [(-1, 0), (1, 0), (0, -1), (0, 1)];
 
-/// The pixel so many steps from a pixel, if the picture has it.
+/// The pixel at a number of steps from a pixel, if it is inside the image.
 fn next(i: usize, across: (i32, i32), steps: i32, width: usize, pixels: usize) -> Option<usize> {
     let (x, y) = ((i % width) as i32 + steps * across.0, (i / width) as i32 + steps * across.1);
     let inside = x >= 0 && y >= 0 && x < width as i32 && y < (pixels / width) as i32;
     inside.then(|| y as usize * width + x as usize)
 }
 
-/// Whether static things right outside of a mover's contour hide a part of it: they are nearer than
-/// what the mover hides right inside. `i` is the last pixel within, `across` the step out of it.
+/// Whether static objects directly outside a mover's contour hide a part of it: they are nearer than what the
+/// mover hides directly inside. `i` is the last pixel inside, `across` the step out of it.
 fn hides(i: usize, across: (i32, i32), behind: &[f32], width: usize) -> bool {
     let at = |steps: i32| next(i, across, steps, width, behind.len()).map(|i| behind[i]);
     at(BESIDE).zip(at(-BESIDE)).is_some_and(|(outside, inside)| outside > NEARER * inside)

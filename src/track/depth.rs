@@ -1,10 +1,10 @@
 //! Depth of all pixels.
 //!
-//! Static pixels are triangulated; what they leave out is filled in by diffusion of inverse depth
-//! that stops at edges of colour, and noisy measurements are smoothed by the same equation, each
-//! according to its deviation. Movers are lifted as objects ([`super::movers`]). What belongs to none,
-//! for hardly a point can be followed on it, gets one depth per region and frame, smoothed along the
-//! flow: that of the ground where its lower end meets it, nearer than what it hides.
+//! Static pixels are triangulated. Gaps are filled in by diffusion of inverse depth that stops at colour
+//! edges. The same equation smooths noisy measurements, each according to its deviation. Movers are lifted as
+//! objects ([`super::movers`]). Moving pixels that belong to no object, because hardly a point can be tracked
+//! on them, get one depth per region and frame, smoothed along the flow: the depth of the ground where the
+//! region's lower end meets it, and nearer than what the region hides.
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -24,27 +24,27 @@ use crate::Result;
 use crate::observe::NeighbourFlow;
 use crate::types::Image;
 
-/// Nothing is farther than this, in units of the median depth.
+/// Maximum depth, in units of the median depth.
 const FARTHEST: f32 = 40.0;
-/// Nothing is nearer than this.
+/// Minimum depth, in units of the median depth.
 const NEAREST: f32 = 0.02;
-/// A triangulated inverse depth with a larger relative deviation, and a larger absolute one (1 over
-/// the unit), is no measurement.
+/// A triangulated inverse depth is rejected if its standard deviation exceeds the first number times the
+/// inverse depth plus the second number (in 1 / unit).
 const DOUBT: (f32, f32) = (0.35, 0.02);
-/// A static pixel that leaves more unexplained than this many deviations is not measured.
+/// Maximum residual of a measured static pixel, in standard deviations.
 const UNEXPLAINED: f32 = 4.0;
-/// Depth from elsewhere is compared with inverse depth whose relative deviation is less.
+/// Maximum relative deviation of a triangulated inverse depth that other depth is compared with.
 const CERTAIN: f32 = 0.1;
-/// A network's depth is taken for what was triangulated where its deviation is so many times smaller.
+/// A network's depth replaces the triangulated one if its deviation is smaller by this factor.
 const CLEARLY: f32 = 2.0;
 /// Confidence of depth that was filled in.
 const FILLED: f32 = 0.3;
 /// Confidence above which depth was measured.
 pub(super) const MEASURED: f32 = 0.5;
-/// Weight of what other frames show behind a mover.
+/// Weight of the depth behind a mover that other frames measured.
 const HIDDEN_WEIGHT: f32 = 1.0;
 
-/// What [`super::Track`] holds of depth and movers.
+/// The depth and the movers as in [`super::Track`].
 pub(super) struct Dense {
     pub depth: Vec<Image>,
     pub confidence: Vec<Image>,
@@ -52,8 +52,8 @@ pub(super) struct Dense {
     pub owners: Vec<Image>,
 }
 
-/// The static world in all frames, behind movers too: what they hide is as the plates tell it, else it
-/// is filled in. `part` is the name under which finished frames are kept.
+/// The static world in all frames, including the parts behind movers. Hidden parts are taken from the plates
+/// if these know them, else filled in. `part` is the name under which finished frames are saved.
 pub(super) fn layers(
     frames: &[Image],
     cameras: &Cameras,
@@ -80,8 +80,8 @@ pub(super) fn layers(
     work.frames(part, frames.len(), made, Stage::Depth, shares)
 }
 
-/// Depth and its confidence per frame, as [`super::Track`] has them. Without parallax and without supplied
-/// depth everything lies on [`Cameras::background`], movers before it.
+/// Depth and its confidence per frame, as in [`super::Track`]. Without parallax and without supplied depth
+/// everything static lies on [`Cameras::background`], with movers in front of it.
 pub(super) fn dense(
     frames: &[Image],
     cameras: &Cameras,
@@ -92,7 +92,7 @@ pub(super) fn dense(
     options: &Options,
     work: &mut Work,
 ) -> Result<Dense> {
-    // Of the ground that movers stand on the other frames know more than this one: a shadow lies on it.
+    // Other frames know the ground under movers better than this one, in which a shadow may lie on it.
     let ground: Vec<(Vec<f32>, Vec<f32>)> = layers
         .par_iter()
         .zip(plates)
@@ -110,7 +110,7 @@ pub(super) fn dense(
         false => Lifted::nothing(masks),
     };
     work.progress(Stage::Depth, 0.95)?;
-    // What no object owns: by region and frame.
+    // Pixels without an object get one depth per region and frame.
     let rest: Vec<Vec<Option<(f32, f32)>>> =
         layers.par_iter().zip(masks).map(|(layer, mask)| by_region(layer, mask)).collect();
     for (f, layer) in layers.iter_mut().enumerate() {
@@ -138,14 +138,14 @@ pub(super) fn dense(
     Ok(Dense { depth, confidence, movers: lifted.movers, owners: lifted.owners })
 }
 
-/// Whether a pixel stands still and was triangulated well enough for depth to be compared with it.
+/// Whether a pixel is static and was triangulated well enough to compare other depth with it.
 pub(super) fn is_certain(seen: &Seen, mask: &Image, i: usize) -> bool {
     seen.deviation[i] < CERTAIN * seen.inverse_depth[i]
         && seen.score[i] < UNEXPLAINED
         && mask.pixels[i] <= 0.5
 }
 
-/// One factor for all supplied maps: the median ratio to what was triangulated.
+/// One factor for all supplied maps: the median ratio of the triangulated to the supplied depth.
 fn scale_of(maps: &[Image], seen: &[Seen], masks: &[Image]) -> f32 {
     let mut ratios = Vec::new();
     for ((map, seen), mask) in maps.iter().zip(seen).zip(masks) {
@@ -159,24 +159,24 @@ fn scale_of(maps: &[Image], seen: &[Seen], masks: &[Image]) -> f32 {
     if !ratios.is_empty() {
         return quantile(ratios, 0.5) as f32;
     }
-    // No parallax to compare with: the unit is the median depth itself.
+    // Without parallax there is nothing to compare with, and the unit is the median depth itself.
     let all = maps.iter().flat_map(|m| &m.pixels).filter(|z| z.is_finite() && **z > 0.0);
     let median = quantile(all.step_by(7).map(|z| f64::from(*z)).collect(), 0.5);
     if median > 0.0 { (1.0 / median) as f32 } else { 1.0 }
 }
 
-/// The static world as one frame sees it, behind the movers too.
+/// The static world from the camera of one frame, including the parts that movers hide.
 #[derive(Serialize, Deserialize)]
 pub(super) struct Layer {
     pub inverse: Vec<f32>,
     pub confidence: Vec<f32>,
     pub supplied: Vec<bool>,
-    /// What a network estimates, movers among it: inverse depth, 0 where unknown; empty without one.
+    /// Inverse depth that a network estimated, including movers; 0 where unknown, empty without a network.
     pub estimated: Vec<f32>,
 }
 
 impl Layer {
-    /// The inverse depth that is told of a pixel, be it a mover's.
+    /// The supplied or estimated inverse depth of a pixel, which may be a mover's.
     pub fn told(&self, i: usize) -> Option<f64> {
         let told = if self.supplied[i] { Some(&self.inverse[i]) } else { self.estimated.get(i) };
         told.map(|d| f64::from(*d)).filter(|d| *d > 0.0)
@@ -191,37 +191,37 @@ struct Known {
 }
 
 impl Known {
-    /// What a network says. Where its deviation is not known, or large, it still counts as much as a neighbour of
-    /// the same colour.
+    /// An estimate of a network. If its deviation is unknown or large, it still has the weight of a neighbour
+    /// of the same colour.
     fn estimated(inverse: f32, relative_deviation: f32) -> Known {
         let deviation = (relative_deviation * inverse).min(Known::jump(inverse));
         Known { inverse, deviation }
     }
 
-    /// By how much neighbours' inverse depth usually differs: a tenth.
+    /// Typical difference of inverse depth between neighbouring pixels: a tenth.
     fn jump(inverse: f32) -> f32 {
         0.1 * (inverse + 0.1)
     }
 
-    /// How much it counts beside a neighbour of the same colour.
+    /// The weight relative to a neighbour of the same colour.
     fn weight(self) -> f32 {
         (Known::jump(self.inverse) / self.deviation).powi(2).min(1e3)
     }
 
-    /// What was triangulated, or what a network says where that is clearly finer. They are not averaged: a network's
-    /// errors are alike over a neighbourhood, those of a triangulation are smoothed away in it, so that
-    /// its deviation says too much.
+    /// Selects the triangulated value, or a network's estimate if that is clearly more precise. The two are
+    /// not averaged: a network's errors are correlated within a neighbourhood, and those of a triangulation
+    /// have been smoothed over it, so that its deviation is overstated.
     fn or(self, estimate: Known) -> Known {
         if CLEARLY * estimate.deviation < self.deviation { estimate } else { self }
     }
 }
 
-/// What is known of a frame's depth beforehand.
+/// Depth of a frame that is given beforehand.
 #[derive(Clone, Copy, Default)]
 struct Told<'a> {
-    /// Depth that is kept, and what it is to be multiplied by.
+    /// Depth that is kept, and the factor that it is multiplied by.
     exact: Option<(&'a Image, f32)>,
-    /// Inverse depth that a network tells.
+    /// Inverse depth that a network estimated.
     estimated: Option<&'a Estimate>,
 }
 
@@ -299,8 +299,8 @@ fn static_layer(
     layer
 }
 
-/// Minimises Σ weight (x − value)² + Σ g (x_i − x_j)² with g small across edges of colour:
-/// from coarse to fine, Gauss–Seidel at each level.
+/// Minimises Σ weight (x − value)² + Σ g (x_i − x_j)² with g small across colour edges, from coarse to fine,
+/// with Gauss-Seidel sweeps at each level.
 fn diffuse(image: &Image, value: &[f32], weight: &[f32], w: usize) -> Vec<f32> {
     struct Level {
         w: usize,
@@ -413,7 +413,7 @@ fn by_region(layer: &Layer, mask: &Image) -> Vec<Option<(f32, f32)>> {
         let (mut ground, mut behind) = (Vec::new(), Vec::new());
         for &i in &region {
             let (x, y) = (i % w, i / w);
-            // The mask may overhang by a pixel or two: look beyond.
+            // The mask may overhang by a pixel or two, so the depth is read farther outside.
             let beyond = |x: isize, y: isize| {
                 let inside = x >= 0 && y >= 0 && (x as usize) < w && (y as usize) < h;
                 inside
@@ -474,7 +474,7 @@ mod tests {
     use super::super::sliding::*;
     use super::*;
 
-    /// A picture with an edge in the middle: black to the left, white to the right.
+    /// An image with an edge in the middle: black to the left, white to the right.
     fn halves() -> Image {
         let mut image = Image::new(WIDTH, HEIGHT, 3);
         for (i, c) in image.pixels.chunks_exact_mut(3).enumerate() {
@@ -483,8 +483,7 @@ mod tests {
         image
     }
 
-    /// What static pixels of a known inverse depth look like; those that `measured` leaves out were
-    /// not seen.
+    /// The measurement of static pixels with a known inverse depth; pixels outside `measured` were not seen.
     fn seen(inverse: impl Fn(DVec2) -> f32, measured: impl Fn(DVec2) -> bool) -> Seen {
         let measured = map(|p| f32::from(u8::from(measured(p))));
         Seen {
@@ -531,7 +530,7 @@ mod tests {
 
     #[test]
     fn known_depth_is_kept_up_to_one_scale() {
-        // Metres where the unit is 2.5 m, unknown in a corner.
+        // The depth is in metres while the unit is 2.5 m, and unknown in a corner.
         let depth = map(|p| if within(p, (0.0, 0.0), (8.0, 8.0)) { 0.0 } else { 10.0 });
         let seen = seen(|_| 0.25, |_| true);
         let mask = map(|_| 0.0);
@@ -558,7 +557,7 @@ mod tests {
 
     #[test]
     fn a_mover_is_as_far_as_the_ground_below_it_and_nearer_than_what_it_hides() {
-        // Ground that comes nearer towards the lower border, a far wall above row 16.
+        // Ground that gets nearer towards the lower border, and a far wall above row 16.
         let world = |p: DVec2| if p.y < 16.0 { 0.1 } else { 0.1 + 0.02 * (p.y as f32 - 16.0) };
         let layer = Layer {
             inverse: map(world).pixels,
@@ -569,15 +568,15 @@ mod tests {
         let standing = map(|p| f32::from(u8::from(within(p, (20.0, 8.0), (30.0, 28.0)))));
         let found = by_region(&layer, &standing);
         let (d, confidence) = found[(15 * WIDTH + 25) as usize].unwrap();
-        // It stands on row 28; the mask may overhang, so the ground is looked for two rows below.
+        // The object stands on row 28; the mask may overhang, so the ground is read two rows below.
         assert!((d - world(DVec2::new(25.0, 30.5))).abs() < 1e-3, "{d}");
         assert_eq!(confidence, KNOWN);
         assert!(found[0].is_none());
-        // In the air, before the wall: only that it is nearer is known.
+        // The object is in the air in front of the wall: only a bound on its depth is known.
         let flying = map(|p| f32::from(u8::from(within(p, (20.0, 2.0), (30.0, 10.0)))));
         let (d, _) = by_region(&layer, &flying)[(5 * WIDTH + 25) as usize].unwrap();
         assert!(d >= 0.1, "{d}");
-        // Cut off by the lower border: its feet are not seen.
+        // The object is cut off by the lower border: its feet are not visible.
         let cut = map(|p| f32::from(u8::from(within(p, (20.0, 20.0), (30.0, 40.0)))));
         let (d, confidence) = by_region(&layer, &cut)[(30 * WIDTH + 25) as usize].unwrap();
         assert!(confidence == BOUND && d > 0.3, "{d}, {confidence}");

@@ -1,11 +1,11 @@
-//! Depth that a network has estimated from single frames, brought to the world's unit, and the shapes of movers
-//! that it shows.
+//! Depth that a network has estimated from single frames, scaled to the world's unit, and the shapes of
+//! movers that it shows.
 //!
-//! Such depth shows shapes and what is nearer than what, but leaves open a scale, and often a shift,
-//! which differ from frame to frame. Both are fitted to what was triangulated of the static world in the same
-//! frame (Ranftl et al., "Towards Robust Monocular Depth Estimation", TPAMI 2022, align so to compare):
-//! first by the least median of residuals, so that neither what the network gets wrong nor what was
-//! triangulated wrongly pulls, then by what agrees with that.
+//! Such depth gives shapes and depth order, but leaves a scale and often a shift undetermined, which differ
+//! from frame to frame. Both are fitted to the triangulated static world of the same frame (Ranftl et al.,
+//! "Towards Robust Monocular Depth Estimation", TPAMI 2022, align in this way for comparison). The fit first
+//! takes the least median of residuals, so that neither errors of the network nor errors of the triangulation
+//! affect it, then reweights the pixels that agree.
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -17,34 +17,35 @@ use super::residual::Seen;
 use crate::observe::{EstimatedDepth, EstimatedKind, NeighbourFlow};
 use crate::types::Image;
 
-/// A frame is aligned by so many pixels at least, of every so many.
+/// Minimum number of pixels that a frame is aligned with, and the stride at which pixels are sampled.
 const LEAST: usize = 50;
 const EVERY: usize = 5;
-/// What rests on less support is not compared with.
+/// Minimum support of a triangulated pixel that is compared.
 const SUPPORT: f32 = 0.5;
-/// Shapes are averaged over so many frames to each side.
+/// Number of frames to each side that shapes are averaged over.
 const AROUND: usize = 4;
-/// Lines that are tried to begin with, and a number without a common factor with that.
+/// Number of candidate lines of the initial fit, and a stride that is coprime to it.
 const CANDIDATES: usize = 128;
 const STRIDE: usize = 37;
-/// Rounds of reweighting by Tukey's biweight, its width in median residuals, and that at least.
+/// Number of reweighting rounds with Tukey's biweight, the width of the biweight in median residuals, and the
+/// minimum width.
 const ROUNDS: usize = 10;
 const BIWEIGHT: f64 = 6.0;
 const ALIKE: f64 = 0.005;
-/// The median of a normal variable's magnitude, in its standard deviations.
+/// The median absolute value of a normal variable, in its standard deviations.
 const NORMAL_MEDIAN: f64 = 0.6745;
-/// Estimates are never taken to be finer, relative.
+/// Lower bound of the relative standard deviation of an estimate.
 const FINEST: f64 = 0.002;
 
-/// What a network says of a frame, in the world's unit.
+/// A network's estimate of a frame, in the world's unit.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Estimate {
-    /// Inverse depth of each pixel, 0 where unknown, also in all of a frame that cannot be aligned.
+    /// Inverse depth of each pixel, 0 where unknown; 0 everywhere in a frame that cannot be aligned.
     pub inverse: Vec<f32>,
-    /// Relative standard deviation of it, measured where the static world was triangulated; infinite where nothing
+    /// Its relative standard deviation, measured against the triangulated static world; infinite if nothing
     /// could be compared.
     deviation: f32,
-    /// How many times that of each pixel is, where the network tells confidence; else empty.
+    /// Factor on this deviation for each pixel, if the network gives confidence; else empty.
     doubt: Vec<f32>,
 }
 
@@ -55,8 +56,8 @@ impl Estimate {
     }
 }
 
-/// Each frame's estimate in the world's unit. Without anything to compare with in any frame, the median depth of all
-/// is the unit.
+/// Each frame's estimate in the world's unit. If no frame can be aligned, the median depth over all frames is
+/// the unit.
 pub(super) fn aligned(estimated: &EstimatedDepth, seen: &[Seen], masks: &[Image]) -> Vec<Estimate> {
     let EstimatedDepth { maps, kind, confidence } = estimated;
     let fits: Vec<Option<Line>> = maps
@@ -84,16 +85,16 @@ pub(super) fn aligned(estimated: &EstimatedDepth, seen: &[Seen], masks: &[Image]
         .collect()
 }
 
-/// The deviation of each pixel beside that of one of the median confidence; 1 where confidence is unknown.
+/// The deviation of each pixel relative to a pixel of median confidence; 1 where confidence is unknown.
 fn doubt(confidence: &Image) -> Vec<f32> {
     let told = confidence.pixels.iter().filter(|c| **c > 0.0);
     let median = quantile(told.map(|c| f64::from(*c)).collect(), 0.5) as f32;
     confidence.pixels.iter().map(|c| if *c > 0.0 { median / c } else { 1.0 }).collect()
 }
 
-/// The relative deviation of an aligned estimate: how far it is from what was triangulated, the deviation of which
-/// is counted with it. Half of the pixels decide, so that wrong ones on either side do not. `doubt` is of each pixel
-/// beside the others, or empty.
+/// The relative deviation of an aligned estimate, from its differences to the triangulated depth, including
+/// the triangulation's own deviation. It is measured by the median, so that outliers on either side have no
+/// influence. `doubt` is the relative deviation of each pixel, or empty.
 fn deviation(inverse: &[f32], doubt: &[f32], seen: &Seen, mask: &Image) -> f32 {
     let compared = |i: &usize| inverse[*i] > 0.0 && is_comparable(seen, mask, *i);
     let differences: Vec<f64> = (0..inverse.len())
@@ -110,12 +111,12 @@ fn deviation(inverse: &[f32], doubt: &[f32], seen: &Seen, mask: &Image) -> f32 {
     }
 }
 
-/// Whether the depth of a pixel can be compared with what a network says of it.
+/// Whether the triangulated depth of a pixel can be compared with a network's estimate.
 fn is_comparable(seen: &Seen, mask: &Image, i: usize) -> bool {
     seen.support[i] >= SUPPORT && is_certain(seen, mask, i)
 }
 
-/// What is fitted: `factor` x + `shift`, of inverse depth or of depth.
+/// The fitted line `factor` x + `shift`, which gives inverse depth or depth.
 #[derive(Clone, Copy, Debug)]
 struct Line {
     factor: f64,
@@ -135,7 +136,8 @@ impl Line {
     }
 }
 
-/// What a line is fitted to, of what a map holds: inverse depth, or depth where that is shifted.
+/// The quantity that a line is fitted to, from a map's value: inverse depth, or depth if the map is shifted
+/// depth.
 fn known(kind: EstimatedKind, told: f32) -> Option<f64> {
     let told = f64::from(told);
     match kind {
@@ -145,7 +147,7 @@ fn known(kind: EstimatedKind, told: f32) -> Option<f64> {
     }
 }
 
-/// What the map says (x) and the inverse depth that was triangulated, of static pixels.
+/// Pairs of the map's value (x) and the triangulated inverse depth, of static pixels.
 fn pairs(kind: EstimatedKind, map: &Image, seen: &Seen, mask: &Image) -> Vec<(f64, f64)> {
     let pair = |i: usize| {
         let x = is_comparable(seen, mask, i).then(|| known(kind, map.pixels[i])).flatten()?;
@@ -154,8 +156,8 @@ fn pairs(kind: EstimatedKind, map: &Image, seen: &Seen, mask: &Image) -> Vec<(f6
     (0..map.pixels.len()).step_by(EVERY).filter_map(pair).collect()
 }
 
-/// The line that most pairs agree with; none through too few pairs, through pairs of one depth, or where what is
-/// said to be farther is nearer.
+/// The line that most pairs agree with; `None` for too few pairs, for pairs of one depth, or if the map's
+/// depth order is reversed.
 fn fit(kind: EstimatedKind, pairs: &[(f64, f64)]) -> Option<Line> {
     if pairs.len() < LEAST {
         return None;
@@ -164,7 +166,7 @@ fn fit(kind: EstimatedKind, pairs: &[(f64, f64)]) -> Option<Line> {
         let factor = quantile(pairs.iter().map(|(x, d)| d / x).collect(), 0.5);
         return Some(Line { factor, shift: 0.0 });
     }
-    // Residuals are relative: (factor x + shift) / y − 1, with y inverse depth or depth.
+    // Residuals are relative: (factor x + shift) / y − 1, where y is inverse depth or depth.
     let rows: Vec<(f64, f64)> = pairs
         .iter()
         .map(|(x, d)| match kind {
@@ -175,12 +177,13 @@ fn fit(kind: EstimatedKind, pairs: &[(f64, f64)]) -> Option<Line> {
     let residual =
         |line: &Line, (a, b): &(f64, f64)| (line.factor * a + line.shift * b - 1.0).abs();
     let spread = |line: &Line| quantile(rows.iter().map(|row| residual(line, row)).collect(), 0.5);
-    // Lines through two pairs of which the map says different things, by the median of their residuals.
+    // Candidate lines pass through two pairs with different map values; each is scored by the median of its
+    // residuals.
     let mut by_told: Vec<usize> = (0..rows.len()).collect();
     by_told.sort_by(|i, j| pairs[*i].0.total_cmp(&pairs[*j].0));
     let third = rows.len() / 3;
     let through = |k: usize| {
-        // Each with each other only once, evenly spread.
+        // The pairs of samples are distinct and evenly spread.
         let place = |k: usize| (k * third / CANDIDATES).min(third - 1);
         let (i, j) = (by_told[place(k)], by_told[rows.len() - 1 - place(k * STRIDE % CANDIDATES)]);
         let ((a, b), (c, d)) = (rows[i], rows[j]);
@@ -203,7 +206,7 @@ fn fit(kind: EstimatedKind, pairs: &[(f64, f64)]) -> Option<Line> {
         }
         let [aa, ab, bb, a1, b1] = sums;
         let determinant = aa * bb - ab * ab;
-        // One depth throughout determines no shift.
+        // Pairs of a single depth do not determine a shift.
         if determinant <= 1e-9 * aa * bb {
             return None;
         }
@@ -215,7 +218,7 @@ fn fit(kind: EstimatedKind, pairs: &[(f64, f64)]) -> Option<Line> {
     Some(line).filter(|line| line.factor > 0.0)
 }
 
-/// Without anything to compare with: no shift, and a median depth of 1.
+/// The line if nothing can be compared: no shift, and a median depth of 1.
 fn usual(estimated: &EstimatedDepth) -> Line {
     let all = estimated.maps.iter().flat_map(|map| map.pixels.iter().step_by(EVERY));
     let x: Vec<f64> = all.filter_map(|told| known(estimated.kind, *told)).collect();
@@ -223,12 +226,13 @@ fn usual(estimated: &EstimatedDepth) -> Line {
     Line { factor: if median > 0.0 { median.recip() } else { 1.0 }, shift: 0.0 }
 }
 
-/// Gives movers the shape that a network has seen, at the distance that they have: `pixels` are their
-/// inverse depths by frame, `owners` say which object each pixel is of, `open` which objects' shapes may change.
+/// Gives movers the shape that a network estimated, and keeps their distance. `pixels` are their inverse
+/// depths by frame, `owners` give the object of each pixel, and `open` marks the objects whose shapes may
+/// change.
 ///
-/// What differs from the shape so far is averaged over the frames around, along the flow. It is taken
-/// as far as it lasts there: how much of it is left by chance is told by how much it changes from
-/// frame to frame (shrinkage towards what is known, James and Stein 1961).
+/// The difference to the current shape is averaged over neighbouring frames, along the flow, and then scaled
+/// by the share of it that persists there. The share that is due to chance is estimated from the variation
+/// between frames (shrinkage towards the prior, James and Stein 1961).
 pub(super) fn shape(
     pixels: &mut [Vec<Option<(f32, f32)>>],
     owners: &[Vec<Option<u16>>],
@@ -242,8 +246,8 @@ pub(super) fn shape(
     let may = |f: usize, i: usize| {
         owners[f][i].map(usize::from).filter(|own| open.get(*own).copied().unwrap_or(false))
     };
-    // The logarithm by which the network's inverse depth is above the one so far, beyond its median
-    // over the object.
+    // The logarithm of the ratio of the network's inverse depth to the current one, minus its median over the
+    // object.
     let beyond: Vec<Vec<Option<f64>>> = (0..pixels.len())
         .into_par_iter()
         .map(|f| {
@@ -281,7 +285,7 @@ pub(super) fn shape(
             (0..pixels[f].len()).map(average).collect()
         })
         .collect();
-    // Of each object: the mean square of the averages, and of their errors.
+    // For each object: the sum of squares of the averages, and of their squared standard errors.
     let mut squares = vec![(0.0, 0.0); open.len()];
     for (f, averages) in averages.iter().enumerate() {
         for (i, average) in averages.iter().enumerate() {
@@ -306,7 +310,7 @@ pub(super) fn shape(
     }
 }
 
-/// A weighted average, and the square of its standard error where more than one value tells it.
+/// A weighted average, and its squared standard error if it has more than one value.
 #[derive(Clone, Copy)]
 struct Average {
     mean: f64,
@@ -333,7 +337,7 @@ impl Sums {
     fn average(&self) -> Average {
         let mean = self.value / self.weight;
         let spread = (self.value_squared / self.weight - mean * mean).max(0.0);
-        // Values that count alike, as many as these weights amount to.
+        // The effective number of values.
         let count = self.weight * self.weight / self.weight_squared;
         Average { mean, error: (count > 1.5).then(|| spread / (count - 1.0)) }
     }
@@ -345,12 +349,12 @@ mod tests {
     use super::*;
     use glam::DVec2;
 
-    /// Ground that comes nearer towards the lower border.
+    /// Ground that gets nearer towards the lower border.
     fn truth(p: DVec2) -> f32 {
         0.1 + 0.01 * p.y as f32
     }
 
-    /// It triangulated, one pixel in nine wrongly.
+    /// The triangulated ground, with one pixel in nine wrong.
     fn seen() -> Seen {
         let wrong = |p: DVec2| (p.x as u32 + 7 * p.y as u32).is_multiple_of(9);
         let inverse_depth = map(|p| if wrong(p) { 3.0 * truth(p) } else { truth(p) }).pixels;
@@ -363,7 +367,7 @@ mod tests {
         [map(|_| 0.0)]
     }
 
-    /// A map of a kind, with a scale and a shift of its own.
+    /// A map of a kind, with an arbitrary scale and shift.
     fn told(kind: EstimatedKind) -> EstimatedDepth {
         let value = |p: DVec2| match kind {
             EstimatedKind::Depth => 3.0 / truth(p),
@@ -380,7 +384,7 @@ mod tests {
     fn a_frames_own_scale_and_shift_are_found() {
         for kind in KINDS {
             let found = aligned(&told(kind), &[seen()], &nothing_moves());
-            // It is right, and a ninth of what it is compared with is not.
+            // The estimate is correct, and a ninth of the triangulated pixels are not.
             assert!(found[0].deviation(0) < 0.003, "{kind:?}: {}", found[0].deviation(0));
             for (i, d) in found[0].inverse.iter().enumerate() {
                 let expected = truth(centre(i));
@@ -395,8 +399,8 @@ mod tests {
 
     #[test]
     fn confidence_says_where_deviations_are_larger() {
-        // On the right it is off by 2 %, on the left by 1 %, to both sides, and right at every third pixel, which the scale
-        // goes by.
+        // The error is 2 % on the right and 1 % on the left, with both signs. It is 0 at every third pixel,
+        // which determines the scale.
         let left = |p: DVec2| p.x < 0.5 * f64::from(WIDTH);
         let off = |p: DVec2| {
             let by = if left(p) { 0.01 } else { 0.02 };
@@ -416,7 +420,7 @@ mod tests {
     #[test]
     fn what_is_unknown_stays_so() {
         let mut estimated = told(EstimatedKind::ShiftedInverse);
-        // Not a number, and farther away than anything can be.
+        // The values are NaN and one beyond infinity.
         (estimated.maps[0].pixels[7], estimated.maps[0].pixels[8]) = (f32::NAN, -1e3);
         let found = aligned(&estimated, &[seen()], &nothing_moves());
         assert_eq!((found[0].inverse[7], found[0].inverse[8]), (0.0, 0.0));
@@ -425,10 +429,10 @@ mod tests {
 
     #[test]
     fn what_contradicts_the_scene_is_not_taken() {
-        // Far for near.
+        // The depth order is reversed.
         let mut estimated = told(EstimatedKind::ShiftedInverse);
         estimated.maps[0].pixels.iter_mut().for_each(|x| *x = -*x);
-        // The second frame is right, so the first one is left out alone.
+        // The second frame is correct, so only the first one is rejected.
         estimated.maps.extend(told(EstimatedKind::ShiftedInverse).maps);
         let masks = [nothing_moves(), nothing_moves()].concat();
         let found = aligned(&estimated, &[seen(), seen()], &masks);
@@ -446,8 +450,9 @@ mod tests {
         }
     }
 
-    /// A mover that stands still in the picture, flat so far at a depth of 2; the network says of each
-    /// of its pixels what `told` says, times 3. Returns by how much its pixels became nearer.
+    /// A mover at a fixed place in the image, flat at a depth of 2. The network's inverse depth of each of
+    /// its pixels is 1.5 times the exponential of `told`. Returns the logarithm of the change of each pixel's
+    /// inverse depth.
     fn shaped(open: bool, told: impl Fn(usize, DVec2) -> f64) -> Vec<f64> {
         let inside = |p: DVec2| within(p, (14.0, 8.0), (44.0, 32.0));
         let n = (WIDTH * HEIGHT) as usize;
@@ -468,12 +473,12 @@ mod tests {
         nearer.collect()
     }
 
-    /// A bulge, 0 in the median.
+    /// A bulge with a median of 0.
     fn bulge(p: DVec2) -> f64 {
         0.2 * (0.3 * (p.x - 29.0)).sin()
     }
 
-    /// Without a pattern, from frame to frame another one.
+    /// Noise without a pattern, different in each frame.
     fn noise(f: usize, p: DVec2) -> f64 {
         0.1 * (41.3 * p.x + 17.9 * p.y + 57.7 * (f as f64 + 1.3).powi(2)).sin()
     }

@@ -1,5 +1,4 @@
-//! What the frames saw of static points: how far that agrees with the cameras, and the points
-//! themselves.
+//! Observations of static points: how well they agree with the cameras, and the triangulated points.
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -12,62 +11,66 @@ use crate::geometry::triangulate::inverse_depth;
 use crate::observe::PointTrack;
 use crate::types::{Intrinsics, Pose};
 
-/// How well one frame's camera is known.
+/// The uncertainty of one frame's camera.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FrameQuality {
-    /// How often the frame sees a static point that is followed through three frames or more.
+    /// Number of observations in this frame of static points that are tracked through three frames or more.
     pub observations: usize,
-    /// How many of these agree with the cameras: within three robust standard deviations of where the
-    /// point should be.
+    /// Number of these that agree with the cameras: they are within three robust standard deviations of the
+    /// predicted pixel.
     pub inliers: usize,
-    /// Root mean square reprojection error of those, pixels; the frame that a point is first seen in, from
-    /// where it is followed, counts among the others only. None without any.
+    /// Root mean square reprojection error of the agreeing observations, pixels. The first observation of
+    /// each track is excluded because the point is triangulated from that pixel. None if there are no such
+    /// observations.
     pub rms: Option<f64>,
-    /// Standard deviation of the camera's rotation, degrees: the root mean square angle that it is off by.
-    /// 0 in the first frame, which all others are measured from. None where it was not measured: of a camera
-    /// that is fixed or turns in place, of supplied poses, and where the static points do not determine it.
+    /// Standard deviation of the camera's rotation, degrees: the root mean square angle of its error. 0 in
+    /// the first frame, which is the reference of all others. None if it was not measured: for a camera that
+    /// is fixed or rotates in place, for supplied poses, and where the static points do not determine it.
     pub rotation_std_deg: Option<f64>,
-    /// Standard deviation of the camera's place, in the world's unit, which is held: the root mean square
-    /// distance that it is off by. 0 and none as the rotation's.
+    /// Standard deviation of the camera's position, in the world's unit, with that unit held fixed: the root
+    /// mean square distance of its error. It is 0 or none in the same cases as `rotation_std_deg`.
     pub position_std: Option<f64>,
 }
 
-/// A static point that was triangulated, and where the frames saw it.
+/// A triangulated static point and its observations.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Landmark {
-    /// In the world.
+    /// Position in the world.
     pub position: DVec3,
-    /// Frame and pixel, the picture's corner at 0, in the order of the frames; three or more.
+    /// Frame and pixel of each observation, in the order of the frames; at least three. Pixel coordinates
+    /// have their origin at the image's corner.
     pub observations: Vec<(usize, DVec2)>,
-    /// Mean reprojection error of these, pixels.
+    /// Mean reprojection error of the observations, pixels.
     pub error: f64,
 }
 
-/// A track with more weight than this is static.
+/// Weight above which a track counts as static.
 const STATIC: f64 = 0.5;
-/// Observations agree within this many robust standard deviations.
+/// Number of robust standard deviations within which an observation agrees.
 const AGREES: f64 = 3.0;
-/// The scale of residuals is not taken below so many of an observation's own deviations.
+/// Lower bound of the scale of the residuals, in units of an observation's own standard deviation.
 const SCALE_FLOOR: f64 = 0.5;
-/// A landmark's depth has no larger relative standard deviation.
+/// Maximum relative standard deviation of a landmark's depth.
 const MOST_UNCERTAIN: f64 = 0.2;
-/// Least number of frames that a point is triangulated from.
+/// Minimum number of frames that a point is triangulated from.
 const LEAST: usize = 3;
 
-/// A static track against the cameras.
+/// The fit of a static track to the cameras.
 struct Fit {
     /// Index of the track.
     track: usize,
-    /// In the track's first frame.
+    /// Inverse depth in the track's first frame.
     inverse_depth: f64,
-    /// Of the depth, relative to it.
+    /// Standard deviation of the depth, relative to it.
     deviation: f64,
-    /// By pixel of the track, how far it is from where it should be: pixels, and in units of its own
-    /// deviation; infinite behind the camera. 0 for the first, which the point lies on.
+    /// Reprojection error of each pixel of the track, in pixels and in units of its own standard deviation;
+    /// infinite if the point is behind the camera. 0 for the first pixel, from which the point is
+    /// triangulated.
     off: Vec<(f64, f64)>,
 }
 
-/// Static tracks that are long enough against cameras, and within how many deviations they agree.
+/// Fits the static tracks that are long enough to the cameras. Also returns the number of deviations within
+/// which an observation agrees.
 fn fits(
     intrinsics: &Intrinsics,
     poses: &[Pose],
@@ -100,19 +103,19 @@ fn fits(
             Fit {
                 track: i,
                 inverse_depth: d,
-                // Views weigh as much as they know beside one that is off by so many pixels.
+                // The views are weighted relative to an observation with an error of `DEVIATION` pixels.
                 deviation: found.map_or(f64::INFINITY, |found| DEVIATION * found.deviation / d),
                 off: [(0.0, 0.0)].into_iter().chain(views.iter().enumerate().map(off)).collect(),
             }
         })
         .collect();
-    // Of a length in two dimensions the median is 1.1774 of a coordinate's standard deviation.
+    // The median of a length in two dimensions is 1.1774 times a coordinate's standard deviation.
     let lengths = fits.iter().flat_map(|fit| fit.off[1..].iter().map(|off| off.1)).collect();
     let scale = (quantile(lengths, 0.5) / 1.1774).max(SCALE_FLOOR);
     (fits, AGREES * scale)
 }
 
-/// How well the cameras of all frames are known.
+/// The uncertainty of the cameras of all frames.
 pub(super) fn by_frame(
     cameras: &Cameras,
     tracks: &[PointTrack],
@@ -138,7 +141,7 @@ pub(super) fn by_frame(
         for (k, off) in fit.off.iter().enumerate() {
             let frame = &mut found[frames[k]];
             frame.observations += 1;
-            // The point lies on its first pixel, which so agrees if most others do.
+            // The point lies exactly on its first pixel, so that pixel counts as agreeing if most others do.
             let inlier = if k > 0 { agrees(off) } else { 2 * agreeing >= fit.off.len() - 1 };
             frame.inliers += usize::from(inlier);
             if inlier && k > 0 {
@@ -155,8 +158,8 @@ pub(super) fn by_frame(
 }
 
 impl Track {
-    /// The static points of `tracks` that the cameras triangulate, each with the observations that agree
-    /// with it. None of a camera that stays in its place.
+    /// The static points of `tracks` that the cameras triangulate, each with the observations that agree with
+    /// it. Empty for a camera that does not change its position.
     pub fn landmarks(&self) -> Vec<Landmark> {
         let weights = masks::static_weights(&self.tracks, &self.masks);
         landmarks(&self.intrinsics, &self.view_from_world, &self.tracks, &weights)
@@ -193,7 +196,7 @@ mod tests {
     use super::super::sliding::*;
     use super::*;
 
-    /// Points of the wall, followed from the first frame to the last.
+    /// Points of the wall, tracked from the first frame to the last.
     fn wall_tracks() -> Vec<PointTrack> {
         let at = |i: usize| DVec2::new(14.0 + 2.0 * i as f64, 6.0 + i as f64);
         let track = |i: usize| {
@@ -207,7 +210,7 @@ mod tests {
     fn landmarks_are_where_the_wall_is() {
         let cameras = cameras(STEP);
         let mut tracks = wall_tracks();
-        // One slips in a frame, one goes down, one is too short, one is said to move.
+        // One track slips in a frame, one moves down, one is too short, one counts as moving.
         tracks[0].pixels[3].y += 2.0;
         tracks[1].pixels.iter_mut().enumerate().for_each(|(f, pixel)| pixel.y += 1.5 * f as f64);
         tracks[2] = tracks[2].places(0..2);
@@ -219,7 +222,7 @@ mod tests {
             assert!((position.z - WALL).abs() < 1e-6, "{position}");
             assert!(observations.len() == FRAMES && *error < 1e-6, "{error}");
         }
-        // Huber's kernel lets the slip pull at the depth a little.
+        // With Huber's kernel the slip still influences the depth a little.
         assert!((found[0].position.z / WALL - 1.0).abs() < 0.02, "{}", found[0].position);
         let frames: Vec<usize> = found[0].observations.iter().map(|seen| seen.0).collect();
         assert_eq!(frames, [0, 1, 2, 4, 5], "without the frame in which it slips");

@@ -1,49 +1,53 @@
-//! What a mover stands on, or goes before: the static world about its lower end.
+//! What a mover stands on or passes in front of: the static world around its lower end.
 
 use glam::{DMat3, DVec2, DVec3};
 
 use super::distance::Behind;
 use super::quantile;
 
-/// An object's lower edge is as low as its lower hull but for this share of its height, and so many pixels at
-/// least; what is higher is seen between two feet.
+/// Maximum height of the lower edge above the lower hull, as a share of the object's height and at least in
+/// pixels. Higher parts of the edge are seen between two feet.
 const NOTCH: (f64, f64) = (0.03, 3.0);
-/// Masks overhang by so many pixels.
+/// Overhang of masks, pixels.
 const OVERHANG: f64 = 1.0;
-/// The ground at a contact is a plane about it: so many widths of the object to each side, so many of
-/// its heights up and down, at least so many pixels.
+/// Extent of the region around a contact to which the plane of the ground is fitted: to each side in widths
+/// of the object, up and down in its heights, and the minimum number of pixels.
 const GROUND: (f64, f64) = (0.3, 0.4);
 const GROUND_PIXELS: usize = 40;
-/// To this relative difference of inverse depth, at least this share of the pixels lies on the plane.
+/// Maximum relative difference of inverse depth of a pixel on the plane, and the minimum share of pixels on
+/// it.
 const ON_GROUND: (f64, f64) = (0.05, 0.6);
-/// Weight of a pixel whose depth is filled in; one that is measured has up to 0.5.
+/// Weight of a pixel with filled-in depth; a measured pixel has a weight up to 0.5.
 const UNMEASURED: f64 = 0.01;
-/// What lies next to a contact and is not so deep as the ground, to this relative difference, hides
-/// the object's lower end.
+/// Relative difference in inverse depth between the ground and the pixels next to a contact above which those
+/// pixels hide the object's lower end.
 const HIDES: f64 = 0.2;
-/// Over the height of the picture the ground's inverse depth changes by at least this share.
+/// Minimum change of the ground's inverse depth over the height of the image, relative to its value at the
+/// contact.
 const SLOPE: f64 = 0.7;
 
-/// Where an object meets static ground.
+/// The contact of an object with static ground.
 pub(super) struct Contact {
-    /// The ground's.
+    /// Depth of the ground.
     pub depth: f64,
     pub pixel: DVec2,
     /// Half of the object's width there, pixels.
     pub half_width: f64,
 }
 
-/// What is about an object's lower end in a frame.
+/// The surroundings of an object's lower end in a frame.
 pub(super) enum LowerEnd {
-    /// Ground, which it would touch there.
+    /// Ground, at the point where the object would touch it.
     Touches(Contact),
-    /// A wall of this depth, or what stands upright: the object is in the air before it, or behind it.
+    /// A wall or another upright surface at this depth: the object is in the air in front of it, or behind
+    /// it.
     Wall(f64),
-    /// The picture cuts it off, over ground of this depth.
+    /// The image border cuts the object off, above ground of this depth.
     CutOff(f64),
 }
 
-/// What is about an object's lower end; `None` where it is hidden, or before a jumble.
+/// Determines the surroundings of an object's lower end; `None` if the lower end is hidden, or if the
+/// surroundings are not a plane.
 pub(super) fn lower_end(
     index: usize,
     owners: &[Option<u16>],
@@ -73,7 +77,7 @@ pub(super) fn lower_end(
         let row = |y: usize| columns.clone().map(move |x| (x, y));
         rows.clone().flat_map(row).filter(|(x, y)| owners[y * width + x].is_none())
     };
-    // Ground is seen from above: its depth falls from the horizon downwards.
+    // Ground is seen from above: its depth decreases from the horizon downwards.
     let is_ground = |plane: &DVec3| plane.y * height as f64 > SLOPE * plane.z;
     // Masks overhang by a pixel or two.
     if bottom + 3 >= height {
@@ -85,7 +89,7 @@ pub(super) fn lower_end(
     let band = (0.06 * (bottom - top) as f64).max(2.0) as usize;
     let below = |(x, y): (usize, usize)| (y + 2) * width + x;
     lowest.retain(|at| at.1 + band >= bottom && owners[below(*at)].is_none());
-    // It stands on what is near the lower hull, not on what is seen between two feet or wheels.
+    // The object stands on what is near the lower hull, not on what is visible between two feet or wheels.
     let edge = lowest.clone();
     let notch = (NOTCH.0 * (bottom - top) as f64).max(NOTCH.1);
     lowest.retain(|at| at.1 as f64 + notch >= lower_hull(&edge, at.0));
@@ -93,7 +97,7 @@ pub(super) fn lower_end(
     let at = DVec2::new(x as f64, y as f64 + 0.5 - OVERHANG);
     let plane = plane(static_pixels(), behind, width, at)?;
     let (inverse, slope) = (plane.z, plane.y);
-    // What hides the lower end is not on the ground.
+    // Something that hides the lower end is not at the depth of the ground.
     let seen = lowest.iter().map(|at| f64::from(behind.inverse[below(*at)]));
     let next_to_it = quantile(seen.collect(), 0.5);
     let agrees = (next_to_it / (inverse + slope * (1.5 + OVERHANG))).ln().abs() < HIDES;
@@ -110,7 +114,7 @@ pub(super) fn lower_end(
     })
 }
 
-/// The row at column `x` of the lower hull of an object's `lowest` pixels: between two feet it is the line
+/// The row at column `x` of the lower hull of an object's `lowest` pixels. Between two feet it is the line
 /// from one to the other.
 fn lower_hull(lowest: &[(usize, usize)], x: usize) -> f64 {
     let at = x as f64;
@@ -123,9 +127,9 @@ fn lower_hull(lowest: &[(usize, usize)], x: usize) -> f64 {
     here.chain(between).fold(0.0, f64::max)
 }
 
-/// The plane that most pixels of measured depth lie on: on a plane inverse depth is linear in the
-/// pixel. Its slopes by x and y and its value at the pixel `at`. `None` for too few pixels, and where
-/// they lie on no one plane.
+/// Fits the plane that most pixels of measured depth lie on; on a plane inverse depth is linear in the pixel.
+/// Returns the slopes in x and y and the value at the pixel `at`. `None` for too few pixels, or if they do
+/// not lie on one plane.
 fn plane(
     pixels: impl Iterator<Item = (usize, usize)>,
     behind: Behind<'_>,
@@ -174,7 +178,7 @@ mod tests {
     use super::*;
     use crate::types::Image;
 
-    /// Ground that a camera above it sees, some of it measured wrongly, with what hides it in places.
+    /// Ground seen by a camera above it, with some wrong measurements, and with hiding objects in places.
     fn ground(hides: impl Fn(DVec2) -> bool) -> (Image, Image) {
         let inverse = map(|p| match (p.x as usize * 7 + p.y as usize * 3) % 5 {
             _ if hides(p) => 1.4,
@@ -202,7 +206,7 @@ mod tests {
         };
         let Contact { depth, pixel, half_width } = touches(&object(30.0));
         assert_eq!(half_width, 5.0);
-        // The lower edge of the row above the last of the mask.
+        // The contact is at the lower edge of the row above the last row of the mask.
         assert!((1.0 / depth / (0.1 + 0.02 * 29.0) - 1.0).abs() < 0.01, "{depth}");
         assert_eq!(pixel.y, 29.5);
         let Some(LowerEnd::CutOff(at_edge)) = lower_end(0, &object(39.0), behind, w) else {
@@ -218,11 +222,11 @@ mod tests {
         let contact = touches(&feet);
         assert!((contact.depth / depth - 1.0).abs() < 1e-6 && contact.pixel.y == 29.5);
         assert!(!(22.0..28.0).contains(&contact.pixel.x), "{}", contact.pixel.x);
-        // A box stands before its lower end.
+        // A box stands in front of the object's lower end.
         let (inverse, confidence) = ground(|p| within(p, (16.0, 29.0), (36.0, 40.0)));
         let behind = Behind { inverse: &inverse.pixels, confidence: &confidence.pixels };
         assert!(unknown(0, &object(30.0), behind), "it is hidden");
-        // A wall is no ground.
+        // A wall is not ground.
         let wall = map(|_| 0.5);
         let behind = Behind { inverse: &wall.pixels, confidence: &confidence.pixels };
         let Some(LowerEnd::Wall(depth)) = lower_end(0, &object(30.0), behind, w) else {

@@ -1,11 +1,10 @@
-//! From what a static world leaves unexplained to a dense motion mask.
+//! Dense motion masks from what a static world leaves unexplained.
 //!
-//! Each pixel's score becomes log odds of motion; these are gathered along the flow over time, since
-//! a point of a mover is one in all frames; then a labelling is sought that follows the odds at a
-//! small boundary length, where boundary is cheap along edges of colour and flow. The relaxed
-//! problem (weighted total variation, Nikolova, Esedoglu and Chan 2006) is convex, so its thresholded
-//! solution is the best labelling; it is solved by the primal-dual method of Chambolle and Pock
-//! (2011).
+//! Each pixel's score becomes log odds of motion. These are gathered along the flow over time, because a
+//! point of a mover belongs to it in all frames. Then a labelling is sought that follows the odds with a
+//! short boundary, where boundary is cheap along edges of colour and flow. The relaxed problem (weighted
+//! total variation, Nikolova, Esedoglu and Chan 2006) is convex, so its thresholded solution is the best
+//! labelling. It is solved by the primal-dual method of Chambolle and Pock (2011).
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -21,30 +20,30 @@ use crate::Result;
 use crate::observe::{NeighbourFlow, PointTrack};
 use crate::types::Image;
 
-/// A score at which motion and noise are equally likely, standard deviations.
+/// Score at which motion and noise are equally likely, standard deviations.
 const EVEN: f32 = 4.0;
-/// Log odds stay within these: no single pixel is certain.
+/// Range of the log odds, so that no single pixel is certain.
 const ODDS: (f32, f32) = (-2.0, 4.0);
-/// Evidence is gathered over so many frames each way.
+/// Number of frames to each side that evidence is gathered over.
 const MEMORY: usize = 4;
 /// Cost of a pixel of boundary where neither colour nor flow has an edge.
 const BOUNDARY: f32 = 2.5;
 /// Colour difference (sum over channels) at which boundary costs 1/e.
 const COLOUR_EDGE: f32 = 0.18;
-/// Support at which a pixel's odds count in full.
+/// Support at which a pixel's odds have full weight.
 const CERTAIN: f32 = 2.0;
-/// What is gathered along the flow counts so much where a plate is known.
+/// Weight of the evidence gathered along the flow where a plate is known.
 const BESIDE_PLATE: f32 = 0.3;
-/// Log odds of motion where the other frames show movers and flow does not follow: what stands still
-/// seldom appears for one frame only.
+/// Log odds of motion where the other frames show movers and flow does not track the pixel: a static point is
+/// seldom visible in one frame only.
 const UNFOLLOWED: f32 = 0.6;
 /// Iterations of the primal-dual method.
 const ITERATIONS: usize = 120;
-/// Specks and holes of less than this share of the picture are removed.
+/// Minimum area of a region or hole, as a share of the image; smaller ones are removed.
 const SPECK: f64 = 0.0015;
 
-/// How much each track counts as static: 1 minus the mask along it, the most moving moment deciding.
-/// A track that no trusted frame sees counts as much as its place in the picture says.
+/// The weight of each track as static: 1 minus the mask along it, at its 90 % quantile. A track that no
+/// trusted frame sees has the prior weight of its image position.
 pub(super) fn static_weights(tracks: &[PointTrack], masks: &[Image]) -> Vec<f64> {
     let trusted = trusted(masks);
     tracks
@@ -64,24 +63,24 @@ pub(super) fn static_weights(tracks: &[PointTrack], masks: &[Image]) -> Vec<f64>
                 return border_prior(track, size);
             }
             moving.sort_by(f64::total_cmp);
-            // A mask may slip once; a mover is masked more often.
+            // The quantile ignores single slips of a mask; a mover is masked in more frames.
             let most = moving[(moving.len() * 9 / 10).min(moving.len() - 1)];
             (1.0 - most).clamp(0.0, 1.0)
         })
         .collect()
 }
 
-/// What motion is judged by.
+/// The observations that motion is judged from.
 #[derive(Clone, Copy)]
 pub(super) struct Observed<'a> {
     pub frames: &'a [Image],
     pub cameras: &'a Cameras,
     pub flow: &'a NeighbourFlow,
-    /// By frame: what a static world leaves unexplained.
+    /// The fit of each frame to a static world.
     pub seen: &'a [Seen],
 }
 
-/// A motion mask per frame, one channel in [0, 1], by the flow and, where there are, by the plates.
+/// Computes a motion mask per frame, one channel in [0, 1], from the flow and, if given, the plates.
 pub(super) fn segment(
     observed: Observed<'_>,
     plates: Option<&[Evidence]>,
@@ -94,18 +93,18 @@ pub(super) fn segment(
     judged.segment(None, work, part, middle..shares.end)
 }
 
-/// What each pixel says of motion by itself.
+/// The evidence of motion of each pixel by itself.
 pub(super) struct Judged<'a> {
     pub observed: Observed<'a>,
     plates: Option<&'a [Evidence]>,
     /// By frame: log odds.
     odds: Vec<Vec<f32>>,
-    /// By frame: how well each pixel is known.
+    /// By frame: the support of each pixel.
     support: Vec<Vec<f32>>,
 }
 
 impl<'a> Judged<'a> {
-    /// Judges all pixels.
+    /// Computes the evidence of all pixels.
     pub fn new(
         observed: Observed<'a>,
         plates: Option<&'a [Evidence]>,
@@ -124,7 +123,7 @@ impl<'a> Judged<'a> {
         Ok(Judged { observed, plates, odds, support })
     }
 
-    /// Log odds of a frame's pixels, with those of the same points in the frames around.
+    /// Log odds of a frame's pixels, combined with those of the same points in neighbouring frames.
     pub fn gathered(&self, frame: usize) -> Vec<f32> {
         let Observed { flow, seen, .. } = self.observed;
         let mut gathered = gather(flow, &self.odds, &self.support, frame);
@@ -134,7 +133,8 @@ impl<'a> Judged<'a> {
         gathered
     }
 
-    /// A motion mask per frame, one channel in [0, 1]. `more` are log odds that are added to each frame's.
+    /// Computes a motion mask per frame, one channel in [0, 1]. `more` are log odds that are added to each
+    /// frame's.
     pub fn segment(
         &self,
         more: Option<&[Vec<f32>]>,
@@ -161,19 +161,19 @@ impl<'a> Judged<'a> {
     }
 }
 
-/// Plates come once depth is known.
+/// The progress stage: plates exist only once depth is known.
 fn stage(plates: Option<&[Evidence]>) -> Stage {
     if plates.is_some() { Stage::Depth } else { Stage::Masks }
 }
 
 impl Observed<'_> {
-    /// How well each pixel of each frame is followed.
+    /// The support of each pixel of each frame.
     pub(super) fn support(&self) -> Vec<Vec<f32>> {
         self.seen.iter().map(|seen| seen.support.clone()).collect()
     }
 }
 
-/// Log odds of motion of each pixel of each frame, by itself.
+/// Log odds of motion of each pixel of each frame, from that frame's fit and the photometric check.
 pub(super) fn all_odds(
     observed: Observed<'_>,
     work: &mut Work,
@@ -189,7 +189,7 @@ pub(super) fn all_odds(
     work.frames(&format!("{part}/odds"), frames.len(), judged, stage, shares)
 }
 
-/// Log odds of motion of each pixel, by itself.
+/// Log odds of motion of each pixel, from its score and support.
 fn odds(seen: &Seen) -> Vec<f32> {
     seen.score
         .iter()
@@ -202,7 +202,7 @@ fn odds(seen: &Seen) -> Vec<f32> {
         .collect()
 }
 
-/// Log odds with those of the same points in the frames around.
+/// Log odds combined with those of the same points in neighbouring frames.
 pub(super) fn gather(
     flow: &NeighbourFlow,
     odds: &[Vec<f32>],
@@ -219,7 +219,7 @@ pub(super) fn gather(
                 let y = (chain.pixel.y as usize).min(flow.height - 1);
                 let j = y * flow.width + x;
                 let weight = chain.confidence * 0.8f32.powi(other.abs_diff(frame) as i32);
-                // Motion at another time is motion; rest at another time says less.
+                // Motion in another frame is evidence of motion; rest in another frame is weaker evidence.
                 let said = odds[other][j];
                 let weight = if said > 0.0 { weight } else { 0.5 * weight };
                 sum += weight * said;
@@ -230,10 +230,10 @@ pub(super) fn gather(
         .collect()
 }
 
-/// Corrects gathered odds by what the frame's plate says.
+/// Corrects gathered odds by the evidence of the frame's plate.
 fn beside_plate(gathered: &mut [f32], plate: &Evidence, support: &[f32]) {
-    // What may be a shadow is decided by all frames around together: where it is plain, it looks like a
-    // dark mover.
+    // A possible shadow is decided by the gathered odds of all neighbouring frames: on a plain surface it
+    // looks like a dark mover.
     for (i, odds) in gathered.iter_mut().enumerate().filter(|(i, _)| plate.shade[*i] == 0.0) {
         if !plate.odds[i].is_nan() {
             *odds = plate.odds[i] + BESIDE_PLATE * *odds;
@@ -295,12 +295,12 @@ pub(super) fn relax(odds: &[f32], cost: &[[f32; 2]], w: usize) -> Vec<f32> {
     u
 }
 
-/// Removes specks, fills holes.
+/// Removes small regions and fills small holes.
 pub(super) fn clean(u: &mut [f32], w: usize) {
     let least = (SPECK * u.len() as f64).max(4.0) as usize;
     for inside in [true, false] {
         for (region, border) in regions(u, w, inside) {
-            // A hole at the border of the picture is no hole, but the world beside a mover.
+            // A hole at the image border is not filled: it is the static world beside a mover.
             if region.len() < least && (inside || !border) {
                 let value = if inside { 0.0 } else { 1.0 };
                 region.into_iter().for_each(|i| u[i] = value);
@@ -309,8 +309,8 @@ pub(super) fn clean(u: &mut [f32], w: usize) {
     }
 }
 
-/// Connected regions (four neighbours) of pixels above one half, or of the others; each with
-/// whether it touches the border of the picture.
+/// Connected regions (four neighbours) of pixels above one half, or of the others, each with whether it
+/// touches the image border.
 pub(super) fn regions(u: &[f32], w: usize, inside: bool) -> Vec<(Vec<usize>, bool)> {
     let mut done = vec![false; u.len()];
     let mut out = Vec::new();
@@ -352,7 +352,7 @@ mod tests {
 
     #[test]
     fn regions_are_connected_by_edges() {
-        // Two squares that touch at a corner, and a hole.
+        // Two squares that touch at a corner; one has a hole.
         let u = [
             1.0, 1.0, 0.0, 0.0, 0.0, //
             1.0, 1.0, 0.0, 0.0, 0.0, //
@@ -381,7 +381,7 @@ mod tests {
 
     #[test]
     fn what_nobody_sees_and_flow_does_not_follow_moves_rather_than_not() {
-        // By pixel: a plate that says so; shade; nothing known; covered and followed, half, not at all.
+        // By pixel: known plate with motion; shade; unknown; covered with full, half and no support.
         let plate = Evidence {
             odds: [vec![1.0, 1.0], vec![f32::NAN; 4]].concat(),
             covered: vec![false, false, false, true, true, true],
@@ -398,7 +398,8 @@ mod tests {
 
     #[test]
     fn the_labelling_outvotes_single_pixels_and_keeps_to_edges() {
-        // Odds for motion within a square, but for one pixel; weak odds for it beside the square.
+        // The odds favour motion within a square, except at one pixel, and rest outside it, except at one
+        // pixel.
         let inside = |p: DVec2| within(p, (20.0, 10.0), (40.0, 30.0));
         let odds = map(|p| match (inside(p), p.x as u32, p.y as u32) {
             (true, 30, 20) => -1.0,
@@ -441,7 +442,7 @@ mod tests {
         assert!((weights[1] - 0.1).abs() < 1e-6 && (weights[2] - 0.1).abs() < 1e-6, "{weights:?}");
     }
 
-    /// A square that goes down before a wall that slides by: pictures, flow and all.
+    /// A square that moves down in front of a wall that slides by, with images and flow.
     #[test]
     fn a_mover_is_segmented() {
         let square = |frame: usize, p: DVec2| {

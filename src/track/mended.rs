@@ -1,4 +1,5 @@
-//! Supplied masks that flicker or slip, mended by those of the frames around and by what moves.
+//! Repair of supplied masks that flicker or slip, from the masks of neighbouring frames and from measured
+//! motion.
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -10,16 +11,17 @@ use crate::Result;
 use crate::observe::NeighbourFlow;
 use crate::types::Image;
 
-/// Log odds of a supplied mask, and as much of all those around it together.
+/// Log odds of a supplied mask, and of all neighbouring masks together.
 const SUPPLIED: f32 = 1.5;
-/// How much the masks of the next frames count, and of those after them.
+/// Weights of the masks at a distance of one frame and of two frames.
 const AROUND: [f32; 2] = [1.0, 0.4];
-/// A supplied mask that overlaps with its mended self by less, as a share of both together, is wrong.
+/// Intersection over union of a supplied mask and its repaired version below which the supplied mask is
+/// wrong.
 const LEAST_OVERLAP: f64 = 0.7;
 
-/// Supplied masks (0 or 1), mended where a frame's is contradicted both by those of the frames around it
-/// and by what moves: masks that flicker or slip. What all masks leave out stays out, whether it moves or
-/// not. With the frames whose mask is another now.
+/// Supplied masks (0 or 1), repaired in frames whose mask contradicts both the neighbouring masks and the
+/// measured motion: masks that flicker or slip. Regions that all masks omit stay static, whether they move or
+/// not. Also returns the frames whose mask was replaced.
 pub(super) fn mended(
     supplied: &[Image],
     observed: Observed<'_>,
@@ -56,8 +58,8 @@ pub(super) fn mended(
     Ok((masks.collect(), changed))
 }
 
-/// What the masks of the frames around say of a frame's pixels, followed by the flow: from −1, that nothing
-/// moves, to 1.
+/// The vote of the neighbouring masks on a frame's pixels, followed along the flow: from −1 (static) to 1
+/// (moving).
 fn around(flow: &NeighbourFlow, masks: &[Image], frame: usize) -> Vec<f32> {
     let follow = |i: usize| {
         let pixel = DVec2::new((i % flow.width) as f64 + 0.5, (i / flow.width) as f64 + 0.5);
@@ -81,8 +83,8 @@ mod tests {
     use super::super::sliding::*;
     use super::*;
 
-    /// A square that goes down before a wall that slides by, by pictures without content: the flow alone
-    /// tells that it moves.
+    /// A square that moves down in front of a wall that slides by. The images have no content: only the flow
+    /// shows that the square moves.
     #[test]
     fn only_what_is_contradicted_is_mended() {
         let square = |frame: usize, p: DVec2| {

@@ -3,10 +3,10 @@
 //! | module | what it does |
 //! |---|---|
 //! | `still` | detects a camera that is fixed or that only zooms |
-//! | `cameras` | focal length, two-view start, PnP per frame, bundle adjustment; cameras that only rotate |
+//! | `cameras` | focal length, two-view start, PnP per frame, bundle adjustment; rotating cameras |
 //! | `rounds` | alternates between estimating cameras and masks |
 //! | `undistorted` | the clip with the lens distortion removed |
-//! | `residual` | per pixel: the inverse depth that a static world would need, and what it leaves unexplained |
+//! | `residual` | per pixel: the inverse depth of a static world, and the residual that it leaves |
 //! | `photometric` | photometric evidence that a pixel moved |
 //! | `plate` | the background plate: what each frame would show if nothing moved |
 //! | `masks` | dense motion masks that follow image edges, from the residuals |
@@ -229,7 +229,8 @@ pub enum FocalSource {
 /// # Errors
 /// Returns an error for fewer than [`Clip::LEAST`](crate::data::Clip::LEAST) frames, frames or supplied
 /// images of differing sizes, supplied lists of the wrong length, masks that leave nothing static, a clip
-/// without parallax ([`Error::Input`] says what to do), and flow that tracks too few points.
+/// without parallax (the [`Error::Input`] describes what to film instead), and flow that tracks too few
+/// points.
 pub fn track(
     frames: &[Image],
     options: &Options,

@@ -1,6 +1,6 @@
 //! Depth of movers: each object's shape and path up to one scale, then the scale.
 //!
-//! The first is [`super::shape`]'s, the second [`super::distance`]'s.
+//! [`super::shape`] gives the shape and path, [`super::distance`] the scale.
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -18,25 +18,26 @@ use crate::geometry::sim3::Sim3;
 use crate::observe::NeighbourFlow;
 use crate::types::{Image, Intrinsics, Pose};
 
-/// Confidence of a mover's depth whose scale is known, and of one that only has a bound.
+/// Confidence of a mover's depth: `KNOWN` if the scale is known, `BOUND` if only a bound on it is.
 pub(super) const KNOWN: f32 = 0.4;
 pub(super) const BOUND: f32 = 0.2;
-/// Inverse depth of a thing of which only that is known what it hides, relative to what it hides.
+/// Inverse depth of an object relative to what it hides, used if nothing else is known about its depth.
 pub(super) const NEARER: f64 = 1.25;
 
-/// Supplied depth tells how far an object is from so many points or pixels.
+/// Minimum number of points or pixels with supplied depth that determine an object's depth in a frame.
 const LEAST_SUPPLIED: usize = 5;
 
-/// Objects hang together that are in one region of the masks for this share of the frames in which both
+/// Two objects count as connected if they are in one mask region in this share of the frames in which both
 /// are seen.
 const TOGETHER: f64 = 0.75;
 
-/// Regions of a mask count as one where the gap between them is less than 2 / this of the picture's width.
+/// Mask regions are merged if the gap between them is less than 2 / `BESIDE` of the image width.
 const BESIDE: usize = 64;
 
 /// The movers of a clip in three dimensions.
 pub(super) struct Lifted {
-    /// Inverse depth and confidence of the movers' pixels, frame by frame; none where no object is.
+    /// Inverse depth and confidence of the movers' pixels, frame by frame; `None` at pixels without an
+    /// object.
     pub pixels: Vec<Vec<Option<(f32, f32)>>>,
     /// As [`super::Track`] has them.
     pub movers: Vec<Mover>,
@@ -45,7 +46,7 @@ pub(super) struct Lifted {
 }
 
 impl Lifted {
-    /// No object is known in what the masks show to move.
+    /// A result without objects, for clips whose moving pixels are not assigned to any object.
     pub fn nothing(masks: &[Image]) -> Lifted {
         Lifted {
             pixels: masks.iter().map(|mask| vec![None; mask.pixels.len()]).collect(),
@@ -55,7 +56,7 @@ impl Lifted {
     }
 }
 
-/// Lifts all movers, before the static world. `layers` hold supplied depth.
+/// Lifts all movers, which are in front of the static world `behind`. `layers` hold supplied depth.
 pub(super) fn lift(
     frames: &[Image],
     cameras: &Cameras,
@@ -106,7 +107,7 @@ pub(super) fn lift(
         scaled.push((depths, BOUND));
         pixels = painted(&objects, &scaled);
     }
-    // What moves rigidly keeps the shape that its motion was found with.
+    // A rigid object keeps the shape that was estimated together with its motion.
     let open: Vec<bool> = shapes.iter().map(|shape| !shape.rigid).collect();
     estimated::shape(&mut pixels, &owners, &open, layers, flow);
     let movers = objects
@@ -127,8 +128,9 @@ pub(super) fn lift(
     Lifted { pixels, movers, owners }
 }
 
-/// The logarithm of the depth of an object's middle, frame by frame, as supplied depth tells it: by the
-/// object's points, else by all its pixels; none in frames in which it has no supplied depth.
+/// The logarithm of the depth of an object's middle from supplied depth, frame by frame. It is measured at
+/// the object's tracked points, or at all its pixels if too few points have supplied depth. `None` in frames
+/// in which the object has too little supplied depth.
 fn supplied(
     index: u16,
     object: &Object,
@@ -158,9 +160,10 @@ fn supplied(
     shape.frames.iter().enumerate().map(in_frame).collect()
 }
 
-/// Objects that are connected in the masks in most frames are parts of one thing, or one holds the other.
-/// One whose own path does not tell its distance gets that of a connected one whose path does; where no
-/// path does, the smaller object gets the larger one's.
+/// Shares distances between connected objects. Objects that are connected in the masks in most frames are
+/// parts of one object, or one holds the other. An object whose own path does not determine its distance
+/// takes the distance of a connected object whose path does. If neither path does, the smaller object takes
+/// the distance of the larger one.
 fn hang_together(
     objects: &[Object],
     masks: &[Image],
@@ -169,7 +172,7 @@ fn hang_together(
 ) {
     let n = objects.len();
     let mut pixels = vec![0usize; n];
-    // In how many frames two objects have their greater part in the same region.
+    // The number of frames in which two objects have most of their pixels in the same region.
     let mut together = vec![vec![0usize; n]; n];
     for (mask, owners) in masks.iter().zip(owners) {
         let mut home: Vec<(usize, usize)> = vec![(0, 0); n];
@@ -198,7 +201,7 @@ fn hang_together(
             }
         }
     }
-    // Those that know come first, then the larger ones.
+    // Objects with a known distance come first, then larger ones before smaller ones.
     let mut order: Vec<usize> = (0..n).collect();
     order.sort_by_key(|i| (!known[*i].is_known(), std::cmp::Reverse(pixels[*i])));
     for (place, own) in order.iter().copied().enumerate() {
@@ -222,8 +225,8 @@ fn hang_together(
     }
 }
 
-/// Where an object is, frame by frame: as its structure from motion says; elsewhere it keeps the
-/// orientation in the world that it had, and its middle goes on.
+/// The transform of an object, frame by frame, from its structure from motion. In other frames it keeps the
+/// orientation in the world of the nearest frame with structure, and its middle follows `depths`.
 fn motion(object: &Object, shape: &Shape, depths: &[f64], cameras: &Cameras) -> Vec<Sim3> {
     let known: Vec<Option<Sim3>> = shape
         .frames
@@ -260,7 +263,7 @@ fn motion(object: &Object, shape: &Shape, depths: &[f64], cameras: &Cameras) -> 
         .collect()
 }
 
-/// By pixel of a mover, the object whose point is nearest to it within its region.
+/// For each pixel of a mover, the object that has the nearest tracked point within the same mask region.
 fn owners(objects: &[Object], mask: &Image, frame: usize) -> Vec<Option<u16>> {
     let w = mask.width as usize;
     let mut points: Vec<(u16, DVec2)> = Vec::new();
@@ -283,13 +286,13 @@ fn owners(objects: &[Object], mask: &Image, frame: usize) -> Vec<Option<u16>> {
     out
 }
 
-/// The number of the pixel that a point lies in, or that of the nearest one in the picture.
+/// The index of the pixel that contains a point, or of the nearest pixel if the point is outside the image.
 pub(super) fn nearest_pixel(point: DVec2, width: usize, pixels: usize) -> usize {
     let x = (point.x.max(0.0) as usize).min(width - 1);
     (point.y.max(0.0) as usize).min(pixels / width - 1) * width + x
 }
 
-/// The followed points of a frame that go with their object.
+/// The tracked points of a frame that move with their object.
 fn followed(objects: &[Object], shapes: &[Shape], frame: usize) -> Vec<DVec2> {
     let of = |(object, shape): (&Object, &Shape)| {
         let k = frame.checked_sub(object.first).filter(|k| *k < shape.frames.len());
@@ -300,8 +303,8 @@ fn followed(objects: &[Object], shapes: &[Shape], frame: usize) -> Vec<DVec2> {
     objects.iter().zip(shapes).flat_map(of).collect()
 }
 
-/// The shape and the depth of parts of movers that are not followed: flat, and nearer than what they
-/// hide, followed movers (`pixels`: their inverse depth) and the static world.
+/// The shape and the depth of the untracked parts of movers. Each part is flat, and nearer than what it
+/// hides: tracked movers (`pixels`: their inverse depth) and the static world.
 fn before(
     parts: &[Vec<bool>],
     pixels: &[Vec<Option<(f32, f32)>>],
@@ -326,7 +329,7 @@ fn before(
                 .then(|| (DVec2::new(middle(0), middle(1)), 1.0 / (NEARER * hidden)))
         })
         .collect();
-    // Where it is not seen it is as in the nearest frame in which it is.
+    // In frames where the parts are not seen, the values of the nearest frame with them are used.
     let seen: Vec<usize> = (0..known.len()).filter(|f| known[*f].is_some()).collect();
     let (middles, depths): (Vec<DVec2>, Vec<f64>) = (0..known.len())
         .map(|f| {
@@ -345,7 +348,8 @@ fn before(
     (Shape { frames, drift, middle: DVec3::ZERO, rigid: false }, depths)
 }
 
-/// The relief of all movers in a frame: the logarithm of each pixel's depth relative to its mover's.
+/// The relief of all movers in a frame: the logarithm of each pixel's depth relative to the depth of its
+/// mover.
 fn reliefs(
     frame: usize,
     objects: &[Object],
@@ -360,7 +364,7 @@ fn reliefs(
             continue;
         };
         let region = Region::new(index as u16, owners, behind, intrinsics.width as usize);
-        // Without a structure from motion nothing is known of the points but where they are.
+        // Without structure from motion only the image positions of the points are known.
         let structured = shape.frames[k].view_from_object.is_some();
         let relative = object.tracks.iter().zip(&shape.frames[k].relative);
         let points: Vec<(DVec2, Option<f64>)> = relative
@@ -397,8 +401,8 @@ mod tests {
 
     #[test]
     fn what_is_not_followed_lies_before_what_is() {
-        // A mover whose left half goes down evenly; on the right half flow is different at every
-        // pixel, and the way back never leads back.
+        // The left half of the mover moves down uniformly. On its right half the flow differs at every pixel,
+        // and the backward flow never leads back.
         let left = |frame: usize, p: DVec2| {
             within(p, (8.0, 3.0 + frame as f64), (32.0, 33.0 + frame as f64))
         };
@@ -446,7 +450,7 @@ mod tests {
 
     #[test]
     fn the_smaller_of_two_that_touch_is_about_as_far_as_the_larger() {
-        // One goes down, beside it a smaller one goes up, before walls of different depths.
+        // One object moves down and a smaller one beside it moves up, in front of walls at different depths.
         let large = |frame: usize, p: DVec2| {
             let y = 6.0 + 2.0 * frame as f64;
             within(p, (10.0, y), (32.0, y + 20.0))
@@ -477,7 +481,7 @@ mod tests {
         assert!((ratio.ln() + 0.05).abs() < 0.03, "{ratio}");
     }
 
-    /// The static world, and the depth that is supplied of a frame's pixel.
+    /// The static world, and the supplied depth of a frame's pixels.
     fn layers(inverse: &[f32], supplied: impl Fn(usize, DVec2) -> Option<f64>) -> Vec<Layer> {
         let layer = |f: usize| {
             let told = (0..inverse.len()).map(|i| supplied(f, sliding::centre(i)));
@@ -496,7 +500,7 @@ mod tests {
 
     #[test]
     fn supplied_depth_tells_how_far_an_object_is() {
-        // Of its upper half only, and off by 4 % now to this side and now to that.
+        // Only the upper half has supplied depth, with an error of 4 % whose sign alternates.
         let inside = |frame: usize, p: DVec2| {
             let y = 4.0 + 2.0 * frame as f64;
             within(p, (14.0, y), (44.0, y + 24.0))
@@ -526,7 +530,7 @@ mod tests {
             assert!((far - 1.0).abs() < 0.03, "frame {f}: {far}");
             assert!(found.pixels[f].iter().flatten().all(|(_, confidence)| *confidence == KNOWN));
         }
-        // Of one frame it says too little.
+        // Supplied depth in one frame is too little.
         let one = lifted(&|f, p| (f == 0 && upper(f, p)).then_some(depth));
         let none = lifted(&|_, _| None);
         assert_eq!(one.pixels, none.pixels);

@@ -1,8 +1,8 @@
-//! Movers as objects: points followed densely on what moves, and which of them belong together.
+//! Objects: dense point tracks on the movers, grouped into those that belong together.
 //!
-//! Two points are of one object when they are near each other and stay so: over a few frames their
-//! distance changes by less than itself. Parts of a body hang together through the points between
-//! them; two movers that cross do not, although their masks touch.
+//! Two points belong to one object if they are near each other and stay so: over a few frames their distance
+//! changes by less than itself. Parts of a body are connected through the points between them. Two movers
+//! that cross are not connected, although their masks touch.
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -11,29 +11,29 @@ use super::masks::regions;
 use crate::observe::{NeighbourFlow, PointTrack, TrackOptions, follow, refine};
 use crate::types::Image;
 
-/// Points per frame on all that moves, about.
+/// Approximate number of points per frame on all movers together.
 const POINTS: f64 = 600.0;
-/// A point's life on a mover, at least, frames.
+/// Minimum length of a track on a mover, frames.
 const LEAST_LIFE: usize = 4;
-/// Neighbours are looked for within so many spacings.
+/// Maximum distance of neighbours, in spacings of the points.
 const REACH: f64 = 5.0;
 /// Frames over which the distance of two points is compared.
 const WINDOW: usize = 4;
-/// In such a window, how much the offset between two points of one object may change, relative to
-/// its length and a tolerance in pixels.
+/// Maximum change of the offset between two points of one object within such a window: the first number times
+/// its length plus the second number in pixels.
 const CHANGE: (f64, f64) = (0.7, 2.0);
-/// A group goes on in one that begins so many frames before or after its end.
+/// Maximum number of frames between the end of a group and the start of the group that continues it.
 const GONE: usize = 3;
-/// It ends with the last frame that has so many of its points.
+/// Minimum number of a group's points in a frame that counts as part of its life.
 const FEW: usize = 3;
-/// Share of the pixels of two regions that both have, at least, if they are of the same form.
+/// Minimum overlap of two regions of the same shape, as intersection over union after alignment.
 const ALIKE: f64 = 0.6;
-/// Points of an object, at least.
+/// Minimum number of points of an object.
 const LEAST_POINTS: usize = 10;
 
-/// What moves as one.
+/// An object: a group of points that move together.
 pub(super) struct Object {
-    /// Points on it.
+    /// Tracks of points on the object.
     pub tracks: Vec<PointTrack>,
     /// The frame in which the first of them begins.
     pub first: usize,
@@ -41,14 +41,15 @@ pub(super) struct Object {
     pub end: usize,
 }
 
-/// The distance of the points that are followed on movers, pixels.
+/// The spacing of the points that are tracked on movers, pixels.
 pub(super) fn spacing(masks: &[Image]) -> usize {
     let moving: usize =
         masks.iter().map(|mask| mask.pixels.iter().filter(|u| **u > 0.5).count()).sum();
     (moving as f64 / masks.len() as f64 / POINTS).sqrt().round().max(2.0) as usize
 }
 
-/// Finds the objects of a clip, its points aligned with the pictures; those with the longest tracks first.
+/// Finds the objects of a clip, with their tracks refined in the images, sorted by the total length of their
+/// tracks, longest first.
 pub(super) fn find(frames: &[Image], flow: &NeighbourFlow, masks: &[Image]) -> Vec<Object> {
     if masks.iter().all(|mask| mask.pixels.iter().all(|u| *u <= 0.5)) {
         return Vec::new();
@@ -58,7 +59,7 @@ pub(super) fn find(frames: &[Image], flow: &NeighbourFlow, masks: &[Image]) -> V
     let mut tracks: Vec<PointTrack> =
         follow(flow, &options).iter().filter_map(|track| on_movers(track, masks, 2)).collect();
     refine(frames, flow, &mut tracks);
-    // They have become longer, and may have left the movers.
+    // Refined tracks may be longer and may have left the movers.
     tracks = tracks.iter().filter_map(|track| on_movers(track, masks, LEAST_LIFE)).collect();
     let labels = together(&tracks, spacing as f64, masks.len());
     let mut groups: Vec<Vec<PointTrack>> = vec![Vec::new(); tracks.len()];
@@ -82,7 +83,7 @@ pub(super) fn find(frames: &[Image], flow: &NeighbourFlow, masks: &[Image]) -> V
         .collect()
 }
 
-/// The longest part of a track that lies on movers without a gap, if it has so many frames.
+/// The longest part of a track that lies on movers without a gap, if it has at least `least` frames.
 fn on_movers(track: &PointTrack, masks: &[Image], least: usize) -> Option<PointTrack> {
     let on = |k: usize| {
         let (mask, p) = (&masks[track.frames[k]], track.pixels[k]);
@@ -105,7 +106,7 @@ fn on_movers(track: &PointTrack, masks: &[Image], least: usize) -> Option<PointT
     (best.len() >= least).then(|| track.places(best))
 }
 
-/// By track, a number that tracks of one object share.
+/// A label for each track; tracks of one object have the same label.
 fn together(tracks: &[PointTrack], spacing: f64, frames: usize) -> Vec<usize> {
     let reach = REACH * spacing;
     let mut root: Vec<usize> = (0..tracks.len()).collect();
@@ -141,8 +142,8 @@ fn together(tracks: &[PointTrack], spacing: f64, frames: usize) -> Vec<usize> {
     (0..tracks.len()).map(|i| find(&mut root, i)).collect()
 }
 
-/// Two groups of which the second begins when the first ends, alone in a region of the masks of the same
-/// form: all points were lost, and others found.
+/// Two groups of which the second continues the first: it begins when the first ends, and both are alone in
+/// mask regions of the same shape. All points were lost and others found.
 fn goes_on(groups: &[Vec<PointTrack>], masks: &[Image]) -> Option<(usize, usize)> {
     let lives = |group: &Vec<PointTrack>| {
         let alive = |frame: usize| group.iter().filter(|t| t.at(frame).is_some()).count();
@@ -191,7 +192,8 @@ fn goes_on(groups: &[Vec<PointTrack>], masks: &[Image]) -> Option<(usize, usize)
     None
 }
 
-/// Whether two regions have the same form, one moved onto the other by its middle, by less than itself.
+/// Whether two regions have the same shape after alignment of their middles, and are shifted by less than
+/// their size.
 fn alike(a: &[bool], b: &[bool], width: usize) -> bool {
     let pixels = |map: &[bool]| -> Vec<(i64, i64)> {
         let inside = (0..map.len()).filter(|i| map[*i]);
@@ -219,13 +221,13 @@ fn alike(a: &[bool], b: &[bool], width: usize) -> bool {
     either > 0 && both as f64 >= ALIKE * either as f64 && moved.length() < size
 }
 
-/// Whether two tracks go together wherever both live.
+/// Whether two tracks move together in all frames that both have.
 fn as_one(a: &PointTrack, b: &PointTrack) -> bool {
     let (first, end) = (a.first().max(b.first()), a.end().min(b.end()));
     if end < first + WINDOW {
         return false;
     }
-    // Points on movers have no gaps: see [`on_movers`].
+    // Tracks on movers have no gaps: see [`on_movers`].
     let offset = |frame: usize| b.pixels[frame - b.first()] - a.pixels[frame - a.first()];
     (first..=end - WINDOW).all(|frame| {
         let (before, after) = (offset(frame), offset(frame + WINDOW - 1));
@@ -241,7 +243,7 @@ mod tests {
 
     #[test]
     fn two_movers_that_touch_are_two_objects() {
-        // Side by side at first; one goes up, the other down.
+        // Two movers start side by side; one moves up, the other down.
         let left = |frame: usize, p: DVec2| {
             let y = 20.0 - 2.0 * frame as f64;
             within(p, (12.0, y - 10.0), (30.0, y + 10.0))
@@ -276,7 +278,7 @@ mod tests {
 
     #[test]
     fn one_whose_points_were_all_lost_goes_on() {
-        // A mover goes to the right; in the fourth frame its points end and others begin.
+        // A mover moves to the right; its points end before the fourth frame, where others begin.
         let left = |frame: usize| 10.0 + 2.0 * frame as f64;
         let mover =
             |frame: usize, p: DVec2| within(p, (left(frame), 10.0), (left(frame) + 20.0, 30.0));
@@ -292,12 +294,12 @@ mod tests {
             (0..FRAMES).map(|f| map(|p| f32::from(u8::from(mover(f, p))))).collect();
         let groups = [group(0..3, 2.0), group(3..FRAMES, 3.0)];
         assert_eq!(goes_on(&groups, &masks), Some((0, 1)));
-        // Two that live at the same time are two.
+        // Two groups that exist at the same time are two objects.
         assert_eq!(goes_on(&[group(0..FRAMES, 2.0), group(0..FRAMES, 3.0)], &masks), None);
-        // With a third in the region one cannot tell which it was.
+        // With a third group in the region the continuation is ambiguous.
         let crossing = [group(0..3, 2.0), group(3..FRAMES, 3.0), group(0..FRAMES, 1.0)];
         assert_eq!(goes_on(&crossing, &masks), None);
-        // What begins has another form.
+        // The region of the second group has another shape.
         let mut masks = masks;
         for mask in &mut masks[3..] {
             *mask = map(|p| f32::from(u8::from(within(p, (14.0, 18.0), (50.0, 23.0)))));

@@ -1,10 +1,9 @@
-//! Who looks on while a clip is tracked: progress, and finished parts of the work, put away.
+//! The observer of tracking: it receives progress reports and saves finished parts of the work.
 //!
-//! Tracking is a fixed sequence of parts, each of which depends on frames, options, flow and the
-//! parts before it, and on nothing else. A part that an earlier run has put away is taken as it is,
-//! so that a run that was interrupted goes on with the same bits. Parts lie within others: the masks
-//! of single frames in a round of masks, say. When the outer part is done, those within are no longer
-//! needed.
+//! Tracking is a fixed sequence of parts. Each part depends only on the frames, the options, the flow and the
+//! earlier parts. If an earlier run has saved a part, it is loaded instead of computed, so that an
+//! interrupted run continues with the same bits. Parts can be nested: for example, the masks of single frames
+//! lie within a round of masks. When the outer part is done, the inner parts are no longer needed.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -12,31 +11,30 @@ use serde::de::DeserializeOwned;
 use super::Stage;
 use crate::{Error, Result};
 
-/// Looks on while a clip is tracked.
+/// An observer of tracking.
 pub trait Observer {
-    /// Told the stage and the share of it that is done. An error ends the work.
+    /// Receives the stage and the completed share of that stage. An error ends the work.
     fn progress(&mut self, stage: Stage, share: f64) -> Result<()>;
 
-    /// Whether finished parts are wanted at all: each is encoded for [`keep`](Self::keep).
+    /// Whether finished parts are to be saved; if so, each is encoded and passed to [`keep`](Self::keep).
     fn keeps(&self) -> bool {
         false
     }
 
-    /// A part is done: all that the rest of the work needs of it. It takes the place of an earlier
-    /// value of that name, and of every part whose name begins with this one and a `/`. An error
-    /// ends the work.
+    /// Saves a finished part: everything that the rest of the work needs from it. It replaces an earlier
+    /// value of that name, and every part whose name begins with this one and a `/`. An error ends the work.
     fn keep(&mut self, _part: &str, _value: Vec<u8>) -> Result<()> {
         Ok(())
     }
 
-    /// What was kept under a name by an earlier run on the same frames, options and flow. An error
-    /// ends the work.
+    /// Returns what an earlier run on the same frames, options and flow has saved under a name. An error ends
+    /// the work.
     fn kept(&mut self, _part: &str) -> Result<Option<Vec<u8>>> {
         Ok(None)
     }
 }
 
-/// A closure's view of the work.
+/// An observer that passes progress to a closure and saves nothing.
 pub(super) struct Progress<'a>(pub &'a mut dyn FnMut(Stage, f64) -> Result<()>);
 
 impl Observer for Progress<'_> {
@@ -45,10 +43,10 @@ impl Observer for Progress<'_> {
     }
 }
 
-/// The work under way, as its parts see it.
+/// The work in progress: the interface of the parts to the observer.
 pub(super) struct Work<'a> {
     observer: &'a mut dyn Observer,
-    /// The observer has ended it.
+    /// Whether the observer has ended the work.
     pub ended: bool,
 }
 
@@ -67,7 +65,7 @@ impl<'a> Work<'a> {
         self.ends(result)
     }
 
-    /// A part as an earlier run has kept it, else as it is made now.
+    /// Returns a part that an earlier run has saved, or computes and saves it.
     pub fn part<T: Serialize + DeserializeOwned>(
         &mut self,
         name: &str,
@@ -81,8 +79,8 @@ impl<'a> Work<'a> {
         Ok(made)
     }
 
-    /// A part for each of so many frames, made a few frames at a time: `make` gives those of a range.
-    /// `done` is told the share that is done.
+    /// Returns one part per frame, computed a few frames at a time: `make` gives the parts of a range of
+    /// frames. Progress is reported within `shares` of the stage.
     pub fn frames<T: Serialize + DeserializeOwned>(
         &mut self,
         name: &str,
@@ -134,7 +132,7 @@ impl<'a> Work<'a> {
     }
 }
 
-/// The name of a part that there is for every frame, or pair of frames.
+/// The name of a part that exists once per frame or pair of frames.
 pub(super) fn numbered(name: &str, number: usize) -> String {
     format!("{name}/{number:05}")
 }

@@ -1,42 +1,43 @@
-//! What the outline of a mover tells: its middle, and its distance up to one scale.
+//! Measurements from the outline of a mover: its middle, and its distance up to one scale.
 //!
-//! A thing of one size covers a solid angle that falls with the square of its distance, whichever way it
-//! is seen. Solid angles, not pixels: a wide lens draws the same thing larger near the picture's edge.
+//! An object of constant size covers a solid angle that falls with the square of its distance, from whichever
+//! direction it is seen. The code uses solid angles, not pixels: a wide-angle lens images the same object
+//! larger near the image border.
 
 use super::contour::{Region, Side};
 use super::quantile;
 use crate::types::Intrinsics;
 use glam::{DVec2, DVec3};
 
-/// Nearer to the picture's edge an outline is cut off, pixels.
+/// Distance from the image border within which an outline counts as cut off, pixels.
 const EDGE: f64 = 2.0;
-/// An outline is hidden in part if more than this share of its contour borders on another mover, or on
-/// static things that stand before it.
+/// An outline is partly hidden if more than this share of its contour borders on another mover, or on static
+/// objects in front of it.
 const OPEN: f64 = 0.05;
-/// Smaller ones are mostly the mask's own error, pixels.
+/// Minimum area of an outline, pixels. Smaller outlines consist mostly of mask errors.
 const LEAST: usize = 30;
 
-/// Standard deviation of the depth of an outline that does not change its shape: the mask's.
+/// Standard deviation of the logarithm of depth of an outline of constant shape; the mask limits it.
 const SHARP: f64 = 0.015;
-/// Of one that does, or of which too little is seen to judge it.
+/// The same for an outline that changes its shape, or with too few observations to judge it.
 const CHANGES: f64 = 0.1;
-/// Outlines that tell how it changes, at least.
+/// Minimum number of outlines from which the change of shape is measured.
 const JUDGED: usize = 5;
-/// From the first to the last decile of a normal distribution, standard deviations.
+/// Distance from the first to the last decile of a normal distribution, in standard deviations.
 const NORMAL_SPREAD: f64 = 2.563;
 
-/// A whole outline.
+/// An outline that is completely visible.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Outline {
-    /// Pixel of its middle.
+    /// Pixel of the outline's middle.
     pub middle: DVec2,
-    /// Depth (z) of its middle, in a unit of which the thing's size decides.
+    /// Depth (z) of its middle, in a unit that depends on the object's size.
     pub depth: f64,
-    /// Logarithm of its length over its width, as an ellipse would have them.
+    /// Logarithm of the ratio of length to width of the ellipse with the same second moments.
     pub slenderness: f64,
 }
 
-/// The outline of an object's pixels in a frame; none where it is cut off or hidden in part.
+/// The outline of an object's pixels in a frame; `None` if it is cut off, partly hidden or too small.
 pub(super) fn outline(region: &Region, intrinsics: &Intrinsics) -> Option<Outline> {
     let cut = |p: &DVec2| {
         let size = DVec2::new(f64::from(intrinsics.width), f64::from(intrinsics.height));
@@ -51,8 +52,8 @@ pub(super) fn outline(region: &Region, intrinsics: &Intrinsics) -> Option<Outlin
     if region.pixels.len() < LEAST || !whole {
         return None;
     }
-    // Each pixel's direction and its solid angle: its area over the focal lengths, by the cube of the
-    // cosine.
+    // Each pixel's direction and its solid angle: its area over the product of the focal lengths, times the
+    // cube of the cosine.
     let seen = || {
         region.centres.iter().map(|p| {
             let ray = intrinsics.ray(*p);
@@ -76,8 +77,8 @@ pub(super) fn outline(region: &Region, intrinsics: &Intrinsics) -> Option<Outlin
     })
 }
 
-/// Standard deviation of the depths that outlines tell, logarithm: what turns or bends looks larger and
-/// smaller, and its slenderness changes with it.
+/// Standard deviation of the logarithm of the depths from outlines. The apparent size of an object that
+/// rotates or deforms varies, and its slenderness varies with it.
 pub(super) fn deviation(outlines: &[Option<Outline>]) -> f64 {
     let slenderness: Vec<f64> = outlines.iter().flatten().map(|o| o.slenderness).collect();
     if slenderness.len() < JUDGED {
@@ -94,7 +95,7 @@ mod tests {
     const INTRINSICS: Intrinsics =
         Intrinsics { fx: 150.0, fy: 150.0, cx: 100.0, cy: 60.0, width: 200, height: 120 };
 
-    /// The outline of object 3, before a far wall.
+    /// The outline of object 3, in front of a far wall.
     fn outline_of(owners: &[Option<u16>]) -> Option<Outline> {
         outline(&Region::new(3, owners, &vec![0.1; owners.len()], 200), &INTRINSICS)
     }
@@ -136,7 +137,7 @@ mod tests {
             }
         });
         assert!(outline_of(&hidden).is_none());
-        // A post stands right beside it, before the wall.
+        // A post stands directly beside the ball, in front of the wall.
         let behind: Vec<f32> =
             (0..200 * 120).map(|i| if i % 200 > 122 { 0.8 } else { 0.1 }).collect();
         let beside = outline(&Region::new(3, &whole, &behind, 200), &INTRINSICS);

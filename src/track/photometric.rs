@@ -1,9 +1,9 @@
-//! Does the picture itself say that a pixel moved?
+//! Photometric evidence that a pixel moved.
 //!
-//! Dense flow is smooth where the world is not: beside a mover, and beside near things that pass
-//! before far ones, a band of the background is carried along with them, and against a static world
-//! it looks as if it moved. The picture knows better. Where a static depth from the surroundings
-//! explains the frames around as well as the flow does, nothing has moved.
+//! Dense flow is smooth even where the true motion is not. Beside a mover, and beside near objects that pass
+//! in front of far ones, flow carries a band of the background along with them, and against a static world
+//! this band seems to move. The images show the truth: if a static depth from the surroundings explains the
+//! neighbouring frames as well as the flow does, the pixel has not moved.
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -13,20 +13,21 @@ use super::residual::Seen;
 use crate::observe::NeighbourFlow;
 use crate::types::{Image, Pose};
 
-/// Frames at these distances are compared, each way.
+/// Distances in frames, to both sides, of the frames that are compared.
 const OFFSETS: [usize; 2] = [1, 3];
-/// Depths of static pixels up to so far away are tried.
+/// Maximum distance, in pixels, of the static pixels whose depths are tried.
 const REACH: isize = 28;
-/// Patches reach so many pixels to each side.
+/// Radius of the patches, pixels.
 const RADIUS: isize = 2;
 /// Colour differences below this are noise (mean over the patch and channels).
 const NOISE: f32 = 0.01;
-/// A static pixel to borrow depth from leaves less unexplained than this, in deviations, and rests
-/// on as much support.
+/// A static pixel whose depth is tried has a residual below the first number (in deviations) and a support
+/// above the second.
 const RELIABLE: (f32, f32) = (2.5, 1.5);
 
-/// Log odds of motion of those pixels of a frame whose geometric odds are above 0: what the
-/// picture says where it has texture to say it, else a part of what the flow says.
+/// Log odds of motion of those pixels of a frame whose geometric odds are above 0: the photometric evidence
+/// if the texture is sufficient, else a part of the geometric odds. The odds of the other pixels are
+/// unchanged.
 pub(super) fn judge(
     frames: &[Image],
     cameras: &Cameras,
@@ -60,7 +61,8 @@ pub(super) fn judge(
             for d in candidates(seen, i, w, h) {
                 let ray = cameras.intrinsics.ray(pixel);
                 let mut rest = Vec::with_capacity(places.len() + 2);
-                // All frames, also those that the flow has lost: a static point may be seen there.
+                // All frames are used, also those in which the flow has lost the pixel: a static point may be
+                // visible there.
                 for offset in OFFSETS {
                     for other in [frame.checked_sub(offset), Some(frame + offset)] {
                         let Some(pose) = other.and_then(|o| relative.get(o)) else { continue };
@@ -83,7 +85,7 @@ pub(super) fn judge(
             if !by_rest.is_finite() {
                 return 0.0;
             }
-            // What a displacement as long as the disagreement would change in this patch.
+            // The colour change that a displacement as long as the disagreement would cause in this patch.
             let contrast = texture(&frames[frame], i, w, h) * apart.min(2.0);
             let telling = contrast / (contrast + 3.0 * NOISE);
             let picture =
@@ -110,8 +112,8 @@ fn candidates(seen: &Seen, i: usize, w: usize, h: usize) -> impl Iterator<Item =
     std::iter::once(f64::from(seen.inverse_depth[i])).chain(around)
 }
 
-/// How far the patch differs from those at `places`: the mean of earlier frames or of later ones,
-/// whichever is less, since what is hidden on one side is mostly seen on the other.
+/// The difference between the patch and those at `places`: the mean over earlier frames or over later ones,
+/// whichever is less, because a point that is hidden on one side is mostly visible on the other.
 fn sides(frames: &[Image], frame: usize, pixel: DVec2, places: &[(usize, DVec2)]) -> f32 {
     let mut best = f32::INFINITY;
     for later in [false, true] {
@@ -129,7 +131,7 @@ fn sides(frames: &[Image], frame: usize, pixel: DVec2, places: &[(usize, DVec2)]
     best
 }
 
-/// Mean absolute difference of two patches; none where the second is not inside its image.
+/// Mean absolute difference of two patches; `None` if the second is not inside its image.
 fn difference(a: &Image, p: DVec2, b: &Image, q: DVec2) -> Option<f32> {
     let (w, h) = (a.width as isize, a.height as isize);
     let margin = RADIUS as f64 + 1.0;
@@ -160,7 +162,7 @@ fn difference(a: &Image, p: DVec2, b: &Image, q: DVec2) -> Option<f32> {
     (count > 0.0).then(|| sum / count)
 }
 
-/// Mean absolute colour difference between neighbours in the patch about a pixel.
+/// Mean absolute colour difference between neighbours in the patch around a pixel.
 fn texture(image: &Image, i: usize, w: usize, h: usize) -> f32 {
     let (x, y) = ((i % w) as isize, (i / w) as isize);
     let (mut sum, mut count) = (0.0, 0.0);

@@ -1,5 +1,4 @@
-//! Where a point of the scene is in every frame: what still stands by cameras and depth, what moves by the
-//! scaffold.
+//! Tracks scene points through every frame: static points by cameras and depth, moving ones by the scaffold.
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -8,16 +7,17 @@ use super::Track;
 use super::scaffold::{owner, value};
 use crate::types::{PointPath, Tracks};
 
-/// A point is hidden where all that is shown about its place is nearer by more than this share.
+/// Relative difference in depth above which a point is hidden: all pixels around its projection are nearer by
+/// more than this.
 const NEARER: f64 = 0.04;
 
 impl Track {
-    /// Follows points through the whole clip, each asked for by a frame and a pixel there (centres at +0.5):
-    /// where it is in every frame, behind others or outside of the picture too, and whether it is seen
-    /// there.
+    /// Tracks points through the whole clip. Each query is a frame and a pixel in it (pixel centres at +0.5).
+    /// The result is the position in every frame, also where the point is hidden or outside the image, and
+    /// whether the point is visible there.
     ///
     /// # Panics
-    /// When there is no such frame.
+    /// If a query's frame does not exist.
     pub fn follow(&self, queries: &[(usize, DVec2)]) -> Tracks {
         let size = (self.intrinsics.width, self.intrinsics.height);
         let points = queries.par_iter().map(|query| self.follow_point(*query)).collect();
@@ -44,19 +44,19 @@ impl Track {
         path
     }
 
-    /// The point in the world that a pixel shows.
+    /// The position in the world of the point that a pixel shows.
     pub(crate) fn lift(&self, frame: usize, pixel: DVec2) -> DVec3 {
         let z = f64::from(value(&self.depth[frame], pixel));
         self.view_from_world[frame].inverse().apply(self.intrinsics.ray(pixel) * z)
     }
 
-    /// The object that a pixel shows, as [`owner`] tells it.
+    /// The object that a pixel shows; see [`owner`].
     fn owner(&self, frame: usize, pixel: DVec2) -> Option<usize> {
         owner(&self.masks[frame], &self.owners[frame], pixel)
     }
 
-    /// Where a point is in a frame, and whether it is seen there: something of its own object, not
-    /// nearer, is shown within a pixel.
+    /// The pixel of a point in a frame, and whether it is visible there: within a pixel of it, the frame
+    /// shows a surface of the same object that is not nearer. The pixel is NaN behind the camera.
     fn shown(&self, frame: usize, point: DVec3, owner: Option<usize>) -> (DVec2, bool) {
         let local = self.view_from_world[frame].apply(point);
         if local.z <= 0.0 {

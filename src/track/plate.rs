@@ -1,9 +1,9 @@
-//! What each frame would show if nothing moved.
+//! The background plates: what each frame would show if nothing moved.
 //!
-//! Cameras and static depth tell where a point that stands still lies in every other frame. The median
-//! of the colours that the other frames show there, movers left out, is the frame's plate. What differs
-//! from it moves, whether flow can follow it or not. A shadow is told from a mover by what it does to
-//! the plate: it scales it, and keeps its texture.
+//! Cameras and static depth determine where a static point is in every other frame. A frame's plate is the
+//! median of the colours that the other frames show there, without movers. A pixel that differs from the
+//! plate moves, whether flow can track it or not. A shadow differs from a mover in that it scales the plate
+//! and keeps its texture.
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -16,52 +16,50 @@ use super::observer::Work;
 use crate::Result;
 use crate::types::{Image, Pose};
 
-/// At most so many frames are looked at for a plate.
+/// Maximum number of source frames of a plate.
 const SOURCES: usize = 20;
-/// So many of them are the next ones.
+/// Number of these that are the nearest frames.
 const NEXT: usize = 4;
-/// None is farther away than this.
+/// Maximum distance of a source frame, in frames.
 const REACH: usize = 60;
-/// Pixels so near to a mover may show it.
+/// Pixels within this distance of a mover may show it, pixels.
 pub(super) const MARGIN: usize = 3;
-/// A point is the one looked for where inverse depths agree to this share, and to this in units.
+/// Two inverse depths are of the same point if they differ by at most the sum of the first number times the
+/// inverse depth and the second number (in 1 / unit).
 const SAME_POINT: (f64, f64) = (0.06, 0.004);
-/// A plate is known where at least so many frames show it.
+/// Minimum number of frames that must show a pixel for its plate to be known.
 const WITNESSES: u8 = 3;
 
-/// What a plate says of its frame; all lists hold one value per pixel.
+/// The evidence from the plate of a frame; all lists hold one value per pixel.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Evidence {
-    /// Log odds of motion; not a number where the plate is not known.
+    /// Log odds of motion; NaN where the plate is unknown.
     pub odds: Vec<f32>,
-    /// Where it is not known although frames look there: they show movers.
+    /// Whether the plate is unknown because the other frames show movers there.
     pub covered: Vec<bool>,
-    /// Where a shadow on what stands still explains the pixel better than motion, the share of the light
-    /// that it takes away; else 0.
+    /// The share of the light that a shadow on the static world removes, if a shadow explains the pixel
+    /// better than motion; else 0.
     pub shade: Vec<f32>,
-    /// Brightness of the plate, mean over the channels; not a number where it is not known.
+    /// Brightness of the plate, mean over the channels; NaN where it is unknown.
     pub brightness: Vec<f32>,
-    /// Inverse depth of what a mover hides, as the other frames tell it; 0 where they tell none.
+    /// Inverse depth of the static world from the other frames, also behind movers; 0 where unknown.
     pub hidden: Vec<f32>,
 }
 
-/// What a frame would show if nothing moved.
+/// The background plate of a frame.
 struct Plate {
-    /// RGB, in the frame's own exposure.
+    /// RGB, at the frame's own exposure.
     colour: Vec<[f32; 3]>,
-    /// Median absolute difference of the frames that show a pixel, mean over the channels.
+    /// Median absolute deviation of the colours in the source frames, mean over the channels.
     spread: Vec<f32>,
-    /// How many frames show it.
+    /// Number of frames that show the static point.
     witnesses: Vec<u8>,
-    /// How many frames show a mover there.
+    /// Number of frames that show a mover there.
     covered: Vec<u8>,
 }
 
-/// What the plates of all frames say, by `masks` that show roughly what moves. `layers` are the static
-/// world's. `part` is the name under which finished frames are kept.
-///
-/// # Errors
-/// What the observer of `work` returns.
+/// The evidence from the plates of all frames. `masks` show roughly what moves; `layers` are the static
+/// world. `part` is the name under which finished frames are saved.
 pub(super) fn evidence(
     frames: &[Image],
     cameras: &Cameras,
@@ -109,7 +107,7 @@ impl<'a> Clip<'a> {
         measured && !self.near_movers[frame][i]
     }
 
-    /// The frames to look at: the next ones, and some evenly among those farther away.
+    /// The source frames: the nearest ones, and an even selection of those farther away.
     fn sources(&self, frame: usize) -> Vec<usize> {
         let mut others: Vec<usize> = (0..self.frames.len())
             .filter(|other| (1..=REACH).contains(&other.abs_diff(frame)))
@@ -122,7 +120,7 @@ impl<'a> Clip<'a> {
         others
     }
 
-    /// Inverse depth of the static world in a frame as the other frames tell it, 0 where none does.
+    /// Inverse depth of the static world in a frame, as measured by the other frames; 0 where none did.
     fn hidden(&self, frame: usize) -> Vec<f32> {
         let k = &self.cameras.intrinsics;
         let (w, h) = (self.masks[frame].width as usize, self.masks[frame].height as usize);
@@ -161,8 +159,8 @@ impl<'a> Clip<'a> {
         self.cameras.poses[frame] * self.cameras.poses[other].inverse()
     }
 
-    /// The plate of a frame. A pixel is as deep as the frame itself says where other frames confirm it,
-    /// else as they tell (`hidden`, 0 where nothing).
+    /// The plate of a frame. Each pixel has the frame's own depth if other frames confirm it, else the depth
+    /// measured by other frames (`hidden`, 0 where unknown).
     fn plate(&self, frame: usize, hidden: &[f32]) -> Plate {
         let k = &self.cameras.intrinsics;
         let w = self.masks[frame].width as usize;
@@ -218,7 +216,7 @@ impl<'a> Clip<'a> {
         plate
     }
 
-    /// What a frame shows of a point of the static world, given in its camera's axes.
+    /// What a frame shows at the position of a static point, given in its camera's axes.
     fn shown(&self, frame: usize, point: glam::DVec3) -> Shown {
         if point.z < 1e-3 {
             return Shown::Nothing;
@@ -232,7 +230,7 @@ impl<'a> Clip<'a> {
         }
         let i = at.y as usize * w + at.x as usize;
         let (d, expected) = (f64::from(self.layers[frame].inverse[i]), point.z.recip());
-        // What was filled in is less exact.
+        // Filled-in depth is less accurate.
         let share = if self.knows(frame, i) { SAME_POINT.0 } else { 4.0 * SAME_POINT.0 };
         let beyond = d - expected;
         if self.near_movers[frame][i] {
@@ -258,20 +256,21 @@ impl<'a> Clip<'a> {
     }
 }
 
-/// What a frame shows where a point of the static world should be.
+/// What a frame shows at the position of a static point.
 enum Shown {
-    /// The point, in this colour.
+    /// The point, with its colour.
     Point([f32; 3]),
-    /// What lies behind it.
+    /// Something behind the point.
     Behind,
     /// A mover, or something beside one.
     Mover,
-    /// Nothing that tells: something nearer, or it is outside the picture.
+    /// No evidence: something nearer is shown, or the point is outside the image.
     Nothing,
 }
 
 impl Plate {
-    /// Brings the plate to the exposure of the frame: one gain per channel, by what surely stands.
+    /// Brings the plate to the exposure of the frame with one gain per channel, measured at pixels that are
+    /// certainly static.
     fn expose(&mut self, image: &Image, near_movers: &[bool]) {
         for c in 0..3 {
             let mut ratios: Vec<f32> = (0..self.colour.len())
@@ -284,7 +283,7 @@ impl Plate {
         }
     }
 
-    /// What it says of its frame.
+    /// The evidence about the frame.
     fn evidence(&self, image: &Image, hidden: Vec<f32>) -> Evidence {
         let judged = |i: usize| self.judge(image, i).unwrap_or((f32::NAN, 0.0));
         let (odds, shade) = (0..self.colour.len()).map(judged).unzip();
@@ -299,12 +298,12 @@ impl Plate {
         Evidence { odds, covered, shade, brightness, hidden }
     }
 
-    /// Log odds of motion of a pixel, and the share of the light that a shadow takes away.
+    /// Log odds of motion of a pixel, and the share of the light that a shadow removes.
     fn judge(&self, image: &Image, i: usize) -> Option<(f32, f32)> {
         if self.witnesses[i] < WITNESSES {
             return None;
         }
-        // Static edges are known to a pixel: the best of nine shifts counts.
+        // Static edges are accurate to a pixel, so the best of nine shifts is used.
         let shifts = (0..9).map(|k| (k % 3 - 1, k / 3 - 1));
         let compared: Vec<Compared> =
             shifts.filter_map(|shift| self.compare(image, i, shift)).collect();
@@ -326,7 +325,7 @@ impl Plate {
         Some((moved, 0.0))
     }
 
-    /// The patch about a pixel against the plate, shifted by a pixel or not.
+    /// Compares the patch around a pixel with the plate, shifted by up to a pixel.
     fn compare(&self, image: &Image, i: usize, (sx, sy): (i32, i32)) -> Option<Compared> {
         let (w, h) = (image.width as i32, image.height as i32);
         let (x, y) = (i as i32 % w, i as i32 / w);
@@ -368,32 +367,32 @@ impl Plate {
     }
 }
 
-/// A patch against the plate.
+/// The comparison of a patch with the plate.
 #[derive(Clone, Copy)]
 struct Compared {
     /// Mean absolute difference.
     difference: f32,
-    /// The same after the best gain, in the plate's brightness.
+    /// The same after applying the best gain to the plate, divided by the root of that gain.
     shaded: f32,
     gain: f32,
     spread: f32,
 }
 
-/// A difference from a plate at which motion and noise are equally likely.
+/// Difference from the plate at which motion and noise are equally likely.
 const EVEN: f32 = 0.04;
-/// Log odds stay within these.
+/// Range of the log odds.
 const ODDS: (f32, f32) = (-3.0, 4.0);
-/// Gains of shadows.
+/// Range of the gains of shadows.
 const SHADE: (f32, f32) = (0.25, 0.93);
-/// Log odds of a shadow against nothing.
+/// Log odds added to those of a shadow compared with an unchanged pixel.
 const SHADE_COST: f32 = 0.5;
 
-/// The centre of a pixel of a picture that is so wide.
+/// The centre of pixel `i` of an image of width `w`.
 pub(super) fn centre(i: usize, w: usize) -> DVec2 {
     DVec2::new((i % w) as f64 + 0.5, (i / w) as f64 + 0.5)
 }
 
-/// Of an even number the lower middle one; the order changes.
+/// The median; for an even number of values the lower middle one. Reorders the values.
 fn median(values: &mut [f32]) -> Option<f32> {
     let middle = values.len().checked_sub(1)? / 2;
     Some(*values.select_nth_unstable_by(middle, f32::total_cmp).1)
@@ -404,12 +403,12 @@ mod tests {
     use super::super::sliding::{self, FRAMES, HEIGHT, STEP, WALL, WIDTH, map, within, working};
     use super::*;
 
-    /// A mover that goes down by more than its height from frame to frame.
+    /// A mover that moves down by its height from frame to frame.
     fn mover(frame: usize, p: DVec2) -> bool {
         within(p, (24.0, 6.0 * frame as f64), (38.0, 6.0 * frame as f64 + 6.0))
     }
 
-    /// A shadow that goes up.
+    /// A shadow that moves up.
     fn shadow(frame: usize, p: DVec2) -> bool {
         let y = 6.0 * (FRAMES - frame) as f64;
         within(p, (44.0, y - 6.0), (58.0, y))
@@ -436,7 +435,7 @@ mod tests {
         (0..FRAMES).map(frame).collect()
     }
 
-    /// The wall, not measured where the mover is: there it seems nearer.
+    /// The wall; it is not measured at the mover, where it seems nearer.
     fn layers() -> Vec<Layer> {
         let layer = |f: usize| {
             let by = |here: f32, there: f32| map(|p| if mover(f, p) { here } else { there }).pixels;
@@ -452,7 +451,7 @@ mod tests {
         (0..FRAMES).map(layer).collect()
     }
 
-    /// The evidence with some masks.
+    /// The evidence for given masks.
     fn found(masks: &[Image]) -> Vec<Evidence> {
         let cameras = sliding::cameras(STEP);
         working(|work| {
@@ -462,10 +461,10 @@ mod tests {
 
     #[test]
     fn movers_differ_from_the_plate_and_shadows_scale_it() {
-        // No mask tells what moves.
+        // The masks are empty.
         let found = found(&vec![map(|_| 0.0); FRAMES]);
         for (f, evidence) in found.iter().enumerate() {
-            // Of the pixels of a kind, those whose evidence is as it should be.
+            // The share of the pixels of a kind whose evidence is correct.
             let share = |kind: &dyn Fn(DVec2) -> bool, right: &dyn Fn(f32, bool) -> bool| {
                 let own = (0..evidence.odds.len())
                     .filter(|i| kind(sliding::centre(*i)) && !evidence.odds[*i].is_nan());
@@ -483,7 +482,7 @@ mod tests {
                     .any(|dx| [-3.0, 0.0, 3.0].iter().any(|dy| of(f, p + DVec2::new(*dx, *dy))))
             };
             let stands = share(&|p| !near(p, mover) && !near(p, shadow), &|odds, _| odds < 0.0);
-            // Patches on the borders show both.
+            // Patches on the boundaries show both.
             assert!(moves > 0.9 && shaded > 0.5 && stands > 0.97, "{f}: {moves} {shaded} {stands}");
         }
     }
@@ -494,7 +493,7 @@ mod tests {
             (0..FRAMES).map(|f| map(|p| f32::from(u8::from(mover(f, p))))).collect();
         for (f, evidence) in found(&masks).iter().enumerate() {
             for (i, hidden) in evidence.hidden.iter().enumerate() {
-                // The picture's sides are seen by fewer frames.
+                // The sides of the image are seen by fewer frames.
                 let known = mover(f, sliding::centre(i));
                 assert!(!known || (f64::from(*hidden) * WALL - 1.0).abs() < 1e-3, "{f}: {hidden}");
             }
@@ -518,7 +517,7 @@ mod tests {
             } else if within(p, (24.0, 2.0), (52.0, 38.0)) {
                 assert!(!last.odds[i].is_nan() && !last.covered[i], "{p}");
             } else if p.x > 63.0 {
-                // It has only just come into the picture.
+                // This column has only just entered the image.
                 assert!(last.odds[i].is_nan() && !last.covered[i], "{p}");
             }
         }

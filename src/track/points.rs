@@ -1,4 +1,4 @@
-//! Static points, spread over all that the cameras saw, once each.
+//! Selects static points, spread over everything that the cameras saw, without duplicates.
 
 use glam::{DVec2, DVec3};
 
@@ -6,15 +6,16 @@ use super::StaticPoint;
 use super::cameras::Cameras;
 use crate::types::{Image, Pose};
 
-/// A point is not taken again where a frame that was taken from sees it at this relative depth.
+/// Relative difference in depth within which a point counts as seen already by a frame that points were taken
+/// from.
 const SAME_DEPTH: f64 = 0.05;
-/// Points are taken from no more than so many frames.
+/// Maximum number of frames that points are taken from.
 const FRAMES: usize = 16;
-/// Points keep this distance to the mask, pixels: its edge is never exact.
+/// Minimum distance of points from the motion mask, pixels, because its edge is not exact.
 const MARGIN: usize = 2;
 
-/// Takes points from frames all over the clip: what was measured, then, at half the density, what
-/// was filled in where nothing measured covers it.
+/// Takes points from frames over the whole clip: first measured points, then, at half the density along each
+/// axis, filled-in points where no measured point covers them. Returns at most `most` points.
 pub(super) fn gather(
     frames: &[Image],
     cameras: &Cameras,
@@ -26,7 +27,8 @@ pub(super) fn gather(
     let n = frames.len();
     let (w, h) = (frames[0].width as i64, frames[0].height as i64);
     let count = FRAMES.min(n);
-    // First, last, middle, then what lies between: early ones cover most, later ones add.
+    // The order is first, last, middle, then the frames between: the first ones cover most of the scene, the
+    // later ones add to it.
     let mut order: Vec<usize> = vec![0, n - 1];
     let mut parts = 2;
     while order.len() < count && parts <= 2 * n {
@@ -38,7 +40,8 @@ pub(super) fn gather(
         }
         parts *= 2;
     }
-    // Movers aside, neighbouring frames see mostly the same: two pictures' worth of points.
+    // Apart from movers, neighbouring frames see mostly the same, so the stride allows two images' worth of
+    // points.
     let stride = (2.0 * (w * h) as f64 / most.max(1) as f64).sqrt().ceil().max(1.0) as i64;
     let near_movers: Vec<Vec<bool>> = order.iter().map(|f| masks[*f].near(MARGIN)).collect();
     let mut points = Vec::new();
@@ -85,8 +88,8 @@ pub(super) fn gather(
     points
 }
 
-/// Does a frame see a point where that frame's own depth is? For a point that was filled in it is
-/// enough that the frame has measured something along that ray.
+/// Whether a frame sees a point at that frame's own depth. For a filled-in point (`compare` is false) it is
+/// enough that the frame has a measured depth along that ray.
 fn covers(
     cameras: &Cameras,
     depth: &[Image],
@@ -132,8 +135,8 @@ mod tests {
         };
         let nothing = vec![map(|_| 0.0); FRAMES];
         let gathered = gather(&frames(), &cameras, &wall, &sure, &nothing, 5120);
-        // Two pictures' worth of points at most: a stride of one pixel. The first frame gives all of
-        // its own, the last the ten columns that it alone sees; those between add nothing.
+        // The stride is one pixel, because two images' worth of points fit. The first frame gives all of its
+        // pixels, the last one the ten columns that only it sees, and those between add nothing.
         let (w, h) = (WIDTH as usize, HEIGHT as usize);
         assert_eq!(gathered.len(), (w + 10) * h);
         assert!(gathered.iter().all(|p| (p.position.z - WALL).abs() < 1e-6 && p.frame != 2));

@@ -1,11 +1,12 @@
-//! Motion masks with the help of a source that draws whatever it is pointed at.
+//! Motion masks with the help of a segmentation network (the source) that draws the object at prompted
+//! points.
 //!
-//! What moves is told by the residuals; where exactly it ends, and what of its inside leaves no residual, a
-//! network knows better. Each region of the masks is asked for by points: on it where motion is
-//! plainest, beside it where the static world explains the picture best. Of what the source draws, the
-//! mask is taken that fits the region best, if it moves more than what stands still and does not cross
-//! what plainly stands. Its log odds, bounded, are added to those of motion: they do not overrule
-//! strong evidence.
+//! The residuals determine what moves. A network knows better where exactly a mover ends, and which of its
+//! inner pixels belong to it although they leave no residual. Each mask region is queried with points: on the
+//! region where motion is most certain, and beside it where the static world explains the images best. Of the
+//! masks that the source returns, the one that fits the region best is used, if it moves more than the static
+//! world and does not cover what is certainly static. Its log odds are bounded and added to those of motion,
+//! so that they do not overrule strong evidence.
 
 mod judge;
 mod points;
@@ -20,38 +21,39 @@ use crate::observe::{EstimatedDepth, MaskQuery, MaskSource, NeighbourFlow};
 use crate::types::Image;
 use crate::{Error, Result};
 
-/// A point is judged by the mean over so much about it, as a share of the width.
+/// Radius over which the odds of a point are averaged, as a share of the image width.
 const ABOUT: f64 = 0.01;
-/// Pixels so near to a region are beside it, as a share of the width: there its mask has a say.
+/// Distance from a region, as a share of the image width, within which its mask affects the odds of other
+/// pixels.
 const MARGIN: f64 = 0.03;
-/// Regions of a frame that are asked for, at most, the largest ones.
+/// Maximum number of regions of a frame that are queried, the largest ones.
 const REGIONS: usize = 8;
-/// Log odds that are handed on to the next frame.
+/// Bound of the log odds that are passed on to the next frame.
 const HANDED: f32 = 16.0;
 
-/// What a source's masks say of a clip.
+/// The evidence of a source's masks for a clip.
 pub(super) struct Prompted {
-    /// Log odds by frame and pixel, to be added.
+    /// Log odds by frame and pixel, to be added to those of motion.
     pub odds: Vec<Vec<f32>>,
-    /// Frames in which a mask was accepted.
+    /// Number of frames in which a mask was accepted.
     pub accepted: usize,
 }
 
-/// What they say of a frame.
+/// The evidence of a source's masks for a frame.
 #[derive(Serialize, Deserialize)]
 struct Said {
-    /// Log odds by pixel, to be added.
+    /// Log odds by pixel, to be added to those of motion.
     odds: Vec<f32>,
     /// Log odds of each mask that was accepted.
     accepted: Vec<Image>,
 }
 
-/// Asks a source for what moves by `masks`, frame by frame. Where estimated depth tells its confidence, it is pointed at
-/// what is confident and near.
+/// Queries a source for the movers in `masks`, frame by frame. If estimated depth has confidence, prompts are
+/// limited to confident and near pixels where there are any.
 ///
 /// # Errors
-/// What the source or the observer of `work` returns; masks of another size than the frames' or with values
-/// that are no numbers.
+/// What the source or the observer of `work` returns; masks of a size other than the frames', or with NaN
+/// values.
 pub(super) fn ask(
     judged: &Judged,
     masks: &[Image],
@@ -79,7 +81,7 @@ pub(super) fn ask(
     Ok(out)
 }
 
-/// A mask of the frame before, where its pixels are now; 0 where that is not known.
+/// A mask of the previous frame, warped to this one; 0 where the flow is unknown.
 fn warped(flow: &NeighbourFlow, frame: usize, before: &Image) -> Image {
     let value = |i: usize| {
         let step = flow.step(frame, false, centre(i, flow.width));
@@ -93,7 +95,7 @@ fn centre(i: usize, width: usize) -> DVec2 {
     DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5)
 }
 
-/// A frame, and what is known of its motion.
+/// A frame and the evidence of its motion.
 #[derive(Clone)]
 struct Frame<'a> {
     number: usize,
@@ -101,25 +103,25 @@ struct Frame<'a> {
     width: usize,
     /// Log odds of motion by pixel.
     odds: Vec<f32>,
-    /// Their means about each pixel.
+    /// Means of `odds` around each pixel.
     means: Vec<f32>,
-    /// By pixel, one more than the number of its region; 0 outside.
+    /// By pixel, the index of its region plus one; 0 outside.
     region: Vec<usize>,
     /// Pixels of each region.
     regions: Vec<Vec<usize>>,
-    /// Whether each pixel may be pointed at; none where all may.
+    /// Whether each pixel may be used as a prompt; `None` if all may.
     sure: Option<Vec<bool>>,
     /// Mean and standard deviation of the probability of motion where nothing moves.
     level: (f64, f64),
 }
 
 impl<'a> Frame<'a> {
-    /// A frame by the log odds of motion of its pixels, and the mask that was made of them.
+    /// A frame from the log odds of motion of its pixels, and the mask that was made from them.
     fn new(number: usize, picture: &'a Image, odds: Vec<f32>, mask: &Image) -> Frame<'a> {
         let width = mask.width as usize;
         let mut found: Vec<Vec<usize>> =
             regions(&mask.pixels, width, true).into_iter().map(|(region, _)| region).collect();
-        // The sort is stable: of two of one size the upper one comes first.
+        // The sort is stable: of two regions of the same size the upper one comes first.
         found.sort_by_key(|region| std::cmp::Reverse(region.len()));
         found.truncate(REGIONS);
         let mut region = vec![0; odds.len()];
@@ -147,7 +149,8 @@ impl<'a> Frame<'a> {
         }
     }
 
-    /// Asks for all regions. `handed` are the masks that were accepted in the frame before, as they are here.
+    /// Queries all regions. `handed` are the masks that were accepted in the previous frame, warped to this
+    /// one.
     fn ask(&self, source: &mut dyn MaskSource, handed: &[Image]) -> Result<Said> {
         let query = |k: usize| {
             let prompts = self.prompts(k);
@@ -189,7 +192,7 @@ impl<'a> Frame<'a> {
     }
 }
 
-/// Pixels that are a share of the width, one at least.
+/// A share of the width in pixels, at least one.
 fn share(share: f64, width: usize) -> usize {
     (share * width as f64).round().max(1.0) as usize
 }
@@ -198,7 +201,8 @@ fn probability(odds: f32) -> f32 {
     1.0 / (1.0 + (-odds).exp())
 }
 
-/// Means over squares that reach so far from each pixel, those at the border of what is within the picture.
+/// Means over squares with the half-side `reach` around each pixel; at the border, over the part inside the
+/// image.
 fn means(values: &[f32], width: usize, reach: usize) -> Vec<f32> {
     let height = values.len() / width;
     let along = |from: &dyn Fn(usize) -> f32, i: usize, side: usize| {

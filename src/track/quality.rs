@@ -1,4 +1,4 @@
-//! How well the result of tracking is known, and what is said about it.
+//! The uncertainty of the tracking result, and the notes about it.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,62 +10,63 @@ use crate::data::Lens;
 use crate::observe::PointTrack;
 use crate::types::Image;
 
-/// How well a track is known.
+/// The uncertainty of a track.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Quality {
-    /// The camera was found to be fixed; poses are locked to one.
+    /// Whether the camera was found to be fixed; all poses are then identical.
     pub tripod: bool,
-    /// The camera was found to turn in place: the static world is a sphere of radius 1 around it, its
-    /// poses are rotations.
+    /// Whether the camera was found to rotate in place. The static world is then a sphere of radius 1 around
+    /// it, and its poses are pure rotations.
     pub turns: bool,
-    /// Share of the static observations that agree with the cameras (of a fixed one: that stay in
-    /// place).
+    /// Share of the static observations that agree with the cameras; for a fixed camera, the share that does
+    /// not move.
     pub inlier_share: f64,
-    /// Root mean square reprojection error of those (of a fixed one: how far they stray), pixels.
+    /// Root mean square reprojection error of the agreeing observations, pixels; for a fixed camera, their
+    /// deviation from a constant position.
     pub reprojection_rms: f64,
     /// Median over the static points of the widest angle between two of their rays, degrees.
     pub parallax_deg: f64,
-    /// Where the focal length is from.
+    /// The source of the focal length.
     pub focal_source: FocalSource,
     /// Relative standard deviation of the focal length; 0 if given, infinite if unobservable.
     pub focal_std: f64,
     /// Share of the pixels that move, over all frames.
     pub dynamic_share: f64,
-    /// Frames whose pose is doubtful: too few static points agreed.
+    /// Frames whose pose is doubtful because too few static points agreed.
     pub doubtful_frames: Vec<usize>,
-    /// How well each frame's camera is known.
+    /// The uncertainty of each frame's camera.
     pub per_frame: Vec<FrameQuality>,
-    /// Number of point tracks followed.
+    /// Number of point tracks.
     pub tracks: usize,
-    /// The rigid motions that the static world was chosen from, where that was in doubt.
+    /// The rigid motions that the static world was chosen from, if the choice was ambiguous.
     pub motions: Vec<RigidMotion>,
-    /// Which of them was taken.
+    /// The index into `motions` of the chosen motion.
     pub static_motion: Option<usize>,
-    /// What was taken of that which others told.
+    /// Which observations of sources other than flow were used.
     pub told: Told,
-    /// Lines to show.
+    /// Notes for the user, one line each.
     pub notes: Vec<String>,
 }
 
-/// What was taken of that which other sources than the flow told.
+/// Which observations of sources other than flow were used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Told {
-    /// Whether cameras begin with those that were guessed; none where none were.
+    /// Whether the cameras that start from the guess were kept; `None` if no guess was given.
     pub guess: Option<bool>,
-    /// Whether there was estimated depth.
+    /// Whether estimated depth was supplied.
     pub estimated_depth: bool,
-    /// Frames in which a drawn mask was accepted; none where none were asked for.
+    /// Number of frames in which a network's mask was accepted; `None` if no network was asked.
     pub masks: Option<usize>,
-    /// Points that descriptors found in frames which flow does not link.
+    /// Number of points that link frames which flow does not link, matched by descriptors.
     pub linked: usize,
 }
 
-/// A note names no more frames than these.
+/// The maximum number of frames that a note lists.
 const MOST_NAMED: usize = 12;
-/// Below this parallax (degrees) a note warns.
+/// Parallax in degrees below which a note warns.
 const LITTLE_PARALLAX: f64 = 0.5;
 
-/// What is known of a clip that was tracked.
+/// Assembles the quality of a tracked clip.
 pub(super) fn of(
     cameras: &Cameras,
     tracks: &[PointTrack],
@@ -137,7 +138,7 @@ pub(super) fn of(
     }
 }
 
-/// That the lens is no pinhole.
+/// The note that the lens distorts the image.
 pub(super) fn lens_note(lens: &Lens) -> String {
     format!(
         "the lens distorts the picture (k1 {:+.4}); all that is found is of undistorted frames",
@@ -145,7 +146,7 @@ pub(super) fn lens_note(lens: &Lens) -> String {
     )
 }
 
-/// What became of cameras that a network tells.
+/// The note on whether cameras that start from a network's guess were kept.
 pub(super) fn guess_note(from: &str, guessed: Option<Guessed>) -> String {
     match guessed {
         Some(shares) if shares.is_kept() => format!(
@@ -166,7 +167,7 @@ pub(super) fn guess_note(from: &str, guessed: Option<Guessed>) -> String {
     }
 }
 
-/// That supplied masks were not kept.
+/// The note that supplied masks were changed.
 pub(super) fn mended_note(frames: &[usize]) -> String {
     let named: Vec<String> = frames.iter().take(MOST_NAMED).map(usize::to_string).collect();
     let more = if frames.len() > MOST_NAMED { ", …" } else { "" };
@@ -178,11 +179,12 @@ pub(super) fn mended_note(frames: &[usize]) -> String {
     )
 }
 
-/// Whose masks were taken, where a network was asked.
+/// The note on feature points that link frames.
 pub(super) fn features_note(found: usize) -> String {
     format!("features: {found} points link frames that flow does not")
 }
 
+/// The note on the masks that a network drew.
 pub(super) fn masks_note(accepted: usize, frames: usize) -> String {
     format!("masks: the network's accepted in {accepted} of {frames} frames")
 }

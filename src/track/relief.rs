@@ -1,11 +1,11 @@
-//! The relief of a mover in one frame: the depth of every pixel relative to its middle's.
+//! The relief of a mover in one frame: the depth of every pixel relative to the depth of its middle.
 //!
-//! Before anything is known, compact things are round: the surface bulges towards the camera as a sheet
-//! does that is inflated within the outline, and as a whole it faces the camera. Where a structure from motion knows
-//! points, the surface goes through them, and on between them and beside them as the round one would;
-//! single points that stand out from their neighbours, reflections say, are not followed. The structure
-//! as a whole is taken as it is: what is wrong with it agrees with what is wrong with the motion that was
-//! found along with it, and only together they show what was filmed.
+//! The prior for a compact object is a round surface: it bulges towards the camera like a membrane inflated
+//! within the outline, and as a whole it faces the camera. If structure from motion gives points, the surface
+//! passes through them, and between and beside them it follows the round shape. Single points that deviate
+//! from their neighbours, such as reflections, are ignored. The structure as a whole is not corrected: its
+//! errors are consistent with the errors of the motion that was estimated along with it, and only the two
+//! together reproduce the images.
 
 use glam::{DMat2, DVec2};
 
@@ -13,23 +13,24 @@ use super::contour::{Region, Side};
 use super::quantile;
 use crate::types::Intrinsics;
 
-/// Height of the round surface over what a sheet under pressure has: of a disc 2 would be a ball, of a
-/// strip √2 a cylinder; most things are flatter.
+/// Height of the round surface relative to that of an inflated membrane. A factor of 2 turns a disc into a
+/// ball, √2 turns a strip into a cylinder; most objects are flatter.
 const ROUND: f64 = 1.2;
-/// Points are averaged over so many of the object's narrower halves.
+/// Smoothing length of the points, in units of the object's narrower half-width.
 const SMOOTH: f64 = 0.05;
-/// A point that stands out by so many of its narrower halves counts half.
+/// Deviation of a point, in units of the object's narrower half-width, at which its weight is reduced to a
+/// quarter.
 const STANDS_OUT: f64 = 0.1;
-/// Fewer points say nothing of the relief.
+/// Minimum number of points that determine the relief.
 const LEAST_POINTS: usize = 10;
-/// Rounds of weights for points that stand out. The width halves in each to the last.
+/// Number of reweighting rounds for deviating points. The width of the kernel halves in each round.
 const ROUNDS: i32 = 4;
 /// The solver ends at this relative residual.
 const SOLVED: f64 = 1e-3;
 
-/// The logarithm of each pixel's depth relative to the object's middle. `points` are pixels of the
-/// object's points and logarithms of their relative depths, if a structure from motion tells them; the
-/// usual point is as deep as the middle.
+/// The logarithm of each pixel's depth relative to the object's middle. `points` are pixels of the object's
+/// points, with the logarithms of their relative depths if structure from motion gives them. Without them,
+/// the median point is as deep as the middle.
 pub(super) fn relief(
     region: &Region,
     points: &[(DVec2, Option<f64>)],
@@ -54,7 +55,8 @@ pub(super) fn relief(
     surface
 }
 
-/// What is added to a surface to make it go through points that it is off by `off`, each at its place.
+/// The correction of a surface that makes it pass through points. `off` holds each point's index in the
+/// region and its distance from the surface.
 fn correction(
     region: &Region,
     off: &[(usize, f64)],
@@ -81,21 +83,21 @@ fn correction(
     correction
 }
 
-/// The round surface that faces the camera: logarithm of the depth up to a constant.
+/// The round surface that faces the camera: the logarithm of the depth up to a constant.
 fn round(region: &Region, extent: &Extent, intrinsics: &Intrinsics) -> Vec<f64> {
     let count = region.pixels.len();
-    // Where the outline is nowhere seen, nothing says how the surface bends.
+    // Without a visible outline the curvature of the surface is unknown.
     let outlined = region.sides.iter().flatten().any(|side| *side == Side::Hidden);
     let mut height = vec![0.0; count];
     if outlined {
         let at_edge = |side: &Side| f64::from(u8::from(*side == Side::Hidden));
         membrane(region, 1.0, at_edge, &vec![0.0; count], &vec![1.0; count], &mut height);
     }
-    // A card at a right angle to the ray is equally far, not equally deep.
+    // A flat card perpendicular to the ray has constant distance to first order, not constant depth.
     let ray = intrinsics.ray(extent.middle).truncate();
     let slope = -ray / ((1.0 + ray.length_squared()) * DVec2::new(intrinsics.fx, intrinsics.fy));
-    // How a long thing leans and how flat it is are not known: the longer, the more it is a card that
-    // stands upright.
+    // The tilt and the flatness of an elongated object are unknown: the more elongated it is, the more it is
+    // modelled as an upright flat card.
     let compact = (extent.narrow / extent.long).powi(2);
     let surface = |(p, height): (&DVec2, &f64)| {
         let height = ROUND * height.max(0.0).sqrt() / intrinsics.fx;
@@ -104,10 +106,10 @@ fn round(region: &Region, extent: &Extent, intrinsics: &Intrinsics) -> Vec<f64> 
     region.centres.iter().zip(&height).map(surface).collect()
 }
 
-/// Where a region is and how wide.
+/// The middle and the size of a region.
 struct Extent {
     middle: DVec2,
-    /// Half of its length and of its width, pixels, as an ellipse would have them.
+    /// Half of its length and of its width, pixels, as the semi-axes of an ellipse with the same moments.
     long: f64,
     narrow: f64,
 }
@@ -125,16 +127,17 @@ impl Extent {
         let axis = DVec2::from_angle(0.5 * f64::atan2(2.0 * xy, xx - yy));
         let variance =
             |axis: DVec2| axis.x * axis.x * xx + 2.0 * axis.x * axis.y * xy + axis.y * axis.y * yy;
-        // Of an ellipse a semi-axis is twice the standard deviation.
+        // A semi-axis of an ellipse is twice the standard deviation along it.
         let (long, narrow) =
             (2.0 * variance(axis).max(0.0).sqrt(), 2.0 * variance(axis.perp()).max(0.0).sqrt());
         (narrow > 0.5).then_some(Extent { middle, long, narrow })
     }
 }
 
-/// Solves for a sheet over the region: `stiffness` times the differences to the neighbours, plus
-/// `weights` times the value, is `right`. A side that is no pixel of the region holds the sheet at zero
-/// with `at_edge` of itself. Conjugate gradients, from what is in `sheet`.
+/// Solves for a membrane over the region: `stiffness` times the differences to the neighbours, plus `weights`
+/// times the value, equals `right`. A side without a pixel of the region ties the membrane to zero with the
+/// relative stiffness `at_edge`. The solver is conjugate gradients, with `sheet` as the initial value and the
+/// result.
 fn membrane(
     region: &Region,
     stiffness: f64,
@@ -202,7 +205,8 @@ mod tests {
     const CENTRE: DVec3 = DVec3::new(0.9, -0.3, 3.0);
     const RADIUS: f64 = 0.5;
 
-    /// The pixels that show a ball aside, and the logarithm of its surface's depth over its middle's.
+    /// The pixels that show an off-centre ball, and the logarithm of its surface's depth relative to its
+    /// middle's.
     fn ball() -> (Region, Vec<f64>) {
         let depth = |i: usize| {
             let pixel = DVec2::new((i % 200) as f64 + 0.5, (i / 200) as f64 + 0.5);
@@ -237,7 +241,7 @@ mod tests {
     #[test]
     fn points_tell_the_relief_and_single_wrong_ones_do_not() {
         let (region, truth) = ball();
-        // Every 23rd pixel is a point; every ninth of them is far out.
+        // Every 23rd pixel is a point; every ninth of these is far off.
         let points: Vec<(DVec2, Option<f64>)> = (0..truth.len())
             .step_by(23)
             .enumerate()
@@ -253,7 +257,8 @@ mod tests {
 
     #[test]
     fn a_surface_goes_on_behind_what_hides_it() {
-        // The right half of the ball is hidden by a post before the wall: no edge bends back there.
+        // The right half of the ball is hidden by a post in front of the wall: the surface does not bend back
+        // at that edge.
         let (whole, truth) = ball();
         let mut owners = vec![None; 200 * 120];
         whole.pixels.iter().filter(|i| *i % 200 < 145).for_each(|i| owners[*i] = Some(3));
@@ -270,7 +275,7 @@ mod tests {
             .collect();
         let (hidden, cut) = (off(&behind_post, &half).1, off(&before_wall, &half).1);
         assert!(hidden < cut, "{hidden} {cut}");
-        // What has no outline at all is flat.
+        // A region without an outline is flat.
         let everywhere = Region::new(3, &[Some(3); 200 * 120], &[0.1; 200 * 120], 200);
         let flat = relief(&everywhere, &[], &INTRINSICS);
         assert!(flat.iter().all(|z| z.abs() < 0.01));

@@ -1,8 +1,8 @@
-//! Each pixel against a static world: the inverse depth that explains best where the pixel went in
-//! the frames around, and what that leaves unexplained.
+//! The fit of each pixel to a static world: the inverse depth that best explains the pixel's motion in
+//! neighbouring frames, and the residual that it leaves.
 //!
-//! What no depth explains moved. What a depth explains may still have moved, along its epipolar
-//! lines and at a fitting speed; nothing in the geometry of one camera tells.
+//! A pixel that no depth explains has moved. A pixel that a depth explains may still have moved, along its
+//! epipolar lines and at a matching speed; the geometry of one camera cannot detect this.
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -15,31 +15,31 @@ use crate::Result;
 use crate::observe::NeighbourFlow;
 use crate::types::Pose;
 
-/// What one frame's pixels say; all lists hold one value per pixel.
+/// The fit of one frame's pixels to a static world; all lists hold one value per pixel.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Seen {
     /// 1 / z of the static hypothesis, 0 at infinity.
     pub inverse_depth: Vec<f32>,
-    /// Its standard deviation, of the clip's own pixel noise; infinite without parallax.
+    /// Its standard deviation for the pixel noise measured in the clip; infinite without parallax.
     pub deviation: Vec<f32>,
-    /// What the hypothesis leaves unexplained, in standard deviations of static pixels.
+    /// Residual of the hypothesis, in standard deviations of static pixels.
     pub score: Vec<f32>,
-    /// How many views this rests on, weighted by their confidence; 0 where nothing was seen.
+    /// Number of views that the fit uses, weighted by their confidence; 0 where nothing was seen.
     pub support: Vec<f32>,
 }
 
-/// Frames at these distances are looked at, both ways. Near ones see almost everything, far ones
-/// see slow motion and have parallax.
+/// Distances in frames, to both sides, of the views that are used. Near frames see almost everything; far
+/// frames reveal slow motion and have parallax.
 const OFFSETS: [usize; 5] = [1, 2, 4, 6, 9];
-/// Flow noise accumulates along a chain like this many pixels per step's square root, relative to
-/// one step's.
+/// Noise of flow that is chained over `distance` steps, relative to that of one step: it grows with the
+/// square root.
 fn drift(distance: usize) -> f64 {
     (distance as f64).sqrt()
 }
-/// Noise of flow is not taken to be less, pixels.
+/// Lower bound of the noise of flow, pixels.
 const NOISE_FLOOR: f64 = 0.08;
 
-/// One view of a pixel: the camera relative to the pixel's own, where it was seen, its weight.
+/// One view of a pixel: the frame, the pixel where it was seen there, and its weight.
 struct View {
     place: usize,
     pixel: DVec2,
@@ -61,8 +61,8 @@ pub(super) fn triangulate_frames(
     work.frames(&format!("{part}/seen"), flow.frames, frames, Stage::Masks, shares)
 }
 
-/// The spread of one step's residuals on what stands still, pixels per coordinate. The lowest tenth
-/// is free of movers even where these are the greater part of the picture.
+/// The spread of one step's residuals at static pixels, in pixels per coordinate. The lowest tenth is free of
+/// movers even if they cover most of the image.
 fn noise(cameras: &Cameras, flow: &NeighbourFlow) -> f64 {
     let step = ((flow.width * flow.height) as f64 / 800.0).sqrt().max(1.0) as usize;
     let residuals: Vec<f64> = (0..flow.frames)
@@ -81,7 +81,7 @@ fn noise(cameras: &Cameras, flow: &NeighbourFlow) -> f64 {
             out
         })
         .collect();
-    // Measured on clips with little motion, the tenth lies at half of the standard deviation.
+    // On clips with little motion, this quantile was measured to be half of the standard deviation.
     (2.0 * super::quantile(residuals, 0.1)).max(NOISE_FLOOR)
 }
 
@@ -114,7 +114,7 @@ fn relatives(cameras: &Cameras, frame: usize) -> Vec<Pose> {
 
 struct Fit {
     inverse_depth: f64,
-    /// For one pixel of noise at one step.
+    /// Standard deviation of the inverse depth for noise of one pixel per step.
     deviation: f64,
     /// Root mean square of the residuals, each divided by its drift, pixels.
     spread: f64,
@@ -142,7 +142,7 @@ fn fit(
     }
     let k = &cameras.intrinsics;
     let ray = k.ray(pixel);
-    // x = A + d B per view, with A the turned ray and B the translation, in pixels' units.
+    // x = A + d B per view, with A the rotated ray, B the translation and d the inverse depth.
     let lines: Vec<_> = views
         .iter()
         .map(|v| {
@@ -161,7 +161,8 @@ fn fit(
             (at - views[i].pixel, slope)
         })
     };
-    // Linear start, then Gauss–Newton under a robust kernel: one bad chain must not decide.
+    // A linear initial value, then Gauss-Newton steps under a robust kernel, so that one wrong chain does not
+    // decide.
     let (mut upper, mut lower) = (0.0, 0.0);
     for (view, (turned, shift)) in views.iter().zip(&lines) {
         let seen = k.ray(view.pixel);
@@ -192,12 +193,12 @@ fn fit(
     for i in 0..views.len() {
         let distance = views[i].place.abs_diff(frame);
         let confidence = views[i].weight * drift(distance).powi(2);
-        // Behind another camera: no static point is.
+        // A static point that is visible in another camera cannot lie behind it.
         let squared = residual(i, d).map_or(1e4, |r| r.0.length_squared().min(1e4));
         sum += confidence * squared / drift(distance).powi(2);
         support += confidence;
     }
-    // A depth takes one of the two coordinates of one view away.
+    // Fitting the depth removes one degree of freedom.
     let free = (2.0 * support - 1.0).max(0.5 * support);
     Some(Fit {
         inverse_depth: d,
@@ -220,7 +221,7 @@ mod tests {
         frames.into_iter().nth(2).unwrap()
     }
 
-    /// Pixels that no chain loses.
+    /// Pixels that no chain of flow loses.
     fn inner() -> impl Iterator<Item = usize> {
         (0..(WIDTH * HEIGHT) as usize).filter(|i| within(centre(*i), (12.0, 4.0), (52.0, 36.0)))
     }
@@ -232,11 +233,11 @@ mod tests {
             let d = f64::from(seen.inverse_depth[i]);
             assert!((d * WALL - 1.0).abs() < 1e-4, "{}: 1/{}", centre(i), 1.0 / d);
             assert!(seen.score[i] < 0.01, "{}", seen.score[i]);
-            // Frames 0, 1, 3 and 4 are at distances that are looked at, and believed.
+            // Frames 0, 1, 3 and 4 are at distances that are used, with full confidence.
             assert!((seen.support[i] - 4.0).abs() < 1e-3, "{}", seen.support[i]);
         }
-        // One pixel of noise is worth 1 / (focal · baseline); the four views' baselines are one and
-        // two steps, those of two with half the weight. The noise is at its floor.
+        // A pixel of noise gives a deviation of 1 / (focal · baseline). The four views have baselines of one
+        // and two steps, the latter with half the weight. The noise is at its lower bound.
         let information = 2.0 * (1.0 + 4.0 / 2.0) * (FOCAL * STEP).powi(2);
         let expected = NOISE_FLOOR / information.sqrt();
         let deviation = f64::from(seen.deviation[inner().next().unwrap()]);
@@ -250,16 +251,16 @@ mod tests {
             |by: DVec2| seen(&flow(|_, p| if within(p, low, high) { wall() + by } else { wall() }));
         let middle = (20 * WIDTH + 32) as usize;
         let corner = (6 * WIDTH + 14) as usize;
-        // Lines are rows: what goes down by 1.5 px a frame has no depth.
+        // Epipolar lines are rows: motion of 1.5 px per frame downwards fits no depth.
         let across = moving(DVec2::new(0.0, 1.5));
         assert!(across.score[middle] > 8.0, "{}", across.score[middle]);
         assert!(across.score[corner] < 0.5, "{}", across.score[corner]);
-        // What goes along at the wall's own speed once more looks half as far away.
+        // A pixel that moves along the rows at twice the wall's speed appears at half the distance.
         let along = moving(wall());
         assert!(along.score[middle] < 0.5, "{}", along.score[middle]);
         let d = f64::from(along.inverse_depth[middle]);
         assert!((d * WALL / 2.0 - 1.0).abs() < 1e-3, "{d}");
-        // What runs ahead of what is infinitely far has no depth either.
+        // A pixel that moves against the wall's direction is beyond infinity and fits no depth.
         let ahead = moving(-2.0 * wall());
         assert!(ahead.score[middle] > 8.0, "{}", ahead.score[middle]);
         assert_eq!(ahead.inverse_depth[middle], 0.0);

@@ -1,4 +1,4 @@
-//! Cameras and masks by turns: each from what the other told.
+//! Alternating estimation of cameras and masks, each from the other's result.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,32 +10,33 @@ use crate::observe::{NeighbourFlow, PointTrack};
 use crate::types::Image;
 use crate::{Error, Result};
 
-/// What cameras and masks are found from.
+/// The inputs of cameras and masks.
 #[derive(Clone, Copy)]
 pub(super) struct Known<'a> {
     pub frames: &'a [Image],
     pub options: &'a Options,
     pub flow: &'a NeighbourFlow,
     pub tracks: &'a [PointTrack],
-    /// Masks that are known.
+    /// Supplied masks.
     pub supplied: Option<&'a [Image]>,
 }
 
-/// What a round of masks and cameras begins with and ends with.
+/// The state before and after a round of masks and cameras.
 #[derive(Clone, Serialize, Deserialize)]
 pub(super) struct SoFar {
     pub focal: Focal,
     pub cameras: Cameras,
     pub masks: Vec<Image>,
-    /// How much each track counts as static.
+    /// The weight of each track as static.
     pub weights: Vec<f64>,
-    /// The rigid motions that the static world was chosen from, where it was in doubt.
+    /// The rigid motions that the static world was chosen from, if the choice was ambiguous.
     pub motions: Option<Motions>,
-    /// What became of the cameras that a network tells, where it does.
+    /// The comparison with the cameras that start from a network's guess, if there is one.
     pub guess: Option<Guessed>,
 }
 
-/// Which share of what is seen two cameras explain: those that began with a network's, and those from the video alone.
+/// The explained shares of the observations: with cameras that start from a network's guess, and with cameras
+/// from the video alone.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct Guessed {
     pub begun: f64,
@@ -43,14 +44,15 @@ pub(super) struct Guessed {
 }
 
 impl Guessed {
-    /// The former are kept: where both explain alike, the network has seen more than the tracks tell.
+    /// Whether the cameras that start from the guess are kept. If both explain about the same share, they are
+    /// preferred, because the network uses more information than the tracks contain.
     pub fn is_kept(&self) -> bool {
         self.begun >= ALIKE * self.alone
     }
 }
 
 impl Known<'_> {
-    /// The lens, where the clip shows that it is no pinhole, and the cameras with it.
+    /// The lens, if the clip shows that it is not a pinhole, and the cameras with it.
     pub fn lens(self, so_far: &SoFar) -> Result<Option<(Lens, Cameras)>> {
         let SoFar { cameras, weights, focal, motions, .. } = so_far;
         match self.options.lens && motions.is_none() {
@@ -135,7 +137,7 @@ impl Known<'_> {
         Ok(SoFar { focal, cameras, masks, weights, motions: searched, guess })
     }
 
-    /// Supplied masks without those that slip or flicker, and which those are.
+    /// Supplied masks, repaired where they slip or flicker, and the frames that were repaired.
     pub fn mend(
         self,
         masks: &[Image],
@@ -148,7 +150,7 @@ impl Known<'_> {
         mended::mended(masks, observed, work, "mended", 0.2..0.4)
     }
 
-    /// Masks by the cameras, then cameras by the masks.
+    /// Updates the masks from the cameras, then the cameras from the masks.
     pub fn round(
         self,
         so_far: SoFar,
@@ -169,12 +171,12 @@ impl Known<'_> {
         work.progress(Stage::Masks, shares.end)?;
         if cameras.standpoint != Standpoint::Fixed {
             weights = masks::static_weights(tracks, &masks);
-            // Where much moves, the masks may be worse than the cameras.
+            // If much of the image moves, the masks may be worse than the cameras.
             let before = motions.is_some().then(|| cameras.clone());
             let parallax = cameras.have_parallax();
             let kept = cameras.adjust(tracks, &weights, &focal).map(|()| cameras);
-            // The first cameras may have settled on a compromise with what moves, which adjustment does
-            // not leave: they are found anew from what stands still.
+            // The first cameras may be a compromise with the movers' motion, which adjustment does not leave.
+            // New cameras are therefore reconstructed from the static tracks.
             cameras = if parallax && options.poses.is_none() && supplied.is_none() {
                 let part = format!("{part}/posing");
                 let (seed, n, usual) = (options.seed, flow.frames, Strictness::Usual);
@@ -182,10 +184,10 @@ impl Known<'_> {
                 let chosen = Focal::choose(options, size, n, tracks, &weights, usual);
                 let afresh =
                     cameras::reconstruct(tracks, &weights, &chosen, n, seed, usual, work, &part);
-                // Masks leave in what agrees with the cameras that they were made by.
+                // Masks made with some cameras do not exclude movers that agree with those cameras.
                 let judges = motions.as_ref().map_or(&weights, |motions| &motions.weights);
                 let explained = |cameras: &Cameras| cameras.explained(tracks, judges);
-                // A network's do not come from a compromise.
+                // Cameras that start from a network's guess are not such a compromise.
                 let told = guess.as_ref().is_some_and(Guessed::is_kept);
                 let crowded = share(&masks) >= CROWDED && motions.is_none() && !told;
                 let factor = if told { ALIKE } else { 1.0 };
@@ -216,20 +218,20 @@ impl Known<'_> {
     }
 }
 
-/// Cameras that explain more of what is seen, weighed by the prior, are those of the static world. Right
-/// ones explain 0.27 to 0.39 where walkers fill three quarters of the picture, and 0.54 or more of
-/// handheld clips with a mover or two.
+/// Explained share of the observations, weighted by the prior, above which cameras are those of the static
+/// world. Correct cameras explain 0.27 to 0.39 where walkers fill three quarters of the image, and 0.54 or
+/// more of hand-held clips with one or two movers.
 const PLAIN: f64 = 0.45;
-/// A camera that turns in place explains a clip if it explains more than this share of what one that moves
-/// does, which has a depth for each point to fit noise and movers with. Of clips with parallax a turn
-/// explains half as much at the most.
+/// A rotating camera is chosen if it explains more than this share of what a moving camera explains. A moving
+/// camera has a depth for each point, with which it can fit noise and movers. On clips with parallax a
+/// rotation explains at most half as much.
 const TURNS: f64 = 0.85;
-/// Of two cameras that explain as much but for this, neither is better.
+/// Ratio of explained shares above which two solutions count as equally good.
 const ALIKE: f64 = 0.99;
-/// With more of the pixels moving than this, the first cameras are never kept: masks that were made by
-/// them leave in what agrees with the compromise.
+/// Share of moving pixels above which the first cameras are never kept: masks that were made with them do not
+/// exclude movers that agree with the compromise.
 const CROWDED: f64 = 0.3;
-/// That supplied masks leave points to find cameras by.
+/// Checks that supplied masks leave enough static points to estimate cameras.
 fn demand_static(masks: &[Image], weights: &[f64]) -> Result<()> {
     // Two views need eight points.
     let stay = weights.iter().filter(|weight| **weight > 0.05).count();

@@ -1,18 +1,17 @@
-//! A scaffold on what moves: nodes on the movers' surfaces, each of which moves rigidly through the whole
-//! clip.
+//! The scaffold: control points on the movers' surfaces, each of which moves rigidly through the whole clip.
 //!
-//! Dense flow between neighbouring frames, lifted by the frames' depth, says where surface points go.
-//! The nodes' motions from one frame to the next are those that explain it best and keep each node's
-//! surroundings as rigid as possible (embedded deformation: Sumner, Schmid, Pauly 2007; rotations and
-//! translations alternate as in Sorkine and Alexa 2007). What is hidden, or whose flow is not to be
-//! believed, goes along with its surroundings. So no point has to be followed on its own: chained
-//! tracks on a body lose half of their points every few frames. Where flow can be chained over several
-//! frames it says more: the same points, from frames farther back, keep the nodes from drifting along
-//! the surface, since the errors of single steps do not add up in them.
+//! Dense flow between neighbouring frames, lifted to 3D with the frames' depth, gives the motion of surface
+//! points. The control points' motions from one frame to the next are those that explain this motion best and
+//! keep each control point's neighbourhood as rigid as possible (embedded deformation: Sumner, Schmid, Pauly
+//! 2007; rotations and translations alternate as in Sorkine and Alexa 2007). Surface that is hidden, or whose
+//! flow is unreliable, moves with its neighbourhood. So no point has to be tracked individually: chained
+//! tracks on a body lose half of their points every few frames. If flow can be chained over several frames,
+//! it is more informative: the same points, from frames farther back, keep the control points from drifting
+//! along the surface, because the errors of single steps do not accumulate in them.
 //!
-//! The scaffold begins in the frame that shows most of the movers. Where a later frame shows surface
-//! that no node is near to, nodes are added, and carried to all other frames afterwards, between nodes
-//! whose place there is known already.
+//! The scaffold begins in the frame that shows most of the movers. If a later frame shows surface without a
+//! nearby control point, control points are added there. They are then carried to all other frames, guided by
+//! the control points whose positions there are already known.
 
 mod build;
 mod life;
@@ -32,46 +31,48 @@ use crate::geometry::sim3::nearest_rotation;
 use crate::observe::NeighbourFlow;
 use crate::types::{Image, Intrinsics, Pose};
 
-/// Flow with less confidence is not used.
+/// Minimum confidence of flow that is used.
 const CONFIDENCE: f32 = 0.3;
-/// Where more pixels move, every second one along each axis is enough.
+/// If more pixels than this move, only every second one along each axis is used.
 const PLENTY: usize = 8000;
-/// Edges of a node.
+/// Maximum number of edges per control point.
 const EDGES: usize = 8;
-/// Nodes farther from each other than so many spacings, in any frame, share no edge, but for the
-/// nearest ones.
+/// Two control points share no edge if they are farther apart than `REACH` spacings in any frame. Each
+/// control point keeps edges to its `ALWAYS` nearest neighbours regardless of distance.
 const REACH: f64 = 4.0;
 const ALWAYS: usize = 2;
-/// An object's own motion is found from so many surface points, at least.
+/// Minimum number of surface points that an object's own motion is estimated from.
 const LEAST_MATCHES: usize = 20;
-/// An object that was found as a whole is believed where it leaves at most so much more than what its
-/// surface points ask for from frame to frame: it does not drift.
+/// The motion of an object as a whole is used if its residual is at most this many times the residual of the
+/// motion fitted to the surface points from frame to frame: it does not drift.
 const BELIEVED: f64 = 3.0;
 
-/// Nodes on what moves.
+/// The control points on the movers.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Scaffold {
     /// The frame that shows most of the movers, near the middle of the clip.
     pub canonical: usize,
-    /// The nodes.
+    /// The control points.
     pub nodes: Vec<Node>,
 }
 
-/// A place on a mover's surface, with its surroundings.
+/// A control point: a position on a mover's surface that moves rigidly with its surroundings.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Node {
-    /// The object it is on, as [`super::Track::owners`] numbers them, or the shadow, as
-    /// [`super::Track::shadows`] does; 0 where none is known.
+    /// The number of the object that the control point is on, as in [`super::Track::owners`], or of the
+    /// shadow, as in [`super::Track::shadows`]; 0 if no object is known.
     pub owner: usize,
-    /// Where it is, frame by frame. Only differences between frames mean something of the rotation.
+    /// Transforms from the control point to the world, frame by frame. Only differences of the rotation
+    /// between frames are meaningful.
     pub world_from_node: Vec<Pose>,
-    /// The distance to its neighbours, about, in the world's unit.
+    /// Approximate distance to neighbouring control points, in the world's unit.
     pub spacing: f64,
-    /// The frames in which it is there: not before its object comes, nor after it is gone.
+    /// The frames in which the control point exists: from the appearance of its object until the object is
+    /// gone.
     pub alive: Range<usize>,
 }
 
-/// What is known of the movers' surfaces.
+/// The measured surfaces of the movers.
 pub(super) struct Surfaces<'a> {
     pub intrinsics: Intrinsics,
     pub view_from_world: &'a [Pose],
@@ -93,8 +94,8 @@ pub(crate) fn value(image: &Image, pixel: DVec2) -> f32 {
     image.at(x, y)[0]
 }
 
-/// The object that a pixel shows, by a frame's mask and [`super::Track::owners`]: 0 where none is known, none
-/// where nothing moves.
+/// The object that a pixel shows, from a frame's mask and [`super::Track::owners`]: 0 if no object is known,
+/// `None` at a static pixel.
 pub(super) fn owner(mask: &Image, owners: &Image, pixel: DVec2) -> Option<usize> {
     (value(mask, pixel) > 0.5).then(|| value(owners, pixel) as usize)
 }
@@ -110,7 +111,7 @@ impl Surfaces<'_> {
         self.view_from_world[frame].inverse().apply(self.intrinsics.ray(pixel) * z)
     }
 
-    /// What a pixel measures in the world at a point.
+    /// The size of a pixel in the world at the depth of a point.
     pub(super) fn pixel_size(&self, frame: usize, point: DVec3) -> f64 {
         self.view_from_world[frame].apply(point).z.max(1e-6) / self.intrinsics.fx
     }
@@ -120,7 +121,8 @@ impl Surfaces<'_> {
         (point - self.view_from_world[frame].inverse().translation).normalize_or_zero()
     }
 
-    /// Middles of the pixels of a frame whose neighbours are of the same object, every so-manieth.
+    /// Centres of the pixels of a frame whose four neighbours show the same object, with that object, on a
+    /// grid with spacing `every`.
     fn inner_pixels(&self, frame: usize, every: usize) -> Vec<(DVec2, usize)> {
         let (width, height) = (self.flow.width, self.flow.height);
         let mut found = Vec::new();
@@ -138,7 +140,8 @@ impl Surfaces<'_> {
         found
     }
 
-    /// How every object goes from a frame to the next, by its number; what is on no object stays.
+    /// The motion of every object from a frame to the next, by object number; number 0, surface without an
+    /// object, does not move.
     fn object_steps(&self, frame: usize) -> Vec<Pose> {
         let mut own: Vec<Vec<Match>> = (0..=self.movers.len()).map(|_| Vec::new()).collect();
         self.matches(frame, frame + 1).into_iter().for_each(|m| own[m.owner].push(m));
@@ -149,8 +152,8 @@ impl Surfaces<'_> {
         steps
     }
 
-    /// How an object goes from a frame to the next: as it was found as a whole, or, where that does not
-    /// agree, as its surface points ask for.
+    /// The motion of an object from a frame to the next: the motion found for the whole object, or, if that
+    /// does not agree with the surface points, the motion fitted to them.
     fn object_step(&self, object: &Mover, frame: usize, matches: &[Match]) -> Pose {
         let next = object.world_from_object(frame + 1) * object.world_from_object(frame).inverse();
         let whole = next.apply_pose(&Pose::IDENTITY);
@@ -164,7 +167,7 @@ impl Surfaces<'_> {
         if left(&whole) <= BELIEVED * left(&own) { whole } else { own }
     }
 
-    /// Surface points of a frame that flow finds again in its neighbour.
+    /// Surface points of a frame that flow maps to the neighbouring frame, on the same object.
     fn matches(&self, from: usize, to: usize) -> Vec<Match> {
         let every = if area(&self.masks[from]) > PLENTY { 2 } else { 1 };
         let find = |&(pixel, owner): &(DVec2, usize)| {
@@ -178,7 +181,7 @@ impl Surfaces<'_> {
         self.inner_pixels(from, every).par_iter().filter_map(find).collect()
     }
 
-    /// A surface point that is to be where a pixel of a frame shows it.
+    /// The match of a surface point with the pixel of a frame that shows it.
     fn matched(
         &self,
         owner: usize,
@@ -199,8 +202,9 @@ impl Surfaces<'_> {
 }
 
 impl Scaffold {
-    /// Where a surface point of an object that some frame shows is in another, and how it is turned
-    /// there: with the nodes that are nearest to it. None without nodes on any object.
+    /// Carries a surface point of an object from one frame to another with its nearest control points.
+    /// Returns its position there and its rotation from one frame to the other. `None` if there are no
+    /// control points at all.
     pub fn carry(
         &self,
         owner: usize,
@@ -218,7 +222,7 @@ impl Scaffold {
         let nearest = nearest(&|j| self.nodes[j].owner == owner).or_else(|| nearest(&|_| true))?;
         let owner = self.nodes[nearest].owner;
         let radius = self.nodes[nearest].spacing;
-        // Its neighbours are those that stay near in both frames.
+        // Neighbours are the control points that are near in both frames.
         let apart = |j: usize| {
             let distance = |frame: usize| {
                 let at = |j: usize| self.nodes[j].world_from_node[frame].translation;
@@ -254,9 +258,8 @@ mod tests {
     const FRAMES: usize = 7;
     const FOCAL: f64 = 100.0;
 
-    /// A clip before a camera that stands still, in which everything lies at depth 1. `part` says
-    /// which part of the object a pixel shows in the first frame, and `speed` how that part moves,
-    /// pixels a frame.
+    /// A clip of a fixed camera, in which everything is at depth 1. `part` gives the part of the object that
+    /// a pixel shows in the first frame, and `speed` the speed of that part in pixels per frame.
     struct Clip {
         flow: NeighbourFlow,
         masks: Vec<Image>,
@@ -317,7 +320,7 @@ mod tests {
             owners: masks.clone(),
             masks,
             depth: vec![depth; FRAMES],
-            // What was found of the object as a whole knows nothing of its motion.
+            // The motion of the object as a whole is wrong: the object does not move in it.
             movers: vec![Mover { first: 0, world_from_object: vec![Sim3::IDENTITY; FRAMES] }],
             poses: vec![Pose::IDENTITY; FRAMES],
         }
@@ -335,13 +338,13 @@ mod tests {
         })
     }
 
-    /// How a node goes from the first frame to another, pixels.
+    /// The displacement of a control point from the first frame to another, in pixels.
     fn gone(node: &Node, frame: usize) -> DVec3 {
         let place = |frame: usize| node.world_from_node[frame].translation;
         FOCAL * (place(frame) - place(0))
     }
 
-    /// Where it is in the first frame, pixels.
+    /// The position of the control point in the first frame, pixels.
     fn begins(node: &Node) -> DVec2 {
         let view = node.world_from_node[0].translation;
         Intrinsics::centred(FOCAL, SIZE.0, SIZE.1).project(view)
@@ -353,7 +356,7 @@ mod tests {
 
     #[test]
     fn what_is_rigid_goes_as_one_even_where_it_is_hidden() {
-        // A post stands before the middle of the picture; what is behind it is not seen.
+        // A post stands in front of the middle of the image; what is behind it is not seen.
         let clip = clip(|x, y| block(x, y).then_some(0), |_| [5, 1], |_, x| (44..52).contains(&x));
         let found = scaffold(&clip);
         assert!(found.nodes.len() > 60, "{}", found.nodes.len());
@@ -381,7 +384,7 @@ mod tests {
         let mut counts = [0; 2];
         for node in &found.nodes {
             let y = begins(node).y;
-            // Nodes at the seam follow both.
+            // Control points at the seam follow both parts.
             let (part, speed) = if y < 18.0 {
                 (0, 4.0)
             } else if y > 26.0 {
@@ -408,21 +411,21 @@ mod tests {
         assert!(turned.angle_between(DQuat::IDENTITY) < 1e-3);
         let (back, _) = found.carry(1, there, 5, 1).unwrap();
         assert!((back - point).length() < 1e-3, "{back}");
-        // On an object of which no node is known it goes with the others.
+        // A point on an object without control points moves with the others.
         assert!(found.carry(7, point, 1, 5).is_some());
         assert!(Scaffold::default().carry(1, point, 0, 0).is_none());
     }
 
     #[test]
     fn what_comes_and_goes_is_there_only_in_between() {
-        // It comes in the third frame, is hidden in the fourth, and is seen last in the fifth.
+        // The object appears in the third frame, is hidden in the fourth, and is last seen in the fifth.
         let came = clip(|x, y| block(x, y).then_some(0), |_| [3, 0], |f, _| ![2, 4].contains(&f));
         let found = scaffold(&came);
         assert!(found.nodes.len() > 60, "{}", found.nodes.len());
         for node in &found.nodes {
             assert_eq!(node.alive, 2..5);
         }
-        // It leaves through the picture's border: where the picture ends it may still be.
+        // The object leaves through the image border: it may still exist outside the image.
         let mut left = clip(|x, y| block(x, y).then_some(0), |_| [22, 0], |_, _| false);
         let seen = (0..FRAMES).rev().find(|f| left.masks[*f].pixels.iter().any(|m| *m > 0.5));
         let end = seen.unwrap() + 1;

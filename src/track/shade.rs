@@ -1,9 +1,9 @@
-//! The shadows that movers cast on what stands still.
+//! The shadows that movers cast on the static world.
 //!
-//! The plates tell where a frame is darker than it would be if nothing moved. Such a region is the shadow
-//! of the mover next to it. It goes along with the mover: of a distant light and on even ground a shadow
-//! takes the same steps as what casts it. So a shadow gets nodes of its own in the scaffold, on the ground
-//! that it falls on.
+//! The plates show where a frame is darker than it would be if nothing moved. Such a region is the shadow of
+//! the mover next to it. It moves with the mover: under a distant light and on flat ground a shadow takes the
+//! same steps as the object that casts it. So a shadow gets its own control points in the scaffold, on the
+//! ground that it falls on.
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use nalgebra::{Matrix3, SymmetricEigen};
@@ -14,23 +14,24 @@ use super::plate::{Evidence, MARGIN};
 use super::scaffold::{Node, Scaffold, Surfaces};
 use crate::types::{Image, Pose};
 
-/// Half the side of the window in which a frame's brightness is compared with its plate's, pixels: texture
-/// that is off by a pixel is averaged out.
+/// Half the side of the window in which a frame's brightness is compared with its plate's, pixels. Averaging
+/// over the window removes the effect of texture that is misaligned by a pixel.
 const WINDOW: i64 = 2;
-/// A shadow takes this share of the light away at least.
+/// Minimum share of the light that a shadow removes.
 const LEAST_TAKEN: f32 = 0.1;
-/// In this share of a shadow's pixels, at least, the plate's texture is still seen.
+/// Minimum share of a shadow's pixels in which the plate's texture is visible through the shadow.
 const CONFIRMED: f64 = 0.2;
-/// A shadow covers at least this share of the picture.
+/// Minimum area of a shadow, as a share of the image.
 const LEAST_AREA: f64 = 1e-3;
-/// What casts a shadow is at most so far from it, as a share of the picture's width.
+/// Maximum distance between a shadow and the object that casts it, as a share of the image width.
 const FARTHEST: f64 = 0.1;
-/// Distance of a shadow's nodes, as a share of the picture's width; and most nodes of one.
+/// Spacing of a shadow's control points, as a share of the image width, and the maximum number of them per
+/// shadow.
 const SPACING: f64 = 0.03;
 const MOST_NODES: usize = 32;
 
-/// The shadows of all frames, as [`super::Track::shadows`] has them; the nodes that carry them are added
-/// to the scaffold.
+/// The shadows of all frames, in the format of [`super::Track::shadows`]. The control points that carry them
+/// are added to the scaffold.
 pub(super) fn shadows(
     surfaces: &Surfaces<'_>,
     frames: &[Image],
@@ -49,7 +50,7 @@ pub(super) fn shadows(
         let shadow = objects + caster;
         match nodes(surfaces, &shadows, scaffold, caster, shadow) {
             Some(nodes) => scaffold.nodes.extend(nodes),
-            // Nothing carries it.
+            // A shadow without control points is removed.
             None => shadows.iter_mut().for_each(|image| {
                 let own = image.pixels.chunks_exact_mut(2);
                 own.filter(|pixel| pixel[1] == shadow as f32).for_each(|pixel| pixel.fill(0.0));
@@ -59,7 +60,7 @@ pub(super) fn shadows(
     shadows
 }
 
-/// The shadows in a frame, each with the object that it is nearest to.
+/// The shadows in a frame, each assigned to the nearest object.
 fn of_frame(
     frame: &Image,
     plate: &Evidence,
@@ -89,7 +90,7 @@ fn of_frame(
     out
 }
 
-/// By pixel, the share of the plate's light that is missing, 0 on movers, beside them and where it is not known.
+/// By pixel, the missing share of the plate's light; 0 on movers, beside them and where the plate is unknown.
 fn taken(frame: &Image, plate: &Evidence, mask: &Image) -> Vec<f32> {
     let (width, height) = (i64::from(mask.width), i64::from(mask.height));
     let near_movers = mask.near(MARGIN);
@@ -114,7 +115,7 @@ fn taken(frame: &Image, plate: &Evidence, mask: &Image) -> Vec<f32> {
     (0..mask.pixels.len()).map(of).collect()
 }
 
-/// By pixel, the steps to the nearest pixel of an object, and the object.
+/// By pixel, the number of steps to the nearest pixel of an object, and that object.
 fn nearest_owners(owners: &Image) -> Vec<Option<(u32, usize)>> {
     let (width, count) = (owners.width as usize, owners.pixels.len());
     let mut nearest: Vec<Option<(u32, usize)>> =
@@ -142,8 +143,8 @@ fn nearest_owners(owners: &Image) -> Vec<Option<(u32, usize)>> {
     nearest
 }
 
-/// Nodes on the shadow of an object, which take its steps along the ground. `None` where the object is
-/// carried by no node, or too little of a shadow is seen.
+/// Control points on the shadow of an object, which take the object's steps along the ground. `None` if the
+/// object has no control points, or if too little of a shadow is visible.
 fn nodes(
     surfaces: &Surfaces<'_>,
     shadows: &[Image],
@@ -207,7 +208,7 @@ fn nodes(
     Some(places.into_iter().map(node).collect())
 }
 
-/// The direction in which points are spread least.
+/// The direction of the smallest spread of the points.
 fn normal(points: impl Iterator<Item = DVec3> + Clone) -> DVec3 {
     let count = points.clone().count().max(1) as f64;
     let mean = points.clone().sum::<DVec3>() / count;
@@ -218,7 +219,7 @@ fn normal(points: impl Iterator<Item = DVec3> + Clone) -> DVec3 {
     least(spread)
 }
 
-/// The unit vector along which a spread, a symmetric matrix, is least.
+/// The unit eigenvector of the smallest eigenvalue of a symmetric matrix.
 pub(super) fn least(spread: DMat3) -> DVec3 {
     let eigen = SymmetricEigen::new(Matrix3::from_column_slice(&spread.to_cols_array()));
     let v = eigen.eigenvectors.column(eigen.eigenvalues.imin());
@@ -239,13 +240,13 @@ mod tests {
         within(p, (10.0, 22.0), (30.0, 32.0))
     }
 
-    /// A grey picture.
+    /// A grey image.
     fn picture(brightness: impl Fn(DVec2) -> f32) -> Image {
         let pixels = map(brightness).pixels.iter().flat_map(|value| [*value; 3]).collect();
         Image { width: WIDTH, height: HEIGHT, channels: 3, pixels }
     }
 
-    /// An even plate, whose texture is seen through the shadow.
+    /// A uniform plate, whose texture is visible through the shadow.
     fn plate() -> Evidence {
         Evidence {
             odds: map(|_| 0.0).pixels,
@@ -264,7 +265,7 @@ mod tests {
     fn a_shadow_is_that_of_the_object_next_to_it() {
         let owners = map(|p| if mover(p) { 2.0 } else { flag(p.x > 60.0) });
         let mask = map(|p| flag(mover(p) || p.x > 60.0));
-        // A speck is dark as well.
+        // A small dark spot is not a shadow.
         let speck = |p: DVec2| within(p, (44.0, 34.0), (46.0, 35.0));
         let frame = picture(|p| if shadow(p) || speck(p) { 0.3 } else { 0.5 });
         let found = of_frame(&frame, &plate(), &mask, &owners, 3);
@@ -275,11 +276,11 @@ mod tests {
             assert!(!well_inside || ((pixel[0] - 0.4).abs() < 1e-5 && pixel[1] == 5.0), "{p}");
             assert!(!outside || pixel == [0.0; 2], "{p}: {pixel:?}");
         }
-        // Nothing is near that could cast it.
+        // No object is near enough to cast it.
         let far = map(|p| flag(p.x > 60.0));
         let found = of_frame(&frame, &plate(), &far, &far, 3);
         assert!(found.pixels.iter().all(|value| *value == 0.0));
-        // The plate's texture is not seen: it is something dark.
+        // The plate's texture is not visible: the region is a dark object.
         let nowhere = Evidence { shade: vec![0.0; plate().shade.len()], ..plate() };
         let found = of_frame(&frame, &nowhere, &mask, &owners, 3);
         assert!(found.pixels.iter().all(|value| *value == 0.0));
@@ -323,7 +324,7 @@ mod tests {
                 assert!(gone.distance(along) < 1e-6, "{gone}");
             }
         }
-        // Without a node of its object nothing carries it, and no shadow is told.
+        // Without a control point of its object no shadow is reported.
         let mut nothing = Scaffold { canonical: 2, nodes: Vec::new() };
         let found = shadows(&surfaces, &frames, &plates, &mut nothing);
         assert!(nothing.nodes.is_empty());

@@ -1,8 +1,8 @@
-//! An object's shape and its path, up to one scale.
+//! The shape and the path of an object, up to one scale.
 //!
-//! Where an object moves rigidly, its points are to the camera what a static world is, and the same
-//! structure from motion solves them. Otherwise the object stands upright before the camera, and its
-//! size in the picture tells how its distance changes.
+//! If an object moves rigidly, its points are like a static world relative to the camera, and structure from
+//! motion solves for both. Otherwise the object is modelled as a flat upright object facing the camera, and
+//! the change of its size in the image gives the change of its distance.
 
 use std::ops::Range;
 
@@ -16,70 +16,74 @@ use crate::geometry::sim3::{Sim3, align_points};
 use crate::observe::PointTrack;
 use crate::types::Pose;
 
-/// A structure from motion of an object is believed with this share of inliers, this reprojection
-/// error (pixels at 320 wide) and this parallax (degrees).
+/// Thresholds for accepting a structure from motion of an object: minimum share of inliers, maximum
+/// reprojection error (pixels at a width of 320) and minimum parallax (degrees).
 const RIGID: (f64, f64, f64) = (0.6, 0.8, 4.0);
-/// A point whose residuals are so many times the usual does not go with its object.
+/// A point whose residual is more than this many times the median does not move with its object.
 const ODD: f64 = 3.0;
-/// No point of an object is farther before or behind its middle than this share of the depth.
+/// Maximum distance of a point from the object's middle along the line of sight, relative to the depth.
 const MOST_BEYOND: f64 = 0.7;
 
-/// Frames and tracks of a structure from motion, at least.
+/// Minimum numbers of frames and tracks of a structure from motion.
 const LEAST_RUN: usize = 5;
 const LEAST_TRACKS: usize = 30;
-/// A step of the depth that differs so much from what the change of size tells is not believed,
-/// logarithm.
+/// Maximum difference between a step of the depth and the step that the change of size gives, as a logarithm.
 const JUMP: f64 = 0.12;
-/// Frames whose turn goes on from one structure to the next.
+/// Number of frames whose rotation is extrapolated from one structure to the next.
 const TURN: usize = 3;
-/// Points that two structures share, at least, and how well they fit, relative to their spread.
+/// Minimum number of points that two structures share, and maximum median distance of these points after
+/// alignment, relative to their spread.
 const SHARED: usize = 10;
 const FITS: f64 = 0.2;
-/// An object that in some frame looks deeper than this, relative to its narrower side in the picture, is
-/// less deep: a limb that swings is seen to shift against the body, as if it were nearer or farther.
+/// Maximum depth of an object along the line of sight, relative to its narrower side in the image. If the
+/// structure is deeper in some frame, its depths are compressed: a swinging limb shifts against the body as
+/// if it were nearer or farther.
 const DEEP: f64 = 1.2;
-/// In this share of its frames an object is seen narrower than it is.
+/// Quantile over the frames that gives the object's narrower side: in some frames an object is seen narrower
+/// than it is.
 const WHOLE: f64 = 0.9;
-/// In a frame in which it looks so deep the structure from motion is not believed at all: what a
-/// solution is wrong by lies along the line of sight.
+/// Apparent depth, relative to the narrower side, from which the structure from motion is rejected in that
+/// frame: errors of a solution lie along the line of sight.
 const DEEPEST: f64 = 3.5;
 
-/// What is seen of things bulges towards the camera. A solution of which a hollow explains more than this
-/// share of the depths' variance, less what a bulge explains in other frames, is the mirrored one, or none.
+/// Visible surfaces bulge towards the camera. A structure is rejected as mirrored or wrong if the mean over
+/// its frames of the signed share of depth variance that a bulge explains (negative for a hollow) is not
+/// above this value.
 const HOLLOW: f64 = -0.03;
 
-/// Standard deviation of the change of an object's depth from frame to frame that its size in the
-/// picture tells, logarithm.
+/// Standard deviation of the change of an object's depth from frame to frame, as a logarithm, if it is
+/// derived from the object's size in the image.
 pub(super) const UPRIGHT_DRIFT: f64 = 0.06;
-/// A structure from motion drifts so many times as fast as if the errors of its tracks were
-/// independent: those of neighbours are not.
+/// Factor by which a structure from motion drifts faster than independent errors of its tracks would give:
+/// the errors of neighbouring tracks are correlated.
 const TOGETHER: f64 = 40.0;
 
-/// What is known of an object in one frame.
+/// The state of an object in one frame.
 pub(super) struct Frame {
     /// Depth (z) of its middle, in a unit that all frames share.
     pub depth: f64,
-    /// Its middle's pixel.
+    /// Pixel of its middle.
     pub middle: DVec2,
-    /// Depth of each track relative to the middle's, if the track lives in this frame.
+    /// Depth of each track's point relative to the depth of the middle, if the track exists in this frame.
     pub relative: Vec<Option<f64>>,
-    /// Where the structure from motion holds.
+    /// The object's pose in the camera frame; set in frames where the structure from motion holds.
     pub view_from_object: Option<Pose>,
 }
 
-/// An object up to scale.
+/// The shape and the path of an object up to scale.
 pub(super) struct Shape {
-    /// From the object's first frame on.
+    /// The object's state in each frame, starting with its first.
     pub frames: Vec<Frame>,
     /// Standard deviation of the change of depth from each frame to the next, logarithm.
     pub drift: Vec<f64>,
-    /// The middle in the object's own frame.
+    /// The middle of the object in its own coordinate frame.
     pub middle: DVec3,
     /// Whether its structure from motion holds in nearly all frames.
     pub rigid: bool,
 }
 
-/// An object's shape and path up to scale: rigid in the frames in which it is, upright in the others.
+/// Estimates an object's shape and path up to scale: from structure from motion in the frames where it holds,
+/// from its size in the others.
 pub(super) fn shape(object: &Object, cameras: &Cameras) -> Shape {
     let upright = upright(object);
     let sizes: Vec<f64> = upright.frames.iter().map(|frame| frame.depth.ln()).collect();
@@ -92,7 +96,8 @@ pub(super) fn shape(object: &Object, cameras: &Cameras) -> Shape {
     let pieces = joined(pieces, longest, &sizes, cameras, object.first);
     for (i, piece) in pieces.iter().enumerate() {
         drifts[piece.run.start..piece.run.end - 1].fill(piece.drift);
-        // Up to the next piece, and before the first, its edge's depth goes on by size.
+        // Between this piece and the next, and before the first, the depth continues from the edge's depth by
+        // size.
         let end = pieces.get(i + 1).map_or(frames.len(), |next| next.run.start);
         let before = if i == 0 { 0..piece.run.start } else { 0..0 };
         for (edge, rest) in [(piece.run.start, before), (piece.run.end - 1, piece.run.end..end)] {
@@ -115,19 +120,19 @@ pub(super) fn shape(object: &Object, cameras: &Cameras) -> Shape {
 
 /// A structure from motion of an object, in some of its frames.
 struct Piece {
-    /// The run of the object's frames that it holds for.
+    /// The run of the object's frames in which it holds.
     run: Range<usize>,
-    /// The middle in the object's own frame.
+    /// The middle of the object in its own coordinate frame.
     middle: DVec3,
-    /// The points of the object's tracks in its own frame.
+    /// The points of the object's tracks in its own coordinate frame.
     points: Vec<Option<DVec3>>,
     frames: Vec<Frame>,
     /// Standard deviation of the change of depth from frame to frame, logarithm.
     drift: f64,
 }
 
-/// The pieces, each in the object's frame and unit of its neighbour, and so all in those of the one
-/// numbered `from`. `sizes` are logarithms of the depths that the size in the picture tells.
+/// Brings all pieces to the coordinate frame and the unit of the piece numbered `from`, each by way of its
+/// neighbour. `sizes` are the logarithms of the depths derived from the size in the image.
 fn joined(
     pieces: Vec<Piece>,
     from: usize,
@@ -157,14 +162,14 @@ fn joined(
 }
 
 impl Piece {
-    /// Depth of the middle and pose in a frame of the object.
+    /// Depth of the middle and the object's pose in a frame.
     fn at(&self, frame: usize) -> (f64, Pose) {
         let frame = &self.frames[frame - self.run.start];
         (frame.depth, frame.view_from_object.unwrap_or(Pose::IDENTITY))
     }
 
-    /// `self_from_other`: from the points that both know. Where those do not tell, the object turns on as
-    /// it turned, and its size in the picture joins the depths.
+    /// `self_from_other`, from the points that both pieces contain. If these are not enough, the object's
+    /// rotation is extrapolated and the depths are joined by its size in the image.
     fn from(
         &self,
         other: &Piece,
@@ -185,7 +190,7 @@ impl Piece {
         let in_world =
             |f: usize, view: Pose| cameras.poses[first + f].rotation.conjugate() * view.rotation;
         let world_from_self = in_world(own, own_view);
-        // How it turned from some frames before the edge to the edge.
+        // The rotation from some frames before the edge to the edge.
         let steps = TURN.min(self.run.len() - 1);
         let inner = if own < others { own - steps } else { own + steps };
         let turn = world_from_self * in_world(inner, self.at(inner).1).conjugate();
@@ -196,7 +201,7 @@ impl Piece {
         Sim3 { scale, rotation, translation: middle - scale * (rotation * other.middle) }
     }
 
-    /// The piece in another frame and unit, in which the object's middle is `middle`.
+    /// Transforms the piece to another coordinate frame and unit, in which the object's middle is `middle`.
     fn moved(self, new_from_own: Sim3, middle: DVec3, cameras: &Cameras) -> Piece {
         let own_from_new = new_from_own.inverse();
         let moved = |frame: Frame| {
@@ -220,8 +225,8 @@ impl Piece {
     }
 }
 
-/// The similarity that takes points in one frame to the same points in another, `other_from_own`; `None`
-/// where too few are known in both, or where they do not fit.
+/// The similarity that maps points in one coordinate frame to the same points in another, `other_from_own`;
+/// `None` if too few are known in both, or if they do not fit.
 fn shared(own: &[Option<DVec3>], other: &[Option<DVec3>]) -> Option<Sim3> {
     let both = own.iter().zip(other).filter_map(|(a, b)| (*a).zip(*b));
     let (own, other): (Vec<DVec3>, Vec<DVec3>) = both.unzip();
@@ -244,8 +249,8 @@ fn shared(own: &[Option<DVec3>], other: &[Option<DVec3>]) -> Option<Sim3> {
     found
 }
 
-/// The structures from motion of an object, in the order of its frames. `sizes` are logarithms of the
-/// depths that its size in the picture tells.
+/// The structures from motion of an object, in the order of its frames. `sizes` are the logarithms of the
+/// depths derived from its size in the image.
 fn pieces(object: &Object, sizes: &[f64], cameras: &Cameras) -> Vec<Piece> {
     let mut tracks = object.tracks.clone();
     tracks.iter_mut().flat_map(|t| &mut t.frames).for_each(|frame| *frame -= object.first);
@@ -279,7 +284,7 @@ fn piece(
     let mut nothing = |_: Stage, _: f64| Ok(());
     let mut progress = Progress(&mut nothing);
     let mut work = Work::new(&mut progress);
-    // The tracks within a run, and their numbers.
+    // The parts of the tracks within a run, and the tracks' indices.
     let parts = |run: &Range<usize>| -> (Vec<usize>, Vec<PointTrack>) {
         let tracks = tracks.iter().enumerate();
         tracks.filter_map(|(i, track)| Some((i, clipped(track, run)?))).unzip()
@@ -307,7 +312,7 @@ fn piece(
         let (places, parts) = parts(&run);
         let weights = vec![1.0; parts.len()];
         let solved = match whole.take() {
-            // Every track lies within.
+            // All tracks lie within the run.
             Some(posing) => posing.adjusted(&parts, &weights, &focal),
             None => cameras::reconstruct(
                 &parts,
@@ -322,7 +327,7 @@ fn piece(
         };
         let (piece, deepness) =
             believed(&solved.ok()?, &parts, &places, tracks.len(), run.clone(), cameras)?;
-        // A change of depth that is not seen as a change of size is a wrong turn of the solution.
+        // A change of depth without a change of size is an error of the solution.
         let off = |k: usize| {
             let change = (piece.frames[k + 1].depth / piece.frames[k].depth).ln();
             change - (sizes[run.start + k + 1] - sizes[run.start + k])
@@ -340,9 +345,9 @@ fn piece(
     None
 }
 
-/// What a structure from motion of an object's `tracks` tells, if it can be believed, and how deep the
-/// object looks in each frame relative to its narrower side. `places` are the tracks' numbers among the
-/// object's `all`.
+/// Checks a structure from motion of an object's `tracks`, and converts it to a piece if it is accepted. Also
+/// returns the object's apparent depth in each frame relative to its narrower side. `places` are the tracks'
+/// indices among the object's `all` tracks.
 fn believed(
     solved: &Cameras,
     tracks: &[PointTrack],
@@ -360,14 +365,14 @@ fn believed(
     let points: Vec<Option<DVec3>> = (0..tracks.len()).map(|i| solved.point(tracks, i)).collect();
     let certainty: Vec<_> = (0..tracks.len()).map(|i| solved.certainty(tracks, i)).collect();
     let usual = quantile(certainty.iter().flatten().map(|c| c.residual).collect(), 0.5);
-    // Variance of a point's depth relative to the depth; none for what does not go with the object.
+    // Variance of a point's depth relative to the depth; `None` for points that do not move with the object.
     let variance = |i: usize| {
         let known = certainty[i].filter(|c| c.residual <= ODD * usual)?;
         Some((usual.max(1.0) * known.deviation).powi(2))
     };
     let coordinate = |k: usize| quantile(points.iter().flatten().map(|p| p[k]).collect(), 0.5);
     let middle = DVec3::new(coordinate(0), coordinate(1), coordinate(2));
-    // Half the size in the picture, pixels.
+    // Half of the size in the image, pixels.
     let half = |f: usize| {
         let seen = || tracks.iter().filter_map(|track| track.at(f));
         half_width(seen().map(|p| p.x)).max(half_width(seen().map(|p| p.y)))
@@ -381,7 +386,8 @@ fn believed(
     let mut frames: Vec<Frame> = (0..run.len())
         .map(|f| {
             let centre = solved.poses[f].apply(middle);
-            // What is not known lies as deep as the middle, to about half of the object's size.
+            // The prior puts each point at the depth of the middle, with a standard deviation of half of the
+            // object's size.
             let half = half(f) / cameras.intrinsics.fx;
             let mut relative = vec![None; all];
             for (i, place) in places.iter().enumerate() {
@@ -401,7 +407,7 @@ fn believed(
         })
         .collect();
     let sound = drift.is_finite() && frames.iter().all(|f| f.depth > 0.0 && f.depth.is_finite());
-    // Half of its narrower side. Of what is cut off, by the picture's border say, less is seen.
+    // Half of the narrower side. It appears smaller in frames that show the object only in part.
     let narrow = |(f, frame): (usize, &Frame)| {
         let pixels = narrow_half(tracks.iter().filter_map(|track| track.at(f)));
         frame.depth * pixels / cameras.intrinsics.fx
@@ -420,8 +426,8 @@ fn believed(
             *relative = 1.0 + (share * (*relative - 1.0)).clamp(-most, most);
         }
     }
-    // Near and far can be mistaken for each other where perspective is weak: the mirrored solution turns
-    // the other way.
+    // Under weak perspective near and far are ambiguous: the mirrored solution rotates in the opposite
+    // direction.
     let bulge = |(f, frame): (usize, &Frame)| {
         let seen = places.iter().enumerate();
         bulge(seen.filter_map(|(i, place)| Some((tracks[i].at(f)?, frame.relative[*place]?))))
@@ -433,13 +439,14 @@ fn believed(
     (bulge > HOLLOW).then_some((Piece { run, middle, points: known, frames, drift }, deepness))
 }
 
-/// Half of the range that most of the values lie in.
+/// Half of the range of the values between their 5 % and 95 % quantiles.
 fn half_width(values: impl Iterator<Item = f64>) -> f64 {
     let values: Vec<f64> = values.collect();
     0.5 * (quantile(values.clone(), 0.95) - quantile(values, 0.05))
 }
 
-/// Half of the range of most points across the direction in which they spread most.
+/// Half of the range of the points, between the 5 % and 95 % quantiles, across the direction of their largest
+/// spread.
 fn narrow_half(points: impl Iterator<Item = DVec2>) -> f64 {
     let points: Vec<DVec2> = points.collect();
     let mean = points.iter().sum::<DVec2>() / points.len() as f64;
@@ -451,8 +458,9 @@ fn narrow_half(points: impl Iterator<Item = DVec2>) -> f64 {
     half_width(points.iter().map(|p| p.dot(DVec2::from_angle(along).perp())))
 }
 
-/// How far a thing bulges towards the camera, from pixels of its points and their depths: the correlation
-/// of the depth with the squared distance from the middle, in units of the spread in each direction.
+/// How far an object bulges towards the camera, from the pixels and depths of its points: the correlation of
+/// the depth with the squared distance from the middle, in units of the spread in each direction. A positive
+/// value is a bulge towards the camera.
 fn bulge(points: impl Iterator<Item = (DVec2, f64)>) -> f64 {
     let points: Vec<(DVec2, f64)> = points.collect();
     let count = points.len() as f64;
@@ -473,7 +481,7 @@ fn bulge(points: impl Iterator<Item = (DVec2, f64)>) -> f64 {
     if scale > 0.0 { fz / scale } else { 0.0 }
 }
 
-/// The longest run of frames that are as they should be, as is each step from one to the next.
+/// The longest run of frames that are all `good`, with `goes_on` true for each step between them.
 fn longest(
     count: usize,
     good: impl Fn(usize) -> bool,
@@ -495,7 +503,7 @@ fn longest(
     best
 }
 
-/// A track's part within a run of frames, which becomes the whole clip.
+/// The part of a track within a run of frames, with frames counted from the start of the run.
 fn clipped(track: &PointTrack, run: &Range<usize>) -> Option<PointTrack> {
     let [start, end] = [run.start, run.end].map(|at| track.frames.partition_point(|f| *f < at));
     (end >= start + 2).then(|| {
@@ -505,7 +513,7 @@ fn clipped(track: &PointTrack, run: &Range<usize>) -> Option<PointTrack> {
     })
 }
 
-/// An object that stands upright: its distance by its size.
+/// The model of a flat upright object: its distance follows from its size.
 fn upright(object: &Object) -> Shape {
     let frames = object.end - object.first;
     let alive = |f: usize| object.tracks.iter().filter(move |t| t.at(f).is_some());
@@ -522,7 +530,8 @@ fn upright(object: &Object) -> Shape {
             object.tracks.iter().filter_map(|t| Some((t.at(from)?, t.at(to)?))).collect();
         let mut ratios = Vec::new();
         for i in 0..both.len() {
-            // Partners a fixed stride away: pairs of all distances, the same each time.
+            // The partners are a fixed stride away, which gives pairs at all distances, the same ones each
+            // time.
             for stride in [7, 31, 101] {
                 let j = (i + stride) % both.len();
                 let before = both[i].0.distance(both[j].0);
@@ -557,7 +566,7 @@ mod tests {
 
     #[test]
     fn what_grows_comes_nearer() {
-        // Twelve points that spread by 2 % a frame and go to the right.
+        // Twelve points that spread by 2 % per frame and move to the right.
         let track = |i: usize| {
             let at = DVec2::new(10.0 * (i % 4) as f64, 10.0 * (i / 4) as f64);
             let pixels = (0..6).map(|k| at * 1.02f64.powi(k) + DVec2::new(f64::from(k), 0.0));
@@ -571,7 +580,8 @@ mod tests {
 
     #[test]
     fn a_limb_that_swings_is_not_far_out() {
-        // A body that turns as it goes by; its lower third sways against it, as if it were elsewhere.
+        // A body that rotates as it passes by; its lower third sways against it, as if it were at another
+        // depth.
         let intrinsics = Intrinsics::centred(300.0, 320, 180);
         let poses = vec![Pose::new(DQuat::IDENTITY, DVec3::ZERO); 12];
         let cameras = Cameras::known(intrinsics, poses);
@@ -592,7 +602,7 @@ mod tests {
             let object = Object { tracks, first: 0, end: 12 };
             shape(&object, &cameras)
         };
-        // How far a point lies before or behind the middle at most, relative to the depth.
+        // The largest distance of a point from the middle along the line of sight, relative to the depth.
         let range = |shape: &Shape| {
             let all = shape.frames.iter().flat_map(|frame| frame.relative.iter().flatten());
             all.fold(0.0, |far: f64, relative| far.max((relative - 1.0).abs()))
@@ -605,7 +615,7 @@ mod tests {
 
     #[test]
     fn two_structures_without_a_shared_point_are_one_object_that_turns_on() {
-        // A ball that turns evenly; after twelve frames all its points are lost, and others are found.
+        // A ball that rotates uniformly; after twelve frames all its points are lost, and others are found.
         let intrinsics = Intrinsics::centred(300.0, 320, 180);
         let poses = vec![Pose::new(DQuat::IDENTITY, DVec3::ZERO); 24];
         let cameras = Cameras::known(intrinsics, poses);
@@ -647,7 +657,7 @@ mod tests {
         };
         let mut other: Vec<Option<DVec3>> =
             own.iter().map(|p| Some(other_from_own.apply((*p)?))).collect();
-        // Some went wrong.
+        // Some points are wrong.
         (5..9).for_each(|i| other[i] = other[i].map(|p| p + DVec3::new(2.0, 1.0, 0.0)));
         let found = shared(&own, &other).unwrap();
         assert!((found.scale / 1.7 - 1.0).abs() < 1e-3, "{found:?}");
@@ -659,7 +669,7 @@ mod tests {
 
     #[test]
     fn a_ball_bulges_towards_the_camera_and_its_mirrored_solution_away() {
-        // Points on the half of an ellipsoid that is seen, turned about the line of sight.
+        // Points on the visible half of an ellipsoid, rotated about the line of sight.
         let half = |i: usize| {
             let (a, b) = ((i % 20) as f64 / 9.5 - 1.0, (i / 20) as f64 / 9.5 - 1.0);
             let height = (1.0 - a * a - b * b).sqrt();
@@ -669,7 +679,7 @@ mod tests {
         let solved = |sign: f64| bulge((0..400).filter_map(half).map(|(p, h)| (p, 3.0 + sign * h)));
         assert!(solved(-0.1) > 0.9 && solved(0.1) < -0.9, "{} {}", solved(-0.1), solved(0.1));
         assert_eq!(solved(0.0), 0.0);
-        // A slanted plane is neither.
+        // A slanted plane has neither a bulge nor a hollow.
         let plane = (0..400).filter_map(half).map(|(p, _)| (p, 0.01 * p.x));
         assert!(bulge(plane).abs() < 0.05);
     }
@@ -682,7 +692,7 @@ mod tests {
         assert_eq!(run(&[0.5, 2.0, 0.1, 0.2, 3.0, 0.3], &[]), 2..4);
         assert_eq!(run(&[0.5, 0.1], &[]), 0..2);
         assert_eq!(run(&[2.0, 2.0], &[]), 0..0);
-        // A step that is not as it should be ends one run and begins another.
+        // A bad step ends one run and begins another.
         assert_eq!(run(&[0.5; 6], &[1]), 2..6);
         assert_eq!(run(&[0.5; 6], &[0, 4]), 1..5);
         // Points on a slanted strip, 10 by 2.

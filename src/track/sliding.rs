@@ -1,5 +1,5 @@
-//! For unit tests: a camera that slides along x before a wall, with whatever moves on it, in numbers
-//! that can be done by hand.
+//! Test scene: a camera that slides along x in front of a wall, with movers added by the tests, in numbers
+//! that can be checked by hand.
 
 use glam::{DQuat, DVec2, DVec3};
 
@@ -13,19 +13,19 @@ pub(super) const WIDTH: u32 = 64;
 pub(super) const HEIGHT: u32 = 40;
 pub(super) const FRAMES: usize = 6;
 pub(super) const FOCAL: f64 = 80.0;
-/// How far the camera goes from frame to frame.
+/// Displacement of the camera from frame to frame.
 pub(super) const STEP: f64 = 0.1;
-/// Distance of the wall: its pixels go by FOCAL · STEP / WALL = 2 to the left.
+/// Distance of the wall: its pixels move by FOCAL · STEP / WALL = 2 to the left.
 pub(super) const WALL: f64 = 4.0;
 
-/// Cameras of a sliding clip; without a step, of a fixed one.
+/// Cameras of a sliding clip; with a step of 0, of a fixed camera.
 pub(super) fn cameras(step: f64) -> Cameras {
     let pose = |i: usize| Pose::new(DQuat::IDENTITY, DVec3::new(-step * i as f64, 0.0, 0.0));
     Cameras::known(Intrinsics::centred(FOCAL, WIDTH, HEIGHT), (0..FRAMES).map(pose).collect())
 }
 
-/// Flow of all frames: `forward(frame, pixel)` is where a pixel of a frame goes in the next. Each
-/// backward vector is minus the forward one at the same pixel, which is exact wherever flow is even.
+/// Flow of all frames: `forward(frame, pixel)` is the displacement of a pixel from a frame to the next. Each
+/// backward vector is minus the forward one at the same pixel, which is exact wherever flow is uniform.
 pub(super) fn flow(forward: impl Fn(usize, DVec2) -> DVec2) -> NeighbourFlow {
     let field = |frame: usize, sign: f64| {
         let mut out = Image::new(WIDTH, HEIGHT, 2);
@@ -40,7 +40,7 @@ pub(super) fn flow(forward: impl Fn(usize, DVec2) -> DVec2) -> NeighbourFlow {
     observe_flow(&frames(), &mut source, &mut |_| Ok(())).unwrap()
 }
 
-/// The wall's motion.
+/// The wall's displacement in the image from frame to frame.
 pub(super) fn wall() -> DVec2 {
     DVec2::new(-FOCAL * STEP / WALL, 0.0)
 }
@@ -51,12 +51,12 @@ pub(super) fn centre(i: usize) -> DVec2 {
     DVec2::new(x as f64 + 0.5, y as f64 + 0.5)
 }
 
-/// Pictures without content.
+/// Images without content.
 pub(super) fn frames() -> Vec<Image> {
     vec![Image::new(WIDTH, HEIGHT, 3); FRAMES]
 }
 
-/// What the sliding camera sees of a painted wall.
+/// The frames of the sliding camera for a painted wall.
 pub(super) fn painted() -> Vec<Image> {
     (0..FRAMES)
         .map(|frame| {
@@ -71,18 +71,18 @@ pub(super) fn painted() -> Vec<Image> {
         .collect()
 }
 
-/// A picture of one channel by pixel.
+/// A one-channel image from a function of the pixel.
 pub(super) fn map(value: impl Fn(DVec2) -> f32) -> Image {
     let pixels = (0..(WIDTH * HEIGHT) as usize).map(|i| value(centre(i))).collect();
     Image { width: WIDTH, height: HEIGHT, channels: 1, pixels }
 }
 
-/// Whether a pixel lies in a rectangle from a corner to the opposite one.
+/// Whether a pixel lies in the rectangle between two opposite corners.
 pub(super) fn within(p: DVec2, low: (f64, f64), high: (f64, f64)) -> bool {
     p.x >= low.0 && p.y >= low.1 && p.x < high.0 && p.y < high.1
 }
 
-/// Runs with an observer that only looks on.
+/// Runs `work` with an observer that saves nothing.
 pub(super) fn working<T>(work: impl FnOnce(&mut Work) -> T) -> T {
     let mut nothing = |_: Stage, _: f64| Ok(());
     let mut progress = Progress(&mut nothing);

@@ -477,7 +477,7 @@ mod tests {
 
     #[test]
     fn what_bounces_travels() {
-        // It falls, bounces in the middle and rises.
+        // The ball falls, bounces in the middle and rises.
         let mut places = places(0.02, 0.0005);
         for (t, place) in places.iter_mut().enumerate() {
             place.relative.y -= 0.5 * 0.12 * (t as f64 - 15.0).abs();

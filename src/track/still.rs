@@ -1,4 +1,4 @@
-//! Cameras that do not move, and cameras that move without parallax.
+//! Detection of fixed cameras and of cameras that move without parallax.
 
 use glam::DVec2;
 
@@ -10,8 +10,8 @@ use crate::observe::{NeighbourFlow, PointTrack};
 use crate::types::{Image, Intrinsics};
 use crate::{Error, Result};
 
-/// Before anything is known of what moves: how much a track counts. Movers are looked at, so they
-/// keep to the middle of the picture, and the static world surrounds them.
+/// The prior weight of a track as static, before movers are known. The filmed subject moves and is usually
+/// near the middle of the image; the static world surrounds it.
 pub(super) fn border_prior(track: &PointTrack, size: (usize, usize)) -> f64 {
     prior_at(track.pixels[track.pixels.len() / 2], size)
 }
@@ -20,17 +20,17 @@ fn prior_at(pixel: DVec2, size: (usize, usize)) -> f64 {
     let (w, h) = (size.0 as f64, size.1 as f64);
     let x = (pixel.x / w).min(1.0 - pixel.x / w);
     let y = pixel.y / h;
-    // The lower border is no border: people and cars are cut off there as often as floors.
+    // The lower border is excluded: people and cars are cut off there as often as floors.
     let inside = x.min(y).clamp(0.0, 0.25) / 0.25;
     1.0 - 0.85 * inside
 }
 
-/// A frame whose static pixels hold less than this share of the prior is not to be trusted.
+/// Minimum share of the prior weight that the static pixels of a trusted frame have.
 const TRUSTED: f64 = 0.4;
 
-/// Per frame: is it the surroundings that the masks call static? Where it is the middle instead, the
-/// camera's pose has followed a mover, and masks are the wrong way round. When hardly any frame
-/// passes, the prior is what fails, and all are trusted.
+/// Per frame, whether the mask calls the surroundings static. If it calls the middle static instead, the
+/// camera's pose has followed a mover, and the mask is inverted. If hardly any frame passes, the prior itself
+/// is wrong, and all frames are trusted.
 pub(super) fn trusted(masks: &[Image]) -> Vec<bool> {
     let verdicts: Vec<bool> = masks
         .iter()
@@ -50,15 +50,15 @@ pub(super) fn trusted(masks: &[Image]) -> Vec<bool> {
     if enough { verdicts } else { vec![true; masks.len()] }
 }
 
-/// A track of a fixed camera's static world stays within so many pixels at 320 wide.
+/// Maximum displacement of a static track of a fixed camera, pixels at a width of 320.
 const STAYS: f64 = 0.5;
-/// Share of the tracks (by weight) that stay, at least, if the camera is fixed.
+/// Minimum share (by weight) of tracks that stay in place for a fixed camera.
 const STAYING_SHARE: f64 = 0.3;
-/// Share of the cells of an 8×6 grid that hold one that stays, at least.
+/// Minimum share of the cells of an 8×6 grid that contain a track that stays in place.
 const STAYING_CELLS: f64 = 0.3;
 
-/// Is the camera fixed? Then much of the picture, and not in one place only, is where it was after
-/// half of the clip. A moving camera leaves still only what is far away for a short time.
+/// Whether the camera is fixed: many tracks, spread over the image, are at the same position after half of
+/// the clip. With a moving camera only distant points stay in place, for a short time.
 pub(super) fn is_fixed(tracks: &[PointTrack], weights: &[f64], flow: &NeighbourFlow) -> bool {
     let limit = STAYS * (flow.width as f64 / 320.0).max(1.0);
     let span = (flow.frames / 2).max(1);
@@ -86,7 +86,7 @@ pub(super) fn is_fixed(tracks: &[PointTrack], weights: &[f64], flow: &NeighbourF
     verdicts.iter().all(|v| *v)
 }
 
-/// Pixels of the tracks that live in both frames, with their weights and numbers.
+/// Pixels of the tracks that exist in both frames, with their weights and indices.
 pub(super) struct Shared {
     pub tracks: Vec<usize>,
     pub a: Vec<DVec2>,
@@ -94,7 +94,7 @@ pub(super) struct Shared {
     pub weights: Vec<f64>,
 }
 
-/// What two frames share; no more than `most` tracks, taken evenly.
+/// The tracks that two frames share, at most about `most`, sampled evenly.
 pub(super) fn shared(
     tracks: &[PointTrack],
     weights: &[f64],
@@ -114,7 +114,7 @@ pub(super) fn shared(
     }
 }
 
-/// How two frames lie to each other under a focal length; `strictness` scales the threshold of outliers.
+/// The relative pose of two frames for given intrinsics; `strictness` scales the threshold of outliers.
 pub(super) fn relate(
     shared: &Shared,
     k: &Intrinsics,
@@ -155,10 +155,10 @@ pub(super) fn no_parallax(what: &str) -> Error {
     ))
 }
 
-/// Does a scaling about one point explain the pixels? Walking straight at a scene with depth does
-/// not look like that.
+/// Whether a scaling about one point explains the pixels. Walking straight into a scene with depth does not
+/// look like that.
 fn zooms(pair: &Shared) -> bool {
-    // b = s·a + t, least squares, reweighted once by what it leaves.
+    // b = s·a + t by least squares, iteratively reweighted by the residuals.
     let mut weights = pair.weights.clone();
     let mut scale = 1.0;
     let mut residuals = Vec::new();
@@ -209,7 +209,8 @@ mod tests {
         assert!(fixed(&|_, _| DVec2::ZERO));
         assert!(fixed(&|_, p| if middle(p) { DVec2::new(3.0, 0.0) } else { DVec2::ZERO }));
         assert!(!fixed(&|_, _| wall()));
-        // What stays in one place of the picture only, a reflection or a far window, is no tripod.
+        // Tracks that stay in one part of the image only, such as a reflection or a distant window, do not
+        // make a tripod.
         assert!(!fixed(&|_, p| if within(p, (0.0, 0.0), (16.0, 10.0)) {
             DVec2::ZERO
         } else {

@@ -1,5 +1,5 @@
-//! A clip as a pinhole would have filmed it: frames, flow, tracks and what was supplied without the lens's
-//! distortion.
+//! A clip without its lens distortion, as a pinhole would have filmed it: frames, flow, tracks and supplied
+//! data.
 
 use glam::DVec2;
 
@@ -10,19 +10,19 @@ use crate::data::Lens;
 use crate::observe::{EstimatedDepth, NeighbourFlow, PointTrack};
 use crate::types::{Image, Intrinsics};
 
-/// A clip without its lens's distortion.
+/// A clip without its lens distortion.
 pub(super) struct Undistorted {
     pub frames: Vec<Image>,
     pub flow: NeighbourFlow,
-    /// Those of the clip of which something is left, in their order.
+    /// The tracks that remain inside the undistorted image, in their original order.
     pub tracks: Vec<PointTrack>,
     pub options: Options,
     pub supplied: Option<Vec<Image>>,
 }
 
 impl Undistorted {
-    /// What is known of the clip, and what was found so far with `cameras` of a lens, without its
-    /// distortion. Cameras are those of the pinhole then.
+    /// Removes the distortion of `lens` from the inputs and from the state so far. `cameras` were estimated
+    /// with that lens; the new state has the pinhole's cameras.
     pub fn new(
         known: Known,
         lens: &Lens,
@@ -63,7 +63,7 @@ impl Undistorted {
                     .as_ref()
                     .map(|maps| maps.iter().map(|map| nearest(map, lens, &pinhole)).collect()),
             }),
-            // They are taken in already, and undistorted with the others.
+            // The supplied tracks are among the clip's tracks already, and undistorted with them.
             tracks: None,
             ..options.clone()
         };
@@ -103,7 +103,7 @@ fn zoomed(k: &Intrinsics, zoom: f64) -> Intrinsics {
     Intrinsics { fx: zoom * k.fx, fy: zoom * k.fy, ..*k }
 }
 
-/// The longest part of a track that the pinhole's picture shows; none where that is less than two frames.
+/// The longest part of a track that is inside the pinhole's image; `None` if it is shorter than two frames.
 fn in_pinhole(
     track: &PointTrack,
     lens: &Lens,
@@ -130,7 +130,7 @@ fn in_pinhole(
     Some(PointTrack { pixels: pixels[longest].iter().flatten().copied().collect(), ..part })
 }
 
-/// A map whose values do not mix.
+/// Undistorts a map by nearest neighbour, for maps whose values must not be interpolated.
 fn nearest(map: &Image, lens: &Lens, pinhole: &Intrinsics) -> Image {
     let mut out = Image::new(map.width, map.height, map.channels);
     for y in 0..map.height {

@@ -1,8 +1,8 @@
-//! Parts of movers on which no point could be followed: what is held and waved, too fast or too plain
-//! for flow, before somebody who is followed.
+//! Parts of movers on which no point could be tracked: for example an object that a tracked person holds and
+//! waves, too fast or too uniform for flow.
 //!
-//! Such a part would get the depth of the nearest followed point, which is another thing's. It is told
-//! apart by its distance from all followed points, and its border is put where the picture has an edge.
+//! Such a part would get the depth of the nearest tracked point, which belongs to another object. It is
+//! identified by its distance from all tracked points, and its boundary is placed at image edges.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -14,18 +14,17 @@ use super::masks::regions;
 use super::quantile;
 use crate::types::Image;
 
-/// A pixel farther from every followed point than so many spacings of the points is not followed.
+/// Distance from every tracked point, in spacings of the points, beyond which a pixel is not tracked.
 const FAR: f64 = 4.0;
-/// Such pixels count as a part of their own if they are more than this share of the movers that have
-/// followed points, in half of the frames. Of movers that are followed, a fifth at most.
+/// Minimum median share, over the frames, of untracked pixels among the movers that have tracked points, for
+/// these pixels to count as a separate part. On fully tracked movers the share is at most a fifth.
 const LEAST_SHARE: f64 = 0.3;
-/// What a step from pixel to pixel costs apart from the change of colour (the sum over the channels).
+/// Cost of a step from pixel to pixel, in addition to the change of colour (the sum over the channels).
 const STEP: f32 = 0.05;
 
-/// By frame and pixel, whether it belongs to a part of a mover that is not followed. `points` are
-/// the followed ones of each frame, `spacing` their distance when they started, pixels. A region of
-/// the masks that has no followed point counts where the part is in the frame before or after.
-/// `None` if there is no such part.
+/// By frame and pixel, whether it belongs to an untracked part of a mover. `points` are the tracked points of
+/// each frame, `spacing` is their initial spacing in pixels. A mask region without a tracked point counts if
+/// more than half of it lies in the part in the previous or the next frame. `None` if there is no such part.
 pub(super) fn find(
     frames: &[Image],
     masks: &[Image],
@@ -77,9 +76,9 @@ pub(super) fn find(
 /// A region of a mask.
 struct MaskRegion {
     pixels: Vec<usize>,
-    /// Those with a followed point; another rule takes a region that has none.
+    /// Pixels with a tracked point. Regions without one are handled by another rule.
     seeds: Vec<usize>,
-    /// Those far from all followed points.
+    /// Pixels far from all tracked points.
     far: Vec<usize>,
 }
 
@@ -103,8 +102,8 @@ fn mask_regions(mask: &Image, points: &[DVec2], far: f64) -> Vec<MaskRegion> {
 }
 
 impl MaskRegion {
-    /// Marks the pixels that the far ones reach at less cost than the followed points do; none if there
-    /// is no followed point.
+    /// Marks the pixels that the far pixels reach at lower cost than the tracked points do. Marks none if
+    /// there is no tracked point.
     fn spread(&self, frame: &Image, part: &mut [bool]) {
         if self.seeds.is_empty() {
             return;
@@ -113,7 +112,7 @@ impl MaskRegion {
         let colour = |i: usize| &frame.pixels[frame.channels as usize * i..][..3];
         let mut inside = vec![false; part.len()];
         self.pixels.iter().for_each(|i| inside[*i] = true);
-        // Costs are not negative: their bits have the order of their values.
+        // Costs are not negative, so their bit patterns have the same order as their values.
         let mut queue: BinaryHeap<Reverse<(u32, usize, bool)>> = BinaryHeap::new();
         for (pixels, is_part) in [(&self.seeds, false), (&self.far, true)] {
             queue.extend(pixels.iter().map(|i| Reverse((0, *i, is_part))));
@@ -144,7 +143,8 @@ mod tests {
     use super::super::sliding::*;
     use super::*;
 
-    /// A mover, grey on the left of x = 40 and green on the right, with points on the grey part.
+    /// A mover, grey to the left of x = 40 and green to the right, with points on the part that `points`
+    /// selects.
     fn scene(points: impl Fn(DVec2) -> bool) -> (Vec<Image>, Vec<Image>, Vec<Vec<DVec2>>) {
         let mut frame = Image::new(WIDTH, HEIGHT, 3);
         for (i, pixel) in frame.pixels.chunks_exact_mut(3).enumerate() {
@@ -162,7 +162,7 @@ mod tests {
 
     #[test]
     fn a_part_without_points_ends_at_the_edge_in_the_picture() {
-        // The points end well before the edge of colour.
+        // The points end well before the colour edge.
         let (frames, masks, points) = scene(|p| p.x < 34.0);
         let parts = find(&frames, &masks, &points, 2.0).expect("a part is not followed");
         for part in &parts {
@@ -178,10 +178,10 @@ mod tests {
     fn what_is_followed_has_no_such_part() {
         let (frames, masks, points) = scene(|_| true);
         assert!(find(&frames, &masks, &points, 2.0).is_none());
-        // A sixth of it is little.
+        // A sixth of the mover is too little.
         let (frames, masks, points) = scene(|p| p.x < 46.0);
         assert!(find(&frames, &masks, &points, 2.0).is_none());
-        // No point at all: nothing is known of the region, and another rule takes it.
+        // Without any point nothing is known of the region, and another rule handles it.
         let (frames, masks, points) = scene(|_| false);
         assert!(find(&frames, &masks, &points, 2.0).is_none());
     }
@@ -189,7 +189,7 @@ mod tests {
     #[test]
     fn a_region_without_points_is_the_part_of_the_frames_around() {
         let (frames, mut masks, mut points) = scene(|p| p.x < 34.0);
-        // In the middle frame only the green part is left, and something elsewhere.
+        // In the middle frame only the green part remains, and a region elsewhere.
         masks[1] = map(|p| {
             let left = within(p, (42.0, 4.0), (60.0, 36.0)) || within(p, (0.0, 4.0), (6.0, 36.0));
             f32::from(u8::from(left))

@@ -1,12 +1,12 @@
-//! What frames would show from aside: pictures to train on from where no camera was.
+//! Views from offset cameras: training views from viewpoints that the clip's camera did not visit.
 //!
-//! A clip's cameras lie along one short path, and Gaussians that only ever have to look right from
-//! there do not from anywhere else: they fit the pictures by sums of many faint ones that cancel. The
-//! depth tells what a frame shows from a little aside: it is drawn as a mesh over its pixels
-//! ([`mesh`](super::mesh)). Where that shows nothing, other frames of the clip tell what stands there;
-//! where they do not either, what is seen goes on a little beyond its edges
-//! ([`beyond`](super::beyond())): else nothing asks for Gaussians there, and all that lies at the
-//! border of what the clip shows frays.
+//! A clip's cameras lie along one short path. Gaussians that only have to match these views do not look
+//! right from elsewhere: they fit the images by sums of many faint ones that cancel. The depth
+//! determines what a frame shows from a small offset: the frame is rasterised as a mesh over its pixels
+//! ([`mesh`](super::mesh)). Where that mesh is empty, other frames of the clip fill in the static scene.
+//! Where these are empty as well, surfaces are extrapolated a little beyond their edges
+//! ([`beyond`](super::beyond())); otherwise no view would require Gaussians there, and the borders of
+//! what the clip shows would fray.
 
 use super::beyond::beyond;
 use super::mesh::{Canvas, Frame, Grid};
@@ -15,17 +15,17 @@ use crate::types::{Camera, Pose};
 use glam::{DQuat, DVec3};
 use rayon::prelude::*;
 
-/// Distances of the cameras from the frames' own, in units of the frame's median depth: from a step
-/// aside to about as far as a viewer goes.
+/// Range of distances of the offset cameras from the frames' cameras, in units of the frame's median
+/// depth: from a small step to about as far as a viewer goes.
 const DISTANCE: (f64, f64) = (0.06, 0.3);
-/// A frame in which less than this share of the pixels has a depth shows nothing from aside.
+/// Share of the pixels that must have a depth; a frame with less gives no offset view.
 const LEAST_KNOWN: f64 = 0.1;
-/// So many frames, spread over the clip, tell what stands where one shows nothing.
+/// Number of frames, spread over the clip, that fill in the static scene where a frame shows nothing.
 const OTHERS: usize = 16;
 
-/// What a clip's frames show from aside, with weights and disparities. The first n of them give
-/// `count(n)` pictures together; consecutive ones are spread evenly over directions and distances. A
-/// frame of which too little of the depth is known gives none.
+/// Views of a clip's frames from offset cameras, with weights and disparities. The first n frames give
+/// `count(n)` views together; consecutive views are spread evenly over directions and distances. A frame
+/// with too little known depth gives none.
 pub(super) fn aside(
     frames: &[Frame<'_>],
     count: impl Fn(usize) -> usize + Sync,
@@ -43,7 +43,7 @@ pub(super) fn aside(
     drawn.collect()
 }
 
-/// A frame that tells what stands where another shows nothing.
+/// A frame that fills in the static scene where another one shows nothing.
 struct Other<'a> {
     frame: &'a Frame<'a>,
     beyond: Grid,
@@ -55,7 +55,7 @@ impl<'a> Other<'a> {
     }
 }
 
-/// A frame before a camera aside.
+/// Renders a frame for an offset camera.
 fn draw(frame: &Frame<'_>, others: &[Other<'_>], camera: &Camera) -> Canvas {
     let mut canvas = Canvas::new(camera);
     canvas.draw(&frame.view.camera, &Grid::of(frame, 0));
@@ -69,14 +69,14 @@ fn draw(frame: &Frame<'_>, others: &[Other<'_>], camera: &Camera) -> Canvas {
     canvas
 }
 
-/// Of those beside a frame's the one of a number, if enough of the frame's depth is known.
+/// The offset camera of a number for a frame; `None` if too little of the frame's depth is known.
 fn camera_aside(frame: &Frame<'_>, number: usize) -> Option<Camera> {
     let camera = frame.view.camera;
     let aside_from_view = aside_from_view(number, median_depth(frame)?);
     Some(Camera { view_from_world: aside_from_view * camera.view_from_world, ..camera })
 }
 
-/// The median of what is known of a frame, if that is enough.
+/// The median of a frame's known depths; `None` if too few are known.
 fn median_depth(frame: &Frame<'_>) -> Option<f64> {
     let disparity = frame.view.disparity.as_ref()?;
     let mut known: Vec<f32> =
@@ -88,9 +88,9 @@ fn median_depth(frame: &Frame<'_>) -> Option<f64> {
     Some(f64::from(*known.select_nth_unstable_by(middle, f32::total_cmp).1).recip())
 }
 
-/// A camera aside that looks at what the frame's looks at, at depth `depth`. Directions and distances
-/// are spread evenly, and independently of each other, by the plane's low-discrepancy sequence of the
-/// plastic ratio (Roberts 2018).
+/// The pose of an offset camera that looks at the same point as the frame's camera, at depth `depth`.
+/// Directions and distances are spread evenly, and independently of each other, by the two-dimensional
+/// low-discrepancy sequence of the plastic ratio (Roberts 2018).
 fn aside_from_view(number: usize, depth: f64) -> Pose {
     const STEP: [f64; 2] = [0.754_877_666_246_692_8, 0.569_840_290_998_053_3];
     let [turn, share] = STEP.map(|step| (number as f64 * step + 0.5).fract());
@@ -120,7 +120,7 @@ mod tests {
         [wave as f32, 0.3, f32::from(u8::from(card))]
     }
 
-    /// What a camera sees: picture and depth.
+    /// What a camera sees: image and depth.
     fn seen(camera: &Camera) -> (Image, Image) {
         let (mut image, mut depth) = (Image::new(64, 48, 3), Image::new(64, 48, 1));
         let world_from_view = camera.view_from_world.inverse();
@@ -159,13 +159,13 @@ mod tests {
         )
     }
 
-    /// A camera so far to the right of the middle.
+    /// A camera, `right` units to the right of the middle.
     fn camera(right: f64) -> Camera {
         let view_from_world = Pose::new(DQuat::IDENTITY, DVec3::X * -right);
         Camera { intrinsics: INTRINSICS, view_from_world }
     }
 
-    /// The first view from aside, with others to help.
+    /// The offset view of the first frame, filled in from all frames.
     fn drawn(views: &[(TrainingView, Image)], number: usize) -> TrainingView {
         let still = Image::new(64, 48, 1);
         let frame =
@@ -176,8 +176,8 @@ mod tests {
         draw(&frames[0], &others, &camera_aside(&frames[0], number).unwrap()).view(0.25)
     }
 
-    /// Of a view from aside the pixels that frames show, those among them that are wrong, and the same
-    /// of those that are guessed: these by their depth only.
+    /// Counts of an offset view's pixels that frames show and of the wrong ones among them, then the
+    /// same for guessed pixels, which are compared by depth only.
     fn judge(drawn: &TrainingView) -> [(u32, u32); 2] {
         let (image, depth) = seen(&drawn.camera);
         let (weights, disparity) =
@@ -230,7 +230,7 @@ mod tests {
 
     #[test]
     fn what_is_not_known_is_not_shown_and_hides() {
-        // Of the card nothing is known.
+        // The card's depth is unknown.
         let (_, depth) = view(camera(0.0), |_, _| 1.0);
         let on_wall = |x: u32, y: u32| f32::from(u8::from(depth.at(x, y)[0] > 3.0));
         let drawn = drawn(&[view(camera(0.0), on_wall)], 3);

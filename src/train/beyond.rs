@@ -1,22 +1,23 @@
-//! What lies beyond the edges of what a frame shows: a guess.
+//! Extrapolation of surfaces beyond the edges of what a frame shows: a guess.
 //!
-//! What stands still goes on a little over the frame's border, and behind what stands before it, as a
-//! plane does: its inverse depth changes evenly. Its colour is that of the edge.
+//! Static surfaces are continued a little beyond the frame's border, and behind nearer surfaces, as
+//! planes: their inverse depth is extrapolated linearly. Their colour is that of the edge.
 
 use super::mesh::{Cell, Frame, Grid, STILL};
 use std::collections::VecDeque;
 
-/// So far surfaces go on, as a share of the frame's width.
+/// How far surfaces are continued, as a share of the frame's width.
 const REACH: f64 = 0.08;
-/// The weight of a guess, where what is seen has 1.
+/// The weight of a guess; observed pixels have 1.
 const WEIGHT: f32 = 0.5;
-/// A surface goes on behind what is nearer by at least this share of the inverse depth.
+/// Share of the inverse depth by which a surface must be nearer, at least, for another one to be
+/// continued behind it.
 const BEHIND: f64 = 0.06;
-/// A surface whose inverse depth changes by more than this share over as far as it goes on keeps its
-/// depth instead: no plane is as steep, or it is seen too obliquely to tell.
+/// Largest relative change of the inverse depth over the continuation. A steeper surface keeps its depth
+/// instead: it is not a plane, or it is seen at too oblique an angle.
 const STEEP: f64 = 0.15;
 
-/// The surfaces of a frame where they go on beyond their edges, with the edges' own pixels.
+/// The continued surfaces of a frame beyond their edges, with the edges' own pixels.
 pub(super) fn beyond(frame: &Frame<'_>) -> Grid {
     let reach = REACH * f64::from(frame.depth.width);
     let mut grid = Grid::of(frame, reach.ceil() as u32);
@@ -25,7 +26,7 @@ pub(super) fn beyond(frame: &Frame<'_>) -> Grid {
     for (i, edge) in edge_of.iter().enumerate() {
         let Some(edge) = *edge else { continue };
         cells[i] = grid.cells[edge].map(|cell| {
-            // As far within the surface as this is beyond its edge.
+            // The pixel as far inside the surface as this one is beyond its edge.
             let ((x, y), (edge_x, edge_y)) = (grid.pixel(i), grid.pixel(edge));
             let within = grid.index((2 * edge_x - x, 2 * edge_y - y)).and_then(|i| grid.cells[i]);
             let within = within.filter(|within| within.surface == STILL);
@@ -42,8 +43,8 @@ pub(super) fn beyond(frame: &Frame<'_>) -> Grid {
     grid
 }
 
-/// The cell at whose surface's edge each lies, for those that a surface goes on to: the nearest, found
-/// from the edges outwards.
+/// For each cell to which a surface is continued, the cell of the nearest edge, found from the edges
+/// outwards.
 fn edges(grid: &Grid, reach: f64) -> Vec<Option<usize>> {
     let beside = |i: usize| {
         let (x, y) = grid.pixel(i);
@@ -63,7 +64,7 @@ fn edges(grid: &Grid, reach: f64) -> Vec<Option<usize>> {
         })
     };
     let mut edge_of: Vec<Option<usize>> = vec![None; grid.cells.len()];
-    // Each cell with the one at an edge whose surface may go on to its neighbours.
+    // Cells, each with the edge cell whose surface may continue to its neighbours.
     let mut queue: VecDeque<(usize, usize)> = (0..grid.cells.len()).map(|i| (i, i)).collect();
     while let Some((i, edge)) = queue.pop_front() {
         for to in beside(i).filter(|to| goes_on(edge, *to)) {

@@ -1,4 +1,4 @@
-//! Gaussians seeded on what moves: points that a frame shows, where they are in the canonical frame.
+//! Seeds on movers: points that a frame shows, carried to the canonical frame.
 
 use super::seed::seed_from_points;
 use super::surface::{lay, normal};
@@ -8,21 +8,21 @@ use crate::track::Track;
 use crate::types::Gaussians;
 use glam::{DQuat, DVec2, DVec3};
 
-/// A Gaussian to be.
+/// A seed of a Gaussian.
 pub(super) struct Seed {
-    /// At its canonical place.
+    /// The point at its canonical position, with its colour.
     point: Point,
-    /// Where it was seen.
+    /// The frame that shows it.
     frame: usize,
     pixel: DVec2,
     canonical_from_view: DQuat,
-    /// The normal of the surface that it lies on, if it is known, in the frame's camera.
+    /// The normal of its surface in the frame's camera, if known.
     normal: Option<DVec3>,
 }
 
 impl Seed {
-    /// A point in the world, of the object with number `owner`, that a frame shows in a pixel, in a
-    /// window; `None` where nothing carries it to the window's canonical frame.
+    /// A seed from a point in the world that belongs to the object with number `owner` and that a frame
+    /// shows at a pixel, for a window. `None` where no node carries it to the window's canonical frame.
     pub fn new(
         track: &Track,
         window: &Window,
@@ -43,25 +43,25 @@ impl Seed {
         })
     }
 
-    /// The same on a surface with this normal in the frame's camera.
+    /// The same seed on a surface with this normal in the frame's camera.
     pub fn facing(self, normal: DVec3) -> Seed {
         Seed { normal: Some(normal), ..self }
     }
 
-    /// The same on the surface that the frame's depth shows there.
+    /// The same seed on the surface that the frame's depth shows at its pixel.
     pub fn on_surface(self, track: &Track) -> Seed {
         let normal = normal(&track.depth[self.frame], &track.intrinsics, self.pixel);
         Seed { normal, ..self }
     }
 
-    /// Its cell in a grid of this size.
+    /// Its cell in a grid with cells of this size, world units.
     pub fn cell(&self, size: f64) -> [i64; 3] {
         let position = DVec3::from(self.point.position.map(f64::from));
         (position / size.max(1e-9)).floor().as_i64vec3().to_array()
     }
 }
 
-/// Gaussians on the seeds, laid along their surfaces.
+/// Gaussians at the seeds, aligned with their surfaces.
 pub(super) fn gaussians(track: &Track, seeds: &[Seed], sh_degree: u32) -> Gaussians {
     let points: Vec<Point> = seeds.iter().map(|seed| seed.point).collect();
     let mut gaussians = seed_from_points(&points, sh_degree);

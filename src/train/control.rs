@@ -1,44 +1,45 @@
-//! Control points added where the loss pulls, and removed where nothing follows them.
+//! Revision of the control points: they are added where the loss has large gradients, and removed where
+//! no Gaussian follows them.
 //!
-//! The importance of a control point is the mean of its followers' squared gradients by the place in
-//! the picture, each weighted as the follower follows it (4D3R's g_k; the gradient in the picture
-//! rather than in space, so that the scene's scale does not enter). Where it is several times the
-//! median, motion is too coarse there: a control point is added at the followers' mean, weighted
-//! alike. Its path is its parent's, and the network is a function of the place, so that its motion is
-//! known at once. All of it happens on the host: rounds are rare, and followers few.
+//! The importance of a control point is the mean of its followers' squared gradients with respect to the
+//! image position, weighted with their skinning weights (4D3R's g_k; the gradient in the image rather
+//! than in space, so that the scene's scale does not matter). Where it is several times the median, the
+//! motion is too coarse: a control point is added at the followers' weighted mean position. It inherits
+//! its parent's path; with a network its motion follows from its position. A round runs on the host,
+//! since rounds are rare and followers few.
 
 use super::settings::ControlSettings;
 use crate::types::ControlPoints;
 use glam::{DQuat, DVec3, Vec3};
 
-/// Where the sum of the weights with which a control point is followed is below this, nothing
-/// follows it.
+/// Sum of followers' weights below which a control point counts as not followed.
 const LEAST_SUPPORT: f64 = 1e-3;
-/// A new control point this near to an old one, in units of its parent's radius, would add nothing.
+/// Smallest distance of a new control point from the others, in units of its parent's radius; nearer
+/// ones would add nothing.
 const LEAST_DISTANCE: f64 = 0.1;
 
 /// The Gaussians that follow control points.
 pub(super) struct Followers<'a> {
     /// Their centres in the canonical frame.
     pub(super) positions: &'a [[f32; 3]],
-    /// Control points that each follows, as many for every one; beyond the last, `u32::MAX`.
+    /// Control points that each follows, the same number for each; missing ones are `u32::MAX`.
     pub(super) neighbours: &'a [u32],
-    /// Mean gradient norm by the place in the picture.
+    /// Mean norm of the gradient with respect to the image position.
     pub(super) pulls: &'a [f64],
 }
 
-/// What a round leaves.
+/// The decision of a round.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Revision {
-    /// Control points that stay, in order.
+    /// Control points that are kept, in order.
     pub(super) kept: Vec<usize>,
-    /// New ones: the parent's index, and where.
+    /// New control points: the parent's index, and the canonical position.
     pub(super) added: Vec<(usize, DVec3)>,
 }
 
 impl Revision {
-    /// The control points after the round. A new one goes as if it were fixed to its parent, of which
-    /// it takes radius and path.
+    /// The control points after the round. A new one moves as if it were rigidly attached to its parent,
+    /// whose radius and path it takes.
     pub(super) fn apply(&self, points: &ControlPoints) -> ControlPoints {
         let mut left = ControlPoints {
             positions: self.kept.iter().map(|&n| points.positions[n]).collect(),
@@ -60,8 +61,8 @@ impl Revision {
     }
 }
 
-/// The motion of a control point that is fixed to another of some motion, at an offset from it, and that is
-/// absent when the other is.
+/// The motion of a control point that is rigidly attached, at an offset, to another one with the given
+/// motion. It is absent when the other is.
 fn fixed_to(motion: [f32; 8], offset: DVec3) -> [f32; 8] {
     let [x, y, z, .., w, i, j, k] = motion.map(f64::from);
     let rotation = DQuat::from_xyzw(i, j, k, 1.0 + w);
@@ -74,7 +75,7 @@ fn fixed_to(motion: [f32; 8], offset: DVec3) -> [f32; 8] {
     [moved.x, moved.y, moved.z, fade, w, i, j, k]
 }
 
-/// Decides a round. At least as many as a Gaussian follows are kept.
+/// Decides a round. At least as many control points are kept as a Gaussian follows.
 pub(super) fn revise(
     points: &ControlPoints,
     followers: &Followers<'_>,
@@ -124,7 +125,7 @@ pub(super) fn revise(
     Revision { kept, added }
 }
 
-/// The normalised weights with which a place follows its neighbours, as skinning has them.
+/// The normalised weights with which a position follows its neighbours, as in skinning.
 fn weights<'a>(
     position: DVec3,
     near: &'a [u32],
@@ -155,8 +156,8 @@ fn weights<'a>(
 mod tests {
     use super::*;
 
-    /// Control points 1 apart on a line, with ten followers between each and the next but for the
-    /// last two, which nothing is near to.
+    /// Control points 1 apart on a line, with ten followers in each gap between neighbours, except
+    /// beside the last two, which nothing is near.
     fn line() -> (ControlPoints, Vec<[f32; 3]>, Vec<u32>) {
         let points = ControlPoints {
             positions: (0..12).map(|i| [i as f32, 0.0, 0.0]).collect(),

@@ -1,11 +1,11 @@
-//! The flanks of what moves: a guess at what lies behind its outline.
+//! Unseen sides (flanks) of movers: a guess at what lies behind a mover's outline.
 //!
-//! A frame shows the front of a thing. From aside its flank comes into view, which no frame may ever show:
-//! the roof of a car that is filmed from the pavement. A thing is taken to be two thirds as thick as it is wide
-//! at that place, and its flank goes on behind the outline along the line of sight, in the colour just
-//! within. Of the thickness as much is left out as the front shows already by bulging, on both sides of the
-//! outline. Where a flank would stick out over what stands still in frames in which the outline itself does
-//! not, it is not there.
+//! A frame shows the front of an object. From an offset camera its side comes into view, which no frame
+//! may ever show: the roof of a car that is filmed from the pavement. An object is assumed to be two
+//! thirds as thick as it is wide at that place, and its side continues behind the outline along the line
+//! of sight, in the colour just inside the outline. The thickness is reduced by what the front already
+//! shows by bulging, on both sides of the outline. Where the side would project over static pixels in
+//! frames in which the outline itself does not, the side ends.
 
 use super::mesh::{STILL, surface};
 use crate::track::Track;
@@ -15,42 +15,43 @@ use rayon::prelude::*;
 use std::collections::VecDeque;
 use std::f32::consts::SQRT_2;
 
-/// Thickness of a thing, in units of its width.
+/// Thickness of an object, in units of its width.
 const THICK: f64 = 0.65;
-/// The colour is that of the pixel so far within the outline: nearer ones show what lies behind as well.
+/// Distance inside the outline of the pixel that gives the colour, pixels; nearer pixels are mixed with
+/// the background.
 const WITHIN: f32 = 2.0;
-/// So many frames, spread over the clip, tell whether a flank is there.
+/// Number of frames, spread over the clip, that are checked for whether a side exists.
 const WITNESSES: usize = 16;
-/// Flanks are looked for at so many places along their depth.
+/// Number of depths along a side at which it is checked.
 const STEPS: u32 = 6;
-/// A mask is good to so many pixels.
+/// Accuracy of a mask, pixels.
 const MASK_ERROR: usize = 2;
-/// A place is bare if it sticks out in so many frames, and in more than this share of those that would show
-/// it: single masks are wrong.
+/// A place does not belong to the mover if it is off the mask in this many frames, and in more than this
+/// share of those that would show it. Single masks may be wrong.
 const BARE: (usize, f64) = (2, 0.1);
 
-/// What goes on behind a pixel of a thing's outline.
+/// The unseen side behind a pixel of an object's outline.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Flank {
-    /// So far along the line of sight, in units of the depth.
+    /// Its length along the line of sight, in depth units.
     pub depth: f64,
     /// RGB.
     pub colour: [f32; 3],
-    /// The direction in the picture that it faces.
+    /// The direction in the image that it faces.
     outwards: DVec2,
 }
 
-/// A point on a flank.
+/// A point on an unseen side.
 pub(super) struct FlankPoint {
     pub pixel: DVec2,
     /// Its depth (z) in the frame's camera.
     pub depth: f64,
     pub colour: [f32; 3],
-    /// The flank's unit normal, in the camera's frame.
+    /// The side's unit normal, in the camera frame.
     pub normal: DVec3,
 }
 
-/// Flanks behind the pixels of each frame, row by row; `None` but for the pixels of outlines.
+/// The unseen sides behind the pixels of each frame, row by row; `None` except for pixels of outlines.
 pub(super) fn flanks(track: &Track, frames: &[Image]) -> Vec<Vec<Option<Flank>>> {
     let witnesses = Witnesses::of(track);
     let of_frame = |(frame, image): (usize, &Image)| {
@@ -68,7 +69,7 @@ pub(super) fn flanks(track: &Track, frames: &[Image]) -> Vec<Vec<Option<Flank>>>
     frames.par_iter().enumerate().map(of_frame).collect()
 }
 
-/// Points on a frame's flanks, so many pixels apart.
+/// Points on a frame's unseen sides, `spacing` pixels apart.
 pub(super) fn points(
     track: &Track,
     frame: usize,
@@ -91,7 +92,7 @@ pub(super) fn points(
     points
 }
 
-/// What of a frame's flanks its own picture tells.
+/// The unseen sides of a frame as estimated from that frame alone.
 fn behind(surfaces: &[u32], depth: &Image, image: &Image, fx: f64) -> Vec<Option<Flank>> {
     let size = IVec2::new(depth.width as i32, depth.height as i32);
     if surfaces.iter().all(|surface| *surface == STILL) {
@@ -123,7 +124,7 @@ fn behind(surfaces: &[u32], depth: &Image, image: &Image, fx: f64) -> Vec<Option
     (0..surfaces.len()).map(flank).collect()
 }
 
-/// The frames that tell whether flanks are there.
+/// The frames that are checked for whether sides exist.
 struct Witnesses<'a> {
     track: &'a Track,
     witnesses: Vec<Witness>,
@@ -131,7 +132,8 @@ struct Witnesses<'a> {
 
 struct Witness {
     frame: usize,
-    /// Of each pixel, whether something that moves is next to it, and within what masks are good to.
+    /// For each pixel, whether it is within one pixel of a mover (`beside`), and within the accuracy of
+    /// masks (`near`).
     beside: Vec<bool>,
     near: Vec<bool>,
 }
@@ -147,8 +149,8 @@ impl<'a> Witnesses<'a> {
         Witnesses { track, witnesses: frames.map(witness).collect() }
     }
 
-    /// How much of a flank behind a frame's pixel other frames do not show to be missing: of those that
-    /// show the outline itself on what moves.
+    /// The length of the side behind a frame's pixel that other frames do not contradict, among frames
+    /// that show the outline itself on a mover.
     fn there(&self, frame: usize, i: usize, depth: f64) -> f64 {
         let track = self.track;
         let ray = track.intrinsics.ray(middle_of(i, track.depth[frame].width));
@@ -177,7 +179,8 @@ impl<'a> Witnesses<'a> {
         so_far(first_bare.map_or(STEPS, |step| step - 1))
     }
 
-    /// The number of the pixel in which a frame would show a point, and whether something hides it there.
+    /// The index of the pixel in which a frame would show a point, and whether a nearer surface hides
+    /// the point there.
     fn seen(&self, point: DVec3, frame: usize) -> Option<(usize, bool)> {
         let (intrinsics, depth) = (&self.track.intrinsics, &self.track.depth[frame]);
         let point = self.track.view_from_world[frame].apply(point);
@@ -191,8 +194,8 @@ impl<'a> Witnesses<'a> {
     }
 }
 
-/// How far each pixel is from the next one of another surface, in pixels, along steps to the eight
-/// neighbours. Things go on over the border of the picture.
+/// The distance of each pixel from the nearest one of another surface, in pixels, along steps to the
+/// eight neighbours. Objects are taken to continue over the border of the image.
 fn distances(surfaces: &[u32], size: IVec2) -> Vec<f32> {
     const BEFORE: [((i32, i32), f32); 4] =
         [((-1, 0), 1.0), ((-1, -1), SQRT_2), ((0, -1), 1.0), ((1, -1), SQRT_2)];
@@ -211,8 +214,8 @@ fn distances(surfaces: &[u32], size: IVec2) -> Vec<f32> {
     distance
 }
 
-/// For each pixel of what moves the middle of the largest disc within its surface that it lies in, or in
-/// a corner that no disc reaches, lies next to.
+/// For each pixel of a mover, the centre of the largest disc within its surface that contains the pixel;
+/// for a pixel in a corner that no disc contains, that of an adjacent pixel.
 fn middles(surfaces: &[u32], distance: &[f32], size: IVec2) -> Vec<usize> {
     let square = |reach: i32| {
         (-reach..=reach).flat_map(move |y| (-reach..=reach).map(move |x| IVec2::new(x, y)))
@@ -254,7 +257,7 @@ fn index(pixel: IVec2, size: IVec2) -> Option<usize> {
     inside.then(|| (pixel.y * size.x + pixel.x) as usize)
 }
 
-/// The middle of a pixel, by its number.
+/// The centre of a pixel, by its index.
 fn middle_of(i: usize, width: u32) -> DVec2 {
     DVec2::new((i as u32 % width) as f64 + 0.5, (i as u32 / width) as f64 + 0.5)
 }
@@ -272,7 +275,8 @@ mod tests {
 
     const SIZE: (u32, u32) = (96, 64);
     const FOCAL: f64 = 100.0;
-    /// Of the wall, of the middle of what moves before it, and half of how wide and high that is.
+    /// Depth of the wall, depth of the middle of the mover before it, and half the mover's width and
+    /// height.
     const WALL: f32 = 4.0;
     const DEPTH: f64 = 2.0;
     const HALF: (f64, f64) = (0.4, 0.2);
@@ -285,7 +289,7 @@ mod tests {
         Image::new(SIZE.0, SIZE.1, channels)
     }
 
-    /// The depth of what bulges by so much over its outline, before the wall.
+    /// The depth of a mover that bulges by `bulge` over its outline, before the wall.
     fn bulging(bulge: f64) -> (Image, Vec<u32>) {
         let (mut depth, mut surfaces) = (image(1), Vec::new());
         for (i, z) in depth.pixels.iter_mut().enumerate() {
@@ -299,7 +303,7 @@ mod tests {
         (depth, surfaces)
     }
 
-    /// What has a border of another colour, a pixel wide, as masks have.
+    /// An image whose mover has a border of another colour, one pixel wide, as masks have.
     fn picture(surfaces: &[u32]) -> Image {
         let distance = distances(surfaces, IVec2::new(SIZE.0 as i32, SIZE.1 as i32));
         let mut image = image(3);
@@ -343,7 +347,7 @@ mod tests {
         let (mut depth, mut surfaces) = bulging(0.0);
         for i in 0..surfaces.len() {
             let (x, y) = (i as u32 % SIZE.0, i as u32 / SIZE.0);
-            // A post before its left half; its right half goes on to the border.
+            // A post stands before its left half; its right half continues to the border.
             if x < 40 {
                 (depth.pixels[i], surfaces[i]) = (1.0, STILL);
             } else if (22..42).contains(&y) {
@@ -393,7 +397,7 @@ mod tests {
             let weight = view.weights.as_ref().unwrap().at(48, row)[0];
             (weight, view.image.at(48, row)[0], view.disparity.as_ref().unwrap().at(48, row)[0])
         };
-        // The front ends at row 47, the flank, 0.26 deep, at 44.1; nothing is known of what is above it.
+        // The front ends at row 47, the side, 0.26 deep, at row 44.1; nothing is known above it.
         for row in [45, 46] {
             let (weight, red, disparity) = shown(&above, row);
             assert_eq!((weight, red), (0.5, 0.8), "row {row}");
@@ -406,8 +410,8 @@ mod tests {
         }
     }
 
-    /// A box of some thickness that turns by so much in each of nine frames about its front's middle, as
-    /// a camera that stands still shows it.
+    /// A box of some thickness that turns by `by` in each of nine frames about the middle of its front,
+    /// as a static camera shows it.
     fn turning(thickness: f64, by: f64) -> (Track, Vec<Image>) {
         let frames = 9;
         let turn = |frame: usize| DQuat::from_rotation_y(by * frame as f64);
@@ -490,7 +494,7 @@ mod tests {
         };
         let guess = depth(0.12, 0.0);
         assert!((guess - THICK * 2.0 * HALF.1).abs() < 0.05, "{guess}");
-        // What is behind the outline is within two pixels and a step.
+        // The found thickness is accurate to two pixels and a step.
         let error = 0.04 + guess / f64::from(STEPS);
         for thickness in [0.02, 0.12, 0.2] {
             let found = depth(thickness, -0.17);

@@ -1,4 +1,4 @@
-//! The pictures on the device, and a renderer for each of their sizes.
+//! The training views on the device, and the frame resources for each of their sizes.
 
 use super::settings::TrainSettings;
 use super::views::TrainingView;
@@ -9,19 +9,19 @@ use crate::types::{Camera, RasterKind, RenderSettings};
 use crate::{Error, Result};
 use std::collections::BTreeMap;
 
-/// A picture to train on, on the device.
+/// A training view on the device.
 pub(super) struct DeviceView {
     pub(super) camera: Camera,
     pub(super) time: f64,
     pub(super) reference: Reference,
     pub(super) disparity: Option<KnownDisparity>,
     pub(super) mask: Option<Buffer<f32>>,
-    /// It is shown in one of so many rounds.
+    /// The view takes part in one of this many rounds.
     pub(super) every: u32,
 }
 
 impl DeviceView {
-    /// Uploads a picture and all that is known of it.
+    /// Uploads a training view.
     pub(super) fn new(device: &Device, view: &TrainingView) -> Result<DeviceView> {
         let k = view.camera.intrinsics;
         if (k.width, k.height) != (view.image.width, view.image.height) {
@@ -71,7 +71,8 @@ impl DeviceView {
     }
 }
 
-/// Everything that rendering and comparing pictures of one size needs.
+/// Frame resources: everything that rendering images of one size and comparing them with references
+/// needs.
 pub(super) struct FrameResources {
     pub(super) render: Render,
     pub(super) scratch: RenderScratch,
@@ -106,36 +107,37 @@ impl FrameResources {
     }
 }
 
-/// The studios by size of picture.
+/// Frame resources by image size.
 pub(super) struct FramePool {
     by_size: BTreeMap<(u32, u32), FrameResources>,
     capacity: Capacity,
     how: How,
 }
 
-/// What a trainer has room for.
+/// The capacity of a trainer's buffers.
 #[derive(Clone, Copy)]
 pub(super) struct Capacity {
     pub(super) gaussians: usize,
-    /// (splat, tile) pairs of a picture, at first.
+    /// Initial capacity for (splat, tile) pairs of a frame.
     intersections: usize,
 }
 
 impl Capacity {
-    /// For a training that begins with so many Gaussians. A few pairs for each that there may be:
-    /// which pictures come again depends on it, so it does not follow how far growth gets.
+    /// The capacity for a training that begins with `first` Gaussians. The pairs are proportional to the
+    /// largest permitted number of Gaussians rather than to the number that growth can reach: which
+    /// steps are repeated depends on this capacity.
     pub(super) fn of(settings: &TrainSettings, first: usize) -> Capacity {
         let most = settings.max_gaussians.max(first);
         let intersections = most.saturating_mul(4).max(1 << 14);
         Capacity { gaussians: settings.reachable(first), intersections }
     }
 
-    /// Whether a picture may have so many (splat, tile) pairs.
+    /// Whether a frame with this many (splat, tile) pairs fits.
     pub(super) fn holds(&self, intersections: usize) -> bool {
         intersections <= self.intersections
     }
 
-    /// The same, once a picture had so many (splat, tile) pairs.
+    /// The capacity after a frame with this many (splat, tile) pairs.
     pub(super) fn after(self, intersections: usize) -> Capacity {
         match self.holds(intersections) {
             true => self,
@@ -144,12 +146,12 @@ impl Capacity {
     }
 }
 
-/// Room for more (splat, tile) pairs than a picture had, which the next may have.
+/// The new capacity after a frame needed `needed` (splat, tile) pairs: half as many again.
 fn grown(needed: usize) -> usize {
     needed.saturating_add(needed / 2)
 }
 
-/// Constants of blending, bits of depth that decide the order, how an image is blended.
+/// Blending settings, number of depth bits for sorting, blending kernel.
 type How = (RenderSettings, u32, RasterKind);
 
 impl FramePool {
@@ -158,7 +160,8 @@ impl FramePool {
         FramePool { by_size: BTreeMap::new(), capacity, how }
     }
 
-    /// The studio for a size; made at first use, with room for a few intersections per Gaussian.
+    /// The frame resources for an image size, in pixels. They are allocated at the first use, with the
+    /// initial capacity for intersections.
     pub(super) fn for_size(&mut self, device: &Device, size: (u32, u32)) -> Result<&mut FrameResources> {
         if !self.by_size.contains_key(&size) {
             self.insert(device, size, self.capacity.intersections)?;
@@ -166,23 +169,23 @@ impl FramePool {
         Ok(self.by_size.get_mut(&size).expect("made above"))
     }
 
-    /// Room for intersections by size of picture.
+    /// The capacity for intersections of each image size.
     pub(super) fn capacities(&self) -> Vec<((u32, u32), usize)> {
         let capacity = |resources: &FrameResources| resources.render.intersection_capacity();
         self.by_size.iter().map(|(&size, resources)| (size, capacity(resources))).collect()
     }
 
-    /// Makes the studio for a size, with this much room for intersections.
+    /// Allocates the frame resources for a size, with this capacity for intersections.
     pub(super) fn reserve(&mut self, device: &Device, size: (u32, u32), capacity: usize) -> Result<()> {
         self.insert(device, size, capacity)
     }
 
-    /// Makes a studio anew with more room for intersections, where there is memory for it. What the old
-    /// one holds lives on until the device is done with it.
+    /// Replaces frame resources by ones with a larger capacity for intersections, if the memory
+    /// suffices. The old buffers are freed once the device has finished with them.
     pub(super) fn grow(&mut self, device: &Device, size: (u32, u32), needed: usize) -> Result<()> {
         self.by_size.remove(&size);
         let capacity = grown(needed);
-        // Systems promise more memory than they have.
+        // Checked beforehand, since systems grant more memory than they have.
         Rehearsal::of(device, |rehearsal| {
             FrameResources::new(rehearsal.device(), self.capacity.gaussians, capacity, size, self.how).map(drop)
         })?
@@ -190,7 +193,8 @@ impl FramePool {
         self.insert(device, size, capacity)
     }
 
-    /// Does, in a rehearsal, what growing from another room does: for a moment both are there.
+    /// In a rehearsal, allocates the additional resources that exist while the frame resources grow from
+    /// a smaller capacity: for a moment both the old and the new ones are present.
     pub(super) fn rehearse_growth(&self, device: &Device, first: Capacity) -> Result<()> {
         let sizes = self.by_size.keys();
         let largest = sizes.max_by_key(|(width, height)| u64::from(*width) * u64::from(*height));

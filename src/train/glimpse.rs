@@ -1,4 +1,4 @@
-//! The scene as it is while it is trained, for who looks on.
+//! Previews: the scene in its current state of training, for an observer.
 
 use super::observer::{Checkpoint, Measured, Observer, Phase};
 use super::trainer::Trainer;
@@ -7,8 +7,8 @@ use crate::ops::loss::LossValue;
 use crate::scene::Scene;
 
 impl Trainer {
-    /// Waits and copies the scene as it is, in the unit of training. Training goes the same way whether it was
-    /// copied or not.
+    /// Waits and copies the current scene, in the unit of training. Copying it does not change the
+    /// course of the training.
     ///
     /// # Errors
     /// As for [`step`](Self::step).
@@ -26,8 +26,8 @@ impl Trainer {
     }
 }
 
-/// An observer to whom scenes are shown as `place` leaves them: in the unit and with the cameras of the
-/// finished one.
+/// An observer that passes scenes on after `place` has changed them: to the unit and cameras of the
+/// finished scene.
 pub struct Placed<'a> {
     pub inner: &'a mut dyn Observer,
     pub place: &'a dyn Fn(&mut Scene),

@@ -1,4 +1,5 @@
-//! Where the nodes of a tracked clip's scaffold are at every frame: what control points start from.
+//! Cameras of a tracked clip, and the paths of its scaffold's nodes, which initialise the control
+//! points.
 
 use super::windows::Window;
 use crate::track::Track;
@@ -6,7 +7,7 @@ use crate::track::scaffold::Node;
 pub(super) use crate::track::scaffold::value;
 use crate::types::{Camera, ControlPoints};
 
-/// Above this a pixel of a mask counts as moving.
+/// Mask value above which a pixel counts as moving.
 pub(super) const MOVING: f32 = 0.5;
 
 /// The camera of a frame.
@@ -14,9 +15,9 @@ pub(super) fn camera(track: &Track, frame: usize) -> Camera {
     Camera { intrinsics: track.intrinsics, view_from_world: track.view_from_world[frame] }
 }
 
-/// A node's motions from its canonical place in a window at so many even times over the frames, as
-/// [`ControlPoints::paths`] has them: absent outside the window's frames and, with `lifespans`, when the
-/// node is.
+/// A node's motions from its canonical position in a window, at `keys` evenly spaced times over the
+/// frames, laid out as in [`ControlPoints::paths`]. The node is absent outside the window's frames and,
+/// with `lifespans`, outside its own life.
 pub(super) fn path(node: &Node, window: &Window, keys: usize, lifespans: bool) -> Vec<[f32; 8]> {
     let poses = &node.world_from_node;
     let (last, origin) = (poses.len() - 1, poses[window.canonical]);
@@ -33,7 +34,8 @@ pub(super) fn path(node: &Node, window: &Window, keys: usize, lifespans: bool) -
             let t = poses[frame].translation.lerp(poses[next].translation, u) - place;
             let turned = poses[frame].rotation.slerp(poses[next].rotation, u);
             let q = turned * origin.rotation.conjugate();
-            // Of the two quaternions of a rotation the one on the side of the key before.
+            // Of the two quaternions of the rotation, this takes the one in the hemisphere of the
+            // previous key's.
             let q = if q.dot(before) < 0.0 { -q } else { q };
             before = q;
             let alive = is_there(frame) || (u > 0.0 && is_there(next));
@@ -69,7 +71,7 @@ mod tests {
         let fades = |frames, keys: usize, lifespans| -> Vec<f32> {
             let path = path(&node, &window(frames), keys, lifespans);
             path.iter().for_each(|key| assert!(key[0].is_finite() && key[1] == 0.0));
-            // From its canonical place, 7 to the right of where it is in frame 4.
+            // Relative to its canonical position, 7 to the right of its position in frame 4.
             assert_eq!((path[0][0], path[keys - 1][0]), (-11.0, -3.0));
             path.iter().map(|key| key[3]).collect()
         };
@@ -77,7 +79,7 @@ mod tests {
         assert_eq!(fades(0..9, 9, true), [gone, gone, gone, 0.0, 0.0, 0.0, gone, gone, gone]);
         // A key between a frame in which it is there and one in which it is not.
         assert_eq!(fades(0..9, 4, true), [gone, 0.0, 0.0, gone]);
-        // Nor outside its window.
+        // It is absent outside its window, too.
         assert_eq!(fades(4..9, 9, true)[..5], [gone, gone, gone, gone, 0.0]);
         assert_eq!(fades(4..9, 9, false), [gone, gone, gone, gone, 0.0, 0.0, 0.0, 0.0, 0.0]);
     }

@@ -1,7 +1,7 @@
-//! Frames as meshes over their pixels, drawn before other cameras.
+//! Frames as meshes over their pixels, rasterised for other cameras.
 //!
-//! A mesh is torn where depth jumps and where one thing ends. Behind the outline of what moves its flank
-//! ([`flank`](super::flank)) is drawn there.
+//! A mesh is torn where the depth jumps and where an object ends. Behind the outline of a mover its
+//! unseen side ([`flank`](super::flank)) is drawn there.
 
 use super::flank::Flank;
 use super::lifting::MOVING;
@@ -9,52 +9,52 @@ use super::views::TrainingView;
 use crate::types::{Camera, Image};
 use glam::DVec2;
 
-/// Neighbouring pixels whose inverse depths differ by more than this share, besides what their
-/// surface's slope explains, lie on different surfaces.
+/// Relative difference of neighbouring pixels' inverse depths, beyond what their surface's slope
+/// explains, above which the pixels lie on different surfaces.
 const JUMP: f64 = 0.03;
-/// A triangle of the mesh that is drawn larger than so many pixels shows too little.
+/// Largest area of a projected triangle that is shown, pixels.
 const LARGEST: f64 = 3.0;
-/// A pixel beside one that is nearer by this share of its inverse depth lies behind an edge: a mesh
-/// ends at the middles of pixels, what it shows half a pixel farther.
+/// A pixel next to one whose inverse depth is larger by this share lies behind an edge. A mesh ends at
+/// pixel centres, but the surface that it shows extends half a pixel farther.
 const BEFORE: f64 = 0.06;
-/// Nearer than this share of a pixel's depth before the frame's camera, nothing is drawn.
+/// Near limit, as a share of a pixel's depth in its own frame; nothing nearer is drawn.
 const NEAREST: f64 = 0.05;
-/// The weight of a flank, where what is seen has 1.
+/// The weight of an unseen side; observed pixels have 1.
 const FLANK: f32 = 0.5;
-/// The surface of all that stands still.
+/// The surface index of everything static.
 pub(super) const STILL: u32 = 0;
 
-/// A frame as training sees it, with what tells things apart, one channel each.
+/// A frame as training sees it, with images of one channel each that separate objects.
 #[derive(Clone, Copy)]
 pub(super) struct Frame<'a> {
-    /// Its picture and its camera; what has weight and a weighted disparity is shown.
+    /// Its image and camera; pixels with a weight and a weighted disparity are shown.
     pub view: &'a TrainingView,
-    /// Depth of every pixel: what is not shown hides what lies behind it.
+    /// Depth of every pixel; pixels that are not shown still hide what lies behind them.
     pub depth: &'a Image,
-    /// Above [`MOVING`] on what moves.
+    /// Motion mask: above [`MOVING`] on movers.
     pub mask: &'a Image,
-    /// The number of the thing that moves.
+    /// The index of the mover.
     pub owners: &'a Image,
-    /// What goes on behind the pixels of outlines; may be empty.
+    /// The unseen sides behind the pixels of outlines; may be empty.
     pub flanks: &'a [Option<Flank>],
 }
 
-/// What a pixel shows.
+/// The content of a pixel.
 #[derive(Clone, Copy)]
 pub(super) struct Cell {
     pub inverse_depth: f64,
     /// RGB.
     pub colour: [f32; 3],
-    /// 0 where the depth is not known well enough to be shown.
+    /// 0 where the depth is not accurate enough to be shown.
     pub weight: f32,
-    /// [`STILL`], or the thing that moves.
+    /// [`STILL`], or the index of the mover's surface.
     pub surface: u32,
-    /// What goes on behind it if it is of an outline.
+    /// The unseen side behind it, if the pixel is on an outline.
     pub flank: Option<Flank>,
 }
 
 impl Frame<'_> {
-    /// `None` outside of the frame, and where there is no depth.
+    /// The cell of a pixel; `None` outside of the frame, and where there is no depth.
     fn cell(&self, (x, y): (i64, i64)) -> Option<Cell> {
         let inside = |v: i64, end: u32| u32::try_from(v).ok().filter(|v| *v < end);
         let (x, y) = (inside(x, self.depth.width)?, inside(y, self.depth.height)?);
@@ -78,9 +78,9 @@ pub(super) fn surface(mask: f32, owner: f32) -> u32 {
     2 * owner as u32 + u32::from(mask > MOVING)
 }
 
-/// The cells of a frame's pixels, and of those around it.
+/// The cells of a frame's pixels, and of a margin around them.
 pub(super) struct Grid {
-    /// Columns and rows around the frame.
+    /// Width of the margin around the frame, cells.
     margin: i64,
     width: usize,
     height: usize,
@@ -89,7 +89,7 @@ pub(super) struct Grid {
 }
 
 impl Grid {
-    /// What a frame shows, within a margin of cells that it does not show.
+    /// The cells of a frame, within a margin of empty cells.
     pub fn of(frame: &Frame<'_>, margin: u32) -> Grid {
         let [width, height] =
             [frame.depth.width, frame.depth.height].map(|size| (size + 2 * margin) as usize);
@@ -103,7 +103,7 @@ impl Grid {
         ((i % self.width) as i64 - self.margin, (i / self.width) as i64 - self.margin)
     }
 
-    /// The cell of a pixel, if the grid reaches as far.
+    /// The index of a pixel's cell; `None` outside of the grid.
     pub fn index(&self, (x, y): (i64, i64)) -> Option<usize> {
         let inside =
             |v: i64, end: usize| usize::try_from(v + self.margin).ok().filter(|v| *v < end);
@@ -118,7 +118,7 @@ impl Grid {
     fn together(&self, (x, y): (i64, i64), (dx, dy): (i64, i64)) -> bool {
         let at = |k: i64| self.at((x + k * dx, y + k * dy));
         let (Some(here), Some(next)) = (at(0), at(1)) else { return false };
-        // On a plane inverse depth is linear.
+        // On a plane, the inverse depth is linear.
         let change = |a: Cell, b: Cell| (b.inverse_depth - a.inverse_depth).abs();
         let slopes =
             [at(-1).map(|before| change(before, here)), at(2).map(|after| change(next, after))];
@@ -128,7 +128,7 @@ impl Grid {
     }
 }
 
-/// A cell before the camera that is drawn for.
+/// A cell, projected into the camera that is rendered.
 #[derive(Clone, Copy)]
 struct Corner {
     pixel: DVec2,
@@ -136,7 +136,7 @@ struct Corner {
     cell: Cell,
 }
 
-/// A picture that is being drawn.
+/// An image that is being rendered.
 pub(super) struct Canvas {
     camera: Camera,
     image: Image,
@@ -156,9 +156,9 @@ impl Canvas {
         }
     }
 
-    /// Draws all that a camera's grid shows. What is not shown hides what lies behind it: cells
-    /// without weight, triangles that are drawn too large, and what tears between movers and others.
-    /// Where what stands still is torn nothing is drawn.
+    /// Draws a camera's grid. Parts that are not shown still hide what lies behind them: cells without
+    /// weight, triangles that are projected too large, and tears between movers and other surfaces.
+    /// Nothing is drawn at tears within the static scene.
     pub fn draw(&mut self, camera: &Camera, grid: &Grid) {
         self.triangles(camera, grid, |canvas, corners, whole| {
             let still = corners.iter().all(|corner| corner.cell.surface == STILL);
@@ -168,7 +168,7 @@ impl Canvas {
         });
     }
 
-    /// Draws only what stands still and is shown.
+    /// Draws only the shown parts of the static scene.
     pub fn draw_still(&mut self, camera: &Camera, grid: &Grid) {
         self.triangles(camera, grid, |canvas, corners, whole| {
             let shown = |corner: &Corner| corner.cell.surface == STILL && corner.cell.weight > 0.0;
@@ -178,7 +178,7 @@ impl Canvas {
         });
     }
 
-    /// Calls `fill` for every triangle of the mesh, with whether it is whole.
+    /// Calls `fill` for every triangle of the mesh, and passes whether it is whole rather than torn.
     fn triangles(
         &mut self,
         camera: &Camera,
@@ -212,12 +212,12 @@ impl Canvas {
         }
     }
 
-    /// Draws a triangle before what lies behind it; one that is torn or stretched hides, and shows nothing
-    /// but the flank behind what moves.
+    /// Draws a triangle with a depth test. A torn or stretched one hides what lies behind it and shows
+    /// only the unseen side behind a mover.
     fn fill(&mut self, corners: [Corner; 3], whole: bool) {
         let [a, b, c] = corners.map(|corner| corner.pixel);
         let doubled = (b - a).perp_dot(c - a);
-        // Seen from behind.
+        // The triangle is seen from behind.
         if doubled.is_nan() || doubled <= 1e-9 {
             return;
         }
@@ -261,8 +261,8 @@ impl Canvas {
         }
     }
 
-    /// Takes over from another picture before the same camera what it shows where this one shows and
-    /// hides nothing.
+    /// Fills pixels in which nothing has been drawn, shown or hidden, from another canvas of the same
+    /// camera.
     pub fn complete(&mut self, other: &Canvas) {
         for (i, inverse_depth) in self.inverse_depth.iter_mut().enumerate() {
             if *inverse_depth == 0.0 {
@@ -274,8 +274,8 @@ impl Canvas {
         }
     }
 
-    /// What has been drawn, at a time, as a picture to train on. Pixels next to what is not shown have
-    /// no weight: the mesh ends within them.
+    /// Converts the canvas to a training view at `time`. Pixels next to pixels that are not shown get no
+    /// weight, since the mesh ends within them.
     pub fn view(mut self, time: f64) -> TrainingView {
         self.trim();
         let (width, height) = (self.image.width, self.image.height);
@@ -297,7 +297,8 @@ impl Canvas {
         }
     }
 
-    /// Takes the weight from pixels next to what is not shown, and behind what is nearer.
+    /// Sets the weight to 0 for pixels next to ones that are not shown, and for pixels next to a nearer
+    /// surface.
     fn trim(&mut self) {
         let (width, height) = (self.weights.width as usize, self.weights.height as usize);
         let weights = self.weights.pixels.clone();
@@ -320,7 +321,8 @@ impl Canvas {
     }
 }
 
-/// Where the flank ends that goes on from the nearest corner of a torn triangle, and what it shows.
+/// The end of the unseen side that continues from the nearest corner of a torn triangle, with its colour
+/// and weight.
 fn flank(corners: &[Corner; 3]) -> Option<Corner> {
     let nearest = corners.iter().max_by(|a, b| a.inverse_depth.total_cmp(&b.inverse_depth))?;
     let Flank { depth, colour, .. } = nearest.cell.flank?;
@@ -329,7 +331,7 @@ fn flank(corners: &[Corner; 3]) -> Option<Corner> {
     Some(Corner { inverse_depth, cell, ..*nearest })
 }
 
-/// Of a triangle, as it is drawn, in pixels.
+/// The area of a projected triangle, pixels.
 fn area(corners: &[Corner; 3]) -> f64 {
     let [a, b, c] = corners.map(|corner| corner.pixel);
     0.5 * (b - a).perp_dot(c - a)

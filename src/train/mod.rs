@@ -1,37 +1,37 @@
-//! Training: from posed pictures and points to Gaussians, and from these to a moving scene.
+//! Training: from posed images and points to Gaussians, and from these to a moving scene.
 //!
 //! | module | what it does |
 //! |---|---|
 //! | [`seed`] | the first Gaussians, from points |
-//! | `surface` | Gaussians laid along the surfaces that the depth shows |
-//! | [`region`] | points where there are none |
-//! | [`scale`] | what a training takes of a device's memory, before it begins |
+//! | `surface` | aligns Gaussians with the surfaces that the depth shows |
+//! | [`region`] | random initial points where none are given |
+//! | [`scale`] | the device memory that a training needs, computed before it begins |
 //! | [`sampling`] | farthest-point sampling, for control points |
-//! | `windows` | stretches of a clip in which what moves has Gaussians and control points of its own |
-//! | `carried` | Gaussians seeded on what moves: points of a frame in the canonical one |
-//! | `movers` | the first Gaussians on what moves |
+//! | `windows` | intervals of a clip in which the movers have their own Gaussians and control points |
+//! | `carried` | seeds on movers: points of a frame, carried to the canonical frame |
+//! | `movers` | the first Gaussians on the movers |
 //! | `shadow` | Gaussians for the shadows of movers |
-//! | [`settings`] | every number that training depends on |
-//! | [`views`] | the pictures to train on |
-//! | `aside` | pictures from where no camera was, drawn from a tracked clip's frames by their depth |
-//! | `flank` | what of movers these show where no frame does |
-//! | `mesh` | frames as meshes over their pixels, drawn before other cameras |
-//! | `beyond` | what lies beyond the edges of what a frame shows: a guess |
-//! | [`frame_pool`] | the pictures on the device, and the renderer for each of their sizes |
+//! | [`settings`] | every setting of training |
+//! | [`views`] | the training views |
+//! | `aside` | views from offset cameras, rendered from a tracked clip's frames and their depth |
+//! | `flank` | the unseen sides of movers: a guess |
+//! | `mesh` | frames as meshes over their pixels, rasterised for other cameras |
+//! | `beyond` | extrapolation of surfaces beyond the edges of what a frame shows |
+//! | [`frame_pool`] | the training views on the device, and the frame resources for each image size |
 //! | [`optimiser`] | Adam over the Gaussians' parameter groups |
 //! | [`own_loss`] | a step with the caller's own loss |
 //! | [`growth`] | density control: MCMC, or clone, split and prune |
-//! | [`motion`] | the control points, and their paths or the network that moves them |
+//! | [`motion`] | training of the control points' paths or of the network that moves them |
 //! | [`control`] | control points added and removed |
 //! | [`selection`] | which Gaussians move |
-//! | `lifting` | pixels of a tracked clip in the world, and the paths of its nodes |
-//! | [`posed`] | from posed pictures of a moving scene to a scene |
-//! | [`preset`] | sizes, steps and caps by quality and device |
+//! | `lifting` | a tracked clip's cameras, and the paths of its scaffold's nodes |
+//! | [`posed`] | from posed images of a moving scene to a scene |
+//! | [`preset`] | image sizes, steps and limits by quality and device |
 //! | [`sequence`] | from a tracked clip to a scene |
-//! | [`observer`] | who looks on: progress, checkpoints |
-//! | `glimpse` | the scene as it is while it is trained |
-//! | [`state`] | a trainer's state, to put away and resume from |
-//! | [`rounds`] | what happens between some steps: growth, control points, who moves |
+//! | [`observer`] | observers of a training: progress, previews, checkpoints |
+//! | `glimpse` | previews: the scene in its current state of training |
+//! | [`state`] | a trainer's state, to save and resume from |
+//! | [`rounds`] | work due between steps: density control, control points, lists of dynamic Gaussians |
 //! | [`trainer`] | the step: deform, render, compare, differentiate, update |
 
 #[cfg(feature = "reconstruct")]

@@ -1,4 +1,4 @@
-//! Training what moves: the control points' paths or the deformation network, and their radii.
+//! Training of the motion model: the control points' paths or the deformation network, and the radii.
 
 use super::control::{Followers, revise};
 use super::settings::{ControlSettings, MotionSettings, exponential};
@@ -16,19 +16,19 @@ use rand_chacha::ChaCha8Rng;
 #[cfg(feature = "files")]
 use serde::{Deserialize, Serialize};
 
-/// What moves the dynamic Gaussians, to train from.
+/// The initial motion model of a training.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct MotionStart {
     /// Control points in the canonical frame.
     pub points: ControlPoints,
-    /// The network, where they have no paths.
+    /// The network; `None` where the control points have paths.
     pub network: Option<DeformNet>,
-    /// How many control points a dynamic Gaussian follows.
+    /// Number of control points that a dynamic Gaussian follows.
     pub neighbours: usize,
 }
 
-/// The moments of the paths or the network, and of the radii, each first and second.
+/// The optimiser's first and second moments of the paths or network, and of the radii.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct MotionMoments {
@@ -36,7 +36,7 @@ pub struct MotionMoments {
     radii: [Vec<f32>; 2],
 }
 
-/// Which Gaussians move, and which control points each of them follows: found every so many steps.
+/// The dynamic Gaussians, and the control points that each of them follows; refreshed at intervals.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct Following {
@@ -44,13 +44,13 @@ pub struct Following {
     neighbours: Vec<u32>,
 }
 
-/// The picture's own time, and two times between which motion should be as rigid as possible.
+/// Number of times of a step: the view's time, and the two times of the as-rigid-as-possible energy.
 const TIMES: usize = 3;
-/// Half the width of the window from which the two times come.
+/// Half the width of the interval around the view's time from which these two times are drawn.
 const ARAP_WINDOW: f64 = 0.05;
 
-/// An array of `width` values for each of `before` control points, row after row, with only those that
-/// are kept and zeros for new ones, `count` in all.
+/// Changes an array of rows of `width` values for each of `before` control points: keeps those of `kept`
+/// and appends zeros for new ones, `count` in all.
 fn resized(all: &[f32], width: usize, before: usize, kept: &[usize], count: usize) -> Vec<f32> {
     let mut out = Vec::new();
     for row in all.chunks_exact(width * before) {
@@ -60,11 +60,11 @@ fn resized(all: &[f32], width: usize, before: usize, kept: &[usize], count: usiz
     out
 }
 
-/// Motion with gradients and optimiser state.
+/// The motion model with gradients and optimiser state.
 pub(super) struct MotionTrainer {
     pub(super) motion: Motion,
     settings: MotionSettings,
-    /// Of the network, where there is one.
+    /// The network's shape; `None` with paths.
     shape: Option<crate::types::NetShape>,
     adam: Adam,
     parameters: State,
@@ -101,7 +101,7 @@ impl State {
         parameters: &mut Buffer<f32>,
         fits: View<'_, u32>,
     ) -> Result<()> {
-        // One row holds everything: a frame that did not fit changes nothing.
+        // The array is a single row, so that a frame that did not fit changes nothing.
         let visible = Some((parameters.len(), fits));
         adam.record(
             recorder,
@@ -118,7 +118,7 @@ impl State {
 }
 
 impl MotionTrainer {
-    /// With room for `capacity` Gaussians.
+    /// Uploads a motion model, for up to `capacity` Gaussians.
     pub(super) fn new(
         stream: &mut Stream,
         start: &MotionStart,
@@ -148,9 +148,9 @@ impl MotionTrainer {
         })
     }
 
-    /// A round of adding and removing control points, by the followers' statistics (two values for
-    /// each Gaussian); gives how many were added and how many removed. After a round that changed
-    /// something, [`set_dynamic`](Self::set_dynamic) must come.
+    /// Runs a round of adding and removing control points, from the followers' statistics (two values
+    /// for each Gaussian). Returns how many were added and how many removed. If it changed any,
+    /// [`set_dynamic`](Self::set_dynamic) must follow.
     pub(super) fn revise(
         &mut self,
         stream: &mut Stream,
@@ -194,7 +194,7 @@ impl MotionTrainer {
         let mut fresh = MotionTrainer::new(stream, &start, self.settings, capacity)?;
         let resized = |width: usize, all: Vec<f32>| resized(&all, width, points.len(), kept, count);
         let moments = MotionMoments {
-            // A network stays as it is; what counts control points is new.
+            // A network does not depend on the number of control points; the paths do.
             model: match self.motion.model {
                 Model::Paths => moments.model.map(|all| resized(path::VALUES, all)),
                 Model::Network(..) => moments.model,
@@ -206,7 +206,7 @@ impl MotionTrainer {
         Ok((revision.added.len(), removed))
     }
 
-    /// Makes what a revision makes beside what there is, in a rehearsal.
+    /// In a rehearsal, allocates what a revision allocates in addition.
     pub(super) fn rehearse_revision(&self, stream: &mut Stream, start: &MotionStart) -> Result<()> {
         let found = self.motion.skin.neighbours().neighbours();
         let _neighbours = stream.device().readback::<u32>(found.len())?;
@@ -215,8 +215,8 @@ impl MotionTrainer {
         MotionTrainer::new(stream, start, self.settings, capacity).map(drop)
     }
 
-    /// Takes over which Gaussians move, those whose logit is above `least`, and finds what they
-    /// follow.
+    /// Sets the dynamic Gaussians, those whose logit is above `least`, and finds the control points that
+    /// they follow.
     pub(super) fn set_dynamic(
         &mut self,
         stream: &mut Stream,
@@ -231,14 +231,14 @@ impl MotionTrainer {
         Ok(())
     }
 
-    /// Waits and reads what [`set_dynamic`](Self::set_dynamic) has found.
+    /// Waits and reads the result of [`set_dynamic`](Self::set_dynamic).
     pub(super) fn following(&self, stream: &mut Stream) -> Result<Following> {
         let mut ids = stream.download(&self.motion.dynamic_ids)?;
         ids.truncate(self.motion.dynamic);
         Ok(Following { ids, neighbours: self.motion.skin.neighbours().download(stream)? })
     }
 
-    /// Puts that back.
+    /// Restores a saved result of [`set_dynamic`](Self::set_dynamic).
     pub(super) fn set_following(
         &mut self,
         stream: &mut Stream,
@@ -250,7 +250,7 @@ impl MotionTrainer {
         self.motion.skin.neighbours_mut().restore(stream, &following.neighbours, nodes)
     }
 
-    /// Records where the Gaussians are at `time`.
+    /// Records the moved Gaussians at `time`, in [0, 1].
     pub(super) fn forward(
         &mut self,
         recorder: &mut Recorder,
@@ -264,8 +264,8 @@ impl MotionTrainer {
         self.motion.forward(recorder, gaussians, &times, soft)
     }
 
-    /// Records the gradients of everything that moves; `gradients`, by the moved Gaussians, become
-    /// those by the canonical ones.
+    /// Records the gradients of the motion model. On input, `gradients` holds the gradients with respect
+    /// to the moved Gaussians; on output, those with respect to the canonical ones.
     pub(super) fn backward(
         &mut self,
         recorder: &mut Recorder,
@@ -301,7 +301,7 @@ impl MotionTrainer {
         self.motion.model_backward(recorder, given.view(), gradients.view_mut())
     }
 
-    /// Records the step by these gradients.
+    /// Records the update by these gradients.
     pub(super) fn update(
         &mut self,
         recorder: &mut Recorder,
@@ -321,13 +321,13 @@ impl MotionTrainer {
         self.radii.step(recorder, adam, rate, step, &mut self.motion.log_radii, fits)
     }
 
-    /// Waits, and counts gradients that were not finite and so were left out.
+    /// Waits, and counts the gradients that were not finite and were skipped.
     pub(super) fn broken(&self, stream: &mut Stream) -> Result<u64> {
         self.adam.broken(stream)
     }
 
-    /// Gradients of the last backward pass by the parameters of the paths or the network, and by the
-    /// logarithms of the radii.
+    /// Gradients of the last backward pass with respect to the parameters of the paths or the network,
+    /// and to the logarithms of the radii.
     pub(super) fn gradients(&self) -> (&Buffer<f32>, &Buffer<f32>) {
         (&self.parameters.gradients, &self.radii.gradients)
     }
@@ -340,7 +340,7 @@ impl MotionTrainer {
         Ok(MotionMoments { model: both(&self.parameters)?, radii: both(&self.radii)? })
     }
 
-    /// Puts the optimiser's state back.
+    /// Restores the optimiser's state.
     pub(super) fn set_moments(
         &mut self,
         stream: &mut Stream,
@@ -355,7 +355,7 @@ impl MotionTrainer {
         Ok(())
     }
 
-    /// Waits and reads the control points, and the network where there is one.
+    /// Waits and reads the control points, and the network if the model is one.
     pub(super) fn download(&self, stream: &mut Stream) -> Result<MotionNow> {
         let parameters = stream.download(&self.motion.parameters)?;
         let (paths, network) = match self.shape {

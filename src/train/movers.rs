@@ -1,4 +1,4 @@
-//! The first Gaussians on what moves.
+//! The first Gaussians on the movers.
 
 use super::carried::{self, Seed};
 use super::flank::{self, Flank, FlankPoint};
@@ -11,15 +11,15 @@ use crate::types::{Gaussians, Image};
 use glam::DVec2;
 use std::collections::HashSet;
 
-/// Distance of the Gaussians that fronts are seeded with, pixels.
+/// Spacing of the Gaussians on visible surfaces of movers, pixels.
 const SPACING: f64 = 2.0;
-/// Of those that flanks are: they are a guess.
+/// Spacing of the Gaussians on unseen sides, which are a guess, pixels.
 const FLANK_SPACING: f64 = 3.0;
-/// Of so many Gaussians one may be seeded on a shadow: shadows are smooth.
+/// The share of Gaussians that may be seeded on shadows is one over this: shadows are smooth.
 const SHADOWS: usize = 40;
 
-/// Gaussians on the movers and on their shadows, in each of a clip's windows; with the flanks in each
-/// frame, or none.
+/// Gaussians on the movers and on their shadows, in each of a clip's windows; `flanks` holds the unseen
+/// sides of each frame, or is empty.
 pub(super) fn seed_movers(
     sequence: Sequence<'_>,
     windows: &[Window],
@@ -27,7 +27,7 @@ pub(super) fn seed_movers(
     settings: &SequenceSettings,
 ) -> Gaussians {
     let track = sequence.track;
-    // Where a window has no node nothing would carry what is seeded in it.
+    // In a window without a node nothing would carry its seeds.
     let is_carried = |window: &&Window| window.nodes(track).next().is_some();
     let windows = || windows.iter().filter(is_carried);
     let of_movers = windows().filter(|window| window.holds_movers());
@@ -47,8 +47,8 @@ pub(super) fn seed_movers(
     gaussians
 }
 
-/// Seeds on the movers, brought back to a window's canonical frame from several of its frames, one per
-/// cell of a grid: on what the frames show, then on the flanks behind its outlines.
+/// Seeds on the movers, carried to a window's canonical frame from several of its frames, one per cell
+/// of a grid: first on the surfaces that the frames show, then on the unseen sides behind the outlines.
 fn seeds(sequence: Sequence<'_>, window: &Window, flanks: &[Vec<Option<Flank>>]) -> Vec<Seed> {
     let (track, frames) = (sequence.track, sequence.frames);
     let order = seeding_frames(window);
@@ -74,7 +74,7 @@ fn seeds(sequence: Sequence<'_>, window: &Window, flanks: &[Vec<Option<Flank>>])
     seeds
 }
 
-/// What a frame shows of the movers.
+/// Seeds on the surfaces of movers that a frame shows.
 fn fronts<'a>(
     track: &'a Track,
     window: &'a Window,
@@ -91,7 +91,7 @@ fn fronts<'a>(
     })
 }
 
-/// A point of the mover that a pixel shows, at a depth.
+/// A seed on the mover that a pixel shows, at a depth.
 fn seed(
     track: &Track,
     window: &Window,
@@ -106,7 +106,7 @@ fn seed(
     Seed::new(track, window, frame, pixel, owner, point, colour)
 }
 
-/// The mean depth of what moves in the canonical frame.
+/// The mean depth of the movers in the canonical frame.
 fn depth_of_movers(track: &Track) -> f64 {
     let canonical = track.scaffold.canonical;
     let pixels = track.masks[canonical].pixels.iter().zip(&track.depth[canonical].pixels);
@@ -114,7 +114,7 @@ fn depth_of_movers(track: &Track) -> f64 {
     f64::from(depths.iter().sum::<f32>() / depths.len().max(1) as f32)
 }
 
-/// The frames of a window that it is seeded from: the canonical one, then some evenly.
+/// The frames that a window is seeded from: the canonical one, then some at even intervals.
 fn seeding_frames(window: &Window) -> Vec<usize> {
     let every = window.frames.len().div_ceil(8).max(1);
     std::iter::once(window.canonical).chain(window.frames.clone().step_by(every)).collect()

@@ -1,4 +1,4 @@
-//! Who looks on while a scene is trained: progress, and checkpoints.
+//! Observers of a training: progress, measurements, previews and checkpoints.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,28 +8,28 @@ use crate::ops::loss::LossValue;
 use crate::scene::Scene;
 use crate::{Error, Result};
 
-/// What is being trained.
+/// The phase of a training.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Phase {
-    /// The static world.
+    /// Training of the static scene alone.
     Static,
-    /// Everything together.
+    /// Joint training of all Gaussians and their motion.
     Joint,
 }
 
-/// All that the rest of the training depends on, besides input and settings. A training that
-/// resumes from it ends with the same bits as one that was never interrupted.
+/// Everything that the rest of the training depends on, except input and settings. A training that
+/// resumes from a checkpoint ends with the same bits as an uninterrupted one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Checkpoint {
-    /// Under way in [`Phase::Static`].
+    /// The state within [`Phase::Static`].
     Static(TrainerState),
-    /// Under way in [`Phase::Joint`].
+    /// The state within [`Phase::Joint`].
     Joint(TrainerState),
 }
 
 impl Checkpoint {
-    /// The error for a checkpoint that the training at hand cannot have written.
+    /// The error for a checkpoint that this training cannot have written.
     pub(super) fn foreign(&self) -> Error {
         let (phase, step) = self.place();
         Error::Input(format!(
@@ -37,7 +37,7 @@ impl Checkpoint {
         ))
     }
 
-    /// Where the training was: the phase, and the steps done in it.
+    /// The phase of the training, and the number of steps done in it.
     pub fn place(&self) -> (Phase, u32) {
         match self {
             Checkpoint::Static(trainer) => (Phase::Static, trainer.step()),
@@ -46,61 +46,63 @@ impl Checkpoint {
     }
 }
 
-/// How far a training has come, as measured on the picture of a step before what it changes.
+/// Measurements of the progress of a training, taken on the render of a step before that step's update.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Measured {
-    /// What is being trained.
+    /// The phase of a training.
     pub phase: Phase,
-    /// Steps done in it.
+    /// Number of steps done in the phase.
     pub step: u32,
     /// Number of Gaussians.
     pub gaussians: usize,
     /// Weighted mean of the absolute differences.
     pub l1: f64,
-    /// Weighted mean of SSIM.
+    /// Weighted mean of SSIM, at most 1.
     pub ssim: f64,
-    /// dB; `None` where [`Trainer::psnr`] gives none.
+    /// PSNR in dB; `None` where [`Trainer::psnr`] gives `None` or it is infinite.
     pub psnr: Option<f64>,
 }
 
-/// So many times is a phase measured, at least, where its steps suffice.
+/// Number of measurements per phase, at least, if it has that many steps.
 const MEASUREMENTS: u32 = 60;
 
-/// Looks on while a scene is trained. A closure that takes phase, steps done and steps in all is one
-/// that wants no checkpoints.
+/// An observer of a training. A closure that takes phase, steps done and total steps is an observer that
+/// wants no checkpoints.
 pub trait Observer {
-    /// Told after every step. An error ends the training.
+    /// Called after every step. An error ends the training.
     fn progress(&mut self, phase: Phase, step: u32, steps: u32) -> Result<()>;
 
-    /// The loss of the last step, every [`SYNC_INTERVAL`] steps.
+    /// Receives the loss of the last step, every [`SYNC_INTERVAL`] steps.
     fn loss(&mut self, _loss: LossValue) {}
 
-    /// Whether [`measured`](Self::measured) is of use now; asked each time that it could be told. Measuring
-    /// waits for the device and downloads a picture.
+    /// Whether to call [`measured`](Self::measured) now; asked each time a measurement is due. Measuring
+    /// waits for the device and downloads an image.
     fn measures(&mut self) -> bool {
         false
     }
 
-    /// How far the training is, some 60 times in a phase or every [`SYNC_INTERVAL`] steps, and after its
+    /// Receives measurements, about 60 times in a phase or every [`SYNC_INTERVAL`] steps, and after the
     /// last step.
     fn measured(&mut self, _measured: &Measured) {}
 
-    /// Whether the scene as it is would be of use now; asked after every step. Copying it waits for the
-    /// device.
+    /// Whether to call [`scene`](Self::scene) now; asked after every step. Copying the scene waits for
+    /// the device.
     fn wants_scene(&mut self) -> bool {
         false
     }
 
-    /// The scene as it is, after it was wanted. One whose cameras are not the trainer's to know has none.
+    /// Receives the current scene after [`wants_scene`](Self::wants_scene). It has no cameras where the
+    /// trainer does not know them.
     fn scene(&mut self, _scene: Scene) {}
 
-    /// Whether the state should be put away now; asked after every step. Reading the state waits for
-    /// the device.
+    /// Whether to call [`checkpoint`](Self::checkpoint) now; asked after every step. Reading the state
+    /// waits for the device.
     fn wants_checkpoint(&mut self) -> bool {
         false
     }
 
-    /// The state to put away, after it was wanted. An error ends the training.
+    /// Receives the state to save after [`wants_checkpoint`](Self::wants_checkpoint). An error ends the
+    /// training.
     fn checkpoint(&mut self, _checkpoint: &Checkpoint) -> Result<()> {
         Ok(())
     }
@@ -112,7 +114,7 @@ impl<F: FnMut(Phase, u32, u32) -> Result<()>> Observer for F {
     }
 }
 
-/// Steps until a trainer is done; `wrap` makes a checkpoint of its state.
+/// Runs a trainer until its last step; `wrap` makes a checkpoint of its state.
 pub(super) fn run(
     trainer: &mut Trainer,
     phase: Phase,
@@ -134,7 +136,7 @@ pub(super) fn run(
         if (now.step.is_multiple_of(every) || now.step == now.steps)
             && observer.measures()
             && let Some(LossValue { l1, ssim, .. }) = trainer.loss()?
-            // Of a picture that counts nowhere there is none.
+            // A view without any weight has no measurement.
             && l1 > 0.0
         {
             let psnr = trainer.psnr()?.filter(|psnr| psnr.is_finite());

@@ -14,13 +14,13 @@ pub struct GaussianOptimiser {
     pub(crate) first: GaussianBuffers,
     /// Second moments.
     pub(crate) second: GaussianBuffers,
-    /// 1 for each Gaussian that trains.
+    /// 1 for each Gaussian that is trained, else 0.
     pub(crate) trainable: Buffer<u32>,
     gate: Buffer<u32>,
 }
 
 impl GaussianOptimiser {
-    /// For up to `capacity` Gaussians, all trainable, moments zero.
+    /// Allocates for up to `capacity` Gaussians, all trainable, with zero moments.
     ///
     /// # Errors
     /// [`Error::OutOfMemory`], or a failed submission.
@@ -59,12 +59,12 @@ impl GaussianOptimiser {
         Ok([read(&mut self.first)?, read(&mut self.second)?])
     }
 
-    /// Waits, and counts gradients that were not finite and so were left out.
+    /// Waits, and counts the gradients that were not finite and were skipped.
     pub(super) fn broken(&self, stream: &mut Stream) -> Result<u64> {
         self.adam.broken(stream)
     }
 
-    /// Puts first and second moments back.
+    /// Restores first and second moments.
     pub(super) fn set_moments(
         &mut self,
         stream: &mut Stream,
@@ -74,12 +74,11 @@ impl GaussianOptimiser {
         self.second.upload(stream, &moments[1])
     }
 
-    /// Records a step of the Gaussians by their gradients, at step `step` (from 0) of the schedule.
-    /// Bands above `sh_degree` stay as they are, and so does everything where `fits` holds 0.
+    /// Records the update of the Gaussians by their gradients, at step `step` (from 0) of the schedule.
+    /// Bands above `sh_degree` do not change, and nothing changes where `fits` holds 0.
     ///
     /// # Errors
-    /// [`Error::Shape`] when there are more Gaussians than planned for; else as for
-    /// [`Recorder::dispatch`].
+    /// [`Error::Shape`] when the Gaussians exceed the capacity; else as for [`Recorder::dispatch`].
     pub fn record(
         &mut self,
         recorder: &mut Recorder,

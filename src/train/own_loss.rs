@@ -1,9 +1,9 @@
 //! A training step with the caller's own loss.
 //!
-//! The caller gets the rendered picture on the device and hands in the loss's gradient by it; the
-//! trainer gives the gradients by every parameter and by the camera's pose, and updates where it is
-//! asked to. Everything is recorded, on the trainer's stream, on another, or into a host's command
-//! buffer, with whatever the caller records of its own in between.
+//! The caller reads the rendered image on the device and supplies the gradient of the loss with respect
+//! to it. The trainer computes the gradients with respect to every parameter and to the camera's pose,
+//! and updates the parameters if asked to. Everything is recorded, on the trainer's stream, on another,
+//! or into a command buffer of a host application; the caller may record other work in between.
 //!
 //! ```no_run
 //! use splat4d::gpu::Device;
@@ -43,14 +43,14 @@ use crate::ops::render::{FrameCounts, PixelBuffers, PixelGradientViews};
 use crate::types::{Camera, Gaussians, range};
 use crate::{Error, Result};
 
-/// A step under way.
+/// A step in progress.
 pub(super) struct OwnStep {
     size: (u32, u32),
     counts: Readback<u32>,
     stage: Stage,
 }
 
-/// What was recorded last.
+/// The part of the step that was recorded last.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Stage {
     Forward,
@@ -58,22 +58,22 @@ enum Stage {
     Update,
 }
 
-/// The gradient of the caller's loss by the picture, pixel after pixel, in any buffers of the device.
+/// The gradient of the caller's loss with respect to the image, in pixel order (row by row), in
+/// arbitrary buffers of the device.
 #[derive(Clone, Copy)]
 pub struct OwnGradients<'a> {
-    /// By premultiplied colour and by alpha.
+    /// With respect to premultiplied colour and alpha.
     pub rgba: View<'a, [f32; 4]>,
-    /// By depth (Σ α · T · z); `None` where the loss does not read it.
+    /// With respect to depth (Σ α · T · z); `None` where the loss does not read it.
     pub depth: Option<View<'a, f32>>,
 }
 
-/// Steps with the caller's own loss: [`forward`](Self::forward), [`backward`](Self::backward),
-/// [`update`](Self::update) if the trainer is to learn from it, and when the device is done
-/// [`conclude`](Self::conclude).
+/// Steps with the caller's own loss. Call [`forward`](Self::forward), [`backward`](Self::backward),
+/// optionally [`update`](Self::update), and [`conclude`](Self::conclude) when the device has finished.
 impl Trainer {
-    /// A trainer without pictures of its own, as [`new`](Self::new) makes one with them. `extent` is
-    /// the unit of the positions' learning rate and of what density control calls large: about the
-    /// distance of the outermost camera from the middle of all.
+    /// Creates a trainer without training views; otherwise as [`new`](Self::new). `extent` is the unit
+    /// of the positions' learning rate and of density control's scale limits: about the distance of the
+    /// outermost camera from the cameras' mean, world units.
     ///
     /// # Errors
     /// [`Error::Input`] without Gaussians or for an extent that is not positive; else as for `new`.
@@ -94,12 +94,12 @@ impl Trainer {
         Trainer::build(device, &[], gaussians, motion, settings, (extent, extent), capacity)
     }
 
-    /// Records the picture that `camera` sees at `time`. The dispatches are those of
+    /// Records the render of the scene from `camera` at `time`, in [0, 1]. The dispatches are those of
     /// [`Renderer::record`](crate::renderer::Renderer::record).
     ///
     /// # Errors
-    /// [`Error::Input`] while another step is under way, or for a camera or a time out of
-    /// [range]; [`Error::OutOfMemory`]; else as for [`Recorder::dispatch`].
+    /// [`Error::Input`] while another step is in progress, or for a camera or a time out of [range];
+    /// [`Error::OutOfMemory`]; else as for [`Recorder::dispatch`].
     pub fn forward(&mut self, recorder: &mut Recorder, camera: &Camera, time: f64) -> Result<()> {
         if self.own.is_some() {
             return Err(out_of_turn("forward", "after `conclude`"));
@@ -129,7 +129,7 @@ impl Trainer {
         Ok(())
     }
 
-    /// The picture of the step under way, on the device.
+    /// The rendered image of the step in progress, on the device.
     ///
     /// # Errors
     /// [`Error::Input`] outside of a step.
@@ -138,13 +138,14 @@ impl Trainer {
         Ok(&self.frame_pool.for_size(&self.device, size)?.pixels)
     }
 
-    /// Records the gradients by every parameter and by the camera's pose, given those by the picture.
-    /// The settings' rigidity term ([`MotionSettings`](super::MotionSettings)) counts as part of the
-    /// loss; with a weight of 0 the gradients are those of the caller's loss alone.
+    /// Records the gradients with respect to every parameter and to the camera's pose, from the gradient
+    /// with respect to the image. The settings' rigidity term
+    /// ([`MotionSettings`](super::MotionSettings)) counts as part of the loss; with a weight of 0 the
+    /// gradients are those of the caller's loss alone.
     ///
     /// # Errors
-    /// [`Error::Input`] where [`forward`](Self::forward) was not the last; [`Error::Shape`] for
-    /// gradients that are too short; else as for [`Recorder::dispatch`].
+    /// [`Error::Input`] unless [`forward`](Self::forward) was the last part recorded; [`Error::Shape`]
+    /// for gradients that are too short; else as for [`Recorder::dispatch`].
     pub fn backward(&mut self, recorder: &mut Recorder, by: OwnGradients<'_>) -> Result<()> {
         let size = self.under_way("backward", &[Stage::Forward])?;
         let resources = self.frame_pool.for_size(&self.device, size)?;
@@ -172,13 +173,14 @@ impl Trainer {
         Ok(())
     }
 
-    /// Gradients of the last [`backward`](Self::backward) by the Gaussians in the canonical frame.
+    /// The gradients of the last [`backward`](Self::backward) with respect to the Gaussians in the
+    /// canonical frame.
     pub fn gradients(&self) -> &GaussianBuffers {
         &self.gradients
     }
 
-    /// That by the camera's pose, for a left perturbation of `view_from_world`: translation,
-    /// rotation.
+    /// The gradient with respect to the camera's pose, for a left perturbation of `view_from_world`:
+    /// translation, rotation.
     ///
     /// # Errors
     /// [`Error::Input`] outside of a step.
@@ -187,8 +189,8 @@ impl Trainer {
         Ok(self.frame_pool.for_size(&self.device, size)?.backward.pose())
     }
 
-    /// Those by the network's parameters and by the logarithms of the control points' radii, where
-    /// there is motion.
+    /// The gradients with respect to the parameters of the paths or the network, and to the logarithms
+    /// of the control points' radii. `None` where the scene does not move.
     pub fn motion_gradients(&self) -> Option<(&Buffer<f32>, &Buffer<f32>)> {
         self.motion.as_ref().map(|motion| motion.gradients())
     }
@@ -197,7 +199,7 @@ impl Trainer {
     /// regularisers. A frame that did not fit changes nothing.
     ///
     /// # Errors
-    /// [`Error::Input`] where [`backward`](Self::backward) was not the last; else as for
+    /// [`Error::Input`] unless [`backward`](Self::backward) was the last part recorded; else as for
     /// [`Recorder::dispatch`].
     pub fn update(&mut self, recorder: &mut Recorder) -> Result<()> {
         let size = self.under_way("update", &[Stage::Backward])?;
@@ -206,15 +208,15 @@ impl Trainer {
         Ok(())
     }
 
-    /// Ends the step when the device is known to be done with what was recorded: after
+    /// Ends the step. Call it when the device has finished what was recorded: after
     /// [`Stream::wait`](crate::gpu::Stream::wait) for the submissions, or when the guards of the host's
-    /// recordings are dropped. After an update whatever is due between steps is done then: density control, control
-    /// points, lists of who moves. False where the frame did not fit: nothing was learnt, there is
-    /// more room now, and the step should be done again.
+    /// recordings are dropped. After an update it also does what is due between steps: density control,
+    /// control points, lists of dynamic Gaussians. Returns `false` where the frame did not fit: nothing
+    /// was learnt, the capacity has been increased, and the step should be repeated.
     ///
     /// # Errors
-    /// [`Error::Input`] outside of a step, and earlier than that: the step is still under way then; else
-    /// as for [`step`](Self::step).
+    /// [`Error::Input`] outside of a step, or while the device has not finished, in which case the step
+    /// stays in progress; else as for [`step`](Self::step).
     pub fn conclude(&mut self) -> Result<bool> {
         let Some(mut own) = self.own.take() else {
             return Err(out_of_turn("conclude", "after `forward`"));
@@ -239,7 +241,7 @@ impl Trainer {
         Ok(true)
     }
 
-    /// The size of the picture under way, where the last thing recorded is one of these.
+    /// The image size of the step in progress, if the part recorded last is one of these stages.
     fn under_way(&self, what: &'static str, stages: &[Stage]) -> Result<(u32, u32)> {
         match &self.own {
             Some(own) if stages.contains(&own.stage) => Ok(own.size),

@@ -1,9 +1,9 @@
-//! From posed pictures of a moving scene to a 4D scene, where nothing says what moves: every
-//! Gaussian follows the control points, and what stands still learns to.
+//! From posed images of a moving scene to a 4D scene, without motion masks: every Gaussian follows the
+//! control points, and static parts learn not to move.
 //!
-//! A static warm-up brings the Gaussians to where the subject is on average; control points are then
-//! spread over them by farthest-point sampling, as Sparse-Controlled Gaussian Splatting (Huang et
-//! al., CVPR 2024) begins, and all is trained together.
+//! A static warm-up moves the Gaussians to the mean position of the subject. Control points are then
+//! spread over them by farthest-point sampling, as in Sparse-Controlled Gaussian Splatting (Huang et
+//! al., CVPR 2024), and everything is trained together.
 
 use super::glimpse::Placed;
 use super::motion::MotionStart;
@@ -21,16 +21,16 @@ use crate::gpu::Device;
 use crate::scene::Scene;
 use crate::types::{ControlPoints, DeformNet, Gaussians, MotionScale, NetShape};
 
-/// What is to move, and how much of the time goes before it.
+/// The motion model, and the length of the static warm-up.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PosedMotion {
-    /// Share of the steps for the static warm-up.
+    /// Share of the steps that the static warm-up takes.
     pub warm_up: f64,
-    /// Most control points.
+    /// Largest number of control points.
     pub control_points: usize,
     /// The deformation network.
     pub network: NetShape,
-    /// Control points that a Gaussian follows.
+    /// Number of control points that a Gaussian follows.
     pub neighbours: usize,
 }
 
@@ -52,21 +52,23 @@ impl Default for PosedMotion {
     }
 }
 
-/// Logit of being dynamic of every Gaussian.
+/// Motion logit of every Gaussian.
 const STRENGTH: f32 = 4.0;
 
-/// Trains a scene on posed pictures, from the beginning or from a checkpoint of the same pictures
-/// and settings: a moving one, or without `motion` a static one. The scene has no cameras yet; the report
-/// of a moving one says how many control points were added and removed, `control_points_added` and
-/// `control_points_removed`, and how many gradients were not finite and so left out, `broken_gradients`.
+/// Trains a scene on posed images, from the beginning or from a checkpoint of the same views and
+/// settings: a moving scene, or a static one without `motion`. The scene has no cameras. The report of a
+/// moving scene holds the number of control points that were added and removed (`control_points_added`,
+/// `control_points_removed`), and the number of gradients that were not finite and were skipped
+/// (`broken_gradients`).
 ///
-/// The poses may have any unit: training works in that of [`posed_unit`], in which `near` of the settings
-/// counts, too, and the scene is in theirs again. `views` come back as they were.
+/// The poses may have any unit. Training works in the unit of [`posed_unit`], which also applies to
+/// `near` of the settings; the returned scene is in the unit of the poses. `views` are scaled during the
+/// training and restored afterwards.
 ///
 /// # Errors
-/// As for [`Trainer::new`] and [`Trainer::step`]; [`Error::Input`](crate::Error::Input) for a
-/// checkpoint of another training; [`Error::Failed`](crate::Error::Failed) where a number runs out of
-/// its range in training; whatever `observer` returns.
+/// As for [`Trainer::new`] and [`Trainer::step`]; [`Error::Input`](crate::Error::Input) for a checkpoint
+/// of another training; [`Error::Failed`](crate::Error::Failed) where a number leaves its range in
+/// training; any error of `observer`.
 pub fn fit_posed(
     device: &Device,
     views: &mut [TrainingView],
@@ -86,27 +88,26 @@ pub fn fit_posed(
     };
     let mut observer = Placed { inner: observer, place: &place };
     let fitted = fit(device, views, first.gaussians, motion, settings, resume, &mut observer);
-    // A power of two leaves no trace.
+    // Scaling by a power of two is exact.
     enlarge(views, unit);
     let mut scene = fitted?;
     place(&mut scene);
     sequence::sound(scene)
 }
 
-/// The unit in which [`fit_posed`] works: the power of two in which the scene reaches about as far as that
-/// of a camera on a sphere of radius 4 about it, for which rates and frequencies were chosen.
+/// The unit in which [`fit_posed`] works: the power of two that brings the scene radius nearest to 4,
+/// that of cameras on a sphere of radius 4. Rates and frequencies were chosen for this size.
 pub fn posed_unit(views: &[TrainingView], seeds: &Gaussians) -> f64 {
     let octaves = (scene_radius(views, seeds) / USUAL_SCENE_RADIUS).log2().round();
     if octaves.abs() <= MOST_OCTAVES { octaves.exp2() } else { 1.0 }
 }
 
-/// How far the scene reaches in the unit of training.
+/// The scene radius in the unit of training.
 const USUAL_SCENE_RADIUS: f64 = 4.0;
-/// Units are 2 to the power of no more than this, or one over that: what lies beyond has a number out of
-/// its range.
+/// Largest absolute exponent of a unit; a scene beyond it has a number out of range.
 const MOST_OCTAVES: f64 = 40.0;
 
-/// Makes the world of pictures so many times as large.
+/// Scales the world of the views by `factor`: translations of the cameras, and disparities.
 fn enlarge(views: &mut [TrainingView], factor: f64) {
     for view in views {
         view.camera.view_from_world.translation *= factor;
@@ -115,7 +116,7 @@ fn enlarge(views: &mut [TrainingView], factor: f64) {
     }
 }
 
-/// [`fit_posed`] in the unit of training.
+/// As [`fit_posed`], in the unit of training.
 fn fit(
     device: &Device,
     views: &[TrainingView],
@@ -136,7 +137,7 @@ fn fit(
         earlier => {
             let mut gaussians = seeds;
             if warm_up > 0 {
-                // Bands would explain by direction what is due to motion.
+                // Higher bands would explain motion by the view direction.
                 let still = TrainSettings {
                     steps: warm_up,
                     growth: None,
@@ -170,7 +171,7 @@ fn fit(
     Ok(scene)
 }
 
-/// How large the training of [`fit_posed`] is at its largest: that of everything together.
+/// The size of the training of [`fit_posed`] at its largest, which is that of the joint training.
 pub fn posed_scale(
     views: &[TrainingView],
     gaussians: usize,
@@ -190,13 +191,12 @@ pub fn posed_scale(
     TrainingScale::new(views, gaussians, scale, joint)
 }
 
-/// Rates are so many times faster at most where there are fewer steps than they were made for.
+/// Largest factor of the learning rates where there are fewer steps than they were made for.
 const FASTEST: f64 = 3.0;
 
-/// Those of the training of Gaussians and motion together. Rates that were made for 30,000 steps are
-/// faster in proportion where there are fewer: motion is to be found within them. The subject fills a
-/// small part of its pictures, and the regularisers of density control would outweigh what these tell
-/// of it.
+/// The settings of the joint training. Rates that were made for 30,000 steps are increased in proportion
+/// where there are fewer, since motion must be found within these. The subject fills a small part of its
+/// images, so the regularisers of density control are reduced; they would outweigh the photometric loss.
 fn joint_settings(motion: &PosedMotion, settings: &TrainSettings, steps: u32) -> TrainSettings {
     let faster = (30_000.0 / f64::from(steps.max(1))).clamp(1.0, FASTEST);
     let rate = faster * settings.motion.rate;
@@ -205,7 +205,7 @@ fn joint_settings(motion: &PosedMotion, settings: &TrainSettings, steps: u32) ->
             from: mcmc.from.min(200),
             opacity_weight: 0.1 * mcmc.opacity_weight,
             scale_weight: 0.1 * mcmc.scale_weight,
-            // The size of a step of the noise stays.
+            // Keeps the size of the noise, which is in units of the learning rate.
             noise: mcmc.noise / faster,
             ..mcmc
         }),
@@ -221,7 +221,7 @@ fn joint_settings(motion: &PosedMotion, settings: &TrainSettings, steps: u32) ->
         },
         motion: MotionSettings {
             rate,
-            // So that the last steps still move it: 1e-4 of 5,000.
+            // Keeps the last steps effective: 1e-4 for 5,000 steps.
             rate_last: settings.motion.rate_last.max(0.5 / f64::from(steps.max(1))).min(rate),
             control: Some(ControlSettings::scaled_to(steps, motion.control_points)),
             ..settings.motion
@@ -247,8 +247,8 @@ fn fit_static(
     trainer.gaussians()
 }
 
-/// Control points spread over the Gaussians that the warm-up has made more opaque than they began;
-/// over all of them where there are none.
+/// Control points spread over the Gaussians whose opacity the warm-up has raised above the initial one;
+/// over all Gaussians where these are too few.
 fn spread(gaussians: &Gaussians, count: usize, seed: u64) -> Result<ControlPoints> {
     let seen = |i: &usize| gaussians.opacity_logits[*i] > first_logit();
     let mut chosen: Vec<usize> = (0..gaussians.len()).filter(seen).collect();

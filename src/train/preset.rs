@@ -1,42 +1,43 @@
-//! How large a reconstruction is, by how good it is to be and what it runs on: one table.
+//! The size of a reconstruction by quality and kind of device, in one table.
 
 use super::sequence::SequenceSettings;
 use crate::gpu::DeviceKind;
 
-/// How good a reconstruction is to be, for its time and memory.
+/// Quality of a reconstruction; higher quality takes more time and memory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Quality {
-    /// A first look.
+    /// A fast preview.
     Draft,
-    /// The usual one.
+    /// The default.
     #[default]
     Standard,
-    /// As good as an hour allows on a software driver with two cores.
+    /// The best quality that takes about an hour on a software driver with two cores.
     Best,
 }
 
-/// The numbers of a quality on a device.
+/// The sizes and limits of a quality on a kind of device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Preset {
-    /// Frames are shrunk so that their longer side has at most so many pixels.
+    /// Largest length of a frame's longer side, pixels; larger frames are scaled down.
     pub longest_side: u32,
-    /// Steps of the last stage of training; those before go in proportion.
+    /// Steps of the last stage of training; the steps of the stages before it are proportional.
     pub steps: u32,
-    /// Most Gaussians, where the frames are small.
+    /// Largest number of Gaussians for small frames.
     pub gaussians: usize,
-    /// Where they are large, there may be a Gaussian for so many pixels of a frame.
+    /// For large frames, the number of pixels of a frame per Gaussian; the larger of both limits
+    /// applies.
     pub pixels_per_gaussian: usize,
-    /// Most control points.
+    /// Largest number of control points.
     pub control_points: usize,
     /// Highest degree of the spherical harmonics.
     pub sh_degree: u32,
 }
 
 impl Quality {
-    /// All, from the fastest.
+    /// All qualities, the fastest first.
     pub const ALL: [Quality; 3] = [Quality::Draft, Quality::Standard, Quality::Best];
 
-    /// What it is called.
+    /// The name of the quality.
     pub fn name(self) -> &'static str {
         match self {
             Quality::Draft => "draft",
@@ -45,7 +46,7 @@ impl Quality {
         }
     }
 
-    /// Its numbers on a kind of device. A GPU of unknown kind counts as a discrete one.
+    /// The preset for a kind of device. A GPU of unknown kind counts as a discrete one.
     pub fn preset(self, kind: DeviceKind) -> Preset {
         let class = match kind {
             DeviceKind::Software => 0,
@@ -58,7 +59,7 @@ impl Quality {
             Quality::Standard => ([320, 640, 640], [2200, 2200, 2200], [40_000, 40_000, 40_000]),
             Quality::Best => ([480, 960, 1280], [6000, 12_000, 30_000], [60_000, 200_000, 400_000]),
         };
-        // What no device class needs otherwise.
+        // These are the same for all kinds of devices.
         let (pixels_per_gaussian, control_points, sh_degree) = match self {
             Quality::Draft => (6, 128, 0),
             Quality::Standard => (3, 256, 1),
@@ -76,7 +77,8 @@ impl Quality {
 }
 
 impl Preset {
-    /// Settings for frames of some size, and so many steps of the last stage or those of the preset.
+    /// Settings for frames of a size in pixels, with `steps` steps of the last stage, or the preset's
+    /// number.
     pub fn settings(&self, (width, height): (u32, u32), steps: Option<u32>) -> SequenceSettings {
         let pixels = width as usize * height as usize;
         let usual = SequenceSettings::default();

@@ -1,5 +1,5 @@
-//! Where to put the first Gaussians when there are no points: in the space that the cameras look
-//! at, and where pictures show what is there before an empty background, within its visual hull.
+//! Random initial points where none are given: in the space that the cameras look at, and where images
+//! show an object before an empty background, within its visual hull.
 
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
@@ -11,22 +11,22 @@ use crate::data::Point;
 use crate::geometry::look_at_point;
 use crate::types::{Camera, range};
 
-/// Rounds in which as many random points are looked up as are wanted: the hull fills little of the
-/// space.
+/// Largest number of rounds, each of which tests as many random points as are wanted: the hull fills a
+/// small part of the space.
 const ROUNDS: u64 = 64;
-/// Pictures that a point is looked up in, at most.
+/// Largest number of images in which a point is tested.
 const PICTURES: usize = 64;
-/// A point is within the hull that at least this share of the pictures shows before the background.
-/// What moves is somewhere else half of the time.
+/// Share of the images that must show something at a point for it to be within the hull. A mover is
+/// elsewhere about half of the time.
 const WITHIN: f64 = 0.4;
-/// A pixel shows something where a channel differs from the background by more than this.
+/// Difference of a channel from the background above which a pixel shows something.
 const SHOWS: f32 = 0.02;
 
-/// `count` grey points spread evenly over the cube that the cameras look at: around the point
-/// nearest to their axes, its half side a third of the cameras' mean distance from it (the objects
-/// of NeRF's and D-NeRF's synthetic scenes fill about that, seen from a distance of 4). Cameras
-/// with parallel axes do not meet anywhere: there the cube lies before their middle, as deep as
-/// they are spread.
+/// `count` grey points, uniformly distributed over the cube that the cameras look at. Its centre is the
+/// point nearest to the cameras' optical axes; half its side is a third of the cameras' mean distance
+/// from that point (the objects of NeRF's and D-NeRF's synthetic scenes fill about that, seen from a
+/// distance of 4). For cameras with parallel axes there is no such point: the cube then lies before the
+/// cameras' mean centre, at a distance in proportion to their spread. Positions are in the world frame.
 pub fn random_points(cameras: &[Camera], count: usize, seed: u64) -> Vec<Point> {
     let mean = |points: &mut dyn Iterator<Item = DVec3>| {
         points.sum::<DVec3>() / cameras.len().max(1) as f64
@@ -36,7 +36,7 @@ pub fn random_points(cameras: &[Camera], count: usize, seed: u64) -> Vec<Point> 
         let sum: f64 = cameras.iter().map(|c| c.centre().distance(point)).sum();
         (point, sum / cameras.len() as f64)
     });
-    // Cameras in one place look at that place: there is no cube around it.
+    // Cameras in one place have that place as their nearest point, and no cube around it.
     let seen = seen.filter(|(point, distance)| *distance > 1e-9 * point.length().max(1e-3));
     let (centre, distance) = match seen {
         Some(seen) => seen,
@@ -56,11 +56,11 @@ pub fn random_points(cameras: &[Camera], count: usize, seed: u64) -> Vec<Point> 
         .collect()
 }
 
-/// `count` of [`random_points`]' points that most of the pictures show before `background`, as the
-/// visual hull of a moving subject (Laurentini 1994; a share of the pictures, since no point is in all
-/// of them), each in the world's frame and of the mean colour that the pictures show there;
-/// `background` is RGB. Where too few points lie within the hull, those come next that the most
-/// pictures show.
+/// `count` of the points of [`random_points`] that lie within the visual hull of a moving subject
+/// (Laurentini 1994). A point is within the hull if enough of the images differ from `background` (RGB)
+/// there; a share is required, since no point is visible in all images. Each point is in the world frame
+/// and has the mean colour that the images show there. Where too few points lie within the hull, the
+/// points that the largest shares of images show follow.
 pub fn points_in_hull(
     views: &[TrainingView],
     background: [f32; 3],
@@ -70,7 +70,7 @@ pub fn points_in_hull(
     let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
     let every = views.len().div_ceil(PICTURES).max(1);
     let looked_up: Vec<&TrainingView> = views.iter().step_by(every).collect();
-    // Those within the hull in the order in which they come, then the others by their shares.
+    // Points within the hull in the order of their generation, then the others by their shares.
     let mut best: Vec<(f64, Point)> = Vec::new();
     for round in 0..ROUNDS {
         let seed = seed ^ (round << 32);
@@ -86,7 +86,7 @@ pub fn points_in_hull(
     best.into_iter().map(|(_, point)| point).collect()
 }
 
-/// The share of the pictures that show something where a point is, of those that it lies in, and the
+/// The share of images that show something at a point, among those that contain its projection, and the
 /// point with the mean colour there.
 fn shown(point: Point, views: &[&TrainingView], background: [f32; 3]) -> (f64, Point) {
     let (mut inside, mut shown) = (0, 0);
@@ -127,7 +127,7 @@ mod tests {
 
     #[test]
     fn points_lie_within_what_the_pictures_show() {
-        // A red ball of radius 0.5 about (1, 2, 3), which jumps aside in every third picture.
+        // A red ball of radius 0.5 around (1, 2, 3), which is displaced in every third image.
         let centre = DVec3::new(1.0, 2.0, 3.0);
         let views: Vec<TrainingView> = (0..12)
             .map(|i| {
@@ -164,8 +164,8 @@ mod tests {
         let points = points_in_hull(&views, [1.0; 3], 200, 7);
         assert_eq!(points.len(), 200);
         let off = |p: &Point| glam::Vec3::from(p.position).as_dvec3().distance(centre);
-        // The cube that the cameras look at reaches to 1.35 along each axis; in a share of the
-        // pictures there is more than the ball.
+        // The cube extends to 1.35 along each axis; in a share of the images more than the ball is
+        // visible.
         let mut offs: Vec<f64> = points.iter().map(off).collect();
         offs.sort_by(f64::total_cmp);
         assert!(offs[100] < 0.6 && offs[180] < 1.0, "{} {}", offs[100], offs[180]);
@@ -173,7 +173,7 @@ mod tests {
         let red = |p: &Point| (p.colour[0] - 0.8).abs() < 1e-4 && (p.colour[1] - 0.1).abs() < 1e-4;
         assert!(points.iter().all(red));
         assert_eq!(points, points_in_hull(&views, [1.0; 3], 200, 7));
-        // Where nothing is shown there are points all the same.
+        // Images that show nothing still give points.
         assert_eq!(points_in_hull(&views, [0.8, 0.1, 0.1], 20, 7).len(), 20);
     }
 

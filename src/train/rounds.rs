@@ -1,5 +1,5 @@
-//! What happens between some steps: rounds of growth and of control points, the choice of who moves,
-//! and the lists that follow from all of it.
+//! What is due between steps: rounds of density control and of control points, the final decision which
+//! Gaussians move, and the lists of dynamic Gaussians that follow from these.
 
 use super::growth::Population;
 use super::trainer::{SYNC_INTERVAL, Trainer};
@@ -7,18 +7,18 @@ use crate::Result;
 #[cfg(feature = "files")]
 use serde::{Deserialize, Serialize};
 
-/// Control points that came and went in training.
+/// Numbers of control points that training has added and removed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct ControlChanges {
-    /// Added where the loss pulled.
+    /// Control points added where the loss had large gradients.
     pub added: usize,
-    /// Removed where nothing followed.
+    /// Control points removed because no Gaussian followed them.
     pub removed: usize,
 }
 
 impl Trainer {
-    /// Whatever is due after a step. At every [`SYNC_INTERVAL`]th the device is waited for.
+    /// Does what is due after a step. After every [`SYNC_INTERVAL`] steps it waits for the device.
     pub(super) fn rounds(&mut self) -> Result<()> {
         let syncs = self.step.is_multiple_of(SYNC_INTERVAL);
         if syncs {
@@ -32,7 +32,7 @@ impl Trainer {
         Ok(())
     }
 
-    /// A round of density control, where one is due; says whether it was.
+    /// Runs a round of density control if one is due, and returns whether it did.
     fn grow(&mut self) -> Result<bool> {
         let Some(growth) = &mut self.growth else { return Ok(false) };
         if !growth.due(self.step) {
@@ -50,8 +50,8 @@ impl Trainer {
         Ok(true)
     }
 
-    /// A round of adding and removing control points, where one is due; says whether it changed
-    /// something. It reads the statistics before growth clears them.
+    /// Runs a round of adding and removing control points if one is due, and returns whether it changed
+    /// any. It reads the statistics before growth clears them.
     fn revise_control_points(&mut self) -> Result<bool> {
         let (Some(motion), Some(control), Some(statistics)) =
             (&mut self.motion, &self.settings.motion.control, &mut self.statistics)
@@ -71,7 +71,7 @@ impl Trainer {
         Ok(added + removed > 0)
     }
 
-    /// Whether soft motion has just ended.
+    /// Whether soft motion has ended with this step.
     fn chooses(&self) -> bool {
         let steps = self.settings.steps;
         self.selection
@@ -79,7 +79,7 @@ impl Trainer {
             .is_some_and(|s| s.is_soft(self.step - 1, steps) && !s.is_soft(self.step, steps))
     }
 
-    /// Lists which Gaussians move, and finds what they follow.
+    /// Lists the dynamic Gaussians, and finds the control points that they follow.
     pub(super) fn list_dynamic(&mut self) -> Result<()> {
         if let (Some(motion), Some(selection)) = (&mut self.motion, &self.selection) {
             let logits = selection.download(&mut self.stream, self.gaussians.len)?;

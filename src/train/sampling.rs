@@ -3,13 +3,13 @@
 use crate::{Error, Result};
 use rayon::prelude::*;
 
-/// Indices of up to `count` points, each as far as can be from all before it (Gonzalez 1985): an
-/// even cover of the set, in an order of which every prefix is one too.
+/// Indices of up to `count` points, each as far as possible from all before it (Gonzalez 1985). The
+/// result covers the set evenly, and so does every prefix of it.
 ///
-/// `points` holds rows of `dims` values; `dims` may be large (positions at many times, laid side by
-/// side, sample trajectories). The seed picks the first point. Equal distances go to the lower
-/// index; rows with a value that is not finite are never chosen; the sampling ends early when all
-/// others coincide with a chosen point.
+/// `points` holds rows of `dims` values; `dims` may be large (positions at many times, side by side,
+/// sample trajectories). The seed selects the first point. Ties go to the lower index. Rows with a value
+/// that is not finite are never chosen. The sampling ends early when all remaining points coincide with
+/// a chosen one.
 ///
 /// # Errors
 ///
@@ -53,7 +53,7 @@ pub fn farthest_point_sample(
                 *distance = distance.min(squared);
                 (*distance, place)
             })
-            // A total order, so that the split of the work cannot show.
+            // A total order makes the result independent of how the work is split.
             .reduce(
                 || (-1.0, usize::MAX),
                 |a, b| if (b.0 > a.0) || (b.0 == a.0 && b.1 < a.1) { b } else { a },

@@ -1,10 +1,10 @@
-//! What a training takes of a device's memory, before it begins.
+//! The device memory that a training needs, computed before it begins.
 //!
-//! [`TrainingScale::footprint`] makes a trainer and lets it do its steps where buffers have no memory:
-//! what it counts is what a real run allocates. How many tiles the splats of a picture reach can be
-//! counted for the first Gaussians only ([`Renderer::count`](crate::renderer::Renderer::count)): there is
-//! room for four per Gaussian that there may be, and a picture that needs more gets more where there is
-//! memory for it.
+//! [`TrainingScale::footprint`] runs a trainer's steps in a rehearsal, in which buffers have no memory:
+//! it counts what a real run would allocate. The number of tiles that the splats of a frame overlap can
+//! be counted for the first Gaussians only ([`Renderer::count`](crate::renderer::Renderer::count)). The
+//! initial capacity is four (splat, tile) pairs per permitted Gaussian; it grows for a frame that needs
+//! more, if the memory suffices.
 
 use super::motion::MotionStart;
 use super::frame_pool::{DeviceView, Capacity};
@@ -17,7 +17,7 @@ use crate::ops::gaussians::GaussianBuffers;
 use crate::types::{Camera, Gaussians, Image, Intrinsics, MotionScale, Pose};
 use std::collections::BTreeMap;
 
-/// Pictures that take the same memory.
+/// A kind of training view; all views of a kind take the same memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct PictureKind {
     /// Width, pixels.
@@ -26,22 +26,22 @@ pub struct PictureKind {
     pub height: u32,
     /// Whether a disparity is known.
     pub disparity: bool,
-    /// Whether a motion mask is.
+    /// Whether a motion mask is known.
     pub mask: bool,
 }
 
-/// How large a training is.
+/// The size of a training.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrainingScale {
-    /// How many pictures there are of each kind.
+    /// Number of training views of each kind.
     pub pictures: BTreeMap<PictureKind, usize>,
-    /// Gaussians to begin with.
+    /// Number of Gaussians at the beginning.
     pub gaussians: usize,
-    /// (splat, tile) pairs of the fullest picture, where they are known.
+    /// Largest number of (splat, tile) pairs of a frame; 0 where it is not known.
     pub intersections: usize,
-    /// What moves, at most; `None` where nothing does.
+    /// Upper limits of the motion model; `None` for a static scene.
     pub motion: Option<MotionScale>,
-    /// How it is trained.
+    /// The settings of training.
     pub settings: TrainSettings,
 }
 
@@ -55,7 +55,7 @@ impl PictureKind {
         }
     }
 
-    /// A black picture.
+    /// A black view of this kind.
     fn blank(&self) -> TrainingView {
         let PictureKind { width, height, disparity, mask } = *self;
         let image = |channels| Image::new(width, height, channels);
@@ -73,7 +73,7 @@ impl PictureKind {
 }
 
 impl TrainingScale {
-    /// Of a training of `gaussians` Gaussians on some pictures.
+    /// The size of a training of `gaussians` Gaussians on some views.
     pub fn new(
         views: &[TrainingView],
         gaussians: usize,
@@ -85,17 +85,17 @@ impl TrainingScale {
         TrainingScale { pictures, gaussians, intersections: 0, motion, settings }
     }
 
-    /// The number of Gaussians that growth can reach.
+    /// The largest number of Gaussians that growth can reach.
     pub fn reached(&self) -> usize {
         self.settings.reachable(self.gaussians)
     }
 
-    /// Whether its pictures need more room for (splat, tile) pairs than there is at first.
+    /// Whether its frames need more (splat, tile) pairs than the initial capacity.
     pub fn is_dense(&self) -> bool {
         !Capacity::of(&self.settings, self.gaussians).holds(self.intersections)
     }
 
-    /// What it takes of a device's memory at most.
+    /// The largest amount of device memory that the training takes.
     ///
     /// # Errors
     /// [`Error::RangeLimit`](crate::Error::RangeLimit) for a buffer larger than one binding of the
@@ -128,8 +128,8 @@ impl TrainingScale {
         })
     }
 
-    /// The most Gaussians with which such a training fits on a device, none added on the way; 0
-    /// where the pictures alone do not fit.
+    /// The largest number of Gaussians with which such a training fits on a device, with no Gaussians
+    /// added in training; 0 where the views alone do not fit.
     pub fn most_gaussians(&self, device: &Device) -> usize {
         let each = self.intersections as f64 / self.gaussians.max(1) as f64;
         most_that_fits(device, |count| {
@@ -142,8 +142,8 @@ impl TrainingScale {
 }
 
 impl Trainer {
-    /// Does, in a rehearsal, all that a training makes buffers for, with so many Gaussians, all of
-    /// which move where anything does.
+    /// In a rehearsal, does everything for which a training allocates buffers, with `gaussians`
+    /// Gaussians, all of which move if the scene moves.
     fn rehearse(&mut self, gaussians: usize, start: Option<&MotionStart>) -> Result<()> {
         self.gaussians.len = gaussians;
         if let Some(motion) = &mut self.motion {
@@ -153,7 +153,7 @@ impl Trainer {
             self.stream.submit(recorder)?;
         }
         for view in 0..self.views.len() {
-            // The first step has soft motion, the last one all bands.
+            // The first step has soft motion, the last one evaluates all bands.
             for step in [0, self.settings.steps.saturating_sub(1)] {
                 self.step = step;
                 self.submit(view)?;
@@ -165,7 +165,7 @@ impl Trainer {
         {
             motion.rehearse_revision(&mut self.stream, start)?;
         }
-        // Checkpoints and the result.
+        // Buffers for downloading checkpoints and the result.
         let GaussianBuffers { positions, rotations, sh, .. } = &self.gaussians;
         self.stream.prepare_download(rotations)?;
         self.stream.prepare_download(positions)?;

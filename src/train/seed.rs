@@ -9,15 +9,15 @@ use rstar::primitives::GeomWithData;
 /// Opacity of a Gaussian that has just been seeded.
 pub const FIRST_OPACITY: f32 = 0.1;
 
-/// Its logit.
+/// The logit of [`FIRST_OPACITY`].
 pub(super) fn first_logit() -> f32 {
     (FIRST_OPACITY / (1.0 - FIRST_OPACITY)).ln()
 }
 
-/// One Gaussian per point, as 3D Gaussian Splatting starts: isotropic, its scale the root mean
-/// square of the distances to the three nearest other points, opacity 0.1, the point's colour. A
-/// point that is not finite or out of reach ([`range::REACH`]) is nobody's neighbour; a training
-/// refuses its Gaussian.
+/// One Gaussian per point, as in the initialisation of 3D Gaussian Splatting: isotropic, with the root
+/// mean square of the distances to the three nearest other points as scale, opacity 0.1 and the point's
+/// colour. A point that is not finite or beyond [`range::REACH`] is not counted as a neighbour; a
+/// training rejects its Gaussian.
 pub fn seed_from_points(points: &[Point], sh_degree: u32) -> Gaussians {
     let count = points.len();
     let coefficients = sh_coefficients(sh_degree);
@@ -37,15 +37,15 @@ pub fn seed_from_points(points: &[Point], sh_degree: u32) -> Gaussians {
     }
 }
 
-/// Points that coincide still get a scale: this share of the median one.
+/// Smallest scale, as a share of the median scale, for points that coincide.
 const LEAST_SHARE: f32 = 1e-3;
-/// The scale of points none of which is beside another.
+/// The scale where no point has a distinct neighbour, world units.
 const LONELY: f32 = 3.162_277_6e-4;
 
 /// Root mean square distance of every point to its three nearest others; at least [`LEAST_SHARE`] of the
 /// median.
 fn nearest_distances(points: &[[f32; 3]]) -> Vec<f32> {
-    // The tree orders distances and panics where there is none.
+    // The tree orders distances and panics on NaN.
     let usable = |p: &[f32; 3]| p.iter().all(|v| v.abs() <= range::REACH);
     let entries = points.iter().enumerate().filter(|(_, p)| usable(p));
     let entries = entries.map(|(i, p)| GeomWithData::new(*p, i)).collect();

@@ -1,10 +1,10 @@
-//! Which Gaussians move: their motion logits, and how these are trained.
+//! Selection of the dynamic Gaussians: their motion logits, and the training of these.
 //!
-//! At first motion is soft: every Gaussian whose logit is not clearly that of a static one moves by
-//! its probability of motion, so that the pictures say how much it should; the probabilities,
-//! rendered, are held against the motion masks every few steps; and what the masks show to be still
-//! is kept from moving by L_rigid. Then the choice is made, each moves fully or not at all, as
-//! rendering has it, and the rest of the training is spent on what was chosen.
+//! At first motion is soft: the motion of every Gaussian whose logit is not clearly static is weighted
+//! by its probability of motion, so that the images determine it. Every few steps the rendered
+//! probabilities are compared with the motion masks, and L_rigid penalises the displacement of Gaussians
+//! that the masks show to be static. After that the selection is fixed: each Gaussian moves fully or not
+//! at all, as in rendering, for the rest of the training.
 
 use super::frame_pool::FrameResources;
 use super::settings::{SelectionSettings, exponential};
@@ -24,21 +24,21 @@ pub(super) struct Selection {
     training: Option<Training>,
 }
 
-/// What training the logits needs.
+/// State of the logits' training.
 struct Training {
     settings: SelectionSettings,
     adam: Adam,
     gradients: Buffer<f32>,
     first: Buffer<f32>,
     second: Buffer<f32>,
-    /// What the masks have said of each Gaussian: votes for motion, and votes.
+    /// Evidence from the masks for each Gaussian: votes for motion, and all votes.
     votes: Buffer<f32>,
-    /// Their quotient; 1 before the first vote.
+    /// Votes for motion divided by all votes; 1 before the first vote.
     evidence: Buffer<f32>,
     colours: Buffer<[f32; 4]>,
 }
 
-/// What training the motion logits has gathered: moments, votes, evidence.
+/// Saved state of the motion logits' training: moments, votes, evidence.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct SelectionState {
@@ -48,7 +48,8 @@ pub struct SelectionState {
 }
 
 impl Selection {
-    /// For up to `capacity` Gaussians, of which some are there; trained where there are settings.
+    /// Allocates for up to `capacity` Gaussians and uploads the logits of the present ones. The logits
+    /// are trained if there are settings.
     pub(super) fn new(
         stream: &mut Stream,
         logits: &[f32],
@@ -84,7 +85,7 @@ impl Selection {
         Ok(Selection { logits: buffer, training })
     }
 
-    /// Of the first `count` Gaussians.
+    /// The logits of the first `count` Gaussians.
     pub(super) fn logits(&self, count: usize) -> View<'_, f32> {
         self.logits.range(0..count)
     }
@@ -96,8 +97,8 @@ impl Selection {
         Ok(logits)
     }
 
-    /// Waits and reads what the first `count` Gaussians have besides their logits; `None` where these
-    /// are not trained.
+    /// Waits and reads the state of the first `count` Gaussians, without their logits; `None` where the
+    /// logits are not trained.
     pub(super) fn state(
         &self,
         stream: &mut Stream,
@@ -116,7 +117,7 @@ impl Selection {
         }))
     }
 
-    /// Puts that back.
+    /// Restores a saved state.
     pub(super) fn set_state(&mut self, stream: &mut Stream, state: &SelectionState) -> Result<()> {
         let Some(training) = &mut self.training else { return Ok(()) };
         stream.upload(&mut training.first, &state.moments[0])?;
@@ -125,29 +126,29 @@ impl Selection {
         stream.upload(&mut training.evidence, &state.evidence)
     }
 
-    /// The training, while motion is soft.
+    /// The training state, while motion is soft.
     fn soft_at(&self, step: u32, steps: u32) -> Option<&Training> {
         self.training.as_ref().filter(|t| step < t.settings.steps_of(steps))
     }
 
-    /// Whether motion is soft in a step (from 0) of so many.
+    /// Whether motion is soft in step `step` (from 0) of `steps`.
     pub(super) fn is_soft(&self, step: u32, steps: u32) -> bool {
         self.soft_at(step, steps).is_some()
     }
 
-    /// The logit above which a Gaussian is to be moved.
+    /// The logit above which a Gaussian is dynamic.
     pub(super) fn least(&self, step: u32, steps: u32) -> f32 {
         self.soft_at(step, steps).map_or(0.0, |t| t.settings.least_logit)
     }
 
-    /// How the first `count` Gaussians move in a step; `None`: fully, where they are listed.
+    /// Soft motion of the first `count` Gaussians in a step; `None` where the listed ones move fully.
     pub(super) fn soft(&self, count: usize, step: u32, steps: u32) -> Option<SoftMotion<'_>> {
         let training = self.soft_at(step, steps)?;
         let evidence = training.evidence.range(0..count);
         Some(SoftMotion { logits: self.logits(count), evidence })
     }
 
-    /// The gradients that belong to [`soft`](Self::soft), zeroed; `listed` Gaussians move.
+    /// The gradients for [`soft`](Self::soft), zeroed; `listed` is the number of dynamic Gaussians.
     pub(super) fn soft_gradients(
         &mut self,
         recorder: &mut Recorder,
@@ -172,15 +173,16 @@ impl Selection {
         })
     }
 
-    /// Whether [`train`](Self::train) leaves the picture of what moves in place of the step's own.
+    /// Whether [`train`](Self::train) overwrites the step's render with the rendered probability of
+    /// motion.
     pub(super) fn repaints(&self, mask: Option<&Buffer<f32>>, step: u32, steps: u32) -> bool {
         let every = self.training.as_ref().map(|training| training.settings.mask_every.max(1));
         let due = every.is_some_and(|every| step.is_multiple_of(every));
         due && mask.is_some() && self.is_soft(step, steps)
     }
 
-    /// Records the mask loss of the picture that has just been rendered and differentiated, in the
-    /// steps that have one, and the update of the logits.
+    /// Records the mask loss of the view that has just been rendered and differentiated, in steps that
+    /// have one, and the update of the logits.
     pub(super) fn train(
         &mut self,
         recorder: &mut Recorder,
@@ -201,7 +203,7 @@ impl Selection {
         {
             let last = settings.steps_of(steps);
             let weight = exponential(settings.mask_weight, settings.mask_weight_last, step, last);
-            // What comes in few steps counts for all.
+            // The loss occurs in one of several steps and is weighted to count for all of them.
             let weight = weight * f64::from(settings.mask_every.max(1));
             let FrameResources { render, scratch, backward, pixels, pixel_gradients, .. } = resources;
             mask::paint(recorder, logits.range(0..count), training.colours.view_mut())?;
@@ -238,18 +240,18 @@ impl Selection {
                 parameters: logits.range_mut(0..count),
                 first: training.first.range_mut(0..count),
                 second: training.second.range_mut(0..count),
-                // One row holds everything: a frame that did not fit changes nothing.
+                // The array is a single row, so that a frame that did not fit changes nothing.
                 visible: Some((count, resources.scratch.fits())),
             },
         )
     }
 
-    /// Waits, and counts gradients that were not finite and so were left out.
+    /// Waits, and counts the gradients that were not finite and were skipped.
     pub(super) fn broken(&self, stream: &mut Stream) -> Result<u64> {
         self.training.as_ref().map_or(Ok(0), |training| training.adam.broken(stream))
     }
 
-    /// Every array that goes with the Gaussians, with the floats of a row.
+    /// Every array with a row for each Gaussian, with its number of floats per row.
     pub(super) fn rows(&mut self) -> Vec<(usize, ViewMut<'_, f32>)> {
         let mut all = vec![(1, self.logits.view_mut())];
         if let Some(training) = &mut self.training {
@@ -259,13 +261,13 @@ impl Selection {
         all
     }
 
-    /// The optimiser's moments, likewise.
+    /// The optimiser's moments, with their number of floats per row.
     pub(super) fn moments(&mut self) -> Vec<(usize, ViewMut<'_, f32>)> {
         let training = self.training.iter_mut();
         training.flat_map(|t| [(1, t.first.view_mut()), (1, t.second.view_mut())]).collect()
     }
 
-    /// Another of the same make, for arrays to be gathered into.
+    /// An empty selection of the same capacity and settings, as target of a gather.
     pub(super) fn spare(&self, stream: &mut Stream) -> Result<Selection> {
         let settings = self.training.as_ref().map(|t| t.settings);
         Selection::new(stream, &[], self.logits.len(), settings)

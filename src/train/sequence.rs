@@ -1,16 +1,14 @@
 //! From a tracked clip to a 4D scene: static Gaussians, then everything together.
 //!
-//! 1. The static world is trained on what does not move.
-//! 2. Control points are chosen among the nodes of the track's scaffold, and take their paths.
-//!    Gaussians are seeded on the movers, in the canonical frame, and follow the control points; all is
-//!    trained on all pixels.
+//! 1. The static scene is trained on the static pixels.
 //!
-//! 4D3R's stage 1, control points drawn as temporary Gaussians to train a network that moves them, is
-//! left out: paths that begin where dense flow has carried the nodes are better without it.
+//! Stage 1 of 4D3R, which renders control points as temporary Gaussians to train a network that moves
+//! them, is left out: paths that begin where dense flow has carried the nodes give better results
+//! without it.
 //!
-//! Both steps train on the frames and on what some of them show from aside ([`aside`](SequenceSettings::aside)).
+//! Both steps train on the frames and on views from offset cameras ([`aside`](SequenceSettings::aside)).
 //!
-//! A clip in which nothing moves gets no control points.
+//! A clip without motion gets no control points.
 
 use super::aside::aside;
 use super::flank::{Flank, flanks};
@@ -44,62 +42,64 @@ use serde_json::{Value, json};
 /// How a clip is turned into a scene.
 #[derive(Clone, Debug)]
 pub struct SequenceSettings {
-    /// Steps on the static world alone.
+    /// Number of steps on the static scene alone.
     pub static_steps: u32,
-    /// Steps of all together.
+    /// Number of steps of the joint training.
     pub steps: u32,
-    /// Growth ends here.
+    /// Largest number of Gaussians that growth may reach.
     pub max_gaussians: usize,
-    /// Most control points.
+    /// Largest number of control points.
     pub control_points: usize,
-    /// Control points that a dynamic Gaussian follows.
+    /// Number of control points that a dynamic Gaussian follows.
     pub neighbours: usize,
     /// Highest degree of the spherical harmonics.
     pub sh_degree: u32,
-    /// Whether it is trained which Gaussians move, where a clip is one window; else the masks decide
-    /// once, beforehand.
+    /// Whether the motion logits are trained, for a clip that is one window; else the masks decide once,
+    /// beforehand, which Gaussians move.
     pub train_selection: bool,
-    /// Whether a clip in which the look of movers changes much is cut into windows, in each of which what
-    /// moves has Gaussians and control points of its own.
+    /// Whether a clip in which the appearance of movers changes much is cut into windows, in each of
+    /// which the movers have their own Gaussians and control points.
     pub windows: bool,
-    /// Whether control points are added and removed in training; else it begins with all of them.
+    /// Whether control points are added and removed in training; else training begins with all of them.
     pub revise_control: bool,
     /// Weight of the as-rigid-as-possible energy of the control points; 0 leaves it out.
     pub arap_weight: f64,
-    /// Whether Gaussians are added and moved to where they are needed; else those that were seeded stay.
+    /// Whether Gaussians are added and relocated in training; else the seeded ones are kept.
     pub grow: bool,
     /// Factor of the depth term; 0 leaves it out.
     pub depth_scale: f32,
-    /// Weight of the depth of movers' pixels in the depth term, in which static ones have at most 1; 0
-    /// leaves it to the pictures how far movers are.
+    /// Weight of movers' pixels in the depth term, where static pixels have at most 1; with 0 the images
+    /// alone determine the movers' distance.
     pub movers_depth: f32,
-    /// Whether control points are there only in the frames in which what they move is; else always.
+    /// Whether control points are present only in the frames in which the object that they move is; else
+    /// always.
     pub lifespans: bool,
-    /// Pictures from aside to train on as well, drawn from the frames by their depth: so many in a round
-    /// through the frames, per frame.
+    /// Number of views from offset cameras, rendered from the frames by their depth, per frame in a
+    /// round through the frames.
     pub aside: f64,
-    /// Whether these show the flanks of what moves, where no frame does: a guess by its width.
+    /// Whether these views show the unseen sides of movers: a guess from the mover's width.
     pub flanks: bool,
-    /// Clips whose movers cover less of the pixels than this are static.
+    /// Share of the pixels that movers must cover; clips with less are treated as static.
     pub least_dynamic_share: f64,
-    /// Decides everything random.
+    /// Seed of everything random.
     pub seed: u64,
 }
 
-/// Pictures from aside there are about so many, as long as each is shown in one of so many rounds, at least: a
-/// long training learns a few of them by heart, and what looks wrong from anywhere else.
+/// Approximate number of views from offset cameras, and the largest number of rounds in one of which
+/// each of them takes part. A long training on a few views would overfit to them and look wrong from all
+/// other viewpoints.
 const ASIDE_PICTURES: f64 = 36.0;
 const ASIDE_ROUNDS: f64 = 4.0;
-/// Pixels so near to a mover's may show it: the static world is not trained on them.
+/// Distance in pixels within which pixels may show a mover; the static scene is not trained on them.
 const MARGIN: usize = 2;
-/// Training steps for every key time of the control points' paths.
+/// Number of training steps per key time of the control points' paths.
 const VISITS: usize = 20;
-/// With fewer key times than this a short training would not follow a clip's motion at all.
+/// Smallest number of key times; with fewer, a short training would not follow a clip's motion.
 const LEAST_KEYS: usize = 32;
 
 impl SequenceSettings {
-    /// How large the training of [`fit_sequence`] is at its largest, on so many frames of some size in
-    /// which something moves.
+    /// The size of the training of [`fit_sequence`] at its largest, for a number of frames of a size in
+    /// pixels, with movers.
     pub fn scale(&self, frames: usize, (width, height): (u32, u32)) -> TrainingScale {
         let kind = PictureKind { width, height, disparity: true, mask: true };
         let aside = PictureKind { mask: false, ..kind };
@@ -117,26 +117,26 @@ impl SequenceSettings {
         }
     }
 
-    /// How many key times the control points' paths have on so many frames: one for each, as long as
-    /// training has [`VISITS`] steps for every one.
+    /// Number of key times of the control points' paths for a number of frames: one per frame, as long
+    /// as training has [`VISITS`] steps for each.
     fn keys(&self, frames: usize) -> usize {
         frames.min((self.steps as usize / VISITS).max(LEAST_KEYS))
     }
 
-    /// How many pictures from aside so many frames give.
+    /// Number of views from offset cameras for a number of frames.
     pub fn pictures_aside(&self, frames: usize) -> usize {
         let rounds = f64::from(self.rounds_of_aside(frames));
         (frames as f64 * self.aside.max(0.0) * rounds) as usize
     }
 
-    /// A picture from aside is shown in one of so many rounds: the fewer there are in a round, the more of
-    /// them take turns.
+    /// Number of rounds in one of which a view from an offset camera takes part: the fewer such views in
+    /// a round, the more of them take turns.
     fn rounds_of_aside(&self, frames: usize) -> u32 {
         let in_a_round = frames as f64 * self.aside.max(0.0);
         (ASIDE_PICTURES / in_a_round).round().clamp(1.0, ASIDE_ROUNDS) as u32
     }
 
-    /// The same with so many steps of all together; those before go in proportion.
+    /// The same with `steps` steps of the joint training; the steps before it are scaled in proportion.
     pub fn of_steps(self, steps: u32) -> SequenceSettings {
         let scaled = u64::from(self.static_steps) * u64::from(steps);
         let static_steps = scaled.div_ceil(u64::from(self.steps.max(1)));
@@ -176,7 +176,8 @@ impl Default for SequenceSettings {
 /// A tracked clip.
 #[derive(Clone, Copy)]
 pub struct Sequence<'a> {
-    /// The frames, RGB, as they were filmed; training takes off the lens's distortion and makes their exposures equal.
+    /// The frames, RGB, as they were filmed; training removes the lens distortion and equalises their
+    /// exposures.
     pub frames: &'a [Image],
     /// Their times in [0, 1].
     pub times: &'a [f64],
@@ -185,13 +186,14 @@ pub struct Sequence<'a> {
 }
 
 /// Trains a scene on a tracked clip, from the beginning or from a checkpoint of the same clip and
-/// settings. The scene is in the unit of the supplied poses, where there are any ([`Track::unit`]). The scene's report says how many control points were added and removed in the last phase,
-/// `control_points_added` and `control_points_removed`, and how many of its gradients were not finite and
-/// so left out, `broken_gradients`; where something moves also into how many windows the clip was cut, `windows`.
+/// settings. The scene is in the unit of the supplied poses, if any ([`Track::unit`]). The scene's
+/// report holds the number of control points that the last phase added and removed
+/// (`control_points_added`, `control_points_removed`), the number of gradients that were not finite and
+/// were skipped (`broken_gradients`), and for a clip with movers the number of windows (`windows`).
 ///
 /// # Errors
-/// [`Error::Input`] when the clip has no static point to begin with, or the checkpoint is of another
-/// training; out of memory; a failed submission; whatever `observer` returns.
+/// [`Error::Input`] when the clip has no static point, or the checkpoint is of another training;
+/// [`Error::OutOfMemory`]; a failed submission; any error of `observer`.
 pub fn fit_sequence(
     device: &Device,
     sequence: Sequence<'_>,
@@ -240,8 +242,8 @@ pub fn fit_sequence(
     sound(scene)
 }
 
-/// The Gaussians that [`fit_sequence`] begins with, movers where they are in the canonical frame: how
-/// many tiles they reach tells what memory the training of dense ones takes
+/// The Gaussians that [`fit_sequence`] begins with, movers in the canonical frame. The number of tiles
+/// that they overlap determines the memory that training on dense frames takes
 /// ([`TrainingScale::intersections`]).
 pub fn first_gaussians(sequence: Sequence<'_>, settings: &SequenceSettings) -> Gaussians {
     let frames = sequence.track.prepared(sequence.frames);
@@ -262,7 +264,7 @@ fn moves(track: &Track, settings: &SequenceSettings) -> bool {
     dynamic && !track.scaffold.nodes.is_empty()
 }
 
-/// The flanks in each frame; none where no picture would show them.
+/// The unseen sides in each frame; empty where no view would show them.
 fn flanks_of(sequence: Sequence<'_>, settings: &SequenceSettings) -> Vec<Vec<Option<Flank>>> {
     if settings.flanks && settings.pictures_aside(sequence.frames.len()) > 0 {
         flanks(sequence.track, sequence.frames)
@@ -271,10 +273,10 @@ fn flanks_of(sequence: Sequence<'_>, settings: &SequenceSettings) -> Vec<Vec<Opt
     }
 }
 
-/// A trained scene, if it can be used.
+/// Returns a trained scene if all of its numbers are valid.
 ///
 /// # Errors
-/// A number ran out of its range in training.
+/// [`Error::Failed`] where a number left its range in training.
 pub(super) fn sound(scene: Scene) -> Result<Scene> {
     match scene.check() {
         Ok(()) => Ok(scene),
@@ -285,7 +287,7 @@ pub(super) fn sound(scene: Scene) -> Result<Scene> {
     }
 }
 
-/// Gaussians on the static points, laid along the surfaces of the frames that they were taken from.
+/// Gaussians on the static points, aligned with the surfaces of the frames that the points came from.
 fn seed_static(track: &Track, settings: &SequenceSettings) -> Gaussians {
     let points = thinned(track.points.iter().collect(), settings.max_gaussians / 2);
     let at =
@@ -315,11 +317,11 @@ fn fit_moving(
     let windows = windows(sequence, settings);
     let mut train = joint_settings(settings);
     if windows.len() > 1 {
-        // What was seeded in a window does not stand still at its canonical place.
+        // Gaussians that were seeded in a window are not static at their canonical position.
         train.motion.selection = None;
     }
     let flanks = flanks_of(sequence, settings);
-    // Not before they are needed: the static world is trained on views of its own.
+    // Computed only when needed: the static scene is trained on other views.
     let all = || views(sequence, settings, &flanks, |_| 1.0);
     let mut trainer = match resume {
         Some(Checkpoint::Joint(state)) => Trainer::resume(device, &all(), state, train)?,
@@ -344,7 +346,7 @@ fn fit_moving(
     Ok(scene)
 }
 
-/// The static world, on what surely does not move.
+/// Trains the static scene on pixels that are certainly static.
 fn static_world(
     device: &Device,
     sequence: Sequence<'_>,
@@ -371,12 +373,12 @@ fn static_world(
     Ok(still)
 }
 
-/// Motion logits of what is seeded as static or dynamic.
+/// Absolute motion logit of seeds: negative for static ones, positive for dynamic ones.
 pub(super) const STRENGTH: f32 = 4.0;
 
-/// The unit of the positions' learning rate, in that of the track (the median depth): the extent of a
-/// hand-held camera's path about a scene. That of the clip itself would hardly let them move where it is
-/// short, and is nothing where the camera is fixed.
+/// The unit of the positions' learning rate, in the unit of the track (the median depth). It is the
+/// camera extent of a hand-held camera's path around a scene. The extent of the clip's own cameras would
+/// be too small for a short path and 0 for a fixed camera.
 const POSITION_UNIT: f64 = 0.35;
 
 fn joint_settings(settings: &SequenceSettings) -> TrainSettings {
@@ -386,7 +388,7 @@ fn joint_settings(settings: &SequenceSettings) -> TrainSettings {
         max_gaussians: settings.max_gaussians,
         sh_degree: settings.sh_degree,
         sh_interval: (settings.steps / 2).clamp(1, 1000),
-        // Few pictures and few steps: positions may move faster than over 30,000 steps.
+        // With few images and few steps, positions may move faster than over 30,000 steps.
         rates: Rates { position: 4e-4, position_last: 1e-5, ..Rates::default() },
         position_unit: Some(POSITION_UNIT),
         depth_scale: settings.depth_scale,
@@ -410,9 +412,9 @@ fn joint_settings(settings: &SequenceSettings) -> TrainSettings {
     }
 }
 
-/// The frames as training views; `weight` gives a pixel's weight by whether it is on a mover or beside
-/// one. The depth that was measured on static pixels, and that of lifted movers, comes along. Then what
-/// they show from aside, with what flanks there are in each frame.
+/// The frames as training views; `weight` gives a pixel's weight by whether it is on or near a mover.
+/// The disparity holds the measured depth of static pixels and the depth of lifted movers. The views
+/// from offset cameras follow, with the unseen sides of each frame.
 fn views(
     sequence: Sequence<'_>,
     settings: &SequenceSettings,
@@ -428,7 +430,8 @@ fn views(
             for (w, near) in weights.pixels.iter_mut().zip(&near_movers) {
                 *w = weight(*near);
             }
-            // A shadow's Gaussians, which move, cover what it falls on by as much as it takes away.
+            // The mask of a shadow is its strength: its Gaussians, which are dynamic, cover the ground
+            // by that share.
             let mut moving = track.masks[frame].clone();
             let shadows = track.shadows[frame].pixels.chunks_exact(2);
             for (m, shadow) in moving.pixels.iter_mut().zip(shadows).filter(|(_, s)| s[0] > 0.0) {
@@ -440,7 +443,7 @@ fn views(
             for (i, pair) in disparity.pixels.chunks_exact_mut(2).enumerate() {
                 let z = depth.pixels[i];
                 let measured = !near_movers[i] && confidence.pixels[i] > 0.5;
-                // The picture alone does not hold a mover at its depth.
+                // The image alone does not determine a mover's depth.
                 let lifted = settings.movers_depth > 0.0 && owners.pixels[i] > 0.0;
                 if z > 0.0 && (measured || lifted) {
                     let weight =
@@ -475,22 +478,22 @@ fn views(
     views
 }
 
-/// Every so-manieth, so that at most `most` stay.
+/// Every n-th element, with the smallest n that leaves at most `most`.
 pub(super) fn thinned<T>(points: Vec<T>, most: usize) -> Vec<T> {
     let keep = points.len().div_ceil(most.max(1)).max(1);
     points.into_iter().step_by(keep).collect()
 }
 
-/// The share of the most control points that there may be with which training begins; the rest are
-/// added where the loss asks.
+/// The share of the largest number of control points with which training begins; the others are added in
+/// training.
 const FIRST_SHARE: f64 = 0.75;
 
-/// How many control points to begin with where there may be `most`.
+/// The initial number of control points for a limit of `most`.
 pub(super) fn first_control_points(most: usize) -> usize {
     (most as f64 * FIRST_SHARE).ceil() as usize
 }
 
-/// What training tells of itself.
+/// The report of a training.
 pub(super) fn report(trainer: &mut Trainer) -> Result<Value> {
     let changes = trainer.control_changes();
     Ok(json!({
@@ -500,7 +503,7 @@ pub(super) fn report(trainer: &mut Trainer) -> Result<Value> {
     }))
 }
 
-/// Control points spread over the nodes of the scaffold in each window, with these nodes' paths.
+/// Control points, spread over the nodes of the scaffold in each window, with the paths of these nodes.
 fn control_points(
     sequence: Sequence<'_>,
     windows: &[Window],
@@ -518,7 +521,8 @@ fn control_points(
     for (window, nodes) in windows.iter().zip(&taken) {
         let places: Vec<[f32; 3]> =
             nodes.iter().map(|node| window.place(node).as_vec3().to_array()).collect();
-        // As many as its share of all nodes; what is seeded in a window follows one at least.
+        // Proportional to the window's share of all nodes; at least one, since the window's seeds need
+        // one to follow.
         let count = (count * nodes.len() / all.max(1)).max(1).min(nodes.len());
         let (own, chosen) = spread(&places, count, settings.seed)?;
         points.positions.extend(own.positions);
@@ -529,7 +533,7 @@ fn control_points(
     Ok(points)
 }
 
-/// At most `count` control points spread over some positions, and which positions they are.
+/// At most `count` control points spread over some positions, and the indices of the chosen positions.
 pub(super) fn spread(
     candidates: &[[f32; 3]],
     count: usize,
@@ -537,7 +541,7 @@ pub(super) fn spread(
 ) -> Result<(ControlPoints, Vec<usize>)> {
     let chosen = farthest_point_sample(candidates.as_flattened(), 3, count, seed)?;
     let positions: Vec<[f32; 3]> = chosen.iter().map(|&k| candidates[k]).collect();
-    // The radius is the distance to the nearest others, which seeding knows as a scale.
+    // The radius is the distance to the nearest others, which seeding computes as a scale.
     let stand_ins: Vec<Point> =
         positions.iter().map(|&position| Point { position, colour: [0.5; 3] }).collect();
     let log_radii = seed_from_points(&stand_ins, 0).log_scales.iter().map(|s| s[0]).collect();

@@ -1,9 +1,9 @@
-//! Every number that training depends on.
+//! The settings of training.
 
 use crate::types::{DEPTH_BITS, RasterKind, RenderSettings};
 
-/// Learning rates. Positions decay exponentially from the first to the last value over the steps and
-/// are in units of the scene's extent; the others are constant.
+/// Learning rates. The rate of positions decays exponentially from the first to the last value over the
+/// steps and is in units of the scene's extent; the others are constant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
     /// Positions, at the first step.
@@ -23,7 +23,7 @@ pub struct Rates {
 }
 
 impl Default for Rates {
-    /// 3D Gaussian Splatting's.
+    /// The rates of 3D Gaussian Splatting.
     fn default() -> Self {
         Rates {
             position: 1.6e-4,
@@ -40,9 +40,9 @@ impl Default for Rates {
 /// How Gaussians are added, moved and removed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum GrowthSettings {
-    /// The dead move to the living.
+    /// MCMC: dead Gaussians move to live ones.
     Mcmc(McmcSettings),
-    /// Clone, split, prune.
+    /// Adaptive control: clone, split, prune.
     Adaptive(AdaptiveSettings),
 }
 
@@ -52,17 +52,18 @@ impl Default for GrowthSettings {
     }
 }
 
-/// MCMC density control (3DGS-MCMC): a share of new Gaussians every so often, the dead move to the
-/// living, noise moves the faint ones, and two regularisers keep opacity and scale small.
+/// MCMC density control (3DGS-MCMC). At intervals the number of Gaussians grows by a factor and dead
+/// Gaussians move to live ones. Noise moves the faint ones, and two regularisers keep opacity and scale
+/// small.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct McmcSettings {
-    /// First step with a round.
+    /// First step that may have a round.
     pub from: u32,
     /// Share of the steps after which rounds end.
     pub until: f64,
     /// Steps between rounds.
     pub every: u32,
-    /// Number of Gaussians after a round over that before.
+    /// Factor by which a round grows the number of Gaussians.
     pub factor: f64,
     /// Weight of the mean opacity in the loss.
     pub opacity_weight: f64,
@@ -73,17 +74,17 @@ pub struct McmcSettings {
 }
 
 impl McmcSettings {
-    /// Whether a round is due after a step, as long as there are rounds.
+    /// Whether a round is due after a step, if rounds have not ended.
     pub(super) fn due(&self, step: u32) -> bool {
         step >= self.from && step.is_multiple_of(self.every)
     }
 
-    /// The last of so many steps that may have a round.
+    /// The last step that may have a round, in a training of `steps` steps.
     pub(super) fn last_of(&self, steps: u32) -> u32 {
         (f64::from(steps) * self.until) as u32
     }
 
-    /// Gaussians that a round adds to so many where there is room.
+    /// Number of Gaussians that a round adds to `gaussians`, if the capacity allows.
     pub(super) fn wanted(&self, gaussians: usize) -> usize {
         (gaussians as f64 * (self.factor - 1.0)).ceil() as usize
     }
@@ -103,38 +104,38 @@ impl Default for McmcSettings {
     }
 }
 
-/// Adaptive density control (3D Gaussian Splatting): a Gaussian whose place in the picture the loss
-/// keeps pulling at is cloned where it is small and split where it is large; faint and huge ones
-/// are pruned; now and then all opacities fall, so that what the pictures do not need stays faint.
+/// Adaptive density control (3D Gaussian Splatting). A Gaussian with a large mean gradient with respect
+/// to its image position is cloned if it is small and split if it is large. Faint and very large ones
+/// are pruned. At intervals all opacities are reset, so that Gaussians that no image needs stay faint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AdaptiveSettings {
-    /// First step with a round.
+    /// First step that may have a round.
     pub from: u32,
     /// Share of the steps after which rounds end.
     pub until: f64,
     /// Steps between rounds.
     pub every: u32,
-    /// Mean gradient by the place in the picture, in units of half the picture, above which a
-    /// Gaussian is cloned or split.
+    /// Mean norm of the gradient with respect to the image position, in units of half the image, above
+    /// which a Gaussian is cloned or split.
     pub gradient: f64,
-    /// Largest scale that is cloned rather than split, in units of the scene's reach: the cameras'
-    /// extent or the median distance of the first Gaussians from the cameras' middle, whichever is
-    /// more. (The source knows the extent only; a camera that hardly moves has next to none.)
+    /// Largest scale that is cloned rather than split, in units of the scene radius: the larger of the
+    /// cameras' extent and the median distance of the first Gaussians from the cameras' mean centre.
+    /// (The source uses the extent only, which is almost 0 for a camera that hardly moves.)
     pub small: f64,
-    /// Largest scale that is kept, in units of the scene's reach, once opacities have been reset.
+    /// Largest scale that is kept after the first opacity reset, in units of the scene radius.
     pub large: f64,
     /// Opacity below which a Gaussian is pruned.
     pub opacity: f64,
     /// Steps between two resets of the opacity; 0 for none.
     pub reset_every: u32,
-    /// No opacity is above this after a reset.
+    /// Upper limit of the opacities after a reset.
     pub reset_opacity: f64,
 }
 
 impl AdaptiveSettings {
-    /// 3D Gaussian Splatting's schedule, made for 30,000 steps, in proportion to `steps`. Two things
-    /// do not shrink with the schedule: a round's statistics need some 25 pictures, and opacities
-    /// need some 500 steps to recover from a reset.
+    /// The schedule of 3D Gaussian Splatting, made for 30,000 steps, scaled in proportion to `steps`.
+    /// Two intervals have lower limits: a round's statistics need about 25 images, and opacities need
+    /// about 500 steps to recover from a reset.
     pub fn scaled_to(steps: u32) -> AdaptiveSettings {
         let scaled = |of_30k: f64| (of_30k * f64::from(steps) / 30_000.0).round() as u32;
         let every = scaled(100.0).clamp(25, 100);
@@ -152,25 +153,26 @@ impl AdaptiveSettings {
     }
 }
 
-/// How control points are added where the loss pulls, and removed where nothing follows them.
+/// How control points are added where the loss has large gradients, and removed where no Gaussian
+/// follows them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ControlSettings {
     /// Steps between rounds.
     pub every: u32,
     /// Share of the steps after which rounds end.
     pub until: f64,
-    /// Most control points.
+    /// Largest number of control points.
     pub most: usize,
-    /// A control point gets company where its importance is more than so many times the median.
+    /// A control point is added beside one whose importance is more than this many times the median.
     pub above: f64,
-    /// Most that are added in a round, as a share of those that there are.
+    /// Largest number added in a round, as a share of the present control points.
     pub share: f64,
 }
 
 impl ControlSettings {
-    /// Some eight rounds' time in `steps`, at most 500 steps apart, the last ones left out so that
-    /// everything settles; up to `most` control points. Importances are means over many followers
-    /// and differ little: twice the median is rare.
+    /// About eight intervals in `steps`, each 100 to 500 steps; no rounds in the last part, so that the
+    /// motion settles. Up to `most` control points. Importances are means over many followers and differ
+    /// little; values above twice the median are rare.
     pub fn scaled_to(steps: u32, most: usize) -> ControlSettings {
         let every = (steps / 8).clamp(100, 500);
         ControlSettings { every, until: 0.7, most, above: 1.5, share: 0.05 }
@@ -182,29 +184,31 @@ impl ControlSettings {
     }
 }
 
-/// How it is trained which Gaussians move. Up to a step motion is soft: a Gaussian moves by its
-/// probability of motion; from there on it moves fully or not at all.
+/// Training of the motion logits, which decide which Gaussians move. In the first part of the steps
+/// motion is soft: a Gaussian's motion is weighted by its probability of motion. After that it moves
+/// fully or not at all.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SelectionSettings {
     /// Learning rate of the motion logits.
     pub rate: f64,
     /// Share of the steps in which motion is soft.
     pub until: f64,
-    /// Logit below which a Gaussian is clearly static: it neither moves nor pays for it.
+    /// Logit below which a Gaussian is treated as static: it does not move and has no rigidity term.
     pub least_logit: f32,
     /// Weight of the mask loss at the first step, on average over all steps.
     pub mask_weight: f64,
-    /// At the last step with soft motion.
+    /// Weight of the mask loss at the last step with soft motion.
     pub mask_weight_last: f64,
-    /// Steps between pictures with a mask loss.
+    /// Steps between two steps with a mask loss.
     pub mask_every: u32,
-    /// λ_rigid: weight of the mean squared displacement of what the masks show to be still.
+    /// λ_rigid: weight of the mean squared displacement of Gaussians that the masks show to be static.
     pub rigid_weight: f64,
 }
 
 impl SelectionSettings {
-    /// For so many steps. A logit's way is its rate times its steps: SC-GS's rate of 2.5e-3, there
-    /// over 10,000 steps with a mask loss, goes up as these become fewer, to 0.1 at most.
+    /// Settings for a number of steps. A logit can change by about its rate times its steps. SC-GS uses
+    /// a rate of 2.5e-3 over 10,000 steps with a mask loss; the rate rises as the steps become fewer, to
+    /// at most 0.1.
     pub fn scaled_to(steps: u32) -> SelectionSettings {
         let until = 0.6;
         SelectionSettings {
@@ -218,7 +222,7 @@ impl SelectionSettings {
         }
     }
 
-    /// The steps of `steps` in which motion is soft.
+    /// Number of steps with soft motion in a training of `steps` steps.
     pub(super) fn steps_of(&self, steps: u32) -> u32 {
         (f64::from(steps) * self.until.clamp(0.0, 1.0)) as u32
     }
@@ -227,21 +231,21 @@ impl SelectionSettings {
 /// How motion is trained.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionSettings {
-    /// Learning rate of network and radii at the first step.
+    /// Learning rate of the network and of the radii at the first step.
     pub rate: f64,
-    /// At the last step.
+    /// Learning rate of the network and of the radii at the last step.
     pub rate_last: f64,
     /// Learning rate of the control points' paths at the first step.
     pub path_rate: f64,
-    /// At the last step.
+    /// Learning rate of the control points' paths at the last step.
     pub path_rate_last: f64,
     /// Weight of the as-rigid-as-possible energy.
     pub arap_weight: f64,
-    /// Edges of a control point in that energy.
+    /// Number of edges of a control point in that energy.
     pub arap_edges: usize,
-    /// How control points are added and removed; `None` keeps those that there are.
+    /// How control points are added and removed; `None` keeps the initial ones.
     pub control: Option<ControlSettings>,
-    /// How it is trained which Gaussians move; `None` keeps their motion logits.
+    /// How the motion logits are trained; `None` keeps them.
     pub selection: Option<SelectionSettings>,
 }
 
@@ -264,36 +268,36 @@ impl Default for MotionSettings {
 /// How a scene is trained.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrainSettings {
-    /// Number of steps, one picture each.
+    /// Number of steps, one view each.
     pub steps: u32,
-    /// Growth ends here.
+    /// Largest number of Gaussians that growth may reach.
     pub max_gaussians: usize,
     /// Highest degree of the spherical harmonics.
     pub sh_degree: u32,
-    /// A band is added each time so many steps have passed; 0 uses all bands from the first step.
+    /// Steps between two additions of a band; 0 uses all bands from the first step.
     pub sh_interval: u32,
     /// Learning rates.
     pub rates: Rates,
-    /// The unit of the positions' learning rate; `None`: the extent of the cameras.
+    /// The unit of the positions' learning rate, world units; `None` for the extent of the cameras.
     pub position_unit: Option<f64>,
     /// λ, the share of D-SSIM in the loss.
     pub ssim_share: f32,
-    /// Factor of the depth term, where a depth is known.
+    /// Factor of the depth term, for pixels with a known depth.
     pub depth_scale: f32,
-    /// Behind everything.
+    /// Background colour, RGB.
     pub background: [f32; 3],
     /// Constants of blending.
     pub render: RenderSettings,
-    /// How many of a depth's bits decide the order of splats; see
+    /// Number of a depth's bits that decide the order of splats; see
     /// [`Tuning::depth_bits`](crate::types::Tuning::depth_bits).
     pub depth_bits: u32,
-    /// How an image is blended.
+    /// The blending kernel.
     pub raster: RasterKind,
-    /// Density control; `None` keeps the Gaussians that there are.
+    /// Density control; `None` keeps the initial Gaussians.
     pub growth: Option<GrowthSettings>,
-    /// How motion is trained, where there is any.
+    /// How motion is trained, if the scene moves.
     pub motion: MotionSettings,
-    /// Decides the order of the pictures and everything random.
+    /// Seed of everything random, including the order of the views.
     pub seed: u64,
 }
 
@@ -320,8 +324,8 @@ impl Default for TrainSettings {
 }
 
 impl TrainSettings {
-    /// The usual settings for a run of so many steps: where it is shorter than 30,000, the bands of the
-    /// spherical harmonics come sooner in proportion, so that they are trained at all.
+    /// The default settings for a training of `steps` steps. For fewer than 30,000 steps the bands of
+    /// the spherical harmonics are added sooner in proportion, so that they are trained at all.
     pub fn of_steps(steps: u32) -> TrainSettings {
         let usual = TrainSettings::default();
         let interval = u64::from(usual.sh_interval) * u64::from(steps.min(usual.steps))
@@ -337,7 +341,7 @@ impl TrainSettings {
         }
     }
 
-    /// The number of Gaussians that training can reach from `first`, at most.
+    /// Upper bound of the number of Gaussians in a training that begins with `first`.
     pub(super) fn reachable(&self, first: usize) -> usize {
         let most = self.max_gaussians.max(first);
         match self.growth {

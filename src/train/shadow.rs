@@ -1,8 +1,8 @@
 //! Gaussians for the shadows that movers cast.
 //!
-//! A shadow scales what it falls on, and so does a faint black Gaussian that lies right before it: no part
-//! of the renderer and no file format has to know of shadows. It moves with the scaffold's nodes for
-//! shadows.
+//! A shadow scales the colour of the surface that it falls on, and so does a faint black Gaussian
+//! directly before that surface. Therefore neither the renderer nor a file format needs to support
+//! shadows. The Gaussian moves with the scaffold's nodes for shadows.
 
 use super::carried::{Seed, gaussians};
 use super::sequence::thinned;
@@ -12,14 +12,15 @@ use crate::types::Gaussians;
 use glam::DVec2;
 use std::collections::HashSet;
 
-/// A shadow's Gaussians lie before the ground by this share of the ground's distance.
+/// Distance of a shadow's Gaussians before the ground, as a share of the ground's distance from the
+/// camera.
 const BEFORE: f64 = 0.015;
-/// Distance of the Gaussians, pixels.
+/// Spacing of the Gaussians, pixels.
 const SPACING: f64 = 5.0;
-/// The weights of Gaussians that are as wide as far from each other add up to 2π.
+/// The weights of Gaussians whose standard deviation equals their spacing on a grid add up to 2π.
 const OVERLAP: f32 = std::f32::consts::TAU;
 
-/// Gaussians on the shadows in a window, brought back to its canonical frame from some frames, at most
+/// Gaussians on the shadows in a window, carried to its canonical frame from some frames, at most
 /// `most`.
 pub(super) fn seed_shadows(
     track: &Track,
@@ -58,7 +59,7 @@ pub(super) fn seed_shadows(
     gaussians
 }
 
-/// The opacity of Gaussians that together take a share of the light away.
+/// The opacity of Gaussians that together absorb a share of the light.
 fn opacity(share: f32) -> f32 {
     (-(1.0 - share.min(0.95)).ln() / OVERLAP).clamp(0.01, 0.5)
 }
@@ -71,7 +72,7 @@ mod tests {
     fn gaussians_together_take_the_share_away() {
         for share in [0.1f32, 0.4, 0.7] {
             for at in [DVec2::new(0.0, 0.0), DVec2::new(0.5, 0.5), DVec2::new(0.3, 0.1)] {
-                // As wide as far from each other, on a grid.
+                // Their standard deviation equals their spacing, on a grid.
                 let offsets = (-6..=6).flat_map(|y| (-6..=6).map(move |x| (x, y)));
                 let left: f64 = offsets
                     .map(|(x, y)| {

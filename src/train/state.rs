@@ -1,4 +1,5 @@
-//! A trainer's state on the host: all that its next step depends on, besides pictures and settings.
+//! A trainer's state on the host: everything that its next step depends on, except the training views
+//! and settings.
 
 use rand_chacha::ChaCha8Rng;
 #[cfg(feature = "files")]
@@ -15,7 +16,7 @@ use crate::gpu::Device;
 use crate::types::Gaussians;
 use crate::{Error, Result};
 
-/// What [`Trainer::state`] gives and [`Trainer::resume`] takes.
+/// The state of a trainer, from [`Trainer::state`] for [`Trainer::resume`].
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct TrainerState {
@@ -25,31 +26,31 @@ pub struct TrainerState {
     moments: [Gaussians; 2],
     trainable: Vec<bool>,
     motion: Option<(MotionStart, MotionMoments, Following)>,
-    /// Besides the motion logits, which the Gaussians hold.
+    /// State of the motion logits' training; the logits themselves are in `gaussians`.
     selection: Option<SelectionState>,
-    /// As far as something reads them.
+    /// Density statistics, `Some` where the trainer keeps them.
     statistics: Option<Vec<f32>>,
     control_changes: ControlChanges,
     broken_gradients: u64,
     scene_radius: f64,
     rng: ChaCha8Rng,
     round: Vec<usize>,
-    /// Room for intersections by size of picture: how often a step has to be done again depends on it.
+    /// Capacity for intersections by image size; it decides which steps are repeated.
     capacities: Vec<((u32, u32), usize)>,
-    /// Steps whose counts have not been looked at: picture and counts.
+    /// Steps whose counts have not been examined: view and counts.
     pending: Vec<(usize, [u32; 2])>,
 }
 
 impl TrainerState {
-    /// Steps done.
+    /// Number of steps done.
     pub fn step(&self) -> u32 {
         self.step
     }
 }
 
 impl Trainer {
-    /// Waits and reads everything that the next step depends on. Training goes the same way whether
-    /// its state was read or not.
+    /// Waits and reads everything that the next step depends on. Reading the state does not change the
+    /// course of the training.
     ///
     /// # Errors
     /// As for [`step`](Self::step).
@@ -92,11 +93,11 @@ impl Trainer {
         })
     }
 
-    /// Goes on from a state: with the same pictures (none for a trainer without) and settings as the
-    /// trainer that it was taken from, every later step gives the same bits.
+    /// Resumes training from a state. With the same views (none for a trainer without them) and settings
+    /// as the trainer that the state came from, every later step gives the same bits.
     ///
     /// # Errors
-    /// As for [`Trainer::new`]; [`Error::Input`] for a state of other pictures.
+    /// As for [`Trainer::new`]; [`Error::Input`] for a state that refers to views that are not given.
     pub fn resume(
         device: &Device,
         views: &[TrainingView],

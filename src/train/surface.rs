@@ -1,31 +1,31 @@
-//! Gaussians laid along the surfaces that the depth shows.
+//! Alignment of Gaussians with the surfaces that the depth shows.
 //!
-//! Seeds are spaced evenly in the pictures. On a surface seen at a grazing angle they are far apart
-//! along the line of sight, where the frames that they come from cannot see a gap; a camera that looks
-//! from higher up does. A flat Gaussian that looks round from its own frame covers the surface from
-//! everywhere.
+//! Seeds are spaced evenly in the images. On a surface at a grazing angle they are far apart along the
+//! line of sight. The frames that they come from show no gap there, but a camera at a higher position
+//! does. A flat Gaussian whose footprint is round in its own frame covers the surface from all
+//! viewpoints.
 
 use crate::types::{Gaussians, Image, Intrinsics};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
-/// Half the side of the window that a surface is fitted in, pixels.
+/// Half the side of the window in which a plane is fitted, pixels.
 const REACH: i64 = 4;
-/// Pixels of another relative depth are of another surface.
+/// Absolute logarithm of the depth ratio above which pixels belong to another surface.
 const SAME_SURFACE: f64 = 0.1;
-/// A surface has at least this share of the window's pixels.
+/// Smallest share of the window's pixels that must belong to the surface.
 const LEAST_SHARE: f64 = 0.75;
-/// A plane leaves at most this share of the inverse depths' variance: the edge of a thing slopes as
-/// steeply as ground that is seen at a grazing angle, but is no plane. Measured depth trembles, so the
-/// bound is wide.
+/// Largest share of the inverse depths' variance that the fit of a plane may leave. The edge of an
+/// object slopes as steeply as ground at a grazing angle, but is not a plane. Measured depth is noisy,
+/// so the bound is wide.
 const UNEXPLAINED: f64 = 0.5;
-/// A Gaussian is not drawn out beyond so many times its width.
+/// Largest elongation of a Gaussian, in units of its width.
 const LONGEST: f64 = 3.0;
 /// Thickness of a Gaussian on a surface, in units of its width.
 const THICKNESS: f64 = 0.3;
 
-/// The unit normal of the surface that a pixel shows, in the camera's frame, towards the camera. A
-/// plane's inverse depth is linear in the pixel, so it is fitted by least squares. `None` where the
-/// depth shows no plane.
+/// The unit normal of the surface at a pixel, in the camera frame, towards the camera. The inverse depth
+/// of a plane is linear in the pixel, so the plane is fitted by least squares. `None` where the depth
+/// shows no plane.
 pub(super) fn normal(depth: &Image, intrinsics: &Intrinsics, pixel: DVec2) -> Option<DVec3> {
     let (width, height) = (i64::from(depth.width), i64::from(depth.height));
     let (x0, y0) = (pixel.x.floor() as i64, pixel.y.floor() as i64);
@@ -37,7 +37,7 @@ pub(super) fn normal(depth: &Image, intrinsics: &Intrinsics, pixel: DVec2) -> Op
     if here <= 0.0 || !here.is_finite() {
         return None;
     }
-    // Normal equations of 1 / z = a X + b Y + c, X and Y the ray's coordinates.
+    // Normal equations of 1 / z = a X + b Y + c, where X and Y are the ray's coordinates.
     let (mut products, mut right) = (DMat3::ZERO, DVec3::ZERO);
     let (mut surface, mut window) = (Vec::new(), 0.0);
     for y in (y0 - REACH).max(0)..=(y0 + REACH).min(height - 1) {
@@ -67,8 +67,8 @@ pub(super) fn normal(depth: &Image, intrinsics: &Intrinsics, pixel: DVec2) -> Op
     Some(if normal.dot(intrinsics.ray(pixel)) > 0.0 { -normal } else { normal })
 }
 
-/// Lays a round Gaussian along a surface: thin across it, as wide as it was, and drawn out so that
-/// it stays round in the direction `ray`. `ray` and `normal` are in the world.
+/// Aligns a round Gaussian with a surface: thin across it, as wide as before, and elongated so that its
+/// footprint stays round in the direction `ray`. `ray` and `normal` are in the world frame.
 pub(super) fn lay(gaussians: &mut Gaussians, i: usize, ray: DVec3, normal: DVec3) {
     let ray = ray.normalize();
     let cosine = ray.dot(normal).abs().max(1.0 / LONGEST);

@@ -21,40 +21,40 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;
 
-/// How far training is.
+/// Progress of a training.
 #[derive(Clone, Copy, Debug)]
 pub struct Progress {
-    /// Steps done.
+    /// Number of steps done.
     pub step: u32,
-    /// Steps in all.
+    /// Total number of steps.
     pub steps: u32,
     /// Number of Gaussians.
     pub gaussians: usize,
 }
 
-/// Steps between points at which the device is waited for, which Gaussians move is listed anew, and
-/// these find their control points again.
+/// Number of steps between synchronisations. At each one the host waits for the device, and the dynamic
+/// Gaussians are listed anew and matched with their control points.
 pub const SYNC_INTERVAL: u32 = 100;
 
-/// Submissions that may be under way before the host waits for the oldest: enough to keep the device
-/// busy while the next one is recorded.
+/// Number of submissions that may be in flight before the host waits for the oldest: enough to keep the
+/// device busy while the next one is recorded.
 const IN_FLIGHT: usize = 2;
 
-/// A step that has been submitted and whose counts have not been looked at.
+/// A submitted step whose counts have not been examined.
 pub(super) struct Pending {
     view: usize,
     counts: Counts,
 }
 
-/// What a step's frame needed.
+/// The frame counts of a step.
 enum Counts {
-    /// The device may still be at it.
+    /// The device may not have finished the step.
     UnderWay(Ticket, Readback<u32>),
-    /// It is done.
+    /// The step is finished; its counts are read.
     Known([u32; 2]),
 }
 
-/// That every number is in its range, those of the Gaussians aside.
+/// Checks that every number is in its range, except those of the Gaussians.
 fn check(views: &[TrainingView], motion: Option<&MotionStart>, settings: &TrainSettings) -> Check {
     settings.render.check().map_err(|what| format!("settings: {what}"))?;
     if let Some(unit) = settings.position_unit {
@@ -71,7 +71,7 @@ fn check(views: &[TrainingView], motion: Option<&MotionStart>, settings: &TrainS
     start.network.as_ref().map_or(Ok(()), DeformNet::check)
 }
 
-/// Trains Gaussians on pictures.
+/// Trains Gaussians on images.
 pub struct Trainer {
     pub(super) device: Device,
     pub(super) stream: Stream,
@@ -82,22 +82,22 @@ pub struct Trainer {
     pub(super) gradients: GaussianBuffers,
     pub(super) optimiser: GaussianOptimiser,
     pub(super) growth: Option<Growth>,
-    /// Where something reads them.
+    /// `Some` where density control or the revision of control points reads the statistics.
     pub(super) statistics: Option<Statistics>,
     pub(super) motion: Option<MotionTrainer>,
-    /// Where there is motion.
+    /// `Some` where the scene moves.
     pub(super) selection: Option<Selection>,
     pub(super) control_changes: ControlChanges,
-    /// Gradients that were left out before the state that training was resumed from.
+    /// Number of skipped gradients before the state that training was resumed from.
     pub(super) broken_before: u64,
     pub(super) extent: f64,
-    /// A step with the caller's own loss, while it is under way.
+    /// The step with the caller's own loss, while one is in progress.
     pub(super) own: Option<OwnStep>,
-    /// Of the first Gaussians; what density control measures scales by.
+    /// Scene radius of the first Gaussians, the unit of density control's scale limits.
     pub(super) scene_radius: f64,
     pub(super) step: u32,
     pub(super) rng: ChaCha8Rng,
-    /// Views still to come in this round, last first.
+    /// Views that remain in this round; the last one comes next.
     pub(super) round: Vec<usize>,
     last_view: Option<usize>,
     pub(super) pending: VecDeque<Pending>,
@@ -105,14 +105,13 @@ pub struct Trainer {
 }
 
 impl Trainer {
-    /// Puts pictures and Gaussians on the device. With `motion`, Gaussians whose motion logit is
-    /// above 0 follow the control points, and these are trained along; without, everything is
-    /// static.
+    /// Uploads training views and Gaussians. With `motion`, Gaussians whose motion logit is above 0
+    /// follow the control points, which are trained as well; without it, everything is static.
     ///
     /// # Errors
-    /// [`Error::Input`] without views or Gaussians, or for a number that is out of its
-    /// [range], NaN among them; [`Error::OutOfMemory`]; [`Error::Shape`] when a
-    /// picture and its camera, weights, disparity or mask differ in size.
+    /// [`Error::Input`] without views or Gaussians, or for a number that is out of its [range],
+    /// including NaN; [`Error::OutOfMemory`]; [`Error::Shape`] when a view's image and its camera,
+    /// weights, disparity or mask differ in size.
     pub fn new(
         device: &Device,
         views: &[TrainingView],
@@ -124,7 +123,7 @@ impl Trainer {
         Trainer::with_scene_radius(device, views, gaussians, motion, settings, scene_radius)
     }
 
-    /// As [`new`](Self::new), in a scene whose reach is known.
+    /// As [`new`](Self::new), with a known scene radius.
     pub(super) fn with_scene_radius(
         device: &Device,
         views: &[TrainingView],
@@ -142,7 +141,8 @@ impl Trainer {
         Trainer::build(device, views, gaussians, motion, settings, (scene_radius, extent), capacity)
     }
 
-    /// With pictures or without, in a scene whose reach and extent are known, with this much room.
+    /// Builds a trainer, with or without training views, for a known scene radius and extent and a given
+    /// capacity.
     pub(super) fn build(
         device: &Device,
         views: &[TrainingView],
@@ -209,17 +209,17 @@ impl Trainer {
         })
     }
 
-    /// How far training is.
+    /// The progress so far.
     pub fn progress(&self) -> Progress {
         Progress { step: self.step, steps: self.settings.steps, gaussians: self.gaussians.len }
     }
 
-    /// Does one step on the next picture of the round; each round shuffles anew. Returns before the
-    /// device is done.
+    /// Does one step on the next view of the round; each round shuffles the views anew. Returns before
+    /// the device has finished.
     ///
     /// # Errors
     /// [`Error::OutOfMemory`], [`Error::DeviceLost`], or another failed Vulkan call; [`Error::Input`]
-    /// for a trainer without pictures, or within a step with the caller's own loss.
+    /// for a trainer without training views, or during a step with the caller's own loss.
     pub fn step(&mut self) -> Result<()> {
         if self.views.is_empty() || self.own.is_some() {
             let what = "a step on the trainer's own pictures: there are none, or a step with a \
@@ -236,7 +236,8 @@ impl Trainer {
         self.rounds()
     }
 
-    /// Lets only some Gaussians train; the others stay bit for bit as they are. Growth must be off.
+    /// Restricts training to some Gaussians; the others stay bit for bit as they are. Growth must be
+    /// off.
     ///
     /// # Errors
     /// [`Error::Shape`] for another number of flags than Gaussians, or a failed upload.
@@ -253,7 +254,8 @@ impl Trainer {
         self.stream.upload(&mut self.optimiser.trainable, &words)
     }
 
-    /// Waits for the steps under way; a step whose frame did not fit is done again with more room.
+    /// Waits for the steps in flight. A step whose frame exceeded the capacity is repeated later with a
+    /// larger one.
     ///
     /// # Errors
     /// As for [`step`](Self::step).
@@ -264,8 +266,8 @@ impl Trainer {
         Ok(())
     }
 
-    /// Waits and reads the last step's loss; none before the first step, and where the last one has
-    /// to be done again.
+    /// Waits and reads the last step's loss. `None` before the first step, and where the last step has
+    /// to be repeated.
     ///
     /// # Errors
     /// As for [`step`](Self::step).
@@ -283,9 +285,10 @@ impl Trainer {
         value.map(Some)
     }
 
-    /// Waits, and measures the PSNR in dB of the last step's picture, as it was before the step, against
-    /// the photograph; none where [`loss`](Self::loss) gives none, where the photograph counts nowhere, and
-    /// after the few steps whose picture gave way to one of what moves. Downloads both.
+    /// Waits, and measures the PSNR in dB of the last step's render, from before that step's update,
+    /// against its reference. `None` where [`loss`](Self::loss) gives `None`, where the view has no
+    /// pixel with weight, and after the steps in which the mask loss has overwritten the render.
+    /// Downloads both images.
     ///
     /// # Errors
     /// As for [`step`](Self::step).
@@ -310,8 +313,8 @@ impl Trainer {
         self.download_gaussians()
     }
 
-    /// [`gaussians`](Self::gaussians) after the steps that have been submitted, whether their frames
-    /// fitted or not.
+    /// As [`gaussians`](Self::gaussians), after the steps that have been submitted, whether or not their
+    /// frames fitted.
     pub(super) fn download_gaussians(&mut self) -> Result<Gaussians> {
         let mut gaussians = self.gaussians.download(&mut self.stream)?;
         if let Some(selection) = &self.selection {
@@ -320,8 +323,8 @@ impl Trainer {
         Ok(gaussians)
     }
 
-    /// Waits and reads the control points, and the network where they have no paths, where there is
-    /// motion.
+    /// Waits and reads the control points, and the network where they have no paths. `None` where the
+    /// scene does not move.
     ///
     /// # Errors
     /// As for [`step`](Self::step).
@@ -330,18 +333,19 @@ impl Trainer {
         self.download_motion()
     }
 
-    /// [`motion`](Self::motion) likewise.
+    /// As [`motion`](Self::motion), after the steps that have been submitted, whether or not their
+    /// frames fitted.
     pub(super) fn download_motion(&mut self) -> Result<Option<MotionNow>> {
         self.motion.as_ref().map(|motion| motion.download(&mut self.stream)).transpose()
     }
 
-    /// How many control points have been added and removed so far.
+    /// The numbers of control points that have been added and removed so far.
     pub fn control_changes(&self) -> ControlChanges {
         self.control_changes
     }
 
-    /// Waits, and counts the gradients that were not a number or infinite so far: values whose step was
-    /// left out. There should be none.
+    /// Waits, and counts the gradients so far that were not finite and whose update was skipped. The
+    /// expected count is 0.
     ///
     /// # Errors
     /// As for [`step`](Self::step).
@@ -427,8 +431,8 @@ impl Trainer {
         Ok(())
     }
 
-    /// Records what follows the picture's backward pass: density control's statistics, and the
-    /// gradients by the motion.
+    /// Records what follows the render's backward pass: density control's statistics, and the gradients
+    /// with respect to the motion.
     pub(super) fn gather(&mut self, recorder: &mut Recorder, size: (u32, u32)) -> Result<()> {
         let resources = self.frame_pool.for_size(&self.device, size)?;
         let (step, steps) = (self.step, self.settings.steps);
@@ -445,8 +449,8 @@ impl Trainer {
         Ok(())
     }
 
-    /// Records the update of every parameter by the gradients; `view` names the picture whose motion
-    /// mask counts too.
+    /// Records the update of every parameter by the gradients; `view` is the view whose motion mask
+    /// counts in this step.
     pub(super) fn learn(
         &mut self,
         recorder: &mut Recorder,
@@ -480,8 +484,8 @@ impl Trainer {
         Ok(())
     }
 
-    /// Waits for the steps under way without looking at their counts: for each its picture and them.
-    /// What follows from them comes when it would have come.
+    /// Waits for the steps in flight without acting on their counts, and returns the view and the counts
+    /// of each. The counts take effect at the same step as without this call.
     pub(super) fn settle(&mut self) -> Result<Vec<(usize, [u32; 2])>> {
         let mut settled = Vec::with_capacity(self.pending.len());
         for Pending { view, counts } in std::mem::take(&mut self.pending) {
@@ -491,13 +495,13 @@ impl Trainer {
         Ok(settled)
     }
 
-    /// Steps that were under way and that the device is done with.
+    /// Sets the pending steps to these, which the device has finished.
     pub(super) fn set_settled(&mut self, settled: Vec<(usize, [u32; 2])>) {
         let known = |(view, words)| Pending { view, counts: Counts::Known(words) };
         self.pending = settled.into_iter().map(known).collect();
     }
 
-    /// Waits for a step's counts.
+    /// Waits for a step's counts and reads them.
     fn words(&mut self, counts: Counts) -> Result<[u32; 2]> {
         match counts {
             Counts::Known(words) => Ok(words),
@@ -511,7 +515,7 @@ impl Trainer {
         }
     }
 
-    /// Waits for the oldest step under way.
+    /// Waits for the oldest step in flight, and schedules its view again if its frame did not fit.
     fn retire(&mut self) -> Result<()> {
         let Some(pending) = self.pending.pop_front() else { return Ok(()) };
         let counts = FrameCounts::from_device(self.words(pending.counts)?);
@@ -519,7 +523,7 @@ impl Trainer {
         let size = (k.width, k.height);
         let resources = self.frame_pool.for_size(&self.device, size)?;
         if counts.intersections > resources.render.intersection_capacity() {
-            // The device has left the parameters alone; the picture comes again.
+            // The device has not changed the parameters; the view is repeated.
             self.frame_pool.grow(&self.device, size, counts.intersections)?;
             self.round.push(pending.view);
             self.last_view = None;

@@ -1,4 +1,4 @@
-//! The pictures to train on, and how large the scene is that they show.
+//! The training views, and the size of the scene that they show.
 
 #[cfg(feature = "files")]
 use crate::data::View;
@@ -7,13 +7,13 @@ use crate::types::{Camera, Gaussians, Image};
 #[cfg(feature = "files")]
 use serde::Serialize;
 
-/// A picture to train on.
+/// A training view: a posed image, and what else is known of its pixels.
 #[derive(Clone, Debug)]
 #[cfg_attr(feature = "files", derive(Serialize))]
 pub struct TrainingView {
-    /// Its camera, of the picture's size.
+    /// Its camera, with the image's size.
     pub camera: Camera,
-    /// In [0, 1].
+    /// Time of the image, in [0, 1] over the clip.
     pub time: f64,
     /// RGB in [0, 1].
     pub image: Image,
@@ -23,13 +23,13 @@ pub struct TrainingView {
     pub disparity: Option<Image>,
     /// Motion mask, one channel: 1 where something moves, else 0; `None` where unknown.
     pub mask: Option<Image>,
-    /// It is shown in one of so many rounds through the pictures; 1 for all.
+    /// The view takes part in one of this many rounds through the views; 1 for every round.
     pub every: u32,
 }
 
 impl TrainingView {
-    /// That its camera, its time and what is known beside the picture are in their ranges; the
-    /// picture itself is cut to [0, 1].
+    /// Checks that its camera, its time, disparity and mask are in their ranges; the image itself is
+    /// clamped to [0, 1].
     pub(super) fn check(&self) -> Check {
         self.camera.check()?;
         range::moment(self.time)?;
@@ -46,7 +46,7 @@ impl TrainingView {
     }
 }
 
-/// A dataset's picture as training wants it; what undistortion left empty has no weight.
+/// Converts a dataset's view to a training view; pixels that undistortion left empty have no weight.
 #[cfg(feature = "files")]
 impl From<View> for TrainingView {
     fn from(view: View) -> TrainingView {
@@ -55,16 +55,16 @@ impl From<View> for TrainingView {
     }
 }
 
-/// The views that a round shows, of which each is shown in one of so many; all where that would be none.
-/// `turn` is the round's, drawn evenly: views side by side take turns.
+/// The views of a round, where view i takes part in one of `every[i]` rounds; all views where that would
+/// give none. `turn` is the round's random number, drawn uniformly: adjacent views take turns.
 pub(super) fn due(every: &[u32], turn: u32) -> Vec<usize> {
     let is_due = |i: &usize| (*i as u64 + u64::from(turn)).is_multiple_of(u64::from(every[*i]));
     let due: Vec<usize> = (0..every.len()).filter(is_due).collect();
     if due.is_empty() { (0..every.len()).collect() } else { due }
 }
 
-/// The extent of the cameras, or the median distance of the Gaussians from the cameras' middle where
-/// that is more.
+/// The scene radius: the larger of the extent of the cameras and the median distance of the Gaussians
+/// from the cameras' mean centre.
 pub(super) fn scene_radius(views: &[TrainingView], gaussians: &Gaussians) -> f64 {
     let cameras = views.iter().map(|view| &view.camera);
     let sum: glam::DVec3 = cameras.clone().map(Camera::centre).sum();
@@ -75,8 +75,8 @@ pub(super) fn scene_radius(views: &[TrainingView], gaussians: &Gaussians) -> f64
     extent(cameras).max(all.get(all.len() / 2).copied().unwrap_or(0.0))
 }
 
-/// 1.1 times the largest distance of a camera from their mean: the unit of the positions' learning
-/// rate. Cameras in one place give 1.
+/// The extent of the cameras: 1.1 times the largest distance of a camera from their mean, the unit of
+/// the positions' learning rate. 1 where all cameras are in one place.
 pub(super) fn extent<'a>(cameras: impl Iterator<Item = &'a Camera> + Clone) -> f64 {
     let centres: Vec<_> = cameras.map(Camera::centre).collect();
     let mean = centres.iter().copied().sum::<glam::DVec3>() / centres.len().max(1) as f64;

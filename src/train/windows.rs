@@ -1,16 +1,16 @@
-//! Windows of a clip: stretches of its frames in which what moves has Gaussians and control points of its
-//! own.
+//! Windows of a clip: intervals of its frames in which the movers have their own Gaussians and control
+//! points.
 //!
-//! One set of Gaussians that follows the scaffold through the whole clip has to look right in all frames.
-//! Where the scaffold does not carry a mover's surface to where it is, or what moves turns and changes its
-//! light, that set fits none of them: it dissolves. Then a clip is cut: in each window what moves is
-//! seeded from the window's own frames, and is absent in all others. Neighbouring windows share two
-//! frames, so that one takes over from the other without a gap. Where the look of movers, carried by the
-//! scaffold, hardly changes, one window sees more of them, and is better from aside.
+//! One set of Gaussians that follows the scaffold through the whole clip must match all frames. Where
+//! the scaffold does not carry a mover's surface to its true position, or a mover turns and changes its
+//! shading, that set fits no frame and blurs. Such a clip is cut into windows: in each window the movers
+//! are seeded from the window's frames, and they are absent in all others. Neighbouring windows share
+//! two frames, so that there is no gap between them. Where the appearance of movers, carried by the
+//! scaffold, hardly changes, a single window sees more of them and gives better offset views.
 //!
-//! A Gaussian follows the control points that are nearest to it in the canonical frame. So that it
-//! follows those of its own window only, the canonical places of windows lie side by side along x, apart
-//! by more than movers extend.
+//! A Gaussian follows the control points that are nearest to it in the canonical frame. To make it
+//! follow those of its own window only, the canonical positions of the windows are offset along x by
+//! more than the movers' extent.
 
 use super::lifting::MOVING;
 use super::sequence::{Sequence, SequenceSettings, first_control_points};
@@ -21,32 +21,32 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Frames of a window, besides those that it shares, where there are control points enough.
+/// Number of frames of a window, except the shared ones, if there are enough control points.
 const LENGTH: usize = 4;
-/// A window has about so many control points, or there are fewer windows.
+/// Approximate number of control points that a window must have; otherwise there are fewer windows.
 const LEAST_CONTROL_POINTS: usize = 24;
-/// A clip is cut where the luminance of movers changes by more than this within [`LENGTH`] frames, as a
-/// root mean square.
+/// Root mean square change of the movers' luminance within [`LENGTH`] frames above which a clip is cut.
 const CHANGE: f64 = 0.1;
-/// Of the pixels of movers every so-manieth tells how the look changes, along each axis.
+/// Step along each axis between the pixels of movers at which the change is measured.
 const EVERY: usize = 2;
-/// The windows' canonical places are apart by so many times what movers extend along x.
+/// Offset between the canonical positions of windows, in units of the movers' extent along x.
 const APART: f64 = 2.0;
 
-/// A stretch of frames with Gaussians and control points of its own.
+/// An interval of frames with its own Gaussians and control points.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Window {
-    /// Those in which they are there.
+    /// The frames in which they are present.
     pub frames: Range<usize>,
-    /// The frame in which things are where their canonical places are, but for `offset`.
+    /// The canonical frame: objects are at their canonical positions minus `offset` in it.
     pub canonical: usize,
-    /// From where things are in the canonical frame to their canonical places.
+    /// Offset from the objects' positions in the canonical frame to their canonical positions, world
+    /// units.
     pub offset: DVec3,
-    /// Who is in it.
+    /// What the window holds.
     pub holds: Holds,
 }
 
-/// Whose Gaussians and control points a window has.
+/// The kind of Gaussians and control points that a window has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Holds {
     All,
@@ -63,7 +63,7 @@ impl Window {
         self.holds != Holds::Movers
     }
 
-    /// The nodes of the scaffold that it holds and that are there in some of its frames.
+    /// The nodes of the scaffold that the window holds and that are alive in some of its frames.
     pub fn nodes<'a>(&'a self, track: &'a Track) -> impl Iterator<Item = &'a Node> {
         track.scaffold.nodes.iter().filter(|node| self.takes(track, node))
     }
@@ -74,13 +74,14 @@ impl Window {
         held && node.alive.start < self.frames.end && self.frames.start < node.alive.end
     }
 
-    /// The canonical place of a node.
+    /// The canonical position of a node, world units.
     pub fn place(&self, node: &Node) -> DVec3 {
         node.world_from_node[self.canonical].translation + self.offset
     }
 }
 
-/// The windows of a clip, in order, then that of shadows; one that holds all where it is not cut.
+/// The windows of movers in order, then the window of shadows; one window that holds everything where
+/// the clip is not cut.
 pub(super) fn windows(sequence: Sequence<'_>, settings: &SequenceSettings) -> Vec<Window> {
     let (track, frames) = (sequence.track, sequence.frames.len());
     let count =
@@ -97,7 +98,7 @@ pub(super) fn windows(sequence: Sequence<'_>, settings: &SequenceSettings) -> Ve
     }
 }
 
-/// So many windows of movers over the frames, and one of shadows, which change little.
+/// `count` windows of movers over the frames, and one of shadows, which change little.
 fn cut(scaffold: &Scaffold, frames: usize, count: usize) -> Vec<Window> {
     let apart = DVec3::X * APART * extent(scaffold);
     let of_shadows = Window {
@@ -118,7 +119,7 @@ fn cut(scaffold: &Scaffold, frames: usize, count: usize) -> Vec<Window> {
     of_movers.chain([of_shadows]).collect()
 }
 
-/// What the nodes' places extend along x, over all frames.
+/// The extent of the nodes' positions along x, over all frames.
 fn extent(scaffold: &Scaffold) -> f64 {
     let places = scaffold.nodes.iter().flat_map(|node| &node.world_from_node);
     let (low, high) = places
@@ -127,8 +128,9 @@ fn extent(scaffold: &Scaffold) -> f64 {
     (high - low).max(0.0)
 }
 
-/// By how much the luminance of what moves differs between a frame and the last of the [`LENGTH`] that
-/// begin with it, at the places to which the scaffold carries it: the root mean square over the clip.
+/// The root mean square change of the movers' luminance over the clip, between each frame and the last
+/// of the [`LENGTH`] frames that begin with it, at the positions to which the scaffold carries the
+/// pixels.
 fn change_of_look(sequence: Sequence<'_>) -> f64 {
     let (track, frames) = (sequence.track, sequence.frames);
     let pictures: Vec<Luminance> = frames.par_iter().map(Luminance::of).collect();
@@ -165,7 +167,7 @@ fn change_of_look(sequence: Sequence<'_>) -> f64 {
         [sum, count]
     };
     let starts = 0..(frames.len() + 1).saturating_sub(LENGTH);
-    // Summed in the order of the frames: the same for any number of threads.
+    // The sum is in the order of the frames, so it does not depend on the number of threads.
     let sums: Vec<[f64; 2]> = starts.into_par_iter().map(of_frame).collect();
     let [sum, count] = sums.iter().fold([0.0; 2], |[s, c], [ds, dc]| [s + ds, c + dc]);
     if count > 0.0 { (sum / count).sqrt() } else { 0.0 }
@@ -198,7 +200,7 @@ mod tests {
         for pair in movers.windows(2) {
             assert_eq!(pair[0].frames.end - pair[1].frames.start, 2, "{pair:?}");
         }
-        // Nodes of different windows are farther from each other than those of one.
+        // Nodes of different windows are farther from each other than those of one window.
         for (k, window) in movers.iter().enumerate() {
             assert!(window.frames.contains(&window.canonical) && window.frames.len() > LENGTH);
             let reach =

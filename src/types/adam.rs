@@ -1,6 +1,6 @@
-//! The optimiser's settings.
+//! Settings of the Adam optimiser.
 
-/// The settings of one step of one group of parameters.
+/// The settings of one Adam step for one group of parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AdamSettings {
     /// Learning rate of the group.
@@ -16,7 +16,7 @@ pub struct AdamSettings {
 }
 
 impl Default for AdamSettings {
-    /// The field's usual ones for Gaussians.
+    /// The usual values for Gaussian splatting.
     fn default() -> Self {
         AdamSettings { rate: 1e-3, beta1: 0.9, beta2: 0.999, epsilon: 1e-15, step: 1 }
     }

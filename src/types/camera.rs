@@ -5,7 +5,7 @@ use glam::{DMat3, DMat4, DQuat, DVec2, DVec3};
 #[cfg(feature = "files")]
 use serde::{Deserialize, Serialize};
 
-/// A pinhole camera's inner geometry, in pixels of an image of `width` × `height`.
+/// The intrinsics of a pinhole camera, in pixels of an image of `width` × `height`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct Intrinsics {
@@ -24,7 +24,7 @@ pub struct Intrinsics {
 }
 
 impl Intrinsics {
-    /// Square pixels and a principal point in the middle.
+    /// Intrinsics with square pixels and the principal point in the image centre.
     pub fn centred(focal: f64, width: u32, height: u32) -> Intrinsics {
         Intrinsics {
             fx: focal,
@@ -36,10 +36,10 @@ impl Intrinsics {
         }
     }
 
-    /// That a pinhole camera can have these numbers; see [`range`].
+    /// Checks that every value is in its range; see [`range`].
     ///
     /// # Errors
-    /// What is wrong, in words.
+    /// A description of the violation.
     pub fn check(&self) -> Check {
         let Intrinsics { fx, fy, cx, cy, width, height } = *self;
         range::inside("image width", width, &range::SIDE)?;
@@ -50,7 +50,7 @@ impl Intrinsics {
             range::wanted(focal > 0.0 && focal <= most, || {
                 format!("focal length {focal:?} along {axis} is not above 0 and at most {most:e}")
             })?;
-            // Beyond 87.5° from the axis a pinhole's picture is stretched without end.
+            // At more than 87.5° from the axis a pinhole image is stretched without bound.
             let reach = centre.abs().max((side - centre).abs());
             let least = reach / LARGEST_TANGENT;
             range::wanted(centre.is_finite() && focal >= least, || {
@@ -78,12 +78,12 @@ impl Intrinsics {
         }
     }
 
-    /// The pixel of a point in the camera's frame; meaningless for z ≤ 0.
+    /// The pixel position of a point in the camera's frame; undefined for z ≤ 0.
     pub fn project(&self, point: DVec3) -> DVec2 {
         DVec2::new(self.fx * point.x / point.z + self.cx, self.fy * point.y / point.z + self.cy)
     }
 
-    /// The point in the camera's frame at unit depth that lies behind a pixel.
+    /// The point at depth z = 1 on the ray through a pixel position, in the camera's frame.
     pub fn ray(&self, pixel: DVec2) -> DVec3 {
         DVec3::new((pixel.x - self.cx) / self.fx, (pixel.y - self.cy) / self.fy, 1.0)
     }
@@ -95,7 +95,7 @@ impl Intrinsics {
 pub struct Pose {
     /// Unit quaternion.
     pub rotation: DQuat,
-    /// In units of a.
+    /// Origin of b in a, in units of a.
     pub translation: DVec3,
 }
 
@@ -114,22 +114,23 @@ impl Pose {
         Pose::new(DQuat::from_mat3(&rotation), matrix.w_axis.truncate())
     }
 
-    /// That the rotation is one, and the translation within reach; see [`range`].
+    /// Checks that the rotation is of unit length and the translation is in its range; see
+    /// [`range`].
     ///
     /// # Errors
-    /// What is wrong, in words.
+    /// A description of the violation.
     pub fn check(&self) -> Check {
         range::quaternion(self.rotation)?;
         range::place(self.translation).map_err(|what| format!("translation {what}"))
     }
 
-    /// `b_from_a` of an `a_from_b`.
+    /// The inverse transform: `b_from_a` of an `a_from_b`.
     pub fn inverse(&self) -> Pose {
         let rotation = self.rotation.conjugate();
         Pose { rotation, translation: -(rotation * self.translation) }
     }
 
-    /// Where a point of b lies in a.
+    /// Transforms a point from b to a.
     pub fn apply(&self, point: DVec3) -> DVec3 {
         self.rotation * point + self.translation
     }
@@ -155,9 +156,9 @@ impl std::ops::Mul for Pose {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct Camera {
-    /// Inner geometry.
+    /// Intrinsics.
     pub intrinsics: Intrinsics,
-    /// World to camera.
+    /// The camera's pose: world to camera.
     pub view_from_world: Pose,
 }
 
@@ -165,7 +166,7 @@ impl Camera {
     /// [`Intrinsics::check`] and [`Pose::check`].
     ///
     /// # Errors
-    /// What is wrong, in words.
+    /// A description of the violation.
     pub fn check(&self) -> Check {
         self.intrinsics.check()?;
         self.view_from_world.check()

@@ -1,4 +1,4 @@
-//! Control points and the deformation network: what moves the dynamic Gaussians.
+//! The motion model of the dynamic Gaussians: control points and the deformation network.
 
 use super::range::{self, Check, LOG_SCALE, REACH, WEIGHT};
 use rand::{RngExt, SeedableRng};
@@ -6,8 +6,9 @@ use rand_chacha::ChaCha8Rng;
 #[cfg(feature = "files")]
 use serde::{Deserialize, Serialize};
 
-/// Sparse control points in the canonical frame. Each has a rigid motion at every time, by its path or,
-/// where it has none, by the network, and Gaussians follow the nearest ones (linear blend skinning).
+/// Sparse control points in the canonical frame. Each has a rigid motion at every time, given by
+/// its path or, without paths, by the network. Gaussians follow the nearest control points (linear
+/// blend skinning).
 #[derive(Clone, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct ControlPoints {
@@ -15,22 +16,23 @@ pub struct ControlPoints {
     pub positions: Vec<[f32; 3]>,
     /// Natural logarithms of the radius ρ of the Gaussian kernel `exp(−d²/2ρ²)`.
     pub log_radii: Vec<f32>,
-    /// Their paths: motions at evenly spaced times, the first at 0 and the last at 1, key after key and
-    /// in each as many as there are points: translation (3), what is added to the logits of its
-    /// followers' opacities (0 while the point is there, [`ABSENT`](Self::ABSENT) while it is not), and
-    /// the rotation's offset δ (4) from `[1, 0, 0, 0]`. Between keys they are interpolated by Catmull
-    /// and Rom's cubic; more than 0 counts as 0. Empty where the network moves them.
+    /// Paths of the control points, `[key][point]`: motions at evenly spaced key times, the first
+    /// at 0 and the last at 1. A motion is a translation (3), a value added to the opacity logits
+    /// of the Gaussians that follow the point (0 while the point is present,
+    /// [`ABSENT`](Self::ABSENT) while it is not; positive values count as 0), and the rotation's
+    /// offset δ (4) from the quaternion `[1, 0, 0, 0]`. Catmull–Rom splines interpolate between
+    /// keys. Empty if the network moves the points.
     pub paths: Vec<[f32; 8]>,
 }
 
 impl ControlPoints {
-    /// Added to the logit of any opacity it leaves nothing to be seen.
+    /// Added to any opacity logit, this makes the Gaussian invisible.
     pub const ABSENT: f32 = -20.0;
 
-    /// That every number is in its range; see [`range`].
+    /// Checks that every number is in its range; see [`range`].
     ///
     /// # Errors
-    /// What is wrong, in words.
+    /// A description of the violation.
     pub fn check(&self) -> Check {
         for (i, position) in self.positions.iter().enumerate() {
             let near = position.iter().try_for_each(|&v| range::within("position", v, REACH));
@@ -51,10 +53,10 @@ impl ControlPoints {
         Ok(())
     }
 
-    /// That there are as many motions at every key time as control points.
+    /// Checks that the paths hold one motion per control point at every key time.
     ///
     /// # Errors
-    /// What is wrong, in words.
+    /// A description of the violation.
     pub(crate) fn check_paths(&self) -> Check {
         let (motions, points) = (self.paths.len(), self.len());
         match motions == self.keys() * points {
@@ -63,7 +65,7 @@ impl ControlPoints {
         }
     }
 
-    /// Number of key times of their paths; 0 where they have none.
+    /// Number of key times of the paths; 0 without paths.
     pub fn keys(&self) -> usize {
         self.paths.len() / self.len().max(1)
     }
@@ -94,7 +96,7 @@ pub struct NetShape {
     pub depth: u32,
     /// Width of a hidden layer; a multiple of 16.
     pub width: u32,
-    /// The layer after which the encodings enter again; `depth` or more for never.
+    /// The layer after which the encodings are concatenated again; `depth` or more for never.
     pub skip: u32,
     /// Frequencies of the position's encoding.
     pub position_frequencies: u32,
@@ -106,10 +108,10 @@ pub struct NetShape {
 }
 
 impl NetShape {
-    /// Values a control point's head gives: translation (3), rotation offset (4).
+    /// Number of outputs of the head: translation (3), rotation offset (4).
     pub const OUTPUTS: usize = 7;
 
-    /// The paper's network.
+    /// The network of the SC-GS paper.
     pub const PAPER: NetShape = NetShape {
         depth: 8,
         width: 256,
@@ -158,20 +160,21 @@ pub struct DeformNet {
     pub parameters: Vec<f32>,
 }
 
-/// Standard deviation of the head's first weights: motion starts as good as none.
+/// Standard deviation of the head's initial weights: initial motions are close to zero.
 const HEAD_DEVIATION: f64 = 1e-5;
 
 impl DeformNet {
-    /// That every parameter is in its range; see [`range`].
+    /// Checks that every parameter is in its range; see [`range`].
     ///
     /// # Errors
-    /// What is wrong, in words.
+    /// A description of the violation.
     pub fn check(&self) -> Check {
         let mut all = self.parameters.iter();
         all.try_for_each(|&weight| range::within("network parameter", weight, WEIGHT))
     }
 
-    /// A network to train from: hidden weights uniform in ±√(6 / inputs) (Kaiming for ReLU), the
+    /// A randomly initialised network for training: hidden weights uniform in ±√(6 / inputs)
+    /// (Kaiming for ReLU), the
     /// head's normal with a deviation of 1e-5, biases zero. The same seed gives the same parameters
     /// everywhere.
     pub fn random(shape: NetShape, seed: u64) -> DeformNet {
@@ -193,8 +196,8 @@ impl DeformNet {
         DeformNet { shape, parameters }
     }
 
-    /// Makes the motions those of a scene that is `2^octaves` times as large. All values stay the same but
-    /// for their exponents.
+    /// Rescales the network to a scene that is `2^octaves` times as large. Only the exponents of
+    /// values change, so that the result is exact.
     #[cfg(feature = "reconstruct")]
     pub(crate) fn enlarge(&mut self, octaves: i32) {
         let factor = 2f32.powi(octaves);
@@ -203,7 +206,7 @@ impl DeformNet {
         for (index, &(inputs, outputs)) in layers.iter().enumerate() {
             let (layer, next) = rest.split_at_mut((inputs + 1) * outputs);
             let (weights, biases) = layer.split_at_mut(inputs * outputs);
-            // Layers that see the encoding have the plain position first.
+            // In layers that read the encoding, the first inputs are the plain position.
             if index == 0 || index as u32 == self.shape.skip.saturating_add(1) {
                 for row in weights.chunks_exact_mut(inputs) {
                     row[..3].iter_mut().for_each(|weight| *weight /= factor);
@@ -219,22 +222,22 @@ impl DeformNet {
     }
 }
 
-/// A standard normal number (Box and Muller).
+/// A standard normal random number (Box–Muller).
 fn normal(rng: &mut ChaCha8Rng) -> f64 {
     let (a, b): (f64, f64) = (rng.random(), rng.random());
     (-2.0 * (1.0 - a).ln()).sqrt() * (std::f64::consts::TAU * b).cos()
 }
 
-/// What moves, and how much of it there is.
+/// The size of the motion model of a scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionScale {
-    /// Control points.
+    /// Number of control points.
     pub control_points: usize,
-    /// Key times of their paths; 0 where the network moves them.
+    /// Number of key times of the paths; 0 if the network moves the control points.
     pub keys: usize,
-    /// The deformation network; `None` where paths move them.
+    /// Shape of the deformation network; `None` if paths move the control points.
     pub network: Option<NetShape>,
-    /// Control points that a Gaussian follows.
+    /// Number of control points that a Gaussian follows.
     pub neighbours: usize,
 }
 

@@ -1,11 +1,11 @@
 //! Settings of density control.
 
-/// Which Gaussians take part in a round of relocation, so that dead dynamic ones land on dynamic
-/// ones and static on static.
+/// Which Gaussians take part in a round of relocation. It restricts relocation so that dead dynamic
+/// Gaussians move onto dynamic ones, and static ones onto static ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum MotionClass {
-    /// All.
+    /// All Gaussians.
     Any = 0,
     /// Those whose motion logit is 0 or less; all in a scene without motion logits.
     Static = 1,
@@ -14,8 +14,8 @@ pub enum MotionClass {
 }
 
 impl MotionClass {
-    /// The largest integer weight of a draw over `count` Gaussians: the sum of all weights stays
-    /// below 2³².
+    /// The largest integer weight when sampling from `count` Gaussians: it keeps the sum of all
+    /// weights below 2³².
     pub fn largest_weight(count: usize) -> u32 {
         (u32::MAX as usize / count.max(1)).clamp(1, 65_535) as u32
     }
@@ -35,6 +35,6 @@ pub struct AdaptSettings {
 }
 
 impl AdaptSettings {
-    /// A split Gaussian's parts are smaller by this factor.
+    /// The scales of a split Gaussian's parts are divided by this factor.
     pub const SPLIT_SHRINK: f64 = 1.6;
 }

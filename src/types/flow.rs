@@ -4,7 +4,7 @@ use crate::{Error, Result};
 
 /// How dense optical flow is searched and refined; `Default` is tuned for quality on video.
 ///
-/// Luminance is in [0, 1], distances are pixels of the pyramid level in work.
+/// Luminance is in [0, 1]; distances are in pixels of the current pyramid level.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FlowSettings {
     /// The pyramid halves until the next level's shorter side would be less than this.
@@ -12,16 +12,16 @@ pub struct FlowSettings {
     /// At the coarsest level every whole-pixel displacement up to this far along each axis is
     /// matched; at most [`MAX_START_RADIUS`](Self::MAX_START_RADIUS).
     pub start_radius: u32,
-    /// What a step of one between the displacements of neighbouring pixels costs there, in bits of
-    /// the census transform.
+    /// At the coarsest level, the cost of a difference of one pixel between the displacements of
+    /// neighbouring pixels, in bits of the census transform.
     pub start_small_step: u32,
-    /// What any greater step costs there.
+    /// At the coarsest level, the cost of any greater difference, in bits of the census transform.
     pub start_large_step: u32,
     /// Gauss–Newton steps of each patch after its best candidate is chosen.
     pub search_steps: u32,
-    /// How many times patches then offer their displacement to their neighbours.
+    /// Number of rounds in which patches then propagate their displacement to their neighbours.
     pub propagations: u32,
-    /// How many times a level is linearised about its flow and solved.
+    /// Number of times that a level's energy is linearised about the flow and solved.
     pub warps: u32,
     /// Red–black relaxation sweeps per linearisation.
     pub sweeps: u32,
@@ -64,13 +64,13 @@ impl Default for FlowSettings {
 }
 
 impl FlowSettings {
-    /// The largest window of the start: its costs must fit a workgroup's shared memory.
+    /// The largest start radius: the costs of its window must fit a workgroup's shared memory.
     pub const MAX_START_RADIUS: u32 = 16;
 
-    /// Whether the values can be worked with.
+    /// Checks that all values are valid.
     ///
     /// # Errors
-    /// [`Error::Input`] names the first that cannot.
+    /// [`Error::Input`] that names the first invalid value.
     pub fn check(&self) -> Result<()> {
         let positive = [
             ("edge", self.edge),

@@ -4,10 +4,10 @@ use super::range::{self, Check, HALF, LOG_SCALE, REACH};
 #[cfg(feature = "files")]
 use serde::{Deserialize, Serialize};
 
-/// The constant spherical harmonic.
+/// The value of the constant spherical harmonic, 1/(2√π).
 pub const SH_C0: f32 = 0.282_094_8;
 
-/// How many spherical-harmonic coefficients a colour channel has at `degree`.
+/// The number of spherical-harmonic coefficients per colour channel at `degree`.
 pub const fn sh_coefficients(degree: u32) -> usize {
     ((degree + 1) * (degree + 1)) as usize
 }
@@ -28,13 +28,13 @@ pub struct Gaussians {
     pub sh_degree: u32,
     /// Coefficients, `sh_coefficients(sh_degree)` RGB rows per Gaussian, lowest band first.
     pub sh: Vec<[f32; 3]>,
-    /// Logits of being dynamic: above 0 a Gaussian follows the control points. Empty in a static
-    /// scene.
+    /// Motion logits: a Gaussian with a logit above 0 is dynamic and follows the control points.
+    /// Empty in a static scene.
     pub motion_logits: Vec<f32>,
 }
 
 impl Gaussians {
-    /// One black Gaussian at the origin that may move, for where only sizes matter.
+    /// One black dynamic Gaussian at the origin, for rehearsals that depend only on sizes.
     pub(crate) fn one(sh_degree: u32) -> Gaussians {
         Gaussians {
             positions: vec![[0.0; 3]],
@@ -52,11 +52,11 @@ impl Gaussians {
         self.positions.len()
     }
 
-    /// That every number of one of them is in its range; see [`range`]. Arrays must be as long as
-    /// they should be.
+    /// Checks that every number of the Gaussian at `index` is in its range; see [`range`]. The
+    /// arrays must have consistent lengths.
     ///
     /// # Errors
-    /// What is wrong, in words.
+    /// A description of the violation.
     pub fn check(&self, index: usize) -> Check {
         let per = sh_coefficients(self.sh_degree);
         self.positions[index].iter().try_for_each(|&v| range::within("position", v, REACH))?;
@@ -80,7 +80,7 @@ impl Gaussians {
         self.motion_logits.iter().any(|&m| m > 0.0)
     }
 
-    /// Leaves out the harmonics above a degree; a lower one stays as it is.
+    /// The Gaussians with spherical harmonics truncated to at most `degree`.
     pub fn at_degree(mut self, degree: u32) -> Gaussians {
         if degree < self.sh_degree {
             let (bands, kept) = (sh_coefficients(self.sh_degree), sh_coefficients(degree));
@@ -90,7 +90,7 @@ impl Gaussians {
         self
     }
 
-    /// The highest degree that any of them makes use of.
+    /// The highest degree at which any Gaussian has a coefficient that is not zero.
     pub fn used_sh_degree(&self) -> u32 {
         let bands = sh_coefficients(self.sh_degree);
         let is_used = |degree: &u32| {

@@ -38,8 +38,8 @@ impl Image {
         &mut self.pixels[start..start + c]
     }
 
-    /// Of an image of one channel: the value at a place between the pixels' centres, which are at 0.5;
-    /// beyond the outermost ones theirs.
+    /// The bilinearly interpolated value of a one-channel image at a pixel position. Pixel centres
+    /// lie at +0.5; positions outside are clamped to the outermost centres.
     #[cfg(feature = "reconstruct")]
     pub(crate) fn between(&self, x: f64, y: f64) -> f32 {
         let along = |at: f64, side: u32| {
@@ -56,8 +56,8 @@ impl Image {
         top + (bottom - top) * fy
     }
 
-    /// Of a mask (one channel): whether a value above one half is within so many pixels of each, across
-    /// and down.
+    /// Dilates a mask (one channel): whether a value above one half lies within `radius` pixels of
+    /// each pixel, horizontally and vertically.
     #[cfg(feature = "reconstruct")]
     pub(crate) fn near(&self, reach: usize) -> Vec<bool> {
         let (w, h) = (self.width as usize, self.height as usize);
@@ -107,7 +107,7 @@ mod tests {
         for (x, y) in [(0, 0), (5, 3)] {
             mask.at_mut(x, y)[0] = 1.0;
         }
-        // One half is not within the mask.
+        // A value of exactly one half is outside the mask.
         mask.at_mut(8, 6)[0] = 0.5;
         for reach in [0u32, 2, 20] {
             let near = mask.near(reach as usize);

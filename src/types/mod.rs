@@ -1,4 +1,4 @@
-//! Plain data shared by kernels and oracle. Nothing here knows Vulkan.
+//! Plain data types shared by kernels and oracle. This module does not depend on Vulkan.
 //!
 //! Conventions of the whole crate: camera axes are OpenCV's (x right, y down, z forward);
 //! transforms are named `a_from_b` and map a point of b to a; pixel centres lie at +0.5; depth is

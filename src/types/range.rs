@@ -1,10 +1,10 @@
-//! What range each kind of number may have.
+//! The valid range of each kind of number.
 //!
-//! A number that comes from outside is held against its range before it is used: readers call the
+//! Every number from outside is checked against its range before use: readers call the
 //! `check` of the type that they fill ([`Intrinsics`](super::Intrinsics), [`Pose`](super::Pose),
-//! [`Camera`](super::Camera), [`Gaussians`](super::Gaussians), …) and say where in the file the
-//! number stands; the renderer and the trainer call it on what a program gives them. A check returns
-//! what is wrong in words, for the end of such a message.
+//! [`Camera`](super::Camera), [`Gaussians`](super::Gaussians), …) and add the place in the file;
+//! the renderer and the trainer call it on their arguments. A failed check returns a description of
+//! the violation, as the end of an error message.
 //!
 //! | kind | range | why |
 //! |---|---|---|
@@ -29,17 +29,18 @@ use glam::{DMat3, DQuat, DVec3};
 use std::fmt::Debug;
 use std::ops::RangeInclusive;
 
-/// What a check finds wrong, in words.
+/// The result of a check; the error describes the violation.
 pub type Check = std::result::Result<(), String>;
 
 /// Farthest from the origin that a camera or a point of a dataset may lie.
 pub const CAMERA_REACH: f64 = 1e12;
 /// Farthest from the origin, along each axis, that a Gaussian or a control point may lie.
 pub const REACH: f32 = 1e15;
-/// By how much the length of a quaternion or a direction, or the scale of a matrix that may have none,
-/// may differ from 1.
+/// Maximum deviation from 1 of the length of a quaternion or a direction, and of the scale of a
+/// matrix that must have none.
 pub const ROTATION_TOLERANCE: f64 = 0.05;
-/// By how much an entry of RᵀR may differ from the identity's, for a matrix R whose scale is off.
+/// Maximum deviation of an entry of RᵀR from the identity, for a matrix R whose scale is divided
+/// out.
 const SHEAR: f64 = 1e-2;
 /// Uniform scale that a matrix may carry beside its rotation.
 pub const MATRIX_SCALE: RangeInclusive<f64> = 1e-6..=1e6;
@@ -52,43 +53,43 @@ pub const LARGEST_TANGENT: f64 = 22.9;
 pub const LONGEST_FOCAL: f64 = 1e6;
 /// Largest timestamp before it is mapped to [0, 1], in size.
 pub const LATEST: f64 = 1e20;
-/// How far from 0 a time to render may lie.
+/// Largest magnitude of a time to render.
 pub const MOMENT: f64 = 1e3;
-/// Logarithms of scales and of radii.
+/// Range of the natural logarithms of scales and radii.
 pub const LOG_SCALE: RangeInclusive<f32> = -104.0..=43.0;
 /// The largest 16-bit float.
 pub const HALF: f32 = 65_504.0;
-/// A shorter quaternion of a Gaussian has no direction: it is not drawn.
+/// A Gaussian whose quaternion is shorter than this is not rendered.
 const LEAST_QUATERNION: f32 = 1e-10;
 /// Largest weight or bias of a deformation network, in size.
 pub const WEIGHT: f32 = 1e6;
 /// Largest component of a flow vector that is known, in size, pixels.
 pub const FLOW: f32 = 1e9;
-/// Depths that are known.
+/// Range of known depths.
 pub const DEPTH: RangeInclusive<f32> = 1e-15..=1e15;
 
-/// That a timestamp can be worked with.
+/// Checks a timestamp.
 pub fn timestamp(time: f64) -> Check {
     wanted(time.abs() <= LATEST, || format!("time {time:?} is not within ±{LATEST:e}"))
 }
 
-/// That a time lies in [0, 1].
+/// Checks that a time lies in [0, 1].
 pub fn time(time: f64) -> Check {
     wanted((0.0..=1.0).contains(&time), || format!("time {time:?} is not in [0, 1]"))
 }
 
-/// That a moment can be rendered: beyond [0, 1] motion is carried on, as far as [`MOMENT`].
+/// Checks a time to render: motion is extrapolated beyond [0, 1], up to [`MOMENT`].
 pub fn moment(time: f64) -> Check {
     wanted(time.abs() <= MOMENT, || format!("time {time:?} is not in [0, 1]"))
 }
 
-/// That a colour lies in [0, 1].
+/// Checks that a colour lies in [0, 1].
 pub fn colour(colour: [f32; 3]) -> Check {
     let inside = colour.iter().all(|c| (0.0..=1.0).contains(c));
     wanted(inside, || format!("colour {colour:?} is not in [0, 1]"))
 }
 
-/// That a camera, or a point to begin with, may lie here.
+/// Checks the position of a camera or of an initial point.
 pub fn place(place: DVec3) -> Check {
     wanted(place.length() <= CAMERA_REACH, || {
         format!(
@@ -98,14 +99,14 @@ pub fn place(place: DVec3) -> Check {
     })
 }
 
-/// That a direction is of unit length but for rounding.
+/// Checks that a direction is of unit length up to rounding.
 pub fn unit(direction: DVec3) -> Check {
     wanted((direction.length() - 1.0).abs() <= ROTATION_TOLERANCE, || {
         format!("{:?} is no direction: its length is not 1", direction.to_array())
     })
 }
 
-/// That a quaternion is of unit length but for rounding.
+/// Checks that a quaternion is of unit length up to rounding.
 pub fn quaternion(rotation: DQuat) -> Check {
     let length = rotation.length();
     wanted((length - 1.0).abs() <= ROTATION_TOLERANCE, || {
@@ -116,11 +117,11 @@ pub fn quaternion(rotation: DQuat) -> Check {
     })
 }
 
-/// The rotation and the uniform scale of a matrix that is made of these two alone.
+/// The rotation and the uniform scale of a matrix that is their product.
 ///
 /// # Errors
-/// In words: the columns have no length in [`MATRIX_SCALE`], differ in length, are not at right
-/// angles, or mirror.
+/// A description: the length of a column is not in [`MATRIX_SCALE`], the columns differ in length
+/// or are not orthogonal, or the matrix is a reflection.
 pub fn rotation_and_scale(matrix: DMat3) -> Result<(DQuat, f64), String> {
     let columns = [matrix.x_axis, matrix.y_axis, matrix.z_axis];
     let scale = columns.iter().map(|c| c.length()).sum::<f64>() / 3.0;
@@ -130,7 +131,7 @@ pub fn rotation_and_scale(matrix: DMat3) -> Result<(DQuat, f64), String> {
     }
     let rotation = matrix * (1.0 / scale);
     let error = rotation.transpose() * rotation - DMat3::IDENTITY;
-    // Not by `max`, which passes over NaN.
+    // `max` is not used here because it ignores NaN.
     if !error.to_cols_array().iter().all(|e| e.abs() < SHEAR) {
         return refused("its columns are not of one length and at right angles".into());
     }
@@ -140,12 +141,12 @@ pub fn rotation_and_scale(matrix: DMat3) -> Result<(DQuat, f64), String> {
     Ok((DQuat::from_mat3(&rotation).normalize(), scale))
 }
 
-/// That a value lies within ±`most`; `what` names it.
+/// Checks that a value lies within ±`most`; `what` names it.
 pub(crate) fn within(what: &str, value: f32, most: f32) -> Check {
     wanted(value.abs() <= most, || format!("{what} {value:?} is not within ±{most:e}"))
 }
 
-/// That a value lies in a range; `what` names it.
+/// Checks that a value lies in a range; `what` names it.
 pub(crate) fn inside<T: PartialOrd + Debug>(
     what: &str,
     value: T,
@@ -156,14 +157,14 @@ pub(crate) fn inside<T: PartialOrd + Debug>(
     })
 }
 
-/// That the quaternion of a Gaussian, of any length, has a direction.
+/// Checks that a Gaussian's quaternion, of any length, has a direction.
 pub(crate) fn direction(q: [f32; 4]) -> Check {
     q.iter().try_for_each(|&part| within("rotation", part, HALF))?;
     let length = q.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
     wanted(length >= f64::from(LEAST_QUATERNION), || format!("rotation {q:?} has no direction"))
 }
 
-/// The words where the condition does not hold. It is to be one that is false for NaN.
+/// An error with this text unless the condition holds. The condition must be false for NaN.
 pub(crate) fn wanted(holds: bool, words: impl FnOnce() -> String) -> Check {
     if holds { Ok(()) } else { Err(words()) }
 }

@@ -1,4 +1,4 @@
-//! The constants of blending, and what trades accuracy for speed.
+//! The constants of projection and blending, and settings that trade accuracy for speed.
 
 use super::range::{self, Check};
 #[cfg(feature = "files")]
@@ -6,17 +6,17 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Error, Result};
 
-/// The constants of projection and blending; a scene's file carries them, so that every renderer
+/// The constants of projection and blending; a scene's file stores them, so that every renderer
 /// blends as the trainer did. The defaults are gsplat's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderSettings {
-    /// Splats whose centre is nearer than this are culled.
+    /// Splats whose centre has a smaller depth are culled, scene units.
     pub near: f32,
     /// Added to both diagonal entries of the 2D covariance, pixels².
     pub dilation: f32,
-    /// A splat contributes nothing to a pixel where its α is below this.
+    /// A splat with a smaller α in a pixel does not contribute to it.
     pub alpha_cut: f32,
-    /// α is capped here; above the cap no gradient reaches opacity or shape.
+    /// Upper limit of α; a capped α passes no gradient to opacity or shape.
     pub alpha_cap: f32,
     /// Blending stops *before* the splat that would bring the transmittance to this or below.
     pub transmittance_stop: f32,
@@ -38,10 +38,10 @@ impl Default for RenderSettings {
 }
 
 impl RenderSettings {
-    /// That every number is in its range.
+    /// Checks that every number is in its range.
     ///
     /// # Errors
-    /// What is wrong, in words.
+    /// A description of the violation.
     pub fn check(&self) -> Check {
         range::inside("near", self.near, &(1e-12..=1e12))?;
         range::inside("dilation", self.dilation, &(0.0..=1e6))?;
@@ -53,22 +53,23 @@ impl RenderSettings {
     }
 }
 
-/// Bits of a depth that decide the order of splats at most: all of an f32 but its sign.
+/// Maximum number of depth bits for sorting: all bits of an f32 except the sign.
 pub const DEPTH_BITS: u32 = 31;
 
-/// How an image is blended; the images are equal but for rounding.
+/// The implementation of blending; the images are equal up to rounding.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 #[cfg_attr(feature = "files", serde(rename_all = "snake_case"))]
 pub enum RasterKind {
-    /// Each subgroup on its own block of a tile, splats passed from lane to lane.
+    /// Each subgroup blends its own block of a tile; splats are shared through subgroup operations.
     #[default]
     Subgroup,
     /// A workgroup per tile, splats staged in shared memory.
     Shared,
 }
 
-/// What trades accuracy for speed. The default gives up nothing; the keys of its JSON are the fields.
+/// Settings that trade accuracy for speed. The default is exact; the keys of the JSON form are the
+/// field names.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 #[cfg_attr(feature = "files", serde(default, deny_unknown_fields))]
@@ -80,16 +81,16 @@ pub struct Tuning {
     /// Keep log scales, rotations and opacity logits as 16-bit floats; for rendering only. Rotations
     /// that a scene's motion has turned stay in f32.
     pub half_shapes: bool,
-    /// Instead of the scene's own [`RenderSettings::alpha_cut`].
+    /// Overrides the scene's [`RenderSettings::alpha_cut`].
     pub alpha_cut: Option<f32>,
-    /// Instead of the scene's own [`RenderSettings::transmittance_stop`].
+    /// Overrides the scene's [`RenderSettings::transmittance_stop`].
     pub transmittance_stop: Option<f32>,
-    /// How many of a depth's bits decide the order of splats, from the highest; what these do not
-    /// tell apart is blended in the order of its index. Every 8 bits are a pass of the sort.
+    /// Number of depth bits, from the highest, that splats are sorted by. Splats that are equal in
+    /// these bits are blended in the order of their index. The sort takes one pass per 8 bits.
     pub depth_bits: u32,
-    /// Control points that a dynamic Gaussian follows at most.
+    /// Maximum number of control points that a dynamic Gaussian follows.
     pub neighbours: Option<u32>,
-    /// How an image is blended; which is faster depends on the device.
+    /// The implementation of blending; which one is faster depends on the device.
     pub raster: RasterKind,
 }
 
@@ -109,7 +110,7 @@ impl Default for Tuning {
 }
 
 impl Tuning {
-    /// Whether all values lie in their ranges.
+    /// Checks that all values lie in their ranges.
     ///
     /// # Errors
     /// [`Error::Input`] that names the field.
@@ -126,7 +127,7 @@ impl Tuning {
         Err(Error::Input(format!("settings: {wrong}")))
     }
 
-    /// The constants of blending with what this replaces.
+    /// The given render settings with the overrides applied.
     pub fn apply(&self, settings: RenderSettings) -> RenderSettings {
         RenderSettings {
             alpha_cut: self.alpha_cut.unwrap_or(settings.alpha_cut),

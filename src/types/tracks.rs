@@ -1,38 +1,39 @@
-//! Points through a clip.
+//! Tracks of points through a clip.
 
 use glam::DVec2;
 #[cfg(feature = "files")]
 use serde::Serialize;
 
-/// Points through a clip.
+/// Tracks of points through a clip.
 #[derive(Clone, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "files", derive(Serialize))]
 pub struct Tracks {
-    /// Width and height of the frames that the pixels belong to; `None` where a file does not say.
+    /// Width and height of the frames that the pixel positions refer to; `None` if the file does
+    /// not state them.
     pub size: Option<(u32, u32)>,
-    /// The points; all are told for the same number of frames.
+    /// The tracks; all have the same number of frames.
     pub points: Vec<PointPath>,
 }
 
-/// A point through a clip.
+/// The track of one point.
 #[derive(Clone, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "files", derive(Serialize))]
 pub struct PointPath {
-    /// The frame and the pixel that it was asked for in.
+    /// The frame and the pixel position of the query.
     pub query: (usize, DVec2),
-    /// Where it is in each frame, pixels with centres at +0.5; not finite where it is not known.
+    /// Pixel position in each frame, with pixel centres at +0.5; not finite where it is unknown.
     pub pixels: Vec<DVec2>,
-    /// Whether it is seen there.
+    /// Whether the point is visible in each frame.
     pub seen: Vec<bool>,
 }
 
 impl Tracks {
-    /// How many frames the points are told for.
+    /// Number of frames of the tracks.
     pub fn frames(&self) -> usize {
         self.points.first().map_or(0, |point| point.pixels.len())
     }
 
-    /// For pictures of another size.
+    /// The tracks rescaled to frames of another size.
     pub fn resized(mut self, (width, height): (u32, u32)) -> Tracks {
         if let Some((w, h)) = self.size.replace((width, height)) {
             let scale =

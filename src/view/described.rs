@@ -1,4 +1,4 @@
-//! `scene.json`: what the page is told of the scene.
+//! `scene.json`: the description of the scene for the page.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -7,29 +7,29 @@ use super::{MOST_LIVE_PIXELS, MOST_PIXELS, MOST_SIDE, Show};
 use crate::types::{Camera, Intrinsics, Pose};
 use crate::{Error, Result};
 
-/// The text that is served; another once a training hands a scene over.
+/// The served description; replaced whenever a training hands over a scene.
 #[derive(Clone)]
 pub struct Described(Arc<Mutex<Arc<str>>>);
 
 impl Described {
-    /// Serves a description.
+    /// Makes the description to be served.
     ///
     /// # Errors
-    /// A number that JSON has no form for.
+    /// A number is not representable in JSON.
     pub fn new(description: &Description) -> Result<Described> {
         Ok(Described(Arc::new(Mutex::new(text(description)?))))
     }
 
-    /// Serves another one from now on.
+    /// Replaces the description.
     ///
     /// # Errors
-    /// As for [`new`](Self::new).
+    /// Those of [`new`](Self::new).
     pub fn set(&self, description: &Description) -> Result<()> {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = text(description)?;
         Ok(())
     }
 
-    /// What is served now.
+    /// The current description.
     pub fn text(&self) -> Arc<str> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -40,7 +40,7 @@ fn text(description: &Description) -> Result<Arc<str>> {
     text.map(Arc::from).map_err(|error| Error::Failed(error.to_string()))
 }
 
-/// Of a scene; `live` while it is trained.
+/// The description of a scene; `live` while it is being trained.
 pub fn of(device: &str, show: &Show, live: bool) -> Description {
     let scene = &show.scene;
     Description {
@@ -60,7 +60,7 @@ pub fn of(device: &str, show: &Show, live: bool) -> Description {
     }
 }
 
-/// Of what is trained, before there is a scene.
+/// The description of a training that has no scene yet.
 pub fn nothing(device: &str, name: &str) -> Description {
     let intrinsics = Intrinsics::centred(1.0, 1, 1);
     Description {

@@ -1,4 +1,4 @@
-//! Who may ask: what is held against every request before it is looked at.
+//! Access control: checks on every request before it is processed.
 
 use std::fmt::Write;
 use std::net::{IpAddr, SocketAddr};
@@ -8,20 +8,20 @@ use axum::http::{HeaderMap, StatusCode};
 
 use crate::{Error, Result};
 
-/// Bytes of a token.
+/// Length of a token, bytes.
 const TOKEN_BYTES: usize = 16;
 
-/// What a request must name.
+/// The host names, origins and token that a request must match.
 pub struct Guard {
     address: SocketAddr,
     token: Option<String>,
 }
 
 impl Guard {
-    /// Of a server on an address. One that others reach gets a random token.
+    /// The guard of a server on an address. A server that other machines can reach gets a random token.
     ///
     /// # Errors
-    /// The system has no random numbers.
+    /// The system has no random number source.
     pub fn new(address: SocketAddr) -> Result<Guard> {
         let token = match address.ip().is_loopback() {
             true => None,
@@ -30,12 +30,12 @@ impl Guard {
         Ok(Guard { address, token })
     }
 
-    /// Where the page lies on this server.
+    /// Path prefix of the page on this server.
     pub fn base(&self) -> String {
         self.token.as_ref().map_or("/".into(), |token| format!("/{token}/"))
     }
 
-    /// The page's address, as this machine reaches it.
+    /// URL of the page, as reachable from this machine.
     pub fn url(&self) -> String {
         let mut address = self.address;
         if address.ip().is_unspecified() {
@@ -50,7 +50,7 @@ impl Guard {
     /// The part of a request's path behind the base.
     ///
     /// # Errors
-    /// Why the request is not served.
+    /// The status and message of a rejected request.
     pub fn admit<'a>(
         &self,
         path: &'a str,
@@ -58,7 +58,7 @@ impl Guard {
     ) -> std::result::Result<&'a str, (StatusCode, &'static str)> {
         let host = one(headers, &HOST).ok_or((StatusCode::BAD_REQUEST, "one Host is expected"))?;
         if !self.is_own(host) {
-            // What a page sees whose name resolves to this machine.
+            // A request from a page whose name was rebound to this machine.
             return Err((StatusCode::FORBIDDEN, "this server does not go by that name"));
         }
         if headers.contains_key(ORIGIN) {
@@ -79,8 +79,9 @@ impl Guard {
         }
     }
 
-    /// Whether a `Host` is a name of this server: its address, `localhost` on a loopback; where it listens
-    /// on every address, any of them, as a number. Names are not resolved, for that is what rebinding uses.
+    /// Whether a `Host` is a name of this server: its address, or `localhost` on a loopback address; for a
+    /// server that listens on all addresses, any numeric address. Names are not resolved, because DNS
+    /// rebinding exploits that.
     fn is_own(&self, host: &str) -> bool {
         let port = self.address.port();
         let own = self.address.ip();
@@ -100,14 +101,14 @@ impl Guard {
     }
 }
 
-/// The value of a header that stands there once.
+/// The value of a header that occurs exactly once.
 fn one<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Option<&'a str> {
     let mut all = headers.get_all(name).iter();
     let first = all.next()?.to_str().ok()?;
     all.next().is_none().then_some(first)
 }
 
-/// Whether two texts are the same, in a time that does not tell where they differ.
+/// Constant-time comparison of two strings.
 fn is_same(given: &str, token: &str) -> bool {
     let differing = given.bytes().zip(token.bytes()).fold(0, |sum, (a, b)| sum | (a ^ b));
     given.len() == token.len() && differing == 0

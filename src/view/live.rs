@@ -1,8 +1,8 @@
-//! A training under way, as its server tells and shows it.
+//! A training in progress, as its server reports and shows it.
 //!
-//! Whoever trains holds a [`Live`], says how far the work is, and asks after each step whether the scene is
-//! wanted. It is while a page is open, and not more often than is quick to hand over: the scene is copied
-//! for nobody else. Nothing here waits for the network or for a picture.
+//! The training holds a [`Live`], reports its progress, and asks after each step whether the scene is
+//! wanted. It is wanted only while a page is open, and at a limited rate, so that the scene is copied for
+//! nobody else. No call here waits for the network or for a rendered image.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -15,14 +15,14 @@ use super::protocol::{Progressed, Status};
 use super::turns::Turns;
 use crate::Result;
 
-/// Between two scenes that are handed over, at least.
+/// Minimum time between two handovers of the scene.
 const LEAST_BETWEEN: Duration = Duration::from_secs(1);
-/// And so many times what handing one over took.
+/// Minimum time between two handovers, as a multiple of the duration of a handover.
 const SHARE: u32 = 30;
-/// Most points of the curves; of longer ones every other point goes.
+/// Maximum number of points of the curves; longer curves are thinned by half.
 const MOST_POINTS: usize = 400;
 
-/// Tells and shows how far a training is; clones tell the same.
+/// Handle with which a training reports its progress and hands over scenes; clones share one state.
 #[derive(Clone)]
 pub struct Live(Arc<Shared>);
 
@@ -34,19 +34,19 @@ struct Shared {
     description: Described,
 }
 
-/// The scene on its way to the painter.
+/// The handover of a scene to the painter.
 struct Handover {
     waiting: Option<Show>,
-    /// A picture of the last scene was made.
+    /// Whether an image of the last scene was rendered and sent.
     shown: bool,
-    /// When the scene was asked for that is being copied.
+    /// Time at which the scene that is being copied was requested.
     asked: Option<Instant>,
-    /// When the next one may be asked for.
+    /// Earliest time of the next request.
     due: Instant,
 }
 
 impl Live {
-    /// Of a device; `description` is what the page is told of the scene.
+    /// A handle for a device; `description` is what the page receives about the scene.
     pub(super) fn new(turns: Arc<Turns>, device: &str, description: Described) -> Live {
         let scene = Handover { waiting: None, shown: false, asked: None, due: Instant::now() };
         let (scene, device) = (Mutex::new(scene), device.to_owned());
@@ -54,7 +54,7 @@ impl Live {
         Live(Arc::new(Shared { status, scene, turns, device, description }))
     }
 
-    /// How far a stage is: so many of so many units.
+    /// Reports the progress of a stage: `done` of `of` units.
     pub fn progress(&self, stage: &str, done: u64, of: u64, unit: &str) {
         self.0.status.send_modify(|status| {
             if status.stage != stage || status.unit != unit {
@@ -64,7 +64,7 @@ impl Live {
         });
     }
 
-    /// A point of the curves.
+    /// Reports a point of the curves.
     pub fn measured(&self, point: Progressed) {
         self.0.status.send_modify(|status| {
             status.gaussians = Some(point.gaussians);
@@ -98,10 +98,10 @@ impl Live {
         wanted
     }
 
-    /// Hands the scene over, in place of one that has not been shown yet.
+    /// Hands over the scene; replaces one that has not been shown yet.
     ///
     /// # Errors
-    /// [`Error::Failed`](crate::Error::Failed): a camera holds a number that JSON has no form for.
+    /// [`Error::Failed`](crate::Error::Failed): a camera holds a number that is not representable in JSON.
     pub fn hand_over(&self, show: Show) -> Result<()> {
         let gaussians = show.scene.gaussians.len();
         self.0.description.set(&described::of(&self.0.device, &show, true))?;
@@ -119,41 +119,41 @@ impl Live {
         Ok(())
     }
 
-    /// The work has ended: `how`, in words.
+    /// Reports the end of the training; `how` describes it.
     pub fn end(&self, how: &str) {
         self.0.status.send_modify(|status| status.end = Some(how.to_owned()));
     }
 
-    /// Whether a page is open that has not been sent a picture of the last scene.
+    /// Whether a page is open that has not received an image of the last scene.
     pub fn is_awaited(&self) -> bool {
         let scene = self.lock();
         self.0.turns.clients() > 0 && self.0.status.borrow().scenes > 0 && !scene.shown
     }
 
-    /// Whether the work goes on.
+    /// Whether the training is in progress.
     pub(super) fn is_under_way(&self) -> bool {
         self.0.status.borrow().end.is_none()
     }
 
-    /// The scene that has been handed over and not been taken yet.
+    /// Takes the scene that was handed over last, if it has not been taken yet.
     pub(super) fn take(&self) -> Option<Show> {
         self.lock().waiting.take()
     }
 
-    /// A picture was sent of the scene that was taken last.
+    /// Records that an image of the scene taken last was sent.
     pub(super) fn set_shown(&self) {
         let mut scene = self.lock();
         scene.shown |= scene.waiting.is_none();
     }
 
-    /// What is told, and when it changes.
+    /// Subscribes to the status.
     pub(super) fn listen(&self) -> watch::Receiver<Status> {
         let mut told = self.0.status.subscribe();
         told.mark_changed();
         told
     }
 
-    /// A thread that has panicked leaves it as whole as it was.
+    /// The state is consistent at any time, so a poisoned lock can be used.
     fn lock(&self) -> MutexGuard<'_, Handover> {
         self.0.scene.lock().unwrap_or_else(PoisonError::into_inner)
     }

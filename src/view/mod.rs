@@ -1,19 +1,19 @@
-//! A scene in the browser: a page, and what serves it.
+//! A browser viewer: a page, and the server for it.
 //!
-//! [`Server::start`] puts a scene on a device and serves a page that shows it. One thread owns the
-//! renderer, and the clients take turns at it. A client asks for pictures over a WebSocket; of each client
-//! at most one request waits, the newest, and no picture is made while the one before has not been taken:
-//! nothing queues, however slow a reader is. [`protocol`] describes the messages.
+//! [`Server::start`] loads a scene on a device and serves a page that shows it. One thread owns the
+//! renderer, and the clients take turns. A client requests images over a WebSocket. At most one request per
+//! client waits, the newest one, and no image is rendered before the client has taken the previous one, so
+//! that nothing queues however slow a reader is. [`protocol`] describes the messages.
 //!
-//! [`Server::live`] serves a scene that is being trained, as [`Live`] hands it over, and tells how far the
-//! training is. Making pictures takes at most half of the time then, whatever clients ask for.
+//! [`Server::live`] serves a scene that is being trained, as [`Live`] hands it over, and reports the
+//! progress of the training. Rendering then takes at most half of the time, whatever clients request.
 //!
-//! What may be asked is bounded: sides and pixels of a picture, the length of a message, messages a
-//! second, clients and connections at a time. Beside the page, the scene's description and the input's
-//! pictures, nothing is served, and these by number: no request names a path of the machine. A request must
-//! name this server as its `Host`, and a page of this server as its `Origin` where it has one, so that no
-//! other page in the browser can reach it, whatever its name resolves to. On an address that others
-//! reach, the page's address holds a random token, without which nothing is served.
+//! All requests are bounded: sides and pixels of an image, length of a message, messages per second, number
+//! of clients and connections. Besides the page, only the scene's description and the input images are
+//! served, and these by number, so that no request names a path on this machine. A request must have this
+//! server's name as its `Host`, and, if it has an `Origin`, a page of this server, so that no other page in
+//! the browser can reach it, whatever its name resolves to. On an address that other machines can reach,
+//! the page's URL contains a random token, without which nothing is served.
 
 mod described;
 mod guard;
@@ -34,33 +34,33 @@ pub use server::{Options, Server};
 use crate::scene::Scene;
 use crate::types::{Camera, Tuning};
 
-/// Most sockets at a time: pages that show the scene.
+/// Maximum number of concurrent sockets, one per open page.
 pub const MOST_CLIENTS: usize = 16;
-/// Most connections at a time that ask for a part of the page.
+/// Maximum number of concurrent connections that request parts of the page.
 pub const MOST_CONNECTIONS: usize = 32;
-/// Most pixels along a side of a picture.
+/// Maximum side of an image, pixels.
 pub const MOST_SIDE: u32 = 4096;
-/// Most pixels of a picture.
+/// Maximum number of pixels of an image.
 pub const MOST_PIXELS: u64 = 3840 * 2160;
-/// Most pixels of a picture of a training under way, which is not to wait for it long.
+/// Maximum number of pixels of an image while a training is in progress, which bounds the training's delay.
 pub const MOST_LIVE_PIXELS: u64 = 1280 * 720;
-/// Bytes of the longest message that a client may send.
+/// Maximum length of a client's message, bytes.
 pub const MOST_MESSAGE: usize = 4096;
-/// Messages of a client that are read in a second; more wait in the network.
+/// Maximum number of messages that are read per client and second; more wait in the network.
 pub const MOST_MESSAGES_A_SECOND: u32 = 120;
 
-/// What is shown.
+/// A scene to show.
 pub struct Show {
-    /// What the page calls it.
+    /// Name on the page.
     pub name: String,
     /// The scene.
     pub scene: Scene,
-    /// Accuracy given up for speed.
+    /// Settings that trade accuracy for speed.
     pub tuning: Tuning,
-    /// Where the viewer begins.
+    /// Initial camera of the viewer.
     pub start: Camera,
-    /// From there to what it looks at, in the scene's units.
+    /// Distance from it to the point that it looks at, in scene units.
     pub distance: f64,
-    /// The input's pictures, to be shown beside the scene.
+    /// Input images, shown beside the scene.
     pub pictures: Option<Pictures>,
 }

@@ -1,4 +1,4 @@
-//! The parts of the page that are the same for every scene.
+//! The static files of the page.
 
 use axum::http::header::{
     CACHE_CONTROL, CONNECTION, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, REFERRER_POLICY,
@@ -11,7 +11,7 @@ const HTML: &str = "text/html; charset=utf-8";
 const CSS: &str = "text/css; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
-/// The page's files: path, kind, content.
+/// The page's files: path, media type, content.
 const FILES: [(&str, &str, &str); 12] = [
     ("", HTML, include_str!("page/index.html")),
     ("base.css", CSS, include_str!("page/base.css")),
@@ -27,8 +27,8 @@ const FILES: [(&str, &str, &str); 12] = [
     ("timeline.js", SCRIPT, include_str!("page/timeline.js")),
 ];
 
-/// Sent with everything: nothing from elsewhere is loaded, nobody frames the page or reads its parts, its
-/// address is told to nobody, nothing is kept.
+/// Headers of every response: nothing is loaded from elsewhere, no page may frame the viewer or read its
+/// parts, its URL is not sent as a referrer, and nothing is cached.
 const HEADERS: [(HeaderName, &str); 7] = [
     (
         CONTENT_SECURITY_POLICY,
@@ -49,7 +49,7 @@ pub fn file(path: &str) -> Option<Response> {
     Some(([(CONTENT_TYPE, *kind)], *content).into_response())
 }
 
-/// An answer with the headers that everything has. But for a socket's, it ends its connection.
+/// Adds the common headers to a response. Except for a socket's, a response closes its connection.
 pub fn guarded(mut response: Response) -> Response {
     for (name, value) in HEADERS {
         response.headers_mut().insert(name, HeaderValue::from_static(value));

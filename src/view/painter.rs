@@ -1,4 +1,4 @@
-//! Pictures for the page.
+//! Renders and encodes images for the page.
 
 use std::io::Cursor;
 use std::time::Instant;
@@ -16,28 +16,28 @@ use crate::renderer::Renderer;
 use crate::types::{Camera, Image};
 use crate::{Error, Result};
 
-/// Host memory of a picture and all that is made of it, a pixel.
+/// Host memory per pixel of an image and its intermediate data, bytes.
 const BYTES_A_PIXEL: u64 = 64;
-/// Depths beyond this share of the pixels at either end do not stretch the range that is shown.
+/// Share of the pixels at either end of the depth range that does not extend the displayed range.
 const OUTLIERS: f64 = 0.02;
-/// Flow reaches full colour at so many pixels at least.
+/// Minimum flow length that is shown at full saturation, pixels.
 const LEAST_FLOW: f64 = 1.0;
-/// Frames of a scene whose cameras tell no time between them.
+/// Assumed number of frames of a scene whose cameras have no times.
 const USUAL_FRAMES: f64 = 30.0;
 
-/// Renders what is asked for, and packs it.
+/// Renders and encodes requested images.
 pub struct Painter {
     renderer: Renderer,
     background: [f32; 3],
-    /// From one input frame to the next.
+    /// Time between two input frames.
     frame_time: f64,
 }
 
 impl Painter {
-    /// Puts what is shown on a device.
+    /// Loads a scene on a device.
     ///
     /// # Errors
-    /// As for [`Renderer::tuned`].
+    /// Those of [`Renderer::tuned`].
     pub fn new(device: &Device, show: &Show) -> Result<Painter> {
         let cameras = &show.scene.cameras;
         let mut times: Vec<f64> = cameras.iter().map(|known| known.time).collect();
@@ -50,10 +50,10 @@ impl Painter {
         Ok(Painter { renderer, background: show.scene.background, frame_time })
     }
 
-    /// The answer to a request: see [`super::protocol`].
+    /// The answer to a request, see [`super::protocol`].
     ///
     /// # Errors
-    /// [`Error::Input`] for what may not be asked for; as for [`Renderer::render`].
+    /// [`Error::Input`] for an invalid request; those of [`Renderer::render`].
     pub fn paint(&mut self, request: &Request) -> Result<Vec<u8>> {
         let (camera, time) = request.checked().map_err(Error::Input)?;
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
@@ -89,7 +89,7 @@ impl Painter {
         Ok(message)
     }
 
-    /// The picture of a layer, of 1 or 3 channels; of depth and flow what range it shows.
+    /// The image of a layer, with 1 or 3 channels; for depth and flow with its displayed range.
     fn picture(
         &mut self,
         layer: Layer,
@@ -137,8 +137,8 @@ impl Painter {
     }
 }
 
-/// Inverse depths from 0 to 1 over their range in the picture, and the depths of 1 and of 0; a depth of 0 is
-/// none.
+/// Inverse depths scaled to [0, 1] over their range in the image, and the depths of 1 and of 0; depths of 0
+/// are empty.
 fn by_nearness(depths: &[f32]) -> (Vec<f32>, Option<[f32; 2]>) {
     let mut known: Vec<f32> =
         depths.iter().filter(|d| **d > 0.0 && d.is_finite()).map(|d| 1.0 / d).collect();
@@ -151,7 +151,7 @@ fn by_nearness(depths: &[f32]) -> (Vec<f32>, Option<[f32; 2]>) {
     };
     let (low, high) = (at(OUTLIERS), at(1.0 - OUTLIERS));
     let span = (high - low).max(1e-6 * high);
-    // What is farthest is still told from nothing.
+    // The farthest depth stays distinguishable from empty pixels.
     let shade = |d: &f32| match *d > 0.0 && d.is_finite() {
         true => 0.1 + 0.9 * ((1.0 / d - low) / span).clamp(0.0, 1.0),
         false => 0.0,
@@ -159,9 +159,9 @@ fn by_nearness(depths: &[f32]) -> (Vec<f32>, Option<[f32; 2]>) {
     (depths.iter().map(shade).collect(), Some([1.0 / high, 1.0 / low]))
 }
 
-/// Appends a picture of 1 or 3 channels as a file.
+/// Appends an image of 1 or 3 channels as an encoded file.
 pub fn pack(picture: &Image, format: Format, quality: u8, into: &mut Vec<u8>) -> Result<()> {
-    // `as` takes values to [0, 255], and NaN to 0.
+    // `as` clamps values to [0, 255] and converts NaN to 0.
     let bytes: Vec<u8> = picture.pixels.iter().map(|v| (v * 255.0).round() as u8).collect();
     let colour =
         if picture.channels == 1 { ExtendedColorType::L8 } else { ExtendedColorType::Rgb8 };

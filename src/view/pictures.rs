@@ -1,4 +1,4 @@
-//! The input's pictures, beside the scene.
+//! The input images, shown beside the scene.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -12,25 +12,25 @@ use crate::data::video::{self, GoOn};
 use crate::io::check_memory;
 use crate::types::Image;
 
-/// Longest side of a picture as it is shown.
+/// Maximum side of a displayed image, pixels.
 const LONGEST: u32 = 1280;
-/// A JPEG's quality.
+/// JPEG quality.
 const QUALITY: u8 = 90;
-/// Bytes of a pixel in a JPEG of this quality, at most in practice.
+/// Upper bound in practice of the size of such a JPEG, bytes per pixel.
 const JPEG_BYTES: f64 = 0.6;
 
-/// Pictures in the order of their times. The page asks for them by number.
+/// The input images in the order of their times; the page requests them by index.
 ///
-/// Where there are as many as the scene has cameras, each belongs to one of them; else their times run
-/// evenly from 0 to 1.
+/// If there are as many as the scene has cameras, each belongs to one of them; otherwise their times are
+/// evenly spaced from 0 to 1.
 #[derive(Clone, Debug)]
 pub struct Pictures(Kept);
 
 #[derive(Clone, Debug)]
 enum Kept {
-    /// Image files, decoded when asked for.
+    /// Image files, decoded on request.
     Files(Vec<PathBuf>),
-    /// As they are sent.
+    /// Encoded images.
     Packed(Arc<Vec<Vec<u8>>>),
 }
 
@@ -41,18 +41,18 @@ impl Default for Pictures {
 }
 
 impl Pictures {
-    /// Image files.
+    /// Makes a list of image files.
     pub fn files(files: Vec<PathBuf>) -> Pictures {
         Pictures(Kept::Files(files))
     }
 
-    /// Frames of a video, those of the given numbers, which ascend. All are decoded now, by `ffmpeg`, and
-    /// kept as they are sent: to go to one frame of a video takes long. `go_on` is asked at each; its error
+    /// Frames of a video with the given ascending numbers. All are decoded now by `ffmpeg` and kept in
+    /// encoded form, because seeking to one frame takes long. `go_on` is called at each frame; its error
     /// ends the work.
     ///
     /// # Errors
-    /// As for [`video::extent`] and [`video::frames`]; [`Error::OutOfMemory`](crate::Error::OutOfMemory)
-    /// where the host has no room for them.
+    /// Those of [`video::extent`] and [`video::frames`]; [`Error::OutOfMemory`](crate::Error::OutOfMemory)
+    /// where they do not fit into host memory.
     pub fn of_video(path: &Path, numbers: &[usize], go_on: GoOn) -> Result<Pictures> {
         let (width, height) = video::extent(path)?.size;
         let (width, height) = Resize::Longest(LONGEST).target(width, height);
@@ -67,7 +67,7 @@ impl Pictures {
         Ok(Pictures(Kept::Packed(Arc::new(packed))))
     }
 
-    /// How many there are.
+    /// Number of images.
     pub fn len(&self) -> usize {
         match &self.0 {
             Kept::Files(files) => files.len(),
@@ -75,15 +75,15 @@ impl Pictures {
         }
     }
 
-    /// Whether there are none.
+    /// Whether there are no images.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// One of them as a JPEG of at most 1280 pixels a side; `None` beyond the last.
+    /// An image as a JPEG of at most 1280 pixels per side; `None` beyond the last.
     ///
     /// # Errors
-    /// As for [`decode_rgb`].
+    /// Those of [`decode_rgb`].
     pub fn jpeg(&self, index: usize) -> Result<Option<Vec<u8>>> {
         match &self.0 {
             Kept::Packed(pictures) => Ok(pictures.get(index).cloned()),
@@ -95,7 +95,7 @@ impl Pictures {
     }
 }
 
-/// A picture as it is sent.
+/// Encodes an image as it is sent.
 fn jpeg(picture: &Image) -> Result<Vec<u8>> {
     let (width, height) = Resize::Longest(LONGEST).target(picture.width, picture.height);
     let mut bytes = Vec::new();

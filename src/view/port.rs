@@ -1,17 +1,17 @@
-//! A port to listen on.
+//! Choice of a listening port.
 
 use std::io::ErrorKind;
 use std::net::{IpAddr, SocketAddr, TcpListener};
 
 use crate::{Error, Result};
 
-/// Ports after the one asked for that are tried where it is in use.
+/// Number of further ports that are tried where the requested one is in use.
 const TRIED: u16 = 50;
 
-/// Listens on a port, or on the next that is free; 0 stands for any.
+/// Listens on a port, or on the next free one; 0 selects any.
 ///
 /// # Errors
-/// [`Error::Input`]: none of them is free, or the address is not this machine's.
+/// [`Error::Input`]: none of the ports is free, or the address does not belong to this machine.
 pub fn listen(host: IpAddr, port: u16) -> Result<TcpListener> {
     let last = port.saturating_add(TRIED);
     for port in port..=last {
@@ -41,7 +41,7 @@ mod tests {
         let host = IpAddr::from(Ipv4Addr::LOCALHOST);
         let first = listen(host, 0).unwrap();
         let port = first.local_addr().unwrap().port();
-        // The very last port has none after it.
+        // The last port has no successor.
         if port < u16::MAX {
             let second = listen(host, port).unwrap().local_addr().unwrap().port();
             assert!(second > port && second <= port.saturating_add(TRIED), "{port} {second}");
@@ -50,7 +50,7 @@ mod tests {
 
     #[test]
     fn an_address_of_another_machine_is_named() {
-        // From the block that documentation has: no machine's.
+        // An address of the documentation block, which belongs to no machine.
         let error = listen([192, 0, 2, 1].into(), 8090).unwrap_err().to_string();
         assert!(
             error.contains("192.0.2.1:8090") && error.contains("another port or host"),

@@ -1,17 +1,17 @@
-//! What the page and the server say to each other.
+//! The messages between the page and the server.
 //!
-//! A client sends [`Request`]s as JSON in text messages. For each picture it gets one binary message:
+//! A client sends [`Request`]s as JSON text messages. For each image it receives one binary message:
 //!
 //! | bytes | what |
 //! |---|---|
 //! | 4 | length of the header, u32, little endian |
 //! | … | the header: [`Header`] as JSON |
-//! | 16 · `points` | control points: x, y, z in the world and 1 where it is there, else 0; f32, little endian |
-//! | … | the picture, a JPEG or PNG file |
+//! | 16 · `points` | control points: x, y, z in the world and 1 if present, else 0; f32, little endian |
+//! | … | the image, a JPEG or PNG file |
 //!
-//! A request that is refused is answered by a text message, [`Refusal`] as JSON. A request that a newer one
-//! of the same client overtakes is not answered. Of a training under way text messages tell, too, how far it
-//! is, unasked: [`Told`] as JSON, the newest a few times a second.
+//! A rejected request is answered by a text message, [`Refusal`] as JSON. A request that is overtaken by a
+//! newer one of the same client is not answered. While a training is in progress, text messages also report
+//! its status unrequested: [`Told`] as JSON, a few times a second.
 
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
@@ -20,39 +20,39 @@ use super::{MOST_PIXELS, MOST_SIDE};
 use crate::scene::SceneCamera;
 use crate::types::{Camera, Intrinsics, Pose, range};
 
-/// What of the scene a picture shows.
+/// The layer of the scene that an image shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Layer {
     /// Colour over the scene's background.
     Colour,
-    /// Inverse depth: white at the near end of [`Header::range`], black at its far end and where nothing is.
+    /// Inverse depth: white at the near end of [`Header::range`], black at its far end and in empty pixels.
     Depth,
     /// Opacity: white where it is 1.
     Alpha,
-    /// The share that comes from what moves: white where it is 1.
+    /// Share of the movers in the pixel: white where it is 1.
     Motion,
-    /// Motion within a fixed picture until one input frame later (at the end: since one before), in pixels: the
-    /// direction as hue, the length as saturation, which is full at the far end of [`Header::range`]; white
-    /// where nothing moves, grey where nothing is.
+    /// Image motion with a static camera until one input frame later (at the end: since one frame before),
+    /// in pixels: the direction as hue, the length as saturation, which is full at the far end of
+    /// [`Header::range`]; static pixels are white, empty ones grey.
     Flow,
-    /// Normals in the camera's axes: right is red, down is green, away is blue, from -1 to 1; black where
-    /// nothing is.
+    /// Normals in the camera frame: right is red, down is green, away from the camera is blue, from -1 to
+    /// 1; empty pixels are black.
     Normal,
 }
 
-/// How a picture is packed.
+/// Encoding of an image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Format {
-    /// Small.
+    /// JPEG: small.
     #[default]
     Jpeg,
-    /// Exact, in 8 bits.
+    /// PNG: lossless, with 8 bits.
     Png,
 }
 
-/// A camera as JSON has it.
+/// A camera in JSON.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct View {
@@ -60,15 +60,15 @@ pub struct View {
     pub fx: f64,
     /// Focal length along y, pixels.
     pub fy: f64,
-    /// Principal point from the left edge, pixels.
+    /// Distance of the principal point from the left edge, pixels.
     pub cx: f64,
-    /// Principal point from the upper edge, pixels.
+    /// Distance of the principal point from the upper edge, pixels.
     pub cy: f64,
     /// Width, pixels.
     pub width: u32,
     /// Height, pixels.
     pub height: u32,
-    /// Rotation (w, x, y, z) and translation, OpenCV's axes.
+    /// Rotation (w, x, y, z) and translation, with OpenCV's axes.
     pub view_from_world: [f64; 7],
 }
 
@@ -95,26 +95,26 @@ impl From<View> for Camera {
     }
 }
 
-/// A picture that a client asks for.
+/// A client's request for an image.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Request {
-    /// Comes back with the answer.
+    /// Identifier, repeated in the answer.
     pub id: u64,
-    /// In [0, 1].
+    /// Time in [0, 1].
     pub time: f64,
-    /// What to show.
+    /// Layer to render.
     pub layer: Layer,
-    /// How to pack it.
+    /// Encoding of the image.
     #[serde(default)]
     pub format: Format,
     /// A JPEG's quality, 1 to 100.
     #[serde(default = "usual_quality")]
     pub quality: u8,
-    /// Whether to tell where the control points are.
+    /// Whether to send the control points' positions.
     #[serde(default)]
     pub points: bool,
-    /// From where.
+    /// Camera to render from.
     pub camera: View,
 }
 
@@ -123,10 +123,10 @@ fn usual_quality() -> u8 {
 }
 
 impl Request {
-    /// The camera and the time, where they may be asked for.
+    /// The camera and the time, if they are valid.
     ///
     /// # Errors
-    /// What is wrong, in words: more pixels than [`MOST_SIDE`] or [`MOST_PIXELS`], or numbers out of [range].
+    /// A message: there are more pixels than [`MOST_SIDE`] or [`MOST_PIXELS`], or numbers outside of [range].
     pub fn checked(&self) -> Result<(Camera, f64), String> {
         let View { width, height, .. } = self.camera;
         let pixels = u64::from(width) * u64::from(height);
@@ -147,119 +147,119 @@ impl Request {
     }
 }
 
-/// What stands before a picture.
+/// Header of an image message.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Header {
-    /// The request's.
+    /// The request's identifier.
     pub id: u64,
-    /// Of the picture.
+    /// Width of the image, pixels.
     pub width: u32,
-    /// Of the picture.
+    /// Height of the image, pixels.
     pub height: u32,
-    /// The request's.
+    /// The request's time.
     pub time: f64,
-    /// The request's.
+    /// The request's layer.
     pub layer: Layer,
-    /// The request's.
+    /// The request's encoding.
     pub format: Format,
-    /// What rendering took; packing not counted.
+    /// Rendering time, without encoding, milliseconds.
     pub milliseconds: f64,
-    /// How many Gaussians the scene has.
+    /// Number of Gaussians in the scene.
     pub gaussians: usize,
-    /// Depths of white and of black, where depth is shown and something is there; of flow, the lengths of
-    /// white and of full colour, pixels.
+    /// For depth: the depths of white and of black, if any pixel is not empty. For flow: the lengths of
+    /// white and of full saturation, pixels.
     pub range: Option<[f32; 2]>,
-    /// How many control points follow.
+    /// Number of control points that follow.
     pub points: usize,
 }
 
-/// Why there is no picture.
+/// Reason why a request was rejected.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Refusal {
-    /// The request's, where it could be read.
+    /// The request's identifier, where it could be parsed.
     pub id: Option<u64>,
-    /// In words.
+    /// Error message.
     pub error: String,
 }
 
-/// A text message that tells how far a training is.
+/// A text message that reports the status of a training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Told {
-    /// How far it is.
+    /// The status.
     pub status: Status,
 }
 
-/// How far the work is that makes the scene.
+/// Progress of the work that makes the scene.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Status {
-    /// What is being done, in a word or two.
+    /// The current stage, in a word or two.
     pub stage: String,
-    /// So much of it is done.
+    /// Units done.
     pub done: u64,
-    /// Of so much; 0 where that is not known.
+    /// Total number of units; 0 where unknown.
     pub of: u64,
-    /// Of what: `steps`, `%`.
+    /// Name of the unit: `steps`, `%`.
     pub unit: String,
-    /// How many Gaussians the scene has, once there is one.
+    /// Number of Gaussians, once there is a scene.
     pub gaussians: Option<usize>,
-    /// So many scenes have been handed over: with each, `scene.json` and the pictures are new.
+    /// Number of scenes handed over; with each, `scene.json` and the images change.
     pub scenes: u64,
-    /// What was measured on the way, thinned.
+    /// Measurements of the training, thinned.
     pub curves: Vec<Progressed>,
-    /// How the work ended, where it has.
+    /// How the work ended, if it has ended.
     pub end: Option<String>,
 }
 
-/// A point of the curves of a training.
+/// A point of a training's curves.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Progressed {
-    /// Steps done, of all stages.
+    /// Number of steps done, over all stages.
     pub step: u32,
     /// Number of Gaussians.
     pub gaussians: usize,
-    /// Weighted mean of the absolute differences of one picture.
+    /// Weighted mean absolute difference of one image.
     pub l1: f64,
-    /// Its weighted mean of SSIM.
+    /// Weighted mean SSIM of the same image.
     pub ssim: f64,
-    /// Its PSNR, dB, where it is known.
+    /// PSNR of the same image in dB, where known.
     pub psnr: Option<f64>,
 }
 
-/// What the page is told of the scene before the first picture: `scene.json`.
+/// Description of the scene that the page receives before the first image: `scene.json`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Description {
-    /// What to call it.
+    /// Name of the scene.
     pub name: String,
-    /// The device that renders.
+    /// The rendering device.
     pub device: String,
-    /// How many there are.
+    /// Number of Gaussians.
     pub gaussians: usize,
-    /// Whether something moves.
+    /// Whether the scene is dynamic.
     pub moves: bool,
-    /// How many there are.
+    /// Number of control points.
     pub control_points: usize,
-    /// The world's direction that is up.
+    /// Up direction in the world.
     pub up: [f32; 3],
-    /// Where the viewer begins.
+    /// Initial camera of the viewer.
     pub start: View,
-    /// From there to what it looks at.
+    /// Distance from it to the point that it looks at.
     pub distance: f64,
-    /// The input's, in order of time.
+    /// The input cameras, in the order of time.
     pub cameras: Vec<TimedView>,
-    /// How many pictures of the input there are.
+    /// Number of input images.
     pub pictures: usize,
     /// [`MOST_SIDE`].
     pub most_side: u32,
-    /// [`MOST_PIXELS`], or of a training under way [`MOST_LIVE_PIXELS`](super::MOST_LIVE_PIXELS).
+    /// [`MOST_PIXELS`], or [`MOST_LIVE_PIXELS`](super::MOST_LIVE_PIXELS) while a training is in progress.
     pub most_pixels: u64,
-    /// Whether the scene is being trained; then it is there once [`Status::scenes`] is not 0.
+    /// Whether the scene is being trained; then it exists once [`Status::scenes`] is not 0.
     pub live: bool,
 }
 
 /// An input camera.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TimedView {
-    /// In [0, 1].
+    /// Time in [0, 1].
     pub time: f64,
     /// The camera.
     pub camera: View,

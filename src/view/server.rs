@@ -1,4 +1,4 @@
-//! The server: threads, connections, and where each request goes.
+//! The server: threads, connections, and routing of requests.
 
 use std::net::{IpAddr, Ipv4Addr};
 use std::sync::Arc;
@@ -31,21 +31,21 @@ use super::{
 use crate::gpu::Device;
 use crate::{Error, Result};
 
-/// A connection asks once, within this time; a socket goes on.
+/// Time limit of a connection for its request; sockets are exempt.
 const MOST_ASKING: Duration = Duration::from_secs(30);
-/// A request's head arrives within this time.
+/// Time limit for a request's head.
 const MOST_HEAD: Duration = Duration::from_secs(10);
-/// Bytes of a request's head.
+/// Maximum size of a request's head, bytes.
 const MOST_HEAD_BYTES: usize = 16 << 10;
-/// Ending waits so long for what is being sent.
+/// Maximum time that a shutdown waits for pending responses.
 const FAREWELL: Duration = Duration::from_millis(500);
 
-/// Where to serve.
+/// Where the server listens.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// The address to listen on; on one that is no loopback, the page's address holds a token.
+    /// The address to listen on; on one that is not a loopback address, the page's URL contains a token.
     pub host: IpAddr,
-    /// The port, or where it is in use the next that is free; 0 stands for any.
+    /// The port, or the next free one if it is in use; 0 selects any.
     pub port: u16,
 }
 
@@ -55,7 +55,7 @@ impl Default for Options {
     }
 }
 
-/// Serves a scene until it is dropped.
+/// A server that runs until it is dropped.
 pub struct Server {
     url: String,
     port: u16,
@@ -65,7 +65,7 @@ pub struct Server {
     painting: Option<JoinHandle<Result<()>>>,
 }
 
-/// What requests are answered from.
+/// The state that requests are answered from.
 struct Desk {
     guard: Guard,
     description: Described,
@@ -73,16 +73,16 @@ struct Desk {
     turns: Arc<Turns>,
     live: Option<Live>,
     clients: Arc<Semaphore>,
-    /// One picture of the input is decoded at a time, so that memory stays bounded.
+    /// One input image is decoded at a time, to bound memory.
     decoding: Arc<Semaphore>,
 }
 
 impl Server {
-    /// Puts the scene on the device and begins to serve.
+    /// Loads the scene on the device and starts the server.
     ///
     /// # Errors
-    /// [`Error::Input`] where it cannot listen; as for
-    /// [`Renderer::tuned`](crate::renderer::Renderer::tuned); no more threads.
+    /// [`Error::Input`] where it cannot listen; those of
+    /// [`Renderer::tuned`](crate::renderer::Renderer::tuned); a thread cannot be started.
     pub fn start(device: &Device, show: Show, options: &Options) -> Result<Server> {
         let listener = port::listen(options.host, options.port)?;
         let description = described::of(&device.info().name, &show, false);
@@ -96,11 +96,11 @@ impl Server {
         Server::serve(listener, easel, show.pictures.unwrap_or_default(), turns)
     }
 
-    /// Begins to serve a scene that is being trained on the device, called `name`: what is served is what the
-    /// [`Live`] is told and handed.
+    /// Starts a server for a scene called `name` that is being trained on the device. It serves what the
+    /// [`Live`] handle receives.
     ///
     /// # Errors
-    /// [`Error::Input`] where it cannot listen; no more threads.
+    /// [`Error::Input`] where it cannot listen; a thread cannot be started.
     pub fn live(device: &Device, name: &str, options: &Options) -> Result<(Server, Live)> {
         let listener = port::listen(options.host, options.port)?;
         let turns = Arc::new(Turns::default());
@@ -151,7 +151,7 @@ impl Server {
         };
         let mut server =
             Server { url, port: address.port(), turns, stop, network: None, painting: None };
-        // Dropping it ends the thread that is there already.
+        // Dropping it ends the thread that has been started.
         server.painting = Some(painting.map_err(Error::io("a thread"))?);
         let network = thread("view: network").spawn(move || {
             runtime.block_on(accept(listener, desk, stopped));
@@ -161,30 +161,30 @@ impl Server {
         Ok(server)
     }
 
-    /// The page's address, with its token where it has one.
+    /// URL of the page, with its token where it has one.
     pub fn url(&self) -> &str {
         &self.url
     }
 
-    /// The port that it listens on.
+    /// The port that the server listens on.
     pub fn port(&self) -> u16 {
         self.port
     }
 
-    /// How many pages are open.
+    /// Number of open pages.
     pub fn clients(&self) -> usize {
         self.turns.clients()
     }
 
-    /// Whether it still makes pictures; if not, [`stop`](Self::stop) tells why.
+    /// Whether the server still renders images; if not, [`stop`](Self::stop) returns the reason.
     pub fn is_serving(&self) -> bool {
         self.painting.as_ref().is_some_and(|thread| !thread.is_finished())
     }
 
-    /// Ends it.
+    /// Stops the server.
     ///
     /// # Errors
-    /// Why it ended before: the device was lost.
+    /// The reason if it ended earlier: the device was lost.
     pub fn stop(mut self) -> Result<()> {
         self.end()
     }
@@ -209,19 +209,19 @@ impl Drop for Server {
     }
 }
 
-/// What pictures are made with.
+/// The state of the rendering thread.
 struct Easel {
     device: Device,
-    /// None before there is a scene.
+    /// `None` before there is a scene.
     painter: Option<Painter>,
     description: Described,
     live: Option<Live>,
 }
 
 impl Easel {
-    /// Makes pictures until the turns are closed. What one request meets is told to its client; what all
-    /// would meet ends it. While a training goes on, making a picture is followed by as long a rest: what
-    /// clients ask for takes no more than half of the device's time.
+    /// Renders images until the turns are closed. An error of one request is reported to its client; an
+    /// error that affects all ends the loop. While a training is in progress, each rendering is followed by
+    /// a pause of the same length, so that clients use at most half of the device's time.
     fn paint(mut self, turns: &Turns) -> Result<()> {
         while let Some((client, request)) = turns.next() {
             let begun = Instant::now();
@@ -246,7 +246,7 @@ impl Easel {
         Ok(())
     }
 
-    /// The answer to a request, of the newest scene.
+    /// The answer to a request, from the newest scene.
     fn picture(&mut self, request: &Asked) -> Result<Vec<u8>> {
         if let Some(live) = &self.live {
             let pixels = u64::from(request.camera.width) * u64::from(request.camera.height);
@@ -258,7 +258,7 @@ impl Easel {
                 )));
             }
             if let Some(show) = live.take() {
-                // Before the new one is there, so that the device need not hold both.
+                // The old scene is dropped first, so that the device need not hold both.
                 self.painter = None;
                 self.painter = Some(Painter::new(&self.device, &show)?);
             }
@@ -268,8 +268,8 @@ impl Easel {
     }
 }
 
-/// Accepts connections until it is to stop. Each asks once: sockets that were closed or never used
-/// hold no place.
+/// Accepts connections until shutdown. Each connection carries one request, so that closed or idle sockets
+/// do not hold a slot.
 async fn accept(listener: TcpListener, desk: Arc<Desk>, mut stopped: watch::Receiver<bool>) {
     let places = Arc::new(Semaphore::new(MOST_CONNECTIONS));
     let router = Router::new().fallback(answer).with_state(desk);
@@ -280,7 +280,7 @@ async fn accept(listener: TcpListener, desk: Arc<Desk>, mut stopped: watch::Rece
             _ = stopped.changed() => break,
         };
         let Ok((stream, _)) = accepted else {
-            // Out of file descriptors, or the client has gone.
+            // Out of file descriptors, or the client has disconnected.
             sleep(Duration::from_millis(50)).await;
             continue;
         };
@@ -293,12 +293,12 @@ async fn accept(listener: TcpListener, desk: Arc<Desk>, mut stopped: watch::Rece
             .serve_connection(TokioIo::new(stream), service)
             .with_upgrades();
         tokio::spawn(async move {
-            // What a client does wrong is its own affair.
+            // Errors of a client's connection are ignored.
             let _ = timeout(MOST_ASKING, connection).await;
             drop(place);
         });
     }
-    // The sockets say goodbye.
+    // Leaves time for the sockets' closing messages.
     sleep(FAREWELL / 5).await;
 }
 
@@ -338,7 +338,7 @@ impl Desk {
         }
     }
 
-    /// A socket, where there is a place.
+    /// Opens a socket, if a slot is free.
     fn open(&self, upgrade: WebSocketUpgrade) -> Response {
         let upgrade = upgrade.max_message_size(MOST_MESSAGE).max_frame_size(MOST_MESSAGE);
         let turns = self.turns.clone();
@@ -355,7 +355,7 @@ impl Desk {
     async fn picture(&self, number: usize) -> Response {
         let turn = self.decoding.clone().acquire_owned().await.expect("never closed");
         let pictures = self.pictures.clone();
-        // Whoever asks may go meanwhile; the turn ends with the work.
+        // The client may disconnect meanwhile; the permit is held until decoding ends.
         let decode = move || {
             let decoded = pictures.jpeg(number);
             drop(turn);
@@ -364,7 +364,7 @@ impl Desk {
         match tokio::task::spawn_blocking(decode).await {
             Ok(Ok(Some(bytes))) => ([(CONTENT_TYPE, "image/jpeg")], bytes).into_response(),
             Ok(Ok(None)) => StatusCode::NOT_FOUND.into_response(),
-            // Messages name the file, and paths of this machine are told to nobody.
+            // Error messages contain the file's path, which must not leave this machine.
             Ok(Err(_)) | Err(_) => {
                 (StatusCode::INTERNAL_SERVER_ERROR, "the picture cannot be read").into_response()
             }

@@ -1,4 +1,4 @@
-//! A client's socket.
+//! The WebSocket of a client.
 
 use std::future::pending;
 use std::sync::Arc;
@@ -16,21 +16,21 @@ use super::MOST_MESSAGES_A_SECOND;
 use super::protocol::{Refusal, Request, Status, Told};
 use super::turns::{Answer, Turns};
 
-/// A client that takes longer for one answer is let go.
+/// Maximum time for sending one answer; slower clients are disconnected.
 const MOST_SENDING: Duration = Duration::from_secs(20);
-/// A client is asked so often whether it is there; browsers answer by themselves.
+/// Interval of pings; browsers answer them automatically.
 const PING: Duration = Duration::from_secs(15);
-/// A client that says nothing for so long is let go.
+/// Maximum silence of a client before it is disconnected.
 const MOST_SILENCE: Duration = Duration::from_secs(60);
-/// Between two messages that tell how far a training is, at least.
+/// Minimum time between two status messages.
 const NEWS: Duration = Duration::from_millis(250);
-/// Messages one after the other that are no request, after which a client is let go.
+/// Number of consecutive invalid messages after which a client is disconnected.
 const MOST_RUBBISH: u32 = 20;
-/// Codes of closing, as RFC 6455 numbers them.
+/// Close codes of RFC 6455.
 const GOING_AWAY: u16 = 1001;
 const POLICY: u16 = 1008;
 
-/// Serves a client until it goes, misbehaves, or the server ends; `told` of a training.
+/// Serves a client until it disconnects, misbehaves, or the server stops; `told` is the status of a training.
 pub async fn serve(socket: WebSocket, turns: Arc<Turns>, told: Option<watch::Receiver<Status>>) {
     let Some((client, answers)) = turns.join() else { return };
     let (sink, stream) = socket.split();
@@ -42,7 +42,7 @@ pub async fn serve(socket: WebSocket, turns: Arc<Turns>, told: Option<watch::Rec
     turns.leave(client);
 }
 
-/// Reads requests, no faster than is allowed.
+/// Reads requests at the permitted rate.
 async fn read(
     mut stream: SplitStream<WebSocket>,
     client: u64,
@@ -51,7 +51,7 @@ async fn read(
 ) {
     let each = Duration::from_secs(1) / MOST_MESSAGES_A_SECOND;
     let burst = Duration::from_secs(1);
-    // When all that was read would have been due.
+    // Time at which everything read so far would have been due.
     let mut due = Instant::now();
     let mut rubbish = 0;
     while let Ok(Some(Ok(message))) = timeout(MOST_SILENCE, stream.next()).await {
@@ -85,12 +85,12 @@ async fn read(
     }
 }
 
-/// Where the last refusal has not been sent yet, this one is not told.
+/// Queues a refusal; dropped while the last one has not been sent yet.
 fn refuse(refusals: &Sender<Refusal>, id: Option<u64>, error: String) {
     let _ = refusals.try_send(Refusal { id, error });
 }
 
-/// Sends answers one after the other.
+/// Sends answers in order.
 async fn write(
     mut sink: SplitSink<WebSocket, Message>,
     mut answers: Receiver<Answer>,
@@ -129,7 +129,7 @@ async fn write(
     let _ = timeout(PING / 10, sink.send(Message::Close(Some(farewell)))).await;
 }
 
-/// The newest status, when it is due and is another than before; never where none is told.
+/// Waits for a changed status that is due; waits for ever where there is no training.
 async fn news(told: &mut Option<watch::Receiver<Status>>, due: Instant) -> Status {
     let Some(told) = told else { return pending().await };
     sleep_until(due).await;
@@ -143,7 +143,7 @@ fn text(message: &impl Serialize) -> Message {
     Message::Text(serde_json::to_string(message).expect("plain data").into())
 }
 
-/// Turns a client away.
+/// Rejects a client.
 pub async fn turn_away(mut socket: WebSocket) {
     let reason = "too many pages show this scene; close one";
     let farewell = CloseFrame { code: POLICY, reason: reason.into() };

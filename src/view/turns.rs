@@ -1,4 +1,4 @@
-//! The clients' turns at the renderer.
+//! Fair scheduling of the clients' requests to the renderer.
 
 use std::collections::BTreeMap;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -8,15 +8,15 @@ use tokio::sync::mpsc::{Receiver, Sender, channel};
 
 use super::protocol::{Refusal, Request};
 
-/// What a client is to get.
+/// An answer to a client.
 pub enum Answer {
-    /// A picture.
+    /// The binary message with an image.
     Picture(Vec<u8>),
-    /// Why there is none.
+    /// The reason for a rejection.
     Refused(Refusal),
 }
 
-/// Requests that wait, at most one of each client, and where the answers go.
+/// Waiting requests, at most one per client, and the channels of their answers.
 #[derive(Default)]
 pub struct Turns {
     state: Mutex<State>,
@@ -26,22 +26,22 @@ pub struct Turns {
 #[derive(Default)]
 struct State {
     seats: BTreeMap<u64, Seat>,
-    /// Numbers given out.
+    /// Number of client identifiers assigned so far.
     numbers: u64,
-    /// Whose turn it was last.
+    /// The client that was served last.
     last: u64,
     closed: bool,
 }
 
 struct Seat {
-    /// The newest request; an older one is forgotten.
+    /// The newest request; it replaces an older one.
     waiting: Option<Request>,
-    /// Room for one answer.
+    /// Channel with a capacity of one answer.
     answers: Sender<Answer>,
 }
 
 impl Turns {
-    /// A new client: its number, and its answers. None once it is [closed](Self::close).
+    /// Adds a client: its identifier and its answers. `None` after [`close`](Self::close).
     pub fn join(&self) -> Option<(u64, Receiver<Answer>)> {
         let mut state = self.lock();
         if state.closed {
@@ -54,12 +54,12 @@ impl Turns {
         Some((number, receiver))
     }
 
-    /// A client goes, and what it waited for with it.
+    /// Removes a client and its waiting request.
     pub fn leave(&self, client: u64) {
         self.lock().seats.remove(&client);
     }
 
-    /// A client asks; what it asked before and has not got yet is forgotten.
+    /// Queues a client's request; it replaces one that has not been answered yet.
     pub fn ask(&self, client: u64, request: Request) {
         if let Some(seat) = self.lock().seats.get_mut(&client) {
             seat.waiting = Some(request);
@@ -67,13 +67,13 @@ impl Turns {
         self.changed.notify_one();
     }
 
-    /// A client has taken an answer, and may have the next.
+    /// Notes that a client has taken an answer and can receive the next.
     pub fn taken(&self) {
         self.changed.notify_one();
     }
 
-    /// Waits for a request whose client has room for an answer; the clients take turns. `None` once it is
-    /// closed.
+    /// Waits for a request whose client can receive an answer, in round-robin order. `None` once the turns
+    /// are closed.
     pub fn next(&self) -> Option<(u64, Request)> {
         let mut state = self.lock();
         loop {
@@ -89,22 +89,22 @@ impl Turns {
         }
     }
 
-    /// Waits for so long, or until it is closed.
+    /// Waits for a duration, or until the turns are closed.
     pub fn rest(&self, long: Duration) {
         let state = self.lock();
         let open = |state: &mut State| !state.closed;
         drop(self.changed.wait_timeout_while(state, long, open));
     }
 
-    /// Answers a client, where it is still there.
+    /// Sends an answer to a client, if it is still connected.
     pub fn answer(&self, client: u64, answer: Answer) {
         if let Some(seat) = self.lock().seats.get(&client) {
-            // There was room when its turn came, and nobody else answers.
+            // The channel had capacity when its turn came, and only this thread sends.
             let _ = seat.answers.try_send(answer);
         }
     }
 
-    /// Ends it: clients are told by the end of their answers.
+    /// Closes the turns; the clients' answer channels end.
     pub fn close(&self) {
         let mut state = self.lock();
         state.closed = true;
@@ -112,19 +112,19 @@ impl Turns {
         self.changed.notify_all();
     }
 
-    /// How many clients there are.
+    /// Number of clients.
     pub fn clients(&self) -> usize {
         self.lock().seats.len()
     }
 
-    /// A thread that has panicked leaves the state as whole as it was.
+    /// The state is consistent at any time, so a poisoned lock can be used.
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl State {
-    /// The client after the last one whose request can be served.
+    /// The next client in round-robin order whose request can be served.
     fn following(&self) -> Option<u64> {
         let ready =
             |(_, seat): &(&u64, &Seat)| seat.waiting.is_some() && seat.answers.capacity() > 0;

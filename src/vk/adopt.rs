@@ -1,4 +1,4 @@
-//! A host's device.
+//! Adoption of a Vulkan device that a host has created.
 
 use super::device::{Context, OnDrop, Opened};
 use super::instance::Instance;
@@ -10,31 +10,32 @@ use ash::vk::Handle;
 use std::ffi::CStr;
 use std::sync::Arc;
 
-/// A Vulkan device that a host has made, to work on. Handles only, so that any binding of Vulkan in
-/// any version can give them.
+/// A Vulkan device that a host has created, for [`Device::adopt`](crate::gpu::Device::adopt). It
+/// consists of raw handles, so that hosts with any Vulkan binding of any version can supply it.
 pub struct HostDevice {
-    /// The loader's; with `ash`, `entry.static_fn().get_instance_proc_addr`.
+    /// The loader's `vkGetInstanceProcAddr`; with `ash`,
+    /// `entry.static_fn().get_instance_proc_addr`.
     pub get_instance_proc_addr: vk::PFN_vkGetInstanceProcAddr,
-    /// The instance, made for Vulkan 1.3 or newer.
+    /// The instance, created for Vulkan 1.3 or newer.
     pub instance: vk::Instance,
     /// The physical device.
     pub physical_device: vk::PhysicalDevice,
-    /// The device, made with what [`Requirements`] lists.
+    /// The device, created with everything that [`Requirements`] lists.
     pub device: vk::Device,
-    /// A queue of it, for the engine's own submissions.
+    /// A queue of the device, for the engine's own submissions.
     pub queue: vk::Queue,
     /// The queue's family, which must offer compute.
     pub queue_family: u32,
-    /// The features that the device was made with; [`Features::enabled_by`] reads them from the
+    /// The features that the device was created with; [`Features::enabled_by`] reads them from the
     /// host's `VkDeviceCreateInfo`.
     pub features: Features,
-    /// Whether the device was made with `VK_KHR_external_memory_fd`.
+    /// Whether the device was created with `VK_KHR_external_memory_fd`.
     pub external_memory_fd: bool,
-    /// Needed where anybody else uses the queue while the engine may submit: holds off the others
-    /// while it runs what it is given, which it must do exactly once.
+    /// A lock of the queue; required if other code uses the queue while the engine may submit. It
+    /// must call the given function exactly once, while no other code uses the queue.
     pub queue_lock: Option<Box<QueueLock>>,
-    /// Called when nothing of the engine's is left that uses the device, on whatever thread drops
-    /// the last of it; also where adopting fails.
+    /// A callback, called when the engine has dropped every object that uses the device, on the
+    /// thread that drops the last one. It is also called if adopting fails.
     pub on_drop: Option<Box<dyn FnOnce() + Send + Sync>>,
 }
 
@@ -67,14 +68,15 @@ fn require_handle(what: &str, is_null: bool) -> Result<()> {
 }
 
 impl Requirements {
-    /// What a physical device of a host's instance lacks of these, in words; empty where the engine
-    /// can run on it.
+    /// Descriptions of the requirements that a physical device of a host's instance lacks; empty if
+    /// the engine can run on it.
     ///
     /// # Errors
     /// [`Error::Input`] for a null handle; [`Error::Unsupported`] for an instance below Vulkan 1.3.
     ///
     /// # Safety
-    /// The function is the loader's; the instance is alive; the physical device is one of its own.
+    /// The function is the loader's; the instance is alive; the physical device belongs to the
+    /// instance.
     pub unsafe fn lacking(
         &self,
         get_instance_proc_addr: vk::PFN_vkGetInstanceProcAddr,
@@ -94,7 +96,7 @@ impl Context {
     /// # Safety
     /// As for `Device::adopt`.
     pub(crate) unsafe fn adopt(host: HostDevice) -> Result<Context> {
-        // First of all, so that the host is told however this ends.
+        // Wrapped first, so that the host's callback is called even on an early return.
         let on_drop = OnDrop(host.on_drop);
         // SAFETY: by the caller's promise.
         let instance = unsafe { load_instance(host.get_instance_proc_addr, host.instance) }?;

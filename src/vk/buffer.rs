@@ -1,4 +1,4 @@
-//! Buffers and their memory.
+//! Vulkan buffers and their memory.
 
 use super::device::{Context, OnDrop};
 use super::ledger::Ledger;
@@ -9,14 +9,14 @@ use gpu_allocator::MemoryLocation;
 use gpu_allocator::vulkan::{Allocation, AllocationCreateDesc, AllocationScheme};
 use std::sync::{Arc, Mutex};
 
-/// Where a buffer's memory lies.
+/// The kind of memory of a buffer.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Residence {
-    /// For kernels.
+    /// Device memory, used by kernels.
     Device,
-    /// Written by the host, copied from by the device.
+    /// Host-visible memory that the host writes and the device copies from.
     Upload,
-    /// Copied to by the device, read by the host.
+    /// Host-visible memory that the device copies to and the host reads.
     Readback,
 }
 
@@ -24,26 +24,26 @@ pub(crate) enum Residence {
 pub(crate) struct RawBuffer {
     pub(super) raw: vk::Buffer,
     pub(super) memory: Memory,
-    /// Where it begins in `raw`: a host may lend a part.
+    /// Byte offset in `raw`: a host may lend a part of its buffer.
     pub(crate) start: u64,
     pub(crate) bytes: u64,
     pub(super) usage: vk::BufferUsageFlags,
     pub(crate) label: String,
     pub(super) context: Arc<Context>,
-    /// Where it is counted, if it is.
+    /// The ledger that counts the buffer, if any.
     pub(super) ledger: Arc<Ledger>,
 }
 
-/// Whose a buffer's memory is.
+/// The owner of a buffer's memory.
 pub(super) enum Memory {
-    /// The allocator's. Only `drop` takes it; the mutex lets the host map through a shared
+    /// Memory of the allocator. Only `drop` takes it out; the mutex allows mapping through a shared
     /// reference.
     Ours(Mutex<Option<Allocation>>),
-    /// A host's, and so is the buffer.
+    /// Buffer and memory belong to a host.
     Host(#[allow(dead_code, reason = "called when it is dropped")] Option<OnDrop>),
-    /// Nobody's: the buffer is only counted.
+    /// No memory: a rehearsal only counts the buffer.
     Imagined,
-    /// Imported for this buffer alone.
+    /// Memory imported for this buffer alone.
     #[cfg(unix)]
     Imported(vk::DeviceMemory),
 }
@@ -63,14 +63,14 @@ impl Residence {
     }
 }
 
-/// The bytes that a buffer of at least so many gets.
+/// The size in bytes of a buffer of at least `bytes` bytes: a multiple of 16, not zero.
 fn whole(bytes: u64) -> u64 {
     bytes.max(16).next_multiple_of(16)
 }
 
 impl RawBuffer {
-    /// A buffer of at least `bytes`; a length of zero is legal and gets a few bytes that no kernel
-    /// may count on.
+    /// A buffer of at least `bytes` bytes. A length of zero is legal and gets padding that no
+    /// kernel may rely on.
     pub(crate) fn new(
         context: &Arc<Context>,
         bytes: u64,
@@ -131,7 +131,7 @@ impl RawBuffer {
         Ok(buffer)
     }
 
-    /// A buffer without memory, which is counted in a ledger and does nothing else.
+    /// A buffer without memory that is only counted in a ledger.
     pub(crate) fn imagined(
         context: &Arc<Context>,
         ledger: &Arc<Ledger>,
@@ -153,7 +153,7 @@ impl RawBuffer {
         }
     }
 
-    /// A number that no other living buffer has; imagined ones have 0.
+    /// An identifier, unique among live buffers; 0 for buffers without memory.
     pub(crate) fn id(&self) -> u64 {
         ash::vk::Handle::as_raw(self.raw)
     }
@@ -163,17 +163,17 @@ impl RawBuffer {
         self.raw
     }
 
-    /// Where the buffers of the device that it was made on are counted.
+    /// The ledger of the device that the buffer was created on.
     pub(crate) fn ledger(&self) -> &Arc<Ledger> {
         &self.ledger
     }
 
-    /// What it was made for.
+    /// The usage that the buffer was created with.
     pub(crate) fn usage(&self) -> vk::BufferUsageFlags {
         self.usage
     }
 
-    /// Whether indirect arguments may lie in it.
+    /// Whether the buffer may hold the arguments of indirect dispatches.
     pub(crate) fn is_indirect(&self) -> bool {
         self.usage.contains(vk::BufferUsageFlags::INDIRECT_BUFFER)
     }
@@ -195,7 +195,7 @@ impl RawBuffer {
         slice.expect("upload buffers are mapped")[..bytes.len()].copy_from_slice(bytes);
     }
 
-    /// Copies a readback buffer into host memory; an imagined one leaves it as it is.
+    /// Copies a readback buffer into host memory; a buffer without memory leaves `data` unchanged.
     pub(crate) fn read(&self, bytes: &mut [u8]) {
         if matches!(self.memory, Memory::Imagined) {
             return;
@@ -211,8 +211,8 @@ impl Drop for RawBuffer {
         let device = &self.context.raw;
         match &mut self.memory {
             Memory::Ours(allocation) => {
-                // SAFETY: submissions in flight hold an `Arc` of every buffer they use, and hosts
-                // keep the guards of theirs, so nothing uses it.
+                // SAFETY: submissions in flight hold an `Arc` of every buffer that they use, and
+                // hosts keep the guards of their recordings, so no commands use the buffer.
                 unsafe { device.destroy_buffer(self.raw, None) };
                 let allocation = allocation.get_mut().ok().and_then(Option::take);
                 if let (Some(allocation), Ok(mut allocator)) =
@@ -224,7 +224,7 @@ impl Drop for RawBuffer {
                 self.ledger.remove(self.bytes);
             }
             Memory::Imagined => self.ledger.remove(self.bytes),
-            // The host is told when its callback is dropped.
+            // Dropping the callback calls it.
             Memory::Host(_) => {}
             #[cfg(unix)]
             Memory::Imported(memory) => {

@@ -1,5 +1,4 @@
-//! Compiled pipelines, kept: in memory, and for the engine's own devices on disk besides (feature
-//! `files`).
+//! The pipeline cache: in memory, and for the engine's own devices also on disk (feature `files`).
 
 use ash::vk;
 
@@ -11,7 +10,7 @@ pub(super) struct PipelineCache {
 }
 
 impl PipelineCache {
-    /// The cache of a device of the engine's own; nothing is kept where the user has no cache
+    /// The cache of a device that the engine created. It is not stored if the user has no cache
     /// folder.
     pub(super) fn open(device: &ash::Device, properties: &vk::PhysicalDeviceProperties) -> Self {
         #[cfg(feature = "files")]
@@ -28,7 +27,7 @@ impl PipelineCache {
         }
     }
 
-    /// A cache that is forgotten with the device: a host's files are not ours to write.
+    /// A cache without a file, for a host's device: the engine writes no files on behalf of a host.
     pub(super) fn in_memory(device: &ash::Device) -> Self {
         PipelineCache {
             raw: create(device, &[]).unwrap_or_default(),
@@ -37,7 +36,7 @@ impl PipelineCache {
         }
     }
 
-    /// Writes what was added and destroys the cache.
+    /// Writes the cache to its file and destroys it.
     ///
     /// # Safety
     /// The device is the one it was opened with, and no pipeline is being created.
@@ -54,7 +53,7 @@ impl PipelineCache {
 
 fn create(device: &ash::Device, data: &[u8]) -> Option<vk::PipelineCache> {
     let info = vk::PipelineCacheCreateInfo::default().initial_data(data);
-    // SAFETY: the driver checks the data's header; ours has checked that no byte changed since the
-    // driver wrote it.
+    // SAFETY: the driver checks the header of the data; the cache file's checksum has shown that no
+    // byte changed since the driver wrote it.
     unsafe { device.create_pipeline_cache(&info, None) }.ok()
 }

@@ -13,28 +13,28 @@ pub(super) struct CacheFile {
 }
 
 impl CacheFile {
-    /// The file of a device, read; none where the user has no cache folder.
+    /// Reads the file of a device; `None` if the user has no cache folder.
     pub(super) fn of(uuid: &[u8]) -> Option<CacheFile> {
         let name: String = uuid.iter().map(|byte| format!("{byte:02x}")).collect();
         let path = cache_folder()?.join(format!("{name}.pipelines"));
-        // Reading a pipe that lies there would wait for ever.
+        // Reading a pipe at this path would block.
         let bytes = if path.is_file() { fs::read(&path).unwrap_or_default() } else { Vec::new() };
         let loaded = unwrap(&bytes).map(<[u8]>::to_vec).unwrap_or_default();
         Some(CacheFile { path, loaded })
     }
 
-    /// What was in it.
+    /// The content of the file when it was read.
     pub(super) fn loaded(&self) -> &[u8] {
         &self.loaded
     }
 
-    /// Writes it by rename, where something has changed.
+    /// Writes the file by rename, if the data has changed.
     pub(super) fn write(&self, data: &[u8]) {
         if data == self.loaded {
             return;
         }
         let Some(folder) = self.path.parent() else { return };
-        // The cache only saves time: where it cannot be written, the next start compiles again.
+        // Errors are ignored: without the cache the next start compiles again.
         let write = || -> std::io::Result<()> {
             fs::create_dir_all(folder)?;
             let temporary = tempfile::NamedTempFile::new_in(folder)?;

@@ -1,4 +1,4 @@
-//! Command buffers with the descriptor pools and timestamp queries that they use.
+//! Command buffers with their descriptor pools and timestamp queries.
 
 use super::buffer::RawBuffer;
 use super::device::Context;
@@ -12,7 +12,7 @@ use std::sync::Arc;
 const SETS_PER_POOL: u32 = 256;
 const DESCRIPTORS_PER_SET: u32 = 16;
 const TIMESTAMPS: u32 = 2048;
-/// The queries after those of `timestamp`: begin and end of a metered recording.
+/// The queries for the start and the end of a metered recording; they follow those of `timestamp`.
 const SPAN: [u32; 2] = [TIMESTAMPS, TIMESTAMPS + 1];
 
 /// A part of a buffer bound to a kernel; opaque outside the crate.
@@ -23,10 +23,11 @@ pub struct BoundRange {
     pub(crate) bytes: u64,
 }
 
-/// A command buffer and what its recording consumes; recycled once the device is done.
+/// A command buffer with the descriptor and query pools of its recording; recycled once the device
+/// is done.
 pub(crate) struct CommandSlot {
     pub(super) buffer: vk::CommandBuffer,
-    /// Null where the command buffers are a host's.
+    /// Null if the command buffers belong to a host.
     pool: vk::CommandPool,
     descriptor_pools: Vec<vk::DescriptorPool>,
     current_pool: usize,
@@ -34,7 +35,8 @@ pub(crate) struct CommandSlot {
     timestamps: u32,
     /// Whether this recording has reset the queries.
     queries_reset: bool,
-    /// Kept for their memory: what one dispatch binds, what one submission waits for and signals.
+    /// Scratch lists, kept to reuse their memory: the bindings of a dispatch, the waits and signals
+    /// of a submission.
     infos: Vec<vk::DescriptorBufferInfo>,
     pub(super) waits: Vec<vk::SemaphoreSubmitInfo<'static>>,
     pub(super) signals: Vec<vk::SemaphoreSubmitInfo<'static>>,
@@ -42,7 +44,7 @@ pub(crate) struct CommandSlot {
 }
 
 impl CommandSlot {
-    /// For command buffers of a host's.
+    /// A slot for command buffers of a host.
     pub(crate) fn without_buffer(context: &Arc<Context>) -> CommandSlot {
         CommandSlot {
             buffer: vk::CommandBuffer::null(),
@@ -77,7 +79,7 @@ impl CommandSlot {
         Ok(slot)
     }
 
-    /// Starts a recording; what an earlier one consumed is free again.
+    /// Starts a recording and resets the pools of the previous one.
     pub(crate) fn begin(&mut self) -> Result<()> {
         let device = &self.context.raw;
         let info = vk::CommandBufferBeginInfo::default()
@@ -107,7 +109,7 @@ impl CommandSlot {
         self.pool == vk::CommandPool::null()
     }
 
-    /// Frees what an earlier recording consumed.
+    /// Resets the pools that the previous recording used.
     fn reuse(&mut self) -> Result<()> {
         for &pool in &self.descriptor_pools {
             // SAFETY: the device is done with the slot's last recording, and `&mut` excludes others.
@@ -189,7 +191,7 @@ impl CommandSlot {
         unsafe { self.context.raw.cmd_dispatch_indirect(self.buffer, arguments.raw, offset) };
     }
 
-    /// Everything before is finished and visible to everything after.
+    /// A barrier: all earlier commands finish, and their writes are visible to all later commands.
     pub(crate) fn barrier(&mut self) {
         let stages = vk::PipelineStageFlags2::COMPUTE_SHADER
             | vk::PipelineStageFlags2::ALL_TRANSFER
@@ -211,8 +213,8 @@ impl CommandSlot {
         unsafe { self.context.raw.cmd_pipeline_barrier2(self.buffer, &info) };
     }
 
-    /// Everything that a host has recorded before, on whatever stage, is finished and visible to
-    /// everything after; and the other way round.
+    /// A barrier between the host's commands and the engine's, over all stages: everything recorded
+    /// before finishes and is visible to everything recorded after.
     pub(crate) fn host_barrier(&mut self) {
         let barriers = [vk::MemoryBarrier2::default()
             .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
@@ -266,8 +268,8 @@ impl CommandSlot {
             )
             .image_offset(vk::Offset3D { x: to.offset[0] as i32, y: to.offset[1] as i32, z: 0 })
             .image_extent(vk::Extent3D { width: size[0], height: size[1], depth: 1 })];
-        // SAFETY: recording; the range holds the picture; the image is as `Recorder::copy_to_image`
-        // asks.
+        // SAFETY: recording; the range holds all texels; the image satisfies the contract of
+        // `Recorder::copy_to_image`.
         unsafe {
             self.context.raw.cmd_copy_buffer_to_image(
                 self.buffer,
@@ -279,13 +281,13 @@ impl CommandSlot {
         };
     }
 
-    /// Writes a few bytes that travel inside the command buffer (64 KiB at most).
+    /// Writes data that is stored inside the command buffer (64 KiB at most).
     pub(crate) fn update(&mut self, to: &BoundRange, bytes: &[u8]) {
         // SAFETY: recording; the recorder checked size and alignment.
         unsafe { self.context.raw.cmd_update_buffer(self.buffer, to.buffer.raw, to.offset, bytes) };
     }
 
-    /// Writes a timestamp after everything before; false when the slot has none left.
+    /// Writes a timestamp after all earlier commands; returns false when no query is left.
     pub(crate) fn timestamp(&mut self) -> Result<bool> {
         if self.timestamps == TIMESTAMPS {
             return Ok(false);
@@ -295,7 +297,7 @@ impl CommandSlot {
         Ok(true)
     }
 
-    /// Marks the begin (0) or the end (1) of what [`read_span`](Self::read_span) measures.
+    /// Marks the start (0) or the end (1) of the span that [`read_span`](Self::read_span) measures.
     pub(crate) fn span(&mut self, end: usize) -> Result<()> {
         self.stamp(SPAN[end])
     }
@@ -328,22 +330,22 @@ impl CommandSlot {
         Ok(())
     }
 
-    /// The timestamps written, in ticks; only after the submission is done.
+    /// The timestamps written, in ticks. Call it only after the submission is done.
     pub(crate) fn read_timestamps(&self) -> Result<Vec<u64>> {
         let mut ticks = vec![0u64; self.timestamps as usize];
         self.read_queries(0, &mut ticks, vk::QueryResultFlags::WAIT)?;
         Ok(ticks)
     }
 
-    /// The same, or an error where the device is not done: what a host never submits would never
-    /// come.
+    /// The timestamps written, or an error if the device is not done. It does not wait, since a
+    /// host may never submit the commands.
     pub(crate) fn try_timestamps(&self) -> Result<Vec<u64>> {
         let mut ticks = vec![0u64; self.timestamps as usize];
         self.read_queries(0, &mut ticks, vk::QueryResultFlags::empty())?;
         Ok(ticks)
     }
 
-    /// Ticks between the span's two marks; only after the submission is done.
+    /// Ticks between the two marks of the span. Call it only after the submission is done.
     pub(crate) fn read_span(&self) -> Result<u64> {
         let mut ticks = [0u64; 2];
         self.read_queries(SPAN[0], &mut ticks, vk::QueryResultFlags::WAIT)?;
@@ -374,9 +376,10 @@ impl CommandSlot {
                     .descriptor_pool(pool)
                     .set_layouts(&layouts);
                 let mut set = vk::DescriptorSet::null();
-                // Not through the wrapper, which gives a vector.
+                // Called without `ash`'s wrapper, which allocates a vector.
                 let allocate = device.fp_v1_0().allocate_descriptor_sets;
-                // SAFETY: `&mut` gives exclusive use of the pool; there is room for one set.
+                // SAFETY: `&mut` gives exclusive use of the pool; the output has capacity for one
+                // set.
                 match unsafe { allocate(device.handle(), &info, &mut set) } {
                     vk::Result::SUCCESS => return Ok(set),
                     vk::Result::ERROR_OUT_OF_POOL_MEMORY | vk::Result::ERROR_FRAGMENTED_POOL => {

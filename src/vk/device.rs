@@ -1,4 +1,4 @@
-//! The logical device and what belongs to it: queue, allocator, limits, pipeline cache.
+//! The logical device with its queue, allocator, limits and pipeline cache.
 
 use super::cache::PipelineCache;
 use super::instance::{DeviceInfo, Instance};
@@ -13,21 +13,22 @@ use std::mem::ManuallyDrop;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
-/// What kernels and ops have to stay within. A test may lower any of them to reach a boundary with
-/// small data.
+/// The device limits that kernels and ops must respect. A test may lower any of them to reach a
+/// boundary case with small data.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// Workgroups along one axis of a grid; beyond it grids are folded.
+    /// Maximum number of workgroups along one axis of a grid; larger grids are folded into a second
+    /// axis.
     pub groups: u32,
-    /// Bytes of one storage binding.
+    /// Maximum size of one storage binding, bytes.
     pub storage_range: u64,
-    /// Alignment of a storage binding's offset.
+    /// Required alignment of a storage binding's offset, bytes.
     pub storage_alignment: u64,
-    /// Nanoseconds of one timestamp tick; 0 where the queue has no timestamps.
+    /// Nanoseconds per timestamp tick; 0 if the queue has no timestamps.
     pub timestamp_period: f32,
 }
 
-/// Called when nothing of the engine's is left that uses what a host has lent.
+/// A callback, called when the engine has dropped every object that uses a resource of the host.
 pub(crate) struct OnDrop(pub(crate) Option<Box<dyn FnOnce() + Send + Sync>>);
 
 impl Drop for OnDrop {
@@ -48,13 +49,15 @@ pub(crate) struct Context {
     pub(crate) info: DeviceInfo,
     pub(crate) limits: Limits,
     pub(super) max_subgroup: u32,
-    /// Whether memory of other devices and processes can be imported by file descriptor.
+    /// Whether memory of other devices and processes can be imported by file descriptor
+    /// (`VK_KHR_external_memory_fd`).
     pub(super) imports_fd: bool,
     physical: vk::PhysicalDevice,
     pub(crate) ledger: Arc<Ledger>,
     allocations: AtomicU64,
     pub(super) instance: Arc<Instance>,
-    /// Of a host whose device this is. Declared last: it is called after all else is gone.
+    /// The host's callback if the device is a host's. Declared last, so that it is called after all
+    /// other fields are dropped.
     host: Option<OnDrop>,
 }
 
@@ -108,7 +111,8 @@ impl Context {
         )
     }
 
-    /// What belongs to a logical device. A device of ours is destroyed where this fails.
+    /// Builds the context of a logical device. On an error, a device that the engine created is
+    /// destroyed.
     pub(super) fn around(
         instance: Arc<Instance>,
         opened: Opened,
@@ -177,13 +181,13 @@ impl Context {
         })
     }
 
-    /// What the validation layer has said since the last call.
+    /// The messages of the validation layer since the last call.
     pub(crate) fn take_messages(&self) -> Vec<String> {
         std::mem::take(&mut *self.instance.messages.lock().expect("no holder panics"))
     }
 
-    /// Bytes of the device's own memory that are left for buffers: of what the system grants this
-    /// process, where the driver tells, else of the heap.
+    /// Bytes of device-local memory left for buffers: measured against the budget that the driver
+    /// reports for this process, or against the size of the heap if the driver reports none.
     pub(crate) fn free_memory(&self) -> u64 {
         let raw = &self.instance.raw;
         let budget = ash::ext::memory_budget::NAME;
@@ -214,17 +218,17 @@ impl Context {
         }
     }
 
-    /// Buffers, descriptor pools, query pools and command pools made so far.
+    /// The number of buffers, descriptor pools, query pools and command pools created so far.
     pub(crate) fn allocations(&self) -> u64 {
         self.allocations.load(Ordering::Relaxed)
     }
 
-    /// Counts something other than a buffer that was made.
+    /// Counts the creation of an object other than a buffer.
     pub(super) fn count_object(&self) {
         self.allocations.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Whether the device is a host's.
+    /// Whether the device was created by a host.
     pub(crate) fn is_adopted(&self) -> bool {
         self.host.is_some()
     }

@@ -1,4 +1,4 @@
-//! Buffers, memory and images of a host's.
+//! Buffers, memory and images that belong to a host.
 
 use super::buffer::{Memory, RawBuffer};
 use super::device::{Context, OnDrop};
@@ -8,14 +8,14 @@ use ash::vk;
 use ash::vk::Handle;
 use std::sync::Arc;
 
-/// What a buffer that kernels use must be made for.
+/// The usages that a buffer for kernels must have been created with.
 const USAGE: [(vk::BufferUsageFlags, &str); 3] = [
     (vk::BufferUsageFlags::STORAGE_BUFFER, "STORAGE_BUFFER"),
     (vk::BufferUsageFlags::TRANSFER_SRC, "TRANSFER_SRC"),
     (vk::BufferUsageFlags::TRANSFER_DST, "TRANSFER_DST"),
 ];
 
-/// A part of a buffer of a host's, as the host describes it.
+/// A part of a host's buffer, as the host describes it.
 #[derive(Clone, Copy, Debug)]
 pub struct HostBuffer {
     /// The buffer.
@@ -24,23 +24,23 @@ pub struct HostBuffer {
     pub offset: u64,
     /// Bytes of the part.
     pub bytes: u64,
-    /// What the whole buffer was made with.
+    /// The usage that the whole buffer was created with.
     pub usage: vk::BufferUsageFlags,
 }
 
-/// An image of a host's, in the layout in which a copy writes it.
+/// A host's image as the destination of a copy.
 #[derive(Clone, Copy, Debug)]
 pub struct HostImage {
-    /// The image: one sample, and `R32G32B32A32_SFLOAT` for colour or `R32_SFLOAT` for depth and
-    /// mask, or a format of texels of `ops::texel`, made with `TRANSFER_DST`.
+    /// The image, created with `TRANSFER_DST` and one sample. Its format is `R32G32B32A32_SFLOAT`
+    /// for colour, `R32_SFLOAT` for depth and mask, or a texel format of `ops::texel`.
     pub image: vk::Image,
-    /// `TRANSFER_DST_OPTIMAL` or `GENERAL`, in which it is and stays.
+    /// The layout of the image before and after the copy: `TRANSFER_DST_OPTIMAL` or `GENERAL`.
     pub layout: vk::ImageLayout,
-    /// Level of its mip chain.
+    /// Mip level to write.
     pub mip_level: u32,
-    /// Layer of its array.
+    /// Array layer to write.
     pub array_layer: u32,
-    /// Left and upper edge of where the picture goes, pixels.
+    /// Left and upper edge of the destination rectangle, pixels.
     pub offset: [u32; 2],
 }
 
@@ -98,7 +98,7 @@ impl RawBuffer {
 #[cfg(unix)]
 #[derive(Debug)]
 pub struct ImportedMemory {
-    /// The descriptor. Vulkan owns it once the import has succeeded; else it is closed.
+    /// The descriptor. Vulkan owns it after a successful import; after a failure it is closed.
     pub fd: std::os::fd::OwnedFd,
     /// Size of the exported allocation, bytes.
     pub allocation_bytes: u64,
@@ -132,7 +132,7 @@ impl RawBuffer {
         if bytes == 0 || !bytes.is_multiple_of(4) {
             return Err(wrong(format!("{bytes} bytes: it must be whole words, and some")));
         }
-        // Memory types are counted by 32 bits.
+        // The mask of memory types has 32 bits.
         if memory.memory_type >= 32 {
             return Err(wrong(format!("memory type {} does not exist", memory.memory_type)));
         }

@@ -1,4 +1,4 @@
-//! Loader, instance, validation layer, and the list of devices.
+//! The Vulkan loader, the instance, the validation layer and the list of devices.
 
 use super::vk_error;
 use crate::error::{Error, Result};
@@ -10,21 +10,22 @@ const NO_LOADER: &str = "no Vulkan loader found; install libvulkan1 and a driver
      (Debian: apt-get install libvulkan1 mesa-vulkan-drivers, which brings a software driver too)";
 const A_DRIVER: &str = "install one (Debian: apt-get install mesa-vulkan-drivers, which brings a \
      software driver too) or point VK_DRIVER_FILES at one";
-/// Where the loader takes its list of drivers from, the first that is set; else from its own folders.
+/// The environment variables that list driver files for the loader; the first that is set applies.
+/// If none is set, the loader searches its own folders.
 const DRIVER_LISTS: [&str; 2] = ["VK_DRIVER_FILES", "VK_ICD_FILENAMES"];
 
 const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
 
-/// What the validation layer has said.
+/// The messages of the validation layer.
 pub(crate) type Messages = Mutex<Vec<String>>;
 
-/// The loader and an instance, destroyed together after every device; or a host's.
+/// A Vulkan instance with its loader, destroyed after every device; or a host's instance.
 pub(crate) struct Instance {
     // Declared first: the instance's functions lie in the library that `entry` keeps loaded.
     pub(super) raw: ash::Instance,
     messenger: Option<(ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
     pub(super) messages: Arc<Messages>,
-    /// `None` for a host's, which the host destroys.
+    /// `None` for a host's instance, which the host destroys.
     entry: Option<ash::Entry>,
 }
 
@@ -56,7 +57,7 @@ impl Instance {
         // SAFETY: everything `info` points at outlives the call.
         let raw = unsafe { entry.create_instance(&info, None) }.map_err(|result| match result {
             vk::Result::ERROR_INCOMPATIBLE_DRIVER => no_driver(),
-            // Loaders say so too of a list with a file in it that is no driver's description.
+            // Loaders also return this code if a listed file is not a driver manifest.
             vk::Result::ERROR_OUT_OF_HOST_MEMORY => Error::NoDevice(format!(
                 "the Vulkan loader could load no driver{}, or memory ran out; {A_DRIVER}",
                 driver_list()
@@ -77,12 +78,12 @@ impl Instance {
         Ok(Instance { raw, messenger, messages, entry: Some(entry) })
     }
 
-    /// A host's instance, which stays the host's.
+    /// Wraps a host's instance without taking ownership.
     pub(super) fn adopt(raw: ash::Instance) -> Instance {
         Instance { raw, messenger: None, messages: Arc::default(), entry: None }
     }
 
-    /// Every physical device of Vulkan 1.3 or newer, in the loader's order.
+    /// Every physical device that supports Vulkan 1.3 or newer, in the loader's order.
     pub(crate) fn devices(&self) -> Result<Vec<(vk::PhysicalDevice, DeviceInfo)>> {
         // SAFETY: the instance is alive.
         let devices = unsafe { self.raw.enumerate_physical_devices() }
@@ -150,7 +151,7 @@ impl Drop for Instance {
             unsafe { functions.destroy_debug_utils_messenger(handle, None) };
         }
         if self.entry.is_some() {
-            // SAFETY: ours; devices hold an `Arc<Instance>`, so none is left.
+            // SAFETY: this instance is owned; devices hold an `Arc<Instance>`, so none is left.
             unsafe { self.raw.destroy_instance(None) };
         }
     }
@@ -160,7 +161,8 @@ fn no_driver() -> Error {
     Error::NoDevice(format!("the Vulkan loader found no driver{}; {A_DRIVER}", driver_list()))
 }
 
-/// Where the loader has looked, for messages; nothing where that is its own folders.
+/// The driver list that the loader has used, for messages; empty if the loader searched its own
+/// folders.
 fn driver_list() -> String {
     let found = DRIVER_LISTS.iter().find_map(|name| Some((name, std::env::var_os(name)?)));
     found.map_or_else(String::new, |(name, list)| {
@@ -200,7 +202,7 @@ fn messenger_info(messages: &Arc<Messages>) -> vk::DebugUtilsMessengerCreateInfo
         .user_data(Arc::as_ptr(messages) as *mut c_void)
 }
 
-/// Collects what the layer says.
+/// Collects the messages of the validation layer.
 ///
 /// # Safety
 /// Called by the layer with the user data given to the messenger: a live `Messages`.
@@ -216,7 +218,7 @@ unsafe extern "system" fn on_message(
         let text = if text.is_null() { c"" } else { CStr::from_ptr(text) };
         (text.to_string_lossy().into_owned(), &*(messages as *const Messages))
     };
-    // General messages are the loader's own chatter about other drivers and layers.
+    // General messages come from the loader and concern other drivers and layers.
     if kind != vk::DebugUtilsMessageTypeFlagsEXT::GENERAL
         && let Ok(mut list) = messages.lock()
     {
@@ -225,16 +227,16 @@ unsafe extern "system" fn on_message(
     vk::FALSE
 }
 
-/// What a device is.
+/// The kind of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DeviceKind {
     /// A GPU with its own memory.
     Discrete,
-    /// A GPU that shares the processor's memory.
+    /// A GPU that shares the CPU's memory.
     Integrated,
-    /// A GPU behind a virtual machine.
+    /// A virtual GPU inside a virtual machine.
     Virtual,
-    /// A driver that runs on the processor.
+    /// A software driver that runs on the CPU.
     Software,
     /// None of these.
     Other,
@@ -243,19 +245,19 @@ pub enum DeviceKind {
 /// A Vulkan device as its driver describes it.
 #[derive(Clone, Debug)]
 pub struct DeviceInfo {
-    /// Its place in [`enumerate`]'s list.
+    /// Its index in the list of [`enumerate`].
     pub index: usize,
-    /// The driver's name for it.
+    /// The device name that the driver reports.
     pub name: String,
-    /// What it is.
+    /// The kind of the device.
     pub kind: DeviceKind,
-    /// The driver and its version.
+    /// The driver's name and version.
     pub driver: String,
-    /// The newest Vulkan version, packed as Vulkan packs it.
+    /// The newest supported Vulkan version, in Vulkan's packed encoding.
     pub api_version: u32,
     /// Invocations in a subgroup.
     pub subgroup_size: u32,
-    /// The largest device-local heap.
+    /// Size of the largest device-local heap, bytes.
     pub memory_bytes: u64,
 }
 

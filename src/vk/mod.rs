@@ -1,7 +1,7 @@
-//! Vulkan, the only place that names `ash` and the only one with `unsafe`.
+//! The wrapper of Vulkan. Only this module and `embed` use `ash` and `unsafe`.
 //!
-//! What this module hands to `gpu` is safe to call from within the crate: handles live in `Arc`s,
-//! every wrapper keeps what it needs alive, and each `unsafe` block says why it holds.
+//! The functions that `gpu` calls are safe within the crate: handles live in `Arc`s, every wrapper
+//! keeps what it depends on alive, and each `unsafe` block states why it is sound.
 #![allow(unsafe_code)]
 
 mod adopt;

@@ -1,4 +1,4 @@
-//! Compute pipelines: module, layouts, descriptor update template.
+//! Compute pipelines: the shader module, the layouts and the descriptor update template.
 
 use super::device::Context;
 use super::vk_error;
@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use ash::vk;
 use std::sync::Arc;
 
-/// What a pipeline is made from.
+/// The description of a pipeline to create.
 pub(crate) struct PipelineShape<'a> {
     pub(crate) name: &'static str,
     pub(crate) spirv: &'a [u8],
@@ -30,7 +30,7 @@ pub(crate) struct Pipeline {
 impl Pipeline {
     pub(crate) fn new(context: &Arc<Context>, shape: &PipelineShape<'_>) -> Result<Pipeline> {
         let device = &context.raw;
-        // Filled step by step, so that `drop` cleans up whatever an early return leaves.
+        // Filled step by step, so that `drop` destroys what exists if a step fails.
         let mut pipeline = Pipeline {
             raw: vk::Pipeline::null(),
             layout: vk::PipelineLayout::null(),
@@ -98,7 +98,8 @@ impl Pipeline {
         let specialisation = vk::SpecializationInfo::default()
             .map_entries(&entries)
             .data(bytemuck::cast_slice(shape.specialisation));
-        // Vulkan allows the promise of full subgroups only where the width divides evenly.
+        // Vulkan allows the full-subgroups flag only if the workgroup's width is a multiple of the
+        // subgroup size.
         let full = match shape.workgroup[0] % context.max_subgroup {
             0 => vk::PipelineShaderStageCreateFlags::REQUIRE_FULL_SUBGROUPS,
             _ => vk::PipelineShaderStageCreateFlags::empty(),
@@ -118,7 +119,8 @@ impl Pipeline {
             created.map_err(|(_, result)| vk_error("vkCreateComputePipelines")(result))?;
         pipeline.raw = created[0];
         if pipeline.raw == vk::Pipeline::null() {
-            // Some drivers report success with no pipeline for SPIR-V that they cannot take.
+            // Some drivers report success but return no pipeline for SPIR-V that they cannot
+            // compile.
             return Err(Error::Unsupported {
                 kernel: shape.name.into(),
                 missing: "the driver did not compile the kernel".into(),

@@ -1,16 +1,16 @@
-//! The queue, which one thread at a time may use: ours, or one that a host shares with us.
+//! The queue, which one thread at a time may use: the engine's own, or one shared with a host.
 
 use super::requirements::unsupported;
 use crate::error::Result;
 use ash::vk;
 use std::sync::Mutex;
 
-/// Runs what it is given, once, while nobody else uses the queue.
+/// A function that calls its argument exactly once, while no other code uses the queue.
 pub type QueueLock = dyn Fn(&mut dyn FnMut()) + Send + Sync;
 
 pub(super) struct Queue {
     raw: Mutex<vk::Queue>,
-    /// Of a host that uses the queue besides.
+    /// The lock of a host that uses the queue too.
     lock: Option<Box<QueueLock>>,
 }
 
@@ -24,7 +24,7 @@ impl Queue {
         let (mut work, mut result) = (Some(work), None);
         let mut run = || {
             if let Some(work) = work.take() {
-                // A panic under way elsewhere leaves a handle as it is.
+                // A poisoned lock is safe to use: a panic elsewhere cannot change the handle.
                 let queue = self.raw.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
                 result = Some(work(*queue));
             }

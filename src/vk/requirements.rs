@@ -1,11 +1,11 @@
-//! What the engine needs of a device, in one place: for opening one, and for hosts that make their
-//! own.
+//! The requirements of the engine on a device: for opening a device, and for hosts that create
+//! their own.
 
 use crate::error::{Error, Result};
 use ash::vk;
 use std::ffi::CStr;
 
-/// Device features; [`Requirements`] says which must be enabled.
+/// A set of device features; [`Requirements`] lists the required ones.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Features {
     /// Of Vulkan 1.2.
@@ -21,7 +21,7 @@ pub struct Features {
 }
 
 impl Features {
-    /// All of them.
+    /// All features.
     pub const ALL: Features = Features {
         timeline_semaphore: true,
         scalar_block_layout: true,
@@ -40,13 +40,14 @@ impl Features {
         ]
     }
 
-    /// Names, as Vulkan spells them, of those that `needed` has and this lacks.
+    /// The Vulkan names of the features that are in `needed` and not in this set.
     pub fn lacking(&self, needed: &Features) -> Vec<&'static str> {
         let pairs = self.named().into_iter().zip(needed.named());
         pairs.filter(|((has, _), (needs, _))| *needs && !has).map(|((_, name), _)| name).collect()
     }
 
-    /// Turns these on in what a device is created with; the rest stays as it is.
+    /// Enables these features in the feature structures of a device to be created; other features
+    /// keep their values.
     pub fn enable(
         &self,
         vulkan12: &mut vk::PhysicalDeviceVulkan12Features<'_>,
@@ -59,9 +60,9 @@ impl Features {
         vulkan13.compute_full_subgroups |= u32::from(self.compute_full_subgroups);
     }
 
-    /// Turns these on in what a device is about to be created with, whoever has begun its chain of
-    /// structures: in those that are there, and for the rest in `links`, which join it. For hosts
-    /// whose device is made by a library with a chain of its own.
+    /// Enables these features in an existing `VkDeviceCreateInfo` chain. Features whose structures
+    /// are in the chain are set there; for the others, structures from `links` are added to the
+    /// chain. For hosts whose device is created by a library that builds its own chain.
     ///
     /// # Safety
     /// The chain behind `p_next` is valid, and its structures may be written.
@@ -94,7 +95,7 @@ impl Features {
             links.synchronization.synchronization2 = vk::TRUE;
             info = info.push_next(&mut links.synchronization);
         }
-        // One structure holds both.
+        // One structure holds both features.
         if size || full {
             links.subgroups.subgroup_size_control = u32::from(size);
             links.subgroups.compute_full_subgroups = u32::from(full);
@@ -103,8 +104,8 @@ impl Features {
         *create = info;
     }
 
-    /// What a device that was created with this had enabled, read from the chain of structures:
-    /// those of Vulkan 1.2 and 1.3, and the extensions' own that they replaced.
+    /// The features that a `VkDeviceCreateInfo` enables, read from its chain: the structures of
+    /// Vulkan 1.2 and 1.3, and those of the extensions that these versions replaced.
     ///
     /// # Safety
     /// The chain behind `p_next` is valid.
@@ -126,8 +127,8 @@ impl Features {
     }
 }
 
-/// Structures that [`Features::enable_in`] may put into a chain; they stay where they are until the
-/// device is made.
+/// Storage for the structures that [`Features::enable_in`] may add to a chain; it must not move
+/// until the device is created.
 #[derive(Default)]
 pub struct FeatureLinks {
     timeline: vk::PhysicalDeviceTimelineSemaphoreFeatures<'static>,
@@ -136,8 +137,8 @@ pub struct FeatureLinks {
     subgroups: vk::PhysicalDeviceSubgroupSizeControlFeatures<'static>,
 }
 
-/// Where a chain of structures holds each feature, in the order of [`Features`]; null where no
-/// structure has it.
+/// Pointers to each feature's switch in a chain of structures, in the order of [`Features`]; null
+/// if no structure of the chain has it.
 ///
 /// # Safety
 /// The chain behind `p_next` is valid.
@@ -187,33 +188,33 @@ unsafe fn switches(create: &vk::DeviceCreateInfo<'_>) -> [*mut vk::Bool32; 5] {
     [timeline, scalar, synchronization, size, full]
 }
 
-/// What a device must have, be created with, and offer.
+/// The properties, features and limits that a device must have.
 #[derive(Clone, Copy, Debug)]
 pub struct Requirements {
-    /// Of instance and device, packed as Vulkan packs it.
+    /// Minimum Vulkan version of instance and device, in Vulkan's packed encoding.
     pub api_version: u32,
     /// Device extensions that must be enabled.
     pub extensions: &'static [&'static CStr],
-    /// Device extensions that the engine uses where they are enabled.
+    /// Device extensions that the engine uses if they are enabled.
     pub optional_extensions: &'static [&'static CStr],
     /// Device features that must be enabled.
     pub features: Features,
-    /// What the family of the queue must offer.
+    /// Capabilities that the queue's family must have.
     pub queue_flags: vk::QueueFlags,
-    /// Operations of subgroups in compute shaders.
+    /// Subgroup operations that compute shaders must support.
     pub subgroup_operations: vk::SubgroupFeatureFlags,
-    /// `maxComputeWorkGroupInvocations` and `maxComputeWorkGroupSize[0]`, at least.
+    /// Minimum of `maxComputeWorkGroupInvocations` and `maxComputeWorkGroupSize[0]`.
     pub workgroup_invocations: u32,
-    /// `maxComputeSharedMemorySize`, at least; bytes.
+    /// Minimum of `maxComputeSharedMemorySize`, bytes.
     pub shared_memory: u32,
-    /// `maxPushConstantsSize`, at least; bytes.
+    /// Minimum of `maxPushConstantsSize`, bytes.
     pub push_constants: u32,
-    /// `maxPerStageDescriptorStorageBuffers` and `maxDescriptorSetStorageBuffers`, at least.
+    /// Minimum of `maxPerStageDescriptorStorageBuffers` and `maxDescriptorSetStorageBuffers`.
     pub storage_buffers: u32,
 }
 
 impl Requirements {
-    /// Those of every kernel of the crate.
+    /// The requirements of all kernels of the crate.
     ///
     /// ```
     /// let needed = splat4d::embed::Requirements::query();
@@ -237,13 +238,13 @@ impl Requirements {
         }
     }
 
-    /// What a physical device lacks of these, in words; empty where nothing is missing.
+    /// Descriptions of the requirements that a physical device lacks; empty if nothing is missing.
     pub(super) fn lacked_by(
         &self,
         instance: &ash::Instance,
         physical: vk::PhysicalDevice,
     ) -> Vec<String> {
-        // The oldest thing first: below Vulkan 1.3 nothing else can be asked for.
+        // The version is checked first: the other queries need Vulkan 1.3.
         // SAFETY: here and below plain queries of a device of this instance; the chains' structures
         // live until the end of the function.
         let version = unsafe { instance.get_physical_device_properties(physical) }.api_version;
@@ -303,7 +304,7 @@ impl Requirements {
         missing
     }
 
-    /// Fails where a physical device lacks anything.
+    /// Returns an error if a physical device lacks any requirement.
     pub(super) fn check(
         &self,
         instance: &ash::Instance,
@@ -318,7 +319,7 @@ impl Requirements {
     }
 }
 
-/// The engine cannot run: what is missing.
+/// The error that the engine cannot run on a device, with what is missing.
 pub(super) fn unsupported(missing: String) -> Error {
     Error::Unsupported { kernel: "the engine".into(), missing }
 }

@@ -1,4 +1,4 @@
-//! The timeline semaphore and the queue behind a stream.
+//! The timeline semaphore of a stream, and submission to the queue.
 
 use super::command::CommandSlot;
 use super::device::Context;
@@ -7,12 +7,12 @@ use crate::error::Result;
 use ash::vk;
 use std::sync::Arc;
 
-/// A value of a timeline semaphore of a host's.
+/// A value of a host's timeline semaphore.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SemaphorePoint {
     /// A timeline semaphore of the device.
     pub semaphore: vk::Semaphore,
-    /// To wait for, or to signal.
+    /// The value to wait for, or to signal.
     pub value: u64,
 }
 
@@ -34,8 +34,9 @@ impl Timeline {
         Ok(Timeline { raw, context: context.clone() })
     }
 
-    /// Hands recorded commands to the queue; the timeline reaches `value` when they are done.
-    /// Before they begin, the `waits` are waited for; the `signals` come with the timeline's own.
+    /// Submits recorded commands to the queue; the timeline reaches `value` when they are done. The
+    /// commands begin after all `waits` are reached; the `signals` are signalled together with the
+    /// timeline.
     pub(crate) fn submit(
         &self,
         slot: &mut CommandSlot,
@@ -60,9 +61,10 @@ impl Timeline {
             .wait_semaphore_infos(&slot.waits)
             .signal_semaphore_infos(&slot.signals)];
         self.context.queue.with(|queue| {
-            // SAFETY: the queue is ours alone for the call; what the commands use is kept alive by
-            // the stream until the timeline passes `value`; a host's semaphores live as long as
-            // `Stream::submit_between` asks.
+            // SAFETY: `with` gives exclusive use of the queue for the call; the stream keeps what
+            // the commands use alive until the timeline reaches `value`; a host's semaphores live
+            // as long as
+            // `Stream::submit_between` requires.
             unsafe { self.context.raw.queue_submit2(queue, &submit, vk::Fence::null()) }
                 .map_err(vk_error("vkQueueSubmit2"))
         })
@@ -80,7 +82,8 @@ impl Timeline {
             .map_err(vk_error("vkGetSemaphoreCounterValue"))
     }
 
-    /// Blocks (a spinning wait would take a core from a software driver) until `value` is reached.
+    /// Blocks until `value` is reached. It does not spin, since that would take a core from a
+    /// software driver.
     pub(crate) fn wait(&self, value: u64) -> Result<()> {
         let semaphores = [self.raw];
         let values = [value];

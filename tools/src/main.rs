@@ -1,5 +1,6 @@
-//! Compiles every `glsl/**/*.comp` to the same path under `spirv/`, writes `spirv/manifest.toml`,
-//! and checks that what is committed is what the sources give.
+//! Compiles every `glsl/**/*.comp` to the same path under `spirv/` and writes `spirv/manifest.toml`; compiles
+//! the shaders of `examples/`, each to the file beside it; and checks that what is committed is what the
+//! sources give.
 //!
 //! `cargo run --release -p tools -- build [KERNEL …]` writes; nothing is written unless every
 //! shader compiles. `cargo run --release -p tools -- check` compiles to memory and compares.
@@ -64,6 +65,10 @@ fn build() -> Result<String, String> {
         fs::create_dir_all(path.parent().expect("a kernel has a family")).map_err(text)?;
         fs::write(&path, module).map_err(|e| format!("{}: {e}", path.display()))?;
     }
+    let examples = compile_examples()?;
+    for (path, module) in &examples {
+        fs::write(path, module).map_err(|e| format!("{}: {e}", path.display()))?;
+    }
     for name in committed_modules()? {
         if !modules.contains_key(&name) {
             fs::remove_file(spirv_path(&name)).map_err(text)?;
@@ -71,7 +76,7 @@ fn build() -> Result<String, String> {
     }
     let toml = toml::to_string(&manifest).map_err(text)?;
     fs::write("spirv/manifest.toml", toml).map_err(text)?;
-    Ok(format!("{} shaders compiled", modules.len()))
+    Ok(format!("{} shaders compiled", modules.len() + examples.len()))
 }
 
 /// Compiles everything and compares with what is committed.
@@ -86,16 +91,22 @@ fn check() -> Result<String, String> {
         }
     }
     wrong.extend(committed_modules()?.into_iter().filter(|name| !modules.contains_key(name)));
+    let examples = compile_examples()?;
+    for (path, module) in &examples {
+        if !fs::read(path).is_ok_and(|old| old == *module) {
+            wrong.push(path.display().to_string());
+        }
+    }
     if !wrong.is_empty() {
         return Err(format!(
-            "spirv/ does not match glsl/ for {}; run `cargo run --release -p tools -- build`",
+            "the committed modules do not match their sources for {}; run `cargo run --release -p tools -- build`",
             wrong.join(", ")
         ));
     }
     if committed != manifest {
         return Err("spirv/manifest.toml is stale; run the tools' build".into());
     }
-    Ok(format!("{} shaders match", modules.len()))
+    Ok(format!("{} shaders match", modules.len() + examples.len()))
 }
 
 fn compile_all() -> Result<(Manifest, BTreeMap<String, Vec<u8>>), String> {
@@ -120,6 +131,16 @@ fn compile_all() -> Result<(Manifest, BTreeMap<String, Vec<u8>>), String> {
     let compiler =
         format!("shaderc, SPIR-V {}.{} r{revision}", version >> 16, (version >> 8) & 0xff);
     Ok((Manifest { compiler, flags: FLAGS.into(), kernels }, modules))
+}
+
+/// The modules of `examples/`, by the path of each.
+fn compile_examples() -> Result<BTreeMap<PathBuf, Vec<u8>>, String> {
+    let compiler = shaderc::Compiler::new().map_err(text)?;
+    let mut modules = BTreeMap::new();
+    for source in files_with_extension("examples", "comp")? {
+        modules.insert(source.with_extension("spv"), compile(&compiler, &source)?.1);
+    }
+    Ok(modules)
 }
 
 fn compile(compiler: &shaderc::Compiler, source: &Path) -> Result<(Entry, Vec<u8>), String> {

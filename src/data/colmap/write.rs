@@ -1,4 +1,4 @@
-//! Writes a model in COLMAP's binary form.
+//! Writes a COLMAP model in binary form.
 
 use std::io::Write;
 use std::path::Path;
@@ -9,33 +9,32 @@ use super::{Lens, MODELS, Registered};
 use crate::error::excerpt;
 use crate::{Error, Result, io};
 
-/// A triangulated point with what was seen of it.
+/// A triangulated point with its observations.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrackedPoint {
-    /// In the world.
+    /// Position in the world.
     pub position: DVec3,
     /// RGB, encoded values in [0, 1].
     pub colour: [f32; 3],
-    /// Mean reprojection error, pixels; none of a point that no image is said to have seen.
+    /// Mean reprojection error, pixels; `None` for a point without observations.
     pub error: Option<f64>,
-    /// Where images saw it: index of the image, and the pixel, the picture's corner at 0.
+    /// Observations: index of the image, and the pixel, with the image's corner at 0.
     pub observations: Vec<(usize, DVec2)>,
 }
 
-/// Where an image saw a point, as `images.bin` lists it.
+/// Observation of a point, as `images.bin` lists it.
 struct Observed {
     pixel: DVec2,
     point: usize,
 }
 
-/// Writes `cameras.bin`, `images.bin` and `points3D.bin` into a folder that exists, each by rename.
-/// Cameras are `PINHOLE`, or `OPENCV` where the lens bends; their ids are those that images name.
-/// Images and points are numbered from 1 in their order.
+/// Writes `cameras.bin`, `images.bin` and `points3D.bin` to an existing folder, each by rename. Cameras are
+/// `PINHOLE`, or `OPENCV` where there is distortion; their ids are those that the images refer to. Images
+/// and points are numbered from 1 in their order.
 ///
 /// # Errors
-/// An image names a lens that is not there or has a name that cannot be written, a point was seen by an
-/// image that is not there, a lens bends by more than four coefficients, anything is not finite; the disk
-/// refuses.
+/// An image refers to a missing lens or has a name that cannot be written, a point refers to a missing
+/// image, a lens has more than four distortion coefficients, a value is not finite; writing fails.
 pub fn write_model(
     folder: &Path,
     lenses: &[(u32, Lens)],
@@ -47,7 +46,7 @@ pub fn write_model(
         .iter()
         .map(|(id, lens)| Ok((*id, lens, model(folder, lens)?)))
         .collect::<Result<_>>()?;
-    // Each image lists its own observations; a point names them by their place in that list.
+    // Each image lists its own observations; a point refers to them by their index in that list.
     let mut seen: Vec<Vec<Observed>> = images.iter().map(|_| Vec::new()).collect();
     let mut places: Vec<Vec<(u32, u32)>> = Vec::with_capacity(points.len());
     for (number, point) in points.iter().enumerate() {
@@ -103,7 +102,7 @@ pub fn write_model(
     })
 }
 
-/// A camera model's id and its parameters.
+/// Id and parameters of a camera model.
 struct Model {
     id: i32,
     parameters: Vec<f64>,
@@ -233,7 +232,7 @@ mod tests {
         let points = [point(0.0, &[(2, at(5.0)), (1, at(6.0))]), point(1.0, &[(2, at(7.0))])];
         write_model(folder.path(), &[(7, lens(Distortion::default()))], &images(), &points)
             .unwrap();
-        // Numbers of images and points begin with 1, places in an image's list with 0.
+        // Numbers of images and points begin with 1, indices in an image's list with 0.
         let bytes = std::fs::read(folder.path().join("points3D.bin")).unwrap();
         let tracks: Vec<u8> =
             [2u64.to_le_bytes().to_vec(), [3u32, 0, 2, 0].map(u32::to_le_bytes).concat()].concat();

@@ -1,22 +1,21 @@
-//! Frames that say in their colours what a network would have to know, so that a network that only reads the
-//! colours gives exact answers: with it the whole way of a network's answers through the program can be held
-//! against the truth.
+//! Frames whose colours encode the answers of a network, so that a network that only decodes the colours is
+//! exact. With it, the program's whole path of network outputs can be tested against the ground truth.
 //!
-//! Of the clip's own colours only the brightness stays, as the mean of the channels, so that pictures can still be
-//! matched. All else stands in how the channels differ, which is linear: scaling a frame does no harm but
-//! at edges.
+//! Only the brightness of the clip's own colours is kept, as the mean of the channels, so that images can
+//! still be matched. Everything else is encoded in the differences of the channels, which is linear:
+//! scaling a frame affects the code only at edges.
 //!
 //! | | value |
 //! |---|---|
-//! | mean | 0.3 + 0.4 × the brightness of the clip's own picture |
-//! | red − green | 0.35 / z, in the camera, per metre |
-//! | blue − green | a number of the frame, from 0 to 0.2, and 0.25 more where something moves |
+//! | mean | 0.3 + 0.4 × the brightness of the clip's own image |
+//! | red − green | 0.35 / z, in the camera frame, per metre |
+//! | blue − green | a per-frame number from 0 to 0.2, plus 0.25 on movers |
 //!
-//! The frame's numbers stand in sixteen upright bands of one width. With k the band and v its number
-//! from −1 to 1, blue − green is 0.2 (k + 0.1 + 0.4 (v + 1)) / 16: a band says which it is, wherever a frame was
-//! cut. The numbers, in order: the quaternion (x, y, z, w) and the place of the camera in the world, in 4 m; the
-//! focal length, in 4096 pixels of the frame; the quaternion and the place of what moves, by which its points at rest
-//! are carried, in 4 m; 0.
+//! The numbers of a frame are in sixteen vertical bands of equal width. With k the band and v its number
+//! from −1 to 1, blue − green is 0.2 (k + 0.1 + 0.4 (v + 1)) / 16, so that a band identifies itself
+//! wherever the frame is cropped. The numbers are, in order: the quaternion (x, y, z, w) and position of
+//! the camera in the world, in units of 4 m; the focal length, in units of 4096 pixels of the frame; the
+//! quaternion and translation of the mover's motion, which carries its points at rest, in units of 4 m; 0.
 //!
 //! Rounding to 16 bits is diffused from pixel to pixel within a band, so that its mean is far more exact than one pixel.
 
@@ -27,33 +26,33 @@ use super::scene::{Motion, Part};
 use crate::error::{Error, Result};
 use crate::types::{Image, Pose};
 
-/// Bands in a frame.
+/// Number of bands in a frame.
 const BANDS: usize = 16;
-/// Least number of pixels in a band.
+/// Minimum number of pixels across a band.
 const LEAST: u32 = 4;
-/// Least mean of the channels, and how much of the brightness it has.
+/// Smallest mean of the channels, and the weight of the brightness in it.
 const MEAN: [f64; 2] = [0.3, 0.4];
 /// Red − green at a depth of 1 m.
 const INVERSE_DEPTH: f64 = 0.35;
 /// Smallest depth that can be coded, m.
 const NEAREST: f64 = 0.8;
-/// Largest blue − green of what stands still.
+/// Largest blue − green of the static scene.
 const NUMBERS: f64 = 0.2;
-/// By how much blue − green is larger where something moves.
+/// Offset of blue − green on movers.
 const MOVES: f64 = 0.25;
-/// What a coded length of 1 stands for, m.
+/// Length that a coded value of 1 represents, m.
 const LENGTH: f64 = 4.0;
-/// What a coded focal length of 1 stands for, pixels.
+/// Focal length that a coded value of 1 represents, pixels.
 const FOCAL: f64 = 4096.0;
-/// Farthest that a point of what moves may be from where one rigid motion carries it, m.
+/// Maximum deviation of a mover's point from a single rigid motion, m.
 const RIGID: f64 = 1e-6;
 /// Largest value of a 16-bit channel.
 const WHITE: f64 = 65535.0;
 
-/// Where all that moves is carried at each time, rest to world; at rest where nothing moves.
+/// Transform of the movers from rest to world at each time; the identity where nothing moves.
 ///
 /// # Errors
-/// [`Error::Input`] where it does not move as one rigid thing.
+/// [`Error::Input`] where the movers are not one rigid body.
 pub(super) fn rigid_motion(name: &str, parts: &[Part], times: &[f64]) -> Result<Vec<Pose>> {
     let moving: Vec<_> =
         parts.iter().filter_map(|part| Some((part.motion.as_ref()?, &part.mesh))).collect();
@@ -61,7 +60,7 @@ pub(super) fn rigid_motion(name: &str, parts: &[Part], times: &[f64]) -> Result<
         return Ok(vec![Pose::IDENTITY; times.len()]);
     };
     let at = |time: &f64| {
-        // A rigid motion is told by where it carries the origin and the axes.
+        // A rigid motion is determined by the images of the origin and the axes.
         let origin = first(DVec3::ZERO, *time);
         let axes = DVec3::AXES.map(|axis| first(axis, *time) - origin);
         let rotation = DQuat::from_mat3(&DMat3::from_cols(axes[0], axes[1], axes[2])).normalize();
@@ -82,11 +81,11 @@ pub(super) fn rigid_motion(name: &str, parts: &[Part], times: &[f64]) -> Result<
     times.iter().map(at).collect()
 }
 
-/// Puts the codes into a clip's frames; `world_from_rest` is of what moves, at each of them. Pictures from aside
-/// stay as they are.
+/// Encodes a clip's frames; `world_from_rest` is the movers' transform at each of them. Offset views are
+/// unchanged.
 ///
 /// # Errors
-/// [`Error::Input`] for frames that are too narrow, and for numbers that the code cannot hold.
+/// [`Error::Input`] for frames that are too narrow, and for numbers outside the range of the code.
 pub(super) fn code(clip: &mut Clip, world_from_rest: &[Pose]) -> Result<()> {
     let width = clip.intrinsics.width;
     if width < LEAST * BANDS as u32 {
@@ -130,7 +129,7 @@ fn numbers(world_from_view: &Pose, focal: f64, world_from_rest: &Pose) -> [f64; 
     numbers
 }
 
-/// One frame.
+/// Encodes one frame.
 fn coded(frame: &Image, depth: &Image, mask: &Image, numbers: &[f64; BANDS]) -> Image {
     let width = frame.width as usize;
     let mut out = Image::new(frame.width, frame.height, 3);
@@ -148,7 +147,7 @@ fn coded(frame: &Image, depth: &Image, mask: &Image, numbers: &[f64; BANDS]) -> 
         let green = ((mean - (nearness + told) / 3.0) * WHITE).round();
         let red = green + nearness * WHITE;
         let blue = green + told * WHITE + error[band];
-        // Who reads the numbers leaves out what lies at a band's edge.
+        // The decoder ignores pixels at a band's edge.
         if band_of(x.saturating_sub(1)) == band && band_of((x + 1).min(width - 1)) == band {
             error[band] = blue - blue.round();
         }

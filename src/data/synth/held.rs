@@ -1,4 +1,4 @@
-//! Something that a hand holds before the camera and turns.
+//! An object that a hand holds in front of the camera and turns.
 
 use std::f64::consts::{PI, TAU};
 
@@ -12,7 +12,7 @@ use super::scene::{Assembly, Part};
 use super::texture::{Material, Pattern};
 use crate::types::Pose;
 
-/// Metres from the wrist to the elbow, which stays out of the picture.
+/// Distance from the wrist to the elbow, which stays outside the image, m.
 const FOREARM: f64 = 0.75;
 
 /// A glossy jug with a handle in a hand that turns it over, on a forearm that comes up from below.
@@ -33,7 +33,7 @@ pub(super) fn jug(rng: &mut ChaCha8Rng) -> Vec<Part> {
             * DQuat::from_rotation_x(tilt * (TAU * 0.6 * time + phase).sin());
         Pose::new(turned, middle + place)
     };
-    // The arm does not turn with the hand: it points from the elbow to the wrist.
+    // The arm does not rotate with the hand: it points from the elbow to the wrist.
     let elbow = middle + DVec3::new(side * 0.3, 0.2 + 0.9 * FOREARM, -0.1);
     let arm = move |time: f64| {
         let wrist = hand(time).apply(DVec3::new(0.0, 0.24, 0.0));

@@ -1,4 +1,4 @@
-//! Triangle meshes at rest: the shapes that scenes are put together from.
+//! Triangle meshes at rest, from which scenes are assembled.
 
 use glam::{DVec3, Vec3};
 
@@ -7,12 +7,12 @@ use crate::types::Pose;
 /// A corner of a mesh at rest.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Vertex {
-    /// Rest position; a motion maps it to where it is at a time.
+    /// Rest position; a motion maps it to its position at a time.
     pub position: DVec3,
-    /// Outward unit normal at rest, which fixes the baked light.
+    /// Outward unit normal at rest, used for the baked light.
     pub normal: DVec3,
-    /// Where in its solid texture the corner lies: the position in the shape's own frame, so that
-    /// neither placing nor moving a shape slides its texture.
+    /// Position in the solid texture: the position in the shape's own frame, so that neither placing nor
+    /// moving a shape shifts its texture.
     pub texture: Vec3,
 }
 
@@ -34,7 +34,7 @@ impl Mesh {
         })
     }
 
-    /// A box about the origin with its faces cut into cells of at most `cell`.
+    /// A box centred at the origin with its faces cut into cells of at most `cell`.
     pub fn cuboid(half: DVec3, cell: f64) -> Mesh {
         let mut mesh = Mesh::default();
         for axis in 0..3 {
@@ -53,7 +53,7 @@ impl Mesh {
         mesh
     }
 
-    /// An ellipsoid about the origin.
+    /// An ellipsoid centred at the origin.
     pub fn ellipsoid(radii: DVec3, segments: usize) -> Mesh {
         Mesh::grid([segments, segments / 2], |a, b| {
             let (longitude, colatitude) = (a * std::f64::consts::TAU, b * std::f64::consts::PI);
@@ -67,7 +67,7 @@ impl Mesh {
         })
     }
 
-    /// A closed cylinder about the origin, its axis along y.
+    /// A closed cylinder centred at the origin with its axis along y.
     pub fn cylinder(radius: f64, half_height: f64, segments: usize, rings: usize) -> Mesh {
         let rim = |a: f64| {
             let angle = a * std::f64::consts::TAU;
@@ -107,7 +107,7 @@ impl Mesh {
         mesh
     }
 
-    /// The triangles, each with its corners anticlockwise seen from outside.
+    /// The triangles, with their corners anticlockwise seen from outside.
     pub fn triangles_outwards(&self) -> impl Iterator<Item = [u32; 3]> + Clone + '_ {
         self.triangles.iter().map(|&[a, b, c]| {
             let [at_a, at_b, at_c] = [a, b, c].map(|v| self.vertices[v as usize].position);
@@ -117,7 +117,7 @@ impl Mesh {
         })
     }
 
-    /// The mesh with its other side out.
+    /// The mesh with its orientation reversed.
     pub fn flipped(mut self) -> Mesh {
         for vertex in &mut self.vertices {
             vertex.normal = -vertex.normal;
@@ -132,7 +132,7 @@ impl Mesh {
         self.triangles.extend(other.triangles.iter().map(|t| t.map(|v| v + offset)));
     }
 
-    /// The mesh put into another frame, its texture kept.
+    /// The mesh transformed into another frame, with its texture unchanged.
     pub fn placed(mut self, to: Pose) -> Mesh {
         for vertex in &mut self.vertices {
             vertex.position = to.apply(vertex.position);
@@ -141,7 +141,7 @@ impl Mesh {
         self
     }
 
-    /// The mesh shifted, its texture kept.
+    /// The mesh translated, with its texture unchanged.
     pub fn at(self, position: DVec3) -> Mesh {
         self.placed(Pose::new(glam::DQuat::IDENTITY, position))
     }

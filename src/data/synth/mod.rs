@@ -1,15 +1,14 @@
 //! Synthetic clips with exact ground truth, ray-traced on the CPU.
 //!
-//! A clip shows a furnished room, textured all over, from a camera that moves through it; most
-//! have something that moves. Everything is a mesh whose vertices are closed functions of time,
-//! so that the point behind a pixel has an exact place at every other time: depth, flow, masks
-//! and visibility are read from the same triangles as the pixels. In most clips surfaces are
-//! diffuse, their light is baked at rest, and what moves casts no shadow, so a surface point has one
-//! colour in all frames and from all cameras. In `throw`, `hold` and `walk` movers are lit where they
-//! are and cast shadows, and what is held is glossy.
+//! A clip shows a furnished, fully textured room from a moving camera; most clips contain movers. Every
+//! object is a mesh whose vertices are closed functions of time, so that the point behind a pixel has an
+//! exact position at every other time: depth, flow, masks and visibility are computed from the same
+//! triangles as the pixels. In most clips surfaces are diffuse, their light is baked at rest, and movers
+//! cast no shadow, so a surface point has one colour in all frames and from all cameras. In `throw`, `hold`
+//! and `walk` movers are lit at their current positions and cast shadows, and the held object is glossy.
 //!
-//! The room is about 6 m wide and 4 to 6 m deep before the camera; world axes are the camera's of
-//! a level camera that looks into the room (x right, y down, z forward).
+//! The room is about 6 m wide and extends 4 to 6 m in front of the camera. The world axes are those of a
+//! level camera that looks into the room (x right, y down, z forward).
 
 mod coded;
 mod held;
@@ -41,44 +40,44 @@ pub use write::write;
 /// The clips, by name:
 /// - `rigid`: a cart is driven through the room, the camera moves;
 /// - `bend`: a cloth ripples and a column bends, the camera moves;
-/// - `crowd`: walkers cover more than half of the picture, the camera moves;
+/// - `crowd`: walkers cover more than half of the image, the camera moves;
 /// - `still`: nothing moves but the camera;
 /// - `tripod`: the cart again, the camera fixed;
 /// - `throw`: a ball and a box fly past each other, spinning, over a floor that is nearly plain;
 /// - `hold`: a hand turns a glossy jug before the camera;
 /// - `walk`: a person with limbs walks across the room and turns;
-/// - `pan`: a car passes in a street, the camera turns in place and follows it;
-/// - `follow`: the same, the camera in the hands of one who stands.
+/// - `pan`: a car passes in a street, the camera rotates in place and follows it;
+/// - `follow`: the same with a hand-held camera of a standing person.
 pub const NAMES: [&str; 10] =
     ["rigid", "bend", "crowd", "still", "tripod", "throw", "hold", "walk", "pan", "follow"];
 
-/// Where the held-out cameras are: how far aside, as a share of the median depth in the middle of the
-/// clip, and in which direction.
+/// The held-out cameras: their offset, as a share of the median depth in the middle of the clip, and its
+/// direction.
 const HELD_OUT: [(f64, DVec3); 3] = [
     (0.08, DVec3::new(0.8, -0.6, 0.0)),
     (0.18, DVec3::new(-0.9, -0.4, 0.17)),
     (0.30, DVec3::new(0.94, -0.3, 0.17)),
 ];
-/// Held-out cameras take every so-manieth frame.
+/// Stride of the frames whose times the held-out cameras render.
 const HELD_OUT_EVERY: usize = 2;
 
-/// Points whose tracks are known lie on a grid of so many columns, in the first, the middle and the last
+/// Number of grid columns of the tracked points, which are taken from the first, the middle and the last
 /// frame.
 const TRACK_COLUMNS: u32 = 32;
 
-/// A clip holds all of its frames and truth in memory; no more than this.
+/// Upper bound of a clip's size; all frames and ground truth are held in memory, bytes.
 const MOST_BYTES: u64 = 8 << 30;
 
-/// How long and how large a clip is.
+/// Length, size and seed of a clip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SynthOptions {
-    /// Number of frames; the same motion takes place in whatever number there is.
+    /// Number of frames; the motion is the same for any number.
     pub frames: usize,
     /// Width, pixels.
     pub width: u32,
     /// Height, pixels.
     pub height: u32,
-    /// Moves textures, shapes and paths. The same seed gives the same bits.
+    /// Seed of textures, shapes and paths. The same seed gives bit-identical clips.
     pub seed: u64,
 }
 
@@ -88,59 +87,58 @@ impl Default for SynthOptions {
     }
 }
 
-/// A clip and all that is true of it. Images are `width` × `height`; `n` is the number of frames.
+/// A clip with its ground truth. Images are `width` × `height`; `n` is the number of frames.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clip {
     /// The clip's name.
     pub name: String,
-    /// `n` pictures of three channels, encoded values in [0, 1].
+    /// `n` images of three channels, encoded values in [0, 1].
     pub frames: Vec<Image>,
     /// `n` times, from 0 to 1 in even steps.
     pub times: Vec<f64>,
-    /// Of all cameras.
+    /// Intrinsics of all cameras.
     pub intrinsics: Intrinsics,
-    /// `n` poses, metres.
+    /// `n` world-to-camera poses, metres.
     pub view_from_world: Vec<Pose>,
-    /// `n` images of one channel: z in the camera at the pixel's centre, metres.
+    /// `n` images of one channel: z in the camera frame at the pixel's centre, metres.
     pub depth: Vec<Image>,
-    /// `n` − 1 images of two channels; `[i]` is from frame i to i + 1: by how many pixels the
-    /// surface point at the pixel's centre moves, whether or not it is hidden there.
+    /// `n` − 1 images of two channels; `[i]` leads from frame i to i + 1: the displacement in pixels of the
+    /// surface point at the pixel's centre, whether or not it is occluded there.
     pub flow_forward: Vec<Image>,
-    /// `n` − 1 images of two channels; `[i]` is from frame i + 1 to i.
+    /// `n` − 1 images of two channels; `[i]` leads from frame i + 1 to i.
     pub flow_backward: Vec<Image>,
-    /// `n` − 1 images of one channel: 1 where `flow_forward` ends inside the picture on a point
-    /// that is seen there, else 0.
+    /// `n` − 1 images of one channel: 1 where `flow_forward` ends inside the image at a visible point, else
+    /// 0.
     pub visible_forward: Vec<Image>,
-    /// `n` − 1 images of one channel, the same of `flow_backward`.
+    /// `n` − 1 images of one channel: the same for `flow_backward`.
     pub visible_backward: Vec<Image>,
-    /// `n` images of one channel: 1 where the pixel's centre shows something that moves, else 0.
+    /// `n` images of one channel: 1 where the pixel's centre shows a mover, else 0.
     pub masks: Vec<Image>,
-    /// Points through the clip: those that pixels of a grid show in the first, the middle and the last
+    /// Point tracks through the clip, of the points at a pixel grid in the first, the middle and the last
     /// frame.
     pub tracks: Tracks,
-    /// Cameras beside the path, for measuring novel views: 8, 18 and 30 % of the median depth aside.
+    /// Cameras offset from the path, for evaluating novel views: by 8, 18 and 30 % of the median depth.
     pub held_out: [HeldOut; 3],
-    /// Whether the frames say in their colours what is true of them, see [`coded_clip`]; then their values are
-    /// those of 16 bits.
+    /// Whether the frames encode ground truth in their colours, see [`coded_clip`]; their values are then
+    /// quantised to 16 bits.
     pub coded: bool,
 }
 
-/// A camera that keeps beside the clip's own, and what it sees at every second time of the clip.
+/// A camera at a constant offset from the clip's own, with its views at every second time of the clip.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HeldOut {
     /// Its distance from the clip's camera over the median depth of the clip's middle frame.
     pub aside: f64,
-    /// The frames of the clip at whose times it takes its pictures; as many as there are of the
-    /// following.
+    /// Indices of the clip's frames at whose times it has views; the following lists have the same length.
     pub times: Vec<usize>,
-    /// Where it is.
+    /// Camera of each view.
     pub cameras: Vec<Camera>,
-    /// Pictures of three channels.
+    /// Rendered views, images of three channels.
     pub frames: Vec<Image>,
-    /// Images of one channel: 1 where the pixel's centre shows something that moves, else 0.
+    /// Images of one channel: 1 where the pixel's centre shows a mover, else 0.
     pub masks: Vec<Image>,
-    /// Images of one channel: 1 where some frame of the clip shows the static point at the pixel's
-    /// centre, and where something moves; else 0.
+    /// Images of one channel: 1 where some frame of the clip shows the static point at the pixel's centre,
+    /// and on movers; else 0.
     pub covisible: Vec<Image>,
 }
 
@@ -154,7 +152,7 @@ impl Clip {
     }
 }
 
-/// Renders a clip of [`NAMES`].
+/// Renders one of the clips [`NAMES`].
 ///
 /// # Errors
 /// [`Error::Input`] for an unknown name, fewer than 2 frames, an image under 16 pixels a side, or
@@ -164,12 +162,12 @@ pub fn clip(name: &str, options: &SynthOptions) -> Result<Clip> {
     rendered(name, options, scene(name, options)?)
 }
 
-/// [`clip`] with frames that say in their colours what is true of them (depth, what moves, the camera, the motion of
-/// what moves), so that a network that only reads the colours gives exact answers: see `coded.rs` for the
-/// code. Brightness keeps the clip's texture. Pictures from aside stay as they are.
+/// [`clip`] with frames that encode ground truth in their colours (depth, movers, the camera, the movers'
+/// motion), so that a network that only decodes the colours gives exact answers: see `coded.rs` for the
+/// code. Brightness keeps the clip's texture. Offset views are unchanged.
 ///
 /// # Errors
-/// Those of [`clip`]; a clip that moves other than as one rigid thing, frames under 64 pixels in width.
+/// Those of [`clip`]; movers that are not one rigid body, frames less than 64 pixels wide.
 pub fn coded_clip(name: &str, options: &SynthOptions) -> Result<Clip> {
     check(options)?;
     let scene = scene(name, options)?;
@@ -185,7 +183,7 @@ fn scene(name: &str, options: &SynthOptions) -> Result<Scene> {
     })
 }
 
-/// From 0 to 1 in even steps.
+/// Times from 0 to 1 in even steps.
 fn times(frames: usize) -> Vec<f64> {
     (0..frames).map(|i| i as f64 / (frames - 1) as f64).collect()
 }
@@ -244,7 +242,7 @@ fn rendered(name: &str, options: &SynthOptions, scene: Scene) -> Result<Clip> {
     clip.tracks.points = followed.iter().map(point).collect();
     let mut held_out_depth: [Vec<Image>; HELD_OUT.len()] = Default::default();
     let cameras: Vec<Camera> = times.iter().map(|t| camera(*t, DVec3::ZERO)).collect();
-    // The frame in hand with its neighbours; a long clip's geometry is not kept whole.
+    // The current frame with its neighbours; the geometry of all frames is not kept.
     let mut window: [Option<Moment>; 3] = [None, None, Some(geometry.at(times[0]))];
     for here in 0..frames {
         window.rotate_left(1);
@@ -290,7 +288,7 @@ fn rendered(name: &str, options: &SynthOptions, scene: Scene) -> Result<Clip> {
     Ok(clip)
 }
 
-/// Middles of pixels on a grid.
+/// Centres of the pixels on a grid.
 fn grid(width: u32, height: u32) -> Vec<DVec2> {
     let spacing = (width / TRACK_COLUMNS).max(1);
     let along = |size: u32| (spacing / 2..size).step_by(spacing as usize);
@@ -298,7 +296,7 @@ fn grid(width: u32, height: u32) -> Vec<DVec2> {
     along(height).flat_map(|y| along(width).map(move |x| centre(x, y))).collect()
 }
 
-/// 1 where a frame of the clip shows the point at a pixel's centre, and where something moves.
+/// 1 where a frame of the clip shows the point at a pixel's centre, and on movers.
 fn covisible(
     camera: &Camera,
     depth: &Image,
@@ -322,7 +320,7 @@ fn covisible(
     seen
 }
 
-/// Whether a frame shows a point: it is not behind all of the pixels about it.
+/// Whether a frame shows a point: it is not behind all of the surrounding pixels.
 fn shows(camera: &Camera, depth: &Image, point: DVec3) -> bool {
     let local = camera.view_from_world.apply(point);
     if local.z <= 0.0 {
@@ -333,7 +331,7 @@ fn shows(camera: &Camera, depth: &Image, point: DVec3) -> bool {
     if !(at.x >= 0.0 && at.y >= 0.0 && at.x < width && at.y < height) {
         return false;
     }
-    // The four pixels whose centres are about it, inside the picture.
+    // The four pixels inside the image whose centres surround it.
     let near = |at: f64, size: u32| {
         let low = (at - 0.5).floor().max(0.0) as u32;
         [low, (low + 1).min(size - 1)]
@@ -353,8 +351,8 @@ fn check(options: &SynthOptions) -> Result<()> {
             "a clip is at least 16 pixels wide and high, not {width}×{height}"
         )));
     }
-    // A picture of three channels, depth, mask, two flows of two channels with visibility; and for
-    // every second frame three pictures with depth, mask and what is covisible.
+    // An image of three channels, depth, mask, two flow fields of two channels with visibility; and for
+    // every second frame three images with depth, mask and covisibility.
     let bytes = u128::from(width) * u128::from(height) * frames as u128 * (3 + 2 + 6 + 9) * 4;
     if bytes > u128::from(MOST_BYTES) {
         return Err(Error::Input(format!(

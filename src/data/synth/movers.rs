@@ -1,6 +1,6 @@
-//! What moves: a cart, things that bend, a crowd.
+//! Movers: a cart, deforming objects, a crowd.
 //!
-//! A motion is a closed map of rest positions, so that every surface point has an exact place at
+//! A motion is a closed-form map of rest positions, so that every surface point has an exact position at
 //! every time, whatever the number of frames.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
@@ -15,12 +15,12 @@ use super::scene::{Assembly, FLOOR, Motion, Part};
 use super::texture::{Material, Pattern};
 use crate::types::Pose;
 
-/// Rest frames of movers turn their face to the camera, so that the light baked at rest suits them.
+/// At rest, movers face the camera, which suits the light that is baked at rest.
 fn upright(x: f64, z: f64, turn: f64) -> Pose {
     Pose::new(DQuat::from_rotation_y(turn), DVec3::new(x, FLOOR, z))
 }
 
-/// Moves a shape rigidly: the rest frame is carried to `world_from_shape` of each time.
+/// Moves a shape rigidly by `world_from_shape` at each time.
 pub(super) fn rigid(
     rest: Pose,
     world_from_shape: impl Fn(f64) -> Pose + Send + Sync + 'static,
@@ -33,7 +33,7 @@ pub(super) fn sign(rng: &mut ChaCha8Rng) -> f64 {
     if rng.random_bool(0.5) { 1.0 } else { -1.0 }
 }
 
-/// One rigid thing: a cart with its load, driven along a bend across the room.
+/// One rigid mover: a cart with its load, driven along a curve across the room.
 pub(super) fn cart(rng: &mut ChaCha8Rng) -> Vec<Part> {
     let way = sign(rng);
     let length = rng.random_range(1.05..1.2);
@@ -46,7 +46,7 @@ pub(super) fn cart(rng: &mut ChaCha8Rng) -> Vec<Part> {
     };
     let mut a = Assembly::new(rng);
     a.carry(drive);
-    // Heights are below zero: y points down, and the shape's origin lies on the floor.
+    // Heights are negative: y points down, and the shape's origin is on the floor.
     let body = Material::random(a.rng, Pattern::Blobs(0.2), 0.035);
     let cab = Material::random(a.rng, Pattern::Stripes(Vec3::new(2.0, 1.4, 1.0)), 0.035);
     let load = Material::random(a.rng, Pattern::Blobs(0.15), 0.03);
@@ -65,7 +65,7 @@ pub(super) fn cart(rng: &mut ChaCha8Rng) -> Vec<Part> {
     a.parts
 }
 
-/// Non-rigid things: a cloth that ripples on a swinging rod, and a column that bends and turns.
+/// Non-rigid movers: a cloth that ripples on a swinging rod, and a column that bends and twists.
 pub(super) fn bending(rng: &mut ChaCha8Rng) -> Vec<Part> {
     let mut a = Assembly::new(rng);
     cloth(&mut a);
@@ -80,8 +80,8 @@ fn cloth(a: &mut Assembly) {
     let (phase, way) = (a.rng.random_range(0.0..TAU), sign(a.rng));
     let sway = sign(a.rng) * a.rng.random_range(0.2..0.28);
     let ripples = a.rng.random_range(0.8..1.1);
-    // Every point of the cloth moves: the rod carries it sideways, it swings about the rod, and a
-    // wave runs across it that grows from rod to hem.
+    // Every point of the cloth moves: the rod carries it sideways, it swings about the rod, and a wave runs
+    // across it with an amplitude that grows from rod to hem.
     let motion: Motion = Arc::new(move |p, time| {
         let local = p - rod;
         let (across, down) = (local.x / half_wide, local.y.max(0.0) / high);
@@ -108,8 +108,8 @@ fn column(a: &mut Assembly) {
     let foot = DVec3::new(a.rng.random_range(0.5..0.65), FLOOR, a.rng.random_range(3.1..3.4));
     let (phase, way) = (a.rng.random_range(0.0..TAU), sign(a.rng));
     let slide = sign(a.rng) * a.rng.random_range(0.1..0.16);
-    // The axis is bent into an arc of changing curvature and direction; cross-sections stay
-    // plane and square to it.
+    // The axis is bent into an arc of changing curvature and direction; cross-sections stay plane and
+    // perpendicular to it.
     let motion: Motion = Arc::new(move |p, time| {
         let local = p - foot;
         let height = -local.y;
@@ -131,7 +131,7 @@ fn column(a: &mut Assembly) {
     a.add(Mesh::cylinder(0.17, 0.5 * high, 32, 28).at(centre), skin);
 }
 
-/// A crowd in two rows that covers more than half of the picture; each walks its own way.
+/// A crowd in two rows that covers more than half of the image; each person walks a different path.
 pub(super) fn crowd(rng: &mut ChaCha8Rng) -> Vec<Part> {
     let mut a = Assembly::new(rng);
     for (row, count, spread, depth) in [(0, 4, 2.1, 2.05), (1, 6, 3.6, 3.2)] {
@@ -139,8 +139,8 @@ pub(super) fn crowd(rng: &mut ChaCha8Rng) -> Vec<Part> {
             let across = spread * ((place as f64 + 0.5) / count as f64 - 0.5);
             let x = across + a.rng.random_range(-0.05..0.05);
             let z = depth + a.rng.random_range(-0.2..0.2);
-            // Neighbours walk against each other, so that the crowd has no motion of its own
-            // that could pass for the camera's.
+            // Neighbours walk in opposite directions, so that the crowd has no common motion that could be
+            // mistaken for the camera's.
             let way = if (place + row) % 2 == 0 { 1.0 } else { -1.0 };
             walker(&mut a, x, z, way);
         }

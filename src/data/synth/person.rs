@@ -1,7 +1,7 @@
-//! A person with limbs who walks.
+//! A walking person with articulated limbs.
 //!
-//! Every limb is rigid and turns in the joint above it; the body rises and sinks so that the lower
-//! foot is on the floor.
+//! Every limb is rigid and rotates in the joint above it; the body rises and sinks so that the lower foot
+//! is on the floor.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -20,10 +20,10 @@ const THIGH: f64 = 0.40;
 const SHIN: f64 = 0.42;
 const UPPER_ARM: f64 = 0.28;
 const LOWER_ARM: f64 = 0.3;
-/// The shoulders' height above the hips.
+/// Height of the shoulders above the hips, m.
 const TRUNK: f64 = 0.5;
 
-/// How a person walks: along an arc over the floor, swinging.
+/// A walk along an arc over the floor, with swinging limbs.
 #[derive(Clone, Copy)]
 struct Gait {
     middle: DVec3,
@@ -31,7 +31,7 @@ struct Gait {
     walk: f64,
     /// Radians by which the heading turns over the clip.
     turn: f64,
-    /// Double steps over the clip, and where they begin.
+    /// Double steps over the clip, and their phase at its start.
     cycles: f64,
     phase: f64,
 }
@@ -43,13 +43,13 @@ impl Gait {
         (0.42 * beat.sin(), 0.2 + 0.35 * (1.0 + (beat - 0.9).cos()))
     }
 
-    /// The sole of a side below the hips, along the body's axes.
+    /// Position of the sole of a side below the hips, along the body's axes, m.
     fn sole(&self, side: f64, time: f64) -> f64 {
         let (thigh, knee) = self.leg(side, time);
         THIGH * thigh.cos() + SHIN * (thigh - knee).cos()
     }
 
-    /// The hips: x points where the person walks, y down.
+    /// Pose of the hips: x points in the walking direction, y down.
     fn world_from_hips(&self, time: f64) -> Pose {
         let s = time - 0.5;
         let heading = if self.walk > 0.0 { 0.0 } else { std::f64::consts::PI };
@@ -71,7 +71,7 @@ impl Gait {
             * Pose::new(DQuat::from_rotation_z(knee), DVec3::Y * THIGH)
     }
 
-    /// Arms swing against the legs.
+    /// Arms swing opposite to the legs.
     fn world_from_upper_arm(&self, side: f64, time: f64) -> Pose {
         let (thigh, _) = self.leg(-side, time);
         let spread = DQuat::from_rotation_x(-0.12 * side);
@@ -127,7 +127,7 @@ pub(super) fn walking(rng: &mut ChaCha8Rng) -> Vec<Part> {
     a.parts
 }
 
-/// From the joint at the origin down along y.
+/// A rounded limb from the joint at the origin down along y.
 fn rounded(radius: f64, length: f64) -> Mesh {
     let half = 0.5 * length;
     Mesh::ellipsoid(DVec3::new(radius, half + 0.6 * radius, radius), 24).at(DVec3::Y * half)

@@ -1,4 +1,4 @@
-//! Pixels and truth of one moment: colour, depth, flow, masks, visibility.
+//! Pixels and ground truth of one moment: colour, depth, flow, masks, visibility.
 
 use std::f64::consts::TAU;
 
@@ -10,42 +10,42 @@ use super::texture::Material;
 use super::trace::{Bvh, Hit};
 use crate::types::{Camera, Image};
 
-/// Rays of a pixel, along each axis. Fine detail is a few pixels wide at the nominal size.
+/// Rays per pixel along each axis. Fine detail is a few pixels wide at the nominal size.
 const SAMPLES: usize = 3;
-/// Rays that measure how open the surroundings of a vertex are.
+/// Number of rays that measure a vertex's ambient occlusion.
 const OPENNESS_RAYS: usize = 32;
-/// Surroundings farther than this do not darken a vertex.
+/// Maximum distance of an occluder for ambient occlusion, m.
 const OPENNESS_REACH: f64 = 0.9;
 
-/// Towards the lamp.
+/// Direction to the lamp.
 const LAMP: DVec3 = DVec3::new(-0.45, -0.75, -0.55);
-/// The lamp's radius over its distance: how soft shadows are.
+/// The lamp's radius over its distance, which sets the softness of shadows.
 const LAMP_SIZE: f64 = 0.05;
-/// Sharpness of the lamp's highlight on what is glossy, and its strength over the gloss.
+/// Exponent of the specular highlight, and its strength relative to the gloss.
 const HIGHLIGHT: (i32, f32) = (40, 2.0);
 
-/// The light on a vertex.
+/// Light at a vertex.
 #[derive(Clone, Copy)]
 struct Light {
-    /// Light that nothing takes away.
+    /// Light that movers do not block.
     steady: f32,
-    /// Light of the lamp, which movers may hide.
+    /// Light of the lamp, which movers may block.
     lamp: f32,
 }
 
-/// What does not change over a clip: the triangles of all parts together, and the light on them.
+/// The static data of a clip: the triangles of all parts, and their light.
 pub(super) struct Geometry {
     parts: Vec<Part>,
     triangles: Vec<[u32; 3]>,
-    /// The part of each triangle.
+    /// Index of each triangle's part.
     part_of: Vec<u32>,
     texture: Vec<Vec3>,
-    /// Light baked at rest. Unless the scene is lit a surface keeps its brightness however it moves
-    /// and from wherever it is seen, which makes the flow's truth exact in the pixels as well.
+    /// Light baked at rest. Unless the scene is dynamically lit, a surface keeps its brightness under any
+    /// motion and from any direction, so that the ground-truth flow is exact in the pixels as well.
     light: Vec<Light>,
-    /// Movers are lit where they are and cast shadows.
+    /// Whether movers are lit at their current positions and cast shadows.
     lit: bool,
-    /// The triangles that move, their corners anticlockwise seen from outside.
+    /// Triangles of movers, with their corners anticlockwise seen from outside.
     moving: Vec<[u32; 3]>,
 }
 
@@ -53,33 +53,33 @@ pub(super) struct Geometry {
 pub(super) struct Moment {
     positions: Vec<DVec3>,
     bvh: Bvh,
-    /// Of a scene that is lit.
+    /// Lighting of a dynamically lit scene.
     lit: Option<Lit>,
 }
 
-/// How a moment is lit.
+/// The lighting of a moment.
 struct Lit {
     normals: Vec<DVec3>,
     light: Vec<Light>,
-    /// What moves.
+    /// Hierarchy over the movers.
     movers: Bvh,
 }
 
-/// What a camera sees at the pixels' centres, and where that goes.
+/// Ground truth at the pixels' centres of one camera.
 pub(super) struct Truth {
-    /// One channel: z in the camera.
+    /// One channel: z in the camera frame.
     pub depth: Image,
-    /// One channel: 1 where something that moves is seen.
+    /// One channel: 1 where a mover is visible.
     pub mask: Image,
-    /// To each of the other moments asked for.
+    /// Flow to each of the other requested moments.
     pub flows: Vec<Flow>,
 }
 
-/// Where the surface points of one frame's pixel centres are in another frame.
+/// Displacement of the surface points at one frame's pixel centres to another frame.
 pub(super) struct Flow {
     /// Two channels: displacement in pixels; NaN for a point behind the other camera.
     pub flow: Image,
-    /// One channel: 1 where the point is seen in the other frame.
+    /// One channel: 1 where the point is visible in the other frame.
     pub visible: Image,
 }
 
@@ -117,7 +117,7 @@ impl Geometry {
             .parts
             .par_iter()
             .flat_map(|part| {
-                // No shadow that is baked moves along.
+                // Ambient occlusion is not baked into movers, because it would move along.
                 let open = part.motion.is_none().then_some(&surroundings);
                 part.mesh.vertices.par_iter().map(move |v| {
                     let open = open.map_or(1.0, |bvh| openness(v.position, v.normal, bvh));
@@ -141,12 +141,12 @@ impl Geometry {
         Moment { positions, bvh, lit }
     }
 
-    /// Normals and light of a moment whose vertices are at `positions`.
+    /// Normals and light at a moment whose vertices are at `positions`.
     fn lit_at(&self, positions: &[DVec3]) -> Lit {
         let mut normals = vec![DVec3::ZERO; positions.len()];
         for triangle in &self.moving {
             let [a, b, c] = triangle.map(|v| positions[v as usize]);
-            // Twice the area long: larger triangles count more.
+            // Proportional to the triangle's area, so that larger triangles weigh more.
             let normal = (b - a).cross(c - a);
             triangle.iter().for_each(|v| normals[*v as usize] += normal);
         }
@@ -170,7 +170,7 @@ impl Geometry {
         &self.parts[self.part_of[hit.triangle as usize] as usize].material
     }
 
-    /// A value of the vertices where a ray met a triangle.
+    /// Interpolates a vertex attribute at a hit.
     fn at_hit<T: std::ops::Mul<f32, Output = T> + std::iter::Sum>(
         &self,
         hit: &Hit,
@@ -181,7 +181,7 @@ impl Geometry {
         corners.into_iter().zip([1.0 - b - c, b, c]).map(|(v, weight)| of(v) * weight).sum()
     }
 
-    /// The colour that comes back along a ray; `sample` chooses the point of the lamp.
+    /// The colour along a ray; `sample` selects the point on the lamp.
     fn colour(&self, moment: &Moment, ray: (DVec3, DVec3), hit: &Hit, sample: usize) -> Vec3 {
         let Some(lit) = &moment.lit else {
             let unlit = self.material(hit).colour(self.at_hit(hit, |v| self.texture[v]));
@@ -196,7 +196,7 @@ impl Geometry {
         let normal = self.facing(lit, hit, ray.1);
         let back = ray.1 - 2.0 * ray.1.dot(normal) * normal;
         let onward = (off_surface(ray, hit, normal), back);
-        // What is seen in the mirror mirrors nothing in turn.
+        // Surfaces seen in a reflection do not reflect in turn.
         let seen = moment.bvh.nearest(onward.0, onward.1, None);
         let mirrored =
             seen.map_or(Vec3::ZERO, |seen| self.lit_colour(lit, onward, &seen, sample).0);
@@ -207,7 +207,7 @@ impl Geometry {
             .clamp(Vec3::ZERO, Vec3::ONE)
     }
 
-    /// Colour of a surface in its light, and 1 where the lamp shines on it, else 0.
+    /// Colour of a lit surface, and 1 where the lamp is visible from it, else 0.
     fn lit_colour(&self, lit: &Lit, ray: (DVec3, DVec3), hit: &Hit, sample: usize) -> (Vec3, f32) {
         let unlit = self.material(hit).colour(self.at_hit(hit, |v| self.texture[v]));
         let normal = self.facing(lit, hit, ray.1);
@@ -223,7 +223,7 @@ impl Geometry {
         (unlit * (steady + of_lamp * open), open)
     }
 
-    /// The unit normal of the side that a ray meets.
+    /// The unit normal on the side that the ray hits.
     fn facing(&self, lit: &Lit, hit: &Hit, direction: DVec3) -> DVec3 {
         let corners = self.triangles[hit.triangle as usize].map(|v| lit.normals[v as usize]);
         let [b, c] = hit.weights;
@@ -232,7 +232,7 @@ impl Geometry {
         if normal.dot(direction) > 0.0 { -normal } else { normal }
     }
 
-    /// The picture that a camera takes: three channels, each pixel the mean over its area.
+    /// Renders an image: three channels, each pixel averaged over its area.
     pub fn picture(&self, moment: &Moment, camera: &Camera) -> Image {
         let view = View::new(camera);
         let (width, height) = (view.width, view.height);
@@ -247,8 +247,8 @@ impl Geometry {
         Image { width, height, channels: 3, pixels: rows.concat() }
     }
 
-    /// The mean colour of a pixel. Where the four outermost rays meet one triangle, so do those
-    /// between them (but for something thinner than a pixel), and need no search.
+    /// The mean colour of a pixel. Where the four outermost rays hit one triangle, those between them do as
+    /// well (except for objects thinner than a pixel) and need no search.
     fn pixel(&self, moment: &Moment, view: &View, x: u32, y: u32, guess: &mut Option<u32>) -> Vec3 {
         let place = |i: usize| (i as f64 + 0.5) / SAMPLES as f64;
         let ray = |i, j| view.ray(DVec2::new(x as f64 + place(i), y as f64 + place(j)));
@@ -274,7 +274,7 @@ impl Geometry {
         sum / (SAMPLES * SAMPLES) as f32
     }
 
-    /// Depth and mask of a frame, and the flow from it to others.
+    /// Depth and mask of a frame, and its flow to others.
     pub fn truth(&self, here: (&Moment, &Camera), others: &[(&Moment, &Camera)]) -> Truth {
         let (moment, camera) = here;
         let view = View::new(camera);
@@ -327,14 +327,14 @@ impl Geometry {
         truth
     }
 
-    /// What a camera sees at some pixels.
+    /// The hits of a camera's rays at some pixels.
     pub fn hits(&self, (moment, camera): (&Moment, &Camera), pixels: &[DVec2]) -> Vec<Option<Hit>> {
         let view = View::new(camera);
         let hit = |pixel: &DVec2| moment.bvh.nearest(view.centre, view.ray(*pixel), None);
         pixels.par_iter().map(hit).collect()
     }
 
-    /// Where surface points are in a camera, and whether they are seen there; behind it a place is NaN.
+    /// Positions of surface points in a camera, and whether they are visible there; NaN behind the camera.
     pub fn places<'a>(
         &self,
         hits: impl Iterator<Item = &'a Hit>,
@@ -345,7 +345,7 @@ impl Geometry {
         hits.map(|hit| place(hit).unwrap_or((DVec2::NAN, false))).collect()
     }
 
-    /// The median depth of what a camera sees.
+    /// The median depth of a camera's view.
     pub fn median_depth(&self, moment: &Moment, camera: &Camera) -> f64 {
         let mut depth = self.truth((moment, camera), &[]).depth.pixels;
         depth.retain(|z| *z > 0.0);
@@ -356,7 +356,7 @@ impl Geometry {
         f64::from(*depth.select_nth_unstable_by(middle, f32::total_cmp).1)
     }
 
-    /// Where in another camera a surface point is, and whether it is seen there.
+    /// Position of a surface point in another camera, and whether it is visible there.
     fn seen_in(
         &self,
         hit: &Hit,
@@ -385,12 +385,12 @@ impl Geometry {
     }
 }
 
-/// Where a ray met a surface, so far off it that a ray from there does not meet it again.
+/// The hit point, offset from the surface so that a ray from there does not hit it again.
 fn off_surface((origin, direction): (DVec3, DVec3), hit: &Hit, normal: DVec3) -> DVec3 {
     origin + direction * hit.t + normal * 4e-3
 }
 
-/// A camera, as rays want it.
+/// A camera, precomputed for ray generation.
 struct View {
     camera: Camera,
     world_from_view: glam::DMat3,
@@ -410,14 +410,14 @@ impl View {
         }
     }
 
-    /// A direction whose z in the camera is 1, so that lengths along it are depths.
+    /// A ray direction whose z in the camera frame is 1, so that distances along it are depths.
     fn ray(&self, pixel: DVec2) -> DVec3 {
         self.world_from_view * self.camera.intrinsics.ray(pixel)
     }
 }
 
-/// Diffuse light at a vertex that no mover takes away: a lamp, the sky of the ceiling, as far as the
-/// surroundings leave them `open`.
+/// Diffuse light at a vertex without movers' shadows: a lamp and the ambient light from above, scaled by
+/// the ambient occlusion `open`.
 fn baked(normal: DVec3, open: f64) -> Light {
     let direct = normal.dot(LAMP.normalize()).max(0.0);
     let ambient = 0.5 - 0.5 * normal.y;
@@ -425,7 +425,7 @@ fn baked(normal: DVec3, open: f64) -> Light {
     Light { steady: all as f32, lamp: 0.0 }
 }
 
-/// The same light where movers may stand before the lamp, which is stronger.
+/// The same light with a stronger lamp, which movers may block.
 fn light(normal: DVec3, open: f64) -> Light {
     let direct = normal.dot(LAMP.normalize()).max(0.0);
     let ambient = 0.5 - 0.5 * normal.y;
@@ -433,12 +433,12 @@ fn light(normal: DVec3, open: f64) -> Light {
     Light { steady: ((0.34 + 0.25 * ambient) * open) as f32, lamp: (0.68 * direct * open) as f32 }
 }
 
-/// The share of the hemisphere, weighted by the cosine, that is clear within reach.
+/// Cosine-weighted share of the hemisphere that is unoccluded within `OPENNESS_REACH`.
 fn openness(position: DVec3, normal: DVec3, bvh: &Bvh) -> f64 {
     let (a, b) = normal.any_orthonormal_pair();
     let origin = position + normal * 1e-3;
     let clear = (0..OPENNESS_RAYS).filter(|&i| {
-        // A golden-angle spiral over the disc, lifted to the hemisphere.
+        // A golden-angle spiral over the disc, projected to the hemisphere.
         let radius = ((i as f64 + 0.5) / OPENNESS_RAYS as f64).sqrt();
         let angle = i as f64 * TAU * 0.618_033_988_749_895;
         let (sin, cos) = angle.sin_cos();

@@ -1,7 +1,7 @@
-//! What a clip shows: a furnished room, the camera's way through it, and whatever moves.
+//! Content of a clip: a furnished room, the camera path through it, and the movers.
 //!
-//! The world has the camera's axes (x right, y down, z into the room), so that the floor lies at
-//! positive y. Lengths are metres, more or less.
+//! The world has the axes of the camera (x right, y down, z into the room), so that the floor is at
+//! positive y. Lengths are approximately metres.
 
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
@@ -23,41 +23,41 @@ const BACK: f64 = 6.4;
 const FRONT: f64 = -1.6;
 /// Half the room's width.
 const SIDE: f64 = 2.9;
-/// Walls and furniture are cut this fine, for the light is baked at their vertices.
+/// Cell size of walls and furniture; light is baked at their vertices.
 const CELL: f64 = 0.28;
 
-/// How far the hands of one who stands move, beside those of one who walks.
+/// Amplitude of the hand motion of a standing person, relative to a walking one.
 const STANDING: f64 = 0.12;
 
-/// The first parts of the room: floor, ceiling, walls and carpet.
+/// Number of the first parts of the room: floor, ceiling, walls and carpet.
 const FLOOR_AND_WALLS: usize = 7;
-/// How much of their texture they keep where they are plain.
+/// Texture contrast of these parts where they are plain.
 const PLAIN: f32 = 0.12;
 
-/// Where a rest position is at a time in [0, 1].
+/// Maps a rest position to its position at a time in [0, 1].
 pub(super) type Motion = Arc<dyn Fn(DVec3, f64) -> DVec3 + Send + Sync>;
 
-/// A mesh of one material that moves as one.
+/// A mesh of one material with a single motion.
 pub(super) struct Part {
     pub mesh: Mesh,
     pub material: Material,
-    /// None: it never moves.
+    /// `None` for a static part.
     pub motion: Option<Motion>,
 }
 
-/// All of a clip but its pixels.
+/// The contents of a clip before rendering.
 pub(super) struct Scene {
     pub parts: Vec<Part>,
     pub path: CameraPath,
     /// Focal length over the image's width.
     pub focal: f64,
-    /// Movers are lit where they are and cast shadows; else light is baked at rest.
+    /// Whether movers are lit at their current positions and cast shadows; else light is baked at rest.
     pub lit: bool,
 }
 
 impl Scene {
-    /// The scene of a clip; None for a name that is not one. Each part of a scene draws from its
-    /// own stream of the seed, so that one seed shows one room in every clip.
+    /// The scene of a clip; `None` for an unknown name. Each part of a scene has a separate random stream
+    /// of the seed, so that one seed gives the same room in every clip.
     pub fn new(name: &str, seed: u64) -> Option<Scene> {
         let stream = |n| {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -106,8 +106,7 @@ impl Scene {
     }
 }
 
-/// A smooth sideways arc that keeps its eye on one point, at rest or driving, with a slow dolly, rise and
-/// roll.
+/// A smooth sideways arc that looks at one target, at rest or driving, with a slow dolly, rise and roll.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CameraPath {
     sweep: f64,
@@ -116,7 +115,7 @@ pub(super) struct CameraPath {
     roll: f64,
     phase: f64,
     target: DVec3,
-    /// How far the target goes from the middle of the clip to its end.
+    /// Displacement of the target from the middle of the clip to its end.
     target_half_way: DVec3,
 }
 
@@ -135,12 +134,12 @@ impl CameraPath {
         }
     }
 
-    /// Puts the camera on a tripod in the middle of its path.
+    /// Fixes the camera in the middle of its path.
     fn stop(&mut self) {
         (self.sweep, self.dolly, self.rise, self.roll) = (0.0, 0.0, 0.0, 0.0);
     }
 
-    /// Keeps the eye on what drives past, the camera held in the hands of one who stands.
+    /// Aims the camera at a passing car, hand-held by a standing person.
     fn follow(&mut self, drive: Drive) {
         (self.target, self.target_half_way) = (drive.middle, drive.half_way);
         self.sweep *= STANDING;
@@ -148,9 +147,9 @@ impl CameraPath {
         self.rise *= STANDING;
     }
 
-    /// The camera at a time in [0, 1], moved by `offset` metres; it still looks at the target.
+    /// The camera at a time in [0, 1], displaced by `offset` metres; it still looks at the target.
     pub fn view_from_world(&self, time: f64, offset: DVec3) -> Pose {
-        // Never quite even, as a hand is, but never at rest: a hundredth of speed is no parallax.
+        // Hand-held motion is never quite even and never at rest; a hundredth of the speed gives no parallax.
         let along = time - 0.5 + 0.04 * (TAU * time + self.phase).sin();
         let centre = offset
             + DVec3::new(
@@ -158,7 +157,7 @@ impl CameraPath {
                 -0.1 + self.rise * (PI * time + self.phase).sin(),
                 self.dolly * along - 0.15 * (2.0 * along).powi(2) * self.sweep.abs(),
             );
-        // Those who pan run ahead of what they follow, and fall behind it.
+        // A panning person runs ahead of the target and falls behind it.
         let lead = 0.05 * (TAU * 0.8 * time + self.phase).sin();
         let target = self.target + self.target_half_way * (2.0 * time - 1.0 + lead);
         let forward = (target - centre).normalize();
@@ -170,7 +169,7 @@ impl CameraPath {
     }
 }
 
-/// Puts together parts that stand in one frame.
+/// Assembles parts that share a frame.
 pub(super) struct Assembly<'a> {
     pub rng: &'a mut ChaCha8Rng,
     pub world_from_shape: Pose,
@@ -189,14 +188,13 @@ impl<'a> Assembly<'a> {
         self.parts.push(Part { mesh, material, motion: self.motion.clone() });
     }
 
-    /// Shapes that are added from here on are given in a frame that is carried to `world_from_shape` of
-    /// each time.
+    /// Shapes that are added after this call move with `world_from_shape`.
     pub fn carry(&mut self, world_from_shape: impl Fn(f64) -> Pose + Send + Sync + 'static) {
         self.world_from_shape = world_from_shape(0.5);
         self.motion = Some(movers::rigid(self.world_from_shape, world_from_shape));
     }
 
-    /// Adds a box of a random material between two heights, `top` the smaller.
+    /// Adds a box of a random material between two heights, with `top` the smaller one.
     fn crate_box(
         &mut self,
         centre: [f64; 2],
@@ -210,7 +208,7 @@ impl<'a> Assembly<'a> {
         self.add(Mesh::cuboid(half, CELL).at(centre), material);
     }
 
-    /// Stands the frame at a place on the floor, turned about the upright; its y is the world's.
+    /// Places the frame on the floor, rotated about the vertical axis; its y is the world's.
     fn stand(&mut self, x: f64, z: f64, turn: f64) {
         let jitter = |rng: &mut ChaCha8Rng| rng.random_range(-0.08..0.08);
         let place = DVec3::new(x + jitter(self.rng), 0.0, z + jitter(self.rng));
@@ -317,7 +315,7 @@ fn bench(a: &mut Assembly) {
     }
 }
 
-/// A table on the right with things on it.
+/// A table on the right with objects on it.
 fn table(a: &mut Assembly) {
     a.stand(1.75, 4.05, 0.3);
     let wood = Material::tinted(a.rng, [0.70, 0.52, 0.34], Pattern::Plain, 0.04);
@@ -335,7 +333,7 @@ fn table(a: &mut Assembly) {
     a.add(Mesh::cylinder(0.08, 0.16, 24, 3).at(DVec3::new(0.42, 0.1, -0.15)), vase);
 }
 
-/// Crates on the left and a post on the right, in front of all else.
+/// Crates on the left and a post on the right, in the foreground.
 fn crates(a: &mut Assembly) {
     a.stand(-1.5, 3.35, 0.5);
     let large = Material::random(a.rng, Pattern::Blobs(0.24), 0.035);

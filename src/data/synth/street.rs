@@ -1,4 +1,4 @@
-//! A street with a car that passes, for a camera that pans after it.
+//! A street with a passing car, for a camera that pans after it.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -12,18 +12,18 @@ use super::scene::{Assembly, FLOOR, Part};
 use super::texture::{Material, Pattern};
 use crate::types::Pose;
 
-/// Half the length of street that is built.
+/// Half the length of the street that is modelled, m.
 const HALF_LENGTH: f64 = 22.0;
-/// The far pavement begins here, the houses' fronts stand behind it.
+/// Distance of the far pavement's kerb; the houses stand behind it, m.
 const KERB: f64 = 8.5;
 const FRONTS: f64 = 10.5;
-/// What nothing else hides is a hazy distance.
+/// Distance of the hazy backdrop, m.
 const HAZE: f64 = 26.0;
 const SKY: f64 = -14.0;
-/// Light is baked at vertices this far apart.
+/// Spacing of the vertices with baked light, m.
 const CELL: f64 = 0.9;
 
-/// The middle of the lane that the car takes.
+/// Distance of the middle of the car's lane, m.
 const LANE: f64 = 5.6;
 
 /// Road, pavements, houses, lamp posts and bollards.
@@ -35,15 +35,15 @@ pub(super) fn street(rng: &mut ChaCha8Rng) -> Vec<Part> {
     a.parts
 }
 
-/// Whose motion a camera follows: the car's middle in the middle of the clip, and how far it drives until
-/// the end, metres.
+/// Motion that a camera follows: position of the car's centre in the middle of the clip, and its
+/// displacement from there to the end, m.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Drive {
     pub middle: DVec3,
     pub half_way: DVec3,
 }
 
-/// A car that passes at an even speed.
+/// A car that passes at constant speed.
 pub(super) fn car(rng: &mut ChaCha8Rng) -> (Vec<Part>, Drive) {
     let way = sign(rng);
     let reach = rng.random_range(4.2..5.0);
@@ -58,7 +58,7 @@ pub(super) fn car(rng: &mut ChaCha8Rng) -> (Vec<Part>, Drive) {
         let place = drive.middle + drive.half_way * (2.0 * time - 1.0);
         Pose::new(heading, place.with_y(FLOOR))
     });
-    // The shape looks along +x; its origin lies on the road, heights are below zero.
+    // The shape faces +x; its origin is on the road and heights are negative.
     let paint = Material::random(a.rng, Pattern::Blobs(0.5), 0.07);
     let trim = Material::random(a.rng, Pattern::Stripes(Vec3::new(1.1, 0.6, 0.3)), 0.06);
     let glass = Material::tinted(a.rng, [0.25, 0.3, 0.36], Pattern::Blobs(0.3), 0.06);
@@ -94,7 +94,7 @@ fn ground(a: &mut Assembly) {
         asphalt,
     );
     let slabs = Material::tinted(a.rng, [0.6, 0.58, 0.54], Pattern::Planks(0.8), 0.09);
-    // On behind the houses, between which one may look.
+    // Ground behind the houses, visible through the gaps between them.
     let (kerb, deep) = (FLOOR - 0.12, HAZE - KERB);
     a.add(
         patch([-HALF_LENGTH, kerb, KERB], [0.0, 0.0, deep], [length, 0.0, 0.0]).flipped(),
@@ -104,7 +104,7 @@ fn ground(a: &mut Assembly) {
         patch([-HALF_LENGTH, kerb, KERB], [length, 0.0, 0.0], [0.0, FLOOR - kerb, 0.0]).flipped(),
         slabs,
     );
-    // All around: where rays end that pass between the houses, or over them.
+    // Backdrop for rays that pass between or above the houses.
     let haze =
         Material::tinted(a.rng, [0.68, 0.74, 0.82], Pattern::Blobs(6.0), 0.5).of_contrast(0.5);
     let high = FLOOR - SKY;
@@ -143,7 +143,7 @@ fn houses(a: &mut Assembly) {
                 a.add(Mesh::cuboid(half, CELL).at(DVec3::new(x, y, front)), pane.clone());
             }
         }
-        // Now and then a lane leads away between two houses.
+        // Occasionally a lane leads away between two houses.
         left += width + if a.rng.random_bool(0.3) { a.rng.random_range(0.6..1.4) } else { 0.02 };
     }
 }

@@ -1,30 +1,30 @@
-//! Solid textures: band-limited noise in several octaves, with a pattern laid over it.
+//! Solid textures: band-limited noise in several octaves, with an overlaid pattern.
 //!
-//! Every texture is a function of a point in its shape's own frame and of nothing else, so that a
-//! surface point keeps its unlit colour in every frame and from every camera.
+//! Every texture is a function only of a point in its shape's own frame, so that a surface point has the
+//! same unlit colour in every frame and from every camera.
 
 use glam::{IVec3, Vec3};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-/// Weight of each octave, finest first. The spectrum falls toward fine detail as photographs' do:
-/// equal weights would leave most of the energy at scales that no reconstruction resolves.
+/// Weight of each octave, finest first. The spectrum decreases toward fine detail like that of natural
+/// images: equal weights would put most of the energy at scales that no reconstruction resolves.
 const OCTAVES: [f32; 5] = [0.10, 0.16, 0.20, 0.22, 0.22];
 
-/// What is laid over the noise.
+/// The pattern over the noise.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Pattern {
-    /// Nothing.
+    /// No pattern.
     Plain,
     /// Round blobs of differing size, one to a cell of this side.
     Blobs(f32),
     /// Soft stripes across a direction, whose length is stripes per unit.
     Stripes(Vec3),
-    /// Planks this wide, side by side along x and running along z, each of its own tint.
+    /// Planks of this width, side by side along x and running along z, each with a different tint.
     Planks(f32),
 }
 
-/// How a surface is coloured.
+/// The colour of a surface.
 #[derive(Clone, Debug)]
 pub(super) struct Material {
     /// Main colour.
@@ -34,11 +34,11 @@ pub(super) struct Material {
     pub pattern: Pattern,
     /// Lattice spacing of the finest octave, in units of the scene: the smallest detail.
     pub finest: f32,
-    /// Which of the noises.
+    /// Seed of the noise.
     pub seed: u32,
-    /// How strong noise and pattern are: 1 is textured all over, 0 one plain colour.
+    /// Strength of noise and pattern: 1 is fully textured, 0 is one plain colour.
     pub contrast: f32,
-    /// Share of the light that is mirrored.
+    /// Share of the light that is reflected specularly.
     pub gloss: f32,
 }
 
@@ -47,13 +47,13 @@ impl Material {
     pub fn random(rng: &mut ChaCha8Rng, pattern: Pattern, finest: f32) -> Material {
         let hue = rng.random_range(0.0..1.0f32);
         let base = hsv(hue, rng.random_range(0.3..0.7), rng.random_range(0.5..0.85));
-        // Away from the base in hue and in brightness, so that the pattern shows in grey as well.
+        // Different from the base in hue and in brightness, so that the pattern shows in grey as well.
         let value = if base.element_sum() > 1.5 { 0.3 } else { 0.95 };
         let accent = hsv(hue + rng.random_range(0.25..0.75), 0.5, value);
         Material { base, accent, pattern, finest, seed: rng.random(), contrast: 1.0, gloss: 0.0 }
     }
 
-    /// A material of a given main colour, a little varied.
+    /// A material close to a given main colour.
     pub fn tinted(rng: &mut ChaCha8Rng, base: [f32; 3], pattern: Pattern, finest: f32) -> Material {
         let base = Vec3::from(base)
             + Vec3::from_array(std::array::from_fn(|_| rng.random_range(-0.06..0.06)));
@@ -68,12 +68,12 @@ impl Material {
         }
     }
 
-    /// The same with weaker noise and pattern.
+    /// The same material with weaker noise and pattern.
     pub fn of_contrast(self, contrast: f32) -> Material {
         Material { contrast, ..self }
     }
 
-    /// The same, but a share of the light is mirrored.
+    /// The same material with a share of specular reflection.
     pub fn glossy(self, gloss: f32) -> Material {
         Material { gloss, ..self }
     }
@@ -92,7 +92,7 @@ impl Material {
         self.base.lerp(self.accent, cover) * (1.0 + 1.2 * noise.x) + tint
     }
 
-    /// How much of the pattern's colour shows, in [0, 1]; edges are as soft as the finest noise.
+    /// Coverage of the pattern in [0, 1]; edges are as soft as the finest noise.
     fn cover(&self, p: Vec3, noise: Vec3) -> f32 {
         let soft = self.finest;
         match self.pattern {
@@ -100,14 +100,14 @@ impl Material {
             Pattern::Blobs(side) => {
                 let cell = (p / side).floor();
                 let random = unit(hash(cell.as_ivec3(), self.seed ^ 0x51ed_270b));
-                // The blob stays within its cell, so that one look-up decides.
+                // The blob stays within its cell, so that one look-up suffices.
                 let radius = (0.22 + 0.24 * random.x.abs()) * side;
                 let centre = (cell + 0.5) * side + random * (0.5 * side - radius);
                 step_down((p - centre).length() - radius, soft)
             }
             Pattern::Stripes(across) => {
-                // The noise bends the stripes: without it one stripe is like the next, and flow
-                // may lock on to the wrong one.
+                // The noise bends the stripes: otherwise all stripes look alike, and flow may match the
+                // wrong one.
                 let phase = (p.dot(across) + 0.5 * noise.z) * std::f32::consts::TAU;
                 let slope = across.length() * std::f32::consts::TAU;
                 step_down(-phase.sin() / slope, soft)

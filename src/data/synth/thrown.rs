@@ -1,4 +1,4 @@
-//! Things that nobody holds: a ball and a box in free flight.
+//! Objects in free flight: a ball and a box.
 
 use glam::{DQuat, DVec3, Vec3};
 use rand::RngExt;
@@ -10,17 +10,17 @@ use super::scene::{Assembly, Part};
 use super::texture::{Material, Pattern};
 use crate::types::Pose;
 
-/// Seconds that a clip shows. Until then nothing falls to the floor.
+/// Duration of a clip, s. No object reaches the floor within it.
 const DURATION: f64 = 0.7;
 /// Metres per second², downwards.
 const GRAVITY: f64 = 9.81;
 
-/// A flight: where a thing is in the middle of the clip, and how it goes there.
+/// A flight: position in the middle of the clip, velocity and spin.
 struct Flight {
     middle: DVec3,
-    /// Metres per second.
+    /// Velocity, m/s.
     velocity: DVec3,
-    /// Radians per second about the axes of the world.
+    /// Angular velocity about the world axes, rad/s.
     spin: DVec3,
 }
 
@@ -32,7 +32,7 @@ impl Flight {
     }
 }
 
-/// A ball and a box that fly past each other in arcs, spinning.
+/// A ball and a box that fly past each other on parabolas, spinning.
 pub(super) fn ball_and_box(rng: &mut ChaCha8Rng) -> Vec<Part> {
     let way = sign(rng);
     let mut a = Assembly::new(rng);

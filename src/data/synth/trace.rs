@@ -1,22 +1,23 @@
-//! Rays against triangles: a bounding-volume hierarchy in f64, since the truth is read from it.
+//! Ray–triangle intersection with a bounding-volume hierarchy in f64, which the ground truth needs.
 
 use glam::DVec3;
 
-/// At most this many triangles in a leaf.
+/// Maximum number of triangles in a leaf.
 const LEAF: usize = 4;
-/// Cuts that are weighed along each axis, plus one.
+/// Number of candidate cuts along each axis, plus one.
 const BINS: usize = 12;
-/// From this depth on nodes are halved, which bounds the depth: fewer than 2³² triangles are at most
+/// Depth from which nodes are halved, which bounds the depth: fewer than 2³² triangles are at most
 /// 32 halvings from a leaf.
 const DEEP: usize = 32;
-/// Edges reach this far (in barycentric units) past their triangle, so that no ray slips through
-/// the seam between two.
+/// Tolerance (in barycentric units) by which triangles are extended, so that no ray passes through the seam
+/// between two.
 const SEAM: f64 = 1e-9;
 
-/// Where a ray meets a triangle.
+/// Intersection of a ray with a triangle.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Hit {
-    /// In lengths of the ray's direction; with a direction of unit z in the camera, the depth.
+    /// Ray parameter in lengths of the ray's direction; with a direction of unit z in the camera frame, the
+    /// depth.
     pub t: f64,
     /// Index of the triangle.
     pub triangle: u32,
@@ -24,7 +25,7 @@ pub(super) struct Hit {
     pub weights: [f64; 2],
 }
 
-/// One triangle, as the intersection wants it.
+/// One triangle, precomputed for the intersection.
 #[derive(Clone, Copy, Debug)]
 struct Facet {
     corner: DVec3,
@@ -33,7 +34,7 @@ struct Facet {
 }
 
 impl Facet {
-    /// The ray's meeting with the triangle's plane: t and weights, whether or not inside.
+    /// Intersection of the ray with the triangle's plane: t and weights, whether or not inside.
     fn plane(&self, origin: DVec3, direction: DVec3) -> Option<(f64, f64, f64)> {
         // Möller and Trumbore 1997.
         let p = direction.cross(self.edges[1]);
@@ -60,8 +61,8 @@ impl Facet {
     }
 }
 
-/// A box of the hierarchy. A leaf has `count` facets from `first`; an inner node has `count` = 0,
-/// its children at its own index + 1 and at `first`.
+/// A node of the hierarchy. A leaf has `count` facets from index `first`; an inner node has `count` = 0,
+/// and its children are at its own index + 1 and at `first`.
 #[derive(Clone, Copy, Debug)]
 struct Node {
     lower: DVec3,
@@ -75,12 +76,12 @@ struct Node {
 pub(super) struct Bvh {
     nodes: Vec<Node>,
     facets: Vec<Facet>,
-    /// Where each triangle's facet lies.
+    /// Index of each triangle's facet.
     facet_of: Vec<u32>,
 }
 
 impl Bvh {
-    /// Builds over all triangles.
+    /// Builds the hierarchy over all triangles.
     pub fn build(positions: &[DVec3], triangles: &[[u32; 3]]) -> Bvh {
         let mut facets: Vec<Facet> = (0u32..)
             .zip(triangles)
@@ -99,19 +100,19 @@ impl Bvh {
         Bvh { nodes, facets, facet_of }
     }
 
-    /// The nearest triangle along a ray. `guess`, a triangle likely to be met, only saves time.
+    /// The nearest hit along a ray. `guess`, a triangle that is likely to be hit, only saves time.
     pub fn nearest(&self, origin: DVec3, direction: DVec3, guess: Option<u32>) -> Option<Hit> {
         let facet = |triangle: u32| &self.facets[self.facet_of[triangle as usize] as usize];
         let guessed = guess.and_then(|g| facet(g).hit(origin, direction, f64::INFINITY));
         self.search::<false>(origin, direction, f64::INFINITY, guessed)
     }
 
-    /// Whether a ray meets anything nearer than `reach`.
+    /// Whether a ray hits anything nearer than `reach`.
     pub fn blocked(&self, origin: DVec3, direction: DVec3, reach: f64) -> bool {
         self.search::<true>(origin, direction, reach, None).is_some()
     }
 
-    /// The nearest hit below `reach`, or with `ANY` the first that is found.
+    /// The nearest hit below `reach`, or with `ANY` the first one found.
     fn search<const ANY: bool>(
         &self,
         origin: DVec3,
@@ -119,7 +120,7 @@ impl Bvh {
         reach: f64,
         mut best: Option<Hit>,
     ) -> Option<Hit> {
-        // A zero would make 0 · ∞ of a box face through the origin.
+        // A zero component would give 0 · ∞ for a box face through the origin.
         let inverse =
             DVec3::from_array(direction.to_array().map(|d| if d == 0.0 { 1e300 } else { 1.0 / d }));
         let mut stack = [0u32; DEEP + 34];
@@ -144,7 +145,7 @@ impl Bvh {
                     return best;
                 }
             } else {
-                // The child whose box begins nearer comes off the stack first.
+                // The child whose box is nearer is popped first.
                 let children = [index + 1, node.first];
                 let middle = children.map(|child| {
                     let node = &self.nodes[child as usize];
@@ -159,7 +160,7 @@ impl Bvh {
         best
     }
 
-    /// Where a ray meets the plane of a triangle, inside it or not.
+    /// Intersection of a ray with the plane of a triangle, inside it or not.
     pub fn on_plane(&self, triangle: u32, origin: DVec3, direction: DVec3) -> Option<Hit> {
         let facet = &self.facets[self.facet_of[triangle as usize] as usize];
         let (t, b, c) = facet.plane(origin, direction)?;
@@ -167,7 +168,7 @@ impl Bvh {
     }
 }
 
-/// A box that grows.
+/// A growing bounding box.
 #[derive(Clone, Copy)]
 struct Bounds {
     lower: DVec3,
@@ -185,7 +186,7 @@ impl Bounds {
         self.including(other.lower, other.upper)
     }
 
-    /// Half the surface: in proportion to how many rays meet the box.
+    /// Half the surface area, proportional to the probability that a ray hits the box.
     fn area(self) -> f64 {
         let size = (self.upper - self.lower).max(DVec3::ZERO);
         size.x * size.y + size.y * size.z + size.z * size.x
@@ -203,10 +204,10 @@ impl Facet {
     }
 }
 
-/// Adds the node over `facets[start..end]` and all below it.
+/// Appends the node over `facets[start..end]` and its subtree.
 fn split(nodes: &mut Vec<Node>, facets: &mut [Facet], start: usize, end: usize, depth: usize) {
     let bounds = facets[start..end].iter().fold(Bounds::EMPTY, |b, f| b.union(f.bounds()));
-    // Room for rounding: walls are flat boxes, and a ray meets them on the very face.
+    // Margin for rounding: walls are flat boxes, which rays hit exactly on the face.
     let margin = DVec3::splat(1e-9);
     let node = nodes.len();
     let count = end - start;
@@ -225,9 +226,9 @@ fn split(nodes: &mut Vec<Node>, facets: &mut [Facet], start: usize, end: usize, 
     split(nodes, facets, half, end, depth + 1);
 }
 
-/// Orders facets so that those of one child come before those of the other; gives the first of the
-/// other. The cut is the cheapest of a few by the surface area heuristic (Wald 2007); where none
-/// parts them, or the tree grows deep, the median of the longest axis.
+/// Partitions facets between two children; returns the index of the second child's first facet. The cut is
+/// the cheapest of a few by the surface area heuristic (Wald 2007); where none separates the facets, or the
+/// tree is deep, the median of the longest axis.
 fn divide(facets: &mut [Facet], depth: usize) -> usize {
     let middles =
         facets.iter().fold(Bounds::EMPTY, |bounds, f| bounds.including(f.middle(), f.middle()));
@@ -256,7 +257,7 @@ fn divide(facets: &mut [Facet], depth: usize) -> usize {
         }
     }
     if let Some((_, axis, cut)) = best {
-        // Stable, so that the order, and with it every tie between triangles, is the same always.
+        // A stable sort keeps the order deterministic, and with it every tie between triangles.
         facets.sort_by_key(|f| bin_of(f, axis) >= cut);
         return facets.partition_point(|f| bin_of(f, axis) < cut);
     }

@@ -1,4 +1,4 @@
-//! A clip as a folder, in the field's formats.
+//! Writes a clip to a folder in standard formats.
 
 use std::fs;
 use std::path::Path;
@@ -13,11 +13,11 @@ use crate::error::{Error, Result};
 use crate::io;
 use crate::types::Image;
 
-/// What readers of `.flo` take for "unknown": beyond 1e9.
+/// Flow value that readers of `.flo` interpret as unknown: beyond 1e9.
 const UNKNOWN_FLOW: f32 = 1e10;
 
-/// Writes a clip as a new folder, or into an empty one. `frames` and `truth` appear by rename, in a new
-/// folder both at once:
+/// Writes a clip to a new or empty folder. `frames` and `truth` appear by rename, in a new folder both at
+/// once:
 ///
 /// ```text
 /// frames/0000.png …               8-bit RGB; 16-bit for coded clips
@@ -102,7 +102,7 @@ fn contents(clip: &Clip, folder: &Path) -> Result<()> {
     transforms::write(held_out.join("transforms.json"), &cameras, &files, None)
 }
 
-/// Writes images into a new folder, numbered from the first, every so-manieth.
+/// Writes images to a new folder, numbered from the first with a stride.
 fn series(
     folder: &Path,
     extension: &str,

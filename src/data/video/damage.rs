@@ -1,8 +1,8 @@
-//! Which frames of a damaged video are whole.
+//! Detection of the intact frames of a damaged video.
 //!
-//! A frame is whole if it comes out at all, if a decoder that conceals nothing (`-err_detect
-//! explode`) takes its data, if the demuxer does not call them corrupt, and if so are all frames that
-//! it may be predicted from: those before it in the order of decoding, back to the last key frame.
+//! A frame is intact if it is decoded at all, if a decoder without error concealment (`-err_detect
+//! explode`) accepts its data, if the demuxer does not report it as corrupt, and if the same holds for all
+//! frames that it may be predicted from: those before it in decoding order, back to the last key frame.
 
 use std::collections::{HashMap, HashSet};
 use std::ffi::OsStr;
@@ -11,29 +11,29 @@ use serde_json::Value;
 
 use super::{Told, probe, stream};
 
-/// What was found.
+/// Result of the inspection.
 pub struct Seen {
-    /// For each frame of the video, in the order of showing: whether it is whole.
+    /// Whether each frame of the video is intact, in presentation order.
     pub whole: Vec<bool>,
-    /// The frames that ffmpeg gives, by number, in the order in which it gives them.
+    /// Numbers of the frames that ffmpeg outputs, in output order.
     pub decoded: Vec<usize>,
-    /// Frames that the file announces and does not hold.
+    /// Number of frames that the file declares but does not contain.
     pub missing: usize,
-    /// All frames of the video, where the file says so or none can be missing unseen.
+    /// Number of all frames of the video, where the file declares it or no frame can be missing unnoticed.
     pub total: Option<usize>,
 }
 
 impl Seen {
-    /// Whether the damage that ffmpeg complains of is all accounted for by frames that are not whole.
+    /// Whether the frames that are not intact account for all damage that ffmpeg reports.
     pub fn finds_all(&self) -> bool {
         self.missing == 0 && self.total.is_some() && self.whole.contains(&false)
     }
 }
 
-/// The time of a packet that has none.
+/// Time of a packet without a time stamp.
 const NO_TIME: i64 = i64::MIN;
 
-/// One compressed picture.
+/// One compressed frame.
 struct Packet {
     time: i64,
     key: bool,
@@ -41,7 +41,7 @@ struct Packet {
     hidden: bool,
 }
 
-/// Looks through a video; `said` is what ffmpeg said of it. `None` where `ffprobe` gives nothing.
+/// Inspects a video; `said` are the messages of ffmpeg. `None` where `ffprobe` gives nothing.
 pub fn inspect(ffprobe: &OsStr, input: &OsStr, told: &Told, said: &str) -> Option<Seen> {
     let list = |detect: &[&str]| {
         let index = told.index.to_string();
@@ -69,8 +69,8 @@ pub fn inspect(ffprobe: &OsStr, input: &OsStr, told: &Told, said: &str) -> Optio
     let shown = of(&usual, "frame").filter_map(|frame| frame["best_effort_timestamp"].as_i64());
     let shown: Vec<i64> = shown.collect();
     let out: HashSet<i64> = shown.iter().copied().collect();
-    // A decoder that refuses a picture gives nothing in that step, not even a frame that has waited
-    // for its turn: what counts is the step, not the frame that is left out.
+    // A decoder that rejects a packet outputs nothing in that step, not even a reordered frame that was
+    // waiting: the step counts, not the frame that is missing.
     let steps = |list: &Value| -> Vec<usize> {
         let mut steps = Vec::new();
         for entry in list.as_array().into_iter().flatten() {
@@ -95,7 +95,7 @@ pub fn inspect(ffprobe: &OsStr, input: &OsStr, told: &Told, said: &str) -> Optio
     numbers.dedup();
     let whole: Vec<bool> = numbers.iter().map(|time| !spoilt.contains(time)).collect();
     let number: HashMap<i64, usize> = numbers.iter().enumerate().map(|(n, &t)| (t, n)).collect();
-    // An edit list hides frames that the file announces.
+    // An edit list hides frames that the file declares.
     let hides = packets.iter().any(|packet| packet.hidden);
     let announced = told.announced.filter(|_| !hides);
     let missing = announced.map_or(0, |all| all.saturating_sub(whole.len()));
@@ -111,12 +111,12 @@ pub fn inspect(ffprobe: &OsStr, input: &OsStr, told: &Told, said: &str) -> Optio
     })
 }
 
-/// Packets or frames of what `ffprobe` lists.
+/// Packets or frames in `ffprobe`'s list.
 fn of<'a>(list: &'a Value, kind: &'a str) -> impl Iterator<Item = &'a Value> {
     list.as_array().into_iter().flatten().filter(move |entry| entry["type"] == kind)
 }
 
-/// The decoding times that ffmpeg calls corrupt: `Packet corrupt (stream = 0, dts = 306000)`.
+/// The decoding times that ffmpeg reports as corrupt: `Packet corrupt (stream = 0, dts = 306000)`.
 fn corrupt_packets(said: &str, index: usize) -> HashSet<i64> {
     let of_line = |line: &str| {
         let (_, after) = line.split_once("Packet corrupt")?;
@@ -126,10 +126,10 @@ fn corrupt_packets(said: &str, index: usize) -> HashSet<i64> {
     said.lines().filter_map(of_line).collect()
 }
 
-/// The spoilt pictures and all that may be predicted from them; packets in the order of decoding.
+/// The damaged packets and all that may be predicted from them; packets are in decoding order.
 fn spread(packets: &[Packet], spoilt: &HashSet<i64>) -> HashSet<i64> {
     let mut all = HashSet::new();
-    // Whether the pictures since the last key frame are spoilt, and those before it; its time.
+    // Whether packets since the last key frame are damaged, and those before it; the key frame's time.
     let (mut on, mut before, mut key) = (false, false, i64::MIN);
     for packet in packets {
         let itself = spoilt.contains(&packet.time);
@@ -137,7 +137,7 @@ fn spread(packets: &[Packet], spoilt: &HashSet<i64>) -> HashSet<i64> {
             (before, on, key) = (on, itself, packet.time);
         }
         on |= itself;
-        // Pictures that are decoded after a key frame and shown before it lean on both sides.
+        // Packets that are decoded after a key frame and shown before it depend on both sides.
         if on || (before && packet.time < key) {
             all.insert(packet.time);
         }

@@ -1,37 +1,37 @@
-//! How well an adjustment knows its poses.
+//! Uncertainty of adjusted poses.
 
 use super::normal::{Layout, NormalEquations};
 use super::{FocalMode, Options, Problem, check, residual, scale_is_anchored};
 use crate::Result;
 
 /// Standard deviations of a pose, each the square root of the covariance's trace: the root mean square
-/// length of what it is off by.
+/// length of the error.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseDeviation {
-    /// Of the rotation, radians.
+    /// Standard deviation of the rotation, radians.
     pub rotation: f64,
-    /// Of the camera's centre, in the world's unit.
+    /// Standard deviation of the camera's centre, in world units.
     pub position: f64,
 }
 
-/// A pose is known if it is known no worse than this many times what it would be with all else given.
+/// Maximum ratio of a determined pose's uncertainty to the one with all other unknowns given.
 const DETERMINED: f64 = 1e4;
 
 /// The standard deviations of an adjusted problem's poses, with depths and other poses unknown, and the
-/// focal length too unless it is [`FocalMode::Fixed`]: the diagonal of the inverse of the normal
-/// equations, reduced to the cameras, times the residuals' robust variance.
+/// focal length too unless it is [`FocalMode::Fixed`]: from the diagonal of the inverse of the normal
+/// equations, reduced to the cameras, times the robust variance of the residuals.
 ///
-/// Gauge: held frames have 0, the first one where none is marked fixed. Where nothing anchors the scale,
-/// the mean relative change of the middle half of the inverse depths is held at 0, as [`adjust`] holds
-/// their median. `None` is a pose that the observations do not determine. Errors of observations are
-/// taken to be independent; as far as they are not, poses are known less well.
+/// Gauge: fixed frames have 0, as has the first one where none is marked fixed. Where nothing anchors the
+/// scale, the mean relative change of the middle half of the inverse depths is fixed at 0, as [`adjust`]
+/// fixes their median. `None` is a pose that the observations do not determine. Errors of observations are
+/// assumed to be independent; if they are not, the actual uncertainty is larger.
 ///
 /// The gauge couples all frames: time grows with the cube of their number, memory with its square.
 ///
 /// [`adjust`]: super::adjust
 ///
 /// # Errors
-/// Those of [`adjust`] for a problem that is not one.
+/// Those of [`adjust`] for an invalid problem.
 pub fn pose_deviations(problem: &Problem, options: &Options) -> Result<Vec<Option<PoseDeviation>>> {
     check(problem, options)?;
     let scale = residual::robust_scale(problem, options);
@@ -51,7 +51,7 @@ pub fn pose_deviations(problem: &Problem, options: &Options) -> Result<Vec<Optio
             let sum = of.iter().try_fold(0.0, |sum, variance| Some(sum + (*variance)?));
             sum.map(|trace| scale * trace.sqrt())
         };
-        // A left twist's translation moves the centre by as much, in the camera's axes.
+        // The translation part of a left twist moves the centre by the same amount, in the camera's axes.
         Some(PoseDeviation {
             position: deviation(&variances[..3])?,
             rotation: deviation(&variances[3..])?,
@@ -60,7 +60,7 @@ pub fn pose_deviations(problem: &Problem, options: &Options) -> Result<Vec<Optio
     Ok((0..problem.poses.len()).map(of_frame).collect())
 }
 
-/// By point, what its inverse depth weighs in the mean relative change of the middle half of them.
+/// Per point, the weight of its inverse depth in the mean relative change of the middle half.
 fn middle_half(problem: &Problem) -> Vec<f64> {
     let mut all: Vec<f64> =
         problem.points.iter().map(|p| p.inverse_depth).filter(|d| *d > 0.0).collect();
@@ -84,8 +84,8 @@ mod tests {
 
     const FRAMES: usize = 6;
 
-    /// A camera that goes round a cloud of points, all seen in frame 0 and then in all others, and a
-    /// focal length that is not known.
+    /// A camera that moves around a point cloud, all seen in frame 0 and then in all others, with an
+    /// unknown focal length.
     fn exact() -> Problem {
         let mut random = ChaCha8Rng::seed_from_u64(5);
         let intrinsics = Intrinsics::centred(300.0, 320, 240);
@@ -111,7 +111,7 @@ mod tests {
         Problem { intrinsics, k1: 0.0, poses, fixed: vec![false; FRAMES], points, observations }
     }
 
-    /// The problem with other noise of one pixel each time.
+    /// The problem with one pixel of noise, which varies with the seed.
     fn noisy(exact: &Problem, seed: u64) -> Problem {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut normal = || {
@@ -174,7 +174,7 @@ mod tests {
             point.prior = Some(DepthPrior { inverse_depth, weight: 1e8 });
         }
         assert!(of(&anchored).position < of(&free).position);
-        // Of held frames nothing is off.
+        // Fixed frames have no deviation.
         let held = Problem { fixed: vec![true; FRAMES], ..free };
         assert_eq!(of(&held), PoseDeviation { rotation: 0.0, position: 0.0 });
     }
@@ -182,7 +182,7 @@ mod tests {
     #[test]
     fn what_nothing_determines_has_none() {
         let options = Options::default();
-        // A frame that saw nothing, and frames that only turn, whose place nothing tells.
+        // A frame without observations, and frames that only rotate, whose position is undetermined.
         let mut problem = exact();
         problem.observations.retain(|o| o.frame != 3);
         let found = pose_deviations(&problem, &options).unwrap();

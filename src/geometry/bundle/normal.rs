@@ -10,16 +10,16 @@ use rayon::prelude::*;
 use std::ops::Range;
 use std::slice::from_ref;
 
-/// The reduced system is gathered in this many parts at the most, added in order: the same bits for
-/// any number of threads.
+/// Maximum number of parts in which the reduced system is accumulated; they are added in order, so that the
+/// result is bit-identical for any number of threads.
 const PARTS: usize = 8;
-/// Information (pixels² per unit of relative inverse depth²) that every depth is taken to have, so
-/// that a point without parallax stays where it is instead of dividing by nothing.
+/// Minimum information (pixels² per unit of relative inverse depth²) of every depth, so that a point
+/// without parallax keeps its depth instead of causing a division by zero.
 const DEPTH_FLOOR: f64 = 1e-6;
 
-/// Which unknown stands where in the reduced system.
+/// Layout of the unknowns in the reduced system.
 pub(super) struct Layout {
-    /// First column of each frame's twist; none where it is held.
+    /// First column of each frame's twist; `None` where it is fixed.
     column: Vec<Option<usize>>,
     /// Column of log f.
     focal: Option<usize>,
@@ -27,11 +27,11 @@ pub(super) struct Layout {
     distortion: Option<usize>,
     /// Number of columns.
     pub(super) size: usize,
-    /// By column, the first one that it is coupled with.
+    /// First column that each column is coupled with.
     coupled: Vec<usize>,
-    /// Are inverse depths unknown?
+    /// Whether inverse depths are unknown.
     depths: bool,
-    /// Observations that count, by point.
+    /// The used observations of each point.
     by_point: Vec<Vec<usize>>,
 }
 
@@ -65,7 +65,7 @@ impl Layout {
                 by_point[o.point].push(i);
             }
         }
-        // What all are coupled with stands last, and begins at the first column.
+        // Unknowns that are coupled with all others come last, and their rows begin at the first column.
         let mut coupled = vec![0; size];
         column.iter().flatten().for_each(|&c| coupled[c..c + 6].fill(c));
         for (point, members) in problem.points.iter().zip(&by_point) {
@@ -80,22 +80,22 @@ impl Layout {
         Layout { column, focal, distortion, size, coupled, depths: options.depths, by_point }
     }
 
-    /// The column of log f; none where it is kept.
+    /// The column of log f; `None` where it is kept.
     pub(super) fn focal(&self) -> Option<usize> {
         self.focal
     }
 
-    /// The column of k1; none where it is kept.
+    /// The column of k1; `None` where it is kept.
     pub(super) fn distortion(&self) -> Option<usize> {
         self.distortion
     }
 
-    /// The columns of a frame's twist, translation first; none where it is held.
+    /// The columns of a frame's twist, translation first; `None` where it is fixed.
     pub(super) fn columns(&self, frame: usize) -> Option<Range<usize>> {
         self.column[frame].map(|first| first..first + 6)
     }
 
-    /// Takes a step. Inverse depths end at 0, a point at infinity, where they would turn negative.
+    /// Applies a step. Inverse depths are clamped at 0, a point at infinity.
     pub(super) fn apply(&self, problem: &mut Problem, delta: &Step) {
         for (pose, column) in problem.poses.iter_mut().zip(&self.column) {
             if let Some(c) = *column {
@@ -124,27 +124,27 @@ pub(super) struct Step {
     depth: Vec<f64>,
 }
 
-/// One point's row: information and gradient of its inverse depth, and its coupling with cameras.
+/// A point's row: information and gradient of its inverse depth, and its coupling with the cameras.
 #[derive(Default)]
 struct Row {
     information: f64,
     gradient: f64,
-    /// Damping acts on this: the information, floored.
+    /// The information with its lower bound, which damping scales.
     floor: f64,
-    /// With the twists of frames, the focal length and the distortion.
+    /// Coupling with the twists of frames, the focal length and the distortion.
     coupling: Coupling,
 }
 
-/// A vector over the columns that has entries at few of them: runs of columns that follow each other.
+/// A sparse vector over the columns, stored as runs of consecutive columns.
 #[derive(Default)]
 struct Coupling {
-    /// First column, and where the run's entries are in `values`.
+    /// First column of each run, and the range of its entries in `values`.
     runs: Vec<(usize, Range<usize>)>,
     values: Vec<f64>,
 }
 
 impl Coupling {
-    /// The sum of blocks, each given by its first column and its entries, in any order.
+    /// Sums blocks, each given by its first column, its entries and their number, in any order.
     fn sum(mut blocks: Vec<(usize, [f64; 6], usize)>) -> Coupling {
         blocks.sort_by_key(|block| block.0);
         let mut sum = Coupling::default();
@@ -171,7 +171,7 @@ impl Coupling {
         self.runs.iter().map(|(first, run)| (*first, &self.values[run.clone()]))
     }
 
-    /// The dot product with a vector of all columns.
+    /// Dot product with a dense vector over the columns.
     fn dot(&self, all: &[f64]) -> f64 {
         let of_run = |(first, run): (usize, &[f64])| {
             run.iter().zip(&all[first..]).map(|(a, b)| a * b).sum::<f64>()
@@ -179,20 +179,20 @@ impl Coupling {
         self.runs().map(of_run).sum()
     }
 
-    /// Adds this, times `factor`, to a vector of all columns.
+    /// Adds this vector, times `factor`, to a dense vector over the columns.
     fn add_to(&self, all: &mut [f64], factor: f64) {
         for (first, run) in self.runs() {
             all[first..].iter_mut().zip(run).for_each(|(sum, value)| *sum += factor * value);
         }
     }
 
-    /// Adds the product of this with itself, times `factor`, to the lower triangle.
+    /// Adds the outer product of this vector with itself, times `factor`, to the lower triangle.
     fn add_square_to(&self, matrix: &mut Envelope, factor: f64) {
         for (place, (first, run)) in self.runs().enumerate() {
             for (row, value) in (first..).zip(run) {
                 let scaled = factor * value;
                 for (column, other) in self.runs().take(place + 1) {
-                    // In its own run a row ends at the diagonal.
+                    // Within its own run, a row ends at the diagonal.
                     let sums = matrix.row_mut(row, column);
                     sums.iter_mut().zip(other).for_each(|(sum, value)| *sum += scaled * value);
                 }
@@ -201,7 +201,7 @@ impl Coupling {
     }
 }
 
-/// Jᵀ W J and Jᵀ W r: the cameras' block, and a row for each point.
+/// Jᵀ W J and Jᵀ W r: the camera block, and a row for each point.
 pub(super) struct NormalEquations {
     camera: Envelope,
     gradient: DVector<f64>,
@@ -260,7 +260,7 @@ impl NormalEquations {
         }
     }
 
-    /// Adds a point's observations to the camera block (lower triangle), and returns its row.
+    /// Adds a point's observations to the camera block (lower triangle), and returns the point's row.
     fn add_point(
         &mut self,
         problem: &Problem,
@@ -273,7 +273,7 @@ impl NormalEquations {
     ) -> Row {
         let point = &problem.points[index];
         let mut row = Row::default();
-        // The reference frame, the focal length and the distortion: all observations touch them.
+        // All observations depend on the reference frame, the focal length and the distortion.
         let shared = [layout.column[point.frame], layout.focal, layout.distortion];
         let mut with_shared = [[0.0; 6]; 3];
         let mut blocks = Vec::with_capacity(members.len() + shared.len());
@@ -333,8 +333,8 @@ impl NormalEquations {
         row
     }
 
-    /// Adds products of derivatives by two runs of columns, each given by its first column; `later` is not
-    /// before `earlier`.
+    /// Adds products of derivatives with respect to two runs of columns, each given by its first column;
+    /// `later` is not before `earlier`.
     fn add_block(&mut self, w: f64, later: (usize, &[DVec2]), earlier: (usize, &[DVec2])) {
         for (row, derivative) in (later.0..).zip(later.1) {
             let scaled = w * *derivative;
@@ -343,7 +343,7 @@ impl NormalEquations {
         }
     }
 
-    /// The damped Gauss–Newton step; none where the reduced system is not positive definite.
+    /// The damped Gauss–Newton step; `None` where the reduced system is not positive definite.
     pub(super) fn solve(&self, layout: &Layout, damping: f64) -> Option<Step> {
         let (mut reduced, mut right) = self.reduce(layout, damping);
         let largest = self.camera.largest_diagonal().max(1e-300);
@@ -394,7 +394,7 @@ impl NormalEquations {
         (matrix, vector)
     }
 
-    /// How much the cost should fall by a step that solved the damped equations: gᵀ(−δ) + λ δᵀDδ.
+    /// Predicted decrease of the cost for a step that solves the damped equations: gᵀ(−δ) + λ δᵀDδ.
     pub(super) fn predicted_decrease(&self, step: &Step, damping: f64) -> f64 {
         let mut sum = 0.0;
         for k in 0..step.camera.len() {
@@ -407,13 +407,13 @@ impl NormalEquations {
         sum
     }
 
-    /// Information about the unknown of a column that remains when all others are free, in pixels² over its
+    /// Information about a column's unknown that remains when all others are free, in pixels² over its
     /// unit's square.
     pub(super) fn information(&self, layout: &Layout, column: usize) -> Option<f64> {
         let (mut reduced, _) = self.reduce(layout, 0.0);
         let largest = self.camera.largest_diagonal().max(1e-300);
         for k in 0..layout.size {
-            // The free scale is a null direction; it does not reach the focal length and the lens.
+            // The free scale is a null direction; it does not affect the focal length and the lens.
             *reduced.diagonal_mut(k) += 1e-10 * self.camera.diagonal(k) + 1e-14 * largest;
         }
         let mut unit = DVector::zeros(layout.size);
@@ -422,9 +422,9 @@ impl NormalEquations {
         (variance.is_finite() && variance > 0.0).then(|| 1.0 / variance)
     }
 
-    /// The variance of each column with all else unknown, per unit of the residuals' variance, where the
-    /// sum of the inverse depths' changes, weighted by `gauge`, is held at 0. None for a column whose
-    /// information is less than `least` of what it would be with all else given.
+    /// The variance of each column with all other unknowns free, per unit of the residuals' variance, where
+    /// the sum of the inverse depths' changes, weighted by `gauge`, is fixed at 0. `None` for a column
+    /// whose information is less than `least` of its value with all other unknowns given.
     pub(super) fn variances(
         &self,
         layout: &Layout,
@@ -432,8 +432,8 @@ impl NormalEquations {
         least: f64,
     ) -> Option<Vec<Option<f64>>> {
         let mut reduced = self.reduce(layout, 0.0).0.to_dense();
-        // Holding a sum of depths adds to their block a term of one rank and infinite weight. Reduced to the
-        // cameras, that is a term of one rank, too.
+        // Fixing a sum of depths adds a rank-one term of infinite weight to their block. Reduced to the
+        // cameras, it is again a rank-one term.
         let mut held = DVector::zeros(layout.size);
         let mut norm = 0.0;
         for (row, weight) in self.rows.iter().zip(gauge).filter(|(row, _)| row.information > 0.0) {
@@ -448,7 +448,7 @@ impl NormalEquations {
         let floor = |k: usize| 0.01 * least * self.camera.diagonal(k) + 1e-14 * largest;
         (0..layout.size).for_each(|k| reduced[(k, k)] += floor(k));
         let factor = reduced.cholesky()?.unpack();
-        // With S = L Lᵀ the diagonal of S⁻¹ holds the squared lengths of the columns of L⁻¹.
+        // With S = L Lᵀ, the diagonal of S⁻¹ consists of the squared norms of the columns of L⁻¹.
         let variance = |k: usize| {
             let mut column = vec![0.0; layout.size - k];
             column[0] = 1.0;
@@ -473,7 +473,7 @@ impl Row {
     }
 }
 
-/// Median of σ_d / d over the points that were observed, poses held.
+/// Median of σ_d / d over the observed points, with poses fixed.
 pub(super) fn median_depth_deviation(problem: &Problem, options: &Options, scale: f64) -> f64 {
     let with_depths = Options { depths: true, ..*options };
     let layout = Layout::new(problem, &with_depths, false);
@@ -505,8 +505,8 @@ mod tests {
     use super::*;
     use crate::types::{Intrinsics, Pose};
 
-    /// A camera that goes sideways; each frame has points of its own, seen by the `span` frames after it
-    /// but for the third, all a pixel off.
+    /// A camera that moves sideways; each frame has its own points, which the `span` frames after it see
+    /// except for the third, all with an error of one pixel.
     fn sideways(frames: usize, span: usize) -> Problem {
         let intrinsics = Intrinsics::centred(300.0, 320, 240);
         let pose = |i: usize| {
@@ -538,7 +538,7 @@ mod tests {
         Problem { intrinsics, k1: -0.02, poses, fixed, points, observations }
     }
 
-    /// The damped normal equations, dense and with all inverse depths, solved for the cameras.
+    /// Solves the dense damped normal equations, including all inverse depths, for the cameras.
     fn dense(problem: &Problem, layout: &Layout, damping: f64) -> DVector<f64> {
         let size = layout.size + problem.points.len();
         let mut matrix = DMatrix::zeros(size, size);

@@ -1,4 +1,4 @@
-//! The residual of one observation, its derivatives, and sums over all of them.
+//! The residual of one observation, its derivatives, and sums over all observations.
 
 use super::{Kernel, Observation, Options, Problem, counts};
 use crate::geometry::se3::skew;
@@ -6,27 +6,27 @@ use crate::types::{Intrinsics, Pose};
 use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 
-/// Sums are taken over blocks of this many items and then in order, so that they do not depend on
-/// the number of threads.
+/// Block size of sums, which are taken over blocks and then in order, so that they do not depend on the
+/// number of threads.
 const BLOCK: usize = 4096;
 
-/// Derivatives of a projected pixel. Twists are (translation, rotation), left-multiplied.
+/// Derivatives of a projected pixel, with left-multiplied twists (translation, rotation).
 #[derive(Clone, Copy, Debug)]
 pub struct Jacobian {
-    /// By the twist of the observing frame's pose.
+    /// With respect to the twist of the observing frame's pose.
     pub target: [DVec2; 6],
-    /// By the twist of the reference frame's pose.
+    /// With respect to the twist of the reference frame's pose.
     pub reference: [DVec2; 6],
-    /// By the inverse depth.
+    /// With respect to the inverse depth.
     pub inverse_depth: DVec2,
-    /// By the logarithm of the focal length.
+    /// With respect to the logarithm of the focal length.
     pub log_focal: DVec2,
-    /// By the first coefficient of the lens's radial distortion.
+    /// With respect to the first radial distortion coefficient.
     pub k1: DVec2,
 }
 
-/// Where a pixel of the reference frame with an inverse depth is seen by the target frame, and the
-/// derivatives; none when it lies behind the target or beside it.
+/// Projects a pixel of the reference frame with an inverse depth to the target frame, with derivatives;
+/// `None` where it is behind the target or nearly in its image plane.
 ///
 /// `target_from_reference = G_t G_r⁻¹`.
 pub fn project(
@@ -38,8 +38,8 @@ pub fn project(
     project_through(k, 0.0, target_from_reference, pixel, inverse_depth)
 }
 
-/// As [`project`], through a lens that puts what a pinhole sees at p in the plane of unit depth at
-/// p (1 + k1 |p|²); none either where that folds the picture over.
+/// [`project`] through a lens that images the ideal position p in the plane of unit depth at p (1 + k1
+/// |p|²); also `None` where the lens's mapping folds over.
 pub(super) fn project_through(
     k: &Intrinsics,
     k1: f64,
@@ -53,8 +53,8 @@ pub(super) fn project_through(
     let (iz, d) = (1.0 / x.z, inverse_depth);
     let n = x.truncate() * iz;
     let n2 = n.length_squared();
-    // Rows of the derivative of the pixel by the homogeneous point x = R ray + d t: of the pinhole, then of
-    // the lens.
+    // Rows of the derivative of the pixel with respect to the homogeneous point x = R ray + d t: of the
+    // pinhole camera, then of the lens.
     let plane_x = DVec3::new(iz, 0.0, -n.x * iz);
     let plane_y = DVec3::new(0.0, iz, -n.y * iz);
     let stretch = 2.0 * k1 * (n.x * plane_x + n.y * plane_y);
@@ -75,8 +75,8 @@ pub(super) fn project_through(
         _ => by(turned.col(c - 3)),
     });
     let inverse_depth = by(target_from_reference.translation);
-    // The ray's x and y solve r (1 + k1 r²) = m, m being the pixel over f: along the ray,
-    // (1 + 3 k1 r²) dr = dm − r³ dk1. f shrinks m, and scales the pixel about the principal point.
+    // The ray's x and y solve r (1 + k1 r²) = m, where m is the pixel over f: along the ray, (1 + 3 k1 r²)
+    // dr = dm − r³ dk1. f scales m inversely, and the pixel about the principal point.
     let r2 = ray.x * ray.x + ray.y * ray.y;
     let along = by(rotation.col(0) * ray.x + rotation.col(1) * ray.y) / (1.0 + 3.0 * k1 * r2);
     let log_focal = DVec2::new(u.x - k.cx, u.y - k.cy) - (1.0 + k1 * r2) * along;
@@ -84,7 +84,7 @@ pub(super) fn project_through(
     Some((u, Jacobian { target, reference, inverse_depth, log_focal, k1: by_k1 }))
 }
 
-/// Pixel, homogeneous point and ray; none unless the point is clearly in front of the target.
+/// Pixel, homogeneous point and ray; `None` unless the point is clearly in front of the target.
 fn forward(
     k: &Intrinsics,
     k1: f64,
@@ -95,7 +95,7 @@ fn forward(
 ) -> Option<(DVec2, DVec3, DVec3)> {
     let ray = undistorted(k1, k.ray(pixel).truncate())?.extend(1.0);
     let x = *rotation * ray + inverse_depth * translation;
-    // A ray within a tenth of a degree of the image plane has no pixel worth comparing.
+    // Rays within about a tenth of a degree of the image plane are excluded.
     if x.z <= 2e-3 * x.abs().max_element() {
         return None;
     }
@@ -108,12 +108,12 @@ fn forward(
     rising.then(|| (k.project((factor * n).extend(1.0)), x, ray))
 }
 
-/// A lens is believed where a direction's place on the picture moves by this share at least of what a
-/// pinhole's would.
+/// Minimum radial derivative of the distortion, relative to a pinhole camera; below it, the lens model is
+/// not used.
 const FOLD: f64 = 0.1;
 
-/// Where a pinhole sees what a lens with `k1` shows at `m`, both in the plane of unit depth; none where the
-/// lens folds the picture over.
+/// Ideal pinhole position of the distorted position `m`, both in the plane of unit depth; `None` where the
+/// mapping folds over.
 fn undistorted(k1: f64, m: DVec2) -> Option<DVec2> {
     if k1 == 0.0 {
         return Some(m);
@@ -140,7 +140,7 @@ pub(super) fn relative(problem: &Problem, o: &Observation) -> Pose {
     problem.poses[o.frame] * problem.poses[problem.points[o.point].frame].inverse()
 }
 
-/// The residual (projection − observation); none behind the camera.
+/// The residual (projection − observation); `None` behind the camera.
 fn residual(problem: &Problem, o: &Observation) -> Option<DVec2> {
     let point = &problem.points[o.point];
     let relative = relative(problem, o);
@@ -169,10 +169,10 @@ pub(super) fn kernel(kind: Kernel, squared: f64, c: f64) -> (f64, f64) {
     }
 }
 
-/// The whole robust cost at a scale, priors included.
+/// The total robust cost at a scale, including priors.
 ///
-/// An observation behind its camera costs as much as one that misses by the image's diagonal, so
-/// that no step gains by pushing points behind a camera.
+/// An observation behind its camera costs as much as a residual of the image's diagonal, so that no step
+/// gains by moving points behind a camera.
 pub(super) fn cost(problem: &Problem, options: &Options, scale: f64) -> f64 {
     let c = options.kernel_width * scale;
     let k = &problem.intrinsics;
@@ -194,8 +194,8 @@ pub(super) fn cost(problem: &Problem, options: &Options, scale: f64) -> f64 {
     observed + priors + focal_prior(problem, options, scale).map_or(0.0, |(w, e)| w * e * e)
 }
 
-/// Weight and error (log of ratio) of the focal length's prior. Pixel residuals weigh 1 at a
-/// standard deviation of `scale`; so does the prior at its own.
+/// Weight and error (log ratio) of the focal length's prior. A pixel residual has weight 1 at a standard
+/// deviation of `scale`; the prior has weight 1 at its own standard deviation.
 pub(super) fn focal_prior(problem: &Problem, options: &Options, scale: f64) -> Option<(f64, f64)> {
     let (focal, std) = options.focal_prior?;
     Some(((scale / std).powi(2), (problem.intrinsics.fx / focal).ln()))
@@ -220,7 +220,7 @@ pub(super) fn lengths(problem: &Problem) -> Vec<f64> {
         .collect()
 }
 
-/// 1.4826 · median |residual coordinate| / σ over the observations that count, floored.
+/// 1.4826 · median |residual coordinate| / σ over the used observations, with a lower bound.
 pub(super) fn robust_scale(problem: &Problem, options: &Options) -> f64 {
     let mut sizes: Vec<f64> = problem
         .observations
@@ -237,7 +237,7 @@ pub(super) fn robust_scale(problem: &Problem, options: &Options) -> f64 {
     (1.4826 * *sizes.select_nth_unstable_by(middle, f64::total_cmp).1).max(floor)
 }
 
-/// Weighted RMS of the residuals within the kernel's width, pixels, and their share.
+/// Weighted RMS of the residuals within the kernel width, pixels, and their share.
 pub(super) fn inliers(problem: &Problem, options: &Options, scale: f64) -> (f64, f64) {
     let limit = options.kernel_width * scale;
     let (mut sum, mut weight, mut count, mut all) = (0.0, 0.0, 0usize, 0usize);

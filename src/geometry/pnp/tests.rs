@@ -19,7 +19,7 @@ fn noise(rng: &mut ChaCha8Rng, sigma: f64) -> DVec2 {
     DVec2::new(normal(rng), normal(rng)) * sigma
 }
 
-/// Points inside the view, `flat` of them on one plane of the world.
+/// Points inside the view; with `flat`, all on one plane of the world.
 fn scene(n: usize, outliers: f64, sigma: f64, flat: bool, seed: u64) -> (Vec<DVec3>, Vec<DVec2>) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let k = camera();
@@ -79,7 +79,7 @@ fn half_outliers_and_pixel_noise() {
     let (rotation, translation) = errors(&result);
     assert!(rotation < 0.1 && translation < 0.01, "{rotation} {translation}");
     assert!(result.inliers.iter().skip(300).filter(|x| **x).count() > 290);
-    // The covariance speaks the truth within a factor: error² / variance stays small.
+    // The covariance is correct within a factor: error² / variance stays small.
     let twist = crate::geometry::se3::log(&(truth() * result.view_from_world.inverse()));
     let mahalanobis = (result.covariance.try_inverse().unwrap() * twist).dot(&twist);
     assert!(mahalanobis < 30.0, "{mahalanobis}");
@@ -94,7 +94,7 @@ fn ninety_five_percent_outliers() {
         let result = pnp_ransac(&points, &pixels, None, &camera(), None, &options).unwrap();
         let (rotation, translation) = errors(&result);
         assert!(rotation < 0.5 && translation < 0.05, "{flat} {rotation} {translation}");
-        // At the default share, that is a failure said in words.
+        // At the default share, this is an error with a message.
         let message = pnp_ransac(&points, &pixels, None, &camera(), None, &Default::default())
             .unwrap_err()
             .to_string();
@@ -160,7 +160,7 @@ fn points_at_one_far_depth_have_a_translation_that_is_said_to_be_unknown() {
 
 #[test]
 fn masks_as_weights_overrule_a_dominant_mover() {
-    // 60 % of the points moved together: the mover wins unless weights say otherwise.
+    // 60 % of the points move together: the mover wins unless weights exclude it.
     let (mut points, pixels) = scene(500, 0.0, 0.3, false, 9);
     let moved = 300;
     let motion = Pose::new(exp_so3(DVec3::new(0.0, 0.2, 0.0)), DVec3::new(0.5, 0.1, 0.2));
@@ -171,7 +171,7 @@ fn masks_as_weights_overrule_a_dominant_mover() {
     let seeing =
         pnp_ransac(&points, &pixels, Some(&weights), &camera(), None, &Default::default()).unwrap();
     assert!(errors(&seeing).1 < 0.02);
-    // A soft mask suffices too, as weights enter the score.
+    // A soft mask suffices, because weights enter the score.
     let soft: Vec<f64> = (0..500).map(|i| if i < moved { 0.2 } else { 1.0 }).collect();
     let seeing =
         pnp_ransac(&points, &pixels, Some(&soft), &camera(), None, &Default::default()).unwrap();

@@ -91,7 +91,7 @@ fn a_turn_and_a_tripod_are_told() {
     assert!(errors(&found, &turn).0 < 0.05);
     assert_eq!(found.b_from_a.translation, DVec3::ZERO);
     assert!(found.parallax_px < 1.0);
-    // Movers on less than half of the pixels do not make the tripod move.
+    // Movers on less than half of the pixels do not affect a static camera.
     let found = run(Make { pose: Pose::IDENTITY, outliers: 0.4, sigma: 0.1, ..general() }).unwrap();
     assert_eq!(found.motion, Motion::Static);
     assert_eq!(found.b_from_a, Pose::IDENTITY);

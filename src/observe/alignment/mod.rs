@@ -1,5 +1,5 @@
-//! Cameras and depth of a clip from the pointmaps of its pairs of frames: the global alignment of DUSt3R (Wang et al.,
-//! CVPR 2024, section 3.3).
+//! Cameras and depth of a clip from the pointmaps of its pairs of frames: the global alignment of DUSt3R
+//! (Wang et al., CVPR 2024, section 3.3).
 //!
 //! The unknowns are the pose of each frame, its depth at the points of a grid, one focal length, and a
 //! scale factor per pair. The points of a pair are in the camera frame of its first frame. For each map,

@@ -1,4 +1,4 @@
-//! Exact pairs of a synthetic world, and what is done to them.
+//! Tests on exact pairs of a synthetic world, with noise, outliers and gaps.
 
 use glam::{DQuat, DVec2, DVec3};
 use rand::{RngExt, SeedableRng};
@@ -11,25 +11,25 @@ use crate::geometry::sim3::align_cameras;
 use crate::observe::pointmaps::{PairMaps, Placement, PointmapSource, Pointmaps};
 use crate::types::{Image, Pose};
 
-/// The inside of a sphere, about this point, of this radius.
+/// Centre and radius of a sphere that is seen from inside.
 const CENTRE: DVec3 = DVec3::new(0.6, -0.4, 1.0);
 const RADIUS: f64 = 5.0;
 
-/// Exact maps, but for what is done to them.
+/// A synthetic world with exact maps, and the errors that are added to them.
 struct World {
     placement: Placement,
     focal: f64,
     /// World to camera.
     poses: Vec<Pose>,
     random: ChaCha8Rng,
-    /// Relative standard deviation of depths.
+    /// Relative standard deviation of the depth noise.
     noise: f64,
-    /// Share of the points that are somewhere else on their ray, as confident as the others.
+    /// Share of the points that are displaced along their ray, with the same confidence as the others.
     outliers: f64,
-    /// Share of the points that are somewhere else, and are known to be.
+    /// Share of the points that are displaced, with low confidence.
     doubtful: f64,
     confidence: f32,
-    /// The last frame that is still asked for.
+    /// The last frame that is still requested.
     forgotten: usize,
 }
 
@@ -48,7 +48,7 @@ impl World {
         }
     }
 
-    /// A path with turns.
+    /// A camera path with rotations.
     fn walk(width: u32, height: u32, frames: usize) -> World {
         let pose = |i: usize| {
             let t = i as f64 / 12.0;
@@ -60,7 +60,7 @@ impl World {
         World::new(Placement::whole(width, height), focal, (0..frames).map(pose).collect())
     }
 
-    /// Depth of the sphere at a place of a frame.
+    /// Depth of the sphere at a position of a frame.
     fn point(&self, frame: usize, pixel: DVec2) -> DVec3 {
         let ray = ((pixel - self.placement.middle()) / self.focal).extend(1.0);
         let centre = self.poses[frame].apply(CENTRE);
@@ -119,8 +119,8 @@ impl PointmapSource for World {
     }
 }
 
-/// How far a result is from the truth: degrees of turn, the share of the path's spread in place, the share of the focal
-/// length, and of the median pixel's depth.
+/// Error of a result: rotation in degrees, position as a share of the path's extent, relative error of the
+/// focal length, and relative depth error of the median pixel.
 struct Error {
     turn: f64,
     place: f64,
@@ -159,7 +159,7 @@ fn error(world: &World, maps: Pointmaps, found: &Aligned) -> Error {
     }
 }
 
-/// Aligns a world, and demands that nothing is farther from the truth.
+/// Aligns a world, and asserts that all errors are within `most`.
 fn within(mut world: World, most: Error) -> Aligned {
     let maps = world.gather();
     let found = align(&maps, None).unwrap();
@@ -173,7 +173,7 @@ fn within(mut world: World, most: Error) -> Aligned {
     found
 }
 
-/// What f32 maps leave of exactness.
+/// Error bounds that the precision of f32 maps allows.
 const EXACT: Error = Error { turn: 1e-4, place: 1e-5, focal: 1e-6, depth: 1e-5 };
 
 #[test]
@@ -207,12 +207,12 @@ fn a_picture_that_is_cut_and_scaled_is_the_frames() {
 fn noise_outliers_and_what_is_known_to_be_wrong_are_averaged_out() {
     let mut world = World::walk(56, 32, 20);
     world.noise = 0.02;
-    // The scale of a short path beside the scene's is what is known least.
+    // The largest uncertainty is that of a short path's scale relative to the scene.
     within(world, Error { turn: 0.3, place: 0.03, focal: 1e-3, depth: 0.025 });
     let mut world = World::walk(56, 32, 20);
     world.outliers = 0.25;
     within(world, Error { turn: 0.1, place: 0.01, focal: 1e-3, depth: 0.1 });
-    // Most of the frame is wrong, and known to be so.
+    // Most of the frame is wrong, with low confidence.
     let mut world = World::walk(56, 32, 20);
     world.doubtful = 0.45;
     within(world, EXACT);

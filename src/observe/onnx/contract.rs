@@ -1,7 +1,7 @@
-//! What a network says of itself: what it computes, how its pictures are to be made, what its numbers mean.
+//! The contract of a network: what it computes, how its input images are prepared, and what its outputs mean.
 //!
-//! The contract is a JSON object under the key `splat4d` of the model's metadata. For a model that was
-//! exported elsewhere and has none, `models.toml` holds it.
+//! The contract is a JSON object under the key `splat4d` of the model's metadata. For an externally
+//! exported model without one, `models.toml` contains it.
 
 use std::path::Path;
 
@@ -14,32 +14,32 @@ use crate::{Error, Result};
 
 /// The key in a model's metadata.
 pub const METADATA_KEY: &str = "splat4d";
-/// The version of contracts that this version of the program knows.
+/// The supported version of the contract format.
 pub const VERSION: u32 = 1;
 
 /// A network's contract.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Contract {
-    /// Depth of one picture.
+    /// Depth from one image.
     Depth(DepthContract),
-    /// Optical flow from one picture to another.
+    /// Optical flow from one image to another.
     Flow(FlowContract),
-    /// What a pointmap decoder needs of a picture.
+    /// Encoder of a pointmap network, applied to each image.
     PointmapEncoder(PointmapEncoderContract),
-    /// The points that two pictures show, in the first's camera.
+    /// Decoder of a pointmap network: the points of two images, in the camera frame of the first.
     PointmapDecoder(PointmapDecoderContract),
-    /// What a mask decoder needs of a picture.
+    /// Encoder of a mask network, applied to each image.
     MaskEncoder(MaskEncoderContract),
-    /// Masks of what prompts point at.
+    /// Decoder of a mask network: masks from prompts.
     MaskDecoder(MaskDecoderContract),
-    /// Keypoints of a picture and what describes them.
+    /// Keypoints of an image and their descriptors.
     Features(FeaturesContract),
-    /// How different two pictures look.
+    /// Perceptual distance between two images.
     Lpips(LpipsContract),
 }
 
-/// That of a network for depth.
+/// Contract of a depth network.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DepthContract {
@@ -47,66 +47,67 @@ pub struct DepthContract {
     pub version: u32,
     /// Name of the input, 1 × 3 × height × width.
     pub input: String,
-    /// How the picture is made.
+    /// How the input image is prepared.
     #[serde(default)]
     pub picture: PictureRule,
     /// Name of the output, 1 × height × width or 1 × 1 × height × width.
     pub output: String,
-    /// What it holds.
+    /// What the output holds.
     pub holds: EstimatedKind,
 }
 
-/// That of a network for flow.
+/// Contract of a flow network.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FlowContract {
     /// [`VERSION`].
     pub version: u32,
-    /// Names of the inputs, each 1 × 3 × height × width: the picture that flow leads from and the one that it
+    /// Names of the inputs, each 1 × 3 × height × width: the image that flow leads from and the one that it
     /// leads to.
     pub inputs: [String; 2],
-    /// How the pictures are made.
+    /// How the input images are prepared.
     #[serde(default)]
     pub picture: PictureRule,
-    /// Name of the output, 1 × 2 × height × width: right and down, in pixels of the input.
+    /// Name of the output, 1 × 2 × height × width: flow to the right and down, in pixels of the input.
     pub output: String,
-    /// Name of an output of the flow's confidence, 0 to 1, 1 × 1 × height × width, where there is one.
+    /// Name of the confidence output, 0 to 1, 1 × 1 × height × width, if there is one.
     #[serde(default)]
     pub confidence: Option<String>,
 }
 
-/// That of a pointmap network's encoder: each frame is encoded once.
+/// Contract of a pointmap network's encoder; each frame is encoded once.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PointmapEncoderContract {
     /// [`VERSION`].
     pub version: u32,
-    /// Name of the input, 1 × 3 × height × width. Where `picture` has a size that lies on its side, frames that
-    /// stand upright are transposed.
+    /// Name of the input, 1 × 3 × height × width. Where `picture` has a landscape size, portrait frames are
+    /// transposed.
     pub input: String,
-    /// How the picture is made.
+    /// How the input image is prepared.
     #[serde(default)]
     pub picture: PictureRule,
-    /// Name of the output, what the decoder takes, of any shape.
+    /// Name of the output, which is passed to the decoder, of any shape.
     pub output: String,
 }
 
-/// That of a pointmap network's decoder, as DUSt3R's (Wang et al. 2024) and MonST3R's.
+/// Contract of a pointmap network's decoder, such as DUSt3R's (Wang et al. 2024) and MonST3R's.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PointmapDecoderContract {
     /// [`VERSION`].
     pub version: u32,
-    /// Names of the inputs, the encoder's output for each of the two pictures.
+    /// Names of the inputs: the encoder's output for each of the two images.
     pub inputs: [String; 2],
-    /// Names of the outputs of points, each 1 × height × width × 3: what each pixel of a picture shows, x right,
-    /// y down, z forward in the camera of the first, in a unit of the pair's own.
+    /// Names of the point outputs, each 1 × height × width × 3: the point at each pixel of an image, x
+    /// right, y down, z forward in the camera frame of the first image, in a unit specific to the pair.
     pub points: [String; 2],
-    /// Names of the outputs of how far each point is to be believed, each 1 × height × width, 1 or more.
+    /// Names of the confidence outputs for the points, each 1 × height × width, 1 or more.
     pub confidence: [String; 2],
 }
 
-/// That of a mask network's encoder, as that of SAM 2 (Ravi et al. 2024): each frame is encoded once.
+/// Contract of a mask network's encoder, such as that of SAM 2 (Ravi et al. 2024); each frame is encoded
+/// once.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MaskEncoderContract {
@@ -114,36 +115,36 @@ pub struct MaskEncoderContract {
     pub version: u32,
     /// Name of the input, 1 × 3 × height × width.
     pub input: String,
-    /// How the picture is made; it has a size.
+    /// How the input image is prepared; it must have a size.
     pub picture: PictureRule,
-    /// Names of the outputs, what the decoder takes, of any shape.
+    /// Names of the outputs, which are passed to the decoder, of any shape.
     pub outputs: Vec<String>,
 }
 
-/// That of a mask network's decoder.
+/// Contract of a mask network's decoder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MaskDecoderContract {
     /// [`VERSION`].
     pub version: u32,
-    /// Names of the inputs of what the encoder gives, in its outputs' order.
+    /// Names of the inputs for the encoder's outputs, in the same order.
     pub features: Vec<String>,
-    /// Name of the input of prompts, 1 × prompts × 2: x and y in pixels of the encoder's picture.
+    /// Name of the input of prompts, 1 × prompts × 2: x and y in pixels of the encoder's input image.
     pub points: String,
-    /// Name of the input of what the prompts are, 1 × prompts: 1 a point of the thing, 0 one beside it, 2 and 3 the
-    /// first and the last corner of a box.
+    /// Name of the input of the prompts' labels, 1 × prompts: 1 for a point on the object, 0 for one on the
+    /// background, 2 and 3 for the first and the last corner of a box.
     pub labels: String,
-    /// Name of the input of a mask to begin with, 1 × 1 × height × width, log odds.
+    /// Name of the input of an initial mask, 1 × 1 × height × width, log odds.
     pub mask_input: String,
-    /// Name of the input that says whether there is one, 1 value: 1 or 0.
+    /// Name of the input that indicates whether there is an initial mask, 1 value: 1 or 0.
     pub has_mask: String,
-    /// Name of the output of masks, 1 × masks × height × width, log odds, of the size of `mask_input`.
+    /// Name of the output of masks, 1 × masks × height × width, log odds, at the size of `mask_input`.
     pub masks: String,
-    /// Name of the output of how good each mask is, 1 × masks.
+    /// Name of the output of each mask's estimated quality, 1 × masks.
     pub scores: String,
 }
 
-/// That of a network for features, as XFeat (Potje et al. 2024).
+/// Contract of a keypoint network, such as XFeat (Potje et al. 2024).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FeaturesContract {
@@ -151,18 +152,18 @@ pub struct FeaturesContract {
     pub version: u32,
     /// Name of the input, 1 × 3 × height × width.
     pub input: String,
-    /// How the picture is made.
+    /// How the input image is prepared.
     #[serde(default)]
     pub picture: PictureRule,
-    /// Name of the output of descriptors, 1 × values × rows × columns, each of length 1.
+    /// Name of the output of descriptors, 1 × values × rows × columns, each of unit length.
     pub descriptors: String,
-    /// Name of the output of how likely a pixel is a keypoint, 1 × 1 × height × width, 0 to 1.
+    /// Name of the output of keypoint probabilities per pixel, 1 × 1 × height × width, 0 to 1.
     pub keypoints: String,
-    /// Name of the output of how far descriptors are to be believed, 1 × 1 × rows × columns, 0 to 1.
+    /// Name of the output of the descriptors' reliability, 1 × 1 × rows × columns, 0 to 1.
     pub reliability: String,
 }
 
-/// That of a network for LPIPS (Zhang et al. 2018), the learned perceptual distance of two pictures.
+/// Contract of an LPIPS network (Zhang et al. 2018), the learned perceptual distance between two images.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LpipsContract {
@@ -170,45 +171,46 @@ pub struct LpipsContract {
     pub version: u32,
     /// Names of the inputs, each 1 × 3 × height × width.
     pub inputs: [String; 2],
-    /// How the pictures are made; LPIPS takes values from −1 to 1.
+    /// How the input images are prepared; LPIPS takes values from −1 to 1.
     #[serde(default)]
     pub picture: PictureRule,
     /// Name of the output, 1 × 1 × 1 × 1.
     pub output: String,
-    /// The features that are compared, which figures are given with: `alex`, `vgg`, `squeeze`.
+    /// The feature network, which is reported with the results: `alex`, `vgg`, `squeeze`.
     pub net: String,
 }
 
-/// How a picture is made for a network: scaled, brought to sides that it takes, normalised.
+/// Preparation of a network's input image: scaling, fitting to permitted sides, normalisation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PictureRule {
-    /// Both sides are multiples of this.
+    /// Both sides must be multiples of this.
     pub multiple: u32,
-    /// The shorter side is scaled to so many pixels; 0: it keeps its size.
+    /// Length that the shorter side is scaled to, pixels; 0 keeps the size.
     pub shorter: u32,
-    /// Width and height of every picture, in place of `multiple` and `shorter`; 0: it is theirs to say.
+    /// Fixed width and height of the input image, in place of `multiple` and `shorter`; 0 for a variable
+    /// size.
     pub size: [u32; 2],
-    /// How pictures come to these sides.
+    /// How images are fitted to these sides.
     pub fit: Fit,
-    /// What white is, before `mean` and `deviation`: 1 or 255.
+    /// Value of white before `mean` and `deviation`: 1 or 255.
     pub white: f32,
-    /// Is taken off red, green and blue.
+    /// Subtracted from red, green and blue.
     pub mean: [f32; 3],
-    /// Then divides them.
+    /// Divides them after the subtraction.
     pub deviation: [f32; 3],
 }
 
-/// How a picture comes to sides that are told, or are multiples of a number.
+/// How an image is fitted to fixed sides, or to multiples of a number.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Fit {
-    /// It is scaled to them, to the nearest multiples.
+    /// The image is scaled to the sides, or to the nearest multiples.
     #[default]
     Stretch,
-    /// Its last row and column are repeated to the right and below.
+    /// The last row and column are repeated to the right and below.
     Pad,
-    /// As much is cut off on both sides.
+    /// Equal margins are cropped on both sides.
     Crop,
 }
 
@@ -226,18 +228,18 @@ impl Default for PictureRule {
     }
 }
 
-/// Sides of a network's picture, at most.
+/// Maximum side of a network's input image, pixels.
 const LARGEST: u32 = 8192;
 
 impl Contract {
     /// The contract in a model's metadata, else `given`, checked against the model.
     ///
     /// # Errors
-    /// None in either place, one that is no contract of this version, inputs and outputs that the model does not
-    /// have or that hold something else.
+    /// There is no contract in either place, it is not of this version, or its inputs and outputs are
+    /// missing in the model or have another type or shape.
     pub(super) fn of(session: &Session, file: &Path, given: Option<&Contract>) -> Result<Contract> {
         let told = session.metadata().ok().and_then(|metadata| metadata.custom(METADATA_KEY));
-        // The runtime takes an absent key for an empty one.
+        // The runtime reports an absent key as an empty value.
         let told = told.filter(|told| !told.is_empty());
         let contract = match (told, given) {
             (Some(told), _) => serde_json::from_str(&told).map_err(|error| {
@@ -260,7 +262,7 @@ impl Contract {
         Ok(contract)
     }
 
-    /// The name of what it computes.
+    /// Name of the contract's kind.
     pub fn kind(&self) -> &'static str {
         match self {
             Contract::Depth(_) => "depth",
@@ -299,7 +301,7 @@ impl Contract {
         }
     }
 
-    /// That a model has the inputs and outputs of the contract, and no other inputs.
+    /// Checks that a model has the inputs and outputs of the contract, and no other inputs.
     fn check_model(&self, session: &Session) -> std::result::Result<(), String> {
         let (inputs, outputs): (Vec<Named>, Vec<Named>) = match self {
             Contract::Depth(c) => (vec![(&c.input, PICTURE)], vec![(&c.output, PLANE)]),
@@ -384,10 +386,10 @@ impl PictureRule {
     }
 }
 
-/// A tensor's axes: how long each is, or what it is called where that is known only when it runs.
+/// The axes of a tensor: a fixed length, or a name for a length that is known only at run time.
 type Shape = &'static [Axis];
 
-/// A tensor's name and the shapes that it may have.
+/// Name of a tensor and its permitted shapes.
 type Named<'a> = (&'a str, &'static [Shape]);
 
 /// An axis of a tensor.
@@ -404,7 +406,7 @@ const PICTURE: &[Shape] = &[&[Long(1), Long(3), ROWS, COLUMNS]];
 const VECTORS: &[Shape] = &[&[Long(1), Long(2), ROWS, COLUMNS]];
 const PLANE_ALONE: &[Shape] = &[&[Long(1), ROWS, COLUMNS]];
 const PLANE_WITH_CHANNEL: &[Shape] = &[&[Long(1), Long(1), ROWS, COLUMNS]];
-/// A single channel may have no axis of its own.
+/// A single-channel tensor may omit the channel axis.
 const PLANE: &[Shape] = &[&[Long(1), Long(1), ROWS, COLUMNS], &[Long(1), ROWS, COLUMNS]];
 const POINTS: &[Shape] = &[&[Long(1), ROWS, COLUMNS, Long(3)]];
 const PROMPTS: &[Shape] = &[&[Long(1), Called("prompts"), Long(2)]];
@@ -412,10 +414,10 @@ const LABELS: &[Shape] = &[&[Long(1), Called("one each")]];
 const MASKS: &[Shape] = &[&[Long(1), Called("masks"), ROWS, COLUMNS]];
 const DESCRIPTORS: &[Shape] = &[&[Long(1), Called("values"), Called("rows"), Called("columns")]];
 const ONE: &[Shape] = &[&[Long(1)]];
-/// What only another model reads.
+/// A tensor that only another model reads may have any shape.
 const ANY: &[Shape] = &[];
 
-/// That there is a tensor of this name, of floats, of one of the shapes.
+/// Checks that there is a float tensor of this name with one of the shapes.
 fn has(
     all: &[Outlet],
     name: &str,
@@ -442,7 +444,7 @@ fn has(
         ));
     };
     let (shape, element) = (found.dtype().tensor_shape(), found.dtype().tensor_type());
-    // −1: known when it runs.
+    // −1 means that the length is known only at run time.
     let is = |(known, axis): (&i64, &Axis)| match axis {
         Long(wanted) => *known == -1 || *known == *wanted as i64,
         Called(_) => true,

@@ -1,4 +1,4 @@
-//! Networks that estimate depth from one picture.
+//! Networks that estimate depth from one image.
 
 use std::path::Path;
 
@@ -9,14 +9,14 @@ use crate::Result;
 use crate::observe::EstimatedDepth;
 use crate::types::Image;
 
-/// A network that estimates depth from one picture.
+/// A network that estimates depth from one image.
 pub struct DepthNetwork {
     network: Network,
     contract: DepthContract,
 }
 
 impl DepthNetwork {
-    /// A model whose contract is one for depth.
+    /// Makes the network from a model with a depth contract.
     pub(super) fn new((network, contract): (Network, Contract)) -> Result<DepthNetwork> {
         match contract {
             Contract::Depth(contract) => Ok(DepthNetwork { network, contract }),
@@ -24,10 +24,10 @@ impl DepthNetwork {
         }
     }
 
-    /// The depth of a frame, one channel at its size, as [`DepthNetwork::contract`] says what it holds.
+    /// Depth of a frame, one channel at its size; [`DepthNetwork::contract`] gives its meaning.
     ///
     /// # Errors
-    /// A frame without three channels; the network fails, or says something else than its contract.
+    /// A frame without three channels; the network fails, or its output violates its contract.
     pub fn depth(&mut self, frame: &Image) -> Result<Image> {
         check_frame(frame)?;
         let DepthContract { input, picture: rule, output, .. } = &self.contract;
@@ -40,7 +40,7 @@ impl DepthNetwork {
         Ok(layout.nearest(&planes.values, planes.size))
     }
 
-    /// The depth of all frames; `progress` is called with the share done.
+    /// Depth of all frames; `progress` is called with the share done.
     ///
     /// # Errors
     /// Those of [`DepthNetwork::depth`] and of `progress`.
@@ -57,12 +57,12 @@ impl DepthNetwork {
         Ok(EstimatedDepth { maps, kind: self.contract.holds, confidence: None })
     }
 
-    /// The file of the network.
+    /// The network's file.
     pub fn file(&self) -> &Path {
         &self.network.file
     }
 
-    /// What the network says of itself.
+    /// The network's contract.
     pub fn contract(&self) -> &DepthContract {
         &self.contract
     }

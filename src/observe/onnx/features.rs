@@ -1,4 +1,4 @@
-//! Networks that find points in a picture and describe them, as XFeat (Potje et al. 2024).
+//! Networks that detect and describe keypoints, such as XFeat (Potje et al. 2024).
 
 use std::path::Path;
 
@@ -13,25 +13,25 @@ use crate::Result;
 use crate::observe::features::{FeatureSource, Features, Rule};
 use crate::types::Image;
 
-/// A point is the most likely one so many pixels to each side.
+/// Radius of non-maximum suppression, pixels.
 const APART: usize = 2;
-/// Less likely points are none.
+/// Minimum keypoint probability.
 const LIKELY: f32 = 0.05;
-/// Most points of a frame.
+/// Maximum number of keypoints per frame.
 const POINTS: usize = 2000;
-/// Points whose descriptors have a smaller inner product are not the same: XFeat's authors take it.
+/// Minimum inner product of matching descriptors; the value of XFeat's authors.
 const ALIKE: f32 = 0.82;
-/// A point is off by so many pixels of the network's picture along each axis.
+/// Standard deviation of a keypoint along each axis, pixels of the network's input image.
 const NOISE: f32 = 1.0;
 
-/// A network that finds points in a picture and describes them.
+/// A network that detects and describes keypoints.
 pub struct FeaturesNetwork {
     network: Network,
     contract: FeaturesContract,
 }
 
 impl FeaturesNetwork {
-    /// A model whose contract is one for features.
+    /// Makes the network from a model with a feature contract.
     pub(super) fn new((network, contract): (Network, Contract)) -> Result<FeaturesNetwork> {
         match contract {
             Contract::Features(contract) => Ok(FeaturesNetwork { network, contract }),
@@ -39,21 +39,20 @@ impl FeaturesNetwork {
         }
     }
 
-    /// The file of the network.
+    /// The network's file.
     pub fn file(&self) -> &Path {
         &self.network.file
     }
 
-    /// What the network says of itself.
+    /// The network's contract.
     pub fn contract(&self) -> &FeaturesContract {
         &self.contract
     }
 
-    /// The points of a frame that are most likely found again.
+    /// The most probable keypoints of a frame with their descriptors.
     ///
     /// # Errors
-    /// A frame without three channels; the network fails, says something else than its contract, or gives what is not
-    /// finite.
+    /// A frame without three channels; the network fails, its output violates its contract, or is not finite.
     pub fn features(&mut self, frame: &Image) -> Result<Features> {
         check_frame(frame)?;
         let FeaturesContract { input, picture: rule, descriptors, keypoints, reliability, .. } =
@@ -74,7 +73,8 @@ impl FeaturesNetwork {
         let described = channels(described);
         let (mut pixels, mut descriptors) = (Vec::new(), Vec::new());
         for at in peaks(likely, &channels(reliable)[0]) {
-            // Both are sampled where the point lies in the picture, whatever the size of their own cells.
+            // Both maps are sampled at the point's relative position in the input image, whatever their
+            // resolution.
             let share = at / DVec2::new(f64::from(likely.size.0), f64::from(likely.size.1));
             let picture = DVec2::new(f64::from(layout.picture.0), f64::from(layout.picture.1));
             let pixel = placement.corner + placement.scale * share * picture;
@@ -97,7 +97,7 @@ impl FeatureSource for FeaturesNetwork {
     }
 }
 
-/// The places of the most likely points in the plane of likelihoods, the best ones first.
+/// Positions of the most probable keypoints, best first.
 fn peaks(likely: &Planes, reliable: &Image) -> Vec<DVec2> {
     let (width, height) = (likely.size.0 as usize, likely.size.1 as usize);
     let at = |x: usize, y: usize| likely.values[y * width + x];
@@ -126,7 +126,7 @@ fn peaks(likely: &Planes, reliable: &Image) -> Vec<DVec2> {
     found.into_iter().take(POINTS).map(|(_, at)| at).collect()
 }
 
-/// Where the peak of a parabola through a pixel and its neighbours lies, beside the pixel's centre.
+/// Sub-pixel offset of the peak from the pixel's centre, by a parabola through its neighbours.
 fn within(likely: &Planes, x: usize, y: usize) -> DVec2 {
     let (width, height) = (likely.size.0 as usize, likely.size.1 as usize);
     if x == 0 || y == 0 || x + 1 == width || y + 1 == height {
@@ -143,19 +143,19 @@ fn within(likely: &Planes, x: usize, y: usize) -> DVec2 {
     )
 }
 
-/// The channels of an output, each by itself.
+/// The channels of an output as separate images.
 fn channels(planes: &Planes) -> Vec<Image> {
     let (width, height) = planes.size;
     let one = |plane: &[f32]| Image { width, height, channels: 1, pixels: plane.to_vec() };
     planes.values.chunks_exact(width as usize * height as usize).map(one).collect()
 }
 
-/// A channel at a place that is a share of its sides.
+/// Samples a channel at a position given as a share of its sides.
 fn sampled(channel: &Image, share: DVec2) -> f32 {
     channel.between(share.x * f64::from(channel.width), share.y * f64::from(channel.height))
 }
 
-/// What describes a place, of length 1.
+/// The descriptor at a position, scaled to unit length.
 fn described_at(channels: &[Image], share: DVec2) -> Vec<f32> {
     let mut values: Vec<f32> = channels.iter().map(|channel| sampled(channel, share)).collect();
     let length = values.iter().map(|v| v * v).sum::<f32>().sqrt().max(f32::MIN_POSITIVE);

@@ -1,4 +1,4 @@
-//! Networks that estimate flow from one picture to another.
+//! Networks that estimate optical flow from one image to another.
 
 use std::path::Path;
 
@@ -10,14 +10,14 @@ use crate::observe::flow::neighbours;
 use crate::observe::{FlowPair, FlowSource};
 use crate::types::Image;
 
-/// A network that estimates flow from one picture to another.
+/// A network that estimates optical flow from one image to another.
 pub struct FlowNetwork {
     network: Network,
     contract: FlowContract,
 }
 
 impl FlowNetwork {
-    /// A model whose contract is one for flow.
+    /// Makes the network from a model with a flow contract.
     pub(super) fn new((network, contract): (Network, Contract)) -> Result<FlowNetwork> {
         match contract {
             Contract::Flow(contract) => Ok(FlowNetwork { network, contract }),
@@ -25,22 +25,22 @@ impl FlowNetwork {
         }
     }
 
-    /// The file of the network.
+    /// The network's file.
     pub fn file(&self) -> &Path {
         &self.network.file
     }
 
-    /// What the network says of itself.
+    /// The network's contract.
     pub fn contract(&self) -> &FlowContract {
         &self.contract
     }
 
-    /// Flow from one frame to another in pixels of the frames, two channels, and its confidence where the network
-    /// tells one.
+    /// Flow from one frame to another in pixels of the frames, two channels, and its confidence where the
+    /// network gives one.
     ///
     /// # Errors
-    /// Frames of different size or without three channels; the network fails, says something else than its
-    /// contract, or gives flow that is not finite.
+    /// Frames of different sizes or without three channels; the network fails, its output violates its
+    /// contract, or the flow is not finite.
     pub fn flow(&mut self, from: &Image, to: &Image) -> Result<(Image, Option<Image>)> {
         check_pair("flow leads between frames", from, to)?;
         let FlowContract { inputs, picture: rule, output, confidence, .. } = &self.contract;
@@ -71,7 +71,7 @@ impl FlowNetwork {
         Ok((flow, confidence))
     }
 
-    /// The flow of a clip.
+    /// A flow source for a clip.
     pub fn source<'a>(&'a mut self, frames: &'a [Image]) -> impl FlowSource + 'a {
         NetworkFlow { network: self, frames }
     }

@@ -1,4 +1,4 @@
-//! Networks that tell how different two pictures look.
+//! Networks for LPIPS, the perceptual distance between two images.
 
 use std::path::Path;
 
@@ -9,17 +9,17 @@ use super::runtime::Runtime;
 use crate::Result;
 use crate::types::Image;
 
-/// A network that tells how different two pictures look: LPIPS.
+/// An LPIPS network, which measures the perceptual distance between two images.
 pub struct LpipsNetwork {
     network: Network,
     contract: LpipsContract,
 }
 
 impl LpipsNetwork {
-    /// Opens a model's file, which belongs to no folder of models: it measures, and reconstructs nothing.
+    /// Opens a model file. It does not belong to a model folder, because it is only used for evaluation.
     ///
     /// # Errors
-    /// A model that does not load, or whose metadata holds no contract for LPIPS.
+    /// A model that does not load, or whose metadata has no LPIPS contract.
     pub fn open(runtime: &Runtime, file: &Path) -> Result<LpipsNetwork> {
         let (network, contract) = Network::open(runtime, file, None)?;
         match contract {
@@ -28,16 +28,16 @@ impl LpipsNetwork {
         }
     }
 
-    /// What the network says of itself.
+    /// The network's contract.
     pub fn contract(&self) -> &LpipsContract {
         &self.contract
     }
 
-    /// The distance of two pictures, RGB in [0, 1]; 0 for equal ones. What lies outside [0, 1] is clamped.
+    /// The distance between two images, RGB in [0, 1]; 0 for equal ones. Values outside [0, 1] are clamped.
     ///
     /// # Errors
-    /// Pictures of different size or without three channels; the network fails, as it does on pictures that are
-    /// too small for its features, or says something else than its contract.
+    /// Images of different sizes or without three channels; the network fails, as it does on images that
+    /// are too small for its features, or its output violates its contract.
     pub fn distance(&mut self, first: &Image, second: &Image) -> Result<f64> {
         check_pair("a distance is that of pictures", first, second)?;
         let LpipsContract { inputs, picture: rule, output, .. } = &self.contract;

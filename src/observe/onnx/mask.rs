@@ -1,4 +1,4 @@
-//! Networks that draw masks of what points tell, as SAM 2: an encoder of the picture and a decoder.
+//! Networks that segment objects from point prompts, such as SAM 2: an image encoder and a decoder.
 
 use std::path::Path;
 
@@ -9,18 +9,18 @@ use crate::observe::{FoundMask, MaskQuery, MaskSource};
 use crate::types::Image;
 use crate::{Error, Result};
 
-/// A network that draws masks of what points tell.
+/// A network that segments objects from point prompts.
 pub struct MaskNetwork {
     encoder: Network,
     decoder: Network,
     encoding: MaskEncoderContract,
     decoding: MaskDecoderContract,
-    /// Width and height of the masks that the decoder takes and gives.
+    /// Width and height of the decoder's input and output masks.
     mask: (u32, u32),
 }
 
 impl MaskNetwork {
-    /// Models whose contracts are those of an encoder and a decoder.
+    /// Makes the network from models with the contracts of a mask encoder and a mask decoder.
     pub(super) fn new(
         (encoder, encoding): (Network, Contract),
         (decoder, decoding): (Network, Contract),
@@ -44,7 +44,7 @@ impl MaskNetwork {
             );
             return Err(Error::format(&decoder.file, what));
         }
-        // Where the model leaves the sides of its masks open, they are the picture's.
+        // Where the model does not fix the sides of its masks, they are those of the input image.
         let [width, height] = encoding.picture.size;
         let told = decoder.input_shape(&decoding.mask_input);
         let side = |axis: usize, picture: u32| match told.get(axis) {
@@ -60,21 +60,21 @@ impl MaskNetwork {
         &self.decoder.file
     }
 
-    /// What the encoder says of itself.
+    /// The encoder's contract.
     pub fn encoder(&self) -> &MaskEncoderContract {
         &self.encoding
     }
 
-    /// What the decoder says of itself.
+    /// The decoder's contract.
     pub fn decoder(&self) -> &MaskDecoderContract {
         &self.decoding
     }
 
-    /// The masks of each thing that is asked for in a frame, which is encoded once for all of them.
+    /// Masks of each queried object in a frame, which is encoded once for all of them.
     ///
     /// # Errors
-    /// A frame without three channels, a thing without points, a mask to begin with of another size than the
-    /// frame; a network fails, says something else than its contract, or gives what is not finite.
+    /// A frame without three channels, a query without points, an initial mask whose size differs from the
+    /// frame's; a network fails, its output violates its contract, or is not finite.
     pub fn ask(&mut self, frame: &Image, asked: &[MaskQuery]) -> Result<Vec<Vec<FoundMask>>> {
         check_frame(frame)?;
         asked.iter().try_for_each(|query| check_query(frame, query))?;
@@ -90,7 +90,7 @@ impl MaskNetwork {
         asked.iter().map(|query| self.decode(&layout, &features, query)).collect()
     }
 
-    /// The masks of a thing.
+    /// Masks of one object.
     fn decode(
         &mut self,
         layout: &Layout,
@@ -129,7 +129,7 @@ impl MaskNetwork {
         self.taken(layout, masks, scores)
     }
 
-    /// What came out, as masks of the frame.
+    /// Converts the decoder's outputs to masks of the frame.
     fn taken(&self, layout: &Layout, masks: &Tensor, scores: &Tensor) -> Result<Vec<FoundMask>> {
         let names = &self.decoding;
         let (width, height) = self.mask;
@@ -170,7 +170,7 @@ impl MaskSource for MaskNetwork {
     }
 }
 
-/// That a thing can be asked for.
+/// Checks a query.
 fn check_query(frame: &Image, query: &MaskQuery) -> Result<()> {
     if query.prompts.is_empty() {
         return Err(Error::Input("a mask is asked for without points; give one at least".into()));

@@ -1,7 +1,7 @@
-//! Networks that the user has, run through the ONNX Runtime: for depth, flow, masks, pointmaps and features, and for
-//! LPIPS, which measures pictures.
+//! User-supplied networks, run through the ONNX Runtime: for depth, flow, masks, pointmaps and features,
+//! and for LPIPS, which evaluates images.
 //!
-//! A folder holds the models and `models.toml`, which says what each is for:
+//! A folder contains the models and `models.toml`, which lists the purpose of each:
 //!
 //! ```toml
 //! [depth]
@@ -37,15 +37,15 @@
 //! file = "xfeat.onnx"
 //! ```
 //!
-//! A network for LPIPS is no part of such a folder: [`LpipsNetwork::open`] takes its file.
+//! An LPIPS network is not part of such a folder: [`LpipsNetwork::open`] takes its file.
 //!
 //! | module | what it holds |
 //! |---|---|
-//! | [`contract`] | what a model says of itself, held against what it is |
+//! | [`contract`] | a model's contract, checked against the model |
 //! | `depth`, `features`, `flow`, `mask`, `pointmap`, `lpips` | networks of each kind |
 //! | `network` | a loaded model: named tensors in, named tensors out |
-//! | `picture` | a frame as a network takes it, and the way back |
-//! | [`runtime`] | the runtime's library, found and loaded |
+//! | `picture` | conversion between a frame and a network's input image |
+//! | [`runtime`] | finding and loading the runtime's library |
 
 pub mod contract;
 mod depth;
@@ -73,10 +73,10 @@ use network::Network;
 pub use pointmap::PointmapNetwork;
 pub use runtime::{Provider, Runtime, RuntimeOptions};
 
-/// The file in a folder of models that says what each is for.
+/// The file in a model folder that lists the purpose of each model.
 pub const LIST: &str = "models.toml";
 
-/// What [`LIST`] says: a model for each purpose.
+/// Contents of [`LIST`]: a model for each purpose.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct List {
@@ -125,17 +125,17 @@ impl List {
     }
 }
 
-/// The networks of a folder, one for each purpose at most.
+/// The networks of a folder, at most one for each purpose.
 pub struct Models {
     /// Estimates depth.
     pub depth: Option<DepthNetwork>,
-    /// Estimates flow.
+    /// Estimates optical flow.
     pub flow: Option<FlowNetwork>,
-    /// Draws masks.
+    /// Segments objects from point prompts.
     pub masks: Option<MaskNetwork>,
-    /// Tells the points that pairs of pictures show.
+    /// Estimates pointmaps of pairs of images.
     pub pointmaps: Option<PointmapNetwork>,
-    /// Finds points in a picture and describes them.
+    /// Detects and describes keypoints.
     pub features: Option<FeaturesNetwork>,
 }
 
@@ -143,8 +143,9 @@ impl Models {
     /// Opens the models that a folder's [`LIST`] names.
     ///
     /// # Errors
-    /// No such file, one that is no list or names an unknown purpose or a file outside the folder, a model that
-    /// does not load, one that is of another kind than it is listed for, one of an encoder and a decoder.
+    /// There is no [`LIST`], or it is malformed or names an unknown purpose or a file outside the folder; a
+    /// model does not load or has another kind than listed; an encoder is without its decoder, or the
+    /// reverse.
     pub fn open(runtime: &Runtime, folder: &Path) -> Result<Models> {
         let list = List::read(folder)?;
         let open = |Entry { file, contract }: Entry| {
@@ -171,7 +172,7 @@ impl Models {
     /// The files that [`Models::open`] reads.
     ///
     /// # Errors
-    /// As [`Models::open`] for the list itself.
+    /// Those of [`Models::open`] for the list.
     pub fn files(folder: &Path) -> Result<Vec<PathBuf>> {
         let list = List::read(folder)?;
         let models = list.entries().map(|entry| folder.join(&entry.file));
@@ -179,7 +180,7 @@ impl Models {
     }
 }
 
-/// An encoder and its decoder, of which neither goes without the other.
+/// An encoder and its decoder; it is an error if only one of them is given.
 fn both(
     folder: &Path,
     what: &str,

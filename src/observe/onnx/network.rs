@@ -16,14 +16,14 @@ pub(super) struct Network {
     pub file: PathBuf,
 }
 
-/// What a model takes or gives: values of a shape, the last axis the innermost.
+/// An input or output of a model: values and a shape, with the last axis innermost.
 #[derive(Clone, Debug)]
 pub(super) struct Tensor {
     pub shape: Vec<usize>,
     pub values: Vec<f32>,
 }
 
-/// An output that is a picture: its channels one after the other.
+/// An image output: its channels one after the other.
 pub(super) struct Planes {
     pub values: Vec<f32>,
     pub channels: usize,
@@ -31,7 +31,7 @@ pub(super) struct Planes {
 }
 
 impl Tensor {
-    /// Three channels of a picture, as [`super::picture::Layout::picture`] makes it.
+    /// A three-channel input image, as [`super::picture::Layout::picture`] makes it.
     pub fn of_picture((width, height): (u32, u32), values: Vec<f32>) -> Tensor {
         Tensor { shape: vec![1, 3, height as usize, width as usize], values }
     }
@@ -41,7 +41,7 @@ impl Network {
     /// Loads a model. `given` is its contract where its metadata has none.
     ///
     /// # Errors
-    /// A file that cannot be read or that is no model, a contract that is absent or does not hold.
+    /// A file that cannot be read or is not a model; a contract that is absent or does not match the model.
     pub fn open(
         runtime: &Runtime,
         file: &Path,
@@ -52,8 +52,7 @@ impl Network {
         Ok((Network { session, file: file.to_owned() }, contract))
     }
 
-    /// Runs it on inputs by name, and returns the outputs of these names. `what` it runs on is told where it
-    /// fails.
+    /// Runs the model on named inputs and returns the named outputs. Error messages mention `what` it ran on.
     pub fn run(
         &mut self,
         inputs: &[(&str, &Tensor)],
@@ -82,7 +81,7 @@ impl Network {
             .collect()
     }
 
-    /// Runs it on pictures of a size, and returns outputs that are pictures, too.
+    /// Runs the model on images of one size and returns image outputs.
     pub fn run_pictures(
         &mut self,
         inputs: Vec<(&str, Vec<f32>)>,
@@ -96,10 +95,10 @@ impl Network {
         found.into_iter().zip(outputs).map(|(one, name)| self.planes(one, name)).collect()
     }
 
-    /// An output as a picture.
+    /// Converts an output to an image.
     ///
     /// # Errors
-    /// It is none.
+    /// The output does not have the shape of an image.
     fn planes(&self, Tensor { shape, values }: Tensor, name: &str) -> Result<Planes> {
         let (channels, height, width) = match shape[..] {
             [1, c, h, w] if c > 0 && h > 0 && w > 0 => (c, h, w),
@@ -112,7 +111,7 @@ impl Network {
         Ok(Planes { values, channels, size: (width as u32, height as u32) })
     }
 
-    /// That an output has so many channels.
+    /// Checks an output's number of channels.
     pub fn check_channels(&self, planes: &Planes, channels: usize, name: &str) -> Result<()> {
         if planes.channels != channels {
             let what = format!("has {} channels, not {channels}", planes.channels);
@@ -121,7 +120,7 @@ impl Network {
         Ok(())
     }
 
-    /// That an output of pictures of a size has no value that is infinite or no number.
+    /// Checks that the output for images of a size has only finite values.
     pub fn check_finite(
         &self,
         values: &[f32],
@@ -140,26 +139,26 @@ impl Network {
         Ok(())
     }
 
-    /// Sides of an input as the model tells them, −1 where they are known only when it runs.
+    /// Lengths of an input's axes in the model, −1 where they are known only at run time.
     pub fn input_shape(&self, name: &str) -> Vec<i64> {
         let input = self.session.inputs().iter().find(|input| input.name() == name);
         let shape = input.and_then(|input| input.dtype().tensor_shape());
         shape.map_or(Vec::new(), |shape| shape.iter().copied().collect())
     }
 
-    /// That an output is not what its contract says.
+    /// The error for an output that violates the contract.
     pub fn wrong(&self, output: &str, what: &str) -> Error {
         Error::format(&self.file, format!("its output `{output}` {what}"))
     }
 
-    /// That the model is listed for what it does not compute.
+    /// The error for a model that is listed for another purpose.
     pub fn listed_for(&self, purpose: &str, contract: &Contract) -> Error {
         let what = format!("is listed for {purpose}, and computes {}", contract.kind());
         Error::format(&self.file, what)
     }
 }
 
-/// That a frame is one that a network takes.
+/// Checks that a frame is a valid network input.
 pub(super) fn check_frame(frame: &Image) -> Result<()> {
     if frame.channels != 3 || frame.width == 0 || frame.height == 0 {
         return Err(Error::Input(format!(
@@ -170,7 +169,7 @@ pub(super) fn check_frame(frame: &Image) -> Result<()> {
     Ok(())
 }
 
-/// That two pictures are ones that a network takes, and of one size; `what` is asked of such.
+/// Checks that two images are valid network inputs of one size; `what` names the operation in the message.
 pub(super) fn check_pair(what: &str, from: &Image, to: &Image) -> Result<()> {
     check_frame(from)?;
     check_frame(to)?;

@@ -1,4 +1,4 @@
-//! A frame as a network takes it, and what the network says brought back to the frame.
+//! Conversion of a frame to a network's input image, and of the network's outputs back to the frame.
 
 use glam::DVec2;
 
@@ -7,20 +7,20 @@ use crate::data::images;
 use crate::observe::pointmaps::Placement;
 use crate::types::Image;
 
-/// How a frame lies in a network's picture.
+/// Position of a frame within a network's input image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Layout {
     /// The frame's size.
     frame: (u32, u32),
     /// The size that the frame is scaled to.
     scaled: (u32, u32),
-    /// Which of its pixels is the picture's first.
+    /// The pixel of the scaled frame that is the input image's first.
     first: (u32, u32),
-    /// The picture's size.
+    /// Size of the input image.
     pub picture: (u32, u32),
 }
 
-/// An axis of a picture.
+/// An axis of an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Axis {
     /// To the right.
@@ -30,7 +30,7 @@ pub(super) enum Axis {
 }
 
 impl Layout {
-    /// By a network's rule, for frames of a size.
+    /// Layout by a network's rule, for frames of one size.
     pub fn new(rule: &PictureRule, (width, height): (u32, u32)) -> Layout {
         let sides = [f64::from(width), f64::from(height)];
         let told = (rule.size != [0; 2]).then_some(rule.size);
@@ -70,7 +70,7 @@ impl Layout {
         }
     }
 
-    /// A frame's picture: red, then green, then blue, row by row.
+    /// The input image of a frame: red, then green, then blue, row by row.
     pub fn picture(&self, rule: &PictureRule, frame: &Image) -> Vec<f32> {
         let scaled = images::resize(frame, self.scaled.0, self.scaled.1);
         let (width, height) = self.picture;
@@ -90,9 +90,9 @@ impl Layout {
         out
     }
 
-    /// What a network says of each pixel of the frame, by the nearest of its own pixels: the values on both
-    /// sides of an edge have no meaningful mean. `planes` are channels of `size` one after the other. Beyond what
-    /// was cut off the edge's values are repeated.
+    /// Resamples an output to the pixels of the frame by nearest neighbour, because values on both sides of
+    /// an edge have no meaningful mean. `planes` are channels of `size`, one after the other. In cropped
+    /// margins the edge values are repeated.
     pub fn nearest(&self, planes: &[f32], size: (u32, u32)) -> Image {
         let (width, height) = self.frame;
         let plane = size.0 as usize * size.1 as usize;
@@ -102,7 +102,7 @@ impl Layout {
             Axis::X => sides.0,
             Axis::Y => sides.1,
         };
-        // The place in the picture, then in the output, which may be coarser.
+        // Position in the input image, then in the output, which may be coarser.
         let place = |axis: Axis, i: u32| {
             let side = |sides| f64::from(along(axis, sides));
             let at =
@@ -121,8 +121,8 @@ impl Layout {
         out
     }
 
-    /// One channel of what a network says, `size` large, brought to the pixels of the frame, bilinear: for what
-    /// is smooth over the picture, as log odds are.
+    /// Resamples one channel of an output of size `size` to the pixels of the frame bilinearly; for values
+    /// that are smooth over the image, such as log odds.
     pub fn smooth(&self, plane: &[f32], size: (u32, u32)) -> Image {
         let plane = Image { width: size.0, height: size.1, channels: 1, pixels: plane.to_vec() };
         let place = |axis: Axis, i: u32, side: u32, picture: u32| {
@@ -140,8 +140,8 @@ impl Layout {
         out
     }
 
-    /// The way back: one channel of the frame, bilinear, at the pixels of a plane of `size` that covers the
-    /// picture. Beyond the frame its edge is repeated, as in the picture.
+    /// The inverse: resamples one channel of the frame bilinearly to a plane of `size` that covers the
+    /// input image. Outside the frame its edge is repeated, as in the input image.
     pub fn in_picture(&self, image: &Image, size: (u32, u32)) -> Vec<f32> {
         let place = |i: u32, side: u32, picture: u32, frame: u32, scaled: u32, first: u32| {
             let at = (f64::from(i) + 0.5) * f64::from(picture) / f64::from(side);
@@ -153,7 +153,7 @@ impl Layout {
         (0..size.1).flat_map(row).collect()
     }
 
-    /// A place in the frame as one in the picture.
+    /// Converts a position in the frame to one in the input image.
     pub fn picture_from_frame(&self, axis: Axis, at: f64) -> f64 {
         let (frame, scaled, first) = match axis {
             Axis::X => (self.frame.0, self.scaled.0, self.first.0),
@@ -162,7 +162,7 @@ impl Layout {
         at * f64::from(scaled) / f64::from(frame) - f64::from(first)
     }
 
-    /// How the picture lies in the frame.
+    /// Position of the input image within the frame.
     pub fn placement(&self) -> Placement {
         let pair = |(x, y): (u32, u32)| DVec2::new(x.into(), y.into());
         let scale = pair(self.frame) / pair(self.scaled);
@@ -174,7 +174,7 @@ impl Layout {
         }
     }
 
-    /// Pixels of the frame in a pixel of the picture, along both axes.
+    /// Frame pixels per pixel of the input image, along both axes.
     pub fn frame_from_picture(&self) -> [f32; 2] {
         let ratio = |frame: u32, scaled: u32| (f64::from(frame) / f64::from(scaled)) as f32;
         [ratio(self.frame.0, self.scaled.0), ratio(self.frame.1, self.scaled.1)]
@@ -225,7 +225,7 @@ mod tests {
         let layout = Layout::new(&rule, (7, 4));
         let picture = layout.picture(&rule, &frame);
         assert_eq!(picture[..4], [1.0, 2.0, 3.0, 4.0]);
-        // Beyond what was cut off the edge is repeated.
+        // In the cropped margins the edge is repeated.
         let back = layout.nearest(&picture[..16], layout.picture);
         let row: Vec<f32> = (0..7).map(|x| back.at(x, 2)[0]).collect();
         assert_eq!(row, [1.0, 1.0, 2.0, 3.0, 4.0, 4.0, 4.0]);
@@ -258,7 +258,7 @@ mod tests {
         for (fit, size) in [(Fit::Pad, (13, 9)), (Fit::Stretch, (13, 9)), (Fit::Stretch, (9, 13))] {
             let layout = Layout::new(&rule(4, 0, fit), size);
             let (w, h) = layout.picture;
-            // Each pixel says where it is in the picture.
+            // Each pixel encodes its position in the input image.
             let columns = (0..w * h).map(|i| (i % w) as f32 + 0.5);
             let rows = (0..w * h).map(|i| (i / w) as f32 + 0.5);
             let planes: Vec<f32> = columns.chain(rows).collect();
@@ -285,11 +285,12 @@ mod tests {
             }
             out
         };
-        // The frame lies in 64 × 32: stretched; 40 × 32 of it, with its edge repeated; 24 rows of 56 cut off.
+        // The frame in an input of 64 × 32: stretched; as 40 × 32 of it with its edge repeated; with 24
+        // rows of 56 cropped.
         for (fit, frame) in [(Fit::Stretch, (24, 30)), (Fit::Pad, (20, 16)), (Fit::Crop, (32, 44))]
         {
             let layout = Layout::new(&PictureRule { size: [64, 32], ..rule(1, 0, fit) }, frame);
-            // A plane four times as coarse as the picture.
+            // A plane four times as coarse as the input image.
             let size = (16, 8);
             let image = ramp(frame.0, frame.1, [1.0, 0.5]);
             let plane = layout.in_picture(&image, size);
@@ -299,7 +300,8 @@ mod tests {
                 for x in 0..frame.0 {
                     let at = |axis, i: u32| layout.picture_from_frame(axis, f64::from(i) + 0.5);
                     let (u, v) = (at(Axis::X, x), at(Axis::Y, y));
-                    // Edges are level by half of a coarse pixel, and by one more where the edge is repeated.
+                    // Near edges, values are constant over half a coarse pixel, and over one more where the
+                    // edge is repeated.
                     let inner = |at: f64, side: f64| at >= 2.0 && at <= side;
                     let sides = [0, 1].map(|k| {
                         let (scaled, picture) = (layout.scaled, layout.picture);
@@ -319,7 +321,7 @@ mod tests {
             }
             assert!(known > 80, "{fit:?}: {known}");
         }
-        // At its own size nothing is interpolated.
+        // At the same size nothing is interpolated.
         let layout = Layout::new(&PictureRule { size: [7, 5], ..rule(1, 0, Fit::Stretch) }, (7, 5));
         let image = ramp(7, 5, [0.3, -2.0]);
         assert_eq!(layout.in_picture(&image, (7, 5)), image.pixels);

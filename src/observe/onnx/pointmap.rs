@@ -1,4 +1,4 @@
-//! Networks that tell the points that two pictures show: an encoder of one picture, and a decoder of two.
+//! Pointmap networks: an encoder of one image, and a decoder of two.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -10,7 +10,7 @@ use crate::observe::pointmaps::{PairMaps, Placement, PointmapSource};
 use crate::types::Image;
 use crate::{Error, Result};
 
-/// A network for pointmaps.
+/// A pointmap network.
 pub struct PointmapNetwork {
     encoder: Network,
     decoder: Network,
@@ -19,7 +19,7 @@ pub struct PointmapNetwork {
 }
 
 impl PointmapNetwork {
-    /// Models whose contracts are those of an encoder and of a decoder.
+    /// Makes the network from models with the contracts of a pointmap encoder and decoder.
     pub(super) fn new(
         (encoder, encodes): (Network, Contract),
         (decoder, decodes): (Network, Contract),
@@ -40,10 +40,11 @@ impl PointmapNetwork {
         &self.decoder.file
     }
 
-    /// The pointmaps of a clip. Each frame is encoded once, and forgotten when no later pair needs it.
+    /// A pointmap source for a clip. Each frame is encoded once, and its tokens are dropped when no later
+    /// pair needs them.
     ///
     /// # Errors
-    /// No frames, frames of differing sizes or without three channels.
+    /// No frames, frames of different sizes or without three channels.
     pub fn source<'a>(&'a mut self, frames: &'a [Image]) -> Result<impl PointmapSource + 'a> {
         let Some(first) = frames.first() else {
             return Err(Error::Input("pointmaps are of frames, and there are none".into()));
@@ -64,7 +65,7 @@ impl PointmapNetwork {
         Ok(ClipMaps { network: self, frames, layout, transposes, tokens: HashMap::new() })
     }
 
-    /// What the decoder needs of a picture.
+    /// Encodes an input image.
     fn encode(&mut self, picture: Vec<f32>, size: (u32, u32)) -> Result<Tensor> {
         let PointmapEncoderContract { input, output, .. } = &self.encodes;
         let picture = Tensor::of_picture(size, picture);
@@ -73,7 +74,7 @@ impl PointmapNetwork {
         Ok(found.swap_remove(0))
     }
 
-    /// What two pictures show.
+    /// Decodes the pointmaps of two images.
     fn decode(&mut self, tokens: [&Tensor; 2], size: (u32, u32)) -> Result<PairMaps> {
         let PointmapDecoderContract { inputs, points, confidence, .. } = &self.decodes;
         let given = [(inputs[0].as_str(), tokens[0]), (inputs[1].as_str(), tokens[1])];
@@ -94,7 +95,7 @@ impl PointmapNetwork {
         Ok(PairMaps { points: [a, b], confidence: [c, d] })
     }
 
-    /// An output as a map of the picture.
+    /// Converts an output to a map of the input image.
     fn map(
         &self,
         Tensor { shape, values }: Tensor,
@@ -115,7 +116,7 @@ impl PointmapNetwork {
     }
 }
 
-/// Whether all pictures lie on their side.
+/// Whether the input image has a fixed landscape size.
 fn lies(rule: &PictureRule) -> bool {
     rule.size[0] > rule.size[1]
 }
@@ -131,15 +132,15 @@ fn transposed(image: &Image) -> Image {
     out
 }
 
-/// A network's pointmaps of a clip.
+/// A network's pointmap source for a clip.
 struct ClipMaps<'a> {
     network: &'a mut PointmapNetwork,
     frames: &'a [Image],
-    /// Of frames as the network sees them.
+    /// Layout of the frames as the network sees them.
     layout: Layout,
-    /// It sees them with x and y exchanged, as a camera sees a world in a mirror.
+    /// Whether the network sees the frames with x and y exchanged, which mirrors the scene.
     transposes: bool,
-    /// What the encoder gave for frames.
+    /// The encoder's outputs by frame.
     tokens: HashMap<usize, Tensor>,
 }
 

@@ -1,4 +1,4 @@
-//! The ONNX Runtime: its library, found and loaded when a network is asked for.
+//! The ONNX Runtime library, which is found and loaded when a network is requested.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -9,37 +9,37 @@ use ort::session::Session;
 
 use crate::{Error, Result, io};
 
-/// What networks run on.
+/// Execution provider of the networks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Provider {
-    /// The processor.
+    /// The CPU.
     #[default]
     Cpu,
-    /// NVIDIA's GPUs.
+    /// NVIDIA GPUs.
     Cuda,
-    /// AMD's GPUs.
+    /// AMD GPUs.
     Rocm,
-    /// Apple's devices.
+    /// Apple devices.
     CoreMl,
-    /// Windows' GPUs.
+    /// GPUs under Windows.
     DirectMl,
-    /// Intel's devices.
+    /// Intel devices.
     OpenVino,
 }
 
-/// How the runtime is to be found and used.
+/// Options for finding and using the runtime.
 #[derive(Clone, Debug, Default)]
 pub struct RuntimeOptions {
-    /// The library's file. Without it, that of the environment variable `ORT_DYLIB_PATH`, else that of the
-    /// `onnxruntime` package of the Python on the path, else the system's.
+    /// The library's file. Without it, the environment variable `ORT_DYLIB_PATH` is used, else the
+    /// `onnxruntime` package of the Python on the path, else the system's library.
     pub library: Option<PathBuf>,
-    /// What networks run on.
+    /// Execution provider of the networks.
     pub provider: Provider,
-    /// Threads of one network; 0: as many as the runtime thinks best.
+    /// Threads per network; 0 leaves the number to the runtime.
     pub threads: usize,
 }
 
-/// The loaded runtime. There is one in a process.
+/// The loaded runtime; one per process.
 #[derive(Clone, Debug)]
 pub struct Runtime {
     library: PathBuf,
@@ -50,16 +50,16 @@ pub struct Runtime {
 /// The library that this process has loaded.
 static LOADED: Mutex<Option<PathBuf>> = Mutex::new(None);
 
-/// What to do where there is none.
+/// Remedy in the message for a missing library.
 const INSTALL: &str = "install it (pip install onnxruntime), or name its library: libonnxruntime.so, \
                        libonnxruntime.dylib or onnxruntime.dll, of version 1.17 or later";
 
 impl Runtime {
-    /// Finds and loads the library. Later calls must lead to the same one.
+    /// Finds and loads the library. Later calls must resolve to the same one.
     ///
     /// # Errors
-    /// No library, one that does not load (of another machine, say) or that is too old, a second one
-    /// beside that of an earlier call.
+    /// No library is found, it does not load (for example, because it is built for another platform) or is
+    /// too old, or it differs from that of an earlier call.
     pub fn load(options: &RuntimeOptions) -> Result<Runtime> {
         let library = match &options.library {
             Some(library) => library.clone(),
@@ -82,14 +82,14 @@ impl Runtime {
         Ok(Runtime { library, provider: options.provider, threads: options.threads })
     }
 
-    /// The library's file, as it was found.
+    /// The library's file as it was found.
     pub fn library(&self) -> &Path {
         &self.library
     }
 
     /// Opens a network's file.
     pub(super) fn session(&self, file: &Path) -> Result<Session> {
-        // The runtime's own message for a missing file says less.
+        // The runtime's own message for a missing file is less informative.
         io::open(file)?;
         let failed =
             |what: String| Error::format(file, format!("the ONNX Runtime refuses it: {what}"));
@@ -134,7 +134,7 @@ fn load(library: &Path) -> Result<()> {
     }
 }
 
-/// The library that the environment, Python or the system names.
+/// The library named by the environment, Python or the system.
 fn find() -> PathBuf {
     let told = std::env::var_os("ORT_DYLIB_PATH").filter(|path| !path.is_empty());
     told.map(PathBuf::from).or_else(of_python).unwrap_or_else(|| {

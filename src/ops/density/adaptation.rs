@@ -1,4 +1,4 @@
-//! Adaptive control: clone, split, prune, compact.
+//! Adaptive density control: clone, split, prune, compact.
 
 use super::{WORKGROUP, equal, logit};
 use crate::error::{Error, Result};
@@ -7,12 +7,12 @@ use crate::kernels::density as kernels;
 use crate::ops::scan::{Scan, ScanArgs, ScanScratch};
 use crate::types::AdaptSettings;
 
-/// Adaptive control of up to a number of Gaussians.
+/// Adaptive density control of Gaussians, up to a fixed capacity.
 ///
-/// [`plan`](Self::plan) decides what happens to each and lays out the new rows; then
-/// [`gather`](Self::gather) brings every array into the new order (into another array), and
-/// [`draw_parts`](Self::draw_parts) makes the parts of split ones. The number of rows in the end is
-/// the third word of [`totals`](Self::totals).
+/// [`plan`](Self::plan) decides what happens to each Gaussian and lays out the new rows. Then
+/// [`gather`](Self::gather) copies every array into the new order (into another array), and
+/// [`draw_parts`](Self::draw_parts) draws the parts of split Gaussians. The third word of
+/// [`totals`](Self::totals) is the final number of rows.
 ///
 /// ```no_run
 /// use splat4d::gpu::{Buffer, Device, Recorder};
@@ -32,7 +32,7 @@ use crate::types::AdaptSettings;
 ///     log_scales: gaussians.log_scales.range(0..3 * n),
 /// };
 /// adaptation.plan(recorder, &settings, args)?;
-/// // Every array of theirs goes into another one; `totals` tells how many there are then.
+/// // Gather every other array likewise; `totals` gives the new number of Gaussians.
 /// let (from, to) = (gaussians.positions.view(), fresh.positions.view_mut());
 /// adaptation.gather(recorder, from, to, 3, false)?;
 /// # Ok(())
@@ -40,7 +40,7 @@ use crate::types::AdaptSettings;
 /// ```
 pub struct Adaptation {
     capacity: usize,
-    /// Rows that the last plan may have at most.
+    /// Upper bound of the number of rows after the last plan.
     most_rows: usize,
     scan: Scan,
     scratch: ScanScratch,
@@ -54,7 +54,7 @@ pub struct Adaptation {
     rows: Buffer<u32>,
 }
 
-/// What the decision reads.
+/// Inputs of the decision.
 pub struct AdaptationArgs<'a> {
     /// Sum of screen-space gradient norms and number of views, of each Gaussian.
     pub statistics: View<'a, f32>,
@@ -65,7 +65,7 @@ pub struct AdaptationArgs<'a> {
 }
 
 impl Adaptation {
-    /// For up to `capacity` Gaussians, before and after.
+    /// Allocates for up to `capacity` Gaussians, before and after a round.
     ///
     /// # Errors
     /// [`Error::Input`] beyond 2³⁰ − 1; [`Error::OutOfMemory`].
@@ -91,8 +91,8 @@ impl Adaptation {
         })
     }
 
-    /// Records the decision and the layout of the new rows: survivors in order, then what is added,
-    /// as far as there is room; a Gaussian whose second part does not fit is not split.
+    /// Records the decision and the layout of the new rows: survivors in order, then added rows, as far
+    /// as the capacity allows. A Gaussian whose second part does not fit is not split. Dispatches:
     /// `density/decide`, two scans, `density/layout`.
     ///
     /// # Errors
@@ -159,11 +159,11 @@ impl Adaptation {
         )
     }
 
-    /// Records the copy of one array of rows of `width` values into the new order. With `moments`,
-    /// rows that are not a survivor's own become zero.
+    /// Records the copy of one array of rows of `width` values into the new order. With `moments`, rows
+    /// that do not belong to a survivor become zero.
     ///
     /// # Errors
-    /// [`Error::Shape`] when `gathered` cannot hold what the plan may leave.
+    /// [`Error::Shape`] when `gathered` is too short for the rows that the plan may produce.
     pub fn gather(
         &self,
         recorder: &mut Recorder,
@@ -189,10 +189,10 @@ impl Adaptation {
         )
     }
 
-    /// Records the making of the parts of split Gaussians, in the gathered arrays.
+    /// Records the drawing of the parts of split Gaussians, in the gathered arrays.
     ///
     /// # Errors
-    /// [`Error::Shape`] when an array cannot hold what the plan may leave.
+    /// [`Error::Shape`] when an array is too short for the rows that the plan may produce.
     pub fn draw_parts(
         &self,
         recorder: &mut Recorder,
@@ -226,13 +226,13 @@ impl Adaptation {
         )
     }
 
-    /// Survivors, candidates to add, and rows in the end.
+    /// Three words: survivors, candidates to add, and the final number of rows.
     pub fn totals(&self) -> View<'_, u32> {
         self.totals.view()
     }
 
-    /// The new rows: the source, and in the two upper bits 0 for a survivor, 1 for a copy, 2 for a
-    /// part of a split one.
+    /// For each new row the index of its source row, and in the two upper bits 0 for a survivor, 1 for a
+    /// copy, 2 for a part of a split Gaussian.
     pub fn rows(&self) -> View<'_, u32> {
         self.rows.view()
     }

@@ -1,7 +1,8 @@
 //! Density control on the device; `oracle::density` has the formulae.
 //!
-//! Two strategies: [`Relocation`] with [`jitter`] (MCMC: a fixed number of Gaussians, the dead move
-//! to the live), and [`Adaptation`] with [`accumulate`] and [`reset_opacity`] (clone, split, prune).
+//! There are two strategies: [`Relocation`] with [`jitter`] (MCMC: a fixed number of Gaussians, dead
+//! ones move to live ones), and [`Adaptation`] with [`accumulate`] and [`reset_opacity`] (clone, split,
+//! prune).
 
 mod adaptation;
 mod relocation;
@@ -13,14 +14,15 @@ use crate::error::{Error, Result};
 use crate::gpu::{Groups, Recorder, View, ViewMut};
 use crate::kernels::density as kernels;
 
-/// A Gaussian of this opacity or less is dead.
+/// Opacity up to which a Gaussian is dead.
 pub const DEAD_OPACITY: f64 = 0.005;
 
-/// Workgroup of all kernels of the family.
+/// Workgroup size of all kernels of the family.
 const WORKGROUP: u32 = 64;
 
-/// Records MCMC's exploration: every centre moves by noise of its Gaussian's covariance, times
-/// `size`, the more the fainter it is. A step that is not finite is not taken.
+/// Records MCMC's exploration: noise with the Gaussian's covariance, times `size`, is added to every
+/// centre; the fainter the Gaussian, the stronger the noise. A displacement that is not finite is
+/// skipped.
 ///
 /// # Errors
 /// [`Error::Shape`] where the lengths disagree.
@@ -45,10 +47,11 @@ pub fn jitter(
     )
 }
 
-/// Records the addition of one view's gradients by the splats' centres (mean x, mean y in pixels,
-/// depth, opacity: [`BackwardScratch::mean_gradients`]) to the statistics of [`Adaptation`] (sum of
-/// norms in units of half the image; number of views), for Gaussians whose entry in `visible` is not
-/// 0. Nothing is added where `fits` holds 0.
+/// Records the addition of one view's gradients to the statistics of [`Adaptation`]. The gradients are
+/// those with respect to mean x, mean y (pixels), depth and opacity
+/// ([`BackwardScratch::mean_gradients`]); the statistics are the sum of norms in units of half the
+/// image, and the number of views. Gaussians whose entry in `visible` is 0 are skipped, and nothing is
+/// added where `fits` holds 0.
 ///
 /// # Errors
 /// [`Error::Shape`] where the lengths disagree; gradients and visibility may be longer.
@@ -80,7 +83,7 @@ pub fn accumulate(
     )
 }
 
-/// Records the opacity reset: no logit stays above `limit`. Moments are the caller's to zero.
+/// Records the opacity reset: logits are clamped to at most `limit`. The caller must zero the moments.
 ///
 /// # Errors
 /// As for [`Recorder::dispatch`].

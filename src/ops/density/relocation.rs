@@ -1,4 +1,5 @@
-//! MCMC: dead Gaussians move onto live ones, and new ones are added beside live ones.
+//! MCMC density control: dead Gaussians move onto live ones, and new ones are added as copies of live
+//! ones.
 
 use super::{DEAD_OPACITY, WORKGROUP, equal, logit};
 use crate::error::{Error, Result};
@@ -7,11 +8,11 @@ use crate::kernels::density as kernels;
 use crate::ops::scan::{Scan, ScanArgs, ScanScratch};
 use crate::types::MotionClass;
 
-/// Relocation and growth of up to a number of Gaussians.
+/// Relocation and growth of Gaussians, up to a fixed capacity.
 ///
 /// [`relocate`](Self::relocate) or [`grow`](Self::grow) draws targets and changes their opacity and
-/// scale; then [`copy`](Self::copy) every parameter array, and [`zero`](Self::zero) every array of
-/// optimiser moments.
+/// scale. Afterwards, call [`copy`](Self::copy) for every other parameter array, and
+/// [`zero`](Self::zero) for every array of optimiser moments.
 ///
 /// ```no_run
 /// use splat4d::gpu::{Device, Recorder};
@@ -32,16 +33,16 @@ use crate::types::MotionClass;
 ///     step: 1,
 /// };
 /// relocation.relocate(recorder, args)?;
-/// // Every other array of theirs follows.
+/// // Copy every other parameter array likewise.
 /// relocation.copy(recorder, gaussians.positions.range_mut(0..3 * n), 3)?;
 /// # Ok(())
 /// # }
 /// ```
 pub struct Relocation {
     capacity: usize,
-    /// Rows after the last round.
+    /// Number of rows after the last round.
     rows: usize,
-    /// Slots that the last round may have at most.
+    /// Upper bound of the number of slots of the last round.
     most_slots: usize,
     scan: Scan,
     scratch: ScanScratch,
@@ -57,24 +58,25 @@ pub struct Relocation {
     touched: Buffer<u32>,
 }
 
-/// One round.
+/// Inputs of one round.
 pub struct RelocationArgs<'a> {
-    /// Opacity logits of the Gaussians that there are.
+    /// Opacity logits of the present Gaussians; changed in place.
     pub opacity_logits: ViewMut<'a, f32>,
-    /// Log-scales, three values each.
+    /// Log-scales, three values each; changed in place.
     pub log_scales: ViewMut<'a, f32>,
     /// Motion logits, where the scene has any.
     pub motion_logits: Option<View<'a, f32>>,
-    /// Who takes part: run it for static and for dynamic ones, and the dead stay in their class.
+    /// The Gaussians that take part. A round for static ones and another for dynamic ones keep the dead
+    /// in their class.
     pub class: MotionClass,
     /// Seed of the draw.
     pub seed: u32,
-    /// Number of the round or step; another number draws others.
+    /// Number of the round or step; each number gives different draws.
     pub step: u32,
 }
 
 impl Relocation {
-    /// For up to `capacity` Gaussians.
+    /// Allocates for up to `capacity` Gaussians.
     ///
     /// # Errors
     /// [`Error::OutOfMemory`].
@@ -101,8 +103,8 @@ impl Relocation {
     }
 
     /// Records a round in which every dead Gaussian of the class becomes a copy of a live one, drawn
-    /// by opacity: `density/weigh`, two scans, `density/slots`, `density/draw`, `density/shrink`.
-    /// Where none lives, the dead stay.
+    /// with probability proportional to opacity: `density/weigh`, two scans, `density/slots`,
+    /// `density/draw`, `density/shrink`. Where none is alive, the dead do not change.
     ///
     /// # Errors
     /// [`Error::Shape`] where the lengths disagree or there are more than planned.
@@ -110,13 +112,12 @@ impl Relocation {
         self.round(recorder, args, 0)
     }
 
-    /// Records a round that adds `added` Gaussians behind those that there are, each a copy of a
-    /// live one drawn by opacity (of the first one where none lives). Every parameter array must
-    /// have room for them.
+    /// Records a round that appends `added` Gaussians, each a copy of a live one drawn by opacity (of
+    /// the first one where none is alive). Every parameter array must have capacity for them.
     ///
     /// # Errors
-    /// [`Error::Shape`] where the lengths disagree or there would be more than planned;
-    /// [`Error::Input`] when there is none to copy.
+    /// [`Error::Shape`] where the lengths disagree or the result exceeds the capacity; [`Error::Input`]
+    /// without a Gaussian to copy.
     pub fn grow(
         &mut self,
         recorder: &mut Recorder,
@@ -168,7 +169,7 @@ impl Relocation {
             },
             kernels::WeighArgs {
                 opacity_logits: logits,
-                // Bound, not read, in a scene without motion.
+                // A placeholder that is bound but not read in a scene without motion.
                 motion_logits: args.motion_logits.unwrap_or(logits),
                 weights: self.weights.view_mut(),
                 dead: self.dead.view_mut(),
@@ -227,8 +228,8 @@ impl Relocation {
         )
     }
 
-    /// Records the copies of one parameter array of rows of `width` values: slots become their
-    /// targets. After growth the array holds the new rows too.
+    /// Records the copies in one parameter array of rows of `width` values: each slot becomes a copy of
+    /// its target. After growth the array must hold the new rows too.
     ///
     /// # Errors
     /// [`Error::Shape`] when the array has fewer rows than the round leaves.
@@ -254,7 +255,7 @@ impl Relocation {
         )
     }
 
-    /// Records the zeroing of one array of optimiser moments, for what was drawn or replaced.
+    /// Records the zeroing of one array of optimiser moments, for Gaussians that were drawn or replaced.
     ///
     /// # Errors
     /// [`Error::Shape`] when the array has fewer rows than the round leaves.
@@ -289,12 +290,12 @@ impl Relocation {
         self.totals.view()
     }
 
-    /// The rows that the last round filled, as many as [`totals`](Self::totals) says.
+    /// The rows that the last round filled; [`totals`](Self::totals) gives their number.
     pub fn slots(&self) -> View<'_, u32> {
         self.slots.view()
     }
 
-    /// What each slot copies; `u32::MAX` where it stays.
+    /// The row that each slot copies; `u32::MAX` where the slot does not change.
     pub fn targets(&self) -> View<'_, u32> {
         self.targets.view()
     }

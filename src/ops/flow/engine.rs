@@ -1,4 +1,4 @@
-//! Flow from images to images.
+//! Optical flow from host images to host images.
 
 use super::{Flow, FlowArgs, FlowFrame, FlowScratch};
 use crate::gpu::{Buffer, Device, Stream};
@@ -40,14 +40,14 @@ pub struct FlowImages {
     pub forward: Image,
     /// From the second image to the first.
     pub backward: Image,
-    /// How far `forward` is to be believed: one channel in [0, 1]; 0 where it leaves the image.
+    /// Confidence of `forward`: one channel in [0, 1]; 0 where the flow leaves the image.
     pub forward_confidence: Image,
-    /// How far `backward` is to be believed.
+    /// Confidence of `backward`.
     pub backward_confidence: Image,
 }
 
 impl FlowImages {
-    /// The same with displacements multiplied, as a guess for a pair farther apart in time.
+    /// The same with displacements multiplied by `factor`, as a guess for a pair farther apart in time.
     pub fn scaled(&self, factor: f32) -> FlowImages {
         let mut scaled = self.clone();
         for image in [&mut scaled.forward, &mut scaled.backward] {
@@ -58,7 +58,7 @@ impl FlowImages {
 }
 
 impl FlowEngine {
-    /// An engine for images of `width` × `height`.
+    /// Creates an engine for images of `width` × `height` pixels.
     ///
     /// # Errors
     /// As for [`Flow::plan`]; [`Error::OutOfMemory`], or a failed Vulkan call.
@@ -102,8 +102,9 @@ impl FlowEngine {
         Ok(frame)
     }
 
-    /// The flow between two frames. `guess` is tried beside what the search finds for itself (its
-    /// confidences are not used): for large displacements, give what neighbouring pairs suggest.
+    /// Computes the flow between two frames, in both directions. `guess` is tried in addition to the
+    /// candidates of the search (its confidences are not used). For large displacements, pass a flow
+    /// extrapolated from neighbouring pairs.
     ///
     /// # Errors
     /// [`Error::Input`] for a guess of another size; a failed submission.

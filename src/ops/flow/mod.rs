@@ -1,7 +1,7 @@
 //! Dense optical flow of image pairs in both directions, with confidence.
 //!
-//! [`FlowEngine`] takes images and gives images; [`Flow`] records into a recorder. Either builds a
-//! frame's pyramid once, however many pairs it is part of.
+//! [`FlowEngine`] takes and returns host images; [`Flow`] records into a recorder. Both build a frame's
+//! pyramid once, however many pairs the frame is part of.
 
 mod engine;
 mod pair;
@@ -58,7 +58,7 @@ pub struct Flow {
 /// An image's pyramid on the device.
 pub struct FlowFrame {
     levels: Vec<FrameLevel>,
-    /// Of the coarsest level.
+    /// The census transform of the coarsest level.
     census: Buffer<u32>,
 }
 
@@ -68,7 +68,7 @@ struct FrameLevel {
 }
 
 impl Flow {
-    /// Flow between images of `width` × `height`.
+    /// Plans the flow between images of `width` × `height` pixels.
     ///
     /// # Errors
     /// [`Error::Input`] for an empty image, one beyond 16,384 pixels a side, or settings out of
@@ -97,7 +97,7 @@ impl Flow {
         self.levels[0]
     }
 
-    /// Room for the pyramid of one image.
+    /// Allocates the pyramid of one image.
     ///
     /// # Errors
     /// [`Error::OutOfMemory`].
@@ -115,9 +115,9 @@ impl Flow {
         })
     }
 
-    /// Records the pyramid of an image of `channels` interleaved values per pixel: encoded red,
-    /// green, blue in [0, 1] (further channels are ignored), or luminance where there are fewer
-    /// than three. What lies outside [0, 1] is clamped, NaN is 0. `flow/luma`; `flow/halve` for each
+    /// Records the pyramid of an image of `channels` interleaved values per pixel: encoded red, green,
+    /// blue in [0, 1] (further channels are ignored), or luminance where there are fewer than three.
+    /// Values outside [0, 1] are clamped, NaN becomes 0. Dispatches: `flow/luma`; `flow/halve` for each
     /// level but the first; `flow/derivatives` for each; `flow/census`.
     ///
     /// # Errors

@@ -17,7 +17,7 @@ const STRIDE: u32 = 4;
 /// The workgroup of kernels with an invocation per patch.
 const PATCH_TILE: [u32; 2] = [8, 4];
 
-/// What a pair is worked out in; reused from pair to pair.
+/// Intermediate buffers of a pair; they can be reused for further pairs.
 pub struct FlowScratch {
     /// Forward, backward.
     directions: [Direction; 2],
@@ -25,7 +25,7 @@ pub struct FlowScratch {
 
 struct Direction {
     volume: Buffer<u32>,
-    /// The flow in work, and the level before or the unfiltered flow.
+    /// The current flow; `other` holds the previous level's flow or the unfiltered flow.
     flow: Buffer<[f32; 2]>,
     other: Buffer<[f32; 2]>,
     patches: Buffer<[f32; 4]>,
@@ -41,16 +41,16 @@ pub struct FlowArgs<'a> {
     pub first: &'a FlowFrame,
     /// The pyramid of the second image.
     pub second: &'a FlowFrame,
-    /// Displacements to try, forward and backward, per pixel; not finite where there is none.
+    /// Displacements to try, forward and backward, per pixel; not finite where there is no guess.
     pub guess: Option<[View<'a, [f32; 2]>; 2]>,
-    /// Get the flow: first to second, second to first.
+    /// Receive the flow: first to second, second to first, pixels.
     pub flow: [ViewMut<'a, [f32; 2]>; 2],
-    /// Get its confidence, in [0, 1].
+    /// Receive the confidence of the flow, in [0, 1].
     pub confidence: [ViewMut<'a, f32>; 2],
 }
 
 impl Flow {
-    /// What [`record`](Self::record) works in.
+    /// Allocates the intermediate buffers of [`record`](Self::record).
     ///
     /// # Errors
     /// [`Error::OutOfMemory`](crate::Error::OutOfMemory).
@@ -75,13 +75,13 @@ impl Flow {
         Ok(FlowScratch { directions: [direction()?, direction()?] })
     }
 
-    /// Records the flow of a pair, whose frames were recorded before.
+    /// Records the flow of a pair. Both frames must have been recorded before.
     ///
-    /// Each stage goes out for both directions before the next, so that they share its barrier: at
-    /// the coarsest level four times `flow/path`, then `flow/cheapest`; at each level, the coarsest
-    /// first, `flow/upsample` (not at the coarsest), `flow/search`, `flow/propagate` as often as the
-    /// settings have propagations, `flow/densify`, `flow/trust`, `flow/median`, and for each warp
-    /// `flow/linearise`, `flow/relax` twice a sweep, `flow/median`; at last `flow/confidence`.
+    /// Each stage is recorded for both directions before the next stage, so that both share its barrier.
+    /// At the coarsest level: four times `flow/path`, then `flow/cheapest`. At each level, the coarsest
+    /// first: `flow/upsample` (not at the coarsest), `flow/search`, `flow/propagate` once per
+    /// propagation of the settings, `flow/densify`, `flow/trust`, `flow/median`, and for each warp
+    /// `flow/linearise`, `flow/relax` twice per sweep, `flow/median`. Finally `flow/confidence`.
     ///
     /// # Errors
     /// [`Error::Shape`](crate::Error::Shape) for a buffer that is too short; else as for
@@ -131,7 +131,7 @@ impl Flow {
         Ok(())
     }
 
-    /// Semi-global matching at the coarsest level, into `flow`.
+    /// Records semi-global matching at the coarsest level, into `flow`.
     fn record_start(
         &self,
         recorder: &mut Recorder,
@@ -175,8 +175,8 @@ impl Flow {
         Ok(())
     }
 
-    /// From the coarser level's flow (at the coarsest: the start) in `flow` to this level's dense,
-    /// unrefined flow in `other`.
+    /// Records the search of one level. It reads the coarser level's flow (at the coarsest level, the
+    /// start) from `flow` and writes this level's dense, unrefined flow to `other`.
     fn record_search(
         &self,
         recorder: &mut Recorder,
@@ -228,7 +228,7 @@ impl Flow {
         for pass in 0..self.settings.propagations {
             for (d, direction) in scratch.directions.iter_mut().enumerate() {
                 let (a, b) = args.frames(d);
-                // By turns the next neighbours and those one further.
+                // Passes alternate between the adjacent patches and those at distance two.
                 let reach = 1 + (pass % 2) as i32;
                 recorder.dispatch::<Propagate>(
                     patches,
@@ -260,7 +260,8 @@ impl Flow {
         Ok(())
     }
 
-    /// From the dense flow in `other` to the refined one in `flow`.
+    /// Records the variational refinement of one level, from the dense flow in `other` to the refined
+    /// one in `flow`.
     fn record_refine(
         &self,
         recorder: &mut Recorder,
@@ -339,7 +340,7 @@ impl Flow {
         Ok(())
     }
 
-    /// From `other` to `flow`.
+    /// Records the median filter, from `other` to `flow`.
     fn record_median(
         &self,
         recorder: &mut Recorder,

@@ -1,4 +1,5 @@
-//! From the gradients of a picture to those of the Gaussians and the camera.
+//! The backward pass: from the gradient with respect to an image to the gradients with respect to the
+//! Gaussians and the camera.
 
 use super::{PixelBuffers, Render, RenderScratch};
 use crate::gpu::{Buffer, Device, Groups, Kernel, Recorder, View, ViewMut};
@@ -7,7 +8,7 @@ use crate::ops::at_least;
 use crate::ops::gaussians::{GaussianBuffers, GaussianViews};
 use crate::{Error, Result};
 
-/// What only the backward pass works in.
+/// Intermediate buffers of the backward pass.
 pub struct BackwardScratch {
     pub(crate) slots_a: Buffer<[f32; 4]>,
     pub(crate) slots_b: Buffer<[f32; 4]>,
@@ -19,16 +20,16 @@ pub struct BackwardScratch {
     pub(crate) pose: Buffer<f32>,
 }
 
-/// The gradient of a loss by a rendered image.
+/// The gradient of a loss with respect to a rendered image.
 pub struct PixelGradients {
-    /// By premultiplied colour and alpha.
+    /// With respect to premultiplied colour and alpha.
     pub rgba: Buffer<[f32; 4]>,
-    /// By depth.
+    /// With respect to depth.
     pub depth: Buffer<f32>,
 }
 
 impl Render {
-    /// What [`backward`](Self::backward) works in besides.
+    /// Allocates the intermediate buffers of [`backward`](Self::backward).
     ///
     /// # Errors
     /// [`Error::OutOfMemory`].
@@ -46,7 +47,7 @@ impl Render {
         })
     }
 
-    /// The gradient of an image of this renderer's size.
+    /// Allocates the gradient with respect to an image of this renderer's size.
     ///
     /// # Errors
     /// [`Error::OutOfMemory`].
@@ -58,15 +59,16 @@ impl Render {
         })
     }
 
-    /// Records the gradients of a loss by every parameter, given those by the image that
-    /// [`forward`](Self::forward) has just rendered with the same camera, Gaussians and scratch.
-    /// `raster/backward`, `raster/gather`, `project/backward`, and with a pose `project/pose`.
+    /// Records the gradients of a loss with respect to every parameter. Their input is the gradient with
+    /// respect to the image that [`forward`](Self::forward) has just rendered with the same camera,
+    /// Gaussians and scratch. Dispatches: `raster/backward`, `raster/gather`, `project/backward`, and
+    /// with a pose `project/pose`.
     ///
-    /// Culled Gaussians get zeros. With `with_pose` the gradient by a left perturbation of
-    /// `view_from_world` (translation, rotation) comes too: [`BackwardScratch::pose`].
+    /// Culled Gaussians get zeros. `with_pose` adds the gradient with respect to a left perturbation of
+    /// `view_from_world` (translation, rotation): [`BackwardScratch::pose`].
     ///
     /// # Errors
-    /// [`Error::Shape`] when `gradients` has too little room; else as for [`Recorder::dispatch`].
+    /// [`Error::Shape`] when `gradients` is too small; else as for [`Recorder::dispatch`].
     pub fn backward(
         &self,
         recorder: &mut Recorder,
@@ -84,7 +86,7 @@ impl Render {
         )
     }
 
-    /// The same from gradients that lie in any buffers.
+    /// As [`backward`](Self::backward), with image gradients in arbitrary buffers.
     ///
     /// # Errors
     /// As for [`backward`](Self::backward).
@@ -160,10 +162,10 @@ impl Render {
         )
     }
 
-    /// Records the gradients of a loss by the projected splats, colours among them, of the first
-    /// `count` Gaussians, given those by the picture that [`blend`](Self::blend) (or
-    /// [`forward`](Self::forward)) has made of these colours: what
-    /// [`BackwardScratch::colour_gradients`] and [`BackwardScratch::mean_gradients`] give.
+    /// Records the gradients of a loss with respect to the projected splats and their colours, for the
+    /// first `count` Gaussians. Their input is the gradient with respect to the image that
+    /// [`blend`](Self::blend) (or [`forward`](Self::forward)) has rendered with these colours. The
+    /// results are [`BackwardScratch::colour_gradients`] and [`BackwardScratch::mean_gradients`].
     ///
     /// # Errors
     /// As for [`backward`](Self::backward).
@@ -262,40 +264,41 @@ impl Render {
 }
 
 impl BackwardScratch {
-    /// The gradient by the camera's pose: translation, rotation.
+    /// The gradient with respect to the camera's pose: translation, rotation (6 values).
     pub fn pose(&self) -> &Buffer<f32> {
         &self.pose
     }
 
-    /// Gradients of the last frame by the projected splats: by mean x, mean y (pixels), depth and
-    /// opacity. Those of culled Gaussians are undefined.
+    /// Gradients of the last frame with respect to the projected splats: mean x, mean y (pixels), depth,
+    /// opacity. Values of culled Gaussians are undefined.
     pub fn mean_gradients(&self) -> View<'_, [f32; 4]> {
         self.means.view()
     }
 
-    /// Gradients of the last frame by the colours of the first `count` Gaussians: red, green, blue
-    /// and nothing. Those of culled Gaussians are undefined.
+    /// Gradients of the last frame with respect to the colours of the first `count` Gaussians: red,
+    /// green, blue, unused. Values of culled Gaussians are undefined.
     pub fn colour_gradients(&self, count: usize) -> View<'_, [f32; 4]> {
         self.colours.range(0..count)
     }
 }
 
-/// The gradient of a loss by a rendered image, pixel after pixel: parts of any buffers, a host's too.
+/// The gradient of a loss with respect to a rendered image, in pixel order (row by row), as views of
+/// arbitrary buffers, including those of a host application.
 #[derive(Clone, Copy)]
 pub struct PixelGradientViews<'a> {
-    /// By premultiplied colour and alpha.
+    /// With respect to premultiplied colour and alpha.
     pub rgba: View<'a, [f32; 4]>,
-    /// By depth.
+    /// With respect to depth.
     pub depth: View<'a, f32>,
 }
 
 impl PixelGradients {
-    /// All of it, to read.
+    /// Read-only views of all of it.
     pub fn views(&self) -> PixelGradientViews<'_> {
         PixelGradientViews { rgba: self.rgba.view(), depth: self.depth.view() }
     }
 
-    /// The depth's gradient, for a loss without a depth term to fill with zeros.
+    /// The gradient with respect to depth. A loss without a depth term fills it with zeros.
     pub fn depth_mut(&mut self) -> ViewMut<'_, f32> {
         self.depth.view_mut()
     }

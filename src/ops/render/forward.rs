@@ -1,4 +1,4 @@
-//! From Gaussians to a picture.
+//! The forward pass: from Gaussians to a rendered image.
 
 use super::{PixelBuffers, PixelViews, Render, RenderScratch, device_camera};
 use crate::Result;
@@ -11,11 +11,11 @@ use crate::ops::sort::SortArgs;
 use crate::types::{Camera, RasterKind, RenderSettings};
 
 impl Render {
-    /// Records the rendering of `gaussians` from `camera` into `pixels`: `project/forward`; those of
-    /// [`Scan::record`](crate::ops::scan::Scan::record); `bin/compact`; those of
+    /// Records the rendering of `gaussians` from `camera` into `pixels`. Dispatches: `project/forward`;
+    /// those of [`Scan::record`](crate::ops::scan::Scan::record); `bin/compact`; those of
     /// [`RadixSort::record`](crate::ops::sort::RadixSort::record) by depth; `bin/counts`; a scan;
-    /// `bin/emit`, `bin/fits`; a sort by tile; `indirect/arguments`, `bin/ranges`; `raster/forward`
-    /// or `raster/forward_shared`.
+    /// `bin/emit`, `bin/fits`; a sort by tile; `indirect/arguments`, `bin/ranges`; `raster/forward` or
+    /// `raster/forward_shared`.
     ///
     /// # Errors
     /// [`Error::Shape`](crate::Error::Shape) when there are more Gaussians than planned for or the
@@ -31,10 +31,10 @@ impl Render {
         self.forward_into(recorder, camera, gaussians, scratch, pixels.views_mut())
     }
 
-    /// The same into parts of any buffers.
+    /// As [`forward`](Self::forward), into views of arbitrary buffers.
     ///
     /// # Errors
-    /// As for [`forward`](Self::forward); [`Error::Shape`](crate::Error::Shape) where a part is too
+    /// As for [`forward`](Self::forward); [`Error::Shape`](crate::Error::Shape) where a view is too
     /// short.
     pub fn forward_into(
         &self,
@@ -51,9 +51,9 @@ impl Render {
         self.blend_into(recorder, scratch.colours.view(), scratch, pixels)
     }
 
-    /// Records the blending of other colours, one for each Gaussian, over what the last
-    /// [`forward`](Self::forward) with this scratch has projected and sorted. Alpha and depth come
-    /// out the same.
+    /// Records the blending of other colours, one for each Gaussian, with the splats that the last
+    /// [`forward`](Self::forward) with this scratch projected and sorted. Alpha and depth are the same
+    /// as in that pass.
     ///
     /// # Errors
     /// [`Error::Shape`](crate::Error::Shape) where sizes differ; else as for [`Recorder::dispatch`].
@@ -67,10 +67,10 @@ impl Render {
         self.blend_into(recorder, colours, scratch, pixels.views_mut())
     }
 
-    /// The same into parts of any buffers.
+    /// As [`blend`](Self::blend), into views of arbitrary buffers.
     ///
     /// # Errors
-    /// As for [`blend`](Self::blend); [`Error::Shape`](crate::Error::Shape) where a part is too short.
+    /// As for [`blend`](Self::blend); [`Error::Shape`](crate::Error::Shape) where a view is too short.
     pub fn blend_into(
         &self,
         recorder: &mut Recorder,
@@ -110,8 +110,8 @@ impl Render {
         }
     }
 
-    /// Records the first stage alone, `project/forward`: Gaussians to splats, which the scratch then
-    /// holds ([`RenderScratch::splats`]).
+    /// Records the first stage alone, `project/forward`. It projects the Gaussians to splats, which the
+    /// scratch then holds ([`RenderScratch::splats`]).
     ///
     /// # Errors
     /// As for [`forward`](Self::forward).
@@ -162,10 +162,10 @@ impl Render {
         )
     }
 
-    /// Records the second stage alone: which of the scratch's first `len` splats lie on which tile,
-    /// front to back ([`RenderScratch::tile_lists`]). The splats are those that
-    /// [`project`](Self::project) left, or the host's own ([`RenderScratch::splats_mut`]). The third
-    /// stage is [`blend`](Self::blend).
+    /// Records the second stage alone, which lists the scratch's first `len` splats by tile, front to
+    /// back ([`RenderScratch::tile_lists`]). The splats are those of [`project`](Self::project), or
+    /// splats that a host application wrote ([`RenderScratch::splats_mut`]). The third stage is
+    /// [`blend`](Self::blend).
     ///
     /// # Errors
     /// As for [`forward`](Self::forward).

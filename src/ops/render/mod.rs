@@ -1,10 +1,11 @@
-//! Rendering Gaussians, forward and backward.
+//! Rendering of Gaussians and its gradients, by tiled rasterisation.
 //!
-//! Project every Gaussian; list the visible ones and sort them by depth; emit an intersection per
-//! tile reached, in that order; sort the intersections by tile alone (stable, so depth order holds
-//! within a tile); blend tile by tile. The number of intersections stays on the device: where it
-//! exceeds what the buffers hold, the farthest are left out, and [`RenderScratch::counts`] tells, so
-//! that the caller grows the buffers and repeats the frame.
+//! The forward pass projects every Gaussian to a splat, lists the visible splats and sorts them by
+//! depth. In that order it emits an intersection for every tile that a splat overlaps, and sorts the
+//! intersections by tile. That sort is stable, so depth order holds within a tile. Then it blends tile
+//! by tile. The number of intersections stays on the device. Where it exceeds the capacity of the
+//! buffers, the farthest intersections are dropped and [`RenderScratch::counts`] reports it, so that the
+//! caller can grow the buffers and repeat the frame.
 
 mod backward;
 mod forward;
@@ -24,8 +25,9 @@ use crate::{Error, Result};
 /// Side of a tile in pixels.
 pub const TILE: u32 = 16;
 
-/// A camera as the kernels read it: the rotation of `view_from_world` row by row (9), the centre in
-/// the world (3) and what its rounding left (3), fx, fy, cx, cy, one spare.
+/// A camera as the kernels read it: the rotation of `view_from_world` row by row (9 values), the camera
+/// centre in the world rounded to f32 (3) and its rounding error (3), fx, fy, cx, cy in pixels, one
+/// unused value.
 pub fn device_camera(camera: &Camera) -> [f32; 20] {
     let rotation = camera.view_from_world.rotation_matrix();
     let (k, centre) = (camera.intrinsics, camera.centre());
@@ -59,7 +61,7 @@ pub fn device_camera(camera: &Camera) -> [f32; 20] {
 /// let mut recorder = stream.record()?;
 /// render.forward(&mut recorder, camera, gaussians.views(), &mut scratch, &mut pixels)?;
 ///
-/// // … a loss writes its gradient by the picture …
+/// // … a loss writes its gradient with respect to the image …
 /// let mut by_pixels = render.pixel_gradients(device)?;
 /// recorder.fill(by_pixels.rgba.view_mut(), 0);
 /// recorder.fill(by_pixels.depth.view_mut(), 0);
@@ -91,21 +93,21 @@ pub struct Render {
     height: u32,
     settings: RenderSettings,
     raster: RasterKind,
-    /// The subgroup size of a software device, where the raster kernels have variants of their own
-    /// and costly workgroups are spread.
+    /// The subgroup size of a software device, `None` on others. Software devices use raster kernels of
+    /// their own and interleave the workgroups so that costly ones are distributed over all cores.
     narrow: Option<u32>,
     depth_sort: RadixSort,
     tile_sort: RadixSort,
     scan: Scan,
 }
 
-/// What a renderer works in between its dispatches, and what its backward pass needs again.
+/// Intermediate buffers of a renderer; its backward pass reads them again.
 pub struct RenderScratch {
     pub(crate) camera: Buffer<f32>,
     pub(crate) count: Buffer<u32>,
     pub(crate) visible_count: Buffer<u32>,
     pub(crate) intersection_count: Buffer<u32>,
-    /// Both of these, side by side, for the host.
+    /// The visible count and the intersection count, side by side, for the host to read.
     pub(crate) counts: Buffer<u32>,
     pub(crate) fits: Buffer<u32>,
     pub(crate) grid: Buffer<u32>,
@@ -141,12 +143,13 @@ pub struct PixelBuffers {
     pub height: u32,
     /// Premultiplied colour without background, and alpha.
     pub rgba: Buffer<[f32; 4]>,
-    /// Sum of α · T · z over the splats of a pixel.
+    /// Sum of α · T · z over the splats of a pixel (T: transmittance, z: depth in the camera frame).
     pub depth: Buffer<f32>,
     pub(crate) last: Buffer<u32>,
 }
 
-/// Where a picture goes, pixel after pixel: parts of any buffers, a host's too.
+/// Views of the buffers that a rendered image is written to, in pixel order (row by row). The buffers
+/// are arbitrary; they may belong to a host application.
 pub struct PixelViews<'a> {
     /// Width, pixels.
     pub width: u32,
@@ -154,14 +157,15 @@ pub struct PixelViews<'a> {
     pub height: u32,
     /// Premultiplied colour without background, and alpha.
     pub rgba: ViewMut<'a, [f32; 4]>,
-    /// Sum of α · T · z over the splats of a pixel.
+    /// Sum of α · T · z over the splats of a pixel (T: transmittance, z: depth in the camera frame).
     pub depth: ViewMut<'a, f32>,
-    /// For the backward pass: where each pixel's blending ended.
+    /// For the backward pass: one past the last intersection that each pixel blended, counted from its
+    /// tile's first.
     pub last: ViewMut<'a, u32>,
 }
 
 impl PixelBuffers {
-    /// All of it, to write.
+    /// Writable views of all of it.
     pub fn views_mut(&mut self) -> PixelViews<'_> {
         PixelViews {
             width: self.width,
@@ -173,25 +177,26 @@ impl PixelBuffers {
     }
 }
 
-/// What the last frame held; see [`RenderScratch::counts`].
+/// Counts of the last frame; see [`RenderScratch::counts`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameCounts {
     /// Gaussians that were not culled.
     pub visible: usize,
-    /// (splat, tile) pairs, counted in full even where they did not fit; 2³² − 1 stands for as many or
-    /// more, for which no renderer has room.
+    /// (splat, tile) pairs, including those that did not fit. 2³² − 1 stands for that many or more,
+    /// which exceeds the capacity of any renderer.
     pub intersections: usize,
 }
 
 impl FrameCounts {
-    /// From the two words that the device wrote.
+    /// Reads the counts from the two words that the device wrote.
     pub fn from_device(words: [u32; 2]) -> FrameCounts {
         FrameCounts { visible: words[0] as usize, intersections: words[1] as usize }
     }
 }
 
 impl Render {
-    /// A renderer for at most `gaussians` Gaussians and `intersections` (splat, tile) pairs.
+    /// Plans a renderer for at most `gaussians` Gaussians and `intersections` (splat, tile) pairs, for
+    /// images of `width` × `height` pixels.
     ///
     /// # Errors
     /// [`Error::Input`] for an image without pixels or with more than 65,535 tiles along a side;
@@ -210,7 +215,7 @@ impl Render {
         }
         countable(device, "means", gaussians, 16)?;
         countable(device, "tile keys", intersections, 4)?;
-        // One tile more than there are takes what was counted and not emitted.
+        // Intersections that were counted but not emitted get one tile index past the last.
         let tile_bits = 32 - (columns * rows).leading_zeros();
         Ok(Render {
             gaussians,
@@ -230,9 +235,9 @@ impl Render {
         })
     }
 
-    /// The same, but only the highest `bits` of a depth's 31 decide the order of splats; those that
-    /// these do not tell apart keep the order of their index. Fewer bits, fewer passes of the sort.
-    /// To be called before [`scratch`](Self::scratch).
+    /// The same renderer, but only the highest `bits` of a depth's 31 bits decide the order of splats.
+    /// Splats whose keys are equal keep the order of their indices. Fewer bits need fewer passes of the
+    /// sort. Call this before [`scratch`](Self::scratch).
     ///
     /// # Errors
     /// [`Error::Input`] for no bits or more than 31.
@@ -244,19 +249,19 @@ impl Render {
         Ok(self)
     }
 
-    /// The same, blending in another way.
+    /// The same renderer with another blending kernel.
     pub fn with_raster(self, raster: RasterKind) -> Render {
         Render { raster, ..self }
     }
 
-    /// The same with the raster kernels that GPUs take, so that they can be held against the oracle on
-    /// any device.
+    /// The same renderer with the raster kernels for GPUs, so that they can be compared with the oracle
+    /// on any device.
     #[cfg(feature = "check")]
     pub(crate) fn with_gpu_kernels(self) -> Render {
         Render { narrow: None, ..self }
     }
 
-    /// Number of (splat, tile) pairs that there is room for.
+    /// Capacity: the largest number of (splat, tile) pairs of a frame.
     pub fn intersection_capacity(&self) -> usize {
         self.intersections
     }
@@ -270,7 +275,7 @@ impl Render {
         (self.width.div_ceil(TILE) * self.height.div_ceil(TILE)) as usize
     }
 
-    /// What [`forward`](Self::forward) works in.
+    /// Allocates the intermediate buffers of [`forward`](Self::forward).
     ///
     /// # Errors
     /// [`Error::OutOfMemory`].
@@ -309,7 +314,7 @@ impl Render {
         })
     }
 
-    /// An image of this renderer's size.
+    /// Allocates an image of this renderer's size.
     ///
     /// # Errors
     /// [`Error::OutOfMemory`].
@@ -392,8 +397,9 @@ impl Render {
 }
 
 impl RenderScratch {
-    /// Waits for the frames submitted and gives the last one's counts. More intersections than the
-    /// renderer has room for mean that the frame must be repeated with more.
+    /// Waits for the submitted frames and reads the counts of the last one. If it has more intersections
+    /// than [`Render::intersection_capacity`], the frame is incomplete and must be repeated with a
+    /// larger renderer.
     ///
     /// # Errors
     /// A failed submission.
@@ -407,12 +413,12 @@ impl RenderScratch {
         self.counts.view()
     }
 
-    /// On the device: 1 where the last frame's intersections all fitted, else 0.
+    /// On the device: 1 if all intersections of the last frame fitted, else 0.
     pub fn fits(&self) -> View<'_, u32> {
         self.fits.view()
     }
 
-    /// Which Gaussians the last frame showed: 1 for visible.
+    /// One word for each Gaussian: 1 if it was visible in the last frame, else 0.
     pub fn visible(&self) -> View<'_, u32> {
         self.visible.view()
     }

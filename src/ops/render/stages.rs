@@ -1,9 +1,9 @@
-//! The stages of a frame on their own, and what lies between them.
+//! Access to the separate stages of a frame and to the data between them.
 
 use super::RenderScratch;
 use crate::gpu::{View, ViewMut};
 
-/// Splats: what the projection leaves of each Gaussian, in the Gaussians' order.
+/// Splats: the results of the projection, in the Gaussians' order.
 ///
 /// ```no_run
 /// use splat4d::gpu::Device;
@@ -31,21 +31,23 @@ use crate::gpu::{View, ViewMut};
 pub struct SplatViews<'a> {
     /// Mean x and y in pixels, depth, opacity.
     pub means: View<'a, [f32; 4]>,
-    /// The conic factored, (a, b, e): at an offset (x, y) from the mean, α is the opacity times
-    /// exp(−(a x + b y)² − (e y)²); last the power at which α falls to the cut.
+    /// The factored conic (a, b, e) and the cut. At an offset (x, y) in pixels from the mean, α is the
+    /// opacity times exp(−(a x + b y)² − (e y)²). The fourth value is the exponent's magnitude at which
+    /// α falls to `alpha_cut`.
     pub conics: View<'a, [f32; 4]>,
-    /// Red, green, blue, nothing.
+    /// Red, green, blue, unused.
     pub colours: View<'a, [f32; 4]>,
-    /// The first tile and the one past the last, x in the lower half of a word, y in the upper.
+    /// The rectangle of tiles: the first tile and the one past the last, x in the lower half of a word,
+    /// y in the upper.
     pub rectangles: View<'a, [u32; 2]>,
-    /// Tiles of the rectangle that the splat reaches; 0 for what is culled, whose other entries mean
-    /// nothing.
+    /// Number of the rectangle's tiles that the splat overlaps. It is 0 for culled Gaussians, whose
+    /// other entries are undefined.
     pub tile_counts: View<'a, u32>,
-    /// 1 for what is not culled, else 0.
+    /// 1 for a Gaussian that is not culled, else 0.
     pub visible: View<'a, u32>,
 }
 
-/// The same to write, for splats of a projection of the host's own.
+/// Writable views of the splats, for a host application that projects them itself.
 pub struct SplatViewsMut<'a> {
     /// As [`SplatViews::means`].
     pub means: ViewMut<'a, [f32; 4]>,
@@ -61,18 +63,18 @@ pub struct SplatViewsMut<'a> {
     pub visible: ViewMut<'a, u32>,
 }
 
-/// Which splats lie on which tile, front to back.
+/// The splats on each tile, front to back.
 pub struct TileLists<'a> {
-    /// For each tile, row by row: its part of `intersections`, from and to.
+    /// For each tile, row by row: the begin and end of its range in `intersections`.
     pub ranges: View<'a, [u32; 2]>,
-    /// Entries of `splats`.
+    /// Indices into `splats`.
     pub intersections: View<'a, u32>,
-    /// Which splat.
+    /// The index of each intersection's splat.
     pub splats: View<'a, u32>,
 }
 
 impl RenderScratch {
-    /// What [`Render::project`](super::Render::project) left.
+    /// The results of the last [`Render::project`](super::Render::project).
     pub fn splats(&self) -> SplatViews<'_> {
         SplatViews {
             means: self.means.view(),
@@ -84,7 +86,8 @@ impl RenderScratch {
         }
     }
 
-    /// What [`Render::bin`](super::Render::bin) and [`Render::blend`](super::Render::blend) read, to be written by the host instead.
+    /// The splats that [`Render::bin`](super::Render::bin) and [`Render::blend`](super::Render::blend)
+    /// read, for a host application to write.
     pub fn splats_mut(&mut self) -> SplatViewsMut<'_> {
         SplatViewsMut {
             means: self.means.view_mut(),
@@ -96,7 +99,7 @@ impl RenderScratch {
         }
     }
 
-    /// What [`Render::bin`](super::Render::bin) left.
+    /// The results of the last [`Render::bin`](super::Render::bin).
     pub fn tile_lists(&self) -> TileLists<'_> {
         TileLists {
             ranges: self.ranges.view(),

@@ -15,18 +15,18 @@ use crate::geometry::triangulate::inverse_depth;
 use crate::observe::PointTrack;
 use crate::track::FocalSource;
 
-/// Relative standard deviation of a focal length that nobody tells.
+/// Relative standard deviation of a focal length that is neither given nor measured.
 const ASSUMED_DEVIATION: f64 = 0.25;
-/// The scale of residuals is not taken below so many deviations.
+/// Lower bound of the scale of the residuals, in standard deviations of an observation.
 const DEVIATION_FLOOR: f64 = 0.5;
-/// Most points of the last adjustment.
+/// Maximum number of points in the last adjustment.
 pub(super) const POINTS: usize = 4000;
 
 impl Cameras {
-    /// Adjusts everything to all static tracks.
+    /// Adjusts poses, structure and focal length to the static tracks.
     ///
     /// # Errors
-    /// No track that counts, or an adjustment that ran off.
+    /// No track has enough weight, or the adjustment diverged.
     pub fn adjust(&mut self, tracks: &[PointTrack], weights: &[f64], focal: &Focal) -> Result<()> {
         let posed = vec![true; self.poses.len()];
         self.triangulate(tracks, weights, &posed, true);
@@ -43,9 +43,9 @@ impl Cameras {
         Ok(())
     }
 
-    /// Gives inverse depths to static tracks that are seen by frames with poses; `afresh` also to
-    /// those that have one. Points that movers may have left are kept out by asking three views to
-    /// agree. Before a camera that turns in place all are infinitely far away.
+    /// Triangulates static tracks that are seen by frames with poses; with `afresh` also those that have a
+    /// depth already. Three views have to agree, which excludes points of movers that the masks missed. For a
+    /// camera that rotates in place all points are put at infinity.
     pub(super) fn triangulate(
         &mut self,
         tracks: &[PointTrack],
@@ -84,7 +84,7 @@ impl Cameras {
                     })
                     .collect();
                 let d = inverse_depth(&self.intrinsics, pixel, &views, tolerance)?;
-                // Without parallax a depth is noise that would pull at the next pose.
+                // Without parallax a depth is noise that would bias the next pose.
                 let certain = d.deviation < 0.5 * d.value.max(1e-9) || d.deviation < 1e-3;
                 (d.rmse < tolerance && (certain || afresh))
                     .then_some(Anchor { frame, inverse_depth: d.value })
@@ -93,8 +93,8 @@ impl Cameras {
         self.anchors = found;
     }
 
-    /// One bundle adjustment over the frames with poses, on up to `most` tracks that cover all
-    /// frames and places evenly.
+    /// Runs one bundle adjustment over the frames with poses, on up to `most` tracks that cover all frames
+    /// and image regions evenly.
     pub(super) fn solve(
         &mut self,
         tracks: &[PointTrack],
@@ -111,7 +111,7 @@ impl Cameras {
         Ok(report)
     }
 
-    /// Takes over what an adjusted problem says of the frames with poses and of the chosen tracks.
+    /// Copies the result of an adjusted problem to the frames with poses and to the chosen tracks.
     pub(super) fn take(&mut self, problem: Problem, chosen: &[usize], posed: &[bool]) {
         for (f, pose) in (0..posed.len()).filter(|&f| posed[f]).zip(&problem.poses) {
             self.poses[f] = *pose;
@@ -124,8 +124,8 @@ impl Cameras {
         (self.intrinsics, self.k1) = (problem.intrinsics, problem.k1);
     }
 
-    /// The frames with poses and up to `most` tracks that cover all frames and places evenly, and which
-    /// tracks these are.
+    /// The adjustment problem over the frames with poses and up to `most` tracks that cover all frames and
+    /// image regions evenly, and the indices of these tracks.
     pub(super) fn problem(
         &self,
         tracks: &[PointTrack],
@@ -175,7 +175,7 @@ impl Cameras {
         (problem, chosen)
     }
 
-    /// How it is adjusted.
+    /// The options of the adjustment.
     pub(super) fn options(&self, focal: FocalMode, rounds: usize) -> bundle::Options {
         let side = f64::from(self.intrinsics.width.max(self.intrinsics.height));
         bundle::Options {
@@ -191,9 +191,9 @@ impl Cameras {
         }
     }
 
-    /// How well the poses are known by the static tracks, per frame; none of a fixed camera, of one
-    /// that turns in place (its rotations are known to what is farther away than its own motion), and of
-    /// poses that are kept as supplied.
+    /// Standard deviations of the poses from the static tracks, per frame. `None` for a fixed camera, for one
+    /// that rotates in place (the accuracy of its rotations is limited by its own translation, which is not
+    /// modelled), and for supplied poses that are kept.
     pub fn deviations(&self, tracks: &[PointTrack], weights: &[f64]) -> Vec<Option<PoseDeviation>> {
         if !self.have_parallax() || self.held {
             return vec![None; self.poses.len()];
@@ -203,13 +203,13 @@ impl Cameras {
             FocalSource::Given => FocalMode::Fixed,
             _ => FocalMode::Free,
         };
-        // Of a problem without an observation nothing is known.
+        // A problem without observations gives no deviations.
         let found = pose_deviations(&problem, &self.options(mode, 1));
         found.unwrap_or_else(|_| vec![None; self.poses.len()])
     }
 
-    /// Tracks with a depth that see at least two posed frames besides their first, the long ones
-    /// first, until each part of each frame has its share.
+    /// Chooses tracks with a depth that are seen in at least two posed frames besides their first. Long
+    /// tracks come first, until each cell of each frame has its share.
     fn choose(
         &self,
         tracks: &[PointTrack],

@@ -1,4 +1,4 @@
-//! The focal length that cameras begin with.
+//! The initial focal length of the cameras.
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -13,34 +13,34 @@ use crate::track::still::shared;
 use crate::track::{FocalSource, Guess, Options};
 use crate::types::Intrinsics;
 
-/// The focal length to begin with, and what may be done with it.
+/// An initial focal length, and how it may be adjusted.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(in crate::track) struct Focal {
     pub intrinsics: Intrinsics,
     pub source: FocalSource,
     pub deviation: f64,
-    /// It was given and is not to be adjusted.
+    /// Whether it was given and is not to be adjusted.
     pub held: bool,
-    /// What the adjustment weighs beside the tracks: a focal length and its relative standard deviation.
+    /// Prior of the adjustment: a focal length in pixels and its relative standard deviation.
     pub prior: Option<(f64, f64)>,
 }
 
-/// A focal length that nobody tells, as a multiple of the longer side: phones film at 0.75 to 1.1,
-/// and video stabilisation crops.
+/// Default focal length, as a multiple of the longer side: phones film at 0.75 to 1.1, and video
+/// stabilisation crops.
 pub(super) const ASSUMED: f64 = 1.0;
 
-/// What a network tells of the focal length is never taken to be finer, relative.
+/// Lower bound of the relative standard deviation of a network's focal length.
 const FINEST: f64 = 0.001;
-/// The adjustment measures the focal length if it can to this relative standard deviation.
+/// Relative standard deviation below which the adjustment releases the focal length.
 const MEASURABLE: f64 = 0.05;
 
 impl Focal {
-    /// How it is adjusted.
+    /// The adjustment mode of the focal length.
     pub fn mode(&self) -> FocalMode {
         if self.held { FocalMode::Fixed } else { FocalMode::Gated(MEASURABLE) }
     }
 
-    /// What was given; else what a network tells.
+    /// The given focal length, else the one that a network estimated.
     pub fn of_guess(options: &Options, guess: &Guess, (width, height): (usize, usize)) -> Focal {
         let (w, h) = (width as u32, height as u32);
         Focal::given(options, (w, h)).unwrap_or(Focal {
@@ -52,7 +52,7 @@ impl Focal {
         })
     }
 
-    /// What was given.
+    /// The given focal length, if any.
     fn given(options: &Options, (w, h): (u32, u32)) -> Option<Focal> {
         let given = options.intrinsics.or(options.focal.map(|f| Intrinsics::centred(f, w, h)));
         given.map(|intrinsics| {
@@ -62,8 +62,8 @@ impl Focal {
         })
     }
 
-    /// What was given; else what image pairs tell; else a common value. `strictness` scales the threshold
-    /// of outliers.
+    /// The given focal length, else an estimate from image pairs, else the default. `strictness` scales the
+    /// threshold of outliers.
     pub fn choose(
         options: &Options,
         (width, height): (usize, usize),

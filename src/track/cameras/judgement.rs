@@ -1,4 +1,4 @@
-//! How well cameras explain what is seen.
+//! Measures how well cameras explain the observations.
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -8,38 +8,38 @@ use crate::geometry::bundle;
 use crate::observe::PointTrack;
 use crate::track::quantile;
 
-/// A track's point in a frame.
+/// The reprojection of a track's point in a frame.
 struct View {
-    /// One over the variance of the pixel along each axis.
+    /// Inverse of the pixel's variance along each axis.
     known: f64,
-    /// From where it is seen to where it should be, pixels.
+    /// Vector from the observed to the predicted pixel.
     off: DVec2,
-    /// How the latter changes with the inverse depth.
+    /// Derivative of the predicted pixel with respect to the inverse depth.
     per_inverse_depth: DVec2,
 }
 
-/// How well the point of a track is known.
+/// The uncertainty of a track's point.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::track) struct Certainty {
-    /// Standard deviation of its depth relative to the depth, as far as the deviations of the track's
-    /// pixels are right.
+    /// Standard deviation of its depth relative to the depth, computed from the deviations of the track's
+    /// pixels.
     pub deviation: f64,
-    /// Root mean square of its residuals' coordinates, in those deviations.
+    /// Root mean square of the coordinates of its residuals, in units of the pixels' deviations.
     pub residual: f64,
 }
 
-/// The scale of residuals is not taken below so many pixels.
+/// Lower bound of the scale of the residuals, pixels.
 const SCALE_FLOOR: f64 = 0.1;
-/// A residual of this square, in deviations, is explained by half.
+/// Squared residual, in deviations, at which an observation is half explained.
 const EXPLAINS: f64 = 9.0;
 
-/// A frame of whose points a smaller share is explained has a doubtful pose.
+/// Explained share of a frame's observations below which its pose is doubtful.
 const DOUBTFUL: f64 = 0.25;
 
-/// A track that weighs no more does not count.
+/// Maximum weight of a track that is ignored.
 const COUNTS: f64 = 0.05;
 
-/// The share of what is seen of the tracks that is explained, given that of each.
+/// The explained share of all observations of the tracks, from that of each track.
 pub(super) fn explained_by(tracks: &[PointTrack], weights: &[f64], shares: &[f64]) -> f64 {
     let (mut explained, mut seen) = (0.0, 0.0);
     for ((track, weight), share) in tracks.iter().zip(weights).zip(shares) {
@@ -53,10 +53,10 @@ pub(super) fn explained_by(tracks: &[PointTrack], weights: &[f64], shares: &[f64
 }
 
 impl Cameras {
-    /// Measures how well the static tracks of a fixed camera stay in place, as an adjustment does for
-    /// one that moves: what is seen at a pixel once is seen there in every frame.
+    /// Measures how well the static tracks of a fixed camera stay in place, in analogy to an adjustment for a
+    /// moving camera: a static point should be at the same pixel in every frame.
     pub fn measure_fixed(&mut self, tracks: &[PointTrack], weights: &[f64]) {
-        // Length and weight of each observation besides a track's first.
+        // Displacement and weight of each observation after a track's first.
         let residuals: Vec<(DVec2, f64)> = tracks
             .iter()
             .zip(weights)
@@ -81,7 +81,8 @@ impl Cameras {
         self.rms = if total > 0.0 { (sum / total).sqrt() } else { 0.0 };
     }
 
-    /// How well the pictures say how deep the point of a track lies.
+    /// The uncertainty of the depth of a track's point. `None` without a depth, or if the point is behind a
+    /// camera.
     pub fn certainty(&self, tracks: &[PointTrack], i: usize) -> Option<Certainty> {
         let (mut information, mut squares, mut views) = (0.0, 0.0, 0.0);
         for view in self.reprojected(tracks, i)? {
@@ -97,14 +98,14 @@ impl Cameras {
         })
     }
 
-    /// The share of what is seen of static tracks that the cameras explain: what is seen where it should
-    /// be counts in full, what is far from there, or has no depth, not at all. Of two solutions the
-    /// better one explains more.
+    /// The share of the observations of static tracks that the cameras explain. An observation at its
+    /// predicted pixel counts fully; one far from it, or without a depth, does not count. Of two solutions
+    /// the better one has the larger share.
     pub fn explained(&self, tracks: &[PointTrack], weights: &[f64]) -> f64 {
         explained_by(tracks, weights, &self.shares(tracks, weights))
     }
 
-    /// Frames in which less than a quarter of what is seen of the static tracks is explained.
+    /// Frames in which less than a quarter of the observations of static tracks is explained.
     pub(super) fn frames_in_doubt(&self, tracks: &[PointTrack], weights: &[f64]) -> Vec<usize> {
         let mut sums = vec![(0.0, 0.0); self.poses.len()];
         for (i, track) in tracks.iter().enumerate().filter(|(i, _)| weights[*i] > COUNTS) {
@@ -121,9 +122,10 @@ impl Cameras {
         sums.into_iter().enumerate().filter(doubtful).map(|(f, _)| f).collect()
     }
 
-    /// By track, the share of what is seen of it that the cameras explain; 0 of those that do not count.
+    /// The explained share of the observations of each track; 0 for ignored tracks.
     pub(super) fn shares(&self, tracks: &[PointTrack], weights: &[f64]) -> Vec<f64> {
-        // The adjustment has moved the cameras, and only the points that it chose.
+        // The adjustment has changed the cameras but only the points that it used, so all points are
+        // triangulated again.
         let mut cameras = self.clone();
         cameras.triangulate(tracks, weights, &vec![true; self.poses.len()], true);
         let of_track = |i: usize| {
@@ -135,8 +137,8 @@ impl Cameras {
         (0..tracks.len()).into_par_iter().map(of_track).collect()
     }
 
-    /// The point of a track in the frames that see it besides the one that it is anchored in; `None` in
-    /// a frame that it lies behind.
+    /// The reprojections of a track's point in the frames that see it, except the one in which it is
+    /// anchored; `None` in a frame where the point is behind the camera.
     fn reprojected<'a>(
         &'a self,
         tracks: &'a [PointTrack],
@@ -178,7 +180,7 @@ mod tests {
     #[test]
     fn a_fixed_cameras_tracks_are_measured() {
         let at = |i: usize| DVec2::new(3.0 * i as f64, 2.0 * i as f64);
-        // Nine tracks tremble by 0.1 px, one goes away.
+        // Nine tracks deviate by 0.1 px, one moves away.
         let mut tracks: Vec<PointTrack> = (1..10)
             .map(|i| track(vec![at(i), at(i) + DVec2::new(0.1, 0.0), at(i) - DVec2::new(0.0, 0.1)]))
             .collect();
@@ -187,7 +189,7 @@ mod tests {
         cameras.measure_fixed(&tracks, &[1.0; 10]);
         assert!((cameras.inlier_share - 0.9).abs() < 1e-9, "{}", cameras.inlier_share);
         assert!((cameras.rms - 0.1).abs() < 1e-9, "{}", cameras.rms);
-        // A mover has no say.
+        // A mover without weight has no influence.
         let weights: Vec<f64> = (0..10).map(|i| f64::from(i < 9)).collect();
         cameras.measure_fixed(&tracks, &weights);
         assert_eq!(cameras.inlier_share, 1.0);
@@ -205,12 +207,12 @@ mod tests {
         let mut right = cameras(STEP);
         right.anchors = vec![None; tracks.len()];
         assert!((right.explained(&tracks, &weights) - 1.0).abs() < 1e-6);
-        // One camera is off by half a pixel.
+        // One camera has an error of half a pixel.
         let mut wrong = right.clone();
         wrong.poses[3].translation.y += 0.5 * WALL / FOCAL;
         let explained = wrong.explained(&tracks, &weights);
         assert!(explained > 0.3 && explained < 0.95, "{explained}");
-        // What moves does not count; of nothing, nothing is explained.
+        // A track without weight does not count; without weighted tracks the share is 0.
         let mut weights = weights;
         let mut tracks = tracks;
         tracks.push(track((0..FRAMES).map(|f| DVec2::new(9.0, 5.0 + 3.0 * f as f64)).collect()));

@@ -1,4 +1,4 @@
-//! The distortion of the lens, as far as the static tracks show it.
+//! Estimation of the lens distortion from the static tracks.
 
 use glam::DVec2;
 
@@ -9,23 +9,24 @@ use crate::data::{Distortion, Lens};
 use crate::geometry::bundle::{self, adjust};
 use crate::observe::PointTrack;
 
-/// A lens that moves no pixel by more than this share of the picture's width is a pinhole.
+/// Maximum displacement, as a share of the image width, up to which a lens counts as a pinhole.
 const LEAST: f64 = 1.5e-3;
-/// k1 is believed from so many of its standard deviations on. Errors of tracks hang together, and the
-/// normal equations take them to be independent: told deviations are several times too small.
+/// Number of its standard deviations that k1 must exceed. The errors of tracks are correlated but the normal
+/// equations treat them as independent, so the computed deviations are several times too small.
 const SURE: f64 = 15.0;
-/// The parts of a clip that each show k1 for themselves may differ from the whole by this share of it.
+/// Maximum difference between k1 from each half of the tracks and k1 from all of them, relative to the
+/// latter.
 const AGREES: f64 = 0.75;
-/// Times that points are triangulated and everything is adjusted.
+/// Number of passes of triangulation and adjustment.
 const PASSES: usize = 2;
 
 impl Cameras {
-    /// The lens with which the static tracks agree better than with a pinhole, and the cameras with it; none
-    /// where the clip does not show one. Depths in `anchors` are along undistorted rays then.
+    /// Estimates the lens that fits the static tracks better than a pinhole, and the cameras with it. `None`
+    /// if the clip does not determine one. Depths in the returned `anchors` are along undistorted rays.
     ///
-    /// k1 is adjusted together with poses, depths and focal length. It has to move pixels by what can be
-    /// seen, to stand out from its own uncertainty, and to be much the same in the first and in the second
-    /// half of the tracks: movers, rolling shutter and wrong poses are not.
+    /// k1 is adjusted together with poses, depths and focal length. The lens is accepted if k1 displaces
+    /// pixels visibly, exceeds its own uncertainty, and is similar in the first and in the second half of the
+    /// tracks. Effects of movers, rolling shutter and wrong poses differ between the halves.
     ///
     /// # Errors
     /// Those of the adjustment.
@@ -74,7 +75,7 @@ impl Cameras {
         Ok(Some((lens, found)))
     }
 
-    /// Triangulates all tracks that count, as the lens has them.
+    /// Triangulates all weighted tracks after undistortion with the current lens.
     fn measure_depths(&mut self, tracks: &[PointTrack], weights: &[f64]) {
         let lens = self.current_lens();
         let undistorted: Vec<PointTrack> = tracks
@@ -94,7 +95,7 @@ impl Cameras {
         Lens { intrinsics: self.intrinsics, distortion }
     }
 
-    /// Adjusts everything, k1 among it.
+    /// Adjusts all parameters, including k1.
     fn adjust_with_lens(
         &mut self,
         tracks: &[PointTrack],

@@ -1,4 +1,4 @@
-//! Focal length, poses and sparse points of the static world.
+//! Estimates the focal length, the poses and the sparse points of the static world.
 
 mod adjustment;
 mod focal;
@@ -21,7 +21,7 @@ use crate::Result;
 use crate::observe::{NeighbourFlow, PointTrack};
 use crate::types::{Intrinsics, Pose};
 
-/// Where a track's point lies along the ray of one of its pixels.
+/// Position of a track's point along the ray of one of its pixels.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct Anchor {
     pub frame: usize,
@@ -32,55 +32,58 @@ pub(super) struct Anchor {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Cameras {
     pub intrinsics: Intrinsics,
-    /// Of the lens, while it is looked for; else 0, the pictures being undistorted.
+    /// First radial distortion coefficient, used while the lens is estimated. Otherwise 0, because the frames
+    /// are undistorted.
     k1: f64,
     pub focal_source: FocalSource,
     pub focal_std: f64,
-    /// What is weighed beside the tracks: see [`Focal::prior`].
+    /// Prior of the focal length in the adjustment; see [`Focal::prior`].
     focal_prior: Option<(f64, f64)>,
-    /// `view_from_world`.
+    /// `view_from_world` of all frames.
     pub poses: Vec<Pose>,
-    /// Per track: a frame that it lives in, and 1 / z there.
+    /// Per track: a frame of the track, and the inverse depth 1 / z in that frame.
     pub anchors: Vec<Option<Anchor>>,
-    /// Frames whose pose is a guess.
+    /// Frames whose pose is doubtful.
     pub doubtful: Vec<usize>,
     pub inlier_share: f64,
     pub rms: f64,
     pub standpoint: Standpoint,
     strictness: Strictness,
-    /// Poses were supplied.
+    /// Whether the poses were supplied.
     supplied: bool,
-    /// Only structure and focal length are adjusted.
+    /// Whether the poses are fixed, so that only structure and focal length are adjusted.
     held: bool,
-    /// One of the world's units in that of the supplied poses; 1 without.
+    /// The length of one world unit in the unit of the supplied poses; 1 without supplied poses.
     pub unit: f64,
-    /// Upwards in the world, where the ground that is seen tells. It is found anew in a run that is resumed.
+    /// The upward direction in the world, if the ground was found. It is not saved; a resumed run determines
+    /// it again.
     #[serde(skip)]
     pub up: Option<DVec3>,
 }
 
-/// What the camera does.
+/// The kind of camera motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(in crate::track) enum Standpoint {
-    /// It moves through the scene: static points have depths.
+    /// The camera moves through the scene, so static points have depths.
     Moves,
-    /// It turns in place: the static world is infinitely far away as far as anything tells.
+    /// The camera rotates in place. The static world is treated as infinitely far away.
     Turns,
-    /// All poses are one.
+    /// All poses are identical.
     Fixed,
 }
 
-/// What counts as an outlier.
+/// The threshold of outliers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum Strictness {
-    /// What is farther off than points of the same rigid motion may be.
+    /// Outliers have a larger error than points of the same rigid motion can have.
     Usual,
-    /// What is farther off than most of them are: a compromise between two motions holds no more.
+    /// Outliers have a larger error than most points of the same rigid motion have. No compromise between two
+    /// motions passes this threshold in all frames.
     Strict,
 }
 
 impl Strictness {
-    /// Thresholds are those of the usual strictness times this.
+    /// Factor on the thresholds of the usual strictness.
     pub fn factor(self) -> f64 {
         match self {
             Strictness::Usual => 1.0,
@@ -89,14 +92,14 @@ impl Strictness {
     }
 }
 
-/// A point is seen to so many pixels along each axis, where it is followed without an error.
+/// Standard deviation of an observation along each axis, in pixels, apart from the error of tracking.
 pub(super) const DEVIATION: f64 = 0.05;
 
-/// How far cameras lie from their middle in the unit in which supplied poses are first looked at: as far as
-/// those of a hand-held clip do in units of the median depth.
+/// Root mean square distance of the cameras from their mean in the initial unit of supplied poses. It is that
+/// of a typical hand-held clip in units of the median depth.
 const USUAL_SPREAD: f64 = 0.1;
 
-/// How far cameras lie from their middle, root mean square.
+/// Root mean square distance of the cameras from their mean.
 fn spread(poses: &[Pose]) -> f64 {
     let centres: Vec<DVec3> = poses.iter().map(|pose| pose.inverse().translation).collect();
     let n = centres.len().max(1) as f64;
@@ -104,18 +107,18 @@ fn spread(poses: &[Pose]) -> f64 {
     (centres.iter().map(|centre| centre.distance_squared(middle)).sum::<f64>() / n).sqrt()
 }
 
-/// How much an observation counts beside one that is followed without an error.
+/// The weight of an observation relative to one that is tracked without an error.
 pub(super) fn information(deviation: f32) -> f64 {
     DEVIATION.powi(2) / (DEVIATION.powi(2) + f64::from(deviation).powi(2))
 }
 
 impl Cameras {
-    /// The camera of a tripod.
+    /// A fixed camera.
     pub fn fixed(focal: &Focal, flow: &NeighbourFlow, tracks: usize) -> Cameras {
         Cameras { standpoint: Standpoint::Fixed, ..Cameras::new(focal, flow.frames, tracks) }
     }
 
-    /// Cameras that a unit test knows.
+    /// Known cameras, for unit tests.
     #[cfg(test)]
     pub fn known(intrinsics: Intrinsics, poses: Vec<Pose>) -> Cameras {
         let focal = Focal {
@@ -149,10 +152,7 @@ impl Cameras {
         }
     }
 
-    /// Cameras that the user knows; to `refine` is to adjust them too.
-    ///
-    /// # Errors
-    /// Those of the adjustment.
+    /// Cameras with supplied poses; `refine` also adjusts the poses.
     pub fn supplied(
         poses: &[Pose],
         refine: bool,
@@ -166,7 +166,8 @@ impl Cameras {
             held: !refine,
             ..Cameras::new(focal, poses.len(), tracks.len())
         };
-        // In whatever unit the poses are, all that follows is done in the world's.
+        // The poses are in an arbitrary unit. They are first scaled to approximately the world's unit, and to
+        // exactly that unit after the adjustment.
         let spread = spread(poses);
         if spread > 0.0 {
             cameras.rescale(spread / USUAL_SPREAD);
@@ -178,10 +179,7 @@ impl Cameras {
         Ok(cameras)
     }
 
-    /// Cameras that a network tells, adjusted to the static tracks.
-    ///
-    /// # Errors
-    /// Those of the adjustment.
+    /// Cameras that start from poses that a network estimated, adjusted to the static tracks.
     pub fn begun(
         poses: &[Pose],
         focal: &Focal,
@@ -200,13 +198,13 @@ impl Cameras {
         Ok(cameras)
     }
 
-    /// Do static points have depths?
+    /// Whether static points have depths.
     pub fn have_parallax(&self) -> bool {
         self.standpoint == Standpoint::Moves
     }
 
-    /// Inverse depth of all pixels of a frame where there is no parallax: a wall at depth 1 before a fixed
-    /// camera, the sphere of radius 1 around one that turns.
+    /// Inverse depth of all pixels of a frame without parallax: a wall at depth 1 in front of a fixed camera,
+    /// or the sphere of radius 1 around a camera that rotates in place. `None` if there is parallax.
     pub fn background(&self) -> Option<Vec<f32>> {
         let (w, h) = (self.intrinsics.width, self.intrinsics.height);
         let pixels =
@@ -220,7 +218,7 @@ impl Cameras {
         }
     }
 
-    /// Keeps those tracks that are named by their index, each as it is now.
+    /// Keeps only the tracks with the given indices, each in its given new form.
     pub fn keep(&mut self, kept: &[(usize, PointTrack)]) {
         let lives = |track: &PointTrack, anchor: &Anchor| track.at(anchor.frame).is_some();
         let anchor =
@@ -228,15 +226,16 @@ impl Cameras {
         self.anchors = kept.iter().map(anchor).collect();
     }
 
-    /// The point of a track in the world.
+    /// The position in the world of a track's point.
     pub fn point(&self, tracks: &[PointTrack], i: usize) -> Option<DVec3> {
         let Anchor { frame, inverse_depth } = self.anchors[i].filter(|a| a.inverse_depth > 1e-9)?;
         let ray = self.intrinsics.ray(tracks[i].at(frame)?);
         Some(self.poses[frame].inverse().apply(ray / inverse_depth))
     }
 
-    /// Makes the median depth of the static points in the cameras that see them the unit, and the first
-    /// camera the world; supplied poses keep their world's place and axes.
+    /// Rescales the world so that the median depth of the static points in the cameras that see them is 1,
+    /// and makes the first camera's frame the world. With supplied poses the world's origin and axes are
+    /// kept.
     pub fn normalise(
         &mut self,
         tracks: &[PointTrack],
@@ -268,7 +267,7 @@ impl Cameras {
         (!depths.is_empty()).then(|| quantile(depths, 0.5))
     }
 
-    /// Makes so much of the world's unit the new one.
+    /// Makes `unit` world units the new unit.
     fn rescale(&mut self, unit: f64) {
         self.poses.iter_mut().for_each(|pose| pose.translation /= unit);
         self.anchors.iter_mut().flatten().for_each(|a| a.inverse_depth *= unit);

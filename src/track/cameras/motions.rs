@@ -1,10 +1,10 @@
-//! Which of the rigid motions that a clip shows is that of the static world.
+//! Chooses the rigid motion of a clip that belongs to the static world.
 //!
-//! Where movers fill most of the picture, the motion that most points agree with may be a mover's, or a
-//! compromise between several. So rigid motions are taken from the clip one after another, each from the
-//! points that those before leave unexplained, to a tolerance so small that no compromise holds over all
-//! frames. The static world is then told by what makes a background: it reaches the picture's edges, and
-//! others hide it more often than it hides them.
+//! If movers fill most of the image, the motion that most points agree with may be a mover's, or a compromise
+//! between several motions. So rigid motions are extracted from the clip one after another, each from the
+//! points that the previous ones do not explain. The tolerance is so small that no compromise holds over all
+//! frames. The static world is then recognised as the background: it extends to the image borders, and other
+//! motions occlude it more often than it occludes them.
 
 use glam::DVec2;
 use rayon::prelude::*;
@@ -17,50 +17,51 @@ use crate::track::Options;
 use crate::track::observer::Work;
 use crate::{Error, Result};
 
-/// The search looks at about so many tracks.
+/// Approximate number of tracks that the search uses.
 const TRACKS: usize = 3000;
-/// The static world's cameras are solved for so many times at most,
+/// Maximum number of times that the static world's cameras are solved for.
 const AGAIN: u64 = 4;
-/// as long as they explain so many times what they did before.
+/// Minimum factor by which each repetition must raise the explained share for another one to follow.
 const GAIN: f64 = 1.01;
-/// The search ends when the motions leave less of what is seen, weighed by the prior, than this.
+/// The search ends when the unexplained tracks have less than this share of the total prior weight.
 const LEFT: f64 = 0.2;
-/// Cameras explain a track of which they explain more than this.
+/// Share of a track's observations above which cameras explain the track.
 const EXPLAINED: f64 = 0.5;
-/// How much it counts to be hidden by others and never to hide them, beside the share that is explained.
+/// Weight of occlusion order relative to the explained share: of being always occluded and never occluding.
 const ORDER: f64 = 1.0;
-/// So many places where one thing hides another say half as much as any number of them.
+/// Number of occlusion places at which the order counts half as much as with very many places.
 const PLACES: f64 = 20.0;
-/// A place this near the picture's edge does not tell whether a track was hidden or left, pixels.
+/// Distance from the image border, in pixels, within which a track's end may mean that it left the image.
 const MARGIN: f64 = 3.0;
-/// Neighbours of a point lie within so many times the distance at which points are followed.
+/// Radius of a point's neighbourhood, in spacings of the tracked points.
 const NEIGHBOURHOOD: f64 = 1.2;
 
-/// What speaks for a rigid motion's being that of the static world.
+/// The evidence that a rigid motion is that of the static world.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RigidMotion {
-    /// The share of what is seen that it explains; what is seen near the picture's edges counts most.
+    /// The share of the observations that it explains; observations near the image borders have the largest
+    /// weights.
     pub explained: f64,
-    /// At how many places what follows it is hidden by something else.
+    /// Number of places where something else occludes the points of this motion.
     pub hidden: usize,
-    /// At how many places what follows it hides something else.
+    /// Number of places where the points of this motion occlude something else.
     pub hides: usize,
 }
 
-/// The rigid motions of a clip, and the one that was taken for the static world.
+/// The rigid motions of a clip, and the index of the one chosen for the static world.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(in crate::track) struct Motions {
     pub found: Vec<RigidMotion>,
     pub chosen: usize,
-    /// By track: how much it counts when two solutions for the static world are compared; nothing where
-    /// another of the motions explains it.
+    /// By track: its weight when two solutions for the static world are compared; 0 if another motion
+    /// explains the track.
     pub weights: Vec<f64>,
 }
 
-/// Another motion whose score is this near makes the choice doubtful.
+/// Difference of scores below which the runner-up makes the choice doubtful.
 const NEAR: f64 = 0.1;
 
-/// By motion, how much speaks for it; that of the static world has most.
+/// The score of each motion; the static world's motion has the highest.
 fn scores(found: &[RigidMotion]) -> Vec<f64> {
     let places: usize = found.iter().map(|motion| motion.hidden + motion.hides).sum();
     let score = |motion: &RigidMotion| {
@@ -71,7 +72,7 @@ fn scores(found: &[RigidMotion]) -> Vec<f64> {
 }
 
 impl Motions {
-    /// Which one was taken, and why.
+    /// The note on the chosen motion, with the reasons.
     pub fn note(&self) -> String {
         let RigidMotion { explained, hidden, hides } = self.found[self.chosen];
         let all = self.found.len();
@@ -96,14 +97,14 @@ impl Motions {
     }
 }
 
-/// A focal length to begin with, and the cameras that came of it.
+/// An initial focal length, and the cameras that were found with it.
 type Solution = (Focal, Cameras);
 
-/// What the static world is looked for in.
+/// The inputs of the search for the static world.
 #[derive(Clone, Copy)]
 pub(in crate::track) struct Search<'a> {
     pub tracks: &'a [PointTrack],
-    /// How much each track counts as static before anything is known.
+    /// The prior weight of each track as static.
     pub prior: &'a [f64],
     pub options: &'a Options,
     pub size: (usize, usize),
@@ -111,13 +112,13 @@ pub(in crate::track) struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// Finds the rigid motions of the clip and the cameras of the one that is the static world's: the one
-    /// that the options name, else the one that most speaks for. `first` are cameras from all of what is
-    /// seen, if there are; they are kept if they explain the static world better.
+    /// Finds the rigid motions of the clip and the cameras of the static world's motion: the one that the
+    /// options select, else the one with the highest score. `first` are cameras from all observations, if
+    /// any; they are kept if they explain the static world better.
     ///
     /// # Errors
-    /// Not even one motion was found, or fewer than the options ask for; those of the adjustment; what the
-    /// observer of `work` returns.
+    /// No motion was found, or the index in the options is not less than the number of motions; errors of the
+    /// adjustment; whatever the observer of `work` returns.
     pub fn static_world(
         self,
         first: Option<Solution>,
@@ -138,8 +139,8 @@ impl Search<'_> {
         Ok((self.refined(best, &motions, work)?, motions))
     }
 
-    /// Rigid motions that explain a part of the tracks each, the first taken from all of them; and by motion
-    /// and track, the share of it that is explained.
+    /// Extracts rigid motions that each explain a part of the tracks, starting with all tracks. Also returns,
+    /// by motion and track, the explained share of the track.
     fn rigid_motions(self, work: &mut Work) -> Result<(Vec<Solution>, Vec<Vec<f64>>)> {
         let mut weights = self.prior.to_vec();
         let (everything, all) = (vec![1.0; weights.len()], weights.iter().sum::<f64>());
@@ -149,7 +150,7 @@ impl Search<'_> {
             let (focal, cameras) = match self.solve_by_few(&weights, work, &part) {
                 Ok(solution) => solution,
                 Err(error) if work.ended || solutions.is_empty() => return Err(error),
-                // What is left is not seen from the first frame to the last.
+                // The remaining tracks do not span all frames.
                 Err(_) => break,
             };
             let explained = cameras.shares(self.tracks, &everything);
@@ -164,8 +165,8 @@ impl Search<'_> {
         Ok((solutions, shares))
     }
 
-    /// A strict solution by some of the tracks that count; by more of them where these do not lead through
-    /// all frames.
+    /// A strict solution from a subset of the weighted tracks, and from larger subsets if these do not lead
+    /// through all frames.
     fn solve_by_few(self, weights: &[f64], work: &mut Work, part: &str) -> Result<Solution> {
         let mut stride = self.tracks.len().div_ceil(TRACKS).max(1);
         loop {
@@ -184,7 +185,7 @@ impl Search<'_> {
         }
     }
 
-    /// A strict solution by the tracks that count.
+    /// A strict solution from the weighted tracks.
     fn solve(self, weights: &[f64], seed: u64, work: &mut Work, part: &str) -> Result<Solution> {
         let Search { tracks, options, size, frames, .. } = self;
         let strict = Strictness::Strict;
@@ -193,7 +194,7 @@ impl Search<'_> {
         Ok((focal, cameras))
     }
 
-    /// What speaks for each motion, and which is taken, given what each explains of each track.
+    /// The evidence for each motion and the choice, from the explained share of each track.
     fn judged(self, shares: &[Vec<f64>]) -> Result<Motions> {
         let Search { tracks, prior, options, .. } = self;
         let best_of = |i: usize| {
@@ -224,9 +225,9 @@ impl Search<'_> {
         Ok(Motions { found, chosen, weights })
     }
 
-    /// The best of several solutions for the chosen motion. It was found in few of the tracks, with a focal
-    /// length by these and others: now it is solved by what follows it, and by all that no other motion
-    /// explains, until that explains no more.
+    /// Refines the chosen motion's solution. The initial solution was found from few tracks, with a focal
+    /// length from these and others. Now it is solved from the tracks that follow the motion, and from all
+    /// tracks that no other motion explains, until the explained share no longer grows.
     fn refined(self, start: Solution, motions: &Motions, work: &mut Work) -> Result<Solution> {
         let Search { tracks, .. } = self;
         let everything = vec![1.0; tracks.len()];
@@ -258,16 +259,16 @@ impl Search<'_> {
     }
 }
 
-/// The weights of the tracks that cameras explain, given what they explain of each; 0 of the others.
+/// The weights of the tracks that cameras explain, from the explained share of each; 0 for the others.
 fn following(shares: &[f64], weights: &[f64]) -> Vec<f64> {
     let weight = |(share, weight): (&f64, &f64)| if *share > EXPLAINED { *weight } else { 0.0 };
     shares.iter().zip(weights).map(weight).collect()
 }
 
-/// The ends of tracks, and what is there instead.
+/// The ends of tracks, and the tracks that are seen there instead.
 struct Ends {
-    /// For each end of a track inside of the picture: the track, and the one that is seen where it would be
-    /// in the next frame, or in the one before its first.
+    /// For each end of a track inside the image: the track, and the track nearest to its extrapolated
+    /// position in the next frame, or in the frame before its first.
     replaced: Vec<(usize, usize)>,
 }
 
@@ -308,7 +309,7 @@ impl Ends {
                 let beyond = |last: usize, before: usize| 2.0 * pixels[last] - pixels[before];
                 let n = pixels.len();
                 let seen = &tracks[i].frames;
-                // Where it would be is known only beside a frame that sees it, too.
+                // The position can be extrapolated only from two consecutive frames.
                 let goes_on = |k: usize| n > 2 && seen[k] + 1 == seen[k + 1];
                 let after = goes_on(n - 2).then(|| (tracks[i].end(), beyond(n - 1, n - 2)));
                 let earlier = tracks[i].first().checked_sub(1).filter(|_| goes_on(0));
@@ -321,7 +322,8 @@ impl Ends {
         Ends { replaced }
     }
 
-    /// At how many places the tracks that follow a motion are hidden by others, and hide others.
+    /// Number of places where the tracks of a motion are occluded by others, and number of places where they
+    /// occlude others.
     fn order(&self, motions: &[Option<usize>], motion: usize) -> (usize, usize) {
         let count = |hidden: bool| {
             let counts = |(i, j): &&(usize, usize)| {
@@ -338,8 +340,8 @@ impl Ends {
 mod tests {
     use super::*;
 
-    /// A wall that stands still, and before it a board that moves by 3 pixels per frame: points of the wall
-    /// are seen until the board comes, and again after it.
+    /// A static wall, and in front of it a board that moves by 3 pixels per frame: points of the wall are
+    /// seen until the board arrives, and again after it has passed.
     fn board_before_wall(frames: usize) -> (Vec<PointTrack>, Vec<Option<usize>>) {
         let (mut tracks, mut motions) = (Vec::new(), Vec::new());
         let mut add = |first: usize, pixels: Vec<DVec2>, motion: usize| {
@@ -376,7 +378,7 @@ mod tests {
         let (hidden, hides) = ends.order(&motions, 0);
         assert!(hidden > 100 && hides == 0, "the wall: {hidden}, {hides}");
         assert_eq!(ends.order(&motions, 1), (hides, hidden), "the board");
-        // Nothing is replaced by its like, and nothing by what follows no motion.
+        // A track of the same motion, or of no motion, is no occlusion.
         assert_eq!(ends.order(&vec![Some(0); tracks.len()], 0), (0, 0));
         assert_eq!(ends.order(&vec![None; tracks.len()], 0), (0, 0));
     }
@@ -391,7 +393,7 @@ mod tests {
         let note = |found: Vec<RigidMotion>| Motions { found, chosen: 1, weights: vec![] }.note();
         let sure = note(found);
         assert!(sure.contains("number 1") && !sure.contains("doubtful"), "{sure}");
-        // Where nothing hides anything, only what is explained tells.
+        // Without occlusions, only the explained share decides.
         let alike = |explained| RigidMotion { explained, hidden: 0, hides: 0 };
         let doubtful = note(vec![alike(0.21), alike(0.22)]);
         assert!(doubtful.contains("number 0 is nearly as likely"), "{doubtful}");

@@ -1,4 +1,4 @@
-//! Poses from tracks alone: a start from two frames, then frame by frame by PnP.
+//! Poses from tracks alone: an initial pair of frames, then frame by frame by PnP.
 
 use std::ops::Range;
 
@@ -18,18 +18,19 @@ use crate::track::still::{relate, shared};
 use crate::types::{Intrinsics, Pose};
 use crate::{Error, Result};
 
-/// A point that was seen from so many poses has its full weight in the next one.
+/// Number of posed views from which a point has its full weight in the next pose.
 const SENIOR: f64 = 10.0;
 
-/// How much a point counts that was seen from so many poses: a mover may fit any camera for a few frames.
+/// The weight of a point by its number of posed views: a point on a mover can fit any camera for a few
+/// frames.
 fn seniority(views: usize) -> f64 {
     ((views as f64 - 2.0) / (SENIOR - 2.0)).clamp(0.02, 1.0)
 }
 
-/// Most points of an adjustment on the way.
+/// Maximum number of points in an intermediate adjustment.
 const POINTS: usize = 900;
 
-/// The pair to start from: many tracks, wide parallax, no plane.
+/// Chooses the initial pair of frames: many shared tracks, large parallax, not a planar scene.
 fn start(
     tracks: &[PointTrack],
     weights: &[f64],
@@ -68,20 +69,17 @@ fn start(
         .map(|(_, pair, found, tracks)| (pair, found, tracks))
 }
 
-/// Frames getting their poses one by one.
+/// The state of incremental posing.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(in crate::track) struct Posing {
     cameras: Cameras,
-    /// Per frame: it has its pose.
+    /// Per frame: whether it has a pose.
     posed: Vec<bool>,
-    /// How many had when all were last adjusted.
+    /// Number of posed frames at the last adjustment of all of them.
     adjusted: usize,
 }
 
-/// The start from two frames.
-///
-/// # Errors
-/// No pair of frames shows parallax.
+/// Initialises posing from two frames.
 fn begin(
     tracks: &[PointTrack],
     weights: &[f64],
@@ -114,12 +112,9 @@ fn begin(
     Ok(Posing { cameras, posed, adjusted: 2 })
 }
 
-/// Cameras from tracks alone: a start from two frames, then frame by frame by PnP, adjusted on the
-/// way and all together at the end. `strictness` scales the thresholds of outliers; `part` is the name under
-/// which the way there is kept.
-///
-/// # Errors
-/// No pair of frames shows parallax; too few static points; what the observer of `work` returns.
+/// Reconstructs cameras from tracks alone: an initial pair of frames, then frame by frame by PnP, with
+/// intermediate adjustments and a final one over all frames. `strictness` scales the thresholds of outliers;
+/// `part` is the name under which the intermediate state is saved.
 pub(in crate::track) fn reconstruct(
     tracks: &[PointTrack],
     weights: &[f64],
@@ -138,7 +133,7 @@ impl Posing {
     /// The cameras, adjusted to all static tracks.
     ///
     /// # Errors
-    /// A frame without a pose; those of the adjustment.
+    /// A frame has no pose; errors of the adjustment.
     pub(in crate::track) fn adjusted(
         self,
         tracks: &[PointTrack],
@@ -174,10 +169,7 @@ impl Posing {
     }
 }
 
-/// Poses frame after frame, as long as points lead from one to the next.
-///
-/// # Errors
-/// No pair of frames shows parallax; what the observer of `work` returns.
+/// Poses one frame after another, as long as enough points are shared with the posed frames.
 pub(in crate::track) fn pose(
     tracks: &[PointTrack],
     weights: &[f64],
@@ -206,7 +198,7 @@ pub(in crate::track) fn pose(
     Ok(posing)
 }
 
-/// Gives a frame its pose by PnP, and adjusts all where enough frames have come since.
+/// Poses a frame by PnP, and adjusts all frames if enough have been added since the last adjustment.
 fn pose_frame(
     posing: &mut Posing,
     frame: usize,
@@ -261,7 +253,7 @@ fn pose_frame(
     Ok(())
 }
 
-/// The frame without pose that sees most of the points known.
+/// The frame without a pose that sees most of the known points.
 fn next_frame(tracks: &[PointTrack], posed: &[bool], anchors: &[Option<Anchor>]) -> Option<usize> {
     let mut counts = vec![0usize; posed.len()];
     for (track, _) in tracks.iter().zip(anchors).filter(|(_, anchor)| anchor.is_some()) {

@@ -1,4 +1,4 @@
-//! Cameras that turn in place: rotations and focal length, the world infinitely far away.
+//! Cameras that rotate in place: rotations and focal length, with the world at infinity.
 
 use glam::DQuat;
 use rayon::prelude::*;
@@ -13,19 +13,20 @@ use crate::track::still::shared;
 use crate::types::{Intrinsics, Pose};
 use crate::{Error, Result};
 
-/// Focal lengths to start from where none is given, as multiples of the longer side. The adjustment finds
-/// its way from half or double of the true one.
+/// Initial focal lengths if none is given, as multiples of the longer side. The adjustment converges from
+/// half to double the true one.
 const STARTS: [f64; 3] = [0.7, 1.2, 2.1];
-/// Most points of a start.
+/// Maximum number of points in an initial adjustment.
 const POINTS: usize = 900;
 
 impl Cameras {
-    /// Cameras of a clip whose camera turns in place, by all tracks that count: each frame's rotation to
-    /// the next, then all of them and the focal length together. The focal length is that of `focal` if it
-    /// was given or the clip does not tell another.
+    /// Estimates the cameras of a clip whose camera rotates in place, from all weighted tracks: first each
+    /// frame's rotation to the next, then all rotations and the focal length together. The focal length is
+    /// that of `focal` if it was given, else a measured one if the clip determines it, else the default.
     ///
     /// # Errors
-    /// Two neighbouring frames of which no turn explains a part; those of the adjustment.
+    /// No rotation explains a part of the tracks that two neighbouring frames share; errors of the
+    /// adjustment.
     pub fn turning(
         tracks: &[PointTrack],
         weights: &[f64],
@@ -72,7 +73,7 @@ impl Cameras {
         adjusted(start(&focal)?, &focal)
     }
 
-    /// Puts all tracks that count at infinity.
+    /// Puts all weighted tracks at infinity.
     pub(super) fn put_far(&mut self, tracks: &[PointTrack], weights: &[f64]) {
         let far = |(track, weight): (&PointTrack, &f64)| {
             (*weight > 0.05).then_some(Anchor { frame: track.first(), inverse_depth: 0.0 })
@@ -81,7 +82,7 @@ impl Cameras {
     }
 }
 
-/// `view_from_world` of all frames by the turns from one frame to the next.
+/// `view_from_world` of all frames, chained from the rotations between neighbouring frames.
 fn chained(
     tracks: &[PointTrack],
     weights: &[f64],

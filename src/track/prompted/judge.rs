@@ -1,24 +1,24 @@
-//! Which of the masks that a source draws are believed, and what they say of motion.
+//! Decides which masks of a source are accepted, and what evidence of motion they give.
 
 use super::{ABOUT, Frame, MARGIN, probability, share};
 use crate::Result;
 use crate::observe::FoundMask;
 use crate::types::Image;
 
-/// A mask of the frame before belongs to a region with which it overlaps by this, as a share of both.
+/// Minimum intersection over union of a region and the mask of the previous frame that belongs to it.
 const SAME: f64 = 0.2;
-/// An accepted mask covers less than this share of the picture.
+/// Share of the image that an accepted mask must stay below.
 const LARGEST: f64 = 0.9;
-/// By how many standard deviations of the mean an accepted mask moves more than what stands still.
+/// Number of standard deviations of the mean by which an accepted mask must move more than the static world.
 const ABOVE: f64 = 3.0;
-/// An accepted mask fits its region by this at least.
+/// Minimum fit of an accepted mask to its region.
 const LEAST_FIT: f64 = 0.5;
-/// Log odds of an accepted mask, at most. Ones that are off by two pixels raise the walker's masks most with 1,
-/// and ones that slip by six do them no harm; with 2 these do.
+/// Bound of the log odds of an accepted mask. With 1, masks with errors of two pixels improve the walker's
+/// masks most, and masks that slip by six pixels do no harm; with 2 the latter do harm.
 const BOUND: f32 = 1.0;
 
 impl Frame<'_> {
-    /// The mask of the frame before that belongs to a region.
+    /// The mask of the previous frame that belongs to a region, if any.
     pub(super) fn before(&self, k: usize, handed: &[Image]) -> Option<Image> {
         let overlap = |mask: &Image| {
             let pixels = mask.pixels.iter().filter(|odds| **odds > 0.0).count();
@@ -29,8 +29,8 @@ impl Frame<'_> {
         (overlap(best) > SAME).then(|| best.clone())
     }
 
-    /// How well a mask fits a region that moves: the expected share of pixels that are in both, of those in
-    /// either. None if it is not to be believed.
+    /// How well a mask fits a moving region: the expected intersection over union with what moves. `None` if
+    /// the mask is rejected.
     pub(super) fn fit(&self, k: usize, mask: &Image) -> Option<f64> {
         let inside = |i: usize| mask.pixels[i] > 0.0;
         let p = |i: usize| f64::from(probability(self.odds[i]));
@@ -42,7 +42,7 @@ impl Frame<'_> {
         if area == 0 || area as f64 >= LARGEST * self.odds.len() as f64 {
             return None;
         }
-        // Pixels beside each other say the same.
+        // Neighbouring pixels are correlated.
         let alike = (2 * share(ABOUT, self.width) + 1).pow(2) as f64;
         let (mean, deviation) = self.level;
         let doubt = deviation / (area as f64 / alike).max(1.0).sqrt();
@@ -52,7 +52,8 @@ impl Frame<'_> {
         (above && fit >= LEAST_FIT).then_some(fit)
     }
 
-    /// What accepted masks, each of a region, say of the pixels in them, in their region and beside.
+    /// The log odds from accepted masks, each with its region, for the pixels in the mask, in its region and
+    /// beside both.
     pub(super) fn say(&self, accepted: &[(usize, Image)]) -> Vec<f32> {
         let mut said: Vec<Option<f32>> = vec![None; self.odds.len()];
         for (k, mask) in accepted {
@@ -64,7 +65,7 @@ impl Frame<'_> {
             let near = thing.near(share(MARGIN, self.width));
             for i in 0..said.len() {
                 let odds = mask.pixels[i];
-                // Of another region it says only what belongs to it, too.
+                // For other regions a mask gives only positive evidence.
                 if odds > 0.0 || own(i) || (near[i] && self.region[i] == 0) {
                     let odds = odds.clamp(-BOUND, BOUND);
                     said[i] = Some(said[i].map_or(odds, |other| other.max(odds)));
@@ -74,7 +75,7 @@ impl Frame<'_> {
         said.into_iter().map(|said| said.unwrap_or(0.0)).collect()
     }
 
-    /// That a mask is one.
+    /// Checks that a mask has the right size and no NaN values.
     pub(super) fn check(&self, FoundMask { odds, score }: &FoundMask) -> Result<()> {
         let (width, height) = (self.picture.width, self.picture.height);
         if (odds.width, odds.height, odds.channels) != (width, height, 1) {
@@ -103,10 +104,10 @@ mod tests {
         with_square(|frame| {
             let fit = |of: &dyn Fn(DVec2) -> bool| frame.fit(0, &mask(of));
             let whole = fit(&square).unwrap();
-            // By the expected shares: half of the pixels with log odds of 3, half with 1.
+            // The expected fit: half of the pixels have log odds of 3, half have 1.
             let expected = 0.5 * f64::from(probability(3.0) + probability(1.0));
             assert!((whole - expected).abs() < 1e-6, "{whole} {expected}");
-            // What is neither said to move nor to stand may belong to it, what stands lowers its fit.
+            // Undecided pixels may belong to the mover; static pixels lower the fit.
             let wider = fit(&|p| within(p, (20.0, 10.0), (44.0, 30.0))).unwrap();
             let across = fit(&|p| within(p, (16.0, 10.0), (40.0, 30.0))).unwrap();
             assert!(whole > wider && wider > across, "{whole} {wider} {across}");

@@ -1,19 +1,20 @@
-//! Where a source of masks is pointed at: on a region that moves, and beside it.
+//! The prompts for a source of masks: points on a moving region, and beside it.
 
 use super::{Frame, centre, share};
 use crate::observe::Prompt;
 
-/// Points of each kind for a region, at most.
+/// Maximum number of points of each kind per region.
 const POINTS: usize = 8;
-/// They are so far apart, as a share of the picture's width.
+/// Minimum distance between them, as a share of the image width.
 const APART: f64 = 0.05;
-/// Points beside a region are within so much of its bounds, as a share of the width.
+/// Maximum distance of points beside a region from its bounding box, as a share of the image width.
 const BESIDE: f64 = 0.15;
-/// Log odds of motion of points beside, at most.
+/// Maximum log odds of motion of points beside a region.
 const STANDS: f32 = -0.5;
 
 impl Frame<'_> {
-    /// Points on a region where it moves most plainly, and beside it where the world plainly stands still.
+    /// Points on a region where its motion is most certain, and beside it where the world is most certainly
+    /// static.
     pub(super) fn prompts(&self, k: usize) -> Vec<Prompt> {
         let on = self.chosen(self.regions[k].clone(), |i| self.means[i], 0.0);
         let beside = self.beside(k).collect();
@@ -22,7 +23,7 @@ impl Frame<'_> {
         on.into_iter().map(prompt(true)).chain(off.into_iter().map(prompt(false))).collect()
     }
 
-    /// Pixels about a region that are in none.
+    /// Pixels around a region that are in no region.
     fn beside(&self, k: usize) -> impl Iterator<Item = usize> {
         let reach = share(BESIDE, self.width);
         let (width, height) = (self.width, self.odds.len() / self.width);
@@ -37,8 +38,8 @@ impl Frame<'_> {
         (top..=bottom.min(height - 1)).flat_map(row).filter(|i| self.region[*i] == 0)
     }
 
-    /// The pixels with the highest scores above a least one, which keep apart: of those that may be pointed at, or of all
-    /// where there is none.
+    /// The pixels with the highest scores above `least`, at a minimum distance from each other. They are
+    /// chosen from the pixels that may be used as prompts, or from all pixels if there are none of those.
     fn chosen(
         &self,
         mut pixels: Vec<usize>,
@@ -96,7 +97,7 @@ mod tests {
     #[test]
     fn what_is_not_sure_is_not_pointed_at() {
         with_square(|frame| {
-            // The lower half of the picture is not sure, then all of it.
+            // First the lower half of the image is not sure, then all of it.
             let sure = |lower: f64| {
                 let pixels = 0..frame.odds.len();
                 let sure = pixels.map(|i| super::centre(i, frame.width).y < lower).collect();

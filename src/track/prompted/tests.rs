@@ -1,4 +1,4 @@
-//! Stand-ins for a network on a synthetic clip, and a frame that shows a square.
+//! Substitutes for a network on a synthetic clip, and a frame that shows a square.
 
 use std::collections::BTreeMap;
 
@@ -12,24 +12,24 @@ use crate::data::synth::{self, SynthOptions};
 use crate::eval::mask_iou;
 use crate::observe::{FoundMask, SuppliedFlow, observe_flow};
 
-/// What a stand-in for a network draws.
+/// The masks that a substitute for a network draws.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Draws {
-    /// The thing a pixel too small or too large all around and with holes, beside what is wrong.
+    /// The object, a pixel too small or too large all around and with holes, among wrong masks.
     Nearly,
-    /// Discs about prompts, of any size.
+    /// Discs around prompts, of random sizes.
     Blobs,
     Everything,
     Nothing,
-    /// All but the thing.
+    /// Everything except the object.
     Inverted,
 }
 
-/// Knows the clip's truth, and draws of it.
+/// A source that draws from the clip's ground truth.
 struct Standin<'a> {
     truth: &'a [Image],
     draws: Draws,
-    /// Frames in which it was asked, and how often with a mask to begin with.
+    /// Frames in which it was queried, and the number of queries with an initial mask.
     asked: Vec<usize>,
     begun: usize,
 }
@@ -39,7 +39,7 @@ impl Standin<'_> {
         Standin { truth, draws, asked: Vec::new(), begun: 0 }
     }
 
-    /// What the points on a thing point at.
+    /// The object that the points inside it hit.
     fn thing(&self, number: usize, query: &MaskQuery) -> Image {
         let truth = &self.truth[number];
         let width = truth.width as usize;
@@ -124,7 +124,7 @@ fn blob(like: &Image, query: &MaskQuery, seed: usize) -> Image {
     Image { pixels, ..*like }
 }
 
-/// Puts parts away, and ends the work after so many of the source's frames.
+/// An observer that keeps parts, and ends the work after `left` of the source's frames.
 struct Keeps {
     parts: BTreeMap<String, Vec<u8>>,
     left: usize,
@@ -153,7 +153,7 @@ impl Observer for Keeps {
     }
 }
 
-/// A small clip, its flow a little wrong.
+/// A small clip whose flow has small errors.
 fn clip(name: &str, frames: usize, (width, height): (u32, u32)) -> (synth::Clip, SuppliedFlow) {
     let size = SynthOptions { frames, width, height, seed: 3 };
     let width = width as usize;
@@ -172,7 +172,7 @@ fn clip(name: &str, frames: usize, (width, height): (u32, u32)) -> (synth::Clip,
     (clip, flow)
 }
 
-/// The clip's pixels judged against its true cameras, and the masks that this makes.
+/// Judges the clip's pixels against its true cameras, and makes the masks from that.
 fn judged<T>(
     clip: &synth::Clip,
     mut flow: SuppliedFlow,
@@ -269,8 +269,8 @@ fn what_the_user_supplies_wins() {
     assert_eq!((asked.len(), &*note), (8, "masks: the network's accepted in 8 of 8 frames"));
 }
 
-/// A square of 20 × 20 pixels that moves, its left half most plainly, and what does not stand plainly to
-/// the right of it.
+/// A square of 20 × 20 pixels that moves, with the most certain motion in its left half, and undecided pixels
+/// to its right.
 pub(super) fn square(p: DVec2) -> bool {
     within(p, (20.0, 10.0), (40.0, 30.0))
 }

@@ -1,4 +1,4 @@
-//! Spreads the nodes of a scaffold and carries them through the clip.
+//! Places the control points of a scaffold and carries them through the clip.
 
 use glam::{DQuat, DVec2, DVec3};
 use rayon::prelude::*;
@@ -11,23 +11,26 @@ use super::{
 use crate::track::{Mover, quantile};
 use crate::types::{Image, Pose};
 
-/// Nodes in the frame that the scaffold begins in, about.
+/// Approximate number of control points in the frame that the scaffold begins in.
 const NODES: f64 = 128.0;
-/// Nodes in all, at most.
+/// Maximum number of control points.
 const MOST_NODES: usize = 256;
-/// Surface farther from every node than so many spacings gets a node of its own.
+/// Once there are `NODES` control points, surface farther than this many spacings from all of them gets a new
+/// one.
 const UNCOVERED: f64 = 1.5;
-/// Weight of an edge, by that of all surface points of a node.
+/// Weight of an edge relative to the total weight of a control point's surface points.
 const RIGIDITY: f64 = 0.05;
-/// Objects are judged by the points that are off by more than this share of all.
+/// Quantile of the surface points' errors that an object's motion is judged by.
 const JUDGED: f64 = 0.8;
-/// Flow that is chained from so many frames before the last tells where nodes have gone astray.
+/// Distances in frames from which flow is chained to correct drifting control points, counted back from the
+/// last known frame.
 const BACK: [usize; 8] = [1, 2, 3, 4, 6, 8, 11, 15];
-/// Nodes go as one where that leaves at most so much more.
+/// An object counts as rigid if its own motion leaves less than this many times the error that the control
+/// points' motions leave.
 const STIFF: f64 = 1.5;
 
-/// The frame that shows most of the movers, the one nearest to the middle among the good ones: from
-/// there motion has to reach least far.
+/// The frame that the scaffold begins in: of the frames that show at least 70 % of the largest moving area,
+/// the one nearest to the middle of the clip, so that motion is carried over the fewest frames.
 fn canonical_frame(masks: &[Image]) -> usize {
     let areas: Vec<usize> = masks.iter().map(area).collect();
     let most = areas.iter().copied().max().unwrap_or(0);
@@ -38,7 +41,7 @@ fn canonical_frame(masks: &[Image]) -> usize {
         .unwrap_or(middle)
 }
 
-/// A node whose place is not known in every frame yet.
+/// A control point whose pose is not known in every frame yet.
 struct Growing {
     owner: usize,
     spacing: f64,
@@ -48,16 +51,17 @@ struct Growing {
 /// The scaffold while it is being built.
 struct Builder<'a> {
     surfaces: &'a Surfaces<'a>,
-    /// Distance of the nodes, pixels.
+    /// Spacing of the control points, pixels.
     spacing: f64,
     nodes: Vec<Growing>,
-    /// The largest distance that two nodes have had, row by row.
+    /// The largest distance so far between each two control points, row by row.
     farthest: Vec<Vec<f64>>,
-    /// By frame and object, how this goes to the next frame.
+    /// By frame and object, the motion of the object to the next frame.
     steps: &'a [Vec<Pose>],
-    /// By object, whether its nodes go as one.
+    /// By object, whether its control points move as one rigid body.
     rigid: Vec<bool>,
-    /// By object, what its own motion and what the nodes' motions leave of each step.
+    /// By object, the errors in pixels that its own motion and the control points' motions leave in each
+    /// step.
     left: Vec<Vec<[f64; 2]>>,
 }
 
@@ -104,7 +108,8 @@ pub(in crate::track) fn build(surfaces: &Surfaces<'_>) -> Scaffold {
     Scaffold { canonical, nodes }
 }
 
-/// Before an object is first seen and after it is last seen it goes on as it did then.
+/// Extrapolates an object's motion: before it is first seen and after it is last seen, it repeats the first
+/// and the last step.
 fn go_on(steps: &mut [Vec<Pose>], owner: usize, object: &Mover) {
     let (first, end) = (object.first, object.first + object.world_from_object.len());
     if end < first + 2 {
@@ -115,15 +120,14 @@ fn go_on(steps: &mut [Vec<Pose>], owner: usize, object: &Mover) {
     steps[end - 1..].iter_mut().for_each(|step| step[owner] = last);
 }
 
-/// Whether what an object's own motion leaves of its steps is hardly more than what the nodes' motions
-/// leave.
+/// Whether the error of an object's own motion is hardly larger than that of the control points' motions.
 fn is_rigid((owner, left): (usize, &Vec<[f64; 2]>)) -> bool {
     let of = |k: usize| quantile(left.iter().map(|step| step[k]).collect(), 0.5);
     owner > 0 && of(0) < STIFF * of(1)
 }
 
 impl Builder<'_> {
-    /// Builds all from a first frame on.
+    /// Builds all control points, starting in a first frame.
     fn grow(&mut self, first: usize) {
         let frames = self.surfaces.masks.len();
         self.cover(first);
@@ -142,7 +146,7 @@ impl Builder<'_> {
         }
     }
 
-    /// Adds nodes where a frame shows surface that none is near to.
+    /// Adds control points where a frame shows surface without a nearby control point.
     fn cover(&mut self, frame: usize) {
         let surfaces = self.surfaces;
         let every = ((0.5 * self.spacing) as usize).max(1);
@@ -159,7 +163,7 @@ impl Builder<'_> {
                     return false;
                 };
                 let offset = pose.translation - point;
-                // Depth is inferred: along the line of sight nodes are off by more.
+                // Depth is inferred, so larger distances along the line of sight are tolerated.
                 (offset - 0.5 * sight * sight.dot(offset)).length() < reach
             };
             if self.nodes.iter().any(near) {
@@ -172,7 +176,7 @@ impl Builder<'_> {
         self.measure(frame);
     }
 
-    /// Takes the distances of a frame into account.
+    /// Updates the largest distances with those of a frame.
     fn measure(&mut self, frame: usize) {
         let count = self.nodes.len();
         self.farthest.resize(count, Vec::new());
@@ -191,7 +195,8 @@ impl Builder<'_> {
         });
     }
 
-    /// Finds where the nodes of a frame are in its neighbour, those whose place there is not known.
+    /// Carries the control points of a frame to a neighbouring frame, except those whose pose there is
+    /// already known.
     fn carry(&mut self, from: usize, to: usize) {
         let chosen: Vec<usize> =
             (0..self.nodes.len()).filter(|&i| self.nodes[i].poses[from].is_some()).collect();
@@ -245,9 +250,9 @@ impl Builder<'_> {
         self.measure(to);
     }
 
-    /// Surface points of frames farther back, beyond `from`, that chained flow leads to `to`: as the nodes
-    /// have carried them to `from`, where they may have gone astray a little, and where they should be
-    /// in `to`.
+    /// Surface points of frames farther back, beyond `from`, that chained flow maps to `to`. Each match holds
+    /// the position to which the control points have carried the point in `from`, which may have drifted, and
+    /// the position where it should be in `to`.
     fn long_matches(
         &self,
         from: usize,
@@ -299,15 +304,14 @@ impl Builder<'_> {
         surfaces.inner_pixels(source, every).par_iter().filter_map(find).collect()
     }
 
-    /// A pose in the next frame if it were fixed to its object.
+    /// The pose in the next frame of something that is fixed to its object.
     fn with_object(&self, owner: usize, from: usize, to: usize, here: &Pose) -> Pose {
         let step = self.steps[from.min(to)][owner];
         let step = if to > from { step } else { step.inverse() };
         Pose::new(step.rotation * here.rotation, step.apply(here.translation))
     }
 
-    /// Remembers what a step leaves, pixels, object by object: the share of the points that
-    /// [`JUDGED`] tells leaves less.
+    /// Records the error of a step in pixels, object by object: the [`JUDGED`] quantile over its points.
     fn record(&mut self, step: &Step, there: &[Pose], from: usize, to: usize) {
         let turns: Vec<DQuat> = there
             .iter()
@@ -330,8 +334,8 @@ impl Builder<'_> {
         }
     }
 
-    /// The edges of the chosen nodes, by their numbers among these: to those that have always been
-    /// near.
+    /// The edges of the chosen control points, as indices among these: to those that have been near in all
+    /// frames.
     fn neighbours(&self, chosen: &[usize]) -> Vec<Vec<usize>> {
         let of = |&i: &usize| {
             let distance = |j: usize| self.farthest[i][chosen[j]];
@@ -347,8 +351,8 @@ impl Builder<'_> {
         chosen.par_iter().map(of).collect()
     }
 
-    /// The nodes that a surface point of a frame follows, by their numbers among the chosen ones: the
-    /// nearest one, and its neighbours, as far as they are known there.
+    /// The control points that a surface point of a frame follows, as indices among the chosen ones: the
+    /// nearest one and those of its neighbours whose position in that frame is known.
     fn bind(
         &self,
         owner: usize,

@@ -1,12 +1,12 @@
-//! The frames in which a node is there at all.
+//! The range of frames in which a control point exists.
 //!
-//! An object is there from the first frame that shows it to the last one; that something hides it in
-//! between, or that a mask misses it, changes nothing. Before and after, it is not where it was seen last:
-//! where the picture shows that place, it would show the object. Only a node whose place the picture does
-//! not show can still be there, and is for some frames: a camera elsewhere sees an object leave later.
+//! An object exists from the first frame that shows it to the last one, even if something hides it in between
+//! or a mask misses it. Before and after, it is not where it was seen last: if that position is inside the
+//! image, the image would show the object. Only a control point whose position is outside the image can still
+//! exist, and it is kept for some frames, because an offset camera sees the object leave later.
 //!
-//! A node that is on no known object is judged by itself: by the frames whose masks, around its place, show
-//! something that moves and belongs to no object.
+//! A control point that is on no known object is judged individually: by the frames whose masks show, around
+//! its position, something that moves and belongs to no object.
 
 use std::ops::Range;
 
@@ -15,12 +15,12 @@ use rayon::prelude::*;
 
 use super::{Node, Surfaces};
 
-/// An object is seen in a frame that shows so many of its pixels.
+/// Minimum number of its pixels in a frame for an object to count as seen.
 const LEAST_PIXELS: usize = 12;
-/// A node goes on for so many frames where the picture does not show its place.
+/// Maximum number of frames that a control point is kept while its position is outside the image.
 const GOES_ON: usize = 6;
 
-/// Says of each node in which frames it is there.
+/// Sets the range of frames in which each control point exists.
 pub(super) fn find(surfaces: &Surfaces<'_>, nodes: &mut [Node]) {
     let frames = surfaces.masks.len();
     let counts: Vec<Vec<usize>> =
@@ -37,7 +37,7 @@ pub(super) fn find(surfaces: &Surfaces<'_>, nodes: &mut [Node]) {
     });
 }
 
-/// How many pixels of each object a frame shows; first those of none.
+/// The number of pixels of each object in a frame; index 0 counts moving pixels without an object.
 fn pixels(surfaces: &Surfaces<'_>, frame: usize) -> Vec<usize> {
     let mut counts = vec![0; surfaces.movers.len() + 1];
     let (mask, owners) = (&surfaces.masks[frame], &surfaces.owners[frame]);
@@ -54,7 +54,7 @@ fn range(mut frames: impl Iterator<Item = usize>) -> Option<Range<usize>> {
     Some(first..frames.last().unwrap_or(first) + 1)
 }
 
-/// The pixel that shows a node's place, if the picture does.
+/// The pixel at which a control point projects, if it is inside the image.
 fn pixel(surfaces: &Surfaces<'_>, node: &Node, frame: usize) -> Option<DVec2> {
     let view = surfaces.view_from_world[frame].apply(node.world_from_node[frame].translation);
     let pixel = surfaces.intrinsics.project(view);
@@ -62,7 +62,7 @@ fn pixel(surfaces: &Surfaces<'_>, node: &Node, frame: usize) -> Option<DVec2> {
     (view.z > 0.0 && pixel.cmpge(DVec2::ZERO).all() && pixel.cmplt(size).all()).then_some(pixel)
 }
 
-/// Whether a frame shows something of the node's object around its place.
+/// Whether a frame shows the control point's object near the control point's position.
 fn shown(surfaces: &Surfaces<'_>, node: &Node, frame: usize) -> bool {
     let Some(middle) = pixel(surfaces, node, frame) else { return false };
     let place = node.world_from_node[frame].translation;
@@ -71,7 +71,7 @@ fn shown(surfaces: &Surfaces<'_>, node: &Node, frame: usize) -> bool {
     around.iter().any(|off| surfaces.owner(frame, middle + half * *off) == Some(node.owner))
 }
 
-/// The frames in which a node is there that was seen in some.
+/// Extends the range of frames in which a control point was seen.
 fn extended(surfaces: &Surfaces<'_>, node: &Node, seen: Range<usize>) -> Range<usize> {
     let frames = surfaces.masks.len();
     let beyond = |frame: &usize| pixel(surfaces, node, *frame).is_none();

@@ -1,6 +1,6 @@
-//! One step of the scaffold's nodes from a frame to its neighbour: the motions that explain where dense
-//! flow says that surface points go, each node's surroundings as rigid as possible; and the one rigid
-//! motion that explains them best.
+//! One step of the scaffold's control points from a frame to its neighbour: the motions that explain the flow
+//! of surface points while each control point's neighbourhood stays as rigid as possible. Also, the single
+//! rigid motion that explains that flow best.
 
 use glam::{DMat3, DQuat, DVec3};
 use nalgebra::{Matrix6, Vector6};
@@ -9,13 +9,14 @@ use crate::geometry::se3::matrix3;
 use crate::geometry::sim3::nearest_rotation;
 use crate::types::Pose;
 
-/// Nodes that a surface point follows.
+/// Maximum number of control points that a surface point follows.
 const FOLLOWED: usize = 4;
-/// How much a difference along the line of sight counts, in depth that was inferred, by that across.
+/// Weight of a difference along the line of sight relative to one across it, because depth is inferred.
 const ALONG: f64 = 0.1;
-/// Share of its neighbours' rotations in a node's own: what its edges leave open, they decide.
+/// Weight of the neighbours' rotations in a control point's own. They determine what its edges leave
+/// undetermined.
 const COMMON: f64 = 0.1;
-/// A surface point that moves by so many pixels too much counts half.
+/// Error in pixels at which a surface point's weight is halved.
 const ROBUST: f64 = 2.0;
 const ITERATIONS: usize = 5;
 
@@ -24,28 +25,28 @@ pub(super) struct Match {
     pub(super) owner: usize,
     pub(super) here: DVec3,
     pub(super) there: DVec3,
-    /// Unit vector along which `there` is hardly known.
+    /// Unit vector of the line of sight, along which `there` is poorly known.
     pub(super) sight: DVec3,
-    /// One over the square of a pixel, times the certainty.
+    /// Certainty divided by the square of the pixel size in the world.
     pub(super) weight: f64,
-    /// Confidence, and how many pixels the point stands for.
+    /// Confidence times the number of pixels that the point stands for.
     pub(super) certainty: f64,
 }
 
 impl Match {
-    /// How far off the point would be somewhere, pixels.
+    /// The error in pixels if the point moves to `place`.
     pub(super) fn off(&self, place: DVec3) -> f64 {
         let off = place - self.there;
         (off.dot(self.weighed(off)).max(0.0) / self.certainty).sqrt()
     }
 
-    /// A difference of places, weighted.
+    /// A difference of positions, weighted.
     fn weighed(&self, difference: DVec3) -> DVec3 {
         self.weight * (difference - (1.0 - ALONG) * self.sight * self.sight.dot(difference))
     }
 }
 
-/// The rigid motion that explains some surface points best, from a guess: Gauss and Newton's steps with
+/// The rigid motion that explains some surface points best, from an initial guess, by Gauss-Newton steps with
 /// Cauchy's weights.
 pub(super) fn rigid(matches: &[Match], guess: Pose) -> Pose {
     let mut pose = guess;
@@ -58,7 +59,7 @@ pub(super) fn rigid(matches: &[Match], guess: Pose) -> Pose {
             let moved = pose.apply(m.here);
             let off = m.there - moved;
             let robust = 1.0 / (1.0 + (m.off(moved) / ROBUST).powi(2));
-            // Turning about the middle by ω moves the point by ω × arm.
+            // Rotating about the middle by ω moves the point by ω × arm.
             let arm = moved - middle;
             let columns: [DVec3; 6] = [
                 DVec3::X.cross(arm),
@@ -87,10 +88,10 @@ pub(super) fn rigid(matches: &[Match], guess: Pose) -> Pose {
     pose
 }
 
-/// Nodes that a point follows, and how much each.
+/// The control points that a point follows, with their weights.
 pub(super) type Bound = Vec<(usize, f64)>;
 
-/// The nearest node and its nearest neighbours, with weights that sum to 1.
+/// The nearest control point and its nearest neighbours, with weights that sum to 1.
 pub(super) fn followed(
     nearest: usize,
     neighbours: &[usize],
@@ -107,10 +108,10 @@ pub(super) fn followed(
     near.into_iter().map(|j| (j, weight(j) / sum)).collect()
 }
 
-/// One step of the nodes from a frame to its neighbour.
+/// One step of the control points from a frame to its neighbour.
 pub(super) struct Step {
     pub(super) here: Vec<Pose>,
-    /// Whose place is sought.
+    /// Whether each control point's pose is to be solved for.
     pub(super) free: Vec<bool>,
     pub(super) neighbours: Vec<Vec<usize>>,
     pub(super) edge_weights: Vec<f64>,
@@ -119,7 +120,8 @@ pub(super) struct Step {
 }
 
 impl Step {
-    /// Alternates places and rotations, from a guess; those of nodes that are not free stay.
+    /// Alternates between solving for positions and rotations, from an initial guess. Control points that are
+    /// not free keep the guess.
     pub(super) fn solve(&self, guess: &[Pose]) -> Vec<Pose> {
         let count = self.here.len();
         let mut turns: Vec<DQuat> = (0..count)
@@ -144,7 +146,7 @@ impl Step {
             .collect()
     }
 
-    /// Where the nodes put a surface point.
+    /// The position to which the control points move a surface point.
     pub(super) fn moved(&self, m: usize, turns: &[DQuat], places: &[DVec3]) -> DVec3 {
         let here = self.matches[m].here;
         let follow =
@@ -152,7 +154,7 @@ impl Step {
         self.bound[m].iter().map(follow).sum()
     }
 
-    /// Cauchy's weights.
+    /// Cauchy's weights of the matches.
     fn robust_weights(&self, turns: &[DQuat], places: &[DVec3]) -> Vec<f64> {
         (0..self.matches.len())
             .map(|m| {
@@ -162,7 +164,7 @@ impl Step {
             .collect()
     }
 
-    /// Half the gradient of the energy with respect to the places.
+    /// Half the gradient of the energy with respect to the positions.
     fn gradient(&self, turns: &[DQuat], places: &[DVec3], robust: &[f64]) -> Vec<DVec3> {
         let mut gradient = vec![DVec3::ZERO; places.len()];
         for (m, point) in self.matches.iter().enumerate() {
@@ -183,7 +185,7 @@ impl Step {
         gradient
     }
 
-    /// Its linear part applied to a direction.
+    /// The linear part of that gradient applied to a direction.
     fn curvature(&self, direction: &[DVec3], robust: &[f64]) -> Vec<DVec3> {
         let mut out = vec![DVec3::ZERO; direction.len()];
         for (m, point) in self.matches.iter().enumerate() {
@@ -204,7 +206,7 @@ impl Step {
         out
     }
 
-    /// The diagonal of that, inverted.
+    /// The inverse diagonal of the linear part.
     fn preconditioner(&self, robust: &[f64]) -> Vec<f64> {
         let mut diagonal = vec![0.0; self.here.len()];
         for (m, point) in self.matches.iter().enumerate() {
@@ -221,7 +223,7 @@ impl Step {
         diagonal.iter().map(|d| if *d > 0.0 { 1.0 / d } else { 0.0 }).collect()
     }
 
-    /// The best places for some rotations, by conjugate gradients.
+    /// The best positions for given rotations, by conjugate gradients.
     fn move_places(&self, turns: &[DQuat], places: &mut [DVec3], robust: &[f64]) {
         const MOST: usize = 100;
         let inverse = self.preconditioner(robust);
@@ -252,7 +254,7 @@ impl Step {
         }
     }
 
-    /// The best rotations for some places.
+    /// The best rotations for given positions.
     fn turned(&self, turns: &[DQuat], places: &[DVec3], robust: &[f64]) -> Vec<DQuat> {
         let outer = |a: DVec3, b: DVec3| DMat3::from_cols(a * b.x, a * b.y, a * b.z);
         let mut moments = vec![DMat3::ZERO; turns.len()];
@@ -269,7 +271,7 @@ impl Step {
         }
         for (m, point) in self.matches.iter().enumerate() {
             let moved = self.moved(m, turns, places);
-            // What lies along the line of sight is left as it is.
+            // The error along the line of sight is ignored.
             let off = point.there - moved;
             let off = off - point.sight * point.sight.dot(off);
             for &(j, w) in &self.bound[m] {
@@ -303,7 +305,7 @@ mod tests {
 
     #[test]
     fn a_turn_in_the_picture_is_found() {
-        // Points of a square that turns by a tenth of a radian about its middle and comes nearer.
+        // Points of a square that rotates by a tenth of a radian about its middle and is shifted.
         let turn = DQuat::from_rotation_z(0.1);
         let (middle, shift) = (DVec3::new(0.1, 0.2, 2.0), DVec3::new(0.05, -0.02, 0.0));
         let matches: Vec<Match> = (0..100)

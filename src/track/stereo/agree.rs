@@ -1,8 +1,8 @@
-//! What the inverse depths of several frames say of one point.
+//! Cross-checks the inverse depths of several frames for one point.
 //!
-//! A point that one frame tells lies, in another that shows it, where that frame's own inverse depth is.
-//! Where that is nearer, the point is hidden there, which says nothing; where it is farther, the other frame
-//! sees through the point, which contradicts it.
+//! A point measured in one frame should, in another frame that shows it, lie at that frame's own inverse
+//! depth. If the other frame's depth there is nearer, the point is hidden there, which is no evidence. If it
+//! is farther, the other frame sees through the point, which contradicts the measurement.
 
 use glam::DVec2;
 
@@ -10,23 +10,22 @@ use super::super::cameras::Cameras;
 use super::super::residual::Seen;
 use super::views::{self, View};
 
-/// Two inverse depths are of one point where they differ by no more than this, in steps of the levels at
-/// that depth.
+/// Maximum difference of two inverse depths of one point, in steps of the levels at that depth.
 const SAME: f64 = 1.5;
 
-/// The inverse depths of all frames, and what covers them.
+/// The inverse depths of all frames, and the pixels that movers cover.
 pub(super) struct Maps<'a> {
     pub cameras: &'a Cameras,
     pub seen: &'a [Seen],
-    /// Where movers are.
+    /// The pixels that movers cover.
     pub covered: &'a [Vec<bool>],
     pub views: &'a [Vec<View>],
     pub levels: &'a [Vec<f64>],
 }
 
 impl Maps<'_> {
-    /// The inverse depth of a pixel of a frame, by what is believed to be it and by the frames that
-    /// agree with that: none where fewer than `witnesses` do, or more see through the point.
+    /// The weighted mean of a pixel's candidate inverse depth and of the values of the frames that agree with
+    /// it; `None` if fewer than `witnesses` frames agree, or if more frames see through the point than agree.
     pub fn agreed(
         &self,
         frame: usize,

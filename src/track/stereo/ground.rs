@@ -1,10 +1,10 @@
 //! The ground: one plane for the whole clip.
 //!
-//! Ground is seen at a grazing angle and often shows little texture. A frame alone tells its depth badly
-//! then: what is not distinct takes the depth of its surroundings, and the ground becomes a few wide steps.
-//! What stands and moves on it is at the wrong distance. All frames together tell the plane that the ground
-//! lies on, and how even it is. Where a pixel's own measurement is no better than that, the plane
-//! counts.
+//! Ground is seen at a grazing angle and often has little texture. A single frame then measures its depth
+//! badly: indistinct pixels take the depth of their surroundings, and the ground becomes a few wide steps.
+//! Objects that stand or move on it get the wrong distance. All frames together determine the plane of the
+//! ground and its evenness. The plane is used where a pixel's own measurement is no better than that
+//! evenness.
 //!
 //! The plane is found by random samples of three points (RANSAC: Fischler and Bolles 1981) and fitted by
 //! iteratively reweighted least squares.
@@ -21,39 +21,41 @@ use super::super::quantile;
 use super::super::residual::Seen;
 use super::super::shade::least;
 
-/// At most so many points of all frames tell the plane.
+/// Approximate maximum number of points, over all frames, that the plane is estimated from.
 const POINTS: usize = 20_000;
-/// Planes that are tried, and points that each is judged by.
+/// Number of planes that are tried, and number of points that each is scored with.
 const TRIES: usize = 800;
 const JUDGES: usize = 2000;
-/// Cosine of the angle from the ground's normal to the cameras' upward axes, at least.
+/// Minimum cosine of the angle between the ground's normal and the cameras' mean upward axis.
 const UPRIGHT: f64 = 0.8;
-/// Points lie on the plane to this difference of the logarithm of their depth; they shape it and tell how even
-/// it is up to so many times that.
+/// A point is on the plane if the logarithm of its depth differs by less than `ON_PLANE`. Points up to
+/// `SHAPES` times as far off are used to fit the plane and its evenness.
 const ON_PLANE: f64 = 0.03;
 const SHAPES: f64 = 3.0;
-/// Rounds of fitting.
+/// Number of fitting rounds.
 const ROUNDS: usize = 10;
-/// Of all points this share lies on the plane, at least. Behind it, by more than the second number as a
-/// logarithm, lie at most so many as the first number times those on it: a table is no ground.
+/// Minimum share of all points that are on the plane. A point is behind the plane if its depth is larger by
+/// more than the second number of `BEHIND`, as a logarithm; the number of these points must be less than the
+/// first number times that of the points on the plane. A table, for example, is not ground.
 const LEAST_SHARE: f64 = 0.1;
 const BEHIND: (f64, f64) = (0.5, 0.1);
-/// How even grounds are: none is more even than the first number, and one that is less even than the second
-/// tells nothing.
+/// Evenness of ground, as the standard deviation of the logarithm of depth: its lower bound, and the value
+/// above which the plane is not used.
 const EVEN: (f64, f64) = (0.003, 0.05);
-/// A pixel may lie on the ground if its own depth says so to this difference of the logarithm.
+/// Maximum difference of the logarithm of depth between a pixel and the ground for the pixel to lie on the
+/// ground.
 const NEAR: f64 = 0.15;
-/// What was not measured is known so many times worse than what was.
+/// Factor on the ground's deviation at pixels without a measurement.
 const UNSEEN: f64 = 3.0;
 
 /// A plane in the world.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Ground {
-    /// Its unit normal, upwards.
+    /// The unit normal of the plane, upwards.
     normal: DVec3,
-    /// The product of the normal with every point of the plane.
+    /// The dot product of the normal with every point of the plane.
     level: f64,
-    /// How even it is: the standard deviation of the logarithm of its points' depth.
+    /// The evenness: the standard deviation of the logarithm of the depth of the plane's points.
     deviation: f64,
 }
 
@@ -65,9 +67,9 @@ struct Sight {
 }
 
 impl Ground {
-    /// The plane that most of what was measured lies on, of those that the cameras stand over upright; `None`
-    /// where it is no ground: too little lies on it, too much behind it, or it is not even. `covered`
-    /// says of each frame's pixels which are a mover's.
+    /// Finds the plane that contains most measured points, of those whose normal is close to the cameras'
+    /// upward axis. Returns `None` if it is not ground: too few points lie on it, too many behind it, or it
+    /// is not even. `covered` marks the pixels of each frame that belong to movers.
     pub fn find(cameras: &Cameras, covered: &[Vec<bool>], seen: &[Seen]) -> Option<Ground> {
         let sights = sights(cameras, covered, seen);
         if sights.len() < 3 {
@@ -93,31 +95,31 @@ impl Ground {
         plane.is_ground(&sights).then_some(plane)
     }
 
-    /// Its unit normal, upwards.
+    /// The unit normal of the plane, upwards.
     pub fn normal(&self) -> DVec3 {
         self.normal
     }
 
-    /// How many points lie on it.
+    /// The number of points on the plane.
     fn on(&self, sights: &[Sight]) -> usize {
         let offs = sights.iter().filter_map(|sight| self.off(sight));
         offs.filter(|off| off.abs() < ON_PLANE).count()
     }
 
-    /// The logarithm of the plane's depth along the line to a point over the point's own; `None` where the camera is
-    /// not above the plane, or the line does not meet it.
+    /// The logarithm of the ratio of the plane's depth along the line of sight to the point's depth; `None`
+    /// if the camera is not above the plane, or the line of sight does not meet it.
     fn off(&self, sight: &Sight) -> Option<f64> {
         let height = self.normal.dot(sight.centre) - self.level;
         let down = self.normal.dot(sight.centre - sight.point);
         (height > 0.0 && down > 0.0).then(|| (height / down).ln())
     }
 
-    /// The plane that fits the points near to this one best, and how even it is. `None` where they lie on no
-    /// plane.
+    /// Refits the plane to the points near it, and measures its evenness. `None` if the fit fails.
     fn fitted(self, sights: &[Sight]) -> Option<Ground> {
         let mut plane = self;
         for _ in 0..ROUNDS {
-            // A depth that is off by some share is off the plane by that share of the camera's height.
+            // A relative error of the depth gives a distance from the plane of that share of the camera's
+            // height.
             let weight = |sight: &Sight| {
                 let height = plane.normal.dot(sight.centre) - plane.level;
                 let off = plane.off(sight).filter(|off| off.abs() < SHAPES * ON_PLANE)?;
@@ -140,7 +142,7 @@ impl Ground {
             plane = Ground { normal, level: normal.dot(middle), ..plane };
             let offs = sights.iter().filter_map(|sight| plane.off(sight)).map(f64::abs);
             let near = offs.filter(|off| *off < SHAPES * ON_PLANE).collect();
-            // Of a normal distribution's median absolute deviation.
+            // Standard deviation from the median absolute deviation of a normal distribution.
             plane.deviation = (1.48 * quantile(near, 0.5)).max(EVEN.0);
         }
         Some(plane)
@@ -153,8 +155,7 @@ impl Ground {
         on > LEAST_SHARE * sights.len() as f64 && behind < BEHIND.0 * on && self.deviation < EVEN.1
     }
 
-    /// Brings the inverse depths of what lies on the ground to it, as far as they are not known better by
-    /// themselves.
+    /// Combines the inverse depths of pixels on the ground with the plane, weighted by their deviations.
     pub fn settle(&self, cameras: &Cameras, covered: &[Vec<bool>], seen: &mut [Seen]) {
         let k = &cameras.intrinsics;
         let width = k.width as usize;
@@ -168,7 +169,7 @@ impl Ground {
                 let ground = down.dot(k.ray(centre(i, width)));
                 let own = f64::from(seen.inverse_depth[i]);
                 let off = (own / ground).ln();
-                // Also false where either is not positive.
+                // This is also false if either is not positive.
                 if off.abs() < NEAR {
                     self.settle_pixel(seen, i, ground, off);
                 }
@@ -176,8 +177,8 @@ impl Ground {
         });
     }
 
-    /// The same of a pixel, where the ground's inverse depth is known, and by how much the pixel's own differs,
-    /// as a logarithm.
+    /// Combines one pixel with the plane. `ground` is the inverse depth of the ground; `off` is the logarithm
+    /// of the ratio of the pixel's own inverse depth to it.
     fn settle_pixel(&self, seen: &mut Seen, i: usize, ground: f64, off: f64) {
         if seen.support[i] < 0.5 {
             seen.inverse_depth[i] = ground as f32;
@@ -196,12 +197,12 @@ impl Ground {
     }
 }
 
-/// Weight of what is off by so many widths of Geman and McClure's kernel.
+/// Weight of a residual in units of the width of Geman and McClure's kernel.
 fn kernel(off: f64) -> f64 {
     (1.0 + off * off).powi(-2)
 }
 
-/// What is measured, evenly over all frames.
+/// Measured points, sampled evenly over all frames.
 fn sights(cameras: &Cameras, covered: &[Vec<bool>], seen: &[Seen]) -> Vec<Sight> {
     let k = &cameras.intrinsics;
     let width = k.width as usize;
@@ -229,23 +230,23 @@ mod tests {
     use super::*;
     use crate::types::Intrinsics;
 
-    /// So far the cameras are above the ground.
+    /// Height of the cameras above the ground.
     const ABOVE: f64 = 0.5;
     const BACK: f64 = 6.0;
     const PIXELS: usize = (WIDTH * HEIGHT) as usize;
 
-    /// A pixel's true inverse depth: the ground up to a wall at the back; a box stands on the left. And whether
-    /// it is the ground's.
+    /// A pixel's true inverse depth, and whether the pixel shows the ground. The ground extends to a wall at
+    /// the back; a box stands on the left.
     fn truth(i: usize, k: &Intrinsics, slope: f64) -> (f64, bool) {
         let ray = k.ray(centre(i, WIDTH as usize));
-        // y points down; the ground rises to the right.
+        // y points down; `slope` tilts the ground along x.
         let ground = (ray.y - slope * ray.x) / ABOVE;
         let box_ = if ray.x < -0.2 && ray.y < 0.3 { 1.0 / 2.5 } else { 0.0 };
         let before = (1.0 / BACK).max(box_);
         (ground.max(before), ground > before)
     }
 
-    /// What frames measured: two of three pixels of the ground badly, in wide steps; some nowhere.
+    /// Simulated measurements: two of three ground pixels are bad, in wide steps; some pixels have none.
     fn seen(slope: f64) -> Vec<Seen> {
         let k = cameras(STEP).intrinsics;
         let mut seen = Seen {
@@ -275,7 +276,7 @@ mod tests {
 
     #[test]
     fn ground_is_found_and_what_is_badly_measured_settles_on_it() {
-        // Cameras that slide along the slope stay as high above it.
+        // The cameras do not move, so their height above the ground is constant.
         let (cameras, covered) = (cameras(0.0), nothing_moves());
         for slope in [0.0, 0.2] {
             let mut seen = seen(slope);
@@ -301,7 +302,7 @@ mod tests {
                         bad += off(&before, i);
                         better += off(&seen[2], i);
                     }
-                    // What is known well stays, be it on the ground or not.
+                    // Well-measured pixels do not change, whether on the ground or not.
                     (_, false) => assert!(off(&seen[2], i) < 0.004, "{i}: {d}"),
                     (false, true) => {}
                 }
@@ -326,7 +327,7 @@ mod tests {
         let k = cameras.intrinsics;
         let wall = of(&|_| 0.25);
         assert!(Ground::find(&cameras, &covered, &wall).is_none(), "a wall");
-        // Beside the table one sees the wall behind and below it.
+        // Beside the table the wall behind and below it is visible.
         let table = |i: usize| {
             let ray = k.ray(centre(i, WIDTH as usize));
             if ray.x.abs() < 0.12 && ray.y > 0.0 { ray.y / ABOVE } else { 1.0 / BACK }

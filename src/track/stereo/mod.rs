@@ -1,16 +1,17 @@
-//! Inverse depths of what stands still, from the pictures of the whole clip.
+//! Inverse depths of the static world, from the frames of the whole clip.
 //!
-//! What was triangulated from flow is as exact as flow is, and flow is smooth across edges. Once the cameras
-//! are known, each pixel is looked for along its line in frames near and far. In order:
+//! The accuracy of depth triangulated from flow is limited by the flow, which is smooth across edges. Once
+//! the cameras are known, each pixel is searched along its epipolar line in near and far frames. The steps,
+//! in order:
 //!
 //! | module | what it does |
 //! |---|---|
-//! | `views` | which frames a frame is compared with, at which inverse depths |
-//! | `patch` | what counts of a pixel's surroundings |
-//! | `sweep` | how well each pixel matches at each inverse depth |
-//! | `semi_global` | the inverse depth of each, so that neighbours agree up to edges of colour |
-//! | `refine` | fractions of a level |
-//! | `agree` | what several frames say of one point; what they contradict is not believed |
+//! | `views` | selects the frames that a frame is compared with, and the inverse depths to test |
+//! | `patch` | the weights of a pixel's neighbours in its patch |
+//! | `sweep` | the matching cost of each pixel at each inverse depth |
+//! | `semi_global` | selects inverse depths so that neighbours agree except at colour edges |
+//! | `refine` | refines inverse depths to fractions of a level |
+//! | `agree` | cross-checks the inverse depths of several frames; contradicted values are rejected |
 //! | `ground` | the plane that most of the ground lies on |
 
 mod agree;
@@ -35,21 +36,22 @@ use agree::Maps;
 use ground::Ground;
 use views::View;
 
-/// Pixels so near to a mover are taken for its own.
+/// Pixels within this distance of a mover are treated as the mover's, pixels.
 const MARGIN: usize = 2;
-/// So many other frames agree with a refined inverse depth that is believed, and with one that only the
-/// sweep found.
+/// Minimum number of other frames that must agree with an inverse depth: for a refined value, and for one
+/// that only the sweep found.
 const WITNESSES: (usize, usize) = (2, 1);
-/// Where only agreement speaks for an inverse depth, this is its relative deviation.
+/// Relative deviation of an inverse depth that only the agreement of other frames supports; an upper bound
+/// for refined values.
 const AGREED: f32 = 0.3;
-/// Frames are swept at the same time as far as this many bytes go.
+/// Memory limit in bytes of the frames that are swept at the same time.
 const MEMORY: usize = 2 << 30;
-/// The sweep takes this share of the work.
+/// Share of the work that the sweep takes.
 const SWEEP: f64 = 0.6;
 
-/// Inverse depths of all frames, by `flow`'s, which are kept where a mover is (`masks`), and where no other
-/// frame shows a pixel. Support is 0 where nothing is believed. `part` is the name under which finished
-/// frames are kept.
+/// Measures the inverse depths of all frames, starting from those of `flow`. The values of `flow` are kept at
+/// movers (`masks`) and where no other frame shows a pixel. Support is 0 where no value is reliable. `part`
+/// is the name under which finished frames are saved.
 ///
 /// # Errors
 /// What the observer of `work` returns.
@@ -102,19 +104,19 @@ pub(super) fn measure(
     Ok(Measured { seen, up: ground.map(|ground| ground.normal()) })
 }
 
-/// What was measured.
+/// The result of stereo.
 pub(super) struct Measured {
     /// The static world, frame by frame.
     pub seen: Vec<Seen>,
-    /// Upwards in the world, where ground was found.
+    /// The upward direction in the world, if ground was found.
     pub up: Option<DVec3>,
 }
 
-/// What a sweep needs.
+/// The inputs of a sweep.
 struct Clip<'a> {
     frames: &'a [Image],
     cameras: &'a Cameras,
-    /// As [`sweep::luminance`] makes them.
+    /// Luminance from [`sweep::luminance`].
     pictures: &'a [Vec<f32>],
     views: &'a [Vec<View>],
     levels: &'a [Vec<f64>],
@@ -122,7 +124,7 @@ struct Clip<'a> {
 }
 
 impl Clip<'_> {
-    /// A frame's inverse depths at the best levels; flow's where there is nothing to compare with.
+    /// A frame's inverse depths at the best levels; those of flow if there is nothing to compare with.
     fn swept(&self, frame: usize) -> Seen {
         let (levels, flow) = (&self.levels[frame], &self.flow[frame]);
         let image = &self.frames[frame];
@@ -154,8 +156,8 @@ impl Clip<'_> {
     }
 }
 
-/// Refined inverse depths where other frames agree, else those that the sweep found if a frame agrees, else
-/// those that flow said where no frame contradicts.
+/// Selects each pixel's value: the refined inverse depth if other frames agree, else that of the sweep if a
+/// frame agrees, else that of flow, with support 0 if a frame contradicts it.
 fn believed(maps: &Maps, swept: &Seen, flow: &Seen, frame: usize) -> Seen {
     let refined = &maps.seen[frame];
     let pixel = |i: usize| {
@@ -188,7 +190,7 @@ mod tests {
     use super::super::sliding::*;
     use super::*;
 
-    /// What flow might say of the wall: it is off by a tenth everywhere.
+    /// A flow result for the wall with an error of a tenth everywhere.
     fn wrong() -> Vec<Seen> {
         let n = (WIDTH * HEIGHT) as usize;
         let seen = Seen {
@@ -224,7 +226,7 @@ mod tests {
 
     #[test]
     fn a_post_before_the_wall_keeps_its_edges() {
-        // At half the distance it goes by twice as fast.
+        // At half the distance the post moves past twice as fast.
         let (left, right) = (36.0, 44.0);
         let frames: Vec<Image> = painted()
             .into_iter()
@@ -241,7 +243,7 @@ mod tests {
                 image
             })
             .collect();
-        // Flow takes what is beside the post for the post's.
+        // Flow assigns the surroundings of the post to the post.
         let mut flow = wrong();
         for (frame, seen) in flow.iter_mut().enumerate() {
             let by = 2.0 * wall().x * frame as f64;

@@ -1,14 +1,14 @@
-//! What counts of a pixel's surroundings: neighbours of its own colour, so that a patch ends where another
-//! surface begins (adaptive support weights: Yoon and Kweon 2006).
+//! The weights of a pixel's neighbours in its patch. Neighbours of a similar colour count more, so that a
+//! patch ends where another surface begins (adaptive support weights: Yoon and Kweon 2006).
 
 use crate::types::Image;
 
-/// A patch reaches so many pixels to each side.
+/// Radius of a patch, pixels.
 pub(super) const RADIUS: usize = 2;
-/// A neighbour whose colour differs by so much counts 1/e.
+/// Colour difference at which a neighbour's weight is 1/e.
 const ALIKE: f32 = 0.08;
 
-/// Every second pixel of a patch, as offsets in x and y from its middle.
+/// Every second pixel of a patch, as offsets in x and y from its centre.
 pub(super) fn neighbours() -> [(isize, isize); 13] {
     const SIDE: isize = 2 * RADIUS as isize + 1;
     std::array::from_fn(|k| {
@@ -17,12 +17,12 @@ pub(super) fn neighbours() -> [(isize, isize); 13] {
     })
 }
 
-/// How much a neighbour counts in a pixel's patch, up to 1.
+/// The weight of a neighbour in a pixel's patch, up to 1.
 pub(super) fn weight(frame: &Image, pixel: usize, neighbour: usize) -> f32 {
     (-difference(frame, pixel, neighbour) / ALIKE).exp()
 }
 
-/// By how much two pixels' colours differ, mean over the channels.
+/// The colour difference of two pixels, the mean over the channels of its absolute values.
 pub(super) fn difference(frame: &Image, a: usize, b: usize) -> f32 {
     let channels = frame.channels as usize;
     let at = |i: usize| &frame.pixels[i * channels..][..channels];

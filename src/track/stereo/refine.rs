@@ -1,8 +1,8 @@
-//! Inverse depths at fractions of a level.
+//! Refines inverse depths to fractions of a level.
 //!
-//! From where the sweep has found a pixel's patch, all views say together at which inverse depth it matches
-//! best (multi-baseline stereo: Okutomi and Kanade 1993), by Gauss-Newton steps. The patch is a plane, whose
-//! slope the inverse depths around it show. Where the steps begin is the prior.
+//! From the level that the sweep has found for a pixel's patch, Gauss-Newton steps find the inverse depth at
+//! which the patch matches all views best (multi-baseline stereo: Okutomi and Kanade 1993). The patch is a
+//! plane, whose slope is taken from the surrounding inverse depths. The initial value is the prior.
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -14,30 +14,31 @@ use super::views::View;
 use crate::observe::luminance::Luminance;
 use crate::types::Image;
 
-/// Slopes are taken over so many pixels to each side, among pixels whose inverse depth differs by no
-/// more than this share and so many deviations.
+/// Slopes are measured over up to `SLOPE_REACH` pixels to each side. Pixels are on the same surface if their
+/// inverse depths differ by no more than the sum of this share and this number of deviations.
 const SLOPE_REACH: usize = 4;
 const SAME_SURFACE: (f64, f64) = (0.1, 2.0);
-/// Gauss–Newton steps, at most, and the shift in pixels that ends them.
+/// Maximum number of Gauss-Newton steps, and the shift in pixels below which they end.
 const STEPS: usize = 4;
 const SETTLED: f64 = 0.01;
-/// A step shifts the patch by no more pixels than this in any frame.
+/// Maximum shift of the patch in one step in any frame, pixels.
 const LONGEST: f64 = 1.0;
-/// Noise of a pixel's luminance is not taken to be less.
+/// Lower bound of the noise of a pixel's luminance.
 const NOISE: f64 = 0.01;
-/// Neighbouring pixels of the smoothed picture hold so much less than if they were independent.
+/// Factor on the information of a patch, because neighbouring pixels of the smoothed frame are not
+/// independent.
 const INDEPENDENT: f64 = 0.5;
-/// Inverse depths that rest on less support are left alone.
+/// Minimum support of an inverse depth that is refined.
 const SUPPORT: f32 = 0.5;
 
-/// The frames, and their brightness.
+/// The frames and their smoothed luminance.
 pub(super) struct Pictures<'a> {
     pub frames: &'a [Image],
     pub smooth: &'a [Luminance],
 }
 
-/// Refines the inverse depths of what stands still in a frame, and their deviations. Where nothing is
-/// found, the support is 0.
+/// Refines the inverse depths of the static pixels of a frame, and their deviations. The support is 0 where
+/// no match is found.
 pub(super) fn frame(
     pictures: Pictures,
     cameras: &Cameras,
@@ -51,7 +52,7 @@ pub(super) fn frame(
     clip.frame(frame, views)
 }
 
-/// What patches are compared by.
+/// The inputs of patch matching.
 struct Clip<'a> {
     pictures: &'a [Luminance],
     cameras: &'a Cameras,
@@ -60,7 +61,7 @@ struct Clip<'a> {
     seen: &'a Seen,
 }
 
-/// What surrounds a pixel.
+/// The patch around a pixel.
 struct Patch {
     points: Vec<Point>,
     inverse_depth: f64,
@@ -70,16 +71,16 @@ struct Patch {
 /// A pixel of a patch.
 struct Point {
     ray: DVec3,
-    /// Its inverse depth beyond the middle one's.
+    /// Its inverse depth minus that of the centre pixel.
     beyond: f64,
-    /// Luminance beyond the patch's mean.
+    /// Luminance minus the patch's mean.
     value: f64,
-    /// How much of the patch it is: the shares of a patch sum to one.
+    /// Its share of the patch; the shares of a patch sum to one.
     share: f64,
 }
 
-/// What a pixel of a patch leaves in another frame, and its derivative with respect to the inverse
-/// depth, both beyond the patch's means, and its share of the patch.
+/// The luminance residual of a patch pixel in another frame, its derivative with respect to the inverse
+/// depth, and the pixel's share of the patch. The patch's mean is subtracted from the first two.
 type Residual = (f64, f64, f64);
 
 impl Clip<'_> {
@@ -101,7 +102,7 @@ impl Clip<'_> {
         out
     }
 
-    /// None where it leaves the picture.
+    /// The patch around pixel `i`; `None` if it extends beyond the image.
     fn patch(&self, frame: usize, i: usize) -> Option<Patch> {
         let (seen, width) = (self.seen, self.cameras.intrinsics.width as usize);
         let (column, row) = (i % width, i / width);
@@ -115,7 +116,7 @@ impl Clip<'_> {
         let mut points = Vec::with_capacity(neighbours().len());
         for (dx, dy) in neighbours() {
             let by = DVec2::new(dx as f64, dy as f64);
-            // Also none where the neighbour would be outside.
+            // This also returns `None` if the neighbour is outside the image.
             let (value, _) = self.pictures[frame].sample(middle + by)?;
             let neighbour = i.checked_add_signed(dy * width as isize + dx)?;
             let share = f64::from(patch::weight(self.image, i, neighbour));
@@ -129,7 +130,7 @@ impl Clip<'_> {
         Some(Patch { points, inverse_depth, deviation })
     }
 
-    /// Inverse depth and deviation; none where no other frame shows the patch.
+    /// The refined inverse depth and its deviation; `None` if no other frame shows the patch.
     fn match_depth(&self, patch: &Patch, views: &[View]) -> Option<(f32, f32)> {
         let prior = patch.deviation.max(1e-9).powi(-2);
         let (mut d, mut pictures) = (patch.inverse_depth, 0.0f64);
@@ -146,7 +147,8 @@ impl Clip<'_> {
             let squares: Vec<f64> = compared.iter().map(square).collect();
             let mut sorted = squares.clone();
             sorted.sort_by(f64::total_cmp);
-            // What most frames show is the patch; what differs more is hidden there.
+            // The third of the frames that match best determine the typical residual. Frames with much larger
+            // residuals get little weight, because the patch is hidden there.
             let typical = sorted[(sorted.len() - 1) / 3].max(NOISE * NOISE);
             let (mut h, mut g) = (0.0, 0.0);
             for (residuals, square) in compared.iter().zip(&squares) {
@@ -170,8 +172,9 @@ impl Clip<'_> {
         Some((d as f32, pictures.max(1e-12).sqrt().recip() as f32))
     }
 
-    /// A patch at an inverse depth against a frame; none where that does not show all of it. `fastest`
-    /// becomes the pixels per unit of inverse depth by which a point moves, where that is more.
+    /// Compares a patch at an inverse depth with a frame; `None` if the frame does not show all of it.
+    /// `fastest` is raised to the speed at which a point of the patch moves, in pixels per unit of inverse
+    /// depth.
     fn compare(
         &self,
         patch: &Patch,
@@ -199,8 +202,8 @@ impl Clip<'_> {
     }
 }
 
-/// The change of the inverse depth from pixel to pixel along an axis, whose pixels are `stride` apart,
-/// by what lies on the same surface on both sides; `room` pixels are there on each.
+/// The slope of the inverse depth per pixel along an axis whose pixels are `stride` apart, from pixels of the
+/// same surface on both sides; there are `room` pixels on each side.
 fn slope(seen: &Seen, i: usize, stride: usize, room: usize) -> f64 {
     let (d, deviation) = (f64::from(seen.inverse_depth[i]), f64::from(seen.deviation[i]));
     let tolerance = SAME_SURFACE.0 * d + SAME_SURFACE.1 * deviation;

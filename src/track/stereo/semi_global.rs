@@ -1,16 +1,18 @@
-//! One level per pixel, so that matches are good and neighbours agree.
+//! Selects one level per pixel so that the matches are good and neighbours agree.
 //!
-//! Semi-global matching (Hirschmüller 2008): along eight directions the best sum of costs and of jumps
-//! between neighbours is carried from pixel to pixel; the level with the least sum over all is taken.
+//! Semi-global matching (Hirschmüller 2008): along eight directions, dynamic programming accumulates the
+//! least sum of matching costs and of penalties for jumps between neighbours. The level with the least total
+//! over all directions is selected.
 
 use super::patch::difference;
 use super::sweep::Volume;
 use crate::types::Image;
 
-/// What a step to the next level costs, and a jump to any.
+/// Penalties for a step to the next level (`STEP`) and for a jump to any level (`JUMP`: across a strong
+/// colour edge, and between equal colours).
 const STEP: i16 = 6;
 const JUMP: (i16, i16) = (14, 60);
-/// A jump costs less where the colour changes by so much.
+/// Colour difference at which the extra penalty of a jump falls to 1/e.
 const EDGE: f32 = 0.05;
 
 /// Sums over all directions per pixel and level, levels contiguous.
@@ -20,7 +22,7 @@ pub(super) fn sums(volume: &Volume, image: &Image) -> Vec<i16> {
     let directions: [(isize, isize); 8] =
         [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), (-1, -1)];
     for (dx, dy) in directions {
-        // What was carried to the pixels of the row before, or of this row.
+        // The accumulated costs of the previous row and of this row.
         let mut before = vec![0i16; width * levels];
         let mut here = vec![0i16; width * levels];
         for step in 0..height {
@@ -64,7 +66,7 @@ pub(super) fn sums(volume: &Volume, image: &Image) -> Vec<i16> {
     total
 }
 
-/// What a jump between two pixels costs whose colours differ by so much.
+/// The penalty for a jump between two pixels with a colour difference.
 fn jump(difference: f32) -> i16 {
     JUMP.0 + (f32::from(JUMP.1 - JUMP.0) * (-difference / EDGE).exp()) as i16
 }
@@ -100,8 +102,8 @@ fn carry(last: &[i16], costs: &[u8], jump: i16, carried: &mut [i16], sum: &mut [
     }
 }
 
-/// The best level of a pixel by its sums, at fractions: the vertex of the parabola through the least and
-/// its neighbours.
+/// The level with the least sum, at fractions: the vertex of the parabola through the least sum and its
+/// neighbours.
 pub(super) fn best(sums: &[i16]) -> f64 {
     let (l, &least) = sums.iter().enumerate().min_by_key(|(_, sum)| **sum).unwrap();
     if l == 0 || l + 1 == sums.len() {
@@ -118,8 +120,8 @@ mod tests {
 
     const LEVELS: usize = 12;
 
-    /// A picture that is dark to the left of column `edge`, and costs of a level that is right per
-    /// column; none where every level is as good.
+    /// An image that is dark to the left of column `edge`, and a cost volume with the correct level per
+    /// column; all levels cost the same in a column without one.
     fn clip(edge: u32, right: impl Fn(u32) -> Option<usize>) -> (Volume, Image) {
         let (width, height) = (16, 9);
         let mut image = Image::new(width, height, 3);
@@ -141,7 +143,7 @@ mod tests {
 
     #[test]
     fn what_is_blank_is_filled_up_to_the_edge_of_colour() {
-        // Known at both sides only; between them nothing tells but the edge.
+        // The level is known at both sides only; between them only the colour edge separates the two.
         let known = |x| (x < 3).then_some(2).or((x >= 10).then_some(9));
         let (volume, image) = clip(6, known);
         for (i, level) in levels(&volume, &image).into_iter().enumerate() {

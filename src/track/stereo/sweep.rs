@@ -1,22 +1,22 @@
-//! How well each pixel matches the other frames at each inverse depth.
+//! The matching cost of each pixel against the other frames at each inverse depth.
 //!
-//! A plane sweep (Collins 1996): at each inverse depth the other frames are drawn into this one, and
-//! patches about each pixel are compared by their normalised correlation. Of the frames the better half
-//! counts, for the others may not see the point.
+//! A plane sweep (Collins 1996): at each inverse depth the other frames are warped into this one, and the
+//! patches around each pixel are compared by normalised correlation. Only the better half of the frames
+//! counts, because the point may be hidden in the others.
 
 use super::super::cameras::Cameras;
 use super::patch::{self, RADIUS, neighbours};
 use super::views::{self, View};
 use crate::types::Image;
 
-/// Noise of a pixel's luminance is not taken to be less.
+/// Lower bound of the noise of a pixel's luminance.
 const NOISE: f32 = 0.01;
-/// The cost of what does not match at all.
+/// The cost of a patch that does not match at all.
 const WORST: f32 = 100.0;
-/// A level that is preferred is so by at most this.
+/// Maximum extra cost of the levels away from a preferred one.
 const UNLIKE: usize = 6;
 
-/// Costs per pixel and level, levels contiguous.
+/// The cost volume: costs per pixel and level, levels contiguous.
 pub(super) struct Volume {
     pub width: usize,
     pub height: usize,
@@ -29,7 +29,7 @@ impl Volume {
         &self.costs[i * self.levels..][..self.levels]
     }
 
-    /// Makes levels away from one cost a little more: where the pictures are blank, it is taken.
+    /// Adds a small cost to all levels away from one, which then wins where the image is blank.
     pub fn prefer(&mut self, i: usize, level: usize) {
         for (l, cost) in self.costs[i * self.levels..][..self.levels].iter_mut().enumerate() {
             *cost += l.abs_diff(level).min(UNLIKE) as u8;
@@ -37,7 +37,7 @@ impl Volume {
     }
 }
 
-/// A picture's luminance, not a number where a mover is.
+/// A frame's luminance, NaN where a mover is.
 pub(super) fn luminance(frame: &Image, mask: &[bool]) -> Vec<f32> {
     let channels = frame.channels as usize;
     let mean = |p: &[f32]| p.iter().sum::<f32>() / channels as f32;
@@ -45,15 +45,15 @@ pub(super) fn luminance(frame: &Image, mask: &[bool]) -> Vec<f32> {
     frame.pixels.chunks_exact(channels).zip(mask).map(shown).collect()
 }
 
-/// Bytes that sweeping a frame of so many pixels, and choosing its levels, takes at most.
+/// The peak memory in bytes for sweeping a frame of `pixels` pixels and selecting its levels.
 pub(super) fn memory(pixels: usize) -> usize {
     let costs_and_sums = views::LEVELS * (size_of::<u8>() + size_of::<i16>());
     let lists = 2 * neighbours().len() + views::VIEWS + 2;
     pixels * (costs_and_sums + lists * size_of::<f32>())
 }
 
-/// Costs of a frame, whose pictures are those of [`luminance`]; where the frame itself is not a number,
-/// every level costs the same.
+/// The cost volume of a frame, from the luminances of [`luminance`]. Where the frame itself is NaN, every
+/// level has the same cost.
 pub(super) fn volume(
     image: &Image,
     pictures: &[Vec<f32>],
@@ -84,12 +84,12 @@ pub(super) fn volume(
     Volume { width, height, levels: levels.len(), costs }
 }
 
-/// Another frame as this one would show it if everything lay at one inverse depth; not a number outside.
+/// Warps another frame into this one as if everything were at one inverse depth; NaN outside.
 fn draw(picture: &[f32], cameras: &Cameras, view: &View, level: f64, out: &mut [f32]) {
     let k = &cameras.intrinsics;
     let (width, height) = (k.width as usize, k.height as usize);
     let (rotation, t) = (view.view_from_frame.rotation, view.view_from_frame.translation * level);
-    // Affine in the pixel before the division.
+    // The homogeneous coordinates are affine in the pixel.
     let at = |x: f64, y: f64| {
         let p = rotation * k.ray(glam::DVec2::new(x, y)) + t;
         [k.fx * p.x + (k.cx - 0.5) * p.z, k.fy * p.y + (k.cy - 0.5) * p.z, p.z]
@@ -109,7 +109,7 @@ fn draw(picture: &[f32], cameras: &Cameras, view: &View, level: f64, out: &mut [
             let inverse = depth.recip();
             let u = (row[0] + right * by_x[0]) * inverse;
             let v = (row[1] + right * by_x[1]) * inverse;
-            // Also false where it is not a number.
+            // `inside` is also false if a coordinate is NaN.
             let inside = depth > 1e-3 && u >= 0.0 && v >= 0.0 && u < last_x && v < last_y;
             if !inside {
                 *out = f32::NAN;
@@ -126,13 +126,13 @@ fn draw(picture: &[f32], cameras: &Cameras, view: &View, level: f64, out: &mut [
     }
 }
 
-/// The patches of a picture: each pixel's neighbours by how much they are of its colour, so that a patch
-/// ends where another surface begins.
+/// The patches of a frame. Each pixel's neighbours are weighted by the similarity of their colour, so that a
+/// patch ends where another surface begins.
 struct Patches {
     width: usize,
     height: usize,
-    /// Per neighbour, then per pixel: its share of the patch, and that times its luminance beyond the
-    /// patch's mean. Shares of a pixel sum to one.
+    /// Per neighbour, then per pixel: in `shares` its share of the patch; in `values` that share times the
+    /// difference of its luminance from the patch's mean. The shares of a pixel sum to one.
     shares: Vec<Vec<f32>>,
     values: Vec<Vec<f32>>,
     variance: Vec<f32>,
@@ -171,7 +171,7 @@ impl Patches {
         Patches { width, height, shares, values, variance }
     }
 
-    /// One minus the correlation with another picture's patches, from 0 to 1; 1 where either is unknown.
+    /// One minus the correlation with another frame's patches, from 0 to 1; 1 where either is unknown.
     fn compare(&self, other: &[f32], out: &mut [f32]) {
         out.fill(1.0);
         let n = self.width - 2 * RADIUS;
@@ -200,7 +200,7 @@ impl Patches {
                 let noise = NOISE * NOISE;
                 let scale = ((variance + noise) * (own[x] + noise)).sqrt();
                 let cost = 1.0 - product[x] / scale;
-                // One, too, where it is not a number.
+                // A cost of NaN also becomes one.
                 out[x] = if cost < 1.0 { cost.max(0.0) } else { 1.0 };
             }
         }

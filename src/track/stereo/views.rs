@@ -1,4 +1,4 @@
-//! Which frames a frame is compared with, and at which inverse depths.
+//! Selects the frames that a frame is compared with, and the inverse depths to test.
 
 use glam::DVec2;
 
@@ -7,37 +7,39 @@ use super::super::quantile;
 use super::super::residual::Seen;
 use crate::types::Pose;
 
-/// At most so many frames are compared with one.
+/// Maximum number of frames that a frame is compared with.
 pub(super) const VIEWS: usize = 8;
-/// None is farther away than this.
+/// Maximum distance of these frames, in frames.
 const REACH: usize = 60;
-/// They show at least this share of the frame.
+/// Minimum share of the frame that each of them shows.
 const OVERLAP: f64 = 0.4;
-/// What lies at the median depth goes by at least so many pixels.
+/// Minimum parallax of a view, in pixels, for points at the median depth.
 const PARALLAX: f64 = 0.5;
-/// Between two inverse depths a point at the median depth goes by no more pixels in any view.
+/// Spacing of the levels: a point at the median depth shifts by this many pixels between two levels in the
+/// view with the most parallax. The spacing is enlarged if there would be more than [`LEVELS`] levels.
 const STEP: f64 = 1.0;
-/// Where that is less than this share of the inverse depth, it is this share.
+/// Minimum spacing of the levels, relative to the inverse depth.
 const RELATIVE_STEP: f64 = 0.02;
-/// At most so many inverse depths are looked at.
+/// Maximum number of levels.
 pub(super) const LEVELS: usize = 256;
-/// They reach from these quantiles of what flow said, by these factors.
+/// The lowest and the highest level: a quantile of the inverse depths from flow, times a factor.
 const RANGE: [(f64, f64); 2] = [(0.01, 0.4), (0.995, 1.3)];
-/// Flow says the inverse depth where its relative deviation is below this.
+/// Relative deviation below which the inverse depth from flow counts as known.
 const CERTAIN: f32 = 0.2;
 
 /// A frame that another is compared with.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct View {
     pub frame: usize,
-    /// From the frame that is looked at, and back.
+    /// Transforms from the reference frame to this view, and back.
     pub view_from_frame: Pose,
     pub frame_from_view: Pose,
-    /// How far a point at the median depth goes by, pixels, a mean over the picture.
+    /// Mean parallax over the image of points at the median depth, pixels.
     pub parallax: f64,
 }
 
-/// The frames that a frame is compared with: from those beside it to those with the most parallax, evenly.
+/// The views that a frame is compared with, sorted by parallax: evenly sampled from the least to the most
+/// parallax, and including the most.
 pub(super) fn views(cameras: &Cameras, frame: usize) -> Vec<View> {
     let frame_from_world = cameras.poses[frame].inverse();
     let first = frame.saturating_sub(REACH);
@@ -53,11 +55,11 @@ pub(super) fn views(cameras: &Cameras, frame: usize) -> Vec<View> {
         .collect();
     all.sort_by(|a, b| a.parallax.total_cmp(&b.parallax));
     let n = all.len().min(VIEWS);
-    // The last of each of n equal parts: the widest is among them.
+    // The last view of each of n equal parts is taken, so that the widest is included.
     (1..=n).map(|k| all[k * all.len() / n - 1]).collect()
 }
 
-/// None where too little of the frame is shown, or hardly anything goes by.
+/// The mean parallax of a view; `None` if it shows too little of the frame or its parallax is too small.
 fn parallax(cameras: &Cameras, view_from_frame: Pose) -> Option<f64> {
     const GRID: usize = 6;
     let k = &cameras.intrinsics;
@@ -80,7 +82,8 @@ fn parallax(cameras: &Cameras, view_from_frame: Pose) -> Option<f64> {
     (shown as f64 >= OVERLAP * (GRID * GRID) as f64 && parallax >= PARALLAX).then_some(parallax)
 }
 
-/// The inverse depths to look at, growing; `views` are the frame's. Empty where flow knows none.
+/// The inverse depths to test, in increasing order; `views` are the frame's. Empty if flow gives no inverse
+/// depth.
 pub(super) fn levels(seen: &Seen, views: &[View]) -> Vec<f64> {
     let known: Vec<f64> = (0..seen.inverse_depth.len())
         .step_by(5)
@@ -106,7 +109,7 @@ pub(super) fn levels(seen: &Seen, views: &[View]) -> Vec<f64> {
     }
 }
 
-/// How far levels are apart about an inverse depth.
+/// The spacing of the levels around an inverse depth.
 pub(super) fn step(levels: &[f64], inverse_depth: f64) -> f64 {
     let at = levels.partition_point(|level| *level < inverse_depth);
     match levels.len() {
@@ -118,12 +121,12 @@ pub(super) fn step(levels: &[f64], inverse_depth: f64) -> f64 {
     }
 }
 
-/// Whether flow says a pixel's inverse depth.
+/// Whether the inverse depth of a pixel is known from flow.
 pub(super) fn certain(seen: &Seen, i: usize) -> bool {
     seen.support[i] >= 0.5 && seen.deviation[i] < CERTAIN * seen.inverse_depth[i]
 }
 
-/// The level next to an inverse depth.
+/// The index of the level nearest to an inverse depth.
 pub(super) fn nearest(levels: &[f64], inverse_depth: f64) -> usize {
     let above = levels.partition_point(|level| *level < inverse_depth).min(levels.len() - 1);
     let below = above.saturating_sub(1);
@@ -142,7 +145,7 @@ mod tests {
         let views = views(&cameras, 1);
         assert_eq!(views.last().unwrap().frame, sliding::FRAMES - 1);
         assert!(views.is_sorted_by(|a, b| a.parallax <= b.parallax));
-        // A point at a depth of 1 goes by focal length times the way.
+        // The parallax of a point at depth 1 is the focal length times the camera's displacement.
         for view in &views {
             let way = sliding::STEP * view.frame.abs_diff(1) as f64;
             assert!((view.parallax / (sliding::FOCAL * way) - 1.0).abs() < 0.01, "{view:?}");

@@ -1,4 +1,4 @@
-//! Clone, split, prune (Kerbl et al. 2023), and the reset of opacities.
+//! Adaptive density control: clone, split, prune (Kerbl et al. 2023), and the opacity reset.
 
 use super::{Population, Statistics, rows};
 use crate::gpu::{Readback, Recorder, Stream};
@@ -15,7 +15,7 @@ pub(in crate::train) struct Adaptive {
     scene_radius: f64,
     last: u32,
     seed: u32,
-    /// Arrays are gathered into these, then take their place.
+    /// Target of the gather; swapped with the current arrays after it.
     spare: GaussianBuffers,
     spare_selection: Option<Selection>,
     totals: Readback<u32>,
@@ -92,7 +92,7 @@ impl Adaptive {
         statistics: &Statistics,
     ) -> Result<()> {
         let AdaptiveSettings { gradient, small, large, opacity, reset_every, .. } = self.settings;
-        // Large ones are there to fill gaps until the first reset has sorted out what is needed.
+        // Large Gaussians fill gaps until the first opacity reset has shown which ones are needed.
         let settled = reset_every > 0 && step > reset_every;
         let settings = AdaptSettings {
             gradient,
@@ -145,7 +145,7 @@ impl Adaptive {
         Ok(())
     }
 
-    /// Records the bringing of arrays into the new order.
+    /// Records the gather of arrays into the new order.
     fn gather(
         &mut self,
         recorder: &mut Recorder,

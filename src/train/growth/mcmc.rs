@@ -1,4 +1,4 @@
-//! MCMC: the dead move to the living, and the scene grows by a share.
+//! MCMC density control: dead Gaussians move to live ones, and the scene grows by a factor.
 
 use super::{Population, rows};
 use crate::Result;
@@ -70,8 +70,8 @@ impl Mcmc {
         )
     }
 
-    /// The dead of each class move to the living of their class, then the scene grows by a share,
-    /// up to the capacity.
+    /// Moves the dead of each class (static, dynamic) to live ones of their class, then grows the scene
+    /// by a factor, up to the capacity.
     pub(super) fn round(
         &mut self,
         stream: &mut Stream,
@@ -91,7 +91,7 @@ impl Mcmc {
         }
         let added = self.settings.wanted(n).min(self.capacity - n);
         if added > 0 {
-            // Drawn by opacity over all: a new Gaussian has the class of the one it copies.
+            // The draw is over all classes: a new Gaussian has the class of the one that it copies.
             let seed = self.seed ^ 0x9e37_79b9;
             let args = arguments(&mut population, MotionClass::Any, seed, step);
             self.relocation.grow(&mut recorder, args, added)?;
@@ -102,8 +102,8 @@ impl Mcmc {
         Ok(())
     }
 
-    /// Copies every parameter to the slots of the last draw, and zeroes the moments of what was
-    /// drawn or replaced.
+    /// Copies every parameter to the slots of the last draw, and zeroes the moments of Gaussians that
+    /// were drawn or replaced.
     fn apply(&self, recorder: &mut Recorder, population: &mut Population<'_>) -> Result<()> {
         let r = &self.relocation;
         for (row, values) in rows(population.gaussians) {

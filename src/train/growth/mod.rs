@@ -1,7 +1,7 @@
 //! Density control during training: one of two strategies.
 //!
-//! MCMC moves the dead to the living and lets the scene grow by a share; adaptive control clones,
-//! splits and prunes by the gradients in the picture.
+//! MCMC moves dead Gaussians to live ones and grows the scene by a factor. Adaptive control clones,
+//! splits and prunes by the gradients with respect to the image position.
 
 mod adaptive;
 mod mcmc;
@@ -18,24 +18,24 @@ use crate::ops::gaussians::{GaussianBuffers, SH_BAND};
 use adaptive::Adaptive;
 use mcmc::Mcmc;
 
-/// Density control, every so many steps.
+/// A strategy of density control.
 pub(super) enum Growth {
     Mcmc(Box<Mcmc>),
     Adaptive(Box<Adaptive>),
 }
 
-/// What a round changes: every array with a row for each Gaussian.
+/// Everything that a round changes: all arrays with a row for each Gaussian.
 pub(super) struct Population<'a> {
     pub(super) gaussians: &'a mut GaussianBuffers,
-    /// Where there is motion.
+    /// `Some` where the scene moves.
     pub(super) selection: Option<&'a mut Selection>,
     pub(super) optimiser: &'a mut GaussianOptimiser,
 }
 
 impl Growth {
-    /// For up to `capacity` Gaussians in a scene that reaches so far, with those who choose what moves
-    /// where something does; `None` where the settings ask for no
-    /// density control.
+    /// Density control for up to `capacity` Gaussians in a scene of a given scene radius; `selection`
+    /// holds the motion logits where the scene moves. `None` where the settings ask for no density
+    /// control.
     pub(super) fn new(
         stream: &mut Stream,
         settings: &TrainSettings,
@@ -62,7 +62,7 @@ impl Growth {
         matches!(self, Growth::Adaptive(_))
     }
 
-    /// Whether a round is due after so many steps.
+    /// Whether a round is due after `step` steps.
     pub(super) fn due(&self, step: u32) -> bool {
         match self {
             Growth::Mcmc(mcmc) => mcmc.due(step),
@@ -70,7 +70,7 @@ impl Growth {
         }
     }
 
-    /// Records what a step adds to the gradients.
+    /// Records the gradients of the regularisers, if the strategy has any.
     pub(super) fn regularise(
         &self,
         recorder: &mut Recorder,
@@ -83,7 +83,8 @@ impl Growth {
         }
     }
 
-    /// Records what a step does after its update, whose positions moved at `rate`.
+    /// Records the exploration noise after a step's update, if the strategy has it; `rate` is the
+    /// positions' learning rate.
     pub(super) fn explore(
         &self,
         recorder: &mut Recorder,
@@ -97,7 +98,7 @@ impl Growth {
         }
     }
 
-    /// Runs a round after so many steps.
+    /// Runs a round after `step` steps.
     pub(super) fn round(
         &mut self,
         stream: &mut Stream,
@@ -115,7 +116,7 @@ impl Growth {
     }
 }
 
-/// Every array with the floats of a row.
+/// Every array, with its number of floats per row.
 fn rows(buffers: &mut GaussianBuffers) -> Vec<(usize, ViewMut<'_, f32>)> {
     let degree = buffers.sh_degree as usize;
     let mut all = vec![
