@@ -31,7 +31,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     done
 }
 
-fn render(entry: &ash::Entry, instance: &ash::Instance, output: &str) -> Result<(), Box<dyn Error>> {
+fn render(
+    entry: &ash::Entry,
+    instance: &ash::Instance,
+    output: &str,
+) -> Result<(), Box<dyn Error>> {
     let get_instance_proc_addr = entry.static_fn().get_instance_proc_addr;
     // The first device that has all that the engine needs.
     let needed = Requirements::query();

@@ -42,9 +42,7 @@ fn every_row_verifies_and_has_a_time() {
     }
     assert!(failures.is_empty(), "{failures:#?}");
     let peaks = bench::peaks(&rows);
-    assert!(
-        peaks.bytes.is_some_and(|b| b > 0.0) && peaks.operations.is_some_and(|o| o > 0.0)
-    );
+    assert!(peaks.bytes.is_some_and(|b| b > 0.0) && peaks.operations.is_some_and(|o| o > 0.0));
     common::assert_valid(&device);
 }
 
@@ -134,7 +132,8 @@ fn a_run_compares_with_itself() {
     let mut measured = Measurements::new(bench::machine(&device), bench::commit());
     measured.rows = bench::run(&device, &entries, Some("sort/"), PACE, 0, |_| Ok(())).unwrap();
     let names: Vec<&str> = measured.rows.iter().map(|row| row.id.as_str()).collect();
-    let sorts = ["roofline/copy", "roofline/fma", "sort/pairs", "sort/radsort", "sort/sort_unstable"];
+    let sorts =
+        ["roofline/copy", "roofline/fma", "sort/pairs", "sort/radsort", "sort/sort_unstable"];
     assert_eq!(names, sorts, "what was asked for, and the peaks");
     let folder = tempfile::tempdir().unwrap();
     measured.write_report(folder.path()).unwrap();

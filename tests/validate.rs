@@ -230,6 +230,31 @@ mod command {
     }
 
     #[test]
+    fn a_junit_report_holds_every_case() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("validate.xml");
+        let output =
+            validate(&["--filter", "scan/", "--seed", "5", "--junit", file.to_str().unwrap()]);
+        assert_eq!(output.status.code(), Some(0));
+        let answer = json(&output);
+        let text = std::fs::read_to_string(&file).unwrap();
+        let report = quick_junit::Report::deserialize_from_str(&text).unwrap();
+        assert_eq!(
+            (report.tests, report.failures, report.errors),
+            (answer["cases"].as_u64().unwrap() as usize, 0, 0)
+        );
+        let [suite] = &report.test_suites[..] else { panic!("one device: {text}") };
+        assert!(suite.name.as_str().contains(answer["devices"][0]["driver"].as_str().unwrap()));
+        for (case, row) in suite.test_cases.iter().zip(answer["rows"].as_array().unwrap()) {
+            assert_eq!(case.name.as_str(), row["case"]);
+            assert_eq!(case.assertions.map(|n| n as u64), row["comparisons"].as_u64());
+        }
+        let output = validate(&["--filter", "scan/", "--junit", folder.path().to_str().unwrap()]);
+        assert_eq!(output.status.code(), Some(1));
+        assert!(json(&output)["error"].as_str().unwrap().contains("is a folder"));
+    }
+
+    #[test]
     fn says_which_families_there_are() {
         let output = validate(&["--filter", "nonsense"]);
         assert_eq!(output.status.code(), Some(1));

@@ -1,4 +1,4 @@
-//! What a user would otherwise run on the processor, beside the rows on the device.
+//! Benchmarks of the CPU reference, for comparison with the rows on the device.
 
 use super::job::{Entry, Job};
 use super::rows::thousands;

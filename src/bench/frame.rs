@@ -1,4 +1,4 @@
-//! A scene rendered forward and backward, with everything that lies between the dispatches.
+//! A scene rendered forward and backward, with all intermediate buffers.
 
 use crate::Result;
 use crate::gpu::{Device, KernelTime, Recorder, Stream};
@@ -22,25 +22,25 @@ pub(super) struct Frame {
     backward: Option<Backward>,
 }
 
-/// What only the backward pass needs.
+/// The buffers of the backward pass.
 struct Backward {
     scratch: BackwardScratch,
     by_pixel: PixelGradients,
     gradients: GaussianBuffers,
 }
 
-/// What the device projected and listed, as the oracle's own types.
+/// The splats and tile lists of the device, in the oracle's types.
 pub(super) struct Listed {
     pub(super) splats: Vec<Option<Splat<f64>>>,
     pub(super) bins: Bins,
-    /// Tile of each intersection as emitted, and its splat.
+    /// Tile and splat of each intersection, as emitted.
     pub(super) emitted: [Vec<u32>; 2],
     pub(super) tile_counts: Vec<u32>,
     pub(super) visible: Vec<u32>,
 }
 
 impl Frame {
-    /// Renders once, with room for all intersections.
+    /// Renders once, with capacity for all intersections.
     pub(super) fn new(
         device: &Device,
         scene: &Gaussians,
@@ -76,7 +76,7 @@ impl Frame {
         }
     }
 
-    /// Renders, and gives the time of each dispatch; none where there are no timestamps.
+    /// Renders, and returns the time of each dispatch; empty without timestamps.
     pub(super) fn profile_forward(&mut self) -> Result<Vec<KernelTime>> {
         let mut recorder = self.stream.record()?;
         recorder.profile()?;
@@ -95,7 +95,8 @@ impl Frame {
         }
     }
 
-    /// Sets the gradient by the image that [`profile_backward`](Self::profile_backward) starts from.
+    /// Sets the gradient with respect to the image that
+    /// [`profile_backward`](Self::profile_backward) starts from.
     pub(super) fn set_gradient(&mut self, rgba: &[[f32; 4]], depth: &[f32]) -> Result<()> {
         let device = self.stream.device().clone();
         let mut by_pixel = self.render.pixel_gradients(&device)?;
@@ -108,7 +109,7 @@ impl Frame {
         Ok(())
     }
 
-    /// Differentiates the last frame, by the pose too, and gives the time of each dispatch.
+    /// Differentiates the last frame, the pose included, and returns the time of each dispatch.
     pub(super) fn profile_backward(&mut self) -> Result<Vec<KernelTime>> {
         let mut recorder = self.stream.record()?;
         recorder.profile()?;
@@ -137,13 +138,14 @@ impl Frame {
         self.stream.download(&self.pixels.rgba)
     }
 
-    /// (pixel, splat) pairs that blending looks at, from where each pixel stopped.
+    /// Number of (pixel, splat) pairs that blending visits, from the index at which each pixel
+    /// stopped.
     pub(super) fn blended(&mut self) -> Result<u64> {
         let last = self.stream.download(&self.pixels.last)?;
         Ok(last.iter().map(|&l| u64::from(l)).sum())
     }
 
-    /// What the device has listed in the last frame.
+    /// The device's splats and tile lists of the last frame.
     pub(super) fn listed(&mut self) -> Result<Listed> {
         let (s, stream) = (&self.scratch, &mut self.stream);
         let (n, m) = (self.gaussians.len, self.counts.intersections);
@@ -189,7 +191,7 @@ impl Frame {
     }
 }
 
-/// Nanoseconds of the dispatches that `which` names; `None` where nothing was timed.
+/// Nanoseconds of the dispatches that `which` selects; `None` if nothing was timed.
 pub(super) fn sum(times: &[KernelTime], which: impl Fn(&str) -> bool) -> Option<f64> {
     let chosen = times.iter().filter(|time| which(time.kernel));
     (!times.is_empty()).then(|| chosen.map(|time| time.nanoseconds).sum())

@@ -1,4 +1,4 @@
-//! How one row is verified and timed.
+//! Verification and timing of one benchmark row.
 
 use std::time::{Duration, Instant};
 
@@ -6,63 +6,64 @@ use crate::gpu::{Detail, Device, Meter, Recorder};
 use crate::report::{Accuracy, Clock, Place, Row, Spread, Work};
 use crate::{Error, Result};
 
-/// A row that can be measured.
+/// A benchmark row to measure.
 pub struct Entry {
     /// `family/what`.
     pub id: &'static str,
-    /// The size of its input, in words.
+    /// The size of its input, as text.
     pub size: String,
-    /// Uploads the input, executes once, compares. The number is a seed.
+    /// Uploads the input, executes once and compares; the number is the seed.
     pub prepare: Prepare,
 }
 
 /// See [`Entry::prepare`].
 pub type Prepare = Box<dyn Fn(&Device, u64) -> Result<Job> + Send + Sync>;
 
-/// Something that was executed once, compared with the oracle, and can be executed again.
+/// Work that was executed once and compared with the oracle, and that can be executed again.
 pub struct Job {
-    /// How far the first execution lay from the oracle.
+    /// The error of the first execution against the oracle.
     pub accuracy: Accuracy,
-    /// What one execution does.
+    /// Bytes and operations of one execution.
     pub work: Work,
-    /// Where it does that.
+    /// The processor that runs it.
     pub place: Place,
-    /// Puts the input back where an execution changes it; not timed.
+    /// Restores the input if an execution changes it; not timed.
     pub reset: Option<Box<dyn FnMut() -> Result<()>>>,
-    /// Executes and waits. Gives nanoseconds where it has measured itself.
+    /// Executes and waits. Returns nanoseconds if it measures its own time.
     pub execute: Box<dyn FnMut() -> Result<Option<f64>>>,
 }
 
-/// What one execution took.
+/// The times of one execution.
 pub(super) struct Sample {
-    /// Nanoseconds by its own measure.
+    /// Nanoseconds measured by the job itself.
     own: Option<f64>,
     /// Nanoseconds by the host's clock.
     pub(super) wall: f64,
-    /// What the device says, where it can.
+    /// The device's measurement, if it has timestamps.
     pub(super) meter: Option<Meter>,
 }
 
-/// How long to measure.
+/// The amount of measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pace {
-    /// Samples are taken until they add up to this …
+    /// Samples are taken until their sum reaches this duration, and there are at least `least` of
+    /// them.
     pub total: Duration,
-    /// … and there are so many; fewer than five forbid a comparison later.
+    /// Minimum number of samples; later comparisons need at least five.
     pub least: usize,
-    /// Never more than so many.
+    /// Maximum number of samples.
     pub most: usize,
 }
 
 impl Pace {
-    /// For a report.
+    /// The pace of a full report.
     pub const FULL: Pace = Pace { total: Duration::from_millis(700), least: 7, most: 60 };
-    /// For a glance.
+    /// The pace of a quick run.
     pub const QUICK: Pace = Pace { total: Duration::from_millis(60), least: 5, most: 20 };
 }
 
 impl Entry {
-    /// An entry; `prepare` must not depend on what other entries leave behind.
+    /// An entry; `prepare` must not depend on the state that other entries leave.
     pub fn new(
         id: &'static str,
         size: impl Into<String>,
@@ -71,14 +72,14 @@ impl Entry {
         Entry { id, size: size.into(), prepare: Box::new(prepare) }
     }
 
-    /// Whether `id, size` holds the text.
+    /// Whether `id, size` contains the text.
     pub fn matches(&self, filter: Option<&str>) -> bool {
         filter.is_none_or(|filter| format!("{}, {}", self.id, self.size).contains(filter))
     }
 }
 
 impl Job {
-    /// Work that one recording does, the same each time.
+    /// A job that submits the same recording each time.
     pub fn recorded(
         device: &Device,
         accuracy: Accuracy,
@@ -101,7 +102,7 @@ impl Job {
         })
     }
 
-    /// Work on the processor.
+    /// A job on the CPU.
     pub fn on_processor(
         accuracy: Accuracy,
         work: Work,
@@ -119,7 +120,7 @@ impl Job {
         }
     }
 
-    /// Executes once and waits: nanoseconds, and what they were read from.
+    /// Executes once and waits. Returns nanoseconds, and the clock that measured them.
     ///
     /// # Errors
     /// A failed submission.
@@ -171,8 +172,8 @@ impl Job {
     }
 }
 
-/// Verifies an entry and, where it passed, times it. One that cannot run is a row without speed that
-/// says why.
+/// Verifies an entry and, if that passed, times it. An entry that cannot run gives a row without
+/// speed and with the reason.
 ///
 /// # Errors
 /// [`Error::DeviceLost`]: nothing more can be measured.

@@ -1,11 +1,11 @@
-//! The benchmark: every op and pipeline, held against the oracle and then timed; and speed against
-//! error.
+//! Benchmarks: every op and pipeline is compared with the oracle and then timed; and speed is
+//! measured against error.
 //!
 //! An [`Entry`] prepares a [`Job`]: it uploads its input, executes once, compares with the oracle in
-//! f64, and counts what one execution moves and calculates. [`measure`] times the job only when the
-//! comparison passed. [`curves`] tells how time and memory grow. Times are the device's own, by
-//! timestamps around the submissions; uploads and downloads lie outside. Where a device has no
-//! timestamps, the host's clock stands in and the row says so.
+//! f64, and counts the bytes and operations of one execution. [`measure`] times the job only if the
+//! comparison passed. [`curves`] measures how time and memory grow with size. Times are device
+//! times from timestamps around the submissions, without uploads and downloads. On a device without
+//! timestamps the host's clock is used and the row states it.
 
 mod cpu;
 mod frame;
@@ -28,7 +28,7 @@ pub use speed::{
 
 use crate::Result;
 use crate::gpu::{Device, DeviceKind};
-use crate::report::{Peaks, Machine, Row};
+use crate::report::{Machine, Peaks, Row};
 
 /// Every row, in the order of a report. `quick`: the small sizes only.
 pub fn entries(quick: bool) -> Vec<Entry> {
@@ -38,7 +38,7 @@ pub fn entries(quick: bool) -> Vec<Entry> {
     all
 }
 
-/// What a device is, for the report.
+/// The description of a device for the report.
 pub fn machine(device: &Device) -> Machine {
     let info = device.info();
     Machine {
@@ -51,7 +51,7 @@ pub fn machine(device: &Device) -> Machine {
     }
 }
 
-/// The most that a device copies and calculates, from the rows that measure it.
+/// The peak bandwidth and peak arithmetic of a device, from the rows that measure them.
 pub fn peaks(rows: &[Row]) -> Peaks {
     let most = |id: &str, rate: fn(&Row) -> Option<f64>| {
         rows.iter().filter(|row| row.id == id).filter_map(rate).reduce(f64::max)
@@ -62,8 +62,9 @@ pub fn peaks(rows: &[Row]) -> Peaks {
     }
 }
 
-/// The source's commit: `SPLAT4D_COMMIT` where it is set, else what `git` says of the folder that
-/// the program was built in, where that still exists; `-dirty` where files differ from it.
+/// The source's commit: `SPLAT4D_COMMIT` if it is set, else the commit that `git` reports for the
+/// folder in which the program was built, if that still exists; with `-dirty` if files differ from
+/// it.
 pub fn commit() -> Option<String> {
     if let Ok(commit) = std::env::var("SPLAT4D_COMMIT") {
         return Some(commit);
@@ -78,11 +79,12 @@ pub fn commit() -> Option<String> {
     (output.status.success() && !text.is_empty()).then(|| text.to_owned())
 }
 
-/// Measures the entries whose name holds `filter`, and the device's peaks in any case, one after
-/// the other; `each` hears of every row.
+/// Measures the entries whose name contains `filter`, and always the device's peaks, one after the
+/// other; `each` is called with every row.
 ///
 /// # Errors
-/// What `each` returns; a lost device. A row that cannot run on the device is a row without speed.
+/// An error of `each`; a lost device. An entry that cannot run on the device gives a row without
+/// speed.
 pub fn run(
     device: &Device,
     entries: &[Entry],

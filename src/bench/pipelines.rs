@@ -1,4 +1,4 @@
-//! Whole pipelines: what a user waits for.
+//! Benchmarks of whole pipelines.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -75,7 +75,7 @@ pub(super) fn rendered(
     let mut check = Check::new();
     compare_image(&mut check, "image", &rgba, &truth.pixels);
     let pixels = u64::from(width) * u64::from(height);
-    // What must at least be read and written: the Gaussians, the image.
+    // The minimum to read and write: the Gaussians and the image.
     let work = Work { bytes: n as u64 * 59 * 4 + pixels * 20, operations: 0 };
     Ok(Job {
         accuracy: check.accuracy(),
@@ -86,7 +86,7 @@ pub(super) fn rendered(
     })
 }
 
-/// The rendered scene's loss against a photograph, by the oracle in f64, with its gradients.
+/// The rendered scene's loss against a training image and its gradients, by the oracle in f64.
 fn photometric(
     gaussians: &Cloud<f64>,
     view: &View<f64>,
@@ -144,8 +144,8 @@ pub(super) fn step(
     }];
     let settings = TrainSettings {
         steps: u32::MAX,
-        // The room for intersections follows from this: a frame that did not fit would be repeated,
-        // and the step that is held against the oracle must not be.
+        // The capacity for intersections follows from this. It is large enough that the step
+        // compared with the oracle is not repeated.
         max_gaussians: 8 * n,
         sh_interval: 0,
         growth: None,
@@ -166,7 +166,7 @@ pub(super) fn step(
     let placed = cloud_at(&scene, time);
     let (truth, gradient) = photometric(&placed, &View::new(&camera), &photo, &settings);
     let mut check = Check::new();
-    // Where a splat comes or goes at the cut, a few pixels change by a level.
+    // Where a splat crosses the α cut, a few pixels change by one level.
     let bound = Bound { absolute: 2e-5, relative: 0.0 };
     let device_value = [value.l1 as f32, value.ssim as f32];
     check.close("loss of the first step", &device_value, &[truth.l1, truth.ssim], bound);
@@ -187,8 +187,8 @@ pub(super) fn step(
     })
 }
 
-/// Adam's first step is the rate against the gradient's sign, whatever its size: held for the
-/// parameters whose gradient is clear of zero.
+/// Adam's first step is the learning rate times the gradient's negative sign, whatever its
+/// magnitude. It is checked for parameters whose gradient is clearly not zero.
 fn check_update(
     check: &mut Check,
     before: &Gaussians,
@@ -277,7 +277,7 @@ fn pair(device: &Device, seed: u64, width: u32, height: u32) -> Result<Job> {
     };
     let truth = oracle_flow(&pyramid(&images[0]), &pyramid(&images[1]), None, &settings);
     let mut check = Check::new();
-    // Which candidate wins a patch can turn on a rounding; refinement pulls the two together again.
+    // Rounding can decide which candidate of a patch wins; refinement reduces the difference again.
     let tight = Bound { absolute: 2e-2, relative: 0.0 };
     let loose = Bound { absolute: 1.0, relative: 0.0 };
     let exact = truth.forward.as_flattened();
@@ -285,7 +285,8 @@ fn pair(device: &Device, seed: u64, width: u32, height: u32) -> Result<Job> {
     Job::recorded(device, check.accuracy(), Work::default(), move |recorder| record!(recorder))
 }
 
-/// Poses and depths from exact observations; the truth is what these were made from.
+/// Bundle adjustment of poses and depths from exact observations, compared with the values that
+/// generated them.
 fn bundle(seed: u64, frames: usize, points: usize) -> Result<Job> {
     let mut rng = rng(seed);
     let intrinsics = Intrinsics::centred(500.0, 640, 480);
@@ -301,7 +302,7 @@ fn bundle(seed: u64, frames: usize, points: usize) -> Result<Job> {
         let frame = rng.random_range(0..frames);
         let pixel = DVec2::new(rng.random_range(20.0..620.0), rng.random_range(20.0..460.0));
         let inverse_depth = rng.random_range(0.15..0.5);
-        // Near ones and far ones, of both parities: everything hangs together.
+        // Small and large frame distances of both parities, so that the problem is connected.
         for step in [1, 2, 3, 5, 7, 11] {
             let other = (frame + step) % frames;
             let relative = truth[other] * truth[frame].inverse();
@@ -321,7 +322,7 @@ fn bundle(seed: u64, frames: usize, points: usize) -> Result<Job> {
         intrinsics,
         k1: 0.0,
         poses: truth.clone(),
-        // The first and the last frame hold place and scale.
+        // The first and the last frame are fixed, which determines position and scale.
         fixed: (0..frames).map(|i| i == 0 || i + 1 == frames).collect(),
         points: all,
         observations,
@@ -346,7 +347,7 @@ fn bundle(seed: u64, frames: usize, points: usize) -> Result<Job> {
     };
     let got: Vec<f32> = flat(&solved.poses).iter().map(|&v| v as f32).collect();
     let mut check = Check::new();
-    // The poses themselves lie within 1e-9; what is left is this comparison's f32.
+    // The poses are accurate to 1e-9; the bound covers the f32 of this comparison.
     check.close("poses", &got, &flat(&truth), Bound { absolute: 1e-6, relative: 0.0 });
     // A step forms each observation's Jacobian (13 columns of 2) and adds its products.
     let work = Work { bytes: 0, operations: report.steps as u64 * count * 700 };

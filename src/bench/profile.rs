@@ -1,4 +1,4 @@
-//! Where an execution's time goes, kernel by kernel.
+//! Profiles: the time of an execution by kernel.
 
 use std::collections::BTreeMap;
 
@@ -10,46 +10,46 @@ use crate::kernels;
 use crate::report::{Peaks, Place, Spread, Work};
 use crate::{Error, Result};
 
-/// What a row's executions are made of. Times are medians over the executions, in nanoseconds.
+/// The profile of a row's executions. Times are medians over the executions, in nanoseconds.
 #[derive(Clone, Debug, Serialize)]
 pub struct Profile {
-    /// The row.
+    /// Identifier of the row.
     pub id: &'static str,
     /// The size of its input.
     pub size: String,
-    /// Executions that were looked at.
+    /// Number of profiled executions.
     pub executions: usize,
-    /// From the begin to the end of the submissions, on the device.
+    /// Device time from the start to the end of the submissions, ns.
     pub device: f64,
-    /// From the first call to the last result, on the host.
+    /// Host time from the first call to the last result, ns.
     pub wall: f64,
-    /// The host's share of that: what is left of it without the device's time.
+    /// Fraction of the host time in which the device does not work.
     pub host_share: f64,
-    /// What an execution moves and calculates, as far as it is counted.
+    /// Bytes and operations of an execution, as far as they are counted.
     pub work: Work,
-    /// Lanes of a subgroup.
+    /// Invocations per subgroup.
     pub subgroup_size: u32,
-    /// The dearest first.
+    /// The kernels, the most expensive first.
     pub kernels: Vec<KernelShare>,
 }
 
 /// One kernel of a [`Profile`].
 #[derive(Clone, Debug, Serialize)]
 pub struct KernelShare {
-    /// Which.
+    /// Name of the kernel.
     pub kernel: &'static str,
     /// Invocations of its workgroup.
     pub workgroup: [u32; 3],
-    /// Dispatches of one execution.
+    /// Number of dispatches per execution.
     pub dispatches: usize,
-    /// Of all of them.
+    /// Time of all its dispatches, ns.
     pub time: f64,
-    /// Of the kernels' times.
+    /// Fraction of the total kernel time.
     pub share: f64,
 }
 
 impl Profile {
-    /// Bytes and operations a second over what the device does at most; `None` where they are not
+    /// Bytes and operations per second relative to the device's peaks; `None` if they are not
     /// counted.
     pub fn shares(&self, peaks: &Peaks) -> [Option<f64>; 2] {
         let share = |count: u64, most: Option<f64>| {
@@ -59,8 +59,8 @@ impl Profile {
     }
 }
 
-/// Executes an entry again and again with a timestamp after every dispatch. `None` for a row that
-/// does not run on the device.
+/// Executes an entry repeatedly with a timestamp after every dispatch. `None` for a row that does
+/// not run on the device.
 ///
 /// # Errors
 /// [`Error::Unsupported`] on a device without timestamps; a failed submission.
@@ -69,7 +69,7 @@ pub fn profile(device: &Device, entry: &Entry, pace: Pace, seed: u64) -> Result<
     if job.place != Place::Device {
         return Ok(None);
     }
-    // As for timing: the first executions compile and fill caches.
+    // Warm-up: the first executions compile pipelines and fill caches.
     for _ in 0..2 {
         job.sample(device)?;
     }

@@ -1,8 +1,8 @@
 //! Time and memory against size: Gaussians, pixels, control points, frames.
 //!
-//! Each curve is held against the oracle at its smallest size. Larger ones run the same kernels on
-//! scenes of the same make. What would not fit on the device is foreseen and not attempted; nor is what
-//! would take longer than the time that is left.
+//! Each curve is compared with the oracle at its smallest size; larger sizes run the same kernels
+//! on scenes of the same kind. Sizes that would not fit on the device, by a rehearsal, or that
+//! would exceed the remaining time, are skipped.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -21,14 +21,14 @@ use crate::train::{MotionStart, PictureKind, TrainSettings, Trainer, TrainingSca
 use crate::types::{Gaussians, Image, MotionScale, NetShape, Tuning};
 use crate::{Error, Result};
 
-/// Control points that a Gaussian follows.
+/// Number of control points that a Gaussian follows.
 const FOLLOWED: usize = 4;
-/// Executions that tell how long each kernel takes.
+/// Number of profiled executions for the times of the kernels.
 const PROFILED: usize = 3;
-/// One Gaussian in so many moves, where something does.
+/// In a dynamic scene, one Gaussian in this many is dynamic.
 const MOVING: usize = 10;
 
-/// What runs.
+/// The pipeline to measure.
 #[derive(Clone, Copy, PartialEq)]
 enum Pipeline {
     Render,
@@ -36,7 +36,7 @@ enum Pipeline {
     MovingStep,
 }
 
-/// What a point is of: all that may grow.
+/// The sizes of a point of a curve.
 #[derive(Clone, Copy)]
 struct Sizes {
     gaussians: usize,
@@ -46,7 +46,7 @@ struct Sizes {
     frames: usize,
 }
 
-/// Which of them grows.
+/// The size that grows along a curve.
 #[derive(Clone, Copy)]
 enum Axis {
     Gaussians,
@@ -55,18 +55,18 @@ enum Axis {
     Frames,
 }
 
-/// A curve to be measured.
+/// A curve to measure.
 struct Plan {
     pipeline: Pipeline,
     axis: Axis,
     held: Sizes,
     sizes: Vec<usize>,
-    /// The deformation network, where something moves.
+    /// The deformation network of a dynamic scene.
     network: NetShape,
 }
 
-/// Measures time and memory of rendering and of training steps against what they may grow with, in
-/// about so much time; `each` hears of every point and of the curve that it belongs to.
+/// Measures time and memory of rendering and of training steps as functions of size, within about
+/// `time`; `each` is called with every point and its curve.
 ///
 /// # Errors
 /// What `each` returns; a failed submission.
@@ -83,7 +83,7 @@ pub fn curves(
     let mut curves = Vec::new();
     let count = plans.len() as u32;
     for (done, plan) in (0..).zip(&plans) {
-        // What earlier curves left over is for the later ones.
+        // Later curves get the time that earlier ones did not use.
         let until = begun + time * (done + 1) / count;
         curves.push(plan.measure(device, seed, until, each)?);
     }
@@ -212,7 +212,8 @@ impl Plan {
                 left_out: None,
                 kernels: Vec::new(),
             };
-            // As the last one took, in proportion; a step takes one frame however many there are.
+            // Proportional to the time of the last point; a training step uses one frame, whatever
+            // their number.
             let expected = cost.map(|(at, took)| match self.axis {
                 Axis::Frames => took,
                 _ => took.mul_f64(size as f64 / at as f64),

@@ -1,4 +1,4 @@
-//! Scenes to measure on: the same for the same seed.
+//! Benchmark scenes, determined by the seed.
 
 use crate::types::{
     Camera, ControlPoints, DeformNet, Gaussians, Intrinsics, NetShape, Pose, sh_coefficients,
@@ -6,7 +6,8 @@ use crate::types::{
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Splats' areas (within two standard deviations) over the image's: how many lie on a pixel.
+/// Mean number of splats per pixel: the splats' total area (within two standard deviations) over
+/// the image's area.
 const LAYERS: f64 = 12.0;
 
 pub(super) fn rng(seed: u64) -> ChaCha8Rng {
@@ -21,8 +22,8 @@ pub(super) fn camera(width: u32, height: u32) -> Camera {
     }
 }
 
-/// Gaussians that fill the view, some of them beside it, in sizes that put about a dozen on each
-/// pixel of an image however many there are.
+/// Gaussians that fill the view, some of them outside it. Their sizes give about twelve splats per
+/// pixel, whatever their number.
 pub(super) fn cloud(seed: u64, count: usize, degree: u32, camera: &Camera) -> Gaussians {
     let rng = &mut rng(seed);
     let k = camera.intrinsics;
@@ -65,7 +66,7 @@ pub(super) fn control_points(seed: u64, count: usize, camera: &Camera) -> Contro
     ControlPoints { positions, log_radii, paths: Vec::new() }
 }
 
-/// A network whose motions show: the ordinary start's head would move nothing.
+/// A network with visible motions; the usual initial head would give nearly none.
 pub(super) fn network(seed: u64, shape: NetShape) -> DeformNet {
     let rng = &mut rng(seed ^ 0xd0);
     let mut net = DeformNet::random(shape, seed);
@@ -77,14 +78,14 @@ pub(super) fn network(seed: u64, shape: NetShape) -> DeformNet {
     net
 }
 
-/// Everything moves.
+/// Makes all Gaussians dynamic.
 pub(super) fn all_dynamic(mut gaussians: Gaussians) -> Gaussians {
     gaussians.motion_logits = vec![1.0; gaussians.len()];
     gaussians
 }
 
-/// A network whose motion is smooth in space and time, so that others can learn it: octaves are few,
-/// and the head moves by tenths.
+/// A network with motion that is smooth in space and time, so that other networks can learn it: it
+/// has few octaves, and motions are some tenths of a unit.
 pub(super) fn swing(seed: u64) -> DeformNet {
     let shape = NetShape {
         depth: 6,

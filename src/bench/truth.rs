@@ -1,4 +1,4 @@
-//! A scene's image by the oracle in f64, with nothing given up.
+//! Reference images of a scene by the oracle in f64, without approximations.
 
 use super::speed::Shot;
 use crate::oracle::raster::Pixels;
@@ -6,7 +6,7 @@ use crate::oracle::view::{Cloud, View};
 use crate::oracle::{deform, mlp, path, render};
 use crate::scene::Scene;
 
-/// Where the scene's Gaussians are at a time in [0, 1].
+/// The scene's Gaussians at a time in [0, 1].
 pub(super) fn cloud_at(scene: &Scene, time: f64) -> Cloud<f64> {
     let gaussians = &scene.gaussians;
     let mut cloud = Cloud::<f64>::new(gaussians);

@@ -1,9 +1,9 @@
-//! Results against the oracle, gathered into one [`Accuracy`].
+//! Comparison of results with the oracle, summarised as one [`Accuracy`].
 
 use crate::check::Bound;
 use crate::report::Accuracy;
 
-/// Gathers comparisons; the one that lies worst against its bound speaks for all.
+/// Collects comparisons; the one with the largest error relative to its bound is reported.
 pub(super) struct Check {
     worst: Accuracy,
 }
@@ -17,13 +17,13 @@ impl Check {
         self.worst
     }
 
-    /// Every value within the bound.
+    /// Requires every value to be within the bound.
     pub(super) fn close(&mut self, output: &str, device: &[f32], truth: &[f64], bound: Bound) {
         self.mostly(output, device, truth, bound, 0.0, bound);
     }
 
-    /// All values but a share within `bound`, and these within `loose`: where rounding decides
-    /// whether a splat counts in a pixel, a value jumps.
+    /// Requires all values except a fraction to be within `bound`, and the rest within `loose`.
+    /// Values can jump where rounding decides whether a splat contributes to a pixel.
     pub(super) fn mostly(
         &mut self,
         output: &str,
@@ -51,7 +51,7 @@ impl Check {
         self.note(output, tight.max(of_loose), error);
     }
 
-    /// Integers, or anything with equality.
+    /// Compares integers, or other types with equality.
     pub(super) fn exact<T: PartialEq>(&mut self, output: &str, device: &[T], truth: &[T]) {
         let error = if device == truth { 0.0 } else { f64::INFINITY };
         self.note(output, error, error);

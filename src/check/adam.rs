@@ -1,4 +1,4 @@
-//! Cases of the optimiser.
+//! Check cases of the Adam optimiser.
 
 use super::{Bound, Case, Harness};
 use crate::error::Result;
@@ -15,7 +15,7 @@ pub const CASES: &[Case] = &[
     Case { id: "adam/hard", kernels: &["adam/step"], run: hard },
 ];
 
-/// Steps on the same values on the device and in the oracle, and compares after the last one.
+/// Runs the same steps on the device and in the oracle, and compares after the last one.
 /// Gradients: `gradients[step]`.
 fn compare(
     h: &mut Harness,
@@ -62,7 +62,7 @@ fn compare(
     h.exact("broken gradients", &[counted], &[broken]);
     let device = [h.read(&parameters)?, h.read(&first)?, h.read(&second)?];
     for (i, name) in ["parameters", "first moments", "second moments"].iter().enumerate() {
-        // Moments have no cancellation to speak of between steps of one sign; parameters do.
+        // Moments hardly cancel between steps of one sign; parameters do.
         let bound = if i == 0 { bound } else { Bound { absolute: 1e-6, relative: 1e-5 } };
         h.close(name, &device[i], &truth[i], Some(&twin[i]), bound);
     }
@@ -116,7 +116,7 @@ fn visible(h: &mut Harness) -> Result<()> {
         let mask: Vec<u32> = (0..101).map(|i| u32::from(i % 3 == 1)).collect();
         compare(h, &start, &gradients, Some((row, &mask)), 1e-2, bound)?;
     }
-    // One row that holds everything.
+    // One row that holds all values.
     for (row, visible) in [1, 2, 3, 1001].into_iter().flat_map(|row| [(row, 0), (row, 1)]) {
         let start = random(h, row);
         let gradients = [random(h, row)];
@@ -125,7 +125,7 @@ fn visible(h: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// Zero, tiny, huge and broken gradients.
+/// Zero, tiny, huge and non-finite gradients.
 fn hard(h: &mut Harness) -> Result<()> {
     let values = vec![
         0.0,
@@ -144,7 +144,7 @@ fn hard(h: &mut Harness) -> Result<()> {
     let bound = Bound { absolute: 1e-6, relative: 1e-6 };
     let start = vec![1.0; values.len()];
     compare(h, &start, &gradients, None, 1e-2, bound)?;
-    // Rows that do not step do not count.
+    // Rows that are not updated do not count.
     let seen: Vec<u32> = (0..values.len() as u32).map(|i| i % 2).collect();
     compare(h, &start, &gradients, Some((1, &seen)), 1e-2, bound)
 }

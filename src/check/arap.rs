@@ -1,4 +1,4 @@
-//! Cases of the as-rigid-as-possible energy.
+//! Check cases of the as-rigid-as-possible energy.
 
 use super::{Bound, Case, Harness};
 use crate::error::Result;
@@ -28,12 +28,12 @@ struct Scene {
     first: Points,
     second: Points,
     k: usize,
-    /// What the gradients are added to.
+    /// Initial value of the gradient buffers, to which the op adds.
     base: f32,
 }
 
 impl Scene {
-    /// The edges, and where the points are at both times.
+    /// The edges, and the positions of the points at both times.
     fn numbers<R: Real>(&self) -> (arap::Edges<R>, [Vec<[R; 3]>; 2]) {
         let at = |translations: Option<&Points>| -> Vec<[R; 3]> {
             let zero = vec![[0.0; 3]; self.nodes.len()];
@@ -172,7 +172,7 @@ fn central_differences(h: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// Half a turn and a shift cost nothing; so does no motion.
+/// A half turn with a translation has zero energy, and so has no motion.
 fn rigid(h: &mut Harness) -> Result<()> {
     let nodes = cloud(h, 80, 1.0);
     for q in [[0.0f64, 0.6, 0.8, 0.0], [0.3, -0.5, 0.2, 0.9], [1.0, 0.0, 0.0, 0.0]] {
@@ -189,13 +189,14 @@ fn rigid(h: &mut Harness) -> Result<()> {
             k: 10,
             base: 1.0,
         };
-        // Around 1 f32's grain is 1.2e-7.
+        // Near 1 the resolution of f32 is 1.2e-7.
         scene.run(h, Bound { absolute: 3e-7, relative: 0.0 })?;
     }
     Ok(())
 }
 
-/// Lines, planes, one point, a collapse, a mirror image, and radii that leave no weight.
+/// Collinear and coplanar points, one point, a collapse, a reflection, and radii for which all
+/// weights vanish.
 fn degenerate(h: &mut Harness) -> Result<()> {
     let line: Points = (0..20).map(|i| [i as f32 * 0.125, 0.0, 0.0]).collect();
     let plane: Points =
@@ -219,7 +220,7 @@ fn degenerate(h: &mut Harness) -> Result<()> {
             }
         }
     }
-    // A mirror image of a full neighbourhood is no rotation; it has one best fit.
+    // A reflection of a full neighbourhood is not a rotation; the best fit is unique.
     let nodes = cloud(h, 60, 1.0);
     let second: Points = nodes.iter().map(|p| [-2.0 * p[0], 0.0, 0.0]).collect();
     let first = vec![[0.0; 3]; 60];

@@ -1,4 +1,4 @@
-//! Binning, judged by the projected splats that the device itself has binned.
+//! Check cases of binning; the reference uses the splats that the device itself has projected.
 
 use super::scene::{Forward, Frame, UPRIGHT, join, one, plain_camera, random, skew_camera};
 use super::{Case, Harness};
@@ -22,15 +22,15 @@ pub const CASES: &[Case] = &[
     Case { id: "bin/saturation", kernels: KERNELS, run: saturation },
 ];
 
-/// How much the power at the cut may be off, from rounding in the conic and the power: below this
-/// either answer to "does it reach the tile" is right.
+/// Tolerance of the power at the cut, from rounding in the conic and the power. Within it, a tile
+/// may be listed or not.
 const BAND: f64 = 1e-4;
 
-/// The tiles that the splat certainly reaches, and those that it may reach.
+/// The tiles that the splat certainly overlaps, and those that it may overlap.
 fn tiles(out: &Forward, splat: usize, width: u32, height: u32) -> [Vec<u32>; 2] {
     let [x, y, ..] = out.means[splat].map(f64::from);
     let [a, b, e, limit] = out.conics[splat].map(f64::from);
-    // The inverse of [a b; 0 e], times the square root of the reach, row by row.
+    // Row norms of the inverse of [a b; 0 e], for the half extents.
     let deviation = [(1.0 + (b / e).powi(2)).sqrt() / a, 1.0 / e];
     [limit - BAND, limit + BAND].map(|reach| {
         let extent = deviation.map(|d| d * reach.max(0.0).sqrt());
@@ -42,12 +42,12 @@ fn tiles(out: &Forward, splat: usize, width: u32, height: u32) -> [Vec<u32>; 2] 
     })
 }
 
-/// How many pairs so many tiles of each splat are, as far as 32 bits tell.
+/// The total number of pairs, saturated to 32 bits.
 fn pairs(counts: &[u32]) -> u32 {
     counts.iter().fold(0, |sum, &count| sum.saturating_add(count))
 }
 
-/// Everything that binning makes, for a frame whose intersections number `capacity` at most.
+/// Compares all results of binning, for a frame with capacity for `capacity` intersections.
 fn compare(
     harness: &mut Harness,
     what: &str,
@@ -63,7 +63,7 @@ fn compare(
     let order = sort::by_bits(&keys, &drawn, 0..32).1;
     harness.exact(&format!("{what}: order"), &out.order, &order);
 
-    // Offsets, with nothing past the last.
+    // Offsets; nothing is written past the last.
     let mut counts: Vec<u32> = order.iter().map(|&i| out.tile_counts[i as usize]).collect();
     counts.resize(out.visible.len(), 0);
     harness.exact(&format!("{what}: offsets"), &out.rank_offsets, &scan::exclusive(&counts));
@@ -71,7 +71,7 @@ fn compare(
     harness.exact(&format!("{what}: counts"), &out.counts, &[drawn.len() as u32, total]);
     harness.exact(&format!("{what}: fits"), &[out.fits], &[total as usize <= capacity]);
 
-    // Emission: every splat the tiles that it reaches, row by row, in its own stretch.
+    // Emission: every splat writes the tiles that it overlaps, row by row, to its own range.
     let m = (total as usize).min(capacity);
     let tile_count = grid(width, height).iter().product::<u32>();
     let (mut right, mut phantoms) = (out.tiles.len() == m, 0);
@@ -142,7 +142,7 @@ fn equal_depths(harness: &mut Harness) -> Result<()> {
     run(harness, "two depths", &join(&parts), &camera, 1 << 13).map(drop)
 }
 
-/// Fewer bits of depth: those that are left decide, ties break by index.
+/// Fewer depth bits: splats are sorted by the remaining bits, ties break by index.
 fn depth_bits(harness: &mut Harness) -> Result<()> {
     let camera = skew_camera(171, 115);
     let scene = random(&mut harness.rng, 3000, 0, &camera);
@@ -189,7 +189,8 @@ fn image_sizes(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// Too little room: the count tells, what fits is the nearest, and nothing lands elsewhere.
+/// Too little capacity: the count is complete, the nearest splats are kept, and nothing is written
+/// out of bounds.
 fn overflow(harness: &mut Harness) -> Result<()> {
     let camera = skew_camera(171, 115);
     let scene = random(&mut harness.rng, 2000, 0, &camera);
@@ -206,7 +207,7 @@ fn overflow(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// More pairs than 32 bits count: neither the count nor whether they fit may wrap.
+/// More pairs than 32 bits can count: neither the count nor the capacity test may wrap.
 fn saturation(harness: &mut Harness) -> Result<()> {
     let (device, stream) = (harness.device.clone(), &mut harness.stream);
     let capacity = 1 << 12;
@@ -225,7 +226,7 @@ fn saturation(harness: &mut Harness) -> Result<()> {
         let len = counts.len();
         let render = Render::plan(&device, len, capacity, 40, 30, RenderSettings::default())?;
         let mut scratch = render.scratch(&device)?;
-        // Splats whose rectangles are empty: none of what is counted is emitted.
+        // Splats with empty rectangles: none of the counted pairs is emitted.
         let splats = scratch.splats_mut();
         let mut recorder = stream.record()?;
         recorder.fill(splats.means, 0);

@@ -1,7 +1,7 @@
-//! Which cases hold the numerics contract, and which make the quick set.
+//! The cases that verify the numerics contract, and the quick set.
 
-/// The contract's hard cases, in its own words, with the cases that show each: a finite answer close
-/// to the oracle, or the documented error.
+/// The hard inputs of the contract, as it names them, with the cases that cover each. The result
+/// must be finite and close to the oracle, or the documented error.
 pub const HARD: &[(&str, &[&str])] = &[
     (
         "splats at the near plane, behind the camera and at its centre",

@@ -1,4 +1,4 @@
-//! Cases of nearest control points and skinning.
+//! Check cases of nearest control points and skinning.
 
 use super::{Bound, Case, Harness};
 use crate::error::Result;
@@ -23,14 +23,15 @@ pub const CASES: &[Case] = &[
 const LISTS: &[&str] = &["deform/nearest", "deform/keys", "deform/starts"];
 const SKIN: &[&str] = &["deform/skin", "deform/skin_backward", "deform/gather"];
 
-/// Lists and their transpose, on a lattice whose many ties must fall as in the oracle.
+/// Neighbour lists and their transpose, on a lattice with many ties, which must be broken as in the
+/// oracle.
 fn nearest(h: &mut Harness) -> Result<()> {
     for (points, nodes, k) in [(300, 40, 3), (65, 1, 4), (10, 0, 2), (0, 5, 3), (1000, 300, 16)] {
         let mut lattice = |count: usize| -> Vec<f32> {
             (0..3 * count).map(|_| h.rng.random_range(-3i32..4) as f32).collect()
         };
         let (mut positions, mut centres) = (lattice(points), lattice(nodes));
-        // What is not finite is nobody's neighbour and has none.
+        // A point that is not finite has no neighbours and is no neighbour.
         if points > 10 {
             positions[4] = f32::NAN;
             centres[0] = f32::INFINITY;
@@ -70,7 +71,7 @@ fn triple(values: &[f32], i: usize) -> [f32; 3] {
     [values[3 * i], values[3 * i + 1], values[3 * i + 2]]
 }
 
-/// A scene of skinning with the gradients that come in.
+/// A skinning scene with its incoming gradients.
 #[derive(Clone)]
 struct Scene {
     positions: Vec<[f32; 3]>,
@@ -93,7 +94,7 @@ fn random<const N: usize>(h: &mut Harness) -> [f32; N] {
     std::array::from_fn(|_| h.rng.random_range(-1.0f32..1.0))
 }
 
-/// A scene in the oracle's numbers.
+/// A scene in the oracle's number type.
 struct Numbers<R> {
     neighbours: Vec<u32>,
     positions: Vec<[R; 3]>,
@@ -128,7 +129,7 @@ impl<R: Real> Numbers<R> {
 }
 
 impl Numbers<f64> {
-    /// The number whose gradient the backward pass gives.
+    /// The scalar loss whose gradient the backward pass computes.
     fn loss(&self, scene: &Scene) -> f64 {
         let out = deform::forward(&self.skin(scene));
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
@@ -152,7 +153,7 @@ impl Scene {
             transforms: (0..nodes)
                 .map(|_| {
                     let mut t = random::<8>(h);
-                    // A rotation's norm near 1, so that bounds speak of the kernel.
+                    // Norms of rotations near 1, so that the bounds measure the kernel.
                     t[4] += 2.0;
                     t
                 })
@@ -165,14 +166,14 @@ impl Scene {
         }
     }
 
-    /// The same in the oracle's numbers.
+    /// The scene in the oracle's number type.
     fn real<R: Real>(&self) -> Numbers<R> {
         fn rows<R: Real, const N: usize>(values: &[[f32; N]]) -> Vec<[R; N]> {
             values.iter().map(|v| v.map(|c| R::of(f64::from(c)))).collect()
         }
         let flat =
             |values: &[f32]| -> Vec<R> { values.iter().map(|&c| R::of(f64::from(c))).collect() };
-        // The same neighbours as the device's f32 finds: ties must not decide.
+        // Neighbours found in f32 as on the device, so that ties do not matter.
         let listed: Vec<_> = self.ids.iter().map(|&j| self.positions[j as usize]).collect();
         Numbers {
             neighbours: deform::nearest(&listed, &self.nodes, self.k),
@@ -201,7 +202,7 @@ impl Scene {
         (deform::forward(&skin), gradients)
     }
 
-    /// What the device makes of it, in the order of [`run`](Self::run)'s comparisons.
+    /// The device's results, in the order of the comparisons of [`run`](Self::run).
     fn device(&self, h: &mut Harness) -> Result<[Vec<f32>; 9]> {
         let (count, nodes) = (self.positions.len(), self.nodes.len());
         let device = h.device.clone();
@@ -213,7 +214,7 @@ impl Scene {
         let ids = device.upload("dynamic ids", &self.ids)?;
         let node_buffer = device.upload("nodes", self.nodes.as_flattened())?;
         let log_radii = device.upload("log radii", &self.log_radii)?;
-        // The second of two times; the first must stay out of it.
+        // The second of two times; the first must not be read.
         let mut halves = vec![[f32::NAN; 4]; 2 * nodes];
         halves.extend(
             self.transforms
@@ -344,8 +345,9 @@ impl Scene {
         Ok(())
     }
 
-    /// Exponents of a hundred thousand move by 0.01 with a last place of a position, and the radii's
-    /// gradients with them: each gets, besides its bound, what the truth itself does then.
+    /// Exponents of about 1e5 change by 0.01 with the last place of a position, and so do the
+    /// gradients with respect to the radii. Each limit is therefore the bound plus the change of
+    /// the true value.
     fn radius_limits(&self, truth: &[f64], bound: Bound) -> Vec<f64> {
         let mut limits: Vec<f64> =
             truth.iter().map(|t| bound.absolute + bound.relative * t.abs()).collect();
@@ -377,7 +379,8 @@ impl Scene {
     }
 }
 
-// Bounds are what lavapipe showed, times about five: drivers may fuse and reorder.
+// The bounds are about five times the errors measured on lavapipe, since drivers may fuse and
+// reorder operations.
 const VALUES: Bound = Bound { absolute: 2e-6, relative: 1e-6 };
 const SLOPES: Bound = Bound { absolute: 1e-5, relative: 1e-5 };
 
@@ -394,8 +397,8 @@ fn soft_motion(h: &mut Harness) -> Result<()> {
     scene.run(h, VALUES, SLOPES)
 }
 
-/// The device's gradients against differences of the oracle's forward pass. Positions are left out:
-/// their gradient holds the weights still, by definition.
+/// The device's gradients against differences of the oracle's forward pass. Positions are left out,
+/// since their gradient is defined with constant weights.
 fn central_differences(h: &mut Harness) -> Result<()> {
     const STEP: f64 = 1e-6;
     for soft in [false, true] {
@@ -428,7 +431,7 @@ fn central_differences(h: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// Radii so small that all weights vanish in f32, some even as exponents.
+/// Radii so small that all weights underflow in f32, and some exponents are infinite.
 fn underflow(h: &mut Harness) -> Result<()> {
     for log_radius in [-6.0, -50.0, f32::NEG_INFINITY, f32::NAN, 50.0] {
         let mut scene = Scene::new(h, 200, 20, 3, true);
@@ -438,8 +441,8 @@ fn underflow(h: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// Coincident control points, antipodal, zero and broken rotations, Gaussians without control
-/// points and broken ones.
+/// Coincident control points, antipodal, zero and non-finite rotations, Gaussians without control
+/// points and non-finite ones.
 fn degenerate(h: &mut Harness) -> Result<()> {
     for soft in [false, true] {
         let mut scene = Scene::new(h, 60, 6, 4, soft);
@@ -451,7 +454,8 @@ fn degenerate(h: &mut Harness) -> Result<()> {
         scene.rotations[0] = [0.0; 4];
         scene.rotations[2] = [f32::NAN, 1.0, 0.0, 0.0];
         scene.rotations[3] = [f32::INFINITY, 1.0, 0.0, 0.0];
-        // Soft: 2.9e-5 by log-radius, whose slopes grow with the distance squared over ρ².
+        // Soft motion: 2.9e-5 with respect to the log-radius, whose slopes grow with the squared
+        // distance over ρ².
         scene.run(h, VALUES, Bound { absolute: 1e-4, relative: 1e-4 })?;
     }
     for (count, nodes) in [(20, 0), (0, 3), (1, 1)] {
@@ -460,17 +464,17 @@ fn degenerate(h: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// A scene a million units from the origin, all of it on f32's grid there.
+/// A scene a million units from the origin, with coordinates that f32 represents exactly there.
 fn far(h: &mut Harness) -> Result<()> {
     let mut scene = Scene::new(h, 100, 20, 4, false);
     for p in scene.positions.iter_mut().chain(&mut scene.nodes) {
         *p = p.map(|c| (c * 8.0).round() / 8.0 + 1e6);
     }
-    // The sum rounds to f32's grid around 1e6, which is 0.0625 wide.
+    // The sum rounds to the spacing of f32 near 1e6, which is 0.0625.
     scene.run(h, Bound { absolute: 0.07, relative: 0.0 }, SLOPES)
 }
 
-/// No motion moves nothing, bit for bit.
+/// The identity motion leaves all values unchanged, bit for bit.
 fn still(h: &mut Harness) -> Result<()> {
     let mut scene = Scene::new(h, 100, 20, 4, false);
     scene.transforms.fill([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]);

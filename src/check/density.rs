@@ -1,4 +1,4 @@
-//! Cases of density control.
+//! Check cases of density control.
 
 use super::{Bound, Case, Harness};
 use crate::error::Result;
@@ -49,7 +49,7 @@ fn random(h: &mut Harness, count: usize, low: f32, high: f32) -> Vec<f32> {
     (0..count).map(|_| h.rng.random_range(low..high)).collect()
 }
 
-/// What one round of relocation or growth starts from.
+/// The input of one round of relocation or growth.
 struct Round {
     logits: Vec<f32>,
     scales: Vec<f32>,
@@ -80,7 +80,7 @@ impl Round {
         let mut totals = h.output::<u32>("totals", 2)?;
         let mut slots = h.output::<u32>("slots", after)?;
         let mut targets = h.output::<u32>("targets", after)?;
-        // The round works on exact lengths; growth is copied into longer arrays.
+        // The round uses arrays of exact length; growth copies into longer arrays.
         let mut work_logits = device.buffer::<f32>("logits in work", count)?;
         let mut work_scales = device.buffer::<f32>("scales in work", 3 * count)?;
         let mut op = Relocation::new(&device, after)?;
@@ -113,7 +113,7 @@ impl Round {
         recorder.copy(op.targets(), targets.view_mut());
         h.stream.submit(recorder)?;
 
-        // Weights round an exponential: one off is like f32.
+        // Weights are rounded exponentials, so f32 may be off by one.
         let device_weights = h.read(&weights)?;
         let truth =
             density::draw_weights::<f64>(&reals(&self.logits), &reals(&self.motion), self.class);
@@ -123,7 +123,7 @@ impl Round {
         let one_off = Bound { absolute: 1.0, relative: 0.0 };
         h.close("weights", &as_float(&device_weights), &truth, None, one_off);
 
-        // From the device's own weights on everything is exact.
+        // Given the device's own weights, all further results are exact.
         let expected_slots: Vec<u32> = match self.grown {
             0 => density::dead::<f32>(&self.logits, &self.motion, self.class),
             _ => (count as u32..after as u32).collect(),
@@ -206,12 +206,12 @@ fn relocate(h: &mut Harness) -> Result<()> {
             Round { logits, scales, motion, class, grown: 0 }.run(h)?;
         }
     }
-    // Opacities near 0.01: where ln(1 + x) is taken of a rounded 1 + x, it loses most of its digits.
+    // Opacities near 0.01, where ln(1 + x) of a rounded 1 + x loses most of its digits.
     let logits: Vec<f32> =
         (0..4000).map(|i| if i % 2 == 0 { -8.0 } else { h.rng.random_range(-4.7..-4.4) }).collect();
     let (scales, class) = (vec![0.0; 3 * logits.len()], MotionClass::Any);
     Round { logits, scales, motion: Vec::new(), class, grown: 0 }.run(h)?;
-    // All dead: they stay. None dead: nothing happens.
+    // If all are dead, or none is, nothing changes.
     for logit in [-8.0, 2.0] {
         let (logits, scales) = (vec![logit; 70], vec![0.5; 210]);
         let class = MotionClass::Any;
@@ -226,7 +226,7 @@ fn grow(h: &mut Harness) -> Result<()> {
         let class = MotionClass::Any;
         Round { logits, scales, motion: Vec::new(), class, grown }.run(h)?;
     }
-    // None lives: the first is copied, unchanged.
+    // All are dead: the first is copied unchanged.
     let (logits, scales) = (vec![-8.0; 5], vec![0.5; 15]);
     Round { logits, scales, motion: Vec::new(), class: MotionClass::Any, grown: 3 }.run(h)
 }
@@ -285,7 +285,7 @@ fn noise(h: &mut Harness) -> Result<()> {
         density::jitter(&mut moved, &scales, &rotations, &reals(logits), size, SEED, STEP);
         moved.concat()
     }
-    // In f64 the huge one's step of e^120 is finite: it is f32's reach that decides.
+    // In f64 the huge Gaussian's step of e^120 is finite; the range of f32 decides.
     let mut kept = scales.clone();
     kept[..3].fill(f32::NAN);
     let truth = oracle::<f64>([&positions, &kept, &quaternions, &logits], size);
@@ -416,7 +416,7 @@ fn statistics(h: &mut Harness) -> Result<()> {
     let mut gradients: Vec<[f32; 4]> = rows::<f32, 4>(&random(h, 4 * count, -1e-3, 1e-3));
     gradients[4][0] = f32::NAN;
     gradients[5][1] = f32::INFINITY;
-    // What belongs to depth and opacity must stay out of it.
+    // Gradients with respect to depth and opacity must not be read.
     gradients[6][2] = f32::NAN;
     let visible: Vec<u32> = (0..count as u32).map(|i| i % 3).collect();
     let start: Vec<f32> = random(h, 2 * count, 0.0, 2.0);

@@ -1,5 +1,5 @@
-//! Training gives the same bits: every case runs twice, and these are two hundred steps long, through
-//! every kernel that training has, over growth, relocation and, in the moving scenes, the network or
+//! Check cases of the determinism of training. Every case runs twice, and these train two hundred
+//! steps with all training kernels: growth, relocation and, in the dynamic scenes, the network or
 //! the paths.
 
 use super::{Case, Harness};
@@ -42,7 +42,7 @@ pub const CASES: &[Case] = &[
     Case { id: "determinism/path_training", kernels: RENDER, run: |h| train(h, Moved::Paths) },
 ];
 
-/// What moves the Gaussians.
+/// The motion model of a case.
 #[derive(Clone, Copy, PartialEq)]
 enum Moved {
     Not,
@@ -53,7 +53,7 @@ enum Moved {
 const STEPS: u32 = 200;
 const SIZE: (u32, u32) = (40, 28);
 
-/// Four cameras around the origin, and a picture for each: stripes that shift with the time.
+/// Four training views around the origin, with images of stripes that shift with time.
 fn views() -> Vec<TrainingView> {
     let view = |i: usize| {
         let (angle, time) = (0.5 * i as f64, i as f64 / 3.0);

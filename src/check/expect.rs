@@ -1,5 +1,5 @@
-//! Known faults of drivers, as data: validation stays green on a driver whose fault is understood,
-//! and turns red again when the fault has gone.
+//! Known driver faults. Validation passes on a driver whose fault is listed, and fails again when
+//! the listed fault no longer occurs.
 
 use super::Outcome;
 
@@ -10,35 +10,35 @@ pub struct Expect {
     pub driver: &'static str,
     /// The case.
     pub case: &'static str,
-    /// What the driver does wrong, and where that is documented.
+    /// The driver's fault, and where it is documented.
     pub reason: &'static str,
 }
 
 /// The faults known so far: none.
 pub const EXPECTED: &[Expect] = &[];
 
-/// How a case's outcome is to be taken.
+/// The verdict on a case's outcome.
 #[derive(Clone, Copy, Debug)]
 pub enum Verdict<'a> {
-    /// As it should be.
+    /// The case passed as expected.
     Passed,
-    /// A fault that nobody knew of.
+    /// The case failed and no fault is listed.
     Failed,
-    /// A fault that was expected.
+    /// The case failed with a listed fault.
     KnownFault(&'a Expect),
-    /// A fault that was expected and did not show: its entry is out of date.
+    /// The case passed although a fault is listed: the entry is out of date.
     FaultGone(&'a Expect),
 }
 
 impl Verdict<'_> {
-    /// Whether validation may go green with this.
+    /// Whether validation may pass with this verdict.
     pub fn is_fine(&self) -> bool {
         matches!(self, Verdict::Passed | Verdict::KnownFault(_))
     }
 }
 
-/// Judges an outcome on a driver (its name and version) by what is expected of it. `clean` says
-/// whether the validation layer was silent, too.
+/// Judges an outcome on a driver (name and version) against the listed faults. `clean` states that
+/// the validation layer reported nothing.
 pub fn verdict<'a>(
     outcome: &Outcome,
     clean: bool,

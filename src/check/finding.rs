@@ -1,48 +1,49 @@
-//! One output held against the truth: how far it lies, and whether that is within its bound.
+//! The comparison of one output with its reference: the error, and whether it is within its bound.
 
-/// How far an output may lie from the truth: `absolute + relative · |truth|`.
+/// The error bound of an output: `absolute + relative · |truth|`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bound {
-    /// In the output's unit.
+    /// Absolute part, in the unit of the output.
     pub absolute: f64,
-    /// As a share of the truth.
+    /// Relative part, as a fraction of the true value.
     pub relative: f64,
 }
 
 impl Bound {
-    /// Not at all.
+    /// A bound of zero: exact equality.
     pub const ZERO: Bound = Bound { absolute: 0.0, relative: 0.0 };
 }
 
-/// One output held against the truth.
+/// The comparison of one output with its true value.
 #[derive(Clone, Debug)]
 pub struct Finding {
-    /// What was compared.
+    /// Name of the output.
     pub output: String,
-    /// How many values.
+    /// Number of values.
     pub count: usize,
-    /// What it was held to; `None` where only equality will do.
+    /// The error bound; `None` if equality is required.
     pub bound: Option<Bound>,
     /// Largest difference from the oracle in f64.
     pub worst_absolute: f64,
-    /// Largest difference as a share of the truth.
+    /// Largest difference as a fraction of the true value.
     pub worst_relative: f64,
-    /// Largest difference in units of the last place of the truth as f32, among the values whose
-    /// bound is mostly relative: around 0 a unit says nothing. `None` where there is no such value.
+    /// Largest difference in units of the last place of the true value as f32, among the values
+    /// whose bound is mostly relative, since the unit is not meaningful near 0. `None` without such
+    /// values.
     pub worst_ulp: Option<f64>,
-    /// Largest difference as a share of the bound: above 1 fails.
+    /// Largest difference as a fraction of the bound; above 1 the comparison fails.
     pub worst_of_bound: f64,
-    /// Where the largest share lies.
+    /// Index of the value with the largest fraction of its bound.
     pub worst_at: usize,
-    /// Largest difference of the oracle in f32 from that in f64, where it was given.
+    /// Largest difference between the oracle in f32 and in f64, if the f32 result was given.
     pub oracle_f32_absolute: Option<f64>,
-    /// The same as a share of the bound: above 1, f32 itself cannot do it.
+    /// The same as a fraction of the bound; above 1, f32 itself cannot meet the bound.
     pub oracle_f32_of_bound: Option<f64>,
     /// Whether all values stay within the bound.
     pub passed: bool,
 }
 
-/// Equality, element by element.
+/// Compares for equality, element by element.
 pub(super) fn exact<T: PartialEq>(output: &str, device: &[T], truth: &[T]) -> Finding {
     let wrong = (0..device.len().max(truth.len())).find(|&i| device.get(i) != truth.get(i));
     let worst = if wrong.is_some() { f64::INFINITY } else { 0.0 };
@@ -61,13 +62,14 @@ pub(super) fn exact<T: PartialEq>(output: &str, device: &[T], truth: &[T]) -> Fi
     }
 }
 
-/// Floats against the oracle in f64. NaN fails, and so does an infinity that the truth is not.
+/// Compares floats with the oracle in f64. NaN fails, and so does an infinity that differs from the
+/// true value.
 pub(super) fn close(output: &str, values: &[f32], truth: &[f64], bound: Bound) -> Finding {
     compare(output, values, truth, |_| bound)
 }
 
-/// The same, each value with a limit of its own: what rounding can do to it. The finding's bound is
-/// the limit of the value nearest to its own.
+/// Compares floats with an individual error limit per value. The finding's bound is the limit of
+/// the value that comes closest to its limit.
 pub(super) fn within(output: &str, values: &[f32], truth: &[f64], limits: &[f64]) -> Finding {
     compare(output, values, truth, |at| Bound { absolute: limits[at], relative: 0.0 })
 }
@@ -97,7 +99,7 @@ fn compare(
         let difference = if difference.is_nan() { f64::INFINITY } else { difference };
         let bound = bound_at(at);
         let share = difference / (bound.absolute + bound.relative * truth.abs());
-        // Infinity over infinity, or over NaN, is no agreement.
+        // A quotient of infinities, or of NaN, counts as a failure.
         let share = if share.is_nan() { f64::INFINITY } else { share };
         let share = if difference == 0.0 { 0.0 } else { share };
         finding.worst_absolute = finding.worst_absolute.max(difference);
@@ -116,7 +118,7 @@ fn compare(
     finding
 }
 
-/// The step from a number's f32 to the next larger one.
+/// The distance from a number, as f32, to the next larger f32.
 fn last_place(truth: f64) -> f64 {
     let value = (truth.abs() as f32).min(f32::MAX);
     f64::from(f32::from_bits(value.to_bits() + 1).min(f32::MAX))

@@ -1,4 +1,4 @@
-//! Cases of dense optical flow: each kernel on the oracle's own intermediate results.
+//! Check cases of dense optical flow: each kernel runs on the oracle's intermediate results.
 
 use super::{Bound, Case, Harness};
 use crate::error::Result;
@@ -37,7 +37,7 @@ pub const CASES: &[Case] = &[
 /// Odd sizes, sides shorter than a patch, and a single pixel.
 const SIZES: [[usize; 2]; 4] = [[61, 43], [17, 3], [3, 17], [1, 1]];
 
-/// A pair of levels, the second a little displaced, and a flow that is roughly right.
+/// A pair of pyramid levels, the second slightly displaced, and an approximate flow.
 struct Scene {
     width: usize,
     height: usize,
@@ -131,7 +131,7 @@ fn pyramid(h: &mut Harness) -> Result<()> {
         let scene = Scene::new(h, [w, height]);
         let (n, width) = (scene.pixels(), w as i32);
         for channels in 1..=4usize {
-            // What lies outside [0, 1] and what is no number at all.
+            // Values outside [0, 1], and NaN.
             let mut pixels: Vec<f32> =
                 (0..n * channels).map(|_| h.rng.random_range(-0.3f32..1.3)).collect();
             pixels[0] = f32::NAN;
@@ -193,7 +193,8 @@ fn start(h: &mut Harness) -> Result<()> {
             census.push(got);
         }
         let buffers = [upload(h, &census[0])?, upload(h, &census[1])?];
-        // The largest window, and one that a workgroup has more lanes than displacements for.
+        // The largest window, and windows with fewer displacements than a workgroup has
+        // invocations.
         for radius in [16usize, 1, 0] {
             let labels = (2 * radius + 1) * (2 * radius + 1);
             let mut volume = h.output::<u32>("flow volume", n * labels)?;
@@ -263,8 +264,9 @@ fn start(h: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// Displacement, brightness shift and slope of patches next to the oracle's. Which candidate wins
-/// can turn on a rounding, so that a patch in a hundred may differ, but none may fit much worse.
+/// Compares displacement, brightness shift and slope of patches with the oracle's. Rounding can
+/// decide which candidate wins, so one patch in a hundred may differ, but no patch may fit much
+/// worse.
 fn compare_patches(h: &mut Harness, what: &str, got: &[[f32; 4]], truth: &[Patch<f64>]) {
     let (mut strays, mut worse) = (0, 0);
     for (pair, truth) in got.chunks_exact(2).zip(truth) {
@@ -301,7 +303,7 @@ fn patches(h: &mut Harness) -> Result<()> {
         let derivatives = upload(h, singles(&s.a.derivatives).as_flattened())?;
         let start_flow = vec![[0.0; 2]; s.pixels()];
         let start = upload(h, &singles(&start_flow))?;
-        // A guess over an image twice as large, with places where there is none.
+        // A guess for an image twice as large, with invalid entries.
         let mut guess = flow::upsample(&s.flow, s.width, s.height, 2 * s.width, 2 * s.height);
         guess.iter_mut().step_by(7).for_each(|f| *f = [f64::NAN; 2]);
         let guess_buffer = upload(h, &singles(&guess))?;
@@ -477,7 +479,7 @@ fn relaxed(
     }
     h.stream.submit(recorder)?;
     let got = h.read(&guarded)?;
-    // The right-hand sides are rounded to f32; a pixel held by little passes that on.
+    // The right-hand sides are rounded to f32, and weakly constrained pixels amplify that.
     let bound = Bound { absolute: 2e-4, relative: 1e-4 };
     h.close(&s.what("relaxed"), got.as_flattened(), truth.as_flattened(), None, bound);
     Ok(())
@@ -498,7 +500,7 @@ fn consistency(h: &mut Harness) -> Result<()> {
             |trust: f32| kernel::TrustArgs { forward: there.view(), backward: back.view(), trust }
         );
         let truth = flow::trust(&s.flow, &s.back, s.width, s.height);
-        // The square of a ratio that reaches tens.
+        // The square of a ratio of up to some tens.
         let bound = Bound { absolute: 1e-5, relative: 1e-5 };
         h.close(&s.what("trust"), &got, &truth, None, bound);
         let got = run!(

@@ -1,5 +1,5 @@
-//! The contract's hard cases of pose estimation. They run on the host alone, so they cover no kernel,
-//! and `validate` runs them once, whatever the number of devices.
+//! The contract's hard inputs of pose estimation. The cases run on the host only, so they cover no
+//! kernel, and `validate` runs them once, whatever the number of devices.
 
 use super::{Bound, Case, Harness};
 use crate::error::Result;
@@ -26,7 +26,7 @@ const fn case(id: &'static str, run: fn(&mut Harness) -> Result<()>) -> Case {
     Case { id, kernels: &[], run }
 }
 
-/// Holds an error against a limit.
+/// Compares an error with a limit.
 fn within(h: &mut Harness, what: &str, error: f64, limit: f64) {
     h.close(what, &[error as f32], &[0.0], None, Bound { absolute: limit, relative: 0.0 });
 }
@@ -42,8 +42,8 @@ fn anywhere(h: &mut Harness) -> DVec2 {
     DVec2::new(h.rng.random_range(0.0..WIDTH), h.rng.random_range(0.0..HEIGHT))
 }
 
-/// Points of a plane or of a volume, and the pixels at which a camera at `pose` sees them, give or
-/// take `noise` pixels; the first `wrong` are seen just anywhere.
+/// Points of a plane or of a volume, and the pixels at which a camera at `pose` sees them, with
+/// noise of `noise` pixels; the first `wrong` observations are at random pixels.
 fn seen(
     h: &mut Harness,
     pose: &Pose,
@@ -70,7 +70,7 @@ fn pose() -> Pose {
     Pose::new(exp_so3(DVec3::new(0.3, -0.4, 0.2)), DVec3::new(0.5, -0.2, 1.0))
 }
 
-/// Radians and world units.
+/// Compares rotation (radians) and translation (world units) errors with `limits`.
 fn pose_error(h: &mut Harness, what: &str, found: &PnpResult, limits: [f64; 2]) {
     let (found, truth) = (&found.view_from_world, pose());
     let turn = angle_between(found.rotation, truth.rotation);
@@ -89,12 +89,12 @@ fn pnp_coplanar(h: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// Four are enough where four are allowed; fewer are refused in words.
+/// Four points suffice where four are allowed; fewer give an error.
 fn pnp_few_points(h: &mut Harness) -> Result<()> {
     let (points, pixels) = seen(h, &pose(), false, 4, 0, 0.0);
     let four = PnpOptions { min_inliers: 4, ..Default::default() };
     let found = pnp_ransac(&points, &pixels, None, &lens(), None, &four)?;
-    // P3P through f64 roots, refined.
+    // P3P with f64 roots, then refinement.
     pose_error(h, "4 points", &found, [1e-6, 1e-6]);
     for count in 0..6 {
         let (points, pixels) = seen(h, &pose(), false, count, 0, 0.0);
@@ -120,7 +120,7 @@ fn pnp_outliers(h: &mut Harness) -> Result<()> {
 
 const FRAMES: usize = 8;
 
-/// Where `view_from_world` puts the cameras of a clip that turns, and moves by `step` a frame.
+/// The `view_from_world` poses of a camera that turns, and moves by `step` per frame.
 fn path(step: f64) -> Vec<Pose> {
     let frame = |i: usize| {
         let t = i as f64;
@@ -130,8 +130,8 @@ fn path(step: f64) -> Vec<Pose> {
     (0..FRAMES).map(frame).collect()
 }
 
-/// 300 points of the given inverse depths, seen exactly by the five frames around their own, and the
-/// same from poses and depths that are off.
+/// 300 points of the given inverse depths, observed exactly by the five frames around their own,
+/// and the same problem with perturbed poses and depths.
 fn clip(h: &mut Harness, poses: &[Pose], inverse_depth: impl Fn(f64) -> f64) -> (Problem, Problem) {
     let (mut points, mut observations) = (Vec::new(), Vec::new());
     for index in 0..300 {
@@ -175,7 +175,8 @@ fn clip(h: &mut Harness, poses: &[Pose], inverse_depth: impl Fn(f64) -> f64) -> 
     (truth, start)
 }
 
-/// Adjusts, and holds the rotations against the truth. Nothing may end infinite.
+/// Runs the bundle adjustment and compares the rotations with the truth. All results must be
+/// finite.
 fn adjusted(h: &mut Harness, truth: &Problem, start: Problem) -> Result<bundle::Report> {
     let mut problem = start;
     let report = bundle::adjust(&mut problem, &Options::default())?;
@@ -208,7 +209,8 @@ fn bundle_points_at_infinity(h: &mut Harness) -> Result<()> {
     adjusted(h, &truth, start).map(drop)
 }
 
-/// Trajectories on one line, and at one place: the turn about the line comes from the cameras' axes.
+/// Trajectories on one line, and at one position: the rotation about the line follows from the
+/// cameras' axes.
 fn alignment_of_a_line(h: &mut Harness) -> Result<()> {
     let truth = Sim3 {
         scale: 2.5,

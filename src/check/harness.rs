@@ -1,4 +1,4 @@
-//! What a case works with: inputs by seed, guarded outputs, comparisons.
+//! The harness of a case: seeded inputs, guarded outputs and comparisons.
 
 use super::finding::{self, Bound, Finding};
 use crate::error::{Error, Result};
@@ -10,10 +10,10 @@ use std::hash::{DefaultHasher, Hasher};
 
 /// Bytes of guard words on each side of an output; every device's alignment divides it.
 const GUARD_BYTES: usize = 256;
-/// Poison and guard: a quiet NaN as a float, and no count or index.
+/// The poison and guard word: a quiet NaN as a float, and not a valid count or index.
 const POISON: u32 = 0xffff_ffff;
 
-/// An output buffer between guard words, poisoned.
+/// A poisoned output buffer between guard words.
 pub struct Guarded<T> {
     buffer: Buffer<T>,
     guard: usize,
@@ -27,13 +27,13 @@ impl<T: Pod> Guarded<T> {
     }
 }
 
-/// A case's workplace.
+/// The environment of a running case.
 pub struct Harness {
     /// The device under test.
     pub device: Device,
     /// A stream on it.
     pub stream: Stream,
-    /// Random numbers that the seed decides.
+    /// Random number generator, initialised from the seed.
     pub rng: ChaCha8Rng,
     findings: Vec<Finding>,
     digest: DefaultHasher,
@@ -50,7 +50,7 @@ impl Harness {
         })
     }
 
-    /// What was found, and a digest of every bit that the device answered.
+    /// The findings, and a digest of all bits that the device returned.
     pub(super) fn finish(self) -> (Vec<Finding>, u64) {
         (self.findings, self.digest.finish())
     }
@@ -68,7 +68,7 @@ impl Harness {
         Ok(Guarded { buffer, guard, len })
     }
 
-    /// An output's content after the run; fails when a guard word changed.
+    /// Reads an output after the run; fails if a guard word changed.
     ///
     /// # Errors
     /// [`Error::Failed`] naming the buffer, or a failed submission.
@@ -87,20 +87,20 @@ impl Harness {
         Ok(inner.to_vec())
     }
 
-    /// Adds the device's answer to what must be the same, bit for bit, when the case runs again.
-    /// What is compared through the harness is noted already.
+    /// Adds a device result to the digest that must be equal, bit for bit, when the case runs
+    /// again. Values that are compared through the harness are added automatically.
     pub fn note<T: NoUninit>(&mut self, answer: &[T]) {
         self.digest.write_usize(answer.len());
         self.digest.write(bytemuck::cast_slice(answer));
     }
 
-    /// Holds integers (or anything with equality) against the truth.
+    /// Compares integers (or other types with equality) with the true values.
     pub fn exact<T: PartialEq + NoUninit>(&mut self, output: &str, device: &[T], truth: &[T]) {
         self.note(device);
         self.findings.push(finding::exact(output, device, truth));
     }
 
-    /// Holds floats against the oracle in f64, with the oracle in f32 beside it where given.
+    /// Compares floats with the oracle in f64, and reports the error of the oracle in f32 if given.
     pub fn close(
         &mut self,
         output: &str,
@@ -115,7 +115,7 @@ impl Harness {
         self.findings.push(beside(finding, twin));
     }
 
-    /// [`close`](Self::close) with a limit for each value: what rounding may do to that one.
+    /// [`close`](Self::close) with an individual error limit per value.
     pub fn within(
         &mut self,
         output: &str,
@@ -130,13 +130,13 @@ impl Harness {
         self.findings.push(beside(finding, twin));
     }
 
-    /// Notes whether something holds that is no comparison of numbers.
+    /// Records a condition that is not a numerical comparison.
     pub fn holds(&mut self, what: &str, holds: bool) {
         self.exact(what, &[holds], &[true]);
     }
 }
 
-/// The device's finding with the error of the oracle in f32 beside it.
+/// Adds the error of the oracle in f32 to the device's finding.
 fn beside(mut device: Finding, twin: Option<Finding>) -> Finding {
     device.oracle_f32_absolute = twin.as_ref().map(|twin| twin.worst_absolute);
     device.oracle_f32_of_bound = twin.map(|twin| twin.worst_of_bound);

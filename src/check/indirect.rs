@@ -1,4 +1,4 @@
-//! Grids from counts on the device.
+//! Check cases of indirect dispatch arguments from counts on the device.
 
 use super::{Case, Harness};
 use crate::error::Result;
@@ -10,18 +10,19 @@ use rand::RngExt;
 pub const CASES: &[Case] =
     &[Case { id: "indirect/arguments", kernels: &["indirect/arguments"], run: arguments }];
 
-/// Where the grid lies in its buffer; what is around it must stay untouched.
+/// Word offset of the grid in its buffer; the surrounding words must stay unchanged.
 const ARGUMENTS_AT: usize = 2;
 const POISON: u32 = 0xffff_ffff;
 
-/// One setting: the count is written, the capacity and the workgroup are the host's.
+/// One test setting: the count is written on the device; the host sets capacity and workgroup size.
 struct Setting {
     count: u32,
     capacity: u32,
     per_group: u32,
 }
 
-/// The grid on the device equals what the host would have dispatched, on both sides of every step:
+/// The grid on the device equals the grid that the host would dispatch, on both sides of every
+/// threshold:
 /// no items, a full group, the limit of one axis, the capacity.
 fn arguments(harness: &mut Harness) -> Result<()> {
     let limit = harness.device.limits().groups;

@@ -1,4 +1,4 @@
-//! The photometric loss and its gradient against the oracle.
+//! Check cases of the photometric loss and its gradient.
 
 use super::{Bound, Case, Harness};
 use crate::error::{Error, Result};
@@ -25,11 +25,11 @@ pub const CASES: &[Case] = &[
     Case { id: "loss/disparity", kernels: ALL, run: disparity },
 ];
 
-/// Elements that every buffer has beyond what the op may touch.
+/// Number of further elements in every buffer, which the op must not access.
 const SLACK: usize = 64;
 const POISON: u32 = 0xffff_ffff;
 
-/// An image against a photograph.
+/// A rendered image and the training image to compare it with.
 struct Input {
     width: u32,
     height: u32,
@@ -40,7 +40,7 @@ struct Input {
     settings: LossSettings,
 }
 
-/// What the device made of it.
+/// The device's results.
 struct Answer {
     value: LossValue,
     rgba: Vec<[f32; 4]>,
@@ -53,7 +53,7 @@ fn input(harness: &mut Harness, width: u32, height: u32) -> Input {
     let mut photo = Image::new(width, height, 3);
     photo.pixels.iter_mut().for_each(|v| *v = random(0.0, 1.0));
     let rendered = Pixels {
-        // Close to the photograph here, far from it there.
+        // Close to the training image in some pixels, far from it in others.
         rgb: (0..count)
             .map(|i| {
                 let near = if i % 3 == 0 { 0.02 } else { 0.4 };
@@ -75,12 +75,12 @@ fn random_weights(harness: &mut Harness, width: u32, height: u32) -> Image {
     weights
 }
 
-/// As the device stores them.
+/// The value of a training image after 8-bit quantisation, as the device stores it.
 fn byte(value: f32) -> f64 {
     f64::from((value.clamp(0.0, 1.0) * 255.0).round()) / 255.0
 }
 
-/// The rendered pixels in the oracle's numbers.
+/// The rendered pixels in the oracle's number type.
 fn rendered<R: Real>(input: &Input) -> Pixels<R> {
     let wide = |x: f32| R::of(f64::from(x));
     Pixels {
@@ -94,7 +94,7 @@ fn truth<R: Real>(input: &Input) -> loss::Loss<R> {
     truth_of(input, &rendered(input))
 }
 
-/// The loss of pixels that need not be the input's own.
+/// The oracle's loss for these pixels, which may differ from the input's.
 fn truth_of<R: Real>(input: &Input, rendered: &Pixels<R>) -> loss::Loss<R> {
     let of = |x: f64| R::of(x);
     let wide = |x: f32| R::of(f64::from(x));
@@ -129,7 +129,7 @@ fn poison<T: Pod>(recorder: &mut Recorder, buffer: &mut Buffer<T>) {
     recorder.fill(buffer.view_mut(), POISON);
 }
 
-/// The first `len` elements; an error when one behind them is no longer poison.
+/// Reads the first `len` elements; fails if an element after them is no longer poison.
 fn read<T: Pod>(stream: &mut Stream, buffer: &Buffer<T>, len: usize) -> Result<Vec<T>> {
     let mut all = stream.download(buffer)?;
     if bytemuck::cast_slice::<T, u8>(&all[len..]).iter().any(|&byte| byte != 0xff) {
@@ -165,7 +165,7 @@ fn run(harness: &mut Harness, input: &Input) -> Result<Answer> {
         depth: device.buffer("depth gradient", area)?,
     };
     let op = Loss::plan(width, height);
-    // Scratch for a larger image: what lies behind the planes must stay poison.
+    // Scratch for a larger image: elements after the planes must stay poison.
     let mut scratch = Loss::plan(width, height + SLACK as u32).scratch(device)?;
     let mut recorder = stream.record()?;
     poison(&mut recorder, &mut gradients.rgba);
@@ -262,7 +262,7 @@ fn shares(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// Weights of zero, of all zeros (no loss, no gradient), and on one pixel alone.
+/// Some weights of zero, all weights zero (no loss, no gradient), and weight on one pixel only.
 fn weights(harness: &mut Harness) -> Result<()> {
     let mut some = input(harness, 41, 29);
     some.weights = Some(random_weights(harness, 41, 29));
@@ -282,8 +282,8 @@ fn weights(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// The device's gradients against differences of the oracle's value. Colours keep a distance from the
-/// photograph, where the absolute difference has its kink.
+/// The device's gradients against differences of the oracle's value. Colours keep a distance from
+/// the training image, at which the absolute difference has a kink.
 fn central_differences(harness: &mut Harness) -> Result<()> {
     const STEP: f64 = 1e-6;
     let mut input = input(harness, 13, 9);
@@ -327,7 +327,7 @@ fn central_differences(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// Where variances vanish, and where the images are equal.
+/// Images with zero variance, and equal images.
 fn flat_images(harness: &mut Harness) -> Result<()> {
     for (what, photo, rendered) in
         [("black on black", 0.0, 0.0), ("white on black", 0.0, 1.0), ("grey on grey", 0.2, 0.6)]
@@ -343,7 +343,7 @@ fn flat_images(harness: &mut Harness) -> Result<()> {
     for (i, rgb) in equal.rendered.rgb.iter_mut().enumerate() {
         *rgb = std::array::from_fn(|c| byte(equal.photo.pixels[3 * i + c]) as f32);
     }
-    // Signs of differences that are only rounding say nothing: the value alone is held.
+    // The signs of differences within rounding are arbitrary, so only the value is compared.
     let value = run(harness, &equal)?.value;
     let device = [value.l1 as f32, value.ssim as f32];
     let bound = Bound { absolute: 2e-6, relative: 0.0 };
@@ -351,7 +351,7 @@ fn flat_images(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// With pixels too transparent, without depth, unknown, and of every weight.
+/// Includes pixels that are too transparent, lack depth or are unknown, with different weights.
 fn disparity(harness: &mut Harness) -> Result<()> {
     for (width, height) in [(1, 1), (45, 31)] {
         let mut input = input(harness, width, height);

@@ -1,4 +1,4 @@
-//! Cases of rendered motion against motion masks.
+//! Check cases of the loss of rendered motion against motion masks.
 
 use super::scene::{random, skew_camera};
 use super::{Bound, Case, Harness};
@@ -56,7 +56,7 @@ fn comparing(h: &mut Harness) -> Result<()> {
             (render.pixels(&device)?, render.pixel_gradients(&device)?);
         let red = values(h, pixels, 0.0, 1.0);
         let mut truth: Vec<f32> = red.iter().map(|r| f32::from(*r > 0.4)).collect();
-        // Where both agree to the bit there is no slope.
+        // Where both values are equal the slope is zero.
         truth[0] = red[0];
         let rgba: Vec<[f32; 4]> = red.iter().map(|&r| [r, 7.0, -7.0, 0.5]).collect();
         h.stream.upload(&mut rendered.rgba, &rgba)?;
@@ -91,7 +91,7 @@ fn voting(h: &mut Harness) -> Result<()> {
     (logits[1], logits[2]) = (40.0, -40.0);
     let mut start =
         [values(h, count, -1.0, 1.0), values(h, 2 * count, 0.0, 1.0), values(h, count, 0.0, 1.0)];
-    // Votes for motion are some of the votes.
+    // The votes for motion are a part of all votes.
     start[1].chunks_exact_mut(2).for_each(|v| v[1] += v[0]);
     (start[1][12], start[1][13]) = (0.0, 0.0);
     let device = h.device.clone();
@@ -148,8 +148,9 @@ fn voting(h: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// Other colours over the same geometry: the picture is that of a scene of these colours, its
-/// alpha and depth stay to the bit, and the votes count what the picture shows of each Gaussian.
+/// Blending of other colours over the same geometry: the image equals that of a scene with these
+/// colours, alpha and depth are equal bit for bit, and the votes sum each Gaussian's weights in the
+/// image.
 fn blending(h: &mut Harness) -> Result<()> {
     let camera = skew_camera(83, 59);
     let scene = random(&mut h.rng, 600, 0, &camera);
@@ -192,7 +193,7 @@ fn blending(h: &mut Harness) -> Result<()> {
     let (own_depth, depth) =
         (h.stream.download(&pixels[0].depth)?, h.stream.download(&pixels[1].depth)?);
     h.holds("depth stays", own_depth == depth);
-    // Where all move, the probability is the alpha: one sum in two orders.
+    // If all Gaussians move, the blended probability equals alpha: the same sum in two orders.
     let red: Vec<f32> = rgba.iter().map(|p| p[0]).collect();
     let alpha: Vec<f64> = rgba.iter().map(|p| f64::from(p[3])).collect();
     h.close("red", &red, &alpha, None, Bound { absolute: 5e-6, relative: 0.0 });

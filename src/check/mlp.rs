@@ -1,4 +1,4 @@
-//! Cases of the deformation network.
+//! Check cases of the deformation network.
 
 use super::{Bound, Case, Harness};
 use crate::error::Result;
@@ -28,7 +28,7 @@ const KERNELS: &[&str] = &[
     "mlp/reduce",
 ];
 
-/// A network that suits a software driver.
+/// A network small enough for a software driver.
 pub(crate) const NARROW: NetShape = NetShape {
     depth: 6,
     width: 64,
@@ -38,7 +38,7 @@ pub(crate) const NARROW: NetShape = NetShape {
     ..NetShape::PAPER
 };
 
-/// One network with its inputs and what the oracle makes of it.
+/// One network with its inputs and the oracle's results.
 struct Problem {
     shape: NetShape,
     parameters: Vec<f32>,
@@ -50,7 +50,7 @@ struct Problem {
 
 impl Problem {
     fn new(h: &mut Harness, shape: NetShape, nodes: usize, times: usize) -> Problem {
-        // An ordinary head and biases: with the first ones the outputs hardly show.
+        // A head and biases of ordinary size: with the initial ones the outputs are close to zero.
         let parameters = DeformNet::random(shape, 3)
             .parameters
             .iter()
@@ -127,8 +127,8 @@ impl Problem {
         Ok((h.read(&transforms)?.concat(), h.read(&gradients)?))
     }
 
-    /// Compares. Bounds are what lavapipe showed, times about five, since drivers may add in
-    /// another order or fuse products; the oracle in f32 errs as much.
+    /// Runs and compares. The bounds are about five times the errors measured on lavapipe, since
+    /// drivers may reorder sums or fuse products; the oracle in f32 has errors of the same size.
     fn run(&self, h: &mut Harness, outputs: Bound, gradients: Bound) -> Result<()> {
         let (transforms, by_parameter) = self.device(h, 1)?;
         let (truth, by_truth) = self.oracle::<f64>();
@@ -139,7 +139,7 @@ impl Problem {
     }
 }
 
-/// Of `narrow`; measured 2.2e-7 and 6.5e-6.
+/// Bounds for [`NARROW`]; the measured errors are 2.2e-7 and 6.5e-6.
 const NARROW_BOUNDS: [Bound; 2] =
     [Bound { absolute: 1e-6, relative: 1e-6 }, Bound { absolute: 3e-5, relative: 1e-6 }];
 
@@ -206,7 +206,7 @@ fn central_differences(h: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// One row, one layer, no octaves, a skip into the head and none: what odd counts would break.
+/// Unusual shapes: one row, one layer, no octaves, a skip into the head, and no skip.
 fn shapes(h: &mut Harness) -> Result<()> {
     let base = NetShape {
         depth: 3,
@@ -246,7 +246,7 @@ fn accumulate(h: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// A network that hands its encodings through shows them one by one, at large arguments too.
+/// A network that passes its encodings through, to compare them one by one, at large arguments too.
 fn encoding(h: &mut Harness) -> Result<()> {
     let shape = NetShape {
         depth: 1,

@@ -1,9 +1,9 @@
-//! Cases: one declaration gives test, gradient check, validation and benchmark.
+//! Check cases: one declaration serves as test, gradient check and validation.
 //!
-//! A [`Case`] runs kernels on a device and holds every output against the oracle in f64 and, so
-//! that a report can tell "this device is wrong" from "f32 is like that", in f32. Outputs are
-//! poisoned before a run and lie between guard words ([`Guarded`]); every case runs twice, and the
-//! device must answer with the same bits.
+//! A [`Case`] runs kernels on a device and compares every output with the oracle in f64. It also
+//! compares with the oracle in f32, so that a report can distinguish a device fault from the limits
+//! of f32. Outputs are poisoned before a run and lie between guard words ([`Guarded`]). Every case
+//! runs twice, and both runs must give the same bits.
 //!
 //! To add one: write `src/check/FAMILY.rs` with a `pub const CASES: &[Case]`, list it in [`ALL`],
 //! and let `tests/FAMILY.rs` call `common::run("FAMILY")`. A family whose op has gradients has a
@@ -13,7 +13,6 @@
 pub mod adam;
 pub mod arap;
 pub mod bin;
-pub mod roofline;
 mod contract;
 pub mod deform;
 pub mod density;
@@ -32,6 +31,7 @@ pub mod path;
 pub mod project;
 pub mod raster;
 pub mod render;
+pub mod roofline;
 mod rounding;
 pub mod scan;
 mod scene;
@@ -47,17 +47,17 @@ use crate::error::{Error, Result};
 use crate::gpu::Device;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-/// One thing that is checked on a device.
+/// A check that runs on a device.
 pub struct Case {
-    /// `family/what`, unique.
+    /// Unique identifier, `family/what`.
     pub id: &'static str,
     /// The kernels that it covers.
     pub kernels: &'static [&'static str],
-    /// Runs it and compares.
+    /// Runs the kernels and compares the outputs.
     pub run: fn(&mut Harness) -> Result<()>,
 }
 
-/// Every family's cases.
+/// The cases of every family.
 pub const ALL: &[&[Case]] = &[
     adam::CASES,
     arap::CASES,
@@ -82,21 +82,21 @@ pub const ALL: &[&[Case]] = &[
     determinism::CASES,
 ];
 
-/// What became of a case.
+/// The result of a case.
 #[derive(Debug)]
 pub struct Outcome {
     /// The case.
     pub id: &'static str,
-    /// The seed that repeats it.
+    /// The random seed that reproduces it.
     pub seed: u64,
     /// What was compared.
     pub findings: Vec<Finding>,
-    /// An error that ended it early.
+    /// An error that ended the case early.
     pub error: Option<Error>,
 }
 
 impl Outcome {
-    /// Whether it compared something and all of it passed.
+    /// Whether the case made at least one comparison and all comparisons passed.
     pub fn passed(&self) -> bool {
         self.error.is_none()
             && !self.findings.is_empty()
@@ -104,8 +104,7 @@ impl Outcome {
     }
 }
 
-/// Runs a case on a device, twice: the second run must give the first one's bits. A panic counts as
-/// an error.
+/// Runs a case on a device twice; both runs must give the same bits. A panic counts as an error.
 pub fn run(case: &Case, device: &Device, seed: u64) -> Outcome {
     let mut outcome = Outcome { id: case.id, seed, findings: Vec::new(), error: None };
     let mut digests = Vec::new();
@@ -138,7 +137,7 @@ fn once(case: &Case, device: &Device, seed: u64) -> Once {
     }
 }
 
-/// What a panic said.
+/// The message of a panic.
 fn words(panic: &(dyn std::any::Any + Send)) -> &str {
     match (panic.downcast_ref::<&str>(), panic.downcast_ref::<String>()) {
         (Some(text), _) => text,

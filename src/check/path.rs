@@ -1,4 +1,4 @@
-//! Cases of the control points' paths.
+//! Check cases of the control points' paths.
 
 use super::{Bound, Case, Harness};
 use crate::error::Result;
@@ -14,11 +14,11 @@ pub const CASES: &[Case] = &[
 ];
 
 const KERNELS: &[&str] = &["path/evaluate", "path/gather"];
-/// Measured 2.4e-6 at 25 keys: the place between them is a rounded product, and the oracle in f32 errs
-/// as much; times five.
+/// Five times the measured error of 2.4e-6 at 25 keys. The position between keys is a rounded
+/// product; the oracle in f32 has the same error.
 const BOUND: Bound = Bound { absolute: 1.2e-5, relative: 1e-6 };
 
-/// Paths at some times, compared both ways.
+/// Evaluates paths at some times and compares values and gradients.
 fn compare(h: &mut Harness, nodes: usize, keys: usize, times: &[f32]) -> Result<()> {
     let mut row = || -> [f32; 8] { std::array::from_fn(|_| h.rng.random_range(-1.0f32..1.0)) };
     let paths: Vec<[f32; 8]> = (0..nodes * keys).map(|_| row()).collect();
@@ -57,12 +57,12 @@ fn random(h: &mut Harness) -> Result<()> {
     compare(h, 67, 25, &times)
 }
 
-/// One key holds still; two and three repeat their ends.
+/// One key gives no motion; with two and three keys the end keys are repeated.
 fn few_keys(h: &mut Harness) -> Result<()> {
     (1..=4).try_for_each(|keys| compare(h, 3, keys, &[0.0, 0.2, 0.5, 0.75, 1.0]))
 }
 
-/// At the ends, beyond them, and on keys, where rounding may take either side.
+/// Times at the ends, beyond them, and on keys, where rounding may select either segment.
 fn ends(h: &mut Harness) -> Result<()> {
     compare(h, 5, 12, &[-3.0, -0.0, 1e-7, 3.0 / 11.0, 7.0 / 11.0, 1.0 - 6e-8, 1.0, 9.0])
 }

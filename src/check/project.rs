@@ -1,4 +1,4 @@
-//! Projection against the oracle.
+//! Check cases of projection.
 
 use super::scene::{
     Frame, UPRIGHT, compare_gradients, join, one, plain_camera, random, random_gradient,
@@ -29,8 +29,8 @@ pub const CASES: &[Case] = &[
 const WIDTH: u32 = 83;
 const HEIGHT: u32 = 59;
 
-/// Which Gaussians are drawn and how many tiles they reach, with a cut and a near plane moved by
-/// this share: between the two lies what rounding may decide either way.
+/// Relative tolerance of the α cut and the near plane for the decisions which Gaussians are drawn
+/// and which tiles they overlap; within it either decision is accepted.
 const BAND: f32 = 1e-4;
 
 fn compare(harness: &mut Harness, what: &str, scene: &Gaussians, camera: &Camera) -> Result<()> {
@@ -66,8 +66,8 @@ fn compare(harness: &mut Harness, what: &str, scene: &Gaussians, camera: &Camera
     if scene.len() >= 60 {
         harness.holds(&format!("{what}: many are drawn"), 2 * drawn.len() > scene.len());
     }
-    // Each coordinate in the camera's frame carries what three products and two sums round, 4e-7 of
-    // the distance; the mean has that times focal / z, and its own two roundings.
+    // Each coordinate in the camera's frame has the rounding of three products and two sums, 4e-7
+    // of the distance; the mean has that times focal / z, and two roundings of its own.
     let limits: Vec<f64> = drawn
         .iter()
         .flat_map(|&i| {
@@ -152,8 +152,8 @@ fn degrees(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// Attributes in 16 bits draw what the rounded attributes draw in f32, bit for bit; how exactly f32
-/// is drawn, the other cases tell. Odd numbers leave half of the last word empty.
+/// 16-bit attributes give the same result, bit for bit, as the rounded attributes in f32; the other
+/// cases check the accuracy of f32. With odd counts half of the last word is unused.
 fn halves(harness: &mut Harness) -> Result<()> {
     let camera = skew_camera(WIDTH, HEIGHT);
     let mut results = Vec::new();
@@ -213,9 +213,9 @@ fn halves(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// Splats on the near plane, of an opacity at the cut, and with an edge of their reach on a tile's
-/// border: what lies outside of a narrow band is decided as by the oracle, and of what lies in it
-/// not all may flip.
+/// Splats on the near plane, with an opacity at the cut, and with the edge of their extent on a
+/// tile border. Outside a narrow band decisions must equal the oracle's; within it not all may
+/// differ.
 fn decisions(harness: &mut Harness) -> Result<()> {
     let settings = RenderSettings::default();
     let camera = skew_camera(WIDTH, HEIGHT);
@@ -233,7 +233,8 @@ fn decisions(harness: &mut Harness) -> Result<()> {
         near.push(one(at, [-7.0; 3], UPRIGHT, 2.0));
         let at = world_from_view.apply(DVec3::new(0.1, 0.1, 3.0)).as_vec3().to_array();
         faint.push(one(at, [0.5; 3], UPRIGHT, cut.ln() + away(rng)));
-        // A round splat on the axis of a plain camera: its reach ends at the next tile's first pixel.
+        // A round splat on the axis of a plain camera whose extent ends at the next tile's first
+        // pixel.
         let scale = rng.random_range(-3.0f32..-1.0);
         let splat = one([0.0, 0.0, 2.0], [scale; 3], UPRIGHT, 2.0);
         let plain = plain_camera(60.0, 96, 96);
@@ -241,7 +242,7 @@ fn decisions(harness: &mut Harness) -> Result<()> {
         let seen = seen[0].expect("in the middle of the image");
         let extent = seen.reach(&settings).sqrt() / seen.conic[0];
         let x = (64.5 - extent + f64::from(away(rng)) - 48.0) * 2.0 / 60.0;
-        // Level with a row of pixel centres.
+        // At the height of a row of pixel centres.
         edges.push(one([x as f32, 1.0 / 60.0, 2.0], [scale; 3], UPRIGHT, 2.0));
     }
     // The depth's last place at a distance of 1; a driver's exponential; the extent's few places.
@@ -278,7 +279,7 @@ fn decisions(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// Given the splats' gradients as the device itself has gathered them.
+/// The backward pass, given the splat gradients that the device itself has summed.
 fn backward(harness: &mut Harness) -> Result<()> {
     let camera = skew_camera(WIDTH, HEIGHT);
     let settings = RenderSettings::default();

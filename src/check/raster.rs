@@ -1,4 +1,5 @@
-//! Blending and its gradients, judged by the splats and lists that the device itself has made.
+//! Check cases of blending and its gradients; the reference uses the splats and tile lists that the
+//! device itself has made.
 
 use super::rounding::gradient_limits;
 use super::scene::{
@@ -31,7 +32,8 @@ pub const CASES: &[Case] = &[
     Case { id: "raster/determinism", kernels: ALL, run: determinism },
 ];
 
-/// Rounding in a power of up to 6 and in a product of hundreds of transmittances.
+/// Relative tolerance of decisions: rounding in a power of up to 6 and in a product of hundreds of
+/// transmittances.
 const BAND: f64 = 2e-5;
 
 fn compare(
@@ -45,7 +47,7 @@ fn compare(
     compare_blended(harness, what, scene, camera, capacity, (settings, |render| render))
 }
 
-/// Renders, differentiates a random linear function of the image, and compares both.
+/// Renders, differentiates a random linear function of the image, and compares image and gradients.
 fn compare_blended(
     harness: &mut Harness,
     what: &str,
@@ -79,8 +81,8 @@ fn compare_blended(
         .flat_map(|&i| flat(single.rgb[i].map(f64::from), f64::from(single.alpha[i])))
         .map(|v| v as f32)
         .collect();
-    // The power's rounding (4e-7 at a power of 5.5) and the exponential's, averaged over what a pixel
-    // blends; measured 8e-7 at most, the oracle in f32 the same.
+    // Rounding of the power (4e-7 at a power of 5.5) and of the exponential, averaged over the
+    // splats of a pixel; measured 8e-7 at most, as for the oracle in f32.
     let bound = Bound { absolute: 2e-6, relative: 2e-6 };
     harness.close(&format!("{what}: rgba"), &rgba, &exact_rgba, Some(&single_rgba), bound);
     let depth: Vec<f32> = clear.iter().map(|&i| out.depth[i]).collect();
@@ -121,7 +123,7 @@ fn compare_gradients(
         let device: Vec<f32> = device.iter().flat_map(narrow).collect();
         let exact: Vec<f64> = exact.iter().flat_map(wide).collect();
         let single: Vec<f32> = single.iter().flat_map(narrow).collect();
-        // What lies below the least normal f32 may be flushed to zero.
+        // Values below the smallest normal f32 may be flushed to zero.
         let limits: Vec<f64> = limits.iter().flat_map(wide).map(|limit| limit + 1e-30).collect();
         let output = format!("{what}: by {name}");
         harness.within(&output, &device, &exact, Some(&single), &limits);
@@ -138,7 +140,7 @@ fn scenes(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// The kernels that GPUs take, whatever the device.
+/// The kernel variants for GPUs, on any device.
 fn as_on_a_gpu(harness: &mut Harness) -> Result<()> {
     let how = (RenderSettings::default(), Render::with_gpu_kernels as fn(Render) -> Render);
     let camera = skew_camera(83, 59);
@@ -150,8 +152,8 @@ fn as_on_a_gpu(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// The other division of the work: whole batches, parts of one, none; images with parts of tiles; and
-/// its backward pass, which starts from where each pixel stopped.
+/// The shared-memory variant: full batches, partial and empty ones; images with partial tiles; and
+/// its backward pass, which starts where each pixel stopped.
 fn shared_memory(harness: &mut Harness) -> Result<()> {
     let shared: fn(Render) -> Render = |render| render.with_raster(RasterKind::Shared);
     let how = (RenderSettings::default(), shared);
@@ -194,7 +196,8 @@ fn image_sizes(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// Thousands of splats on every pixel: batches, early exit, and slots that nobody blends.
+/// Thousands of splats on every pixel: batches, early termination, and list entries that no pixel
+/// blends.
 fn layers(harness: &mut Harness) -> Result<()> {
     let camera = plain_camera(40.0, 37, 21);
     for (what, logit) in [("opaque", 0.0), ("faint", -4.0)] {
@@ -214,7 +217,7 @@ fn layers(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// Other cuts, caps and stops than the default's.
+/// Values of α cut, α cap and transmittance stop other than the defaults.
 fn blending_constants(harness: &mut Harness) -> Result<()> {
     let camera = skew_camera(61, 47);
     let scene = random(&mut harness.rng, 400, 0, &camera);
@@ -232,9 +235,10 @@ fn blending_constants(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// Splats so wide that alpha crosses the cut, or the transmittance the stop, almost level: pixels far
-/// from the crossing are as the oracle's, those in the band jump by no more than the decision is
-/// worth, and not all of them flip.
+/// Splats so wide that alpha crosses the cut, or the transmittance crosses the stop, with a very
+/// small slope. Pixels far from the crossing must match the oracle. In the remaining pixels the
+/// decision may differ: the error must not exceed the effect of the decision, and not all of these
+/// pixels may differ.
 fn decisions(harness: &mut Harness) -> Result<()> {
     let camera = plain_camera(40.0, 83, 59);
     let settings = RenderSettings::default();
@@ -243,7 +247,8 @@ fn decisions(harness: &mut Harness) -> Result<()> {
     let mut jitter = |size: f64| 1.0 + harness.rng.random_range(-size..size);
     let wide =
         |z: f32, size: f32, opacity: f64| one([0.02, 0.01, z], [size; 3], UPRIGHT, logit(opacity));
-    // Level to 1e-4 over the image; and to 5e-6, since 1 - alpha shows it a hundredfold.
+    // The value varies by 1e-4 over the image; and by 5e-6, since 1 - alpha amplifies it a
+    // hundredfold.
     let faint: Vec<_> = (0..40)
         .map(|i| wide(2.0 + 0.01 * i as f32, 4.5, cut * (1.0 + 1e-4 * jitter(1.0))))
         .collect();
@@ -278,7 +283,7 @@ fn decisions(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// The image and the gradients of what fits, when not all does.
+/// Image and gradients of the splats that fit, when the capacity is exceeded.
 fn overflow(harness: &mut Harness) -> Result<()> {
     let camera = skew_camera(83, 59);
     let scene = random(&mut harness.rng, 1500, 0, &camera);
@@ -290,7 +295,7 @@ fn overflow(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// The same bits every time.
+/// Repeated runs give the same bits.
 fn determinism(harness: &mut Harness) -> Result<()> {
     let camera = skew_camera(97, 71);
     let scene = random(&mut harness.rng, 3000, 1, &camera);

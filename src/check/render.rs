@@ -1,5 +1,5 @@
-//! The renderer from Gaussians to pixels and back, on ordinary scenes and on inputs that break
-//! renderers: every answer is finite and close to the oracle's.
+//! Check cases of the whole renderer, forward and backward, on ordinary scenes and on hard inputs:
+//! every result must be finite and close to the oracle's.
 
 use super::scene::{
     Backward, Forward, Frame, UPRIGHT, all_finite, compare_gradients, contested, join, one,
@@ -52,7 +52,7 @@ pub const CASES: &[Case] = &[
     case("render/many_tiles", many_tiles),
 ];
 
-/// A frame's answers, and the oracle's of the same.
+/// The results of a frame on the device and of the oracle.
 struct Run {
     forward: Forward,
     backward: Backward,
@@ -61,8 +61,8 @@ struct Run {
     gradient: Pixels<f32>,
 }
 
-/// Renders and differentiates on the device and in the oracle. The image's gradient is zero at
-/// pixels that hang on a decision closer than `band`.
+/// Renders and differentiates on the device and in the oracle. The image's gradient is set to zero
+/// at pixels that depend on a decision (cut, cap, stop) closer than `band` to its threshold.
 fn run(harness: &mut Harness, scene: &Gaussians, camera: &Camera, band: f64) -> Result<Run> {
     let settings = RenderSettings::default();
     let (device, stream) = (harness.device.clone(), &mut harness.stream);
@@ -77,7 +77,8 @@ fn run(harness: &mut Harness, scene: &Gaussians, camera: &Camera, band: f64) -> 
     Ok(Run { forward, backward, exact, single, gradient })
 }
 
-/// Finite, as many drawn as the oracle draws, and an image within `tolerance` of its.
+/// Checks that the results are finite, that as many Gaussians are drawn as by the oracle, and that
+/// the image is within `tolerance` of the oracle's.
 fn agree(
     harness: &mut Harness,
     what: &str,
@@ -119,14 +120,14 @@ fn image(harness: &mut Harness, what: &str, run: &Run, camera: &Camera, toleranc
     harness.close(&format!("{what}: image"), &device, &truth, Some(&twin), bound);
 }
 
-/// All gradients, through every kernel in a row.
+/// All gradients, through all kernels.
 fn scene(harness: &mut Harness) -> Result<()> {
     let camera = skew_camera(75, 53);
     for (degree, count) in [(0, 200), (3, 600)] {
         let what = format!("degree {degree}");
         let scene = random(&mut harness.rng, count, degree, &camera);
-        // Blending's 1e-6 and projection's: means carry 2e-4 pixels close to the camera, where
-        // splats are large.
+        // The errors of blending, 1e-6, and of projection: means have errors of 2e-4 pixels close
+        // to the camera, where splats are large.
         let run = agree(harness, &what, &scene, &camera, 3e-6)?;
         let settings = RenderSettings::default();
         let (cloud, view) = (Cloud::new(&scene), View::new(&camera));
@@ -139,8 +140,8 @@ fn scene(harness: &mut Harness) -> Result<()> {
             &run.single,
             &run.gradient,
         );
-        // Blending's differences, divided by 1 - alpha, carry up to 1e-4 of the largest; the case
-        // raster/scenes holds each by its own limit.
+        // Differences in blending, divided by 1 - alpha, have errors of up to 1e-4 of the largest;
+        // the case raster/scenes checks each with its own limit.
         compare_gradients(
             harness,
             &what,
@@ -154,8 +155,8 @@ fn scene(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// The device's gradients against differences of the oracle's image, at constants so low that no
-/// decision leaves a step.
+/// The device's gradients against differences of the oracle's image, with thresholds so low that no
+/// decision causes a visible step.
 fn central_differences(harness: &mut Harness) -> Result<()> {
     const STEP: f64 = 1e-6;
     let settings = RenderSettings {
@@ -169,7 +170,7 @@ fn central_differences(harness: &mut Harness) -> Result<()> {
     let (device, stream) = (harness.device.clone(), &mut harness.stream);
     let mut frame = Frame::new(&device, stream, &scene, &camera, 1 << 10, settings)?;
     frame.forward(stream)?;
-    // Pixels at the cap are at a kink.
+    // The function has a kink at pixels whose alpha is capped.
     let exact = render::forward(&Cloud::<f64>::new(&scene), &View::new(&camera), &settings);
     let kinks = contested(&exact.splats, &settings, 37, 21, 1e-3);
     let gradient = random_gradient(&mut harness.rng, &kinks);
@@ -222,7 +223,7 @@ fn central_differences(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// A camera at the origin, and the image that the single-Gaussian cases are seen in.
+/// The camera of the single-Gaussian cases, at the origin.
 fn small() -> Camera {
     plain_camera(40.0, 33, 17)
 }
@@ -243,12 +244,12 @@ fn needles(harness: &mut Harness) -> Result<()> {
         let angle = k as f32 * 0.35;
         let rotation = [(angle / 2.0).cos(), 0.0, 0.0, (angle / 2.0).sin()];
         let scene = one([0.05, 0.02, 2.0], needle, rotation, 3.0);
-        // A needle of 4e4 pixels' length and of the dilation's width.
+        // A needle 4e4 pixels long and as wide as the dilation.
         let run = agree(harness, &format!("angle {angle}"), &scene, &small(), 1e-5)?;
         let lit = run.forward.rgba.iter().filter(|p| p[3] > 0.3).count();
         harness.holds(&format!("angle {angle}: seen"), lit >= 10);
-        // From edge to edge of a large image: rounding of 1e-7 in the direction, times the distance,
-        // moves the needle's ends by 1e-4 pixels.
+        // A needle across a large image: rounding of 1e-7 in the direction, times the distance,
+        // moves its ends by 1e-4 pixels.
         let wide = plain_camera(900.0, 1000, 600);
         let run = agree(harness, &format!("angle {angle}, wide"), &scene, &wide, 2e-4)?;
         let lit = run.forward.rgba.iter().filter(|p| p[3] > 0.3).count();
@@ -275,8 +276,8 @@ fn scales(harness: &mut Harness) -> Result<()> {
         let scene = one([0.1, -0.05, 2.0], [s; 3], [0.3, 0.5, -0.2, 0.7], 2.0);
         agree(harness, &format!("1e{exponent}"), &scene, &small(), 2e-6)?;
     }
-    // 1e20 times as long as wide may be culled in f32, since the determinant relative to the
-    // length's fourth power is below the least f32; exp(89) is no f32.
+    // A Gaussian 1e20 times as long as wide may be culled in f32, since the determinant relative to
+    // the length's fourth power underflows; exp(89) overflows f32.
     for scale in [[-46.0, 0.0, 46.0], [89.0; 3], [-120.0; 3]] {
         let run = run(harness, &one([0.1, -0.05, 2.0], scale, UPRIGHT, 2.0), &small(), 1e-3)?;
         let finite = all_finite(&run.forward, Some(&run.backward));
@@ -295,7 +296,7 @@ fn opacities(harness: &mut Harness) -> Result<()> {
         (f32::INFINITY, Some(0)),
         (f32::NEG_INFINITY, Some(0)),
         (f32::NAN, Some(0)),
-        // Exactly at the cut: drawn with a reach of 0 or culled, never NaN.
+        // Opacity exactly at the cut: drawn with a zero extent or culled, never NaN.
         (at_cut, None),
     ] {
         let scene = one([0.0, 0.0, 2.0], [-1.0; 3], UPRIGHT, logit);
@@ -311,7 +312,7 @@ fn opacities(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// The opacity's gradient up to logits where 1 - opacity has no digit left in f32.
+/// The opacity gradient up to logits at which 1 - opacity is zero in f32.
 fn opacity_slopes(harness: &mut Harness) -> Result<()> {
     for logit in [-5.0, -2.0, 0.0, 3.0, 6.0, 8.0, 10.0, 12.0, 14.0, 16.0, 30.0, 40.0] {
         let scene = one([0.0, 0.0, 2.0], [-1.0; 3], UPRIGHT, logit);
@@ -320,8 +321,8 @@ fn opacity_slopes(harness: &mut Harness) -> Result<()> {
         let (settings, view) = (RenderSettings::default(), View::new(&small()));
         let by = render::backward(&Cloud::new(&scene), &view, &settings, &run.exact, &gradient).0;
         let device = &run.backward.gaussians.opacity_logits;
-        // What blending leaves of a difference, divided by 1 - alpha of down to 1e-3; where the
-        // slope falls below the least f32, nothing.
+        // A difference in blending, divided by 1 - alpha of down to 1e-3; the gradient is zero
+        // where the slope underflows f32.
         let bound = Bound { absolute: 1e-37, relative: 2e-4 };
         let what = format!("logit {logit}");
         harness.close(&what, device, &by.opacity_logits, None, bound);
@@ -359,7 +360,7 @@ fn quaternions(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// One bad number anywhere culls its Gaussian and leaves the others as they were, gradients too.
+/// One non-finite parameter culls its Gaussian and leaves the others and their gradients unchanged.
 fn non_finite(harness: &mut Harness) -> Result<()> {
     let good = one([0.1, 0.0, 2.0], [-1.0; 3], UPRIGHT, 1.0);
     let alone = agree(harness, "good alone", &good, &small(), 2e-6)?.forward;
@@ -385,7 +386,7 @@ fn non_finite(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// A camera that is no camera sees nothing.
+/// A camera with non-finite parameters gives an empty image.
 fn non_finite_cameras(harness: &mut Harness) -> Result<()> {
     let scene = join(&[
         one([0.1, 0.0, 2.0], [-1.0; 3], UPRIGHT, 1.0),
@@ -437,7 +438,7 @@ fn fields_of_view(harness: &mut Harness) -> Result<()> {
         for shift in [-1e3, -10.0, 0.0, 10.0, 1e3] {
             let mut camera = plain_camera(focal, 33, 17);
             camera.intrinsics.cx += shift;
-            // A mean 1e5 pixels off is known to 1e-2.
+            // A mean at a distance of 1e5 pixels is accurate to 1e-2.
             let tolerance = if focal > 1e5 { 1e-4 } else { 1e-5 };
             let what = format!("focal {focal} shift {shift}");
             agree(harness, &what, &scene, &camera, tolerance)?;
@@ -446,7 +447,7 @@ fn fields_of_view(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// The camera's own translation is as large as the scene's, and cancels it.
+/// Camera and scene are far from the origin; their translations cancel.
 fn far_from_the_origin(harness: &mut Harness) -> Result<()> {
     let scene = one([1e6, -1e6, 1e6 + 16.0], [1.0; 3], UPRIGHT, 1.0);
     let offset = DVec3::new(1e6, -1e6, 1e6);
@@ -456,7 +457,7 @@ fn far_from_the_origin(harness: &mut Harness) -> Result<()> {
     };
     let run = agree(harness, "upright", &scene, &camera, 2e-6)?;
     harness.holds("seen", run.forward.rgba[8 * 33 + 16][3] > 0.7);
-    // Turned: products of 1e6 would round by 0.06, were the centre not subtracted first.
+    // A rotated camera: without subtracting its centre first, products of 1e6 would round by 0.06.
     let rotation = DQuat::from_euler(glam::EulerRot::XYZ, 0.3, -0.4, 0.2);
     let offset = offset + DVec3::new(0.013, -0.021, 0.008);
     let turned = Pose { rotation, translation: rotation * -offset };
@@ -466,8 +467,8 @@ fn far_from_the_origin(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// Across all tiles, near the right end, and in the middle; the right end is 4000 pixels away for each
-/// unit of `far`.
+/// Gaussians across all tiles, near the right end, and in the middle; the right end is at 4000
+/// pixels per unit of `far`.
 fn strip(far: f32) -> Gaussians {
     join(&[
         one([0.0, 0.0, 2.0], [20.0, -3.0, -3.0], UPRIGHT, 0.0),
@@ -476,8 +477,8 @@ fn strip(far: f32) -> Gaussians {
     ])
 }
 
-/// A grid that folds, of 2001 tiles; and 65,538 tiles, which give an answer where a binding holds the
-/// image, else the documented error.
+/// A folded grid of 2001 tiles; and 65,538 tiles, which give an image if it fits a binding, else
+/// the documented error.
 fn many_tiles(harness: &mut Harness) -> Result<()> {
     let device = harness.device.with_limits(Limits { groups: 100, ..*harness.device.limits() });
     let stream = std::mem::replace(&mut harness.stream, device.stream()?);
@@ -492,7 +493,7 @@ fn many_tiles(harness: &mut Harness) -> Result<()> {
     match forward_alone(harness, &strip(1048.0), &camera) {
         Ok(forward) => {
             harness.exact("the wide one's tiles", &forward.tile_counts[..1], &[2 * 32_769]);
-            // Half opaque in the middle of its height, and a sigma of 25 pixels.
+            // Half opaque at mid-height, with a standard deviation of 25 pixels.
             let dimmest = forward.rgba.iter().fold(1.0f32, |least, p| p[3].min(least));
             harness.holds("every pixel is seen", dimmest > 0.45);
             let right = forward.rgba[(8 * width + width / 2 + 262_000) as usize][3];

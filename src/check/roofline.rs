@@ -1,4 +1,4 @@
-//! The kernels that measure a peak bandwidth and arithmetic, against what they must compute.
+//! Check cases of the kernels that measure peak bandwidth and peak arithmetic.
 
 use super::{Bound, Case, Harness};
 use crate::error::Result;
@@ -50,7 +50,8 @@ fn fma(harness: &mut Harness) -> Result<()> {
         let wide: Vec<f64> = seeds.iter().map(|&s| f64::from(s)).collect();
         let truth = roofline::fma(&wide, rounds);
         let twin = roofline::fma(&seeds, rounds);
-        // A chain forgets old roundings by a quarter a round; the sum adds 16 values of one sign.
+        // Each step of a chain damps earlier rounding errors to three quarters; the sum adds 16
+        // values of one sign.
         let bound = Bound { absolute: 0.0, relative: 1e-6 };
         let what = format!("{count} seeds, {rounds} rounds");
         harness.close(&what, &got, &truth, Some(&twin), bound);

@@ -1,8 +1,10 @@
-//! How far f32 can move the gradients of blending: a running error analysis beside the oracle in f64.
+//! Error limits for the gradients of blending in f32: a running error analysis along the oracle in
+//! f64.
 //!
-//! A bound as a share of the largest gradient is too loose for most splats and too tight for a few:
-//! what lies behind a splat is a difference of sums over the whole pixel, divided by 1 − α, which
-//! goes down to 1e-3. So each splat gets a limit of its own: to first order, worst cases added up.
+//! A bound relative to the largest gradient is too loose for most splats and too tight for a few:
+//! the contribution behind a splat is a difference of sums over the whole pixel, divided by 1 − α,
+//! which can be as small as 1e-3. Each splat therefore gets its own limit: the first-order sum of
+//! worst-case errors.
 
 use crate::oracle::bin::Bins;
 use crate::oracle::project::Splat;
@@ -11,29 +13,30 @@ use crate::oracle::raster::Pixels;
 use crate::oracle::tiles::whitened;
 use crate::types::RenderSettings;
 
-/// f32's last place, as a share.
+/// Relative spacing of f32.
 const EPS: f64 = 1.2e-7;
 
 /// One splat on one pixel, front to back.
 struct Layer {
     index: usize,
-    /// Whitened, and how far rounding moves that.
+    /// The whitened offset, and its rounding error.
     offset: [f64; 2],
     spread: [f64; 2],
     falloff: f64,
     alpha: f64,
     capped: bool,
     transmittance: f64,
-    /// Share by which rounding moves alpha.
+    /// Relative rounding error of alpha.
     alpha_error: f64,
-    /// Share by which it moves the transmittance.
+    /// Relative rounding error of the transmittance.
     drift: f64,
-    /// The loss's slope by the splat's weight, and the sum of its parts' magnitudes.
+    /// The loss's derivative with respect to the splat's weight, and the sum of the magnitudes of
+    /// its terms.
     value: f64,
     magnitude: f64,
 }
 
-/// For every splat, how far rounding may move each gradient.
+/// The rounding error limit of each gradient of every splat.
 pub fn gradient_limits(
     splats: &[Option<Splat<f64>>],
     bins: &Bins,
@@ -82,8 +85,8 @@ fn layers(
         if behind <= f64::from(settings.transmittance_stop) {
             break;
         }
-        // The whitened offset's terms before they cancel, with the offset's own rounding (of up to a
-        // pixel), and the exponential, which Vulkan lets err by 3 + 2 |x| places.
+        // The terms of the whitened offset before they cancel, with the rounding of the offset (of
+        // up to a pixel), and the exponential, for which Vulkan allows an error of 3 + 2 |x| ulp.
         let [a, b, e] = splat.conic.map(f64::abs);
         let [dx, dy] = [x, y].map(f64::abs);
         let spread = [2.0 * EPS * (a * (dx + 1.0) + b * (dy + 1.0)), EPS * e * (dy + 2.0)];
@@ -119,7 +122,7 @@ fn add_limits(
     out: &mut [SplatGradient<f64>],
 ) {
     let weight = |l: &Layer| l.alpha * l.transmittance;
-    // The pixel's total, and what summing so many terms of moved weights does to it.
+    // The pixel's total, and its error from summing this many terms with perturbed weights.
     let summing = EPS * (4.0 + (layers.len() as f64).sqrt());
     let total_error: f64 =
         layers.iter().map(|l| weight(l) * l.magnitude * (summing + l.drift + l.alpha_error)).sum();

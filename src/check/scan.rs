@@ -1,4 +1,4 @@
-//! Prefix sums against the oracle.
+//! Check cases of prefix sums.
 
 use super::{Case, Harness};
 use crate::error::Result;
@@ -16,7 +16,7 @@ pub const CASES: &[Case] = &[
     Case { id: "scan/count_below_capacity", kernels: KERNELS, run: count_below_capacity },
 ];
 
-/// Scans `count` of the values and compares; what lies behind them must stay untouched.
+/// Scans `count` of the values and compares; the elements after them must stay unchanged.
 fn compare(harness: &mut Harness, what: &str, values: &[u32], count: usize) -> Result<()> {
     let capacity = values.len();
     let counts = harness.device.upload("count", &[7, count as u32])?;

@@ -1,4 +1,4 @@
-//! Scenes that the renderer's cases share, and a frame of one on the device, read back whole.
+//! Scenes shared by the renderer's cases, and a frame on the device with complete readback.
 
 use super::Harness;
 use crate::error::{Error, Result};
@@ -18,9 +18,9 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-/// The rotation that turns nothing.
+/// The identity rotation.
 pub const UPRIGHT: [f32; 4] = [1.0, 0.0, 0.0, 0.0];
-/// Elements that every buffer has beyond what the op may touch.
+/// Number of further elements in every buffer, which the op must not access.
 const SLACK: usize = 64;
 const POISON: u32 = 0xffff_ffff;
 
@@ -32,7 +32,7 @@ pub fn plain_camera(focal: f64, width: u32, height: u32) -> Camera {
     }
 }
 
-/// A camera with everything off its default: turned, shifted, off-centre, two focal lengths.
+/// A general camera: rotated, translated, with an off-centre principal point and two focal lengths.
 pub fn skew_camera(width: u32, height: u32) -> Camera {
     let (w, h) = (f64::from(width), f64::from(height));
     Camera {
@@ -93,7 +93,7 @@ pub fn one(position: [f32; 3], log_scale: [f32; 3], rotation: [f32; 4], logit: f
     }
 }
 
-/// Several scenes of degree 0 as one.
+/// Joins several scenes of degree 0.
 pub fn join(parts: &[Gaussians]) -> Gaussians {
     let mut all = Gaussians::default();
     for part in parts {
@@ -106,8 +106,8 @@ pub fn join(parts: &[Gaussians]) -> Gaussians {
     all
 }
 
-/// A scene on the device with everything that rendering it needs. All that a pass writes is poisoned
-/// before it, and must still be poison beyond the op's own sizes after it.
+/// A scene on the device with all buffers for rendering. All outputs of a pass are poisoned before
+/// it; elements beyond the op's sizes must still be poison after it.
 pub struct Frame {
     /// The op.
     pub render: Render,
@@ -115,41 +115,41 @@ pub struct Frame {
     pub camera: Camera,
     /// The scene.
     pub gaussians: GaussianBuffers,
-    /// Between the dispatches.
+    /// Scratch of the forward pass.
     pub scratch: RenderScratch,
     /// The image.
     pub pixels: PixelBuffers,
-    /// The loss's gradient by the image.
+    /// The loss's gradient with respect to the image.
     pub pixel_gradients: PixelGradients,
-    /// Between the dispatches of the backward pass.
+    /// Scratch of the backward pass.
     pub backward: BackwardScratch,
-    /// Gradients by the parameters.
+    /// Gradients with respect to the parameters.
     pub gradients: GaussianBuffers,
     capacity: usize,
 }
 
-/// What the forward pass left on the device.
+/// The results of the forward pass, read back from the device.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Forward {
     /// Mean x, mean y, depth, opacity.
     pub means: Vec<[f32; 4]>,
-    /// Conic A, B, C, the power at the cut.
+    /// The conic's factor (a, b, e), and the power at the cut.
     pub conics: Vec<[f32; 4]>,
     /// Colours.
     pub colours: Vec<[f32; 4]>,
-    /// Packed first and last + 1 tiles.
+    /// First tile and one past the last tile, packed.
     pub rectangles: Vec<[u32; 2]>,
-    /// Tiles reached by Gaussian.
+    /// Number of overlapped tiles, by Gaussian.
     pub tile_counts: Vec<u32>,
-    /// 1 for visible.
+    /// 1 for a visible Gaussian.
     pub visible: Vec<u32>,
-    /// Visible Gaussians and intersections, counted in full.
+    /// Numbers of visible Gaussians and of intersections, including those beyond the capacity.
     pub counts: [u32; 2],
-    /// Whether all of these fitted.
+    /// Whether all intersections fitted.
     pub fits: bool,
-    /// Gaussians by depth.
+    /// Gaussian indices, sorted by depth.
     pub order: Vec<u32>,
-    /// First intersection by rank.
+    /// Index of the first intersection, by depth rank.
     pub rank_offsets: Vec<u32>,
     /// Tile by intersection, as emitted.
     pub tiles: Vec<u32>,
@@ -167,14 +167,14 @@ pub struct Forward {
     pub depth: Vec<f32>,
 }
 
-/// What the backward pass left on the device.
+/// The results of the backward pass, read back from the device.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Backward {
-    /// By the parameters.
+    /// Gradients with respect to the parameters.
     pub gaussians: Gaussians,
-    /// By the pose: translation, rotation.
+    /// Gradient with respect to the pose: translation, rotation.
     pub pose: Vec<f32>,
-    /// By the splats; those of culled Gaussians are zero.
+    /// Gradients with respect to the splats; those of culled Gaussians are zero.
     pub splats: Vec<SplatGradient<f32>>,
 }
 
@@ -184,7 +184,7 @@ fn poison<T: Pod>(recorder: &mut Recorder, buffers: &mut [&mut Buffer<T>]) {
     }
 }
 
-/// The first `len` elements; an error when one behind them is no longer poison.
+/// Reads the first `len` elements; fails if an element after them is no longer poison.
 fn read<T: Pod>(stream: &mut Stream, buffer: &Buffer<T>, len: usize) -> Result<Vec<T>> {
     let mut all = stream.download(buffer)?;
     let tail = bytemuck::cast_slice::<T, u8>(&all[len.min(all.len())..]);
@@ -199,7 +199,7 @@ fn read<T: Pod>(stream: &mut Stream, buffer: &Buffer<T>, len: usize) -> Result<V
 }
 
 impl Frame {
-    /// A scene with room for `capacity` intersections.
+    /// Uploads a scene, with capacity for `capacity` intersections.
     pub fn new(
         device: &Device,
         stream: &mut Stream,
@@ -353,8 +353,8 @@ impl Frame {
 }
 
 impl Forward {
-    /// The device's own splats as the oracle's, so that later kernels are judged by what they were
-    /// given.
+    /// The device's splats in the oracle's type, so that later kernels are checked on their actual
+    /// input.
     pub fn splats(&self) -> Vec<Option<Splat<f64>>> {
         let wide = f64::from;
         (0..self.visible.len())
@@ -379,7 +379,7 @@ impl Forward {
             .collect()
     }
 
-    /// The device's own lists as the oracle's.
+    /// The device's tile lists in the oracle's type.
     pub fn bins(&self, width: u32, height: u32) -> Bins {
         Bins {
             grid: grid(width, height),
@@ -392,7 +392,7 @@ impl Forward {
     }
 }
 
-/// Splats in f32.
+/// Converts splats to f32.
 pub fn narrow(splats: &[Option<Splat<f64>>]) -> Vec<Option<Splat<f32>>> {
     let of = |x: f64| x as f32;
     let one = |s: &Splat<f64>| Splat {
@@ -407,8 +407,8 @@ pub fn narrow(splats: &[Option<Splat<f64>>]) -> Vec<Option<Splat<f32>>> {
     splats.iter().map(|s| s.as_ref().map(one)).collect()
 }
 
-/// The tiles' lists as they would be if every splat reached a little farther: what is in reach of the
-/// cut by less than `band` is listed by one rounding and not by another.
+/// The tile lists with every splat's extent slightly enlarged: whether a splat within `band` of the
+/// cut is listed depends on rounding.
 fn wide_lists(
     splats: &[Option<Splat<f64>>],
     settings: &RenderSettings,
@@ -428,9 +428,9 @@ fn wide_lists(
     bin(&splats, &settings, width, height)
 }
 
-/// How much of each pixel hangs on a decision (cut, cap, stop) closer than `band`, as a share of the
-/// threshold: there rounding may decide either way, and the image jumps by that much of a colour.
-/// Zero for most pixels.
+/// For each pixel, the maximum change of its colour that depends on decisions (cut, cap, stop)
+/// within `band` of their threshold, relative to the threshold. Rounding may change such a
+/// decision. The change is in units of a colour, and zero for most pixels.
 pub fn stakes(
     splats: &[Option<Splat<f64>>],
     settings: &RenderSettings,
@@ -453,7 +453,8 @@ pub fn stakes(
                     (f64::from(x) + 0.5 - splat.mean[0], f64::from(y) + 0.5 - splat.mean[1]);
                 let full = splat.opacity * (-power(splat.conic, dx, dy)).exp();
                 if near(full, settings.alpha_cut) || near(full, settings.alpha_cap) {
-                    // With it or without it: its own colour, and what it takes from those behind.
+                    // The splat may be blended or not: this changes its own colour and the light
+                    // from the splats behind.
                     stake += 2.0 * transmittance * f64::from(settings.alpha_cut);
                 }
                 if full < f64::from(settings.alpha_cut) {
@@ -474,7 +475,7 @@ pub fn stakes(
     out
 }
 
-/// Which pixels hang on a decision closer than `band`.
+/// The pixels that depend on a decision within `band` of its threshold.
 pub fn contested(
     splats: &[Option<Splat<f64>>],
     settings: &RenderSettings,
@@ -486,7 +487,7 @@ pub fn contested(
     stakes.into_iter().map(|stake| stake > 0.0).collect()
 }
 
-/// A random gradient by the pixels, zero where `zero` says so.
+/// A random gradient with respect to the pixels, zero where `zero` is set.
 pub fn random_gradient(rng: &mut ChaCha8Rng, zero: &[bool]) -> Pixels<f32> {
     let mut out = Pixels::zeros(zero.len());
     for (i, &zero) in zero.iter().enumerate() {
@@ -499,7 +500,7 @@ pub fn random_gradient(rng: &mut ChaCha8Rng, zero: &[bool]) -> Pixels<f32> {
     out
 }
 
-/// Pixels in f64.
+/// Converts pixels to f64.
 pub fn widen(pixels: &Pixels<f32>) -> Pixels<f64> {
     Pixels {
         rgb: pixels.rgb.iter().map(|v| v.map(f64::from)).collect(),
@@ -508,7 +509,7 @@ pub fn widen(pixels: &Pixels<f32>) -> Pixels<f64> {
     }
 }
 
-/// Whether every number of the device's answer is finite (culled splats aside).
+/// Whether every number of the device's results is finite, culled splats excepted.
 pub fn all_finite(forward: &Forward, backward: Option<&Backward>) -> bool {
     let image = forward.rgba.as_flattened().iter().chain(&forward.depth);
     let forward_finite = image.copied().all(f32::is_finite);
@@ -521,9 +522,9 @@ pub fn all_finite(forward: &Forward, backward: Option<&Backward>) -> bool {
         })
 }
 
-/// Holds the gradients by the parameters and the pose against the oracle's. `absolute` is a share of
-/// each parameter's largest gradient: sums over pixels cancel, so a share of the value alone is no
-/// measure.
+/// Compares the gradients with respect to the parameters and the pose with the oracle's. `absolute`
+/// is relative to each parameter's largest gradient: sums over pixels cancel, so a bound relative
+/// to each value would be too strict.
 pub fn compare_gradients(
     harness: &mut Harness,
     what: &str,

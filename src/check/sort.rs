@@ -1,4 +1,4 @@
-//! The radix sort against a stable comparison sort.
+//! Check cases of the radix sort, against a stable comparison sort.
 
 use super::{Case, Harness};
 use crate::error::Result;
@@ -28,7 +28,8 @@ pub const CASES: &[Case] = &[
     Case { id: "sort/as_on_a_gpu", kernels: KERNELS, run: as_on_a_gpu },
 ];
 
-/// Sorts `count` of the pairs (key, place) and compares; what lies behind them must stay untouched.
+/// Sorts `count` of the pairs (key, index) and compares; the elements after them must stay
+/// unchanged.
 fn compare(
     harness: &mut Harness,
     what: &str,
@@ -40,7 +41,7 @@ fn compare(
     compare_sorted(harness, what, keys, count, bits, &op)
 }
 
-/// The same by the sort `op`.
+/// [`compare`] with the sort `op`.
 fn compare_sorted(
     harness: &mut Harness,
     what: &str,
@@ -98,7 +99,7 @@ fn sizes(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// 2^k and one more and less, up to several blocks.
+/// Counts of 2^k, and one more and one less, up to several blocks.
 fn powers_of_two(harness: &mut Harness) -> Result<()> {
     for n in (0..=17).flat_map(|k| [(1 << k) - 1, 1 << k, (1 << k) + 1]) {
         let keys = random(harness, n);
@@ -134,7 +135,7 @@ fn bit_ranges(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// Runs and counters of GPUs, whatever the device.
+/// The run lengths and counters for GPUs, on any device.
 fn as_on_a_gpu(harness: &mut Harness) -> Result<()> {
     for (n, bits) in
         [(0, 0..32), (1, 0..32), (257, 0..9), (257, 5..5), (20_001, 3..20), (131_073, 0..32)]

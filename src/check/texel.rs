@@ -1,4 +1,4 @@
-//! Cases of pictures in the formats of textures.
+//! Check cases of the conversion of rendered images to texture formats.
 
 use super::{Bound, Case, Harness};
 use crate::error::Result;
@@ -12,10 +12,10 @@ pub const CASES: &[Case] = &[
     Case { id: "texel/half", kernels: &["texel/half"], run: half },
 ];
 
-/// Backgrounds: nothing, something opaque, something that shines through itself.
+/// Backgrounds: empty, opaque and translucent.
 const BEHIND: [[f32; 4]; 3] = [[0.0; 4], [0.2, 0.9, 0.4, 1.0], [0.1, 0.0, 0.3, 0.35]];
 
-/// Premultiplied pixels as the engine makes them, and others that nobody should.
+/// Premultiplied pixels as the engine renders them, and invalid ones.
 fn pixels(h: &mut Harness, count: usize, hard: &[f32]) -> Vec<[f32; 4]> {
     let mut pixels: Vec<[f32; 4]> = (0..count)
         .map(|_| {
@@ -41,8 +41,8 @@ fn truth(pixels: &[[f32; 4]], behind: [f32; 4]) -> impl Iterator<Item = [f64; 4]
     pixels.iter().map(move |pixel| oracle::over(pixel.map(f64::from), behind))
 }
 
-/// Within half a step of the value that no rounding has touched, and a little for f32's own; a
-/// multiple of 1/255 is exact.
+/// Results are within half a step of the exact value, plus the rounding of f32; multiples of 1/255
+/// are exact.
 fn unorm8(h: &mut Harness) -> Result<()> {
     let mut hard: Vec<f32> = (0..=255).map(|level| level as f32 / 255.0).collect();
     hard.extend(NOT_FINITE);
@@ -65,7 +65,7 @@ fn unorm8(h: &mut Harness) -> Result<()> {
                 truth(&rgba, background).flat_map(|pixel| pixel.map(oracle::level)).collect();
             let half_a_step = Bound { absolute: 0.5001, relative: 0.0 };
             h.close("levels", &levels, &exact, None, half_a_step);
-            // Opaque and on a step: nothing to round.
+            // Opaque pixels on a quantisation level need no rounding.
             let steps = 3 * count.saturating_sub(3).min(85);
             let found: Vec<u8> = (0..steps).map(|i| levels[i / 3 * 4 + i % 3] as u8).collect();
             let wanted: Vec<u8> = (0..steps).map(|i| oracle::unorm8(hard[i])).collect();
@@ -75,10 +75,12 @@ fn unorm8(h: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// Bit for bit where nothing lies behind, else within half a last place, and a little for f32's own.
+/// Results are exact, bit for bit, without a background; else within half an ulp, plus the rounding
+/// of f32.
 fn half(h: &mut Harness) -> Result<()> {
     let mut hard = vec![0.0, -0.0, 1.0, -1.0, 65504.0, 65519.0, 65520.0, -7e4, 1e30, -1e30];
-    // Ties to even and beside, normal and below; the smallest, half of it, and less.
+    // Ties to even and their neighbours, for normal and subnormal values; the smallest value, half
+    // of it, and less.
     for step in [2f32.powi(-10), 2f32.powi(-14), 2f32.powi(-24), 2f32.powi(-25), 2f32.powi(-26)] {
         for ulps in [0.5, 1.0, 1.5, 2.5, 3.5] {
             for base in [0.0, 1.0, 2f32.powi(-14), 2f32.powi(-15)] {

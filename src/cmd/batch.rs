@@ -1,4 +1,4 @@
-//! `splat4d batch`: many clips, one after another.
+//! `splat4d batch`: reconstructs many clips, one after another.
 
 use std::fmt::Write;
 use std::fs::{self, File};

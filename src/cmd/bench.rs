@@ -1,4 +1,4 @@
-//! `splat4d bench`.
+//! `splat4d bench`: benchmarks operations and pipelines.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -11,8 +11,8 @@ use splat4d::bench::{self, Budget, ErrorMeasure, Pace, Profile, Shot};
 use splat4d::gpu::Device;
 use splat4d::renderer::RenderScale;
 use splat4d::report::{
-    Peaks, Curve, CurvePoint, Machine, Measurements, Place, Point, PowerLaw, Row, Verdict,
-    compare, duration, rate, scientific,
+    Curve, CurvePoint, Machine, Measurements, Peaks, Place, Point, PowerLaw, Row, Verdict, compare,
+    duration, rate, scientific,
 };
 use splat4d::scene::{Opened, Scene};
 use splat4d::types::Tuning;

@@ -1,4 +1,4 @@
-//! `splat4d completions`.
+//! `splat4d completions`: prints shell completion scripts.
 
 use clap::{Args, CommandFactory};
 use clap_complete::{Shell, generate};

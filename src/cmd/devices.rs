@@ -1,4 +1,4 @@
-//! `splat4d devices`.
+//! `splat4d devices`: lists the Vulkan devices.
 
 use std::fmt::Write;
 

@@ -1,4 +1,4 @@
-//! `splat4d export`.
+//! `splat4d export`: writes a scene in other formats.
 
 use std::fs;
 use std::io::Write;

@@ -1,4 +1,4 @@
-//! `splat4d info`.
+//! `splat4d info`: shows the contents of a scene file.
 
 use std::fmt::Write;
 use std::path::PathBuf;

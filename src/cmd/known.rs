@@ -28,7 +28,7 @@ use super::{supplied, values};
 /// Extensions of camera files in a folder.
 const CAMERAS: [&str; 4] = ["cam", "bin", "txt", "json"];
 
-/// What is supplied and adjusted.
+/// Supplied quantities that are adjusted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Refine {
     /// Poses, except for the first one and the scale
@@ -37,7 +37,7 @@ pub enum Refine {
     Focal,
 }
 
-/// What depth maps hold.
+/// Contents of depth maps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum DepthKind {
     /// Depth z up to one scale for the whole clip, which is kept
@@ -50,7 +50,7 @@ pub enum DepthKind {
     Inverse,
 }
 
-/// What is known of a clip.
+/// Options for user-supplied data of a clip.
 #[derive(Args)]
 pub struct KnownArgs {
     /// Focal length, in pixels of the clip's original size
@@ -130,7 +130,7 @@ impl KnownArgs {
         self.poses.is_some()
     }
 
-    /// What is supplied.
+    /// The kinds of supplied data.
     pub fn given(&self) -> Given {
         Given {
             poses: self.poses.is_some(),

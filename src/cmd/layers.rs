@@ -16,7 +16,7 @@ const UNKNOWN_FLOW: f32 = 1e10;
 /// Minimum flow length that is shown at full saturation, pixels.
 const LEAST_FLOW: f64 = 1.0;
 
-/// One of the things that a picture shows.
+/// A layer of a rendered image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Layer {
     /// Colour over the background

@@ -1,4 +1,4 @@
-//! `splat4d man`.
+//! `splat4d man`: writes the manual pages.
 
 use std::io::Write;
 use std::path::PathBuf;

@@ -14,7 +14,7 @@ use super::info::dynamic_share;
 pub struct Choice {
     /// Subject of the choice.
     pub what: &'static str,
-    /// What was chosen.
+    /// The chosen alternative.
     pub chosen: String,
     /// The measurement or the setting that determined it.
     pub because: String,

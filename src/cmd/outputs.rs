@@ -9,7 +9,7 @@ use splat4d::{Error, Result, io};
 
 use super::interrupt;
 
-/// The files that a command will write.
+/// The output files of a command.
 #[derive(Default)]
 pub struct Outputs(Vec<Output>);
 

@@ -28,7 +28,7 @@ pub struct Pictures {
     pub frames: Vec<usize>,
     /// Input, render, error, movers, depth; each lane has one image per frame.
     pub lanes: Vec<Lane>,
-    /// The error that is shown brightest.
+    /// The error of the brightest colour.
     pub most_error: f64,
     /// Novel views.
     pub orbit: Lane,

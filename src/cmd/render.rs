@@ -1,4 +1,4 @@
-//! `splat4d render`.
+//! `splat4d render`: renders a scene to images or a video.
 
 use std::path::{Path, PathBuf};
 

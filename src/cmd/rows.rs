@@ -1,7 +1,9 @@
 //! Results of `validate` for a case on a device, for machines and for people.
 
 use std::fmt::Write;
+use std::time::Duration;
 
+use quick_junit::{NonSuccessKind, Report, TestCase, TestCaseStatus, TestSuite};
 use serde_json::{Value, json};
 use splat4d::check::{Expect, Finding, Outcome, Verdict, verdict};
 use splat4d::vk::DeviceInfo;
@@ -71,6 +73,31 @@ impl Row {
             "error": self.outcome.error.as_ref().map(ToString::to_string),
             "messages": self.messages,
         })
+    }
+
+    /// A test case of a JUnit report; what the table prints of the case is its description.
+    fn junit(&self, info: &DeviceInfo) -> TestCase {
+        let (result, reason) = self.result();
+        let mut status = match &self.verdict {
+            Verdict::Passed => TestCaseStatus::success(),
+            Verdict::KnownFault(_) => TestCaseStatus::skipped(),
+            Verdict::Failed | Verdict::FaultGone(_) if self.outcome.error.is_some() => {
+                TestCaseStatus::non_success(NonSuccessKind::Error)
+            }
+            Verdict::Failed | Verdict::FaultGone(_) => {
+                TestCaseStatus::non_success(NonSuccessKind::Failure)
+            }
+        };
+        if !matches!(self.verdict, Verdict::Passed) {
+            status.set_message(reason.unwrap_or(result));
+            status.set_description(self.text());
+        }
+        let mut case = TestCase::new(self.outcome.id, status);
+        case.set_classname(info.name.as_str())
+            .set_assertions(self.outcome.findings.len())
+            .set_time(Duration::from_secs_f64(self.seconds))
+            .add_property(("seed", self.outcome.seed.to_string().as_str()));
+        case
     }
 
     /// Text for people: a line, with the failures below it.
@@ -161,6 +188,24 @@ pub fn table(devices: &[DeviceInfo], rows: &[Row]) -> String {
         rows.iter().filter(|row| row.device == info.index).for_each(|row| text += &row.text());
     }
     text
+}
+
+/// All rows as a JUnit report: a suite for each device, a test case for each case. A known fault of the
+/// driver is a skipped test; one that no longer shows is a failure.
+pub fn junit(devices: &[DeviceInfo], rows: &[Row]) -> Report {
+    let mut report = Report::new("splat4d validate");
+    for info in devices {
+        let mut suite = TestSuite::new(format!("{} ({})", info.name, info.driver));
+        let mut time = Duration::ZERO;
+        for row in rows.iter().filter(|row| row.device == info.index) {
+            let case = row.junit(info);
+            time += case.time.unwrap_or_default();
+            suite.add_test_case(case);
+        }
+        suite.set_time(time);
+        report.add_test_suite(suite);
+    }
+    report
 }
 
 /// The devices as JSON.

@@ -1,4 +1,4 @@
-//! `splat4d synth`.
+//! `splat4d synth`: makes a synthetic clip with ground truth.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,5 @@
-//! `splat4d table`: a published protocol on the scenes of a data set, beside the published figures.
+//! `splat4d table`: runs a published protocol on the scenes of a dataset, and lists published results beside
+//! its own.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;

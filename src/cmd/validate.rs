@@ -1,4 +1,4 @@
-//! `splat4d validate`.
+//! `splat4d validate`: checks kernels against the oracle.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -8,6 +8,7 @@ use clap::Args;
 use serde_json::json;
 use splat4d::check::{self, Case, EXPECTED};
 use splat4d::gpu::{Device, DeviceKind, Request, Selector};
+use splat4d::io::write_atomically;
 use splat4d::vk::{self, DeviceInfo};
 use splat4d::{Error, Result};
 
@@ -15,7 +16,8 @@ use super::common::{Answer, Common, check_room_for_drivers, say};
 use super::fuzz::{self, FuzzCase};
 use super::interrupt;
 use super::meter::Meter;
-use super::rows::{Row, devices_json, table};
+use super::outputs::Outputs;
+use super::rows::{Row, devices_json, junit, table};
 use super::values;
 
 const AFTER_HELP: &str = "\
@@ -29,6 +31,7 @@ Examples:
   splat4d validate --device all
   splat4d validate --quick --validation
   splat4d validate --filter sort/ --filter render/needles --seed 7
+  splat4d validate --device all --junit validate.xml
   splat4d validate --fuzz 10000 --seed 3
 
 JSON: cases, failed, seconds, quick, validation, devices [{index, name, driver}], and rows, one for each
@@ -60,6 +63,10 @@ pub struct ValidateArgs {
     /// Test the scene of such a file again instead
     #[arg(long, value_name = "FILE", conflicts_with_all = ["quick", "filter", "fuzz"])]
     case: Option<PathBuf>,
+    /// Write the results as a JUnit report too, for continuous integration: a suite for each device; a known
+    /// fault of a driver is a skipped test
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["fuzz", "case"])]
+    junit: Option<PathBuf>,
 }
 
 /// Runs the command. The exit code indicates whether all cases passed; an error means that this could not
@@ -67,6 +74,9 @@ pub struct ValidateArgs {
 pub fn run(args: &ValidateArgs, common: &Common) -> Result<(Answer, ExitCode)> {
     // Read before opening devices, so that a missing file is reported first.
     let case = args.case.as_deref().map(FuzzCase::read).transpose()?;
+    if let Some(file) = &args.junit {
+        Outputs::default().file(file)?;
+    }
     check_room_for_drivers()?;
     let infos = devices(common)?;
     if args.fuzz.is_some() || args.case.is_some() {
@@ -95,6 +105,10 @@ pub fn run(args: &ValidateArgs, common: &Common) -> Result<(Answer, ExitCode)> {
         }
     }
     drop(meter);
+    if let Some(file) = &args.junit {
+        let report = junit(&infos, &rows);
+        write_atomically(file, |sink| report.serialize(sink).map_err(std::io::Error::other))?;
+    }
     let failed = rows.iter().filter(|row| !row.is_fine()).count();
     let seconds = started.elapsed().as_secs_f64();
     let mut text = table(&infos, &rows);

@@ -15,7 +15,7 @@ use crate::{Error, Result};
 /// Which part of a clip to read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ClipOptions {
-    /// Which shot, where the clip has cuts.
+    /// The shot to read of a clip with cuts.
     pub shot: ShotChoice,
     /// Stride of the frames, beginning with the shot's first; 1 takes all.
     pub every: usize,

@@ -4,11 +4,11 @@
 //! |---|---|
 //! | nerfstudio, instant-ngp | `transforms.json` |
 //! | D-NeRF, NeRF-synthetic | `transforms_train.json` |
-//! | Nerfies, HyperNeRF, DyCheck | `scene.json`, `dataset.json` and `camera/`; or one of its image folders `rgb/Nx` |
+//! | Nerfies, HyperNeRF, DyCheck | `scene.json`, `dataset.json` and `camera/`; or an image folder `rgb/Nx` |
 //! | DyNeRF, NVIDIA dynamic scenes | `poses_bounds.npy` with `cam*.mp4`, `cam*/images` or `mv_images/` |
 //! | COLMAP | `cameras.bin` or `.txt` in `sparse/0`, `sparse`, `colmap/sparse/0` or the folder itself |
 //! | LLFF | `poses_bounds.npy` with `images/`; or another folder of its images (`images_4`) |
-//! | MPI Sintel | a sequence's images (`final/alley_2`), with its cameras in the sibling `camdata_left/alley_2` |
+//! | MPI Sintel | a sequence's images (`final/alley_2`), with cameras in `camdata_left/alley_2` beside |
 //!
 //! A folder that matches several kinds is of the first one in this table; the kinds with more information
 //! come first.

@@ -8,15 +8,15 @@
 //! | `camera/ID.json` | the camera at the size of `rgb/1x` |
 //! | `rgb/Nx/ID.png` | the image at 1/N of that size |
 //! | `points.npy` | N×3, world, without colours |
-//! | `splits/train.json`, `val.json` | DyCheck: `frame_names`, `time_ids`; they take precedence over `dataset.json` |
+//! | `splits/train.json`, `val.json` | DyCheck: `frame_names`, `time_ids`; they override `dataset.json` |
 //! | `covisible/Nx/val/ID.png` | DyCheck: the pixels that the training images saw as well |
 //! | `depth/Nx/ID.npy` | DyCheck: z in world units, 0 where not measured |
 //! | `extra.json` | DyCheck: `factor`, the N that is scored |
 //!
 //! `orientation` is the rotation from the world to the camera with OpenCV's axes, row by row; `position` is
-//! the camera's centre: x = R (X − position). Pixel centres lie at +0.5; distortion is OpenCV's with k1, k2, k3
-//! and p1, p2; fy = `focal_length` · `pixel_aspect_ratio`. Poses, points and depth are given in the scene's
-//! scaled frame.
+//! the camera's centre: x = R (X − position). Pixel centres are at +0.5; distortion is OpenCV's with k1, k2,
+//! k3 and p1, p2; fy = `focal_length` · `pixel_aspect_ratio`. Poses, points and depth are returned in the
+//! scene's scaled frame.
 //!
 //! Source: the readme and `camera.py` of google/nerfies; docs/DATASETS.md of KAIR-BAIR/dycheck.
 

@@ -424,7 +424,7 @@ impl Source<'_> {
         }
         let status = child.0.wait().map_err(Error::io(self.path))?;
         let said = said.join().unwrap_or_default();
-        // Only a panic of its own could end it otherwise.
+        // A join error could only come from a panic of the thread.
         let _ = reader.join();
         let decoded = decoded?;
         let failed = (!status.success()).then(|| reason(&said));

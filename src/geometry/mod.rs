@@ -3,7 +3,7 @@
 //! | module | contents |
 //! |---|---|
 //! | [`se3`], [`sim3`] | perturbation of poses; alignment of point sets and trajectories |
-//! | [`epipolar`], [`five_point`], [`relative`], [`homography`], [`two_view`] | relative geometry of two images from pixel pairs |
+//! | [`epipolar`], [`five_point`], [`relative`], [`homography`], [`two_view`] | two images, from pixel pairs |
 //! | [`focal`] | focal length of a set of fundamental matrices, and its uncertainty |
 //! | [`triangulate`] | points seen by known cameras |
 //! | [`p3p`], [`pnp`], [`sampling`] | pose of a camera that sees known points |

@@ -27,11 +27,11 @@ mod stream;
 
 pub use buffer::{Buffer, Readback, View, ViewMut};
 pub use device::{Device, Request, Selector};
-pub use kernel::{
-    Access, Argument, Binding, Groups, Kernel, KernelInfo, ParamInfo, Read, ReadVec4, ReadVec3,
-    ReadWrite, ReadWriteVec4, ReadWriteVec3, Several, Write, WriteVec4, WriteVec3,
-};
 pub(crate) use kernel::kernel;
+pub use kernel::{
+    Access, Argument, Binding, Groups, Kernel, KernelInfo, ParamInfo, Read, ReadVec3, ReadVec4,
+    ReadWrite, ReadWriteVec3, ReadWriteVec4, Several, Write, WriteVec3, WriteVec4,
+};
 pub use meter::{Detail, Meter};
 pub use recorder::Recorder;
 pub(crate) use recorder::Work;

@@ -6,7 +6,6 @@
 pub mod adam;
 pub mod arap;
 pub mod bin;
-pub mod roofline;
 pub mod deform;
 pub mod density;
 pub mod flow;
@@ -17,6 +16,7 @@ pub mod mlp;
 pub mod path;
 pub mod project;
 pub mod raster;
+pub mod roofline;
 pub mod scan;
 pub mod sort;
 pub mod texel;

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::pointmaps::quantile;
 use crate::types::Image;
 
-/// What a network's depth maps hold.
+/// Contents of a network's depth maps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EstimatedKind {

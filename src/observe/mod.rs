@@ -1,13 +1,13 @@
 //! Image observations that precede any geometry: dense optical flow between neighbouring frames, its
 //! confidence, and point tracks chained through it.
 //!
-//! | module | what it holds |
+//! | module | contents |
 //! |---|---|
 //! | [`alignment`] | cameras and depth from pointmaps |
 //! | [`depth`] | depth that a network has estimated |
 //! | [`engine`] | [`EngineFlow`]: flow that the engine computes on the GPU |
 //! | [`exposure`] | exposure of each frame relative to the clip |
-//! | [`features`] | [`FeatureSource`]: keypoints with descriptors, and tracks of keypoints that are matched across frames |
+//! | [`features`] | [`FeatureSource`]: keypoints with descriptors, and tracks of matched ones |
 //! | [`flow`] | [`FlowSource`] and user-supplied flow; forward–backward confidence; chaining |
 //! | [`masks`] | [`MaskSource`]: segmentation masks from point prompts |
 //! | `onnx` | networks run through the ONNX Runtime (feature `onnx`) |

@@ -47,7 +47,7 @@ const NOISE: f32 = 0.3;
 /// Ratio test: largest ratio of the angle to the best match and the angle to the second-best.
 const RATIO: f32 = 0.85;
 
-/// The engine's own source of features; it needs no device.
+/// The engine's own keypoint source; it runs on the CPU.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Sift;
 

@@ -72,7 +72,7 @@ pub struct AdamArgs<'a> {
 pub struct Adam {
     /// A placeholder that is bound where no visibility is given.
     nothing: Buffer<u32>,
-    /// Counts of broken gradients, one every [`STRIDE`] words.
+    /// Counts of non-finite gradients, one every [`STRIDE`] words.
     broken: Buffer<u32>,
     /// The count that the next step adds to.
     next: usize,

@@ -21,7 +21,7 @@ pub struct ArapSettings {
 }
 
 impl Default for ArapSettings {
-    /// SC-GS's edges, in a scene of unit extent.
+    /// The edges of SC-GS, for a scene of unit extent.
     fn default() -> Self {
         ArapSettings { always: 3, reach: 0.1, weight: 1e-2 }
     }

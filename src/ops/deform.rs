@@ -87,7 +87,7 @@ pub struct SkinGradients<'a> {
 /// #     rotations: &Buffer<[f32; 4]>, opacity_logits: &Buffer<f32>, nodes: &Buffer<f32>,
 /// #     log_radii: &Buffer<f32>, transforms: &Buffer<[f32; 4]>,
 /// # ) -> splat4d::Result<()> {
-/// // Each dynamic Gaussian follows the 4 control points next to it.
+/// // Each dynamic Gaussian follows the 4 control points nearest to it.
 /// let mut skin = Skin::new(device, 4, dynamic_ids.len(), log_radii.len())?;
 /// skin.refresh(recorder, dynamic_ids.view(), positions.view(), nodes.view())?;
 ///

@@ -9,7 +9,7 @@
 //! use splat4d::ops::texel;
 //! use splat4d::renderer::Renderer;
 //!
-//! /// After `Renderer::record`, with a buffer of as many texels as the picture has pixels.
+//! /// After `Renderer::record`, with a buffer of one texel per pixel of the image.
 //! ///
 //! /// # Safety
 //! /// As for `Recorder::copy_to_image`, the image of 8 bits a channel.

@@ -7,7 +7,6 @@
 pub mod adam;
 pub mod arap;
 pub mod bin;
-pub mod roofline;
 pub mod deform;
 pub mod density;
 pub mod flow;
@@ -26,6 +25,7 @@ pub mod render;
 mod render_hard_cases;
 #[cfg(test)]
 mod render_tests;
+pub mod roofline;
 pub mod rotation;
 pub mod scan;
 pub mod sh;

@@ -4,7 +4,7 @@
 
 use glam::{DQuat, DVec2, DVec3};
 
-use super::{Renderer, FrameResources};
+use super::{FrameResources, Renderer};
 use crate::types::{Camera, Image};
 use crate::{Error, Result};
 

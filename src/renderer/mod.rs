@@ -177,7 +177,12 @@ impl Renderer {
 
     /// A renderer with capacity for `capacity` Gaussians, of which the scene may hold fewer. 16-bit
     /// copies are not made yet.
-    fn with_capacity(device: &Device, scene: &Scene, tuning: &Tuning, capacity: usize) -> Result<Renderer> {
+    fn with_capacity(
+        device: &Device,
+        scene: &Scene,
+        tuning: &Tuning,
+        capacity: usize,
+    ) -> Result<Renderer> {
         tuning.check()?;
         let network = scene.network.as_ref();
         (scene.settings.check())
@@ -302,7 +307,8 @@ impl Renderer {
         target: Target<'_>,
     ) -> Result<Frame> {
         camera.check().and_then(|()| range::moment(time)).map_err(Error::Input)?;
-        let is_large_enough = |resources: &FrameResources| resources.render.intersection_capacity() >= self.capacity;
+        let is_large_enough =
+            |resources: &FrameResources| resources.render.intersection_capacity() >= self.capacity;
         if !self.has_resources(camera) || !self.resources.as_ref().is_some_and(is_large_enough) {
             self.make_resources(camera)?;
         }

@@ -1,24 +1,26 @@
-//! The compact form of a scene's own file: the same tensors, most of them in few bits.
+//! The compact form of the native scene file: the same tensors, most of them quantised.
 //!
-//! A tensor that the metadata's entry `packed` names is of bytes, a zstd stream. What it unpacks to are
-//! numbers of `bytes` bytes each, `shape` of them, column by column (the first axis runs fastest), and of
-//! all numbers first the lowest byte, then the next. Without `step` they are halves; else whole numbers
-//! without sign, and the value of number `n` in column `c` is `offset[c] + step[c] * n`. Metadata, other
-//! tensors and what these values mean are those of the plain form ([`mod@super::file`]), but for
-//! `gaussians.opacity`, the opacity itself, in place of its logit, and quaternions of unit length.
+//! A tensor with an entry in the metadata's `packed` is stored as bytes of a zstd stream. The
+//! stream unpacks to numbers of `bytes` bytes each, in the given `shape`, column-major (the first
+//! axis runs fastest), as byte planes: first the lowest byte of all numbers, then the next. Without
+//! `step` the numbers are 16-bit floats. With it, they are unsigned integers, and number `n` in
+//! column `c` stands for `offset[c] + step[c] * n`. Metadata, other tensors and the meaning of the
+//! values are those of the plain form ([`mod@super::file`]), with two differences:
+//! `gaussians.opacity` holds the opacity in place of its logit, and quaternions are of unit length.
 //!
 //! | name | step |
 //! |---|---|
-//! | `gaussians.position` | a share of the smaller Gaussians' size |
+//! | `gaussians.position` | a fraction of the size of the smaller Gaussians |
 //! | `gaussians.log_scale` | 1/32 |
 //! | `gaussians.rotation` | 1/127 |
 //! | `gaussians.opacity` | 1/255 |
 //! | `gaussians.sh` | one level of an 8-bit colour for the constant, 1/64 for the rest |
-//! | `gaussians.motion_logit` | what moves alone: −10 or 10 |
-//! | `control_points.path` | halves, or floats where a half would be off by a quarter of such a size |
-//! | `network.*` | halves |
+//! | `gaussians.motion_logit` | −10 (static) or 10 (dynamic) |
+//! | `control_points.path` | 16-bit floats, or f32 if these err by more than a quarter of that size |
+//! | `network.*` | 16-bit floats |
 //!
-//! Harmonics of bands that are 0 throughout are left out, and the Gaussians lie along a Morton curve.
+//! Spherical-harmonic bands that are zero for all Gaussians are left out. The Gaussians are in
+//! Morton order.
 
 use std::borrow::Cow;
 use std::io::Write;
@@ -34,33 +36,34 @@ use crate::{Error, Result, io};
 
 /// The version of the format that has packed tensors.
 pub(super) const VERSION: u32 = 3;
-/// Steps of a position in a Gaussian.
+/// Quantisation steps of a position per size of a small Gaussian.
 const STEPS: f32 = 64.0;
-/// Motions may be off by so many of these.
+/// Maximum error of motions, in position steps.
 const MOTION_STEPS: f32 = 16.0;
-/// Of log scales.
+/// Quantisation step of log scales.
 const SCALE_STEP: f32 = 1.0 / 32.0;
-/// Of the parts of a unit quaternion.
+/// Quantisation step of the components of a unit quaternion.
 const ROTATION_STEP: f32 = 1.0 / 127.0;
-/// Of harmonics above the constant.
+/// Quantisation step of harmonics above the constant.
 const HARMONIC_STEP: f32 = 1.0 / 64.0;
-/// Of the constant harmonic: a level of an 8-bit colour.
+/// Quantisation step of the constant harmonic: one level of an 8-bit colour.
 const CONSTANT_STEP: f32 = 1.0 / 255.0 / SH_C0;
-/// The motion logits of what stands still and of what moves.
+/// The motion logits of static and of dynamic Gaussians.
 const MOTION: [f32; 2] = [-10.0, 10.0];
-/// zstd's effort.
+/// zstd compression level.
 const EFFORT: i32 = 19;
 
-/// Writes a scene in the compact form, by rename. The same scene gives the same bytes.
+/// Writes a scene in the compact form, atomically by rename. The output is deterministic.
 ///
 /// # Errors
-/// Arrays of the scene do not belong together ([`Error::Shape`]), or the file cannot be written.
+/// [`Error::Shape`] if the lengths of the scene's arrays are inconsistent; or the file cannot be
+/// written.
 pub fn write(path: impl AsRef<Path>, scene: &Scene) -> Result<()> {
     let bytes = encoded(scene)?;
     io::write_atomically(path, |sink| sink.write_all(&bytes))
 }
 
-/// [`write`]'s bytes.
+/// Encodes the file.
 pub(super) fn encoded(scene: &Scene) -> Result<Vec<u8>> {
     file::check_lengths(&scene.gaussians)?;
     let scene = Scene { gaussians: reduced(&scene.gaussians), ..scene.clone() };
@@ -80,7 +83,7 @@ pub(super) fn encoded(scene: &Scene) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// The Gaussians in the order of a Morton curve, without bands that no step is left of.
+/// The Gaussians in Morton order, without bands that quantise to zero.
 fn reduced(g: &Gaussians) -> Gaussians {
     let mut out = packing::picked(g, &packing::morton_order(&g.positions));
     out.rotations.iter_mut().for_each(|q| *q = packing::largest(packing::unit(*q)).1);
@@ -96,11 +99,11 @@ fn reduced(g: &Gaussians) -> Gaussians {
 
 /// How a tensor is packed.
 enum Rule {
-    /// Steps of each column.
+    /// Uniform quantisation with one step per column.
     Steps(Vec<f32>),
-    /// The logits become opacities.
+    /// Opacity logits, stored as opacities.
     Opacity,
-    /// What is above 0, and what is not.
+    /// Motion logits, reduced to whether they are above 0.
     Motion,
     Half,
 }
@@ -120,22 +123,22 @@ fn steps(tensor: &Tensor<'_>, g: &Gaussians) -> Option<Rule> {
             let step = |c: usize| if c < 3 { CONSTANT_STEP } else { HARMONIC_STEP };
             Rule::Steps((0..columns).map(step).collect())
         }
-        // Halves are too coarse for what is far from its canonical place.
+        // 16-bit floats are too coarse for large displacements.
         "control_points.path" if half_error(tensor) <= MOTION_STEPS * place_step(g) => Rule::Half,
         name if name.starts_with("network.") => Rule::Half,
         _ => return None,
     })
 }
 
-/// By how much the largest value of a tensor may be off as a half.
+/// The rounding error of the largest value of a tensor as a 16-bit float.
 fn half_error(tensor: &Tensor<'_>) -> f32 {
     let Values::F32(values) = &tensor.values else { return 0.0 };
     let translations = values.chunks_exact(8).flat_map(|motion| &motion[..3]);
     translations.fold(0.0f32, |far, v| far.max(v.abs())) / 2048.0
 }
 
-/// A share of the size of the smaller Gaussians, one of ten of which is smaller; no less than what 32
-/// bits tell apart.
+/// The quantisation step of positions: a fraction of the 10th percentile of the Gaussians' sizes,
+/// but at least the resolution of 32 bits over the scene.
 fn place_step(g: &Gaussians) -> f32 {
     let largest = |s: &[f32; 3]| s[0].max(s[1]).max(s[2]);
     let mut sizes: Vec<f32> = g.log_scales.iter().map(largest).collect();
@@ -176,7 +179,8 @@ impl Rule {
         for row in values.chunks_exact(columns) {
             offsets.iter_mut().zip(row).for_each(|(least, v)| *least = least.min(*v));
         }
-        // Whole steps from 0, so that 0 stays 0; opacities and motion begin at their own least.
+        // Offsets are whole multiples of the step, so that 0 stays 0; opacities and motion start at
+        // their own minimum.
         for (offset, step) in offsets.iter_mut().zip(&*steps) {
             *offset = match self {
                 Rule::Opacity => 0.0,
@@ -201,7 +205,7 @@ impl Rule {
     }
 }
 
-/// Numbers column by column, of all of them first the lowest byte.
+/// Stores numbers column-major as byte planes, the lowest byte of all numbers first.
 fn planes(numbers: Vec<u32>, columns: usize, bytes: usize) -> Vec<u8> {
     let plane = |byte: usize| {
         let column = |c: usize| numbers[c.min(numbers.len())..].iter().step_by(columns);

@@ -1,10 +1,11 @@
-//! Compressed PLY as PlayCanvas' tools write it: 16 bytes a Gaussian, relative to the bounds of a
-//! chunk of 256.
+//! Compressed PLY of the PlayCanvas tools: 16 bytes per Gaussian, quantised relative to the bounds
+//! of a chunk of 256 Gaussians.
 //!
-//! `packed_position` and `packed_scale` hold 11, 10 and 11 bits between the chunk's least and largest
-//! values; `packed_rotation` the number of the largest component (2 bits) and the three others in
-//! 10 bits each between ±1/√2; `packed_color` red, green, blue and opacity in 8 bits. An element `sh`
-//! may follow: a byte per further coefficient, between ±4, channel-major.
+//! `packed_position` and `packed_scale` hold three components in 11, 10 and 11 bits between the
+//! chunk's minimum and maximum. `packed_rotation` holds the index of the largest component (2 bits)
+//! and the three others in 10 bits each between ±1/√2. `packed_color` holds red, green, blue and
+//! opacity in 8 bits each. An optional element `sh` holds one byte per further coefficient, between
+//! ±4, channel-major.
 
 use std::io::Write;
 use std::path::Path;
@@ -14,9 +15,9 @@ use crate::io::ply::{Element, Kind, Ply, Scalar};
 use crate::types::{Gaussians, sh_coefficients};
 use crate::{Error, Result};
 
-/// Gaussians of a chunk.
+/// Number of Gaussians in a chunk.
 const CHUNK: usize = 256;
-/// Bounds that every chunk has: of positions, then of the scales' logarithms.
+/// Names of the bounds of every chunk: of positions, then of log scales.
 const BOUNDS: [&str; 12] = [
     "min_x",
     "min_y",
@@ -31,12 +32,12 @@ const BOUNDS: [&str; 12] = [
     "max_scale_y",
     "max_scale_z",
 ];
-/// Bounds of colours, in newer files; else 0 and 1.
+/// Names of the colour bounds, in newer files; 0 and 1 in files without them.
 const COLOURS: [&str; 6] = ["min_r", "min_g", "min_b", "max_r", "max_g", "max_b"];
-/// The words of a Gaussian.
+/// Names of the four words of a Gaussian.
 const PACKED: [&str; 4] = ["packed_position", "packed_rotation", "packed_scale", "packed_color"];
-/// Logarithms of scales are kept within ± this: beyond, nothing is seen, and one would spoil its
-/// chunk's steps.
+/// Log scales are clamped to ± this: scales beyond it are invisible, and one such scale would make
+/// the quantisation steps of its chunk too coarse.
 const FARTHEST_LOG_SCALE: f32 = 20.0;
 
 /// Reads the Gaussians of a file whose vertices have a `packed_position`.
@@ -97,7 +98,7 @@ fn is_scalar(element: &Element, index: usize) -> bool {
     matches!(element.properties[index].kind, Kind::Scalar(_))
 }
 
-/// 11, 10 and 11 bits as shares of their range.
+/// Unpacks 11, 10 and 11 bits to values in [0, 1].
 fn three(word: u32) -> [f32; 3] {
     [
         (word >> 21) as f32 / 2047.0,
@@ -106,7 +107,7 @@ fn three(word: u32) -> [f32; 3] {
     ]
 }
 
-/// (w, x, y, z) of unit length; its largest component follows from the others.
+/// Unpacks a unit quaternion (w, x, y, z); its largest component follows from the others.
 fn rotation(word: u32) -> [f32; 4] {
     let largest = (word >> 30) as usize;
     let mut shifts = [20, 10, 0].into_iter();
@@ -124,7 +125,7 @@ fn rotation(word: u32) -> [f32; 4] {
     q
 }
 
-/// Writes Gaussians, in the order of a Morton curve, so that a chunk is small. Motion logits are not
+/// Writes Gaussians in Morton order, so that the bounds of a chunk are small. Motion logits are not
 /// written.
 pub(super) fn encode(gaussians: &Gaussians, sink: &mut dyn Write) -> std::io::Result<()> {
     let ordered = packing::picked(gaussians, &packing::morton_order(&gaussians.positions));
@@ -188,7 +189,7 @@ fn part(rows: &[[f32; 3]], chunk: usize) -> &[[f32; 3]] {
     &rows[chunk * CHUNK..rows.len().min((chunk + 1) * CHUNK)]
 }
 
-/// The least and the largest values of a chunk.
+/// The minimum and maximum of each component in a chunk.
 struct Range {
     low: [f32; 3],
     high: [f32; 3],
@@ -202,7 +203,7 @@ impl Range {
         Range { low: fold(f32::INFINITY, f32::min), high: fold(f32::NEG_INFINITY, f32::max) }
     }
 
-    /// Values as shares of the range.
+    /// Maps values to [0, 1] within the range.
     fn shares(&self, values: [f32; 3]) -> [f32; 3] {
         std::array::from_fn(|c| {
             let size = self.high[c] - self.low[c];
@@ -211,7 +212,7 @@ impl Range {
     }
 }
 
-/// Shares in 11, 10 and 11 bits.
+/// Packs values in [0, 1] into 11, 10 and 11 bits.
 fn packed_three(shares: [f32; 3]) -> u32 {
     let [x, y, z] = shares;
     packing::steps(x, 2047) << 21 | packing::steps(y, 1023) << 11 | packing::steps(z, 2047)
@@ -226,7 +227,7 @@ fn packed_rotation(q: [f32; 4]) -> u32 {
     })
 }
 
-/// The coefficients above the constant, behind each Gaussian's own.
+/// Reads the spherical-harmonic coefficients above the constant into `out`.
 fn further_harmonics(path: &Path, ply: &Ply<'_>, sh: &Element, out: &mut Gaussians) -> Result<()> {
     let bad = |what: String| Error::format(path, what);
     let rest = sh.properties.iter().filter(|p| p.name.starts_with("f_rest_")).count();

@@ -1,7 +1,7 @@
-//! The scene's own file: safetensors, so that any language reads it.
+//! The native scene file, in the safetensors container.
 //!
-//! Tensors, N Gaussians, K spherical-harmonic coefficients, C control points, F cameras; f32 unless
-//! said otherwise:
+//! Tensors for N Gaussians, K spherical-harmonic coefficients, C control points and F cameras; f32
+//! unless stated otherwise:
 //!
 //! | name | shape | what |
 //! |---|---|---|
@@ -24,8 +24,8 @@
 //! `settings` (the fields of [`RenderSettings`]), `neighbours`, `background`, `up`, `network` (the
 //! fields of [`NetShape`]) and `report`.
 //!
-//! A later version that a reader of this one would misread raises `version`; what it may ignore (a
-//! new tensor, a new key) does not.
+//! A change that existing readers would misread increases `version`; additions that readers may
+//! ignore (a new tensor, a new key) do not.
 
 use std::collections::HashMap;
 use std::io::Write;
@@ -44,20 +44,20 @@ use crate::types::{
 };
 use crate::{Error, Result};
 
-/// A network's lowest frequency is 2 to the power of no more than this, or one over that.
+/// Maximum magnitude of the exponent of a network's lowest frequency, a power of 2.
 const MOST_OCTAVES: u32 = 100;
 
-/// The version of the format that this crate writes. It reads up to that of the compact form
-/// ([`mod@super::compact`]), 3.
+/// The version of the plain form that this crate writes. It reads versions up to that of the
+/// compact form ([`mod@super::compact`]), 3.
 pub const VERSION: u32 = 2;
 
 /// The newest version that is read.
 const NEWEST: u32 = compact::VERSION;
 
-/// Most control points that a Gaussian follows; 0 in a static scene.
+/// Maximum number of control points that a Gaussian follows; a static scene has 0.
 const MOST_NEIGHBOURS: u32 = 16;
 
-/// Values of a tensor to write.
+/// The values of a tensor to write.
 pub(super) enum Values<'a> {
     F32(&'a [f32]),
     F64(Vec<f64>),
@@ -80,10 +80,11 @@ impl Tensor<'_> {
     }
 }
 
-/// Writes a scene by rename. The same scene gives the same bytes.
+/// Writes a scene, atomically by rename. The output is deterministic.
 ///
 /// # Errors
-/// Arrays of the scene do not belong together ([`Error::Shape`]), or the file cannot be written.
+/// [`Error::Shape`] if the lengths of the scene's arrays are inconsistent; or the file cannot be
+/// written.
 pub fn write(path: &Path, scene: &Scene) -> Result<()> {
     let tensors = tensors(scene)?;
     io::write_atomically(path, |sink| put(metadata(scene), &tensors, sink))
@@ -161,7 +162,7 @@ pub(super) fn metadata(scene: &Scene) -> Value {
     metadata
 }
 
-/// That the arrays of some Gaussians belong together.
+/// Checks that the arrays of the Gaussians have consistent lengths.
 pub(super) fn check_lengths(g: &Gaussians) -> Result<()> {
     let n = g.len();
     let rows = [
@@ -190,7 +191,7 @@ pub(super) fn tensors(scene: &Scene) -> Result<Vec<Tensor<'_>>> {
     check_length("control_points.log_radii", c.log_radii.len(), c.len())?;
     check_length("control_points.paths", c.paths.len(), c.keys() * c.len())?;
     let mut tensors = Vec::new();
-    // f64 first: so every tensor is aligned to its own type.
+    // The f64 tensors come first, so that every tensor is aligned to its element type.
     let cameras = &scene.cameras;
     if !cameras.is_empty() {
         let mut put = |name: &str, shape: Vec<usize>, values: Vec<f64>| {
@@ -243,11 +244,11 @@ pub(super) fn tensors(scene: &Scene) -> Result<Vec<Tensor<'_>>> {
     Ok(tensors)
 }
 
-/// Parses the bytes of a scene's file; `path` is for the messages.
+/// Parses the bytes of a scene file; `path` is used in error messages.
 ///
 /// # Errors
-/// The file is cut off or damaged, was written by a newer version, lacks a tensor, or holds values
-/// that are not finite (a Gaussian's are left out with `drop_bad`).
+/// The file is truncated or damaged, has a newer version, lacks a tensor, or holds values that are
+/// not finite. With `drop_bad`, Gaussians with such values are left out instead.
 pub fn parse(path: &Path, bytes: &[u8], drop_bad: bool) -> Result<Opened> {
     check_header(path, bytes)?;
     let bad = |what: String| Error::format(path, what);
@@ -305,7 +306,7 @@ pub fn parse(path: &Path, bytes: &[u8], drop_bad: bool) -> Result<Opened> {
     Ok(Opened { scene, dropped })
 }
 
-/// Format and version, before anything that a newer version may have changed.
+/// Checks format and version, before anything that a newer version may have changed.
 fn check_header(path: &Path, bytes: &[u8]) -> Result<()> {
     let bad = |what: String| Error::format(path, what);
     let unknown = || bad("is neither a splat4d scene (safetensors) nor a PLY file, nor SPZ".into());
@@ -355,13 +356,13 @@ struct File<'a> {
     path: &'a Path,
     metadata: HashMap<String, String>,
     tensors: SafeTensors<'a>,
-    /// How packed tensors are packed, in the compact form.
+    /// The `packed` entry of the metadata, in the compact form.
     packed: Value,
-    /// Bytes of the file.
+    /// Size of the file, bytes.
     size: usize,
 }
 
-/// A tensor read.
+/// A tensor that was read.
 struct Read<'a, T> {
     path: &'a Path,
     name: &'a str,
@@ -370,7 +371,7 @@ struct Read<'a, T> {
 }
 
 impl<T> Read<'_, T> {
-    /// The number of rows of a table of some columns.
+    /// The number of rows, for a tensor with this number of columns.
     fn rows(&self, columns: usize) -> Result<usize> {
         match self.shape[..] {
             [rows, found] if found == columns => Ok(rows),
@@ -378,7 +379,7 @@ impl<T> Read<'_, T> {
         }
     }
 
-    /// The values, if the shape is this one.
+    /// The values, if the tensor has this shape.
     fn exactly(self, shape: &[usize]) -> Result<Vec<T>> {
         match self.shape == shape {
             true => Ok(self.values),
@@ -422,7 +423,7 @@ impl<'a> File<'a> {
         Ok(Read { path: self.path, name, shape, values })
     }
 
-    /// The compact form has opacities instead.
+    /// Reads the opacity logits; the compact form stores opacities instead.
     fn opacity_logits(&self, n: usize) -> Result<Vec<f32>> {
         if !self.has("gaussians.opacity") {
             return self.f32("gaussians.opacity_logit")?.exactly(&[n]);
@@ -431,7 +432,7 @@ impl<'a> File<'a> {
         Ok(opacities.into_iter().map(packing::logit_of).collect())
     }
 
-    /// A tensor none of whose values may be other than finite.
+    /// Reads a tensor whose values must all be finite.
     fn finite_f32<'b>(&'b self, name: &'b str) -> Result<Read<'b, f32>> {
         let read = self.f32(name)?;
         self.check_finite(name, read.values.iter().filter(|v| !v.is_finite()).count())?;
@@ -455,7 +456,7 @@ impl<'a> File<'a> {
         }
     }
 
-    /// A metadata entry that holds JSON.
+    /// Parses a metadata entry as JSON.
     fn json(&self, key: &str) -> Result<Value> {
         let bad = |what: String| Error::format(self.path, what);
         let text =
@@ -464,7 +465,7 @@ impl<'a> File<'a> {
             .map_err(|e| bad(format!("metadata `{key}` is not JSON: {}", excerpt(&e.to_string()))))
     }
 
-    /// Three numbers of the metadata.
+    /// Reads three numbers of the metadata.
     fn three(
         &self,
         key: &str,
@@ -532,7 +533,8 @@ impl<'a> File<'a> {
             return Ok(None);
         }
         let value = self.json("network")?;
-        // Limits far beyond use: a damaged number must not ask for the machine's memory.
+        // The limits are far beyond practical values; they only keep a damaged number from
+        // exhausting the memory.
         let field = |key: &str, most: u64| {
             let number = value.get(key).and_then(Value::as_u64).filter(|&v| v <= most);
             number.map(|v| v as u32).ok_or_else(|| {
@@ -545,7 +547,7 @@ impl<'a> File<'a> {
             skip: field("skip", u64::from(u32::MAX) - 1)?,
             position_frequencies: field("position_frequencies", 64)?,
             time_frequencies: field("time_frequencies", 64)?,
-            // Absent in files from before it could be another.
+            // Absent in files of versions in which it was fixed.
             position_octave: match value.get("position_octave") {
                 None => 0,
                 Some(octave) => octave

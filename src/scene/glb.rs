@@ -1,10 +1,11 @@
 //! Gaussians as binary glTF 2.0 with `KHR_gaussian_splatting`, written only.
 //!
-//! One primitive of points with an accessor for each attribute: `POSITION`, `COLOR_0` (for programs that
-//! show points: the constant harmonic's colour, linear, and the opacity, in 8 bits) and those of the
+//! The file has one point primitive with an accessor per attribute: `POSITION`, `COLOR_0` (for
+//! programs that render points: the linear colour of the constant harmonic, and the opacity, in 8
+//! bits) and those of the
 //! extension: `ROTATION` (x, y, z, w, of unit length), `SCALE` (standard deviations), `OPACITY` in [0, 1],
-//! `SH_DEGREE_l_COEF_n`. All but `COLOR_0` are f32. glTF's axes are left, up and front: x and y of
-//! this crate's change their signs.
+//! `SH_DEGREE_l_COEF_n`. All but `COLOR_0` are f32. glTF's axes are left, up and front: x and y
+//! change their signs relative to this crate.
 //!
 //! Source: KhronosGroup/glTF, extensions/2.0/Khronos/KHR_gaussian_splatting, the release candidate as of
 //! July 2026.
@@ -19,15 +20,15 @@ use super::packing;
 use crate::types::{Gaussians, sh_coefficients};
 use crate::{Error, Result, io};
 
-/// glTF's numbers for a byte and a float.
+/// glTF component types: unsigned byte and float.
 const BYTE: u32 = 5121;
 const FLOAT: u32 = 5126;
-/// glTF's number for vertex attributes.
+/// glTF buffer-view target of vertex attributes (ARRAY_BUFFER).
 const ARRAY: u32 = 34962;
-/// The extension.
+/// Name of the extension.
 const NAME: &str = "KHR_gaussian_splatting";
 
-/// An attribute: its name, how many values it has, whether these are bytes, and what gives them.
+/// A vertex attribute: its name, its number of components and its values.
 struct Attribute<'a> {
     name: String,
     parts: usize,
@@ -39,18 +40,18 @@ enum Values<'a> {
     Byte(Box<dyn Fn(usize) -> [u8; 4] + 'a>),
 }
 
-/// Writes Gaussians by rename. Motion logits are not written.
+/// Writes Gaussians, atomically by rename. Motion logits are not written.
 ///
 /// # Errors
-/// [`Error::Shape`] where arrays differ in length; [`Error::Input`] without Gaussians, which glTF does
-/// not hold, or for more than its 4 GiB; [`Error::Io`].
+/// [`Error::Shape`] if arrays differ in length; [`Error::Input`] without Gaussians, since glTF
+/// forbids empty accessors, or for more than the format's 4 GiB; [`Error::Io`].
 pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians) -> Result<()> {
     super::file::check_lengths(gaussians)?;
     check(gaussians)?;
     io::write_atomically(path, |sink| encode(gaussians, sink))
 }
 
-/// That glTF holds these Gaussians.
+/// Checks that glTF can hold these Gaussians.
 pub(super) fn check(g: &Gaussians) -> Result<()> {
     if g.is_empty() {
         return Err(Error::Input("glTF does not hold a scene without Gaussians".into()));
@@ -66,7 +67,7 @@ pub(super) fn check(g: &Gaussians) -> Result<()> {
     }
 }
 
-/// [`write`]'s bytes, for what [`check`] has passed.
+/// Encodes the file; [`check`] must have passed.
 pub(super) fn encode(g: &Gaussians, sink: &mut dyn Write) -> std::io::Result<()> {
     let attributes = attributes(g);
     let json = header(g, &attributes).to_string();
@@ -98,7 +99,7 @@ pub(super) fn encode(g: &Gaussians, sink: &mut dyn Write) -> std::io::Result<()>
 }
 
 impl Attribute<'_> {
-    /// Bytes of a Gaussian.
+    /// Bytes per Gaussian.
     fn size(&self) -> usize {
         self.parts * if matches!(self.values, Values::Byte(_)) { 1 } else { 4 }
     }
@@ -149,7 +150,7 @@ fn attributes(g: &Gaussians) -> Vec<Attribute<'_>> {
     all
 }
 
-/// What sRGB's transfer function makes linear.
+/// The sRGB transfer function from encoded to linear values.
 fn linear(value: f32) -> f32 {
     if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
 }
@@ -171,7 +172,7 @@ fn header(g: &Gaussians, attributes: &[Attribute<'_>]) -> Value {
         if is_byte {
             accessor["normalized"] = json!(true);
         }
-        // The bounds of positions are asked for.
+        // glTF requires the bounds of positions.
         if let (0, Values::Float(of)) = (index, &attribute.values) {
             let fold = |start: f32, with: fn(f32, f32) -> f32| -> [f32; 3] {
                 (0..g.len())

@@ -5,7 +5,7 @@
 //! Compressed PLY, which SuperSplat writes, is read too (`compressed_ply`).
 //!
 //! Reading takes any order of properties, further properties, ASCII and both byte orders; normals
-//! are not needed. Motion does not fit into this format.
+//! are not needed. The format cannot hold motion.
 
 use std::io::Write;
 use std::path::Path;
@@ -18,7 +18,8 @@ use crate::{Error, Result};
 /// Reads Gaussians; the second value counts those that `drop_bad` left out.
 ///
 /// # Errors
-/// The file is no 3DGS PLY, is cut off (the message names the vertex and the byte), or holds values
+/// The file is not a 3DGS PLY, is truncated (the message names the vertex and the byte), or holds
+/// values
 /// that are not finite or out of range ([`Gaussians::check`]) and `drop_bad` is false (the message
 /// counts them).
 pub fn read(path: impl AsRef<Path>, drop_bad: bool) -> Result<(Gaussians, usize)> {
@@ -26,7 +27,7 @@ pub fn read(path: impl AsRef<Path>, drop_bad: bool) -> Result<(Gaussians, usize)
     parse(path, &io::read(path)?, drop_bad)
 }
 
-/// [`read`] on bytes; `path` is for the messages.
+/// [`read`] from bytes; `path` is used in error messages.
 pub(super) fn parse(path: &Path, bytes: &[u8], drop_bad: bool) -> Result<(Gaussians, usize)> {
     let ply = Ply::parse(path, bytes)?;
     let bad = |what: String| Error::format(path, what);
@@ -81,13 +82,14 @@ pub(super) fn parse(path: &Path, bytes: &[u8], drop_bad: bool) -> Result<(Gaussi
     Ok((gaussians, dropped))
 }
 
-/// Writes Gaussians, binary little-endian, by rename. Motion logits are not written.
+/// Writes Gaussians as binary little-endian PLY, atomically by rename. Motion logits are not
+/// written.
 pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians) -> Result<()> {
     super::file::check_lengths(gaussians)?;
     io::write_atomically(path, |sink| encode(gaussians, sink))
 }
 
-/// [`write`]'s bytes.
+/// Encodes the file.
 pub(super) fn encode(gaussians: &Gaussians, sink: &mut dyn Write) -> std::io::Result<()> {
     let bands = sh_coefficients(gaussians.sh_degree);
     writeln!(sink, "ply\nformat binary_little_endian 1.0")?;

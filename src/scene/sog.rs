@@ -1,12 +1,12 @@
-//! Gaussians as SOG, PlayCanvas' format for the web, read only: pictures whose pixels are Gaussians, and a
-//! `meta.json`, in a zip archive (`.sog`) or a folder, of which `meta.json` is named.
+//! Reader of SOG, the web format of PlayCanvas: images with one pixel per Gaussian and a
+//! `meta.json`, in a zip archive (`.sog`) or in a folder, which is opened by its `meta.json`.
 //!
-//! Version 2. Positions: 16 bits a coordinate in two pictures, between bounds, of sign(v) ln(1 + |v|).
-//! Rotations: the three smaller parts of (w, x, y, z) in 8 bits between ±1/√2, and 252 + the place of the
-//! largest. Scales (their logarithms), colours (the constant harmonic) and further harmonics: bytes into
-//! a codebook of 256 values. Opacity: a byte. Further harmonics are a palette, 64 entries in a row, each
-//! as many pixels as there are coefficients, and a label of 16 bits for each Gaussian. The axes are those
-//! of a PLY.
+//! The format is version 2. Positions: sign(v) ln(1 + |v|) between bounds, 16 bits per coordinate
+//! in two images. Rotations: the three smaller components of (w, x, y, z) in 8 bits between ±1/√2,
+//! and 252 + the index of the largest. Log scales, colours (the constant harmonic) and further
+//! harmonics: byte indices into a codebook of 256 values. Opacity: a byte. Further harmonics: a
+//! palette with 64 entries per row, each with one pixel per coefficient, and a 16-bit label per
+//! Gaussian. The axes are those of a PLY.
 //!
 //! Source: developer.playcanvas.com, "The SOG Format".
 
@@ -22,32 +22,33 @@ use crate::error::excerpt;
 use crate::types::{Gaussians, sh_coefficients};
 use crate::{Error, Result, io};
 
-/// Values of a codebook.
+/// Number of values in a codebook.
 const BOOK: usize = 256;
-/// Entries of the palette in a row.
+/// Palette entries per row.
 const ROW: usize = 64;
-/// The last picture's alpha tells the place of a quaternion's largest part from here on.
+/// Alpha value of the rotation image for index 0 of a quaternion's largest component.
 const PLACES: u8 = 252;
-/// Bytes of the largest `meta.json`: two codebooks are some 10,000.
+/// Largest `meta.json` that is read, bytes; two codebooks take about 10,000.
 const MOST_META: u64 = 4 << 20;
 
-/// Whether a file is an archive, as a `.sog` is.
+/// Whether the bytes are a zip archive, as a `.sog` is.
 pub(super) fn is_archive(bytes: &[u8]) -> bool {
     bytes.starts_with(b"PK\x03\x04")
 }
 
-/// Reads Gaussians of a `.sog`, or of the folder that a `meta.json` lies in; the second value counts
-/// those that `drop_bad` left out.
+/// Reads the Gaussians of a `.sog`, or of the folder that contains a `meta.json`; the second value
+/// is the number of those that `drop_bad` left out.
 ///
 /// # Errors
-/// The file is none, is of another version, lacks a picture, is damaged, or holds values out of range
+/// The file is not a SOG, is of another version, lacks an image, is damaged, or holds values out of
+/// range
 /// ([`Gaussians::check`]) and `drop_bad` is false.
 pub fn read(path: impl AsRef<Path>, drop_bad: bool) -> Result<(Gaussians, usize)> {
     let path = path.as_ref();
     parse(path, &io::read(path)?, drop_bad)
 }
 
-/// [`read`] on the bytes of the archive or of `meta.json`.
+/// [`read`] from the bytes of the archive or of `meta.json`.
 pub(super) fn parse(path: &Path, bytes: &[u8], drop_bad: bool) -> Result<(Gaussians, usize)> {
     let mut files = match is_archive(bytes) {
         true => {
@@ -69,7 +70,7 @@ pub(super) fn parse(path: &Path, bytes: &[u8], drop_bad: bool) -> Result<(Gaussi
     Ok((gaussians, dropped))
 }
 
-/// Where the pictures are.
+/// The source of the images.
 enum Files<'a> {
     Archive { path: &'a Path, archive: ZipArchive<Cursor<&'a [u8]>>, size: usize },
     Folder { path: &'a Path, folder: PathBuf },
@@ -82,10 +83,10 @@ impl Files<'_> {
         }
     }
 
-    /// A file's bytes, no more than so many.
+    /// Reads a file of at most `most` bytes.
     fn file(&mut self, name: &str, most: u64) -> Result<Vec<u8>> {
         let bad = |path: &Path, what: String| Error::format(path, what);
-        // Nothing outside of the folder is read.
+        // Only files inside the folder are read.
         if name.is_empty() || name.contains(['/', '\\', ':']) || name == ".." {
             return Err(bad(self.path(), format!("names {} as a file", excerpt(name))));
         }
@@ -107,7 +108,7 @@ impl Files<'_> {
         }
     }
 
-    /// A picture, which must hold at least so many pixels.
+    /// Reads an image, which must have at least `pixels` pixels.
     fn picture(&mut self, name: &str, pixels: usize) -> Result<RgbaImage> {
         let bytes = self.file(name, u64::from(u32::MAX))?;
         let path = self.path();
@@ -141,7 +142,7 @@ impl Meta<'_> {
         Error::format(self.path, format!("its meta.json has no valid {what}"))
     }
 
-    /// The name of a file of a part.
+    /// The file name with this index in a part of `meta.json`.
     fn name(&self, part: &str, index: usize) -> Result<&str> {
         self.json[part]["files"][index].as_str().ok_or_else(|| self.bad(&format!("{part}.files")))
     }
@@ -188,7 +189,7 @@ impl Meta<'_> {
         let mut out = Gaussians { sh_degree: degree, ..Gaussians::default() };
         let mut pixels = [&low, &high, &quats, &scales, &sh0].map(|image| image.pixels());
         for i in 0..count {
-            // Each has `count` pixels at least.
+            // Each has at least `count` pixels.
             let [low, high, quat, scale, colour] =
                 pixels.each_mut().map(|pixels| pixels.next().map_or([0; 4], |pixel| pixel.0));
             out.positions.push(std::array::from_fn(|c| {
@@ -241,7 +242,7 @@ impl Meta<'_> {
     }
 }
 
-/// The harmonics above the constant.
+/// The spherical harmonics above the constant.
 #[derive(Default)]
 struct Further {
     degree: u32,

@@ -1,8 +1,8 @@
-//! Gaussians as `.splat`, the format of antimatter15's viewer: 32 bytes each, no header.
+//! The `.splat` format of antimatter15's viewer: 32 bytes per Gaussian, no header.
 //!
 //! Three f32 of the position, three f32 of the scales (standard deviations), red, green, blue and
-//! opacity in 8 bits, and the quaternion (w, x, y, z) in 8 bits a part: 128 + 128 q. The colour is that
-//! of the constant harmonic; there are no further bands. Little-endian.
+//! opacity in 8 bits, and the quaternion (w, x, y, z) in 8 bits per component: 128 + 128 q. The
+//! colour is that of the constant harmonic; there are no further bands. Values are little-endian.
 
 use std::io::Write;
 use std::path::Path;
@@ -11,20 +11,21 @@ use super::{packing, without_bad};
 use crate::types::{Gaussians, sh_coefficients};
 use crate::{Error, Result, io};
 
-/// Bytes of a Gaussian.
+/// Bytes per Gaussian.
 const SIZE: usize = 32;
 
 /// Reads Gaussians; the second value counts those that `drop_bad` left out.
 ///
 /// # Errors
-/// The file's size is no multiple of 32 bytes, or it holds values that are not finite or out of range
+/// The file's size is not a multiple of 32 bytes, or it holds values that are not finite or out of
+/// range
 /// ([`Gaussians::check`]) and `drop_bad` is false.
 pub fn read(path: impl AsRef<Path>, drop_bad: bool) -> Result<(Gaussians, usize)> {
     let path = path.as_ref();
     parse(path, &io::read(path)?, drop_bad)
 }
 
-/// [`read`] on bytes; `path` is for the messages.
+/// [`read`] from bytes; `path` is used in error messages.
 pub(super) fn parse(path: &Path, bytes: &[u8], drop_bad: bool) -> Result<(Gaussians, usize)> {
     let (rows, left) = bytes.as_chunks::<SIZE>();
     if !left.is_empty() {
@@ -37,7 +38,7 @@ pub(super) fn parse(path: &Path, bytes: &[u8], drop_bad: bool) -> Result<(Gaussi
             f32::from_le_bytes([row[4 * i], row[4 * i + 1], row[4 * i + 2], row[4 * i + 3]])
         });
         out.positions.push([floats[0], floats[1], floats[2]]);
-        // A scale of 0 is what underflowed.
+        // A scale of 0 has underflowed.
         let log = |s: f32| if s == 0.0 { f32::MIN_POSITIVE.ln() } else { s.ln() };
         out.log_scales.push([log(floats[3]), log(floats[4]), log(floats[5])]);
         let share = |i: usize| f32::from(row[24 + i]) / 255.0;
@@ -50,17 +51,16 @@ pub(super) fn parse(path: &Path, bytes: &[u8], drop_bad: bool) -> Result<(Gaussi
     Ok((out, dropped))
 }
 
-/// Writes Gaussians, the constant harmonic alone, by rename.
+/// Writes Gaussians with the constant harmonic only, atomically by rename.
 ///
 /// # Errors
-/// [`Error::Shape`] where arrays differ in length; [`Error::Io`].
+/// [`Error::Shape`] if arrays differ in length; [`Error::Io`].
 pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians) -> Result<()> {
     super::file::check_lengths(gaussians)?;
     io::write_atomically(path, |sink| encode(gaussians, sink))
 }
 
-/// [`write`]'s bytes. The most visible come first, as viewers show them while they load: those that
-/// are large and opaque.
+/// Encodes the file. Large and opaque Gaussians come first, since viewers render while they load.
 pub(super) fn encode(g: &Gaussians, sink: &mut dyn Write) -> std::io::Result<()> {
     let bands = sh_coefficients(g.sh_degree);
     let weight =

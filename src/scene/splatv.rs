@@ -1,16 +1,17 @@
-//! Moving Gaussians as `.splatv`, the format of splaTV's players, written only.
+//! Writer of `.splatv`, the format of the splaTV players for dynamic Gaussians.
 //!
-//! A `u32` 0x674b, the length of a JSON text, the text, and a texture of RGBA32UI, 4096 wide, four texels
-//! (64 bytes) a Gaussian: position (3 f32); quaternion (w, x, y, z) and scales (halves; one unused); red,
+//! A `u32` 0x674b, the length of a JSON text, the text, and a texture of RGBA32UI, 4096 wide, four
+//! texels (64 bytes) per Gaussian: position (3 f32); quaternion (w, x, y, z) and scales (halves;
+//! one unused); red,
 //! green, blue, opacity (bytes); the coefficients of t, t² and t³ of the position (9 halves, one unused);
-//! the quaternion's coefficient of t (4 halves); a time c and a width s (halves). With t = time − c, the
-//! position is the cubic, the quaternion the normalised line, and the opacity is multiplied by
-//! exp(−(t/s)²). Each colour is that of the constant harmonic. The axes are those of a PLY. The text lists
-//! the texture's sizes and cameras to begin with.
+//! the quaternion's coefficient of t (4 halves); a time c and a width s (halves). With t = time −
+//! c, the position is a cubic polynomial of t, the quaternion is linear in t and normalised, and
+//! the opacity is multiplied by exp(−(t/s)²). The colour is that of the constant harmonic. The axes
+//! are those of a PLY. The JSON text lists the texture's size and initial cameras.
 //!
-//! A scene's motion is fitted: cubics by least squares over the times at which a Gaussian is there, the
-//! quaternions' lines too. One that is not there all the time gets a width that halves its opacity at the
-//! ends of that time. [`Fit`] tells how far that is from the scene's motion.
+//! A scene's motion is fitted by least squares over the times at which a Gaussian is present:
+//! cubics for positions, lines for quaternions. A Gaussian that is not present all the time gets a
+//! width that halves its opacity at the ends of its presence. [`Fit`] reports the error of the fit.
 //!
 //! Source: github.com/antimatter15/splaTV, hybrid.js of March 2024.
 
@@ -25,43 +26,44 @@ use super::{Scene, packing};
 use crate::types::{Gaussians, sh_coefficients};
 use crate::{Error, Result, io};
 
-/// What a file begins with.
+/// The first word of a file.
 const MAGIC: u32 = 0x674b;
-/// Texels of a row.
+/// Texels per row.
 const WIDTH: usize = 4096;
-/// Bytes of a Gaussian.
+/// Bytes per Gaussian.
 const SIZE: usize = 64;
-/// Rows of the largest texture that WebGL promises to most machines.
+/// Maximum number of rows: the texture size that WebGL supports on most machines.
 const MOST_ROWS: usize = 16_384;
-/// A width that leaves opacities as they are.
+/// A width s that leaves opacities unchanged.
 const ALWAYS: f64 = 30_000.0;
-/// Cameras that are listed.
+/// Maximum number of listed cameras.
 const CAMERAS: usize = 30;
-/// Less of its opacity, and a Gaussian counts as not there.
+/// A Gaussian with less than this fraction of its opacity counts as absent.
 const FAINT: f32 = 0.02;
 
-/// How far the fitted motion is from the scene's, over the Gaussians that move and the times at which
-/// they are there.
+/// The error of the fitted motion against the scene's, over the dynamic Gaussians and the times at
+/// which they are present.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Fit {
-    /// Gaussians that move.
+    /// Number of dynamic Gaussians.
     pub moving: usize,
-    /// Root mean square of the distance between positions, in the scene's units.
+    /// Root mean square of the position error, scene units.
     pub position_rmse: f64,
-    /// The largest such distance.
+    /// Largest position error, scene units.
     pub position_worst: f64,
-    /// Root mean square of the positions' own way from their mean, to hold the error against.
+    /// Root mean square distance of the positions from their temporal mean, as a reference for the
+    /// error, scene units.
     pub position_spread: f64,
-    /// Mean angle between rotations, in degrees.
+    /// Mean rotation error, degrees.
     pub rotation_mean: f64,
 }
 
-/// Writes a scene by rename. `posed` gives its Gaussians at a time, and is asked for each of `times`, which
-/// ascend, one after the other.
+/// Writes a scene, atomically by rename. `posed` returns its Gaussians at a time; it is called for
+/// each of the ascending `times` in order.
 ///
 /// # Errors
 /// [`Error::Input`] without Gaussians or times, or for more Gaussians than a texture holds;
-/// [`Error::Shape`] where arrays differ in length; [`Error::Io`]; those of `posed`.
+/// [`Error::Shape`] if arrays differ in length; [`Error::Io`]; the errors of `posed`.
 pub fn write(
     path: impl AsRef<Path>,
     scene: &Scene,
@@ -109,7 +111,7 @@ pub fn write(
     }])
     .to_string();
     let bands = sh_coefficients(g.sh_degree);
-    // The most visible come first.
+    // The most visible Gaussians come first.
     let weight = |i: &usize| g.log_scales[*i].iter().sum::<f32>() + tracks[*i].opacity.ln();
     let weights: Vec<f32> = (0..n).map(|i| weight(&i)).collect();
     let mut order: Vec<usize> = (0..n).collect();
@@ -127,7 +129,7 @@ pub fn write(
     Ok(sums.fit(movers.len()))
 }
 
-/// A Gaussian at a time.
+/// The state of a Gaussian at one time.
 #[derive(Clone, Copy, Debug)]
 struct Sample {
     position: [f32; 3],
@@ -135,7 +137,7 @@ struct Sample {
     opacity: f32,
 }
 
-/// A Gaussian's motion as the format has it.
+/// A Gaussian's motion in the format's parameters.
 #[derive(Clone, Copy, Debug)]
 struct Track {
     centre: f64,
@@ -158,7 +160,7 @@ impl Track {
         }
     }
 
-    /// Turns the samples' quaternions into one hemisphere.
+    /// Flips the samples' quaternions into one hemisphere.
     fn fitted(times: &[f64], samples: &mut [Sample], opacity: f32) -> Track {
         for k in 1..samples.len() {
             let before = samples[k - 1].rotation;
@@ -171,7 +173,7 @@ impl Track {
         let there: Vec<(f64, &Sample)> =
             times.iter().copied().zip(&*samples).filter(|(_, sample)| is_there(sample)).collect();
         let (Some((first, _)), Some((last, _))) = (there.first(), there.last()) else {
-            // It is never seen.
+            // The Gaussian is never visible.
             let still = samples[0];
             return Track {
                 centre: 0.5,
@@ -185,7 +187,8 @@ impl Track {
         let (centre, width) = match always {
             true => (0.5, ALWAYS),
             false => {
-                // Half a step further at either end; the opacity is half of its own there.
+                // The interval is extended by half a step at either end, where the opacity falls to
+                // one half.
                 let step = 1.0 / (times.len().max(2) - 1) as f64;
                 (0.5 * (first + last), 0.5 * (last - first + step) / 2f64.ln().sqrt())
             }
@@ -240,7 +243,7 @@ impl Track {
     }
 }
 
-/// Least squares of polynomials at fixed times.
+/// Least-squares fits of polynomials at fixed times.
 struct Fitter<'a> {
     moments: &'a [f64],
     parameters: usize,
@@ -248,14 +251,14 @@ struct Fitter<'a> {
 }
 
 impl Fitter<'_> {
-    /// Polynomials of at most so many coefficients, of fewer where there are fewer times.
+    /// A fitter of polynomials with at most `most` coefficients, and no more than there are times.
     fn new(moments: &[f64], most: usize) -> Fitter<'_> {
         let parameters = most.min(moments.len());
         let mut normal = DMat4::IDENTITY;
         for a in 0..parameters {
             for b in 0..parameters {
                 let sum: f64 = moments.iter().map(|t| t.powi((a + b) as i32)).sum();
-                // So little that it only keeps the matrix regular.
+                // The small term only keeps the matrix regular.
                 normal.col_mut(a)[b] = if a == b { sum + 1e-12 } else { sum };
             }
         }
@@ -273,7 +276,7 @@ impl Fitter<'_> {
     }
 }
 
-/// Sums for [`Fit`].
+/// Accumulated sums for [`Fit`].
 #[derive(Default)]
 struct Sums {
     count: usize,
@@ -319,8 +322,8 @@ impl Sums {
     }
 }
 
-/// Some of the scene's cameras, as the original 3DGS code lists them; one that sees everything where there
-/// are none.
+/// A selection of the scene's cameras, in the JSON layout of the original 3DGS code; without
+/// cameras, one camera that sees the whole scene.
 fn cameras(scene: &Scene) -> Value {
     let listed = |id: usize, camera: &crate::types::Camera| {
         let (k, world) = (&camera.intrinsics, camera.view_from_world.inverse());

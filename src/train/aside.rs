@@ -110,7 +110,7 @@ mod tests {
     const SIZE: (u32, u32) = (64, 48);
     const INTRINSICS: Intrinsics =
         Intrinsics { fx: 60.0, fy: 60.0, cx: 32.0, cy: 24.0, width: SIZE.0, height: SIZE.1 };
-    /// A card stands before a wall.
+    /// Depths of a wall and of a card before it.
     const WALL: f64 = 4.0;
     const CARD: f64 = 2.0;
 
@@ -210,7 +210,7 @@ mod tests {
             let off = drawn.camera.centre().length() / WALL;
             assert!((DISTANCE.0..=DISTANCE.1).contains(&off), "{off}");
             let [(shown, wrong), (guessed, off)] = judge(&drawn);
-            // The card's edges are known to a pixel.
+            // The card's edges are accurate to one pixel.
             assert!(shown > 1500 && wrong * 50 < shown, "{number}: {wrong} of {shown}");
             assert!(guessed > 30 && off * 10 < guessed, "{number}: {off} of {guessed} guessed");
         }

@@ -146,7 +146,8 @@ mod tests {
                 continue;
             };
             assert!(outside <= reach && inside_card <= reach, "{x}, {y}");
-            // The plane goes on as if the card and the border were not there, the card does not.
+            // The plane is continued as if the card and the border were not there; the card is not
+            // continued.
             assert!((cell.inverse_depth - (0.3 + 0.002 * y as f64)).abs() < 1e-6, "{x}, {y}");
             let guessed = outside > 0 || inside_card > 0;
             assert_eq!(cell.weight, if guessed { WEIGHT } else { 1.0 }, "{x}, {y}");

@@ -177,7 +177,7 @@ mod tests {
     #[test]
     fn pulled_ones_get_company_and_lonely_ones_go() {
         let (points, positions, neighbours) = line();
-        // Something pulls at what lies right of 4.
+        // The gradients are large to the right of 4.
         let pull = |p: &[f32; 3]| if (4.2..4.5).contains(&p[0]) { 1.0 } else { 0.1 };
         let pulls: Vec<f64> = positions.iter().map(pull).collect();
         let followers = Followers { positions: &positions, neighbours: &neighbours, pulls: &pulls };
@@ -203,7 +203,7 @@ mod tests {
         assert_eq!((after.positions[1], after.log_radii[1]), ([1.5, 0.0, 0.0], -1.0));
         assert_eq!(after.paths[1], [0.0; 8]);
         let [x, y, rest @ ..] = after.paths[3];
-        // It was half a unit along x from its parent, and is half a unit along y from it then.
+        // At first it is half a unit along x from its parent, after the turn half a unit along y.
         assert!((x - 4.5).abs() < 1e-6 && (y - 0.5).abs() < 1e-6, "{x}, {y}");
         assert_eq!(rest, turned[2..]);
     }
@@ -223,7 +223,8 @@ mod tests {
         assert_eq!(round(&uneven, &SETTINGS).added.len(), 1);
         assert!(round(&uneven, &ControlSettings { most: 11, ..SETTINGS }).added.is_empty());
         let mut close = even.clone();
-        // Its only pulled follower lies 0.05 from the control point, a sixth of the radius.
+        // Its only follower with a large gradient lies 0.05 from the control point, a sixth of the
+        // radius.
         close[40] = 30.0;
         let wide = ControlPoints { log_radii: vec![0.0; 12], ..points.clone() };
         let followers = Followers { positions: &positions, neighbours: &neighbours, pulls: &close };

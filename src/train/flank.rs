@@ -33,7 +33,7 @@ const BARE: (usize, f64) = (2, 0.1);
 /// The unseen side behind a pixel of an object's outline.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Flank {
-    /// Its length along the line of sight, in depth units.
+    /// Its extent in depth (z) behind the outline, in the unit of the depth.
     pub depth: f64,
     /// RGB.
     pub colour: [f32; 3],
@@ -335,7 +335,7 @@ mod tests {
             top.depth
         });
         let flat = THICK * 2.0 * HALF.1;
-        // At the row's middle, half a pixel within the outline, it bulges by 0.31 of what it does at most.
+        // At the middle of the row, half a pixel inside the outline, it bulges by 0.31 of the maximum.
         let expected = [flat, flat - 2.0 * 0.69 * 0.1, 0.0];
         for (found, expected) in depths.into_iter().zip(expected) {
             assert!((found - expected).abs() < 0.01, "{depths:?}");

@@ -151,7 +151,7 @@ fn grown(needed: usize) -> usize {
     needed.saturating_add(needed / 2)
 }
 
-/// Blending settings, number of depth bits for sorting, blending kernel.
+/// Settings of projection and blending, number of depth bits for sorting, blending kernel.
 type How = (RenderSettings, u32, RasterKind);
 
 impl FramePool {
@@ -162,7 +162,11 @@ impl FramePool {
 
     /// The frame resources for an image size, in pixels. They are allocated at the first use, with the
     /// initial capacity for intersections.
-    pub(super) fn for_size(&mut self, device: &Device, size: (u32, u32)) -> Result<&mut FrameResources> {
+    pub(super) fn for_size(
+        &mut self,
+        device: &Device,
+        size: (u32, u32),
+    ) -> Result<&mut FrameResources> {
         if !self.by_size.contains_key(&size) {
             self.insert(device, size, self.capacity.intersections)?;
         }
@@ -176,7 +180,12 @@ impl FramePool {
     }
 
     /// Allocates the frame resources for a size, with this capacity for intersections.
-    pub(super) fn reserve(&mut self, device: &Device, size: (u32, u32), capacity: usize) -> Result<()> {
+    pub(super) fn reserve(
+        &mut self,
+        device: &Device,
+        size: (u32, u32),
+        capacity: usize,
+    ) -> Result<()> {
         self.insert(device, size, capacity)
     }
 
@@ -187,7 +196,14 @@ impl FramePool {
         let capacity = grown(needed);
         // Checked beforehand, since systems grant more memory than they have.
         Rehearsal::of(device, |rehearsal| {
-            FrameResources::new(rehearsal.device(), self.capacity.gaussians, capacity, size, self.how).map(drop)
+            FrameResources::new(
+                rehearsal.device(),
+                self.capacity.gaussians,
+                capacity,
+                size,
+                self.how,
+            )
+            .map(drop)
         })?
         .fits(device)?;
         self.insert(device, size, capacity)
@@ -208,7 +224,8 @@ impl FramePool {
     }
 
     fn insert(&mut self, device: &Device, size: (u32, u32), capacity: usize) -> Result<()> {
-        let resources = FrameResources::new(device, self.capacity.gaussians, capacity, size, self.how)?;
+        let resources =
+            FrameResources::new(device, self.capacity.gaussians, capacity, size, self.how)?;
         self.by_size.insert(size, resources);
         Ok(())
     }

@@ -77,7 +77,7 @@ mod tests {
         };
         let gone = ControlPoints::ABSENT;
         assert_eq!(fades(0..9, 9, true), [gone, gone, gone, 0.0, 0.0, 0.0, gone, gone, gone]);
-        // A key between a frame in which it is there and one in which it is not.
+        // A key between a frame in which the node is alive and one in which it is not.
         assert_eq!(fades(0..9, 4, true), [gone, 0.0, 0.0, gone]);
         // It is absent outside its window, too.
         assert_eq!(fades(4..9, 9, true)[..5], [gone, gone, gone, gone, 0.0]);

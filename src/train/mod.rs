@@ -43,6 +43,7 @@ mod carried;
 pub mod control;
 #[cfg(feature = "reconstruct")]
 mod flank;
+pub mod frame_pool;
 #[cfg(feature = "reconstruct")]
 mod glimpse;
 pub mod growth;
@@ -57,7 +58,6 @@ mod movers;
 pub mod observer;
 pub mod optimiser;
 pub mod own_loss;
-pub mod frame_pool;
 #[cfg(feature = "reconstruct")]
 pub mod posed;
 #[cfg(feature = "reconstruct")]

@@ -33,8 +33,8 @@
 //! }
 //! ```
 
-use super::motion::MotionStart;
 use super::frame_pool::Capacity;
+use super::motion::MotionStart;
 use super::settings::TrainSettings;
 use super::trainer::Trainer;
 use crate::gpu::{Buffer, Device, Readback, Recorder, View};

@@ -193,7 +193,7 @@ mod tests {
         assert!(points.iter().any(|p| from(p).abs().max_element() > 1.8));
         assert_eq!(points, random_points(&around, 500, 3));
         assert_ne!(points, random_points(&around, 500, 4));
-        // Cameras that turn in one place, and numbers that no reader lets through.
+        // Cameras that turn in one place, and numbers that the file readers reject.
         let turning: Vec<Camera> = [DVec3::X, DVec3::Z, DVec3::NEG_X, DVec3::NEG_Z]
             .map(|side| Camera {
                 view_from_world: look_at(target, target + side, DVec3::NEG_Y),
@@ -207,7 +207,7 @@ mod tests {
             cameras[1].view_from_world.translation.x = wild;
             assert_eq!(random_points(&cameras, 50, 3).len(), 50);
         }
-        // One camera alone.
+        // A single camera.
         let seen = random_points(&around[..1], 50, 0);
         let before = |p: &Point| {
             let p = glam::Vec3::from_array(p.position).as_dvec3();

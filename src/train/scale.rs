@@ -6,8 +6,8 @@
 //! initial capacity is four (splat, tile) pairs per permitted Gaussian; it grows for a frame that needs
 //! more, if the memory suffices.
 
+use super::frame_pool::{Capacity, DeviceView};
 use super::motion::MotionStart;
-use super::frame_pool::{DeviceView, Capacity};
 use super::settings::TrainSettings;
 use super::trainer::Trainer;
 use super::views::TrainingView;

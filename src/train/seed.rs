@@ -94,7 +94,7 @@ mod tests {
             let seeded = seed_from_points(&points, 0);
             assert!(seeded.log_scales.iter().flatten().all(|s| s.is_finite()));
         }
-        // Numbers that no reader lets through harm only their own point.
+        // Numbers that the file readers reject affect only their own point.
         for wild in [1e19, 1e38, f32::MAX, f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
             let seeded = seed_from_points(&[at(0.0), at(wild), at(1.0), at(3.0), at(103.0)], 1);
             assert!(seeded.log_scales.iter().flatten().all(|s| s.is_finite()), "{wild}");

@@ -205,7 +205,8 @@ impl Selection {
             let weight = exponential(settings.mask_weight, settings.mask_weight_last, step, last);
             // The loss occurs in one of several steps and is weighted to count for all of them.
             let weight = weight * f64::from(settings.mask_every.max(1));
-            let FrameResources { render, scratch, backward, pixels, pixel_gradients, .. } = resources;
+            let FrameResources { render, scratch, backward, pixels, pixel_gradients, .. } =
+                resources;
             mask::paint(recorder, logits.range(0..count), training.colours.view_mut())?;
             let colours = training.colours.view();
             render.blend(recorder, colours, scratch, pixels)?;

@@ -332,7 +332,14 @@ fn fit_moving(
             append(&mut gaussians, &seed_movers(sequence, &windows, &flanks, settings));
             let points = control_points(sequence, &windows, settings)?;
             let start = MotionStart { points, network: None, neighbours: settings.neighbours };
-            Trainer::with_scene_radius(device, &views, &gaussians, Some(&start), train, scene_radius)?
+            Trainer::with_scene_radius(
+                device,
+                &views,
+                &gaussians,
+                Some(&start),
+                train,
+                scene_radius,
+            )?
         }
     };
     run(&mut trainer, Phase::Joint, observer, Checkpoint::Joint)?;

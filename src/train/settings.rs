@@ -6,19 +6,19 @@ use crate::types::{DEPTH_BITS, RasterKind, RenderSettings};
 /// steps and is in units of the scene's extent; the others are constant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
-    /// Positions, at the first step.
+    /// Rate of positions at the first step.
     pub position: f64,
-    /// Positions, at the last step.
+    /// Rate of positions at the last step.
     pub position_last: f64,
-    /// Logarithms of the scales.
+    /// Rate of the logarithms of the scales.
     pub log_scale: f64,
-    /// Quaternions.
+    /// Rate of the quaternions.
     pub rotation: f64,
-    /// Opacity logits.
+    /// Rate of the opacity logits.
     pub opacity: f64,
-    /// The constant spherical harmonic.
+    /// Rate of the constant spherical harmonic (band 0).
     pub sh0: f64,
-    /// The other bands.
+    /// Rate of the other bands of the spherical harmonics.
     pub sh_rest: f64,
 }
 
@@ -286,7 +286,7 @@ pub struct TrainSettings {
     pub depth_scale: f32,
     /// Background colour, RGB.
     pub background: [f32; 3],
-    /// Constants of blending.
+    /// Settings of projection and blending.
     pub render: RenderSettings,
     /// Number of a depth's bits that decide the order of splats; see
     /// [`Tuning::depth_bits`](crate::types::Tuning::depth_bits).

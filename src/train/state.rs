@@ -5,8 +5,8 @@ use rand_chacha::ChaCha8Rng;
 #[cfg(feature = "files")]
 use serde::{Deserialize, Serialize};
 
-use super::motion::{Following, MotionMoments, MotionStart};
 use super::frame_pool::Capacity;
+use super::motion::{Following, MotionMoments, MotionStart};
 use super::rounds::ControlChanges;
 use super::selection::SelectionState;
 use super::settings::TrainSettings;
@@ -104,7 +104,8 @@ impl Trainer {
         state: TrainerState,
         settings: TrainSettings,
     ) -> Result<Trainer> {
-        let TrainerState { step, gaussians, moments, trainable, rng, round, capacities, .. } = state;
+        let TrainerState { step, gaussians, moments, trainable, rng, round, capacities, .. } =
+            state;
         let mut pictures = round.iter().chain(state.pending.iter().map(|(view, _)| view));
         if pictures.any(|&view| view >= views.len()) {
             return Err(Error::Input("the state to resume from is of other pictures".into()));
@@ -114,9 +115,24 @@ impl Trainer {
         let mut trainer = match views.is_empty() {
             true => {
                 let capacity = Capacity::of(&settings, gaussians.len());
-                Trainer::build(device, &[], &gaussians, start, settings, (scene_radius, scene_radius), capacity)?
+                Trainer::build(
+                    device,
+                    &[],
+                    &gaussians,
+                    start,
+                    settings,
+                    (scene_radius, scene_radius),
+                    capacity,
+                )?
             }
-            false => Trainer::with_scene_radius(device, views, &gaussians, start, settings, scene_radius)?,
+            false => Trainer::with_scene_radius(
+                device,
+                views,
+                &gaussians,
+                start,
+                settings,
+                scene_radius,
+            )?,
         };
         trainer.optimiser.set_moments(&mut trainer.stream, &moments)?;
         let words: Vec<u32> = trainable.into_iter().map(u32::from).collect();

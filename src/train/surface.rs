@@ -119,7 +119,7 @@ mod tests {
 
     #[test]
     fn an_edge_and_what_is_unknown_have_none() {
-        // Steps of less than what counts as another surface, at random.
+        // Random steps that are too small to count as another surface.
         let rough = depth(|ray| 2.0 + 0.1 * (5000.0 * (ray.x + 3.0 * ray.y)).sin());
         assert_eq!(normal(&rough, &INTRINSICS, DVec2::new(30.5, 30.5)), None);
         let unknown = depth(|_| 0.0);
@@ -146,7 +146,7 @@ mod tests {
         let axes = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w));
         let scales = DVec3::from_array(gaussians.log_scales[1].map(|s| f64::from(s).exp()));
         assert!((axes.z_axis.dot(normal).abs() - 1.0).abs() < 1e-6);
-        // The spread that a flat one has in directions across the ray, in its plane alone.
+        // The extent of a flat Gaussian in directions across the ray, from its in-plane axes alone.
         let across = ray.any_orthonormal_vector();
         for direction in [across, ray.cross(across), (across + 2.0 * ray.cross(across)).normalize()]
         {
@@ -154,7 +154,7 @@ mod tests {
             let spread = flat.iter().map(|a| a.dot(direction).powi(2)).sum::<f64>().sqrt();
             assert!((spread / width - 1.0).abs() < 1e-4, "{direction}: {spread} {width}");
         }
-        // At a right angle it is no longer than wide; at a grazing one it has its bound.
+        // At a right angle it is as long as wide; at a grazing angle its length is at the limit.
         lay(&mut gaussians, 2, DVec3::Z, DVec3::NEG_Z);
         let flat = gaussians.log_scales[2];
         assert!((flat[0] - flat[1]).abs() < 1e-6 && flat[2] < flat[0]);

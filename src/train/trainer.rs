@@ -1,10 +1,10 @@
 //! The training step: deform, render, compare, differentiate, update.
 
+use super::frame_pool::{Capacity, DeviceView, FramePool};
 use super::growth::{Growth, Statistics};
 use super::motion::{MotionNow, MotionStart, MotionTrainer};
 use super::optimiser::GaussianOptimiser;
 use super::own_loss::OwnStep;
-use super::frame_pool::{DeviceView, Capacity, FramePool};
 use super::rounds::ControlChanges;
 use super::selection::Selection;
 use super::settings::TrainSettings;
@@ -166,15 +166,23 @@ impl Trainer {
         }
         let (mut motion_trainer, mut selection) = (None, None);
         if let Some(start) = motion {
-            let mut trainer = MotionTrainer::new(&mut stream, start, settings.motion, gaussian_capacity)?;
+            let mut trainer =
+                MotionTrainer::new(&mut stream, start, settings.motion, gaussian_capacity)?;
             let mut logits = gaussians.motion_logits.clone();
             logits.resize(gaussians.len(), -1.0);
-            let chosen = Selection::new(&mut stream, &logits, gaussian_capacity, settings.motion.selection)?;
+            let chosen =
+                Selection::new(&mut stream, &logits, gaussian_capacity, settings.motion.selection)?;
             let least = chosen.least(0, settings.steps);
             trainer.set_dynamic(&mut stream, &logits, least, &buffers)?;
             (motion_trainer, selection) = (Some(trainer), Some(chosen));
         }
-        let growth = Growth::new(&mut stream, &settings, gaussian_capacity, scene_radius, selection.as_ref())?;
+        let growth = Growth::new(
+            &mut stream,
+            &settings,
+            gaussian_capacity,
+            scene_radius,
+            selection.as_ref(),
+        )?;
         let revised = motion.is_some() && settings.motion.control.is_some();
         let statistics = match revised || growth.as_ref().is_some_and(Growth::wants_statistics) {
             true => Some(Statistics::new(&mut stream, gaussian_capacity)?),

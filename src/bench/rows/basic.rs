@@ -1,4 +1,4 @@
-//! The measured peaks, and the ops that work on plain arrays: scan, sort, Adam.
+//! Benchmarks of the peak measurements and of the ops on plain arrays: scan, sort, Adam.
 
 use super::{sizes, thousands};
 use crate::Result;
@@ -79,7 +79,7 @@ fn fma(device: &Device, seed: u64, count: usize, rounds: u32) -> Result<Job> {
     let args = FmaArgs { seeds: seeds.view(), sums: sums.view_mut() };
     recorder.dispatch::<Fma>(groups, params, args)?;
     stream.submit(recorder)?;
-    // The chains have settled after a hundred rounds; the oracle need not run them all.
+    // The chains have converged after a hundred rounds, so the oracle does not run them all.
     let wide: Vec<f64> = values.iter().map(|&v| f64::from(v)).collect();
     let truth = oracle::roofline::fma(&wide, rounds.min(100));
     let mut check = Check::new();

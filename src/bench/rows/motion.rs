@@ -1,4 +1,5 @@
-//! What moves a scene: nearest control points, skinning, the deformation network, rigidity.
+//! Benchmarks of the motion model: nearest control points, skinning, the deformation network,
+//! rigidity.
 
 use super::{NARROW, sizes, thousands};
 use crate::Result;
@@ -17,9 +18,9 @@ use rand::RngExt;
 use std::cell::RefCell;
 use std::rc::Rc;
 
-/// Control points that a Gaussian follows.
+/// Number of control points that a Gaussian follows.
 const FOLLOWED: usize = 4;
-/// Control points of the skinning rows.
+/// Number of control points in the skinning rows.
 const NODES: usize = 512;
 pub(super) fn entries(quick: bool) -> Vec<Entry> {
     let mut all = Vec::new();

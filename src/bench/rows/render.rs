@@ -1,5 +1,5 @@
-//! The stages of rendering, forward and backward, and the loss. A stage is timed inside of the whole
-//! frame, by the timestamps of its dispatches.
+//! Benchmarks of the stages of rendering, forward and backward, and of the loss. A stage is timed
+//! within the whole frame, by the timestamps of its dispatches.
 
 use super::thousands;
 use crate::Result;
@@ -33,22 +33,24 @@ enum Stage {
 /// Gaussians, width, height.
 const SCENES: [(usize, u32, u32); 3] = [(10_000, 480, 270), (50_000, 480, 270), (50_000, 960, 540)];
 
-/// For a glance.
+/// The scene of a quick run.
 const QUICK: [(usize, u32, u32); 1] = [(4000, 240, 136)];
 
-/// Floats of a Gaussian of degree 3: position, scales, rotation, opacity, harmonics.
+/// Number of floats of a Gaussian of degree 3: position, scales, rotation, opacity, harmonics.
 const PARAMETERS: u64 = 3 + 3 + 4 + 1 + (SH_BAND[0] + SH_BAND[1] + SH_BAND[2] + SH_BAND[3]) as u64;
-/// What projection writes of a splat: mean, conic, colour (4 floats each), rectangle, tile count,
-/// visibility.
+/// Bytes that projection writes per splat: mean, conic, colour (4 floats each), rectangle, tile
+/// count, visibility.
 const SPLAT_BYTES: u64 = 3 * 16 + 8 + 4 + 4;
-/// Operations on a Gaussian: rotation and scales to a matrix, Jacobian, covariance and its inverse,
+/// Operations per Gaussian in projection: rotation and scales to a matrix, Jacobian, covariance and
+/// its inverse,
 /// sigmoid, and two per harmonic and channel.
 const PROJECT_OPERATIONS: u64 = 190 + 2 * 48;
-/// Operations on a (pixel, splat) pair: offset, power, exponential, α, weight, four channels.
+/// Operations per (pixel, splat) pair in blending: offset, power, exponential, α, weight, four
+/// channels.
 const BLEND_OPERATIONS: u64 = 22;
-/// The same with its derivatives: ten sums to the splat.
+/// Operations per (pixel, splat) pair in the backward pass, with ten sums per splat.
 const BLEND_BACKWARD_OPERATIONS: u64 = 62;
-/// Keys' passes of the two sorts, and what a pass moves of a pair.
+/// Bytes that one pass of a sort moves per pair.
 const SORT_BYTES: u64 = 20;
 
 pub(super) fn entries(quick: bool) -> Vec<Entry> {
@@ -146,7 +148,8 @@ fn job(
     })
 }
 
-/// What is drawn by both, value by value; who is drawn, but for a thousandth.
+/// Compares the values of splats that device and oracle both draw; the sets of drawn splats may
+/// differ by one in a thousand.
 fn check_projection(
     check: &mut Check,
     frame: &mut Frame,
@@ -172,7 +175,7 @@ fn check_projection(
     Ok(())
 }
 
-/// The lists, exactly, given the splats that the device has projected.
+/// Compares the tile lists exactly, given the splats that the device has projected.
 fn check_lists(check: &mut Check, frame: &mut Frame) -> Result<()> {
     let listed = frame.listed()?;
     let drawn: Vec<u32> =
@@ -207,7 +210,7 @@ fn check_lists(check: &mut Check, frame: &mut Frame) -> Result<()> {
     Ok(())
 }
 
-/// The image, given the splats and lists that the device has made.
+/// Compares the image, given the splats and lists that the device has made.
 fn check_image(check: &mut Check, frame: &mut Frame, settings: &RenderSettings) -> Result<()> {
     let listed = frame.listed()?;
     let (width, height) = (frame.pixels.width, frame.pixels.height);
@@ -216,8 +219,8 @@ fn check_image(check: &mut Check, frame: &mut Frame, settings: &RenderSettings) 
     Ok(())
 }
 
-/// Rounding may decide either way whether a splat counts in a pixel: a splat at the cut of 1/255
-/// with a colour of up to 2 then comes or goes. One pixel in a hundred may do so.
+/// Rounding can decide whether a splat at the α cut of 1/255, with a colour of up to 2, contributes
+/// to a pixel. One pixel in a hundred may differ by that.
 pub(in crate::bench) fn image(
     check: &mut Check,
     output: &str,
@@ -235,7 +238,7 @@ pub(in crate::bench) fn image(
     check.mostly(output, device.as_flattened(), &exact, tight, 0.01, flipped);
 }
 
-/// The gradients of a random linear function of the image, given what the device has listed.
+/// Compares the gradients of a random linear function of the image, given the device's tile lists.
 fn check_gradients(
     check: &mut Check,
     frame: &mut Frame,
@@ -266,8 +269,8 @@ fn check_gradients(
     Ok(())
 }
 
-/// Sums over pixels cancel, so a share of the largest gradient is the measure; where a pixel flips,
-/// the gradients of all splats in it change.
+/// Sums over pixels cancel, so bounds are relative to the largest gradient. Where the decision in a
+/// pixel differs, the gradients of all splats in it change.
 fn gradients(check: &mut Check, got: &crate::types::Gaussians, truth: &Cloud<f64>) {
     let mut hold = |name: &str, device: &[f32], truth: &[f64]| {
         let largest = truth.iter().fold(0.0f64, |m, v| m.max(v.abs()));
@@ -286,7 +289,7 @@ fn photometric(device: &Device, seed: u64, width: u32, height: u32) -> Result<Jo
     let mut rng = rng(seed);
     let count = width as usize * height as usize;
     let mut photo = Image::new(width, height, 3);
-    // Whole levels, as the device stores photographs.
+    // 8-bit levels, as the device stores training images.
     photo.pixels.iter_mut().for_each(|v| *v = f32::from(rng.random::<u8>()) / 255.0);
     let rgba: Vec<[f32; 4]> =
         (0..count).map(|_| std::array::from_fn(|_| rng.random_range(0.0f32..1.0))).collect();

@@ -1,4 +1,4 @@
-//! The fastest settings within an error.
+//! Search for the fastest settings within an error budget.
 
 use super::{Shot, error, knobs, race, settings};
 use crate::bench::job::Pace;
@@ -9,24 +9,24 @@ use crate::scene::Scene;
 use crate::types::Tuning;
 use crate::{Error, Result};
 
-/// The search stays below this share of the budget, since another view may err more.
+/// The search uses this fraction of the budget, since the error of another view may be larger.
 const MARGIN: f64 = 0.6;
-/// A turn must save this share of the time to be taken.
+/// A change must save at least this fraction of the time.
 const LEAST_GAIN: f64 = 0.01;
 
-/// What of an image's error is budgeted.
+/// The measure of an image's error.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ErrorMeasure {
     /// The root of the mean square over all pixels and channels.
     #[default]
     Rmse,
-    /// The largest difference of a channel. Where rounding decides whether a splat counts in a
-    /// pixel, exact settings too differ from the oracle by up to the α cut.
+    /// The largest difference of a channel. Where rounding decides whether a splat contributes to a
+    /// pixel, exact settings differ from the oracle by up to the α cut, too.
     Max,
 }
 
 impl ErrorMeasure {
-    /// Of an image.
+    /// The value of this measure for an image.
     pub fn of(self, error: &ImageError) -> f64 {
         match self {
             ErrorMeasure::Rmse => error.rmse,
@@ -34,7 +34,7 @@ impl ErrorMeasure {
         }
     }
 
-    /// In a report.
+    /// The name used in reports.
     pub fn name(self) -> &'static str {
         match self {
             ErrorMeasure::Rmse => "rmse",
@@ -43,22 +43,23 @@ impl ErrorMeasure {
     }
 }
 
-/// An error that an image may have.
+/// An error budget for images.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Budget {
     /// Colours are in [0, 1].
     pub error: f64,
-    /// Of what kind.
+    /// The error measure.
     pub measure: ErrorMeasure,
 }
 
 /// The fastest settings whose error stays within the budget, found on all shots but the last, and
-/// what they do on the last, which the search has not seen.
+/// their speed and error on the last, which the search does not use.
 ///
-/// Each knob alone is turned as far as the error stays within a share of the budget, and raced there
-/// against the most accurate settings. Those that save time are then turned together, the one that
-/// saves most first, each as far as the error of all allows, and kept where the race is won again. A
-/// race counts as won when more than three samples of four are. `say` hears of every turn kept.
+/// Each knob alone is set as far as the error stays within a fraction of the budget, and is timed
+/// against the most accurate settings. The knobs that save time are then combined, the one that
+/// saves most first, each as far as the total error allows, and a change is kept if it is faster
+/// again. It counts as faster if more than three samples in four are. `say` is called with every
+/// change kept.
 ///
 /// # Errors
 /// [`Error::Input`] for fewer than two shots or a budget that is no positive number; a scene that
@@ -88,7 +89,7 @@ pub fn choose(
         let error = error(device, scene, tuning, on)?;
         Ok(budget.measure.of(&error) <= MARGIN * budget.error)
     };
-    // How much of the time `to` saves, where that is more than noise.
+    // The fraction of the time that `to` saves, if that is more than noise.
     let gain = |from: &Tuning, to: &Tuning| -> Result<Option<f64>> {
         let ratios = race(device, [(scene, from), (scene, to)], searched, pace)?.ratio;
         let won = ratios.quantile(0.75) < 1.0 && ratios.median() < 1.0 - LEAST_GAIN;

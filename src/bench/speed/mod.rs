@@ -1,4 +1,4 @@
-//! Speed against error: what each knob saves, and what it costs the image.
+//! Speed against error: the time that each knob saves, and its image error.
 
 mod choose;
 mod student;
@@ -24,11 +24,11 @@ pub struct Shot {
     pub time: f64,
 }
 
-/// A knob with its positions, from the most accurate on; each changes one field of a [`Tuning`].
+/// A knob with its positions, the most accurate first; each changes one field of a [`Tuning`].
 struct Knob {
     name: &'static str,
     set: fn(&mut Tuning, f64),
-    /// In words and as a number.
+    /// The positions, as text and as a number.
     positions: Vec<(String, f64)>,
 }
 
@@ -48,7 +48,7 @@ impl Knob {
     }
 }
 
-/// The knobs that do something on a scene.
+/// The knobs that have an effect on a scene.
 fn knobs(scene: &Scene) -> Vec<Knob> {
     let number = |v: f64| (format!("{v}"), v);
     let levels = |v: f64| (format!("{v}/255"), v / 255.0);
@@ -133,14 +133,16 @@ fn frames(device: &Device, scene: &Scene, tuning: &Tuning, shots: &[Shot]) -> Re
 /// A scene as some settings render it.
 type Rendering<'a> = (&'a Scene, &'a Tuning);
 
-/// What a race gave: the time of a frame of the second, and that over the first's, sample by sample.
+/// The result of a paired timing: the frame time of the second rendering, and its ratio to the
+/// first's, per sample.
 struct Race {
     time: Spread,
     ratio: Spread,
     clock: Clock,
 }
 
-/// Two renderings of the same shots in turns, so that whatever else the machine does weighs on both.
+/// Times two renderings of the same shots alternately, so that other load on the machine affects
+/// both.
 fn race(
     device: &Device,
     [first, second]: [Rendering<'_>; 2],
@@ -150,7 +152,7 @@ fn race(
     let mut a = frames(device, first.0, first.1, shots)?;
     let mut b = frames(device, second.0, second.1, shots)?;
     let (mut times, mut ratios, mut clock) = (Vec::new(), Vec::new(), Clock::Host);
-    // The first round warms up.
+    // The first round is a warm-up.
     let begun = std::time::Instant::now();
     for round in 0..=pace.most {
         let (one, (other, read)) = (a.sample(device)?.0, b.sample(device)?);
@@ -173,9 +175,9 @@ fn settings(tuning: &Tuning) -> serde_json::Value {
     serde_json::to_value(tuning).unwrap_or_default()
 }
 
-/// Time of a frame and error of a scene as some settings render it, both on the same shots: the time
-/// taken in turns with that of the best settings, the error against the image of the oracle in f64.
-/// The point is of no knob.
+/// Frame time and error of some settings on the same shots. The time is measured alternately with
+/// that of the most accurate settings, the error against the image of the oracle in f64. The point
+/// belongs to no knob.
 ///
 /// # Errors
 /// As for [`sweep`].
@@ -207,8 +209,8 @@ fn point(
     Ok((Point { knob: String::new(), value: String::new(), settings, time, ratio, error }, clock))
 }
 
-/// Turns every knob on a scene, one after the other, the others at their best. `each` hears of every
-/// point.
+/// Varies every knob on a scene, one after the other, with the others at their most accurate
+/// position. `each` is called with every point.
 ///
 /// # Errors
 /// A scene that does not fit the device, or what `each` returns.
@@ -249,13 +251,13 @@ pub fn sweep(
     Ok(sweep)
 }
 
-/// A static scene of this module's own, with two views of it.
+/// A synthetic static scene with two views.
 pub fn still_scene(seed: u64, gaussians: usize, width: u32, height: u32) -> (Scene, Vec<Shot>) {
     let camera = scenes::camera(width, height);
     (Scene::of(scenes::cloud(seed, gaussians, 3, &camera)), views(&camera, &[0.0, 0.0]))
 }
 
-/// Views from places beside each other, at given times.
+/// Views from neighbouring positions, at given times.
 fn views(camera: &Camera, times: &[f64]) -> Vec<Shot> {
     let shot = |(i, &time): (usize, &f64)| {
         let mut camera = *camera;
@@ -265,8 +267,8 @@ fn views(camera: &Camera, times: &[f64]) -> Vec<Shot> {
     times.iter().enumerate().map(shot).collect()
 }
 
-/// Sweeps a moving scene of this module's own: besides the knobs of [`sweep`], networks of several
-/// widths are fitted to the scene's motion, and their error is that of the image. `quick`: fewer and
+/// Sweeps a synthetic dynamic scene. Besides the knobs of [`sweep`], networks of several widths are
+/// fitted to the scene's motion, and their image error is measured. `quick`: fewer and
 /// shorter fits.
 ///
 /// # Errors

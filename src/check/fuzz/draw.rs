@@ -1,4 +1,4 @@
-//! Scenes by seed and number.
+//! Random scenes by seed and index.
 
 use super::FuzzScene;
 use crate::types::{Camera, Gaussians, Intrinsics, Pose, RenderSettings, sh_coefficients};
@@ -9,13 +9,13 @@ use rand_chacha::ChaCha8Rng;
 
 const SIZES: &[(u32, u32)] = &[(1, 1), (17, 3), (16, 16), (33, 17), (5, 40)];
 
-/// The scene of a seed and a number: the same on every machine.
+/// The scene of a seed and an index. It is the same on every machine.
 pub fn draw(seed: u64, index: u64) -> FuzzScene {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(index);
     let rng = &mut rng;
     let camera = camera(rng);
-    // None at all, one here and there, or a third of all numbers.
+    // Fraction of extreme values: none, a few, or a third of all numbers.
     let poison = [0.0, 0.03, 0.3][rng.random_range(0..3)];
     let degree = rng.random_range(0..4);
     let mut gaussians = Gaussians { sh_degree: degree, ..Gaussians::default() };
@@ -23,7 +23,7 @@ pub fn draw(seed: u64, index: u64) -> FuzzScene {
     for _ in 0..rng.random_range(1..6) {
         let z: f64 = rng.random_range(0.5..6.0);
         let k = camera.intrinsics;
-        // Somewhere in or beside the image, where the camera is one.
+        // A position inside or beside the image, if the camera is valid.
         let pixel = glam::DVec2::new(
             rng.random_range(-0.3..1.3) * f64::from(k.width),
             rng.random_range(-0.3..1.3) * f64::from(k.height),
@@ -51,7 +51,7 @@ pub fn draw(seed: u64, index: u64) -> FuzzScene {
     FuzzScene { gaussians, camera, seed: rng.random() }
 }
 
-/// The value itself, or with some probability something nasty.
+/// The value itself, or with this probability an extreme or non-finite one.
 fn spoil(rng: &mut ChaCha8Rng, probability: f64, value: f32) -> f32 {
     if !rng.random_bool(probability) {
         return value;

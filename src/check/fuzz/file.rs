@@ -1,4 +1,4 @@
-//! A scene as a JSON file. Numbers that JSON does not have are strings: `"NaN"`, `"inf"`, `"-inf"`.
+//! Fuzz scenes as JSON files. Non-finite numbers are strings: `"NaN"`, `"inf"`, `"-inf"`.
 
 use super::FuzzScene;
 use crate::error::{Error, Result};
@@ -7,7 +7,7 @@ use glam::{DQuat, DVec3};
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
-/// The scene as text.
+/// The scene as JSON text.
 pub fn text(scene: &FuzzScene) -> String {
     let (g, k, pose) = (&scene.gaussians, scene.camera.intrinsics, scene.camera.view_from_world);
     let floats = |values: &[f32]| list(values.iter().map(|&v| f64::from(v)));
@@ -43,7 +43,7 @@ pub fn read(path: &Path) -> Result<FuzzScene> {
     parse(&path.to_string_lossy(), &text)
 }
 
-/// Reads a scene's text; `name` is for errors.
+/// Parses a scene's text; `name` is used in error messages.
 ///
 /// # Errors
 /// [`Error::Format`] that names the key.
@@ -100,7 +100,7 @@ pub fn parse(name: &str, text: &str) -> Result<FuzzScene> {
             width: image[0] as u32,
             height: image[1] as u32,
         },
-        // As it is: a rotation that is none may be what the file is about.
+        // Not normalised: the file may test an invalid rotation.
         view_from_world: Pose {
             rotation: DQuat::from_xyzw(q[1], q[2], q[3], q[0]),
             translation: DVec3::from_slice(&t),

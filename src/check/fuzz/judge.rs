@@ -1,4 +1,4 @@
-//! Whether the device did to a scene what the oracle does.
+//! Comparison of the device's results on a fuzz scene with the oracle's.
 
 use super::FuzzScene;
 use crate::check::rounding::gradient_limits;
@@ -17,27 +17,30 @@ use crate::types::RenderSettings;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// A pixel that hangs on a decision as near as this is not compared.
+/// A pixel that depends on a decision within this relative distance of its threshold is not
+/// compared.
 const BAND: f64 = 1e-3;
-/// Image and gradients, as shares of the largest value: as the cases of the render family hold them.
+/// Error limit of image and gradients relative to the largest value, as in the cases of the render
+/// family.
 const IMAGE: f64 = 1e-5;
 const GRADIENT: f64 = 1e-4;
-/// How much farther than its own sensitivity, or than the oracle in f32, an answer may lie.
+/// Factor by which a result's error may exceed its sensitivity, or the error of the oracle in f32.
 const SLACK: f64 = 32.0;
-/// How much of what blending's rounding can do to the splats' gradients may show in the Gaussians'.
+/// Factor for the propagation of rounding limits from the splats' gradients to the Gaussians'
+/// gradients.
 const REACH: f64 = 4.0;
-/// Kinds of answers that are pictures; the others are gradients.
+/// Number of result kinds that are images; the others are gradients.
 const PICTURES: usize = 2;
-/// Beyond this an f32 is close to its end, and products of it are over it.
+/// Products of values beyond this overflow f32.
 const LARGE: f64 = 1e18;
 
-/// A scene's answers, by kind, flat.
+/// The results of a scene, by kind, flattened.
 struct Answers<R> {
     kinds: Vec<(&'static str, Vec<R>)>,
     drawn: Vec<bool>,
 }
 
-/// What is wrong with the device's answer, in words; none if it is as it should be.
+/// A description of the error of the device's results; `None` if they are correct.
 ///
 /// # Errors
 /// A failed Vulkan call.
@@ -77,8 +80,8 @@ pub fn judge(device: &Device, stream: &mut Stream, scene: &FuzzScene) -> Result<
         let again = render::forward(&moved, &view, &settings);
         others.push(answers(&moved, &view, &settings, &again, &widen(&gradient), &skip));
     }
-    // Where a last place decides what is drawn at all, or f32 has left its range, only finiteness
-    // can be asked for.
+    // If one ulp decides which Gaussians are drawn, or if values leave the range of f32, only
+    // finiteness is required.
     if others.iter().any(|other| other.drawn != truth.drawn || !tame(other)) {
         return Ok(None);
     }
@@ -92,7 +95,8 @@ pub fn judge(device: &Device, stream: &mut Stream, scene: &FuzzScene) -> Result<
     );
     let mut rounding = [0.0f64; 6];
     for _ in 0..4 {
-        // Projection's backward pass is linear: signs at random, to see how far errors reach.
+        // The backward pass of projection is linear, so limits with random signs are propagated to
+        // estimate errors.
         let signed: Vec<_> = limits.iter().map(|limit| signed(limit, &mut rng)).collect();
         let (by, by_view) = project_backward(&cloud, &view, &settings, &rendered.splats, &signed);
         for (reach, values) in rounding.iter_mut().zip(gradients(by, by_view.twist)) {
@@ -103,8 +107,8 @@ pub fn judge(device: &Device, stream: &mut Stream, scene: &FuzzScene) -> Result<
     Ok(worst(&device, &truth, &others, &rounding, colour_hangs(&cloud, &view, &truth.drawn)))
 }
 
-/// Whether a colour lies so close to 0, where it is clamped and its gradient ends, that rounding
-/// decides.
+/// Whether a colour lies so close to 0, where it is clamped and its gradient vanishes, that
+/// rounding decides.
 fn colour_hangs(cloud: &Cloud<f64>, view: &View<f64>, drawn: &[bool]) -> bool {
     (0..cloud.len()).filter(|&i| drawn[i]).any(|i| {
         let sight = normalise(view.sight(cloud.positions[i]));
@@ -115,7 +119,7 @@ fn colour_hangs(cloud: &Cloud<f64>, view: &View<f64>, drawn: &[bool]) -> bool {
     })
 }
 
-/// Every component with a sign of its own.
+/// The limits with a random sign per component.
 fn signed(limit: &SplatGradient<f64>, rng: &mut ChaCha8Rng) -> SplatGradient<f64> {
     let mut turn = |v: f64| if rng.random() { v } else { -v };
     SplatGradient {
@@ -156,7 +160,7 @@ fn worst(
     None
 }
 
-/// Every number moved by about a last place.
+/// The scene with every number perturbed by about one ulp.
 fn nudged(cloud: &Cloud<f64>, rng: &mut ChaCha8Rng) -> Cloud<f64> {
     let mut out = cloud.clone();
     let mut nudge = |v: &mut f64| *v *= 1.0 + rng.random_range(-1.2e-7..1.2e-7);
@@ -168,7 +172,7 @@ fn nudged(cloud: &Cloud<f64>, rng: &mut ChaCha8Rng) -> Cloud<f64> {
     out
 }
 
-/// Image (where nothing hangs), depth, and all gradients.
+/// Image (in pixels without a close decision), depth, and all gradients.
 fn answers<R: Real>(
     cloud: &Cloud<R>,
     view: &View<R>,

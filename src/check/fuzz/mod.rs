@@ -1,10 +1,10 @@
-//! Small scenes at random, made of ordinary and of poisoned values, rendered and differentiated on the
-//! device and in the oracle.
+//! Fuzzing: small random scenes of ordinary and of extreme values, rendered and differentiated on
+//! the device and in the oracle.
 //!
-//! Whatever goes in, what comes out must be finite, and close to the oracle as far as f32 can be:
-//! each output's limit grows with how much the truth itself moves when the input does by a last place,
-//! and with the error of the oracle in f32. A scene that fails is shrunk ([`shrink`]) and can be
-//! written and read again ([`mod@file`]).
+//! For any input, the results must be finite and as close to the oracle as f32 allows: each
+//! output's limit grows with the change of the true value when the input changes by one ulp, and
+//! with the error of the oracle in f32. A failing scene is minimised ([`shrink`]) and can be
+//! written to a file and read again ([`mod@file`]).
 
 mod draw;
 pub mod file;
@@ -20,14 +20,14 @@ pub use draw::draw;
 pub use judge::judge;
 pub use shrink::shrink;
 
-/// What is rendered.
+/// A random scene to render.
 #[derive(Clone, Debug)]
 pub struct FuzzScene {
     /// A few Gaussians.
     pub gaussians: Gaussians,
     /// A camera with a small image.
     pub camera: Camera,
-    /// Decides the image's gradient.
+    /// Seed of the image's gradient.
     pub seed: u64,
 }
 
@@ -51,7 +51,7 @@ pub const CASES: &[Case] = &[
     Case { id: "fuzz/regressions", kernels: KERNELS, run: regressions },
 ];
 
-/// A taste of what `splat4d validate --fuzz` does at length.
+/// A short run of `splat4d validate --fuzz`.
 fn random(h: &mut Harness) -> Result<()> {
     let seed = rand::RngExt::random(&mut h.rng);
     for index in 0..150 {
@@ -63,7 +63,7 @@ fn random(h: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// Scenes that failed once.
+/// Scenes that failed in the past.
 fn regressions(h: &mut Harness) -> Result<()> {
     for (name, text) in regressions::ALL {
         let scene = file::parse(name, text)?;
@@ -74,19 +74,19 @@ fn regressions(h: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// A scene that failed, made small, and what was wrong with it.
+/// A failing scene, minimised, with a description of the failure.
 #[derive(Debug)]
 pub struct Failure {
-    /// Its number; with the seed, it gives the scene before shrinking.
+    /// Index of the scene; with the seed it gives the original scene.
     pub index: u64,
-    /// The small scene.
+    /// The minimised scene.
     pub scene: FuzzScene,
-    /// What was wrong with the small one.
+    /// Description of the failure of the minimised scene.
     pub what: String,
 }
 
-/// Judges the scenes `range` of a seed and gives the first that fails, shrunk. `watch` is told after
-/// each scene; an error from it ends the run.
+/// Checks the scenes `range` of a seed and returns the first that fails, minimised. `watch` is
+/// called after each scene; an error from it ends the run.
 ///
 /// # Errors
 /// A failed Vulkan call; whatever `watch` returns.

@@ -1,14 +1,15 @@
-//! Makes a failing scene small: fewer Gaussians, plainer numbers, as long as it still fails.
+//! Minimises a failing scene: it removes Gaussians and simplifies numbers as long as the scene
+//! still fails.
 
 use super::{FuzzScene, judge};
 use crate::error::Result;
 use crate::gpu::{Device, Stream};
 use crate::types::{Gaussians, Intrinsics, Pose, sh_coefficients};
 
-/// Scenes tried at most.
+/// Maximum number of scenes tried.
 const TRIALS: usize = 2000;
 
-/// The smallest scene found that still fails, and what is wrong with it.
+/// The smallest scene found that still fails, and the description of its failure.
 ///
 /// # Errors
 /// A failed Vulkan call; a scene that does not fail.
@@ -40,7 +41,7 @@ pub fn shrink(
     }
 }
 
-/// Every scene that is one step plainer, the boldest steps first.
+/// All scenes that are one step simpler, the largest steps first.
 fn candidates(scene: &FuzzScene) -> Vec<FuzzScene> {
     let mut out = Vec::new();
     let g = &scene.gaussians;

@@ -17,7 +17,8 @@
 //! the camera in the world, in units of 4 m; the focal length, in units of 4096 pixels of the frame; the
 //! quaternion and translation of the mover's motion, which carries its points at rest, in units of 4 m; 0.
 //!
-//! Rounding to 16 bits is diffused from pixel to pixel within a band, so that its mean is far more exact than one pixel.
+//! The error of rounding to 16 bits is diffused from pixel to pixel within a band, so that the mean of a band is
+//! far more accurate than a single pixel.
 
 use glam::{DMat3, DQuat, DVec3};
 

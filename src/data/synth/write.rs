@@ -28,21 +28,21 @@ const UNKNOWN_FLOW: f32 = 1e10;
 /// truth/flow_forward/0000.flo …   from frame i to i + 1, pixels; none for the last frame
 /// truth/flow_backward/0001.flo …  from frame i to i − 1, pixels; none for the first frame
 /// truth/visible_forward/0000.png, truth/visible_backward/0001.png …
-///                                 white where the flow ends on a point that is seen there
-/// truth/masks/0000.png …          white where something moves
-/// truth/tracks.npz                points through the clip (see [`tracks`](crate::data::tracks))
+///                                 white where the flow ends at a visible point
+/// truth/masks/0000.png …          white on movers
+/// truth/tracks.npz                point tracks (see [`tracks`](crate::data::tracks))
 /// truth/held_out/1/0000.png …, truth/held_out/2/0000.png …, truth/held_out/3/0000.png …
-///                                 from 8, 18 and 30 % of the median depth aside, every second time;
-///                                 the number is that of the frame
+///                                 views offset by 8, 18 and 30 % of the median depth, every second time;
+///                                 numbered like the frame
 /// truth/held_out/masks/1/0000.png …
-///                                 white where something moves
+///                                 white on movers
 /// truth/held_out/covisible/1/0000.png …
-///                                 white where some frame shows the static point, or something moves
+///                                 white where some frame shows the static point, and on movers
 /// truth/held_out/transforms.json  all of these cameras
 /// ```
 ///
 /// # Errors
-/// Those of [`check_new_folder`](crate::io::check_new_folder); [`Error::Io`] when the disk refuses.
+/// Those of [`check_new_folder`](crate::io::check_new_folder); [`Error::Io`] when writing fails.
 pub fn write(clip: &Clip, folder: impl AsRef<Path>) -> Result<()> {
     io::write_folder(folder.as_ref(), &["truth", "frames"], |whole| contents(clip, whole))
 }

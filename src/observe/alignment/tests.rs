@@ -29,7 +29,7 @@ struct World {
     /// Share of the points that are displaced, with low confidence.
     doubtful: f64,
     confidence: f32,
-    /// The last frame that is still requested.
+    /// First frame that may still be requested.
     forgotten: usize,
 }
 

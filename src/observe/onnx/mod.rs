@@ -7,7 +7,7 @@
 //! [depth]
 //! file = "depth_anything_v2_small.onnx"
 //!
-//! # Only for a model whose metadata has no contract of its own.
+//! # Only for a model whose metadata has no contract.
 //! [depth.contract]
 //! kind = "depth"
 //! version = 1
@@ -39,7 +39,7 @@
 //!
 //! An LPIPS network is not part of such a folder: [`LpipsNetwork::open`] takes its file.
 //!
-//! | module | what it holds |
+//! | module | contents |
 //! |---|---|
 //! | [`contract`] | a model's contract, checked against the model |
 //! | `depth`, `features`, `flow`, `mask`, `pointmap`, `lpips` | networks of each kind |

@@ -27,7 +27,7 @@ pub struct FlowEngine {
     stream: Stream,
     scratch: FlowScratch,
     pixels: Buffer<f32>,
-    /// Forward and backward: flow, guess, confidence.
+    /// Flow, guess and confidence, each for the forward and the backward direction.
     flows: [Buffer<[f32; 2]>; 2],
     guesses: [Buffer<[f32; 2]>; 2],
     confidences: [Buffer<f32>; 2],

@@ -19,7 +19,7 @@ const PATCH_TILE: [u32; 2] = [8, 4];
 
 /// Intermediate buffers of a pair; they can be reused for further pairs.
 pub struct FlowScratch {
-    /// Forward, backward.
+    /// The forward and the backward direction.
     directions: [Direction; 2],
 }
 
@@ -312,7 +312,7 @@ impl Flow {
                     },
                 )?;
             }
-            // Half the pixels of a row belong to a colour.
+            // Half of the pixels of a row belong to one colour of the red–black sweep.
             let half = Groups::grid(self.levels[l][0].div_ceil(2), self.levels[l][1], TILE);
             for half_sweep in 0..2 * s.sweeps {
                 for direction in &mut scratch.directions {

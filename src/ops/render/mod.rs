@@ -266,7 +266,7 @@ impl Render {
         self.intersections
     }
 
-    /// The constants of blending.
+    /// The settings of projection and blending.
     pub fn settings(&self) -> &RenderSettings {
         &self.settings
     }

@@ -1,9 +1,10 @@
-//! A scene as one page that plays it, written only: in any browser with WebGL 2, from a file as well, and
-//! nothing is loaded from elsewhere.
+//! Export of a scene as one self-contained HTML page that plays it, in any browser with WebGL 2.
+//! The page also works from a local file and loads nothing from elsewhere.
 //!
-//! The page holds the scene in its [`compact`] form, and a player, which `tools/player` builds: Spark on
-//! three.js, which sort and draw, and the skinning of what moves. The player moves control points by their
-//! paths; where a network moves them, paths are to take its place first.
+//! The page holds the scene in its [`compact`] form, and a player, which `tools/player` builds:
+//! Spark on three.js, which sort and draw the splats, and the skinning of dynamic Gaussians. The
+//! player supports control points with paths only; a deformation network must be replaced by paths
+//! first.
 
 use std::io::Write;
 use std::path::Path;
@@ -17,32 +18,32 @@ use crate::types::Camera;
 use crate::{Error, Result, io};
 
 const PAGE: &str = include_str!("page.html");
-/// What it shares with the viewer's page first.
+/// The style sheet; the part shared with the viewer's page comes first.
 const STYLE: &str = concat!(include_str!("../../view/page/base.css"), include_str!("style.css"));
 const UNPACK: &str = include_str!("unpack.js");
-/// What the player is made of, by others.
+/// The licences of third-party code in the player.
 const LICENCES: &str = include_str!("licences.txt");
-/// The player's script, through gzip.
+/// The player's script, gzip-compressed.
 const PLAYER: &[u8] = include_bytes!("player.js.gz");
-/// Spark's module that sorts, through gzip.
+/// Spark's sorting module, gzip-compressed.
 const SORTER: &[u8] = include_bytes!("sorter.wasm.gz");
-/// Most Gaussians of a page, which then has some 100 MB.
+/// Maximum number of Gaussians of a page; such a page has about 100 MB.
 pub const MOST_GAUSSIANS: usize = 1 << 22;
 
-/// How a page begins.
+/// The initial state of a page.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Opening {
     /// The page's title.
     pub title: String,
-    /// Where the viewer stands, and its lens.
+    /// The initial camera of the viewer.
     pub start: Camera,
-    /// From there to what it looks at, in the scene's units.
+    /// Distance from the camera to the orbit centre, scene units.
     pub distance: f64,
     /// The time, in [0, 1].
     pub time: f64,
 }
 
-/// Writes a page by rename. The same scene and opening give the same bytes.
+/// Writes a page, atomically by rename. The output is deterministic.
 ///
 /// # Errors
 /// [`Error::Input`] for a scene that a network moves, and for more than [`MOST_GAUSSIANS`]; else as for
@@ -64,7 +65,8 @@ pub fn write(path: impl AsRef<Path>, scene: &Scene, opening: &Opening) -> Result
 }
 
 fn page(scene: &Scene, opening: &Opening) -> Result<String> {
-    // The player has no use for it, and it may tell of the machine that the scene was made on.
+    // The report is left out: the player does not use it, and it may describe the machine that made
+    // the scene.
     let scene = Scene { report: Value::Null, ..scene.clone() };
     let about = json!({
         "start": camera(&opening.start),
@@ -85,7 +87,7 @@ fn page(scene: &Scene, opening: &Opening) -> Result<String> {
     Ok(filled(PAGE, &parts))
 }
 
-/// The template with its parts; what a part holds is not looked at again.
+/// Fills the placeholders of the template; placeholders inside inserted parts are not replaced.
 fn filled(template: &str, parts: &[(&str, String)]) -> String {
     let mut out = String::new();
     let mut rest = template;
@@ -99,7 +101,7 @@ fn filled(template: &str, parts: &[(&str, String)]) -> String {
     out + rest
 }
 
-/// As the player and the viewer know a camera.
+/// A camera as JSON for the player and the viewer.
 fn camera(camera: &Camera) -> Value {
     let (k, pose) = (&camera.intrinsics, &camera.view_from_world);
     let (q, t) = (pose.rotation, pose.translation);
@@ -138,7 +140,8 @@ mod tests {
         assert!(page.contains("<title>&lt;/title&gt;&lt;script&gt;{{scene}} &amp; more</title>"));
         assert!(page.contains(&STANDARD.encode(PLAYER)) && page.contains(&STANDARD.encode(SORTER)));
         assert_eq!(page, super::page(&Scene::default(), &opening).unwrap(), "the same bytes");
-        // The licences stand in a comment, scripts and style in elements.
+        // The licences are inside a comment, scripts and style inside elements, so they must not
+        // contain the closing tags.
         assert!(!LICENCES.contains("-->") && !UNPACK.contains("</") && !STYLE.contains("</"));
         for name in ["three 0", "@sparkjsdev/spark", "fflate", "fzstd"] {
             assert!(LICENCES.contains(name) && page.contains(name), "{name}");

@@ -1,31 +1,33 @@
-//! The arrays of a file, and Gaussians of them.
+//! The attribute arrays of an SPZ file, and their conversion from and to Gaussians.
 
 use super::further;
 use crate::scene::axes::Axes;
 use crate::scene::packing;
 use crate::types::{Gaussians, sh_coefficients};
 
-/// Colours of the constant harmonic are told in this unit, so that those beyond [0, 1] fit.
+/// Scale of the constant harmonic's colour in 8 bits; it leaves a margin for colours outside [0,
+/// 1].
 const COLOUR: f32 = 0.15;
-/// Largest number of 23 bits.
+/// Largest magnitude of a 24-bit fixed-point coordinate.
 const FARTHEST: f32 = 8_388_607.0;
-/// Steps of a position in a Gaussian.
+/// Quantisation steps of a position per size of a small Gaussian.
 const STEPS: f32 = 64.0;
-/// Bits of the first band's harmonics, and of the others', as the format's own library has them.
+/// Bits of the first band's harmonics and of the others, as in the reference library.
 const BITS: [u32; 2] = [5, 4];
-/// Largest size of a part of a quaternion that is not its largest, in 9 bits.
+/// Largest 9-bit magnitude of a quaternion component that is not the largest one.
 const PART: f32 = 511.0;
 
-/// Bytes of a Gaussian in each array.
+/// Bytes per Gaussian in each array.
 pub(super) fn sizes(rotation: usize, sh_degree: u32) -> [usize; 6] {
     [9, 1, 3, 3, rotation, 3 * further(sh_degree)]
 }
 
-/// Positions, opacities, colours, scales, rotations, harmonics.
+/// The arrays: positions, opacities, colours, scales, rotations, harmonics.
 pub(super) struct Arrays(pub [Vec<u8>; 6]);
 
-/// Bits of fraction that resolve the smaller Gaussians of a scene, as far as all but one in a thousand
-/// of their positions fit; and which ones fit.
+/// The number of fraction bits for positions, and the indices of the Gaussians that fit. The bits
+/// resolve the smaller Gaussians of the scene, but are limited so that at most one position in a
+/// thousand is out of range.
 pub(super) fn fraction(g: &Gaussians) -> (u8, Vec<u32>) {
     let largest = |s: &[f32; 3]| s[0].max(s[1]).max(s[2]);
     let mut sizes: Vec<f32> = g.log_scales.iter().map(largest).collect();
@@ -48,7 +50,7 @@ pub(super) fn fraction(g: &Gaussians) -> (u8, Vec<u32>) {
 }
 
 impl Arrays {
-    /// The arrays of Gaussians, none of which lies too far out.
+    /// The arrays of Gaussians whose positions are all in range.
     pub fn of(g: &Gaussians, fraction: u8) -> Arrays {
         let (axes, bands) = (Axes::default(), sh_coefficients(g.sh_degree));
         let unit = f32::from(fraction).exp2();
@@ -74,7 +76,7 @@ impl Arrays {
         Arrays(arrays)
     }
 
-    /// The Gaussians of arrays of the right sizes.
+    /// The Gaussians of the arrays, whose sizes must be correct.
     pub fn gaussians(&self, count: usize, sh_degree: u32, fraction: u8, axes: Axes) -> Gaussians {
         let [positions, opacities, colours, scales, rotations, harmonics] = &self.0;
         let mut out = Gaussians { sh_degree, ..Gaussians::default() };
@@ -111,14 +113,14 @@ impl Arrays {
     }
 }
 
-/// A harmonic in 8 bits, in the middle of its bucket; 0 stays 0.
+/// A harmonic quantised to 8 bits, at the centre of its bucket; 0 stays 0.
 fn bucket(value: f32, step: i32) -> u8 {
     let whole = (value * 128.0).round().clamp(-1e6, 1e6) as i32 + 128;
     ((whole + step / 2).div_euclid(step) * step).clamp(0, 255) as u8
 }
 
-/// The place of the largest part in the order x, y, z, w (2 bits), then the three others: a sign and 9
-/// bits each, from the highest on.
+/// Packs a quaternion from the highest bit on: the index of the largest component in the order x,
+/// y, z, w (2 bits), then the three others with a sign and 9 bits each.
 fn packed([w, x, y, z]: [f32; 4]) -> u32 {
     let (largest, q) = packing::largest([x, y, z, w]);
     (0..4).filter(|&c| c != largest).fold(largest as u32, |word, c| {

@@ -1,6 +1,7 @@
-//! Gaussians as SPZ, the format of Niantic's `spz` library: about a tenth of a PLY.
+//! The SPZ format of Niantic's `spz` library: about a tenth of the size of a PLY.
 //!
-//! Each attribute is an array of its own, in this order: positions (24-bit fixed point), opacities,
+//! Each attribute is stored as a separate array, in this order: positions (24-bit fixed point),
+//! opacities,
 //! colours, logarithms of scales (in sixteenths from −10 on), rotations, and spherical harmonics above
 //! the constant (128 + 128 h), all in bytes. Versions 2 and 3 put the arrays behind a header of 16 bytes
 //! into one gzip stream; version 4 has a plain header of 32 bytes, records of extensions, a table of
@@ -8,9 +9,9 @@
 //! are right, down, front.
 //!
 //! Versions 2, 3 and 4 are read, 3 and 4 written. In version 4 the motion of a scene goes into an
-//! extension ([`MOTION`]), which other readers skip; they see the moment that the Gaussians were
-//! written at. An extension for other axes (Adobe's) is honoured; whether a file was trained with
-//! antialiasing is not told by this crate's scenes, and passed over.
+//! extension ([`MOTION`]), which other readers skip; they show the Gaussians at the time for which
+//! they were written. Adobe's extension for other axes is supported. The antialiasing flag is
+//! ignored, since this crate's scenes have no such property.
 //!
 //! Source: github.com/nianticlabs/spz, its README and its extensions/README.md of July 2026.
 
@@ -37,20 +38,20 @@ pub use motion::MOTION;
 const MAGIC: &[u8; 4] = b"NGSP";
 /// The first two bytes of gzip.
 const GZIP: [u8; 2] = [0x1f, 0x8b];
-/// The flag that says that extensions follow.
+/// The header flag for extensions.
 const EXTENDED: u8 = 2;
-/// Adobe's extension for axes.
+/// Type of Adobe's extension for axes.
 const COORDINATES: u32 = 0xadbe_0003;
-/// Bytes of version 4's header.
+/// Size of version 4's header, bytes.
 const HEADER: usize = 32;
-/// Most bytes behind the arrays of version 3: extensions.
+/// Maximum number of bytes after the arrays of version 3, for extensions.
 const MOST_BEHIND: u64 = 1 << 20;
-/// Most Gaussians of a file, as of the format's own library.
+/// Maximum number of Gaussians in a file, as in the reference library.
 const MOST: u32 = i32::MAX as u32;
-/// zstd's effort: that of the format's own library is 1 to 12, by its build.
+/// zstd compression level; the reference library uses 1 to 12, depending on its build.
 const EFFORT: i32 = 12;
 
-/// What is written.
+/// The version to write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Version {
     /// One gzip stream.
@@ -59,22 +60,22 @@ pub enum Version {
     V4,
 }
 
-/// Whether a file begins as an SPZ does.
+/// Whether the bytes begin like an SPZ file.
 pub(super) fn is_spz(bytes: &[u8]) -> bool {
     bytes.starts_with(MAGIC) || bytes.starts_with(&GZIP)
 }
 
-/// Reads Gaussians and, where the file holds it, their motion.
+/// Reads Gaussians and, if the file holds it, their motion.
 ///
 /// # Errors
-/// The file is none, is cut off or damaged, is of another version or of a higher degree than 3, or holds
-/// values out of range ([`Gaussians::check`]) and `drop_bad` is false.
+/// The file is not an SPZ, is truncated or damaged, is of another version or of a degree above 3,
+/// or holds values out of range ([`Gaussians::check`]) and `drop_bad` is false.
 pub fn read(path: impl AsRef<Path>, drop_bad: bool) -> Result<Opened> {
     let path = path.as_ref();
     parse(path, &io::read(path)?, drop_bad)
 }
 
-/// [`read`] on bytes; `path` is for the messages.
+/// [`read`] from bytes; `path` is used in error messages.
 pub(super) fn parse(path: &Path, bytes: &[u8], drop_bad: bool) -> Result<Opened> {
     let (mut gaussians, motion) = match bytes.starts_with(&GZIP) {
         true => (one_stream(path, bytes)?, None),
@@ -89,7 +90,7 @@ pub(super) fn parse(path: &Path, bytes: &[u8], drop_bad: bool) -> Result<Opened>
     }
 }
 
-/// What both headers tell.
+/// The fields that the headers of all versions have.
 struct Header {
     version: u32,
     count: usize,
@@ -121,14 +122,14 @@ impl Header {
         Ok(Header { version, count, sh_degree, fraction, flags })
     }
 
-    /// Bytes of each array.
+    /// Size of each array, bytes.
     fn sizes(&self) -> [usize; 6] {
         let rotation = if self.version == 2 { 3 } else { 4 };
         layout::sizes(rotation, self.sh_degree).map(|size| size * self.count)
     }
 }
 
-/// Versions 2 and 3.
+/// Reads versions 2 and 3: one gzip stream.
 fn one_stream(path: &Path, bytes: &[u8]) -> Result<Gaussians> {
     let broken = |e: std::io::Error| packing::unpacking(path, "its gzip stream", &e);
     let mut unpacked = GzDecoder::new(bytes);
@@ -144,7 +145,7 @@ fn one_stream(path: &Path, bytes: &[u8]) -> Result<Gaussians> {
     packing::check_room(path, total as u64, bytes.len())?;
     let mut arrays = vec![0; total];
     unpacked.read_exact(&mut arrays).map_err(broken)?;
-    // To the end, where the checksum stands.
+    // Read to the end, so that the gzip checksum is verified.
     let behind = std::io::copy(&mut unpacked.take(MOST_BEHIND + 1), &mut std::io::sink());
     if behind.map_err(broken)? > MOST_BEHIND {
         return Err(Error::format(path, "has more behind its arrays than its header announces"));
@@ -154,7 +155,7 @@ fn one_stream(path: &Path, bytes: &[u8]) -> Result<Gaussians> {
     Ok(Arrays(arrays).gaussians(header.count, header.sh_degree, header.fraction, Axes::default()))
 }
 
-/// Version 4: the Gaussians, and the payload of the extension for motion.
+/// Reads version 4: the Gaussians, and the payload of the motion extension.
 fn streams<'a>(path: &'a Path, bytes: &'a [u8]) -> Result<(Gaussians, Option<&'a [u8]>)> {
     let bad = |what: String| Error::format(path, what);
     let mut at = Bytes::new(path, bytes);
@@ -172,7 +173,7 @@ fn streams<'a>(path: &'a Path, bytes: &'a [u8]) -> Result<(Gaussians, Option<&'a
     }
     let zone = at.take(table - HEADER, "the extensions")?;
     let sizes = header.sizes();
-    // An array without bytes has no stream.
+    // An empty array has no stream.
     let filled = sizes.iter().filter(|size| **size > 0).count();
     if usize::from(streams) != filled {
         return Err(bad(format!("has {streams} streams; its Gaussians need {filled}")));
@@ -203,7 +204,7 @@ fn streams<'a>(path: &'a Path, bytes: &'a [u8]) -> Result<(Gaussians, Option<&'a
     Ok((arrays.gaussians(header.count, header.sh_degree, header.fraction, axes), motion))
 }
 
-/// The extensions that this crate knows; others are passed over.
+/// Reads the extensions that this crate supports and skips others.
 fn extensions<'a>(path: &'a Path, zone: &'a [u8]) -> Result<(Axes, Option<&'a [u8]>)> {
     let (mut axes, mut motion) = (Axes::default(), None);
     let mut at = Bytes::new(path, zone);
@@ -220,11 +221,11 @@ fn extensions<'a>(path: &'a Path, zone: &'a [u8]) -> Result<(Axes, Option<&'a [u
     Ok((axes, motion))
 }
 
-/// Writes Gaussians by rename, and says how many: those that lie too far out for the format's 24 bits
-/// are left out, at most one in a thousand.
+/// Writes Gaussians, atomically by rename, and returns their number. Gaussians out of range of the
+/// 24-bit coordinates are left out, at most one in a thousand.
 ///
 /// # Errors
-/// [`Error::Shape`] where arrays differ in length; [`Error::Input`] without Gaussians; [`Error::Io`].
+/// [`Error::Shape`] if arrays differ in length; [`Error::Input`] without Gaussians; [`Error::Io`].
 pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians, version: Version) -> Result<usize> {
     super::file::check_lengths(gaussians)?;
     let (bytes, count) = encoded(gaussians, version, &[])?;
@@ -232,11 +233,12 @@ pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians, version: Version) ->
     Ok(count)
 }
 
-/// Writes a moving scene by rename, in version 4, and says how many Gaussians: `posed`, the scene's at
-/// some moment, is what other readers see; the scene's motion goes into an extension.
+/// Writes a dynamic scene in version 4, atomically by rename, and returns the number of Gaussians.
+/// `posed` holds the scene's Gaussians at one time, which other readers show; the motion goes into
+/// an extension.
 ///
 /// # Errors
-/// As for [`write()`]; [`Error::Shape`] where `posed` is not of as many Gaussians as the scene.
+/// As for [`write()`]; [`Error::Shape`] if `posed` has another number of Gaussians than the scene.
 pub fn write_moving(path: impl AsRef<Path>, scene: &Scene, posed: &Gaussians) -> Result<usize> {
     let (gaussians, extension) = motion::split(scene, posed)?;
     let (bytes, count) = encoded(&gaussians, Version::V4, &extension)?;
@@ -251,7 +253,7 @@ pub fn write_moving(path: impl AsRef<Path>, scene: &Scene, posed: &Gaussians) ->
     Ok(count)
 }
 
-/// A whole file, and how many Gaussians are in it.
+/// The bytes of a file, and the number of Gaussians in it.
 pub(super) fn encoded(
     gaussians: &Gaussians,
     version: Version,
@@ -292,7 +294,7 @@ pub(super) fn encoded(
     Ok((bytes, gaussians.len()))
 }
 
-/// Coefficients above the constant.
+/// Number of coefficients above the constant, per channel.
 fn further(sh_degree: u32) -> usize {
     sh_coefficients(sh_degree) - 1
 }

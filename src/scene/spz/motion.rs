@@ -1,10 +1,11 @@
 //! The extension of an SPZ file that holds a scene's motion.
 //!
-//! Its payload: a `u32` of its own version, 1; a `u32`, how many of the file's last Gaussians move; a
-//! `u64`, a number of bytes; and a zstd stream that unpacks to them. They are a scene's own file
-//! ([`mod@crate::scene::file`]) in its compact form: its Gaussians are those that move, in the same order,
-//! in the canonical frame, of which position, rotation, opacity and motion count; control points, their
-//! paths or the network, cameras and settings are the scene's.
+//! The payload is: a `u32` with the version of the payload, 1; a `u32` with the number of dynamic
+//! Gaussians, which are the last ones of the file; a `u64` with the unpacked size in bytes; and a
+//! zstd stream. The stream unpacks to a native scene file ([`mod@crate::scene::file`]) in its
+//! compact form. It holds the dynamic Gaussians in the same order, in the canonical frame; of
+//! these, position, rotation, opacity and motion are used. It also holds the scene's control
+//! points, their paths or the network, cameras and settings.
 
 use std::path::Path;
 
@@ -14,14 +15,14 @@ use crate::scene::{Opened, Scene, compact, file, packing, without_bad};
 use crate::types::Gaussians;
 use crate::{Error, Result};
 
-/// The extension's type: the vendor's number `S4` and 1.
+/// The type of the extension: the vendor number `S4`, and 1.
 pub const MOTION: u32 = 0x5334_0001;
 /// The payload's version.
 const VERSION: u32 = 1;
-/// The motion logit of a Gaussian that stands still.
+/// The motion logit of a static Gaussian.
 const STILL: f32 = -10.0;
 
-/// The Gaussians to write, those that move last, and the record of the extension.
+/// The Gaussians to write, with the dynamic ones last, and the record of the extension.
 pub(super) fn split(scene: &Scene, posed: &Gaussians) -> Result<(Gaussians, Vec<u8>)> {
     file::check_lengths(posed)?;
     let (g, n) = (&scene.gaussians, scene.gaussians.len());
@@ -31,12 +32,12 @@ pub(super) fn split(scene: &Scene, posed: &Gaussians) -> Result<(Gaussians, Vec<
     }
     let moves = |i: &u32| g.motion_logits.get(*i as usize).is_some_and(|m| *m > 0.0);
     let (movers, still): (Vec<u32>, Vec<u32>) = (0..n as u32).partition(moves);
-    // The order that the compact form has.
+    // The order of the compact form.
     let places: Vec<[f32; 3]> = movers.iter().map(|&i| g.positions[i as usize]).collect();
     let along = packing::morton_order(&places);
     let movers: Vec<u32> = along.into_iter().map(|k| movers[k as usize]).collect();
     let mut moving = packing::picked(g, &movers);
-    // Colours are in the file already.
+    // The file itself holds the colours.
     moving.sh_degree = 0;
     moving.sh = vec![[0.0; 3]; movers.len()];
     let motion = Scene { gaussians: moving, ..scene.clone() };
@@ -56,7 +57,7 @@ pub(super) fn split(scene: &Scene, posed: &Gaussians) -> Result<(Gaussians, Vec<
     Ok((packing::picked(&posed, &[still, movers].concat()), record))
 }
 
-/// The scene of a file's Gaussians and an extension's payload.
+/// Restores the scene from a file's Gaussians and the payload of the extension.
 pub(super) fn restored(
     path: &Path,
     mut gaussians: Gaussians,

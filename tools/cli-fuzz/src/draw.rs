@@ -78,6 +78,7 @@ const BASES: [&str; 41] = [
     "bench --quick --filter scan --report >report",
     "bench cmp <measurements> <measurements>",
     "validate --quick --filter scan",
+    "validate --filter scan --junit >validate.xml",
     "validate --fuzz 2",
     "validate --case <case>",
     "completions zsh",
