@@ -1,7 +1,7 @@
 //! splat4d: a Vulkan compute engine that turns one ordinary video of a moving scene, camera poses
 //! unknown, into a 4D Gaussian-splat scene that renders in real time.
 //!
-//! # The way of the data
+//! # Data flow
 //!
 //! ```text
 //! video ─> observe ─> track ─> seed ─> train ─> scene ─> render · evaluate
@@ -63,6 +63,28 @@
 //!
 //! Those of [`types`]. The working precision of the device is f32; the oracle in f64 is the truth.
 //! Nothing adds floats atomically, so that the same input, device and driver give the same bits.
+//!
+//! # Glossary
+//!
+//! | term | meaning |
+//! |---|---|
+//! | frame | one time step of the input clip, with its image and camera |
+//! | training view | a posed image that is trained on ([`train::TrainingView`]) |
+//! | splat | a Gaussian after projection into one image |
+//! | intersection, pair | one (splat, tile) entry of the binning |
+//! | capacity | how many elements the buffers hold; a frame that needs more is repeated with a larger capacity |
+//! | control point, node | a point with a path of rigid motions that the Gaussians near it follow (linear blend skinning); `node` in identifiers |
+//! | mover | an object that moves relative to the static world |
+//! | scaffold | the tracks of the control points through all frames, before training |
+//! | lifting | finding the depth of a tracked 2D point |
+//! | background plate | what a frame would show without movers |
+//! | offset view | a render target seen from a camera beside the input's path, made from the input's frames and depth |
+//! | seed | the first Gaussians, before training |
+//! | oracle | the CPU reference in f64 that defines the correct result |
+//! | twin | the CPU implementation of one kernel, generic over f32 and f64 |
+//! | case | one test of a kernel or pipeline against its oracle, which tests and `validate` run |
+//! | rehearsal | running the planning code without device memory, to find how much it would take |
+//! | scalar tail | the elements left over after the last whole vector load |
 //!
 //! # Example
 //!

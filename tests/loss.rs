@@ -44,7 +44,7 @@ fn sizes_that_differ_are_named() {
     assert_eq!(error((8, 4), 32), Ok(()));
     assert_eq!(
         error((8, 5), 32).unwrap_err(),
-        "loss: photograph has 40 elements, expected 8×4 pixels"
+        "loss: reference has 40 elements, expected 8×4 pixels"
     );
     assert_eq!(
         error((8, 4), 31).unwrap_err(),
@@ -52,5 +52,5 @@ fn sizes_that_differ_are_named() {
     );
     let weights = Image::new(8, 3, 1);
     let error = Reference::new(&device, &Image::new(8, 4, 3), Some(&weights)).err().unwrap();
-    assert_eq!(error.to_string(), "photograph: weights has 24 elements, expected 32");
+    assert_eq!(error.to_string(), "reference: weights has 24 elements, expected 32");
 }

@@ -343,7 +343,7 @@ fn whole_runs_are_foreseen_at_their_largest() {
     assert!(moving > still, "{moving}, {still}");
     let sequence = SequenceSettings { max_gaussians: 3000, ..Default::default() };
     let of = |frames| sequence.scale(frames, (64, 48)).footprint(&device).unwrap().bytes;
-    // A photograph, disparity and mask: 4, 8 and 4 bytes a pixel. A key time of the paths: parameters,
+    // A reference image, disparity and mask: 4, 8 and 4 bytes a pixel. A key time of the paths: parameters,
     // gradients and two moments, at a revision those of the next ones too, and what is read back.
     let key = 9 * 32 * sequence.control_points as u64;
     // Pictures from aside, which have no mask: twelve for ten frames, of which three are in a round.

@@ -1,4 +1,5 @@
-//! What every function of the interface does: errors, panics, handles, structures that grow.
+//! Shared parts of all functions of the interface: errors, panics, handles, and extensible
+//! structures.
 
 use crate::Error;
 use std::cell::RefCell;
@@ -6,42 +7,42 @@ use std::ffi::{CStr, CString, c_char};
 use std::mem::MaybeUninit;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-/// What a call returns.
+/// The result code of a call.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum splat4d_result {
-    /// Done.
+    /// Success.
     SPLAT4D_OK = 0,
-    /// A pointer or handle that must be there is null, or a pointer is not aligned.
+    /// A required pointer or handle is null, or a pointer is not aligned.
     SPLAT4D_ERROR_POINTER = 1,
     /// A structure's struct_size is not set, or the structure has fields set that this library does
     /// not know.
     SPLAT4D_ERROR_STRUCT_SIZE = 2,
-    /// An argument cannot be worked with.
+    /// An argument is invalid.
     SPLAT4D_ERROR_INPUT = 3,
-    /// An array or a buffer is too short, or lengths do not fit together.
+    /// An array or a buffer is too short, or lengths are inconsistent.
     SPLAT4D_ERROR_SHAPE = 4,
     /// A buffer is larger than one binding of the device may be.
     SPLAT4D_ERROR_RANGE_LIMIT = 5,
-    /// No Vulkan loader, no driver, or no device that fits.
+    /// There is no Vulkan loader, no driver, or no device that fits the request.
     SPLAT4D_ERROR_NO_DEVICE = 6,
     /// The device, or the library as it was built, lacks something.
     SPLAT4D_ERROR_UNSUPPORTED = 7,
     /// Device memory ran out.
     SPLAT4D_ERROR_OUT_OF_MEMORY = 8,
-    /// The device was lost: only destroying is left.
+    /// The device was lost: handles can only be destroyed.
     SPLAT4D_ERROR_DEVICE_LOST = 9,
     /// A Vulkan call failed.
     SPLAT4D_ERROR_VULKAN = 10,
     /// A file could not be read or written.
     SPLAT4D_ERROR_IO = 11,
-    /// A file holds something else than its format says.
+    /// The content of a file violates its format.
     SPLAT4D_ERROR_FORMAT = 12,
-    /// No result could be reached.
+    /// The method did not find a result.
     SPLAT4D_ERROR_FAILED = 13,
     /// The program was compiled for another binary interface.
     SPLAT4D_ERROR_VERSION = 14,
-    /// A bug of the library's: only destroying is left for the handles of the call.
+    /// A bug of the library: the handles of the call can only be destroyed.
     SPLAT4D_ERROR_INTERNAL = 15,
 }
 
@@ -95,8 +96,8 @@ thread_local! {
     static LAST: RefCell<CString> = RefCell::default();
 }
 
-/// Runs the body of a function: an error or a panic becomes a code, and its message this thread's
-/// last.
+/// Runs the body of a function: an error or a panic becomes a result code, and its message becomes
+/// the last error of this thread.
 pub(super) fn call(body: impl FnOnce() -> Outcome) -> splat4d_result {
     let fault = match catch_unwind(AssertUnwindSafe(body)) {
         Ok(Ok(())) => return SPLAT4D_OK,
@@ -108,31 +109,34 @@ pub(super) fn call(body: impl FnOnce() -> Outcome) -> splat4d_result {
                 _ => "no message",
             };
             let message = format!("a bug in splat4d, please report it: {what}");
-            // A payload may panic when it is dropped, ours does not: but whose it is nobody knows.
+            // The payload is leaked, since dropping an unknown payload may panic.
             std::mem::forget(panic);
             fault(SPLAT4D_ERROR_INTERNAL, message)
         }
     };
     let text = CString::new(fault.message.replace('\0', "\u{fffd}")).unwrap_or_default();
-    // None is left on a thread that is ending.
+    // A thread that is ending has no thread-local storage left.
     let _ = LAST.try_with(|last| *last.borrow_mut() = text);
     fault.code
 }
 
-/// The message of the last call on this thread that failed; empty before the first. UTF-8, owned by
-/// the library, valid until the next call on this thread fails. A call that succeeds leaves it.
+/// The message of the last failed call on this thread; empty before the first. It is UTF-8, owned
+/// by the library, and valid until the next call on this thread fails. A call that succeeds does
+/// not change it.
 #[unsafe(no_mangle)]
 pub extern "C" fn splat4d_last_error() -> *const c_char {
     LAST.try_with(|last| last.borrow().as_ptr()).unwrap_or(c"".as_ptr())
 }
 
-/// Gives a handle away. To be called last in a body: what fails behind it would leak.
+/// Returns a handle to the host. It must be the last step of a body, since a later failure would
+/// leak the handle.
 pub(super) unsafe fn give<T>(to: *mut *mut T, value: T) {
     // SAFETY: `claim` has looked at the pointer.
     unsafe { to.write(Box::into_raw(Box::new(value))) };
 }
 
-/// Looks at where a handle goes, and puts null there, so that a failure leaves no stale handle.
+/// Checks the output pointer of a handle and writes null to it, so that a failure leaves no stale
+/// handle.
 pub(super) unsafe fn claim<T>(what: &str, to: *mut *mut T) -> Outcome {
     check_pointer(what, to)?;
     // SAFETY: not null, aligned, and the host's promise.
@@ -140,14 +144,14 @@ pub(super) unsafe fn claim<T>(what: &str, to: *mut *mut T) -> Outcome {
     Ok(())
 }
 
-/// Takes a handle back, which is gone from here on.
+/// Takes ownership of a handle, which is invalid afterwards.
 pub(super) unsafe fn take<T>(what: &str, handle: *mut T) -> Outcome<T> {
     check_pointer(what, handle)?;
     // SAFETY: `give` made it, by the host's promise.
     Ok(*unsafe { Box::from_raw(handle) })
 }
 
-/// Drops a handle; null is fine.
+/// Drops a handle; null is allowed.
 pub(super) unsafe fn destroy<T>(handle: *mut T) {
     call(|| match handle.is_null() {
         true => Ok(()),
@@ -156,14 +160,14 @@ pub(super) unsafe fn destroy<T>(handle: *mut T) {
     });
 }
 
-/// What a handle or a pointer points at, to read.
+/// A shared reference to the target of a handle or a pointer.
 pub(super) unsafe fn shared<'a, T>(what: &str, at: *const T) -> Outcome<&'a T> {
     check_pointer(what, at)?;
     // SAFETY: not null, aligned, and the host's promise.
     Ok(unsafe { &*at })
 }
 
-/// What a handle points at, to change.
+/// An exclusive reference to the target of a handle.
 pub(super) unsafe fn exclusive<'a, T>(what: &str, at: *mut T) -> Outcome<&'a mut T> {
     check_pointer(what, at)?;
     // SAFETY: not null, aligned, and the host's promise.
@@ -181,7 +185,7 @@ fn check_pointer<T>(what: &str, at: *const T) -> Outcome {
     }
 }
 
-/// An array of a host's; null is fine where it has no elements.
+/// An array of the host; null is allowed for zero elements.
 pub(super) unsafe fn array<'a, T>(what: &str, at: *const T, len: usize) -> Outcome<&'a [T]> {
     if len == 0 {
         return Ok(&[]);
@@ -192,7 +196,7 @@ pub(super) unsafe fn array<'a, T>(what: &str, at: *const T, len: usize) -> Outco
     Ok(unsafe { std::slice::from_raw_parts(at, len) })
 }
 
-/// An array of a host's, to write.
+/// An array of the host, to write.
 pub(super) unsafe fn array_mut<'a, T>(what: &str, at: *mut T, len: usize) -> Outcome<&'a mut [T]> {
     if len == 0 {
         return Ok(&mut []);
@@ -210,7 +214,7 @@ fn check_length<T>(what: &str, len: usize) -> Outcome {
     }
 }
 
-/// A text of a host's.
+/// A text of the host.
 pub(super) unsafe fn text<'a>(what: &str, at: *const c_char) -> Outcome<&'a str> {
     check_pointer(what, at)?;
     // SAFETY: not null; it ends with a zero, by the host's promise.
@@ -218,7 +222,7 @@ pub(super) unsafe fn text<'a>(what: &str, at: *const c_char) -> Outcome<&'a str>
     text.to_str().map_err(|_| input(format!("{what} is not UTF-8")))
 }
 
-/// Writes as much of a text as fits, with a zero behind it, and how long all of it is.
+/// Writes as much of a text as fits, zero-terminated, and the length of the whole text.
 pub(super) unsafe fn write_text(
     value: &str,
     to: *mut c_char,
@@ -244,8 +248,8 @@ pub(super) unsafe fn write_text(
     Ok(())
 }
 
-/// A structure that begins with its size and may get more fields at its end, for which zero is the
-/// default.
+/// An extensible structure: it begins with its size and may get more fields at its end, whose
+/// default is zero.
 ///
 /// # Safety
 /// `repr(C)`, the first field is `struct_size: usize`, and any fields of zeros are valid.
@@ -254,7 +258,7 @@ pub(super) unsafe trait Grows: Copy {
     const FIRST: usize;
 }
 
-/// Declares that a structure grows, by its last field in the first version.
+/// Declares an extensible structure, by its last field in the first version.
 macro_rules! grows {
     ($name:ident, $last:ident: $kind:ty) => {
         // SAFETY: `repr(C)`, begins with its size, and made of numbers, pointers, handles and
@@ -266,11 +270,11 @@ macro_rules! grows {
 }
 pub(super) use grows;
 
-/// No structure has ever been as large: the size was not set.
+/// No structure is as large; a larger size means that the size was not set.
 const LARGEST: usize = 1 << 16;
 
-/// How large a host's structure is, by its own word; also to look at one that is to be filled before
-/// the work whose result it gets.
+/// The size of a host's structure as the host states it. It also serves to check an output
+/// structure before the work whose result it gets.
 pub(super) unsafe fn size_of_host<T: Grows>(what: &str, at: *const T) -> Outcome<usize> {
     check_pointer(what, at)?;
     // SAFETY: a structure that grows begins with its size.
@@ -284,7 +288,7 @@ pub(super) unsafe fn size_of_host<T: Grows>(what: &str, at: *const T) -> Outcome
     }
 }
 
-/// A host's structure; what an older host does not have is zero.
+/// Reads a host's structure; fields that an older host does not have are zero.
 pub(super) unsafe fn read<T: Grows>(what: &str, from: *const T) -> Outcome<T> {
     // SAFETY: the host's promise.
     let size = unsafe { size_of_host(what, from) }?;
@@ -304,7 +308,7 @@ pub(super) unsafe fn read<T: Grows>(what: &str, from: *const T) -> Outcome<T> {
     Ok(value)
 }
 
-/// The same where null stands for all defaults.
+/// [`read`] with null for all defaults.
 pub(super) unsafe fn read_or_zero<T: Grows>(what: &str, from: *const T) -> Outcome<T> {
     match from.is_null() {
         // SAFETY: zeros are valid.
@@ -314,7 +318,7 @@ pub(super) unsafe fn read_or_zero<T: Grows>(what: &str, from: *const T) -> Outco
     }
 }
 
-/// Fills a host's structure, as far as it goes; its size stays.
+/// Writes a host's structure up to its size; `struct_size` stays unchanged.
 pub(super) unsafe fn write<T: Grows>(what: &str, to: *mut T, value: T) -> Outcome {
     // SAFETY: the host's promise.
     let size = unsafe { size_of_host(what, to) }?;

@@ -1,4 +1,4 @@
-//! Devices: ours, and the host's.
+//! Devices: opened by the engine, or adopted from the host.
 
 use super::call::{
     Outcome, call, claim, destroy, give, grows, input, read, read_or_zero, shared, splat4d_result,
@@ -10,11 +10,11 @@ use crate::gpu::{Device, DeviceKind, Request, Selector};
 use std::ffi::{c_char, c_void};
 use std::sync::{Mutex, PoisonError};
 
-/// A Vulkan device. Everything made from it keeps what it needs of it: handles may be destroyed in
-/// any order. Any number of threads may use a device at once.
+/// A Vulkan device. Objects made from it keep the underlying device alive, so handles may be
+/// destroyed in any order. Any number of threads may use a device at once.
 pub struct splat4d_device {
     device: Device,
-    /// What the validation layer has said and nobody has taken, line by line.
+    /// Messages of the validation layer that were not taken yet, one per line.
     messages: Mutex<String>,
 }
 
@@ -49,11 +49,11 @@ pub const SPLAT4D_FEATURE_SUBGROUP_SIZE_CONTROL: u32 = 8;
 /// computeFullSubgroups of Vulkan 1.3.
 pub const SPLAT4D_FEATURE_COMPUTE_FULL_SUBGROUPS: u32 = 16;
 
-/// A function of a host's that is given the pointer registered with it. It must not throw and not
-/// call splat4d with the handle under way.
+/// A function of the host, called with the pointer registered with it. It must not throw and must
+/// not call splat4d with the handle of the running call.
 pub type splat4d_callback = Option<unsafe extern "C" fn(user: *mut c_void)>;
 
-/// A Vulkan device that a host has made.
+/// A Vulkan device that the host has created.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct splat4d_host_device {
@@ -61,83 +61,85 @@ pub struct splat4d_host_device {
     pub struct_size: usize,
     /// The loader's.
     pub get_instance_proc_addr: PFN_vkGetInstanceProcAddr,
-    /// Made for Vulkan 1.3 or newer.
+    /// The instance, created for Vulkan 1.3 or newer.
     pub instance: VkInstance,
-    /// One of the instance's.
+    /// A physical device of the instance.
     pub physical_device: VkPhysicalDevice,
-    /// Made for Vulkan 1.3 or newer, with what splat4d_requirements lists.
+    /// The device, created for Vulkan 1.3 or newer with everything that splat4d_requirements lists.
     pub device: VkDevice,
     /// A queue of the device, for the engine's own submissions.
     pub queue: VkQueue,
     /// The queue's family, which must offer compute.
     pub queue_family: u32,
-    /// SPLAT4D_FEATURE_*: what the device was made with.
+    /// SPLAT4D_FEATURE_*: the features that the device was created with.
     pub features: u32,
-    /// Needed where anybody else uses the queue while the engine may submit: taken before, and given
-    /// back after, on the thread that submits. Both or neither.
+    /// Locks the queue. Required if other code uses the queue while the engine may submit; called
+    /// before each submission on the submitting thread. queue_lock and queue_unlock must both be
+    /// set or both be null.
     pub queue_lock: splat4d_callback,
     /// As above.
     pub queue_unlock: splat4d_callback,
     /// Given to queue_lock and queue_unlock.
     pub queue_user: *mut c_void,
-    /// Called once when nothing of the engine's uses the device any more, on whatever thread destroys
-    /// the last of it; also where splat4d_device_adopt fails, unless with SPLAT4D_ERROR_POINTER or
-    /// SPLAT4D_ERROR_STRUCT_SIZE.
+    /// Called once when no object of the engine uses the device any more, on the thread that
+    /// destroys the last one. It is also called if splat4d_device_adopt fails, except with
+    /// SPLAT4D_ERROR_POINTER or SPLAT4D_ERROR_STRUCT_SIZE.
     pub on_drop: splat4d_callback,
     /// Given to on_drop.
     pub on_drop_user: *mut c_void,
 }
 grows!(splat4d_host_device, on_drop_user: *mut c_void);
 
-/// What a device must offer and be made with.
+/// The requirements on a device.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct splat4d_requirements {
     /// sizeof(splat4d_requirements).
     pub struct_size: usize,
-    /// Of instance and device, packed as Vulkan packs it.
+    /// Minimum Vulkan version of instance and device, in Vulkan's packed encoding.
     pub api_version: u32,
-    /// SPLAT4D_FEATURE_*: what must be enabled. No extension must be.
+    /// SPLAT4D_FEATURE_*: the features that must be enabled. No extension is required.
     pub features: u32,
-    /// VkQueueFlags that the queue's family must offer.
+    /// VkQueueFlags that the queue's family must have.
     pub queue_flags: u32,
-    /// VkSubgroupFeatureFlags in compute shaders.
+    /// VkSubgroupFeatureFlags that compute shaders must support.
     pub subgroup_operations: u32,
-    /// maxComputeWorkGroupInvocations and `maxComputeWorkGroupSize[0]`, at least.
+    /// Minimum of maxComputeWorkGroupInvocations and `maxComputeWorkGroupSize[0]`.
     pub workgroup_invocations: u32,
-    /// maxComputeSharedMemorySize, at least; bytes.
+    /// Minimum of maxComputeSharedMemorySize, bytes.
     pub shared_memory: u32,
-    /// maxPushConstantsSize, at least; bytes.
+    /// Minimum of maxPushConstantsSize, bytes.
     pub push_constants: u32,
-    /// maxPerStageDescriptorStorageBuffers and maxDescriptorSetStorageBuffers, at least.
+    /// Minimum of maxPerStageDescriptorStorageBuffers and maxDescriptorSetStorageBuffers.
     pub storage_buffers: u32,
 }
 grows!(splat4d_requirements, storage_buffers: u32);
 
-/// What a device is.
+/// Properties of a device and its memory use.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct splat4d_device_info {
     /// sizeof(splat4d_device_info).
     pub struct_size: usize,
-    /// Its name, with a zero at the end; cut off where it is longer.
+    /// The device's name, zero-terminated; truncated if it is longer.
     pub name: [c_char; 256],
     /// VkPhysicalDeviceType.
     pub kind: u32,
-    /// Packed as Vulkan packs it.
+    /// Supported Vulkan version, in Vulkan's packed encoding.
     pub api_version: u32,
-    /// Offsets of buffers that are adopted are multiples of this many bytes.
+    /// Offsets of adopted buffers must be multiples of this many bytes.
     pub storage_alignment: u64,
     /// The largest buffer that an op may use, bytes.
     pub storage_range: u64,
-    /// Bytes of the engine's buffers alive now.
+    /// Bytes of all live buffers of the engine.
     pub bytes: u64,
-    /// How many buffers and pools were made so far: in steady work it stands still.
+    /// Number of buffers and pools created so far; constant in steady-state work.
     pub allocations: u64,
 }
 grows!(splat4d_device_info, allocations: u64);
 
-/// Opens a device. `request` may be null for the best. `device` gets a handle, to be destroyed.
+/// Opens a device. `request` may be null for the best device. `device` gets a handle, to be
+/// destroyed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_device_open(
     request: *const splat4d_request,
@@ -158,7 +160,7 @@ pub unsafe extern "C" fn splat4d_device_open(
     })
 }
 
-/// What a device must offer and be made with, for hosts that make their own.
+/// Gets the requirements on a device, for hosts that create their own.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_requirements_query(
     requirements: *mut splat4d_requirements,
@@ -181,11 +183,11 @@ pub unsafe extern "C" fn splat4d_requirements_query(
     })
 }
 
-/// What a physical device lacks of the requirements, in words, separated by ", "; empty where the
-/// engine can run on it. As much as fits goes to `text` (`size` bytes, with a zero at the end; null
-/// where size is 0), and the length of all of it to `length`, which may be null.
+/// Gets descriptions of the requirements that a physical device lacks, separated by ", "; empty if
+/// the engine can run on it. As much as fits is written to `text` (`size` bytes, zero-terminated;
+/// may be null if size is 0), and the length of the whole text to `length`, which may be null.
 ///
-/// The instance must be alive and of that loader, and the physical device one of its own.
+/// The instance must be alive and of that loader, and the physical device must belong to it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_requirements_lacking(
     get_instance_proc_addr: PFN_vkGetInstanceProcAddr,
@@ -203,14 +205,15 @@ pub unsafe extern "C" fn splat4d_requirements_lacking(
     })
 }
 
-/// Works on a device that the host has made. `device` gets a handle, to be destroyed. Nothing is
+/// Adopts a device that the host has created. `device` gets a handle, to be destroyed. Nothing is
 /// written to disk; messages of a validation layer go to the host.
 ///
-/// The handles must belong together; instance and device must have been made for Vulkan 1.3 or newer,
-/// the device with every feature that `features` claims. The loader stays loaded, and instance and
-/// device alive, until on_drop is called, or without it until everything made from the device is
-/// destroyed. Nobody uses the queue while the engine does: either it is the engine's alone, or every
-/// other use takes the lock that queue_lock takes; vkDeviceWaitIdle uses all queues.
+/// The handles must belong together. Instance and device must have been created for Vulkan 1.3 or
+/// newer, the device with every feature that `features` claims. The loader must stay loaded, and
+/// instance and device alive, until on_drop is called; without on_drop, until everything made from
+/// the device is destroyed. No other code may use the queue while the engine does: either only the
+/// engine uses it, or every other use takes the same lock as queue_lock. vkDeviceWaitIdle uses all
+/// queues.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_device_adopt(
     host: *const splat4d_host_device,
@@ -220,7 +223,7 @@ pub unsafe extern "C" fn splat4d_device_adopt(
     call(|| unsafe {
         claim("device", device)?;
         let host = read("host", host)?;
-        // From here on the host is told, however this ends.
+        // From here on on_drop is called on every path.
         let on_drop = Told::new(host.on_drop, host.on_drop_user);
         let queue_lock: Option<Box<QueueLock>> = match (host.queue_lock, host.queue_unlock) {
             (Some(lock), Some(unlock)) => {
@@ -246,7 +249,7 @@ pub unsafe extern "C" fn splat4d_device_adopt(
     })
 }
 
-/// What the device is, and what the engine holds on it.
+/// Gets the properties of the device and the engine's memory use.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_device_get_info(
     device: *const splat4d_device,
@@ -278,9 +281,9 @@ pub unsafe extern "C" fn splat4d_device_get_info(
     })
 }
 
-/// Takes what the validation layer has said since it was last taken, line by line: empty where it has
-/// said nothing, without the layer, and on a host's device. `text`, `size` and `length` as for
-/// splat4d_requirements_lacking; nothing is taken where not all of it fits.
+/// Takes the messages of the validation layer since the last call, one per line: empty without
+/// messages, without the layer, and on a host's device. `text`, `size` and `length` are as for
+/// splat4d_requirements_lacking; the messages are kept if not all of the text fits.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_device_take_validation_messages(
     device: *const splat4d_device,
@@ -302,14 +305,14 @@ pub unsafe extern "C" fn splat4d_device_take_validation_messages(
     })
 }
 
-/// Destroys the handle; null is fine. The device goes when the last that was made from it is gone.
+/// Destroys the handle; null is allowed. The device is destroyed with the last object made from it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_device_destroy(device: *mut splat4d_device) {
     // SAFETY: the host's promise.
     unsafe { destroy(device) };
 }
 
-/// Writes a text, which is gone where all of it fits.
+/// Writes a text and clears it if all of it fits.
 unsafe fn hand_over(
     kept: &mut String,
     to: *mut c_char,
@@ -348,7 +351,7 @@ fn features(mask: u32) -> Features {
     }
 }
 
-/// A function of the host's with its pointer.
+/// A host's callback with its pointer.
 #[derive(Clone, Copy)]
 struct Callback(unsafe extern "C" fn(user: *mut c_void), *mut c_void);
 
@@ -364,7 +367,7 @@ impl Callback {
     }
 }
 
-/// Calls the host back once, when it is dropped.
+/// Calls the host's callback once, when it is dropped.
 pub(super) struct Told(Option<Callback>);
 
 impl Told {
@@ -372,7 +375,7 @@ impl Told {
         Told(function.map(|function| Callback(function, user)))
     }
 
-    /// As the engine keeps it.
+    /// The callback as the closure type of the engine.
     pub(super) fn into_box(self) -> Option<Box<dyn FnOnce() + Send + Sync>> {
         self.0?;
         Some(Box::new(move || drop(self)))
@@ -390,7 +393,7 @@ impl Drop for Told {
 fn queue_lock(lock: Callback, unlock: Callback) -> Box<QueueLock> {
     Box::new(move |work| {
         lock.call();
-        // Given back even if the work panics.
+        // Unlocks even if the work panics.
         let unlock = Told(Some(unlock));
         work();
         drop(unlock);

@@ -1,4 +1,4 @@
-//! Memory on the device: ours, and the host's.
+//! Device memory: the engine's own, and adopted from the host.
 
 use super::call::{
     Outcome, call, claim, destroy, exclusive, give, grows, input, read, shared, splat4d_result,
@@ -11,12 +11,12 @@ use crate::gpu::Buffer;
 use bytemuck::Pod;
 use std::ffi::c_void;
 
-/// Memory on a device, of whole words of 4 bytes.
+/// A device buffer of 32-bit words.
 pub struct splat4d_buffer {
     pub(super) words: Buffer<u32>,
 }
 
-/// A part of a VkBuffer; buffer is null and bytes 0 where there is none.
+/// A part of a VkBuffer; if absent, buffer is null and bytes is 0.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct splat4d_range {
@@ -28,30 +28,31 @@ pub struct splat4d_range {
     pub bytes: u64,
 }
 
-/// A part of a buffer of the host's, to adopt.
+/// A part of a host's buffer, to adopt.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct splat4d_host_buffer {
     /// sizeof(splat4d_host_buffer).
     pub struct_size: usize,
-    /// The buffer, of the device, bound to memory.
+    /// The buffer; it must belong to the device and be bound to memory.
     pub buffer: VkBuffer,
     /// First byte of the part; a multiple of splat4d_device_info.storage_alignment.
     pub offset: u64,
     /// Bytes of the part, a multiple of 4.
     pub bytes: u64,
-    /// VkBufferUsageFlags that the whole buffer was made with: STORAGE_BUFFER, TRANSFER_SRC and
-    /// TRANSFER_DST at least.
+    /// VkBufferUsageFlags that the whole buffer was created with; at least STORAGE_BUFFER,
+    /// TRANSFER_SRC and TRANSFER_DST.
     pub usage: u32,
-    /// Called once when nothing of the engine's uses the buffer any more; also where
-    /// splat4d_buffer_adopt fails, unless with SPLAT4D_ERROR_POINTER or SPLAT4D_ERROR_STRUCT_SIZE.
+    /// Called once when no object of the engine uses the buffer any more. It is also called if
+    /// splat4d_buffer_adopt fails, except with SPLAT4D_ERROR_POINTER or SPLAT4D_ERROR_STRUCT_SIZE.
     pub on_drop: splat4d_callback,
     /// Given to on_drop.
     pub on_drop_user: *mut c_void,
 }
 grows!(splat4d_host_buffer, on_drop_user: *mut c_void);
 
-/// Makes a buffer of `bytes` (a multiple of 4, above 0) with undefined content. `buffer` gets a handle,
+/// Creates a buffer of `bytes` bytes (a multiple of 4, above 0) with undefined content. `buffer`
+/// gets a handle,
 /// to be destroyed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_buffer_create(
@@ -72,12 +73,13 @@ pub unsafe extern "C" fn splat4d_buffer_create(
     })
 }
 
-/// Takes a part of a buffer of the host's, which stays the host's. `buffer` gets a handle, to be
-/// destroyed; the VkBuffer must outlive what was recorded with it, until on_drop is called.
+/// Adopts a part of a host's buffer; the host keeps the ownership. `buffer` gets a handle, to be
+/// destroyed. The VkBuffer must stay alive until on_drop is called, that is, until recorded work no
+/// longer uses it.
 ///
-/// The buffer must belong to the family of the device's queue or be shared concurrently, and others
-/// use it only in order with the engine's work: in the same queue before or after a recording, or
-/// behind a semaphore.
+/// The queue family of the device must own the buffer, or its sharing mode must be concurrent.
+/// Other code may use it only in order with the engine's work: on the same queue before or after a
+/// recording, or synchronised by a semaphore.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_buffer_adopt(
     device: *const splat4d_device,
@@ -102,8 +104,8 @@ pub unsafe extern "C" fn splat4d_buffer_adopt(
     })
 }
 
-/// Where a buffer lies, for the host's own commands: keep the handle until these are done, and order
-/// them with the engine's work.
+/// Gets the VkBuffer, offset and size of a buffer, for the host's own commands. Keep the handle
+/// until these are done, and order them with the engine's work.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_buffer_get_range(
     buffer: *const splat4d_buffer,
@@ -117,7 +119,7 @@ pub unsafe extern "C" fn splat4d_buffer_get_range(
     })
 }
 
-/// Destroys the handle; null is fine. What was recorded with it keeps the memory until it is done.
+/// Destroys the handle; null is allowed. Recorded work keeps the memory until it is done.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_buffer_destroy(buffer: *mut splat4d_buffer) {
     // SAFETY: the host's promise.
@@ -129,8 +131,8 @@ pub(super) fn range_of<T: Pod>(buffer: &Buffer<T>) -> splat4d_range {
     splat4d_range { buffer, offset, bytes }
 }
 
-/// Fails where what an op writes shares memory with anything else of the op. Parts that are null are
-/// left out.
+/// Returns an error if an output of an op shares memory with another argument of the op. Null
+/// arguments are skipped.
 pub(super) unsafe fn check_apart(
     op: &str,
     reads: &[(&str, *const splat4d_buffer)],

@@ -1,11 +1,11 @@
-//! The engine in C: `include/splat4d.h` is made of this module (`tools/header`).
+//! The C interface of the engine. `tools/header` generates `include/splat4d.h` from this module.
 //!
-//! The conventions stand at the head of the header, in `tools/header/preamble.h`. Every function is
-//! `unsafe` by them: pointers are null or point at what the header says, handles are alive, and one
-//! thread at a time uses a handle where it is not said otherwise. Whatever else a host gets wrong is an
-//! error, and no panic crosses the border.
+//! `tools/header/preamble.h`, the head of the header, states the conventions. Every function is
+//! `unsafe` because it relies on them: pointers are null or point to what the header states,
+//! handles are alive, and one thread at a time uses a handle unless stated otherwise. Every other
+//! misuse returns an error, and no panic crosses the C boundary.
 //!
-//! Types and functions are named as C names them, so that the header says what is here.
+//! Types and functions have their C names.
 
 #![allow(unsafe_code, reason = "what a host promises in C, it promises here")]
 #![allow(non_camel_case_types, reason = "the names of the header")]
@@ -33,7 +33,7 @@ pub use trainer::*;
 pub use version::*;
 pub use vulkan::*;
 
-/// What the header says of threads.
+/// Checks what the header states about threads.
 const _: () = {
     const fn goes<T: Send>() {}
     const fn is_shared<T: Send + Sync>() {}

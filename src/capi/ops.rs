@@ -9,13 +9,13 @@ use super::record::splat4d_recorder;
 use crate::ops::scan::{Scan, ScanArgs, ScanScratch};
 use crate::ops::sort::{RadixSort, SortArgs, SortScratch};
 
-/// A plan for exclusive prefix sums, and what they work in.
+/// A plan for exclusive prefix sums, with its scratch memory.
 pub struct splat4d_scan {
     scan: Scan,
     scratch: ScanScratch,
 }
 
-/// The buffers of one scan, of words.
+/// The buffers of one scan; elements are 32-bit words.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct splat4d_scan_buffers {
@@ -23,27 +23,27 @@ pub struct splat4d_scan_buffers {
     pub struct_size: usize,
     /// Holds the number of values; what exceeds the capacity is left out.
     pub count: *const splat4d_buffer,
-    /// Word at which it lies.
+    /// Index of the word that holds the number.
     pub count_at: u64,
     /// The values; as long as the capacity.
     pub values: *const splat4d_buffer,
     /// Gets `prefix[i] = values[0] + ... + values[i - 1]`, modulo 2^32; untouched from the number of
     /// values on.
     pub prefix: *mut splat4d_buffer,
-    /// Gets the sum of all values.
+    /// Receives the sum of all values.
     pub total: *mut splat4d_buffer,
-    /// Word at which it goes.
+    /// Index of the word that receives the sum.
     pub total_at: u64,
 }
 grows!(splat4d_scan_buffers, total_at: u64);
 
-/// A plan for a stable sort of key-payload pairs, and what it works in.
+/// A plan for a stable sort of key-payload pairs, with its scratch memory.
 pub struct splat4d_sort {
     sort: RadixSort,
     scratch: SortScratch,
 }
 
-/// The buffers of one sort, of words. The input is left as it is.
+/// The buffers of one sort; elements are 32-bit words. The input stays unchanged.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct splat4d_sort_buffers {
@@ -55,11 +55,11 @@ pub struct splat4d_sort_buffers {
     pub count_at: u64,
     /// The keys; as long as the capacity.
     pub keys: *const splat4d_buffer,
-    /// What goes with them; likewise.
+    /// The payload of each key; as long as the capacity.
     pub payload: *const splat4d_buffer,
     /// Gets the sorted keys; untouched from the number of pairs on.
     pub sorted_keys: *mut splat4d_buffer,
-    /// Gets what goes with them.
+    /// Receives the payload in the order of the sorted keys.
     pub sorted_payload: *mut splat4d_buffer,
 }
 grows!(splat4d_sort_buffers, sorted_payload: *mut splat4d_buffer);

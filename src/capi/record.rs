@@ -1,4 +1,4 @@
-//! Recording: on a stream of the engine's, or into the host's command buffer.
+//! Recording: on a stream of the engine, or into the host's command buffer.
 
 use super::call::{
     Outcome, array, array_mut, call, claim, destroy, exclusive, give, input, shape, shared,
@@ -11,18 +11,19 @@ use crate::embed::{Guard, SemaphorePoint};
 use crate::gpu::{Recorder, Stream};
 use std::ffi::c_void;
 
-/// Submissions to the device's queue, one after the other.
+/// An ordered sequence of submissions to the device's queue.
 pub struct splat4d_stream {
     pub(super) stream: Stream,
 }
 
 /// A recording under way. Functions named ..._record, and a trainer's forward, backward and update,
-/// add to it, ordered by the engine's own barriers. Where one fails, throw the recording away.
+/// add to it; the engine's barriers order them. If one fails, destroy the recording.
 pub struct splat4d_recorder {
     pub(super) recorder: Recorder,
 }
 
-/// What a recording into the host's command buffer needs while the device works on it.
+/// Keeps the resources of a recording into the host's command buffer alive while the device works
+/// on it.
 pub struct splat4d_guard {
     _guard: Guard,
 }
@@ -33,11 +34,11 @@ pub struct splat4d_guard {
 pub struct splat4d_semaphore_point {
     /// A timeline semaphore of the device.
     pub semaphore: VkSemaphore,
-    /// To wait for, or to signal.
+    /// The value to wait for, or to signal.
     pub value: u64,
 }
 
-/// Makes a stream. `stream` gets a handle, to be destroyed.
+/// Creates a stream. `stream` gets a handle, to be destroyed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_stream_create(
     device: *const splat4d_device,
@@ -67,13 +68,14 @@ pub unsafe extern "C" fn splat4d_stream_record(
     })
 }
 
-/// Submits a recording, which begins when the `waits` have come, runs after everything submitted before
-/// on this stream, and brings the `signals` when it is done. The recorder is gone afterwards, also
-/// where this fails. `ticket`, which may be null, gets what to wait for.
+/// Submits a recording. It begins when all `waits` are reached, runs after all earlier submissions
+/// of this stream, and signals the `signals` when it is done. The recorder is invalid afterwards,
+/// also if the call fails. `ticket`, which may be null, receives the value to wait for.
 ///
-/// The semaphores are timeline semaphores of the device and live until the submission is done; what is
-/// waited for comes, else waiting for the ticket and destroying the stream never end; each value
-/// signalled is above all that the semaphore had or gets from submissions pending.
+/// The semaphores are timeline semaphores of the device and live until the submission is done; the
+/// values of `waits` must be reached eventually, or else waiting for the ticket and destroying the
+/// stream block forever. Each signalled value must be greater than the semaphore's value and than
+/// all values that pending submissions signal.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_stream_submit(
     stream: *mut splat4d_stream,
@@ -114,7 +116,8 @@ pub unsafe extern "C" fn splat4d_stream_wait(
     })
 }
 
-/// The timeline semaphore that counts the stream's submissions: it reaches a ticket when that is done.
+/// Gets the timeline semaphore that counts the stream's submissions: it reaches a ticket's value
+/// when that submission is done.
 /// It lives as long as the stream.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_stream_get_semaphore(
@@ -128,7 +131,7 @@ pub unsafe extern "C" fn splat4d_stream_get_semaphore(
     })
 }
 
-/// Writes a buffer from its start: `bytes`, a multiple of 4. `data` is free again on return.
+/// Writes `bytes` bytes (a multiple of 4) to the start of a buffer. `data` may be freed on return.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_stream_upload(
     stream: *mut splat4d_stream,
@@ -149,8 +152,8 @@ pub unsafe extern "C" fn splat4d_stream_upload(
     })
 }
 
-/// Waits for everything submitted on the stream so far, and reads a buffer from its start: `bytes`, a
-/// multiple of 4.
+/// Waits for all submissions of the stream so far, and reads `bytes` bytes (a multiple of 4) from
+/// the start of a buffer.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_stream_download(
     stream: *mut splat4d_stream,
@@ -170,20 +173,20 @@ pub unsafe extern "C" fn splat4d_stream_download(
     })
 }
 
-/// Waits for what was submitted, and destroys the handle; null is fine.
+/// Waits for all submissions, and destroys the handle; null is allowed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_stream_destroy(stream: *mut splat4d_stream) {
     // SAFETY: the host's promise.
     unsafe { destroy(stream) };
 }
 
-/// Records into the host's command buffer, from where the host is in it; the host goes on with it
-/// after splat4d_recorder_finish, and submits it. `recorder` gets a handle, which is finished or
+/// Starts a recording that appends to the host's command buffer. After splat4d_recorder_finish the
+/// host may record more, and submits the buffer. `recorder` gets a handle, to be finished or
 /// destroyed.
 ///
-/// A recording begins with a barrier from everything that the queue was given before and ends with one
-/// to everything after: the host adds none for buffers. It binds pipelines, descriptor sets and push
-/// constants of its own.
+/// A recording begins with a barrier after all earlier commands of the queue and ends with a
+/// barrier before all later ones: the host needs no buffer barriers. It binds its own pipelines,
+/// descriptor sets and push constants.
 ///
 /// The command buffer must be of the device, of a pool for a family with compute, begun, and outside
 /// of a render pass; nobody else records into it until splat4d_recorder_finish. It is submitted once
@@ -221,16 +224,16 @@ pub unsafe extern "C" fn splat4d_recorder_finish(
     })
 }
 
-/// Throws a recording away; null is fine. Into the host's command buffer: the host must reset or free
-/// that, since what it binds is gone.
+/// Discards a recording; null is allowed. The host must reset or free a command buffer of its own
+/// that was recorded into, since the resources that it binds are freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_recorder_destroy(recorder: *mut splat4d_recorder) {
     // SAFETY: the host's promise.
     unsafe { destroy(recorder) };
 }
 
-/// Tells that the device is done with a command buffer of the host's, or that it will never be
-/// submitted; null is fine.
+/// Destroys the guard; null is allowed. Call it when the device is done with the host's command
+/// buffer, or when that will never be submitted.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_guard_destroy(guard: *mut splat4d_guard) {
     // SAFETY: the host's promise.

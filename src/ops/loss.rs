@@ -45,7 +45,7 @@ impl Reference {
     pub fn new(device: &Device, image: &Image, weights: Option<&Image>) -> Result<Reference> {
         let count = image.width as usize * image.height as usize;
         let shape = |arg, expected: usize, actual| Error::Shape {
-            op: "photograph",
+            op: "reference",
             arg,
             expected: expected.to_string(),
             actual,
@@ -70,7 +70,7 @@ impl Reference {
                 byte(rgb[0]) | byte(rgb[1]) << 8 | byte(rgb[2]) << 16 | w << 24
             })
             .collect();
-        let pixels = device.upload("photograph", &packed)?;
+        let pixels = device.upload("reference", &packed)?;
         Ok(Reference { pixels, width: image.width, height: image.height, weight })
     }
 
@@ -248,7 +248,7 @@ impl Loss {
     ) -> Result<()> {
         for (arg, size) in [
             ("rendered", (rendered.width, rendered.height)),
-            ("photograph", (reference.width, reference.height)),
+            ("reference", (reference.width, reference.height)),
         ] {
             if size != (self.width, self.height) {
                 return Err(Error::Shape {

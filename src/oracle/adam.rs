@@ -4,12 +4,12 @@ use super::Real;
 use crate::types::AdamSettings;
 
 /// Gradients are clamped to ± this: its square, summed, is still a finite f32, so one huge gradient
-/// cannot freeze a parameter for ever through an infinite second moment.
+/// cannot freeze a parameter permanently through an infinite second moment.
 pub const LARGEST_GRADIENT: f64 = 1e18;
 
 /// One step, in place. `row` values belong to each row; with `visible`, rows whose entry is 0 keep
-/// parameters and moments. A gradient that is not a number or infinite leaves its parameter and
-/// moments as they are; these are counted.
+/// parameters and moments. A gradient that is NaN or infinite leaves its parameter and moments
+/// unchanged. Returns the number of such gradients.
 pub fn step<R: Real>(
     settings: &AdamSettings,
     row: usize,

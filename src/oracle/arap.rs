@@ -16,20 +16,20 @@ use super::deform::{NONE, weights};
 use super::rotation::{add, apply, dot, scale, sub, transpose};
 use nalgebra::Matrix3;
 
-/// Edges of the energy: for node `i` the places `i·k..(i+1)·k` name its neighbours.
+/// The edges of the energy: entries `i·k..(i+1)·k` are the neighbours of control point `i`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Edges<R> {
-    /// Neighbours; [`NONE`] for an empty place.
+    /// Indices of the neighbours; [`NONE`] for an empty entry.
     pub neighbours: Vec<u32>,
-    /// Their weights, summing to 1 for each node that has any.
+    /// Weights of the edges; they sum to 1 for each control point with neighbours.
     pub weights: Vec<R>,
-    /// Places per node.
+    /// Entries per control point.
     pub k: usize,
 }
 
-/// The edges of the canonical frame from each node's `k` nearest ([`super::deform::nearest`] over
-/// the nodes themselves, so that most rows hold the node itself: that place is emptied). Beyond the
-/// first `always` neighbours, those at `reach` or farther are left out.
+/// The edges in the canonical frame, from each control point's `k` nearest
+/// ([`super::deform::nearest`] over the control points themselves; the entry of the point itself is
+/// emptied). Neighbours after the first `always` are left out if their distance is `reach` or more.
 pub fn edges<R: Real>(
     nodes: &[[R; 3]],
     log_radii: &[R],
@@ -53,7 +53,7 @@ pub fn edges<R: Real>(
                 if kept > always && dot(d, d) >= reach * reach { NONE } else { j }
             })
             .collect();
-        // Every edge of a node shares the node's own radius.
+        // All edges of a control point use its own radius.
         let radii = vec![log_radii[i]; nodes.len()];
         let first = row.iter().position(|&j| j != NONE);
         let mut w = weights(nodes[i], nodes, &radii, &row);
@@ -69,8 +69,8 @@ pub fn edges<R: Real>(
 /// The rotation `R`, by rows, for which `tr(Rᵀ S)` is largest: the best fit of `R a ≈ b` where
 /// `S = Σ w b aᵀ`. The identity where `S` is zero or not finite.
 ///
-/// The decomposition runs in f64 whatever `R` is: the rotation is held constant by the derivative,
-/// and what f32 does to it is the device's business.
+/// The decomposition runs in f64 for every `R`, since the derivative treats the rotation as a
+/// constant.
 pub fn best_rotation<R: Real>(s: [[R; 3]; 3]) -> [[R; 3]; 3] {
     let s = Matrix3::from_fn(|r, c| s[r][c].f64());
     let largest = s.amax();
@@ -92,14 +92,14 @@ pub fn best_rotation<R: Real>(s: [[R; 3]; 3]) -> [[R; 3]; 3] {
     std::array::from_fn(|r| std::array::from_fn(|c| R::of(rotation[(r, c)])))
 }
 
-/// The energy and its gradients by the positions at both times.
+/// The energy and its gradients with respect to the positions at both times.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Arap<R> {
-    /// The energy of each node, already divided by their number: the sum is `E`.
+    /// The energy of each control point, divided by their number: the sum is `E`.
     pub energies: Vec<R>,
-    /// Gradient of `E` by `a`.
+    /// Gradient of `E` with respect to `a`.
     pub by_a: Vec<[R; 3]>,
-    /// Gradient of `E` by `b`.
+    /// Gradient of `E` with respect to `b`.
     pub by_b: Vec<[R; 3]>,
 }
 
@@ -206,12 +206,12 @@ mod tests {
         let nodes: Points = (0..8).map(|i| [f64::from(i), 0.0, 0.0]).collect();
         let near = nearest(&nodes, &nodes, 5);
         let graph = edges(&nodes, &[0.0; 8], &near, 5, 2, 1.5);
-        // Node 0: itself emptied, then 1 and 2 always, 3 and 4 too far.
+        // Control point 0: its own entry is empty, 1 and 2 are always kept, 3 and 4 are too far.
         assert_eq!(graph.neighbours[..5], [NONE, 1, 2, NONE, NONE]);
         for row in graph.weights.chunks(5) {
             assert!((row.iter().sum::<f64>() - 1.0).abs() < 1e-12);
         }
-        // A radius so small that every exponent is −∞: the nearest takes all.
+        // A radius so small that every exponent is −∞: the nearest neighbour gets weight 1.
         let graph = edges(&[[0.0f32; 3], [1e15; 3]], &[-40.0; 2], &[0, 1, 1, 0], 2, 2, 1.0);
         assert_eq!(graph.weights, [0.0, 1.0, 0.0, 1.0]);
     }

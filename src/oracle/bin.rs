@@ -1,4 +1,4 @@
-//! Which splats each tile blends, and in which order.
+//! Binning: the list of splats of each tile, in blending order.
 
 use super::project::Splat;
 use super::tiles::grid;
@@ -12,7 +12,7 @@ pub struct Bins {
     pub grid: [u32; 2],
     /// The drawn splats by (depth, index).
     pub order: Vec<u32>,
-    /// Where each splat of `order` starts among the pairs before they are sorted by tile.
+    /// Index of the first pair of each splat of `order`, before the pairs are sorted by tile.
     pub offsets: Vec<u32>,
     /// Tile of each pair, ascending: row · columns + column.
     pub tiles: Vec<u32>,

@@ -10,11 +10,14 @@
 //! o' = o + m min(f_h, 0),   h the heaviest one
 //! ```
 //!
-//! `o` is the logit of the opacity and `f_k` how far a control point has faded: 0 while it is there, and
-//! so low that nothing is seen of its followers while it is not. `f` is given and has no gradient, nor
-//! does `m` get one by it; the one with respect to `o` passes as it is. `m` is 1 (hard selection: the caller lists the dynamic Gaussians) or the sigmoid of the motion
-//! logit (soft motion; the rotation is then blended towards none by `m`). The rigidity term is
-//! `Σ_j (1 − m̂_j) ‖Δ_j‖²` with `m̂` the image's evidence of motion, a constant; with hard selection
+//! `o` is the logit of the opacity and `f_k` the value that a control point adds to it: 0 while the
+//! control point is present, and so low that its followers are invisible while it is absent. `f` is
+//! given and has no gradient, and `m` gets none through it; the gradient with respect to `o` passes
+//! unchanged. `m` is 1 (hard selection: the caller lists the dynamic Gaussians) or the sigmoid of
+//! the motion
+//! logit (soft motion; the rotation is then blended towards none by `m`). The rigidity term is `Σ_j
+//! (1 − m̂_j) ‖Δ_j‖²` with `m̂` the evidence of motion from the images, a constant; with hard
+//! selection
 //! `m̂ = 1` for every listed Gaussian, so that the term is zero.
 //!
 //! The derivative is the *detached* one: weights carry gradient to the radii only, never to μ or
@@ -29,16 +32,16 @@ use super::rotation::{
     unit, unit_backward,
 };
 
-/// An empty place in a list of neighbours.
+/// An empty entry in a list of neighbours.
 pub const NONE: u32 = u32::MAX;
 
 /// Logarithms of radii are clamped to ± this before use, so that `ρ^−2` stays a finite f32; beyond
 /// it the gradient is zero.
 pub const LARGEST_LOG_RADIUS: f64 = 40.0;
 
-/// For each point the `k` nearest nodes, nearest first, equal distances by index; places for which
-/// there is no node hold [`NONE`]. A node whose squared distance is not finite is no neighbour, so a
-/// point that is not finite has none.
+/// For each point the indices of the `k` nearest control points, nearest first, equal distances by
+/// index; missing entries hold [`NONE`]. A control point whose squared distance is not finite is
+/// not a neighbour, so a point that is not finite has none.
 pub fn nearest<R: Real>(points: &[[R; 3]], nodes: &[[R; 3]], k: usize) -> Vec<u32> {
     let mut neighbours = Vec::with_capacity(points.len() * k);
     for &point in points {
@@ -57,8 +60,8 @@ pub fn nearest<R: Real>(points: &[[R; 3]], nodes: &[[R; 3]], k: usize) -> Vec<u3
     neighbours
 }
 
-/// The normalised skinning weights of one point over its neighbours; zero for [`NONE`]. Where every
-/// exponent is −∞ the nearest neighbour, which comes first, takes all.
+/// The normalised skinning weights of one point over its neighbours; zero for [`NONE`]. If every
+/// exponent is −∞ the nearest neighbour, which comes first, gets weight 1.
 pub fn weights<R: Real>(
     point: [R; 3],
     nodes: &[[R; 3]],
@@ -97,7 +100,7 @@ fn inverse_square<R: Real>(log_radius: R) -> R {
     (R::of(-2.0) * log_radius.min(limit).max(-limit)).exp()
 }
 
-/// What skinning reads.
+/// The inputs of skinning.
 #[derive(Clone, Copy, Debug)]
 pub struct Skin<'a, R> {
     /// Centres of all Gaussians in the canonical frame.
@@ -110,9 +113,9 @@ pub struct Skin<'a, R> {
     pub motion_logits: &'a [R],
     /// The evidence of motion `m̂` in [0, 1] of each Gaussian; read only when `soft`.
     pub evidence: &'a [R],
-    /// Which Gaussians move. All others keep position and rotation.
+    /// Indices of the dynamic Gaussians. All others keep position and rotation.
     pub dynamic_ids: &'a [u32],
-    /// `k` places for each entry of `dynamic_ids`, see [`nearest`].
+    /// `k` neighbours for each entry of `dynamic_ids`, see [`nearest`].
     pub neighbours: &'a [u32],
     /// Neighbours per Gaussian.
     pub k: usize,
@@ -120,14 +123,14 @@ pub struct Skin<'a, R> {
     pub nodes: &'a [[R; 3]],
     /// Natural logarithms of their radii ρ.
     pub log_radii: &'a [R],
-    /// Their motions: translation (3), what they add to the logit of the opacity, rotation (w, x, y, z)
+    /// Their motions: translation (3), the value added to the opacity logit, rotation (w, x, y, z)
     /// of any norm.
     pub transforms: &'a [[R; 8]],
     /// Whether motion is weighted by the sigmoid of the motion logit.
     pub soft: bool,
 }
 
-/// What skinning gives.
+/// The results of skinning.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Skinned<R> {
     /// μ' of every Gaussian.
@@ -140,18 +143,19 @@ pub struct Skinned<R> {
     pub rigidity: Vec<R>,
 }
 
-/// The gradients that skinning hands back.
+/// The gradients of skinning.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SkinGradients<R> {
-    /// By the canonical positions.
+    /// With respect to the canonical positions.
     pub positions: Vec<[R; 3]>,
-    /// By the canonical quaternions.
+    /// With respect to the canonical quaternions.
     pub rotations: Vec<[R; 4]>,
-    /// By the motion logits; zero unless `soft`.
+    /// With respect to the motion logits; zero unless `soft`.
     pub motion_logits: Vec<R>,
-    /// By the control points' motions, laid out as these; zero for what they add to opacities.
+    /// With respect to the control points' motions, in the same layout; zero for the value added to
+    /// opacities.
     pub transforms: Vec<[R; 8]>,
-    /// By the control points' log-radii.
+    /// With respect to the control points' log-radii.
     pub log_radii: Vec<R>,
 }
 
@@ -159,7 +163,7 @@ pub struct SkinGradients<R> {
 struct Blend<R> {
     weights: Vec<R>,
     delta: [R; 3],
-    /// What is added to the logit of the opacity.
+    /// The value added to the opacity logit.
     fade: R,
     /// Sum of the aligned rotations, before normalisation.
     sum: [R; 4],
@@ -222,8 +226,8 @@ fn sigmoid<R: Real>(x: R) -> R {
     R::one() / (R::one() + (-x).exp())
 }
 
-/// The rotation applied when motion counts only by `m`, with what its derivative needs: the sign
-/// that brings `blended` next to the identity and the mixture before normalisation.
+/// The rotation blended towards the identity by `m`, as needed for its derivative: the sign that
+/// brings `blended` into the hemisphere of the identity, and the mixture before normalisation.
 fn soften<R: Real>(blended: [R; 4], m: R) -> (R, [R; 4]) {
     let sign = if blended[0] < R::zero() { -R::one() } else { R::one() };
     let e = identity::<R>();
@@ -280,7 +284,7 @@ pub fn backward<R: Real>(
         transforms: vec![[zero; 8]; skin.nodes.len()],
         log_radii: vec![zero; skin.nodes.len()],
     };
-    // By the *unit* rotations; brought to the stored ones once, at the end.
+    // With respect to the *unit* rotations; converted to the stored ones once, at the end.
     let mut unit_gradients = vec![[zero; 4]; skin.nodes.len()];
     for (row, &id) in skin.dynamic_ids.iter().enumerate() {
         let j = id as usize;
@@ -335,7 +339,7 @@ pub fn backward<R: Real>(
                 dot(by_delta, moved) + blend.signs[slot] * dot(by_sum, r)
             })
             .collect();
-        // Weights sum to 1, so this is by_weight less its mean, without the cancellation.
+        // Since weights sum to 1, this equals by_weight minus its mean, without cancellation.
         let differences = |slot: usize| -> R {
             let of = |(&g, &w): (&R, &R)| w * (by_weight[slot] - g);
             by_weight.iter().zip(&blend.weights).map(of).sum()
@@ -499,7 +503,7 @@ mod tests {
         }
     }
 
-    /// The position's gradient is that of the blend with the weights held still.
+    /// The gradient with respect to the position is that of the blend with constant weights.
     #[test]
     fn the_gradient_by_position_holds_the_weights() {
         for soft in [false, true] {
@@ -538,7 +542,7 @@ mod tests {
                     close((held(up) - held(down)) / (2.0 * h), gradients.positions[j][c]);
                 }
             }
-            // A static Gaussian hands its gradient through.
+            // A static Gaussian passes its gradient through.
             assert_eq!(gradients.positions[1], gp[1]);
         }
     }
@@ -561,7 +565,7 @@ mod tests {
         // Both exponents are far below what f32's exp can hold.
         let w = weights([100.0, 0.0, 0.0], &nodes, &[-4.0, -4.0], &[1, 0]);
         assert_eq!(w, [1.0, 0.0]);
-        // Both exponents are −∞ in f32: the nearest takes all.
+        // Both exponents are −∞ in f32: the nearest gets weight 1.
         let w = weights([1e15, 0.0, 0.0], &nodes, &[-40.0, -40.0], &[1, 0]);
         assert_eq!(w, [1.0, 0.0]);
         let w = weights([1e15, 0.0, 0.0], &nodes, &[f32::NAN, f32::NAN], &[1, NONE]);
@@ -590,7 +594,7 @@ mod tests {
             assert_eq!(out.opacity_logits[j], s.opacity_logits[j] + fade);
         }
         assert!(faded > 0 && faded < s.ids.len(), "{faded}");
-        // What is static stays; while it is open what moves, each fades as far as it moves.
+        // A static Gaussian keeps its opacity; with soft motion, each fades in proportion to `m`.
         assert_eq!(out.opacity_logits[1], s.opacity_logits[1]);
         s.soft = true;
         let j = s.ids[0] as usize;

@@ -2,10 +2,11 @@
 //!
 //! Two strategies share the bookkeeping. *MCMC* (Kheradmand et al. 2024) keeps their number: dead
 //! Gaussians move onto live ones drawn by opacity, whose opacity and scale shrink so that the
-//! picture stays; positions get noise. *Adaptive* (Kerbl et al. 2023) clones, splits and prunes by
+//! rendered image stays the same; positions get noise. *Adaptive* (Kerbl et al. 2023) clones,
+//! splits and prunes by
 //! the screen-space gradient.
 //!
-//! All randomness comes from counters: the same seed, step and index give the same number on every
+//! Random numbers are counter-based: the same seed, step and index give the same number on every
 //! device.
 
 use super::Real;
@@ -19,7 +20,7 @@ pub const DEAD_OPACITY: f64 = 0.005;
 /// At most this many Gaussians share one place after a round of relocation.
 pub const LARGEST_SHARE: u32 = 51;
 
-/// Four random words for a counter (Jarzynski and Olano 2020, pcg4d).
+/// Four random words for a counter (pcg4d of Jarzynski and Olano 2020).
 pub fn random(counter: [u32; 4]) -> [u32; 4] {
     let mut v = counter.map(|c| c.wrapping_mul(1_664_525).wrapping_add(1_013_904_223));
     let mix = |v: &mut [u32; 4]| {
@@ -55,7 +56,7 @@ fn softplus<R: Real>(x: R) -> R {
     x.max(R::zero()) + (-x.abs()).exp().ln_1p()
 }
 
-/// Whether a Gaussian of this opacity logit is dead; one that is not a number is.
+/// Whether a Gaussian with this opacity logit is dead; NaN counts as dead.
 pub fn is_dead<R: Real>(logit: R) -> bool {
     let limit = R::of((DEAD_OPACITY / (1.0 - DEAD_OPACITY)).ln());
     logit.is_nan() || logit <= limit
@@ -119,15 +120,15 @@ pub fn draw(weights: &[u32], draws: usize, seed: u32, step: u32) -> Vec<u32> {
         .collect()
 }
 
-/// Opacity logit and log-scales of each of `share` equal Gaussians that together look like one of
-/// the given opacity logit and log-scales: `o' = 1 − (1 − o)^{1/N}` and
+/// Opacity logit and log-scales of each of `share` equal Gaussians that together have the
+/// appearance of one with the given values: `o' = 1 − (1 − o)^{1/N}` and
 ///
 /// ```text
 /// s' = s · o / Σ_{i=1..N} Σ_{k=0..i−1} C(i−1, k) (−1)^k o'^{k+1} / √(k+1)
 /// ```
 ///
-/// (3DGS-MCMC, equation 9), the sum by `coverage`. The opacity is kept above [`DEAD_OPACITY`], or what was relocated would
-/// be dead at once. `share` is cut to [`LARGEST_SHARE`].
+/// (3DGS-MCMC, equation 9), the sum by `coverage`. The opacity is kept above [`DEAD_OPACITY`], or
+/// else a relocated Gaussian could be dead at once. `share` is limited to [`LARGEST_SHARE`].
 pub fn split_mass<R: Real>(opacity_logit: R, log_scales: [R; 3], share: u32) -> (R, [R; 3]) {
     let share = share.clamp(1, LARGEST_SHARE);
     if share == 1 {
@@ -138,12 +139,13 @@ pub fn split_mass<R: Real>(opacity_logit: R, log_scales: [R; 3], share: u32) -> 
     let part = -(-density).exp_m1();
     let shrink = -softplus(-opacity_logit) - coverage(part, share).ln();
     let dead = R::of((DEAD_OPACITY / (1.0 - DEAD_OPACITY)).ln());
-    // exp overflows for a logit beyond f32's reach only; ln(expm1 d) = d there.
+    // For large d, ln(expm1 d) = d; this avoids the overflow of exp.
     let logit = if density > R::of(30.0) { density } else { density.exp_m1().ln() };
     (logit.max(dead), log_scales.map(|s| s + shrink))
 }
 
-/// What `share` blended Gaussians of one opacity cover along a line, over √π. The source's double sum,
+/// The integral of opacity along a line of `share` blended Gaussians of one opacity, over √π. The
+/// source's double sum,
 /// whose terms alternate and cancel, equals
 ///
 /// ```text
@@ -163,8 +165,8 @@ fn coverage<R: Real>(opacity: R, share: u32) -> R {
     R::of(STEP * std::f64::consts::FRAC_2_SQRT_PI) * sum
 }
 
-/// One round of relocation: what the drawn targets become. `targets` is what [`draw`] gave; slot
-/// `d` then copies every parameter of `targets[d]` *after* the change, and the moments of both are
+/// One round of relocation: updates the drawn targets. `targets` is the result of [`draw`]. Slot
+/// `d` then copies every parameter of `targets[d]` *after* the update, and the moments of both are
 /// zeroed. Returns how often each Gaussian was drawn.
 pub fn relocate<R: Real>(
     targets: &[u32],
@@ -187,8 +189,8 @@ pub fn relocate<R: Real>(
 }
 
 /// MCMC's exploration: every centre moves by `Σ ε σ(100 (0.005 − o)) · size` with ε standard normal
-/// and Σ the covariance. A Gaussian whose step is not finite stays. `size` is the rate of positions
-/// times 5e5 in the source.
+/// and Σ the covariance. A Gaussian whose step is not finite stays unchanged. In the source `size`
+/// is the learning rate of positions times 5e5.
 pub fn jitter<R: Real>(
     positions: &mut [[R; 3]],
     log_scales: &[[R; 3]],
@@ -211,17 +213,17 @@ pub fn jitter<R: Real>(
     }
 }
 
-/// What adaptive control does with a Gaussian.
+/// The action of adaptive control on a Gaussian.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum Action {
-    /// Gone.
+    /// The Gaussian is removed.
     Prune = 0,
-    /// Stays as it is.
+    /// The Gaussian stays unchanged.
     Keep = 1,
-    /// Stays, and a copy is added.
+    /// The Gaussian stays, and a copy is added.
     Clone = 2,
-    /// Replaced by two smaller ones drawn from it.
+    /// The Gaussian is replaced by two smaller ones sampled from it.
     Split = 3,
 }
 
@@ -251,21 +253,21 @@ pub fn decide<R: Real>(
         .collect()
 }
 
-/// How a row of the new arrays came to be.
+/// The origin of a row of the new arrays.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum Origin {
-    /// The Gaussian itself: optimiser moments go with it.
+    /// The Gaussian itself; it keeps its optimiser moments.
     Kept = 0,
-    /// A copy: moments start at zero.
+    /// A copy; its moments start at zero.
     Copied = 1,
-    /// A part of a split one: drawn from it, smaller; moments start at zero.
+    /// A part of a split Gaussian, sampled from it and smaller; its moments start at zero.
     Drawn = 2,
 }
 
 /// The new rows after adaptive control: the survivors in order, then the added ones in order of
-/// their sources, at most `capacity` in all. What does not fit is not added, and a split one whose
-/// second part does not fit stays whole.
+/// their sources, at most `capacity` in all. Rows beyond the capacity are not added, and a split
+/// Gaussian whose second part does not fit stays whole.
 pub fn layout(actions: &[Action], capacity: usize) -> Vec<(u32, Origin)> {
     let survivors = actions.iter().filter(|&&a| a != Action::Prune).count();
     let mut free = capacity.saturating_sub(survivors);
@@ -286,8 +288,8 @@ pub fn layout(actions: &[Action], capacity: usize) -> Vec<(u32, Origin)> {
     kept
 }
 
-/// Brings rows of `width` values into the order of `rows`. With `fresh_zero` (optimiser moments)
-/// only kept rows carry values, the others are zero.
+/// Gathers rows of `width` values in the order of `rows`. With `fresh_zero` (for optimiser moments)
+/// only kept rows have values, and the others are zero.
 pub fn gather<R: Real>(
     rows: &[(u32, Origin)],
     width: usize,
@@ -303,8 +305,8 @@ pub fn gather<R: Real>(
         .collect()
 }
 
-/// Draws the parts of split Gaussians, after [`gather`]: each is displaced by a sample of its source
-/// and shrinks by [`AdaptSettings::SPLIT_SHRINK`].
+/// Samples the parts of split Gaussians, after [`gather`]: each is displaced by a sample of its
+/// source, and its scales are divided by [`AdaptSettings::SPLIT_SHRINK`].
 pub fn draw_parts<R: Real>(
     rows: &[(u32, Origin)],
     positions: &mut [[R; 3]],
@@ -326,7 +328,7 @@ pub fn draw_parts<R: Real>(
 }
 
 /// Adds one view's screen-space gradients (pixels) to the statistics of [`decide`]: the norm of the
-/// gradient in units of half the image, for Gaussians that the view shows.
+/// gradient in units of half the image, for Gaussians that are visible in the view.
 pub fn accumulate<R: Real>(
     statistics: &mut [[R; 2]],
     screen_gradients: &[[R; 2]],
@@ -343,7 +345,7 @@ pub fn accumulate<R: Real>(
     }
 }
 
-/// Opacity reset: no logit stays above `limit`.
+/// Opacity reset: clamps all logits to at most `limit`.
 pub fn reset_opacity<R: Real>(opacity_logits: &mut [R], limit: R) {
     for logit in opacity_logits {
         *logit = logit.min(limit);
@@ -408,7 +410,7 @@ mod tests {
                         term *= -part * f64::from(i - 1 - k) / f64::from(k + 1);
                     }
                 }
-                // What the sum's rounding leaves of it.
+                // The rounding error of the alternating sum.
                 let bound = 1e-13 * largest.max(sum);
                 let off = (coverage(part, share) - sum).abs();
                 assert!(off <= bound, "{share} of {part}: {off:e} off, {bound:e} allowed");

@@ -1,4 +1,4 @@
-//! Attributes as 16-bit floats keep them.
+//! Rounding of attributes to 16-bit floats.
 
 use super::rotation;
 use crate::types::Gaussians;

@@ -37,7 +37,7 @@ pub fn scale<R: Real, const N: usize>(a: [R; N], s: R) -> [R; N] {
     a.map(|x| x * s)
 }
 
-/// The largest magnitude; NaN components are passed over.
+/// The largest magnitude; NaN components are ignored.
 pub fn max_abs<R: Real, const N: usize>(a: [R; N]) -> R {
     a.iter().fold(R::zero(), |m, x| m.max(x.abs()))
 }
@@ -59,7 +59,8 @@ pub fn normalise<R: Real, const N: usize>(a: [R; N]) -> Option<(R, [R; N])> {
     Some((m * length, b.map(|x| x / length)))
 }
 
-/// Gradient of a direction to the vector it was normalised from: `(g − d (d·g)) / length`.
+/// Gradient with respect to a vector, given that with respect to its direction: `(g − d (d·g)) /
+/// length`.
 pub fn normalise_backward<R: Real, const N: usize>(
     length: R,
     direction: [R; N],
@@ -100,7 +101,7 @@ pub fn rotation<R: Real>(q: [R; 4]) -> Mat3<R> {
     ]
 }
 
-/// Gradient of [`rotation`] to the unit quaternion's components, each taken as free.
+/// Gradient of [`rotation`] with respect to the quaternion's components as independent variables.
 pub fn rotation_backward<R: Real>(q: [R; 4], g: &Mat3<R>) -> [R; 4] {
     let [w, x, y, z] = q;
     let two = R::of(2.0);

@@ -1,7 +1,7 @@
-//! The photometric loss and its gradient to the rendered pixels.
+//! The photometric loss and its gradient with respect to the rendered pixels.
 //!
 //! `(1 − λ) · mean |x − y| + λ · mean (1 − SSIM(x, y))` over pixels and channels, where
-//! `x = rgb + (1 − alpha) · background` is the rendered image and y the photograph; plus, on
+//! `x = rgb + (1 − alpha) · background` is the rendered image and y the reference image; plus, on
 //! request, terms for depth and alpha. With weights m every mean is `Σ m ℓ / Σ m`; the SSIM map is
 //! computed from the whole images and only then weighted, so a pixel of weight 0 still serves as its
 //! neighbours' surroundings.
@@ -11,31 +11,31 @@ use super::linear::Vec3;
 use super::raster::Pixels;
 use super::ssim::ssim;
 
-/// BCE reads alpha clamped to this far from 0 and 1.
+/// Binary cross entropy clamps alpha to at least this distance from 0 and 1.
 pub const BCE_MARGIN: f64 = 1e-6;
 
-/// What the rendered image is compared with.
+/// The training image and further targets of the loss.
 #[derive(Clone, Debug)]
 pub struct Target<'a, R> {
     /// Width, pixels.
     pub width: u32,
     /// Height, pixels.
     pub height: u32,
-    /// The photograph.
+    /// The reference image.
     pub rgb: &'a [Vec3<R>],
-    /// What shines through where alpha is below 1.
+    /// The background colour, visible where alpha is below 1.
     pub background: Vec3<R>,
     /// A weight per pixel; `None` for 1 everywhere.
     pub weights: Option<&'a [R]>,
-    /// λ, the share of SSIM, in [0, 1].
+    /// λ, the weight of SSIM, in [0, 1].
     pub ssim_share: R,
-    /// The term for depth.
+    /// The optional depth term.
     pub depth: Option<DepthTerm<'a, R>>,
-    /// The term for alpha.
+    /// The optional alpha term.
     pub alpha: Option<AlphaTerm<'a, R>>,
 }
 
-/// Which depth is compared.
+/// The depth quantity that is compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DepthKind {
     /// Mean depth, `depth / alpha`.
@@ -47,20 +47,20 @@ pub enum DepthKind {
 /// `scale · Σ m |d − target| / Σ m`.
 #[derive(Clone, Copy, Debug)]
 pub struct DepthTerm<'a, R> {
-    /// Which depth d is.
+    /// The depth quantity d.
     pub kind: DepthKind,
-    /// In the same kind; read only where the weight is above 0.
+    /// Target values of the same quantity; read only where the weight is above 0.
     pub target: &'a [R],
     /// m per pixel: 0 where the target is unknown.
     pub weights: &'a [R],
     /// The term's factor.
     pub scale: R,
-    /// Pixels whose alpha is below this (which must be above 0) give neither loss nor gradient:
-    /// their depth is a quotient of two nothings.
+    /// Pixels with a smaller alpha give neither loss nor gradient, since their depth is a quotient
+    /// of two values near zero. It must be above 0.
     pub min_alpha: R,
 }
 
-/// How alpha is compared.
+/// The loss function of alpha.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AlphaKind {
     /// |alpha − target|.
@@ -72,9 +72,9 @@ pub enum AlphaKind {
 /// `scale · Σ m ℓ(alpha, target) / Σ m`.
 #[derive(Clone, Copy, Debug)]
 pub struct AlphaTerm<'a, R> {
-    /// The comparison ℓ.
+    /// The loss function ℓ.
     pub kind: AlphaKind,
-    /// In [0, 1].
+    /// Target alpha in [0, 1].
     pub target: &'a [R],
     /// m per pixel; `None` for 1 everywhere.
     pub weights: Option<&'a [R]>,
@@ -85,7 +85,7 @@ pub struct AlphaTerm<'a, R> {
 /// The loss, its parts before their factors, and its gradient.
 #[derive(Clone, Debug)]
 pub struct Loss<R> {
-    /// The whole.
+    /// The total loss.
     pub value: R,
     /// mean |x − y|.
     pub l1: R,
@@ -95,7 +95,7 @@ pub struct Loss<R> {
     pub depth: R,
     /// The alpha term, its factor included.
     pub alpha: R,
-    /// To the rendered pixels.
+    /// The gradient with respect to the rendered pixels.
     pub gradient: Pixels<R>,
 }
 
@@ -169,7 +169,7 @@ fn depth<R: Real>(rendered: &Pixels<R>, term: &DepthTerm<'_, R>, out: &mut Loss<
     let shares = shares(Some(term.weights), rendered.alpha.len());
     for (i, share) in shares.into_iter().enumerate() {
         let (a, d) = (rendered.alpha[i], rendered.depth[i]);
-        // d is Σ weight · z with every z beyond the near plane, hence above 0 where alpha is.
+        // d is Σ weight · z with every z beyond the near plane, so it is above 0 wherever alpha is.
         if share == R::zero() || a < term.min_alpha || d <= R::zero() {
             continue;
         }
@@ -195,7 +195,7 @@ fn alpha<R: Real>(rendered: &Pixels<R>, term: &AlphaTerm<'_, R>, out: &mut Loss<
             AlphaKind::CrossEntropy => {
                 let p = a.max(margin).min(R::one() - margin);
                 let q = R::one() - p;
-                // Clamped: constant, hence no slope.
+                // A clamped alpha is constant, so its gradient is zero.
                 let slope = if p == a { (p - y) / (p * q) } else { R::zero() };
                 (-(y * p.ln() + (R::one() - y) * q.ln()), slope)
             }
@@ -231,7 +231,7 @@ mod tests {
                 depth: (0..COUNT).map(|_| random(0.5, 4.0)).collect(),
             },
             photo: (0..COUNT).map(|_| std::array::from_fn(|_| random(0.0, 1.0))).collect(),
-            // Some pixels are masked altogether.
+            // Some pixels have weight zero.
             weights: (0..COUNT).map(|i| if i % 5 == 0 { 0.0 } else { random(0.0, 2.0) }).collect(),
             other: (0..COUNT).map(|_| random(0.0, 1.0)).collect(),
         }

@@ -1,7 +1,8 @@
-//! Rendered motion against motion masks.
+//! The mask loss: rendered motion against motion masks.
 //!
 //! Every Gaussian's probability of motion is blended like a colour, geometry and opacity held fixed,
-//! and compared with the picture's motion mask by the mean absolute difference (the mask loss of
+//! and compared with the training view's motion mask by the mean absolute difference (the mask loss
+//! of
 //! SC-GS, Huang et al. 2024). With `w_jp` the weight of Gaussian j in pixel p,
 //!
 //! ```text
@@ -9,9 +10,9 @@
 //! ∂L/∂m_j = σ'(m_j) Σ_p w_jp · factor · sign(X_p − M_p)
 //! ```
 //!
-//! The evidence of motion of a Gaussian is the mask's mean over what the Gaussian covers,
-//! `Σ_p w_jp M_p / Σ_p w_jp`, over all pictures so far. Both sums are gradients of blended colours,
-//! so one backward pass of blending gives them all.
+//! The evidence of motion of a Gaussian is the weighted mean of the mask over the pixels that the
+//! Gaussian covers, `Σ_p w_jp M_p / Σ_p w_jp`, over all training views so far. Both sums are
+//! gradients of blended colours, so one backward pass of blending computes them all.
 
 use super::Real;
 
@@ -20,12 +21,13 @@ fn sigmoid<R: Real>(x: R) -> R {
     if x >= R::zero() { R::one() / (R::one() + e) } else { e / (R::one() + e) }
 }
 
-/// Probabilities of motion as the red of colours.
+/// Probabilities of motion as the red channel of per-Gaussian colours.
 pub fn paint<R: Real>(motion_logits: &[R]) -> Vec<[R; 3]> {
     motion_logits.iter().map(|&m| [sigmoid(m), R::zero(), R::zero()]).collect()
 }
 
-/// The gradient by each pixel's colour: of the loss by red, and the votes' weights in green and blue.
+/// The gradient with respect to each pixel's colour: red holds that of the loss, green and blue
+/// hold the weights of the votes.
 pub fn compare<R: Real>(rendered_red: &[R], mask: &[R], factor: R) -> Vec<[R; 3]> {
     rendered_red
         .iter()
@@ -41,19 +43,20 @@ pub fn compare<R: Real>(rendered_red: &[R], mask: &[R], factor: R) -> Vec<[R; 3]
         .collect()
 }
 
-/// What a picture has given every Gaussian so far.
+/// The accumulated gradients and votes of every Gaussian.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Votes<R> {
-    /// Gradients by the motion logits.
+    /// Gradients with respect to the motion logits.
     pub gradients: Vec<R>,
-    /// Votes for motion, and votes.
+    /// Votes for motion, and all votes.
     pub votes: Vec<[R; 2]>,
-    /// Evidence of motion in [0, 1]; of a Gaussian without votes it stays.
+    /// Evidence of motion in [0, 1]; unchanged for a Gaussian without votes.
     pub evidence: Vec<R>,
 }
 
-/// Adds a picture's votes, given the gradients by the Gaussians' colours that [`compare`]'s make. A
-/// Gaussian that it does not show, or whose gradient is not finite, keeps what it had.
+/// Adds the votes of a training view, given the gradients with respect to the Gaussians' colours
+/// that result from [`compare`]. A Gaussian that is not visible in it, or whose gradient is not
+/// finite, stays unchanged.
 pub fn vote<R: Real>(
     colour_gradients: &[[R; 3]],
     visible: &[u32],

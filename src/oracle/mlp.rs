@@ -1,7 +1,7 @@
 //! The deformation network of [`NetShape`]: positional encodings, ReLU layers with one skip, a
 //! linear head.
 //!
-//! Source: SC-GS's DeformNetwork with two heads, laid side by side as one matrix.
+//! Source: SC-GS's DeformNetwork with two heads, combined as one matrix.
 
 use super::Real;
 use crate::types::NetShape;
@@ -25,7 +25,7 @@ pub fn encode<R: Real>(shape: &NetShape, query: [R; 4]) -> Vec<R> {
     input
 }
 
-/// Everything that a forward pass computes.
+/// The intermediate values and outputs of a forward pass.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pass<R> {
     /// Per query, the input of every layer in the order of [`NetShape::layers`].
@@ -64,8 +64,8 @@ pub fn forward<R: Real>(shape: &NetShape, parameters: &[R], queries: &[[R; 4]]) 
     pass
 }
 
-/// The gradient by the parameters, for a loss whose gradient at the outputs is given. At a ReLU's
-/// kink the slope is zero.
+/// The gradient with respect to the parameters, for a loss whose gradient with respect to the
+/// outputs is given. The derivative of ReLU at 0 is zero.
 pub fn backward<R: Real>(
     shape: &NetShape,
     parameters: &[R],
@@ -88,7 +88,7 @@ pub fn backward<R: Real>(
                 }
                 gradients[start + width * outputs + o] += by_z[o];
             }
-            // What precedes the last `shape.width` inputs is the encoding, a constant.
+            // Inputs before the last `shape.width` ones are the encoding, a constant.
             let hidden = width.saturating_sub(shape.width as usize);
             by_z = by_input[hidden..]
                 .iter()

@@ -1,8 +1,8 @@
-//! The CPU twin of every kernel: pure functions over slices, generic over f32 and f64.
+//! The oracle: a CPU twin of every kernel, as pure functions over slices, generic over f32 and f64.
 //!
-//! In f64 the oracle is the truth; the same oracle in f32 tells "the device is wrong" from "f32 is
-//! like that". Nothing here knows Vulkan, buffers or workgroups: it is the mathematics, written
-//! independently of the shaders' loops.
+//! In f64 the oracle is the reference. In f32 it shows whether an error is a fault of the device or
+//! a limit of f32. The oracle does not depend on Vulkan, buffers or workgroups: it implements the
+//! mathematics independently of the shaders' loops.
 
 pub mod adam;
 pub mod arap;

@@ -5,7 +5,7 @@
 
 use super::Real;
 
-/// The four keys that a time lies between, and their weights, which sum to 1.
+/// The four keys around a time, and their weights, which sum to 1.
 pub fn keys<R: Real>(time: R, count: usize) -> [(usize, R); 4] {
     let last = count - 1;
     let time = time.max(R::zero()).min(R::one());
@@ -29,7 +29,8 @@ pub fn keys<R: Real>(time: R, count: usize) -> [(usize, R); 4] {
 }
 
 /// The motions `[time][node]` of `nodes` control points by their paths `[key][node]`: translation,
-/// what is added to opacity logits, rotation, of which the path holds the offset from `[1, 0, 0, 0]`.
+/// the value added to opacity logits, and rotation, which the path stores as the offset from `[1,
+/// 0, 0, 0]`.
 pub fn evaluate<R: Real>(paths: &[[R; 8]], nodes: usize, times: &[R]) -> Vec<[R; 8]> {
     let mut out = Vec::with_capacity(nodes * times.len());
     for &time in times {
@@ -46,7 +47,7 @@ pub fn evaluate<R: Real>(paths: &[[R; 8]], nodes: usize, times: &[R]) -> Vec<[R;
 }
 
 /// The gradient with respect to the paths, for a loss whose gradient with respect to the motions is
-/// given; none for what is added to opacity logits, which is given.
+/// given; zero for the value added to opacity logits, which is given.
 pub fn gather<R: Real>(
     gradients: &[[R; 8]],
     nodes: usize,

@@ -25,7 +25,7 @@ pub const LARGEST: f64 = 1e18;
 /// Shorter quaternions count as zero, and their Gaussian is culled.
 pub const MIN_QUATERNION: f64 = 1e-10;
 
-/// A Gaussian as it lands on the image.
+/// A Gaussian projected to the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Splat<R> {
     /// Centre, pixels.
@@ -38,9 +38,9 @@ pub struct Splat<R> {
     pub depth: R,
     /// RGB, clamped at 0.
     pub colour: Vec3<R>,
-    /// The tiles that hold the box around where α reaches the cut.
+    /// The tiles of the bounding box of the region in which α reaches the cut.
     pub rect: TileRect,
-    /// How many tiles of `rect` the splat reaches.
+    /// Number of tiles of `rect` that the splat overlaps.
     pub tile_count: u32,
 }
 
@@ -50,7 +50,7 @@ impl<R: Real> Splat<R> {
         (self.opacity / R::of(f64::from(settings.alpha_cut))).ln()
     }
 
-    /// The tiles the splat reaches, row by row.
+    /// The tiles that the splat overlaps, row by row.
     pub fn tiles(
         &self,
         settings: &RenderSettings,
@@ -62,7 +62,7 @@ impl<R: Real> Splat<R> {
     }
 }
 
-/// Everything on the way from a Gaussian to its splat that the backward pass needs again.
+/// The intermediate values of projection that the backward pass needs again.
 pub(super) struct Geometry<R> {
     /// Centre in the camera's frame.
     pub point: Vec3<R>,
@@ -90,7 +90,7 @@ pub(super) struct Geometry<R> {
     pub dilation: R,
 }
 
-/// `None` where the Gaussian cannot be drawn.
+/// The geometry of a Gaussian; `None` if the Gaussian cannot be drawn.
 pub(super) fn geometry<R: Real>(
     cloud: &Cloud<R>,
     index: usize,
@@ -117,7 +117,7 @@ pub(super) fn geometry<R: Real>(
     let mut tangent = [point[0] / z, point[1] / z];
     let mut clamped = [false; 2];
     for k in 0..2 {
-        // Half a field of view more than the image's edge, wherever the principal point lies.
+        // The margin beyond the image's edges, for any position of the principal point.
         let margin =
             (setting(settings.tangent_clamp) - R::one()) * R::of(0.5) * size[k] / view.focal[k];
         let low = -view.centre[k] / view.focal[k] - margin;

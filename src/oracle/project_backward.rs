@@ -1,5 +1,5 @@
-//! Gradients of [`project`](super::project::project) to every parameter of the Gaussians and to the
-//! camera.
+//! Gradients of [`project`](super::project::project) with respect to every parameter of the
+//! Gaussians and to the camera.
 
 use super::Real;
 use super::linear::{
@@ -10,46 +10,47 @@ use super::sh;
 use super::view::{Cloud, View};
 use crate::types::{RenderSettings, sh_coefficients};
 
-/// Gradient of the loss to what a splat shows.
+/// Gradient of the loss with respect to a splat's attributes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SplatGradient<R> {
-    /// To the centre, per pixel.
+    /// With respect to the centre, per pixel.
     pub mean: [R; 2],
-    /// To the covariance as the conic's factor U whitens it: entries xx, xy, yy of the symmetric G of
-    /// which `2 Uᵀ G U` is the gradient to the covariance itself.
+    /// With respect to the covariance, whitened by the conic's factor U: entries xx, xy, yy of the
+    /// symmetric G for which `2 Uᵀ G U` is the gradient with respect to the covariance itself.
     pub covariance: [R; 3],
-    /// To the opacity.
+    /// With respect to the opacity.
     pub opacity: R,
-    /// To the depth.
+    /// With respect to the depth.
     pub depth: R,
-    /// To the colour.
+    /// With respect to the colour.
     pub colour: Vec3<R>,
 }
 
-/// Gradient of the loss to the camera.
+/// Gradient of the loss with respect to the camera.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ViewGradient<R> {
-    /// To the twist ξ = (ρ, φ), translation first, of `view_from_world ← exp(ξ) · view_from_world`
+    /// With respect to the twist ξ = (ρ, φ), translation first, of `view_from_world ← exp(ξ) ·
+    /// view_from_world`
     /// at ξ = 0.
     pub twist: [R; 6],
-    /// To the focal lengths along x and y.
+    /// With respect to the focal lengths along x and y.
     pub focal: [R; 2],
-    /// To the principal point.
+    /// With respect to the principal point.
     pub centre: [R; 2],
 }
 
-/// What the two paths, through the centre and through the covariance, leave behind.
+/// The gradients accumulated through the centre and through the covariance.
 struct PointGradient<R> {
     point: Vec3<R>,
-    /// To `W R S`, the scaled axes in the camera's frame.
+    /// With respect to `W R S`, the scaled axes in the camera's frame.
     scaled_axes: Mat3<R>,
     log_scales: Vec3<R>,
     focal: [R; 2],
     centre: [R; 2],
 }
 
-/// Gradients to the Gaussians and to the camera, given those to the splats (`gradients[i]` is read
-/// only where `splats[i]` was drawn).
+/// Gradients with respect to the Gaussians and the camera, given those with respect to the splats
+/// (`gradients[i]` is read only if `splats[i]` was drawn).
 pub fn project_backward<R: Real>(
     cloud: &Cloud<R>,
     view: &View<R>,
@@ -117,7 +118,7 @@ fn one<R: Real>(
     camera.centre = add(camera.centre, through.centre);
 }
 
-/// Through the centre, the depth and the covariance.
+/// The gradient through the centre, the depth and the covariance.
 fn point_and_shape<R: Real>(
     g: &Geometry<R>,
     view: &View<R>,
@@ -183,7 +184,8 @@ fn point_and_shape<R: Real>(
     PointGradient { point, scaled_axes, log_scales, focal, centre }
 }
 
-/// Through the colour: to the SH coefficients, and to the unnormalised line of sight.
+/// The gradient through the colour: with respect to the SH coefficients, and to the unnormalised
+/// line of sight.
 fn colour<R: Real>(
     cloud: &Cloud<R>,
     index: usize,

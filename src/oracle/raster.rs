@@ -9,7 +9,7 @@ use super::tiles::{TILE, whitened};
 use crate::types::RenderSettings;
 use rayon::prelude::*;
 
-/// A rendered image, row-major, or the gradient to one.
+/// A rendered image, row-major, or the gradient with respect to one.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Pixels<R> {
     /// Colour premultiplied by alpha, without background.
@@ -31,7 +31,7 @@ impl<R: Real> Pixels<R> {
     }
 }
 
-/// One splat's share of one pixel.
+/// The contribution of one splat to one pixel.
 struct Share<R> {
     splat: usize,
     /// Opacity of the splat here, capped.
@@ -96,8 +96,9 @@ fn blend<R: Real>(
     transmittance
 }
 
-/// Blends every pixel: α = min(cap, opacity · exp(−power)); splats with α below the cut are passed
-/// over, and blending stops before the splat that would bring the transmittance to the stop or below.
+/// Blends every pixel: α = min(cap, opacity · exp(−power)); splats with α below the cut are
+/// skipped, and blending stops before the splat that would bring the transmittance to the stop or
+/// below.
 pub fn forward<R: Real>(
     splats: &[Option<Splat<R>>],
     bins: &Bins,
@@ -129,12 +130,13 @@ pub fn forward<R: Real>(
     out
 }
 
-/// Gradients to the splats, given those to the pixels (`gradient`) and the image (`pixels`).
+/// Gradients with respect to the splats, given those with respect to the pixels (`gradient`) and
+/// the image (`pixels`).
 ///
 /// With `v = g_rgb · colour + g_depth · z + g_alpha`, a pixel's loss is `Σ αᵢ Tᵢ vᵢ`, and
-/// `dL/dαᵢ = Tᵢ vᵢ − (Σ_{j>i} αⱼ Tⱼ vⱼ) / (1 − αᵢ)`. The sum behind a splat is the pixel's total less
-/// the sum up to it, so one pass front to back suffices. Where α is capped nothing reaches opacity
-/// and shape; colour and depth keep their gradient.
+/// `dL/dαᵢ = Tᵢ vᵢ − (Σ_{j>i} αⱼ Tⱼ vⱼ) / (1 − αᵢ)`. The sum behind a splat is the pixel's total
+/// minus the sum up to it, so one front-to-back pass suffices. A capped α passes no gradient to
+/// opacity and shape; colour and depth keep theirs.
 pub fn backward<R: Real>(
     splats: &[Option<Splat<R>>],
     bins: &Bins,

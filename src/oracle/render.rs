@@ -1,4 +1,4 @@
-//! The renderer from Gaussians to pixels and back: projection, binning and blending in a row.
+//! The whole renderer, forward and backward: projection, binning and blending.
 
 use super::Real;
 use super::bin::{Bins, bin};
@@ -8,7 +8,7 @@ use super::raster::{self, Pixels};
 use super::view::{Cloud, View};
 use crate::types::RenderSettings;
 
-/// An image with what the backward pass reads again.
+/// A rendered image with the intermediate results for the backward pass.
 #[derive(Clone, Debug)]
 pub struct Rendered<R> {
     /// Every Gaussian's splat, `None` for the culled.
@@ -31,7 +31,8 @@ pub fn forward<R: Real>(
     Rendered { splats, bins, pixels }
 }
 
-/// Gradients to the Gaussians, the camera and, on the way, the splats, given that to the pixels.
+/// Gradients with respect to the Gaussians, the camera and the splats, given that with respect to
+/// the pixels.
 pub fn backward<R: Real>(
     cloud: &Cloud<R>,
     view: &View<R>,

@@ -1,4 +1,4 @@
-//! Inputs that break renderers: every answer is finite, in f32 as in f64.
+//! Tests of hard inputs: every result is finite, in f32 and in f64.
 
 use super::Real;
 use super::raster::Pixels;
@@ -129,7 +129,7 @@ fn opacities_at_both_ends() {
     let most = image.alpha.iter().fold(0.0_f64, |m, &a| m.max(a));
     assert!((most - cap).abs() < 1e-9);
     assert_eq!(both(&one([0.0, 0.0, 2.0], [-1.0; 3], UPRIGHT, -40.0), &camera, 0.0).1, 0);
-    // Exactly at the cut: drawn with a reach of 0 or culled, never NaN.
+    // Opacity exactly at the cut: drawn with a zero extent or culled, never NaN.
     let at_cut = (1.0_f32 / 254.0).ln();
     run::<f32>(&one([0.0, 0.0, 2.0], [-1.0; 3], UPRIGHT, at_cut), &camera);
 }
@@ -152,7 +152,7 @@ fn quaternions() {
     }
 }
 
-/// One bad number anywhere culls its Gaussian and leaves the others as they were.
+/// One non-finite parameter culls its Gaussian and leaves the others unchanged.
 #[test]
 fn non_finite_numbers() {
     let camera = camera(40.0, 33, 17);

@@ -23,13 +23,13 @@ pub(crate) fn dot<R: Real, const N: usize>(a: [R; N], b: [R; N]) -> R {
     a.iter().zip(b).map(|(&x, y)| x * y).sum()
 }
 
-/// The quaternion that rotates nothing.
+/// The identity quaternion.
 pub fn identity<R: Real>() -> [R; 4] {
     [R::one(), R::zero(), R::zero(), R::zero()]
 }
 
-/// The unit quaternion along `q` and the norm of `q`; nothing where a component of `q` is not a
-/// number or the largest does not lie within 1e-18 and 1e18.
+/// The unit quaternion along `q` and the norm of `q`; `None` if a component of `q` is NaN or the
+/// largest does not lie within 1e-18 and 1e18.
 pub fn unit<R: Real>(q: [R; 4]) -> Option<([R; 4], R)> {
     let largest = q.iter().fold(R::zero(), |m, c| m.max(c.abs()));
     let [low, high] = QUATERNION_RANGE.map(R::of);

@@ -51,7 +51,7 @@ pub fn basis<R: Real>(direction: Vec3<R>) -> [R; 16] {
     ]
 }
 
-/// Derivatives of [`basis`] by x, y and z, each taken as free.
+/// Derivatives of [`basis`] with respect to x, y and z as independent variables.
 pub fn basis_gradient<R: Real>(direction: Vec3<R>) -> [Vec3<R>; 16] {
     let [x, y, z] = direction;
     let o = R::zero();

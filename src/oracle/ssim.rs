@@ -47,7 +47,7 @@ pub fn blur<R: Real>(values: &[R], width: usize, height: usize) -> Vec<R> {
     pass(&pass(values, true), false)
 }
 
-/// The map of SSIM between `x` and `y`, and the gradient to `x` of `Σ weights · map`.
+/// The SSIM map between `x` and `y`, and the gradient of `Σ weights · map` with respect to `x`.
 pub fn ssim<R: Real>(
     x: &[R],
     y: &[R],
@@ -63,7 +63,7 @@ pub fn ssim<R: Real>(
 
     let count = width * height;
     let mut map = vec![R::zero(); count];
-    // Derivatives of the weighted sum by the window's mean of x, of x² and of xy.
+    // Derivatives of the weighted sum with respect to the window's means of x, x² and xy.
     let [mut by_mean, mut by_xx, mut by_xy] = std::array::from_fn(|_| vec![R::zero(); count]);
     for i in 0..count {
         let (mx, my) = (mean_x[i], mean_y[i]);

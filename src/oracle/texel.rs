@@ -1,24 +1,24 @@
-//! Pictures in the formats of textures.
+//! Conversion of rendered images to texture formats.
 //!
-//! A premultiplied pixel over what lies behind it is `c + (1 − α) · b`, alpha too; what is not finite
-//! in it counts as nothing. Eight bits hold the nearest of 255 equal steps from 0 to 1, 16-bit floats
-//! the nearest of theirs, and what is out of range the nearest that is in it.
+//! A premultiplied pixel over a background is `c + (1 − α) · b`, also for alpha; a value that is
+//! not finite counts as zero. Eight bits hold the nearest of the 256 levels from 0 to 1, 16-bit
+//! floats the nearest representable value; values out of range are clamped.
 
 use super::Real;
 use super::half::half as nearest_half;
 
-/// A pixel over what lies behind it.
+/// A pixel composited over a background.
 pub fn over<R: Real>(rgba: [R; 4], background: [R; 4]) -> [R; 4] {
     let pixel = rgba.map(|value| if value.is_finite() { value } else { R::zero() });
     std::array::from_fn(|k| pixel[k] + (R::one() - pixel[3]) * background[k])
 }
 
-/// A channel in steps of eight bits, before it is rounded: in [0, 255].
+/// A channel scaled to [0, 255], before rounding.
 pub fn level<R: Real>(value: R) -> R {
     value.max(R::zero()).min(R::one()) * R::of(255.0)
 }
 
-/// A channel in eight bits.
+/// A channel as an 8-bit value.
 pub fn unorm8<R: Real>(value: R) -> u8 {
     level(value).f64().round() as u8
 }

@@ -1,4 +1,4 @@
-//! Which tiles of the image a splat reaches.
+//! The tiles of the image that a splat overlaps.
 
 use super::Real;
 
@@ -28,8 +28,8 @@ impl TileRect {
         for axis in 0..2 {
             let half = R::of(0.5);
             let last = R::of(f64::from(size[axis])) - R::one();
-            // First and last pixel whose centre is within reach, while still real numbers: an
-            // extent of 1e23 pixels fits no integer.
+            // First and last pixel whose centre is within the extent, as real numbers, since an
+            // extent of 1e23 pixels fits no integer type.
             let from = (mean[axis] - extent[axis] - half).ceil().max(R::zero());
             let to = (mean[axis] + extent[axis] - half).floor().min(last);
             if from.is_nan() || to.is_nan() || from > to {

@@ -1,11 +1,12 @@
-//! What the renderer reads of a scene: the Gaussians and the camera, in the oracle's number type.
+//! The renderer's inputs, Gaussians and camera, in the oracle's number type.
 
 use super::Real;
 use super::linear::{Mat3, Vec3, sub};
 use crate::types::{Camera, Gaussians, Pose, sh_coefficients};
 use glam::{DQuat, DVec3};
 
-/// The parameters of 3D Gaussians, or gradients to them; one row of every array per Gaussian, laid
+/// The parameters of 3D Gaussians, or gradients with respect to them; one row of every array per
+/// Gaussian, laid
 /// out as [`Gaussians`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cloud<R> {
@@ -73,8 +74,8 @@ pub struct View<R> {
     pub rotation: Mat3<R>,
     /// The camera's centre in the world.
     pub eye: Vec3<R>,
-    /// What rounding the centre to R left: far from the origin the difference to a point nearby
-    /// needs it.
+    /// The rounding error of `eye` in R: far from the origin it is needed for accurate differences
+    /// to nearby points.
     pub eye_rest: Vec3<R>,
     /// Focal lengths along x and y, pixels.
     pub focal: [R; 2],

@@ -346,7 +346,7 @@ fn photometric(device: &Device, seed: u64, width: u32, height: u32) -> Result<Jo
     let bound = Bound { absolute: 4e-6 * largest, relative: 4e-6 };
     check.close("gradient", &device_rgb, truth.gradient.rgb.as_flattened(), bound);
     // Two separable windows of 11, four sums one way and three the other, for each channel; every
-    // value between the three passes once out and once in, images and photograph once per pass.
+    // value between the three passes once out and once in, images and reference once per pass.
     let values = 3 * count as u64;
     let bytes = values * 4 * 2 * (4 + 3) + count as u64 * 4 * (2 * 5 + 1 + 4);
     let work = Work { bytes, operations: values * (4 + 3) * 2 * 2 * 11 };

@@ -1,10 +1,11 @@
-//! Forward–backward agreement: what to trust under way, and the confidence of the result.
+//! Forward–backward consistency: the weights of the data terms during refinement, and the
+//! confidence of the result.
 
 use super::Level;
 use crate::oracle::Real;
 
-/// How far going there and back misses, squared, over what is tolerated: `0.01 (|f|² + |b|²) + 0.5`
-/// (Sundaram et al. 2010). None where the flow leaves the image.
+/// The squared forward–backward error relative to its tolerance `0.01 (|f|² + |b|²) + 0.5`
+/// (Sundaram et al. 2010). `None` where the flow leaves the image.
 fn miss<T: Real>(
     forward: [T; 2],
     backward: &[[T; 2]],
@@ -29,7 +30,7 @@ fn miss<T: Real>(
     Some((du * du + dv * dv) / tolerated)
 }
 
-/// How far the data terms of each pixel of `forward` are to be trusted, in (0, 1].
+/// Weight of the data terms of each pixel of `forward`, in (0, 1].
 pub fn trust<T: Real>(
     forward: &[[T; 2]],
     backward: &[[T; 2]],
@@ -47,7 +48,8 @@ pub fn trust<T: Real>(
     out
 }
 
-/// What is left where the directions disagree, so that a pixel without neighbours still moves.
+/// The weight where the directions disagree; it is not zero, so that a pixel without neighbours
+/// still moves.
 const LEAST_TRUST: f64 = 0.001;
 
 /// Confidence of each pixel of `forward`, in [0, 1]: agreement of the two directions times

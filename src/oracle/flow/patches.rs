@@ -9,7 +9,7 @@ pub const PATCH: usize = 8;
 /// Distance between neighbouring patches in pixels.
 pub const STRIDE: usize = 4;
 
-/// What a patch has found.
+/// The displacement found by a patch.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Patch<T> {
     /// The displacement of its centre.
@@ -125,7 +125,7 @@ fn descend<T: Real>(
 ) -> Patch<T> {
     let t = template(a, i, j);
     let noise = T::of(f64::from(settings.noise));
-    // A gradient that noise alone would give damps the step where nothing holds the patch.
+    // Damping by a fraction of the noise power limits the step of a patch without texture.
     let damping = t.count * noise * noise * T::of(DAMPING);
     let (hxx, hxy, hyy) = (t.scatter[0] + damping, t.scatter[1], t.scatter[2] + damping);
     let inverse = (hxx * hyy - hxy * hxy).recip();
@@ -137,7 +137,7 @@ fn descend<T: Real>(
         let step = [(hyy * gx - hxy * gy) * inverse, (hxx * gy - hxy * gx) * inverse];
         now.flow = [now.flow[0] - step[0], now.flow[1] - step[1]];
         let away = (now.flow[0] - from.flow[0]).abs().max((now.flow[1] - from.flow[1]).abs());
-        // A patch that has left its own neighbourhood has lost its hold.
+        // A patch that moves farther than its own size has diverged.
         if away > T::of(PATCH as f64) {
             break;
         }
@@ -153,7 +153,7 @@ fn descend<T: Real>(
     best
 }
 
-/// Share of the noise's power that damps a step.
+/// Fraction of the noise power that damps a step.
 const DAMPING: f64 = 0.1;
 
 /// Every patch takes the best of its candidates (the start flow with its slant, without it, no
@@ -216,10 +216,10 @@ pub fn search<T: Real>(
     out
 }
 
-/// A candidate must cost less than this share of the best before it.
+/// A candidate must cost less than this fraction of the best candidate before it.
 const HYSTERESIS: f64 = 0.9;
 
-/// A guess beyond this is none, pixels of the full image.
+/// Guesses of larger magnitude are ignored, pixels of the full image.
 const FARTHEST: f64 = 16384.0;
 
 /// A slope is at most this: beyond, the start flow has an edge, not a slant.
@@ -232,7 +232,7 @@ fn alike<T: Real>(a: &Patch<T>, b: &Patch<T>) -> bool {
         && (0..4).all(|k| near(a.slope[k], b.slope[k], ALIKE / PATCH as f64))
 }
 
-/// In pixels.
+/// Distance below which two displacements count as equal, pixels.
 const ALIKE: f64 = 0.25;
 
 /// Every patch tries the displacements of its neighbours and descends from the best, if that is

@@ -5,7 +5,7 @@ use super::pyramid::clamp;
 use crate::oracle::Real;
 use crate::types::FlowSettings;
 
-/// The linearised equations of a pixel, before its neighbours' pull:
+/// The linearised equations of a pixel, without the smoothness term:
 /// `[a, b; b, c] (u, v) = (r, s)`, and the weight of its smoothness.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Equation<T> {
