@@ -64,7 +64,7 @@ typedef PFN_vkVoidFunction (*PFN_vkGetInstanceProcAddr)(VkInstance instance, con
 #endif
 #endif
 
-// Version of the library that this header is of. Before 1.0 a minor version may break the interface.
+// Version of the library of this header. Before 1.0 a minor version may break the interface.
 #define SPLAT4D_VERSION_MAJOR 0
 
 // As above.
@@ -73,7 +73,7 @@ typedef PFN_vkVoidFunction (*PFN_vkGetInstanceProcAddr)(VkInstance instance, con
 // As above.
 #define SPLAT4D_VERSION_PATCH 0
 
-// Version of the binary interface: it changes when a program must be compiled anew.
+// Version of the binary interface: it changes when programs must be recompiled.
 #define SPLAT4D_ABI_VERSION 1
 
 // timelineSemaphore of Vulkan 1.2, in a mask of features.
@@ -91,53 +91,54 @@ typedef PFN_vkVoidFunction (*PFN_vkGetInstanceProcAddr)(VkInstance instance, con
 // computeFullSubgroups of Vulkan 1.3.
 #define SPLAT4D_FEATURE_COMPUTE_FULL_SUBGROUPS 16
 
-// 3DGS-MCMC: the dead move to the living, up to max_gaussians. The default.
+// 3DGS-MCMC: dead Gaussians are relocated onto live ones, and the number grows up to
+// max_gaussians. The default.
 #define SPLAT4D_GROWTH_MCMC 0
 
 // 3D Gaussian Splatting: clone, split, prune.
 #define SPLAT4D_GROWTH_ADAPTIVE 1
 
-// The Gaussians that there are.
+// No growth: the number of Gaussians stays constant.
 #define SPLAT4D_GROWTH_NONE 2
 
-// What a call returns.
+// The result code of a call.
 enum splat4d_result
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
   : int32_t
 #endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
  {
-    // Done.
+    // Success.
     SPLAT4D_OK = 0,
-    // A pointer or handle that must be there is null, or a pointer is not aligned.
+    // A required pointer or handle is null, or a pointer is not aligned.
     SPLAT4D_ERROR_POINTER = 1,
     // A structure's struct_size is not set, or the structure has fields set that this library does
     // not know.
     SPLAT4D_ERROR_STRUCT_SIZE = 2,
-    // An argument cannot be worked with.
+    // An argument is invalid.
     SPLAT4D_ERROR_INPUT = 3,
-    // An array or a buffer is too short, or lengths do not fit together.
+    // An array or a buffer is too short, or lengths are inconsistent.
     SPLAT4D_ERROR_SHAPE = 4,
     // A buffer is larger than one binding of the device may be.
     SPLAT4D_ERROR_RANGE_LIMIT = 5,
-    // No Vulkan loader, no driver, or no device that fits.
+    // There is no Vulkan loader, no driver, or no device that fits the request.
     SPLAT4D_ERROR_NO_DEVICE = 6,
     // The device, or the library as it was built, lacks something.
     SPLAT4D_ERROR_UNSUPPORTED = 7,
     // Device memory ran out.
     SPLAT4D_ERROR_OUT_OF_MEMORY = 8,
-    // The device was lost: only destroying is left.
+    // The device was lost: handles can only be destroyed.
     SPLAT4D_ERROR_DEVICE_LOST = 9,
     // A Vulkan call failed.
     SPLAT4D_ERROR_VULKAN = 10,
     // A file could not be read or written.
     SPLAT4D_ERROR_IO = 11,
-    // A file holds something else than its format says.
+    // The content of a file violates its format.
     SPLAT4D_ERROR_FORMAT = 12,
-    // No result could be reached.
+    // The method did not find a result.
     SPLAT4D_ERROR_FAILED = 13,
     // The program was compiled for another binary interface.
     SPLAT4D_ERROR_VERSION = 14,
-    // A bug of the library's: only destroying is left for the handles of the call.
+    // A bug of the library: the handles of the call can only be destroyed.
     SPLAT4D_ERROR_INTERNAL = 15,
 };
 #ifndef __cplusplus
@@ -148,39 +149,40 @@ typedef int32_t splat4d_result;
 #endif // __STDC_VERSION__ >= 202311L
 #endif // __cplusplus
 
-// Memory on a device, of whole words of 4 bytes.
+// A device buffer of 32-bit words.
 typedef struct splat4d_buffer splat4d_buffer;
 
-// A Vulkan device. Everything made from it keeps what it needs of it: handles may be destroyed in
-// any order. Any number of threads may use a device at once.
+// A Vulkan device. Objects made from it keep the underlying device alive, so handles may be
+// destroyed in any order. Any number of threads may use a device at once.
 typedef struct splat4d_device splat4d_device;
 
 // A recorded frame.
 typedef struct splat4d_frame splat4d_frame;
 
-// What a recording into the host's command buffer needs while the device works on it.
+// Keeps the resources of a recording into the host's command buffer alive while the device works
+// on it.
 typedef struct splat4d_guard splat4d_guard;
 
-// A recording under way. Functions named ..._record, and a trainer's forward, backward and update,
-// add to it, ordered by the engine's own barriers. Where one fails, throw the recording away.
+// A recording in progress. Functions named ..._record, and a trainer's forward, backward and
+// update, add to it; the engine's barriers order them. If one fails, destroy the recording.
 typedef struct splat4d_recorder splat4d_recorder;
 
-// A scene on a device. Pictures of one size after the other cost no allocation.
+// A renderer of one scene on a device. Successive images of the same size cost no allocation.
 typedef struct splat4d_renderer splat4d_renderer;
 
-// A plan for exclusive prefix sums, and what they work in.
+// A plan for exclusive prefix sums, with its scratch memory.
 typedef struct splat4d_scan splat4d_scan;
 
 // A scene on the host.
 typedef struct splat4d_scene splat4d_scene;
 
-// A plan for a stable sort of key-payload pairs, and what it works in.
+// A plan for a stable sort of key-payload pairs, with its scratch memory.
 typedef struct splat4d_sort splat4d_sort;
 
-// Submissions to the device's queue, one after the other.
+// An ordered sequence of submissions to the device's queue.
 typedef struct splat4d_stream splat4d_stream;
 
-// Gaussians in training.
+// A trainer of Gaussians as a static scene.
 typedef struct splat4d_trainer splat4d_trainer;
 
 // Which device to open.
@@ -194,106 +196,107 @@ typedef struct splat4d_request {
     uint32_t validation;
 } splat4d_request;
 
-// What a device must offer and be made with.
+// The requirements on a device.
 typedef struct splat4d_requirements {
     // sizeof(splat4d_requirements).
     size_t struct_size;
-    // Of instance and device, packed as Vulkan packs it.
+    // Minimum Vulkan version of instance and device, in Vulkan's packed encoding.
     uint32_t api_version;
-    // SPLAT4D_FEATURE_*: what must be enabled. No extension must be.
+    // SPLAT4D_FEATURE_*: the features that must be enabled. No extension is required.
     uint32_t features;
-    // VkQueueFlags that the queue's family must offer.
+    // VkQueueFlags that the queue's family must have.
     uint32_t queue_flags;
-    // VkSubgroupFeatureFlags in compute shaders.
+    // VkSubgroupFeatureFlags that compute shaders must support.
     uint32_t subgroup_operations;
-    // maxComputeWorkGroupInvocations and `maxComputeWorkGroupSize[0]`, at least.
+    // Minimum of maxComputeWorkGroupInvocations and `maxComputeWorkGroupSize[0]`.
     uint32_t workgroup_invocations;
-    // maxComputeSharedMemorySize, at least; bytes.
+    // Minimum of maxComputeSharedMemorySize, bytes.
     uint32_t shared_memory;
-    // maxPushConstantsSize, at least; bytes.
+    // Minimum of maxPushConstantsSize, bytes.
     uint32_t push_constants;
-    // maxPerStageDescriptorStorageBuffers and maxDescriptorSetStorageBuffers, at least.
+    // Minimum of maxPerStageDescriptorStorageBuffers and maxDescriptorSetStorageBuffers.
     uint32_t storage_buffers;
 } splat4d_requirements;
 
-// A function of a host's that is given the pointer registered with it. It must not throw and not
-// call splat4d with the handle under way.
+// A function of the host, called with the pointer registered with it. It must not throw and must
+// not call splat4d with the handle of the running call.
 typedef void (*splat4d_callback)(void *user);
 
-// A Vulkan device that a host has made.
+// A Vulkan device that the host has created.
 typedef struct splat4d_host_device {
     // sizeof(splat4d_host_device).
     size_t struct_size;
     // The loader's.
     PFN_vkGetInstanceProcAddr get_instance_proc_addr;
-    // Made for Vulkan 1.3 or newer.
+    // The instance, created for Vulkan 1.3 or newer.
     VkInstance instance;
-    // One of the instance's.
+    // A physical device of the instance.
     VkPhysicalDevice physical_device;
-    // Made for Vulkan 1.3 or newer, with what splat4d_requirements lists.
+    // The device, created for Vulkan 1.3 or newer with everything that splat4d_requirements lists.
     VkDevice device;
     // A queue of the device, for the engine's own submissions.
     VkQueue queue;
     // The queue's family, which must offer compute.
     uint32_t queue_family;
-    // SPLAT4D_FEATURE_*: what the device was made with.
+    // SPLAT4D_FEATURE_*: the features that the device was created with.
     uint32_t features;
-    // Needed where anybody else uses the queue while the engine may submit: taken before, and given
-    // back after, on the thread that submits. Both or neither.
+    // Locks the queue. Required if other code uses the queue while the engine may submit; called
+    // before each submission on the submitting thread. queue_lock and queue_unlock must both be
+    // set or both be null.
     splat4d_callback queue_lock;
     // As above.
     splat4d_callback queue_unlock;
     // Given to queue_lock and queue_unlock.
     void *queue_user;
-    // Called once when nothing of the engine's uses the device any more, on whatever thread destroys
-    // the last of it; also where splat4d_device_adopt fails, unless with SPLAT4D_ERROR_POINTER or
-    // SPLAT4D_ERROR_STRUCT_SIZE.
+    // Called once when no object of the engine uses the device any more, on the thread that
+    // destroys the last one. It is also called if splat4d_device_adopt fails, except with
+    // SPLAT4D_ERROR_POINTER or SPLAT4D_ERROR_STRUCT_SIZE.
     splat4d_callback on_drop;
     // Given to on_drop.
     void *on_drop_user;
 } splat4d_host_device;
 
-// What a device is.
+// Properties of a device and its memory use.
 typedef struct splat4d_device_info {
     // sizeof(splat4d_device_info).
     size_t struct_size;
-    // Its name, with a zero at the end; cut off where it is longer.
+    // The device's name, zero-terminated; truncated if it is longer.
     char name[256];
     // VkPhysicalDeviceType.
     uint32_t kind;
-    // Packed as Vulkan packs it.
+    // Supported Vulkan version, in Vulkan's packed encoding.
     uint32_t api_version;
-    // Offsets of buffers that are adopted are multiples of this many bytes.
+    // Offsets of adopted buffers must be multiples of this many bytes.
     uint64_t storage_alignment;
     // The largest buffer that an op may use, bytes.
     uint64_t storage_range;
-    // Bytes of the engine's buffers alive now.
+    // Bytes of all live buffers of the engine.
     uint64_t bytes;
-    // How many buffers and pools were made so far: in steady work it stands still.
+    // Number of buffers and pools created so far; constant in steady-state work.
     uint64_t allocations;
 } splat4d_device_info;
 
-// A part of a buffer of the host's, to adopt.
+// A part of a host's buffer, to adopt.
 typedef struct splat4d_host_buffer {
     // sizeof(splat4d_host_buffer).
     size_t struct_size;
-    // The buffer, of the device, bound to memory.
+    // The buffer; it must belong to the device and be bound to memory.
     VkBuffer buffer;
     // First byte of the part; a multiple of splat4d_device_info.storage_alignment.
     uint64_t offset;
     // Bytes of the part, a multiple of 4.
     uint64_t bytes;
-    // VkBufferUsageFlags that the whole buffer was made with: STORAGE_BUFFER, TRANSFER_SRC and
-    // TRANSFER_DST at least.
+    // VkBufferUsageFlags that the whole buffer was created with; at least STORAGE_BUFFER,
+    // TRANSFER_SRC and TRANSFER_DST.
     uint32_t usage;
-    // Called once when nothing of the engine's uses the buffer any more; also where
-    // splat4d_buffer_adopt fails, unless with SPLAT4D_ERROR_POINTER or SPLAT4D_ERROR_STRUCT_SIZE.
+    // Called once when no object of the engine uses the buffer any more. It is also called if
+    // splat4d_buffer_adopt fails, except with SPLAT4D_ERROR_POINTER or SPLAT4D_ERROR_STRUCT_SIZE.
     splat4d_callback on_drop;
     // Given to on_drop.
     void *on_drop_user;
 } splat4d_host_buffer;
 
-// A part of a VkBuffer; buffer is null and bytes 0 where there is none.
+// A part of a VkBuffer; if absent, buffer is null and bytes is 0.
 typedef struct splat4d_range {
     // The buffer.
     VkBuffer buffer;
@@ -307,7 +310,7 @@ typedef struct splat4d_range {
 typedef struct splat4d_semaphore_point {
     // A timeline semaphore of the device.
     VkSemaphore semaphore;
-    // To wait for, or to signal.
+    // The value to wait for, or to signal.
     uint64_t value;
 } splat4d_semaphore_point;
 
@@ -315,7 +318,7 @@ typedef struct splat4d_semaphore_point {
 typedef struct splat4d_gaussians {
     // sizeof(splat4d_gaussians).
     size_t struct_size;
-    // How many.
+    // Number of Gaussians.
     size_t count;
     // Centres in the world: 3 per Gaussian.
     const float *positions;
@@ -332,7 +335,7 @@ typedef struct splat4d_gaussians {
     uint32_t sh_degree;
 } splat4d_gaussians;
 
-// What a scene holds.
+// Properties of a scene.
 typedef struct splat4d_scene_info {
     // sizeof(splat4d_scene_info).
     size_t struct_size;
@@ -340,11 +343,11 @@ typedef struct splat4d_scene_info {
     size_t count;
     // Degree of the spherical harmonics.
     uint32_t sh_degree;
-    // 1 where it moves.
+    // 1 if the scene is dynamic.
     uint32_t is_dynamic;
-    // Number of cameras of the input.
+    // Number of input cameras.
     size_t camera_count;
-    // Red, green, blue behind everything.
+    // Background colour: red, green, blue.
     float background[3];
 } splat4d_scene_info;
 
@@ -356,13 +359,13 @@ typedef struct splat4d_camera {
     double fx;
     // Focal length along y, pixels; 0 for fx.
     double fy;
-    // Principal point, x, from the left edge.
+    // Principal point, x, from the left edge, pixels.
     double cx;
-    // Principal point, y, from the upper edge.
+    // Principal point, y, from the upper edge, pixels.
     double cy;
-    // Width of the picture, pixels.
+    // Width of the image, pixels.
     uint32_t width;
-    // Height of the picture, pixels.
+    // Height of the image, pixels.
     uint32_t height;
     // view_from_world: a quaternion w, x, y, z, which need not be normalised; all 0 for no rotation.
     double rotation[4];
@@ -370,11 +373,11 @@ typedef struct splat4d_camera {
     double translation[3];
 } splat4d_camera;
 
-// Room for Gaussians, laid out as in splat4d_gaussians. What is null is left out.
+// Output arrays for Gaussians, laid out as in splat4d_gaussians. Null arrays are skipped.
 typedef struct splat4d_gaussians_out {
     // sizeof(splat4d_gaussians_out).
     size_t struct_size;
-    // How many there is room for.
+    // Capacity of the arrays, Gaussians.
     size_t capacity;
     // 3 per Gaussian.
     float *positions;
@@ -386,26 +389,26 @@ typedef struct splat4d_gaussians_out {
     float *opacity_logits;
     // 3 * (sh_degree + 1)^2 per Gaussian.
     float *sh;
-    // The degree that `sh` has room for: exactly that of what is read.
+    // The degree of `sh`; it must equal the degree of the Gaussians that are read.
     uint32_t sh_degree;
 } splat4d_gaussians_out;
 
-// Room for a picture in the host's memory. What is null is left out.
+// Output arrays for an image in the host's memory. Null arrays are skipped.
 typedef struct splat4d_picture {
     // sizeof(splat4d_picture).
     size_t struct_size;
     // Premultiplied red, green, blue without background, and alpha: 4 * width * height.
     float *rgba;
-    // Floats that `rgba` has room for.
+    // Capacity of `rgba`, floats.
     size_t rgba_len;
-    // Sum of alpha * T * z, divided by alpha the mean depth: width * height.
+    // Sum of alpha * T * z: width * height. The mean depth is this divided by alpha.
     float *depth;
-    // Floats that `depth` has room for.
+    // Capacity of `depth`, floats.
     size_t depth_len;
 } splat4d_picture;
 
-// Where a frame goes: buffers of the device, the host's too. What is null stays in the renderer's own
-// pixels.
+// The output buffers of a frame: buffers of the device, adopted ones included. An output that is
+// null goes to the renderer's own pixels.
 typedef struct splat4d_target {
     // sizeof(splat4d_target).
     size_t struct_size;
@@ -413,24 +416,25 @@ typedef struct splat4d_target {
     struct splat4d_buffer *rgba;
     // As in splat4d_picture: 4 bytes a pixel.
     struct splat4d_buffer *depth;
-    // In red, how much of alpha comes from what moves; green and blue are 0; alpha: 16 bytes a pixel.
-    // Costs another pass of blending.
+    // The motion mask, 16 bytes per pixel: red is the part of alpha that comes from dynamic
+    // Gaussians, green and blue are 0, alpha is that of `rgba`. It costs a second blending pass.
     struct splat4d_buffer *mask;
 } splat4d_target;
 
-// What became of a frame.
+// The result of a frame that the device has rendered.
 typedef struct splat4d_drawn {
     // sizeof(splat4d_drawn).
     size_t struct_size;
-    // 1 where every splat was drawn; else the farthest were left out, and the next frame has room.
+    // 1 if every splat was rendered. Otherwise the farthest were left out, and the next frame has
+    // more capacity.
     uint32_t is_whole;
     // Gaussians that were visible.
     size_t visible;
-    // (splat, tile) pairs; 2³² − 1 stands for as many or more.
+    // Number of (splat, tile) pairs; 2³² − 1 stands for that many or more.
     size_t intersections;
 } splat4d_drawn;
 
-// A picture on the device, in buffers of the engine's.
+// An image on the device, in buffers of the engine.
 typedef struct splat4d_pixels {
     // sizeof(splat4d_pixels).
     size_t struct_size;
@@ -444,11 +448,12 @@ typedef struct splat4d_pixels {
     struct splat4d_range depth;
 } splat4d_pixels;
 
-// A picture to train on.
+// A training view.
 typedef struct splat4d_view {
-    // sizeof(splat4d_view); the same in each of an array, whose elements lie so far apart.
+    // sizeof(splat4d_view). It must be equal in all elements of an array, and is the distance
+    // between them.
     size_t struct_size;
-    // Its camera, of the picture's size.
+    // The camera, with the size of the image.
     const struct splat4d_camera *camera;
     // Red, green, blue in [0, 1]: 3 * width * height.
     const float *rgb;
@@ -456,27 +461,27 @@ typedef struct splat4d_view {
     const float *weights;
 } splat4d_view;
 
-// How to train. 0 is the default of every field; where 0 itself is meant, give a value below it.
+// Settings of training. 0 selects the default of a field; a negative value stands for 0 itself.
 typedef struct splat4d_train_settings {
     // sizeof(splat4d_train_settings).
     size_t struct_size;
-    // Steps that the schedules are made for; 0 for 30000.
+    // Number of steps of the schedules; 0 for 30000.
     uint32_t steps;
     // SPLAT4D_GROWTH_*.
     uint32_t growth;
-    // Growth ends here; 0 for a million.
+    // Maximum number of Gaussians; 0 for a million.
     size_t max_gaussians;
-    // Bands of the spherical harmonics, 1 to 4: the degree and 1; 0 for 4.
+    // Bands of the spherical harmonics, 1 to 4 (the degree plus 1); 0 for 4.
     uint32_t sh_bands;
-    // A band is added each time so many steps have passed; 0 for 1000, below 0 for all bands from the
-    // first step.
+    // Number of steps after which a further band is added; 0 for 1000, negative for all bands from
+    // the first step.
     int32_t sh_interval;
-    // Share of D-SSIM in the loss; 0 for 0.2, below 0 for none.
+    // Weight of D-SSIM in the loss; 0 for 0.2, negative for none.
     float ssim_share;
-    // Red, green, blue behind everything.
+    // Background colour: red, green, blue.
     float background[3];
-    // Learning rates; 0 for those of 3D Gaussian Splatting, below 0 for none. Positions, at the first
-    // step and at the last, are in units of the scene's extent.
+    // Learning rates; 0 for those of 3D Gaussian Splatting, negative for none. This one is for
+    // positions at the first step, and the next at the last step, in units of the scene's extent.
     double position_rate;
     // As above.
     double position_rate_last;
@@ -490,15 +495,15 @@ typedef struct splat4d_train_settings {
     double sh0_rate;
     // As above: the other bands.
     double sh_rest_rate;
-    // Decides the order of the pictures and everything random.
+    // Seed of the order of the training views and of all random numbers.
     uint64_t seed;
 } splat4d_train_settings;
 
-// Parts of the last step's loss.
+// The terms of the last step's loss.
 typedef struct splat4d_loss {
     // sizeof(splat4d_loss).
     size_t struct_size;
-    // 1 where there is one; else the rest is 0.
+    // 1 if a loss is known; otherwise the other fields are 0.
     uint32_t is_known;
     // Weighted mean of the absolute differences.
     double l1;
@@ -506,19 +511,19 @@ typedef struct splat4d_loss {
     double ssim;
 } splat4d_loss;
 
-// How far training is.
+// The progress of training.
 typedef struct splat4d_progress {
     // sizeof(splat4d_progress).
     size_t struct_size;
-    // Steps done.
+    // Number of steps done.
     uint32_t step;
-    // Degree of the spherical harmonics of what is read.
+    // Degree of the spherical harmonics of the Gaussians that are read.
     uint32_t sh_degree;
     // Number of Gaussians.
     size_t count;
 } splat4d_progress;
 
-// Gradients on the device, in the layout of the parameters: floats, row after row.
+// Gradients on the device, in the layout of the parameters: floats, one row per Gaussian.
 typedef struct splat4d_gradients {
     // sizeof(splat4d_gradients).
     size_t struct_size;
@@ -532,45 +537,45 @@ typedef struct splat4d_gradients {
     struct splat4d_range opacity_logits;
     // By band: 3, 9, 15, 21 per Gaussian; empty above the degree.
     struct splat4d_range sh[4];
-    // By the camera's pose, for a left perturbation of view_from_world: translation, rotation; 6.
-    // Empty before backward.
+    // With respect to the camera's pose, for a left perturbation of view_from_world: translation,
+    // rotation; 6 floats. Empty before backward.
     struct splat4d_range pose;
 } splat4d_gradients;
 
-// The buffers of one scan, of words.
+// The buffers of one scan; elements are 32-bit words.
 typedef struct splat4d_scan_buffers {
     // sizeof(splat4d_scan_buffers).
     size_t struct_size;
     // Holds the number of values; what exceeds the capacity is left out.
     const struct splat4d_buffer *count;
-    // Word at which it lies.
+    // Index of the word that holds the number.
     uint64_t count_at;
     // The values; as long as the capacity.
     const struct splat4d_buffer *values;
-    // Gets `prefix[i] = values[0] + ... + values[i - 1]`, modulo 2^32; untouched from the number of
-    // values on.
+    // Receives `prefix[i] = values[0] + ... + values[i - 1]`, modulo 2^32; elements from the
+    // number of values on stay unchanged.
     struct splat4d_buffer *prefix;
-    // Gets the sum of all values.
+    // Receives the sum of all values.
     struct splat4d_buffer *total;
-    // Word at which it goes.
+    // Index of the word that receives the sum.
     uint64_t total_at;
 } splat4d_scan_buffers;
 
-// The buffers of one sort, of words. The input is left as it is.
+// The buffers of one sort; elements are 32-bit words. The input stays unchanged.
 typedef struct splat4d_sort_buffers {
     // sizeof(splat4d_sort_buffers).
     size_t struct_size;
     // Holds the number of pairs; what exceeds the capacity is left out.
     const struct splat4d_buffer *count;
-    // Word at which it lies.
+    // Index of the word that holds the number.
     uint64_t count_at;
     // The keys; as long as the capacity.
     const struct splat4d_buffer *keys;
-    // What goes with them; likewise.
+    // The payload of each key; as long as the capacity.
     const struct splat4d_buffer *payload;
-    // Gets the sorted keys; untouched from the number of pairs on.
+    // Receives the sorted keys; elements from the number of pairs on stay unchanged.
     struct splat4d_buffer *sorted_keys;
-    // Gets what goes with them.
+    // Receives the payload in the order of the sorted keys.
     struct splat4d_buffer *sorted_payload;
 } splat4d_sort_buffers;
 
@@ -578,29 +583,32 @@ typedef struct splat4d_sort_buffers {
 extern "C" {
 #endif // __cplusplus
 
-// Version of the library that runs: major * 1000000 + minor * 1000 + patch.
+// Version of the loaded library: major * 1000000 + minor * 1000 + patch.
 uint32_t splat4d_version(void);
 
-// Whether the library that runs understands programs compiled with this header: call it once, with
-// SPLAT4D_ABI_VERSION, before anything else. SPLAT4D_ERROR_VERSION where it does not.
+// Checks that the loaded library is compatible with programs compiled with this header. Call it
+// once, with SPLAT4D_ABI_VERSION, before any other function. Returns SPLAT4D_ERROR_VERSION if it
+// is not.
 splat4d_result splat4d_check_abi(uint32_t abi_version);
 
-// The message of the last call on this thread that failed; empty before the first. UTF-8, owned by
-// the library, valid until the next call on this thread fails. A call that succeeds leaves it.
+// The message of the last failed call on this thread; empty before the first. It is UTF-8, owned
+// by the library, and valid until the next call on this thread fails. A call that succeeds does
+// not change it.
 const char *splat4d_last_error(void);
 
-// Opens a device. `request` may be null for the best. `device` gets a handle, to be destroyed.
+// Opens a device. `request` may be null for the best device. `device` gets a handle, to be
+// destroyed.
 splat4d_result splat4d_device_open(const struct splat4d_request *request,
                                    struct splat4d_device **device);
 
-// What a device must offer and be made with, for hosts that make their own.
+// Gets the requirements on a device, for hosts that create their own.
 splat4d_result splat4d_requirements_query(struct splat4d_requirements *requirements);
 
-// What a physical device lacks of the requirements, in words, separated by ", "; empty where the
-// engine can run on it. As much as fits goes to `text` (`size` bytes, with a zero at the end; null
-// where size is 0), and the length of all of it to `length`, which may be null.
+// Gets descriptions of the requirements that a physical device lacks, separated by ", "; empty if
+// the engine can run on it. As much as fits is written to `text` (`size` bytes, zero-terminated;
+// may be null if size is 0), and the length of the whole text to `length`, which may be null.
 //
-// The instance must be alive and of that loader, and the physical device one of its own.
+// The instance must be alive and of that loader, and the physical device must belong to it.
 splat4d_result splat4d_requirements_lacking(PFN_vkGetInstanceProcAddr get_instance_proc_addr,
                                             VkInstance instance,
                                             VkPhysicalDevice physical_device,
@@ -608,57 +616,59 @@ splat4d_result splat4d_requirements_lacking(PFN_vkGetInstanceProcAddr get_instan
                                             size_t size,
                                             size_t *length);
 
-// Works on a device that the host has made. `device` gets a handle, to be destroyed. Nothing is
+// Adopts a device that the host has created. `device` gets a handle, to be destroyed. Nothing is
 // written to disk; messages of a validation layer go to the host.
 //
-// The handles must belong together; instance and device must have been made for Vulkan 1.3 or newer,
-// the device with every feature that `features` claims. The loader stays loaded, and instance and
-// device alive, until on_drop is called, or without it until everything made from the device is
-// destroyed. Nobody uses the queue while the engine does: either it is the engine's alone, or every
-// other use takes the lock that queue_lock takes; vkDeviceWaitIdle uses all queues.
+// The handles must belong together. Instance and device must have been created for Vulkan 1.3 or
+// newer, the device with every feature that `features` claims. The loader must stay loaded, and
+// instance and device alive, until on_drop is called; without on_drop, until everything made from
+// the device is destroyed. No other code may use the queue while the engine does: either only the
+// engine uses it, or every other use takes the same lock as queue_lock. vkDeviceWaitIdle uses all
+// queues.
 splat4d_result splat4d_device_adopt(const struct splat4d_host_device *host,
                                     struct splat4d_device **device);
 
-// What the device is, and what the engine holds on it.
+// Gets the properties of the device and the engine's memory use.
 splat4d_result splat4d_device_get_info(const struct splat4d_device *device,
                                        struct splat4d_device_info *info);
 
-// Takes what the validation layer has said since it was last taken, line by line: empty where it has
-// said nothing, without the layer, and on a host's device. `text`, `size` and `length` as for
-// splat4d_requirements_lacking; nothing is taken where not all of it fits.
+// Takes the messages of the validation layer since the last call, one per line: empty without
+// messages, without the layer, and on a host's device. `text`, `size` and `length` are as for
+// splat4d_requirements_lacking; the messages are kept if not all of the text fits.
 splat4d_result splat4d_device_take_validation_messages(const struct splat4d_device *device,
                                                        char *text,
                                                        size_t size,
                                                        size_t *length);
 
-// Destroys the handle; null is fine. The device goes when the last that was made from it is gone.
+// Destroys the handle; null is allowed. The device is destroyed with the last object made from it.
 void splat4d_device_destroy(struct splat4d_device *device);
 
-// Makes a buffer of `bytes` (a multiple of 4, above 0) with undefined content. `buffer` gets a handle,
-// to be destroyed.
+// Creates a buffer of `bytes` bytes (a multiple of 4, above 0) with undefined content. `buffer`
+// gets a handle, to be destroyed.
 splat4d_result splat4d_buffer_create(const struct splat4d_device *device,
                                      uint64_t bytes,
                                      struct splat4d_buffer **buffer);
 
-// Takes a part of a buffer of the host's, which stays the host's. `buffer` gets a handle, to be
-// destroyed; the VkBuffer must outlive what was recorded with it, until on_drop is called.
+// Adopts a part of a host's buffer; the host keeps the ownership. `buffer` gets a handle, to be
+// destroyed. The VkBuffer must stay alive until on_drop is called, that is, until recorded work no
+// longer uses it.
 //
-// The buffer must belong to the family of the device's queue or be shared concurrently, and others
-// use it only in order with the engine's work: in the same queue before or after a recording, or
-// behind a semaphore.
+// The queue family of the device must own the buffer, or its sharing mode must be concurrent.
+// Other code may use it only in order with the engine's work: on the same queue before or after a
+// recording, or synchronised by a semaphore.
 splat4d_result splat4d_buffer_adopt(const struct splat4d_device *device,
                                     const struct splat4d_host_buffer *host,
                                     struct splat4d_buffer **buffer);
 
-// Where a buffer lies, for the host's own commands: keep the handle until these are done, and order
-// them with the engine's work.
+// Gets the VkBuffer, offset and size of a buffer, for the host's own commands. Keep the handle
+// until these are done, and order them with the engine's work.
 splat4d_result splat4d_buffer_get_range(const struct splat4d_buffer *buffer,
                                         struct splat4d_range *range);
 
-// Destroys the handle; null is fine. What was recorded with it keeps the memory until it is done.
+// Destroys the handle; null is allowed. Recorded work keeps the memory until it is done.
 void splat4d_buffer_destroy(struct splat4d_buffer *buffer);
 
-// Makes a stream. `stream` gets a handle, to be destroyed.
+// Creates a stream. `stream` gets a handle, to be destroyed.
 splat4d_result splat4d_stream_create(const struct splat4d_device *device,
                                      struct splat4d_stream **stream);
 
@@ -667,13 +677,14 @@ splat4d_result splat4d_stream_create(const struct splat4d_device *device,
 splat4d_result splat4d_stream_record(struct splat4d_stream *stream,
                                      struct splat4d_recorder **recorder);
 
-// Submits a recording, which begins when the `waits` have come, runs after everything submitted before
-// on this stream, and brings the `signals` when it is done. The recorder is gone afterwards, also
-// where this fails. `ticket`, which may be null, gets what to wait for.
+// Submits a recording. It begins when all `waits` are reached, runs after all earlier submissions
+// of this stream, and signals the `signals` when it is done. The recorder is invalid afterwards,
+// also if the call fails. `ticket`, which may be null, receives the value to wait for.
 //
-// The semaphores are timeline semaphores of the device and live until the submission is done; what is
-// waited for comes, else waiting for the ticket and destroying the stream never end; each value
-// signalled is above all that the semaphore had or gets from submissions pending.
+// The semaphores are timeline semaphores of the device and live until the submission is done; the
+// values of `waits` must be reached eventually, or else waiting for the ticket and destroying the
+// stream block forever. Each signalled value must be greater than the semaphore's value and than
+// all values that pending submissions signal.
 splat4d_result splat4d_stream_submit(struct splat4d_stream *stream,
                                      struct splat4d_recorder *recorder,
                                      const struct splat4d_semaphore_point *waits,
@@ -685,34 +696,35 @@ splat4d_result splat4d_stream_submit(struct splat4d_stream *stream,
 // Waits for a submission and everything before it.
 splat4d_result splat4d_stream_wait(struct splat4d_stream *stream, uint64_t ticket);
 
-// The timeline semaphore that counts the stream's submissions: it reaches a ticket when that is done.
+// Gets the timeline semaphore that counts the stream's submissions: it reaches a ticket's value
+// when that submission is done.
 // It lives as long as the stream.
 splat4d_result splat4d_stream_get_semaphore(const struct splat4d_stream *stream,
                                             VkSemaphore *semaphore);
 
-// Writes a buffer from its start: `bytes`, a multiple of 4. `data` is free again on return.
+// Writes `bytes` bytes (a multiple of 4) to the start of a buffer. `data` may be freed on return.
 splat4d_result splat4d_stream_upload(struct splat4d_stream *stream,
                                      struct splat4d_buffer *buffer,
                                      const void *data,
                                      size_t bytes);
 
-// Waits for everything submitted on the stream so far, and reads a buffer from its start: `bytes`, a
-// multiple of 4.
+// Waits for all submissions of the stream so far, and reads `bytes` bytes (a multiple of 4) from
+// the start of a buffer.
 splat4d_result splat4d_stream_download(struct splat4d_stream *stream,
                                        const struct splat4d_buffer *buffer,
                                        void *data,
                                        size_t bytes);
 
-// Waits for what was submitted, and destroys the handle; null is fine.
+// Waits for all submissions, and destroys the handle; null is allowed.
 void splat4d_stream_destroy(struct splat4d_stream *stream);
 
-// Records into the host's command buffer, from where the host is in it; the host goes on with it
-// after splat4d_recorder_finish, and submits it. `recorder` gets a handle, which is finished or
+// Starts a recording that appends to the host's command buffer. After splat4d_recorder_finish the
+// host may record more, and submits the buffer. `recorder` gets a handle, to be finished or
 // destroyed.
 //
-// A recording begins with a barrier from everything that the queue was given before and ends with one
-// to everything after: the host adds none for buffers. It binds pipelines, descriptor sets and push
-// constants of its own.
+// A recording begins with a barrier after all earlier commands of the queue and ends with a
+// barrier before all later ones: the host needs no buffer barriers. It binds its own pipelines,
+// descriptor sets and push constants.
 //
 // The command buffer must be of the device, of a pool for a family with compute, begun, and outside
 // of a render pass; nobody else records into it until splat4d_recorder_finish. It is submitted once
@@ -728,48 +740,48 @@ splat4d_result splat4d_recorder_over(const struct splat4d_device *device,
 splat4d_result splat4d_recorder_finish(struct splat4d_recorder *recorder,
                                        struct splat4d_guard **guard);
 
-// Throws a recording away; null is fine. Into the host's command buffer: the host must reset or free
-// that, since what it binds is gone.
+// Discards a recording; null is allowed. The host must reset or free a command buffer of its own
+// that was recorded into, since the resources that it binds are freed.
 void splat4d_recorder_destroy(struct splat4d_recorder *recorder);
 
-// Tells that the device is done with a command buffer of the host's, or that it will never be
-// submitted; null is fine.
+// Destroys the guard; null is allowed. Call it when the device is done with the host's command
+// buffer, or when that will never be submitted.
 void splat4d_guard_destroy(struct splat4d_guard *guard);
 
-// Makes a static scene of some Gaussians, which are copied. `scene` gets a handle, to be destroyed.
+// Creates a static scene from Gaussians, which are copied. `scene` gets a handle, to be destroyed.
 splat4d_result splat4d_scene_create(const struct splat4d_gaussians *gaussians,
                                     struct splat4d_scene **scene);
 
-// Opens a scene's file or a 3DGS PLY. Not 0 as `drop_bad` leaves out Gaussians that are not finite,
-// which are an error otherwise. `scene` gets a handle, to be destroyed. SPLAT4D_ERROR_UNSUPPORTED
-// where the library was built without the feature `files`.
+// Opens a scene file or a 3DGS PLY. If `drop_bad` is not 0, Gaussians that are not finite are left
+// out; otherwise they are an error. `scene` gets a handle, to be destroyed.
+// SPLAT4D_ERROR_UNSUPPORTED if the library was built without the feature `files`.
 splat4d_result splat4d_scene_open(const char *path,
                                   uint32_t drop_bad,
                                   struct splat4d_scene **scene);
 
-// Writes a scene's file by rename. SPLAT4D_ERROR_UNSUPPORTED where the library was built without the
-// feature `files`.
-splat4d_result splat4d_scene_save(const struct splat4d_scene *scene,
-                                  const char *path);
+// Writes a scene file, atomically by rename. SPLAT4D_ERROR_UNSUPPORTED if the library was built
+// without the feature `files`.
+splat4d_result splat4d_scene_save(const struct splat4d_scene *scene, const char *path);
 
-// What a scene holds.
+// Gets the properties of a scene.
 splat4d_result splat4d_scene_get_info(const struct splat4d_scene *scene,
                                       struct splat4d_scene_info *info);
 
-// A camera of the scene's input, and its time in [0, 1]. `time` may be null.
+// Gets an input camera of the scene, and its time in [0, 1]. `time` may be null.
 splat4d_result splat4d_scene_get_camera(const struct splat4d_scene *scene,
                                         size_t index,
                                         struct splat4d_camera *camera,
                                         double *time);
 
-// Reads a scene's Gaussians, in the canonical frame where it moves.
+// Reads a scene's Gaussians; those of a dynamic scene are in the canonical frame.
 splat4d_result splat4d_scene_read(const struct splat4d_scene *scene,
                                   struct splat4d_gaussians_out *gaussians);
 
-// Destroys the handle; null is fine. Renderers and trainers made from the scene have copies.
+// Destroys the handle; null is allowed. Renderers and trainers made from the scene have copies.
 void splat4d_scene_destroy(struct splat4d_scene *scene);
 
-// Puts a scene on a device. `renderer` gets a handle, to be destroyed; the scene may go.
+// Uploads a scene to a device. `renderer` gets a handle, to be destroyed. The scene may be
+// destroyed afterwards.
 splat4d_result splat4d_renderer_create(const struct splat4d_device *device,
                                        const struct splat4d_scene *scene,
                                        struct splat4d_renderer **renderer);
@@ -780,9 +792,9 @@ splat4d_result splat4d_renderer_render(struct splat4d_renderer *renderer,
                                        double time,
                                        const struct splat4d_picture *picture);
 
-// Records a frame. `target` may be null for the renderer's own pixels. `frame` gets a handle, which is
-// retired or destroyed when the device is done with the frame. Frames of one size after the other
-// allocate nothing on the device, as long as each is retired.
+// Records a frame. `target` may be null for the renderer's own pixels. `frame` gets a handle, to
+// be retired or destroyed when the device is done with the frame. Successive frames of the same
+// size allocate nothing on the device, if each is retired.
 splat4d_result splat4d_renderer_record(struct splat4d_renderer *renderer,
                                        struct splat4d_recorder *recorder,
                                        const struct splat4d_camera *camera,
@@ -790,30 +802,31 @@ splat4d_result splat4d_renderer_record(struct splat4d_renderer *renderer,
                                        const struct splat4d_target *target,
                                        struct splat4d_frame **frame);
 
-// Takes back a frame with which the device is known to be done: after splat4d_stream_wait for its
-// submission, or when the guard of the host's recording is destroyed. SPLAT4D_ERROR_INPUT earlier. The
-// frame is gone afterwards, also where this fails. `drawn` may be null.
+// Retires a frame that the device is known to be done with: after splat4d_stream_wait for its
+// submission, or after the guard of the host's recording is destroyed; SPLAT4D_ERROR_INPUT if
+// called earlier. The frame is invalid afterwards, also if the call fails. `drawn` may be null.
 splat4d_result splat4d_renderer_retire(struct splat4d_renderer *renderer,
                                        struct splat4d_frame *frame,
                                        struct splat4d_drawn *drawn);
 
-// Where the last frame recorded goes as far as it has no target, for the host's own commands: until
-// the next frame, or until the renderer is destroyed. SPLAT4D_ERROR_INPUT before the first.
+// Gets the renderer's own pixels, for the host's own commands: the outputs of the last recorded
+// frame that had no target. They are valid until the next frame, or until the renderer is
+// destroyed. SPLAT4D_ERROR_INPUT before the first frame.
 splat4d_result splat4d_renderer_get_pixels(const struct splat4d_renderer *renderer,
                                            struct splat4d_pixels *pixels);
 
-// Throws a frame away that nobody will retire; null is fine.
+// Destroys a frame that will not be retired; null is allowed.
 void splat4d_frame_destroy(struct splat4d_frame *frame);
 
-// Destroys the handle; null is fine. What was recorded keeps what it needs.
+// Destroys the handle; null is allowed. Recorded work keeps the resources that it needs.
 void splat4d_renderer_destroy(struct splat4d_renderer *renderer);
 
-// Puts Gaussians and pictures on a device, to be trained as a static scene. Everything is copied.
+// Uploads Gaussians and training views to a device, to train a static scene. All data is copied.
 // `settings` may be null for the defaults. `trainer` gets a handle, to be destroyed.
 //
 // Without views (`view_count` 0, for a loss of the host's own) `extent` is the unit of the positions'
-// learning rate: about the distance of the outermost camera from the middle of all. With views it is
-// found from their cameras, and `extent` is not looked at.
+// learning rate: about the distance of the outermost camera from the mean of all. With views it is
+// computed from their cameras, and `extent` is ignored.
 splat4d_result splat4d_trainer_create(const struct splat4d_device *device,
                                       const struct splat4d_gaussians *gaussians,
                                       const struct splat4d_view *views,
@@ -822,68 +835,72 @@ splat4d_result splat4d_trainer_create(const struct splat4d_device *device,
                                       const struct splat4d_train_settings *settings,
                                       struct splat4d_trainer **trainer);
 
-// Does one step on the next picture with the engine's own loss. Returns before the device is done.
+// Does one step on the next training view with the engine's own loss. Returns before the device is
+// done.
 splat4d_result splat4d_trainer_step(struct splat4d_trainer *trainer);
 
-// Waits, and gives the last step's loss.
+// Waits, and gets the last step's loss.
 splat4d_result splat4d_trainer_get_loss(struct splat4d_trainer *trainer, struct splat4d_loss *loss);
 
-// How far training is.
+// Gets the progress of training.
 splat4d_result splat4d_trainer_get_progress(const struct splat4d_trainer *trainer,
                                             struct splat4d_progress *progress);
 
-// Waits for the steps under way, and reads the Gaussians.
+// Waits for the steps in flight, and reads the Gaussians.
 splat4d_result splat4d_trainer_read(struct splat4d_trainer *trainer,
                                     struct splat4d_gaussians_out *gaussians);
 
-// Waits for the steps under way, and makes a scene of the Gaussians. `scene` gets a handle, to be
-// destroyed.
+// Waits for the steps in flight, and creates a scene from the Gaussians. `scene` gets a handle, to
+// be destroyed.
 splat4d_result splat4d_trainer_get_scene(struct splat4d_trainer *trainer,
                                          struct splat4d_scene **scene);
 
-// Begins a step with the host's own loss: records the picture that `camera` sees. What follows, each
-// in its turn, in this recording or a later one: splat4d_trainer_backward, splat4d_trainer_update if
-// the trainer is to learn from it, and when the device is done splat4d_trainer_conclude.
+// Begins a step with the host's own loss: records the rendering of the image that `camera` sees.
+// Then, in this order and in this or later recordings, call splat4d_trainer_backward,
+// splat4d_trainer_update if the parameters are to be updated, and when the device is done
+// splat4d_trainer_conclude.
 splat4d_result splat4d_trainer_forward(struct splat4d_trainer *trainer,
                                        struct splat4d_recorder *recorder,
                                        const struct splat4d_camera *camera);
 
-// Where the picture of the step under way lies, for the host's own commands.
+// Gets the pixel buffers of the current step's image, for the host's own commands.
 splat4d_result splat4d_trainer_get_pixels(struct splat4d_trainer *trainer,
                                           struct splat4d_pixels *pixels);
 
-// Records the gradients by every parameter and by the camera's pose, given those of the host's loss by
-// the picture: `by_rgba`, by premultiplied colour and alpha, 16 bytes a pixel; `by_depth`, 4 bytes a
-// pixel, null where the loss does not read the depth.
+// Records the computation of the gradients with respect to every parameter and the camera's pose,
+// given those of the host's loss with respect to the image: `by_rgba`, with respect to
+// premultiplied colour and alpha, 16 bytes per pixel; `by_depth`, 4 bytes per pixel, null if the
+// loss does not use the depth.
 splat4d_result splat4d_trainer_backward(struct splat4d_trainer *trainer,
                                         struct splat4d_recorder *recorder,
                                         const struct splat4d_buffer *by_rgba,
                                         const struct splat4d_buffer *by_depth);
 
-// Records the update of every parameter by these gradients. A frame that did not fit changes nothing.
+// Records the update of every parameter with these gradients. A frame that exceeded the capacity
+// changes nothing.
 splat4d_result splat4d_trainer_update(struct splat4d_trainer *trainer,
                                       struct splat4d_recorder *recorder);
 
-// Ends the step when the device is known to be done with what was recorded: after splat4d_stream_wait
-// for the submissions, or when the guards of the host's recordings are destroyed. SPLAT4D_ERROR_INPUT
-// earlier; the step is still under way then.
-// `fitted`, which may be null, gets 0 where the frame did not fit: nothing was learnt, there is more
-// room now, and the step should be done again.
-splat4d_result splat4d_trainer_conclude(struct splat4d_trainer *trainer,
-                                        uint32_t *fitted);
+// Ends the step when the device is known to be done with the recorded work: after
+// splat4d_stream_wait for the submissions, or after the guards of the host's recordings are
+// destroyed. If called earlier, it returns SPLAT4D_ERROR_INPUT and the step stays open.
+// `fitted`, which may be null, gets 0 if the frame exceeded the capacity: no parameter was
+// updated, the capacity is larger now, and the step should be repeated.
+splat4d_result splat4d_trainer_conclude(struct splat4d_trainer *trainer, uint32_t *fitted);
 
-// Where the gradients of the last backward lie, for the host's own commands. They stay where they are
-// as long as the trainer lives; that by the pose until the picture's size changes.
+// Gets the buffers of the gradients of the last backward, for the host's own commands. They are
+// valid as long as the trainer lives; that of the pose until the image's size changes.
 splat4d_result splat4d_trainer_get_gradients(struct splat4d_trainer *trainer,
                                              struct splat4d_gradients *gradients);
 
-// Reads the gradients of the last backward, with which the device must be done, by the parameters and
-// by the camera's pose: 6 floats, outside of a step SPLAT4D_ERROR_INPUT. Either may be null.
+// Reads the gradients of the last backward, which the device must have finished: with respect to
+// the parameters, and to the camera's pose (6 floats; SPLAT4D_ERROR_INPUT outside of a step).
+// Either may be null.
 splat4d_result splat4d_trainer_read_gradients(struct splat4d_trainer *trainer,
                                               struct splat4d_gaussians_out *gradients,
                                               float *pose);
 
-// Destroys the handle, and waits for the steps under way; null is fine.
+// Waits for the steps in flight, and destroys the handle; null is allowed.
 void splat4d_trainer_destroy(struct splat4d_trainer *trainer);
 
 // Plans scans of at most `capacity` values. `scan` gets a handle, to be destroyed.
@@ -897,12 +914,12 @@ splat4d_result splat4d_scan_record(struct splat4d_scan *scan,
                                    struct splat4d_recorder *recorder,
                                    const struct splat4d_scan_buffers *buffers);
 
-// Destroys the handle; null is fine.
+// Destroys the handle; null is allowed.
 void splat4d_scan_destroy(struct splat4d_scan *scan);
 
-// Plans sorts of at most `capacity` pairs by the bits of their keys from `first_bit` up to, and
-// without, `end_bit`: 0 and 32 for all. Bits outside do not count; pairs whose bits are equal keep
-// their order. `sort` gets a handle, to be destroyed.
+// Plans sorts of at most `capacity` pairs by the key bits from `first_bit` up to, but excluding,
+// `end_bit`: 0 and 32 for all bits. Other bits are ignored; pairs with equal bits keep their
+// order. `sort` gets a handle, to be destroyed.
 splat4d_result splat4d_sort_create(const struct splat4d_device *device,
                                    size_t capacity,
                                    uint32_t first_bit,
@@ -915,7 +932,7 @@ splat4d_result splat4d_sort_record(struct splat4d_sort *sort,
                                    struct splat4d_recorder *recorder,
                                    const struct splat4d_sort_buffers *buffers);
 
-// Destroys the handle; null is fine.
+// Destroys the handle; null is allowed.
 void splat4d_sort_destroy(struct splat4d_sort *sort);
 
 #ifdef __cplusplus

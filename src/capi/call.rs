@@ -139,7 +139,7 @@ pub(super) unsafe fn give<T>(to: *mut *mut T, value: T) {
 /// handle.
 pub(super) unsafe fn claim<T>(what: &str, to: *mut *mut T) -> Outcome {
     check_pointer(what, to)?;
-    // SAFETY: not null, aligned, and the host's promise.
+    // SAFETY: not null and aligned; the rest is guaranteed by the host.
     unsafe { to.write(std::ptr::null_mut()) };
     Ok(())
 }
@@ -147,7 +147,7 @@ pub(super) unsafe fn claim<T>(what: &str, to: *mut *mut T) -> Outcome {
 /// Takes ownership of a handle, which is invalid afterwards.
 pub(super) unsafe fn take<T>(what: &str, handle: *mut T) -> Outcome<T> {
     check_pointer(what, handle)?;
-    // SAFETY: `give` made it, by the host's promise.
+    // SAFETY: `give` made it, which the host guarantees.
     Ok(*unsafe { Box::from_raw(handle) })
 }
 
@@ -155,7 +155,7 @@ pub(super) unsafe fn take<T>(what: &str, handle: *mut T) -> Outcome<T> {
 pub(super) unsafe fn destroy<T>(handle: *mut T) {
     call(|| match handle.is_null() {
         true => Ok(()),
-        // SAFETY: the host's promise.
+        // SAFETY: guaranteed by the host.
         false => unsafe { take("the handle", handle) }.map(drop),
     });
 }
@@ -163,14 +163,14 @@ pub(super) unsafe fn destroy<T>(handle: *mut T) {
 /// A shared reference to the target of a handle or a pointer.
 pub(super) unsafe fn shared<'a, T>(what: &str, at: *const T) -> Outcome<&'a T> {
     check_pointer(what, at)?;
-    // SAFETY: not null, aligned, and the host's promise.
+    // SAFETY: not null and aligned; the rest is guaranteed by the host.
     Ok(unsafe { &*at })
 }
 
 /// An exclusive reference to the target of a handle.
 pub(super) unsafe fn exclusive<'a, T>(what: &str, at: *mut T) -> Outcome<&'a mut T> {
     check_pointer(what, at)?;
-    // SAFETY: not null, aligned, and the host's promise.
+    // SAFETY: not null and aligned; the rest is guaranteed by the host.
     Ok(unsafe { &mut *at })
 }
 
@@ -192,7 +192,7 @@ pub(super) unsafe fn array<'a, T>(what: &str, at: *const T, len: usize) -> Outco
     }
     check_pointer(what, at)?;
     check_length::<T>(what, len)?;
-    // SAFETY: not null, aligned, of a possible length, and the host's promise.
+    // SAFETY: not null, aligned, and of a valid length; the rest is guaranteed by the host.
     Ok(unsafe { std::slice::from_raw_parts(at, len) })
 }
 
@@ -217,7 +217,7 @@ fn check_length<T>(what: &str, len: usize) -> Outcome {
 /// A text of the host.
 pub(super) unsafe fn text<'a>(what: &str, at: *const c_char) -> Outcome<&'a str> {
     check_pointer(what, at)?;
-    // SAFETY: not null; it ends with a zero, by the host's promise.
+    // SAFETY: not null; it ends with a zero, which the host guarantees.
     let text = unsafe { CStr::from_ptr(at) };
     text.to_str().map_err(|_| input(format!("{what} is not UTF-8")))
 }
@@ -229,7 +229,7 @@ pub(super) unsafe fn write_text(
     size: usize,
     length: *mut usize,
 ) -> Outcome {
-    // SAFETY: the host's promise, here and below.
+    // SAFETY: guaranteed by the host, here and below.
     let to = unsafe { array_mut("text", to.cast::<u8>(), size) }?;
     if let Some((last, room)) = to.split_last_mut() {
         let mut fits = value.len().min(room.len());
@@ -290,12 +290,12 @@ pub(super) unsafe fn size_of_host<T: Grows>(what: &str, at: *const T) -> Outcome
 
 /// Reads a host's structure; fields that an older host does not have are zero.
 pub(super) unsafe fn read<T: Grows>(what: &str, from: *const T) -> Outcome<T> {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     let size = unsafe { size_of_host(what, from) }?;
     let known = size.min(size_of::<T>());
     let mut value = MaybeUninit::<T>::zeroed();
-    // SAFETY: so many bytes are there, by the structure's own word; zeros and what the host has
-    // written make a valid structure.
+    // SAFETY: the structure has this many bytes, as it states; zeros and the host's bytes form a
+    // valid structure.
     let (value, unknown) = unsafe {
         value.as_mut_ptr().cast::<u8>().copy_from_nonoverlapping(from.cast(), known);
         let rest = std::slice::from_raw_parts(from.cast::<u8>().add(known), size - known);
@@ -313,19 +313,19 @@ pub(super) unsafe fn read_or_zero<T: Grows>(what: &str, from: *const T) -> Outco
     match from.is_null() {
         // SAFETY: zeros are valid.
         true => Ok(unsafe { MaybeUninit::<T>::zeroed().assume_init() }),
-        // SAFETY: the host's promise.
+        // SAFETY: guaranteed by the host.
         false => unsafe { read(what, from) },
     }
 }
 
 /// Writes a host's structure up to its size; `struct_size` stays unchanged.
 pub(super) unsafe fn write<T: Grows>(what: &str, to: *mut T, value: T) -> Outcome {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     let size = unsafe { size_of_host(what, to) }?;
     let known = size.min(size_of::<T>());
     let head = size_of::<usize>();
     let from = (&raw const value).cast::<u8>();
-    // SAFETY: so many bytes are there, by the structure's own word.
+    // SAFETY: the structure has this many bytes, as it states.
     unsafe {
         to.cast::<u8>().add(head).copy_from_nonoverlapping(from.add(head), known - head);
         to.cast::<u8>().add(known).write_bytes(0, size - known);

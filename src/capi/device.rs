@@ -145,7 +145,7 @@ pub unsafe extern "C" fn splat4d_device_open(
     request: *const splat4d_request,
     device: *mut *mut splat4d_device,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         claim("device", device)?;
         let request = read_or_zero("request", request)?;
@@ -165,7 +165,7 @@ pub unsafe extern "C" fn splat4d_device_open(
 pub unsafe extern "C" fn splat4d_requirements_query(
     requirements: *mut splat4d_requirements,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let needed = Requirements::query();
         let value = splat4d_requirements {
@@ -197,7 +197,7 @@ pub unsafe extern "C" fn splat4d_requirements_lacking(
     size: usize,
     length: *mut usize,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let loader = get_instance_proc_addr.ok_or_else(no_loader)?;
         let missing = Requirements::query().lacking(loader, instance, physical_device)?;
@@ -219,7 +219,7 @@ pub unsafe extern "C" fn splat4d_device_adopt(
     host: *const splat4d_host_device,
     device: *mut *mut splat4d_device,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         claim("device", device)?;
         let host = read("host", host)?;
@@ -255,7 +255,7 @@ pub unsafe extern "C" fn splat4d_device_get_info(
     device: *const splat4d_device,
     info: *mut splat4d_device_info,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let device = &shared("device", device)?.device;
         let (facts, limits) = (device.info(), device.limits());
@@ -291,7 +291,7 @@ pub unsafe extern "C" fn splat4d_device_take_validation_messages(
     size: usize,
     length: *mut usize,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let splat4d_device { device, messages } = shared("device", device)?;
         let mut messages = messages.lock().unwrap_or_else(PoisonError::into_inner);
@@ -308,7 +308,7 @@ pub unsafe extern "C" fn splat4d_device_take_validation_messages(
 /// Destroys the handle; null is allowed. The device is destroyed with the last object made from it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_device_destroy(device: *mut splat4d_device) {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     unsafe { destroy(device) };
 }
 
@@ -319,7 +319,7 @@ unsafe fn hand_over(
     size: usize,
     length: *mut usize,
 ) -> Outcome {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     unsafe { write_text(kept, to, size, length) }?;
     if kept.len() < size {
         kept.clear();
@@ -355,7 +355,7 @@ fn features(mask: u32) -> Features {
 #[derive(Clone, Copy)]
 struct Callback(unsafe extern "C" fn(user: *mut c_void), *mut c_void);
 
-// SAFETY: the host has promised that its functions may be called on any thread.
+// SAFETY: the host guarantees that its functions may be called on any thread.
 unsafe impl Send for Callback {}
 // SAFETY: as above.
 unsafe impl Sync for Callback {}
@@ -402,7 +402,7 @@ fn queue_lock(lock: Callback, unlock: Callback) -> Box<QueueLock> {
 
 /// The device of a handle.
 pub(super) unsafe fn device_of<'a>(device: *const splat4d_device) -> Outcome<&'a Device> {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     Ok(&unsafe { shared("device", device) }?.device)
 }
 

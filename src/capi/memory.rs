@@ -52,15 +52,14 @@ pub struct splat4d_host_buffer {
 grows!(splat4d_host_buffer, on_drop_user: *mut c_void);
 
 /// Creates a buffer of `bytes` bytes (a multiple of 4, above 0) with undefined content. `buffer`
-/// gets a handle,
-/// to be destroyed.
+/// gets a handle, to be destroyed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_buffer_create(
     device: *const splat4d_device,
     bytes: u64,
     buffer: *mut *mut splat4d_buffer,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         claim("buffer", buffer)?;
         let device = device_of(device)?;
@@ -86,7 +85,7 @@ pub unsafe extern "C" fn splat4d_buffer_adopt(
     host: *const splat4d_host_buffer,
     buffer: *mut *mut splat4d_buffer,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         claim("buffer", buffer)?;
         let device = device_of(device)?;
@@ -111,7 +110,7 @@ pub unsafe extern "C" fn splat4d_buffer_get_range(
     buffer: *const splat4d_buffer,
     range: *mut splat4d_range,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let part = range_of(&shared("buffer", buffer)?.words);
         *exclusive("range", range)? = part;
@@ -122,7 +121,7 @@ pub unsafe extern "C" fn splat4d_buffer_get_range(
 /// Destroys the handle; null is allowed. Recorded work keeps the memory until it is done.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_buffer_destroy(buffer: *mut splat4d_buffer) {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     unsafe { destroy(buffer) };
 }
 
@@ -144,7 +143,7 @@ pub(super) unsafe fn check_apart(
             if written.is_null() || at.is_null() {
                 continue;
             }
-            // SAFETY: the host's promise.
+            // SAFETY: guaranteed by the host.
             let (a, b) = unsafe { (shared(name, written.cast_const())?, shared(other, at)?) };
             let (a, b) = (range_of(&a.words), range_of(&b.words));
             let overlap = a.offset < b.offset + b.bytes && b.offset < a.offset + a.bytes;

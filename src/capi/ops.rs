@@ -27,8 +27,8 @@ pub struct splat4d_scan_buffers {
     pub count_at: u64,
     /// The values; as long as the capacity.
     pub values: *const splat4d_buffer,
-    /// Gets `prefix[i] = values[0] + ... + values[i - 1]`, modulo 2^32; untouched from the number of
-    /// values on.
+    /// Receives `prefix[i] = values[0] + ... + values[i - 1]`, modulo 2^32; elements from the
+    /// number of values on stay unchanged.
     pub prefix: *mut splat4d_buffer,
     /// Receives the sum of all values.
     pub total: *mut splat4d_buffer,
@@ -51,13 +51,13 @@ pub struct splat4d_sort_buffers {
     pub struct_size: usize,
     /// Holds the number of pairs; what exceeds the capacity is left out.
     pub count: *const splat4d_buffer,
-    /// Word at which it lies.
+    /// Index of the word that holds the number.
     pub count_at: u64,
     /// The keys; as long as the capacity.
     pub keys: *const splat4d_buffer,
     /// The payload of each key; as long as the capacity.
     pub payload: *const splat4d_buffer,
-    /// Gets the sorted keys; untouched from the number of pairs on.
+    /// Receives the sorted keys; elements from the number of pairs on stay unchanged.
     pub sorted_keys: *mut splat4d_buffer,
     /// Receives the payload in the order of the sorted keys.
     pub sorted_payload: *mut splat4d_buffer,
@@ -71,7 +71,7 @@ pub unsafe extern "C" fn splat4d_scan_create(
     capacity: usize,
     scan: *mut *mut splat4d_scan,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         claim("scan", scan)?;
         let plan = Scan::plan(capacity)?;
@@ -88,7 +88,7 @@ pub unsafe extern "C" fn splat4d_scan_record(
     recorder: *mut splat4d_recorder,
     buffers: *const splat4d_scan_buffers,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let splat4d_scan { scan, scratch } = exclusive("scan", scan)?;
         let recorder = &mut exclusive("recorder", recorder)?.recorder;
@@ -107,16 +107,16 @@ pub unsafe extern "C" fn splat4d_scan_record(
     })
 }
 
-/// Destroys the handle; null is fine.
+/// Destroys the handle; null is allowed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_scan_destroy(scan: *mut splat4d_scan) {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     unsafe { destroy(scan) };
 }
 
-/// Plans sorts of at most `capacity` pairs by the bits of their keys from `first_bit` up to, and
-/// without, `end_bit`: 0 and 32 for all. Bits outside do not count; pairs whose bits are equal keep
-/// their order. `sort` gets a handle, to be destroyed.
+/// Plans sorts of at most `capacity` pairs by the key bits from `first_bit` up to, but excluding,
+/// `end_bit`: 0 and 32 for all bits. Other bits are ignored; pairs with equal bits keep their
+/// order. `sort` gets a handle, to be destroyed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_sort_create(
     device: *const splat4d_device,
@@ -125,7 +125,7 @@ pub unsafe extern "C" fn splat4d_sort_create(
     end_bit: u32,
     sort: *mut *mut splat4d_sort,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         claim("sort", sort)?;
         let device = device_of(device)?;
@@ -144,7 +144,7 @@ pub unsafe extern "C" fn splat4d_sort_record(
     recorder: *mut splat4d_recorder,
     buffers: *const splat4d_sort_buffers,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let splat4d_sort { sort, scratch } = exclusive("sort", sort)?;
         let recorder = &mut exclusive("recorder", recorder)?.recorder;
@@ -164,14 +164,14 @@ pub unsafe extern "C" fn splat4d_sort_record(
     })
 }
 
-/// Destroys the handle; null is fine.
+/// Destroys the handle; null is allowed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_sort_destroy(sort: *mut splat4d_sort) {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     unsafe { destroy(sort) };
 }
 
-/// The number of a word, which the device counts with 32 bits.
+/// Checks a word index, which the device stores in 32 bits.
 fn word(what: &str, at: u64) -> Outcome<usize> {
     let narrow = u32::try_from(at).ok().filter(|at| *at < u32::MAX);
     narrow

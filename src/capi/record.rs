@@ -16,8 +16,8 @@ pub struct splat4d_stream {
     pub(super) stream: Stream,
 }
 
-/// A recording under way. Functions named ..._record, and a trainer's forward, backward and update,
-/// add to it; the engine's barriers order them. If one fails, destroy the recording.
+/// A recording in progress. Functions named ..._record, and a trainer's forward, backward and
+/// update, add to it; the engine's barriers order them. If one fails, destroy the recording.
 pub struct splat4d_recorder {
     pub(super) recorder: Recorder,
 }
@@ -44,7 +44,7 @@ pub unsafe extern "C" fn splat4d_stream_create(
     device: *const splat4d_device,
     stream: *mut *mut splat4d_stream,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         claim("stream", stream)?;
         give(stream, splat4d_stream { stream: device_of(device)?.stream()? });
@@ -59,7 +59,7 @@ pub unsafe extern "C" fn splat4d_stream_record(
     stream: *mut splat4d_stream,
     recorder: *mut *mut splat4d_recorder,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         claim("recorder", recorder)?;
         let started = exclusive("stream", stream)?.stream.record()?;
@@ -86,7 +86,7 @@ pub unsafe extern "C" fn splat4d_stream_submit(
     signal_count: usize,
     ticket: *mut u64,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let recorder = take("recorder", recorder)?.recorder;
         let waits = points(array("waits", waits, wait_count)?);
@@ -107,7 +107,7 @@ pub unsafe extern "C" fn splat4d_stream_wait(
     stream: *mut splat4d_stream,
     ticket: u64,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let stream = &mut exclusive("stream", stream)?.stream;
         let known = stream.ticket(ticket);
@@ -124,7 +124,7 @@ pub unsafe extern "C" fn splat4d_stream_get_semaphore(
     stream: *const splat4d_stream,
     semaphore: *mut VkSemaphore,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         *exclusive("semaphore", semaphore)? = shared("stream", stream)?.stream.semaphore();
         Ok(())
@@ -139,7 +139,7 @@ pub unsafe extern "C" fn splat4d_stream_upload(
     data: *const c_void,
     bytes: usize,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let stream = &mut exclusive("stream", stream)?.stream;
         let words = &mut exclusive("buffer", buffer)?.words;
@@ -161,7 +161,7 @@ pub unsafe extern "C" fn splat4d_stream_download(
     data: *mut c_void,
     bytes: usize,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let stream = &mut exclusive("stream", stream)?.stream;
         let words = &shared("buffer", buffer)?.words;
@@ -176,7 +176,7 @@ pub unsafe extern "C" fn splat4d_stream_download(
 /// Waits for all submissions, and destroys the handle; null is allowed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_stream_destroy(stream: *mut splat4d_stream) {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     unsafe { destroy(stream) };
 }
 
@@ -198,7 +198,7 @@ pub unsafe extern "C" fn splat4d_recorder_over(
     commands: VkCommandBuffer,
     recorder: *mut *mut splat4d_recorder,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         claim("recorder", recorder)?;
         let started = Recorder::over(device_of(device)?, commands)?;
@@ -215,7 +215,7 @@ pub unsafe extern "C" fn splat4d_recorder_finish(
     recorder: *mut splat4d_recorder,
     guard: *mut *mut splat4d_guard,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let recorder = take("recorder", recorder)?.recorder;
         claim("guard", guard)?;
@@ -228,7 +228,7 @@ pub unsafe extern "C" fn splat4d_recorder_finish(
 /// that was recorded into, since the resources that it binds are freed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_recorder_destroy(recorder: *mut splat4d_recorder) {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     unsafe { destroy(recorder) };
 }
 
@@ -236,7 +236,7 @@ pub unsafe extern "C" fn splat4d_recorder_destroy(recorder: *mut splat4d_recorde
 /// buffer, or when that will never be submitted.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_guard_destroy(guard: *mut splat4d_guard) {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     unsafe { destroy(guard) };
 }
 

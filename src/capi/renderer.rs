@@ -1,4 +1,4 @@
-//! The renderer.
+//! The renderer of the C interface.
 
 use super::call::{
     call, claim, destroy, exclusive, give, grows, input, read, read_or_zero, shape, shared,
@@ -11,7 +11,7 @@ use super::scene::{camera_of, copy_out, floats_of, splat4d_camera, splat4d_scene
 use crate::ops::render::PixelBuffers;
 use crate::renderer::{Frame, Renderer, Target};
 
-/// A scene on a device. Pictures of one size after the other cost no allocation.
+/// A renderer of one scene on a device. Successive images of the same size cost no allocation.
 pub struct splat4d_renderer {
     renderer: Renderer,
 }
@@ -21,7 +21,7 @@ pub struct splat4d_frame {
     frame: Frame,
 }
 
-/// Room for a picture in the host's memory. What is null is left out.
+/// Output arrays for an image in the host's memory. Null arrays are skipped.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct splat4d_picture {
@@ -29,17 +29,17 @@ pub struct splat4d_picture {
     pub struct_size: usize,
     /// Premultiplied red, green, blue without background, and alpha: 4 * width * height.
     pub rgba: *mut f32,
-    /// Floats that `rgba` has room for.
+    /// Capacity of `rgba`, floats.
     pub rgba_len: usize,
-    /// Sum of alpha * T * z, divided by alpha the mean depth: width * height.
+    /// Sum of alpha * T * z: width * height. The mean depth is this divided by alpha.
     pub depth: *mut f32,
-    /// Floats that `depth` has room for.
+    /// Capacity of `depth`, floats.
     pub depth_len: usize,
 }
 grows!(splat4d_picture, depth_len: usize);
 
-/// Where a frame goes: buffers of the device, the host's too. What is null stays in the renderer's own
-/// pixels.
+/// The output buffers of a frame: buffers of the device, adopted ones included. An output that is
+/// null goes to the renderer's own pixels.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct splat4d_target {
@@ -49,28 +49,29 @@ pub struct splat4d_target {
     pub rgba: *mut splat4d_buffer,
     /// As in splat4d_picture: 4 bytes a pixel.
     pub depth: *mut splat4d_buffer,
-    /// In red, how much of alpha comes from what moves; green and blue are 0; alpha: 16 bytes a pixel.
-    /// Costs another pass of blending.
+    /// The motion mask, 16 bytes per pixel: red is the part of alpha that comes from dynamic
+    /// Gaussians, green and blue are 0, alpha is that of `rgba`. It costs a second blending pass.
     pub mask: *mut splat4d_buffer,
 }
 grows!(splat4d_target, mask: *mut splat4d_buffer);
 
-/// What became of a frame.
+/// The result of a frame that the device has rendered.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct splat4d_drawn {
     /// sizeof(splat4d_drawn).
     pub struct_size: usize,
-    /// 1 where every splat was drawn; else the farthest were left out, and the next frame has room.
+    /// 1 if every splat was rendered. Otherwise the farthest were left out, and the next frame has
+    /// more capacity.
     pub is_whole: u32,
     /// Gaussians that were visible.
     pub visible: usize,
-    /// (splat, tile) pairs; 2³² − 1 stands for as many or more.
+    /// Number of (splat, tile) pairs; 2³² − 1 stands for that many or more.
     pub intersections: usize,
 }
 grows!(splat4d_drawn, intersections: usize);
 
-/// A picture on the device, in buffers of the engine's.
+/// An image on the device, in buffers of the engine.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct splat4d_pixels {
@@ -87,14 +88,15 @@ pub struct splat4d_pixels {
 }
 grows!(splat4d_pixels, depth: splat4d_range);
 
-/// Puts a scene on a device. `renderer` gets a handle, to be destroyed; the scene may go.
+/// Uploads a scene to a device. `renderer` gets a handle, to be destroyed. The scene may be
+/// destroyed afterwards.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_renderer_create(
     device: *const splat4d_device,
     scene: *const splat4d_scene,
     renderer: *mut *mut splat4d_renderer,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         claim("renderer", renderer)?;
         let scene = &shared("scene", scene)?.scene;
@@ -112,7 +114,7 @@ pub unsafe extern "C" fn splat4d_renderer_render(
     time: f64,
     picture: *const splat4d_picture,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let renderer = &mut exclusive("renderer", renderer)?.renderer;
         let (camera, time) = (camera_of(camera)?, time_of(time)?);
@@ -133,9 +135,9 @@ pub unsafe extern "C" fn splat4d_renderer_render(
     })
 }
 
-/// Records a frame. `target` may be null for the renderer's own pixels. `frame` gets a handle, which is
-/// retired or destroyed when the device is done with the frame. Frames of one size after the other
-/// allocate nothing on the device, as long as each is retired.
+/// Records a frame. `target` may be null for the renderer's own pixels. `frame` gets a handle, to
+/// be retired or destroyed when the device is done with the frame. Successive frames of the same
+/// size allocate nothing on the device, if each is retired.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_renderer_record(
     renderer: *mut splat4d_renderer,
@@ -145,7 +147,7 @@ pub unsafe extern "C" fn splat4d_renderer_record(
     target: *const splat4d_target,
     frame: *mut *mut splat4d_frame,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         claim("frame", frame)?;
         let renderer = &mut exclusive("renderer", renderer)?.renderer;
@@ -168,16 +170,16 @@ pub unsafe extern "C" fn splat4d_renderer_record(
     })
 }
 
-/// Takes back a frame with which the device is known to be done: after splat4d_stream_wait for its
-/// submission, or when the guard of the host's recording is destroyed. SPLAT4D_ERROR_INPUT earlier. The
-/// frame is gone afterwards, also where this fails. `drawn` may be null.
+/// Retires a frame that the device is known to be done with: after splat4d_stream_wait for its
+/// submission, or after the guard of the host's recording is destroyed; SPLAT4D_ERROR_INPUT if
+/// called earlier. The frame is invalid afterwards, also if the call fails. `drawn` may be null.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_renderer_retire(
     renderer: *mut splat4d_renderer,
     frame: *mut splat4d_frame,
     drawn: *mut splat4d_drawn,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let frame = take("frame", frame)?.frame;
         let found = exclusive("renderer", renderer)?.renderer.retire(frame)?;
@@ -194,14 +196,15 @@ pub unsafe extern "C" fn splat4d_renderer_retire(
     })
 }
 
-/// Where the last frame recorded goes as far as it has no target, for the host's own commands: until
-/// the next frame, or until the renderer is destroyed. SPLAT4D_ERROR_INPUT before the first.
+/// Gets the renderer's own pixels, for the host's own commands: the outputs of the last recorded
+/// frame that had no target. They are valid until the next frame, or until the renderer is
+/// destroyed. SPLAT4D_ERROR_INPUT before the first frame.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_renderer_get_pixels(
     renderer: *const splat4d_renderer,
     pixels: *mut splat4d_pixels,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let found = shared("renderer", renderer)?.renderer.pixels();
         let found = found.ok_or_else(|| input("no frame has been recorded"))?;
@@ -209,17 +212,17 @@ pub unsafe extern "C" fn splat4d_renderer_get_pixels(
     })
 }
 
-/// Throws a frame away that nobody will retire; null is fine.
+/// Destroys a frame that will not be retired; null is allowed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_frame_destroy(frame: *mut splat4d_frame) {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     unsafe { destroy(frame) };
 }
 
-/// Destroys the handle; null is fine. What was recorded keeps what it needs.
+/// Destroys the handle; null is allowed. Recorded work keeps the resources that it needs.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_renderer_destroy(renderer: *mut splat4d_renderer) {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     unsafe { destroy(renderer) };
 }
 

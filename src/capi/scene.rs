@@ -21,7 +21,7 @@ pub struct splat4d_scene {
 pub struct splat4d_gaussians {
     /// sizeof(splat4d_gaussians).
     pub struct_size: usize,
-    /// How many.
+    /// Number of Gaussians.
     pub count: usize,
     /// Centres in the world: 3 per Gaussian.
     pub positions: *const f32,
@@ -39,13 +39,13 @@ pub struct splat4d_gaussians {
 }
 grows!(splat4d_gaussians, sh_degree: u32);
 
-/// Room for Gaussians, laid out as in splat4d_gaussians. What is null is left out.
+/// Output arrays for Gaussians, laid out as in splat4d_gaussians. Null arrays are skipped.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct splat4d_gaussians_out {
     /// sizeof(splat4d_gaussians_out).
     pub struct_size: usize,
-    /// How many there is room for.
+    /// Capacity of the arrays, Gaussians.
     pub capacity: usize,
     /// 3 per Gaussian.
     pub positions: *mut f32,
@@ -57,12 +57,12 @@ pub struct splat4d_gaussians_out {
     pub opacity_logits: *mut f32,
     /// 3 * (sh_degree + 1)^2 per Gaussian.
     pub sh: *mut f32,
-    /// The degree that `sh` has room for: exactly that of what is read.
+    /// The degree of `sh`; it must equal the degree of the Gaussians that are read.
     pub sh_degree: u32,
 }
 grows!(splat4d_gaussians_out, sh_degree: u32);
 
-/// What a scene holds.
+/// Properties of a scene.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct splat4d_scene_info {
@@ -72,11 +72,11 @@ pub struct splat4d_scene_info {
     pub count: usize,
     /// Degree of the spherical harmonics.
     pub sh_degree: u32,
-    /// 1 where it moves.
+    /// 1 if the scene is dynamic.
     pub is_dynamic: u32,
-    /// Number of cameras of the input.
+    /// Number of input cameras.
     pub camera_count: usize,
-    /// Red, green, blue behind everything.
+    /// Background colour: red, green, blue.
     pub background: [f32; 3],
 }
 grows!(splat4d_scene_info, background: [f32; 3]);
@@ -91,13 +91,13 @@ pub struct splat4d_camera {
     pub fx: f64,
     /// Focal length along y, pixels; 0 for fx.
     pub fy: f64,
-    /// Principal point, x, from the left edge.
+    /// Principal point, x, from the left edge, pixels.
     pub cx: f64,
-    /// Principal point, y, from the upper edge.
+    /// Principal point, y, from the upper edge, pixels.
     pub cy: f64,
-    /// Width of the picture, pixels.
+    /// Width of the image, pixels.
     pub width: u32,
-    /// Height of the picture, pixels.
+    /// Height of the image, pixels.
     pub height: u32,
     /// view_from_world: a quaternion w, x, y, z, which need not be normalised; all 0 for no rotation.
     pub rotation: [f64; 4],
@@ -106,13 +106,13 @@ pub struct splat4d_camera {
 }
 grows!(splat4d_camera, translation: [f64; 3]);
 
-/// Makes a static scene of some Gaussians, which are copied. `scene` gets a handle, to be destroyed.
+/// Creates a static scene from Gaussians, which are copied. `scene` gets a handle, to be destroyed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_scene_create(
     gaussians: *const splat4d_gaussians,
     scene: *mut *mut splat4d_scene,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         claim("scene", scene)?;
         give(scene, splat4d_scene { scene: Scene::of(gaussians_of(gaussians)?) });
@@ -120,16 +120,16 @@ pub unsafe extern "C" fn splat4d_scene_create(
     })
 }
 
-/// Opens a scene's file or a 3DGS PLY. Not 0 as `drop_bad` leaves out Gaussians that are not finite,
-/// which are an error otherwise. `scene` gets a handle, to be destroyed. SPLAT4D_ERROR_UNSUPPORTED
-/// where the library was built without the feature `files`.
+/// Opens a scene file or a 3DGS PLY. If `drop_bad` is not 0, Gaussians that are not finite are left
+/// out; otherwise they are an error. `scene` gets a handle, to be destroyed.
+/// SPLAT4D_ERROR_UNSUPPORTED if the library was built without the feature `files`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_scene_open(
     path: *const c_char,
     drop_bad: u32,
     scene: *mut *mut splat4d_scene,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         claim("scene", scene)?;
         give(scene, splat4d_scene { scene: open(text("path", path)?, drop_bad != 0)? });
@@ -137,24 +137,24 @@ pub unsafe extern "C" fn splat4d_scene_open(
     })
 }
 
-/// Writes a scene's file by rename. SPLAT4D_ERROR_UNSUPPORTED where the library was built without the
-/// feature `files`.
+/// Writes a scene file, atomically by rename. SPLAT4D_ERROR_UNSUPPORTED if the library was built
+/// without the feature `files`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_scene_save(
     scene: *const splat4d_scene,
     path: *const c_char,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe { save(&shared("scene", scene)?.scene, text("path", path)?) })
 }
 
-/// What a scene holds.
+/// Gets the properties of a scene.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_scene_get_info(
     scene: *const splat4d_scene,
     info: *mut splat4d_scene_info,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let scene = &shared("scene", scene)?.scene;
         let value = splat4d_scene_info {
@@ -169,7 +169,7 @@ pub unsafe extern "C" fn splat4d_scene_get_info(
     })
 }
 
-/// A camera of the scene's input, and its time in [0, 1]. `time` may be null.
+/// Gets an input camera of the scene, and its time in [0, 1]. `time` may be null.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_scene_get_camera(
     scene: *const splat4d_scene,
@@ -177,7 +177,7 @@ pub unsafe extern "C" fn splat4d_scene_get_camera(
     camera: *mut splat4d_camera,
     time: *mut f64,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let cameras = &shared("scene", scene)?.scene.cameras;
         let found = cameras.get(index);
@@ -203,20 +203,20 @@ pub unsafe extern "C" fn splat4d_scene_get_camera(
     })
 }
 
-/// Reads a scene's Gaussians, in the canonical frame where it moves.
+/// Reads a scene's Gaussians; those of a dynamic scene are in the canonical frame.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_scene_read(
     scene: *const splat4d_scene,
     gaussians: *mut splat4d_gaussians_out,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe { read_out(&shared("scene", scene)?.scene.gaussians, gaussians) })
 }
 
-/// Destroys the handle; null is fine. Renderers and trainers made from the scene have copies.
+/// Destroys the handle; null is allowed. Renderers and trainers made from the scene have copies.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_scene_destroy(scene: *mut splat4d_scene) {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     unsafe { destroy(scene) };
 }
 
@@ -248,7 +248,7 @@ fn no_files(path: &str) -> super::call::Fault {
 
 /// Copies a host's Gaussians.
 pub(super) unsafe fn gaussians_of(from: *const splat4d_gaussians) -> Outcome<Gaussians> {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     unsafe {
         let g = read("gaussians", from)?;
         if g.sh_degree > 3 {
@@ -271,13 +271,13 @@ pub(super) unsafe fn gaussians_of(from: *const splat4d_gaussians) -> Outcome<Gau
 }
 
 unsafe fn rows<const N: usize>(what: &str, at: *const f32, len: usize) -> Outcome<Vec<[f32; N]>> {
-    // SAFETY: the host's promise; an array is aligned as its elements are.
+    // SAFETY: guaranteed by the host; an array has the alignment of its elements.
     Ok(unsafe { array(what, at.cast::<[f32; N]>(), len) }?.to_vec())
 }
 
 /// Copies Gaussians to a host's arrays.
 pub(super) unsafe fn read_out(from: &Gaussians, to: *mut splat4d_gaussians_out) -> Outcome {
-    // SAFETY: the host's promise, here and below.
+    // SAFETY: guaranteed by the host, here and below.
     let to = unsafe { read("gaussians", to.cast_const()) }?;
     if to.capacity < from.len() {
         let (room, count) = (to.capacity, from.len());
@@ -297,10 +297,10 @@ pub(super) unsafe fn read_out(from: &Gaussians, to: *mut splat4d_gaussians_out) 
     }
 }
 
-/// Copies to a host's array, which is long enough by its promise, unless it is null.
+/// Copies to a host's array unless it is null; the host guarantees that it is long enough.
 pub(super) unsafe fn copy_out<T: Pod>(what: &str, from: &[T], to: *mut T) -> Outcome {
     if !to.is_null() {
-        // SAFETY: the host's promise.
+        // SAFETY: guaranteed by the host.
         unsafe { array_mut(what, to, from.len()) }?.copy_from_slice(from);
     }
     Ok(())
@@ -308,7 +308,7 @@ pub(super) unsafe fn copy_out<T: Pod>(what: &str, from: &[T], to: *mut T) -> Out
 
 /// A host's camera.
 pub(super) unsafe fn camera_of(from: *const splat4d_camera) -> Outcome<Camera> {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     let c = unsafe { read("camera", from) }?;
     let fy = if c.fy == 0.0 { c.fx } else { c.fy };
     let positive = |f: f64| f.is_finite() && f > 0.0;
@@ -346,10 +346,10 @@ pub(super) unsafe fn camera_of(from: *const splat4d_camera) -> Outcome<Camera> {
     })
 }
 
-/// Floats in a picture of a camera's, of so many for each pixel.
+/// Number of floats in an image of a camera, with `channels` floats per pixel.
 pub(super) fn floats_of(camera: &Camera, channels: usize) -> usize {
     let Intrinsics { width, height, .. } = camera.intrinsics;
-    // What is too many for memory is too many in the end.
+    // Saturates: such a number exceeds any memory.
     (width as usize).saturating_mul(height as usize).saturating_mul(channels)
 }
 

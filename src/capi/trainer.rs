@@ -1,4 +1,4 @@
-//! The trainer.
+//! The trainer of the C interface.
 
 use super::call::{
     Outcome, array, call, claim, destroy, exclusive, fault, give, grows, input, read, read_or_zero,
@@ -19,45 +19,46 @@ use crate::train::own_loss::OwnGradients;
 use crate::train::{AdaptiveSettings, GrowthSettings, TrainSettings, Trainer, TrainingView};
 use crate::types::Image;
 
-/// Gaussians in training.
+/// A trainer of Gaussians as a static scene.
 pub struct splat4d_trainer {
     trainer: Trainer,
-    /// For reading gradients.
+    /// The stream for reading gradients.
     stream: Stream,
     background: [f32; 3],
     sh_degree: u32,
 }
 
-/// 3DGS-MCMC: the dead move to the living, up to max_gaussians. The default.
+/// 3DGS-MCMC: dead Gaussians are relocated onto live ones, and the number grows up to
+/// max_gaussians. The default.
 pub const SPLAT4D_GROWTH_MCMC: u32 = 0;
 /// 3D Gaussian Splatting: clone, split, prune.
 pub const SPLAT4D_GROWTH_ADAPTIVE: u32 = 1;
-/// The Gaussians that there are.
+/// No growth: the number of Gaussians stays constant.
 pub const SPLAT4D_GROWTH_NONE: u32 = 2;
 
-/// How to train. 0 is the default of every field; where 0 itself is meant, give a value below it.
+/// Settings of training. 0 selects the default of a field; a negative value stands for 0 itself.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct splat4d_train_settings {
     /// sizeof(splat4d_train_settings).
     pub struct_size: usize,
-    /// Steps that the schedules are made for; 0 for 30000.
+    /// Number of steps of the schedules; 0 for 30000.
     pub steps: u32,
     /// SPLAT4D_GROWTH_*.
     pub growth: u32,
-    /// Growth ends here; 0 for a million.
+    /// Maximum number of Gaussians; 0 for a million.
     pub max_gaussians: usize,
-    /// Bands of the spherical harmonics, 1 to 4: the degree and 1; 0 for 4.
+    /// Bands of the spherical harmonics, 1 to 4 (the degree plus 1); 0 for 4.
     pub sh_bands: u32,
-    /// A band is added each time so many steps have passed; 0 for 1000, below 0 for all bands from the
-    /// first step.
+    /// Number of steps after which a further band is added; 0 for 1000, negative for all bands from
+    /// the first step.
     pub sh_interval: i32,
-    /// Share of D-SSIM in the loss; 0 for 0.2, below 0 for none.
+    /// Weight of D-SSIM in the loss; 0 for 0.2, negative for none.
     pub ssim_share: f32,
-    /// Red, green, blue behind everything.
+    /// Background colour: red, green, blue.
     pub background: [f32; 3],
-    /// Learning rates; 0 for those of 3D Gaussian Splatting, below 0 for none. Positions, at the first
-    /// step and at the last, are in units of the scene's extent.
+    /// Learning rates; 0 for those of 3D Gaussian Splatting, negative for none. This one is for
+    /// positions at the first step, and the next at the last step, in units of the scene's extent.
     pub position_rate: f64,
     /// As above.
     pub position_rate_last: f64,
@@ -71,18 +72,19 @@ pub struct splat4d_train_settings {
     pub sh0_rate: f64,
     /// As above: the other bands.
     pub sh_rest_rate: f64,
-    /// Decides the order of the pictures and everything random.
+    /// Seed of the order of the training views and of all random numbers.
     pub seed: u64,
 }
 grows!(splat4d_train_settings, seed: u64);
 
-/// A picture to train on.
+/// A training view.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct splat4d_view {
-    /// sizeof(splat4d_view); the same in each of an array, whose elements lie so far apart.
+    /// sizeof(splat4d_view). It must be equal in all elements of an array, and is the distance
+    /// between them.
     pub struct_size: usize,
-    /// Its camera, of the picture's size.
+    /// The camera, with the size of the image.
     pub camera: *const splat4d_camera,
     /// Red, green, blue in [0, 1]: 3 * width * height.
     pub rgb: *const f32,
@@ -91,28 +93,28 @@ pub struct splat4d_view {
 }
 grows!(splat4d_view, weights: *const f32);
 
-/// How far training is.
+/// The progress of training.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct splat4d_progress {
     /// sizeof(splat4d_progress).
     pub struct_size: usize,
-    /// Steps done.
+    /// Number of steps done.
     pub step: u32,
-    /// Degree of the spherical harmonics of what is read.
+    /// Degree of the spherical harmonics of the Gaussians that are read.
     pub sh_degree: u32,
     /// Number of Gaussians.
     pub count: usize,
 }
 grows!(splat4d_progress, count: usize);
 
-/// Parts of the last step's loss.
+/// The terms of the last step's loss.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct splat4d_loss {
     /// sizeof(splat4d_loss).
     pub struct_size: usize,
-    /// 1 where there is one; else the rest is 0.
+    /// 1 if a loss is known; otherwise the other fields are 0.
     pub is_known: u32,
     /// Weighted mean of the absolute differences.
     pub l1: f64,
@@ -121,7 +123,7 @@ pub struct splat4d_loss {
 }
 grows!(splat4d_loss, ssim: f64);
 
-/// Gradients on the device, in the layout of the parameters: floats, row after row.
+/// Gradients on the device, in the layout of the parameters: floats, one row per Gaussian.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct splat4d_gradients {
@@ -137,18 +139,18 @@ pub struct splat4d_gradients {
     pub opacity_logits: splat4d_range,
     /// By band: 3, 9, 15, 21 per Gaussian; empty above the degree.
     pub sh: [splat4d_range; 4],
-    /// By the camera's pose, for a left perturbation of view_from_world: translation, rotation; 6.
-    /// Empty before backward.
+    /// With respect to the camera's pose, for a left perturbation of view_from_world: translation,
+    /// rotation; 6 floats. Empty before backward.
     pub pose: splat4d_range,
 }
 grows!(splat4d_gradients, pose: splat4d_range);
 
-/// Puts Gaussians and pictures on a device, to be trained as a static scene. Everything is copied.
+/// Uploads Gaussians and training views to a device, to train a static scene. All data is copied.
 /// `settings` may be null for the defaults. `trainer` gets a handle, to be destroyed.
 ///
 /// Without views (`view_count` 0, for a loss of the host's own) `extent` is the unit of the positions'
-/// learning rate: about the distance of the outermost camera from the middle of all. With views it is
-/// found from their cameras, and `extent` is not looked at.
+/// learning rate: about the distance of the outermost camera from the mean of all. With views it is
+/// computed from their cameras, and `extent` is ignored.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_trainer_create(
     device: *const splat4d_device,
@@ -159,7 +161,7 @@ pub unsafe extern "C" fn splat4d_trainer_create(
     settings: *const splat4d_train_settings,
     trainer: *mut *mut splat4d_trainer,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         claim("trainer", trainer)?;
         let device = device_of(device)?;
@@ -185,20 +187,21 @@ pub unsafe extern "C" fn splat4d_trainer_create(
     })
 }
 
-/// Does one step on the next picture with the engine's own loss. Returns before the device is done.
+/// Does one step on the next training view with the engine's own loss. Returns before the device is
+/// done.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_trainer_step(trainer: *mut splat4d_trainer) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe { Ok(exclusive("trainer", trainer)?.trainer.step()?) })
 }
 
-/// Waits, and gives the last step's loss.
+/// Waits, and gets the last step's loss.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_trainer_get_loss(
     trainer: *mut splat4d_trainer,
     loss: *mut splat4d_loss,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let trainer = &mut exclusive("trainer", trainer)?.trainer;
         size_of_host("loss", loss)?;
@@ -210,13 +213,13 @@ pub unsafe extern "C" fn splat4d_trainer_get_loss(
     })
 }
 
-/// How far training is.
+/// Gets the progress of training.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_trainer_get_progress(
     trainer: *const splat4d_trainer,
     progress: *mut splat4d_progress,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let trainer = shared("trainer", trainer)?;
         let found = trainer.trainer.progress();
@@ -225,13 +228,13 @@ pub unsafe extern "C" fn splat4d_trainer_get_progress(
     })
 }
 
-/// Waits for the steps under way, and reads the Gaussians.
+/// Waits for the steps in flight, and reads the Gaussians.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_trainer_read(
     trainer: *mut splat4d_trainer,
     gaussians: *mut splat4d_gaussians_out,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let trainer = &mut exclusive("trainer", trainer)?.trainer;
         size_of_host("gaussians", gaussians)?;
@@ -239,14 +242,14 @@ pub unsafe extern "C" fn splat4d_trainer_read(
     })
 }
 
-/// Waits for the steps under way, and makes a scene of the Gaussians. `scene` gets a handle, to be
-/// destroyed.
+/// Waits for the steps in flight, and creates a scene from the Gaussians. `scene` gets a handle, to
+/// be destroyed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_trainer_get_scene(
     trainer: *mut splat4d_trainer,
     scene: *mut *mut splat4d_scene,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         claim("scene", scene)?;
         let splat4d_trainer { trainer, background, .. } = exclusive("trainer", trainer)?;
@@ -257,16 +260,17 @@ pub unsafe extern "C" fn splat4d_trainer_get_scene(
     })
 }
 
-/// Begins a step with the host's own loss: records the picture that `camera` sees. What follows, each
-/// in its turn, in this recording or a later one: splat4d_trainer_backward, splat4d_trainer_update if
-/// the trainer is to learn from it, and when the device is done splat4d_trainer_conclude.
+/// Begins a step with the host's own loss: records the rendering of the image that `camera` sees.
+/// Then, in this order and in this or later recordings, call splat4d_trainer_backward,
+/// splat4d_trainer_update if the parameters are to be updated, and when the device is done
+/// splat4d_trainer_conclude.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_trainer_forward(
     trainer: *mut splat4d_trainer,
     recorder: *mut splat4d_recorder,
     camera: *const splat4d_camera,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let trainer = &mut exclusive("trainer", trainer)?.trainer;
         let recorder = &mut exclusive("recorder", recorder)?.recorder;
@@ -274,22 +278,23 @@ pub unsafe extern "C" fn splat4d_trainer_forward(
     })
 }
 
-/// Where the picture of the step under way lies, for the host's own commands.
+/// Gets the pixel buffers of the current step's image, for the host's own commands.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_trainer_get_pixels(
     trainer: *mut splat4d_trainer,
     pixels: *mut splat4d_pixels,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let trainer = &mut exclusive("trainer", trainer)?.trainer;
         write("pixels", pixels, pixels_of(trainer.pixels()?))
     })
 }
 
-/// Records the gradients by every parameter and by the camera's pose, given those of the host's loss by
-/// the picture: `by_rgba`, by premultiplied colour and alpha, 16 bytes a pixel; `by_depth`, 4 bytes a
-/// pixel, null where the loss does not read the depth.
+/// Records the computation of the gradients with respect to every parameter and the camera's pose,
+/// given those of the host's loss with respect to the image: `by_rgba`, with respect to
+/// premultiplied colour and alpha, 16 bytes per pixel; `by_depth`, 4 bytes per pixel, null if the
+/// loss does not use the depth.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_trainer_backward(
     trainer: *mut splat4d_trainer,
@@ -297,7 +302,7 @@ pub unsafe extern "C" fn splat4d_trainer_backward(
     by_rgba: *const splat4d_buffer,
     by_depth: *const splat4d_buffer,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let trainer = &mut exclusive("trainer", trainer)?.trainer;
         let recorder = &mut exclusive("recorder", recorder)?.recorder;
@@ -310,30 +315,31 @@ pub unsafe extern "C" fn splat4d_trainer_backward(
     })
 }
 
-/// Records the update of every parameter by these gradients. A frame that did not fit changes nothing.
+/// Records the update of every parameter with these gradients. A frame that exceeded the capacity
+/// changes nothing.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_trainer_update(
     trainer: *mut splat4d_trainer,
     recorder: *mut splat4d_recorder,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let trainer = &mut exclusive("trainer", trainer)?.trainer;
         Ok(trainer.update(&mut exclusive("recorder", recorder)?.recorder)?)
     })
 }
 
-/// Ends the step when the device is known to be done with what was recorded: after splat4d_stream_wait
-/// for the submissions, or when the guards of the host's recordings are destroyed. SPLAT4D_ERROR_INPUT
-/// earlier; the step is still under way then.
-/// `fitted`, which may be null, gets 0 where the frame did not fit: nothing was learnt, there is more
-/// room now, and the step should be done again.
+/// Ends the step when the device is known to be done with the recorded work: after
+/// splat4d_stream_wait for the submissions, or after the guards of the host's recordings are
+/// destroyed. If called earlier, it returns SPLAT4D_ERROR_INPUT and the step stays open.
+/// `fitted`, which may be null, gets 0 if the frame exceeded the capacity: no parameter was
+/// updated, the capacity is larger now, and the step should be repeated.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_trainer_conclude(
     trainer: *mut splat4d_trainer,
     fitted: *mut u32,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let trainer = &mut exclusive("trainer", trainer)?.trainer;
         let whole = trainer.conclude()?;
@@ -344,14 +350,14 @@ pub unsafe extern "C" fn splat4d_trainer_conclude(
     })
 }
 
-/// Where the gradients of the last backward lie, for the host's own commands. They stay where they are
-/// as long as the trainer lives; that by the pose until the picture's size changes.
+/// Gets the buffers of the gradients of the last backward, for the host's own commands. They are
+/// valid as long as the trainer lives; that of the pose until the image's size changes.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_trainer_get_gradients(
     trainer: *mut splat4d_trainer,
     gradients: *mut splat4d_gradients,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let trainer = &mut exclusive("trainer", trainer)?.trainer;
         let g = trainer.gradients();
@@ -373,15 +379,16 @@ pub unsafe extern "C" fn splat4d_trainer_get_gradients(
     })
 }
 
-/// Reads the gradients of the last backward, with which the device must be done, by the parameters and
-/// by the camera's pose: 6 floats, outside of a step SPLAT4D_ERROR_INPUT. Either may be null.
+/// Reads the gradients of the last backward, which the device must have finished: with respect to
+/// the parameters, and to the camera's pose (6 floats; SPLAT4D_ERROR_INPUT outside of a step).
+/// Either may be null.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_trainer_read_gradients(
     trainer: *mut splat4d_trainer,
     gradients: *mut splat4d_gaussians_out,
     pose: *mut f32,
 ) -> splat4d_result {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let splat4d_trainer { trainer, stream, .. } = exclusive("trainer", trainer)?;
         if !gradients.is_null() {
@@ -397,10 +404,10 @@ pub unsafe extern "C" fn splat4d_trainer_read_gradients(
     })
 }
 
-/// Destroys the handle, and waits for the steps under way; null is fine.
+/// Waits for the steps in flight, and destroys the handle; null is allowed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_trainer_destroy(trainer: *mut splat4d_trainer) {
-    // SAFETY: the host's promise.
+    // SAFETY: guaranteed by the host.
     unsafe { destroy(trainer) };
 }
 
@@ -458,7 +465,7 @@ fn settings_of(from: &splat4d_train_settings, gaussians: usize) -> Outcome<Train
 }
 
 unsafe fn views_of(at: *const splat4d_view, count: usize) -> Outcome<Vec<TrainingView>> {
-    // SAFETY: the host's promise, throughout: each element begins with its size.
+    // SAFETY: guaranteed by the host, throughout: each element begins with its size.
     unsafe {
         let apart = size_of_host("views", at)?;
         (0..count)

@@ -1,15 +1,15 @@
-//! Versions.
+//! Versions of the library and of its binary interface.
 
 use super::call::{call, fault, splat4d_result};
 
-/// Version of the library that this header is of. Before 1.0 a minor version may break the interface.
+/// Version of the library of this header. Before 1.0 a minor version may break the interface.
 pub const SPLAT4D_VERSION_MAJOR: u32 = 0;
 /// As above.
 pub const SPLAT4D_VERSION_MINOR: u32 = 1;
 /// As above.
 pub const SPLAT4D_VERSION_PATCH: u32 = 0;
 
-/// Version of the binary interface: it changes when a program must be compiled anew.
+/// Version of the binary interface: it changes when programs must be recompiled.
 pub const SPLAT4D_ABI_VERSION: u32 = 1;
 
 const _: () = {
@@ -27,14 +27,15 @@ const fn is(text: &str, number: u32) -> bool {
     value == number
 }
 
-/// Version of the library that runs: major * 1000000 + minor * 1000 + patch.
+/// Version of the loaded library: major * 1000000 + minor * 1000 + patch.
 #[unsafe(no_mangle)]
 pub extern "C" fn splat4d_version() -> u32 {
     SPLAT4D_VERSION_MAJOR * 1_000_000 + SPLAT4D_VERSION_MINOR * 1000 + SPLAT4D_VERSION_PATCH
 }
 
-/// Whether the library that runs understands programs compiled with this header: call it once, with
-/// SPLAT4D_ABI_VERSION, before anything else. SPLAT4D_ERROR_VERSION where it does not.
+/// Checks that the loaded library is compatible with programs compiled with this header. Call it
+/// once, with SPLAT4D_ABI_VERSION, before any other function. Returns SPLAT4D_ERROR_VERSION if it
+/// is not.
 #[unsafe(no_mangle)]
 pub extern "C" fn splat4d_check_abi(abi_version: u32) -> splat4d_result {
     call(|| match abi_version == SPLAT4D_ABI_VERSION {

@@ -1,22 +1,22 @@
-//! Vulkan's types, under Vulkan's names; the header leaves them to Vulkan's own, or declares them
-//! likewise.
+//! Vulkan's types under Vulkan's names. The C header takes them from Vulkan's headers, or declares
+//! them identically.
 
 use crate::embed::ash::vk;
 
-/// A handle of Vulkan's.
+/// A Vulkan handle.
 pub type VkInstance = vk::Instance;
-/// A handle of Vulkan's.
+/// A Vulkan handle.
 pub type VkPhysicalDevice = vk::PhysicalDevice;
-/// A handle of Vulkan's.
+/// A Vulkan handle.
 pub type VkDevice = vk::Device;
-/// A handle of Vulkan's.
+/// A Vulkan handle.
 pub type VkQueue = vk::Queue;
-/// A handle of Vulkan's.
+/// A Vulkan handle.
 pub type VkCommandBuffer = vk::CommandBuffer;
-/// A handle of Vulkan's.
+/// A Vulkan handle.
 pub type VkBuffer = vk::Buffer;
-/// A handle of Vulkan's.
+/// A Vulkan handle.
 pub type VkSemaphore = vk::Semaphore;
-/// The loader's function; may be null.
+/// The loader's vkGetInstanceProcAddr; may be null.
 #[allow(non_camel_case_types)]
 pub type PFN_vkGetInstanceProcAddr = Option<vk::PFN_vkGetInstanceProcAddr>;

@@ -30,8 +30,8 @@ pub enum Selector {
     Kind(DeviceKind),
 }
 
-/// A number is an index; `best`, `gpu`, `discrete`, `integrated`, `virtual` and `software` (or `cpu`) are kinds;
-/// anything else is part of a name.
+/// A number selects by index. `best`, `gpu`, `discrete`, `integrated`, `virtual` and `software` (or
+/// `cpu`) select by kind. Any other text selects by part of the name.
 impl From<&str> for Selector {
     fn from(text: &str) -> Selector {
         match text {

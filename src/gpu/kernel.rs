@@ -182,10 +182,10 @@ impl Groups {
 /// Declares a compute kernel: a type that implements [`Kernel`], its push constants and its buffers.
 ///
 /// The n-th field of `args` is binding n of set 0; `params` has the layout of the shader's push constants
-/// (`repr(C)`, 4-byte scalars). The engine's own kernels name a module below `spirv/`, and `tests/interface.rs`
-/// holds each declaration against its module. A kernel of another crate gives its module after `from`, and
-/// must match it; that crate needs `bytemuck` with the feature `derive`. A kernel `like` another one has the
-/// push constants and the bindings of that one.
+/// (`repr(C)`, 4-byte scalars). The engine's own kernels use a module below `spirv/`, and
+/// `tests/interface.rs` checks each declaration against its module. A kernel of another crate gives
+/// its SPIR-V after `from`, and its declaration must match it; that crate needs `bytemuck` with the
+/// feature `derive`. A kernel declared `like` another one has the same push constants and bindings.
 ///
 /// ```ignore
 /// splat4d::kernel! {

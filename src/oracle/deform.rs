@@ -14,11 +14,9 @@
 //! control point is present, and so low that its followers are invisible while it is absent. `f` is
 //! given and has no gradient, and `m` gets none through it; the gradient with respect to `o` passes
 //! unchanged. `m` is 1 (hard selection: the caller lists the dynamic Gaussians) or the sigmoid of
-//! the motion
-//! logit (soft motion; the rotation is then blended towards none by `m`). The rigidity term is `Σ_j
-//! (1 − m̂_j) ‖Δ_j‖²` with `m̂` the evidence of motion from the images, a constant; with hard
-//! selection
-//! `m̂ = 1` for every listed Gaussian, so that the term is zero.
+//! the motion logit (soft motion; the rotation is then blended towards none by `m`). The rigidity
+//! term is `Σ_j (1 − m̂_j) ‖Δ_j‖²` with `m̂` the evidence of motion from the images, a constant;
+//! with hard selection `m̂ = 1` for every listed Gaussian, so that the term is zero.
 //!
 //! The derivative is the *detached* one: weights carry gradient to the radii only, never to μ or
 //! p, so `∂μ'/∂μ = I + m (Σ_k w_k R_k − I)`.

@@ -3,8 +3,7 @@
 //! Two strategies share the bookkeeping. *MCMC* (Kheradmand et al. 2024) keeps their number: dead
 //! Gaussians move onto live ones drawn by opacity, whose opacity and scale shrink so that the
 //! rendered image stays the same; positions get noise. *Adaptive* (Kerbl et al. 2023) clones,
-//! splits and prunes by
-//! the screen-space gradient.
+//! splits and prunes by the screen-space gradient.
 //!
 //! Random numbers are counter-based: the same seed, step and index give the same number on every
 //! device.
@@ -145,8 +144,7 @@ pub fn split_mass<R: Real>(opacity_logit: R, log_scales: [R; 3], share: u32) -> 
 }
 
 /// The integral of opacity along a line of `share` blended Gaussians of one opacity, over √π. The
-/// source's double sum,
-/// whose terms alternate and cancel, equals
+/// source's double sum, whose terms alternate and cancel, equals
 ///
 /// ```text
 /// 2/√π ∫_{s≥0} 1 − (1 − o e^{−s²})^N ds

@@ -1,10 +1,10 @@
 //! The photometric loss and its gradient with respect to the rendered pixels.
 //!
 //! `(1 − λ) · mean |x − y| + λ · mean (1 − SSIM(x, y))` over pixels and channels, where
-//! `x = rgb + (1 − alpha) · background` is the rendered image and y the reference image; plus, on
-//! request, terms for depth and alpha. With weights m every mean is `Σ m ℓ / Σ m`; the SSIM map is
-//! computed from the whole images and only then weighted, so a pixel of weight 0 still serves as its
-//! neighbours' surroundings.
+//! `x = rgb + (1 − alpha) · background` is the rendered image and y the reference image; plus
+//! optional terms for depth and alpha. With weights m every mean is `Σ m ℓ / Σ m`. The SSIM map is
+//! computed from the whole images and weighted afterwards, so a pixel of weight 0 still contributes
+//! to the windows of its neighbours.
 
 use super::Real;
 use super::linear::Vec3;

@@ -2,8 +2,7 @@
 //!
 //! Every Gaussian's probability of motion is blended like a colour, geometry and opacity held fixed,
 //! and compared with the training view's motion mask by the mean absolute difference (the mask loss
-//! of
-//! SC-GS, Huang et al. 2024). With `w_jp` the weight of Gaussian j in pixel p,
+//! of SC-GS, Huang et al. 2024). With `w_jp` the weight of Gaussian j in pixel p,
 //!
 //! ```text
 //! X_p = Σ_j w_jp σ(m_j),   L = factor · Σ_p |X_p − M_p|

@@ -30,8 +30,7 @@ pub struct SplatGradient<R> {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ViewGradient<R> {
     /// With respect to the twist ξ = (ρ, φ), translation first, of `view_from_world ← exp(ξ) ·
-    /// view_from_world`
-    /// at ξ = 0.
+    /// view_from_world` at ξ = 0.
     pub twist: [R; 6],
     /// With respect to the focal lengths along x and y.
     pub focal: [R; 2],

@@ -48,8 +48,8 @@ impl TileRect {
     }
 }
 
-/// Whether a Gaussian with this mean and [factored conic](power) falls to `power ≤ reach` anywhere in the rectangle that the tile's pixel centres span (those within the
-/// image).
+/// Whether `power ≤ reach` holds, for a Gaussian with this mean and [factored conic](power),
+/// anywhere in the rectangle spanned by the tile's pixel centres within the image.
 ///
 /// The quadratic is convex, so outside its centre its least value over a rectangle lies on one of
 /// the at most two edges that face the centre.

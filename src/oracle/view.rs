@@ -6,8 +6,7 @@ use crate::types::{Camera, Gaussians, Pose, sh_coefficients};
 use glam::{DQuat, DVec3};
 
 /// The parameters of 3D Gaussians, or gradients with respect to them; one row of every array per
-/// Gaussian, laid
-/// out as [`Gaussians`].
+/// Gaussian, laid out as [`Gaussians`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cloud<R> {
     /// Centres, world frame.

@@ -11,7 +11,7 @@ use glam::{DVec2, DVec3};
 /// The surface that a pixel shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
-    /// Index of the Gaussian with which the accumulated opacity, front to back, exceeds half of the
+    /// Index of the Gaussian with which the accumulated opacity, front to back, reaches half of the
     /// pixel's alpha.
     pub gaussian: usize,
     /// Depth (camera z) of that Gaussian's centre.

@@ -13,7 +13,7 @@
 //! | `gaussians.motion_logit` | N | above 0: dynamic; absent in a static scene |
 //! | `control_points.position` | C, 3 | absent where there are none, as the next |
 //! | `control_points.log_radius` | C | |
-//! | `control_points.path` | T, C, 8 | motions at T even times over [0, 1]: translation, what is added to opacity logits (0, or −20 while it is not there), rotation offset (w, x, y, z) from (1, 0, 0, 0); absent where the network alone moves them |
+//! | `control_points.path` | T, C, 8 | motions at T even times over [0, 1]: translation, value added to opacity logits (0, or −20 while the point is absent), rotation offset (w, x, y, z) from (1, 0, 0, 0); absent where the network alone moves them |
 //! | `network.<i>.weight` | outputs, inputs | layer i of the deformation network ([`NetShape`]); absent in a static scene |
 //! | `network.<i>.bias` | outputs | |
 //! | `cameras.time` | F | f64, in [0, 1]; absent where no camera is known, as the next |

@@ -2,10 +2,9 @@
 //!
 //! The file has one point primitive with an accessor per attribute: `POSITION`, `COLOR_0` (for
 //! programs that render points: the linear colour of the constant harmonic, and the opacity, in 8
-//! bits) and those of the
-//! extension: `ROTATION` (x, y, z, w, of unit length), `SCALE` (standard deviations), `OPACITY` in [0, 1],
-//! `SH_DEGREE_l_COEF_n`. All but `COLOR_0` are f32. glTF's axes are left, up and front: x and y
-//! change their signs relative to this crate.
+//! bits) and those of the extension: `ROTATION` (x, y, z, w, of unit length), `SCALE` (standard
+//! deviations), `OPACITY` in [0, 1], `SH_DEGREE_l_COEF_n`. All but `COLOR_0` are f32. glTF's axes
+//! are left, up and front: x and y change their signs relative to this crate.
 //!
 //! Source: KhronosGroup/glTF, extensions/2.0/Khronos/KHR_gaussian_splatting, the release candidate as of
 //! July 2026.

@@ -19,9 +19,8 @@ use crate::{Error, Result};
 ///
 /// # Errors
 /// The file is not a 3DGS PLY, is truncated (the message names the vertex and the byte), or holds
-/// values
-/// that are not finite or out of range ([`Gaussians::check`]) and `drop_bad` is false (the message
-/// counts them).
+/// values that are not finite or out of range ([`Gaussians::check`]) and `drop_bad` is false (the
+/// message counts them).
 pub fn read(path: impl AsRef<Path>, drop_bad: bool) -> Result<(Gaussians, usize)> {
     let path = path.as_ref();
     parse(path, &io::read(path)?, drop_bad)

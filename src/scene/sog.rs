@@ -41,8 +41,7 @@ pub(super) fn is_archive(bytes: &[u8]) -> bool {
 ///
 /// # Errors
 /// The file is not a SOG, is of another version, lacks an image, is damaged, or holds values out of
-/// range
-/// ([`Gaussians::check`]) and `drop_bad` is false.
+/// range ([`Gaussians::check`]) and `drop_bad` is false.
 pub fn read(path: impl AsRef<Path>, drop_bad: bool) -> Result<(Gaussians, usize)> {
     let path = path.as_ref();
     parse(path, &io::read(path)?, drop_bad)

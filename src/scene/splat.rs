@@ -18,8 +18,7 @@ const SIZE: usize = 32;
 ///
 /// # Errors
 /// The file's size is not a multiple of 32 bytes, or it holds values that are not finite or out of
-/// range
-/// ([`Gaussians::check`]) and `drop_bad` is false.
+/// range ([`Gaussians::check`]) and `drop_bad` is false.
 pub fn read(path: impl AsRef<Path>, drop_bad: bool) -> Result<(Gaussians, usize)> {
     let path = path.as_ref();
     parse(path, &io::read(path)?, drop_bad)

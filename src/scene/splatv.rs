@@ -2,12 +2,12 @@
 //!
 //! A `u32` 0x674b, the length of a JSON text, the text, and a texture of RGBA32UI, 4096 wide, four
 //! texels (64 bytes) per Gaussian: position (3 f32); quaternion (w, x, y, z) and scales (halves;
-//! one unused); red,
-//! green, blue, opacity (bytes); the coefficients of t, t² and t³ of the position (9 halves, one unused);
-//! the quaternion's coefficient of t (4 halves); a time c and a width s (halves). With t = time −
-//! c, the position is a cubic polynomial of t, the quaternion is linear in t and normalised, and
-//! the opacity is multiplied by exp(−(t/s)²). The colour is that of the constant harmonic. The axes
-//! are those of a PLY. The JSON text lists the texture's size and initial cameras.
+//! one unused); red, green, blue, opacity (bytes); the coefficients of t, t² and t³ of the position
+//! (9 halves, one unused); the quaternion's coefficient of t (4 halves); a time c and a width s
+//! (halves). With t = time − c, the position is a cubic polynomial of t, the quaternion is linear
+//! in t and normalised, and the opacity is multiplied by exp(−(t/s)²). The colour is that of the
+//! constant harmonic. The axes are those of a PLY. The JSON text lists the texture's size and
+//! initial cameras.
 //!
 //! A scene's motion is fitted by least squares over the times at which a Gaussian is present:
 //! cubics for positions, lines for quaternions. A Gaussian that is not present all the time gets a

@@ -428,7 +428,7 @@ mod tests {
     }
 
     #[test]
-    fn a_track_counts_by_the_most_moving_of_its_moments() {
+    fn a_track_is_weighted_by_the_upper_decile_of_its_motion() {
         let masks: Vec<Image> = (0..FRAMES)
             .map(|_| map(|p| if within(p, (30.0, 10.0), (50.0, 30.0)) { 0.9 } else { 0.0 }))
             .collect();

@@ -174,9 +174,8 @@ impl DeformNet {
     }
 
     /// A randomly initialised network for training: hidden weights uniform in ±√(6 / inputs)
-    /// (Kaiming for ReLU), the
-    /// head's normal with a deviation of 1e-5, biases zero. The same seed gives the same parameters
-    /// everywhere.
+    /// (Kaiming for ReLU), the head's normal with a deviation of 1e-5, biases zero. The same seed
+    /// gives the same parameters everywhere.
     pub fn random(shape: NetShape, seed: u64) -> DeformNet {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let layers = shape.layers();

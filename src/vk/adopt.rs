@@ -49,14 +49,14 @@ unsafe fn load_instance(
 ) -> Result<ash::Instance> {
     let functions = ash::StaticFn { get_instance_proc_addr };
     require_handle("instance", instance.is_null())?;
-    // SAFETY: by the caller's promise.
+    // SAFETY: guaranteed by the caller.
     let found = unsafe {
         get_instance_proc_addr(instance, c"vkGetPhysicalDeviceFeatures2".as_ptr()).is_some()
     };
     if !found {
         return Err(unsupported("the host's instance was made for a Vulkan below 1.3".into()));
     }
-    // SAFETY: by the caller's promise.
+    // SAFETY: guaranteed by the caller.
     Ok(unsafe { ash::Instance::load(&functions, instance) })
 }
 
@@ -83,7 +83,7 @@ impl Requirements {
         instance: vk::Instance,
         physical_device: vk::PhysicalDevice,
     ) -> Result<Vec<String>> {
-        // SAFETY: by the caller's promise.
+        // SAFETY: guaranteed by the caller.
         let instance = unsafe { load_instance(get_instance_proc_addr, instance) }?;
         require_handle("physical device", physical_device.is_null())?;
         Ok(self.lacked_by(&instance, physical_device))
@@ -98,7 +98,7 @@ impl Context {
     pub(crate) unsafe fn adopt(host: HostDevice) -> Result<Context> {
         // Wrapped first, so that the host's callback is called even on an early return.
         let on_drop = OnDrop(host.on_drop);
-        // SAFETY: by the caller's promise.
+        // SAFETY: guaranteed by the caller.
         let instance = unsafe { load_instance(host.get_instance_proc_addr, host.instance) }?;
         require_handle("physical device", host.physical_device.is_null())?;
         require_handle("device", host.device.is_null())?;
@@ -139,14 +139,14 @@ impl Context {
             Some(_) => {}
         }
         let loads = |name: &CStr| {
-            // SAFETY: the device is alive by the caller's promise.
+            // SAFETY: the caller guarantees that the device is alive.
             unsafe { (instance.raw.fp_v1_0().get_device_proc_addr)(host.device, name.as_ptr()) }
                 .is_some()
         };
         if !loads(c"vkQueueSubmit2") {
             return Err(unsupported("the host's device was made for a Vulkan below 1.3".into()));
         }
-        // SAFETY: the device is alive by the caller's promise, and of this instance.
+        // SAFETY: the caller guarantees that the device is alive, and of this instance.
         let raw = unsafe { ash::Device::load(instance.raw.fp_v1_0(), host.device) };
         let opened = Opened {
             raw,

@@ -43,10 +43,10 @@ impl PipelineCache {
     pub(super) unsafe fn close(&mut self, device: &ash::Device) {
         #[cfg(feature = "files")]
         if let Some(file) = &self.file {
-            // SAFETY: by the caller's promise.
+            // SAFETY: guaranteed by the caller.
             file.write(&unsafe { device.get_pipeline_cache_data(self.raw) }.unwrap_or_default());
         }
-        // SAFETY: by the caller's promise.
+        // SAFETY: guaranteed by the caller.
         unsafe { device.destroy_pipeline_cache(self.raw, None) };
     }
 }

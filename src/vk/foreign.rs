@@ -72,7 +72,7 @@ impl RawBuffer {
         if host.bytes == 0 || !host.bytes.is_multiple_of(4) {
             return Err(wrong(format!("{} bytes: it must be whole words, and some", host.bytes)));
         }
-        // SAFETY: not null; by the promise of `Buffer::adopt` a buffer of this device.
+        // SAFETY: not null; the caller of `Buffer::adopt` guarantees a buffer of this device.
         let most = unsafe { context.raw.get_buffer_memory_requirements(host.buffer) }.size;
         if host.offset.checked_add(host.bytes).is_none_or(|end| end > most) {
             return Err(wrong(format!(
@@ -181,8 +181,8 @@ impl RawBuffer {
             .allocation_size(memory.allocation_bytes)
             .memory_type_index(memory.memory_type)
             .push_next(&mut import);
-        // SAFETY: the descriptor is open; by the promise of `Buffer::import_fd` it is of such an
-        // allocation.
+        // SAFETY: the descriptor is open; the caller of `Buffer::import_fd` guarantees that it
+        // exports such an allocation.
         let imported = unsafe { device.allocate_memory(&info, None) }
             .map_err(vk_error("vkAllocateMemory (import)"))?;
         // Vulkan has taken the descriptor over.

@@ -71,7 +71,7 @@ impl Features {
         create: &mut vk::DeviceCreateInfo<'a>,
         links: &'a mut FeatureLinks,
     ) {
-        // SAFETY: by the caller's promise.
+        // SAFETY: guaranteed by the caller.
         let switches = unsafe { switches(create) };
         let mut absent = [false; 5];
         for (k, (wanted, _)) in self.named().into_iter().enumerate().filter(|(_, f)| f.0) {
@@ -110,7 +110,7 @@ impl Features {
     /// # Safety
     /// The chain behind `p_next` is valid.
     pub unsafe fn enabled_by(create: &vk::DeviceCreateInfo<'_>) -> Features {
-        // SAFETY: by the caller's promise.
+        // SAFETY: guaranteed by the caller.
         let switches = unsafe { switches(create) };
         let on = switches.map(|switch| {
             // SAFETY: null, or a field of a structure of the chain, which nobody writes now.

@@ -63,8 +63,7 @@ impl Timeline {
         self.context.queue.with(|queue| {
             // SAFETY: `with` gives exclusive use of the queue for the call; the stream keeps what
             // the commands use alive until the timeline reaches `value`; a host's semaphores live
-            // as long as
-            // `Stream::submit_between` requires.
+            // as long as `Stream::submit_between` requires.
             unsafe { self.context.raw.queue_submit2(queue, &submit, vk::Fence::null()) }
                 .map_err(vk_error("vkQueueSubmit2"))
         })

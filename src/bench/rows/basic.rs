@@ -124,7 +124,7 @@ fn scan(device: &Device, seed: u64, n: usize) -> Result<Job> {
     let mut check = Check::new();
     check.exact("prefix", &stream.download(&prefix)?, &oracle::scan::exclusive(&values));
     check.exact("total", &stream.download(&total)?, &[oracle::scan::sum(&values)]);
-    // Read by the reduction and again by the sweep, written once; an addition in each.
+    // The reduction and the sweep each read the values and add; the sweep writes them once.
     let work = Work { bytes: 12 * n as u64, operations: 2 * n as u64 };
     Job::recorded(device, check.accuracy(), work, move |recorder| {
         op.record(recorder, args!(), &mut scratch)
@@ -161,7 +161,8 @@ fn sort(device: &Device, seed: u64, n: usize) -> Result<Job> {
     let mut check = Check::new();
     check.exact("keys", &stream.download(&sorted_keys)?, &truth.0);
     check.exact("payload", &stream.download(&sorted_payload)?, &truth.1);
-    // Four passes: the keys are read to count, pairs are read and written to scatter.
+    // Four passes; each reads the keys to count them, and reads and writes the pairs to scatter
+    // them.
     let work = Work { bytes: 4 * 20 * n as u64, operations: 4 * 2 * n as u64 };
     Job::recorded(device, check.accuracy(), work, move |recorder| {
         op.record(recorder, args!(), &mut scratch)

@@ -42,8 +42,7 @@ const PARAMETERS: u64 = 3 + 3 + 4 + 1 + (SH_BAND[0] + SH_BAND[1] + SH_BAND[2] + 
 /// count, visibility.
 const SPLAT_BYTES: u64 = 3 * 16 + 8 + 4 + 4;
 /// Operations per Gaussian in projection: rotation and scales to a matrix, Jacobian, covariance and
-/// its inverse,
-/// sigmoid, and two per harmonic and channel.
+/// its inverse, sigmoid, and two per harmonic and channel.
 const PROJECT_OPERATIONS: u64 = 190 + 2 * 48;
 /// Operations per (pixel, splat) pair in blending: offset, power, exponential, α, weight, four
 /// channels.

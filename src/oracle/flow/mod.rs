@@ -3,10 +3,11 @@
 //! The method is coarse to fine. The coarsest level of an image pyramid starts from semi-global
 //! matching (Hirschmüller 2008) over a window of displacements. At each level, overlapping patches look for
 //! their displacement (dense inverse search, Kroeger et al. 2016, with zero-mean residuals and with
-//! slanted candidates passed between neighbours as in PatchMatch stereo, Bleyer et al. 2011); their displacements
-//! are blended into a dense flow; a variational refinement (Brox et al. 2004, with the normalised
-//! data terms of Zimmer et al. 2011) then smooths it along image edges. Both directions of a pair
-//! are found together: where they disagree the data terms are mistrusted and smoothness fills in.
+//! slanted candidates passed between neighbours as in PatchMatch stereo, Bleyer et al. 2011). Their
+//! displacements are blended into a dense flow. A variational refinement (Brox et al. 2004, with
+//! the normalised data terms of Zimmer et al. 2011) then smooths it along image edges. Both
+//! directions of a pair are computed together: where they disagree, the data terms get low weight
+//! and smoothness fills in.
 //!
 //! A displacement (u, v) at pixel (x, y) says that the point seen there is at (x + u, y + v) in the
 //! other image, in pixels, x right and y down. Arrays are row-major.
@@ -38,9 +39,9 @@ pub struct FlowPair<T> {
     pub forward: Flow<T>,
     /// From the second image to the first.
     pub backward: Flow<T>,
-    /// How far the forward flow is to be believed, in [0, 1].
+    /// Confidence of the forward flow, in [0, 1].
     pub forward_confidence: Vec<T>,
-    /// How far the backward flow is to be believed, in [0, 1].
+    /// Confidence of the backward flow, in [0, 1].
     pub backward_confidence: Vec<T>,
 }
 

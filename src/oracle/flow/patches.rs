@@ -12,13 +12,13 @@ pub const STRIDE: usize = 4;
 /// The displacement found by a patch.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Patch<T> {
-    /// The displacement of its centre.
+    /// Displacement of the patch's centre, pixels.
     pub flow: [T; 2],
-    /// How the displacement changes over it: ∂u/∂x, ∂u/∂y, ∂v/∂x, ∂v/∂y.
+    /// Spatial derivatives of the displacement: ∂u/∂x, ∂u/∂y, ∂v/∂x, ∂v/∂y.
     pub slope: [T; 4],
     /// Mean of the second image minus the first over the patch: the change of brightness.
     pub shift: T,
-    /// Mean squared residual once `shift` is taken off.
+    /// Mean squared residual after subtracting `shift`.
     pub cost: T,
 }
 
@@ -156,9 +156,9 @@ fn descend<T: Real>(
 /// Fraction of the noise power that damps a step.
 const DAMPING: f64 = 0.1;
 
-/// Every patch takes the best of its candidates (the start flow with its slant, without it, no
-/// motion, the guess) and descends from there. The slant lets a patch follow a surface that
-/// recedes, such as the ground, where a patch moved as a whole fits only along one line.
+/// Every patch takes the best of its candidates (the start flow with its slope, without it, zero
+/// motion, the guess) and descends from there. The slope lets a patch follow a slanted surface such
+/// as the ground, on which a constant displacement fits only along one line.
 ///
 /// `guess`: a flow over the full image, its width and height, and this level's number.
 pub fn search<T: Real>(
@@ -204,7 +204,7 @@ pub fn search<T: Real>(
                     x * scale - half,
                     y * scale - half,
                 );
-                // False for NaN and for what cannot be a displacement here.
+                // False for NaN and for displacements out of range.
                 let usable = f.iter().all(|c| c.abs() <= T::of(FARTHEST));
                 if usable {
                     consider(Patch { flow: f.map(|c| c / scale), ..Patch::default() });
@@ -222,7 +222,7 @@ const HYSTERESIS: f64 = 0.9;
 /// Guesses of larger magnitude are ignored, pixels of the full image.
 const FARTHEST: f64 = 16384.0;
 
-/// A slope is at most this: beyond, the start flow has an edge, not a slant.
+/// Maximum slope; a steeper start flow indicates an edge, not a slanted surface.
 const STEEPEST: f64 = 0.5;
 
 /// Whether two displacements are so near that descending from either ends in the same place.
@@ -278,8 +278,8 @@ pub fn propagate<T: Real>(
     out
 }
 
-/// The flow of every pixel: the mean of the patches over it, weighted by how well each explains
-/// this pixel and how well it explains itself.
+/// The flow of every pixel: the mean of the patches over it, weighted by each patch's residual at
+/// this pixel and by its own cost.
 pub fn densify<T: Real>(a: &Level<T>, b: &Level<T>, patches: &[Patch<T>]) -> Vec<[T; 2]> {
     let (nx, ny) = (patch_grid(a.width), patch_grid(a.height));
     let mut out = Vec::with_capacity(a.width * a.height);
@@ -305,7 +305,7 @@ pub fn densify<T: Real>(a: &Level<T>, b: &Level<T>, patches: &[Patch<T>]) -> Vec
     out
 }
 
-/// Below a residual of about one grey level patches count the same.
+/// Residuals below about one grey level get equal weight.
 const FLOOR: f64 = 2e-5;
 
 /// The patches that cover a pixel along one axis.

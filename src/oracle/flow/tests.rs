@@ -1,4 +1,4 @@
-//! The oracle on flows that are known.
+//! Tests of the oracle on known flows.
 
 use super::*;
 
@@ -31,7 +31,7 @@ fn a_shift_is_found_in_both_directions() {
     let errors = (error(&pair.forward, 3.4, -1.2), error(&pair.backward, -3.4, 1.2));
     // The worst pixel, measured 0.19, lies where the outer frame's missing matches reach in.
     assert!(errors.0 < 0.3 && errors.1 < 0.3, "{errors:?}");
-    // What leaves the image on the right cannot be believed.
+    // Pixels that leave the image on the right have confidence 0.
     assert_eq!(pair.forward_confidence[10 * WIDTH + WIDTH - 1], 0.0);
     assert!(pair.forward_confidence[20 * WIDTH + 30] > 0.9);
 }

@@ -1,12 +1,11 @@
 //! The SPZ format of Niantic's `spz` library: about a tenth of the size of a PLY.
 //!
 //! Each attribute is stored as a separate array, in this order: positions (24-bit fixed point),
-//! opacities,
-//! colours, logarithms of scales (in sixteenths from −10 on), rotations, and spherical harmonics above
-//! the constant (128 + 128 h), all in bytes. Versions 2 and 3 put the arrays behind a header of 16 bytes
-//! into one gzip stream; version 4 has a plain header of 32 bytes, records of extensions, a table of
-//! sizes and a zstd stream for each array. The axes are right, up, back, where a PLY's, and this crate's,
-//! are right, down, front.
+//! opacities, colours, logarithms of scales (in sixteenths from −10 on), rotations, and spherical
+//! harmonics above the constant (128 + 128 h), all in bytes. Versions 2 and 3 put the arrays behind
+//! a header of 16 bytes into one gzip stream; version 4 has a plain header of 32 bytes, records of
+//! extensions, a table of sizes and a zstd stream for each array. The axes are right, up, back,
+//! where a PLY's, and this crate's, are right, down, front.
 //!
 //! Versions 2, 3 and 4 are read, 3 and 4 written. In version 4 the motion of a scene goes into an
 //! extension ([`MOTION`]), which other readers skip; they show the Gaussians at the time for which
