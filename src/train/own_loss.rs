@@ -138,6 +138,22 @@ impl Trainer {
         Ok(&self.studios.for_size(&self.device, size)?.pixels)
     }
 
+    /// Whether the frame of the step under way fitted, when the device is known to be done with
+    /// [`forward`](Self::forward). Where it did not, the farthest splats are missing in its picture;
+    /// [`conclude`](Self::conclude) then makes more room.
+    ///
+    /// # Errors
+    /// [`Error::Input`] outside of a step, and while the device is not known to be done.
+    pub fn fits(&mut self) -> Result<bool> {
+        let size = self.under_way("fits", &[Stage::Forward, Stage::Backward, Stage::Update])?;
+        let mut words = [0; 2];
+        if let Some(own) = &mut self.own {
+            own.counts.read_into(&mut words)?;
+        }
+        let room = self.studios.for_size(&self.device, size)?.render.intersection_capacity();
+        Ok(FrameCounts::from_device(words).intersections <= room)
+    }
+
     /// Records the gradients by every parameter and by the camera's pose, given those by the picture.
     /// The settings' rigidity term ([`MotionSettings`](super::MotionSettings)) counts as part of the
     /// loss; with a weight of 0 the gradients are those of the caller's loss alone.
