@@ -8,7 +8,7 @@ use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use splat4d::scene::{self, Format, SceneCamera};
-use splat4d::types::sh_coefficients;
+use splat4d::types::{RenderSettings, sh_coefficients};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -167,6 +167,40 @@ impl Scene {
         Ok(())
     }
 
+    /// The constants of projection and blending, by name: `near` (splats nearer than this, in units of the
+    /// world, are left out), `dilation` (added to the variances in the picture, square pixels), `alpha_cut` (a splat adds
+    /// nothing to a pixel where its alpha is below), `alpha_cap` (alpha is at most this),
+    /// `transmittance_stop` (blending ends before the splat that brings it to this) and `tangent_clamp` (half fields
+    /// of view).
+    #[getter]
+    fn blending<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let mut settings = self.scene.settings;
+        let dict = PyDict::new(py);
+        for (name, value) in constants(&mut settings) {
+            dict.set_item(name, *value)?;
+        }
+        Ok(dict)
+    }
+
+    /// Changes constants of projection and blending by name; those that are not given stay.
+    ///
+    /// Raises `TypeError` for a name that is not among them, `splat4d.Error` for a number out of range.
+    #[pyo3(signature = (**constants))]
+    fn set_blending(&mut self, constants: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
+        let mut settings = self.scene.settings;
+        for (name, value) in constants.into_iter().flatten() {
+            let name: String = name.extract()?;
+            let mut known = self::constants(&mut settings).into_iter();
+            let Some((_, constant)) = known.find(|(known, _)| *known == name) else {
+                return Err(PyTypeError::new_err(format!("blending has no constant {name:?}")));
+            };
+            *constant = value.extract()?;
+        }
+        settings.check().map_err(out_of_range)?;
+        Arc::make_mut(&mut self.scene).settings = settings;
+        Ok(())
+    }
+
     /// The world's direction that is up in the pictures, of unit length.
     #[getter]
     fn up(&self) -> [f32; 3] {
@@ -215,6 +249,19 @@ impl Scene {
     }
 }
 
+fn constants(settings: &mut RenderSettings) -> [(&'static str, &mut f32); 6] {
+    let RenderSettings { near, dilation, alpha_cut, alpha_cap, transmittance_stop, tangent_clamp } =
+        settings;
+    [
+        ("near", near),
+        ("dilation", dilation),
+        ("alpha_cut", alpha_cut),
+        ("alpha_cap", alpha_cap),
+        ("transmittance_stop", transmittance_stop),
+        ("tangent_clamp", tangent_clamp),
+    ]
+}
+
 /// Sets one array; of how many control points the paths are, where it is these.
 fn set(scene: &mut scene::Scene, name: &str, value: &Bound<'_, PyAny>) -> PyResult<Option<usize>> {
     let (g, points) = (&mut scene.gaussians, &mut scene.control_points);
@@ -224,8 +271,7 @@ fn set(scene: &mut scene::Scene, name: &str, value: &Bound<'_, PyAny>) -> PyResu
         "rotations" => g.rotations = arrays::rows(name, value)?,
         "opacity_logits" => g.opacity_logits = arrays::floats(name, value, &[Any("N")])?.0,
         "sh" => {
-            let (numbers, shape) =
-                arrays::floats(name, value, &[Any("N"), Any("K"), Exactly(3)])?;
+            let (numbers, shape) = arrays::floats(name, value, &[Any("N"), Any("K"), Exactly(3)])?;
             let degree = (0..=3).find(|&degree| sh_coefficients(degree) == shape[1]);
             g.sh_degree = degree.ok_or_else(|| {
                 let what = format!("sh: expected K of 1, 4, 9 or 16, got {}", shape[1]);

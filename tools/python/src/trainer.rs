@@ -279,9 +279,9 @@ impl Trainer {
             let views: Vec<TrainingView> =
                 views.iter().map(|view| TrainingView::clone(&view.view)).collect();
             let trainer = match views.is_empty() {
-                true => train::Trainer::without_pictures(
-                    &device, gaussians, motion, extent, settings,
-                )?,
+                true => {
+                    train::Trainer::without_pictures(&device, gaussians, motion, extent, settings)?
+                }
                 false => train::Trainer::new(&device, &views, gaussians, motion, settings)?,
             };
             let stream = device.stream()?;
@@ -412,9 +412,7 @@ impl Trainer {
             Some(depth) => Some(arrays::floats("grad_depth", depth, &sides)?.0),
             None => None,
         };
-        let found = py
-            .detach(|| self.lock().backward(&rgba, depth.as_deref()))
-            .map_err(raised)?;
+        let found = py.detach(|| self.lock().backward(&rgba, depth.as_deref())).map_err(raised)?;
         self.by_name(py, found)
     }
 
