@@ -6,6 +6,7 @@ natural logarithms, opacity and motion as logits. Colours are the image's own en
 [0, 1]. Times are in [0, 1].
 """
 
+from ._program import command, evaluate, reconstruct, synth, track, train
 from ._splat4d import (
     Camera,
     Device,
@@ -30,4 +31,10 @@ __all__ = [
     "Scene",
     "Trainer",
     "View",
+    "command",
+    "evaluate",
+    "reconstruct",
+    "synth",
+    "track",
+    "train",
 ]
