@@ -3,7 +3,7 @@
 #
 #   tools/setup.sh run    what building and running need: linker, Vulkan loader, lavapipe, ffmpeg
 #   tools/setup.sh test   and what the test suite needs: validation layer, SwiftShader, CMake, the evo,
-#                         scikit-image, onnxruntime, snakemake and kubernetes-validate packages, and
+#                         scikit-image, onnxruntime, numpy, pytest, snakemake and kubernetes-validate packages, and
 #                         Node.js with PlayCanvas' splat-transform and the packages of the page's player …
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -129,6 +129,8 @@ if [[ $mode == test ]]; then
     # The library alone is used.
     python_package onnxruntime 'import importlib.util as u; assert u.find_spec("onnxruntime")' \
         --no-deps 'onnxruntime>=1.17,<2'
+    # The Python package is tested with these.
+    python_package pytest 'import numpy, pytest' 'numpy>=1.22,<3' 'pytest>=7,<10'
     # What `batch --emit` writes is run by the one and held against the schemas of the other.
     python_package engines 'import snakemake, kubernetes_validate' \
         'snakemake==9.27.1' 'kubernetes-validate==1.37.0'

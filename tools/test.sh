@@ -116,6 +116,18 @@ run_examples() {
         "$target/release/examples/adopt_device" "$folder/adopted.png"
 }
 
+# The Python package with the library and the program that were built, without a wheel.
+test_python() {
+    local package=$target/python/splat4d
+    rm -rf "$target/python"
+    mkdir -p "$target/python"
+    cp -r tools/python/python/splat4d "$target/python/" &&
+        cp "$target/release/lib_splat4d.so" "$package/_splat4d.abi3.so" &&
+        install -D "$target/release/splat4d" "$package/bin/splat4d" &&
+        VK_DRIVER_FILES=$lavapipe PYTHONPATH=$target/python PYTHONDONTWRITEBYTECODE=1 \
+            "$target/pytest/bin/python" -m pytest -p no:cacheprovider -ra --durations=3 tools/python/tests
+}
+
 test=(cargo test "${release[@]}" --no-fail-fast)
 show=(-- --show-output)
 
@@ -132,6 +144,7 @@ step "shaders" "$target/release/tools" check
 step "modules" validate_modules
 step "C header" "$target/release/header" check
 step "unit tests" on "$lavapipe" "${test[@]}" --lib --bins "${others[@]}" "${show[@]}"
+step "Python" test_python
 step "wgpu host" on "$lavapipe" "$target/release/wgpu-host" --validation
 step "wgpu host on SwiftShader" on "$swiftshader" "$target/release/wgpu-host" --validation --frames 20
 step "examples" on "$lavapipe" run_examples

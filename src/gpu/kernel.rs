@@ -238,7 +238,7 @@ macro_rules! kernel {
         $(#[$doc:meta])*
         pub struct $name:ident($path:literal), workgroup: $($rest:tt)*
     ) => {
-        $crate::kernel! {
+        kernel! {
             $(#[$doc])*
             pub struct $name($path)
                 from include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/spirv/", $path, ".spv")),

@@ -224,7 +224,10 @@ impl GaussianBuffers {
     }
 
     /// Reads the first `len` rows back, whatever `self.len` is: buffers of gradients need not set it.
-    pub(crate) fn download_first(&self, stream: &mut Stream, len: usize) -> Result<Gaussians> {
+    ///
+    /// # Errors
+    /// A failed submission.
+    pub fn download_first(&self, stream: &mut Stream, len: usize) -> Result<Gaussians> {
         let rows3 = |mut flat: Vec<f32>| -> Vec<[f32; 3]> {
             flat.truncate(3 * len);
             bytemuck::cast_slice(&flat).to_vec()

@@ -138,6 +138,22 @@ impl Trainer {
         Ok(&self.frame_pool.for_size(&self.device, size)?.pixels)
     }
 
+    /// Whether the current step's frame fits the capacity for (splat, tile) pairs. Valid after the device has
+    /// finished [`forward`](Self::forward). If it does not fit, the farthest splats are missing in the image, and
+    /// [`conclude`](Self::conclude) raises the capacity.
+    ///
+    /// # Errors
+    /// [`Error::Input`] outside of a step, and before the device has finished.
+    pub fn fits(&mut self) -> Result<bool> {
+        let size = self.under_way("fits", &[Stage::Forward, Stage::Backward, Stage::Update])?;
+        let mut words = [0; 2];
+        if let Some(own) = &mut self.own {
+            own.counts.read_into(&mut words)?;
+        }
+        let capacity = self.frame_pool.for_size(&self.device, size)?.render.intersection_capacity();
+        Ok(FrameCounts::from_device(words).intersections <= capacity)
+    }
+
     /// Records the gradients with respect to every parameter and to the camera's pose, from the gradient
     /// with respect to the image. The settings' rigidity term
     /// ([`MotionSettings`](super::MotionSettings)) counts as part of the loss; with a weight of 0 the

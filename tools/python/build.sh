@@ -1,0 +1,14 @@
+#!/usr/bin/env bash
+# Builds the wheel, the command line inside of it, into DIR (out/python without one). Needs maturin.
+#
+#   tools/python/build.sh [DIR]
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+mkdir -p "${1:-out/python}"
+out=$(cd "${1:-out/python}" && pwd)
+bin=tools/python/python/splat4d/bin
+cargo build --release --bin splat4d
+mkdir -p "$bin"
+trap 'rm -rf "$bin"' EXIT
+install -s "${CARGO_TARGET_DIR:-target}/release/splat4d" "$bin/splat4d"
+maturin build --release --manifest-path tools/python/Cargo.toml --out "$out"

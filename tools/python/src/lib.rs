@@ -1,0 +1,33 @@
+//! The Python package `splat4d`: the public interface of the crate as Python classes, NumPy arrays in
+//! and out. `python/splat4d/__init__.py` exports them, `python/splat4d/_splat4d.pyi` has their types.
+//!
+//! Long calls release the GIL. Classes that hold device state lock it, after the GIL is released,
+//! so that threads can share them.
+
+mod arrays;
+mod camera;
+mod device;
+mod error;
+mod renderer;
+mod scene;
+mod settings;
+mod trainer;
+
+use pyo3::prelude::*;
+
+/// The native part of the package `splat4d`.
+#[pymodule]
+mod _splat4d {
+    #[pymodule_export]
+    use crate::camera::Camera;
+    #[pymodule_export]
+    use crate::device::{Device, DeviceInfo};
+    #[pymodule_export]
+    use crate::error::Error;
+    #[pymodule_export]
+    use crate::renderer::{Rendered, Renderer};
+    #[pymodule_export]
+    use crate::scene::Scene;
+    #[pymodule_export]
+    use crate::trainer::{Progress, Trainer, View};
+}

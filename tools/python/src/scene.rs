@@ -1,0 +1,319 @@
+//! Scenes on the host.
+
+use crate::arrays::{self, Side::Any, Side::Exactly};
+use crate::camera::Camera;
+use crate::error::{out_of_range, raised};
+use numpy::{PyArray1, PyArrayMethods};
+use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use splat4d::scene::{self, Format, SceneCamera};
+use splat4d::types::{RenderSettings, sh_coefficients};
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// A scene: Gaussians, and in a moving scene the control points that they follow.
+///
+/// Made of arrays, by name (as in `set_arrays`):
+///
+/// - `positions`, shape (N, 3): centres in the world, in a moving scene in the canonical frame.
+/// - `log_scales`, (N, 3): natural logarithms of the standard deviations along the Gaussian's own axes.
+/// - `rotations`, (N, 4): `world_from_gaussian` quaternions w, x, y, z; they need not be of unit length.
+/// - `opacity_logits`, (N,): logits of the opacity.
+/// - `sh`, (N, K, 3): coefficients of the spherical harmonics, lowest band first, red, green and blue;
+///   K is 1, 4, 9 or 16, for degrees 0 to 3.
+/// - `motion_logits`, (N,), or (0,) in a static scene: above 0 a Gaussian follows the control points.
+/// - `control_positions`, (M, 3): control points in the canonical frame.
+/// - `control_log_radii`, (M,): natural logarithms of the radii of their influence.
+/// - `control_paths`, (T, M, 8): their motions at T evenly spaced times, the first at 0, the last at
+///   1: translation (3), what is added to the opacity logits of their followers, and the rotation's offset from
+///   the quaternion (1, 0, 0, 0).
+///
+/// Arrays are copied, and converted to float32 where they are of another type.
+///
+/// Raises `ValueError` for arrays whose shapes do not fit together, `splat4d.Error` for numbers out of
+/// range.
+#[pyclass(module = "splat4d")]
+pub struct Scene {
+    pub scene: Arc<scene::Scene>,
+    dropped: usize,
+}
+
+impl Scene {
+    /// A scene of the library's.
+    pub fn of(scene: scene::Scene) -> Scene {
+        Scene { scene: Arc::new(scene), dropped: 0 }
+    }
+}
+
+#[pymethods]
+impl Scene {
+    #[new]
+    #[pyo3(signature = (*, background = [0.0; 3], **arrays))]
+    fn new(background: [f32; 3], arrays: Option<&Bound<'_, PyDict>>) -> PyResult<Scene> {
+        let mut made = Scene::of(scene::Scene { background, ..Default::default() });
+        made.set_arrays(arrays)?;
+        Ok(made)
+    }
+
+    /// Opens a scene's file, or Gaussians of another format: 3DGS PLY, plain or compressed, SPZ, SOG,
+    /// `.splat`. With `drop_bad`, Gaussians that hold NaN, infinite or out-of-range values are left out
+    /// and counted in `dropped`; else they are an error.
+    ///
+    /// Raises `splat4d.Error` for a file that is missing or malformed; the text names it.
+    #[staticmethod]
+    #[pyo3(signature = (path, *, drop_bad = false))]
+    fn open(py: Python<'_>, path: PathBuf, drop_bad: bool) -> PyResult<Scene> {
+        let opened = py.detach(|| scene::Scene::open(path, drop_bad)).map_err(raised)?;
+        Ok(Scene { scene: Arc::new(opened.scene), dropped: opened.dropped })
+    }
+
+    /// Writes the scene's file (safetensors): arrays are read back bit for bit. The file is replaced at
+    /// once, or not at all.
+    ///
+    /// Raises `splat4d.Error` where it cannot be written.
+    fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        let scene = self.scene.clone();
+        py.detach(|| scene.save(path)).map_err(raised)
+    }
+
+    /// Writes the Gaussians, in the canonical frame, in the format that the file's name ends with: `.ply`,
+    /// `.compressed.ply`, `.splat`, `.spz` or `.glb`. Motion is left out, and harmonics that the format does
+    /// not hold. Returns how many Gaussians were written.
+    ///
+    /// Raises `ValueError` for another ending, `splat4d.Error` where the file cannot be written.
+    fn export(&self, py: Python<'_>, path: PathBuf) -> PyResult<usize> {
+        let format = Format::of(&path).ok_or_else(|| {
+            let path = path.display();
+            let what = "expected a name that ends with .ply, .compressed.ply, .splat, .spz or .glb";
+            PyValueError::new_err(format!("{path}: {what}"))
+        })?;
+        let scene = self.scene.clone();
+        py.detach(|| format.write(path, &scene.gaussians)).map_err(raised)
+    }
+
+    /// All arrays by name, as copies.
+    fn arrays<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let (g, points) = (&self.scene.gaussians, &self.scene.control_points);
+        let dict = PyDict::new(py);
+        dict.set_item("positions", arrays::table(py, g.positions.clone())?)?;
+        dict.set_item("log_scales", arrays::table(py, g.log_scales.clone())?)?;
+        dict.set_item("rotations", arrays::table(py, g.rotations.clone())?)?;
+        dict.set_item("opacity_logits", arrays::line(py, g.opacity_logits.clone()))?;
+        let shape = [g.len(), sh_coefficients(g.sh_degree), 3];
+        dict.set_item("sh", arrays::block(py, g.sh.as_flattened().to_vec(), shape)?)?;
+        dict.set_item("motion_logits", arrays::line(py, g.motion_logits.clone()))?;
+        dict.set_item("control_positions", arrays::table(py, points.positions.clone())?)?;
+        dict.set_item("control_log_radii", arrays::line(py, points.log_radii.clone()))?;
+        let shape = [points.keys(), points.len(), 8];
+        let paths = points.paths.as_flattened().to_vec();
+        dict.set_item("control_paths", arrays::block(py, paths, shape)?)?;
+        Ok(dict)
+    }
+
+    /// Replaces arrays by name; those that are not given stay. Nothing changes where an error is raised.
+    ///
+    /// Raises `TypeError` for a name that is not among those of the class, `ValueError` for arrays whose
+    /// shapes do not fit together, `splat4d.Error` for numbers out of range.
+    #[pyo3(signature = (**arrays))]
+    fn set_arrays(&mut self, arrays: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
+        let mut scene = scene::Scene::clone(&self.scene);
+        // Paths that are not given belong to the control points that there were.
+        let before = &self.scene.control_points;
+        let mut paths = (before.keys() > 0).then_some(before.len());
+        for (name, value) in arrays.into_iter().flatten() {
+            paths = set(&mut scene, &name.extract::<String>()?, &value)?.or(paths);
+        }
+        check_lengths(&scene, paths)?;
+        scene.check().map_err(out_of_range)?;
+        self.scene = Arc::new(scene);
+        Ok(())
+    }
+
+    /// Number of Gaussians.
+    fn __len__(&self) -> usize {
+        self.scene.gaussians.len()
+    }
+
+    /// Degree of the spherical harmonics, 0 to 3.
+    #[getter]
+    fn sh_degree(&self) -> u32 {
+        self.scene.gaussians.sh_degree
+    }
+
+    /// Whether something moves.
+    #[getter]
+    fn moves(&self) -> bool {
+        self.scene.moves()
+    }
+
+    /// Number of Gaussians that `open` left out.
+    #[getter]
+    fn dropped(&self) -> usize {
+        self.dropped
+    }
+
+    /// Red, green and blue behind everything, in [0, 1].
+    #[getter]
+    fn background(&self) -> [f32; 3] {
+        self.scene.background
+    }
+
+    #[setter]
+    fn set_background(&mut self, background: [f32; 3]) -> PyResult<()> {
+        splat4d::types::range::colour(background)
+            .map_err(|what| out_of_range(format!("background: {what}")))?;
+        Arc::make_mut(&mut self.scene).background = background;
+        Ok(())
+    }
+
+    /// The constants of projection and blending, by name: `near` (splats nearer than this, in units of the
+    /// world, are left out), `dilation` (added to the variances in the picture, square pixels), `alpha_cut` (a splat adds
+    /// nothing to a pixel where its alpha is below), `alpha_cap` (alpha is at most this),
+    /// `transmittance_stop` (blending ends before the splat that brings it to this) and `tangent_clamp` (half fields
+    /// of view).
+    #[getter]
+    fn blending<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let mut settings = self.scene.settings;
+        let dict = PyDict::new(py);
+        for (name, value) in constants(&mut settings) {
+            dict.set_item(name, *value)?;
+        }
+        Ok(dict)
+    }
+
+    /// Changes constants of projection and blending by name; those that are not given stay.
+    ///
+    /// Raises `TypeError` for a name that is not among them, `splat4d.Error` for a number out of range.
+    #[pyo3(signature = (**constants))]
+    fn set_blending(&mut self, constants: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
+        let mut settings = self.scene.settings;
+        for (name, value) in constants.into_iter().flatten() {
+            let name: String = name.extract()?;
+            let mut known = self::constants(&mut settings).into_iter();
+            let Some((_, constant)) = known.find(|(known, _)| *known == name) else {
+                return Err(PyTypeError::new_err(format!("blending has no constant {name:?}")));
+            };
+            *constant = value.extract()?;
+        }
+        settings.check().map_err(out_of_range)?;
+        Arc::make_mut(&mut self.scene).settings = settings;
+        Ok(())
+    }
+
+    /// The world's direction that is up in the pictures, of unit length.
+    #[getter]
+    fn up(&self) -> [f32; 3] {
+        self.scene.up
+    }
+
+    /// The cameras of the input, in order of time.
+    #[getter]
+    fn cameras(&self) -> Vec<Camera> {
+        self.scene.cameras.iter().map(|known| Camera { camera: known.camera }).collect()
+    }
+
+    /// The times of these cameras, in [0, 1]; float64 of shape (C,).
+    #[getter]
+    fn times<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        arrays::line(py, self.scene.cameras.iter().map(|known| known.time).collect())
+    }
+
+    /// Replaces the cameras of the input, and `up` by the mean of their upward axes. `times` are in [0, 1], in
+    /// ascending order, one for each camera; shape (C,).
+    ///
+    /// Raises `ValueError` for another number of times than cameras, `splat4d.Error` for a time out of
+    /// range.
+    fn set_cameras(&mut self, cameras: Vec<Camera>, times: &Bound<'_, PyAny>) -> PyResult<()> {
+        let times = arrays::of::<f64>("times", times, &[Exactly(cameras.len())])?.to_vec()?;
+        if !times.is_sorted() {
+            return Err(PyValueError::new_err("times: expected ascending order"));
+        }
+        let mut scene = scene::Scene::clone(&self.scene);
+        let known = |(camera, time): (&Camera, f64)| SceneCamera { time, camera: camera.camera };
+        scene.cameras = cameras.iter().zip(times).map(known).collect();
+        scene.check().map_err(out_of_range)?;
+        scene.set_up_from_cameras();
+        self.scene = Arc::new(scene);
+        Ok(())
+    }
+
+    fn __repr__(&self) -> String {
+        let scene = &self.scene;
+        let (count, degree) = (scene.gaussians.len(), scene.gaussians.sh_degree);
+        let (points, cameras) = (scene.control_points.len(), scene.cameras.len());
+        format!(
+            "<splat4d.Scene: {count} Gaussians of degree {degree}, {points} control points, {cameras} \
+             cameras>"
+        )
+    }
+}
+
+fn constants(settings: &mut RenderSettings) -> [(&'static str, &mut f32); 6] {
+    let RenderSettings { near, dilation, alpha_cut, alpha_cap, transmittance_stop, tangent_clamp } =
+        settings;
+    [
+        ("near", near),
+        ("dilation", dilation),
+        ("alpha_cut", alpha_cut),
+        ("alpha_cap", alpha_cap),
+        ("transmittance_stop", transmittance_stop),
+        ("tangent_clamp", tangent_clamp),
+    ]
+}
+
+/// Sets one array; of how many control points the paths are, where it is these.
+fn set(scene: &mut scene::Scene, name: &str, value: &Bound<'_, PyAny>) -> PyResult<Option<usize>> {
+    let (g, points) = (&mut scene.gaussians, &mut scene.control_points);
+    match name {
+        "positions" => g.positions = arrays::rows(name, value)?,
+        "log_scales" => g.log_scales = arrays::rows(name, value)?,
+        "rotations" => g.rotations = arrays::rows(name, value)?,
+        "opacity_logits" => g.opacity_logits = arrays::floats(name, value, &[Any("N")])?.0,
+        "sh" => {
+            let (numbers, shape) = arrays::floats(name, value, &[Any("N"), Any("K"), Exactly(3)])?;
+            let degree = (0..=3).find(|&degree| sh_coefficients(degree) == shape[1]);
+            g.sh_degree = degree.ok_or_else(|| {
+                let what = format!("sh: expected K of 1, 4, 9 or 16, got {}", shape[1]);
+                PyValueError::new_err(what)
+            })?;
+            g.sh = arrays::in_rows(&numbers);
+        }
+        "motion_logits" => g.motion_logits = arrays::floats(name, value, &[Any("N")])?.0,
+        "control_positions" => points.positions = arrays::rows(name, value)?,
+        "control_log_radii" => points.log_radii = arrays::floats(name, value, &[Any("M")])?.0,
+        "control_paths" => {
+            let sides = [Any("T"), Any("M"), Exactly(8)];
+            let (numbers, shape) = arrays::floats(name, value, &sides)?;
+            points.paths = arrays::in_rows(&numbers);
+            return Ok(Some(shape[1]));
+        }
+        _ => return Err(PyTypeError::new_err(format!("a scene has no array {name:?}"))),
+    }
+    Ok(None)
+}
+
+/// That arrays are as long as each other. `paths`: of how many control points the paths are.
+fn check_lengths(scene: &scene::Scene, paths: Option<usize>) -> PyResult<()> {
+    let (g, points) = (&scene.gaussians, &scene.control_points);
+    let (n, m) = (g.len(), points.len());
+    let rows = g.sh.len() / sh_coefficients(g.sh_degree);
+    // A static scene has none.
+    let moving = if g.motion_logits.is_empty() { n } else { g.motion_logits.len() };
+    let paths = paths.unwrap_or(m);
+    for (name, given, like, expected) in [
+        ("log_scales", g.log_scales.len(), "positions", n),
+        ("rotations", g.rotations.len(), "positions", n),
+        ("opacity_logits", g.opacity_logits.len(), "positions", n),
+        ("sh", rows, "positions", n),
+        ("motion_logits", moving, "positions", n),
+        ("control_log_radii", points.log_radii.len(), "control_positions", m),
+        ("control_paths (at each time)", paths, "control_positions", m),
+    ] {
+        if given != expected {
+            let what = format!("{name}: expected {expected} rows as in {like}, got {given}");
+            return Err(PyValueError::new_err(what));
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,452 @@
+//! Training.
+
+use crate::arrays;
+use crate::camera::Camera;
+use crate::device::Device;
+use crate::error::raised;
+use crate::renderer::Rendered;
+use crate::scene::Scene;
+use crate::settings;
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use splat4d::gpu::{Buffer, Stream};
+use splat4d::train::own_loss::OwnGradients;
+use splat4d::train::{self, MotionStart, TrainSettings, TrainingView};
+use splat4d::types::{Gaussians, Image, sh_coefficients};
+use splat4d::{gpu, renderer, scene, types};
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::{Duration, Instant};
+
+/// How long `steps` works before it looks for Ctrl-C and calls back.
+const ATTENTION: Duration = Duration::from_millis(50);
+
+/// A picture to train on.
+///
+/// `image` has shape (height, width, 3) as the camera says: red, green and blue, float32 in [0, 1] or uint8.
+/// `time` is in [0, 1]. `weights`, shape (height, width), say how much each pixel counts, in [0, 1];
+/// `mask` is 1 where something moves, else 0.
+///
+/// Raises `ValueError` for wrong shapes.
+#[pyclass(frozen, module = "splat4d", from_py_object)]
+#[derive(Clone)]
+pub struct View {
+    view: Arc<TrainingView>,
+}
+
+#[pymethods]
+impl View {
+    #[new]
+    #[pyo3(signature = (image, camera, time = 0.0, *, weights = None, mask = None))]
+    fn new(
+        image: &Bound<'_, PyAny>,
+        camera: &Camera,
+        time: f64,
+        weights: Option<&Bound<'_, PyAny>>,
+        mask: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<View> {
+        let camera = camera.camera;
+        let size = (camera.intrinsics.width, camera.intrinsics.height);
+        let map = |name, value: Option<&Bound<'_, PyAny>>| {
+            value.map(|value| arrays::picture(name, value, size, 1)).transpose()
+        };
+        let view = TrainingView {
+            camera,
+            time,
+            image: arrays::picture("image", image, size, 3)?,
+            weights: map("weights", weights)?,
+            disparity: None,
+            mask: map("mask", mask)?,
+            every: 1,
+        };
+        Ok(View { view: Arc::new(view) })
+    }
+}
+
+/// How far training is.
+#[pyclass(frozen, get_all, module = "splat4d")]
+pub struct Progress {
+    /// Steps done.
+    step: u32,
+    /// Steps that the schedules are made for.
+    steps: u32,
+    /// Number of Gaussians.
+    gaussians: usize,
+}
+
+#[pymethods]
+impl Progress {
+    fn __repr__(&self) -> String {
+        let Progress { step, steps, gaussians } = self;
+        format!("Progress(step={step}, steps={steps}, gaussians={gaussians})")
+    }
+}
+
+impl Progress {
+    fn of(progress: train::Progress) -> Progress {
+        let train::Progress { step, steps, gaussians } = progress;
+        Progress { step, steps, gaussians }
+    }
+}
+
+/// Trains the Gaussians of a scene, and its motion where it moves, on a device.
+///
+/// With `views` each `step` takes the next of them; without, losses are the caller's own: `forward`,
+/// `backward`, `update`. `extent` is the unit of the positions' learning rate without views: about the
+/// distance of the outermost camera from the middle of all, in units of the world.
+///
+/// Settings, all optional: `steps` (30000) that the schedules are made for; `growth`, `"mcmc"` (the default),
+/// `"adaptive"` or `None` for the Gaussians that there are; `max_gaussians`; `sh_degree`, 0 to 3 (3);
+/// `sh_interval`, steps after which a band of the harmonics is added, 0 for all from the first step; `ssim_share` of the
+/// loss (0.2); `background` (red, green, blue; the scene's); `seed`; `rigidity_weight`; the learning rates `position_rate`,
+/// `position_rate_last`, `log_scale_rate`, `rotation_rate`, `opacity_rate`, `sh0_rate` and `sh_rest_rate`.
+///
+/// Raises `TypeError` for an unknown setting, `ValueError` for a scene of a higher degree than `sh_degree`,
+/// `splat4d.Error` for numbers out of range or where the device's memory does not suffice.
+#[pyclass(frozen, module = "splat4d")]
+pub struct Trainer {
+    state: Mutex<State>,
+    /// What training does not change.
+    start: Arc<scene::Scene>,
+    settings: TrainSettings,
+}
+
+struct State {
+    device: gpu::Device,
+    trainer: train::Trainer,
+    stream: Stream,
+    own: Own,
+    gradients: Option<PixelGradients>,
+}
+
+/// What was done last of a step with the caller's own loss.
+#[derive(Clone, Copy, PartialEq)]
+enum Own {
+    Nothing,
+    Forward((u32, u32)),
+    Backward,
+}
+
+/// The caller's gradients on the device, for pictures of one size.
+struct PixelGradients {
+    rgba: Buffer<[f32; 4]>,
+    depth: Buffer<f32>,
+}
+
+/// Gradients on the host.
+struct Gradients {
+    gaussians: Gaussians,
+    pose: Vec<f32>,
+    motion: Option<MotionGradients>,
+}
+
+struct MotionGradients {
+    /// By the paths or by the network's parameters.
+    model: Vec<f32>,
+    log_radii: Vec<f32>,
+}
+
+impl State {
+    /// Ends the step with the caller's own loss that is under way.
+    fn end_own(&mut self) -> splat4d::Result<()> {
+        if self.own != Own::Nothing {
+            self.own = Own::Nothing;
+            self.trainer.conclude()?;
+        }
+        Ok(())
+    }
+
+    fn steps(&mut self, count: u32, until: Instant) -> splat4d::Result<u32> {
+        self.end_own()?;
+        let mut done = 0;
+        while done < count {
+            self.trainer.step()?;
+            done += 1;
+            if Instant::now() >= until {
+                break;
+            }
+        }
+        Ok(done)
+    }
+
+    fn forward(
+        &mut self,
+        camera: &types::Camera,
+        time: f64,
+    ) -> splat4d::Result<renderer::Rendered> {
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        loop {
+            self.end_own()?;
+            let mut recorder = self.stream.record()?;
+            self.trainer.forward(&mut recorder, camera, time)?;
+            self.own = Own::Forward((width, height));
+            let ticket = self.stream.submit(recorder)?;
+            self.stream.wait(ticket)?;
+            if self.trainer.fits()? {
+                break;
+            }
+        }
+        let pixels = self.trainer.pixels()?;
+        let rgba = self.stream.download(&pixels.rgba)?.into_flattened();
+        let depth = self.stream.download(&pixels.depth)?;
+        Ok(renderer::Rendered {
+            rgba: Image { width, height, channels: 4, pixels: rgba },
+            depth: Image { width, height, channels: 1, pixels: depth },
+        })
+    }
+
+    fn backward(&mut self, rgba: &[f32], depth: Option<&[f32]>) -> splat4d::Result<Gradients> {
+        let rgba: &[[f32; 4]] = rgba.as_chunks().0;
+        let fits = |by: &PixelGradients| by.rgba.len() == rgba.len();
+        if !self.gradients.as_ref().is_some_and(fits) {
+            self.gradients = Some(PixelGradients {
+                rgba: self.device.buffer("gradient by colour", rgba.len())?,
+                depth: self.device.buffer("gradient by depth", rgba.len())?,
+            });
+        }
+        let State { trainer, stream, own, gradients, .. } = self;
+        let by = gradients.as_mut().expect("made above");
+        stream.upload(&mut by.rgba, rgba)?;
+        if let Some(depth) = depth {
+            stream.upload(&mut by.depth, depth)?;
+        }
+        let mut recorder = stream.record()?;
+        let depth = depth.map(|_| by.depth.view());
+        trainer.backward(&mut recorder, OwnGradients { rgba: by.rgba.view(), depth })?;
+        *own = Own::Backward;
+        let ticket = stream.submit(recorder)?;
+        stream.wait(ticket)?;
+        let count = trainer.progress().gaussians;
+        let gaussians = trainer.gradients().download_first(stream, count)?;
+        let pose = stream.download(trainer.pose_gradient()?)?;
+        let motion = match trainer.motion_gradients() {
+            Some((model, log_radii)) => Some(MotionGradients {
+                model: stream.download(model)?,
+                log_radii: stream.download(log_radii)?,
+            }),
+            None => None,
+        };
+        Ok(Gradients { gaussians, pose, motion })
+    }
+
+    fn update(&mut self) -> splat4d::Result<()> {
+        let mut recorder = self.stream.record()?;
+        self.trainer.update(&mut recorder)?;
+        let ticket = self.stream.submit(recorder)?;
+        self.stream.wait(ticket)?;
+        self.end_own()
+    }
+}
+
+impl Trainer {
+    /// To be called without the GIL: another thread may hold the lock and wait for the GIL.
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().expect("no holder panics")
+    }
+}
+
+#[pymethods]
+impl Trainer {
+    #[new]
+    #[pyo3(signature = (device, scene, views = Vec::new(), *, extent = 1.0, **settings))]
+    fn new(
+        py: Python<'_>,
+        device: &Device,
+        scene: &Scene,
+        views: Vec<View>,
+        extent: f64,
+        settings: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Trainer> {
+        let start = scene.scene.clone();
+        let mut chosen = settings::of(settings, start.gaussians.len())?;
+        if !settings.is_some_and(|given| given.contains("background").unwrap_or(false)) {
+            chosen.background = start.background;
+        }
+        chosen.render = start.settings;
+        let (degree, most) = (start.gaussians.sh_degree, chosen.sh_degree);
+        if degree > most {
+            let what = format!("sh_degree: expected at least the scene's {degree}, got {most}");
+            return Err(PyValueError::new_err(what));
+        }
+        let device = device.device.clone();
+        let motion = start.moves().then(|| MotionStart {
+            points: start.control_points.clone(),
+            network: start.network.clone(),
+            neighbours: start.neighbours as usize,
+        });
+        let make = || {
+            let (gaussians, motion, settings) = (&start.gaussians, motion.as_ref(), chosen.clone());
+            let views: Vec<TrainingView> =
+                views.iter().map(|view| TrainingView::clone(&view.view)).collect();
+            let trainer = match views.is_empty() {
+                true => {
+                    train::Trainer::without_pictures(&device, gaussians, motion, extent, settings)?
+                }
+                false => train::Trainer::new(&device, &views, gaussians, motion, settings)?,
+            };
+            let stream = device.stream()?;
+            Ok(State { device, trainer, stream, own: Own::Nothing, gradients: None })
+        };
+        let state = Mutex::new(py.detach(make).map_err(raised)?);
+        Ok(Trainer { state, start: scene.scene.clone(), settings: chosen })
+    }
+
+    /// Does one step on the next view with the engine's own loss. May return before the device is done.
+    ///
+    /// Raises `splat4d.Error` without views, or where the device fails.
+    fn step(&self, py: Python<'_>) -> PyResult<()> {
+        self.steps(py, 1, None)
+    }
+
+    /// Does `count` steps. `progress` is called with a `Progress` some twenty times a second, and after the
+    /// last step; an exception that it raises ends the steps. Ctrl-C ends them with `KeyboardInterrupt`;
+    /// the trainer stays usable, after the steps done so far.
+    ///
+    /// Raises as `step` does.
+    #[pyo3(signature = (count, *, progress = None))]
+    fn steps(
+        &self,
+        py: Python<'_>,
+        count: u32,
+        progress: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<()> {
+        let mut left = count;
+        while left > 0 {
+            let batch = || {
+                let mut state = self.lock();
+                let done = state.steps(left, Instant::now() + ATTENTION)?;
+                Ok((done, state.trainer.progress()))
+            };
+            let (done, now) = py.detach(batch).map_err(raised)?;
+            left -= done;
+            py.check_signals()?;
+            if let Some(progress) = progress {
+                progress.call1((Progress::of(now),))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// How far training is.
+    #[getter]
+    fn progress(&self, py: Python<'_>) -> Progress {
+        Progress::of(py.detach(|| self.lock().trainer.progress()))
+    }
+
+    /// Waits, and gives the parts of the last step's loss by name: `l1`, `ssim` and `disparity`. `None` before
+    /// the first step.
+    fn loss<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
+        let found = py.detach(|| self.lock().trainer.loss()).map_err(raised)?;
+        let Some(found) = found else { return Ok(None) };
+        let dict = PyDict::new(py);
+        dict.set_item("l1", found.l1)?;
+        dict.set_item("ssim", found.ssim)?;
+        dict.set_item("disparity", found.disparity)?;
+        Ok(Some(dict))
+    }
+
+    /// Waits, and measures the PSNR in dB of the last step's picture, as it was before the step. `None` before
+    /// the first step.
+    fn psnr(&self, py: Python<'_>) -> PyResult<Option<f64>> {
+        py.detach(|| self.lock().trainer.psnr()).map_err(raised)
+    }
+
+    /// Waits, and gives the scene as it is now, with the cameras of the first one.
+    fn scene(&self, py: Python<'_>) -> PyResult<Scene> {
+        let read = || {
+            let trainer = &mut self.lock().trainer;
+            Ok((trainer.gaussians()?, trainer.motion()?))
+        };
+        let (gaussians, motion) = py.detach(read).map_err(raised)?;
+        let mut made = scene::Scene {
+            gaussians,
+            settings: self.settings.render,
+            neighbours: self.start.neighbours,
+            cameras: self.start.cameras.clone(),
+            background: self.settings.background,
+            up: self.start.up,
+            ..Default::default()
+        };
+        if let Some((points, network)) = motion {
+            (made.control_points, made.network) = (points, network);
+        }
+        Ok(Scene::of(made))
+    }
+
+    /// Begins a step with a loss of the caller's own: the picture that `camera` sees at `time`, in [0, 1].
+    /// A step that was begun before ends, and nothing is learnt from it.
+    ///
+    /// Raises `splat4d.Error` for a time out of range, or where the device's memory does not suffice.
+    #[pyo3(signature = (camera, time = 0.0))]
+    fn forward(&self, py: Python<'_>, camera: &Camera, time: f64) -> PyResult<Rendered> {
+        let camera = camera.camera;
+        let rendered = py.detach(|| self.lock().forward(&camera, time)).map_err(raised)?;
+        Rendered::of(py, rendered)
+    }
+
+    /// Goes on after `forward`, given the gradient of the caller's loss by the picture: `grad_rgba`, shape
+    /// (height, width, 4), by premultiplied colour and alpha, and `grad_depth`, shape (height, width), by depth
+    /// as `Rendered.depth` has it.
+    ///
+    /// Gives the gradients by the scene's arrays, by the names and in the shapes of `Scene.arrays()`:
+    /// `positions`, `log_scales`, `rotations`, `opacity_logits`, `sh`, and in a scene that moves
+    /// `control_log_radii` and `control_paths`, or `network`, (W,). `pose`, (6,), is that by a left
+    /// perturbation of `view_from_world`: translation, rotation. The rigidity of a scene that moves counts
+    /// as part of the loss; with `rigidity_weight=0` it does not.
+    ///
+    /// Raises `ValueError` for wrong shapes, `splat4d.Error` where `forward` was not the last.
+    #[pyo3(signature = (grad_rgba, grad_depth = None))]
+    fn backward<'py>(
+        &self,
+        py: Python<'py>,
+        grad_rgba: &Bound<'py, PyAny>,
+        grad_depth: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let Own::Forward((width, height)) = py.detach(|| self.lock().own) else {
+            return Err(crate::error::out_of_range("backward comes after forward".into()));
+        };
+        let sides = [arrays::Side::Exactly(height as usize), arrays::Side::Exactly(width as usize)];
+        let four = arrays::Side::Exactly(4);
+        let rgba = arrays::floats("grad_rgba", grad_rgba, &[sides[0], sides[1], four])?.0;
+        let depth = match grad_depth {
+            Some(depth) => Some(arrays::floats("grad_depth", depth, &sides)?.0),
+            None => None,
+        };
+        let found = py.detach(|| self.lock().backward(&rgba, depth.as_deref())).map_err(raised)?;
+        self.by_name(py, found)
+    }
+
+    /// Ends the step after `backward`: updates every parameter by these gradients, with the settings' rates and
+    /// regularisers.
+    ///
+    /// Raises `splat4d.Error` where `backward` was not the last.
+    fn update(&self, py: Python<'_>) -> PyResult<()> {
+        py.detach(|| self.lock().update()).map_err(raised)
+    }
+}
+
+impl Trainer {
+    fn by_name<'py>(&self, py: Python<'py>, found: Gradients) -> PyResult<Bound<'py, PyDict>> {
+        let Gradients { gaussians: g, pose, motion } = found;
+        let dict = PyDict::new(py);
+        let shape = [g.len(), sh_coefficients(g.sh_degree), 3];
+        dict.set_item("positions", arrays::table(py, g.positions)?)?;
+        dict.set_item("log_scales", arrays::table(py, g.log_scales)?)?;
+        dict.set_item("rotations", arrays::table(py, g.rotations)?)?;
+        dict.set_item("opacity_logits", arrays::line(py, g.opacity_logits))?;
+        dict.set_item("sh", arrays::block(py, g.sh.into_flattened(), shape)?)?;
+        dict.set_item("pose", arrays::line(py, pose))?;
+        if let Some(MotionGradients { model, log_radii }) = motion {
+            let points = log_radii.len();
+            dict.set_item("control_log_radii", arrays::line(py, log_radii))?;
+            match self.start.network {
+                Some(_) => dict.set_item("network", arrays::line(py, model))?,
+                None => {
+                    let keys = model.len() / (8 * points);
+                    dict.set_item("control_paths", arrays::block(py, model, [keys, points, 8])?)?;
+                }
+            }
+        }
+        Ok(dict)
+    }
+}
