@@ -25,7 +25,7 @@
 //!     let frame = renderer.record(&mut recorder, camera, 0.5, target)?;
 //!     let guard = recorder.finish()?;
 //!     // … the host records more, submits, and continues with other frames. When the device is
-//!     done:
+//!     // done:
 //!     drop(guard);
 //!     if !renderer.retire(frame)?.is_whole() {
 //!         // The farthest splats of that frame were left out; the next `record` allocates more.
