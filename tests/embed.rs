@@ -645,21 +645,21 @@ fn recordings_end_where_they_belong() {
 fn memory_of_another_device_is_refused() {
     let (host, own) = (Host::new(), common::device());
     let device = adopt(&host);
-    let mut strange = own.buffer::<u32>("strange", 8).unwrap();
+    let mut foreign_buffer = own.buffer::<u32>("foreign", 8).unwrap();
     let mut mine = device.buffer::<u32>("mine", 8).unwrap();
     let mut stream = device.stream().unwrap();
     let mut recorder = stream.record().unwrap();
-    recorder.fill(strange.view_mut(), 1);
+    recorder.fill(foreign_buffer.view_mut(), 1);
     let error = stream.submit(recorder).err().unwrap().to_string();
-    assert!(error.contains("strange was made on another device"), "{error}");
+    assert!(error.contains("foreign was made on another device"), "{error}");
     let mut recorder = stream.record().unwrap();
-    recorder.copy(mine.view(), strange.view_mut());
+    recorder.copy(mine.view(), foreign_buffer.view_mut());
     assert!(stream.submit(recorder).is_err());
     let mut recorder = stream.record().unwrap();
-    assert!(recorder.update(strange.view_mut(), &[1]).is_err());
+    assert!(recorder.update(foreign_buffer.view_mut(), &[1]).is_err());
     let wrong = kernels::scan::ReduceArgs {
-        count: strange.view(),
-        values: strange.view(),
+        count: foreign_buffer.view(),
+        values: foreign_buffer.view(),
         sums: mine.view_mut(),
     };
     let params = kernels::scan::ReduceParams { count_at: 0, capacity: 8 };

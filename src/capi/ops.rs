@@ -173,8 +173,6 @@ pub unsafe extern "C" fn splat4d_sort_destroy(sort: *mut splat4d_sort) {
 
 /// Checks a word index, which the device stores in 32 bits.
 fn word(what: &str, at: u64) -> Outcome<usize> {
-    let narrow = u32::try_from(at).ok().filter(|at| *at < u32::MAX);
-    narrow
-        .map(|at| at as usize)
-        .ok_or_else(|| shape(format!("{what} is {at}: no buffer is so long")))
+    let fits = u32::try_from(at).ok().filter(|at| *at < u32::MAX);
+    fits.map(|at| at as usize).ok_or_else(|| shape(format!("{what} is {at}: no buffer is so long")))
 }

@@ -3,8 +3,8 @@
 
 use super::rounding::gradient_limits;
 use super::scene::{
-    Forward, Frame, UPRIGHT, contested, join, narrow, one, plain_camera, random, random_gradient,
-    skew_camera, stakes, widen,
+    Forward, Frame, UPRIGHT, as_f32, contested, flip_ranges, join, one, plain_camera, random,
+    random_gradient, skew_camera, widen,
 };
 use super::{Bound, Case, Harness};
 use crate::error::Result;
@@ -63,10 +63,13 @@ fn compare_blended(
     let out = frame.forward(stream)?;
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     let (splats, bins) = (out.splats(), out.bins(width, height));
-    let single_splats = narrow(&splats);
+    let single_splats = as_f32(&splats);
     let contested = contested(&splats, &settings, width, height, BAND);
     let left_out = contested.iter().filter(|&&c| c).count();
-    harness.holds(&format!("{what}: few pixels hang"), left_out * 20 <= contested.len().max(20));
+    harness.holds(
+        &format!("{what}: few pixels are undecided"),
+        left_out * 20 <= contested.len().max(20),
+    );
     let exact = raster::forward(&splats, &bins, &settings, width, height);
     let single = raster::forward(&single_splats, &bins, &settings, width, height);
 
@@ -119,12 +122,12 @@ fn compare_gradients(
         ("depth", |g| vec![g.depth], |g| vec![g.depth]),
         ("colour", |g| g.colour.into(), |g| g.colour.into()),
     ];
-    for (name, narrow, wide) in parts {
-        let device: Vec<f32> = device.iter().flat_map(narrow).collect();
-        let exact: Vec<f64> = exact.iter().flat_map(wide).collect();
-        let single: Vec<f32> = single.iter().flat_map(narrow).collect();
+    for (name, of_f32, of_f64) in parts {
+        let device: Vec<f32> = device.iter().flat_map(of_f32).collect();
+        let exact: Vec<f64> = exact.iter().flat_map(of_f64).collect();
+        let single: Vec<f32> = single.iter().flat_map(of_f32).collect();
         // Values below the smallest normal f32 may be flushed to zero.
-        let limits: Vec<f64> = limits.iter().flat_map(wide).map(|limit| limit + 1e-30).collect();
+        let limits: Vec<f64> = limits.iter().flat_map(of_f64).map(|limit| limit + 1e-30).collect();
         let output = format!("{what}: by {name}");
         harness.within(&output, &device, &exact, Some(&single), &limits);
     }
@@ -264,21 +267,24 @@ fn decisions(harness: &mut Harness) -> Result<()> {
         let out = frame.forward(&mut harness.stream)?;
         let (splats, bins) = (out.splats(), out.bins(83, 59));
         let exact = raster::forward(&splats, &bins, &settings, 83, 59);
-        let stakes = stakes(&splats, &settings, 83, 59, BAND);
+        let flip_ranges = flip_ranges(&splats, &settings, 83, 59, BAND);
         let brightest = splats.iter().flatten().flat_map(|s| s.colour).fold(1.0f64, f64::max);
         let limits: Vec<f64> =
-            stakes.iter().flat_map(|stake| [2e-6 + stake * brightest; 4]).collect();
+            flip_ranges.iter().flat_map(|flip_range| [2e-6 + flip_range * brightest; 4]).collect();
         let truth: Vec<f64> = (0..exact.alpha.len())
             .flat_map(|i| [exact.rgb[i][0], exact.rgb[i][1], exact.rgb[i][2], exact.alpha[i]])
             .collect();
         let rgba = out.rgba.as_flattened();
         harness.within(&format!("{what}: rgba"), rgba, &truth, None, &limits);
-        let hanging = stakes.iter().filter(|&&stake| stake > 0.0).count();
-        harness.holds(&format!("{what}: {hanging} pixels hang"), hanging > 10 && hanging < 4000);
-        let flips = (0..stakes.len())
+        let undecided = flip_ranges.iter().filter(|&&flip_range| flip_range > 0.0).count();
+        harness.holds(
+            &format!("{what}: {undecided} pixels are undecided"),
+            undecided > 10 && undecided < 4000,
+        );
+        let flips = (0..flip_ranges.len())
             .filter(|&i| (f64::from(out.rgba[i][3]) - exact.alpha[i]).abs() > 2e-6)
             .count();
-        harness.holds(&format!("{what}: {flips} of {hanging} flip"), 2 * flips <= hanging);
+        harness.holds(&format!("{what}: {flips} of {undecided} flip"), 2 * flips <= undecided);
     }
     Ok(())
 }

@@ -393,7 +393,7 @@ impl Forward {
 }
 
 /// Converts splats to f32.
-pub fn narrow(splats: &[Option<Splat<f64>>]) -> Vec<Option<Splat<f32>>> {
+pub fn as_f32(splats: &[Option<Splat<f64>>]) -> Vec<Option<Splat<f32>>> {
     let of = |x: f64| x as f32;
     let one = |s: &Splat<f64>| Splat {
         mean: s.mean.map(of),
@@ -431,7 +431,7 @@ fn wide_lists(
 /// For each pixel, the maximum change of its colour that depends on decisions (cut, cap, stop)
 /// within `band` of their threshold, relative to the threshold. Rounding may change such a
 /// decision. The change is in units of a colour, and zero for most pixels.
-pub fn stakes(
+pub fn flip_ranges(
     splats: &[Option<Splat<f64>>],
     settings: &RenderSettings,
     width: u32,
@@ -446,7 +446,7 @@ pub fn stakes(
     for y in 0..height {
         for x in 0..width {
             let [begin, end] = bins.ranges[(y / 16 * bins.grid[0] + x / 16) as usize];
-            let (mut transmittance, mut stake) = (1.0, 0.0);
+            let (mut transmittance, mut flip_range) = (1.0, 0.0);
             for &index in &bins.splats[begin as usize..end as usize] {
                 let Some(splat) = &splats[index as usize] else { continue };
                 let (dx, dy) =
@@ -455,21 +455,21 @@ pub fn stakes(
                 if near(full, settings.alpha_cut) || near(full, settings.alpha_cap) {
                     // The splat may be blended or not: this changes its own colour and the light
                     // from the splats behind.
-                    stake += 2.0 * transmittance * f64::from(settings.alpha_cut);
+                    flip_range += 2.0 * transmittance * f64::from(settings.alpha_cut);
                 }
                 if full < f64::from(settings.alpha_cut) {
                     continue;
                 }
                 let behind = transmittance * (1.0 - full.min(f64::from(settings.alpha_cap)));
                 if near(behind, settings.transmittance_stop) {
-                    stake += transmittance;
+                    flip_range += transmittance;
                 }
                 if behind <= f64::from(settings.transmittance_stop) {
                     break;
                 }
                 transmittance = behind;
             }
-            out.push(stake);
+            out.push(flip_range);
         }
     }
     out
@@ -483,8 +483,8 @@ pub fn contested(
     height: u32,
     band: f64,
 ) -> Vec<bool> {
-    let stakes = stakes(splats, settings, width, height, band);
-    stakes.into_iter().map(|stake| stake > 0.0).collect()
+    let flip_ranges = flip_ranges(splats, settings, width, height, band);
+    flip_ranges.into_iter().map(|flip_range| flip_range > 0.0).collect()
 }
 
 /// A random gradient with respect to the pixels, zero where `zero` is set.

@@ -93,7 +93,7 @@ impl Recorder {
     fn owns(&mut self, range: &BoundRange, op: &'static str) -> bool {
         let owned = self.device.owns(&range.buffer);
         if !owned && self.failed.is_none() {
-            self.failed = Some(strange(op, &range.buffer.label));
+            self.failed = Some(foreign_buffer(op, &range.buffer.label));
         }
         owned
     }
@@ -277,7 +277,7 @@ impl Recorder {
         }
         let range = to.bound();
         if !self.owns(&range, "update") {
-            return Err(strange("update", &range.buffer.label));
+            return Err(foreign_buffer("update", &range.buffer.label));
         }
         if self.device.is_rehearsing() {
             return Ok(());
@@ -303,7 +303,7 @@ impl Recorder {
         if let Some(range) =
             ranges.iter().chain(arguments).find(|range| !self.device.owns(&range.buffer))
         {
-            return Err(strange(K::NAME, &range.buffer.label));
+            return Err(foreign_buffer(K::NAME, &range.buffer.label));
         }
         for (range, binding) in ranges.iter().zip(K::BINDINGS) {
             if range.bytes > limits.storage_range {
@@ -354,7 +354,7 @@ impl Recorder {
 }
 
 /// The error for a buffer of one device in a recording of another.
-fn strange(op: &'static str, label: &str) -> Error {
+fn foreign_buffer(op: &'static str, label: &str) -> Error {
     Error::Input(format!("{op}: {label} was made on another device than the recording is for"))
 }
 

@@ -169,7 +169,7 @@ impl Distance {
     /// Assumes that the object is about as deep as another object that it is connected with; this replaces
     /// the bound from occlusion. `first` and `other_first` are the frames in which the two objects are first
     /// seen.
-    pub fn hang_on(&mut self, first: usize, (other, other_first): (&Distance, usize)) {
+    pub fn depend_on(&mut self, first: usize, (other, other_first): (&Distance, usize)) {
         let (scale, _) = other.scale();
         let off: Vec<f64> = self
             .path
@@ -634,7 +634,7 @@ mod tests {
     }
 
     #[test]
-    fn what_hangs_on_another_is_about_as_far() {
+    fn what_is_connected_with_another_is_about_as_far() {
         let bounded = |value: f64, smooth: Option<f64>| {
             let smooth = smooth.map(|value| Estimate { value, deviation: 0.01 });
             let before = Estimate { value, deviation: 0.3 };
@@ -645,17 +645,17 @@ mod tests {
         assert!(known.is_known() && !bounded(1.0, None).is_known());
         // The object's second frame is the other object's first.
         let mut own = bounded(-2.0, None);
-        own.hang_on(4, (&known, 5));
+        own.depend_on(4, (&known, 5));
         assert!(own.is_known());
         let (depths, (there, _)) = (own.depths().0, known.depths());
         assert!((depths[1] / there[0]).ln().abs() < 0.11 && depths[1] < there[1], "{depths:?}");
         // A bounded object does not make another one known; an object never seen at the same time has no
         // effect.
         let mut own = bounded(-2.0, None);
-        own.hang_on(4, (&bounded(1.0, None), 5));
+        own.depend_on(4, (&bounded(1.0, None), 5));
         assert!(!own.is_known() && own.depths().0[0] > 2.0);
         let mut own = bounded(-2.0, None);
-        own.hang_on(4, (&known, 9));
+        own.depend_on(4, (&known, 9));
         assert_eq!(own.depths(), bounded(-2.0, None).depths());
     }
 }

@@ -89,7 +89,7 @@ pub(super) fn lift(
                 .unwrap_or_else(|| distance(i, object, shape, cameras, &owners, behind))
         })
         .collect();
-    hang_together(&objects, masks, &owners, &mut known);
+    join_connected(&objects, masks, &owners, &mut known);
     let mut scaled: Vec<(Vec<f64>, f32)> = known.iter().map(Distance::depths).collect();
     let reliefs: Vec<Vec<f64>> = (0..masks.len())
         .into_par_iter()
@@ -164,7 +164,7 @@ fn supplied(
 /// parts of one object, or one holds the other. An object whose own path does not determine its distance
 /// takes the distance of a connected object whose path does. If neither path does, the smaller object takes
 /// the distance of the larger one.
-fn hang_together(
+fn join_connected(
     objects: &[Object],
     masks: &[Image],
     owners: &[Vec<Option<u16>>],
@@ -220,7 +220,7 @@ fn hang_together(
         if let Some(other) = order[..place].iter().find(held).copied() {
             let first = objects[other].first;
             let [own, other] = known.get_disjoint_mut([own, other]).expect("an order has no twins");
-            own.hang_on(frames.start, (other, first));
+            own.depend_on(frames.start, (other, first));
         }
     }
 }

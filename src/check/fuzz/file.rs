@@ -126,11 +126,11 @@ mod tests {
         let g = &scene.gaussians;
         let floats = g.positions.as_flattened().iter().chain(g.log_scales.as_flattened());
         let floats = floats.chain(g.rotations.as_flattened()).chain(&g.opacity_logits);
-        let narrow = |v: &f32| if v.is_nan() { 0 } else { u64::from(v.to_bits()) };
+        let bits = |v: &f32| if v.is_nan() { 0 } else { u64::from(v.to_bits()) };
         let k = scene.camera.intrinsics;
         let wide = [k.fx, k.fy, k.cx, k.cy, scene.camera.view_from_world.rotation.w];
         let wide = wide.map(|v| if v.is_nan() { 0 } else { v.to_bits() });
-        floats.chain(g.sh.as_flattened()).map(narrow).chain(wide).collect()
+        floats.chain(g.sh.as_flattened()).map(bits).chain(wide).collect()
     }
 
     #[test]

@@ -104,12 +104,12 @@ pub fn judge(device: &Device, stream: &mut Stream, scene: &FuzzScene) -> Result<
         }
     }
     let device = device_answers(&forward, &backward, &skip);
-    Ok(worst(&device, &truth, &others, &rounding, colour_hangs(&cloud, &view, &truth.drawn)))
+    Ok(worst(&device, &truth, &others, &rounding, colour_is_undecided(&cloud, &view, &truth.drawn)))
 }
 
 /// Whether a colour lies so close to 0, where it is clamped and its gradient vanishes, that
 /// rounding decides.
-fn colour_hangs(cloud: &Cloud<f64>, view: &View<f64>, drawn: &[bool]) -> bool {
+fn colour_is_undecided(cloud: &Cloud<f64>, view: &View<f64>, drawn: &[bool]) -> bool {
     (0..cloud.len()).filter(|&i| drawn[i]).any(|i| {
         let sight = normalise(view.sight(cloud.positions[i]));
         let Some((_, direction)) = sight else { return false };

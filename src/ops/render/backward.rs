@@ -231,7 +231,7 @@ impl Render {
             slots_b: b.slots_b.view_mut(),
             slots_c: b.slots_c.view_mut(),
         };
-        match self.narrow {
+        match self.software_subgroup {
             None => recorder.dispatch::<raster::Backward>(tiles, params, args)?,
             Some(subgroup_size) => {
                 let several = u32::from(subgroup_size < raster::BackwardNarrow::WORKGROUP[0]);
@@ -242,7 +242,7 @@ impl Render {
             }
         }
         recorder.dispatch_specialised::<raster::Gather>(
-            &[u32::from(self.narrow.is_some())],
+            &[u32::from(self.software_subgroup.is_some())],
             groups,
             raster::GatherParams { count: count as u32, capacity: self.intersections as u32 },
             raster::GatherArgs {

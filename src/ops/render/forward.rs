@@ -103,7 +103,7 @@ impl Render {
         };
         match self.raster {
             RasterKind::Subgroup => {
-                let constants = [u32::from(self.narrow.is_some()); 2];
+                let constants = [u32::from(self.software_subgroup.is_some()); 2];
                 recorder.dispatch_specialised::<raster::Forward>(&constants, groups, params, args)
             }
             RasterKind::Shared => recorder.dispatch::<raster::ForwardShared>(groups, params, args),
@@ -240,7 +240,7 @@ impl Render {
             &mut s.scan,
         )?;
         recorder.dispatch_specialised::<bin::Emit>(
-            &[u32::from(self.narrow.is_some())],
+            &[u32::from(self.software_subgroup.is_some())],
             groups,
             bin::EmitParams { count, capacity, width: self.width, height: self.height },
             bin::EmitArgs {

@@ -95,7 +95,7 @@ pub struct Render {
     raster: RasterKind,
     /// The subgroup size of a software device, `None` on others. Software devices use raster kernels of
     /// their own and interleave the workgroups so that costly ones are distributed over all cores.
-    narrow: Option<u32>,
+    software_subgroup: Option<u32>,
     depth_sort: RadixSort,
     tile_sort: RadixSort,
     scan: Scan,
@@ -224,7 +224,7 @@ impl Render {
             height,
             settings,
             raster: RasterKind::default(),
-            narrow: match device.info().kind {
+            software_subgroup: match device.info().kind {
                 DeviceKind::Software => Some(device.info().subgroup_size),
                 _ => None,
             },
@@ -258,7 +258,7 @@ impl Render {
     /// on any device.
     #[cfg(feature = "check")]
     pub(crate) fn with_gpu_kernels(self) -> Render {
-        Render { narrow: None, ..self }
+        Render { software_subgroup: None, ..self }
     }
 
     /// Capacity: the largest number of (splat, tile) pairs of a frame.
