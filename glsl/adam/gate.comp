@@ -1,5 +1,6 @@
 #version 460
-// Which Gaussians a step may change: none where the frame did not fit, else those that train.
+// Determines which Gaussians a step may change: none if the frame's intersections did not fit,
+// otherwise those that are trained.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;

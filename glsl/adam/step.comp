@@ -1,6 +1,6 @@
 #version 460
-// One step of Adam over a flat array of parameters, four to an invocation: software devices pay for
-// each access more than for its width.
+// One step of Adam over a flat array of parameters, with a vec4 per invocation: on software devices
+// the number of accesses matters more than their width.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_EXT_scalar_block_layout : require
@@ -24,12 +24,13 @@ layout(push_constant) uniform Params {
     float unbias1;     // 1 / (1 - beta1^step)
     float unbias2;     // 1 / (1 - beta2^step)
     float epsilon;
-    uint row;          // the values of a row, where ANY_ROW is set
+    uint row;          // number of values in a row, if ANY_ROW is set
 };
 
-// Whether rows of visible 0 stay as they are, the values of a row, whether it has fewer than three, and
-// whether `row` tells instead how many it has. Constants: software devices divide by what they know
-// several times faster, and walk through branches not taken, too.
+// Whether rows whose entry in `visible` is 0 stay unchanged; the number of values in a row; whether
+// a row has fewer than three values; whether the parameter `row` replaces ROW. These are constants
+// because software devices divide by constants several times faster, and also execute branches that
+// are not taken.
 layout(constant_id = 0) const bool MASKED = false;
 layout(constant_id = 1) const uint ROW = 1u;
 layout(constant_id = 2) const bool SHORT_ROWS = true;
@@ -37,10 +38,11 @@ layout(constant_id = 3) const bool ANY_ROW = false;
 
 #include "common/grid.glsl"
 
-// Its square, summed, is still finite: one huge gradient cannot freeze a parameter for ever.
+// Gradients are clamped to this magnitude. The sum of their squares then stays finite, so a single
+// huge gradient cannot freeze a parameter permanently.
 const float LARGEST_GRADIENT = 1e18;
 
-// Which of the four from `base` on step, as far as visibility decides.
+// Whether the visibility lets the step change each of the four values from `base` on.
 bvec4 visible_from(uint base) {
     bvec4 steps;
     uint values = ANY_ROW ? row : ROW;
@@ -50,7 +52,7 @@ bvec4 visible_from(uint base) {
             steps[k] = visible[min(base + k, last) / values] != 0u;
         }
     } else {
-        // Four values lie in two rows at most.
+        // Four values lie in at most two rows.
         uint row_index = base / values;
         bool first_steps = visible[row_index] != 0u;
         bool next_steps = visible[min(base + 3u, last) / values] != 0u;
@@ -89,7 +91,7 @@ void main() {
         m = vec4(first[base / 4u][base % 4u], vec3(0.0));
         v = vec4(second[base / 4u][base % 4u], vec3(0.0));
     }
-    // False for NaN too.
+    // The comparison is also false for NaN.
     bvec4 finite = lessThanEqual(abs(g), vec4(3.4028234e38));
     uvec4 left_out = uvec4(steps) * uvec4(not(finite));
     uint count_broken = left_out.x + left_out.y + left_out.z + left_out.w;

@@ -1,6 +1,6 @@
 #version 460
-// As rigid as possible: for every control point the rotation that best carries its edges from one
-// time to the other, the energy that remains, and each edge's gradient.
+// As-rigid-as-possible energy. Computes for every control point the rotation that best maps its
+// edges at the first time to those at the second, the remaining energy, and each edge's gradient.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 
@@ -11,16 +11,17 @@ layout(std430, binding = 1) readonly buffer LogRadii { float log_radii[]; };
 layout(std430, binding = 2) readonly buffer Neighbours { uint neighbours[]; };
 layout(std430, binding = 3) readonly buffer Transforms { vec4 transforms[]; };
 layout(std430, binding = 4) writeonly buffer Energies { float energies[]; };
-// Per place: by the edge at the second time, by the edge at the first.
+// Two vectors per place: the gradients with respect to the edge at the second and at the first
+// time.
 layout(std430, binding = 5) writeonly buffer EdgeGradients { vec4 edge_gradients[]; };
 
 layout(push_constant) uniform Params {
     uint node_count;
     uint k;
-    uint first_at;      // rows of `transforms` of the two times
+    uint first_at;      // first rows of `transforms` at the two times
     uint second_at;
-    uint always;        // so many neighbours count at any distance
-    float reach;        // the others only when nearer than this
+    uint always;        // number of neighbours that count at any distance
+    float reach;        // other neighbours count only if nearer than this, world units
     float scale;        // weight of the mean energy, divided by the number of control points
 };
 
@@ -29,10 +30,11 @@ layout(push_constant) uniform Params {
 
 const uint NONE = 0xffffffffu;
 const float LARGEST_LOG_RADIUS = 40.0;
-// Stands for an exponent of minus infinity.
+// Represents an exponent of minus infinity.
 const float NEVER = -3.4e38;
 
-// One edge of node i, the canonical one `rest`; false for an empty place.
+// The edge of control point i at a place; `rest` is its canonical vector. Returns false for an
+// empty place and for a neighbour that does not count.
 bool edge_of(uint i, uint place, inout uint kept, out uint j, out vec3 rest) {
     j = neighbours[i * k + place];
     if (j == NONE || j == i) {
@@ -55,14 +57,14 @@ void rotate_pair(inout mat4 m, int p, int q, float c, float s) {
     m[q] = s * a + c * b;
 }
 
-// One rotation of Jacobi's method: makes entry (p, q) of the symmetric matrix zero.
+// One Jacobi rotation, which makes entry (p, q) of the symmetric matrix zero.
 void jacobi(inout mat4 a, inout mat4 v, int p, int q) {
     float off = a[q][p];
     if (off == 0.0) {
         return;
     }
     float theta = (a[q][q] - a[p][p]) / (2.0 * off);
-    // Beyond 1e18 its square overflows, and the rotation is below f32's grain.
+    // Beyond 1e18 the square overflows, and the rotation is below f32's resolution.
     float t = abs(theta) > 1e18 ? 0.0 : (theta < 0.0 ? -1.0 : 1.0) / (abs(theta) + sqrt(theta * theta + 1.0));
     float c = inversesqrt(t * t + 1.0);
     rotate_pair(a, p, q, c, t * c);
@@ -71,10 +73,11 @@ void jacobi(inout mat4 a, inout mat4 v, int p, int q) {
     rotate_pair(v, p, q, c, t * c);
 }
 
-// The unit quaternion of the best rotation (Horn 1987): the eigenvector of the largest eigenvalue of
-// a symmetric 4x4 matrix. A reflection cannot come out, and degenerate edges still give a rotation.
+// The unit quaternion of the best rotation (Horn 1987): the eigenvector of the largest eigenvalue
+// of a symmetric 4x4 matrix. The result is never a reflection, and degenerate edges also give a
+// rotation.
 vec4 best_rotation(mat3 m) {
-    // m[b][a] = sum of from_a to_b
+    // m[b][a] is the weighted sum of from_a to_b.
     float largest = 0.0;
     for (int b = 0; b < 3; b++) {
         vec3 column = abs(m[b]);
@@ -91,7 +94,8 @@ vec4 best_rotation(mat3 m) {
                   zx - xz, xy + yx, yy - xx - zz, yz + zy,
                   xy - yx, zx + xz, yz + zy, zz - xx - yy);
     mat4 v = mat4(1.0);
-    // Converges quadratically; six sweeps leave nothing in f32.
+    // The iteration converges quadratically. After six sweeps the off-diagonal entries are
+    // negligible in f32.
     for (int sweep = 0; sweep < 6; sweep++) {
         jacobi(a, v, 0, 1);
         jacobi(a, v, 0, 2);
@@ -126,7 +130,7 @@ void main() {
     uint j;
     vec3 rest;
 
-    // The largest exponent is taken out of the weights, or all might underflow.
+    // The largest exponent is subtracted from all, since otherwise all weights might underflow.
     float largest = NEVER;
     uint nearest = NONE;
     uint kept = 0u;

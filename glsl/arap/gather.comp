@@ -1,10 +1,10 @@
 #version 460
-// Adds the edges' gradients at both of their ends, always in the same order.
+// Sums the edges' gradients at both of their ends, always in the same order.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;
 
-// The places that name node n are places[starts[n] .. starts[n + 1]].
+// The places whose neighbour is control point n are places[starts[n] .. starts[n + 1]].
 layout(std430, binding = 0) readonly buffer Starts { uint starts[]; };
 layout(std430, binding = 1) readonly buffer Places { uint places[]; };
 layout(std430, binding = 2) readonly buffer EdgeGradients { vec4 edge_gradients[]; };

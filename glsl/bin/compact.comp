@@ -1,5 +1,6 @@
 #version 460
-// Lists the visible splats with their depth as a sortable key; positive floats sort as their bits.
+// Lists the visible splats with their depth as sort key. Positive floats have the same order as
+// their bits.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;

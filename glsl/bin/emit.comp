@@ -1,7 +1,7 @@
 #version 460
-// Emits a (tile, intersection) pair for every tile that a splat reaches, nearest splat first.
-// Intersections are numbered in this order: those of one splat lie side by side, which is where the
-// backward pass leaves its partial sums.
+// Emits a (tile, intersection) pair for every tile that a splat overlaps, nearest splat first.
+// Intersections are numbered in this order, so those of one splat are consecutive. The backward
+// pass writes its partial sums to slots with these numbers.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;
@@ -40,13 +40,13 @@ void main() {
     uvec2 grid = tile_grid(image);
     uint splat = order[rank];
     uint offset = offsets[rank], reached = counts[rank];
-    // A sum that wrapped must not pass for one that fits. No splat reaches 2^32 tiles, so that a sum
-    // that wraps does so at some rank.
+    // A sum that overflowed must not be taken for one that fits. No splat overlaps 2^32 tiles, so
+    // an overflow appears at some rank as a sum smaller than its offset.
     if (offset + reached < offset) {
         atomicMax(total[0], 0xffffffffu);
     }
     uint at = min(offset, capacity);
-    // Emission never leaves the counted budget, whatever rounding does to the tests.
+    // Emission never exceeds the counted number, even if rounding changes the result of a test.
     uint end = at + min(reached, capacity - at);
     vec2 mean = means[splat].xy;
     vec4 conic = conics[splat];
@@ -62,7 +62,7 @@ void main() {
             }
         }
     }
-    // A tile that does not exist takes what was counted and not emitted.
+    // Intersections that were counted but not emitted go to a tile that does not exist.
     for (; at < end; at++) {
         tiles[at] = grid.x * grid.y;
         intersections[at] = at;

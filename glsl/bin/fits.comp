@@ -1,6 +1,6 @@
 #version 460
-// What a frame held, for the host, and whether the buffers held all of it: a step of training whose
-// frame did not fit must change nothing.
+// Writes a frame's counts for the host, and whether all its intersections fitted into the buffers.
+// A training step whose frame did not fit must change nothing.
 
 layout(local_size_x = 1) in;
 

@@ -1,5 +1,5 @@
 #version 460
-// Where each tile's intersections begin and end in the order sorted by tile.
+// Finds where each tile's intersections begin and end in the list sorted by tile.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;

@@ -1,8 +1,8 @@
-// A camera on the device: 20 floats in the layout of ops::render::DeviceCamera.
+// A camera on the device: 20 floats in the layout of ops::render::device_camera.
 struct Camera {
-    mat3 rotation;     // of view_from_world
-    vec3 centre;       // in the world
-    vec3 centre_rest;  // what rounding the centre to floats left
+    mat3 rotation;     // rotation part of view_from_world
+    vec3 centre;       // camera centre in the world frame, rounded to f32
+    vec3 centre_rest;  // exact centre minus `centre`
     vec2 focal;
     vec2 principal;
 };
@@ -19,18 +19,18 @@ Camera load_camera() {
     return c;
 }
 
-// From the camera's centre to a point, in the world. A rotation's product less a translation would
-// lose 0.06 units a million units from the origin (case render/far_from_the_origin); so the centre
-// is subtracted first, exactly where the point is near it. In this order, whatever the compiler
-// thinks.
+// Returns the offset from the camera centre to a point, in world axes. Rotating the point and then
+// adding the translation would lose 0.06 units a million units from the origin (case
+// render/far_from_the_origin). Subtracting the centre first is exact for points near the camera.
+// `precise` keeps the compiler from reordering the subtractions.
 vec3 sight(Camera c, vec3 position) {
     precise vec3 near = position - c.centre;
     precise vec3 offset = near - c.centre_rest;
     return offset;
 }
 
-// The range of x/z and y/z at which the projection's Jacobian may be evaluated: the image's edges,
-// widened by (clamp - 1) half fields of view.
+// Returns the range of x/z and y/z in which the projection's Jacobian may be evaluated: the image's
+// edges, widened on each side by (tangent_clamp - 1) times half the image's extent.
 void tangent_limits(Camera c, vec2 size, float tangent_clamp, out vec2 lowest, out vec2 highest) {
     vec2 margin = (tangent_clamp - 1.0) * 0.5 * size / c.focal;
     lowest = -(c.principal / c.focal + margin);

@@ -1,7 +1,8 @@
 #ifndef FINITE_GLSL
 #define FINITE_GLSL
 
-// By the bits of the exponent: a driver that assumes that there are no NaNs may drop a comparison.
+// The test reads the exponent's bits, because a driver that assumes that there are no NaNs may drop
+// a comparison.
 bool finite(float x) {
     return (floatBitsToUint(x) & 0x7f800000u) != 0x7f800000u;
 }

@@ -1,4 +1,4 @@
-// The workgroup's number in a grid that may be folded into two axes (Groups::linear).
+// The linear index of the workgroup in a grid that may be folded into two axes (Groups::linear).
 uint group_index() {
     return gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x;
 }

@@ -1,9 +1,9 @@
-// Values at evenly spaced times of [0, 1], interpolated by Catmull and Rom's cubic. It goes through
-// the values; beyond the first and the last key these are repeated.
+// Catmull-Rom interpolation between values (keys) at evenly spaced times of [0, 1]. The curve
+// passes through the keys. The first and the last key are repeated beyond the ends.
 
 struct Keys {
-    int first;      // of the four keys, may lie outside
-    vec4 weights;   // of these, summing to 1
+    int first;      // index of the first of four keys, may lie outside
+    vec4 weights;   // weights of the four keys, summing to 1
 };
 
 Keys keys_at(float time, uint count) {

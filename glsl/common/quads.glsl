@@ -1,12 +1,13 @@
-// How a workgroup of LANES (32 or 8) invocations covers a tile of 16×16 pixels: in BLOCKS blocks, one
-// after the other, of each of which an invocation has two quads of 2×2 side by side. 8 invocations
-// cover 8×8 pixels, so that a subgroup of any size covers compact blocks. A splat that misses a block
-// is skipped by the whole subgroup; what a splat costs a subgroup (its broadcast, the sums of its
-// gradients) is shared by eight pixels per invocation, and its load by the blocks. Needs
-// common/tile.glsl.
+// Mapping of a workgroup of LANES (32 or 8) invocations to the 16×16 pixels of a tile. The
+// workgroup processes BLOCKS blocks one after the other. In each block an invocation handles two
+// adjacent quads of 2×2 pixels, so 8 invocations cover 8×8 pixels and a subgroup of any size covers
+// a compact block. The whole subgroup skips a splat that misses its block. The cost of a splat per
+// subgroup (its broadcast, the reduction of its gradients) is shared by eight pixels per
+// invocation, and the cost of its load by all blocks. Requires common/tile.glsl.
 const uint BLOCKS = 32 / LANES;
 const uint QUADS = 2u;
-// One call per block, each with a constant: compilers do not unroll loops around loops.
+// One call per block with a constant argument, because compilers do not unroll a loop that contains
+// loops.
 #if LANES == 32
 #define EACH_BLOCK(work) work(0u);
 #else
@@ -17,12 +18,12 @@ uint lane_index() {
     return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID;
 }
 
-// The tile's first pixel.
+// The upper left pixel of the tile.
 uvec2 tile_origin(uint tile, uvec2 grid) {
     return uvec2(tile % grid.x, tile / grid.x) * TILE;
 }
 
-// First pixel, within the tile, of an invocation's quads in a block.
+// The upper left pixel, relative to the tile, of an invocation's quads in a block.
 uvec2 quads_origin(uint block) {
     uint lane = block * LANES + lane_index();
     uint x = (lane & 1u) | ((lane >> 2) & 2u);
@@ -30,11 +31,11 @@ uvec2 quads_origin(uint block) {
     return uvec2(4u * x, 2u * y);
 }
 
-// Pixels of a quad: (0,0) (1,0) (0,1) (1,1).
+// Offsets of a quad's pixels, in the order (0,0) (1,0) (0,1) (1,1).
 const vec4 QUAD_X = vec4(0.0, 1.0, 0.0, 1.0);
 const vec4 QUAD_Y = vec4(0.0, 0.0, 1.0, 1.0);
 
-// Which pixels of the quad lie in the image.
+// Whether each pixel of the quad lies in the image.
 bvec4 quad_inside(uvec2 origin, uvec2 size) {
     bvec2 x = lessThan(uvec2(origin.x, origin.x + 1u), size.xx);
     bvec2 y = lessThan(uvec2(origin.y, origin.y + 1u), size.yy);
@@ -45,7 +46,8 @@ uint quad_pixel(uvec2 origin, uint k, uint width) {
     return (origin.y + (k >> 1)) * width + origin.x + (k & 1u);
 }
 
-// The splat's power at the quad's pixels: the squared length of their whitened offsets.
+// The splat's power at the quad's pixels: the squared length of their whitened offsets (across,
+// along). The Gaussian falls off as exp(-power).
 vec4 quad_power(vec2 mean, vec3 conic, vec2 corner, out vec4 across, out vec4 along) {
     vec4 dx = corner.x - mean.x + QUAD_X;
     vec4 dy = corner.y - mean.y + QUAD_Y;
@@ -54,13 +56,15 @@ vec4 quad_power(vec2 mean, vec3 conic, vec2 corner, out vec4 across, out vec4 al
     return across * across + along * along;
 }
 
-// Software devices shuffle all lanes at once, but go through them one by one for arithmetic over a
-// subgroup, for ballots and for broadcasts. To some GPUs a shuffle is dear and a broadcast cheap.
+// Whether lanes exchange values by shuffles only. Software devices shuffle all lanes at once, but
+// process subgroup arithmetic, ballots and broadcasts one lane at a time. On some GPUs a shuffle is
+// expensive and a broadcast cheap.
 layout(constant_id = 0) const bool SHUFFLES = false;
 
 #define FROM_LANE(x, lane) (SHUFFLES ? subgroupShuffle(x, lane) : subgroupBroadcast(x, lane))
 
-// Folds the lanes' values, pairs, pairs of pairs, and so on; every lane has the result.
+// Reduces the lanes' values with the function `folded` in a butterfly of shuffles: pairs, pairs of
+// pairs, and so on. Every lane receives the result.
 #define SUBGROUP_FOLD(x, folded)                                                                   \
     for (uint mask = 1u; mask < min(gl_SubgroupSize, LANES); mask *= 2u) {                         \
         x = folded(x, subgroupShuffleXor(x, mask));                                                \
@@ -76,7 +80,7 @@ uint either(uint a, uint b) {
     return a | b;
 }
 
-// One bit per lane.
+// The subgroup's ballot, one bit per lane.
 uint subgroup_ballot(bool here) {
     if (SHUFFLES) {
         uint bits = here ? 1u << gl_SubgroupInvocationID : 0u;
@@ -86,7 +90,7 @@ uint subgroup_ballot(bool here) {
     return subgroupBallot(here).x;
 }
 
-// The rectangle of pixel centres that the subgroup's quads cover.
+// The rectangle of pixel centres that the subgroup's quads cover in one block.
 void subgroup_block(vec2 corner, out vec2 lowest, out vec2 highest) {
     lowest = corner;
     highest = corner;

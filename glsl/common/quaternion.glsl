@@ -4,8 +4,9 @@
 
 const vec4 NO_ROTATION = vec4(1.0, 0.0, 0.0, 0.0);
 
-// False, and no rotation, where q has no usable direction. Scaled twice, so that the squares
-// neither overflow nor vanish. Comparisons are false for NaN, whichever component holds it.
+// Normalises q. Returns false, and the identity in `unit`, if q is NaN or its largest component is
+// not in (1e-18, 1e18]. The division by the largest component keeps the squares from overflowing or
+// underflowing. The comparisons are false for a NaN in any component.
 bool unit_quaternion(vec4 q, out vec4 unit, out float norm) {
     vec4 a = abs(q);
     float largest = max(max(a.x, a.y), max(a.z, a.w));
@@ -17,7 +18,7 @@ bool unit_quaternion(vec4 q, out vec4 unit, out float norm) {
     return usable;
 }
 
-// The gradient at q, given that at its unit quaternion.
+// The gradient with respect to q, given the gradient with respect to its unit quaternion.
 vec4 unit_quaternion_backward(vec4 q, vec4 gradient) {
     vec4 u;
     float norm;
@@ -33,13 +34,15 @@ vec4 conjugate(vec4 q) {
     return vec4(q.x, -q.yzw);
 }
 
-// R v - v for a unit quaternion: exact zero for no rotation, no cancellation for a small one.
+// R(q) v - v for a unit quaternion: exactly zero for the identity, and without cancellation for a
+// small rotation.
 vec3 turn_offset(vec4 q, vec3 v) {
     vec3 t = 2.0 * cross(q.yzw, v);
     return q.x * t + cross(q.yzw, t);
 }
 
-// The gradient at the components of q of R(q) v, a polynomial in q.
+// The gradient with respect to the components of q, given the gradient with respect to R(q) v as a
+// polynomial in q.
 vec4 turn_backward(vec4 q, vec3 v, vec3 gradient) {
     vec3 a = cross(q.yzw, v);
     float by_w = 2.0 * dot(gradient, a);

@@ -1,6 +1,7 @@
-// Random numbers from counters: the same on every device. Needs common/sine.glsl.
+// Counter-based random numbers. The random words are the same on every device, the normal numbers
+// up to the rounding of log and sqrt. Requires common/sine.glsl.
 
-// Four words for a counter (Jarzynski and Olano 2020, pcg4d).
+// Four random words for a counter (pcg4d, Jarzynski and Olano 2020).
 uvec4 random_words(uvec4 counter) {
     uvec4 v = counter * 1664525u + 1013904223u;
     v.x += v.y * v.w;
@@ -15,12 +16,12 @@ uvec4 random_words(uvec4 counter) {
     return v;
 }
 
-// Three standard normal numbers for a counter (Box and Muller).
+// Three standard normal random numbers for a counter (Box-Muller).
 vec3 random_normals(uvec4 counter) {
     uvec4 words = random_words(counter) >> 8u;
     const float STEP = 1.0 / 16777216.0;
     const float TAU = 6.283185307179586;
-    // A radius from (0, 1]: its logarithm is finite.
+    // The logarithm's argument lies in (0, 1], so the logarithm is finite.
     vec2 radii = sqrt(-2.0 * log(vec2(words.xz + 1u) * STEP));
     vec2 angles = TAU * vec2(words.yw) * STEP;
     float sine, cosine, other_sine, other_cosine;
@@ -29,7 +30,7 @@ vec3 random_normals(uvec4 counter) {
     return vec3(radii.x * cosine, radii.x * sine, radii.y * other_cosine);
 }
 
-// The upper word of a product.
+// The upper 32 bits of the 64-bit product.
 uint multiply_high(uint a, uint b) {
     uint a0 = a & 0xffffu, a1 = a >> 16u;
     uint b0 = b & 0xffffu, b1 = b >> 16u;

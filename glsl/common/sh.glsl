@@ -33,7 +33,7 @@ void sh_band3(vec3 d, out float b[7]) {
     b[6] = SH3[6] * d.x * (s.x - 3.0 * s.y);
 }
 
-// Derivatives of each function by the direction.
+// Derivatives of each basis function with respect to the direction.
 void sh_band1_gradient(out vec3 g[3]) {
     g[0] = vec3(0.0, -SH1, 0.0);
     g[1] = vec3(0.0, 0.0, SH1);

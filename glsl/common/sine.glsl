@@ -1,6 +1,7 @@
-// Sine and cosine to f32's rounding. Vulkan promises sin() only an absolute 2^-11 within [-pi, pi],
-// and drivers take that at its word. The quadrant's multiple of pi/2 is subtracted in three parts
-// (Cody and Waite), good for |x| up to some ten thousand; then Taylor's polynomials.
+// Sine and cosine to f32 precision. Vulkan guarantees only an absolute error of 2^-11 for sin()
+// within [-pi, pi], and some drivers are no more precise than that. The argument is reduced by a
+// multiple of pi/2, subtracted in three parts (Cody-Waite), which is accurate for |x| up to about
+// ten thousand. Taylor polynomials then give both functions.
 void sine_cosine(float x, out float s, out float c) {
     float n = round(x * 0.6366197723675814);
     precise float r = x - n * 1.5703125;

@@ -9,16 +9,19 @@ mat3 rotation_matrix(vec4 q) {
                 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y));
 }
 
-// Positions (in the camera's frame) and colours beyond this count as not finite: the gradients'
-// products of them would not be (case fuzz/regressions).
+// A Gaussian is culled as not finite if a coordinate of its position (camera frame) or one of its
+// SH coefficients exceeds this, because products of them in the gradients would overflow (case
+// fuzz/regressions).
 const float LARGEST = 1e18;
 
-// Shorter quaternions count as zero.
+// Quaternions shorter than this count as zero.
 const float LEAST_QUATERNION = 1e-10;
 
 const float TWO_TO_64 = 18446744073709551616.0;
 
-// Scaled twice, so that neither huge nor tiny quaternions overflow or vanish in the square.
+// Normalises q. Returns false if q is not finite or shorter than LEAST_QUATERNION. The division by
+// the largest component keeps the squares of huge quaternions from overflowing and of tiny ones
+// from underflowing.
 bool normalised(vec4 q, out vec4 unit, out float length_q) {
     if (!finite(q.xyz) || !finite(q.w)) {
         return false;
@@ -27,7 +30,8 @@ bool normalised(vec4 q, out vec4 unit, out float length_q) {
     if (largest == 0.0) {
         return false;
     }
-    // One over a number above 2^126 is subnormal, and GPUs flush it to zero: a power of two first.
+    // The reciprocal of a number above 2^126 is subnormal, and GPUs flush it to zero. A power of
+    // two scales large quaternions down first.
     float down = largest > TWO_TO_64 ? 1.0 / TWO_TO_64 : 1.0;
     vec4 scaled = (q * down) / (largest * down);
     float l = length(scaled);
@@ -36,31 +40,32 @@ bool normalised(vec4 q, out vec4 unit, out float length_q) {
     return length_q >= LEAST_QUATERNION && finite(length_q);
 }
 
-// What the shape of a Gaussian on the image is made of. With J the projection's Jacobian at the
-// (clamped) centre, N = view_from_world rotation times the Gaussian's own rotation and S the
-// scales: half_covariance = J N S, so that the 2D covariance is its product with its transpose plus
+// The intermediate values of a projected Gaussian's shape. With J the projection's Jacobian at the
+// (clamped) centre, N the rotation of view_from_world times the Gaussian's own rotation, and S the
+// scales, half_covariance = J N S. The 2D covariance is half_covariance times its transpose, plus
 // the dilation.
 //
-// The conic, half the covariance's inverse, is kept as its triangular factor: at an offset d from the
-// mean the power is (conic.x d.x + conic.y d.y)^2 + (conic.z d.y)^2. The entries are at most
-// 1/sqrt(2 dilation), and a sum of two squares does not cancel: the usual A, B, C of a needle 1e7
-// pixels long let the power of the pixels on it fall below zero, and gradients by its length drown
-// (cases fuzz/regressions).
+// The conic, half the inverse of the covariance, is stored as its triangular factor: at an offset d
+// from the mean the power is (conic.x d.x + conic.y d.y)^2 + (conic.z d.y)^2. The entries are at
+// most 1/sqrt(2 dilation), and a sum of two squares does not cancel. With the usual entries A, B,
+// C, the power at pixels on a needle 1e7 pixels long can become negative, and rounding errors
+// exceed the gradients with respect to its length (cases fuzz/regressions).
 struct Shape {
-    vec3 view;          // the centre in the camera's frame
+    vec3 view;          // centre in the camera frame
     vec2 tangent;       // x/z and y/z, clamped
     bvec2 clamped;
     mat3 axes;          // N
     vec3 scales;
-    vec3 row_x, row_y;  // of half_covariance, divided by `unit`
-    float unit;         // the largest entry of half_covariance: squares stay within f32
+    vec3 row_x, row_y;  // rows of half_covariance, divided by `unit`
+    float unit;         // >= the largest entry of half_covariance; keeps squares finite
     float dilation;     // divided by unit²
     vec3 covariance;    // xx, xy, yy, divided by unit²
     vec2 inverse;       // unit times conic.x and conic.z
     vec3 conic;
 };
 
-// False where there is no usable shape.
+// Computes the shape. Returns false if the centre is not beyond the near plane, if an intermediate
+// value is not finite, or if the covariance is singular.
 bool shape_of(Camera c, vec2 size, float near, float tangent_clamp, float dilation, vec3 position,
               vec3 log_scale, vec4 unit_rotation, out Shape s) {
     s.view = c.rotation * sight(c, position);
@@ -96,16 +101,16 @@ bool shape_of(Camera c, vec2 size, float near, float tangent_clamp, float dilati
     s.dilation = d;
     float xx = dot(s.row_x, s.row_x), xy = dot(s.row_x, s.row_y), yy = dot(s.row_y, s.row_y);
     s.covariance = vec3(xx + d, xy, yy + d);
-    // Cauchy-Binet: the determinant of a product with its transpose is a sum of squares, so a
-    // needle's does not cancel away as xx*yy - xy*xy does.
+    // By the Cauchy-Binet formula, the determinant of a matrix times its transpose is a sum of
+    // squares. For a needle it does not cancel, as xx*yy - xy*xy would.
     vec3 normal = cross(s.row_x, s.row_y);
     float determinant = dot(normal, normal) + d * (xx + yy) + d * d;
     float variance_y = s.covariance.z;
     if (!(determinant > 0.0) || !finite(determinant) || !(variance_y > 0.0)) {
         return false;
     }
-    // The variance of x where y is given is determinant / variance_y, its mean goes with xy /
-    // variance_y.
+    // Given y, the conditional variance of x is determinant / variance_y, and its conditional mean
+    // is y * xy / variance_y.
     s.inverse = vec2(sqrt(0.5 * (variance_y / determinant)), inversesqrt(2.0 * variance_y));
     s.conic = vec3(s.inverse.x, -xy / variance_y * s.inverse.x, s.inverse.y) / s.unit;
     return finite(s.conic);

@@ -1,16 +1,17 @@
-// Software devices hand each core one stretch of the workgroups beforehand. Where what a workgroup
-// costs changes from one end to the other (an empty sky over a full ground, near splats before far
-// ones), the cores would wait for the slowest; with SPREAD every stretch gets some of everything.
-// Needs common/grid.glsl, and SPREAD as a specialisation constant.
+// Interleaving of workgroups for software devices, which assign each core one contiguous range of
+// workgroups in advance. If the cost of a workgroup changes along the grid (an empty sky above a
+// full ground, near splats before far ones), all cores wait for the slowest. With SPREAD, the
+// workgroups of each range come from the whole grid. Requires common/grid.glsl and the
+// specialisation constant SPREAD.
 
-// The workgroup's number, or with SPREAD its place when the numbers are read down the columns of a
-// table instead of along its rows.
+// The workgroup's linear index. With SPREAD the indices are permuted: they fill a table of 16
+// columns row by row, and the table is read column by column.
 uint spread_group_index() {
     uint group = group_index();
     if (SPREAD) {
         const uint COLUMNS = 16u;
         uint groups = gl_NumWorkGroups.x * gl_NumWorkGroups.y;
-        // The first columns have one row more.
+        // The first `longer` columns have one row more than the others.
         uint rows = groups / COLUMNS, longer = groups % COLUMNS;
         uint in_longer = longer * (rows + 1u);
         if (group < in_longer) {

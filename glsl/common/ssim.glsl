@@ -1,20 +1,20 @@
-// The window of SSIM and how the loss kernels walk over an image.
+// The window of SSIM, and the convolution along one axis that the loss kernels share.
 //
-// Every pass blurs along one axis. An invocation walks over a run of neighbouring pixels and loads
-// each value once: a value is added, tap by tap, to the WINDOW outputs that it belongs to, and the
-// output that has seen its last value leaves (a filter in its transposed form). So a pass costs its
-// loads and stores, which is what software devices pay most for, and an output's sum has the same
-// order whatever the length of the run.
+// An invocation processes a run of adjacent pixels and loads each value once. It adds each value,
+// tap by tap, to the WINDOW outputs that depend on it. An output that has received its last value
+// is complete and is stored (a filter in its transposed form). A pass thus costs little more than
+// its loads and stores, which are the most expensive operations on software devices, and the order
+// of an output's sum does not depend on the length of the run.
 const int WINDOW = 11;
 const int HALF = 5;
 const float C1 = 1e-4;
 const float C2 = 9e-4;
-// exp(-d²/(2·1.5²)), normalised to sum 1.
+// Gaussian window exp(-d²/(2·1.5²)), normalised to sum 1.
 const float TAPS[WINDOW] =
     float[](0.0010283801, 0.0075987581, 0.0360007721, 0.1093606895, 0.2130055377, 0.2660117249,
             0.2130055377, 0.1093606895, 0.0360007721, 0.0075987581, 0.0010283801);
 
-// Takes the value at a place p into the sums; sums[0] is then the window's output at p − HALF.
+// Adds the value at position p to the sums. sums[0] is then the window's output at p − HALF.
 #define SLIDE(sums, value)                                                                         \
     {                                                                                              \
         [[unroll]] for (int k = 0; k < WINDOW - 1; k++) {                                          \
@@ -23,7 +23,8 @@ const float TAPS[WINDOW] =
         sums[WINDOW - 1] = TAPS[WINDOW - 1] * (value);                                             \
     }
 
-// Channel `channel` of a reference image's packed pixel; the fourth byte is the pixel's weight.
+// Channel `channel` of a reference image's packed pixel, in [0, 1]. The fourth byte is the pixel's
+// weight.
 float unpack(uint packed_pixel, uint channel) {
     return float((packed_pixel >> (8u * channel)) & 0xffu) / 255.0;
 }

@@ -1,4 +1,5 @@
-// A pixel before it is packed: over what lies behind it, what is not finite counting as nothing.
+// Blending of a pixel over the background before it is packed. Values that are not finite count as
+// 0.
 #include "common/finite.glsl"
 
 float some(float value) {

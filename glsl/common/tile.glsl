@@ -1,23 +1,23 @@
-// Which pixels a splat reaches. Counting, emission and the raster's culling share this file, so
-// that they agree.
+// Overlap tests between a splat and rectangles of pixels. The tile counts, the emission and the
+// culling of the raster kernels share this file, so that their results agree.
 const uint TILE = 16u;
 
-// With the conic factored as common/splat.glsl says.
+// The power at an offset from the mean. The conic is factored as common/splat.glsl describes.
 float power_at(vec3 conic, vec2 offset) {
     float across = conic.x * offset.x + conic.y * offset.y;
     float along = conic.z * offset.y;
     return across * across + along * along;
 }
 
-// The least power, and with it the largest alpha, that the splat has within a rectangle of pixel
-// centres: 0 where its mean lies inside, else on one of the edges that face the mean.
+// The smallest power of the splat within a rectangle of pixel centres, where its alpha is largest.
+// It is 0 if the mean lies inside, and otherwise lies on one of the edges that face the mean.
 float least_power(vec2 mean, vec3 conic, vec2 lowest, vec2 highest) {
     vec2 low = lowest - mean, high = highest - mean;
     vec2 near = clamp(vec2(0.0), low, high);
     float best = 0.0;
     bool outside_x = near.x != 0.0, outside_y = near.y != 0.0;
     if (outside_x) {
-        // Divided by the larger of the two, so that their squares stay within f32.
+        // The division by the larger entry keeps the squares within f32's range.
         float unit = max(abs(conic.y), conic.z);
         vec2 column = conic.yz / unit;
         float y = -(conic.x / unit) * near.x * column.x / dot(column, column);
@@ -32,7 +32,7 @@ float least_power(vec2 mean, vec3 conic, vec2 lowest, vec2 highest) {
     return best;
 }
 
-// The power at which alpha falls to the cut.
+// The power at which alpha falls to alpha_cut.
 float power_limit(float opacity, float alpha_cut) {
     return log(opacity / alpha_cut);
 }
@@ -42,7 +42,7 @@ uvec2 tile_grid(uvec2 size) {
 }
 
 // The rectangle of tiles [first, last) around the pixels whose centres lie in the ellipse's
-// bounding box; empty where the box holds no pixel of the image.
+// bounding box. It is empty if the box contains no pixel centre of the image.
 void tile_rectangle(vec2 mean, vec2 extent, uvec2 size, out uvec2 first, out uvec2 last) {
     vec2 low = clamp(ceil(mean - extent - 0.5), vec2(0.0), vec2(size));
     vec2 high = clamp(floor(mean + extent - 0.5) + 1.0, vec2(0.0), vec2(size));

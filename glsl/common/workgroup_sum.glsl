@@ -1,17 +1,18 @@
-// Prefix sums over a workgroup of at most 256 invocations in full subgroups, of any size: a subgroup
-// sums its own, then everyone adds up the sums of the subgroups before its own.
+// Prefix sums over a workgroup of at most 256 invocations in full subgroups of any size. Each
+// subgroup computes its own prefix sums. Every invocation then adds the sums of the preceding
+// subgroups.
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 
 shared uint subgroup_sums[256];
 
-// The invocation's place in the order of `exclusive_sum`.
+// The invocation's index in the order of `exclusive_sum`.
 uint sum_index() {
     return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID;
 }
 
-// Sum of `value` over the invocations before this one; `total` over all. Every invocation of the
-// workgroup must call it. A second call needs no barrier in between.
+// The sum of `value` over the preceding invocations. `total` receives the sum over all. Every
+// invocation of the workgroup must call this function. No barrier is needed between two calls.
 uint exclusive_sum(uint value, out uint total) {
     uint before = subgroupExclusiveAdd(value);
     barrier();

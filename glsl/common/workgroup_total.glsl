@@ -1,11 +1,12 @@
-// Sums over a workgroup of 64 invocations: a subgroup sums its own, then the subgroups' sums are added
-// in their order.
+// Sums over a workgroup of 64 invocations. Each subgroup sums its values, and every invocation then
+// adds the subgroups' sums in order.
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 
 shared float subgroup_totals[64];
 
-// Sum of `value` over all. Every invocation of the workgroup must call it, once.
+// The sum of `value` over the workgroup. Every invocation must call this function, and only once,
+// because no barrier protects the shared array from a second call.
 float workgroup_total(float value) {
     float own = subgroupAdd(value);
     if (gl_SubgroupInvocationID == 0u) {

@@ -1,13 +1,13 @@
 #version 460
-// Adds up what every control point gets from its Gaussians: one workgroup a control point, always
-// in the same order.
+// Sums the contributions of the Gaussians to each control point, with one workgroup per control
+// point and always in the same order.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 
 layout(local_size_x = 64) in;
 
-// The places (row, neighbour) that name node n are places[starts[n] .. starts[n + 1]].
+// The places (row, neighbour) that hold control point n are places[starts[n] .. starts[n + 1]].
 layout(std430, binding = 0) readonly buffer Starts { uint starts[]; };
 layout(std430, binding = 1) readonly buffer Places { uint places[]; };
 layout(std430, binding = 2) readonly buffer Contributions { vec4 contributions[]; };
@@ -53,7 +53,8 @@ void main() {
             a += first_half[k];
             b += second_half[k];
         }
-        // From the unit rotations to the stored ones.
+        // Converts the gradient with respect to the unit rotation to that with respect to the
+        // stored rotation.
         uint at = 2u * (transforms_at + node);
         b = unit_quaternion_backward(transforms[at + 1u], b);
         vec4 t = vec4(a.xyz, 0.0);

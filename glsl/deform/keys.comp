@@ -1,5 +1,5 @@
 #version 460
-// Sort keys that bring the places of a list of neighbours into the order of their nodes; empty
+// Writes sort keys that order the places of a list of neighbours by their control points. Empty
 // places sort last.
 #extension GL_GOOGLE_include_directive : require
 

@@ -1,6 +1,6 @@
 #version 460
-// The k nearest nodes of every listed point, nearest first, equal distances by index. A node whose
-// squared distance is not finite is no neighbour.
+// Finds the k nearest control points of every listed point, nearest first, equal distances by
+// index. A control point whose squared distance is not finite is not a neighbour.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 
@@ -32,7 +32,7 @@ void main() {
     const float FAR = uintBitsToFloat(0x7f800000u);
     float distances[16];
     uint found[16];
-    // The last of the K distances.
+    // The largest of the K distances.
     float worst = FAR;
     for (uint s = 0u; s < K; s++) {
         distances[s] = FAR;
@@ -40,12 +40,13 @@ void main() {
     }
     for (uint node = 0u; node < node_count; node++) {
         vec3 d = point - nodes[node];
-        // Unfused, so that ties fall as they do in the oracle.
+        // `precise` prevents fused multiply-adds, so that ties are resolved as in the oracle.
         precise float distance_here = d.x * d.x;
         distance_here = distance_here + d.y * d.y;
         distance_here = distance_here + d.z * d.z;
         if (distance_here < worst) {
-            // What is nearer or equal stays in front; all behind moves up, equals too.
+            // Entries that are nearer or equally near stay in front. All entries behind them move
+            // back by one.
             bool placed = false;
             float carried = distance_here;
             uint carried_node = node;

@@ -1,6 +1,6 @@
 #version 460
-// Moves every dynamic Gaussian with its nearest control points (linear blend skinning). All others
-// are left as they are.
+// Moves every dynamic Gaussian with its nearest control points (linear blend skinning). All other
+// Gaussians stay unchanged.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 
@@ -66,7 +66,8 @@ void main() {
     }
     moved_positions[j] = point;
     moved_rotations[j] = q;
-    // Interpolation overshoots, and what is not a number fades nothing.
+    // Interpolated values may overshoot to above 0. Such values and NaN leave the opacity
+    // unchanged.
     moved_opacity_logits[j] = opacity_logits[j] + (fade < 0.0 ? fade : 0.0);
     rigidity[row] = rigid;
 }

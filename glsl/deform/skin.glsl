@@ -1,33 +1,35 @@
-// One Gaussian's neighbours and the blend of their motions, shared by skinning and its backward
-// pass. Needs Positions, Neighbours, Nodes, LogRadii, Transforms, `transforms_at`.
+// The neighbours of one Gaussian and the blend of their motions, shared by skinning and its
+// backward pass. Requires Positions, Neighbours, Nodes, LogRadii, Transforms and `transforms_at`.
 
 // Neighbours per Gaussian, 1 to 8.
 layout(constant_id = 0) const uint K = 4u;
 
 const uint NONE = 0xffffffffu;
 const float LARGEST_LOG_RADIUS = 40.0;
-// Stands for an exponent of minus infinity.
+// Represents an exponent of minus infinity.
 const float NEVER = -3.4e38;
 
 struct Neighbour {
     uint node;
     float weight;
-    float slope;        // d exponent / d ln radius, zero where it carries no gradient
-    vec3 offset;        // the Gaussian's centre from the node
-    vec3 moved;         // how far this node alone would move the centre
-    float fade;         // what it adds to the opacity's logit
-    vec4 rotation;      // unit, in the hemisphere of the heaviest
+    float slope;        // d exponent / d ln radius; 0 where the radius gets no gradient
+    vec3 offset;        // the Gaussian's centre minus the control point
+    vec3 moved;         // displacement of the centre by this control point alone
+    float fade;         // value added to the opacity logit
+    vec4 rotation;      // unit quaternion; after blend(), in the hemisphere of the heaviest
 };
 
 float inverse_square(float log_radius) {
     return exp(-2.0 * clamp(log_radius, -LARGEST_LOG_RADIUS, LARGEST_LOG_RADIUS));
 }
 
-// False where there is no neighbour at all. Rotations still carry their own signs.
+// Loads the neighbours and computes their weights. Returns false if there is no neighbour. The
+// rotations have their own signs until blend() aligns them.
 //
-// Exponents reach 1e5 where radii are small, and f32 then knows them to 0.01: too little for weights
-// whose slopes are as large (case deform/underflow). So they are taken relative to the largest one,
-// through the difference of the offsets and of the inverse squares, before anything is rounded away.
+// Exponents reach 1e5 if radii are small. f32 resolves such exponents only to 0.01, which is too
+// coarse for weights whose slopes are as large (case deform/underflow). The exponents are therefore
+// computed relative to the largest one, from the differences of the offsets and of the inverse
+// squared radii, before rounding discards these differences.
 bool load_neighbours(uint row, vec3 point, out Neighbour near[8], out uint heaviest) {
     float exponents[8], inverse_squares[8];
     float largest = NEVER;
@@ -48,7 +50,7 @@ bool load_neighbours(uint row, vec3 point, out Neighbour near[8], out uint heavi
             float log_radius = log_radii[node];
             inverse_squares[s] = inverse_square(log_radius);
             float ratio = dot(offset, offset) * inverse_squares[s];
-            // A radius that is not a number gives no weight; nor does an infinite ratio.
+            // A radius that is NaN, or an infinite ratio, gives weight 0.
             if (!isnan(log_radius) && ratio <= 3.0e38) {
                 exponents[s] = -0.5 * ratio;
                 near[s].slope = abs(log_radius) <= LARGEST_LOG_RADIUS ? ratio : 0.0;
@@ -69,7 +71,7 @@ bool load_neighbours(uint row, vec3 point, out Neighbour near[8], out uint heavi
         return false;
     }
     if (largest == NEVER) {
-        // Every weight underflows: the nearest takes all.
+        // Every weight underflows, so the nearest neighbour gets weight 1.
         near[0].weight = 1.0;
         return true;
     }
@@ -103,7 +105,8 @@ bool load_neighbours(uint row, vec3 point, out Neighbour near[8], out uint heavi
     return true;
 }
 
-// The centre's displacement and the sum of rotations, brought into the heaviest one's hemisphere.
+// The displacement of the centre, and the sum of the rotations, each with the sign that brings it
+// into the hemisphere of the heaviest one.
 void blend(inout Neighbour near[8], uint heaviest, out vec3 delta, out vec4 sum) {
     vec4 pole = NO_ROTATION;
     for (uint s = 0u; s < K; s++) {
@@ -118,7 +121,8 @@ void blend(inout Neighbour near[8], uint heaviest, out vec3 delta, out vec4 sum)
     }
 }
 
-// The blended rotation when motion counts only by m, before normalisation: next to the identity.
+// The blended rotation mixed with the identity by m (soft motion), before normalisation. `side` is
+// the sign that brings `blended` into the hemisphere of the identity.
 vec4 soften(vec4 blended, float m, out float side) {
     side = blended.x < 0.0 ? -1.0 : 1.0;
     return (1.0 - m) * NO_ROTATION + m * side * blended;

@@ -1,7 +1,7 @@
 #version 460
-// Skinning's derivative for every dynamic Gaussian: turns its gradients into those of the canonical
-// ones in place, and writes what each of its control points gets, to be added up per control point.
-// Weights carry gradient to the radii only.
+// The gradient of skinning for every dynamic Gaussian. Converts the Gaussian's gradients to those
+// with respect to its canonical values in place, and writes its contribution to each of its control
+// points, which deform/gather sums. Weights carry gradient to the radii only.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 
@@ -19,7 +19,8 @@ layout(std430, binding = 8) readonly buffer Transforms { vec4 transforms[]; };
 layout(scalar, binding = 9) buffer PositionGradients { vec3 position_gradients[]; };
 layout(std430, binding = 10) buffer RotationGradients { vec4 rotation_gradients[]; };
 layout(std430, binding = 11) buffer MotionGradients { float motion_gradients[]; };
-// Per (row, neighbour): translation and log-radius; unit rotation.
+// Two vectors per (row, neighbour), gradients with respect to: translation and log-radius; unit
+// rotation.
 layout(std430, binding = 12) writeonly buffer Contributions { vec4 contributions[]; };
 
 layout(push_constant) uniform Params {
@@ -43,8 +44,8 @@ void main() {
     vec3 point = positions[j];
     Neighbour near[8];
     uint heaviest;
-    // Without a neighbour everything stays as it is, through the same stores: software devices walk
-    // through branches not taken.
+    // A Gaussian without a neighbour keeps its gradients. It uses the same stores, because software
+    // devices also execute branches that are not taken.
     bool moves = load_neighbours(row, point, near, heaviest);
     vec3 by_position = position_gradients[j];
     vec4 by_rotation = rotation_gradients[j];
@@ -86,18 +87,20 @@ void main() {
     }
     for (uint s = 0u; s < K; s++) {
         Neighbour n = near[s];
-        // Turning back by -rotation is turning back by rotation: the sign does not show here.
+        // The conjugates of -rotation and rotation are the same rotation, so the sign has no effect
+        // here.
         vec3 turned = n.weight * turn_offset(conjugate(n.rotation), by_delta);
         by_position += moves ? turned : vec3(0.0);
-        // The mean of differences, not the difference to the mean: where this one takes nearly all
-        // the weight, that would leave rounding, times a slope of thousands (case
-        // deform/underflow).
+        // This is the mean of the differences, not the difference from the mean. If this neighbour
+        // has nearly all the weight, the latter would be rounding error times a slope of thousands
+        // (case deform/underflow).
         float by_exponent = 0.0;
         for (uint t = 0u; t < K; t++) {
             by_exponent += near[t].weight * (by_weight[s] - by_weight[t]);
         }
         float by_log_radius = n.weight > 0.0 ? n.weight * by_exponent * n.slope : 0.0;
-        // The aligned rotation's gradient, brought back to the node's own sign.
+        // The gradient with respect to the aligned rotation, converted to the sign of the stored
+        // rotation.
         vec4 own = transforms[2u * (transforms_at + (n.node != NONE ? n.node : 0u)) + 1u];
         vec4 by_own = turn_backward(n.rotation, n.offset, by_delta) + by_sum;
         by_own = dot(own, n.rotation) < 0.0 ? -by_own : by_own;

@@ -1,5 +1,6 @@
 #version 460
-// Where each node's places begin among the sorted keys: the first key that is not smaller.
+// Finds where each control point's places begin among the sorted keys: the first key that is not
+// smaller.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;

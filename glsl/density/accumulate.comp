@@ -4,10 +4,10 @@
 
 layout(local_size_x = 64) in;
 
-// By mean x, mean y (pixels), depth and opacity.
+// Gradients with respect to mean x, mean y (pixels), depth and opacity.
 layout(std430, binding = 0) readonly buffer MeanGradients { vec4 mean_gradients[]; };
 layout(std430, binding = 1) readonly buffer Visible { uint visible[]; };
-// 0 where the view's intersections did not all fit.
+// 0 if the view's intersections did not all fit into the buffers.
 layout(std430, binding = 2) readonly buffer Fits { uint fits[]; };
 layout(std430, binding = 3) buffer Statistics { float statistics[]; };
 

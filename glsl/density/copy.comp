@@ -1,5 +1,5 @@
 #version 460
-// Copies rows from targets to slots within one array.
+// Copies the target row of each slot to the slot, within one array.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;

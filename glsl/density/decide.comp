@@ -1,11 +1,11 @@
 #version 460
-// What adaptive control does with every Gaussian: 0 prune, 1 keep, 2 clone, 3 split.
+// Decides what adaptive control does with every Gaussian: 0 prune, 1 keep, 2 clone, 3 split.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 
 layout(local_size_x = 64) in;
 
-// Sum of screen-space gradient norms; number of views.
+// Sum of screen-space gradient norms and number of views of each Gaussian.
 layout(std430, binding = 0) readonly buffer Statistics { float statistics[]; };
 layout(std430, binding = 1) readonly buffer OpacityLogits { float opacity_logits[]; };
 layout(scalar, binding = 2) readonly buffer LogScales { vec3 log_scales[]; };

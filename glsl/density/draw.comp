@@ -1,6 +1,7 @@
 #version 460
-// Draws a target for every slot in proportion to the weights: a random number below their sum,
-// looked up in their prefix sums. Counting with integers gives the same counts in any order.
+// Draws a target for every slot, with probabilities in proportion to the weights: a random number
+// below the weights' sum is looked up in their prefix sums. Draws are counted with integer atomics,
+// so the counts do not depend on the order of the additions.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;
@@ -31,13 +32,15 @@ void main() {
     }
     uint total = totals[0];
     if (total == 0u) {
-        // None to draw. A new row must hold something, a dead one may stay.
+        // No Gaussian can be drawn. A new row must hold valid values and copies row 0; a dead
+        // Gaussian stays.
         targets[i] = grown != 0u ? 0u : 0xffffffffu;
         touched[slots[i]] = grown;
         return;
     }
     uint rest = multiply_high(random_words(uvec4(i, step_number, seed, 0u)).x, total);
-    // The last one whose prefix does not exceed it: those of weight 0 share their successor's.
+    // Finds the last Gaussian whose prefix sum does not exceed the number. A Gaussian of weight 0
+    // has the same prefix sum as its successor, so it is never drawn.
     uint low = 0u;
     uint high = count;
     while (high - low > 1u) {

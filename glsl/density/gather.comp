@@ -1,5 +1,6 @@
 #version 460
-// Brings one array into the new rows' order; for optimiser moments only kept rows carry values.
+// Copies one array into the order of the new rows. With `fresh_zero`, which is set for optimiser
+// moments, only rows of origin 0 (kept) carry values, and all others become zero.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;

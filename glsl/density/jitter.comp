@@ -1,5 +1,6 @@
 #version 460
-// Moves every centre by noise of the Gaussian's own covariance, the more the fainter it is.
+// Adds noise to every centre (3DGS-MCMC): the Gaussian's covariance times a standard normal vector.
+// The fainter the Gaussian, the larger the factor.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 

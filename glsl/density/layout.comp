@@ -1,6 +1,7 @@
 #version 460
-// The rows of the new arrays: survivors in order, then what is added, as far as the capacity allows. A row
-// is its source and, in the two upper bits, its origin: 0 kept, 1 copied, 2 drawn from a split one.
+// Lays out the rows of the new arrays: the survivors in order, then the added rows as far as the
+// capacity allows. A row stores its source and, in the two upper bits, its origin: 0 kept, 1
+// copied, 2 drawn as a part of a split Gaussian.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;
@@ -8,7 +9,7 @@ layout(local_size_x = 64) in;
 layout(std430, binding = 0) readonly buffer Actions { uint actions[]; };
 layout(std430, binding = 1) readonly buffer KeptPrefix { uint kept_prefix[]; };
 layout(std430, binding = 2) readonly buffer AddedPrefix { uint added_prefix[]; };
-// Survivors; candidates to add; rows in the end.
+// Number of survivors; number of candidates to add; receives the final number of rows.
 layout(std430, binding = 3) buffer Totals { uint totals[]; };
 layout(std430, binding = 4) writeonly buffer Rows { uint rows[]; };
 

@@ -1,5 +1,6 @@
 #version 460
-// Draws the parts of split Gaussians: displaced by a sample of their source, and smaller.
+// Draws the parts of split Gaussians: each is displaced by a sample from its source's distribution,
+// and smaller than its source.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 

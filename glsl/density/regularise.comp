@@ -1,5 +1,5 @@
 #version 460
-// Adds MCMC's two regularisers to the gradients: the means of opacity and of scale.
+// Adds the gradients of the two regularisers of 3DGS-MCMC: the mean opacity and the mean scale.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 
@@ -12,7 +12,7 @@ layout(scalar, binding = 3) buffer LogScaleGradients { vec3 log_scale_gradients[
 
 layout(push_constant) uniform Params {
     uint count;
-    // Weights of the means, over the number of values.
+    // Weight of each mean, divided by the number of its values.
     float opacity_factor;
     float scale_factor;
 };
@@ -24,7 +24,7 @@ void main() {
     if (i >= count) {
         return;
     }
-    // e / (1 + e)² is symmetric in the logit's sign, so the exponential can stay at most 1.
+    // e / (1 + e)² is even in the logit, so the exponential can be kept at most 1.
     float e = exp(-abs(opacity_logits[i]));
     opacity_gradients[i] += opacity_factor * e / ((1.0 + e) * (1.0 + e));
     log_scale_gradients[i] += scale_factor * exp(log_scales[i]);

@@ -1,6 +1,6 @@
 #version 460
-// Opacity and scale of every Gaussian that was drawn, so that it and its copies together look like
-// the one before (3DGS-MCMC, equation 9).
+// Computes opacity and scale of every Gaussian that was drawn, so that the Gaussian and its copies
+// together look like the Gaussian before (3DGS-MCMC, equation 9).
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 
@@ -19,8 +19,8 @@ layout(push_constant) uniform Params {
 
 const uint LARGEST_SHARE = 51u;
 
-// ln(1 + x) for 0 <= x <= 1, as 2 artanh(x / (2 + x)): forming 1 + x would lose what a small x has, and
-// devices need not know the logarithm of a number near 1 to more than 2^-21.
+// ln(1 + x) for 0 <= x <= 1, as 2 artanh(x / (2 + x)). Forming 1 + x would lose the low digits of a
+// small x, and Vulkan requires the logarithm of a number near 1 only to 2^-21.
 float log_one_plus(float x) {
     float z = x / (2.0 + x);
     float w = z * z;
@@ -33,15 +33,15 @@ float softplus(float x) {
     return max(x, 0.0) + log_one_plus(exp(-abs(x)));
 }
 
-// 1 - e^-x for x >= 0, without a difference that loses digits.
+// 1 - e^-x for x >= 0, without cancellation for a small x.
 float one_minus_exp(float x) {
     float tail = 8.333334e-3 - x * (1.3888889e-3 - x * (1.984127e-4 - x * 2.4801588e-5));
     return x < 0.5 ? x * (1.0 - x * (0.5 - x * (0.16666667 - x * (4.1666668e-2 - x * tail))))
                    : 1.0 - exp(-x);
 }
 
-// The integral of what N blended Gaussians of this opacity cover along a line, over sqrt(pi): the
-// source's double sum with alternating signs, which cancels badly, equals
+// The coverage of N blended Gaussians of this opacity, integrated along a line and divided by
+// sqrt(pi). The source gives a double sum with alternating signs, which cancels badly. It equals
 //   2 / sqrt(pi) * integral over s >= 0 of 1 - (1 - o e^(-s^2))^N.
 // The trapezoid rule converges exponentially for such functions.
 float coverage(float opacity, uint share) {
@@ -69,7 +69,7 @@ void main() {
     float thickness = softplus(logit) / float(share);
     float part = one_minus_exp(thickness);
     float change = -softplus(-logit) - log(coverage(part, share));
-    // ln(e^x - 1)
+    // ln(e^x - 1) with x the thickness.
     opacity_logits[j] = max(thickness + log(part), dead_logit);
     log_scales[j] += change;
 }

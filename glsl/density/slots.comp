@@ -1,5 +1,6 @@
 #version 460
-// The rows that get new Gaussians: the dead ones in order, or those behind the last.
+// Lists the rows that receive new Gaussians: the dead Gaussians in order, or the rows after the
+// last.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;
@@ -10,7 +11,7 @@ layout(std430, binding = 2) writeonly buffer Slots { uint slots[]; };
 
 layout(push_constant) uniform Params {
     uint count;
-    uint grown;     // where not 0: so many behind the last
+    uint grown;     // if not 0, this many rows after the last are the slots
 };
 
 #include "common/grid.glsl"

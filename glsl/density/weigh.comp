@@ -1,5 +1,5 @@
 #version 460
-// Integer weights of the draw by opacity, and which Gaussians are dead.
+// Computes the integer weights of the draw from the opacities, and which Gaussians are dead.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;
@@ -13,7 +13,7 @@ layout(push_constant) uniform Params {
     uint count;
     uint motion_class;  // 0: all, 1: static, 2: dynamic
     uint has_motion;
-    uint largest;       // weight of an opaque one: the sum stays below 2^32
+    uint largest;       // weight of an opaque Gaussian; keeps the sum below 2^32
     float dead_logit;
 };
 
@@ -28,7 +28,7 @@ void main() {
     float logit = opacity_logits[j];
     bool moves = has_motion != 0u && motion_logits[j] > 0.0;
     bool member = motion_class == 0u || moves == (motion_class == 2u);
-    // Not a number is dead too.
+    // A Gaussian with a NaN logit is dead, too.
     bool alive = logit > dead_logit;
     uint weight = clamp(uint(sigmoid(logit) * float(largest)), 1u, largest);
     weights[j] = member && alive ? weight : 0u;

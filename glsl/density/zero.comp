@@ -1,5 +1,6 @@
 #version 460
-// Zeros the rows of Gaussians that were drawn or replaced: their optimiser moments start anew.
+// Zeroes the rows of Gaussians that were drawn or replaced, so that their optimiser moments
+// restart.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;

@@ -1,5 +1,6 @@
 #version 460
-// Which of the 24 neighbours in a 5×5 window are brighter than its centre, edges repeated.
+// Census transform: one bit for each of the 24 neighbours in a 5×5 window, set if the neighbour is
+// brighter than the centre. Pixels at the image's edges are repeated.
 
 layout(local_size_x = 16, local_size_y = 4) in;
 

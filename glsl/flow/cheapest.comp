@@ -1,5 +1,6 @@
 #version 460
-// The cheapest displacement of each pixel; of equal ones the shortest, then the first.
+// Selects the displacement of lowest cost for each pixel. Among equal costs the shortest
+// displacement is selected, and among equally short ones the first.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;

@@ -1,6 +1,7 @@
 #version 460
-// Confidence of each pixel's flow, in [0, 1]: agreement of the two directions times agreement of
-// the images over a 5×5 window with its mean taken off.
+// Confidence of each pixel's flow, in [0, 1]: the product of the agreement of the two directions
+// and the agreement of the two images over a 5×5 window. The mean difference of the images in the
+// window is subtracted.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 16, local_size_y = 4) in;
@@ -32,7 +33,7 @@ void main() {
     }
     ivec2 low = max(p - 2, ivec2(0)), high = min(p + 3, ivec2(width, height));
     float sum = 0.0, square = 0.0, mean = 0.0, power = 0.0;
-    // Taken from the centre's value, which keeps the squares small.
+    // The centre's value is subtracted to keep the squares small.
     float centre = luma_a[at];
     for (int y = low.y; y < high.y; y++) {
         for (int x = low.x; x < high.x; x++) {
@@ -51,6 +52,6 @@ void main() {
     float n = size.x * size.y;
     float residual = max((square - sum * sum / n) / n, 0.0);
     float contrast = max((power - mean * mean / n) / n, 0.0);
-    // Residuals are judged against the window's own contrast and a noise floor.
+    // The residual is divided by the window's own contrast plus a noise floor.
     confidence[at] = exp(-m - residual / (0.5 * contrast + 4e-4));
 }

@@ -1,6 +1,6 @@
 #version 460
-// The flow of every pixel: the mean of the patches over it, weighted by how well each explains this
-// pixel and how well it explains itself.
+// Computes the flow of every pixel: the weighted mean over the patches that cover it. A patch's
+// weight falls with its squared residual at this pixel and with its own mean squared residual.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 16, local_size_y = 4) in;
@@ -18,7 +18,7 @@ layout(push_constant) uniform Params {
 #include "flow/sample.glsl"
 #include "flow/patch.glsl"
 
-// Below a residual of about one grey level patches count the same.
+// Squared residual of about one grey level. Patches with smaller residuals have similar weights.
 const float FLOOR = 2e-5;
 
 void main() {

@@ -1,6 +1,6 @@
 #version 460
-// First derivatives (five-point) and second derivatives (three-point) of the luminance, edges
-// repeated: x, y, xx, xy, yy of each pixel.
+// First derivatives (five-point) and second derivatives (three-point) of each pixel's luminance, in
+// the order x, y, xx, xy, yy. Pixels at the image's edges are repeated.
 
 layout(local_size_x = 16, local_size_y = 4) in;
 

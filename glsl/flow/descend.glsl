@@ -1,12 +1,13 @@
-// How a patch fits and how it improves. Needs flow/patch.glsl and the parameters `search_steps` and
-// `noise`.
+// The cost of a patch's displacement, and its refinement. Requires flow/patch.glsl and the
+// parameters `search_steps` and `noise`.
 
-// Share of the noise's power that damps a step.
+// Damping of a Gauss–Newton step, as a fraction of the noise's squared gradients over the patch.
 const float DAMPING = 0.1;
-// A candidate must cost less than this share of the best before it.
+// A candidate replaces the best patch so far only if it costs less than this fraction of that
+// patch's cost.
 const float HYSTERESIS = 0.9;
 
-// A step below this, in pixels, is the last.
+// The refinement ends after a step below this, in pixels.
 const float SETTLED = 0.01;
 
 void patch_span(ivec2 id, out ivec2 low, out ivec2 high) {
@@ -33,7 +34,8 @@ float patch_cost(ivec2 id, Patch p) {
     return max((square - sum * sum / n) / n, 0.0);
 }
 
-// Gauss–Newton steps on the first image's gradients; the best displacement seen is kept.
+// Refines a patch by Gauss–Newton steps with the first image's gradients (inverse search). Returns
+// the displacement of lowest cost among all steps.
 Patch descend(ivec2 id, Patch from) {
     ivec2 low, high;
     patch_span(id, low, high);
@@ -52,7 +54,8 @@ Patch descend(ivec2 id, Patch from) {
     }
     vec2 mean = sum_g / n;
     scatter -= vec3(sum_g.x * mean.x, sum_g.x * mean.y, sum_g.y * mean.y);
-    // A gradient that noise alone would give damps the step where nothing holds the patch.
+    // The damping, derived from the gradients of noise, limits the step where the patch has too
+    // little texture.
     float damping = n * noise * noise * DAMPING;
     float xx = scatter.x + damping, xy = scatter.y, yy = scatter.z + damping;
     float inverse = 1.0 / (xx * yy - xy * xy);
@@ -84,7 +87,8 @@ Patch descend(ivec2 id, Patch from) {
         vec2 step = vec2(yy * pull.x - xy * pull.y, xx * pull.y - xy * pull.x) * inverse;
         now.flow -= step;
         vec2 away = abs(now.flow - from.flow);
-        // A patch that has left its own neighbourhood has lost its hold.
+        // The search counts as diverged if the displacement changed by more than the size of a
+        // patch.
         if (max(away.x, away.y) > float(PATCH)) {
             break;
         }

@@ -1,5 +1,6 @@
 #version 460
-// The next level of the pyramid: (1 3 3 1)/8 along both axes at every second pixel, edges repeated.
+// Computes the next level of the pyramid: the filter (1 3 3 1)/8 along both axes at every second
+// pixel. Pixels at the image's edges are repeated.
 
 layout(local_size_x = 16, local_size_y = 4) in;
 

@@ -1,6 +1,6 @@
 #version 460
-// The equations of each pixel, linearised about the flow: [a, b; b, c] (u, v) = (r, s) from
-// brightness and gradient constancy, and the weight of its smoothness.
+// Sets up the equations of each pixel, linearised about the flow: [a, b; b, c] (u, v) = (r, s) from
+// brightness and gradient constancy, and the weight of the pixel's smoothness term.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 16, local_size_y = 4) in;
@@ -40,13 +40,14 @@ vec2 flow_at(ivec2 p) {
 vec3 matrix = vec3(0.0);
 vec2 side = vec2(0.0);
 
-// Adds weight · (f · (du, dv) + change)².
+// Adds the term weight · (f · (du, dv) + change)² to the normal equations.
 void add(vec2 f, float change, float weight) {
     matrix += weight * vec3(f.x * f.x, f.x * f.y, f.y * f.y);
     side -= weight * change * f;
 }
 
-// 1 over the squared gradient: turns a squared residual into a squared distance in pixels.
+// The inverse of the squared gradient plus squared noise. It converts a squared residual to a
+// squared distance in pixels.
 float per_pixel(vec2 f) {
     return 1.0 / (dot(f, f) + noise * noise);
 }
@@ -65,7 +66,7 @@ void main() {
         Taps t = taps(there, ivec2(width, height));
         vec4 v = vec4(luma_b[t.at.x], luma_b[t.at.y], luma_b[t.at.z], luma_b[t.at.w]);
         float change = blend(v, t.part) - luma_a[at];
-        // Means over both images, and for the first two the changes between them.
+        // Means of the derivatives over both images, and for the first two also their differences.
         float mean[5], change_x = 0.0, change_y = 0.0;
         ivec4 from = 5 * t.at;
         for (int k = 0; k < 5; k++) {

@@ -1,6 +1,6 @@
 #version 460
-// Rec. 709 luma of encoded colours, clamped to [0, 1]; a pixel of fewer than three channels gives
-// its first. NaN is 0.
+// Rec. 709 luma of encoded colours; every channel is clamped to [0, 1], and NaN becomes 0. With
+// fewer than three channels, the luma is the first channel.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;

@@ -1,5 +1,5 @@
 #version 460
-// The median of the 3×3 neighbourhood of each component, edges repeated.
+// The 3×3 median of each component of the flow. Pixels at the image's edges are repeated.
 
 layout(local_size_x = 16, local_size_y = 4) in;
 
@@ -32,7 +32,8 @@ void main() {
         order(v[3 * j + 1], v[3 * j + 2]);
         order(v[3 * j], v[3 * j + 1]);
     }
-    // Of three sorted rows: the median of the largest low, the median middle and the smallest high.
+    // The median of nine values in three sorted rows is the median of the largest low, the median
+    // middle and the smallest high value.
     vec2 low = max(max(v[0], v[3]), v[6]);
     vec2 high = min(min(v[2], v[5]), v[8]);
     vec2 middle = max(min(v[1], v[4]), min(max(v[1], v[4]), v[7]));

@@ -1,7 +1,7 @@
-// Forward–backward agreement. Needs `backward`, `width`, `height` and flow/sample.glsl.
+// Forward–backward agreement. Requires `backward`, `width`, `height` and flow/sample.glsl.
 
-// How far going there and back misses, squared, over what is tolerated; negative where the flow
-// leaves the image.
+// The squared forward–backward error (forward flow plus the backward flow at its end), divided by
+// the tolerated squared error. It is negative if the flow leaves the image.
 float miss(vec2 here, vec2 forward_flow) {
     vec2 there = here + forward_flow;
     ivec2 size = ivec2(width, height);

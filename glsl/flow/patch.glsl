@@ -1,14 +1,15 @@
-// Patches of 8×8 pixels, 4 apart; patch i covers the pixels from 4i − 2 on that lie in the image.
-// Needs `width`, `height`, luma_a, luma_b, derivatives_a and flow/sample.glsl.
+// Patches of 8×8 pixels at a stride of 4. Along each axis, patch i covers the 8 pixels from 4i − 2
+// on, as far as they lie in the image. Requires `width`, `height`, luma_a, luma_b, derivatives_a
+// and flow/sample.glsl.
 const int PATCH = 8;
 const int STRIDE = 4;
 const int OVERHANG = (PATCH - STRIDE) / 2;
 
 struct Patch {
-    vec2 flow;      // the displacement of the centre
+    vec2 flow;      // displacement of the centre, pixels
     vec4 slope;     // du/dx, du/dy, dv/dx, dv/dy
-    float shift;    // mean of the second image minus the first
-    float cost;     // mean squared residual without it
+    float shift;    // mean of (second image − first image)
+    float cost;     // mean squared residual after subtraction of `shift`
 };
 
 ivec2 patch_grid() {

@@ -1,6 +1,7 @@
 #version 460
-// Semi-global matching along one of four directions: a workgroup follows one row or column, its
-// invocations share the displacements. Costs add up in `volume`, path after path.
+// Semi-global matching along one of four directions. A workgroup processes one row or column, and
+// its invocations share the displacements among them. The costs of the paths are summed in
+// `volume`.
 #extension GL_GOOGLE_include_directive : require
 
 const uint LANES = 32u;
@@ -14,7 +15,7 @@ layout(push_constant) uniform Params {
     int width;
     int height;
     int radius;
-    uint path;          // from the left, from the right, from above, from below
+    uint path;          // 0 to 3: from the left, from the right, from above, from below
     uint small_step;
     uint large_step;
 };
@@ -24,7 +25,7 @@ layout(push_constant) uniform Params {
 const uint MAX_LABELS = 33u * 33u;
 const uint OUTSIDE = 8u;
 
-// Two of each: a step writes one while the other holds the step before.
+// Double buffers: a step writes one half, while the other half holds the previous step.
 shared uint costs[2u * MAX_LABELS];
 shared uint least_of[2u * LANES];
 
@@ -32,7 +33,7 @@ void main() {
     bool along_row = path < 2u;
     int line = int(group_index());
     int lines = along_row ? height : width;
-    // The same for the whole workgroup.
+    // The condition is the same for the whole workgroup, so that no invocation misses a barrier.
     if (line >= lines) {
         return;
     }

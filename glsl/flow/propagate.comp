@@ -1,6 +1,6 @@
 #version 460
-// Every patch tries the displacements of its eight neighbours, carried along their slants, and
-// descends from the best where that is better than its own.
+// Each patch tries the displacements of eight neighbours, extrapolated with their slopes. If the
+// best of them costs less than the patch's own displacement, it is refined and replaces it.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 8, local_size_y = 4) in;
@@ -8,7 +8,7 @@ layout(local_size_x = 8, local_size_y = 4) in;
 layout(std430, binding = 0) readonly buffer LumaA { float luma_a[]; };
 layout(std430, binding = 1) readonly buffer LumaB { float luma_b[]; };
 layout(std430, binding = 2) readonly buffer DerivativesA { float derivatives_a[]; };
-// Two to a patch: flow, shift, cost; slope.
+// Two vectors per patch: flow, shift, cost; slope.
 layout(std430, binding = 3) readonly buffer Patches { vec4 patches[]; };
 layout(std430, binding = 4) writeonly buffer Spread { vec4 spread[]; };
 
@@ -17,14 +17,14 @@ layout(push_constant) uniform Params {
     int height;
     uint search_steps;
     float noise;
-    int reach;          // how many patches away the neighbours are
+    int reach;          // distance of the neighbours, in patches
 };
 
 #include "flow/sample.glsl"
 #include "flow/patch.glsl"
 #include "flow/descend.glsl"
 
-// The nearer four first: a later one has to be better.
+// The four nearer neighbours come first, since a later one replaces them only if it costs less.
 const ivec2 NEIGHBOURS[8] = ivec2[](ivec2(-1, 0), ivec2(1, 0), ivec2(0, -1), ivec2(0, 1),
                                     ivec2(-1, -1), ivec2(1, -1), ivec2(-1, 1), ivec2(1, 1));
 
@@ -34,7 +34,7 @@ Patch load(ivec2 id, ivec2 grid) {
     return Patch(head.xy, patches[at + 1], head.z, head.w);
 }
 
-// Whether two displacements are so near that descending from either ends in the same place.
+// Whether two displacements are so close that refinement of either gives the same result.
 bool alike(Patch a, Patch b) {
     const float ALIKE = 0.25; // pixels
     return all(lessThan(abs(a.flow - b.flow), vec2(ALIKE)))

@@ -1,6 +1,6 @@
 #version 460
-// Half a sweep of red–black over-relaxation: the pixels with (x + y) mod 2 = colour are solved for
-// their own flow, their neighbours' held.
+// Half a sweep of red–black successive over-relaxation: solves the pixels with (x + y) mod 2 =
+// colour for their own flow, with the flow of their neighbours held constant.
 
 layout(local_size_x = 16, local_size_y = 4) in;
 
@@ -15,7 +15,8 @@ layout(push_constant) uniform Params {
     float relaxation;
 };
 
-// Keeps a single pixel with nothing to see where it is.
+// Weight of the current flow. It keeps the flow of a pixel without texture and without neighbours
+// unchanged.
 const float HOLD = 1e-9;
 
 void main() {
@@ -29,7 +30,7 @@ void main() {
     vec2 own = flow[at];
     float weight = HOLD;
     vec2 side = sides[at] + HOLD * own;
-    // Where there is no neighbour the index stays valid and the weight is 0.
+    // For a missing neighbour the index is that of the pixel itself, and the weight is 0.
     ivec4 other = at + ivec4(p.x > 0 ? -1 : 0, p.x + 1 < width ? 1 : 0,
                              p.y > 0 ? -width : 0, p.y + 1 < height ? width : 0);
     for (int k = 0; k < 4; k++) {

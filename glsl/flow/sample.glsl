@@ -1,8 +1,9 @@
-// Bilinear reading at points given in pixels from the centre of the first, clamped to the edges.
+// Bilinear interpolation at points in pixels, with the origin at the centre of the first pixel.
+// Points are clamped to the edges.
 
 struct Taps {
-    ivec4 at;   // upper left, upper right, lower left, lower right
-    vec2 part;  // how far towards the right and below
+    ivec4 at;   // indices: upper left, upper right, lower left, lower right
+    vec2 part;  // fractions towards the right and downwards
 };
 
 Taps taps(vec2 point, ivec2 size) {

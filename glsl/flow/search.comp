@@ -1,6 +1,6 @@
 #version 460
-// Every patch takes the best of its candidates (the start flow with its slant, without it, no
-// motion, the guess) and descends from there.
+// Each patch selects the best of its candidates (the start flow with its slope, the start flow
+// without it, zero motion, the guess) and refines it.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 8, local_size_y = 4) in;
@@ -10,7 +10,7 @@ layout(std430, binding = 1) readonly buffer LumaB { float luma_b[]; };
 layout(std430, binding = 2) readonly buffer DerivativesA { float derivatives_a[]; };
 layout(std430, binding = 3) readonly buffer Start { vec2 start[]; };
 layout(std430, binding = 4) readonly buffer Guess { vec2 guess[]; };
-// Two to a patch: flow, shift, cost; slope.
+// Two vectors per patch: flow, shift, cost; slope.
 layout(std430, binding = 5) writeonly buffer Patches { vec4 patches[]; };
 
 layout(push_constant) uniform Params {
@@ -18,18 +18,18 @@ layout(push_constant) uniform Params {
     int height;
     uint search_steps;
     float noise;
-    int guess_width;    // 0: there is none
+    int guess_width;    // 0 without a guess
     int guess_height;
-    float guess_scale;  // pixels of the guess to one of this level
+    float guess_scale;  // pixels of the guess per pixel of this level
 };
 
 #include "flow/sample.glsl"
 #include "flow/patch.glsl"
 #include "flow/descend.glsl"
 
-// A slope is at most this: beyond, the start flow has an edge, not a slant.
+// Slopes are clamped to this. Where the start flow is steeper, it has an edge instead of a slope.
 const float STEEPEST = 0.5;
-// A guess beyond this is none, pixels of the full image.
+// Largest displacement of a valid guess, in pixels of the full image. A larger guess is ignored.
 const float FARTHEST = 16384.0;
 
 vec2 start_at(vec2 point) {
@@ -56,7 +56,7 @@ void main() {
     if (guess_width > 0) {
         Taps t = taps((centre + 0.5) * guess_scale - 0.5, ivec2(guess_width, guess_height));
         vec2 f = blend(guess[t.at.x], guess[t.at.y], guess[t.at.z], guess[t.at.w], t.part);
-        // False for NaN and for what cannot be a displacement here.
+        // The test is also false for NaN.
         if (all(lessThanEqual(abs(f), vec2(FARTHEST)))) {
             candidates[3] = Patch(f / guess_scale, vec4(0.0), 0.0, 0.0);
             count = 4;

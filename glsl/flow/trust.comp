@@ -1,5 +1,5 @@
 #version 460
-// How far the data terms of each pixel are to be trusted, by forward–backward agreement.
+// Computes the weight of each pixel's data terms from forward–backward agreement.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 16, local_size_y = 4) in;
@@ -16,7 +16,7 @@ layout(push_constant) uniform Params {
 #include "flow/sample.glsl"
 #include "flow/miss.glsl"
 
-// What is left where the directions disagree.
+// Smallest weight, used where the two directions disagree or the flow leaves the image.
 const float LEAST_TRUST = 0.001;
 
 void main() {

@@ -1,5 +1,5 @@
 #version 460
-// A flow brought to the next finer level: bilinear, displacements doubled.
+// Upsamples a flow to the next finer level: bilinear interpolation, with the displacements doubled.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 16, local_size_y = 4) in;

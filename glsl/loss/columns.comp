@@ -1,6 +1,6 @@
 #version 460
-// First pass of SSIM: the window along columns over x, y, x² + y² and x·y of every channel, x the
-// rendered image over its background and y the reference image.
+// First pass of SSIM: applies the window along columns to x, y, x² + y² and x·y of every channel,
+// where x is the rendered image over its background and y the reference image.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_control_flow_attributes : require
 
@@ -8,8 +8,8 @@ layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer Rgba { vec4 rgba[]; };
 layout(std430, binding = 1) readonly buffer Reference { uint reference[]; };
-// Each channel in memory of its own: all in one would be more than a binding may hold on some
-// devices, for images well within their reach.
+// Each channel has its own buffer. One buffer for all channels would exceed the binding size limit
+// of some devices, even for images that these devices can process otherwise.
 layout(std430, binding = 2) writeonly buffer WindowedReds { vec4 windowed_reds[]; };
 layout(std430, binding = 3) writeonly buffer WindowedGreens { vec4 windowed_greens[]; };
 layout(std430, binding = 4) writeonly buffer WindowedBlues { vec4 windowed_blues[]; };
@@ -17,7 +17,7 @@ layout(std430, binding = 4) writeonly buffer WindowedBlues { vec4 windowed_blues
 layout(push_constant) uniform Params {
     int width;
     int height;
-    // Pixels that an invocation walks over.
+    // Number of pixels in an invocation's run.
     int run;
     float background_red;
     float background_green;

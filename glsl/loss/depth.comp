@@ -1,13 +1,14 @@
 #version 460
-// The depth term: L1 between the rendered mean disparity, alpha / depth, and a known one. Adds to
-// the gradient of alpha, writes that of depth, and leaves each workgroup's weighted sum.
+// The depth term: L1 between the rendered mean disparity, alpha / depth, and a known disparity.
+// Adds to the gradient with respect to alpha, and writes the gradient with respect to depth and
+// each workgroup's weighted sum.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer Rgba { vec4 rgba[]; };
 layout(std430, binding = 1) readonly buffer Depth { float depth[]; };
-// Disparity and weight per pixel; weight 0 where unknown.
+// Disparity and weight per pixel. The weight is 0 where the disparity is unknown.
 layout(std430, binding = 2) readonly buffer Target { vec2 known[]; };
 layout(std430, binding = 3) buffer RgbaGradient { vec4 rgba_gradient[]; };
 layout(std430, binding = 4) writeonly buffer DepthGradient { float depth_gradient[]; };
@@ -15,7 +16,7 @@ layout(std430, binding = 5) writeonly buffer Partials { float partials[]; };
 
 layout(push_constant) uniform Params {
     uint pixels;
-    // The term's factor over the sum of weights.
+    // The term's factor, divided by the sum of weights.
     float factor;
     float least_alpha;
 };

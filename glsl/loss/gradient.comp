@@ -1,7 +1,7 @@
 #version 460
-// Last pass of the photometric loss: the window along columns over the derivatives of the SSIM map,
-// the gradient of weighted L1 + D-SSIM to colour and alpha, and each workgroup's sum of the weighted
-// L1.
+// Last pass of the photometric loss: applies the window along columns to the derivatives of the
+// SSIM map, and computes the gradient of weighted L1 + D-SSIM with respect to colour and alpha, and
+// each workgroup's sum of the weighted L1.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_EXT_scalar_block_layout : require
@@ -10,7 +10,7 @@ layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer Rgba { vec4 rgba[]; };
 layout(std430, binding = 1) readonly buffer Reference { uint reference[]; };
-// By x, x² and x·y, windowed along rows, of each channel.
+// Derivatives with respect to x, x² and x·y of each channel, windowed along rows.
 layout(scalar, binding = 2) readonly buffer ByReds { vec3 by_reds[]; };
 layout(scalar, binding = 3) readonly buffer ByGreens { vec3 by_greens[]; };
 layout(scalar, binding = 4) readonly buffer ByBlues { vec3 by_blues[]; };
@@ -20,7 +20,7 @@ layout(std430, binding = 6) writeonly buffer Partials { float partials[]; };
 layout(push_constant) uniform Params {
     int width;
     int height;
-    // Pixels that an invocation walks over.
+    // Number of pixels in an invocation's run.
     int run;
     float background_red;
     float background_green;
@@ -34,7 +34,7 @@ layout(push_constant) uniform Params {
 #include "common/ssim.glsl"
 #include "common/workgroup_total.glsl"
 
-// The weighted L1's sum over one run.
+// Processes one run, and returns its sum of the weighted L1.
 float walk(int x, int first) {
     vec3 background = vec3(background_red, background_green, background_blue);
     vec3 reds[WINDOW], greens[WINDOW], blues[WINDOW];

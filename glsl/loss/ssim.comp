@@ -1,8 +1,8 @@
 #version 460
-// Second pass of SSIM, for one channel: the window along rows, the map, its derivatives by the
-// windowed x, x² (and, the same, y²) and x·y, and, since the blur is its own adjoint, the window along
-// rows over those.
-// Each workgroup leaves its sum of the weighted map.
+// Second pass of SSIM, for one channel. Applies the window along rows, computes the SSIM map and
+// its derivatives with respect to the windowed x, x² (equal to that with respect to y²) and x·y,
+// and applies the window along rows to these derivatives, since the blur is its own adjoint. Each
+// workgroup writes its sum of the weighted map.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_EXT_scalar_block_layout : require
@@ -17,9 +17,9 @@ layout(std430, binding = 3) writeonly buffer Partials { float partials[]; };
 layout(push_constant) uniform Params {
     int width;
     int height;
-    // Pixels that an invocation walks over.
+    // Number of pixels in an invocation's run.
     int run;
-    // Where the workgroups' sums go.
+    // Index in `partials` of the first workgroup's sum.
     int partials_at;
 };
 
@@ -27,7 +27,8 @@ layout(push_constant) uniform Params {
 #include "common/ssim.glsl"
 #include "common/workgroup_total.glsl"
 
-// One pixel's map and its derivatives, from the windowed x, y, x² + y² and x·y.
+// The SSIM of one pixel, from the windowed x, y, x² + y² and x·y. `by` receives its derivatives
+// with respect to the windowed x, x² and x·y.
 float map_of(vec4 means, out vec3 by) {
     float mx = means.x, my = means.y;
     float squares = mx * mx + my * my;
@@ -42,7 +43,8 @@ float map_of(vec4 means, out vec3 by) {
     return map;
 }
 
-// The weighted map's sum over one run along the row that begins at pixel `row`.
+// Processes one run along the row that begins at pixel `row`, and returns its sum of the weighted
+// map.
 float walk(int row, int first) {
     vec4 means[WINDOW];
     vec3 blurred[WINDOW];

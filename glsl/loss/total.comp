@@ -1,5 +1,5 @@
 #version 460
-// Adds up the workgroups' sums of one term, in a fixed order.
+// Sums the workgroups' sums of one term, in a fixed order.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;

@@ -1,7 +1,7 @@
 #version 460
 // The gradient of the mean absolute difference between the rendered probability of motion and a
-// motion mask; and, in the other channels, what lets the same backward pass collect every
-// Gaussian's votes: the mask and 1, whose sums over a Gaussian's share of the pixels make its vote.
+// motion mask. The other channels hold the mask and 1. The same backward pass weights them by a
+// Gaussian's contributions to the pixels, and their sums are the Gaussian's votes.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;

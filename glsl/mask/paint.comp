@@ -1,5 +1,6 @@
 #version 460
-// Every Gaussian's probability of motion as the red of a colour, to be blended like one.
+// Writes every Gaussian's probability of motion as the red channel of a colour, which is blended
+// like a colour.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;

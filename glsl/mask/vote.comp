@@ -1,17 +1,19 @@
 #version 460
-// Hands every Gaussian that a picture shows its gradient by the motion logit, and its votes.
+// Adds the gradients with respect to the motion logits and the votes of one image, for every
+// Gaussian that is visible in it.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;
 
-// Of what mask/compare has written: the loss's gradient, the mask's share, the share.
+// The outputs of mask/compare, summed over the pixels with the Gaussian's contributions as weights:
+// the loss's gradient, the mask, 1.
 layout(std430, binding = 0) readonly buffer ColourGradients { vec4 colour_gradients[]; };
 layout(std430, binding = 1) readonly buffer Visible { uint visible[]; };
-// 0 where the picture's intersections did not all fit.
+// 0 if the image's intersections did not all fit into the buffers.
 layout(std430, binding = 2) readonly buffer Fits { uint fits[]; };
 layout(std430, binding = 3) readonly buffer MotionLogits { float motion_logits[]; };
 layout(std430, binding = 4) buffer MotionGradients { float motion_gradients[]; };
-// Votes for motion; votes.
+// Votes for motion; all votes.
 layout(std430, binding = 5) buffer Votes { float votes[]; };
 layout(std430, binding = 6) writeonly buffer Evidence { float evidence[]; };
 

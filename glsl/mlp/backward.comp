@@ -1,6 +1,6 @@
 #version 460
-// One layer back: the gradients before the ReLU of the layer below, 8 features of 8 rows an
-// invocation.
+// Propagates the gradient of one layer to the layer below, to the values before its ReLU. Each
+// invocation computes 8 features of 8 rows.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;
@@ -10,13 +10,13 @@ layout(std430, binding = 1) readonly buffer Activations { vec4 activations[]; };
 layout(std430, binding = 2) buffer Deltas { vec4 deltas[]; };
 
 layout(push_constant) uniform Params {
-    uint stride4;     // rows / 4, even
+    uint stride4;     // rows / 4; even
     uint inputs;
     uint outputs;
-    uint encoded;     // leading inputs that no gradient reaches
+    uint encoded;     // number of leading inputs that are encodings and get no gradient
     uint activated;   // first plane of the layer below
     uint source;      // first plane of this layer's gradient
-    uint target;      // first plane of the layer below's
+    uint target;      // first plane of the layer below's gradient
     uint weights_at;
 };
 

@@ -1,5 +1,6 @@
 #version 460
-// Positional encodings of every (control point, time): the network's input, one plane per feature.
+// Computes the positional encodings of every (control point, time): the network's input, one plane
+// per feature.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 
@@ -26,7 +27,7 @@ void put(uint plane, uint row, float value) {
 }
 
 void main() {
-    // One item for the plain values, one for each octave.
+    // One item for the unencoded values, and one for each octave.
     uint items = 1u + max(position_frequencies, time_frequencies);
     uint i = group_index() * 64u + gl_LocalInvocationIndex;
     if (i >= stride * items) {

@@ -1,6 +1,7 @@
 #version 460
-// One layer: every invocation computes 8 features of 8 rows, so that each loaded value serves
-// eight products. Planes hold one feature of all rows, `stride4` vectors of four rows each.
+// Evaluates one layer. Each invocation computes 8 features of 8 rows, so that each loaded value is
+// used in eight products. A plane holds one feature of all rows, as `stride4` vectors of four rows
+// each.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;
@@ -9,10 +10,10 @@ layout(std430, binding = 0) readonly buffer Parameters { float parameters[]; };
 layout(std430, binding = 1) buffer Activations { vec4 activations[]; };
 
 layout(push_constant) uniform Params {
-    uint stride4;        // rows / 4, even
+    uint stride4;        // rows / 4; even
     uint inputs;
     uint outputs;
-    uint encoded;        // leading inputs, from plane 0 on
+    uint encoded;        // number of leading inputs that are encodings, from plane 0 on
     uint source;         // first plane of the other inputs
     uint target;         // first plane of the outputs
     uint weights_at;
@@ -35,7 +36,7 @@ vec4 weights(uvec4 rows, uint own, uint k) {
 
 void accumulate(uint first, uint count, uint plane, uint row4, uint o, inout mat4 c00, inout mat4 c10,
                 inout mat4 c01, inout mat4 c11) {
-    // Features beyond the last repeat it; they are not stored.
+    // Indices beyond the last feature are clamped to it. Their results are not stored.
     uvec4 low = weights_at + first + min(uvec4(o, o + 1u, o + 2u, o + 3u), uvec4(outputs - 1u)) * inputs;
     uvec4 high = weights_at + first
         + min(uvec4(o + 4u, o + 5u, o + 6u, o + 7u), uvec4(outputs - 1u)) * inputs;

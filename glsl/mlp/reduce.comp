@@ -1,5 +1,5 @@
 #version 460
-// Adds the segments' gradients of one layer, in their order.
+// Sums the gradients of one layer over the segments, in order.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;

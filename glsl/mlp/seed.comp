@@ -1,6 +1,7 @@
 #version 460
-// The gradients of the control points' motions as planes of the head's gradient; zero for padding
-// rows, so that these add nothing to any weight.
+// Converts the gradients with respect to the control points' motions to planes of the gradient with
+// respect to the last layer's outputs. Padding rows get zeros, so that they add nothing to the
+// weights' gradients.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;

@@ -1,6 +1,6 @@
 #version 460
-// The head's values as the control points' motions: translation and padding, then the rotation
-// [1, 0, 0, 0] + offset.
+// Converts the last layer's outputs to the control points' motions: translation and padding, then
+// the rotation [1, 0, 0, 0] + offset.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;

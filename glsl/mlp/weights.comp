@@ -1,6 +1,6 @@
 #version 460
-// Gradients of one layer's weights and biases over one segment of the rows: 8 outputs and 8 inputs
-// an invocation. The bias is the weight of one more input, a constant 1.
+// Gradients of one layer's weights and biases over one segment of the rows. Each invocation
+// computes 8 outputs × 8 inputs. The bias is the weight of an additional input that is always 1.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;
@@ -16,7 +16,7 @@ layout(push_constant) uniform Params {
     uint encoded;
     uint source;      // first plane of the inputs that are not encoded
     uint delta;       // first plane of the layer's gradient
-    uint segment4;    // vectors of rows in a segment
+    uint segment4;    // number of vectors of four rows in a segment
 };
 
 #include "common/grid.glsl"
@@ -37,7 +37,8 @@ void store(mat4 c, uint segment, uint o, uint k) {
     }
 }
 
-// Vectors of rows of four inputs; a column of ones where an input is the bias's.
+// Values of four inputs, each for a vector of four rows. The values are ones where `ones` is 1,
+// which marks the bias's input.
 mat4 inputs_at(uvec4 planes, uint own, uint r, vec4 ones, float own_one) {
     mat4 x;
     if (SHARED) {
@@ -59,7 +60,7 @@ mat4 deltas_at(uvec4 planes, uint r) {
 void main() {
     uint columns = (inputs + 8u) / 8u;
     uint rows = (outputs + 7u) / 8u;
-    // Neighbours have the same inputs.
+    // Adjacent invocations have the same inputs.
     uint i = shared_index();
     uint o = i % rows * 8u;
     uint k = i / rows % columns * 8u;
@@ -74,7 +75,7 @@ void main() {
     uvec4 x_low = uvec4(plane_of(k), plane_of(k + 1u), plane_of(k + 2u), plane_of(k + 3u));
     uvec4 x_high = uvec4(plane_of(k + 4u), plane_of(k + 5u), plane_of(k + 6u), plane_of(k + 7u));
     uint own_low = own_of(x_low), own_high = own_of(x_high);
-    // Where a column of inputs is the bias's.
+    // 1 for the input that is the bias's, else 0.
     vec4 one_low = vec4(equal(uvec4(k, k + 1u, k + 2u, k + 3u), uvec4(inputs)));
     vec4 one_high = vec4(equal(uvec4(k + 4u, k + 5u, k + 6u, k + 7u), uvec4(inputs)));
     float own_one_low = own_of(one_low), own_one_high = own_of(one_high);

@@ -1,6 +1,6 @@
 #version 460
-// The control points' motions by their paths: every invocation one half of a row, translation or
-// rotation, which a path holds as its offset from [1, 0, 0, 0].
+// Evaluates the control points' motions from their paths. Each invocation computes one half of a
+// row: the translation, or the rotation, which a path stores as an offset from [1, 0, 0, 0].
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;

@@ -1,6 +1,6 @@
 #version 460
-// The gradient with respect to the control points' paths: every invocation one half of a key of a
-// control point, which gathers from all times in their order.
+// The gradient with respect to the control points' paths. Each invocation computes one half of one
+// key of one control point, and sums over all times in order.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;
@@ -36,7 +36,8 @@ void main() {
             sum += weight * transform_gradients[time * 2u * node_count + column];
         }
     }
-    // When a control point is there is given, not learnt.
+    // The fourth value of the translation half is added to opacity logits. It is given and not
+    // learnt.
     sum.w = column % 2u == 0u ? 0.0 : sum.w;
     for (uint k = 0u; k < 4u; k++) {
         gradients[4u * i + k] = sum[k];

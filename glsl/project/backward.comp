@@ -1,9 +1,10 @@
 #version 460
-// Gradients of the projected splats to every parameter of the Gaussians and to the camera's pose.
+// Gradients with respect to every parameter of the Gaussians and to the camera's pose, from the
+// gradients with respect to the projected splats.
 //
-// A culled Gaussian gets zeros. The pose's gradient is that of a left perturbation,
-// view_from_world <- exp(twist) * view_from_world, twist = (translation, rotation); each workgroup
-// leaves its sum, and project/pose adds them up.
+// A culled Gaussian gets zeros. The pose's gradient is with respect to a left perturbation,
+// view_from_world <- exp(twist) * view_from_world, twist = (translation, rotation). Each workgroup
+// writes the sum of its contributions, and project/pose adds these sums.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
@@ -21,7 +22,7 @@ layout(scalar, binding = 6) readonly buffer Sh3Buffer { vec3 sh3[]; };
 layout(std430, binding = 7) readonly buffer Visible { uint visible[]; };
 layout(std430, binding = 8) readonly buffer OpacityLogits { float opacity_logits[]; };
 layout(std430, binding = 9) readonly buffer Colours { vec4 colours[]; };
-// As raster/gather writes them.
+// The three gradients with respect to the splats are as raster/gather writes them.
 layout(std430, binding = 10) readonly buffer MeanGradients { vec4 mean_gradients[]; };
 layout(std430, binding = 11) readonly buffer CovarianceGradients { vec4 covariance_gradients[]; };
 layout(std430, binding = 12) readonly buffer ColourGradients { vec4 colour_gradients[]; };
@@ -33,7 +34,7 @@ layout(scalar, binding = 17) writeonly buffer Sh0Gradients { vec3 sh0_gradients[
 layout(scalar, binding = 18) writeonly buffer Sh1Gradients { vec3 sh1_gradients[]; };
 layout(scalar, binding = 19) writeonly buffer Sh2Gradients { vec3 sh2_gradients[]; };
 layout(scalar, binding = 20) writeonly buffer Sh3Gradients { vec3 sh3_gradients[]; };
-// Eight words per workgroup, six of them used.
+// Eight values per workgroup, of which six are used: translation, rotation.
 layout(std430, binding = 21) writeonly buffer PosePartials { float pose_partials[]; };
 
 layout(push_constant) uniform Params {
@@ -45,8 +46,9 @@ layout(push_constant) uniform Params {
     float tangent_clamp;
 };
 
-// The bands of the spherical harmonics that the colours have, and whether the pose's gradient is
-// wanted. Constants, since software devices walk through the branches not taken, too.
+// Whether the colours have bands 1, 2, 3 of the spherical harmonics, and whether the pose's
+// gradient is computed. These are specialisation constants because software devices also execute
+// branches that are not taken.
 layout(constant_id = 0) const bool BAND1 = true;
 layout(constant_id = 1) const bool BAND2 = true;
 layout(constant_id = 2) const bool BAND3 = true;
@@ -58,10 +60,10 @@ layout(constant_id = 3) const bool WITH_POSE = true;
 #include "common/splat.glsl"
 #include "common/sh.glsl"
 
-// Of each subgroup: translation and twist.
+// Sums of each subgroup: translation, rotation.
 shared float pose_sums[64][6];
 
-// The gradient by a direction of colour dotted with g.
+// The gradient of dot(g, colour) with respect to the viewing direction d.
 vec3 direction_gradient(uint i, vec3 d, vec3 g) {
     vec3 by_direction = vec3(0.0);
     if (BAND1) {
@@ -88,7 +90,7 @@ vec3 direction_gradient(uint i, vec3 d, vec3 g) {
     return by_direction;
 }
 
-// Writes the coefficients' gradients.
+// Writes the gradients with respect to the SH coefficients.
 void colour_backward(uint i, vec3 d, vec3 g) {
     sh0_gradients[i] = SH0 * g;
     if (BAND1) {
@@ -114,7 +116,8 @@ void colour_backward(uint i, vec3 d, vec3 g) {
     }
 }
 
-// Gradient by the unit quaternion (w, x, y, z) of what has gradient g by its rotation matrix.
+// The gradient with respect to the unit quaternion q (w, x, y, z), given the gradient g with
+// respect to its rotation matrix.
 vec4 quaternion_gradient(vec4 q, mat3 g) {
     // g[column][row]
     float w = q.x, x = q.y, y = q.z, z = q.w;
@@ -126,9 +129,9 @@ vec4 quaternion_gradient(vec4 q, mat3 g) {
                       x * s02 + y * s12 - 2.0 * z * (g[0][0] + g[1][1]) + w * a10);
 }
 
-// The columns of the half covariance M, whitened: U m_k, with U the factor of the conic. The first row
-// is what is left of a column's x when y explains its share: by cross products, so that a needle's
-// does not cancel.
+// The whitened columns of the half covariance M: U m_k, with U the factor of the conic. `across` is
+// the first row: x of a column minus the part that is explained by its y. Cross products compute it
+// without cancellation for a needle. `along` is the second row.
 void whiten(Shape s, out vec3 across, out vec3 along) {
     vec3 normal = cross(s.row_x, s.row_y);
     vec3 rest = cross(s.row_y, normal) + s.dilation * s.row_x;
@@ -136,16 +139,16 @@ void whiten(Shape s, out vec3 across, out vec3 along) {
     along = s.inverse.y * s.row_y;
 }
 
-// A Gaussian's gradients; of a culled one, zeros.
+// The gradients of one Gaussian; zeros if it is culled.
 struct Gradients {
     vec3 position;
     vec3 log_scale;
     vec4 rotation;
     float opacity;
-    // By the colour, and the direction in which it was seen.
+    // With respect to the colour; and the viewing direction.
     vec3 colour;
     vec3 direction;
-    // The pose's share.
+    // Contribution to the pose's gradient.
     vec3 translation;
     vec3 twist;
 };
@@ -167,9 +170,9 @@ void backward(Camera c, uint i, inout Gradients to) {
     vec2 by_mean = mean_gradient.xy * f;
     vec3 by_view = vec3(by_mean, mean_gradient.z - dot(by_mean, s.view.xy / s.view.z));
 
-    // The shape.
-    // With g the gradient by the whitened covariance, that by the covariance is 2 U^T g U, and that by
-    // a column of the half covariance 4 U^T g (U m).
+    // The shape. If g is the gradient with respect to the whitened covariance, the gradient with
+    // respect to the covariance is 2 U^T g U, and with respect to a column m of the half covariance
+    // 4 U^T g (U m).
     vec3 across, along;
     whiten(s, across, along);
     vec3 g = covariance_gradients[i].xyz;
@@ -191,7 +194,7 @@ void backward(Camera c, uint i, inout Gradients to) {
     vec4 by_unit = quaternion_gradient(unit, transpose(c.rotation) * by_axes);
     to.rotation = (by_unit - unit * dot(unit, by_unit)) / length_q;
 
-    // The colour, where it was not clamped.
+    // The colour. Components that were clamped get no gradient.
     vec3 offset = sight(c, position);
     float range = length(offset);
     to.direction = range > 0.0 ? offset / range : to.direction;
@@ -207,7 +210,7 @@ void backward(Camera c, uint i, inout Gradients to) {
                + cross(s.axes[1], by_axes[1]) + cross(s.axes[2], by_axes[2]);
 }
 
-// Adds up the workgroup's shares of the pose's gradient.
+// Sums the workgroup's contributions to the pose's gradient.
 void sum_pose(Gradients g) {
     vec3 translation = subgroupAdd(g.translation);
     vec3 twist = subgroupAdd(g.twist);
@@ -229,7 +232,8 @@ void sum_pose(Gradients g) {
 }
 
 void main() {
-    // Before any branch, where software devices know that every invocation reads the same.
+    // Loaded before any branch, where software devices detect that every invocation reads the same
+    // values.
     Camera c = load_camera();
     uint i = group_index() * 64u + gl_LocalInvocationIndex;
     Gradients g = Gradients(vec3(0.0), vec3(0.0), vec4(0.0), 0.0, vec3(0.0), vec3(0.0, 0.0, 1.0),

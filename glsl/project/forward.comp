@@ -1,6 +1,6 @@
 #version 460
-// Projects every Gaussian: culls, or writes mean, depth, opacity, conic, colour and the number of
-// tiles it reaches.
+// Projects every Gaussian. Writes mean, depth, opacity, conic, colour and tile rectangle of each
+// splat, and the number of tiles that it overlaps, which is 0 for a culled Gaussian.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 
@@ -17,21 +17,21 @@ layout(scalar, binding = 7) readonly buffer Sh2Buffer { uvec3 sh2[]; };
 layout(scalar, binding = 8) readonly buffer Sh3Buffer { uvec3 sh3[]; };
 // Mean x, mean y, depth, opacity.
 layout(std430, binding = 9) writeonly buffer Means { vec4 means[]; };
-// The conic, factored, and the power at which alpha falls to the cut.
+// Factored conic, and the power at which alpha falls to alpha_cut.
 layout(std430, binding = 10) writeonly buffer Conics { vec4 conics[]; };
 layout(std430, binding = 11) writeonly buffer Colours { vec4 colours[]; };
-// First and last + 1 tile along x (low half) and y (high half).
+// First and one past the last tile, x in the low half of a word and y in the high half.
 layout(std430, binding = 12) writeonly buffer Rectangles { uvec2 rectangles[]; };
 layout(std430, binding = 13) writeonly buffer TileCounts { uint tile_counts[]; };
 layout(std430, binding = 14) writeonly buffer Visible { uint visible[]; };
 
-// What is kept as 16-bit floats, two to a word, the first in the low half.
+// Which inputs are stored as 16-bit floats, two to a word, the first in the low half.
 layout(constant_id = 0) const bool HALF_SH = false;
 layout(constant_id = 1) const bool HALF_SCALES = false;
 layout(constant_id = 2) const bool HALF_ROTATIONS = false;
 layout(constant_id = 3) const bool HALF_OPACITIES = false;
-// The bands of the spherical harmonics that are evaluated. Constants, since software devices walk
-// through the branches not taken, too.
+// Whether bands 1, 2, 3 of the spherical harmonics are evaluated. These are specialisation
+// constants because software devices also execute branches that are not taken.
 layout(constant_id = 4) const bool BAND1 = true;
 layout(constant_id = 5) const bool BAND2 = true;
 layout(constant_id = 6) const bool BAND3 = true;
@@ -53,7 +53,8 @@ layout(push_constant) uniform Params {
 #include "common/tile.glsl"
 #include "common/sh.glsl"
 
-// Triple `i` of a buffer's words. Macros, since GLSL passes no buffers.
+// Triple `i` of a buffer of floats or of packed halves. These are macros because GLSL functions
+// take no buffers as arguments.
 #define HALF_OF(word, at) unpackHalf2x16(word)[(at) & 1u]
 #define HALF_AT(words, at) HALF_OF(words[((at) >> 1) / 3u][((at) >> 1) % 3u], at)
 #define TRIPLE(half_kept, words, i)                                                       \
@@ -66,7 +67,7 @@ float opacity_logit_of(uint i) {
     return HALF_OPACITIES ? HALF_OF(opacity_logits[i >> 1], i) : uintBitsToFloat(opacity_logits[i]);
 }
 
-// Two quaternions of halves share what one of floats takes.
+// Two quaternions of halves occupy one element of the buffer.
 vec4 rotation_of(uint i) {
     if (HALF_ROTATIONS) {
         uvec4 both = rotations[i >> 1];
@@ -76,7 +77,8 @@ vec4 rotation_of(uint i) {
     return uintBitsToFloat(rotations[i]);
 }
 
-// Not clamped yet: a maximum may hide a NaN. `largest` becomes the largest coefficient's size.
+// The colour of Gaussian i in direction d, before clamping, since max() may hide a NaN. `largest`
+// receives the largest absolute value of a coefficient.
 vec3 colour_of(uint i, vec3 d, out float largest) {
     vec3 sizes = vec3(0.0);
     vec3 coefficient = SH_RGB(sh0, i);
@@ -113,7 +115,7 @@ vec3 colour_of(uint i, vec3 d, out float largest) {
     return colour;
 }
 
-// Number of tiles that the splat reaches; 0 means culled.
+// Projects Gaussian i. Returns the number of tiles that the splat overlaps; 0 if it is culled.
 uint project(Camera c, uint i) {
     vec2 size = vec2(width, height);
     vec3 position = positions[i];
@@ -166,7 +168,8 @@ uint project(Camera c, uint i) {
 }
 
 void main() {
-    // Before any branch, where software devices know that every invocation reads the same.
+    // Loaded before any branch, where software devices detect that every invocation reads the same
+    // values.
     Camera c = load_camera();
     uint i = group_index() * 64u + gl_LocalInvocationIndex;
     if (i >= count) {

@@ -1,5 +1,5 @@
 #version 460
-// Adds up what project/backward's workgroups left of the pose's gradient.
+// Sums the contributions of project/backward's workgroups to the pose's gradient.
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 
@@ -10,7 +10,7 @@ layout(std430, binding = 1) writeonly buffer Pose { float pose[]; };
 
 layout(push_constant) uniform Params { uint groups; };
 
-// Of each subgroup.
+// Sums of each subgroup: translation, rotation.
 shared float sums[64][6];
 
 void main() {

@@ -1,5 +1,5 @@
 #version 460
-// Gradients of the splats, for devices whose subgroups are wide.
+// Gradients with respect to the splats, for devices with wide subgroups.
 #extension GL_GOOGLE_include_directive : require
 
 #define LANES 32

@@ -1,16 +1,18 @@
-// Gradients of the blended image to every splat, one slot of partial sums per (splat, tile). For the
-// modules that include this, which set LANES, the invocations of a workgroup.
+// Gradients of the blended image with respect to every splat, as one slot of partial sums per
+// (splat, tile). A module that includes this file defines LANES, the number of invocations in a
+// workgroup.
 //
-// The pixels replay their splats front to back from full transmittance; what still lies behind is
-// the known total less what went before, so the transmittance is never divided out. With
-// v = alpha · dL/dalpha, a slot holds the moments of v over the tile in whitened offsets (v, v·h, v·k,
-// v·h², v·h·k, v·k²), from which raster/gather makes the gradients of opacity, mean and covariance,
-// then the gradients of colour and depth.
+// Each pixel replays its splats front to back, starting with full transmittance. The contribution
+// from behind a splat is the pixel's known total minus the contributions up to the splat, so no
+// division recovers the transmittance. With v = alpha · dL/dalpha, a slot holds the moments of v
+// over the tile in whitened offsets (h, k): v, v·h, v·k, v·h², v·h·k, v·k². raster/gather computes
+// the gradients with respect to opacity, mean and covariance from them. The slot's other values are
+// the gradients with respect to colour and depth.
 //
-// Each lane loads a splat of the batch and keeps its sums; the subgroup replays those that reach a
-// block, one by one. Where a tile has several subgroups, each sums over blocks of its own, and the
-// sums meet in shared memory in a fixed order. There are no atomics on floats, so reruns give the same
-// bits.
+// Each lane loads one splat of the batch and keeps its sums. The subgroup replays the splats that
+// overlap a block, one at a time. If a tile has several subgroups, each sums over its own blocks,
+// and the sums are combined in shared memory in a fixed order. The kernel uses no float atomics, so
+// repeated runs give the same bits.
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_ballot : require
@@ -18,7 +20,7 @@
 
 layout(local_size_x = LANES) in;
 
-// Whether a workgroup may be several subgroups, whose sums meet in shared memory.
+// Whether a workgroup may have several subgroups, whose sums are combined in shared memory.
 layout(constant_id = 1) const bool SEVERAL = true;
 layout(constant_id = 2) const bool SPREAD = false;
 
@@ -52,7 +54,8 @@ layout(push_constant) uniform Params {
 #include "common/tile.glsl"
 #include "common/quads.glsl"
 
-// Sums of one batch, as in the slots: [subgroup][splat], for subgroups of 4 or more.
+// Sums of one batch, laid out as the slots: [subgroup][splat]. The size suffices for subgroups of 4
+// or more invocations.
 shared vec4 partial_a[LANES / 4 * LANES];
 shared vec4 partial_b[LANES / 4 * LANES];
 shared vec2 partial_c[LANES / 4 * LANES];
@@ -60,16 +63,17 @@ shared uint furthest;
 
 vec2 corner[BLOCKS], lowest[BLOCKS], highest[BLOCKS];
 vec4 transmittance[BLOCKS * QUADS];
-// Of the loss: by colour, by alpha and by depth at the quad's pixels.
+// Gradients of the loss with respect to colour, alpha (`opaque`) and depth (`z`) at the quads'
+// pixels.
 vec4 red[BLOCKS * QUADS], green[BLOCKS * QUADS], blue[BLOCKS * QUADS], opaque[BLOCKS * QUADS];
 vec4 z[BLOCKS * QUADS];
-// What lies behind the splats replayed so far, weighted with those gradients.
+// Contribution of the splats that are not replayed yet, weighted with those gradients.
 vec4 behind[BLOCKS * QUADS];
 uvec4 end[BLOCKS * QUADS];
-// One past the last splat that a pixel of the block blended, from the tile's first.
+// One past the last splat that a pixel of the block blended, counted from the tile's first.
 uint block_end[BLOCKS];
 uvec2 size, tile_first;
-// The lane's own splat, its place, and its sums so far.
+// The lane's own splat, its index in the tile's list, and its sums so far.
 vec4 mean, conic, colour;
 uint place;
 vec4 sums_a, sums_b;
@@ -248,7 +252,8 @@ void main() {
         }
         batch += LANES;
     } while (batch < stop);
-    // Splats behind the last one blended get nothing, but their slots are read.
+    // Splats behind the last blended one have zero gradients. Their slots are written because
+    // raster/gather reads them.
     for (uint at = stop + id; at < range.y; at += LANES) {
         uint slot = intersections[at];
         slots_a[slot] = vec4(0.0);

@@ -1,5 +1,5 @@
 #version 460
-// raster/backward, for software devices, where a subgroup of 8 or 4 has the tile to itself.
+// raster/backward with 8 invocations per tile, for software devices, whose subgroups are narrow.
 #extension GL_GOOGLE_include_directive : require
 
 #define LANES 8

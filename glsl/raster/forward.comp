@@ -1,10 +1,9 @@
 #version 460
 // Blends the splats of a tile front to back.
 //
-// A subgroup works on its own block of the tile: every lane loads one splat of the next batch and
-// tests it against the block, and the splats that reach it are broadcast lane by lane. Nothing is
-// shared between subgroups, so there is no barrier, and each subgroup leaves when its pixels are
-// opaque.
+// A subgroup processes its own block of the tile. Each lane loads one splat of the next batch and
+// tests it against the block. The splats that overlap the block are broadcast one by one. Subgroups
+// share no data, so there is no barrier, and each subgroup stops when its pixels are opaque.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_ballot : require
@@ -68,12 +67,13 @@ void main() {
     }
 
     uvec2 range = ranges[tile];
-    // A subgroup of 64 is half empty.
+    // In a subgroup of 64 invocations only half are active.
     uint chunk = min(gl_SubgroupSize, LANES);
     uint base = range.x;
-    // Loops end at their foot: software devices run a body once more to find that it is over.
+    // The loops test their condition at the end, because software devices would execute a loop that
+    // tests it at the start once more than needed.
     do {
-        // To the next splats of which one reaches the block.
+        // Advances to the next batch in which a splat overlaps the block.
         vec4 mean, conic, colour;
         uint first, bits;
         do {

@@ -1,6 +1,6 @@
 #version 460
-// Blends the splats of a tile front to back, as raster/forward does, with another division of the
-// work: an invocation per pixel, and batches of splats staged in shared memory for the whole tile.
+// Blends the splats of a tile front to back, as raster/forward does, with a different distribution
+// of the work: one invocation per pixel, and batches of splats in shared memory for the whole tile.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 256) in;
@@ -33,14 +33,15 @@ const uint BATCH = 256u;
 shared vec4 batch_means[BATCH];
 shared vec4 batch_conics[BATCH];
 shared vec4 batch_colours[BATCH];
-// Pixels that still blend, in two counters by turns: one is read while the other is cleared.
+// Number of pixels that still blend, in two alternating counters: one is read while the other is
+// cleared.
 shared uint open_pixels[2];
 
 void main() {
     uvec2 size = uvec2(width, height);
     uvec2 grid = tile_grid(size);
     uint tile = group_index();
-    // The same for the whole workgroup, so that no invocation misses a barrier.
+    // The condition is the same for the whole workgroup, so that no invocation misses a barrier.
     if (tile >= grid.x * grid.y) {
         return;
     }
@@ -58,7 +59,7 @@ void main() {
     uvec2 range = ranges[tile];
     uint turn = 0u;
     for (uint base = range.x; base < range.y; base += BATCH) {
-        // After this barrier nobody reads the last batch any more.
+        // After this barrier no invocation reads the previous batch.
         barrier();
         if (open) {
             atomicAdd(open_pixels[turn], 1u);
@@ -76,7 +77,8 @@ void main() {
         }
         turn ^= 1u;
         if (lane == 0u) {
-            // Counted into after the next barrier; read last before the one above.
+            // This counter is incremented only after the next barrier, and was last read before the
+            // one above.
             open_pixels[turn] = 0u;
         }
         uint count = min(BATCH, range.y - base);

@@ -1,5 +1,5 @@
 #version 460
-// Sums a visible splat's slots, in their order, and turns the moments into gradients.
+// Sums a visible splat's slots in order and converts the moments to gradients.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;
@@ -13,9 +13,9 @@ layout(std430, binding = 5) readonly buffer SlotsB { vec4 slots_b[]; };
 layout(std430, binding = 6) readonly buffer SlotsC { vec2 slots_c[]; };
 layout(std430, binding = 7) readonly buffer Means { vec4 means[]; };
 layout(std430, binding = 8) readonly buffer Conics { vec4 conics[]; };
-// By mean x, mean y, depth, opacity.
+// Gradients with respect to mean x, mean y (pixels), depth, opacity.
 layout(std430, binding = 9) writeonly buffer MeanGradients { vec4 mean_gradients[]; };
-// By the whitened covariance: xx, xy, yy.
+// Gradients with respect to the whitened covariance: xx, xy, yy.
 layout(std430, binding = 10) writeonly buffer CovarianceGradients { vec4 covariance_gradients[]; };
 layout(std430, binding = 11) writeonly buffer ColourGradients { vec4 colour_gradients[]; };
 

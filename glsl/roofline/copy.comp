@@ -1,5 +1,5 @@
 #version 460
-// Copies vectors: as fast as a kernel can move memory on a device.
+// Copies vectors, to measure a device's peak bandwidth.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;
@@ -13,7 +13,7 @@ layout(push_constant) uniform Params {
 
 #include "common/grid.glsl"
 
-// Vectors of one invocation; neighbours in a workgroup read neighbours.
+// Number of vectors per invocation. Adjacent invocations access adjacent vectors.
 const uint EACH = 8u;
 
 void main() {

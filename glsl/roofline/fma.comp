@@ -1,7 +1,7 @@
 #version 460
-// Sixteen independent chains of multiply-adds per invocation: as fast as a kernel can calculate on a
-// device. Chain c of invocation i starts at (c + 1) · seed and takes x · 0.75 + seed four times a
-// round.
+// Sixteen independent chains of multiply-adds per invocation, to measure a device's peak
+// arithmetic. Chain c of invocation i starts at (c + 1) · seed and computes x · 0.75 + seed four
+// times per round.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;

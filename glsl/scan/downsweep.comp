@@ -1,5 +1,6 @@
 #version 460
-// Writes the exclusive prefix sums of each block of 4096 values, from the sum before the block on.
+// Writes the exclusive prefix sums of each block of 4096 values, starting with the sum before the
+// block.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_EXT_scalar_block_layout : require
@@ -28,7 +29,7 @@ void main() {
     uint block = group_index();
     uint n = min(count[count_at], capacity);
     uint blocks = n / BLOCK + (n % BLOCK == 0u ? 0u : 1u);
-    // The same for the whole workgroup.
+    // The condition is the same for the whole workgroup, so that no invocation misses a barrier.
     if (block >= blocks) {
         return;
     }

@@ -1,7 +1,7 @@
-// Needs `prefix` as uvec4, and scan/vec4.glsl.
+// Requires `prefix` as a buffer of uvec4, and scan/vec4.glsl.
 
-// Writes the exclusive prefix sums of the four values from `at`, which begin with `running`, and adds
-// the four values to `running`.
+// Writes the exclusive prefix sums of the four values from index `at` on, starting with `running`,
+// and adds the four values to `running`.
 void write_vec4(uint at, uvec4 v, inout uint running) {
     uvec4 before;
     before.x = running;

@@ -25,7 +25,7 @@ void main() {
     uint block = group_index();
     uint n = min(count[count_at], capacity);
     uint blocks = n / BLOCK + (n % BLOCK == 0u ? 0u : 1u);
-    // The same for the whole workgroup.
+    // The condition is the same for the whole workgroup, so that no invocation misses a barrier.
     if (block >= blocks) {
         return;
     }

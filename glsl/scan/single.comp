@@ -1,6 +1,6 @@
 #version 460
-// Exclusive prefix sums by a single workgroup, each of whose invocations walks twice over values of
-// its own: for so few that further dispatches would cost more than they share.
+// Exclusive prefix sums by a single workgroup. Each invocation passes twice over its own range of
+// values. This is for so few values that further dispatches would cost more than they save.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_scalar_block_layout : require
 

@@ -1,6 +1,6 @@
 #version 460
-// Replaces the blocks' sums by their exclusive prefix sums, and writes the sum of all. One
-// workgroup, which walks over the blocks 4096 at a time.
+// Replaces the blocks' sums by their exclusive prefix sums, and writes the sum of all values. A
+// single workgroup processes 4096 blocks at a time.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 256) in;

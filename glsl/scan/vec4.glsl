@@ -1,6 +1,6 @@
-// Vector loads of four values: on software devices an access costs more than its width. The scalar
-// tail has a loop of its own, because software devices also execute branches that are not taken.
-// Needs `values` as uvec4.
+// Vector loads of four values: on software devices the number of accesses matters more than their
+// width. The scalar tail has its own loop, because software devices also execute branches that are
+// not taken. Requires `values` as a buffer of uvec4.
 
 uint sum_of(uvec4 v) {
     return v.x + v.y + v.z + v.w;

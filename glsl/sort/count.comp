@@ -1,6 +1,6 @@
 #version 460
-// Counts the digits of each run of keys. One invocation a run, with counters of its own: nothing is
-// shared between invocations, so there is no order among them to depend on.
+// Counts the digits of each run of keys. Each invocation processes one run and has its own
+// counters. Invocations share no data, so the result does not depend on their order.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_EXT_scalar_block_layout : require
@@ -9,7 +9,7 @@ layout(local_size_x = 32) in;
 
 layout(std430, binding = 0) readonly buffer Plan { uint plan[]; };
 layout(scalar, binding = 1) readonly buffer Keys { uvec4 keys[]; };
-// Digit by digit, run by run.
+// Indexed [digit][run].
 layout(std430, binding = 2) writeonly buffer Table { uint table[]; };
 
 layout(push_constant) uniform Params {

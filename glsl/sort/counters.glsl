@@ -1,13 +1,15 @@
-// One counter per digit for each invocation of a workgroup.
+// One counter per digit value for each invocation of a workgroup.
 
 const uint RUNS_PER_GROUP = 32u;
 
-// On a software device an invocation's own array costs a fraction of shared memory: its compiler
-// unrolls the lanes of the one and loops over those of the other. On a GPU such an array is spilled.
+// Whether the counters are in a private array of the invocation instead of shared memory. On
+// software devices a private array costs a fraction of shared memory, because their compiler
+// unrolls the lanes for the former and loops over them for the latter. On a GPU a private array of
+// this size is spilled.
 layout(constant_id = 0) const bool OWN_COUNTERS = false;
 
 uint own_counters[512];
-// Invocation by invocation within a digit, so that neighbours use different banks.
+// Indexed [digit][invocation], so that adjacent invocations use different banks.
 shared uint shared_counters[256 * RUNS_PER_GROUP];
 
 uint counter(uint digit) {

@@ -1,10 +1,11 @@
 #version 460
-// Cuts `count` keys into runs, one for each invocation of `count.comp` and `scatter.comp`.
+// Divides `count` keys into runs, one for each invocation of `count.comp` and `scatter.comp`.
 
 layout(local_size_x = 1) in;
 
 layout(std430, binding = 0) readonly buffer Count { uint count[]; };
-// Keys, keys in a run, runs, entries of the table, and the three words of the grid over the runs.
+// Number of keys, keys in a run, runs, entries of the table, and the three words of the grid over
+// the runs.
 layout(std430, binding = 1) writeonly buffer Plan { uint plan[]; };
 
 layout(push_constant) uniform Params {
@@ -24,7 +25,7 @@ uint divided_up(uint a, uint b) {
 
 void main() {
     uint n = min(count[count_at], capacity);
-    // Groups of four keys: the load is a uvec4.
+    // A run is a multiple of four keys, since keys are loaded as uvec4.
     uint run = 4u * divided_up(max(divided_up(n, max_runs), min_run), 4u);
     uint runs = divided_up(n, run);
     uint groups = divided_up(runs, RUNS_PER_GROUP);

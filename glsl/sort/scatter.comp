@@ -1,7 +1,7 @@
 #version 460
 // Moves each run's pairs to their places. `offsets` is the exclusive prefix sum of the table that
-// `count.comp` wrote: where the run's first key of each digit goes. A run is walked in order, so
-// equal digits keep theirs.
+// `count.comp` wrote: the destination of the run's first key of each digit. A run is processed in
+// order, so pairs of equal digits keep their order.
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_EXT_scalar_block_layout : require

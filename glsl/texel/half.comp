@@ -1,11 +1,12 @@
 #version 460
-// A picture in 16-bit floats: the nearest, ties to even, as packHalf2x16 need not do.
+// Converts an image to 16-bit floats, rounded to nearest, ties to even. packHalf2x16 does not
+// guarantee this rounding.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer Rgba { vec4 rgba[]; };
-// Red and green, blue and alpha; the first of each in the lower half.
+// Red and green, blue and alpha; the first of each pair in the lower half.
 layout(std430, binding = 1) writeonly buffer Texels { uvec2 texels[]; };
 
 layout(push_constant) uniform Params {
@@ -19,7 +20,7 @@ layout(push_constant) uniform Params {
 #include "common/grid.glsl"
 #include "common/texel.glsl"
 
-// Of what is out of range, the largest.
+// The bits of the nearest 16-bit float. Values out of range become the largest finite one.
 uint half_bits(float value) {
     uint bits = floatBitsToUint(clamp(value, -65504.0, 65504.0));
     uint sign = bits >> 16 & 0x8000u;
@@ -29,7 +30,7 @@ uint half_bits(float value) {
         uint rebiased = magnitude - (112u << 23);
         return sign | (rebiased + 0xfffu + (rebiased >> 13 & 1u)) >> 13;
     }
-    // Below 2^-14 in steps of 2^-24; half of one and less is 0.
+    // Below 2^-14 the results are multiples of 2^-24. Values below half of such a step become 0.
     if (exponent < 102u) {
         return sign;
     }

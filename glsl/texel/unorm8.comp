@@ -1,5 +1,5 @@
 #version 460
-// A picture in eight bits a channel: the nearest of 255 equal steps.
+// Converts an image to eight bits per channel: the nearest of 255 equal steps.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;

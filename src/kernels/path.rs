@@ -18,7 +18,7 @@ kernel! {
         paths: Read<f32>,
         /// Times in [0, 1].
         times: Read<f32>,
-        /// Two vectors a row, for one time after the other: translation and padding; rotation.
+        /// Two vectors a row, for one time after the other: translation and the opacity-logit offset; rotation.
         transforms: Write<[f32; 4]>,
     }
 }
