@@ -1,4 +1,6 @@
-"""What the tests share. They run on a software driver, so that they mean the same everywhere."""
+"""Fixtures and helpers of the tests. The tests run on a software driver: results do not depend on the GPU."""
+
+import signal
 
 import numpy as np
 import pytest
@@ -13,8 +15,17 @@ def device():
     return splat4d.Device("software")
 
 
+@pytest.fixture
+def ctrl_c():
+    """Raises KeyboardInterrupt on SIGINT, also if the tests were started with SIGINT ignored, as shells do in the
+    background. Programs that the test starts get the default handling, too."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def gaussians(count, seed=0, degree=0):
-    """Arrays of Gaussians in a box before the camera at the origin."""
+    """Arrays of Gaussians in a box in front of the camera at the origin."""
     random = np.random.default_rng(seed)
     rotations = random.normal(size=(count, 4))
     return {
@@ -27,7 +38,7 @@ def gaussians(count, seed=0, degree=0):
 
 
 def moving_arrays():
-    """One Gaussian at depth 2 that goes from x = 0 at time 0 to x = 0.4 at time 1."""
+    """One Gaussian at depth 2 that moves from x = 0 at time 0 to x = 0.4 at time 1."""
     paths = np.zeros((2, 1, 8))
     paths[1, 0, 0] = 0.4
     return {

@@ -86,7 +86,7 @@ def test_errors_of_commands_are_those_of_the_program(tmp_path):
         splat4d.synth("still", tmp_path / "clip", frames=-1)
 
 
-def test_ctrl_c_stops_a_command(tmp_path):
+def test_ctrl_c_stops_a_command(tmp_path, ctrl_c):
     clip = tmp_path / "clip"
     splat4d.synth("still", clip, frames=6, size="96x64")
     begin = time.perf_counter()

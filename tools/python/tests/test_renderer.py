@@ -1,4 +1,4 @@
-"""Pictures, against numbers computed here."""
+"""Tests of rendered images, against values computed here."""
 
 import threading
 import time
@@ -98,7 +98,7 @@ def test_other_threads_run_during_a_long_call(device):
     done.set()
     thread.join()
     assert end - begin > 0.02, "the call is too short to tell"
-    # With the GIL held there would be none in the middle of the call.
+    # If the call held the GIL, the other thread would not run during it.
     tenth = 0.1 * (end - begin)
     assert sum(begin + tenth < at < end - tenth for at in ticks) >= 3
 

@@ -1,4 +1,4 @@
-"""Training with the engine's loss and with one of the caller's own."""
+"""Tests of training with the engine's loss and with a loss computed by the caller."""
 
 import os
 import signal
@@ -13,7 +13,7 @@ from conftest import gaussians, moving_arrays
 
 
 def start(device, camera, **settings):
-    """A trainer whose Gaussians are a little off those that the picture shows."""
+    """A trainer whose Gaussians differ a little from those that its training view shows."""
     arrays = gaussians(60)
     target = splat4d.Renderer(device, splat4d.Scene(**arrays)).render(camera).over()
     random = np.random.default_rng(3)
@@ -65,8 +65,8 @@ def test_bytes_are_the_same_as_floats(device, camera):
     (moving_arrays(), 0.5, ["positions", "opacity_logits", "control_paths"]),
 ])
 def test_gradients_are_those_of_central_differences(device, camera, arrays, time, names):
-    """The loss is a fixed random weighting of colour, alpha and depth. A splat ends where its alpha is below
-    the cut, and no gradient says that its border moves: the cut is made small."""
+    """The loss is a fixed random weighting of colour, alpha and depth. A splat ends where its alpha falls below
+    `alpha_cut`, and the gradients do not include the movement of that border: the cut is made small."""
     random = np.random.default_rng(7)
     by_rgba = random.normal(size=(49, 65, 4)).astype(np.float32)
     by_depth = random.normal(size=(49, 65)).astype(np.float32)
@@ -89,7 +89,7 @@ def test_gradients_are_those_of_central_differences(device, camera, arrays, time
     gradients = trainer.backward(by_rgba, by_depth)
     for name in names:
         assert gradients[name].shape == arrays[name].shape
-        # Along a random direction, so that one difference checks all entries.
+        # The difference is taken along a random direction, so that it checks all entries at once.
         direction = random.normal(size=arrays[name].shape).astype(np.float32)
         direction /= np.linalg.norm(direction)
         step = 2e-3
@@ -114,7 +114,7 @@ def test_an_own_loss_trains_as_far_as_it_is_updated(device, camera):
         trainer.update()
     assert losses[-1] < 0.7 * losses[0]
     assert trainer.progress.step == 30
-    # Without an update nothing is learnt.
+    # Without `update` no parameter changes.
     arrays = trainer.scene().arrays()
     trainer.forward(camera)
     trainer.backward(np.ones((49, 65, 4)))
@@ -127,7 +127,7 @@ def test_an_own_loss_trains_as_far_as_it_is_updated(device, camera):
 
 
 def test_many_large_splats_are_rendered_whole(device, camera):
-    """More pairs of splats and tiles than there is room for at first."""
+    """The frame has more pairs of splats and tiles than the initial capacity."""
     arrays = gaussians(3000)
     arrays["log_scales"] = np.full((3000, 3), 0.5)
     arrays["opacity_logits"] = np.full(3000, -6.0)
@@ -168,7 +168,7 @@ def test_wrong_settings_and_views_are_refused(device, camera):
         splat4d.View(np.zeros((49, 65, 3)), camera, weights=np.ones((49, 64)))
 
 
-def test_ctrl_c_stops_the_steps(device, camera):
+def test_ctrl_c_stops_the_steps(device, camera, ctrl_c):
     trainer = start(device, camera)
 
     def interrupt():
