@@ -1,8 +1,8 @@
 //! The rows of `splat4d bench` under `cargo bench`.
 //!
-//! The device is `SPLAT4D_DEVICE` (an index, a kind or part of a name; default: the best). Every row
-//! is held against the oracle first; one that misses its bound is reported and not timed. The time is
-//! the host's, from submission to the end; `splat4d bench` reads the device's own timestamps.
+//! The device is `SPLAT4D_DEVICE` (an index, a kind or part of a name; default: the best). Every row is
+//! compared with the oracle first; a row that exceeds its bound is reported and not timed. The time is
+//! host time, from submission to completion; `splat4d bench` reads device timestamps.
 
 use divan::Bencher;
 use splat4d::bench::{Entry, entries};

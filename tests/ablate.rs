@@ -49,7 +49,7 @@ fn components_are_left_out_one_at_a_time() {
         assert!(figure(row, "peak_bytes", "median") > 1e5);
         assert!(figure(row, "gaussians", "worst") <= 600.0);
     }
-    // Each switch does what it says.
+    // Each switch has the effect that it names.
     assert_eq!(figure(0, "input_psnr", "change"), 0.0);
     assert!(figure(0, "control_points", "median") > 0.0);
     assert_eq!(figure(1, "control_points", "median"), 0.0);

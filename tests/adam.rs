@@ -1,4 +1,4 @@
-//! The optimiser against its oracle.
+//! The Adam optimiser against its oracle.
 
 mod common;
 
@@ -12,8 +12,7 @@ fn cases() {
     common::run("adam");
 }
 
-/// Grids that 40 workgroups along an axis do not hold.
-/// Whatever the rows, the kernel has no more variants than it lists.
+/// Whatever the row lengths, the kernel has only the variants that it lists.
 #[test]
 fn rows_of_every_length_share_a_few_pipelines() {
     let shared = common::device();
@@ -21,7 +20,7 @@ fn rows_of_every_length_share_a_few_pipelines() {
     let mut stream = device.stream().unwrap();
     let mut adam = Adam::new(&device).unwrap();
     let mut recorder = stream.record().unwrap();
-    // One row, several, and no visibility at all.
+    // One row, several rows, and no visibility.
     for (row, rows) in (1..=100).flat_map(|row| [(row, Some(1)), (row, Some(2)), (row, None)]) {
         let count = row * rows.unwrap_or(1);
         let gradients = device.upload("gradients", &vec![1.0f32; count]).unwrap();
@@ -42,7 +41,7 @@ fn rows_of_every_length_share_a_few_pipelines() {
     }
     stream.submit(recorder).unwrap();
     drop(stream);
-    // Without visibility, one row, six lengths of their own, and other lengths, short or not.
+    // Pipelines: without visibility, one row, six specialised lengths, and other lengths, short or long.
     assert_eq!(device.pipelines(), 10);
     common::assert_valid(&device);
 }

@@ -1,10 +1,11 @@
-//! The crate's public face: what it offers, held against a committed list, and what its package
-//! holds. Needs no device.
+//! The crate's public interface, compared with a committed list, and the content of its package. Needs no
+//! device.
 //!
 //! The list is read from the source (`syn`): every `pub` item with its signature, fields, variants,
-//! derives and features, by module, re-exports as they stand. That is a little more than users can
-//! reach (a `pub` item of a private module is listed though only its re-export is reached), and nothing
-//! that they can is missing. `bench`, `check` and `report` promise nothing and are left out. `SPLAT4D_UPDATE_API=1` writes it anew.
+//! derives and features, by module; re-exports are listed as written. The list contains slightly more
+//! than users can reach (a `pub` item of a private module is listed even if only its re-export is
+//! reachable), and nothing that they can reach is missing. `bench`, `check` and `report` have no stable
+//! interface and are left out. `SPLAT4D_UPDATE_API=1` rewrites the list.
 
 use proc_macro2::{Delimiter, Group, TokenStream, TokenTree};
 use quote::{ToTokens, quote};
@@ -15,8 +16,8 @@ use syn::{Attribute, Fields, ImplItem, Item, Visibility};
 
 const LIST: &str = "tests/api/public.txt";
 
-/// The command line, which is another crate, and what is there for it and for tests: it changes with
-/// every kernel.
+/// Modules without a stable interface: the command line, which is another crate, and modules for it and
+/// for tests, which change with every kernel.
 const UNPROMISED: &[&str] = &["main", "cmd", "bench", "check", "report"];
 
 #[test]
@@ -79,7 +80,7 @@ fn the_list_notices_every_kind_of_change() {
     }
 }
 
-/// The package holds the source, the shaders and their modules, C's header, and nothing else.
+/// The package contains the source, the shaders and their SPIR-V modules, the C header, and nothing else.
 #[test]
 fn the_package_holds_what_it_needs_and_nothing_more() {
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
@@ -110,7 +111,7 @@ fn the_package_holds_what_it_needs_and_nothing_more() {
         .filter(|file| !generated.contains(file))
         .collect();
     assert_eq!(beside.len(), 5, "{beside:?}");
-    // Packages of their own, which depend on this one.
+    // The examples are separate packages that depend on this one.
     assert!(!listed.iter().any(|file| file.starts_with("examples/wgpu-host")));
 }
 
@@ -155,7 +156,7 @@ fn listing(src: &Path) -> Vec<String> {
     lines
 }
 
-/// Adds a line for each item that others may name.
+/// Adds a line for each item that users can name.
 fn items(all: &[Item], module: &str, lines: &mut Vec<String>) {
     let line = |attributes: &[Attribute], tokens: TokenStream| {
         format!("{module} {}{}", marks(attributes), compact(tokens))
@@ -229,7 +230,7 @@ fn items(all: &[Item], module: &str, lines: &mut Vec<String>) {
                     lines.push(format!("{head} {}{}", marks(attributes), compact(tokens)));
                 }
             }
-            // `kernel!`: what it declares is what it makes.
+            // `kernel!`: its declaration stands for the items that it generates.
             Item::Macro(m) if m.ident.is_none() => {
                 let (path, tokens) = (&m.mac.path, undocumented(m.mac.tokens.clone()));
                 lines.push(line(&[], quote!(#path ! #tokens)));
@@ -247,7 +248,7 @@ fn is_test(attributes: &[Attribute]) -> bool {
     attributes.iter().any(|a| compact(a.to_token_stream()) == "#[cfg(test)]")
 }
 
-/// The attributes that users notice.
+/// The attributes that are visible to users.
 fn marks(attributes: &[Attribute]) -> String {
     const NOTICED: [&str; 6] = ["cfg", "cfg_attr", "derive", "must_use", "non_exhaustive", "repr"];
     let noticed = |a: &&Attribute| NOTICED.iter().any(|name| a.path().is_ident(name));
@@ -261,7 +262,7 @@ fn marks(attributes: &[Attribute]) -> String {
         .collect()
 }
 
-/// The fields that users may name; all of a variant's.
+/// The fields that users can name; all fields of a variant.
 fn fields(all: &Fields, of_variant: bool) -> TokenStream {
     let seen = all.iter().filter(|field| of_variant || open(&field.vis)).map(|field| {
         let mut field = field.clone();
@@ -279,7 +280,7 @@ fn fields(all: &Fields, of_variant: bool) -> TokenStream {
     }
 }
 
-/// Without doc comments.
+/// Removes doc comments from tokens.
 fn undocumented(tokens: TokenStream) -> TokenStream {
     let mut kept: Vec<TokenTree> = Vec::new();
     for token in tokens {
@@ -302,7 +303,7 @@ fn undocumented(tokens: TokenStream) -> TokenStream {
     kept.into_iter().collect()
 }
 
-/// On one line, with spaces only where words meet, whatever the printer does.
+/// Tokens on one line, with spaces only between words, independent of the token printer.
 fn compact(tokens: TokenStream) -> String {
     let text = tokens.to_string();
     let word = |c: char| c.is_alphanumeric() || "_'\"".contains(c);

@@ -1,5 +1,6 @@
-//! `splat4d batch`: jobs that end well and badly, again and after a stop, and the same jobs for other
-//! engines: Snakemake runs them, a shell runs Slurm's script, Kubernetes's schemas judge the manifests.
+//! `splat4d batch`: jobs that succeed and fail, repeated runs and runs after a stop, and the same jobs
+//! for other engines: Snakemake runs them, a shell runs Slurm's script, and Kubernetes' schemas validate
+//! the manifests.
 
 #![cfg(all(feature = "cli", unix))]
 
@@ -22,7 +23,7 @@ use serde_json::Value;
 use support::says;
 use tempfile::TempDir;
 
-/// A small synthetic clip `clip` with its truth, which leaves little to do.
+/// A small synthetic clip `clip` with its ground truth, which keeps jobs short.
 static CLIP: LazyLock<TempDir> = LazyLock::new(|| {
     let folder = tempfile::tempdir().unwrap();
     json(folder.path(), "synth rigid -o clip --frames 6 --size 64x36 --seed 1");
@@ -32,14 +33,14 @@ static CLIP: LazyLock<TempDir> = LazyLock::new(|| {
 const DEFAULTS: &str = "[defaults]\ndevice = \"software\"\nsteps = 20\nmax-gaussians = 300\n\
     control-points = 8\nflow = \"clip/truth\"\nposes = \"clip/truth/poses.txt\"\n\
     masks = \"clip/truth/masks\"\ndepth = \"clip/truth/depth\"\npinhole = true\n";
-/// A folder whose name means something to shells, to Snakemake and to Kubernetes.
+/// A folder name with special characters of shells, Snakemake and Kubernetes.
 const ODD: &str = "it's a \"$(HOME)\" {b}";
 
 fn job(name: &str, input: &str, more: &str) -> String {
     format!("[[job]]\nname = {name:?}\ninput = {input:?}\n{more}\n")
 }
 
-/// Two good jobs, and between them one of which a frame is damaged, which only shows when it runs.
+/// Two valid jobs, and between them one with a damaged frame, which is only detected when the job runs.
 fn three_jobs() -> String {
     ending_with(ODD)
 }
@@ -66,13 +67,13 @@ fn folder(list: &str) -> TempDir {
     folder
 }
 
-/// Puts a frame of the clip in the place of one of the damaged copy.
+/// Replaces a frame of the damaged copy with one of the clip.
 fn mend(folder: &Path, frame: usize, by: usize) {
     let of = |clip: &str, i: usize| folder.join(format!("{clip}/{i:04}.png"));
     fs::copy(of("clip/frames", by), of("bad", frame)).unwrap();
 }
 
-/// Runs a batch with `--json`: the exit code, the answer, what was said.
+/// Runs a batch with `--json`; returns the exit code, the result and stderr.
 fn batch(folder: &Path) -> (i32, Value, String) {
     let output = run(folder, "batch list.toml -o out --json");
     let said = stderr(&output);
@@ -107,7 +108,7 @@ fn a_failed_job_is_told_and_the_others_go_on() {
         assert!(help.contains(&key), "batch --help does not name `{key}`");
     }
 
-    // Each is the scene of its own options, and its log tells.
+    // Each scene is the result of its own job, and each log reports its job.
     let found = json(folder.path(), "info out/Two_b.safetensors");
     assert_eq!(found["report"]["psnr_input"], two["psnr_input"]);
     says(&fs::read_to_string(at("out/one.log")).unwrap(), &["6 frames of 64×36"]);
@@ -119,7 +120,7 @@ fn a_failed_job_is_told_and_the_others_go_on() {
     assert!(rows[1].starts_with("one,done,") && rows[2].starts_with("bad,failed,"), "{table}");
     says(rows[2], &["0003.png"]);
 
-    // What is done stays so; a changed option and an input that is there now do not.
+    // Finished jobs are skipped; jobs with a changed option or a repaired input run again.
     mend(folder.path(), 3, 3);
     fs::write(at("list.toml"), three_jobs().replace("steps = 25", "steps = 30")).unwrap();
     let (code, answer, said) = batch(folder.path());
@@ -128,7 +129,7 @@ fn a_failed_job_is_told_and_the_others_go_on() {
     says(&said, &["one: skipped", "Two_b: anew: steps was 25 and is 30"]);
     assert_eq!(&answer["jobs"][0]["psnr_input"], &one["psnr_input"], "as it was when it ran");
 
-    // What files hold counts too, and without the scene nothing is done.
+    // File content counts too, and a job whose scene is missing is not done.
     mend(folder.path(), 3, 4);
     let (code, answer, said) = batch(folder.path());
     assert_eq!(code, 0, "{said}");
@@ -146,7 +147,7 @@ fn a_failed_job_is_told_and_the_others_go_on() {
     says(&text, &["one    ", "nowhere/frames: ", "(out/Two_b.log)", "0 done, 2 failed, 1 skipped"]);
 }
 
-/// Begins a batch, and waits until its job has put a training away.
+/// Starts a batch, and waits until its job has written a checkpoint of the training.
 fn begun(folder: &Path) -> Child {
     let kept = folder.join("out/one.safetensors.checkpoint/training");
     let written = || fs::metadata(&kept).and_then(|found| found.modified()).ok();
@@ -181,7 +182,7 @@ fn what_was_stopped_goes_on() {
     let at = |name: &str| folder.path().join(name);
     let log = || fs::read_to_string(at("out/one.log")).unwrap();
 
-    // Ctrl-C for the batch alone: it stops its job, which leaves its checkpoint.
+    // SIGINT to the batch alone: it stops its job, which leaves its checkpoint.
     let child = begun(folder.path());
     signal("-INT", &child.id().to_string());
     let output = child.wait_with_output().unwrap();
@@ -191,11 +192,11 @@ fn what_was_stopped_goes_on() {
     says(&log(), &["interrupted; the run can be resumed", "give --resume"]);
     assert!(!at("out/one.done.json").exists() && at("out/batch.csv").is_file());
 
-    // With other options the checkpoint is of no use, and does not stand in the way.
+    // With other options the checkpoint cannot be used, but it is not an error.
     fs::write(at("list.toml"), list(80)).unwrap();
     let mut child = begun(folder.path());
     says(&log(), &["is left of an earlier run and will be replaced"]);
-    // A batch that is killed leaves its job running; nobody else begins it then.
+    // A killed batch leaves its job running; another batch must not start that job meanwhile.
     let batch_id = child.id().to_string();
     let children = format!("/proc/{batch_id}/task/{batch_id}/children");
     let orphan = fs::read_to_string(children).unwrap().trim().to_owned();
@@ -206,7 +207,7 @@ fn what_was_stopped_goes_on() {
     assert_eq!((code, states(&answer)), (1, vec!["one failed".to_owned()]), "{said}");
     says(answer["jobs"][0]["error"].as_str().unwrap(), &["one.log", "another run is at this job"]);
     signal("-KILL", &orphan);
-    // Its threads may take a moment to end; the lock lasts as long.
+    // The job's threads may take a moment to end; they hold the lock until then.
     fs::File::open(at("out/one.log")).unwrap().lock().unwrap();
 
     let (code, answer, said) = batch(folder.path());
@@ -291,7 +292,7 @@ fn no_output_lies_on_what_any_job_reads() {
     says(&fails(folder.path(), 1, "batch list.toml -o clip/frames/0001.png"), &["name a folder"]);
 }
 
-/// Puts a program `splat4d` into a folder of its own, and gives the PATH that begins with it.
+/// Writes a program `splat4d` into a separate folder, and returns a PATH that begins with that folder.
 fn path_with(folder: &Path, script: &str) -> String {
     let bin = folder.join("bin");
     fs::create_dir_all(&bin).unwrap();
@@ -353,7 +354,7 @@ fn snakemake_runs_two_jobs_at_once_and_one_that_fails() {
     assert_eq!(most.max(), Some(2), "at once");
     assert_eq!(lines().len(), 6);
 
-    // Only what is not done runs again.
+    // Only unfinished jobs run again.
     mend(folder.path(), 3, 3);
     let output = snakemake(folder.path(), &path);
     assert!(output.status.success(), "{}", stderr(&output));
@@ -384,7 +385,7 @@ fn the_slurm_script_runs_each_job() {
         command.arg(&script).current_dir("/").env("PATH", path).env("SLURM_ARRAY_TASK_ID", number);
         command.stdin(Stdio::null()).output().unwrap()
     };
-    // Each word comes as it was, whatever it means to a shell.
+    // Each argument arrives unchanged, including shell metacharacters.
     let told = path_with(folder.path(), "printf '%s\\n' \"$@\"");
     assert!(task("3", &told).status.success());
     let words = fs::read_to_string(out.join("Two_b.log")).unwrap();
@@ -408,8 +409,8 @@ fn the_slurm_script_runs_each_job() {
     says(&stderr(&none), &["no job 4"]);
 }
 
-/// Reads the manifests as YAML, holds each against the strict schema of batch/v1 Job, and gives them as
-/// JSON.
+/// Reads the manifests as YAML, validates each against the strict schema of a batch/v1 Job, and prints
+/// them as JSON.
 const BY_KUBERNETES: &str = "
 import json, sys, yaml, kubernetes_validate
 documents = list(yaml.safe_load_all(open(sys.argv[1])))
@@ -453,7 +454,7 @@ fn kubernetes_takes_the_manifests() {
     );
     let arguments = container["args"].as_array().unwrap();
     assert_eq!(arguments[0], "reconstruct");
-    // Kubernetes makes $( of $$(, and would look for a variable else.
+    // Kubernetes turns $$( into $(; an unescaped $( would be a variable reference.
     let clip = arguments.last().unwrap().as_str().unwrap();
     says(clip, &["/it's a \"$$(HOME)\" {b}/frames"]);
     let volume = &pod["volumes"][0];

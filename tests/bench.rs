@@ -1,5 +1,5 @@
-//! The benchmark: rows verify, a wrong result has no speed, the budget is met on an unseen view.
-//! Nothing here looks at how long anything takes.
+//! The benchmark: rows verify their results, a wrong result gets no time, and the budget is met on an
+//! unseen view. No test here depends on how long anything takes.
 
 #![cfg(feature = "cli")]
 
@@ -19,7 +19,7 @@ use std::path::Path;
 use std::process::{Command, Output};
 use std::time::Duration;
 
-/// As little as gives a spread.
+/// The fewest repetitions that give a spread.
 const PACE: Pace = Pace { total: Duration::ZERO, least: 5, most: 5 };
 
 #[test]
@@ -66,7 +66,7 @@ fn full_rows_have_names_of_their_own() {
     }
 }
 
-/// A scan on the device of values of which one is wrong, against the oracle on the right ones.
+/// A device scan of values of which one is wrong, compared with the oracle on the right ones.
 fn planted(device: &Device, wrong: u32) -> splat4d::Result<Job> {
     let right: Vec<u32> = (0..1000).collect();
     let mut values = right.clone();
@@ -146,7 +146,7 @@ fn a_run_compares_with_itself() {
     }
 }
 
-/// A profile's kernels are those of the op, and take no longer than the whole.
+/// A profile's kernels are those of the op, and their times add up to no more than the whole.
 #[test]
 fn a_profile_takes_a_row_apart() {
     let device = common::device();
@@ -167,7 +167,7 @@ fn a_profile_takes_a_row_apart() {
     common::assert_valid(&device);
 }
 
-/// Every knob is in the sweep, costs nothing where it is at its best, and more and more beyond.
+/// Every setting is in the sweep, has no error at its best value, and increasing errors beyond.
 #[test]
 fn curves_have_times_and_memory_and_say_what_is_left_out() {
     let device = common::device();
@@ -188,12 +188,12 @@ fn curves_have_times_and_memory_and_say_what_is_left_out() {
         assert!(curve.memory_law().unwrap().exponent >= 0.0);
         for point in &curve.points {
             assert!(!point.kernels.is_empty());
-            // A picture may need more tiles than were foreseen, never fewer.
+            // The images may need more tiles than predicted, never fewer.
             let (foreseen, taken) = (point.foreseen.unwrap() as f64, point.taken.unwrap() as f64);
             assert!(taken > 0.9 * foreseen, "{}: {taken} of {foreseen}", curve.pipeline);
         }
     }
-    // Without time only the first of each is measured; where bindings are small, not even that.
+    // Without a time budget only the first point of each curve is measured; with small bindings, none.
     let small = device.with_limits(Limits { storage_range: 3 << 19, ..*device.limits() });
     let curves = bench::curves(&small, 3, true, Duration::ZERO, &mut |_, _| Ok(())).unwrap();
     let why = |text: &str| {
@@ -221,7 +221,7 @@ fn knobs_cost_accuracy() {
         assert!(worst(knob) > 1.5 * best, "{knob}: {:e}", worst(knob));
         assert!(worst(knob) < 0.5, "{knob} breaks the image: {:e}", worst(knob));
     }
-    // Another division of the work costs nothing but rounding.
+    // Another division of the work changes results by rounding only.
     assert!(worst("raster") < best + 1e-5, "raster: {:e}", worst("raster"));
     assert!(bench::sweep(&device, "none", &scene, &[], PACE, &mut |_| Ok(())).is_err());
     common::assert_valid(&device);
@@ -244,7 +244,7 @@ fn a_moving_scene_has_its_own_knobs() {
     common::assert_valid(&device);
 }
 
-/// Chosen on two views; the third was not used.
+/// The settings are chosen on two views; the third is unseen.
 #[test]
 fn the_budget_is_met_on_an_unseen_view() {
     let device = common::device();
@@ -276,7 +276,7 @@ fn the_budget_is_met_on_an_unseen_view() {
     common::assert_valid(&device);
 }
 
-/// The command line, on the device under test, in a folder; stdout as JSON.
+/// Runs the command line in a folder, on the device under test; returns stdout as JSON.
 #[track_caller]
 fn json(folder: &Path, arguments: &str) -> Value {
     let output = program(folder, arguments);
@@ -338,7 +338,7 @@ fn chosen_settings_go_from_bench_to_render() {
     let picture = |name: &str| std::fs::read(folder.path().join(name).join("0000.png")).unwrap();
     assert!(picture("exact") != picture("flat"), "the settings reach the renderer");
 
-    // Nothing is as exact as this; that is told by the exit code too.
+    // No setting meets this budget; the exit code reports that too.
     let nothing = "bench --scene scene.ply --size 64x48 --quick --error-budget 1e-30";
     let output = program(folder.path(), nothing);
     assert_eq!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stderr));

@@ -1,6 +1,6 @@
-//! The C interface, as hosts use it: installed by the script, found by pkg-config, compiled by the
-//! system's compilers without a warning, run on the software driver. The programs are in `tests/c`;
-//! what they must give, bit for bit, the Rust side computes here.
+//! The C interface as hosts use it: installed by the script, found by pkg-config, compiled by the
+//! system's compilers without warnings, and run on the software driver. The programs are in `tests/c`;
+//! the Rust side computes their expected results, which must match bit for bit.
 
 mod host;
 
@@ -21,7 +21,7 @@ fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// Where what the tests make lies, beside what cargo makes.
+/// A path for the tests' output, beside cargo's.
 fn made(name: &str) -> PathBuf {
     let target = Path::new(env!("CARGO_TARGET_TMPDIR")).parent().expect("the target directory");
     let path = target.join("c/tests").join(name);
@@ -40,7 +40,7 @@ fn run(command: &mut Command) -> String {
     text
 }
 
-/// Both libraries, the header and the file for pkg-config, installed.
+/// The installation prefix with both libraries, the header and the pkg-config file.
 fn prefix() -> &'static Path {
     static PREFIX: OnceLock<PathBuf> = OnceLock::new();
     PREFIX.get_or_init(|| {
@@ -52,7 +52,7 @@ fn prefix() -> &'static Path {
     })
 }
 
-/// What pkg-config says.
+/// The output of pkg-config.
 fn flags(which: &[&str]) -> Vec<String> {
     let from = prefix().join("lib/pkgconfig");
     let mut command = Command::new("pkg-config");
@@ -60,7 +60,7 @@ fn flags(which: &[&str]) -> Vec<String> {
     text.split_whitespace().map(str::to_owned).collect()
 }
 
-/// Compiles a program against the shared library, with other flags besides.
+/// Compiles a program against the shared library, with additional flags.
 fn compile(compiler: &str, source: &Path, name: &str, others: &[&str]) -> PathBuf {
     let program = made("bin").join(name);
     let mut command = Command::new(compiler);
@@ -75,7 +75,7 @@ fn source(name: &str) -> PathBuf {
     root().join("tests/c").join(name)
 }
 
-/// How large a test is: small under tools that slow it down.
+/// The size of a test: small under tools that slow it down.
 #[derive(Clone, Copy)]
 struct Size {
     width: u32,
@@ -86,7 +86,7 @@ struct Size {
 const LARGE: Size = Size { width: 80, height: 56, count: 200 };
 const SMALL: Size = Size { width: 16, height: 16, count: 5 };
 
-/// What the programs must give, in a folder.
+/// Writes the programs' expected results into a folder.
 fn expected(name: &str, size: Size) -> [String; 4] {
     let folder = made(name);
     let Size { width, height, count } = size;
@@ -186,7 +186,7 @@ fn the_readmes_program_draws() {
     let picture = std::fs::read(folder.join("ball.ppm")).unwrap();
     assert_eq!(picture.len(), "P6 400 300 255\n".len() + 3 * 400 * 300);
     let body = &picture[15..];
-    // White around the ball, and the ball in colours.
+    // The background is white, and the ball is coloured.
     assert_eq!(body[..3], [255; 3]);
     assert!(body.chunks(3).filter(|pixel| pixel.iter().any(|&v| v < 200)).count() > 10_000);
 }
@@ -199,7 +199,7 @@ const PROGRAMS: [[&str; 3]; 4] = [
     ["c++", "host.cpp", "-std=c++17"],
 ];
 
-/// All programs, compiled with some flags.
+/// Compiles all programs with additional flags.
 fn programs(name: &str, others: &[&str]) -> Vec<PathBuf> {
     let flags = |standard| [&[standard, "-ldl", "-pthread"], others].concat();
     PROGRAMS

@@ -1,7 +1,8 @@
-//! `track --models` with networks whose answers are exact, on the frames of `synth --coded`, whose colours say what is
-//! true: the whole way from frames through networks to cameras, depth and masks, held against the truth.
+//! `track --models` with networks whose outputs are exact on the frames of `synth --coded`, whose colours
+//! encode the ground truth: the whole pipeline from frames through networks to cameras, depth and masks,
+//! compared with the truth.
 //!
-//! `tools/setup.sh test` installs the runtime beside the build; where it is absent the tests fail.
+//! `tools/setup.sh test` installs the ONNX Runtime beside the build directory; without it the tests fail.
 
 #![cfg(all(feature = "cli", unix))]
 
@@ -21,30 +22,32 @@ use splat4d::geometry::sim3::align_poses;
 use splat4d::types::Pose;
 
 const FRAMES: usize = 12;
-/// Landscape, portrait, square, odd.
+/// Landscape, portrait, square, and with odd sides.
 const SIZES: [&str; 4] = ["320x180", "180x320", "240x240", "319x179"];
-/// The relative error of depth that is allowed.
+/// Allowed relative error of depth.
 const DEPTH: f64 = 0.005;
 /// Networks by the sections of `models.toml`.
 const ALL: [&str; 6] =
     ["depth", "flow", "mask_encoder", "mask_decoder", "pointmap_encoder", "pointmap_decoder"];
 
-/// How far what was found is from the truth.
+/// Errors of the result against the truth.
 #[derive(Debug)]
 struct Errors {
-    /// Root mean square distance of the cameras' centres after alignment over the length of their path.
+    /// Root mean square distance of the camera centres after alignment, relative to the length of their
+    /// path.
     path: f64,
-    /// Median relative error of depth, of what stands still and of what moves.
+    /// Median relative error of depth, of the static scene (`still`) and of movers (`moves`).
     still: f64,
     moves: f64,
     /// Intersection over union of the masks of all frames.
     masks: f64,
     notes: String,
-    /// What is told by a network, by its file.
+    /// The quantities that come from a network, with the network's file.
     told: Vec<String>,
 }
 
-/// A folder with a coded clip of a size and `models` with some of the networks; and the option that names the runtime.
+/// Makes a folder with a coded clip of a size and `models` with some of the networks. Also returns the
+/// option that names the runtime.
 fn prepared(size: &str, frames: usize, networks: &[&str]) -> (tempfile::TempDir, String) {
     let folder = tempfile::tempdir().unwrap();
     let models = folder.path().join("models");
@@ -63,7 +66,7 @@ fn prepared(size: &str, frames: usize, networks: &[&str]) -> (tempfile::TempDir,
     (folder, library.unwrap_or_default())
 }
 
-/// What a report says that networks tell, with their files.
+/// The quantities that come from networks according to a report, with the networks' files.
 fn told(report: &Value) -> Vec<String> {
     let of = report["sources"].as_object().unwrap().iter();
     let network = |(what, of): (&String, &Value)| {
@@ -115,7 +118,7 @@ fn tracked(size: &str, networks: &[&str]) -> Errors {
     }
 }
 
-/// That networks which are right gave cameras, masks and depth that are right.
+/// Checks that exact networks give exact cameras, masks and depth.
 fn are_right(size: &str) {
     let found = tracked(size, &ALL);
     println!("{size}: {found:?}");
@@ -161,7 +164,7 @@ fn each_network_is_taken_by_itself() {
     }
 }
 
-/// A clip is ablated with networks as it is tracked with them.
+/// `ablate` accepts networks as `track` does.
 #[test]
 fn what_components_are_worth_is_measured_with_networks() {
     let (folder, library) = prepared("96x54", 5, &ALL);

@@ -1,5 +1,5 @@
-//! Where the command line writes: its inputs are spared, every place is tried before the work, names
-//! need not be Unicode, and a machine always gets its one object.
+//! Outputs of the command line: inputs are never overwritten, every output path is tested before the
+//! work, names need not be Unicode, and with `--json` there is always exactly one object.
 
 #![cfg(all(feature = "cli", unix))]
 
@@ -25,7 +25,7 @@ use tempfile::TempDir;
 
 const TRAIN: &str = "--steps 2 --random-points 50 --sh-degree 0 --static --device software";
 
-/// What `fails` asks, and that every file holds what it held.
+/// As `fails`, and checks that every file has kept its content.
 #[track_caller]
 fn spares(folder: &Path, arguments: &str) -> String {
     let held = |path: &PathBuf| fs::read(path).ok();
@@ -73,12 +73,12 @@ fn a_dataset_is_not_written_over() {
     }
     let said = spares(folder.path(), "train set -o fast.json --settings fast.json");
     says(&said, &["fast.json", "read by this command"]);
-    // Of a report too.
+    // The same holds for a report.
     fs::rename(at("set/2.png"), at("set/sheet.png")).unwrap();
     let names = ["0.png", "1.png", "sheet.png"].map(String::from);
     transforms::write(at("set/transforms.json"), &cameras(3), &names, None).unwrap();
     says(&spares(folder.path(), "train set -o x --report set"), &["sheet.png", "another"]);
-    // A new file in the folder is welcome, and so is the same command again.
+    // A new file in the folder is allowed, and so is repeating the same command.
     for _ in 0..2 {
         let output = run(folder.path(), &format!("train set -o set/scene {TRAIN}"));
         assert!(output.status.success(), "{}", stderr(&output));
@@ -109,7 +109,7 @@ fn a_clip_is_not_written_over() {
     }
     let said = spares(folder.path(), &format!("{truth} -o x --report clip/truth"));
     says(&said, &["clip/truth/poses.txt", "another"]);
-    // The sheet would be a frame the next time.
+    // The sheet would be read as a frame by the next run.
     says(&spares(folder.path(), "reconstruct clip -o x --report clip"), &["sheet.png", "another"]);
 }
 
@@ -167,7 +167,7 @@ fn a_link_stays_and_its_file_is_written() {
     assert_eq!(content(&at("scenes")).len() + content(&at("videos")).len(), 2, "nothing is left");
 }
 
-/// Every output is tried by its own name before anything is read.
+/// Every output path is tested under its name before anything is read.
 #[test]
 fn places_are_tried_before_the_work() {
     let folder = tempfile::tempdir().unwrap();
@@ -209,7 +209,7 @@ fn places_are_tried_before_the_work() {
     says(&said, &["0002.png", "is a folder"]);
     let said = fails(folder.path(), 1, "train missing -o x --report report");
     says(&said, &["sheet.png", "is a folder"]);
-    // Before the pictures are made, which then is said first.
+    // This fails before the images are made, so it is reported first.
     let said = fails(folder.path(), 1, "synth still -o . --frames 2 --size 16x16");
     says(&said, &["not empty"]);
     assert!(!said.contains("rendering"), "{said}");
@@ -246,7 +246,7 @@ fn a_checkpoints_place_is_tried_too() {
     assert_eq!(fs::read(at("x.checkpoint")).unwrap(), b"mine");
 }
 
-/// A % in a folder's name is no part of the pattern by which ffmpeg finds the pictures.
+/// A % in a folder's name is not part of the pattern by which ffmpeg finds the images.
 #[test]
 fn a_video_in_a_folder_with_a_percent_sign() {
     let folder = tempfile::tempdir().unwrap();
@@ -256,7 +256,7 @@ fn a_video_in_a_folder_with_a_percent_sign() {
     assert_eq!(content(&folder.path().join("50%d")).len(), 1);
 }
 
-/// Runs a command in which `NAME` stands for a name that is not UTF-8, with `--json`; gives the answer.
+/// Runs a command with `--json`, with `NAME` replaced by a name that is not UTF-8; returns the result.
 #[track_caller]
 fn json_of_name(folder: &Path, command: &str) -> Value {
     let name = |word: &str| -> OsString {
@@ -291,7 +291,7 @@ fn names_need_not_be_unicode() {
     shown(&found, ".st");
     assert!(of(&[b"report", NAME, b"/sheet.png"]).is_file());
     assert!(of(&[b"new", NAME, b"/scene", NAME, b".st"]).is_file());
-    // Frames whose names are not UTF-8 either, of which two look the same as text.
+    // Frames whose names are not UTF-8 either; two of the names look the same as text.
     let frames = of(&[b"frames", NAME]);
     copy(&of(&[b"clip", NAME, b"/frames"]), &frames);
     for (from, to) in [("0000.png", &b"a\xfe.png"[..]), ("0001.png", b"a\xff.png")] {
@@ -326,7 +326,7 @@ fn names_need_not_be_unicode() {
     run("bench cmp benchNAME/bench.json benchNAME/bench.json");
 }
 
-/// Settings and cases too.
+/// The same holds for files of settings and cases.
 #[test]
 fn names_of_settings_and_cases_need_not_be_unicode() {
     let folder = tempfile::tempdir().unwrap();
@@ -343,7 +343,7 @@ fn names_of_settings_and_cases_need_not_be_unicode() {
     says(found["rows"][0]["file"].as_str().unwrap(), &["case\u{fffd}"]);
 }
 
-/// The reader of a pipe gets the scene, and nobody waits for anything else.
+/// The reader of a pipe gets the scene, and neither side waits for anything else.
 #[test]
 fn a_pipe_gets_the_scene() {
     let folder = tempfile::tempdir().unwrap();
@@ -359,8 +359,8 @@ fn a_pipe_gets_the_scene() {
     assert!(!at("pipe").is_file(), "the pipe is still one");
 }
 
-/// Begins a training that does not end by itself, and waits until it is under way. Hangups are not
-/// ignored but by `start`, even where whoever runs the tests has them ignored.
+/// Starts a training that does not end by itself, and waits until it runs. SIGHUP is ignored only if
+/// `start` says so, even if the process that runs the tests ignores it.
 fn endless(folder: &Path, start: &str, options: &str) -> (Child, impl Iterator<Item = String>) {
     dataset(&folder.join("set"), 3);
     let program = env!("CARGO_BIN_EXE_splat4d");
@@ -384,7 +384,7 @@ fn signal(child: &Child, signal: &str) {
     assert!(Command::new("kill").args([signal, &pid]).status().unwrap().success());
 }
 
-/// SIGHUP stops as Ctrl-C does, except where whoever started the program had it ignored.
+/// SIGHUP stops the program as Ctrl-C does, unless the parent process has set it to be ignored.
 #[test]
 fn a_hangup_stops_unless_it_is_ignored() {
     for (start, ignored) in [("", false), ("trap '' HUP;", true)] {
@@ -392,7 +392,7 @@ fn a_hangup_stops_unless_it_is_ignored() {
         let (mut child, mut lines) = endless(folder.path(), start, "--checkpoint-every 1e-9");
         signal(&child, "-HUP");
         if ignored {
-            // It trains on: checkpoints come anew, which end with the work.
+            // Training continues: new checkpoints are written, and they are removed when the work ends.
             let checkpoint = folder.path().join("x.checkpoint/training");
             let written = || fs::metadata(&checkpoint).and_then(|found| found.modified()).ok();
             for _ in 0..3 {
@@ -410,7 +410,7 @@ fn a_hangup_stops_unless_it_is_ignored() {
     }
 }
 
-/// Each way to end gives a machine one object.
+/// With `--json`, each way to end gives exactly one object.
 #[test]
 fn a_machine_always_gets_one_object() {
     let folder = tempfile::tempdir().unwrap();
@@ -439,7 +439,7 @@ fn a_machine_always_gets_one_object() {
         let folder = tempfile::tempdir().unwrap();
         let (mut child, mut lines) = endless(folder.path(), "", "--json");
         if times == 2 {
-            // The first is not acted upon while the program is held.
+            // The program does not handle the first signal while it is stopped.
             signal(&child, "-STOP");
             signal(&child, "-INT");
             signal(&child, "-TERM");
@@ -459,7 +459,7 @@ fn a_machine_always_gets_one_object() {
     }
 }
 
-/// A file that may not grow so large is an error like a full disk.
+/// A file that exceeds the file size limit is an error like a full disk.
 #[test]
 fn the_limit_of_a_files_size() {
     let folder = tempfile::tempdir().unwrap();
@@ -479,7 +479,7 @@ fn the_limit_of_a_files_size() {
             .unwrap();
         let said = stderr(&output);
         assert_eq!(output.status.code(), Some(1), "{command}: {said}");
-        // Not where it lies until it is whole.
+        // The message names the output; the file appears there only when it is complete.
         let output = command.split_whitespace().last().unwrap();
         says(&said, &[&format!("error: {output}"), "large"]);
         let mut after = content(folder.path());
@@ -507,7 +507,7 @@ fn a_list_of_drivers_that_is_none() {
     }
 }
 
-/// An input that is not there is told before a driver that is not.
+/// A missing input is reported before a missing driver.
 #[test]
 fn missing_inputs_come_before_missing_drivers() {
     let folder = tempfile::tempdir().unwrap();
@@ -538,7 +538,7 @@ fn missing_inputs_come_before_missing_drivers() {
     }
 }
 
-/// What differs from run to run is in the report and the answer, not in the scene.
+/// Values that differ from run to run are in the report and the result, not in the scene file.
 #[test]
 fn equal_runs_leave_equal_files() {
     let clip = CLIP.path().join("clip");

@@ -1,4 +1,4 @@
-//! Datasets with known cameras: real ones, small ones made here, and damaged ones.
+//! Datasets with known cameras: real ones, small ones written here, and damaged ones.
 
 mod support;
 
@@ -16,7 +16,8 @@ use support::{damage, message, picture, says, shared, some_camera};
 // Real sets
 // ---------------------------------------------------------------------------------------------
 
-/// Median over points of the colour difference to the pixel where the camera sees them.
+/// Median difference between a point's colour and that of the pixel where the camera sees it; also the
+/// number of points.
 fn colour_error(set: &Dataset, frame: usize, bend: impl Fn(&mut Camera)) -> (f64, usize) {
     let mut view = set.frames[frame].load([1.0; 3], Resize::Keep).unwrap();
     bend(&mut view.camera);
@@ -51,8 +52,8 @@ fn fox270_colmap() {
     says(&set.notes[0], &["skipped", "do not exist"]);
     assert!(set.frames.windows(2).all(|w| w[0].name < w[1].name));
     assert!(set.frames.windows(2).all(|w| w[0].time < w[1].time));
-    // Poses, intrinsics and points belong together only if every convention is right.
-    // One pixel off in any direction fits worse.
+    // Poses, intrinsics and points agree only if every convention is right. A shift of one pixel in any
+    // direction must fit worse.
     let (error, seen) = colour_error(&set, 5, |_| {});
     assert!(seen > 10_000 && error < 0.09, "{error} over {seen}");
     for (x, y) in [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)] {
@@ -84,8 +85,8 @@ fn ingp_fox_transforms_and_undistortion() {
     let view = frame.load(set.background, Resize::Longest(480)).unwrap();
     assert_eq!((view.image.width, view.image.height), (270, 480));
     assert_eq!(view.camera.intrinsics.fx, 1375.52 / 4.0);
-    // The same photos, undistorted by another program: where both have the frame, resample ours to
-    // that program's pinhole and compare.
+    // The same images, undistorted by another program: for frames in both sets, ours is resampled to that
+    // program's pinhole camera and compared.
     let Some(other) = shared("fox270") else { return };
     let other = Dataset::open(&other).unwrap();
     let stem = |name: &str| Path::new(name).file_stem().unwrap().to_owned();
@@ -138,8 +139,8 @@ fn standup_dnerf() {
     assert_eq!(view.image.at(0, 0), [1.0, 1.0, 1.0]);
     assert!(view.image.pixels.iter().any(|&v| v < 0.2));
     assert!((view.camera.intrinsics.fx - 277.7778).abs() < 1e-3);
-    // The figure stands around the origin, which therefore is before the camera and in the middle;
-    // the world's z points up: a higher point is higher in the picture (smaller y).
+    // The object is around the origin, which is therefore in front of the camera and near the image
+    // centre; the world's z axis points up: a higher point is higher in the image (smaller y).
     let camera = set.frames[150].camera;
     let origin = camera.view_from_world.apply(DVec3::ZERO);
     assert!((origin.z - 4.03).abs() < 0.1, "{origin}");
@@ -159,8 +160,8 @@ fn balloon1_times_and_shared_split() {
     assert!((set.frames[11].time - 0.055).abs() < 1e-12);
     let view = set.frames[0].load(set.background, Resize::Longest(480)).unwrap();
     assert_eq!((view.image.width, view.image.height), (480, 270));
-    // k1 < 0 draws the picture inwards: a pinhole of the same focal length loses its corners'
-    // surroundings and every pixel has a source.
+    // k1 < 0 pulls the image inwards: a pinhole camera of the same focal length crops the corners, and
+    // every pixel has a source.
     assert!(view.valid.is_none());
     assert!((view.camera.intrinsics.fx - 920.684_284_9 / 2.0).abs() < 1e-6);
 }
@@ -192,7 +193,7 @@ fn damaged_colmap_files_fail_cleanly() {
 // Made here: COLMAP
 // ---------------------------------------------------------------------------------------------
 
-/// (id, model's number, model's name, parameters) for every supported model.
+/// (camera id, model number, model name, parameters) for every supported lens model.
 fn lenses() -> Vec<(u32, i32, &'static str, Vec<f64>)> {
     vec![
         (1, 0, "SIMPLE_PINHOLE", vec![50.0, 20.0, 15.0]),
@@ -245,7 +246,7 @@ fn write_colmap(folder: &Path, binary: bool) {
         for (i, camera) in [7, 1, 2, 3, 4, 1].into_iter().enumerate() {
             let n = i + 1;
             writeln!(images, "{n} 0.5 0.5 -0.5 0.5 1 2 {i} {camera} im {}.png", 12 - i).unwrap();
-            // Without observations the second line is there and empty.
+            // Without observations the second line is empty.
             writeln!(images, "{}", if i % 2 == 0 { "" } else { "1.5 2.5 -1" }).unwrap();
         }
         writeln!(points, "# 3D point list\n9 1 2 3 255 0 51 0.5 1 0").unwrap();
@@ -344,7 +345,7 @@ fn transforms_round_trip() {
 
 const IDENTITY: &str = "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]";
 
-/// Opens a `transforms.json` of a text beside a picture `a.jpg` of 40×30.
+/// Opens a `transforms.json` with this text, beside an image `a.jpg` of 40×30.
 fn transforms_of(text: &str) -> Result<Dataset> {
     let root = tempfile::tempdir().unwrap();
     write_png(root.path().join("a.png"), &picture(40, 30, 1)).unwrap();
@@ -359,7 +360,7 @@ fn transforms_of(text: &str) -> Result<Dataset> {
 
 #[test]
 fn transforms_fields() {
-    // From OpenGL's axes to OpenCV's: the identity looks along −z with y up.
+    // Conversion from OpenGL's axes to OpenCV's: the identity looks along −z with y up.
     let set = transforms_of(
         r#"{"camera_angle_x": 0.8, "k1": 0.1, "ply_file_path": "cloud.ply", "frames": [
             {"file_path": "./a", "transform_matrix": IDENTITY},
@@ -373,7 +374,7 @@ fn transforms_fields() {
     assert_eq!((a.camera.intrinsics.cx, a.distortion.radial[0]), (20.0, 0.1));
     let seen = a.camera.view_from_world.apply(DVec3::new(1.0, 2.0, -3.0));
     assert!((seen - DVec3::new(1.0, -2.0, 3.0)).length() < 1e-12);
-    // The frame's own fields win; its picture has half the size that they are of.
+    // The frame's fields take precedence; its image has half the size that they refer to.
     assert_eq!((b.camera.intrinsics.fx, b.camera.intrinsics.fy), (38.5, 39.0));
     assert!(b.distortion.is_none());
     assert!((b.camera.centre() - DVec3::new(5.0, 6.0, 7.0)).length() < 1e-12);

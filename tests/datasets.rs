@@ -1,6 +1,6 @@
-//! Datasets in the layouts of the field's sets, written here from cameras and points that are known: a
-//! picture shows three points, drawn where the format's own formulas put them, and the camera that is read
-//! must put them there as well.
+//! Datasets in the layouts of public data sets, written here from known cameras and points. An image
+//! shows three points, drawn at the pixels given by the format's projection formulas; the camera that is
+//! read must project them to the same pixels.
 
 #[cfg(feature = "cli")]
 #[path = "support/program.rs"]
@@ -30,7 +30,7 @@ use zip::write::{SimpleFileOptions, ZipWriter};
 const POINTS: [DVec3; 3] =
     [DVec3::new(2.3, 3.1, 8.0), DVec3::new(-0.7, 0.8, 8.4), DVec3::new(2.0, 0.6, 7.8)];
 
-/// A camera as its three axes and its place.
+/// A camera as its three axes and its centre.
 #[derive(Clone, Copy)]
 struct Eye {
     right: DVec3,
@@ -40,7 +40,7 @@ struct Eye {
 }
 
 impl Eye {
-    /// One of a row of cameras, turned a little about each axis.
+    /// Camera `i` of a row, slightly rotated about each axis.
     fn new(i: usize) -> Eye {
         let centre = DVec3::new(0.5 * i as f64 - 0.4, 2.0 + 0.1 * i as f64, 3.0 - 0.2 * i as f64);
         let forward = (DVec3::new(0.8, 1.9, 8.0) - centre).normalize();
@@ -49,14 +49,14 @@ impl Eye {
         Eye { right, down: forward.cross(right), forward, centre }
     }
 
-    /// The plane of unit depth.
+    /// A point's projection onto the plane of unit depth.
     fn plane(&self, point: DVec3) -> DVec2 {
         let to = point - self.centre;
         DVec2::new(self.right.dot(to), self.down.dot(to)) / self.forward.dot(to)
     }
 }
 
-/// Draws each point in its channel, as a spot about a pixel.
+/// Draws each point in its own colour channel, as a spot around a pixel.
 fn spots(width: u32, height: u32, at: [DVec2; 3]) -> Image {
     let mut image = Image::new(width, height, 3);
     for y in 0..height {
@@ -70,7 +70,7 @@ fn spots(width: u32, height: u32, at: [DVec2; 3]) -> Image {
     image
 }
 
-/// That a view's camera puts the points, given in its frame, where its picture shows them.
+/// Checks that a view's camera projects the points, given in its frame, to where its image shows them.
 #[track_caller]
 fn shows(view: &View, points: [DVec3; 3]) {
     for (c, point) in points.into_iter().enumerate() {
@@ -98,7 +98,7 @@ fn draw(path: &Path, image: &Image) {
     write_png(path, image).unwrap();
 }
 
-/// A `.npy` of numbers of a type whose bytes are given.
+/// A `.npy` file with the given element type, shape and bytes.
 fn npy(kind: &str, shape: &str, values: &[u8]) -> Vec<u8> {
     let header = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}");
     let header = format!("{header:<117}\n");
@@ -145,7 +145,7 @@ fn in_scene() -> [DVec3; 3] {
     POINTS.map(|point| (point - CENTER) * SCALE)
 }
 
-/// k1, k2, k3 and p1, p2.
+/// Distortion coefficients k1, k2, k3 and p1, p2.
 type Bend = ([f64; 3], [f64; 2]);
 const STRAIGHT: Bend = ([0.0; 3], [0.0; 2]);
 const BENT: Bend = ([-0.3, 0.1, -0.02], [0.03, -0.02]);
@@ -159,7 +159,7 @@ fn camera_json(eye: &Eye, (k, p): Bend) -> Value {
     })
 }
 
-/// Where `rgb/1x` shows a point.
+/// The pixel at which `rgb/1x` shows a point.
 fn nerfies_pixel(eye: &Eye, ([k1, k2, k3], [p1, p2]): Bend, point: DVec3) -> DVec2 {
     let DVec2 { x, y } = eye.plane(point);
     let r2 = x * x + y * y;
@@ -171,7 +171,7 @@ fn nerfies_pixel(eye: &Eye, ([k1, k2, k3], [p1, p2]): Bend, point: DVec3) -> DVe
     DVec2::new(FOCAL * bent.x + PRINCIPAL[0], FOCAL * ASPECT * bent.y + PRINCIPAL[1])
 }
 
-/// Writes a camera and its pictures at the given fractions of the full size.
+/// Writes a camera and its images at the given fractions of the full size.
 fn nerfies_frame(root: &Path, id: &str, eye: &Eye, bend: Bend, factors: &[u32]) {
     write(&root.join(format!("camera/{id}.json")), camera_json(eye, bend).to_string());
     for &factor in factors {
@@ -187,7 +187,7 @@ fn scene_json(root: &Path) {
     write(&root.join("scene.json"), scene);
 }
 
-/// A rig of two cameras at four moments, as HyperNeRF's `vrig` sets are: the left one is trained on.
+/// A rig of two cameras at four times, as in HyperNeRF's `vrig` sets: the left one is for training.
 fn vrig(root: &Path) {
     scene_json(root);
     let (mut metadata, mut train, mut val) = (json!({}), vec![], vec![]);
@@ -195,7 +195,7 @@ fn vrig(root: &Path) {
         for (camera, side) in ["left1", "right1"].into_iter().enumerate() {
             let id = format!("{side}_{moment:06}");
             nerfies_frame(root, &id, &Eye::new(2 * moment + camera), BENT, &[1, 2, 4]);
-            // Moments begin at 3 and are not evenly apart.
+            // Times begin at 3 and are not evenly spaced.
             let number = 3 + moment * moment;
             metadata[&id] = json!({ "time_id": number, "warp_id": 99, "camera_id": camera });
             if camera == 0 { train.push(id) } else { val.push(id) }
@@ -238,7 +238,7 @@ fn hypernerf_rig() {
     for (point, known) in set.points.iter().zip(in_scene()) {
         assert!((glam::Vec3::from(point.position).as_dvec3() - known).length() < 1e-6);
     }
-    // Other pictures of the set, named by their folder, and a smaller size of those.
+    // Other images of the set, selected by their folder, also at a smaller size.
     for (factor, width) in [(1, 160), (4, 40)] {
         let set = Dataset::open(root.join(format!("rgb/{factor}x"))).unwrap();
         let view = set.frames[3].load([0.0; 3], Resize::Keep).unwrap();
@@ -246,7 +246,7 @@ fn hypernerf_rig() {
         shows(&view, in_scene());
         shows(&set.frames[3].load([0.0; 3], Resize::Longest(80)).unwrap(), in_scene());
     }
-    // As a clip: the pictures to train on, one camera's, by time.
+    // As a clip: the training images of one camera, in order of time.
     let clip = Clip::open(root, &ClipOptions::default()).unwrap();
     assert_eq!(files_of(&clip), [0, 1, 2, 3].map(|i| format!("left1_{i:06}")));
     assert_eq!((clip.width, clip.height), (80, 60));
@@ -269,19 +269,19 @@ fn hypernerf_interpolation() {
     write(&root.join("dataset.json"), dataset.to_string());
     let set = Dataset::open(root).unwrap();
     let (train, test) = set.split(8);
-    // 10 lies beyond the last picture that is trained on.
+    // Frame 10 lies beyond the last training image.
     assert_eq!(names(&set, &train), ["000000", "000004", "000008"]);
     assert_eq!(names(&set, &test), ["000002", "000006"]);
     assert_eq!(set.frames[3].time, 0.25);
     says(&set.notes[0], &["val_ids", "3 of 11", "2 midway"]);
     all(&set).iter().for_each(|view| shows(view, in_scene()));
-    // Pictures that do not exist are skipped and told.
+    // Missing images are skipped and reported.
     fs::remove_file(root.join("rgb/4x/000006.png")).unwrap();
     let set = Dataset::open(root).unwrap();
     says(&set.notes[1], &["skipped 1 of 5", "000006"]);
 }
 
-/// A capture of DyCheck's: one moving camera, two that stand still for the test, at half size.
+/// A DyCheck capture: one moving camera, and two static test cameras, at half size.
 fn dycheck(root: &Path) {
     scene_json(root);
     let mut splits = [("train", vec![]), ("val", vec![])];
@@ -302,7 +302,7 @@ fn dycheck(root: &Path) {
     }
     write(&root.join("dataset.json"), r#"{"ids": [], "train_ids": [], "val_ids": []}"#);
     write(&root.join("extra.json"), r#"{"factor": 2, "fps": 15.0}"#);
-    // A picture with a hole where the depth camera measured nothing, and a mask of 0 and 255.
+    // An image with a hole where the depth camera measured nothing, and a mask of 0 and 255.
     let path = root.join("rgb/2x/1_00001.png");
     let mut holed = image::open(&path).unwrap().into_rgba8();
     (0..80).for_each(|x| holed.put_pixel(x, 0, image::Rgba([255, 255, 255, 0])));
@@ -326,7 +326,7 @@ fn dycheck_iphone() {
     assert_eq!(times, [0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0, 1.0 / 3.0, 1.0]);
     let views = all(&set);
     views.iter().filter(|view| view.name != "1_00001").for_each(|view| shows(view, in_scene()));
-    // Transparent pixels are no subject's background: they do not count.
+    // Transparent pixels are not background here: they are excluded.
     assert!(!set.alpha && set.background == [0.0; 3]);
     let valid = views[4].valid.as_ref().unwrap();
     let counted = valid.pixels.iter().filter(|v| **v == 1.0).count();
@@ -344,12 +344,12 @@ fn dycheck_iphone() {
     // The moving camera alone is a clip.
     let clip = Clip::open(root, &ClipOptions::default()).unwrap();
     assert_eq!(files_of(&clip), ["0_00000", "0_00001", "0_00002", "0_00003"]);
-    // A mask of another size is told.
+    // A mask of another size is reported.
     draw(&root.join("covisible/2x/val/1_00001.png"), &picture(40, 30, 0));
     says(&message(set.frames[4].load_covisible(Resize::Keep)), &["40×30", "1_00001", "80×60"]);
 }
 
-/// What was not measured is bent by the lens as the picture is.
+/// The mask of unmeasured pixels is undistorted like the image.
 #[test]
 fn transparent_pixels_are_undistorted() {
     let root = tempfile::tempdir().unwrap();
@@ -381,7 +381,7 @@ fn transparent_pixels_are_undistorted() {
     assert!(around(straight) < 0.3 && around(hole) > 0.6);
 }
 
-/// The commands on such a capture: train and held-out pictures, and the score of what is covisible.
+/// The commands on such a capture: training and held-out images, and the metrics of covisible pixels.
 #[cfg(feature = "cli")]
 #[test]
 fn dycheck_by_the_commands() {
@@ -392,7 +392,7 @@ fn dycheck_by_the_commands() {
     let report = program::json(root, train);
     assert_eq!((&report["images"], &report["held_out"]), (&json!(4), &json!(2)));
     assert!(report["control_points"].as_u64() > Some(0), "the pictures have times");
-    // One of the two test pictures has no mask.
+    // One of the two test images has no mask.
     let found = program::json(root, "eval a.safetensors set --size 40");
     assert_eq!(found["per_frame"].as_array().unwrap().len(), 2);
     assert!(found["psnr"].is_f64() && found["psnr_covisible"].is_null());
@@ -466,7 +466,8 @@ fn bad_nerfies_sets_are_told() {
 // LLFF, DyNeRF, NVIDIA dynamic scenes
 // ---------------------------------------------------------------------------------------------
 
-/// A row: the matrix with the axes down, right, backwards, the place, height, width and focal length; bounds.
+/// A row of `poses_bounds.npy`: the matrix with the axes down, right, backwards, the centre, and height,
+/// width and focal length; then the depth bounds.
 fn row(eye: &Eye) -> Vec<f64> {
     let columns = [
         eye.down,
@@ -484,7 +485,7 @@ fn rows(root: &Path, count: usize) {
     write(&root.join("poses_bounds.npy"), doubles(&format!("({count}, 17)"), &values));
 }
 
-/// What a camera sees, at a fraction of its size.
+/// The image of camera `i`, at a fraction of its size.
 fn seen(i: usize, factor: u32) -> Image {
     let middle = DVec2::new(f64::from(SIZE.0), f64::from(SIZE.1)) / 2.0;
     let at = POINTS.map(|point| (FOCAL * Eye::new(i).plane(point) + middle) / f64::from(factor));
@@ -514,7 +515,8 @@ fn llff() {
     says(&message(Dataset::open(root)), &["images", "9 pictures", "10 cameras"]);
 }
 
-/// Frames that the cameras of a row took in turn, and what all of them saw, as NSFF keeps NVIDIA's scenes.
+/// Frames that the cameras of a row took in turn, and the images of all of them, in NSFF's layout of
+/// NVIDIA's scenes.
 #[test]
 fn nvidia_in_turn() {
     let root = tempfile::tempdir().unwrap();
@@ -543,7 +545,7 @@ fn nvidia_in_turn() {
     says(&message(Dataset::open(root)), &["00003", "10 pictures", "5 rows"]);
 }
 
-/// The real scene, 12 cameras in a row at 12 times: both of its files tell the same.
+/// The real scene, 12 cameras in a row at 12 times: its two camera files agree.
 #[test]
 fn balloon1_by_poses_bounds() {
     let Some(path) = shared("nvidia_balloon1") else { return };
@@ -568,7 +570,7 @@ fn balloon1_by_poses_bounds() {
         assert!((a.intrinsics.fx - b.intrinsics.fx).abs() < 1e-3);
         assert_eq!((a.intrinsics.cx, a.intrinsics.cy), (480.0, 270.0));
     }
-    // The commands hold out what the first camera saw at other times by its own folder.
+    // The commands hold out the first camera's images at other times, which have a separate folder.
     assert!(path.join("gt_cam000/v000_t001.png").is_file());
 }
 
@@ -600,7 +602,7 @@ fn bad_poses_bounds_are_told() {
     damage(&good, &file, true, |file| poses_bounds::read_rows(file).is_ok());
 }
 
-/// Writes a camera's video of so many equal frames but for a bar that grows with time.
+/// Writes a camera's video whose frames are equal except for a bar that grows with time.
 fn film(path: &Path, i: usize, frames: usize) {
     let folder = tempfile::tempdir().unwrap();
     for t in 0..frames {
@@ -621,18 +623,18 @@ fn film(path: &Path, i: usize, frames: usize) {
     assert!(status.success());
 }
 
-/// How far the bar goes: ten pixels for each frame.
+/// The frame number from the bar's length: ten pixels per frame.
 fn moment(view: &View) -> usize {
     let white = (0..SIZE.0).filter(|x| view.image.at(*x, 4)[0] > 0.5).count();
     (white + 5) / 10
 }
 
-/// That spots without the bar are where they belong.
+/// Checks the spots' positions with the bar removed.
 fn shows_below(view: &View) {
     let mut view = view.clone();
     let width = view.image.width;
     (0..width).for_each(|x| (0..12).for_each(|y| view.image.at_mut(x, y).fill(0.0)));
-    // What a codec leaves in the dark.
+    // Removes compression artefacts in dark regions.
     view.image.pixels.iter_mut().for_each(|v| *v = if *v < 0.1 { 0.0 } else { *v });
     shows(&view, POINTS);
 }
@@ -651,7 +653,7 @@ fn dynerf_videos_and_folders() {
     for t in 0..6 {
         draw(&root.join(format!("cam11/images/{t:04}.png")), &seen(2, 2));
     }
-    // Frames that were extracted go before their video.
+    // Extracted frames take precedence over their video.
     fs::copy(root.join("cam00.mp4"), root.join("cam11.mp4")).unwrap();
     let extent = video::extent(&root.join("cam00.mp4")).unwrap();
     assert_eq!((extent.size, extent.frames), (SIZE, 6));
@@ -663,7 +665,7 @@ fn dynerf_videos_and_folders() {
         ["cam05/0000", "cam05/0004", "cam11/0000", "cam00/0000"]
     );
     assert_eq!((set.frames[4].time, set.frames[5].time, set.frames[16].time), (0.8, 0.0, 1.0));
-    // Mixed, out of order and twice.
+    // Indices that are mixed, out of order and repeated.
     let views = set.load(&[3, 14, 7, 1, 14, 11], Resize::Keep).unwrap();
     let moments: Vec<usize> = [0, 1, 3, 4, 5].map(|i| moment(&views[i])).to_vec();
     assert_eq!(moments, [3, 3, 1, 3, 0]);
@@ -672,7 +674,7 @@ fn dynerf_videos_and_folders() {
     shows(&views[2], POINTS);
     let one = set.frames[16].load([0.0; 3], Resize::Width(80)).unwrap();
     assert_eq!((one.image.width, one.name.as_str()), (80, "cam00/0005"));
-    // Several cameras are no clip.
+    // Several cameras are not a clip.
     says(&message(Clip::open(root, &ClipOptions::default())), &["several cameras", "one camera"]);
 
     says(
@@ -698,7 +700,7 @@ fn dynerf_videos_and_folders() {
 const TAG: f32 = 202_021.25;
 
 fn cam_bytes(eye: &Eye, focal: f64) -> Vec<u8> {
-    // Pixel centres are whole numbers.
+    // Pixel centres have integer coordinates in this format.
     let k = [focal, 0.0, PRINCIPAL[0] - 0.5, 0.0, focal, PRINCIPAL[1] - 0.5, 0.0, 0.0, 1.0];
     let rows = [eye.right, eye.down, eye.forward];
     let m = rows.iter().flat_map(|r| [r.x, r.y, r.z, -r.dot(eye.centre)]);
@@ -749,9 +751,9 @@ fn sintel_sequences() {
     let flow = sintel::flow_of(&pictures).unwrap().join("frame_0003.flo");
     assert_eq!(flo::read(flow).unwrap().pixels, [1.0, -2.0]);
     assert!(sintel::SEQUENCES.contains(&"alley_2"));
-    // As a clip it is a folder of pictures.
+    // As a clip, it is a folder of images.
     assert_eq!(Clip::open(&pictures, &ClipOptions::default()).unwrap().frames.len(), 4);
-    // All of it is no sequence.
+    // The whole data set is not a single sequence.
     for folder in [&root, &root.join("final"), &root.join("..")] {
         says(&message(Dataset::open(folder)), &["several sequences", "final/alley_2"]);
     }
@@ -785,7 +787,7 @@ fn bad_dpt_files_are_told() {
 // DAVIS, TAP-Vid
 // ---------------------------------------------------------------------------------------------
 
-/// A PNG with a palette, as DAVIS 2017 keeps its objects: 0 is the background.
+/// A palette PNG, as DAVIS 2017 stores object labels: 0 is the background.
 fn palette_png(path: &Path, width: u32, labels: &[u8]) {
     fn chunk(out: &mut Vec<u8>, kind: &[u8], data: &[u8]) {
         out.extend((data.len() as u32).to_be_bytes());
@@ -850,7 +852,7 @@ fn davis16_camel() {
     assert!(share > 0.05 && share < 0.3, "{share}");
 }
 
-/// An entry of TAP-Vid's pickle as NumPy's `savez` writes it.
+/// An entry of TAP-Vid's pickle, as NumPy's `savez` writes it.
 fn tap_vid(path: &Path, points: &str, video: Option<&str>) {
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
     let mut add = |name: &str, bytes: Vec<u8>| {
@@ -895,7 +897,7 @@ fn tap_vid_entries() {
 // D-NeRF, and how kinds are told apart
 // ---------------------------------------------------------------------------------------------
 
-/// The same set at 400² and at 800²: `camera_angle_x` is of both.
+/// The same set at 400² and at 800² pixels: `camera_angle_x` holds for both.
 #[test]
 fn dnerf_at_two_sizes() {
     for side in [400u32, 800] {
@@ -949,7 +951,7 @@ fn kinds_are_told_apart() {
         "reconstruct",
     ];
     says(&said, &looked_for);
-    // From what says least to what says most: the later file wins.
+    // From the least to the most specific file: the later one takes precedence.
     let here = || root.to_path_buf();
     write(&root.join("poses_bounds.npy"), b"");
     assert_eq!(kind(root), Layout::PosesBounds(here(), None));

@@ -1,4 +1,4 @@
-//! Two hundred steps of training, twice, to the same bits.
+//! Two runs of two hundred training steps give the same bits.
 
 mod common;
 

@@ -1,4 +1,4 @@
-//! The three depths of embedding, on a host's own device.
+//! The three levels of embedding, on a device that the host owns.
 
 mod common;
 mod host;
@@ -22,7 +22,7 @@ use splat4d::{Error, Result, kernels};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// The host's device, adopted.
+/// Adopts the host's device.
 fn adopt(host: &Host) -> Device {
     // SAFETY: the handles belong together and live as long as the test, which uses the queue from
     // one thread at a time.
@@ -68,7 +68,7 @@ fn features_are_read_from_what_a_device_was_made_with() {
         .push_next(&mut scalar)
         .push_next(&mut sync)
         .push_next(&mut size);
-    // SAFETY: the chain is made of locals.
+    // SAFETY: the chain consists of local structures.
     assert_eq!(unsafe { Features::enabled_by(&create) }, Features::ALL);
     let none = vk::DeviceCreateInfo::default();
     // SAFETY: there is no chain.
@@ -76,15 +76,15 @@ fn features_are_read_from_what_a_device_was_made_with() {
     assert_eq!(Features::default().lacking(&Features::ALL).len(), 5);
 }
 
-/// A library that makes the device has begun the chain; what is in it stays, and no structure comes
-/// twice, which Vulkan forbids.
+/// A library that creates the device has begun the `pNext` chain. Its structures must stay, and no
+/// structure may occur twice, which Vulkan forbids.
 #[test]
 fn features_are_turned_on_in_any_chain() {
     let kinds = |create: &vk::DeviceCreateInfo<'_>| {
         let mut next = create.p_next.cast::<vk::BaseInStructure<'_>>();
         let mut kinds = Vec::new();
         while !next.is_null() {
-            // SAFETY: the chains below are made of locals.
+            // SAFETY: the chains below consist of local structures.
             unsafe {
                 kinds.push((*next).s_type);
                 next = (*next).p_next;
@@ -92,7 +92,8 @@ fn features_are_turned_on_in_any_chain() {
         }
         kinds
     };
-    // SAFETY: here and below the chains are made of locals, each written by one at a time.
+    // SAFETY: here and below the chains consist of local structures, each written by one reference at a
+    // time.
     unsafe {
         let (mut create, mut links) = (vk::DeviceCreateInfo::default(), FeatureLinks::default());
         Features::ALL.enable_in(&mut create, &mut links);
@@ -135,7 +136,7 @@ fn features_are_turned_on_in_any_chain() {
     }
 }
 
-/// Adopting fails, and the host is told that nothing uses its device.
+/// Checks that adopting fails and that `on_drop` tells the host that its device is unused.
 #[track_caller]
 fn refused(host: &Host, change: impl FnOnce(&mut HostDevice)) -> Error {
     let dropped = Arc::new(AtomicUsize::new(0));
@@ -145,7 +146,7 @@ fn refused(host: &Host, change: impl FnOnce(&mut HostDevice)) -> Error {
         counter.fetch_add(1, Ordering::SeqCst);
     }));
     change(&mut lent);
-    // SAFETY: what is wrong is what the function promises to find.
+    // SAFETY: the only violation is one that the function promises to detect.
     let error = unsafe { Device::adopt(lent) }.err().expect("it must be refused");
     assert_eq!(dropped.load(Ordering::SeqCst), 1, "{error}");
     error
@@ -200,7 +201,7 @@ fn the_host_is_told_once_when_everything_is_gone() {
     assert_eq!(dropped.load(Ordering::SeqCst), 0, "a buffer is left");
     drop(buffer);
     assert_eq!(dropped.load(Ordering::SeqCst), 1);
-    // The host's own device lives on.
+    // The host's device is still alive.
     // SAFETY: nothing is in flight.
     unsafe { host.device.device_wait_idle() }.unwrap();
 }
@@ -226,7 +227,7 @@ fn submissions_take_the_hosts_lock() {
     assert!(error.contains("lock did not run"), "{error}");
 }
 
-/// Renders on the engine's own device.
+/// Renders on a device that the engine creates.
 fn reference(scene: &Scene, time: f64) -> (Vec<f32>, Vec<f32>) {
     let device = common::device();
     let camera = camera(70, 50);
@@ -258,7 +259,7 @@ fn frames_are_drawn_in_the_hosts_command_buffer_into_its_buffer() {
     let commands = host.commands();
     {
         let part = HostBuffer { offset: start, bytes: 16 * pixels as u64, ..picture.whole() };
-        // SAFETY: the buffers live beyond this block, at whose end the device is done.
+        // SAFETY: the buffers outlive this block, at whose end the device has finished.
         let (mut rgba, mut depth) = unsafe {
             let depth = depth_buffer.whole();
             (
@@ -269,13 +270,14 @@ fn frames_are_drawn_in_the_hosts_command_buffer_into_its_buffer() {
         assert_eq!((rgba.len(), depth.len()), (pixels, pixels));
         let mut renderer = Renderer::new(&device, &scene).unwrap();
         host.begin(commands);
-        // What the host has written before is seen: here, that it is all overwritten.
-        // SAFETY: recording, in range.
+        // The host's earlier writes are ordered before the engine's commands: all of them must be
+        // overwritten.
+        // SAFETY: the command buffer is recording, and the range is within the buffers.
         unsafe {
             let (from, all) = (picture.buffer, vk::WHOLE_SIZE);
             host.device.cmd_fill_buffer(commands, from, 0, all, 0x7fc0_0000);
         }
-        // SAFETY: begun above, submitted below; the guard outlives the wait.
+        // SAFETY: the command buffer was begun above and is submitted below; the guard outlives the wait.
         let mut recorder = unsafe { Recorder::over(&device, commands) }.unwrap();
         recorder.profile().unwrap();
         let target =
@@ -298,7 +300,7 @@ fn frames_are_drawn_in_the_hosts_command_buffer_into_its_buffer() {
     host.destroy_semaphore(semaphore);
 }
 
-/// Renderer, scratch and device may go while the commands that use them are under way.
+/// Renderer, scratch and device may be dropped while commands that use them are in flight.
 #[test]
 fn a_guard_keeps_what_its_commands_use() {
     let host = Host::new();
@@ -314,7 +316,7 @@ fn a_guard_keeps_what_its_commands_use() {
         let device = unsafe { Device::adopt(lent) }.unwrap();
         let mut renderer = Renderer::new(&device, &Scene::of(gaussians(100))).unwrap();
         host.begin(commands);
-        // SAFETY: begun, submitted once; the guard outlives the wait.
+        // SAFETY: the command buffer has begun and is submitted once; the guard outlives the wait.
         let mut recorder = unsafe { Recorder::over(&device, commands) }.unwrap();
         let frame = renderer.record(&mut recorder, &camera(70, 50), 0.0, Target::default());
         let _never_retired = frame.unwrap();
@@ -328,7 +330,7 @@ fn a_guard_keeps_what_its_commands_use() {
     host.destroy_semaphore(semaphore);
 }
 
-/// As the floats that it is, and in eight bits as a window has them.
+/// The image is copied as floats, and converted to eight bits as for a window.
 #[test]
 fn a_picture_goes_into_the_hosts_image() {
     let host = Host::new();
@@ -350,7 +352,7 @@ fn a_picture_goes_into_the_hosts_image() {
         .aspect_mask(vk::ImageAspectFlags::COLOR)
         .level_count(1)
         .layer_count(1);
-    // SAFETY: plain Vulkan, as its specification has it.
+    // SAFETY: valid Vulkan usage.
     let images = formats.map(|format| unsafe {
         let image = host.device.create_image(&info.format(format), None).unwrap();
         let needs = host.device.get_image_memory_requirements(image);
@@ -376,7 +378,7 @@ fn a_picture_goes_into_the_hosts_image() {
                 .subresource_range(range)
         });
         let info = vk::DependencyInfo::default().image_memory_barriers(&barriers);
-        // SAFETY: recording.
+        // SAFETY: the command buffer is recording.
         unsafe { host.device.cmd_pipeline_barrier2(commands, &info) };
     };
     let (undefined, written, read) = (
@@ -385,7 +387,7 @@ fn a_picture_goes_into_the_hosts_image() {
         vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
     );
     transition(undefined, written);
-    // SAFETY: begun above, submitted below; the guard outlives the wait.
+    // SAFETY: the command buffer was begun above and is submitted below; the guard outlives the wait.
     let mut recorder = unsafe { Recorder::over(&device, commands) }.unwrap();
     let frame = renderer.record(&mut recorder, &camera(70, 50), 0.0, Target::default()).unwrap();
     let to = images.map(|(image, _)| HostImage {
@@ -398,7 +400,7 @@ fn a_picture_goes_into_the_hosts_image() {
     let rgba = renderer.pixels().unwrap().rgba.view();
     let packing = Packing { background: [0.2, 0.4, 0.6, 1.0], blue_first: true };
     texel::unorm8(&mut recorder, rgba, &packing, texels.view_mut()).unwrap();
-    // SAFETY: the images are of this device, large enough, in that layout.
+    // SAFETY: the images belong to this device, are large enough, and are in that layout.
     unsafe {
         let null = HostImage { image: vk::Image::null(), ..to[0] };
         assert!(recorder.copy_to_image(rgba, &null, 70, 50).is_err());
@@ -419,7 +421,7 @@ fn a_picture_goes_into_the_hosts_image() {
         .image_offset(vk::Offset3D { x: 7, y: 5, z: 0 })
         .image_extent(vk::Extent3D { width: 70, height: 50, depth: 1 })];
     for ((image, _), back) in images.iter().zip(&back) {
-        // SAFETY: recording, in range.
+        // SAFETY: the command buffer is recording, and the range is within the buffers.
         unsafe {
             host.device.cmd_copy_image_to_buffer(commands, *image, read, back.buffer, &region);
         }
@@ -438,7 +440,7 @@ fn a_picture_goes_into_the_hosts_image() {
     }
     drop((renderer, texels, device));
     for (image, memory) in images {
-        // SAFETY: the device is done with them.
+        // SAFETY: the device no longer uses them.
         unsafe {
             host.device.destroy_image(image, None);
             host.device.free_memory(memory, None);
@@ -462,9 +464,9 @@ fn submissions_wait_for_the_hosts_semaphores_and_signal_them() {
         recorder.fill(buffer.view_mut(), 5);
         let waits = [SemaphorePoint { semaphore: start, value: 3 }];
         let signals = [SemaphorePoint { semaphore: done, value: 9 }];
-        // SAFETY: the semaphores live until the end, and what is waited for comes below.
+        // SAFETY: the semaphores live until the end, and the value that is waited for is signalled below.
         let ticket = unsafe { stream.submit_between(recorder, &waits, &signals) }.unwrap();
-        // SAFETY: the semaphores live.
+        // SAFETY: the semaphores are alive.
         unsafe {
             assert_eq!(host.device.get_semaphore_counter_value(done).unwrap(), 0);
             let own = stream.semaphore();
@@ -496,7 +498,7 @@ fn bad_buffers_are_refused_by_name() {
         let on_drop: Box<dyn FnOnce() + Send + Sync> = Box::new(move || {
             counter.fetch_add(1, Ordering::SeqCst);
         });
-        // SAFETY: what is wrong is what the function promises to find.
+        // SAFETY: the only violation is one that the function promises to detect.
         let adopted =
             unsafe { Buffer::<[f32; 4]>::adopt(&device, "scores", change, Some(on_drop)) };
         let error = adopted.err().expect("it must be refused");
@@ -518,7 +520,7 @@ fn bad_buffers_are_refused_by_name() {
         let error = refuse(change);
         assert!(error.contains(says) && error.contains("scores"), "{says}: {error}");
     }
-    // SAFETY: the part lies within, and the device is done before it is freed.
+    // SAFETY: the part lies within the buffer, and the device finishes before the buffer is freed.
     let part = unsafe {
         let part = HostBuffer { offset: 256, bytes: 64, ..whole };
         Buffer::<u32>::adopt(&device, "grid", part, None)
@@ -526,7 +528,7 @@ fn bad_buffers_are_refused_by_name() {
     let mut part = part.unwrap();
     let handle = part.handle();
     assert_eq!((handle.buffer, handle.offset, handle.bytes), (lent.buffer, 256, 64));
-    // Indirect arguments need a usage of their own.
+    // Indirect arguments need a separate buffer usage flag.
     let mut stream = device.stream().unwrap();
     let count = device.upload("count", &[5u32]).unwrap();
     let (mut sums, mut values) =
@@ -551,7 +553,7 @@ fn bad_buffers_are_refused_by_name() {
     host.free(lent);
 }
 
-/// One device exports, another imports, writes, and the first reads.
+/// One device exports memory, another imports it and writes to it, and the first reads the result.
 #[cfg(unix)]
 #[test]
 fn exported_memory_is_shared() {
@@ -569,7 +571,8 @@ fn exported_memory_is_shared() {
         memory_type: exported.memory_type,
         offset,
     };
-    // SAFETY: an opaque export, of the same physical device and driver, used by one at a time.
+    // SAFETY: the memory is an opaque export of the same physical device and driver, and one device uses
+    // it at a time.
     let import = |memory| unsafe { Buffer::<u32>::import_fd(&device, "shared", memory, 8) };
     for (wrong, says) in [
         (ImportedMemory { offset: 8192, ..memory(0) }, "the allocation has 8192"),
@@ -586,7 +589,8 @@ fn exported_memory_is_shared() {
     stream.submit(recorder).unwrap();
     assert_eq!(stream.download(&shared).unwrap(), [77; 8]);
     drop((shared, stream, device));
-    // SAFETY: mapped, as long as that, and nobody writes any more; then the device is done with it.
+    // SAFETY: the memory is mapped and at least that long, and nothing writes to it any more; the device
+    // no longer uses it when it is freed.
     unsafe {
         let words = std::slice::from_raw_parts(exported.mapped.cast::<u32>(), 2048);
         assert!(words.iter().enumerate().all(|(i, w)| *w == 77 * u32::from(i / 8 == 128)));
@@ -608,7 +612,8 @@ fn memory_is_not_imported_without_the_extension() {
         memory_type: 0,
         offset: 0,
     };
-    // SAFETY: it is refused before the descriptor is looked at: the host has not enabled it.
+    // SAFETY: the import is refused before the descriptor is used, since the host has not enabled the
+    // extension.
     let refused = unsafe { Buffer::<u32>::import_fd(&device, "shared", memory, 8) };
     let error = refused.err().unwrap();
     assert!(matches!(error, Error::Unsupported { .. }), "{error}");
@@ -626,10 +631,10 @@ fn recordings_end_where_they_belong() {
     assert!(stream.record().unwrap().finish().is_err());
     let commands = host.commands();
     host.begin(commands);
-    // SAFETY: begun; never submitted.
+    // SAFETY: the command buffer has begun and is never submitted.
     let recorder = unsafe { Recorder::over(&device, commands) }.unwrap();
     assert!(stream.submit(recorder).err().unwrap().to_string().contains("finish"));
-    // SAFETY: never submitted.
+    // SAFETY: the command buffer is never submitted.
     unsafe { host.device.end_command_buffer(commands) }.unwrap();
     let scene = Scene::of(gaussians(5));
     let [mut renderer, mut other] = [(); 2].map(|()| Renderer::new(&device, &scene).unwrap());
@@ -681,7 +686,7 @@ fn threads_record_at_once_on_one_device() {
         let _held = shared.lock().unwrap();
         work();
     }));
-    // SAFETY: as for `adopt`, and every use of the queue takes the lock.
+    // SAFETY: as for `adopt`, and every use of the queue holds the lock.
     let device = unsafe { Device::adopt(lent) }.unwrap();
     std::thread::scope(|scope| {
         for _ in 0..4 {
@@ -715,7 +720,7 @@ fn what_goes_to_other_threads_says_so() {
     send::<Trainer>();
 }
 
-/// Two scenes and two devices at once, and everything dropped in the worst order.
+/// Two scenes and two devices at once, dropped in the least favourable order.
 #[test]
 fn several_scenes_on_several_devices() -> Result<()> {
     let (host, own) = (Host::new(), common::device());
@@ -741,10 +746,10 @@ fn several_scenes_on_several_devices() -> Result<()> {
     Ok(())
 }
 
-/// What the documentation of the ops lists, and hosts find their timestamps by.
+/// The order of dispatches that the documentation of the ops lists, by which hosts assign timestamps.
 #[test]
 fn dispatches_come_in_the_documented_order() -> Result<()> {
-    // Of few values, on a software driver too.
+    // The single-pass scan, which every device uses for few values.
     const SCAN: [&str; 1] = ["scan/single"];
     let sort = |bits: u32| {
         let mut all = vec!["sort/plan"];
@@ -784,7 +789,7 @@ fn dispatches_come_in_the_documented_order() -> Result<()> {
     let losses: Vec<_> = stream.times(ticket)?.into_iter().map(|time| time.kernel).collect();
     let expected = ["columns", "ssim", "ssim", "ssim", "total", "gradient", "total"];
     assert_eq!(losses, expected.map(|stem| format!("loss/{stem}")));
-    // 5 × 4 tiles and the one beyond.
+    // 5 × 4 tiles, and one past the end.
     let expected = [
         vec!["project/forward"],
         SCAN.to_vec(),

@@ -1,6 +1,5 @@
-//! Frames in a host's command buffer cost no memory: nothing is allocated on the heap, nothing on
-//! the device, and nothing is left at the end. One test alone, since it counts every allocation of
-//! the process.
+//! Frames in a host's command buffer allocate nothing, neither on the heap nor on the device, and nothing
+//! is left at the end. This binary has a single test, since it counts every allocation of the process.
 
 mod host;
 
@@ -16,11 +15,11 @@ struct Counting;
 
 static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
 
-// SAFETY: the system's allocator, with a counter beside it.
+// SAFETY: every call is forwarded to the system's allocator; only a counter is added.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        // SAFETY: the caller's promise is passed on, here and below.
+        // SAFETY: the caller's guarantees hold for the forwarded call, here and below.
         unsafe { System.alloc(layout) }
     }
 
@@ -40,7 +39,7 @@ unsafe impl GlobalAlloc for Counting {
 static GLOBAL: Counting = Counting;
 
 const FRAMES: u64 = 1000;
-/// Frames under way at once.
+/// Number of frames in flight.
 const IN_FLIGHT: usize = 3;
 
 /// A scene whose Gaussians move.
@@ -68,7 +67,7 @@ fn a_thousand_frames_allocate_nothing_after_the_tenth() {
     {
         // SAFETY: the handles belong together; one thread uses the queue.
         let device = unsafe { Device::adopt(host.lend()) }.unwrap();
-        // SAFETY: the buffer outlives the block, at whose end the device is done.
+        // SAFETY: the buffer outlives the block, at whose end the device has finished.
         let adopted =
             unsafe { Buffer::<[f32; 4]>::adopt(&device, "picture", picture.whole(), None) };
         let mut rgba = adopted.unwrap();
@@ -87,8 +86,8 @@ fn a_thousand_frames_allocate_nothing_after_the_tenth() {
             let commands = commands[frame as usize % IN_FLIGHT];
             host.begin(commands);
             let begun = std::time::Instant::now();
-            // SAFETY: begun, and submitted once below; the guard outlives the wait; one queue, in
-            // order.
+            // SAFETY: the command buffer has begun and is submitted once below, to a single queue in
+            // order; the guard outlives the wait.
             let mut recorder = unsafe { Recorder::over(&device, commands) }.unwrap();
             let target = Target { rgba: Some(rgba.view_mut()), ..Target::default() };
             let time = frame as f64 / FRAMES as f64;
@@ -109,7 +108,7 @@ fn a_thousand_frames_allocate_nothing_after_the_tenth() {
         assert_eq!(heap, 0, "allocations on the heap");
         assert_eq!(device.allocations(), made, "made on the device");
         assert_eq!(device.memory().0, bytes, "bytes on the device");
-        // The recordings let go of everything: what is left is the renderer's and the buffer's.
+        // The recordings release everything; only the renderer and the buffer still hold resources.
         for (guard, drawn) in under_way {
             drop(guard);
             assert!(renderer.retire(drawn).unwrap().is_whole());
@@ -121,5 +120,5 @@ fn a_thousand_frames_allocate_nothing_after_the_tenth() {
     assert!(picture.floats(0, 4 * 64 * 48).iter().any(|v| *v > 0.1), "the picture is not empty");
     host.free(picture);
     host.destroy_semaphore(semaphore);
-    // The host's drop has the layer say what was not destroyed.
+    // When the host is dropped, the validation layer reports objects that were not destroyed.
 }

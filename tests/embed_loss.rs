@@ -1,4 +1,5 @@
-//! Training with a loss of the caller's own: its gradients are those of the loss, step by step.
+//! Training with a loss that the caller computes: the gradients are those of the caller's loss, in each
+//! part of a step.
 
 mod common;
 mod host;
@@ -18,7 +19,7 @@ use splat4d::types::{
 
 const SIZE: (u32, u32) = (33, 21);
 
-/// Without the kinks of blending, so that differences mean something.
+/// Settings without the discontinuities of blending, so that finite differences are meaningful.
 fn smooth() -> RenderSettings {
     RenderSettings {
         alpha_cut: 1e-12,
@@ -41,7 +42,8 @@ fn settings() -> TrainSettings {
     }
 }
 
-/// A loss that the engine does not know, and its slopes by red, green, blue, alpha and depth.
+/// A loss that the engine does not have, and its derivatives with respect to red, green, blue, alpha and
+/// depth.
 fn loss(at: usize, rgba: [f64; 4], depth: f64) -> (f64, [f64; 5]) {
     let (mut value, mut slopes) = (0.0, [0.0; 5]);
     for c in 0..3 {
@@ -55,14 +57,15 @@ fn loss(at: usize, rgba: [f64; 4], depth: f64) -> (f64, [f64; 5]) {
     (value, slopes)
 }
 
-/// The loss of what the oracle renders.
+/// The loss of the oracle's render.
 fn exact(cloud: &Cloud<f64>, camera: &Camera) -> f64 {
     let p = render::forward(cloud, &View::new(camera), &smooth()).pixels;
     let pixels = p.rgb.iter().zip(&p.alpha).zip(&p.depth).enumerate();
     pixels.map(|(i, ((c, &a), &d))| loss(i, [c[0], c[1], c[2], a], d).0).sum()
 }
 
-/// Renders, and hands the loss's gradient in; gives the step's gradients to read.
+/// Runs the forward and the backward part of a step with this loss, so that the step's gradients can be
+/// read.
 fn differentiate(stream: &mut Stream, trainer: &mut Trainer, camera: &Camera, time: f64) {
     let device = stream.device().clone();
     let mut recorder = stream.record().unwrap();
@@ -88,7 +91,7 @@ fn differentiate(stream: &mut Stream, trainer: &mut Trainer, camera: &Camera, ti
     stream.wait(ticket).unwrap();
 }
 
-/// Pairs of a gradient and a central difference.
+/// Pairs of a gradient and a central difference, with a label.
 #[derive(Default)]
 struct Pairs(Vec<(String, f64, f64)>);
 
@@ -100,7 +103,8 @@ impl Pairs {
         self.0.push((what, f64::from(gradient), truth));
     }
 
-    /// Lavapipe and SwiftShader were seen to miss by less than a tenth of the bound.
+    /// Checks every pair against the bound. The errors measured on lavapipe and SwiftShader are below a
+    /// tenth of it.
     fn hold(&self) {
         let largest = self.0.iter().fold(0.0f64, |most, (_, _, truth)| most.max(truth.abs()));
         let mut worst = 0.0f64;
@@ -113,7 +117,7 @@ impl Pairs {
     }
 }
 
-/// The loss after a change of some size.
+/// The loss after a change of the given size.
 fn after(
     change: impl Fn(&mut Cloud<f64>, f64),
     cloud: &Cloud<f64>,
@@ -168,7 +172,7 @@ fn gradients_are_those_of_the_callers_loss() {
     common::assert_valid(&device);
 }
 
-/// What moves: eight control points on paths of four key times.
+/// A motion model: eight control points on paths with four key times.
 fn paths() -> MotionStart {
     let at = |i: usize| (i * 37 % 101) as f32 / 50.0 - 1.0;
     let mut paths = vec![[0.0; 8]; 32];
@@ -183,7 +187,7 @@ fn paths() -> MotionStart {
     }
 }
 
-/// What moves: eight control points, and a network that moves them.
+/// A motion model: eight control points, and a network that moves them.
 fn motion() -> MotionStart {
     let shape = NetShape {
         depth: 2,
@@ -194,7 +198,7 @@ fn motion() -> MotionStart {
         ..NetShape::PAPER
     };
     let mut network = DeformNet::random(shape, 5);
-    // The head begins at nothing; here it is to move something.
+    // The network's head is initialised to zero; here it must produce motion.
     let count = network.parameters.len();
     for (i, value) in network.parameters.iter_mut().enumerate().skip(count - 7 * 17) {
         *value += 0.05 * ((i * 37 % 101) as f32 / 50.0 - 1.0);
@@ -242,7 +246,7 @@ fn gradients_reach(start: &MotionStart) {
     let cloud = Cloud::<f64>::new(&scene);
     let dynamic: Vec<u32> = (0..6).collect();
     let near = deform::nearest(&cloud.positions[..6], &nodes, 3);
-    // The device's time is one of its floats.
+    // The device has the time as f32.
     let time = f64::from(TIME as f32);
     let value = |parameters: &[f64], log_radii: &[f64], opacity: f64| {
         let transforms: Vec<[f64; 8]> = match &start.network {
@@ -275,7 +279,7 @@ fn gradients_reach(start: &MotionStart) {
         exact(&moved, &camera)
     };
     let mut pairs = Pairs::default();
-    // When a control point on a path is there is given: it has no gradient.
+    // The opacity offset (component 3) of a path's motion is given, so it has no gradient.
     let is_given = |i: &usize| start.network.is_none() && i % 8 == 3;
     for i in (0..parameters.len()).step_by(13).filter(|i| !is_given(i)) {
         pairs.add(format!("parameter {i}"), model[i], |h| {
@@ -304,7 +308,7 @@ fn target() -> Image {
     image
 }
 
-/// One step by the engine's own loss, recorded from outside.
+/// One step with the engine's loss, recorded through the public ops.
 fn step(
     device: &Device,
     stream: &mut Stream,
@@ -395,12 +399,12 @@ fn steps_run_in_a_hosts_command_buffer() {
         let area = (SIZE.0 * SIZE.1) as usize;
         let mut by_rgba: Buffer<[f32; 4]> = device.buffer("by rgba", area).unwrap();
         host.begin(commands);
-        // SAFETY: begun, submitted once; the guards outlive the wait.
+        // SAFETY: the command buffer has begun and is submitted once; the guards outlive the wait.
         let mut recorder = unsafe { Recorder::over(&device, commands) }.unwrap();
         trainer.forward(&mut recorder, &camera(SIZE.0, SIZE.1), 0.0).unwrap();
         let first = recorder.finish().unwrap();
-        // Here the host computes its loss; this one is the sum of everything.
-        // SAFETY: recording.
+        // A host computes its loss here; this loss is the sum of all values.
+        // SAFETY: the command buffer is recording.
         unsafe {
             let to = by_rgba.handle();
             host.device.cmd_fill_buffer(commands, to.buffer, to.offset, to.bytes, 0x3f80_0000);
@@ -416,7 +420,7 @@ fn steps_run_in_a_hosts_command_buffer() {
         drop((first, second));
         assert!(trainer.conclude().unwrap());
         let after = trainer.gaussians().unwrap();
-        // The sum falls with every opacity.
+        // The step reduces the sum, so every opacity falls.
         for i in 0..scene.len() {
             assert!(after.opacity_logits[i] < scene.opacity_logits[i], "Gaussian {i}");
         }
@@ -429,7 +433,7 @@ fn steps_run_in_a_hosts_command_buffer() {
 fn a_frame_that_does_not_fit_teaches_nothing_and_comes_again() {
     let device = common::device();
     let mut stream = device.stream().unwrap();
-    // Each covers all of the 1200 tiles.
+    // Each Gaussian covers all of the 1200 tiles.
     let mut scene: Gaussians = gaussians(40);
     scene.log_scales = vec![[1.5; 3]; 40];
     let big = camera(640, 480);
@@ -453,7 +457,7 @@ fn a_frame_that_does_not_fit_teaches_nothing_and_comes_again() {
     common::assert_valid(&device);
 }
 
-/// A loss that is not a number: what it would move stays as it is, and is counted.
+/// A NaN loss: the parameters stay as they are, and the broken gradients are counted.
 #[test]
 fn gradients_that_are_no_numbers_are_left_out_and_counted() {
     let device = common::device();
@@ -478,11 +482,11 @@ fn gradients_that_are_no_numbers_are_left_out_and_counted() {
     by.fill([f32::NAN; 4]);
     step(&mut trainer, &by);
     let broken = trainer.broken_gradients().unwrap();
-    // Place, scale, rotation, opacity and colour of each.
+    // Position, scale, rotation, opacity and colour of each Gaussian: 14 numbers.
     assert!((9..=9 * 14).contains(&broken), "{broken} gradients");
     let after = trainer.gaussians().unwrap();
     assert_eq!(after, before);
-    // The count is a part of the state.
+    // The count is part of the training state.
     let state = trainer.state().unwrap();
     let mut trainer = Trainer::resume(&device, &[], state, settings()).unwrap();
     assert_eq!(trainer.broken_gradients().unwrap(), broken);
@@ -524,6 +528,6 @@ fn steps_out_of_turn_are_named() {
     let ticket = stream.submit(recorder).unwrap();
     stream.wait(ticket).unwrap();
     assert!(trainer.conclude().unwrap());
-    // Without an update nothing was learnt.
+    // Without an update no parameter changes.
     assert_eq!((trainer.progress().step, trainer.gaussians().unwrap()), (0, scene));
 }

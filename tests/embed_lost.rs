@@ -1,8 +1,8 @@
-//! A device that is lost under way: every call says so, and nothing hangs or panics, whatever is
+//! A device that is lost during work: every call reports it, and nothing hangs or panics, whatever is
 //! dropped and in whatever order.
 //!
-//! Software drivers lose no devices. The host lends a loader of its own instead, whose device does what
-//! it is asked for but answers, from some moment on, as Vulkan has a lost device answer.
+//! Software drivers never lose a device. The host therefore lends a loader whose device executes all
+//! calls, but from some moment on returns the results that Vulkan specifies for a lost device.
 
 mod host;
 
@@ -22,14 +22,14 @@ use std::mem::transmute;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// What is behind the loader that is lent.
+/// The real loader and device behind the lent loader.
 struct Real {
     instance_loader: vk::PFN_vkGetInstanceProcAddr,
     device_loader: vk::PFN_vkGetDeviceProcAddr,
     device: ash::Device,
 }
 
-// Of the test on this thread, which makes all calls itself.
+// State of the test on this thread; a test makes all its calls on one thread.
 thread_local! {
     static REAL: RefCell<Option<Real>> = const { RefCell::new(None) };
     static LOST: Cell<bool> = const { Cell::new(false) };
@@ -44,7 +44,7 @@ fn lost_or(result: vk::Result) -> vk::Result {
 }
 
 /// # Safety
-/// As for Vulkan's, here and below.
+/// As for the Vulkan function of that name, here and below.
 unsafe extern "system" fn queue_submit2(
     queue: vk::Queue,
     count: u32,
@@ -54,11 +54,11 @@ unsafe extern "system" fn queue_submit2(
     if LOST.get() {
         return vk::Result::ERROR_DEVICE_LOST;
     }
-    // SAFETY: the caller's promise, here and below.
+    // SAFETY: guaranteed by the caller, here and below.
     real(|real| unsafe { (real.device.fp_v1_3().queue_submit2)(queue, count, submits, fence) })
 }
 
-/// Waits in earnest: what is destroyed afterwards must not be in use.
+/// Really waits, since the objects that are destroyed afterwards must not be in use.
 unsafe extern "system" fn wait_semaphores(
     device: vk::Device,
     info: *const vk::SemaphoreWaitInfo<'_>,
@@ -103,7 +103,8 @@ unsafe extern "system" fn get_device_proc_addr(
     device: vk::Device,
     name: *const c_char,
 ) -> vk::PFN_vkVoidFunction {
-    // SAFETY: a text, as Vulkan asks; functions go as pointers to functions of no arguments.
+    // SAFETY: `name` is a C string, as Vulkan requires; function pointers are returned as pointers to
+    // functions without arguments.
     unsafe {
         match CStr::from_ptr(name).to_bytes() {
             b"vkQueueSubmit2" => {
@@ -141,7 +142,8 @@ unsafe extern "system" fn get_instance_proc_addr(
     }
 }
 
-/// The host's device, not lost yet, and how often the host has got it back.
+/// Adopts the host's device, which is not lost yet. Also returns the number of times that the device was
+/// given back to the host.
 fn adopt(host: &Host) -> (Device, Arc<AtomicUsize>) {
     REAL.set(Some(Real {
         instance_loader: host.entry.static_fn().get_instance_proc_addr,
@@ -160,7 +162,7 @@ fn adopt(host: &Host) -> (Device, Arc<AtomicUsize>) {
     (unsafe { Device::adopt(lent) }.unwrap(), returned)
 }
 
-/// The kernel that a failure names.
+/// Checks that the result is a lost-device error, and returns the kernel that it names.
 #[track_caller]
 fn lost<T>(result: Result<T>) -> String {
     match result.err().expect("the device is lost") {
@@ -194,7 +196,7 @@ fn a_stream_says_so_from_then_on() {
     lost(stream.upload(&mut buffer, &[2; 8]));
     lost(stream.download(&buffer));
     lost(device.upload("more", &[3u32]));
-    // The frame is no use, but it is no harm.
+    // The frame is useless, but retiring it does no harm.
     let _ = renderer.retire(frame);
     lost(renderer.render(&camera(30, 20), 0.0));
     lost(Renderer::new(&device, &Scene::of(gaussians(5))));
@@ -222,7 +224,8 @@ fn lost_at_the_submission() {
     assert_eq!(returned.load(Ordering::SeqCst), 1);
 }
 
-/// The host's own submission is the host's to fail; what the engine keeps for it goes with the guard.
+/// A failed submission of the host's commands is the host's to handle; the guard releases what the engine
+/// keeps for it.
 #[test]
 fn lost_in_the_hosts_command_buffer() {
     let host = Host::new();
@@ -231,14 +234,14 @@ fn lost_in_the_hosts_command_buffer() {
     let commands = host.commands();
     host.begin(commands);
     LOST.set(true);
-    // SAFETY: begun, and never submitted.
+    // SAFETY: the command buffer has begun and is never submitted.
     let mut recorder = unsafe { Recorder::over(&device, commands) }.unwrap();
     recorder.profile().unwrap();
     let target = Target::default();
     let frame = renderer.record(&mut recorder, &camera(30, 20), 0.0, target).unwrap();
     let guard = recorder.finish().unwrap();
     lost(guard.times());
-    // SAFETY: never submitted.
+    // SAFETY: the command buffer is never submitted.
     unsafe { host.device.end_command_buffer(commands) }.unwrap();
     drop((device, frame, renderer));
     assert_eq!(returned.load(Ordering::SeqCst), 0, "the guard is left");
@@ -276,7 +279,7 @@ fn a_trainer_says_so_from_then_on() {
     own.backward(&mut recorder, OwnGradients { rgba: by_rgba.view(), depth: None }).unwrap();
     own.update(&mut recorder).unwrap();
     lost(stream.submit(recorder));
-    // Nothing was learnt, and nobody can know.
+    // The step has no known result, so either outcome is accepted.
     let _ = own.conclude();
     lost(own.gaussians());
     for _ in 0..3 {

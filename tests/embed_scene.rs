@@ -1,4 +1,4 @@
-//! Scenes edited where they lie, and asked about.
+//! Scenes on the device: edits in place, and queries.
 
 mod common;
 mod host;
@@ -65,7 +65,7 @@ fn logits(mut gaussians: Gaussians) -> Gaussians {
     gaussians
 }
 
-/// An edited renderer draws what one draws that was made of the result.
+/// An edited renderer draws the same as a renderer created from the edited scene.
 #[test]
 fn edits_leave_what_a_new_renderer_would_have() {
     let device = common::device();
@@ -85,7 +85,7 @@ fn edits_leave_what_a_new_renderer_would_have() {
         let mut now = part(&all, 0..40);
         let mut edited = Renderer::tuned(&device, &scene_of(now.clone(), moving), &tuning).unwrap();
         agree(&mut edited, &now);
-        // Beyond the room, then within.
+        // First beyond the capacity, then within it.
         assert_eq!(edited.append(&part(&all, 40..70)).unwrap(), 40..70);
         now = join(&now, &part(&all, 40..70));
         agree(&mut edited, &now);
@@ -129,7 +129,7 @@ fn edits_that_do_not_fit_are_named() {
     assert_eq!(renderer.len(), 10);
 }
 
-/// Two opaque balls behind one another, and a third one aside.
+/// Two opaque balls, one behind the other, and a third one to the side.
 fn balls() -> Gaussians {
     Gaussians {
         positions: vec![[0.0, 0.0, 5.0], [0.0, 0.0, 3.0], [1.0, 0.0, 4.0]],
@@ -151,10 +151,10 @@ fn a_pixel_tells_which_splat_it_shows() {
     assert_eq!((middle.gaussian, middle.depth), (1, 3.0));
     assert!(middle.weight > 0.9 && middle.alpha > middle.weight);
     assert!(middle.point.distance(DVec3::new(0.0, 0.0, 3.0)) < 0.03, "{middle:?}");
-    // The alpha is that of the picture.
+    // The alpha is that of the rendered image.
     let rendered = renderer.render(&camera, 0.0).unwrap();
     assert!((f64::from(rendered.rgba.at(50, 40)[3]) - middle.alpha).abs() < 1e-5);
-    // 1 aside at depth 4 is a quarter of the width.
+    // An offset of 1 at depth 4 is a quarter of the width.
     let aside = renderer.hit(&camera, 0.0, [75, 40]).unwrap().unwrap();
     assert_eq!((aside.gaussian, aside.depth), (2, 4.0));
     assert_eq!(renderer.hit(&camera, 0.0, [0, 0]).unwrap(), None);
@@ -176,7 +176,7 @@ fn boxes_hold_the_scene_at_a_time() {
     let mut renderer = Renderer::new(&device, &Scene::of(bad)).unwrap();
     let [low, high] = renderer.bounds(0.0, 0.0).unwrap().unwrap();
     assert_eq!([low, high], [DVec3::new(0.0, 0.0, 3.0); 2]);
-    // What moves takes its box along.
+    // The bounding box follows the moving Gaussians.
     let moving = Gaussians { motion_logits: vec![2.0; 3], ..balls() };
     let mut renderer = Renderer::new(&device, &scene_of(moving, true)).unwrap();
     let [low, high] = renderer.bounds(0.5, 0.0).unwrap().unwrap();
@@ -184,7 +184,7 @@ fn boxes_hold_the_scene_at_a_time() {
     common::assert_valid(&device);
 }
 
-/// Pictures of colour, and of what moves.
+/// Rendered colour, and the mask of moving Gaussians.
 #[test]
 fn the_mask_shows_what_moves() {
     let device: Device = common::device();

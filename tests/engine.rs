@@ -1,4 +1,4 @@
-//! Devices, buffers, recorder, stream.
+//! Tests of devices, buffers, recorders and streams.
 
 mod common;
 
@@ -75,7 +75,7 @@ fn a_readback_is_read_when_the_device_is_done_and_not_before() {
         assert!(error.to_string().contains("before the device was known to be done"), "{error}");
     };
     for round in 0..3 {
-        // Under way: recorded, submitted, and waited for on another stream only.
+        // The readback is in flight: recorded, submitted, and waited for on another stream only.
         let mut recorder = stream.record().unwrap();
         recorder.read_back(source.view(), &readback);
         early(&mut readback);
@@ -87,7 +87,7 @@ fn a_readback_is_read_when_the_device_is_done_and_not_before() {
         early(&mut readback);
         match round {
             0 => stream.wait(ticket).unwrap(),
-            // Whatever comes later on the stream, too.
+            // Waiting for later work on the stream also completes the readback.
             1 => drop(stream.download(&source).unwrap()),
             _ => {
                 stream = device.stream().unwrap();
@@ -99,7 +99,7 @@ fn a_readback_is_read_when_the_device_is_done_and_not_before() {
         assert_eq!(all, [1, 2, 3]);
         assert!(matches!(readback.read_into(&mut few), Err(Error::Shape { .. })));
     }
-    // Two streams: each must be waited for.
+    // With two streams, each must be waited for.
     let mut first = stream.record().unwrap();
     first.read_back(source.view(), &readback);
     let first = stream.submit(first).unwrap();
@@ -110,7 +110,7 @@ fn a_readback_is_read_when_the_device_is_done_and_not_before() {
     early(&mut readback);
     other.wait(second).unwrap();
     assert_eq!(readback.read().unwrap(), [1, 2, 3]);
-    // A recording that is given up holds nothing.
+    // A discarded recording keeps no resources.
     let mut recorder = stream.record().unwrap();
     recorder.read_back(source.view(), &readback);
     drop(recorder);
@@ -243,7 +243,7 @@ fn the_meter_adds_up_work_and_leaves_transfers_out() {
     let begun = std::time::Instant::now();
     for _ in 0..3 {
         let mut recorder = stream.record().unwrap();
-        // A profile of the same recording takes its own timestamps, and the meter has them too.
+        // A profile of the same recording has separate timestamps; the meter works beside it.
         recorder.profile().unwrap();
         indirect::record_arguments(&mut recorder, counts.view(), 0, 9, 1, grid.view_mut(), 0)
             .unwrap();

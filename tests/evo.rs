@@ -1,6 +1,6 @@
-//! Errors of trajectories against those that the `evo` package measures, on the same files.
+//! Trajectory errors, compared with those that the `evo` package computes from the same files.
 //!
-//! `tools/setup.sh test` installs evo beside the build.
+//! `tools/setup.sh test` installs evo beside the build directory.
 
 #[path = "support/python.rs"]
 mod python;
@@ -20,7 +20,7 @@ use support::shared;
 const BOUND: f64 = 1e-9;
 const ERRORS: [&str; 4] = ["ape_trans", "ape_rot_deg", "rpe_trans", "rpe_rot_deg"];
 
-/// What two files are and how they are compared; `fields` stand for those of the first line.
+/// A case: two files and how they are compared; `fields` override the default fields.
 fn case(name: &str, [estimate, reference]: &[Source; 2], fields: Value) -> Value {
     let mut case = json!({
         "align": "sim3", "align_first": 0, "max_time_diff": 0.01, "time_offset": 0.0,
@@ -36,14 +36,14 @@ fn case(name: &str, [estimate, reference]: &[Source; 2], fields: Value) -> Value
     case
 }
 
-/// A file, and what evo calls its format.
+/// A file, and evo's name of its format.
 struct Source {
     path: PathBuf,
     format: &'static str,
 }
 
-/// A trajectory of a camera that looks about, off from the truth by `wrong`, at so many poses, written in
-/// each format.
+/// Writes a trajectory of a rotating camera with `poses` poses, with errors of size `wrong`, in each
+/// format.
 fn written(folder: &Path, name: &str, poses: usize, wrong: f64) -> [Source; 3] {
     let mut text = [const { String::new() }; 3];
     text[2] =
@@ -58,7 +58,7 @@ fn written(folder: &Path, name: &str, poses: usize, wrong: f64) -> [Source; 3] {
         let ns = 1_403_636_579_763_555_584 + (i as i64) * 100_000_000;
         let (x, y, z) = (p.x, p.y, p.z);
         text[0] += &format!("{seconds} {x} {y} {z} {} {} {} {}\n", q.x, q.y, q.z, q.w);
-        // Seven decimals: no longer quite a rotation, as files of this kind are.
+        // With seven decimals the matrix is not exactly a rotation, as in real files of this format.
         let m = DMat3::from_quat(q);
         let row = |r: usize, last: f64| {
             let [a, b, c] = m.row(r).to_array();
@@ -99,7 +99,7 @@ fn by_us(case: &Value) -> Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// That all statistics of all errors are equal within [`BOUND`].
+/// Checks that all statistics of all errors agree within [`BOUND`].
 fn same(case: &Value, ours: &Value, theirs: &Value) {
     let name = &case["name"];
     assert_eq!(ours["poses"], theirs["poses"], "{name}: paired poses");

@@ -1,5 +1,5 @@
-//! Scenes in the formats of others: written here and read by splat-transform, written by it and read
-//! here, and through the command line.
+//! Scenes in other programs' formats: written here and read by splat-transform, written by it and read
+//! here, and converted through the command line.
 
 #[path = "support/program.rs"]
 mod program;
@@ -27,7 +27,7 @@ fn device() -> Device {
     Device::open(&Request { selector, ..Request::default() }).unwrap()
 }
 
-/// That Gaussians differ by no more than a format's steps.
+/// Checks that Gaussians differ by no more than a format's quantisation steps.
 #[track_caller]
 fn within(name: &str, found: &Apart, most: &Apart) {
     println!("{name}: {found:?}");
@@ -42,7 +42,8 @@ fn within(name: &str, found: &Apart, most: &Apart) {
     assert!(pairs.iter().all(|(found, most)| found <= most), "{name}: {found:?}, allowed {most:?}");
 }
 
-/// A step of 11 bits in a chunk of the cloud, and of 8 bits in colours whose range is that of the cloud.
+/// Bounds of compressed PLY: one step of 11 bits within a chunk of the cloud, and of 8 bits over the
+/// cloud's range of colours.
 const OF_COMPRESSED: Apart = Apart {
     position: 1.2e-3,
     log_scale: 1.0e-3,
@@ -51,7 +52,7 @@ const OF_COMPRESSED: Apart = Apart {
     colour: 0.006,
     harmonic: 0.017,
 };
-/// Scales in sixteenths, colours in 8 bits over ±3.3, harmonics in 4 bits.
+/// Bounds of SPZ: scales in sixteenths, colours in 8 bits over ±3.3, spherical harmonics in 4 bits.
 const OF_SPZ: Apart = Apart {
     position: 1.0e-3,
     log_scale: 0.0313,
@@ -60,7 +61,7 @@ const OF_SPZ: Apart = Apart {
     colour: 0.0132,
     harmonic: 0.067,
 };
-/// Quaternions in 8 bits a part; f32 else.
+/// Bounds of `.splat`: quaternions in 8 bits per component; everything else is f32.
 const OF_SPLAT: Apart = Apart {
     position: 0.0,
     log_scale: 1e-5,
@@ -70,8 +71,9 @@ const OF_SPLAT: Apart = Apart {
     harmonic: 0.0,
 };
 
-/// Positions in 16 bits, rotations in 8 a part, opacities in 8, rounded down; scales, colours and
-/// harmonics from codebooks and a palette that were fitted to the scene.
+/// Bounds of SOG: positions in 16 bits, rotations in 8 bits per component, opacities in 8 bits, rounded
+/// down; scales, colours and spherical harmonics from codebooks and a palette that were fitted to the
+/// scene.
 const OF_SOG: Apart = Apart {
     position: 1e-4,
     log_scale: 0.01,
@@ -101,7 +103,7 @@ fn another_program_reads_what_is_written() {
         within(&format!("{name} here"), &apart(&g, &open(&written)), &most);
         let theirs = transformed(&written, &folder.path().join(format!("{name}.back.ply")), &[]);
         let theirs = open(&theirs);
-        // Harmonics that are all 0 they leave out.
+        // The other program leaves out spherical harmonics that are all 0.
         assert_eq!(theirs.sh_degree, degree);
         within(&format!("{name} there"), &apart(&g, &theirs), &most);
     }
@@ -122,7 +124,7 @@ fn what_another_program_writes_is_read() {
         let theirs = transformed(&at("a.ply"), &at(name), options);
         within(name, &apart(&g, &open(&theirs)), &most);
     }
-    // A palette holds harmonics that occur many times.
+    // A palette stores spherical harmonics that occur many times exactly.
     let mut g = g;
     let few: Vec<[f32; 3]> = g.sh[..8 * 16].to_vec();
     for (i, rows) in g.sh.chunks_exact_mut(16).enumerate() {
@@ -140,7 +142,7 @@ fn one_scene_in_two_formats_agrees() {
     let Some(set) = shared("splats_playcanvas") else { return };
     let (ply, spz) = (open(&set.join("biker.compressed.ply")), open(&set.join("biker.spz")));
     assert_eq!(ply.len(), spz.len());
-    // Sorted along x alone, the one is close to the other.
+    // The bounds of the Gaussians in the two files agree along each axis.
     let bounds = |g: &Gaussians| {
         let fold = |with: fn(f32, f32) -> f32, c: usize| {
             g.positions.iter().map(|p| p[c]).reduce(with).unwrap()
@@ -160,7 +162,7 @@ fn one_scene_in_two_formats_agrees() {
     for (a, b) in mean(&ply).into_iter().zip(mean(&spz)) {
         assert!((a - b).abs() < 0.01 * a.abs().max(1.0), "{a} {b}");
     }
-    // And both make the same picture.
+    // Both give the same render.
     let device = device();
     let [low, high] = [0, 1].map(|end| bounds(&ply).map(|b| f64::from(b[end])));
     let centre = glam::DVec3::from_array(low).midpoint(glam::DVec3::from_array(high));
@@ -197,7 +199,7 @@ fn an_spz_holds_the_motion() {
     assert_eq!(back.control_points.positions, scene.control_points.positions);
     let paths = [&back, &scene].map(|scene| scene.control_points.paths.as_flattened());
     assert_eq!(paths[0].len(), paths[1].len());
-    // In halves.
+    // Paths are stored as half floats.
     assert!(paths[0].iter().zip(paths[1]).all(|(a, b)| (a - b).abs() <= 5e-4 * b.abs()));
     let device = device();
     let mut ours = Renderer::new(&device, &scene).unwrap();
@@ -210,11 +212,11 @@ fn an_spz_holds_the_motion() {
         println!("motion in SPZ at {time}: {psnr:.2} dB");
         assert!(psnr > 30.0, "{psnr}");
         let still = ours.posed(time).unwrap();
-        // Logits that fade tell opacities close to 1 apart.
+        // A fading changes the logits, so opacities close to 1 differ more.
         let most = Apart { position: 2e-3, rotation: 1e-3, opacity: 0.02, ..OF_SPZ };
         within("posed", &apart(&still, &theirs.posed(time).unwrap()), &most);
     }
-    // Others see the moment that is named.
+    // Other programs see the scene at the given time.
     json(folder.path(), "export scene.safetensors -o late.spz --time 0.9");
     assert!(Scene::open(at("late.spz"), false).unwrap().scene.moves());
     let seen = open(&transformed(&at("late.spz"), &at("seen.ply"), &[]));
@@ -237,7 +239,7 @@ fn moments_and_sequences_are_those_of_the_scene() {
     let posed = renderer.posed(0.4).unwrap();
     assert_eq!(open(&at("a.ply")), posed);
     assert_ne!(posed.positions, scene.gaussians.positions);
-    // Posed Gaussians make the picture of the scene at that time.
+    // Posed Gaussians give the render of the scene at that time.
     let camera = scene.cameras[0].camera;
     let moved = renderer.render(&camera, 0.4).unwrap();
     let still = Renderer::new(&device, &Scene::of(posed)).unwrap().render(&camera, 0.0).unwrap();
@@ -316,13 +318,13 @@ fn hostile_files_are_refused() {
     refused(&with(32, &[0xff; 8]), &["truncated"]);
     refused(&with(40, &[1]), &["stream of"]);
     refused(&[&good[..], b"more"].concat(), &["behind its last stream"]);
-    // A bomb: a stream that unpacks to more than the Gaussians need.
+    // A decompression bomb: a stream that unpacks to more than the Gaussians need.
     let bomb = zstd::bulk::compress(&vec![0; 1 << 26], 1).unwrap();
     let mut bytes = good[..32 + 80].to_vec();
     bytes[32..40].copy_from_slice(&(bomb.len() as u64).to_le_bytes());
     bytes.extend(&bomb);
     refused(&bytes, &["cannot be unpacked"]);
-    // In gzip: no end, and far too much behind the arrays.
+    // The gzip version: a truncated stream, and far too much data after the arrays.
     let (old, _) = Format::Spz(spz::Version::V3).encode(&cloud(0)).unwrap();
     refused(&old[..old.len() - 4], &["cannot be unpacked"]);
     let mut plain = Vec::new();
@@ -336,7 +338,7 @@ fn hostile_files_are_refused() {
     says(&support::message(Scene::open(&path, false)), &["a.splat", "33 bytes"]);
 }
 
-/// The attributes of a `.glb` by name: how many values each has, and these.
+/// The attributes of a `.glb` by name: the number of components of each, and its values.
 fn attributes(path: &Path) -> std::collections::BTreeMap<String, (usize, Vec<f32>)> {
     let bytes = fs::read(path).unwrap();
     let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
@@ -370,15 +372,15 @@ fn attributes(path: &Path) -> std::collections::BTreeMap<String, (usize, Vec<f32
     primitive["attributes"].as_object().unwrap().iter().map(of).collect()
 }
 
-/// What sRGB's transfer function makes linear.
+/// Converts an sRGB value to linear light.
 fn linear(value: f32) -> f32 {
     if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
 }
 
-/// How far two quaternions (x, y, z, w) are from the same ellipsoid: one whose axes are turned about any of
-/// them by half a turn is the same.
+/// Smallest difference of two quaternions (x, y, z, w) as orientations of an ellipsoid: half a turn about
+/// any axis gives the same ellipsoid.
 fn turned(a: &[f32], b: &[f32]) -> f32 {
-    // The other program leaves quaternions as long as they were.
+    // The other program does not normalise quaternions.
     let quaternion = |q: &[f32]| glam::Quat::from_slice(q).normalize();
     let halves =
         [[0.0, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
@@ -386,7 +388,7 @@ fn turned(a: &[f32], b: &[f32]) -> f32 {
     1.0 - halves.iter().map(dot).fold(0.0, f32::max)
 }
 
-/// Another program that writes glTF makes the same attributes of the same Gaussians.
+/// Another program writes the same glTF attributes for the same Gaussians.
 #[test]
 fn gltf_is_as_another_program_writes_it() {
     let folder = tempfile::tempdir().unwrap();
@@ -398,7 +400,7 @@ fn gltf_is_as_another_program_writes_it() {
     let theirs = attributes(&transformed(&at("a.ply"), &at("theirs.glb"), &[]));
     assert_eq!(ours.len(), 5 + 16);
     assert_eq!(ours.keys().collect::<Vec<_>>(), theirs.keys().collect::<Vec<_>>());
-    // Either may write its own order.
+    // Each program may write its own order.
     let key = |of: &(usize, Vec<f32>)| {
         let mut order: Vec<usize> = (0..g.len()).collect();
         order.sort_by(|&a, &b| of.1[3 * a].total_cmp(&of.1[3 * b]));
@@ -414,30 +416,30 @@ fn gltf_is_as_another_program_writes_it() {
                 continue;
             }
             for (c, (a, b)) in a.iter().zip(b).enumerate() {
-                // The other program writes colours for points as sRGB has them; glTF says linear.
+                // The other program writes point colours in sRGB; glTF requires linear values.
                 let b = if name == "COLOR_0" && c < 3 { linear(*b) } else { *b };
                 worst = worst.max((a - b).abs());
             }
         }
         println!("{name}: {worst}");
-        // Colours for points are in 8 bits, and those of the other were before the transfer function.
+        // Point colours have 8 bits; the other program quantises them before the transfer function.
         let most = if name == "COLOR_0" { 2.0 / 255.0 } else { 1e-5 };
         assert!(worst <= most, "{name}: {worst}");
     }
 }
 
-/// A half of a word.
+/// The half float at byte `at`.
 fn half(bytes: &[u8], at: usize) -> f64 {
     half::f16::from_le_bytes([bytes[at], bytes[at + 1]]).to_f64()
 }
 
-/// The texture is read as splaTV's shader reads it.
+/// This test reads the texture as splaTV's shader does.
 #[test]
 fn a_splatv_moves_as_the_scene() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     let mut scene = moving(0);
-    // Without the one that fades.
+    // Without the opacity offset (component 3), which the format does not have.
     scene.control_points.paths.iter_mut().for_each(|motion| motion[3] = 0.0);
     scene.save(at("scene.safetensors")).unwrap();
     let answer = json(folder.path(), "export scene.safetensors -o a.splatv");
@@ -510,7 +512,7 @@ fn the_compact_scene_is_small_and_looks_the_same() {
         let info = json(folder.path(), "info small.safetensors");
         assert_eq!((&info["gaussians"], &info["path_keys"]), (&700.into(), &6.into()));
     }
-    // The canonical places of what moves may lie far off.
+    // The canonical positions of moving Gaussians may be far away.
     let mut far = moving(1);
     far.control_points.positions.iter_mut().for_each(|place| place[0] += 100.0);
     far.control_points.paths.iter_mut().for_each(|motion| motion[0] -= 100.0);
@@ -521,7 +523,7 @@ fn the_compact_scene_is_small_and_looks_the_same() {
     let answer = json(folder.path(), "export far.safetensors -o small.safetensors --compact");
     println!("far: {}", answer["compact"]);
     assert!(answer["compact"]["psnr"].as_f64() > Some(45.0));
-    // Bands that nothing is in are left out, whatever the plain form has.
+    // Bands that are all 0 are left out, whatever the degree of the Gaussians.
     let mut g = cloud(2);
     g.sh.chunks_exact_mut(9).for_each(|rows| rows[1..].fill([0.0; 3]));
     Scene::of(g).save(at("flat.safetensors")).unwrap();

@@ -1,4 +1,4 @@
-//! Clips (videos, folders of images) and the small files that go with them, whole and damaged.
+//! Clips (videos, folders of images) and their accompanying small files, intact and damaged.
 
 mod support;
 
@@ -19,7 +19,7 @@ use support::{damage, message, picture, says, shared, some_camera};
 
 #[test]
 fn undistortion_undoes_the_lens() {
-    // A picture that is a smooth function of the direction, as a bent lens sees it.
+    // An image that is a smooth function of the viewing direction, seen through a lens with distortion.
     let k = Intrinsics { fx: 90.0, fy: 95.0, cx: 62.0, cy: 45.0, width: 120, height: 90 };
     let lens = Distortion { radial: [0.08, -0.03, 0.01, 0.0], tangential: [0.004, -0.003] };
     let colour = |d: DVec2| (0.5 + 0.4 * (6.0 * d.x).sin() * (5.0 * d.y).cos()) as f32;
@@ -29,7 +29,7 @@ fn undistortion_undoes_the_lens() {
         for x in 0..120 {
             let d = k.ray(DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5)).truncate();
             straight.at_mut(x, y)[0] = colour(d);
-            // The direction that the lens brings to this pixel, by fixed-point iteration.
+            // The direction that the lens projects to this pixel, by fixed-point iteration.
             let mut u = d;
             for _ in 0..60 {
                 u += d - lens.distort(u);
@@ -56,7 +56,7 @@ fn undistortion_undoes_the_lens() {
     }
     // Bilinear sampling errs by h²/8 · |f''|, here (1/90)²/8 · 0.4 · (6² + 5²) ≈ 3.8e-4.
     assert!(worst < 5e-4, "{worst}");
-    // Beyond the fold of a strong negative polynomial nothing is real.
+    // Beyond the fold of a strong negative distortion polynomial there are no valid pixels.
     let fold = Distortion { radial: [-1.5, 0.0, 0.0, 0.0], tangential: [0.0; 2] };
     let (_, valid) = Lens { distortion: fold, ..camera }.undistort(&bent, &k);
     assert_eq!(valid.unwrap().at(119, 89), [0.0]);
@@ -115,7 +115,7 @@ fn clip_of_a_folder() {
     says(&message(Clip::open(&frames, &options)), &["f3.png", "40×31", "f2.png", "40×30"]);
 }
 
-/// What is no whole picture among the frames is an error that names it, or left out with a note.
+/// A frame that is not a complete image is an error that names it, or is left out with a note.
 #[test]
 fn bad_frames_of_a_folder_are_named() {
     let folder = tempfile::tempdir().unwrap();
@@ -131,7 +131,7 @@ fn bad_frames_of_a_folder_are_named() {
         assert_eq!(clip.frames.iter().map(|f| f.number).collect::<Vec<_>>(), [0, 1, 3, 4]);
         says(&clip.notes[0], &["skipped 1 of 5", name]);
     };
-    // Half a file of every kind that is read.
+    // A truncated file of every supported image format.
     let whole = picture(40, 30, 3);
     let bytes = whole.pixels.iter().map(|v| (v * 255.0) as u8).collect();
     let whole = ::image::RgbImage::from_raw(40, 30, bytes).unwrap();
@@ -168,7 +168,7 @@ fn has_ffmpeg() -> bool {
     found
 }
 
-/// Makes a video with the given arguments of ffmpeg between its input and its output.
+/// Makes a video with ffmpeg; `arguments` come between its input and its output.
 fn video_of(path: &Path, source: &str, arguments: &str) {
     let made = std::process::Command::new("ffmpeg")
         .args(["-nostdin", "-v", "error", "-f", "lavfi", "-i", source])
@@ -181,7 +181,8 @@ fn video_of(path: &Path, source: &str, arguments: &str) {
 
 const MOVING: &str = "testsrc2=s=160x90:r=12:d=4";
 
-/// A video with damaged or missing frames is an error, or its whole frames are taken, by number.
+/// A video with damaged or missing frames is an error, or its intact frames are used, with their frame
+/// numbers.
 #[test]
 fn damaged_videos_are_told() {
     if !has_ffmpeg() {
@@ -207,7 +208,7 @@ fn damaged_videos_are_told() {
         let bytes = fs::read(&path).unwrap();
         let middle = bytes.len() / 2;
 
-        // Changed bits in the middle.
+        // Bits are flipped in the middle.
         let mut bad = bytes.clone();
         bad[middle..middle + 40].iter_mut().for_each(|b| *b ^= 0x55);
         fs::write(&path, &bad).unwrap();
@@ -219,7 +220,7 @@ fn damaged_videos_are_told() {
         for frame in &clip.frames {
             assert!(frame.image == whole.frames[frame.number].image, "{name}: {}", frame.name);
         }
-        // What the damage does not touch is taken as if it were not there.
+        // Frames that the damage does not affect are read without an error.
         let few = ClipOptions { max_frames: Some(4), ..options };
         assert_eq!(Clip::open(&path, &few).unwrap().frames.len(), 4, "{name}");
 
@@ -242,7 +243,8 @@ fn damaged_videos_are_told() {
     }
 }
 
-/// Of a video with cuts one shot is taken, with the video's own frame numbers; of a folder likewise.
+/// From a video with cuts one shot is used, with the frame numbers of the video; the same holds for a
+/// folder.
 #[test]
 fn a_clip_with_cuts_has_shots() {
     if !has_ffmpeg() {
@@ -292,11 +294,11 @@ fn a_clip_with_cuts_has_shots() {
         let too_few = message(open(ShotChoice::Number(0), 4, None));
         says(&too_few, &["2 frames only"]);
     }
-    // The video tells times, too.
+    // A video also gives times.
     says(&Clip::open(&path, &options).unwrap().notes[0], &["8 to 19, 0.80 to 2.00 s"]);
 }
 
-/// Whole videos of the usual kinds are read without a word.
+/// Intact videos of the usual kinds are read without notes.
 #[test]
 fn whole_videos_are_read() {
     if !has_ffmpeg() {
@@ -327,7 +329,7 @@ fn whole_videos_are_read() {
         let third = ClipOptions { every: 3, ..ClipOptions::default() };
         assert_eq!(Clip::open(&path, &third).unwrap().total, Some(count), "{name}");
     }
-    // Sound is of no concern, even where it is damaged; nor is what an edit list hides.
+    // Audio is ignored, even if it is damaged; so are frames that an edit list hides.
     let sound = folder.path().join("sound.mkv");
     let made = "-f lavfi -i sine=d=4 -c:v libx264 -g 12 -c:a ac3";
     video_of(&sound, MOVING, made);
@@ -344,7 +346,7 @@ fn whole_videos_are_read() {
     assert!((28..=36).contains(&clip.frames.len()) && clip.notes.is_empty());
 }
 
-/// Work stops when the caller says so, and in time.
+/// Reading stops promptly when the caller asks for it.
 #[test]
 fn reading_a_video_can_be_stopped() {
     if !has_ffmpeg() {
@@ -370,7 +372,7 @@ fn clip_of_a_video() {
     let none = std::ffi::OsStr::new("no-such-program");
     let text = message(video::decode_with(none, none, &path, &options, &|| Ok(())));
     says(&text, &["apple.mp4", "ffmpeg", "apt-get install ffmpeg", "extract the frames"]);
-    // A program that is there and cannot be run is not called missing.
+    // A program that exists but cannot be run is not reported as missing.
     #[cfg(unix)]
     {
         let folder = tempfile::tempdir().unwrap();
@@ -395,7 +397,7 @@ fn clip_of_a_video() {
     let broken = folder.path().join("broken.mp4");
     fs::write(&broken, b"no video").unwrap();
     says(&message(Clip::open(&broken, &options)), &["broken.mp4", "ffmpeg cannot read"]);
-    // A version from before 5.1, which does not know -fps_mode.
+    // An ffmpeg before version 5.1, which does not have -fps_mode.
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt;
@@ -437,7 +439,7 @@ fn exif_focal_length() {
     let field = |tag, value| Field { tag, ifd_num: In::PRIMARY, value };
     let ratio = |num, denom| Value::Rational(vec![Rational { num, denom }]);
     let film = with("film.jpg", &[field(Tag::FocalLengthIn35mmFilm, Value::Short(vec![26]))]);
-    // The diagonal is 500 pixels here and 43.27 mm there.
+    // The diagonal is 500 pixels in the image and 43.27 mm on 35 mm film.
     let focal = exif::focal(&film, 400, 300).unwrap();
     assert!((focal - 26.0 / 43.2666 * 500.0).abs() < 0.01, "{focal}");
     let sensor = with(
@@ -449,7 +451,7 @@ fn exif_focal_length() {
             field(Tag::PixelXDimension, Value::Long(vec![800])),
         ],
     );
-    // 5 mm at 200 pixels a millimetre, of a picture twice as wide.
+    // 5 mm at 200 pixels per millimetre, for an image twice as wide.
     assert_eq!(exif::focal(&sensor, 400, 300), Some(500.0));
     let zero = with("zero.jpg", &[field(Tag::FocalLength, ratio(1, 0))]);
     assert_eq!(exif::focal(&zero, 400, 300), None);
@@ -464,7 +466,7 @@ fn exif_focal_length() {
     let clip = Clip::open(folder.path(), &half).unwrap();
     assert!((clip.focal.unwrap() - focal / 2.0).abs() < 1e-9);
 
-    // A picture held upright: EXIF turns it, and the clip shows it so.
+    // A portrait photo: EXIF has its orientation, and the clip applies it.
     let turned = tempfile::tempdir().unwrap();
     for name in ["1.jpg", "2.jpg", "3.jpg"] {
         let path = with(name, &[field(Tag::Orientation, Value::Short(vec![6]))]);
@@ -494,7 +496,7 @@ fn sizes() {
     assert_eq!(Resize::Width(1).target(4000, 3), (1, 1));
     assert_eq!(Resize::Width(100_000).target(400, 301), (400, 301), "images only shrink");
     assert_eq!(Resize::To(0, 7).target(4, 3), (1, 7));
-    // Halving keeps means: each result is an average, so a flat image stays flat.
+    // Halving preserves means: each result is an average, so a constant image stays constant.
     let mut flat = Image::new(64, 48, 3);
     flat.pixels.fill(0.37);
     let half = images::resize(&flat, 32, 24);
@@ -558,7 +560,8 @@ fn trajectories() {
     let half = std::f64::consts::FRAC_1_SQRT_2;
     let turn_z = DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2);
     let second = |r: Result<Vec<trajectory::TimedPose>>| r.unwrap()[1].world_from_view.rotation;
-    // (w, x, y, z), told by the identity at the start, by a comment, by the caller.
+    // The order (w, x, y, z) is recognised by the identity at the start, by a comment, or given by the
+    // caller.
     let text = format!("0 0 0 0 1 0 0 0\n1 0 0 0 {half} 0 0 {half}\n");
     assert!(second(read(&text, None)).dot(turn_z) > 1.0 - 1e-12);
     let text = format!("# t x y z qw qx qy qz\n0 0 0 0 0 1 0 0\n1,0,0,0,{half},0,0,{half}\n");
@@ -567,7 +570,7 @@ fn trajectories() {
     assert!(second(read(&text, None)).dot(turn_z) > 1.0 - 1e-12);
     let order = Some(trajectory::QuaternionOrder::Wxyz);
     assert!(second(read(&text, order)).dot(turn_z) < 0.9);
-    // Seven columns, and KITTI's twelve.
+    // Files with seven columns, and KITTI's twelve.
     let seven = read("1 2 3 0 0 0 1\n4 5 6 0 0 0 1\n", None).unwrap();
     assert_eq!((seven[1].time, seven[1].world_from_view.translation.y), (1.0, 5.0));
     let kitti = read("0 -1 0 7 1 0 0 8 0 0 1 9\n", None).unwrap();
@@ -666,7 +669,7 @@ fn writing_leaves_nothing_half_written() {
         fs::write(&usual, "").unwrap();
         let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode();
         assert_eq!(mode(&path), mode(&usual));
-        // A full disk, and that a device is not replaced by a file.
+        // A full disk is an error, and a device is not replaced by a file.
         use std::os::unix::fs::FileTypeExt;
         let full = write_atomically("/dev/full", |sink| sink.write_all(b"x"));
         says(&message(full), &["/dev/full", "No space left"]);

@@ -1,5 +1,4 @@
-//! Dense optical flow on the device: kernels against the oracle, flows that are known, hard cases,
-//! real images.
+//! Dense optical flow on the device: kernels against the oracle, known flows, hard cases, real images.
 
 mod common;
 
@@ -9,7 +8,7 @@ use splat4d::oracle::flow::{Pyramid, flow};
 use splat4d::types::{FlowSettings, Image};
 use std::path::PathBuf;
 
-/// The flow at a pixel.
+/// The true flow at a pixel.
 type Truth<'a> = Box<dyn Fn(f64, f64) -> [f64; 2] + 'a>;
 
 #[test]
@@ -38,7 +37,7 @@ fn texture(x: f64, y: f64) -> f64 {
         + 0.15 * octave(3.5, 5.2)
 }
 
-/// An image of the texture seen through `from`, pixel to texture.
+/// An image of the texture; `from` maps pixels to texture coordinates.
 fn render(width: u32, height: u32, from: impl Fn(f64, f64) -> [f64; 2]) -> Image {
     let mut image = Image::new(width, height, 1);
     for y in 0..height {
@@ -89,7 +88,8 @@ fn known_flows() {
     let device = common::device();
     let (w, h) = (160, 96);
     let first = render(w, h, |x, y| [x, y]);
-    // Where a pixel of the first image goes; the second image looks that up backwards.
+    // The map of a pixel from the first image to the second; the second image is rendered with its
+    // inverse.
     let (scale, turn) = (1.06f64, 0.05f64);
     let (cx, cy) = (80.0, 48.0);
     let zoom = |x: f64, y: f64| {
@@ -127,7 +127,7 @@ fn known_flows() {
     common::assert_valid(&device);
 }
 
-/// Exposure changed: gain and offset.
+/// The exposure changes by a gain and an offset.
 #[test]
 fn lighting_may_change() {
     let device = common::device();
@@ -148,7 +148,8 @@ fn identical_images_do_not_move() {
     assert!(flow.forward_confidence.pixels.iter().all(|v| *v > 0.99));
 }
 
-/// A square that moves by (12, 3) before a still background: what it covers is told apart.
+/// A square that moves by (12, 3) in front of a static background: the pixels that it occludes get a low
+/// confidence.
 #[test]
 fn occlusions_are_not_trusted() {
     let device = common::device();
@@ -171,14 +172,15 @@ fn occlusions_are_not_trusted() {
     assert!((mean(&flow.forward, 54..86, 34..62, 0) - 12.0).abs() < 0.5);
     assert!((mean(&flow.forward, 54..86, 34..62, 1) - 3.0).abs() < 0.5);
     assert!(mean(&flow.forward, 4..40, 8..88, 0).abs() < 0.2);
-    // The strip right of the square vanishes behind it.
+    // The strip right of the square becomes occluded.
     let sure = mean(&flow.forward_confidence, 54..86, 34..62, 0);
     let hidden = mean(&flow.forward_confidence, 91..101, 36..64, 0);
     println!("confidence: on the square {sure:.3}, where it is going {hidden:.3}");
     assert!(sure > 0.7 && hidden < 0.35, "{sure} {hidden}");
 }
 
-/// Nothing to see, hardly any pixels, no numbers: finite, and no motion where none can be seen.
+/// Images without texture, with very few pixels, or with NaN: the flow is finite, and zero if no motion
+/// is visible.
 #[test]
 fn hard_images() {
     let device = common::device();
@@ -193,7 +195,7 @@ fn hard_images() {
         }
         assert!(finite(&run(&device, &wild, &grey)), "{w}×{h} wild");
         assert!(finite(&run(&device, &wild, &wild)), "{w}×{h} wild twice");
-        // Nothing in common.
+        // Two unrelated images.
         let noise = render(w, h, |x, y| [x * 97.3, y * 71.9]);
         let other = render(w, h, |x, y| [x * 53.1 + 9e4, y * 67.7]);
         assert!(finite(&run(&device, &noise, &other)), "{w}×{h} unrelated");
@@ -201,7 +203,8 @@ fn hard_images() {
     common::assert_valid(&device);
 }
 
-/// A displacement out of the search's reach is found from a guess, and a wrong guess does no harm.
+/// A displacement outside of the search range is found from an initial guess, and a wrong guess does no
+/// harm.
 #[test]
 fn guesses() {
     let device = common::device();
@@ -240,7 +243,7 @@ fn the_same_twice_and_as_the_oracle() {
         Pyramid::new(&pixels, 120, 68, 1, settings.coarsest_side)
     };
     let truth = flow(&pyramid(&first), &pyramid(&second), None, &settings);
-    // A patch's choice can turn on a rounding, so pixels are counted.
+    // Rounding can change a patch's choice, so differing pixels are counted.
     let apart = |got: &Image, truth: &[[f64; 2]]| {
         let apart = |(g, t): (&[f32], &[f64; 2])| {
             (f64::from(g[0]) - t[0]).hypot(f64::from(g[1]) - t[1]) > 0.02
@@ -280,7 +283,7 @@ fn load(path: PathBuf) -> Image {
     Image { width, height, channels: 3, pixels }
 }
 
-/// A hard pair of KITTI: a car comes nearer by half its size, flow reaches 150 pixels.
+/// A hard pair of KITTI: an approaching car grows by half its size, and the flow is up to 150 pixels.
 #[test]
 fn kitti() {
     let Some(dir) = common::shared_data("flow_gt/KITTI") else { return };

@@ -1,4 +1,4 @@
-//! A little fuzzing, and the scenes that failed once.
+//! A short fuzz run, and scenes that failed before.
 
 mod common;
 

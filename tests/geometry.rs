@@ -42,7 +42,7 @@ fn tum(text: &str) -> (Vec<f64>, Vec<Pose>) {
         .unzip()
 }
 
-/// evo's published figures for KITTI 00 and ORB-SLAM.
+/// The errors that evo publishes for ORB-SLAM on KITTI 00.
 #[test]
 fn kitti_00_gives_the_published_errors() {
     let (Some(gt), Some(orb)) =
@@ -84,16 +84,16 @@ fn normal(rng: &mut ChaCha8Rng) -> f64 {
     (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
 }
 
-/// How a synthetic sequence is made.
+/// Parameters of a synthetic sequence.
 #[derive(Clone, Copy)]
 struct Make {
     frames: usize,
     points: usize,
-    /// How far the camera travels from frame to frame.
+    /// Distance that the camera travels per frame.
     step: f64,
-    /// How far it turns, radians a frame.
+    /// Rotation of the camera, radians per frame.
     turn: f64,
-    /// Frames after a point's own that see it.
+    /// Number of further frames that observe a point.
     reach: usize,
     noise: f64,
     outliers: f64,
@@ -132,7 +132,7 @@ fn sequence(make: Make) -> Problem {
         let world = poses[frame].inverse().apply(intrinsics.ray(pixel) * depth);
         let index = points.len();
         points.push(Point { frame, pixel, inverse_depth: 1.0 / depth, prior: None });
-        // Frames before as well as after, so that every frame is tied to its neighbours.
+        // Observations in frames before and after, so that every frame is connected to its neighbours.
         let first = frame.saturating_sub(make.reach / 2);
         for other in first..(first + make.reach + 1).min(make.frames) {
             let x = poses[other].apply(world);
@@ -224,7 +224,7 @@ fn bundle_withstands_outliers_that_least_squares_does_not() {
 
 #[test]
 fn weights_of_zero_silence_what_moves() {
-    // Points of the second half of each frame's share move; their weights say so.
+    // The second half of each frame's points move; their weights are low.
     let mut truth = sequence(MAKE);
     for o in &mut truth.observations {
         if o.point % 2 == 1 {
@@ -242,13 +242,13 @@ fn weights_of_zero_silence_what_moves() {
     let untouched = disturbed(&masked, 0.01, 0.2, 4);
     assert!(problem.points[1].inverse_depth > 0.0 && all_finite(&problem));
     let ratio = |k: usize| problem.points[k].inverse_depth / untouched.points[k].inverse_depth;
-    // Only the common rescaling has touched a point that nothing observes.
+    // A point without observations is changed only by the common rescaling.
     assert!((ratio(1) / ratio(3) - 1.0).abs() < 1e-9);
 }
 
 #[test]
 fn focal_length_is_found_where_it_can_be_and_kept_where_not() {
-    // A camera that turns and moves: observable.
+    // A camera that rotates and moves: the focal length is observable.
     let truth = sequence(Make { turn: 0.06, points: 800, reach: 6, ..MAKE });
     let mut problem = disturbed(&truth, 0.005, 0.1, 5);
     problem.intrinsics = Intrinsics::centred(480.0, 480, 270);
@@ -278,7 +278,7 @@ fn focal_length_is_found_where_it_can_be_and_kept_where_not() {
     let report = adjust(&mut problem, &gated).unwrap();
     assert!(!report.focal_released, "{} {}", report.focal_std, problem.intrinsics.fx);
     assert_eq!(problem.intrinsics.fx, 480.0);
-    // A prior makes up for what the data do not say.
+    // A prior supplies what the data do not determine.
     let mut problem = wall.clone();
     problem.intrinsics = Intrinsics::centred(480.0, 480, 270);
     let prior =
@@ -322,7 +322,7 @@ fn hard_cases_end_finite_and_say_so() {
     let report = adjust(&mut problem, &Options::default()).unwrap();
     assert!(report.underdetermined && all_finite(&problem));
 
-    // Everything held: nothing moves, the report still stands.
+    // Everything is fixed: nothing changes, and the report is still valid.
     let truth = sequence(MAKE);
     let mut problem = truth.clone();
     problem.fixed = vec![true; MAKE.frames];
@@ -330,8 +330,8 @@ fn hard_cases_end_finite_and_say_so() {
     assert_eq!(problem.poses, truth.poses);
     assert_eq!(report.initial_squared, report.final_squared);
 
-    // A start that is far off, poses turned by a radian and more and some points behind their cameras:
-    // it ends where a near one does. Measured: 0.09 % of the path, and 99.6 % agree.
+    // A start that is far off, with poses rotated by a radian and more and some points behind their
+    // cameras, converges to the same result as a near one. Measured: 0.09 % of the path, 99.6 % inliers.
     let truth = sequence(MAKE);
     let mut problem = disturbed(&truth, 1.5, 2.0, 8);
     let before = relative_ate(&problem, &truth);
@@ -341,7 +341,7 @@ fn hard_cases_end_finite_and_say_so() {
     assert!(after < 0.004 && after < 0.1 * before, "{after} from {before}");
     assert!(report.inlier_ratio > 0.95, "{}", report.inlier_ratio);
 
-    // A static camera and no prior: nothing to solve, nothing lost.
+    // A static camera without a prior: there is nothing to solve, and nothing breaks.
     let mut problem = sequence(Make { step: 0.0, turn: 0.0, ..MAKE });
     adjust(&mut problem, &Options { focal: FocalMode::Gated(0.05), ..Default::default() }).unwrap();
     assert!(all_finite(&problem));
@@ -384,7 +384,7 @@ fn scale_is_kept_unless_something_anchors_it() {
     let found = bundle::median_inverse_depth(&problem).unwrap();
     let exact = bundle::median_inverse_depth(&truth).unwrap();
     assert!((found / exact - 2.0).abs() < 0.02, "{}", found / exact);
-    // Rescaling moves no pixel.
+    // Rescaling changes no projected pixel.
     let mut scaled = truth.clone();
     bundle::rescale(&mut scaled, 3.7);
     let held = Options { rounds: 1, steps: 0, ..Default::default() };
@@ -438,8 +438,8 @@ fn a_long_clip_is_adjusted() {
     assert!(relative_ate(&problem, &truth) < 0.01);
 }
 
-/// Makes an anchored problem out of classical bundle data: each point is anchored at its first
-/// observation, its inverse depth read off the given position.
+/// Converts classical bundle data to an anchored problem: each point is anchored at its first
+/// observation, with the inverse depth of the given position.
 fn anchored(intrinsics: Intrinsics, poses: Vec<Pose>, points: &[DVec3], seen: &[Seen]) -> Problem {
     let mut index = vec![None; points.len()];
     let (mut anchors, mut observations) = (Vec::new(), Vec::new());
@@ -488,7 +488,7 @@ fn bal_dubrovnik_reprojects_by_its_own_model_and_is_improved() {
         let n = p.truncate() / p.z;
         let r2 = n.length_squared();
         bal_squared += (f * (1.0 + k1 * r2 + k2 * r2 * r2) * n - pixel).length_squared();
-        // To one pinhole for all: distortion of 1e-7 is below every digit of interest.
+        // Pixels are converted to one common pinhole camera; the distortion of 1e-7 is negligible.
         let centre = DVec2::new(common.cx, common.cy);
         seen.push((camera, point, pixel / f * common.fx + centre));
     }
@@ -505,7 +505,7 @@ fn bal_dubrovnik_reprojects_by_its_own_model_and_is_improved() {
 /// Frame, point and pixel.
 type Seen = (usize, usize, DVec2);
 
-/// Camera, `view_from_world`, points, and what was seen.
+/// Camera, `view_from_world`, points, and observations.
 type Classical = (Intrinsics, Vec<Pose>, Vec<DVec3>, Vec<Seen>);
 
 /// Real tracks and cameras from Blender's motion tracker (Tears of Steel).
@@ -533,7 +533,7 @@ fn libmv() -> Option<Classical> {
         let track = int();
         tracks.insert(track, DVec3::from_array(std::array::from_fn(|_| float())));
     }
-    // Image and track numbers may have gaps; places among the sorted ones do not.
+    // Image and track numbers may have gaps; indices in the sorted list do not.
     let place = |keys: &[i32], key: i32| keys.binary_search(&key).unwrap();
     let (image_keys, track_keys): (Vec<i32>, Vec<i32>) =
         (images.keys().copied().collect(), tracks.keys().copied().collect());
@@ -581,7 +581,7 @@ fn libmv_cameras_are_found_again_by_pnp_and_bundle_adjustment() {
     assert!(after < 0.005 && after < 0.5 * before);
 }
 
-/// Nothing wild makes it panic or leave a number that is not one.
+/// Wild problems cause neither a panic nor a NaN.
 #[test]
 fn wild_problems_end_finite_or_in_words() {
     let mut rng = ChaCha8Rng::seed_from_u64(99);

@@ -1,5 +1,5 @@
-//! A whole reconstruction of cameras from real optical flow of a real dynamic scene, poses and
-//! focal length unknown: what the front end does, in small, against COLMAP's cameras.
+//! Reconstruction of cameras from real optical flow of a real dynamic scene, with unknown poses and focal
+//! length, compared with COLMAP's cameras: a small version of the front end.
 
 use glam::{DMat4, DVec2, DVec3};
 use splat4d::eval::{Align, compare_trajectories};
@@ -26,7 +26,7 @@ fn clip() -> Option<PathBuf> {
     data::shared_data("nvidia_balloon1")
 }
 
-/// The arrays of an `.npz` of 2-channel halves, by name, without the `.npy`.
+/// The arrays of an `.npz` of 2-channel half floats, by name without `.npy`.
 fn flows(path: &Path) -> HashMap<String, Vec<[f32; 2]>> {
     let bytes = std::fs::read(path).unwrap();
     let u16_at = |at: usize| usize::from(u16::from_le_bytes([bytes[at], bytes[at + 1]]));
@@ -71,7 +71,7 @@ fn half(bits: u16) -> f32 {
     if sign == 1 { -value } else { value }
 }
 
-/// Bilinear; none outside of the image.
+/// Bilinear sample; `None` outside of the image.
 fn sample(flow: &[[f32; 2]], p: DVec2) -> Option<DVec2> {
     let (x, y) = (p.x - 0.5, p.y - 0.5);
     if !(x >= 0.0 && y >= 0.0 && x < (WIDTH - 1) as f64 && y < (HEIGHT - 1) as f64) {
@@ -89,8 +89,8 @@ fn sample(flow: &[[f32; 2]], p: DVec2) -> Option<DVec2> {
     )
 }
 
-/// A track: frame by frame from its first, the pixel; it ends where forward and backward flow
-/// disagree.
+/// A track: the first frame and the pixels from there on, frame by frame. It ends where forward and
+/// backward flow disagree.
 struct Track {
     first: usize,
     pixels: Vec<DVec2>,
@@ -99,7 +99,7 @@ struct Track {
 fn tracks(flows: &HashMap<String, Vec<[f32; 2]>>, spacing: usize) -> Vec<Track> {
     let mut tracks: Vec<Track> = Vec::new();
     for frame in 0..FRAMES {
-        // A new track in each cell that no track passes through.
+        // A new track starts in each cell that no track passes through.
         let (columns, rows) = (WIDTH / spacing, HEIGHT / spacing);
         let mut taken = vec![false; columns * rows];
         for t in tracks.iter().filter(|t| t.first + t.pixels.len() == frame + 1) {
@@ -137,7 +137,7 @@ fn at(track: &Track, frame: usize) -> Option<DVec2> {
     frame.checked_sub(track.first).and_then(|k| track.pixels.get(k)).copied()
 }
 
-/// Pixels of all tracks that live in both frames, and their numbers.
+/// The indices of all tracks that exist in both frames, and their pixels.
 fn shared(tracks: &[Track], a: usize, b: usize) -> (Vec<usize>, Vec<DVec2>, Vec<DVec2>) {
     let mut out = (vec![], vec![], vec![]);
     for (i, t) in tracks.iter().enumerate() {
@@ -150,7 +150,7 @@ fn shared(tracks: &[Track], a: usize, b: usize) -> (Vec<usize>, Vec<DVec2>, Vec<
     out
 }
 
-/// COLMAP's focal length at this size and `world_from_view` (OpenGL axes turned to OpenCV's).
+/// COLMAP's focal length at this size, and `world_from_view` (converted from OpenGL axes to OpenCV's).
 fn colmap(folder: &Path) -> (f64, Vec<Pose>) {
     let text = std::fs::read_to_string(folder.join("transforms_train.json")).unwrap();
     let json: serde_json::Value = serde_json::from_str(&text).unwrap();
@@ -200,7 +200,7 @@ fn each_pair_of_neighbours_moves_as_colmap_says() {
     }
     rotations.sort_by(f64::total_cmp);
     directions.sort_by(f64::total_cmp);
-    // A moving person and balloon are in the picture, and the lens's distortion is left in.
+    // The frames show a moving person and a balloon, and lens distortion is not removed.
     assert!(rotations[5] < 0.5 && rotations[10] < 2.0, "{rotations:?}");
     assert!(directions[5] < 5.0 && directions[10] < 15.0, "{directions:?}");
 }
@@ -213,7 +213,7 @@ fn cameras_of_a_dynamic_scene_from_flow_alone() {
     let tracks = tracks(&flows, 10);
     let side = WIDTH as f64;
 
-    // Focal length: what the pairs say, else a common prior.
+    // Focal length: estimated from frame pairs, else a common prior.
     let mut pairs = Vec::new();
     for (a, b) in (0..FRAMES).flat_map(|a| [(a, a + 1), (a, a + 2)]).filter(|p| p.1 < FRAMES) {
         let (_, pa, pb) = shared(&tracks, a, b);
@@ -246,8 +246,8 @@ fn cameras_of_a_dynamic_scene_from_flow_alone() {
             depths.insert(i, d.value);
         }
     }
-    // One frame after the other: its pose by PnP on the points known, then the depths of tracks
-    // that it lets us see, then a short adjustment of everything so far.
+    // Frame by frame: its pose by PnP on the known points, then the depths of tracks that it makes
+    // observable, then a short adjustment of all frames so far.
     let mut k = k;
     for frame in [1].into_iter().chain(3..FRAMES) {
         let (mut world, mut pixels) = (Vec::new(), Vec::new());

@@ -1,5 +1,5 @@
-//! Clips that are hard: what appears, leaves or crosses, wrong masks, few frames, any unit, few control
-//! points. Each figure that is asked for is a little below what was measured, which stands beside it.
+//! Hard clips: movers that appear, leave or cross, wrong masks, few frames, arbitrary units, few control
+//! points. Each required value is slightly below the measured one, which stands beside it.
 
 mod common;
 mod outcome;
@@ -32,7 +32,7 @@ fn settings() -> SequenceSettings {
     }
 }
 
-/// Reconstructs a clip and tells how good it is.
+/// Reconstructs a clip and computes its metrics.
 fn reconstruct(
     what: &str,
     clip: synth::Clip,
@@ -56,7 +56,8 @@ fn reconstruct(
     (outcome, held_out)
 }
 
-/// The frames of one clip before a frame, and those of another, by the same cameras, from it on.
+/// The frames of one clip before frame `at`, and those of another clip with the same cameras from there
+/// on.
 fn joined(first: &str, second: &str, at: usize) -> synth::Clip {
     let (mut joined, second) = (clip(first), clip(second));
     assert_eq!(joined.view_from_world, second.view_from_world);
@@ -70,8 +71,8 @@ fn joined(first: &str, second: &str, at: usize) -> synth::Clip {
     joined
 }
 
-/// Reconstructs a clip that nothing is known of; asks for cameras, masks, and dB from held-out cameras,
-/// whole and inside movers.
+/// Reconstructs a clip without any given data; requires a quality of cameras and masks, and PSNR in dB of
+/// held-out views, whole and inside movers.
 fn demand(what: &str, clip: synth::Clip, least_iou: f64, least: [f64; 2]) {
     let (outcome, held_out) = reconstruct(what, clip, &Options::default(), &settings());
     assert!(outcome.ate() < 0.005 && outcome.mask_iou() > least_iou, "{what}");
@@ -81,25 +82,25 @@ fn demand(what: &str, clip: synth::Clip, least_iou: f64, least: [f64; 2]) {
 
 #[test]
 fn what_appears_in_the_middle_of_a_clip() {
-    // Measured: 19.27 dB, inside what appears 12.89 dB.
+    // Measured: 19.27 dB, inside the mover that appears 12.89 dB.
     demand("appears", joined("still", "rigid", FRAMES / 2), 0.8, [18.0, 11.5]);
 }
 
 #[test]
 fn what_leaves_in_the_middle_of_a_clip() {
-    // Measured: 20.35 dB, inside what leaves 15.51 dB.
+    // Measured: 20.35 dB, inside the mover that leaves 15.51 dB.
     demand("leaves", joined("rigid", "still", FRAMES / 2), 0.8, [19.0, 14.0]);
 }
 
-/// A ball and a box that fly past each other, each by more than its size from frame to frame.
+/// A ball and a box that fly past each other, each by more than its size per frame.
 #[test]
 fn movers_that_cross() {
     // Measured: 21.22 dB, inside movers 13.19 dB.
     demand("crosses", clip("throw"), 0.55, [20.0, 12.0]);
 }
 
-/// Supplied masks that lack what moves in every second frame, and such that are elsewhere in every third,
-/// are as good as the true ones.
+/// Supplied masks that lack the movers in every second frame, and masks that are displaced in every
+/// third, give results as good as the true masks.
 #[test]
 fn masks_that_flicker_and_masks_that_slip() {
     let clip = clip("rigid");
@@ -128,7 +129,8 @@ fn masks_that_flicker_and_masks_that_slip() {
         let (outcome, held_out) = with(what, masks);
         let notes = &outcome.track.quality.notes;
         assert!(notes.iter().any(|note| note.contains(frames)), "{what}: {notes:?}");
-        // Measured: 0.97 and 0.98; inside movers 20.44 dB by the true masks, 20.54 and 20.25 dB.
+        // Measured: IoU 0.97 and 0.98; inside movers 20.44 dB with the true masks, 20.54 and 20.25 dB
+        // with these.
         assert!(outcome.mask_iou() > 0.93, "{what}");
         assert!(held_out.movers > truth.movers - 0.7, "{what}: {} dB", held_out.movers);
         assert!(held_out.whole > truth.whole - 0.3, "{what}: {} dB", held_out.whole);
@@ -145,7 +147,7 @@ fn supplied_poses_have_any_unit() {
         let options = Options { poses: Some(poses), ..Options::default() };
         let what = format!("poses × {unit:e}");
         let (outcome, held_out) = reconstruct(&what, clip.clone(), &options, &settings());
-        // The scene is in their unit.
+        // The scene has the unit of the poses.
         for (at, theirs) in outcome.scene.cameras.iter().zip(&clip.view_from_world) {
             let off = at.camera.view_from_world.translation / unit - theirs.translation;
             assert!(off.length() < 1e-6, "{what}: {off}");
@@ -162,7 +164,7 @@ fn supplied_poses_have_any_unit() {
     }
 }
 
-/// Posed pictures of what moves, whose cameras are a thousandth or a thousand times as far apart.
+/// Posed images of a moving scene, with distances between cameras scaled by a thousandth or a thousand.
 #[test]
 fn posed_pictures_have_any_unit() {
     let clip = clip("rigid");
@@ -219,7 +221,7 @@ fn a_clip_of_eight_frames() {
     demand("8 frames", clip, 0.8, [19.5, 17.0]);
 }
 
-/// Fewer control points than a Gaussian follows.
+/// Fewer control points than the number of neighbours that a Gaussian follows.
 #[test]
 fn fewer_control_points_than_neighbours() {
     let settings = SequenceSettings { control_points: 2, ..settings() };

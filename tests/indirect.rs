@@ -1,4 +1,4 @@
-//! Grids from counts on the device, against what the host would dispatch.
+//! Indirect dispatch grids from counts on the device, compared with the host's.
 
 mod common;
 

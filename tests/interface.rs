@@ -1,5 +1,5 @@
-//! What the shaders and the Rust declarations promise each other, and how the crate's parts may
-//! see one another. Needs no device.
+//! Checks that the shaders match the Rust declarations of kernels, and that the crate's layers depend on
+//! each other only as allowed. Needs no device.
 
 #[path = "interface/layering.rs"]
 mod layering;
@@ -15,13 +15,13 @@ use splat4d::{check, kernels};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// The smallest limits that kernels are made for: SwiftShader's and Vulkan's own.
+/// The smallest limits that kernels support: SwiftShader's, and Vulkan's guaranteed minima.
 const MAX_BINDINGS: usize = 30;
 const MAX_PARAMS: usize = 128;
 const MAX_INVOCATIONS: u32 = 256;
 const MAX_SHARED: u32 = 32 * 1024;
 
-/// What every device that the engine opens offers; anything else would lock some of them out.
+/// Capabilities that every device the engine opens has; others would exclude some devices.
 const CAPABILITIES: &[Capability] = &[
     Capability::Shader,
     Capability::GroupNonUniform,
@@ -49,7 +49,7 @@ fn shaders_offer_what_rust_declares() {
     assert!(wrong.is_empty(), "\n{}", wrong.join("\n"));
 }
 
-/// Where a module and its declaration part.
+/// The differences between a module and its declaration.
 fn differences(kernel: &KernelInfo, shader: &Interface, reader: &str) -> Vec<String> {
     let mut wrong = Vec::new();
     if shader.workgroup != kernel.workgroup {
@@ -93,7 +93,7 @@ fn differences(kernel: &KernelInfo, shader: &Interface, reader: &str) -> Vec<Str
     wrong.iter().map(|what| format!("{} ({reader}): {what}", kernel.name)).collect()
 }
 
-/// What a kernel asks beyond the smallest device.
+/// Demands of a kernel that exceed the smallest device's limits.
 fn excesses(kernel: &KernelInfo, demands: &Demands) -> Vec<String> {
     let mut wrong = Vec::new();
     let mut limit = |what: &str, is: usize, most: usize| {
@@ -130,7 +130,7 @@ fn a_drifted_declaration_is_noticed() {
     assert_eq!(complaints(KernelInfo { workgroup: [2, 1, 1], ..*truth }), (1, 1));
     assert_eq!(complaints(KernelInfo { bindings: &truth.bindings[..1], ..*truth }), (1, 1));
     assert_eq!(complaints(KernelInfo { params: &truth.params[..4], ..*truth }), (1, 1));
-    // Only the instructions tell what is read and what is written.
+    // Only the instructions show which bindings are read and which are written.
     let swapped = [truth.bindings[1], truth.bindings[0]];
     assert_eq!(complaints(KernelInfo { bindings: swapped.to_vec().leak(), ..*truth }), (2, 0));
     let mut wider = truth.bindings.to_vec();
@@ -203,7 +203,7 @@ fn parts_see_only_what_lies_below() {
 
 #[test]
 fn the_table_has_no_circle() {
-    // A part sees only parts listed before it, so no chain can come back.
+    // A part may only see parts listed before it, so there are no cycles.
     for (at, (room, seen)) in layering::MAY_SEE.iter().enumerate() {
         for part in *seen {
             let place = layering::MAY_SEE.iter().position(|(name, _)| name == part);

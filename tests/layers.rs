@@ -1,4 +1,4 @@
-//! What pictures show besides colour, on scenes whose truth is known: a wall before the camera.
+//! Layers besides colour, on scenes with known truth: a wall in front of the camera.
 
 mod common;
 
@@ -9,7 +9,7 @@ use splat4d::types::{Camera, ControlPoints, Gaussians, Image, Intrinsics, Pose};
 
 const DEPTH: f32 = 4.0;
 
-/// Overlapping discs, thin along z, at one depth; their planes are turned about y.
+/// Overlapping discs, thin along z, at one depth; their planes are rotated about y by `turn`.
 fn wall(turn: f64) -> Gaussians {
     let side = 41;
     let positions: Vec<[f32; 3]> = (0..side * side)
@@ -28,7 +28,7 @@ fn wall(turn: f64) -> Gaussians {
     }
 }
 
-/// The same, whose right half moves by `way` from time 0 to time 1.
+/// The same wall; its right half moves by `way` from time 0 to time 1.
 fn moving(way: [f32; 3]) -> Scene {
     let mut gaussians = wall(0.0);
     let moves = |p: &[f32; 3]| if p[0] > 0.0 { 5.0 } else { -5.0 };
@@ -52,7 +52,7 @@ fn camera(x: f64) -> Camera {
     }
 }
 
-/// The largest distance of some of a map's values from what they should be.
+/// Checks that a map's values in some columns are within `bound` of the expected ones.
 #[track_caller]
 fn holds(map: &Image, columns: std::ops::Range<u32>, expected: &[f32], bound: f32) {
     for y in 4..map.height - 4 {
@@ -72,7 +72,7 @@ fn flow_of_a_still_scene_is_the_cameras() {
     let seen = renderer.render(&from, 0.0).unwrap();
     let flow = renderer.flow(&seen, (&from, 0.0), (&to, 1.0)).unwrap();
     assert_eq!((flow.width, flow.height, flow.channels), (80, 48, 2));
-    // 60 px of focal length, a step of 0.2 to the right, at a depth of 4.
+    // A focal length of 60 px, a step of 0.2 to the right, at a depth of 4.
     holds(&flow, 14..66, &[-3.0, 0.0], 1e-3);
     assert!(renderer.moving().unwrap().pixels.iter().all(|v| *v == 0.0));
     // To a camera that has the wall behind it there is no flow.
@@ -89,7 +89,7 @@ fn what_moves_has_flow_of_its_own() {
     let here = camera(0.0);
     let seen = renderer.render(&here, 0.0).unwrap();
     let flow = renderer.flow(&seen, (&here, 0.0), (&here, 1.0)).unwrap();
-    // The edge, at the middle, belongs to both.
+    // The columns at the edge in the middle are left out: they belong to both halves.
     holds(&flow, 48..66, &[6.0, -3.0], 1e-3);
     holds(&flow, 14..32, &[0.0, 0.0], 1e-3);
     let mask = renderer.moving().unwrap();
@@ -98,7 +98,7 @@ fn what_moves_has_flow_of_its_own() {
         assert!((mask.at(x, 24)[0] - alpha(x)).abs() < 1e-5 && alpha(x) > 0.9);
     }
     holds(&mask, 14..32, &[0.0], 0.0);
-    // Both at once: the camera's and its own, also from a time between.
+    // Both motions at once, the camera's and the wall's, also from a time in between.
     let seen = renderer.render(&here, 0.5).unwrap();
     let flow = renderer.flow(&seen, (&here, 0.5), (&camera(0.2), 1.0)).unwrap();
     holds(&flow, 56..66, &[3.0 - 3.0, -1.5], 1e-3);
@@ -106,7 +106,7 @@ fn what_moves_has_flow_of_its_own() {
     let last = a.positions.len() - 1;
     assert!((b.positions[last][0] - a.positions[last][0] - 0.4).abs() < 1e-6);
     assert_eq!((a.positions[0], a.rotations[0]), (b.positions[0], b.rotations[0]));
-    // A motion along the line of sight: what is nearer grows.
+    // A motion along the line of sight: the wall gets closer and appears larger.
     let mut renderer = Renderer::new(&device, &moving([0.0, 0.0, -2.0])).unwrap();
     let seen = renderer.render(&here, 0.0).unwrap();
     let flow = renderer.flow(&seen, (&here, 0.0), (&here, 1.0)).unwrap();
@@ -126,14 +126,14 @@ fn normals_look_at_the_camera() {
         let axis = DQuat::from_rotation_y(turn) * DVec3::Z;
         let axis = if axis.z > 0.0 { -axis } else { axis };
         holds(&normals, 30..50, &axis.to_array().map(|v| v as f32), 1e-4);
-        // In the camera's axes, whichever way it is rolled.
+        // Normals are in the camera's frame, whatever its roll.
         let roll = DQuat::from_rotation_z(0.7);
         camera.view_from_world.rotation = roll;
         renderer.render(&camera, 0.0).unwrap();
         let rolled = renderer.normals(&camera, 0.0).unwrap();
         holds(&rolled, 35..45, &(roll * axis).to_array().map(|v| v as f32), 1e-4);
     }
-    // Where nothing is, there is no normal.
+    // Empty pixels have no normal.
     let mut renderer = Renderer::new(&device, &Scene::of(wall(0.0))).unwrap();
     let mut away = camera(0.0);
     away.view_from_world.rotation = DQuat::from_rotation_y(2.0);
@@ -158,7 +158,7 @@ fn values_belong_to_gaussians_and_a_picture() {
         assert!((painted[0] - seen[3]).abs() < 1e-5 && (painted[1] + 2.0 * seen[3]).abs() < 1e-5);
     }
     assert!(renderer.posed(f64::NAN).is_err());
-    // Of a scene of nothing, too.
+    // The same holds for an empty scene.
     let mut renderer = Renderer::new(&device, &Scene::default()).unwrap();
     renderer.render(&camera(0.0), 0.0).unwrap();
     assert!(renderer.moving().unwrap().pixels.iter().all(|v| *v == 0.0));

@@ -11,7 +11,7 @@ fn cases() {
     common::run("loss");
 }
 
-/// Up to 400 workgroups at a limit of 40.
+/// Up to 400 workgroups, with a limit of 40 along an axis.
 #[test]
 fn folded_grids() {
     common::run_folded("loss", 40);

@@ -1,4 +1,4 @@
-//! The device memory that is foreseen, and the memory that is taken.
+//! Predicted device memory against the memory that is used.
 
 mod common;
 
@@ -16,8 +16,8 @@ use splat4d::types::{
 };
 use splat4d::vk::Limits;
 
-/// How far what is foreseen may lie from what is taken, as a share: buffers of the run itself are
-/// counted exactly, but a picture's way onto the device may end before or after the next begins.
+/// Allowed relative difference between predicted and used memory: the run's buffers are counted exactly,
+/// but the upload of one image may end before or after the next begins.
 const BOUND: f64 = 0.01;
 
 const NETWORK: NetShape = NetShape {
@@ -29,7 +29,7 @@ const NETWORK: NetShape = NetShape {
     ..NetShape::PAPER
 };
 
-/// Small splats spread over what the camera sees, so that each reaches a tile or two.
+/// Small splats spread over the camera's view, so that each touches a tile or two.
 fn cloud(count: usize, sh_degree: u32) -> Gaussians {
     let coefficients = ((sh_degree + 1) * (sh_degree + 1)) as usize;
     let place = |i: usize| {
@@ -65,7 +65,7 @@ fn views(count: usize, width: u32, height: u32, known: bool) -> Vec<TrainingView
     vec![view; count]
 }
 
-/// Key times of their paths.
+/// Number of key times of the control points' paths.
 const KEYS: usize = 12;
 
 fn points(count: usize) -> ControlPoints {
@@ -158,7 +158,7 @@ fn rendering_takes_what_was_foreseen() {
     }
 }
 
-/// Splats each of which covers a large part of the picture.
+/// Splats that each cover a large part of the image.
 fn wide(count: usize) -> Scene {
     let gaussians = cloud(count, 0);
     Scene::of(Gaussians {
@@ -190,14 +190,14 @@ fn wide_splats_are_counted_and_take_what_was_foreseen() {
     let reserved = renderer.render(&camera, 0.0).unwrap();
     close("wide splats", &foreseen, &device);
 
-    // Without the reservation the pairs are counted first: the picture is the same, and so is the memory.
+    // Without the reservation the pairs are counted first: the image is the same, and so is the memory.
     drop(renderer);
     device.restart_memory_peak();
     let mut renderer = Renderer::tuned(&device, &scene, &tuning).unwrap();
     assert!(renderer.render(&camera, 0.0).unwrap().rgba == reserved.rgba);
     close("wide splats, unreserved", &foreseen, &device);
 
-    // A second picture with more pairs is drawn twice, and a quarter more room made.
+    // A second image with more pairs is drawn twice, after a quarter more capacity is allocated.
     drop(renderer);
     device.restart_memory_peak();
     let mut renderer = Renderer::tuned(&device, &scene, &tuning).unwrap();
@@ -214,7 +214,7 @@ fn wide_splats_are_counted_and_take_what_was_foreseen() {
     let taken = device.memory().1 as f64;
     assert!(taken < 1.3 * foreseen.bytes as f64, "{taken} taken, {} foreseen", foreseen.bytes);
 
-    // More than any device has.
+    // More memory than any device has.
     let before = device.memory().0;
     renderer.reserve(u32::MAX as usize);
     let error = renderer.render(&camera, 0.0).unwrap_err();
@@ -226,7 +226,7 @@ fn wide_splats_are_counted_and_take_what_was_foreseen() {
     common::assert_valid(&device);
 }
 
-/// 100,000 splats on some 190 tiles each: a scene whose arrays are small, and whose pictures are not.
+/// 100,000 splats on about 190 tiles each: the scene's arrays are small, but rendering needs much memory.
 #[test]
 fn a_crowd_of_wide_splats_takes_what_was_foreseen() {
     let (count, width, height, tuning) = (100_000, 640, 360, Tuning::default());
@@ -248,7 +248,7 @@ fn a_crowd_of_wide_splats_takes_what_was_foreseen() {
     let foreseen = scale.footprint(&device).unwrap();
     eprintln!("{intersections} pairs");
     assert!(foreseen.bytes > 10 * base.footprint(&device).unwrap().bytes);
-    // Whoever renders without counting takes no more.
+    // Rendering without counting first takes no more.
     let mut renderer = Renderer::tuned(&device, &scene, &tuning).unwrap();
     renderer.render(&camera, 0.0).unwrap();
     close("a crowd of wide splats", &foreseen, &device);
@@ -272,7 +272,7 @@ fn a_training_of_wide_splats_takes_what_was_foreseen() {
     let mut trainer = Trainer::new(&device, &views, &scene.gaussians, None, settings).unwrap();
     (0..3).for_each(|_| trainer.step().unwrap());
     trainer.gaussians().unwrap();
-    // The splats change as they learn: within a tenth.
+    // The splats change during training, so the bound is a tenth.
     let off = foreseen / device.memory().1 as f64;
     assert!((0.9..1.1).contains(&off), "{foreseen} foreseen, {} taken", device.memory().1);
     common::assert_valid(&device);
@@ -297,7 +297,7 @@ fn sizes_beyond_every_device_are_errors() {
 #[test]
 fn what_does_not_fit_is_told_and_what_would() {
     let device = common::device();
-    // A hundredth of what bindings may hold.
+    // A hundredth of the usual binding size.
     let small = device.with_limits(Limits { storage_range: 1 << 20, ..*device.limits() });
     let views = views(2, 64, 48, false);
     let settings = TrainSettings { growth: None, max_gaussians: 0, ..Default::default() };
@@ -305,7 +305,7 @@ fn what_does_not_fit_is_told_and_what_would() {
     let error = of(100_000).footprint(&small).unwrap_err();
     assert!(matches!(&error, Error::RangeLimit { limit: 1_048_576, .. }), "{error}");
     let most = of(100_000).most_gaussians(&small);
-    // 84 bytes of the highest band, 16 of four gradient slots and 16 each: the first is the most.
+    // The largest buffer takes 84 bytes per Gaussian, for the highest band of spherical harmonics.
     assert!((12_400..=12_483).contains(&most), "{most}");
     of(most).footprint(&small).unwrap();
     of(most + most / 200).footprint(&small).unwrap_err();
@@ -318,7 +318,7 @@ fn what_does_not_fit_is_told_and_what_would() {
     scale.footprint(&small).unwrap_err();
     assert_eq!(scale.most_gaussians(&small), most);
 
-    // On the whole device it is the memory that ends it, or the binding.
+    // On the whole device the limit is the memory or the binding size.
     let most = scale.most_gaussians(&device);
     assert!(most > 100_000, "{most}");
     let fits = |gaussians| {
@@ -343,11 +343,12 @@ fn whole_runs_are_foreseen_at_their_largest() {
     assert!(moving > still, "{moving}, {still}");
     let sequence = SequenceSettings { max_gaussians: 3000, ..Default::default() };
     let of = |frames| sequence.scale(frames, (64, 48)).footprint(&device).unwrap().bytes;
-    // A reference image, disparity and mask: 4, 8 and 4 bytes a pixel. A key time of the paths: parameters,
-    // gradients and two moments, at a revision those of the next ones too, and what is read back.
+    // A reference image, disparity and mask: 4, 8 and 4 bytes per pixel. A key time of the paths:
+    // parameters, gradients and two moments, at a revision also those of the next paths, and the
+    // readback.
     let key = 9 * 32 * sequence.control_points as u64;
-    // Pictures from aside, which have no mask: twelve for ten frames, of which three are in a round.
+    // Offset views, which have no mask: twelve per ten frames, three of them in a round.
     assert_eq!(of(30) - of(20), 10 * (16 * 64 * 48 + key) + 12 * 12 * 64 * 48);
-    // Of a long clip all are in every round.
+    // For a long clip all of them are in every round.
     assert_eq!(of(110) - of(100), 10 * (16 * 64 * 48 + key) + 3 * 12 * 64 * 48);
 }

@@ -1,6 +1,5 @@
-//! Every number that comes from outside is finite and in its range before it is used
-//! (`types::range`): readers against wild numbers in each place, commands, and the library's own
-//! doors.
+//! Every number from outside is checked to be finite and in range before it is used (`types::range`):
+//! readers with wild numbers in each place, commands, and the library's public functions.
 
 #![cfg(feature = "cli")]
 
@@ -36,7 +35,7 @@ use wild::WILD;
 /// A number in a file.
 #[derive(Clone, Copy, Debug)]
 enum Number {
-    /// So many bytes of text from here.
+    /// A text number: offset and length in bytes.
     Text(usize, usize),
     F32(usize),
     F64(usize),
@@ -45,7 +44,7 @@ enum Number {
 }
 
 impl Number {
-    /// The file with another number here; `None` where the type cannot express it.
+    /// The file with this number replaced; `None` if the type cannot express the new one.
     fn replaced(self, bytes: &[u8], by: &str) -> Option<Vec<u8>> {
         let mut out = bytes.to_vec();
         let float: f64 = by.parse().unwrap();
@@ -63,7 +62,7 @@ impl Number {
     }
 }
 
-/// The numbers of a text, wherever they stand.
+/// All numbers in a text.
 fn in_text(bytes: &[u8]) -> Vec<Number> {
     let mut found = Vec::new();
     let mut at = 0;
@@ -79,26 +78,26 @@ fn in_text(bytes: &[u8]) -> Vec<Number> {
     found
 }
 
-/// Every `step`-th f32 from a place on.
+/// Every `step`-th f32 from byte `from` on.
 fn floats(bytes: &[u8], from: usize, step: usize) -> Vec<Number> {
     (from..bytes.len() - 3).step_by(4 * step).map(Number::F32).collect()
 }
 
-/// Where a PLY's values begin.
+/// The byte offset of a PLY's values.
 fn body(bytes: &[u8]) -> usize {
     bytes.windows(11).position(|w| w == b"end_header\n").unwrap() + 11
 }
 
-/// A reader, a good file, and what the result is held against.
+/// A reader, a valid file, and the checks of the result.
 struct Source {
     /// The file in which numbers are replaced.
     file: &'static str,
-    /// Writes the good files into a folder.
+    /// Writes the valid files into a folder.
     write: fn(&Path),
     numbers: fn(&[u8]) -> Vec<Number>,
-    /// Reads the folder, and holds all that it gives against the ranges.
+    /// Reads the folder, and checks all results against the ranges.
     read: fn(&Path) -> Result<Check>,
-    /// One of these stands in every message: the places.
+    /// Names of the places; every message contains one of them.
     places: &'static [&'static str],
 }
 
@@ -416,7 +415,7 @@ const SOURCES: &[Source] = &[
         write: |folder| scene().save(folder.join("scene.safetensors")).unwrap(),
         numbers: |bytes| {
             let header = 8 + u64::from_le_bytes(bytes[..8].try_into().unwrap()) as usize;
-            // Two cameras: a time, 6 and 7 numbers each, as f64; all others are f32.
+            // Two cameras of 14 f64 each: a time, 6 and 7 numbers; all other values are f32.
             let cameras = 2 * 14;
             let wide = (0..cameras).map(|i| Number::F64(header + 8 * i));
             let narrow = floats(bytes, header + 8 * cameras, 3);
@@ -530,7 +529,7 @@ fn every_number_of_a_file_is_in_range_or_an_error() {
                     Err(error) => {
                         refused += 1;
                         let said = error.to_string();
-                        // A wild name of a picture is told with the picture.
+                        // A wild image name is reported with the path of the image.
                         let named = said.contains(&folder.path().display().to_string());
                         assert!(named, "{}: {said}", place());
                         let placed = source.places.iter().any(|place| said.contains(place));
@@ -545,7 +544,7 @@ fn every_number_of_a_file_is_in_range_or_an_error() {
     }
 }
 
-/// Compressed, so that its numbers cannot be replaced in place.
+/// The file is compressed, so its numbers cannot be replaced in place.
 #[test]
 fn what_is_no_depth_is_unknown() {
     let folder = tempfile::tempdir().unwrap();
@@ -591,7 +590,7 @@ fn cameras_that_are_none_are_refused_with_their_frame() {
         let said = message(frame(&format!(r#""camera_angle_x": {angle}"#), IDENTITY));
         says(&said, &["transforms.json", "a.png", "camera_angle_x", "between 0 and π"]);
     }
-    // An angle beside a focal length is not read.
+    // An angle is ignored if a focal length is given.
     frame(r#""camera_angle_x": 0, "fl_x": 50"#, IDENTITY).unwrap();
     for focal in ["0.5", "1e9", "1e300"] {
         let said = message(frame(&format!(r#""fl_x": {focal}"#), IDENTITY));
@@ -612,7 +611,7 @@ fn lenses_that_leave_nothing_are_refused_when_the_set_is_opened() {
         let said = message(frame(&format!(r#""fl_x": 50, {bend}"#), IDENTITY));
         says(&said, &["transforms.json", "camera of a.png", "distortion", part]);
     }
-    // Lenses of all kinds, real ones among them.
+    // Lenses of all kinds, including real ones.
     let k = Intrinsics::centred(50.0, 100, 60);
     for radial in [[-0.3, 0.1, 0.0, 0.0], [0.3, 0.0, 0.0, 0.0], [0.0578, -0.0805, 0.0, 0.0]] {
         Distortion { radial, tangential: [1e-3, -2e-3] }.check(&k).unwrap();
@@ -656,7 +655,7 @@ fn colmap_images_without_blank_lines_are_all_there() {
         assert_eq!(found, names, "{text}");
         assert_eq!(read.images[3].view_from_world.translation.z, 4.0);
     }
-    // Neither observations nor an image.
+    // A line that is neither observations nor an image.
     let torn = format!("{}1.5 2.5\n{}", line(1, "a.png"), line(2, "b.png"));
     says(&message(model(&torn)), &["images.txt", "line 2"]);
 }
@@ -731,7 +730,7 @@ fn what_is_quoted_cannot_flood_or_steer_a_terminal() {
     held(message(colmap::read_model(folder.path())));
 }
 
-/// What real files hold stays legal.
+/// Values of real files are accepted.
 #[test]
 fn real_data_is_in_range() {
     for name in ["fox270", "ingp_fox", "dnerf_400/standup", "nvidia_balloon1"] {
@@ -785,7 +784,7 @@ fn renderer_and_trainer_refuse_wild_numbers() {
         input(renderer.render(&good, time).map(drop), &time.to_string());
         input(renderer.bounds(time, 1.0).map(drop), &time.to_string());
     }
-    // Gaussians that are not finite or far too large are not drawn; the others are.
+    // Gaussians that are not finite or far too large are skipped; the others are drawn.
     let mut some_bad = static_ones.clone();
     for (i, wild) in [f32::NAN, f32::INFINITY, 1e19, 1e38].into_iter().enumerate() {
         some_bad.positions[i][1] = wild;
@@ -828,7 +827,7 @@ fn renderer_and_trainer_refuse_wild_numbers() {
     disparity.pixels[7] = f32::INFINITY;
     let known = TrainingView { disparity: Some(disparity), ..view(good) };
     input(train(&[known], &static_ones), "disparity");
-    // Seeds of wild points are made, and refused by the training.
+    // Seeds are made from wild points, and refused by the training.
     let point = |x: f32| Point { position: [x, 0.0, 4.0], colour: [0.5; 3] };
     let wild = seed_from_points(&[point(0.0), point(f32::NAN), point(1e38), point(1.0)], 0);
     input(train(&[view(good)], &wild), "seeds");
@@ -850,13 +849,13 @@ fn run(folder: &Path, arguments: &str) -> Output {
         .unwrap()
 }
 
-/// Runs what must fail as a job does, and gives what it says; nothing is written.
+/// Runs a command that must fail with a job's exit code, and returns its message; nothing may be written.
 #[track_caller]
 fn fails(folder: &Path, arguments: &str) -> String {
     fails_with(1, folder, arguments)
 }
 
-/// The same with an exit code.
+/// As [`fails`], with another exit code.
 #[track_caller]
 fn fails_with(code: i32, folder: &Path, arguments: &str) -> String {
     let list = || -> Vec<PathBuf> {
@@ -882,7 +881,7 @@ fn works(folder: &Path, arguments: &str) {
     assert!(output.status.success(), "{arguments}: {}", String::from_utf8_lossy(&output.stderr));
 }
 
-/// A dataset around a place, its cameras as far apart as `unit` says.
+/// Writes a dataset around the point `middle`, with distances between cameras scaled by `unit`.
 fn small_set(folder: &Path, middle: DVec3, unit: f64) {
     let names: Vec<String> = (0..4).map(|i| format!("{i}.png")).collect();
     for (i, name) in (0..).zip(&names) {

@@ -1,6 +1,6 @@
-//! Networks through the ONNX Runtime: small models whose answers are exact, and models and lists that are wrong.
+//! Networks in the ONNX Runtime: small models whose outputs are exact, and invalid models and lists.
 //!
-//! `tools/setup.sh test` installs the runtime beside the build; where it is absent the tests fail.
+//! `tools/setup.sh test` installs the runtime beside the build directory; without it the tests fail.
 
 #[path = "support/runtime.rs"]
 mod runtime;
@@ -17,7 +17,7 @@ use splat4d::observe::{EstimatedKind, FlowSource, MaskQuery, Prompt};
 use splat4d::types::Image;
 use support::{message, picture, says};
 
-/// The runtime that the setup installs, else the one that the library finds.
+/// The runtime that `tools/setup.sh` installs, else the one that the library finds.
 fn runtime() -> Runtime {
     let options = RuntimeOptions { library: library(), threads: 1, ..RuntimeOptions::default() };
     Runtime::load(&options)
@@ -40,7 +40,7 @@ fn folder(list: &str) -> tempfile::TempDir {
 
 const BOTH: &str = "[depth]\nfile = \"depth.onnx\"\n[flow]\nfile = \"flow.onnx\"\n";
 
-/// Landscape, portrait, square, odd, tiny.
+/// Landscape, portrait, square, with odd sides, and tiny.
 const SIZES: [(u32, u32); 5] = [(56, 28), (29, 51), (32, 32), (37, 23), (3, 2)];
 
 /// The model's keypoints are the red channel, its descriptors the mean colours of cells of 4×4 pixels.
@@ -57,7 +57,8 @@ fn a_network_for_features_tells_points_and_what_describes_them() {
     for (x, y, likely) in points {
         drawn.at_mut(x, y)[0] = likely;
     }
-    // A point between two pixels: the parabola through 0, 0.7 and 0.35 has its peak a sixth of a pixel on.
+    // A point between two pixels: the parabola through 0, 0.7 and 0.35 has its peak a sixth of a pixel
+    // further.
     drawn.at_mut(14, 17)[0] = 0.35;
     for (width, height) in [(40, 24), (37, 23)] {
         let mut frame = Image::new(width, height, 3);
@@ -67,7 +68,7 @@ fn a_network_for_features_tells_points_and_what_describes_them() {
         let found = network.features(&frame).unwrap();
         let sixth = 1.0 / 6.0;
         let mut places = [(9.5, 5.5), (13.5 + sixth, 17.5), (21.5, 6.5)].map(DVec2::from).to_vec();
-        // The likeliest come first, weighed by what says how far each is to be believed.
+        // Points are sorted by their score weighted with reliability, highest first.
         let mut seen = found.pixels.clone();
         [&mut places, &mut seen]
             .into_iter()
@@ -163,7 +164,7 @@ fn pictures_are_held_against_each_other() {
     for (width, height) in SIZES {
         let [mut first, second] = [1, 2].map(|seed| picture(width, height, seed));
         assert_eq!(network.distance(&first, &first).unwrap(), 0.0);
-        // A render may leave the range that a picture has.
+        // A render may exceed an image's value range.
         first.pixels[0] = 3.0;
         let squared = first.pixels.iter().zip(&second.pixels).map(|(a, b)| {
             let difference = f64::from(a.clamp(0.0, 1.0) - b);
@@ -197,7 +198,7 @@ fn a_picture_is_made_by_the_contract() {
     let mut models = Models::open(&runtime(), folder.path()).unwrap();
     let network = models.depth.as_mut().unwrap();
     assert_eq!(network.contract().holds, EstimatedKind::Depth);
-    // Of one colour, so that scaling changes nothing; red 0.75 is 0.5 to the network.
+    // An image of one colour, which scaling does not change; the network gets red 0.75 as 0.5.
     let mut frame = Image::new(41, 30, 3);
     frame.pixels.chunks_exact_mut(3).for_each(|colour| colour[0] = 0.75);
     let map = network.depth(&frame).unwrap();
@@ -236,17 +237,17 @@ fn what_is_wrong_is_told() {
     }
     let nothing = tempfile::tempdir().unwrap();
     says(&message(Models::open(&runtime, nothing.path()).map(drop)), &["models.toml"]);
-    // A flow model has another number of inputs and channels than its contract may say.
+    // A flow model has another number of inputs and channels than this contract allows.
     let list = contract("").replace("bare.onnx", "flow.onnx");
     let folder = folder(&list);
-    // Its own contract wins over the list's.
+    // The contract in the model takes precedence over the list's.
     says(
         &message(Models::open(&runtime, folder.path()).map(drop)),
         &["is listed for depth, and computes flow"],
     );
 }
 
-/// A list of an encoder of masks for pictures of a size, and of a decoder.
+/// A list of a mask encoder for images of a size, and of a decoder.
 fn masks_of((width, height): (u32, u32), decoder: &str) -> String {
     format!(
         "[mask_encoder]\nfile = \"mask_encoder.onnx\"\n[mask_encoder.contract]\nkind = \"mask_encoder\"\n\
@@ -257,7 +258,7 @@ fn masks_of((width, height): (u32, u32), decoder: &str) -> String {
     )
 }
 
-/// Two points on a thing and one beside it, without a mask to begin with.
+/// Two points on an object and one beside it, without an initial mask.
 fn query() -> MaskQuery {
     let prompts = [(0.5, 1.25, true), (2.0, 0.5, true), (1.5, 1.5, false)];
     let prompt = |(x, y, inside)| Prompt { pixel: DVec2::new(x, y), inside };
@@ -279,7 +280,7 @@ fn a_mask_network_is_asked_pixel_by_pixel() {
         let found = network.ask(&frame, &[query(), begun]).unwrap();
         assert_eq!(found.len(), 2);
         for (k, masks) in found.iter().enumerate() {
-            // By the points' coordinates; whether there was a mask to begin with.
+            // Scores from the points' coordinates, and whether there was an initial mask.
             let scores: Vec<f32> = masks.iter().map(|mask| mask.score).collect();
             assert_eq!(scores, [2.5, 1.75, k as f32], "{width}×{height}");
             for mask in masks {
@@ -305,7 +306,7 @@ fn a_mask_network_has_pictures_and_masks_of_sizes_of_its_own() {
     let folder = folder(&masks_of((64, 40), "mask_decoder_small"));
     let mut models = Models::open(&runtime(), folder.path()).unwrap();
     let network = models.masks.as_mut().unwrap();
-    // Of one colour, so that scaling changes nothing; the mask to begin with rises from row to row.
+    // An image of one colour, which scaling does not change; the initial mask increases from row to row.
     let (width, height) = (32, 60);
     let mut frame = Image::new(width, height, 3);
     frame.pixels.chunks_exact_mut(3).for_each(|colour| colour[0] = 0.75);
@@ -316,10 +317,11 @@ fn a_mask_network_has_pictures_and_masks_of_sizes_of_its_own() {
     let begun = MaskQuery { before: Some(before), ..query() };
     let found = network.ask(&frame, &[begun]).unwrap();
     let [first, against, level] = &found[0][..] else { panic!("{} masks", found[0].len()) };
-    // Points are in pixels of the picture, which is twice as wide and two thirds as high.
+    // Points are in pixels of the network's input, which is twice as wide and two thirds as high.
     assert!((first.score - 5.0).abs() < 1e-5 && (against.score - 1.75 * 2.0 / 3.0).abs() < 1e-5);
     for y in 0..height {
-        // A row of the mask is 7.5 rows of the frame; beyond the middle of the outermost it is level.
+        // A row of the mask is 7.5 rows of the frame; beyond the centre of the outermost row the mask is
+        // constant.
         let row = (y as f32 + 0.5).clamp(3.75, 56.25);
         for (mask, expected) in [(first, 5.0 + row), (against, -5.0 - row), (level, row - 3.0)] {
             let told = mask.odds.at(width / 2, y)[0];
@@ -418,7 +420,7 @@ fn a_file_that_is_no_runtime_is_refused() {
     let folder = folder(BOTH);
     let library = folder.path().join("libonnxruntime.so");
     std::fs::write(&library, "no library").unwrap();
-    // In a process of its own, which loads no other one before.
+    // A separate process, which has not loaded another runtime before.
     let output = std::process::Command::new(env!("CARGO_BIN_EXE_splat4d"))
         .args(["track", ".", "-o", "x", "--models", ".", "--onnxruntime"])
         .arg(&library)
@@ -430,7 +432,7 @@ fn a_file_that_is_no_runtime_is_refused() {
     says(&told, &["no ONNX Runtime", "libonnxruntime.so", "pip install onnxruntime", "1.17"]);
 }
 
-/// The most memory that this process has had, MiB.
+/// Peak resident memory of this process, MiB.
 fn peak() -> f64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
@@ -438,7 +440,8 @@ fn peak() -> f64 {
     kib.map_or(f64::NAN, |kib| kib / 1024.0)
 }
 
-/// Runs a few times; the median without the first, seconds by the clock, and the last answer.
+/// Runs a function several times; returns the median wall-clock time without the first run, seconds, and
+/// the last result.
 fn timed<T>(mut run: impl FnMut(usize) -> T) -> (f64, T) {
     let mut last = run(0);
     let mut seconds: Vec<f64> = (1..4)
@@ -452,8 +455,8 @@ fn timed<T>(mut run: impl FnMut(usize) -> T) -> (f64, T) {
     (seconds[1], last)
 }
 
-/// Seconds and memory of the user's own networks. What they say of the first frames is written as raw f32 beside the
-/// frames, so that it can be compared with what the upstream code says.
+/// Time and memory of the user's networks. Their outputs for the first frames are written as raw f32
+/// beside the frames, for comparison with the upstream code.
 #[test]
 #[ignore = "measures the networks of the folder SPLAT4D_MODELS on the pictures of the folder SPLAT4D_FRAMES, five or more"]
 fn networks_of_a_folder_are_measured() {
@@ -511,7 +514,7 @@ fn networks_of_a_folder_are_measured() {
     }
     if let Some(network) = &mut models.pointmaps {
         let mut source = network.source(&frames).unwrap();
-        // Each pair brings a frame that is not encoded yet.
+        // Each pair has one frame that is not encoded yet.
         let (seconds, _) = timed(|k| source.pair(k, k + 1).unwrap());
         told("pointmaps of a pair, with one frame encoded", seconds);
         let (seconds, maps) = timed(|_| source.pair(0, 1).unwrap());

@@ -10,7 +10,7 @@ fn cases() {
     common::run("path");
 }
 
-/// Grids that 40 workgroups along an axis do not hold.
+/// Grids that exceed a limit of 40 workgroups along an axis.
 #[test]
 fn folded_grids() {
     let mut limits = *common::device().limits();

@@ -1,5 +1,5 @@
-//! The player inside of exported pages is what its sources and the lock file make. Needs Node.js and the
-//! packages, which `tools/setup.sh test` installs beside the build.
+//! Checks that the player in exported pages is what its sources and the lock file build to. Needs Node.js
+//! and the packages, which `tools/setup.sh test` installs beside the build directory.
 
 #![cfg(feature = "cli")]
 
@@ -11,7 +11,7 @@ use std::process::Command;
 
 use flate2::read::GzDecoder;
 
-/// What the build script writes.
+/// The files that the build script writes.
 const BUILT: [&str; 3] = ["player.js.gz", "sorter.wasm.gz", "licences.txt"];
 
 fn root() -> &'static Path {
@@ -28,7 +28,7 @@ fn copied(from: &Path, to: &Path) {
     }
 }
 
-/// A file's content; of a `.gz` what is in it, since zlib's versions pack differently.
+/// A file's content; a `.gz` is decompressed, since zlib versions compress differently.
 fn content(path: &Path) -> Vec<u8> {
     let bytes = fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
     if path.extension().is_some_and(|end| end == "gz") {
@@ -50,7 +50,7 @@ fn the_player_is_what_its_sources_make() {
         "{} does not hold the packages of tools/player/package-lock.json; tools/setup.sh test installs them",
         beside.display()
     );
-    // A copy, so that the tree stays as it is.
+    // The build runs on a copy, so that the source tree stays unchanged.
     let folder = tempfile::tempdir().unwrap();
     let copy = folder.path().join("tools/player");
     copied(&ours, &copy);

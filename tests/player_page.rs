@@ -1,5 +1,5 @@
-//! The page that `export -o FILE.html` writes, in a real browser: its pictures are held against the
-//! renderer's. Needs Chromium (Debian: chromium), which draws with its own SwiftShader.
+//! The page that `export -o FILE.html` writes, in a real browser: its images are compared with the
+//! renderer's. Needs Chromium (Debian: chromium), which draws with its bundled SwiftShader.
 
 #![cfg(feature = "cli")]
 
@@ -29,11 +29,11 @@ use splat4d::types::{
     Camera, ControlPoints, DeformNet, Gaussians, Image, Intrinsics, NetShape, Pose,
 };
 
-/// The page's pictures are at least as near to ours, dB.
+/// Smallest allowed PSNR of the page's images against the renderer's, dB.
 const LEAST_PSNR: f64 = 35.0;
 const TIMES: [f64; 3] = [0.0, 0.37, 1.0];
 
-/// Cameras around the cloud, the first with its principal point off the centre.
+/// Cameras around the cloud; the first has its principal point off the image centre.
 fn cameras() -> Vec<SceneCamera> {
     let camera = |i: usize| {
         let aside = 0.12 * i as f64;
@@ -46,12 +46,12 @@ fn cameras() -> Vec<SceneCamera> {
     (0..8).map(camera).collect()
 }
 
-/// Moves by paths, with colours that change with the direction.
+/// A scene that moves along paths, with view-dependent colours.
 fn on_paths() -> Scene {
     Scene { cameras: cameras(), background: [0.2, 0.4, 0.7], neighbours: 5, ..splats::moving(3) }
 }
 
-/// Moves by a network.
+/// A scene that is moved by a network.
 fn by_network() -> Scene {
     let shape = NetShape {
         depth: 2,
@@ -62,7 +62,7 @@ fn by_network() -> Scene {
         position_octave: 0,
     };
     let mut network = DeformNet::random(shape, 11);
-    // A new network's head makes next to no motion.
+    // A new network's head produces almost no motion.
     let head = shape.parameters() - 33 * NetShape::OUTPUTS;
     network.parameters[head..].iter_mut().for_each(|weight| *weight *= 3e3);
     let moving = splats::moving(0);
@@ -70,12 +70,12 @@ fn by_network() -> Scene {
     Scene { network: Some(network), control_points, cameras: cameras(), ..moving }
 }
 
-/// Stands still, without a camera of its own.
+/// A static scene without cameras.
 fn still() -> Scene {
     Scene::of(splats::cloud(1))
 }
 
-/// A scene's page, and what the program says of it.
+/// Exports a scene's page; returns its path and the program's result.
 fn exported(folder: &Path, name: &str, scene: &Scene) -> (PathBuf, Value) {
     scene.save(folder.join(format!("{name}.safetensors"))).unwrap();
     let told = program::json(folder, &format!("export {name}.safetensors -o {name}.html"));
@@ -90,8 +90,8 @@ fn opened(page: &Path, width: u32, height: u32) -> Browser {
     opened
 }
 
-/// Waits until nothing is drawn any more. Input comes before a frame's callbacks, and what is to be drawn is
-/// drawn in one.
+/// Waits until drawing has finished. Input is handled before a frame's callbacks, and drawing is done in
+/// such a callback.
 #[track_caller]
 fn settle(page: &mut Browser) {
     page.evaluate(
@@ -111,7 +111,7 @@ fn as_json(camera: &Camera) -> Value {
     })
 }
 
-/// What `splat4d.shot` gives; without a camera, that of the page.
+/// The image from `splat4d.shot`; without a camera, from the page's camera.
 #[track_caller]
 fn shot(page: &mut Browser, camera: Option<&Camera>, time: f64, width: u32, height: u32) -> Image {
     let camera = camera.map_or(Value::Null, as_json);
@@ -125,7 +125,7 @@ fn shot(page: &mut Browser, camera: Option<&Camera>, time: f64, width: u32, heig
     Image { width, height, channels: 3, pixels }
 }
 
-/// The renderer's picture, with no more than a screen shows.
+/// The renderer's image, clamped to the range of a screen.
 fn truth(renderer: &mut Renderer, scene: &Scene, camera: &Camera, time: f64) -> Image {
     let mut image = renderer.render(camera, time).unwrap().over(scene.background);
     image.pixels.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
@@ -152,7 +152,8 @@ fn the_page_shows_what_the_renderer_gives() {
             let near = psnr(&ours, &theirs).unwrap();
             println!("{name} at {time}: {near:.2} dB");
             assert!(near >= LEAST_PSNR, "{name} at {time}: {near} dB");
-            // The same camera at another time: what is held against each other does move.
+            // The same camera at another time must give another image, so that the comparison tests
+            // motion.
             let at_first = truth(&mut renderer, scene, camera, 0.0);
             let moved = psnr(&ours, &at_first).unwrap();
             assert!(i == 0 || !scene.moves() || moved < LEAST_PSNR - 5.0, "{moved} dB");
@@ -180,7 +181,7 @@ fn the_page_begins_at_the_first_camera_and_shows_what_a_shot_gives() {
     let theirs = shot(&mut page, None, 0.5, 320, 240);
     assert!(psnr(&ours, &theirs).unwrap() >= LEAST_PSNR);
     settle(&mut page);
-    // The window, cut to the picture.
+    // A screenshot of the window, cropped to the image.
     let box_of = page.evaluate(
         "(() => { const b = document.getElementById('picture').getBoundingClientRect(); \
          return [b.width, b.height]; })()",
@@ -198,7 +199,7 @@ fn the_page_begins_at_the_first_camera_and_shows_what_a_shot_gives() {
     assert!(page.said.is_empty(), "{:#?}", page.said);
 }
 
-/// A camera's picture of another size, in which all is seen that was.
+/// The camera for another image size that still shows everything.
 fn shown(camera: &Camera, width: u32, height: u32) -> Camera {
     let k = camera.intrinsics;
     let scale =
@@ -234,7 +235,7 @@ fn mouse_touch_and_keys_move_camera_and_time() {
     let folder = tempfile::tempdir().unwrap();
     let (file, _) = exported(folder.path(), "scene", &on_paths());
     let mut page = opened(&file, 800, 600);
-    // It plays by itself.
+    // Playback starts automatically.
     page.wait_for("Number(document.getElementById('time').value) > 0.02");
     page.evaluate("document.getElementById('picture').focus()");
     page.key(" ", 32, " ", 10);
@@ -256,7 +257,7 @@ fn mouse_touch_and_keys_move_camera_and_time() {
     assert!(apart(&before, &dragged), "a drag orbits");
     page.key("Home", 36, "", 10);
     assert!(psnr(&before, &look(&mut page)).unwrap() > 60.0, "Home begins again");
-    // Long enough for several frames of a browser that draws slowly.
+    // Long enough for several frames in a slow browser.
     page.key("ArrowLeft", 37, "", 1500);
     assert!(apart(&before, &look(&mut page)), "an arrow orbits");
     page.key("Home", 36, "", 10);
@@ -264,7 +265,7 @@ fn mouse_touch_and_keys_move_camera_and_time() {
     page.call("Input.dispatchMouseEvent", wheel);
     assert!(apart(&before, &look(&mut page)), "the wheel comes closer");
     page.evaluate("document.getElementById('reset').click()");
-    // Two fingers that part come closer.
+    // Spreading two fingers zooms in.
     let touch = |page: &mut Browser, kind: &str, points: &[[f64; 2]]| {
         let points: Vec<Value> = (points.iter().enumerate())
             .map(|(id, [x, y])| json!({ "x": x, "y": y, "id": id }))
@@ -309,21 +310,21 @@ fn a_network_is_baked_before_a_page_is_written() {
         Opening { title: "scene".into(), start: scene.cameras[0].camera, distance: 3.0, time: 0.0 };
     let told = html::write(&file, &scene, &opening).unwrap_err().to_string();
     assert!(told.contains("network") && !file.exists(), "{told}");
-    // What does not move does not matter.
+    // For a static scene the network does not matter.
     let still = Scene { gaussians: splats::cloud(0), ..scene };
     html::write(&file, &still, &opening).unwrap();
     let page = fs::read_to_string(&file).unwrap();
     assert!(page.starts_with("<!doctype html>") && page.ends_with("</html>\n"));
 }
 
-/// Gaussians without any order, which is harder to pack than a scene's, with colours that change with the
-/// direction, of which a third moves by as many control points and keys as a clip's.
+/// Gaussians in random order, which compress worse than a scene's, with view-dependent colours; a third
+/// moves, with as many control points and key times as in a clip.
 fn large(count: usize) -> Scene {
     let moving = splats::moving(1);
     let small = &moving.gaussians;
     let mut g = Gaussians { sh_degree: 1, ..Gaussians::default() };
     for i in 0..count {
-        // Each attribute of another one, so that no two Gaussians are alike.
+        // Each attribute is taken from another Gaussian, so that no two Gaussians are equal.
         let at = |k: usize| (i * (2 * k + 1) + i / small.len() * (k + 1)) % small.len();
         let shift = (i / small.len()) as f32 * 0.013;
         g.positions.push([0, 1, 2].map(|c| small.positions[at(c)][c] + shift));

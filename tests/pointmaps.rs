@@ -1,6 +1,7 @@
-//! Pointmaps: networks whose answers are exact, models and lists that are wrong, and clips whose cameras begin with them.
+//! Pointmaps: networks whose outputs are exact, invalid models and lists, and clips whose cameras are
+//! initialised from pointmaps.
 //!
-//! `tools/setup.sh test` installs the ONNX Runtime beside the build; where it is absent the tests fail.
+//! `tools/setup.sh test` installs the ONNX Runtime beside the build directory; without it the tests fail.
 
 #[path = "support/runtime.rs"]
 mod runtime;
@@ -22,14 +23,14 @@ use splat4d::types::{Image, Pose};
 use splat4d::{Error, Result};
 use support::{message, picture, says};
 
-/// The runtime that the setup installs, else the one that the library finds.
+/// The runtime that `tools/setup.sh` installs, else the one that the library finds.
 fn runtime() -> Runtime {
     let options = RuntimeOptions { library: library(), threads: 1, ..RuntimeOptions::default() };
     Runtime::load(&options)
         .unwrap_or_else(|error| panic!("{error}; tools/setup.sh test installs it"))
 }
 
-/// A list of an encoder with this rule for pictures, and of a decoder.
+/// A list of an encoder with this image rule, and of a decoder.
 fn list(picture: &str, decoder: &str) -> String {
     format!(
         "[pointmap_encoder]\nfile = \"pointmap_encoder.onnx\"\n[pointmap_encoder.contract]\n\
@@ -38,7 +39,7 @@ fn list(picture: &str, decoder: &str) -> String {
     )
 }
 
-/// The models of a folder with such a list.
+/// Opens the models of a folder with this list.
 fn models(list: &str) -> Result<Models> {
     let folder = tempfile::tempdir().unwrap();
     let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/models");
@@ -52,10 +53,10 @@ fn models(list: &str) -> Result<Models> {
 }
 
 const CUT: &str = "multiple = 4, fit = \"crop\"";
-/// Pictures that lie on their side.
+/// The rule for images that are transposed for the network.
 const LAID: &str = "size = [16, 8], fit = \"crop\"";
 
-/// What the exact decoder says of a pair, at a pixel of the frames.
+/// The exact decoder's output for a pair, at a pixel of the frames.
 fn expected(frames: &[Image; 2], (x, y): (u32, u32)) -> [([f32; 3], f32); 2] {
     let [a, b] = [0, 1].map(|k| frames[k].at(x, y));
     let point = |c: [f32; 3]| [c[0], c[1], 1.0 + c[2]];
@@ -108,7 +109,7 @@ fn frames_that_stand_are_laid_on_their_side() {
     let maps = source.pair(0, 1).unwrap();
     for (x, y) in (0..16).flat_map(|y| (0..8).map(move |x| (x, y))) {
         for (k, (point, confidence)) in expected(&frames, (x, y)).into_iter().enumerate() {
-            // What the network calls right is down.
+            // The network's x axis is down in the frame.
             let found = maps.points[k].at(x, y);
             let swapped = [point[1], point[0], point[2]];
             assert!((0..3).all(|c| (found[c] - swapped[c]).abs() < 1e-6), "{found:?} {swapped:?}");
@@ -176,7 +177,7 @@ fn frames_are_paired_at_odd_distances() {
     assert!(all.is_sorted_by_key(|(_, later)| *later));
 }
 
-/// The truth of a synthetic clip, what moves where it is in its frame's moment.
+/// The ground truth of a synthetic clip, with movers at their position at the frame's time.
 struct Truth<'a>(&'a synth::Clip);
 
 impl PointmapSource for Truth<'_> {
@@ -186,7 +187,7 @@ impl PointmapSource for Truth<'_> {
 
     fn pair(&mut self, first: usize, second: usize) -> Result<PairMaps> {
         let synth::Clip { intrinsics, view_from_world, depth, .. } = self.0;
-        // Each pair has a unit of its own.
+        // Each pair has a different unit.
         let unit = 1.0 + 0.3 * ((7 * first + 3 * second) % 5) as f64;
         let points = [first, second].map(|frame| {
             let first_from_frame = view_from_world[first] * view_from_world[frame].inverse();
@@ -242,7 +243,7 @@ fn cameras_begin_with_pointmaps_and_leave_wrong_ones() {
     assert!(ate(&found.view_from_world, &clip) < 0.01);
     assert!((found.intrinsics.fx / clip.intrinsics.fx - 1.0).abs() < 0.02);
     says(&found.quality.notes.join("\n"), &["cameras begin with the pointmaps of truth"]);
-    // Each camera looks and stands somewhere else.
+    // Each camera has a different wrong pose.
     let wrong = |i: usize| {
         let t = i as f64;
         Pose::new(exp_so3(DVec3::new(t.sin(), (2.0 * t).cos(), t)), DVec3::new(t.cos(), t, t.sin()))

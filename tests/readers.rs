@@ -1,5 +1,5 @@
-//! Every reader under attack: real files cut off and changed. None may panic, hang, or ask for more
-//! memory than stated, and what cannot be read is told with the file's name.
+//! Robustness of every reader against real files that are truncated and changed. No reader may panic,
+//! hang, or allocate more memory than stated, and an error must name the file.
 
 mod support;
 
@@ -23,7 +23,7 @@ use splat4d::types::{
 };
 use support::{Dice, compressed, picture, some_camera};
 
-/// Counts what is allocated.
+/// An allocator that counts allocated bytes.
 struct Counting;
 
 static NOW: AtomicUsize = AtomicUsize::new(0);
@@ -34,11 +34,11 @@ fn add(bytes: usize) {
     PEAK.fetch_max(now, Ordering::Relaxed);
 }
 
-// SAFETY: passes everything on to the system's allocator.
+// SAFETY: every call is forwarded to the system's allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         add(layout.size());
-        // SAFETY: the caller keeps `alloc`'s contract, which is the system's.
+        // SAFETY: the caller keeps `alloc`'s contract, which is the same as the system allocator's.
         unsafe { System.alloc(layout) }
     }
 
@@ -52,19 +52,19 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Bytes that any read may take: tables of the decoders, threads, messages.
+/// Bytes that any read may allocate: decoder tables, threads, messages.
 const FLOOR: usize = 8 << 20;
-/// Times its own size that reading an uncompressed file may take: text as numbers, and copies.
+/// Multiple of its size that reading an uncompressed file may allocate: numbers from text, and copies.
 const PLAIN: usize = 40;
-/// What a compressed picture may take: 64 MiB unpacked, whatever it weighs (`io::check_unpacked`),
-/// as bytes and as floats, and copies.
+/// Bytes that reading a compressed image may allocate: 64 MiB unpacked, whatever the file's size
+/// (`io::check_unpacked`), as bytes and as floats, and copies.
 const PACKED: usize = 10 * (64 << 20);
 
 struct Reader {
     name: &'static str,
     write: fn(&Path),
     read: fn(&Path) -> Result<()>,
-    /// Most bytes that reading a file of some bytes may take.
+    /// Largest number of bytes that reading may allocate, for a file size in bytes.
     most: fn(usize) -> usize,
     /// Whether any strict prefix is an error.
     prefixes_fail: bool,
@@ -145,7 +145,7 @@ fn ramp(width: u32, height: u32, channels: u32) -> Image {
     image
 }
 
-/// A SOG of 60 Gaussians with harmonics of the first degree.
+/// A SOG of 60 Gaussians with spherical harmonics of degree 1.
 fn bundle() -> Vec<u8> {
     let book: Vec<f32> = (0..256).map(|i| -5.0 + 0.02 * i as f32).collect();
     let part = |files: &[&str]| serde_json::json!({ "codebook": book, "files": files });
@@ -386,7 +386,7 @@ const READERS: &[Reader] = &[
     },
 ];
 
-/// Reads, and holds what it took against the bound.
+/// Reads a file, and checks the allocated bytes against the bound.
 fn attempt(reader: &Reader, path: &Path, size: usize) -> bool {
     let before = NOW.load(Ordering::Relaxed);
     PEAK.store(before, Ordering::Relaxed);
@@ -401,7 +401,7 @@ fn attempt(reader: &Reader, path: &Path, size: usize) -> bool {
     result.is_ok()
 }
 
-/// A few bytes changed, numbers made huge, parts doubled, cut out and swapped.
+/// A mutated copy: a few bytes changed, numbers made huge, parts doubled, cut out and swapped.
 fn mutated(original: &[u8], dice: &mut Dice) -> Vec<u8> {
     let mut bytes = original.to_vec();
     for _ in 0..1 + dice.roll(4) {
@@ -437,7 +437,6 @@ fn mutated(original: &[u8], dice: &mut Dice) -> Vec<u8> {
     bytes
 }
 
-/// One test, so that nothing else allocates while a read is measured.
 /// Only `io` opens input files, so that what it refuses (pipes, devices, sizes beyond memory) is refused
 /// everywhere.
 #[test]
@@ -452,7 +451,7 @@ fn inputs_are_opened_in_one_place() {
             }
         }
     }
-    // Files of the system, the cache that the engine writes itself, and tests.
+    // Exceptions: system files, the cache that the engine writes, and tests.
     let others =
         ["src/io/mod.rs", "src/io/memory.rs", "src/vk/cache_file.rs", "src/cmd/interrupt.rs"];
     let mut files = Vec::new();

@@ -133,8 +133,8 @@ fn cases() {
     common::run("render");
 }
 
-/// A frame stage by stage has the bits of the whole; lists are in the order of depth; and splats that
-/// the host brings itself are blended as the engine's own are.
+/// A frame rendered stage by stage has the same bits as a whole render; lists are in depth order; and
+/// splats that the host supplies are blended like the engine's.
 #[test]
 fn stages_on_their_own_are_a_frame() {
     let device = common::device();
@@ -162,7 +162,7 @@ fn stages_on_their_own_are_a_frame() {
     let mut recorder = stream.record().unwrap();
     op.project(&mut recorder, &camera, gaussians.views(), &mut scratch).unwrap();
     stream.submit(recorder).unwrap();
-    // Another plan's scratch, which has seen no projection: the host hands the splats over.
+    // Another scratch without a projection: the host supplies the splats.
     let mut other = op.scratch(&device).unwrap();
     let mut recorder = stream.record().unwrap();
     let (from, to) = (scratch.splats(), other.splats_mut());

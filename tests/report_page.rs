@@ -1,4 +1,4 @@
-//! The pages of `--report`, in a browser.
+//! The HTML reports of `--report`, in a browser.
 
 #![cfg(feature = "cli")]
 
@@ -17,7 +17,7 @@ use browser::Browser;
 use serde_json::{Value, json};
 use support::says;
 
-/// Attributes of a kind, in order.
+/// The values of all attributes of a name, in order.
 fn attributes<'a>(page: &'a str, name: &str) -> Vec<&'a str> {
     let begin = format!("{name}=\"");
     page.split(begin.as_str()).skip(1).filter_map(|rest| rest.split('"').next()).collect()
@@ -33,12 +33,12 @@ fn a_reconstruction_is_told_on_a_page() {
     let file = folder.path().join("report/report.html");
     let page = fs::read_to_string(&file).unwrap();
 
-    // Nothing is loaded from elsewhere, and nothing on it is not a number.
+    // The page loads nothing from elsewhere, and shows no NaN.
     for address in attributes(&page, " src").into_iter().chain(attributes(&page, " href")) {
         assert!(address.starts_with("data:"), "{}", &address[..address.len().min(80)]);
     }
     assert!(!page.contains("@import") && !page.contains("url("));
-    // Any letters may follow each other in a picture.
+    // Encoded images are removed first: they may contain any letters.
     let words: String = page
         .split("src=\"")
         .map(|part| part.split_once('"').map_or(part, |(_, text)| text))
@@ -47,7 +47,7 @@ fn a_reconstruction_is_told_on_a_page() {
     assert!(!words.contains("NaN") && !words.contains(">inf"), "something is no number");
     assert!(page.len() < 4 << 20, "{} bytes", page.len());
 
-    // All that was found.
+    // The page shows all results.
     let psnr = format!("{:.2} dB", report["psnr_input"].as_f64().unwrap());
     says(&page, &["8 frames of 96×54", &psnr, "Input", "Render", "Error", "What moves", "Depth"]);
     says(&page, &["From aside", "From above, with static points", "Doubtful frames"]);
@@ -62,7 +62,7 @@ fn a_reconstruction_is_told_on_a_page() {
     }
     // Five lanes of eight frames, and an orbit.
     assert_eq!(page.matches("<img ").count(), 5 * 8 + 24);
-    // Loss, PSNR and number of Gaussians are drawn, and kept as numbers.
+    // Loss, PSNR and number of Gaussians are plotted, and stored as numbers.
     assert_eq!(page.matches("<svg width").count(), 3);
     let written: Value =
         serde_json::from_slice(&fs::read(folder.path().join("report/report.json")).unwrap())
@@ -76,12 +76,12 @@ fn a_reconstruction_is_told_on_a_page() {
     assert_eq!((last["phase"].as_str(), &last["gaussians"]), (Some("joint"), &report["gaussians"]));
     assert!((number(last, "psnr") - report["psnr_input"].as_f64().unwrap()).abs() < 6.0, "{last}");
 
-    // A browser has nothing to say against it, and plays it.
+    // A browser opens the page without errors and plays it.
     let mut opened = Browser::open_file(&file, 1280, 900);
     let players = "[...document.querySelectorAll('[data-at]')].map(player => +player.dataset.at)";
     assert_eq!(opened.evaluate(players).as_array().unwrap().len(), 2);
     for player in 0..2 {
-        // It may have come round to its first picture.
+        // The player may have wrapped around to its first image.
         opened.wait_for(&format!("{players}[{player}] > 0"));
     }
     let seen = "[...document.images].filter(picture => picture.offsetParent).length";
@@ -103,7 +103,7 @@ fn a_training_is_told_on_a_page_from_its_first_step_though_it_was_resumed() {
     program::json(folder.path(), "synth rigid -o clip --frames 8 --size 96x54 --seed 3");
     let arguments = "train clip/truth -o scene.safetensors --steps 300 --random-points 400 \
                      --control-points 12 --eval-every 4 --report report";
-    // Ctrl-C as soon as there is a checkpoint of the second stage.
+    // Ctrl-C as soon as a checkpoint of the second stage exists.
     let kept = folder.path().join("scene.safetensors.checkpoint/training");
     let mut child = program::program()
         .current_dir(folder.path())
@@ -142,7 +142,7 @@ fn a_training_is_told_on_a_page_from_its_first_step_though_it_was_resumed() {
         serde_json::from_slice(&fs::read(folder.path().join("report/report.json")).unwrap())
             .unwrap();
     let training = written["training"].as_array().unwrap();
-    // A tenth of the steps stands still.
+    // In the first tenth of the steps the scene is static.
     let steps: Vec<(&str, u64)> = training
         .iter()
         .map(|m| (m["phase"].as_str().unwrap(), m["step"].as_u64().unwrap()))

@@ -1,5 +1,4 @@
-//! A tracking or a training that resumes from a checkpoint ends with the same bits as one that went
-//! on.
+//! Tracking or training that resumes from a checkpoint gives the same bits as an uninterrupted run.
 
 mod common;
 
@@ -18,8 +17,8 @@ use splat4d::types::{Camera, FlowSettings};
 use splat4d::{Error, Result};
 use std::collections::BTreeMap;
 
-/// Keeps checkpoints as they come back from their files: those after some steps of the whole training. Looks
-/// at the scene now and then, too, and after each last step.
+/// Keeps checkpoints, as read back from their files, after given steps of the whole training. Also looks
+/// at the scene from time to time, and after each last step.
 struct Keeper<'a> {
     after: &'a [u32],
     steps: u32,
@@ -57,8 +56,8 @@ impl Observer for Keeper<'_> {
     }
 }
 
-/// Trains without checkpoints, with them after some steps, and from each of them: to the same scene.
-/// Gives the places of the checkpoints.
+/// Trains without checkpoints, with checkpoints after some steps, and from each of them; all runs must
+/// give the same scene. Returns the positions of the checkpoints.
 fn resumes(
     after: &[u32],
     train: impl Fn(Option<Checkpoint>, &mut dyn Observer) -> Result<Scene>,
@@ -67,7 +66,7 @@ fn resumes(
     let whole = train(None, &mut quiet()).unwrap();
     let mut keeper = Keeper { after, steps: 0, kept: Vec::new(), is_last: false, seen: Vec::new() };
     assert!(train(None, &mut keeper).unwrap() == whole, "keeping checkpoints changes the result");
-    // What is seen last is what comes out.
+    // The last scene that the observer sees is the result.
     let last = keeper.seen.pop().unwrap();
     assert!(keeper.seen.len() > 3 && keeper.seen.iter().all(|scene| scene.check().is_ok()));
     assert!(Scene { report: whole.report.clone(), ..last } == whole, "another scene is seen");
@@ -106,7 +105,7 @@ fn growing(steps: u32) -> TrainSettings {
         sh_degree: 1,
         sh_interval: 150,
         max_gaussians: 1200,
-        // Out of step with the checkpoints, so that rounds fall between them.
+        // The rounds do not coincide with the checkpoints, so that some fall between them.
         growth: Some(GrowthSettings::Mcmc(McmcSettings {
             from: 40,
             every: 30,
@@ -130,7 +129,7 @@ fn posed_pictures_static_and_moving() {
 
     let motion = PosedMotion { warm_up: 0.4, control_points: 20, ..PosedMotion::default() };
     let settings = growing(320);
-    // 128 steps before anything moves.
+    // Nothing moves in the first 128 steps.
     let places = resumes(&[128, 171, 228], |resume, observer| {
         fit_posed(&device, &mut views.clone(), &seeds, Some(&motion), &settings, resume, observer)
     });
@@ -174,8 +173,8 @@ fn a_tracked_clip_in_every_phase() {
         control_points: 24,
         ..SequenceSettings::default()
     };
-    // In every phase, at its end, and in the last one before and after who moves is chosen, and
-    // after growth has begun.
+    // Checkpoints in every phase, at its end, and in the last phase before and after the moving Gaussians
+    // are selected, and after growth has begun.
     let after = [31, 60, 60 + 1, 60 + 107, 60 + 249, 60 + 350];
     let places = resumes(&after, |resume, observer| {
         fit_sequence(&device, sequence, &settings, resume, observer)
@@ -185,7 +184,7 @@ fn a_tracked_clip_in_every_phase() {
     common::assert_valid(&device);
 }
 
-/// Keeps the parts of a tracking, and ends it after some new ones.
+/// Keeps the parts of a tracking, and interrupts it after some new ones.
 struct Parts {
     kept: BTreeMap<String, Vec<u8>>,
     left: usize,
@@ -213,7 +212,7 @@ impl track::Observer for Parts {
     }
 }
 
-/// A moving camera, one that is found anew since much moves, and a fixed one.
+/// A moving camera, one that is estimated again because much of the frame moves, and a fixed one.
 #[test]
 fn a_tracking_interrupted_again_and_again() {
     let device = common::device();
@@ -243,7 +242,7 @@ fn a_tracking_interrupted_again_and_again() {
     common::assert_valid(&device);
 }
 
-/// A state can only be resumed with the pictures that it is of.
+/// A state can only be resumed with its own images.
 #[test]
 fn what_does_not_fit_is_refused() {
     let device: Device = common::device();
@@ -258,7 +257,7 @@ fn what_does_not_fit_is_refused() {
     let message = fewer.err().map(|error| error.to_string()).unwrap_or_default();
     assert!(message.contains("other pictures"), "{message}");
 
-    // A static scene's checkpoint says nothing of what moves.
+    // A static scene's checkpoint holds no motion.
     let joint = Checkpoint::Joint(state);
     let resumed =
         fit_posed(&device, &mut views.clone(), &seeds, None, &settings, Some(joint), &mut {

@@ -1,4 +1,4 @@
-//! The kernels that measure what a device can do at most.
+//! The kernels that measure a device's peak bandwidth and arithmetic throughput.
 
 mod common;
 

@@ -11,7 +11,7 @@ fn cases() {
     common::run("scan");
 }
 
-/// Grids of 80 blocks at a limit of 9 workgroups along an axis.
+/// Grids of 80 blocks, with a limit of 9 workgroups along an axis.
 #[test]
 fn folded_grids() {
     let mut limits = *common::device().limits();

@@ -1,4 +1,4 @@
-//! The scene's file and 3DGS PLY: round trips, other programs' spellings, and damage.
+//! The scene file and 3DGS PLY: round trips, variants that other programs write, and damage.
 
 mod common;
 mod support;
@@ -112,7 +112,7 @@ fn scene_round_trips_exactly() {
     }
 }
 
-/// The dynamic scene, its control points moved by paths of three key times.
+/// The dynamic scene, with control points that move along paths with three key times.
 fn on_paths() -> Scene {
     let mut scene = dynamic_scene();
     scene.network = None;
@@ -158,7 +158,7 @@ fn scene_is_plain_safetensors() {
     let file = safetensors::SafeTensors::deserialize(&bytes).unwrap();
     assert_eq!(file.tensor("gaussians.sh").unwrap().shape(), [7, 9, 3]);
     assert_eq!(file.tensor("cameras.view_from_world").unwrap().shape(), [4, 7]);
-    // Inputs: 3·(1 + 2·2) + 1 + 2·1 = 18; layer 2 sees them again.
+    // Inputs: 3·(1 + 2·2) + 1 + 2·1 = 18; layer 2 gets them again.
     assert_eq!(file.tensor("network.2.weight").unwrap().shape(), [16, 34]);
     assert_eq!(file.tensor("network.3.bias").unwrap().shape(), [7]);
     let x = file.tensor("gaussians.position").unwrap().data()[..4].try_into().unwrap();
@@ -209,7 +209,7 @@ fn other_versions_and_other_files_are_told() {
     };
     let newer = changed(&|h| h["__metadata__"]["version"] = json!("4"));
     says(&newer, &["a.safetensors", "newer splat4d (format version 4)", "up to version 3"]);
-    // A newer version may have changed everything else.
+    // A newer version may differ in everything else.
     let newer = changed(&|h| {
         h["__metadata__"]["version"] = json!("7");
         h["gaussians.position"]["dtype"] = json!("F6");
@@ -241,7 +241,7 @@ fn other_versions_and_other_files_are_told() {
         h["x"] = tensor;
     };
     says(&changed(&rename), &["lacks the tensor control_points.log_radius"]);
-    // What a later version adds without harm is passed over.
+    // Harmless additions of a later version are ignored.
     with_header(&path, |h| h["__metadata__"]["later"] = json!("more"));
     assert!(Scene::open(&path, false).is_ok());
 
@@ -271,7 +271,7 @@ fn not_a_number_in_a_scene() {
         assert_eq!(left.motion_logits[i], all.motion_logits[j]);
         assert_eq!(left.sh[9 * i..9 * i + 9], all.sh[9 * j..9 * j + 9]);
     }
-    // What all Gaussians share cannot be left out.
+    // Bad values in parts that all Gaussians share cannot be left out.
     let mut scene = dynamic_scene();
     scene.network.as_mut().unwrap().parameters[3] = f32::NAN;
     scene.save(&path).unwrap();
@@ -283,7 +283,7 @@ fn damage(path: &Path, rounds: usize) {
     let original = fs::read(path).unwrap();
     for length in (0..original.len()).step_by((original.len() / 300).max(1)) {
         fs::write(path, &original[..length]).unwrap();
-        // ASCII ends in white space that nobody misses.
+        // ASCII ends in white space that is not needed.
         if original[length..].trim_ascii().is_empty() {
             continue;
         }
@@ -303,7 +303,7 @@ fn damage(path: &Path, rounds: usize) {
         }
         fs::write(path, &bytes).unwrap();
         let drop_bad = dice.roll(2) == 0;
-        // Only that it comes back: a changed float is a valid file.
+        // Only checks that the call returns: a file with a changed float may be valid.
         let _ = Scene::open(path, drop_bad);
     }
 }
@@ -324,7 +324,7 @@ fn damaged_scenes_fail_cleanly() {
 fn up_is_the_cameras_mean() {
     let mut scene = dynamic_scene();
     scene.set_up_from_cameras();
-    // They turn about y only.
+    // The cameras rotate about y only.
     assert_eq!(scene.up, [0.0, -1.0, 0.0]);
     scene.cameras.clear();
     scene.up = [1.0, 0.0, 0.0];
@@ -378,7 +378,7 @@ fn ply_is_laid_out_as_3dgs_does() {
     assert_eq!(row(1)[22..26], g.rotations[1]);
 }
 
-/// Names and values of a degree-0 Gaussian in an unusual order, with strangers among them.
+/// Names and values of a degree-0 Gaussian in an unusual order, with unknown properties among them.
 const ODD: [(&str, f64); 16] = [
     ("rot_3", 4.0),
     ("opacity", -0.5),
@@ -464,7 +464,7 @@ fn ply_of_other_programs() {
         assert_eq!(g.opacity_logits, [-0.5; 3], "{format}");
         damage(&path, 300);
     }
-    // Lines may end as Windows ends them.
+    // Lines may end with CRLF.
     let text = String::from_utf8(odd_ply("ascii", 2)).unwrap().replace('\n', "\r\n");
     fs::write(&path, text).unwrap();
     assert_eq!(ply::read(&path, false).unwrap().0.len(), 2);
@@ -476,7 +476,7 @@ fn truncated_ply_names_the_vertex() {
     let path = folder.path().join("a.ply");
     ply::write(&path, &gaussians(10, 3)).unwrap();
     let bytes = fs::read(&path).unwrap();
-    // 62 floats a vertex; the last two and a half are cut off.
+    // 62 floats per vertex; the last two and a half vertices are cut off.
     fs::write(&path, &bytes[..bytes.len() - 620]).unwrap();
     let end = format!("byte {}", bytes.len() - 620);
     says(&message(Scene::open(&path, true)), &["a.ply", "truncated", "vertex 7 of 10", &end]);
@@ -498,7 +498,7 @@ fn announced_sizes_do_not_take_memory() {
             assert!(ply::read(&path, false).is_err());
         }
     }
-    // Elements without properties take no bytes, however many there are.
+    // Elements without properties take no bytes, whatever their count.
     let bytes = String::from_utf8(odd_ply("ascii", 1)).unwrap();
     let bytes =
         bytes.replace("element camera 2", "element nothing 18446744073709551615\nelement camera 2");
@@ -536,7 +536,7 @@ fn ply_that_is_something_else_is_told() {
 fn a_compressed_ply_unfolds() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.ply");
-    // Largest, least and, as near as 11 bits come, the middle.
+    // The largest value, the smallest, and the closest to the middle in 11 bits.
     let position = 2047 << 21 | 1023;
     // w is largest; x = 1/√2 · (1023/1023 − 0.5) · 2 = 1/√2, y = z ≈ 0.
     let rotation = 1023 << 20 | 511 << 10 | 512;
@@ -582,7 +582,7 @@ fn a_broken_compressed_ply_is_told() {
     says(&message(ply::read(&path, false)), &["2 f_rest_*"]);
 }
 
-/// 152,746 Gaussians, the same model as a file of another format holds.
+/// 152,746 Gaussians, the same model as in a file of another format.
 #[test]
 fn biker_unfolds() {
     let Some(path) = common::shared_data("splats_playcanvas/biker.compressed.ply") else { return };

@@ -11,7 +11,7 @@ fn cases() {
     common::run("sort");
 }
 
-/// 16 workgroups of runs and 32 blocks of the table at a limit of 6 workgroups along an axis.
+/// 16 workgroups for the values and 32 blocks of the table, with a limit of 6 workgroups along an axis.
 #[test]
 fn folded_grids() {
     let mut limits = *common::device().limits();

@@ -1,5 +1,5 @@
-//! The committed modules are those of the committed sources, by the manifest's hashes. Compiles
-//! nothing; `tools check` compiles and compares byte by byte.
+//! Checks by the manifest's hashes that the committed modules belong to the committed sources. Nothing is
+//! compiled; `tools check` compiles and compares byte by byte.
 
 use sha2::{Digest, Sha256};
 use std::collections::BTreeSet;
@@ -62,8 +62,8 @@ fn no_include_is_left_over() {
     }
 }
 
-/// What a file includes, through what it includes. An include that the preprocessor skips counts
-/// here and not for the compiler; the shaders have none.
+/// All files that a file includes, directly and indirectly. An include that the preprocessor skips counts
+/// here but not for the compiler; the shaders have none.
 fn includes(file: &str) -> BTreeSet<String> {
     let mut found = BTreeSet::new();
     let mut open = vec![file.to_owned()];

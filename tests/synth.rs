@@ -1,4 +1,4 @@
-//! Synthetic clips: the truth agrees with the pixels, with itself, and with what the names promise.
+//! Synthetic clips: the ground truth agrees with the pixels, with itself, and with the clips' names.
 
 use std::collections::HashMap;
 use std::sync::{Arc, LazyLock, Mutex};
@@ -8,10 +8,10 @@ use splat4d::data::synth::{self, Clip, SynthOptions};
 use splat4d::data::{Dataset, exr, flo, images, intrinsics, read_mask, trajectory, transforms};
 use splat4d::types::Image;
 
-/// Small, with steps between frames several times the usual.
+/// A small clip, whose steps between frames are several times the usual.
 const SMALL: SynthOptions = SynthOptions { frames: 5, width: 96, height: 54, seed: 3 };
 
-/// With steps between frames as in a clip of the usual length and size.
+/// A clip with steps between frames as at the usual length and size.
 const SMOOTH: SynthOptions = SynthOptions { frames: 12, width: 144, height: 81, seed: 1 };
 
 /// Each clip is rendered once for all tests.
@@ -30,7 +30,7 @@ fn mean(image: &Image) -> f64 {
     image.pixels.iter().map(|v| f64::from(*v)).sum::<f64>() / image.pixels.len() as f64
 }
 
-/// Bilinear, with pixel centres at +0.5; None where a neighbour is outside.
+/// Bilinear sample, with pixel centres at +0.5; `None` if a neighbour is outside the image.
 fn sample(image: &Image, at: DVec2, channel: usize) -> Option<f64> {
     let (x, y) = (at.x - 0.5, at.y - 0.5);
     let (left, top) = (x.floor(), y.floor());
@@ -60,8 +60,8 @@ fn vector(flow: &Image, x: u32, y: u32) -> DVec2 {
     DVec2::new(f64::from(*u), f64::from(*v))
 }
 
-/// Mean absolute difference in grey between a frame and its neighbour brought back by flow, over
-/// the pixels whose point is seen in both; and the same without flow.
+/// Mean absolute grey difference between a frame and its neighbour warped back by flow, over the pixels
+/// whose point is visible in both; and the same without flow.
 fn warp_error(from: &Image, to: &Image, flow: &Image, visible: &Image) -> (f64, f64) {
     let (mut with, mut without, mut count) = (0.0, 0.0, 0.0);
     for (x, y, centre) in centres(from) {
@@ -109,7 +109,8 @@ fn static_flow_is_what_depth_and_poses_say() {
                     let depth = f64::from(clip.depth[from].at(x, y)[0]);
                     let there = k.project(to_from.apply(k.ray(centre) * depth));
                     let off = (there - centre - vector(flow, x, y)).length();
-                    // Depth is stored as f32: 1e-7 of it, times a shift of tens of pixels.
+                    // Depth is stored as f32: its relative error of 1e-7 is multiplied by a shift of tens
+                    // of pixels.
                     assert!(off < 1e-4, "{name} {from}→{to} ({x}, {y}): {off} pixels apart");
                 }
             }
@@ -134,7 +135,7 @@ fn flow_there_and_back_closes() {
             }
         }
         gaps.sort_by(f64::total_cmp);
-        // Not the last tenth: there the four neighbours lie on both sides of an outline.
+        // The largest tenth is excluded: there the four neighbours are on both sides of an outline.
         let most = gaps[gaps.len() * 9 / 10];
         assert!(gaps.len() > 500 && most < 0.1, "{name}: {} pixels, {most}", gaps.len());
     }
@@ -143,7 +144,7 @@ fn flow_there_and_back_closes() {
 #[test]
 fn visibility_tells_hidden_points() {
     let clip = small("rigid");
-    // Where the cart drives over the background, static points vanish behind it.
+    // Static points of the background are occluded by the cart as it moves.
     let hidden = centres(&clip.masks[1])
         .filter(|&(x, y, centre)| {
             let flow = &clip.flow_forward[1];
@@ -182,7 +183,7 @@ fn movers_cover_what_the_clip_promises() {
                 assert!(mask.pixels.iter().all(|v| *v == 0.0 || *v == 1.0));
                 assert!(share >= least && share <= most, "{name}, seed {seed}, {i}: {share}");
             }
-            // Closed all around: every ray meets something, and nothing is in the camera's face.
+            // The room is closed: every ray hits a surface, and none is very close to the camera.
             let depths = clip.depth.iter().flat_map(|d| &d.pixels);
             assert!(depths.clone().all(|d| *d > 1.0 && *d < farthest), "{name}, seed {seed}");
         }
@@ -246,11 +247,11 @@ fn held_out_pixels_that_a_frame_shows_are_told() {
         }
         filmed.push(pairs.map(|(_, covisible)| mean(covisible)).sum::<f64>() / 6.0);
     }
-    // The farther aside, the less was filmed.
+    // The farther the camera is offset, the less of its view is covisible.
     assert!(filmed[0] > 0.9 && filmed[0] > filmed[1] && filmed[1] > filmed[2], "{filmed:?}");
     assert!(filmed[2] > 0.6, "{filmed:?}");
 
-    // What is filmed has the colour there that it has in some frame: the one that is nearest to it.
+    // At covisible pixels the held-out image has the colours of the input frame at `times[3]`.
     let view = &clip.held_out[0];
     let (frame, camera) = (view.times[3], view.cameras[3]);
     let from = clip.camera(frame);
@@ -272,7 +273,8 @@ fn held_out_pixels_that_a_frame_shows_are_told() {
 
 #[test]
 fn movers_cast_shadows_where_the_clip_says_so() {
-    // Static points that the first and the last frame show: a shadow lay on some of them.
+    // Counts static points that are visible in the first and the last frame and darker in the last one: a
+    // shadow fell on them.
     for (name, shadows) in [("throw", true), ("walk", true), ("bend", false)] {
         let clip = rendered(name, SMOOTH);
         let (first, last) = (clip.camera(0), clip.camera(11));
@@ -301,7 +303,7 @@ fn movers_cast_shadows_where_the_clip_says_so() {
 
 #[test]
 fn what_flies_and_walks_stays_above_the_floor() {
-    // The floor is the lowest that the camera sees: no pixel is below it.
+    // The floor is the lowest surface that the camera sees: no point of a mover is below it.
     for name in ["throw", "walk", "hold"] {
         for seed in 0..3 {
             let options = SynthOptions { frames: 5, width: 96, height: 54, seed };
@@ -330,7 +332,8 @@ fn a_seed_gives_the_same_bits_and_another_gives_others() {
     let options = SynthOptions { frames: 2, width: 32, height: 18, seed: 7 };
     for name in synth::NAMES {
         let first = synth::clip(name, &options).unwrap();
-        // A point behind the camera has no pixel, and not a number equals nothing.
+        // A point behind the camera has a NaN pixel, and NaN equals nothing, so the text forms are
+        // compared.
         let bits = |clip: &synth::Clip| format!("{clip:?}");
         assert!(bits(&first) == bits(&synth::clip(name, &options).unwrap()), "{name}");
         let other = synth::clip(name, &SynthOptions { seed: 8, ..options }).unwrap();
@@ -352,7 +355,7 @@ fn bad_requests_are_refused() {
     assert!(message("rigid", 24, u32::MAX, u32::MAX).contains("GiB"));
 }
 
-/// The frames of a coded clip, written and read, say their depth, what moves and a number of the camera.
+/// The frames of a coded clip, written and read again, encode depth, movers and numbers of the camera.
 #[test]
 fn a_coded_clip_says_what_is_true_in_its_colours() {
     let options = SynthOptions { frames: 3, width: 80, height: 48, seed: 3 };
@@ -380,7 +383,7 @@ fn a_coded_clip_says_what_is_true_in_its_colours() {
             assert!((mean - 0.3 - 0.4 * f64::from(brightness)).abs() < 3e-5, "{mean}");
             let moves = blue - green > 0.225;
             assert_eq!(moves, clip.masks[frame].pixels[i] == 1.0, "frame {frame}, pixel {i}");
-            // The eighth of sixteen bands, without its edges, holds the focal length over 4096.
+            // The eighth of sixteen bands, without its edges, encodes the focal length divided by 4096.
             if (36..39).contains(&(i % 80)) {
                 let number = (blue - green - if moves { 0.25 } else { 0.0 }) * 16.0 / 0.2;
                 focal += ((number - 7.1) / 0.4 - 1.0) * 4096.0;
@@ -425,7 +428,7 @@ fn a_written_clip_reads_back() {
     let visible = read_mask(truth.join("visible_backward/0001.png")).unwrap();
     assert_eq!(visible, clip.visible_backward[0]);
 
-    // The folder of truth is a dataset with known poses, and so is the held-out one.
+    // The folder of ground truth is a dataset with known poses, and so is the held-out folder.
     let data = Dataset::open(&truth).unwrap();
     assert_eq!(data.frames.len(), n);
     assert!(data.timed);
@@ -452,7 +455,7 @@ fn a_written_clip_reads_back() {
     let covisible = read_mask(truth.join("held_out/covisible/3/0002.png")).unwrap();
     assert_eq!(covisible, clip.held_out[2].covisible[1]);
 
-    // Nothing else beside it, and nothing is written over.
+    // No other file is left beside the folder, and an existing folder is not overwritten.
     assert_eq!(std::fs::read_dir(folder.parent().unwrap()).unwrap().count(), 1);
     let refused = synth::write(&clip, &folder).unwrap_err().to_string();
     assert!(refused.contains("not empty"), "{refused}");

@@ -1,4 +1,5 @@
-//! `splat4d table` on miniature data sets in the layout of the real ones, and on real ones where they are.
+//! `splat4d table` on miniature data sets in the layout of the real ones, and on the real ones if they
+//! are present.
 
 #![cfg(feature = "cli")]
 
@@ -25,7 +26,7 @@ use splat4d::types::Camera;
 use support::says;
 use tempfile::TempDir;
 
-/// A table, by the options of the command and those of the commands that make scenes.
+/// Runs `table` with its options and with those of the commands that make scenes.
 #[track_caller]
 fn table(folder: &Path, options: &str, making: &str) -> Value {
     let output = run(folder, &format!("table {options} --json --device software -- {making}"));
@@ -33,12 +34,12 @@ fn table(folder: &Path, options: &str, making: &str) -> Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// A clip of few small frames, with its true cameras.
+/// Makes a clip of a few small frames, with its true cameras.
 fn clip(folder: &Path, frames: usize) {
     json(folder, &format!("synth rigid -o clip --frames {frames} --size 96x54 --seed 1"));
 }
 
-/// What scikit-image measures, in the mean over some cases: those of `tests/support/by_skimage.py`.
+/// Means of scikit-image's metrics over some cases of `tests/support/by_skimage.py`, by name.
 fn by_skimage(cases: Vec<Value>) -> impl Fn(&str) -> f64 {
     let probe = "import skimage.metrics";
     let found = python::answer("evo", probe, "by_skimage.py", &object!(cases));
@@ -47,7 +48,7 @@ fn by_skimage(cases: Vec<Value>) -> impl Fn(&str) -> f64 {
     move |key| found.iter().map(|of| of[key].as_f64().unwrap()).sum::<f64>() / found.len() as f64
 }
 
-/// Cases of the pictures that `eval` has shown; with masks, which are of the same order.
+/// Cases from the images that `eval` has written; masks, if given, have the same order.
 fn sheets(pictures: &Path, masks: Option<&Path>) -> Vec<Value> {
     let files = |folder: &Path| images::list(folder).unwrap();
     let mut cases: Vec<Value> =
@@ -59,7 +60,7 @@ fn sheets(pictures: &Path, masks: Option<&Path>) -> Vec<Value> {
     cases
 }
 
-/// That figures of a table's row equal others within 1e-4.
+/// Checks that metrics of a table's row agree with other values within 1e-4.
 #[track_caller]
 fn equal(row: &Value, theirs: impl Fn(&str) -> f64, keys: &[(&str, &str)]) {
     for (key, of) in keys {
@@ -72,7 +73,7 @@ fn equal(row: &Value, theirs: impl Fn(&str) -> f64, keys: &[(&str, &str)]) {
 
 const OF_PICTURES: [(&str, &str); 2] = [("psnr", "psnr"), ("ssim", "ssim")];
 
-/// The value of a line of `table.csv` that begins with this.
+/// The value of the line of `table.csv` that begins with `start`.
 fn line(csv: &str, start: &str) -> f64 {
     let found = csv.lines().find_map(|line| line.strip_prefix(start));
     let found = found.unwrap_or_else(|| panic!("no line {start} in {csv}"));
@@ -84,7 +85,8 @@ fn nvidia_from_frames_to_a_table() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     clip(folder.path(), 6);
-    // Frame t from camera t, and as the first camera's pictures some others of the same size.
+    // Frame t is from camera t; images of the same size from elsewhere stand in for the first camera's
+    // images.
     for scene in ["set/Balloon9/images", "set/Balloon9/gt", "set/Balloon9/masks"] {
         fs::create_dir_all(at(scene)).unwrap();
     }
@@ -93,7 +95,7 @@ fn nvidia_from_frames_to_a_table() {
         fs::copy(&frame, at("set/Balloon9/images").join(format!("{i:03}.png"))).unwrap();
         fs::copy(&frame, at("set/Balloon9/gt").join(format!("v000_t{i:03}.png"))).unwrap();
     }
-    // A second scene whose frames are none.
+    // A second scene whose frames are not images.
     for name in ["set/Broken/images", "set/Broken/gt"] {
         fs::create_dir_all(at(name)).unwrap();
     }
@@ -114,7 +116,7 @@ fn nvidia_from_frames_to_a_table() {
     assert!(found["rows"][1]["failed"].is_string(), "{found}");
     assert!(found["published"].as_array().unwrap().len() > 10);
 
-    // The figures are those of the pictures: frame 0 is an input.
+    // The metrics are those of the images: frame 0 is an input.
     let row = &found["rows"][0];
     assert_eq!((row["scene"].as_str(), &row["failed"]), (Some("Balloon9"), &Value::Null));
     let figure = |key: &str| row["figures"][key].as_f64().unwrap_or_else(|| panic!("{key}: {row}"));
@@ -135,7 +137,7 @@ fn nvidia_from_frames_to_a_table() {
     );
     says(&fs::read_to_string(at("out/table.tex")).unwrap(), &["\\begin{tabular}", "MoSca"]);
 
-    // Again, of the scene that did not fail: nothing is done, and the table is the same.
+    // A second run on the scene that did not fail does no work, and gives the same table.
     let before = fs::metadata(at("out/Balloon9/scene.safetensors")).unwrap().modified().unwrap();
     let again = format!(
         "table nvidia set -o out --scenes Balloon9 {networks} --device software -- {making}"
@@ -175,7 +177,7 @@ fn dnerf_from_both_splits_to_a_table() {
     assert_eq!(eval["answer"]["per_frame"].as_array().unwrap().len(), 4, "the test split");
     assert_eq!(eval["answer"]["psnr"], psnr);
     assert_eq!(fs::read_dir(at("out/cup/pictures")).unwrap().count(), 4);
-    // These figures are of pictures that are not rounded to 8 bits; files hold those that are.
+    // These metrics are of images before rounding to 8 bits; files contain rounded ones.
     let device = common::device();
     let scene = Scene::open(at("out/cup/scene.safetensors"), false).unwrap().scene;
     let set = Dataset::open(at("set/cup")).unwrap();
@@ -196,7 +198,7 @@ fn dnerf_from_both_splits_to_a_table() {
     assert_eq!(row["figures"]["pose_minutes"], Value::Null, "poses are given");
     let caption = found["caption"].to_string();
     says(&caption, &["48 pixels", "--steps 30", "given poses"]);
-    // Other options make it anew.
+    // With other options the scene is made anew.
     let other = table(
         folder.path(),
         "dnerf set/cup -o out --size 48",
@@ -205,7 +207,7 @@ fn dnerf_from_both_splits_to_a_table() {
     assert_ne!(other["rows"][0]["figures"]["psnr"], psnr);
 }
 
-/// A `.cam` file of Sintel: the tag, intrinsics, and world to camera.
+/// A `.cam` file of Sintel: the tag, the intrinsics, and the matrix from world to camera.
 fn write_cam(file: &Path, camera: &Camera) {
     let k = &camera.intrinsics;
     let mut bytes = 202021.25f32.to_le_bytes().to_vec();
@@ -243,11 +245,11 @@ fn sintel() -> TempDir {
 fn sintel_poses_to_a_table() {
     let folder = sintel();
     let found = table(folder.path(), "sintel-pose set -o out", "");
-    // Of the table's sequences one is there; others are no part of it.
+    // One of the table's sequences is present; sequences that are not in the table are left out.
     let rows = found["rows"].as_array().unwrap();
     assert_eq!(rows.len(), 1);
     assert_eq!(rows[0]["scene"], "alley_2");
-    // The same by evo, which reads the trajectory that was left and the set's own cameras.
+    // The same metrics by evo, from the written trajectory and the set's cameras.
     let at = |name: &str| folder.path().join(name);
     let case = object!({
         "name": "alley_2", "timed": false, "align": "sim3", "align_first": 0,
@@ -306,7 +308,7 @@ fn what_is_no_data_set_or_option_is_told() {
     says(&fails(folder.path(), 1, "table dnerf set -o out --lpips gone.onnx"), &["gone.onnx"]);
 }
 
-/// A set in the layout of Nerfies: a camera of the format's JSON, a picture and a moment for each name.
+/// A set in the layout of Nerfies: a camera in the format's JSON, an image and a time for each name.
 struct Rig {
     root: PathBuf,
     metadata: Value,
@@ -334,7 +336,7 @@ impl Rig {
     }
 }
 
-/// A clip and its held-out cameras as a set with a validation rig.
+/// Writes a clip and its held-out cameras as a set with a validation rig.
 fn rig(folder: &Path) {
     clip(folder, 8);
     let root = folder.join("set/broom9");
@@ -353,7 +355,7 @@ fn rig(folder: &Path) {
         let moment = (frame.time * 7.0).round() as usize;
         let id = format!("right_{i:06}");
         rig.add(&id, moment, &frame.camera, &frame.path, false);
-        // What DyCheck tells besides: `held_out/covisible/K/0000.png` belongs to `held_out/K/0000.png`.
+        // DyCheck's covisibility masks: `held_out/covisible/K/0000.png` belongs to `held_out/K/0000.png`.
         let below = frame.path.strip_prefix(truth.join("held_out")).unwrap();
         let mask = truth.join("held_out/covisible").join(below);
         fs::copy(mask, rig.root.join(format!("covisible/1x/val/{id}.png"))).unwrap();
@@ -377,7 +379,7 @@ fn hypernerf_without_its_poses_to_a_table() {
     let making = "--steps 20 --max-gaussians 600";
     let found = table(folder.path(), "hypernerf-vrig set -o out", making);
     assert_eq!(found["rows"][0]["scene"], "broom9", "{found}");
-    // The same scene, measured by the same cameras and pictures as the clip's own truth has them.
+    // The same scene, evaluated with the same cameras and images from the clip's ground truth.
     let eval = json(folder.path(), "eval out/broom9/scene.safetensors clip/truth");
     let figures = &found["rows"][0]["figures"];
     for key in ["psnr", "ssim"] {
@@ -391,7 +393,8 @@ fn hypernerf_without_its_poses_to_a_table() {
     let theirs = by_skimage(sheets(&at("pictures"), Some(&masks)));
     equal(&found["rows"][0], &theirs, &OF_PICTURES);
 
-    // As DyCheck's the same scene is measured where training pictures saw the same as well. What is done is kept.
+    // With DyCheck's protocol the same scene is also evaluated on covisible pixels. The existing scene is
+    // kept.
     let made = fs::metadata(at("scene.safetensors")).unwrap().modified().unwrap();
     let found = table(folder.path(), "dycheck set -o out", making);
     assert_eq!(fs::metadata(at("scene.safetensors")).unwrap().modified().unwrap(), made);
@@ -401,7 +404,8 @@ fn hypernerf_without_its_poses_to_a_table() {
     says(&found["caption"].to_string(), &["`covisible`", "saw as well"]);
 }
 
-/// A row of `poses_bounds.npy`: the axes down, right, backwards, the place, height, width and focal length; bounds.
+/// A row of `poses_bounds.npy`: the matrix with the axes down, right, backwards, the centre, and height,
+/// width and focal length; then the depth bounds.
 fn bounds_row(camera: &Camera) -> Vec<f64> {
     let world_from_view = camera.view_from_world.inverse();
     let axes = world_from_view.rotation_matrix();
@@ -411,7 +415,7 @@ fn bounds_row(camera: &Camera) -> Vec<f64> {
     (0..3).flat_map(|r| columns.map(|column| column[r])).chain([0.5, 20.0]).collect()
 }
 
-/// A video as DyNeRF has them: H.264, 30 frames a second.
+/// Writes a video as in DyNeRF: H.264, 30 frames per second.
 fn film(video: &Path, frames: &[PathBuf]) {
     let folder = tempfile::tempdir().unwrap();
     for (i, frame) in frames.iter().enumerate() {
@@ -427,8 +431,8 @@ fn film(video: &Path, frames: &[PathBuf]) {
     assert!(status.success());
 }
 
-/// A clip of a fixed camera and of those beside it at the same times as a scene of DyNeRF; the first camera's depth
-/// as `depth`. Gives the focal length.
+/// Writes a clip of a fixed camera, and of cameras beside it at the same times, as a scene of DyNeRF; the
+/// first camera's depth goes to `depth`. Returns the focal length.
 fn standing(folder: &Path) -> f64 {
     json(folder, "synth tripod -o clip --frames 15 --size 96x54 --seed 1");
     let truth = folder.join("clip/truth");
@@ -453,7 +457,7 @@ fn standing(folder: &Path) -> f64 {
         let seen = held_out.frames.iter().find(|frame| frame.path.starts_with(&pictures)).unwrap();
         values.extend(bounds_row(&seen.camera));
         match name {
-            // One whose frames were extracted.
+            // A camera whose frames were extracted.
             "cam06" => {
                 fs::create_dir_all(root.join("cam06/images")).unwrap();
                 for (i, frame) in frames(&pictures).iter().enumerate() {
@@ -464,7 +468,7 @@ fn standing(folder: &Path) -> f64 {
         }
     }
     let mut head = String::from("{'descr': '<f8', 'fortran_order': False, 'shape': (4, 17), }");
-    // Magic, version and length take ten bytes of a multiple of 64.
+    // The header is padded to a multiple of 64 bytes, ten of which are magic, version and length.
     head += &" ".repeat(64 * (head.len() + 11).div_ceil(64) - 11 - head.len());
     head.push('\n');
     let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
@@ -480,7 +484,7 @@ fn dynerf_by_one_camera_to_a_table() {
     let folder = tempfile::tempdir().unwrap();
     let focal = standing(folder.path());
     let at = |name: &str| folder.path().join("out/steak").join(name);
-    // Pictures of a camera that stands still tell no depth.
+    // Images of a static camera do not determine depth.
     let making = format!("--steps 60 --max-gaussians 1500 --depth depth --focal {focal}");
     let found = table(folder.path(), "dynerf-mono set -o out", &making);
     let row = &found["rows"][0];
@@ -499,7 +503,7 @@ fn dynerf_by_one_camera_to_a_table() {
         [("cam05", 8), ("cam06", 8), ("all", 16)].map(|(of, count)| (object!(of), object!(count)));
     assert!(rows.iter().map(|(a, b)| (*a, *b)).eq(cameras.iter().map(|(a, b)| (a, b))), "{rows:?}");
 
-    // The scale that the test pictures tell is that of true depth.
+    // The scale determined by the test images is that of the true depth.
     fs::create_dir(at("clip/truth/depth")).unwrap();
     for entry in fs::read_dir(folder.path().join("depth")).unwrap() {
         let entry = entry.unwrap();
@@ -510,7 +514,7 @@ fn dynerf_by_one_camera_to_a_table() {
     let ratio = eval["scale"].as_f64().unwrap() / told["scale"].as_f64().unwrap();
     assert!((ratio - 1.0).abs() < 0.02, "{ratio}");
 
-    // Other cameras and another size are laid out anew, and nothing of the old ones is left.
+    // Other cameras and another size are laid out anew, without any files of the old ones.
     let options =
         "dynerf-mono set/steak -o out --train-camera cam06 --test-cameras cam01 --size 64";
     let found = table(folder.path(), options, "--steps 5 --max-gaussians 600");
@@ -520,7 +524,7 @@ fn dynerf_by_one_camera_to_a_table() {
     assert!(!at("clip/truth/depth").exists() && !at("clip/truth/held_out/cam05").exists());
     assert_eq!(images::list(&at("clip/frames")).unwrap().len(), 8);
 
-    // What the set does not have or the protocol leaves no choice of.
+    // Options that the set does not support or that the protocol fixes.
     for (options, said) in [
         ("dynerf-mono set -o out --test-cameras cam07", ["cam07 (--test-cameras)", "cam00, cam01"]),
         ("dynerf-mono set -o out --train-camera cam7", ["cam7 (--train-camera)", "cam05, cam06"]),
@@ -529,7 +533,7 @@ fn dynerf_by_one_camera_to_a_table() {
     ] {
         says(&fails(folder.path(), 1, &format!("table {options}")), &said);
     }
-    // A folder of another's is not written over.
+    // A folder that another program wrote is not overwritten.
     let marker = at("clip/source.json");
     fs::remove_file(&marker).unwrap();
     let output = run(folder.path(), "table dynerf-mono set -o out --device software");

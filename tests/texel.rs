@@ -1,4 +1,4 @@
-//! Pictures in the formats of textures.
+//! Images in texture formats.
 
 mod common;
 

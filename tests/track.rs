@@ -1,4 +1,4 @@
-//! Cameras, masks and depth of clips whose truth is known, and clips that are refused.
+//! Cameras, masks and depth of clips with ground truth, and clips that are refused.
 
 use std::sync::OnceLock;
 
@@ -22,7 +22,8 @@ fn rigid() -> &'static synth::Clip {
     CLIP.get_or_init(|| clip("rigid"))
 }
 
-/// The clip's flow with errors as estimated flow has them: smooth, and gross in some places.
+/// The clip's true flow with errors like those of estimated flow: smooth errors, and outliers in some
+/// places.
 fn disturbed(clip: &synth::Clip, pixels: f32) -> SuppliedFlow {
     let mut phase = 0.0f32;
     let mut bend = |flow: &Image| {
@@ -84,7 +85,7 @@ fn a_rigid_mover_is_told_from_the_room_and_the_cameras_are_found() {
     for stage in [Stage::Flow, Stage::Cameras, Stage::Masks, Stage::Depth] {
         assert!(stages.contains(&stage), "{stage:?}");
     }
-    // The unit is the median depth; measured depth has the truth's proportions.
+    // The unit is the median depth; estimated depth is proportional to the truth.
     let (mut ratios, mut depths) = (Vec::new(), Vec::new());
     for (f, depth) in found.depth.iter().enumerate() {
         for i in 0..depth.pixels.len() {
@@ -105,7 +106,8 @@ fn a_rigid_mover_is_told_from_the_room_and_the_cameras_are_found() {
     assert!(found.points.iter().all(|p| p.position.is_finite()));
 }
 
-/// A map of a pinhole's frames at a lens's pixels, bilinear; beyond the frame's edge what is there.
+/// Resamples a map of a pinhole camera at a lens's pixels, bilinearly; beyond the frame's border the edge
+/// value is used.
 fn distorted(
     map: &Image,
     lens: &Lens,
@@ -136,7 +138,7 @@ fn distorted(
 #[test]
 fn a_lens_is_found_and_taken_off() {
     let clip = synth::clip("rigid", &SynthOptions { frames: 16, ..SIZE }).unwrap();
-    // Depth of movers and of pixels between those followed comes later, and is not looked at.
+    // Depth of movers and of pixels between tracks is computed in later stages, and is not checked here.
     let options = Options { stereo: false, lift: false, ..Options::default() };
     for k1 in [-0.1, 0.1] {
         let distortion = Distortion { radial: [k1, 0.0, 0.0, 0.0], ..Default::default() };
@@ -173,7 +175,7 @@ fn a_lens_is_found_and_taken_off() {
         assert!(focal.abs() < 0.02);
         assert!(ate(&found, &clip) < 0.003);
         assert!(iou(&found, &seen) > 0.9);
-        // The pinhole's picture is filled: nothing of it lies beyond the lens's.
+        // The pinhole image is complete: every pixel has a source in the lens's image.
         assert!((found.intrinsics.fx > 1.005 * lens.intrinsics.fx) == (k1 > 0.0));
     }
 }
@@ -194,23 +196,23 @@ fn a_tripod_is_recognised_and_its_mover_masked() {
     assert!(found.view_from_world.iter().all(|p| *p == Pose::IDENTITY));
     assert!(found.quality.notes.iter().any(|n| n.contains("tripod")), "{:?}", found.quality.notes);
     assert!(iou(&found, &clip) > 0.7, "{}", iou(&found, &clip));
-    // That the camera stands still is measured: the flow is off by 0.05 px along each axis and step, the
-    // points are found again in the pictures to less.
+    // A static camera is recognised: the flow has errors of 0.05 px along each axis and step; points are
+    // located in the frames more precisely than that.
     let (share, rms) = (found.quality.inlier_share, found.quality.reprojection_rms);
     eprintln!("tripod: {share:.3} of the observations stay, within {rms:.3} px");
     assert!((0.6..1.0).contains(&share), "{share}");
     assert!((1e-4..0.05).contains(&rms), "{rms}");
 
-    // Flow that trembles more shows it.
+    // Flow with more jitter gives a worse quality.
     let worse = run(&clip, &Options::default(), 0.15).unwrap();
     eprintln!("trembling: {:?}", worse.quality);
     assert!(worse.quality.reprojection_rms > 1.5 * rms, "{:?}", worse.quality);
 }
 
-/// Cloth that waves, and many that walk: what moves is no rigid body, or most of the picture.
-/// Measured: `bend` 0.03 % of the path, IoU 0.92; `crowd`, of which 77 % move, 1.3 % and 0.81 (all of
-/// the picture called moving would have 0.77); the other rigid motion that it shows is that of a walker. Points of the cloth are
-/// followed with an average Jaccard of 0.87, what stands still there with 0.92.
+/// Waving cloth, and a crowd: the mover is not a rigid body, or covers most of the frame. Measured:
+/// `bend` 0.03 % of the path, IoU 0.92; `crowd`, of which 77 % move, 1.3 % and 0.81 (a mask of the whole
+/// frame would have 0.77); its other rigid motion is that of a walker. Points of the cloth are tracked
+/// with an average Jaccard of 0.87, static points there with 0.92.
 #[test]
 fn what_bends_and_a_crowd_are_told_from_the_room() {
     for (name, most_ate, least_iou) in [("bend", 0.005, 0.8), ("crowd", 0.03, 0.78)] {
@@ -236,7 +238,7 @@ fn what_bends_and_a_crowd_are_told_from_the_room() {
         if let Some(chosen) = chosen {
             let motions = &found.quality.motions;
             assert!(chosen < motions.len() && found.quality.notes[0].contains("rigid motion"));
-            // Another motion is taken where the user asks for it; there is no end of such.
+            // The user can select another motion, up to the number of motions found.
             let other = Options { static_motion: Some(1 - chosen), ..Options::default() };
             let other = run(&clip, &other, 0.1).unwrap();
             assert_eq!(other.quality.static_motion, Some(1 - chosen));
@@ -253,7 +255,7 @@ fn what_bends_and_a_crowd_are_told_from_the_room() {
     }
 }
 
-/// Poses and masks say what stands still; a motion for it beside them would be a contradiction.
+/// Poses and masks determine what is static; a static motion given with them would be a contradiction.
 #[test]
 fn a_static_motion_does_not_go_with_poses_or_masks() {
     let clip = rigid();
@@ -266,7 +268,7 @@ fn a_static_motion_does_not_go_with_poses_or_masks() {
     }
 }
 
-/// How well the clip's points are followed, those that move or those that stand still.
+/// Scores of the clip's point tracks, for the moving or for the static points.
 fn tap_vid(found: &Track, clip: &synth::Clip, moves: bool) -> TrackScores {
     let queries: Vec<(usize, DVec2)> = clip.tracks.points.iter().map(|p| p.query).collect();
     let followed = found.follow(&queries);
@@ -288,7 +290,7 @@ fn what_the_user_knows_is_kept() {
         ..Options::default()
     };
     let found = run(clip, &options, 0.1).unwrap();
-    // Of any unit: one of the track's is the median depth.
+    // The unit is arbitrary: one unit of the track is the median depth.
     assert!(found.unit > 1.0, "{}", found.unit);
     for (ours, theirs) in found.view_from_world.iter().zip(&clip.view_from_world) {
         assert_eq!(ours.rotation, theirs.rotation);
@@ -303,7 +305,7 @@ fn what_the_user_knows_is_kept() {
     }
 }
 
-/// Poses that are a little off, and a focal length that is 4 % too long.
+/// Slightly wrong poses, and a focal length that is 4 % too long.
 #[test]
 fn what_the_user_knows_roughly_is_refined() {
     let clip = rigid();
@@ -328,7 +330,7 @@ fn what_the_user_knows_roughly_is_refined() {
     assert_eq!(found.view_from_world[0].rotation, given[0].rotation, "the first one is kept");
 }
 
-/// Flow of a camera that only turns, exact.
+/// Exact flow of a camera that only rotates.
 struct Turning(Vec<DQuat>, Intrinsics);
 
 impl FlowSource for Turning {
@@ -356,7 +358,7 @@ impl FlowSource for Turning {
     }
 }
 
-/// Eight frames of a camera that turns to the right by so many radians a frame.
+/// Tracks eight frames of a camera that rotates to the right by `turn` radians per frame.
 fn turned(turn: f64) -> (Result<Track>, Vec<DQuat>, Intrinsics) {
     let k = Intrinsics::centred(150.0, 160, 90);
     let turns: Vec<_> = (0..8).map(|i| DQuat::from_rotation_y(turn * f64::from(i))).collect();
@@ -366,7 +368,7 @@ fn turned(turn: f64) -> (Result<Track>, Vec<DQuat>, Intrinsics) {
     (found, turns, k)
 }
 
-/// All in frame: the world of a camera that turns in place is a sphere around it.
+/// The world of a camera that rotates in place is a sphere around it.
 #[test]
 fn a_camera_that_only_turns_is_found_with_its_focal_length() {
     let (found, turns, k) = turned(0.06);
@@ -396,8 +398,8 @@ fn a_picture_that_nothing_changes_is_refused_in_words() {
     assert!(what.contains("neither the camera"), "{what}");
 }
 
-/// What goes along with the camera looks like a near thing that stands still. Measured here: IoU 0.77, at twice the
-/// size and number of frames 0.88 to 0.89.
+/// An object that moves along with the camera looks like a near static one. Measured here: IoU 0.77, at
+/// twice the size and number of frames 0.88 to 0.89.
 #[test]
 fn a_car_that_the_camera_pans_after_moves() {
     let clip = clip("follow");
@@ -446,7 +448,7 @@ fn bad_input_gets_one_clear_error() {
     refused(frames, Options { refined, ..Options::default() }, "focal length is to be refined");
     let more: Vec<_> = frames.iter().chain(frames).cloned().collect();
     refused(&more, Options::default(), "supplied flow has 11");
-    // An error from the listener ends the work.
+    // An error from the progress callback ends the work.
     let stop = track(frames, &Options::default(), &mut disturbed(clip, 0.0), &mut |_, _| {
         Err(Error::Interrupted { checkpoint: None })
     });

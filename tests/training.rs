@@ -85,8 +85,8 @@ fn a_hundred_steps_twice_give_the_same_bits_and_a_better_image() {
     common::assert_valid(&device);
 }
 
-/// A synthetic room with its true cameras, and points of its surfaces: one for every fourth pixel
-/// along each axis of two pictures, but only every eighth of these where x is below 0.
+/// A synthetic room with its true cameras, and points on its surfaces: one for every fourth pixel along
+/// each axis of two images, but only every eighth of these where x is below 0.
 fn half_known_room() -> (Vec<TrainingView>, Vec<Point>) {
     let options = SynthOptions { frames: 8, width: 96, height: 64, seed: 3 };
     let clip = synth::clip("still", &options).unwrap();
@@ -137,9 +137,9 @@ fn adaptive_control_grows_where_it_is_needed_and_matches_mcmc() {
         trainer.gaussians().unwrap()
     };
     let adaptive = GrowthSettings::Adaptive(AdaptiveSettings {
-        // A reset within the time that rounds have.
+        // Opacities are reset within the time of the growth rounds.
         reset_every: 150,
-        // Pictures so small that every Gaussian covers much of them.
+        // A threshold for images so small that every Gaussian covers much of them.
         gradient: 1e-3,
         ..AdaptiveSettings::scaled_to(500)
     });
@@ -168,7 +168,7 @@ fn adaptive_control_grows_where_it_is_needed_and_matches_mcmc() {
     common::assert_valid(&device);
 }
 
-/// Three control points and a small network.
+/// A motion model with three control points and a small network.
 fn small_motion() -> MotionStart {
     let shape = NetShape {
         depth: 2,
@@ -209,15 +209,15 @@ fn adaptive_control_takes_motion_along() {
     let grown = trainer.gaussians().unwrap();
     assert!(grown.len() > seeds.len() + 50, "{} from {}", grown.len(), seeds.len());
     assert_eq!(grown.motion_logits.len(), grown.len());
-    // Parts of a split one stray by its size.
+    // The parts of a split Gaussian are displaced by up to its size.
     let stays = |(p, &m): (&[f32; 3], &f32)| m == logit(p);
     let kept = grown.positions.iter().zip(&grown.motion_logits).filter(|&g| stays(g)).count();
     assert!(kept * 10 > grown.len() * 9, "{kept} of {} have their place's logit", grown.len());
     common::assert_valid(&device);
 }
 
-/// Rounds change the number of Gaussians and of control points, and no pipeline may depend on either:
-/// it would be compiled anew in each round, and kept.
+/// Growth rounds change the numbers of Gaussians and of control points. No pipeline may depend on either:
+/// one would be compiled and kept in each round.
 #[test]
 fn rounds_of_growth_compile_no_pipelines() {
     let device = common::device();
@@ -263,9 +263,9 @@ fn rounds_of_growth_compile_no_pipelines() {
         let points = trainer.motion().unwrap().unwrap().0.len();
         (device.pipelines(), [trainer.gaussians().unwrap().len(), points])
     };
-    // Everything that trainings of these sizes need is compiled once …
+    // Everything that trainings of these sizes need is compiled once.
     let first = [false, true].map(|adaptive| run(4, adaptive));
-    // … and rounds at other steps, of other sizes, need nothing more.
+    // Rounds at other steps and of other sizes need no further pipelines.
     let others = [false, true].map(|adaptive| run(5, adaptive));
     println!("pipelines, [Gaussians, control points]: {first:?}, then {others:?}");
     for (_, sizes) in first.iter().chain(&others) {
@@ -276,9 +276,9 @@ fn rounds_of_growth_compile_no_pipelines() {
     common::assert_valid(&device);
 }
 
-/// Most was taken for moving, though nothing moves and the masks say so: trained motion logits find
-/// out, and the scene, as rendering shows it, without soft motion, is as good with next to nothing
-/// that moves. What was clearly static stays so.
+/// Most Gaussians start as moving, although nothing moves and the masks show that. Trained motion logits
+/// correct this: the scene, as rendered without soft motion, is as good with almost no moving Gaussians.
+/// Gaussians that were clearly static stay static.
 #[test]
 fn what_the_masks_show_to_be_still_stops_moving() {
     let device = common::device();
@@ -326,7 +326,7 @@ fn what_the_masks_show_to_be_still_stops_moving() {
     common::assert_valid(&device);
 }
 
-/// The figure that other engines are compared by; run it alone, in release:
+/// The result that other engines are compared by. Run it alone, in a release build:
 /// `cargo test --release --test training -- --ignored --nocapture fox270`
 #[test]
 #[ignore = "minutes long: a measurement"]

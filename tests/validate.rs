@@ -1,5 +1,5 @@
-//! Validation notices what is wrong: for ten kernels, a module with one planted fault makes the cases
-//! of that kernel's family fail; and the lists behind `splat4d validate` are whole.
+//! Validation detects faults: for ten kernels, a module with one planted fault makes the cases of that
+//! kernel's family fail. The lists behind `splat4d validate` are complete.
 
 mod common;
 
@@ -16,7 +16,7 @@ fn cases() -> impl Iterator<Item = &'static Case> {
     check::ALL.iter().flat_map(|cases| cases.iter())
 }
 
-/// A fault, planted in every place of its kind that `places` names; all of them where it is empty.
+/// A fault, planted in those places of its kind that `places` lists; in all of them if it is empty.
 struct Fault {
     kernel: &'static str,
     what: &'static str,
@@ -36,8 +36,9 @@ const fn fault(
 }
 
 const FAULTS: &[Fault] = &[
-    // Not in `scan/downsweep`: its sums flow from earlier subgroups to later ones, and a software device
-    // that runs them one after the other gets them right without a barrier. Totals flow both ways.
+    // Not in `scan/downsweep`: its sums pass from earlier subgroups to later ones, and a software device
+    // that runs them one after the other gets correct results without a barrier. Totals pass in both
+    // directions.
     fault("scan/single", "a dropped barrier", Op::ControlBarrier, None, &[]),
     fault("scan/downsweep", "a sign", Op::IAdd, Some(Op::ISub), &[0]),
     fault("loss/ssim", "a dropped barrier", Op::ControlBarrier, None, &[]),
@@ -59,7 +60,7 @@ const FAULTS: &[Fault] = &[
     fault("texel/half", "a wrong shift", Op::ShiftRightLogical, Some(Op::ShiftLeftLogical), &[]),
 ];
 
-/// The module with the fault in it, and how many instructions changed.
+/// The module with the fault, and the number of changed instructions.
 fn planted(spirv: &[u8], fault: &Fault) -> (Vec<u8>, usize) {
     let words: Vec<u32> = bytemuck::pod_collect_to_vec(spirv);
     let mut module: Module = load_words(&words).expect("the crate's own module");
@@ -109,8 +110,8 @@ fn a_fault_planted_in_a_kernel_makes_its_cases_fail() {
         let info = kernels::ALL.iter().find(|k| k.name == fault.kernel).expect("a kernel");
         let (module, changed) = planted(info.spirv, fault);
         assert!(changed > 0, "{}: nothing to plant {} in", fault.kernel, fault.what);
-        // SAFETY: bindings, push constants and workgroup stay, and the faults are of a kind that
-        // software drivers have been seen to survive.
+        // SAFETY: bindings, push constants and workgroup size are unchanged, and software drivers were
+        // observed to survive faults of this kind.
         let faulty = unsafe { device.with_module(fault.kernel, module) };
         match family_fails(&faulty, fault.kernel) {
             true => println!("{}: {} in {changed} places is noticed", fault.kernel, fault.what),
@@ -121,8 +122,8 @@ fn a_fault_planted_in_a_kernel_makes_its_cases_fail() {
     assert!(FAULTS.iter().map(|f| f.kernel).collect::<BTreeSet<_>>().len() >= 10);
 }
 
-/// The same path with the crate's own module, taken apart and put together again: it is the fault that
-/// is noticed, not the swap.
+/// The same procedure with the crate's unmodified module, disassembled and reassembled: validation
+/// detects the fault, not the replacement.
 #[test]
 fn a_module_without_a_fault_passes() {
     let device = common::device();
@@ -131,7 +132,7 @@ fn a_module_without_a_fault_passes() {
         let same = fault(name, "nothing", Op::Nop, None, &[]);
         let (module, changed) = planted(info.spirv, &same);
         assert_eq!(changed, 0);
-        // SAFETY: the kernel's own module, written anew.
+        // SAFETY: it is the kernel's module, reassembled.
         let same = unsafe { device.with_module(name, module) };
         assert!(!family_fails(&same, name), "{name}");
     }
@@ -162,7 +163,7 @@ fn hard_and_quick_lists_name_cases_and_the_quick_set_covers_every_kernel() {
     assert!(wrong.is_empty(), "\n{}", wrong.join("\n"));
 }
 
-/// The families whose ops hand back gradients.
+/// The families whose ops return gradients.
 #[test]
 fn every_differentiable_op_is_held_against_central_differences() {
     for family in ["arap", "deform", "density", "loss", "mlp", "render"] {
@@ -171,7 +172,7 @@ fn every_differentiable_op_is_held_against_central_differences() {
     }
 }
 
-/// Those that need no device; `validate` runs them once.
+/// The cases that need no device; `validate` runs them once.
 #[test]
 fn cases_of_the_host_pass() {
     let device = common::device();
@@ -181,7 +182,7 @@ fn cases_of_the_host_pass() {
     }
 }
 
-/// As a driver's fault ends a case, not the run.
+/// A driver's fault in a case likewise ends the case, not the run.
 #[test]
 fn a_panic_in_a_case_is_a_failure_with_words() {
     fn panics(_: &mut check::Harness) -> splat4d::Result<()> {

@@ -1,4 +1,4 @@
-//! The viewer's server: what it sends, and what it refuses.
+//! The viewer's server: its responses, and the requests that it refuses.
 
 #![cfg(feature = "cli")]
 
@@ -28,7 +28,7 @@ fn pictures_are_those_of_the_renderer() {
     let server = serve(&device, scene.clone(), None);
     let mut client = Client::new(&server);
     let mut truth = Renderer::new(&device, &scene).unwrap();
-    // Two sizes by turns, each at two times.
+    // Two sizes in alternation, each at two times.
     let mut colours = Vec::new();
     for (id, (size, time)) in
         [((96, 54), 0.0), ((61, 47), 1.0), ((96, 54), 1.0), ((61, 47), 0.0)].into_iter().enumerate()
@@ -82,7 +82,7 @@ fn what_moves_is_white_and_control_points_are_told() {
     let mut asked = Request { layer: Layer::Motion, points: true, ..request(1, view, 1.0) };
     client.ask(&asked);
     let (header, points, mask) = client.picture();
-    // What moves alone, by the renderer, lets no more through than with what stands before it.
+    // The moving Gaussians alone have at least the alpha that they have behind static ones.
     let mut moving = scene.clone();
     for (logit, motion) in
         moving.gaussians.opacity_logits.iter_mut().zip(&scene.gaussians.motion_logits)
@@ -106,7 +106,7 @@ fn what_moves_is_white_and_control_points_are_told() {
             assert!((a - b).abs() < 1e-5, "{i}: {x} {y} {z}");
         }
     }
-    // A scene that stands still has neither.
+    // A static scene has neither layer.
     let still = splat4d::scene::Scene { control_points: Default::default(), ..scene };
     let server = serve(&device, still, None);
     let mut client = Client::new(&server);
@@ -125,7 +125,7 @@ fn flow_and_normals_are_those_of_the_renderer() {
     let mut client = Client::new(&server);
     let mut truth = Renderer::new(&device, &scene).unwrap();
     let view = camera(80, 50, 0.1);
-    // Six input frames: the next is a fifth later, and after the last there is none.
+    // With six input frames the next one is 0.2 later; after the last there is none.
     for (id, time, to, sign) in [(1, 0.3, 0.3 + 0.2, 1.0), (2, 1.0, 1.0 - 0.2, -1.0)] {
         client.ask(&Request { layer: Layer::Flow, ..request(id, view, time) });
         let (header, _, shown) = client.picture();
@@ -137,7 +137,7 @@ fn flow_and_normals_are_those_of_the_renderer() {
         let longest = longest.fold(0.0, f32::max);
         assert!(none == 0.0 && (most / 2.5..most * 4.0).contains(&longest), "{most} {longest}");
         assert_eq!(shown, rounded(&shades::flow(&flow, most.into())));
-        // It goes to the right and a little up: more red than any other colour.
+        // The motion is to the right and a little up: red dominates.
         let sums = (0..3).map(|c| shown.pixels.iter().skip(c).step_by(3).sum::<f32>());
         let [red, green, blue]: [f32; 3] = sums.collect::<Vec<_>>().try_into().unwrap();
         assert!(red > green + 1.0 && red > blue + 1.0, "{red} {green} {blue}");
@@ -220,7 +220,7 @@ fn other_names_and_other_pages_are_refused() {
         assert!(upgrade(origin).contains(" 403 "), "{origin}");
     }
     assert!(upgrade(&format!("http://127.0.0.1:{port}")).contains(" 101 "));
-    // No path of the machine, no other method, no half a request.
+    // File paths, other methods and incomplete requests are refused.
     for path in [
         "/etc/passwd",
         "/../../etc/passwd",
@@ -286,7 +286,7 @@ fn what_is_too_large_or_rubbish_harms_nobody() {
         assert_eq!(refusal.id, Some(7), "{refusal:?}");
         assert!(refusal.error.contains(&width.to_string()), "{refusal:?}");
     }
-    // What is refused is no rubbish, and the client goes on.
+    // A refused request is not garbage: the client stays connected.
     client.ask(&request(8, camera(32, 20, 0.0), 0.0));
     assert_eq!(client.picture().0.id, 8);
     for text in ["", "{}", "null", "[1e999]", "{\"id\":-1}", "\u{0}", "nonsense"] {
@@ -295,7 +295,7 @@ fn what_is_too_large_or_rubbish_harms_nobody() {
         assert!(refusal.id.is_none() && refusal.error.contains("no request"), "{refusal:?}");
     }
     works(1);
-    // Rubbish without end is cut off; so are messages that are too long, and frames that are none.
+    // Endless garbage closes the connection; so do overlong messages and invalid frames.
     let mut rubbish = Client::new(&server);
     let cut = (0..100).any(|_| rubbish.0.send(tungstenite::Message::text("x")).is_err())
         || (0..100).any(|_| matches!(rubbish.hear(), Sent::Closed(_)));
@@ -307,7 +307,7 @@ fn what_is_too_large_or_rubbish_harms_nobody() {
     broken.0.get_mut().write_all(&[0xff; 4096]).unwrap();
     assert!(matches!(broken.hear(), Sent::Closed(_)));
     works(2);
-    // Connections that say nothing take no more places than there are, and give them back.
+    // Idle connections take at most the available slots, and release them.
     let idle: Vec<TcpStream> =
         (0..20).map(|_| TcpStream::connect(("127.0.0.1", server.port())).unwrap()).collect();
     assert_eq!(get(server.port(), "/").0, 200);
@@ -322,7 +322,7 @@ fn a_slow_reader_keeps_nobody_waiting() {
     let server = serve(&device, scene(300), None);
     let mut slow = Client::new(&server);
     let mut quick = Client::new(&server);
-    // Far more than sockets hold, and nothing is read.
+    // Far more responses than the socket buffers hold, and the client reads none.
     for id in 0..60 {
         slow.ask(&request(id, camera(1024, 576, 0.002 * id as f64), 0.0));
         quick.ask(&request(id, camera(40, 30, 0.0), 0.0));
@@ -431,7 +431,7 @@ fn the_command_tells_its_address_takes_the_next_port_and_ends_by_ctrl_c() {
     let mut rest = String::new();
     stdout.read_line(&mut rest).unwrap();
     assert_eq!(rest, "", "one object");
-    // By itself, and what cannot be shown.
+    // The program ends by itself, and refuses files that cannot be shown.
     let ended = program(&[file, "--seconds", "0.1"]).output().unwrap();
     assert!(ended.status.success());
     let missing = program(&["missing.safetensors"]).output().unwrap();
@@ -447,7 +447,7 @@ fn the_command_tells_its_address_takes_the_next_port_and_ends_by_ctrl_c() {
     told.as_object().unwrap().keys().for_each(|key| assert!(help.contains(key.as_str()), "{key}"));
 }
 
-/// A video of six frames, each redder than the one before; needs ffmpeg.
+/// Makes a video of six frames, each redder than the one before; needs ffmpeg.
 fn video(folder: &std::path::Path) -> std::path::PathBuf {
     inputs(folder, 6);
     let file = folder.join("input.mp4");
@@ -482,7 +482,7 @@ fn the_input_is_shown_from_its_video() {
     let server = serve(&device, scene(30), Some(pictures));
     assert_eq!(get(server.port(), "/pictures/2").0, 200);
     assert_eq!(get(server.port(), "/pictures/3").0, 404);
-    // By the program, of a scene that was made of every other frame, and of one that does not tell.
+    // With the program: a scene that was made from every other frame, and one without that information.
     let mut made = scene(30);
     made.cameras.truncate(3);
     made.report = json!({ "frame_names": ["00000", "00002", "00004"] });
@@ -497,7 +497,7 @@ fn the_input_is_shown_from_its_video() {
         let told: Value = serde_json::from_slice(&output.stdout).unwrap();
         assert_eq!(told["frames"], count, "{}", String::from_utf8_lossy(&output.stderr));
     }
-    // What is no video is told.
+    // A file that is not a video is an error.
     for (name, what) in [("0.png", "one picture"), ("scene.safetensors", "video")] {
         let output = Command::new(env!("CARGO_BIN_EXE_splat4d"))
             .current_dir(folder.path())

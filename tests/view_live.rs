@@ -1,4 +1,4 @@
-//! The page of a training under way. Needs Chromium (Debian: chromium).
+//! The live page of a running training. Needs Chromium (Debian: chromium).
 
 #![cfg(feature = "cli")]
 
@@ -25,22 +25,22 @@ use splat4d::view::MOST_LIVE_PIXELS;
 use splat4d::view::protocol::{Description, Status};
 use viewer::{Client, Sent, camera, get, request};
 
-/// A dataset of the program's, and how to train on it so that there is time to look.
+/// Arguments that make a dataset, and arguments of a training that is long enough to be watched.
 const DATASET: &str = "synth rigid -o clip --frames 8 --size 96x54 --seed 3";
 const TRAINING: &str = "train clip/truth --steps 500 --random-points 700 --control-points 12 \
                         --sh-degree 1";
 
-/// The program at work.
+/// The running program.
 struct Work {
     child: Child,
     port: u16,
     lines: Receiver<String>,
-    /// What it has said up to the address.
+    /// The lines on stderr up to the address.
     said: Vec<String>,
 }
 
 impl Work {
-    /// Begins it, and waits for the address.
+    /// Starts the program, and waits for the address.
     fn begin(folder: &Path, arguments: &str) -> Work {
         let child = program::program()
             .current_dir(folder)
@@ -54,7 +54,7 @@ impl Work {
         let (sender, lines) = channel();
         let mut work = Work { child, port: 0, lines, said: Vec::new() };
         let stderr = work.child.stderr.take().unwrap();
-        // All is read, so that the program never waits for its reader.
+        // All lines are read, so that the program never blocks on its stderr.
         std::thread::spawn(move || {
             BufReader::new(stderr).lines().map_while(Result::ok).for_each(|line| {
                 let _ = sender.send(line);
@@ -79,7 +79,7 @@ impl Work {
         self.child.try_wait().unwrap().is_none()
     }
 
-    /// Waits for its end, which must be a good one; gives its JSON.
+    /// Waits for the program, which must succeed; returns its JSON.
     #[track_caller]
     fn end(mut self) -> Value {
         let mut told = String::new();
@@ -93,7 +93,7 @@ impl Work {
 
 impl Drop for Work {
     fn drop(&mut self) {
-        // It has ended unless the test has failed.
+        // The program has ended already unless the test has failed.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -104,7 +104,7 @@ fn free_port() -> u16 {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
-/// What the picture's canvas shows, as a number that another picture does not have.
+/// A checksum of the image on the canvas.
 fn sum(page: &mut Browser) -> f64 {
     let sum = page.evaluate(
         "(() => { const c = document.getElementById('picture'); \
@@ -134,7 +134,7 @@ fn the_page_follows_a_training_and_changes_nothing_of_it() {
     let stage = page.evaluate(STAGE);
     let first = sum(&mut page);
     page.wait_for(&format!("{STAGE} !== {stage}"));
-    // The picture is another without a hand being moved, from the same place.
+    // The image changes without user input, from the same camera.
     let asked = page.evaluate(&format!("{PICTURE}.shown.asked.camera"));
     for _ in 0..400 {
         if sum(&mut page) != first {
@@ -147,7 +147,7 @@ fn the_page_follows_a_training_and_changes_nothing_of_it() {
     let now = page.evaluate(&format!("((c) => {same})({PICTURE}.shown.asked.camera)"));
     let [fx, cx, view] = ["fx", "cx", "view_from_world"].map(|key| asked[key].clone());
     assert_eq!(now[2], view, "{now} {fx} {cx}");
-    // Curves, and the controls of any scene.
+    // The page shows curves, and the controls of any scene.
     page.wait_for("document.querySelector('#psnr-curve path')?.getAttribute('d').includes('L')");
     page.wait_for("document.querySelectorAll('#loss-curve path').length === 2");
     let text = page.evaluate("document.getElementById('count-text').textContent");
@@ -157,7 +157,7 @@ fn the_page_follows_a_training_and_changes_nothing_of_it() {
     page.wait_for(&format!(
         "{PICTURE}.shown.asked.camera.view_from_world.some((v, i) => v !== {view}[i])"
     ));
-    // The end: said, and the last picture stays.
+    // The page reports the end, and the last image stays.
     page.wait_for(&format!("{STAGE}.startsWith('The work is done')"));
     let report = work.end();
     assert!(report["psnr_input"].is_number());
@@ -184,7 +184,7 @@ fn a_reconstruction_tells_its_stages() {
     let work = Work::begin(folder.path(), &arguments);
     let note = format!("port {port} is in use, {} is taken", work.port);
     assert!(work.said.iter().any(|line| line.contains(&note)), "{:?}", work.said);
-    // Before there is a scene, none is shown.
+    // Before a scene exists, none is shown.
     let (status, text) = get(work.port, "/scene.json");
     let body = text.split_once("\r\n\r\n").unwrap().1;
     let described: Description = serde_json::from_str(body).unwrap();
@@ -234,7 +234,8 @@ fn hostile_clients_do_not_stop_a_training() {
     program::json(folder.path(), &format!("{TRAINING} -o alone.safetensors"));
     let arguments = format!("{TRAINING} -o seen.safetensors --view={}", free_port());
     let mut work = Work::begin(folder.path(), &arguments);
-    // The largest pictures without end, and none of the answers read; more than may be made; rubbish.
+    // Endless requests for the largest images without reading the responses, requests above the size
+    // limit, and garbage.
     let mut clients: Vec<Client> =
         (0..3).map(|_| Client::open(work.port, "socket").unwrap()).collect();
     let mut id = 0;
@@ -248,7 +249,7 @@ fn hostile_clients_do_not_stop_a_training() {
             "{\"status\": 1}".to_owned(),
         ];
         for (client, message) in clients.iter_mut().zip(messages) {
-            // One that was let go comes back.
+            // A disconnected client reconnects.
             if client.0.send(tungstenite::Message::text(message)).is_err()
                 && let Ok(again) = Client::open(work.port, "socket")
             {
@@ -263,7 +264,7 @@ fn hostile_clients_do_not_stop_a_training() {
     assert!(alone == seen, "clients have changed the scene");
 }
 
-/// The page as it looks while a scene is trained and at its end, for people to look at: into the folder that
+/// Screenshots of the page during and after a training, for people to look at, in the folder that
 /// `SPLAT4D_SHOTS` names.
 #[test]
 #[ignore = "writes pictures for people"]

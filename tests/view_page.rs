@@ -1,4 +1,4 @@
-//! The viewer's page in a real browser, and how quick it is. Needs Chromium (Debian: chromium).
+//! The viewer's page in a real browser, and its latency. Needs Chromium (Debian: chromium).
 
 #![cfg(feature = "cli")]
 
@@ -29,14 +29,14 @@ use viewer::{
     Client, JPEG_PSNR, camera, inputs, of_one_channel, psnr, request, rounded, scene, serve,
 };
 
-/// Waits until the page shows a whole picture of where it is, and nothing is under way.
+/// Waits until the page shows the complete image of its camera and time, and no request is pending.
 #[track_caller]
 fn settle(page: &mut Browser) {
     page.wait_for("document.getElementById('picture').getAttribute('aria-busy') === 'false'");
 }
 
-/// JavaScript for the pixels of a canvas, RGBA, read from a copy so that the browser has nothing to say
-/// about reading often.
+/// JavaScript for the RGBA pixels of a canvas, read from a copy, so that the browser does not warn about
+/// frequent reads.
 fn pixels_of(canvas: &str) -> String {
     format!(
         "(() => {{ const c = document.getElementById('{canvas}'); \
@@ -47,7 +47,7 @@ fn pixels_of(canvas: &str) -> String {
     )
 }
 
-/// What the canvas holds, and what it is a picture of.
+/// The image on the canvas, and its request.
 #[track_caller]
 fn shown(page: &mut Browser) -> (Image, Request) {
     settle(page);
@@ -69,7 +69,8 @@ fn shown(page: &mut Browser) -> (Image, Request) {
     (image, serde_json::from_value(told["asked"].clone()).unwrap())
 }
 
-/// That the canvas shows what the renderer gives for the same camera and time; gives the camera and the time.
+/// Checks that the canvas shows the renderer's image for the same camera and time; returns the camera and
+/// the time.
 #[track_caller]
 fn is_right(page: &mut Browser, truth: &mut Renderer, background: [f32; 3]) -> (Camera, f64) {
     let (image, asked) = shown(page);
@@ -102,23 +103,23 @@ fn the_page_shows_what_the_renderer_gives() {
     page.wait_for("document.getElementById('picture').shown");
     let (first, time) = is_right(&mut page, &mut truth, scene.background);
     assert!(away(&first, &scene.cameras[0].camera) < 1e-6 && time == 0.0);
-    // Drag: the camera goes round what it looks at.
+    // Drag: the camera orbits its pivot.
     let pivot = |camera: &Camera| camera.view_from_world.inverse().apply(DVec3::Z * 4.0);
     page.drag([500.0, 250.0], [600.0, 280.0]);
     let (dragged, _) = is_right(&mut page, &mut truth, scene.background);
     assert!(away(&first, &dragged) > 0.1, "it has moved");
     assert!(pivot(&first).distance(pivot(&dragged)) < 1e-6, "about what it looks at");
-    // To the right: the camera goes left.
+    // A drag to the right moves the camera left.
     let side = first.view_from_world.rotation * (dragged.centre() - first.centre());
     assert!(side.x < -0.1, "{side}");
-    // Come closer.
+    // Zoom in.
     page.call(
         "Input.dispatchMouseEvent",
         json!({ "type": "mouseWheel", "x": 500, "y": 250, "deltaX": 0, "deltaY": -240 }),
     );
     let (closer, _) = is_right(&mut page, &mut truth, scene.background);
     assert!(pivot(&dragged).distance(closer.centre()) < 3.5, "closer");
-    // Scrub.
+    // Scrub the time slider.
     let slider = page.evaluate(
         "(() => { const b = document.getElementById('time').getBoundingClientRect(); \
          return [b.left, b.width, b.top + b.height / 2]; })()",
@@ -154,7 +155,7 @@ fn the_page_shows_what_the_renderer_gives() {
     page.evaluate("document.getElementById('next').click()");
     let (jumped, time) = is_right(&mut page, &mut truth, scene.background);
     assert!(away(&jumped, &scene.cameras[2].camera) < 1e-6 && (time - 0.4).abs() < 1e-9);
-    // Play, and what pauses it.
+    // Playback, and pausing.
     page.evaluate("document.getElementById('play').click()");
     page.wait_for("document.getElementById('picture').shown.asked.time > 0.5");
     page.evaluate("document.getElementById('play').click()");
@@ -255,7 +256,7 @@ fn the_page_works_by_keys_alone() {
     page.wait_for("document.getElementById('keys-help').open");
     page.key("Escape", 27, "", 20);
     page.wait_for("!document.getElementById('keys-help').open");
-    // Every control is reached, and has a name.
+    // Every control can be focused, and has a name.
     let unnamed = page.evaluate(
         "[...document.querySelectorAll('button, select, input')].filter((e) => \
          !(e.textContent.trim() || e.getAttribute('aria-label') || e.labels?.[0]?.textContent.trim()) \
@@ -317,7 +318,7 @@ fn the_page_fits_a_phone_and_fingers() {
     touch(&mut page, "touchEnd", &[]);
     let (turned, _) = is_right(&mut page, &mut truth, scene.background);
     assert!(away(&first, &turned) > 0.1, "one finger orbits");
-    // Two fingers that part come closer.
+    // Spreading two fingers zooms in.
     touch(&mut page, "touchStart", &[[150.0, 150.0], [200.0, 150.0]]);
     touch(&mut page, "touchMove", &[[130.0, 150.0], [220.0, 150.0]]);
     touch(&mut page, "touchMove", &[[100.0, 150.0], [250.0, 150.0]]);
@@ -328,8 +329,8 @@ fn the_page_fits_a_phone_and_fingers() {
     is_silent(&page);
 }
 
-/// How long it takes from a drag to the new picture on the canvas: the median and 95 %. Run by
-/// `cargo test --release --test view_page -- --ignored --nocapture`.
+/// Measures the latency from a drag to the new image on the canvas: the median and the 95th percentile.
+/// Run with `cargo test --release --test view_page -- --ignored --nocapture`.
 #[test]
 #[ignore = "a measurement"]
 fn from_a_drag_to_the_new_picture() {
@@ -342,8 +343,8 @@ fn from_a_drag_to_the_new_picture() {
          s.style.cssText = 'flex:none;width:480px;height:270px'; })()",
     );
     settle(&mut page);
-    // A pointer event to the first picture that it asked for, drawn; and to the whole one. The canvas
-    // is watched by what the page notes on it after drawing.
+    // The time from a pointer event to the drawing of the first image that it requested, and to the
+    // complete image. The canvas is observed through the properties that the page sets after drawing.
     let measured = page.evaluate(
         "(async () => { \
            const p = document.getElementById('picture'); const out = []; \
@@ -385,7 +386,7 @@ fn from_a_drag_to_the_new_picture() {
     is_silent(&page);
 }
 
-/// Bytes of memory that a process holds.
+/// Resident memory of a process, bytes.
 #[cfg(target_os = "linux")]
 fn resident(process: u32) -> u64 {
     let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap();
@@ -393,8 +394,8 @@ fn resident(process: u32) -> u64 {
     line.split_whitespace().nth(1).unwrap().parse::<u64>().unwrap() << 10
 }
 
-/// Eight clients of the program at once for a minute and a half, each with sizes and cameras of its own;
-/// every tenth picture of each is held against the renderer's. Prints what the program's memory did.
+/// Eight clients at once for a minute and a half, each with different sizes and cameras; every tenth
+/// image of each is compared with the renderer's. Prints the program's memory over time.
 #[cfg(target_os = "linux")]
 #[test]
 #[ignore = "takes a minute and a half"]
@@ -417,7 +418,7 @@ fn eight_clients_for_a_minute() {
         let (width, height) = [(480, 270), (320, 180), (240, 135)][turn as usize % 3];
         camera(width, height, 0.05 * client as f64 + 0.01 * (turn % 7) as f64)
     };
-    // One for all, so that the machine's processors are the program's.
+    // One renderer for all clients, so that the program gets the machine's processors.
     let truth = Mutex::new(Renderer::new(&device, &scene).unwrap());
     let (pictures, checked) = (AtomicUsize::new(0), AtomicUsize::new(0));
     let begun = Instant::now();
@@ -463,7 +464,7 @@ fn eight_clients_for_a_minute() {
     assert!(late < early + (16 << 20), "memory grows: {mebibytes:?} MiB");
 }
 
-/// The page as it looks, wide and narrow, for people to look at: into the folder that `SPLAT4D_SHOTS`
+/// Screenshots of the page, wide and narrow, for people to look at, in the folder that `SPLAT4D_SHOTS`
 /// names.
 #[test]
 #[ignore = "writes pictures for people"]

@@ -1,12 +1,12 @@
-//! The device that the tests run on, and how a family's cases run.
+//! The device that the tests run on, and the execution of a kernel family's cases.
 //!
-//! `SPLAT4D_DEVICE` chooses the device (an index, a kind or part of a name; default: a software
-//! driver, so that the suite means the same everywhere); `SPLAT4D_VALIDATION=1` turns the
-//! validation layer on, and then any message fails; add `RUST_TEST_THREADS=1`, since the layer is not
-//! safe when one thread makes devices while another uses its own. A missing driver fails.
+//! `SPLAT4D_DEVICE` selects the device (an index, a kind or part of a name; default: a software driver,
+//! so that results do not depend on the GPU). `SPLAT4D_VALIDATION=1` enables the validation layer; any
+//! message of it then fails the test. Set `RUST_TEST_THREADS=1` with it, since the layer is not safe when
+//! one thread creates devices while another uses its device. A missing driver fails.
 #![allow(dead_code, unused_imports, reason = "each test binary uses its own part")]
 
-// A test binary may use `support`, too.
+// A test binary may also include `support`, which has the same module.
 #[allow(clippy::duplicate_mod)]
 #[path = "../support/data.rs"]
 mod data;
@@ -32,18 +32,19 @@ fn open(limits: Option<Limits>) -> Device {
         .expect("the tests need a Vulkan driver (Debian: mesa-vulkan-drivers)")
 }
 
-/// Fails when the validation layer has said anything.
+/// Fails if the validation layer has reported anything.
 pub fn assert_valid(device: &Device) {
     let messages = device.take_validation_messages();
     assert!(messages.is_empty(), "the validation layer complains:\n{}", messages.join("\n"));
 }
 
-/// Runs every case of a family and fails with a table of what missed its bound.
+/// Runs every case of a family; fails with a table of the cases that exceeded their bound.
 pub fn run(family: &str) {
     run_on(&device(), family);
 }
 
-/// The same with grids of at most this many workgroups along an axis, so that they fold.
+/// As [`run`], with grids limited to `groups` workgroups along an axis, so that larger grids fold into
+/// further axes.
 pub fn run_folded(family: &str, groups: u32) {
     let limits = Limits { groups, ..*device().limits() };
     run_on(&open(Some(limits)), family);

@@ -1,5 +1,5 @@
-//! A host: a program with a Vulkan instance, device, queue and memory of its own, which lends them to
-//! the engine. As small as it can be, on plain `ash`.
+//! A minimal Vulkan host on plain `ash`: it creates its own instance, device, queue and memory, and lends
+//! them to the engine.
 #![allow(dead_code, reason = "each test binary uses its own part")]
 
 use splat4d::embed::ash::{self, ext, khr, vk};
@@ -8,7 +8,7 @@ use splat4d::types::{Camera, Gaussians, Intrinsics, Pose};
 use std::ffi::{CStr, c_void};
 use std::sync::{Arc, Mutex};
 
-/// What the validation layer has said.
+/// Messages of the validation layer.
 type Messages = Mutex<Vec<String>>;
 
 pub struct Host {
@@ -17,7 +17,7 @@ pub struct Host {
     pub family: u32,
     pub queue: vk::Queue,
     pub features: Features,
-    /// Whether the device has `VK_KHR_external_memory_fd`; it is enabled then.
+    /// Whether the device supports `VK_KHR_external_memory_fd`; if so, the extension is enabled.
     pub external_memory_fd: bool,
     pub instance: ash::Instance,
     pub entry: ash::Entry,
@@ -27,14 +27,14 @@ pub struct Host {
 }
 
 /// # Safety
-/// As the layer calls it: with messages that live.
+/// `data` must point to valid callback data, and the user data to a list of messages that is alive.
 unsafe extern "system" fn on_message(
     _: vk::DebugUtilsMessageSeverityFlagsEXT,
     kind: vk::DebugUtilsMessageTypeFlagsEXT,
     data: *const vk::DebugUtilsMessengerCallbackDataEXT<'_>,
     messages: *mut c_void,
 ) -> vk::Bool32 {
-    // SAFETY: the layer passes valid data, and the host keeps the messages.
+    // SAFETY: the layer passes valid data, and the host keeps the messages alive.
     let (text, messages) =
         unsafe { (CStr::from_ptr((*data).p_message), &*(messages as *const Messages)) };
     if kind != vk::DebugUtilsMessageTypeFlagsEXT::GENERAL {
@@ -44,16 +44,16 @@ unsafe extern "system" fn on_message(
 }
 
 impl Host {
-    /// With every feature that the engine needs.
+    /// Creates a host with every feature that the engine needs.
     pub fn new() -> Host {
         Host::with(Features::ALL)
     }
 
-    /// With these features; under the validation layer where `SPLAT4D_VALIDATION` is 1.
+    /// Creates a host with these features. The validation layer is enabled if `SPLAT4D_VALIDATION` is 1.
     pub fn with(features: Features) -> Host {
         let validation = std::env::var("SPLAT4D_VALIDATION").is_ok_and(|value| value == "1");
         let messages = Arc::new(Messages::default());
-        // SAFETY: plain Vulkan, as its specification has it; what is pointed at lives long enough.
+        // SAFETY: valid Vulkan usage; everything that is pointed to lives long enough.
         unsafe {
             let entry = ash::Entry::load().expect("a Vulkan loader");
             let application = vk::ApplicationInfo::default().api_version(vk::API_VERSION_1_3);
@@ -136,7 +136,7 @@ impl Host {
         }
     }
 
-    /// What the engine is lent.
+    /// The handles and features that are lent to the engine.
     pub fn lend(&self) -> HostDevice {
         HostDevice {
             get_instance_proc_addr: self.entry.static_fn().get_instance_proc_addr,
@@ -154,7 +154,7 @@ impl Host {
 
     pub fn lacking(&self, requirements: &Requirements) -> Vec<String> {
         let loader = self.entry.static_fn().get_instance_proc_addr;
-        // SAFETY: they belong together, and live.
+        // SAFETY: the handles belong together and are alive.
         unsafe { requirements.lacking(loader, self.instance.handle(), self.physical) }.unwrap()
     }
 
@@ -162,18 +162,19 @@ impl Host {
         let info = vk::CommandBufferAllocateInfo::default()
             .command_pool(self.pool)
             .command_buffer_count(1);
-        // SAFETY: the device lives.
+        // SAFETY: the device is alive.
         unsafe { self.device.allocate_command_buffers(&info) }.unwrap()[0]
     }
 
     pub fn begin(&self, commands: vk::CommandBuffer) {
         let info = vk::CommandBufferBeginInfo::default()
             .flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
-        // SAFETY: the device is done with the commands.
+        // SAFETY: the device has finished the commands.
         unsafe { self.device.begin_command_buffer(commands, &info) }.unwrap();
     }
 
-    /// Ends and submits, bringing a timeline semaphore to a value.
+    /// Ends and submits the command buffer; the timeline semaphore reaches `value` when the commands
+    /// finish.
     pub fn submit(&self, commands: vk::CommandBuffer, semaphore: vk::Semaphore, value: u64) {
         let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
         let signals = [vk::SemaphoreSubmitInfo::default()
@@ -183,7 +184,7 @@ impl Host {
         let submit = [vk::SubmitInfo2::default()
             .command_buffer_infos(&buffers)
             .signal_semaphore_infos(&signals)];
-        // SAFETY: recorded; this thread alone uses the queue.
+        // SAFETY: the commands are recorded, and only this thread uses the queue.
         unsafe {
             self.device.end_command_buffer(commands).unwrap();
             self.device.queue_submit2(self.queue, &submit, vk::Fence::null()).unwrap();
@@ -193,7 +194,7 @@ impl Host {
     pub fn wait(&self, semaphore: vk::Semaphore, value: u64) {
         let (semaphores, values) = ([semaphore], [value]);
         let info = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
-        // SAFETY: the semaphore lives.
+        // SAFETY: the semaphore is alive.
         unsafe { self.device.wait_semaphores(&info, u64::MAX) }.unwrap();
     }
 
@@ -201,11 +202,11 @@ impl Host {
         let mut kind =
             vk::SemaphoreTypeCreateInfo::default().semaphore_type(vk::SemaphoreType::TIMELINE);
         let info = vk::SemaphoreCreateInfo::default().push_next(&mut kind);
-        // SAFETY: the device lives.
+        // SAFETY: the device is alive.
         unsafe { self.device.create_semaphore(&info, None) }.unwrap()
     }
 
-    /// A buffer of so many bytes in memory of its own that the processor sees.
+    /// Creates a buffer of `bytes` bytes in a separate, host-visible allocation.
     pub fn buffer(&self, bytes: u64) -> Lent {
         let usage = vk::BufferUsageFlags::STORAGE_BUFFER
             | vk::BufferUsageFlags::TRANSFER_SRC
@@ -215,7 +216,7 @@ impl Host {
 
     pub fn buffer_for(&self, bytes: u64, usage: vk::BufferUsageFlags) -> Lent {
         let info = vk::BufferCreateInfo::default().size(bytes).usage(usage);
-        // SAFETY: plain Vulkan, as its specification has it.
+        // SAFETY: valid Vulkan usage.
         unsafe {
             let buffer = self.device.create_buffer(&info, None).unwrap();
             let needs = self.device.get_buffer_memory_requirements(buffer);
@@ -227,13 +228,13 @@ impl Host {
         }
     }
 
-    /// Memory that the processor sees and others can import, all zeros.
+    /// Allocates zeroed, host-visible memory that another device can import.
     #[cfg(unix)]
     pub fn export(&self, bytes: u64) -> Exported {
         use std::os::fd::FromRawFd;
         let kind = vk::ExternalMemoryHandleTypeFlags::OPAQUE_FD;
         let mut export = vk::ExportMemoryAllocateInfo::default().handle_types(kind);
-        // SAFETY: plain Vulkan, as its specification has it; the descriptor is new, and ours.
+        // SAFETY: valid Vulkan usage; the file descriptor is new, and this function owns it.
         unsafe {
             let all = self.instance.get_physical_device_memory_properties(self.physical);
             let memory_type = all.memory_types[..all.memory_type_count as usize]
@@ -261,7 +262,7 @@ impl Host {
         needs: vk::MemoryRequirements,
         wanted: vk::MemoryPropertyFlags,
     ) -> vk::DeviceMemory {
-        // SAFETY: plain Vulkan, as its specification has it.
+        // SAFETY: valid Vulkan usage.
         unsafe {
             let all = self.instance.get_physical_device_memory_properties(self.physical);
             let index = (0..all.memory_type_count)
@@ -278,7 +279,7 @@ impl Host {
     }
 
     pub fn free(&self, lent: Lent) {
-        // SAFETY: the device is done with it.
+        // SAFETY: the device no longer uses it.
         unsafe {
             self.device.destroy_buffer(lent.buffer, None);
             self.device.free_memory(lent.memory, None);
@@ -286,11 +287,11 @@ impl Host {
     }
 
     pub fn destroy_semaphore(&self, semaphore: vk::Semaphore) {
-        // SAFETY: the device is done with it.
+        // SAFETY: the device no longer uses it.
         unsafe { self.device.destroy_semaphore(semaphore, None) };
     }
 
-    /// Fails when the layer has said anything.
+    /// Fails if the validation layer has reported anything.
     pub fn assert_valid(&self) {
         let messages = std::mem::take(&mut *self.messages.lock().unwrap());
         assert!(messages.is_empty(), "the validation layer complains:\n{}", messages.join("\n"));
@@ -299,7 +300,8 @@ impl Host {
 
 impl Drop for Host {
     fn drop(&mut self) {
-        // SAFETY: everything made from them is gone; the layer tells what is not.
+        // SAFETY: everything created from them has been destroyed; the validation layer reports what has
+        // not.
         unsafe {
             self.device.destroy_command_pool(self.pool, None);
             self.device.destroy_device(None);
@@ -324,7 +326,7 @@ pub struct Exported {
     pub mapped: *mut c_void,
 }
 
-/// A buffer of the host's.
+/// A buffer that the host owns and lends to the engine.
 pub struct Lent {
     pub buffer: vk::Buffer,
     pub memory: vk::DeviceMemory,
@@ -334,15 +336,16 @@ pub struct Lent {
 }
 
 impl Lent {
-    /// All of it.
+    /// The whole buffer.
     pub fn whole(&self) -> HostBuffer {
         HostBuffer { buffer: self.buffer, offset: 0, bytes: self.bytes, usage: self.usage }
     }
 
-    /// What is in it, from a byte on; the device must be done with it.
+    /// `count` floats of the buffer's content, from byte `offset`. The device must have finished with the
+    /// buffer.
     pub fn floats(&self, offset: u64, count: usize) -> Vec<f32> {
         assert!(offset + 4 * count as u64 <= self.bytes);
-        // SAFETY: mapped for good, coherent on software drivers, and in range.
+        // SAFETY: the memory stays mapped, is coherent on software drivers, and the range is within it.
         unsafe {
             let from = self.mapped.cast::<u8>().add(offset as usize).cast::<f32>();
             std::slice::from_raw_parts(from, count).to_vec()
@@ -350,7 +353,7 @@ impl Lent {
     }
 }
 
-/// Some Gaussians in front of [`camera`], the same for each number.
+/// `count` Gaussians in front of [`camera`]; deterministic.
 pub fn gaussians(count: usize) -> Gaussians {
     let noise = |i: usize, k: u32| {
         let x = (i as u32).wrapping_mul(2_654_435_761).wrapping_add(k.wrapping_mul(40_503));

@@ -1,18 +1,18 @@
-//! Which part of the crate may see which, read from the paths in its source.
+//! Checks which part of the crate may use which, from the paths in the source.
 
 use proc_macro2::{Delimiter, TokenStream, TokenTree};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Everything that a part may name, besides itself. Design: a part sees what is listed before it.
+/// The parts that each part may name, besides itself. By design, a part sees only parts listed before it.
 pub const MAY_SEE: &[(&str, &[&str])] = &[
     ("error", &[]),
     ("types", &["error"]),
     ("io", &["error"]),
     ("vk", &["error"]),
     ("gpu", &["error", "vk"]),
-    // The unsafe doors into the safe layer, for hosts.
+    // The unsafe entry points into the safe layer, for hosts.
     ("embed", &["error", "vk", "gpu"]),
     ("kernels", &["error", "types", "gpu"]),
     ("oracle", &["error", "types"]),
@@ -21,9 +21,9 @@ pub const MAY_SEE: &[(&str, &[&str])] = &[
     ("scene", &["error", "types", "io"]),
     ("data", &["error", "types", "io"]),
     ("eval", &["error", "types", "io", "geometry"]),
-    // A scene's frames by the ops, for training and for users.
+    // Renders a scene's frames with the ops, for training and for users.
     ("renderer", &["error", "types", "gpu", "ops", "scene"]),
-    // Pictures of a renderer, and the input's beside them, for a browser.
+    // Serves rendered images, and the input frames beside them, to a browser.
     ("view", &["error", "types", "io", "gpu", "data", "scene", "renderer"]),
     ("report", &["error", "types", "io"]),
     ("observe", &["error", "types", "io", "gpu", "ops", "geometry", "data"]),
@@ -35,7 +35,7 @@ pub const MAY_SEE: &[(&str, &[&str])] = &[
             "eval", "renderer",
         ],
     ),
-    // Judges every part, so it sees every part; nothing but the command line sees it.
+    // Tests every part, so it sees every part; only the command line sees it.
     (
         "check",
         &[
@@ -43,7 +43,7 @@ pub const MAY_SEE: &[(&str, &[&str])] = &[
             "report", "train",
         ],
     ),
-    // Ops and pipelines against the oracle and against the clock: it sees what it measures.
+    // Compares ops and pipelines with the oracle and times them: it sees what it measures.
     (
         "bench",
         &[
@@ -51,24 +51,24 @@ pub const MAY_SEE: &[(&str, &[&str])] = &[
             "report", "check", "train",
         ],
     ),
-    // The engine as C sees it: what a host may have, under C's names.
+    // The C interface: what a host may use, under C names.
     ("capi", &["error", "types", "gpu", "embed", "ops", "scene", "renderer", "train"]),
     // The command line names the crate as any other user does.
     ("cmd", &[]),
 ];
 
-/// Where `unsafe` and `ash` may stand: Vulkan itself, the functions with which a host lends what is its
-/// own, and C's border.
+/// Parts that may use `unsafe` and `ash`: Vulkan itself, the functions with which a host lends its
+/// objects, and the C interface.
 const UNSAFE: &[&str] = &["vk", "embed", "capi"];
 
-/// What unit tests may name besides: the parts without Vulkan, as truth and as input.
+/// Parts that unit tests may name in addition: those without Vulkan, as reference and as input.
 const TESTS_MAY_SEE: &[&str] =
     &["error", "types", "io", "oracle", "geometry", "scene", "data", "eval"];
 
-/// Parts that unit tests, too, must keep out of.
+/// Parts that not even unit tests may name.
 const CLOSED_TO_TESTS: &[&str] = &["error", "types", "vk", "gpu", "kernels", "cmd"];
 
-/// Every breach in a source tree, as `file:line: what`.
+/// Every violation in a source tree, as `file:line: what`.
 pub fn breaches(src: &Path) -> Vec<String> {
     let mut found = Vec::new();
     let lib = fs::read_to_string(src.join("lib.rs")).expect("src/lib.rs");
@@ -89,7 +89,7 @@ pub fn breaches(src: &Path) -> Vec<String> {
     found
 }
 
-/// The breaches of one file; `inner` is its path below `src/`, and a test file is one that another
+/// The violations in one file. `inner` is its path below `src/`. A test file is one that another file
 /// declares under `cfg(test)`.
 pub fn breaches_of(
     inner: &Path,
@@ -115,7 +115,8 @@ pub fn breaches_of(
     scan.found.iter().map(|(line, what)| format!("{}:{line}: {what}", inner.display())).collect()
 }
 
-/// `a/b/c.rs` and `a/b/c/mod.rs` are `[a, b, c]`; the crate's roots are `[]`.
+/// The module path of a file: `a/b/c.rs` and `a/b/c/mod.rs` give `[a, b, c]`; the crate's roots give
+/// `[]`.
 fn module_of(inner: &Path) -> Vec<String> {
     let stem = inner.with_extension("");
     let mut module: Vec<String> =
@@ -127,7 +128,7 @@ fn module_of(inner: &Path) -> Vec<String> {
     module
 }
 
-/// The modules in files of their own that a file declares under `cfg(test)`.
+/// The modules in separate files that a file declares under `cfg(test)`.
 fn test_modules(inner: &Path, source: &str) -> Vec<Vec<String>> {
     let tokens: Vec<TokenTree> =
         source.parse::<TokenStream>().unwrap_or_default().into_iter().collect();
@@ -146,7 +147,8 @@ fn test_modules(inner: &Path, source: &str) -> Vec<Vec<String>> {
     found
 }
 
-/// Which part each name at the crate's root comes from: `pub use error::{Error, Result};`.
+/// The part that each name at the crate's root comes from, read from lines such as `pub use
+/// error::{Error, Result};`.
 fn reexports(lib: &str) -> BTreeMap<String, String> {
     let mut names = BTreeMap::new();
     let tokens: Vec<TokenTree> =
@@ -189,7 +191,7 @@ struct Scan<'a> {
 }
 
 impl Scan<'_> {
-    /// Whether the part may name Vulkan's handles and be `unsafe`.
+    /// Whether the part may name Vulkan handles and use `unsafe`.
     fn is_unsafe(&self) -> bool {
         UNSAFE.contains(&self.part.as_str())
     }
@@ -210,7 +212,7 @@ impl Scan<'_> {
                 TokenTree::Ident(ident) if *ident == "unsafe" && !self.is_unsafe() => {
                     self.report(token, "`unsafe` belongs in src/vk, src/embed or src/capi".into());
                 }
-                // `mod name { … }`: a module of its own, for `super` and for tests.
+                // `mod name { … }` is a module: it changes what `super` means, and may hold tests.
                 TokenTree::Ident(ident) if *ident == "mod" => {
                     if let (Some(TokenTree::Ident(name)), Some(TokenTree::Group(body))) =
                         (tokens.get(at + 1), tokens.get(at + 2))
@@ -232,11 +234,11 @@ impl Scan<'_> {
         }
     }
 
-    /// `crate::…` at a place.
+    /// Reads a path `crate::…` at token `at`.
     fn read_from_root(&mut self, tokens: &[TokenTree], at: usize) {
         match &tokens[at + 1..] {
             [a, b, target, ..] if is_colons(a, b) => self.target(target),
-            // `pub(crate)` and `in crate` name nothing.
+            // `pub(crate)` and `in crate` do not name a part.
             [] => {}
             [next, ..] if is_ident(next, "as") => {
                 self.report(next, "`crate` under another name hides what is used".into());
@@ -245,7 +247,7 @@ impl Scan<'_> {
         }
     }
 
-    /// `super::super::…` at a place; gives where it ends.
+    /// Reads a path `super::super::…` at token `at`; returns the index of its end.
     fn read_from_super(&mut self, tokens: &[TokenTree], mut at: usize) -> usize {
         let mut up = 1;
         while let [a, b, next, ..] = &tokens[at + 1..]
@@ -256,7 +258,7 @@ impl Scan<'_> {
                 at += 3;
                 continue;
             }
-            // Beyond the part's own root, what follows is a part.
+            // Above the part's root, the next name is a part.
             if up >= self.module.len() {
                 self.target(next);
             }
@@ -265,7 +267,7 @@ impl Scan<'_> {
         at
     }
 
-    /// What stands after `crate::`: a name, or several in braces.
+    /// Reads the names after `crate::`: one, or several in braces.
     fn target(&mut self, target: &TokenTree) {
         match target {
             TokenTree::Ident(name) => {
@@ -292,7 +294,7 @@ impl Scan<'_> {
     }
 
     fn may_see(&self, part: &str) -> bool {
-        // `src/lib.rs` puts the parts together.
+        // `src/lib.rs` declares the parts, so it may name all of them.
         if self.part == "lib" || part == self.part || part == "self" {
             return true;
         }
@@ -311,7 +313,7 @@ impl Scan<'_> {
     }
 }
 
-/// Whether the attributes at the end of what was read hold `cfg(test)`.
+/// Whether the attributes at the end of the tokens read so far contain `cfg(test)`.
 fn follows_cfg_test(before: &[TokenTree]) -> bool {
     let mut rest = before;
     while let [head @ .., last] = rest {

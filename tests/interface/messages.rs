@@ -1,18 +1,18 @@
-//! What tells a person something stands on one line, its words one space apart. A string that is continued
-//! on the next line of the source without a backslash holds a line break, and one that was joined
-//! again by hand often holds the indentation.
+//! Checks that messages for users are on one line, with single spaces between words. A string literal
+//! that continues on the next source line without a backslash contains a line break, and one that was
+//! joined by hand often contains the indentation.
 
 use proc_macro2::{TokenStream, TokenTree};
 use std::fs;
 use std::path::Path;
 
-/// Where text is laid out, in columns or over several lines: only errors are looked at there.
+/// Files that lay out text in columns or over several lines: only errors are checked there.
 const LAID_OUT: &[&str] = &["cmd", "report", "scene/ply.rs", "scene/compressed_ply.rs"];
 
 /// Parts that may name options of the command line.
 const OF_THE_COMMAND_LINE: &[&str] = &["cmd", "main.rs"];
 
-/// Every text with a gap in a source tree, as `file:line: text`.
+/// Every string literal with a gap in a source tree, as `file:line: text`.
 pub fn gaps(src: &Path) -> Vec<String> {
     let mut found = Vec::new();
     for path in super::files(src, "rs") {
@@ -26,7 +26,7 @@ pub fn gaps(src: &Path) -> Vec<String> {
     found
 }
 
-/// The texts with a gap in one file, each with its line; where text is laid out, those inside of
+/// The string literals with a gap in one file, each with its line. With `laid_out`, only those inside
 /// `Error::…(…)` and `Err(…)`.
 pub fn gaps_of(source: &str, laid_out: bool) -> Vec<(usize, String)> {
     let mut found = Vec::new();
@@ -35,15 +35,16 @@ pub fn gaps_of(source: &str, laid_out: bool) -> Vec<(usize, String)> {
     found
 }
 
-/// Collects the texts for which `is_wrong`, each with its line; of `all` texts or only those of errors.
+/// Collects the string literals for which `is_wrong` holds, each with its line: from `all` literals, or
+/// only from those in errors.
 fn walk(
     tokens: TokenStream,
     all: bool,
     is_wrong: &impl Fn(&str) -> bool,
     found: &mut Vec<(usize, String)>,
 ) {
-    // Whether what comes next documents an item (`#[doc = "…"]`, which is what `///` and `//!` are,
-    // too), is a test or an error.
+    // Whether the next token is documentation (`#[doc = "…"]`, which `///` and `//!` expand to), a test
+    // or an error.
     let (mut documents, mut is_test, mut is_error) = (false, false, false);
     for token in tokens {
         match token {
@@ -78,7 +79,7 @@ fn walk(
     }
 }
 
-/// Every text of the library that names an option of the command line, as `file:line: text`: those who embed
+/// Every string literal of the library that names a command-line option, as `file:line: text`: users of
 /// the library have no such options.
 pub fn options(src: &Path) -> Vec<String> {
     let mut found = Vec::new();
@@ -98,8 +99,8 @@ pub fn options(src: &Path) -> Vec<String> {
     found
 }
 
-/// Whether a text names an option of a command line; one that is an option itself is given to another
-/// program.
+/// Whether a text names a command-line option. A text that consists of an option is an argument for
+/// another program, and does not count.
 pub fn names_option(text: &str) -> bool {
     let is_option = |word: &str| {
         let name = word.trim_start_matches(|c: char| !c.is_alphanumeric() && c != '-');
@@ -109,7 +110,7 @@ pub fn names_option(text: &str) -> bool {
     !text.starts_with("--") && text.split_whitespace().any(is_option)
 }
 
-/// Whether words are more than one space apart.
+/// Whether a text has more than one space between words.
 fn has_gap(text: &str) -> bool {
     let words = text.trim();
     words.contains("  ") || words.contains(['\n', '\r', '\t'])

@@ -1,17 +1,17 @@
-//! A compiled module's interface, read twice: by naga, and from the instructions themselves, since
-//! naga drops `readonly` and `writeonly`.
+//! Reads a compiled module's interface in two ways: with naga, and from the instructions, since naga
+//! drops `readonly` and `writeonly`.
 
 use rspirv::dr::{Instruction, Module, Operand};
 use rspirv::spirv::{Capability, Decoration, ExecutionMode, Op, StorageClass, Word};
 use splat4d::gpu::Access;
 use std::collections::{BTreeMap, HashMap};
 
-/// What a module offers to its host.
+/// The interface of a module.
 #[derive(Debug, Default, PartialEq)]
 pub struct Interface {
     /// By binding number.
     pub bindings: BTreeMap<u32, Storage>,
-    /// Offset and size in bytes of each push constant; empty where the module uses none.
+    /// Offset and size in bytes of each push constant; empty if the module uses none.
     pub params: Vec<(u32, u32)>,
     pub workgroup: [u32; 3],
 }
@@ -19,13 +19,13 @@ pub struct Interface {
 /// One storage buffer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Storage {
-    /// Bytes from one element to the next, or of the whole block where it is no array.
+    /// Stride between elements in bytes, or the size of the whole block if it is not an array.
     pub stride: u32,
-    /// `None` where the reader cannot tell.
+    /// `None` if the reader cannot determine it.
     pub access: Option<Access>,
 }
 
-/// What a module asks of a device beyond its interface.
+/// A module's demands on the device, besides its interface.
 #[derive(Debug)]
 pub struct Demands {
     pub capabilities: Vec<Capability>,
@@ -36,7 +36,7 @@ pub struct Demands {
 /// Reads a module with naga's SPIR-V front end.
 pub fn by_naga(spirv: &[u8]) -> Result<Interface, String> {
     let options = naga::front::spv::Options::default();
-    // Some modules make the front end panic rather than answer.
+    // Some modules make the front end panic.
     let module = std::panic::catch_unwind(|| naga::front::spv::parse_u8_slice(spirv, &options))
         .map_err(|_| "the front end panicked".to_string())?
         .map_err(|error| error.to_string())?;
@@ -122,7 +122,8 @@ pub fn by_rspirv(spirv: &[u8]) -> Result<(Interface, Demands), String> {
                 if number(Decoration::DescriptorSet) != Some(0) {
                     return Err(format!("binding {binding} is not in set 0"));
                 }
-                // Optimised modules drop what is unused; one that is kept without a use is as dead.
+                // Optimised modules drop unused variables; a variable that is kept but never used is
+                // ignored too.
                 if reader.is_used(id) {
                     let stride = reader.stride(block)?;
                     let access = Some(reader.access(id, block)?);
@@ -148,7 +149,7 @@ pub fn by_rspirv(spirv: &[u8]) -> Result<(Interface, Demands), String> {
     Ok((interface, Demands { capabilities, shared }))
 }
 
-/// Looks things up in a module.
+/// Queries on a module's instructions.
 struct Reader<'a> {
     module: &'a Module,
     by_id: HashMap<Word, &'a Instruction>,
@@ -182,7 +183,7 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// A decoration's literal (0 where it has none) on an id, or on a member of a struct.
+    /// A decoration's literal (0 if it has none) on an id, or on a member of a struct.
     fn decoration(&self, id: Word, member: Option<u32>, wanted: Decoration) -> Option<u32> {
         self.module.annotations.iter().find_map(|annotation| {
             let operands = annotation.operands.as_slice();
@@ -204,7 +205,7 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// Access of a buffer: on the variable, or on every member of its block.
+    /// Access of a buffer, decorated on the variable or on every member of its block.
     fn access(&self, variable: Word, block: Word) -> Result<Access, String> {
         let members = self.instruction(block)?.operands.len() as u32;
         let has = |wanted| {
@@ -242,7 +243,7 @@ impl<'a> Reader<'a> {
         self.decoration(last, None, Decoration::ArrayStride).ok_or_else(|| "no stride".into())
     }
 
-    /// Bytes of a value.
+    /// Size of a value of this type, bytes.
     fn size(&self, ty: Word) -> Result<u32, String> {
         let instruction = self.instruction(ty)?;
         let operands = &instruction.operands;
@@ -258,7 +259,7 @@ impl<'a> Reader<'a> {
                 let stride = self.decoration(ty, None, Decoration::ArrayStride);
                 Ok(length * stride.map_or_else(inner, Ok)?)
             }
-            // Outside of a block (shared memory) members have no offsets.
+            // Outside of a block (in shared memory) members have no offsets.
             Op::TypeStruct => match self.members(ty) {
                 Ok(members) => Ok(members.last().map_or(0, |(offset, size)| offset + size)),
                 Err(_) => operands.iter().filter_map(id_ref).map(|member| self.size(member)).sum(),

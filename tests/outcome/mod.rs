@@ -1,4 +1,4 @@
-//! A reconstruction of a clip whose truth is known, and how good it is.
+//! Reconstruction of a clip with ground truth, and the metrics of the result.
 #![allow(dead_code, reason = "each test binary uses its own part")]
 
 use splat4d::data::synth;
@@ -12,7 +12,7 @@ use splat4d::track::{Options, Track, track};
 use splat4d::train::{Phase, Sequence, SequenceSettings, fit_sequence};
 use splat4d::types::{Camera, FlowSettings, Image, Pose};
 
-/// What was made of a clip.
+/// The result of reconstructing a clip.
 pub struct Outcome {
     pub clip: synth::Clip,
     pub track: Track,
@@ -20,16 +20,16 @@ pub struct Outcome {
     pub device: Device,
 }
 
-/// Means over what the held-out cameras see, dB.
+/// Mean PSNR over the held-out views, dB.
 pub struct HeldOut {
     pub whole: f64,
-    /// Inside what moves; NaN where nothing does.
+    /// Inside movers; NaN if nothing moves.
     pub movers: f64,
-    /// Of the input frame of the same time, which a reconstruction without depth would show.
+    /// PSNR of the input frame of the same time, which a reconstruction without depth would show.
     pub copied: f64,
 }
 
-/// Tracks a clip with the program's own flow.
+/// Tracks a clip with the optical flow that the engine computes.
 pub fn tracked(device: &Device, frames: &[Image], options: &Options) -> splat4d::Result<Track> {
     let mut source = EngineFlow::new(device, frames, &FlowSettings::default())?;
     track(frames, options, &mut source, &mut |_, _| Ok(()))
@@ -50,7 +50,7 @@ pub fn reconstruct(
 }
 
 impl Outcome {
-    /// Mean PSNR on the clip's own frames.
+    /// Mean PSNR on the input frames, dB.
     pub fn psnr_on_input(&self) -> f64 {
         let mut renderer = Renderer::new(&self.device, &self.scene).unwrap();
         let frames = self.clip.frames.iter().zip(&self.scene.cameras);
@@ -63,7 +63,7 @@ impl Outcome {
         sum / self.clip.frames.len() as f64
     }
 
-    /// What the scene shows to the clip's held-out cameras, carried into the scene's world.
+    /// Metrics of renders from the clip's held-out cameras, transformed into the scene's world frame.
     pub fn held_out(&self) -> HeldOut {
         let Outcome { clip, scene, device, .. } = self;
         let ours: Vec<Pose> =
@@ -94,18 +94,18 @@ impl Outcome {
         HeldOut { whole: mean(&whole), movers: mean(&movers), copied: mean(&copied) }
     }
 
-    /// Error of the cameras' path, as a share of its length.
+    /// Absolute trajectory error (ATE) of the cameras, relative to the path's length.
     pub fn ate(&self) -> f64 {
         ate(&self.track, &self.clip)
     }
 
-    /// How well the masks agree with the true ones, all frames together.
+    /// Intersection over union of the estimated and the true masks, over all frames together.
     pub fn mask_iou(&self) -> f64 {
         mask_iou(&stacked(&self.track.masks), &stacked(&self.clip.masks)).unwrap()
     }
 }
 
-/// Error of the cameras' path, as a share of its length.
+/// Absolute trajectory error (ATE) of the cameras, relative to the path's length.
 pub fn ate(track: &Track, clip: &synth::Clip) -> f64 {
     let ours = world_from_view(&track.view_from_world);
     let theirs = world_from_view(&clip.view_from_world);

@@ -1,4 +1,4 @@
-//! Chromium without a window, over its DevTools protocol. A missing Chromium fails.
+//! Headless Chromium, controlled over its DevTools protocol. A missing Chromium fails.
 
 // Each test binary uses its own part.
 #![allow(dead_code)]
@@ -16,24 +16,24 @@ use tungstenite::{Message, WebSocket};
 
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// A page in a browser of its own.
+/// A page in a separate browser process.
 pub struct Browser {
     child: Child,
     socket: WebSocket<TcpStream>,
     session: Option<String>,
     calls: u64,
-    /// What the page wrote to its console, and what went wrong on it.
+    /// The page's console output and errors.
     pub said: Vec<String>,
     _profile: TempDir,
 }
 
 impl Browser {
-    /// Opens a page in a window of a size, at one device pixel for each CSS pixel.
+    /// Opens a page in a window of `width` × `height`, with one device pixel per CSS pixel.
     pub fn open(url: &str, width: u32, height: u32) -> Browser {
         Browser::launch(url, width, height, &["--disable-gpu"])
     }
 
-    /// Opens a file that draws with WebGL, on the SwiftShader inside of Chromium.
+    /// Opens a file that draws with WebGL, on Chromium's bundled SwiftShader.
     pub fn open_drawing(file: &Path, width: u32, height: u32) -> Browser {
         let flags = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"];
         Browser::launch(&address(file), width, height, &flags)
@@ -45,7 +45,7 @@ impl Browser {
         let child = Command::new(&program)
             .args(["--headless=new", "--no-sandbox", "--disable-dev-shm-usage"])
             .args(flags)
-            // The driver that is chosen for the tests is not for the browser, which has its own.
+            // The Vulkan driver selected for the tests is not meant for the browser, which has its own.
             .env_remove("VK_DRIVER_FILES")
             .args([
                 "--no-first-run",
@@ -85,12 +85,12 @@ impl Browser {
         browser
     }
 
-    /// Opens a file in a window of a size.
+    /// Opens a file in a window of `width` × `height`.
     pub fn open_file(file: &Path, width: u32, height: u32) -> Browser {
         Browser::open(&address(file), width, height)
     }
 
-    /// By how many pixels the page is wider than a window of some width.
+    /// The number of pixels by which the page is wider than a window of `width`.
     #[track_caller]
     pub fn overflow(&mut self, width: u32) -> i64 {
         self.resize(width, 700);
@@ -130,7 +130,7 @@ impl Browser {
         if event["method"].as_str().is_some_and(|method| loud.contains(&method)) {
             self.said.push(event["params"].to_string());
         }
-        // Nothing comes from elsewhere.
+        // The page must not request anything from another host.
         let url = event["params"]["request"]["url"].as_str().unwrap_or_default();
         if event["method"] == "Network.requestWillBeSent"
             && !["http://127.0.0.1:", "file:", "data:", "blob:", "about:"]
@@ -185,7 +185,7 @@ impl Browser {
         self.mouse("mouseReleased", to[0], to[1], "left");
     }
 
-    /// Presses a key and lets it go after some time; `text` is what it writes.
+    /// Presses a key and releases it after `milliseconds`; `text` is the text that the key types.
     pub fn key(&mut self, key: &str, code: u32, text: &str, milliseconds: u64) {
         let event = |kind: &str| json!({ "type": kind, "key": key, "windowsVirtualKeyCode": code, "text": text });
         self.call(
@@ -196,7 +196,7 @@ impl Browser {
         self.call("Input.dispatchKeyEvent", event("keyUp"));
     }
 
-    /// The page as it looks, as PNG.
+    /// A screenshot of the page, as PNG.
     pub fn screenshot(&mut self) -> Vec<u8> {
         let shot = self.call("Page.captureScreenshot", json!({ "format": "png" }));
         STANDARD.decode(shot["data"].as_str().unwrap()).unwrap()
@@ -205,7 +205,7 @@ impl Browser {
 
 impl Drop for Browser {
     fn drop(&mut self) {
-        // Asked to, it ends its own processes too.
+        // Closed over the protocol, the browser also ends its child processes.
         let close = json!({ "id": 0, "method": "Browser.close" }).to_string();
         let _ = self.socket.send(Message::text(close));
         let begun = Instant::now();
@@ -218,7 +218,7 @@ impl Drop for Browser {
     }
 }
 
-/// The address of a file.
+/// The `file://` URL of a file.
 fn address(file: &Path) -> String {
     format!("file://{}", file.canonicalize().unwrap().display())
 }

@@ -1,9 +1,9 @@
-//! The real data, which lies beside the project.
+//! Access to the real data sets, which lie beside the project.
 
 use std::path::{Path, PathBuf};
 
-/// A path in the real data; `None`, said loudly, where it is absent. With `SPLAT4D_REQUIRE_DATA=1`,
-/// which `tools/test.sh` sets where the data is there, an absent path fails.
+/// A path in the real data; `None`, with a warning, if it is absent. With `SPLAT4D_REQUIRE_DATA=1`, which
+/// `tools/test.sh` sets if the data is present, an absent path fails.
 pub fn shared_data(name: &str) -> Option<PathBuf> {
     let base = match std::env::var_os("SPLAT4D_DATA") {
         Some(base) => PathBuf::from(base),

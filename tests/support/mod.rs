@@ -1,9 +1,9 @@
-//! What the tests of readers and files share.
+//! Helpers of the tests of readers and files.
 
 // Each test binary uses its own part.
 #![allow(dead_code, unused_imports)]
 
-// A test binary may use `common`, too.
+// A test binary may also include `common`, which has the same module.
 #[allow(clippy::duplicate_mod)]
 mod data;
 
@@ -43,7 +43,7 @@ pub fn picture(width: u32, height: u32, seed: u32) -> Image {
     image
 }
 
-/// A small generator for mutations.
+/// A small pseudo-random generator for mutations.
 pub struct Dice(pub u64);
 
 impl Dice {
@@ -53,8 +53,8 @@ impl Dice {
     }
 }
 
-/// Writes damaged copies of a file over `target` and calls `read` on each: prefixes, which must
-/// fail if `prefixes_fail`, and copies with a few bytes changed, which only must not panic.
+/// Writes damaged copies of a file over `target` and calls `read` on each. The copies are prefixes, which
+/// must fail if `prefixes_fail`, and copies with a few bytes changed, which must only not panic.
 pub fn damage(original: &[u8], target: &Path, prefixes_fail: bool, read: impl Fn(&Path) -> bool) {
     let mut dice = Dice(7);
     let step = (original.len() / 97).max(1);
@@ -76,7 +76,7 @@ pub fn damage(original: &[u8], target: &Path, prefixes_fail: bool, read: impl Fn
     }
 }
 
-/// A camera of 40×30, another one for each number.
+/// A camera of 40×30 pixels, a different one for each `i`.
 pub fn some_camera(i: u32) -> Camera {
     let rotation = DQuat::from_euler(glam::EulerRot::YXZ, 0.3 * f64::from(i), -0.2, 0.1);
     Camera {
@@ -85,7 +85,8 @@ pub fn some_camera(i: u32) -> Camera {
     }
 }
 
-/// A compressed PLY of `count` Gaussians, all with the same words, and their harmonics' bytes.
+/// A compressed PLY of `count` Gaussians, all with the same `words`, and the bytes of their spherical
+/// harmonics.
 pub fn compressed(count: usize, words: [u32; 4], sh: &[u8]) -> Vec<u8> {
     let bounds = ["x", "y", "z", "scale_x", "scale_y", "scale_z", "r", "g", "b"];
     let mut head = String::from("ply\nformat binary_little_endian 1.0\n");

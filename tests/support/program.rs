@@ -24,7 +24,7 @@ pub fn program() -> Command {
     command
 }
 
-/// Runs with arguments separated by spaces, in a folder.
+/// Runs the program in a folder, with arguments separated by spaces.
 pub fn run(folder: &Path, arguments: &str) -> Output {
     program().current_dir(folder).args(arguments.split_whitespace()).output().unwrap()
 }
@@ -33,7 +33,7 @@ pub fn stderr(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).unwrap()
 }
 
-/// Runs with `--json` and returns the one object on stdout.
+/// Runs the program with `--json` and returns the single object on stdout.
 #[track_caller]
 pub fn json(folder: &Path, arguments: &str) -> Value {
     let device = std::env::var("SPLAT4D_DEVICE").unwrap_or("software".into());
@@ -44,8 +44,8 @@ pub fn json(folder: &Path, arguments: &str) -> Value {
     value
 }
 
-/// Runs what must fail with an exit code, and gives what it says. The folder holds afterwards what it
-/// held before.
+/// Runs a command that must fail with exit code `code`, and returns its message. The command must leave
+/// the folder's list of files unchanged.
 #[track_caller]
 pub fn fails(folder: &Path, code: i32, arguments: &str) -> String {
     let before = content(folder);
@@ -71,7 +71,7 @@ pub fn content(folder: &Path) -> BTreeSet<PathBuf> {
     found
 }
 
-/// A few Gaussians before a camera at the origin that looks along z.
+/// A few Gaussians in front of a camera at the origin that looks along z.
 pub fn blobs() -> Gaussians {
     let positions: Vec<[f32; 3]> =
         (0..9).map(|i| [(i % 3) as f32 - 1.0, (i / 3) as f32 - 1.0, 4.0]).collect();
@@ -103,7 +103,7 @@ pub fn cameras(count: usize) -> Vec<TimedCamera> {
         .collect()
 }
 
-/// A dataset in a folder: some pictures and their cameras.
+/// Writes a dataset into a folder: `pictures` images and their cameras.
 pub fn dataset(folder: &Path, pictures: usize) {
     let names: Vec<String> = (0..pictures).map(|i| format!("{i}.png")).collect();
     for (i, name) in names.iter().enumerate() {

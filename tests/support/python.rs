@@ -1,4 +1,4 @@
-//! Python packages that `tools/setup.sh test` installs beside the build.
+//! Python packages that `tools/setup.sh test` installs beside the build directory.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -6,7 +6,8 @@ use std::process::{Command, Stdio};
 
 use serde_json::Value;
 
-/// What a script of `tests/support` answers on its standard output to JSON on its standard input.
+/// Runs a script of `tests/support` with `asked` as JSON on its standard input, and returns the JSON that
+/// it prints.
 #[allow(dead_code, reason = "each test binary uses its own part")]
 pub fn answer(environment: &str, probe: &str, script: &str, asked: &Value) -> Value {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/support").join(script);
@@ -22,8 +23,8 @@ pub fn answer(environment: &str, probe: &str, script: &str, asked: &Value) -> Va
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// A Python that runs `probe`: that of an environment of the setup's, else the user's. Where there is none
-/// the test fails: a comparison that is passed over compares nothing.
+/// A Python that can run `probe`: that of an environment of `tools/setup.sh`, else the user's. Without
+/// one the test fails, since a skipped comparison would test nothing.
 pub fn python(environment: &str, probe: &str) -> PathBuf {
     let beside = Path::new(env!("CARGO_TARGET_TMPDIR")).parent().unwrap().join(environment);
     let beside = beside.join("bin/python");

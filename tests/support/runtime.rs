@@ -1,9 +1,9 @@
-//! The ONNX Runtime that `tools/setup.sh test` installs beside the build.
+//! The ONNX Runtime that `tools/setup.sh test` installs beside the build directory.
 
 use std::path::{Path, PathBuf};
 
-/// Its library: `lib/python*/site-packages/onnxruntime/capi/libonnxruntime.so*` in the environment that the setup
-/// makes, else what `ORT_DYLIB_PATH` names.
+/// Path of the runtime's library: `lib/python*/site-packages/onnxruntime/capi/libonnxruntime.so*` in the
+/// environment of `tools/setup.sh`, else the path in `ORT_DYLIB_PATH`.
 pub fn library() -> Option<PathBuf> {
     let beside = Path::new(env!("CARGO_TARGET_TMPDIR")).parent().unwrap().join("onnxruntime");
     within(&beside).or_else(|| std::env::var_os("ORT_DYLIB_PATH").map(PathBuf::from))

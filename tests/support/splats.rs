@@ -1,6 +1,6 @@
-//! Scenes for the tests of exports, and another program that reads and writes the formats: PlayCanvas'
-//! splat-transform, which `tools/setup.sh test` installs beside the build. Its SPZ is that of the format's
-//! own library.
+//! Scenes for the tests of exports, and PlayCanvas' splat-transform, an independent program that reads
+//! and writes the formats. `tools/setup.sh test` installs it beside the build directory. Its SPZ code is
+//! the format's reference library.
 
 // Each test binary uses its own part.
 #![allow(dead_code)]
@@ -11,7 +11,7 @@ use std::process::Command;
 use splat4d::scene::{Scene, SceneCamera};
 use splat4d::types::{Camera, ControlPoints, Gaussians, Intrinsics, Pose, sh_coefficients};
 
-/// A number in [0, 1) of two indices.
+/// A deterministic pseudo-random number in [0, 1) from two indices.
 fn noise(i: usize, k: usize) -> f32 {
     let mut x = (i as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15)
         ^ (k as u64).wrapping_mul(0xd1b5_4a32_d192_ed03);
@@ -19,7 +19,8 @@ fn noise(i: usize, k: usize) -> f32 {
     (x >> 40) as f32 / (1 << 24) as f32
 }
 
-/// Gaussians in front of a camera at the origin, none close to another: a grid, a little disturbed.
+/// Gaussians in front of a camera at the origin, on a slightly perturbed grid, so that none is close to
+/// another.
 pub fn cloud(sh_degree: u32) -> Gaussians {
     let n = 700;
     let bands = sh_coefficients(sh_degree);
@@ -44,7 +45,7 @@ pub fn cloud(sh_degree: u32) -> Gaussians {
     }
 }
 
-/// The same, of which a third moves by the paths of control points.
+/// The Gaussians of [`cloud`], of which a third moves along control points' paths.
 pub fn moving(sh_degree: u32) -> Scene {
     let mut gaussians = cloud(sh_degree);
     gaussians.motion_logits =
@@ -71,7 +72,7 @@ pub fn moving(sh_degree: u32) -> Scene {
     }
 }
 
-/// What splat-transform makes of a file.
+/// Converts a file with splat-transform.
 #[track_caller]
 pub fn transformed(input: &Path, output: &Path, options: &[&str]) -> PathBuf {
     let beside = Path::new(env!("CARGO_TARGET_TMPDIR")).parent().unwrap();
@@ -89,19 +90,20 @@ pub fn transformed(input: &Path, output: &Path, options: &[&str]) -> PathBuf {
     output.to_path_buf()
 }
 
-/// How far the same Gaussians lie apart in two files, in the worst case of each kind.
+/// Largest differences between the same Gaussians in two files, by attribute.
 #[derive(Debug, Default)]
 pub struct Apart {
     pub position: f32,
     pub log_scale: f32,
-    /// 1 − |q · p|.
+    /// 1 − |q · p| for unit quaternions q and p.
     pub rotation: f32,
     pub opacity: f32,
     pub colour: f32,
     pub harmonic: f32,
 }
 
-/// Compares Gaussians with others in any order: each with the nearest, and each of these once.
+/// Compares two sets of Gaussians in any order: each is matched with the nearest of the other set, and
+/// each match must be unique.
 #[track_caller]
 pub fn apart(ours: &Gaussians, others: &Gaussians) -> Apart {
     assert_eq!((ours.len(), ours.sh_degree), (others.len(), others.sh_degree));

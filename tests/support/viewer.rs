@@ -1,4 +1,4 @@
-//! A scene that is viewed, and clients of the viewer.
+//! A scene for the viewer, and clients of the viewer's server.
 
 // Each test binary uses its own part.
 #![allow(dead_code)]
@@ -17,10 +17,10 @@ use splat4d::view::protocol::{Format, Header, Layer, Refusal, Request, Status, T
 use splat4d::view::{Options, Pictures, Server, Show};
 use tungstenite::{Message, WebSocket};
 
-/// A JPEG of a picture that the page shows is at least as near to it, dB.
+/// Smallest allowed PSNR of a JPEG that the page shows, against the exact image, dB.
 pub const JPEG_PSNR: f64 = 30.0;
 
-/// A cloud before the cameras, of which every third Gaussian moves to the right and a little up.
+/// A cloud in front of the cameras, of which every third Gaussian moves to the right and a little up.
 pub fn scene(count: usize) -> Scene {
     let noise = |i: usize, k: u32| {
         let x = (i as u32).wrapping_mul(2_654_435_761).wrapping_add(k.wrapping_mul(40_503));
@@ -66,7 +66,7 @@ pub fn scene(count: usize) -> Scene {
     }
 }
 
-/// A camera aside from the origin that looks along z, a little turned.
+/// A camera offset from the origin by `aside` that looks along z, slightly rotated.
 pub fn camera(width: u32, height: u32, aside: f64) -> Camera {
     Camera {
         intrinsics: Intrinsics::centred(0.9 * f64::from(width), width, height),
@@ -77,7 +77,7 @@ pub fn camera(width: u32, height: u32, aside: f64) -> Camera {
     }
 }
 
-/// A server on any free port of this machine.
+/// Starts a server on any free port of this machine.
 pub fn serve(device: &Device, scene: Scene, pictures: Option<Pictures>) -> Server {
     let options = Options { port: 0, ..Options::default() };
     Server::start(device, show(scene, pictures), &options).unwrap()
@@ -101,7 +101,7 @@ pub fn request(id: u64, camera: Camera, time: f64) -> Request {
     }
 }
 
-/// What a server sent.
+/// A message from the server.
 #[derive(Debug)]
 pub enum Sent {
     Picture(Header, Vec<[f32; 4]>, Image),
@@ -110,7 +110,7 @@ pub enum Sent {
     Closed(u16),
 }
 
-/// A client.
+/// A WebSocket client.
 pub struct Client(pub WebSocket<TcpStream>);
 
 impl Client {
@@ -134,7 +134,7 @@ impl Client {
         self.0.send(Message::text(text)).unwrap();
     }
 
-    /// The next message that is no ping.
+    /// The next message that is not a ping.
     #[track_caller]
     pub fn hear(&mut self) -> Sent {
         loop {
@@ -150,7 +150,7 @@ impl Client {
                     return Sent::Closed(frame.map_or(1005, |frame| frame.code.into()));
                 }
                 Ok(_) => {}
-                // An end without a goodbye.
+                // The connection ended without a close frame.
                 Err(_) => return Sent::Closed(1006),
             }
         }
@@ -183,7 +183,7 @@ fn unpacked(bytes: &[u8]) -> Sent {
     Sent::Picture(header, points, decoded(file))
 }
 
-/// An image file as RGB or grey in [0, 1].
+/// Decodes an image file to RGB or grey in [0, 1].
 pub fn decoded(file: &[u8]) -> Image {
     let decoded = image::load_from_memory(file).unwrap();
     let (width, height) = (decoded.width(), decoded.height());
@@ -193,7 +193,7 @@ pub fn decoded(file: &[u8]) -> Image {
     Image { width, height, channels, pixels }
 }
 
-/// In 8 bits, as a picture is sent.
+/// The image rounded to 8 bits, as the server sends it.
 pub fn rounded(image: &Image) -> Image {
     let pixels =
         image.pixels.iter().map(|v| f32::from((v * 255.0).round() as u8) / 255.0).collect();
@@ -206,7 +206,7 @@ pub fn psnr(a: &Image, b: &Image) -> f64 {
     -10.0 * (squares.sum::<f64>() / a.pixels.len() as f64).log10()
 }
 
-/// The status and the rest of the answer to a request of these lines.
+/// Sends an HTTP request of these lines; returns the status and the rest of the response.
 pub fn http(port: u16, lines: &[&str]) -> (u16, String) {
     let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
     stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
@@ -218,12 +218,12 @@ pub fn http(port: u16, lines: &[&str]) -> (u16, String) {
     (status, text)
 }
 
-/// A plain GET under the server's own name.
+/// Sends a plain GET with the server's own `Host`.
 pub fn get(port: u16, path: &str) -> (u16, String) {
     http(port, &[&format!("GET {path} HTTP/1.1"), &format!("Host: 127.0.0.1:{port}")])
 }
 
-/// Pictures of the input, one for each camera, of one colour each.
+/// Input images, one per camera, each of a single colour.
 pub fn inputs(folder: &Path, count: usize) -> Pictures {
     let file = |i: usize| {
         let mut picture = Image::new(96, 54, 3);

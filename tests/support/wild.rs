@@ -1,6 +1,6 @@
-//! Numbers that no honest file or command line holds, as text that parses as `f64`.
+//! Numbers that no valid file or command line contains, as text that parses as `f64`.
 
-/// What may stand in the place of any number.
+/// Replacements for any number.
 pub const WILD: [&str; 20] = [
     "0",
     "-0",

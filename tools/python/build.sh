@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Builds the wheel, the command line inside of it, into DIR (out/python without one). Needs maturin.
+# Builds the Python wheel, with the command-line program inside, into DIR (default: out/python). Needs maturin.
 #
 #   tools/python/build.sh [DIR]
 set -euo pipefail

@@ -18,7 +18,7 @@ const FLAGS: &str = "vulkan1.3 spv1.5 werror";
 
 #[derive(serde::Serialize, serde::Deserialize, PartialEq)]
 struct Manifest {
-    /// The compiler and its flags.
+    /// Name and version of the compiler.
     compiler: String,
     flags: String,
     /// By kernel name, `family/stem`.
@@ -133,7 +133,7 @@ fn compile_all() -> Result<(Manifest, BTreeMap<String, Vec<u8>>), String> {
     Ok((Manifest { compiler, flags: FLAGS.into(), kernels }, modules))
 }
 
-/// The modules of `examples/`, by the path of each.
+/// The compiled modules of `examples/`, by path.
 fn compile_examples() -> Result<BTreeMap<PathBuf, Vec<u8>>, String> {
     let compiler = shaderc::Compiler::new().map_err(text)?;
     let mut modules = BTreeMap::new();
@@ -151,12 +151,12 @@ fn compile(compiler: &shaderc::Compiler, source: &Path) -> Result<(Entry, Vec<u8
     let mut options = shaderc::CompileOptions::new().map_err(text)?;
     options.set_target_env(shaderc::TargetEnv::Vulkan, shaderc::EnvVersion::Vulkan1_3 as u32);
     options.set_target_spirv(shaderc::SpirvVersion::V1_5);
-    // Optimising is left to the drivers, who know their device: what would be merged and unrolled
-    // before them costs software drivers an eighth of a training step.
+    // Optimisation is left to the drivers, which know their device: merging and unrolling here makes a
+    // training step on software drivers an eighth slower.
     options.set_optimization_level(shaderc::OptimizationLevel::Zero);
     options.set_warnings_as_errors();
     options.set_include_callback(|requested, _, _, _| {
-        // Every include is named from glsl/ down, whoever includes it.
+        // Every include is relative to glsl/, whichever file includes it.
         let path = Path::new("glsl").join(requested);
         let content = text_of(&path)?;
         included.borrow_mut().insert(path.clone());

@@ -1,6 +1,5 @@
-//! A host on wgpu: a program with a wgpu device of its own, which lends it to splat4d, draws splats
-//! beside a triangle of its own, frame after frame from a moving camera, and holds every pixel
-//! against what it should be.
+//! A wgpu host: this program creates a wgpu device, lends it to splat4d, draws splats and a triangle in each
+//! frame from a moving camera, and compares every pixel with its expected value.
 //!
 //! `cargo run --release -p wgpu-host -- --output frame.png`
 
@@ -22,10 +21,10 @@ use verify::Judge;
 
 type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
 
-/// Draws splats with a wgpu device, beside a triangle drawn by wgpu, and checks every pixel.
+/// Draws splats on a wgpu device, together with a triangle drawn by wgpu, and checks every pixel.
 ///
-/// The device is the one that wgpu prefers; VK_DRIVER_FILES says which drivers there are.
-/// Exit code 1 where a pixel is wrong or the validation layer has said anything.
+/// The device is the one that wgpu prefers; VK_DRIVER_FILES selects the available drivers.
+/// The exit code is 1 if a pixel is wrong or the validation layer has reported anything.
 #[derive(Parser)]
 #[command(after_help = "Example: wgpu-host --validation --output frame.png")]
 struct Arguments {
@@ -35,18 +34,18 @@ struct Arguments {
     /// Run under the Khronos validation layer, with synchronization validation; any message fails
     #[arg(long)]
     validation: bool,
-    /// Frames to draw at the given rate while the calls are timed
+    /// Number of frames to draw at the given rate, with each call timed
     #[arg(long, value_name = "N", default_value_t = 120)]
     frames: u32,
-    /// Frames a second
+    /// Frames per second
     #[arg(long, value_name = "HZ", default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..))]
     rate: u32,
-    /// Splats on the ball
+    /// Number of splats on the ball
     #[arg(long, value_name = "N", default_value_t = 3000, value_parser = clap::value_parser!(u32).range(1..))]
     splats: u32,
 }
 
-/// Views whose pixels are checked before the moving camera, one after the other.
+/// Number of views whose pixels are checked before the timed frames.
 const VIEWS: u32 = 4;
 
 fn main() -> ExitCode {
@@ -62,7 +61,7 @@ fn main() -> ExitCode {
 fn run(arguments: &Arguments) -> Result<()> {
     let instance = gpu::instance(arguments.validation)?;
     let adapter = gpu::adapter(&instance)?;
-    // Listens until everything else is gone, the device included: leaks are reported as it goes.
+    // Listens until everything else is destroyed, the device included: leaks are reported at its destruction.
     let messages = match arguments.validation {
         true => Some(messages::Messages::listen(&instance, &adapter)?),
         false => None,
@@ -76,8 +75,8 @@ fn run(arguments: &Arguments) -> Result<()> {
     }
 }
 
-/// Checks some views, while another thread loads the scene and renders it, again and again: its
-/// submissions and wgpu's take turns in the one queue.
+/// Checks some views while another thread repeatedly loads the scene and renders it: its submissions and
+/// wgpu's alternate on the shared queue.
 fn views(stage: &mut Stage, judge: &mut Judge, scene: &Scene) -> Result<()> {
     let engine = stage.engine().clone();
     let enough = AtomicBool::new(false);

@@ -1,4 +1,4 @@
-//! What the validation layer says.
+//! Messages of the validation layer.
 
 use crate::Result;
 use crate::gpu::vulkan;
@@ -6,7 +6,8 @@ use splat4d::embed::ash::{ext, vk};
 use std::ffi::{CStr, c_void};
 use std::sync::Mutex;
 
-/// Collects warnings and errors, from when it is made until it is finished.
+/// Collects the validation layer's warnings and errors, from [`listen`](Self::listen) to
+/// [`finish`](Self::finish).
 pub struct Messages {
     functions: ext::debug_utils::Instance,
     messenger: vk::DebugUtilsMessengerEXT,
@@ -15,15 +16,17 @@ pub struct Messages {
     _instance: wgpu::Instance,
 }
 
+/// Appends a message to the list.
+///
 /// # Safety
-/// As the layer calls it: with messages that live.
+/// `data` must point to valid callback data, and `said` to a list that is alive.
 unsafe extern "system" fn on_message(
     _: vk::DebugUtilsMessageSeverityFlagsEXT,
     _: vk::DebugUtilsMessageTypeFlagsEXT,
     data: *const vk::DebugUtilsMessengerCallbackDataEXT<'_>,
     said: *mut c_void,
 ) -> vk::Bool32 {
-    // SAFETY: the layer passes valid data, and `Messages` keeps the list.
+    // SAFETY: the layer passes valid data, and `Messages` keeps the list alive.
     let (text, said) = unsafe {
         (CStr::from_ptr((*data).p_message), &*said.cast_const().cast::<Mutex<Vec<String>>>())
     };
@@ -32,10 +35,10 @@ unsafe extern "system" fn on_message(
 }
 
 impl Messages {
-    /// wgpu turns the layer and its synchronization validation on where it finds it, and goes on
-    /// without where it does not; here that is an error.
+    /// Starts to collect messages. wgpu enables the layer and its synchronization validation if the layer is
+    /// installed, and continues without it otherwise; here a missing layer is an error.
     pub fn listen(instance: &wgpu::Instance, adapter: &wgpu::Adapter) -> Result<Messages> {
-        // SAFETY: the guard is gone before the adapter, and nothing is destroyed through it.
+        // SAFETY: the guard is dropped before the adapter, and nothing is destroyed through it.
         let hal = unsafe { vulkan(adapter) }?;
         let shared = hal.shared_instance();
         // SAFETY: a plain query.
@@ -59,13 +62,13 @@ impl Messages {
             )
             .pfn_user_callback(Some(on_message))
             .user_data((&raw const *said).cast_mut().cast());
-        // SAFETY: the instance was made with the extension; the list lies on the heap until the
-        // messenger is destroyed.
+        // SAFETY: the instance was created with the extension; the list stays on the heap until the messenger
+        // is destroyed.
         let messenger = unsafe { functions.create_debug_utils_messenger(&info, None) }?;
         Ok(Messages { functions, messenger, said, _instance: instance.clone() })
     }
 
-    /// Everything said, in order; the device must be gone.
+    /// All messages, in order. The device must have been destroyed before.
     pub fn finish(self) -> Vec<String> {
         std::mem::take(&mut *self.said.lock().unwrap())
     }
@@ -73,7 +76,7 @@ impl Messages {
 
 impl Drop for Messages {
     fn drop(&mut self) {
-        // SAFETY: its own messenger, of an instance that lives.
+        // SAFETY: the messenger belongs to this value, and its instance is alive.
         unsafe { self.functions.destroy_debug_utils_messenger(self.messenger, None) };
     }
 }

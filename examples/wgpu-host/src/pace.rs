@@ -1,4 +1,4 @@
-//! Frames at a steady rate from a moving camera, and how long the host's thread spends on each.
+//! Draws frames at a steady rate from a moving camera, and times how long the host thread spends on each.
 
 use crate::Result;
 use crate::scene;
@@ -6,10 +6,10 @@ use crate::stage::Stage;
 use std::fmt;
 use std::time::{Duration, Instant};
 
-/// Frames under way at once; the host waits for the device for this alone.
+/// Maximum number of frames in flight. The host waits for the device only to keep this limit.
 const IN_FLIGHT: usize = 2;
 
-/// What was measured, one entry a frame.
+/// The timings, one entry per frame.
 pub struct Report {
     rate: u32,
     calls: [(&'static str, Vec<Duration>); 5],
@@ -17,7 +17,7 @@ pub struct Report {
     late: usize,
 }
 
-/// Draws so many frames, each when its time has come.
+/// Draws `frames` frames, each at its time: `rate` is in Hz.
 pub fn run(stage: &mut Stage, frames: u32, rate: u32) -> Result<Report> {
     let (mut record, mut retire, mut both) = (Vec::new(), Vec::new(), Vec::new());
     let (mut encode, mut submit) = (Vec::new(), Vec::new());
@@ -42,7 +42,7 @@ pub fn run(stage: &mut Stage, frames: u32, rate: u32) -> Result<Report> {
             println!("frame {frame}: an earlier one had too little room, made by now");
         }
     }
-    // The last one is looked at.
+    // The last frame is checked and saved afterwards, so it must be complete.
     stage.draw_whole(&scene::camera(frames - 1))?;
     let calls = [
         ("splat4d: record", record),

@@ -1,18 +1,18 @@
-//! What is drawn, and from where.
+//! The scene and the cameras.
 
 use crate::stage::{HEIGHT, WIDTH};
 use splat4d::scene::Scene;
 use splat4d::types::{Camera, Gaussians, Intrinsics, Pose};
 
-/// Splats on the unit ball around the origin, each in the colour of where it is.
+/// Splats on the unit sphere around the origin, each coloured by its position.
 pub fn ball(count: usize) -> Scene {
-    // Evenly over the height, by the golden angle around it.
+    // Positions are evenly spaced in height and turn by the golden angle from one to the next.
     let at = |i: usize| {
         let (y, angle) = (2.0 * (i as f32 + 0.5) / count as f32 - 1.0, 2.399_963 * i as f32);
         let radius = (1.0 - y * y).sqrt();
         [radius * angle.cos(), y, radius * angle.sin()]
     };
-    // They overlap a little, however many there are.
+    // The splats overlap a little, for any count.
     let log_scale = (1.2 / (count as f32).sqrt()).ln();
     Scene::of(Gaussians {
         positions: (0..count).map(at).collect(),
@@ -24,8 +24,8 @@ pub fn ball(count: usize) -> Scene {
     })
 }
 
-/// The camera of a frame: the ball turns, comes and goes, to the right of the triangle and over its
-/// edge.
+/// The camera of a frame. In the image the ball turns, approaches and recedes; it lies to the right of the
+/// triangle and overlaps its corner.
 pub fn camera(frame: u32) -> Camera {
     let t = f64::from(frame) / 60.0;
     let half = 0.4 * t;

@@ -1,14 +1,14 @@
-//! What the host draws with, and how a frame comes to be:
+//! The host's rendering resources, and the recording of a frame:
 //!
-//! 1. wgpu brings the splats' texture into the state in which a copy writes it;
-//! 2. the engine records the splats and the copy into the texture, in a command encoder of wgpu's;
-//! 3. wgpu draws the triangle and then the splats' texture over it.
+//! 1. wgpu transitions the splats' texture to the state of a copy destination;
+//! 2. the engine records the splats and the copy into the texture, in one of wgpu's command encoders;
+//! 3. wgpu draws the triangle, and then the splats' texture over it.
 //!
-//! wgpu submits the three together, in this order. It knows nothing of what the engine records, and
-//! needs not: the texture leaves step 1 as a copy's destination and comes to step 3 as one, by
-//! wgpu's own account too, and the engine orders its commands after everything before them and
-//! before everything after. wgpu encodes its own commands late, so what is recorded behind its back
-//! has an encoder to itself.
+//! wgpu submits the three command buffers together, in this order. wgpu does not track the engine's
+//! commands and does not need to: its own state tracking has the texture as a copy destination at the end
+//! of step 1 and at the start of step 3, which matches step 2, and the engine adds barriers against all
+//! commands before and after its own. wgpu encodes its commands with a delay, so commands recorded without
+//! its knowledge need a separate encoder.
 
 use crate::Result;
 use crate::gpu::Gpu;
@@ -23,25 +23,25 @@ use std::iter;
 use std::time::{Duration, Instant};
 use wgpu::hal::api::Vulkan;
 
-/// Powers of two, so that the triangle's corners lie exactly on corners of pixels; rows of texels
-/// are multiples of 256 bytes.
+/// Frame size, pixels. Powers of two, so that the triangle's corners lie exactly on pixel corners; rows of
+/// texels are multiples of 256 bytes, as wgpu's copies require.
 pub const WIDTH: u32 = 512;
 pub const HEIGHT: u32 = 256;
 const SIZE: wgpu::Extent3d =
     wgpu::Extent3d { width: WIDTH, height: HEIGHT, depth_or_array_layers: 1 };
 
-/// Eight bits a channel, as a window has it.
+/// Colours with eight bits per channel, as in a window.
 pub const BACKGROUND: [u8; 4] = [24, 28, 36, 255];
 pub const TRIANGLE: [u8; 4] = [51, 102, 204, 255];
-/// Pixels from the upper left; the ball comes over the right-hand corner.
+/// The triangle's corners, pixels from the upper left. The ball overlaps the right-hand corner.
 pub const CORNERS: [[f32; 2]; 3] = [[340.0, 190.0], [150.0, 30.0], [40.0, 230.0]];
 
 pub struct Stage {
     gpu: Gpu,
     renderer: Renderer,
-    /// Where the engine's picture goes, 32-bit floats.
+    /// The engine's rendered image, 32-bit floats.
     splats: wgpu::Texture,
-    /// What the host would show.
+    /// The host's frame, as it would be displayed.
     frame: wgpu::Texture,
     corners: wgpu::Buffer,
     triangle: wgpu::RenderPipeline,
@@ -50,32 +50,32 @@ pub struct Stage {
     in_flight: VecDeque<InFlight>,
 }
 
-/// What a frame needs until the device is done with it.
+/// The objects that a frame uses until the device has finished it.
 struct InFlight {
     submission: wgpu::SubmissionIndex,
     guard: Guard,
     frame: Frame,
 }
 
-/// How long the host's thread spent on a frame.
+/// Time that the host thread spent on a frame.
 #[derive(Clone, Copy, Default)]
 pub struct HostTime {
-    /// In the engine: recording the splats and their copy.
+    /// In the engine: recording of the splats and their copy.
     pub record: Duration,
-    /// In wgpu: encoding its own commands.
+    /// In wgpu: encoding of wgpu's commands.
     pub encode: Duration,
     /// In wgpu: the submission.
     pub submit: Duration,
 }
 
-/// How long it took to take frames back.
+/// Time spent on retiring frames.
 #[derive(Clone, Copy, Default)]
 pub struct Settled {
-    /// Waiting for the device, because enough frames were in flight.
+    /// Time waited for the device, because the maximum number of frames was in flight.
     pub wait: Duration,
-    /// In the engine.
+    /// Time spent in the engine.
     pub retire: Duration,
-    /// Frames whose splats did not all have room.
+    /// Number of frames whose splats exceeded the capacity, so that some are missing.
     pub cut: usize,
 }
 
@@ -113,8 +113,8 @@ impl Stage {
         let clip =
             CORNERS.map(|[x, y]| [2.0 * x / WIDTH as f32 - 1.0, 1.0 - 2.0 * y / HEIGHT as f32]);
         gpu.queue.write_buffer(&corners, 0, bytemuck::cast_slice(&clip));
-        // wgpu clears a texture before its first use unless it has seen it written, and it does not
-        // see the engine's copies.
+        // wgpu clears a texture before its first use unless it has tracked a write to it, and it does not
+        // track the engine's copies. This write prevents the clear.
         let zeros = vec![0; (WIDTH * HEIGHT * 16) as usize];
         let layout = wgpu::TexelCopyBufferLayout {
             offset: 0,
@@ -188,7 +188,7 @@ impl Stage {
 
         // Uploads the scene through the queue.
         let mut renderer = Renderer::new(&gpu.engine, scene)?;
-        // Compiles the kernels and makes room, once, before the first frame.
+        // Compiles the kernels and allocates capacity once, before the first frame.
         renderer.render(&crate::scene::camera(0), 0.0)?;
         let in_flight = VecDeque::new();
         Ok(Stage { gpu, renderer, splats, frame, corners, triangle, over, binding, in_flight })
@@ -206,7 +206,7 @@ impl Stage {
         &self.frame
     }
 
-    /// Draws a frame and hands it to the queue. Never waits for the device.
+    /// Draws a frame and submits it to the queue. Never waits for the device.
     pub fn draw(&mut self, camera: &Camera) -> Result<HostTime> {
         let start = Instant::now();
         let device = &self.gpu.device;
@@ -226,7 +226,7 @@ impl Stage {
         let encode = start.elapsed();
 
         let start = Instant::now();
-        // SAFETY: wgpu records nothing into this encoder, and ends it in `finish`.
+        // SAFETY: wgpu records no commands into this encoder, and ends it in `finish`.
         let recorded = unsafe {
             splats.as_hal_mut::<Vulkan, _, _>(|encoder| {
                 let encoder = encoder.ok_or("the command encoder is not Vulkan's")?;
@@ -247,38 +247,38 @@ impl Stage {
         Ok(HostTime { record, encode, submit })
     }
 
-    /// Records the splats, and their copy into the host's texture.
+    /// Records the splats and their copy into the host's texture.
     ///
     /// # Safety
-    /// The commands are those of an encoder of wgpu's that has begun and holds nothing else.
+    /// `commands` must be the command buffer of a wgpu encoder that has begun and is otherwise empty.
     unsafe fn record(
         &mut self,
         commands: vk::CommandBuffer,
         camera: &Camera,
     ) -> Result<(Frame, Guard)> {
-        // SAFETY: by the caller's promise; submitted once, in `draw`, in the order of recording; the
-        // guard lives until `settle` has seen the submission's end.
+        // SAFETY: the caller guarantees the command buffer's state; it is submitted once, in `draw`, in the
+        // order of recording; the guard lives until `settle` has waited for the submission.
         let mut recorder = unsafe { Recorder::over(&self.gpu.engine, commands) }?;
         let frame = self.renderer.record(&mut recorder, camera, 0.0, Target::default())?;
-        // SAFETY: the guard is gone before the texture, and nothing is destroyed through it.
+        // SAFETY: the guard is dropped before the texture, and nothing is destroyed through it.
         let texture = unsafe { self.splats.as_hal::<Vulkan>() }.ok_or("no texture of Vulkan's")?;
         let image = HostImage {
             // SAFETY: as above.
             image: unsafe { texture.raw_handle() },
-            // The layout of wgpu's COPY_DST.
+            // The layout that wgpu uses for COPY_DST.
             layout: vk::ImageLayout::TRANSFER_DST_OPTIMAL,
             mip_level: 0,
             array_layer: 0,
             offset: [0, 0],
         };
         let picture = self.renderer.pixels().expect("just recorded").rgba.view();
-        // SAFETY: of this device, as large as the picture, with texels of four floats, in that layout
-        // since the encoder before; it lives longer than the device works on it.
+        // SAFETY: the image belongs to this device, has the rendered image's size and texels of four floats,
+        // and is in that layout since the previous encoder; it outlives the device's work on it.
         unsafe { recorder.copy_to_image(picture, &image, WIDTH, HEIGHT) }?;
         Ok((frame, recorder.finish()?))
     }
 
-    /// The host's own pass.
+    /// Records the host's render pass: the triangle, then the splats over it.
     fn show(&self, encoder: &mut wgpu::CommandEncoder) {
         let view = self.frame.create_view(&Default::default());
         let [r, g, b, a] = BACKGROUND.map(|channel| f64::from(channel) / 255.0);
@@ -302,7 +302,7 @@ impl Stage {
         pass.draw(0..3, 0..1);
     }
 
-    /// Waits until no more than `most` frames are in flight, and takes back what the others used.
+    /// Waits until at most `most` frames are in flight, and retires the finished ones.
     pub fn settle(&mut self, most: usize) -> Result<Settled> {
         let mut settled = Settled::default();
         while self.in_flight.len() > most {
@@ -321,7 +321,8 @@ impl Stage {
         Ok(settled)
     }
 
-    /// Draws a frame, waits for it, and does so again where the splats had no room: there is then.
+    /// Draws a frame and waits for it. Repeats this if the splats exceeded the capacity, which has been
+    /// raised by then.
     pub fn draw_whole(&mut self, camera: &Camera) -> Result<()> {
         self.settle(0)?;
         loop {
@@ -332,7 +333,7 @@ impl Stage {
         }
     }
 
-    /// The texels of one of the two textures, row by row, when everything submitted is done.
+    /// The texels of one of the two textures, row by row, after everything submitted has finished.
     pub fn read(&self, texture: &wgpu::Texture) -> Result<Vec<u8>> {
         let texel = texture.format().block_copy_size(None).expect("a plain format");
         let buffer = self.gpu.device.create_buffer(&wgpu::BufferDescriptor {
@@ -372,7 +373,8 @@ impl Stage {
 
 impl Drop for Stage {
     fn drop(&mut self) {
-        // What a frame uses must outlive it. A lost device has nothing left to protect.
+        // The objects that a frame uses must outlive it. Errors are ignored: a lost device no longer uses
+        // them.
         let _ = self.settle(0);
     }
 }

@@ -1,4 +1,4 @@
-//! What every pixel must be.
+//! Checks every pixel of the host's frame.
 
 use crate::Result;
 use crate::stage::{BACKGROUND, CORNERS, Stage, TRIANGLE, WIDTH};
@@ -8,12 +8,12 @@ use splat4d::scene::Scene;
 use splat4d::types::Camera;
 use std::fmt;
 
-/// Renders the scene with a device of the engine's own, and holds the host's pixels against it.
+/// Renders the scene on a separate device that the engine creates, and compares the host's pixels with it.
 pub struct Judge {
     reference: Renderer,
 }
 
-/// Pixels of each kind, all as they should be.
+/// Number of correct pixels of each kind.
 #[derive(Default)]
 pub struct Tally {
     splats: usize,
@@ -33,19 +33,20 @@ impl fmt::Display for Tally {
     }
 }
 
-/// Blended in eight bits: one for rounding, one for what a driver blends with.
+/// Allowed difference of a blended pixel, in 8-bit levels: one for rounding, one for the precision of the
+/// driver's blending.
 const MOST_LEVELS: f32 = 2.0;
 
 impl Judge {
-    /// On the same physical device as wgpu's, by its name.
+    /// Creates the reference renderer on wgpu's physical device, which it selects by name.
     pub fn new(adapter: &wgpu::Adapter, scene: &Scene) -> Result<Judge> {
         let selector = Selector::Name(adapter.get_info().name);
         let device = Device::open(&Request { selector, ..Request::default() })?;
         Ok(Judge { reference: Renderer::new(&device, scene)? })
     }
 
-    /// Fails where a pixel of the host's last frame is wrong, or where the picture does not show what
-    /// is to be tested.
+    /// Fails if a pixel of the host's last frame is wrong, or if the frame has too few pixels of a kind
+    /// that is to be tested.
     pub fn check(&mut self, stage: &Stage, camera: &Camera) -> Result<Tally> {
         let expected = self.reference.render(camera, 0.0)?.rgba.pixels;
         let splats = stage.read(stage.splats())?;
@@ -106,7 +107,7 @@ impl Judge {
 enum Cover {
     Inside,
     Outside,
-    /// Too near to an edge to tell.
+    /// Too close to an edge to decide.
     Edge,
 }
 
@@ -114,7 +115,7 @@ enum Cover {
 fn cover(x: u32, y: u32) -> Cover {
     let (x, y) = (f64::from(x) + 0.5, f64::from(y) + 0.5);
     let corners = CORNERS.map(|corner| corner.map(f64::from));
-    // Distances from the edges, of one sign inside.
+    // Signed distances from the edges; all have the same sign inside.
     let distances = [0, 1, 2].map(|k| {
         let ([ax, ay], [bx, by]) = (corners[k], corners[(k + 1) % 3]);
         let (dx, dy) = (bx - ax, by - ay);

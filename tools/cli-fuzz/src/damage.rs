@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::fixtures::files;
 use crate::wild::WILD;
 
-/// Copies a file, or a folder with all below it, and damages one file of it, or takes one away.
+/// Copies a file, or a folder recursively, and damages or removes one file of the copy.
 ///
 /// # Errors
 /// The copy cannot be written.
@@ -20,7 +20,7 @@ pub fn copy(from: &Path, to: &Path, rng: &mut ChaCha8Rng) -> std::io::Result<()>
     let mut all: Vec<PathBuf> = Vec::new();
     files(from, &mut all);
     all.sort();
-    // Text decides more than pixels.
+    // Text files are preferred: they affect the program more than pixels do.
     let texts: Vec<usize> = (0..all.len())
         .filter(|&i| all[i].extension().is_some_and(|e| e == "json" || e == "txt"))
         .collect();
@@ -46,7 +46,7 @@ fn damaged(mut bytes: Vec<u8>, rng: &mut ChaCha8Rng) -> Vec<u8> {
         if bytes.is_empty() {
             return bytes;
         }
-        // Headers are short and matter most.
+        // Headers are short and matter most, so half of the changes are at the start.
         let within = if rng.random_range(0..2) == 0 { bytes.len().min(512) } else { bytes.len() };
         let at = rng.random_range(0..within);
         let end = (at + rng.random_range(1..65)).min(bytes.len());
@@ -74,7 +74,7 @@ fn damaged(mut bytes: Vec<u8>, rng: &mut ChaCha8Rng) -> Vec<u8> {
     bytes
 }
 
-/// The first number in a text at or after a place.
+/// Start and end of the first number in a text at or after byte `at`.
 fn number(bytes: &[u8], at: usize) -> Option<(usize, usize)> {
     let of_number = |b: &u8| b.is_ascii_digit() || b"+-.eE".contains(b);
     let start = at + bytes[at..].iter().position(|b| b.is_ascii_digit())?;

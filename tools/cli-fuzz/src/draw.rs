@@ -1,4 +1,4 @@
-//! Commands drawn at random: a good one of every kind, then a few things about it changed.
+//! Random commands: a valid command of some kind, with a few changes.
 
 use std::ffi::OsString;
 use std::fs;
@@ -15,13 +15,13 @@ use crate::fixtures::{Fixtures, Kind};
 use crate::grammar::Flag;
 use crate::wild::WILD;
 
-/// Where the fixtures are reached from the folder that a command runs in.
+/// Path of the fixtures from the folder that a command runs in.
 pub const INPUTS: &str = "in";
 
 /// A word of a command.
 #[derive(Clone, Debug)]
 enum Word {
-    /// As it stands.
+    /// A literal argument.
     Plain(OsString),
     /// An input of a kind.
     Input(Kind),
@@ -29,14 +29,14 @@ enum Word {
     Output(&'static str),
 }
 
-/// A good command: its name, and its words after the name.
+/// A valid command: its name and its arguments.
 struct Base {
     command: &'static str,
     words: Vec<Word>,
 }
 
-/// Good commands, each with options that keep it short; `<kind>` stands for an input and `>name` for
-/// an output.
+/// Valid commands, each with options that keep it short; `<kind>` stands for an input and `>name` for an
+/// output.
 const BASES: [&str; 42] = [
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150",
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150 \
@@ -116,7 +116,7 @@ pub struct Drawn {
     pub command: String,
 }
 
-/// Draws the command of a number; `folder` is the empty folder that it will run in.
+/// Draws the command with the given number; `folder` is the empty folder that it will run in.
 ///
 /// # Errors
 /// A file that the command is to be given cannot be written.
@@ -140,7 +140,7 @@ struct Artist<'a> {
     fixtures: &'a Fixtures,
     folder: &'a Path,
     rng: ChaCha8Rng,
-    /// Files made so far.
+    /// Number of files made so far.
     files: usize,
 }
 
@@ -149,7 +149,7 @@ impl Artist<'_> {
         self.rng.random_range(0..n)
     }
 
-    /// True once in `n` times.
+    /// True with probability 1 / `n`.
     fn once_in(&mut self, n: usize) -> bool {
         self.below(n) == 0
     }
@@ -176,7 +176,7 @@ impl Artist<'_> {
     fn command(&mut self, base: Base, known: &[Flag]) -> std::io::Result<Drawn> {
         let mut words: Vec<OsString> = Vec::new();
         let mut inputs: Vec<OsString> = Vec::new();
-        // The inputs first: an output may be one of them.
+        // Inputs are drawn first: an output may be one of them.
         let given: Vec<Option<OsString>> = base
             .words
             .iter()
@@ -213,7 +213,7 @@ impl Artist<'_> {
         Ok(Drawn { words, command: base.command.to_owned() })
     }
 
-    /// Sets an option, in place of its value where it is there.
+    /// Sets an option; replaces its value if the option is present.
     fn option(&mut self, words: &mut Vec<OsString>, known: &[Flag]) -> std::io::Result<()> {
         if known.is_empty() {
             return Ok(());
@@ -262,7 +262,7 @@ impl Artist<'_> {
         }
     }
 
-    /// A value that is no path: small, hostile, or of another kind.
+    /// A value that is not a path: small, hostile, or of another type.
     fn value(&mut self, what: &str) -> OsString {
         if self.once_in(12) {
             let odd = ["", " ", "-", "--", "x", "1e", "0x10", "½", "1,2", "3x", "\u{1b}[31m", "%s"];
@@ -291,7 +291,8 @@ impl Artist<'_> {
         parts.into()
     }
 
-    /// A path to read from: mostly a good file, or one that is damaged, of another kind, or no file.
+    /// A path to read from: usually a valid file, else one that is damaged, of another kind, or not a
+    /// file.
     fn input(&mut self, kind: Kind) -> std::io::Result<OsString> {
         let fitting: Vec<PathBuf> =
             self.fixtures.of(kind).into_iter().map(|f| f.path.clone()).collect();
@@ -310,7 +311,7 @@ impl Artist<'_> {
         })
     }
 
-    /// A new name beside the command, with the ending that a file has, at times an odd one.
+    /// A new name in the command's folder, with the extension of a file, sometimes an odd one.
     fn fresh(&mut self, like: &Path) -> OsString {
         self.files += 1;
         let mut name = match self.below(8) {
@@ -331,7 +332,7 @@ impl Artist<'_> {
         path
     }
 
-    /// What is no file with content.
+    /// A path that is not a file with content.
     fn odd(&mut self) -> std::io::Result<OsString> {
         let at = |name: &str| self.folder.join(name);
         let absent = |name: &str| at(name).symlink_metadata().is_err();
@@ -366,10 +367,10 @@ impl Artist<'_> {
         }
     }
 
-    /// A path to write to: mostly a new one in `out`, or one where nothing can or should be written.
+    /// A path to write to: usually a new one in `out`, else one where nothing can or should be written.
     fn output(&mut self, name: &str, inputs: &[OsString]) -> std::io::Result<OsString> {
         let new = format!("out/{name}");
-        // A folder that is read may take new files.
+        // New files are allowed in a folder that is read.
         let is_file = |path: &&OsString| !self.folder.join(path).is_dir();
         let files: Vec<OsString> = inputs.iter().filter(is_file).cloned().collect();
         Ok(match self.below(16) {

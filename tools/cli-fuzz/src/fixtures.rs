@@ -1,4 +1,4 @@
-//! Small good inputs of every kind that the program reads.
+//! Small valid inputs of every kind that the program reads.
 
 use std::ffi::OsString;
 use std::fs;
@@ -13,16 +13,16 @@ use splat4d::data::transforms::{self, TimedCamera};
 use splat4d::scene::ply;
 use splat4d::types::{Camera, Gaussians, Intrinsics, Pose};
 
-/// What a path leads to; an option takes one kind, and is given the others too.
+/// The kind of input at a path; an option takes one kind, and is tested with the others too.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Pictures or a video, cameras unknown.
+    /// Images or a video, without cameras.
     Clip,
     /// Jobs of `batch`.
     List,
-    /// Pictures with cameras.
+    /// Images with cameras.
     Dataset,
-    /// A scene's file or a PLY.
+    /// A scene file or a PLY.
     Scene,
     /// Cameras: a trajectory or a `transforms.json`.
     Cameras,
@@ -32,7 +32,7 @@ pub enum Kind {
     Masks,
     /// A folder of depth maps.
     Depth,
-    /// A folder of flow.
+    /// A folder of optical flow.
     Flow,
     /// Settings that `bench` writes.
     Settings,
@@ -40,9 +40,9 @@ pub enum Kind {
     Measurements,
     /// A scene that `validate --fuzz` writes.
     Case,
-    /// A clip's truth.
+    /// A clip's ground truth.
     Truth,
-    /// Points through a clip.
+    /// Point tracks of a clip.
     Tracks,
     /// A folder of networks with models.toml.
     Models,
@@ -50,22 +50,22 @@ pub enum Kind {
     Lpips,
 }
 
-/// A good input.
+/// A valid input.
 #[derive(Clone, Debug)]
 pub struct Fixture {
-    /// What it is.
+    /// Its kind.
     pub kind: Kind,
-    /// Its path below the fixtures' folder.
+    /// Its path relative to the fixtures' folder.
     pub path: PathBuf,
 }
 
-/// Jobs of `batch`, of clips beside it.
+/// Jobs of `batch` on the clips beside it.
 const LIST: &str = "[defaults]\nsize = 32\nsteps = 3\nmax-gaussians = 150\n\n\
     [[job]]\nname = \"a\"\ninput = \"clip/frames\"\nposes = \"clip/truth/poses.txt\"\n\
     refine = [\"poses\"]\n\n\
     [[job]]\nname = \"b\"\ninput = \"tripod/frames\"\ncontrol-points = 6\npinhole = true\n";
 
-/// The networks of `models/all`, by their files.
+/// The networks of `models/all` and their files.
 const NETWORKS: [(&str, &str); 7] = [
     ("depth", "coded_depth"),
     ("flow", "coded_flow"),
@@ -76,7 +76,7 @@ const NETWORKS: [(&str, &str); 7] = [
     ("features", "features"),
 ];
 
-/// Every file with its size and the time it was written.
+/// Every file with its size and modification time.
 pub type State = Vec<(PathBuf, u64, Option<std::time::SystemTime>)>;
 
 /// The fixtures' folder and what it holds.
@@ -88,11 +88,11 @@ pub struct Fixtures {
 }
 
 impl Fixtures {
-    /// Writes all fixtures below `root` with the program itself and the crate's writers; those of an
-    /// earlier run are taken away.
+    /// Writes all fixtures below `root` with the program and the crate's writers; fixtures of an earlier
+    /// run are removed.
     ///
     /// # Errors
-    /// The program fails on good input, or a file cannot be written.
+    /// The program fails on valid input, or a file cannot be written.
     pub fn write(program: &Path, root: &Path) -> Result<Fixtures, String> {
         if root.exists() {
             fs::remove_dir_all(root).map_err(|e| format!("{}: {e}", root.display()))?;
@@ -178,7 +178,7 @@ impl Fixtures {
         self.all.iter().filter(|fixture| fixture.kind == kind).collect()
     }
 
-    /// To see whether an input was touched.
+    /// The current state of all files, to detect whether an input was changed.
     pub fn state(&self) -> State {
         let mut found = Vec::new();
         files(&self.root, &mut found);
@@ -213,7 +213,7 @@ fn run(program: &Path, folder: &Path, arguments: &str) -> Result<(), String> {
         .stdin(Stdio::null())
         .output()
         .map_err(|e| format!("{} cannot be started: {e}", program.display()))?;
-    // A row of the benchmark that misses its bound is no failure here.
+    // A row of the benchmark that exceeds its bound is not a failure here.
     if output.status.success() || arguments.starts_with("bench") {
         return Ok(());
     }
@@ -248,7 +248,7 @@ fn cameras() -> Vec<TimedCamera> {
         .collect()
 }
 
-/// A COLMAP model as text, of the clip's pictures.
+/// Writes a COLMAP text model of the clip's images.
 fn colmap(root: &Path) -> std::io::Result<()> {
     let folder = root.join("colmap");
     fs::create_dir_all(folder.join("sparse/0"))?;
@@ -270,7 +270,7 @@ fn colmap(root: &Path) -> std::io::Result<()> {
     fs::write(folder.join("sparse/0/points3D.txt"), points)
 }
 
-/// Folders of networks whose answers are exact: all of them, and flow alone.
+/// Writes folders of networks with exact outputs: one with all of them, and one with flow alone.
 fn networks(root: &Path) -> std::io::Result<()> {
     let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/models");
     let all: Vec<_> = NETWORKS.into_iter().collect();
@@ -289,7 +289,7 @@ fn networks(root: &Path) -> std::io::Result<()> {
     fs::copy(models.join("lpips.onnx"), root.join("models/lpips.onnx")).map(drop)
 }
 
-/// The clip as a video, where ffmpeg is there.
+/// Writes the clip as a video, if ffmpeg is installed.
 fn video(root: &Path) -> bool {
     let mut pattern = OsString::from(root.join("clip/frames"));
     pattern.push("/*.png");

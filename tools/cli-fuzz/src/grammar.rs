@@ -1,5 +1,5 @@
-//! What the program says of itself: the options of every command, read from `--help`, so that a new
-//! option is drawn without being listed here.
+//! The options of every command, read from the program's `--help`, so that new options are drawn without
+//! being listed here.
 
 use std::path::Path;
 use std::process::Command;
@@ -7,9 +7,9 @@ use std::process::Command;
 /// An option of a command.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Flag {
-    /// With its dashes.
+    /// Its name, with dashes.
     pub name: String,
-    /// What the help calls its value; `None` for a switch.
+    /// The name of its value in the help; `None` for a switch.
     pub value: Option<String>,
 }
 

@@ -1,4 +1,4 @@
-//! Runs a command within bounds, and holds how it ended against the rules.
+//! Runs a command within limits, and checks its outcome against the rules.
 
 use std::collections::BTreeSet;
 use std::io::Read;
@@ -12,14 +12,14 @@ use serde_json::Value;
 use crate::draw::{Drawn, INPUTS};
 use crate::fixtures::files;
 
-/// What a command may take.
+/// Limits of a command.
 #[derive(Clone, Copy, Debug)]
 pub struct Bounds {
-    /// Time after which it is interrupted, which is no fault.
+    /// Time after which the command is interrupted, which is not a fault.
     pub time: Duration,
-    /// Time that it may take to end once interrupted.
+    /// Time that it may take to end after the interrupt.
     pub grace: Duration,
-    /// Address space, KiB.
+    /// Limit of the address space, KiB.
     pub memory: u64,
 }
 
@@ -27,9 +27,9 @@ pub struct Bounds {
 pub struct Ended {
     /// Its exit code, or the signal that ended it.
     pub how: String,
-    /// What it wrote.
+    /// Its stdout.
     pub stdout: Vec<u8>,
-    /// What it said.
+    /// Its stderr.
     pub stderr: Vec<u8>,
     /// Each rule that it broke.
     pub faults: Vec<String>,
@@ -38,7 +38,7 @@ pub struct Ended {
 /// Runs a command in its folder and judges it.
 ///
 /// # Errors
-/// It cannot be started.
+/// The command cannot be started.
 pub fn run(
     program: &Path,
     drawn: &Drawn,
@@ -75,7 +75,7 @@ pub fn run(
     }
     if let Some(code) = code {
         faults.extend(words(code, drawn, &stdout, &text));
-        // Those jobs of a batch that are done stay, whatever became of the others.
+        // Outputs of finished jobs of a batch stay, whatever happened to the others.
         let partly = drawn.command == "batch" && has_judged(code, drawn, &stdout);
         faults.extend(left(if partly { 0 } else { code }, &before, &content(folder)));
         if code == 0 {
@@ -87,14 +87,15 @@ pub fn run(
 
 type Finished = (Option<ExitStatus>, bool, Vec<u8>, Vec<u8>);
 
-/// Runs to the end, with an interrupt at the time limit; no status where even that did not end it.
+/// Runs the command to its end, with an interrupt at the time limit; returns no status if even the
+/// interrupt did not end it.
 fn finish(
     program: &Path,
     drawn: &Drawn,
     folder: &Path,
     bounds: &Bounds,
 ) -> std::io::Result<Finished> {
-    // The shell limits the address space, then becomes the program.
+    // The shell limits the address space, then execs the program.
     let mut child = Command::new("sh")
         .arg("-c")
         .arg(format!("ulimit -v {}; ulimit -c 0; exec \"$@\"", bounds.memory))
@@ -127,7 +128,7 @@ fn collect(pipe: Option<impl Read + Send + 'static>) -> std::thread::JoinHandle<
     std::thread::spawn(move || {
         let mut bytes = Vec::new();
         if let Some(pipe) = pipe {
-            // Far more than any command should say.
+            // Far more than any command should print.
             let _ = pipe.take(64 << 20).read_to_end(&mut bytes);
         }
         bytes
@@ -145,17 +146,17 @@ fn wait(child: &mut Child, most: Duration) -> std::io::Result<Option<ExitStatus>
     Ok(None)
 }
 
-/// Whether a command ended with 1 for what it found out.
+/// Whether a command exited with 1 because of its findings, not because of an error.
 fn has_judged(code: i32, drawn: &Drawn, stdout: &[u8]) -> bool {
     let judges = ["batch", "bench", "validate"].contains(&drawn.command.as_str());
     judges && code == 1 && !stdout.is_empty()
 }
 
-/// The rules of what is printed.
+/// Checks the rules for printed output.
 fn words(code: i32, drawn: &Drawn, stdout: &[u8], stderr: &str) -> Vec<String> {
     let mut faults = Vec::new();
     let failed = code != 0 && !has_judged(code, drawn, stdout);
-    // After `--` it would be a name.
+    // After `--` it would be a file name.
     let flags = drawn.words.iter().take_while(|word| *word != "--");
     let json = flags.into_iter().any(|word| word == "--json");
     let errors = stderr.lines().filter(|line| line.starts_with("error: ")).count();
@@ -182,7 +183,7 @@ fn words(code: i32, drawn: &Drawn, stdout: &[u8], stderr: &str) -> Vec<String> {
     faults
 }
 
-/// The rules of what is left in the folder.
+/// Checks the rules for files that are left in the folder.
 fn left(code: i32, before: &BTreeSet<PathBuf>, after: &BTreeSet<PathBuf>) -> Vec<String> {
     let mut faults = Vec::new();
     let new: Vec<&PathBuf> = after.difference(before).collect();
@@ -195,7 +196,7 @@ fn left(code: i32, before: &BTreeSet<PathBuf>, after: &BTreeSet<PathBuf>) -> Vec
     faults.extend(
         new.iter().filter(|path| partial(path)).map(|p| format!("half a file: {}", p.display())),
     );
-    // A checkpoint stays to resume from, and whole pictures stay when a rendering is interrupted.
+    // A checkpoint stays, to resume from, and complete images stay when rendering is interrupted.
     let kept = |path: &Path| path.iter().any(|p| p.to_string_lossy().ends_with(".checkpoint"));
     if matches!(code, 1 | 2) {
         let written = new.iter().filter(|path| !partial(path) && !kept(path));
@@ -206,7 +207,7 @@ fn left(code: i32, before: &BTreeSet<PathBuf>, after: &BTreeSet<PathBuf>) -> Vec
     faults
 }
 
-/// Scenes written by a command that succeeded must open.
+/// Reports scenes that a successful command wrote and that cannot be opened.
 fn unreadable(program: &Path, folder: &Path) -> Vec<String> {
     let mut faults = Vec::new();
     for path in content(&folder.join("out")) {
@@ -220,7 +221,7 @@ fn unreadable(program: &Path, folder: &Path) -> Vec<String> {
     faults
 }
 
-/// Every file below the command's folder but the fixtures.
+/// Every file below the command's folder, without the fixtures.
 fn content(folder: &Path) -> BTreeSet<PathBuf> {
     let mut found = Vec::new();
     files(folder, &mut found);

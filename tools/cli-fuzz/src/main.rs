@@ -1,8 +1,8 @@
-//! A fuzz run over the command line: options and damaged files drawn at random. Whatever the program
-//! is given, it ends with exit code 0, 1 or 2 (130 when interrupted), says in one line what was wrong,
-//! leaves nothing half-written and its inputs untouched, within bounds of time and memory.
+//! Fuzzes the command line with random options and damaged files. For any input the program must end with
+//! exit code 0, 1 or 2 (130 when interrupted), report an error in one line, leave no partial output,
+//! leave its inputs unchanged, and stay within limits of time and memory.
 //!
-//! The command of a number depends on the seed and the number alone, so that `--only NUMBER` repeats it.
+//! A command depends only on the seed and its number, so `--only NUMBER` repeats it.
 
 mod damage;
 mod draw;
@@ -69,7 +69,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// What all commands share.
+/// State that all commands share.
 struct Run<'a> {
     args: &'a Args,
     program: PathBuf,
@@ -77,15 +77,15 @@ struct Run<'a> {
     flags: Vec<(String, Vec<Flag>)>,
     bounds: Bounds,
     folder: PathBuf,
-    /// How many commands ended in which way.
+    /// Number of commands by outcome.
     ends: Mutex<std::collections::BTreeMap<String, usize>>,
-    /// Two commands never look at the fixtures at once.
+    /// The fixtures' previous state. The lock lets only one command check the fixtures at a time.
     fixtures_before: Mutex<fixtures::State>,
 }
 
 fn run(args: &Args) -> Result<ExitCode, String> {
     let program = fs::canonicalize(&args.program).map_err(at(&args.program))?;
-    // Beside the kept failures, so that a failure's folder can be moved there.
+    // The work folder is beside the kept failures, so that a failure's folder can be moved there.
     fs::create_dir_all(&args.keep).map_err(at(&args.keep))?;
     let keep = fs::canonicalize(&args.keep).map_err(at(&args.keep))?;
     let scratch = tempfile::tempdir_in(&keep).map_err(at(&keep))?;
@@ -144,12 +144,12 @@ fn run(args: &Args) -> Result<ExitCode, String> {
     Ok(ExitCode::from(u8::from(failed > 0)))
 }
 
-/// An error with the path that it is about.
+/// Adds the path to an error.
 fn at(path: &Path) -> impl FnOnce(std::io::Error) -> String {
     move |e| format!("{}: {e}", path.display())
 }
 
-/// Runs the command of a number; whether it kept the rules.
+/// Runs the command with the given number; returns whether it kept the rules.
 fn one(run: &Run, keep: &Path, number: u64, bar: &ProgressBar) -> Result<bool, String> {
     let folder = run.folder.join(number.to_string());
     let failed = |e: std::io::Error| format!("command {number}: {e}");
@@ -183,8 +183,8 @@ fn one(run: &Run, keep: &Path, number: u64, bar: &ProgressBar) -> Result<bool, S
     Ok(false)
 }
 
-/// The fixtures' state, `before` if it is that within a second: a command that is to write over an input
-/// tries the place before it refuses, and what it tries with is gone soon.
+/// The fixtures' state. Waits up to a second for it to equal `before`: a command that would write over an
+/// input tests the path before it refuses, and removes its test file soon after.
 fn settled(fixtures: &Fixtures, before: &fixtures::State) -> fixtures::State {
     let begun = Instant::now();
     loop {
@@ -204,7 +204,7 @@ fn report(folder: &Path, command: &str, ended: &Ended) -> std::io::Result<()> {
     file.write_all(&ended.stdout)
 }
 
-/// The command as a shell takes it.
+/// The command, quoted for a shell.
 fn shell(drawn: &Drawn) -> String {
     let plain = |b: &u8| b.is_ascii_alphanumeric() || b"-_./,=%:".contains(b);
     let quoted = drawn.words.iter().map(|word| {
@@ -220,7 +220,7 @@ fn shell(drawn: &Drawn) -> String {
         format!("$'{}'", bytes.iter().map(escaped).collect::<String>())
     });
     let text = quoted.collect::<Vec<_>>().join(" ");
-    // Names of 300 letters tell nothing more at full length.
+    // Names of 300 letters are shortened.
     let long = "n".repeat(300);
     format!("splat4d {}", text.replace(&long, "nnn…"))
 }

@@ -1,5 +1,4 @@
-//! Writes `include/splat4d.h` from `src/capi`, and checks that what is committed is what the source
-//! gives.
+//! Writes `include/splat4d.h` from `src/capi`, and checks that the committed header matches the source.
 //!
 //! `cargo run --release -p header -- build | check`, in the repository's root.
 
@@ -9,13 +8,13 @@ use std::process::ExitCode;
 
 const HEADER: &str = "include/splat4d.h";
 
-/// In the order of the header.
+/// Source files, in the order of the header.
 const SOURCES: [&str; 10] = [
     "version", "call", "vulkan", "device", "memory", "record", "scene", "renderer", "trainer",
     "ops",
 ];
 
-/// What Vulkan's own headers declare, or the preamble in their place.
+/// Types that Vulkan's headers declare, or the preamble in their place.
 const VULKANS: [&str; 8] = [
     "VkInstance",
     "VkPhysicalDevice",

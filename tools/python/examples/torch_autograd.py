@@ -1,8 +1,8 @@
-"""The renderer as a `torch.autograd.Function`: gradients by the arrays of a scene flow into PyTorch.
+"""The renderer as a `torch.autograd.Function`: PyTorch gets gradients with respect to the arrays of a scene.
 
     python3 tools/python/examples/torch_autograd.py
 
-PyTorch computes the loss and updates the parameters, on the CPU; the engine renders and differentiates on
+PyTorch computes the loss and updates the parameters on the CPU; the engine renders and computes gradients on
 its Vulkan device. Needs the packages splat4d and torch.
 """
 
@@ -15,19 +15,19 @@ NAMES = ("positions", "log_scales", "rotations", "opacity_logits", "sh")
 
 
 class Render(torch.autograd.Function):
-    """`Render.apply(device, camera, blending, *arrays)`: an image of shape (height, width, 4), premultiplied
-    colour and alpha, of Gaussians whose arrays are in the order of NAMES, as `splat4d.Scene` takes them.
-    `blending` is a dict for `Scene.set_blending`.
+    """`Render.apply(device, camera, blending, *arrays)` renders Gaussians into an image of shape
+    (height, width, 4): premultiplied colour and alpha. `arrays` are the arrays of `splat4d.Scene` in the order
+    of NAMES. `blending` is a dict for `Scene.set_blending`.
 
-    Against central differences gradients agree where `alpha_cut` is small: they do not say that the border
-    moves at which a splat ends."""
+    The gradients agree with central differences only for a small `alpha_cut`: they do not include the movement
+    of a splat's border, where its alpha falls below the cut."""
 
     @staticmethod
     def forward(ctx, device, camera, blending, *arrays):
         by_name = {name: array.detach().numpy() for name, array in zip(NAMES, arrays)}
         scene = splat4d.Scene(**by_name)
         scene.set_blending(**blending)
-        # One trainer for each image: its state is that of the arrays it was made of.
+        # One trainer per image: a trainer holds the arrays that it was created with.
         ctx.trainer = splat4d.Trainer(
             device, scene, growth=None, sh_degree=scene.sh_degree, sh_interval=0
         )
@@ -38,7 +38,7 @@ class Render(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(ctx, by_image):
         if ctx.is_spent:
-            # A trainer goes backward once after each forward; a retained graph may ask again.
+            # A trainer allows one backward pass after each forward pass; a retained graph may need another.
             ctx.trainer.forward(ctx.camera)
         ctx.is_spent = True
         gradients = ctx.trainer.backward(by_image.numpy())

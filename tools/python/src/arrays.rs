@@ -1,4 +1,4 @@
-//! NumPy arrays in and out. What leaves the library is moved into an array, not copied.
+//! Conversion from and to NumPy arrays. Outputs are moved into arrays, not copied.
 
 use numpy::{
     Element, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods,
@@ -10,7 +10,7 @@ use splat4d::types::Image;
 /// A side of an expected shape.
 #[derive(Clone, Copy)]
 pub enum Side {
-    /// Any length; the name is for messages.
+    /// Any length; the name appears in error messages.
     Any(&'static str),
     /// This length.
     Exactly(usize),
@@ -18,8 +18,8 @@ pub enum Side {
 
 use Side::{Any, Exactly};
 
-/// `value` as a C-contiguous array of `T`, of the expected shape. Lists and tensors in the host's memory are
-/// taken too, as by `numpy.asarray`; other types of numbers are converted.
+/// `value` as a C-contiguous array of `T` with the expected shape. Accepts what `numpy.asarray` accepts, such
+/// as lists and tensors in host memory; other number types are converted.
 pub fn of<'py, T: Element>(
     name: &str,
     value: &Bound<'py, PyAny>,
@@ -65,7 +65,7 @@ fn in_brackets(sides: &[String]) -> String {
     }
 }
 
-/// The numbers of an array of the expected shape, and its shape.
+/// The values of an array of the expected shape, in row-major order, and its shape.
 pub fn floats(
     name: &str,
     value: &Bound<'_, PyAny>,
@@ -83,12 +83,12 @@ pub fn rows<const WIDTH: usize>(
     Ok(in_rows(&floats(name, value, &[Any("N"), Exactly(WIDTH)])?.0))
 }
 
-/// Numbers as rows.
+/// Splits values into rows of `WIDTH`.
 pub fn in_rows<const WIDTH: usize>(numbers: &[f32]) -> Vec<[f32; WIDTH]> {
     numbers.as_chunks().0.to_vec()
 }
 
-/// A picture of a known size: floats, or unsigned bytes of which 255 is 1.
+/// An image of a known size from an array of floats, or of unsigned bytes, which are divided by 255.
 pub fn picture(
     name: &str,
     value: &Bound<'_, PyAny>,
@@ -124,7 +124,7 @@ pub fn table<const WIDTH: usize>(
     PyArray1::from_vec(py, rows.into_flattened()).reshape([count, WIDTH])
 }
 
-/// An array of a shape of three sides.
+/// An array of a three-dimensional shape.
 pub fn block(
     py: Python<'_>,
     numbers: Vec<f32>,

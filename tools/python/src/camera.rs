@@ -11,15 +11,15 @@ use splat4d::types::{self, Intrinsics, Pose, range};
 /// A pinhole camera in the world.
 ///
 /// Axes are OpenCV's: x right, y down, z forward. `width`, `height`, `fx`, `fy`, `cx` and `cy` are in
-/// pixels; the first pixel's centre lies at (0.5, 0.5). `fy` is `fx` where it is not given, `cx` and `cy`
-/// the middle of the picture.
+/// pixels; the first pixel's centre lies at (0.5, 0.5). `fy` defaults to `fx`, `cx` and `cy` to the image
+/// centre.
 ///
-/// The pose is either `view_from_world`, a matrix of shape (4, 4) that maps a point of the world to the camera's
-/// frame, or `rotation` (a quaternion w, x, y, z of unit length, or a matrix of shape (3, 3)) and
-/// `translation` (3) of the same transform: `x_view = rotation · x_world + translation`. Without any,
-/// the camera is at the origin and looks along z.
+/// The pose is either `view_from_world`, a matrix of shape (4, 4) that maps a point from world coordinates to
+/// the camera's frame, or `rotation` (a unit quaternion w, x, y, z, or a matrix of shape (3, 3)) and
+/// `translation` (3) of the same transform: `x_view = rotation · x_world + translation`. Without a pose, the
+/// camera is at the origin and looks along z.
 ///
-/// Raises `ValueError` for wrong shapes, `splat4d.Error` for numbers that make no camera.
+/// Raises `ValueError` for wrong shapes, `splat4d.Error` for numbers that are not a valid camera.
 #[pyclass(frozen, eq, module = "splat4d", from_py_object)]
 #[derive(Clone, PartialEq)]
 pub struct Camera {
@@ -66,13 +66,13 @@ impl Camera {
         Ok(Camera { camera })
     }
 
-    /// Width of the picture, pixels.
+    /// Image width, pixels.
     #[getter]
     fn width(&self) -> u32 {
         self.camera.intrinsics.width
     }
 
-    /// Height of the picture, pixels.
+    /// Image height, pixels.
     #[getter]
     fn height(&self) -> u32 {
         self.camera.intrinsics.height
@@ -115,7 +115,7 @@ impl Camera {
         arrays::line(py, self.camera.view_from_world.translation.to_array().to_vec())
     }
 
-    /// The matrix that maps a point of the world to the camera's frame; shape (4, 4).
+    /// The matrix that maps a point from world coordinates to the camera's frame; shape (4, 4).
     #[getter]
     fn view_from_world<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let pose = self.camera.view_from_world;
@@ -126,13 +126,15 @@ impl Camera {
         arrays::line(py, matrix).reshape([4, 4])
     }
 
-    /// The camera's centre in the world; shape (3,).
+    /// The camera's centre in world coordinates; shape (3,).
     #[getter]
     fn centre<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
         arrays::line(py, self.camera.centre().to_array().to_vec())
     }
 
-    /// The same camera with pictures of another size, in pixels.
+    /// The same camera with another image size, in pixels. The intrinsics are scaled.
+    ///
+    /// Raises `splat4d.Error` for a size out of range.
     fn resized(&self, width: u32, height: u32) -> PyResult<Camera> {
         let intrinsics = self.camera.intrinsics.resized(width, height);
         let camera = types::Camera { intrinsics, ..self.camera };
@@ -182,7 +184,7 @@ fn rotation_of(value: &Bound<'_, PyAny>) -> PyResult<DQuat> {
     }
 }
 
-/// The rotation of a matrix, given row by row.
+/// The rotation of a 3 × 3 matrix, given in row-major order.
 fn rotation_of_matrix(name: &str, rows: &[f64]) -> PyResult<DQuat> {
     let refused = |what: String| out_of_range(format!("camera: {name} {what}"));
     let matrix = DMat3::from_cols_slice(rows).transpose();

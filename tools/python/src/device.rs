@@ -5,18 +5,18 @@ use pyo3::prelude::*;
 use splat4d::gpu;
 use splat4d::vk::DeviceKind;
 
-/// What a Vulkan device is.
+/// A description of a Vulkan device.
 #[pyclass(frozen, get_all, module = "splat4d")]
 pub struct DeviceInfo {
-    /// Its place in `Device.list()`; `str(index)` selects it.
+    /// Index in `Device.list()`; `str(index)` selects the device.
     index: usize,
-    /// Name, as the driver gives it.
+    /// Name that the driver reports.
     name: String,
     /// `"discrete"`, `"integrated"`, `"virtual"`, `"software"` or `"other"`.
     kind: &'static str,
     /// Name and version of the driver.
     driver: String,
-    /// Bytes of its largest heap of own memory.
+    /// Size of the largest device-local memory heap, bytes.
     memory_bytes: u64,
 }
 
@@ -50,10 +50,10 @@ impl DeviceInfo {
 /// An open Vulkan device.
 ///
 /// `selector` is `"best"` (the best GPU, else a software driver), `"gpu"`, `"discrete"`, `"integrated"`,
-/// `"virtual"`, `"software"` (or `"cpu"`), a number of `Device.list()`, or a part of a name.
+/// `"virtual"`, `"software"` (or `"cpu"`), an index in `Device.list()` as a string, or a part of a name.
 ///
-/// Raises `splat4d.Error` where there is no Vulkan loader or driver (the text names the package to
-/// install), or where no device fits.
+/// Raises `splat4d.Error` if there is no Vulkan loader or driver (the message names the package to
+/// install), or if no device matches.
 #[pyclass(frozen, module = "splat4d")]
 pub struct Device {
     pub device: gpu::Device,
@@ -71,26 +71,26 @@ impl Device {
 
     /// All devices that can be opened.
     ///
-    /// Raises `splat4d.Error` where there is no Vulkan loader or driver.
+    /// Raises `splat4d.Error` if there is no Vulkan loader or driver.
     #[staticmethod]
     fn list(py: Python<'_>) -> PyResult<Vec<DeviceInfo>> {
         let found = py.detach(splat4d::vk::enumerate).map_err(raised)?;
         Ok(found.iter().map(DeviceInfo::of).collect())
     }
 
-    /// What the device is.
+    /// The description of the device.
     #[getter]
     fn info(&self) -> DeviceInfo {
         DeviceInfo::of(self.device.info())
     }
 
-    /// Name, as the driver gives it.
+    /// Name that the driver reports.
     #[getter]
     fn name(&self) -> &str {
         &self.device.info().name
     }
 
-    /// Bytes of the library's buffers on the device: now, and the most there ever were.
+    /// Bytes that the engine's buffers take on the device: current and peak.
     #[getter]
     fn memory(&self) -> (u64, u64) {
         self.device.memory()

@@ -1,4 +1,4 @@
-//! Errors of the library as Python exceptions.
+//! The crate's errors as Python exceptions.
 
 use pyo3::create_exception;
 use pyo3::exceptions::{PyException, PyValueError};
@@ -12,7 +12,7 @@ create_exception!(
      The text says what is wrong, where, and what to do."
 );
 
-/// The exception for an error of the library; wrong shapes are a `ValueError`.
+/// The exception for an error of the crate: `ValueError` for wrong shapes, `splat4d.Error` for the rest.
 pub fn raised(error: splat4d::Error) -> PyErr {
     let text = error.to_string();
     match error {

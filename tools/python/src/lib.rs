@@ -1,8 +1,8 @@
-//! The Python package `splat4d`: the public interface of the crate as Python classes, NumPy arrays in
-//! and out. `python/splat4d/__init__.py` exports them, `python/splat4d/_splat4d.pyi` has their types.
+//! The Python package `splat4d`: the crate's public interface as Python classes that take and return NumPy
+//! arrays. `python/splat4d/__init__.py` exports them, `python/splat4d/_splat4d.pyi` has their types.
 //!
-//! Long calls release the GIL. Classes that hold device state lock it, after the GIL is released,
-//! so that threads can share them.
+//! Long calls release the GIL. Classes with device state lock it after the GIL is released, so that
+//! threads can share them.
 
 mod arrays;
 mod camera;

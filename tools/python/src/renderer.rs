@@ -1,4 +1,4 @@
-//! Scenes on a device.
+//! The classes of rendering: `Renderer` and `Rendered`.
 
 use crate::arrays;
 use crate::camera::Camera;
@@ -11,20 +11,20 @@ use splat4d::renderer;
 use splat4d::types::Image;
 use std::sync::{Mutex, MutexGuard};
 
-/// A picture as the device blended it.
+/// A rendered image: colour, alpha and depth.
 #[pyclass(frozen, module = "splat4d")]
 pub struct Rendered {
     /// Premultiplied colour without background, and alpha; float32 of shape (height, width, 4).
     #[pyo3(get)]
     rgba: Py<PyArray3<f32>>,
-    /// The sum of depths (z in the camera, in units of the world) by their share of alpha: divided by alpha
-    /// it is the mean depth; float32 of shape (height, width).
+    /// Depths (camera z, in world units) summed with their blending weights: divided by alpha, this is the
+    /// mean depth; float32 of shape (height, width).
     #[pyo3(get)]
     depth: Py<PyArray2<f32>>,
 }
 
 impl Rendered {
-    /// The library's images, moved into arrays.
+    /// Moves the crate's images into NumPy arrays.
     pub fn of(py: Python<'_>, rendered: renderer::Rendered) -> PyResult<Rendered> {
         Ok(Rendered {
             rgba: arrays::of_image(py, rendered.rgba)?.unbind(),
@@ -32,7 +32,7 @@ impl Rendered {
         })
     }
 
-    /// The arrays, copied into the library's images.
+    /// Copies the arrays into the crate's images.
     fn images(&self, py: Python<'_>) -> PyResult<renderer::Rendered> {
         let (rgba, depth) = (self.rgba.bind(py), self.depth.bind(py));
         let (height, width) = (rgba.shape()[0] as u32, rgba.shape()[1] as u32);
@@ -45,7 +45,7 @@ impl Rendered {
 
 #[pymethods]
 impl Rendered {
-    /// Colour over a background of red, green and blue; float32 of shape (height, width, 3).
+    /// The colour composited over a background (red, green, blue); float32 of shape (height, width, 3).
     #[pyo3(signature = (background = [0.0; 3]))]
     fn over<'py>(
         &self,
@@ -57,8 +57,8 @@ impl Rendered {
         arrays::of_image(py, image)
     }
 
-    /// Mean depth (z in the camera, in units of the world) where something is there, 0 elsewhere; float32
-    /// of shape (height, width).
+    /// Mean depth (camera z, in world units), 0 where alpha is 1e-3 or less; float32 of shape (height,
+    /// width).
     fn mean_depth<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let images = self.images(py)?;
         let image = py.detach(|| images.mean_depth());
@@ -66,17 +66,18 @@ impl Rendered {
     }
 }
 
-/// A scene on a device, rendered from any camera at any time. The scene is copied: later changes of it
-/// are not seen.
+/// Renders a scene on a device from any camera at any time. The scene is copied: later changes to it have no
+/// effect on the renderer.
 ///
-/// Raises `splat4d.Error` where the device's memory does not suffice.
+/// Raises `splat4d.Error` if the device runs out of memory.
 #[pyclass(frozen, module = "splat4d")]
 pub struct Renderer {
     renderer: Mutex<renderer::Renderer>,
 }
 
 impl Renderer {
-    /// To be called without the GIL: another thread may hold the lock and wait for the GIL.
+    /// Locks the renderer. Must be called without the GIL: another thread may hold the lock and wait for the
+    /// GIL.
     fn lock(&self) -> MutexGuard<'_, renderer::Renderer> {
         self.renderer.lock().expect("no holder panics")
     }
@@ -91,10 +92,10 @@ impl Renderer {
         Ok(Renderer { renderer: Mutex::new(made) })
     }
 
-    /// Renders the scene as `camera` sees it at `time` in [0, 1], and waits for it. The same scene, camera,
+    /// Renders the scene from `camera` at `time` in [0, 1], and waits for the device. The same scene, camera,
     /// time, device and driver give the same bits.
     ///
-    /// Raises `splat4d.Error` for a time out of range, or where the device's memory does not suffice.
+    /// Raises `splat4d.Error` for a time out of range, or if the device runs out of memory.
     #[pyo3(signature = (camera, time = 0.0))]
     fn render(&self, py: Python<'_>, camera: &Camera, time: f64) -> PyResult<Rendered> {
         let camera = camera.camera;
@@ -102,7 +103,8 @@ impl Renderer {
         Rendered::of(py, rendered)
     }
 
-    /// How much of each pixel comes from Gaussians that move, 0 to its alpha; float32 of shape (height, width).
+    /// The part of each pixel's alpha that comes from moving Gaussians, between 0 and alpha; float32 of shape
+    /// (height, width).
     ///
     /// Raises as `render` does.
     #[pyo3(signature = (camera, time = 0.0))]
@@ -121,8 +123,8 @@ impl Renderer {
         arrays::of_map(py, py.detach(moving).map_err(raised)?)
     }
 
-    /// Normals as unit vectors in the camera's axes, that point toward it; 0 where nothing is; float32 of
-    /// shape (height, width, 3).
+    /// Normals: unit vectors in the camera's frame that point toward the camera, 0 in empty pixels; float32
+    /// of shape (height, width, 3).
     ///
     /// Raises as `render` does.
     #[pyo3(signature = (camera, time = 0.0))]

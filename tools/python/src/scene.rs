@@ -14,25 +14,25 @@ use std::sync::Arc;
 
 /// A scene: Gaussians, and in a moving scene the control points that they follow.
 ///
-/// Made of arrays, by name (as in `set_arrays`):
+/// A scene is built from arrays, given by name (as in `set_arrays`):
 ///
-/// - `positions`, shape (N, 3): centres in the world, in a moving scene in the canonical frame.
-/// - `log_scales`, (N, 3): natural logarithms of the standard deviations along the Gaussian's own axes.
+/// - `positions`, shape (N, 3): centres in world coordinates; in a moving scene, in the canonical frame.
+/// - `log_scales`, (N, 3): natural logarithms of the standard deviations along the Gaussian's local axes.
 /// - `rotations`, (N, 4): `world_from_gaussian` quaternions w, x, y, z; they need not be of unit length.
 /// - `opacity_logits`, (N,): logits of the opacity.
 /// - `sh`, (N, K, 3): coefficients of the spherical harmonics, lowest band first, red, green and blue;
 ///   K is 1, 4, 9 or 16, for degrees 0 to 3.
-/// - `motion_logits`, (N,), or (0,) in a static scene: above 0 a Gaussian follows the control points.
+/// - `motion_logits`, (N,), or (0,) in a static scene: a Gaussian follows the control points if its value is
+///   above 0.
 /// - `control_positions`, (M, 3): control points in the canonical frame.
 /// - `control_log_radii`, (M,): natural logarithms of the radii of their influence.
-/// - `control_paths`, (T, M, 8): their motions at T evenly spaced times, the first at 0, the last at
-///   1: translation (3), what is added to the opacity logits of their followers, and the rotation's offset from
-///   the quaternion (1, 0, 0, 0).
+/// - `control_paths`, (T, M, 8): motions of the control points at T evenly spaced times, the first at 0, the
+///   last at 1. Each motion holds a translation (3), an offset (1) that is added to the opacity logits of the
+///   Gaussians that follow the control point, and the rotation's offset (4) from the quaternion (1, 0, 0, 0).
 ///
-/// Arrays are copied, and converted to float32 where they are of another type.
+/// Arrays are copied, and converted to float32 if they have another type.
 ///
-/// Raises `ValueError` for arrays whose shapes do not fit together, `splat4d.Error` for numbers out of
-/// range.
+/// Raises `ValueError` for arrays whose shapes do not agree, `splat4d.Error` for numbers out of range.
 #[pyclass(module = "splat4d")]
 pub struct Scene {
     pub scene: Arc<scene::Scene>,
@@ -40,7 +40,7 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// A scene of the library's.
+    /// Wraps a scene of the crate.
     pub fn of(scene: scene::Scene) -> Scene {
         Scene { scene: Arc::new(scene), dropped: 0 }
     }
@@ -56,11 +56,11 @@ impl Scene {
         Ok(made)
     }
 
-    /// Opens a scene's file, or Gaussians of another format: 3DGS PLY, plain or compressed, SPZ, SOG,
-    /// `.splat`. With `drop_bad`, Gaussians that hold NaN, infinite or out-of-range values are left out
-    /// and counted in `dropped`; else they are an error.
+    /// Opens a scene file, or Gaussians in another format: 3DGS PLY (plain or compressed), SPZ, SOG or
+    /// `.splat`. With `drop_bad`, Gaussians with NaN, infinite or out-of-range values are left out and
+    /// counted in `dropped`; otherwise they are an error.
     ///
-    /// Raises `splat4d.Error` for a file that is missing or malformed; the text names it.
+    /// Raises `splat4d.Error` for a missing or malformed file; the message names the file.
     #[staticmethod]
     #[pyo3(signature = (path, *, drop_bad = false))]
     fn open(py: Python<'_>, path: PathBuf, drop_bad: bool) -> PyResult<Scene> {
@@ -68,20 +68,20 @@ impl Scene {
         Ok(Scene { scene: Arc::new(opened.scene), dropped: opened.dropped })
     }
 
-    /// Writes the scene's file (safetensors): arrays are read back bit for bit. The file is replaced at
-    /// once, or not at all.
+    /// Writes a scene file (safetensors), from which the arrays are read back bit for bit. The file is
+    /// replaced atomically.
     ///
-    /// Raises `splat4d.Error` where it cannot be written.
+    /// Raises `splat4d.Error` if the file cannot be written.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let scene = self.scene.clone();
         py.detach(|| scene.save(path)).map_err(raised)
     }
 
-    /// Writes the Gaussians, in the canonical frame, in the format that the file's name ends with: `.ply`,
-    /// `.compressed.ply`, `.splat`, `.spz` or `.glb`. Motion is left out, and harmonics that the format does
-    /// not hold. Returns how many Gaussians were written.
+    /// Writes the Gaussians, in the canonical frame. The file name's extension selects the format: `.ply`,
+    /// `.compressed.ply`, `.splat`, `.spz` or `.glb`. Motion is not written, nor are spherical harmonics that
+    /// the format cannot store. Returns the number of Gaussians written.
     ///
-    /// Raises `ValueError` for another ending, `splat4d.Error` where the file cannot be written.
+    /// Raises `ValueError` for another extension, `splat4d.Error` if the file cannot be written.
     fn export(&self, py: Python<'_>, path: PathBuf) -> PyResult<usize> {
         let format = Format::of(&path).ok_or_else(|| {
             let path = path.display();
@@ -111,14 +111,14 @@ impl Scene {
         Ok(dict)
     }
 
-    /// Replaces arrays by name; those that are not given stay. Nothing changes where an error is raised.
+    /// Replaces arrays by name; the others stay as they are. If an error is raised, nothing changes.
     ///
-    /// Raises `TypeError` for a name that is not among those of the class, `ValueError` for arrays whose
-    /// shapes do not fit together, `splat4d.Error` for numbers out of range.
+    /// Raises `TypeError` for an unknown name (the class documentation lists the names), `ValueError` for
+    /// arrays whose shapes do not agree, `splat4d.Error` for numbers out of range.
     #[pyo3(signature = (**arrays))]
     fn set_arrays(&mut self, arrays: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
         let mut scene = scene::Scene::clone(&self.scene);
-        // Paths that are not given belong to the control points that there were.
+        // Paths that are not given keep their shape, that of the previous control points.
         let before = &self.scene.control_points;
         let mut paths = (before.keys() > 0).then_some(before.len());
         for (name, value) in arrays.into_iter().flatten() {
@@ -141,19 +141,19 @@ impl Scene {
         self.scene.gaussians.sh_degree
     }
 
-    /// Whether something moves.
+    /// Whether the scene moves.
     #[getter]
     fn moves(&self) -> bool {
         self.scene.moves()
     }
 
-    /// Number of Gaussians that `open` left out.
+    /// Number of Gaussians that `open` left out because of bad values.
     #[getter]
     fn dropped(&self) -> usize {
         self.dropped
     }
 
-    /// Red, green and blue behind everything, in [0, 1].
+    /// The background colour: red, green and blue in [0, 1].
     #[getter]
     fn background(&self) -> [f32; 3] {
         self.scene.background
@@ -167,11 +167,16 @@ impl Scene {
         Ok(())
     }
 
-    /// The constants of projection and blending, by name: `near` (splats nearer than this, in units of the
-    /// world, are left out), `dilation` (added to the variances in the picture, square pixels), `alpha_cut` (a splat adds
-    /// nothing to a pixel where its alpha is below), `alpha_cap` (alpha is at most this),
-    /// `transmittance_stop` (blending ends before the splat that brings it to this) and `tangent_clamp` (half fields
-    /// of view).
+    /// The constants of projection and blending, by name:
+    ///
+    /// - `near`: splats whose centre has a smaller depth, in world units, are culled.
+    /// - `dilation`: added to both variances of the projected 2D covariance, square pixels.
+    /// - `alpha_cut`: a splat does not contribute to a pixel where its alpha is smaller.
+    /// - `alpha_cap`: upper limit of alpha.
+    /// - `transmittance_stop`: blending stops before the splat that would bring the transmittance to this
+    ///   value or below.
+    /// - `tangent_clamp`: the projection's Jacobian is evaluated at tangents clamped to this many half fields
+    ///   of view.
     #[getter]
     fn blending<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let mut settings = self.scene.settings;
@@ -182,9 +187,9 @@ impl Scene {
         Ok(dict)
     }
 
-    /// Changes constants of projection and blending by name; those that are not given stay.
+    /// Sets constants of projection and blending by name (see `blending`); the others stay as they are.
     ///
-    /// Raises `TypeError` for a name that is not among them, `splat4d.Error` for a number out of range.
+    /// Raises `TypeError` for an unknown name, `splat4d.Error` for a number out of range.
     #[pyo3(signature = (**constants))]
     fn set_blending(&mut self, constants: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
         let mut settings = self.scene.settings;
@@ -201,29 +206,29 @@ impl Scene {
         Ok(())
     }
 
-    /// The world's direction that is up in the pictures, of unit length.
+    /// The world direction that points up in the images: a unit vector.
     #[getter]
     fn up(&self) -> [f32; 3] {
         self.scene.up
     }
 
-    /// The cameras of the input, in order of time.
+    /// The input cameras, in order of time.
     #[getter]
     fn cameras(&self) -> Vec<Camera> {
         self.scene.cameras.iter().map(|known| Camera { camera: known.camera }).collect()
     }
 
-    /// The times of these cameras, in [0, 1]; float64 of shape (C,).
+    /// The times of the input cameras, in [0, 1]; float64 of shape (C,).
     #[getter]
     fn times<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
         arrays::line(py, self.scene.cameras.iter().map(|known| known.time).collect())
     }
 
-    /// Replaces the cameras of the input, and `up` by the mean of their upward axes. `times` are in [0, 1], in
-    /// ascending order, one for each camera; shape (C,).
+    /// Replaces the input cameras, and sets `up` to the mean of their upward axes. `times`, shape (C,), has
+    /// one time in [0, 1] per camera, in ascending order.
     ///
-    /// Raises `ValueError` for another number of times than cameras, `splat4d.Error` for a time out of
-    /// range.
+    /// Raises `ValueError` if the number of times differs from the number of cameras or the times are not in
+    /// ascending order, `splat4d.Error` for a time out of range.
     fn set_cameras(&mut self, cameras: Vec<Camera>, times: &Bound<'_, PyAny>) -> PyResult<()> {
         let times = arrays::of::<f64>("times", times, &[Exactly(cameras.len())])?.to_vec()?;
         if !times.is_sorted() {
@@ -262,7 +267,7 @@ fn constants(settings: &mut RenderSettings) -> [(&'static str, &mut f32); 6] {
     ]
 }
 
-/// Sets one array; of how many control points the paths are, where it is these.
+/// Sets one array. Returns the number of control points if the array is `control_paths`.
 fn set(scene: &mut scene::Scene, name: &str, value: &Bound<'_, PyAny>) -> PyResult<Option<usize>> {
     let (g, points) = (&mut scene.gaussians, &mut scene.control_points);
     match name {
@@ -293,12 +298,12 @@ fn set(scene: &mut scene::Scene, name: &str, value: &Bound<'_, PyAny>) -> PyResu
     Ok(None)
 }
 
-/// That arrays are as long as each other. `paths`: of how many control points the paths are.
+/// Checks that the lengths of the arrays agree. `paths` is the number of control points in `control_paths`.
 fn check_lengths(scene: &scene::Scene, paths: Option<usize>) -> PyResult<()> {
     let (g, points) = (&scene.gaussians, &scene.control_points);
     let (n, m) = (g.len(), points.len());
     let rows = g.sh.len() / sh_coefficients(g.sh_degree);
-    // A static scene has none.
+    // A static scene has no motion logits.
     let moving = if g.motion_logits.is_empty() { n } else { g.motion_logits.len() };
     let paths = paths.unwrap_or(m);
     for (name, given, like, expected) in [

@@ -1,4 +1,4 @@
-//! Settings of training, from keywords.
+//! Training settings from keyword arguments.
 
 use crate::error::out_of_range;
 use pyo3::exceptions::{PyTypeError, PyValueError};
@@ -6,7 +6,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use splat4d::train::{AdaptiveSettings, GrowthSettings, TrainSettings};
 
-/// The settings for keywords; what is not given stays at the default for so many steps.
+/// The settings for keyword arguments. Settings that are not given have their default for the number of
+/// steps.
 pub fn of(keywords: Option<&Bound<'_, PyDict>>, gaussians: usize) -> PyResult<TrainSettings> {
     let steps = match keywords.map(|keywords| keywords.get_item("steps")).transpose()?.flatten() {
         Some(value) => value.extract()?,

@@ -1,4 +1,4 @@
-//! Training.
+//! The classes of training: `View`, `Progress` and `Trainer`.
 
 use crate::arrays;
 use crate::camera::Camera;
@@ -18,14 +18,14 @@ use splat4d::{gpu, renderer, scene, types};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
-/// How long `steps` works before it looks for Ctrl-C and calls back.
+/// Longest run of steps between two checks for Ctrl-C and two progress callbacks.
 const ATTENTION: Duration = Duration::from_millis(50);
 
-/// A picture to train on.
+/// A training view: a posed image to train on.
 ///
-/// `image` has shape (height, width, 3) as the camera says: red, green and blue, float32 in [0, 1] or uint8.
-/// `time` is in [0, 1]. `weights`, shape (height, width), say how much each pixel counts, in [0, 1];
-/// `mask` is 1 where something moves, else 0.
+/// `image` has shape (height, width, 3), with the camera's height and width: red, green and blue, float32
+/// in [0, 1] or uint8. `time` is in [0, 1]. `weights`, shape (height, width), are the weights of the pixels
+/// in the loss, in [0, 1]; `mask`, of the same shape, is 1 where something moves, else 0.
 ///
 /// Raises `ValueError` for wrong shapes.
 #[pyclass(frozen, module = "splat4d", from_py_object)]
@@ -63,12 +63,12 @@ impl View {
     }
 }
 
-/// How far training is.
+/// The progress of a training run.
 #[pyclass(frozen, get_all, module = "splat4d")]
 pub struct Progress {
-    /// Steps done.
+    /// Number of completed steps.
     step: u32,
-    /// Steps that the schedules are made for.
+    /// Total number of steps that the schedules are designed for.
     steps: u32,
     /// Number of Gaussians.
     gaussians: usize,
@@ -89,24 +89,26 @@ impl Progress {
     }
 }
 
-/// Trains the Gaussians of a scene, and its motion where it moves, on a device.
+/// Trains the Gaussians of a scene on a device, and the scene's motion if it has one.
 ///
-/// With `views` each `step` takes the next of them; without, losses are the caller's own: `forward`,
-/// `backward`, `update`. `extent` is the unit of the positions' learning rate without views: about the
-/// distance of the outermost camera from the middle of all, in units of the world.
+/// With `views`, each `step` trains on the next view. Without views, the caller computes the loss with
+/// `forward`, `backward` and `update`. Without views, `extent` is the unit of the positions' learning rate:
+/// about the distance of the outermost camera from the cameras' mean, in world units.
 ///
-/// Settings, all optional: `steps` (30000) that the schedules are made for; `growth`, `"mcmc"` (the default),
-/// `"adaptive"` or `None` for the Gaussians that there are; `max_gaussians`; `sh_degree`, 0 to 3 (3);
-/// `sh_interval`, steps after which a band of the harmonics is added, 0 for all from the first step; `ssim_share` of the
-/// loss (0.2); `background` (red, green, blue; the scene's); `seed`; `rigidity_weight`; the learning rates `position_rate`,
-/// `position_rate_last`, `log_scale_rate`, `rotation_rate`, `opacity_rate`, `sh0_rate` and `sh_rest_rate`.
+/// All settings are optional; defaults are in parentheses. `steps` (30000): the number of steps that the
+/// schedules are designed for. `growth` (`"mcmc"`): `"mcmc"`, `"adaptive"`, or `None` to keep the number of
+/// Gaussians. `max_gaussians`: the largest number of Gaussians. `sh_degree` (3): 0 to 3. `sh_interval`:
+/// number of steps after which the next band of spherical harmonics is added; 0 uses all bands from the
+/// first step. `ssim_share` (0.2): the share of SSIM in the loss. `background` (the scene's): red, green,
+/// blue. `seed`. `rigidity_weight`. Learning rates: `position_rate`, `position_rate_last`,
+/// `log_scale_rate`, `rotation_rate`, `opacity_rate`, `sh0_rate` and `sh_rest_rate`.
 ///
 /// Raises `TypeError` for an unknown setting, `ValueError` for a scene of a higher degree than `sh_degree`,
-/// `splat4d.Error` for numbers out of range or where the device's memory does not suffice.
+/// `splat4d.Error` for numbers out of range or if the device runs out of memory.
 #[pyclass(frozen, module = "splat4d")]
 pub struct Trainer {
     state: Mutex<State>,
-    /// What training does not change.
+    /// The initial scene; its cameras and `up` stay as they are.
     start: Arc<scene::Scene>,
     settings: TrainSettings,
 }
@@ -119,7 +121,7 @@ struct State {
     gradients: Option<PixelGradients>,
 }
 
-/// What was done last of a step with the caller's own loss.
+/// The last part of a step with the caller's loss that was done.
 #[derive(Clone, Copy, PartialEq)]
 enum Own {
     Nothing,
@@ -127,13 +129,13 @@ enum Own {
     Backward,
 }
 
-/// The caller's gradients on the device, for pictures of one size.
+/// The caller's gradients with respect to the rendered image, on the device, for one image size.
 struct PixelGradients {
     rgba: Buffer<[f32; 4]>,
     depth: Buffer<f32>,
 }
 
-/// Gradients on the host.
+/// Gradients with respect to the parameters, on the host.
 struct Gradients {
     gaussians: Gaussians,
     pose: Vec<f32>,
@@ -141,13 +143,13 @@ struct Gradients {
 }
 
 struct MotionGradients {
-    /// By the paths or by the network's parameters.
+    /// With respect to the control points' paths, or to the network's parameters.
     model: Vec<f32>,
     log_radii: Vec<f32>,
 }
 
 impl State {
-    /// Ends the step with the caller's own loss that is under way.
+    /// Ends the step with the caller's loss, if one is in progress.
     fn end_own(&mut self) -> splat4d::Result<()> {
         if self.own != Own::Nothing {
             self.own = Own::Nothing;
@@ -239,7 +241,8 @@ impl State {
 }
 
 impl Trainer {
-    /// To be called without the GIL: another thread may hold the lock and wait for the GIL.
+    /// Locks the state. Must be called without the GIL: another thread may hold the lock and wait for the
+    /// GIL.
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().expect("no holder panics")
     }
@@ -291,16 +294,16 @@ impl Trainer {
         Ok(Trainer { state, start: scene.scene.clone(), settings: chosen })
     }
 
-    /// Does one step on the next view with the engine's own loss. May return before the device is done.
+    /// Does one step on the next view with the engine's loss. May return before the device has finished.
     ///
-    /// Raises `splat4d.Error` without views, or where the device fails.
+    /// Raises `splat4d.Error` without views, or if the device fails.
     fn step(&self, py: Python<'_>) -> PyResult<()> {
         self.steps(py, 1, None)
     }
 
-    /// Does `count` steps. `progress` is called with a `Progress` some twenty times a second, and after the
-    /// last step; an exception that it raises ends the steps. Ctrl-C ends them with `KeyboardInterrupt`;
-    /// the trainer stays usable, after the steps done so far.
+    /// Does `count` steps. `progress` is called with a `Progress` about twenty times per second and after the
+    /// last step; an exception that it raises stops the loop. Ctrl-C stops it with `KeyboardInterrupt`. In
+    /// both cases the completed steps count, and the trainer stays usable.
     ///
     /// Raises as `step` does.
     #[pyo3(signature = (count, *, progress = None))]
@@ -327,14 +330,14 @@ impl Trainer {
         Ok(())
     }
 
-    /// How far training is.
+    /// The progress of training.
     #[getter]
     fn progress(&self, py: Python<'_>) -> Progress {
         Progress::of(py.detach(|| self.lock().trainer.progress()))
     }
 
-    /// Waits, and gives the parts of the last step's loss by name: `l1`, `ssim` and `disparity`. `None` before
-    /// the first step.
+    /// Waits for the device and returns the terms of the last step's loss by name: `l1`, `ssim` and
+    /// `disparity`. `None` before the first step, and if the last step has to be repeated.
     fn loss<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
         let found = py.detach(|| self.lock().trainer.loss()).map_err(raised)?;
         let Some(found) = found else { return Ok(None) };
@@ -345,13 +348,14 @@ impl Trainer {
         Ok(Some(dict))
     }
 
-    /// Waits, and measures the PSNR in dB of the last step's picture, as it was before the step. `None` before
-    /// the first step.
+    /// Waits for the device and measures the PSNR in dB of the last step's render, from before that step's
+    /// update, against its training view. `None` where `loss` gives `None`, for a view whose weights are
+    /// all 0, and after a step in which the mask loss has overwritten the render.
     fn psnr(&self, py: Python<'_>) -> PyResult<Option<f64>> {
         py.detach(|| self.lock().trainer.psnr()).map_err(raised)
     }
 
-    /// Waits, and gives the scene as it is now, with the cameras of the first one.
+    /// Waits for the device and returns the current scene, with the cameras of the initial scene.
     fn scene(&self, py: Python<'_>) -> PyResult<Scene> {
         let read = || {
             let trainer = &mut self.lock().trainer;
@@ -373,10 +377,10 @@ impl Trainer {
         Ok(Scene::of(made))
     }
 
-    /// Begins a step with a loss of the caller's own: the picture that `camera` sees at `time`, in [0, 1].
-    /// A step that was begun before ends, and nothing is learnt from it.
+    /// Begins a step with the caller's loss: renders the image that `camera` sees at `time`, in [0, 1].
+    /// A step that is already in progress ends without an update.
     ///
-    /// Raises `splat4d.Error` for a time out of range, or where the device's memory does not suffice.
+    /// Raises `splat4d.Error` for a time out of range, or if the device runs out of memory.
     #[pyo3(signature = (camera, time = 0.0))]
     fn forward(&self, py: Python<'_>, camera: &Camera, time: f64) -> PyResult<Rendered> {
         let camera = camera.camera;
@@ -384,17 +388,17 @@ impl Trainer {
         Rendered::of(py, rendered)
     }
 
-    /// Goes on after `forward`, given the gradient of the caller's loss by the picture: `grad_rgba`, shape
-    /// (height, width, 4), by premultiplied colour and alpha, and `grad_depth`, shape (height, width), by depth
-    /// as `Rendered.depth` has it.
+    /// Continues the step after `forward`, given the gradient of the caller's loss with respect to the
+    /// rendered image: `grad_rgba`, shape (height, width, 4), with respect to premultiplied colour and alpha,
+    /// and `grad_depth`, shape (height, width), with respect to depth as in `Rendered.depth`.
     ///
-    /// Gives the gradients by the scene's arrays, by the names and in the shapes of `Scene.arrays()`:
-    /// `positions`, `log_scales`, `rotations`, `opacity_logits`, `sh`, and in a scene that moves
-    /// `control_log_radii` and `control_paths`, or `network`, (W,). `pose`, (6,), is that by a left
-    /// perturbation of `view_from_world`: translation, rotation. The rigidity of a scene that moves counts
-    /// as part of the loss; with `rigidity_weight=0` it does not.
+    /// Returns the gradients with respect to the scene's arrays, with the names and shapes of
+    /// `Scene.arrays()`: `positions`, `log_scales`, `rotations`, `opacity_logits`, `sh`, and in a moving
+    /// scene `control_log_radii` and either `control_paths` or `network`, (W,). `pose`, (6,), is the
+    /// gradient with respect to a left perturbation of `view_from_world`: translation, rotation. In a
+    /// moving scene the rigidity term counts as part of the loss, unless `rigidity_weight=0`.
     ///
-    /// Raises `ValueError` for wrong shapes, `splat4d.Error` where `forward` was not the last.
+    /// Raises `ValueError` for wrong shapes, `splat4d.Error` unless `forward` was the last call of the step.
     #[pyo3(signature = (grad_rgba, grad_depth = None))]
     fn backward<'py>(
         &self,
@@ -416,10 +420,10 @@ impl Trainer {
         self.by_name(py, found)
     }
 
-    /// Ends the step after `backward`: updates every parameter by these gradients, with the settings' rates and
-    /// regularisers.
+    /// Ends the step after `backward`: updates every parameter from these gradients, with the learning rates
+    /// and regularisers of the settings.
     ///
-    /// Raises `splat4d.Error` where `backward` was not the last.
+    /// Raises `splat4d.Error` unless `backward` was the last call of the step.
     fn update(&self, py: Python<'_>) -> PyResult<()> {
         py.detach(|| self.lock().update()).map_err(raised)
     }

@@ -1,7 +1,7 @@
-"""The program that lies in the package, and its commands as functions.
+"""The command-line program that the package contains, and its commands as functions.
 
-A job runs in a process of its own: it gives the same bits as on the command line, other threads of
-Python go on, and a failure leaves Python alone.
+Each job runs in a separate process. Its results are bitwise those of the command line, other Python
+threads keep running, and a crash does not affect the Python process.
 """
 
 import json
@@ -15,17 +15,18 @@ from pathlib import Path
 from ._splat4d import Error
 
 PROGRAM = Path(__file__).parent / "bin" / ("splat4d.exe" if os.name == "nt" else "splat4d")
-# What the program ends with after Ctrl-C.
+# The program's exit code after Ctrl-C.
 _STOPPED = 130
 
 
 def missing():
-    """What is wrong where the package was built without the program, else nothing."""
+    """An error message if the package was built without the program, else `None`."""
     return None if PROGRAM.is_file() else f"{PROGRAM} is missing: the package was built without it"
 
 
 def _words(options):
-    """Options as words: `max_frames=5` is `--max-frames=5`, True a flag; None and False are left out."""
+    """Options as command-line arguments: `max_frames=5` becomes `--max-frames=5`, True becomes a flag; None and
+    False are left out."""
     for name, value in options.items():
         option = "--" + name.replace("_", "-")
         if value is None or value is False:
@@ -38,17 +39,17 @@ def _words(options):
 
 
 def command(name, *arguments, progress=None, **options):
-    """Runs a command of the program, waits for it, and gives its answer: what `--json` prints, as a
-    dict. `python -m splat4d NAME --help` has the arguments, the options and the keys.
+    """Runs a command of the program, waits for it, and returns its result: the output of `--json`, as a
+    dict. `python -m splat4d NAME --help` lists the arguments, the options and the keys.
 
-    An option `max_frames=5` is `--max-frames 5`; True is a flag, a list or tuple is joined by commas, None and False
-    are left out. `progress` is called with each line of text that the program writes while it
-    works; without it they go to standard error.
+    An option `max_frames=5` becomes `--max-frames=5`; True becomes a flag, a list or tuple is joined by
+    commas, None and False are left out. `progress` is called with each line of text that the program writes
+    while it runs; without `progress` the lines go to standard error.
 
-    Ctrl-C stops the program, which puts away what it has (a checkpoint, where the command makes them:
-    `resume=True` goes on from it), and raises `KeyboardInterrupt`.
+    Ctrl-C stops the program and raises `KeyboardInterrupt`. A command that writes checkpoints writes one
+    first: `resume=True` continues from it.
 
-    Raises `splat4d.Error` with the program's text where the job fails or the arguments are wrong."""
+    Raises `splat4d.Error` with the program's message if the job fails or the arguments are wrong."""
     if missing():
         raise Error(missing())
     words = [str(PROGRAM), "--json", name, *_words(options), "--", *map(os.fspath, arguments)]
@@ -58,7 +59,7 @@ def command(name, *arguments, progress=None, **options):
         stderr=subprocess.PIPE if progress else None,
         text=True,
         encoding="utf-8",
-        # Ctrl-C reaches it once, from here: a second one would stop it at once.
+        # In a new session the program gets Ctrl-C once, from here: a second one would stop it immediately.
         start_new_session=os.name != "nt",
     )
     answer = []
@@ -71,7 +72,7 @@ def command(name, *arguments, progress=None, **options):
     except BaseException:
         job.send_signal(signal.SIGINT if os.name != "nt" else signal.CTRL_C_EVENT)
         if progress:
-            # Otherwise it waits for room in the pipe.
+            # Drains the pipe: the program would block on a full one.
             for line in job.stderr:
                 pass
         job.wait()
@@ -93,42 +94,43 @@ def command(name, *arguments, progress=None, **options):
 
 
 def reconstruct(frames, output, *, progress=None, **options):
-    """From a video or a folder of frames, camera poses unknown, to a scene's file `output`. Gives the report as
-    a dict. Options, progress, Ctrl-C and errors: `splat4d.command`."""
+    """Reconstructs a scene from a video or a folder of frames without camera poses, and writes the scene file
+    `output`. Returns the report as a dict. Options, progress, Ctrl-C and errors: `splat4d.command`."""
     return command("reconstruct", frames, output=output, progress=progress, **options)
 
 
 def train(dataset, output, *, progress=None, **options):
-    """From a dataset with known camera poses to a scene's file `output`. Gives the report as a dict.
-    Options, progress, Ctrl-C and errors: `splat4d.command`."""
+    """Trains a scene on a dataset with known camera poses, and writes the scene file `output`. Returns the
+    report as a dict. Options, progress, Ctrl-C and errors: `splat4d.command`."""
     return command("train", dataset, output=output, progress=progress, **options)
 
 
 def track(frames, output, *, progress=None, **options):
-    """Cameras, masks, depth and point tracks of a video or a folder of frames, into the folder `output`.
-    Gives the report as a dict. Options, progress, Ctrl-C and errors: `splat4d.command`."""
+    """Computes cameras, masks, depth and point tracks of a video or a folder of frames, and writes them into
+    the folder `output`. Returns the report as a dict. Options, progress, Ctrl-C and errors: `splat4d.command`."""
     return command("track", frames, output=output, progress=progress, **options)
 
 
 def evaluate(estimate, reference, *, progress=None, **options):
-    """Measures a scene against pictures or truth, or a trajectory or point tracks against others. Gives
-    the figures as a dict. Options, progress, Ctrl-C and errors: `splat4d.command`."""
+    """Evaluates a scene against images or ground truth, or a trajectory or point tracks against a reference.
+    Returns the metrics as a dict. Options, progress, Ctrl-C and errors: `splat4d.command`."""
     return command("eval", estimate, reference, progress=progress, **options)
 
 
 def synth(name, output, *, progress=None, **options):
-    """Makes a synthetic clip with exact poses, depth, flow and masks in the folder `output`. Gives the
+    """Writes a synthetic clip with exact poses, depth, flow and masks into the folder `output`. Returns the
     report as a dict. Options, progress, Ctrl-C and errors: `splat4d.command`."""
     return command("synth", name, output=output, progress=progress, **options)
 
 
 def main():
-    """Runs the program with this process's arguments; its exit code."""
+    """Runs the program with this process's arguments. Where it does not replace this process, returns its exit
+    code."""
     if missing():
         print(f"error: {missing()}", file=sys.stderr)
         return 1
     words = [str(PROGRAM), *sys.argv[1:]]
     if os.name == "nt":
         return subprocess.call(words)
-    # The same process: signals and the exit code are the program's own.
+    # The program replaces this process, so it gets the signals and sets the exit code.
     os.execv(PROGRAM, words)
