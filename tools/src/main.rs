@@ -57,6 +57,7 @@ fn main() -> ExitCode {
 /// Compiles everything, then writes modules and manifest.
 fn build() -> Result<String, String> {
     let (manifest, modules) = compile_all()?;
+    let examples = compile_examples()?;
     for (name, module) in &modules {
         let path = spirv_path(name);
         if fs::read(&path).is_ok_and(|old| old == *module) {
@@ -65,7 +66,6 @@ fn build() -> Result<String, String> {
         fs::create_dir_all(path.parent().expect("a kernel has a family")).map_err(text)?;
         fs::write(&path, module).map_err(|e| format!("{}: {e}", path.display()))?;
     }
-    let examples = compile_examples()?;
     for (path, module) in &examples {
         fs::write(path, module).map_err(|e| format!("{}: {e}", path.display()))?;
     }
