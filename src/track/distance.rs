@@ -197,114 +197,154 @@ pub(super) fn distance(
     owners: &[Vec<Option<u16>>],
     behind: &[Behind<'_>],
 ) -> Distance {
-    let n = shape.frames.len();
-    let frames = object.first..object.first + n;
+    let frames = object.first..object.first + shape.frames.len();
+    let (owners, behind) = (&owners[frames.clone()], &behind[frames]);
     let width = cameras.intrinsics.width as usize;
-    let outlined = |f: usize| {
-        let region = Region::new(index as u16, &owners[f], behind[f].inverse, width);
+    let outlined = |(owners, behind): (&Vec<Option<u16>>, &Behind<'_>)| {
+        let region = Region::new(index as u16, owners, behind.inverse, width);
         outline(&region, &cameras.intrinsics)
     };
-    let outlines: Vec<Option<Outline>> = frames.clone().map(outlined).collect();
-    let outline_deviation = outline::deviation(&outlines);
+    let outlines: Vec<Option<Outline>> = owners.iter().zip(behind).map(outlined).collect();
     let steps = steps(shape);
-    let path = {
+    let observed = {
         let path: Vec<f64> = shape.frames.iter().map(|f| f.depth.ln()).collect();
         let sizes: Vec<Option<f64>> = outlines.iter().map(|o| Some((*o)?.depth.ln())).collect();
-        sized(path, &sizes, outline_deviation, &steps)
+        sized(path, &sizes, outline::deviation(&outlines), &steps)
     };
     let middles = middles(shape, &outlines);
-    let known: Vec<Option<f64>> = outlines
+    let pixels: Vec<usize> = owners
         .iter()
-        .zip(&shape.frames)
-        .map(|(outline, frame)| match (frame.view_from_object, outline) {
+        .map(|owners| owners.iter().filter(|owner| **owner == Some(index as u16)).count())
+        .collect();
+    let seen = seen(shape, &observed, &middles, &outlines, &pixels, cameras.intrinsics.fx);
+    let (smooth, farther) = smoothness(&seen, cameras, object.first).unzip();
+    let path: Vec<f64> = match farther {
+        Some(farther) => observed.iter().zip(farther).map(|(path, by)| path + by).collect(),
+        None => observed.clone(),
+    };
+    let lower_ends: Vec<Option<LowerEnd>> = owners
+        .iter()
+        .zip(behind)
+        .map(|(owners, behind)| lower_end(index, owners, *behind, width))
+        .collect();
+    let contacts = contacts(object, shape, &lower_ends, &middles);
+    if let Some((bent, touching)) = touched(&path, &contacts, &lower_ends, &steps) {
+        let both = smooth.map_or(touching, |smooth| touching.and(smooth));
+        let scale = Estimate { value: both.value - touching.value, ..both };
+        return Distance { path: bent, scale: Scale::Known(scale) };
+    }
+    let hidden: Vec<Option<f64>> =
+        owners.iter().zip(behind).map(|(owners, behind)| hidden(index, owners, *behind)).collect();
+    let bounded = bounded(&path, &hidden, &lower_ends);
+    let is_behind = |smooth: Estimate| smooth.value - smooth.deviation >= bounded.usual + BEFORE.1;
+    if smooth.is_some_and(is_behind) {
+        // A scale that puts the path far behind what the object hides is wrong, and so are the corrections of
+        // the path that come with it.
+        let before = self::bounded(&observed, &hidden, &lower_ends).before;
+        return Distance { path: observed, scale: Scale::Bounded { before, smooth: None } };
+    }
+    Distance { path, scale: Scale::Bounded { before: bounded.before, smooth } }
+}
+
+/// The state of an object in each frame, up to scale. `path` is the logarithm of its depth, `pixels` the
+/// number of its pixels and `focal` the focal length in pixels.
+fn seen(
+    shape: &Shape,
+    path: &[f64],
+    middles: &[DVec2],
+    outlines: &[Option<Outline>],
+    pixels: &[usize],
+    focal: f64,
+) -> Vec<Seen> {
+    let outline_deviation = outline::deviation(outlines);
+    let radius = {
+        let radius = |(pixels, depth): (&usize, &f64)| {
+            (*pixels as f64 / std::f64::consts::PI).sqrt() * depth.exp()
+        };
+        quantile(pixels.iter().zip(path).map(radius).collect(), 0.5) / focal
+    };
+    let state = |k: usize| {
+        let pose = shape.frames[k].view_from_object;
+        let turned = pose.map_or(DMat3::ZERO, |pose| DMat3::from_quat(pose.rotation));
+        let known = match (pose, outlines[k]) {
             (Some(_), _) if shape.rigid => Some(ALONG.0),
             (_, Some(_)) => Some(outline_deviation),
             (Some(_), None) => Some(ALONG.1),
             (None, None) => None,
-        })
+        };
+        Seen {
+            depth: path[k],
+            middle: middles[k],
+            known,
+            radius,
+            view_from_object: turned * radius,
+        }
+    };
+    (0..path.len()).map(state).collect()
+}
+
+/// The logarithm of the depth of an object's middle that follows from its contact with the ground, frame by
+/// frame, where it has one.
+fn contacts(
+    object: &Object,
+    shape: &Shape,
+    lower_ends: &[Option<LowerEnd>],
+    middles: &[DVec2],
+) -> Vec<Option<Estimate>> {
+    let contact = |(k, end): (usize, &Option<LowerEnd>)| {
+        let Some(LowerEnd::Touches(Contact { depth, pixel, half_width })) = end else {
+            return None;
+        };
+        let near = object.tracks.iter().zip(&shape.frames[k].relative);
+        let mut near: Vec<(f64, f64)> = near
+            .filter_map(|(t, r)| Some((t.at(object.first + k)?.distance(*pixel), (*r)?)))
+            .collect();
+        near.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let within = near.partition_point(|(distance, _)| *distance < BY_CONTACT * half_width);
+        near.truncate(within.max(NEAR_CONTACT));
+        let relative = near.iter().map(|n| n.1).collect::<Vec<_>>();
+        let relative = if near.is_empty() { 1.0 } else { quantile(relative, 0.5) };
+        let aside = (pixel.x - middles[k].x) / half_width;
+        let deviation = CONTACT.hypot(CONTACT_ASIDE * aside);
+        Some(Estimate { value: (depth / relative).ln(), deviation })
+    };
+    lower_ends.iter().enumerate().map(contact).collect()
+}
+
+/// The logarithm of the depth of what an object hides in a frame, at its near side. `None` if the object is
+/// absent.
+fn hidden(index: usize, owners: &[Option<u16>], behind: Behind<'_>) -> Option<f64> {
+    let own = owners.iter().zip(behind.inverse);
+    let hidden: Vec<f64> = own
+        .filter(|(owner, _)| **owner == Some(index as u16))
+        .map(|(_, inverse)| f64::from(*inverse))
         .collect();
-    let radius = {
-        let pixels = frames.clone().map(|f| {
-            let own = owners[f].iter().filter(|owner| **owner == Some(index as u16));
-            (own.count() as f64 / std::f64::consts::PI).sqrt()
-        });
-        let sizes = pixels.zip(&path).map(|(pixels, depth)| pixels * depth.exp());
-        quantile(sizes.collect(), 0.5) / cameras.intrinsics.fx
-    };
-    let seen: Vec<Seen> = (0..n)
-        .map(|k| {
-            let turned = shape.frames[k].view_from_object.map(|pose| pose.rotation);
-            let turned = turned.map_or(DMat3::ZERO, DMat3::from_quat);
-            Seen {
-                depth: path[k],
-                middle: middles[k],
-                known: known[k],
-                radius,
-                view_from_object: turned * radius,
-            }
-        })
-        .collect();
-    let (smooth, farther) = smoothness(&seen, cameras, object.first).unzip();
-    let path: Vec<f64> = match farther {
-        Some(farther) => path.iter().zip(farther).map(|(path, by)| path + by).collect(),
-        None => path,
-    };
-    let lower_ends: Vec<Option<LowerEnd>> =
-        frames.clone().map(|f| lower_end(index, &owners[f], behind[f], width)).collect();
-    let wall = |end: &Option<LowerEnd>| match end {
-        Some(LowerEnd::Wall(depth)) => Some(depth.ln()),
-        _ => None,
-    };
-    let walls: Vec<Option<f64>> = lower_ends.iter().map(wall).collect();
+    (!hidden.is_empty()).then(|| -quantile(hidden, 0.8).max(1e-3).ln())
+}
+
+/// The scale of a path without contact, from what the object hides.
+struct Bounded {
+    /// The estimate.
+    before: Estimate,
+    /// The scale with which the object is as deep as what it hides, in the usual frame.
+    usual: f64,
+}
+
+/// The scale of a path whose object is nearer than what it hides (`hidden`, logarithm) in nearly every frame.
+fn bounded(path: &[f64], hidden: &[Option<f64>], lower_ends: &[Option<LowerEnd>]) -> Bounded {
+    let bounds: Vec<f64> =
+        hidden.iter().zip(path).filter_map(|(hidden, depth)| Some((*hidden)? - depth)).collect();
+    let usual = quantile(bounds.clone(), 0.5);
+    let bound = quantile(bounds, 0.1);
     let cut_off: Vec<f64> = lower_ends
         .iter()
-        .zip(&path)
+        .zip(path)
         .filter_map(|(end, path)| match end {
             Some(LowerEnd::CutOff(ground)) => Some(ground.ln() - path),
             _ => None,
         })
         .collect();
-    let contacts: Vec<Option<Estimate>> = frames
-        .clone()
-        .enumerate()
-        .map(|(k, f)| {
-            let Some(LowerEnd::Touches(Contact { depth, pixel, half_width })) = lower_ends[k]
-            else {
-                return None;
-            };
-            let near = object.tracks.iter().zip(&shape.frames[k].relative);
-            let mut near: Vec<(f64, f64)> =
-                near.filter_map(|(t, r)| Some((t.at(f)?.distance(pixel), (*r)?))).collect();
-            near.sort_by(|a, b| a.0.total_cmp(&b.0));
-            let within = near.partition_point(|(distance, _)| *distance < BY_CONTACT * half_width);
-            near.truncate(within.max(NEAR_CONTACT));
-            let relative = near.iter().map(|n| n.1).collect::<Vec<_>>();
-            let relative = if near.is_empty() { 1.0 } else { quantile(relative, 0.5) };
-            let aside = (pixel.x - middles[k].x) / half_width;
-            let deviation = CONTACT.hypot(CONTACT_ASIDE * aside);
-            Some(Estimate { value: (depth / relative).ln(), deviation })
-        })
-        .collect();
-    if let Some((bent, touching)) = touched(&path, &contacts, &walls, cut_off.len(), &steps) {
-        let both = smooth.map_or(touching, |smooth| touching.and(smooth));
-        let scale = Estimate { value: both.value - touching.value, ..both };
-        return Distance { path: bent, scale: Scale::Known(scale) };
-    }
-    // The object is nearer than what it hides in nearly every frame.
-    let bounds = frames
-        .zip(&path)
-        .filter_map(|(f, depth)| {
-            let own = owners[f].iter().zip(behind[f].inverse);
-            let hidden: Vec<f64> = own
-                .filter(|(owner, _)| **owner == Some(index as u16))
-                .map(|(_, inverse)| f64::from(*inverse))
-                .collect();
-            (!hidden.is_empty()).then(|| -quantile(hidden, 0.8).max(1e-3).ln() - depth)
-        })
-        .collect();
-    let usual: f64 = quantile(Vec::clone(&bounds), 0.5);
-    let bound = quantile(bounds, 0.1);
-    let below = match 2 * cut_off.len() > n {
+    let below = match 2 * cut_off.len() > path.len() {
         true => quantile(cut_off, 0.1),
         false => f64::INFINITY,
     };
@@ -312,9 +352,7 @@ pub(super) fn distance(
         true => Estimate { value: below - CUT_OFF.0, deviation: CUT_OFF.1 },
         false => Estimate { value: bound - BEFORE.0, deviation: BEFORE.1 },
     };
-    // A scale that puts the path far behind what the object hides is wrong.
-    let smooth = smooth.filter(|smooth| smooth.value - smooth.deviation < usual + BEFORE.1);
-    Distance { path, scale: Scale::Bounded { before, smooth } }
+    Bounded { before, usual }
 }
 
 /// Standard deviation of each step of an object's path, logarithm.
@@ -429,16 +467,15 @@ fn sized(path: Vec<f64>, sizes: &[Option<f64>], deviation: f64, steps: &[f64]) -
 }
 
 /// The path scaled and corrected so that it agrees with its contacts, and the resulting scale with its
-/// standard deviation. Returns `None` if the contacts do not agree, or if the object is in the air too often.
-/// `walls` are the logarithms of the depths of the walls that the object passes in front of. `cut_off` is the
-/// number of frames in which the object's lower end is outside the image.
+/// standard deviation. Returns `None` if the contacts do not agree, or if the object is in the air too often:
+/// `lower_ends` tells where it passes in front of a wall or is cut off by the image border.
 fn touched(
     path: &[f64],
     contacts: &[Option<Estimate>],
-    walls: &[Option<f64>],
-    cut_off: usize,
+    lower_ends: &[Option<LowerEnd>],
     steps: &[f64],
 ) -> Option<(Vec<f64>, Estimate)> {
+    let cut_off = lower_ends.iter().filter(|end| matches!(end, Some(LowerEnd::CutOff(_)))).count();
     let offsets: Vec<Estimate> = contacts
         .iter()
         .zip(path)
@@ -461,7 +498,11 @@ fn touched(
     // An object in the air is nearer than the ground that is visible below it, and it passes in front of
     // walls.
     let nearer = off.iter().filter(|(off, _)| *off <= -AGREES).count();
-    let before = walls.iter().zip(&bent).filter(|(wall, b)| wall.is_some_and(|w| w > **b)).count();
+    let before = lower_ends
+        .iter()
+        .zip(&bent)
+        .filter(|(end, b)| matches!(end, Some(LowerEnd::Wall(wall)) if wall.ln() > **b))
+        .count();
     let all = offsets.len() as f64;
     let touches = agree >= 3
         && agree as f64 >= TOUCHES.1 * all
@@ -530,11 +571,53 @@ fn bent(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::types::{Intrinsics, Pose};
+    use glam::{DQuat, DVec3};
 
     #[test]
     fn gaps_are_as_long_as_the_frames_that_are_not_known() {
         let known = [1, 0, 1, 0, 0, 0, 1, 0].map(|known| (known == 1).then_some(0.1));
         assert_eq!(unknown_for(&known), [0, 1, 0, 3, 3, 3, 0, 1]);
+    }
+
+    #[test]
+    fn a_fall_tells_the_depth_where_only_a_part_is_seen() {
+        // A ball flies towards a hand-held camera that also moves forward and back. In the last four frames
+        // only a part of the ball is in the image, so its observed depth is wrong by 20 %.
+        let intrinsics = Intrinsics::centred(400.0, 640, 480);
+        let wave = |t: f64, k: f64, phase: f64| (k * t + phase).sin();
+        let centre = |t: f64| {
+            let shake = DVec3::new(wave(t, 0.9, 0.3), wave(t, 1.3, 1.0), wave(t, 0.7, 2.0));
+            DVec3::new(0.02 * t, 0.0, 0.0) + 0.04 * shake
+        };
+        let ball = |t: f64| DVec3::new(0.03 * t, 0.004 * (t - 12.0).powi(2), 5.0 - 0.08 * t);
+        let unit = 2.0;
+        let poses = (0..28).map(|t| Pose::new(DQuat::IDENTITY, -centre(f64::from(t)))).collect();
+        let mut cameras = Cameras::known(intrinsics, poses);
+        let depth = |t: usize| (ball(t as f64) - centre(t as f64)).z;
+        let seen: Vec<Seen> = (0..28)
+            .map(|t| {
+                let at = ball(t as f64) - centre(t as f64);
+                let part = t >= 24;
+                let middle = intrinsics.project(at);
+                Seen {
+                    depth: (unit * at.z * if part { 1.2 } else { 1.0 }).ln(),
+                    middle: middle + if part { DVec2::new(4.0, 0.0) } else { DVec2::ZERO },
+                    known: (!part).then_some(ALONG.0),
+                    radius: 0.2 * unit,
+                    view_from_object: DMat3::ZERO,
+                }
+            })
+            .collect();
+        let error = |cameras: &Cameras| -> f64 {
+            let (scale, farther) = smoothness(&seen, cameras, 0).unwrap();
+            let found = |t: usize| seen[t].depth + farther[t] + scale.value;
+            (24..28).map(|t| (found(t) - depth(t).ln()).abs()).fold(0.0, f64::max)
+        };
+        let without = error(&cameras);
+        cameras.up = Some(DVec3::NEG_Y);
+        let with = error(&cameras);
+        assert!(with < 0.03 && without > 0.1, "{with} {without}");
     }
 
     #[test]
@@ -550,7 +633,7 @@ mod tests {
             })
             .collect();
         let steps = [0.002; 9];
-        let (found, scale) = touched(&path, &contacts, &[None; 10], 0, &steps).unwrap();
+        let (found, scale) = touched(&path, &contacts, &[None; 10], &steps).unwrap();
         for (logarithm, p) in found.iter().zip(&path) {
             assert!((logarithm - p - 3f64.ln()).abs() < 0.01, "{logarithm}");
         }
@@ -558,13 +641,12 @@ mod tests {
         // Contacts with whatever happens to lie below the object do not agree.
         let below = |k: usize| sure((2.0 + k as f64).ln());
         assert!(
-            touched(&path, &(0..10).map(below).collect::<Vec<_>>(), &[None; 10], 0, &steps)
-                .is_none()
+            touched(&path, &(0..10).map(below).collect::<Vec<_>>(), &[None; 10], &steps).is_none()
         );
-        assert!(touched(&path, &[None; 10], &[None; 10], 0, &steps).is_none());
+        assert!(touched(&path, &[None; 10], &[None; 10], &steps).is_none());
         // Two contacts of ten can be chance.
         let few: Vec<_> = (0..10).map(|k| if k < 2 { contacts[k] } else { None }).collect();
-        assert!(touched(&path, &few, &[None; 10], 0, &steps).is_none());
+        assert!(touched(&path, &few, &[None; 10], &steps).is_none());
         // Of two groups of contacts, the smaller one near the object's middle wins.
         let contacts: Vec<Option<Estimate>> = (0..10)
             .map(|k| match k {
@@ -572,7 +654,7 @@ mod tests {
                 _ => Some(Estimate { value: path[k] + 3f64.ln() - 0.08, deviation: 0.1 }),
             })
             .collect();
-        let (_, scale) = touched(&path, &contacts, &[None; 10], 0, &steps).unwrap();
+        let (_, scale) = touched(&path, &contacts, &[None; 10], &steps).unwrap();
         assert!((scale.value - 3f64.ln()).abs() < 0.02, "{scale:?}");
     }
 
@@ -612,17 +694,18 @@ mod tests {
         let at = |value: f64| Some(Estimate { value, deviation: CONTACT });
         let mut contacts = [None; 12];
         contacts[..6].fill(at(1.0));
-        assert!(touched(&path, &contacts, &[None; 12], 0, &steps).is_some());
+        assert!(touched(&path, &contacts, &[None; 12], &steps).is_some());
         // In as many frames the object passes in front of a farther wall.
+        let wall = |depth: f64| Some(LowerEnd::Wall(depth.exp()));
         let mut walls = [None; 12];
-        walls[6..].fill(Some(1.3));
-        assert!(touched(&path, &contacts, &walls, 0, &steps).is_none());
+        walls[6..].fill(wall(1.3));
+        assert!(touched(&path, &contacts, &walls, &steps).is_none());
         // A nearer wall hides the object.
-        walls[6..].fill(Some(0.7));
-        assert!(touched(&path, &contacts, &walls, 0, &steps).is_some());
+        walls[6..].fill(wall(0.7));
+        assert!(touched(&path, &contacts, &walls, &steps).is_some());
         // The object is seen in front of ground that is nearer.
         contacts[6..10].fill(at(0.7));
-        assert!(touched(&path, &contacts, &[None; 12], 0, &steps).is_none());
+        assert!(touched(&path, &contacts, &[None; 12], &steps).is_none());
     }
 
     #[test]

@@ -27,6 +27,7 @@ const HIDES: f64 = 0.2;
 const SLOPE: f64 = 0.7;
 
 /// The contact of an object with static ground.
+#[derive(Clone, Copy)]
 pub(super) struct Contact {
     /// Depth of the ground.
     pub depth: f64,
@@ -36,6 +37,7 @@ pub(super) struct Contact {
 }
 
 /// The surroundings of an object's lower end in a frame.
+#[derive(Clone, Copy)]
 pub(super) enum LowerEnd {
     /// Ground, at the point where the object would touch it.
     Touches(Contact),

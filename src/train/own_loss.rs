@@ -145,13 +145,18 @@ impl Trainer {
     /// # Errors
     /// [`Error::Input`] outside of a step, and before the device has finished.
     pub fn fits(&mut self) -> Result<bool> {
-        let size = self.under_way("fits", &[Stage::Forward, Stage::Backward, Stage::Update])?;
+        self.under_way("fits", &[Stage::Forward, Stage::Backward, Stage::Update])?;
+        Ok(self.excess()?.is_none())
+    }
+
+    /// The number of (splat, tile) pairs of the current step's frame if it exceeds the capacity.
+    fn excess(&mut self) -> Result<Option<usize>> {
+        let Some(own) = &mut self.own else { return Ok(None) };
         let mut words = [0; 2];
-        if let Some(own) = &mut self.own {
-            own.counts.read_into(&mut words)?;
-        }
-        let capacity = self.frame_pool.for_size(&self.device, size)?.render.intersection_capacity();
-        Ok(FrameCounts::from_device(words).intersections <= capacity)
+        own.counts.read_into(&mut words)?;
+        let needed = FrameCounts::from_device(words).intersections;
+        let resources = self.frame_pool.for_size(&self.device, own.size)?;
+        Ok((needed > resources.render.intersection_capacity()).then_some(needed))
     }
 
     /// Records the gradients with respect to every parameter and to the camera's pose, from the gradient
@@ -234,20 +239,13 @@ impl Trainer {
     /// [`Error::Input`] outside of a step, or while the device has not finished, in which case the step
     /// stays in progress; else as for [`step`](Self::step).
     pub fn conclude(&mut self) -> Result<bool> {
-        let Some(mut own) = self.own.take() else {
+        let excess = self.excess()?;
+        let Some(OwnStep { size, counts, stage }) = self.own.take() else {
             return Err(out_of_turn("conclude", "after `forward`"));
         };
-        let mut words = [0; 2];
-        if let Err(error) = own.counts.read_into(&mut words) {
-            self.own = Some(own);
-            return Err(error);
-        }
-        let OwnStep { size, counts, stage } = own;
         self.idle.push(counts);
-        let counts = FrameCounts::from_device(words);
-        let resources = self.frame_pool.for_size(&self.device, size)?;
-        if counts.intersections > resources.render.intersection_capacity() {
-            self.frame_pool.grow(&self.device, size, counts.intersections)?;
+        if let Some(needed) = excess {
+            self.frame_pool.grow(&self.device, size, needed)?;
             return Ok(false);
         }
         if stage == Stage::Update {
