@@ -25,7 +25,7 @@ use splat4d::types::{Gaussians, Image};
 use support::{picture, says};
 use tempfile::TempDir;
 
-const COMMANDS: [&str; 17] = [
+const COMMANDS: [&str; 18] = [
     "reconstruct",
     "batch",
     "track",
@@ -36,6 +36,7 @@ const COMMANDS: [&str; 17] = [
     "ablate",
     "info",
     "devices",
+    "doctor",
     "bench",
     "synth",
     "table",
@@ -165,6 +166,124 @@ fn devices_are_listed() {
     assert!(first["name"].is_string() && first["subgroup_size"].as_u64() >= Some(4), "{found}");
     documented("devices", &found);
     documented("devices", first);
+}
+
+/// A finding of `doctor` about a subject.
+#[track_caller]
+fn finding<'a>(found: &'a Value, subject: &str) -> &'a Value {
+    let findings = found["findings"].as_array().unwrap();
+    let of = findings.iter().find(|finding| finding["subject"] == subject);
+    of.unwrap_or_else(|| panic!("nothing on {subject}: {found}"))
+}
+
+#[test]
+fn doctor_finds_a_machine_in_order() {
+    let folder = tempfile::tempdir().unwrap();
+    let found = json(folder.path(), "doctor --seed 3");
+    assert_eq!(content(folder.path()).len(), 0, "it leaves nothing behind");
+    documented("doctor", &found);
+    assert_eq!(found["problems"], 0, "{found}");
+    assert_eq!(found["program"]["version"], env!("CARGO_PKG_VERSION"));
+    assert_eq!(found["system"]["os"], std::env::consts::OS);
+    for part in ["program", "system", "vulkan", "ffmpeg", "onnxruntime"] {
+        documented("doctor", &found[part]);
+    }
+    for at in [0, 1] {
+        documented("doctor", &found["folders"][at]);
+        assert!(found["folders"][at]["free_bytes"].as_u64() > Some(0), "{found}");
+    }
+    for key in ["memory_bytes", "available_bytes", "cores"] {
+        assert!(found["system"][key].as_u64() > Some(0), "{key}: {found}");
+    }
+    assert!(found["vulkan"]["loader"].as_str().unwrap().starts_with("1."), "{found}");
+    let devices = found["vulkan"]["devices"].as_array().unwrap();
+    let usable: Vec<_> = devices.iter().filter(|device| device["unfit"].is_null()).collect();
+    assert!(!usable.is_empty(), "{found}");
+    for device in usable {
+        let smoke = &device["smoke"];
+        documented("doctor", smoke);
+        // Rendering, training, and at least one quick case.
+        assert!(smoke["cases"].as_u64() >= Some(3), "{smoke}");
+        assert_eq!((&smoke["failed"], &smoke["error"]), (&Value::Array(vec![]), &Value::Null));
+        let subject = format!("device {}, smoke test", device["index"]);
+        assert_eq!(finding(&found, &subject)["mark"], "ok");
+    }
+}
+
+#[test]
+fn doctor_names_what_is_missing() {
+    let folder = tempfile::tempdir().unwrap();
+    let none = folder.path().join("none\u{1b}.json");
+    let without = |arguments: &[&str]| {
+        let mut command = program();
+        command.current_dir(folder.path()).args(arguments).env("PATH", folder.path());
+        command.env("VK_DRIVER_FILES", &none).env("VK_ICD_FILENAMES", &none);
+        command.env_remove("VK_ADD_DRIVER_FILES").env_remove("ORT_DYLIB_PATH");
+        let output = command.output().unwrap();
+        assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+        assert!(!stderr(&output).contains("panicked"), "{}", stderr(&output));
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let found: Value = serde_json::from_str(&without(&["doctor", "--json"])).unwrap();
+    assert_eq!(
+        (&found["problems"], &found["vulkan"]["devices"]),
+        (&1.into(), &Value::Array(vec![]))
+    );
+    says(found["vulkan"]["error"].as_str().unwrap(), &["no driver", "mesa-vulkan-drivers"]);
+    let drivers = finding(&found, "Vulkan drivers");
+    assert_eq!(drivers["mark"], "problem");
+    says(drivers["remedy"].as_str().unwrap(), &["Debian", "Fedora", "Arch"]);
+    let ffmpeg = finding(&found, "ffmpeg");
+    assert_eq!((&ffmpeg["mark"], &found["ffmpeg"]["version"]), (&"note".into(), &Value::Null));
+    says(ffmpeg["remedy"].as_str().unwrap(), &["apt-get install ffmpeg"]);
+    let set = &found["environment"]["VK_DRIVER_FILES"];
+    assert_eq!(set.as_str(), none.to_str());
+    let text = without(&["doctor"]);
+    says(
+        &text,
+        &["problem  Vulkan drivers: ", "note     ffmpeg: not found", "1 problem was found"],
+    );
+    assert!(text.contains("VK_DRIVER_FILES=") && !text.contains('\u{1b}'), "{text}");
+}
+
+/// A file that is no library, where the loader is looked for first.
+#[test]
+#[cfg(target_os = "linux")]
+fn doctor_says_that_there_is_no_loader() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("libvulkan.so.1"), "").unwrap();
+    let mut command = program();
+    command.arg("doctor").env("LD_LIBRARY_PATH", folder.path());
+    let output = command.output().unwrap();
+    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+    let text = String::from_utf8(output.stdout).unwrap();
+    says(&text, &["problem  Vulkan loader: no Vulkan loader found", "libvulkan1", "vulkan-loader"]);
+}
+
+/// A driver that aborts the process that loads it.
+#[test]
+#[cfg(target_os = "linux")]
+fn doctor_survives_a_driver_that_crashes() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let source = "#include <stdlib.h>\n\
+                  void *vk_icdGetInstanceProcAddr(void *a, const char *b) { abort(); }\n\
+                  int vk_icdNegotiateLoaderICDInterfaceVersion(unsigned *a) { abort(); }\n";
+    fs::write(at("driver.c"), source).unwrap();
+    let mut compiler = Command::new("cc");
+    compiler.current_dir(folder.path()).args("-shared -fPIC -o driver.so driver.c".split(' '));
+    assert!(compiler.status().unwrap().success());
+    let manifest = serde_json::json!({
+        "file_format_version": "1.0.0",
+        "ICD": { "library_path": at("driver.so"), "api_version": "1.3.0" },
+    });
+    fs::write(at("driver.json"), manifest.to_string()).unwrap();
+    let mut command = program();
+    command.arg("doctor").env("VK_DRIVER_FILES", at("driver.json"));
+    let output = command.env_remove("VK_ADD_DRIVER_FILES").output().unwrap();
+    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+    let text = String::from_utf8(output.stdout).unwrap();
+    says(&text, &["problem  Vulkan drivers: ", "crashes: signal: 6", "VK_DRIVER_FILES"]);
 }
 
 #[test]

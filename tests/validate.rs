@@ -231,6 +231,17 @@ mod command {
     }
 
     #[test]
+    fn stops_when_its_time_is_over() {
+        let output = validate(&["--seconds", "0.5"]);
+        assert_eq!(output.status.code(), Some(0));
+        let answer = json(&output);
+        let [ran, left_out] = ["cases", "left_out"].map(|key| answer[key].as_u64().unwrap());
+        let all: usize = splat4d::check::ALL.iter().map(|cases| cases.len()).sum();
+        assert!(ran > 0 && left_out > 0, "{ran} and {left_out}");
+        assert_eq!(ran + left_out, all as u64);
+    }
+
+    #[test]
     fn a_junit_report_holds_every_case() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("validate.xml");

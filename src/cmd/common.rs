@@ -69,7 +69,7 @@ impl Common {
 }
 
 /// Number of processors, as reported by the system.
-fn processors() -> u64 {
+pub fn processors() -> u64 {
     std::thread::available_parallelism().map_or(1, |count| count.get() as u64)
 }
 
@@ -219,6 +219,11 @@ pub fn bytes(count: u64) -> String {
         unit += 1;
     }
     if unit == 0 { format!("{count} B") } else { format!("{value:.1} {}", units[unit]) }
+}
+
+/// A version in Vulkan's packed encoding: variant (3 bits), major (7), minor (10), patch (12).
+pub fn vulkan_version(packed: u32) -> String {
+    format!("{}.{}.{}", packed >> 22 & 0x7f, packed >> 12 & 0x3ff, packed & 0xfff)
 }
 
 #[cfg(test)]

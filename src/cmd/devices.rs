@@ -12,7 +12,7 @@ use splat4d::train::{PictureKind, TrainSettings, TrainingScale};
 use splat4d::types::{Gaussians, Tuning};
 use splat4d::vk::{self, DeviceKind};
 
-use super::common::{Answer, bytes, check_room_for_drivers, thousands};
+use super::common::{Answer, bytes, check_room_for_drivers, thousands, vulkan_version};
 
 /// Image size that the largest scenes are predicted for.
 const SIZE: (u32, u32) = (1920, 1080);
@@ -22,15 +22,16 @@ const PICTURES: usize = 100;
 const AFTER_HELP: &str = "\
 The largest scene is what the free memory and the largest binding allow: still, with harmonics of
 degree 3, rendered at 1920×1080, or trained on a hundred pictures of that size, with room for four
-tiles per Gaussian.
+tiles per Gaussian. Devices below Vulkan 1.3 come last; --device does not find them.
 
 Example:
   splat4d devices
 
 JSON: devices: [{index, name, kind, driver, vulkan, subgroup_size, memory_bytes, free_bytes,
-binding_bytes, most_gaussians {render, train}, unfit (why it cannot run, or null)}]";
+binding_bytes, most_gaussians {render, train}, missing [what the engine needs and it lacks], unfit (why
+it cannot run, or null)}]";
 
-/// List the Vulkan devices that --device can select
+/// List the Vulkan devices, and what fits on each
 #[derive(Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct DevicesArgs {}
@@ -39,7 +40,7 @@ pub struct DevicesArgs {}
 pub fn run(_: &DevicesArgs) -> Result<Answer> {
     check_room_for_drivers()?;
     let (mut text, mut list) = (String::new(), Vec::new());
-    for device in vk::enumerate()? {
+    for vk::Candidate { info: device, missing } in vk::candidates()? {
         let kind = match device.kind {
             DeviceKind::Discrete => "discrete",
             DeviceKind::Integrated => "integrated",
@@ -47,10 +48,7 @@ pub fn run(_: &DevicesArgs) -> Result<Answer> {
             DeviceKind::Software => "software",
             DeviceKind::Other => "other",
         };
-        // Packed by Vulkan as variant (3 bits), major (7), minor (10), patch (12).
-        let version = device.api_version;
-        let (major, minor, patch) = (version >> 22 & 0x7f, version >> 12 & 0x3ff, version & 0xfff);
-        let vulkan = format!("{major}.{minor}.{patch}");
+        let vulkan = vulkan_version(device.api_version);
         let memory = bytes(device.memory_bytes);
         let _ = writeln!(
             text,
@@ -65,9 +63,14 @@ pub fn run(_: &DevicesArgs) -> Result<Answer> {
             "vulkan": vulkan,
             "subgroup_size": device.subgroup_size,
             "memory_bytes": device.memory_bytes,
+            "missing": missing,
         });
         let request = Request { selector: Selector::Index(device.index), ..Request::default() };
-        match Device::open(&request) {
+        let opened = match missing.is_empty() {
+            true => Device::open(&request).map_err(|error| error.to_string()),
+            false => Err(format!("it lacks {}", missing.join(", "))),
+        };
+        match opened {
             Ok(device) => {
                 let (render, train) = most_gaussians(&device);
                 let (free, binding) = (device.free_memory(), device.limits().storage_range);
@@ -88,7 +91,7 @@ pub fn run(_: &DevicesArgs) -> Result<Answer> {
             }
             Err(error) => {
                 let _ = writeln!(text, "   cannot be used: {error}");
-                facts["unfit"] = json!(error.to_string());
+                facts["unfit"] = json!(error);
             }
         }
         list.push(facts);

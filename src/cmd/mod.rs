@@ -21,6 +21,9 @@ mod compact;
 mod completions;
 mod components;
 mod devices;
+mod doctor;
+mod doctor_machine;
+mod doctor_vulkan;
 mod encode;
 mod eval;
 mod eval_first;
@@ -115,6 +118,7 @@ enum Command {
     Ablate(ablate::AblateArgs),
     Info(info::InfoArgs),
     Devices(devices::DevicesArgs),
+    Doctor(doctor::DoctorArgs),
     Bench(bench::BenchArgs),
     Synth(synth::SynthArgs),
     Table(table::TableArgs),
@@ -205,6 +209,7 @@ fn run(cli: &Cli) -> Result<(Answer, ExitCode)> {
         Command::View(args) => view::run(args, &cli.common),
         // The results of these commands determine the exit code.
         Command::Batch(args) => return batch::run(args, &cli.common),
+        Command::Doctor(_) => return doctor::run(&cli.common),
         Command::Bench(args) => return bench::run(args, &cli.common),
         Command::Table(args) => return table::run(args, &cli.common),
         Command::Validate(args) => return validate::run(args, &cli.common),

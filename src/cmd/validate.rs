@@ -34,7 +34,7 @@ Examples:
   splat4d validate --device all --junit validate.xml
   splat4d validate --fuzz 10000 --seed 3
 
-JSON: cases, failed, seconds, quick, validation, devices [{index, name, driver}], and rows, one for each
+JSON: cases, failed, left_out (cases that --seconds left no time for), seconds, quick, validation, devices [{index, name, driver}], and rows, one for each
 case and device: {device (index), case, result (passed, failed, known fault, fault gone), reason, seed,
 seconds, comparisons, worst, failures, error, messages}. worst, and each of failures, is {output,
 values, bound {absolute, relative}, absolute, relative, ulp, of_bound, at, oracle_f32_absolute,
@@ -52,6 +52,10 @@ pub struct ValidateArgs {
     /// Only cases whose name contains this text; may be repeated
     #[arg(long, value_name = "TEXT")]
     filter: Vec<String>,
+    /// Begin no further case after this many seconds
+    #[arg(long, value_name = "SECONDS", conflicts_with_all = ["fuzz", "case"],
+          value_parser = values::number(0.001..=values::MOST_SECONDS))]
+    seconds: Option<f64>,
     /// Enable the Khronos validation layer with synchronization validation; any message is a failure
     #[arg(long)]
     validation: bool,
@@ -90,11 +94,15 @@ pub fn run(args: &ValidateArgs, common: &Common) -> Result<(Answer, ExitCode)> {
     let started = Instant::now();
     let cases = chosen(args)?;
     let mut meter = Meter::new("validate", "cases", (cases.len() * infos.len()) as u64, 0);
-    let mut rows = Vec::new();
+    let (mut rows, mut left_out) = (Vec::new(), 0);
     for (place, info) in infos.iter().enumerate() {
         let mut bench = Bench { info, validation: args.validation, device: None };
         for case in cases.iter().filter(|case| place == 0 || !case.kernels.is_empty()) {
             interrupt::check()?;
+            if args.seconds.is_some_and(|most| started.elapsed().as_secs_f64() >= most) {
+                left_out += 1;
+                continue;
+            }
             meter.message(case.id.to_owned());
             let row = bench.row(case, common.seed)?;
             if !row.is_fine() {
@@ -113,9 +121,13 @@ pub fn run(args: &ValidateArgs, common: &Common) -> Result<(Answer, ExitCode)> {
     let seconds = started.elapsed().as_secs_f64();
     let mut text = table(&infos, &rows);
     text += &format!("{} cases, {failed} failed, {seconds:.1} s\n", rows.len());
+    if left_out > 0 {
+        text += &format!("{left_out} cases were left out after {seconds:.1} s\n");
+    }
     let json = json!({
         "cases": rows.len(),
         "failed": failed,
+        "left_out": left_out,
         "seconds": seconds,
         "quick": args.quick,
         "validation": args.validation,

@@ -1,15 +1,18 @@
 //! The Vulkan loader, the instance, the validation layer and the list of devices.
 
+use super::requirements::Requirements;
 use super::vk_error;
 use crate::error::{Error, Result};
 use ash::{ext, vk};
 use std::ffi::{CStr, c_void};
 use std::sync::{Arc, Mutex};
 
-const NO_LOADER: &str = "no Vulkan loader found; install libvulkan1 and a driver \
-     (Debian: apt-get install libvulkan1 mesa-vulkan-drivers, which brings a software driver too)";
-const A_DRIVER: &str = "install one (Debian: apt-get install mesa-vulkan-drivers, which brings a \
-     software driver too) or point VK_DRIVER_FILES at one";
+const NO_LOADER: &str = "no Vulkan loader found; install it and a driver (Debian, Ubuntu: apt-get \
+     install libvulkan1 mesa-vulkan-drivers; Fedora: dnf install vulkan-loader mesa-vulkan-drivers; \
+     Arch: pacman -S vulkan-icd-loader vulkan-swrast; each brings a software driver too)";
+const A_DRIVER: &str = "install the driver of your GPU, or a software driver (Debian, Ubuntu: apt-get \
+     install mesa-vulkan-drivers; Fedora: dnf install mesa-vulkan-drivers; Arch: pacman -S \
+     vulkan-swrast), or point VK_DRIVER_FILES at one";
 /// The environment variables that list driver files for the loader; the first that is set applies.
 /// If none is set, the loader searches its own folders.
 const DRIVER_LISTS: [&str; 2] = ["VK_DRIVER_FILES", "VK_ICD_FILENAMES"];
@@ -31,9 +34,7 @@ pub(crate) struct Instance {
 
 impl Instance {
     pub(crate) fn new(validation: bool) -> Result<Instance> {
-        // SAFETY: loading the system's Vulkan loader runs its initialisers, which is what every
-        // Vulkan program does.
-        let entry = unsafe { ash::Entry::load() }.map_err(|_| Error::NoDevice(NO_LOADER.into()))?;
+        let entry = load()?;
         let application = vk::ApplicationInfo::default()
             .application_name(c"splat4d")
             .engine_name(c"splat4d")
@@ -85,22 +86,24 @@ impl Instance {
 
     /// Every physical device that supports Vulkan 1.3 or newer, in the loader's order.
     pub(crate) fn devices(&self) -> Result<Vec<(vk::PhysicalDevice, DeviceInfo)>> {
-        // SAFETY: the instance is alive.
-        let devices = unsafe { self.raw.enumerate_physical_devices() }
-            .map_err(vk_error("vkEnumeratePhysicalDevices"))?;
-        let described = devices.into_iter().map(|d| (d, self.describe(d)));
-        let usable: Vec<_> = described
-            .filter(|(_, info)| info.api_version >= vk::API_VERSION_1_3)
-            .enumerate()
-            .map(|(index, (device, mut info))| {
-                info.index = index;
-                (device, info)
-            })
-            .collect();
+        let mut usable = self.physical_devices()?;
+        usable.retain(|(_, info)| is_recent(info));
         if usable.is_empty() {
             return Err(no_driver());
         }
         Ok(usable)
+    }
+
+    /// Every physical device: those that support Vulkan 1.3 or newer, in the loader's order, then the
+    /// others.
+    fn physical_devices(&self) -> Result<Vec<(vk::PhysicalDevice, DeviceInfo)>> {
+        // SAFETY: the instance is alive.
+        let devices = unsafe { self.raw.enumerate_physical_devices() }
+            .map_err(vk_error("vkEnumeratePhysicalDevices"))?;
+        let mut described: Vec<_> = devices.into_iter().map(|d| (d, self.describe(d))).collect();
+        described.sort_by_key(|(_, info)| !is_recent(info));
+        described.iter_mut().enumerate().for_each(|(index, (_, info))| info.index = index);
+        Ok(described)
     }
 
     pub(super) fn describe(&self, device: vk::PhysicalDevice) -> DeviceInfo {
@@ -155,6 +158,16 @@ impl Drop for Instance {
             unsafe { self.raw.destroy_instance(None) };
         }
     }
+}
+
+/// Loads the system's Vulkan loader.
+fn load() -> Result<ash::Entry> {
+    // SAFETY: loading the loader runs its initialisers, which is what every Vulkan program does.
+    unsafe { ash::Entry::load() }.map_err(|_| Error::NoDevice(NO_LOADER.into()))
+}
+
+fn is_recent(info: &DeviceInfo) -> bool {
+    info.api_version >= vk::API_VERSION_1_3
 }
 
 fn no_driver() -> Error {
@@ -268,4 +281,43 @@ pub struct DeviceInfo {
 pub fn enumerate() -> Result<Vec<DeviceInfo>> {
     let instance = Instance::new(false)?;
     Ok(instance.devices()?.into_iter().map(|(_, info)| info).collect())
+}
+
+/// The newest instance version that the Vulkan loader supports, in Vulkan's packed encoding. No driver is
+/// loaded.
+///
+/// # Errors
+/// [`Error::NoDevice`] without a loader, naming the package to install.
+pub fn loader_version() -> Result<u32> {
+    // SAFETY: a plain query of the loader.
+    let version = unsafe { load()?.try_enumerate_instance_version() }
+        .map_err(vk_error("vkEnumerateInstanceVersion"))?;
+    // A loader of Vulkan 1.0 does not have the query.
+    Ok(version.unwrap_or(vk::API_VERSION_1_0))
+}
+
+/// A device of the machine, and what the engine misses on it.
+#[derive(Clone, Debug)]
+pub struct Candidate {
+    /// The device. Devices below Vulkan 1.3 have the indices after those of [`enumerate`].
+    pub info: DeviceInfo,
+    /// The properties, features and limits that it lacks, in words; empty if the engine can run.
+    pub missing: Vec<String>,
+}
+
+/// Every device of the machine, usable or not: first those of [`enumerate`], then those below Vulkan 1.3.
+///
+/// # Errors
+/// [`Error::NoDevice`] without a loader or driver, naming the package to install.
+pub fn candidates() -> Result<Vec<Candidate>> {
+    let (instance, needed) = (Instance::new(false)?, Requirements::query());
+    let devices = instance.physical_devices()?;
+    if devices.is_empty() {
+        return Err(no_driver());
+    }
+    let judged = devices.into_iter().map(|(physical, info)| Candidate {
+        info,
+        missing: needed.lacked_by(&instance.raw, physical),
+    });
+    Ok(judged.collect())
 }

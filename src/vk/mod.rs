@@ -29,7 +29,7 @@ pub(crate) use device::{Context, OnDrop};
 pub use foreign::ImportedMemory;
 pub use foreign::{HostBuffer, HostImage};
 pub(crate) use instance::Instance;
-pub use instance::{DeviceInfo, DeviceKind, enumerate};
+pub use instance::{Candidate, DeviceInfo, DeviceKind, candidates, enumerate, loader_version};
 pub(crate) use ledger::Ledger;
 pub(crate) use pipeline::{Pipeline, PipelineShape};
 pub use queue::QueueLock;

@@ -87,6 +87,11 @@ impl Runtime {
         &self.library
     }
 
+    /// What the library says of its build: commit, type, options. The release is not part of it.
+    pub fn build(&self) -> &'static str {
+        ort::info()
+    }
+
     /// Opens a network's file.
     pub(super) fn session(&self, file: &Path) -> Result<Session> {
         // The runtime's own message for a missing file is less informative.

@@ -87,7 +87,7 @@ const BASES: [&str; 42] = [
 ];
 
 /// Every command's name.
-pub const COMMANDS: [&str; 17] = [
+pub const COMMANDS: [&str; 18] = [
     "reconstruct",
     "batch",
     "track",
@@ -98,6 +98,7 @@ pub const COMMANDS: [&str; 17] = [
     "ablate",
     "info",
     "devices",
+    "doctor",
     "bench",
     "synth",
     "table",
@@ -160,7 +161,7 @@ impl Artist<'_> {
 
     fn base(&mut self) -> Base {
         if self.once_in(40) {
-            return Base { command: "devices", words: Vec::new() };
+            return Base { command: self.pick(&["devices", "doctor"]), words: Vec::new() };
         }
         let text = self.pick(&BASES);
         let mut words = text.split_whitespace();

@@ -28,7 +28,8 @@ def test_the_types_name_what_there_is():
         for node in stub("_splat4d")
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
     }
-    functions = {node.name: node for node in stub("_program") if isinstance(node, ast.FunctionDef)}
+    modules = [*stub("_program"), *stub("_rasterization")]
+    functions = {node.name: node for node in modules if isinstance(node, ast.FunctionDef)}
     public = {name for name in functions if name in splat4d.__all__}
     assert public | set(classes) == set(splat4d.__all__)
     for name, typed in classes.items():

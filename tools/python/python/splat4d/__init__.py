@@ -7,6 +7,7 @@ natural logarithms, opacity and motion as logits. Colours are the image's own en
 """
 
 from ._program import command, evaluate, reconstruct, synth, track, train
+from ._rasterization import rasterization
 from ._splat4d import (
     Camera,
     Device,
@@ -33,6 +34,7 @@ __all__ = [
     "View",
     "command",
     "evaluate",
+    "rasterization",
     "reconstruct",
     "synth",
     "track",
