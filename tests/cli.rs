@@ -202,8 +202,8 @@ fn doctor_finds_a_machine_in_order() {
     for device in usable {
         let smoke = &device["smoke"];
         documented("doctor", smoke);
-        // Rendering, training, and at least one quick case.
-        assert!(smoke["cases"].as_u64() >= Some(3), "{smoke}");
+        // Rendering and training; quick cases follow if there is time left.
+        assert!(smoke["cases"].as_u64() >= Some(2), "{smoke}");
         assert_eq!((&smoke["failed"], &smoke["error"]), (&Value::Array(vec![]), &Value::Null));
         let subject = format!("device {}, smoke test", device["index"]);
         assert_eq!(finding(&found, &subject)["mark"], "ok");

@@ -119,7 +119,7 @@ pub fn folders(findings: &mut Findings) -> Value {
     // A name for the current folder that also serves where its path is not known.
     let current = env::current_dir().unwrap_or_else(|_| PathBuf::from("."));
     let folders = [
-        ("current folder", current, "Change to a folder that exists."),
+        ("current folder", current, "Change to another folder."),
         ("temporary folder", env::temp_dir(), "Name another one with TMPDIR."),
     ];
     let found = folders.map(|(what, path, remedy)| {
