@@ -29,8 +29,9 @@ pub use buffer::{Buffer, Readback, View, ViewMut};
 pub use device::{Device, Request, Selector};
 pub(crate) use kernel::kernel;
 pub use kernel::{
-    Access, Argument, Binding, Groups, Kernel, KernelInfo, ParamInfo, Read, ReadVec3, ReadVec4,
-    ReadWrite, ReadWriteVec3, ReadWriteVec4, Several, Write, WriteVec3, WriteVec4,
+    Access, Argument, Binding, ConstantInfo, ConstantValue, Constants, Groups, Kernel, KernelInfo,
+    ParamInfo, Read, ReadVec3, ReadVec4, ReadWrite, ReadWriteVec3, ReadWriteVec4, Several, Write,
+    WriteVec3, WriteVec4,
 };
 pub use meter::{Detail, Meter};
 pub use recorder::Recorder;

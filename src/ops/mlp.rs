@@ -5,8 +5,8 @@ use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Device, DeviceKind, Groups, Recorder, View, ViewMut};
 use crate::kernels::mlp::{
     Backward, BackwardArgs, BackwardParams, Encode, EncodeArgs, EncodeParams, Forward, ForwardArgs,
-    ForwardParams, Reduce, ReduceArgs, ReduceParams, Seed, SeedArgs, SeedParams, Transforms,
-    TransformsArgs, TransformsParams, Weights, WeightsArgs, WeightsParams,
+    ForwardParams, LoadConstants, Reduce, ReduceArgs, ReduceParams, Seed, SeedArgs, SeedParams,
+    Transforms, TransformsArgs, TransformsParams, Weights, WeightsArgs, WeightsParams,
 };
 use crate::types::NetShape;
 
@@ -179,7 +179,7 @@ impl Network {
         let shared_weights = self.shared(recorder.device(), tiles);
         for (index, layer) in self.layers.iter().enumerate() {
             recorder.dispatch_specialised::<Forward>(
-                &[shared_weights],
+                LoadConstants { shared: shared_weights },
                 Groups::linear(tiles * layer.outputs.div_ceil(TILE), WORKGROUP, &limits)?,
                 ForwardParams {
                     stride4: (stride / 4) as u32,
@@ -242,7 +242,7 @@ impl Network {
             let of_rows = tiles * (layer.inputs + 1).div_ceil(TILE);
             let shared_inputs = self.shared(recorder.device(), tiles);
             recorder.dispatch_specialised::<Weights>(
-                &[shared_inputs],
+                LoadConstants { shared: shared_inputs },
                 Groups::linear(of_rows * segments, WORKGROUP, &limits)?,
                 WeightsParams {
                     stride4: (stride / 4) as u32,
@@ -277,7 +277,7 @@ impl Network {
             let of_features = tiles * (layer.inputs - layer.encoded).div_ceil(TILE);
             let shared_weights = self.shared(recorder.device(), tiles);
             recorder.dispatch_specialised::<Backward>(
-                &[shared_weights],
+                LoadConstants { shared: shared_weights },
                 Groups::linear(of_features, WORKGROUP, &limits)?,
                 BackwardParams {
                     stride4: (stride / 4) as u32,
@@ -315,8 +315,8 @@ impl Network {
 
     /// Whether a subgroup may share loads where every `tiles` consecutive invocations need the same
     /// values.
-    fn shared(&self, device: &Device, tiles: usize) -> u32 {
-        u32::from(self.sharing(device).is_some_and(|subgroup| tiles.is_multiple_of(subgroup)))
+    fn shared(&self, device: &Device, tiles: usize) -> bool {
+        self.sharing(device).is_some_and(|subgroup| tiles.is_multiple_of(subgroup))
     }
 }
 

@@ -2,8 +2,8 @@
 
 use crate::gpu::{Buffer, Device, DeviceKind, Groups, Recorder, View, ViewMut};
 use crate::kernels::sort::{
-    Count, CountArgs, CountParams, OWN_DIGIT_BITS, PLAN_GRID_AT, PLAN_TABLE_AT, PLAN_WORDS, Plan,
-    PlanArgs, PlanParams, SHARED_DIGIT_BITS, Scatter, ScatterArgs, ScatterParams,
+    Count, CountArgs, CountConstants, CountParams, OWN_DIGIT_BITS, PLAN_GRID_AT, PLAN_TABLE_AT,
+    PLAN_WORDS, Plan, PlanArgs, PlanParams, SHARED_DIGIT_BITS, Scatter, ScatterArgs, ScatterParams,
 };
 use crate::ops::scan::{Scan, ScanArgs, ScanScratch};
 use crate::{Error, Result};
@@ -256,9 +256,9 @@ impl RadixSort {
         scan: &mut ScanScratch,
     ) -> Result<()> {
         let bins = self.bins() as u32;
-        let counters = [u32::from(self.runs.own_counters)];
+        let constants = CountConstants { own_counters: self.runs.own_counters };
         recorder.dispatch_indirect_specialised::<Count>(
-            &counters,
+            constants,
             plan,
             PLAN_GRID_AT,
             CountParams { shift, mask, bins },
@@ -277,7 +277,7 @@ impl RadixSort {
             scan,
         )?;
         recorder.dispatch_indirect_specialised::<Scatter>(
-            &counters,
+            constants,
             plan,
             PLAN_GRID_AT,
             ScatterParams { shift, mask, bins },

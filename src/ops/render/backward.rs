@@ -117,7 +117,7 @@ impl Render {
         let [sh0, sh1, sh2, sh3] = gradients.sh.each_mut().map(Buffer::view_mut);
         let [band1, band2, band3] = gaussians.bands();
         recorder.dispatch_specialised::<project::Backward>(
-            &[band1, band2, band3, with_pose].map(u32::from),
+            project::BackwardConstants { band1, band2, band3, with_pose },
             groups,
             project::BackwardParams {
                 count: gaussians.len as u32,
@@ -232,17 +232,21 @@ impl Render {
             slots_c: b.slots_c.view_mut(),
         };
         match self.software_subgroup {
-            None => recorder.dispatch::<raster::Backward>(tiles, params, args)?,
+            None => {
+                let constants = raster::BackwardConstants::default();
+                recorder
+                    .dispatch_specialised::<raster::Backward>(constants, tiles, params, args)?;
+            }
             Some(subgroup_size) => {
-                let several = u32::from(subgroup_size < raster::BackwardNarrow::WORKGROUP[0]);
-                let constants = [1, several, 1];
+                let several = subgroup_size < raster::BackwardNarrow::WORKGROUP[0];
+                let constants = raster::BackwardConstants { shuffles: true, several, spread: true };
                 recorder.dispatch_specialised::<raster::BackwardNarrow>(
-                    &constants, tiles, params, args,
+                    constants, tiles, params, args,
                 )?;
             }
         }
         recorder.dispatch_specialised::<raster::Gather>(
-            &[u32::from(self.software_subgroup.is_some())],
+            raster::GatherConstants { spread: self.software_subgroup.is_some() },
             groups,
             raster::GatherParams { count: count as u32, capacity: self.intersections as u32 },
             raster::GatherArgs {
