@@ -21,6 +21,7 @@ mod buffer;
 mod device;
 mod kernel;
 mod meter;
+mod profile;
 mod recorder;
 mod rehearsal;
 mod stream;
@@ -34,6 +35,7 @@ pub use kernel::{
     WriteVec3, WriteVec4,
 };
 pub use meter::{Detail, Meter};
+pub use profile::Profile;
 pub use recorder::Recorder;
 pub(crate) use recorder::Work;
 pub(crate) use rehearsal::Rehearsal;

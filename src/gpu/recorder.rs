@@ -131,6 +131,39 @@ impl Recorder {
 
     /// [`dispatch`](Self::dispatch) of a kernel with specialisation constants.
     ///
+    /// ```
+    /// use splat4d::gpu::{Groups, Recorder};
+    /// use splat4d::kernels::deform::{Nearest, NearestArgs, NearestConstants, NearestParams};
+    ///
+    /// fn three(recorder: &mut Recorder, params: NearestParams, args: NearestArgs) -> splat4d::Result<()> {
+    ///     let constants = NearestConstants { k: 3 };
+    ///     recorder.dispatch_specialised::<Nearest>(constants, Groups([1, 1, 1]), params, args)
+    /// }
+    /// ```
+    ///
+    /// A kernel with constants needs them:
+    ///
+    /// ```compile_fail
+    /// use splat4d::gpu::{Groups, Recorder};
+    /// use splat4d::kernels::deform::{Nearest, NearestArgs, NearestParams};
+    ///
+    /// fn some(recorder: &mut Recorder, params: NearestParams, args: NearestArgs) -> splat4d::Result<()> {
+    ///     recorder.dispatch::<Nearest>(Groups([1, 1, 1]), params, args)
+    /// }
+    /// ```
+    ///
+    /// and one without takes none:
+    ///
+    /// ```compile_fail
+    /// use splat4d::gpu::{Groups, Recorder};
+    /// use splat4d::kernels::deform::{Keys, KeysArgs, KeysParams, NearestConstants};
+    ///
+    /// fn keys(recorder: &mut Recorder, params: KeysParams, args: KeysArgs) -> splat4d::Result<()> {
+    ///     let constants = NearestConstants { k: 3 };
+    ///     recorder.dispatch_specialised::<Keys>(constants, Groups([1, 1, 1]), params, args)
+    /// }
+    /// ```
+    ///
     /// # Errors
     /// As for `dispatch`.
     pub fn dispatch_specialised<K: Kernel>(

@@ -2,7 +2,7 @@
 //! Gaussians and the camera.
 
 use super::{PixelBuffers, Render, RenderScratch};
-use crate::gpu::{Buffer, Device, Groups, Kernel, Recorder, View, ViewMut};
+use crate::gpu::{Buffer, Device, Groups, Kernel, Profile, Recorder, View, ViewMut};
 use crate::kernels::{project, raster};
 use crate::ops::at_least;
 use crate::ops::gaussians::{GaussianBuffers, GaussianViews};
@@ -231,22 +231,18 @@ impl Render {
             slots_b: b.slots_b.view_mut(),
             slots_c: b.slots_c.view_mut(),
         };
-        match self.software_subgroup {
-            None => {
-                let constants = raster::BackwardConstants::default();
-                recorder
-                    .dispatch_specialised::<raster::Backward>(constants, tiles, params, args)?;
-            }
-            Some(subgroup_size) => {
-                let several = subgroup_size < raster::BackwardNarrow::WORKGROUP[0];
-                let constants = raster::BackwardConstants { shuffles: true, several, spread: true };
-                recorder.dispatch_specialised::<raster::BackwardNarrow>(
-                    constants, tiles, params, args,
-                )?;
-            }
+        let Profile { shuffles, spread, narrow_tiles, .. } = self.profile;
+        let constants = raster::BackwardConstants { shuffles, several: true, spread };
+        if narrow_tiles {
+            let several = self.subgroup_size < raster::BackwardNarrow::WORKGROUP[0];
+            let constants = raster::BackwardConstants { several, ..constants };
+            recorder
+                .dispatch_specialised::<raster::BackwardNarrow>(constants, tiles, params, args)?;
+        } else {
+            recorder.dispatch_specialised::<raster::Backward>(constants, tiles, params, args)?;
         }
         recorder.dispatch_specialised::<raster::Gather>(
-            raster::GatherConstants { spread: self.software_subgroup.is_some() },
+            raster::GatherConstants { spread: self.profile.spread },
             groups,
             raster::GatherParams { count: count as u32, capacity: self.intersections as u32 },
             raster::GatherArgs {

@@ -2,7 +2,7 @@
 
 use super::{PixelBuffers, PixelViews, Render, RenderScratch, device_camera};
 use crate::Result;
-use crate::gpu::{Groups, Recorder, View};
+use crate::gpu::{Groups, Profile, Recorder, View};
 use crate::kernels::indirect::record_arguments;
 use crate::kernels::{bin, project, raster};
 use crate::ops::gaussians::GaussianViews;
@@ -103,8 +103,8 @@ impl Render {
         };
         match self.raster {
             RasterKind::Subgroup => {
-                let software = self.software_subgroup.is_some();
-                let constants = raster::ForwardConstants { shuffles: software, spread: software };
+                let Profile { shuffles, spread, .. } = self.profile;
+                let constants = raster::ForwardConstants { shuffles, spread };
                 recorder.dispatch_specialised::<raster::Forward>(constants, groups, params, args)
             }
             RasterKind::Shared => recorder.dispatch::<raster::ForwardShared>(groups, params, args),
@@ -248,7 +248,7 @@ impl Render {
             &mut s.scan,
         )?;
         recorder.dispatch_specialised::<bin::Emit>(
-            bin::EmitConstants { spread: self.software_subgroup.is_some() },
+            bin::EmitConstants { spread: self.profile.spread },
             groups,
             bin::EmitParams { count, capacity, width: self.width, height: self.height },
             bin::EmitArgs {
