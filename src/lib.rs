@@ -83,6 +83,7 @@
 //! | oracle | the CPU reference in f64 that defines the correct result |
 //! | twin | the CPU implementation of one kernel, generic over f32 and f64 |
 //! | case | one test of a kernel or pipeline against its oracle, which tests and `validate` run |
+//! | profile | the variants of kernels and the sizes of work that suit a kind of device ([`gpu::Profile`]) |
 //! | rehearsal | running the planning code without device memory, to find how much it would take |
 //! | scalar tail | the elements left over after the last whole vector load |
 //!

@@ -73,7 +73,7 @@ fn planted(device: &Device, wrong: u32) -> splat4d::Result<Job> {
     values[7] += wrong;
     let (count, input) = (device.upload("count", &[1000u32])?, device.upload("values", &values)?);
     let (mut prefix, mut total) = (device.buffer("prefix", 1000)?, device.buffer("total", 1)?);
-    let (op, mut stream) = (Scan::plan(1000)?, device.stream()?);
+    let (op, mut stream) = (Scan::plan(device, 1000)?, device.stream()?);
     let mut scratch = op.scratch(device)?;
     let mut record = move |recorder: &mut Recorder, prefix: &mut Buffer<u32>| {
         let args = ScanArgs {

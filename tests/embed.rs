@@ -779,7 +779,7 @@ fn dispatches_come_in_the_documented_order() -> Result<()> {
     let ticket = stream.submit(recorder)?;
     let found: Vec<_> = stream.times(ticket)?.into_iter().map(|time| time.kernel).collect();
     let reference = Reference::new(&device, &Image::new(70, 50, 3), None)?;
-    let loss = Loss::plan(70, 50);
+    let loss = Loss::plan(&device, 70, 50);
     let (mut scratch, mut by) = (loss.scratch(&device)?, render.pixel_gradients(&device)?);
     let how = LossSettings::default();
     let mut recorder = stream.record()?;

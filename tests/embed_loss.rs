@@ -315,7 +315,7 @@ fn step(
     trainer: &mut Trainer,
     reference: &Reference,
 ) -> bool {
-    let loss = Loss::plan(SIZE.0, SIZE.1);
+    let loss = Loss::plan(device, SIZE.0, SIZE.1);
     let mut scratch = loss.scratch(device).unwrap();
     let render = splat4d::ops::render::Render::plan(device, 1, 1, SIZE.0, SIZE.1, smooth());
     let mut gradients = render.unwrap().pixel_gradients(device).unwrap();

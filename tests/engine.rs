@@ -3,7 +3,7 @@
 mod common;
 
 use splat4d::Error;
-use splat4d::gpu::{Detail, Device, Groups, Request, Selector};
+use splat4d::gpu::{Detail, Device, DeviceKind, Groups, Profile, Request, Selector};
 use splat4d::kernels::indirect;
 
 #[test]
@@ -184,6 +184,22 @@ fn a_grid_past_the_limit_folds() {
     assert_eq!(Groups::linear(256, 64, &limits).unwrap().0, [4, 1, 1]);
     assert_eq!(Groups::linear(257, 64, &limits).unwrap().0, [4, 2, 1]);
     assert!(Groups::linear(64 * 16 + 1, 64, &limits).is_err());
+}
+
+#[test]
+fn a_profile_is_that_of_the_kind_of_device_unless_requested() {
+    let device = common::device();
+    assert_eq!(*device.profile(), Profile::of(device.info().kind));
+    assert_eq!(Profile::of(DeviceKind::Software), Profile::SOFTWARE);
+    for kind in [DeviceKind::Discrete, DeviceKind::Integrated, DeviceKind::Virtual] {
+        assert_eq!(Profile::of(kind), Profile::GPU);
+    }
+    for profile in Profile::ALL {
+        let request = Request { profile: Some(profile), ..Request::software() };
+        let device = Device::open(&request).unwrap();
+        assert_eq!(*device.profile(), profile);
+        assert_eq!(*device.with_limits(*device.limits()).profile(), profile);
+    }
 }
 
 #[test]

@@ -10,7 +10,7 @@ mod reflect;
 
 use reflect::{Demands, Interface};
 use rspirv::spirv::Capability;
-use splat4d::gpu::KernelInfo;
+use splat4d::gpu::{ConstantInfo, ConstantValue, Constants, Kernel, KernelInfo};
 use splat4d::{check, kernels};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -90,6 +90,30 @@ fn differences(kernel: &KernelInfo, shader: &Interface, reader: &str) -> Vec<Str
             shader.params
         ));
     }
+    for constant in kernel.constants {
+        let ConstantInfo { name, id, default } = *constant;
+        let Some(found) = shader.constants.get(&id) else {
+            wrong.push(format!("constant {id} ({name}): the shader has none of this id"));
+            continue;
+        };
+        if found.default != default {
+            wrong.push(format!(
+                "constant {id} ({name}): the default is {:?} in GLSL, {default:?} in Rust",
+                found.default
+            ));
+        }
+        if found.name.as_ref().is_some_and(|found| *found != name.to_uppercase()) {
+            wrong.push(format!(
+                "constant {id} ({name}): it is called {} in GLSL",
+                found.name.as_deref().expect("just seen")
+            ));
+        }
+    }
+    for id in shader.constants.keys() {
+        if kernel.constants.iter().all(|constant| constant.id != *id) {
+            wrong.push(format!("constant {id}: Rust does not declare it"));
+        }
+    }
     wrong.iter().map(|what| format!("{} ({reader}): {what}", kernel.name)).collect()
 }
 
@@ -142,6 +166,58 @@ fn a_drifted_declaration_is_noticed() {
     let mut moved = truth.params.to_vec();
     moved[4].offset += 4;
     assert_eq!(complaints(KernelInfo { params: moved.leak(), ..*truth }), (1, 1));
+}
+
+#[test]
+fn a_drifted_constant_is_noticed() {
+    let truth = kernels::ALL
+        .iter()
+        .find(|kernel| kernel.name == "adam/step")
+        .expect("the kernel whose constants this test bends");
+    let (shader, _) = reflect::by_rspirv(truth.spirv).unwrap();
+    let naga = reflect::by_naga(truth.spirv).unwrap();
+    let complaints = |bend: &dyn Fn(&mut Vec<ConstantInfo>)| {
+        let mut constants = truth.constants.to_vec();
+        bend(&mut constants);
+        let bent = KernelInfo { constants: constants.leak(), ..*truth };
+        (differences(&bent, &shader, "rspirv").len(), differences(&bent, &naga, "naga").len())
+    };
+    assert_eq!(complaints(&|_| ()), (0, 0));
+    assert_eq!(complaints(&|constants| constants[0].name = "any_row"), (1, 1));
+    assert_eq!(complaints(&|constants| constants[1].default = ConstantValue::U32(2)), (1, 1));
+    assert_eq!(complaints(&|constants| constants[1].default = ConstantValue::I32(1)), (1, 1));
+    assert_eq!(complaints(&|constants| constants[2].default = ConstantValue::Bool(false)), (1, 1));
+    // The shader has no constant 4, and Rust does not declare constant 3.
+    assert_eq!(complaints(&|constants| constants[3].id = 4), (2, 2));
+    assert_eq!(complaints(&|constants| constants.truncate(3)), (1, 1));
+    let next = ConstantInfo { name: "next", id: 4, default: ConstantValue::F32(0.0) };
+    assert_eq!(complaints(&|constants| constants.push(next)), (1, 1));
+}
+
+/// The numbering, the types and the words that Vulkan takes.
+#[test]
+fn constants_are_numbered_in_order_and_give_their_bits() {
+    // Each type once; the shaders have no signed and no float constants.
+    let words = [
+        ConstantValue::bool(true),
+        ConstantValue::u32(7),
+        ConstantValue::i32(-1),
+        ConstantValue::f32(1.5),
+    ]
+    .map(ConstantValue::word);
+    assert_eq!(words, [1, 7, u32::MAX, 0x3fc0_0000]);
+    for kernel in kernels::ALL {
+        let ids: Vec<u32> = kernel.constants.iter().map(|constant| constant.id).collect();
+        assert_eq!(ids, (0..ids.len() as u32).collect::<Vec<_>>(), "{}", kernel.name);
+    }
+    let constants = kernels::adam::StepConstants { row: 9, ..Default::default() };
+    assert_eq!(constants.words(), [0, 9, 1, 0]);
+    let defaults: Vec<u32> = kernels::adam::Step::INFO
+        .constants
+        .iter()
+        .map(|constant| constant.default.word())
+        .collect();
+    assert_eq!(kernels::adam::StepConstants::default().words(), *defaults);
 }
 
 #[test]

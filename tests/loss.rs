@@ -25,7 +25,7 @@ fn sizes_that_differ_are_named() {
     let render = Render::plan(&device, 0, 0, 8, 4, settings).unwrap();
     let (pixels, mut gradients) =
         (render.pixels(&device).unwrap(), render.pixel_gradients(&device).unwrap());
-    let op = Loss::plan(8, 4);
+    let op = Loss::plan(&device, 8, 4);
     let mut scratch = op.scratch(&device).unwrap();
     let mut error = |size: (u32, u32), known: usize| {
         let photo = Reference::new(&device, &Image::new(size.0, size.1, 3), None).unwrap();

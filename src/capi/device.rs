@@ -154,7 +154,7 @@ pub unsafe extern "C" fn splat4d_device_open(
             false => Selector::from(text("request.selector", request.selector)?),
         };
         let validation = request.validation != 0;
-        let opened = Device::open(&Request { selector, validation, limits: None })?;
+        let opened = Device::open(&Request { selector, validation, ..Request::default() })?;
         give(device, splat4d_device::new(opened));
         Ok(())
     })

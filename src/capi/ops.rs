@@ -74,8 +74,9 @@ pub unsafe extern "C" fn splat4d_scan_create(
     // SAFETY: guaranteed by the host.
     call(|| unsafe {
         claim("scan", scan)?;
-        let plan = Scan::plan(capacity)?;
-        give(scan, splat4d_scan { scan: plan, scratch: plan.scratch(device_of(device)?)? });
+        let device = device_of(device)?;
+        let plan = Scan::plan(device, capacity)?;
+        give(scan, splat4d_scan { scan: plan, scratch: plan.scratch(device)? });
         Ok(())
     })
 }

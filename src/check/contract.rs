@@ -105,7 +105,6 @@ pub const QUICK: &[&str] = &[
     "project/decisions",
     "raster/scenes",
     "raster/shared_memory",
-    "raster/as_on_a_gpu",
     "raster/decisions",
     "render/scene",
     "render/central_differences",
@@ -113,7 +112,6 @@ pub const QUICK: &[&str] = &[
     "render/non_finite",
     "scan/sizes",
     "sort/sizes",
-    "sort/as_on_a_gpu",
     "texel/unorm8",
     "texel/half",
 ];

@@ -164,9 +164,9 @@ fn run(harness: &mut Harness, input: &Input) -> Result<Answer> {
         rgba: device.buffer("rgba gradient", area + SLACK)?,
         depth: device.buffer("depth gradient", area)?,
     };
-    let op = Loss::plan(width, height);
+    let op = Loss::plan(device, width, height);
     // Scratch for a larger image: elements after the planes must stay poison.
-    let mut scratch = Loss::plan(width, height + SLACK as u32).scratch(device)?;
+    let mut scratch = Loss::plan(device, width, height + SLACK as u32).scratch(device)?;
     let mut recorder = stream.record()?;
     poison(&mut recorder, &mut gradients.rgba);
     poison(&mut recorder, &mut gradients.depth);

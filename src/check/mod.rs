@@ -3,7 +3,8 @@
 //! A [`Case`] runs kernels on a device and compares every output with the oracle in f64. It also
 //! compares with the oracle in f32, so that a report can distinguish a device fault from the limits
 //! of f32. Outputs are poisoned before a run and lie between guard words ([`Guarded`]). Every case
-//! runs twice, and both runs must give the same bits.
+//! runs under each [`Profile`], so that the variants of kernels for GPUs are checked on software drivers
+//! too. It runs twice, and both runs must give the same bits.
 //!
 //! To add one: write `src/check/FAMILY.rs` with a `pub const CASES: &[Case]`, list it in [`ALL`],
 //! and let `tests/FAMILY.rs` call `common::run("FAMILY")`. A family whose op has gradients has a
@@ -44,7 +45,7 @@ pub use finding::{Bound, Finding};
 pub use harness::{Guarded, Harness};
 
 use crate::error::{Error, Result};
-use crate::gpu::Device;
+use crate::gpu::{Device, Profile};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// A check that runs on a device.
@@ -104,24 +105,46 @@ impl Outcome {
     }
 }
 
-/// Runs a case on a device twice; both runs must give the same bits. A panic counts as an error.
+/// Runs a case on a device under the device's own profile and, if it runs kernels, under every other
+/// one. Under each it runs twice; both runs must give the same bits. A panic counts as an error.
 pub fn run(case: &Case, device: &Device, seed: u64) -> Outcome {
-    let mut outcome = Outcome { id: case.id, seed, findings: Vec::new(), error: None };
+    let (findings, error) = twice(case, device, seed);
+    let mut outcome = Outcome { id: case.id, seed, findings, error };
+    let own = *device.profile();
+    for profile in Profile::ALL.into_iter().filter(|&profile| profile != own) {
+        if case.kernels.is_empty() || outcome.error.is_some() {
+            break;
+        }
+        let (findings, error) = twice(case, &device.with_profile(profile), seed);
+        let name = profile.name();
+        outcome.findings.extend(findings.into_iter().map(|finding| Finding {
+            output: format!("profile {name}: {}", finding.output),
+            ..finding
+        }));
+        outcome.error = error.map(|error| match error {
+            Error::DeviceLost { .. } => error,
+            other => Error::Failed(format!("profile {name}: {other}")),
+        });
+    }
+    outcome
+}
+
+/// Runs a case twice on a device: the findings of the second run, or those up to the error that ended a
+/// run early.
+fn twice(case: &Case, device: &Device, seed: u64) -> (Vec<Finding>, Option<Error>) {
+    let mut findings = Vec::new();
     let mut digests = Vec::new();
     for _ in 0..2 {
         match once(case, device, seed) {
-            Ok((findings, digest)) => {
-                outcome.findings = findings;
+            Ok((found, digest)) => {
+                findings = found;
                 digests.push(digest);
             }
-            Err((findings, error)) => {
-                (outcome.findings, outcome.error) = (findings, Some(error));
-                return outcome;
-            }
+            Err((found, error)) => return (found, Some(error)),
         }
     }
-    outcome.findings.push(finding::exact("bits of two runs", &digests[1..], &digests[..1]));
-    outcome
+    findings.push(finding::exact("bits of two runs", &digests[1..], &digests[..1]));
+    (findings, None)
 }
 
 type Once = std::result::Result<(Vec<Finding>, u64), (Vec<Finding>, Error)>;

@@ -24,7 +24,6 @@ pub const CASES: &[Case] = &[
     Case { id: "raster/scenes", kernels: ALL, run: scenes },
     Case { id: "raster/image_sizes", kernels: ALL, run: image_sizes },
     Case { id: "raster/shared_memory", kernels: SHARED, run: shared_memory },
-    Case { id: "raster/as_on_a_gpu", kernels: ALL, run: as_on_a_gpu },
     Case { id: "raster/layers", kernels: ALL, run: layers },
     Case { id: "raster/blending_constants", kernels: ALL, run: blending_constants },
     Case { id: "raster/decisions", kernels: &["raster/forward"], run: decisions },
@@ -139,18 +138,6 @@ fn scenes(harness: &mut Harness) -> Result<()> {
         let scene = random(&mut harness.rng, count, 0, &camera);
         let what = format!("{count} Gaussians");
         compare(harness, &what, &scene, &camera, 1 << 14, RenderSettings::default())?;
-    }
-    Ok(())
-}
-
-/// The kernel variants for GPUs, on any device.
-fn as_on_a_gpu(harness: &mut Harness) -> Result<()> {
-    let how = (RenderSettings::default(), Render::with_gpu_kernels as fn(Render) -> Render);
-    let camera = skew_camera(83, 59);
-    for count in [0, 1, 31, 300, 2500] {
-        let scene = random(&mut harness.rng, count, 0, &camera);
-        let what = format!("{count} Gaussians");
-        compare_blended(harness, &what, &scene, &camera, 1 << 14, how)?;
     }
     Ok(())
 }

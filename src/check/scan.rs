@@ -23,7 +23,7 @@ fn compare(harness: &mut Harness, what: &str, values: &[u32], count: usize) -> R
     let input = harness.device.upload("values", values)?;
     let mut prefix = harness.output::<u32>("prefix", capacity)?;
     let mut total = harness.output::<u32>("total", 2)?;
-    let op = Scan::plan(capacity)?;
+    let op = Scan::plan(&harness.device, capacity)?;
     let mut scratch = op.scratch(&harness.device)?;
     let mut recorder = harness.stream.record()?;
     op.record(

@@ -25,7 +25,6 @@ pub const CASES: &[Case] = &[
     Case { id: "sort/bit_ranges", kernels: KERNELS, run: bit_ranges },
     Case { id: "sort/orders", kernels: KERNELS, run: orders },
     Case { id: "sort/count_below_capacity", kernels: KERNELS, run: count_below_capacity },
-    Case { id: "sort/as_on_a_gpu", kernels: KERNELS, run: as_on_a_gpu },
 ];
 
 /// Sorts `count` of the pairs (key, index) and compares; the elements after them must stay
@@ -37,20 +36,8 @@ fn compare(
     count: usize,
     bits: Range<u32>,
 ) -> Result<()> {
-    let op = RadixSort::plan(&harness.device, keys.len(), bits.clone())?;
-    compare_sorted(harness, what, keys, count, bits, &op)
-}
-
-/// [`compare`] with the sort `op`.
-fn compare_sorted(
-    harness: &mut Harness,
-    what: &str,
-    keys: &[u32],
-    count: usize,
-    bits: Range<u32>,
-    op: &RadixSort,
-) -> Result<()> {
     let capacity = keys.len();
+    let op = RadixSort::plan(&harness.device, capacity, bits.clone())?;
     let payload: Vec<u32> = (0..capacity as u32).collect();
     let counts = harness.device.upload("count", &[7, count as u32])?;
     let input = (harness.device.upload("keys", keys)?, harness.device.upload("payload", &payload)?);
@@ -131,18 +118,6 @@ fn bit_ranges(harness: &mut Harness) -> Result<()> {
     ];
     for bits in ranges {
         compare(harness, &format!("bits {bits:?}"), &keys, keys.len(), bits.clone())?;
-    }
-    Ok(())
-}
-
-/// The run lengths and counters for GPUs, on any device.
-fn as_on_a_gpu(harness: &mut Harness) -> Result<()> {
-    for (n, bits) in
-        [(0, 0..32), (1, 0..32), (257, 0..9), (257, 5..5), (20_001, 3..20), (131_073, 0..32)]
-    {
-        let keys = random(harness, n);
-        let op = RadixSort::plan(&harness.device, n, bits.clone())?.with_gpu_runs();
-        compare_sorted(harness, &format!("{n} pairs by {bits:?}"), &keys, n, bits, &op)?;
     }
     Ok(())
 }

@@ -21,8 +21,9 @@ use super::rows::{Row, devices_json, junit, table};
 use super::values;
 
 const AFTER_HELP: &str = "\
-Every kernel runs on the device and is held against the CPU's f64 oracle, on ordinary and on hard
-inputs, twice, with poisoned outputs between guard words. A case fails that misses its bound, writes
+Every kernel runs on the device, in its variants for GPUs and for software drivers, and is held
+against the CPU's f64 oracle, on ordinary and on hard inputs, twice, with poisoned outputs between
+guard words. A case fails that misses its bound, writes
 outside of its outputs, gives other bits the second time, or makes the validation layer speak.
 \"f32 itself\" is the error of the same oracle in f32: where it misses the bound too, the device is not
 to blame. Exit code 1 on any failure.
@@ -170,7 +171,8 @@ fn devices(common: &Common) -> Result<Vec<DeviceInfo>> {
 }
 
 fn open(info: &DeviceInfo, validation: bool) -> Result<Device> {
-    Device::open(&Request { selector: Selector::Index(info.index), validation, limits: None })
+    let selector = Selector::Index(info.index);
+    Device::open(&Request { selector, validation, ..Request::default() })
 }
 
 /// A device under test; it is reopened after a case has lost it.

@@ -3,7 +3,6 @@
 use crate::Result;
 use crate::gpu::Device;
 use crate::vk::{Context, HostDevice};
-use std::collections::HashMap;
 use std::sync::Arc;
 
 impl Device {
@@ -33,8 +32,7 @@ impl Device {
     pub unsafe fn adopt(host: HostDevice) -> Result<Device> {
         // SAFETY: the caller guarantees it.
         let context = Arc::new(unsafe { Context::adopt(host) }?);
-        let limits = context.limits;
-        Ok(Device::over(context, limits, HashMap::new()))
+        Ok(Device::adopted(context))
     }
 
     /// The same device with another SPIR-V module for one kernel (`family/stem`); for tests that a

@@ -3,6 +3,7 @@
 use super::buffer::{Buffer, Readback};
 use super::kernel::Kernel;
 use super::meter::{Detail, Meter};
+use super::profile::Profile;
 use super::recorder::Work;
 use super::stream::{KernelTime, Stream};
 use crate::error::{Error, Result};
@@ -60,6 +61,9 @@ pub struct Request {
     pub validation: bool,
     /// Limits to use instead of the device's own; for tests of boundary cases.
     pub limits: Option<Limits>,
+    /// The profile to use instead of that of the device's kind; for tests of the variants of kernels
+    /// that another kind of device runs.
+    pub profile: Option<Profile>,
 }
 
 impl Request {
@@ -78,12 +82,14 @@ pub struct Device {
 pub(crate) struct DeviceInner {
     pub(crate) context: Arc<Context>,
     pub(crate) limits: Limits,
+    profile: Profile,
     /// Counts the bytes of the buffers. It is the context's ledger, except in a rehearsal, which
     /// has its own.
     pub(crate) ledger: Arc<Ledger>,
     /// SPIR-V modules that replace the crate's own, by kernel name.
     modules: HashMap<&'static str, Vec<u8>>,
-    pipelines: Mutex<HashMap<&'static str, Vec<Variant>>>,
+    /// Shared by devices that differ only in the profile.
+    pipelines: Arc<Pipelines>,
     /// Recording resources of finished recordings into a host's command buffers, kept for reuse.
     spare: Mutex<Vec<Work>>,
     /// `None` while the meter is off.
@@ -92,6 +98,8 @@ pub(crate) struct DeviceInner {
 
 /// A kernel's pipeline with its specialisation constants.
 type Variant = (Vec<u32>, Arc<Pipeline>);
+/// The variants by kernel name.
+type Pipelines = Mutex<HashMap<&'static str, Vec<Variant>>>;
 
 impl Device {
     /// Opens a device.
@@ -107,24 +115,43 @@ impl Device {
         let (physical, info) = devices[chosen].clone();
         let context = Arc::new(Context::open(instance, physical, info)?);
         let limits = request.limits.unwrap_or(context.limits);
-        Ok(Device::over(context, limits, HashMap::new()))
+        let profile = request.profile.unwrap_or(Profile::of(context.info.kind));
+        Ok(Device::over(context, limits, profile, HashMap::new(), Arc::default()))
     }
 
-    pub(crate) fn over(
+    /// A device that a host has created.
+    pub(crate) fn adopted(context: Arc<Context>) -> Device {
+        let (limits, profile) = (context.limits, Profile::of(context.info.kind));
+        Device::over(context, limits, profile, HashMap::new(), Arc::default())
+    }
+
+    fn over(
         context: Arc<Context>,
         limits: Limits,
+        profile: Profile,
         modules: HashMap<&'static str, Vec<u8>>,
+        pipelines: Arc<Pipelines>,
     ) -> Device {
-        let (pipelines, spare, meter) = Default::default();
+        let (spare, meter) = Default::default();
         let ledger = context.ledger.clone();
-        let inner = DeviceInner { context, limits, ledger, modules, pipelines, spare, meter };
+        let inner =
+            DeviceInner { context, limits, profile, ledger, modules, pipelines, spare, meter };
         Device { inner: Arc::new(inner) }
     }
 
     /// The same device with different limits; for tests of boundary cases. Streams and buffers of
     /// both can be used together.
     pub fn with_limits(&self, limits: Limits) -> Device {
-        Device::over(self.inner.context.clone(), limits, self.inner.modules.clone())
+        let DeviceInner { context, profile, modules, .. } = &*self.inner;
+        Device::over(context.clone(), limits, *profile, modules.clone(), Arc::default())
+    }
+
+    /// The same device with another profile; for tests of the variants of kernels that another kind of
+    /// device runs. Both share streams, buffers and pipelines, but an op needs a scratch of its own
+    /// profile.
+    pub fn with_profile(&self, profile: Profile) -> Device {
+        let DeviceInner { context, limits, modules, pipelines, .. } = &*self.inner;
+        Device::over(context.clone(), *limits, profile, modules.clone(), pipelines.clone())
     }
 
     /// The same device with another SPIR-V module for one kernel. `Device::with_module` in `embed`
@@ -132,7 +159,8 @@ impl Device {
     pub(crate) fn replacing(&self, kernel: &'static str, spirv: Vec<u8>) -> Device {
         let mut modules = self.inner.modules.clone();
         modules.insert(kernel, spirv);
-        Device::over(self.inner.context.clone(), self.inner.limits, modules)
+        let DeviceInner { context, limits, profile, .. } = &*self.inner;
+        Device::over(context.clone(), *limits, *profile, modules, Arc::default())
     }
 
     /// The driver's description of the device.
@@ -143,6 +171,11 @@ impl Device {
     /// The limits that kernels and ops must respect.
     pub fn limits(&self) -> &Limits {
         &self.inner.limits
+    }
+
+    /// What decides which variants of kernels the ops run.
+    pub fn profile(&self) -> &Profile {
+        &self.inner.profile
     }
 
     /// The number of buffers, command pools, descriptor pools and query pools created so far. It
@@ -201,10 +234,11 @@ impl Device {
     /// The same device for a rehearsal: buffers are counted but get no memory, dispatches are
     /// checked but not recorded, and downloads return zeros.
     pub(super) fn rehearsing(&self) -> Device {
-        let DeviceInner { context, limits, .. } = &*self.inner;
+        let DeviceInner { context, limits, profile, .. } = &*self.inner;
         let (pipelines, spare, meter, ledger, modules) = Default::default();
-        let (context, limits) = (context.clone(), *limits);
-        let inner = DeviceInner { context, limits, ledger, modules, pipelines, spare, meter };
+        let (context, limits, profile) = (context.clone(), *limits, *profile);
+        let inner =
+            DeviceInner { context, limits, profile, ledger, modules, pipelines, spare, meter };
         Device { inner: Arc::new(inner) }
     }
 

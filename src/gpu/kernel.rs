@@ -39,6 +39,83 @@ pub struct ParamInfo {
     pub size: usize,
 }
 
+/// The value of a specialisation constant. The functions are named as their types, so that `kernel!`
+/// finds them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ConstantValue {
+    /// `bool`.
+    Bool(bool),
+    /// `uint`.
+    U32(u32),
+    /// `int`.
+    I32(i32),
+    /// `float`.
+    F32(f32),
+}
+
+impl ConstantValue {
+    /// A `bool`.
+    pub const fn bool(value: bool) -> ConstantValue {
+        ConstantValue::Bool(value)
+    }
+
+    /// A `uint`.
+    pub const fn u32(value: u32) -> ConstantValue {
+        ConstantValue::U32(value)
+    }
+
+    /// An `int`.
+    pub const fn i32(value: i32) -> ConstantValue {
+        ConstantValue::I32(value)
+    }
+
+    /// A `float`.
+    pub const fn f32(value: f32) -> ConstantValue {
+        ConstantValue::F32(value)
+    }
+
+    /// The four bytes that Vulkan takes for it.
+    pub const fn word(self) -> u32 {
+        match self {
+            ConstantValue::Bool(value) => value as u32,
+            ConstantValue::U32(value) => value,
+            ConstantValue::I32(value) => value as u32,
+            ConstantValue::F32(value) => value.to_bits(),
+        }
+    }
+}
+
+/// One specialisation constant of a kernel.
+#[derive(Clone, Copy, Debug)]
+pub struct ConstantInfo {
+    /// The field's name; the shader has it in upper case.
+    pub name: &'static str,
+    /// Its `constant_id`.
+    pub id: u32,
+    /// The shader's default, which also tells the type.
+    pub default: ConstantValue,
+}
+
+/// Values for the specialisation constants of a kernel; `kernel!` implements it. Their defaults are
+/// those of the shader.
+pub trait Constants: Copy + Default {
+    /// The constants, in the order of their ids.
+    const INFO: &'static [ConstantInfo];
+    /// An array with a word for each constant.
+    type Words: AsRef<[u32]>;
+    /// The values as Vulkan takes them, in the order of the ids.
+    fn words(&self) -> Self::Words;
+}
+
+/// No specialisation constants.
+impl Constants for () {
+    const INFO: &'static [ConstantInfo] = &[];
+    type Words = [u32; 0];
+    fn words(&self) -> [u32; 0] {
+        []
+    }
+}
+
 /// A kernel as plain data, for lists and checks.
 #[derive(Clone, Copy, Debug)]
 pub struct KernelInfo {
@@ -52,6 +129,8 @@ pub struct KernelInfo {
     pub bindings: &'static [Binding],
     /// Members of the push constants.
     pub params: &'static [ParamInfo],
+    /// Specialisation constants, in the order of their ids.
+    pub constants: &'static [ConstantInfo],
 }
 
 /// A compute kernel; `kernel!` implements it.
@@ -68,6 +147,8 @@ pub trait Kernel {
     const INFO: KernelInfo;
     /// Push constants.
     type Params: Pod;
+    /// Values of the specialisation constants; `()` for a kernel without any.
+    type Constants: Constants;
     /// The buffers of one dispatch, by name.
     type Args<'a>;
     /// Adds the buffers in the order of their binding numbers.
@@ -187,10 +268,19 @@ impl Groups {
 /// its SPIR-V after `from`, and its declaration must match it; that crate needs `bytemuck` with the
 /// feature `derive`. A kernel declared `like` another one has the same push constants and bindings.
 ///
+/// A section `constants` declares the specialisation constants 0, 1, … in this order, each `bool`, `u32`,
+/// `i32` or `f32`, with the shader's name in lower case and the shader's default.
+/// [`Recorder::dispatch_specialised`](crate::gpu::Recorder::dispatch_specialised) takes their values. A
+/// kernel that has the constants of another one, or is `like` it, names that struct, without fields.
+///
 /// ```ignore
 /// splat4d::kernel! {
 ///     /// Multiplies all values by a factor.
 ///     pub struct Scale("mine/scale") from include_bytes!("scale.spv"), workgroup: [64, 1, 1],
+///     constants: ScaleConstants {
+///         /// Whether the values are clamped to [0, 1].
+///         clamped: bool = false,
+///     },
 ///     params: ScaleParams {
 ///         /// Number of values.
 ///         count: u32,
@@ -210,6 +300,7 @@ macro_rules! kernel {
     (
         $(#[$doc:meta])*
         pub struct $name:ident($path:literal) like $other:ident, workgroup: $workgroup:expr
+        $(, constants: $constants:ident)?
     ) => {
         $(#[$doc])*
         pub struct $name;
@@ -225,9 +316,12 @@ macro_rules! kernel {
                 name: Self::NAME,
                 spirv: Self::SPIRV,
                 workgroup: Self::WORKGROUP,
+                constants: <Self::Constants as $crate::gpu::Constants>::INFO,
                 ..<$other as $crate::gpu::Kernel>::INFO
             };
             type Params = <$other as $crate::gpu::Kernel>::Params;
+            #[allow(unused_parens, reason = "without a name they are the type of no constants")]
+            type Constants = ($($constants)?);
             type Args<'a> = <$other as $crate::gpu::Kernel>::Args<'a>;
             fn bind(args: &Self::Args<'_>, to: &mut Vec<$crate::vk::BoundRange>) {
                 <$other as $crate::gpu::Kernel>::bind(args, to);
@@ -248,11 +342,44 @@ macro_rules! kernel {
     (
         $(#[$doc:meta])*
         pub struct $name:ident($path:literal) from $spirv:expr, workgroup: $workgroup:expr,
+        $(constants: $constants:ident $({
+            $( $(#[$constant_doc:meta])* $constant:ident : $constant_type:ident = $default:expr ),* $(,)?
+        })?,)?
         params: $params:ident { $( $(#[$param_doc:meta])* $param:ident : $param_type:ty ),* $(,)? },
         args: $args:ident { $( $(#[$arg_doc:meta])* $arg:ident : $access:ident<$element:ty> ),* $(,)? }
     ) => {
         $(#[$doc])*
         pub struct $name;
+
+        $($(
+            #[doc = concat!("Specialisation constants of [`", stringify!($name), "`](struct@", stringify!($name), ").")]
+            #[derive(Clone, Copy, Debug, PartialEq)]
+            pub struct $constants { $( $(#[$constant_doc])* pub $constant: $constant_type, )* }
+
+            impl Default for $constants {
+                fn default() -> $constants {
+                    $constants { $( $constant: $default, )* }
+                }
+            }
+
+            impl $crate::gpu::Constants for $constants {
+                const INFO: &'static [$crate::gpu::ConstantInfo] = &{
+                    let mut ids = 0;
+                    [$({
+                        ids += 1;
+                        $crate::gpu::ConstantInfo {
+                            name: stringify!($constant),
+                            id: ids - 1,
+                            default: $crate::gpu::ConstantValue::$constant_type($default),
+                        }
+                    }),*]
+                };
+                type Words = [u32; Self::INFO.len()];
+                fn words(&self) -> Self::Words {
+                    [$( $crate::gpu::ConstantValue::$constant_type(self.$constant).word() ),*]
+                }
+            }
+        )?)?
 
         #[doc = concat!("Push constants of [`", stringify!($name), "`](struct@", stringify!($name), ").")]
         #[repr(C)]
@@ -284,8 +411,11 @@ macro_rules! kernel {
                     offset: std::mem::offset_of!($params, $param),
                     size: size_of::<$param_type>(),
                 }),*],
+                constants: <Self::Constants as $crate::gpu::Constants>::INFO,
             };
             type Params = $params;
+            #[allow(unused_parens, reason = "without a name they are the type of no constants")]
+            type Constants = ($($constants)?);
             type Args<'a> = $args<'a>;
             fn bind(args: &$args<'_>, to: &mut Vec<$crate::vk::BoundRange>) {
                 to.extend([$( <$crate::gpu::$access as $crate::gpu::Argument>::bound(&args.$arg) ),*]);

@@ -21,6 +21,7 @@ mod buffer;
 mod device;
 mod kernel;
 mod meter;
+mod profile;
 mod recorder;
 mod rehearsal;
 mod stream;
@@ -29,10 +30,12 @@ pub use buffer::{Buffer, Readback, View, ViewMut};
 pub use device::{Device, Request, Selector};
 pub(crate) use kernel::kernel;
 pub use kernel::{
-    Access, Argument, Binding, Groups, Kernel, KernelInfo, ParamInfo, Read, ReadVec3, ReadVec4,
-    ReadWrite, ReadWriteVec3, ReadWriteVec4, Several, Write, WriteVec3, WriteVec4,
+    Access, Argument, Binding, ConstantInfo, ConstantValue, Constants, Groups, Kernel, KernelInfo,
+    ParamInfo, Read, ReadVec3, ReadVec4, ReadWrite, ReadWriteVec3, ReadWriteVec4, Several, Write,
+    WriteVec3, WriteVec4,
 };
 pub use meter::{Detail, Meter};
+pub use profile::Profile;
 pub use recorder::Recorder;
 pub(crate) use recorder::Work;
 pub(crate) use rehearsal::Rehearsal;

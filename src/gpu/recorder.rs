@@ -2,7 +2,7 @@
 
 use super::buffer::{Buffer, Readback, View, ViewMut};
 use super::device::Device;
-use super::kernel::{Access, Groups, Kernel};
+use super::kernel::{Access, Constants, Groups, Kernel};
 use crate::error::{Error, Result};
 use crate::vk::{BoundRange, CommandSlot, HostImage, Pipeline, RawBuffer};
 use bytemuck::Pod;
@@ -115,26 +115,60 @@ impl Recorder {
         Ok(())
     }
 
-    /// Records one dispatch. An empty grid records nothing.
+    /// Records one dispatch of a kernel without specialisation constants. An empty grid records
+    /// nothing.
     ///
     /// # Errors
     /// [`Error::RangeLimit`] for a binding larger than the device allows, or a failed Vulkan call.
-    pub fn dispatch<K: Kernel>(
+    pub fn dispatch<K: Kernel<Constants = ()>>(
         &mut self,
         groups: Groups,
         params: K::Params,
         args: K::Args<'_>,
     ) -> Result<()> {
-        self.dispatch_specialised::<K>(&[], groups, params, args)
+        self.dispatch_specialised::<K>((), groups, params, args)
     }
 
-    /// [`dispatch`](Self::dispatch) with values for the specialisation constants 0, 1, …
+    /// [`dispatch`](Self::dispatch) of a kernel with specialisation constants.
+    ///
+    /// ```
+    /// use splat4d::gpu::{Groups, Recorder};
+    /// use splat4d::kernels::deform::{Nearest, NearestArgs, NearestConstants, NearestParams};
+    ///
+    /// fn three(recorder: &mut Recorder, params: NearestParams, args: NearestArgs) -> splat4d::Result<()> {
+    ///     let constants = NearestConstants { k: 3 };
+    ///     recorder.dispatch_specialised::<Nearest>(constants, Groups([1, 1, 1]), params, args)
+    /// }
+    /// ```
+    ///
+    /// A kernel with constants needs them:
+    ///
+    /// ```compile_fail
+    /// use splat4d::gpu::{Groups, Recorder};
+    /// use splat4d::kernels::deform::{Nearest, NearestArgs, NearestParams};
+    ///
+    /// fn some(recorder: &mut Recorder, params: NearestParams, args: NearestArgs) -> splat4d::Result<()> {
+    ///     recorder.dispatch::<Nearest>(Groups([1, 1, 1]), params, args)
+    /// }
+    /// ```
+    ///
+    /// and one without takes none:
+    ///
+    /// ```compile_fail
+    /// use splat4d::gpu::{Groups, Recorder};
+    /// use splat4d::kernels::deform::{Keys, KeysArgs, KeysParams, NearestConstants};
+    ///
+    /// fn keys(recorder: &mut Recorder, params: KeysParams, args: KeysArgs) -> splat4d::Result<()> {
+    ///     let constants = NearestConstants { k: 3 };
+    ///     recorder.dispatch_specialised::<Keys>(constants, Groups([1, 1, 1]), params, args)
+    /// }
+    /// ```
     ///
     /// # Errors
     /// As for `dispatch`.
     pub fn dispatch_specialised<K: Kernel>(
         &mut self,
-        specialisation: &[u32],
+        constants: K::Constants,
         groups: Groups,
         params: K::Params,
         args: K::Args<'_>,
@@ -142,35 +176,35 @@ impl Recorder {
         if groups.is_empty() {
             return Ok(());
         }
-        if self.prepare::<K>(specialisation, &params, &args, None)? {
+        if self.prepare::<K>(constants, &params, &args, None)? {
             self.work.slot.dispatch(groups.0);
             self.finish_dispatch(K::NAME)?;
         }
         Ok(())
     }
 
-    /// Records one dispatch whose grid the device reads from three words at `arguments[at..]`.
+    /// Records one dispatch of a kernel without specialisation constants, whose grid the device reads
+    /// from three words at `arguments[at..]`.
     ///
     /// # Errors
     /// [`Error::Shape`] when fewer than three words are left at `at`; else as for `dispatch`.
-    pub fn dispatch_indirect<K: Kernel>(
+    pub fn dispatch_indirect<K: Kernel<Constants = ()>>(
         &mut self,
         arguments: &Buffer<u32>,
         at: usize,
         params: K::Params,
         args: K::Args<'_>,
     ) -> Result<()> {
-        self.dispatch_indirect_specialised::<K>(&[], arguments, at, params, args)
+        self.dispatch_indirect_specialised::<K>((), arguments, at, params, args)
     }
 
-    /// [`dispatch_indirect`](Self::dispatch_indirect) with values for the specialisation constants
-    /// 0, 1, …
+    /// [`dispatch_indirect`](Self::dispatch_indirect) of a kernel with specialisation constants.
     ///
     /// # Errors
     /// As for `dispatch_indirect`.
     pub fn dispatch_indirect_specialised<K: Kernel>(
         &mut self,
-        specialisation: &[u32],
+        constants: K::Constants,
         arguments: &Buffer<u32>,
         at: usize,
         params: K::Params,
@@ -192,7 +226,7 @@ impl Recorder {
                 arguments.label()
             )));
         }
-        if self.prepare::<K>(specialisation, &params, &args, Some(&range))? {
+        if self.prepare::<K>(constants, &params, &args, Some(&range))? {
             self.work.slot.dispatch_indirect(&range.buffer, range.offset);
             self.finish_dispatch(K::NAME)?;
         }
@@ -291,7 +325,7 @@ impl Recorder {
     /// Checks the bindings and binds them. Returns false in a rehearsal, which dispatches nothing.
     fn prepare<K: Kernel>(
         &mut self,
-        specialisation: &[u32],
+        constants: K::Constants,
         params: &K::Params,
         args: &K::Args<'_>,
         arguments: Option<&BoundRange>,
@@ -325,7 +359,7 @@ impl Recorder {
         if self.device.is_rehearsing() {
             return Ok(false);
         }
-        let pipeline = self.device.pipeline::<K>(specialisation)?;
+        let pipeline = self.device.pipeline::<K>(constants.words().as_ref())?;
         let bound = ranges
             .iter()
             .zip(K::BINDINGS)

@@ -3,10 +3,18 @@
 use crate::gpu::kernel;
 
 kernel! {
-    /// One step of Adam over a flat array. Specialisation constants: 0, whether rows whose entry in
-    /// `visible` is 0 stay unchanged; 1, number of values in a row; 2, whether a row has fewer than
-    /// three values; 3, whether `row` replaces constant 1.
+    /// One step of Adam over a flat array.
     pub struct Step("adam/step"), workgroup: [64, 1, 1],
+    constants: StepConstants {
+        /// Whether rows whose entry in `visible` is 0 stay unchanged.
+        masked: bool = false,
+        /// Number of values in a row.
+        row: u32 = 1,
+        /// Whether a row has fewer than three values.
+        short_rows: bool = true,
+        /// Whether the parameter `row` replaces the constant.
+        any_row: bool = false,
+    },
     params: StepParams {
         /// Number of values.
         count: u32,
@@ -26,7 +34,7 @@ kernel! {
         unbias2: f32,
         /// Added to the square root of the second moment.
         epsilon: f32,
-        /// Number of values in a row, if constant 3 is set.
+        /// Number of values in a row, with `any_row`.
         row: u32,
     },
     args: StepArgs {

@@ -43,9 +43,12 @@ kernel! {
 }
 
 kernel! {
-    /// Emits a (tile, intersection) pair for each tile that a splat overlaps. Specialisation constant 0:
-    /// whether workgroups are interleaved so that costly ones are distributed over all cores.
+    /// Emits a (tile, intersection) pair for each tile that a splat overlaps.
     pub struct Emit("bin/emit"), workgroup: [64, 1, 1],
+    constants: EmitConstants {
+        /// Whether workgroups are interleaved so that costly ones are distributed over all cores.
+        spread: bool = false,
+    },
     params: EmitParams {
         /// Number of Gaussians.
         count: u32,

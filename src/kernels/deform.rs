@@ -3,9 +3,12 @@
 use crate::gpu::kernel;
 
 kernel! {
-    /// Finds the nearest control points of every listed point. Specialisation constant 0: how many, 1 to
-    /// 16.
+    /// Finds the nearest control points of every listed point.
     pub struct Nearest("deform/nearest"), workgroup: [64, 1, 1],
+    constants: NearestConstants {
+        /// Number of control points of each point, 1 to 16.
+        k: u32 = 4,
+    },
     params: NearestParams {
         /// Number of points.
         rows: u32,
@@ -63,9 +66,12 @@ kernel! {
 }
 
 kernel! {
-    /// Moves the dynamic Gaussians by linear blend skinning. Specialisation constant 0: neighbours, 1 to
-    /// 8.
+    /// Moves the dynamic Gaussians by linear blend skinning.
     pub struct Skin("deform/skin"), workgroup: [64, 1, 1],
+    constants: SkinConstants {
+        /// Number of control points that each Gaussian follows, 1 to 8.
+        k: u32 = 4,
+    },
     params: SkinParams {
         /// Number of dynamic Gaussians.
         rows: u32,
@@ -107,8 +113,9 @@ kernel! {
 }
 
 kernel! {
-    /// Computes the gradients of [`Skin`]. Specialisation constant 0: neighbours, 1 to 8.
+    /// Computes the gradients of [`Skin`].
     pub struct SkinBackward("deform/skin_backward"), workgroup: [64, 1, 1],
+    constants: SkinConstants,
     params: SkinBackwardParams {
         /// Number of dynamic Gaussians.
         rows: u32,

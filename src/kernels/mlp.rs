@@ -2,8 +2,8 @@
 //!
 //! Activations and gradients are stored as *planes*: a plane is one feature of all rows, as `stride4`
 //! vectors of four rows each. Rows are (control point, time) pairs, padded to a multiple of eight at
-//! least. With specialisation constant 0 set, the invocations of a subgroup share loads of values that
-//! all of them need.
+//! least. With the constant `shared`, the invocations of a subgroup share loads of values that all of
+//! them need.
 
 use crate::gpu::kernel;
 
@@ -37,6 +37,10 @@ kernel! {
 kernel! {
     /// Evaluates one layer.
     pub struct Forward("mlp/forward"), workgroup: [64, 1, 1],
+    constants: LoadConstants {
+        /// Whether the invocations of a subgroup share loads; all of them must need the same values.
+        shared: bool = false,
+    },
     params: ForwardParams {
         /// Number of vectors of four rows.
         stride4: u32,
@@ -105,6 +109,7 @@ kernel! {
 kernel! {
     /// Propagates the gradient of one layer to the layer below.
     pub struct Backward("mlp/backward"), workgroup: [64, 1, 1],
+    constants: LoadConstants,
     params: BackwardParams {
         /// Number of vectors of four rows.
         stride4: u32,
@@ -136,6 +141,7 @@ kernel! {
 kernel! {
     /// Computes the gradients of one layer's parameters for each segment of the rows.
     pub struct Weights("mlp/weights"), workgroup: [64, 1, 1],
+    constants: LoadConstants,
     params: WeightsParams {
         /// Number of vectors of four rows.
         stride4: u32,

@@ -3,10 +3,24 @@
 use crate::gpu::kernel;
 
 kernel! {
-    /// Culls and projects every Gaussian. Specialisation constants: 0 to 3, whether the spherical
-    /// harmonics, the log scales, the rotations and the opacity logits are stored as 16-bit floats, two
-    /// to a word; 4 to 6, whether bands 1, 2, 3 of the harmonics are evaluated.
+    /// Culls and projects every Gaussian.
     pub struct Forward("project/forward"), workgroup: [64, 1, 1],
+    constants: ForwardConstants {
+        /// Whether the spherical harmonics are stored as 16-bit floats, two to a word.
+        half_sh: bool = false,
+        /// Whether the log scales are.
+        half_scales: bool = false,
+        /// Whether the rotations are.
+        half_rotations: bool = false,
+        /// Whether the opacity logits are.
+        half_opacities: bool = false,
+        /// Whether band 1 of the harmonics is evaluated.
+        band1: bool = true,
+        /// Whether band 2 is evaluated.
+        band2: bool = true,
+        /// Whether band 3 is evaluated.
+        band3: bool = true,
+    },
     params: ForwardParams {
         /// Number of Gaussians.
         count: u32,
@@ -61,10 +75,18 @@ kernel! {
 }
 
 kernel! {
-    /// Gradients with respect to every parameter and to the camera's pose. Specialisation constants: 0,
-    /// 1, 2 whether bands 1, 2, 3 of the harmonics are evaluated; 3 whether the pose's gradient is
-    /// computed.
+    /// Gradients with respect to every parameter and to the camera's pose.
     pub struct Backward("project/backward"), workgroup: [64, 1, 1],
+    constants: BackwardConstants {
+        /// Whether band 1 of the harmonics is evaluated.
+        band1: bool = true,
+        /// Whether band 2 is evaluated.
+        band2: bool = true,
+        /// Whether band 3 is evaluated.
+        band3: bool = true,
+        /// Whether the pose's gradient is computed.
+        with_pose: bool = true,
+    },
     params: BackwardParams {
         /// Number of Gaussians.
         count: u32,

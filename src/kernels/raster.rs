@@ -3,10 +3,14 @@
 use crate::gpu::kernel;
 
 kernel! {
-    /// Blends the splats of a tile front to back. Specialisation constants, both for software devices:
-    /// 0, whether lanes exchange values by shuffles; 1, whether workgroups are interleaved so that
-    /// costly ones are distributed over all cores.
+    /// Blends the splats of a tile front to back. Both constants are for software devices.
     pub struct Forward("raster/forward"), workgroup: [32, 1, 1],
+    constants: ForwardConstants {
+        /// Whether lanes exchange values by shuffles instead of broadcasts and ballots.
+        shuffles: bool = false,
+        /// Whether workgroups are interleaved so that costly ones are distributed over all cores.
+        spread: bool = false,
+    },
     params: ForwardParams {
         /// Image width, pixels.
         width: u32,
@@ -51,6 +55,14 @@ kernel! {
     /// whitened offsets (h, k) from the mean, a slot holds the moments of v over the tile, then the
     /// gradients with respect to colour and depth.
     pub struct Backward("raster/backward"), workgroup: [32, 1, 1],
+    constants: BackwardConstants {
+        /// As in [`ForwardConstants`].
+        shuffles: bool = false,
+        /// Whether a workgroup has several subgroups, whose sums are combined in shared memory.
+        several: bool = true,
+        /// As in [`ForwardConstants`].
+        spread: bool = false,
+    },
     params: BackwardParams {
         /// Image width, pixels.
         width: u32,
@@ -94,16 +106,18 @@ kernel! {
 }
 
 kernel! {
-    /// [`Backward`](struct@Backward) with 8 invocations a tile, for narrow subgroups. Specialisation
-    /// constants: 0 and 2 as 0 and 1 of [`Forward`](struct@Forward); 1, whether a workgroup has several
-    /// subgroups, whose sums are combined in shared memory.
-    pub struct BackwardNarrow("raster/backward_narrow") like Backward, workgroup: [8, 1, 1]
+    /// [`Backward`](struct@Backward) with 8 invocations a tile, for narrow subgroups.
+    pub struct BackwardNarrow("raster/backward_narrow") like Backward, workgroup: [8, 1, 1],
+    constants: BackwardConstants
 }
 
 kernel! {
-    /// Sums each visible splat's slots and turns the moments into gradients. Specialisation constant 0:
-    /// whether workgroups are interleaved so that costly ones are distributed over all cores.
+    /// Sums each visible splat's slots and turns the moments into gradients.
     pub struct Gather("raster/gather"), workgroup: [64, 1, 1],
+    constants: GatherConstants {
+        /// Whether workgroups are interleaved so that costly ones are distributed over all cores.
+        spread: bool = false,
+    },
     params: GatherParams {
         /// Number of Gaussians.
         count: u32,

@@ -1,8 +1,8 @@
 //! Stable least-significant-digit radix sort, counting and scattering by runs.
 //!
 //! Every invocation processes a run of consecutive keys in order and keeps one counter per digit, so the
-//! sort is stable whatever the subgroup size. The counters are in shared memory. With specialisation
-//! constant 0 set, which is faster on software devices, they are in a private array of the invocation.
+//! sort is stable whatever the subgroup size. The counters are in shared memory. With
+//! `own_counters`, which is faster on software devices, they are in a private array of the invocation.
 
 use crate::gpu::kernel;
 
@@ -48,6 +48,10 @@ kernel! {
 kernel! {
     /// Counts the digits of each run.
     pub struct Count("sort/count"), workgroup: [32, 1, 1],
+    constants: CountConstants {
+        /// Whether the counters are in a private array of the invocation instead of shared memory.
+        own_counters: bool = false,
+    },
     params: CountParams {
         /// The digit's lowest bit.
         shift: u32,
@@ -69,6 +73,7 @@ kernel! {
 kernel! {
     /// Moves each run's pairs to their places.
     pub struct Scatter("sort/scatter"), workgroup: [32, 1, 1],
+    constants: CountConstants,
     params: ScatterParams {
         /// The digit's lowest bit.
         shift: u32,

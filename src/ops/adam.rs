@@ -2,7 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Device, Groups, Recorder, Stream, View, ViewMut};
-use crate::kernels::adam::{Gate, GateArgs, GateParams, Step, StepArgs, StepParams};
+use crate::kernels::adam::{Gate, GateArgs, GateParams, Step, StepArgs, StepConstants, StepParams};
 use crate::types::AdamSettings;
 
 /// Row lengths with a specialised pipeline: those of a Gaussian's parameters. Every other length is a
@@ -10,16 +10,17 @@ use crate::types::AdamSettings;
 const ROWS: [usize; 6] = [1, 3, 4, 9, 15, 21];
 
 /// The specialisation constants for rows of `row` values.
-fn constants(row: usize, rows: Option<usize>) -> [u32; 4] {
-    let (masked, length, any) = match rows {
-        None => (0, 1, 0),
+fn constants(row: usize, rows: Option<usize>) -> StepConstants {
+    let masked = StepConstants { masked: true, ..Default::default() };
+    match rows {
+        None => StepConstants::default(),
         // With rows this long every value lies in the first row, and the kernel needs no division.
-        Some(1) => (1, u32::MAX, 0),
-        Some(_) if ROWS.contains(&row) => (1, row as u32, 0),
-        Some(_) => (1, 1, 1),
-    };
-    let short = if any == 1 { row < 3 } else { length < 3 };
-    [masked, length, u32::from(short), any]
+        Some(1) => StepConstants { row: u32::MAX, short_rows: false, ..masked },
+        Some(_) if ROWS.contains(&row) => {
+            StepConstants { row: row as u32, short_rows: row < 3, ..masked }
+        }
+        Some(_) => StepConstants { short_rows: row < 3, any_row: true, ..masked },
+    }
 }
 
 /// One group of parameters with its moments; all arrays have the same length.
@@ -129,7 +130,7 @@ impl Adam {
         let at = self.next * STRIDE;
         self.next = (self.next + 1) % COUNTS;
         recorder.dispatch_specialised::<Step>(
-            &constants(row, rows),
+            constants(row, rows),
             Groups::linear(count / 4 + count % 4, 64, recorder.device().limits())?,
             StepParams {
                 count: count as u32,

@@ -208,7 +208,7 @@ impl Skin {
         // A placeholder that is bound but not read without soft motion.
         let unused = args.log_radii;
         recorder.dispatch_specialised::<kernels::Skin>(
-            &[self.neighbours.k() as u32],
+            kernels::SkinConstants { k: self.neighbours.k() as u32 },
             Groups::linear(rows, 64, recorder.device().limits())?,
             kernels::SkinParams {
                 rows: rows as u32,
@@ -259,7 +259,7 @@ impl Skin {
         let transforms_at = (args.time * nodes) as u32;
         let unused = args.log_radii;
         recorder.dispatch_specialised::<kernels::SkinBackward>(
-            &[self.neighbours.k() as u32],
+            kernels::SkinConstants { k: self.neighbours.k() as u32 },
             Groups::linear(rows, 64, &limits)?,
             kernels::SkinBackwardParams {
                 rows: rows as u32,

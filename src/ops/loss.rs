@@ -6,7 +6,7 @@
 //! the device as packed bytes.
 
 use super::render::{PixelBuffers, PixelGradients};
-use crate::gpu::{Buffer, Device, DeviceKind, Groups, Recorder, Stream};
+use crate::gpu::{Buffer, Device, Groups, Recorder, Stream};
 use crate::kernels::loss::{
     Columns, ColumnsArgs, ColumnsParams, Depth, DepthArgs, DepthParams, Gradient, GradientArgs,
     GradientParams, Ssim, SsimArgs, SsimParams, Total, TotalArgs, TotalParams,
@@ -17,8 +17,6 @@ use crate::{Error, Result};
 /// The shortest run of pixels that one invocation processes. Beside its own pixels it loads 10 to 20
 /// around them; longer runs load less in total, shorter ones occupy the device better.
 const LEAST_RUN: usize = 16;
-/// Number of invocations that occupy a software device, and any other device.
-const FULL: [usize; 2] = [1 << 10, 1 << 16];
 /// Alpha below which a pixel has no depth to compare.
 const LEAST_ALPHA: f32 = 0.5;
 
@@ -146,7 +144,7 @@ impl Default for LossSettings {
 /// #     gradients: &mut PixelGradients,
 /// # ) -> splat4d::Result<()> {
 /// let reference = Reference::new(device, image, None)?;
-/// let loss = Loss::plan(image.width, image.height);
+/// let loss = Loss::plan(device, image.width, image.height);
 /// let mut scratch = loss.scratch(device)?;
 /// let settings = LossSettings::default();
 /// loss.record(recorder, &settings, rendered, &reference, None, gradients, &mut scratch)?;
@@ -157,6 +155,8 @@ impl Default for LossSettings {
 pub struct Loss {
     width: u32,
     height: u32,
+    /// Number of invocations that occupy the device.
+    occupancy: usize,
 }
 
 /// Intermediate buffers of a loss.
@@ -182,8 +182,8 @@ pub struct LossValue {
 
 impl Loss {
     /// Plans a loss for images of this size, pixels.
-    pub fn plan(width: u32, height: u32) -> Loss {
-        Loss { width, height }
+    pub fn plan(device: &Device, width: u32, height: u32) -> Loss {
+        Loss { width, height, occupancy: device.profile().occupancy }
     }
 
     fn pixels(&self) -> usize {
@@ -198,7 +198,7 @@ impl Loss {
         let pixels = self.pixels();
         let windowed = || device.buffer("windowed", pixels);
         let derivatives = || device.buffer("derivatives of SSIM", pixels);
-        let partials = (3 * self.by_rows(device).1.div_ceil(64)).max(pixels.div_ceil(64));
+        let partials = (3 * self.by_rows().1.div_ceil(64)).max(pixels.div_ceil(64));
         Ok(LossScratch {
             windowed: [windowed()?, windowed()?, windowed()?],
             derivatives: [derivatives()?, derivatives()?, derivatives()?],
@@ -209,23 +209,22 @@ impl Loss {
 
     /// Number of pixels per run where `lines` lines of `length` pixels are processed. Each line is cut
     /// evenly into as many runs as occupy the device.
-    fn run(device: &Device, lines: usize, length: usize) -> usize {
-        let software = device.info().kind == DeviceKind::Software;
-        let runs = FULL[usize::from(!software)].div_ceil(lines.max(1));
+    fn run(&self, lines: usize, length: usize) -> usize {
+        let runs = self.occupancy.div_ceil(lines.max(1));
         length.div_ceil(runs.min(length.div_ceil(LEAST_RUN)).max(1)).max(1)
     }
 
     /// Runs along rows, for one channel: pixels in a run, and number of runs.
-    fn by_rows(&self, device: &Device) -> (usize, usize) {
+    fn by_rows(&self) -> (usize, usize) {
         let (rows, length) = (self.height as usize, self.width as usize);
-        let run = Self::run(device, 3 * rows, length);
+        let run = self.run(3 * rows, length);
         (run, rows * length.div_ceil(run))
     }
 
     /// Runs along columns, for all channels together: pixels in a run, and number of runs.
-    fn by_columns(&self, device: &Device) -> (usize, usize) {
+    fn by_columns(&self) -> (usize, usize) {
         let (lines, length) = (self.width as usize, self.height as usize);
-        let run = Self::run(device, lines, length);
+        let run = self.run(lines, length);
         (run, lines * length.div_ceil(run))
     }
 
@@ -272,8 +271,8 @@ impl Loss {
         let limits = *recorder.device().limits();
         let (width, height) = (self.width as i32, self.height as i32);
         let [background_red, background_green, background_blue] = settings.background;
-        let (column_run, by_columns) = self.by_columns(recorder.device());
-        let (row_run, by_rows) = self.by_rows(recorder.device());
+        let (column_run, by_columns) = self.by_columns();
+        let (row_run, by_rows) = self.by_rows();
         let LossScratch { windowed, derivatives, partials, totals } = scratch;
         let [reds, greens, blues] = windowed;
         recorder.dispatch::<Columns>(

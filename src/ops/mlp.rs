@@ -2,11 +2,11 @@
 //! with respect to the parameters.
 
 use crate::error::{Error, Result};
-use crate::gpu::{Buffer, Device, DeviceKind, Groups, Recorder, View, ViewMut};
+use crate::gpu::{Buffer, Device, Groups, Recorder, View, ViewMut};
 use crate::kernels::mlp::{
     Backward, BackwardArgs, BackwardParams, Encode, EncodeArgs, EncodeParams, Forward, ForwardArgs,
-    ForwardParams, Reduce, ReduceArgs, ReduceParams, Seed, SeedArgs, SeedParams, Transforms,
-    TransformsArgs, TransformsParams, Weights, WeightsArgs, WeightsParams,
+    ForwardParams, LoadConstants, Reduce, ReduceArgs, ReduceParams, Seed, SeedArgs, SeedParams,
+    Transforms, TransformsArgs, TransformsParams, Weights, WeightsArgs, WeightsParams,
 };
 use crate::types::NetShape;
 
@@ -40,7 +40,7 @@ struct Layer {
 /// # ) -> splat4d::Result<()> {
 /// let parameters = device.upload("parameters", &network.parameters)?;
 /// let times = device.upload("times", &[0.0f32, 0.5])?;
-/// let plan = Network::new(&network.shape)?;
+/// let plan = Network::new(device, &network.shape)?;
 /// let rows = nodes.len() / 3 * times.len();
 /// let mut scratch = plan.scratch(device, rows)?;
 /// let mut transforms = device.buffer("motions", 2 * rows)?;
@@ -60,8 +60,8 @@ pub struct Network {
     /// Number of parameters.
     parameters: usize,
     planes: usize,
-    /// Whether software devices use the load pattern of GPUs instead of sharing loads within a subgroup.
-    gpu_loads: bool,
+    /// The size of the subgroups whose invocations share their loads; `None` without sharing.
+    sharing: Option<usize>,
 }
 
 /// Intermediate buffers of a [`Network`]; they keep the activations between forward and backward pass.
@@ -77,7 +77,7 @@ impl Network {
     ///
     /// # Errors
     /// [`Error::Input`] for a width that is no multiple of 16, no layers, or more than 24 octaves.
-    pub fn new(shape: &NetShape) -> Result<Network> {
+    pub fn new(device: &Device, shape: &NetShape) -> Result<Network> {
         let wrong = |what: &str| Err(Error::Input(format!("deformation network: {what}")));
         if shape.width == 0 || !shape.width.is_multiple_of(16) {
             return wrong(&format!("the width is {}, it must be a multiple of 16", shape.width));
@@ -99,20 +99,15 @@ impl Network {
             target += outputs;
             weights_at += (inputs + 1) * outputs;
         }
+        let subgroup = device.info().subgroup_size as usize;
+        let shares = device.profile().shared_loads && (4..=WORKGROUP as usize).contains(&subgroup);
         Ok(Network {
             shape: *shape,
             layers,
             planes: target,
             parameters: weights_at,
-            gpu_loads: false,
+            sharing: shares.then_some(subgroup),
         })
-    }
-
-    /// The same network with the load pattern of GPUs, so that it can be compared with the oracle on any
-    /// device.
-    #[cfg(feature = "check")]
-    pub(crate) fn with_gpu_loads(self) -> Network {
-        Network { gpu_loads: true, ..self }
     }
 
     /// The network's shape.
@@ -125,7 +120,7 @@ impl Network {
     /// # Errors
     /// [`Error::OutOfMemory`].
     pub fn scratch(&self, device: &Device, rows: usize) -> Result<NetworkScratch> {
-        let stride = self.stride(device, rows);
+        let stride = self.stride(rows);
         let stride4 = stride / 4;
         let widest = (self.shape.width as usize).max(NetShape::OUTPUTS);
         let largest = self.layers.iter().map(|l| l.outputs * (l.inputs + 1)).max().unwrap_or(0);
@@ -161,7 +156,8 @@ impl Network {
         check("transforms", transforms.len(), 2 * rows)?;
         check("scratch rows", scratch.rows, rows)?;
         let limits = *recorder.device().limits();
-        let stride = self.stride(recorder.device(), rows);
+        let stride = self.stride(rows);
+        check("scratch activations", scratch.activations.len(), self.planes * (stride / 4))?;
         let octaves = self.shape.position_frequencies.max(self.shape.time_frequencies) as usize;
         recorder.dispatch::<Encode>(
             Groups::linear(stride * (octaves + 1), WORKGROUP, &limits)?,
@@ -176,10 +172,10 @@ impl Network {
             EncodeArgs { nodes, times, activations: scratch.activations.view_mut() },
         )?;
         let tiles = stride / TILE;
-        let shared_weights = self.shared(recorder.device(), tiles);
+        let shared_weights = self.shared(tiles);
         for (index, layer) in self.layers.iter().enumerate() {
             recorder.dispatch_specialised::<Forward>(
-                &[shared_weights],
+                LoadConstants { shared: shared_weights },
                 Groups::linear(tiles * layer.outputs.div_ceil(TILE), WORKGROUP, &limits)?,
                 ForwardParams {
                     stride4: (stride / 4) as u32,
@@ -226,8 +222,9 @@ impl Network {
         check("gradients", gradients.len(), self.parameters)?;
         check("transform gradients", transform_gradients.len(), 2 * rows)?;
         let limits = *recorder.device().limits();
-        let stride = self.stride(recorder.device(), rows);
+        let stride = self.stride(rows);
         let widest = (self.shape.width as usize).max(NetShape::OUTPUTS);
+        check("scratch gradients", scratch.deltas.len(), 2 * widest * (stride / 4))?;
         // The gradients of two layers are live at the same time; the deltas alternate between two
         // places.
         let (mut here, mut below) = (0, widest);
@@ -240,9 +237,9 @@ impl Network {
         for (index, layer) in self.layers.iter().enumerate().rev() {
             let tiles = layer.outputs.div_ceil(TILE);
             let of_rows = tiles * (layer.inputs + 1).div_ceil(TILE);
-            let shared_inputs = self.shared(recorder.device(), tiles);
+            let shared_inputs = self.shared(tiles);
             recorder.dispatch_specialised::<Weights>(
-                &[shared_inputs],
+                LoadConstants { shared: shared_inputs },
                 Groups::linear(of_rows * segments, WORKGROUP, &limits)?,
                 WeightsParams {
                     stride4: (stride / 4) as u32,
@@ -275,9 +272,9 @@ impl Network {
             }
             let tiles = stride / TILE;
             let of_features = tiles * (layer.inputs - layer.encoded).div_ceil(TILE);
-            let shared_weights = self.shared(recorder.device(), tiles);
+            let shared_weights = self.shared(tiles);
             recorder.dispatch_specialised::<Backward>(
-                &[shared_weights],
+                LoadConstants { shared: shared_weights },
                 Groups::linear(of_features, WORKGROUP, &limits)?,
                 BackwardParams {
                     stride4: (stride / 4) as u32,
@@ -300,23 +297,15 @@ impl Network {
         Ok(())
     }
 
-    /// The size of the subgroups whose invocations share their loads; `None` without sharing.
-    fn sharing(&self, device: &Device) -> Option<usize> {
-        let info = device.info();
-        let subgroup = info.subgroup_size as usize;
-        let pays = info.kind == DeviceKind::Software && !self.gpu_loads;
-        (pays && (4..=WORKGROUP as usize).contains(&subgroup)).then_some(subgroup)
-    }
-
     /// Number of rows with padding: whole tiles, and with sharing as many as fill whole subgroups.
-    fn stride(&self, device: &Device, rows: usize) -> usize {
-        rows.next_multiple_of(TILE * self.sharing(device).unwrap_or(1))
+    fn stride(&self, rows: usize) -> usize {
+        rows.next_multiple_of(TILE * self.sharing.unwrap_or(1))
     }
 
     /// Whether a subgroup may share loads where every `tiles` consecutive invocations need the same
     /// values.
-    fn shared(&self, device: &Device, tiles: usize) -> u32 {
-        u32::from(self.sharing(device).is_some_and(|subgroup| tiles.is_multiple_of(subgroup)))
+    fn shared(&self, tiles: usize) -> bool {
+        self.sharing.is_some_and(|subgroup| tiles.is_multiple_of(subgroup))
     }
 }
 

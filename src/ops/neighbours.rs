@@ -3,8 +3,8 @@
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Device, Groups, Recorder, Stream, View};
 use crate::kernels::deform::{
-    Keys, KeysArgs, KeysParams, Nearest, NearestArgs, NearestParams, Starts, StartsArgs,
-    StartsParams,
+    Keys, KeysArgs, KeysParams, Nearest, NearestArgs, NearestConstants, NearestParams, Starts,
+    StartsArgs, StartsParams,
 };
 use crate::ops::sort::{RadixSort, SortArgs, SortScratch};
 
@@ -97,7 +97,7 @@ impl Neighbours {
         (self.rows, self.node_count) = (rows, node_count);
         let limits = *recorder.device().limits();
         recorder.dispatch_specialised::<Nearest>(
-            &[self.k as u32],
+            NearestConstants { k: self.k as u32 },
             Groups::linear(rows, 64, &limits)?,
             NearestParams {
                 rows: rows as u32,

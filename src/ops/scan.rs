@@ -1,17 +1,12 @@
 //! Exclusive prefix sums of values whose number is read from a device buffer.
 
-use crate::gpu::{Buffer, Device, DeviceKind, Groups, Recorder, View, ViewMut};
+use crate::gpu::{Buffer, Device, Groups, Recorder, View, ViewMut};
 use crate::kernels::indirect;
 use crate::kernels::scan::{
     BLOCK, Downsweep, DownsweepArgs, DownsweepParams, Reduce, ReduceArgs, ReduceParams, Single,
     SingleArgs, SingleParams, Spine, SpineArgs, SpineParams,
 };
 use crate::{Error, Result};
-
-/// Largest capacity at which a single workgroup is faster than four dispatches, on a GPU.
-const FEW: usize = 8192;
-/// The same on a software driver, where a dispatch costs as much as thousands of values.
-const FEW_SOFTWARE: usize = 131_072;
 
 /// Exclusive prefix sums (modulo 2³²) of at most `capacity` values.
 ///
@@ -24,7 +19,7 @@ const FEW_SOFTWARE: usize = 131_072;
 /// let (count, values) = (device.upload("count", &[4u32])?, device.upload("values", &[3u32, 1, 4, 1])?);
 /// let (mut prefix, mut total) = (device.buffer("prefix", 4)?, device.buffer("total", 1)?);
 ///
-/// let scan = Scan::plan(4)?;
+/// let scan = Scan::plan(&device, 4)?;
 /// let mut scratch = scan.scratch(&device)?;
 /// let mut recorder = stream.record()?;
 /// let (count, values) = (count.view(), values.view());
@@ -40,6 +35,8 @@ const FEW_SOFTWARE: usize = 131_072;
 #[derive(Clone, Copy, Debug)]
 pub struct Scan {
     capacity: usize,
+    /// Whether a single workgroup scans all values.
+    single: bool,
 }
 
 /// Intermediate buffers of a scan.
@@ -70,11 +67,11 @@ impl Scan {
     ///
     /// # Errors
     /// [`Error::Input`] beyond 2³² − 1 values.
-    pub fn plan(capacity: usize) -> Result<Scan> {
+    pub fn plan(device: &Device, capacity: usize) -> Result<Scan> {
         if u32::try_from(capacity).is_err() {
             return Err(Error::Input(format!("a scan of {capacity} values: at most 2³² − 1")));
         }
-        Ok(Scan { capacity })
+        Ok(Scan { capacity, single: capacity <= device.profile().single_scan })
     }
 
     /// Allocates the intermediate buffers of [`record`](Self::record).
@@ -87,15 +84,6 @@ impl Scan {
             sums: device.buffer("scan sums", blocks)?,
             grid: device.buffer("scan grid", 3)?,
         })
-    }
-
-    /// Whether a single workgroup scans all values.
-    fn is_single(&self, device: &Device) -> bool {
-        let few = match device.info().kind {
-            DeviceKind::Software => FEW_SOFTWARE,
-            _ => FEW,
-        };
-        self.capacity <= few
     }
 
     /// Records the scan: `scan/single` for a small capacity, else `indirect/arguments`,
@@ -118,7 +106,7 @@ impl Scan {
         super::at_least("scan", &shapes)?;
         let (count, count_at, capacity) = (args.count, args.count_at as u32, self.capacity as u32);
         let total_at = args.total_at as u32;
-        if self.is_single(recorder.device()) {
+        if self.single {
             return recorder.dispatch::<Single>(
                 Groups([1, 1, 1]),
                 SingleParams { count_at, capacity, total_at },

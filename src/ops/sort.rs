@@ -1,53 +1,28 @@
 //! Stable radix sort of key–payload pairs whose number is read from a device buffer.
 
-use crate::gpu::{Buffer, Device, DeviceKind, Groups, Recorder, View, ViewMut};
+use crate::gpu::{Buffer, Device, Groups, Profile, Recorder, View, ViewMut};
 use crate::kernels::sort::{
-    Count, CountArgs, CountParams, OWN_DIGIT_BITS, PLAN_GRID_AT, PLAN_TABLE_AT, PLAN_WORDS, Plan,
-    PlanArgs, PlanParams, SHARED_DIGIT_BITS, Scatter, ScatterArgs, ScatterParams,
+    Count, CountArgs, CountConstants, CountParams, OWN_DIGIT_BITS, PLAN_GRID_AT, PLAN_TABLE_AT,
+    PLAN_WORDS, Plan, PlanArgs, PlanParams, SHARED_DIGIT_BITS, Scatter, ScatterArgs, ScatterParams,
 };
 use crate::ops::scan::{Scan, ScanArgs, ScanScratch};
 use crate::{Error, Result};
 use std::ops::Range;
 
-/// How the keys are divided into runs of consecutive keys, each processed by one invocation.
-#[derive(Clone, Copy, Debug)]
-struct Runs {
-    /// Shortest run. Shorter ones would spend more time on counters than on keys.
-    least: usize,
-    /// Largest number of runs. More would not occupy the device better.
-    most: usize,
-    /// Whether each invocation keeps its counters in a private array instead of shared memory.
-    own_counters: bool,
-}
-
-/// Enough runs to occupy the cores. The lanes of a subgroup write to neighbouring places; the shorter
-/// their runs, the more of these places share a cache line. More runs than these make a table of
-/// counters that costs more than that gains.
-const SOFTWARE: Runs = Runs { least: 1024, most: 512, own_counters: true };
-/// Enough runs to occupy a large GPU.
-const GPU: Runs = Runs { least: 256, most: 16_384, own_counters: false };
-
-impl Runs {
-    /// Number of runs for `keys` keys.
-    fn of(&self, keys: usize) -> usize {
-        keys.div_ceil(self.least).min(self.most)
-    }
-
-    /// Number of passes over `width` bits. Wide digits save passes and cost counters: each counter is
-    /// set, written, summed and read once a pass, which costs one and a half times as much as a key. The
-    /// cost is weighed for the shortest runs, so that the result does not depend on the number of keys
-    /// and a larger sort's scratch serves a smaller one.
-    fn passes(&self, width: u32) -> u32 {
-        let usual = width.div_ceil(SHARED_DIGIT_BITS);
-        let fewest = if self.own_counters { width.div_ceil(OWN_DIGIT_BITS) } else { usual };
-        let cost = |passes: u32| {
-            let counters = 1usize << width.div_ceil(passes.max(1));
-            passes as usize * (2 * self.least + 3 * counters)
-        };
-        // Zero bits still take one pass, over a digit of width 0, since only the device knows how many
-        // pairs to copy.
-        (fewest..=usual).min_by_key(|&passes| cost(passes)).unwrap_or(usual).max(1)
-    }
+/// Number of passes over `width` bits. Wide digits save passes and cost counters: each counter is set,
+/// written, summed and read once a pass, which costs one and a half times as much as a key. The cost is
+/// weighed for the shortest runs, so that the result does not depend on the number of keys and a larger
+/// sort's scratch serves a smaller one.
+fn passes(profile: &Profile, width: u32) -> u32 {
+    let usual = width.div_ceil(SHARED_DIGIT_BITS);
+    let fewest = if profile.own_counters { width.div_ceil(OWN_DIGIT_BITS) } else { usual };
+    let cost = |passes: u32| {
+        let counters = 1usize << width.div_ceil(passes.max(1));
+        passes as usize * (2 * profile.least_run + 3 * counters)
+    };
+    // Zero bits still take one pass, over a digit of width 0, since only the device knows how many
+    // pairs to copy.
+    (fewest..=usual).min_by_key(|&passes| cost(passes)).unwrap_or(usual).max(1)
 }
 
 /// A stable sort by some bits of the keys, ascending.
@@ -87,7 +62,14 @@ pub struct RadixSort {
     bits: Range<u32>,
     passes: u32,
     digit_bits: u32,
-    runs: Runs,
+    /// Largest number of runs of consecutive keys; one invocation processes a run.
+    most_runs: usize,
+    /// Length of the shortest run.
+    least_run: usize,
+    own_counters: bool,
+    /// Number of counters of all runs.
+    table_len: usize,
+    scan: Scan,
 }
 
 /// Intermediate buffers of a sort.
@@ -131,40 +113,34 @@ impl RadixSort {
                  within 0..32"
             )));
         }
-        let runs = match device.info().kind {
-            DeviceKind::Software => SOFTWARE,
-            _ => GPU,
-        };
-        Ok(RadixSort::in_runs(runs, capacity, bits))
-    }
-
-    fn in_runs(runs: Runs, capacity: usize, bits: Range<u32>) -> RadixSort {
+        let profile = device.profile();
         let width = bits.end - bits.start;
-        // A shift by all 32 bits of a key is undefined.
-        let bits = if width == 0 { 0..0 } else { bits };
-        let passes = runs.passes(width);
-        RadixSort {
+        let passes = passes(profile, width);
+        // Evenly, since a pass over narrower digits costs less: 12 bits are 6 + 6, not 8 + 4.
+        let digit_bits = width.div_ceil(passes);
+        let runs = capacity.div_ceil(profile.least_run).min(profile.most_runs);
+        let table_len = runs << digit_bits;
+        Ok(RadixSort {
             capacity,
+            // A shift by all 32 bits of a key is undefined.
+            bits: if width == 0 { 0..0 } else { bits },
             passes,
-            // Evenly, since a pass over narrower digits costs less: 12 bits are 6 + 6, not 8 + 4.
-            digit_bits: width.div_ceil(passes),
-            bits,
-            runs,
-        }
-    }
-
-    /// The same sort with the runs of GPUs, so that it can be compared with the oracle on any device.
-    #[cfg(feature = "check")]
-    pub(crate) fn with_gpu_runs(self) -> RadixSort {
-        RadixSort::in_runs(GPU, self.capacity, self.bits)
+            digit_bits,
+            most_runs: profile.most_runs,
+            least_run: profile.least_run,
+            own_counters: profile.own_counters,
+            table_len,
+            scan: Scan::plan(device, table_len)?,
+        })
     }
 
     fn bins(&self) -> usize {
         1 << self.digit_bits
     }
 
-    fn table_len(&self) -> usize {
-        self.bins() * self.runs.of(self.capacity)
+    /// Number of pairs that the scratch holds between two passes.
+    fn between(&self) -> usize {
+        if self.passes > 1 { self.capacity } else { 0 }
     }
 
     /// Allocates the intermediate buffers of [`record`](Self::record).
@@ -172,21 +148,21 @@ impl RadixSort {
     /// # Errors
     /// [`Error::OutOfMemory`].
     pub fn scratch(&self, device: &Device) -> Result<SortScratch> {
-        let between = if self.passes > 1 { self.capacity } else { 0 };
-        let table = self.table_len();
+        let between = self.between();
+        let table = self.table_len;
         Ok(SortScratch {
             plan: device.buffer("sort plan", PLAN_WORDS)?,
             table: device.buffer("sort table", table)?,
             offsets: device.buffer("sort offsets", table)?,
             total: device.buffer("sort total", 1)?,
-            scan: Scan::plan(table)?.scratch(device)?,
+            scan: self.scan.scratch(device)?,
             keys: device.buffer("sort keys", between)?,
             payload: device.buffer("sort payload", between)?,
         })
     }
 
-    /// Records the sort: `sort/plan`; for each pass of up to 8 bits (9 on software devices)
-    /// `sort/count`, those of [`Scan::record`], `sort/scatter`.
+    /// Records the sort: `sort/plan`; for each pass of up to 8 bits (9 under
+    /// [`Profile::SOFTWARE`]) `sort/count`, those of [`Scan::record`], `sort/scatter`.
     ///
     /// # Errors
     /// [`Error::Shape`] for a buffer that is too short; else as for [`Recorder::dispatch`].
@@ -202,14 +178,16 @@ impl RadixSort {
             ("payload", self.capacity, args.payload.len()),
             ("sorted_keys", self.capacity, args.sorted_keys.len()),
             ("sorted_payload", self.capacity, args.sorted_payload.len()),
+            ("scratch's table", self.table_len, scratch.table.len()),
+            ("scratch's keys", self.between(), scratch.keys.len()),
         ];
         super::at_least("sort", &shapes)?;
         let params = PlanParams {
             count_at: args.count_at as u32,
             capacity: self.capacity as u32,
             bins: self.bins() as u32,
-            min_run: self.runs.least as u32,
-            max_runs: self.runs.most as u32,
+            min_run: self.least_run as u32,
+            max_runs: self.most_runs as u32,
             group_limit: recorder.device().limits().groups,
         };
         recorder.dispatch::<Plan>(
@@ -256,15 +234,15 @@ impl RadixSort {
         scan: &mut ScanScratch,
     ) -> Result<()> {
         let bins = self.bins() as u32;
-        let counters = [u32::from(self.runs.own_counters)];
+        let constants = CountConstants { own_counters: self.own_counters };
         recorder.dispatch_indirect_specialised::<Count>(
-            &counters,
+            constants,
             plan,
             PLAN_GRID_AT,
             CountParams { shift, mask, bins },
             CountArgs { plan: plan.view(), keys, table: table.view_mut() },
         )?;
-        Scan::plan(self.table_len())?.record(
+        self.scan.record(
             recorder,
             ScanArgs {
                 count: plan.view(),
@@ -277,7 +255,7 @@ impl RadixSort {
             scan,
         )?;
         recorder.dispatch_indirect_specialised::<Scatter>(
-            &counters,
+            constants,
             plan,
             PLAN_GRID_AT,
             ScatterParams { shift, mask, bins },

@@ -94,7 +94,7 @@ impl FrameResources {
         let render = Render::plan(device, gaussians, intersections, size.0, size.1, settings)?
             .with_depth_bits(device, depth_bits)?
             .with_raster(raster);
-        let loss = Loss::plan(size.0, size.1);
+        let loss = Loss::plan(device, size.0, size.1);
         Ok(FrameResources {
             scratch: render.scratch(device)?,
             backward: render.backward_scratch(device)?,

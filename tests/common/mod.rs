@@ -28,7 +28,7 @@ fn open(limits: Option<Limits>) -> Device {
         Err(_) => Selector::Kind(DeviceKind::Software),
     };
     let validation = std::env::var("SPLAT4D_VALIDATION").is_ok_and(|value| value == "1");
-    Device::open(&Request { selector, validation, limits })
+    Device::open(&Request { selector, validation, limits, profile: None })
         .expect("the tests need a Vulkan driver (Debian: mesa-vulkan-drivers)")
 }
 

@@ -3,7 +3,7 @@
 
 use rspirv::dr::{Instruction, Module, Operand};
 use rspirv::spirv::{Capability, Decoration, ExecutionMode, Op, StorageClass, Word};
-use splat4d::gpu::Access;
+use splat4d::gpu::{Access, ConstantValue};
 use std::collections::{BTreeMap, HashMap};
 
 /// The interface of a module.
@@ -14,6 +14,17 @@ pub struct Interface {
     /// Offset and size in bytes of each push constant; empty if the module uses none.
     pub params: Vec<(u32, u32)>,
     pub workgroup: [u32; 3],
+    /// Specialisation constants, by id.
+    pub constants: BTreeMap<u32, Constant>,
+}
+
+/// One specialisation constant.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Constant {
+    /// `None` if the module has no names.
+    pub name: Option<String>,
+    /// The default, with its type.
+    pub default: ConstantValue,
 }
 
 /// One storage buffer.
@@ -66,6 +77,26 @@ pub fn by_naga(spirv: &[u8]) -> Result<Interface, String> {
             _ => {}
         }
     }
+    for (_, constant) in module.overrides.iter() {
+        let id = constant.id.ok_or("a specialisation constant without an id")?;
+        let default = match constant.init.map(|init| &module.global_expressions[init]) {
+            Some(&naga::Expression::Literal(naga::Literal::Bool(value))) => {
+                ConstantValue::Bool(value)
+            }
+            Some(&naga::Expression::Literal(naga::Literal::U32(value))) => {
+                ConstantValue::U32(value)
+            }
+            Some(&naga::Expression::Literal(naga::Literal::I32(value))) => {
+                ConstantValue::I32(value)
+            }
+            Some(&naga::Expression::Literal(naga::Literal::F32(value))) => {
+                ConstantValue::F32(value)
+            }
+            other => return Err(format!("specialisation constant {id} has the default {other:?}")),
+        };
+        let name = constant.name.clone();
+        interface.insert_constant(u32::from(id), Constant { name, default })?;
+    }
     Ok(interface)
 }
 
@@ -91,6 +122,13 @@ impl Interface {
             Some(_) => Err(format!("two buffers at binding {binding}")),
         }
     }
+
+    fn insert_constant(&mut self, id: u32, constant: Constant) -> Result<(), String> {
+        match self.constants.insert(id, constant) {
+            None => Ok(()),
+            Some(_) => Err(format!("two specialisation constants have the id {id}")),
+        }
+    }
 }
 
 /// Reads a module instruction by instruction.
@@ -109,6 +147,13 @@ pub fn by_rspirv(spirv: &[u8]) -> Result<(Interface, Demands), String> {
     interface.workgroup =
         local_size.try_into().map_err(|_| "a workgroup size that is no triple")?;
 
+    for constant in &module.types_global_values {
+        let Some(id) = constant.result_id else { continue };
+        if let Some(number) = reader.decoration(id, None, Decoration::SpecId) {
+            let (name, default) = (reader.name(id), reader.default(constant)?);
+            interface.insert_constant(number, Constant { name, default })?;
+        }
+    }
     for variable in &module.types_global_values {
         let (Op::Variable, Some(id)) = (variable.class.opcode, variable.result_id) else {
             continue;
@@ -203,6 +248,36 @@ impl<'a> Reader<'a> {
                 _ => None,
             }
         })
+    }
+
+    /// The name that the source gives to an id, where the module has kept it.
+    fn name(&self, id: Word) -> Option<String> {
+        self.module.debug_names.iter().find_map(|name| match name.operands.as_slice() {
+            [Operand::IdRef(target), Operand::LiteralString(name)] if *target == id => {
+                Some(name.clone())
+            }
+            _ => None,
+        })
+    }
+
+    /// The default of a specialisation constant.
+    fn default(&self, constant: &Instruction) -> Result<ConstantValue, String> {
+        match constant.class.opcode {
+            Op::SpecConstantTrue => return Ok(ConstantValue::Bool(true)),
+            Op::SpecConstantFalse => return Ok(ConstantValue::Bool(false)),
+            _ => {}
+        }
+        let ty = self.instruction(constant.result_type.ok_or("a constant without a type")?)?;
+        let word = constant.operands.first().and_then(literal).ok_or("a default without value")?;
+        let numbers: Vec<u32> = ty.operands.iter().filter_map(literal).collect();
+        match (ty.class.opcode, numbers.as_slice()) {
+            (Op::TypeInt, [32, 0]) => Ok(ConstantValue::U32(word)),
+            (Op::TypeInt, [32, 1]) => Ok(ConstantValue::I32(word as i32)),
+            (Op::TypeFloat, [32, ..]) => Ok(ConstantValue::F32(f32::from_bits(word))),
+            (other, numbers) => {
+                Err(format!("a specialisation constant of the type {other:?} {numbers:?}"))
+            }
+        }
     }
 
     /// Access of a buffer, decorated on the variable or on every member of its block.

@@ -103,7 +103,7 @@ fn scan(device: &Device, seed: u64, n: usize) -> Result<Job> {
     let input = device.upload("values", &values)?;
     let mut prefix = device.buffer::<u32>("prefix", n)?;
     let mut total = device.buffer::<u32>("total", 1)?;
-    let op = Scan::plan(n)?;
+    let op = Scan::plan(device, n)?;
     let mut scratch = op.scratch(device)?;
     macro_rules! args {
         () => {

@@ -283,7 +283,7 @@ fn net(device: &Device, seed: u64, shape: NetShape, rows: usize, backward: bool)
     let time = 0.37f32;
     let by_transform: Vec<[f32; 8]> =
         (0..rows).map(|_| std::array::from_fn(|_| rng.random_range(-1.0f32..1.0))).collect();
-    let op = Network::new(&shape)?;
+    let op = Network::new(device, &shape)?;
     let mut scratch = op.scratch(device, rows)?;
     let parameters = device.upload("parameters", &network.parameters)?;
     let node_buffer = device.upload("nodes", &nodes)?;

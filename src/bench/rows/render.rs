@@ -305,7 +305,7 @@ fn photometric(device: &Device, seed: u64, width: u32, height: u32) -> Result<Jo
         rgba: device.buffer("rgba gradient", count)?,
         depth: device.buffer("depth gradient", count)?,
     };
-    let op = Loss::plan(width, height);
+    let op = Loss::plan(device, width, height);
     let mut scratch = op.scratch(device)?;
     let mut stream = device.stream()?;
     let mut recorder = stream.record()?;

@@ -73,7 +73,7 @@ impl Adaptation {
         if capacity >= 1 << 30 {
             return Err(Error::Input(format!("adaptive control of {capacity}: at most 2³⁰ − 1")));
         }
-        let scan = Scan::plan(capacity)?;
+        let scan = Scan::plan(device, capacity)?;
         let words = |label: &str| device.buffer::<u32>(label, capacity);
         Ok(Adaptation {
             capacity,

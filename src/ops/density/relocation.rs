@@ -81,7 +81,7 @@ impl Relocation {
     /// # Errors
     /// [`Error::OutOfMemory`].
     pub fn new(device: &Device, capacity: usize) -> Result<Relocation> {
-        let scan = Scan::plan(capacity)?;
+        let scan = Scan::plan(device, capacity)?;
         let words = |label: &str| device.buffer::<u32>(label, capacity);
         Ok(Relocation {
             capacity,

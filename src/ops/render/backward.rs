@@ -2,7 +2,7 @@
 //! Gaussians and the camera.
 
 use super::{PixelBuffers, Render, RenderScratch};
-use crate::gpu::{Buffer, Device, Groups, Kernel, Recorder, View, ViewMut};
+use crate::gpu::{Buffer, Device, Groups, Kernel, Profile, Recorder, View, ViewMut};
 use crate::kernels::{project, raster};
 use crate::ops::at_least;
 use crate::ops::gaussians::{GaussianBuffers, GaussianViews};
@@ -117,7 +117,7 @@ impl Render {
         let [sh0, sh1, sh2, sh3] = gradients.sh.each_mut().map(Buffer::view_mut);
         let [band1, band2, band3] = gaussians.bands();
         recorder.dispatch_specialised::<project::Backward>(
-            &[band1, band2, band3, with_pose].map(u32::from),
+            project::BackwardConstants { band1, band2, band3, with_pose },
             groups,
             project::BackwardParams {
                 count: gaussians.len as u32,
@@ -231,18 +231,18 @@ impl Render {
             slots_b: b.slots_b.view_mut(),
             slots_c: b.slots_c.view_mut(),
         };
-        match self.software_subgroup {
-            None => recorder.dispatch::<raster::Backward>(tiles, params, args)?,
-            Some(subgroup_size) => {
-                let several = u32::from(subgroup_size < raster::BackwardNarrow::WORKGROUP[0]);
-                let constants = [1, several, 1];
-                recorder.dispatch_specialised::<raster::BackwardNarrow>(
-                    &constants, tiles, params, args,
-                )?;
-            }
+        let Profile { shuffles, spread, narrow_tiles, .. } = self.profile;
+        let constants = raster::BackwardConstants { shuffles, several: true, spread };
+        if narrow_tiles {
+            let several = self.subgroup_size < raster::BackwardNarrow::WORKGROUP[0];
+            let constants = raster::BackwardConstants { several, ..constants };
+            recorder
+                .dispatch_specialised::<raster::BackwardNarrow>(constants, tiles, params, args)?;
+        } else {
+            recorder.dispatch_specialised::<raster::Backward>(constants, tiles, params, args)?;
         }
         recorder.dispatch_specialised::<raster::Gather>(
-            &[u32::from(self.software_subgroup.is_some())],
+            raster::GatherConstants { spread: self.profile.spread },
             groups,
             raster::GatherParams { count: count as u32, capacity: self.intersections as u32 },
             raster::GatherArgs {

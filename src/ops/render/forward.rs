@@ -2,7 +2,7 @@
 
 use super::{PixelBuffers, PixelViews, Render, RenderScratch, device_camera};
 use crate::Result;
-use crate::gpu::{Groups, Recorder, View};
+use crate::gpu::{Groups, Profile, Recorder, View};
 use crate::kernels::indirect::record_arguments;
 use crate::kernels::{bin, project, raster};
 use crate::ops::gaussians::GaussianViews;
@@ -103,8 +103,9 @@ impl Render {
         };
         match self.raster {
             RasterKind::Subgroup => {
-                let constants = [u32::from(self.software_subgroup.is_some()); 2];
-                recorder.dispatch_specialised::<raster::Forward>(&constants, groups, params, args)
+                let Profile { shuffles, spread, .. } = self.profile;
+                let constants = raster::ForwardConstants { shuffles, spread };
+                recorder.dispatch_specialised::<raster::Forward>(constants, groups, params, args)
             }
             RasterKind::Shared => recorder.dispatch::<raster::ForwardShared>(groups, params, args),
         }
@@ -130,8 +131,15 @@ impl Render {
         let [band1, band2, band3] = gaussians.bands();
         let GaussianViews { half_sh, half_scales, half_rotations, half_opacities, .. } = gaussians;
         recorder.dispatch_specialised::<project::Forward>(
-            &[half_sh, half_scales, half_rotations, half_opacities, band1, band2, band3]
-                .map(u32::from),
+            project::ForwardConstants {
+                half_sh,
+                half_scales,
+                half_rotations,
+                half_opacities,
+                band1,
+                band2,
+                band3,
+            },
             groups,
             project::ForwardParams {
                 count: gaussians.len as u32,
@@ -240,7 +248,7 @@ impl Render {
             &mut s.scan,
         )?;
         recorder.dispatch_specialised::<bin::Emit>(
-            &[u32::from(self.software_subgroup.is_some())],
+            bin::EmitConstants { spread: self.profile.spread },
             groups,
             bin::EmitParams { count, capacity, width: self.width, height: self.height },
             bin::EmitArgs {

@@ -18,7 +18,7 @@ use super::gaussians::GaussianViews;
 use super::scan::{Scan, ScanScratch};
 use super::sort::{RadixSort, SortScratch};
 use super::{at_least, countable};
-use crate::gpu::{Buffer, Device, DeviceKind, Groups, Stream, View, ViewMut};
+use crate::gpu::{Buffer, Device, Groups, Profile, Stream, View, ViewMut};
 use crate::types::{Camera, DEPTH_BITS, RasterKind, RenderSettings};
 use crate::{Error, Result};
 
@@ -93,9 +93,8 @@ pub struct Render {
     height: u32,
     settings: RenderSettings,
     raster: RasterKind,
-    /// The subgroup size of a software device, `None` on others. Software devices use raster kernels of
-    /// their own and interleave the workgroups so that costly ones are distributed over all cores.
-    software_subgroup: Option<u32>,
+    profile: Profile,
+    subgroup_size: u32,
     depth_sort: RadixSort,
     tile_sort: RadixSort,
     scan: Scan,
@@ -224,14 +223,12 @@ impl Render {
             height,
             settings,
             raster: RasterKind::default(),
-            software_subgroup: match device.info().kind {
-                DeviceKind::Software => Some(device.info().subgroup_size),
-                _ => None,
-            },
+            profile: *device.profile(),
+            subgroup_size: device.info().subgroup_size,
             // Depth is positive, so its sign bit is never set.
             depth_sort: RadixSort::plan(device, gaussians, 0..DEPTH_BITS)?,
             tile_sort: RadixSort::plan(device, intersections, 0..tile_bits)?,
-            scan: Scan::plan(gaussians)?,
+            scan: Scan::plan(device, gaussians)?,
         })
     }
 
@@ -252,13 +249,6 @@ impl Render {
     /// The same renderer with another blending kernel.
     pub fn with_raster(self, raster: RasterKind) -> Render {
         Render { raster, ..self }
-    }
-
-    /// The same renderer with the raster kernels for GPUs, so that they can be compared with the oracle
-    /// on any device.
-    #[cfg(feature = "check")]
-    pub(crate) fn with_gpu_kernels(self) -> Render {
-        Render { software_subgroup: None, ..self }
     }
 
     /// Capacity: the largest number of (splat, tile) pairs of a frame.
