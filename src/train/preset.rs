@@ -101,7 +101,8 @@ mod tests {
             let preset = Quality::default().preset(kind);
             let usual = SequenceSettings::default();
             // A software driver trains larger frames in place of more steps.
-            let usual = if kind == DeviceKind::Software { usual.of_steps(preset.steps) } else { usual };
+            let usual =
+                if kind == DeviceKind::Software { usual.of_steps(preset.steps) } else { usual };
             let standard = preset.settings((320, 180), None);
             assert_eq!(format!("{standard:?}"), format!("{usual:?}"), "{kind:?}");
         }
