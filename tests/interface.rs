@@ -1,5 +1,5 @@
-//! Checks that the shaders match the Rust declarations of kernels, and that the crate's layers depend on
-//! each other only as allowed. Needs no device.
+//! Checks that the shaders match the Rust declarations of kernels, that the crate's layers depend on each
+//! other only as allowed, and that messages are in order. Needs no device.
 
 #[path = "interface/layering.rs"]
 mod layering;
@@ -218,6 +218,28 @@ fn constants_are_numbered_in_order_and_give_their_bits() {
         .map(|constant| constant.default.word())
         .collect();
     assert_eq!(kernels::adam::StepConstants::default().words(), *defaults);
+}
+
+/// Only `io` opens input files, so that what it refuses (pipes, devices, sizes beyond memory) is refused
+/// everywhere.
+#[test]
+fn inputs_are_opened_in_one_place() {
+    // Exceptions: system files, the cache that the engine writes, and tests.
+    let others = ["io/mod.rs", "io/memory.rs", "vk/cache_file.rs", "cmd/interrupt.rs"];
+    let src = root().join("src");
+    let files = files(&src, "rs");
+    assert!(files.len() > 100);
+    for path in files {
+        let name = path.strip_prefix(&src).unwrap().to_str().unwrap().replace('\\', "/");
+        if others.contains(&name.as_str()) || name.ends_with("_tests.rs") {
+            continue;
+        }
+        let text = std::fs::read_to_string(&path).unwrap();
+        let code = text.split("\nmod tests").next().unwrap();
+        for opener in ["File::open(", "fs::read(", "read_to_string(", "ImageReader::open("] {
+            assert!(!code.contains(opener), "{name} calls {opener}…); call io::open or io::read");
+        }
+    }
 }
 
 #[test]

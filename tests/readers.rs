@@ -5,7 +5,7 @@ mod support;
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use glam::{DQuat, DVec2, DVec3};
@@ -435,39 +435,6 @@ fn mutated(original: &[u8], dice: &mut Dice) -> Vec<u8> {
         }
     }
     bytes
-}
-
-/// Only `io` opens input files, so that what it refuses (pipes, devices, sizes beyond memory) is refused
-/// everywhere.
-#[test]
-fn inputs_are_opened_in_one_place() {
-    fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
-        for entry in fs::read_dir(folder).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                sources(&path, found);
-            } else if path.extension().is_some_and(|e| e == "rs") {
-                found.push(path);
-            }
-        }
-    }
-    // Exceptions: system files, the cache that the engine writes, and tests.
-    let others =
-        ["src/io/mod.rs", "src/io/memory.rs", "src/vk/cache_file.rs", "src/cmd/interrupt.rs"];
-    let mut files = Vec::new();
-    sources(Path::new("src"), &mut files);
-    assert!(files.len() > 100);
-    for path in files {
-        let name = path.to_str().unwrap().replace('\\', "/");
-        if others.contains(&name.as_str()) || name.ends_with("_tests.rs") {
-            continue;
-        }
-        let text = fs::read_to_string(&path).unwrap();
-        let code = text.split("\nmod tests").next().unwrap();
-        for opener in ["File::open(", "fs::read(", "read_to_string(", "ImageReader::open("] {
-            assert!(!code.contains(opener), "{name} calls {opener}…); call io::open or io::read");
-        }
-    }
 }
 
 #[test]

@@ -27,7 +27,7 @@ pub struct ClipArgs {
           value_parser = values::whole::<usize>(Clip::LEAST as u64..=values::MOST_PICTURES))]
     pub max_frames: Option<usize>,
     /// Downscale frames so that their longer side has at most this many pixels [default: by device and
-    /// quality; standard 640, on a software driver 400]
+    /// quality; standard 640, on a software driver 320]
     #[arg(long, value_name = "LONGEST",
           value_parser = values::whole::<u32>(16..=values::MOST_PIXELS))]
     size: Option<u32>,
