@@ -3,7 +3,7 @@
 mod common;
 
 use splat4d::check;
-use splat4d::gpu::{Device, Profile, Request};
+use splat4d::gpu::{Buffer, Device, Profile, Request};
 use splat4d::ops::scan::{Scan, ScanArgs};
 
 #[test]
@@ -23,6 +23,22 @@ fn folded_grids() {
     }
 }
 
+fn args<'a>(
+    count: &'a Buffer<u32>,
+    values: &'a Buffer<u32>,
+    prefix: &'a mut Buffer<u32>,
+    total: &'a mut Buffer<u32>,
+) -> ScanArgs<'a> {
+    ScanArgs {
+        count: count.view(),
+        count_at: 0,
+        values: values.view(),
+        prefix: prefix.view_mut(),
+        total: total.view_mut(),
+        total_at: 0,
+    }
+}
+
 /// One workgroup scans 10,000 values under the profile of software drivers, four dispatches do under that
 /// of GPUs.
 #[test]
@@ -38,14 +54,7 @@ fn the_profile_decides_on_the_dispatches() {
         let mut prefix = device.buffer::<u32>("prefix", 10_000).unwrap();
         let mut total = device.buffer::<u32>("total", 1).unwrap();
         let mut recorder = stream.record().unwrap();
-        let args = ScanArgs {
-            count: count.view(),
-            count_at: 0,
-            values: values.view(),
-            prefix: prefix.view_mut(),
-            total: total.view_mut(),
-            total_at: 0,
-        };
+        let args = args(&count, &values, &mut prefix, &mut total);
         op.record(&mut recorder, args, &mut scratch).unwrap();
         stream.submit(recorder).unwrap();
         assert_eq!(stream.download(&prefix).unwrap(), (0..10_000).collect::<Vec<_>>());
@@ -67,19 +76,7 @@ fn buffers_that_are_too_short_are_named() {
     let values = device.buffer::<u32>("values", 100).unwrap();
     let mut prefix = device.buffer::<u32>("prefix", 99).unwrap();
     let mut total = device.buffer::<u32>("total", 1).unwrap();
-    let error = op
-        .record(
-            &mut stream.record().unwrap(),
-            ScanArgs {
-                count: count.view(),
-                count_at: 0,
-                values: values.view(),
-                prefix: prefix.view_mut(),
-                total: total.view_mut(),
-                total_at: 0,
-            },
-            &mut scratch,
-        )
-        .unwrap_err();
+    let args = args(&count, &values, &mut prefix, &mut total);
+    let error = op.record(&mut stream.record().unwrap(), args, &mut scratch).unwrap_err();
     assert_eq!(error.to_string(), "scan: prefix has 99 elements, expected at least 100");
 }

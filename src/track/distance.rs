@@ -2,7 +2,8 @@
 //!
 //! - Outline: an object keeps its size, so drift of its structure from motion shows as a change of size
 //!   ([`super::outline`]).
-//! - Contact: an object that touches static ground in most frames is as far away as the ground there.
+//! - Contact: an object that touches static ground in most frames is as far away as the ground there
+//!   ([`super::contact`]).
 //! - Smoothness: an object moves smoothly by itself and a hand-held camera does not. If the ground gives the
 //!   vertical direction, a flying object falls under gravity ([`super::smooth`]). A smooth path also gives
 //!   the depth in frames that show the object only in part.
@@ -18,35 +19,19 @@
 use glam::{DMat3, DVec2};
 
 use super::cameras::Cameras;
+use super::contact::{contacts, touched};
 use super::contour::Region;
-use super::lower_end::{Contact, LowerEnd, lower_end};
+use super::lower_end::{LowerEnd, lower_end};
 use super::movers::{BOUND, KNOWN};
 use super::objects::Object;
 use super::outline::{self, Outline, outline};
+use super::path::{Estimate, Pull, bent};
 use super::quantile;
 use super::shape::Shape;
 use super::smooth::{self, Place};
 
 /// Initial width of the robust kernel of the outline residuals, as a logarithm of depth.
 const SIZED_FIRST: f64 = 1.6;
-/// Minimum standard deviation of a contact's depth, as a logarithm.
-const CONTACT: f64 = 0.03;
-/// The same for a contact at the object's end, half of the object's width away from its middle. There the
-/// depth relative to the middle is known only to this accuracy.
-const CONTACT_ASIDE: f64 = 0.1;
-/// Relative difference in depth within which a contact agrees with the path.
-const AGREES: f64 = 0.1;
-/// An object touches the ground if it has contacts in the first share of its frames (three at least) and the
-/// second share of them agree with the path.
-const TOUCHES: (f64, f64) = (0.25, 0.5);
-/// Share of the conclusive frames in which an object may be in the air and still count as touching the
-/// ground.
-const IN_THE_AIR: f64 = 0.25;
-/// The object's depth at its contact is the median depth of the tracked points within `BY_CONTACT` times half
-/// of the object's width, and of `NEAR_CONTACT` nearest points at least. Fewer points may lie on the ground
-/// that is visible between its wheels.
-const BY_CONTACT: f64 = 0.3;
-const NEAR_CONTACT: usize = 5;
 /// Standard deviation of an object's middle across the line of sight, pixels: first where the middle is known
 /// from structure from motion or from the whole outline, then where it is not.
 const MIDDLE: (f64, f64) = (0.1, 2.0);
@@ -86,23 +71,6 @@ pub(super) struct Behind<'a> {
     pub inverse: &'a [f32],
     /// The confidence of the inverse depth; see [`super::Track::depth_confidence`].
     pub confidence: &'a [f32],
-}
-
-/// The logarithm of a quantity and its standard deviation.
-#[derive(Clone, Copy, Debug)]
-struct Estimate {
-    value: f64,
-    deviation: f64,
-}
-
-impl Estimate {
-    fn and(self, other: Estimate) -> Estimate {
-        let (a, b) = (self.deviation.powi(-2), other.deviation.powi(-2));
-        Estimate {
-            value: (a * self.value + b * other.value) / (a + b),
-            deviation: (a + b).sqrt().recip(),
-        }
-    }
 }
 
 /// The estimated distance of an object.
@@ -205,18 +173,34 @@ pub(super) fn distance(
         outline(&region, &cameras.intrinsics)
     };
     let outlines: Vec<Option<Outline>> = owners.iter().zip(behind).map(outlined).collect();
+    let outline_deviation = outline::deviation(&outlines);
     let steps = steps(shape);
     let observed = {
         let path: Vec<f64> = shape.frames.iter().map(|f| f.depth.ln()).collect();
         let sizes: Vec<Option<f64>> = outlines.iter().map(|o| Some((*o)?.depth.ln())).collect();
-        sized(path, &sizes, outline::deviation(&outlines), &steps)
+        sized(path, &sizes, outline_deviation, &steps)
     };
     let middles = middles(shape, &outlines);
-    let pixels: Vec<usize> = owners
-        .iter()
-        .map(|owners| owners.iter().filter(|owner| **owner == Some(index as u16)).count())
-        .collect();
-    let seen = seen(shape, &observed, &middles, &outlines, &pixels, cameras.intrinsics.fx);
+    let radius = {
+        let radius = |(owners, depth): (&Vec<Option<u16>>, &f64)| {
+            let pixels = owners.iter().filter(|owner| **owner == Some(index as u16)).count();
+            (pixels as f64 / std::f64::consts::PI).sqrt() * depth.exp()
+        };
+        quantile(owners.iter().zip(&observed).map(radius).collect(), 0.5) / cameras.intrinsics.fx
+    };
+    let seen = |k: usize| {
+        let pose = shape.frames[k].view_from_object;
+        let turned = pose.map_or(DMat3::ZERO, |pose| DMat3::from_quat(pose.rotation));
+        let known = match (pose, outlines[k]) {
+            (Some(_), _) if shape.rigid => Some(ALONG.0),
+            (_, Some(_)) => Some(outline_deviation),
+            (Some(_), None) => Some(ALONG.1),
+            (None, None) => None,
+        };
+        let view_from_object = turned * radius;
+        Seen { depth: observed[k], middle: middles[k], known, radius, view_from_object }
+    };
+    let seen: Vec<Seen> = (0..observed.len()).map(seen).collect();
     let (smooth, farther) = smoothness(&seen, cameras, object.first).unzip();
     let path: Vec<f64> = match farther {
         Some(farther) => observed.iter().zip(farther).map(|(path, by)| path + by).collect(),
@@ -244,71 +228,6 @@ pub(super) fn distance(
         return Distance { path: observed, scale: Scale::Bounded { before, smooth: None } };
     }
     Distance { path, scale: Scale::Bounded { before: bounded.before, smooth } }
-}
-
-/// The state of an object in each frame, up to scale. `path` is the logarithm of its depth, `pixels` the
-/// number of its pixels and `focal` the focal length in pixels.
-fn seen(
-    shape: &Shape,
-    path: &[f64],
-    middles: &[DVec2],
-    outlines: &[Option<Outline>],
-    pixels: &[usize],
-    focal: f64,
-) -> Vec<Seen> {
-    let outline_deviation = outline::deviation(outlines);
-    let radius = {
-        let radius = |(pixels, depth): (&usize, &f64)| {
-            (*pixels as f64 / std::f64::consts::PI).sqrt() * depth.exp()
-        };
-        quantile(pixels.iter().zip(path).map(radius).collect(), 0.5) / focal
-    };
-    let state = |k: usize| {
-        let pose = shape.frames[k].view_from_object;
-        let turned = pose.map_or(DMat3::ZERO, |pose| DMat3::from_quat(pose.rotation));
-        let known = match (pose, outlines[k]) {
-            (Some(_), _) if shape.rigid => Some(ALONG.0),
-            (_, Some(_)) => Some(outline_deviation),
-            (Some(_), None) => Some(ALONG.1),
-            (None, None) => None,
-        };
-        Seen {
-            depth: path[k],
-            middle: middles[k],
-            known,
-            radius,
-            view_from_object: turned * radius,
-        }
-    };
-    (0..path.len()).map(state).collect()
-}
-
-/// The logarithm of the depth of an object's middle that follows from its contact with the ground, frame by
-/// frame, where it has one.
-fn contacts(
-    object: &Object,
-    shape: &Shape,
-    lower_ends: &[Option<LowerEnd>],
-    middles: &[DVec2],
-) -> Vec<Option<Estimate>> {
-    let contact = |(k, end): (usize, &Option<LowerEnd>)| {
-        let Some(LowerEnd::Touches(Contact { depth, pixel, half_width })) = end else {
-            return None;
-        };
-        let near = object.tracks.iter().zip(&shape.frames[k].relative);
-        let mut near: Vec<(f64, f64)> = near
-            .filter_map(|(t, r)| Some((t.at(object.first + k)?.distance(*pixel), (*r)?)))
-            .collect();
-        near.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let within = near.partition_point(|(distance, _)| *distance < BY_CONTACT * half_width);
-        near.truncate(within.max(NEAR_CONTACT));
-        let relative = near.iter().map(|n| n.1).collect::<Vec<_>>();
-        let relative = if near.is_empty() { 1.0 } else { quantile(relative, 0.5) };
-        let aside = (pixel.x - middles[k].x) / half_width;
-        let deviation = CONTACT.hypot(CONTACT_ASIDE * aside);
-        Some(Estimate { value: (depth / relative).ln(), deviation })
-    };
-    lower_ends.iter().enumerate().map(contact).collect()
 }
 
 /// The logarithm of the depth of what an object hides in a frame, at its near side. `None` if the object is
@@ -466,108 +385,6 @@ fn sized(path: Vec<f64>, sizes: &[Option<f64>], deviation: f64, steps: &[f64]) -
     bent(&path, &path, &targets, pull, steps)
 }
 
-/// The path scaled and corrected so that it agrees with its contacts, and the resulting scale with its
-/// standard deviation. Returns `None` if the contacts do not agree, or if the object is in the air too often:
-/// `lower_ends` tells where it passes in front of a wall or is cut off by the image border.
-fn touched(
-    path: &[f64],
-    contacts: &[Option<Estimate>],
-    lower_ends: &[Option<LowerEnd>],
-    steps: &[f64],
-) -> Option<(Vec<f64>, Estimate)> {
-    let cut_off = lower_ends.iter().filter(|end| matches!(end, Some(LowerEnd::CutOff(_)))).count();
-    let offsets: Vec<Estimate> = contacts
-        .iter()
-        .zip(path)
-        .filter_map(|(c, p)| (*c).map(|c| Estimate { value: c.value - p, ..c }))
-        .collect();
-    if (offsets.len() as f64) < (TOUCHES.0 * (path.len() - cut_off) as f64).max(3.0) {
-        return None;
-    }
-    // The start is the offset that most contacts agree with, weighted by their information.
-    let agreeing = |o: &Estimate| {
-        let near = offsets.iter().filter(|p| (p.value - o.value).abs() < 0.5 * AGREES);
-        near.map(|p| p.deviation.powi(-2)).sum::<f64>()
-    };
-    let start = offsets.iter().max_by(|a, b| agreeing(a).total_cmp(&agreeing(b)))?.value;
-    let first: Vec<f64> = path.iter().map(|p| p + start).collect();
-    let bent = bent(path, &first, contacts, Pull { first_width: 1.0, power: 2 }, steps);
-    let off = |(c, b): (&Option<Estimate>, &f64)| Some(((*c)?.value - b, (*c)?.deviation));
-    let off: Vec<(f64, f64)> = contacts.iter().zip(&bent).filter_map(off).collect();
-    let agree = off.iter().filter(|(off, _)| off.abs() < AGREES).count();
-    // An object in the air is nearer than the ground that is visible below it, and it passes in front of
-    // walls.
-    let nearer = off.iter().filter(|(off, _)| *off <= -AGREES).count();
-    let before = lower_ends
-        .iter()
-        .zip(&bent)
-        .filter(|(end, b)| matches!(end, Some(LowerEnd::Wall(wall)) if wall.ln() > **b))
-        .count();
-    let all = offsets.len() as f64;
-    let touches = agree >= 3
-        && agree as f64 >= TOUCHES.1 * all
-        && (nearer + before) as f64 <= IN_THE_AIR * (all + before as f64);
-    let moved = bent.iter().zip(path).map(|(b, p)| b - p).sum::<f64>() / path.len() as f64;
-    // Errors of neighbouring contacts are correlated, so averaging does not reduce the deviation.
-    let of_deviation = off.iter().map(|(off, deviation)| off.abs() / deviation).collect();
-    let deviation = CONTACT * (1.5 * quantile(of_deviation, 0.5)).max(1.0);
-    touches.then_some((bent, Estimate { value: moved, deviation }))
-}
-
-/// The robust kernel of the targets of a path.
-struct Pull {
-    /// Initial width of the robust kernel, in standard deviations of the target; the final width is one.
-    first_width: f64,
-    /// Exponent of the kernel's weight: 1 gives Cauchy's kernel, which still weights distant targets; 2 gives
-    /// Geman and McClure's kernel, which ignores them.
-    power: i32,
-}
-
-/// The least-squares path that keeps the steps of `path`, within each step's standard deviation, and
-/// approaches the targets, iterated from `first` with robust weights.
-fn bent(
-    path: &[f64],
-    first: &[f64],
-    targets: &[Option<Estimate>],
-    Pull { first_width, power }: Pull,
-    steps: &[f64],
-) -> Vec<f64> {
-    let n = path.len();
-    let mut bent = first.to_vec();
-    for round in 0..10 {
-        // The kernel narrows from its initial width to one deviation.
-        let width = f64::max(1.0, first_width * 0.5f64.powi(round));
-        // The normal equations are tridiagonal.
-        let (mut diagonal, mut right) = (vec![1e-9; n], vec![0.0; n]);
-        for (k, target) in targets.iter().enumerate() {
-            let Some(Estimate { value, deviation }) = target else { continue };
-            let off = (value - bent[k]) / (width * deviation);
-            let weight = deviation.powi(-2) / (1.0 + off * off).powi(power);
-            diagonal[k] += weight;
-            right[k] += weight * value;
-        }
-        for k in 0..n - 1 {
-            let stiff = steps[k].powi(-2);
-            let change = path[k + 1] - path[k];
-            diagonal[k] += stiff;
-            diagonal[k + 1] += stiff;
-            right[k] -= stiff * change;
-            right[k + 1] += stiff * change;
-        }
-        for k in 1..n {
-            let stiff = steps[k - 1].powi(-2);
-            let factor = stiff / diagonal[k - 1];
-            diagonal[k] -= factor * stiff;
-            right[k] += factor * right[k - 1];
-        }
-        bent[n - 1] = right[n - 1] / diagonal[n - 1];
-        for k in (0..n - 1).rev() {
-            bent[k] = (right[k] + steps[k].powi(-2) * bent[k + 1]) / diagonal[k];
-        }
-    }
-    bent
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -621,44 +438,6 @@ mod tests {
     }
 
     #[test]
-    fn contacts_that_agree_bend_the_path_to_them() {
-        // The path is correct up to scale; three contacts of ten belong to something else.
-        let path: Vec<f64> = (0..10).map(|k| (1.0 + 0.02 * f64::from(k)).ln()).collect();
-        let sure = |value: f64| Some(Estimate { value, deviation: CONTACT });
-        let contacts: Vec<Option<Estimate>> = (0..10)
-            .map(|k| match k {
-                4 => None,
-                2 | 5 | 8 => sure((7.0 + f64::from(k)).ln()),
-                _ => sure(path[k as usize] + 3f64.ln()),
-            })
-            .collect();
-        let steps = [0.002; 9];
-        let (found, scale) = touched(&path, &contacts, &[None; 10], &steps).unwrap();
-        for (logarithm, p) in found.iter().zip(&path) {
-            assert!((logarithm - p - 3f64.ln()).abs() < 0.01, "{logarithm}");
-        }
-        assert!((scale.value - 3f64.ln()).abs() < 0.01 && scale.deviation == CONTACT, "{scale:?}");
-        // Contacts with whatever happens to lie below the object do not agree.
-        let below = |k: usize| sure((2.0 + k as f64).ln());
-        assert!(
-            touched(&path, &(0..10).map(below).collect::<Vec<_>>(), &[None; 10], &steps).is_none()
-        );
-        assert!(touched(&path, &[None; 10], &[None; 10], &steps).is_none());
-        // Two contacts of ten can be chance.
-        let few: Vec<_> = (0..10).map(|k| if k < 2 { contacts[k] } else { None }).collect();
-        assert!(touched(&path, &few, &[None; 10], &steps).is_none());
-        // Of two groups of contacts, the smaller one near the object's middle wins.
-        let contacts: Vec<Option<Estimate>> = (0..10)
-            .map(|k| match k {
-                0..4 => sure(path[k] + 3f64.ln()),
-                _ => Some(Estimate { value: path[k] + 3f64.ln() - 0.08, deviation: 0.1 }),
-            })
-            .collect();
-        let (_, scale) = touched(&path, &contacts, &[None; 10], &steps).unwrap();
-        assert!((scale.value - 3f64.ln()).abs() < 0.02, "{scale:?}");
-    }
-
-    #[test]
     fn a_drifting_path_keeps_the_size() {
         // The path drifts by 0.25 in the 5 steps with a large deviation; the outlines' sizes are noisy, and
         // one is wrong.
@@ -683,37 +462,6 @@ mod tests {
         let steady: Vec<f64> = (0..20).map(truth).collect();
         let found = sized(steady.clone(), &sizes, 0.1, &[0.002; 19]);
         assert!(change(&found) < 0.02, "{}", change(&found));
-    }
-
-    #[test]
-    fn what_is_in_the_air_touches_nothing() {
-        // By chance, the ground that is visible below the object is as far away as a path that touches it
-        // would be.
-        let path = [0.0; 12];
-        let steps = [0.002; 11];
-        let at = |value: f64| Some(Estimate { value, deviation: CONTACT });
-        let mut contacts = [None; 12];
-        contacts[..6].fill(at(1.0));
-        assert!(touched(&path, &contacts, &[None; 12], &steps).is_some());
-        // In as many frames the object passes in front of a farther wall.
-        let wall = |depth: f64| Some(LowerEnd::Wall(depth.exp()));
-        let mut walls = [None; 12];
-        walls[6..].fill(wall(1.3));
-        assert!(touched(&path, &contacts, &walls, &steps).is_none());
-        // A nearer wall hides the object.
-        walls[6..].fill(wall(0.7));
-        assert!(touched(&path, &contacts, &walls, &steps).is_some());
-        // The object is seen in front of ground that is nearer.
-        contacts[6..10].fill(at(0.7));
-        assert!(touched(&path, &contacts, &[None; 12], &steps).is_none());
-    }
-
-    #[test]
-    fn estimates_are_averaged_by_their_deviations() {
-        let sure = Estimate { value: 1.0, deviation: 0.1 };
-        let both = sure.and(Estimate { value: 2.0, deviation: 0.2 });
-        assert!((both.value - 1.2).abs() < 1e-12);
-        assert!((both.deviation - 0.1 / 1.25f64.sqrt()).abs() < 1e-12);
     }
 
     #[test]

@@ -20,6 +20,8 @@
 //! | `movers` | depth of movers' pixels, from shapes and distances |
 //! | `estimated` | depth that a network has estimated, scaled frame by frame to the world's unit |
 //! | `distance` | the distance of an object, from ground contact, its size and a smooth path |
+//! | `contact` | the distance of an object that touches the ground |
+//! | `path` | an object's path, bent towards estimates of its depth |
 //! | `lower_end` | what an object stands on or passes in front of |
 //! | `unfollowed` | parts of movers on which no point could be tracked |
 //! | `contour` | an object's pixels in a frame, and what its contour borders on |
@@ -41,6 +43,7 @@
 //! ([`Quality::motions`]).
 
 mod cameras;
+mod contact;
 mod contour;
 mod depth;
 mod distance;
@@ -54,6 +57,7 @@ mod objects;
 mod observer;
 mod options;
 mod outline;
+mod path;
 mod photometric;
 mod places;
 mod plate;
