@@ -9,7 +9,7 @@ pub(super) struct Estimate {
 
 impl Estimate {
     /// The mean of two independent estimates of one quantity, with inverse-variance weights.
-    pub fn and(self, other: Estimate) -> Estimate {
+    pub(super) fn and(self, other: Estimate) -> Estimate {
         let (a, b) = (self.deviation.powi(-2), other.deviation.powi(-2));
         Estimate {
             value: (a * self.value + b * other.value) / (a + b),
