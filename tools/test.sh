@@ -66,7 +66,9 @@ others=()
 for file in tests/*.rs; do
     name=$(basename "$file" .rs)
     case $name in
-    end_to_end | cli | cli_* | track | synth | ablate | batch) end_to_end+=(--test "$name") ;;
+    end_to_end | hard_cases | table | capi | cli | cli_* | track | synth | ablate | batch)
+        end_to_end+=(--test "$name")
+        ;;
     *) if is_kernel_test "$file"; then kernel_tests+=(--test "$name"); else others+=(--test "$name"); fi ;;
     esac
 done
@@ -152,7 +154,8 @@ step "doc tests" on "$lavapipe" "${test[@]}" --doc
 step "kernels on lavapipe" on "$lavapipe" "${test[@]}" "${kernel_tests[@]}" "${show[@]}"
 step "kernels on SwiftShader" on "$swiftshader" "${test[@]}" "${kernel_tests[@]}" "${show[@]}"
 if ((${#end_to_end[@]})); then
-    # Without the layer: it slows long runs down, and each kernel has passed under it above.
+    # Without the layer, and so on every core: it slows long runs down, and each kernel has passed under
+    # it above. What runs in a process of its own may ask for it.
     step "end to end" env VK_DRIVER_FILES="$lavapipe" "${test[@]}" "${end_to_end[@]}" "${show[@]}"
 fi
 
