@@ -128,9 +128,10 @@ fn what_does_not_fit_is_named() {
     );
 }
 
-#[test]
-fn cases() {
-    common::run("render");
+common::cases! { "render":
+    scene, central_differences, near_behind_and_at_the_camera, needles, covering_and_sub_pixel,
+    scales, opacities, opacity_slopes, quaternions, non_finite, non_finite_cameras,
+    layers_of_equal_depth, fields_of_view, far_from_the_origin, no_splats, many_tiles,
 }
 
 /// A frame rendered stage by stage has the same bits as a whole render; lists are in depth order; and

@@ -172,16 +172,6 @@ fn every_differentiable_op_is_held_against_central_differences() {
     }
 }
 
-/// The cases that need no device; `validate` runs them once.
-#[test]
-fn cases_of_the_host_pass() {
-    let device = common::device();
-    for case in cases().filter(|case| case.kernels.is_empty()) {
-        let outcome = check::run(case, &device, 0);
-        assert!(outcome.passed(), "{outcome:#?}");
-    }
-}
-
 /// A driver's fault in a case likewise ends the case, not the run.
 #[test]
 fn a_panic_in_a_case_is_a_failure_with_words() {

@@ -7,9 +7,9 @@
 //! too. It runs twice, and both runs must give the same bits.
 //!
 //! To add one: write `src/check/FAMILY.rs` with a `pub const CASES: &[Case]`, list it in [`ALL`],
-//! and let `tests/FAMILY.rs` call `common::run("FAMILY")`. A family whose op has gradients has a
-//! case `FAMILY/central_differences`; a case that covers a hard input of the contract is listed in
-//! [`HARD`], and one case per kernel at least in [`QUICK`].
+//! and name it in `common::cases!` in `tests/FAMILY.rs`, which makes it a test of its own. A family whose
+//! op has gradients has a case `FAMILY/central_differences`; a case that covers a hard input of the
+//! contract is listed in [`HARD`], and one case per kernel at least in [`QUICK`].
 
 pub mod adam;
 pub mod arap;
