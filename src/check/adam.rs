@@ -9,10 +9,10 @@ use rand::RngExt;
 
 /// The family's cases.
 pub const CASES: &[Case] = &[
-    Case { id: "adam/steps", kernels: &["adam/step"], run: steps },
-    Case { id: "adam/visible", kernels: &["adam/step"], run: visible },
-    Case { id: "adam/gate", kernels: &["adam/gate"], run: gated },
-    Case { id: "adam/hard", kernels: &["adam/step"], run: hard },
+    Case { id: "adam/steps", run: steps },
+    Case { id: "adam/visible", run: visible },
+    Case { id: "adam/gate", run: gated },
+    Case { id: "adam/hard", run: hard },
 ];
 
 /// Runs the same steps on the device and in the oracle, and compares after the last one.

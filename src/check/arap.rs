@@ -9,14 +9,13 @@ use rand::RngExt;
 
 /// The family's cases.
 pub const CASES: &[Case] = &[
-    Case { id: "arap/random", kernels: KERNELS, run: random },
-    Case { id: "arap/central_differences", kernels: KERNELS, run: central_differences },
-    Case { id: "arap/rigid", kernels: KERNELS, run: rigid },
-    Case { id: "arap/degenerate", kernels: KERNELS, run: degenerate },
-    Case { id: "arap/scales", kernels: KERNELS, run: scales },
+    Case { id: "arap/random", run: random },
+    Case { id: "arap/central_differences", run: central_differences },
+    Case { id: "arap/rigid", run: rigid },
+    Case { id: "arap/degenerate", run: degenerate },
+    Case { id: "arap/scales", run: scales },
 ];
 
-const KERNELS: &[&str] = &["arap/fit", "arap/gather"];
 const SETTINGS: ArapSettings = ArapSettings { always: 3, reach: 0.8, weight: 0.5 };
 
 type Points = Vec<[f32; 3]>;

@@ -10,16 +10,14 @@ use crate::oracle::{scan, sort};
 use crate::types::{Camera, Gaussians, RenderSettings};
 use rand::RngExt;
 
-const KERNELS: &[&str] = &["bin/compact", "bin/counts", "bin/emit", "bin/ranges", "bin/fits"];
-
 /// The family's cases.
 pub const CASES: &[Case] = &[
-    Case { id: "bin/lists", kernels: KERNELS, run: lists },
-    Case { id: "bin/equal_depths", kernels: KERNELS, run: equal_depths },
-    Case { id: "bin/depth_bits", kernels: KERNELS, run: depth_bits },
-    Case { id: "bin/image_sizes", kernels: KERNELS, run: image_sizes },
-    Case { id: "bin/overflow", kernels: KERNELS, run: overflow },
-    Case { id: "bin/saturation", kernels: KERNELS, run: saturation },
+    Case { id: "bin/lists", run: lists },
+    Case { id: "bin/equal_depths", run: equal_depths },
+    Case { id: "bin/depth_bits", run: depth_bits },
+    Case { id: "bin/image_sizes", run: image_sizes },
+    Case { id: "bin/overflow", run: overflow },
+    Case { id: "bin/saturation", run: saturation },
 ];
 
 /// Tolerance of the power at the cut, from rounding in the conic and the power. Within it, a tile

@@ -9,19 +9,16 @@ use rand::RngExt;
 
 /// The family's cases.
 pub const CASES: &[Case] = &[
-    Case { id: "deform/nearest", kernels: LISTS, run: nearest },
-    Case { id: "deform/hard_motion", kernels: SKIN, run: hard_motion },
-    Case { id: "deform/soft_motion", kernels: SKIN, run: soft_motion },
-    Case { id: "deform/central_differences", kernels: SKIN, run: central_differences },
-    Case { id: "deform/underflow", kernels: SKIN, run: underflow },
-    Case { id: "deform/degenerate", kernels: SKIN, run: degenerate },
-    Case { id: "deform/far", kernels: SKIN, run: far },
-    Case { id: "deform/still", kernels: SKIN, run: still },
-    Case { id: "deform/repeat", kernels: SKIN, run: repeat },
+    Case { id: "deform/nearest", run: nearest },
+    Case { id: "deform/hard_motion", run: hard_motion },
+    Case { id: "deform/soft_motion", run: soft_motion },
+    Case { id: "deform/central_differences", run: central_differences },
+    Case { id: "deform/underflow", run: underflow },
+    Case { id: "deform/degenerate", run: degenerate },
+    Case { id: "deform/far", run: far },
+    Case { id: "deform/still", run: still },
+    Case { id: "deform/repeat", run: repeat },
 ];
-
-const LISTS: &[&str] = &["deform/nearest", "deform/keys", "deform/starts"];
-const SKIN: &[&str] = &["deform/skin", "deform/skin_backward", "deform/gather"];
 
 /// Neighbour lists and their transpose, on a lattice with many ties, which must be broken as in the
 /// oracle.

@@ -9,22 +9,12 @@ use rand::RngExt;
 
 /// The family's cases.
 pub const CASES: &[Case] = &[
-    Case { id: "mlp/narrow", kernels: KERNELS, run: narrow },
-    Case { id: "mlp/paper", kernels: KERNELS, run: paper },
-    Case { id: "mlp/central_differences", kernels: KERNELS, run: central_differences },
-    Case { id: "mlp/shapes", kernels: KERNELS, run: shapes },
-    Case { id: "mlp/accumulate", kernels: &["mlp/reduce"], run: accumulate },
-    Case { id: "mlp/encoding", kernels: &["mlp/encode"], run: encoding },
-];
-
-const KERNELS: &[&str] = &[
-    "mlp/encode",
-    "mlp/forward",
-    "mlp/transforms",
-    "mlp/seed",
-    "mlp/backward",
-    "mlp/weights",
-    "mlp/reduce",
+    Case { id: "mlp/narrow", run: narrow },
+    Case { id: "mlp/paper", run: paper },
+    Case { id: "mlp/central_differences", run: central_differences },
+    Case { id: "mlp/shapes", run: shapes },
+    Case { id: "mlp/accumulate", run: accumulate },
+    Case { id: "mlp/encoding", run: encoding },
 ];
 
 /// A network small enough for a software driver.

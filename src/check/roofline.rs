@@ -10,10 +10,8 @@ use crate::oracle::roofline;
 use rand::RngExt;
 
 /// The family's cases.
-pub const CASES: &[Case] = &[
-    Case { id: "roofline/copy", kernels: &["roofline/copy"], run: copy },
-    Case { id: "roofline/fma", kernels: &["roofline/fma"], run: fma },
-];
+pub const CASES: &[Case] =
+    &[Case { id: "roofline/copy", run: copy }, Case { id: "roofline/fma", run: fma }];
 
 fn copy(harness: &mut Harness) -> Result<()> {
     for count in [1usize, 63, 511, 512, 513, 10_000] {

@@ -6,14 +6,11 @@ use crate::ops::scan::{Scan, ScanArgs};
 use crate::oracle::scan;
 use rand::RngExt;
 
-const KERNELS: &[&str] =
-    &["scan/single", "indirect/arguments", "scan/reduce", "scan/spine", "scan/downsweep"];
-
 /// The family's cases.
 pub const CASES: &[Case] = &[
-    Case { id: "scan/sizes", kernels: KERNELS, run: sizes },
-    Case { id: "scan/wraps", kernels: KERNELS, run: wraps },
-    Case { id: "scan/count_below_capacity", kernels: KERNELS, run: count_below_capacity },
+    Case { id: "scan/sizes", run: sizes },
+    Case { id: "scan/wraps", run: wraps },
+    Case { id: "scan/count_below_capacity", run: count_below_capacity },
 ];
 
 /// Scans `count` of the values and compares; the elements after them must stay unchanged.

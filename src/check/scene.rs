@@ -125,6 +125,8 @@ pub struct Frame {
     pub backward: BackwardScratch,
     /// Gradients with respect to the parameters.
     pub gradients: GaussianBuffers,
+    /// Whether the backward pass computes the pose's gradient.
+    pub with_pose: bool,
     capacity: usize,
 }
 
@@ -229,6 +231,7 @@ impl Frame {
             },
             backward: larger.backward_scratch(device)?,
             gradients: GaussianBuffers::new(device, n + SLACK, scene.sh_degree)?,
+            with_pose: true,
             camera: *camera,
             render,
             capacity,
@@ -315,7 +318,7 @@ impl Frame {
             &self.pixel_gradients,
             b,
             g,
-            true,
+            self.with_pose,
         )?;
         stream.submit(recorder)?;
         let n = self.gaussians.len;
@@ -324,7 +327,8 @@ impl Frame {
         read(stream, &b.slots_a, m)?;
         read(stream, &b.slots_b, m)?;
         read(stream, &b.slots_c, m)?;
-        read(stream, &b.pose_partials, 8 * n.div_ceil(64))?;
+        let partials = if self.with_pose { 8 * n.div_ceil(64) } else { 0 };
+        read(stream, &b.pose_partials, partials)?;
         read(stream, &g.positions, 3 * n)?;
         read(stream, &g.log_scales, 3 * n)?;
         read(stream, &g.rotations, n)?;

@@ -7,24 +7,13 @@ use crate::oracle::sort;
 use rand::RngExt;
 use std::ops::Range;
 
-const KERNELS: &[&str] = &[
-    "scan/single",
-    "indirect/arguments",
-    "scan/reduce",
-    "scan/spine",
-    "scan/downsweep",
-    "sort/plan",
-    "sort/count",
-    "sort/scatter",
-];
-
 /// The family's cases.
 pub const CASES: &[Case] = &[
-    Case { id: "sort/sizes", kernels: KERNELS, run: sizes },
-    Case { id: "sort/powers_of_two", kernels: KERNELS, run: powers_of_two },
-    Case { id: "sort/bit_ranges", kernels: KERNELS, run: bit_ranges },
-    Case { id: "sort/orders", kernels: KERNELS, run: orders },
-    Case { id: "sort/count_below_capacity", kernels: KERNELS, run: count_below_capacity },
+    Case { id: "sort/sizes", run: sizes },
+    Case { id: "sort/powers_of_two", run: powers_of_two },
+    Case { id: "sort/bit_ranges", run: bit_ranges },
+    Case { id: "sort/orders", run: orders },
+    Case { id: "sort/count_below_capacity", run: count_below_capacity },
 ];
 
 /// Sorts `count` of the pairs (key, index) and compares; the elements after them must stay
