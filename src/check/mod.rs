@@ -7,6 +7,8 @@
 //! too. It runs twice, and both runs must give the same bits. What a case covers is what it was seen to
 //! dispatch: [`Outcome::dispatched`].
 //!
+//! A family whose op is benchmarked declares it as a [`Workload`], which case and benchmark share.
+//!
 //! To add one: write `src/check/FAMILY.rs` with a `pub const CASES: &[Case]`, list it in [`ALL`],
 //! and name it in `common::cases!` in `tests/FAMILY.rs`, which makes it a test of its own. A family whose
 //! op has gradients has a case `FAMILY/central_differences`; a case that covers a hard input of the
@@ -39,11 +41,13 @@ pub mod scan;
 mod scene;
 pub mod sort;
 pub mod texel;
+mod workload;
 
 pub use contract::{HARD, QUICK};
 pub use expect::{EXPECTED, Expect, Verdict, verdict};
 pub use finding::{Bound, Finding};
 pub use harness::{Guarded, Harness};
+pub use workload::Workload;
 
 use crate::error::{Error, Result};
 use crate::gpu::{Device, Dispatched, Profile};
