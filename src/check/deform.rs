@@ -46,7 +46,7 @@ fn nearest(h: &mut Harness) -> Result<()> {
         lists.refresh(&mut recorder, id_view, position_buffer.view(), node_buffer.view())?;
         recorder.copy(lists.neighbours(), found.view_mut());
         recorder.copy(lists.starts(), starts.view_mut());
-        recorder.copy(lists.places(), places.view_mut());
+        recorder.copy(lists.place_from_sorted(), places.view_mut());
         h.stream.submit(recorder)?;
         let listed: Vec<[f32; 3]> = ids.iter().map(|&i| triple(&positions, i as usize)).collect();
         let all: Vec<[f32; 3]> = (0..nodes).map(|i| triple(&centres, i)).collect();
@@ -114,7 +114,7 @@ impl<R: Real> Numbers<R> {
             opacity_logits: &self.opacity_logits,
             motion_logits: &self.logits,
             evidence: &self.evidence,
-            dynamic_ids: &scene.ids,
+            gaussian_from_dynamic: &scene.ids,
             neighbours: &self.neighbours,
             k: scene.k,
             nodes: &self.nodes,
@@ -237,7 +237,7 @@ impl Scene {
         let mut recorder = h.stream.record()?;
         skin.refresh(&mut recorder, ids.view(), positions.view(), node_buffer.view())?;
         let args = SkinArgs {
-            dynamic_ids: ids.view(),
+            gaussian_from_dynamic: ids.view(),
             positions: positions.view(),
             rotations: rotations.view(),
             opacity_logits: opacity_logits.view(),

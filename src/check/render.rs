@@ -410,7 +410,7 @@ fn layers_of_equal_depth(harness: &mut Harness) -> Result<()> {
     }
     let run = agree(harness, "4000 layers", &all, &camera, 2e-6)?;
     let ascending: Vec<u32> = (0..4000).collect();
-    harness.exact("ties break by index", &run.forward.order, &ascending);
+    harness.exact("ties break by index", &run.forward.splat_from_rank, &ascending);
     let stop = RenderSettings::default().transmittance_stop;
     let left = 1.0 - run.forward.rgba[8][3];
     harness.holds("stops in front of the stop", left > stop && left < 1.1 * stop);

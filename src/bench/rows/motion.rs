@@ -108,7 +108,7 @@ impl Scene {
 
     fn args(&self) -> SkinArgs<'_> {
         SkinArgs {
-            dynamic_ids: self.ids.view(),
+            gaussian_from_dynamic: self.ids.view(),
             positions: self.position_buffer.view(),
             rotations: self.rotation_buffer.view(),
             opacity_logits: self.opacity_buffer.view(),
@@ -128,7 +128,7 @@ fn nearest(device: &Device, seed: u64, n: usize) -> Result<Job> {
     let mut found = device.buffer::<u32>("neighbours", FOLLOWED * n)?;
     let mut recorder = stream.record()?;
     let a = scene.args();
-    skin.refresh(&mut recorder, a.dynamic_ids, a.positions, a.nodes)?;
+    skin.refresh(&mut recorder, a.gaussian_from_dynamic, a.positions, a.nodes)?;
     recorder.copy(skin.neighbours().neighbours(), found.view_mut());
     stream.submit(recorder)?;
     let mut check = Check::new();
@@ -140,7 +140,7 @@ fn nearest(device: &Device, seed: u64, n: usize) -> Result<Job> {
         Work { bytes: (n * 12 + NODES * 12 + 3 * n * FOLLOWED * 8) as u64, operations: 9 * pairs };
     Job::recorded(device, check.accuracy(), work, move |recorder| {
         let a = scene.args();
-        skin.refresh(recorder, a.dynamic_ids, a.positions, a.nodes)
+        skin.refresh(recorder, a.gaussian_from_dynamic, a.positions, a.nodes)
     })
 }
 
@@ -187,7 +187,7 @@ fn skin(device: &Device, seed: u64, n: usize, backward: bool) -> Result<Job> {
     let mut stream = device.stream()?;
     let mut recorder = stream.record()?;
     let a = scene.args();
-    op.refresh(&mut recorder, a.dynamic_ids, a.positions, a.nodes)?;
+    op.refresh(&mut recorder, a.gaussian_from_dynamic, a.positions, a.nodes)?;
     op.forward(&mut recorder, a, outputs!())?;
     op.backward(&mut recorder, a, gradients!())?;
     stream.submit(recorder)?;
@@ -207,7 +207,7 @@ fn skin(device: &Device, seed: u64, n: usize, backward: bool) -> Result<Job> {
         opacity_logits: &opacity_logits,
         motion_logits: &zeros,
         evidence: &zeros,
-        dynamic_ids: &ids,
+        gaussian_from_dynamic: &ids,
         neighbours: &neighbours,
         k: FOLLOWED,
         nodes: &nodes,
